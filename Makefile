@@ -12,7 +12,7 @@ export OMP_NUM_THREADS = 1
 export OPENBLAS_NUM_THREADS = 1
 
 .DEFAULT_GOAL := help
-.PHONY: help page run check test test-real-time test-computing test-slow mutants faults fuzz photoreal soak bench lint format proto docs lock clean
+.PHONY: help page run check test test-real-time test-computing test-slow mutants firmware faults fuzz photoreal soak bench lint format proto docs lock clean
 
 help: ## this list
 	@echo "Targets (each sets up .venv by itself):"
@@ -48,7 +48,7 @@ fuzz: $(INSTALLED) ## a million payloads for every decoder, fewer for every step
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[fuzz]' || echo "atheris cannot be installed here: without it, then"
 	$(BIN)/python -m tests.faults.fuzz $(ARGS)
 
-photoreal: $(INSTALLED) ## render tests/localizer/photoreal/data again with Mitsuba 3 (hours). ARGS="tilt-4 --split tune"
+photoreal: $(INSTALLED) ## render tests/localizer/photoreal/data again with Mitsuba 3. ARGS="tilt-4 --split tune" or "--missing"
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[photoreal]'
 	$(BIN)/python -m tests.localizer.photoreal.render $(ARGS)
 
@@ -60,6 +60,9 @@ mutants: $(INSTALLED) ## change the thruster board's rules in every small way, a
 	$(BIN)/python -m mutmut run --max-children 2
 	$(BIN)/python -m mutmut results
 
+firmware: $(INSTALLED) ## the thruster board's firmware (gcc; avr-gcc for the Arduino Mega). ARGS="avr ROBOT=2", "fuzz"
+	$(MAKE) -C firmware $(ARGS)
+
 bench: $(INSTALLED) ## benchmarks, each beside its peers. ARGS="codec --json rows.json"
 	$(BIN)/python -m benchmarks $(ARGS)
 
@@ -67,7 +70,7 @@ lint: $(INSTALLED) ## ruff and mypy --strict
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/mypy docs
+	$(BIN)/mypy docs examples
 
 format: $(INSTALLED) ## let ruff lay out and repair what it can
 	$(BIN)/ruff format .
@@ -81,6 +84,7 @@ proto: $(INSTALLED) ## generate wire/messages/fleet_pb2.py from wire/messages/fl
 
 docs: $(INSTALLED) ## write the generated pages of docs/ again
 	$(BIN)/python docs/messages.py > docs/messages.md
+	$(BIN)/python docs/keys.py
 
 lock: ## resolve the newest versions pyproject.toml allows into constraints.txt
 	rm -rf .venv-lock

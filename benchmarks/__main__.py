@@ -15,26 +15,42 @@ from rich.table import Table
 
 from benchmarks.harness import Row
 
-# Each is a module beside this file with `run() -> Iterable[Row]`.
+# Name: a module of this package with `run() -> Iterable[Row]`, and what it measures.
 BENCHMARKS = {
-    "codec": "a message to bytes, and bytes to a checked message",
-    "bus": "there and back between two processes through the router",
-    "guard": "the guard of a router with keys: there and back through it and past it",
-    "control_step": "one complete control step, closed loop, beside peers (3 minutes)",
-    "control_growth": "a control step with longer horizons and more neighbours",
-    "agent": "a robot's program: start to ready, memory, CPU at 20 Hz (1 minute)",
-    "neighbours": "a robot's program that hears 0, 1 and 19 plans: processor time of a step (1 minute)",
-    "robustness": "flights in currents, and with mass, drag, timing and localisation wrong at once (8 minutes)",
-    "thrusters": "how soon a broken thruster is noticed, and how often one that is not (10 minutes)",
-    "optimum": "the numeric scenes' whole run beside the best that is possible (1 minute)",
-    "localizer": "the localizer per frame for 1 to 20 robots; its filter alone (2 minutes)",
-    "encounters": "robots in one another's way: 200 random starts of each scene (30 minutes)",
-    "simulation": "the plant, a frame, numeric flights, and lockstep with all processes (3 minutes)",
-    "accuracy": "the localizer against the truth of rendered frames (10 minutes)",
-    "photoreal": "the localizer on pictures by another renderer: tilt, waves, glare, covered plates (1 minute)",
-    "recorder": "the log of 20 robots and the camera's film: CPU, what is missing, control beside it, SIGKILL (2 minutes)",
-    "planner": "planning and replanning, ways in a thousand random worlds (3 minutes)",
-    "page": "the operator's page in Chromium: latency, frames, CPU with 2 and 49 robots (3 minutes)",
+    "codec": ("wire.codec", "a message to bytes, and bytes to a checked message"),
+    "bus": ("wire.bus", "there and back between two processes through the router"),
+    "frames": ("wire.frames", "camera frames between processes of one host: network and shared memory (2 minutes)"),
+    "guard": ("wire.guard", "the guard of a router with keys: there and back through it and past it"),
+    "control_step": ("robot_agent.control_step", "one complete control step, closed loop, beside peers (3 minutes)"),
+    "control_growth": ("robot_agent.control_growth", "a control step with longer horizons and more neighbours"),
+    "agent": ("robot_agent.agent", "a robot's program: start to ready, memory, CPU at 20 Hz (1 minute)"),
+    "neighbours": (
+        "robot_agent.neighbours",
+        "a robot's program that hears 0, 1 and 19 plans: processor time of a step (1 minute)",
+    ),
+    "robustness": (
+        "robot_agent.robustness",
+        "flights in currents, and with mass, drag, timing and localisation wrong at once (8 minutes)",
+    ),
+    "thrusters": (
+        "robot_agent.thrusters",
+        "how soon a broken thruster is noticed, and how often one that is not (10 minutes)",
+    ),
+    "optimum": ("robot_agent.optimum", "the numeric scenes' whole run beside the best that is possible (1 minute)"),
+    "localizer": ("localizer.frame", "the localizer per frame for 1 to 20 robots; its filter alone (2 minutes)"),
+    "encounters": ("robot_agent.encounters", "robots in one another's way: 200 random starts of each scene (30 minutes)"),
+    "simulation": ("simulation", "the plant, a frame, numeric flights, and lockstep with all processes (3 minutes)"),
+    "accuracy": ("localizer.accuracy", "the localizer against the truth of rendered frames (10 minutes)"),
+    "photoreal": (
+        "localizer.photoreal",
+        "the localizer on pictures by another renderer: tilt, waves, glare, covered plates (1 minute)",
+    ),
+    "recorder": (
+        "groundstation.recorder",
+        "the log of 20 robots and the camera's film: CPU, what is missing, control beside it, SIGKILL (2 minutes)",
+    ),
+    "planner": ("groundstation.planner", "planning and replanning, ways in a thousand random worlds (3 minutes)"),
+    "page": ("groundstation.page", "the operator's page in Chromium: latency, frames, CPU with 2 and 49 robots (3 minutes)"),
 }
 
 TABLE_WIDTH = 120
@@ -65,7 +81,7 @@ def main(
 ) -> None:
     """Measure ours beside its peers, in the same run."""
     if show_list:
-        for name, what in BENCHMARKS.items():
+        for name, (_, what) in BENCHMARKS.items():
             print(f"{name:12} {what}")
         return
     unknown = [name for name in names or () if name not in BENCHMARKS]
@@ -77,11 +93,12 @@ def main(
     if minutes is not None:
         if names != ["page"]:
             raise typer.BadParameter("--minutes goes with `page` alone")
-        rows.extend(importlib.import_module("benchmarks.page_soak").run(minutes))
+        rows.extend(importlib.import_module("benchmarks.groundstation.page_soak").run(minutes))
         names = []
     for name in BENCHMARKS if names is None else names:
-        print(f"{name}: {BENCHMARKS[name]} ...", file=sys.stderr)
-        rows.extend(importlib.import_module(f"benchmarks.{name}").run())
+        module, what = BENCHMARKS[name]
+        print(f"{name}: {what} ...", file=sys.stderr)
+        rows.extend(importlib.import_module(f"benchmarks.{module}").run())
     console = Console()
     console.width = max(console.width, TABLE_WIDTH)  # a pipe has no width; a table that wraps cannot be read
     console.print(_table(rows))

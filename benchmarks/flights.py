@@ -15,7 +15,7 @@ SETTLED_S = 20.0
 
 
 @dataclass(frozen=True, eq=False)
-class Flight:
+class SceneFlight:
     """A scene that was flown. Row k is the control step at time k times the period."""
 
     experiment: Experiment
@@ -67,7 +67,7 @@ def rough_water(random: np.random.Generator) -> tuple[str, ...]:
     )
 
 
-def flown(experiment: Experiment) -> Flight:
+def flown(experiment: Experiment) -> SceneFlight:
     """The whole experiment, held against its references."""
     fleet, water = prepared(experiment)
     fleet.start()
@@ -76,4 +76,4 @@ def flown(experiment: Experiment) -> Flight:
         pass
     truth = np.array(fleet.truth[held:])
     reference = np.array([t.eta[: len(truth)] for t in fleet.trajectories.values()]).transpose(1, 0, 2)
-    return Flight(experiment, fleet, truth, pose_error(truth, reference), [robot.states[held:] for robot in fleet.robots])
+    return SceneFlight(experiment, fleet, truth, pose_error(truth, reference), [robot.states[held:] for robot in fleet.robots])

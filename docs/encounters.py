@@ -6,7 +6,7 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 
-from benchmarks.encounters import SCENES, meet
+from benchmarks.robot_agent.encounters import SCENES, meet
 from wire.config.experiment import load_experiment
 
 matplotlib.use("Agg")

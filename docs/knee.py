@@ -6,7 +6,7 @@ import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.ticker import FixedLocator, NullFormatter, ScalarFormatter
 
-from benchmarks.robustness import CURRENTS, flight
+from benchmarks.robot_agent.robustness import CURRENTS, flight
 
 NAME, *SETTINGS = CURRENTS["figure-eight, 0.05 m/s"]
 BANDWIDTHS = (0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0)

@@ -9,10 +9,12 @@ import typer
 from groundstation.cli.deploy import deploy
 from groundstation.cli.foxglove import foxglove_cli, foxglove_layout
 from groundstation.cli.keys import keys_cli
+from groundstation.cli.keys_of import keys_of
 from groundstation.cli.mission import fleet_request, gains_cli, go, mission_cli, order, register, set_or_undo, states
 from groundstation.cli.replay import replay
 from groundstation.cli.rerun import moment, rerun
 from groundstation.cli.run import plan, run
+from groundstation.cli.run_list import list_runs
 from groundstation.cli.runs import benchmark_report, compare, export, record, repair, report
 from wire.process.cli_options import Version
 from wire.process.optional_packages import run_role
@@ -45,14 +47,16 @@ def _renamed(command: Callable[..., None], name: str) -> Callable[..., None]:
     return old
 
 
-log_cli = _group("Recorded runs: report, compare, export, repair, replay, rerun (docs/runs.md).")
+log_cli = _group("Recorded runs: list, report, compare, export, repair, replay, rerun (docs/runs.md).")
 for command in (report, compare, export, repair, replay, rerun, record):
     log_cli.command()(command)
+log_cli.command("list")(list_runs)
 benchmark_cli = _group("Results of `sim-bridge compare`.")
 benchmark_cli.command("report")(benchmark_report)
 
 cli.command()(run)
 cli.command()(plan)
+cli.command()(keys_of)
 cli.add_typer(mission_cli, name="mission")
 register(cli, "stop")
 register(cli, "end")

@@ -12,6 +12,7 @@ from wire.process.cli_options import (
     DEFAULT_STATION,
     ExperimentName,
     FleetName,
+    FrameRingOption,
     Insecure,
     KeyRing,
     LockstepMode,
@@ -46,6 +47,7 @@ def run(
     show: Annotated[bool, typer.Option("--show", help="Annotated pictures for a browser on this machine.")] = False,
     show_port: Annotated[int, typer.Option(help="Where --show serves them, on 127.0.0.1.")] = 8090,
     lockstep: LockstepMode = False,
+    frame_ring: FrameRingOption = None,
     keys: KeyRing = None,
     insecure: Insecure = False,
     verbose: Verbose = False,
@@ -64,7 +66,7 @@ def run(
     # Regions are small, and more threads only compete with the other processes of the machine.
     cv2.setNumThreads(1)
     loaded = load_experiment(experiment, settings or ())
-    options = node.NodeOptions(source, publish_frames, show_port if show else None)
+    options = node.NodeOptions(source, publish_frames, show_port if show else None, frame_ring)
     where = endpoint(station, process_name(Role.LOCALIZER), keys, insecure=insecure, lossless=lockstep)
     node.run(loaded, where, fleet, Stop(), lockstep, options)
 

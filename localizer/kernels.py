@@ -300,3 +300,17 @@ def sample_colours(
             upper = picture[row, column, k] * (1.0 - along) + picture[row, column + 1, k] * along
             lower = picture[row + 1, column, k] * (1.0 - along) + picture[row + 1, column + 1, k] * along
             samples[k, i] = upper * (1.0 - down) + lower * down
+
+
+@kernel("UniTuple(i8, 2)(Array(u1, 2, 'A', readonly=True), i8, u1[:,::1])")
+def sample(picture: NDArray[np.uint8], stride: int, samples: NDArray[np.uint8]) -> tuple[int, int]:
+    """Every `stride`-th pixel of every `stride`-th row into `samples`; their sum, and how many differ from what was there."""
+    total = 0
+    differing = 0
+    for i in range(samples.shape[0]):
+        for j in range(samples.shape[1]):
+            pixel = int(picture[i * stride, j * stride])
+            total += pixel
+            differing += pixel != samples[i, j]
+            samples[i, j] = pixel
+    return total, differing

@@ -29,6 +29,7 @@ from wire.process.runtime import Clock, Stop, WallClock, age_s, log, log_to_bus,
 from wire.toml_loader import ConfigError
 from wire.transport.bus import Bus, Received
 from wire.transport.endpoint import Endpoint
+from wire.transport.frame_ring import codec_of
 from wire.transport.zenoh_transport import ZenohTransport
 
 FAILURES_IN_A_ROW = 10  # frames (0.5 s at 20 Hz) that may fail before the process ends, for its supervisor to restart it
@@ -41,6 +42,7 @@ class NodeOptions:
     source: str = BUS
     publish_frames: bool = False  # put the frames of a camera at this machine on the bus
     page_port: int | None = None  # port of the annotated pictures for a browser
+    frame_ring: int | None = None  # descriptor of the ring that frames come in, beside the bus
 
 
 def run(experiment: Experiment, endpoint: Endpoint, fleet: str, stop: Stop, lockstep: bool, options: NodeOptions) -> None:
@@ -57,7 +59,7 @@ def run(experiment: Experiment, endpoint: Endpoint, fleet: str, stop: Stop, lock
             own = stack.enter_context(closing(open_own(options.source, experiment.camera, clock)))
         if options.page_port is not None:
             page = stack.enter_context(closing(MjpegServer(options.page_port, stop)))
-        bus = stack.enter_context(Bus(ZenohTransport(endpoint, stop), fleet))
+        bus = stack.enter_context(Bus(ZenohTransport(endpoint, stop), fleet, *codec_of(options.frame_ring)))
         bus.claim("localizer", stop)
         LocalizerNode(experiment, bus, stop, clock, own, page, options.publish_frames).run()
     stop.raise_failure()

@@ -9,6 +9,7 @@ import typer
 from robot_agent.commands import check, compile_kernels, init, unit
 from robot_agent.host.config import DEFAULT_LINK, merge_config, open_board_link
 from robot_agent.host.params import cli as params
+from robot_agent.preflight.identify import cli as identify
 from wire.config.experiment import load_experiment
 from wire.process.cli_options import (
     DEFAULT_FLEET,
@@ -45,6 +46,7 @@ cli.command()(check)
 
 
 cli.add_typer(params, name="params")
+cli.add_typer(identify, name="identify")
 
 
 @cli.command()

@@ -180,16 +180,16 @@ class Agent:
     def _sound(self, output: ControlOutput) -> ControlOutput:
         """Return a control step's output, or neutral pulses and FAILED in its place if a number is not finite or a pulse is
         outside the vehicle's range: the last guard before the wire."""
-        arrays = {name: value for name, value in vars(output).items() if isinstance(value, np.ndarray)}
         lowest_us, *_, highest_us = (us for us, _ in self._experiment.vehicle.thruster.curve)
         least_us, most_us = self._experiment.vehicle.legs.ankle_us
         thrusters, ankles = output.pulse_us[:THRUSTERS], output.pulse_us[THRUSTERS:]
+        arrays = {name: value for name, value in vars(output).items() if isinstance(value, np.ndarray)}
         if (
-            all(np.isfinite(array).all() for array in arrays.values())
+            math.isfinite(np.abs(np.concatenate(list(arrays.values()), axis=None)).max())
             and math.isfinite(output.tracking_error_m)
             and math.isfinite(output.slack_m)
-            and all(lowest_us <= pulse <= highest_us for pulse in thrusters)
-            and all(least_us <= pulse <= most_us for pulse in ankles)
+            and lowest_us <= min(thrusters) <= max(thrusters) <= highest_us
+            and least_us <= min(ankles) <= max(ankles) <= most_us
         ):
             return output
         nothing: dict[str, Any] = {name: np.zeros_like(array) for name, array in arrays.items()}

@@ -23,7 +23,7 @@ ConfigFile = Annotated[Path, typer.Option("--config", metavar="FILE", help="The 
 DEFAULT_CONFIG = Path("agent.toml")
 COLOURS = {CheckVerdict.OK: "green", CheckVerdict.WARN: "yellow", CheckVerdict.FAIL: "red", CheckVerdict.SKIPPED: None}
 UNIT_NAME = "shoal-agent.service"
-CAREFUL = "Each thruster will turn. Is the robot free, and is nobody's hand near it?"
+CAREFUL = "Each thruster will turn, and each ankle. Is the robot free, and is nobody's hand near it?"
 
 
 def init(
@@ -108,7 +108,9 @@ def compile_kernels() -> None:
 
 def check(
     config: ConfigFile = DEFAULT_CONFIG,
-    thrusters: Annotated[bool, typer.Option("--thrusters", help="Turn each thruster a little, after asking.")] = False,
+    thrusters: Annotated[
+        bool, typer.Option("--thrusters", help="Move each thruster and ankle a little, asking what was seen.")
+    ] = False,
     yes: Annotated[bool, typer.Option("--yes", help="With --thrusters: do not ask.")] = False,
     json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
 ) -> None:
@@ -126,8 +128,11 @@ def check(
     if thrusters and not yes and not typer.confirm(CAREFUL, err=True):
         thrusters = False
 
+    def ask(question: str) -> bool:
+        return typer.confirm(question, default=True, err=True)
+
     def turn(experiment: Experiment) -> Iterator[CheckFinding]:
-        return turn_thrusters(experiment, board)
+        return turn_thrusters(experiment, board, None if yes else ask)
 
     found = []
     for finding in run_preflight(board, turn if thrusters else None):

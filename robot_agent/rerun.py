@@ -27,7 +27,7 @@ WARNING = 3  # an event's level
 
 
 @dataclass(frozen=True)
-class _Kept:
+class _SeenMessage:
     """A message of another sender that steps may name."""
 
     session: int
@@ -43,7 +43,7 @@ class Rerun:
         self.agent = Agent(experiment, robot)
         self._session, self._next = 0, 0
         self._orders: deque[tuple[int, OrderTaken]] = deque()
-        self._kept: dict[tuple[Topic, int | None], deque[_Kept]] = {}
+        self._kept: dict[tuple[Topic, int | None], deque[_SeenMessage]] = {}
 
     def run(self, messages: Iterable[Logged]) -> Iterator[Again]:
         """Yield states and plans of the repeated steps, and an event for each gap in the log."""
@@ -63,7 +63,7 @@ class Rerun:
                 self.agent.note_sent(message, header.stamp_ns)
             else:
                 kept = self._kept.setdefault((topic, robot), deque(maxlen=KEPT))
-                kept.append(_Kept(header.session, header.sequence, message))
+                kept.append(_SeenMessage(header.session, header.sequence, message))
 
     def _begin(self, record: StepInputs, header: Header) -> Iterator[Again]:
         """Start a new agent where the robot's process started one."""

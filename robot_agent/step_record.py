@@ -124,8 +124,8 @@ _READ = tuple(name for name in BoardReading.__dataclass_fields__ if name not in 
 
 def _reading(telemetry: Telemetry) -> BoardReading:
     copied = {name: getattr(telemetry, name) for name in _READ}
-    vectors = {name: np.array(getattr(telemetry, name), dtype=np.float64) for name in _VECTORS}
-    return BoardReading(**vectors, **copied)
+    acceleration_mps2, tilt = (np.array(getattr(telemetry, name), dtype=np.float64) for name in _VECTORS)
+    return BoardReading(acceleration_mps2=acceleration_mps2, tilt=tilt, **copied)
 
 
 def _telemetry(reading: BoardReading) -> Telemetry:

@@ -4,7 +4,8 @@ import typer
 
 from sim_bridge.board_conformance.cli import board_conformance
 from sim_bridge.cli.compare import compare, tune
-from sim_bridge.cli.pool import board, pool
+from sim_bridge.cli.new import new
+from sim_bridge.cli.pool import board, hil, pool
 from sim_bridge.cli.sil import campaign, numeric, sil
 from wire.process.cli_options import Version
 from wire.process.optional_packages import run_role
@@ -25,7 +26,9 @@ def main(version: Version = False) -> None:
 cli.command()(sil)
 cli.command()(numeric)
 cli.command()(campaign)
+cli.command()(new)
 cli.command()(pool)
+cli.command()(hil)
 cli.command()(board)
 cli.command("board-conformance")(board_conformance)
 cli.command()(compare)

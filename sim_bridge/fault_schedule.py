@@ -4,6 +4,7 @@ Time is seconds along the trajectories, so no fault begins before the robots sta
 sim_bridge/sil/fault_injector.py.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,7 @@ from wire.frames import Array
 from wire.toml_loader import ConfigError
 
 NUMERIC = ("thruster", "imu", "battery")  # kinds of faults that a numeric flight can have
+ROUNDING_S = 1e-6  # s by which a change is looked for early, as times are sums of rounded numbers
 BEFORE_S = -1.0  # a time before the robots' start
 
 
@@ -36,11 +38,6 @@ class FaultSchedule:
         self._stuck_us: dict[tuple[int, int], float] = {}
         self._derive()
 
-    @property
-    def any(self) -> bool:
-        """True if the experiment has any fault."""
-        return bool(self._faults)
-
     def at(self, time_s: float) -> list[str]:
         """Move to a time. Returns a line of text for each fault that began or ended."""
         if not self._faults:
@@ -53,6 +50,13 @@ class FaultSchedule:
         self._active = active
         self._derive()
         return said
+
+    def quiet_steps(self, time_s: float, step_s: float, most: int) -> int:
+        """Plant steps from `time_s` to the first instant of a step at which a fault begins or ends; 1 to `most`."""
+        begins = [fault.at_s for fault in self._faults]
+        ends = [fault.at_s + fault.for_s for fault in self._faults if fault.for_s is not None]
+        change_s = min((change_s for change_s in (*begins, *ends) if change_s > time_s), default=math.inf) - time_s
+        return most if change_s >= most * step_s else max(math.ceil((change_s - ROUNDING_S) / step_s), 1)
 
     def pulses(self, pulses_us: Array) -> Array:
         """The pulses (n, 8) that thrusters get, from those on the boards' outputs: a stuck one keeps its last."""

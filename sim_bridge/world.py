@@ -3,21 +3,44 @@
     bytes from the robots' computers -> boards (board.py) -> pulses -> thrusters -> dynamics -> next state
                                                                        sensors -> boards -> bytes to the computers
 
-`step` moves everything by one plant step. sim_bridge/node/pool.py connects it to the wires; time here is the plant's.
+`step` moves everything to the next event: an exposure, sensors that are due, a board whose outputs change, a fault. Between
+events all steps of the plant are one call. sim_bridge/node/pool.py connects it to the wires; time here is the plant's.
 """
 
-from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Protocol
 
 import numpy as np
 
 from sim_bridge.fault_schedule import BEFORE_S, FaultSchedule
-from sim_bridge.plant.fleet import ActuatorFaults, Plant, PlantState
+from sim_bridge.plant.fleet import Plant, PlantState
+from sim_bridge.plant.sensors import BoardSensors
 from sim_bridge.thruster_board.board import ThrusterBoard
 from wire.config.experiment import Experiment
 from wire.frames import Array
 from wire.messages.messages import Truth
+
+
+class WorldBoard(Protocol):
+    """A thruster board of the world: a simulated one, or a real one in HIL mode (sim_bridge/node/hil_board.py)."""
+
+    sensors: BoardSensors
+    burst_ms: int
+
+    @property
+    def pulses(self) -> tuple[int, ...]: ...
+    @property
+    def armed(self) -> bool: ...
+    @property
+    def neutral(self) -> bool: ...
+    @property
+    def next_event_ns(self) -> int:
+        """Plant time until which `step` need not be called. In the past: it has to be at every step of the plant."""
+
+    def receive(self, data: bytes, now_ns: int) -> bool: ...
+    def measures(self, now_ns: int) -> bool: ...
+    def step(self, now_ns: int, eta: Array, nu: Array, acceleration: Array, supply_v: float, tilt: Array) -> bytes: ...
 
 
 class World:
@@ -28,7 +51,7 @@ class World:
         experiment: Experiment,
         seed: int,
         starts: Array,
-        board_factory: Callable[[Experiment, int, int], ThrusterBoard] = ThrusterBoard,
+        board_factory: Callable[[Experiment, int, int], WorldBoard] = ThrusterBoard,
         held: bool = False,
     ) -> None:
         """With `held` the robots are kept in place until the first of them is armed."""
@@ -36,15 +59,13 @@ class World:
         self._plant = Plant(experiment, seed)
         self._state = self._plant.start(starts)
         # one thruster board per robot, in the experiment's order
-        self.boards = [board_factory(experiment, robot, seed) for robot in experiment.robot_ids]
+        self.boards: list[WorldBoard] = [board_factory(experiment, robot, seed) for robot in experiment.robot_ids]
         self._step_ns = round(experiment.sim.plant.step_s * 1e9)
         self._frame_period_s = 1.0 / experiment.camera.rate_hz
         self._no_acceleration, self._no_voltage = np.zeros_like(starts), [0.0] * len(starts)
         self._frames = 1  # the first is at time 0
         self.faults = FaultSchedule(experiment)
         self.start_ns: int | None = None  # plant time at which the trajectories begin; set by the process
-        self._ahead: deque[PlantState] = deque()  # what the next steps come to, as long as the same is broken
-        self._ahead_faults: ActuatorFaults | None = None
         self.exposed = False  # the last step reached the middle of an exposure
 
     @property
@@ -109,35 +130,33 @@ class World:
         steps = (self.exposure_ns - self.now_ns) // self._step_ns
         if self._held or not 0 < steps <= self._plant.dead_steps:
             return None
-        state, pulses, actuators = self._state, self.faults.pulses(self._pulses()), self.faults.actuators
-        self._ahead.clear()
-        self._ahead_faults = actuators
-        for _ in range(steps):
-            state = self._plant.step(state, pulses, actuators)
-            self._ahead.append(state)
+        state = self._plant.step(self._state, self.faults.pulses(self._pulses()), self.faults.actuators, steps)
         return state.eta, state.nu, state.tilt
 
     def _pulses(self) -> Array:
         """Pulses on the boards' outputs, (n, 8)."""
         return np.array([board.pulses for board in self.boards], dtype=np.float64)
 
-    def _next_state(self, pulses_us: Array, actuators: ActuatorFaults) -> PlantState:
-        """The plant one step on, from the states computed ahead where they hold."""
+    def _next_state(self, steps: int) -> PlantState:
+        """The plant some steps on, with the pulses and the faults of now."""
         self._held = self._held and not any(board.armed for board in self.boards)
         if self._held:
-            return replace(self._state, steps=self._state.steps + 1)
-        if self._ahead and self._ahead_faults is actuators:
-            return self._plant.with_command_history(self._ahead.popleft(), self._state, pulses_us)
-        self._ahead.clear()
-        return self._plant.step(self._state, pulses_us, actuators)
+            return replace(self._state, steps=self._state.steps + steps)
+        return self._plant.step(self._state, self.faults.pulses(self._pulses()), self.faults.actuators, steps)
 
-    def step(self) -> list[tuple[int, bytes]]:
-        """Move by one plant step. Returns what the boards send: (index of the robot, bytes)."""
-        actuators = self.faults.actuators
-        self._state = state = self._next_state(self.faults.pulses(self._pulses()), actuators)
+    def _quiet_steps(self, until_ns: int) -> int:
+        """Plant steps to the next event or to `until_ns`, whichever comes first; at least one."""
+        due_ns = min(until_ns, self.exposure_ns, *(board.next_event_ns for board in self.boards))
+        steps = max(-((self.now_ns - due_ns) // self._step_ns), 1)
+        return self.faults.quiet_steps(self.flown_s, self._step_ns * 1e-9, steps)
+
+    def step(self, until_ns: int = 0) -> list[tuple[int, bytes]]:
+        """Move to the next event, but not beyond the first plant step at or after `until_ns`; by one step at least. Returns
+        what the boards send: (index of the robot, bytes). Nothing may arrive at a board between two events."""
+        self._state = state = self._next_state(self._quiet_steps(until_ns))
         measures = self.boards[0].measures(self.now_ns)  # otherwise the values are not used
         acceleration = self._plant.acceleration(state) if measures else self._no_acceleration
-        supply_v = self._plant.rest_v(state, actuators).tolist() if measures else self._no_voltage
+        supply_v = self._plant.rest_v(state, self.faults.actuators).tolist() if measures else self._no_voltage
         self.exposed = self.now_ns * 1e-9 >= self._frames * self._frame_period_s - 1e-9
         if self.exposed:  # of a camera faster than the plant's steps, what falls between two of them is left out
             self._frames = int((self.now_ns * 1e-9 + 1e-9) / self._frame_period_s) + 1

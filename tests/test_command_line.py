@@ -4,6 +4,7 @@ import importlib
 import json
 import os
 import re
+import shlex
 import socket
 import subprocess
 import sys
@@ -65,6 +66,24 @@ def test_help_has_an_example_that_is_this_very_command(path: tuple[str, ...], co
     assert "Example" in text
     if path != ("groundstation", "log", "record"):  # nobody types it
         assert " ".join(path) in text.partition("Example")[2]
+
+
+def commands_of(page: Path) -> list[list[str]]:
+    """Our programs' commands in the shell blocks of a page, as words."""
+    blocks = re.findall(r"^```sh\n(.*?)^```", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
+    lines = "\n".join(blocks).replace("\\\n", " ").splitlines()
+    found = [shlex.split(line, comments=True) for line in lines]
+    return [words for words in found if words and words[0] in PROGRAMS and "..." not in words]
+
+
+@pytest.mark.parametrize("words", commands_of(ROOT / "docs" / "hil.md"), ids=" ".join)
+def test_commands_of_the_page_parse(words: list[str]) -> None:
+    """Every command and option exists, and takes such a value. What they do is tested where they are."""
+    program, *arguments = words
+    node: Any = typer.main.get_command(importlib.import_module(f"{PROGRAMS[program]}.__main__").cli)
+    while hasattr(node, "commands"):
+        node = node.commands[arguments.pop(0)]
+    node.make_context(program, arguments)
 
 
 @each
@@ -250,7 +269,7 @@ def test_an_order_for_a_script_is_json(monkeypatch: pytest.MonkeyPatch) -> None:
     done_by_one = Outcome(1, Order.START, Progress.DONE, "", "RUNNING", (1,), (2,), ("not heard",))
     replies = {Order.START: Reply(0, True, outcome=done_by_one), Order.HOLD: Reply(0, False, "no")}
     station.serve(0, lambda header, command: replies[command.order])
-    monkeypatch.setattr("wire.transport.zenoh_transport.ZenohTransport", lambda *_, **__: MemoryTransport(hub))
+    monkeypatch.setattr("groundstation.client.ZenohTransport", lambda *_, **__: MemoryTransport(hub))
     for order, accepted in (("start", True), ("hold", False)):
         done = CliRunner().invoke(groundstation, ["mission", order, "--json"])
         robots = {"1": "confirmed", "2": "not heard"} if accepted else {}

@@ -29,3 +29,10 @@ def test_files_named_in_text_exist(page: Path) -> None:
     packages = "wire|localizer|robot_agent|groundstation|sim_bridge|tests|benchmarks|docs"
     for name in re.findall(rf"`((?:{packages})/[\w./-]*\.\w+)`", page.read_text(encoding="utf-8")):
         assert (ROOT / name).exists(), f"{page.name} names {name}"
+
+
+def test_the_reference_of_keys_and_the_schemas_are_current() -> None:
+    files = runpy.run_path(str(ROOT / "docs" / "keys.py"))["files"]()
+    for path, text in files.items():
+        assert path.read_text(encoding="utf-8") == text, "run: make docs"
+    assert {path for path in files if path.suffix == ".md"} == {*(ROOT / "docs" / "reference").iterdir()}

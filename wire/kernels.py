@@ -26,29 +26,30 @@ class KernelCache:
 CACHE = KernelCache()
 
 
-def kernel(signature: str) -> Callable[[F], F]:
+def kernel(signature: str, inline: bool = False) -> Callable[[F], F]:
     """Compile a function for the argument types of `signature`, for example ``"void(f8[:,::1], f8)"``.
 
     Compilation happens when the module is imported for the first time, never at a call; the machine code is kept on disk
     (in `NUMBA_CACHE_DIR`, else beside the module, else in the user's cache). Where none of these can be written, kernels are
     compiled at every start, and the log says so once. Without the interpreter's lock; IEEE arithmetic: division by zero gives
-    infinity, as in NumPy, and sums are never reordered.
+    infinity, as in NumPy, and sums are never reordered. With `inline` the kernel becomes part of those that call it, so that
+    their loops can run in vector registers.
     """
 
     def compiled(function: F) -> F:
         if CACHE.writable:
             try:
-                return _compile(signature, function, cache=True)
+                return _compile(signature, function, inline, cache=True)
             except RuntimeError as error:
                 if "no locator available" not in str(error):
                     raise
                 CACHE.writable = False
                 _log.warning("no folder to keep compiled kernels in: every start compiles them (set NUMBA_CACHE_DIR)")
-        return _compile(signature, function, cache=False)
+        return _compile(signature, function, inline, cache=False)
 
     return compiled
 
 
-def _compile(signature: str, function: F, cache: bool) -> F:
-    jit = numba.njit(signature, cache=cache, nogil=True, error_model="numpy", fastmath=False)
+def _compile(signature: str, function: F, inline: bool, cache: bool) -> F:
+    jit = numba.njit(signature, cache=cache, nogil=True, error_model="numpy", fastmath=False, forceinline=inline)
     return cast(F, jit(function))

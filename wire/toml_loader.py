@@ -1,5 +1,6 @@
 """SHELL: load a TOML file into a checked pydantic model; every complaint names file, key, value and what is allowed."""
 
+import json
 import re
 import tomllib
 from collections.abc import Iterator
@@ -106,6 +107,16 @@ def apply_setting(table: dict[str, Any], setting: str) -> None:
         raise ConfigError(f"--set {setting}: {'.'.join(parents)} is a value, not a table")
 
 
+def toml_value(value: Any) -> str:
+    """A value as TOML in one line, as `apply_setting` reads it. Numbers, texts, lists, true and false are written as in
+    JSON."""
+    if isinstance(value, dict):
+        return f"{{ {', '.join(f'{key} = {toml_value(inner)}' for key, inner in value.items())} }}"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(toml_value, value))}]"
+    return json.dumps(value)
+
+
 def _child(node: Any, name: str, setting: str, where: str) -> Any:
     if isinstance(node, list):
         return node[_list_index(node, name, setting)]
@@ -173,15 +184,15 @@ def _locate(model: type[BaseModel], loc: tuple[int | str, ...]) -> tuple[str, ty
             parts.append(part)
             holder = sections[0]
             field = holder.model_fields.get(part)
-            sections = _sections(field.annotation) if field is not None else []
+            sections = sections_of(field.annotation) if field is not None else []
     return ".".join(parts), holder
 
 
-def _sections(annotation: Any) -> list[type[BaseModel]]:
+def sections_of(annotation: Any) -> list[type[BaseModel]]:
     """The models that a field's type is made of: one, or the variants of a union."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
-    return [section for argument in get_args(annotation) for section in _sections(argument)]
+    return [section for argument in get_args(annotation) for section in sections_of(argument)]
 
 
 def _is_variant(section: type[BaseModel], tag: str) -> bool:

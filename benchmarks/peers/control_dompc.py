@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.control_peer import print_rows
+from benchmarks.robot_agent.control_peer import print_rows
 from robot_agent.control.controller import Controller
 from robot_agent.control.mpc import MpcPlan
 from robot_agent.vehicle.dynamics import State

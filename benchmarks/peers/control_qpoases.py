@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.control_peer import in_place_of_ours, print_rows
+from benchmarks.robot_agent.control_peer import in_place_of_ours, print_rows
 from robot_agent.control.qp import Solution
 from wire.frames import Array
 

@@ -5,7 +5,7 @@ import json
 import sys
 from typing import Any
 
-from benchmarks.following import Begin, Picture, Place, Step, Task, follow
+from benchmarks.localizer.following import Begin, Picture, Place, Step, Task, follow
 
 cv2: Any = importlib.import_module("cv2")  # the contrib build, which our environment must not have beside its own
 

@@ -6,23 +6,17 @@ Each command waits for the outcome of its request, prints it robot by robot, and
 import functools
 import inspect
 import json
-import time
 from collections.abc import Callable, Sequence
 from typing import Annotated, Any, ParamSpec
 
-import numpy as np
 import typer
 
 from groundstation.mission.state_machine import FLEET_REQUESTS, markdown, order_named
-from wire.messages.messages import Command, Order, Outcome, Progress, Reply, Tuning
+from wire.messages.messages import Command, Outcome, Reply
+from wire.messages.topics import WHOLE_FLEET
 from wire.process.cli_options import DEFAULT_FLEET, AsJson, FleetName, Insecure, KeyRing
 
 P = ParamSpec("P")
-
-ORDER_TIMEOUT_S = 2.0
-ASK_EVERY_S = 0.2
-PATIENCE_S = {Order.STOP: 5.0, Order.RETURN: 600.0, Order.TUNE: 120.0}  # a lap, for gains that change with the next one
-OTHERWISE_S = 60.0  # the station itself gives a robot up after 10 s in each of a request's stages
 
 Station = Annotated[
     str | None,
@@ -87,19 +81,13 @@ def _tell_station(
     as_json: AsJson = False,
 ) -> None:
     """Make a request of the running station as its operator, wait for the outcome, and exit by it."""
-    from groundstation.station import discovery
-    from wire.messages.topics import Role, process_name
-    from wire.transport.bus import Bus
-    from wire.transport.gate import nearest
-    from wire.transport.network import endpoint
-    from wire.transport.zenoh_transport import ZenohTransport
+    from groundstation import client
 
-    where = nearest(endpoint(discovery.station(station, fleet), process_name(Role.OPERATOR), keys, insecure=insecure))
-    patience_s = PATIENCE_S.get(command.order, OTHERWISE_S) if wait is None else wait
+    patience_s = client.patience_s(command.order) if wait is None else wait
     told = OutcomePrinter(what, as_json)
     try:
-        with Bus(ZenohTransport(where, patience_s=ORDER_TIMEOUT_S), fleet) as bus:
-            reply = follow(lambda c: bus.command(c, time.time_ns(), ORDER_TIMEOUT_S), command, patience_s, told.progress)
+        with client.connect(station, fleet, keys, insecure) as bus:
+            reply = client.follow(client.sender(bus), command, patience_s, told.progress)
     except KeyboardInterrupt:
         typer.echo(f"{what}: not waited for; the station goes on with it", err=True)
         raise typer.Exit(130) from None
@@ -123,7 +111,7 @@ def request(command: Callable[P, tuple[str, Command]]) -> Callable[..., None]:
 
 def fleet_request(name: str) -> Callable[..., None]:
     """Command that makes one request of the whole fleet."""
-    return request(lambda: (name, Command(order_named(name), robot=0)))
+    return request(lambda: (name, Command(order_named(name), WHOLE_FLEET)))
 
 
 def register(cli: typer.Typer, name: str, group: str = "") -> None:
@@ -144,7 +132,7 @@ def order(
     """Make a request of the whole fleet. Old name of `groundstation mission ...`."""
     if what not in FLEET_REQUESTS:
         raise typer.BadParameter(f"{what!r} is no order (allowed: {', '.join(FLEET_REQUESTS)})")
-    return what, Command(order_named(what), robot=0)
+    return what, Command(order_named(what), WHOLE_FLEET)
 
 
 @gains_cli.command("set")
@@ -184,11 +172,9 @@ def set_or_undo(
 
 def _gains(changes: Sequence[str]) -> tuple[str, Command]:
     """Request of these gains; of those before if there are none."""
-    from wire.messages.live_gains import values_of
+    from groundstation.client import gains_command
 
-    values = values_of(changes)
-    tuning = Tuning("", tuple(values), np.array(list(values.values())))
-    return "set" if changes else "undo", Command(Order.TUNE, robot=0, tuning=tuning)
+    return "set" if changes else "undo", gains_command(changes)
 
 
 @mission_cli.command(context_settings={"ignore_unknown_options": True})  # places may be negative
@@ -207,9 +193,12 @@ def go(
     """
     if len(places) % 2:
         raise typer.BadParameter(f"{len(places)} numbers: each place has two, x and y")
-    if not np.all(np.isfinite(places)):
-        raise typer.BadParameter(f"{' '.join(map(str, places))}: no places (allowed: finite numbers, in m)")
-    return "go", Command(Order.GO, robot=0, via=np.array(places).reshape(-1, 2))
+    from groundstation.client import go_command
+
+    try:
+        return "go", go_command(list(zip(places[::2], places[1::2], strict=True)))
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from None
 
 
 @mission_cli.command()
@@ -219,25 +208,6 @@ def states() -> None:
     Example:  groundstation mission states
     """
     typer.echo(markdown(), nl=False)
-
-
-def follow(ask: Callable[[Command], Reply], command: Command, patience_s: float, told: Callable[[Outcome], None]) -> Reply:
-    """Make a request, and query its outcome until it is over or `patience_s` have gone by. Returns the last reply.
-
-    An emergency stop without a reply is repeated.
-    """
-    deadline = time.monotonic() + patience_s
-    reply = ask(command)
-    while command.order is Order.STOP and reply.silent and time.monotonic() < deadline:
-        reply = ask(command)
-    while reply.accepted and reply.outcome is not None and reply.outcome.progress is Progress.UNDER_WAY:
-        told(reply.outcome)
-        if time.monotonic() >= deadline:
-            return reply
-        time.sleep(ASK_EVERY_S)
-        answer = ask(Command(Order.NONE, robot=0, about=reply.outcome.request))
-        reply = reply if answer.silent else answer
-    return reply
 
 
 class OutcomePrinter:
@@ -262,18 +232,10 @@ class OutcomePrinter:
 
     def end(self, reply: Reply, patience_s: float) -> int:
         """Print the outcome. Returns the exit code."""
+        from groundstation.client import verdict
+
         outcome = reply.outcome
-        if outcome is None:
-            done, text = False, f"refused: {reply.reason}" if not reply.silent else f"not heard: {reply.reason}"
-            done, text = (
-                (False, "under way, and this station does not tell what becomes of it") if reply.accepted else (done, text)
-            )
-        elif outcome.progress is Progress.UNDER_WAY:
-            done = patience_s == 0.0
-            text = "taken by the station" if done else f"not done within {patience_s:g} s"
-        else:
-            done = outcome.progress is Progress.DONE
-            text = f"{'done' if done else 'failed'}{f': {outcome.reason}' if outcome.reason else ''}"
+        done, text = verdict(reply, patience_s)
         if self._as_json:
             robots = dict.fromkeys(outcome.confirmed, "confirmed") if outcome is not None else {}
             robots |= dict(zip(outcome.waiting, outcome.why, strict=False)) if outcome is not None else {}

@@ -71,7 +71,7 @@ def compare(
     from rich.table import Table
 
     from groundstation.report import report as reporting
-    from groundstation.report.run_comparison import Run, differences, metric_rows
+    from groundstation.report.run_comparison import ComparedRun, differences, metric_rows
 
     if len(runs) < 2:
         raise ConfigError("compare: two runs or more are needed")
@@ -84,7 +84,7 @@ def compare(
     read = []
     for name, folder in zip(names, runs, strict=True):
         series, _, result = reporting.evaluated(folder)
-        read.append(Run(name, series, result))
+        read.append(ComparedRun(name, series, result))
         if result.log_trouble:
             typer.echo(f"{name}: {result.log_trouble}", err=True)
     reporting.write_comparison(read, out)

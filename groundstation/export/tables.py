@@ -11,8 +11,8 @@ import importlib
 import io
 import json
 import sys
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from enum import IntEnum
 from pathlib import Path
@@ -20,6 +20,7 @@ from types import TracebackType
 from typing import IO, Any, Protocol, get_args, get_origin, get_type_hints
 
 import numpy as np
+from numpy.typing import NDArray
 
 from groundstation.analysis.alignment import zero_ns
 from groundstation.logs.reader import LogMessage, read_log, valid_messages
@@ -110,13 +111,9 @@ def export(run: Path, folder: Path, parquet: bool) -> Exported:
     """Write all tables of a run's log. Raises ConfigError if Parquet cannot be written, for a log without messages, and for a
     folder where a table would take the place of a run's file."""
     log, kind = run / "run.mcap", _parquet() if parquet else _CsvFile
-    states = read_log(log, (topics.STATE, topics.HEARTBEAT))
-    if not states.messages:
-        raise ConfigError(f"{log}: holds no messages")
-    robots = load_experiment(str(run / "experiment.toml")).robot_ids if (run / "experiment.toml").exists() else ()
-    zero = zero_ns(states, robots or sorted({robot for _, robot in states.entries if robot}))
+    zero, trouble = _zero(log)
     folder.mkdir(parents=True, exist_ok=True)
-    done, open_tables = Exported(trouble=states.trouble), dict[tuple[Topic, int], _Table]()
+    done, open_tables = Exported(trouble=trouble), dict[tuple[Topic, int], _Table]()
     with ExitStack() as stack:
 
         def table(topic: Topic, robot: int) -> _Table:
@@ -138,6 +135,44 @@ def export(run: Path, folder: Path, parquet: bool) -> Exported:
             table(line.topic, line.robot).add(message, line)
     done.files = [(t.path, t.rows) for _, t in sorted(open_tables.items(), key=lambda item: (item[0][0].name, item[0][1]))]
     return done
+
+
+def table(log: Path, topic: Topic, robot: int = 0) -> dict[str, NDArray[Any]]:
+    """One table of a log in memory: its columns by name. Numbers that are not there are NaN, other cells None. Messages that
+    cannot be decoded are left out. Raises ConfigError for a log without messages."""
+    zero, _ = _zero(log)
+    named = columns(topic.type)
+    lines: list[list[Any]] = []
+    for line in valid_messages(log):
+        if line.topic is topic and line.robot == robot:
+            with suppress(DecodeError):
+                lines += _rows(decode(topic.type, line.payload, "log", topic.name), line, zero, named)
+    found = {}
+    for k, (name, kind) in enumerate([*WHEN, *((column.name, column.kind) for column in named)]):
+        cells = [line[k] for line in lines]
+        whole = None not in cells
+        dtype: Any = {float: np.float64, int: np.int64 if whole else np.float64, bool: np.bool_ if whole else object}.get(
+            kind, object
+        )
+        found[name] = np.array(cells, dtype=dtype)
+    return found
+
+
+def _zero(log: Path) -> tuple[int, str]:
+    """The instant at which time_s is 0, ns, and what is wrong with the log as a whole. Raises ConfigError for an empty one."""
+    states, file = read_log(log, (topics.STATE, topics.HEARTBEAT)), log.parent / "experiment.toml"
+    if not states.messages:
+        raise ConfigError(f"{log}: holds no messages")
+    robots = load_experiment(str(file)).robot_ids if file.exists() else ()
+    return zero_ns(states, robots or sorted({robot for _, robot in states.entries if robot})), states.trouble
+
+
+def _rows(message: Any, line: LogMessage, zero: int, columns: Sequence[TableColumn]) -> Iterator[list[Any]]:
+    """The rows of a message, with the time first."""
+    stamp_ns, session = line.header.stamp_ns, f"{line.header.session:x}"
+    when = [(stamp_ns - zero) * 1e-9, stamp_ns, line.arrived_ns, session, line.header.sequence]
+    for row in range(rows(message)):
+        yield [*when, *(column.cell(message, row) for column in columns)]
 
 
 # --- columns
@@ -235,7 +270,7 @@ def _within(name: str, column: TableColumn) -> Callable[[Any, int], Any]:
 # --- files
 
 
-class _Rows(Protocol):
+class _RowFile(Protocol):
     """A kind of file that takes rows."""
 
     def __init__(self, file: IO[bytes], columns: Sequence[tuple[str, type]]) -> None: ...
@@ -249,7 +284,7 @@ WHEN = (("time_s", float), ("stamp_ns", int), ("arrived_ns", int), ("session", s
 class _Table:
     """One table, open. Use it with `with`: it is whole, or not there."""
 
-    def __init__(self, topic: Topic, path: Path, zero: int, kind: type[_Rows]) -> None:
+    def __init__(self, topic: Topic, path: Path, zero: int, kind: type[_RowFile]) -> None:
         self.path, self.rows = path, 0
         self._columns, self._zero, self._kind = columns(topic.type), zero, kind
         self._waiting: list[list[Any]] = []
@@ -272,10 +307,8 @@ class _Table:
 
     def add(self, message: Any, line: LogMessage) -> None:
         """Add a message's rows."""
-        stamp_ns, session = line.header.stamp_ns, f"{line.header.session:x}"
-        when = [(stamp_ns - self._zero) * 1e-9, stamp_ns, line.arrived_ns, session, line.header.sequence]
-        for row in range(rows(message)):
-            self._waiting.append([*when, *(column.cell(message, row) for column in self._columns)])
+        for cells in _rows(message, line, self._zero, self._columns):
+            self._waiting.append(cells)
             self.rows += 1
         if len(self._waiting) >= AT_ONCE:
             self._write()
@@ -301,7 +334,7 @@ class _CsvFile:
         self._text.detach()
 
 
-def _parquet() -> type[_Rows]:
+def _parquet() -> type[_RowFile]:
     """Parquet files. Raises ConfigError where the package is not installed."""
     try:
         arrow, files = importlib.import_module("pyarrow"), importlib.import_module("pyarrow.parquet")

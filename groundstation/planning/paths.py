@@ -82,7 +82,7 @@ class SplinePath:
     """
 
     def __init__(self, waypoints: Waypoints) -> None:
-        points = np.array(waypoints.points_m)
+        points = np.array(waypoints.all_points_m)
         chords = np.hypot(*np.diff(points, axis=0).T)
         if np.any(chords <= 0.0):
             first = int(np.flatnonzero(chords <= 0.0)[0])

@@ -159,7 +159,7 @@ def _route_spec(path: PathSpec) -> Route:
         return path
     assert isinstance(path, Waypoints)
     return Route.model_construct(
-        kind="route", via_m=path.points_m[path.start_index :], speed_mps=path.speed_mps, stop=path.stop
+        kind="route", via_m=path.all_points_m[path.start_index :], speed_mps=path.speed_mps, stop=path.stop
     )
 
 

@@ -18,7 +18,7 @@ from groundstation.logs.reader import RunLog, read_log
 from groundstation.logs.repair import recover
 from groundstation.report.figures import FIGURES
 from groundstation.report.plotting import to_svg
-from groundstation.report.run_comparison import Run, differences, drawn, metric_rows
+from groundstation.report.run_comparison import ComparedRun, differences, drawn, metric_rows
 from wire.config.experiment import ArticleRow, Experiment, load_experiment
 from wire.process.output_files import replace_text, replacing
 from wire.process.runtime import log
@@ -63,7 +63,7 @@ def evaluated(run_dir: Path, flight: int | None = None) -> tuple[Series, RunLog,
     return series, recorded, evaluate(series, recorded)
 
 
-def write_comparison(runs: Sequence[Run], path: Path) -> None:
+def write_comparison(runs: Sequence[ComparedRun], path: Path) -> None:
     """One self-contained page with all runs side by side."""
     figures = [(title, caption, _svg(figure, f"compare-{title}")) for title, caption, figure in drawn(runs)]
     page = environment().get_template("side_by_side.html")

@@ -22,7 +22,7 @@ FLOWN_BY = ("(mode)", "(version)", "(commit)")  # no keys of an experiment, whic
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class ComparedRun:
     """One of the runs."""
 
     name: str
@@ -44,7 +44,7 @@ class MetricRow:
     values: tuple[float | None, ...]
 
 
-def metric_rows(runs: Sequence[Run]) -> list[MetricRow]:
+def metric_rows(runs: Sequence[ComparedRun]) -> list[MetricRow]:
     """Figures by which runs are compared. Of errors the worst robot or pair and its worst axis counts."""
     rows: list[tuple[str, str, Callable[[Result], float | None]]] = [
         ("tracking, RMS after 20 s", "m", lambda r: _worst(r.robots.values(), "rms_after_20s_m")),
@@ -71,7 +71,7 @@ def _worst(errors: Sequence[Errors] | Any, key: str) -> float | None:
     return max(known) if known and len(known) == len(errors) else None
 
 
-def differences(runs: Sequence[Run]) -> list[tuple[str, tuple[str, ...]]]:
+def differences(runs: Sequence[ComparedRun]) -> list[tuple[str, tuple[str, ...]]]:
     """Keys of the experiments whose values are not the same in all runs, and the values as text; before them how the runs were
     flown, and by which code."""
     tables = [_flown_by(run) | _flat(run.experiment.model_dump(mode="json", exclude_none=True)) for run in runs]
@@ -79,7 +79,7 @@ def differences(runs: Sequence[Run]) -> list[tuple[str, tuple[str, ...]]]:
     return [(key, values) for key in keys if len(set(values := tuple(str(table.get(key, "–")) for table in tables))) > 1]
 
 
-def _flown_by(run: Run) -> dict[str, str]:
+def _flown_by(run: ComparedRun) -> dict[str, str]:
     return dict(zip(FLOWN_BY, (run.result.mode, run.result.version, run.result.commit), strict=True))
 
 
@@ -93,7 +93,7 @@ def _flat(value: Any, prefix: str = "") -> dict[str, Any]:
     return {key: found for part in parts for key, found in part.items()}
 
 
-def drawn(runs: Sequence[Run]) -> list[tuple[str, str, Figure | None]]:
+def drawn(runs: Sequence[ComparedRun]) -> list[tuple[str, str, Figure | None]]:
     """Title, caption and figure: errors over time, run over run, of robots and pairs that several runs have."""
     robots = _shared([set(run.series.robots) for run in runs])
     pairs = _shared([set(combinations(run.series.robots, 2)) for run in runs])
@@ -116,7 +116,7 @@ def _shared(known: Sequence[set[Any]]) -> list[Any]:
     return [entry for entry in every if sum(entry in one for one in known) > 1]
 
 
-def _lines(runs: Sequence[Run], whose: tuple[int, ...]) -> list[Curve]:
+def _lines(runs: Sequence[ComparedRun], whose: tuple[int, ...]) -> list[Curve]:
     """The tracking error of a robot or the formation error of a pair, its length over time, in each run that has it."""
     lines = []
     for i, run in enumerate(runs):
@@ -126,7 +126,7 @@ def _lines(runs: Sequence[Run], whose: tuple[int, ...]) -> list[Curve]:
     return lines
 
 
-def _surge(runs: Sequence[Run], robot: int) -> Panel:
+def _surge(runs: Sequence[ComparedRun], robot: int) -> Panel:
     known = [(i, run, run.series.robots[robot].states) for i, run in enumerate(runs) if robot in run.series.robots]
     lines = [Curve(run.name, states.time_s, states.wrench[:, 0], colour(i)) for i, run, states in known]
     return Panel(f"robot {robot} [N]", lines, least=0.1)

@@ -21,7 +21,6 @@ from groundstation.mission.state_machine import order_named
 from groundstation.web import protocol
 from groundstation.web.auth import WebOptions, origin_allowed, token_allowed
 from groundstation.web.backend import Backend
-from groundstation.web.control_lease import ControlLease
 from groundstation.web.experiment_editor import attempt, save
 from groundstation.web.send_window import SendWindow
 from wire.messages.messages import Order
@@ -33,7 +32,8 @@ AT_LEAST_S = 0.25  # ages go on also when nothing comes
 MOST_WATCHERS = 16
 HELLO_WITHIN_S = 5.0
 MOST_STRANGERS = 32  # connections that have not said who they are: one more ends the oldest
-KEPT_EVENTS = 60  # of the log, for a watcher who comes late: as many as the page shows
+SILENT_S = 5.0  # without a sign of life, then control is free
+KEPT_EVENTS = 500  # of the log, for a watcher who comes late: as many as the page shows
 ORDER_VALID_S = 3.0  # from the newest state that the page had, to the order's arrival: what was meant for then is void now
 COMPLAIN_EVERY_S = 10.0  # when looking or telling fails again and again
 HEAD = struct.Struct("<If")
@@ -42,6 +42,40 @@ HEAD = struct.Struct("<If")
 TOO_MANY, ELSEWHERE, NOT_ALLOWED, BAD_REQUEST = 4001, 4002, 4003, 4000
 
 T = TypeVar("T")
+
+
+class ControlLease:
+    """Lease of control: one page at a time may command; watchers are numbered from 1.
+
+    A browser that has stopped taking frames loses control after SILENT_S, so that a closed laptop never keeps others out. The
+    emergency stop needs no lease.
+    """
+
+    def __init__(self) -> None:
+        self.holder = 0  # nobody
+        self._heard_s = 0.0
+
+    def ask(self, client: int, now_s: float, over: bool = False) -> bool:
+        """Ask for control; True if `client` has it now. It is given when it is free, or with `over` in any case."""
+        if over or self.free(now_s) or self.holder == client:
+            self.holder, self._heard_s = client, now_s
+        return self.holder == client
+
+    def heard(self, client: int, now_s: float) -> None:
+        """A sign of life."""
+        if client == self.holder:
+            self._heard_s = now_s
+
+    def free(self, now_s: float) -> bool:
+        """True if no page has control, or its holder went silent."""
+        if self.holder and now_s - self._heard_s > SILENT_S:
+            self.holder = 0
+        return self.holder == 0
+
+    def leave(self, client: int) -> None:
+        """Give it back, or be gone."""
+        if client == self.holder:
+            self.holder = 0
 
 
 @dataclass(eq=False)
@@ -94,7 +128,7 @@ class ClientHub:
                 self._look()
                 now_s = time.monotonic()
                 rested = now_s - told_s >= took_s / MOST_SHARE
-                if self._watchers and rested and (self._source.changed() or now_s - told_s >= AT_LEAST_S):
+                if rested and ((self._watchers and self._source.changed()) or now_s - told_s >= AT_LEAST_S):
                     told_s = now_s
                     self.tell()
                     took_s = time.monotonic() - now_s
@@ -157,6 +191,7 @@ class ClientHub:
         watcher = Client(self._count, websocket, hello.page)
         events = [msgspec.Raw(body) for body in self._history]
         watcher.note({"k": "hello", "you": watcher.id, "scene": self._source.scene(), "events": events})
+        watcher.note({"k": "past", "states": self._source.past()})
         if self._picture:
             watcher.window.offer("picture", self._picture)
         self._replace(watcher)
@@ -229,6 +264,8 @@ class ClientHub:
                 self._spawn(self._attempt(watcher))
         elif isinstance(request, protocol.Save):
             self._spawn(self._save(watcher, request))
+        elif isinstance(request, protocol.Remark):
+            self._source.remark(request.text)
         elif isinstance(request, protocol.Seek):
             self._source.seek(request.time_s, request.rate)
 
@@ -257,7 +294,7 @@ class ClientHub:
         else:
             reason = self._may_command(watcher) or self._void(request.seen_ms)
             if not reason:
-                reason, number = await self._at(self._orders, self._source.station.request, order)
+                reason, number = await self._at(self._orders, self._source.station.request, order, request.via_m)
         self._answer(watcher, request.n, request.order, reason, number)
 
     async def _request_gains(self, watcher: Client, request: protocol.TuneRequest) -> None:

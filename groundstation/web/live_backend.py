@@ -14,16 +14,19 @@ from groundstation.telemetry import FleetInboxes
 from groundstation.web.alarms import alarms
 from groundstation.web.backend import StationApi
 from groundstation.web.scene import flown_paths, scene
-from groundstation.web.snapshot import NEVER_MS, AgedMessage, FleetSnapshot, RobotSnapshot, event_note, snapshot
+from groundstation.web.snapshot import NEVER_MS, AgedMessage, FleetSnapshot, RobotSnapshot, event_note, past_row, snapshot
 from wire.config.experiment import Experiment
 from wire.messages import topics
 from wire.messages.codec import DecodeError, Header, decode
 from wire.messages.messages import Event, Order, Preview, Trajectory
 from wire.messages.topics import Topic
-from wire.process.runtime import Clock
+from wire.process.runtime import Clock, log
 from wire.transport.bus import Bus, Inbox, Received
 
 MOST_EVENTS = 256  # between two looks
+PAST_S = 600.0  # kept for pages that connect later
+PAST_EVERY_S = 0.5  # a row of the past, in fleets of up to three
+PAST_ROBOTS = 3600  # robots in all rows: 250 bytes each
 STUCK_S = 1.0  # without a cycle of the station: robots hold by themselves then
 
 
@@ -49,6 +52,8 @@ class LiveBackend:
         self._seen: list[Header | None] = []
         self._shown: Header | None = None
         self._drawn: tuple[Mapping[int, Trajectory], float] | None = None
+        self._past_every_s = max(PAST_EVERY_S, PAST_S * len(heard.states) / PAST_ROBOTS)
+        self._past: deque[dict[str, Any]] = deque(maxlen=round(PAST_S / self._past_every_s))
         bus.subscribe(topics.EVENT, None, self._event)
 
     def _event(self, topic: Topic, key: str, header: Header, payload: bytes) -> None:
@@ -75,7 +80,17 @@ class LiveBackend:
         return changed
 
     def snapshot(self) -> dict[str, Any]:
-        """The fleet now."""
+        """The fleet now. Some of it is kept as a row of the past."""
+        told = self._told()
+        if not self._past or told["time_s"] - self._past[-1]["time_s"] >= self._past_every_s:
+            self._past.append(past_row(told))
+        return told
+
+    def past(self) -> list[dict[str, Any]]:
+        """The last PAST_S seconds."""
+        return list(self._past)
+
+    def _told(self) -> dict[str, Any]:
         status = self.station.status()
         states = {r: inbox.newest() for r, inbox in self._heard.states.items()}
         poses = {r: inbox.newest() for r, inbox in self._heard.poses.items()}
@@ -134,6 +149,10 @@ class LiveBackend:
                 continue
             found.append(event_note(event, header.stamp_ns))
         return found
+
+    def remark(self, text: str) -> None:
+        """Put a person's line into the run's log."""
+        log.info("remark: %s", " ".join(text.split()))
 
     def seek(self, time_s: float | None, rate: float | None) -> None:
         """Only a recorded run can be at another time."""

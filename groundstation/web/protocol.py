@@ -4,8 +4,10 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from groundstation.mission.state_machine import FLEET_REQUESTS
+from groundstation.mission.state_machine import FLEET_REQUESTS, order_name
+from wire.messages.messages import Order
 
+MOST_PLACES = 50  # of a way that is clicked on the map
 LONGEST_BYTES = 64 * 1024  # of one text: an edit of 49 nodes and 200 waypoints is 12 kB
 
 Count = Annotated[int, msgspec.Meta(ge=0, le=2**53)]
@@ -13,7 +15,8 @@ Metres = Annotated[float, msgspec.Meta(ge=-1e4, le=1e4)]
 Typed = Annotated[float, msgspec.Meta(ge=-1e12, le=1e12)]  # by a person, key by key: the station says what is allowed
 Vec2 = tuple[Metres, Metres]
 Vec3 = tuple[Metres, Metres, Metres]
-OrderName = Annotated[str, msgspec.Meta(pattern=rf"\A(?:{'|'.join(FLEET_REQUESTS)})\Z")]
+ORDERS = (*FLEET_REQUESTS, order_name(Order.GO))
+OrderName = Annotated[str, msgspec.Meta(pattern=rf"\A(?:{'|'.join(ORDERS)})\Z")]
 
 
 class Hello(msgspec.Struct, tag_field="kind", tag="hello", forbid_unknown_fields=True, frozen=True):
@@ -40,10 +43,11 @@ class Release(msgspec.Struct, tag_field="kind", tag="release", forbid_unknown_fi
 
 
 class OrderRequest(msgspec.Struct, tag_field="kind", tag="order", forbid_unknown_fields=True, frozen=True):
-    """An order for the whole fleet; `n` comes back with the answer."""
+    """An order for the whole fleet; `n` comes back with the answer. `via_m`: places of a `go`."""
 
     n: Count
     order: OrderName
+    via_m: Annotated[list[Vec2], msgspec.Meta(max_length=MOST_PLACES)] = []
     seen_ms: Count = 0  # `clock_ms` of the newest state that the page had: an order that was long on its way is none
 
 
@@ -85,6 +89,12 @@ class Save(msgspec.Struct, tag_field="kind", tag="save", forbid_unknown_fields=T
     name: Annotated[str, msgspec.Meta(pattern=r"\A[a-z0-9][a-z0-9-]{0,63}\Z")]
 
 
+class Remark(msgspec.Struct, tag_field="kind", tag="remark", forbid_unknown_fields=True, frozen=True):
+    """A person's line for the log."""
+
+    text: Annotated[str, msgspec.Meta(min_length=1, max_length=200)]
+
+
 class Seek(msgspec.Struct, tag_field="kind", tag="seek", forbid_unknown_fields=True, frozen=True):
     """Replay: go to this time of the run, at this pace; 0 is a pause."""
 
@@ -92,7 +102,7 @@ class Seek(msgspec.Struct, tag_field="kind", tag="seek", forbid_unknown_fields=T
     rate: Annotated[float, msgspec.Meta(ge=0, le=64)] | None = None
 
 
-Request = Hello | Ack | Take | Release | OrderRequest | TuneRequest | PreviewEdit | Save | Seek
+Request = Hello | Ack | Take | Release | OrderRequest | TuneRequest | PreviewEdit | Save | Remark | Seek
 _DECODER = msgspec.json.Decoder(Request)
 
 

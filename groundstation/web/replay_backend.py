@@ -4,7 +4,7 @@ import math
 import time
 from bisect import bisect_right
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -18,7 +18,7 @@ from groundstation.mission.state_machine import MissionState
 from groundstation.telemetry import LINK_WINDOW, LinkMonitor, RobotView
 from groundstation.web.alarms import alarms
 from groundstation.web.scene import floats, flown_samples, paths, scene
-from groundstation.web.snapshot import AgedMessage, FleetSnapshot, RobotSnapshot, event_note, snapshot
+from groundstation.web.snapshot import AgedMessage, FleetSnapshot, RobotSnapshot, event_note, past_row, snapshot
 from wire.config.experiment import Experiment, load_experiment
 from wire.messages import topics
 from wire.messages.codec import DecodeError, Header, decode
@@ -29,6 +29,9 @@ BLOCK_NS = 1_000_000_000
 KEPT_BLOCKS = 8
 LOOK_BACK = 2  # blocks: what was last said before that is long stale
 LINK_BLOCKS = 5  # LINK_WINDOW messages of a robot
+PAST_ROWS = 1200  # of a whole run, for plots and trails
+PAST_ROBOTS = 3600  # robots in all of them: 250 bytes each
+PAST_EVERY_NS = 250_000_000  # and no row sooner after another
 FRAME_S = 0.05  # a new state this often while it plays
 
 M = TypeVar("M")
@@ -109,15 +112,31 @@ class LogPlayer:
                 return None if found is None else (arrivals[k - 1], found)
         return None
 
-    def between(self, topic: Topic, kind: type[M], after_ns: int, until_ns: int) -> list[tuple[int, M]]:
-        """All messages of a topic in a time of some blocks, in order."""
-        found: list[tuple[int, M]] = []
-        for index in range(max(after_ns, 0) // BLOCK_NS, until_ns // BLOCK_NS + 1):
-            for arrived, payload, _ in zip(*self._block(index).get((topic.name, 0), ([], [], [])), strict=True):
-                message = _read(kind, payload) if after_ns < arrived <= until_ns else None
-                if message is not None:
-                    found.append((arrived, message))
+    def events(self) -> list[dict[str, Any]]:
+        """Lines of the run's log, for the page."""
+        return [event_note(event, at_ns) for _, at_ns, event in self._each(topics.EVENT, Event)]
+
+    def past(self) -> list[dict[str, Any]]:
+        """Rows of the whole run, evenly spaced."""
+        rows = min(PAST_ROWS, PAST_ROBOTS // len(self.experiment.robot_ids))
+        every_ns = max(self.end_ns // rows, PAST_EVERY_NS)
+        newest: dict[tuple[Topic, int], tuple[int, bytes]] = {}
+        found: list[dict[str, Any]] = []
+        for line in self._log.messages(lambda topic, _: topic in (topics.STATE, topics.LOCALIZER)):
+            arrived_ns = line.arrived_ns - self.start_ns
+            while arrived_ns > (len(found) + 1) * every_ns:
+                found.append(self._past_row((len(found) + 1) * every_ns, newest))
+            newest[line.topic, line.robot] = arrived_ns, line.payload
         return found
+
+    def _past_row(self, at_ns: int, newest: Mapping[tuple[Topic, int], tuple[int, bytes]]) -> dict[str, Any]:
+        def aged(topic: Topic, robot: int = 0) -> AgedMessage:
+            arrived_ns, payload = newest.get((topic, robot), (0, b""))
+            message = _read(topic.type, payload) if payload and at_ns - arrived_ns < LOOK_BACK * BLOCK_NS else None
+            return AgedMessage() if message is None else AgedMessage(message, (at_ns - arrived_ns) * 1e-6)
+
+        robots = {r: RobotSnapshot(aged(topics.STATE, r), AgedMessage(), AgedMessage()) for r in self.experiment.robot_ids}
+        return past_row(snapshot(FleetSnapshot(time_s=at_ns * 1e-9, robots=robots, localizer=aged(topics.LOCALIZER))))
 
     def link(self, robot: int, at_ns: int) -> LinkMonitor:
         """Link and clock of a robot as the station knew them at a time. The age that a sender stated is not in the log; of a
@@ -149,10 +168,10 @@ def _read(kind: type[M], payload: bytes) -> M | None:
         return None
 
 
-class _Recorded:
+class _NoRequests:
     """Refuses all requests: a recorded run takes none."""
 
-    def request(self, order: Order) -> tuple[str, int]:
+    def request(self, order: Order, via: Sequence[tuple[float, float]] = ()) -> tuple[str, int]:
         return "this is a recorded run", 0
 
     def request_gains(self, values: Mapping[str, float] | None, next_lap: bool) -> tuple[str, int]:
@@ -163,13 +182,13 @@ class ReplayBackend:
     """A run, perhaps beside another one of the same robots: both counted from the moment when they began to fly."""
 
     def __init__(self, run: Path, against: Path | None = None) -> None:
-        self.station = _Recorded()
+        self.station = _NoRequests()
         self._log = LogPlayer(run)
         self._against = LogPlayer(against) if against is not None else None
         self._at_ns, self._rate, self._since_s = self._log.flown_ns, 0.0, time.monotonic()
         self._changed = True
         self._shown_s = 0.0
-        self._noted_ns = self._at_ns
+        self._past, self._events = self._log.past(), self._log.events()
         self._picture_ns = -1
         self._drawn: list[int] = []
 
@@ -200,11 +219,12 @@ class ReplayBackend:
         changed, self._changed = self._changed or playing, False
         return changed
 
+    def remark(self, text: str) -> None:
+        """Nothing is added to a recorded run."""
+
     def seek(self, time_s: float | None, rate: float | None) -> None:
         """Go to a time of the run, or on at another pace."""
         at_ns = self._now_ns() if time_s is None else min(round(time_s * 1e9), self._log.end_ns)
-        if time_s is not None:
-            self._noted_ns = at_ns
         self._at_ns, self._since_s, self._changed = at_ns, time.monotonic(), True
         self._rate = self._rate if rate is None else rate
 
@@ -275,13 +295,14 @@ class ReplayBackend:
         self._picture_ns = found[0]
         return {"age_ms": (self._now_ns() - found[0]) * 1e-6, "jpeg": found[1].jpeg}
 
+    def past(self) -> list[dict[str, Any]]:
+        """The whole run."""
+        return self._past
+
     def notes(self) -> list[dict[str, Any]]:
-        """The log's lines that have come by since the last call."""
-        now, after = self._now_ns(), self._noted_ns
-        if now <= after:
-            return []
-        self._noted_ns = now
-        return [event_note(event, at) for at, event in self._log.between(topics.EVENT, Event, after, now)]
+        """All lines of the run's log, once; the page shows those before its present time."""
+        found, self._events = self._events, []
+        return found
 
 
 def _differ(before: Trajectory, then: Trajectory) -> int:

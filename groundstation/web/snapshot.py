@@ -40,6 +40,11 @@ class RobotSnapshot:
     plan: AgedMessage = field(default_factory=AgedMessage)
 
 
+_PLOTTED = (
+    "mode", "eta", "reference", "wrench", "disturbance", "pose_age_ms", "to_pwm_ms", "step_us", "battery_v",
+)  # fmt: skip
+
+
 @dataclass(frozen=True, eq=False)
 class FleetSnapshot:
     """The newest of everything."""
@@ -80,6 +85,22 @@ def snapshot(news: FleetSnapshot) -> dict[str, Any]:
         "requests": [_request(outcome) for outcome in news.requests],
         "ended": news.ended,
         "robots": [_robot(robot, found) for robot, found in news.robots.items()],
+    }
+
+
+def past_row(told: Mapping[str, Any]) -> dict[str, Any]:
+    """The part of a snapshot that plots and trails are drawn from. A page gets rows of the past when it connects."""
+    robots = []
+    for robot in told["robots"]:
+        row = {"id": robot["id"], "age_ms": robot["age_ms"]}
+        if "state" in robot:
+            row["state"] = {key: robot["state"][key] for key in _PLOTTED}
+        robots.append(row)
+    localizer = told["localizer"]
+    return {
+        "time_s": told["time_s"],
+        "robots": robots,
+        "localizer": None if localizer is None else {"to_pose_ms": localizer["to_pose_ms"]},
     }
 
 

@@ -64,25 +64,25 @@ def marker_detector(threshold_windows_px: tuple[int, int] = (23, 23)) -> cv2.aru
 
 def find_markers(detector: cv2.aruco.ArucoDetector, region: ImageRegion) -> list[MarkerImage]:
     """Markers in a region, corners in pixels of the whole picture; sorted by id and place."""
-    shift = np.array([region.left_px, region.top_px], dtype=np.float64)
-    found = [MarkerImage(marker.id, marker.corners_px + shift) for marker in _find_in_grey(detector, region.grey())]
-    return sorted(found, key=lambda marker: (marker.id, *marker.corners_px[0]))
+    found = _find_in_grey(detector, region.grey(), np.array([region.left_px, region.top_px], dtype=np.float64))
+    return sorted(found, key=lambda marker: (marker.id, *marker.corners_px[0].tolist()))
 
 
-def _find_in_grey(detector: cv2.aruco.ArucoDetector, grey: Pixels) -> list[MarkerImage]:
+def _find_in_grey(detector: cv2.aruco.ArucoDetector, grey: Pixels, corner_px: Array) -> list[MarkerImage]:
+    """Markers in `grey`, whose first pixel is pixel `corner_px` (2,) of the whole picture."""
     settings = detector.getDetectorParameters()
     settings.minMarkerPerimeterRate = min(4.0 * _SHORTEST_SIDE_PX / max(grey.shape), _LONGEST_RATE / 2.0)
     detector.setDetectorParameters(settings)
     corners, ids, _ = detector.detectMarkers(grey)
     pairs = zip(() if ids is None else np.ravel(ids), corners, strict=True)
-    return [MarkerImage(int(i), np.asarray(quad, dtype=np.float64).reshape(4, 2)) for i, quad in pairs]
+    return [MarkerImage(int(i), quad.reshape(4, 2) + corner_px) for i, quad in pairs]
 
 
 def marker_centres(grey: Pixels) -> dict[int, list[Array]]:
     """Centres (2,) px of the markers of any size in a grey picture (height, width), by id: the crossing of the diagonals,
     which tilt does not move."""
     found: dict[int, list[Array]] = {}
-    for marker in _find_in_grey(marker_detector(_ALL_WINDOWS_PX), grey):
+    for marker in _find_in_grey(marker_detector(_ALL_WINDOWS_PX), grey, np.zeros(2)):
         a, b, c, d = marker.corners_px
         along, _ = np.linalg.solve(np.column_stack([c - a, b - d]), b - a)
         found.setdefault(marker.id, []).append(a + along * (c - a))

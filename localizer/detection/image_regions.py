@@ -4,6 +4,7 @@ Only regions are demosaiced. Pixel (0, 0) is the centre of the first pixel every
 pixel i at 2 i + 0.5 of the full one.
 """
 
+import math
 from dataclasses import dataclass
 
 import cv2
@@ -87,13 +88,13 @@ def whole(frame: Pixels) -> ImageRegion:
 def cut(frame: Pixels, centre_px: Array, half_px: float) -> ImageRegion | None:
     """The region of `frame` (height, width) around a point, clipped to the picture. None if less than 16 px a side are
     left, or the point is not finite."""
-    if not (np.isfinite(centre_px).all() and np.isfinite(half_px)):
+    u, v = centre_px.tolist()
+    if not (math.isfinite(u) and math.isfinite(v) and math.isfinite(half_px)):
         return None
     height, width = frame.shape
-    left, top = (2 * int(np.floor((c - half_px) / 2.0)) for c in centre_px)
-    right, bottom = (2 * int(np.ceil((c + half_px) / 2.0)) + 2 for c in centre_px)
-    left, top = max(left, 0), max(top, 0)
-    right, bottom = min(right, width // 2 * 2), min(bottom, height // 2 * 2)
+    left, top = max(2 * math.floor((u - half_px) / 2.0), 0), max(2 * math.floor((v - half_px) / 2.0), 0)
+    right = min(2 * math.ceil((u + half_px) / 2.0) + 2, width // 2 * 2)
+    bottom = min(2 * math.ceil((v + half_px) / 2.0) + 2, height // 2 * 2)
     if right - left < _LEAST_SIDE_PX or bottom - top < _LEAST_SIDE_PX:
         return None
     return ImageRegion(frame[top:bottom, left:right], left, top)

@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from localizer import kernels
 from wire.messages.messages import CameraHealth
 
 # Every seventh pixel of every seventh row: odd, so all four Bayer colours are among them. 25,000 samples of a live picture
@@ -17,8 +18,8 @@ class FrameHealthMonitor:
     def __init__(self, size_px: tuple[int, int], frozen_frames: int) -> None:
         self._shape = (size_px[1], size_px[0])
         self._frozen_frames = frozen_frames
-        self._last: NDArray[np.uint8] | None = None
-        self._same = 0
+        self._sample = np.zeros([-(-side // _STRIDE) for side in self._shape], np.uint8)  # of the last frame of that shape
+        self._same = 0  # frames in a row that are the same, as far as they are sampled; 0: there was none
 
     @property
     def repeated(self) -> bool:
@@ -28,13 +29,10 @@ class FrameHealthMonitor:
     def assess(self, frame: NDArray[np.uint8]) -> CameraHealth:
         """The camera's state after this frame, (height, width) uint8. `frozen_frames` identical ones in a row are FROZEN."""
         if frame.shape != self._shape or frame.dtype != np.uint8:
-            self._last, self._same = None, 0
+            self._same = 0
             return CameraHealth.WRONG_SIZE
-        sample = np.ascontiguousarray(frame[::_STRIDE, ::_STRIDE])
-        if self._last is not None and np.array_equal(sample, self._last):
-            self._same += 1
-        else:
-            self._last, self._same = sample, 1
-        if float(sample.mean()) < _BLACK_LEVEL:
+        total, differing = kernels.sample(frame, _STRIDE, self._sample)
+        self._same = self._same + 1 if self._same and not differing else 1
+        if total < _BLACK_LEVEL * self._sample.size:
             return CameraHealth.BLACK
         return CameraHealth.FROZEN if self._same >= self._frozen_frames else CameraHealth.OK

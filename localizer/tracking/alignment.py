@@ -18,7 +18,6 @@ _ROUNDS = 7  # Gauss-Newton iterations; a correlation is off by less than a samp
 _BORDER = 3  # samples at the patch's edge that are left out: a shift may move that far
 _LEAST_SCALE = 2.0  # grey levels: sensor noise after demosaicing
 _MOST_SCALE = 12.0  # grey levels: ripples and caustics on a robot; with a larger one a wrong pattern fits everything
-_LEAST_GAIN = 0.6  # contrast over the learnt one; with any gain allowed a grey card is a faint robot
 _FIRST_SCALE = 48.0  # grey levels, halved from round to round: light that fell since it was learnt must not reject all
 _TO_SIGMA = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
 _REJECTS_AT = 2.0  # scales: a residual of that size has a quarter of the weight
@@ -47,8 +46,9 @@ def invert(matrix: Array) -> None:
 
 @kernel("f8(f4[:,::1], f4[:,::1], f8[::1], f8[:,::1])")
 def align(learnt: NDArray[np.float32], seen: NDArray[np.float32], move: Array, covariance: Array) -> float:
-    """Find the `move` (3,) [samples ahead (columns), samples to starboard (rows), rad] of the `learnt` patch (n, n) in the one
-    `seen`, and its `covariance` (3, 3). Returns the share of the learnt texture that is seen again, 0 to 1.
+    """Find the `move` (4,) [samples ahead (columns), samples to starboard (rows), rad, gain of brightness] of the `learnt`
+    patch (n, n) in the one `seen`, and the `covariance` (3, 3) of the first three. Returns the share of the learnt texture
+    that is seen again, 0 to 1.
 
     Minimises sum rho(seen(R p + t) - gain learnt(p) - offset) over a chessboard of the points p, with rho'(r) = r w and
     w = 1 / (1 + r^2 / 4 (s^2 + (0.15 g)^2))^2, g the gradient of the learnt patch. Share: of sum g^2, the part in blocks with
@@ -158,4 +158,5 @@ def align(learnt: NDArray[np.float32], seen: NDArray[np.float32], move: Array, c
     move[0] = x
     move[1] = y
     move[2] = turn
-    return share if _LEAST_GAIN <= gain <= 1.0 / _LEAST_GAIN else 0.0
+    move[3] = gain
+    return share

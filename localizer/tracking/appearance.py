@@ -21,10 +21,27 @@ _PLACE_KERNEL = 1.0
 _TURN_KERNEL = 2.0
 _LEAST_TURN_PEAK = 0.2  # peak of the heading filter; a heading found with less is not used
 _AVERAGED_PX = 1.3  # px between samples; wider patches are taken from a picture at half scale
-_LEAST_SHARE = 0.5  # of the learnt texture; below it a pattern may be another one, or the same turned by a right angle
 _ALIGNED_PX = 0.6  # px between samples, least for an alignment: of a robot below 30 px across blocks show no texture
 _CORRELATED = 4.0  # variance of an aligned pose over that of independent pixels: ripples and caustics move samples together
 _FAR_SHIFT = 1.5  # samples; the window biases a peak by 4.5 % of its shift, so a larger shift is measured a second time
+
+
+@dataclass(frozen=True)
+class Recognition:
+    """Limits of an alignment beyond which a robot is not recognised: the least share of the learnt texture, the least gain
+    (the largest is its inverse), and True if the pose of the alignment is taken."""
+
+    share: float
+    gain: float
+    refines: bool
+
+
+# With less of the texture a pattern may be another one, or the same turned by a right angle; with any gain a grey card is a
+# faint robot.
+LEARNT_AT_MARKERS = Recognition(share=0.5, gain=0.6, refines=True)
+# An appearance that is learnt at poses of its own fits worse on its way round the robot's heading, and would drift with the
+# alignment's pose (4 mm in 10 s). A refusal also ends the learning, so that the robot would stay lost.
+LEARNT_AT_MATCHES = Recognition(share=0.3, gain=0.2, refines=False)
 
 
 @dataclass(frozen=True)
@@ -40,7 +57,7 @@ class Match:
 class AppearanceModel:
     """Appearances of all robots, learnt and matched in one batch. Poses are [x, y, yaw] in the pool frame."""
 
-    def __init__(self, count: int, hull: RobotShape, template_px: int) -> None:
+    def __init__(self, count: int, hull: RobotShape, template_px: int, recognition: Recognition) -> None:
         pitch_m = 2.0 * hull.radius_m * _SPAN / template_px
         self._sampler = BodySampler(template_px, pitch_m, _RING_REACH * hull.radius_m, hull)
         channels = self._sampler.channels
@@ -48,6 +65,7 @@ class AppearanceModel:
         self._place = CorrelationFilter(count, patches)
         rings = FilterShape(1, self._sampler.angles, self._sampler.ring_channels, _TARGET_WIDTH, _TURN_KERNEL, windowed=False)
         self._turn = CorrelationFilter(count, rings)
+        self._recognition = recognition
         self._learnt = np.zeros(count, dtype=np.bool_)
         self._grey = np.zeros((count, template_px, template_px), np.float32)  # the learnt patches
         self.reach_m = _SPAN * hull.radius_m  # half the diagonal of a patch, rounded up to its side
@@ -77,15 +95,18 @@ class AppearanceModel:
 
     def _aligned(self, view: PredictedView, pose: Array, peak: float, patch: Real) -> Match:
         """The match after an alignment of the grey patch (size, size) that was sampled at its pose; small robots: as it is."""
+        unrefined = np.array([pose[0], pose[1], wrap(float(pose[2]))])
         if self._sampler.pitch_m * view.tangent.px_per_m < _ALIGNED_PX:
-            return Match(np.array([pose[0], pose[1], wrap(float(pose[2]))]), np.zeros((3, 3)), peak)
-        move, covariance = np.zeros(3), np.empty((3, 3))
+            return Match(unrefined, np.zeros((3, 3)), peak)
+        move, covariance, limits = np.zeros(4), np.empty((3, 3)), self._recognition
         share = align(self._grey[view.robot], patch, move, covariance)
+        if share <= limits.share or not limits.gain <= move[3] <= 1.0 / limits.gain:
+            return Match(unrefined, np.zeros((3, 3)), 0.0)
+        if not limits.refines:
+            return Match(unrefined, np.zeros((3, 3)), peak)
         to_pool = np.eye(3)
         to_pool[:2, :2] = self._sampler.pitch_m * body_to_pool(np.eye(2), float(pose[2])).T
-        if share <= _LEAST_SHARE:
-            return Match(pose, np.zeros((3, 3)), 0.0)
-        x, y, yaw = pose + to_pool @ move
+        x, y, yaw = pose + to_pool @ move[:3]
         found = np.array([x, y, wrap(float(yaw))])
         return Match(found, _CORRELATED / share * to_pool @ covariance @ to_pool.T, peak)
 

@@ -15,6 +15,7 @@ camera's foot by 2.5 mm.
 Deterministic: no clock, robots always in the experiment's order. The number of OpenCV's threads is the process's affair.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -26,7 +27,7 @@ from localizer.camera_model import RefractiveCamera
 from localizer.detection.fiducials import MarkerPose, MarkerReader
 from localizer.detection.image_regions import ImageRegion, Pixels, RobotShape, cut, whole
 from localizer.sources.health import FrameHealthMonitor
-from localizer.tracking.appearance import AppearanceModel
+from localizer.tracking.appearance import LEARNT_AT_MARKERS, LEARNT_AT_MATCHES, AppearanceModel
 from localizer.tracking.camera_pose import CameraPoseTracker, FixedCameraPose
 from localizer.tracking.observation import KCF_NOISE, Depth, PredictedView, depths_of
 from localizer.tracking.robot_track import RobotTrack, close_pairs
@@ -91,7 +92,9 @@ class FleetLocalizer:
         self._plate_reach_m = np.sqrt(0.5) * _QUIET * vehicle.marker.side_m  # half the diagonal of the white plate
         plate_half_m = _QUIET * vehicle.marker.side_m / 2.0 if settings.markers else 0.0
         hull = RobotShape(vehicle.radius_m, vehicle.marker.height_m, plate_half_m)
-        self._appearance = AppearanceModel(len(self._ids), hull, settings.template_px)
+        self._appearance = AppearanceModel(
+            len(self._ids), hull, settings.template_px, LEARNT_AT_MARKERS if settings.markers else LEARNT_AT_MATCHES
+        )
         self._landmark_ids = {landmark.id for landmark in landmarks}
         self._foreign_scans: dict[int, int] = {}  # id of a foreign marker -> scans in a row
         self._foreign_ids: set[int] = set()  # in the strips of the present scan
@@ -219,7 +222,7 @@ class FleetLocalizer:
     def _is_occupied(self, position_m: Array, robot: int, readings: Mapping[int, MarkerPose]) -> bool:
         """True if another robot's marker was read here: the two would be inside each other."""
         others = (reading.pose[:2] for i, reading in readings.items() if i != robot)
-        return any(float(np.linalg.norm(other - position_m)) < self.radius_m for other in others)
+        return any(math.dist(other, position_m) < self.radius_m for other in others)
 
     def _needs_match(self, robot: int) -> bool:
         """True for a followed robot whose marker was not read."""
@@ -360,7 +363,7 @@ class FleetLocalizer:
     def _clearance_m(self, robot: int, pose: Array) -> float:
         """Distance from a pose's position to the nearest other robot."""
         others = (t.motion.position_m for i, t in enumerate(self._tracks) if i != robot and t.motion is not None)
-        return min((float(np.linalg.norm(other - pose[:2])) for other in others), default=float("inf"))
+        return min((math.dist(other, pose[:2]) for other in others), default=math.inf)
 
 
 def start_poses(experiment: Experiment) -> Array:

@@ -44,6 +44,7 @@ it.
 reading is no doubt.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -255,5 +256,5 @@ class RobotTrack:
 
 def close_pairs(tracks: Sequence[RobotTrack], distance_m: float) -> list[tuple[int, int]]:
     """Index pairs (i < j) of robots believed closer than `distance_m`; a lost robot counts where it was last seen."""
-    known = [(i, track.motion.position_m) for i, track in enumerate(tracks) if track.motion is not None]
-    return [(i, j) for n, (i, a) in enumerate(known) for j, b in known[n + 1 :] if float(np.linalg.norm(a - b)) < distance_m]
+    known = [(i, track.motion.position_m.tolist()) for i, track in enumerate(tracks) if track.motion is not None]
+    return [(i, j) for n, (i, a) in enumerate(known) for j, b in known[n + 1 :] if math.dist(a, b) < distance_m]

@@ -27,21 +27,42 @@ import numpy as np
 from robot_agent.control.heading import HeadingReference
 from robot_agent.control.law import Law, guidance_config, make_law
 from robot_agent.control.mpc import Mpc, MpcPlan
-from robot_agent.guidance.formation import Formation, Neighbour, NeighbourPredictions, Priority
+from robot_agent.guidance.formation import Formation, Neighbour, NeighbourPredictions, Priority, formation_reference
 from robot_agent.guidance.obstacles import Obstacle
-from robot_agent.guidance.reference import Goal, Hold, Reference, ReferenceSampler, interpolate
-from robot_agent.guidance.velocity_obstacles import CATCH_UP_MPS, GiveWay, obstacle_traffic, robot_traffic
+from robot_agent.guidance.reference import Goal, Hold, Reference, ReferenceSampler
+from robot_agent.guidance.velocity_obstacles import CATCH_UP_MPS, NOBODY, GiveWay, obstacle_traffic, robot_traffic
 from robot_agent.vehicle.allocation import Allocator
 from robot_agent.vehicle.dynamics import Model
 from robot_agent.vehicle.eso import Estimate, Estimator, StateMeasurement
 from wire.config.controller import ControllerConfig, Safety
 from wire.config.vehicle import Vehicle
 from wire.frames import Array
+from wire.kernels import kernel
 from wire.messages.messages import Solve
 
 NS = 1_000_000_000
 KEEP_TURN = 0.55  # of a turn: a robot that faces backwards does not change its mind about the way round at every step
 TURN = 2.0 * np.pi
+
+
+@kernel("void(f8[::1], f8[::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1])")
+def tell_from_now(
+    row: Array, eta: Array, planned: Array, path: Array, command: Array, told: Array, told_reference: Array
+) -> None:
+    """Plan for the neighbours, from now on at the command's instants: fractional rows `row` (nodes,) of the others.
+
+    Poses: `eta` (4,) now, then `planned` (nodes, 4). Where they are meant to be: places of `path` and headings of `command`,
+    (nodes + 1, 4) each. That is without the formation's pull: neighbours who shared a deviation would else see less of it,
+    and the less the more of them there are.
+    """
+    for k in range(len(row)):
+        low = min(int(row[k]), len(planned) - 1)
+        share = row[k] - low
+        for c in range(4):
+            before, after = eta[c] if low == 0 else planned[low - 1, c], planned[low, c]
+            told[k, c] = before + share * (after - before)
+            meant = command if c == 3 else path
+            told_reference[k, c] = meant[low, c] + share * (meant[low + 1, c] - meant[low, c])
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,8 +198,7 @@ class Controller:
     def note_command(self, wrench: Array, delivered: Array, now_ns: int) -> None:
         """Take note of the wrench asked for and delivered, (3,) each, that really went out at `now_ns` instead of the last
         step's."""
-        surge, heave, yaw = delivered.tolist()
-        self._estimator.note_wrench((surge, heave, yaw), now_ns)
+        self._estimator.note_wrench(delivered, now_ns)
         self._wrench, self._delivered = wrench, delivered
 
     def _take_up(self, goal: Goal) -> None:
@@ -199,7 +219,9 @@ class Controller:
     ) -> Reference:
         """Return the reference itself, or one that avoids the other robots and the obstacles."""
         x, y, z, _ = estimate.eta.tolist()
-        traffic = robot_traffic(predictions, self._formation.clearances_m(predictions, now_ns), z, self._urgent)
+        traffic = NOBODY
+        if predictions.neighbours:
+            traffic = robot_traffic(predictions, self._formation.clearances_m(predictions, now_ns), z, self._urgent)
         for obstacle in obstacles:
             speed_mps = math.hypot(*reference.velocity[0, :2].tolist()) + CATCH_UP_MPS
             traffic = traffic.joined(obstacle_traffic(obstacle, complex(x, y), speed_mps, now_ns))
@@ -216,16 +238,13 @@ class Controller:
                 reference, estimate.eta, estimate.nu, estimate.disturbance, estimate.current
             )
             return self._weight, command
-        command = reference.eta.copy()
-        weight = self._weight
-        if predictions.weight.any():
-            if self._has_leader:  # own node + (leader - leader's node) = leader + offset
-                pull = predictions.weighted_deviation / predictions.weight
-            else:
-                weight = weight + predictions.weight
-                pull = predictions.weighted_deviation / np.maximum(weight, 1e-12)
-            command[1:] += pull
-            command[0] += pull[0]
+        command, weight = reference.eta.copy(), self._weight
+        if predictions.has_members:
+            weight = np.empty(4)
+            formation_reference(
+                reference.eta, predictions.weighted_deviation, self._weight, predictions.weight, self._has_leader, command,
+                weight,
+            )  # fmt: skip
         if self._config.guidance.enabled:
             lead = Reference(command, reference.velocity, reference.acceleration)
             command[:, 3] = self._heading.heading_along(
@@ -251,15 +270,12 @@ class Controller:
         """Convert a plan to pulses and output."""
         failed = plan.solve is Solve.FAILED
         pulses = self.allocator.neutral_us if failed else self.allocator.pulses(plan.wrench)
-        delivered = self.allocator.delivered(pulses)
-        self._estimator.note_wrench(delivered, now_ns)
-        wrench_step, self._wrench, self._delivered = plan.wrench - self._wrench, plan.wrench, np.array(delivered)
-        error_m = math.dist(reference.eta[0, :3].tolist(), estimate.eta[:3].tolist())
-        # Told from now on, at the command's instants: poses, and where they are meant to be. That is without the formation's
-        # pull: neighbours who shared a deviation would else see less of it, and the less the more of them there are.
-        told = np.empty((len(command), 8))
-        told[0, :4], told[1:, :4], told[:, 4:7], told[:, 7] = estimate.eta, plan.eta, lead.eta[:, :3], command[:, 3]
-        told = interpolate(told, self._told_rows)
+        wrench_step, self._wrench = plan.wrench - self._wrench, plan.wrench
+        self._delivered, _ = self.allocator.delivered(pulses)
+        self._estimator.note_wrench(self._delivered, now_ns)
+        error_m = math.dist(reference.eta[0, :3], estimate.eta[:3])
+        told_eta, told_reference = np.empty(plan.eta.shape), np.empty(plan.eta.shape)
+        tell_from_now(self._told_rows, estimate.eta, plan.eta, lead.eta, command, told_eta, told_reference)
         self._priority = Priority(self._urgent, error_m)
         return ControlOutput(
             pulse_us=pulses,
@@ -273,8 +289,8 @@ class Controller:
             disturbance=estimate.gamma_still_water,
             eta_reference=reference.eta[0].copy(),
             eta_command=command[0].copy(),
-            plan_eta=told[:, :4],
-            plan_reference=told[:, 4:],
+            plan_eta=told_eta,
+            plan_reference=told_reference,
             tracking_error_m=error_m,
             solve=plan.solve,
             iterations=plan.iterations,
@@ -293,7 +309,7 @@ class Controller:
         self._give_way.reset()
         self.goal = None
         wrench_step, self._wrench, self._delivered = -self._wrench, np.zeros(3), np.zeros(3)
-        self._estimator.note_wrench((0.0, 0.0, 0.0), now_ns)
+        self._estimator.note_wrench(np.zeros(3), now_ns)
         self._priority = Priority(self._urgent, 0.0)
         eta = np.zeros(4) if estimate is None else estimate.eta
         stay = np.tile(eta, (self._config.mpc.horizon + 1, 1))

@@ -13,6 +13,7 @@ The article keeps the path's tangent, and never corrects a lateral error at walk
 without sway moves where it points, so there the heading is that of the velocity V + (kp / kd) e_position.
 """
 
+import cmath
 import math
 
 import numpy as np
@@ -21,10 +22,60 @@ from robot_agent.guidance.reference import Reference
 from wire.config.controller import GuidanceConfig
 from wire.config.vehicle import Vehicle
 from wire.frames import Array, wrap
-
-Vector = tuple[float, float]
+from wire.kernels import kernel
 
 HOLD_RADPS = 0.3  # station keeping turns no faster: at 1.2 rad/s a robot kept spinning on the side force of its own spin
+
+
+@kernel("f8(c16, f8, f8, f8)")
+def off_tangent(force: complex, direction: float, worth: float, limit_rad: float) -> float:
+    """Angle of a force, along + i across the path's tangent, by which to turn from the tangent, ahead or astern
+    (`direction` 1 or -1). Forces well below `worth` are not worth a turn."""
+    angle = math.atan(direction * force.imag / max(direction * force.real, worth))
+    return min(max(angle, -limit_rad), limit_rad)
+
+
+@kernel("UniTuple(f8,2)(f8[:,::1], f8[:,::1], f8[:,::1], c16, b1, f8, f8, f8, c16, f8, f8, f8, f8, f8, f8[::1])")
+def headings(
+    eta: Array,
+    velocity: Array,
+    acceleration: Array,
+    current: complex,
+    sway: bool,
+    mass: float,
+    linear: float,
+    quadratic: float,
+    feedback: complex,
+    worth: float,
+    limit_rad: float,
+    keep: float,
+    direction: float,
+    jump: float,
+    out: Array,
+) -> tuple[float, float]:
+    """Headings `out` (rows,) of a reference (rows, 4 each), from the force that it needs, row by row:
+
+        F = m a + d(|V|) V + feedback      V = velocity - current      d = linear + quadratic |V|
+
+    turned into the tangent's frame, in which `feedback` is given; without `sway` in the model F is the velocity along it.
+    Returns the direction of thrust and what is left of a jump: where the force reverses, so does thrust.
+    """
+    for k in range(len(out)):
+        back = complex(math.cos(eta[k, 3]), -math.sin(eta[k, 3]))
+        v = complex(velocity[k, 0], velocity[k, 1])
+        if sway:
+            v -= current
+            force = back * (mass * complex(acceleration[k, 0], acceleration[k, 1]) + (linear + quadratic * abs(v)) * v)
+        else:
+            force = complex((back * v).real, 0.0)
+        force += feedback
+        if k == 0:
+            if direction * force.real < -worth:
+                jump += off_tangent(force, direction, worth, limit_rad) - off_tangent(force, -direction, worth, limit_rad)
+                direction = -direction
+            jump *= keep
+        out[k] = off_tangent(force, direction, worth, limit_rad) + eta[k, 3] + jump
+    return direction, jump
 
 
 class HeadingReference:
@@ -46,7 +97,7 @@ class HeadingReference:
 
     def reset(self) -> None:
         """Start anew, from the goal's own heading."""
-        self._asked: Vector = (0.0, 0.0)
+        self._asked = 0j
         self._direction = 1.0  # of thrust: 1 ahead, -1 astern
         self._jump = 0.0
         self._hold_yaw: float | None = None
@@ -56,10 +107,14 @@ class HeadingReference:
         water's velocity x + iy are estimates."""
         request = self._force(reference, eta, nu, float(disturbance[1])) if self._sway else self._velocity(reference, eta)
         # Filtered in the tangent's frame: what feeds back in a bend, model errors above all, turns with it.
-        tangent = reference.eta[:, 3]
-        c, s = math.cos(tangent[0]), math.sin(tangent[0])
-        request = (c * request[0] + s * request[1], c * request[1] - s * request[0])
-        return self._headings(reference, tangent, self._filter(request), current)
+        feedback = self._filter(request * cmath.rect(1.0, -float(reference.eta[0, 3])))
+        out = np.empty(len(reference.eta))
+        self._direction, self._jump = headings(
+            reference.eta, reference.velocity, reference.acceleration, current, self._sway, self._mass, self._linear,
+            self._quadratic, feedback, self._worth, self._config.max_correction_rad, self._keep, self._direction, self._jump,
+            out,
+        )  # fmt: skip
+        return out
 
     def heading_on_hold(self, reference: Reference, eta: Array, nu: Array, disturbance: Array, current: complex = 0j) -> Array:
         """Headings (rows,) for keeping station: the line of the needed force, ahead or astern, whichever is nearer; unchanged
@@ -70,75 +125,28 @@ class HeadingReference:
         radius = self._config.hold_radius_m
         distance = math.hypot(float(reference.eta[0, 0] - eta[0]), float(reference.eta[0, 1] - eta[1]))
         care = min(max(2.0 * distance / radius - 1.0, 0.0), 1.0)  # none within half the radius, all from the radius on
-        push_x, push_y = self._force(reference, eta, nu, 0.0)
-        c, s = math.cos(eta[3]), math.sin(eta[3])
-        side, ahead = float(disturbance[1]), float(disturbance[0])
         drag = (self._linear + self._quadratic * abs(current)) * current
-        force_x, force_y = self._filter(
-            (
-                care * push_x - self._mass * (c * ahead - s * side) - drag.real,
-                care * push_y - self._mass * (s * ahead + c * side) - drag.imag,
-            )
-        )
-        size = force_x * force_x + force_y * force_y
-        turn = 0.5 * wrap(2.0 * (math.atan2(force_y, force_x) - self._hold_yaw))
+        unexplained = self._mass * complex(disturbance[0], disturbance[1]) * cmath.rect(1.0, float(eta[3]))
+        force = self._filter(care * self._force(reference, eta, nu, 0.0) - unexplained - drag)
+        size = abs(force) ** 2
+        turn = 0.5 * wrap(2.0 * (cmath.phase(force) - self._hold_yaw))
         rate = turn / self._config.filter_s * size / (size + self._config.turning_force_n**2)
         self._hold_yaw += self._period_s * min(max(rate, -HOLD_RADPS), HOLD_RADPS)
         return np.full(len(reference.eta), self._hold_yaw)
 
-    def _headings(self, reference: Reference, tangent: Array, feedback: Vector, current: complex) -> Array:
-        """Headings from the feedback, in the tangent's frame: along + i across."""
-        back = np.exp(-1j * tangent)
-        if self._sway:
-            velocity = reference.velocity.view(np.complex128)[:, 0] - current
-            drag = np.abs(velocity)
-            drag *= self._quadratic
-            drag += self._linear
-            velocity *= drag
-            wish = self._mass * reference.acceleration.view(np.complex128)[:, 0]
-            wish += velocity
-            wish *= back
-        else:
-            wish = (back * reference.velocity.view(np.complex128)[:, 0]).real + 0j
-        wish += complex(*feedback)
-        along, across = wish.real, wish.imag
-        if self._direction * along[0] < -self._worth:
-            before = self._angle(along[:1], across[:1])
-            self._direction = -self._direction
-            self._jump += float(before[0] - self._angle(along[:1], across[:1])[0])
-        self._jump *= self._keep
-        angle = self._angle(along, across)
-        angle += tangent
-        angle += self._jump
-        return angle
-
-    def _force(self, reference: Reference, eta: Array, nu: Array, side: float) -> Vector:
-        """Feedback part of F in the pool frame, N; `side` is Gamma_v."""
-        x, y, _, yaw = eta.tolist()
-        u, v, _, _ = nu.tolist()
-        goal_x, goal_y, _, _ = reference.eta[0].tolist()
-        speed_x, speed_y, _, _ = reference.velocity[0].tolist()
-        c, s = math.cos(yaw), math.sin(yaw)
+    def _force(self, reference: Reference, eta: Array, nu: Array, side: float) -> complex:
+        """Feedback part of F, x + iy in the pool frame, N; `side` is Gamma_v."""
+        ahead = cmath.rect(1.0, float(eta[3]))
+        error = complex(reference.eta[0, 0] - eta[0], reference.eta[0, 1] - eta[1])
+        slip = complex(reference.velocity[0, 0], reference.velocity[0, 1]) - ahead * complex(nu[0], nu[1])
         stiff, damp = self._config.position_gain_per_s2, self._config.velocity_gain_per_s
-        return (
-            self._mass * (stiff * (goal_x - x) + damp * (speed_x - c * u + s * v) + side * s),
-            self._mass * (stiff * (goal_y - y) + damp * (speed_y - s * u - c * v) - side * c),
-        )
+        return self._mass * (stiff * error + damp * slip - 1j * side * ahead)
 
-    def _velocity(self, reference: Reference, eta: Array) -> Vector:
-        """Correction of the velocity in the pool frame, m/s."""
+    def _velocity(self, reference: Reference, eta: Array) -> complex:
+        """Correction of the velocity, x + iy in the pool frame, m/s."""
         rate = self._config.position_gain_per_s2 / max(self._config.velocity_gain_per_s, 1e-6)
-        return rate * float(reference.eta[0, 0] - eta[0]), rate * float(reference.eta[0, 1] - eta[1])
+        return rate * complex(reference.eta[0, 0] - eta[0], reference.eta[0, 1] - eta[1])
 
-    def _filter(self, asked: Vector) -> Vector:
-        keep, before = self._keep, self._asked
-        self._asked = (keep * before[0] + (1.0 - keep) * asked[0], keep * before[1] + (1.0 - keep) * asked[1])
+    def _filter(self, asked: complex) -> complex:
+        self._asked = self._keep * self._asked + (1.0 - self._keep) * asked
         return self._asked
-
-    def _angle(self, along: Array, across: Array) -> Array:
-        tangent = across / np.maximum(self._direction * along, self._worth)
-        tangent *= self._direction
-        angle = np.arctan(tangent)
-        limit = self._config.max_correction_rad
-        np.maximum(angle, -limit, out=angle)
-        return np.minimum(angle, limit, out=angle)

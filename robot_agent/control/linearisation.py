@@ -14,7 +14,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_agent.guidance.formation import HalfSpaces
+from robot_agent.guidance.formation import HalfSpaces, Places
 from robot_agent.vehicle.dynamics import Model, State
 from wire.frames import Array
 from wire.kernels import kernel
@@ -139,13 +139,66 @@ def move(
                 y[k + 1, j] = y[k, j] + step_y
 
 
-@kernel("void(f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[::1], f8[:,::1], f8[::1])")
-def condense(x: Array, y: Array, z: Array, yaw: Array, reference: Array, weight: Array, p: Array, q: Array) -> None:
-    """Add the cost of the errors (35), 1/2 b'Pb + q'b over all blocks b: P += S'WS, q += S'W (free - reference), nodes 1 on.
+@kernel(
+    "void(f8[:,::1], f8, f8, f8[::1], f8[::1], f8[::1], c16, f8[:,::1], f8[:,::1], f8[:,::1], f8[::1],"
+    " f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1])"
+)
+def linearise(
+    model: Array,
+    sway: float,
+    dt: float,
+    state: Array,
+    lacking: Array,
+    gamma: Array,
+    current: complex,
+    eta: Array,
+    nu: Array,
+    response: Array,
+    fading: Array,
+    x: Array,
+    y: Array,
+    z: Array,
+    yaw: Array,
+    u: Array,
+    v: Array,
+    w: Array,
+    r: Array,
+) -> None:
+    """All responses, for a start `state` (11,) and Gamma (4,), along the nominal trajectory `eta`, `nu` (nodes, 4), which
+    from here on begins at that state: the plan's turn goes on from the heading there is."""
+    turned = state[3] - eta[0, 3]
+    for k in range(len(eta)):
+        eta[k, 3] += turned
+    for i in range(4):
+        eta[0, i], nu[0, i] = state[i], state[4 + i]
+    n, free = len(yaw[0]) - 1, len(x[0]) - 1
+    x[0, free], y[0, free], z[0, n], yaw[0, n] = state[0], state[1], state[2], state[3]
+    u[0, free], v[0, free], w[0, n], r[0, n] = state[4], state[5], state[6], state[7]
+    single_axis(model, HEAVE, dt, gamma[2], lacking[1], state[9], nu, response, fading, w, z)
+    single_axis(model, YAW, dt, gamma[3], lacking[2], state[10], nu, response, fading, r, yaw)
+    surge_and_sway(model, sway, dt, gamma, lacking[0], state[8], nu, response, fading, r, u, v)
+    move(dt, current.real, current.imag, eta, nu, u, v, yaw, x, y)
 
-    `reference` (nodes, 4) and `weight` W (4,) as eta; `p` (3 blocks, 3 blocks), `q` (3 blocks,): surge, yaw, heave. Only the
-    lower triangle of `p` is added to; then it is copied to the upper one.
-    """
+
+@kernel("void(f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[::1], f8[:,::1], f8[::1], f8[:,::1], f8[::1])")
+def condense(
+    x: Array,
+    y: Array,
+    z: Array,
+    yaw: Array,
+    reference: Array,
+    weight: Array,
+    smooth: Array,
+    gradient: Array,
+    p: Array,
+    q: Array,
+) -> None:
+    """The cost (35), 1/2 b'Pb + q'b over all blocks b: P = smooth + S'WS, q = gradient + S'W (free - reference), nodes 1 on.
+
+    `reference` (nodes, 4) and `weight` W (4,) as eta; `smooth`, `p` (3 blocks, 3 blocks), `gradient`, `q` (3 blocks,): surge,
+    yaw, heave. Only the lower triangle of `p` is summed; then it is copied to the upper one.
+    """  # fmt: skip
+    p[:], q[:] = smooth, gradient
     nodes, free = x.shape[0], x.shape[1] - 1
     n = free // 2
     for k in range(1, nodes):
@@ -168,15 +221,17 @@ def condense(x: Array, y: Array, z: Array, yaw: Array, reference: Array, weight:
             p[j, i] = p[i, j]
 
 
-@kernel("void(f8[:,::1], f8[:,::1], i8[::1], f8[:,::1], f8[::1], f8[:,::1], f8[::1])")
-def half_space_rows(x: Array, y: Array, node: NDArray[np.intp], normal: Array, offset: Array, a: Array, lower: Array) -> None:
+@kernel("void(f8[:,::1], f8[:,::1], i8[::1], c16[::1], f8[::1], f8[:,::1], f8[::1])")
+def half_space_rows(
+    x: Array, y: Array, node: NDArray[np.int64], normal: Places, offset: Array, a: Array, lower: Array
+) -> None:
     """Rows of the constraints normal . (x, y) >= offset (36) at `node` (rows,): a b >= lower over surge and yaw blocks b.
 
-    `normal` (rows, 2), `offset` (rows,) m; results `a` (rows, 2 blocks) and `lower` (rows,).
+    `normal` x + iy, `offset` m; results `a` (rows, 2 blocks) and `lower` (rows,).
     """
     free = x.shape[1] - 1
     for i in range(len(node)):
-        k, n_x, n_y = node[i], normal[i, 0], normal[i, 1]
+        k, n_x, n_y = node[i], normal[i].real, normal[i].imag
         for j in range(free):
             a[i, j] = n_x * x[k, j] + n_y * y[k, j]
         lower[i] = offset[i] - n_x * x[k, free] - n_y * y[k, free]
@@ -189,13 +244,26 @@ def superpose(b: Array, x: Array, y: Array, z: Array, yaw: Array, out: Array) ->
     nodes, free = x.shape[0], x.shape[1] - 1
     n = free // 2
     for k in range(nodes):
-        out[k, 0], out[k, 1], out[k, 2], out[k, 3] = x[k, free], y[k, free], z[k, n], yaw[k, n]
+        at_x, at_y, at_z, at_yaw = x[k, free], y[k, free], z[k, n], yaw[k, n]
         for j in range(free):
-            out[k, 0] += x[k, j] * b[j]
-            out[k, 1] += y[k, j] * b[j]
+            at_x += x[k, j] * b[j]
+            at_y += y[k, j] * b[j]
         for j in range(n):
-            out[k, 2] += z[k, j] * b[free + j]
-            out[k, 3] += yaw[k, j] * b[n + j]
+            at_z += z[k, j] * b[free + j]
+            at_yaw += yaw[k, j] * b[n + j]
+        out[k, 0], out[k, 1], out[k, 2], out[k, 3] = at_x, at_y, at_z, at_yaw
+
+
+@kernel(
+    "void(f8[::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1],"
+    " f8[:,::1], f8[:,::1])"
+)
+def follow_plan(
+    b: Array, x: Array, y: Array, z: Array, yaw: Array, u: Array, v: Array, w: Array, r: Array, eta: Array, nu: Array
+) -> None:
+    """Poses `eta` and velocities `nu` (nodes, 4) under the blocks `b` (3 blocks,)."""
+    superpose(b, x, y, z, yaw, eta)
+    superpose(b, u, v, w, r, nu)
 
 
 class Prediction:
@@ -232,30 +300,19 @@ class Prediction:
     def linearise(self, state: State, lacking: Array, disturbance: Array, current: complex = 0j) -> None:
         """Compute the responses for a start `state`, Gamma (4,), and water that streams at `current` (x + iy, m/s).
         `lacking` (3,) is what thrusters give beyond the wrench of the blocks. Velocities are through the water."""
-        model, dt, eta, nu, response, fading = self._model, self._dt, self.eta, self.nu, self._response, self._fading
-        surge_n, heave_n, yaw_nm = lacking.tolist()
-        gamma_w, gamma_r = disturbance[2:].tolist()
-        eta[:, 3] += state[3] - eta[0, 3]  # the plan's turn, from the heading there is
-        eta[0], nu[0] = state[:4], state[4:8]
-        for columns, value in zip((*self._poses, *self._velocities), state[:8], strict=True):
-            columns[0, -1] = value
-        x, y, z, yaw = self._poses
-        u, v, w, r = self._velocities
-        single_axis(model, HEAVE, dt, gamma_w, heave_n, state[9], nu, response, fading, w, z)
-        single_axis(model, YAW, dt, gamma_r, yaw_nm, state[10], nu, response, fading, r, yaw)
-        surge_and_sway(model, self._sway, dt, disturbance, surge_n, state[8], nu, response, fading, r, u, v)
-        move(dt, current.real, current.imag, eta, nu, u, v, yaw, x, y)
+        linearise(
+            self._model, self._sway, self._dt, np.array(state), lacking, disturbance, current, self.eta, self.nu,
+            self._response, self._fading, *self._poses, *self._velocities,
+        )  # fmt: skip
 
-    def add_cost(self, reference: Array, weight: Array, p: Array, q: Array) -> None:
-        """Add the cost of the errors against a reference (nodes, 4) to P (3 blocks, 3 blocks) and q (3 blocks,)."""
-        condense(*self._poses, reference, weight, p, q)
+    def cost(self, reference: Array, weight: Array, smooth: Array, gradient: Array, p: Array, q: Array) -> None:
+        """Write the cost of the errors against a reference (nodes, 4), beside that of the inputs: see `condense`."""
+        condense(*self._poses, reference, weight, smooth, gradient, p, q)
 
     def half_space_rows(self, keep_clear: HalfSpaces, a: Array, lower: Array) -> None:
         """Write the rows (36) over surge and yaw blocks into `a` (rows, 2 blocks) and their bounds into `lower` (rows,)."""
-        normal = keep_clear.normal.view(np.float64).reshape(-1, 2)
-        half_space_rows(self.x, self.y, keep_clear.node, normal, keep_clear.offset, a, lower)
+        half_space_rows(self.x, self.y, keep_clear.node, keep_clear.normal, keep_clear.offset, a, lower)
 
     def set_nominal(self, blocks: Array) -> None:
         """Make the response to the blocks (3 blocks,), surge, yaw, heave, the nominal trajectory."""
-        superpose(blocks, *self._poses, self.eta)
-        superpose(blocks, *self._velocities, self.nu)
+        follow_plan(blocks, *self._poses, *self._velocities, self.eta, self.nu)

@@ -68,7 +68,7 @@ class Mpc:
         self._r = per_node * np.array(config.r)
         smooth = [self._r[channel] * difference.T @ difference + RIDGE * np.eye(n) for channel in CHANNELS]
         self._smooth = block_diag(*smooth)
-        self._p, self._q = np.zeros((size, size)), np.zeros(size + 1)
+        self._p, self._q, self._gradient = np.zeros((size, size)), np.zeros(size + 1), np.zeros(size)
         self._slack = config.slack * max(1.0, *config.q[:2], *config.q_formation[:2])
         self._p_with_slack = block_diag(self._p, np.array([[self._slack]]))
         self._a = np.vstack([np.eye(size), block_diag(difference, difference, difference)])
@@ -152,11 +152,8 @@ class Mpc:
 
     def _objective(self, reference: Array, weight: Array, wrench: Array) -> None:
         """Write P and q of (35): changes between blocks, the first from `wrench`, and errors."""
-        size = 3 * self._n
-        self._p[:] = self._smooth
-        self._q[:] = 0.0
-        self._q[self._unknowns[0]] = -self._r * wrench
-        self._prediction.add_cost(reference, weight, self._p, self._q[:size])
+        self._gradient[self._unknowns[0]] = -self._r * wrench
+        self._prediction.cost(reference, weight, self._smooth, self._gradient, self._p, self._q[: 3 * self._n])
 
     def _limits(self, wrench: Array) -> None:
         """Write the bounds (40) on the first changes; all others are constant."""

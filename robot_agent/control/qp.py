@@ -17,9 +17,11 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from wire.frames import Array
+from wire.kernels import kernel
 from wire.toml_loader import ConfigError
 
 Mask = NDArray[np.bool_]
+Entries = NDArray[np.int64]  # (k, 2) row and column of entries of a matrix
 
 MAX_ITERATIONS = 2000  # 16-40 are usual, a cold start takes 240, a robot inside another's space up to 700; 2 ms at the worst
 SETTINGS = {
@@ -40,6 +42,52 @@ SOLVED = (int(osqp.SolverStatus.OSQP_SOLVED), int(osqp.SolverStatus.OSQP_SOLVED_
 OUT_OF_ITERATIONS = int(osqp.SolverStatus.OSQP_MAX_ITER_REACHED)
 CLOSE = 0.01  # of what was asked for: a hundred times the tolerance
 NO_BOUND = 1e30  # what both solvers take for infinity
+NO_MATRIX, NO_ENTRIES = np.zeros((0, 0)), np.zeros((0, 2), np.int64)
+
+
+@kernel(
+    "b1(f8[:,::1], f8[::1], f8[:,::1], f8[::1], f8[::1], f8[::1], f8[::1], i8[:,::1], i8[:,::1],"
+    " f8[::1], f8[::1], f8[::1], f8[::1], f8[::1])"
+)
+def scale_problem(
+    p: Array,
+    q: Array,
+    a: Array,
+    lower: Array,
+    upper: Array,
+    scale: Array,
+    row_scale: Array,
+    p_entries: Entries,
+    a_entries: Entries,
+    p_values: Array,
+    q_values: Array,
+    a_values: Array,
+    low: Array,
+    high: Array,
+) -> bool:
+    """The problem in scaled unknowns x / scale and rows row_scale Ax, into the last five arrays; False if any of its numbers
+    is not finite.
+
+    Of P and A only the entries (k, 2), row and column, are read and written. Bounds beyond NO_BOUND become NO_BOUND.
+    """
+    finite = True
+    for k in range(len(p_entries)):
+        i, j = p_entries[k]
+        p_values[k] = p[i, j] * scale[i] * scale[j]
+        finite &= math.isfinite(p_values[k])
+    for k in range(len(a_entries)):
+        i, j = a_entries[k]
+        a_values[k] = a[i, j] * row_scale[i] * scale[j]
+        finite &= math.isfinite(a_values[k])
+    for i in range(len(q)):
+        q_values[i] = q[i] * scale[i]
+        finite &= math.isfinite(q_values[i])
+    for i in range(len(lower)):
+        low[i], high[i] = lower[i] * row_scale[i], upper[i] * row_scale[i]
+        low[i] = -NO_BOUND if low[i] < -NO_BOUND else low[i]
+        high[i] = NO_BOUND if high[i] > NO_BOUND else high[i]
+        finite &= math.isfinite(low[i]) and math.isfinite(high[i])
+    return finite
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,27 +123,21 @@ class OsqpSolver:
         upper = np.triu(p_mask) | np.eye(n, dtype=bool)
         self._scale, self._row_scale = scale.copy(), row_scale.copy()
         self._p_entries, self._a_entries = _by_columns(upper), _by_columns(a_mask)
-        self._p_scale = np.multiply.outer(scale, scale).take(self._p_entries)
-        self._a_scale = np.multiply.outer(row_scale, scale).take(self._a_entries)
-        self._numbers, (self._p, self._a, self._q, self._low, self._high) = _workspace(
-            len(self._p_entries), len(self._a_entries), n, rows, rows
-        )
+        self._p, self._a = np.zeros(len(self._p_entries)), np.zeros(len(self._a_entries))
+        self._q, self._low, self._high = np.zeros(n), np.zeros(rows), np.zeros(rows)
         self._solver = _built(upper, a_mask)
 
     def solve(self, p: Array, q: Array, a: Array | None, lower: Array, upper: Array) -> Solution:
         """See `Solver`."""
-        p.take(self._p_entries, out=self._p, mode="clip")
-        self._p *= self._p_scale
-        if a is not None:
-            a.take(self._a_entries, out=self._a, mode="clip")
-            self._a *= self._a_scale
-        np.multiply(q, self._scale, out=self._q)
-        _scaled_bounds(lower, upper, self._row_scale, self._low, self._high)
-        solver = self._solver
+        solver, same_a = self._solver, a is None
+        finite = scale_problem(
+            p, np.ascontiguousarray(q), NO_MATRIX if a is None else a, lower, upper, self._scale, self._row_scale,
+            self._p_entries, NO_ENTRIES if same_a else self._a_entries, self._p, self._q, self._a, self._low, self._high,
+        )  # fmt: skip
         if (
-            not _finite(self._numbers)
+            not finite
             or solver.update_data_vec(q=self._q, l=self._low, u=self._high)  # refuses bounds that cross
-            or solver.update_data_mat(P_x=self._p, P_i=None, A_x=None if a is None else self._a, A_i=None)
+            or solver.update_data_mat(P_x=self._p, P_i=None, A_x=None if same_a else self._a, A_i=None)
         ):
             return Solution(np.zeros(len(q)), False, 0)
         solver.solve()
@@ -132,12 +174,11 @@ class DaqpSolver:
 
     def __init__(self, p_mask: Mask, a_mask: Mask, scale: Array, row_scale: Array, bounds: int = 0) -> None:
         rows, n = a_mask.shape
-        self._bounds = bounds
         self._scale, self._row_scale = scale.copy(), np.concatenate([1.0 / scale[:bounds], row_scale[bounds:]])
-        self._p_scale = np.multiply.outer(scale, scale)
-        self._a_scale = np.multiply.outer(self._row_scale[bounds:], scale)
-        self._numbers, (p, a, self._q, self._low, self._high) = _workspace(n * n, (rows - bounds) * n, n, rows, rows)
-        self._p, self._a = p.reshape(n, n), a.reshape(rows - bounds, n)
+        self._p_entries, self._a_entries = (np.array(list(np.ndindex(shape)), np.int64) for shape in ((n, n), (rows, n)))
+        self._a_entries = self._a_entries[bounds * n :]
+        self._p, self._a = np.zeros((n, n)), np.zeros((rows - bounds, n))
+        self._q, self._low, self._high = np.zeros(n), np.zeros(rows), np.zeros(rows)
         self._sense = np.zeros(rows, dtype=np.int32)
         try:
             self._daqp = importlib.import_module("daqp")
@@ -146,12 +187,12 @@ class DaqpSolver:
 
     def solve(self, p: Array, q: Array, a: Array | None, lower: Array, upper: Array) -> Solution:
         """See `Solver`."""
-        np.multiply(p, self._p_scale, out=self._p)
-        if a is not None:
-            np.multiply(a[self._bounds :], self._a_scale, out=self._a)
-        np.multiply(q, self._scale, out=self._q)
-        _scaled_bounds(lower, upper, self._row_scale, self._low, self._high)
-        if not _finite(self._numbers):
+        finite = scale_problem(
+            p, np.ascontiguousarray(q), NO_MATRIX if a is None else a, lower, upper, self._scale, self._row_scale,
+            self._p_entries, NO_ENTRIES if a is None else self._a_entries, self._p.reshape(-1), self._q,
+            self._a.reshape(-1), self._low, self._high,
+        )  # fmt: skip
+        if not finite:
             return Solution(np.zeros(len(q)), False, 0)
         x, _, status, info = self._daqp.solve(self._p, self._q, self._a, self._high, self._low, self._sense)
         if status <= 0 or not _finite(x):
@@ -162,23 +203,9 @@ class DaqpSolver:
         """See `Solver`."""
 
 
-def _workspace(*sizes: int) -> tuple[Array, list[Array]]:
-    """One array and views of its parts, so that all numbers of a problem are checked at once."""
-    numbers = np.zeros(sum(sizes))
-    return numbers, np.split(numbers, np.cumsum(sizes[:-1]))
-
-
 def _finite(numbers: Array) -> bool:
     """True if every number is finite; false too if their sum overflows."""
     return math.isfinite(np.add.reduce(numbers))
-
-
-def _scaled_bounds(lower: Array, upper: Array, scale: Array, low: Array, high: Array) -> None:
-    """Write the bounds of scaled rows into `low` and `high`, with the solvers' own infinity for missing ones."""
-    np.multiply(lower, scale, out=low)
-    np.maximum(low, -NO_BOUND, out=low)
-    np.multiply(upper, scale, out=high)
-    np.minimum(high, NO_BOUND, out=high)
 
 
 def _built(p_mask: Mask, a_mask: Mask) -> Any:
@@ -204,7 +231,7 @@ def make_solver(
     return DaqpSolver(p_mask, a_mask, scale, row_scale, bounds)
 
 
-def _by_columns(mask: Mask) -> NDArray[np.intp]:
-    """Indices in the flattened matrix of the mask's entries, in compressed-sparse-column order."""
+def _by_columns(mask: Mask) -> Entries:
+    """The mask's entries in compressed-sparse-column order."""
     columns, rows = np.nonzero(mask.T)
-    return np.asarray(rows * mask.shape[1] + columns)
+    return np.column_stack([rows, columns])

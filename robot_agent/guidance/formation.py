@@ -6,22 +6,24 @@ upper one would break the surface (a controller that was free to use depth did b
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robot_agent.guidance.obstacles import Obstacle, nearest_border
-from robot_agent.guidance.reference import interpolate
 from wire.config.controller import MpcConfig, Safety
 from wire.frames import TURN, Array
+from wire.kernels import kernel
 from wire.messages.messages import Plan
+
+Places = NDArray[np.complex128]  # x + iy in the pool frame, m
 
 NS = 1e9
 NEAREST = 4  # bodies that can be avoided at once: a sphere touches six in the plane, and meets no more than four first
-LONGEST_PLAN = 1000  # rows of a plan that is resampled
 NODES = 5  # of the horizon that keep their distance from each
 TOUCHING_M = 1e-6
+LEAST_WEIGHT = 1e-12  # keeps 0/0 out
 WALL_M = 0.05  # between a hull and a wall
 WALL_GIVES = 0.1  # of what a robot's lines give: 2R hold room enough that hulls do not touch, a wall holds none
 LEANS_M = 0.02  # a plan so near a half-space's border would be another one without it
@@ -30,6 +32,138 @@ MOST_TURNED_RAD = 1e8  # a heading counts its turns: days of laps
 MEANT_S = 1.0  # over which a robot's velocity is taken from its planned reference
 SAME_ERROR_M = 0.02  # tracking errors closer than this give equal priority,
 ERROR_RATE_MPS = 0.5  # plus this per second of the message's age: no robot moves faster
+
+
+@kernel(
+    "void(f8[:,::1], f8[:,::1], i8[::1], f8[::1], f8[::1], b1[::1], f8, f8, i8[::1], f8[::1],"
+    " b1[::1], f8[:,::1], c16[:,::1], f8[:,::1], c16[::1], f8[::1], c16[::1])"
+)
+def sample_plans(
+    eta: Array,
+    reference: Array,
+    length: NDArray[np.int64],
+    age_s: Array,
+    plan_period_s: Array,
+    member: NDArray[np.bool_],
+    dead_s: float,
+    period_s: float,
+    node: NDArray[np.int64],
+    weight: Array,
+    usable: NDArray[np.bool_],
+    pull: Array,
+    position: Places,
+    depth: Array,
+    place_now: Places,
+    depth_now: Array,
+    velocity: Places,
+) -> None:
+    """Plans at our instants. Their poses and references stand below one another in `eta` and `reference` (rows, 4), `length`
+    (robots,) rows each, which began `age_s` ago.
+
+    Row k of a horizon lies dead_s + k period_s ahead. Added to `pull` (nodes, 4): `weight` (4,) times the deviation
+    eta - reference of every `member`, without whole turns. `position` and `depth` (robots, len(node)) are those at `node`;
+    `place_now` and `depth_now` (robots,) are those now, `velocity` is the reference's mean one over MEANT_S from now on.
+    Beyond its ends a plan stands. A plan that is not `usable` (robots,) holds numbers that can be no poses.
+    """
+    first = 0
+    for i in range(len(length)):
+        plan, meant = eta[first : first + length[i]], reference[first : first + length[i]]
+        first, last, period = first + length[i], length[i] - 1, plan_period_s[i]
+        fine = last >= 0 and SHORTEST_S <= period < ABSURD
+        for k in range(last + 1):
+            for c in range(4):
+                fine &= (abs(plan[k, c]) < MOST_TURNED_RAD) & (abs(plan[k, c] - meant[k, c]) < ABSURD)
+        usable[i] = fine
+        if not fine:
+            continue
+        turns = TURN * np.rint((plan[0, 3] - meant[0, 3]) / TURN)
+        for k in range(len(pull) if member[i] else 0):
+            place = min(max((age_s[i] + dead_s + k * period_s) / period, 0.0), float(last))
+            low = int(place)
+            high, share = min(low + 1, last), place - low
+            for c in range(4):
+                before, after = plan[low, c] - meant[low, c], plan[high, c] - meant[high, c]
+                pull[k, c] += weight[c] * (before + share * (after - before) - (turns if c == 3 else 0.0))
+        for j in range(len(node)):
+            place = min(max((age_s[i] + dead_s + node[j] * period_s) / period, 0.0), float(last))
+            low = int(place)
+            high, share = min(low + 1, last), place - low
+            position[i, j] = complex(
+                plan[low, 0] + share * (plan[high, 0] - plan[low, 0]), plan[low, 1] + share * (plan[high, 1] - plan[low, 1])
+            )
+            depth[i, j] = plan[low, 2] + share * (plan[high, 2] - plan[low, 2])
+        now = int(min(max(np.rint(age_s[i] / period), 0.0), float(last)))
+        then = min(now + max(int(np.rint(MEANT_S / period)), 1), last)
+        span_s = period * max(then - now, 1)
+        place_now[i], depth_now[i] = complex(plan[now, 0], plan[now, 1]), plan[now, 2]
+        velocity[i] = complex((meant[then, 0] - meant[now, 0]) / span_s, (meant[then, 1] - meant[now, 1]) / span_s)
+
+
+@kernel("void(c16[:,::1], f8[:,::1], i8[::1], f8[::1])")
+def nearest(position: Places, own: Array, node: NDArray[np.int64], apart_m: Array) -> None:
+    """Least distance (robots,) between the places of `own` (horizon + 1, 4) at `node` and `position` (robots, len(node))."""
+    for i in range(len(position)):
+        apart_m[i] = np.inf
+        for j in range(len(node)):
+            x, y = own[node[j], 0] - position[i, j].real, own[node[j], 1] - position[i, j].imag
+            apart_m[i] = min(apart_m[i], math.sqrt(x * x + y * y))
+
+
+@kernel("f8(c16[::1], f8[::1], f8[:,::1], i8[::1], f8, f8, c16[::1], f8[::1])")
+def tangents(
+    position: Places,
+    depth: Array,
+    own: Array,
+    node: NDArray[np.int64],
+    keep_m: float,
+    margin_m: float,
+    normal: Places,
+    offset: Array,
+) -> float:
+    """Half-spaces (36) across the lines from a robot's predicted `position` (nodes,) to ours, at the distance `keep_m`:
+    n = (own - position) / |own - position|, n . (x, y) >= n . position + keep_m.
+
+    Returns by how much more than `keep_m` the nearest is away; infinity if no node is both level with us and nearer than
+    keep_m + margin_m.
+    """  # fmt: skip
+    least_m, counts = np.inf, False
+    for j in range(len(node)):
+        x, y = own[node[j], 0] - position[j].real, own[node[j], 1] - position[j].imag
+        apart_m = math.sqrt(x * x + y * y)
+        # on top of one another any direction leads out
+        normal[j] = complex(x / apart_m, y / apart_m) if apart_m >= TOUCHING_M else complex(1.0, 0.0)
+        offset[j] = normal[j].real * position[j].real + normal[j].imag * position[j].imag + keep_m
+        least_m = min(least_m, apart_m - keep_m)
+        counts |= abs(own[node[j], 2] - depth[j]) < keep_m and apart_m < keep_m + margin_m
+    return least_m if counts else np.inf
+
+
+@kernel("b1(f8[:,::1], i8[::1], c16[::1], f8[::1])")
+def leans(eta: Array, node: NDArray[np.int64], normal: Places, offset: Array) -> bool:
+    """True if a plan (horizon + 1, 4) comes within LEANS_M of the border of a half-space, or crosses it."""
+    for i in range(len(node)):
+        if eta[node[i], 0] * normal[i].real + eta[node[i], 1] * normal[i].imag < offset[i] + LEANS_M:
+            return True
+    return False
+
+
+@kernel("void(f8[:,::1], f8[:,::1], f8[::1], f8[::1], b1, f8[:,::1], f8[::1])")
+def formation_reference(
+    reference: Array, deviation: Array, q: Array, q_sum: Array, has_leader: bool, moved: Array, weight: Array
+) -> None:
+    """Least of |eta - reference|^2_Q + sum |eta - reference - deviation_j|^2_Qij (35): where the formation moves the
+    reference, and its `weight` (4,):
+
+        moved = reference + (Q + sum Qij)^-1 sum Qij deviation_j      weight = Q + sum Qij
+
+    `deviation` (nodes, 4) is sum Qij deviation_j, `q` is Q and `q_sum` is sum Qij, diagonals (4,). `reference` and `moved`
+    (nodes + 1, 4) have a row for now before the nodes. A robot with a leader follows its deviation whole, at weight Q.
+    """
+    for c in range(4):
+        weight[c] = q[c] if has_leader else q[c] + q_sum[c]
+        per = q_sum[c] if has_leader else max(weight[c], LEAST_WEIGHT)
+        for k in range(len(reference)):
+            moved[k, c] = reference[k, c] + deviation[max(k - 1, 0), c] / per
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,15 +205,12 @@ class HalfSpaces:
 
     def binds(self, eta: Array) -> bool:
         """True if a plan (horizon + 1, 4) lies against any of the bounds."""
-        if not len(self.node):
-            return False
-        places = eta[self.node, 0] + 1j * eta[self.node, 1]
-        return bool(((places * self.normal.conj()).real < self.offset + LEANS_M).any())
+        return bool(len(self.node)) and leans(eta, self.node, self.normal, self.offset)
 
 
-# What is to be kept clear of: places and directions away from it, how far beyond the distance to keep we are, all (nodes,),
-# that distance, and how much its lines give when not all can be kept
-Body = tuple[NDArray[np.complex128], NDArray[np.complex128], Array, float, float]
+# What is to be kept clear of: how far beyond the distance to keep the nearest node is, m; normals and offsets of its
+# half-spaces, (nodes,) each; and how much they give when not all can be kept.
+Body = tuple[float, Places, Array, float]
 
 NOWHERE = HalfSpaces(np.zeros(0, np.intp), np.zeros(0, np.complex128), np.zeros(0))
 
@@ -90,11 +221,13 @@ class NeighbourPredictions:
 
     weighted_deviation: Array  # (horizon + 1, 4) sum of Q_ij (eta_j - eta_j^ref), to be added to Q eta_ref
     weight: Array  # (4,) sum of Q_ij
+    has_members: bool  # some of them belong to our formation
     fresh_count: int
     neighbours: Sequence[Neighbour]  # whose plans can be used
     position: NDArray[np.complex128]  # (neighbours, nodes) predicted x + iy, at the nodes where distance is kept
     depth: Array  # (others, nodes)
-    pose_now: Array  # (neighbours, 4) poses as their plans have them now
+    place_now: Places  # (neighbours,) places as their plans have them now,
+    depth_now: Array  # (neighbours,) and depths, m
     intended_velocity: NDArray[np.complex128]  # (neighbours,) velocities x + iy that they mean to have
 
 
@@ -112,89 +245,49 @@ class Formation:
     ) -> None:
         """The horizon's node 0 lies `dead_s` ahead of now. A hull of radius `hull_m` keeps off the walls of a pool of length
         and width `room_m`; None: there are no walls."""
-        self._safety, self._period_s, self._horizon = safety, period_s, config.horizon
+        self._safety, self._period_s, self._dead_s = safety, period_s, dead_s
         self.set_weight(config.q_formation)
-        self._ahead = np.arange(config.horizon + 2)
-        self._nodes = np.unique(np.linspace(0, config.horizon, NODES + 1)[1:].round().astype(np.intp))
+        self._nodes = np.unique(np.linspace(0, config.horizon, NODES + 1)[1:].round().astype(np.int64))
         self._nodes_ns = np.rint(NS * (dead_s + period_s * self._nodes)).astype(np.int64).tolist()
-        self._around_nodes = np.concatenate([self._nodes, self._nodes + 1])
         self.rows = NEAREST * len(self._nodes)  # half-spaces there can be
         self._wall_m = hull_m + WALL_M
         self._walls = [] if room_m is None else [(-way, 0.5 * size) for way, size in zip((1, 1j), room_m, strict=True)]
         self._walls += [(-inwards, half_m) for inwards, half_m in self._walls]
         self._near_m = 2.0 * safety.radius_m + safety.margin_m
-        self._dead_steps, self._meant = dead_s / period_s, max(round(MEANT_S / period_s), 1)
-        none, nobody = np.zeros((0, len(self._nodes))), np.zeros((0, 4))
-        pull = np.zeros((config.horizon + 1, 4))
-        self._no_neighbours = NeighbourPredictions(
-            pull, np.zeros(4), 0, (), none.astype(np.complex128), none, nobody, np.zeros(0, np.complex128)
-        )
+        self._no_neighbours = self._room_for((), 0, config.horizon + 1)
+
+    def _room_for(self, neighbours: Sequence[Neighbour], members: int, nodes: int) -> NeighbourPredictions:
+        count, kept = len(neighbours), len(self._nodes)
+        return NeighbourPredictions(
+            np.zeros((nodes, 4)), members * self._weight, members > 0, sum(n.fresh for n in neighbours), neighbours,
+            np.empty((count, kept), np.complex128), np.empty((count, kept)), np.empty(count, np.complex128), np.empty(count),
+            np.empty(count, np.complex128),
+        )  # fmt: skip
 
     def set_weight(self, q: tuple[float, float, float, float]) -> None:
         """Use another Q_ij from now on, the same for every neighbour."""
         self._weight = np.array(q)
-        self._weights = np.tile(self._weight, self._horizon + 1)
 
     def predict_neighbours(self, neighbours: Sequence[Neighbour], now_ns: int) -> NeighbourPredictions:
         """Sample all neighbours' plans on our horizon, together."""
-        others = [usable for neighbour in neighbours if (usable := self._in_step(neighbour)) is not None]
-        if not others:
+        if not neighbours:
             return self._no_neighbours
-        eta, deviation = _stacked(others)
-        if not _plausible(eta, deviation):
-            others = [neighbour for neighbour in others if _plausible(*_stacked([neighbour]))]
-            if not others:
-                return self._no_neighbours
-            eta, deviation = _stacked(others)
-        steps, first, last = self._steps(others, now_ns)
-        ahead = steps + self._dead_steps
-        whole = np.floor(ahead)
-        rows = np.minimum(np.maximum((first + whole.astype(np.intp))[:, None] + self._ahead, first[:, None]), last[:, None])
-        share = ahead - whole
-        pull, weight = self._pull(others, deviation.take(rows, axis=0), share)
-        around = eta.view(np.complex128).take(rows[:, self._around_nodes], axis=0)  # x + iy, z + i yaw
-        there, after = around[:, : len(self._nodes)], around[:, len(self._nodes) :]
-        there += share[:, None, None] * (after - there)
-        now = np.minimum(np.maximum(first + np.rint(steps).astype(np.intp), first), last)
-        then = np.minimum(now + self._meant, last)
-        reference = (eta.take((now, then), axis=0) - deviation.take((now, then), axis=0)).view(np.complex128)[:, :, 0]
-        meant = (reference[1] - reference[0]) / (self._period_s * np.maximum(then - now, 1))
-        place, depth, heard = there[:, :, 0], there[:, :, 1].real, sum(n.fresh for n in others)
-        return NeighbourPredictions(pull, weight, heard, others, place, depth, eta.take(now, axis=0), meant)
-
-    def _in_step(self, neighbour: Neighbour) -> Neighbour | None:
-        """Return a neighbour with its plan at our period; None without a usable plan."""
-        plan, period_s = neighbour.plan, self._period_s
-        if not _readable(plan):
-            return None
-        if plan.period_s == period_s:
-            return neighbour
-        if not _plausible(*_stacked([neighbour])):
-            return None
-        count = min(math.ceil((len(plan.eta) - 1) * plan.period_s / period_s), LONGEST_PLAN) + 1
-        place = np.arange(count, dtype=np.float64) * (period_s / plan.period_s)
-        eta, reference = (interpolate(np.array(rows), place) for rows in (plan.eta, plan.eta_reference))
-        return replace(neighbour, plan=replace(plan, period_s=period_s, eta=eta, eta_reference=reference))
-
-    def _steps(self, others: Sequence[Neighbour], now_ns: int) -> tuple[Array, NDArray[np.intp], NDArray[np.intp]]:
-        """Of plans stacked in one array: steps since each began, its first row and its last row; (neighbours,)."""
-        lengths = np.array([len(neighbour.plan.eta) for neighbour in others])
-        since_ns = np.array([now_ns - neighbour.stamp_ns for neighbour in others])
-        end = np.add.accumulate(lengths)
-        return since_ns / (NS * self._period_s), end - lengths, end - 1
-
-    def _pull(self, others: Sequence[Neighbour], deviation: Array, share: Array) -> tuple[Array, Array]:
-        """Return Q_ij times the deviations (neighbours, horizon + 2, 4), interpolated between rows and summed over the
-        formation's members, and the sum of their Q_ij."""
-        member = np.array([1.0 if neighbour.fresh and neighbour.formation else 0.0 for neighbour in others])
-        members = float(np.add.reduce(member))
-        if not members:
-            return self._no_neighbours.weighted_deviation, self._no_neighbours.weight
-        after = member * share
-        before, behind = np.array((member - after, after)) @ deviation.reshape(len(others), -1)
-        pull = before[:-4] + behind[4:]
-        pull *= self._weights
-        return pull.reshape(-1, 4), members * self._weight
+        plans = [neighbour.plan for neighbour in neighbours]
+        lengths = [len(plan.eta) for plan in plans]
+        if lengths != [len(plan.eta_reference) for plan in plans]:
+            return self.predict_neighbours([n for n in neighbours if len(n.plan.eta) == len(n.plan.eta_reference)], now_ns)
+        members, usable = [neighbour.fresh and neighbour.formation for neighbour in neighbours], np.empty(len(plans), bool)
+        found = self._room_for(neighbours, sum(members), len(self._no_neighbours.weighted_deviation))
+        sample_plans(
+            np.concatenate([plan.eta for plan in plans]), np.concatenate([plan.eta_reference for plan in plans]),
+            np.array(lengths), np.array([(now_ns - neighbour.stamp_ns) / NS for neighbour in neighbours]),
+            np.array([plan.period_s for plan in plans], float), np.array(members), self._dead_s, self._period_s, self._nodes,
+            self._weight, usable, found.weighted_deviation, found.position, found.depth, found.place_now,
+            found.depth_now, found.intended_velocity,
+        )  # fmt: skip
+        if not usable.all():
+            return self.predict_neighbours([n for n, is_usable in zip(neighbours, usable, strict=True) if is_usable], now_ns)
+        return found
 
     def clearance_m(self, neighbour: Neighbour, now_ns: int) -> float:
         """Distance to keep from a neighbour: it grows with the neighbour's silence."""
@@ -226,77 +319,51 @@ class Formation:
         (horizon + 1, 4) is our predicted path."""
         if not predictions.neighbours and not obstacles:
             return NOWHERE
+        bodies = self._robots_near(predictions, own, rank, now_ns) if predictions.neighbours else []
+        if not bodies and not obstacles:
+            return NOWHERE
         here = own.view(np.complex128)[self._nodes, 0]
-        bodies = self._robots_near(predictions, own, here, rank, now_ns) if predictions.neighbours else []
         for obstacle in obstacles:
             there, away, apart_m = nearest_border(obstacle, here, [now_ns + ns for ns in self._nodes_ns])
-            if apart_m.min() < obstacle.clearance_m + self._safety.margin_m:
-                bodies.append((there, away, apart_m - obstacle.clearance_m, obstacle.clearance_m, 1.0))
-        return self._across(bodies + self._walls_near(here)) if bodies else NOWHERE
+            beyond_m = float(apart_m.min()) - obstacle.clearance_m
+            if beyond_m < self._safety.margin_m:
+                bodies.append((beyond_m, away, (there * away.conj()).real + obstacle.clearance_m, 1.0))
+        return self._combined(bodies + self._walls_near(here)) if bodies else NOWHERE
 
-    def _walls_near(self, here: NDArray[np.complex128]) -> list[Body]:
+    def _walls_near(self, here: Places) -> list[Body]:
         """Walls, while something else is to be avoided: its half-spaces must not lead into a wall. A robot with nothing to
         avoid needs none, because paths lie within the pool."""
         found: list[Body] = []
         for inwards, half_m in self._walls:
-            out = -(here * inwards.conjugate()).real  # towards the wall, from the pool's middle
-            if (half_m - out).min() < self._wall_m + self._safety.margin_m:
-                there = here + inwards * (out - half_m)
-                away = np.full(len(here), inwards, np.complex128)
-                found.append((there, away, half_m - out - self._wall_m, self._wall_m, WALL_GIVES))
+            keep_m = self._wall_m - half_m  # from the pool's middle
+            beyond_m = float((here * inwards.conjugate()).real.min()) - keep_m
+            if beyond_m < self._safety.margin_m:
+                found.append((beyond_m, np.full(len(here), inwards, np.complex128), np.full(len(here), keep_m), WALL_GIVES))
         return found
 
-    def _robots_near(
-        self, predictions: NeighbourPredictions, own: Array, here: NDArray[np.complex128], rank: Priority, now_ns: int
-    ) -> list[Body]:
+    def _robots_near(self, predictions: NeighbourPredictions, own: Array, rank: Priority, now_ns: int) -> list[Body]:
         """Robots to be avoided."""
-        apart = here - predictions.position
-        distance = np.abs(apart)
-        nearest = np.minimum.reduce(distance, axis=1).tolist()
-        near_m = (
-            self._near_m
-            if predictions.fresh_count == len(predictions.neighbours)
-            else self._near_m + self._safety.bubble_max_m
-        )
-        kept = []
-        for i, there_m in enumerate(nearest):
-            if there_m < near_m:
-                keep_m = self.required_clearance_m(predictions.neighbours[i], rank, now_ns)
-                if keep_m is not None:
-                    level = np.abs(own[self._nodes, 2] - predictions.depth[i]) < keep_m
-                    if (level & (distance[i] < keep_m + self._safety.margin_m)).any():
-                        away = apart[i] / np.maximum(distance[i], TOUCHING_M)
-                        away[distance[i] < TOUCHING_M] = 1.0  # on top of one another: any direction leads out
-                        kept.append((predictions.position[i], away, distance[i] - keep_m, keep_m, 1.0))
-        return kept
+        count, all_fresh = len(predictions.neighbours), predictions.fresh_count == len(predictions.neighbours)
+        apart_m = np.empty(count)
+        nearest(predictions.position, own, self._nodes, apart_m)
+        near_m = self._near_m if all_fresh else self._near_m + self._safety.bubble_max_m
+        found: list[Body] = []
+        for i in [i for i, there_m in enumerate(apart_m.tolist()) if there_m < near_m]:
+            keep_m = self.required_clearance_m(predictions.neighbours[i], rank, now_ns)
+            if keep_m is not None:
+                normal, offset = np.empty(len(self._nodes), np.complex128), np.empty(len(self._nodes))
+                beyond_m = tangents(
+                    predictions.position[i], predictions.depth[i], own, self._nodes, keep_m, self._safety.margin_m, normal,
+                    offset,
+                )  # fmt: skip
+                if beyond_m < math.inf:
+                    found.append((beyond_m, normal, offset, 1.0))
+        return found
 
-    def _across(self, bodies: list[Body]) -> HalfSpaces:
-        """Half-spaces from the nearest bodies."""
-        bodies = sorted(bodies, key=lambda body: float(body[2].min()))[:NEAREST]
-        there, away = np.concatenate([body[0] for body in bodies]), np.concatenate([body[1] for body in bodies])
-        keep, give = np.repeat([body[3:] for body in bodies], len(self._nodes), axis=0).T
-        offset = away.real * there.real + away.imag * there.imag + keep
-        return HalfSpaces(np.tile(self._nodes, len(bodies)), away, offset, give)
-
-
-def _readable(plan: Plan) -> bool:
-    """True for a plan of plausible length and period."""
-    return len(plan.eta) > 0 and plan.eta.shape == plan.eta_reference.shape and SHORTEST_S <= plan.period_s < ABSURD
-
-
-def _stacked(others: Sequence[Neighbour]) -> tuple[Array, Array]:
-    """Poses of all plans in one array, and their deviations from their references without whole turns, (rows, 4) each."""
-    eta = np.concatenate([neighbour.plan.eta for neighbour in others])
-    with np.errstate(invalid="ignore"):  # infinities that cancel out are found afterwards
-        deviation = eta - np.concatenate([neighbour.plan.eta_reference for neighbour in others])
-    yaw = deviation[:, 3]
-    if not np.abs(yaw).max() <= math.pi:
-        ends = np.cumsum([len(neighbour.plan.eta) for neighbour in others])
-        for part in np.split(yaw, ends[:-1]):
-            part -= TURN * np.rint(part[0] / TURN)
-    return eta, deviation
-
-
-def _plausible(eta: Array, deviation: Array) -> bool:
-    """True for numbers that can be poses; false for NaN."""
-    return float(np.vdot(eta, eta)) < MOST_TURNED_RAD**2 and float(np.vdot(deviation, deviation)) < ABSURD**2
+    def _combined(self, bodies: list[Body]) -> HalfSpaces:
+        """Half-spaces from the nearest bodies. Their order is kept: the solver goes on from each row's last multiplier."""
+        farthest_m = sorted(beyond_m for beyond_m, *_ in bodies)[:NEAREST][-1]
+        bodies = [body for body in bodies if body[0] <= farthest_m][:NEAREST]
+        _, normals, offsets, gives = zip(*bodies, strict=True)
+        give = np.array(gives).repeat(len(self._nodes))
+        return HalfSpaces(np.tile(self._nodes, len(bodies)), np.concatenate(normals), np.concatenate(offsets), give)

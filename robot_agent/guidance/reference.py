@@ -23,6 +23,40 @@ def interpolate_rows(table: Array, place: Array, out: Array) -> None:
             out[i, j] = table[low, j] + share * (table[high, j] - table[low, j])
 
 
+@kernel("void(f8[:,::1], f8[:,::1], f8[:,::1], f8, f8, f8, f8, f8[::1], f8[:,::1], f8[:,::1], f8[:,::1])")
+def sample_trajectory(
+    path: Array,
+    path_velocity: Array,
+    path_acceleration: Array,
+    begin_s: float,
+    period_s: float,
+    time_s: float,
+    rate: float,
+    offset_s: Array,
+    eta: Array,
+    velocity: Array,
+    acceleration: Array,
+) -> None:
+    """Linear interpolation of a trajectory's samples (n, 4), `period_s` apart from `begin_s` on, at time_s + rate offset_s;
+    before and after it its first and last pose, at rest. Results (offsets, 4).
+
+    The same way at another pace (chain rule): velocities times `rate`, accelerations times its square.
+    """
+    last = len(path) - 1
+    for k in range(len(offset_s)):
+        place = (time_s + rate * offset_s[k] - begin_s) / period_s
+        within = min(place, float(last)) if place > 0.0 else 0.0  # NaN is no row either
+        moves = rate if 0.0 <= place <= last else 0.0
+        low = int(within)
+        high = min(low + 1, last)
+        share = within - low
+        for c in range(4):
+            eta[k, c] = path[low, c] + share * (path[high, c] - path[low, c])
+            velocity[k, c] = moves * (path_velocity[low, c] + share * (path_velocity[high, c] - path_velocity[low, c]))
+            change = path_acceleration[low, c] + share * (path_acceleration[high, c] - path_acceleration[low, c])
+            acceleration[k, c] = moves * moves * change
+
+
 @dataclass(frozen=True, eq=False)
 class Follow:
     """Goal: fly a trajectory. `time_s` is the time along it now (before its beginning the robot waits at its first pose), and
@@ -58,29 +92,22 @@ class ReferenceSampler:
     def __init__(self, offsets_s: Array) -> None:
         self._offsets_s = np.concatenate([[0.0], offsets_s])
         self._known: Trajectory | None = None
-        self._table = np.zeros((0, 12))
+        self._samples = np.zeros((3, 0, 4))
 
     def sample(self, goal: Goal) -> Reference:
         """Sample a goal over the horizon."""
+        count = len(self._offsets_s)
         if isinstance(goal, Hold):
-            count = len(self._offsets_s)
             return Reference(np.tile(goal.eta, (count, 1)), np.zeros((count, 4)), np.zeros((count, 4)))
-        rows = self._sample(goal.trajectory, goal.time_s + goal.rate * self._offsets_s)
-        if goal.rate != 1.0:  # the same way at another pace (chain rule); how the pace will change is not known
-            rows[:, 4:8] *= goal.rate
-            rows[:, 8:] *= goal.rate**2
-        return Reference(rows[:, :4], rows[:, 4:8], rows[:, 8:])
-
-    def _sample(self, trajectory: Trajectory, time_s: Array) -> Array:
-        """Interpolate linearly; before the start and after the end return the first and last pose, at rest."""
-        if trajectory is not self._known:
-            self._table = np.hstack([trajectory.eta, trajectory.velocity, trajectory.acceleration])
-            self._known = trajectory
-        place = (time_s - trajectory.begin_s) / trajectory.period_s
-        rows = interpolate(self._table, place)
-        last = len(self._table) - 1
-        if place[0] < 0.0 or place[-1] > last:
-            rows[:, 4:] *= ((place >= 0.0) & (place <= last))[:, None]
+        path = goal.trajectory
+        if path is not self._known:
+            self._samples, self._known = np.array((path.eta, path.velocity, path.acceleration)), path
+        rows = Reference(np.empty((count, 4)), np.empty((count, 4)), np.empty((count, 4)))
+        eta, velocity, acceleration = self._samples
+        sample_trajectory(
+            eta, velocity, acceleration, path.begin_s, path.period_s, goal.time_s, goal.rate, self._offsets_s,
+            rows.eta, rows.velocity, rows.acceleration,
+        )  # fmt: skip
         return rows
 
 

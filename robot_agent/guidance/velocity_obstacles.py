@@ -24,11 +24,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_agent.guidance.formation import MEANT_S, WALL_M, NeighbourPredictions
+from robot_agent.guidance.formation import MEANT_S, WALL_M, NeighbourPredictions, Places
 from robot_agent.guidance.obstacles import Obstacle
 from robot_agent.guidance.reference import Reference
 from wire.config.vehicle import Vehicle
 from wire.frames import Array, wrap
+from wire.kernels import kernel
 
 LOOK_AHEAD_S = 8.0  # two robots at 0.1 m/s begin to turn 1.6 m before they would touch
 LOOK_STEP_S = 0.5
@@ -48,14 +49,186 @@ HOLD_COURSE_MPS = 0.02  # slower, a direction of motion means nothing
 TURN_RADPS = 0.8
 ARRIVED_M, ARRIVED_MPS, ARRIVED_RAD = 0.002, 0.004, 0.02
 WALL_S = 3.0  # a velocity is not taken if in this time it leads closer to a wall than WALL_M beyond the hull
+STILL = 1e-12  # (m/s)^2: keeps 0/0 out
 
-_STEPS_S = np.arange(1, round(LOOK_AHEAD_S / LOOK_STEP_S) + 1) * LOOK_STEP_S
+LOOK_STEPS = round(LOOK_AHEAD_S / LOOK_STEP_S)
 _ANGLES = np.radians(np.arange(-150.0, 151.0, 7.5))
 _PACES = np.array([1.0, 0.7, 0.4])
-_TURNS = np.append(np.outer(_PACES, np.exp(1j * _ANGLES)), 0.0)
-# Standing still is as bad as a turn by 115 degrees: if robots would rather wait than turn, four of them wait for one another.
-# Of two ways equally long, the one to starboard.
-_PRICE = np.append(2.0 * (1.0 - _PACES)[:, None] + np.abs(_ANGLES) + 1e-3 * (_ANGLES < 0.0), 2.0)
+# The fan of velocities to choose from, as multiples of the wanted one, and the price of each. Standing still is as bad as a
+# turn by 115 degrees: if robots would rather wait than turn, four of them wait for one another. Of two ways equally long, the
+# one to starboard.
+FAN = np.append(np.outer(_PACES, np.exp(1j * _ANGLES)), 0.0)
+FAN_PRICE = np.append(2.0 * (1.0 - _PACES)[:, None] + np.abs(_ANGLES) + 1e-3 * (_ANGLES < 0.0), 2.0)
+
+
+@kernel("f8(c16, c16)")
+def dot(a: complex, b: complex) -> float:
+    """Scalar product of two vectors x + iy."""
+    return a.real * b.real + a.imag * b.imag
+
+
+@kernel("f8(c16, c16)")
+def cross(a: complex, b: complex) -> float:
+    """|a| times the distance of b to starboard of the direction a; negative to port."""
+    return a.real * b.imag - a.imag * b.real
+
+
+@kernel("b1(c16, c16, c16[::1], c16[::1], f8[::1])")
+def closes_in(place: complex, velocity: complex, there: Places, going: Places, keep_m: Array) -> bool:
+    """True if straight lines at these velocities lead nearer to any traffic (k,) than allowed within LOOK_AHEAD_S."""
+    for i in range(len(there)):
+        apart, closing = there[i] - place, velocity - going[i]
+        square, towards = dot(closing, closing), dot(apart, closing)
+        if square >= SLIGHTEST_MPS**2 and towards > 0.0:
+            time_s = min(towards / square, LOOK_AHEAD_S)
+            if abs(apart - closing * time_s) < min(keep_m[i], PARTING * abs(apart)):
+                return True
+    return False
+
+
+@kernel("c16(c16, c16, c16, f8)")
+def homing_velocity(goal: complex, speed: complex, point: complex, fastest_mps: float) -> complex:
+    """Velocity that leads a point back to its goal, which moves at `speed`."""
+    back = RETURN_PER_S * (goal - point)
+    limit = max(CATCH_UP * abs(speed), CATCH_UP_MPS)
+    velocity = speed + back * min(1.0, limit / max(abs(back), limit))
+    return velocity * min(1.0, fastest_mps / max(abs(velocity), fastest_mps))
+
+
+@kernel("c16(c16, c16, f8)")
+def changed(velocity: complex, to: complex, most: float) -> complex:
+    """Velocity changed towards `to` by at most `most`."""
+    difference = to - velocity
+    return to if abs(difference) <= most else velocity + difference * (most / abs(difference))
+
+
+@kernel("void(f8[:,::1], f8[:,::1], f8[::1], c16, f8, c16[::1])")
+def look_ahead(eta: Array, velocity: Array, times_s: Array, point: complex, fastest_mps: float, ahead: Places) -> None:
+    """Displacements of a point on its return to a reference, LOOK_STEP_S apart, into `ahead`. The reference (rows, 4) at
+    `times_s` (rows,) goes straight on after its end."""
+    last, start, row = len(times_s) - 1, point, 0
+    before = complex(eta[0, 0], eta[0, 1])
+    for i in range(len(ahead)):
+        time_s = (i + 1) * LOOK_STEP_S
+        while row < last and times_s[row + 1] <= time_s:
+            row += 1
+        beyond_s, share, after = time_s - times_s[row], 0.0, row
+        if row < last:
+            after = row + 1
+            share, beyond_s = beyond_s / (times_s[after] - times_s[row]), 0.0
+        goal = complex(
+            eta[row, 0] + share * (eta[after, 0] - eta[row, 0]) + beyond_s * velocity[last, 0],
+            eta[row, 1] + share * (eta[after, 1] - eta[row, 1]) + beyond_s * velocity[last, 1],
+        )
+        point += LOOK_STEP_S * homing_velocity(before, (goal - before) / LOOK_STEP_S, point, fastest_mps)
+        before = goal
+        ahead[i] = point - start
+
+
+@kernel("b1(c16, c16, c16[::1], c16[::1], c16[::1], f8[::1], b1[::1], b1[::1], b1[::1])")
+def find_meetings(
+    place: complex,
+    wanted: complex,
+    ahead: Places,
+    there: Places,
+    going: Places,
+    keep_m: Array,
+    sided: NDArray[np.bool_],
+    heeded: NDArray[np.bool_],
+    meets: NDArray[np.bool_],
+) -> bool:
+    """Find the traffic (k,) that is to be `heeded`, and the part of it that the way `ahead` (steps,) `meets`. True if any.
+
+    Robots that come from behind on their own way forward overtake: they keep clear of us.
+    """
+    found = False
+    for i in range(len(there)):
+        away = there[i] - place
+        astern = dot(away, wanted) < ABAFT * abs(away) * abs(wanted)
+        heeded[i] = not (sided[i] and astern and dot(going[i], wanted) > 0.0)
+        meets[i] = False
+        nearest_m = min(keep_m[i], PARTING * abs(away))
+        for k in range(len(ahead) if heeded[i] else 0):
+            meets[i] |= abs(away + going[i] * ((k + 1) * LOOK_STEP_S) - ahead[k]) < nearest_m
+        found |= meets[i]
+    return found
+
+
+@kernel("b1(c16, c16, f8, f8, c16[::1], f8[::1])")
+def leads_into_wall(place: complex, way: complex, room_x_m: float, room_y_m: float, islands: Places, keep_m: Array) -> bool:
+    """True if the velocity `way` leads within WALL_S beyond the room (half its sides), or too close to an island (k,). A robot
+    that is there already may go no further in."""
+    ahead = place + way * WALL_S
+    into = abs(ahead.real) > max(room_x_m, abs(place.real)) or abs(ahead.imag) > max(room_y_m, abs(place.imag))
+    for i in range(len(islands)):
+        away = islands[i] - place
+        time_s = min(max(dot(away, way) / max(dot(way, way), STILL), 0.0), WALL_S)
+        into |= abs(away - way * time_s) < min(keep_m[i], PARTING * abs(away))
+    return into
+
+
+@kernel("c16(c16, c16, c16, c16[::1], c16[::1], f8[::1], b1[::1], b1[::1], c16[::1], f8[::1], f8, f8, c16[::1], f8[::1])")
+def nearest_free(
+    place: complex,
+    wanted: complex,
+    velocity: complex,
+    there: Places,
+    going: Places,
+    keep_m: Array,
+    heeded: NDArray[np.bool_],
+    sided: NDArray[np.bool_],
+    turns: Places,
+    price: Array,
+    room_x_m: float,
+    room_y_m: float,
+    islands: Places,
+    islands_keep_m: Array,
+) -> complex:
+    """Of the velocities wanted x turns (n,) the cheapest that passes all traffic (k,) at its distance, and `sided` robots on
+    the right side; if none does, the one that keeps farthest away. `velocity` is the present one: a change from it costs."""
+    least, best = np.inf, wanted
+    for n in range(len(turns)):
+        way, worst = wanted * turns[n], 0.0
+        for i in range(len(there)):
+            if not heeded[i]:
+                continue
+            away, closing, now = there[i] - place, way - going[i], velocity - going[i]
+            nearest_m = min(keep_m[i], PARTING * abs(away))
+            # a robot that is left well to starboard may stay there; all others are left to port
+            starboard = cross(now, away) > WELL_CLEAR * nearest_m * abs(now)
+            if sided[i] and (cross(closing, away) < 0.0 if starboard else cross(closing, away) > 0.0):
+                worst = 1.0
+            elif dot(away, closing) > 0.0:
+                time_s = min(dot(away, closing) / max(dot(closing, closing), STILL), LOOK_AHEAD_S)
+                worst = max(worst, 1.0 - abs(away - closing * time_s) / nearest_m)
+        if leads_into_wall(place, way, room_x_m, room_y_m, islands, islands_keep_m):
+            worst = 1.0
+        cost = 100.0 * worst + price[n] + 0.3 * abs(way - velocity) / abs(wanted)
+        if cost < least:
+            least, best = cost, way
+    return best
+
+
+@kernel("void(c16, c16, c16, f8[::1], f8[:,::1], f8[:,::1])")
+def path_out(point: complex, velocity: complex, course: complex, times_s: Array, eta: Array, rate: Array) -> None:
+    """Places into `eta` (rows, 4) and velocities into `rate` (rows, 4) of a point that changes to the velocity `course`."""
+    for k in range(len(times_s)):
+        going = changed(velocity, course, CHANGE_MPS2 * times_s[k])
+        if k > 0:
+            point += going * (times_s[k] - times_s[k - 1])
+        eta[k, 0], eta[k, 1], rate[k, 0], rate[k, 1] = point.real, point.imag, going.real, going.imag
+
+
+@kernel("void(c16, c16, f8, f8[::1], f8[:,::1], f8[:,::1])")
+def path_back(point: complex, velocity: complex, fastest_mps: float, times_s: Array, eta: Array, rate: Array) -> None:
+    """The same of a point that returns to the reference, which `eta` and `rate` hold before."""
+    for k in range(len(times_s)):
+        goal, speed = complex(eta[k, 0], eta[k, 1]), complex(rate[k, 0], rate[k, 1])
+        eta[k, 0], eta[k, 1], rate[k, 0], rate[k, 1] = point.real, point.imag, velocity.real, velocity.imag
+        if k < len(times_s) - 1:
+            step_s = times_s[k + 1] - times_s[k]
+            velocity = changed(velocity, homing_velocity(goal, speed, point, fastest_mps), CHANGE_MPS2 * step_s)
+            point += velocity * step_s
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,11 +259,12 @@ NOBODY = Traffic(np.zeros(0, np.complex128), np.zeros(0, np.complex128), np.zero
 def robot_traffic(predictions: NeighbourPredictions, keep_m: Array, depth_m: float, urgent: bool) -> Traffic:
     """The other robots from their plans, each at a distance (k,). Left out are robots as far below or above `depth_m`, and, if
     `urgent`, robots that must give way to us: without an urgent task, and hearing us."""
-    others, there = predictions.neighbours, predictions.pose_now.view(np.complex128)
-    count = np.abs(there[:, 1].real - depth_m) < keep_m
+    others = predictions.neighbours
+    count = np.abs(predictions.depth_now - depth_m) < keep_m
     if urgent:
         count &= [not (other.fresh and other.hears_us and not other.plan.urgent) for other in others]
-    return Traffic(there[:, 0], predictions.intended_velocity, keep_m + ROOM_M, np.ones(len(others), bool)).only(count)
+    everyone = Traffic(predictions.place_now, predictions.intended_velocity, keep_m + ROOM_M, np.ones(len(others), bool))
+    return everyone.only(count)
 
 
 def obstacle_traffic(obstacle: Obstacle, place: complex, speed_mps: float, now_ns: int) -> Traffic:
@@ -120,11 +294,10 @@ class GiveWay:
         self._times_s, self._period_s = times_s, period_s
         self._sure_steps = max(SURE_STEPS, round(SURE_S / period_s))
         self._fastest_mps = 0.8 * vehicle.limits.speed_mps
-        self._steps_s = np.diff(times_s)
-        self._steps = self._steps_s.tolist()
         half = np.array(room_m if room_m is not None else (math.inf, math.inf)) / 2.0
         self._room_x, self._room_y = (half - vehicle.radius_m - WALL_M).tolist()
-        self._islands = [(island.centre, island.clearance_m + WALL_M) for island in islands]
+        self._islands = np.array([island.centre for island in islands], np.complex128)
+        self._islands_keep_m = np.array([island.clearance_m + WALL_M for island in islands])
         self._second = min(int(np.searchsorted(times_s, MEANT_S - 1e-9)), len(times_s) - 1)  # a horizon may be shorter
         self.reset()
 
@@ -148,7 +321,7 @@ class GiveWay:
         on_path = self._point is None
         if self._point is None:
             self._point, self._velocity, self._turn = begin, speed, 0.0
-        wanted = self._towards(begin, speed, self._point)
+        wanted = homing_velocity(begin, speed, self._point, self._fastest_mps)
         course = self._avoiding_velocity(reference, place, wanted, traffic)
         if on_path and course is None:  # the path itself bends away
             self.reset()
@@ -167,79 +340,26 @@ class GiveWay:
         """True if the straight line of the coming second, extended, leads too close to any traffic."""
         if not len(traffic.place):
             return False
-        rows = reference.eta[:: self._second][:2, :2].tolist()
-        velocity = complex(rows[1][0] - rows[0][0], rows[1][1] - rows[0][1]) / float(self._times_s[self._second])
-        return abs(velocity) >= SLIGHTEST_MPS and _closes_in(place, velocity, traffic)
-
-    def _towards(self, goal: complex, speed: complex, point: complex) -> complex:
-        """Velocity that leads a point back to its goal, which moves at `speed`."""
-        back = RETURN_PER_S * (goal - point)
-        limit = max(CATCH_UP * abs(speed), CATCH_UP_MPS)
-        velocity = speed + back * min(1.0, limit / max(abs(back), limit))
-        return velocity * min(1.0, self._fastest_mps / max(abs(velocity), self._fastest_mps))
+        now, second = reference.eta[0], reference.eta[self._second]
+        velocity = complex(second[0] - now[0], second[1] - now[1]) / float(self._times_s[self._second])
+        return abs(velocity) >= SLIGHTEST_MPS and closes_in(place, velocity, traffic.place, traffic.velocity, traffic.keep_m)
 
     def _avoiding_velocity(self, reference: Reference, place: complex, wanted: complex, traffic: Traffic) -> complex | None:
         """Velocity that avoids the traffic in the way; None if none is."""
         if abs(wanted) < SLIGHTEST_MPS or not len(traffic.place):
             return None
-        heeded = traffic.only(~_overtakes(place, wanted, traffic))
-        away, velocity = heeded.place - place, heeded.velocity
-        keep = np.minimum(heeded.keep_m, PARTING * np.abs(away))
-        shift = self._ahead(reference)[:, None] - velocity * _STEPS_S[:, None]
-        meets = (np.abs(away - shift) < keep).any(axis=0)
-        if not meets.any():
-            return None
-        return self._nearest_free(place, wanted, away, velocity, keep, meets & heeded.sided)
-
-    def _ahead(self, reference: Reference) -> NDArray[np.complex128]:
-        """Displacements of the point on its return to the reference, (steps,) LOOK_STEP_S apart."""
         assert self._point is not None
-        last, times_s = self._times_s[-1], self._times_s
-        beyond = np.maximum(_STEPS_S - last, 0.0)
-        x, y = (np.interp(_STEPS_S, times_s, reference.eta[:, k]) + beyond * reference.velocity[-1, k] for k in (0, 1))
-        goals = (x + 1j * y).tolist()
-        point, before, ahead = self._point, complex(reference.eta[0, 0], reference.eta[0, 1]), []
-        for goal in goals:
-            point += LOOK_STEP_S * self._towards(before, (goal - before) / LOOK_STEP_S, point)
-            before = goal
-            ahead.append(point - self._point)
-        return np.array(ahead)
-
-    def _nearest_free(
-        self,
-        place: complex,
-        wanted: complex,
-        away: NDArray[np.complex128],
-        velocity: NDArray[np.complex128],
-        keep: Array,
-        sided: NDArray[np.bool_],
-    ) -> complex:
-        """Of a fan of velocities the nearest to `wanted` that passes all traffic (k,) at its distance, and robots on the right
-        side; if none does, the one that keeps farthest away."""
-        now = self._velocity - velocity
-        side = np.where(_across(now, away) > WELL_CLEAR * keep * np.abs(now), 1.0, -1.0)  # 1: leaves it to starboard
-        ways = wanted * _TURNS
-        closing = ways[:, None] - velocity
-        towards = away.real * closing.real + away.imag * closing.imag
-        time_s = np.clip(towards / np.maximum(np.abs(closing) ** 2, 1e-12), 0.0, LOOK_AHEAD_S)
-        nearest = np.abs(away - closing * time_s)
-        comes = towards > 0.0
-        bad = np.where(comes & (nearest < keep), 1.0 - nearest / keep, 0.0)
-        wrong = sided & (_across(closing, away) * side < 0.0)
-        worst = np.maximum(np.where(wrong, 1.0, bad).max(axis=1), self._into_wall(place, ways))
-        price = _PRICE + 0.3 * np.abs(ways - self._velocity) / abs(wanted)
-        return complex(ways[np.argmin(100.0 * worst + price)])
-
-    def _into_wall(self, place: complex, ways: NDArray[np.complex128]) -> Array:
-        """1 for velocities that lead too close to a wall or an island, (ways,)."""
-        ahead = place + ways * WALL_S
-        x, y = max(self._room_x, abs(place.real)), max(self._room_y, abs(place.imag))
-        bad = (np.abs(ahead.real) > x) | (np.abs(ahead.imag) > y)
-        for middle, keep_m in self._islands:
-            away = middle - place
-            towards = np.clip((away * ways.conj()).real / np.maximum(np.abs(ways) ** 2, 1e-12), 0.0, WALL_S)
-            bad |= np.abs(away - ways * towards) < min(keep_m, PARTING * abs(away))
-        return np.asarray(bad, dtype=np.float64)
+        there, going, keep_m, sided = traffic.place, traffic.velocity, traffic.keep_m, traffic.sided
+        ahead, heeded, meets = np.empty(LOOK_STEPS, np.complex128), np.empty(len(there), bool), np.empty(len(there), bool)
+        look_ahead(reference.eta, reference.velocity, self._times_s, self._point, self._fastest_mps, ahead)
+        if not find_meetings(place, wanted, ahead, there, going, keep_m, sided, heeded, meets):
+            return None
+        return complex(
+            nearest_free(
+                place, wanted, self._velocity, there, going, keep_m, heeded, meets & sided, FAN, FAN_PRICE, self._room_x,
+                self._room_y, self._islands, self._islands_keep_m,
+            )
+        )  # fmt: skip
 
     # --- the path of the point
 
@@ -247,39 +367,17 @@ class GiveWay:
         """Return the point's reference over the horizon, and move the point by one step: with the velocity `course`, or back
         as `wanted`."""
         assert self._point is not None
-        way, going = self._path_back(reference) if course is None else self._path_out(course)
-        self._velocity = _changed(self._velocity, wanted if course is None else course, CHANGE_MPS2 * self._period_s)
+        eta, rate, acceleration = reference.eta.copy(), reference.velocity.copy(), reference.acceleration.copy()
+        if course is None:
+            path_back(self._point, self._velocity, self._fastest_mps, self._times_s, eta, rate)
+        else:
+            path_out(self._point, self._velocity, course, self._times_s, eta, rate)
+        self._velocity = changed(self._velocity, wanted if course is None else course, CHANGE_MPS2 * self._period_s)
         self._point += self._velocity * self._period_s
         self._steer(float(reference.eta[0, 3]))
-        eta, rate, acceleration = reference.eta.copy(), reference.velocity.copy(), reference.acceleration.copy()
-        eta.view(np.complex128)[:, 0], rate.view(np.complex128)[:, 0] = way, going
         eta[:, 3] += self._turn
         acceleration[:, :2] = 0.0
         return Reference(eta, rate, acceleration)
-
-    def _path_out(self, course: complex) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-        """Places and velocities (rows,) of a point that changes to a velocity."""
-        assert self._point is not None
-        change = course - self._velocity
-        going = self._velocity + change * np.minimum(1.0, self._times_s * (CHANGE_MPS2 / max(abs(change), 1e-12)))
-        way = np.empty_like(going)
-        way[0] = 0.0
-        np.add.accumulate(going[1:] * self._steps_s, out=way[1:])
-        way += self._point
-        return way, going
-
-    def _path_back(self, reference: Reference) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-        """Places and velocities (rows,) of a point that returns to the reference."""
-        assert self._point is not None
-        goals, speeds = reference.eta.view(np.complex128)[:, 0].tolist(), reference.velocity.view(np.complex128)[:, 0].tolist()
-        point, velocity = self._point, self._velocity
-        places, velocities = [point], [velocity]
-        for goal, speed, step_s in zip(goals, speeds, self._steps, strict=False):
-            velocity = _changed(velocity, self._towards(goal, speed, point), CHANGE_MPS2 * step_s)
-            point += velocity * step_s
-            places.append(point)
-            velocities.append(velocity)
-        return np.array(places), np.array(velocities)
 
     def _steer(self, yaw_rad: float) -> None:
         """Turn the heading towards the direction of motion, ahead or astern: a robot that comes back to its place does not
@@ -296,34 +394,3 @@ class GiveWay:
         off = abs(self._point - complex(reference.eta[1, 0], reference.eta[1, 1]))
         drift = abs(self._velocity - complex(reference.velocity[1, 0], reference.velocity[1, 1]))
         return off < ARRIVED_M + drift * self._period_s and drift < ARRIVED_MPS and abs(self._turn) < ARRIVED_RAD
-
-
-def _closes_in(place: complex, velocity: complex, traffic: Traffic) -> bool:
-    """True if straight lines at these velocities lead closer to any traffic than allowed."""
-    apart, closing = traffic.place - place, velocity - traffic.velocity
-    square = closing.real**2 + closing.imag**2
-    towards = apart.real * closing.real + apart.imag * closing.imag
-    comes = (square >= SLIGHTEST_MPS**2) & (towards > 0.0)
-    if not comes.any():
-        return False
-    time_s = np.minimum(towards / np.maximum(square, SLIGHTEST_MPS**2), LOOK_AHEAD_S)
-    near = np.abs(apart - closing * time_s) < np.minimum(traffic.keep_m, PARTING * np.abs(apart))
-    return bool((comes & near).any())
-
-
-def _overtakes(place: complex, velocity: complex, traffic: Traffic) -> NDArray[np.bool_]:
-    """Select robots that come from behind, on their own way forward."""
-    apart, back = traffic.place - place, velocity.conjugate()
-    astern = (apart * back).real < ABAFT * np.abs(apart) * abs(velocity)
-    return np.asarray(traffic.sided & astern & ((traffic.velocity * back).real > 0.0))
-
-
-def _across(closing: NDArray[np.complex128], away: NDArray[np.complex128]) -> Array:
-    """Positive where `away` lies to starboard of the direction `closing`; |closing| times the distance of passing."""
-    return np.asarray(closing.real * away.imag - closing.imag * away.real)
-
-
-def _changed(velocity: complex, to: complex, most: float) -> complex:
-    """Velocity changed towards `to` by at most `most`."""
-    difference = to - velocity
-    return to if abs(difference) <= most else velocity + difference * (most / abs(difference))

@@ -48,17 +48,28 @@ class ParameterSession:
                 return True
         return False
 
+    def has(self, name: str, value: float) -> bool:
+        """True if the board has told this value, as single precision holds it."""
+        return abs(self.client.values.get(name, math.inf) - value) <= 1e-6 * max(abs(value), 1.0)
+
+    def set(self, name: str, value: float) -> bool:
+        """Ask for another value; True once the board has it, False if it refuses or does not answer."""
+        client = self.client
+        done = self.until(lambda: client.error is not None or self.has(name, value), lambda: client.set(name, value))
+        return done and client.error is None
+
 
 @contextmanager
-def _talk(link: str, robot: int | None, key: Path | None, insecure: bool) -> Iterator[ParameterSession]:
+def talk(link: str, robot: int | None, key: Path | None, insecure: bool) -> Iterator[ParameterSession]:
+    """A session with a board that is heard. Raises ConfigError with the reason if none is."""
     signing = Signing.of(key, "params", LINK_ID) if key is not None else None
     client = ParameterClient(robot) if signing is None else ParameterClient(robot, signing.key, signing.stamps)
     wires = open_link(link, secured=signing is not None or insecure)
     try:
-        talk = ParameterSession(wires, client)
-        if not talk.until(lambda: client.heard and client.robot_id is not None, lambda: b""):
+        session = ParameterSession(wires, client)
+        if not session.until(lambda: client.heard and client.robot_id is not None, lambda: b""):
             raise ConfigError(f"--link {link}: {client.silence(wires.trouble)}")
-        yield talk
+        yield session
     finally:
         wires.close()
 
@@ -71,10 +82,10 @@ def list_all(
 
     Example:  robot-agent params list --link serial:/dev/ttyACM0
     """
-    with _talk(link, robot, key, insecure) as talk:
-        if not talk.until(lambda: talk.client.complete, talk.client.ask_all):
-            raise ConfigError(f"--link {link}: the board told {len(talk.client.values)} parameters, and then no more")
-        for name, value in talk.client.values.items():
+    with talk(link, robot, key, insecure) as session:
+        if not session.until(lambda: session.client.complete, session.client.ask_all):
+            raise ConfigError(f"--link {link}: the board told {len(session.client.values)} parameters, and then no more")
+        for name, value in session.client.values.items():
             typer.echo(f"{name:16} {value:.7g}")
 
 
@@ -87,9 +98,9 @@ def get(
     Example:  robot-agent params get SLEW_US_S --link serial:/dev/ttyACM0
     """
     _check_name(name)
-    with _talk(link, robot, key, insecure) as talk:
-        client = talk.client
-        talk.until(lambda: name in client.values or client.error is not None, lambda: client.ask(name))
+    with talk(link, robot, key, insecure) as session:
+        client = session.client
+        session.until(lambda: name in client.values or client.error is not None, lambda: client.ask(name))
         typer.echo(f"{answered_value(client, name):.7g}")
 
 
@@ -109,14 +120,10 @@ def set_one(
     _check_name(name)
     if not abs(value) <= LARGEST:  # as NaN is not
         raise ConfigError(f"{name} {value:g}: no value for a parameter (allowed: numbers up to {LARGEST:g})")
-    with _talk(link, robot, key, insecure) as talk:
-        client, close = talk.client, 1e-6 * max(abs(value), 1.0)  # it comes back in single precision
-        done = talk.until(
-            lambda: client.error is not None or abs(client.values.get(name, math.inf) - value) <= close,
-            lambda: client.set(name, value),
-        )
+    with talk(link, robot, key, insecure) as session:
+        done, client = session.set(name, value), session.client
         now = answered_value(client, name)
-        if client.error is not None or not done:
+        if not done:
             raise ConfigError(f"{name} is still {now:.7g}: {client.said or 'the board does not say why'}")
         typer.echo(f"{name} = {now:.7g}")
 
@@ -134,14 +141,14 @@ def give_key(
     Example:  robot-agent params give-key robot-1.key --link serial:/dev/ttyACM0
     """
     signing = Signing.of(file, "params", LINK_ID)
-    with _talk(link, robot, None, insecure=False) as talk:
-        client, newest = talk.client, signing.stamps()
-        talk.until(lambda: client.signed or client.said.startswith("no new key"), lambda: client.give(signing.key, newest))
+    with talk(link, robot, None, insecure=False) as session:
+        client, newest = session.client, signing.stamps()
+        session.until(lambda: client.signed or client.said.startswith("no new key"), lambda: client.give(signing.key, newest))
         if client.said.startswith("no new key"):
             raise ConfigError(f"--link {link}: {client.said}")
         robot = client.robot_id
-    with _talk(link, robot, file, insecure=False) as talk:
-        if not talk.until(lambda: talk.client.told > 0, talk.client.ask_all):
+    with talk(link, robot, file, insecure=False) as session:
+        if not session.until(lambda: session.client.told > 0, session.client.ask_all):
             raise ConfigError(f"--link {link}: the board does not answer to the key")
     typer.echo(f"robot {robot}: the link is signed with {file}")
 

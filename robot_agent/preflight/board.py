@@ -55,7 +55,7 @@ def run_preflight(
     else:
         idle = yield from _board(config)
     if thrusters is None or experiment is None or not idle:
-        needs = "(--thrusters turns them one by one)" if thrusters is None else "(the board must say that it is disarmed)"
+        needs = "(--thrusters moves them one by one)" if thrusters is None else "(the board must say that it is disarmed)"
         yield CheckFinding("thrusters", CheckVerdict.SKIPPED, f"not turned {needs}")
     else:
         yield from thrusters(experiment)
@@ -83,8 +83,10 @@ def _board(config: AgentConfig) -> Generator[CheckFinding, None, bool]:
     idle = telemetry.heartbeats > 0 and not telemetry.armed
     battery = f"{telemetry.battery_v:.1f} V" if telemetry.battery_reports else "no voltage told"
     armed = "disarmed" if idle else "ARMED: by whom?" if telemetry.armed else "does not say whether it is armed"
-    detail = f"heard; {battery}, depth {telemetry.depth_m:.2f} m, {armed}"
-    yield CheckFinding("thruster board", CheckVerdict.OK if idle and telemetry.battery_reports else CheckVerdict.WARN, detail)
+    simulated = ", in HIL mode: measurements are simulated" if telemetry.hil else ""
+    sound = idle and telemetry.battery_reports and not telemetry.hil
+    detail = f"heard; {battery}, depth {telemetry.depth_m:.2f} m, {armed}{simulated}"
+    yield CheckFinding("thruster board", CheckVerdict.OK if sound else CheckVerdict.WARN, detail)
     return idle
 
 

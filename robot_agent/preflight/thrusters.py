@@ -1,25 +1,30 @@
-"""SHELL: turn each thruster a little, one after another, and compare with the board's echo. The robot must be free to move.
+"""SHELL: move each thruster and each ankle a little, one after another. The board's echo is compared, and a person is asked.
 
 Pulses go out at the control rate, as in flight, so the board's own rules (arming, rate, age) hold all the time. However it
 ends, also by a signal or a closed terminal, the last things sent are neutral pulses and a disarm.
 """
 
+import math
 import signal
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from types import FrameType
 
 from robot_agent.host.config import AgentConfig, open_board_link
 from robot_agent.preflight.findings import CheckFinding, CheckVerdict
+from robot_agent.preflight.robot_picture import part, picture, place
 from robot_agent.safety.thruster_selftest import THRUSTERS, TOLERANCE_US, one_pushed, push_pulse_us
 from robot_agent.vehicle.allocation import Allocator
 from wire.config.experiment import Experiment
-from wire.mavlink.agent_link import AgentLink
+from wire.mavlink.agent_link import CHANNELS, AgentLink
 from wire.mavlink.board_port import Link
 from wire.mavlink.signing_key import agent_end
 
 TURN_S, REST_S = 0.6, 0.4  # long enough for a person to see which one it is
 ARM_WITHIN_S = 2.0
+ANKLE_DEG = 30  # degrees
+NOT_ARMED = "the board does not arm"
 THRUST_SHARE = 0.15  # of the largest thrust: turns, and tips nothing over
 
 
@@ -30,6 +35,9 @@ class _Bench:
         self._link, self._mavlink = link, mavlink
         self._period_s = experiment.controller.period_s
         self.neutral_us = Allocator(experiment.vehicle).neutral_us
+        legs = experiment.vehicle.legs
+        share = min(math.radians(ANKLE_DEG) / legs.ankle_range_rad, 1.0)
+        self.ankle_us = round(self.neutral_us[THRUSTERS] + share * (legs.ankle_us[1] - self.neutral_us[THRUSTERS]))
         self.turn_us = push_pulse_us(experiment.vehicle, THRUST_SHARE * experiment.vehicle.thruster.max_thrust_n)
 
     @property
@@ -58,21 +66,28 @@ class _Bench:
         return echoes
 
 
-def turn_thrusters(experiment: Experiment, config: AgentConfig) -> Iterator[CheckFinding]:
-    """Yield one finding per thruster. The caller has made sure that no hand is near."""
+def turn_thrusters(
+    experiment: Experiment, config: AgentConfig, ask: Callable[[str], bool] | None = None
+) -> Iterator[CheckFinding]:
+    """Move each thruster, then each ankle; yield one finding for each. The caller has made sure that no hand is near.
+
+    `ask` puts a question to a person and returns the answer: before each move, with a picture of what should move, and after
+    it. The board is disarmed whenever a person is asked. Without `ask` the board's echo alone is judged.
+    """
     link, signing = open_board_link(config)
     before = {number: signal.signal(number, _end) for number in (signal.SIGTERM, signal.SIGHUP)}
     bench = _Bench(experiment, link, agent_end(config.robot, signing))
     try:
-        bench.hold(bench.neutral_us, ARM_WITHIN_S, arm=True)
-        if not bench.armed:
-            yield CheckFinding("thrusters", CheckVerdict.FAIL, f"the board does not arm: {bench.said}")
-            return
-        for i in range(THRUSTERS):
-            wanted = one_pushed(bench.neutral_us, i, bench.turn_us)
-            echoes = bench.hold(wanted, TURN_S)
-            bench.hold(bench.neutral_us, REST_S)
-            yield judge(i, wanted, echoes)
+        for channel in range(CHANNELS):
+            if ask is not None and not ask(
+                f"\n{picture(experiment.vehicle, channel)}\n{_watch(experiment, channel)} Move it now?"
+            ):
+                yield CheckFinding(part(channel), CheckVerdict.SKIPPED, "not moved: not wanted")
+                continue
+            finding = _move(bench, channel)
+            yield finding if ask is None or finding.verdict is not CheckVerdict.OK else _asked(ask, finding)
+            if finding.detail.startswith(NOT_ARMED):
+                return
     finally:
         bench.hold(bench.neutral_us, ARM_WITHIN_S, arm=False)
         link.close()
@@ -80,23 +95,48 @@ def turn_thrusters(experiment: Experiment, config: AgentConfig) -> Iterator[Chec
             signal.signal(number, handler)
 
 
+def _move(bench: _Bench, channel: int) -> CheckFinding:
+    """Move one output there and back on a board that is armed for it."""
+    bench.hold(bench.neutral_us, ARM_WITHIN_S, arm=True)
+    if not bench.armed:
+        return CheckFinding(part(channel), CheckVerdict.FAIL, f"{NOT_ARMED}: {bench.said}")
+    wanted = one_pushed(bench.neutral_us, channel, bench.turn_us if channel < THRUSTERS else bench.ankle_us)
+    echoes = bench.hold(wanted, TURN_S)
+    bench.hold(bench.neutral_us, REST_S)
+    bench.hold(bench.neutral_us, ARM_WITHIN_S, arm=False)
+    return judge(channel, wanted, echoes)
+
+
+def _watch(experiment: Experiment, channel: int) -> str:
+    """The text about what a person should see."""
+    where = place(experiment.vehicle, channel)
+    if channel < THRUSTERS:
+        return f"{part(channel)}, {where}, turns slowly and pushes ahead: its jet goes astern."
+    return f"{part(channel)}, {where}, turns by {ANKLE_DEG} degrees and back: its jet goes up, thrust would point down."
+
+
+def _asked(ask: Callable[[str], bool], finding: CheckFinding) -> CheckFinding:
+    """The finding with what the person has seen."""
+    if ask(f"Did {finding.what} move so, and nothing else?"):
+        return replace(finding, detail=f"{finding.detail}; seen")
+    return CheckFinding(finding.what, CheckVerdict.FAIL, "moved otherwise, as the person says, and the board says as told")
+
+
 def _end(number: int, frame: FrameType | None) -> None:
     """Signal handler: end as Ctrl-C does, through the `finally` blocks."""
     raise SystemExit(128 + number)
 
 
-def judge(i: int, wanted: tuple[int, ...], echoes: list[tuple[int, ...]]) -> CheckFinding:
-    """Compare echoes with the pulses for thruster i (from 0); no other one may turn."""
-    what = f"thruster {i + 1}"
-    full = [echo[:THRUSTERS] for echo in echoes if len(echo) >= THRUSTERS]
+def judge(channel: int, wanted: tuple[int, ...], echoes: list[tuple[int, ...]]) -> CheckFinding:
+    """Compare echoes with the pulses for one output (from 0); no other one may move."""
+    what, outputs = part(channel), range(len(wanted))
+    full = [echo for echo in echoes if len(echo) >= len(wanted)]
     if not full:
         return CheckFinding(what, CheckVerdict.FAIL, "the board does not say what it puts out")
-    nearest = min(full, key=lambda echo: abs(echo[i] - wanted[i]))
-    if abs(nearest[i] - wanted[i]) > TOLERANCE_US:
-        return CheckFinding(what, CheckVerdict.FAIL, f"told {wanted[i]} us, put out {nearest[i]} us")
-    others = [k + 1 for k in range(THRUSTERS) if k != i and abs(nearest[k] - wanted[k]) > TOLERANCE_US]
+    nearest = min(full, key=lambda echo: abs(echo[channel] - wanted[channel]))
+    if abs(nearest[channel] - wanted[channel]) > TOLERANCE_US:
+        return CheckFinding(what, CheckVerdict.FAIL, f"told {wanted[channel]} us, put out {nearest[channel]} us")
+    others = [k for k in outputs if k != channel and abs(nearest[k] - wanted[k]) > TOLERANCE_US]
     if others:
-        return CheckFinding(what, CheckVerdict.FAIL, f"thruster {others[0]} turned as well")
-    return CheckFinding(
-        what, CheckVerdict.OK, f"{wanted[i]} us, as the board says too; did the right one turn, pushing ahead?"
-    )
+        return CheckFinding(what, CheckVerdict.FAIL, f"{part(others[0])} moved as well")
+    return CheckFinding(what, CheckVerdict.OK, f"{wanted[channel]} us, as the board says too")

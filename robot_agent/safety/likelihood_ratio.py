@@ -16,11 +16,12 @@ a fault would be learned as normal.
 import math
 from bisect import bisect_left
 from collections import deque
-from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from wire.frames import Array
+from wire.kernels import kernel
 
 NS = 1_000_000_000
 SPANS_S = (0.5, 1.0, 2.0)
@@ -28,6 +29,65 @@ FADES_S = 1000.0
 NOISE_S = 10.0  # how fast the noise is learned
 SUSPECTED = 3.0  # evidence: what is felt meanwhile is no habit
 LEAST = 1e-12  # of what could have been missing: nothing
+
+
+@kernel("void(f8[:,::1], f8[:,::1])")
+def solve(a: Array, b: Array) -> None:
+    """Solve a X = b for a positive definite `a` (k, k) by Gaussian elimination, in both arrays: X (k, m) stands in `b`."""
+    for i in range(len(a)):
+        for row in range(len(a)):
+            if row != i:
+                share = a[row, i] / a[i, i]
+                for j in range(i, len(a)):
+                    a[row, j] -= share * a[i, j]
+                for j in range(b.shape[1]):
+                    b[row, j] -= share * b[i, j]
+    for i in range(len(a)):
+        for j in range(b.shape[1]):
+            b[i, j] /= a[i, i]
+
+
+@kernel("f8(f8[:,::1], f8[::1], i8[::1], f8[::1], f8[:,::1], i8, f8, f8)")
+def largest_evidence(
+    samples: Array,
+    weights: Array,
+    begins: NDArray[np.int64],
+    theta: Array,
+    covariance: Array,
+    parts: int,
+    least: float,
+    most: float,
+) -> float:
+    """Largest evidence of the module, over the first `parts` of x, shares from `least` to `most`, and the spans of samples
+    from each of `begins`, the latest first, to the end.
+
+    `samples` (n, k + 1) are (x, y), `weights` (n,) their inverse variances, `covariance` (k, k) that of theta. With
+    r = y - theta . x and C = sum (x, r) (x, r)' / variance, uncertainty leaves C - C_x' (C_xx + covariance^-1)^-1 C_x of it:
+    (x, r)' S^-1 (x, r).
+    """
+    k, best = len(theta), -np.inf
+    information, known = np.eye(k), np.copy(covariance)
+    solve(known, information)
+    summed, z, end = np.zeros((k + 1, k + 1)), np.zeros(k + 1), len(samples)
+    for begin in begins:
+        for i in range(begin, end):
+            z[:] = samples[i]
+            for j in range(k):
+                z[k] -= theta[j] * samples[i, j]
+            for row in range(k + 1):
+                for column in range(k + 1):
+                    summed[row, column] += weights[i] * z[row] * z[column]
+        end = begin
+        explained = np.copy(summed[:k])
+        solve(summed[:k, :k] + information, explained)
+        for part in range(parts):
+            along, size = -summed[k, part], summed[part, part]
+            for j in range(k):
+                along += summed[k, j] * explained[j, part]
+                size -= summed[part, j] * explained[j, part]
+            share = min(max(along / max(size, LEAST), least), most)
+            best = max(best, share * (along - 0.5 * share * size))
+    return best
 
 
 class LikelihoodRatioTest:
@@ -69,18 +129,6 @@ class LikelihoodRatioTest:
     def _look(self, at_ns: int) -> float:
         """Return the evidence in the young samples."""
         instants, seconds, rough, samples = zip(*self._young, strict=True)
-        z = np.array(samples)
-        z[:, -1] -= z[:, :-1] @ self._theta
-        weighted = z.T * (np.array(seconds) / (self._same_s * (self._variance + np.square(rough))))
-        begins = [len(z), *(bisect_left(instants, at_ns - span_s * NS) for span_s in SPANS_S)]
-        summed = np.cumsum([weighted[:, begin:end] @ z[begin:end] for end, begin in pairwise(begins)], axis=0)
-        return self._missing(summed)
-
-    def _missing(self, summed: Array) -> float:
-        """Return the evidence in weighted sums of (x, r) (x, r)' over each span."""
-        of_x = summed[:, :-1, :-1] + np.linalg.inv(self._covariance)
-        certain = summed - summed[:, :, :-1] @ np.linalg.solve(of_x, summed[:, :-1])  # (x, r)' S^-1 (x, r)
-        along, size = -certain[:, -1, : self._parts], certain.diagonal(axis1=1, axis2=2)[:, : self._parts]
-        least, most = self._shares
-        share = np.minimum(np.maximum(along / np.maximum(size, LEAST), least), most)
-        return float((share * (along - 0.5 * share * size)).max())
+        weights = np.array(seconds) / (self._same_s * (self._variance + np.square(rough)))
+        begins = np.array([bisect_left(instants, at_ns - span_s * NS) for span_s in SPANS_S])
+        return largest_evidence(np.array(samples), weights, begins, self._theta, self._covariance, self._parts, *self._shares)

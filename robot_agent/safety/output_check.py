@@ -9,8 +9,11 @@ in both directions. It cannot see two crossed outputs with equal commands, which
 
 from collections import deque
 from collections.abc import Sequence
-from itertools import pairwise
 
+import numpy as np
+from numpy.typing import NDArray
+
+from wire.kernels import kernel
 from wire.mavlink.agent_link import CHANNELS, Telemetry
 
 TOLERANCE_US = 5
@@ -20,23 +23,62 @@ JUDGED_NS = 1_000_000_000  # an echo that happens to look right is no proof: wha
 LONGEST_NS = 100_000_000  # that one echo speaks for
 KEPT = 256  # commands: more than that of the fastest loop
 
-Pulses = tuple[int, ...]
+THRUSTERS = 4  # the first of the outputs; ankles follow
+
+Integers = NDArray[np.int64]
+
+
+@kernel("b1(i8[::1], i8[:,::1], i8, i8)")
+def lies_between(echo_us: Integers, told_us: Integers, first: int, last: int) -> bool:
+    """True if every output (n,) lies within the range of the commands `first` to `last` of `told_us` (commands, n)."""
+    for i in range(len(echo_us)):
+        low = high = told_us[first, i]
+        for k in range(first + 1, last + 1):
+            low, high = min(low, told_us[k, i]), max(high, told_us[k, i])
+        if echo_us[i] < low - TOLERANCE_US or echo_us[i] > high + TOLERANCE_US:
+            return False
+    return True
+
+
+@kernel("b1(i8[::1], i8[::1], i8[:,::1], i8, i8)")
+def is_explained(echo_us: Integers, sent_ns: Integers, told_us: Integers, count: int, arrival_ns: int) -> bool:
+    """True if an echo (n,) that came at `arrival_ns` is one of the first `count` commands, (commands, n) from the instants
+    `sent_ns` on, that was in force within LATELY_NS, or lies between two that followed each other. Where a thruster leapt, it
+    may lie anywhere between all of them."""
+    last = count - 1
+    while last >= 0 and sent_ns[last] > arrival_ns:
+        last -= 1
+    if last < 0:
+        return True
+    first = last
+    while first > 0 and sent_ns[first] > arrival_ns - LATELY_NS:
+        first -= 1
+    for k in range(first, last):
+        for i in range(THRUSTERS):
+            if abs(told_us[k + 1, i] - told_us[k, i]) > LEAP_US:
+                return lies_between(echo_us, told_us, first, last)
+    found = False
+    for k in range(first, last + 1):
+        found |= lies_between(echo_us, told_us, k, min(k + 1, last))
+    return found
 
 
 class OutputCheck:
     """Commands to one board, compared with its echoes."""
 
     def __init__(self) -> None:
-        self._told: deque[tuple[int, Pulses]] = deque(maxlen=KEPT)
+        self._sent_ns, self._told_us, self._count = np.zeros(KEPT, np.int64), np.zeros((KEPT, CHANNELS), np.int64), 0
         self.wrong_s = 0.0  # for how much of the last second the board, armed all the time, has put out something else
         self._wrong: deque[tuple[int, int]] = deque()  # instant, ns that it speaks for
         self._judged_ns = 0
 
     def note_pulses(self, pulse_us: Sequence[int], now_ns: int) -> None:
         """Take note of pulses that went out. Of two at one instant the last counts."""
-        if self._told and self._told[-1][0] == now_ns:
-            self._told.pop()
-        self._told.append((now_ns, tuple(pulse_us)))
+        if not self._count or self._sent_ns[self._count - 1] != now_ns:
+            if self._count == KEPT:
+                self._sent_ns[:-1], self._told_us[:-1] = self._sent_ns[1:], self._told_us[1:]
+            self._count = min(self._count + 1, KEPT)
+        self._sent_ns[self._count - 1], self._told_us[self._count - 1] = now_ns, pulse_us
 
     def note_telemetry(self, telemetry: Telemetry, now_ns: int) -> None:
         """Judge the newest echo. Call it once a step."""
@@ -47,33 +89,8 @@ class OutputCheck:
             return
         while self._wrong and self._wrong[0][0] <= now_ns - JUDGED_NS:
             self._wrong.popleft()
-        if since_ns > 0 and not self._is_right(telemetry):
+        if since_ns > 0 and not is_explained(
+            np.array(telemetry.echo_us), self._sent_ns, self._told_us, self._count, telemetry.arrival_ns
+        ):
             self._wrong.append((now_ns, min(since_ns, LONGEST_NS)))
         self.wrong_s = sum(ns for _, ns in self._wrong) * 1e-9
-
-    def _is_right(self, telemetry: Telemetry) -> bool:
-        lately = self._lately(telemetry.arrival_ns)
-        if not lately:
-            return True
-        if any(abs(a - b) > LEAP_US for one, other in pairwise(lately) for a, b in zip(one[:4], other[:4], strict=True)):
-            return _between(telemetry.echo_us, lately)
-        return any(_between(telemetry.echo_us, lately[i : i + 2]) for i in range(len(lately)))
-
-    def _lately(self, arrival_ns: int) -> list[Pulses]:
-        """Return the commands sent before an echo came, newest first; also the last one before that time span, which held into
-        it."""
-        lately = []
-        for sent_ns, pulse_us in reversed(self._told):
-            if sent_ns <= arrival_ns:
-                lately.append(pulse_us)
-                if sent_ns <= arrival_ns - LATELY_NS:
-                    break
-        return lately
-
-
-def _between(echo_us: Pulses, told: Sequence[Pulses]) -> bool:
-    """True if every output lies within the range of the given commands."""
-    return all(
-        min(pulses) - TOLERANCE_US <= echo <= max(pulses) + TOLERANCE_US
-        for echo, pulses in zip(echo_us, zip(*told, strict=True), strict=True)
-    )

@@ -17,13 +17,14 @@ measured on flights of the article's robot with masses and thrusters off by 30 %
 """
 
 import math
-from collections import deque
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robot_agent.safety.likelihood_ratio import LikelihoodRatioTest
 from wire.config.vehicle import Vehicle
 from wire.frames import Array
+from wire.kernels import kernel
 
 NS = 1_000_000_000
 SMOOTH_S = 0.3  # T: noise of the gyroscope, 3 mrad/s, is then 1.2 mN m; one idle thruster of the article's robot turns with 12
@@ -43,6 +44,34 @@ APART_NS = NS // 20  # as it does if the board's clock tells otherwise how long 
 # Covariance of how far the residual goes with the legs' moments, drag, the moment's change, and nothing.
 PRIOR = np.diag(np.square([OF_ONE] * LEGS + [OF_DRAG, LATE_S, OF_NOTHING_NM]))
 PRIOR[:LEGS, :LEGS] += OF_ALL**2
+KEPT = 64  # commands: more than act within LONGEST_NS of the fastest loop
+
+
+@kernel("void(i8[::1], f8[:,::1], i8, f8, i8, i8, f8[::1], f8[::1])")
+def follow_commands(
+    acts_ns: NDArray[np.int64],
+    moments: Array,
+    count: int,
+    lag_s: float,
+    from_ns: int,
+    to_ns: int,
+    acting: Array,
+    impulse: Array,
+) -> None:
+    """Let the legs' moments `acting` (4,) follow the first `count` of the commands `moments` (n, 4), each from its instant
+    `acts_ns` on and zero before the first, with the thrusters' lag. `impulse` (4,) is their integral meanwhile, N m s."""
+    impulse[:] = 0.0
+    for i in range(-1, count):
+        begin_ns = max(acts_ns[i], from_ns) if i >= 0 else from_ns
+        end_ns = min(acts_ns[i + 1], to_ns) if i + 1 < count else to_ns
+        if end_ns > begin_ns:
+            span_s = (end_ns - begin_ns) / NS
+            left = math.exp(-span_s / lag_s) if lag_s > 0.0 else 0.0
+            for leg in range(LEGS):
+                wanted = moments[i, leg] if i >= 0 else 0.0
+                behind = acting[leg] - wanted
+                impulse[leg] += wanted * span_s + behind * lag_s * (1.0 - left)
+                acting[leg] = wanted + behind * left
 
 
 class ThrusterFaultDetector:
@@ -57,8 +86,8 @@ class ThrusterFaultDetector:
     def reset(self) -> None:
         """Start anew: thrusters at rest, nothing learned."""
         self.broken = False  # stays so until the next reset
-        self._told: deque[tuple[int, Array]] = deque(maxlen=64)  # from when on it acts, each leg's moment
-        self._acting = np.zeros(LEGS)
+        self._acts_ns, self._told, self._count = np.zeros(KEPT, np.int64), np.zeros((KEPT, LEGS)), 0  # from when on each acts
+        self._acting, self._impulse = np.zeros(LEGS), np.zeros(LEGS)
         self._rate: float | None = None
         self._at_ns = self._board_ns = 0
         self._forget_causes()
@@ -72,9 +101,11 @@ class ThrusterFaultDetector:
     def note_moments(self, moments_nm: Array, now_ns: int) -> None:
         """Take note of the yaw moments (4,) of pulses that went out. Of two at one instant the last counts."""
         acts_ns = now_ns + self._dead_ns
-        if self._told and self._told[-1][0] == acts_ns:
-            self._told.pop()
-        self._told.append((acts_ns, moments_nm))
+        if not self._count or self._acts_ns[self._count - 1] != acts_ns:
+            if self._count == KEPT:
+                self._acts_ns[:-1], self._told[:-1] = self._acts_ns[1:], self._told[1:]
+            self._count = min(self._count + 1, KEPT)
+        self._acts_ns[self._count - 1], self._told[self._count - 1] = acts_ns, moments_nm
 
     def step(self, yaw_rate_radps: float, at_ns: int, board_ns: int) -> None:
         """Take in a yaw rate with its instant on our clock and on the board's clock. A sample that was given before is
@@ -110,17 +141,8 @@ class ThrusterFaultDetector:
 
     def _push(self, from_ns: int, to_ns: int) -> Array:
         """Let the thrusters follow their commands; return the integral of their moments (4,), N m s."""
-        impulse = np.zeros(LEGS)
-        while from_ns < to_ns:
-            while len(self._told) > 1 and self._told[1][0] <= from_ns:
-                self._told.popleft()
-            wanted = self._told[0][1] if self._told and self._told[0][0] <= from_ns else np.zeros(LEGS)
-            until_ns = min([to_ns, *(acts_ns for acts_ns, _ in self._told if acts_ns > from_ns)])
-            span_s, behind = (until_ns - from_ns) / NS, self._acting - wanted
-            left = math.exp(-span_s / self._lag_s) if self._lag_s > 0.0 else 0.0
-            impulse = impulse + wanted * span_s + behind * self._lag_s * (1.0 - left)
-            self._acting, from_ns = wanted + behind * left, until_ns
-        return impulse
+        follow_commands(self._acts_ns, self._told, self._count, self._lag_s, from_ns, to_ns, self._acting, self._impulse)
+        return self._impulse
 
     def _observe(self, rate: float, measured: float, moment: float, elapsed_s: float) -> float:
         """Advance the observer; return the residual moment, N m."""

@@ -9,12 +9,11 @@ sign, so an ankle never turns over when surge reverses. What does not fit gives 
 """
 
 import math
-from bisect import bisect_right
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
-from robot_agent.vehicle.dynamics import Wrench
 from wire.config.vehicle import Vehicle
 from wire.frames import Array
 from wire.kernels import kernel
@@ -78,15 +77,57 @@ def allocate(
         angle[i] = math.atan(t * angle[i])
 
 
-@kernel("void(f8[::1], f8[::1], f8[:,::1], f8[::1])")
-def total_wrench(force: Array, angle: Array, legs: Array, wrench: Array) -> None:
-    """Forward equations of the module: thruster forces (4,) and ankle angles (4,) -> wrench (3,)."""
+@kernel("void(f8[::1], f8[:,::1], f8, f8, f8, f8, f8[::1], i8, i8, f8, f8, f8[::1], f8[::1], i8[::1])")
+def allocate_pulses(
+    wrench: Array,
+    legs: Array,
+    idle_n: float,
+    ahead_n: float,
+    astern_n: float,
+    steepest_tan: float,
+    between_n: Array,
+    slowest_us: int,
+    neutral_us: int,
+    level_us: float,
+    us_per_rad: float,
+    force: Array,
+    angle: Array,
+    pulse: NDArray[np.int64],
+) -> None:
+    """Pulses (8,) in us for a wrench (3,): those with the nearest thrust of the curve and the nearest ankle angle.
+
+    `between_n` (pulses - 1,): thrusts halfway between two pulses, from `slowest_us` on. The smallest thrust lies just outside
+    the dead zone; zero force is `neutral_us`. An ankle is level at `level_us`. See `allocate` for the rest.
+    """
+    allocate(wrench, legs, idle_n, ahead_n, astern_n, steepest_tan, force, angle)
+    for i in range(4):
+        pulse[i] = neutral_us
+        if force[i] != 0.0:
+            pulse[i] = slowest_us + np.searchsorted(between_n, force[i], "right")
+        pulse[4 + i] = int(np.rint(level_us + us_per_rad * angle[i]))
+
+
+@kernel("void(i8[::1], f8[:,::1], f8[::1], i8, f8, f8, f8[::1], f8[::1])")
+def deliver(
+    pulse: NDArray[np.int64],
+    legs: Array,
+    thrust_n: Array,
+    slowest_us: int,
+    level_us: float,
+    us_per_rad: float,
+    wrench: Array,
+    moment: Array,
+) -> None:
+    """Forward equations of the module: what pulses (8,) give by the curve `thrust_n` (pulses,), from `slowest_us` on: wrench
+    (3,), and the yaw moment of each leg (4,) in N m."""
     wrench[:] = 0.0
     for i in range(4):
-        level = force[i] * math.cos(angle[i])
+        force, angle = thrust_n[pulse[i] - slowest_us], (pulse[4 + i] - level_us) / us_per_rad
+        level = force * math.cos(angle)
+        moment[i] = -legs[i, 1] * level
         wrench[0] += level
-        wrench[1] += force[i] * math.sin(angle[i])
-        wrench[2] -= legs[i, 1] * level
+        wrench[1] += force * math.sin(angle)
+        wrench[2] += moment[i]
 
 
 class Allocator:
@@ -105,42 +146,29 @@ class Allocator:
         # Pulses are whole microseconds: the thrust of each there is, and between them where one is nearer than the other.
         self._slowest_us = int(curve[0][0])
         pulses_us = np.arange(self._slowest_us, int(curve[-1][0]) + 1, dtype=np.float64)
-        self._thrust_n: list[float] = vehicle.thruster.force_n(pulses_us).tolist()
-        self._between_n: list[float] = vehicle.thruster.force_n(pulses_us[:-1] + 0.5).tolist()
+        self._thrust_n = np.asarray(vehicle.thruster.force_n(pulses_us))
+        self._between_n = np.asarray(vehicle.thruster.force_n(pulses_us[:-1] + 0.5))
 
     def pulses(self, wrench: Array) -> tuple[int, ...]:
         """Pulse widths (us) for a wrench (3,), as far as the thrusters can deliver it; neutral if it is not finite."""
         if not math.isfinite(sum(wrench.tolist())):
             return self.neutral_us
-        force, ankle = self.forces(wrench)
-        level_us, per_rad = self._ankle_level_us, self._ankle_us_per_rad
-        return (*[self._pulse(f) for f in force.tolist()], *[round(level_us + per_rad * a) for a in ankle.tolist()])
+        pulse = np.empty(8, np.int64)
+        allocate_pulses(
+            wrench, self._legs, self._idle_n, self._ahead_n, self._astern_n, self._steepest_tan, self._between_n,
+            self._slowest_us, self.neutral_us[0], self._ankle_level_us, self._ankle_us_per_rad, np.empty(4), np.empty(4),
+            pulse,
+        )  # fmt: skip
+        return tuple(pulse.tolist())
 
-    def _pulse(self, force_n: float) -> int:
-        """Pulse with the nearest thrust of the curve. The smallest lies just outside the dead zone; zero force is neutral."""
-        return self._slowest_us + bisect_right(self._between_n, force_n) if force_n else self.neutral_us[0]
-
-    def delivered(self, pulse_us: tuple[int, ...]) -> Wrench:
-        """Wrench of eight pulse widths by the nominal thrust curve, for the estimator."""
-        return self.wrench(*self._put_out(pulse_us))
-
-    def leg_moments(self, pulse_us: tuple[int, ...]) -> Array:
-        """Yaw moment of each leg (4,) for eight pulse widths, N m."""
-        force, angle = self._put_out(pulse_us)
-        return np.asarray(-self._legs[:, 1] * force * np.cos(angle))
-
-    def _put_out(self, pulse_us: tuple[int, ...]) -> tuple[Array, Array]:
-        """Thrusts (N) and ankle angles (rad) of eight pulse widths."""
-        force = [self._thrust_n[pulse - self._slowest_us] for pulse in pulse_us[:4]]
-        angle = [(pulse - self._ankle_level_us) / self._ankle_us_per_rad for pulse in pulse_us[4:]]
-        return np.array(force), np.array(angle)
-
-    def wrench(self, force_n: Array, ankle_rad: Array) -> Wrench:
-        """Forward equations: four thruster forces and ankle angles -> wrench."""
-        wrench = np.empty(3)
-        total_wrench(force_n, ankle_rad, self._legs, wrench)
-        surge, heave, yaw = wrench.tolist()
-        return surge, heave, yaw
+    def delivered(self, pulse_us: tuple[int, ...]) -> tuple[Array, Array]:
+        """Wrench (3,) of eight pulse widths by the nominal thrust curve, and the yaw moment of each leg (4,), N m."""
+        wrench, moment = np.empty(3), np.empty(4)
+        deliver(
+            np.array(pulse_us), self._legs, self._thrust_n, self._slowest_us, self._ankle_level_us, self._ankle_us_per_rad,
+            wrench, moment,
+        )  # fmt: skip
+        return wrench, moment
 
     def forces(self, wrench: Sequence[float] | Array) -> tuple[Array, Array]:
         """Four thruster forces in N and ankle angles in rad for a wrench."""

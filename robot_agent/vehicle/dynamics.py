@@ -124,6 +124,29 @@ def propagate(
     return state
 
 
+@kernel(
+    "UniTuple(UniTuple(f8,11),2)"
+    "(f8[:,::1], f8, f8, UniTuple(f8,11), UniTuple(f8,4), UniTuple(f8,2), i8[::1], f8[:,::1], i8, i8, i8, i8)"
+)
+def propagate_twice(
+    model: Array,
+    sway: float,
+    lag_s: float,
+    state: State,
+    gamma: tuple[float, ...],
+    current: tuple[float, float],
+    acts_ns: NDArray[np.int64],
+    wrenches: Array,
+    count: int,
+    from_ns: int,
+    to_ns: int,
+    on_to_ns: int,
+) -> tuple[State, State]:
+    """States at `to_ns` and, from there, at `on_to_ns`: see `propagate`."""
+    there = propagate(model, sway, lag_s, state, gamma, current, acts_ns, wrenches, count, from_ns, to_ns)
+    return there, propagate(model, sway, lag_s, there, gamma, current, acts_ns, wrenches, count, to_ns, on_to_ns)
+
+
 class Model:
     """Nominal dynamics of a vehicle. `sway = False` gives the article's model: v stays zero."""
 
@@ -145,12 +168,6 @@ class Model:
         speed = math.hypot(u, v)
         along, aside = self.linear[0] + self.quadratic[0] * speed, self.linear[1] + self.quadratic[1] * speed
         return along * u / self.mass[0], aside * v / self.mass[1]
-
-    def sway_slope(self, u: float, v: float) -> float:
-        """Rate (1/s) at which sideways motion decays at velocities u, v: slope of the drag, per mass."""
-        speed = math.hypot(u, v)
-        bend = v * v / speed if speed > 0.0 else 0.0
-        return (self.linear[1] + self.quadratic[1] * (speed + bend)) / self.mass[1]
 
     def advance(self, state: State, disturbance: Sequence[float], wrench: Sequence[float], dt_s: float) -> State:
         """Return the state after `dt_s` (one control step or less) of a constant commanded wrench and disturbance (4,)."""

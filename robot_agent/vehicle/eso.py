@@ -20,12 +20,18 @@ from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
-from robot_agent.vehicle.dynamics import Model, State, Wrench, propagate
+from robot_agent.vehicle.dynamics import Model, State, Wrench, propagate, propagate_twice
 from wire.config.controller import COAST_S, EstimatorConfig
 from wire.frames import Array, wrap
+from wire.kernels import kernel
 
 S = TypeVar("S")
+# Arguments of dynamics.propagate but for the last: model, sway, lag, state, Gamma, current, inputs, their count, instant
+Motion = tuple[
+    Array, float, float, State, tuple[float, ...], tuple[float, float], NDArray[np.int64], Array, int, int
+]  # fmt: skip
 
 NS = 1_000_000_000
 COAST_NS = round(COAST_S * 1e9)  # prediction alone is no estimate any more: the agent has been neutral for half of it
@@ -37,6 +43,105 @@ ABSURD = 1e3  # m, rad, rad/s: nothing in a pool measures that much
 SENSED_KEPT = 16  # board samples, one per step: reaches back 0.8 s
 SENSED_HELD_NS = 150_000_000  # so long a board sample stands for what came after it: three bursts at 20 Hz
 INPUTS_KEPT = 256  # more than COAST_NS of the fastest loop
+NOTHING = (0.0, 0.0, 0.0, 0.0)  # Gamma
+
+
+@kernel("Tuple((f8, c16, f8))(f8, c16, f8, f8, f8, f8)")
+def split_side_force(
+    side: float, current: complex, yaw: float, slope: float, share: float, fastest_mps: float
+) -> tuple[float, complex, float]:
+    """Division of a side force (m/s^2) between Gamma_v and the current: both anew, and by how much the current grew to the
+    side (m/s). The sway velocity through the water falls by as much.
+
+    `slope` is that of the sway drag, `share` the part that goes to the current. A current at its limit grows no further: the
+    rest stays a side force.
+    """
+    drift = share * side / slope
+    aside = complex(-math.sin(yaw), math.cos(yaw))
+    if abs(current + drift * aside) > fastest_mps:
+        along = current.real * aside.real + current.imag * aside.imag  # |current + t aside| = fastest at t = -along +- half
+        half = math.sqrt(max(along**2 + fastest_mps**2 - abs(current) ** 2, 0.0))
+        drift = min(max(drift, min(-along - half, 0.0)), max(-along + half, 0.0))
+    return side - drift * slope, current + drift * aside, drift
+
+
+@kernel("UniTuple(f8,3)(f8, f8)")
+def gains(bandwidth_radps: float, step_s: float) -> tuple[float, float, float]:
+    """Innovation gains b1, b2, b3 for pose, velocity and Gamma: all three observer poles at exp(-w dt)."""
+    beta = math.exp(-bandwidth_radps * step_s)
+    rest = 1.0 - beta
+    return 1.0 - beta**3, 1.5 * rest * rest * (1.0 + beta) / step_s, rest**3 / (step_s * step_s)
+
+
+@kernel("UniTuple(f8,3)(f8, f8)")
+def gains_with_rate(bandwidth_radps: float, step_s: float) -> tuple[float, float, float]:
+    """Gains b1, b2, b3 if velocity is measured too: pose by the pose error; velocity and Gamma by the velocity error."""
+    beta = math.exp(-bandwidth_radps * step_s)
+    rest = 1.0 - beta
+    return rest, 1.0 - beta * beta, rest * rest / step_s
+
+
+@kernel("f8(f8[:,::1], f8, f8)")
+def sway_slope(model: Array, u: float, v: float) -> float:
+    """Rate (1/s) at which sideways motion decays at velocities u, v through the water: slope of the drag, per mass."""
+    speed = math.sqrt(u * u + v * v)
+    bend = v * v / speed if speed > 0.0 else 0.0
+    return float((model[1, 1] + model[2, 1] * (speed + bend)) / model[0, 1])
+
+
+@kernel(
+    "Tuple((UniTuple(f8,11), UniTuple(f8,4), c16))"
+    "(f8[:,::1], UniTuple(f8,11), UniTuple(f8,4), c16, UniTuple(f8,3), f8, f8, f8, f8, f8, b1, b1, f8, f8)"
+)
+def correct(
+    model: Array,
+    state: State,
+    gamma: tuple[float, ...],
+    current: complex,
+    error: tuple[float, float, float],
+    depth_m: float,
+    rate_radps: float,
+    step_s: float,
+    bandwidth_radps: float,
+    yaw_bandwidth_radps: float,
+    enabled: bool,
+    sway: bool,
+    current_rate_radps: float,
+    fastest_mps: float,
+) -> tuple[State, tuple[float, ...], complex]:
+    """State, Gamma and current after a pose that differs by `error` (x, y, yaw) from the `state` predicted for it: (31) on
+    the pool's axes x, y, z and yaw, `step_s` after the last one.
+
+        eta += b1 e      nu += b2 J^T e      Gamma += b3 J^T e      J^T turns into the body frame
+
+    `depth_m` and `rate_radps` are NaN when not known. Not `enabled`: no Gamma; without `sway` v and Gamma_v stay as they are.
+    """
+    x, y, z, yaw, u, v, w, r, surge_n, heave_n, yaw_nm = state
+    gamma_u, gamma_v, gamma_w, gamma_r = gamma
+    b1, b2, b3 = gains(bandwidth_radps, step_s)
+    estimates = 1.0 if enabled else 0.0
+    b3 *= estimates
+    c, s = math.cos(yaw), math.sin(yaw)
+    error_u, error_v = c * error[0] + s * error[1], -s * error[0] + c * error[1]
+    x, y, u, gamma_u = x + b1 * error[0], y + b1 * error[1], u + b2 * error_u, gamma_u + b3 * error_u
+    if sway:
+        v += b2 * error_v
+        share = -math.expm1(-current_rate_radps * step_s)
+        gamma_v, current, drift = split_side_force(
+            gamma_v + b3 * error_v, current, yaw, sway_slope(model, u, v), share, fastest_mps
+        )
+        v -= drift
+    if not math.isnan(depth_m):
+        error_z = depth_m - z
+        z, w, gamma_w = z + b1 * error_z, w + b2 * error_z, gamma_w + b3 * error_z
+    if math.isnan(rate_radps):
+        b1, b2, b3 = gains(yaw_bandwidth_radps, step_s)
+        error_r = error[2]
+    else:  # the gyroscope sees the rate at once, the camera keeps the heading; a gyro bias of 2 mrad/s moves it by 0.5 mrad
+        b1, b2, b3 = gains_with_rate(yaw_bandwidth_radps, step_s)
+        error_r = rate_radps - r
+    yaw, r, gamma_r = yaw + b1 * error[2], r + b2 * error_r, gamma_r + estimates * b3 * error_r
+    return (x, y, z, yaw, u, v, w, r, surge_n, heave_n, yaw_nm), (gamma_u, gamma_v, gamma_w, gamma_r), current
 
 
 @dataclass(frozen=True)
@@ -109,7 +214,7 @@ class Estimator:
         self._inputs = 0  # wrenches, each with the instant from which it acts, in order
         self._sensed: deque[tuple[int, float | None, float | None]] = deque(maxlen=SENSED_KEPT)
         self._state: State | None = None  # at the exposure _at_ns
-        self._disturbance = [0.0, 0.0, 0.0, 0.0]
+        self._gamma: tuple[float, ...] = NOTHING
         self._current = 0j
         self._at_ns = 0
         self._other_poses: Contradiction[PoseMeasurement] = Contradiction(lambda a, b: not _exceeds_gate(_moved(a, b)))
@@ -123,13 +228,14 @@ class Estimator:
         """Use other gains from the next pose on; the estimate stays."""
         self._config = config
 
-    def note_wrench(self, wrench: Wrench, now_ns: int) -> None:
+    def note_wrench(self, wrench: Wrench | Array, now_ns: int) -> None:
         """Take note of the wrench sent out now. It acts after the thrusters' dead time. Of two at one instant the last
         counts."""
         acts_ns = now_ns + self._dead_ns
         if not self._inputs or self._acts_ns[self._inputs - 1] != acts_ns:
-            if self._inputs == INPUTS_KEPT:
-                self._drop_inputs(1)
+            if self._inputs == INPUTS_KEPT:  # the last one before the state's instant still acts
+                acted = int(np.searchsorted(self._acts_ns, self._at_ns, side="right"))
+                self._drop_inputs(max(acted - 1, 1))
             self._inputs += 1
         self._acts_ns[self._inputs - 1], self._wrenches[self._inputs - 1] = acts_ns, wrench
 
@@ -142,15 +248,11 @@ class Estimator:
         if pose is not None and pose.stamp_ns <= now_ns and _sane(pose.x_m) and _sane(pose.y_m) and _sane(pose.yaw_rad):
             self._correct_with_pose(pose, now_ns)
         if self._state is None or now_ns - self._at_ns > COAST_NS:
-            self._state, self._disturbance = None, [0.0, 0.0, 0.0, 0.0]
+            self._state, self._gamma = None, NOTHING
             return None
-        over = int(np.searchsorted(self._acts_ns[: self._inputs], self._at_ns, side="right")) - 1
-        if over > 0:
-            self._drop_inputs(over)
-        now = self._propagate(self._state, self._at_ns, now_ns)
-        action = self._propagate(now, now_ns, now_ns + self._dead_ns)
+        now, action = propagate_twice(*self._motion(self._state, self._at_ns), now_ns, now_ns + self._dead_ns)
         nu, gamma_still_water = self._over_ground(now)
-        disturbance, age_s = np.array(self._disturbance), (now_ns - self._at_ns) / NS
+        disturbance, age_s = np.array(self._gamma), (now_ns - self._at_ns) / NS
         depth_age_s = (now_ns - self._depth_ns) / NS if self._depth_ns is not None else math.inf
         eta, current = np.array(now[:4]), self._current
         return Estimate(
@@ -160,7 +262,7 @@ class Estimator:
     def _over_ground(self, state: State) -> tuple[Array, Array]:
         """Return velocities over ground, and Gamma with the acceleration by which the current changes drag at them; (4,)
         each."""
-        (u, v, w, r), (gamma_u, gamma_v, gamma_w, gamma_r) = state[4:8], self._disturbance
+        (u, v, w, r), (gamma_u, gamma_v, gamma_w, gamma_r) = state[4:8], self._gamma
         if self._current:
             carried = self._current * cmath.rect(1.0, -state[3])
             through_u, through_v = self._model.drag(u, v)
@@ -209,7 +311,8 @@ class Estimator:
         """Set depth, at rest, and clear the heave disturbance."""
         assert self._state is not None
         x, y, _, yaw, u, v, _, r, *thrust = self._state
-        self._state, self._disturbance[2] = (x, y, depth_m, yaw, u, v, 0.0, r, *thrust), 0.0
+        gamma_u, gamma_v, _, gamma_r = self._gamma
+        self._state, self._gamma = (x, y, depth_m, yaw, u, v, 0.0, r, *thrust), (gamma_u, gamma_v, 0.0, gamma_r)
 
     def _accepts_rate(self, rate_radps: float) -> bool:
         """True if a yaw rate passes the gate. A single outlier is left out, a persistent one replaces the estimate."""
@@ -237,7 +340,7 @@ class Estimator:
             return
         if pose.stamp_ns <= max(self._at_ns, self._contradicted_ns):
             return  # seen before, or overtaken by a newer one
-        predicted = self._propagate(self._state, self._at_ns, pose.stamp_ns)
+        predicted = propagate(*self._motion(self._state, self._at_ns), pose.stamp_ns)
         error = (pose.x_m - predicted[0], pose.y_m - predicted[1], wrap(pose.yaw_rad - predicted[3]))
         if _exceeds_gate(error):
             self._contradicted_ns = pose.stamp_ns
@@ -247,60 +350,32 @@ class Estimator:
                 self._begin(pose)
             return
         self._other_poses.reset()
-        elapsed_s = (pose.stamp_ns - self._at_ns) / NS
-        self._state, self._at_ns = self._correct(predicted, error, pose.stamp_ns, elapsed_s), pose.stamp_ns
+        config = self._config
+        self._state, self._gamma, self._current = correct(
+            self._model.coefficients, predicted, self._gamma, self._current, error, self._sensed_at(1, pose.stamp_ns),
+            self._sensed_at(2, pose.stamp_ns), (pose.stamp_ns - self._at_ns) / NS, config.bandwidth_radps,
+            config.yaw_bandwidth_radps, config.enabled, config.sway, config.current_rate_radps, self._fastest_mps,
+        )  # fmt: skip
+        self._at_ns = pose.stamp_ns
 
     def _begin(self, pose: PoseMeasurement) -> None:
         """Start at rest at a pose. Depth and the heave disturbance have another source and go on."""
         if self._state is None:
             depth = self._sensed_at(1, pose.stamp_ns)
-            z, yaw, w = depth if depth is not None else 0.0, pose.yaw_rad, 0.0
+            z, yaw, w = 0.0 if math.isnan(depth) else depth, pose.yaw_rad, 0.0
             thrust: State = (0.0, 0.0, 0.0)
         else:
-            _, _, z, yaw, _, _, w, _, *rest = self._propagate(self._state, self._at_ns, pose.stamp_ns)
+            _, _, z, yaw, _, _, w, _, *rest = propagate(*self._motion(self._state, self._at_ns), pose.stamp_ns)
             yaw, thrust = yaw + wrap(pose.yaw_rad - yaw), tuple(rest)
         self._state = (pose.x_m, pose.y_m, z, yaw, 0.0, 0.0, w, 0.0, *thrust)
-        self._disturbance, self._current = [0.0, 0.0, self._disturbance[2], 0.0], 0j
+        self._gamma, self._current = (0.0, 0.0, self._gamma[2], 0.0), 0j
         self._at_ns = pose.stamp_ns
         self._other_poses.reset()
         self._other_rates.reset()
 
-    def _correct(self, state: State, error: tuple[float, float, float], at_ns: int, elapsed_s: float) -> State:
-        """Apply (31) to pool axes x, y, z and yaw with gains b1 (pose), b2 (velocity), b3 (Gamma). Velocities and Gamma are
-        corrected in the body frame, by J^T of the error."""
-        x, y, z, yaw, u, v, w, r, *thrust = state
-        gamma, config = self._disturbance, self._config
-        b1, b2, b3 = gains(config.bandwidth_radps, elapsed_s)
-        if not config.enabled:
-            b3 = 0.0
-        c, s = math.cos(yaw), math.sin(yaw)
-        error_u, error_v = c * error[0] + s * error[1], -s * error[0] + c * error[1]  # J^T of the planar innovation
-        x, y = x + b1 * error[0], y + b1 * error[1]
-        u, gamma[0] = u + b2 * error_u, gamma[0] + b3 * error_u
-        if config.sway:
-            v += b2 * error_v
-            side, slope = gamma[1] + b3 * error_v, self._model.sway_slope(u, v)
-            share = -math.expm1(-config.current_rate_radps * elapsed_s)
-            gamma[1], self._current, drift = split_side_force(side, self._current, yaw, slope, share, self._fastest_mps)
-            v -= drift
-        depth = self._sensed_at(1, at_ns)
-        if depth is not None:
-            error_z = depth - z
-            z, w, gamma[2] = z + b1 * error_z, w + b2 * error_z, gamma[2] + b3 * error_z
-        rate = self._sensed_at(2, at_ns)
-        if rate is None:
-            b1, b2, b3 = gains(config.yaw_bandwidth_radps, elapsed_s)
-            r, gamma_step = r + b2 * error[2], b3 * error[2]
-        else:
-            # The gyroscope sees the rate at once, the camera keeps the heading; a gyro bias of 2 mrad/s moves it by 0.5 mrad.
-            b1, b2, b3 = gains_with_rate(config.yaw_bandwidth_radps, elapsed_s)
-            error_r = rate - r
-            r, gamma_step = r + b2 * error_r, b3 * error_r
-        gamma[3] += gamma_step if config.enabled else 0.0
-        return (x, y, z, yaw + b1 * error[2], u, v, w, r, *thrust)
-
-    def _sensed_at(self, column: int, at_ns: int) -> float | None:
-        """Return depth (1) or yaw rate (2) at an instant, interpolated between board samples and held at the ends."""
+    def _sensed_at(self, column: int, at_ns: int) -> float:
+        """Return depth (1) or yaw rate (2) at an instant, interpolated between board samples and held at the ends; NaN if
+        there is none."""
         later: tuple[int, float] | None = None
         for sample in reversed(self._sensed):
             value = sample[column]
@@ -308,10 +383,10 @@ class Estimator:
                 continue
             if sample[0] <= at_ns:
                 if later is None:
-                    return value if at_ns - sample[0] <= SENSED_HELD_NS else None
+                    return value if at_ns - sample[0] <= SENSED_HELD_NS else math.nan
                 return value + (later[1] - value) * (at_ns - sample[0]) / (later[0] - sample[0])
             later = (sample[0], value)
-        return later[1] if later is not None else None
+        return later[1] if later is not None else math.nan
 
     def _drop_inputs(self, count: int) -> None:
         """Forget the oldest wrenches."""
@@ -319,45 +394,14 @@ class Estimator:
         for column in (self._acts_ns, self._wrenches):
             column[: self._inputs] = column[count : count + self._inputs]
 
-    def _propagate(self, state: State, from_ns: int, to_ns: int) -> State:
-        """Predict the state with the wrenches that act in between, without correction."""
+    def _motion(self, state: State, at_ns: int) -> Motion:
+        """Arguments of `propagate` up to the instant of `state`: it predicts with the wrenches that act, without
+        correction."""
         model, current = self._model, (self._current.real, self._current.imag)
-        return propagate(
-            model.coefficients, model.sway, model.lag_s, state, tuple(self._disturbance), current,
-            self._acts_ns, self._wrenches, self._inputs, from_ns, to_ns,
+        return (
+            model.coefficients, model.sway, model.lag_s, state, self._gamma, current, self._acts_ns, self._wrenches,
+            self._inputs, at_ns,
         )  # fmt: skip
-
-
-def split_side_force(
-    side: float, current: complex, yaw: float, slope: float, share: float, fastest_mps: float
-) -> tuple[float, complex, float]:
-    """Division of a side force (m/s^2) between Gamma_v and the current: both anew, and by how much the current grew to the
-    side (m/s). The sway velocity through the water falls by as much.
-
-    `slope` is that of the sway drag, `share` the part that goes to the current. A current at its limit grows no further: the
-    rest stays a side force.
-    """
-    drift = share * side / slope
-    aside = cmath.rect(1.0, yaw + 0.5 * math.pi)
-    if abs(current + drift * aside) > fastest_mps:
-        along = (current * aside.conjugate()).real  # |current + t aside| = fastest at t = -along +- half
-        half = math.sqrt(max(along**2 + fastest_mps**2 - abs(current) ** 2, 0.0))
-        drift = min(max(drift, min(-along - half, 0.0)), max(-along + half, 0.0))
-    return side - drift * slope, current + drift * aside, drift
-
-
-def gains(bandwidth_radps: float, step_s: float) -> tuple[float, float, float]:
-    """Innovation gains b1, b2, b3 for pose, velocity and Gamma: all three observer poles at exp(-w dt)."""
-    beta = math.exp(-bandwidth_radps * step_s)
-    rest = 1.0 - beta
-    return 1.0 - beta**3, 1.5 * rest * rest * (1.0 + beta) / step_s, rest**3 / (step_s * step_s)
-
-
-def gains_with_rate(bandwidth_radps: float, step_s: float) -> tuple[float, float, float]:
-    """Gains b1, b2, b3 if velocity is measured too: pose by the pose error; velocity and Gamma by the velocity error."""
-    beta = math.exp(-bandwidth_radps * step_s)
-    rest = 1.0 - beta
-    return rest, 1.0 - beta * beta, rest * rest / step_s
 
 
 def _moved(a: PoseMeasurement, b: PoseMeasurement) -> tuple[float, float, float]:

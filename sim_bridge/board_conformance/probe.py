@@ -14,10 +14,12 @@ from wire.mavlink.agent_link import BOARD_COMPONENT, IGNORED, AgentLink
 from wire.mavlink.framing import Sender
 from wire.mavlink.parameters import ParameterClient
 from wire.mavlink.signing import Key
+from wire.mavlink.simulator_link import LINK_ID, SimulatorLink
 
 MS, S = 1_000_000, 1_000_000_000
 PERIOD_NS = 50 * MS  # ns between overrides, as in flight
 STALL_NS = 15 * MS  # ns; if this machine wakes later than that, measurements meanwhile say nothing about the board
+HEADING_RAD, TURN_RADPS, FORCE_MPS2, DEPTH_M = 2.0, -0.5, (1.0, -2.0, -9.0), 3.0  # of simulated measurements
 NUDGE_US = 60.0  # us from neutral, with which a thruster turns slowly
 
 
@@ -50,6 +52,9 @@ class BoardProbe:
         self.wire, self.robot_id, self.key = wire, robot_id, key
         self.computer = AgentLink(robot_id, key, now)
         self.station = ParameterClient(robot_id, None if key is None else Key(key.secret, 1), now)
+        simulator_key = None if key is None else Key(key.secret, LINK_ID)
+        self.simulator = SimulatorLink(robot_id, simulator_key, now)
+        self.other_simulator = SimulatorLink(robot_id % 250 + 1, simulator_key, now)
         self._other = Sender((254, 190), None if key is None else Key(key.secret, 2), now)
         self.samples: list[Sample] = []
         self.bytes_heard = 0
@@ -139,6 +144,10 @@ class BoardProbe:
         """A ground station's request to arm or disarm."""
         message = dialect.MAVLink_command_long_message(self.robot_id, BOARD_COMPONENT, 400, 0, float(arm), 0, 0, 0, 0, 0, 0)
         return self._other.pack(message)
+
+    def motion(self, simulator: SimulatorLink | None = None) -> bytes:
+        """Simulated measurements that no board on a bench has: HEADING_RAD and so on."""
+        return (simulator or self.simulator).motion(self.wire.now_ns() // 1000, HEADING_RAD, TURN_RADPS, FORCE_MPS2, DEPTH_M)
 
     # --- what is asked
 

@@ -6,7 +6,16 @@ A check takes a board at rest. It returns True if the board did as required, and
 import math
 from collections.abc import Callable
 
-from sim_bridge.board_conformance.probe import MS, NUDGE_US, PERIOD_NS, BoardProbe
+from sim_bridge.board_conformance.probe import (
+    DEPTH_M,
+    FORCE_MPS2,
+    HEADING_RAD,
+    MS,
+    NUDGE_US,
+    PERIOD_NS,
+    TURN_RADPS,
+    BoardProbe,
+)
 from sim_bridge.board_conformance.runner import Measured, Rule
 from wire.mavlink.agent_link import ACCEPTED, AgentLink
 from wire.mavlink.signing import Key
@@ -366,6 +375,86 @@ def _unknown(probe: BoardProbe) -> Measured:
     return len(probe.station.values) == before and error is not None, f"error {error[1]}" if error else "no PARAM_ERROR"
 
 
+# --- hardware in the loop
+
+
+def in_hil(check: Callable[[BoardProbe], Measured]) -> Callable[[BoardProbe], Measured]:
+    """A check of a board in HIL mode."""
+
+    def checked(probe: BoardProbe) -> Measured:
+        try:
+            if not probe.set("HIL_MODE", 1.0):
+                return False, "HIL_MODE cannot be set"
+            return check(probe)
+        finally:
+            probe.rest()
+            probe.set("HIL_OUTPUTS", 0.0)
+            probe.set("HIL_MODE", 0.0)
+
+    return checked
+
+
+def _simulated(probe: BoardProbe) -> bool:
+    """True if the board's last telemetry is what `BoardProbe.motion` says, and not its own."""
+    seen = probe.computer.telemetry
+    near = math.dist(seen.acceleration_mps2, FORCE_MPS2) < 0.05 and abs(seen.yaw_rate_radps - TURN_RADPS) < 0.01
+    return near and abs(seen.heading_rad - HEADING_RAD) < 0.01 and abs(seen.depth_m - DEPTH_M) < 0.01
+
+
+def _hil(probe: BoardProbe) -> Measured:
+    """Measurements are the simulator's, and HEARTBEAT says so; after HIL mode they are the board's own again."""
+    said = probe.listen(0.3, lambda: probe.computer.telemetry.hil)
+    came = probe.stream(probe.motion, 0.5, lambda: _simulated(probe))
+    probe.set("HIL_MODE", 0.0)
+    left = probe.stream(probe.motion, 0.5, lambda: not (probe.computer.telemetry.hil or _simulated(probe)))
+    failed = [text for good, text in ((said, "not said"), (came, "own measurements"), (left, "not left")) if not good]
+    return not failed, ", ".join(failed) or "entered, and left"
+
+
+def _hil_silence(probe: BoardProbe) -> Measured:
+    """Without HIL_SENSOR there are no measurements, and the outputs are told all the same."""
+    if not probe.stream(probe.motion, 0.5, lambda: _simulated(probe)):
+        return False, "own measurements"
+    probe.listen(0.2)
+    measured, echoes = probe.computer.telemetry.board_ms, len(probe.samples)
+    probe.listen(0.4)
+    good = probe.computer.telemetry.board_ms == measured and len(probe.samples) > echoes
+    return good, "outputs alone" if good else "measurements go on" if len(probe.samples) > echoes else "silent"
+
+
+def _hil_stranger(probe: BoardProbe) -> Measured:
+    """Send simulated measurements as another system."""
+    probe.stream(lambda: probe.motion(probe.other_simulator), 0.4)
+    return not _simulated(probe), "taken" if _simulated(probe) else "ignored"
+
+
+def _hil_battery(probe: BoardProbe) -> Measured:
+    """Simulate an empty battery: the board reports it, and does not arm."""
+    empty_v = 0.9 * probe.station.values["BAT_NEUTRAL_V"]
+    probe.stream(lambda: probe.simulator.battery(empty_v), 0.7)
+    told_v = probe.computer.telemetry.battery_v
+    good, measured = _refused(probe, probe.ask_arm(frame=probe.pulses))
+    return good and abs(told_v - empty_v) < 0.05, f"{told_v:.1f} V of {empty_v:.1f} V, {measured}"
+
+
+def _hil_outputs(probe: BoardProbe) -> Measured:
+    """Outside HIL mode HIL_OUTPUTS cannot be set."""
+    taken = probe.set("HIL_OUTPUTS", 1.0)
+    probe.set("HIL_OUTPUTS", 0.0)
+    return not taken, "taken" if taken else "refused"
+
+
+def _hil_armed(probe: BoardProbe) -> Measured:
+    if not probe.arm():
+        return False, "does not arm"
+    probe.wire.send(probe.station.set("HIL_MODE", 1.0))
+    probe.stream(probe.pulses, 0.4)
+    entered = probe.computer.telemetry.hil
+    probe.rest()
+    probe.set("HIL_MODE", 0.0)
+    return not entered, "entered" if entered else "refused"
+
+
 # --- signing
 
 
@@ -446,6 +535,13 @@ RULES = (
     Rule("parameter-bounds", "refuses values out of range, NaN and infinity", _bounds),
     Rule("parameter-armed", "refuses parameters while armed", _set_armed),
     Rule("parameter-unknown", "answers an unknown name with PARAM_ERROR", _unknown),
+    Rule("hil", "in HIL mode measurements are the simulator's, and it says so", in_hil(_hil)),
+    Rule("hil-silence", "without HIL_SENSOR it tells its outputs and no measurements", in_hil(_hil_silence)),
+    Rule("hil-stranger", "takes measurements from its own simulator only", in_hil(_hil_stranger)),
+    Rule("hil-battery", "in HIL mode the battery is the simulator's", in_hil(_hil_battery)),
+    Rule("hil-follows", "in HIL mode SERVO_OUTPUT_RAW follows as without it", in_hil(follows), spins=True),
+    Rule("hil-outputs", "refuses HIL_OUTPUTS outside HIL mode", _hil_outputs),
+    Rule("hil-armed", "refuses HIL_MODE while armed", _hil_armed),
     Rule("unsigned", "drops what is not signed", _unsigned, signed=True),
     Rule("forged", "drops what is signed with another key", _forged, signed=True),
     Rule("replayed", "drops a recording", _replayed, signed=True),

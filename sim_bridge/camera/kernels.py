@@ -30,7 +30,7 @@ BODY = f"Tuple((f8, f8, {LAYERS}, b1, {LAYERS}, f8))"
 Planes = tuple[Any, ...]
 
 
-@kernel(f"f8({LAYERS}, i8, f8, f8)")
+@kernel(f"f8({LAYERS}, i8, f8, f8)", inline=True)
 def sample(texture: Bytes, layer: int, column: float, row: float) -> float:
     """Bilinear sample of a texture's layer; beyond its edge the edge is repeated."""
     x = min(max(column, 0.0), texture.shape[2] - 1.001)
@@ -42,7 +42,7 @@ def sample(texture: Bytes, layer: int, column: float, row: float) -> float:
     return float((1.0 - v) * upper + v * lower)
 
 
-@kernel("UniTuple(f8, 4)(f8, f8, f8, f8, f8, f8)")
+@kernel("UniTuple(f8, 4)(f8, f8, f8, f8, f8, f8)", inline=True)
 def intersect_sphere(
     x: float, y: float, slope_x: float, slope_y: float, radius: float, px_per_m: float
 ) -> tuple[float, float, float, float]:
@@ -61,7 +61,7 @@ def intersect_sphere(
     return (x + w * slope_x) * per_m, (y + w * slope_y) * per_m, -w * per_m, cover
 
 
-@kernel(f"f8({LAYERS}, i8, f8[:,:,::1], i8, f8, f8, f8, f8)")
+@kernel(f"f8({LAYERS}, i8, f8[:,:,::1], i8, f8, f8, f8, f8)", inline=True)
 def hull_colour(
     skin: Bytes, channel: int, attitudes: Array, pose: int, normal_x: float, normal_y: float, up: float, light: float
 ) -> float:

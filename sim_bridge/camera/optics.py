@@ -4,6 +4,7 @@
 localizer's mapping, which tests judge by them.
 """
 
+import math
 from dataclasses import dataclass
 
 import cv2
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from wire.config.perception import Camera
 from wire.frames import Array
+from wire.kernels import kernel
 
 Float = NDArray[np.float32]  # a plane of the picture, of its blocks, or of a map
 Bytes = NDArray[np.uint8]  # a picture: raw mosaic (height, width) or BGR (height, width, 3)
@@ -37,39 +39,76 @@ def _camera_matrix(camera: Camera) -> Array:
     return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
 
+@kernel("f8(f8, f8, f8, f8)")
+def crossing_m(reach_m: float, depth_m: float, height_m: float, index: float) -> float:
+    """Distance from the camera's foot at which light from a point to a camera crosses the surface.
+
+    The point is `depth_m` below it and `reach_m` from the foot, the camera `height_m` above it. With r the crossing's
+    distance, a ray leaves the surface at tan = r / sqrt(a r^2 + b) (Snell), so g(r) = r + z tan(r) - reach = 0. g rises and
+    is concave: Newton converges from any start.
+    """
+    a, b = index * index - 1.0, index * index * height_m * height_m
+    r = reach_m * height_m / (height_m + depth_m / index)
+    for _ in range(MAX_STEPS):
+        root = math.sqrt(a * r * r + b)
+        step = (r + depth_m * r / root - reach_m) / (1.0 + depth_m * b / (root * root * root))
+        r -= step
+        if abs(step) < TOLERANCE_M:
+            break
+    return r
+
+
+@kernel("void(f8[:,::1], f8[::1], f8, f8[:,::1])")
+def refract(points: Array, lens: Array, index: float, crossings: Array) -> None:
+    """Points (m, 3) at which the light from points (m, 3) to the lens crosses z = 0; points above the water stay."""
+    for i in range(len(points)):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        if z > 0.0:
+            dx, dy = x - lens[0], y - lens[1]
+            reach_m = math.sqrt(dx * dx + dy * dy)
+            share = crossing_m(reach_m, z, -lens[2], index) / reach_m if reach_m > 0.0 else 1.0
+            x, y, z = lens[0] + share * dx, lens[1] + share * dy, 0.0
+        crossings[i, 0], crossings[i, 1], crossings[i, 2] = x, y, z
+
+
+@kernel("void(f8[:,::1], f8[::1], f8[:,::1], f8[::1], f8[:,::1])")
+def project_air(points: Array, lens: Array, turn: Array, pinhole: Array, pixels: Array) -> None:
+    """Pixels (m, 2) of points (m, 3) in air; NaN behind the lens. `turn` is the rotation from pool to camera, `pinhole` focal
+    lengths, centre and OpenCV's distortion k1, k2, p1, p2, k3."""
+    fx, fy, cx, cy, k1, k2, p1, p2, k3 = (
+        pinhole[0], pinhole[1], pinhole[2], pinhole[3], pinhole[4], pinhole[5], pinhole[6], pinhole[7], pinhole[8]
+    )  # fmt: skip
+    for i in range(len(points)):
+        dx, dy, dz = points[i, 0] - lens[0], points[i, 1] - lens[1], points[i, 2] - lens[2]
+        ahead = turn[2, 0] * dx + turn[2, 1] * dy + turn[2, 2] * dz
+        if ahead > 0.0:
+            x = (turn[0, 0] * dx + turn[0, 1] * dy + turn[0, 2] * dz) / ahead
+            y = (turn[1, 0] * dx + turn[1, 1] * dy + turn[1, 2] * dz) / ahead
+            r2 = x * x + y * y
+            radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+            pixels[i, 0] = cx + fx * (x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x))
+            pixels[i, 1] = cy + fy * (y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y)
+        else:
+            pixels[i, 0] = pixels[i, 1] = math.nan
+
+
 def refraction_points(camera: Camera, points_pool: Array) -> Array:
     """Points (m, 3) at which the light from points (m, 3) to the camera crosses z = 0. Points above the water are returned
     unchanged."""
-    points = np.asarray(points_pool, dtype=np.float64).reshape(-1, 3)
-    lens = np.array(camera.position_m)
-    offset = points[:, :2] - lens[:2]
-    reach = np.hypot(offset[:, 0], offset[:, 1])
-    # With r the crossing's distance from the camera's foot, a ray leaves the surface at tan = r / sqrt(a r^2 + b)
-    # (Snell), so g(r) = r + z tan(r) - reach = 0. g rises and is concave: Newton converges from any start.
-    height2 = lens[2] ** 2
-    a, b = camera.water_index**2 - 1.0, camera.water_index**2 * height2
-    depth = np.maximum(points[:, 2], 0.0)
-    r = reach * lens[2] / (lens[2] - depth / camera.water_index)
-    for _ in range(MAX_STEPS):
-        root = np.sqrt(a * r**2 + b)
-        step = (r + depth * r / root - reach) / (1.0 + depth * b / root**3)
-        r = r - step
-        if np.all(np.abs(step) < TOLERANCE_M):
-            break
-    share = np.divide(r, reach, out=np.ones_like(r), where=reach > 0)
-    crossing = np.column_stack([lens[:2] + share[:, None] * offset, np.zeros(len(points))])
-    return np.where(points[:, 2:] > 0, crossing, points)
+    points = np.ascontiguousarray(points_pool, dtype=np.float64).reshape(-1, 3)
+    crossings = np.empty_like(points)
+    refract(points, np.array(camera.position_m), camera.water_index, crossings)
+    return crossings
 
 
 def project(camera: Camera, points_pool: Array) -> Array:
     """Pixels (m, 2) at which the camera sees points (m, 3) of the pool frame; NaN for points behind the lens."""
-    seen = refraction_points(camera, points_pool)
-    rotation = np.array(camera.rotation_rad)
-    matrix: Array = np.asarray(cv2.Rodrigues(rotation)[0])
-    translation = -matrix @ np.array(camera.position_m)
-    pixels, _ = cv2.projectPoints(seen[:, None, :], rotation, translation, _camera_matrix(camera), np.array(camera.distortion))
-    ahead = seen @ matrix[2] + translation[2]
-    return np.where(ahead[:, None] > 0, np.asarray(pixels, dtype=np.float64).reshape(-1, 2), np.nan)
+    crossings = refraction_points(camera, points_pool)
+    turn = np.asarray(cv2.Rodrigues(np.array(camera.rotation_rad))[0], dtype=np.float64)
+    pinhole = np.array([*camera.focal_px, *camera.centre_px, *camera.distortion])
+    pixels = np.empty((len(crossings), 2))
+    project_air(crossings, np.array(camera.position_m), turn, pinhole, pixels)
+    return pixels
 
 
 def optical_path_m(camera: Camera, points_pool: Array) -> Array:

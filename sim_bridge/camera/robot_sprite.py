@@ -88,9 +88,7 @@ class BodySprite:
     ) -> None:
         """Lay the mean of the body's pictures in poses (k, 4), with roll and pitch `tilt` (2,), over a rectangle of the raw
         mosaic, in place. There are `px_per_m` pixels per metre around the body."""
-        slopes = scene.slopes(window, time_s)
-        light = scene.light(window, float(np.mean(poses[:, 2])), time_s)
-        fields = np.stack([*(scene.bending * slopes), light, scene.glare(window, slopes)], axis=-1)
+        fields = scene.fields(window, float(np.mean(poses[:, 2])), time_s)
         attitudes = np.stack([attitude(pose[3], *tilt) for pose in poses])
         depths = poses[:, 2, None] - [0.7 * self.radius_m, 0.0] - attitudes[:, 2, 2, None] * [0.0, self.height_m]
         water = np.stack(water_colour(2.0 * np.maximum(depths, 0.0)), axis=2)[..., ::-1]  # sphere and plate; red first

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from sim_bridge.camera.optics import Bytes, Float
 from sim_bridge.camera.rays import CameraRays, ImageRect, RayBundle
 from sim_bridge.camera.textures import TILE_M, grain, texels_per_tile, tile_texture
-from sim_bridge.camera.water_optics import WaterLight, glare
+from sim_bridge.camera.water_optics import LAMPS_M, WaterLight, block_fields, glare
 from wire.config.experiment import Experiment
 from wire.config.scene import PoolConfig
 
@@ -134,12 +134,17 @@ class WaterView:
         levels = glare(lines.surface_x, lines.surface_y, slopes, self.view.camera)
         return levels * np.float32(255.0 * self.waters.picture.glare)
 
-    def light(self, window: ImageRect, depth_m: float, time_s: float) -> Float:
-        """Light at a depth, relative to its mean, at the rectangle's blocks."""
-        lines, depth = self.view.blocks[window.blocks], np.float32(depth_m)
-        x, y = lines.surface_x + depth * lines.water_x, lines.surface_y + depth * lines.water_y
-        column, row = self.waters.caustics.grid_coordinates(x, y)
-        return self.waters.light(column, row, np.float32(self.waters.reach(depth_m)), time_s)
+    def fields(self, window: ImageRect, depth_m: float, time_s: float) -> Float:
+        """Fields (block rows, block columns, 4) of water_optics.block_fields at the rectangle's blocks, with the light at a
+        depth."""
+        waters, lines = self.waters, self.view.blocks[window.blocks].planes
+        fields = np.empty((*lines[0].shape, 4), np.float32)
+        block_fields(
+            lines, self._basis[:, *window.blocks], waters.ripples.weights(time_s), waters.pattern(time_s),
+            waters.caustics.half_m, depth_m, float(waters.reach(depth_m)), np.array(self.view.camera.position_m),
+            np.array(LAMPS_M), 255.0 * waters.picture.glare, float(self.bending), fields,
+        )  # fmt: skip
+        return fields
 
 
 def vignette(view: CameraRays, strength: float) -> Float:

@@ -7,12 +7,14 @@ alone.
 import cv2
 import numpy as np
 
+from sim_bridge.camera.kernels import LINES, Planes
 from sim_bridge.camera.optics import Bytes, Float
 from wire.config.experiment import Experiment
 from wire.config.perception import Camera
 from wire.config.scene import PoolConfig
 from wire.config.simulation import PictureConfig
 from wire.frames import Array
+from wire.kernels import kernel
 
 LOOP_S = 2.4  # s after which the water repeats: longer than the slowest wave's period; 48 phases of it take 60 MB
 GRAVITY_MPS2 = 9.81
@@ -50,11 +52,15 @@ class PlaneWaves:
         angle = self.number.astype(np.float32) @ np.stack([x_m.ravel(), y_m.ravel()]) + self.phase[:, None].astype(np.float32)
         return np.concatenate([np.cos(angle), np.sin(angle)])
 
-    def gradient(self, basis: Float, time_s: float, amplitude: Array) -> Float:
-        """d/dx and d/dy, (2, n), of sum_i amplitude_i cos(k_i.x + phase_i - w_i t), from the basis at n points."""
+    def gradient_weights(self, time_s: float, amplitude: Array) -> Float:
+        """Weights (2, 2 count) of the basis in d/dx and d/dy of sum_i amplitude_i cos(k_i.x + phase_i - w_i t)."""
         c, s = np.cos(self.frequency * time_s), np.sin(self.frequency * time_s)
         weight = -(amplitude * self.number.T)  # of sin(a - wt) = sin(a) cos(wt) - cos(a) sin(wt)
-        return np.concatenate([-weight * s, weight * c], axis=1).astype(np.float32) @ basis
+        return np.concatenate([-weight * s, weight * c], axis=1).astype(np.float32)
+
+    def gradient(self, basis: Float, time_s: float, amplitude: Array) -> Float:
+        """d/dx and d/dy, (2, n), from the basis at n points."""
+        return self.gradient_weights(time_s, amplitude) @ basis
 
 
 class Ripples:
@@ -75,6 +81,10 @@ class Ripples:
         """Slope of the surface (d height / dx, d height / dy), (2, n)."""
         return self._waves.gradient(basis, time_s, self._amplitude)
 
+    def weights(self, time_s: float) -> Float:
+        """Weights (2, waves) of the basis in the slopes."""
+        return self._waves.gradient_weights(time_s, self._amplitude)
+
 
 class Caustics:
     """Light on the floor: a regular bundle of rays sent down through a wavy surface and collected on a grid."""
@@ -89,7 +99,7 @@ class Caustics:
         self._column, self._row = column.ravel(), row.ravel()
         grid = np.float32(CAUSTIC_GRID_M)
         self._basis = self._waves.slope_basis(self._column * grid, self._row * grid)
-        self._half = np.array([pool.size_m[0], pool.size_m[1]]) / 2.0
+        self.half_m = np.array([pool.size_m[0], pool.size_m[1]]) / 2.0  # place of the pattern's first corner: minus this
 
     def pattern(self, time_s: float) -> Float:
         """Light over its mean on the pool's plan, (height, width), CAUSTIC_GRID_M apart, from 0 to CAUSTIC_BRIGHTEST."""
@@ -108,8 +118,8 @@ class Caustics:
 
     def grid_coordinates(self, x_m: Float, y_m: Float) -> tuple[Float, Float]:
         """Column and row in `pattern` of places on the plan."""
-        column = (x_m + self._half[0]) / CAUSTIC_GRID_M
-        row = (y_m + self._half[1]) / CAUSTIC_GRID_M
+        column = (x_m + self.half_m[0]) / CAUSTIC_GRID_M
+        row = (y_m + self.half_m[1]) / CAUSTIC_GRID_M
         return column.astype(np.float32), row.astype(np.float32)
 
 
@@ -120,6 +130,64 @@ def _fold(value: Float, size: int) -> Float:
         away = np.mod(away, 2 * last)
     folded: Float = last - np.abs(last - away)
     return folded
+
+
+@kernel("f8(f8, i8)", inline=True)
+def mirror(value: float, size: int) -> float:
+    """Mirror a value into 0 .. size - 1, repeatedly."""
+    last = size - 1.0
+    away = abs(value) % (2.0 * last)
+    return last - abs(last - away)
+
+
+@kernel(f"void({LINES}, f4[:,:,:], f4[:,:], u1[:,::1], f8[::1], f8, f8, f8[::1], f8[:,::1], f8, f8, f4[:,:,::1])")
+def block_fields(
+    lines: Planes,
+    basis: Float,
+    weights: Float,
+    pattern: Bytes,
+    half_m: Array,
+    depth_m: float,
+    reach: float,
+    lens: Array,
+    lamps_m: Array,
+    glare_levels: float,
+    bending: float,
+    fields: Float,
+) -> None:
+    """For each block (rows, columns) the turn of its line of sight in the water along x and y, the light at a depth, and the
+    grey levels of mirrored lamps: `fields` (rows, columns, 4). The same as Ripples.slopes, WaterLight.light and `glare`, for
+    a part of the picture.
+
+    `basis` and `weights`: PlaneWaves. `pattern` is the caustics' and begins at -`half_m`; `reach` is its strength. `lamps_m`
+    (lamps, 4): centre x, y, half length and half width.
+    """
+    surface_x, surface_y, _, _, water_x, water_y = lines
+    rows, columns = pattern.shape
+    further = 1.0 - LAMP_HEIGHT_M / lens[2]
+    for i in range(fields.shape[0]):
+        for j in range(fields.shape[1]):
+            slope_x, slope_y = 0.0, 0.0
+            for k in range(len(basis)):
+                slope_x += weights[0, k] * basis[k, i, j]
+                slope_y += weights[1, k] * basis[k, i, j]
+            sx, sy = surface_x[i, j], surface_y[i, j]
+            column = mirror((sx + depth_m * water_x[i, j] + half_m[0]) / CAUSTIC_GRID_M, columns)
+            row = mirror((sy + depth_m * water_y[i, j] + half_m[1]) / CAUSTIC_GRID_M, rows)
+            left, top = min(int(column), columns - 2), min(int(row), rows - 2)
+            u, v = column - left, row - top
+            upper = (1.0 - u) * pattern[top, left] + u * pattern[top, left + 1]
+            lower = (1.0 - u) * pattern[top + 1, left] + u * pattern[top + 1, left + 1]
+            x = lens[0] + (sx - lens[0]) * further - slope_x * (2.0 * LAMP_HEIGHT_M)
+            y = lens[1] + (sy - lens[1]) * further - slope_y * (2.0 * LAMP_HEIGHT_M)
+            mirrored = 0.0
+            for k in range(len(lamps_m)):
+                along = (lamps_m[k, 2] - abs(x - lamps_m[k, 0])) / (2.0 * LAMP_EDGE_M) + 0.5
+                across = (lamps_m[k, 3] - abs(y - lamps_m[k, 1])) / (2.0 * LAMP_EDGE_M) + 0.5
+                mirrored += min(max(along, 0.0), 1.0) * min(max(across, 0.0), 1.0)
+            fields[i, j, 0], fields[i, j, 1] = bending * slope_x, bending * slope_y
+            fields[i, j, 2] = 1.0 + reach * (((1.0 - v) * upper + v * lower) / CAUSTIC_UNIT - 1.0)
+            fields[i, j, 3] = glare_levels * mirrored
 
 
 def glare(surface_x: Float, surface_y: Float, slopes: Float, camera: Camera) -> Float:
@@ -151,10 +219,13 @@ class WaterLight:
             np.clip(self.caustics.pattern(time_s) * CAUSTIC_UNIT, 0, 255).astype(np.uint8) for time_s in self.times_s
         ]
 
+    def pattern(self, time_s: float) -> Bytes:
+        """The caustics' pattern at a time, CAUSTIC_UNIT for the mean light."""
+        return self._patterns[round(time_s / LOOP_S * PHASES) % len(self._patterns)]
+
     def light(self, column: Float, row: Float, reach: Float | np.float32, time_s: float) -> Float:
         """Caustic light relative to its mean at places of the caustics' grid, weighted with `reach` (0 to 1)."""
-        pattern = self._patterns[round(time_s / LOOP_S * PHASES) % len(self._patterns)]
-        levels = cv2.remap(pattern, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT_101)
+        levels = cv2.remap(self.pattern(time_s), column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT_101)
         return np.asarray(1.0 + reach * (levels.astype(np.float32) / np.float32(CAUSTIC_UNIT) - 1.0), dtype=np.float32)
 
     def reach(self, depth_m: Float | float) -> Float:

@@ -1,4 +1,4 @@
-"""SHELL: `sim-bridge pool` and `board`: the simulated side of the wires alone."""
+"""SHELL: `sim-bridge pool`, `hil` and `board`: the simulated side of the wires alone."""
 
 from pathlib import Path
 from typing import Annotated
@@ -11,8 +11,10 @@ from wire.process.cli_options import (
     DEFAULT_STATION,
     ExperimentName,
     FleetName,
+    FrameRingOption,
     Insecure,
     KeyRing,
+    LinkInsecure,
     LockstepMode,
     Settings,
     StationAddress,
@@ -33,15 +35,29 @@ BoardFolder = Annotated[
 ]
 
 
+BoardHost = Annotated[
+    str,
+    typer.Option(
+        "--host",
+        metavar="ADDRESS",
+        help="Where the boards' ports listen. Off this machine every link has to be signed: robot-N.key in --boards.",
+    ),
+]
+BasePort = Annotated[int, typer.Option(min=0, help="The board of robot N is at UDP port PORTS + N.")]
+
+
 def pool(
     experiment: ExperimentName,
     station: StationAddress = DEFAULT_STATION,
     fleet: FleetName = DEFAULT_FLEET,
-    ports: Annotated[int, typer.Option(min=0, help="The board of robot N is at UDP port PORTS + N.")] = 14550,
+    ports: BasePort = 14550,
+    host: BoardHost = "127.0.0.1",
+    link_insecure: LinkInsecure = False,
     settings: Settings = None,
     boards: BoardFolder = None,
     lockstep: LockstepMode = False,
     poses: Poses = False,
+    frame_ring: FrameRingOption = None,
     keys: KeyRing = None,
     insecure: Insecure = False,
     verbose: Verbose = False,
@@ -50,27 +66,48 @@ def pool(
 
     Example:  sim-bridge pool pool --station tls/192.168.1.10:7447 --keys keys
     """
-    import cv2
-
-    from sim_bridge.node.board_ports import UdpPorts
-    from sim_bridge.node.pool import PoolNode
-    from sim_bridge.thruster_board.board import ThrusterBoard
-    from sim_bridge.thruster_board.nonvolatile import boards_in
-    from wire.messages.topics import Role, process_name
-    from wire.transport.bus import Bus
-    from wire.transport.network import endpoint
-    from wire.transport.zenoh_transport import ZenohTransport
+    from sim_bridge.node.wires import PoolWires, run_pool
 
     start_log("sim-bridge", verbose)
-    cv2.setNumThreads(1)  # of this process: with the fleet's others on the machine, more threads only fight
-    stop = Stop()
+    wires = PoolWires(station, fleet, keys, insecure, ports, host, boards, link_insecure)
+    run_pool(load_experiment(experiment, settings or ()), wires, {}, lockstep, poses, frame_ring)
+
+
+def hil(
+    experiment: ExperimentName,
+    real: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--board",
+            metavar="N=WHERE",
+            help="Robot N's board: serial:DEVICE[:BAUD], udp:HOST:PORT, or simulated, as those not named are. Repeatable.",
+        ),
+    ] = None,
+    station: StationAddress = DEFAULT_STATION,
+    fleet: FleetName = DEFAULT_FLEET,
+    ports: BasePort = 14550,
+    host: BoardHost = "127.0.0.1",
+    link_insecure: LinkInsecure = False,
+    settings: Settings = None,
+    boards: BoardFolder = None,
+    poses: Poses = False,
+    keys: KeyRing = None,
+    insecure: Insecure = False,
+    verbose: Verbose = False,
+) -> None:
+    """Be the pool around real thruster boards in HIL mode: their outputs move the robots, and they measure that water.
+
+    Agents speak with their boards through the ports here, as beside `pool`. A robot-N.key in --boards signs a link. A board
+    that is not in HIL mode, or that falls silent, ends the run: exit code 1, or 2 if it was so from the start.
+
+    Example:  sim-bridge hil pool --board 1=serial:/dev/ttyACM0 --board 2=udp:10.0.0.7:14550
+    """
+    from sim_bridge.node.wires import PoolWires, real_boards, run_pool
+
+    start_log("sim-bridge", verbose)
     loaded = load_experiment(experiment, settings or ())
-    where = endpoint(station, process_name(Role.SIMULATOR), keys, insecure=insecure, lossless=lockstep)
-    make = boards_in(boards) if boards is not None else ThrusterBoard
-    sockets = UdpPorts(ports, loaded.robot_ids, loaded.seed)  # ports that are taken are told before the wait for the station
-    with Bus(ZenohTransport(where, stop), fleet) as bus:
-        PoolNode(loaded, bus, sockets, stop, lockstep, poses, make).run()
-    stop.raise_failure()
+    wires = PoolWires(station, fleet, keys, insecure, ports, host, boards, link_insecure)
+    run_pool(loaded, wires, real_boards(loaded, real or ()), poses=poses)
 
 
 def board(

@@ -2,7 +2,6 @@
 
 import os
 import sys
-import time
 from pathlib import Path
 from typing import Annotated, NoReturn
 
@@ -11,8 +10,8 @@ import typer
 from sim_bridge.cli.pool import Poses
 from wire.config.experiment import NO_CAMERA, Experiment, load_experiment
 from wire.process.cli_options import ExperimentName, FaultLines, KeyRing, Settings, caution, experiments
+from wire.process.output_files import new_run_folder
 from wire.process.runtime import Stop
-from wire.toml_loader import os_errors_as_config_errors
 
 Seed = Annotated[int | None, typer.Option(help="Seed of everything random; default: the experiment's.")]
 Duration = Annotated[float | None, typer.Option(help="Seconds to fly; default: the experiment's.")]
@@ -91,7 +90,7 @@ def sil(
         _with_one_thread()
     if dry_run:
         raise typer.Exit(software_in_the_loop.dry_run(loaded, out / f"{loaded.name}-TIME", options, console))
-    folder = _new_folder(out, loaded.name)
+    folder = new_run_folder(out, loaded.name)
     mode = "lockstep, in one process" if one_process else "lockstep" if lockstep else "real time"
     console.print(
         f"{loaded.title or loaded.name}: {loaded.duration_s:g} s in {mode}, seed {loaded.seed}, into {folder}", soft_wrap=True
@@ -127,7 +126,7 @@ def numeric(
     loaded = _load(experiment, seed, duration, [*(settings or ()), NO_CAMERA], faults)
     console = Console()
     fleet, water = run.prepared(loaded)
-    folder = _new_folder(out, loaded.name)
+    folder = new_run_folder(out, loaded.name)
     console.print(f"{loaded.title or loaded.name}: {loaded.duration_s:g} s, seed {loaded.seed}, into {folder}", soft_wrap=True)
     raise typer.Exit(run.run(fleet, water, folder, stop=Stop(), console=console))
 
@@ -207,22 +206,6 @@ def _go_on(
         raise typer.BadParameter(f"{experiment!r}: with --from, the run says what is flown (change it with --set)")
     loaded = _cautioned(resume.load_changed(source, changes, faults or ()))
     fleet, water = resume.prepared(loaded, source, at_s)
-    folder, console = _new_folder(out, f"{loaded.name}-from-{at_s:g}"), Console()
+    folder, console = new_run_folder(out, f"{loaded.name}-from-{at_s:g}"), Console()
     console.print(f"{loaded.title or loaded.name}: from {at_s:g} s of {source} on, into {folder}", soft_wrap=True)
     raise typer.Exit(run.run(fleet, water, folder, stop=Stop(), console=console))
-
-
-def _new_folder(out: Path, name: str) -> Path:
-    """Make runs/<experiment>-<time>, with a number when two start in the same second."""
-    stem = f"{name}-{time.strftime('%Y%m%d-%H%M%S')}"
-    for suffix in ["", *(f"-{i}" for i in range(2, 1000))]:
-        folder = out / f"{stem}{suffix}"
-        with os_errors_as_config_errors(out):
-            try:
-                folder.mkdir(parents=True)
-                return folder
-            except FileExistsError:
-                if folder.exists():
-                    continue
-                raise
-    raise RuntimeError(f"cannot make a folder {out / stem}")

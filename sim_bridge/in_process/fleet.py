@@ -119,13 +119,18 @@ class DirectPlant:
         """Move on to the first plant step at or after `to_ns`."""
         while (left := -((self.now_ns - to_ns) // self._step_ns)) > 0:
             self.happened += self._apply_faults()
-            steps = 1 if self._faults.any else left  # a fault may begin at any step
+            steps = self._faults.quiet_steps(self._flown_s, self._step_ns / NS, left)
             pulses_us = self._faults.pulses(self._pulses_us)
             self._state = self._plant.step(self._state, pulses_us, self._faults.actuators, steps)
 
+    @property
+    def _flown_s(self) -> float:
+        """Time along the trajectories."""
+        return (self.now_ns - self._begin_ns) / NS
+
     def _apply_faults(self) -> list[str]:
         """Move the fault timeline to now. Returns a line of text for each fault that began or ended."""
-        changes = self._faults.at((self.now_ns - self._begin_ns) / NS)
+        changes = self._faults.at(self._flown_s)
         for sensors, error in zip(self._sensors, self._faults.imu_error.tolist() if changes else (), strict=False):
             sensors.error = (error[0], error[1])
         return changes

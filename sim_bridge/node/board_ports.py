@@ -52,6 +52,11 @@ class LossyLink(Generic[T]):
         self._count += 1
         heapq.heappush(self._queue, (due_ns, self._count, data, tag))
 
+    @property
+    def next_due_ns(self) -> int | None:
+        """Plant time at which the next datagram leaves; None if there is none."""
+        return self._queue[0][0] if self._queue else None
+
     def pop(self, now_ns: int) -> list[tuple[bytes, T]]:
         """The datagrams that leave by now, with their tags; `none` for an overtaken one, which MAVLink takes for stale."""
         out: list[tuple[bytes, T]] = []
@@ -176,6 +181,11 @@ class BoardPorts(ABC):
                 self._ports[i].send(data, world.now_ns)
                 self.burst_ms[i] = max(self.burst_ms[i], burst_ms)
 
+    def quiet_until_ns(self, until_ns: int) -> int:
+        """The first plant time up to `until_ns` at which a datagram leaves one of the links; else `until_ns`."""
+        due = [link.next_due_ns for link in self._to_board] + [link.next_due_ns for link in self._from_board]
+        return min([until_ns, *(ns for ns in due if ns is not None)])
+
     def send(self, i: int, data: bytes, world: World) -> None:
         """Hand a board's bytes to its link."""
         if data:
@@ -206,13 +216,13 @@ class BoardPorts(ABC):
 class UdpPorts(BoardPorts):
     """A UDP port per thruster board."""
 
-    def __init__(self, base_port: int, robots: tuple[int, ...], seed: int) -> None:
-        """Bind the ports: the board of robot N is at `base_port` + N. Raises ConfigError naming a port that cannot be
-        bound."""
+    def __init__(self, base_port: int, robots: tuple[int, ...], seed: int, host: str = "127.0.0.1") -> None:
+        """Bind the ports: the board of robot N is at `base_port` + N of the address `host`. Raises ConfigError naming a port
+        that cannot be bound."""
         self._bound: list[UdpPort] = []
         for robot in robots:
             try:
-                self._bound.append(UdpPort("127.0.0.1", base_port + robot))
+                self._bound.append(UdpPort(host, base_port + robot))
             except (OSError, OverflowError) as error:
                 self.close()
                 why = error.strerror if isinstance(error, OSError) else "allowed: up to 65535"

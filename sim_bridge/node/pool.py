@@ -9,6 +9,7 @@ import queue
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,8 +20,7 @@ from sim_bridge.camera.ideal_localizer import IdealLocalizer
 from sim_bridge.camera.renderer import Renderer
 from sim_bridge.node.board_ports import BoardPorts
 from sim_bridge.thruster_board.board import ThrusterBoard
-from sim_bridge.thruster_board.nonvolatile import BoardFactory
-from sim_bridge.world import World
+from sim_bridge.world import World, WorldBoard
 from wire.config.experiment import Experiment
 from wire.config.fault_injection import Break
 from wire.frames import Array
@@ -56,7 +56,7 @@ class PoolNode:
         stop: Stop,
         lockstep: bool,
         poses: bool = False,
-        make: BoardFactory = ThrusterBoard,
+        make: Callable[[Experiment, int, int], WorldBoard] = ThrusterBoard,
     ) -> None:
         """`sockets` are closed when the run ends. With `poses` there is no camera: poses are published in the localizer's
         place. `make` makes the thruster boards."""
@@ -120,11 +120,12 @@ class PoolNode:
             starts.append(received.message.eta[0] + np.array(robot.start_offset))
         return np.array(starts)
 
-    def _step_plant(self, world: World) -> None:
-        """Make one step of the plant, and log the faults that change and the boards that become neutral or thrusting."""
+    def _step_plant(self, world: World, until_ns: int = 0) -> None:
+        """Move to the next event up to `until_ns`, by one step at least. Log the faults that change, and the boards that
+        become neutral or thrusting."""
         for text in world.apply_faults():
             log.info(text)
-        sent = world.step()
+        sent = world.step(until_ns)
         for i, data in sent:
             self._sockets.send(i, data, world)
             robot = self._experiment.robot_ids[i]
@@ -254,7 +255,7 @@ class PoolNode:
         self._expose_in_lockstep(world, tick_ns, previous_ns)
         while not self._stop.requested:
             while world.now_ns < tick_ns:
-                self._step_plant(world)
+                self._step_plant(world, self._sockets.quiet_until_ns(tick_ns))
                 clock.tick_ns = world.now_ns
                 if world.exposed:
                     self._expose_in_lockstep(world, tick_ns, previous_ns)

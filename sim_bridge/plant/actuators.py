@@ -71,6 +71,9 @@ class ActuatorModel:
 
     def wrench(self, motors: ActuatorState) -> Array:
         """Forces on each hull, (n, 6): surge, sway and heave N, roll, pitch and yaw N m."""
-        wrench = np.empty((self._robots, 6))
-        kernels.legs_wrench(motors.force_n, motors.ankle_rad, self.constants, wrench)
+        wrench, fleet = np.empty((self._robots, 6)), kernels.memory(self._robots)
+        kernels.to_fleet(motors.force_n, fleet, kernels.FORCE_THEN)
+        kernels.to_fleet(motors.ankle_rad, fleet, kernels.ANKLE_THEN)
+        kernels.legs_wrench(fleet, 0, len(fleet), self.constants)
+        kernels.from_fleet(fleet, kernels.WRENCH, wrench)
         return wrench

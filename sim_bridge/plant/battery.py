@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from sim_bridge.plant import kernels
 from wire.config.experiment import Experiment
 from wire.frames import Array
 
@@ -21,14 +20,14 @@ class BatteryModel:
         cell_v = sensors.battery_v / cells
         self._start_charge = float(np.interp(cell_v, CELL_V, CHARGE))
         # offset of a start voltage that the experiment asks for beyond the ends of the curve
-        beyond_v = sensors.battery_v - float(np.interp(cell_v, CELL_V, CELL_V)) * cells
+        self._beyond_v = sensors.battery_v - float(np.interp(cell_v, CELL_V, CELL_V)) * cells
+        self._is_ideal, self._cells, self._start_v = battery.capacity_wh == 0, float(cells), sensors.battery_v
         self.constants = (
-            battery.capacity_wh == 0,
+            self._is_ideal,
             CHARGE,
             CELL_V,
-            float(cells),
-            beyond_v,
-            sensors.battery_v,
+            self._cells,
+            self._beyond_v,
             battery.curve_v,
             sensors.battery_sag_v,
             vehicle.thruster.max_thrust_n,
@@ -43,6 +42,6 @@ class BatteryModel:
 
     def rest_v(self, charge: Array) -> Array:
         """Voltage without load."""
-        voltage = np.empty_like(charge)
-        kernels.rest_voltage(charge, self.constants, voltage)
-        return voltage
+        if self._is_ideal:
+            return np.full(len(charge), self._start_v)
+        return np.asarray(np.interp(charge, CHARGE, CELL_V) * self._cells + self._beyond_v)

@@ -4,7 +4,7 @@ Deliberately richer than the controller's model, and written without it: the con
 the fleet; the classes of this package hold its constants.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from sim_bridge.plant.actuators import ActuatorModel, ActuatorState
 from sim_bridge.plant.battery import BatteryModel
 from sim_bridge.plant.contact import ContactModel
 from sim_bridge.plant.currents_waves import WaterFlow
-from sim_bridge.plant.kernels import STATE, THRUSTERS
+from sim_bridge.plant.kernels import THRUSTERS
 from sim_bridge.plant.rigid_body import RigidBody
 from wire.config.experiment import Experiment
 from wire.frames import Array
@@ -57,19 +57,14 @@ class Plant:
         self._supply = BatteryModel(experiment)
         self._basin = ContactModel(experiment)
         self._flow = WaterFlow(experiment, seed).constants
-        self._body = RigidBody(experiment).constants
+        body = RigidBody(experiment)
+        self._body = body.constants
         n = len(self._robots)
         self.no_faults = ActuatorFaults(np.ones((n, THRUSTERS)), np.zeros(n))
-        self._work = (
-            np.arange(n),
-            *(np.empty((n, STATE)) for _ in range(6)),  # of the step's start and of a stage, and four rates of change
-            np.empty((n, 3, 3)),  # attitudes
-            np.empty((3, n, 6)),  # legs' wrenches at a step's start, middle and end
-            np.zeros((n, 6)),  # the water's motion
-            np.empty((n, 3)),  # contact forces
-            *(np.empty((n, THRUSTERS)) for _ in range(4)),  # targets of force and angle, and both within a step
-            np.empty(n),  # thrust factors
-        )
+        memory = kernels.memory(n)
+        kernels.to_fleet(body.wave_radps, memory, kernels.WAVE)
+        # the robots' order along x, the memory, what contact takes and gives in rows, the water's motion, places in order
+        self._work = np.arange(n), memory, np.empty((4, n, 3)), np.empty((n, 6)), np.empty((3, n))
 
     def start(self, eta: Array) -> PlantState:
         """Robots at rest at poses (n, 4). Raises ConfigError if one of them starts in a wall, an island or another robot."""
@@ -100,27 +95,19 @@ class Plant:
         eta, nu, tilt, charge = state.eta.copy(), state.nu.copy(), state.tilt.copy(), state.charge.copy()
         motors = ActuatorState(state.motors.force_n.copy(), state.motors.ankle_rad.copy(), history)
         kernels.advance(
-            eta, nu, tilt, motors.force_n, motors.ankle_rad, charge,
-            state.motors.pulses_us, pulses_us, faults.thrust * self._thrusters.gain, faults.sag_v,
+            eta, nu, tilt, motors.force_n, motors.ankle_rad, charge[:, None],
+            state.motors.pulses_us, pulses_us, faults.thrust * self._thrusters.gain, faults.sag_v[:, None],
             state.steps, steps, self._step_s,
             self._thrusters.constants, self._supply.constants, self._flow, self._basin.constants, self._body, self._work,
         )  # fmt: skip
         return PlantState(state.steps + steps, eta, nu, motors, tilt, charge)
 
-    def with_command_history(self, ahead: PlantState, before: PlantState, pulses_us: Array) -> PlantState:
-        """The state `ahead`, one step after `before`, with other pulses (n, 8) on the outputs in that step.
-
-        Within `dead_steps` pulses change only the command history: forces and motion of `ahead` remain.
-        """
-        history = self._thrusters.command_history(before.motors, pulses_us)
-        return replace(ahead, motors=replace(ahead.motors, pulses_us=history))
-
     def acceleration(self, state: PlantState) -> Array:
         """d nu / dt now, (n, 4)."""
         acceleration = np.empty_like(state.nu)
         kernels.fleet_acceleration(
-            state.eta, state.nu, state.tilt, self.time_s(state), self._thrusters.wrench(state.motors),
-            self._flow, self._basin.constants, self._body, self._work, acceleration,
+            state.eta, state.nu, state.tilt, self.time_s(state), state.motors.force_n, state.motors.ankle_rad,
+            self._thrusters.constants, self._flow, self._basin.constants, self._body, self._work, acceleration,
         )  # fmt: skip
         return acceleration
 

@@ -1,12 +1,17 @@
 """Equations of the plant: actuators, battery, water, contact and rigid bodies, for a whole fleet.
 
-Shapes: n robots; an index i is a robot. A fleet's state is a row of STATE numbers per robot:
+The state of a robot is 12 numbers:
 
     x, y, z, roll, pitch, yaw    place m and attitude rad in the pool frame, R = Rz(yaw) Ry(pitch) Rx(roll)
     u, v, w, p, q, r             velocity over ground m/s, rad/s on the body's axes
 
 Forces are N, moments N m. Each part's constants come as one tuple, which its class in this package puts together: actuators
 (actuators.py), battery (battery.py), flow (currents_waves.py), basin (contact.py) and body (rigid_body.py).
+
+Memory: robots are computed LANES at a time in vector registers. So the numbers of robot i are in lane i % LANES of block
+i // LANES: number k of the list below is `fleet[block, k x LANES + lane]`. The distances between numbers are constants, which
+is how the compiler sees that none overlaps another. `lanes` is LANES as well, but no constant: short loops with a constant
+end would be unrolled instead of running in vector registers. Lanes beyond the last robot repeat it. Other shapes: n robots.
 
 `advance` is the one to read first. It integrates by the classical Runge-Kutta method (RK4).
 """
@@ -20,8 +25,23 @@ from numpy.typing import NDArray
 from wire.frames import Array
 from wire.kernels import kernel
 
-STATE = 12
+STATES = 12  # numbers of a state
 THRUSTERS = 4
+LANES = 4  # float64 numbers in a vector register of 256 bits
+POSE, SPEED, TILT = 0, 4 * LANES, 8 * LANES  # eta, nu on level axes, and [roll, pitch and their rates]: 4 each
+FORCE, ANKLE = 12 * LANES, 16 * LANES  # N and rad, 4 each, at a step's start
+GAIN, CHARGE, LOST_V, FACTOR, WAVE = 20 * LANES, 24 * LANES, 25 * LANES, 26 * LANES, 27 * LANES  # of thrusters 4, else 1
+PULSE, CURVE_N, TARGET_RAD, TARGET_N = 28 * LANES, 36 * LANES, 40 * LANES, 44 * LANES  # us 8, the others 4
+FORCE_THEN, ANKLE_THEN, WRENCH = 48 * LANES, 52 * LANES, 56 * LANES  # within a step: 4, 4 and 6
+START, STATE, RATE, SUM = 62 * LANES, 74 * LANES, 86 * LANES, 98 * LANES  # 12 each: SUM of the weighted rates of a step
+TURN, MOTION, CONTACT = 110 * LANES, 119 * LANES, 125 * LANES  # attitude 9; the water's motion 6; contact force 3
+NUMBERS = 130  # with 128 all blocks would begin 4096 bytes apart, and share a few lines of the processor's cache
+X, Y, Z, ROLL, PITCH, YAW = STATE, STATE + LANES, STATE + 2 * LANES, STATE + 3 * LANES, STATE + 4 * LANES, STATE + 5 * LANES
+U, V, W = STATE + 6 * LANES, STATE + 7 * LANES, STATE + 8 * LANES
+P, Q, R = STATE + 9 * LANES, STATE + 10 * LANES, STATE + 11 * LANES
+TILE = 4  # blocks that are moved by a whole step at once where robots do not touch: they stay in the processor's cache
+TO_INTEGER = 1.5 * 2.0**52  # added and taken away again it rounds a number to the nearest integer
+HALF_PI_HIGH, HALF_PI_LOW = float.fromhex("0x1.921fb544p0"), 6.077100506506192e-11  # their sum is pi / 2 to 1e-26
 AT_ONCE_S = 1e-9  # s after its start at which a step is first evaluated: without lag the force jumps at the start itself
 DENSITY_KGPM3 = 998.0  # fresh water at 20 degrees
 GRAVITY_MPS2 = 9.81
@@ -34,153 +54,195 @@ COINCIDENT_M = 1e-9  # m, least distance of two centres, against division by zer
 
 VECTOR, MATRIX, CUBE = "f8[::1]", "f8[:,::1]", "f8[:,:,::1]"
 ACTUATORS = f"Tuple(({VECTOR}, {VECTOR}, {VECTOR}, {VECTOR}, {MATRIX}, f8, f8, f8, i8, i8))"
-BATTERY = f"Tuple((b1, {VECTOR}, {VECTOR}, f8, f8, f8, f8, f8, f8, f8, f8, f8))"
+BATTERY = f"Tuple((b1, {VECTOR}, {VECTOR}, f8, f8, f8, f8, f8, f8, f8, f8))"
 FLOW = f"Tuple((b1, {VECTOR}, {VECTOR}, f8, {MATRIX}, {MATRIX}, f8, {VECTOR}, f8, f8, f8))"
 BASIN = f"Tuple(({VECTOR}, {MATRIX}, f8, f8))"
-BODY = f"Tuple((b1, {VECTOR}, f8, {MATRIX}, {VECTOR}, {VECTOR}, f8, f8, f8, b1, {VECTOR}, {VECTOR}))"
-WORK = f"Tuple((i8[::1], {', '.join([MATRIX] * 6)}, {CUBE}, {CUBE}, {', '.join([MATRIX] * 6)}, {VECTOR}))"
+BODY = f"Tuple((b1, {VECTOR}, f8, {MATRIX}, {VECTOR}, {VECTOR}, f8, f8, f8, b1, {VECTOR}))"
+WORK = f"Tuple((i8[::1], {MATRIX}, {CUBE}, {MATRIX}, {MATRIX}))"
 
 Constants = tuple[Any, ...]
 Indices = NDArray[np.intp]
 
 
-@kernel(f"f8(f8, {VECTOR}, {VECTOR})")
-def interpolate(x: float, knots: Array, values: Array) -> float:
-    """Piecewise linear function through (knots, values), constant beyond its ends; knots rise."""
+@kernel("UniTuple(f8, 2)(f8)", inline=True)
+def sine_cosine(angle_rad: float) -> tuple[float, float]:
+    """Sine and cosine of an angle up to 1e6 rad, to 2e-16: Taylor's series about the nearest multiple of pi / 2.
+
+    It needs neither branches nor a mathematical library, so loops that call it run in vector registers.
+    """
+    turns = (angle_rad * (2.0 / math.pi) + TO_INTEGER) - TO_INTEGER
+    x = (angle_rad - turns * HALF_PI_HIGH) - turns * HALF_PI_LOW
+    x2 = x * x
+    s = x2 * (1.0 / 6227020800.0 - x2 * (1.0 / 1307674368000.0))
+    s = x2 * (1.0 / 120.0 - x2 * (1.0 / 5040.0 - x2 * (1.0 / 362880.0 - x2 * (1.0 / 39916800.0 - s))))
+    s = x - x * (x2 * (1.0 / 6.0 - s))
+    c = x2 * (1.0 / 479001600.0 - x2 * (1.0 / 87178291200.0 - x2 * (1.0 / 20922789888000.0)))
+    c = x2 * (1.0 / 24.0 - x2 * (1.0 / 720.0 - x2 * (1.0 / 40320.0 - x2 * (1.0 / 3628800.0 - c))))
+    c = 1.0 - x2 * (0.5 - c)
+    quarter = turns - 4.0 * ((turns * 0.25 + TO_INTEGER) - TO_INTEGER)  # -2 to 2
+    is_odd = quarter * quarter == 1.0
+    sine = c if is_odd else s
+    cosine = s if is_odd else c
+    sine = -sine if quarter < 0.0 or quarter > 1.0 else sine
+    cosine = -cosine if quarter > 0.0 or quarter < -1.0 else cosine
+    return sine, cosine
+
+
+@kernel(f"void({MATRIX}, i8, i8, i8, i8, {VECTOR}, {VECTOR})", inline=True)
+def interpolate(fleet: Array, block: int, x: int, y: int, count: int, knots: Array, values: Array) -> None:
+    """Write the piecewise linear function through (knots, values), constant beyond its ends, of `count` numbers at x to y."""
     last = len(knots) - 1
-    if x <= knots[0]:
-        return float(values[0])
-    if x >= knots[last]:
-        return float(values[last])
-    k = 0
-    while knots[k + 1] <= x:
-        k += 1
-    slope = (values[k + 1] - values[k]) / (knots[k + 1] - knots[k])
-    return float(values[k] + slope * (x - knots[k]))
+    for k in range(count):
+        fleet[block, y + k] = values[0]
+    for segment in range(last):
+        knot, value = knots[segment], values[segment]
+        slope = (values[segment + 1] - value) / (knots[segment + 1] - knot)
+        for k in range(count):
+            at, before = fleet[block, x + k], fleet[block, y + k]
+            fleet[block, y + k] = value + slope * (at - knot) if at >= knot else before
+    knot, value = knots[last], values[last]
+    for k in range(count):
+        at, before = fleet[block, x + k], fleet[block, y + k]
+        fleet[block, y + k] = value if at >= knot else before
+
+
+def memory(robots: int) -> Array:
+    """Memory of a fleet, all zero; no PULSE has come yet."""
+    fleet = np.zeros((-(-robots // LANES), NUMBERS * LANES))
+    fleet[:, PULSE:CURVE_N] = np.nan
+    return fleet
+
+
+@kernel(f"void({MATRIX}, {MATRIX}, i8)")
+def to_fleet(values: Array, fleet: Array, first: int) -> None:
+    """Copy `values` (n, m) to the numbers from `first` on."""
+    n, m = values.shape
+    for b in range(len(fleet)):
+        for lane in range(LANES):
+            i = min(b * LANES + lane, n - 1)
+            for k in range(m):
+                fleet[b, first + k * LANES + lane] = values[i, k]
+
+
+@kernel(f"void({MATRIX}, i8, {MATRIX})")
+def from_fleet(fleet: Array, first: int, values: Array) -> None:
+    """Copy the numbers from `first` on to `values` (n, m)."""
+    n, m = values.shape
+    for i in range(n):
+        for k in range(m):
+            values[i, k] = fleet[i // LANES, first + k * LANES + i % LANES]
 
 
 # --- batteries
 
 
-@kernel(f"void({VECTOR}, {BATTERY}, {VECTOR})")
-def rest_voltage(charge: Array, battery: Constants, voltage: Array) -> None:
-    """Voltage (n,) V of batteries with a charge (n,), 0 to 1, without load."""
-    ideal, curve_charge, curve_v, cells, beyond_v, start_v = battery[:6]
-    for i in range(len(charge)):
-        voltage[i] = start_v if ideal else interpolate(charge[i], curve_charge, curve_v) * cells + beyond_v
+@kernel(f"void({MATRIX}, i8, i8, {BATTERY})")
+def thrust_factor(fleet: Array, first: int, end: int, battery: Constants) -> None:
+    """FACTOR, thrust over the static curve's: (voltage / curve's voltage)^1.2, with thrusters at FORCE.
 
-
-@kernel(f"void({VECTOR}, {MATRIX}, {VECTOR}, {BATTERY}, {VECTOR})")
-def thrust_factor(charge: Array, force_n: Array, sag_v: Array, battery: Constants, factor: Array) -> None:
-    """Thrust (n,) over the static curve's: (voltage / curve's voltage)^1.2, with thrusters at forces (n, 4).
-
-    The voltage falls with the mean load, and by `sag_v` (n,) besides. An ideal battery falls by `sag_v` alone.
+    The voltage falls with the mean load, and by LOST_V besides. An ideal battery falls by LOST_V alone.
     """
-    ideal, _, _, _, _, _, full_v, load_v, max_thrust_n, _, _, _ = battery
-    rest_voltage(charge, battery, factor)
-    for i in range(len(charge)):
-        if ideal:
-            ratio = 1.0 - sag_v[i] / full_v
-        else:
-            load = 0.0
-            for leg in range(THRUSTERS):
-                load += abs(force_n[i, leg])
-            load /= THRUSTERS * max_thrust_n
-            ratio = (factor[i] - load_v * load - sag_v[i]) / full_v
-        factor[i] = max(ratio, 0.0) ** THRUST_EXPONENT
+    ideal, curve_charge, curve_v, cells, beyond_v, full_v, load_v, max_thrust_n, _, _, _ = battery
+    per_load_v = load_v / (THRUSTERS * max_thrust_n)
+    lanes = fleet.shape[1] // NUMBERS
+    for b in range(first, end):
+        interpolate(fleet, b, CHARGE, FACTOR, lanes, curve_charge, curve_v)
+        for lane in range(lanes):
+            load_n = abs(fleet[b, FORCE + lane]) + abs(fleet[b, FORCE + LANES + lane])
+            load_n += abs(fleet[b, FORCE + 2 * LANES + lane]) + abs(fleet[b, FORCE + 3 * LANES + lane])
+            voltage = full_v if ideal else fleet[b, FACTOR + lane] * cells + beyond_v - per_load_v * load_n
+            fleet[b, FACTOR + lane] = max((voltage - fleet[b, LOST_V + lane]) / full_v, 0.0)
+        for lane in range(lanes):
+            fleet[b, FACTOR + lane] = fleet[b, FACTOR + lane] ** THRUST_EXPONENT
 
 
-@kernel(f"void({VECTOR}, {MATRIX}, f8, {BATTERY})")
-def discharge(charge: Array, force_n: Array, seconds: float, battery: Constants) -> None:
-    """Take from the charge (n,), in place, the energy of thrusters at forces (n, 4): power ~ |thrust|^1.5 (momentum
-    theory), and the electronics'."""
-    ideal, _, _, _, _, _, _, _, max_thrust_n, thruster_w, electronics_w, capacity_j = battery
+@kernel(f"void({MATRIX}, i8, i8, f8, {BATTERY})")
+def discharge(fleet: Array, first: int, end: int, seconds: float, battery: Constants) -> None:
+    """Take from CHARGE the energy of thrusters at FORCE: power ~ |thrust|^1.5 (momentum theory), and the electronics'."""
+    ideal, _, _, _, _, _, _, max_thrust_n, thruster_w, electronics_w, capacity_j = battery
     if ideal:
         return
-    for i in range(len(charge)):
-        power_w = electronics_w
-        for leg in range(THRUSTERS):
-            load = abs(force_n[i, leg]) / max_thrust_n
-            power_w += thruster_w * load * math.sqrt(load)
-        charge[i] = max(charge[i] - power_w * seconds / capacity_j, 0.0)
+    lanes = fleet.shape[1] // NUMBERS
+    for b in range(first, end):
+        for lane in range(lanes):
+            power_w = electronics_w
+            for leg in range(THRUSTERS):
+                load = abs(fleet[b, FORCE + leg * LANES + lane]) / max_thrust_n
+                power_w += thruster_w * load * math.sqrt(load)
+            fleet[b, CHARGE + lane] = max(fleet[b, CHARGE + lane] - power_w * seconds / capacity_j, 0.0)
 
 
 # --- thrusters and ankles
 
 
-@kernel(f"void({CUBE}, {MATRIX}, i8, {MATRIX}, {VECTOR}, {ACTUATORS}, {MATRIX}, {MATRIX})")
+@kernel(f"void({MATRIX}, i8, i8, {CUBE}, {MATRIX}, i8, {ACTUATORS})")
 def actuator_targets(
-    history_us: Array,
-    pulses_us: Array,
-    step: int,
-    gain: Array,
-    factor: Array,
-    actuators: Constants,
-    target_n: Array,
-    target_rad: Array,
+    fleet: Array, first: int, end: int, history_us: Array, pulses_us: Array, step: int, actuators: Constants
 ) -> None:
-    """Forces and angles (n, 4) that thrusters and ankles approach during a step, from the pulses of one dead time ago.
+    """TARGET_N and TARGET_RAD, which thrusters and ankles approach during a step, from the pulses of one dead time ago.
 
     `history_us` (k, n, 8) are the commands of the k steps before step 0, newest first; `pulses_us` (n, 8) hold from step 0
-    on. `gain` (n, 4) and `factor` (n,) scale the static curve.
+    on. GAIN and FACTOR scale the static curve, which is looked up where a PULSE has changed.
     """
     curve_us, curve_n, ankle_us, ankle_rad = actuators[:4]
     thruster_delay, ankle_delay = actuators[8:]
-    for i in range(len(pulses_us)):
+    thruster_us = history_us[thruster_delay - step - 1] if step < thruster_delay else pulses_us
+    turned_us = history_us[ankle_delay - step - 1] if step < ankle_delay else pulses_us
+    lanes, last, ankles = fleet.shape[1] // NUMBERS, len(pulses_us) - 1, PULSE + THRUSTERS * LANES
+    for b in range(first, end):
+        is_new = False
+        for lane in range(LANES):
+            i = min(b * LANES + lane, last)
+            for leg in range(THRUSTERS):
+                k, force_us, ankle = leg * LANES + lane, thruster_us[i, leg], turned_us[i, THRUSTERS + leg]
+                is_new = is_new or fleet[b, PULSE + k] != force_us or fleet[b, ankles + k] != ankle
+                fleet[b, PULSE + k], fleet[b, ankles + k] = force_us, ankle
+        if is_new:
+            interpolate(fleet, b, PULSE, CURVE_N, THRUSTERS * lanes, curve_us, curve_n)
+            interpolate(fleet, b, ankles, TARGET_RAD, THRUSTERS * lanes, ankle_us, ankle_rad)
         for leg in range(THRUSTERS):
-            ankle = THRUSTERS + leg
-            thruster_us, turned_us = pulses_us[i, leg], pulses_us[i, ankle]
-            if step < thruster_delay:
-                thruster_us = history_us[thruster_delay - step - 1, i, leg]
-            if step < ankle_delay:
-                turned_us = history_us[ankle_delay - step - 1, i, ankle]
-            target_n[i, leg] = factor[i] * gain[i, leg] * interpolate(thruster_us, curve_us, curve_n)
-            target_rad[i, leg] = interpolate(turned_us, ankle_us, ankle_rad)
+            for lane in range(lanes):
+                k = leg * LANES + lane
+                fleet[b, TARGET_N + k] = fleet[b, FACTOR + lane] * fleet[b, GAIN + k] * fleet[b, CURVE_N + k]
 
 
-@kernel(f"void({MATRIX}, {MATRIX}, {MATRIX}, {MATRIX}, f8, {ACTUATORS}, {MATRIX}, {MATRIX})")
-def move_actuators(
-    force_n: Array,
-    ankle_rad: Array,
-    target_n: Array,
-    target_rad: Array,
-    since_s: float,
-    actuators: Constants,
-    force_after: Array,
-    ankle_after: Array,
-) -> None:
-    """Forces and angles (n, 4) `since_s` after they were `force_n` and `ankle_rad`: a first-order lag, and a limited rate.
-    Targets are constant meanwhile, so both are exact."""
+@kernel(f"void({MATRIX}, i8, i8, f8, {ACTUATORS})")
+def move_actuators(fleet: Array, first: int, end: int, since_s: float, actuators: Constants) -> None:
+    """FORCE_THEN and ANKLE_THEN, `since_s` after they were FORCE and ANKLE: a first-order lag, and a limited rate. Targets are
+    constant meanwhile, so both are exact."""
     _, _, _, _, _, _, lag_s, rate_radps, _, _ = actuators
     left = math.exp(-since_s / lag_s) if lag_s > 0.0 else 0.0
     reach_rad = rate_radps * since_s
-    for i in range(len(force_n)):
-        for leg in range(THRUSTERS):
-            force_after[i, leg] = target_n[i, leg] + left * (force_n[i, leg] - target_n[i, leg])
-            to_go = target_rad[i, leg] - ankle_rad[i, leg]
-            ankle_after[i, leg] = ankle_rad[i, leg] + min(max(to_go, -reach_rad), reach_rad)
+    lanes = fleet.shape[1] // NUMBERS
+    for b in range(first, end):
+        for k in range(THRUSTERS * lanes):
+            target_n, target_rad = fleet[b, TARGET_N + k], fleet[b, TARGET_RAD + k]
+            fleet[b, FORCE_THEN + k] = target_n + left * (fleet[b, FORCE + k] - target_n)
+            to_go = target_rad - fleet[b, ANKLE + k]
+            fleet[b, ANKLE_THEN + k] = fleet[b, ANKLE + k] + min(max(to_go, -reach_rad), reach_rad)
 
 
-@kernel(f"void({MATRIX}, {MATRIX}, {ACTUATORS}, {MATRIX})")
-def legs_wrench(force_n: Array, ankle_rad: Array, actuators: Constants, wrench: Array) -> None:
-    """Forces and moments (n, 6) of the legs on surge, sway, heave, roll, pitch, yaw: the sum of (F, r x F).
+@kernel(f"void({MATRIX}, i8, i8, {ACTUATORS})")
+def legs_wrench(fleet: Array, first: int, end: int, actuators: Constants) -> None:
+    """WRENCH of the legs at FORCE_THEN and ANKLE_THEN on surge, sway, heave, roll, pitch, yaw: the sum of (F, r x F).
 
     A leg at r = (ahead, side, below) thrusts with F = force (cos a, 0, sin a); an ankle at +90 degrees thrusts down.
     """
     position_m, below_m = actuators[4], actuators[5]
-    for i in range(len(force_n)):
-        surge, heave, roll, pitch, yaw = 0.0, 0.0, 0.0, 0.0, 0.0
+    lanes = fleet.shape[1] // NUMBERS
+    for b in range(first, end):
+        for k in range(6 * lanes):
+            fleet[b, WRENCH + k] = 0.0
         for leg in range(THRUSTERS):
-            ahead = force_n[i, leg] * math.cos(ankle_rad[i, leg])
-            down = force_n[i, leg] * math.sin(ankle_rad[i, leg])
-            ahead_m, side_m = position_m[leg, 0], position_m[leg, 1]
-            surge += ahead
-            heave += down
-            roll += side_m * down
-            pitch += below_m * ahead - ahead_m * down
-            yaw -= side_m * ahead
-        wrench[i, 0], wrench[i, 1], wrench[i, 2] = surge, 0.0, heave
-        wrench[i, 3], wrench[i, 4], wrench[i, 5] = roll, pitch, yaw
+            ahead_m, side_m, k = position_m[leg, 0], position_m[leg, 1], leg * LANES
+            for lane in range(lanes):
+                sine, cosine = sine_cosine(fleet[b, ANKLE_THEN + k + lane])
+                ahead, down = fleet[b, FORCE_THEN + k + lane] * cosine, fleet[b, FORCE_THEN + k + lane] * sine
+                fleet[b, WRENCH + lane] += ahead
+                fleet[b, WRENCH + 2 * LANES + lane] += down
+                fleet[b, WRENCH + 3 * LANES + lane] += side_m * down
+                fleet[b, WRENCH + 4 * LANES + lane] += below_m * ahead - ahead_m * down
+                fleet[b, WRENCH + 5 * LANES + lane] -= side_m * ahead
 
 
 # --- water
@@ -224,13 +286,11 @@ def water_motion(place_m: Array, time_s: float, flow: Constants, motion: Array) 
             motion[i, 5] += across * wave_radps * math.cos(phase)
 
 
-@kernel("f8(f8, f8, f8, b1)")
+@kernel("f8(f8, f8, f8, b1)", inline=True)
 def lift(z_m: float, buoyancy_n: float, radius_m: float, has_surface: bool) -> float:
     """Vertical force on a hull at depth z, down positive: residual buoyancy, and above water the missing displacement of
     the cap of height c = r - z that stands out, rho g pi / 3 c^2 (3 r - c)."""
-    if not has_surface or z_m >= radius_m:
-        return buoyancy_n
-    cap_m = min(radius_m - z_m, 2.0 * radius_m)
+    cap_m = min(max(radius_m - z_m, 0.0), 2.0 * radius_m) if has_surface else 0.0
     return buoyancy_n + DENSITY_KGPM3 * GRAVITY_MPS2 * math.pi / 3.0 * cap_m * cap_m * (3.0 * radius_m - cap_m)
 
 
@@ -252,27 +312,32 @@ def sort_by_x(place_m: Array, order: Indices) -> None:
         order[before + 1] = i
 
 
-@kernel(f"b1({MATRIX}, i8[::1], {BASIN})")
-def is_near(place_m: Array, order: Indices, basin: Constants) -> bool:
-    """True if any hull is within NEAR_M of a wall, the floor, an island or another hull. `order`: see `sort_by_x`."""
+@kernel(f"b1({MATRIX}, i8[::1], {BASIN}, {MATRIX})")
+def is_near(place_m: Array, order: Indices, basin: Constants, sorted_m: Array) -> bool:
+    """True if any hull is within NEAR_M of a wall, the floor, an island or another hull. `order`: see `sort_by_x`;
+    `sorted_m` (3, n) is for the places in this order."""
     inside_m, islands_m, radius_m, _ = basin
     within_m = 2.0 * radius_m + NEAR_M
+    xs, ys, zs = sorted_m[0], sorted_m[1], sorted_m[2]
     for k in range(len(order)):
-        i = order[k]
-        x, y, z = place_m[i, 0], place_m[i, 1], place_m[i, 2]
+        x, y, z = place_m[order[k], 0], place_m[order[k], 1], place_m[order[k], 2]
+        xs[k], ys[k], zs[k] = x, y, z
         if max(abs(x) - inside_m[0], abs(y) - inside_m[1], z - inside_m[2]) > -NEAR_M:
             return True
         for island in range(len(islands_m)):
             distance = math.hypot(x - islands_m[island, 0], y - islands_m[island, 1])
             if distance < islands_m[island, 2] + radius_m + NEAR_M:
                 return True
-        for other in range(k + 1, len(order)):
-            j = order[other]
-            dx, dy, dz = place_m[j, 0] - x, place_m[j, 1] - y, place_m[j, 2] - z
-            if dx > within_m:
-                break
-            if dx * dx + dy * dy + dz * dz < within_m * within_m:
-                return True
+    begin = 0
+    for k in range(len(order)):
+        x, y, z, near = xs[k], ys[k], zs[k], 0
+        while x - xs[begin] > within_m:
+            begin += 1
+        for other in range(begin, k):
+            dx, dy, dz = xs[other] - x, ys[other] - y, zs[other] - z
+            near += dx * dx + dy * dy + dz * dz < within_m * within_m
+        if near > 0:
+            return True
     return False
 
 
@@ -330,70 +395,91 @@ def contact_force(start_m: Array, place_m: Array, velocity_mps: Array, order: In
 # --- rigid bodies
 
 
-@kernel(f"void({MATRIX}, {MATRIX}, {MATRIX}, {MATRIX})")
-def pack(eta: Array, nu: Array, tilt: Array, state: Array) -> None:
-    """State (n, 12) of poses eta, velocities nu on level axes that turn with the heading, and tilts [roll, pitch and their
-    rates], (n, 4) each."""
-    for i in range(len(eta)):
-        roll, pitch, roll_rate, pitch_rate = tilt[i, 0], tilt[i, 1], tilt[i, 2], tilt[i, 3]
-        cr, sr, cp, sp = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch)
-        u, v, w, yaw_rate = nu[i, 0], nu[i, 1], nu[i, 2], nu[i, 3]
-        down = sp * u + cp * w
-        state[i, 0], state[i, 1], state[i, 2] = eta[i, 0], eta[i, 1], eta[i, 2]
-        state[i, 3], state[i, 4], state[i, 5] = roll, pitch, eta[i, 3]
-        state[i, 6] = cp * u - sp * w
-        state[i, 7] = cr * v + sr * down
-        state[i, 8] = cr * down - sr * v
-        state[i, 9] = roll_rate - sp * yaw_rate
-        state[i, 10] = cr * pitch_rate + sr * cp * yaw_rate
-        state[i, 11] = cr * cp * yaw_rate - sr * pitch_rate
+@kernel(f"void({MATRIX}, i8, i8)")
+def pack(fleet: Array, first: int, end: int) -> None:
+    """STATE, and START with it, of POSE, SPEED and TILT. SPEED is on level axes that turn with the heading."""
+    lanes = fleet.shape[1] // NUMBERS
+    for b in range(first, end):
+        for lane in range(lanes):
+            roll, pitch = fleet[b, TILT + lane], fleet[b, TILT + LANES + lane]
+            roll_rate, pitch_rate = fleet[b, TILT + 2 * LANES + lane], fleet[b, TILT + 3 * LANES + lane]
+            u, v = fleet[b, SPEED + lane], fleet[b, SPEED + LANES + lane]
+            w, yaw_rate = fleet[b, SPEED + 2 * LANES + lane], fleet[b, SPEED + 3 * LANES + lane]
+            sr, cr = sine_cosine(roll)
+            sp, cp = sine_cosine(pitch)
+            down = sp * u + cp * w
+            fleet[b, X + lane], fleet[b, Y + lane] = fleet[b, POSE + lane], fleet[b, POSE + LANES + lane]
+            fleet[b, Z + lane], fleet[b, YAW + lane] = fleet[b, POSE + 2 * LANES + lane], fleet[b, POSE + 3 * LANES + lane]
+            fleet[b, ROLL + lane], fleet[b, PITCH + lane] = roll, pitch
+            fleet[b, U + lane] = cp * u - sp * w
+            fleet[b, V + lane] = cr * v + sr * down
+            fleet[b, W + lane] = cr * down - sr * v
+            fleet[b, P + lane] = roll_rate - sp * yaw_rate
+            fleet[b, Q + lane] = cr * pitch_rate + sr * cp * yaw_rate
+            fleet[b, R + lane] = cr * cp * yaw_rate - sr * pitch_rate
+        for k in range(STATES * lanes):
+            fleet[b, START + k] = fleet[b, STATE + k]
+            fleet[b, SUM + k] = 0.0
 
 
-@kernel(f"void({MATRIX}, {MATRIX}, {MATRIX}, {MATRIX})")
-def unpack(state: Array, eta: Array, nu: Array, tilt: Array) -> None:
-    """Poses, level velocities and tilts (n, 4) of a state (n, 12): the inverse of `pack`."""
-    for i in range(len(eta)):
-        roll, pitch = state[i, 3], state[i, 4]
-        cr, sr, cp, sp = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch)
-        u, v, w, p, q, r = state[i, 6], state[i, 7], state[i, 8], state[i, 9], state[i, 10], state[i, 11]
-        down, turn = sr * v + cr * w, sr * q + cr * r
-        eta[i, 0], eta[i, 1], eta[i, 2], eta[i, 3] = state[i, 0], state[i, 1], state[i, 2], state[i, 5]
-        nu[i, 0], nu[i, 1], nu[i, 2], nu[i, 3] = cp * u + sp * down, cr * v - sr * w, cp * down - sp * u, turn / cp
-        tilt[i, 0], tilt[i, 1], tilt[i, 2], tilt[i, 3] = roll, pitch, p + turn * sp / cp, cr * q - sr * r
+@kernel(f"void({MATRIX}, i8, i8)")
+def unpack(fleet: Array, first: int, end: int) -> None:
+    """POSE, SPEED and TILT of STATE: the inverse of `pack`."""
+    lanes = fleet.shape[1] // NUMBERS
+    for b in range(first, end):
+        for lane in range(lanes):
+            roll, pitch = fleet[b, ROLL + lane], fleet[b, PITCH + lane]
+            u, v, w = fleet[b, U + lane], fleet[b, V + lane], fleet[b, W + lane]
+            p, q, r = fleet[b, P + lane], fleet[b, Q + lane], fleet[b, R + lane]
+            sr, cr = sine_cosine(roll)
+            sp, cp = sine_cosine(pitch)
+            down, turn = sr * v + cr * w, sr * q + cr * r
+            fleet[b, POSE + lane], fleet[b, POSE + LANES + lane] = fleet[b, X + lane], fleet[b, Y + lane]
+            fleet[b, POSE + 2 * LANES + lane], fleet[b, POSE + 3 * LANES + lane] = fleet[b, Z + lane], fleet[b, YAW + lane]
+            fleet[b, SPEED + lane], fleet[b, SPEED + LANES + lane] = cp * u + sp * down, cr * v - sr * w
+            fleet[b, SPEED + 2 * LANES + lane], fleet[b, SPEED + 3 * LANES + lane] = cp * down - sp * u, turn / cp
+            fleet[b, TILT + lane], fleet[b, TILT + LANES + lane] = roll, pitch
+            fleet[b, TILT + 2 * LANES + lane], fleet[b, TILT + 3 * LANES + lane] = p + turn * sp / cp, cr * q - sr * r
 
 
-@kernel(f"void({MATRIX}, {MATRIX}, {CUBE})")
-def kinematics(state: Array, rate: Array, turn: Array) -> None:
-    """First six columns of d/dt state: velocity in the pool frame, and rates of roll, pitch and yaw. Also the attitudes R
-    (n, 3, 3), body to pool."""
-    for i in range(len(state)):
-        roll, pitch, yaw = state[i, 3], state[i, 4], state[i, 5]
-        cr, sr, cp, sp = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch)
-        cy, sy = math.cos(yaw), math.sin(yaw)
-        p, q, r = state[i, 9], state[i, 10], state[i, 11]
-        turn[i, 0, 0], turn[i, 0, 1], turn[i, 0, 2] = cp * cy, sr * sp * cy - cr * sy, cr * sp * cy + sr * sy
-        turn[i, 1, 0], turn[i, 1, 1], turn[i, 1, 2] = cp * sy, sr * sp * sy + cr * cy, cr * sp * sy - sr * cy
-        turn[i, 2, 0], turn[i, 2, 1], turn[i, 2, 2] = -sp, sr * cp, cr * cp
-        for axis in range(3):
-            rate[i, axis] = turn[i, axis, 0] * state[i, 6] + turn[i, axis, 1] * state[i, 7] + turn[i, axis, 2] * state[i, 8]
-        yaw_rate = (sr * q + cr * r) / cp
-        rate[i, 3] = p + sp * yaw_rate
-        rate[i, 4] = cr * q - sr * r
-        rate[i, 5] = yaw_rate
+@kernel(f"void({MATRIX}, i8, i8)")
+def kinematics(fleet: Array, first: int, end: int) -> None:
+    """First six numbers of RATE: velocity in the pool frame, and rates of roll, pitch and yaw. Also TURN, the attitude R, body
+    to pool, row by row."""
+    lanes = fleet.shape[1] // NUMBERS
+    for b in range(first, end):
+        for lane in range(lanes):
+            sr, cr = sine_cosine(fleet[b, ROLL + lane])
+            sp, cp = sine_cosine(fleet[b, PITCH + lane])
+            sy, cy = sine_cosine(fleet[b, YAW + lane])
+            u, v, w = fleet[b, U + lane], fleet[b, V + lane], fleet[b, W + lane]
+            p, q, r = fleet[b, P + lane], fleet[b, Q + lane], fleet[b, R + lane]
+            xx, xy, xz = cp * cy, sr * sp * cy - cr * sy, cr * sp * cy + sr * sy
+            yx, yy, yz = cp * sy, sr * sp * sy + cr * cy, cr * sp * sy - sr * cy
+            zx, zy, zz = -sp, sr * cp, cr * cp
+            fleet[b, TURN + lane], fleet[b, TURN + LANES + lane], fleet[b, TURN + 2 * LANES + lane] = xx, xy, xz
+            fleet[b, TURN + 3 * LANES + lane], fleet[b, TURN + 4 * LANES + lane], fleet[b, TURN + 5 * LANES + lane] = (
+                yx,
+                yy,
+                yz,
+            )
+            fleet[b, TURN + 6 * LANES + lane], fleet[b, TURN + 7 * LANES + lane], fleet[b, TURN + 8 * LANES + lane] = (
+                zx,
+                zy,
+                zz,
+            )
+            fleet[b, RATE + lane] = xx * u + xy * v + xz * w
+            fleet[b, RATE + LANES + lane] = yx * u + yy * v + yz * w
+            fleet[b, RATE + 2 * LANES + lane] = zx * u + zy * v + zz * w
+            yaw_rate = (sr * q + cr * r) / cp
+            fleet[b, RATE + 3 * LANES + lane] = p + sp * yaw_rate
+            fleet[b, RATE + 4 * LANES + lane] = cr * q - sr * r
+            fleet[b, RATE + 5 * LANES + lane] = yaw_rate
 
 
-@kernel(f"void({MATRIX}, {CUBE}, f8, {MATRIX}, {MATRIX}, {MATRIX}, {BODY}, {MATRIX})")
-def dynamics(
-    state: Array,
-    turn: Array,
-    time_s: float,
-    wrench: Array,
-    motion: Array,
-    contact: Array,
-    body: Constants,
-    rate: Array,
-) -> None:
-    """Last six columns of d/dt state (Fossen 2021, chapters 6 to 8), nu_r being the velocity relative to the water:
+@kernel(f"void({MATRIX}, i8, i8, f8, {BODY})")
+def dynamics(fleet: Array, first: int, end: int, time_s: float, body: Constants) -> None:
+    """Last six numbers of RATE (Fossen 2021, chapters 6 to 8), nu_r being the velocity relative to the water:
 
         nu_r = nu - [R^T water, 0],    nu' = M^-1 (wrench + R^T (lift + contact) + righting - D(nu_r) nu_r - C(nu_r) nu_r)
                + R^T water' - [omega x R^T water, 0]
@@ -403,96 +489,161 @@ def dynamics(
     roll and pitch. On a round hull the horizontal quadratic drag points against the flow and takes the horizontal speed
     instead of |u| and |v|. Without `sway` it is the article's plant: v = 0, each axis by itself.
 
-    Water's `motion` (n, 6), legs' `wrench` (n, 6) and `contact` (n, 3), the latter and the water in the pool frame.
+    The water's MOTION and CONTACT are in the pool frame, the legs' WRENCH on the body's axes.
     """
-    sway, mass, h, inverse, linear, quadratic, righting_nm, buoyancy_n, radius_m, surface, wave_wrench, wave_radps = body
-    disturbs = wave_wrench[0] != 0.0 or wave_wrench[1] != 0.0 or wave_wrench[2] != 0.0
-    for i in range(len(state)):
-        water_x, water_y, water_z = motion[i, 0], motion[i, 1], motion[i, 2]
-        rate_x, rate_y, rate_z = motion[i, 3], motion[i, 4], motion[i, 5]
-        push_x, push_y, push_z = contact[i, 0], contact[i, 1], contact[i, 2]
-        push_z += lift(state[i, 2], buoyancy_n, radius_m, surface)
-        xx, xy, xz = turn[i, 0, 0], turn[i, 0, 1], turn[i, 0, 2]
-        yx, yy, yz = turn[i, 1, 0], turn[i, 1, 1], turn[i, 1, 2]
-        zx, zy, zz = turn[i, 2, 0], turn[i, 2, 1], turn[i, 2, 2]
-        a = xx * water_x + yx * water_y + zx * water_z  # the water's velocity on the body's axes
-        b = xy * water_x + yy * water_y + zy * water_z
-        c = xz * water_x + yz * water_y + zz * water_z
-        u, v, w = state[i, 6] - a, state[i, 7] - b, state[i, 8] - c
-        p, q, r = state[i, 9], state[i, 10], state[i, 11]
+    sway, mass, h, inverse, linear, quadratic, righting_nm, buoyancy_n, radius_m, surface, wave_wrench = body
+    mass_u, mass_v, mass_w, mass_p, mass_q, mass_r = mass[0], mass[1], mass[2], mass[3], mass[4], mass[5]
+    linear_u, linear_v, linear_w, linear_p, linear_q, linear_r = (
+        linear[0],
+        linear[1],
+        linear[2],
+        linear[3],
+        linear[4],
+        linear[5],
+    )
+    drag_u, drag_v, drag_w = quadratic[0], quadratic[1], quadratic[2]
+    drag_p, drag_q, drag_r = quadratic[3], quadratic[4], quadratic[5]
+    wave_u, wave_w, wave_r = wave_wrench[0], wave_wrench[1], wave_wrench[2]
+    uu, uq, qu, qq, vv, vp = inverse[0, 0], inverse[0, 4], inverse[4, 0], inverse[4, 4], inverse[1, 1], inverse[1, 3]
+    pv, pp, ww, rr = inverse[3, 1], inverse[3, 3], inverse[2, 2], inverse[5, 5]
+    lanes = fleet.shape[1] // NUMBERS
+    for b in range(first, end):
+        for lane in range(lanes):
+            water_x, water_y, water_z = (
+                fleet[b, MOTION + lane],
+                fleet[b, MOTION + LANES + lane],
+                fleet[b, MOTION + 2 * LANES + lane],
+            )
+            rate_x, rate_y, rate_z = (
+                fleet[b, MOTION + 3 * LANES + lane],
+                fleet[b, MOTION + 4 * LANES + lane],
+                fleet[b, MOTION + 5 * LANES + lane],
+            )
+            push_x, push_y, push_z = (
+                fleet[b, CONTACT + lane],
+                fleet[b, CONTACT + LANES + lane],
+                fleet[b, CONTACT + 2 * LANES + lane],
+            )
+            push_z += lift(fleet[b, Z + lane], buoyancy_n, radius_m, surface)
+            xx, xy, xz = fleet[b, TURN + lane], fleet[b, TURN + LANES + lane], fleet[b, TURN + 2 * LANES + lane]
+            yx, yy, yz = (
+                fleet[b, TURN + 3 * LANES + lane],
+                fleet[b, TURN + 4 * LANES + lane],
+                fleet[b, TURN + 5 * LANES + lane],
+            )
+            zx, zy, zz = (
+                fleet[b, TURN + 6 * LANES + lane],
+                fleet[b, TURN + 7 * LANES + lane],
+                fleet[b, TURN + 8 * LANES + lane],
+            )
+            a = xx * water_x + yx * water_y + zx * water_z  # the water's velocity on the body's axes
+            c = xy * water_x + yy * water_y + zy * water_z
+            d = xz * water_x + yz * water_y + zz * water_z
+            u, v, w = fleet[b, U + lane] - a, fleet[b, V + lane] - c, fleet[b, W + lane] - d
+            p, q, r = fleet[b, P + lane], fleet[b, Q + lane], fleet[b, R + lane]
 
-        horizontal = math.sqrt(u * u + v * v)
-        speed_u, speed_v = (horizontal, horizontal) if sway else (abs(u), abs(v))
-        wave = math.sin(wave_radps[i] * time_s) if disturbs else 0.0
-        surge = wrench[i, 0] - (linear[0] + quadratic[0] * speed_u) * u + wave * wave_wrench[0]
-        sideways = wrench[i, 1] - (linear[1] + quadratic[1] * speed_v) * v
-        heave = wrench[i, 2] - (linear[2] + quadratic[2] * abs(w)) * w + wave * wave_wrench[1]
-        roll = wrench[i, 3] - (linear[3] + quadratic[3] * abs(p)) * p - righting_nm * zy
-        pitch = wrench[i, 4] - (linear[4] + quadratic[4] * abs(q)) * q + righting_nm * zx
-        yaw = wrench[i, 5] - (linear[5] + quadratic[5] * abs(r)) * r + wave * wave_wrench[2]
-        surge += xx * push_x + yx * push_y + zx * push_z
-        sideways += xy * push_x + yy * push_y + zy * push_z
-        heave += xz * push_x + yz * push_y + zz * push_z
-        if sway:
-            impulse_u, impulse_v, impulse_w = mass[0] * u + h * q, mass[1] * v - h * p, mass[2] * w
-            spin_p, spin_q, spin_r = mass[3] * p - h * v, mass[4] * q + h * u, mass[5] * r
-            surge -= q * impulse_w - r * impulse_v
-            sideways -= r * impulse_u - p * impulse_w
-            heave -= p * impulse_v - q * impulse_u
-            roll -= q * spin_r - r * spin_q + v * impulse_w - w * impulse_v
-            pitch -= r * spin_p - p * spin_r + w * impulse_u - u * impulse_w
-            yaw -= p * spin_q - q * spin_p + u * impulse_v - v * impulse_u
-        else:
-            a, b, c = 0.0, 0.0, 0.0  # no axis couples with another
+            horizontal = math.sqrt(u * u + v * v)
+            speed_u = horizontal if sway else abs(u)
+            speed_v = horizontal if sway else abs(v)
+            wave, _ = sine_cosine(fleet[b, WAVE + lane] * time_s)
+            surge = fleet[b, WRENCH + lane] - (linear_u + drag_u * speed_u) * u + wave * wave_u
+            sideways = fleet[b, WRENCH + LANES + lane] - (linear_v + drag_v * speed_v) * v
+            heave = fleet[b, WRENCH + 2 * LANES + lane] - (linear_w + drag_w * abs(w)) * w + wave * wave_w
+            roll = fleet[b, WRENCH + 3 * LANES + lane] - (linear_p + drag_p * abs(p)) * p - righting_nm * zy
+            pitch = fleet[b, WRENCH + 4 * LANES + lane] - (linear_q + drag_q * abs(q)) * q + righting_nm * zx
+            yaw = fleet[b, WRENCH + 5 * LANES + lane] - (linear_r + drag_r * abs(r)) * r + wave * wave_r
+            surge += xx * push_x + yx * push_y + zx * push_z
+            sideways += xy * push_x + yy * push_y + zy * push_z
+            heave += xz * push_x + yz * push_y + zz * push_z
+            if sway:
+                impulse_u, impulse_v, impulse_w = mass_u * u + h * q, mass_v * v - h * p, mass_w * w
+                spin_p, spin_q, spin_r = mass_p * p - h * v, mass_q * q + h * u, mass_r * r
+                surge -= q * impulse_w - r * impulse_v
+                sideways -= r * impulse_u - p * impulse_w
+                heave -= p * impulse_v - q * impulse_u
+                roll -= q * spin_r - r * spin_q + v * impulse_w - w * impulse_v
+                pitch -= r * spin_p - p * spin_r + w * impulse_u - u * impulse_w
+                yaw -= p * spin_q - q * spin_p + u * impulse_v - v * impulse_u
+            else:
+                a, c, d = 0.0, 0.0, 0.0  # no axis couples with another
 
-        rate[i, 6] = inverse[0, 0] * surge + inverse[0, 4] * pitch + xx * rate_x + yx * rate_y + zx * rate_z + b * r - c * q
-        rate[i, 7] = inverse[1, 1] * sideways + inverse[1, 3] * roll + xy * rate_x + yy * rate_y + zy * rate_z + c * p - a * r
-        rate[i, 8] = inverse[2, 2] * heave + xz * rate_x + yz * rate_y + zz * rate_z + a * q - b * p
-        rate[i, 9] = inverse[3, 1] * sideways + inverse[3, 3] * roll
-        rate[i, 10] = inverse[4, 0] * surge + inverse[4, 4] * pitch
-        rate[i, 11] = inverse[5, 5] * yaw
-        if not sway:
-            rate[i, 7] = 0.0
+            fleet[b, RATE + 6 * LANES + lane] = (
+                uu * surge + uq * pitch + xx * rate_x + yx * rate_y + zx * rate_z + c * r - d * q
+            )
+            across = vv * sideways + vp * roll + xy * rate_x + yy * rate_y + zy * rate_z + d * p - a * r
+            fleet[b, RATE + 7 * LANES + lane] = across if sway else 0.0
+            fleet[b, RATE + 8 * LANES + lane] = ww * heave + xz * rate_x + yz * rate_y + zz * rate_z + a * q - c * p
+            fleet[b, RATE + 9 * LANES + lane] = pv * sideways + pp * roll
+            fleet[b, RATE + 10 * LANES + lane] = qu * surge + qq * pitch
+            fleet[b, RATE + 11 * LANES + lane] = rr * yaw
 
 
-@kernel(f"void({MATRIX}, f8, {MATRIX}, b1, {FLOW}, {BASIN}, {BODY}, {WORK}, {MATRIX})")
+@kernel(f"void({MATRIX}, i8, i8, f8, b1, {FLOW}, {BASIN}, {BODY}, {WORK})")
 def state_rate(
-    state: Array,
+    fleet: Array,
+    first: int,
+    end: int,
     time_s: float,
-    wrench: Array,
     touches: bool,
     flow: Constants,
     basin: Constants,
     body: Constants,
     work: Constants,
-    rate: Array,
 ) -> None:
-    """d/dt of a state (n, 12) with the legs' wrench (n, 6). Contact counts if the fleet `touches` anything. `work` holds
-    the order and the places of the step's start."""
-    order, start, _, _, _, _, _, turn, _, motion, contact, _, _, _, _, _ = work
-    kinematics(state, rate, turn)
+    """RATE, d/dt of STATE, with the legs' WRENCH. MOTION and CONTACT, zero before, are computed for the whole fleet where
+    water moves and where the fleet `touches` anything. `work` holds the order and the places of the step's start."""
+    order, _, places, water, _ = work
+    kinematics(fleet, first, end)
     if not flow[0]:
-        water_motion(state, time_s, flow, motion)
-    for i in range(len(contact)):
-        contact[i, 0], contact[i, 1], contact[i, 2] = 0.0, 0.0, 0.0
+        from_fleet(fleet, X, places[1])
+        water_motion(places[1], time_s, flow, water)
+        to_fleet(water, fleet, MOTION)
     if touches:
-        contact_force(start, state, rate, order, basin, contact)
-    dynamics(state, turn, time_s, wrench, motion, contact, body, rate)
+        from_fleet(fleet, X, places[1])
+        from_fleet(fleet, RATE, places[2])
+        contact_force(places[0], places[1], places[2], order, basin, places[3])
+        to_fleet(places[3], fleet, CONTACT)
+    dynamics(fleet, first, end, time_s, body)
+
+
+@kernel(f"b1({MATRIX}, {BASIN}, {WORK})")
+def begins_near(fleet: Array, basin: Constants, work: Constants) -> bool:
+    """Sort the places at a step's start, and tell whether contact has to be computed in this step; else CONTACT is zero."""
+    order, _, places, _, sorted_m = work
+    from_fleet(fleet, POSE, places[0])
+    sort_by_x(places[0], order)
+    touches = is_near(places[0], order, basin, sorted_m)
+    if not touches:
+        fleet[:, CONTACT : CONTACT + 3 * LANES] = 0.0
+    return touches
 
 
 # --- the fleet
 
 
-@kernel(f"void({MATRIX}, {MATRIX}, f8, {MATRIX})")
-def extrapolate(start: Array, rate: Array, by_s: float, state: Array) -> None:
-    """State (n, 12) that is `by_s` on from `start` at a constant rate."""
-    for i in range(len(start)):
-        for k in range(STATE):
-            state[i, k] = start[i, k] + by_s * rate[i, k]
+@kernel(f"void({MATRIX}, i8, i8, f8, f8)")
+def add_stage(fleet: Array, first: int, end: int, weight: float, by_s: float) -> None:
+    """Add a stage's weighted RATE to SUM. STATE becomes what it would be `by_s` after START at this RATE."""
+    lanes = fleet.shape[1] // NUMBERS
+    for b in range(first, end):
+        for k in range(STATES * lanes):
+            fleet[b, SUM + k] += weight * fleet[b, RATE + k]
+            fleet[b, STATE + k] = fleet[b, START + k] + by_s * fleet[b, RATE + k]
+
+
+@kernel(f"void({MATRIX}, i8, i8, f8)")
+def add_step(fleet: Array, first: int, end: int, step_s: float) -> None:
+    """STATE at a step's end, START + step / 6 SUM. The legs' forces and angles are those of this instant."""
+    lanes = fleet.shape[1] // NUMBERS
+    for b in range(first, end):
+        for k in range(STATES * lanes):
+            fleet[b, STATE + k] = fleet[b, START + k] + step_s / 6.0 * fleet[b, SUM + k]
+        for k in range(2 * THRUSTERS * lanes):
+            fleet[b, FORCE + k] = fleet[b, FORCE_THEN + k]
 
 
 @kernel(
-    f"void({MATRIX}, {MATRIX}, {MATRIX}, {MATRIX}, {MATRIX}, {VECTOR}, {CUBE}, {MATRIX}, {MATRIX}, {VECTOR}, i8, i8, f8, "
+    f"void({MATRIX}, {MATRIX}, {MATRIX}, {MATRIX}, {MATRIX}, {MATRIX}, {CUBE}, {MATRIX}, {MATRIX}, {MATRIX}, i8, i8, f8, "
     f"{ACTUATORS}, {BATTERY}, {FLOW}, {BASIN}, {BODY}, {WORK})"
 )
 def advance(
@@ -506,7 +657,7 @@ def advance(
     pulses_us: Array,
     gain: Array,
     sag_v: Array,
-    first: int,
+    first_step: int,
     steps: int,
     step_s: float,
     actuators: Constants,
@@ -516,73 +667,99 @@ def advance(
     body: Constants,
     work: Constants,
 ) -> None:
-    """Move a fleet on by `steps` steps from step `first` of the plant's time, with constant pulses (n, 8) on the outputs.
+    """Move a fleet on by `steps` steps from step `first_step` of the plant's time, with constant pulses (n, 8) on the outputs.
 
-    In place: poses, level velocities and tilts (n, 4), thrusters' forces and ankles' angles (n, 4), and charges (n,).
-    `history_us` (k, n, 8), `gain` (n, 4) and `sag_v` (n,) as in `actuator_targets` and `thrust_factor`.
+    In place: poses, level velocities and tilts (n, 4), thrusters' forces and ankles' angles (n, 4), and charges (n, 1).
+    `history_us` (k, n, 8) as in `actuator_targets`, `gain` (n, 4) of the thrusters and `sag_v` (n, 1) of the batteries.
     """
-    order, start, state, k1, k2, k3, k4, _, wrench, _, _, target_n, target_rad, force_then, ankle_then, factor = work
-    half_s = step_s / 2.0
+    fleet, half_s = work[1], step_s / 2.0
+    to_fleet(eta, fleet, POSE)
+    to_fleet(nu, fleet, SPEED)
+    to_fleet(tilt, fleet, TILT)
+    to_fleet(force_n, fleet, FORCE)
+    to_fleet(ankle_rad, fleet, ANKLE)
+    to_fleet(charge, fleet, CHARGE)
+    to_fleet(gain, fleet, GAIN)
+    to_fleet(sag_v, fleet, LOST_V)
     for step in range(steps):
-        time_s = (first + step) * step_s
-        pack(eta, nu, tilt, start)
-        thrust_factor(charge, force_n, sag_v, battery, factor)
-        actuator_targets(history_us, pulses_us, step, gain, factor, actuators, target_n, target_rad)
-        move_actuators(force_n, ankle_rad, target_n, target_rad, AT_ONCE_S, actuators, force_then, ankle_then)
-        legs_wrench(force_then, ankle_then, actuators, wrench[0])
-        move_actuators(force_n, ankle_rad, target_n, target_rad, half_s, actuators, force_then, ankle_then)
-        legs_wrench(force_then, ankle_then, actuators, wrench[1])
-        move_actuators(force_n, ankle_rad, target_n, target_rad, step_s, actuators, force_n, ankle_rad)
-        legs_wrench(force_n, ankle_rad, actuators, wrench[2])
+        time_s = (first_step + step) * step_s
+        touches = begins_near(fleet, basin, work)
+        tile = len(fleet) if touches or not flow[0] else TILE
+        for first in range(0, len(fleet), tile):
+            end = min(first + tile, len(fleet))
+            pack(fleet, first, end)
+            thrust_factor(fleet, first, end, battery)
+            actuator_targets(fleet, first, end, history_us, pulses_us, step, actuators)
+            move_actuators(fleet, first, end, AT_ONCE_S, actuators)
+            legs_wrench(fleet, first, end, actuators)
+            state_rate(fleet, first, end, time_s, touches, flow, basin, body, work)
+            add_stage(fleet, first, end, 1.0, half_s)
+            move_actuators(fleet, first, end, half_s, actuators)
+            legs_wrench(fleet, first, end, actuators)
+            state_rate(fleet, first, end, time_s + half_s, touches, flow, basin, body, work)
+            add_stage(fleet, first, end, 2.0, half_s)
+            state_rate(fleet, first, end, time_s + half_s, touches, flow, basin, body, work)
+            add_stage(fleet, first, end, 2.0, step_s)
+            move_actuators(fleet, first, end, step_s, actuators)
+            legs_wrench(fleet, first, end, actuators)
+            state_rate(fleet, first, end, time_s + step_s, touches, flow, basin, body, work)
+            add_stage(fleet, first, end, 1.0, 0.0)
+            add_step(fleet, first, end, step_s)
+            unpack(fleet, first, end)
+            discharge(fleet, first, end, step_s, battery)
+    from_fleet(fleet, POSE, eta)
+    from_fleet(fleet, SPEED, nu)
+    from_fleet(fleet, TILT, tilt)
+    from_fleet(fleet, FORCE, force_n)
+    from_fleet(fleet, ANKLE, ankle_rad)
+    from_fleet(fleet, CHARGE, charge)
 
-        sort_by_x(start, order)
-        touches = is_near(start, order, basin)
-        state_rate(start, time_s, wrench[0], touches, flow, basin, body, work, k1)
-        extrapolate(start, k1, half_s, state)
-        state_rate(state, time_s + half_s, wrench[1], touches, flow, basin, body, work, k2)
-        extrapolate(start, k2, half_s, state)
-        state_rate(state, time_s + half_s, wrench[1], touches, flow, basin, body, work, k3)
-        extrapolate(start, k3, step_s, state)
-        state_rate(state, time_s + step_s, wrench[2], touches, flow, basin, body, work, k4)
-        for i in range(len(start)):
-            for k in range(STATE):
-                start[i, k] += step_s / 6.0 * (k1[i, k] + 2.0 * (k2[i, k] + k3[i, k]) + k4[i, k])
-        unpack(start, eta, nu, tilt)
-        discharge(charge, force_n, step_s, battery)
 
-
-@kernel(f"void({MATRIX}, {MATRIX}, {MATRIX}, f8, {MATRIX}, {FLOW}, {BASIN}, {BODY}, {WORK}, {MATRIX})")
+@kernel(f"void({MATRIX}, {MATRIX}, {MATRIX}, f8, {MATRIX}, {MATRIX}, {ACTUATORS}, {FLOW}, {BASIN}, {BODY}, {WORK}, {MATRIX})")
 def fleet_acceleration(
     eta: Array,
     nu: Array,
     tilt: Array,
     time_s: float,
-    wrench: Array,
+    force_n: Array,
+    ankle_rad: Array,
+    actuators: Constants,
     flow: Constants,
     basin: Constants,
     body: Constants,
     work: Constants,
     acceleration: Array,
 ) -> None:
-    """d/dt (n, 4) of the level velocities nu of a fleet with the legs' wrench (n, 6).
+    """d/dt (n, 4) of the level velocities nu of a fleet with forces and angles (n, 4) of its legs.
 
     With Q = Ry Rx and v the body's velocity: d/dt (Q v) = Q (v' + omega x v) - yaw' z x Q v. The fourth is yaw''.
     """
-    order, state, _, rate, _, _, _, _, _, _, _, _, _, _, _, _ = work
-    pack(eta, nu, tilt, state)
-    sort_by_x(state, order)
-    state_rate(state, time_s, wrench, is_near(state, order, basin), flow, basin, body, work, rate)
-    for i in range(len(state)):
-        roll, pitch = state[i, 3], state[i, 4]
-        cr, sr, cp, sp = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch)
-        u, v, w, p, q, r = state[i, 6], state[i, 7], state[i, 8], state[i, 9], state[i, 10], state[i, 11]
-        ahead = rate[i, 6] + q * w - r * v
-        side = rate[i, 7] + r * u - p * w
-        below = rate[i, 8] + p * v - q * u
-        roll_rate, pitch_rate, yaw_rate = rate[i, 3], rate[i, 4], rate[i, 5]
-        down, down_rate = sr * v + cr * w, sr * side + cr * below
-        acceleration[i, 0] = cp * ahead + sp * down_rate + yaw_rate * (cr * v - sr * w)
-        acceleration[i, 1] = cr * side - sr * below - yaw_rate * (cp * u + sp * down)
-        acceleration[i, 2] = cp * down_rate - sp * ahead
-        turning = sr * rate[i, 10] + cr * rate[i, 11] + pitch_rate * roll_rate
-        acceleration[i, 3] = (turning + yaw_rate * sp * pitch_rate) / cp
+    fleet, end = work[1], len(work[1])
+    to_fleet(eta, fleet, POSE)
+    to_fleet(nu, fleet, SPEED)
+    to_fleet(tilt, fleet, TILT)
+    to_fleet(force_n, fleet, FORCE_THEN)
+    to_fleet(ankle_rad, fleet, ANKLE_THEN)
+    pack(fleet, 0, end)
+    legs_wrench(fleet, 0, end, actuators)
+    state_rate(fleet, 0, end, time_s, begins_near(fleet, basin, work), flow, basin, body, work)
+    for b in range(end):
+        for lane in range(LANES):
+            sr, cr = sine_cosine(fleet[b, ROLL + lane])
+            sp, cp = sine_cosine(fleet[b, PITCH + lane])
+            u, v, w = fleet[b, U + lane], fleet[b, V + lane], fleet[b, W + lane]
+            p, q, r = fleet[b, P + lane], fleet[b, Q + lane], fleet[b, R + lane]
+            ahead = fleet[b, RATE + 6 * LANES + lane] + q * w - r * v
+            side = fleet[b, RATE + 7 * LANES + lane] + r * u - p * w
+            below = fleet[b, RATE + 8 * LANES + lane] + p * v - q * u
+            roll_rate, pitch_rate = fleet[b, RATE + 3 * LANES + lane], fleet[b, RATE + 4 * LANES + lane]
+            yaw_rate = fleet[b, RATE + 5 * LANES + lane]
+            down, down_rate = sr * v + cr * w, sr * side + cr * below
+            turning = (
+                sr * fleet[b, RATE + 10 * LANES + lane] + cr * fleet[b, RATE + 11 * LANES + lane] + pitch_rate * roll_rate
+            )
+            fleet[b, SPEED + lane] = cp * ahead + sp * down_rate + yaw_rate * (cr * v - sr * w)
+            fleet[b, SPEED + LANES + lane] = cr * side - sr * below - yaw_rate * (cp * u + sp * down)
+            fleet[b, SPEED + 2 * LANES + lane] = cp * down_rate - sp * ahead
+            fleet[b, SPEED + 3 * LANES + lane] = (turning + yaw_rate * sp * pitch_rate) / cp
+    from_fleet(fleet, SPEED, acceleration)

@@ -44,5 +44,5 @@ class RigidBody:
             vehicle.radius_m,
             experiment.pool.walls,  # without walls there is no surface either
             np.array(plant.disturbance_wrench),  # [surge N, heave N, yaw N m] (ambiguity A13)
-            2.0 * np.pi * np.broadcast_to(np.array(plant.disturbance_hz), len(experiment.robots)),
         )
+        self.wave_radps = np.broadcast_to(2.0 * np.pi * np.array(plant.disturbance_hz), len(experiment.robots))[:, None].copy()

@@ -12,6 +12,7 @@ from wire.config.simulation import Sensors
 from wire.frames import Array, wrap
 
 ACCELEROMETER_NOISE_MPS2 = 0.02  # m/s^2, standard deviation of an ordinary MEMS part at 50 Hz; the link rounds to 0.01
+LEVEL = (0.0, 0.0, 0.0, 0.0)  # roll, pitch [rad], and d/dt of them [rad/s]
 
 
 @dataclass(frozen=True)
@@ -22,7 +23,7 @@ class Reading:
     yaw_rate_radps: float
     acceleration_mps2: tuple[float, float, float]  # specific force, body frame: at rest 1 g upwards, (0, 0, -g)
     depth_m: float
-    tilt: tuple[float, ...]  # roll, pitch [rad], and d/dt of them [rad/s]
+    tilt: tuple[float, ...] = LEVEL
 
     @property
     def tilt_sensed(self) -> tuple[float, float, float, float]:
@@ -31,9 +32,6 @@ class Reading:
         about_y = (pitch_rate + self.yaw_rate_radps * math.sin(roll)) / math.cos(roll)
         turn = about_y * math.sin(roll) + self.yaw_rate_radps * math.cos(roll)
         return roll, pitch, roll_rate - turn * math.tan(pitch), about_y
-
-
-LEVEL = (0.0, 0.0, 0.0, 0.0)  # roll, pitch, and d/dt of them
 
 
 class BoardSensors:

@@ -19,6 +19,7 @@ class Program:
     name: str
     module: str
     arguments: tuple[str, ...]
+    inherits: tuple[int, ...] = ()  # descriptors of open files
 
 
 @dataclass(frozen=True)
@@ -79,12 +80,19 @@ def check_sight(experiment: Experiment) -> None:
 
 
 def programs(
-    robots: tuple[int, ...], options: RunOptions, run_dir: Path, address: str, ports: int, boards: Path | None = None
+    robots: tuple[int, ...],
+    options: RunOptions,
+    run_dir: Path,
+    address: str,
+    ports: int,
+    boards: Path | None = None,
+    frame_ring: int | None = None,
 ) -> list[Program]:
     """The programs to start, the station first: it is the router at `address`, and the others wait for it.
 
     The experiment is in `run_dir`; the board of robot N is at UDP port `ports` + N. The folder `boards` holds the keys of
-    their links.
+    their links. `frame_ring` is the descriptor of the ring of frames that simulator and localizer share; without one frames
+    go over the network.
     """
     common = [str(run_dir / "experiment.toml"), *(["--lockstep"] if options.lockstep else [])]
     common += ["--keys", str(options.keys)] if options.keys is not None else []
@@ -94,9 +102,14 @@ def programs(
     station += [] if options.manual else ["--auto"]
     pool = ["pool", *client[1:], "--ports", str(ports), *(["--poses"] if options.poses else [])]
     pool += ["--boards", str(boards)] if boards is not None else []
-    found = [Program("groundstation", "groundstation", tuple(station)), Program("sim-bridge", "sim_bridge", tuple(pool))]
+    inherits = () if frame_ring is None else (frame_ring,)
+    ring = [part for descriptor in inherits for part in ("--frame-ring", str(descriptor))]
+    found = [
+        Program("groundstation", "groundstation", tuple(station)),
+        Program("sim-bridge", "sim_bridge", (*pool, *ring), inherits),
+    ]
     if not options.poses:
-        found.append(Program("localizer", "localizer", tuple(client)))
+        found.append(Program("localizer", "localizer", (*client, *ring), inherits))
     for robot in robots:
         link = ["--robot", str(robot), "--link", f"udp:127.0.0.1:{ports + robot}"]
         link += ["--link-key", str(boards / f"robot-{robot}.key")] if boards is not None else []

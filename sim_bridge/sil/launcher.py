@@ -4,6 +4,7 @@ The processes are the ones that run in the pool, started as a user would start t
 """
 
 import json
+import os
 import resource
 import shlex
 import shutil
@@ -30,6 +31,7 @@ from wire.mavlink.signing_key import new_key
 from wire.messages.topics import Role, process_name
 from wire.process.runtime import Stop
 from wire.toml_loader import ConfigError
+from wire.transport import frame_ring
 from wire.transport.bus import Bus
 from wire.transport.endpoint import parse_address
 from wire.transport.network import endpoint
@@ -57,11 +59,14 @@ def run(experiment: Experiment, run_dir: Path, options: RunOptions, stop: Stop, 
     boards = _link_keys(Path(secrets.name), experiment.robot_ids) if secrets is not None else None
     try:
         address, ports = f"tcp/127.0.0.1:{free_port()}", free_base_port(experiment.robot_ids)
-        started = programs(experiment.robot_ids, options, run_dir, address, ports, boards)
+        ring = None if options.poses else frame_ring.create(experiment.camera.size_px)
+        started = programs(experiment.robot_ids, options, run_dir, address, ports, boards, ring)
         console.print(
             f"station: {address} (groundstation stop, order, set, go, return and end find it)", soft_wrap=True, highlight=False
         )
         station, came_up = _start_all(children, started, address, stop)
+        if ring is not None:
+            os.close(ring)  # the processes have it; it is gone with the last of them
         if came_up:
             where = endpoint(address, process_name(Role.SIMULATOR), options.keys, lossless=options.lockstep)
             try:
@@ -153,7 +158,7 @@ def _start_all(children: Children, wanted: list[Program], address: str, stop: St
     if not _listens(address, station, stop):
         return station, False
     for program in others:
-        children.start(program.name, program.module, program.arguments)
+        children.start(program.name, program.module, program.arguments, inherits=program.inherits)
     return station, True
 
 

@@ -57,8 +57,17 @@ class Children:
     clocks: frozenset[str] = frozenset()  # names of processes whose wall clock will be set, by clock_file
     all: list[Child] = field(default_factory=list)
 
-    def start(self, name: str, module: str, arguments: Sequence[str], environment: Mapping[str, str] | None = None) -> Child:
-        """Start `python -m module arguments` in a process group of its own, so that Ctrl-C reaches only the launcher."""
+    def start(
+        self,
+        name: str,
+        module: str,
+        arguments: Sequence[str],
+        environment: Mapping[str, str] | None = None,
+        inherits: Sequence[int] = (),
+    ) -> Child:
+        """Start `python -m module arguments` in a process group of its own, so that Ctrl-C reaches only the launcher.
+
+        `inherits`: descriptors of open files that it keeps."""
         self.log_dir.mkdir(parents=True, exist_ok=True)
         if name in self.clocks:
             module, arguments = "sim_bridge.sil.clock_shim", [str(self.clock_file(name)), module, *arguments]
@@ -71,6 +80,7 @@ class Children:
                 stderr=subprocess.STDOUT,
                 env={**os.environ, **ONE_THREAD, **(environment or {})},
                 process_group=0,
+                pass_fds=inherits,
                 preexec_fn=_die_with_parent,
             )
         child = Child(name, process, log)

@@ -12,6 +12,7 @@ from sim_bridge.plant.sensors import LEVEL, BoardSensors, Reading
 from sim_bridge.thruster_board.parameters import Parameters, Refusal
 from sim_bridge.thruster_board.state_machine import INFO, S_NS, THRUSTERS, WARNING, BoardStateMachine, Charge
 from wire.config.experiment import Experiment
+from wire.config.vehicle import Thruster
 from wire.frames import Array
 from wire.mavlink import agent_link
 from wire.mavlink.board_link import (
@@ -23,6 +24,8 @@ from wire.mavlink.board_link import (
     ReadParameter,
     SetKey,
     SetParameter,
+    SimulatedBattery,
+    SimulatedMotion,
     TellVersion,
     Timesync,
     Unsupported,
@@ -32,6 +35,7 @@ from wire.mavlink.signing import Key
 
 MS_NS = 1_000_000
 STATUS_NS, HEARTBEAT_NS, KEEP_NS = S_NS // 2, S_NS, S_NS
+MOTION_AGE_NS, BATTERY_AGE_NS = 100 * MS_NS, 2 * S_NS  # of simulated measurements, until they count as gone
 SENT_BETWEEN = 10_000  # more timestamps than a board uses between two writes of its memory
 
 COMPONENT_ARM_DISARM, REQUEST_MESSAGE = 400, 512  # MAV_CMD
@@ -49,6 +53,32 @@ class NonvolatileState:
     key: Key | None = None  # the link's key, if it was set over the link
 
 
+class SimulatedSensors:
+    """The latest simulated measurements of a board in HIL mode."""
+
+    def __init__(self, now_ns: int) -> None:
+        """HIL mode begins."""
+        self._motion: SimulatedMotion | None = None
+        self._voltage_v: float | None = None
+        self._motion_ns = self._battery_ns = now_ns
+
+    def move(self, motion: SimulatedMotion, now_ns: int) -> None:
+        """Take measurements of the motion."""
+        self._motion, self._motion_ns = motion, now_ns
+
+    def charge(self, voltage_v: float, now_ns: int) -> None:
+        """Take a measurement of the battery."""
+        self._voltage_v, self._battery_ns = voltage_v, now_ns
+
+    def motion(self, now_ns: int) -> SimulatedMotion | None:
+        """The measurements of the motion; None while they are too old, or there are none."""
+        return self._motion if now_ns - self._motion_ns <= MOTION_AGE_NS else None
+
+    def battery_v(self, now_ns: int) -> float | None:
+        """The battery's voltage; None before the first, 0 V after too long without one."""
+        return self._voltage_v if now_ns - self._battery_ns <= BATTERY_AGE_NS else 0.0
+
+
 class ThrusterBoard:
     """One robot's thruster board."""
 
@@ -62,16 +92,17 @@ class ThrusterBoard:
         store: Callable[[NonvolatileState], None] = lambda stored: None,
     ) -> None:
         """Switch the board on, with what it `kept`; `keep` is called with what must survive the next loss of power."""
-        vehicle, sensors, stored = experiment.vehicle, experiment.sim.sensors, stored or NonvolatileState()
+        sensors, stored = experiment.sim.sensors, stored or NonvolatileState()
         self._key, self._robot_id = key, robot_id
-        self._vehicle, self._supply_v, self._store_callback = vehicle, sensors.battery_v, store
+        self._thruster, self._supply_v, self._store_callback = experiment.vehicle.thruster, sensors.battery_v, store
         computer = (robot_id, agent_link.AGENT_COMPONENT)
         self.rules = BoardStateMachine(Parameters.of(experiment).restored(stored.parameters), computer, key, stored.heard)
         self.link = BoardLink(robot_id, self.rules.gate, key, stored.sent + SENT_BETWEEN)
         self.sensors = BoardSensors(sensors, robot_id, seed)
         self._burst_ns = round(S_NS / sensors.rate_hz)
         self._outbox: list[bytes] = []
-        self._told_armed = False
+        self._simulated: SimulatedSensors | None = None  # in HIL mode
+        self._told = (False, False)  # armed, in HIL mode
         self._stored_heard = stored.heard
         self._last_step_ns: int | None = None
         self._last_burst_ns: int | None = None
@@ -137,12 +168,25 @@ class ThrusterBoard:
                 case SetParameter(name, value, real):
                     self._store()
                     self._answer_parameter(asker, name, self.rules.change(name, value) if real else Refusal.TYPE)
+                    self._enter_or_leave_hil(now_ns)
                     self._store()
                 case SetKey(key, newest):
                     self._take_key(key, newest)
                     return  # what came with it was judged by the old key
+                case SimulatedMotion():
+                    if self._simulated is not None:
+                        self._simulated.move(event, now_ns)
+                case SimulatedBattery(voltage_v):
+                    if self._simulated is not None:
+                        self._simulated.charge(voltage_v, now_ns)
                 case Heartbeat():
                     pass
+
+    def _enter_or_leave_hil(self, now_ns: int) -> None:
+        """Follow a change of HIL_MODE, if there was one."""
+        if self.rules.parameters.hil is not self.link.hil:
+            self.link.hil = self.rules.parameters.hil
+            self._simulated = SimulatedSensors(now_ns) if self.link.hil else None
 
     def _take_key(self, key: Key, newest: int) -> None:
         """Sign with this key from now on. A board with a key accepts another only from the owner of its own."""
@@ -152,6 +196,7 @@ class ThrusterBoard:
             return
         self._key = key
         self.link = BoardLink(self._robot_id, self.rules.gate, key, self.link.stamp + SENT_BETWEEN)
+        self.link.hil = self.rules.parameters.hil
         self._outbox.append(self.link.text(INFO, "signed from now on"))
         self._store()
 
@@ -176,9 +221,17 @@ class ThrusterBoard:
         values = dict(zip(parameters.index, parameters.values, strict=True))
         self._store_callback(NonvolatileState(values, self._stored_heard, self.link.stamp, self._key))
 
+    @property
+    def next_event_ns(self) -> int:
+        """Earliest instant at which a step does anything, unless bytes arrive before. Steps until then may be left out."""
+        if self._last_step_ns is None or self._outbox or self.link.is_waiting:
+            return 0
+        burst_ns = (self._last_step_ns // self._burst_ns + 1) * self._burst_ns
+        return min(burst_ns, self.rules.next_event_ns)
+
     def measures(self, now_ns: int) -> bool:
         """True if the step to this instant reads the sensors."""
-        return _crosses(self._burst_ns, self._last_step_ns, now_ns)
+        return crosses(self._burst_ns, self._last_step_ns, now_ns)
 
     def step(
         self,
@@ -192,18 +245,27 @@ class ThrusterBoard:
         """Run the state machine, move the outputs, measure. Returns the bytes to send, which are none between bursts.
 
         `eta`, `nu` and `acceleration` (d nu / dt), each (4,), are the robot's true motion; they count only in a step that
-        `measures`. `supply_v` is the battery's voltage without load (default: the experiment's), `tilt` is roll,
-        pitch, and d/dt of them.
+        `measures`, and not in HIL mode. `supply_v` is the battery's voltage without load (default: the experiment's),
+        `tilt` is roll, pitch, and d/dt of them.
         """
         self._handle(b"", now_ns)  # what has begun and not ended may be overdue
-        voltage = None
-        if self.measures(now_ns):
-            voltage = self.sensors.battery_v(self._supply_v if supply_v is None else supply_v, self._load())
-            self.rules.battery(voltage, _seconds(self._last_burst_ns, now_ns))
+        measures, voltage = self.measures(now_ns), None
+        if measures:
+            if self._simulated is not None:
+                voltage = self._simulated.battery_v(now_ns)
+            else:
+                voltage = self.sensors.battery_v(
+                    self._supply_v if supply_v is None else supply_v, demanded_load(self._thruster, self.pulses)
+                )
+            if voltage is not None:
+                self.rules.battery(voltage, _seconds(self._last_burst_ns, now_ns))
         self.rules.step(now_ns)
         self._report_status()
-        if voltage is not None:
-            self._burst(now_ns, self.sensors.read(eta, nu, acceleration, tilt), voltage)
+        if measures:
+            if self._simulated is not None:
+                self._burst(now_ns, self._simulated.motion(now_ns), voltage)
+            else:
+                self._burst(now_ns, self.sensors.read(eta, nu, acceleration, tilt), voltage)
             self._last_burst_ns = now_ns
         self._last_step_ns = now_ns
         data = b"".join(self._outbox)
@@ -211,47 +273,48 @@ class ThrusterBoard:
         return data
 
     def _report_status(self) -> None:
-        """Send the texts and the change of arming that are due."""
+        """Send the texts and the changes of arming and of HIL mode that are due."""
         self._outbox += [self.link.text(said.severity, said.text) for said in self.rules.said]
         self.rules.said.clear()
-        if self.rules.armed is not self._told_armed:
-            self._told_armed = self.rules.armed
+        if (self.rules.armed, self.link.hil) != self._told:
+            self._told = (self.rules.armed, self.link.hil)
             self._outbox.append(self._heartbeat())
 
     def _heartbeat(self) -> bytes:
-        return self.link.heartbeat(self.rules.armed, healthy=self.rules.charge < Charge.NO_ARM)
+        return self.link.heartbeat(self.rules.armed, self.rules.charge < Charge.NO_ARM, self.link.hil)
 
-    def _burst(self, now_ns: int, reading: Reading, voltage: float) -> None:
-        """Send all measurements, ATTITUDE last: it completes a burst."""
+    def _burst(self, now_ns: int, reading: Reading | SimulatedMotion | None, voltage: float | None) -> None:
+        """Send all measurements that there are, ATTITUDE last: it completes a burst."""
         link, rules = self.link, self.rules
         self.burst_ms = now_ns // MS_NS % 2**32
-        self._outbox += [
-            link.imu(self.burst_ms, reading.acceleration_mps2, reading.yaw_rate_radps),
-            link.pressure(self.burst_ms, reading.depth_m),
-            link.servo_output(now_ns // 1000, rules.echo_us),
-        ]
-        if _crosses(STATUS_NS, self._last_burst_ns, now_ns):
+        if reading is not None:
+            self._outbox.append(link.imu(self.burst_ms, reading.acceleration_mps2, reading.yaw_rate_radps))
+            self._outbox.append(link.pressure(self.burst_ms, reading.depth_m))
+        self._outbox.append(link.servo_output(now_ns // 1000, rules.echo_us))
+        if voltage is not None and crosses(STATUS_NS, self._last_burst_ns, now_ns):
             sensors = GYRO | ACCELEROMETER | PRESSURE | MOTORS | BATTERY
             healthy = sensors if rules.charge is Charge.GOOD else sensors & ~BATTERY
             self._outbox.append(link.status(voltage, sensors, healthy, rules.overrides_refused + link.refused_frames))
             self._outbox.append(link.battery(voltage, CHARGE_STATES[rules.charge]))
-        if _crosses(HEARTBEAT_NS, self._last_burst_ns, now_ns):
+        if crosses(HEARTBEAT_NS, self._last_burst_ns, now_ns):
             self._outbox.append(self._heartbeat())
         if self._to_list < len(rules.parameters.table):
             self._outbox.append(self._value(self._to_list))
             self._to_list += 1
-        self._outbox.append(link.attitude(self.burst_ms, reading.heading_rad, reading.yaw_rate_radps, reading.tilt_sensed))
-        if _crosses(KEEP_NS, self._last_burst_ns, now_ns) and self.rules.gate.newest > self._stored_heard:
+        if reading is not None:
+            tilt = reading.tilt_sensed if isinstance(reading, Reading) else LEVEL  # HIL_SENSOR tells none
+            self._outbox.append(link.attitude(self.burst_ms, reading.heading_rad, reading.yaw_rate_radps, tilt))
+        if crosses(KEEP_NS, self._last_burst_ns, now_ns) and self.rules.gate.newest > self._stored_heard:
             self._store()
 
-    def _load(self) -> float:
-        """Thrust demanded from the battery, as a fraction of all thrusters at full."""
-        thruster = self._vehicle.thruster
-        force_n = np.abs(thruster.force_n(np.array(self.pulses[:THRUSTERS], dtype=np.float64)))
-        return float(force_n.sum()) / (THRUSTERS * thruster.max_thrust_n)
+
+def demanded_load(thruster: Thruster, pulses_us: Sequence[int]) -> float:
+    """Thrust demanded from the battery by the outputs, as a fraction of all thrusters at full."""
+    force_n = np.abs(thruster.force_n(np.array(pulses_us[:THRUSTERS], dtype=np.float64)))
+    return float(force_n.sum()) / (THRUSTERS * thruster.max_thrust_n)
 
 
-def _crosses(period_ns: int, since_ns: int | None, now_ns: int) -> bool:
+def crosses(period_ns: int, since_ns: int | None, now_ns: int) -> bool:
     """True if a multiple of the period lies in (since, now]."""
     return since_ns is None or now_ns // period_ns > since_ns // period_ns
 

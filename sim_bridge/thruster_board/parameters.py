@@ -57,7 +57,10 @@ FIXED = (
     Parameter("BAT_NOARM_V", 0, MOST_VOLTS, False, "battery: do not arm below, V; under BAT_WARN_V"),
     Parameter("BAT_NEUTRAL_V", 0, MOST_VOLTS, False, "battery: disarm below, V; under BAT_NOARM_V"),
     Parameter("BAT_HYST_V", 0, 5, False, "battery: how far above its threshold a level is left, V"),
+    Parameter("HIL_MODE", 0, 1, True, "1: measurements are the simulator's; not kept without power"),
+    Parameter("HIL_OUTPUTS", 0, 1, True, "1: pins follow in HIL mode too, only with HIL_MODE = 1; not kept without power"),
 )  # fmt: skip
+VOLATILE = ("HIL_MODE", "HIL_OUTPUTS")  # 0 at power-on, whatever was set
 
 
 def _curve(points: int) -> tuple[Parameter, ...]:
@@ -106,7 +109,7 @@ class Parameters:
         values = [
             round(rules.neutral_after_s * 1000.0), rules.slew_us_per_s,
             thruster.neutral_us, thruster.curve[0][0], thruster.curve[-1][0], *legs.ankle_us, *[0] * 8,
-            battery.warn_v, battery.no_arm_v, battery.neutral_v, battery.hysteresis_v,
+            battery.warn_v, battery.no_arm_v, battery.neutral_v, battery.hysteresis_v, *[0] * len(VOLATILE),
             *(value for point in thruster.curve for value in point),
         ]  # fmt: skip
         return cls(FIXED + _curve(len(thruster.curve)), tuple(map(single, values)))
@@ -123,7 +126,8 @@ class Parameters:
 
     def restored(self, values: Mapping[str, float]) -> "Parameters":
         """The parameters with stored values, if together they are acceptable; those of an older table may be missing."""
-        new = replace(self, values=tuple(single(values.get(row.name, self[row.name])) for row in self.table))
+        kept = {name: value for name, value in values.items() if name not in VOLATILE}
+        new = replace(self, values=tuple(single(kept.get(row.name, self[row.name])) for row in self.table))
         return new if all(row.takes(new[row.name]) for row in self.table) and new.is_consistent() else self
 
     def is_consistent(self) -> bool:
@@ -135,7 +139,8 @@ class Parameters:
         within = points[0][0] <= low < self.neutral_us < high <= points[-1][0]
         battery = self["BAT_WARN_V"] > self["BAT_NOARM_V"] > self["BAT_NEUTRAL_V"]
         ankles = self.ankle_us[0] < self.ankle_us[1]
-        return rising and within and still_low <= self.neutral_us <= still_high and battery and ankles
+        outputs = self["HIL_OUTPUTS"] <= self["HIL_MODE"]
+        return rising and within and still_low <= self.neutral_us <= still_high and battery and ankles and outputs
 
     @cached_property
     def index(self) -> Mapping[str, int]:
@@ -176,6 +181,16 @@ class Parameters:
     def age_ns(self) -> int:
         """Age of the last override at which the board disarms."""
         return int(self["CMD_AGE_MS"]) * 1_000_000
+
+    @cached_property
+    def hil(self) -> bool:
+        """True in HIL mode: measurements are the simulator's."""
+        return self["HIL_MODE"] == 1.0
+
+    @cached_property
+    def pins_held(self) -> bool:
+        """True if the pins stay at neutral, whatever the outputs are."""
+        return self.hil and self["HIL_OUTPUTS"] == 0.0
 
     @cached_property
     def trims_us(self) -> tuple[float, ...]:

@@ -16,7 +16,7 @@ from wire.mavlink.signing import Key, SignatureVerifier
 
 THRUSTERS = 4
 S_NS = 1_000_000_000
-NEVER_NS = -(2**62)
+NEVER_NS, EVER_NS = -(2**62), 2**62  # before and after all times
 BATTERY_FILTER_S = 1.0  # s, time constant of the voltage filter: thrust lowers the voltage for moments
 CRITICAL, WARNING, INFO = 2, 4, 6  # MAV_SEVERITY
 
@@ -55,19 +55,22 @@ class BoardStateMachine:
         self._command_ns = NEVER_NS
         self._voltage: float | None = None
         self._stepped_ns: int | None = None
-        self._thrusters_us = [parameters.neutral_us] * THRUSTERS
-        self._ankles_us = [sum(parameters.ankle_us) // 2] * THRUSTERS
+        self._thrusters_us, self._ankles_us = self._rest_us()
 
     @property
     def echo_us(self) -> tuple[int, ...]:
-        """Pulses on the outputs without trims: 4 thrusters, 4 ankles."""
-        return tuple(round(pulse) for pulse in (*self._thrusters_us, *self._ankles_us))
+        """Pulses on the outputs without trims: 4 thrusters, 4 ankles. In HIL mode what they would be."""
+        return _rounded(self._thrusters_us, self._ankles_us)
 
     @property
     def outputs_us(self) -> tuple[int, ...]:
-        """Pulses on the outputs, trims included."""
-        trims = self.parameters.trims_us
-        return tuple(pulse + int(trim) for pulse, trim in zip(self.echo_us, trims, strict=True))
+        """Pulses on the pins, trims included."""
+        pulses, trims = _rounded(*self._rest_us()) if self.parameters.pins_held else self.echo_us, self.parameters.trims_us
+        return tuple(pulse + int(trim) for pulse, trim in zip(pulses, trims, strict=True))
+
+    def _rest_us(self) -> tuple[list[float], list[float]]:
+        """Pulses of thrusters and ankles at power-on, and on the pins in HIL mode."""
+        return [self.parameters.neutral_us] * THRUSTERS, [sum(self.parameters.ankle_us) // 2] * THRUSTERS
 
     # --- what arrives
 
@@ -115,12 +118,14 @@ class BoardStateMachine:
 
     def change(self, name: str, value: float) -> Refusal | None:
         """Change a parameter; returns the refusal, if any. The last override is dropped, as it was checked against the old
-        values."""
+        values. What was measured before a change of HIL_MODE is not of the same battery."""
         changed = self.parameters.changed(name, value)
         if changed is not Refusal.UNKNOWN and self.armed:
             changed = Refusal.ARMED
         if isinstance(changed, Refusal):
             return changed
+        if changed.hil is not self.parameters.hil:
+            self._voltage, self.charge = None, Charge.GOOD
         self.parameters, self._command_ns = changed, NEVER_NS
         return None
 
@@ -162,6 +167,17 @@ class BoardStateMachine:
         else:
             self._thrusters_us = [self.parameters.neutral_us] * THRUSTERS
 
+    @property
+    def next_event_ns(self) -> int:
+        """Earliest instant at which a step changes anything, unless a call of another method does before."""
+        if not self.armed:
+            still = self._thrusters_us == [self.parameters.neutral_us] * THRUSTERS
+            return EVER_NS if still and not self.said else NEVER_NS
+        outputs_us = (*self._thrusters_us, *self._ankles_us)
+        if any(goal not in (now, IGNORED) for goal, now in zip(self._command, outputs_us, strict=True)):
+            return NEVER_NS
+        return self._command_ns + self.parameters.age_ns + 1
+
     def _is_stale(self, now_ns: int) -> bool:
         return now_ns - self._command_ns > self.parameters.age_ns
 
@@ -176,3 +192,7 @@ class BoardStateMachine:
     def _disarm(self, severity: int, reason: str) -> None:
         self.armed = False
         self.said.append(StatusText(severity, reason))
+
+
+def _rounded(thrusters_us: list[float], ankles_us: list[float]) -> tuple[int, ...]:
+    return tuple(round(pulse) for pulse in (*thrusters_us, *ankles_us))

@@ -51,9 +51,9 @@ def test_a_peer_that_cannot_run_is_reported_and_left_out(
     assert "peer codec_msgspec not measured: no network" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("name", command.BENCHMARKS)
-def test_every_benchmark_offered_is_a_module(name: str) -> None:
-    assert importlib.util.find_spec(f"benchmarks.{name}") is not None
+@pytest.mark.parametrize("module", [module for module, _ in command.BENCHMARKS.values()])
+def test_every_benchmark_offered_is_a_module(module: str) -> None:
+    assert importlib.util.find_spec(f"benchmarks.{module}") is not None
 
 
 def test_an_unknown_name_is_refused_with_the_choice() -> None:

@@ -4,7 +4,7 @@ Poses are the plant's truth with noise and delay, so what is tested is everythin
 wants to break is an attribute.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
@@ -12,19 +12,22 @@ from groundstation.planning import planner
 from robot_agent.agent import Outputs
 from robot_agent.inputs import StampedPlan, StationView
 from sim_bridge.in_process.fleet import STATION_SESSION, AgentFleet
-from sim_bridge.world import World
+from sim_bridge.thruster_board.board import ThrusterBoard
+from sim_bridge.world import World, WorldBoard
 from wire.config.experiment import Experiment
 from wire.config.simulation import Numeric
 from wire.frames import Array
 from wire.mavlink.agent_link import AgentLink, Telemetry
 from wire.messages.messages import Order
 
+MakeBoard = Callable[[Experiment, int, int], WorldBoard]
+
 
 class BoardWater:
     """The simulated world with its boards at the ends of the agents' links, byte for byte."""
 
-    def __init__(self, experiment: Experiment, seed: int, starts: Array) -> None:
-        self.world = World(experiment, seed, starts)
+    def __init__(self, experiment: Experiment, seed: int, starts: Array, make: MakeBoard) -> None:
+        self.world = World(experiment, seed, starts, make)
         self.links = [AgentLink(robot) for robot in experiment.robot_ids]
         self._inboxes = [b""] * len(starts)
 
@@ -38,7 +41,7 @@ class BoardWater:
 
     def advance(self, to_ns: int) -> None:
         while self.world.now_ns < to_ns:
-            for i, data in self.world.step():
+            for i, data in self.world.step(to_ns):
                 self._inboxes[i] += data
 
     def telemetry(self, i: int, now_ns: int) -> Telemetry:
@@ -62,13 +65,14 @@ class DryPool(AgentFleet):
         pose_noise_m: float = 0.0015,
         yaw_noise_rad: float = 0.008,
         delay_s: float = 0.04,
+        make: MakeBoard = ThrusterBoard,
     ) -> None:
         numeric = Numeric(pose_noise_m=pose_noise_m, yaw_noise_rad=yaw_noise_rad)
         sim = experiment.sim.model_copy(update={"latency_s": delay_s, "numeric": numeric})
         experiment = experiment.model_copy(update={"sim": sim})
         trajectories = planner.plan(experiment)
         starts = planner.start_poses(experiment, trajectories)
-        water = BoardWater(experiment, seed, np.array([starts[r] for r in experiment.robot_ids]))
+        water = BoardWater(experiment, seed, np.array([starts[r] for r in experiment.robot_ids]), make)
         super().__init__(experiment, trajectories, water, seed)
         self.world, self.links = water.world, water.links
         self.pulses: list[Array] = []  # (n, 8) on the boards' outputs, per control step

@@ -3,10 +3,10 @@
 from functools import cache
 
 from benchmarks import flights
-from benchmarks.flights import Flight
+from benchmarks.flights import SceneFlight
 from wire.config.experiment import load_experiment
 
 
 @cache
-def flown(name: str, *settings: str) -> Flight:
+def flown(name: str, *settings: str) -> SceneFlight:
     return flights.flown(load_experiment(name, settings))

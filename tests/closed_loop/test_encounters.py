@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.encounters import SCENES, meet
+from benchmarks.robot_agent.encounters import SCENES, meet
 from groundstation.planning import planner
 from sim_bridge.in_process.fleet import AgentFleet, DirectPlant
 from wire.config.experiment import load_experiment

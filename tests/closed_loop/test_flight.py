@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from robot_agent.inputs import StampedPose
+from sim_bridge.thruster_board.board import ThrusterBoard
 from tests.closed_loop.dry_pool import DryPool
 from wire.config.experiment import load_experiment
 from wire.messages.messages import Mode, Order
@@ -129,7 +130,9 @@ def test_a_robot_told_to_hold_in_the_dark_holds_where_it_finds_itself() -> None:
 
 def test_a_robot_whose_pressure_sensor_dies_does_not_fly_on_by_its_last_depth() -> None:
     pool = flying()
-    link = pool.world.boards[0].link
+    board = pool.world.boards[0]
+    assert isinstance(board, ThrusterBoard)
+    link = board.link
     told = link.pressure
     link.pressure = lambda board_ms, depth_m: told(board_ms, math.nan)  # type: ignore[method-assign]
     dead = len(pool.truth)
@@ -155,7 +158,7 @@ def test_a_robot_that_was_off_its_path_flies_again_when_it_is_told_to() -> None:
     settings.append("safety.off_depth_m=5")
     pool = DryPool(load_experiment("pool", settings, [f"t=1 for=9 thruster 1/{k} dead" for k in (1, 2, 3, 4)]))
     world, step = pool.world, pool.world.step
-    world.step = lambda: (world.apply_faults(), step())[1]  # type: ignore[method-assign]
+    world.step = lambda until_ns=0: (world.apply_faults(), step(until_ns))[1]  # type: ignore[method-assign]
     pool.take_off()
     world.start_ns = world.now_ns
     agent, states = pool.robots[0].agent, pool.robots[0].states

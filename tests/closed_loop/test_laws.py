@@ -5,7 +5,7 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from benchmarks.flights import Flight
+from benchmarks.flights import SceneFlight
 from tests.closed_loop.numeric import flown
 from wire.config.baseline_controllers import LawName
 from wire.config.experiment import load_experiment
@@ -19,7 +19,7 @@ LAWS = get_args(LawName)
 FOLLOWING = "formation.kind=leader-follower"
 
 
-def flight(law: str, *settings: str) -> Flight:
+def flight(law: str, *settings: str) -> SceneFlight:
     return flown("numeric", "duration_s=25", f"controller.law={law}", *settings)
 
 
@@ -43,7 +43,7 @@ def test_every_law_flies_the_scene_and_what_is_applied_keeps_its_limits(law: str
         np.testing.assert_array_equal(wrench[:, 1:][inside], wanted[:, 1:][inside])
 
 
-def _of(flight: Flight, key: str) -> Array:
+def _of(flight: SceneFlight, key: str) -> Array:
     return np.array([[getattr(state, key) for state in states] for states in flight.states])
 
 
@@ -54,7 +54,7 @@ def test_followers_keep_their_offsets_from_a_leader_that_is_lost() -> None:
     alone = flight("eso-mpc", *push, "controller.mpc.q_formation=[0, 0, 0, 0]", "sim.plant.disturbance_hz=[0.01, 0, 0]")
     led = flight("eso-mpc", *push, FOLLOWING, "sim.plant.disturbance_hz=[0.01, 0, 0]")
 
-    def apart(flight_: Flight) -> float:
+    def apart(flight_: SceneFlight) -> float:
         return float(np.sqrt(np.mean(np.sum((flight_.error[300:, 0, :3] - flight_.error[300:, 1, :3]) ** 2, axis=1))))
 
     assert np.abs(alone.error[300:, 0, :3]).max() > 0.1 and apart(alone) > 0.08

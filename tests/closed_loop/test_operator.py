@@ -19,7 +19,7 @@ from wire.config.experiment import dump_experiment, load_experiment
 pytestmark = pytest.mark.real_time
 
 
-class Lab:
+class OperatorLab:
     """Station, simulated pool and two agents."""
 
     def __init__(self, folder: Path) -> None:
@@ -67,15 +67,15 @@ class Lab:
 
 
 @pytest.fixture
-def lab(tmp_path: Path) -> Iterator[Lab]:
-    found = Lab(tmp_path)
+def lab(tmp_path: Path) -> Iterator[OperatorLab]:
+    found = OperatorLab(tmp_path)
     try:
         yield found
     finally:
         found.children.stop()
 
 
-def test_a_mission_by_hand(lab: Lab) -> None:
+def test_a_mission_by_hand(lab: OperatorLab) -> None:
     lab.ready()
     refused, why = lab.order("mission", "resume")
     assert (refused, "RESUME is not possible when WAITING" in why) == (1, True)
@@ -124,7 +124,7 @@ def test_a_stop_that_no_robot_hears_is_no_success(tmp_path: Path) -> None:
         children.stop()
 
 
-def test_the_log_of_a_mission_by_hand_gives_a_report(lab: Lab) -> None:
+def test_the_log_of_a_mission_by_hand_gives_a_report(lab: OperatorLab) -> None:
     lab.set_off()
     lab.says("agent-1", "INFO tracking")
     time.sleep(2.0)

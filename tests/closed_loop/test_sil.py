@@ -320,9 +320,14 @@ def test_a_run_is_interrupted_while_it_connects(tmp_path: Path, monkeypatch: pyt
 
     class Watched(Children):
         def start(
-            self, name: str, module: str, arguments: Sequence[str], environment: Mapping[str, str] | None = None
+            self,
+            name: str,
+            module: str,
+            arguments: Sequence[str],
+            environment: Mapping[str, str] | None = None,
+            inherits: Sequence[int] = (),
         ) -> Child:
-            started.append(super().start(name, module, arguments, environment))
+            started.append(super().start(name, module, arguments, environment, inherits))
             return started[-1]
 
     def open_and_stop(endpoint: Endpoint, stopped: Callable[[], bool]) -> ZenohTransport:

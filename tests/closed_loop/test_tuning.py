@@ -56,7 +56,7 @@ def pool(*settings: str) -> Experiment:
     return load_experiment("pool", [*SHORT_LAPS, *settings])
 
 
-class Lab:
+class TuningLab:
     """A pool, and the part of a station that deals with gains. A robot in `mute` hears nothing."""
 
     def __init__(self, experiment: Experiment) -> None:
@@ -112,7 +112,7 @@ class Lab:
                 assert reply.accepted, reply.reason
 
 
-def ids(lab: Lab) -> list[set[str]]:
+def ids(lab: TuningLab) -> list[set[str]]:
     return [{robot.states[-1].tuning_id for robot in lab.pool.robots}]
 
 
@@ -120,7 +120,7 @@ def wrenches(states: list[RobotState]) -> Array:
     return np.array([state.wrench for state in states])
 
 
-def until(lab: Lab, done: Callable[[], bool], within_s: float) -> None:
+def until(lab: TuningLab, done: Callable[[], bool], within_s: float) -> None:
     for _ in range(round(within_s / 0.05)):
         if done():
             return
@@ -131,7 +131,7 @@ def until(lab: Lab, done: Callable[[], bool], within_s: float) -> None:
 def test_gains_set_by_order_fly_as_those_of_the_file() -> None:
     """Every parameter there is, set before the first pose: bit for bit the flight whose experiment file holds these values."""
     assert set(B) == {parameter.key for parameter in tunable_parameters(pool().controller)}
-    ordered, filed = Lab(pool()), Lab(pool(*FILED))
+    ordered, filed = TuningLab(pool()), TuningLab(pool(*FILED))
     for robot, trajectory in ordered.pool.trajectories.items():
         assert trajectory.id == filed.pool.trajectories[robot].id
     for lab in (ordered, filed):
@@ -149,7 +149,7 @@ def test_gains_set_by_order_fly_as_those_of_the_file() -> None:
         a, b = (wrenches(lab.states(robot)) for lab in (ordered, filed))
         assert np.abs(b).max() > 0.5
         np.testing.assert_array_equal(a, b)
-    plain = Lab(pool())
+    plain = TuningLab(pool())
     plain.run(1.0)
     plain.take_off()
     plain.run(6.0)
@@ -159,7 +159,7 @@ def test_gains_set_by_order_fly_as_those_of_the_file() -> None:
 def test_a_change_in_flight_takes_effect_at_one_instant_and_leads_to_the_other_flight() -> None:
     """Up to the change nothing differs from the flight without it; long after, the robots push as they do with B from the
     beginning: the observer's, the guidance's and the solver's memories have taken it up."""
-    changed, before, after = Lab(pool()), Lab(pool()), Lab(pool(*FILED))
+    changed, before, after = TuningLab(pool()), TuningLab(pool()), TuningLab(pool(*FILED))
     for lab in (changed, before, after):
         lab.run(1.0)
         lab.take_off()
@@ -179,7 +179,7 @@ def test_a_change_in_flight_takes_effect_at_one_instant_and_leads_to_the_other_f
 
 
 def test_gains_stay_when_a_value_is_bad_or_one_robot_refuses() -> None:
-    lab = Lab(pool())
+    lab = TuningLab(pool())
     flown = tuning(pool().controller).id
     lab.run(1.0)
     assert "controller.mpc.q.0 = -1.0" in lab.wish({"controller.mpc.q.0": -1.0})
@@ -195,7 +195,7 @@ def test_gains_stay_when_a_value_is_bad_or_one_robot_refuses() -> None:
 
 
 def test_a_robot_that_changed_its_gains_changes_back_when_another_does_not_follow() -> None:
-    lab = Lab(pool())
+    lab = TuningLab(pool())
     flown = tuning(pool().controller).id
     lab.run(1.0)
     assert lab.wish({"controller.mpc.q.0": 2.0}) == ""
@@ -209,7 +209,7 @@ def test_a_robot_that_changed_its_gains_changes_back_when_another_does_not_follo
 
 
 def test_a_set_for_the_next_lap_waits_for_it_and_its_laps_are_told_apart() -> None:
-    lab = Lab(pool())
+    lab = TuningLab(pool())
     lab.run(1.0)
     a = lab.tuner.status().flown.id
     assert "not every robot is on its trajectory" in lab.wish({"controller.mpc.q.0": 2.0}, next_lap=True)
@@ -243,9 +243,9 @@ def test_a_set_for_the_next_lap_waits_for_it_and_its_laps_are_told_apart() -> No
         np.testing.assert_allclose(lap.max_m, np.max(errors))
 
 
-def waiting_for_a_lap() -> Lab:
+def waiting_for_a_lap() -> TuningLab:
     """In flight, with a set of gains that is to count from the next lap on."""
-    lab = Lab(pool())
+    lab = TuningLab(pool())
     lab.run(1.0)
     lab.take_off()
     lab.run(5.0)
@@ -276,7 +276,7 @@ def test_the_remaining_robots_drop_gains_that_wait_for_a_lap() -> None:
 
 
 def test_a_robot_that_was_restarted_gets_the_fleets_gains() -> None:
-    lab = Lab(pool())
+    lab = TuningLab(pool())
     lab.run(1.0)
     assert lab.wish({"controller.mpc.q.0": 2.0}) == ""
     lab.run(2.0)

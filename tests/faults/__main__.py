@@ -16,17 +16,17 @@ from rich.console import Console
 from rich.table import Table
 
 from tests.faults.onlooker import Stuck
-from tests.faults.page import RESULTS, Result, machine, verdict, write_page
+from tests.faults.page import RESULTS, RowOutcome, machine, verdict, write_page
 from tests.faults.rig import Rig, moment
 from tests.faults.rigs import RIGS
-from tests.faults.row import Row, Sample
+from tests.faults.row import FaultRow, Sample
 from tests.faults.table import ROWS
 
 PAGE = Path("docs/faults.md")
 MAX_STUCK = 3  # of a row, before it is given up
 
 
-def fly_row(row: Row, times: int, seed: int, console: Console) -> Result:
+def fly_row(row: FaultRow, times: int, seed: int, console: Console) -> RowOutcome:
     """All injections of a row. A rig that gets stuck counts as a failure of the row, and is built anew."""
     samples: list[Sample] = []
     stuck: list[str] = []
@@ -48,10 +48,10 @@ def fly_row(row: Row, times: int, seed: int, console: Console) -> Result:
                 console.print(f"[red]{row.key}: {error}[/]", soft_wrap=True)
             if rig is not None:
                 wrong, not_finite = wrong + rig.wrongly_taken(), not_finite + rig.not_finite
-    return Result.of(row, samples, seed, stuck, wrong, not_finite)
+    return RowOutcome.of(row, samples, seed, stuck, wrong, not_finite)
 
 
-def keep(result: Result) -> None:
+def keep(result: RowOutcome) -> None:
     """At once: hours of injections must not be lost to whatever ends the last of them."""
     kept = json.loads(RESULTS.read_text(encoding="utf-8")) if RESULTS.exists() else {}
     kept[result.key] = result.as_json()

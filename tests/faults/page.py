@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from tests.faults.row import Row, Sample
+from tests.faults.row import FaultRow, Sample
 
 RESULTS = Path(__file__).parent / "results.json"
 
@@ -63,7 +63,7 @@ class Figure:
 
 
 @dataclass(frozen=True)
-class Result:
+class RowOutcome:
     """All injections of a row."""
 
     key: str
@@ -75,7 +75,9 @@ class Result:
     not_finite: int
 
     @classmethod
-    def of(cls, row: Row, samples: Sequence[Sample], seed: int, stuck: Sequence[str], wrong: int, not_finite: int) -> "Result":
+    def of(
+        cls, row: FaultRow, samples: Sequence[Sample], seed: int, stuck: Sequence[str], wrong: int, not_finite: int
+    ) -> "RowOutcome":
         """From what was measured."""
         figures = {}
         for name, measure in row.measures.items():
@@ -89,7 +91,7 @@ class Result:
         return cls(row.key, seed, machine(), figures, list(stuck), wrong, not_finite)
 
     @classmethod
-    def from_json(cls, table: dict[str, Any]) -> "Result":
+    def from_json(cls, table: dict[str, Any]) -> "RowOutcome":
         """As `as_json` gave it."""
         return cls(**{**table, "figures": {name: Figure(**figure) for name, figure in table["figures"].items()}})
 
@@ -128,10 +130,10 @@ What a robot does by itself is in `docs/modes.md`, what a board does in `docs/bo
 """
 
 
-def write_page(path: Path, rows: Sequence[Row]) -> None:
+def write_page(path: Path, rows: Sequence[FaultRow]) -> None:
     """The page, from all results that there are."""
     kept = json.loads(RESULTS.read_text(encoding="utf-8")) if RESULTS.exists() else {}
-    found = {key: Result.from_json(table) for key, table in kept.items()}
+    found = {key: RowOutcome.from_json(table) for key, table in kept.items()}
     lines = [HEAD.format(example=rows[0].key)]
     lines += ["| Row | Fault | How | Measured | N | median | worst | limit | |", "|---|---|---|---|---|---|---|---|---|"]
     for row in rows:

@@ -39,7 +39,7 @@ def TIMES(limit: float = 0) -> Measure:
 
 
 @dataclass(frozen=True)
-class Row:
+class FaultRow:
     """One fault. `rig` names how the lab is set up; `inject` is one injection."""
 
     key: str

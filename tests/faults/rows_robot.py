@@ -5,7 +5,7 @@ import time
 
 import numpy as np
 
-from benchmarks.thrusters import LACKING_N, THRUST_LEFT, WATCHED_S
+from benchmarks.robot_agent.thrusters import LACKING_N, THRUST_LEFT, WATCHED_S
 from tests.faults.rig import Rig
 from tests.faults.row import OFF, POWERED, RESUMED, Random, Sample, resumed
 from tests.faults.wires import LineTrouble, forgeries

@@ -1,8 +1,8 @@
 """The table of faults: what is measured of each, and what it must not exceed."""
 
-from benchmarks.thrusters import LACKING_N
+from benchmarks.robot_agent.thrusters import LACKING_N
 from tests.faults import rows_alone, rows_network, rows_robot, rows_sight, rows_station, rows_strangers
-from tests.faults.row import RESUMED, SECONDS, STEP_S, TIMES, Measure, Row
+from tests.faults.row import RESUMED, SECONDS, STEP_S, TIMES, FaultRow, Measure
 
 STATION_LOST = {
     "hold": SECONDS(1.0 + STEP_S),
@@ -11,203 +11,203 @@ STATION_LOST = {
     RESUMED: TIMES(),
 }
 
-ROWS: tuple[Row, ...] = (
-    Row(
+ROWS: tuple[FaultRow, ...] = (
+    FaultRow(
         "localizer-killed", "Localizer dies", "SIGKILL",
         {"hold after the last pose": SECONDS(0.2), "neutral": SECONDS(0.5), "alert": SECONDS(0.3)},
         rows_sight.localizer_killed,
     ),
-    Row(
+    FaultRow(
         "localizer-hung", "Localizer hangs", "SIGSTOP, and SIGCONT when all are neutral",
         {"hold after the last pose": SECONDS(0.2), "neutral": SECONDS(0.5), "alert": SECONDS(0.3), RESUMED: TIMES()},
         rows_sight.localizer_hung,
     ),
-    Row(
+    FaultRow(
         "camera-frozen", "Frozen camera", "the same picture again and again, with new stamps",
         {"hold": SECONDS(0.45), "neutral": SECONDS(0.75), "alert": SECONDS(0.55), RESUMED: TIMES()}, rows_sight.camera_frozen,
     ),
-    Row(
+    FaultRow(
         "lamp-switched", "A lamp is switched", "half or twice the light, for 6 s",
         {"hold": SECONDS(1.0), "blind told": SECONDS(1.0), rows_sight.TRACKS: TIMES()},
         rows_sight.lamp_switched, times=5,
     ),
-    Row(
+    FaultRow(
         "camera-bumped", "The camera is bumped", "the picture is moved by 60 to 118 pixels, for 6 s",
         {"hold": SECONDS(1.0), rows_sight.TRACKS: TIMES()},
         rows_sight.camera_bumped, times=5,
     ),
-    Row(
+    FaultRow(
         "agent-killed", "Agent killed", "SIGKILL, restarted",
         {"neutral": SECONDS(0.35), "restarted and not disarmed": TIMES()}, rows_robot.agent_killed,
     ),
-    Row(
+    FaultRow(
         "agent-ended", "Agent ended", "SIGTERM, restarted",
         {"neutral": SECONDS(0.1), "disarmed": SECONDS(0.1), RESUMED: TIMES()}, rows_robot.agent_ended, times=20, rig="seen",
     ),
-    Row(
+    FaultRow(
         "agent-hung", "Agent hung", "SIGSTOP, SIGCONT up to 1.6 s later",
         {"neutral": SECONDS(0.35), RESUMED: TIMES()}, rows_robot.agent_hung,
     ),
-    Row(
+    FaultRow(
         "solver-stuck", "Agent hung", "a solver that never returns",
         {"neutral": SECONDS(0.35)}, rows_robot.solver_stuck, rig="patched",
     ),
-    Row(
+    FaultRow(
         "solver-slow", "QP late", "a solver that takes 30 ms",
         {"neutral": SECONDS(0.35), "alert": SECONDS(0.5)}, rows_robot.solver_slow, rig="patched",
     ),
-    Row(
+    FaultRow(
         "solver-unsolved", "QP infeasible, not converged", "no quadratic program has a solution any more",
         {"neutral": SECONDS(0.2 + STEP_S), "shifted plans": TIMES(3)}, rows_robot.solver_unsolved, rig="patched",
     ),
-    Row(
+    FaultRow(
         "station-killed", "Ground station lost", "SIGKILL; the network's router dies with it",
         {"neutral": SECONDS(3.0), RESUMED: TIMES()}, rows_network.station_killed, times=50,
     ),
-    Row(
+    FaultRow(
         "station-alone-killed", "Ground station lost", "SIGKILL; the router lives on",
         STATION_LOST,
         rows_network.station_alone_killed, times=50, rig="router",
     ),
-    Row(
+    FaultRow(
         "station-alone-hung", "Ground station lost", "SIGSTOP, and SIGCONT when all are disarmed",
         STATION_LOST,
         rows_network.station_alone_hung, times=50, rig="router",
     ),
-    Row(
+    FaultRow(
         "partition", "Network partition", "robot 1 cut off both ways or one way, 1 to 5 s",
         {"neutral": SECONDS(0.5), "neutral, still hearing": SECONDS(3.0), "neighbour's plan expired": SECONDS(0.6),
          RESUMED: TIMES()}, rows_network.partition,
     ),
-    Row(
+    FaultRow(
         "partition-short", "Network partition", "robot 1 cut off for 0.2 s",
         {"worse than holding": TIMES()}, rows_network.partition_short,
     ),
-    Row(
+    FaultRow(
         "start-late", "START late", "robot 2 gets none of the station's STARTs for 1.2 s",
         {"timetables apart": SECONDS(0.05)}, rows_network.start_late, times=5, rig="seen-patched",
     ),
-    Row(
+    FaultRow(
         "switch-partial", "SWITCH lost", "robot 2 of three gets no order to go over to a new path",
         {"all hold": SECONDS(4.0), "references out of shape": Measure(0.05, "m"),
          "states on an old plan after RESUME": TIMES()},
         rows_network.switch_partial, times=5, rig="detour",
     ),
-    Row(
+    FaultRow(
         "link-cut", "MAVLink cut", "nothing passes the serial line either way",
         {"neutral": SECONDS(0.3), RESUMED: TIMES()}, rows_robot.link_cut,
     ),
-    Row(
+    FaultRow(
         "link-garbage", "MAVLink garbage, bad CRC", "bit flips, false starts, frames doubled, late, forged; for 2 s",
         {"board in step again": SECONDS(0.25), "agent in step again": SECONDS(0.25)}, rows_robot.link_garbage,
     ),
-    Row(
+    FaultRow(
         "board-disobeys", "The board puts out other pulses than it is told",
         "two of its outputs are confused; only time counts in which they are told pulses more than "
         f"{rows_robot.SAME_US} us apart",
         {"neutral": SECONDS(0.9), "alert": SECONDS(0.8), RESUMED: TIMES()}, rows_robot.board_disobeys, times=20,
     ),
-    Row(
+    FaultRow(
         "thruster-broken", "Thruster dead, stuck, reversed, weak",
         "in the plant, 10 to 20 s into a flight in still water (safety.off_path_m = 0.1); for the flag only time counts in "
         f"which {LACKING_N} N are lacking",
         {"flagged": SECONDS(2.0), "neutral after the flag": SECONDS(2 * STEP_S), "estimate off the truth": Measure(0.05, "m"),
          "off its path": Measure(0.15, "m")}, rows_robot.thruster_broken, times=40, rig="still",
     ),
-    Row(
+    FaultRow(
         "depth-wrong", "Pressure sensor wrong",
         "it reads 10 m, 0.5 m more or 0.2 m less than it should, or the same for 10 s",
         {"fault": SECONDS(0.5 + STEP_S), "neutral": SECONDS(0.5 + 2 * STEP_S), "true depth off": Measure(0.05, "m"),
          "true depth off, stuck": Measure(0.15, "m"), RESUMED: TIMES()}, rows_robot.depth_wrong, times=10,
         rig="seen",
     ),
-    Row(
+    FaultRow(
         "marker-gone", "A robot's marker plate comes off", "in the picture, and put back when the robot is neutral",
         {"hold": SECONDS(0.45), "neutral": SECONDS(0.75), RESUMED: TIMES()}, rows_sight.marker_gone, times=20,
     ),
-    Row(
+    FaultRow(
         "battery-empty", "Battery low", "the voltage sags by 3.5 V within 0.6 s",
         {"neutral": SECONDS(3.0), "armed on an empty battery": TIMES()}, rows_robot.battery_empty, times=20,
     ),
-    Row(
+    FaultRow(
         "emergency-stop", "Emergency stop", "a person's order",
         {"all boards neutral": SECONDS(0.15, quantile=0.99), "started while stopped": TIMES()}, rows_network.emergency_stop,
     ),
-    Row(
+    FaultRow(
         "emergency-stop-20", "Emergency stop", "a person's order to 20 robots, at 5 steps a second: two cores carry no more",
         {"all boards neutral": SECONDS(0.15, quantile=0.99), "started while stopped": TIMES()}, rows_network.emergency_stop,
         rig="fleet",
     ),
-    Row(
+    FaultRow(
         "emergency-stop-lossy", "Emergency stop", "the same, 30 % of what goes to and from the boards lost",
         {"all boards neutral": SECONDS(0.5, quantile=0.99), "started while stopped": TIMES()},
         rows_network.emergency_stop_lossy, rig="fleet",
     ),
-    Row(
+    FaultRow(
         "page-frozen", "Operator's browser frozen", "three pages connected, then stopped with SIGSTOP",
         {"longest gap between heartbeats": SECONDS(0.3), "robots that left their path": TIMES()}, rows_station.page_frozen,
         times=3, rig="page",
     ),
-    Row(
+    FaultRow(
         "page-events", "Log lines that are too long", "two of 4 MB in a robot's name; then the page is opened",
         {"page opens": SECONDS(1.0), "longest gap between heartbeats": SECONDS(0.3), "robots that left their path": TIMES()},
         rows_station.page_events, times=5, rig="page",
     ),
-    Row(
+    FaultRow(
         "clock-step", "Clock skew between machines", "one of the clocks steps by 1 to 47 hours, and back",
         {"robots that left their path": TIMES()}, rows_station.clock_step, rig="patched",
     ),
-    Row(
+    FaultRow(
         "disk-full", "Log: disk full", "the log's file system is filled up",
         {"alert": SECONDS(2.0), "of the log lost": SECONDS(1.0), "longest gap between heartbeats": SECONDS(0.3),
          "unreadable logs": TIMES(), "robots that left their path": TIMES()},
         rows_station.disk_full, times=20, rig="disk",
     ),
-    Row(
+    FaultRow(
         "log-killed", "Log: kill -9", "SIGKILL",
         {"of the log lost": SECONDS(1.0), "unreadable logs": TIMES()}, rows_station.log_killed, times=50, rig="disk",
     ),
-    Row(
+    FaultRow(
         "flood", "Malformed, oversized, flood", "10,000 messages a second in robot 2's name: damaged, of 4 MB, of other types",
         {"share of deadlines missed": Measure(0.001, ""), "robots that left their path": TIMES(), "processes ended": TIMES()},
         rows_station.flood, times=10,
     ),
-    Row(
+    FaultRow(
         "thread-dead", "A thread ends", "an exception in one of the localizer's, the simulator's or the station's recorder's",
         {"process ended": SECONDS(1.0), "ended without a reason": TIMES(), "neutral": SECONDS(1.5),
          "told that the log has stopped": SECONDS(2.0), rows_station.LEFT: TIMES()},
         rows_station.thread_dead, times=8, rig="patched",
     ),
-    Row(
+    FaultRow(
         "identity-swap", "Identity swap, two robots close", "crossings, brushes and pursuits, markers unreadable meanwhile",
         {"undetected swaps": TIMES()}, rows_alone.identity_swap, times=1000, rig="",
     ),
-    Row(
+    FaultRow(
         "lossy-network", "Loss, duplicates, reordering, delay",
         "10 % of what goes to and from the boards lost, as much doubled, as much late by up to 50 ms",
         {"RMS error over that without": Measure(1.5, "")}, rows_alone.lossy_network, times=5, rig="",
     ),
-    Row(
+    FaultRow(
         "not-finite", "NaN, infinity, outside the pool",
         "a robot that flies is given poses, plans, sensors and obstacles of any numbers, past the decoders",
         {"bad pulses, or beliefs": TIMES()}, rows_alone.not_finite, times=1000, rig="",
     ),
-    Row(
+    FaultRow(
         "stranger", "Stranger on the network",
         "no certificate, another authority's, expired, revoked, another robot's, a viewer's",
         {"let in, heard or obeyed": TIMES()}, rows_alone.stranger, times=5, rig="",
     ),
-    Row(
+    FaultRow(
         "strangers-knock", "Strangers at the station's port",
         "no certificate: 12 or 200 connections a second, 900 half open, or 50 handshakes a second, for 8 s and on",
         {"stop answered, this machine": SECONDS(1.0), "stop answered": SECONDS(2.0), "agent joins": SECONDS(2.0)},
         rows_strangers.strangers_knock, times=12, rig="",
     ),
-    Row(
+    FaultRow(
         "old-traffic", "Replay of old traffic", "recorded orders sent again, live and after restarts of either side",
         {"obeyed": TIMES()}, rows_alone.old_traffic, times=5, rig="",
     ),
-    Row(
+    FaultRow(
         "bad-configuration", "Bad configuration", "a key, drawn from all, with a value that cannot be; a real process each",
         {"refused after": SECONDS(2.0), "started, or not explained": TIMES()}, rows_alone.bad_configuration, rig="",
     ),

@@ -10,7 +10,7 @@ import pytest
 from tests.faults.onlooker import BoardView
 from tests.faults.page import write_page
 from tests.faults.rig import Rig, moment
-from tests.faults.row import Row
+from tests.faults.row import FaultRow
 from tests.faults.table import ROWS
 
 pytestmark = pytest.mark.real_time
@@ -32,7 +32,7 @@ def test_the_page_is_what_the_results_say(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("row", [row for row in ROWS if row.key in FAST], ids=lambda row: row.key)
-def test_a_fault_leaves_robots_safe(row: Row, lab: Rig) -> None:
+def test_a_fault_leaves_robots_safe(row: FaultRow, lab: Rig) -> None:
     random = np.random.default_rng(1)
     lab.cruise(moment(random))
     found = row.inject(lab, random)

@@ -129,8 +129,8 @@ def watched_world(line: Line) -> type[World]:
             line.tell(broken=asked)
             return said
 
-        def step(self) -> list[tuple[int, bytes]]:
-            sent = super().step()
+        def step(self, until_ns: int = 0) -> list[tuple[int, bytes]]:
+            sent = super().step(until_ns)
             for i, board in enumerate(self.boards):
                 now = self.neutral(i), board.armed
                 if now != self._said[i]:

@@ -1,6 +1,6 @@
 """A station's side of the page without a cycle: it views the fleet when asked, and notes what is requested."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from groundstation.mission.state_machine import MissionState
@@ -20,6 +20,7 @@ class FakeStation:
     bus: Bus
     told: Status = field(default_factory=lambda: Status(MissionState.WAITING, ""))
     orders: list[Order] = field(default_factory=list)
+    via: Sequence[tuple[float, float]] = ()  # of the last order
     preflight: tuple[Finding, ...] | None = None  # None: as the robots are
     paths: tuple[Mapping[int, Trajectory], float] | None = None
     clock: Clock = field(default_factory=WallClock)
@@ -34,8 +35,9 @@ class FakeStation:
         preflight = blocking_findings(self.experiment, fleet) if self.preflight is None else self.preflight
         return replace(self.told, seen=fleet, preflight=preflight)
 
-    def request(self, order: Order) -> tuple[str, int]:
+    def request(self, order: Order, via: Sequence[tuple[float, float]] = ()) -> tuple[str, int]:
         self.orders.append(order)
+        self.via = via
         return "", len(self.orders)
 
     def request_gains(self, values: Mapping[str, float] | None, next_lap: bool) -> tuple[str, int]:

@@ -27,7 +27,7 @@ _PLACE_M = np.array([0.0, 0.0, -5.0])  # high enough for every board to be above
 
 
 @dataclass(frozen=True, eq=False)
-class Bench:
+class CameraBench:
     """A camera before it is hung up."""
 
     camera: Camera

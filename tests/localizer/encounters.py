@@ -17,7 +17,7 @@ RADIUS_M = EXPERIMENT.vehicle.radius_m
 SCENE = Scene(EXPERIMENT, seed=9)
 
 
-class Encounter:
+class CrossingCourses:
     """Two straight courses that meet after 1.6 s, at any angle, speed, distance and turn."""
 
     def __init__(self, seed: int) -> None:
@@ -42,7 +42,7 @@ class Encounter:
 
 def check_encounter(seed: int) -> None:
     """Raises AssertionError if a swap goes unnoticed."""
-    encounter, locator = Encounter(seed), FleetLocalizer(EXPERIMENT)
+    encounter, locator = CrossingCourses(seed), FleetLocalizer(EXPERIMENT)
     for k in range(FRAMES):
         truth = encounter.eta(k * STEP_S)
         frame = SCENE.frame(truth, encounter.blinded if k in BLIND else frozenset())

@@ -203,7 +203,7 @@ def spoiled_poses(film: Film, seed: int, frames: int, spoils: Mapping[str, Spoil
     which, draws = random.integers(len(names), size=ROBOTS), random.random((ROBOTS, 8))
     for k in range(frames):
         frame, eta = film.frames[film.index(k)].copy(), film.eta[film.index(k)]
-        for i in np.flatnonzero((begin <= k) & (k < end)):
+        for i in np.flatnonzero((begin <= k) & (k < end)).tolist():
             case = PlateCase(film.experiment, eta[i], (k - begin[i]) * PERIOD_S, random, draws[i])
             spoils[names[which[i]]](frame, case)
         for robot, pose in locator.step(frame, round(k * PERIOD_S * 1e9), depths).poses:
@@ -211,7 +211,7 @@ def spoiled_poses(film: Film, seed: int, frames: int, spoils: Mapping[str, Spoil
             if begin[i] <= k < end[i]:
                 error = np.array([pose.x_m - eta[i, 0], pose.y_m - eta[i, 1], wrap(pose.yaw_rad - float(eta[i, 3]))])
                 yield SpoiledPose(names[which[i]], robot, int(k - begin[i]), pose, error)
-        for i in np.flatnonzero(end <= k):
+        for i in np.flatnonzero(end <= k).tolist():
             begin[i] = k + random.integers(*_READ_FRAMES)
             end[i] = begin[i] + random.integers(*_SPOILED_FRAMES)
             which[i], draws[i] = random.integers(len(names)), random.random(8)

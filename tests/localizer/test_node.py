@@ -50,7 +50,7 @@ PATIENCE_S = 30.0
 
 
 @dataclass
-class Localizer:
+class LocalizerProgram:
     """A running `localizer`, the folder that it looks at, and all that it said."""
 
     folder: Path
@@ -86,17 +86,17 @@ class Localizer:
 
 
 @pytest.fixture
-def start(tmp_path: Path) -> Iterator[Callable[..., Localizer]]:
+def start(tmp_path: Path) -> Iterator[Callable[..., LocalizerProgram]]:
     address = f"tcp/127.0.0.1:{free_port()}"
-    running: list[Localizer] = []
+    running: list[LocalizerProgram] = []
 
-    def run(*options: str) -> Localizer:
+    def run(*options: str) -> LocalizerProgram:
         folder = tmp_path / "camera"
         folder.mkdir()
         bus = Bus(ZenohTransport(Endpoint(address, router=True)))
         command = [sys.executable, "-m", "localizer", "run", "pool", "--station", address]
         process = subprocess.Popen([*command, "--source", f"folder:{folder}:max", *options], stderr=subprocess.PIPE, text=True)
-        localizer = Localizer(folder, bus, process)
+        localizer = LocalizerProgram(folder, bus, process)
         running.append(localizer)
 
         def note(topic: Topic, key: str, header: Header, payload: bytes) -> None:
@@ -114,7 +114,7 @@ def start(tmp_path: Path) -> Iterator[Callable[..., Localizer]]:
         localizer.bus.close()
 
 
-def test_every_ill_of_a_camera_is_noticed_and_over_when_it_is_over(start: Callable[..., Localizer]) -> None:
+def test_every_ill_of_a_camera_is_noticed_and_over_when_it_is_over(start: Callable[..., LocalizerProgram]) -> None:
     """Well, frozen, well, black, another size, absent, well: nobody helps."""
     localizer, scene = start(), Scene(EXPERIMENT)
     poses = {robot: localizer.bus.inbox(topics.POSE, Pose, robot) for robot in ETA}
@@ -180,7 +180,7 @@ def test_every_ill_of_a_camera_is_noticed_and_over_when_it_is_over(start: Callab
         assert f"camera {ill}" in said
 
 
-def test_an_own_camera_is_shared_and_shown(start: Callable[..., Localizer]) -> None:
+def test_an_own_camera_is_shared_and_shown(start: Callable[..., LocalizerProgram]) -> None:
     """Its pictures go on the bus unchanged, annotated ones too, and to a browser here."""
     localizer, frame = start("--publish-frames", "--show", "--show-port", "0"), Scene(EXPERIMENT).frame(ETA)
     frames, previews = localizer.bus.inbox(topics.FRAME, Frame), localizer.bus.inbox(topics.PREVIEW, Preview)

@@ -6,7 +6,7 @@ import pytest
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
 from sim_bridge.sil.ports import free_port
-from tests.page.flights import CHROMIUM, FLAGS, PATIENCE_MS, Asked, Flight, open_page
+from tests.page.flights import CHROMIUM, FLAGS, PATIENCE_MS, OperatorFlight, PageTraffic, open_page
 
 expect.set_options(timeout=PATIENCE_MS)
 
@@ -22,20 +22,20 @@ def browser() -> Iterator[Browser]:
 
 
 @pytest.fixture(scope="package")
-def flight(browser: Browser, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Flight]:
-    found = Flight(tmp_path_factory.mktemp("flight"), free_port())
+def flight(browser: Browser, tmp_path_factory: pytest.TempPathFactory) -> Iterator[OperatorFlight]:
+    found = OperatorFlight(tmp_path_factory.mktemp("flight"), free_port())
     found.start()
     yield found
     found.stop()
 
 
 @pytest.fixture
-def asked() -> Asked:
-    return Asked()
+def asked() -> PageTraffic:
+    return PageTraffic()
 
 
 @pytest.fixture
-def page(browser: Browser, flight: Flight, asked: Asked) -> Iterator[Page]:
+def page(browser: Browser, flight: OperatorFlight, asked: PageTraffic) -> Iterator[Page]:
     found = open_page(browser, flight, asked)
     yield found
     found.context.close()

@@ -39,7 +39,7 @@ def wait_for_port(port: int, process: subprocess.Popen[bytes]) -> None:
 
 
 @dataclass
-class Flight:
+class OperatorFlight:
     """`sim-bridge sil pool` under an operator's hands."""
 
     folder: Path
@@ -82,14 +82,14 @@ class Flight:
 
 
 @dataclass
-class Asked:
+class PageTraffic:
     """Every address that a page asked for, and what it complained about."""
 
     urls: list[str] = field(default_factory=list)
     errors: list[str] = field(default_factory=list)
 
 
-def open_page(browser: Browser, flight: Flight, asked: Asked, width: int = 1440, height: int = 900) -> Page:
+def open_page(browser: Browser, flight: OperatorFlight, asked: PageTraffic, width: int = 1440, height: int = 900) -> Page:
     """A new browser window on the operator's page, past its first state."""
     page = browser.new_context(viewport={"width": width, "height": height}).new_page()
     page.set_default_timeout(PATIENCE_MS)

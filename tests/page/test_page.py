@@ -19,6 +19,7 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 from playwright.sync_api import Browser, Locator, Page, WebSocketRoute, expect
 
 from groundstation.logs.reader import open_log, read_log
+from groundstation.mission.state_machine import MissionState
 from groundstation.planning import planner
 from groundstation.replay.step_replay import rerun
 from groundstation.telemetry import Finding
@@ -27,7 +28,7 @@ from groundstation.web.live_backend import LiveBackend
 from groundstation.web.server import WebServer
 from sim_bridge.sil.ports import free_port
 from tests.groundstation.fake_station import FakeStation
-from tests.page.flights import Asked, Flight, open_page, wait_for_port
+from tests.page.flights import OperatorFlight, PageTraffic, open_page, wait_for_port
 from wire.config.experiment import Experiment, load_experiment
 from wire.messages import topics
 from wire.messages.codec import decode
@@ -101,17 +102,19 @@ def test_an_operator_flies_a_mission(page: Page) -> None:
 
 def test_the_emergency_stop_is_latched_and_confirmed_by_name(page: Page) -> None:
     page.get_by_label("What plot 1 shows").focus()  # wherever the focus is
-    page.keyboard.press("Escape")
+    page.keyboard.press("Shift+Space")
     stopped = page.get_by_role("alert")
     expect(stopped).to_contain_text("robot 1 confirms: stopped")
     expect(stopped).to_contain_text("robot 2 confirms: stopped")
-    expect(page.get_by_role("button", name="STOPPED Esc")).to_be_visible()
+    expect(page.get_by_role("button", name="STOPPED Shift+Space")).to_be_visible()
     for name in ("Arm", "Start", "Resume"):
         expect(button(page, name)).to_be_disabled()
     clear_stop(page)
 
 
-def test_a_second_page_only_watches_but_may_stop(page: Page, browser: Browser, flight: Flight, asked: Asked) -> None:
+def test_a_second_page_only_watches_but_may_stop(
+    page: Page, browser: Browser, flight: OperatorFlight, asked: PageTraffic
+) -> None:
     expect(page.get_by_role("button", name="You have control")).to_be_visible()
     second = open_page(browser, flight, asked, width=390, height=844)
     expect(second.get_by_role("button", name=re.compile("Watching"))).to_be_visible()
@@ -168,7 +171,7 @@ def renderers() -> dict[int, psutil.Process]:
     return {process.pid: process for process in found if "--type=renderer" in " ".join(process.cmdline())}
 
 
-def test_a_stopped_tab_holds_nobody_up(page: Page, browser: Browser, flight: Flight, asked: Asked) -> None:
+def test_a_stopped_tab_holds_nobody_up(page: Page, browser: Browser, flight: OperatorFlight, asked: PageTraffic) -> None:
     """Neither the other tab nor the robots. That the recorder missed no step is told by the last test."""
     before = renderers()
     second = open_page(browser, flight, asked)
@@ -190,7 +193,7 @@ def test_a_stopped_tab_holds_nobody_up(page: Page, browser: Browser, flight: Fli
     second.context.close()
 
 
-def test_old_values_are_not_shown_as_live(page: Page, flight: Flight) -> None:
+def test_old_values_are_not_shown_as_live(page: Page, flight: OperatorFlight) -> None:
     """In lockstep one robot that hangs stops all."""
     agent = flight.agent(2)
     agent.send_signal(signal.SIGSTOP)
@@ -317,6 +320,79 @@ def test_a_stop_into_a_connection_that_is_dead_already_is_sent_on_return(browser
         assert desk.orders == [Order.STOP]  # answered: not again
 
 
+def test_escape_leaves_what_is_open_and_else_stops_and_shift_space_always_stops(browser: Browser) -> None:
+    with alone(browser, load_experiment("pool")) as desk:
+        page = desk.page
+        page.goto(desk.url)
+        expect(button(page, "You have control")).to_be_visible()
+        page.get_by_text("Layers", exact=True).click()
+        page.get_by_label("trails").uncheck()
+        page.keyboard.press("Escape")
+        expect(page.get_by_label("trails")).not_to_be_visible()
+        page.get_by_label("Remark for the log").fill("half a word")
+        page.keyboard.press("Escape")
+        expect(page.get_by_label("Remark for the log")).not_to_be_focused()
+        page.wait_for_timeout(300)
+        assert desk.orders == []
+        page.keyboard.press("Escape")
+        expect(page.locator(".given")).to_contain_text("stop sent")
+        assert desk.orders == [Order.STOP]
+        page.get_by_label("Remark for the log").focus()
+        page.keyboard.press("Shift+Space")
+        expect(page.locator(".given li")).to_have_count(2)
+        assert desk.orders == [Order.STOP, Order.STOP]
+        button(page, "Fit").focus()
+        page.get_by_role("button", name="Follow").focus()
+        page.keyboard.press("Shift+Space")
+        expect(page.locator(".given li")).to_have_count(3)
+        expect(page.get_by_role("button", name="Follow")).to_have_attribute("aria-pressed", "false")  # not pressed by it
+
+
+def test_places_clicked_on_the_map_are_where_the_formation_is_led(browser: Browser) -> None:
+    with alone(browser, load_experiment("pool")) as desk:
+        desk.told = replace(desk.told, state=MissionState.RUNNING)
+        page = desk.page
+        page.goto(desk.url)
+        button(page, "Go to…").click()
+        expect(button(page, "Fly there")).to_be_disabled()
+        chart = page.locator(".pool > canvas")
+        box = chart.bounding_box()
+        assert box is not None
+        seen = []
+        for x, y in ((0.5, 0.4), (0.6, 0.55)):
+            chart.click(position={"x": x * box["width"], "y": y * box["height"]})
+            under = re.fullmatch(r"x (\S+)  y (\S+) m", page.locator(".cursor").inner_text())
+            assert under is not None
+            seen.append((float(under[1]), float(under[2])))
+        button(page, "Fly there").click()
+        expect(page.locator(".given")).to_contain_text("go sent")
+        assert desk.orders == [Order.GO]
+        np.testing.assert_allclose(desk.via, seen, atol=0.011)  # both are shown to the centimetre
+        assert abs(seen[0][0] - seen[1][0]) > 0.05
+        button(page, "Go to…").click()
+        page.keyboard.press("Escape")  # leaves the choice, and stops nothing
+        expect(button(page, "Go to…")).to_be_visible()
+        assert desk.orders == [Order.GO]
+
+
+def test_the_log_takes_remarks_and_is_filtered(browser: Browser) -> None:
+    with alone(browser, load_experiment("pool")) as desk:
+        page = desk.page
+        page.goto(desk.url)
+        expect(button(page, "You have control")).to_be_visible()
+        for level, source, text in ((2, "agent-1", "armed"), (4, "agent-2", "no pose"), (3, "groundstation", "robot 1: late")):
+            desk.robots.publish(topics.EVENT, Event(level, source, text), time.time_ns())
+        lines = page.locator(".log li")
+        expect(lines).to_have_count(3)
+        page.get_by_label("Lines of which robot").select_option("1")
+        expect(lines).to_have_count(2)
+        page.get_by_label("From which level on").select_option("3")
+        expect(lines).to_have_text([re.compile("robot 1: late")])
+        page.get_by_label("Lines of which robot").select_option("")
+        page.get_by_label("Lines with this text").fill("POSE")
+        expect(lines).to_have_text([re.compile("no pose")])
+
+
 def looks_lost(page: Page) -> None:
     """As after a connection that was closed: header, link, control, alarms, buttons."""
     expect(page.locator("header .phase")).to_have_class(re.compile("lost"))
@@ -337,7 +413,7 @@ def stop_is_not_heard(page: Page) -> None:
 
 
 @dataclass
-class Station:
+class BareStation:
     """`groundstation run` by the wall clock, without robots."""
 
     url: str
@@ -345,7 +421,7 @@ class Station:
 
 
 @pytest.fixture(scope="module")
-def station(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Station]:
+def station(tmp_path_factory: pytest.TempPathFactory) -> Iterator[BareStation]:
     """Shared: the last of its tests ends it."""
     port = free_port()
     command = [sys.executable, "-m", "groundstation", "run", "pool", "--listen", f"tcp/127.0.0.1:{free_port()}"]
@@ -354,7 +430,7 @@ def station(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Station]:
     )
     try:
         wait_for_port(port, process)
-        yield Station(f"http://127.0.0.1:{port}/", process)
+        yield BareStation(f"http://127.0.0.1:{port}/", process)
     finally:
         process.send_signal(signal.SIGCONT)
         process.terminate()
@@ -362,7 +438,7 @@ def station(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Station]:
 
 
 def test_a_station_that_hangs_looks_like_one_that_is_gone_and_a_stop_says_that_nobody_heard_it(
-    browser: Browser, station: Station
+    browser: Browser, station: BareStation
 ) -> None:
     page = browser.new_page(viewport={"width": 1440, "height": 900})
     page.goto(station.url)
@@ -380,7 +456,7 @@ def test_a_station_that_hangs_looks_like_one_that_is_gone_and_a_stop_says_that_n
     page.context.close()
 
 
-def test_a_stop_pressed_before_the_silence_is_noticed_says_so_too(browser: Browser, station: Station) -> None:
+def test_a_stop_pressed_before_the_silence_is_noticed_says_so_too(browser: Browser, station: BareStation) -> None:
     page = browser.new_page()
     page.goto(station.url)
     expect(button(page, "You have control")).to_be_visible()
@@ -467,7 +543,7 @@ def test_a_request_has_one_line_and_that_says_how_it_ended(browser: Browser) -> 
         expect(given).to_have_text("return done ✓ 1 ✓ 2")
 
 
-def test_a_run_is_ended_on_the_page_which_then_is_silent_without_an_alarm(browser: Browser, station: Station) -> None:
+def test_a_run_is_ended_on_the_page_which_then_is_silent_without_an_alarm(browser: Browser, station: BareStation) -> None:
     page = browser.new_page(viewport={"width": 1440, "height": 900})
     page.goto(station.url)
     button(page, "End run").click()  # nobody is armed: not asked twice
@@ -552,7 +628,7 @@ def test_nothing_serious_for_who_sees_or_hears_badly(page: Page, theme: str) -> 
     assert serious(page) == []
 
 
-def test_page_reconnects_when_the_station_is_started_again(page: Page, flight: Flight) -> None:
+def test_page_reconnects_when_the_station_is_started_again(page: Page, flight: OperatorFlight) -> None:
     flight.stop()
     expect(page.get_by_text("no connection", exact=True)).to_be_visible()
     expect(page.get_by_label("Alarms")).to_contain_text("what you see is old")
@@ -572,7 +648,7 @@ def first_armed_s(run: Path) -> float:
     raise AssertionError("nobody ever armed")
 
 
-def test_a_recorded_run_is_replayed(browser: Browser, flight: Flight) -> None:
+def test_a_recorded_run_is_replayed(browser: Browser, flight: OperatorFlight) -> None:
     """The first run of these tests, which the restart above has ended."""
     recorded = min(folder for folder in flight.folder.iterdir() if folder.is_dir())
     with replayed(recorded) as url:
@@ -582,10 +658,24 @@ def test_a_recorded_run_is_replayed(browser: Browser, flight: Flight) -> None:
         in_mode(page, "TRACKING")  # it waits where the robots began to fly
         slider = page.get_by_label("Time in the run, seconds")
         before = float(slider.input_value())
-        button(page, "Play").click()
-        expect(page.locator(".replay").get_by_role("button")).to_have_text("Pause")
+        drawn = page.locator(".plot canvas").first
+        drawn.wait_for()
+        told = page.locator(".plot .u-legend").first.inner_text()
+        assert re.search(r"robot 1:?\s*\d", told), (
+            told
+        )  # the whole run is there, with the values of now, before anything was played
+        expect(page.locator(".replay .mark").first).to_be_attached()
+        page.get_by_label("Pace").select_option("2")  # chooses, and plays nothing
+        expect(page.get_by_role("status")).to_contain_text("paused")
+        page.locator("body").press(".")
+        page.wait_for_function(
+            "before => Math.abs(document.querySelector('.replay input').valueAsNumber - before - 0.05) < 0.01", arg=before
+        )
+        page.locator("body").press(" ")
+        expect(button(page, "Pause")).to_be_visible()
         page.wait_for_function("before => document.querySelector('.replay input').valueAsNumber > before + 1", arg=before)
-        page.locator(".replay").get_by_role("button").click()
+        page.locator("body").press(" ")
+        expect(button(page, "Play")).to_be_visible()
         slider.fill(str(first_armed_s(recorded) - 0.1))
         in_mode(page, "DISARMED")
         expect(page.get_by_role("button", name=re.compile("STOP"))).to_have_count(0)  # there is nothing to stop
@@ -594,7 +684,7 @@ def test_a_recorded_run_is_replayed(browser: Browser, flight: Flight) -> None:
         page.close()
 
 
-def test_the_log_holds_the_gains_and_the_solver_had_them(flight: Flight) -> None:
+def test_the_log_holds_the_gains_and_the_solver_had_them(flight: OperatorFlight) -> None:
     """Of the same run. Beside what the robot did stands what its program would have done with these gains from the start."""
     recorded = min(folder for folder in flight.folder.iterdir() if folder.is_dir())
     log = read_log(recorded / "run.mcap")

@@ -51,7 +51,7 @@ runpy.run_module("robot_agent", run_name="__main__", alter_sys=True)
 """
 
 
-class Bench:
+class UdpBoard:
     """A thruster board on UDP, and what it was told, in order."""
 
     def __init__(self, port: int) -> None:
@@ -63,7 +63,7 @@ class Bench:
         self._socket.settimeout(0.002)
         self._thread = threading.Thread(target=self._run)
 
-    def __enter__(self) -> "Bench":
+    def __enter__(self) -> "UdpBoard":
         self._thread.start()
         return self
 
@@ -88,7 +88,7 @@ class Bench:
                 self._socket.sendto(data, asker)
 
 
-class Station:
+class HeartbeatSender:
     """Sender of the heartbeats and poses that a robot needs to fly."""
 
     def __init__(self, address: str) -> None:
@@ -96,7 +96,7 @@ class Station:
         self.states, self._over = self.bus.inbox(topics.STATE, RobotState, 1), threading.Event()
         self._thread = threading.Thread(target=self._run)
 
-    def __enter__(self) -> "Station":
+    def __enter__(self) -> "HeartbeatSender":
         self._thread.start()
         return self
 
@@ -118,7 +118,7 @@ class Station:
         state = self.states.newest()
         return None if state is None else state.message.mode
 
-    def until_it_pushes(self, bench: Bench) -> None:
+    def until_it_pushes(self, bench: UdpBoard) -> None:
         """Have the robot hold its place, and again if its board disarmed because a busy machine kept it waiting."""
         deadline, refused = time.monotonic() + PATIENCE_S, "never asked"
         while bench.board.neutral or not bench.board.armed:
@@ -144,7 +144,7 @@ def test_a_program_that_ends_leaves_its_board_neutral_and_disarmed(
     port, log = free_port(SOCK_DGRAM), tmp_path / "agent.log"
     options = ["run", "pool", "--robot", "1", "--link", f"udp:127.0.0.1:{port}", "--station", address]
     settings = [part for setting in SETTINGS for part in ("--set", setting)]
-    with log.open("wb") as output, Bench(port) as bench, Station(address) as station:
+    with log.open("wb") as output, UdpBoard(port) as bench, HeartbeatSender(address) as station:
         agent = subprocess.Popen(
             [sys.executable, "-c", BROKEN_ON_PURPOSE, "robot_agent", *options, *settings], stdout=output, stderr=output
         )
@@ -171,7 +171,7 @@ def test_a_program_that_ends_leaves_its_board_neutral_and_disarmed(
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
 def test_a_look_at_the_thrusters_that_is_ended_leaves_them_at_rest(number: signal.Signals) -> None:
     port = free_port(SOCK_DGRAM)
-    with Bench(port) as bench:
+    with UdpBoard(port) as bench:
         looking = subprocess.Popen(
             [sys.executable, "-c", TURN_THRUSTERS, f"udp:127.0.0.1:{port}"], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
         )

@@ -43,7 +43,7 @@ Line = tuple[Topic, int | None, Header, bytes]
 UNMOVED = ("safety.watch_thrusters=false",)  # nothing that its thrusters do moves the robot of these tests
 
 
-class HandClock:
+class SkewedClock:
     """Goes on when told. The senders' clocks are another matter: theirs are 3 s behind."""
 
     def __init__(self) -> None:
@@ -73,7 +73,7 @@ class Pond:
         listener = Bus(MemoryTransport(self.hub))
         for topic in (topics.INPUTS, topics.ORDERS, topics.PLAN, topics.OBSTACLES):
             listener.subscribe(topic, None, self._hear)
-        self.clock = HandClock()
+        self.clock = SkewedClock()
         self.node = AgentNode(self.experiment, ME, self.agents, Board(), False, Stop(install=False))
         self.node.clock = self.clock
         self.agents.serve(ME, self.node.on_order)

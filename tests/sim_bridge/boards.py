@@ -10,9 +10,21 @@ ROOT = Path(__file__).parents[2]
 
 
 @contextmanager
-def board(port: str, folder: Path) -> Iterator[subprocess.Popen[str]]:
+def board(port: str, folder: Path, robot: int = 1) -> Iterator[subprocess.Popen[str]]:
     """A board that is plugged in when this begins."""
-    command = [sys.executable, "-m", "sim_bridge", "board", "pool", "--port", port, "--boards", str(folder)]
+    command = [
+        sys.executable,
+        "-m",
+        "sim_bridge",
+        "board",
+        "pool",
+        "--port",
+        port,
+        "--boards",
+        str(folder),
+        "--robot",
+        str(robot),
+    ]
     process = subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True)
     try:
         assert process.stderr is not None

@@ -50,6 +50,9 @@ def test_schedule_names_what_breaks_and_what_is_repaired() -> None:
     assert faults.at(2.5) == ["fault: battery 1 sag 2"]
     assert faults.at(3.0) == ["fault over: camera dark"]
     assert faults.actuators.sag_v.tolist() == [2.0, 0.0] and faults.camera == ()
+    assert [faults.quiet_steps(time_s, 0.005, 150) for time_s in (-1.0, 0.5, 0.51, 0.998, 1.0, 2.9, 3.0)] == [
+        150, 100, 98, 1, 150, 20, 150
+    ]  # fmt: skip
 
 
 def test_a_sagging_battery_is_measured_and_felt() -> None:

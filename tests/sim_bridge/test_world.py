@@ -48,6 +48,38 @@ def fly(looks: bool, *settings: str) -> tuple[list[bytes], list[Motion | None], 
     return states, expected, came
 
 
+def told(by_events: bool, *settings: str) -> list[tuple[int, int, bytes]]:
+    """Bytes of the boards under pulses that change at every control step, faults, and the truth at each step's end.
+
+    Faults begin and end within control steps, and from 1.2 s on no pulses come."""
+    experiment = load_experiment("pool", settings, ["t=0.533 for=0.3 thruster 1/2 dead", "t=0.7 imu 2 heading 0.1"])
+    world = World(experiment, 1, np.array([[0.4, 0.0, 0.3, 0.0], [-0.4, 0.0, 0.3, 1.0]]))
+    world.start_ns = 0
+    links, random = [AgentLink(robot) for robot in experiment.robot_ids], np.random.default_rng(2)
+    said: list[tuple[int, int, bytes]] = []
+    for tick in range(40):
+        if tick < 24:
+            for i, link in enumerate(links):
+                world.receive(i, link.pulses((*random.integers(1250, 1750, 4).tolist(), 1500, 1600, 1500, 1400)))
+        if tick == 3:
+            for i, link in enumerate(links):
+                world.receive(i, link.pulses((1500,) * 8) + link.arm(True) + b"\xfd begun")
+        while world.now_ns < (tick + 1) * 50_000_000:
+            said += [(world.now_ns, -1, fault.encode()) for fault in world.apply_faults()]
+            said += [(world.now_ns, i, data) for i, data in world.step((tick + 1) * 50_000_000 * by_events) if data]
+        truth = world.truth()
+        said.append((world.now_ns, -2, b"".join(part.tobytes() for part in (world.eta, world.tilt, truth.disturbance))))
+    return said
+
+
+@pytest.mark.parametrize("settings", [(), ("sim.sensors.rate_hz=70",), ("sim.board.slew_us_per_s=1000",)])
+def test_events_alone_send_and_move_what_single_steps_do(settings: tuple[str, ...]) -> None:
+    by_events = told(True, *settings)
+    assert by_events == told(False, *settings)
+    assert sum(b"no override" in data for _, _, data in by_events) >= 1  # a board that was armed has timed out
+    assert sum(i == -1 for _, i, _ in by_events) == 3  # two faults begin, one ends
+
+
 def test_expected_exposure_comes_unless_something_breaks() -> None:
     _, expected, came = fly(True)
     right = [

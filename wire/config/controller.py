@@ -39,24 +39,35 @@ class Safety(Section):
     """Collision avoidance and freshness."""
 
     radius_m: Positive = 0.30
+    """R of equation (36): centres of robots stay two of these apart. Not less than the vehicle's radius."""
     margin_m: NotNegative = 0.05
-    bubble_mps: NotNegative = 0.1  # how fast the space around a silent neighbour grows
-    bubble_max_m: NotNegative = 0.5  # and how far: a robot that is gone must not push the others against the walls
-    pose_hold_s: Positive = 0.19  # hold, then (pose_neutral_s) neutral, counted from the last pose: within 0.2 s, all told
-    pose_neutral_s: Annotated[float, Field(gt=0, lt=COAST_S)] = 0.45  # before the estimate ends
+    """Distance beyond the least one at which robots, obstacles and walls enter the optimisation as half-spaces."""
+    bubble_mps: NotNegative = 0.1
+    """Rate at which the space around a silent neighbour grows."""
+    bubble_max_m: NotNegative = 0.5
+    """Largest growth of that space: a robot that is gone must not push the others against the walls."""
+    pose_hold_s: Positive = 0.19
+    """Age of the last pose at which a robot holds. Its reaction comes within 0.2 s, one control step included."""
+    pose_neutral_s: Annotated[float, Field(gt=0, lt=COAST_S)] = 0.45
+    """Age of the last pose at which thrusters go to neutral, before the estimate ends."""
     station_hold_s: Positive = 1.0
+    """Age of the station's last heartbeat at which a robot holds."""
     station_neutral_s: Positive = 3.0
-    station_disarm_s: Annotated[float, Field(gt=0, le=60)] = 10.0  # and a board that is forgotten does not stay armed
-    plan_max_age_s: Annotated[float, Field(gt=0, le=5)] = 0.5  # and at most as old as a plan reaches ahead (experiment.py)
-    watch_thrusters: bool = True  # neutral when the gyroscope does not feel what the thrusters were told
-    off_path_m: Positive = (
-        0.3  # neutral when farther off its path than this for 0.5 s, nothing being in the way; still water: 0.1
-    )
-
-    off_depth_m: Positive = 0.15  # the same for its depth, whose errors are millimetres: a thruster or an ankle that is dead
-    # a robot refuses to begin on its path, or to go on along it, when it is farther away from it than this and than the way
-    # from its planned start to the path's first pose together
+    """Age of the station's last heartbeat at which thrusters go to neutral."""
+    station_disarm_s: Annotated[float, Field(gt=0, le=60)] = 10.0
+    """Age of the station's last heartbeat at which a robot disarms, so that a forgotten board does not stay armed."""
+    plan_max_age_s: Annotated[float, Field(gt=0, le=5)] = 0.5
+    """Age at which a neighbour's plan no longer counts; at most the time that a plan reaches ahead."""
+    watch_thrusters: bool = True
+    """Go to neutral when the gyroscope does not measure what the thrusters were commanded."""
+    off_path_m: Positive = 0.3
+    """Distance from its path at which a robot goes to neutral, after 0.5 s with nothing in the way. In still water 0.1 is
+    enough."""
+    off_depth_m: Positive = 0.15
+    """The same for depth, whose errors are millimetres: a dead thruster or ankle shows here first."""
     join_within_m: Positive = 1.0
+    """A robot refuses to begin or to go on along its path when it is farther away than this plus the way from its planned
+    start to the path's first pose."""
 
     @model_validator(mode="after")
     def _worse_comes_later(self) -> Self:
@@ -74,12 +85,18 @@ class EstimatorConfig(Section):
     """Extended state observer (31), bandwidth form b1 = 3w, b2 = 3w^2, b3 = w^3 (Gao 2003). The sensing delay is compensated,
     so noise sets the bandwidth, not delay: at 2 rad/s a pose noise of 1.5 mm makes 2 mm/s in velocity."""
 
-    enabled: bool = True  # False: no disturbance estimate
+    enabled: bool = True
+    """Estimate the disturbance. False: the estimate is zero."""
     bandwidth_radps: Bandwidth = 2.0
+    """Bandwidth w for x, y and z. Higher follows disturbances faster, and passes more noise on."""
     yaw_bandwidth_radps: Bandwidth = 4.0
+    """Bandwidth w for yaw."""
     use_imu_yaw_rate: bool = True
-    sway: bool = True  # False: the article's model, which cannot slide sideways
-    current_rate_radps: Gain = 0.15  # how fast a side force that lasts is put down to a current; 0: never
+    """Use the gyroscope's yaw rate."""
+    sway: bool = True
+    """Model sideways motion. False: the article's model, which cannot slide sideways."""
+    current_rate_radps: Gain = 0.15
+    """Rate at which a lasting side force is attributed to a current; 0: never."""
 
 
 class GuidanceConfig(Section):
@@ -87,16 +104,19 @@ class GuidanceConfig(Section):
     push sideways never corrects a lateral error at walking pace."""
 
     enabled: bool = True
-    position_gain_per_s2: Gain = 0.08  # 0.28 rad/s: a third of what heading, filter and observer can follow
-    velocity_gain_per_s: Gain = 0.5  # damping ratio 0.9
+    """Correct lateral errors by the heading. False: the heading is the path's tangent."""
+    position_gain_per_s2: Gain = 0.08
+    """Correction per position error. 0.08 gives 0.28 rad/s: a third of what heading, filter and observer can follow."""
+    velocity_gain_per_s: Gain = 0.5
+    """Correction per velocity error. The default gives damping ratio 0.9."""
     max_correction_rad: Annotated[float, Field(gt=0, lt=np.pi / 2), LIVE] = 1.4
-    turning_force_n: Annotated[float, Field(gt=0, le=10), LIVE] = 0.02  # forces well below this are not worth a turn
-    filter_s: Annotated[float, Field(gt=0, le=30), LIVE] = (
-        1.0  # time constant of the force that feeds back: 0.5 follows noise, 2.0 overshoots by 4 cm
-    )
-    hold_radius_m: Annotated[float, Field(gt=0, le=5), LIVE] = (
-        0.06  # station keeping: nearer than this the heading stays as it is
-    )
+    """Largest turn away from the path's tangent."""
+    turning_force_n: Annotated[float, Field(gt=0, le=10), LIVE] = 0.02
+    """Size of a force that turns the heading. Forces well below it do not."""
+    filter_s: Annotated[float, Field(gt=0, le=30), LIVE] = 1.0
+    """Time constant of the force that feeds back. 0.5 follows noise, 2.0 overshoots by 4 cm."""
+    hold_radius_m: Annotated[float, Field(gt=0, le=5), LIVE] = 0.06
+    """Station keeping: nearer to the place than this, the heading stays as it is."""
 
 
 class MpcConfig(Section):
@@ -104,18 +124,25 @@ class MpcConfig(Section):
     `linearise = "point"`, no lag."""
 
     solver: Literal["osqp", "daqp"] = "osqp"
+    """QP solver. `daqp` needs the package of that name."""
     horizon: Annotated[int, Field(ge=2, le=200)] = 50
+    """Prediction steps of controller.period_s. Below 2.25 s ahead, slow robots have left their paths."""
     blocks: Annotated[tuple[Annotated[int, Field(ge=1)], ...], Field(min_length=1)] = (1, 1, 2, 3, 4, 4)
+    """Steps for which each input is kept (move blocking). The last input is kept to the horizon's end."""
     linearise: Literal["trajectory", "point"] = "trajectory"
+    """Linearise along the predicted trajectory, or at the present state alone (the article)."""
     q: Annotated[tuple[Weight, Weight, Weight, Weight], LIVE] = (1.0, 1.0, 1.0, 1.0)
+    """Weight of squared tracking errors in x, y, z (per m^2) and yaw (per rad^2)."""
     q_formation: Annotated[tuple[Weight, Weight, Weight, Weight], LIVE] = (0.15, 0.15, 0.15, 0.15)
-    r: Annotated[tuple[InputWeight, InputWeight, InputWeight], LIVE] = (
-        0.05,
-        0.05,
-        8.0,
-    )  # per N^2 and (N m)^2: the same 0.01 for all lets yaw chatter at its rate limit
-    slack: Positive = 1e4  # per unit of the largest position weight above 1: no weight buys a way through another robot
+    """Weight of squared formation errors to each neighbour in x, y, z and yaw."""
+    r: Annotated[tuple[InputWeight, InputWeight, InputWeight], LIVE] = (0.05, 0.05, 8.0)
+    """Weight of squared input changes in surge, heave (per N^2) and yaw (per (N m)^2). With 0.01 for all, yaw chatters at
+    its rate limit."""
+    slack: Positive = 1e4
+    """Penalty of entering another robot's space, per unit of the largest position weight above 1: no weight buys a way
+    through another robot."""
     model_lag: bool = True
+    """Include the thrusters' lag in the prediction."""
 
     @model_validator(mode="after")
     def _blocks_fit(self) -> Self:
@@ -128,14 +155,25 @@ class ControllerConfig(Section):
     """The control loop of a robot, which runs 1/period_s times a second. `law` computes the wrench from estimate and
     reference."""
 
-    period_s: Annotated[float, Field(ge=0.01, le=COMMAND_AGE_S / 2)] = 0.05  # so that one step may fail to come
+    period_s: Annotated[float, Field(ge=0.01, le=COMMAND_AGE_S / 2)] = 0.05
+    """Control period. At most half of the age at which a board disarms, so that one step may be lost."""
     law: LawName = "eso-mpc"
+    """Control law: the ESO-MPC, or one that it is compared with."""
     estimator: EstimatorConfig = EstimatorConfig()
+    """Extended state observer."""
     guidance: GuidanceConfig = GuidanceConfig()
+    """Reference heading."""
     mpc: MpcConfig = MpcConfig()
+    """Model predictive control."""
     backstepping: BacksteppingConfig = BacksteppingConfig()
+    """Backstepping."""
     pid: PidConfig = PidConfig()
+    """PID."""
     lqr: LqrConfig = LqrConfig()
+    """Linear-quadratic regulator."""
     sliding_mode: SlidingModeConfig = SlidingModeConfig()
+    """Sliding mode."""
     fuzzy: FuzzyConfig = FuzzyConfig()
+    """Fuzzy PI."""
     adaptive_nn: AdaptiveNnConfig = AdaptiveNnConfig()
+    """Adaptive neural network."""

@@ -20,7 +20,7 @@ from wire.config.controller import ControllerConfig, Safety
 from wire.config.fault_injection import fault_table
 from wire.config.formation_shapes import SHAPES, shape_nodes
 from wire.config.mission import MissionConfig
-from wire.config.perception import LANDMARKS_NEEDED, Camera, CameraFile, Landmark, Localizer
+from wire.config.perception import LANDMARKS_NEEDED, UNSEEING, Camera, CameraFile, Landmark, Localizer
 from wire.config.recording import Recording
 from wire.config.scene import FormationConfig, Island, PathSpec, PoolConfig, RobotConfig
 from wire.config.simulation import Sim
@@ -35,51 +35,86 @@ NO_CAMERA = "localizer.uses_camera=false"  # the setting of runs in which poses 
 MOVED = {"sim.plant.walls": "pool.walls"}  # keys of earlier versions, and where they stand now
 
 
+Name = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9-]*$", max_length=64)]
+
+
 class ArticleRow(Section):
     """A row of the article's result table: tracking of robot "1", or formation of the pair "1-2"."""
 
     subject: str
+    """A robot (1) or a pair (1-2)."""
     rms_m: tuple[float, ...] = ()
+    """RMS errors in x, y and, where printed, z."""
     rms_yaw_rad: float | None = None
+    """RMS error in yaw."""
     max_m: tuple[float, ...] = ()
+    """Largest errors in x, y and, where printed, z."""
 
 
 class Limit(Section):
     """Largest values for a run that passes; checked against the plant's truth after the run."""
 
-    rms_m: Positive | None = None
+    rms_m: Annotated[Positive | None, Field(examples=[0.1])] = None
+    """RMS tracking error per axis, whole run."""
     rms_after_20s_m: Positive | None = None
-    rms_yaw_after_20s_rad: Positive | None = None  # to the path's tangent
+    """RMS tracking error per axis after 20 s."""
+    rms_yaw_after_20s_rad: Positive | None = None
+    """RMS yaw error to the path's tangent after 20 s."""
     max_after_20s_m: Positive | None = None
-    arrived_m: Positive | None = None  # each robot from its last reference, horizontally, at the end of the run
+    """Largest tracking error per axis after 20 s."""
+    arrived_m: Positive | None = None
+    """Each robot's horizontal distance from its last reference at the end of the run."""
     pose_rms_m: Positive | None = None
-    wrench_step_rms: Fraction | None = None  # after 20 s: RMS of the inputs' change per step, as a fraction of its bound
+    """RMS error of the localizer's poses."""
+    wrench_step_rms: Fraction | None = None
+    """RMS of the inputs' change per step after 20 s, as a fraction of its bound."""
     exposure_to_pwm_p99_ms: Positive | None = None
+    """99th percentile of the time from exposure to thruster pulses."""
 
 
 class Experiment(Section):
     """The whole file."""
 
-    name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9-]*$", max_length=64)]  # a run's folder has it in its name
+    name: Name
+    """Name of the experiment. A run's folder has it in its name."""
     title: str = ""
+    """Title, for people."""
     seed: Annotated[int, Field(ge=0, lt=2**31)] = 1
+    """Seed of everything random."""
     duration_s: Annotated[float, Field(gt=0, le=36000)]
+    """Time to fly."""
     vehicle: Vehicle
+    """A shipped vehicle, a path ending in .toml, or a table (vehicle.md)."""
     pool: PoolConfig
+    """Pool."""
     path: PathSpec
+    """Path."""
     formation: FormationConfig = FormationConfig()
+    """Formation."""
     robots: Annotated[tuple[RobotConfig, ...], Field(min_length=1, max_length=49)]
+    """Robots."""
     islands: tuple[Island, ...] = ()
+    """Islands."""
     safety: Safety = Safety()
+    """Safety."""
     mission: MissionConfig = MissionConfig()
+    """Mission."""
     controller: ControllerConfig = ControllerConfig()
-    camera: Camera
-    landmarks: tuple[Landmark, ...] = ()  # with any, the camera is taken to move
+    """Control (controller.md)."""
+    camera: Camera = UNSEEING
+    """A table, or the path of a file of `localizer calibrate`. Not needed where localizer.uses_camera is false."""
+    landmarks: tuple[Landmark, ...] = ()
+    """Markers at known places. With any, the camera is taken to move."""
     localizer: Localizer = Localizer()
+    """Localizer."""
     recording: Recording = Recording()
+    """Recording."""
     sim: Sim = Sim()
+    """Simulator (simulation.md)."""
     limits: Limit = Limit()
+    """Limits of a good run."""
     article: tuple[ArticleRow, ...] = ()
+    """The article's results."""
 
     @model_validator(mode="after")
     def _robots_fit_together(self) -> Self:
@@ -99,6 +134,15 @@ class Experiment(Section):
         hz = self.sim.plant.disturbance_hz
         if isinstance(hz, tuple) and len(hz) != len(ids):
             raise ValueError(f"sim.plant.disturbance_hz: {len(hz)} values for {len(ids)} robots (allowed: one, or one each)")
+        return self
+
+    @model_validator(mode="after")
+    def _camera_is_there(self) -> Self:
+        if self.localizer.uses_camera and "camera" not in self.model_fields_set:
+            raise ValueError(
+                "camera: missing, and localizer.uses_camera = true (allowed: a [camera] table, the file of a calibration, or "
+                "a run without one: `sim-bridge numeric`, `sim-bridge sil --poses`, or localizer.uses_camera = false)"
+            )
         return self
 
     @model_validator(mode="after")

@@ -120,9 +120,12 @@ def _number(text: str, effect: Effect) -> float:
 class Fault(Section):
     """One thing that breaks."""
 
-    at_s: Annotated[float, Field(ge=0)]
-    for_s: Annotated[float, Field(gt=0)] | None = None
-    what: str
+    at_s: Annotated[float, Field(ge=0, examples=[20.0])]
+    """Time along the trajectories: 0 is when the robots start."""
+    for_s: Annotated[float | None, Field(gt=0, examples=[5.0])] = None
+    """Time after which it is whole again; left out: never."""
+    what: Annotated[str, Field(examples=["thruster 2/3 dead"])]
+    """The fault, as in --fault without its times."""
 
     @model_validator(mode="after")
     def _can_be_read(self) -> Self:

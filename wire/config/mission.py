@@ -11,21 +11,30 @@ from wire.toml_loader import Section
 class MissionConfig(Section):
     """The experiment's `[mission]`."""
 
-    # when a robot falls out: everybody disarms; holds; goes on without it; or the others take the places of the file's first
-    # robots, so that the gap closes
     lost: Literal["abort", "hold", "go-on", "close-up"] = "abort"
-    detours: bool = True  # lead the formation round what the localizer sees lying on its path (paths of waypoints and routes)
-    # while obstacles cannot be detected (a lamp was switched, the camera was moved, the localizer is silent): with "hold" no
-    # robot starts, and robots that fly hold until they can be detected again; "warn" raises an alarm and flies on
+    """Reaction to a lost robot: all disarm; hold; go on without it; or close the gap by taking the nodes of the file's
+    first robots."""
+    detours: bool = True
+    """Lead the formation around obstacles that the localizer sees on its path (paths of waypoints and routes)."""
     blind: Literal["warn", "hold"] = "hold"
-    detour_clear_m: NotNegative = 0.25  # beyond safety.radius_m: robots begin to give way by themselves at 0.15
-    wait_from_m: Positive | None = None  # worst tracking error from which the formation slows down; None: never
-    wait_at_m: Positive = 0.5  # and at which it all but stands
-    slowest: Annotated[float, Field(gt=0, le=1)] = 0.05  # of the timetable's pace
-    return_mps: Positive = 0.15  # on the way back to the start, and into place
-    start_within_m: Positive = 0.5  # of where it should start, for a robot to be armed
-    clock_offset_ms: Positive = 20.0  # the most that a robot's clock may be off the station's: else logs do not line up
-    thruster_test: bool = False  # a robot arms only after it has passed one
+    """While obstacles cannot be detected: `hold` lets no robot start, and robots that fly hold; `warn` only raises an
+    alarm."""
+    detour_clear_m: NotNegative = 0.25
+    """Distance of a detour from obstacles, beyond safety.radius_m. Robots give way by themselves at 0.15."""
+    wait_from_m: Annotated[Positive | None, Field(examples=[0.2])] = None
+    """Worst tracking error at which the formation begins to slow down; left out: it never does."""
+    wait_at_m: Positive = 0.5
+    """Worst tracking error at which the formation is at its slowest."""
+    slowest: Annotated[float, Field(gt=0, le=1)] = 0.05
+    """Least pace of a formation that slows down, as a share of the timetable's."""
+    return_mps: Positive = 0.15
+    """Speed on the way back to the start, and into place."""
+    start_within_m: Positive = 0.5
+    """Largest distance from its planned start at which a robot may be armed."""
+    clock_offset_ms: Positive = 20.0
+    """Largest offset of a robot's clock from the station's. Above it, logs do not line up."""
+    thruster_test: bool = False
+    """Let a robot arm only after it has passed a thruster test."""
 
     @model_validator(mode="after")
     def _slows_before_it_stands(self) -> Self:

@@ -16,18 +16,27 @@ class Camera(Section):
     `rotation_rad` = 0 with the pool's x, its y with the pool's y. Pixel (0, 0) is the CENTRE of the first pixel."""
 
     size_px: tuple[Annotated[int, Field(ge=64, le=8192)], Annotated[int, Field(ge=64, le=8192)]]
+    """Width and height of a picture."""
     rate_hz: Annotated[float, Field(ge=1, le=240)]
+    """Pictures per second."""
     exposure_s: Annotated[float, Field(gt=0, le=0.05)]
-    stamp_marks: Literal["start", "end"] = "end"  # of the exposure: what the camera driver's time stamps tell
-    readout_s: Annotated[float, Field(ge=0, le=0.1)] = (
-        0.0  # rolling shutter: last row after the first; poses are of the middle one
-    )
+    """Exposure time."""
+    stamp_marks: Literal["start", "end"] = "end"
+    """The end of the exposure that the camera driver's time stamps mark."""
+    readout_s: Annotated[float, Field(ge=0, le=0.1)] = 0.0
+    """Time of a rolling shutter from the first row to the last; 0: a global shutter. Stamps are of the middle row."""
     focal_px: tuple[Positive, Positive]
+    """Focal lengths along the picture's x and y."""
     centre_px: Vec2
+    """Principal point, x and y."""
     distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    """OpenCV's k1, k2, p1, p2, k3."""
     position_m: Vec3
+    """Position in the pool frame. z is negative: the camera hangs above the water."""
     rotation_rad: Vec3 = (0.0, 0.0, 0.0)
+    """Rotation vector (Rodrigues) from pool frame to camera frame."""
     water_index: Annotated[float, Field(ge=1, le=2)] = 1.333
+    """Refractive index of the water."""
 
     @model_validator(mode="after")
     def _above_water(self) -> Self:
@@ -41,10 +50,18 @@ class Camera(Section):
         return max(self.focal_px) / -self.position_m[2]
 
 
+UNSEEING = Camera(
+    size_px=(1280, 960), rate_hz=20.0, exposure_s=0.008, focal_px=(1005.0, 1005.0), centre_px=(639.5, 479.5),
+    position_m=(0.0, 0.0, -2.8),
+)  # fmt: skip
+"""Stands for the camera of an experiment without one. Only its rate counts: poses come as often."""
+
+
 class CameraFile(Section):
     """A file that `localizer calibrate` wrote: an experiment names it as `camera = "lab.toml"`."""
 
     camera: Camera
+    """The calibrated camera."""
 
 
 class Landmark(Section):
@@ -52,29 +69,43 @@ class Landmark(Section):
     Its upper edge points along `yaw_rad`, as a robot's does."""
 
     id: Annotated[int, Field(ge=0, le=49)]
+    """Marker id, used by no robot."""
     position_m: Vec3
+    """Centre of the marker in the pool frame."""
     yaw_rad: float = 0.0
+    """Direction of the marker's upper edge."""
     side_m: Positive = 0.2
+    """Side of the marker's black square."""
 
 
 class Localizer(Section):
     """The tracking of the robots in the camera's pictures."""
 
-    # poses come from [camera]'s pictures. False: from elsewhere, as a simulation's truth; then no path has to stay in the
-    # picture, and obstacles are not watched for
     uses_camera: bool = True
+    """Poses come from [camera]'s pictures. False: from elsewhere, as from a simulation; then paths may leave the picture
+    and obstacles are not looked for."""
     markers: bool = True
+    """Read markers. False: follow robots by their looks alone."""
     template_px: Annotated[int, Field(ge=16, le=128)] = 48
+    """Side of the correlation filter's template."""
     min_peak: Fraction = 0.3
+    """Least peak of the correlation that counts as found."""
     lost_after_s: Positive = 0.7
+    """Time without a measurement after which a robot is lost."""
     frozen_frames: Annotated[int, Field(ge=2)] = 5
-    depth_sigma_m: Positive = 0.015  # of reported depths: mostly their zero. 1 hPa of air pressure and 5 deg of trim are 1 cm
-    # One standard deviation of an unknown roll and of pitch, which move the plate over the centre: at rest, and per newton of
-    # the thrust that the robot's motion takes. The latter is the thrusters' distance below the centre over the righting moment
-    # per sine, here 0.05 m / 1.9 N m.
-    tilt_sigma_rad: Annotated[float, Field(ge=0, le=0.5)] = 0.002
+    """Number of equal pictures in a row after which the camera counts as frozen."""
+    depth_sigma_m: Positive = 0.015
+    """Standard deviation of reported depths, mostly their zero. 1 hPa of air pressure and 5 deg of trim are 1 cm."""
+    tilt_sigma_rad: Annotated[float, Field(ge=0, le=0.5)] = 0.05
+    """Standard deviation of roll and pitch at rest of a robot whose board does not measure them. They move the plate over
+    the centre."""
     tilt_rad_per_n: Annotated[float, Field(ge=0, le=1)] = 0.026
-    surface_slope_rad: Annotated[float, Field(ge=0, le=0.2)] = 0.0043  # one standard deviation of the water's slope
-    attitude_sigma_rad: Annotated[float, Field(ge=0, le=0.5)] = 0.005  # of roll and pitch as a board tells them: its level
+    """Tilt per newton of thrust: the thrusters' distance below the centre over the righting moment, here 0.05 m / 1.9 N m."""
+    surface_slope_rad: Annotated[float, Field(ge=0, le=0.2)] = 0.0043
+    """Standard deviation of the slope of the water's surface."""
+    attitude_sigma_rad: Annotated[float, Field(ge=0, le=0.5)] = 0.005
+    """Standard deviation of roll and pitch as a board reports them, mostly their zero."""
     preview_rate_hz: NotNegative = 5.0
-    obstacle_min_m: NotNegative = 0.08  # what covers less than a square of this side is no obstacle; 0: none are looked for
+    """Rate of the annotated pictures for people; 0: none."""
+    obstacle_min_m: NotNegative = 0.08
+    """Side of the smallest square that counts as an obstacle; 0: none are looked for."""

@@ -13,9 +13,16 @@ class Recording(Section):
     it can, the newest counts. A preview, small and drawn on, is recorded anyway (`localizer.preview_rate_hz`)."""
 
     video: Literal["none", "h264", "jpeg"] = "none"
+    """Codec of the camera's video in the log."""
     video_rate_hz: Positive = 20.0
-    video_scale: Annotated[float, Field(gt=0, le=1)] = 1.0  # of the camera's width and height
-    video_mbps: Positive = 4.0  # of h264
+    """Pictures per second of the video."""
+    video_scale: Annotated[float, Field(gt=0, le=1)] = 1.0
+    """Width and height of the video, as a share of the camera's."""
+    video_mbps: Positive = 4.0
+    """Bit rate of H.264."""
     jpeg_quality: Annotated[int, Field(ge=10, le=100)] = 80
-    min_free_gb: NotNegative = 0.5  # with less room on the disk no run begins
-    stop_video_below_gb: NotNegative = 0.3  # with less, pictures are not recorded any longer, so that the rest is
+    """Quality of JPEG pictures."""
+    min_free_gb: NotNegative = 0.5
+    """Free disk space without which no run begins."""
+    stop_video_below_gb: NotNegative = 0.3
+    """Free disk space below which pictures are no longer recorded, so that the rest is."""

@@ -13,6 +13,8 @@ Vec2 = tuple[float, float]
 Vec3 = tuple[float, float, float]
 Vec4 = tuple[float, float, float, float]
 
+MOST_WAYPOINTS = 30_000  # of a path, all laps together: no file has room for more
+
 
 class PoolConfig(Section):
     """The basin. Its walls stand at +-length/2 and +-width/2 around the origin.
@@ -22,56 +24,90 @@ class PoolConfig(Section):
     """
 
     size_m: tuple[Positive, Positive, Positive]
+    """Length (x), width (y) and depth (z)."""
     walls: bool = True
+    """The water has sides, a floor and a surface. False: open water."""
 
 
 class Island(Section):
     """A round island: its foot stands on the floor, its head out of the water."""
 
     position_m: Vec2
+    """Centre, x and y."""
     radius_m: Positive
+    """Radius."""
 
 
 class Circle(Section):
     """A circle around the origin, flown clockwise seen from above (heading grows), starting at its largest x."""
 
     kind: Literal["circle"]
+    """A circle around the origin."""
     diameter_m: Positive
+    """Diameter of the formation centre's circle."""
     lap_s: Positive
+    """Time for one lap."""
     depth_m: NotNegative
-    slow: bool = False  # as for waypoints
+    """Depth of the formation's centre."""
+    slow: bool = False
+    """Slow down where a robot would exceed its limits, instead of refusing the plan."""
 
 
 class Waypoints(Section):
     """A natural cubic spline through waypoints (equations 12, 13), flown at constant speed."""
 
     kind: Literal["waypoints"]
+    """A smooth curve through waypoints."""
     points_m: Annotated[tuple[Vec2, ...], Field(min_length=2)]
+    """Waypoints x, y of the formation's centre, in order."""
     speed_mps: Positive
+    """Speed of the formation's centre."""
+    laps: Annotated[int, Field(ge=1, le=1000)] = 1
+    """Number of times that the waypoints are flown. With more than one, the last leads back to the first."""
     start_index: Annotated[int, Field(ge=0)] = 0
+    """Waypoint at which the flight begins, from 0."""
     depth_m: NotNegative = 0.0
+    """Depth of the formation's centre at the start."""
     dive_mps: float = 0.0
-    slow: bool = False  # slow down where a robot would exceed its limits, instead of refusing the plan
-    stop: bool = False  # at the last waypoint, and stay; otherwise the run must end before the path does
+    """Rate at which the depth grows."""
+    slow: bool = False
+    """Slow down where a robot would exceed its limits, instead of refusing the plan."""
+    stop: bool = False
+    """Stop at the last waypoint, and stay. False: the run must end before the path does."""
 
     @model_validator(mode="after")
     def _starts_on_the_path(self) -> Self:
         if self.start_index >= len(self.points_m):
             raise ValueError(f"start_index = {self.start_index}: no such waypoint (allowed: 0 to {len(self.points_m) - 1})")
+        if len(self.points_m) * self.laps > MOST_WAYPOINTS:
+            raise ValueError(f"laps = {self.laps}: {len(self.points_m)} waypoints so often are more than {MOST_WAYPOINTS}")
         return self
+
+    @property
+    def all_points_m(self) -> tuple[Vec2, ...]:
+        """The waypoints of all laps, in the order in which they are flown."""
+        return self.points_m if self.laps == 1 else self.points_m * self.laps + self.points_m[:1]
 
 
 class Route(Section):
     """The shortest way through places in order that the whole formation can take: around islands, within the walls."""
 
     kind: Literal["route"]
-    via_m: Annotated[tuple[Vec2, ...], Field(min_length=2)]  # of the formation's centre: from the first, to the last
+    """The shortest clear way through places."""
+    via_m: Annotated[tuple[Vec2, ...], Field(min_length=2)]
+    """Places x, y of the formation's centre, from the first to the last."""
     speed_mps: Positive
+    """Speed of the formation's centre."""
     depth_m: NotNegative = 0.0
-    clearance_m: NotNegative = 0.1  # between hulls and whatever stands there
-    smooth_m: Positive = 0.5  # over how long bends are spread, also those at places on the way; less where there is no room
-    slow: bool = True  # as for waypoints
-    stop: bool = True  # as for waypoints
+    """Depth of the formation's centre."""
+    clearance_m: NotNegative = 0.1
+    """Distance between hulls and walls or islands."""
+    smooth_m: Positive = 0.5
+    """Length over which bends are spread, also at places on the way; less where there is no room."""
+    slow: bool = True
+    """Slow down where a robot would exceed its limits, instead of refusing the plan."""
+    stop: bool = True
+    """Stop at the last place, and stay. False: the run must end before the path does."""
 
 
 PathSpec = Annotated[Circle | Waypoints | Route, Field(discriminator="kind")]
@@ -80,12 +116,18 @@ PathSpec = Annotated[Circle | Waypoints | Route, Field(discriminator="kind")]
 class Change(Section):
     """Another form on the way, taken smoothly: a named shape, or the same one larger and turned."""
 
-    at_s: NotNegative  # when it begins, in the run's time
+    at_s: Annotated[NotNegative, Field(examples=[30.0])]
+    """Time in the run at which the change begins."""
     over_s: Positive = 10.0
-    shape: Shape | None = None
-    spacing_m: Positive = 0.8  # of the new shape's nearest nodes, before `scale`
+    """Duration of the change."""
+    shape: Annotated[Shape | None, Field(examples=["column"])] = None
+    """The new shape; left out: the same one."""
+    spacing_m: Positive = 0.8
+    """Distance of the new shape's nearest nodes, before `scale`."""
     scale: Positive = 1.0
+    """Factor on the nodes' offsets; without a shape, on those that they have then."""
     turn_rad: float = 0.0
+    """Turn of the nodes about the centre; without a shape, from the direction that they have then."""
 
 
 class FormationConfig(Section):
@@ -97,12 +139,19 @@ class FormationConfig(Section):
     """
 
     kind: Literal["virtual-structure", "leader-follower"] = "virtual-structure"
-    leader: int | None = None  # its id; default: the first robot
+    """Every robot follows its own node, or all but the leader keep their offsets from the leader."""
+    leader: Annotated[int | None, Field(examples=[2])] = None
+    """Id of the leader; left out: the first robot."""
     mode: Literal["translate", "rotate"] = "translate"
+    """Offsets keep their direction in the pool, or turn with the path."""
     scale: Positive = 1.0
-    shape: Shape | None = None  # for robots without a node_m, in the file's order
-    spacing_m: Positive = 0.8  # of the shape's nearest nodes, before `scale`
+    """Factor on all nodes' offsets, L = l I of (15)."""
+    shape: Shape | None = None
+    """Shape for robots without a node_m, in the file's order."""
+    spacing_m: Positive = 0.8
+    """Distance of the shape's nearest nodes, before `scale`."""
     changes: tuple[Change, ...] = ()
+    """Changes of the formation on the way, one after the other."""
 
     @model_validator(mode="after")
     def _changes_one_after_the_other(self) -> Self:
@@ -123,13 +172,23 @@ class RobotConfig(Section):
     """
 
     id: Annotated[int, Field(ge=1, le=49)]
+    """Number of the robot."""
     node_m: Vec3
-    path: PathSpec | None = None  # default: the formation's
+    """Node in the formation, from its centre. With formation.shape it may be left out."""
+    path: Annotated[
+        PathSpec | None, Field(examples=[{"kind": "circle", "diameter_m": 0.5, "lap_s": 60.0, "depth_m": 0.3}])
+    ] = None
+    """A path of its own; left out: the formation's."""
     start_offset: Vec4 = (0.0, 0.0, 0.0, 0.0)
+    """Start, from the first reference: x, y, z in m and yaw in rad."""
     start: Vec4 | None = None
+    """Start in the pool frame instead: x, y, z in m and yaw in rad."""
     neighbours: tuple[int, ...] = ()
+    """Ids of the robots whose plans enter this robot's formation term."""
     urgent: bool = False
-    marker_id: Annotated[int, Field(ge=0, le=49)] | None = None  # DICT_4X4_50 has no more
+    """Has priority: others give way to it."""
+    marker_id: Annotated[int | None, Field(ge=0, le=49, examples=[7])] = None
+    """ArUco id (DICT_4X4_50) on its back; left out: its id."""
 
     @property
     def marker(self) -> int:

@@ -16,55 +16,83 @@ from wire.toml_loader import Section
 class PictureConfig(Section):
     """The look of the simulated picture, apart from the robots."""
 
-    noise: NotNegative = 2.0  # standard deviation at mid grey, in grey levels of 255
-    ripples_m: NotNegative = 0.0015  # height of the surface waves
+    noise: NotNegative = 2.0
+    """Standard deviation at mid grey, in grey levels of 255."""
+    ripples_m: NotNegative = 0.0015
+    """Height of the surface waves."""
     caustics: Fraction = 0.25
+    """Strength of the light pattern on the floor."""
     glare: Fraction = 0.3
+    """Strength of the lamps' reflections."""
     vignetting: Fraction = 0.15
+    """Loss of light at the picture's corners."""
     shadows: bool = True
-    alike: bool = False  # robots in one paint and without numbers; else each has a shade of its own
+    """Draw the robots' shadows."""
+    alike: bool = False
+    """Robots in one paint and without numbers; else each has a shade of its own."""
 
 
 class Sensors(Section):
     """The sensors of the simulated thruster board: one standard deviation of noise, and biases drawn for each robot."""
 
     rate_hz: Annotated[float, Field(ge=5, le=400)] = 50.0
+    """Bursts of sensor messages per second."""
     gyro_noise_radps: NotNegative = 0.003
+    """Noise of the yaw rate."""
     gyro_bias_radps: NotNegative = 0.002
+    """Bias of the yaw rate."""
     heading_noise_rad: NotNegative = 0.01
+    """Noise of the heading."""
     heading_bias_rad: NotNegative = 0.03
+    """Bias of the heading."""
     tilt_noise_rad: NotNegative = 0.002
+    """Noise of roll and pitch."""
     tilt_bias_rad: NotNegative = 0.005
+    """Bias of roll and pitch."""
     pressure_noise_m: NotNegative = 0.002
+    """Noise of the depth."""
     pressure_bias_m: NotNegative = 0.003
+    """Bias of the depth."""
     battery_v: Positive = 12.4
+    """Voltage at the start, without load."""
     battery_noise_v: NotNegative = 0.02
-    battery_sag_v: NotNegative = 0.5  # with all thrusters at full thrust
+    """Noise of the voltage."""
+    battery_sag_v: NotNegative = 0.5
+    """Loss of voltage with all thrusters at full thrust."""
 
 
 class BoardRules(Section):
     """The safety rules of the thruster board (docs/board.md). A firmware has the same values built in."""
 
-    neutral_after_s: Annotated[float, Field(gt=0, le=0.3)] = 0.25  # age of the last override; then neutral, disarmed
-    slew_us_per_s: Positive = 8000.0  # full reverse to full ahead in 0.1 s, a thruster's own time constant
+    neutral_after_s: Annotated[float, Field(gt=0, le=0.3)] = 0.25
+    """Age of the last pulses at which the board goes to neutral and disarms."""
+    slew_us_per_s: Positive = 8000.0
+    """Largest rate of the pulses. 8000 is full reverse to full ahead in 0.1 s, a thruster's own time constant."""
 
 
 class Numeric(Section):
     """The poses of a numeric flight, in place of camera and localizer: the true pose with this noise, sim.latency_s old."""
 
-    pose_noise_m: NotNegative = 0.0  # one standard deviation, x and y each
+    pose_noise_m: NotNegative = 0.0
+    """Standard deviation of x and of y."""
     yaw_noise_rad: NotNegative = 0.0
-    obstacle_noise_m: NotNegative = 0.01  # of sim.drifters
+    """Standard deviation of yaw."""
+    obstacle_noise_m: NotNegative = 0.01
+    """Standard deviation of the places of sim.drifters, x and y each."""
     obstacle_noise_mps: NotNegative = 0.01
+    """Standard deviation of their velocities, x and y each."""
 
 
 class CameraMotion(Section):
     """The motion of the simulated camera about [camera]'s pose, as under a hovering drone. Only the simulator knows it: an
     experiment with a moving camera needs [[landmarks]]."""
 
-    sway_m: NotNegative = 0.0  # largest deviation along each axis
-    tilt_rad: NotNegative = 0.0  # largest turn about each axis
-    period_s: Positive = 8.0  # of the slowest swing
+    sway_m: NotNegative = 0.0
+    """Largest deviation along each axis."""
+    tilt_rad: NotNegative = 0.0
+    """Largest turn about each axis."""
+    period_s: Positive = 8.0
+    """Period of the slowest swing."""
 
     @property
     def moves(self) -> bool:
@@ -76,9 +104,13 @@ class Drifter(Section):
     """A red ball adrift in the simulated pool. Nobody is told of it: the camera has to see it, and no robot bounces off it."""
 
     radius_m: Positive = 0.1
-    start_m: Vec3  # where it is at from_s
+    """Radius."""
+    start_m: Vec3
+    """Position at from_s."""
     velocity_mps: Vec3 = (0.0, 0.0, 0.0)
-    from_s: NotNegative = 0.0  # when it comes into the water
+    """Velocity in the pool frame."""
+    from_s: NotNegative = 0.0
+    """Time at which it comes into the water."""
 
     def place_m(self, time_s: float) -> Array | None:
         """Its middle, (3,); None before it comes."""
@@ -89,13 +121,21 @@ class Drifter(Section):
 class Sim(Section):
     """All settings of the simulator."""
 
-    # in lockstep, numeric flights and with --poses: from the middle of an exposure to the control step
     latency_s: Annotated[float, Field(ge=0, le=0.5)] = 0.03
+    """Time from the middle of an exposure to the control step, in lockstep, numeric flights and with --poses."""
     numeric: Numeric = Numeric()
+    """Poses of numeric flights."""
     plant: PlantConfig = PlantConfig()
+    """Water and robots."""
     faults: tuple[Fault, ...] = ()
+    """Faults to inject."""
     picture: PictureConfig = PictureConfig()
+    """The camera's picture."""
     camera_motion: CameraMotion = CameraMotion()
+    """Motion of the camera."""
     drifters: tuple[Drifter, ...] = ()
+    """Obstacles adrift."""
     sensors: Sensors = Sensors()
+    """Sensors of the thruster boards."""
     board: BoardRules = BoardRules()
+    """Rules of the thruster boards."""

@@ -26,26 +26,37 @@ class Mass(Section):
     """Rigid body, flooded water and added mass together, per axis of motion."""
 
     surge_kg: Positive
+    """Mass along x of the body."""
     sway_kg: Positive
+    """Mass along y of the body."""
     heave_kg: Positive
+    """Mass along z of the body."""
     yaw_kg_m2: Positive
+    """Inertia about z of the body."""
 
 
 class Drag(Section):
     """force = linear * v + quadratic * |v| v, for [surge, sway, heave, yaw]."""
 
     linear: tuple[Positive, Positive, Positive, Positive]
+    """N s/m, and N m s for yaw."""
     quadratic: tuple[NotNegative, NotNegative, NotNegative, NotNegative]
+    """kg/m, and N m s^2 for yaw."""
 
 
 class Limits(Section):
     """The limits of the controller. Wrenches are [surge N, heave N, yaw N m], their rates the same per second."""
 
     wrench: tuple[Positive, Positive, Positive]
+    """Largest wrench, N, N and N m (39)."""
     wrench_rate_per_s: tuple[Positive, Positive, Positive]
+    """Largest change of the wrench per second (40)."""
     speed_mps: Positive
+    """Largest horizontal speed."""
     heave_mps: Positive
+    """Largest vertical speed."""
     yaw_rate_radps: Positive
+    """Largest yaw rate."""
 
     @model_validator(mode="before")
     @classmethod
@@ -68,11 +79,17 @@ class Legs(Section):
     """Four legs whose ankles turn the thrusters in the vertical plane (the article's "H" propulsion)."""
 
     position_m: tuple[tuple[float, float], ...]
+    """Thrusters x ahead, y to starboard in the body frame: front left, front right, rear left, rear right."""
     ankle_range_rad: Annotated[float, Field(gt=0, le=np.pi)]
+    """Largest turn of an ankle from ahead, either way."""
     ankle_rate_radps: Positive
+    """Largest rate of an ankle."""
     ankle_dead_time_s: NotNegative
+    """Time before an ankle begins to turn."""
     ankle_us: tuple[Microseconds, Microseconds]
+    """Pulse widths at -ankle_range_rad and at +ankle_range_rad."""
     idle_thrust_n: NotNegative
+    """Thrust with which front and rear legs work against each other, so that small forces stay clear of the dead zone."""
 
     @model_validator(mode="after")
     def _ankles_can_turn(self) -> Self:
@@ -98,10 +115,15 @@ class Thruster(Section):
     """One thruster with its speed controller: static curve (microseconds to newtons) and dynamics."""
 
     max_thrust_n: Positive
+    """Largest thrust that allocation asks for."""
     lag_s: NotNegative
+    """Time constant, first order."""
     dead_time_s: NotNegative
+    """Time before thrust begins to change."""
     neutral_us: Microseconds
+    """Pulse width at which it stands still."""
     curve: Annotated[tuple[tuple[Microseconds, float], ...], Field(min_length=4)]
+    """Pulse width in microseconds and thrust in newtons, rising; negative is reverse."""
 
     @model_validator(mode="after")
     def _curve_is_usable(self) -> Self:
@@ -152,11 +174,17 @@ class Battery(Section):
     """Thresholds in volts at the battery, and the hysteresis before a warning is taken back."""
 
     cells: Annotated[int, Field(gt=0)]
+    """Cells in series."""
     full_v: Positive
+    """Voltage when charged."""
     warn_v: Positive
+    """Below it, an alarm."""
     no_arm_v: Positive
+    """Below it, a robot does not arm."""
     neutral_v: Positive
+    """Below it, thrusters go to neutral."""
     hysteresis_v: NotNegative
+    """Rise above a threshold at which a warning is taken back."""
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -169,21 +197,32 @@ class Marker(Section):
     """ArUco marker (DICT_4X4_50) on top of the robot, its upper edge ahead; the id is the experiment's."""
 
     side_m: Positive
+    """Side of the marker's black square."""
     height_m: NotNegative
+    """Height of the plate above the robot's centre."""
 
 
 class Vehicle(Section):
     """Everything about one kind of robot that the controller, the localizer or the board must know."""
 
     name: str
+    """Name of the vehicle."""
     radius_m: Positive
+    """Radius of the hull, a sphere around the centre."""
     mass: Mass
+    """Mass."""
     drag: Drag
+    """Drag."""
     limits: Limits
+    """Limits."""
     legs: Legs
+    """Legs."""
     thruster: Thruster
+    """Thrusters."""
     battery: Battery
+    """Battery."""
     marker: Marker
+    """Marker."""
 
     @cached_property
     def inertia(self) -> Array:

@@ -19,6 +19,7 @@ from wire.mavlink.signing import Key, SignatureVerdict, SignatureVerifier
 
 BOARD_COMPONENT = 1  # MAV_COMP_ID_AUTOPILOT1
 AGENT_COMPONENT = 191  # MAV_COMP_ID_ONBOARD_COMPUTER
+SIMULATOR_COMPONENT = 200  # MAV_COMP_ID_IMU: sends simulated measurements to a board in HIL mode
 
 CHANNELS = 8  # 4 thrusters, 4 ankles
 SERVOS = attrgetter(*(f"servo{i + 1}_raw" for i in range(CHANNELS)))
@@ -77,6 +78,7 @@ class Telemetry:
     battery_reports: int = 0  # how many voltages the board has told; 0: none yet
     charge: int = 0  # how low the board takes the battery to be, filtered: MAV_BATTERY_CHARGE_STATE, 0 not known
     armed: bool = False
+    hil: bool = False  # the board is in HIL mode: measurements and water are simulated
     heartbeats: int = 0  # how many times the board has told whether it is armed; 0: that is not known
     echo_us: tuple[int, ...] = ()  # what the board put out: 4 thrusters, 4 ankles
     acknowledged: tuple[int, int] | None = None  # last COMMAND_ACK: command, MAV_RESULT
@@ -244,7 +246,9 @@ class AgentLink:
             return {"charge": message.charge_state} if message.id == 0 else {}
         if kind == "HEARTBEAT":
             count = changes.get("heartbeats", self.telemetry.heartbeats)
-            return {"armed": bool(message.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED), "heartbeats": count + 1}
+            armed, hil = dialect.MAV_MODE_FLAG_SAFETY_ARMED, dialect.MAV_MODE_FLAG_HIL_ENABLED
+            mode = message.base_mode
+            return {"armed": bool(mode & armed), "hil": bool(mode & hil), "heartbeats": count + 1}
         return self._read_answer(kind, message, changes, now_ns)
 
     def _read_answer(self, kind: str, message: Any, changes: dict[str, Any], now_ns: int) -> dict[str, Any]:

@@ -15,18 +15,23 @@ from wire.mavlink.agent_link import (
     IGNORED,
     OVERRIDES,
     PROTOCOL_VERSION,
+    SIMULATOR_COMPONENT,
     STANDARD_GRAVITY_MPS2,
     SURFACE_HPA,
     TEXT_LENGTH,
     Refused,
     depth_to_hpa,
+    hpa_to_depth,
     pulses_of,
+    within,
 )
 from wire.mavlink.framing import Peer, Receiver, Sender
 from wire.mavlink.signing import LATEST, Key, SignatureVerifier
 
 ALL_COMPONENTS = 0  # some ground stations ask everybody of a system
 NOT_MEASURED = -1  # current, remaining charge
+HIL_FIELDS = 0x2E7  # HIL_SENSOR_UPDATED_FLAGS of force, zgyro, xmag, ymag and abs_pressure
+MOST_MILLIVOLTS = 60_000  # of a simulated battery; beyond is what MAVLink has for "not measured"
 CAPABILITIES = (
     dialect.MAV_PROTOCOL_CAPABILITY_MAVLINK2
     | dialect.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT
@@ -102,8 +107,26 @@ class SetKey:
     newest: int
 
 
+@dataclass(frozen=True)
+class SimulatedMotion:
+    """Simulated measurements of a board in HIL mode, in place of its own."""
+
+    heading_rad: float
+    yaw_rate_radps: float
+    acceleration_mps2: tuple[float, float, float]  # specific force, body frame
+    depth_m: float
+
+
+@dataclass(frozen=True)
+class SimulatedBattery:
+    """Simulated voltage of the battery, in place of the measured one."""
+
+    voltage_v: float
+
+
 Event = (
     Override | Arm | Heartbeat | Timesync | Unsupported | TellVersion | ListParameters | ReadParameter | SetParameter | SetKey
+    | SimulatedMotion | SimulatedBattery
 )  # fmt: skip
 
 
@@ -119,6 +142,7 @@ class BoardLink:
         verifier = verifier or SignatureVerifier(key)
         self._sender = Sender((robot_id, BOARD_COMPONENT), key, lambda: max(verifier.newest, sent) + 1)
         self._receiver = Receiver(lambda peer: peer != (robot_id, BOARD_COMPONENT), verifier)
+        self.hil = False  # simulated measurements are taken
         self.refused_frames = 0
         self.taken_frames = 0  # intact ones that passed the verifier, whatever they asked for
 
@@ -126,6 +150,11 @@ class BoardLink:
     def bad_frames(self) -> int:
         """Start bytes that led to no intact frame."""
         return self._receiver.bad_frames
+
+    @property
+    def is_waiting(self) -> bool:
+        """True if a frame has begun and not ended: it may be overdue at the next look."""
+        return self._receiver.is_waiting
 
     @property
     def stale_frames(self) -> int:
@@ -162,6 +191,9 @@ class BoardLink:
             return Heartbeat()
         if kind == "TIMESYNC":
             return Timesync(message.ts1) if message.tc1 == 0 else None
+        if kind in _SIMULATED:
+            sender = (message.get_srcSystem(), message.get_srcComponent())
+            return _SIMULATED[kind](message) if self.hil and sender == (self._robot_id, SIMULATOR_COMPONENT) else None
         reader = _READERS.get(kind)
         if reader is None:
             return None
@@ -170,9 +202,10 @@ class BoardLink:
             raise Refused
         return reader(message)
 
-    def heartbeat(self, armed: bool, healthy: bool) -> bytes:
-        """Armed or not, and whether anything keeps it from working."""
+    def heartbeat(self, armed: bool, healthy: bool, hil: bool = False) -> bytes:
+        """Armed or not, in HIL mode or not, and whether anything keeps it from working."""
         mode = dialect.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED | (dialect.MAV_MODE_FLAG_SAFETY_ARMED if armed else 0)
+        mode |= dialect.MAV_MODE_FLAG_HIL_ENABLED if hil else 0
         working = dialect.MAV_STATE_ACTIVE if armed else dialect.MAV_STATE_STANDBY
         state = working if healthy else dialect.MAV_STATE_CRITICAL
         return self._sender.pack(
@@ -288,6 +321,26 @@ _READERS: dict[str, Callable[[Any], Event]] = {
     "PARAM_SET": _set,
     "SETUP_SIGNING": _key,
 }
+
+
+def _motion(message: Any) -> SimulatedMotion:
+    if message.fields_updated & HIL_FIELDS != HIL_FIELDS:
+        raise Refused
+    x, y, z = (within(value, -300.0, 300.0) for value in (message.xacc, message.yacc, message.zacc))
+    ahead, side = within(message.xmag, -10.0, 10.0), within(message.ymag, -10.0, 10.0)
+    if ahead == side == 0.0:
+        raise Refused
+    depth_m = hpa_to_depth(within(message.abs_pressure, 500.0, 20_000.0))
+    return SimulatedMotion(math.atan2(-side, ahead), within(message.zgyro, -50.0, 50.0), (x, y, z), depth_m)
+
+
+def _battery(message: Any) -> SimulatedBattery | None:
+    if message.id != 0:
+        return None
+    return SimulatedBattery(within(message.voltages[0], 0, MOST_MILLIVOLTS) / 1000.0)
+
+
+_SIMULATED: dict[str, Callable[[Any], Event | None]] = {"HIL_SENSOR": _motion, "BATTERY_STATUS": _battery}
 
 
 def _int16(value: float) -> int:

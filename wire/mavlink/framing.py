@@ -80,6 +80,11 @@ class Receiver:
         self.stale_frames = 0  # old or repeated, by their sequence number
         self.refused = dict.fromkeys(SignatureVerdict, 0)  # by their signature
 
+    @property
+    def is_waiting(self) -> bool:
+        """True if a frame has begun and not ended."""
+        return bool(self._buffer)
+
     def loss(self, peer: Peer) -> float:
         """Fraction of a peer's frames that did not arrive, over the last 5 s."""
         sequence = self._sequences.get(peer)

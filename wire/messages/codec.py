@@ -31,6 +31,7 @@ MAX_SMALL_BYTES = 64 * 1024  # without path or picture: a plan of 200 nodes has 
 MAX_EVENT_BYTES = 16 * 1024  # of a line of the log: logs of earlier versions hold lines of 5 kB
 LONGEST_LINE = 1000  # characters of a line of the log; the rest is cut off
 LONGEST_TEXT = 8000  # characters of any other text, for example every reason that keeps fifty robots from arming
+SHARED = "shared_memory"  # encoding of a picture whose pixels are in a ring of frames (wire/transport/frame_ring.py)
 LARGEST = 1e12  # no quantity in any message comes near it; squares of it are still finite
 
 M = TypeVar("M")
@@ -238,16 +239,21 @@ def _stamp(target: Any, stamp_ns: int) -> None:
     target.timestamp.seconds, target.timestamp.nanos = divmod(stamp_ns, 1_000_000_000)
 
 
-def _encode_frame(frame: Frame, stamp_ns: int) -> bytes:
-    height, width = frame.pixels.shape
-    image = RawImage(frame_id="camera", width=width, height=height, step=width, encoding="bayer_rggb8")
+def encode_frame(shape: tuple[int, ...], encoding: str, data: memoryview | bytes, stamp_ns: int) -> bytes:
+    """A foxglove.RawImage of `shape` (height, width)."""
+    height, width = shape
+    image = RawImage(frame_id="camera", width=width, height=height, step=width, encoding=encoding)
     _stamp(image, stamp_ns)
-    return _append_field(
-        image.SerializeToString(), RawImage.DATA_FIELD_NUMBER, np.ascontiguousarray(frame.pixels).data.cast("B")
-    )
+    return _append_field(image.SerializeToString(), RawImage.DATA_FIELD_NUMBER, memoryview(data))
+
+
+def _encode_pixels(frame: Frame, stamp_ns: int) -> bytes:
+    return encode_frame(frame.pixels.shape, "bayer_rggb8", np.ascontiguousarray(frame.pixels).data.cast("B"), stamp_ns)
 
 
 def _frame_from_protobuf(image: Any) -> Frame:
+    if image.encoding == SHARED:
+        raise _Invalid("encoding", "the pixels are in memory that `sim-bridge sil` shares with its own localizer alone")
     if image.encoding != "bayer_rggb8":
         raise _Invalid("encoding", f"{image.encoding[:20]!r} is not allowed (allowed: bayer_rggb8)")
     if not (0 < image.width <= 16384 and 0 < image.height <= 16384 and image.step == image.width):
@@ -287,7 +293,7 @@ def _event_from_protobuf(log: Any) -> Event:
 
 
 _FOXGLOVE: dict[type, tuple[Any, Callable[[Any, int], bytes], Callable[[Any], Any]]] = {
-    Frame: (RawImage, _encode_frame, _frame_from_protobuf),
+    Frame: (RawImage, _encode_pixels, _frame_from_protobuf),
     Preview: _image(Preview, CompressedImage, "jpeg"),
     Picture: _image(Picture, CompressedImage, "jpeg"),
     Video: _image(Video, CompressedVideo, "h264"),

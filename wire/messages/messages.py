@@ -224,8 +224,7 @@ class RobotState:
     thruster_test: str = ""  # "", "running", "passed", or the fault that was found.
     heard: tuple[int, ...] = ()  # Neighbours whose plans are fresh.
     planned: bool = False  # True if the robot published a plan in this step. It does not while its position is unknown.
-    # Roll, pitch [rad] and their rates [rad/s], measured `board_age_ms` ago; empty if the board does not measure them.
-    tilt: Array = array(-1)
+    tilt: Array = array(-1)  # Roll, pitch [rad], their rates [rad/s], `board_age_ms` old; empty if not measured.
     blind: str = ""  # Reason why obstacles are unknown although somebody should watch for them; empty if they are known.
 
 
@@ -375,7 +374,11 @@ class OrderTaken:
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """A camera picture: (height, width) uint8 raw Bayer RGGB. On the wire a foxglove.RawImage `bayer_rggb8`."""
+    """A camera picture: (height, width) uint8 raw Bayer RGGB. On the wire a foxglove.RawImage `bayer_rggb8`.
+
+    Between the programs of one `sim-bridge sil` its encoding is `shared_memory`, and its data are slot u32 and number u64,
+    little-endian, of the picture in their ring (`wire/transport/frame_ring.py`).
+    """
 
     pixels: NDArray[np.uint8]
 

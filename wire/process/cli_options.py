@@ -94,6 +94,12 @@ KeyRing = Annotated[
 Insecure = Annotated[
     bool, typer.Option("--insecure", help="Off this machine without keys: anybody on the network can command the robots.")
 ]
+FrameRingOption = Annotated[
+    int | None,
+    typer.Option(
+        "--frame-ring", metavar="DESCRIPTOR", help="Frames by shared memory: an open file that `sim-bridge sil` hands on."
+    ),
+]
 LinkKey = Annotated[
     Path | None, typer.Option("--link-key", metavar="FILE", help="Sign the link to the board with this key (mode 0600).")
 ]

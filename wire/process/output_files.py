@@ -12,12 +12,13 @@ not cut it.
 import errno
 import os
 import secrets
+import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
 
-from wire.toml_loader import ConfigError
+from wire.toml_loader import ConfigError, os_errors_as_config_errors
 
 # What tells a folder of results, and the files in it that only the command which made it may write.
 RUN = ("run.mcap", "experiment.toml", "result.json", "report.html")
@@ -94,3 +95,19 @@ def _same(path: Path, other: Path) -> bool:
 def _is_device(path: Path) -> bool:
     """A terminal, a pipe, /dev/null: what cannot be replaced is written to."""
     return path.absolute().parts[1:2] in (("dev",), ("proc",)) or (path.exists() and not path.is_file())
+
+
+def new_run_folder(out: Path, name: str) -> Path:
+    """Make the folder `out`/<experiment>-<time>, with a number when two start in the same second. Raises ConfigError."""
+    stem = f"{name}-{time.strftime('%Y%m%d-%H%M%S')}"
+    for suffix in ["", *(f"-{i}" for i in range(2, 1000))]:
+        folder = out / f"{stem}{suffix}"
+        with os_errors_as_config_errors(out):
+            try:
+                folder.mkdir(parents=True)
+                return folder
+            except FileExistsError:
+                if folder.exists():
+                    continue
+                raise
+    raise RuntimeError(f"cannot make a folder {out / stem}")

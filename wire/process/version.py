@@ -14,7 +14,7 @@ from importlib import metadata
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-PACKAGES = ("wire", "groundstation", "robot_agent", "localizer", "sim_bridge")
+PACKAGES = ("shoal", "wire", "groundstation", "robot_agent", "localizer", "sim_bridge")
 RECORDED = "commit.txt"  # in wire/, in an installed package
 UNKNOWN = "unknown"
 PATIENCE_S = 10.0  # for git on a slow disk; without an answer the commit is unknown

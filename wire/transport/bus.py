@@ -32,6 +32,7 @@ M = TypeVar("M")
 Raw = Callable[[Topic, str, Header, bytes], None]  # topic, key, header, payload
 Collected = Callable[[], Iterator[tuple[Topic, str, Header, bytes]]]
 Handle = Callable[[Header, Command], Reply]
+Encode = Callable[[Message, int], bytes]  # message, stamp_ns; as codec.encode
 Decode = Callable[[type[Any], bytes, str, str], Any]  # type of the message, payload, peer, topic; as codec.decode
 
 STOP_BYTES = 256  # a STOP has fewer; what is longer is not looked at before its turn
@@ -124,8 +125,8 @@ class Inbox(Generic[M]):
 class Bus:
     """One process's access to the fleet. Thread-safe. Close it in a `finally`."""
 
-    def __init__(self, transport: Transport, fleet: str = "shoal", decode: Decode = decode) -> None:
-        self.decode = decode
+    def __init__(self, transport: Transport, fleet: str = "shoal", decode: Decode = decode, encode: Encode = encode) -> None:
+        self.decode, self._encode = decode, encode
         self.session = secrets.randbits(63) | 1
         self.arrival = threading.Condition()  # notified whenever something arrives
         self.rejected = 0  # messages without a readable header
@@ -143,7 +144,7 @@ class Bus:
         self, topic: Topic, message: Message, stamp_ns: int, robot: int | None = None, age_ns: int = 0
     ) -> tuple[str, Header, bytes]:
         """Send a message about the instant `stamp_ns`, which was `age_ns` ago. Returns what went out, for a local log."""
-        return self.forward(topic, encode(message, stamp_ns), stamp_ns, robot, age_ns)
+        return self.forward(topic, self._encode(message, stamp_ns), stamp_ns, robot, age_ns)
 
     def forward(
         self, topic: Topic, payload: bytes, stamp_ns: int, robot: int | None = None, age_ns: int = 0

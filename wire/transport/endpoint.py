@@ -68,7 +68,7 @@ def settings(endpoint: Endpoint) -> dict[str, Any]:
         "transport/link/tx/queue/size/real_time": 16,
         "transport/link/tx/queue/size/data_high": 16,
         "transport/link/tx/queue/size/data_low": 16,  # a whole frame fits; with 2 (default) a busy machine lost 3 % of them
-        "transport/shared_memory/enabled": False,  # not needed at these rates, and leaks files when killed
+        "transport/shared_memory/enabled": False,  # leaves files when killed; frames have a ring of their own (frame_ring.py)
         "timestamping/enabled": True,  # the advanced publisher's cache needs it
     }
     if endpoint.lossless:

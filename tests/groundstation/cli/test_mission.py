@@ -6,8 +6,9 @@ from typing import Any
 
 import pytest
 
-from groundstation.cli import mission as order_commands
-from groundstation.cli.mission import OutcomePrinter, follow
+from groundstation import client
+from groundstation.cli.mission import OutcomePrinter
+from groundstation.client import follow
 from wire.messages.messages import Command, Order, Outcome, Progress, Reply
 
 SILENT = Reply(0, False, "no answer within 2 s", silent=True)
@@ -19,7 +20,7 @@ def outcome(progress: Progress = Progress.UNDER_WAY, **more: Any) -> Reply:
 
 @pytest.fixture(autouse=True)
 def no_waiting(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(order_commands, "ASK_EVERY_S", 0.0)
+    monkeypatch.setattr(client, "ASK_EVERY_S", 0.0)
 
 
 def asked(*replies: Reply, order: Order = Order.STOP, patience_s: float = 60.0) -> tuple[Reply, list[Command], list[Outcome]]:

@@ -17,7 +17,7 @@ STEP_NS = 50_000_000
 
 
 @dataclass
-class Robot:
+class ObedientRobot:
     """Obeys at once unless told to refuse; tells its state when asked."""
 
     experiment: Experiment
@@ -71,7 +71,7 @@ class Robot:
         return RobotView(state, 9.0 if self.silent else self.age_s, pose, 0.02)
 
 
-class Run:
+class MissionRun:
     """A mission and its robots, stepped together."""
 
     def __init__(self, automatic: bool = True, settings: Sequence[str] = ()) -> None:
@@ -81,7 +81,7 @@ class Run:
         starts = dict.fromkeys(self.experiment.robot_ids, np.zeros(4))
         segment = PlanSegment(trajectories, trajectories[1], self.experiment.duration_s)
         self.mission = Mission(self.experiment, segment, starts, automatic)
-        self.robots = {r: Robot(self.experiment) for r in self.experiment.robot_ids}
+        self.robots = {r: ObedientRobot(self.experiment) for r in self.experiment.robot_ids}
         self.now_ns = 0
         self.answers: list[CommandResult] = []
         self.states: list[MissionState] = []

@@ -19,7 +19,7 @@ STEP_S = 0.05
 
 
 @dataclass
-class Robot:
+class GainRobot:
     """Keeps what it is told and flies with it at the instant that it is told, unless it is told to misbehave."""
 
     tuning_id: str
@@ -58,13 +58,13 @@ class Robot:
         return RobotView(state, 0.02 if self.heard else 9.0)
 
 
-class Fleet:
+class TunedFleet:
     """Two robots and the tuner, stepped together."""
 
     def __init__(self) -> None:
         self.tuner = GainUpdater(EXPERIMENT)
         self.first = self.tuner.status().flown.id
-        self.robots = {r: Robot(self.first) for r in EXPERIMENT.robot_ids}
+        self.robots = {r: GainRobot(self.first) for r in EXPERIMENT.robot_ids}
         self.now_s = 100.0
         self.answers: list[CommandResult] = []
 
@@ -95,7 +95,7 @@ class Fleet:
 
 
 def test_all_check_then_all_change_over_at_one_instant() -> None:
-    fleet = Fleet()
+    fleet = TunedFleet()
     assert fleet.request() == ""
     wanted = fleet.tuner.status().wanted
     fleet.step(1.0)
@@ -108,7 +108,7 @@ def test_all_check_then_all_change_over_at_one_instant() -> None:
 
 
 def test_an_instant_that_one_robot_hears_of_late_is_the_same_instant() -> None:
-    fleet = Fleet()
+    fleet = TunedFleet()
     fleet.robots[2].mute = frozenset({Order.ADOPT})
     fleet.request()
     fleet.step(0.3)
@@ -137,8 +137,10 @@ def test_an_instant_that_one_robot_hears_of_late_is_the_same_instant() -> None:
         "accepts and does not change over",
     ],
 )
-def test_a_robot_that_does_not_follow_leaves_all_with_the_gains_before(spoil: Callable[[Robot], Robot], reason: str) -> None:
-    fleet = Fleet()
+def test_a_robot_that_does_not_follow_leaves_all_with_the_gains_before(
+    spoil: Callable[[GainRobot], GainRobot], reason: str
+) -> None:
+    fleet = TunedFleet()
     fleet.robots[2] = spoil(fleet.robots[2])
     assert fleet.request() == ""
     fleet.step(5 * PATIENCE_S)
@@ -151,7 +153,7 @@ def test_a_robot_that_does_not_follow_leaves_all_with_the_gains_before(spoil: Ca
 
 
 def test_the_change_back_that_is_not_followed_either_says_that_gains_may_differ() -> None:
-    fleet = Fleet()
+    fleet = TunedFleet()
     fleet.robots[2].forgets = True
     fleet.request()
     fleet.step(1.0)
@@ -161,7 +163,7 @@ def test_the_change_back_that_is_not_followed_either_says_that_gains_may_differ(
 
 
 def test_an_unanswered_command_is_sent_again_after_its_period() -> None:
-    fleet = Fleet()
+    fleet = TunedFleet()
     fleet.robots[2].mute = frozenset({Order.TUNE})
     fleet.request()
     fleet.step(PATIENCE_S)
@@ -172,7 +174,7 @@ def test_an_unanswered_command_is_sent_again_after_its_period() -> None:
 
 
 def test_gains_for_the_next_lap_wait_for_it_and_can_be_cancelled() -> None:
-    fleet = Fleet()
+    fleet = TunedFleet()
     assert fleet.request(next_lap=True) == ""
     fleet.step(1.0)
     assert fleet.tuner.status().stage is GainStage.WAITING
@@ -185,7 +187,7 @@ def test_gains_for_the_next_lap_wait_for_it_and_can_be_cancelled() -> None:
 
 
 def test_a_robot_that_leaves_the_run_before_the_lap_begins_ends_the_change() -> None:
-    fleet = Fleet()
+    fleet = TunedFleet()
     fleet.request(next_lap=True)
     fleet.step(1.0)
     fleet.robots[2].mode = Mode.FAULT
@@ -201,7 +203,7 @@ def test_a_robot_that_leaves_the_run_before_the_lap_begins_ends_the_change() -> 
     ],
 )
 def test_gains_for_a_next_lap_that_never_comes_are_refused(progress_s: float, mode: Mode, reason: str) -> None:
-    fleet = Fleet()
+    fleet = TunedFleet()
     fleet.robots[2] = replace(fleet.robots[2], trajectory_s=progress_s, mode=mode)
     assert fleet.request(next_lap=True) == reason
     assert fleet.tuner.status().stage is GainStage.IDLE
@@ -213,7 +215,7 @@ def test_a_path_without_laps_has_no_next_one() -> None:
 
 
 def test_wishes_that_cannot_be() -> None:
-    fleet = Fleet()
+    fleet = TunedFleet()
     assert fleet.undo() == "there is nothing to undo"
     assert KEY in fleet.request(-1.0)
     assert fleet.request(EXPERIMENT.controller.mpc.r[2]) == "this is what is flown already"
@@ -225,7 +227,7 @@ def test_wishes_that_cannot_be() -> None:
 
 
 def test_undo_goes_back_a_set_at_a_time() -> None:
-    fleet, ids = Fleet(), []
+    fleet, ids = TunedFleet(), []
     for value in (20.0, 30.0):
         fleet.request(value)
         fleet.step(1.0)
@@ -239,7 +241,7 @@ def test_undo_goes_back_a_set_at_a_time() -> None:
 
 @pytest.mark.parametrize(("mode", "taken"), [(Mode.DISARMED, True), (Mode.HOLDING, False)])
 def test_a_restarted_disarmed_robot_gets_the_gains_of_the_fleet(mode: Mode, taken: bool) -> None:
-    fleet = Fleet()
+    fleet = TunedFleet()
     fleet.request()
     fleet.step(1.0)
     fleet.robots[2].tuning_id, fleet.robots[2].mode = fleet.first, mode
@@ -248,7 +250,7 @@ def test_a_restarted_disarmed_robot_gets_the_gains_of_the_fleet(mode: Mode, take
 
 
 def test_a_late_reply_about_another_gain_set_is_ignored() -> None:
-    fleet = Fleet()
+    fleet = TunedFleet()
     fleet.request()
     fleet.step(STEP_S)
     wrong = CommandResult(Command(Order.TUNE, 2, tuning_id="another"), Reply(2, False, "I cannot"))

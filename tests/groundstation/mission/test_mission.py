@@ -12,13 +12,13 @@ from groundstation.mission.state_machine import MissionState
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.segment import PlanSegment
 from groundstation.telemetry import first_lost_robot, preflight
-from tests.groundstation.mission.mission_run import STEP_NS, Run
+from tests.groundstation.mission.mission_run import STEP_NS, MissionRun
 from wire.config.experiment import load_experiment
 from wire.messages.messages import Mode, Order, Trajectory
 
 
 def test_an_automatic_mission_goes_from_waiting_to_done() -> None:
-    run = Run()
+    run = MissionRun()
     run.step(6.0)
     flown = [
         MissionState.LOADING,
@@ -36,7 +36,7 @@ def test_an_automatic_mission_goes_from_waiting_to_done() -> None:
 
 
 def test_robots_start_at_one_instant_though_one_needs_a_second_order() -> None:
-    run = Run()
+    run = MissionRun()
     run.robots[2].refuses = frozenset({Order.START})
     while not run.robots[1].got or run.robots[1].got[-1].order is not Order.START:
         run.step()
@@ -57,7 +57,7 @@ def test_robots_start_at_one_instant_though_one_needs_a_second_order() -> None:
     ],
 )
 def test_a_failed_preflight_names_robot_and_reason_and_arms_no_robot(change: dict[str, object], says: str) -> None:
-    run = Run()
+    run = MissionRun()
     for name, value in change.items():
         setattr(run.robots[2], name, value)
     run.step(3.0)
@@ -68,13 +68,13 @@ def test_a_failed_preflight_names_robot_and_reason_and_arms_no_robot(change: dic
 
 
 def test_another_experiment_on_a_robot_is_refused() -> None:
-    run = Run()
+    run = MissionRun()
     run.robots[1].experiment = load_experiment("pool", ["duration_s=3"])
     assert "another experiment" in preflight(run.experiment, run.fleet())[0]
 
 
 def test_an_order_never_obeyed_fails_the_mission_and_disarms_all() -> None:
-    run = Run()
+    run = MissionRun()
     run.robots[1].refuses = frozenset({Order.ARM})
     run.step(PATIENCE_S + 2.0)
     assert run.at(MissionState.FAILED)
@@ -85,7 +85,7 @@ def test_an_order_never_obeyed_fails_the_mission_and_disarms_all() -> None:
 
 @pytest.mark.parametrize("change", [{"silent": True}, {"mode": Mode.FAULT, "fault": "no pose"}])
 def test_a_robot_lost_in_flight_ends_the_mission_and_the_others_are_disarmed(change: dict[str, object]) -> None:
-    run = Run()
+    run = MissionRun()
     while run.mission.state is not MissionState.RUNNING:
         run.step()
     for name, value in change.items():
@@ -97,7 +97,7 @@ def test_a_robot_lost_in_flight_ends_the_mission_and_the_others_are_disarmed(cha
 
 
 def test_a_robot_that_holds_makes_all_hold_and_all_go_on_from_one_place() -> None:
-    run = Run()
+    run = MissionRun()
     while run.robots[1].trajectory_s < 0.5:
         run.step()
     run.robots[2].mode, run.robots[2].fault = Mode.HOLDING, "pose late"
@@ -113,7 +113,7 @@ def test_a_robot_that_holds_makes_all_hold_and_all_go_on_from_one_place() -> Non
 
 
 def test_a_hold_by_an_operator_lasts_until_an_operator_resumes() -> None:
-    run = Run()
+    run = MissionRun()
     while run.mission.state is not MissionState.RUNNING:
         run.step()
     assert run.mission.request(Order.HOLD, run.fleet(), run.now_ns) == ""
@@ -125,7 +125,7 @@ def test_a_hold_by_an_operator_lasts_until_an_operator_resumes() -> None:
 
 
 def test_stop_is_latched_on_every_robot_until_cleared() -> None:
-    run = Run(automatic=False)
+    run = MissionRun(automatic=False)
     assert run.mission.request(Order.START, run.fleet(), run.now_ns) == ""
     run.step(1.0)
     assert run.at(MissionState.RUNNING)
@@ -145,7 +145,7 @@ def test_stop_is_latched_on_every_robot_until_cleared() -> None:
 
 def test_an_automatic_mission_waits_for_a_request_after_a_cleared_stop() -> None:
     """All are still near their starts, fit and disarmed: just what an automatic mission waits for to begin."""
-    run = Run()
+    run = MissionRun()
     while run.mission.state is not MissionState.RUNNING:
         run.step()
     assert run.mission.request(Order.STOP, run.fleet(), run.now_ns) == ""
@@ -162,8 +162,8 @@ def test_an_automatic_mission_waits_for_a_request_after_a_cleared_stop() -> None
 THREE = "robots=[{id=1,node_m=[0,0.4,0]},{id=2,node_m=[0,-0.4,0]},{id=3,node_m=[0.8,0,0]}]"
 
 
-def three_running(policy: str) -> Run:
-    run = Run(settings=[THREE, f'mission.lost="{policy}"'])
+def three_running(policy: str) -> MissionRun:
+    run = MissionRun(settings=[THREE, f'mission.lost="{policy}"'])
     while run.mission.state is not MissionState.RUNNING:
         run.step()
     run.step(0.5)
@@ -241,7 +241,7 @@ def test_a_thruster_test_after_a_run_includes_its_lost_robot() -> None:
 
 
 def test_a_way_home_asked_for_while_a_detour_is_planned_is_not_that_detour() -> None:
-    run = Run(settings=['path={kind="waypoints",points_m=[[-1,0],[1,0]],speed_mps=0.1}'])
+    run = MissionRun(settings=['path={kind="waypoints",points_m=[[-1,0],[1,0]],speed_mps=0.1}'])
     while run.mission.state is not MissionState.RUNNING:
         run.step()
     assert run.mission.request(Order.GO, run.fleet(), run.now_ns, [(0.5, 0.5)]) == ""
@@ -259,7 +259,7 @@ def test_a_way_home_asked_for_while_a_detour_is_planned_is_not_that_detour() -> 
 def test_a_place_outside_the_pool_is_refused_before_anybody_leaves_the_path() -> None:
     """Robots refuse a trajectory that leaves the pool, walls or not; the formation would hold then."""
     straight = ['path={kind="waypoints",points_m=[[-1,0],[1,0]],speed_mps=0.1}', "pool.walls=false"]
-    run = Run(settings=straight)
+    run = MissionRun(settings=straight)
     while run.mission.state is not MissionState.RUNNING:
         run.step()
     places = [(1.0, 1.0), (0.0, 1.3)]
@@ -269,7 +269,7 @@ def test_a_place_outside_the_pool_is_refused_before_anybody_leaves_the_path() ->
 
 
 def test_robots_that_an_earlier_station_stopped_are_cleared_by_the_order_that_preflight_asks_for() -> None:
-    run = Run(automatic=False)
+    run = MissionRun(automatic=False)
     run.robots[2].mode, run.robots[2].fault = Mode.STOPPED, "emergency stop"
     run.step(1.0)
     assert "(clear the stop)" in run.mission.reason
@@ -280,7 +280,7 @@ def test_robots_that_an_earlier_station_stopped_are_cleared_by_the_order_that_pr
 
 
 def test_without_being_asked_a_manual_mission_arms_nothing() -> None:
-    run = Run(automatic=False)
+    run = MissionRun(automatic=False)
     run.step(3.0)
     assert all(robot.got == [] for robot in run.robots.values())
     run.robots[1].silent = True
@@ -300,7 +300,7 @@ def test_without_being_asked_a_manual_mission_arms_nothing() -> None:
 
 def test_a_robot_lost_before_the_start_aborts_it_with_its_reason() -> None:
     """Not ten seconds of orders that it cannot follow, and then what it said to the last of them."""
-    run = Run()
+    run = MissionRun()
     run.robots[2].refuses = frozenset({Order.START})
     while not run.at(MissionState.STARTING):
         run.step()
@@ -316,7 +316,7 @@ def test_a_robot_lost_before_the_start_aborts_it_with_its_reason() -> None:
 
 @pytest.mark.parametrize("state", [MissionState.ARMING, MissionState.STARTING])
 def test_a_robot_that_was_armed_and_restarts_before_the_start_is_not_armed_again(state: MissionState) -> None:
-    run = Run(automatic=False)
+    run = MissionRun(automatic=False)
     run.robots[1].refuses = frozenset({Order.START})
     order = Order.ARM if state is MissionState.ARMING else Order.START
     assert run.mission.request(order, run.fleet(), run.now_ns) == ""
@@ -332,7 +332,7 @@ def test_a_robot_that_was_armed_and_restarts_before_the_start_is_not_armed_again
 
 def test_rejoin_is_refused_while_the_others_return() -> None:
     """That way has no places for robots that are out."""
-    run = Run()
+    run = MissionRun()
     roster = run.mission.roster
     roster.mark_lost(2, "silent")
 
@@ -350,8 +350,8 @@ def test_rejoin_is_refused_while_the_others_return() -> None:
 # --- in step
 
 
-def running(settings: Sequence[str] = (), automatic: bool = True) -> Run:
-    run = Run(automatic, ["duration_s=60", *settings])
+def running(settings: Sequence[str] = (), automatic: bool = True) -> MissionRun:
+    run = MissionRun(automatic, ["duration_s=60", *settings])
     if not automatic:
         assert run.mission.request(Order.START, run.fleet(), run.now_ns) == ""
     while run.mission.state is not MissionState.RUNNING:
@@ -361,7 +361,7 @@ def running(settings: Sequence[str] = (), automatic: bool = True) -> Run:
 
 
 def test_a_second_start_names_the_same_instant_as_the_first() -> None:
-    run = Run()
+    run = MissionRun()
     run.robots[2].refuses = frozenset({Order.START})
     while not run.at(MissionState.STARTING):
         run.step()
@@ -434,7 +434,7 @@ def test_a_resume_does_not_go_back_to_a_robot_far_behind() -> None:
 
 
 def test_a_robot_that_starts_out_of_step_makes_all_hold() -> None:
-    run = Run(settings=["duration_s=60"])
+    run = MissionRun(settings=["duration_s=60"])
     run.robots[1].refuses = frozenset({Order.START})
     while not run.in_mode(2, Mode.TRACKING):
         run.step()
@@ -481,13 +481,13 @@ def test_a_stalled_station_moves_no_reference() -> None:
 STRAIGHT = 'path={kind="waypoints",points_m=[[-1,0],[1,0]],speed_mps=0.1}'
 
 
-def next_leg(run: Run, begin_s: float) -> PlanSegment:
+def next_leg(run: MissionRun, begin_s: float) -> PlanSegment:
     still = np.zeros((200, 4))
     found = {r: Trajectory(f"n{r}", 0.05, still, still, still, begin_s) for r in run.experiment.robot_ids}
     return PlanSegment(found, found[1], 60.0)
 
 
-def going_elsewhere() -> Run:
+def going_elsewhere() -> MissionRun:
     run = running([STRAIGHT, "duration_s=20"], automatic=False)
     assert run.mission.request(Order.GO, run.fleet(), run.now_ns, [(0.5, 0.5)]) == ""
     return run
@@ -539,7 +539,7 @@ def test_a_robot_that_does_not_hold_while_all_come_to_rest_ends_the_mission() ->
 
 
 def test_a_thruster_test_that_does_not_end_is_given_up() -> None:
-    run = Run(automatic=False)
+    run = MissionRun(automatic=False)
     run.robots[1].test = "passed"
     assert run.mission.request(Order.TEST, run.fleet(), run.now_ns) == ""
     run.step(TEST_PATIENCE_S)
@@ -552,7 +552,7 @@ def test_a_thruster_test_that_does_not_end_is_given_up() -> None:
 
 def test_patience_for_a_robot_begins_when_it_stops_confirming() -> None:
     """Trajectories lie loaded for a while; then an agent is restarted, and has none."""
-    run = Run(automatic=False)
+    run = MissionRun(automatic=False)
     assert run.mission.request(Order.LOAD, run.fleet(), run.now_ns) == ""
     run.step(PATIENCE_S + 1.0)
     run.robots[2].loaded, run.robots[2].refuses = "", frozenset({Order.LOAD})
@@ -570,7 +570,7 @@ def test_patience_for_a_robot_begins_when_it_stops_confirming() -> None:
 # --- lost on the way to a new plan
 
 
-def on_the_way_to_a_plan(policy: str, state: MissionState) -> Run:
+def on_the_way_to_a_plan(policy: str, state: MissionState) -> MissionRun:
     """Three robots, sent home, in this phase."""
     run = running([THREE, f'mission.lost="{policy}"'], automatic=False)
     assert run.mission.request(Order.RETURN, run.fleet(), run.now_ns) == ""
@@ -626,7 +626,7 @@ def test_a_robot_lost_while_a_plan_is_made_is_the_policys_affair(
 
 
 def test_robots_that_lie_disarmed_are_not_lost_while_a_plan_home_is_made() -> None:
-    run = Run(automatic=False)
+    run = MissionRun(automatic=False)
     run.step(0.2)
     assert run.mission.request(Order.RETURN, run.fleet(), run.now_ns) == ""
     run.step(0.5)
@@ -637,7 +637,7 @@ def test_robots_that_lie_disarmed_are_not_lost_while_a_plan_home_is_made() -> No
 
 
 def test_robots_that_lie_disarmed_and_have_no_way_home_say_so() -> None:
-    run = Run(automatic=False)
+    run = MissionRun(automatic=False)
     run.step(0.2)
     assert run.mission.request(Order.RETURN, run.fleet(), run.now_ns) == ""
     run.step(0.2)
@@ -670,7 +670,7 @@ def test_a_person_can_hold_robots_that_wait_for_a_plan(state: MissionState) -> N
 
 
 def test_robots_that_lie_disarmed_cannot_be_held() -> None:
-    run = Run(automatic=False)
+    run = MissionRun(automatic=False)
     run.step(0.2)
     assert run.mission.request(Order.RETURN, run.fleet(), run.now_ns) == ""
     run.step(0.2)
@@ -751,7 +751,7 @@ def test_the_reason_why_a_run_failed_is_not_lost_for_a_refusal() -> None:
     ("order", "ends_in"), [(Order.DISARM, MissionState.ENDING), (Order.CLEAR_STOP, MissionState.CLEARING)]
 )
 def test_a_robot_never_heard_confirms_nothing(order: Order, ends_in: MissionState) -> None:
-    run = Run(automatic=False)
+    run = MissionRun(automatic=False)
     run.robots[2].unknown = True
     run.step(0.2)
     assert run.mission.request(order, run.fleet(), run.now_ns) == ""
@@ -768,7 +768,7 @@ def test_a_robot_never_heard_confirms_nothing(order: Order, ends_in: MissionStat
 
 def test_a_state_from_before_the_command_confirms_nothing() -> None:
     """Its last word was that it is disarmed; then it was armed, and not heard any more."""
-    run = Run(automatic=False)
+    run = MissionRun(automatic=False)
     run.step(0.2)
     run.robots[2].silent = True
     assert run.mission.request(Order.DISARM, run.fleet(), run.now_ns) == ""
@@ -781,7 +781,7 @@ def test_a_state_from_before_the_command_confirms_nothing() -> None:
 
 def test_a_robot_armed_after_its_last_state_is_still_disarmed() -> None:
     """Its last state is from before; whoever took that for done would leave an armed robot behind."""
-    run = Run(automatic=False)
+    run = MissionRun(automatic=False)
     assert run.mission.request(Order.ARM, run.fleet(), run.now_ns) == ""
     while not run.in_mode(2, Mode.ARMED):
         run.step()
@@ -794,7 +794,7 @@ def test_a_robot_armed_after_its_last_state_is_still_disarmed() -> None:
 
 
 def test_the_result_of_an_earlier_thruster_test_is_ignored() -> None:
-    run = Run(automatic=False)
+    run = MissionRun(automatic=False)
     for robot in run.robots.values():
         robot.test, robot.age_s = "passed", 0.2
     assert run.mission.request(Order.TEST, run.fleet(), run.now_ns) == ""
@@ -811,7 +811,7 @@ def test_the_result_of_an_earlier_thruster_test_is_ignored() -> None:
 
 @pytest.mark.parametrize("order", [Order.START, Order.RESUME])
 def test_a_robot_that_does_not_start_with_the_others_is_waited_for_briefly(order: Order) -> None:
-    run = running(automatic=False) if order is Order.RESUME else Run(automatic=False, settings=["duration_s=60"])
+    run = running(automatic=False) if order is Order.RESUME else MissionRun(automatic=False, settings=["duration_s=60"])
     if order is Order.RESUME:
         assert run.mission.request(Order.HOLD, run.fleet(), run.now_ns) == ""
         run.step(0.5)
@@ -903,7 +903,7 @@ def test_a_robot_that_is_heard_again_and_flies_while_a_stop_is_cleared_is_disarm
 
 def test_clear_stop_reaches_robots_that_have_not_reported_the_stop() -> None:
     """They say that they are disarmed, which was so before the STOP that is on its way."""
-    run = Run(automatic=False)
+    run = MissionRun(automatic=False)
     run.step(0.2)
     before = run.fleet()
     assert run.mission.request(Order.STOP, before, run.now_ns) == ""
@@ -932,7 +932,7 @@ def test_a_thruster_test_after_a_cleared_stop_does_not_begin_an_automatic_missio
 
 
 def test_a_return_arms_no_robot_that_preflight_blocks() -> None:
-    run = Run(automatic=False, settings=["mission.thruster_test=true"])
+    run = MissionRun(automatic=False, settings=["mission.thruster_test=true"])
     run.step(0.2)
     untested = "thruster test: not done (groundstation mission test)"
     refused = f"no robot is fit to move; robot 1: {untested}; robot 2: {untested}"
@@ -989,7 +989,7 @@ def test_a_lost_robot_returns_after_the_run_when_the_others_cannot() -> None:
 
 
 def test_a_robot_far_from_its_place_slows_the_formation() -> None:
-    run = Run(settings=["duration_s=60", "mission.wait_from_m=0.1", "mission.wait_at_m=0.4"])
+    run = MissionRun(settings=["duration_s=60", "mission.wait_from_m=0.1", "mission.wait_at_m=0.4"])
     while not run.at(MissionState.RUNNING):
         run.step()
     run.robots[2].eta = (0.35, 0.0, 0.0, 0.0)
@@ -999,7 +999,7 @@ def test_a_robot_far_from_its_place_slows_the_formation() -> None:
 
 def test_a_robot_that_disarms_when_its_way_home_is_blocked_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
     """It lay disarmed before this return, and might be while that was planned; it has flown since."""
-    run = Run(automatic=False)
+    run = MissionRun(automatic=False)
     run.step(0.2)
     assert run.mission.request(Order.RETURN, run.fleet(), run.now_ns) == ""
     run.step(0.5)

@@ -12,7 +12,7 @@ from groundstation.mission.request_progress import GOALS, KEPT, RequestTracker
 from groundstation.mission.state_machine import TRANSITIONS, MissionState
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.segment import PlanSegment
-from tests.groundstation.mission.mission_run import Run
+from tests.groundstation.mission.mission_run import MissionRun
 from wire.messages.messages import Command, Mode, Order, Outcome, Progress, Reply, Trajectory, Tuning
 
 FLOWN, WANTED = Tuning("flown"), Tuning("wanted")
@@ -22,7 +22,7 @@ FLOWN, WANTED = Tuning("flown"), Tuning("wanted")
 class Asked:
     """A mission by hand, and the account of what is asked for."""
 
-    run: Run = field(default_factory=lambda: Run(automatic=False, settings=["duration_s=60"]))
+    run: MissionRun = field(default_factory=lambda: MissionRun(automatic=False, settings=["duration_s=60"]))
     requests: RequestTracker = field(default_factory=lambda: RequestTracker((1, 2)))
     tuning: GainStatus = field(default_factory=lambda: GainStatus(FLOWN))
 

@@ -32,7 +32,7 @@ pytestmark = pytest.mark.long
 VOID = {"meta", "br", "img", "input", "link", "hr"}
 
 
-class Page(HTMLParser):
+class PageStructure(HTMLParser):
     """A page's structure for the tests: open tags, ids, addresses, cells."""
 
     def __init__(self, text: str) -> None:
@@ -79,8 +79,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def page(folder: Path) -> Page:
-    return Page((folder / "report.html").read_text())
+def page(folder: Path) -> PageStructure:
+    return PageStructure((folder / "report.html").read_text())
 
 
 @pytest.fixture(scope="module")
@@ -88,14 +88,14 @@ def series(folder: Path) -> Series:
     return align(load_experiment(str(folder / "experiment.toml")), read_log(folder / "run.mcap"))
 
 
-def test_page_is_whole_and_needs_nothing_from_outside(folder: Path, page: Page) -> None:
+def test_page_is_whole_and_needs_nothing_from_outside(folder: Path, page: PageStructure) -> None:
     assert page.open == []
     assert [a for a in page.addresses if not a.startswith(("#", "data:"))] == []
     assert page.tags["link"] == page.tags["script"] == 0
     assert "url(http" not in (folder / "report.html").read_text()
 
 
-def test_ids_are_unique_and_every_reference_has_its_target(folder: Path, page: Page) -> None:
+def test_ids_are_unique_and_every_reference_has_its_target(folder: Path, page: PageStructure) -> None:
     """Thirteen SVGs share one page: a clip path of one must not fall on another."""
     assert [name for name, count in Counter(page.ids).items() if count > 1] == []
     wanted = {a[1:] for a in page.addresses if a.startswith("#")}
@@ -103,13 +103,13 @@ def test_ids_are_unique_and_every_reference_has_its_target(folder: Path, page: P
     assert wanted <= set(page.ids)
 
 
-def test_every_figure_is_there(page: Page) -> None:
+def test_every_figure_is_there(page: PageStructure) -> None:
     assert page.tags["figure"] == len(figures.FIGURES)
     # robots that keep their depth need no picture in space; no limit was active; nothing says where the time went
     assert page.tags["svg"] == len(figures.FIGURES) - 3
 
 
-def test_table_shows_ours_beside_the_articles(folder: Path, page: Page) -> None:
+def test_table_shows_ours_beside_the_articles(folder: Path, page: PageStructure) -> None:
     result = json.loads((folder / "result.json").read_text())
     for subject in (result["robots"]["1"], result["pairs"]["1-2"]):
         for axis in (0, 1):
@@ -123,7 +123,7 @@ def test_worse_than_the_article_is_marked(tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.setitem(synthetic.OFFSET_Y_M, 1, 0.2)
     write_run(tmp_path, Script(duration_s=25.0))
     write_report(tmp_path)
-    cells = Page((tmp_path / "report.html").read_text()).cells
+    cells = PageStructure((tmp_path / "report.html").read_text()).cells
     assert "✗ 0.200" in cells  # the article has 0.11 for robot 1 in y
 
 
@@ -146,7 +146,7 @@ def write_events(folder: Path, messages: list[str]) -> None:
 def test_words_from_the_network_are_escaped(tmp_path: Path) -> None:
     write_events(tmp_path, ["<script>alert(1)</script>"])
     write_report(tmp_path)
-    page = Page((tmp_path / "report.html").read_text())
+    page = PageStructure((tmp_path / "report.html").read_text())
     assert page.tags["script"] == 0
     assert "<script>alert(1)</script>" in page.cells  # as text
 
@@ -194,7 +194,7 @@ def test_every_outcome_of_a_run_gets_a_report(tmp_path: Path, script: Script, wo
     assert not write_report(tmp_path).passed
     text = (tmp_path / "report.html").read_text()
     assert words in text
-    assert Page(text).open == []
+    assert PageStructure(text).open == []
     assert ">nan<" not in text.lower()
 
 

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from groundstation.__main__ import cli
 from groundstation.logs.reader import is_complete
 from groundstation.report.report import evaluated, write_figures
-from groundstation.report.run_comparison import Run, differences, drawn, metric_rows
+from groundstation.report.run_comparison import ComparedRun, differences, drawn, metric_rows
 from tests.groundstation.synthetic import AMPLITUDE_M, Script, write_run
 from wire.toml_loader import ConfigError
 
@@ -31,11 +31,11 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     return folders
 
 
-def read(folders: list[Path]) -> list[Run]:
+def read(folders: list[Path]) -> list[ComparedRun]:
     out = []
     for folder in folders:
         series, _, result = evaluated(folder)
-        out.append(Run(folder.name, series, result))
+        out.append(ComparedRun(folder.name, series, result))
     return out
 
 

@@ -97,7 +97,7 @@ def test_a_planner_that_breaks_leaves_the_fleet_holding_and_the_station_alive(tm
         assert "KeyError: 'robot 3'" in mission.reason
 
 
-class Fleet:
+class ObedientFleet:
     """Robots on the station's bus that do as they are told, and tell a state when they are asked to."""
 
     def __init__(self, hub: MemoryHub, experiment: Experiment) -> None:
@@ -147,7 +147,7 @@ def test_a_stop_reaches_the_robots_while_every_other_thread_is_at_work(tmp_path:
     """A plan that takes long, and robots that do not answer what they were asked before."""
     hub, free = MemoryHub(), threading.Event()
     with a_station(tmp_path, hub) as station:
-        fleet = Fleet(hub, station.experiment)
+        fleet = ObedientFleet(hub, station.experiment)
         for threads in (station.workers.orders, station.workers.plans):
             for _ in range(2 * MAX_UNANSWERED * COMMAND_KINDS * len(station.experiment.robot_ids)):
                 threads.submit(free.wait, PATIENCE_S)
@@ -202,7 +202,7 @@ def test_a_request_is_known_by_its_number_and_no_other(tmp_path: Path) -> None:
 def test_a_run_is_ended_once_everybody_is_at_rest(tmp_path: Path, mode: Mode) -> None:
     hub = MemoryHub()
     with a_station(tmp_path, hub) as station:
-        fleet = Fleet(hub, station.experiment)
+        fleet = ObedientFleet(hub, station.experiment)
         fleet.modes = dict.fromkeys(fleet.modes, mode)
         station.mission.state = {Mode.TRACKING: MissionState.RUNNING, Mode.STOPPED: MissionState.STOPPED}.get(
             mode, MissionState.WAITING
@@ -222,7 +222,7 @@ def test_a_run_is_ended_once_everybody_is_at_rest(tmp_path: Path, mode: Mode) ->
 def test_an_end_replaced_by_a_start_ends_no_run(tmp_path: Path) -> None:
     hub = MemoryHub()
     with a_station(tmp_path, hub) as station:
-        fleet = Fleet(hub, station.experiment)
+        fleet = ObedientFleet(hub, station.experiment)
         fleet.modes = dict.fromkeys(fleet.modes, Mode.TRACKING)
         station.mission.state = MissionState.RUNNING
         fleet.until(station, lambda: all(seen.heard for seen in station.seen.values()))

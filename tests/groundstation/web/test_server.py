@@ -7,8 +7,9 @@ import socket
 import struct
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ from groundstation.planning import planner
 from groundstation.telemetry import RobotView
 from groundstation.web import connection_limits, protocol
 from groundstation.web.auth import WebOptions
-from groundstation.web.live_backend import LiveBackend
+from groundstation.web.live_backend import PAST_EVERY_S, LiveBackend
 from groundstation.web.server import WebServer
 from tests.groundstation.fake_station import FakeStation
 from wire.config.experiment import load_experiment
@@ -43,7 +44,7 @@ TOKEN = "correct horse battery staple"
 
 
 @dataclass(kw_only=True)
-class Lab(FakeStation):
+class ServedStation(FakeStation):
     """A station's bus, and the page's server on it."""
 
     port: int
@@ -54,10 +55,10 @@ class Lab(FakeStation):
     def say(self, robot: int = 1) -> None:
         self.robots.publish(topics.STATE, RobotState(mode=Mode.ARMED, fault="here"), time.time_ns(), robot)
 
-    def request(self, order: Order) -> tuple[str, int]:
+    def request(self, order: Order, via: Sequence[tuple[float, float]] = ()) -> tuple[str, int]:
         if self.blocked is not None and order is not Order.STOP:
             self.blocked.wait(PATIENCE_S)
-        accepted = super().request(order)
+        accepted = super().request(order, via)
         return ("not now", 0) if order is Order.HOLD else accepted
 
     def request_gains(self, values: Any, next_lap: bool) -> tuple[str, int]:
@@ -65,13 +66,13 @@ class Lab(FakeStation):
             self.blocked.wait(PATIENCE_S)
         return super().request_gains(values, next_lap)
 
-    def open(self, **options: Any) -> "Page":
+    def open(self, **options: Any) -> "PageClient":
         options.setdefault("origin", f"http://127.0.0.1:{self.port}")
-        return Page(self.opened.enter_context(connect(f"ws://127.0.0.1:{self.port}/live", max_size=None, **options)))
+        return PageClient(self.opened.enter_context(connect(f"ws://127.0.0.1:{self.port}/live", max_size=None, **options)))
 
 
 @dataclass
-class Page:
+class PageClient:
     """The actions of a browser that the server can see."""
 
     socket: ClientConnection
@@ -116,22 +117,22 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-def make_desk(lab: Lab) -> LiveBackend:
+def make_desk(lab: ServedStation) -> LiveBackend:
     return LiveBackend(POOL, planner.plan(POOL), lab.bus, lab.heard, lab.clock, lab, "real-time")
 
 
 @pytest.fixture
-def lab() -> Iterator[Lab]:
+def lab() -> Iterator[ServedStation]:
     with _served() as found:
         yield found
 
 
 @contextlib.contextmanager
-def _served() -> Iterator[Lab]:
+def _served() -> Iterator[ServedStation]:
     hub, port = MemoryHub(), free_port()
     with Bus(MemoryTransport(hub)) as bus, Bus(MemoryTransport(hub)) as robots:
         opened = contextlib.ExitStack()
-        found = Lab(POOL, bus, port=port, robots=robots, opened=opened)
+        found = ServedStation(POOL, bus, port=port, robots=robots, opened=opened)
         with WebServer(make_desk(found), WebOptions(port=port, token=TOKEN)), opened:
             yield found
 
@@ -140,7 +141,7 @@ def state(frame: dict[str, Any]) -> bool:
     return bool(frame["k"] == "state")
 
 
-def test_a_page_gets_the_scene_then_states_as_they_come(lab: Lab) -> None:
+def test_a_page_gets_the_scene_then_states_as_they_come(lab: ServedStation) -> None:
     page = lab.open()
     hello = page.hello()
     assert [robot["id"] for robot in hello["scene"]["robots"]] == [1, 2]
@@ -154,14 +155,43 @@ def test_a_page_gets_the_scene_then_states_as_they_come(lab: Lab) -> None:
     assert page.until(lambda f: f["k"] == "picture")["jpeg"] == b"jpeg"
 
 
+def test_a_remark_becomes_one_line_of_the_log(lab: ServedStation, caplog: pytest.LogCaptureFixture) -> None:
+    page = lab.open()
+    page.hello()
+    log.addHandler(caplog.handler)
+    try:
+        page.say(kind="remark", text="lamp\n switched  off")
+        deadline = time.monotonic() + 10.0
+        while not caplog.messages and time.monotonic() < deadline:
+            time.sleep(0.01)
+    finally:
+        log.removeHandler(caplog.handler)
+    assert caplog.messages == ["remark: lamp switched off"]
+
+
+def test_a_page_that_connects_late_gets_what_was_before(lab: ServedStation) -> None:
+    first = lab.open()
+    first.hello()
+    for _ in range(3):
+        lab.say(robot=2)
+        first.until(lambda f: state(f) and "state" in f["robots"][1])
+        time.sleep(PAST_EVERY_S)  # by the wall clock, as the station's
+    late = lab.open()
+    late.hello()
+    rows = late.until(lambda f: f["k"] == "past")["states"]
+    assert len(rows) >= 3
+    assert all(later["time_s"] - row["time_s"] >= PAST_EVERY_S for row, later in pairwise(rows))
+    assert rows[-1]["robots"][1]["state"]["mode"] == "ARMED"
+
+
 @pytest.mark.parametrize("origin", ["http://evil.example", "null", None, "https://127.0.0.1"])
-def test_a_stranger_s_page_is_not_let_in(lab: Lab, origin: str | None) -> None:
+def test_a_stranger_s_page_is_not_let_in(lab: ServedStation, origin: str | None) -> None:
     with pytest.raises(InvalidStatus) as refused:
         lab.open(origin=origin)
     assert refused.value.response.status_code == 403
 
 
-def test_a_page_with_a_wrong_token_gets_no_state(lab: Lab) -> None:
+def test_a_page_with_a_wrong_token_gets_no_state(lab: ServedStation) -> None:
     page = lab.open()
     page.say(kind="hello", token="guess")
     with pytest.raises(ConnectionClosed) as closed:
@@ -175,7 +205,7 @@ def test_a_page_with_a_wrong_token_gets_no_state(lab: Lab) -> None:
 
 
 @pytest.mark.parametrize("text", ["nonsense", '{"kind":"order","n":1,"order":"fly"}', "x" * (protocol.LONGEST_BYTES + 1)])
-def test_nonsense_ends_only_its_own_connection(lab: Lab, text: str) -> None:
+def test_nonsense_ends_only_its_own_connection(lab: ServedStation, text: str) -> None:
     good, bad = lab.open(), lab.open()
     good.hello()
     bad.hello()
@@ -187,7 +217,7 @@ def test_nonsense_ends_only_its_own_connection(lab: Lab, text: str) -> None:
     assert good.until(lambda f: state(f) and f["watchers"] == 1)
 
 
-def test_only_the_page_in_control_commands_and_all_may_stop(lab: Lab) -> None:
+def test_only_the_page_in_control_commands_and_all_may_stop(lab: ServedStation) -> None:
     first, second = lab.open(), lab.open()
     mine, yours = first.hello()["you"], second.hello()["you"]
     first.order(1, "start")
@@ -213,7 +243,7 @@ def test_only_the_page_in_control_commands_and_all_may_stop(lab: Lab) -> None:
     assert second.until(lambda f: state(f) and f["holder"] == yours)
 
 
-def test_a_page_that_stops_reading_delays_no_other(lab: Lab) -> None:
+def test_a_page_that_stops_reading_delays_no_other(lab: ServedStation) -> None:
     """It stays connected and takes nothing in; the other still gets every second state and more, and memory stays flat."""
     stopped, other = lab.open(), lab.open()
     stopped.say(kind="hello", token=TOKEN)  # and never a word again
@@ -240,7 +270,7 @@ def test_a_page_that_stops_reading_delays_no_other(lab: Lab) -> None:
         stopped.socket.recv(timeout=0.5)
 
 
-def test_request_outcomes_and_log_lines_reach_the_page(lab: Lab) -> None:
+def test_request_outcomes_and_log_lines_reach_the_page(lab: ServedStation) -> None:
     page = lab.open()
     page.hello()
     outcome = Outcome(7, Order.CLEAR_STOP, Progress.FAILED, "aborting", "ABORTING", (1,), (2,), ("no pose",))
@@ -261,7 +291,7 @@ def test_request_outcomes_and_log_lines_reach_the_page(lab: Lab) -> None:
     assert [line["text"] for line in late.hello()["events"]] == ["trouble"]
 
 
-def test_while_dragging_the_newest_edit_is_answered(lab: Lab) -> None:
+def test_while_dragging_the_newest_edit_is_answered(lab: ServedStation) -> None:
     page = lab.open()
     page.hello()
     for n in range(1, 40):
@@ -270,7 +300,7 @@ def test_while_dragging_the_newest_edit_is_answered(lab: Lab) -> None:
     assert last["ok"] and last["fastest_mps"] == pytest.approx(0.439 * 3.14159265 / 100, rel=1e-5)
 
 
-def test_an_unusable_certificate_is_refused_at_start(lab: Lab, tmp_path: Path) -> None:
+def test_an_unusable_certificate_is_refused_at_start(lab: ServedStation, tmp_path: Path) -> None:
     """Not a line in the log, and then a station without a page that says where its page is."""
     (none := tmp_path / "none.pem").write_text("no certificate\n")
     for certificate in (tmp_path / "absent.pem", none):
@@ -278,7 +308,7 @@ def test_an_unusable_certificate_is_refused_at_start(lab: Lab, tmp_path: Path) -
             WebServer(make_desk(lab), WebOptions(port=free_port(), certificate=certificate, key=none))
 
 
-def test_assets_are_served_with_security_headers(lab: Lab) -> None:
+def test_assets_are_served_with_security_headers(lab: ServedStation) -> None:
     from urllib.request import Request, urlopen
 
     with urlopen(f"http://127.0.0.1:{lab.port}/") as answer:
@@ -294,7 +324,7 @@ def test_assets_are_served_with_security_headers(lab: Lab) -> None:
 # --- what must not be kept waiting, and by what
 
 
-def test_a_stop_is_taken_while_all_other_threads_are_busy(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stop_is_taken_while_all_other_threads_are_busy(lab: ServedStation, monkeypatch: pytest.MonkeyPatch) -> None:
     """Requests, changes of gains, edits and saves, more of each than there are threads for."""
     release = lab.blocked = threading.Event()
 
@@ -324,7 +354,7 @@ def test_a_stop_is_taken_while_all_other_threads_are_busy(lab: Lab, monkeypatch:
         release.set()
 
 
-def test_an_order_that_was_long_on_its_way_is_not_done(lab: Lab) -> None:
+def test_an_order_that_was_long_on_its_way_is_not_done(lab: ServedStation) -> None:
     """A station that hung, or a link that did: what the operator saw when he gave it is past. A stop is never too late."""
     page = lab.open()
     page.hello()
@@ -340,7 +370,7 @@ def test_an_order_that_was_long_on_its_way_is_not_done(lab: Lab) -> None:
     assert lab.orders == [Order.STOP]
 
 
-def test_a_page_that_comes_back_keeps_its_control_and_its_dead_connection_is_ended(lab: Lab) -> None:
+def test_a_page_that_comes_back_keeps_its_control_and_its_dead_connection_is_ended(lab: ServedStation) -> None:
     before, other = lab.open(), lab.open()
     before.hello(page="mine")
     before.say(kind="take")
@@ -360,7 +390,7 @@ def test_a_page_that_comes_back_keeps_its_control_and_its_dead_connection_is_end
 
 
 def test_a_failed_snapshot_is_logged_and_the_next_one_is_shown(
-    lab: Lab, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    lab: ServedStation, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     page = lab.open()
     page.hello()
@@ -381,7 +411,7 @@ def test_a_failed_snapshot_is_logged_and_the_next_one_is_shown(
     assert "nothing new is shown: KeyError" in caplog.text
 
 
-def test_idle_connections_do_not_block_new_ones(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_idle_connections_do_not_block_new_ones(lab: ServedStation, monkeypatch: pytest.MonkeyPatch) -> None:
     from urllib.request import urlopen
 
     idle = [lab.opened.enter_context(socket.create_connection(("127.0.0.1", lab.port))) for _ in range(150)]
@@ -416,7 +446,7 @@ def test_a_page_that_is_watched_is_not_cut_off(monkeypatch: pytest.MonkeyPatch) 
             assert page.until(state)
 
 
-def test_a_page_server_that_does_not_start_is_refused(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_page_server_that_does_not_start_is_refused(lab: ServedStation, monkeypatch: pytest.MonkeyPatch) -> None:
     async def never(server: Any, sockets: Any = None) -> None:
         raise RuntimeError("no more file descriptors")
 
@@ -431,7 +461,7 @@ def test_a_page_server_that_does_not_start_is_refused(lab: Lab, monkeypatch: pyt
 # --- what a page shows
 
 
-def test_an_event_of_megabytes_reaches_no_page_and_a_long_one_is_cut(lab: Lab) -> None:
+def test_an_event_of_megabytes_reaches_no_page_and_a_long_one_is_cut(lab: ServedStation) -> None:
     page = lab.open()
     page.hello()
     huge = Log(level=Log.Level.INFO, name="agent-2", message="x" * 4_000_000).SerializeToString()
@@ -442,7 +472,7 @@ def test_an_event_of_megabytes_reaches_no_page_and_a_long_one_is_cut(lab: Lab) -
     assert told["text"] == "y" * (codec.LONGEST_LINE - 1) + "…"
 
 
-def test_a_fault_of_megabytes_is_no_state_of_a_robot(lab: Lab) -> None:
+def test_a_fault_of_megabytes_is_no_state_of_a_robot(lab: ServedStation) -> None:
     page = lab.open()
     page.hello()
     lab.say(robot=1)
@@ -452,7 +482,7 @@ def test_a_fault_of_megabytes_is_no_state_of_a_robot(lab: Lab) -> None:
     assert seen["robots"][0]["state"]["fault"] == "here"
 
 
-def test_the_page_shows_what_the_station_knows_of_links_clocks_and_the_timetable(lab: Lab) -> None:
+def test_the_page_shows_what_the_station_knows_of_links_clocks_and_the_timetable(lab: ServedStation) -> None:
     heard = RobotView(RobotState(mode=Mode.ARMED), 0.0)
     lab.told = replace(lab.told, seen={1: replace(heard, loss=0.5, clock_offset_s=0.3, behind_s=0.8), 2: heard})
     page = lab.open()
@@ -467,7 +497,7 @@ def test_the_page_shows_what_the_station_knows_of_links_clocks_and_the_timetable
     assert not {"2:link", "2:step"} & texts.keys()
 
 
-def test_the_map_gets_the_paths_that_are_flown_now(lab: Lab) -> None:
+def test_the_map_gets_the_paths_that_are_flown_now(lab: ServedStation) -> None:
     """An early page is told of the change, a late one gets the new ones at once."""
     early = lab.open()
     planned = early.hello()["scene"]["paths"]
@@ -481,7 +511,7 @@ def test_the_map_gets_the_paths_that_are_flown_now(lab: Lab) -> None:
         assert [(p["robot"], p["id"], len(p["eta"])) for p in paths] == [(1, "home-1", 41 * 4 * 4)]
 
 
-def test_a_fleet_that_is_fit_is_ready_and_not_waited_for(lab: Lab) -> None:
+def test_a_fleet_that_is_fit_is_ready_and_not_waited_for(lab: ServedStation) -> None:
     page = lab.open()
     page.hello()
     assert page.until(state)["phase_text"] == "waiting for the fleet"

@@ -3,6 +3,7 @@
 import contextlib
 import json
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ from groundstation.telemetry import RobotView
 from groundstation.web import experiment_editor, protocol
 from groundstation.web.alarms import alarms
 from groundstation.web.auth import host_allowed, origin_allowed, token_allowed, web_options
-from groundstation.web.control_lease import SILENT_S, ControlLease
+from groundstation.web.client_hub import SILENT_S, ControlLease
 from groundstation.web.scene import mesh
 from groundstation.web.send_window import MOST_NOTES, UNACKNOWLEDGED, SendWindow
 from groundstation.web.snapshot import ellipse
@@ -30,6 +31,13 @@ from wire.toml_loader import ConfigError
 
 POOL = load_experiment("pool")
 STRAIGHT = load_experiment("straight")
+
+
+def test_the_page_knows_the_orders_that_the_station_takes() -> None:
+    """The page's source writes them down once more: TypeScript cannot read Python."""
+    source = (Path(protocol.__file__).parent / "page/src/wire.ts").read_text(encoding="utf-8")
+    line = next(line for line in source.splitlines() if line.startswith("export type OrderName"))
+    assert set(re.findall(r'"([a-z-]+)"', line)) == set(protocol.ORDERS)
 
 
 # --- the window: latest wins, nobody waits

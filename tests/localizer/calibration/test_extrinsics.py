@@ -9,7 +9,7 @@ import pytest
 from localizer.calibration.extrinsics import PoseFit, fit_pose
 from localizer.calibration.survey_points import SurveyFile, SurveyPoint, seen_pixels
 from sim_bridge.camera.optics import project, rays
-from tests.localizer.board_scene import Bench, marks
+from tests.localizer.board_scene import CameraBench, marks
 from wire.config.experiment import load_experiment
 from wire.config.perception import Camera
 from wire.frames import Array
@@ -248,7 +248,7 @@ def test_markers_are_found_where_they_are() -> None:
         i: place[:2] for i, place in enumerate([(-1.5, -1.1, -0.1), (1.5, -1.0, -0.1), (1.4, 1.1, -0.1), (-1.4, 1.05, -0.1)])
     }
     floor = {i + 10: place[:2] for i, place in enumerate(itertools.product((-0.9, 0.8), (-0.6, 0.7)))}
-    picture = Bench(camera).pool([(1.0, marks(floor, 0.3)), (-0.1, marks(rim, 0.25))])
+    picture = CameraBench(camera).pool([(1.0, marks(floor, 0.3)), (-0.1, marks(rim, 0.25))])
     points = [_marked(i, (*place, -0.1)) for i, place in rim.items()] + [
         _marked(i, (*place, 1.0)) for i, place in floor.items()
     ]
@@ -256,7 +256,9 @@ def test_markers_are_found_where_they_are() -> None:
     truth = project(camera, np.array([point.pool_m for point in points]))
     assert np.linalg.norm(pixels - truth, axis=1).max() < 0.5
     assert _places_off_m(fit_pose(camera, points, pixels), camera, truth).max() < 0.002
-    twice = Bench(camera).pool([(-0.1, marks({3: (-1.0, 0.0), 4: (0.0, 0.0)}, 0.25)), (-0.2, marks({3: (1.0, 0.0)}, 0.25))])
+    twice = CameraBench(camera).pool(
+        [(-0.1, marks({3: (-1.0, 0.0), 4: (0.0, 0.0)}, 0.25)), (-0.2, marks({3: (1.0, 0.0)}, 0.25))]
+    )
     with pytest.raises(ConfigError, match=r"'marker 3': marker_id = 3: 2 markers of that id .*found in it: 3, 4"):
         seen_pixels([_marked(3, (0.0, 0.0, 0.0))], twice)
     with pytest.raises(ConfigError, match=r"'marker 7': marker_id = 7: 0 markers of that id .*found in it: 3, 4"):

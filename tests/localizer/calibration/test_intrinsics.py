@@ -14,7 +14,7 @@ from localizer.calibration.intrinsics import (
 )
 from localizer.calibration.targets import TargetView, parse_target
 from localizer.camera_model import Intrinsics
-from tests.localizer.board_scene import Bench, charuco, chessboard
+from tests.localizer.board_scene import CameraBench, charuco, chessboard
 from wire.config.experiment import load_experiment
 from wire.frames import Array
 from wire.toml_loader import ConfigError
@@ -37,7 +37,7 @@ SMALL = WIDE.model_copy(
         "distortion": (-0.12, 0.03, 6e-4, -4e-4, 0.0),
     }
 )
-BENCH, SMALL_BENCH = Bench(WIDE), Bench(SMALL)
+BENCH, SMALL_BENCH = CameraBench(WIDE), CameraBench(SMALL)
 BOARD_M = chessboard(9, 6, 0.03)[2]
 
 
@@ -196,7 +196,7 @@ def test_when_most_views_are_bad_it_is_said_not_hidden() -> None:
 
 
 def test_k3_is_fitted_where_it_matters_only() -> None:
-    fisher = Bench(WIDE.model_copy(update={"focal_px": (700.0, 700.0), "distortion": (-0.3, 0.12, 0.0, 0.0, -0.03)}))
+    fisher = CameraBench(WIDE.model_copy(update={"focal_px": (700.0, 700.0), "distortion": (-0.3, 0.12, 0.0, 0.0, -0.03)}))
     assert fit_intrinsics(fisher.views(20, BOARD_M, 3, noise_px=0.03), WIDE.size_px).lens.distortion[4] == pytest.approx(
         -0.03, abs=0.015
     )

@@ -19,7 +19,7 @@ from localizer.sources.base import SUFFIXES
 from localizer.sources.files import FolderSource
 from localizer.view.mjpeg_server import MjpegServer
 from sim_bridge.camera.optics import project, rays
-from tests.localizer.board_scene import Bench, charuco, marks
+from tests.localizer.board_scene import CameraBench, charuco, marks
 from tests.localizer.scene import bayer
 from tests.waiting import eventually
 from wire.config.experiment import EXPERIMENTS, load_experiment
@@ -59,7 +59,7 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with pictures of a board, one of the pool, and a points file. Tests write into folders of their own."""
     folder = tmp_path_factory.mktemp("lab")
     (folder / "board").mkdir()
-    bench, texture = Bench(TRUTH), charuco((7, 5), 0.04, 0.03)
+    bench, texture = CameraBench(TRUTH), charuco((7, 5), 0.04, 0.03)
     board_m = np.array([[x, y, 0.0] for x in (0.0, 0.28) for y in (0.0, 0.2)])
     for i, (turn, move) in enumerate(bench.poses(VIEWS, board_m, seed=4, margin_px=-20.0)):
         cv2.imwrite(str(folder / "board" / f"{i:02}.png"), bench.picture(texture, np.zeros(2), turn, move))

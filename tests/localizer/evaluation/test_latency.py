@@ -23,6 +23,21 @@ from wire.messages.messages import Obstacles
 from wire.process.runtime import Stop, WallClock
 
 
+class GeneratedCamera:
+    """A frame source of given frames."""
+
+    trouble, silent_after_s = "", 0.25
+
+    def __init__(self, frames: Iterator[CapturedFrame | None]) -> None:
+        self._frames = frames
+
+    def frames(self, stop: Stop) -> Iterator[CapturedFrame | None]:
+        return self._frames
+
+    def close(self) -> None:
+        """Nothing to do."""
+
+
 def timings(count: int = 101, period_ms: float = 50.0, transfer_ms: float = 12.0, work_ms: float = 5.0) -> list[Timing]:
     def at(milliseconds: float) -> int:
         return round(milliseconds * MS)
@@ -79,16 +94,10 @@ def test_one_picture_is_no_measurement() -> None:
 def test_the_first_pictures_and_what_was_lost_among_them_do_not_count() -> None:
     clock, stop = HandClock(), Stop(install=False)
 
-    class Camera:
-        trouble, silent_after_s = "", 0.25
-
-        def frames(self, stop: Stop) -> Iterator[CapturedFrame | None]:
-            for k in range(100):
-                clock.sleep(0.05)
-                yield None if k == 7 else CapturedFrame(np.zeros((4, 4), np.uint8), k, clock.ns - 9 * MS, clock.ns, 10 + k)
-
-        def close(self) -> None:
-            """Nothing to do."""
+    def frames() -> Iterator[CapturedFrame | None]:
+        for k in range(100):
+            clock.sleep(0.05)
+            yield None if k == 7 else CapturedFrame(np.zeros((4, 4), np.uint8), k, clock.ns - 9 * MS, clock.ns, 10 + k)
 
     def localize(source: FrameSource, told: OnLocalized) -> None:
         """Poses are out after 2 ms, previews after 3 more."""
@@ -98,7 +107,7 @@ def test_the_first_pictures_and_what_was_lost_among_them_do_not_count() -> None:
                 told(captured.stamp_ns, "")
                 clock.sleep(0.003)
 
-    found, dropped = measure(Camera(), localize, clock, 1.0)
+    found, dropped = measure(GeneratedCamera(frames()), localize, clock, 1.0)
     assert len(found) == 19 - WARM_UP - 1
     assert dropped == 10 + 18 - (10 + WARM_UP - 1)
     assert {(t.arrived_ns - t.instant_ns, t.ready_ns - t.arrived_ns) for t in found} == {(9 * MS, 2 * MS)}
@@ -114,21 +123,15 @@ def test_latency_is_measured_through_the_whole_localizer(monkeypatch: pytest.Mon
 
     monkeypatch.setattr(ObstacleDetector, "step", look)
 
-    class Camera:
-        trouble, silent_after_s = "", 0.25
-
-        def frames(self, stop: Stop) -> Iterator[CapturedFrame | None]:
-            random = np.random.default_rng(1)
-            for k in (1, 2, 3):
-                yield CapturedFrame(random.integers(60, 120, (960, 1280), np.uint8), k, k, k)
-
-        def close(self) -> None:
-            """Nothing to do."""
+    def frames() -> Iterator[CapturedFrame | None]:
+        random = np.random.default_rng(1)
+        for k in (1, 2, 3):
+            yield CapturedFrame(random.integers(60, 120, (960, 1280), np.uint8), k, k, k)
 
     def told(stamp_ns: int, trouble: str) -> None:
         order.append(f"told {stamp_ns}{trouble}")
 
-    localize_in_process(load_experiment("pool"), HandClock(), Stop(install=False), Camera(), told)
+    localize_in_process(load_experiment("pool"), HandClock(), Stop(install=False), GeneratedCamera(frames()), told)
     assert order == ["told 1", "obstacles 1", "told 2", "obstacles 2", "told 3", "obstacles 3"]
 
 
@@ -144,22 +147,17 @@ def test_pictures_that_no_pose_comes_of_are_no_good_measurement(monkeypatch: pyt
 
     monkeypatch.setattr(FleetLocalizer, "locate", fail_once)
 
-    class Camera:
-        trouble, silent_after_s = "", 0.25
-
-        def frames(self, stop: Stop) -> Iterator[CapturedFrame | None]:
-            for k, (low, high) in enumerate(
-                ((60, 90),) * WARM_UP + ((60, 90), (99, 100), (60, 90), (0, 4), (60, 90)), start=1
-            ):
-                yield CapturedFrame(
-                    random.integers(low, high, (960, 1280), np.uint8), k, begin_ns + k * 50 * MS, begin_ns + k * 50 * MS
-                )
-
-        def close(self) -> None:
-            """Nothing to do."""
+    def frames() -> Iterator[CapturedFrame | None]:
+        for k, (low, high) in enumerate(((60, 90),) * WARM_UP + ((60, 90), (99, 100), (60, 90), (0, 4), (60, 90)), start=1):
+            yield CapturedFrame(
+                random.integers(low, high, (960, 1280), np.uint8), k, begin_ns + k * 50 * MS, begin_ns + k * 50 * MS
+            )
 
     found, _ = measure(
-        Camera(), partial(localize_in_process, load_experiment("pool"), clock, Stop(install=False)), clock, 60.0
+        GeneratedCamera(frames()),
+        partial(localize_in_process, load_experiment("pool"), clock, Stop(install=False)),
+        clock,
+        60.0,
     )
     assert [t.trouble for t in found] == ["", "picture skipped: ValueError: no solution", "", "camera black", ""]
     assert "no poses of 2 pictures (camera black)" in judged(found).warnings

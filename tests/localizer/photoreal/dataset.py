@@ -50,26 +50,29 @@ class TrueFrame:
     pixels: Pixels
     stamp_ns: int
     robots: dict[int, RobotTruth]
+    corners_px: NDArray[np.int64]  # upper left pixels (n, 2) of the robots' crops
 
 
 def frames(name: str, split: str) -> Iterator[TrueFrame]:
     """The frames of a row, in order."""
     row, folder = ROWS[name], DATA / split
-    tiles = _read(folder / f"{name}.png")
+    drawn_as = row.drawn_as or name
+    tiles = _read(folder / f"{drawn_as if row.h264_crf is None else name}.png")
     backgrounds = {False: _read(DATA / "clear.png")}
     backgrounds[True] = backgrounds[False] if row.background == "clear" else _read(folder / f"{row.background}.png")
-    with (folder / f"{name}.csv").open(encoding="utf-8", newline="") as file:
+    with (folder / f"{drawn_as}.csv").open(encoding="utf-8", newline="") as file:
         lines = list(csv.DictReader(file))
     for k in range(row.frames):
         here = lines[k * ROBOTS : (k + 1) * ROBOTS]
         crops = from_tiles(tiles[2 * k * CROP_PX : 2 * (k + 1) * CROP_PX])
         corners = np.array([(int(line["left_px"]), int(line["top_px"])) for line in here])
         behind = backgrounds[row.disturbed(k)]
-        dimmed = behind if row.light == 1.0 else np.rint(row.light * behind).astype(np.uint8)
-        picture = with_crops(dimmed, crops, corners)
+        picture = _with_crops(behind, crops, corners)
+        if row.light != 1.0:
+            picture = np.rint(row.light * picture).astype(np.uint8)
         if row.h264_crf is None:  # there it was in the film already
-            picture = sensor_noise(picture, row, split, k)
-        yield TrueFrame(picture, int(here[0]["stamp_ns"]), {int(line["robot"]): _truth(line) for line in here})
+            picture = _sensor_noise(picture, row, split, k)
+        yield TrueFrame(picture, int(here[0]["stamp_ns"]), {int(line["robot"]): _truth(line) for line in here}, corners)
 
 
 def to_tiles(crops: NDArray[np.uint8]) -> Pixels:
@@ -88,7 +91,7 @@ def from_tiles(tiles: Pixels) -> Pixels:
     return crops
 
 
-def with_crops(background: Pixels, crops: NDArray[np.uint8], corners_px: NDArray[np.int64]) -> Pixels:
+def _with_crops(background: Pixels, crops: NDArray[np.uint8], corners_px: NDArray[np.int64]) -> Pixels:
     """The background with crops (n, CROP_PX, CROP_PX) at their upper left pixels (n, 2)."""
     picture = background.copy()
     for crop, (x, y) in zip(crops, corners_px.tolist(), strict=True):
@@ -96,7 +99,7 @@ def with_crops(background: Pixels, crops: NDArray[np.uint8], corners_px: NDArray
     return picture
 
 
-def sensor_noise(picture: Pixels, row: SceneRow, split: str, frame: int) -> Pixels:
+def _sensor_noise(picture: Pixels, row: SceneRow, split: str, frame: int) -> Pixels:
     """The picture with a sensor's noise, the same whenever it is drawn. A saturated pixel has none."""
     random = generator(row, split, f"noise {frame}")
     level = picture.astype(np.float32)

@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
 
-from localizer.evaluation.runner import table
 from localizer.tracking.fleet_localizer import FleetLocalizer
 from localizer.tracking.tilt import Attitude
 from sim_bridge.camera.renderer import Renderer
@@ -50,7 +49,9 @@ def measure(row: str, split: str, source: Frames = frames, true_depths: bool = F
     """The figures of one row: the localizer through its normal entry point, frame by frame."""
     pool = experiment()
     camera = pool.camera.model_copy(update={"readout_s": ROWS[row].readout_s})
-    localizer, errors, tracks = FleetLocalizer(pool.model_copy(update={"camera": camera})), [], []
+    localizer = FleetLocalizer(pool.model_copy(update={"camera": camera}))
+    errors: list[tuple[Array, float, float, float]] = []
+    tracks: list[Track] = []
     sigma_rad = pool.localizer.attitude_sigma_rad if with_attitudes else None
     for k, frame in enumerate(source(row, split)):
         depths = {robot: true.depth_m if true_depths else true.reported_depth_m for robot, true in frame.robots.items()}
@@ -99,16 +100,22 @@ def simulated(row: str, split: str) -> Iterator[TrueFrame]:
         speed = pool_to_body(states.velocity_mps, eta[:, 3])
         nu = np.column_stack([speed, np.zeros(len(eta)), states.yaw_rate_radps])
         pixels = renderer.render(eta, nu, k * PERIOD_NS / 1e9, k, states.attitude_rad[:, :2])
-        yield TrueFrame(pixels, frame.stamp_ns, frame.robots)
+        yield dataclasses.replace(frame, pixels=pixels)
 
 
 def rendered_rows(split: str) -> list[str]:
     """Rows whose pictures are there."""
-    return [name for name in ROWS if (DATA / split / f"{name}.csv").exists()]
+    found = []
+    for name, row in ROWS.items():
+        drawn_as = row.drawn_as or name
+        pictures = name if row.h264_crf is not None else drawn_as
+        if (DATA / split / f"{drawn_as}.csv").exists() and (DATA / split / f"{pictures}.png").exists():
+            found.append(name)
+    return found
 
 
 def main() -> None:
-    """Print the table."""
+    """Print a Markdown table, a line as soon as it is measured."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("rows", nargs="*", metavar="ROW", help="all if none is named")
     parser.add_argument("--split", choices=SPLITS, default="tune")
@@ -118,7 +125,11 @@ def main() -> None:
     choice = parser.parse_args()
     source = frames if choice.renderer == "mitsuba" else simulated
     names = choice.rows or [name for name in rendered_rows(choice.split) if source is frames or name in SIMULATED]
-    print(table([measure(name, choice.split, source, choice.true_depths, not choice.no_attitudes) for name in names]))
+    columns = [field.name for field in dataclasses.fields(Figures)]
+    print(f"| {' | '.join(columns)} |\n|{'---|' * len(columns)}")
+    for name in names:
+        values = dataclasses.astuple(measure(name, choice.split, source, choice.true_depths, not choice.no_attitudes))
+        print(f"| {' | '.join(f'{v:.3g}' if isinstance(v, float) else str(v) for v in values)} |", flush=True)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
-"""SHELL: `make photoreal`: render the data set with Mitsuba 3 (development only) into `data/`. Hours on two cores.
+"""SHELL: `make photoreal`: render the data set with Mitsuba 3 (development only) into `data/`. Ten minutes on two quiet cores.
 
-`python -m tests.localizer.photoreal.render [ROW ...] [--split tune]` renders some rows again and leaves the others.
+`python -m tests.localizer.photoreal.render [ROW ...] [--split tune] [--missing]` renders some rows and leaves the others.
 """
 
 import argparse
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localizer.sources.base import as_bayer
-from tests.localizer.photoreal.dataset import COLUMNS, DATA, PERIOD_NS, sensor_noise, to_tiles, with_crops
+from tests.localizer.photoreal.dataset import COLUMNS, DATA, PERIOD_NS, frames, to_tiles
 from tests.localizer.photoreal.mitsuba_scene import Corners, Situation, Studio, Waves
 from tests.localizer.photoreal.rows import (
     CROP_PX,
@@ -32,9 +32,9 @@ from tests.localizer.photoreal.rows import (
 )  # fmt: skip
 from wire.frames import Array
 
-_SAMPLES = 16  # of a pixel
-_EXPOSURES = 8  # instants of an exposure that takes time
-_BAND_PX = 12  # rows of a crop that are exposed at one instant, with a rolling shutter: 0.15 mm of motion
+_SAMPLES = 10  # of a pixel
+_EXPOSURES = 4  # instants of an exposure that takes time
+_BAND_PX = 16  # rows of a crop that are exposed at one instant, with a rolling shutter: 0.2 mm of motion
 _BUBBLES = 45  # over each robot
 _BUBBLES_RISE_MPS = 0.25
 _DROPS = 30
@@ -72,17 +72,21 @@ class RowRenderer:
         if self._light is None:
             self._light = self._studio.illumination(self._situation(k, truth, t), corners, _SIZE_PX, 2)
         if self._row.readout_s:
-            return self._row.light * self._rolling(k, t, corners), corners, truth
+            return self._rolling(k, t, corners), corners, truth
         exposure_s = self._camera.exposure_s if self._row.blurred else 0.0
         instants = t + exposure_s * ((np.arange(_EXPOSURES) + 0.5) / _EXPOSURES - 0.5) if exposure_s else [t]
-        samples = max(_SAMPLES // len(instants), 4)
+        samples = max(_SAMPLES // len(instants), 3)
         pictures = [self._picture(self._situation(k, self._courses.at(s), s), corners, k, samples) for s in instants]
-        return self._row.light * np.mean(pictures, axis=0), corners, truth
+        return np.mean(pictures, axis=0), corners, truth
 
-    def _picture(self, situation: Situation, corners: Corners, k: int, samples: int = _SAMPLES) -> NDArray[np.float64]:
+    def _picture(
+        self, situation: Situation, corners: Corners, k: int, samples: int = _SAMPLES, band: slice = slice(0, CROP_PX)
+    ) -> NDArray[np.float64]:
+        """A band of rows of each crop."""
         assert self._light is not None
-        mirror = self._mirror if self._row.disturbed(k) else None
-        return self._studio.render(situation, corners, _SIZE_PX, samples, self._light, mirror)
+        mirror, down = self._mirror if self._row.disturbed(k) else None, np.array([0, band.start])
+        size_px = (CROP_PX, band.stop - band.start)
+        return self._studio.render(situation, corners + down, size_px, samples, self._light[:, band], mirror)
 
     def _rolling(self, k: int, t: float, corners: Corners) -> NDArray[np.float64]:
         """Each band of a crop at the instant of its rows. `t` is that of the picture's middle row."""
@@ -97,7 +101,7 @@ class RowRenderer:
                 np.array([getattr(states[i], name)[i] for i in range(ROBOTS)])
                 for name in ("place_m", "attitude_rad", "velocity_mps", "yaw_rate_radps")
             ))  # fmt: skip
-            crops[:, band] = self._picture(self._situation(k, mixed, t), corners, k)[:, band]
+            crops[:, band] = self._picture(self._situation(k, mixed, t), corners, k, band=band)
         return crops
 
     def _situation(self, k: int, states: RobotStates, t: float) -> Situation:
@@ -158,16 +162,16 @@ def levels(picture: NDArray[np.float64]) -> NDArray[np.uint8]:
     return np.asarray(np.clip(np.rint(picture), 0, 255), dtype=np.uint8)
 
 
-def compressed(row: SceneRow, frames: list[NDArray[np.uint8]]) -> Iterator[NDArray[np.uint8]]:
+def compressed(row: SceneRow, pictures: list[NDArray[np.uint8]]) -> Iterator[NDArray[np.uint8]]:
     """Raw pictures as they come out of an H.264 film at the row's constant rate factor."""
-    height, width = frames[0].shape
+    height, width = pictures[0].shape
     encoder: Any = av.CodecContext.create("libx264", "w")
     encoder.width, encoder.height, encoder.pix_fmt, encoder.framerate = width, height, "yuv420p", round(RATE_HZ)
     encoder.options = {"crf": str(row.h264_crf), "preset": "medium", "tune": "zerolatency"}
     decoder: Any = av.CodecContext.create("h264", "r")
     packets = []
-    for frame in frames:
-        colour = cv2.cvtColor(frame, cv2.COLOR_BayerBG2BGR)
+    for picture in pictures:
+        colour = np.asarray(cv2.cvtColor(picture, cv2.COLOR_BayerBG2BGR), dtype=np.uint8)
         packets += encoder.encode(av.VideoFrame.from_ndarray(colour, format="bgr24"))
     for packet in [*packets, *encoder.encode(None), None]:
         for shown in decoder.decode(packet):
@@ -180,45 +184,31 @@ def render_row(studio: Studio, row: SceneRow, split: str) -> None:
     """Write a row's crops as one picture (frames downwards, robots across) and its truth as a table."""
     renderer = RowRenderer(studio, row, split)
     shot = [renderer.frame(k) for k in range(row.frames)]
-    crops, corners = [levels(pictures) for pictures, _, _ in shot], [places for _, places, _ in shot]
-    if row.h264_crf is not None:
-        clear = read_background("clear", split)
-        frames = [
-            sensor_noise(with_crops(clear, c, at), row, split, k) for k, (c, at) in enumerate(zip(crops, corners, strict=True))
-        ]
-        seen = compressed(row, frames)
-        crops = [np.array([f[y : y + CROP_PX, x : x + CROP_PX] for x, y in at]) for f, at in zip(seen, corners, strict=True)]
     folder = DATA / split
     folder.mkdir(parents=True, exist_ok=True)
-    tiles = np.concatenate([to_tiles(frame) for frame in crops])
-    cv2.imwrite(str(folder / f"{row.name}.png"), tiles, [cv2.IMWRITE_PNG_COMPRESSION, 9])
+    _write(folder / f"{row.name}.png", np.concatenate([to_tiles(levels(pictures)) for pictures, _, _ in shot]))
     states = [truth for _, _, truth in shot]
     told = reports(row, split, states)
     with (folder / f"{row.name}.csv").open("w", encoding="utf-8", newline="") as file:
         table = csv.writer(file, lineterminator="\n")
         table.writerow(COLUMNS)
-        for k, (state, at) in enumerate(zip(states, corners, strict=True)):
+        for k, (_, corners, state) in enumerate(shot):
             for i in range(ROBOTS):
                 # the robot is the one whose plate is carried: identity is the marker
                 robot = ((i ^ 1) if row.plate == "swapped" and row.disturbed(k) else i) + 1
-                values = (
-                    *state.place_m[i],
-                    *state.attitude_rad[i],
-                    *state.velocity_mps[i],
-                    state.yaw_rate_radps[i],
-                    *told[k, i],
-                )
-                table.writerow([
-                    k, k * PERIOD_NS, robot, *at[i].tolist(), int(row.disturbed(k)), *(f"{value:.6f}" for value in values)
-                ])  # fmt: skip
+                pose = (*state.place_m[i], *state.attitude_rad[i])
+                values = (*pose, *state.velocity_mps[i], state.yaw_rate_radps[i], *told[k, i])
+                where = (k, k * PERIOD_NS, robot, *corners[i].tolist(), int(row.disturbed(k)))
+                table.writerow([*where, *(f"{value:.6f}" for value in values)])
 
 
-def read_background(name: str, split: str) -> NDArray[np.uint8]:
-    """A background that was rendered: `clear` is one for both splits."""
-    path = DATA / ("clear.png" if name == "clear" else f"{split}/{name}.png")
-    picture = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-    assert picture is not None, path
-    return np.asarray(picture, dtype=np.uint8)
+def compress_row(row: SceneRow, split: str) -> None:
+    """Write the crops of an undisturbed row as they come out of an H.264 film of the whole pictures, and its truth."""
+    assert row.drawn_as is not None
+    shown, tiles = list(frames(row.drawn_as, split)), []
+    for true, film in zip(shown, compressed(row, [frame.pixels for frame in shown]), strict=True):
+        tiles.append(to_tiles(np.array([film[y : y + CROP_PX, x : x + CROP_PX] for x, y in true.corners_px.tolist()])))
+    _write(DATA / split / f"{row.name}.png", np.concatenate(tiles))
 
 
 def main() -> None:
@@ -226,19 +216,27 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("rows", nargs="*", metavar="ROW", help="all if none is named")
     parser.add_argument("--split", choices=SPLITS, help="both if not given")
+    parser.add_argument("--missing", action="store_true", help="leave out the rows that are there")
     choice = parser.parse_args()
     studio, names = Studio(experiment()), choice.rows or list(ROWS)
-    if not choice.rows or not (DATA / "clear.png").exists():
+    if not (choice.rows or choice.missing) or not (DATA / "clear.png").exists():
         DATA.mkdir(parents=True, exist_ok=True)
         _write(DATA / "clear.png", background(studio, None, ""))
     for split in [choice.split] if choice.split else SPLITS:
         for name in names:
             row = ROWS[name]
+            if row.drawn_as is not None and row.h264_crf is None:
+                continue
+            if choice.missing and (DATA / split / f"{name}.png").exists():
+                continue
             print(f"{split} {name}: {row.frames} frames", flush=True)
             if row.glare != "none":
                 (DATA / split).mkdir(exist_ok=True)
                 _write(DATA / split / f"{row.background}.png", background(studio, row, split))
-            render_row(studio, row, split)
+            if row.h264_crf is not None:
+                compress_row(row, split)
+            else:
+                render_row(studio, row, split)
 
 
 def _write(path: Path, picture: NDArray[np.uint8]) -> None:

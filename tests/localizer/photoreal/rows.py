@@ -47,6 +47,7 @@ class SceneRow:
     light: float = 1.0
     blurred: bool = False  # the exposure takes time; in the other rows it is an instant
     readout_s: float = 0.0  # from the first row of the picture to the last
+    drawn_as: str | None = None  # the row whose courses and pictures these are, darkened or compressed
     h264_crf: int | None = None
 
     def disturbed(self, frame: int) -> bool:
@@ -63,25 +64,25 @@ ROWS = {
     row.name: row
     for row in (
         SceneRow("level", frames=8),
-        SceneRow("tilt-2", tilt_deg=2.0),
+        SceneRow("tilt-2", frames=5, tilt_deg=2.0),
         SceneRow("tilt-4", tilt_deg=4.0),
-        SceneRow("tilt-6", tilt_deg=6.0),
-        SceneRow("tilt-8", tilt_deg=8.0),
+        SceneRow("tilt-6", frames=5, tilt_deg=6.0),
+        SceneRow("tilt-8", frames=5, tilt_deg=8.0),
         SceneRow("covered-white", frames=30, first=6, last=26, speed_mps=0.15, plate="white"),
-        SceneRow("covered-dark", frames=30, first=6, last=26, speed_mps=0.15, plate="dark"),
+        SceneRow("covered-dark", frames=24, first=6, last=21, speed_mps=0.15, plate="dark"),
         SceneRow("glare", frames=28, first=6, last=20, speed_mps=0.15, glare="full"),
         SceneRow("waves-long", frames=12, waves="long"),
-        SceneRow("waves-short", frames=12, waves="short"),
-        SceneRow("swapped", frames=16, first=6, plate="swapped"),
-        SceneRow("partial-glare", frames=16, speed_mps=0.2, glare="partial"),
-        SceneRow("dim", light=0.15),
-        SceneRow("h264", frames=10, h264_crf=30),
-        SceneRow("blur", speed_mps=0.4, turn_radps=0.8, blurred=True),
-        SceneRow("rolling-shutter", speed_mps=0.4, turn_radps=0.8, readout_s=0.03),
-        SceneRow("bubbles", frames=10, things="bubbles"),
-        SceneRow("tether", frames=12, things="tether"),
-        SceneRow("low-sun", low_sun=True),
-        SceneRow("wet-plate", plate="wet"),
+        SceneRow("waves-short", frames=8, waves="short"),
+        SceneRow("swapped", frames=12, first=5, plate="swapped"),
+        SceneRow("partial-glare", frames=10, speed_mps=0.2, glare="partial"),
+        SceneRow("dim", frames=8, light=0.15, drawn_as="level"),
+        SceneRow("h264", frames=8, h264_crf=30, drawn_as="level"),
+        SceneRow("blur", frames=5, speed_mps=0.4, turn_radps=0.8, blurred=True),
+        SceneRow("rolling-shutter", frames=5, speed_mps=0.4, turn_radps=0.8, readout_s=0.03),
+        SceneRow("bubbles", frames=7, things="bubbles"),
+        SceneRow("tether", frames=7, things="tether"),
+        SceneRow("low-sun", frames=5, low_sun=True),
+        SceneRow("wet-plate", frames=5, plate="wet"),
     )
 }
 

@@ -1,6 +1,7 @@
 """Pictures from a bus, a video and a folder: right colours, right instants, the newest wins, drops are counted."""
 
 import itertools
+import os
 import threading
 import time
 from collections.abc import Iterator
@@ -27,6 +28,7 @@ from wire.messages.messages import Frame
 from wire.process.lockstep import LockstepClock
 from wire.process.runtime import Stop, WallClock
 from wire.toml_loader import ConfigError
+from wire.transport import frame_ring
 from wire.transport.bus import Bus
 from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
@@ -106,6 +108,31 @@ def test_the_newest_frame_wins_and_the_ones_it_overtook_are_counted() -> None:
     camera = Bus(MemoryTransport(hub))
     third = later(9)
     assert (level(third), third.dropped) == (9, 2)
+
+
+@pytest.mark.skipif(not hasattr(os, "memfd_create"), reason="no anonymous files here")
+def test_a_frame_whose_slot_was_written_again_is_dropped_and_counted() -> None:
+    """The reader was too slow: the ring has gone round before it looked. The next frame is taken up."""
+    hub, stop, descriptor = MemoryHub(), Stop(install=False), frame_ring.create((8, 6))
+    assert descriptor is not None
+    ring = frame_ring.FrameRing(descriptor)
+    camera = Bus(MemoryTransport(hub), "shoal", ring.decode, ring.encode)
+    mine = Bus(MemoryTransport(hub), "shoal", *frame_ring.codec_of(descriptor))
+    os.close(descriptor)
+    shots = BusSource(mine, WallClock(), RATE_HZ).frames(stop)
+
+    def publish(grey: int, overwritten: bool = False) -> None:
+        camera.publish(topics.FRAME, Frame(np.full((6, 8), grey, np.uint8)), grey)
+        for _ in range(frame_ring.SLOTS if overwritten else 0):
+            ring.encode(Frame(np.zeros((6, 8), np.uint8)))  # frames whose places the network has not brought yet
+
+    captured = []
+    for grey, overwritten in ((1, False), (2, True), (3, False)):
+        later = threading.Timer(0.02, publish, (grey, overwritten))
+        later.start()
+        captured += [next(shots)] if not overwritten else []
+        later.join()
+    assert [(int(shot.pixels[0, 0]), shot.dropped) for shot in captured if shot is not None] == [(1, 0), (3, 1)]
 
 
 def test_two_cameras_at_once_are_none_until_one_is_gone() -> None:

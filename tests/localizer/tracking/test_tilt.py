@@ -132,7 +132,7 @@ def test_a_robot_that_leans_is_where_its_centre_is(roll_deg: float, pitch_deg: f
     tilt = np.deg2rad([[roll_deg, pitch_deg], [pitch_deg, roll_deg]])
     eta = np.array([[1.0, 0.6, 0.3, 0.8], [-0.9, -0.5, 0.3, -2.0]])
     locator, renderer = FleetLocalizer(EXPERIMENT), Renderer(EXPERIMENT, 1)
-    attitudes = {i: Attitude(*lean, 0.0) for i, lean in zip((1, 2), tilt.tolist(), strict=True)}
+    attitudes = {i: Attitude(lean[0], lean[1], 0.0) for i, lean in zip((1, 2), tilt.tolist(), strict=True)}
     errors = []
     for k in range(12):
         frame = renderer.render(eta, np.zeros((2, 4)), k * PERIOD_S, k, tilt)

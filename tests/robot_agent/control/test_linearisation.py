@@ -53,10 +53,10 @@ def test_the_nominal_trajectory_is_the_sum_of_the_responses(seed: int) -> None:
 def test_the_cost_is_that_of_gram_matrices(seed: int) -> None:
     (ours, oracle), random = both(seed), np.random.default_rng(seed)
     reference, weight = random.normal(size=(HORIZON + 1, 4)), random.uniform(size=4)
-    p, q = np.zeros((3 * N, 3 * N)), np.zeros(3 * N)
-    ours.add_cost(reference, weight, p, q)
+    p, q, smooth, gradient = np.zeros((3 * N, 3 * N)), np.zeros(3 * N), np.eye(3 * N), random.normal(size=3 * N)
+    ours.cost(reference, weight, smooth, gradient, p, q)
     expected_p, expected_q = numpy_cost(oracle, reference, weight)
-    assert p == pytest.approx(expected_p, abs=1e-9) and q == pytest.approx(expected_q, abs=1e-9)
+    assert p - smooth == pytest.approx(expected_p, abs=1e-9) and q - gradient == pytest.approx(expected_q, abs=1e-9)
 
 
 def test_half_space_rows_say_the_same_of_a_plan_as_its_places() -> None:

@@ -202,7 +202,8 @@ def test_where_each_is_now_and_means_to_go_read_from_each_plan_alone() -> None:
         now = min(max(round((NS // 2 - other.stamp_ns) / NS / PERIOD_S), 0), last)
         then = min(now + round(MEANT_S / PERIOD_S), last)
         moved = other.plan.eta_reference[then] - other.plan.eta_reference[now]
-        assert predictions.pose_now[i] == pytest.approx(other.plan.eta[now])
+        x, y, z, _ = other.plan.eta[now]
+        assert predictions.place_now[i] == pytest.approx(complex(x, y)) and predictions.depth_now[i] == pytest.approx(z)
         assert predictions.intended_velocity[i] == pytest.approx(complex(moved[0], moved[1]) / (PERIOD_S * max(then - now, 1)))
 
 

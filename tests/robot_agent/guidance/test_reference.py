@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from robot_agent.control.heading import HOLD_RADPS, HeadingReference
+from robot_agent.control.heading import HOLD_RADPS, HeadingReference, headings
 from robot_agent.guidance.reference import Follow, Hold, Reference, ReferenceSampler
 from tests.robot_agent.paths import PERIOD_S, ROWS, circle
 from wire.config.controller import GuidanceConfig
@@ -197,6 +197,32 @@ def test_without_sway_in_the_model_it_points_where_it_should_go() -> None:
     aside = path.eta[0, 3] + np.pi / 2
     beside = eta + np.array([0.05 * np.cos(aside), 0.05 * np.sin(aside), 0, 0])
     assert settled(guidance(sway=False), path, beside, np.array([0.157, 0, 0, 0.31]))[0] < path.eta[0, 3]
+
+
+@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("sway", [True, False])
+def test_headings_are_those_of_the_force_in_vectors(seed: int, sway: bool) -> None:
+    """The same in NumPy, over all rows at once."""
+    random = np.random.default_rng(seed)
+    eta, velocity, acceleration = 0.1 * random.normal(size=(3, ROWS, 4))
+    current, feedback = 0.03 - 0.05j, complex(*(0.3 * random.normal(size=2)))
+    mass, linear, quadratic, worth, limit, keep, jump = 12.0, 3.0, 20.0, 0.02, 1.2, 0.9, 0.1
+    out = np.empty(ROWS)
+    ahead, left = headings(
+        eta, velocity, acceleration, current, sway, mass, linear, quadratic, feedback, worth, limit, keep, 1.0, jump, out
+    )
+    through, back = velocity @ (1.0, 1j, 0.0, 0.0) - (current if sway else 0.0), np.exp(-1j * eta[:, 3])
+    needed = mass * (acceleration @ (1.0, 1j, 0.0, 0.0)) + (linear + quadratic * np.abs(through)) * through
+    force = feedback + (back * needed if sway else (back * through).real)
+
+    def angle(direction: float) -> Array:
+        tangent = direction * force.imag / np.maximum(direction * force.real, worth)
+        return np.asarray(np.clip(np.arctan(tangent), -limit, limit))
+
+    direction = -1.0 if force[0].real < -worth else 1.0
+    jump = keep * (jump + float(angle(1.0)[0] - angle(direction)[0]))
+    assert ahead == direction and left == pytest.approx(jump, abs=1e-9)
+    assert out == pytest.approx(angle(direction) + eta[:, 3] + jump, abs=1e-9)
 
 
 # --- station keeping

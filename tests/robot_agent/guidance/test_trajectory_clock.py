@@ -48,7 +48,7 @@ def moving(velocity: tuple[float, float, float, float], acceleration: tuple[floa
     return Trajectory("moving", 0.05, eta, v + a * t, np.tile(a, (21, 1)))
 
 
-class Robot:
+class ClockedRobot:
     """A clock with the clocks around it: the station's is AHEAD_NS behind ours."""
 
     def __init__(self, loaded: Trajectory | None = None) -> None:
@@ -119,7 +119,7 @@ class Robot:
     ],
 )  # fmt: skip
 def test_a_trajectory_that_cannot_be_flown_is_refused(loaded: Trajectory | None, says: str) -> None:
-    robot = Robot()
+    robot = ClockedRobot()
     assert says in robot.give(Command(Order.LOAD, ME, trajectory=loaded))
     assert robot.clock.trajectory is None
 
@@ -135,14 +135,14 @@ def test_a_path_may_set_off_and_stop_at_once() -> None:
     rests = straight()
     eta, velocity = rests.eta.copy(), rests.velocity.copy()
     eta[:21], velocity[:21], eta[101:], velocity[101:] = eta[20], 0.0, eta[100], 0.0
-    assert Robot().give(Command(Order.LOAD, ME, trajectory=replace(rests, eta=eta, velocity=velocity))) == ""
+    assert ClockedRobot().give(Command(Order.LOAD, ME, trajectory=replace(rests, eta=eta, velocity=velocity))) == ""
 
 
 # --- LOAD and SWITCH under way
 
 
 def test_a_switch_names_the_trajectory_that_is_loaded() -> None:
-    robot = Robot(straight())
+    robot = ClockedRobot(straight())
     assert robot.start() == ""
     switch = Command(Order.SWITCH, ME, trajectory_id="b")
     assert robot.give(switch, under_way=True) == "trajectory b is not loaded"
@@ -155,7 +155,7 @@ def test_a_switch_names_the_trajectory_that_is_loaded() -> None:
 
 
 def test_a_trajectory_that_begins_in_the_past_is_not_gone_over_to() -> None:
-    robot = Robot(straight())
+    robot = ClockedRobot(straight())
     assert robot.start() == ""
     robot.reaches(1.0)
     late = Command(Order.LOAD, ME, trajectory=straight(1.0, path="b"))
@@ -168,7 +168,7 @@ def test_a_trajectory_that_begins_in_the_past_is_not_gone_over_to() -> None:
 
 
 def test_a_robot_that_stops_flying_forgets_the_next_trajectory() -> None:
-    robot = Robot(straight())
+    robot = ClockedRobot(straight())
     assert robot.start() == ""
     assert robot.give(Command(Order.LOAD, ME, trajectory=straight(2.0, path="b")), under_way=True) == ""
     robot.clock.drop_next()
@@ -176,7 +176,7 @@ def test_a_robot_that_stops_flying_forgets_the_next_trajectory() -> None:
 
 
 def test_nothing_is_loaded_for_later_by_a_robot_that_flies_nothing() -> None:
-    assert Robot().give(Command(Order.LOAD, ME, trajectory=straight()), under_way=True) == "no trajectory is flown"
+    assert ClockedRobot().give(Command(Order.LOAD, ME, trajectory=straight()), under_way=True) == "no trajectory is flown"
 
 
 # --- START and RESUME
@@ -184,22 +184,22 @@ def test_nothing_is_loaded_for_later_by_a_robot_that_flies_nothing() -> None:
 
 @pytest.mark.parametrize("order", [Order.START, Order.RESUME])
 def test_a_start_is_for_the_trajectory_that_is_loaded(order: Order) -> None:
-    assert Robot().start(order=order) == "no trajectory is loaded"
-    robot = Robot(straight())
+    assert ClockedRobot().start(order=order) == "no trajectory is loaded"
+    robot = ClockedRobot(straight())
     assert robot.start(path="b", order=order) == "names trajectory b, this robot has straight"
     assert robot.start(path="", order=order) == "names trajectory (none), this robot has straight"
     assert robot.start(order=order) == ""
 
 
 def test_a_start_an_hour_ahead_or_over_is_refused() -> None:
-    robot = Robot(straight())
+    robot = ClockedRobot(straight())
     assert robot.start(in_s=3600.0) == "begins 3600.0 s from now, allowed are -60 to 60 s"
     assert robot.start(in_s=-3600.0) == "begins -3600.0 s from now, allowed are -60 to 60 s"
     assert robot.start(in_s=59.0) == ""
 
 
 def test_a_robot_that_does_not_know_where_it_is_does_not_start() -> None:
-    robot = Robot(straight())
+    robot = ClockedRobot(straight())
     robot.eta = None
     assert robot.start() == "the robot does not know where it is"
 
@@ -208,7 +208,7 @@ def test_a_robot_that_does_not_know_where_it_is_does_not_start() -> None:
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_a_robot_far_from_its_path_does_not_start(order: Order, axis: int) -> None:
     """Robot 1 of `pool` is put 0.15 m from its path's beginning: it may be that and safety.join_within_m away."""
-    robot = Robot(straight())
+    robot = ClockedRobot(straight())
     assert robot.eta is not None
     planned_m = float(np.linalg.norm(EXPERIMENT.robot(ME).start_offset[:3]))
     robot.eta[axis] += 1.02 + planned_m
@@ -233,7 +233,7 @@ def test_a_robot_whose_experiment_puts_it_far_from_its_path_starts_there() -> No
 
 
 def test_a_start_taken_late_keeps_the_timetable() -> None:
-    robots = [Robot(straight()), Robot(straight())]
+    robots = [ClockedRobot(straight()), ClockedRobot(straight())]
     start = Command(Order.START, ME, trajectory_id="straight", trajectory_s=0.0, start_ns=robots[0].station.clock_ns + NS // 2)
     assert robots[0].give(start) == ""
     robots[1].now_ns += round(2.3 * NS)
@@ -245,7 +245,7 @@ def test_a_start_taken_late_keeps_the_timetable() -> None:
 
 
 def test_a_start_taken_so_late_that_the_path_is_far_away_is_refused() -> None:
-    robot = Robot(straight(speed_mps=0.2))
+    robot = ClockedRobot(straight(speed_mps=0.2))
     start = Command(Order.START, ME, trajectory_id="straight", start_ns=robot.station.clock_ns)
     robot.now_ns += 7 * NS
     assert "is 1.40 m from where its path is at 7.00 s" in robot.give(start)
@@ -254,14 +254,14 @@ def test_a_start_taken_so_late_that_the_path_is_far_away_is_refused() -> None:
 
 
 def test_before_its_instant_a_robot_waits_where_it_is_to_go_on() -> None:
-    robot = Robot(straight())
+    robot = ClockedRobot(straight())
     assert robot.start(in_s=0.5, at_s=3.0) == ""
     assert robot.reaches(0.4) == 3.0
     assert robot.reaches(0.6) == pytest.approx(3.5)
 
 
 def test_the_lag_of_the_formation_counts_from_the_start_on() -> None:
-    robot = Robot(straight())
+    robot = ClockedRobot(straight())
     robot.lag_s = 2.0
     assert robot.start(at_s=5.0) == ""
     assert robot.reaches(1.0) == pytest.approx(4.0)
@@ -269,7 +269,7 @@ def test_the_lag_of_the_formation_counts_from_the_start_on() -> None:
 
 def test_a_second_start_begins_with_the_lag_that_the_station_tells_then() -> None:
     """The lag of a run that is over is not caught up with slowly in the next one."""
-    robot = Robot(straight())
+    robot = ClockedRobot(straight())
     robot.lag_s = 2.0
     assert robot.start(at_s=5.0) == ""
     robot.reaches(1.0)
@@ -298,8 +298,8 @@ def test_a_later_trajectory_is_not_begun_from_as_far_as_the_runs_own() -> None:
 # --- heartbeats that cannot be true
 
 
-def under_way() -> Robot:
-    robot = Robot(straight())
+def under_way() -> ClockedRobot:
+    robot = ClockedRobot(straight())
     assert robot.start() == ""
     robot.reaches(3.0)
     return robot
@@ -329,7 +329,7 @@ def test_a_heartbeat_moves_no_reference_at_once(lag_s: float, slowing: float, lo
 
 
 def test_a_lag_that_is_taken_back_is_caught_up_with_slowly() -> None:
-    robot = Robot(straight())
+    robot = ClockedRobot(straight())
     robot.lag_s = 2.0
     assert robot.start(at_s=4.0) == ""
     robot.reaches(1.0)

@@ -21,7 +21,7 @@ TIMES_S = np.concatenate([[0.0], 0.05 + PERIOD_S * np.arange(26)])
 
 
 def one(place: complex, velocity: complex, keep_m: float, sided: bool) -> Traffic:
-    return Traffic(np.array([place]), np.array([velocity]), np.array([keep_m]), np.array([sided]))
+    return Traffic(np.array([place], complex), np.array([velocity], complex), np.array([keep_m]), np.array([sided]))
 
 
 class Point:

@@ -144,11 +144,15 @@ def test_clocks_and_times_are_judged_by_their_limits() -> None:
 
 
 def test_an_echo_tells_which_thruster_turned() -> None:
-    rest, wanted = (1500, 1500, 1500, 1500), (1500, 1540, 1500, 1500)
-    assert judge(1, wanted, [rest, (1500, 1520, 1500, 1500), (1500, 1540, 1500, 1500)]).verdict is CheckVerdict.OK
-    assert judge(1, wanted, [rest]).verdict is CheckVerdict.FAIL
+    def pulses(**moved: int) -> tuple[int, ...]:
+        return tuple(moved.get(f"c{k}", 1500) for k in range(8))
+
+    wanted = pulses(c1=1540)
+    assert judge(1, wanted, [pulses(), pulses(c1=1520), wanted]).verdict is CheckVerdict.OK
+    assert judge(1, wanted, [pulses()]).verdict is CheckVerdict.FAIL
     assert judge(1, wanted, [()]).verdict is CheckVerdict.FAIL
-    assert "thruster 3 turned as well" in judge(1, wanted, [(1500, 1540, 1540, 1500)]).detail
+    assert "thruster 3 moved as well" in judge(1, wanted, [pulses(c1=1540, c2=1540)]).detail
+    assert "ankle 4 moved as well" in judge(4, pulses(c4=1600), [pulses(c4=1600, c7=1600)]).detail
 
 
 def test_the_rehearsal_flies_with_every_neighbour() -> None:
@@ -306,7 +310,14 @@ def test_a_board_where_all_is_well_passes_and_its_thrusters_turn(site: Path) -> 
     assert "disarmed" in found["thruster board"][1]
     assert "its mission is WAITING" in found["station"][1]
     assert found["clock"][0] == "ok"
-    assert [found[f"thruster {i}"][0] for i in (1, 2, 3, 4)] == ["ok"] * 4
+    assert [found[f"{part} {i}"][0] for part in ("thruster", "ankle") for i in (1, 2, 3, 4)] == ["ok"] * 8
+    answers = "y\n" + "y\ny\n" * 4 + "y\nn\n" + "n\n" + "y\ny\n" * 2  # ankle 1 is seen to move wrongly, 2 is left out
+    person = CliRunner().invoke(cli, ["check", "--config", str(site / "agent.toml"), "--thrusters", "--json"], input=answers)
+    rows = {row["what"]: row for row in json.loads(person.stdout[person.stdout.index("[\n") :])}
+    assert [rows[f"thruster {i}"]["detail"][-6:] for i in (1, 2, 3, 4)] == ["; seen"] * 4
+    assert [rows[f"ankle {i}"]["verdict"] for i in (1, 2, 3, 4)] == ["FAIL", "skipped", "ok", "ok"]
+    assert "  3 [*]----'-----'----[ ] 4" in person.stderr
+    assert "thruster 3, rear left, turns slowly and pushes ahead" in person.stderr
     assert checked(site)[1]["thrusters"][0] == "skipped"
     assert "disarmed" in checked(site)[1]["thruster board"][1]  # as it was left
     board = load_agent_config(site / "agent.toml")

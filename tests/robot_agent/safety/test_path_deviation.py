@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.flights import flew
-from benchmarks.thrusters import STILL
+from benchmarks.robot_agent.thrusters import STILL
 from robot_agent.safety.path_deviation import PathDeviationMonitor
 from wire.config.experiment import load_experiment
 from wire.messages.messages import Mode

@@ -131,13 +131,15 @@ def test_delivered_is_what_the_pulses_say(wrench: tuple[float, float, float]) ->
     pulses = ALLOCATOR.pulses(np.array(wrench))
     force = VEHICLE.thruster.force_n(np.array(pulses[:4], dtype=float))
     ankle = (np.array(pulses[4:]) - 1500) / 500 * VEHICLE.legs.ankle_range_rad
-    assert np.array(ALLOCATOR.delivered(pulses)) == pytest.approx(delivered(force, ankle), abs=1e-12)
-    assert ALLOCATOR.delivered(pulses)[0] == pytest.approx(wrench[0], abs=0.04)
+    got, moments = ALLOCATOR.delivered(pulses)
+    assert got == pytest.approx(delivered(force, ankle), abs=1e-12)
+    assert moments == pytest.approx(-POSITION[:, 1] * force * np.cos(ankle), abs=1e-12)
+    assert got[0] == pytest.approx(wrench[0], abs=0.04)
 
 
 def test_neutral_delivers_nothing() -> None:
     assert ALLOCATOR.neutral_us == (1500,) * 8
-    assert ALLOCATOR.delivered(ALLOCATOR.neutral_us) == (0.0, 0.0, 0.0)
+    assert not ALLOCATOR.delivered(ALLOCATOR.neutral_us)[0].any()
 
 
 @pytest.mark.parametrize("poison", [np.nan, np.inf, -np.inf])

@@ -17,9 +17,11 @@ from robot_agent.vehicle.eso import (
     Estimator,
     PoseMeasurement,
     StateMeasurement,
+    correct,
     gains,
     gains_with_rate,
     split_side_force,
+    sway_slope,
 )
 from tests.robot_agent.water import integrate
 from wire.config.controller import EstimatorConfig
@@ -32,6 +34,7 @@ VEHICLE = load_vehicle("spherical")
 STEP_NS, DEAD_S = 50_000_000, VEHICLE.thruster.dead_time_s
 STEP_S = STEP_NS / 1e9
 YAW_RAD = 0.7
+SLOPE = sway_slope(Model(VEHICLE).coefficients, 0.15, 0.02)
 Wrench = tuple[float, float, float]
 
 
@@ -40,7 +43,7 @@ def estimator(dead_time_s: float = DEAD_S, **changes: object) -> Estimator:
 
 
 @dataclasses.dataclass
-class Flight:
+class TrueFlight:
     """A true robot and what it did; `true(t)` is its pose at any past time."""
 
     states: list[Array]  # every 5 ms, as seen by one who drifts with the water
@@ -72,9 +75,9 @@ def fly(
     disturbance: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0),
     gyro: bool = True,
     current: complex = 0j,
-) -> tuple[list[Estimate | None], Flight]:
+) -> tuple[list[Estimate | None], TrueFlight]:
     """A control loop without control: poses arrive late, the board is fresh, wrenches act after the dead time."""
-    flight, estimates = Flight([np.array([0.3, -0.2, 0.3, 3.0, *([0.0] * 7)])], current), []
+    flight, estimates = TrueFlight([np.array([0.3, -0.2, 0.3, 3.0, *([0.0] * 7)])], current), []
     sighting: PoseMeasurement | None = None
     for k in range(round(seconds / STEP_S)):
         now_s, now_ns = k * STEP_S, k * STEP_NS
@@ -96,7 +99,7 @@ def weave(t: float) -> Wrench:
     return 2.5 + math.sin(0.7 * t), 0.3 * math.sin(0.5 * t), 0.08 * math.sin(0.9 * t)
 
 
-def errors(estimates: list[Estimate | None], flight: Flight, since_s: float) -> Array:
+def errors(estimates: list[Estimate | None], flight: TrueFlight, since_s: float) -> Array:
     """Estimate minus truth, [eta, nu] (steps, 8)."""
     rows = []
     for k, estimate in enumerate(estimates):
@@ -201,7 +204,10 @@ def predicted(v: float, side: float, current: complex) -> Array:
 
 
 def test_sharing_out_a_side_force_changes_no_prediction_at_this_heading() -> None:
-    slope, share = Model(VEHICLE).sway_slope(0.15, 0.02), -math.expm1(-EstimatorConfig().current_rate_radps * 0.05)
+    slope, share = (
+        sway_slope(Model(VEHICLE).coefficients, 0.15, 0.02),
+        -math.expm1(-EstimatorConfig().current_rate_radps * 0.05),
+    )
     side, current, drift = split_side_force(0.01, 0j, YAW_RAD, slope, share, math.inf)
     assert side < 0.01 and abs(current) > 1e-4
     carried_m = abs(current) * 0.1
@@ -216,7 +222,10 @@ def test_no_current_is_believed_that_nobody_could_swim_against() -> None:
 
 def test_at_the_strongest_current_too_sharing_out_changes_no_prediction() -> None:
     """The rest that no current can explain stays a side force, and does not change the velocity."""
-    slope, share = Model(VEHICLE).sway_slope(0.15, 0.02), -math.expm1(-EstimatorConfig().current_rate_radps * 0.05)
+    slope, share = (
+        sway_slope(Model(VEHICLE).coefficients, 0.15, 0.02),
+        -math.expm1(-EstimatorConfig().current_rate_radps * 0.05),
+    )
     for turned in (0.5 * math.pi, 0.5 * math.pi + 0.7):  # from the current to where the side force points
         believed = 0.05 * cmath.exp(1j * (YAW_RAD + 0.5 * math.pi - turned + 0.5 * math.pi))
         side, current, drift = split_side_force(0.4, believed, YAW_RAD, slope, share, 0.05)
@@ -432,3 +441,42 @@ def test_no_input_makes_it_lose_its_numbers(rows: list[Row]) -> None:
         if estimate is not None:
             numbers = np.concatenate([estimate.eta, estimate.nu, estimate.disturbance, estimate.action])
             assert np.isfinite(numbers).all() and np.abs(numbers[4:12]).max() < 1e3
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_the_correction_is_equation_31_in_matrices(seed: int) -> None:
+    """With rotations as matrices and NumPy vectors, in place of the kernel's scalars."""
+    random = np.random.default_rng(seed)
+    config = EstimatorConfig(enabled=seed % 3 != 0, sway=seed % 4 != 0)
+    x, gamma, error = 0.3 * random.normal(size=11), 0.05 * random.normal(size=4), 0.05 * random.normal(size=3)
+    current, step_s = complex(*(0.03 * random.normal(size=2))), float(random.uniform(0.02, 0.3))
+    depth_m, rate_radps = (math.nan if seed % 2 else 0.3), (math.nan if seed % 5 == 0 else 0.1)
+    model = Model(VEHICLE)
+    state, found, water = correct(
+        model.coefficients, tuple(x), tuple(gamma), current, tuple(error), depth_m, rate_radps, step_s,
+        config.bandwidth_radps, config.yaw_bandwidth_radps, config.enabled, config.sway, config.current_rate_radps, math.inf,
+    )  # fmt: skip
+
+    on = float(config.enabled)
+    b1, b2, b3 = gains(config.bandwidth_radps, step_s)
+    jacobian = np.array([[np.cos(x[3]), -np.sin(x[3])], [np.sin(x[3]), np.cos(x[3])]])
+    planar = jacobian.T @ error[:2]
+    eta, nu, extra, drift = x[:4].copy(), x[4:8].copy(), gamma.copy(), 0.0
+    eta[:2] += b1 * error[:2]
+    axes = 2 if config.sway else 1
+    nu[:axes] += b2 * planar[:axes]
+    extra[:axes] += on * b3 * planar[:axes]
+    if config.sway:
+        speed = np.hypot(nu[0], nu[1])
+        slope = (model.linear[1] + model.quadratic[1] * (speed + nu[1] ** 2 / speed)) / model.mass[1]
+        drift = (1.0 - np.exp(-config.current_rate_radps * step_s)) * extra[1] / slope
+        extra[1], nu[1] = extra[1] - drift * slope, nu[1] - drift
+    if not math.isnan(depth_m):
+        off = depth_m - x[2]
+        eta[2], nu[2], extra[2] = x[2] + b1 * off, x[6] + b2 * off, gamma[2] + on * b3 * off
+    b1, b2, b3 = (gains if math.isnan(rate_radps) else gains_with_rate)(config.yaw_bandwidth_radps, step_s)
+    off = error[2] if math.isnan(rate_radps) else rate_radps - x[7]
+    eta[3], nu[3], extra[3] = x[3] + b1 * error[2], x[7] + b2 * off, gamma[3] + on * b3 * off
+    assert np.array(state) == pytest.approx(np.concatenate([eta, nu, x[8:]]), abs=1e-9)
+    assert np.array(found) == pytest.approx(extra, abs=1e-9)
+    assert water == pytest.approx(current + drift * complex(*jacobian[:, 1]), abs=1e-9)

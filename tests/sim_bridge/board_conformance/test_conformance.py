@@ -14,12 +14,13 @@ import pytest
 from sim_bridge.board_conformance.probe import BoardProbe
 from sim_bridge.board_conformance.rules import RULES
 from sim_bridge.board_conformance.runner import RuleResult, RuleVerdict, examine
-from sim_bridge.thruster_board.board import ThrusterBoard
+from sim_bridge.thruster_board.board import SimulatedSensors, ThrusterBoard
 from sim_bridge.thruster_board.parameters import Parameters, Refusal
 from sim_bridge.thruster_board.state_machine import THRUSTERS, BoardStateMachine
 from wire.config.experiment import load_experiment
 from wire.mavlink import framing
 from wire.mavlink.agent_link import ACCEPTED, IGNORED
+from wire.mavlink.board_link import BoardLink
 from wire.mavlink.framing import Peer, Sequence8
 from wire.mavlink.signing import Key, SignatureVerifier
 
@@ -31,7 +32,7 @@ STILL = np.zeros(4)
 STEP_NS = 5_000_000
 
 
-class Bench:
+class SteppedWire:
     """A wire to a board that is stepped as time is asked for."""
 
     def __init__(self, key: Key | None = None) -> None:
@@ -56,8 +57,8 @@ class Bench:
         return None
 
 
-def run(key: Key | None = None, dry: bool = False) -> tuple[dict[str, RuleResult], Bench]:
-    bench = Bench(key)
+def run(key: Key | None = None, dry: bool = False) -> tuple[dict[str, RuleResult], SteppedWire]:
+    bench = SteppedWire(key)
     outcomes = {outcome.rule: outcome for outcome in examine(BoardProbe(bench, 1, key, lambda: 1000), dry, RULES)}
     return outcomes, bench
 
@@ -69,7 +70,7 @@ def failures(outcomes: dict[str, RuleResult]) -> set[str]:
 def tried(*names: str) -> set[str]:
     """Which of these rules fail on an unsigned board."""
     rules = [rule for rule in RULES if rule.name in {"parameters", *names}]
-    return failures({outcome.rule: outcome for outcome in examine(BoardProbe(Bench(), 1), False, rules)})
+    return failures({outcome.rule: outcome for outcome in examine(BoardProbe(SteppedWire(), 1), False, rules)})
 
 
 def test_the_reference_board_passes() -> None:
@@ -222,6 +223,35 @@ def _any_signature(self: SignatureVerifier, frame: bytes, system: int, component
     )
 
 
+def _hil_ignored(self: ThrusterBoard, now_ns: int) -> None:
+    return None
+
+
+def _hil_untold(self: BoardLink, armed: bool, healthy: bool, hil: bool) -> bytes:
+    return Link_heartbeat(self, armed, healthy, False)
+
+
+def _motion_of_any_age(self: SimulatedSensors, now_ns: int) -> Any:
+    return self._motion
+
+
+def _motion_of_anybody(self: BoardLink, message: Any) -> Any:
+    message.get_header().srcSystem = 1
+    return Link_read(self, message)
+
+
+def _own_battery(self: SimulatedSensors, now_ns: int) -> float:
+    return 12.4
+
+
+def _still_in_hil(self: BoardStateMachine, now_ns: int) -> None:
+    Rules_step(self, now_ns)
+    if self.parameters.hil:
+        self._thrusters_us = [self.parameters.neutral_us] * THRUSTERS
+
+
+# the wrong boards change one rule each and call the right one for the rest
+Link_heartbeat, Link_read = BoardLink.heartbeat, BoardLink._read
 # the wrong boards change one rule each and call the right one for the rest
 Rules_override, Rules_arm, Rules_why = BoardStateMachine.override, BoardStateMachine.arm, BoardStateMachine._arming_refusal
 # the wrong boards change one rule each and call the right one for the rest
@@ -248,9 +278,15 @@ WRONG: list[tuple[type, str, Any, set[str], bool]] = [
     (BoardStateMachine, "_move", _swap, {"follows"}, False),
     (BoardStateMachine, "_is_stale", _slow_age, AGE, False),
     (BoardStateMachine, "_is_stale", _hasty_age, {"gap"}, False),
-    (BoardStateMachine, "change", _change_while_armed, {"parameter-armed"}, False),
+    (BoardStateMachine, "change", _change_while_armed, {"parameter-armed", "hil-armed"}, False),
     (BoardStateMachine, "change", _change_nothing, {"parameter-set"}, False),
-    (Parameters, "changed", _change_unchecked, {"parameter-bounds"}, False),
+    (Parameters, "changed", _change_unchecked, {"parameter-bounds", "hil-outputs"}, False),
+    (ThrusterBoard, "_enter_or_leave_hil", _hil_ignored, {"hil", "hil-silence", "hil-battery"}, False),
+    (BoardLink, "heartbeat", _hil_untold, {"hil"}, False),
+    (BoardLink, "_read", _motion_of_anybody, {"hil-stranger"}, False),
+    (SimulatedSensors, "motion", _motion_of_any_age, {"hil-silence"}, False),
+    (SimulatedSensors, "battery_v", _own_battery, {"hil-battery"}, False),
+    (BoardStateMachine, "step", _still_in_hil, {"hil-follows"}, False),
     (Sequence8, "accept", lambda self, sequence, now_ns: True, {"age-repeated", "repeated"}, False),
     (SignatureVerifier, "verify", _any_frame, {"unsigned", "forged"}, True),
     (SignatureVerifier, "verify", _any_signature, {"forged"}, True),
@@ -280,7 +316,7 @@ def test_a_board_that_breaks_a_rule_is_found(
     right, flag = getattr(owner, name), [False]
     monkeypatch.setattr(owner, name, lambda self, *arguments: (wrong if flag[0] else right)(self, *arguments))
     for broken in found:
-        bench = Bench(KEY if signed else None)
+        bench = SteppedWire(KEY if signed else None)
         speaking(bench.board, flag)
         rules = [rule for rule in RULES if rule.name in ("parameters", broken)]
         outcomes = {o.rule: o for o in examine(BoardProbe(bench, 1, KEY if signed else None, lambda: 1000), False, rules)}
@@ -315,7 +351,7 @@ def test_a_board_that_obeys_what_is_for_another_is_found(monkeypatch: pytest.Mon
 
 
 def test_a_board_that_sleeps_is_found() -> None:
-    class Asleep(Bench):
+    class Asleep(SteppedWire):
         def receive(self, until_ns: int) -> bytes:
             super().receive(until_ns)
             return b""

@@ -10,6 +10,10 @@ import pytest
 from scipy.ndimage import map_coordinates
 
 from sim_bridge.camera import kernels
+from sim_bridge.camera.rays import CameraRays, ImageRect
+from sim_bridge.camera.scene import WaterView
+from sim_bridge.camera.water_optics import WaterLight
+from wire.config.experiment import load_experiment
 
 INTERPRETED = os.environ.get("NUMBA_DISABLE_JIT") == "1"
 
@@ -56,6 +60,25 @@ def test_noise_is_added_and_clipped() -> None:
     kernels.add_noise(raw, field, 7, 11, np.float32(0.01), np.float32(0.0004), noisy)
     exact = raw + np.sqrt(0.01 + 0.0004 * raw) * field[7:13, 11:51]
     assert np.abs(noisy - np.clip(exact, 0, 255)).max() < 0.501
+
+
+def test_fields_of_a_rectangle_are_those_of_the_whole_picture() -> None:
+    """Slopes, caustic light and glare by block against the same in NumPy and OpenCV, whose samples are 1/32 px apart."""
+    size = ("camera.size_px=[320, 240]", "camera.focal_px=[251.25, 251.25]", "camera.centre_px=[159.5, 119.5]")
+    experiment = load_experiment("pool", size)
+    view, waters = CameraRays(experiment.camera), WaterLight(experiment, np.random.default_rng(5))
+    scene = WaterView(waters, view, np.ones_like(view.blocks.surface_x), np.ones((240, 320), np.float32))
+    window, depth_m, time_s = view.whole, 0.6, 0.7
+    lines, slopes = view.blocks, scene.slopes(window, time_s)
+    x, y = lines.surface_x + depth_m * lines.water_x, lines.surface_y + depth_m * lines.water_y
+    light = waters.light(*waters.caustics.grid_coordinates(x, y), np.float32(waters.reach(depth_m)), time_s)
+    found = scene.fields(window, depth_m, time_s)
+    assert found[..., :2] == pytest.approx(np.moveaxis(scene.bending * slopes, 0, -1), abs=1e-6)
+    assert np.abs(found[..., 2] - light).max() < 0.05 < np.ptp(light)
+    assert found[..., 3] == pytest.approx(scene.glare(window, slopes), abs=0.01)
+    assert found[..., 3].max() > 1.0
+    part = ImageRect(16, 80, 24, 120, 1, 11, 2, 16)
+    assert np.array_equal(scene.fields(part, depth_m, time_s), found[part.blocks])
 
 
 @pytest.mark.skipif(INTERPRETED, reason="runs within itself")

@@ -66,17 +66,17 @@ def test_water_does_not_run_ahead_when_a_port_is_flooded() -> None:
     still but for a millisecond at each look at it."""
     experiment = load_experiment("pool", [ROBOT, "sim.latency_s=0"])
     hub, stop = MemoryHub(), Stop(install=False)
-    sockets = Flooded(free_base_port((1,)), (1,), experiment.seed)
+    sockets = EndlessPorts(free_base_port((1,)), (1,), experiment.seed)
     pool = PoolNode(experiment, Bus(MemoryTransport(hub)), sockets, stop, lockstep=False, poses=True)
-    clock = HandClock()
+    clock = TickingClock()
     # the node makes its clock itself; the test's clock stands still
     pool._clock = clock
     steps = []
     # what is counted is the step between two sleeps, which no message shows
     move = pool._step_plant
 
-    def counted(world: World) -> None:
-        move(world)
+    def counted(world: World, until_ns: int = 0) -> None:
+        move(world, until_ns)
         steps.append((world.now_ns, clock.now_ns() - clock.begin_ns))
         if len(steps) == 50:
             stop.request()
@@ -88,7 +88,7 @@ def test_water_does_not_run_ahead_when_a_port_is_flooded() -> None:
     assert all(water_ns - passed_ns <= 2 * 5_000_000 for water_ns, passed_ns in steps)
 
 
-class HandClock:
+class TickingClock:
     """A millisecond later at each look."""
 
     begin_ns = 1_700_000_000_000_000_000
@@ -104,7 +104,7 @@ class HandClock:
         return received.header.stamp_ns
 
 
-class Flooded(UdpPorts):
+class EndlessPorts(UdpPorts):
     """There is always something to be read."""
 
     woken = 0

@@ -30,7 +30,7 @@ class ActuatorStep:
     target_rad: Array  # (n, 4)
 
 
-class ActuatorModel:
+class NumpyActuators:
     """The actuators of every robot of an experiment."""
 
     def __init__(self, experiment: Experiment, seed: int) -> None:
@@ -99,7 +99,7 @@ POWER_EXPONENT = 1.5  # of a propeller's power over thrust (momentum theory)
 J_PER_WH = 3600.0
 
 
-class BatteryModel:
+class NumpyBatteries:
     """The batteries of every robot of an experiment."""
 
     def __init__(self, experiment: Experiment) -> None:
@@ -151,7 +151,7 @@ NEAR_M = 0.1  # m, distance from which contact is computed; no robot moves farth
 MANY = 40  # robots; from this number a tree finds pairs faster than a table of all
 
 
-class ContactModel:
+class NumpyContacts:
     """Walls, floor, islands and other robots."""
 
     def __init__(self, experiment: Experiment) -> None:
@@ -234,7 +234,7 @@ GRAVITY_MPS2 = 9.81
 GUST_WAVES = 32  # cosines per axis; with 32 the correlation follows exp(-t / T) to 0.03
 
 
-class WaterFlow:
+class NumpyFlow:
     """The water's own velocity, and its rate of change at a fixed place."""
 
     def __init__(self, experiment: Experiment, seed: int) -> None:
@@ -360,7 +360,7 @@ class FourDofBody:
     With `sim.plant.sway = false` it is the article's plant: v = 0, and no axis couples with another.
     """
 
-    def __init__(self, experiment: Experiment, flow: WaterFlow, basin: ContactModel) -> None:
+    def __init__(self, experiment: Experiment, flow: NumpyFlow, basin: NumpyContacts) -> None:
         plant = experiment.sim.plant
         self._sway, self._flow, self._basin = plant.sway, flow, basin
         self._water = Hydrodynamics(experiment, tilts=False)
@@ -429,7 +429,7 @@ class SixDofBody:
     keeps it there.
     """
 
-    def __init__(self, experiment: Experiment, flow: WaterFlow, basin: ContactModel) -> None:
+    def __init__(self, experiment: Experiment, flow: NumpyFlow, basin: NumpyContacts) -> None:
         plant, tilt = experiment.sim.plant, experiment.sim.plant.tilt
         self._flow, self._basin = flow, basin
         self._water = Hydrodynamics(experiment, tilts=True)
@@ -540,11 +540,11 @@ class NumpyPlant:
         self._instants_s = np.array([AT_ONCE_S, plant.step_s / 2, plant.step_s])
         self._sway = plant.sway
         self._nominal = vehicle
-        self._thrusters = ActuatorModel(experiment, seed)
-        self._supply = BatteryModel(experiment)
-        self._basin = ContactModel(experiment)
+        self._thrusters = NumpyActuators(experiment, seed)
+        self._supply = NumpyBatteries(experiment)
+        self._basin = NumpyContacts(experiment)
         tilts = plant.sway and plant.tilt.enabled
-        self._hull = (SixDofBody if tilts else FourDofBody)(experiment, WaterFlow(experiment, seed), self._basin)
+        self._hull = (SixDofBody if tilts else FourDofBody)(experiment, NumpyFlow(experiment, seed), self._basin)
         n = len(self._robots)
         self.no_faults = ActuatorFaults(np.ones((n, THRUSTERS)), np.zeros(n))
 

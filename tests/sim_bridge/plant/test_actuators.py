@@ -46,9 +46,10 @@ def test_dead_time_then_exponential() -> None:
 
 
 def test_inside_a_step_the_lag_is_exact_too() -> None:
-    legs, still = ActuatorModel(pool(*EXACT), seed=0), np.zeros((1, 4))
-    force_n, ankle_rad = np.empty((1, 4)), np.empty((1, 4))
-    kernels.move_actuators(still, still, np.full((1, 4), 3.0), still, 0.0025, legs.constants, force_n, ankle_rad)
+    legs, fleet, force_n = ActuatorModel(pool(*EXACT), seed=0), kernels.memory(1), np.empty((1, 4))
+    kernels.to_fleet(np.full((1, 4), 3.0), fleet, kernels.TARGET_N)
+    kernels.move_actuators(fleet, 0, len(fleet), 0.0025, legs.constants)
+    kernels.from_fleet(fleet, kernels.FORCE_THEN, force_n)
     assert force_n == pytest.approx(3.0 * (1.0 - np.exp(-0.025)))
 
 

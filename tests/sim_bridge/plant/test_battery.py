@@ -17,16 +17,27 @@ def supply(*settings: str) -> BatteryModel:
     return BatteryModel(load_experiment("pool", settings))
 
 
+def fleet_with(charge: Array, force_n: Array) -> Array:
+    """Memory of a fleet with these charges (n,) and thrusts (n, 4)."""
+    fleet = kernels.memory(len(charge))
+    kernels.to_fleet(charge[:, None], fleet, kernels.CHARGE)
+    kernels.to_fleet(force_n, fleet, kernels.FORCE)
+    return fleet
+
+
 def drained(supply: BatteryModel, charge: Array, force_n: Array, seconds: float) -> Array:
-    left = charge.copy()
-    kernels.discharge(left, force_n, seconds, supply.constants)
-    return left
+    fleet, left = fleet_with(charge, force_n), np.empty((len(charge), 1))
+    kernels.discharge(fleet, 0, len(fleet), seconds, supply.constants)
+    kernels.from_fleet(fleet, kernels.CHARGE, left)
+    return left[:, 0]
 
 
 def thrust_factor(supply: BatteryModel, charge: Array, force_n: Array, sag_v: Array) -> Array:
-    factor = np.empty(len(charge))
-    kernels.thrust_factor(charge, force_n, sag_v, supply.constants, factor)
-    return factor
+    fleet, factor = fleet_with(charge, force_n), np.empty((len(charge), 1))
+    kernels.to_fleet(sag_v[:, None], fleet, kernels.LOST_V)
+    kernels.thrust_factor(fleet, 0, len(fleet), supply.constants)
+    kernels.from_fleet(fleet, kernels.FACTOR, factor)
+    return factor[:, 0]
 
 
 def test_battery_starts_at_the_experiments_voltage() -> None:

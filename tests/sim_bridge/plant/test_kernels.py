@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sim_bridge.plant import kernels
 from sim_bridge.plant.fleet import ActuatorFaults, Plant, PlantState
 from tests.sim_bridge.plant.numpy_plant import NumpyPlant
 from wire.config.experiment import Experiment, load_experiment
@@ -55,6 +56,14 @@ def crowded(plant: Plant, level: bool) -> PlantState:
 def commands(step: int) -> Array:
     random = np.random.default_rng(step // 10)
     return random.uniform([1400.0] * 4 + [1100.0] * 4, [1900.0] * 4 + [1900.0] * 4, (ROBOTS, 8))
+
+
+def test_sine_and_cosine_are_those_of_the_library() -> None:
+    """To one unit in the last place of 1, many turns away too, and where the series changes over."""
+    random = np.random.default_rng(1)
+    angles = [*random.uniform(-10.0, 10.0, 2000), *random.uniform(-1e5, 1e5, 1000), *(np.pi / 4 * np.arange(-20, 21))]
+    found = np.array([kernels.sine_cosine(float(angle)) for angle in angles])
+    assert found == pytest.approx(np.column_stack([np.sin(angles), np.cos(angles)]), abs=2.3e-16)
 
 
 @pytest.mark.parametrize("settings", SETTINGS)

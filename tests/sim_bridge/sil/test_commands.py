@@ -7,7 +7,7 @@ import pytest
 from rich.console import Console
 
 from sim_bridge.sil import launcher
-from sim_bridge.sil.commands import RunOptions, check
+from sim_bridge.sil.commands import RunOptions, check, programs
 from wire.config.experiment import load_experiment
 from wire.toml_loader import ConfigError
 
@@ -47,6 +47,14 @@ def test_options_that_need_processes_are_refused_without_them(
 ) -> None:
     with pytest.raises(ConfigError, match=complaint):
         check(load_experiment("pool", (), faults), options)
+
+
+def test_simulator_and_localizer_alone_are_handed_the_ring_of_frames(tmp_path: Path) -> None:
+    started = programs((1, 2), RunOptions(), tmp_path, "tcp/127.0.0.1:7447", 14550, frame_ring=9)
+    handed = {program.name: program.arguments[-2:] for program in started if program.inherits == (9,)}
+    assert handed == {"sim-bridge": ("--frame-ring", "9"), "localizer": ("--frame-ring", "9")}
+    without = programs((1, 2), RunOptions(), tmp_path, "tcp/127.0.0.1:7447", 14550)
+    assert not any(program.inherits or "--frame-ring" in program.arguments for program in without)
 
 
 @pytest.mark.parametrize("earlier", [None, '{"passed": true}'])

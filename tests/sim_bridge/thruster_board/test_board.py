@@ -43,7 +43,7 @@ QUIET = tuple(
 )
 
 
-class Bench:
+class BoardBench:
     """A board and the computer beside it, on one clock. Commands arrive just before a step."""
 
     def __init__(self, *settings: str, robot_id: int = 1, seed: int = 1, start_ns: int = 0) -> None:
@@ -85,7 +85,7 @@ class BatteryWatch:
         return self.rules.charge
 
 
-def thrusters(bench: Bench) -> tuple[int, ...]:
+def thrusters(bench: BoardBench) -> tuple[int, ...]:
     return bench.board.pulses[:4]
 
 
@@ -93,14 +93,14 @@ def thrusters(bench: Bench) -> tuple[int, ...]:
 
 
 def test_disarmed_is_neutral() -> None:
-    bench = Bench()
+    bench = BoardBench()
     bench.drive(AHEAD, 1.0)
     assert bench.board.pulses == NEUTRAL
     assert not bench.seen.armed
 
 
 def test_arms_at_neutral_and_follows() -> None:
-    bench = Bench()
+    bench = BoardBench()
     bench.arm()
     bench.drive(AHEAD, 0.3)
     assert bench.board.pulses == AHEAD
@@ -111,7 +111,7 @@ def test_arms_at_neutral_and_follows() -> None:
 
 
 def test_does_not_arm_without_overrides() -> None:
-    bench = Bench()
+    bench = BoardBench()
     bench.step(bench.agent.arm(True))
     bench.step()
     assert not bench.board.armed
@@ -120,7 +120,7 @@ def test_does_not_arm_without_overrides() -> None:
 
 
 def test_does_not_arm_on_an_old_override() -> None:
-    bench = Bench()
+    bench = BoardBench()
     bench.drive(NEUTRAL, 0.1)
     bench.now_ns += 300 * MS
     bench.step(bench.agent.arm(True))
@@ -131,7 +131,7 @@ def test_does_not_arm_on_an_old_override() -> None:
 
 @pytest.mark.parametrize("thruster", range(4))
 def test_does_not_arm_with_a_thruster_commanded(thruster: int) -> None:
-    bench = Bench()
+    bench = BoardBench()
     pulses = list(NEUTRAL)
     pulses[thruster] = 1550
     bench.drive(tuple(pulses), 0.1)
@@ -141,14 +141,14 @@ def test_does_not_arm_with_a_thruster_commanded(thruster: int) -> None:
 
 
 def test_ankles_may_stand_anywhere_when_arming() -> None:
-    bench = Bench()
+    bench = BoardBench()
     bench.drive((*LEVEL, 1000, 2000, 1300, 1500), 0.1)
     bench.step(bench.agent.arm(True))
     assert bench.board.armed
 
 
 def test_arming_twice_changes_nothing() -> None:
-    bench = Bench()
+    bench = BoardBench()
     bench.arm()
     bench.drive(AHEAD, 0.2)
     bench.step(bench.agent.arm(True))
@@ -158,7 +158,7 @@ def test_arming_twice_changes_nothing() -> None:
 
 
 def test_disarming_is_neutral_at_the_next_step() -> None:
-    bench = Bench()
+    bench = BoardBench()
     bench.arm()
     bench.drive(AHEAD, 0.3)
     assert bench.step(bench.agent.arm(False))[:4] == LEVEL
@@ -175,7 +175,7 @@ def test_silence_is_neutral_in_time_whatever_the_phase(phase_ns: int) -> None:
     """The last override lands at any instant between the board's steps; worst case over all."""
     worst = 0
     for offset_ns in (0, 1, STEP // 2, STEP - 1):
-        bench = Bench(start_ns=phase_ns)
+        bench = BoardBench(start_ns=phase_ns)
         bench.arm()
         bench.drive(AHEAD, 0.2)
         last_ns = bench.now_ns - STEP + offset_ns
@@ -188,7 +188,7 @@ def test_silence_is_neutral_in_time_whatever_the_phase(phase_ns: int) -> None:
 
 
 def test_after_a_silence_thrust_needs_arming_again() -> None:
-    bench = Bench()
+    bench = BoardBench()
     bench.arm()
     bench.drive(AHEAD, 0.2)
     for _ in range(60):
@@ -200,7 +200,7 @@ def test_after_a_silence_thrust_needs_arming_again() -> None:
 
 
 def test_a_short_gap_is_ridden_out() -> None:
-    bench = Bench()
+    bench = BoardBench()
     bench.arm()
     bench.drive(AHEAD, 0.2)
     for _ in range(35):
@@ -211,7 +211,7 @@ def test_a_short_gap_is_ridden_out() -> None:
 
 
 def test_heartbeats_and_damaged_frames_keep_nothing_alive() -> None:
-    bench = Bench()
+    bench = BoardBench()
     bench.arm()
     bench.drive(AHEAD, 0.2)
     for _ in range(55):
@@ -222,7 +222,7 @@ def test_heartbeats_and_damaged_frames_keep_nothing_alive() -> None:
 
 
 def test_a_repeated_frame_keeps_nothing_alive() -> None:
-    bench = Bench()
+    bench = BoardBench()
     bench.arm()
     frame = bench.agent.pulses(AHEAD)
     for _ in range(400):
@@ -232,7 +232,7 @@ def test_a_repeated_frame_keeps_nothing_alive() -> None:
 
 
 def test_ankles_hold_their_angle_at_neutral() -> None:
-    bench = Bench()
+    bench = BoardBench()
     bench.arm()
     bench.drive(AHEAD, 0.2)
     for _ in range(60):
@@ -247,7 +247,7 @@ def test_ankles_hold_their_angle_at_neutral() -> None:
     ("channel", "value"), [(0, 1099), (1, 1901), (3, IGNORED), (2, 2200), (4, 999), (5, 2001), (7, 500), (0, 2500)]
 )
 def test_one_pulse_out_of_range_and_the_whole_message_is_refused(channel: int, value: int) -> None:
-    bench = Bench()
+    bench = BoardBench()
     bench.arm()
     bench.drive(AHEAD, 0.2)
     pulses = list(AHEAD)
@@ -260,7 +260,7 @@ def test_one_pulse_out_of_range_and_the_whole_message_is_refused(channel: int, v
 
 
 def test_refused_overrides_are_reported_and_still_counted() -> None:
-    bench = Bench()
+    bench = BoardBench()
     bench.drive((1099, *NEUTRAL[1:]), 0.7)
     assert bench.board.rules.overrides_received == bench.board.rules.overrides_refused == 14
     data = b"".join(bench.board.step(bench.now_ns + i * STEP, STILL, STILL, STILL) for i in range(100))
@@ -270,7 +270,7 @@ def test_refused_overrides_are_reported_and_still_counted() -> None:
 
 
 def test_an_ignored_ankle_stays_where_it_is() -> None:
-    bench = Bench()
+    bench = BoardBench()
     bench.arm()
     bench.drive(AHEAD, 0.2)
     bench.drive((*AHEAD[:4], IGNORED, 1700, IGNORED, IGNORED), 0.2)
@@ -279,7 +279,7 @@ def test_an_ignored_ankle_stays_where_it_is() -> None:
 
 def test_thrusters_turn_around_no_faster_than_allowed() -> None:
     """8000 us/s in steps of 5 ms: 40 us a step; full reverse to full ahead in 0.1 s."""
-    bench = Bench()
+    bench = BoardBench()
     bench.arm()
     bench.drive((1100,) * 4 + LEVEL, 0.2)
     reverse, ahead = thrusters(bench), (1900,) * 4 + LEVEL
@@ -289,7 +289,7 @@ def test_thrusters_turn_around_no_faster_than_allowed() -> None:
 
 
 def test_the_slew_rate_does_not_depend_on_the_step() -> None:
-    bench = Bench()
+    bench = BoardBench()
     bench.arm()
     agent, now = bench.agent, bench.now_ns - STEP
     for elapsed_ms in (1, 7, 2, 13):
@@ -330,7 +330,7 @@ def test_a_moment_of_full_thrust_is_no_empty_battery() -> None:
 
 
 def test_low_battery_forbids_arming_but_not_flying() -> None:
-    bench = Bench()
+    bench = BoardBench()
     bench.supply_v = 12.0
     bench.arm()
     bench.supply_v = 10.3
@@ -346,7 +346,7 @@ def test_low_battery_forbids_arming_but_not_flying() -> None:
 
 def test_empty_battery_is_neutral_and_stays_so() -> None:
     """Without thrust the voltage recovers. That must not start the thrusters again."""
-    bench = Bench()
+    bench = BoardBench()
     bench.supply_v = 12.0
     bench.arm()
     bench.supply_v = 9.5
@@ -362,7 +362,7 @@ def test_empty_battery_is_neutral_and_stays_so() -> None:
 
 def test_voltage_sags_with_thrust() -> None:
     """0.5 V with all four at 3 N."""
-    bench = Bench(*QUIET)
+    bench = BoardBench(*QUIET)
     bench.arm()
     bench.drive(NEUTRAL, 1.0)
     assert bench.seen.battery_v == pytest.approx(12.4)
@@ -395,7 +395,7 @@ def test_status_and_heartbeat_come_at_any_sensor_rate(rate_hz: float) -> None:
 
 
 def test_burst_carries_its_time_and_the_motion() -> None:
-    bench = Bench(*QUIET, start_ns=7 * S)
+    bench = BoardBench(*QUIET, start_ns=7 * S)
     eta, nu = np.array([1.0, -0.5, 0.42, 2.5]), np.array([0.3, -0.1, 0.05, 0.6])
     bench.step(eta=eta, nu=nu, acceleration=np.array([0.2, -0.3, 0.1, 0.7]))
     seen = bench.seen
@@ -408,13 +408,13 @@ def test_burst_carries_its_time_and_the_motion() -> None:
 
 
 def test_burst_carries_the_tilt_and_its_rates() -> None:
-    bench, tilt = Bench(*QUIET, start_ns=7 * S), (0.1, -0.15, 0.2, 0.3)
+    bench, tilt = BoardBench(*QUIET, start_ns=7 * S), (0.1, -0.15, 0.2, 0.3)
     bench.agent.receive(bench.board.step(7 * S, STILL, np.array([0.0, 0.0, 0.0, 0.5]), STILL, tilt=tilt), 7 * S)
     assert bench.seen.tilt == pytest.approx(tilt, abs=1e-6)
 
 
 def test_heading_is_wrapped() -> None:
-    bench = Bench(*QUIET)
+    bench = BoardBench(*QUIET)
     bench.step(eta=np.array([0, 0, 0, 7 * math.pi / 2]))
     assert bench.seen.heading_rad == pytest.approx(-math.pi / 2, abs=1e-6)
 
@@ -432,8 +432,8 @@ def test_noise_and_bias_are_what_the_file_says() -> None:
         assert np.std(values) == pytest.approx(noise, rel=0.05)
     tilts = np.array([board.read(STILL, STILL, STILL, (0.1, -0.1, 0.3, 0.2)).tilt for _ in range(4000)])
     sigmas = np.repeat([sensors.tilt_noise_rad, sensors.gyro_noise_radps], 2)
-    bias = np.append(board.tilt_bias_rad, [0.0, 0.0])
-    assert np.abs(tilts.mean(axis=0) - [0.1, -0.1, 0.3, 0.2] - bias).max() < 4 * sigmas.max() / math.sqrt(4000)
+    tilt_bias = np.append(board.tilt_bias_rad, [0.0, 0.0])
+    assert np.abs(tilts.mean(axis=0) - [0.1, -0.1, 0.3, 0.2] - tilt_bias).max() < 4 * sigmas.max() / math.sqrt(4000)
     assert tilts.std(axis=0) == pytest.approx(sigmas, rel=0.05)
     biases = [BoardSensors(sensors, robot, seed).heading_bias_rad for robot in range(1, 6) for seed in range(40)]
     assert len(set(biases)) == 200
@@ -443,7 +443,7 @@ def test_noise_and_bias_are_what_the_file_says() -> None:
 
 def test_the_same_seed_sends_the_same_bytes() -> None:
     def sent(seed: int, robot_id: int) -> bytes:
-        bench = Bench(seed=seed, robot_id=robot_id)
+        bench = BoardBench(seed=seed, robot_id=robot_id)
         bench.arm()
         return b"".join(bench.board.step(bench.now_ns + i * STEP, STILL, STILL, STILL) for i in range(100))
 
@@ -452,11 +452,11 @@ def test_the_same_seed_sends_the_same_bytes() -> None:
 
 
 def test_board_answers_timesync_and_unknown_commands() -> None:
-    bench = Bench(start_ns=3600 * S)
+    bench = BoardBench(start_ns=3600 * S)
     bench.step(bench.agent.timesync(bench.now_ns))
     assert bench.seen.clock_offset_ns == 0
     order = dialect.MAVLink_command_long_message(1, 1, 246, 0, 1, 0, 0, 0, 0, 0, 0)
-    fresh = Bench()
+    fresh = BoardBench()
     fresh.step(Sender((1, agent_link.AGENT_COMPONENT)).pack(order))
     fresh.step()
     assert fresh.seen.acknowledged == (246, agent_link.UNSUPPORTED)
@@ -479,7 +479,7 @@ ACTIONS = st.lists(
 )
 
 
-def frame_for(bench: Bench, action: str, value: object) -> bytes:
+def frame_for(bench: BoardBench, action: str, value: object) -> bytes:
     if action == "arm":
         return bench.agent.arm(bool(value))
     if action == "bytes":
@@ -503,7 +503,7 @@ def test_rules_hold_whatever_arrives(actions: list[tuple[str, object]]) -> None:
     """Against a second, blunt account of the rules: thrust only when armed, within 255 ms of an override that was allowed,
     never out of range, never faster than the slew rate."""
     experiment = load_experiment("pool")
-    bench, last_valid_ns, sent = Bench(), -S, {1500}
+    bench, last_valid_ns, sent = BoardBench(), -S, {1500}
     before = thrusters(bench)
     for action, value in actions:
         if action == "battery":

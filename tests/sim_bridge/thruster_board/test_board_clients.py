@@ -29,7 +29,7 @@ STATION = (255, 190)
 NOW = 47_338_560_000_000
 
 
-class Bench:
+class ClientBench:
     """A board, the robot's computer, and a ground station that speaks plain pymavlink."""
 
     def __init__(self, key: Key | None = None, stored: NonvolatileState | None = None, start: int = NOW) -> None:
@@ -67,7 +67,7 @@ def arming(arm: float) -> Any:
 
 
 def test_a_ground_station_arms_only_as_the_rules_allow() -> None:
-    bench = Bench()
+    bench = ClientBench()
     text, answer = bench.ask(arming(1))
     assert (text.text, answer.result) == ("not armed: no override is arriving", agent_link.REJECTED)
     assert (answer.target_system, answer.target_component) == STATION
@@ -81,7 +81,7 @@ def test_a_ground_station_arms_only_as_the_rules_allow() -> None:
 
 
 def test_overrides_of_a_ground_station_neither_arm_nor_move() -> None:
-    bench = Bench()
+    bench = ClientBench()
     override = dialect.MAVLink_rc_channels_override_message(1, 1, *NEUTRAL)
     bench.step(bench.station.pack(override))
     assert bench.ask(arming(1))[-1].result == agent_link.REJECTED
@@ -96,15 +96,15 @@ def test_overrides_of_a_ground_station_neither_arm_nor_move() -> None:
 
 def test_the_board_says_what_it_is() -> None:
     request = dialect.MAVLink_command_long_message(1, 1, 512, 0, 148, 0, 0, 0, 0, 0, 0)
-    answer, version = Bench().ask(request)
+    answer, version = ClientBench().ask(request)
     assert (answer.command, answer.result) == (512, agent_link.ACCEPTED)
     assert version.capabilities & dialect.MAV_PROTOCOL_CAPABILITY_MAVLINK2
     other = dialect.MAVLink_command_long_message(1, 1, 512, 0, 33, 0, 0, 0, 0, 0, 0)
-    assert [m.result for m in Bench().ask(other)] == [agent_link.UNSUPPORTED]
+    assert [m.result for m in ClientBench().ask(other)] == [agent_link.UNSUPPORTED]
 
 
 def test_timesync_of_a_stranger_does_not_set_the_computers_clock() -> None:
-    bench = Bench()
+    bench = ClientBench()
     bench.now_ns = 3_600_000_000_000
     bench.step(bench.station.pack(dialect.MAVLink_timesync_message(0, bench.now_ns - 7)))
     assert bench.computer.telemetry.round_trips == 0
@@ -113,7 +113,7 @@ def test_timesync_of_a_stranger_does_not_set_the_computers_clock() -> None:
 
 
 def test_battery_status_says_how_low_it_is() -> None:
-    bench = Bench()
+    bench = ClientBench()
     (status,) = (m for m in bench.step() if m.get_type() == "BATTERY_STATUS")
     assert status.voltages[0] == pytest.approx(12_400, abs=100)
     assert (status.voltages[1], status.current_battery, status.battery_remaining, status.charge_state) == (65535, -1, -1, 1)
@@ -124,7 +124,7 @@ def test_battery_status_says_how_low_it_is() -> None:
 
 
 def test_the_list_comes_one_with_each_burst_and_is_complete() -> None:
-    bench = Bench()
+    bench = ClientBench()
     table, values = bench.board.rules.parameters.table, bench.board.rules.parameters.values
     bench.step()  # the burst of this instant; the next one is 20 ms away
     bench.step(bench.station.pack(dialect.MAVLink_param_request_list_message(1, 1)))
@@ -139,21 +139,21 @@ def test_the_list_comes_one_with_each_burst_and_is_complete() -> None:
 
 @pytest.mark.parametrize(("name", "index"), [(b"CMD_AGE_MS", -1), (b"", 0), (b"SLEW_US_S", 0)])
 def test_one_is_read_by_name_or_by_index(name: bytes, index: int) -> None:
-    (value,) = Bench().ask(dialect.MAVLink_param_request_read_message(1, 1, name, index))
+    (value,) = ClientBench().ask(dialect.MAVLink_param_request_read_message(1, 1, name, index))
     assert (value.param_id, value.param_value, value.param_index) == ("CMD_AGE_MS", 250, 0)
 
 
 @pytest.mark.parametrize(("name", "index"), [(b"NONSENSE", -1), (b"", 1000), (b"CMD_AGE_MS", 32767), (b"\xff\xfe", -1)])
 def test_unknown_parameter_cannot_be_read(name: bytes, index: int) -> None:
-    error, _ = Bench().ask(dialect.MAVLink_param_request_read_message(1, 1, name, index))
+    error, _ = ClientBench().ask(dialect.MAVLink_param_request_read_message(1, 1, name, index))
     assert (error.get_type(), error.error) == ("PARAM_ERROR", dialect.MAV_PARAM_ERROR_DOES_NOT_EXIST)
 
 
 def test_setting_is_acknowledged_kept_and_counts() -> None:
-    bench = Bench()
+    bench = ClientBench()
     (value,) = bench.set("THR_MAX_US", 1700)
     assert (value.param_id, value.param_value) == ("THR_MAX_US", 1700)
-    again = Bench(stored=bench.stored[-1])
+    again = ClientBench(stored=bench.stored[-1])
     assert again.board.rules.parameters["THR_MAX_US"] == 1700
     again.step(again.computer.pulses((1701, *NEUTRAL[1:])))
     assert again.board.rules.overrides_refused == 1
@@ -169,7 +169,7 @@ def test_setting_is_acknowledged_kept_and_counts() -> None:
     ],
 )
 def test_refused_value_is_answered_with_the_old_one_and_the_reason(name: str, value: float, kind: int, error: int) -> None:
-    bench = Bench()
+    bench = ClientBench()
     before = bench.board.rules.parameters
     told, refused, text = bench.set(name, value, kind)
     assert (told.param_id, told.param_value) == (name, before[name])
@@ -179,7 +179,7 @@ def test_refused_value_is_answered_with_the_old_one_and_the_reason(name: str, va
 
 
 def test_nothing_is_set_while_armed_and_unknown_names_never() -> None:
-    bench = Bench()
+    bench = ClientBench()
     bench.step(bench.computer.pulses(NEUTRAL), bench.computer.arm(True))
     _, refused, text = bench.set("SLEW_US_S", 500)
     assert (refused.error, text.text) == (dialect.MAV_PARAM_ERROR_PERMISSION_DENIED, "SLEW_US_S: armed")
@@ -192,7 +192,7 @@ def test_nothing_is_set_while_armed_and_unknown_names_never() -> None:
 
 
 def test_a_signed_board_obeys_its_computer_and_nobody_without_the_key() -> None:
-    bench = Bench(KEY)
+    bench = ClientBench(KEY)
     stranger = AgentLink(1)
     bench.step(stranger.pulses(NEUTRAL), stranger.arm(True))
     assert not bench.board.armed
@@ -208,7 +208,7 @@ def test_a_signed_board_obeys_its_computer_and_nobody_without_the_key() -> None:
 
 def test_no_order_counts_again_after_the_board_lost_power_at_any_moment() -> None:
     """Everything that was ever sent is sent again to a board that starts with what the first had kept when each came."""
-    first = Bench(KEY)
+    first = ClientBench(KEY)
     recorded: list[bytes] = []
     moments: list[tuple[int, NonvolatileState]] = []
     for i in range(30):
@@ -234,9 +234,9 @@ def test_no_order_counts_again_after_the_board_lost_power_at_any_moment() -> Non
 
 
 def test_after_a_restart_both_ends_understand_each_other_at_once() -> None:
-    first = Bench(KEY)
+    first = ClientBench(KEY)
     first.step(first.computer.pulses(NEUTRAL), first.computer.arm(True), times=300)
-    second = Bench(KEY, first.stored[-1])
+    second = ClientBench(KEY, first.stored[-1])
     second.computer, second.now_ns = first.computer, first.now_ns + 1_000_000_000  # it ran on
     second.step(second.computer.pulses(NEUTRAL), second.computer.arm(True), times=5)
     assert second.board.armed
@@ -245,7 +245,7 @@ def test_after_a_restart_both_ends_understand_each_other_at_once() -> None:
 
 
 def test_memory_is_written_once_a_second_while_signed_frames_come() -> None:
-    bench = Bench(KEY)
+    bench = ClientBench(KEY)
     for _ in range(100):
         bench.step(bench.computer.pulses(NEUTRAL), times=10)
     assert 4 <= len(bench.stored) <= 6  # 5 s
@@ -282,7 +282,7 @@ def setup(secret: bytes, newest: int = 5) -> Any:
 
 
 def test_a_key_over_the_link_counts_from_the_next_byte_on_and_survives_a_loss_of_power() -> None:
-    bench = Bench()
+    bench = ClientBench()
     unsigned = AgentLink(1)
     bench.board.receive(bench.station.pack(setup(KEY.secret)) + unsigned.pulses(NEUTRAL) + unsigned.arm(True), 0)
     bench.step()
@@ -301,7 +301,7 @@ def test_a_key_over_the_link_counts_from_the_next_byte_on_and_survives_a_loss_of
 
 @pytest.mark.parametrize("secret", [bytes(32), None], ids=["zeros", "armed"])
 def test_a_key_of_zeros_and_a_key_for_an_armed_board_are_refused(secret: bytes | None) -> None:
-    bench = Bench()
+    bench = ClientBench()
     if secret is None:
         bench.step(bench.computer.pulses(NEUTRAL), bench.computer.arm(True))
         assert bench.board.armed
@@ -310,7 +310,7 @@ def test_a_key_of_zeros_and_a_key_for_an_armed_board_are_refused(secret: bytes |
 
 
 def test_a_signed_board_takes_another_key_only_from_who_has_its_own() -> None:
-    bench, other = Bench(KEY), Key(bytes(range(32)))
+    bench, other = ClientBench(KEY), Key(bytes(range(32)))
     bench.step(Sender(STATION).pack(setup(other.secret)), Sender(STATION, other, lambda: 1000).pack(setup(other.secret)))
     assert bench.stored == [] or bench.stored[-1].key == KEY
     bench.step(Sender(STATION, KEY, lambda: 1000).pack(setup(other.secret)))
@@ -339,7 +339,7 @@ def test_a_folder_keeps_a_key_for_its_owners_eyes_only(tmp_path: Path) -> None:
 def test_client_that_hears_no_board_is_told_the_reason(
     robot: int | None, key: Key | None, boards: Key | None, says: str
 ) -> None:
-    client, bench = ParameterClient(robot, key, lambda: 1000), Bench(boards)
+    client, bench = ParameterClient(robot, key, lambda: 1000), ClientBench(boards)
     assert (client.heard, client.silence()) == (False, "no board is heard (is it powered?)")
     assert client.silence("the cable is out") == "the cable is out"
     for _ in range(4):

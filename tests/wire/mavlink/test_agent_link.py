@@ -23,14 +23,14 @@ PULSES = (1400, 1600, 1478, 1522, 1500, 1000, 2000, 1234)
 OTHER = (1501, 1502, 1503, 1504, 1505, 1506, 1507, 1508)
 
 
-class BoardLink(board_link.BoardLink):
+class FarEnd(board_link.BoardLink):
     """The board's end, when it does not matter who asks."""
 
     def events(self, data: bytes, now_ns: int) -> list[Event]:
         return [event for _, event in self.receive(data, now_ns)]
 
 
-def burst(board: BoardLink, board_ms: int = 5000) -> bytes:
+def burst(board: FarEnd, board_ms: int = 5000) -> bytes:
     return b"".join(
         (
             board.imu(board_ms, (0.5, -0.25, -9.80665), 0.1),
@@ -51,7 +51,7 @@ def checked(content: bytes, crc_extra: int) -> bytes:
 
 
 def test_commands_reach_the_board() -> None:
-    agent, board = AgentLink(7), BoardLink(7)
+    agent, board = AgentLink(7), FarEnd(7)
     data = agent.pulses(PULSES) + agent.arm(True) + agent.arm(False) + agent.heartbeat() + agent.timesync(123456789)
     assert board.events(data, 0) == [Override(PULSES), Arm(True), Arm(False), Heartbeat(), Timesync(123456789)]
     assert (board.bad_frames, board.refused_frames, board.stale_frames) == (0, 0, 0)
@@ -59,7 +59,7 @@ def test_commands_reach_the_board() -> None:
 
 def test_an_ignored_channel_arrives_as_ignored() -> None:
     pulses = (*PULSES[:4], IGNORED, IGNORED, IGNORED, IGNORED)
-    assert BoardLink(1).events(AgentLink(1).pulses(pulses), 0) == [Override(pulses)]
+    assert FarEnd(1).events(AgentLink(1).pulses(pulses), 0) == [Override(pulses)]
 
 
 def test_override_uses_the_channels_and_the_marks_of_the_common_dialect() -> None:
@@ -73,7 +73,7 @@ def test_override_uses_the_channels_and_the_marks_of_the_common_dialect() -> Non
 def test_roll_and_pitch_arrive_with_their_rates() -> None:
     """Rates about the body's axes become d/dt of roll and pitch: here by differences of the rotation that they make."""
     roll, pitch, p, q, r, step_s = 0.1, -0.2, 0.3, -0.1, 0.5, 1e-6
-    agent, board = AgentLink(7), BoardLink(7)
+    agent, board = AgentLink(7), FarEnd(7)
     agent.receive(board.pressure(1, 0.3) + board.attitude(1, 0.4, r, (roll, pitch, p, q)), 0)
     attitude = Rotation.from_euler("ZYX", [0.4, pitch, roll])
     later = attitude * Rotation.from_rotvec(np.array([p, q, r]) * step_s)
@@ -85,7 +85,7 @@ def test_roll_and_pitch_arrive_with_their_rates() -> None:
     "tilt", [(0.0, 0.0, 0.0, 0.0), (math.nan, 0.1, 0.0, 0.0), (0.1, 1.55, 0.0, 0.0), (0.1, 0.1, math.inf, 0.0)]
 )
 def test_zero_or_impossible_tilt_is_unknown_and_keeps_the_heading(tilt: tuple[float, ...]) -> None:
-    agent, board = AgentLink(7), BoardLink(7)
+    agent, board = AgentLink(7), FarEnd(7)
     agent.receive(board.pressure(1, 0.3) + board.attitude(1, 0.5, 0.1, (0.1, 0.1, 0.0, 0.0)), 0)
     agent.receive(board.pressure(2, 0.3) + board.attitude(2, 0.25, 0.1, tilt), 20 * MS)
     assert agent.telemetry.heading_rad == 0.25 and agent.telemetry.tilt == ()
@@ -94,7 +94,7 @@ def test_zero_or_impossible_tilt_is_unknown_and_keeps_the_heading(tilt: tuple[fl
 def test_telemetry_of_a_burst() -> None:
     agent = AgentLink(7)
     assert agent.telemetry.board_ms == -1
-    agent.receive(burst(BoardLink(7)), 42)
+    agent.receive(burst(FarEnd(7)), 42)
     seen = agent.telemetry
     assert (seen.board_ms, seen.arrival_ns, seen.armed, seen.echo_us) == (5000, 42, True, PULSES)
     assert (seen.heading_rad, seen.yaw_rate_radps) == (-2.5, 0.0625)
@@ -112,7 +112,7 @@ def test_pressure_and_depth() -> None:
 
 
 def test_answers() -> None:
-    agent, board = AgentLink(1), BoardLink(1)
+    agent, board = AgentLink(1), FarEnd(1)
     agent.receive(board.acknowledge((1, 191), 400, agent_link.REJECTED) + board.text(4, "battery low"), 0)
     agent.receive(board.text(6, "x" * 80), 0)
     seen = agent.telemetry
@@ -121,7 +121,7 @@ def test_answers() -> None:
 
 
 def test_only_the_last_texts_are_kept() -> None:
-    agent, board = AgentLink(1), BoardLink(1)
+    agent, board = AgentLink(1), FarEnd(1)
     agent.receive(b"".join(board.text(6, str(i)) for i in range(100)), 0)
     assert len(agent.telemetry.texts) == agent_link.TEXTS_KEPT
     assert agent.telemetry.texts[-1] == (6, "99")
@@ -130,7 +130,7 @@ def test_only_the_last_texts_are_kept() -> None:
 
 def test_clock_offset_over_a_symmetric_link() -> None:
     """Board's clock 1 h ahead, 3 ms each way."""
-    agent, board = AgentLink(1), BoardLink(1)
+    agent, board = AgentLink(1), FarEnd(1)
     ahead = 3600 * 1000 * MS
     (event,) = board.events(agent.timesync(10 * MS), 0)
     assert isinstance(event, Timesync)
@@ -146,7 +146,7 @@ def test_pulses_out_of_range_are_not_sent() -> None:
 
 @pytest.mark.parametrize("value", [0, 499, 2501, 65534])
 def test_pulses_out_of_range_are_not_taken(value: int) -> None:
-    board, sender = BoardLink(1), Sender((1, agent_link.AGENT_COMPONENT))
+    board, sender = FarEnd(1), Sender((1, agent_link.AGENT_COMPONENT))
     frame = sender.pack(dialect.MAVLink_rc_channels_override_message(1, 1, *PULSES[:7], value))
     assert board.events(frame, 0) == []
     assert board.refused_frames == 1
@@ -190,19 +190,19 @@ def test_a_burst_without_a_depth_that_can_be_true_is_none(pressure_hpa: float | 
 
 @pytest.mark.parametrize("peer", [(2, 191), (1, 190), (0, 0), (255, 190)])
 def test_requests_carry_the_address_of_their_sender(peer: tuple[int, int]) -> None:
-    board, stranger = BoardLink(1), Sender(peer)
+    board, stranger = FarEnd(1), Sender(peer)
     override = stranger.pack(dialect.MAVLink_rc_channels_override_message(1, 1, *PULSES))
     assert board.receive(override, 0) == [(peer, Override(PULSES))]
 
 
 def test_a_board_does_not_listen_to_itself() -> None:
-    board, echo = BoardLink(1), Sender((1, 1))
+    board, echo = FarEnd(1), Sender((1, 1))
     assert board.events(echo.pack(dialect.MAVLink_command_long_message(1, 1, 400, 0, 1, 0, 0, 0, 0, 0, 0)), 0) == []
 
 
 @pytest.mark.parametrize(("system", "component"), [(2, 1), (1, 0), (0, 0), (1, 191)])
 def test_commands_for_another_board_are_ignored(system: int, component: int) -> None:
-    board, sender = BoardLink(1), Sender((1, agent_link.AGENT_COMPONENT))
+    board, sender = FarEnd(1), Sender((1, agent_link.AGENT_COMPONENT))
     assert board.events(sender.pack(dialect.MAVLink_rc_channels_override_message(system, component, *PULSES)), 0) == []
     assert board.refused_frames == 1
 
@@ -210,13 +210,13 @@ def test_commands_for_another_board_are_ignored(system: int, component: int) -> 
 @pytest.mark.parametrize("parameters", [(0.5, 0), (math.nan, 0), (2, 0), (1, 21196)])
 def test_arming_takes_no_other_parameters(parameters: tuple[float, float]) -> None:
     """21196 is MAVLink's "force": this board does not have it."""
-    board, sender = BoardLink(1), Sender((1, agent_link.AGENT_COMPONENT))
+    board, sender = FarEnd(1), Sender((1, agent_link.AGENT_COMPONENT))
     message = dialect.MAVLink_command_long_message(1, 1, 400, 0, *parameters, 0, 0, 0, 0, 0)
     assert board.events(sender.pack(message), 0) == [Unsupported(400)]
 
 
 def test_old_and_repeated_frames_are_not_taken() -> None:
-    agent, board = AgentLink(1), BoardLink(1)
+    agent, board = AgentLink(1), FarEnd(1)
     first, second, third = agent.pulses(PULSES), agent.pulses(OTHER), agent.pulses(PULSES)
     assert board.events(first, 0) == [Override(PULSES)]
     assert board.events(third + second + third + first, MS) == [Override(PULSES)]
@@ -224,7 +224,7 @@ def test_old_and_repeated_frames_are_not_taken() -> None:
 
 
 def test_a_restarted_agent_is_heard_after_the_silence() -> None:
-    board, old = BoardLink(1), AgentLink(1)
+    board, old = FarEnd(1), AgentLink(1)
     for i in range(200):
         board.events(old.pulses(PULSES), i * 50 * MS)
     assert board.events(AgentLink(1).pulses(OTHER), 200 * 50 * MS + 500 * MS) == [Override(OTHER)]
@@ -255,10 +255,10 @@ def test_loss_is_measured_over_five_seconds() -> None:
 
 
 def test_a_stream_may_be_cut_anywhere() -> None:
-    agent, board = AgentLink(1), BoardLink(1)
+    agent, board = AgentLink(1), FarEnd(1)
     data = agent.pulses(PULSES) + agent.heartbeat() + agent.pulses(OTHER)
     for cut in range(len(data)):
-        fresh = BoardLink(1)
+        fresh = FarEnd(1)
         assert [*fresh.events(data[:cut], 0), *fresh.events(data[cut:], 1)] == [
             Override(PULSES),
             Heartbeat(),
@@ -273,13 +273,13 @@ def test_every_single_bit_flip_is_noticed_and_the_next_frame_is_not_lost() -> No
     for bit in range(len(frame) * 8):
         damaged = bytearray(frame)
         damaged[bit // 8] ^= 1 << bit % 8
-        board = BoardLink(1)
+        board = FarEnd(1)
         events = [*board.events(bytes(damaged) + following, 0), *board.events(b"", FRAME_TIMEOUT_NS + 1)]
         assert events == [Override(OTHER)], f"bit {bit}"
 
 
 def test_a_length_that_its_message_cannot_have_costs_no_time() -> None:
-    agent, board = AgentLink(1), BoardLink(1)
+    agent, board = AgentLink(1), FarEnd(1)
     damaged = bytearray(agent.pulses(PULSES))
     damaged[1] |= 0x80
     assert board.events(bytes(damaged) + agent.pulses(OTHER), 0) == [Override(OTHER)]
@@ -289,14 +289,14 @@ def test_a_newer_dialect_may_have_longer_messages() -> None:
     message = dialect.MAVLink_rc_channels_override_message(1, 1, *PULSES, *[1500] * 10)
     frame = Sender((1, agent_link.AGENT_COMPONENT)).pack(message)
     longer = checked(frame[1:6].replace(bytes([frame[1]]), bytes([frame[1] + 2]), 1) + frame[6:-2] + b"\7\7", 124)
-    assert BoardLink(1).events(longer, 0) == [Override(PULSES)]
+    assert FarEnd(1).events(longer, 0) == [Override(PULSES)]
 
 
 @pytest.mark.parametrize("flags", [2, 3, 128])
 def test_frames_with_flags_that_must_be_understood_are_dropped(flags: int) -> None:
     frame = bytearray(AgentLink(1).pulses(PULSES))
     frame[2] = flags
-    board = BoardLink(1)
+    board = FarEnd(1)
     assert board.events(checked(bytes(frame[1:-2]), 124) + bytes(13), 0) == []
     assert board.bad_frames > 0
 
@@ -305,7 +305,7 @@ def test_every_truncation_is_noticed_and_the_next_frame_is_not_lost() -> None:
     agent = AgentLink(1)
     frame, following = agent.pulses(PULSES), agent.pulses(OTHER)
     for length in range(len(frame)):
-        board = BoardLink(1)
+        board = FarEnd(1)
         events = [*board.events(frame[:length] + following, 0), *board.events(b"", FRAME_TIMEOUT_NS + 1)]
         assert events == [Override(OTHER)], f"{length} bytes"
 
@@ -313,7 +313,7 @@ def test_every_truncation_is_noticed_and_the_next_frame_is_not_lost() -> None:
 def test_false_headers_do_not_hide_frames_for_long() -> None:
     """The longest frame there is, announced and never sent: pymavlink's own parser would swallow nine overrides."""
     false = bytes([0xFD, 255, 0, 0, 0, 1, 191]) + (131).to_bytes(3, "little")  # ENCAPSULATED_DATA
-    agent, board = AgentLink(1), BoardLink(1)
+    agent, board = AgentLink(1), FarEnd(1)
     board.events(false, 0)
     heard = [(i, board.events(agent.pulses(PULSES), i * 50 * MS)) for i in range(1, 6)]
     first = next(i for i, events in heard if events)
@@ -324,7 +324,7 @@ def test_false_headers_do_not_hide_frames_for_long() -> None:
 def test_false_headers_that_came_together_are_given_up_together() -> None:
     """Each announces the longest frame there is; what follows them is heard as soon as the first is overdue."""
     false = bytes([0xFD, 255, 0, 0, 0, 1, 191]) + (131).to_bytes(3, "little")
-    agent, board = AgentLink(1), BoardLink(1)
+    agent, board = AgentLink(1), FarEnd(1)
     assert board.events(false * 5 + agent.pulses(PULSES), 0) == []
     assert board.events(b"", FRAME_TIMEOUT_NS) == []
     assert board.events(b"", FRAME_TIMEOUT_NS + 1) == [Override(PULSES)]
@@ -333,7 +333,7 @@ def test_false_headers_that_came_together_are_given_up_together() -> None:
 
 def test_a_frame_that_begins_behind_a_false_header_has_its_own_time() -> None:
     false = bytes([0xFD, 255, 0, 0, 0, 1, 191]) + (131).to_bytes(3, "little")
-    agent, board = AgentLink(1), BoardLink(1)
+    agent, board = AgentLink(1), FarEnd(1)
     frame = agent.pulses(PULSES)
     assert board.events(false, 0) == []
     assert board.events(frame[:15], FRAME_TIMEOUT_NS) == []
@@ -355,14 +355,14 @@ def test_frames_inside_another_systems_frame_are_ignored() -> None:
     payload = list(inner) + [0] * (128 - len(inner))
     outer = Sender((9, 1)).pack(dialect.MAVLink_tunnel_message(0, 0, 0, len(inner), payload))
     assert inner in outer
-    assert BoardLink(1).events(outer, 0) == []
+    assert FarEnd(1).events(outer, 0) == []
 
 
 @settings(max_examples=300, deadline=None)
 @given(data=st.binary(max_size=600))
 def test_any_bytes_between_frames(data: bytes) -> None:
     """Nothing crashes, nothing false is applied, the frames around are heard (after the time limit for unfinished ones)."""
-    agent, board = AgentLink(1), BoardLink(1)
+    agent, board = AgentLink(1), FarEnd(1)
     events = board.events(agent.pulses(PULSES) + data + agent.pulses(OTHER), 0)
     for i in range(1, 60):
         events += board.events(b"", i * (FRAME_TIMEOUT_NS + 1))
@@ -375,7 +375,7 @@ START_BYTES = st.lists(st.sampled_from([0xFD, 0xFE, 0, 1, 12, 18, 70, 191, 255])
 @settings(max_examples=300, deadline=None)
 @given(data=START_BYTES)
 def test_bytes_that_look_like_headers(data: bytes) -> None:
-    agent, board = AgentLink(1), BoardLink(1)
+    agent, board = AgentLink(1), FarEnd(1)
     events = board.events(data + agent.pulses(PULSES), 0)
     for i in range(1, 60):
         events += board.events(b"", i * (FRAME_TIMEOUT_NS + 1))
@@ -386,7 +386,7 @@ def test_bytes_that_look_like_headers(data: bytes) -> None:
 @given(flips=st.lists(st.tuples(st.integers(0, 10_000), st.integers(0, 7)), min_size=1, max_size=20), size=st.integers(1, 90))
 def test_damaged_telemetry(flips: list[tuple[int, int]], size: int) -> None:
     """20 bursts with flipped bits, in pieces of any size: whatever gets through is what was sent."""
-    board, agent = BoardLink(1), AgentLink(1)
+    board, agent = FarEnd(1), AgentLink(1)
     data = bytearray(b"".join(burst(board, 5000 + i) for i in range(20)))
     for position, bit in flips:
         data[position % len(data)] ^= 1 << bit
@@ -407,7 +407,7 @@ def test_damaged_telemetry(flips: list[tuple[int, int]], size: int) -> None:
 )
 def test_any_payload_with_a_good_checksum(kind: int, payload: bytes, sequence: int) -> None:
     """A peer that talks correct MAVLink and nonsense: no crash, and only values that can be true."""
-    for component, link in ((agent_link.AGENT_COMPONENT, BoardLink(1)), (agent_link.BOARD_COMPONENT, AgentLink(1))):
+    for component, link in ((agent_link.AGENT_COMPONENT, FarEnd(1)), (agent_link.BOARD_COMPONENT, AgentLink(1))):
         header = struct.pack("<BBBBBB", len(payload), 0, 0, sequence, 1, component) + kind.to_bytes(3, "little")
         link.receive(checked(header + payload, dialect.mavlink_map[kind].crc_extra), 0)
         if isinstance(link, AgentLink):
@@ -419,14 +419,14 @@ def test_any_payload_with_a_good_checksum(kind: int, payload: bytes, sequence: i
 
 def test_a_frame_that_ends_late_is_still_taken() -> None:
     """A reader that was busy for longer than the time limit finds the whole frame waiting."""
-    board, frame = BoardLink(1), AgentLink(1).pulses(PULSES)
+    board, frame = FarEnd(1), AgentLink(1).pulses(PULSES)
     assert board.events(frame[:11], 0) == []
     assert board.events(frame[11:], 10 * FRAME_TIMEOUT_NS) == [Override(PULSES)]
 
 
 def synced(ahead_ns: int, now_ns: int, trip_ns: int = 2 * MS, link: AgentLink | None = None) -> AgentLink:
     """A computer that has just heard what the board's clock says, which is ahead of its own."""
-    agent, board = link or AgentLink(7), BoardLink(7)
+    agent, board = link or AgentLink(7), FarEnd(7)
     (event,) = board.events(agent.timesync(now_ns - trip_ns), 0)
     assert isinstance(event, Timesync)
     agent._receiver._sequences.clear()  # each call's board counts its frames anew
@@ -438,7 +438,7 @@ def measured_ns(agent: AgentLink, board_ms: int, read_ns: int) -> int:
     """The instant of a burst, as far as the computer knows."""
     # each call's board counts its frames anew
     agent._receiver._sequences.clear()
-    agent.receive(burst(BoardLink(7), board_ms), read_ns)
+    agent.receive(burst(FarEnd(7), board_ms), read_ns)
     assert agent.telemetry.board_ms == board_ms
     return agent.telemetry.arrival_ns
 
@@ -494,7 +494,7 @@ def test_a_boards_time_goes_on_through_its_32_bits() -> None:
 
 
 def test_battery_reports_are_counted_and_an_impossible_state_is_refused() -> None:
-    agent, board = AgentLink(7), BoardLink(7)
+    agent, board = AgentLink(7), FarEnd(7)
     assert (agent.telemetry.battery_reports, agent.telemetry.charge) == (0, 0)
     agent.receive(board.status(0.0, 1, 1, 0) + board.status(11.5, 1, 1, 0) + board.battery(11.5, 3), 0)
     assert (agent.telemetry.battery_v, agent.telemetry.battery_reports, agent.telemetry.charge) == (11.5, 2, 3)

@@ -205,13 +205,13 @@ def test_a_flood_of_datagrams_does_not_hold_up_a_read() -> None:
         try:
             flood = itertools.count()
 
-            class Flooded(socket.socket):
+            class EndlessSocket(socket.socket):
                 def recv(self, size: int, flags: int = 0, /) -> bytes:
                     next(flood)
                     return b"x"
 
             link.socket.close()
-            link.socket = Flooded(socket.AF_INET, socket.SOCK_DGRAM)
+            link.socket = EndlessSocket(socket.AF_INET, socket.SOCK_DGRAM)
             assert len(link.read()) == next(flood) == READ_DATAGRAMS
         finally:
             link.close()

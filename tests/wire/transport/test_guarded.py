@@ -62,7 +62,7 @@ def each_key() -> Iterator[tuple[Topic, int | None]]:
 
 
 @dataclass
-class Guarded:
+class GuardedRouter:
     """A router with keys, and what everybody hears and obeys."""
 
     ring: Path
@@ -100,12 +100,12 @@ class Guarded:
 
 
 @pytest.fixture(scope="module")
-def guarded(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Guarded]:
+def guarded(tmp_path_factory: pytest.TempPathFactory) -> Iterator[GuardedRouter]:
     ring, now = tmp_path_factory.mktemp("ring") / "keys", datetime.now(UTC)
     key_ring.init(ring, ["station.pool"], "shoal", now)
     for robot in (1, 2):
         key_ring.add(ring, "robot", robot, now)
-    fleet = Guarded(ring, f"tls/127.0.0.1:{free_port()}")
+    fleet = GuardedRouter(ring, f"tls/127.0.0.1:{free_port()}")
     try:
         fleet.open()
         yield fleet
@@ -118,7 +118,7 @@ def may_write(process: str, topic: Topic, robot: int | None) -> bool:
     return ROLES[process] in topic.writers and own
 
 
-def test_each_role_receives_exactly_the_topics_of_the_table(guarded: Guarded) -> None:
+def test_each_role_receives_exactly_the_topics_of_the_table(guarded: GuardedRouter) -> None:
     """Everybody but the router publishes everything, also for robots that are not theirs."""
     writers = {process: bus for process, bus in guarded.buses.items() if process != "groundstation"}
     wanted = {
@@ -145,7 +145,7 @@ def test_each_role_receives_exactly_the_topics_of_the_table(guarded: Guarded) ->
     assert over_the_network == wanted
 
 
-def test_only_the_station_commands_robots_and_only_it_and_the_operator_command_the_station(guarded: Guarded) -> None:
+def test_only_the_station_commands_robots_and_only_it_and_the_operator_command_the_station(guarded: GuardedRouter) -> None:
     allowed = {("groundstation", 0), ("groundstation", 1), ("groundstation", 2), ("operator", 0)}
     guarded.obeyed.clear()
     answers = {
@@ -158,7 +158,7 @@ def test_only_the_station_commands_robots_and_only_it_and_the_operator_command_t
     assert sorted(guarded.obeyed) == [(0, Order.ARM), (0, Order.ARM), (1, Order.ARM), (2, Order.ARM)]
 
 
-def test_a_robot_cannot_speak_for_another_not_even_by_a_wildcard(guarded: Guarded) -> None:
+def test_a_robot_cannot_speak_for_another_not_even_by_a_wildcard(guarded: GuardedRouter) -> None:
     # a bus sends only under its own keys; a forger uses the session below it
     session = guarded.buses["agent-1"].transport._control  # type: ignore[attr-defined]
     seen: list[str] = []
@@ -172,7 +172,7 @@ def test_a_robot_cannot_speak_for_another_not_even_by_a_wildcard(guarded: Guarde
     assert set(seen) == {"own"}
 
 
-def test_a_robot_cannot_answer_for_another(guarded: Guarded) -> None:
+def test_a_robot_cannot_answer_for_another(guarded: GuardedRouter) -> None:
     guarded.obeyed.clear()
     usurped: list[bytes] = []
     guarded.buses["agent-1"].transport.serve("shoal/robot/2/command", lambda payload, _: usurped.append(payload) or b"", bool)  # type: ignore[func-returns-value]
@@ -189,7 +189,7 @@ def no_way_in(where: Endpoint) -> str:
 
 
 def test_strangers_are_refused_and_told_why_and_the_router_logs_it(
-    guarded: Guarded, tmp_path: Path, caplog: pytest.LogCaptureFixture, capfd: pytest.CaptureFixture[str]
+    guarded: GuardedRouter, tmp_path: Path, caplog: pytest.LogCaptureFixture, capfd: pytest.CaptureFixture[str]
 ) -> None:
     now = datetime.now(UTC)
     other = tmp_path / "other"
@@ -209,7 +209,7 @@ def test_strangers_are_refused_and_told_why_and_the_router_logs_it(
     assert capfd.readouterr().out == ""  # nothing in another form
 
 
-def test_without_a_certificate_there_is_no_way_in(guarded: Guarded) -> None:
+def test_without_a_certificate_there_is_no_way_in(guarded: GuardedRouter) -> None:
     config = zenoh.Config()
     for key, value in {
         "mode": "client",
@@ -224,7 +224,7 @@ def test_without_a_certificate_there_is_no_way_in(guarded: Guarded) -> None:
         zenoh.open(config)
 
 
-def test_a_station_under_another_name_is_not_believed(guarded: Guarded, tmp_path: Path) -> None:
+def test_a_station_under_another_name_is_not_believed(guarded: GuardedRouter, tmp_path: Path) -> None:
     """A robot's certificate is good for a client only: it cannot pass for the station, though our authority made it."""
     where = endpoint(f"tls/127.0.0.1:{free_port()}", "groundstation", guarded.ring, router=True)
     impostor = ZenohTransport(Endpoint(where.address, router=True, keys=Keys(guarded.ring / "agent-1"), access=where.access))

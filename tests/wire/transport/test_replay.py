@@ -54,7 +54,7 @@ class Tape:
             stranger.close()
 
 
-class Program:
+class FleetProgram:
     """A program of the fleet as a person starts it, and its log."""
 
     def __init__(self, log: Path, *command: str) -> None:
@@ -80,7 +80,7 @@ class Beating:
     def beat(self) -> None:
         self.bus.publish(topics.HEARTBEAT, StationHeartbeat(POOL.hash), self._clock.now_ns())
 
-    def until_heard(self, robot: Program) -> None:
+    def until_heard(self, robot: FleetProgram) -> None:
         def heard() -> bool:
             self.beat()
             header = self.states.newest_header()
@@ -99,8 +99,8 @@ class Beating:
         return state.message.mode if state is not None else None
 
 
-def robot(address: str, log: Path) -> Program:
-    return Program(log, "robot_agent", "run", "pool", "--robot", "1", "--link", "udp:127.0.0.1:9", "--station", address)
+def robot(address: str, log: Path) -> FleetProgram:
+    return FleetProgram(log, "robot_agent", "run", "pool", "--robot", "1", "--link", "udp:127.0.0.1:9", "--station", address)
 
 
 def test_a_robot_ignores_replayed_commands_live_and_after_restarts(address: str, tmp_path: Path) -> None:
@@ -143,9 +143,9 @@ def test_a_robot_ignores_replayed_commands_live_and_after_restarts(address: str,
 def test_a_station_ignores_replayed_requests_live_and_after_a_restart(tmp_path: Path) -> None:
     address = f"tcp/127.0.0.1:{free_port()}"
 
-    def station(name: str) -> Program:
+    def station(name: str) -> FleetProgram:
         command = ["run", "pool", "--no-web", "--listen", address, "--run-dir", str(tmp_path / name)]
-        return Program(tmp_path / f"{name}.log", "groundstation", *command)
+        return FleetProgram(tmp_path / f"{name}.log", "groundstation", *command)
 
     tape, program = Tape(), station("first")
     try:

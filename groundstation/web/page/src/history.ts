@@ -1,17 +1,18 @@
-/** What the plots show: one row per tenth of a second of the run, five minutes of them, a column per curve. */
+/** What the plots show: one row per tenth of a second since the page connected and the station's own rows before, a column per curve. Of a
+ * recorded run, the whole run from the first. */
 
-import { live, onState, roundTripMs, scene } from "./store";
-import type { Scene, Snapshot } from "./wire";
+import { onSamples, type Sample, scene } from "./store";
+import type { Scene } from "./wire";
 
 const ROW_S = 0.1;
-const MOST_ROWS = 3000;
+const MOST_ROWS = 6000; // ten minutes
 const SPARE_ROWS = 300; // dropped at a time: shifting arrays for every row would cost more than drawing them
 
 export interface Curve {
   name: string;
   robot?: number; // whose colour it has
   dash?: number[];
-  value(state: Snapshot): number | null;
+  value(sample: Sample): number | null;
 }
 
 export interface Chart {
@@ -23,38 +24,38 @@ export interface Chart {
   both?: boolean;
 }
 
-function tracking(id: number): number | null {
-  const robot = live.robots.get(id);
+function tracking(sample: Sample, id: number): number | null {
+  const robot = sample.robots.get(id);
   if (robot?.news.state?.mode !== "TRACKING") return null;
   return 1e3 * Math.hypot(robot.eta[0]! - robot.reference[0]!, robot.eta[1]! - robot.reference[1]!, robot.eta[2]! - robot.reference[2]!);
 }
 
-function formation(a: number, b: number): number | null {
-  const [p, q] = [live.robots.get(a), live.robots.get(b)];
+function formation(sample: Sample, a: number, b: number): number | null {
+  const [p, q] = [sample.robots.get(a), sample.robots.get(b)];
   if (p?.news.state?.mode !== "TRACKING" || q?.news.state?.mode !== "TRACKING") return null;
   const off = [0, 1, 2].map((k) => p.eta[k]! - q.eta[k]! - p.reference[k]! + q.reference[k]!);
   return 1e3 * Math.hypot(off[0]!, off[1]!, off[2]!);
 }
 
-const state = (id: number) => live.robots.get(id)?.news.state;
+const state = (sample: Sample, id: number) => sample.robots.get(id)?.news.state;
 const never = (ms: number | undefined) => (ms === undefined || ms <= 0 || ms >= 1e6 ? null : ms);
 
 /** Every chart of a scene; `chosen` is the robot whose inputs and disturbance are shown. */
 export function charts(s: Scene, chosen: number): Chart[] {
-  const each = (value: (id: number) => number | null): Curve[] =>
-    s.robots.map(({ id }) => ({ name: `robot ${id}`, robot: id, value: () => value(id) }));
+  const each = (value: (sample: Sample, id: number) => number | null): Curve[] =>
+    s.robots.map(({ id }) => ({ name: `robot ${id}`, robot: id, value: (sample) => value(sample, id) }));
   const pairs = s.robots.flatMap(({ id, neighbours }) =>
     neighbours.filter((other) => id < other || !s.robots.find((r) => r.id === other)?.neighbours.includes(id)).map((other) => [id, other] as const),
   );
-  const share = (k: number) => () => (live.robots.get(chosen)?.wrench[k] ?? 0) / s.limits.wrench[k as 0 | 1 | 2] * 100;
-  const gamma = (k: number) => () => (live.robots.get(chosen)?.disturbance[k] ?? 0) * 1e3;
+  const share = (k: number) => (sample: Sample) => ((sample.robots.get(chosen)?.wrench[k] ?? 0) / s.limits.wrench[k as 0 | 1 | 2]) * 100;
+  const gamma = (k: number) => (sample: Sample) => (sample.robots.get(chosen)?.disturbance[k] ?? 0) * 1e3;
   return [
     { id: "tracking", title: "Tracking error", unit: "mm", curves: each(tracking) },
     {
       id: "formation",
       title: "Formation error",
       unit: "mm",
-      curves: pairs.map(([a, b]) => ({ name: `${a}-${b}`, robot: a, dash: [6, 3], value: () => formation(a, b) })),
+      curves: pairs.map(([a, b]) => ({ name: `${a}-${b}`, robot: a, dash: [6, 3], value: (sample) => formation(sample, a, b) })),
     },
     {
       id: "inputs",
@@ -75,20 +76,20 @@ export function charts(s: Scene, chosen: number): Chart[] {
       title: "Control step",
       unit: "ms",
       limit: 500 * s.period_s,
-      curves: each((id) => never((state(id)?.step_us ?? 0) * 1e-3)),
+      curves: each((sample, id) => never((state(sample, id)?.step_us ?? 0) * 1e-3)),
     },
     {
       id: "latency",
       title: "Latency per hop",
       unit: "ms",
       curves: [
-        { name: "→ pose", value: (seen) => never(seen.localizer?.to_pose_ms) },
-        { name: "→ PWM", value: () => never(Math.max(0, ...s.robots.map(({ id }) => state(id)?.to_pwm_ms ?? 0))) },
-        { name: "→ station", value: (seen) => never(Math.max(0, ...seen.robots.filter((r) => r.state).map((r) => r.age_ms))) },
-        { name: "page and back", value: () => roundTripMs.peek() },
+        { name: "→ pose", value: (sample) => never(sample.localizer?.to_pose_ms) },
+        { name: "→ PWM", value: (sample) => never(Math.max(0, ...s.robots.map(({ id }) => state(sample, id)?.to_pwm_ms ?? 0))) },
+        { name: "→ station", value: ({ robots }) => never(Math.max(0, ...[...robots.values()].filter((r) => r.news.state).map((r) => r.news.age_ms))) },
+        { name: "page and back", value: (sample) => sample.roundTripMs },
       ],
     },
-    { id: "battery", title: "Battery", unit: "V", curves: each((id) => never(state(id)?.battery_v)) },
+    { id: "battery", title: "Battery", unit: "V", curves: each((sample, id) => never(state(sample, id)?.battery_v)) },
   ];
 }
 
@@ -96,7 +97,6 @@ export function charts(s: Scene, chosen: number): Chart[] {
 export const times: number[] = [];
 const columns = new Map<string, (number | null)[]>();
 let recorded: [string, Curve][] = [];
-let runOf = "";
 
 function key(chart: Chart, curve: Curve, chosen: number): string {
   return `${chart.id}/${chart.id === "inputs" || chart.id === "disturbance" ? chosen : ""}/${curve.name}`;
@@ -122,18 +122,26 @@ function begin(s: Scene): void {
   }
 }
 
-onState((snapshot) => {
-  const s = scene.peek();
-  if (s === null) return;
-  const last = times[times.length - 1];
-  if (runOf !== s.hash || (last !== undefined && snapshot.time_s < last - 0.5)) {
-    runOf = s.hash;
-    begin(s);
-  } else if (last !== undefined && snapshot.time_s - last < ROW_S) return;
-  times.push(snapshot.time_s);
-  for (const [name, curve] of recorded) columns.get(name)!.push(curve.value(snapshot));
+function add(sample: Sample): void {
+  times.push(sample.time_s);
+  for (const [name, curve] of recorded) columns.get(name)!.push(curve.value(sample));
   if (times.length > MOST_ROWS + SPARE_ROWS) {
     times.splice(0, SPARE_ROWS);
     for (const values of columns.values()) values.splice(0, SPARE_ROWS);
   }
-});
+}
+
+onSamples(
+  (sample) => {
+    const s = scene.peek();
+    if (s === null || s.replay !== undefined) return;
+    const last = times[times.length - 1];
+    if (last !== undefined && sample.time_s < last - 0.5) begin(s); // another run
+    else if (last !== undefined && sample.time_s - last < ROW_S) return;
+    add(sample);
+  },
+  (samples) => {
+    begin(scene.peek()!); // said with the scene
+    samples.forEach(add);
+  },
+);

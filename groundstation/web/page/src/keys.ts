@@ -1,14 +1,18 @@
-/** Keyboard shortcuts. Escape is always the emergency stop, wherever the focus is. */
+/** Keyboard shortcuts. Shift+Space is always the emergency stop, wherever the focus is. Escape is, too, unless there is something that
+ * people are used to leave by it: a field with the focus, an open menu, places being chosen. */
 
+import { stepFrames, togglePlay } from "./panels/Replay";
 import { acknowledgeAlarms } from "./sound";
 import { order } from "./link";
+import { choosePlaces, places } from "./pool/places";
 import { follow } from "./pool/layers";
 import { fitView, zoomBy } from "./pool/Pool";
 import { drawSoon, inControl, scene, selected, shown } from "./store";
 import type { OrderName } from "./wire";
 
 export const KEYS: [string, string][] = [
-  ["Esc", "emergency stop"],
+  ["Shift+Space", "emergency stop, from anywhere"],
+  ["Esc", "leave a field, close a menu; else emergency stop"],
   ["Shift+A", "arm"],
   ["Shift+S", "start"],
   ["H", "hold"],
@@ -20,18 +24,31 @@ export const KEYS: [string, string][] = [
   ["+ -", "zoom"],
   ["1 … 9", "choose a robot"],
   ["M", "silence the alarm"],
+  ["Space", "recorded run: play or pause"],
+  [", .", "recorded run: a state back or on"],
 ];
 
 const ORDERS: Record<string, OrderName> = { A: "arm", S: "start", h: "hold", H: "hold", R: "resume", B: "return", D: "disarm" };
 
+/** Leave what Escape leaves everywhere. Returns false if there is nothing of the kind: then it stops the fleet. */
+function left(target: HTMLElement): boolean {
+  const menu = document.querySelector<HTMLDetailsElement>("details.layers[open]");
+  if (menu !== null) menu.open = false;
+  else if (target.matches("select, textarea, input:not([type=checkbox], [type=range])")) target.blur();
+  else if (places.peek() !== null) choosePlaces(false);
+  else return false;
+  return true;
+}
+
 addEventListener("keydown", (event) => {
-  if (event.key === "Escape") {
+  const target = event.target as HTMLElement;
+  const typing = /^(INPUT|SELECT|TEXTAREA)$/.test(target.tagName);
+  if ((event.key === "Escape" && !left(target)) || (event.key === " " && event.shiftKey)) {
     event.preventDefault();
     if (scene.peek()?.mode !== "replay") order("stop");
     return;
   }
-  const target = event.target as HTMLElement;
-  if (/^(INPUT|SELECT|TEXTAREA)$/.test(target.tagName) || event.ctrlKey || event.metaKey || event.altKey) return;
+  if (event.key === "Escape" || typing || event.ctrlKey || event.metaKey || event.altKey) return;
   const name = ORDERS[event.key];
   if (name !== undefined) {
     if (inControl.peek() && shown.peek()?.allowed.includes(name)) order(name);
@@ -39,7 +56,11 @@ addEventListener("keydown", (event) => {
   else if (event.key === "g" || event.key === "G") follow.value = !follow.value;
   else if (event.key === "+" || event.key === "=") zoomBy(1.25);
   else if (event.key === "-") zoomBy(0.8);
-  else if (event.key === "m" || event.key === "M") acknowledgeAlarms();
+  else if (event.key === "," || event.key === ".") stepFrames(event.key === "." ? 1 : -1);
+  else if (event.key === " " && scene.peek()?.replay !== undefined && target.tagName !== "BUTTON") {
+    event.preventDefault(); // no scrolling
+    togglePlay();
+  } else if (event.key === "m" || event.key === "M") acknowledgeAlarms();
   else if (/^[1-9]$/.test(event.key)) {
     const id = scene.peek()?.robots[Number(event.key) - 1]?.id ?? 0;
     selected.value = selected.peek() === id ? 0 : id;

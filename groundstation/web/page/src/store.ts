@@ -1,10 +1,10 @@
 /** Everything the page knows, in one place. What the canvas draws is plain data; what text shows are signals. */
 
 import { computed, signal } from "@preact/signals";
-import type { Alarm, Frame, LogLine, Outcome, PathSamples, RobotNews, Scene, Snapshot, Tried } from "./wire";
+import type { Alarm, Frame, LogLine, Outcome, PastRobot, PastState, PathSamples, RobotNews, Scene, Snapshot, Tried } from "./wire";
 import { floats } from "./wire";
 
-export const MOST_LINES = 200;
+export const MOST_LINES = 500;
 const SHOW_EVERY_MS = 200; // people cannot read faster; the canvas draws every state
 const SHOW_MANY_EVERY_MS = 400; // nor so many
 const MANY = 16;
@@ -21,6 +21,14 @@ export interface Robot {
   wrench: Float32Array;
   horizon: Float32Array; // rows of x, y, z
   arrivedMs: number;
+}
+
+/** What plots and trails are made of: a state as it came, or a row of the past. */
+export interface Sample {
+  time_s: number;
+  robots: Map<number, Pick<Robot, "eta" | "reference" | "disturbance" | "wrench"> & { news: { age_ms: number; state?: PastRobot } }>;
+  localizer: { to_pose_ms: number } | null;
+  roundTripMs: number | null; // of the page itself: not known of the past
 }
 
 /** A request of this page. `heard`: the station has answered it; what became of it then, the station tells under its number. */
@@ -83,13 +91,26 @@ export const live = {
   drawnStampMs: 0,
 };
 
-type Listener = (snapshot: Snapshot) => void;
-const listeners: Listener[] = [];
+const onStates: ((sample: Sample) => void)[] = [];
+const onPasts: ((samples: Sample[]) => void)[] = [];
 let shownAtMs = 0;
 
-/** Call for every state, at the pace at which they come. */
-export function onState(listener: Listener): void {
-  listeners.push(listener);
+/** Call `state` for every state, at the pace at which they come, and `past` with all that was before this page connected: of a
+ * live run its last minutes, of a recorded one the whole run. */
+export function onSamples(state: (sample: Sample) => void, past: (samples: Sample[]) => void): void {
+  onStates.push(state);
+  onPasts.push(past);
+}
+
+function takePast(states: PastState[]): void {
+  const samples = states.map(({ time_s, robots, localizer }) => ({ time_s, localizer, roundTripMs: null, robots: new Map(robots.map(unpack)) }));
+  for (const listener of onPasts) listener(samples);
+}
+
+function unpack(news: PastState["robots"][number]) {
+  const s = news.state;
+  const part = (name: "eta" | "reference" | "disturbance" | "wrench") => (s ? floats(s[name]) : NONE);
+  return [news.id, { news, eta: part("eta"), reference: part("reference"), disturbance: part("disturbance"), wrench: part("wrench") }] as const;
 }
 
 const NONE = new Float32Array(4);
@@ -111,7 +132,8 @@ function takeState(state: Snapshot): void {
       horizon: news.plan && news.plan.age_ms < 500 ? floats(news.plan.xyz) : new Float32Array(0),
     });
   }
-  for (const listener of listeners) listener(state);
+  const sample = { time_s: state.time_s, robots: live.robots, localizer: state.localizer, roundTripMs: roundTripMs.peek() };
+  for (const listener of onStates) listener(sample);
   takeOutcomes(state.requests);
   const before = shown.peek();
   const changed = !before || before.phase !== state.phase || before.holder !== state.holder || before.stop !== state.stop;
@@ -150,6 +172,9 @@ export function take(frame: Frame): void {
     case "state":
       takeState(frame);
       drawSoon();
+      break;
+    case "past":
+      takePast(frame.states);
       break;
     case "paths":
       takePaths(frame.paths);

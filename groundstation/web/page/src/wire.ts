@@ -151,7 +151,7 @@ export interface Alarm {
   text: string;
 }
 
-export type OrderName = "load" | "arm" | "start" | "hold" | "resume" | "stop" | "disarm" | "clear-stop" | "return" | "rejoin" | "test" | "end";
+export type OrderName = "load" | "arm" | "start" | "hold" | "resume" | "stop" | "disarm" | "clear-stop" | "return" | "rejoin" | "test" | "end" | "go";
 
 /** What became of a person's request, by the station's account. */
 export interface Outcome {
@@ -216,9 +216,22 @@ export interface LogLine {
   text: string;
 }
 
+/** A row of the past: what plots and trails need of a state. */
+export interface PastState {
+  time_s: number;
+  robots: (Pick<RobotNews, "id" | "age_ms"> & { state?: PastRobot })[];
+  localizer: { to_pose_ms: number } | null;
+}
+
+export type PastRobot = Pick<
+  NonNullable<RobotNews["state"]>,
+  "mode" | "eta" | "reference" | "wrench" | "disturbance" | "pose_age_ms" | "to_pwm_ms" | "step_us" | "battery_v"
+>;
+
 export type Frame =
   | { k: "hello"; you: number; scene: Scene; events: LogLine[] }
   | Snapshot
+  | { k: "past"; states: PastState[] }
   | { k: "picture"; stamp_ms: number; age_ms: number; jpeg: Uint8Array<ArrayBuffer> }
   | { k: "paths"; paths: PathSamples[] }
   | ({ k: "event" } & LogLine)
@@ -243,10 +256,11 @@ export type Request =
   | { kind: "ack"; n: number }
   | { kind: "take"; over?: boolean }
   | { kind: "release" }
-  | { kind: "order"; n: number; order: OrderName; seen_ms: number }
+  | { kind: "order"; n: number; order: OrderName; via_m?: [number, number][]; seen_ms: number }
   | { kind: "tune"; n: number; values: Record<string, number> | null; next_lap: boolean; seen_ms: number }
   | { kind: "try"; n: number; edit: Edit }
   | { kind: "save"; n: number; edit: Edit; name: string }
+  | { kind: "remark"; text: string }
   | { kind: "seek"; time_s?: number; rate?: number };
 
 const HEAD_BYTES = 8;

@@ -1,7 +1,9 @@
 /** What is amiss now, worst first, and the log. */
 
+import { signal } from "@preact/signals";
 import { acknowledgeAlarms, silenced } from "../sound";
-import { alarms, lines } from "../store";
+import { alarms, lines, scene, shown } from "../store";
+import type { LogLine } from "../wire";
 
 const MARK = { critical: "▲", warning: "◆", notice: "●" };
 const LEVEL = ["", "debug", "info", "warning", "error", "fatal"];
@@ -37,11 +39,50 @@ export function Alarms() {
   );
 }
 
+const robotShown = signal(""); // its number; empty: all
+const levelShown = signal(0);
+const textShown = signal("");
+
+function LogFilter() {
+  return (
+    <div class="log-filter">
+      <select aria-label="Lines of which robot" value={robotShown.value} onChange={(event) => (robotShown.value = event.currentTarget.value)}>
+        <option value="">all robots</option>
+        {scene.value?.robots.map(({ id }) => (
+          <option key={id} value={id}>
+            robot {id}
+          </option>
+        ))}
+      </select>
+      <select aria-label="From which level on" value={levelShown.value} onChange={(event) => (levelShown.value = Number(event.currentTarget.value))}>
+        <option value={0}>all levels</option>
+        <option value={3}>warnings</option>
+        <option value={4}>errors</option>
+      </select>
+      <input
+        type="search"
+        aria-label="Lines with this text"
+        placeholder="search"
+        value={textShown.value}
+        onInput={(event) => (textShown.value = event.currentTarget.value)}
+      />
+    </div>
+  );
+}
+
+function wanted({ level, source, text }: LogLine): boolean {
+  const of = robotShown.value;
+  const robot = of === "" || source === `agent-${of}` || new RegExp(`\\brobot ${of}\\b`).test(text);
+  return robot && level >= levelShown.value && `${source} ${text}`.toLowerCase().includes(textShown.value.toLowerCase());
+}
+
 export function Log() {
-  const newest = lines.value.slice(-60).reverse();
+  const until = scene.value?.replay === undefined ? Infinity : (shown.value?.time_s ?? 0); // of a recorded run all lines are known
+  const newest = lines.value.filter((line) => line.time_s <= until && wanted(line)).slice(-60).reverse();
   return (
     <section class="log" aria-label="Log">
       <h2>Log</h2>
+      <LogFilter />
       <ol tabIndex={0} aria-label="Lines of the log, newest first">
         {newest.map((line, k) => (
           <li key={lines.value.length - k} class={LEVEL[line.level]}>

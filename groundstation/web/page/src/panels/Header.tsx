@@ -48,9 +48,9 @@ export function StopButton() {
   const asked = !latched && given.value.some((g) => g.order === "stop" && !g.heard);
   const text = unheard ? "STOP NOT HEARD" : confirmed ? "STOPPED" : latched ? "STOPPING" : asked ? "STOP ASKED" : "EMERGENCY STOP";
   return (
-    <button type="button" class={unheard ? "stop unheard" : latched ? "stop latched" : "stop"} onClick={() => order("stop")} aria-keyshortcuts="Escape">
+    <button type="button" class={unheard ? "stop unheard" : latched ? "stop latched" : "stop"} onClick={() => order("stop")} aria-keyshortcuts="Shift+Space Escape">
       {text}
-      <small>Esc</small>
+      <small>Shift+Space</small>
     </button>
   );
 }
@@ -65,7 +65,7 @@ export function Header() {
       <h1>{s?.title ?? "Shoal"}</h1>
       {state !== null && (
         <span class={`phase ${phase.toLowerCase()}`} role="status">
-          {ended ? "the run is ended" : connected.value ? state.phase_text : "last known: " + state.phase_text}
+          {ended ? "the run is ended" : connected.value ? state.phase_text + paused(state) : "last known: " + state.phase_text}
         </span>
       )}
       {s !== null && state !== null && <span class="clock">{clock(flown(state))} / {clock(s.duration_s)}</span>}
@@ -103,6 +103,10 @@ export function Header() {
       <StopButton />
     </header>
   );
+}
+
+function paused(state: NonNullable<typeof shown.value>): string {
+  return state.replay?.rate === 0 ? ", paused" : "";
 }
 
 function flown(state: NonNullable<typeof shown.value>): number {

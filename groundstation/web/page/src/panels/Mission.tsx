@@ -1,6 +1,7 @@
 /** Preflight, orders and what became of them. */
 
-import { order } from "../link";
+import { order, say } from "../link";
+import { choosePlaces, flyThere, places } from "../pool/places";
 import { connected, type Given as Request, given, inControl, isStale, live, now, scene, shown, stopUnheard, unanswered } from "../store";
 import type { OrderName, RobotNews, Snapshot } from "../wire";
 
@@ -205,6 +206,48 @@ function OrderButton({ button, state }: { button: Button; state: Snapshot }) {
   );
 }
 
+/** Leads the running formation to places that are clicked on the map. */
+function Go({ state }: { state: Snapshot }) {
+  const chosen = places.value;
+  const possible = connected.value && inControl.value && state.allowed.includes("go");
+  if (chosen === null) {
+    return possible ? (
+      <button type="button" class="order go" onClick={() => choosePlaces(true)} title="Choose places on the map for the formation to fly over">
+        Go to…
+      </button>
+    ) : null;
+  }
+  return (
+    <div class="go-places">
+      <p class="hint">{chosen.length === 0 ? "Click on the map: one place or more." : chosen.map(([x, y]) => `${x}, ${y} m`).join(" → ")}</p>
+      <button type="button" class="order" disabled={!possible || chosen.length === 0} onClick={flyThere}>
+        Fly there
+      </button>
+      <button type="button" class="order" onClick={() => choosePlaces(false)}>
+        Cancel
+      </button>
+    </div>
+  );
+}
+
+/** A line for the run's log, with the time at which it was written. */
+function Remark() {
+  return (
+    <form
+      class="remark"
+      onSubmit={(event) => {
+        event.preventDefault();
+        const field = event.currentTarget.elements.namedItem("remark") as HTMLInputElement;
+        const text = field.value.trim();
+        if (text !== "" && say({ kind: "remark", text })) field.value = "";
+      }}
+    >
+      <input name="remark" maxLength={200} placeholder="Remark for the log" aria-label="Remark for the log" autocomplete="off" />
+      <button type="submit">Add</button>
+    </form>
+  );
+}
+
 export function Mission() {
   const state = shown.value;
   if (state === null || scene.value?.mode === "replay") return null;
@@ -225,8 +268,10 @@ export function Mission() {
         {SOMETIMES.filter(({ order }) => state.allowed.includes(order) && !idle(order, state)).map((button) => (
           <OrderButton key={button.order} button={button} state={state} />
         ))}
+        <Go state={state} />
         <End state={state} />
       </div>
+      <Remark />
       <Given />
     </section>
   );

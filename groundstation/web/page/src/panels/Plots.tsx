@@ -7,7 +7,7 @@ import "uplot/dist/uPlot.min.css";
 import { css, robotColour } from "../colours";
 import { type Chart, charts, column, times } from "../history";
 import { placeOf } from "../pool/path";
-import { scene, selected } from "../store";
+import { live, scene, selected } from "../store";
 import type { Scene } from "../wire";
 import { moment } from "./Alarms";
 
@@ -42,7 +42,14 @@ function options(s: Scene, chart: Chart, width: number, height: number): uPlot.O
         value: (_: uPlot, v: number | null) => (v === null ? "-" : v.toFixed(Math.abs(v) < 10 ? 2 : 0)),
       })),
     ],
-    hooks: { draw: [(plot) => drawLimit(plot, chart)] },
+    hooks: {
+      draw: [
+        (plot) => {
+          drawLimit(plot, chart);
+          drawPresent(plot);
+        },
+      ],
+    },
   };
 }
 
@@ -71,6 +78,30 @@ function drawLimit(plot: uPlot, chart: Chart): void {
   pen.restore();
 }
 
+/** The newest row; in a recorded run the one at the time at which the map stands. */
+function presentRow(): number {
+  const at = live.snapshot?.replay?.time_s ?? Infinity;
+  const next = times.findIndex((t) => t > at);
+  return (next < 0 ? times.length : next) - 1;
+}
+
+/** In a recorded run, of which the whole is shown: the time at which the map stands. */
+function drawPresent(plot: uPlot): void {
+  const at = live.snapshot?.replay;
+  if (at === undefined) return;
+  const x = plot.valToPos(at.time_s, "x", true);
+  if (x < plot.bbox.left || x > plot.bbox.left + plot.bbox.width) return;
+  const pen = plot.ctx;
+  pen.save();
+  pen.strokeStyle = css("--accent");
+  pen.lineWidth = devicePixelRatio;
+  pen.beginPath();
+  pen.moveTo(x, plot.bbox.top);
+  pen.lineTo(x, plot.bbox.top + plot.bbox.height);
+  pen.stroke();
+  pen.restore();
+}
+
 function Plot({ slot }: { slot: number }) {
   const ref = useRef<HTMLDivElement>(null);
   const s = scene.value;
@@ -88,7 +119,9 @@ function Plot({ slot }: { slot: number }) {
     plot.over.addEventListener("mouseup", () => (zoomed = plot.select.width > 2 || zoomed));
     plot.over.addEventListener("dblclick", () => (zoomed = false));
     const timer = setInterval(() => {
-      if (!paused.peek() && !document.hidden) plot.setData(data(), !zoomed);
+      if (paused.peek() || document.hidden) return;
+      plot.setData(data(), !zoomed);
+      if (plot.cursor.idx == null) plot.setLegend({ idx: presentRow() }); // the values of now, where nobody points at others
     }, many ? MANY_EVERY_MS : DRAW_EVERY_MS);
     const watch = new ResizeObserver(() => plot.setSize(size()));
     watch.observe(box);

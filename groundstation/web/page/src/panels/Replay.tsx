@@ -1,32 +1,80 @@
-/** Where in a recorded run we are, and how fast it goes on. */
+/** Where in a recorded run we are, how fast it goes on, and where something happened in it. */
 
+import { signal } from "@preact/signals";
 import { say } from "../link";
-import { scene, shown } from "../store";
+import { lines, scene, shown } from "../store";
+import { moment } from "./Alarms";
 import { clock } from "./Header";
 
 const RATES = [0.25, 0.5, 1, 2, 4, 8, 16];
+const STEP_S = 0.05; // a control period of the shipped experiments
+const WARNING = 3; // levels of the log from here on are marked
+const MISSION = /^mission: |^emergency stop|^remark: /;
+
+const pace = signal(1); // of playing, also while it pauses
+
+/** Play or pause. */
+export function togglePlay(): void {
+  const at = shown.peek()?.replay;
+  if (at !== undefined) say({ kind: "seek", rate: at.rate > 0 ? 0 : pace.value });
+}
+
+/** Pause, and go `frames` states on or back. */
+export function stepFrames(frames: number): void {
+  const at = shown.peek()?.replay;
+  if (at !== undefined) say({ kind: "seek", rate: 0, time_s: Math.max(0, at.time_s + frames * STEP_S) });
+}
 
 export function Replay() {
   const s = scene.value;
   const at = shown.value?.replay;
   if (s?.replay === undefined || at === undefined) return null;
+  const end_s = s.replay.end_s;
+  const marked = lines.value.filter((line) => line.level >= WARNING || MISSION.test(line.text));
   return (
     <section class="replay" aria-label="Replay">
-      <button type="button" onClick={() => say({ kind: "seek", rate: at.rate > 0 ? 0 : 1 })}>
+      <button type="button" onClick={togglePlay} title="Space">
         {at.rate > 0 ? "Pause" : "Play"}
       </button>
+      <button type="button" class="frame" onClick={() => stepFrames(-1)} title="One state back: ," aria-label="One state back">
+        ‹
+      </button>
+      <button type="button" class="frame" onClick={() => stepFrames(1)} title="One state on: ." aria-label="One state on">
+        ›
+      </button>
       <span class="clock">{clock(at.time_s)}</span>
-      <input
-        type="range"
-        min={0}
-        max={s.replay.end_s}
-        step={0.05}
-        value={at.time_s}
-        aria-label="Time in the run, seconds"
-        onInput={(event) => say({ kind: "seek", time_s: event.currentTarget.valueAsNumber })}
-      />
-      <span class="clock">{clock(s.replay.end_s)}</span>
-      <select aria-label="Pace" value={at.rate > 0 ? at.rate : 1} onChange={(event) => say({ kind: "seek", rate: Number(event.currentTarget.value) })}>
+      <div class="slider">
+        <input
+          type="range"
+          min={0}
+          max={end_s}
+          step={0.05}
+          value={at.time_s}
+          aria-label="Time in the run, seconds"
+          onInput={(event) => say({ kind: "seek", time_s: event.currentTarget.valueAsNumber })}
+        />
+        {marked.map((line, k) => (
+          <button
+            key={k}
+            type="button"
+            tabIndex={-1}
+            class={line.level > WARNING ? "mark error" : line.level === WARNING ? "mark warning" : "mark"}
+            style={`left: ${(100 * line.time_s) / end_s}%`}
+            title={`${moment(line.time_s)} ${line.source}: ${line.text}`}
+            aria-label={`To ${moment(line.time_s)}: ${line.source}: ${line.text}`}
+            onClick={() => say({ kind: "seek", time_s: line.time_s })}
+          />
+        ))}
+      </div>
+      <span class="clock">{clock(end_s)}</span>
+      <select
+        aria-label="Pace"
+        value={pace.value}
+        onChange={(event) => {
+          pace.value = Number(event.currentTarget.value);
+          if (at.rate > 0) say({ kind: "seek", rate: pace.value });
+        }}
+      >
         {RATES.map((rate) => (
           <option key={rate} value={rate}>
             {rate} ×

@@ -24,6 +24,16 @@ function age(ms: number): string {
   return ms >= 1e8 ? "never" : ms >= 1e4 ? `${(ms / 1e3).toFixed(0)} s` : ms >= 1e3 ? `${(ms / 1e3).toFixed(1)} s` : `${ms.toFixed(0)} ms`;
 }
 
+function degrees(radians: number | undefined): string {
+  return radians === undefined ? "-" : ((radians * 180) / Math.PI).toFixed(0);
+}
+
+/** Through the water's plane, by the robot's own estimate. */
+function speed(id: number): string {
+  const nu = live.robots.get(id)?.nu;
+  return nu === undefined ? "-" : Math.hypot(nu[0]!, nu[1]!).toFixed(3);
+}
+
 function Fact({ name, value, bad }: { name: string; value: string; bad?: boolean | undefined }) {
   return (
     <div class={bad ? "bad" : ""}>
@@ -69,6 +79,9 @@ function Tile({ robot, place, s }: { robot: RobotNews; place: number; s: Scene }
         <dl>
           <Fact name="error" value={mm === null ? "-" : `${mm.toFixed(mm < 10 ? 1 : 0)} mm`} />
           <Fact name="pose" value={`${state.track.toLowerCase()} ${age(state.pose_age_ms)}`} bad={state.track === "LOST" || state.track === "COAST"} />
+          <Fact name="depth" value={`${live.robots.get(robot.id)?.eta[2]?.toFixed(2) ?? "-"} m`} />
+          <Fact name="yaw" value={`${degrees(live.robots.get(robot.id)?.eta[3])}°`} />
+          <Fact name="speed" value={`${speed(robot.id)} m/s`} />
           <Fact name="step" value={`${(state.step_us / 1e3).toFixed(1)} ms`} bad={state.step_us > 500e3 * s.period_s} />
           <Fact name="battery" value={`${state.battery_v.toFixed(1)} V`} bad={state.battery_v < battery[2]} />
           <Fact name="board loss" value={`${(100 * state.loss).toFixed(0)} %`} bad={state.loss > 0.05} />

@@ -7,6 +7,7 @@ import { drawEdit, editDrag, editDrop, editGrab } from "../editor/canvas";
 import { drawSoon, drawWith, editing, live, now, scene, selected } from "../store";
 import { drawPool } from "./draw";
 import { follow, LAYERS, type Layer, layers, toggle } from "./layers";
+import { addPlace, drawPlaces, places } from "./places";
 import { View } from "./view";
 import type { Deep } from "../three/three";
 
@@ -102,7 +103,8 @@ function handle(canvas: HTMLCanvasElement): () => void {
   const up = (event: PointerEvent) => {
     if (!down.delete(event.pointerId)) return;
     if (editing.peek() && editDrop()) return;
-    if (moved < 4 && event.type === "pointerup" && !editing.peek()) {
+    if (moved < 4 && event.type === "pointerup" && places.peek() !== null) addPlace(...view.toPool(...at(event)));
+    else if (moved < 4 && event.type === "pointerup" && !editing.peek()) {
       const found = pick(...at(event));
       selected.value = found === selected.peek() ? 0 : found;
       drawSoon();
@@ -116,7 +118,7 @@ function handle(canvas: HTMLCanvasElement): () => void {
     view.zoom(Math.exp(-event.deltaY * (event.ctrlKey ? 0.01 : 0.0015)), ...at(event));
     drawSoon();
   });
-  on("dblclick", fitView);
+  on("dblclick", () => places.peek() === null && fitView());
   return () => listeners.abort();
 }
 
@@ -174,7 +176,8 @@ function PictureAge() {
   const s = scene.value;
   if (s !== null && s.underlay === null) return <span class="picture-age old">picture not shown: the camera moves</span>;
   if (s === null || live.pictureSerial === 0) return <span class="picture-age old">no camera picture</span>;
-  const age = live.pictureAgeMs + performance.now() - live.pictureArrivedMs;
+  const waited = s.replay === undefined ? performance.now() - live.pictureArrivedMs : 0; // a recorded run stands still when it pauses
+  const age = live.pictureAgeMs + waited;
   const old = age > s.picture_stale_s * 1e3;
   return <span class={old ? "picture-age old" : "picture-age"}>picture {(age / 1e3).toFixed(1)} s{old ? " old" : ""}</span>;
 }
@@ -196,6 +199,7 @@ export function Pool() {
       drawPool(pen, view);
       canvas.dataset.paths = live.paths.map(({ id }) => id).join(" ");
       if (editing.peek()) drawEdit(pen, view);
+      drawPlaces(pen, view);
       deep.peek()?.draw();
       if (live.snapshot !== null) {
         live.drawnStampMs = live.snapshot.stamp_ms;

@@ -1,0 +1,59 @@
+/* UART 0, which the Mega's USB is on: both directions through rings that interrupts empty and fill. */
+#include <avr/interrupt.h>
+#include <avr/io.h>
+
+#include "avr.h"
+
+enum { RING = 256 }; /* the indices wrap by themselves */
+
+static volatile uint8_t received[RING], sending[RING];
+static volatile uint8_t received_head, received_tail, sending_head, sending_tail;
+
+ISR(USART0_RX_vect) {
+    const uint8_t byte = UDR0, next = (uint8_t)(received_head + 1);
+    if (next == received_tail)
+        return; /* the loop is late: the frame is damaged, and the link looks for the next */
+    received[received_head] = byte;
+    received_head = next;
+}
+
+ISR(USART0_UDRE_vect) {
+    UDR0 = sending[sending_tail];
+    sending_tail = (uint8_t)(sending_tail + 1);
+    if (sending_tail == sending_head)
+        UCSR0B &= (uint8_t)~(1 << UDRIE0);
+}
+
+void uart_begin(void) {
+    UBRR0 = F_CPU / 8 / BAUD - 1;
+    UCSR0A = 1 << U2X0;
+    UCSR0C = 1 << UCSZ01 | 1 << UCSZ00; /* 8N1 */
+    UCSR0B = 1 << RXCIE0 | 1 << RXEN0 | 1 << TXEN0;
+}
+
+bool uart_has_input(void) { return received_tail != received_head; }
+
+uint16_t uart_read(uint8_t *data, uint16_t room) {
+    uint16_t bytes = 0;
+    while (bytes < room && received_tail != received_head) {
+        data[bytes++] = received[received_tail];
+        received_tail = (uint8_t)(received_tail + 1);
+    }
+    return bytes;
+}
+
+uint16_t uart_write(const uint8_t *data, uint16_t bytes) {
+    uint16_t taken = 0;
+    uint8_t next = (uint8_t)(sending_head + 1);
+    while (taken < bytes && next != sending_tail) {
+        sending[sending_head] = data[taken++];
+        sending_head = next++;
+    }
+    if (taken > 0) {
+        const uint8_t state = SREG;
+        cli();
+        UCSR0B |= 1 << UDRIE0;
+        SREG = state;
+    }
+    return taken;
+}

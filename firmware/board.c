@@ -1,0 +1,244 @@
+#include "board.h"
+
+#include <string.h>
+
+#include "flash.h"
+
+void board_begin(struct board *board, uint8_t robot, const struct settings *settings, struct stamps stamps) {
+    memset(board, 0, sizeof *board);
+    struct parameters parameters;
+    parameters_standard(&parameters);
+    if (settings != NULL && parameters_are_valid(&settings->parameters))
+        parameters = settings->parameters;
+    const struct peer me = {robot, BOARD_COMPONENT}, computer = {robot, COMPUTER_COMPONENT};
+    const uint8_t *key = settings != NULL && settings->has_key ? settings->key : NULL;
+    rules_begin(&board->rules, &parameters, computer);
+    link_begin(&board->link, me, key, stamps.heard, stamps.sent + SENT_BETWEEN);
+    board->kept = stamps;
+    board->to_list = PARAMETERS;
+}
+
+/* --- memory */
+
+struct settings board_settings(const struct board *board) {
+    struct settings settings = {.parameters = board->rules.parameters, .has_key = board->link.gate.has_key};
+    memcpy(settings.key, board->link.gate.key, KEY_BYTES);
+    return settings;
+}
+
+struct stamps board_stamps(const struct board *board) {
+    return (struct stamps){.heard = board->link.gate.newest, .sent = board->link.sent_stamp};
+}
+
+void board_kept(struct board *board, uint8_t what, struct stamps stamps) {
+    board->memory &= (uint8_t)~what;
+    if (what & KEEP_STAMPS)
+        board->kept = stamps;
+}
+
+static bool has_new_stamps(const struct board *board) { return board->link.gate.newest > board->kept.heard; }
+
+/* --- what arrives */
+
+/* Send the texts and the change of arming that are due. */
+static void report(struct board *board) {
+    for (uint8_t i = 0; i < board->rules.texts; i++)
+        send_text(&board->link, &board->rules.text[i]);
+    board->rules.texts = 0;
+    if (board->rules.armed != board->told_armed) {
+        board->told_armed = board->rules.armed;
+        send_heartbeat(&board->link, board->rules.armed, board->rules.charge < CHARGE_NO_ARM);
+    }
+}
+
+static void refuse_parameter(struct board *board, const struct event *event, int index, enum refusal refusal) {
+    static const char WORDS[][24] PROGMEM = {
+        "", "no such parameter", "out of range", "not a REAL32", "does not fit the others", "armed"};
+    static const uint8_t CODES[] = {0, 1, 2, 2, 2, 3}; /* MAV_PARAM_ERROR */
+    struct text text;
+    text_begin(&text, SAY_WARNING);
+    text_name(&text, event->parameter.name, PARAMETER_NAME);
+    text_flash(&text, PSTR(": "));
+    text_flash(&text, WORDS[refusal]);
+    if (refusal == OUT_OF_RANGE) {
+        const struct parameter_row row = parameter_row(index);
+        text_flash(&text, PSTR(" ("));
+        text_name(&text, row.bounds, sizeof row.bounds);
+        text_flash(&text, PSTR(")"));
+    }
+    send_parameter_error(&board->link, event->from, event->parameter.name, index, CODES[refusal]);
+    send_text(&board->link, &text);
+}
+
+/* Send a parameter's present value, and the reason for a refusal. */
+static void answer_parameter(struct board *board, const struct event *event, int index, enum refusal refusal) {
+    if (index >= 0)
+        send_parameter(&board->link, index, board->rules.parameters.value[index]);
+    if (index < 0 || refusal != TAKEN)
+        refuse_parameter(board, event, index, index < 0 ? UNKNOWN_PARAMETER : refusal);
+}
+
+static void read_parameter(struct board *board, struct event *event) {
+    int index = event->parameter.index;
+    if (index >= PARAMETERS) {
+        memset(event->parameter.name, 0, PARAMETER_NAME);
+        index = NO_PARAMETER;
+    } else if (index < 0)
+        index = parameter_named(event->parameter.name);
+    answer_parameter(board, event, index, TAKEN);
+}
+
+static void set_parameter(struct board *board, const struct event *event) {
+    const int index = parameter_named(event->parameter.name);
+    enum refusal refusal = NOT_REAL32;
+    if (event->parameter.is_real32)
+        refusal = rules_change(&board->rules, index, event->parameter.value);
+    answer_parameter(board, event, index, refusal);
+    if (refusal == TAKEN)
+        board->memory |= KEEP_SETTINGS;
+}
+
+/* Sign with this key from now on. A board with a key takes another only from who has its own. */
+static void take_key(struct board *board, const struct event *event) {
+    struct text text;
+    if (!rules_take_key(&board->rules)) {
+        text_begin(&text, SAY_WARNING);
+        text_flash(&text, PSTR("no new key: armed"));
+        send_text(&board->link, &text);
+        return;
+    }
+    link_take_key(&board->link, event->key.secret, event->key.newest, SENT_BETWEEN);
+    board->refused = 0; /* counted anew, as by the link */
+    text_begin(&text, SAY_INFO);
+    text_flash(&text, PSTR("signed from now on"));
+    send_text(&board->link, &text);
+    board->memory |= KEEP_SETTINGS | KEEP_STAMPS;
+}
+
+static void handle(struct board *board, struct event *event, uint64_t now_us) {
+    struct link *link = &board->link;
+    switch (event->kind) {
+    case EVENT_OVERRIDE:
+        rules_override(&board->rules, event->from, event->pulses_us, now_us);
+        break;
+    case EVENT_ARM: {
+        const enum result result = rules_arm(&board->rules, event->arm, now_us);
+        report(board);
+        send_acknowledge(link, event->from, COMMAND_ARM_DISARM, result);
+        break;
+    }
+    case EVENT_TIMESYNC:
+        send_timesync(link, now_us > 0 ? (int64_t)(now_us * 1000u) : 1, event->sent_ns);
+        break;
+    case EVENT_TELL_VERSION:
+        send_acknowledge(link, event->from, COMMAND_REQUEST_MESSAGE, ACCEPTED);
+        send_version(link);
+        break;
+    case EVENT_UNSUPPORTED:
+        send_acknowledge(link, event->from, event->command, UNSUPPORTED);
+        break;
+    case EVENT_LIST_PARAMETERS:
+        board->to_list = 0;
+        break;
+    case EVENT_READ_PARAMETER:
+        read_parameter(board, event);
+        break;
+    case EVENT_SET_PARAMETER:
+        set_parameter(board, event);
+        break;
+    case EVENT_SET_KEY:
+        take_key(board, event);
+        break;
+    case EVENT_REFUSED:
+        board->refused++;
+        break;
+    case EVENT_NONE:
+        break;
+    }
+}
+
+uint16_t board_put(struct board *board, const uint8_t *data, uint16_t bytes, uint64_t now_us) {
+    return link_put(&board->link, data, bytes, now_us);
+}
+
+/* True for what may count only after its timestamp is kept, so that it cannot count again after a loss of power. Disarming,
+which cannot do harm twice, does not wait. */
+static bool is_order(const struct event *event) {
+    return (event->kind == EVENT_ARM && event->arm) || event->kind == EVENT_SET_PARAMETER;
+}
+
+bool board_work(struct board *board, uint64_t now_us) {
+    if (board->has_order) {
+        if (board->memory & KEEP_STAMPS)
+            return link_sign(&board->link);
+        board->has_order = false;
+        handle(board, &board->order, now_us);
+        return true;
+    }
+    struct frame frame;
+    switch (link_next(&board->link, now_us, &frame)) {
+    case LINK_FRAME: {
+        struct event event = read_event(&frame, board->link.me.system);
+        if (is_order(&event) && has_new_stamps(board)) {
+            board->order = event;
+            board->has_order = true;
+            board->memory |= KEEP_STAMPS;
+        } else
+            handle(board, &event, now_us);
+        return true;
+    }
+    case LINK_BUSY:
+        return true;
+    default:
+        return link_sign(&board->link);
+    }
+}
+
+/* --- time goes on */
+
+/* True once for each multiple of the period that is reached. `due_us` is the next one; a division only then, as it is slow. */
+static bool is_due(uint64_t *due_us, uint32_t period_us, uint64_t now_us) {
+    if (now_us < *due_us)
+        return false;
+    *due_us = (now_us / period_us + 1) * period_us;
+    return true;
+}
+
+bool board_measures(const struct board *board, uint64_t now_us) { return now_us >= board->burst_due_us; }
+
+/* Send all measurements, ATTITUDE last: it completes a burst. */
+static void burst(struct board *board, uint64_t now_us, const struct reading *reading) {
+    struct link *link = &board->link;
+    struct rules *rules = &board->rules;
+    const uint32_t board_ms = (uint32_t)(now_us / 1000u);
+    send_imu(link, board_ms, reading);
+    send_pressure(link, board_ms, reading);
+    send_servo_output(link, (uint32_t)now_us, rules);
+    if (is_due(&board->status_due_us, STATUS_US, now_us)) {
+        send_status(link, reading->battery_v, rules->charge, rules->overrides_refused + board->refused);
+        send_battery(link, reading->battery_v, rules->charge);
+    }
+    if (is_due(&board->heartbeat_due_us, HEARTBEAT_US, now_us))
+        send_heartbeat(link, rules->armed, rules->charge < CHARGE_NO_ARM);
+    if (board->to_list < PARAMETERS) {
+        send_parameter(link, board->to_list, rules->parameters.value[board->to_list]);
+        board->to_list++;
+    }
+    send_attitude(link, board_ms, reading);
+    if (is_due(&board->keep_due_us, KEEP_US, now_us) && has_new_stamps(board))
+        board->memory |= KEEP_STAMPS;
+    board->burst_us = now_us;
+    board->has_burst = true;
+}
+
+void board_step(struct board *board, uint64_t now_us, const struct reading *reading) {
+    const bool is_behind = board->link.outbox_ready < board->link.outbox_bytes; /* signing takes longer than a burst's time */
+    if (reading != NULL) {
+        const bool later = board->has_burst && now_us > board->burst_us;
+        rules_battery(&board->rules, reading->battery_v, later ? (float)(now_us - board->burst_us) * 1e-6f : 0.0f);
+    }
+    rules_step(&board->rules, now_us);
+    report(board);
+    if (is_due(&board->burst_due_us, BURST_US, now_us) && reading != NULL && !is_behind)
+        burst(board, now_us, reading);
+}

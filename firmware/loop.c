@@ -1,0 +1,58 @@
+#include "loop.h"
+
+#include <stddef.h>
+
+#include "board_hal.h"
+
+enum { READ_BYTES = 64 };
+
+static void move_outputs(const struct rules *rules) {
+    uint16_t pulses_us[CHANNELS];
+    for (uint8_t i = 0; i < CHANNELS; i++)
+        pulses_us[i] = rules_output_us(rules, i);
+    hal_outputs(pulses_us);
+}
+
+void loop_begin(struct loop *loop, uint8_t robot) {
+    struct settings settings;
+    struct stamps stamps;
+    const uint8_t found = store_load(&loop->store, &settings, &stamps);
+    board_begin(&loop->board, robot, (found & KEEP_SETTINGS) ? &settings : NULL, stamps);
+    loop->step_at_us = hal_now_us();
+    move_outputs(&loop->board.rules);
+}
+
+static void step(struct loop *loop, uint64_t now_us) {
+    struct reading reading;
+    const bool measures = board_measures(&loop->board, now_us);
+    if (measures)
+        hal_sample(now_us, &reading);
+    board_step(&loop->board, now_us, measures ? &reading : NULL);
+    move_outputs(&loop->board.rules);
+    hal_alive();
+    loop->step_at_us += STEP_US;
+    if (loop->step_at_us <= now_us) /* held up: go on from here */
+        loop->step_at_us = now_us + STEP_US;
+}
+
+void loop_once(struct loop *loop) {
+    struct board *board = &loop->board;
+    const uint64_t now_us = hal_now_us();
+    if (now_us >= loop->step_at_us)
+        step(loop, now_us);
+    uint8_t data[READ_BYTES];
+    const uint16_t room = link_room(&board->link), read = hal_read(data, room < READ_BYTES ? room : READ_BYTES);
+    board_put(board, data, read, now_us);
+    const uint32_t taken = board->link.count.taken;
+    const bool busy = board_work(board, now_us);
+    if (board->link.count.taken != taken)
+        hal_heard();
+    store_continue(&loop->store, board);
+    uint16_t bytes;
+    const uint8_t *output = link_output(&board->link, &bytes);
+    bytes = bytes > 0 ? hal_write(output, bytes) : 0;
+    if (bytes > 0)
+        link_sent(&board->link, bytes);
+    if (!busy && read == 0 && bytes == 0 && loop->store.writing == KEEP_NOTHING)
+        hal_idle(loop->step_at_us);
+}

@@ -1,0 +1,67 @@
+/* The board as a shared library, for tests: calls that finish all work that is open, and access by name. */
+#include <string.h>
+
+#include "../board.h"
+
+static void finish(struct board *board, uint64_t now_us) {
+    while (board_work(board, now_us) || board->memory) /* a memory that writes at once */
+        board_kept(board, KEEP_SETTINGS | KEEP_STAMPS, board_stamps(board));
+}
+
+uint32_t library_board_bytes(void) { return sizeof(struct board); }
+
+void library_begin(struct board *board, uint8_t robot, const uint8_t *key, uint64_t heard, uint64_t sent) {
+    struct settings settings = {.has_key = key != NULL};
+    parameters_standard(&settings.parameters);
+    if (key != NULL)
+        memcpy(settings.key, key, KEY_BYTES);
+    board_begin(board, robot, &settings, (struct stamps){heard, sent});
+}
+
+/* Returns true if a frame was taken: intact, and on a signed link well signed. */
+bool library_receive(struct board *board, const uint8_t *data, uint32_t bytes, uint64_t now_us) {
+    const uint32_t taken = board->link.count.taken;
+    do {
+        const uint16_t put = board_put(board, data, bytes < FRAME_BYTES ? (uint16_t)bytes : FRAME_BYTES, now_us);
+        data += put;
+        bytes -= put;
+        finish(board, now_us);
+    } while (bytes > 0);
+    return board->link.count.taken != taken;
+}
+
+void library_step(struct board *board, uint64_t now_us, const struct reading *reading) {
+    finish(board, now_us); /* what has begun and not ended may be overdue */
+    board_step(board, now_us, reading);
+    finish(board, now_us);
+}
+
+uint16_t library_take_output(struct board *board, uint8_t *data) {
+    uint16_t bytes;
+    memcpy(data, link_output(&board->link, &bytes), OUTBOX_BYTES);
+    link_sent(&board->link, bytes);
+    return bytes;
+}
+
+void library_state(const struct board *board, uint16_t outputs_us[CHANNELS], uint32_t state[4]) {
+    for (uint8_t i = 0; i < CHANNELS; i++)
+        outputs_us[i] = rules_output_us(&board->rules, i);
+    state[0] = board->rules.armed;
+    state[1] = board->rules.charge;
+    state[2] = board->rules.overrides_refused;
+    state[3] = board->link.count.unsent;
+}
+
+/* The rules' texts that are not sent yet, each with its severity as the first byte and a zero at its end. */
+uint16_t library_take_texts(struct rules *rules, char *texts) {
+    char *at = texts;
+    for (uint8_t i = 0; i < rules->texts; i++) {
+        const struct text *text = &rules->text[i];
+        *at++ = (char)text->severity;
+        memcpy(at, text->characters, text->length);
+        at += text->length;
+        *at++ = '\0';
+    }
+    rules->texts = 0;
+    return (uint16_t)(at - texts);
+}

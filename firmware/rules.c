@@ -1,0 +1,192 @@
+#include "rules.h"
+
+#include <math.h>
+#include <string.h>
+
+#include "flash.h"
+
+#define BATTERY_FILTER_S 1.0f /* time constant of the voltage filter: thrust lowers the voltage for moments */
+
+void rules_begin(struct rules *rules, const struct parameters *parameters, struct peer computer) {
+    memset(rules, 0, sizeof *rules);
+    rules->parameters = *parameters;
+    rules->computer = computer;
+    const float *value = rules->parameters.value;
+    for (uint8_t i = 0; i < THRUSTERS; i++) {
+        rules->thruster_us[i] = value[THR_NEUTRAL_US];
+        rules->ankle_us[i] = (uint16_t)((uint16_t)(value[ANK_MIN_US] + value[ANK_MAX_US]) / 2);
+    }
+}
+
+uint16_t rules_echo_us(const struct rules *rules, uint8_t channel) {
+    return channel < THRUSTERS ? (uint16_t)lrintf(rules->thruster_us[channel]) : rules->ankle_us[channel - THRUSTERS];
+}
+
+uint16_t rules_output_us(const struct rules *rules, uint8_t channel) {
+    return (uint16_t)((int16_t)rules_echo_us(rules, channel) + (int16_t)rules->parameters.value[THR1_TRIM_US + channel]);
+}
+
+static struct text *say(struct rules *rules, enum severity severity) {
+    if (rules->texts == TEXTS) { /* more than one step can cause: the oldest goes */
+        memmove(rules->text, rules->text + 1, sizeof rules->text - sizeof rules->text[0]);
+        rules->texts--;
+    }
+    struct text *text = &rules->text[rules->texts++];
+    text_begin(text, severity);
+    return text;
+}
+
+static void disarm(struct rules *rules, enum severity severity, const char *reason) {
+    rules->armed = false;
+    text_flash(say(rules, severity), reason);
+}
+
+/* --- what arrives */
+
+static bool is_allowed(const struct rules *rules, const uint16_t pulses_us[CHANNELS]) {
+    const float *value = rules->parameters.value;
+    for (uint8_t i = 0; i < THRUSTERS; i++) {
+        const uint16_t thruster_us = pulses_us[i], ankle_us = pulses_us[THRUSTERS + i];
+        if (!(value[THR_MIN_US] <= thruster_us && thruster_us <= value[THR_MAX_US]))
+            return false;
+        if (ankle_us != IGNORED && !(value[ANK_MIN_US] <= ankle_us && ankle_us <= value[ANK_MAX_US]))
+            return false;
+    }
+    return true;
+}
+
+void rules_override(struct rules *rules, struct peer sender, const uint16_t pulses_us[CHANNELS], uint64_t now_us) {
+    if (!same_peer(sender, rules->computer) || !is_allowed(rules, pulses_us)) {
+        rules->overrides_refused++;
+        return;
+    }
+    memcpy(rules->command_us, pulses_us, sizeof rules->command_us);
+    rules->command_at_us = now_us;
+    rules->has_command = true;
+}
+
+static bool is_stale(const struct rules *rules, uint64_t now_us) {
+    const uint64_t age_us = (uint64_t)rules->parameters.value[CMD_AGE_MS] * 1000u;
+    return !rules->has_command || (now_us > rules->command_at_us && now_us - rules->command_at_us > age_us);
+}
+
+static bool is_neutral_command(const struct rules *rules) {
+    for (uint8_t i = 0; i < THRUSTERS; i++)
+        if (!is_neutral_pulse(&rules->parameters, rules->command_us[i]))
+            return false;
+    return true;
+}
+
+static const char *arming_refusal(const struct rules *rules, uint64_t now_us) {
+    if (is_stale(rules, now_us))
+        return PSTR("not armed: no override is arriving");
+    if (!is_neutral_command(rules))
+        return PSTR("not armed: thruster pulses are not neutral");
+    if (rules->charge >= CHARGE_NO_ARM)
+        return PSTR("not armed: battery low");
+    return NULL;
+}
+
+enum result rules_arm(struct rules *rules, bool wanted, uint64_t now_us) {
+    if (!wanted) {
+        if (rules->armed)
+            disarm(rules, SAY_INFO, PSTR("disarmed"));
+        return ACCEPTED;
+    }
+    if (rules->armed)
+        return ACCEPTED;
+    const char *reason = arming_refusal(rules, now_us);
+    if (reason != NULL) {
+        text_flash(say(rules, SAY_WARNING), reason);
+        return REJECTED;
+    }
+    rules->armed = true;
+    text_flash(say(rules, SAY_INFO), PSTR("armed"));
+    return ACCEPTED;
+}
+
+enum refusal rules_change(struct rules *rules, int parameter, float value) {
+    if (parameter >= 0 && rules->armed)
+        return REFUSED_ARMED;
+    const enum refusal refusal = parameters_change(&rules->parameters, parameter, value);
+    if (refusal == TAKEN)
+        rules->has_command = false; /* it was checked against the old values */
+    return refusal;
+}
+
+bool rules_take_key(struct rules *rules) {
+    if (rules->armed)
+        return false;
+    rules->has_command = false;
+    return true;
+}
+
+static void say_charge(struct rules *rules, enum severity severity, float voltage_v) {
+    static const char LEVELS[][8] PROGMEM = {"GOOD", "WARN", "NO_ARM", "NEUTRAL"};
+    const uint32_t tenths = (uint32_t)lrintf(fminf(fmaxf(voltage_v, 0.0f), 1e6f) * 10.0f);
+    struct text *text = say(rules, severity);
+    text_flash(text, PSTR("battery "));
+    text_flash(text, LEVELS[rules->charge]);
+    text_flash(text, PSTR(": "));
+    text_number(text, tenths / 10);
+    text_flash(text, PSTR("."));
+    text_number(text, tenths % 10);
+    text_flash(text, PSTR(" V"));
+}
+
+/* A level is entered below its threshold, and left well above it. */
+void rules_battery(struct rules *rules, float voltage_v, float elapsed_s) {
+    const float *threshold_v = rules->parameters.value + BAT_WARN_V;
+    const float hysteresis_v = rules->parameters.value[BAT_HYST_V];
+    if (!isfinite(voltage_v))
+        voltage_v = 0.0f;
+    if (!rules->has_voltage)
+        rules->voltage_v = voltage_v;
+    rules->has_voltage = true;
+    rules->voltage_v += (voltage_v - rules->voltage_v) * (1.0f - expf(-elapsed_s / BATTERY_FILTER_S));
+    uint8_t below = 0, not_clear = 0;
+    for (uint8_t i = 0; i < THRESHOLDS; i++) {
+        below = (uint8_t)(below + (rules->voltage_v < threshold_v[i]));
+        not_clear = (uint8_t)(not_clear + (rules->voltage_v < threshold_v[i] + hysteresis_v));
+    }
+    const uint8_t was = rules->charge, at_least = was > below ? was : below;
+    rules->charge = at_least < not_clear ? at_least : not_clear;
+    if (rules->charge == was)
+        return;
+    const bool empty = rules->charge == CHARGE_NEUTRAL;
+    say_charge(rules, empty ? SAY_CRITICAL : rules->charge > was ? SAY_WARNING : SAY_INFO, voltage_v);
+    if (empty && rules->armed)
+        disarm(rules, SAY_CRITICAL, PSTR("disarmed: battery empty"));
+}
+
+/* --- time goes on */
+
+/* Move towards the command, thrusters no faster than the slew rate. */
+static void move(struct rules *rules, float reach_us) {
+    for (uint8_t i = 0; i < THRUSTERS; i++) {
+        const float way_us = rules->command_us[i] - rules->thruster_us[i];
+        rules->thruster_us[i] += fminf(fmaxf(way_us, -reach_us), reach_us);
+        if (rules->command_us[THRUSTERS + i] != IGNORED)
+            rules->ankle_us[i] = rules->command_us[THRUSTERS + i];
+    }
+}
+
+void rules_step(struct rules *rules, uint64_t now_us) {
+    const float *value = rules->parameters.value;
+    if (rules->armed && is_stale(rules, now_us)) {
+        disarm(rules, SAY_WARNING, PSTR("disarmed: no override for "));
+        struct text *text = &rules->text[rules->texts - 1];
+        text_number(text, (uint32_t)value[CMD_AGE_MS]);
+        text_flash(text, PSTR(" ms"));
+    }
+    const bool later = rules->has_stepped && now_us > rules->stepped_at_us;
+    const float elapsed_s = later ? (float)(now_us - rules->stepped_at_us) * 1e-6f : 0.0f;
+    rules->has_stepped = true;
+    rules->stepped_at_us = now_us;
+    if (rules->armed) {
+        move(rules, value[SLEW_US_S] * elapsed_s);
+        return;
+    }
+    for (uint8_t i = 0; i < THRUSTERS; i++)
+        rules->thruster_us[i] = value[THR_NEUTRAL_US];
+}

@@ -1,0 +1,105 @@
+"""SHELL: requests of an operator to a running station, and their outcomes, for terminals and scripts (`import shoal`).
+
+with connect() as bus:
+    reply = follow(sender(bus), fleet_command("start"), patience_s(Order.START), print)
+    done, text = verdict(reply, 60.0)
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from groundstation.mission.state_machine import order_named
+from groundstation.station import discovery
+from wire.messages.live_gains import values_of
+from wire.messages.messages import Command, Order, Outcome, Progress, Reply, Tuning
+from wire.messages.topics import WHOLE_FLEET, Role, process_name
+from wire.process.cli_options import DEFAULT_FLEET
+from wire.transport.bus import Bus
+from wire.transport.gate import nearest
+from wire.transport.network import endpoint
+from wire.transport.zenoh_transport import ZenohTransport
+
+ORDER_TIMEOUT_S = 2.0
+ASK_EVERY_S = 0.2
+PATIENCE_S = {Order.STOP: 5.0, Order.RETURN: 600.0, Order.TUNE: 120.0}  # a lap, for gains that change with the next one
+OTHERWISE_S = 60.0  # the station itself gives a robot up after 10 s in each of a request's stages
+
+
+def connect(
+    station: str | None = None,
+    fleet: str = DEFAULT_FLEET,
+    keys: Path | None = None,
+    insecure: bool = False,
+    patience_s: float = ORDER_TIMEOUT_S,
+) -> Bus:
+    """The bus of a running station's fleet, as its operator. Without an endpoint it is the station that runs on this machine.
+    Raises ConfigError where there are several, and Unreached if none answers within `patience_s`."""
+    where = nearest(endpoint(discovery.station(station, fleet), process_name(Role.OPERATOR), keys, insecure=insecure))
+    return Bus(ZenohTransport(where, patience_s=patience_s), fleet)
+
+
+def sender(bus: Bus) -> Callable[[Command], Reply]:
+    """Function that sends a request and waits for the reply."""
+    return lambda command: bus.command(command, time.time_ns(), ORDER_TIMEOUT_S)
+
+
+def fleet_command(name: str) -> Command:
+    """Request of the whole fleet with one of the names FLEET_REQUESTS. Raises KeyError."""
+    return Command(order_named(name), WHOLE_FLEET)
+
+
+def go_command(places_m: ArrayLike) -> Command:
+    """Request to lead the formation through places (n, 2) x, y in m. Raises ValueError for what are none."""
+    via = np.array(places_m, dtype=np.float64)
+    if via.ndim != 2 or via.shape[1] != 2 or not len(via):
+        raise ValueError(f"{via.tolist()}: no places (allowed: one or more, x and y each)")
+    if not np.all(np.isfinite(via)):
+        raise ValueError(f"{via.tolist()}: no places (allowed: finite numbers, in m)")
+    return Command(Order.GO, WHOLE_FLEET, via=via)
+
+
+def gains_command(changes: Sequence[str]) -> Command:
+    """Request of these gains, each `key=value`; of those before if there are none. Raises ConfigError."""
+    values = values_of(changes)
+    return Command(Order.TUNE, WHOLE_FLEET, tuning=Tuning("", tuple(values), np.array(list(values.values()))))
+
+
+def patience_s(order: Order) -> float:
+    """Time to wait for the outcome of a request where nobody says how long."""
+    return PATIENCE_S.get(order, OTHERWISE_S)
+
+
+def follow(ask: Callable[[Command], Reply], command: Command, patience_s: float, told: Callable[[Outcome], None]) -> Reply:
+    """Make a request, and query its outcome until it is over or `patience_s` have gone by. Returns the last reply.
+
+    An emergency stop without a reply is repeated.
+    """
+    deadline = time.monotonic() + patience_s
+    reply = ask(command)
+    while command.order is Order.STOP and reply.silent and time.monotonic() < deadline:
+        reply = ask(command)
+    while reply.accepted and reply.outcome is not None and reply.outcome.progress is Progress.UNDER_WAY:
+        told(reply.outcome)
+        if time.monotonic() >= deadline:
+            return reply
+        time.sleep(ASK_EVERY_S)
+        answer = ask(Command(Order.NONE, robot=WHOLE_FLEET, about=reply.outcome.request))
+        reply = reply if answer.silent else answer
+    return reply
+
+
+def verdict(reply: Reply, patience_s: float) -> tuple[bool, str]:
+    """True if the request is done, and its outcome in words. A request that nobody waits for is done when it is taken."""
+    outcome = reply.outcome
+    if outcome is None and not reply.accepted:
+        return False, f"not heard: {reply.reason}" if reply.silent else f"refused: {reply.reason}"
+    if outcome is None:
+        return False, "under way, and this station does not tell what becomes of it"
+    if outcome.progress is Progress.UNDER_WAY:
+        return (True, "taken by the station") if patience_s == 0.0 else (False, f"not done within {patience_s:g} s")
+    done = outcome.progress is Progress.DONE
+    return done, f"{'done' if done else 'failed'}{f': {outcome.reason}' if outcome.reason else ''}"

@@ -1,0 +1,48 @@
+/** Places that a person clicks on the map, over which the formation is to fly next. */
+
+import { signal } from "@preact/signals";
+import { css } from "../colours";
+import { order } from "../link";
+import { drawSoon } from "../store";
+import type { View } from "./view";
+
+const MOST = 50; // as many as the station takes
+
+/** The places so far; null: clicks choose robots. */
+export const places = signal<[number, number][] | null>(null);
+
+export function choosePlaces(on: boolean): void {
+  places.value = on ? [] : null;
+  drawSoon();
+}
+
+export function addPlace(x: number, y: number): void {
+  places.value = [...(places.peek() ?? []), [Number(x.toFixed(2)), Number(y.toFixed(2))] as [number, number]].slice(0, MOST);
+  drawSoon();
+}
+
+export function flyThere(): void {
+  const chosen = places.peek();
+  if (chosen !== null && chosen.length > 0) order("go", chosen);
+  choosePlaces(false);
+}
+
+export function drawPlaces(pen: CanvasRenderingContext2D, view: View): void {
+  const chosen = places.peek();
+  if (chosen === null || chosen.length === 0) return;
+  pen.strokeStyle = pen.fillStyle = css("--accent");
+  pen.lineWidth = 2;
+  pen.setLineDash([6, 4]);
+  pen.beginPath();
+  for (const [x, y] of chosen) pen.lineTo(...view.toScreen(x, y));
+  pen.stroke();
+  pen.setLineDash([]);
+  pen.font = "600 12px system-ui, sans-serif";
+  chosen.forEach(([x, y], k) => {
+    const [px, py] = view.toScreen(x, y);
+    pen.beginPath();
+    pen.arc(px, py, 6, 0, 2 * Math.PI);
+    pen.fill();
+    pen.fillText(`${k + 1}`, px + 9, py - 6);
+  });
+}

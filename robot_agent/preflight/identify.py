@@ -1,0 +1,89 @@
+"""SHELL: `robot-agent identify`: a vehicle's numbers from measurements on a bench."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from robot_agent.host.params import ParameterSession, talk
+from robot_agent.preflight.thrust_curve import ThrustFit, fit, read_rows
+from wire.config.vehicle import Thruster, load_vehicle
+from wire.mavlink.agent_link import STANDARD_GRAVITY_MPS2
+from wire.process.cli_options import LinkInsecure, LinkKey
+from wire.toml_loader import ConfigError, check, os_errors_as_config_errors
+
+cli = typer.Typer(help="A vehicle's numbers from measurements on a bench (docs/hil.md).")
+
+
+@cli.callback()
+def main() -> None:
+    """A vehicle's numbers from measurements on a bench (docs/hil.md)."""
+
+
+@cli.command()
+def thrust(
+    file: Annotated[Path, typer.Argument(metavar="CSV", help="Readings: a head pulse_us,grams; grams negative astern.")],
+    vehicle: Annotated[
+        str, typer.Option(help="The vehicle that has the thruster: a shipped one, or a path ending in .toml.")
+    ] = ("spherical"),
+    lever: Annotated[float, typer.Option(min=0.01, max=100.0, help="Thrust divided by the force on the scale.")] = 1.0,
+    still_g: Annotated[float, typer.Option(min=0.0, max=1000.0, help="Readings up to this count as no thrust.")] = 3.0,
+    link: Annotated[str | None, typer.Option("--link", help="Also write it to the thruster board at this address.")] = None,
+    robot: Annotated[int | None, typer.Option("--robot", help="Whose board; default: the one that is heard first.")] = None,
+    key: LinkKey = None,
+    insecure: LinkInsecure = False,
+) -> None:
+    """Fit a thruster's curve to what a kitchen scale showed; print it for an experiment, and write it to a board.
+
+    Exit code 2 for readings that no thruster makes, naming the line.
+
+    Example:  robot-agent identify thrust scale.csv --lever 0.5 --link serial:/dev/ttyACM0
+    """
+    with os_errors_as_config_errors(file):
+        lines = file.read_text(encoding="utf-8").splitlines()
+    readings = read_rows(lines, str(file), lever)
+    like = load_vehicle(vehicle).thruster
+    found = fit(readings, str(file), len(like.curve), still_g * 1e-3 * STANDARD_GRAVITY_MPS2 * lever)
+    largest_n = min(like.max_thrust_n, found.curve[-1][1])
+    check(Thruster, {**like.model_dump(), "curve": found.curve, "max_thrust_n": largest_n}, str(file))
+    typer.echo(toml(found, vehicle, largest_n, len(readings)))
+    if link is not None:
+        with talk(link, robot, key, insecure) as session:
+            typer.echo(f"{write_curve(session, found)} parameters of the board at {link} changed", err=True)
+
+
+def toml(found: ThrustFit, vehicle: str, largest_n: float, readings: int) -> str:
+    """The curve as an experiment's lines."""
+    worst = f"at worst {found.worst_n:.3f} N in line {found.worst.line} ({found.worst.pulse_us} us)"
+    points = ", ".join(f"[{pulse}, {force:g}]" for pulse, force in found.curve)
+    return (
+        f"# {readings} readings; {found.rms_n:.3f} N RMS from the curve, {worst}\n"
+        f'[vehicle]\nlike = "{vehicle}"\n\n[vehicle.thruster]\nmax_thrust_n = {largest_n:g}\ncurve = [{points}]'
+    )
+
+
+def write_curve(session: ParameterSession, found: ThrustFit) -> int:
+    """Set the curve's parameters on the board; returns how many were changed. A value that does not fit the others yet is
+    tried again when others have changed. Raises ConfigError if one is refused for good, or if the board's curve has another
+    number of points."""
+    client = session.client
+    session.until(lambda: client.complete, client.ask_all)
+    rows = sum(name.startswith("CRV") and name.endswith("_US") for name in client.values)
+    if rows != len(found.curve):
+        raise ConfigError(
+            f"the board's curve has {rows} points, and the measurement gives {len(found.curve)} (measure at more pulses)"
+        )
+    curve = [(f"CRV{i:02}", pulse, force) for i, (pulse, force) in enumerate(found.curve, 1)]
+    values = {f"{row}_{unit}": float(value) for row, *both in curve for unit, value in zip(("US", "N"), both, strict=True)}
+    wanted = {name: value for name, value in values.items() if not session.has(name, value)}
+    changed = 0
+    while wanted:
+        before = len(wanted)
+        for name, value in list(wanted.items()):
+            if session.set(name, value):
+                del wanted[name]
+                changed += 1
+        if len(wanted) == before:
+            name, value = next(iter(wanted.items()))
+            raise ConfigError(f"{name} = {value:g}: {client.said or 'the board does not answer'}")
+    return changed

@@ -1,0 +1,132 @@
+"""A thruster's curve from bench measurements: pulse against what a kitchen scale shows. Pure.
+
+The thruster pushes a lever onto the scale. Readings are averaged for each pulse, made monotonic by isotonic regression (pool
+adjacent violators; Barlow et al. 1972), set to 0 N within the dead zone, and thinned to the number of points of a vehicle's
+curve.
+"""
+
+import csv
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import groupby, pairwise
+
+from wire.mavlink.agent_link import PULSE_RANGE_US, STANDARD_GRAVITY_MPS2
+from wire.toml_loader import ConfigError
+
+COLUMNS = ["pulse_us", "grams"]
+LEAST_PULSES = 6  # different ones: two on each side, and the dead zone
+OUTLIER = 0.1  # of the largest thrust: a reading that is further from the curve is a mistake of the bench
+
+Curve = tuple[tuple[int, float], ...]  # (us, N), rising
+
+
+@dataclass(frozen=True)
+class ThrustReading:
+    """One row of a measurement; `line` is its line of the file."""
+
+    line: int
+    pulse_us: int
+    force_n: float
+
+
+@dataclass(frozen=True)
+class ThrustFit:
+    """A curve, and how far the readings are from it."""
+
+    curve: Curve
+    rms_n: float
+    worst: ThrustReading
+    worst_n: float
+
+
+def read_rows(lines: Iterable[str], name: str, lever: float = 1.0) -> list[ThrustReading]:
+    """Readings of a CSV file with a head `pulse_us,grams`; grams are negative astern, times `lever` they are the thrust.
+    Raises ConfigError naming line, column and value of a row that cannot be used."""
+    rows = csv.reader(lines)
+    head = next(rows, [])
+    if [cell.strip() for cell in head] != COLUMNS:
+        raise ConfigError(f"{name}: line 1: {','.join(head)!r} is not the head (allowed: {','.join(COLUMNS)})")
+    found = []
+    for row in rows:
+        if not any(cell.strip() for cell in row):
+            continue
+        where = f"{name}: line {rows.line_num}"
+        if len(row) != len(COLUMNS):
+            raise ConfigError(f"{where}: {len(row)} columns (allowed: {','.join(COLUMNS)})")
+        pulse, grams = (_number(cell, f"{where}: {column}") for cell, column in zip(row, COLUMNS, strict=True))
+        low, high = PULSE_RANGE_US
+        if not low <= pulse <= high or pulse != int(pulse):
+            raise ConfigError(f"{where}: pulse_us = {pulse:g} (allowed: whole numbers from {low} to {high})")
+        found.append(ThrustReading(rows.line_num, int(pulse), grams * 1e-3 * STANDARD_GRAVITY_MPS2 * lever))
+    return found
+
+
+def _number(cell: str, where: str) -> float:
+    try:
+        value = float(cell)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise ConfigError(f"{where} = {cell.strip()!r}: not a number")
+    return value
+
+
+def fit(readings: Sequence[ThrustReading], name: str, points: int, still_n: float) -> ThrustFit:
+    """The curve of some readings; thrust up to `still_n` counts as none. Raises ConfigError for those of no thruster: too few,
+    one-sided, without a dead zone, or with a reading that does not fit the others."""
+    ordered = sorted(readings, key=lambda reading: reading.pulse_us)
+    levels = [
+        (pulse, [reading.force_n for reading in group])
+        for pulse, group in groupby(ordered, key=lambda reading: reading.pulse_us)
+    ]
+    if len(levels) < LEAST_PULSES:
+        raise ConfigError(f"{name}: {len(levels)} different pulses (allowed: {LEAST_PULSES} or more)")
+    forces = _isotonic([sum(values) / len(values) for _, values in levels], [len(values) for _, values in levels])
+    forces = [0.0 if abs(force) <= still_n else force for force in forces]
+    dense = tuple((pulse, force) for (pulse, _), force in zip(levels, forces, strict=True))
+    if not (forces[0] < 0.0 < forces[-1]):
+        raise ConfigError(f"{name}: {forces[0]:.2f} N to {forces[-1]:.2f} N: must reach from astern (negative grams) to ahead")
+    if forces.count(0.0) < 2:
+        raise ConfigError(f"{name}: no two pulses at which the thruster stands still (measure both edges of the dead zone)")
+    curve = _thinned(dense, points)
+    off = [(abs(interpolate(curve, reading.pulse_us) - reading.force_n), reading) for reading in ordered]
+    worst_n, worst = max(off, key=lambda pair: pair[0])
+    if worst_n > OUTLIER * max(-forces[0], forces[-1]) + still_n:
+        raise ConfigError(
+            f"{name}: line {worst.line}: {worst.force_n:.2f} N at {worst.pulse_us} us is {worst_n:.2f} N off the curve of the "
+            "others; measure it again, or remove it"
+        )
+    rms_n = math.sqrt(sum(each * each for each, _ in off) / len(off))
+    return ThrustFit(tuple((pulse, round(force, 3)) for pulse, force in curve), rms_n, worst, worst_n)
+
+
+def _isotonic(values: Sequence[float], weights: Sequence[int]) -> list[float]:
+    """The nearest values, in weighted least squares, that never fall."""
+    blocks: list[tuple[float, int, int]] = []  # mean, weight, number of values
+    for value, weight in zip(values, weights, strict=True):
+        block = (value, weight, 1)
+        while blocks and blocks[-1][0] > block[0]:
+            mean, mass, count = blocks.pop()
+            total = mass + block[1]
+            block = ((mean * mass + block[0] * block[1]) / total, total, count + block[2])
+        blocks.append(block)
+    return [mean for mean, _, count in blocks for _ in range(count)]
+
+
+def interpolate(curve: Sequence[tuple[int, float]], pulse_us: float) -> float:
+    """Thrust in N at a pulse within the curve."""
+    for (low_us, low_n), (high_us, high_n) in pairwise(curve):
+        if pulse_us <= high_us:
+            return low_n + (high_n - low_n) * (pulse_us - low_us) / (high_us - low_us)
+    return curve[-1][1]
+
+
+def _thinned(dense: Curve, points: int) -> Curve:
+    """At most so many points: the ends, the edges of the dead zone, and then always the one that is furthest off."""
+    still = [point for point in dense if point[1] == 0.0]
+    kept = {dense[0], still[0], still[-1], dense[-1]}
+    while len(kept) < min(points, len(dense)):
+        curve = sorted(kept)
+        kept.add(max((p for p in dense if p not in kept), key=lambda p: abs(interpolate(curve, p[0]) - p[1])))
+    return tuple(sorted(kept))

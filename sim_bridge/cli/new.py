@@ -1,0 +1,39 @@
+"""SHELL: `sim-bridge new`: an experiment file to begin with."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from pydantic import TypeAdapter, ValidationError
+
+from wire.config.experiment import Name
+from wire.config.key_reference import SCHEMAS
+from wire.toml_loader import ConfigError, os_errors_as_config_errors
+
+TEMPLATE = Path(__file__).parent / "templates" / "experiment.toml"
+
+
+def new(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Its name: small letters, digits and -. The file is NAME.toml.")],
+    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Where the file goes.")] = Path(),
+) -> None:
+    """Write an experiment of one's own to begin with: commented, and one that flies (docs/tutorial.md).
+
+    A file that is there already is left as it is, and told.
+
+    Example:  sim-bridge new lab
+    """
+    try:
+        TypeAdapter(Name).validate_python(name)
+    except ValidationError:
+        raise typer.BadParameter(f"{name!r} is no name (allowed: up to 64 small letters, digits and -)") from None
+    text = TEMPLATE.read_text(encoding="utf-8").replace("NAME", name)
+    text = text.replace("SCHEMA", (SCHEMAS / "experiment.schema.json").resolve().as_uri(), 1)
+    file = out / f"{name}.toml"
+    with os_errors_as_config_errors(file):
+        try:
+            with file.open("x", encoding="utf-8") as stream:
+                stream.write(text)
+        except FileExistsError:
+            raise ConfigError(f"{file}: is there already, and would be lost (choose another NAME)") from None
+    typer.echo(f"{file}: try  sim-bridge numeric {file}")

@@ -1,0 +1,159 @@
+"""SHELL: a real thruster board in HIL mode, in the place of a simulated one: `sim-bridge hil`.
+
+    agent -> its port (board_ports.py) -> gate -> board -> SERVO_OUTPUT_RAW -> plant -> HIL_SENSOR -> board
+                                                  board -> telemetry -> agent
+
+The gate lets an agent's bytes through only to a board that has just said that it is in HIL mode. So a board on whose
+pins thrusters may turn is never armed from here.
+"""
+
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from sim_bridge.plant.sensors import BoardSensors
+from sim_bridge.thruster_board.board import STATUS_NS, crosses, demanded_load
+from sim_bridge.thruster_board.parameters import VOLATILE
+from wire.config.experiment import Experiment
+from wire.frames import Array
+from wire.mavlink.board_link import BoardLink, SetParameter
+from wire.mavlink.board_port import Link, open_link
+from wire.mavlink.parameters import ParameterClient
+from wire.mavlink.signing import SignatureVerifier
+from wire.mavlink.signing_key import Signing
+from wire.mavlink.simulator_link import LINK_ID, SimulatorLink
+from wire.process.runtime import Failed, log
+from wire.toml_loader import ConfigError
+
+HEARD_WITHIN_S = 5.0
+ASK_AGAIN_S = 0.3
+YOUNG_NS = 100_000_000  # ns, age of the echo up to which bytes pass: less than a board takes to start again
+SILENT_NS = 1_000_000_000  # ns without an echo, after which the run ends
+MODE_NS = 2_500_000_000  # ns without a word about the mode, after which the run ends: two heartbeats
+
+
+class HilBoard:
+    """One robot's real board: its outputs move the robot in the plant, whose motion it is told as measurements."""
+
+    next_event_ns = 0  # something may have come from the board at any time
+    burst_ms = -1  # by which a lockstep run waits for a board; this one runs by its own clock
+
+    def __init__(
+        self, experiment: Experiment, robot_id: int, seed: int, where: str, link: Link, signing: Signing | None
+    ) -> None:
+        """`where` is the text of its address, for messages. The `link` is the caller's to close."""
+        key, now = (None, lambda: 0) if signing is None else (signing.key, signing.stamps)
+        self.sensors = BoardSensors(experiment.sim.sensors, robot_id, seed)
+        self._thruster, self._where, self._robot_id = experiment.vehicle.thruster, where, robot_id
+        self._link, self._signing = link, signing
+        self._judge = BoardLink(robot_id, SignatureVerifier(key))  # frames are judged as the board does
+        self._board = SimulatorLink(robot_id, key, now)
+        self._burst_ns = round(1e9 / experiment.sim.sensors.rate_hz)
+        self._rest_us = (round(self._thruster.neutral_us),) * 4 + (round(sum(experiment.vehicle.legs.ankle_us) / 2),) * 4
+        self._begin_ns = self._mode_ns = 0  # of the first step; of the last at which the mode was known
+        self._last_step_ns: int | None = None
+
+    @property
+    def pulses(self) -> tuple[int, ...]:
+        """Pulses of the board's outputs, us: 4 thrusters, 4 ankles."""
+        return self._board.echo_us or self._rest_us
+
+    @property
+    def armed(self) -> bool:
+        """True if the board has said so."""
+        return self._board.armed
+
+    @property
+    def neutral(self) -> bool:
+        """True if all thrusters stand still."""
+        return self.pulses[:4] == self._rest_us[:4]
+
+    def receive(self, data: bytes, now_ns: int) -> bool:
+        """Pass an agent's bytes on to the board, if it is in HIL mode. Returns True if a frame in them is one that the board
+        takes. HIL_MODE and HIL_OUTPUTS cannot be changed through here."""
+        before = self._judge.taken_frames
+        events = [event for _, event in self._judge.receive(data, now_ns)]
+        if any(isinstance(event, SetParameter) and event.name in VOLATILE for event in events):
+            log.warning("robot %d: a change of %s is not passed on", self._robot_id, " or ".join(VOLATILE))
+        elif self._is_open(now_ns):
+            self._link.send(data)
+        return self._judge.taken_frames > before
+
+    def _is_open(self, now_ns: int) -> bool:
+        heard_ns = self._board.echo_ns
+        return self._board.hil is True and heard_ns is not None and now_ns - heard_ns <= YOUNG_NS
+
+    def measures(self, now_ns: int) -> bool:
+        """True if the step to this instant reads the sensors."""
+        return crosses(self._burst_ns, self._last_step_ns, now_ns)
+
+    def step(
+        self, now_ns: int, eta: Array, nu: Array, acceleration: Array, supply_v: float, tilt: Array | Sequence[float]
+    ) -> bytes:
+        """Send the measurements that are due. Returns what the board has sent, for its agent. The arguments are those of
+        ThrusterBoard.step. Raises Failed if the board is not in HIL mode, or silent."""
+        if self._last_step_ns is None:
+            self._begin_ns = self._mode_ns = now_ns
+            while self._link.read():  # what was sent before the run says nothing about the board's mode now
+                pass
+        data = self._link.read()
+        self._board.receive(data, now_ns)
+        self._check(now_ns)
+        if self.measures(now_ns):
+            reading = self.sensors.read(eta, nu, acceleration, tilt)
+            values = (reading.heading_rad, reading.yaw_rate_radps, reading.acceleration_mps2, reading.depth_m)
+            self._link.send(self._board.motion(now_ns // 1000, *values))
+            if crosses(STATUS_NS, self._last_step_ns, now_ns):
+                load = demanded_load(self._thruster, self.pulses)
+                self._link.send(self._board.battery(self.sensors.battery_v(supply_v, load)))
+                if self._signing is not None:
+                    self._signing.stamps.renew(self._board.stamp)
+        self._last_step_ns = now_ns
+        return data
+
+    def _check(self, now_ns: int) -> None:
+        board = self._board
+        if board.hil is False:
+            raise Failed(f"robot {self._robot_id}: {not_in_hil(self._where)}")
+        heard_ns = self._begin_ns if board.echo_ns is None else board.echo_ns
+        if now_ns - heard_ns > SILENT_NS:
+            why = f"; {self._link.trouble}" if self._link.trouble else ""
+            silent_s = (now_ns - heard_ns) * 1e-9
+            raise Failed(f"robot {self._robot_id}: the board at {self._where} is silent for {silent_s:.1f} s{why}")
+        if board.hil:
+            self._mode_ns = now_ns
+        elif now_ns - self._mode_ns > MODE_NS:
+            raise Failed(f"robot {self._robot_id}: the board at {self._where} does not say whether it is in HIL mode")
+
+
+def not_in_hil(where: str) -> str:
+    """The text about a board that is not in HIL mode, with what to do."""
+    return f"the board at {where} is not in HIL mode (robot-agent params set HIL_MODE 1 --link {where})"
+
+
+def connect(robot_id: int, where: str, key: Path | None, insecure: bool) -> tuple[Link, Signing | None]:
+    """Open the link to a real board that is in HIL mode. Raises ConfigError with the reason why it cannot be used."""
+    signing = Signing.of(key, "hil", LINK_ID) if key is not None else None
+    link = open_link(where, secured=signing is not None or insecure, option=f"--board {robot_id}")
+    client = ParameterClient(robot_id) if signing is None else ParameterClient(robot_id, signing.key, signing.stamps)
+    try:
+        _ask_mode(link, client)
+        mode = client.values.get("HIL_MODE")
+        if mode == 1.0:
+            return link, signing
+        reason = not_in_hil(where) if mode is not None else client.silence(link.trouble) or "the board has no HIL mode"
+        raise ConfigError(f"--board {robot_id}={where}: {reason}")
+    except ConfigError:
+        link.close()
+        raise
+
+
+def _ask_mode(link: Link, client: ParameterClient) -> None:
+    """Ask a board for its HIL_MODE until it answers, or HEARD_WITHIN_S are over."""
+    end_s, asked_s = time.monotonic() + HEARD_WITHIN_S, 0.0
+    while "HIL_MODE" not in client.values and client.error is None and time.monotonic() < end_s:
+        if time.monotonic() - asked_s > ASK_AGAIN_S:
+            asked_s = time.monotonic()
+            link.send(client.heartbeat() + client.ask("HIL_MODE"))
+        link.wait(0.05)
+        client.receive(link.read(), time.monotonic_ns())

@@ -1,0 +1,102 @@
+"""Hardware in the loop: boards in HIL mode in step with the water, and with every process for real, on a pseudo-terminal and
+on UDP."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from socket import SOCK_DGRAM
+
+import numpy as np
+import pytest
+
+from robot_agent.host.params import set_one
+from sim_bridge.node.hil_board import HilBoard
+from sim_bridge.sil.commands import Program, RunOptions, programs
+from sim_bridge.sil.ports import free_base_port, free_port
+from sim_bridge.sil.processes import Children
+from sim_bridge.thruster_board.board import ThrusterBoard
+from tests.closed_loop.dry_pool import DryPool
+from tests.sim_bridge.boards import board
+from tests.waiting import wait_for_line
+from wire.config.experiment import NO_CAMERA, Experiment, dump_experiment, load_experiment
+from wire.mavlink.parameters import ParameterClient
+
+STILL = np.zeros(4)
+STEP_NS = 5_000_000
+
+
+class HilDesk:
+    """The link to a board on a desk, in HIL mode and at rest, which makes a step of 5 ms each time that it is read."""
+
+    trouble = ""
+
+    def __init__(self, robot: int, board: ThrusterBoard) -> None:
+        self.board, self._now_ns = board, 0
+        board.receive(ParameterClient(robot).set("HIL_MODE", 1.0), 0)
+        self.pins: set[tuple[int, ...]] = set()
+
+    def send(self, data: bytes) -> None:
+        self.board.receive(data, self._now_ns)
+
+    def read(self) -> bytes:
+        self._now_ns += STEP_NS
+        data = self.board.step(self._now_ns, STILL, STILL, STILL)
+        self.pins.add(self.board.pulses)
+        return data
+
+    def wait(self, timeout_s: float) -> None: ...
+    def close(self) -> None: ...
+
+
+@pytest.mark.long
+def test_boards_on_a_desk_fly_the_pool_scene_within_its_limits_and_no_pin_moves() -> None:
+    desks: list[HilDesk] = []
+
+    def make(experiment: Experiment, robot: int, seed: int) -> HilBoard:
+        desks.append(HilDesk(robot, ThrusterBoard(experiment, robot, seed)))
+        return HilBoard(experiment, robot, seed, "the desk", desks[-1], None)
+
+    pool = DryPool(load_experiment("pool", ["duration_s=32"]), make=make)
+    pool.take_off()
+    pool.run(32.0)
+    settled = pool.errors()[400:, :, :3]
+    assert np.all(np.sqrt(np.mean(settled**2, axis=0)) < 0.03)
+    assert np.all(np.abs(settled) < 0.08)
+    assert [desk.pins for desk in desks] == [{(1500,) * 8}] * 2
+    assert np.ptp(np.array(pool.pulses)[:, :, :4]) > 100, "us: the outputs have moved all the same"
+
+
+def in_hil(started: list[Program], boards: dict[int, str]) -> list[Program]:
+    """The programs of a run, with `hil` around these boards in the place of `pool`."""
+    real = [part for robot, where in boards.items() for part in ("--board", f"{robot}={where}")]
+    return [Program(p.name, p.module, ("hil", *p.arguments[1:], *real)) if p.name == "sim-bridge" else p for p in started]
+
+
+@pytest.mark.real_time
+@pytest.mark.timeout(300)
+def test_a_formation_of_boards_in_hil_mode_flies_within_its_limits_in_real_time(tmp_path: Path) -> None:
+    experiment = load_experiment("pool", ["duration_s=26", NO_CAMERA])
+    run, udp = tmp_path / "run", free_port(SOCK_DGRAM)
+    run.mkdir()
+    (run / "experiment.toml").write_text(dump_experiment(experiment), encoding="utf-8")
+    boards = {1: f"serial:{tmp_path}/plug", 2: f"udp:127.0.0.1:{udp}"}
+    address = f"tcp/127.0.0.1:{free_port()}"
+    started = programs((1, 2), RunOptions(poses=True), run, address, free_base_port((1, 2)))
+    children = Children(run / "logs")
+    with board(f"pty:{tmp_path}/plug", tmp_path / "kept", 1), board(f"udp:127.0.0.1:{udp}", tmp_path / "kept", 2):
+        for where in boards.values():
+            set_one("HIL_MODE", 1.0, where)
+        try:
+            for program in in_hil(started, boards):
+                children.start(program.name, program.module, program.arguments)
+                if program.name == "groundstation":
+                    wait_for_line(run / "logs" / "groundstation.log", "waiting for the fleet", 120.0)
+            assert children.all[0].process.wait(150) == 0, children.all[0].explain()
+        finally:
+            children.stop()
+    report = subprocess.run(
+        [sys.executable, "-m", "groundstation", "log", "report", str(run)], capture_output=True, text=True, check=False
+    )
+    result = json.loads((run / "result.json").read_text())
+    assert (report.returncode, result["passed"]) == (0, True), result["checks"]

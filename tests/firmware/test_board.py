@@ -1,0 +1,150 @@
+"""The C board beside the Python reference, byte for byte, and the conformance run on it in simulated time."""
+
+import ctypes
+import random
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from pymavlink.dialects.v20 import common as dialect
+
+from sim_bridge.board_conformance.runner import RuleVerdict
+from sim_bridge.plant.sensors import Reading
+from sim_bridge.thruster_board.board import NonvolatileState, ThrusterBoard
+from tests.firmware.bench import results
+from tests.firmware.library import POOL, FirmwareBoard, built, load
+from wire.mavlink.agent_link import IGNORED, STANDARD_GRAVITY_MPS2
+from wire.mavlink.framing import Sender
+from wire.mavlink.signing import Key
+
+pytestmark = pytest.mark.long
+
+KEY, OTHER = Key(bytes(range(1, 33))), Key(bytes(range(2, 34)))
+STILL = np.zeros(4)
+STEPS = 60
+HPA_PER_M = 998.0 * 9.81 / 100.0
+
+
+@pytest.fixture(scope="module")
+def library() -> ctypes.CDLL:
+    return load(built("build/libboard.so"))
+
+
+class GivenSensors:
+    """Sensors that measure what a test gives; all values are exact in single precision."""
+
+    def __init__(self) -> None:
+        self.reading, self.voltage_v = Reading(0.0, 0.0, (0.0, 0.0, -STANDARD_GRAVITY_MPS2), 0.0), 12.0
+
+    def draw(self, draw: random.Random) -> None:
+        mg = STANDARD_GRAVITY_MPS2 / 1000.0
+        acceleration = (draw.randint(-900, 900) * mg, draw.randint(-40_000, 40_000) * mg, -1000 * mg)
+        depth_m = draw.randint(-64, 6400) / 64.0 / HPA_PER_M
+        self.reading = Reading(draw.randint(-400, 400) / 128.0, draw.randint(-64, 64) / 32.0, acceleration, depth_m)
+        self.voltage_v = 12.0 if draw.random() < 0.9 else draw.randint(0, 100) / 8.0 + 0.015625
+
+    def read(self, *_: object) -> Reading:
+        return self.reading
+
+    def battery_v(self, *_: object) -> float:
+        return self.voltage_v
+
+
+class Speaker:
+    """The computer, a ground station and a stranger, who say right and wrong things."""
+
+    def __init__(self, draw: random.Random, key: Key | None) -> None:
+        self._draw, self._stamp = draw, 5000
+        keys = [key, OTHER if key else key, key and Key(key.secret, 3), None, OTHER]
+        peers = [(1, 191), (1, 191), (255, 190), (1, 191), (2, 191)]
+        self._senders = [Sender(peer, each, lambda: self._stamp) for peer, each in zip(peers, keys, strict=True)]
+        self._said: list[bytes] = [b""]
+
+    def frame(self) -> bytes:
+        """One frame, or something like one."""
+        draw = self._draw
+        kind = draw.random()
+        if kind < 0.05:
+            return draw.choice(self._said)  # again
+        if kind < 0.1:
+            return bytes(draw.choice([0xFD, 0, 1, 9, draw.randrange(256)]) for _ in range(draw.randrange(40)))
+        sender = self._senders[0] if draw.random() < 0.8 else draw.choice(self._senders)
+        self._stamp += draw.choice([0, 1, 1, 100, 10_000])
+        data = sender.pack(self._message())
+        self._said.append(data)
+        if kind < 0.16:
+            broken = bytearray(data)
+            broken[draw.randrange(len(data))] ^= 1 << draw.randrange(8)
+            return bytes(broken)
+        if kind < 0.2:
+            return data[: draw.randrange(len(data))]
+        return data
+
+    def _message(self) -> dialect.MAVLink_message:
+        draw = self._draw
+        system, component = draw.choices([1, 2, 0], [30, 1, 1])[0], draw.choices([1, 0, 7], [30, 2, 1])[0]
+        name = draw.choice(["CMD_AGE_MS", "SLEW_US_S", "ANK4_TRIM_US", "CRV12_US", "NO_SUCH", "sixteen_letters_", "\xff\xe9"])
+        to = (system, component)
+        us = [draw.choice([1500, 1500, 1500, 1560, 1477]) for _ in range(4)]
+        odd = draw.choice([*[IGNORED] * 6, 1000, 2000, 2001, 499, 0])
+        value = draw.choice([200.0, 0.0, -1.0, 8000.0, 1900.0, float("nan"), float("inf"), 120.5])
+        wanted, force = draw.choice([1, 1, 1, 0, 2, float("nan")]), draw.choice([0, 0, 0, float("nan"), 21196])
+        arm = (*to, 400, 0, wanted, force, 0, 0, 0, 0, 0)
+        secret = draw.choice([[0] * 32, list(KEY.secret)])
+        makers: list[Callable[[], dialect.MAVLink_message]] = [
+            lambda: dialect.MAVLink_rc_channels_override_message(*to, *us, IGNORED, 1500, 1600, odd),
+            lambda: dialect.MAVLink_rc_channels_override_message(1, 1, 1500, 1500, 1500, 1500, *[IGNORED] * 4),
+            lambda: dialect.MAVLink_command_long_message(*arm),
+            lambda: dialect.MAVLink_command_long_message(*to, 512, 0, draw.choice([148, 0]), 0, 0, 0, 0, 0, 0),
+            lambda: dialect.MAVLink_command_long_message(*to, draw.choice([76, 511]), 0, 0, 0, 0, 0, 0, 0, 0),
+            lambda: dialect.MAVLink_timesync_message(draw.choice([0, 0, 5]), draw.randrange(-(2**63), 2**63)),
+            lambda: dialect.MAVLink_param_request_list_message(*to),
+            lambda: dialect.MAVLink_param_request_read_message(*to, name.encode("latin-1"), draw.randint(-2, 45)),
+            lambda: dialect.MAVLink_param_set_message(*to, name.encode("latin-1"), value, draw.choice([9, 9, 9, 6])),
+            lambda: dialect.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3),
+            lambda: dialect.MAVLink_statustext_message(6, b"hello"),
+            lambda: dialect.MAVLink_setup_signing_message(*to, secret, draw.randrange(2**15)),
+        ]
+        return draw.choices(makers, [8, 12, 6, 1, 1, 2, 0.2, 2, 3, 2, 1, 0.2])[0]()
+
+
+def compare(library: ctypes.CDLL, seed: int) -> bool:
+    """The same frames and readings for both boards: the same bytes and pulses. Returns true if they were armed."""
+    draw = random.Random(seed)
+    key = draw.choice([None, KEY])
+    reference = ThrusterBoard(POOL, 1, 1, key, NonvolatileState(heard=4000, sent=20))
+    sensors = reference.sensors = GivenSensors()  # type: ignore[assignment]
+    board, speaker = FirmwareBoard(library, key, 4000, 20), Speaker(draw, key)
+    now_ns, armed = 0, False
+    for count in range(STEPS):
+        for _ in range(draw.choice([0, 1, 1, 2, 4])):
+            data = speaker.frame()
+            now_ns += 1000 * draw.randint(1, 3000)
+            assert board.receive(data, now_ns) is reference.receive(data, now_ns), (seed, count, data.hex())
+        now_ns += 1000 * draw.choice([1, 100, 5000, 5000, 60_000, 300_000])
+        sensors.draw(draw)
+        told = reference.step(now_ns, STILL, STILL, STILL)
+        assert board.step(now_ns, sensors.reading, sensors.voltage_v) == told, (seed, count)
+        assert board.pulses == reference.pulses, (seed, count)
+        armed |= board.armed
+    return armed
+
+
+def test_random_frames_have_the_bytes_of_the_reference(library: ctypes.CDLL) -> None:
+    assert sum(compare(library, seed) for seed in range(40)) > 4
+
+
+@pytest.mark.slow
+def test_many_random_frames_have_the_bytes_of_the_reference(library: ctypes.CDLL) -> None:
+    for seed in range(10_000):
+        compare(library, seed)
+
+
+@pytest.mark.parametrize("key", [None, KEY], ids=["unsigned", "signed"])
+def test_the_board_passes_the_conformance_run(library: ctypes.CDLL, key: Key | None) -> None:
+    board = FirmwareBoard(library, key)
+    verdicts = {result.rule: result.verdict for result in results(board, key)}
+    assert [rule for rule, verdict in verdicts.items() if verdict is RuleVerdict.FAILED] == []
+    skipped = [rule for rule, verdict in verdicts.items() if verdict is RuleVerdict.SKIPPED]
+    assert skipped == ([] if key else ["unsigned", "forged", "replayed", "strangers"])
+    assert board.state()[3] == 0  # nothing was lost for want of room

@@ -1,0 +1,152 @@
+"""The Arduino Mega's firmware in simavr: its pins, its memory, its cycles. Times are the processor's own.
+
+The longest takes a minute on a quiet machine, the conformance run some ten: both are slow tests.
+"""
+
+from collections.abc import Iterator
+from itertools import pairwise
+
+import pytest
+
+from tests.firmware.bench import first_failure
+from tests.firmware.mega import CYCLES_PER_US, Mega, Pulse
+from wire.mavlink.agent_link import IGNORED, AgentLink
+from wire.mavlink.parameters import ParameterClient
+from wire.mavlink.signing import Key
+
+pytestmark = [pytest.mark.slow, pytest.mark.long]
+
+STEP_NS = 5_000_000
+NEUTRAL_US, AGE_US, STEP_US, PERIOD_US = 1500.0, 250_000.0, 5000.0, 20_000.0
+KEY = Key(bytes(range(1, 33)))
+RAM_BYTES, STATIC_AND_STACK = 8192, 0.6
+
+
+class Pilot:
+    """A robot's computer at a Mega, in its time."""
+
+    def __init__(self, mega: Mega, key: Key | None = None) -> None:
+        self.mega, self.link, self._now_ns = mega, AgentLink(1, key, lambda: 100_000), 0
+        self.bursts: set[int] = set()
+
+    def run(self, seconds: float, *thrusters_us: int, ankle_us: int = IGNORED) -> None:
+        """Let time pass, with overrides at 20 Hz if there are pulses."""
+        for count in range(round(seconds * 1e9) // STEP_NS):
+            if thrusters_us and count % 10 == 0:
+                self.send(self.link.pulses([*thrusters_us, *[ankle_us] * 4]))
+            self.step()
+
+    def step(self) -> None:
+        self._now_ns += STEP_NS
+        self.link.receive(self.mega.step(self._now_ns), self._now_ns)
+        self.bursts.add(self.link.telemetry.board_ms)
+
+    def send(self, frame: bytes) -> None:
+        self.mega.receive(frame, self._now_ns)
+
+    def arm(self) -> None:
+        self.run(0.15, *[1500] * 4)
+        self.send(self.link.arm(True))
+        self.run(0.15, *[1500] * 4)
+        assert self.link.telemetry.armed
+
+
+@pytest.fixture
+def mega() -> Iterator[Mega]:
+    board = Mega()
+    yield board
+    board.close()
+
+
+def steady(pulses: list[Pulse], width_us: float) -> None:
+    """Width within 1 us, period and jitter of both edges."""
+    assert len(pulses) > 3
+    for before, after in pairwise(pulses):
+        assert abs(after.begin_us - before.begin_us - PERIOD_US) < 1.0
+        assert abs(after.begin_us + after.width_us - before.begin_us - before.width_us - PERIOD_US) < 1.0
+    assert max(abs(pulse.width_us - width_us) for pulse in pulses) < 1.0
+
+
+def test_pulses_at_the_pins_are_those_of_the_override(mega: Mega) -> None:
+    pilot, thrusters = Pilot(mega), (1440, 1501, 1560, 1900)
+    pilot.run(0.3)
+    pilot.arm()
+    pilot.run(0.3, *thrusters, ankle_us=1777)
+    mega.pulses()  # on the way there
+    pilot.run(0.2, *thrusters, ankle_us=1777)
+    for pulses, width_us in zip(mega.pulses(), (*thrusters, *[1777] * 4), strict=True):
+        steady(pulses, width_us)
+    assert pilot.link.telemetry.bad_frames == 0
+
+
+def test_pins_are_neutral_after_silence_at_any_phase(mega: Mega) -> None:
+    pilot = Pilot(mega)
+    pilot.run(0.3)
+    for phase_us in range(0, 20_000, 4_000):
+        pilot.arm()
+        pilot.run(0.2 + phase_us * 1e-6, 1560, 1560, 1560, 1560)
+        pilot.send(frame := pilot.link.pulses([1560] * 4 + [IGNORED] * 4))
+        last_us = mega.now_us + len(frame) * 40.0  # the frame's last bit, at 250,000 baud
+        pilot.run(0.4)
+        turning = [pulse for pulses in mega.pulses()[:4] for pulse in pulses if abs(pulse.width_us - NEUTRAL_US) > 1.0]
+        assert max(pulse.begin_us for pulse in turning) <= last_us + AGE_US + STEP_US
+        assert max(pulse.begin_us + pulse.width_us for pulse in turning) <= last_us + 260_000.0
+        assert not pilot.link.telemetry.armed
+
+
+@pytest.mark.parametrize("by_watchdog", [False, True], ids=["brown-out", "hang"])
+def test_a_reset_while_thrusters_turn_leaves_neutral_and_disarmed(mega: Mega, by_watchdog: bool) -> None:
+    pilot = Pilot(mega)
+    pilot.run(0.3)
+    pilot.arm()
+    pilot.run(0.2, 1560, 1560, 1560, 1560)
+    mega.pulses()
+    begun_us = mega.now_us
+    if by_watchdog:
+        mega.hang(True)
+        pilot.run(0.16)  # the watchdog bites after 0.12 s; until then the timers go on with the last pulses
+        mega.hang(False)
+        pilot.run(0.4, 1560, 1560, 1560, 1560)
+        begun_us += 160_000.0
+    else:
+        mega.reset()
+        pilot.run(0.5, 1560, 1560, 1560, 1560)
+    after = [pulse for pulses in mega.pulses()[:4] for pulse in pulses if pulse.begin_us > begun_us]
+    assert len(after) > 20 and all(abs(pulse.width_us - NEUTRAL_US) < 1.0 for pulse in after)
+    assert not pilot.link.telemetry.armed
+
+
+def test_parameters_and_key_survive_a_loss_of_power(mega: Mega) -> None:
+    client, pilot = ParameterClient(1), Pilot(mega)
+    pilot.run(0.3)
+    pilot.send(client.set("SLEW_US_S", 4321.0))
+    pilot.run(1.2)
+    pilot.send(client.give(KEY, 50_000))
+    pilot.run(1.5)
+    again = Mega(mega.eeprom)
+    owner, signed = ParameterClient(1, KEY, lambda: 100_000), Pilot(again, KEY)
+    signed.run(0.3)
+    signed.send(client.set("SLEW_US_S", 1.0))  # not signed: not heard
+    signed.send(owner.ask("SLEW_US_S"))
+    for _ in range(60):
+        now_ns = round(again.now_us * 1000.0) + STEP_NS
+        owner.receive(again.step(now_ns), now_ns)
+    again.close()
+    assert owner.values["SLEW_US_S"] == 4321.0
+
+
+def test_stack_and_loop_are_within_their_budgets(mega: Mega) -> None:
+    pilot = Pilot(mega)
+    pilot.run(0.5)
+    mega.loop_cycles()
+    pilot.arm()
+    pilot.run(1.0, 1560, 1560, 1500, 1500)
+    worst, total = mega.loop_cycles()
+    print(f"worst loop {worst / CYCLES_PER_US:.0f} us, load {total / (1.3e6 * CYCLES_PER_US):.2f}")
+    print(f"static {mega.static_bytes} bytes, stack {mega.stack_bytes} bytes")
+    assert mega.static_bytes + mega.stack_bytes <= STATIC_AND_STACK * RAM_BYTES
+    assert worst / CYCLES_PER_US <= STEP_US
+
+
+def test_the_mega_passes_the_conformance_run(mega: Mega) -> None:
+    assert first_failure(mega) is None

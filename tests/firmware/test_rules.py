@@ -1,0 +1,126 @@
+"""The rules in C beside the Python reference: the same random calls, the same outputs after each."""
+
+import ctypes
+import math
+import random
+
+import pytest
+
+from sim_bridge.thruster_board.parameters import Refusal
+from sim_bridge.thruster_board.state_machine import BoardStateMachine
+from tests.firmware.library import PARAMETERS, FirmwareBoard, built, load
+from wire.mavlink.agent_link import IGNORED
+from wire.mavlink.signing import Key
+
+COMPUTER, KEY = (1, 191), Key(bytes(range(32)))
+REFUSALS = [None, Refusal.UNKNOWN, Refusal.RANGE, Refusal.TYPE, Refusal.INCONSISTENT, Refusal.ARMED]
+TIE_US = 2e-3  # single precision may round a pulse the other way so near to a half
+EDGE_V = 1e-3  # and take a level so near to a threshold
+CALLS = 40
+SEQUENCES = 300
+
+
+@pytest.fixture(scope="module")
+def library() -> ctypes.CDLL:
+    return load(built("build/libboard.so"))
+
+
+def pulses(draw: random.Random, machine: BoardStateMachine) -> tuple[int, ...]:
+    """Pulses within, at and just beyond the limits."""
+    (low, high), (ankle_low, ankle_high) = machine.parameters.thruster_us, machine.parameters.ankle_us
+    neutral, still = machine.parameters.neutral_us, machine.parameters.dead_zone_us
+    if draw.random() < 0.5:
+        thrusters = [int(neutral)] * 4
+    else:
+        thrusters = [int(draw.choice([low, high, neutral, *still, draw.uniform(low, high)])) for _ in range(4)]
+    ankles = [int(draw.choice([IGNORED, ankle_low, ankle_high, draw.uniform(ankle_low, ankle_high)])) for _ in range(4)]
+    outputs = [*thrusters, *ankles]
+    if draw.random() < 0.15:
+        at = draw.randrange(8)
+        limits = (low, high) if at < 4 else (ankle_low, ankle_high)
+        outputs[at] = int(draw.choice([limits[0] - 1, limits[1] + 1, 0, IGNORED, still[0] - 1, still[1] + 1]))
+    return tuple(outputs)
+
+
+def parameter(draw: random.Random) -> tuple[str, float]:
+    """A parameter and a value near its bounds, its default or the others' values; sometimes one that does not exist."""
+    row = draw.choice(PARAMETERS.table[:19] if draw.random() < 0.8 else PARAMETERS.table)
+    value = draw.choice([
+        row.low, row.high, math.nextafter(row.low, -math.inf), row.high + 1, PARAMETERS[row.name], math.nan, math.inf,
+        PARAMETERS[row.name] + draw.choice([-1, 1, 0.5, -50, 50]), draw.uniform(row.low, row.high),
+        float(draw.randint(int(row.low), int(row.high))),
+    ])  # fmt: skip
+    return ("NONE" if draw.random() < 0.02 else row.name), ctypes.c_float(value).value
+
+
+def call(draw: random.Random, machine: BoardStateMachine, board: FirmwareBoard, now_ns: int) -> None:
+    """Make one random call of both, and compare what they return."""
+    kind = draw.choices(["override", "arm", "disarm", "change", "key", "battery", "step"], [30, 12, 2, 4, 1, 10, 40])[0]
+    if kind == "override":
+        sender = COMPUTER if draw.random() < 0.95 else draw.choice([(2, 191), (1, 190), (255, 190)])
+        outputs = pulses(draw, machine)
+        machine.override(sender, outputs, now_ns)
+        board.override(sender, outputs, now_ns)
+    elif kind in ("arm", "disarm"):
+        assert board.arm(kind == "arm", now_ns) == machine.arm(kind == "arm", now_ns)
+    elif kind == "change":
+        name, value = parameter(draw)
+        refusal = machine.change(name, value)
+        assert REFUSALS[board.change(machine.parameters.index.get(name, -1), value)] is refusal, (name, value)
+    elif kind == "key":
+        assert board.take_key() is (machine.set_key(KEY, 0) == "")
+    elif kind == "battery":
+        voltage_v, elapsed_s = draw.choice([draw.uniform(8.0, 13.0), 12.0, math.nan, math.inf]), draw.choice([0.0, 0.02, 3.0])
+        voltage_v = ctypes.c_float(voltage_v).value
+        machine.battery(voltage_v, elapsed_s)
+        board.battery(voltage_v, elapsed_s)
+    else:
+        machine.step(now_ns)
+        board.step_rules(now_ns)
+
+
+def is_near_an_edge(machine: BoardStateMachine) -> bool:
+    """True if single precision may come out on the other side."""
+    thresholds = [t + h for t in machine.parameters.thresholds_v for h in (0.0, machine.parameters["BAT_HYST_V"])]
+    voltage = machine._voltage  # private: the filtered voltage is to be seen nowhere else
+    if voltage is not None and any(abs(voltage - threshold) < EDGE_V for threshold in thresholds):
+        return True
+    return any(abs(pulse % 1.0 - 0.5) < TIE_US for pulse in machine._thrusters_us)  # private: unrounded pulses
+
+
+def seen(machine: BoardStateMachine) -> tuple[object, ...]:
+    texts = [(said.severity, said.text) for said in machine.said]
+    machine.said.clear()
+    return machine.armed, int(machine.charge), machine.overrides_refused, machine.outputs_us, texts
+
+
+def of_the_firmware(board: FirmwareBoard) -> tuple[object, ...]:
+    armed, charge, refused, _ = board.state()
+    return armed, charge, refused, board.pulses, board.texts()
+
+
+def compare(library: ctypes.CDLL, seed: int) -> tuple[int, bool]:
+    """One sequence of calls of both. Returns how many were made, and true if the board was armed in it."""
+    draw = random.Random(seed)
+    machine, board = BoardStateMachine(PARAMETERS, COMPUTER), FirmwareBoard(library)
+    now_ns, armed = draw.choice([0, 1000, 2**40 * 1000]), False
+    for count in range(CALLS):
+        now_ns += draw.choice([0, 1, 1000, 5000, 5000, 20_000, 50_000, 249_999, 250_000, 250_001, 400_000]) * 1000
+        call(draw, machine, board, now_ns)
+        if is_near_an_edge(machine):
+            return count, armed
+        assert of_the_firmware(board) == seen(machine), (seed, count)
+        armed |= machine.armed
+    return CALLS, armed
+
+
+def test_random_calls_have_the_outputs_of_the_reference(library: ctypes.CDLL) -> None:
+    counts, armed = zip(*(compare(library, seed) for seed in range(SEQUENCES)), strict=True)
+    assert sum(counts) > 0.9 * CALLS * SEQUENCES  # few ended at an edge
+    assert sum(armed) > 0.1 * SEQUENCES  # and many sequences got somewhere
+
+
+@pytest.mark.slow
+def test_many_random_calls_have_the_outputs_of_the_reference(library: ctypes.CDLL) -> None:
+    for seed in range(100_000):
+        compare(library, seed)

@@ -1,0 +1,213 @@
+"""Kernels of guidance against NumPy, on scenes drawn at random."""
+
+import numpy as np
+import pytest
+
+from robot_agent.guidance.formation import Formation, Neighbour, Places, leans, nearest, tangents
+from robot_agent.guidance.reference import sample_trajectory
+from robot_agent.guidance.velocity_obstacles import (
+    ABAFT,
+    CATCH_UP,
+    CATCH_UP_MPS,
+    CHANGE_MPS2,
+    FAN,
+    FAN_PRICE,
+    LOOK_AHEAD_S,
+    LOOK_STEP_S,
+    LOOK_STEPS,
+    PARTING,
+    RETURN_PER_S,
+    SLIGHTEST_MPS,
+    WALL_S,
+    WELL_CLEAR,
+    closes_in,
+    find_meetings,
+    look_ahead,
+    nearest_free,
+    path_back,
+    path_out,
+)
+from tests.robot_agent.guidance.expectations import CONFIG, NS, PERIOD_S, SAFETY, STEPS
+from wire.frames import Array
+from wire.messages.messages import Plan
+
+SEEDS = range(8)
+FASTEST_MPS = 0.4
+TIMES_S = np.concatenate([[0.0], 0.05 + PERIOD_S * np.arange(STEPS)])
+LOOKS_S = LOOK_STEP_S * np.arange(1, LOOK_STEPS + 1)
+
+
+def places(random: np.random.Generator, size: float, *shape: int) -> Places:
+    return np.asarray(size * (random.normal(size=shape) + 1j * random.normal(size=shape)))
+
+
+def columns(rows: Array, place: Array) -> Array:
+    """Rows at fractional row numbers, column by column, held beyond the ends."""
+    return np.column_stack([np.interp(place, np.arange(len(rows)), column) for column in rows.T])
+
+
+# --- formation
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_plans_are_sampled_as_by_interpolation_of_each(seed: int) -> None:
+    random, dead_s, now_ns = np.random.default_rng(seed), 0.04, 3 * NS
+    others, expected = [], np.zeros((STEPS, 4))
+    formation = Formation(CONFIG, SAFETY, PERIOD_S, dead_s)
+    nodes = np.array([10, 20, 30, 40, 50])
+    where, deep = [], []
+    for robot in range(2, 8):
+        eta, reference = random.normal(size=(2, int(random.integers(1, 60)), 4))
+        reference[:, 3] += 2.0 * np.pi * random.integers(-3, 4)
+        plan = Plan(float(random.uniform(0.02, 0.2)), eta, reference)
+        others.append(Neighbour(robot, int(random.integers(-NS, 4 * NS)), plan, random.random() < 0.7, random.random() < 0.7))
+        age_s = (now_ns - others[-1].stamp_ns) / NS
+        place = np.asarray((dead_s + age_s + PERIOD_S * np.arange(STEPS)) / plan.period_s, np.float64)
+        deviation = eta - reference
+        deviation[:, 3] -= 2.0 * np.pi * np.rint(deviation[0, 3] / (2.0 * np.pi))
+        if others[-1].fresh and others[-1].formation:
+            expected += np.array(CONFIG.q_formation) * columns(deviation, place)
+        where.append(columns(eta, place[nodes]) @ (1.0, 1j, 0.0, 0.0))
+        deep.append(columns(eta, place[nodes])[:, 2])
+    found = formation.predict_neighbours(others, now_ns)
+    assert found.weighted_deviation == pytest.approx(expected, abs=1e-9)
+    assert found.position == pytest.approx(np.array(where), abs=1e-9) and found.depth == pytest.approx(
+        np.array(deep), abs=1e-9
+    )
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_half_spaces_are_those_of_vectors(seed: int) -> None:
+    random, node, keep_m = np.random.default_rng(seed), np.array([3, 7, 12]), 0.6
+    own, position, depth = random.normal(size=(20, 4)), places(random, 0.3, 4, 3), random.normal(size=(4, 3))
+    position[0] = own[node, 0] + 1j * own[node, 1]  # on top of us
+    apart = own[node, 0] + 1j * own[node, 1] - position
+    apart_m = np.empty(4)
+    nearest(position, own, node, apart_m)
+    assert apart_m == pytest.approx(np.abs(apart).min(axis=1), abs=1e-9)
+    for i in range(4):
+        normal, offset = np.empty(3, complex), np.empty(3)
+        beyond_m = tangents(position[i], depth[i], own, node, keep_m, 0.05, normal, offset)
+        along = np.where(np.abs(apart[i]) > 0.0, apart[i] / np.maximum(np.abs(apart[i]), 1e-12), 1.0)
+        counts = (np.abs(own[node, 2] - depth[i]) < keep_m) & (np.abs(apart[i]) < keep_m + 0.05)
+        assert beyond_m == (pytest.approx(apart_m[i] - keep_m, abs=1e-9) if counts.any() else np.inf)
+        assert normal == pytest.approx(along, abs=1e-9)
+        assert offset == pytest.approx((along * position[i].conj()).real + keep_m, abs=1e-9)
+        borders = offset - (normal * (own[node, 0] - 1j * own[node, 1])).real
+        assert leans(own, node, normal, offset) == bool((borders > -0.02).any())
+
+
+# --- reference
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_trajectory_is_sampled_as_by_interpolation(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    path, offset_s = random.normal(size=(3, 30, 4)), np.sort(random.uniform(-1.0, 3.0, 40))
+    begin_s, period_s, time_s, rate = random.uniform(0.05, 1.0, 4).tolist()
+    found = np.empty((3, 40, 4))
+    sample_trajectory(path[0], path[1], path[2], begin_s, period_s, time_s, rate, offset_s, found[0], found[1], found[2])
+    place = (time_s + rate * offset_s - begin_s) / period_s
+    moves = rate * ((place >= 0.0) & (place <= 29.0))[:, None]
+    for rows, samples, pace in zip(found, path, (1.0, moves, moves**2), strict=True):
+        assert rows == pytest.approx(pace * columns(samples, place), abs=1e-9)
+
+
+# --- velocity obstacles
+
+
+def scene(seed: int) -> tuple[np.random.Generator, complex, complex, Places, Places, Array]:
+    """A place, a velocity, and seven that may be in its way: places, velocities, distances."""
+    random = np.random.default_rng(seed)
+    place, velocity = places(random, 0.2, 2).tolist()
+    return random, place, velocity, places(random, 1.0, 7), places(random, 0.1, 7), random.uniform(0.1, 0.9, 7)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_closing_in_is_that_of_straight_lines(seed: int) -> None:
+    _, place, velocity, there, going, keep_m = scene(seed)
+    apart, closing = there - place, velocity - going
+    square, towards = np.abs(closing) ** 2, (apart * closing.conj()).real
+    nearest_m = np.abs(apart - closing * np.minimum(towards / square, LOOK_AHEAD_S))
+    too_near = nearest_m < np.minimum(keep_m, PARTING * np.abs(apart))
+    expected = bool(((square >= SLIGHTEST_MPS**2) & (towards > 0.0) & too_near).any())
+    assert closes_in(place, velocity, there, going, keep_m) == expected
+
+
+def homing(goal: complex, speed: complex, point: complex) -> complex:
+    back = RETURN_PER_S * (goal - point)
+    limit = max(CATCH_UP * abs(speed), CATCH_UP_MPS)
+    velocity = speed + back * min(1.0, limit / max(abs(back), limit))
+    return velocity * min(1.0, FASTEST_MPS / max(abs(velocity), FASTEST_MPS))
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_the_way_back_is_that_of_a_point_that_homes(seed: int) -> None:
+    random, point, velocity, *_ = scene(seed)
+    eta, rate = 0.02 * random.normal(size=(2, len(TIMES_S), 4)).cumsum(axis=1)
+    way, going, ahead = eta.copy(), rate.copy(), np.empty(LOOK_STEPS, complex)
+    path_back(point, velocity, FASTEST_MPS, TIMES_S, way, going)
+    look_ahead(eta, rate, TIMES_S, point, FASTEST_MPS, ahead)
+    at, moving = point, velocity
+    for k, step_s in enumerate(np.diff(TIMES_S)):
+        assert way[k, 0] + 1j * way[k, 1] == pytest.approx(at, abs=1e-9)
+        assert going[k, 0] + 1j * going[k, 1] == pytest.approx(moving, abs=1e-9)
+        change = homing(complex(*eta[k, :2]), complex(*rate[k, :2]), at) - moving
+        moving += change * min(1.0, CHANGE_MPS2 * step_s / abs(change))
+        at += moving * step_s
+    beyond_s, at, before = np.maximum(LOOKS_S - TIMES_S[-1], 0.0), point, complex(*eta[0, :2])
+    goals = [np.interp(LOOKS_S, TIMES_S, eta[:, c]) + beyond_s * rate[-1, c] for c in (0, 1)]
+    for k, goal in enumerate(goals[0] + 1j * goals[1]):
+        at += LOOK_STEP_S * homing(before, (goal - before) / LOOK_STEP_S, at)
+        before = goal
+        assert ahead[k] == pytest.approx(at - point, abs=1e-9)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_the_way_out_changes_to_its_course_steadily(seed: int) -> None:
+    random, point, velocity, *_ = scene(seed)
+    course = velocity + places(random, 0.1, 1)[0]
+    way, rate = np.zeros((2, len(TIMES_S), 4))
+    path_out(point, velocity, course, TIMES_S, way, rate)
+    change = course - velocity
+    going = velocity + change * np.minimum(1.0, TIMES_S * CHANGE_MPS2 / abs(change))
+    at = point + np.append(0.0, np.cumsum(going[1:] * np.diff(TIMES_S)))
+    assert rate[:, :2] @ (1.0, 1j) == pytest.approx(going, abs=1e-9) and way[:, :2] @ (1.0, 1j) == pytest.approx(at, abs=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_the_velocity_chosen_is_the_cheapest_of_the_fan(seed: int) -> None:
+    random, place, velocity, there, going, keep_m = scene(seed)
+    wanted, sided = 0.1 + 0.02j, random.random(7) < 0.5
+    ahead = np.asarray(wanted * LOOKS_S, np.complex128)
+    room, islands, islands_keep_m = (1.0, 0.6), places(random, 1.0, 2), np.array([0.3, 0.2])
+    heeded, meets = np.empty(7, bool), np.empty(7, bool)
+    found = find_meetings(place, wanted, ahead, there, going, keep_m, sided, heeded, meets)
+    away = there - place
+    astern = (away * np.conj(wanted)).real < ABAFT * np.abs(away) * abs(wanted)
+    overtakes = sided & astern & ((going * np.conj(wanted)).real > 0.0)
+    keep = np.minimum(keep_m, PARTING * np.abs(away))
+    passes = np.abs(away - ahead[:, None] + going * LOOKS_S[:, None]) < keep
+    assert np.array_equal(heeded, ~overtakes) and np.array_equal(meets, passes.any(axis=0) & heeded) and found == meets.any()
+
+    chosen = nearest_free(
+        place, wanted, velocity, there, going, keep_m, heeded, sided, FAN, FAN_PRICE, *room, islands, islands_keep_m
+    )
+    ways, now = wanted * FAN, velocity - going
+    closing = ways[:, None] - going
+    side = np.where((now.conj() * away).imag > WELL_CLEAR * keep * np.abs(now), 1.0, -1.0)
+    wrong = sided & ((closing.conj() * away).imag * side < 0.0)
+    towards = (away * closing.conj()).real
+    time_s = np.clip(towards / np.maximum(np.abs(closing) ** 2, 1e-12), 0.0, LOOK_AHEAD_S)
+    short = 1.0 - np.abs(away - closing * time_s) / keep
+    bad = np.where(wrong, 1.0, np.where(towards > 0.0, np.maximum(short, 0.0), 0.0))[:, heeded].max(axis=1, initial=0.0)
+    ahead_of_us = place + ways * WALL_S
+    into = (np.abs(ahead_of_us.real) > max(room[0], abs(place.real))) | (
+        np.abs(ahead_of_us.imag) > max(room[1], abs(place.imag))
+    )
+    for island, clear_m in zip(islands, islands_keep_m, strict=True):
+        off = island - place
+        at_s = np.clip((off * ways.conj()).real / np.maximum(np.abs(ways) ** 2, 1e-12), 0.0, WALL_S)
+        into |= np.abs(off - ways * at_s) < min(clear_m, PARTING * abs(off))
+    price = 100.0 * np.maximum(bad, into) + FAN_PRICE + 0.3 * np.abs(ways - velocity) / abs(wanted)
+    assert chosen == pytest.approx(complex(ways[np.argmin(price)]), abs=1e-9)
