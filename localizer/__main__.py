@@ -5,7 +5,7 @@ from typing import Annotated
 import typer
 
 from localizer.calibration.cli import calibrate, check
-from localizer.evaluation.cli import SourceName, evaluate, latency
+from localizer.evaluation.cli import SourceName, evaluate, latency, track
 from wire.config.experiment import load_experiment
 from wire.process.cli_options import (
     DEFAULT_FLEET,
@@ -75,6 +75,7 @@ cli.command()(calibrate)
 cli.command()(check)
 cli.command()(latency)
 cli.command()(evaluate)
+cli.command()(track)
 
 
 def app() -> None:

@@ -140,32 +140,59 @@ def jacobians(camera: Array, pixels: Array, depths: Array, slopes: Array) -> Non
         slopes[i, 1, 2] = (deep_y - y) * away
 
 
-@kernel("void(f8[::1], f8[:,:,::1], f8[::1], f8, f8[:,::1], f8[::1])")
-def marker_poses(camera: Array, corners: Array, depths: Array, side: float, poses: Array, misfits: Array) -> None:
+@kernel("void(f8[::1], f8[:,:,::1], f8[::1], f8[:,::1], f8, f8[:,::1], f8[:,::1])")
+def marker_poses(
+    camera: Array, corners: Array, depths: Array, tilts: Array, side: float, poses: Array, misfits: Array
+) -> None:
     """Squares of `side` [m] fitted by least squares to `corners` (n, 4, 2) [px] of plates at `depths` (n,) [m], in the pool.
 
-    Corners are in ArUco's order, the first ahead to port. `poses` (n, 3); `misfits` (n,): largest error of a coordinate of a
-    corner over the side.
+    Corners are in ArUco's order, the first ahead to port. `tilts` (n, 2) are roll and pitch of the plates: a corner (a, b)
+    ahead and to starboard is at (a cos p + b sin r sin p, b cos r) on level axes, and deeper by b sin r cos p - a sin p.
+    `poses` (n, 3) of the plates' middles; `misfits` (n, 2): largest error of a coordinate of a corner over the side, and the
+    root of the mean squared error of the corners' coordinates [m] that is left when the size is free.
     """
     half = side / 2.0
+    seen = np.empty((4, 2))
+    flat = np.empty((4, 2))
     for i in range(len(corners)):
-        x0, y0 = pool_point(camera, corners[i, 0, 0], corners[i, 0, 1], depths[i])
-        x1, y1 = pool_point(camera, corners[i, 1, 0], corners[i, 1, 1], depths[i])
-        x2, y2 = pool_point(camera, corners[i, 2, 0], corners[i, 2, 1], depths[i])
-        x3, y3 = pool_point(camera, corners[i, 3, 0], corners[i, 3, 1], depths[i])
-        x = (x0 + x1 + x2 + x3) / 4.0
-        y = (y0 + y1 + y2 + y3) / 4.0
-        ahead = (x0 + x1 - x2 - x3) + (-y0 + y1 + y2 - y3)
-        starboard = (y0 + y1 - y2 - y3) - (-x0 + x1 + x2 - x3)
-        yaw = math.atan2(starboard, ahead)
-        c = half * math.cos(yaw)
-        s = half * math.sin(yaw)
-        misfit = max(abs(x0 - x - c - s), abs(y0 - y - s + c), abs(x1 - x - c + s), abs(y1 - y - s - c))
-        misfit = max(misfit, abs(x2 - x + c + s), abs(y2 - y + s - c), abs(x3 - x + c - s), abs(y3 - y + s + c))
+        sr = math.sin(tilts[i, 0])
+        cr = math.cos(tilts[i, 0])
+        sp = math.sin(tilts[i, 1])
+        cp = math.cos(tilts[i, 1])
+        x = 0.0
+        y = 0.0
+        for k in range(4):
+            a = half if k < 2 else -half
+            b = half if k == 1 or k == 2 else -half
+            flat[k, 0] = a * cp + b * sr * sp
+            flat[k, 1] = b * cr
+            deeper = b * sr * cp - a * sp
+            seen[k, 0], seen[k, 1] = pool_point(camera, corners[i, k, 0], corners[i, k, 1], depths[i] + deeper)
+            x += seen[k, 0] / 4.0
+            y += seen[k, 1] / 4.0
+        along = 0.0
+        across = 0.0
+        size = 0.0
+        squares = 0.0
+        for k in range(4):
+            dx = seen[k, 0] - x
+            dy = seen[k, 1] - y
+            along += flat[k, 0] * dx + flat[k, 1] * dy
+            across += flat[k, 0] * dy - flat[k, 1] * dx
+            size += flat[k, 0] * flat[k, 0] + flat[k, 1] * flat[k, 1]
+            squares += dx * dx + dy * dy
+        yaw = math.atan2(across, along)
+        c = math.cos(yaw)
+        s = math.sin(yaw)
+        misfit = 0.0
+        for k in range(4):
+            misfit = max(misfit, abs(seen[k, 0] - x - c * flat[k, 0] + s * flat[k, 1]))
+            misfit = max(misfit, abs(seen[k, 1] - y - s * flat[k, 0] - c * flat[k, 1]))
         poses[i, 0] = x
         poses[i, 1] = y
         poses[i, 2] = yaw
-        misfits[i] = misfit / side
+        misfits[i, 0] = misfit / side
+        misfits[i, 1] = math.sqrt(max(squares - (along * along + across * across) / size, 0.0) / 4.0)
 
 
 @kernel("void(f8[:,::1], f8[:,::1], f8, f8, f8, f8, f8[:,::1])")

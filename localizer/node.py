@@ -16,6 +16,7 @@ from localizer.detection.obstacles import ObstacleDetector
 from localizer.sources.base import CapturedFrame, FrameSource
 from localizer.sources.factory import BUS, open_bus, open_own
 from localizer.tracking.fleet_localizer import FleetLocalizer, LocalizationResult
+from localizer.tracking.tilt import Attitude
 from localizer.view.mjpeg_server import MjpegServer
 from localizer.view.overlay import draw
 from localizer.view.preview import PreviewPublisher
@@ -26,7 +27,7 @@ from wire.messages.messages import CameraHealth, LocalizerStatus, Obstacles, Rob
 from wire.process.lockstep import LockstepClock
 from wire.process.runtime import Clock, Stop, WallClock, age_s, log, log_to_bus, run_steps
 from wire.toml_loader import ConfigError
-from wire.transport.bus import Bus
+from wire.transport.bus import Bus, Received
 from wire.transport.endpoint import Endpoint
 from wire.transport.frame_ring import codec_of
 from wire.transport.zenoh_transport import ZenohTransport
@@ -118,7 +119,11 @@ class LocalizerNode:
         """Localize one frame. An exception costs this frame; FAILURES_IN_A_ROW of them end the process."""
         started_ns = time.perf_counter_ns()
         try:
-            result = self._localizer.locate(captured.pixels, captured.instant_ns, self._depths(captured.inputs_up_to_ns))
+            states = self._fresh_states(captured.inputs_up_to_ns)
+            depths_m = {robot: state.message.depth_m for robot, state in states.items()}
+            attitudes = {robot: self._attitude(state, captured.instant_ns) for robot, state in states.items()}
+            known = {robot: attitude for robot, attitude in attitudes.items() if attitude is not None}
+            result = self._localizer.locate(captured.pixels, captured.instant_ns, depths_m, known)
             age_ns = max(self._clock.now_ns() - captured.instant_ns, 0)
             for robot, pose in result.poses:
                 self._bus.publish(topics.POSE, pose, captured.stamp_ns, robot, age_ns=age_ns)
@@ -188,15 +193,21 @@ class LocalizerNode:
         self._publish_status(replace(self._status, camera=CameraHealth.ABSENT, message=why, robots=()), now_ns)
         previews.offer_nothing(why, now_ns)
 
-    def _depths(self, up_to_ns: int | None) -> dict[int, float]:
-        """Fresh depths by the robots' own pressure sensors."""
+    def _fresh_states(self, up_to_ns: int | None) -> dict[int, Received[RobotState]]:
+        """The robots' states whose board was heard of late: their depth and attitude count."""
         found = {robot: inbox.newest(up_to_ns) for robot, inbox in self._states.items()}
         limit_s = topics.STATE.max_age_s
         return {
-            robot: state.message.depth_m
+            robot: state
             for robot, state in found.items()
             if state is not None and age_s(self._clock, state) <= limit_s and state.message.board_age_ms <= limit_s * 1e3
         }
+
+    def _attitude(self, state: Received[RobotState], exposed_ns: int) -> Attitude | None:
+        """Roll and pitch at the exposure, if the robot's board measures them."""
+        measured_ns = self._clock.instant_ns(state) - state.message.board_age_ms * 1e6
+        later_s = (exposed_ns - measured_ns) * 1e-9
+        return Attitude.at(state.message.tilt, later_s, self._experiment.localizer.attitude_sigma_rad)
 
     def _publish_status(self, status: LocalizerStatus, stamp_ns: int) -> None:
         self._status = status

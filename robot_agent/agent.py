@@ -325,6 +325,7 @@ class Agent:
             track=seen.pose.track if seen is not None else Track.LOST,
             pose_age_ms=min(health.pose_age_s * 1e3, unheard),
             depth_m=telemetry.depth_m,
+            tilt=np.array(telemetry.tilt, dtype=np.float64),
             battery_v=telemetry.battery_v,
             board_armed=telemetry.armed,
             board_age_ms=min(health.board_age_s * 1e3, unheard),

@@ -118,14 +118,17 @@ def _station(clock: Clock, heartbeat: Received[StationHeartbeat] | None) -> dict
     }
 
 
-_READ = tuple(name for name in BoardReading.__dataclass_fields__ if name != "acceleration_mps2")
+_VECTORS = ("acceleration_mps2", "tilt")
+_READ = tuple(name for name in BoardReading.__dataclass_fields__ if name not in _VECTORS)
 
 
 def _reading(telemetry: Telemetry) -> BoardReading:
     copied = {name: getattr(telemetry, name) for name in _READ}
-    return BoardReading(acceleration_mps2=np.array(telemetry.acceleration_mps2), **copied)
+    acceleration_mps2, tilt = (np.array(getattr(telemetry, name), dtype=np.float64) for name in _VECTORS)
+    return BoardReading(acceleration_mps2=acceleration_mps2, tilt=tilt, **copied)
 
 
 def _telemetry(reading: BoardReading) -> Telemetry:
     x, y, z = reading.acceleration_mps2.tolist()
-    return Telemetry(acceleration_mps2=(x, y, z), **{name: getattr(reading, name) for name in _READ})
+    tilt = tuple(reading.tilt.tolist())
+    return Telemetry(acceleration_mps2=(x, y, z), tilt=tilt, **{name: getattr(reading, name) for name in _READ})

@@ -48,7 +48,7 @@ Poses = dict[int, Array]  # by robot (index): [x, y, yaw], yaw NaN where not mea
 Baseline = Callable[[Frame, Array], Poses]  # frame, true depths of the plates -> poses
 
 
-class Courses:
+class DrawnCourses:
     """Smooth courses of their own for each robot: eta (n, 4) at any time, inside `centres_m` +- `reach_m`."""
 
     def __init__(self, seed: int, centres_m: Sequence[tuple[float, float]], reach_m: tuple[float, float], speed_mps: float):
@@ -89,13 +89,13 @@ class MeasuredRun:
         return 1e3 * float(np.sqrt(mean[0] + mean[1])), float(np.degrees(np.sqrt(mean[2])))
 
 
-def _experiment(seed: int, courses: Courses, settings: Sequence[str]) -> Experiment:
+def _experiment(seed: int, courses: DrawnCourses, settings: Sequence[str]) -> Experiment:
     starts = [f"robots.{i}.start={eta}" for i, eta in enumerate(courses.eta(0.0).tolist())]
     return load_experiment("pool", [*settings, *starts, f"seed={seed}"])
 
 
 def _fly(
-    seed: int, courses: Courses, settings: Sequence[str], baselines: dict[str, Baseline], depth_error_m: float
+    seed: int, courses: DrawnCourses, settings: Sequence[str], baselines: dict[str, Baseline], depth_error_m: float
 ) -> MeasuredRun:
     experiment = _experiment(seed, courses, settings)
     renderer, locator, random, run = (
@@ -129,11 +129,11 @@ def _nees(pose: Pose, eta: Array) -> float:
 
 def _accuracy(
     case: str, place: tuple[Sequence[tuple[float, float]], tuple[float, float], float], settings: Sequence[str],
-    baselines: Callable[[Experiment, Courses], dict[str, Baseline]], depth_error_m: float = 0.0,
+    baselines: Callable[[Experiment, DrawnCourses], dict[str, Baseline]], depth_error_m: float = 0.0,
 ) -> Iterator[Row]:  # fmt: skip
     runs = []
     for seed in SEEDS:
-        courses = Courses(seed, *place)
+        courses = DrawnCourses(seed, *place)
         beside = baselines(_experiment(seed, courses, settings), courses)
         runs.append(_fly(seed, courses, settings, beside, depth_error_m))
     for subject in runs[0].errors:
@@ -211,7 +211,7 @@ def _leaning(case: str, name: str, settings: Sequence[str]) -> Iterator[Row]:
 # --- what others would do
 
 
-def _aruco_alone(experiment: Experiment, _: Courses) -> dict[str, Baseline]:
+def _aruco_alone(experiment: Experiment, _: DrawnCourses) -> dict[str, Baseline]:
     settings = cv2.aruco.DetectorParameters()
     settings.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
     detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50), settings)
@@ -246,7 +246,7 @@ def _aruco_alone(experiment: Experiment, _: Courses) -> dict[str, Baseline]:
     return {"ArUco alone": optics, "ArUco, solvePnP, no water": pinhole}
 
 
-def _plain_kcf(experiment: Experiment, courses: Courses) -> dict[str, Baseline]:
+def _plain_kcf(experiment: Experiment, courses: DrawnCourses) -> dict[str, Baseline]:
     """Henriques' tracker as published: patch in the picture's frame, 2.5 robots wide, learning from every frame."""
     view, size, n = RefractiveCamera(experiment.camera), 64, len(experiment.robots)
     start = courses.eta(0.0)
@@ -296,7 +296,7 @@ def _reacquisition() -> Iterator[Row]:
     """A robot is gone for 3 s, comes back at another place: until the first pose that is right and verified."""
     samples = []
     for seed in SEEDS:
-        courses = Courses(seed, ((0.8, 0.0), (-0.8, 0.0)), (0.65, 0.9), 0.15)
+        courses = DrawnCourses(seed, ((0.8, 0.0), (-0.8, 0.0)), (0.65, 0.9), 0.15)
         experiment, random = _experiment(seed, courses, ()), np.random.default_rng([seed, 6])
         renderer, locator, k = Renderer(experiment, seed), FleetLocalizer(experiment), 0
         for _ in range(6):
@@ -325,7 +325,7 @@ def _identity() -> Iterator[Row]:
     read: list[Any] = []
     for seed in SEEDS:
         n = 10
-        courses = Courses(seed, ((0.0, 0.0),) * n, (1.4, 0.95), 0.3)
+        courses = DrawnCourses(seed, ((0.0, 0.0),) * n, (1.4, 0.95), 0.3)
         pool = load_experiment("pool", [f"seed={seed}", "sim.picture.alike=true"])
         experiment = pool.model_copy(update={"robots": tuple(RobotConfig(id=i + 1, node_m=(0.0, 0.0, 0.0)) for i in range(n))})
         renderer, locator, random = Renderer(experiment, seed), FleetLocalizer(experiment), np.random.default_rng([seed, 8])

@@ -33,10 +33,12 @@ class MarkerImage:
 @dataclass(frozen=True)
 class MarkerPose:
     """A marker in the pool frame: [x, y, yaw], its upper edge ahead, and its misfit: the largest distance of a corner from
-    the fitted square, relative to the side."""
+    the fitted square, relative to the side. `residual_m` is the standard deviation of a corner's coordinates about a square
+    of any size."""
 
     pose: Array
     misfit: float
+    residual_m: float
 
 
 def marker_detector(threshold_windows_px: tuple[int, int] = (23, 23)) -> cv2.aruco.ArucoDetector:
@@ -93,15 +95,18 @@ def square(side_m: float) -> Array:
     return np.array([[half, -half], [half, half], [-half, half], [-half, -half]])
 
 
-def marker_poses(images: Sequence[MarkerImage], view: RefractiveCamera, depths_m: Array, side_m: float) -> list[MarkerPose]:
-    """Fit a square to each marker's four corners by least squares in the POOL frame, its plate at `depths_m` (n,).
+def marker_poses(
+    images: Sequence[MarkerImage], view: RefractiveCamera, depths_m: Array, tilts_rad: Array, side_m: float
+) -> list[MarkerPose]:
+    """Fit a square to each marker's four corners by least squares in the POOL frame, its plate at `depths_m` (n,) with roll
+    and pitch `tilts_rad` (n, 2).
 
     An angle between pixels is no heading, because lens and water bend the picture (up to 1.5 deg in the pool's corners).
     """
     corners_px = np.array([image.corners_px for image in images]).reshape(-1, 4, 2)
-    poses, misfits = np.empty((len(images), 3)), np.empty(len(images))
-    kernels.marker_poses(view.numbers, corners_px, depths_m, side_m, poses, misfits)
-    return [MarkerPose(pose, misfit) for pose, misfit in zip(poses, misfits.tolist(), strict=True)]
+    poses, misfits = np.empty((len(images), 3)), np.empty((len(images), 2))
+    kernels.marker_poses(view.numbers, corners_px, depths_m, tilts_rad, side_m, poses, misfits)
+    return [MarkerPose(pose, *misfit) for pose, misfit in zip(poses, misfits.tolist(), strict=True)]
 
 
 class MarkerReader:
@@ -113,9 +118,10 @@ class MarkerReader:
         self._detector = marker_detector()
 
     def read(
-        self, view: RefractiveCamera, regions: Iterable[ImageRegion], plates_m: NDArray[np.float64]
+        self, view: RefractiveCamera, regions: Iterable[ImageRegion], plates_m: NDArray[np.float64], tilts_rad: Array
     ) -> dict[int, MarkerPose]:
-        """Poses by robot (index), from regions that may overlap; `plates_m` (robots,) are the depths of their plates.
+        """Poses by robot (index), from regions that may overlap; `plates_m` (robots,) are the depths of their plates, and
+        `tilts_rad` (robots, 2) their roll and pitch.
 
         Of two markers with one id (a reflection) the better square counts.
         """
@@ -124,7 +130,8 @@ class MarkerReader:
         images = [image for region in regions for image in find_markers(self._detector, region)]
         robots = [self._robot_of_marker.get(image.id) for image in images]
         depths_m = np.array([plates_m.mean() if robot is None else plates_m[robot] for robot in robots], dtype=np.float64)
-        readings = marker_poses(images, view, depths_m, self._side_m)
+        tilts = np.array([np.zeros(2) if robot is None else tilts_rad[robot] for robot in robots]).reshape(-1, 2)
+        readings = marker_poses(images, view, depths_m, tilts, self._side_m)
         for image, robot, reading in zip(images, robots, readings, strict=True):
             if robot is None:
                 foreign_ids.update({image.id} if reading.misfit < _MAX_MISFIT else set())

@@ -1,4 +1,4 @@
-"""SHELL: the command line of `localizer latency` and `localizer evaluate`."""
+"""SHELL: the command line of `localizer latency`, `localizer evaluate` and `localizer track`."""
 
 from contextlib import ExitStack, closing
 from functools import partial
@@ -125,3 +125,29 @@ def evaluate(
     typer.echo(runner.table(rows))
     if json is not None:
         replace_text(json, runner.to_json(rows))
+
+
+def track(
+    video: Annotated[Path, typer.Argument(metavar="VIDEO", help="A video of the experiment's pool.")],
+    experiment: Annotated[str, typer.Option(metavar="EXPERIMENT", help="Camera, robots and pool.")],
+    out: Annotated[Path, typer.Option(metavar="FILE", help="The table to write: a row for each robot and frame, CSV.")],
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with a table that is there already.")] = False,
+    settings: Settings = None,
+) -> None:
+    """Localize the robots of an experiment in a recorded video, without a station, and write their poses to a table.
+
+    Example:  localizer track pool.mkv --experiment lab.toml --out poses.csv
+    """
+    import cv2
+
+    from localizer.evaluation.offline import track_video
+    from localizer.sources.files import frame_count
+
+    check_output(out, [video, experiment_path(experiment)])
+    if out.exists() and not resume:
+        raise ConfigError(f"{out}: is there already (--resume goes on with it; or write to another file)")
+    cv2.setNumThreads(1)  # as `run`
+    loaded = load_experiment(experiment, settings or ())
+    with typer.progressbar(length=frame_count(video), label=video.name) as bar:
+        for done in track_video(video, loaded, out, resume):
+            bar.update(done - bar.pos)

@@ -81,6 +81,15 @@ def video_frames(path: Path, limit: int | None = None) -> Iterator[Pixels]:
         capture.release()
 
 
+def frame_count(path: Path) -> int:
+    """Number of frames of a video by its index, 0 if it has none."""
+    capture = open_video(path)
+    try:
+        return max(int(capture.get(cv2.CAP_PROP_FRAME_COUNT)), 0)
+    finally:
+        capture.release()
+
+
 def picture_files(folder: Path) -> list[Path]:
     """The picture files of a folder in the order of their names, numbers inside names as numbers. Raises OSError."""
     return sorted((path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES), key=_by_number)

@@ -194,7 +194,8 @@ class V4l2Source:
     def _captured(self, pixels: Any, driver_ns: int, arrived_ns: int) -> CapturedFrame:
         middle_ns, stamped = middle_of_exposure_ns(driver_ns, arrived_ns, self._exposure_ns, self._camera.stamp_marks)
         now_ns, now_monotonic_ns = self._clock.now_ns(), self._monotonic_ns()
-        instant_ns = now_ns - (now_monotonic_ns - middle_ns)
+        first_row_ns = now_ns - (now_monotonic_ns - middle_ns)
+        instant_ns = min(first_row_ns + round(0.5e9 * self._camera.readout_s), now_ns)
         return CapturedFrame(pixels, instant_ns, instant_ns, now_ns - (now_monotonic_ns - arrived_ns), stamped=stamped)
 
     def _report(self, trouble: str) -> None:

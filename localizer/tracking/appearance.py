@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from localizer.detection.correlation_filter import CorrelationFilter, FilterShape, Real
 from localizer.detection.image_regions import BodySampler, DemosaicedRegion, RobotShape
+from localizer.tracking.alignment import align
 from localizer.tracking.observation import PredictedView
 from wire.frames import Array, body_to_pool, wrap
 
@@ -20,22 +21,43 @@ _PLACE_KERNEL = 1.0
 _TURN_KERNEL = 2.0
 _LEAST_TURN_PEAK = 0.2  # peak of the heading filter; a heading found with less is not used
 _AVERAGED_PX = 1.3  # px between samples; wider patches are taken from a picture at half scale
+_ALIGNED_PX = 0.6  # px between samples, least for an alignment: of a robot below 30 px across blocks show no texture
+_CORRELATED = 4.0  # variance of an aligned pose over that of independent pixels: ripples and caustics move samples together
 _FAR_SHIFT = 1.5  # samples; the window biases a peak by 4.5 % of its shift, so a larger shift is measured a second time
 
 
 @dataclass(frozen=True)
+class Recognition:
+    """Limits of an alignment beyond which a robot is not recognised: the least share of the learnt texture, the least gain
+    (the largest is its inverse), and True if the pose of the alignment is taken."""
+
+    share: float
+    gain: float
+    refines: bool
+
+
+# With less of the texture a pattern may be another one, or the same turned by a right angle; with any gain a grey card is a
+# faint robot.
+LEARNT_AT_MARKERS = Recognition(share=0.5, gain=0.6, refines=True)
+# An appearance that is learnt at poses of its own fits worse on its way round the robot's heading, and would drift with the
+# alignment's pose (4 mm in 10 s). A refusal also ends the learning, so that the robot would stay lost.
+LEARNT_AT_MATCHES = Recognition(share=0.3, gain=0.2, refines=False)
+
+
+@dataclass(frozen=True)
 class Match:
-    """Pose [x, y, yaw] at which a robot's appearance was found, and the peak of the position filter clipped to 0..1; peak
-    0 if the heading was not recognised."""
+    """Pose [x, y, yaw] at which a robot's appearance was found, the covariance (3, 3) that the pixels give it, and the peak of
+    the position filter clipped to 0..1; peak 0 if the robot was not recognised there."""
 
     pose: Array
+    covariance: Array
     peak: float
 
 
 class AppearanceModel:
     """Appearances of all robots, learnt and matched in one batch. Poses are [x, y, yaw] in the pool frame."""
 
-    def __init__(self, count: int, hull: RobotShape, template_px: int) -> None:
+    def __init__(self, count: int, hull: RobotShape, template_px: int, recognition: Recognition) -> None:
         pitch_m = 2.0 * hull.radius_m * _SPAN / template_px
         self._sampler = BodySampler(template_px, pitch_m, _RING_REACH * hull.radius_m, hull)
         channels = self._sampler.channels
@@ -43,7 +65,9 @@ class AppearanceModel:
         self._place = CorrelationFilter(count, patches)
         rings = FilterShape(1, self._sampler.angles, self._sampler.ring_channels, _TARGET_WIDTH, _TURN_KERNEL, windowed=False)
         self._turn = CorrelationFilter(count, rings)
+        self._recognition = recognition
         self._learnt = np.zeros(count, dtype=np.bool_)
+        self._grey = np.zeros((count, template_px, template_px), np.float32)  # the learnt patches
         self.reach_m = _SPAN * hull.radius_m  # half the diagonal of a patch, rounded up to its side
 
     def is_initialised(self, robot: int) -> bool:
@@ -63,8 +87,28 @@ class AppearanceModel:
                 break
         turns, turn_peaks = self._turn.detect(robots, self._rings(views, colours, found))
         found[:, 2] += turns[:, 0] * (2.0 * np.pi / self._sampler.angles)
-        clipped = _verified(peaks, turn_peaks)
-        return [Match(np.array([x, y, wrap(yaw)]), float(peak)) for (x, y, yaw), peak in zip(found, clipped, strict=True)]
+        clipped, patches = _verified(peaks, turn_peaks), self._patches(views, colours, found).mean(axis=1)
+        return [
+            self._aligned(view, pose, peak, patch)
+            for view, pose, peak, patch in zip(views, found, clipped.tolist(), patches, strict=True)
+        ]
+
+    def _aligned(self, view: PredictedView, pose: Array, peak: float, patch: Real) -> Match:
+        """The match after an alignment of the grey patch (size, size) that was sampled at its pose; small robots: as it is."""
+        unrefined = np.array([pose[0], pose[1], wrap(float(pose[2]))])
+        if self._sampler.pitch_m * view.tangent.px_per_m < _ALIGNED_PX:
+            return Match(unrefined, np.zeros((3, 3)), peak)
+        move, covariance, limits = np.zeros(4), np.empty((3, 3)), self._recognition
+        share = align(self._grey[view.robot], patch, move, covariance)
+        if share <= limits.share or not limits.gain <= move[3] <= 1.0 / limits.gain:
+            return Match(unrefined, np.zeros((3, 3)), 0.0)
+        if not limits.refines:
+            return Match(unrefined, np.zeros((3, 3)), peak)
+        to_pool = np.eye(3)
+        to_pool[:2, :2] = self._sampler.pitch_m * body_to_pool(np.eye(2), float(pose[2])).T
+        x, y, yaw = pose + to_pool @ move[:3]
+        found = np.array([x, y, wrap(float(yaw))])
+        return Match(found, _CORRELATED / share * to_pool @ covariance @ to_pool.T, peak)
 
     def update(self, views: Sequence[PredictedView], poses: Sequence[Array], rates: Array) -> list[float]:
         """Peaks of the robots' appearances at known poses, as in `Match`; then blend in what is seen there at `rates` (n,).
@@ -80,6 +124,7 @@ class AppearanceModel:
         blend = np.where(self._learnt[robots], rates, np.sign(rates)).astype(np.float32)
         self._place.learn(robots, patches, blend)
         self._turn.learn(robots, rings, blend)
+        self._grey[robots] += blend[:, None, None] * (patches.mean(axis=1) - self._grey[robots])
         self._learnt[robots] |= rates > 0.0
         return [float(peak) for peak in _verified(peaks, turn_peaks)]
 

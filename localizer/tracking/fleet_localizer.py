@@ -18,6 +18,7 @@ Deterministic: no clock, robots always in the experiment's order. The number of 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -26,11 +27,11 @@ from localizer.camera_model import RefractiveCamera
 from localizer.detection.fiducials import MarkerPose, MarkerReader
 from localizer.detection.image_regions import ImageRegion, Pixels, RobotShape, cut, whole
 from localizer.sources.health import FrameHealthMonitor
-from localizer.tracking.appearance import AppearanceModel
+from localizer.tracking.appearance import LEARNT_AT_MARKERS, LEARNT_AT_MATCHES, AppearanceModel
 from localizer.tracking.camera_pose import CameraPoseTracker, FixedCameraPose
-from localizer.tracking.observation import KCF_NOISE, MARKER_NOISE, Depth, PredictedView, depths_of
+from localizer.tracking.observation import KCF_NOISE, Depth, PredictedView, depths_of
 from localizer.tracking.robot_track import RobotTrack, close_pairs
-from localizer.tracking.tilt import MotionEstimate, TiltModel
+from localizer.tracking.tilt import Attitude, MotionEstimate, TiltModel
 from wire.config.experiment import Experiment
 from wire.config.scene import Circle, PathSpec, Route
 from wire.frames import Array
@@ -46,6 +47,7 @@ _WIDEST_SIGMA_M = 0.1  # m, standard deviation at which a region stops growing: 
 _TOUCHING = 2.5  # robot radii between centres; closer than this a correlation may have changed robots
 _OVERLAP_SIDES = 2.0  # of a marker, between strips: its diagonal and its white cell, at any heading
 _QUIET = 4.0 / 3.0  # side of the plate over the marker's: a white cell around its six
+_NOT_MEASURED: Mapping[int, Attitude] = MappingProxyType({})
 _LONGEST_STEP_S = 1.0  # s; a longer gap between stamps counts as this long
 
 
@@ -79,7 +81,7 @@ class FleetLocalizer:
         self._experiment = experiment
         self._ids = experiment.robot_ids
         self.radius_m, self.marker_height_m = vehicle.radius_m, vehicle.marker.height_m
-        self._settings = settings
+        self._side_m, self._settings = vehicle.marker.side_m, settings
         self._start = start_poses(experiment)
         self._watch = FrameHealthMonitor(experiment.camera.size_px, settings.frozen_frames)
         markers = {robot.marker: index for index, robot in enumerate(experiment.robots)}
@@ -90,32 +92,41 @@ class FleetLocalizer:
         self._plate_reach_m = np.sqrt(0.5) * _QUIET * vehicle.marker.side_m  # half the diagonal of the white plate
         plate_half_m = _QUIET * vehicle.marker.side_m / 2.0 if settings.markers else 0.0
         hull = RobotShape(vehicle.radius_m, vehicle.marker.height_m, plate_half_m)
-        self._appearance = AppearanceModel(len(self._ids), hull, settings.template_px)
+        self._appearance = AppearanceModel(
+            len(self._ids), hull, settings.template_px, LEARNT_AT_MARKERS if settings.markers else LEARNT_AT_MATCHES
+        )
         self._landmark_ids = {landmark.id for landmark in landmarks}
         self._foreign_scans: dict[int, int] = {}  # id of a foreign marker -> scans in a row
         self._foreign_ids: set[int] = set()  # in the strips of the present scan
         self._tracks = [RobotTrack() if settings.markers else RobotTrack.at_start(s[[0, 1, 3]]) for s in self._start]
         self._motions: list[MotionEstimate | None] = [None] * len(self._ids)  # of the tracks, as far as they were measured
         self._tilt = TiltModel.of(vehicle, settings.tilt_sigma_rad, settings.tilt_rad_per_n)
+        self._attitudes: list[Attitude | None] = [None] * len(self._ids)  # at the present exposure
         self._stamp_ns: int | None = None
         self._frames = 0
         self._located: _Located | None = None
 
-    def step(self, frame: Pixels, stamp_ns: int, depths_m: Mapping[int, float]) -> LocalizationResult:
+    def step(
+        self, frame: Pixels, stamp_ns: int, depths_m: Mapping[int, float], attitudes: Mapping[int, Attitude] = _NOT_MEASURED
+    ) -> LocalizationResult:
         """`locate` and `finish`, for callers to whom the time to the poses does not matter."""
-        result = self.locate(frame, stamp_ns, depths_m)
+        result = self.locate(frame, stamp_ns, depths_m, attitudes)
         self.finish()
         return result
 
-    def locate(self, frame: Pixels, stamp_ns: int, depths_m: Mapping[int, float]) -> LocalizationResult:
+    def locate(
+        self, frame: Pixels, stamp_ns: int, depths_m: Mapping[int, float], attitudes: Mapping[int, Attitude] = _NOT_MEASURED
+    ) -> LocalizationResult:
         """Localize every robot in `frame` (height, width) Bayer RGGB, exposed at `stamp_ns` (middle of the exposure).
 
-        `depths_m` holds the depths of robots' centres by id, as far as they reported one.
+        `depths_m` holds the depths of robots' centres by id, as far as they reported one, `attitudes` their roll and pitch at
+        the exposure.
         """
         self._frames += 1
         self._located = None
         camera = self._watch.assess(frame)
-        depths = depths_of(self._experiment, self._start[:, 2].tolist(), depths_m)
+        depths = depths_of(self._experiment, self._start[:, 2].tolist(), depths_m, attitudes)
+        self._attitudes = [attitudes.get(robot) for robot in self._ids]
         self._predict(stamp_ns)
         views: dict[int, PredictedView] = {}
         if camera is CameraHealth.OK and not self._watch.repeated:
@@ -164,14 +175,14 @@ class FleetLocalizer:
     ) -> dict[int, PredictedView]:
         plates_m = [depths[i].plate_m for i in places]
         tangents = self.view.linearize(list(places.values()), plates_m)
-        views = {}
+        views, slope_rad = {}, self._settings.surface_slope_rad
         for i, tangent, mapping in zip(places, tangents, self._camera_pose.uncertainty(tangents, plates_m), strict=True):
             sigma_m = sigmas_m[i] + float(np.sqrt(mapping[0, 0] + mapping[1, 1]))
             around_m = _REGION_SIGMAS * min(sigma_m, _WIDEST_SIGMA_M)
             region = cut(frame, tangent.pixel, (self._appearance.reach_m + around_m) * tangent.px_per_m)
             plate = cut(frame, tangent.pixel, (self._plate_reach_m + around_m) * tangent.px_per_m)
             if region is not None:
-                views[i] = PredictedView(i, self.radius_m, depths[i], tangent, mapping, region, plate or region)
+                views[i] = PredictedView(i, self.radius_m, depths[i], slope_rad, tangent, mapping, region, plate or region)
         return views
 
     def _read_markers(self, frame: Pixels, depths: Sequence[Depth], views: dict[int, PredictedView]) -> None:
@@ -182,18 +193,19 @@ class FleetLocalizer:
         """
         if not self._settings.markers:
             return
-        plates_m = np.array([depth.plate_m for depth in depths])
+        plates_m, tilts_rad = np.array([depth.plate_m for depth in depths]), self._tilts_rad()
         plates = [view.plate for i, view in views.items() if self._tracks[i].state is Track.MARKER]
-        readings = self._reader.read(self.view, plates, plates_m)
+        readings = self._reader.read(self.view, plates, plates_m, tilts_rad)
         missed = [view.region for i, view in views.items() if i not in readings and not self._is_lost(i)]
         claims = self._claim_regions(frame, depths, views)
-        readings = self._reader.read(self.view, missed + claims, plates_m) | readings
+        readings = self._reader.read(self.view, missed + claims, plates_m, tilts_rad) | readings
         strays = [i for i, r in readings.items() if i not in views or views[i].distance_m(r.pose) > self.radius_m]
         elsewhere = {i: readings[i].pose[:2] for i in strays}
         views.update(self._views_at(frame, depths, elsewhere, dict.fromkeys(elsewhere, 0.0)))
         for i, track in enumerate(self._tracks):
             if i in readings and i in views:
-                self._tracks[i] = track.with_marker(views[i].measurement(readings[i].pose, MARKER_NOISE), self.radius_m)
+                measurement = track.at_stamp(views[i].marker(readings[i], self._side_m), self._late_s(views[i]))
+                self._tracks[i] = track.with_marker(measurement, self.radius_m)
             elif track.motion is not None and self._is_occupied(track.motion.position_m, i, readings):
                 self._tracks[i] = track.contradicted()
 
@@ -223,8 +235,9 @@ class FleetLocalizer:
         for view, match in zip(known, matches, strict=True):
             track = self._tracks[view.robot]
             clear = self._clearance_m(view.robot, match.pose) > self.radius_m and view.shows(match.pose)
-            measurement = view.measurement(match.pose, KCF_NOISE, match.peak)
-            self._tracks[view.robot] = track.with_match(measurement, self._settings.min_peak) if clear else track
+            measurement = view.measurement(match.pose, KCF_NOISE, match.covariance, match.peak)
+            dated = track.at_stamp(measurement, self._late_s(view))
+            self._tracks[view.robot] = track.with_match(dated, self._settings.min_peak) if clear else track
 
     def _doubt_close_pairs(self) -> None:
         for pair in close_pairs(self._tracks, _TOUCHING * self.radius_m):
@@ -248,7 +261,10 @@ class FleetLocalizer:
         messages = []
         for i, (robot, track, depth) in enumerate(zip(self._ids, self._tracks, depths, strict=True)):
             down = views[i].tangent.jacobian[:, 2] if i in views else np.zeros(2)
-            messages.append((robot, track.message(depth.centre_m, self._tilt.covariance(self._motions[i], down))))
+            attitude = self._attitudes[i]
+            ahead_m, aside_m, _ = (0.0, 0.0, 0.0) if attitude is None else attitude.above_m(self.marker_height_m)
+            unknown = self._tilt.covariance(self._motions[i], attitude, down)
+            messages.append((robot, track.message(depth.centre_m, unknown, (ahead_m, aside_m))))
         return tuple((robot, pose) for robot, pose in messages if pose is not None)
 
     def _status_message(self, camera: CameraHealth) -> str:
@@ -279,7 +295,7 @@ class FleetLocalizer:
         elif strip == 1:
             regions.append(whole(located.frame))
         plates_m = np.array([depth.plate_m for depth in located.depths])
-        for i, reading in self._reader.read(self.view, regions, plates_m).items():
+        for i, reading in self._reader.read(self.view, regions, plates_m, self._tilts_rad()).items():
             self._tracks[i] = self._tracks[i].with_scan(reading.pose, self.radius_m)
         self._foreign_ids |= self._reader.foreign_ids - self._landmark_ids
         if all(lost) or strip == 0:
@@ -314,6 +330,10 @@ class FleetLocalizer:
 
     # --- small questions
 
+    def _tilts_rad(self) -> Array:
+        """Roll and pitch (robots, 2) at the present exposure, 0 where they are not known."""
+        return np.array([[0.0, 0.0] if a is None else [a.roll_rad, a.pitch_rad] for a in self._attitudes])
+
     @property
     def view(self) -> RefractiveCamera:
         """The newest mapping between pixels and pool."""
@@ -325,6 +345,11 @@ class FleetLocalizer:
         if track.measured is not None:
             return track.measured.pose
         return np.zeros(3) if track.motion is None else track.motion.mean[:3]
+
+    def _late_s(self, view: PredictedView) -> float:
+        """Time from the picture's stamp, which is its middle row's, to the exposure of the row that a robot is in."""
+        camera = self._experiment.camera
+        return camera.readout_s * (float(view.tangent.pixel[1]) / camera.size_px[1] - 0.5)
 
     def _is_lost(self, robot: int) -> bool:
         return self._tracks[robot].state is Track.LOST

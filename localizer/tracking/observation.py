@@ -10,7 +10,9 @@ import numpy as np
 
 from localizer import kernels
 from localizer.camera_model import LocalLinearization
+from localizer.detection.fiducials import MarkerPose
 from localizer.detection.image_regions import BodyProjection, ImageRegion
+from localizer.tracking.tilt import Attitude
 from wire.config.experiment import Experiment
 from wire.frames import Array
 
@@ -32,8 +34,8 @@ MARKER_NOISE = MeasurementNoise(centre_px=0.03, rim_px=0.15)
 KCF_NOISE = MeasurementNoise(centre_px=0.2, rim_px=0.22, centre_share=0.008, rim_share=0.008)
 _DEPTH_ASSUMED_SIGMA_M = 0.05  # m, of the experiment's depth, for a robot that reported none
 _SHALLOWEST_M = -0.2  # m, least depth that is believed: a robot lying on the surface
+_CORNER_PX, _CORNER_SIGMAS = 0.14, 2.0  # px, of a coordinate of a corner found well; more than so many times it is an error
 _LEAST_SHOWN = 0.2  # of the hull's radius, beyond its middle; with less in view filters rotate a robot by up to 30 degrees
-_WAVE_SLOPE_RAD = 0.0043  # rad, standard deviation of the surface's slope; a slope bends the line of sight by (1 - 1/n) of it
 
 
 @dataclass(frozen=True)
@@ -59,7 +61,9 @@ class Depth:
     sigma_m: float
 
 
-def depths_of(experiment: Experiment, start_m: Sequence[float], reported_m: Mapping[int, float]) -> tuple[Depth, ...]:
+def depths_of(
+    experiment: Experiment, start_m: Sequence[float], reported_m: Mapping[int, float], attitudes: Mapping[int, Attitude]
+) -> tuple[Depth, ...]:
     """Every robot's depth, (robots,), in the experiment's order: as reported (by id), or as at the start."""
     height_m, deepest_m = experiment.vehicle.marker.height_m, experiment.pool.size_m[2]
     known_sigma_m = experiment.localizer.depth_sigma_m
@@ -68,7 +72,8 @@ def depths_of(experiment: Experiment, start_m: Sequence[float], reported_m: Mapp
         depth = reported_m.get(robot_id, float("nan"))
         known = _SHALLOWEST_M <= depth <= deepest_m
         centre = depth if known else float(start)
-        depths.append(Depth(centre, centre - height_m, known_sigma_m if known else max(known_sigma_m, _DEPTH_ASSUMED_SIGMA_M)))
+        up_m = attitudes[robot_id].above_m(height_m)[2] if robot_id in attitudes else height_m
+        depths.append(Depth(centre, centre - up_m, known_sigma_m if known else max(known_sigma_m, _DEPTH_ASSUMED_SIGMA_M)))
     return tuple(depths)
 
 
@@ -79,10 +84,19 @@ class PredictedView:
     robot: int
     radius_m: float
     depth: Depth
+    slope_rad: float  # standard deviation of the water's slope, which bends the line of sight by (1 - 1/n) of it
     tangent: LocalLinearization
     mapping: Array  # (3, 3), covariance of [x, y, yaw] here due to the error of the camera's pose
     region: ImageRegion
     plate: ImageRegion  # the part of it that the marker plate is expected in
+
+    def marker(self, reading: MarkerPose, side_m: float) -> TrackMeasurement:
+        """The measurement of a marker's reading. Corners that make no square (glare over one of them, blur, short waves) have
+        been found wrong, and so are place and heading."""
+        expected_m = _CORNER_PX / self.tangent.px_per_m
+        excess_m2 = max(reading.residual_m**2 - (_CORNER_SIGMAS * expected_m) ** 2, 0.0)
+        own = np.diag([0.5 * excess_m2, 0.5 * excess_m2, excess_m2 / side_m**2])
+        return self.measurement(reading.pose, MARKER_NOISE, own)
 
     def distance_m(self, pose: Array) -> float:
         """Distance of [x, y, ...] from the predicted position."""
@@ -101,14 +115,14 @@ class PredictedView:
         at = self.tangent
         return BodyProjection(at.nearby_px(pose[:2]), at.pool_to_px @ np.array([[c, -s], [s, c]]), at.down_px)
 
-    def measurement(self, pose: Array, noise: MeasurementNoise, peak: float = 0.0) -> TrackMeasurement:
-        """A measurement of `pose`: its covariance sums the picture's noise, moving water, depth error and the camera's
-        pose error."""
-        wave_m = 0.25 * _WAVE_SLOPE_RAD * max(self.depth.plate_m, 0.0)
+    def measurement(self, pose: Array, noise: MeasurementNoise, own: Array, peak: float = 0.0) -> TrackMeasurement:
+        """A measurement of `pose`: its covariance sums the picture's noise, moving water, depth error, the camera's pose
+        error, and its `own` part (3, 3), from the residuals of this one."""
+        wave_m = 0.25 * self.slope_rad * max(self.depth.plate_m, 0.0)
         round_m2 = wave_m**2 + (noise.centre_share * self.radius_m) ** 2
         yaw_rad2 = (noise.rim_px / (self.tangent.px_per_m * self.radius_m)) ** 2 + noise.rim_share**2
         covariance = np.empty((3, 3))
         kernels.measurement_covariance(
-            self.tangent.jacobian, self.mapping, noise.centre_px, self.depth.sigma_m, round_m2, yaw_rad2, covariance
+            self.tangent.jacobian, self.mapping + own, noise.centre_px, self.depth.sigma_m, round_m2, yaw_rad2, covariance
         )
         return TrackMeasurement(pose, covariance, peak)

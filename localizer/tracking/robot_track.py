@@ -25,15 +25,17 @@ it.
                                                                   verified, claim; or as
                                                                   contradicted, with a claim
     contradicted       another robot's marker was read here       refuted; verified = False       -
-    with_match         no marker was read, it is followed,        peak; measured, state KCF       for all but peak: measured or
-                       its appearance was matched                                                 refuted in this frame, or
-                                                                                                  outside the gate
+    with_match         no marker was read, it is followed,        peak, match; measured,          for all but peak: measured or
+                       its appearance was matched                 state KCF                       refuted in this frame, a low
+                                                                                                  peak, outside gate or reach;
+                                                                                                  for all but match: coasting,
+                                                                                                  and not the third steady one
     identity_doubted   another robot is believed close            verified = False                state is MARKER
     end_of_frame       no measurement in this frame               state COAST, or LOST with       measured, or LOST before
                                                                   verified = False
     message            always: the pose of this frame is published; what follows shows in the next frame's
-    with_match         it is lost, its appearance was matched     peak; measured, state KCF       for all but peak: refuted in
-                                                                                                  this frame, or a low peak
+    with_match         it is lost, its appearance was matched     peak, match; measured,          as above, without the gate
+                                                                  state KCF
     with_scan          a scan found its marker                    claim; as contradicted          its marker was read, or where
                                                                                                   the robot can be
     with_peak          its marker was read, it is its turn        peak                            the peak is not finite
@@ -50,11 +52,16 @@ import numpy as np
 
 from localizer.tracking.kalman import GATE, KalmanState, initial_state, predict, stopped, update
 from localizer.tracking.observation import TrackMeasurement
-from wire.frames import Array, wrap
+from wire.frames import Array, body_to_pool, wrap
 from wire.messages.messages import Pose, Track
 
 _REGAIN_PEAK = 0.5  # least correlation peak that regains a lost robot; higher than for a followed one, which has a prediction
 _JUMP_SIGMAS = 3.0
+MATCH_GATE = 16.3  # squared Mahalanobis distance: one of 1,000 good matches is outside; a match has no other witness
+_MATCH_REACH_M = 0.05  # m, farthest that a match may be from the prediction, however little that is worth after coasting
+# A robot that coasts or is lost is matched in so many pictures in a row before it counts, with steady offsets from the
+# prediction: a robot accelerates by 0.3 m/s^2 (1 mm from picture to picture), a match that jumps about or slides more.
+_MATCHES_NEEDED, _SAME_OFFSET = 3, np.array([0.005, 0.005, 0.05])
 # A claim is dropped when both limits have passed without a second reading. A visible marker is read ten times in 0.5 s; the
 # number of pictures leaves time to a slow camera or a busy computer.
 _CLAIM_S, _CLAIM_PICTURES = 0.5, 3
@@ -86,9 +93,30 @@ class Claim:
 
 
 @dataclass(frozen=True)
+class ProvisionalMatch:
+    """Matches in pictures in a row of a robot that coasts or is lost: the last one's offset [x, y, yaw] from the prediction,
+    its change since the one before, the time unseen, and their number."""
+
+    offset: Array
+    unseen_s: float
+    step: Array | None = None
+    count: int = 1
+
+    def continued(self, offset: Array, unseen_s: float, speed_sigma: Array) -> "ProvisionalMatch":
+        """One more match; the count begins anew where it moved otherwise than a robot whose velocity is known to `speed_sigma`
+        (3,) [m/s, m/s, rad/s]."""
+        step = offset - self.offset
+        step[2] = wrap(float(step[2]))
+        steady = np.zeros(3) if self.step is None else step - self.step
+        may = _SAME_OFFSET + (unseen_s - self.unseen_s) * speed_sigma
+        same = bool(np.all(np.abs(step) <= may) and np.all(np.abs(steady) <= _SAME_OFFSET))
+        return ProvisionalMatch(offset, unseen_s, step, self.count + 1) if same else ProvisionalMatch(offset, unseen_s)
+
+
+@dataclass(frozen=True)
 class RobotTrack:
     """The belief about one robot. `motion` is None until the robot was first accepted as seen. `measured` and `refuted`
-    concern this frame only. `claim` is a marker's reading that is not accepted yet."""
+    concern this frame only. `claim` is a marker's reading that is not accepted yet, `match` are matches that are not."""
 
     motion: KalmanState | None = None
     state: Track = Track.LOST
@@ -98,11 +126,13 @@ class RobotTrack:
     refuted: bool = False
     peak: float = 0.0
     claim: Claim | None = None
+    match: ProvisionalMatch | None = None
 
     @classmethod
     def at_start(cls, pose: Array) -> "RobotTrack":
         """A track without markers: the robot is taken to be at [x, y, yaw], where the experiment starts it, and verified."""
-        return cls(motion=initial_state(pose, np.diag(_PLACED_SIGMA**2)), state=Track.COAST, verified=True)
+        placed = ProvisionalMatch(np.zeros(3), 0.0, count=_MATCHES_NEEDED - 1)
+        return cls(motion=initial_state(pose, np.diag(_PLACED_SIGMA**2)), state=Track.COAST, verified=True, match=placed)
 
     def predicted(self, step_s: float) -> "RobotTrack":
         """The track at the next exposure. A lost robot stays where it was last believed."""
@@ -141,20 +171,38 @@ class RobotTrack:
         """The track after another marker ruled its position out: nothing else counts in this frame."""
         return replace(self, verified=False, refuted=True)
 
+    def at_stamp(self, measurement: TrackMeasurement, late_s: float) -> TrackMeasurement:
+        """A measurement in a row of the picture that was exposed `late_s` after its stamp, carried back to the stamp."""
+        if late_s == 0.0:
+            return measurement
+        motion = self.motion or initial_state(measurement.pose, measurement.covariance)
+        pose = measurement.pose - late_s * motion.mean[3:]
+        pose[2] = wrap(float(pose[2]))
+        return replace(measurement, pose=pose, covariance=measurement.covariance + late_s**2 * motion.covariance[3:, 3:])
+
     def with_match(self, measurement: TrackMeasurement, least_peak: float) -> "RobotTrack":
         """The track after its appearance was matched: a measurement if no marker was read, the peak suffices and the gate
         holds."""
         if not measurement.finite:
             return self
-        matched = replace(self, peak=measurement.peak)
+        matched = replace(self, peak=measurement.peak, match=None)
         if self.motion is None or self.measured is not None or self.refuted:
             return matched
         lost = self.state is Track.LOST
         if measurement.peak <= (max(least_peak, _REGAIN_PEAK) if lost else least_peak):
             return matched
         updated, squared = update(self.motion, measurement.pose, measurement.covariance)
-        if squared > GATE and not lost:
+        offset = measurement.pose - self.motion.mean[:3]
+        offset[2] = wrap(float(offset[2]))
+        if (squared > MATCH_GATE and not lost) or float(np.hypot(offset[0], offset[1])) > _MATCH_REACH_M:
             return matched
+        if self.state in (Track.COAST, Track.LOST):
+            speed_sigma = np.sqrt(np.diag(self.motion.covariance)[3:])
+            before = self.match
+            first = ProvisionalMatch(offset, self.unseen_s)
+            match = first if before is None else before.continued(offset, self.unseen_s, speed_sigma)
+            if match.count < _MATCHES_NEEDED:
+                return replace(matched, match=match)
         return matched._measured(measurement, None if lost else updated, Track.KCF, self.verified, self.claim)
 
     def with_scan(self, pose: Array, jump_m: float) -> "RobotTrack":
@@ -180,20 +228,21 @@ class RobotTrack:
             return replace(self, motion=stopped(self.motion), state=Track.LOST, verified=False)
         return replace(self, state=Track.COAST)
 
-    def message(self, depth_m: float, tilt_covariance: Array) -> Pose | None:
+    def message(self, depth_m: float, tilt_covariance: Array, plate_m: tuple[float, float] = (0.0, 0.0)) -> Pose | None:
         """The pose to publish, None before the first accepted measurement.
 
         It is the bare measurement with its own covariance, which adds no lag and leaves errors white for the agent's
-        observer. Only gaps are filled by prediction. `tilt_covariance` (3, 3) is added, as the track follows the
-        plate and the pose is the robot's centre.
+        observer. Only gaps are filled by prediction. The track follows the plate, the pose is the robot's centre: `plate_m`
+        is the plate's place ahead and to starboard of it, and `tilt_covariance` (3, 3) what is not known of that.
         """
         if self.motion is None:
             return None
         pose, covariance = self.motion.mean[:3], self.motion.covariance[:3, :3]
         if self.measured is not None:
             pose, covariance = self.measured.pose, self.measured.covariance
+        x_m, y_m = (pose[:2] - body_to_pool(plate_m, float(pose[2]))).tolist()
         return Pose(
-            x_m=float(pose[0]), y_m=float(pose[1]), yaw_rad=wrap(float(pose[2])), covariance=covariance + tilt_covariance,
+            x_m=x_m, y_m=y_m, yaw_rad=wrap(float(pose[2])), covariance=covariance + tilt_covariance,
             track=self.state, identity_verified=self.verified, peak=self.peak, depth_m=depth_m,
         )  # fmt: skip
 

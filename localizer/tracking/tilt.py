@@ -1,10 +1,12 @@
-"""Unknown tilt of a robot, bounded by its motion. Pure.
+"""Tilt of a robot: told by its board, or bounded by its motion. Pure.
 
 The marker plate is above the robot's centre, so roll and pitch move it sideways by height * tilt, which looks like motion of
-the robot. The localizer is not told roll and pitch. But a robot tilts because thrust acts below its centre, and its motion
-tells the thrust: F = M a + D(v), with mass and drag of the vehicle's file. A robot that has tilted swings back slowly.
+the robot. A board that measures roll and pitch tells them (`Attitude`), and the pose is corrected. The picture does not: a
+degree moves the corners of a marker 33 px wide by 0.03 px against each other.
 
-The tilt is no correction of the pose, because its sign is not known: it is one standard deviation in the covariance.
+Of another board the tilt is not known. But a robot tilts because thrust acts below its centre, and its motion tells the
+thrust: F = M a + D(v), with mass and drag of the vehicle's file. A robot that has tilted swings back slowly. This tilt is no
+correction, because its sign is not known: it is one standard deviation in the covariance.
 
 Velocity and acceleration are those of a fading-memory polynomial filter of the second degree (Morrison, Introduction to
 Sequential Smoothing and Prediction, 1969): the least-squares parabola through the measured positions, older ones weighted
@@ -21,7 +23,32 @@ from wire.frames import Array
 _MEMORY_S = 0.25  # s; if shorter, picture noise looks like thrust; if longer, a start is seen late (NEES 4 then, 10 at 0.4 s)
 _JUDGED_AFTER_S = 3.0 * _MEMORY_S  # s; before, a robot that was found in motion seems to accelerate
 _SWING_S = 3.0  # s in which a swing falls to 1/e: 2 I / drag of roll and pitch (0.12 kg m^2, 0.08 N m s)
+_SWINGS_RADPS2 = 1.6  # rad/s^2, standard deviation of d2/dt2 of roll and pitch: righting moment / inertia at 0.1 rad
+_OLDEST_S = 0.2  # s; a measured attitude that is further from the exposure is not used (32 mrad by the line above)
 _MOST_RAD = 0.5  # rad, upper limit: no swimming robot tilts more, but one that is carried moves as if by any force
+
+
+@dataclass(frozen=True)
+class Attitude:
+    """Roll and pitch of a robot at an exposure, and their standard deviation."""
+
+    roll_rad: float
+    pitch_rad: float
+    sigma_rad: float
+
+    @classmethod
+    def at(cls, tilt: Array, later_s: float, sigma_rad: float) -> "Attitude | None":
+        """Carry a measurement [roll, pitch, and d/dt of them] over to an exposure `later_s` after it (negative: before it), at
+        constant rates. None if nothing was measured, or too long from the exposure."""
+        if len(tilt) != 4 or not abs(later_s) <= _OLDEST_S:
+            return None
+        roll, pitch = (tilt[:2] + later_s * tilt[2:]).tolist()
+        return cls(roll, pitch, float(np.hypot(sigma_rad, 0.5 * _SWINGS_RADPS2 * later_s**2)))
+
+    def above_m(self, height_m: float) -> tuple[float, float, float]:
+        """Place of a point `height_m` above the robot's centre, on level axes: ahead, to starboard, up."""
+        up = height_m * np.cos(self.roll_rad)
+        return -up * np.sin(self.pitch_rad), height_m * np.sin(self.roll_rad), up * np.cos(self.pitch_rad)
 
 
 @dataclass(frozen=True)
@@ -97,12 +124,16 @@ class TiltModel:
         force_n = float(np.linalg.norm(self.mass_kg * acceleration_mps2 + drag * velocity_mps))
         return min(self.rad_per_n * force_n, _MOST_RAD)
 
-    def covariance(self, motion: MotionEstimate | None, down: Array) -> Array:
-        """Covariance (3, 3) of a measured [x, y, yaw] due to unknown tilt; with `motion` None, of a robot at rest.
+    def covariance(self, motion: MotionEstimate | None, attitude: Attitude | None, down: Array) -> Array:
+        """Covariance (3, 3) of a measured [x, y, yaw] due to tilt that is not known: the error of a measured `attitude`, or
+        all of it; with `motion` None, of a robot at rest.
 
         `down` (2,) is d(x, y) / d depth of the line of sight: a tilted plate's corners lie at other depths than its
         middle, and seen obliquely that looks like a rotation by half of tilt times slope.
         """
-        tilt2 = self.rest_tilt_rad**2 + (0.0 if motion is None else motion.residual_tilt_rad**2)
+        if attitude is not None:
+            tilt2 = attitude.sigma_rad**2
+        else:
+            tilt2 = self.rest_tilt_rad**2 + (0.0 if motion is None else motion.residual_tilt_rad**2)
         aside_m2, turn2 = self.height_m**2 * tilt2, 0.25 * tilt2 * float(down @ down)
         return np.diag([aside_m2, aside_m2, turn2])

@@ -144,6 +144,7 @@ class DirectPlant:
             arrival_ns=now_ns,
             heading_rad=reading.heading_rad,
             yaw_rate_radps=reading.yaw_rate_radps,
+            tilt=reading.tilt,
             depth_m=reading.depth_m,
             battery_v=float(self._plant.rest_v(state, self._faults.actuators)[i]),
             armed=self._armed[i],

@@ -4,12 +4,15 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from sim_bridge.plant.kernels import GRAVITY_MPS2
 from sim_bridge.plant.random_streams import Stream, generator
 from wire.config.simulation import Sensors
 from wire.frames import Array, wrap
 
 ACCELEROMETER_NOISE_MPS2 = 0.02  # m/s^2, standard deviation of an ordinary MEMS part at 50 Hz; the link rounds to 0.01
+LEVEL = (0.0, 0.0, 0.0, 0.0)  # roll, pitch [rad], and d/dt of them [rad/s]
 
 
 @dataclass(frozen=True)
@@ -20,6 +23,15 @@ class Reading:
     yaw_rate_radps: float
     acceleration_mps2: tuple[float, float, float]  # specific force, body frame: at rest 1 g upwards, (0, 0, -g)
     depth_m: float
+    tilt: tuple[float, ...] = LEVEL
+
+    @property
+    def tilt_sensed(self) -> tuple[float, float, float, float]:
+        """Roll, pitch [rad], and the rates about the body's first two axes [rad/s], as ATTITUDE has them."""
+        roll, pitch, roll_rate, pitch_rate = self.tilt
+        about_y = (pitch_rate + self.yaw_rate_radps * math.sin(roll)) / math.cos(roll)
+        turn = about_y * math.sin(roll) + self.yaw_rate_radps * math.cos(roll)
+        return roll, pitch, roll_rate - turn * math.tan(pitch), about_y
 
 
 class BoardSensors:
@@ -31,13 +43,15 @@ class BoardSensors:
         heading, gyro, pressure = (float(value) for value in self._random.uniform(-1.0, 1.0, 3))
         self.heading_bias_rad = heading * sensors.heading_bias_rad
         self.gyro_bias_radps = gyro * sensors.gyro_bias_radps
+        self._tilt_random = generator(seed, Stream.SENSORS, robot_id, 1)
+        self.tilt_bias_rad = sensors.tilt_bias_rad * self._tilt_random.uniform(-1.0, 1.0, 2)
         self.error = (0.0, 0.0)  # of heading (rad) and yaw rate (rad/s), when the sensor is broken
         self.depth_bias_m = pressure * sensors.pressure_bias_m
 
-    def read(self, eta: Array, nu: Array, acceleration: Array, tilt: Array | Sequence[float] = (0.0, 0.0)) -> Reading:
+    def read(self, eta: Array, nu: Array, acceleration: Array, tilt: Array | Sequence[float] = LEVEL) -> Reading:
         """Sample a motion: eta, nu and d nu / dt, each (4,), on level axes.
 
-        `tilt` begins with roll and pitch, which turn the sensors with the body. The board levels the heading that it
+        `tilt` is roll, pitch, and d/dt of them, which turn the sensors with the body. The board levels the heading that it
         sends.
         """
         sensors = self._sensors
@@ -56,7 +70,15 @@ class BoardSensors:
             cr * cp * r + self.error[1] + self.gyro_bias_radps + sensors.gyro_noise_radps * noise[1],
             (fx, fy, fz),
             z + self.depth_bias_m + sensors.pressure_noise_m * noise[2],
+            self._sense_tilt(np.asarray(tilt, dtype=np.float64)),
         )
+
+    def _sense_tilt(self, tilt: Array) -> tuple[float, ...]:
+        """Roll, pitch and d/dt of them as an attitude filter has them: with a constant error and noise."""
+        sigma = np.repeat([self._sensors.tilt_noise_rad, self._sensors.gyro_noise_radps], 2)
+        sensed = tilt + sigma * self._tilt_random.standard_normal(4)
+        sensed[:2] += self.tilt_bias_rad
+        return tuple(sensed.tolist())
 
     def battery_v(self, supply_v: float, load: float) -> float:
         """Voltage of a battery that has `supply_v` at rest, with this fraction of full thrust on all thrusters."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from sim_bridge.plant.sensors import BoardSensors, Reading
+from sim_bridge.plant.sensors import LEVEL, BoardSensors, Reading
 from sim_bridge.thruster_board.parameters import Parameters, Refusal
 from sim_bridge.thruster_board.state_machine import INFO, S_NS, THRUSTERS, WARNING, BoardStateMachine, Charge
 from wire.config.experiment import Experiment
@@ -240,13 +240,13 @@ class ThrusterBoard:
         nu: Array,
         acceleration: Array,
         supply_v: float | None = None,
-        tilt: Array | Sequence[float] = (0.0, 0.0),
+        tilt: Array | Sequence[float] = LEVEL,
     ) -> bytes:
         """Run the state machine, move the outputs, measure. Returns the bytes to send, which are none between bursts.
 
         `eta`, `nu` and `acceleration` (d nu / dt), each (4,), are the robot's true motion; they count only in a step that
         `measures`, and not in HIL mode. `supply_v` is the battery's voltage without load (default: the experiment's),
-        `tilt` begins with roll and pitch.
+        `tilt` is roll, pitch, and d/dt of them.
         """
         self._handle(b"", now_ns)  # what has begun and not ended may be overdue
         measures, voltage = self.measures(now_ns), None
@@ -302,7 +302,8 @@ class ThrusterBoard:
             self._outbox.append(self._value(self._to_list))
             self._to_list += 1
         if reading is not None:
-            self._outbox.append(link.attitude(self.burst_ms, reading.heading_rad, reading.yaw_rate_radps))
+            tilt = reading.tilt_sensed if isinstance(reading, Reading) else LEVEL  # HIL_SENSOR tells none
+            self._outbox.append(link.attitude(self.burst_ms, reading.heading_rad, reading.yaw_rate_radps, tilt))
         if crosses(KEEP_NS, self._last_burst_ns, now_ns) and self.rules.gate.newest > self._stored_heard:
             self._store()
 

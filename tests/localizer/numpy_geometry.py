@@ -60,16 +60,28 @@ def jacobians(camera: Camera, pixels: Array, depths: Array) -> Array:
     return np.stack([by_u, by_v, (around[:, 5] - around[:, 4]) * away[:, None]], axis=-1)
 
 
-def marker_pose(camera: Camera, corners_px: Array, depth_m: float, side_m: float) -> tuple[Array, float]:
-    """[x, y, yaw] and misfit of corners (4, 2)."""
+def leaning(roll_rad: float, pitch_rad: float) -> Array:
+    """Rotation matrix (3, 3) Ry(pitch) Rx(roll)."""
+    turns = [np.array([roll_rad, 0.0, 0.0]), np.array([0.0, pitch_rad, 0.0])]
+    about_x, about_y = (np.asarray(cv2.Rodrigues(turn)[0], dtype=np.float64) for turn in turns)
+    return np.asarray(about_y @ about_x)
+
+
+def marker_pose(camera: Camera, corners_px: Array, depth_m: float, tilt: Array, side_m: float) -> tuple[Array, Array]:
+    """[x, y, yaw], and misfit and residual (2,), of corners (4, 2)."""
     half = side_m / 2.0
-    flat = np.array([[half, -half], [half, half], [-half, half], [-half, -half]])
-    corners = pool_points(camera, corners_px, np.full(4, depth_m))
+    body = np.array([[half, -half, 0.0], [half, half, 0.0], [-half, half, 0.0], [-half, -half, 0.0]])
+    turned = body @ leaning(float(tilt[0]), float(tilt[1])).T
+    flat = turned[:, :2]
+    corners = pool_points(camera, corners_px, depth_m + turned[:, 2])
     centre = corners.mean(axis=0)
     seen = corners - centre
     yaw = np.arctan2(np.sum(flat[:, 0] * seen[:, 1] - flat[:, 1] * seen[:, 0]), np.sum(flat * seen))
     c, s = np.cos(yaw), np.sin(yaw)
-    return np.append(centre, yaw), float(np.max(np.abs(seen - flat @ np.array([[c, s], [-s, c]]))) / side_m)
+    level = flat @ np.array([[c, s], [-s, c]])
+    sized = level * np.sum(level * seen) / np.sum(level**2)
+    misfit = np.max(np.abs(seen - level)) / side_m
+    return np.append(centre, yaw), np.array([misfit, np.sqrt(np.sum((seen - sized) ** 2) / 4.0)])
 
 
 def kalman_predict(mean: Array, covariance: Array, step: float, acceleration: float, yaw: float) -> tuple[Array, Array]:

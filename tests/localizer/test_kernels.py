@@ -53,10 +53,11 @@ def test_marker_poses(camera: Camera) -> None:
         turn = yaw + np.pi / 4.0 * np.array([-1.0, 1.0, 3.0, 5.0])
         plate = place + 0.07 * np.column_stack([np.cos(turn), np.sin(turn)])
         corners[i] = view.pool_to_pixel(np.column_stack([plate, np.full(4, depths[i])])) + random.normal(0.0, 2.0, (4, 2))
-    poses, misfits = np.empty((COUNT, 3)), np.empty(COUNT)
-    kernels.marker_poses(view.numbers, corners, depths, 0.1, poses, misfits)
+    tilts = random.normal(0.0, 0.1, (COUNT, 2))
+    poses, misfits = np.empty((COUNT, 3)), np.empty((COUNT, 2))
+    kernels.marker_poses(view.numbers, corners, depths, tilts, 0.1, poses, misfits)
     for i in range(COUNT):
-        pose, misfit = reference.marker_pose(camera, corners[i], float(depths[i]), 0.1)
+        pose, misfit = reference.marker_pose(camera, corners[i], float(depths[i]), tilts[i], 0.1)
         assert poses[i] == pytest.approx(pose, abs=1e-9) and misfits[i] == pytest.approx(misfit, abs=1e-7)
 
 

@@ -266,15 +266,17 @@ def test_a_pose_carries_the_cameras_stamp_and_a_true_age(hub: tuple[Bus, Callabl
 
 
 def test_in_lockstep_only_what_the_tick_names_is_used(hub: tuple[Bus, Callable[..., LocalizerNode]]) -> None:
-    """A robot that is already a step ahead has reported a depth that does not count yet."""
+    """A robot that is already a step ahead has reported depth and roll that do not count yet. Roll is carried over the 20 ms
+    from the report to the exposure: the plate is drawn level, and its robot 0.15 m below it along a leaning axis."""
     bus, localize = hub
     pose = bus.inbox(topics.POSE, Pose, 1)
     localize(LockstepClock())
     assert eventually(lambda: "localizer" in bus.present)
     scene = Scene(EXPERIMENT)
-    for stamp_ns, depth_m in ((80 * MS, 0.31), (130 * MS, 0.35)):
+    for stamp_ns, depth_m, roll_rad in ((80 * MS, 0.31, 0.1), (130 * MS, 0.35, -0.3)):
         for robot in ETA:
-            bus.publish(topics.STATE, RobotState(depth_m=depth_m), stamp_ns, robot)
+            tilt = np.array([roll_rad, 0.0, 0.5, 0.0])
+            bus.publish(topics.STATE, RobotState(depth_m=depth_m, tilt=tilt), stamp_ns, robot)
     statuses = bus.inbox(topics.LOCALIZER, LocalizerStatus)
     for frame_ns in (0, 100 * MS):
         bus.publish(topics.FRAME, Frame(scene.frame(ETA)), frame_ns)
@@ -283,6 +285,9 @@ def test_in_lockstep_only_what_the_tick_names_is_used(hub: tuple[Bus, Callable[.
     received = pose.newest()
     assert received is not None
     assert received.message.depth_m == pytest.approx(0.31)
+    aside_m, yaw = EXPERIMENT.vehicle.marker.height_m * np.sin(0.1 + 0.02 * 0.5), ETA[1][3]
+    place = ETA[1][:2] - aside_m * np.array([-np.sin(yaw), np.cos(yaw)])
+    assert [received.message.x_m, received.message.y_m] == pytest.approx(place.tolist(), abs=0.003)
     assert received.header.age_ns == 30 * MS
 
 

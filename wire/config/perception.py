@@ -23,6 +23,8 @@ class Camera(Section):
     """Exposure time."""
     stamp_marks: Literal["start", "end"] = "end"
     """The end of the exposure that the camera driver's time stamps mark."""
+    readout_s: Annotated[float, Field(ge=0, le=0.1)] = 0.0
+    """Time of a rolling shutter from the first row to the last; 0: a global shutter. Stamps are of the middle row."""
     focal_px: tuple[Positive, Positive]
     """Focal lengths along the picture's x and y."""
     centre_px: Vec2
@@ -94,10 +96,15 @@ class Localizer(Section):
     """Number of equal pictures in a row after which the camera counts as frozen."""
     depth_sigma_m: Positive = 0.015
     """Standard deviation of reported depths, mostly their zero. 1 hPa of air pressure and 5 deg of trim are 1 cm."""
-    tilt_sigma_rad: Annotated[float, Field(ge=0, le=0.5)] = 0.002
-    """Standard deviation of unknown roll and pitch at rest. They move the plate over the centre."""
+    tilt_sigma_rad: Annotated[float, Field(ge=0, le=0.5)] = 0.05
+    """Standard deviation of roll and pitch at rest of a robot whose board does not measure them. They move the plate over
+    the centre."""
     tilt_rad_per_n: Annotated[float, Field(ge=0, le=1)] = 0.026
     """Tilt per newton of thrust: the thrusters' distance below the centre over the righting moment, here 0.05 m / 1.9 N m."""
+    surface_slope_rad: Annotated[float, Field(ge=0, le=0.2)] = 0.0043
+    """Standard deviation of the slope of the water's surface."""
+    attitude_sigma_rad: Annotated[float, Field(ge=0, le=0.5)] = 0.005
+    """Standard deviation of roll and pitch as a board reports them, mostly their zero."""
     preview_rate_hz: NotNegative = 5.0
     """Rate of the annotated pictures for people; 0: none."""
     obstacle_min_m: NotNegative = 0.08

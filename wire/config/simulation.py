@@ -45,6 +45,10 @@ class Sensors(Section):
     """Noise of the heading."""
     heading_bias_rad: NotNegative = 0.03
     """Bias of the heading."""
+    tilt_noise_rad: NotNegative = 0.002
+    """Noise of roll and pitch."""
+    tilt_bias_rad: NotNegative = 0.005
+    """Bias of roll and pitch."""
     pressure_noise_m: NotNegative = 0.002
     """Noise of the depth."""
     pressure_bias_m: NotNegative = 0.003

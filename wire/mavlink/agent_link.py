@@ -33,6 +33,8 @@ SURFACE_HPA = 1013.25
 STANDARD_GRAVITY_MPS2 = 9.80665  # defines the mG of SCALED_IMU
 
 PROTOCOL_VERSION = 3  # what a HEARTBEAT says for MAVLink 2
+FASTEST_TURN_RADPS = 50.0  # of any axis; more is no measurement
+STEEPEST_RAD = 1.5  # pitch; at a right angle roll and yaw are one, and d/dt of roll is infinite
 TEXT_LENGTH = 50  # of a STATUSTEXT
 TEXTS_KEPT = 16
 CLOCKS_KEPT = 16  # of these the quickest round trip tells the clock: what is slow was held up one way and not the other
@@ -69,6 +71,7 @@ class Telemetry:
     arrival_ns: int = 0  # when that burst was measured, on the receiver's clock; when it was read, until TIMESYNC was answered
     heading_rad: float = 0.0
     yaw_rate_radps: float = 0.0
+    tilt: tuple[float, ...] = ()  # roll, pitch, and d/dt of them [rad, rad/s]; empty if the board does not measure them
     acceleration_mps2: tuple[float, float, float] = (0.0, 0.0, 0.0)  # specific force, body frame
     depth_m: float = 0.0
     battery_v: float = 0.0  # one raw measurement, under whatever load there was; means nothing before the first report
@@ -104,6 +107,17 @@ def within(value: float, low: float, high: float) -> float:
     if not low <= value <= high:  # false for NaN too
         raise Refused
     return value
+
+
+def _tilt_of(message: Any) -> tuple[float, ...]:
+    """Roll, pitch and d/dt of them of an ATTITUDE; empty if they are all 0, or cannot be true: then they are not measured."""
+    roll, pitch, about_x, about_y = told = (message.roll, message.pitch, message.rollspeed, message.pitchspeed)
+    possible = abs(roll) <= math.pi and abs(pitch) <= STEEPEST_RAD and max(abs(about_x), abs(about_y)) <= FASTEST_TURN_RADPS
+    if not (any(told) and possible):  # impossible is NaN too
+        return ()
+    aside, down = math.sin(roll), math.cos(roll)
+    roll_rate = about_x + (about_y * aside + message.yawspeed * down) * math.tan(pitch)
+    return roll, pitch, roll_rate, about_y * down - message.yawspeed * aside
 
 
 def pulses_of(message: Any, fields: Callable[[Any], tuple[int, ...]], ignorable: bool) -> tuple[int, ...]:
@@ -210,7 +224,8 @@ class AgentLink:
                 return {}
             return {
                 "heading_rad": within(message.yaw, -math.tau, math.tau),
-                "yaw_rate_radps": within(message.yawspeed, -50.0, 50.0),
+                "yaw_rate_radps": within(message.yawspeed, -FASTEST_TURN_RADPS, FASTEST_TURN_RADPS),
+                "tilt": _tilt_of(message),
                 "board_ms": message.time_boot_ms,
                 "arrival_ns": self._measured_ns(message.time_boot_ms, now_ns),
             }

@@ -214,9 +214,15 @@ class BoardLink:
             )
         )
 
-    def attitude(self, board_ms: int, heading_rad: float, yaw_rate_radps: float) -> bytes:
-        """Heading and yaw rate; ends a burst."""
-        return self._sender.pack(dialect.MAVLink_attitude_message(board_ms, 0, 0, heading_rad, 0, 0, yaw_rate_radps))
+    def attitude(
+        self, board_ms: int, heading_rad: float, yaw_rate_radps: float, tilt: Sequence[float] = (0.0, 0.0, 0.0, 0.0)
+    ) -> bytes:
+        """Heading and yaw rate; ends a burst. `tilt` is roll, pitch and the body's rates about its first two axes; four zeros
+        say that they are not measured."""
+        roll, pitch, roll_rate, pitch_rate = tilt
+        return self._sender.pack(
+            dialect.MAVLink_attitude_message(board_ms, roll, pitch, heading_rad, roll_rate, pitch_rate, yaw_rate_radps)
+        )
 
     def imu(self, board_ms: int, acceleration_mps2: Sequence[float], yaw_rate_radps: float) -> bytes:
         """Specific force in the body frame (at rest: -1 g down) and the gyro about the vertical axis."""

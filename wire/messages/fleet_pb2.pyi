@@ -208,7 +208,7 @@ class Plan(_message.Message):
     def __init__(self, period_s: _Optional[float] = ..., eta: _Optional[_Iterable[float]] = ..., eta_reference: _Optional[_Iterable[float]] = ..., tracking_error_m: _Optional[float] = ..., urgent: _Optional[bool] = ..., heard: _Optional[_Iterable[int]] = ...) -> None: ...
 
 class RobotState(_message.Message):
-    __slots__ = ("mode", "fault", "experiment_hash", "trajectory_s", "trajectory_id", "eta", "nu", "disturbance", "eta_reference", "eta_command", "wrench", "wrench_step", "wrench_delivered", "wrench_wanted", "pulse_us", "echo_us", "track", "pose_age_ms", "exposure_to_pwm_ms", "depth_m", "battery_v", "board_armed", "board_age_ms", "board_loss", "solve", "iterations", "step_us", "missed_deadlines", "slack_m", "heard", "tuning_id", "board_round_trip_ms", "board_clock_offset_s", "thruster_test", "planned", "blind")
+    __slots__ = ("mode", "fault", "experiment_hash", "trajectory_s", "trajectory_id", "eta", "nu", "disturbance", "eta_reference", "eta_command", "wrench", "wrench_step", "wrench_delivered", "wrench_wanted", "pulse_us", "echo_us", "track", "pose_age_ms", "exposure_to_pwm_ms", "depth_m", "battery_v", "board_armed", "board_age_ms", "board_loss", "solve", "iterations", "step_us", "missed_deadlines", "slack_m", "heard", "tuning_id", "board_round_trip_ms", "board_clock_offset_s", "thruster_test", "planned", "blind", "tilt")
     MODE_FIELD_NUMBER: _ClassVar[int]
     FAULT_FIELD_NUMBER: _ClassVar[int]
     EXPERIMENT_HASH_FIELD_NUMBER: _ClassVar[int]
@@ -245,6 +245,7 @@ class RobotState(_message.Message):
     THRUSTER_TEST_FIELD_NUMBER: _ClassVar[int]
     PLANNED_FIELD_NUMBER: _ClassVar[int]
     BLIND_FIELD_NUMBER: _ClassVar[int]
+    TILT_FIELD_NUMBER: _ClassVar[int]
     mode: Mode
     fault: str
     experiment_hash: str
@@ -281,7 +282,8 @@ class RobotState(_message.Message):
     thruster_test: str
     planned: bool
     blind: str
-    def __init__(self, mode: _Optional[_Union[Mode, str]] = ..., fault: _Optional[str] = ..., experiment_hash: _Optional[str] = ..., trajectory_s: _Optional[float] = ..., trajectory_id: _Optional[str] = ..., eta: _Optional[_Iterable[float]] = ..., nu: _Optional[_Iterable[float]] = ..., disturbance: _Optional[_Iterable[float]] = ..., eta_reference: _Optional[_Iterable[float]] = ..., eta_command: _Optional[_Iterable[float]] = ..., wrench: _Optional[_Iterable[float]] = ..., wrench_step: _Optional[_Iterable[float]] = ..., wrench_delivered: _Optional[_Iterable[float]] = ..., wrench_wanted: _Optional[_Iterable[float]] = ..., pulse_us: _Optional[_Iterable[int]] = ..., echo_us: _Optional[_Iterable[int]] = ..., track: _Optional[_Union[Track, str]] = ..., pose_age_ms: _Optional[float] = ..., exposure_to_pwm_ms: _Optional[float] = ..., depth_m: _Optional[float] = ..., battery_v: _Optional[float] = ..., board_armed: _Optional[bool] = ..., board_age_ms: _Optional[float] = ..., board_loss: _Optional[float] = ..., solve: _Optional[_Union[Solve, str]] = ..., iterations: _Optional[int] = ..., step_us: _Optional[float] = ..., missed_deadlines: _Optional[int] = ..., slack_m: _Optional[float] = ..., heard: _Optional[_Iterable[int]] = ..., tuning_id: _Optional[str] = ..., board_round_trip_ms: _Optional[float] = ..., board_clock_offset_s: _Optional[float] = ..., thruster_test: _Optional[str] = ..., planned: _Optional[bool] = ..., blind: _Optional[str] = ...) -> None: ...
+    tilt: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, mode: _Optional[_Union[Mode, str]] = ..., fault: _Optional[str] = ..., experiment_hash: _Optional[str] = ..., trajectory_s: _Optional[float] = ..., trajectory_id: _Optional[str] = ..., eta: _Optional[_Iterable[float]] = ..., nu: _Optional[_Iterable[float]] = ..., disturbance: _Optional[_Iterable[float]] = ..., eta_reference: _Optional[_Iterable[float]] = ..., eta_command: _Optional[_Iterable[float]] = ..., wrench: _Optional[_Iterable[float]] = ..., wrench_step: _Optional[_Iterable[float]] = ..., wrench_delivered: _Optional[_Iterable[float]] = ..., wrench_wanted: _Optional[_Iterable[float]] = ..., pulse_us: _Optional[_Iterable[int]] = ..., echo_us: _Optional[_Iterable[int]] = ..., track: _Optional[_Union[Track, str]] = ..., pose_age_ms: _Optional[float] = ..., exposure_to_pwm_ms: _Optional[float] = ..., depth_m: _Optional[float] = ..., battery_v: _Optional[float] = ..., board_armed: _Optional[bool] = ..., board_age_ms: _Optional[float] = ..., board_loss: _Optional[float] = ..., solve: _Optional[_Union[Solve, str]] = ..., iterations: _Optional[int] = ..., step_us: _Optional[float] = ..., missed_deadlines: _Optional[int] = ..., slack_m: _Optional[float] = ..., heard: _Optional[_Iterable[int]] = ..., tuning_id: _Optional[str] = ..., board_round_trip_ms: _Optional[float] = ..., board_clock_offset_s: _Optional[float] = ..., thruster_test: _Optional[str] = ..., planned: _Optional[bool] = ..., blind: _Optional[str] = ..., tilt: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class StationHeartbeat(_message.Message):
     __slots__ = ("experiment_hash", "emergency_stop", "mission", "lag_s", "slowing", "planned")
@@ -396,7 +398,7 @@ class Reply(_message.Message):
     def __init__(self, robot: _Optional[int] = ..., accepted: _Optional[bool] = ..., reason: _Optional[str] = ..., mode: _Optional[_Union[Mode, str]] = ..., session: _Optional[int] = ..., silent: _Optional[bool] = ..., outcome: _Optional[_Union[Outcome, _Mapping]] = ...) -> None: ...
 
 class BoardReading(_message.Message):
-    __slots__ = ("board_ms", "arrival_ns", "heading_rad", "yaw_rate_radps", "acceleration_mps2", "depth_m", "battery_v", "armed", "echo_us", "loss", "charge", "battery_reports")
+    __slots__ = ("board_ms", "arrival_ns", "heading_rad", "yaw_rate_radps", "acceleration_mps2", "depth_m", "battery_v", "armed", "echo_us", "loss", "charge", "battery_reports", "tilt")
     BOARD_MS_FIELD_NUMBER: _ClassVar[int]
     ARRIVAL_NS_FIELD_NUMBER: _ClassVar[int]
     HEADING_RAD_FIELD_NUMBER: _ClassVar[int]
@@ -409,6 +411,7 @@ class BoardReading(_message.Message):
     LOSS_FIELD_NUMBER: _ClassVar[int]
     CHARGE_FIELD_NUMBER: _ClassVar[int]
     BATTERY_REPORTS_FIELD_NUMBER: _ClassVar[int]
+    TILT_FIELD_NUMBER: _ClassVar[int]
     board_ms: int
     arrival_ns: int
     heading_rad: float
@@ -421,7 +424,8 @@ class BoardReading(_message.Message):
     loss: float
     charge: int
     battery_reports: int
-    def __init__(self, board_ms: _Optional[int] = ..., arrival_ns: _Optional[int] = ..., heading_rad: _Optional[float] = ..., yaw_rate_radps: _Optional[float] = ..., acceleration_mps2: _Optional[_Iterable[float]] = ..., depth_m: _Optional[float] = ..., battery_v: _Optional[float] = ..., armed: _Optional[bool] = ..., echo_us: _Optional[_Iterable[int]] = ..., loss: _Optional[float] = ..., charge: _Optional[int] = ..., battery_reports: _Optional[int] = ...) -> None: ...
+    tilt: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, board_ms: _Optional[int] = ..., arrival_ns: _Optional[int] = ..., heading_rad: _Optional[float] = ..., yaw_rate_radps: _Optional[float] = ..., acceleration_mps2: _Optional[_Iterable[float]] = ..., depth_m: _Optional[float] = ..., battery_v: _Optional[float] = ..., armed: _Optional[bool] = ..., echo_us: _Optional[_Iterable[int]] = ..., loss: _Optional[float] = ..., charge: _Optional[int] = ..., battery_reports: _Optional[int] = ..., tilt: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class StepInputs(_message.Message):
     __slots__ = ("step", "pose", "pose_instant_ns", "pose_told_age_ns", "heartbeat", "station_session", "station_stamp_ns", "station_instant_ns", "board", "plan_robots", "plan_sessions", "plan_sequences", "plan_instants_ns", "obstacles_session", "obstacles_sequence", "obstacles_instant_ns", "late_steps")

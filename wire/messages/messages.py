@@ -224,6 +224,7 @@ class RobotState:
     thruster_test: str = ""  # "", "running", "passed", or the fault that was found.
     heard: tuple[int, ...] = ()  # Neighbours whose plans are fresh.
     planned: bool = False  # True if the robot published a plan in this step. It does not while its position is unknown.
+    tilt: Array = array(-1)  # Roll, pitch [rad], their rates [rad/s], `board_age_ms` old; empty if not measured.
     blind: str = ""  # Reason why obstacles are unknown although somebody should watch for them; empty if they are known.
 
 
@@ -319,6 +320,7 @@ class BoardReading:
     heading_rad: float = 0.0
     yaw_rate_radps: float = 0.0
     acceleration_mps2: Array = array(3)  # Specific force, in the body frame.
+    tilt: Array = array(-1)  # Roll, pitch [rad] and their rates [rad/s]; empty if not measured.
     depth_m: float = 0.0
     battery_v: float = 0.0
     armed: bool = False

@@ -15,6 +15,7 @@ EXPERIMENT = load_experiment("pool")
 VIEW = RefractiveCamera(EXPERIMENT.camera)
 PLATE_M = 0.15
 SIDE_M = EXPERIMENT.vehicle.marker.side_m
+LEVEL = np.zeros((1, 2))  # roll and pitch
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +40,7 @@ def test_place_and_heading_all_over_the_pool(scene: Scene) -> None:
     for yaw in np.linspace(-np.pi, np.pi, 24):
         x, y = random.uniform([-1.4, -1.0], [1.4, 1.0])
         frame = scene.frame({1: np.array([x, y, 0.3, yaw])})
-        pose = _reader().read(VIEW, [_region(frame, x, y)], np.array([PLATE_M, PLATE_M]))[0].pose
+        pose = _reader().read(VIEW, [_region(frame, x, y)], np.array([PLATE_M, PLATE_M]), np.zeros((2, 2)))[0].pose
         errors.append([pose[0] - x, pose[1] - y, wrap(float(pose[2] - yaw))])
     rms = np.sqrt(np.mean(np.square(errors), axis=0))
     assert rms[:2] == pytest.approx(0.0, abs=4e-4)
@@ -66,9 +67,9 @@ def test_corners_count_from_the_first_pixels_centre(left: int, top: int) -> None
 def test_whole_picture_and_region_agree(scene: Scene) -> None:
     frame = scene.frame({1: np.array([0.6, -0.3, 0.3, 1.0]), 2: np.array([-0.7, 0.5, 0.3, -2.0])})
     plates = np.array([PLATE_M, PLATE_M])
-    everywhere = _reader().read(VIEW, [whole(frame)], plates)
+    everywhere = _reader().read(VIEW, [whole(frame)], plates, np.zeros((2, 2)))
     regions = [_region(frame, 0.6, -0.3), _region(frame, -0.7, 0.5)]
-    near = _reader().read(VIEW, regions, plates)
+    near = _reader().read(VIEW, regions, plates, np.zeros((2, 2)))
     assert sorted(everywhere) == sorted(near) == [0, 1]
     for robot in (0, 1):
         assert everywhere[robot].pose == pytest.approx(near[robot].pose, abs=5e-4)
@@ -78,22 +79,22 @@ def test_strangers_and_wrong_sizes_are_refused(scene: Scene) -> None:
     frame = scene.frame({1: np.array([0.2, 0.1, 0.3, 0.5])})
     region = _region(frame, 0.2, 0.1)
     stranger = MarkerReader(SIDE_M, {9: 0})
-    assert stranger.read(VIEW, [region], np.array([PLATE_M])) == {}
+    assert stranger.read(VIEW, [region], np.array([PLATE_M]), LEVEL) == {}
     too_deep = PLATE_M + 1.0  # there the same picture would be a marker a quarter larger
-    assert _reader().read(VIEW, [region], np.array([too_deep, too_deep])) == {}
-    assert 0 in _reader().read(VIEW, [region], np.array([PLATE_M + 0.1, PLATE_M]))
+    assert _reader().read(VIEW, [region], np.array([too_deep, too_deep]), np.zeros((2, 2))) == {}
+    assert 0 in _reader().read(VIEW, [region], np.array([PLATE_M + 0.1, PLATE_M]), np.zeros((2, 2)))
 
 
 def test_a_hidden_marker_is_not_imagined(scene: Scene) -> None:
     frame = scene.frame({1: np.array([0.2, 0.1, 0.3, 0.5])}, hidden=frozenset({1}))
-    assert _reader().read(VIEW, [whole(frame)], np.array([PLATE_M, PLATE_M])) == {}
+    assert _reader().read(VIEW, [whole(frame)], np.array([PLATE_M, PLATE_M]), np.zeros((2, 2))) == {}
 
 
 def test_misfit_tells_a_square_from_a_squashed_one(scene: Scene) -> None:
     frame = scene.frame({1: np.array([0.2, 0.1, 0.3, 0.5])})
     image = find_markers(marker_detector(), _region(frame, 0.2, 0.1))[0]
-    (good,) = marker_poses([image], VIEW, np.array([PLATE_M]), SIDE_M)
+    (good,) = marker_poses([image], VIEW, np.array([PLATE_M]), LEVEL, SIDE_M)
     squashed = image.corners_px.copy()
     squashed[:2] += 0.25 * (squashed[2:][::-1] - squashed[:2])
-    (bad,) = marker_poses([type(image)(image.id, squashed)], VIEW, np.array([PLATE_M]), SIDE_M)
+    (bad,) = marker_poses([type(image)(image.id, squashed)], VIEW, np.array([PLATE_M]), LEVEL, SIDE_M)
     assert good.misfit < 0.03 < 0.1 < bad.misfit

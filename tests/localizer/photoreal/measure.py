@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Mapping
 import numpy as np
 
 from localizer.tracking.fleet_localizer import FleetLocalizer
+from localizer.tracking.tilt import Attitude
 from sim_bridge.camera.renderer import Renderer
 from tests.localizer.photoreal.dataset import DATA, PERIOD_NS, TrueFrame, frames
 from tests.localizer.photoreal.rows import RATE_HZ, ROWS, SPLITS, RowCourses, experiment
@@ -44,14 +45,20 @@ class Figures:
     false_matches: int
 
 
-def measure(row: str, split: str, source: Frames = frames, true_depths: bool = False) -> Figures:
+def measure(row: str, split: str, source: Frames = frames, true_depths: bool = False, with_attitudes: bool = True) -> Figures:
     """The figures of one row: the localizer through its normal entry point, frame by frame."""
-    localizer = FleetLocalizer(experiment())
+    pool = experiment()
+    camera = pool.camera.model_copy(update={"readout_s": ROWS[row].readout_s})
+    localizer = FleetLocalizer(pool.model_copy(update={"camera": camera}))
     errors: list[tuple[Array, float, float, float]] = []
     tracks: list[Track] = []
+    sigma_rad = pool.localizer.attitude_sigma_rad if with_attitudes else None
     for k, frame in enumerate(source(row, split)):
         depths = {robot: true.depth_m if true_depths else true.reported_depth_m for robot, true in frame.robots.items()}
-        poses = dict(localizer.step(frame.pixels, frame.stamp_ns, depths).poses)
+        attitudes: dict[int, Attitude] = {} if sigma_rad is None else {
+            robot: Attitude(true.reported_roll_rad, true.reported_pitch_rad, sigma_rad) for robot, true in frame.robots.items()
+        }  # fmt: skip
+        poses = dict(localizer.step(frame.pixels, frame.stamp_ns, depths, attitudes).poses)
         if k >= _FIRST:
             tracks += [poses[robot].track if robot in poses else Track.LOST for robot in frame.robots]
             errors += _errors(poses, frame)
@@ -114,13 +121,14 @@ def main() -> None:
     parser.add_argument("--split", choices=SPLITS, default="tune")
     parser.add_argument("--renderer", choices=("mitsuba", "simulator"), default="mitsuba")
     parser.add_argument("--true-depths", action="store_true", help="tell the true depths instead of the reported ones")
+    parser.add_argument("--no-attitudes", action="store_true", help="robots whose boards do not measure roll and pitch")
     choice = parser.parse_args()
     source = frames if choice.renderer == "mitsuba" else simulated
     names = choice.rows or [name for name in rendered_rows(choice.split) if source is frames or name in SIMULATED]
     columns = [field.name for field in dataclasses.fields(Figures)]
     print(f"| {' | '.join(columns)} |\n|{'---|' * len(columns)}")
     for name in names:
-        values = dataclasses.astuple(measure(name, choice.split, source, choice.true_depths))
+        values = dataclasses.astuple(measure(name, choice.split, source, choice.true_depths, not choice.no_attitudes))
         print(f"| {' | '.join(f'{v:.3g}' if isinstance(v, float) else str(v) for v in values)} |", flush=True)
 
 

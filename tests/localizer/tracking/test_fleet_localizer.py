@@ -127,6 +127,25 @@ def test_a_cable_over_the_marker_is_bridged(covered: int) -> None:
     assert _rms(errors)[:2].max() < 3e-3 and _rms(errors)[2] < np.deg2rad(1.0)
 
 
+def test_a_rolling_shutter_dates_each_marker_by_its_row() -> None:
+    """The last row is exposed 30 ms after the first, in which a robot at 0.3 m/s moves by 9 mm. Poses are of the
+    middle row."""
+    readout_s, speed = 0.03, np.array([0.3, -0.2])
+
+    def truth(t_s: float, row: float) -> Array:
+        return np.array([*(speed * (t_s + readout_s * (row / 960.0 - 0.5) - 0.6)), DEPTH_M, 0.4])
+
+    rolling = load_experiment("pool", [f"camera.readout_s={readout_s}", "localizer.tilt_rad_per_n=0"])
+    locator, steps, row = FleetLocalizer(rolling), [], 480.0
+    for k in range(24):
+        for _ in range(3):  # the row that it is in while that row is exposed
+            x, y, _, _ = truth(0.05 * k, row)
+            row = float(locator.view.pool_to_pixel(np.array([x, y, DEPTH_M - locator.marker_height_m]))[1])
+        located = locator.step(SIDE.frame({1: truth(0.05 * k, row)}), k * STEP_NS, DEPTHS_M)
+        steps.append(Step({1: truth(0.05 * k, 480.0)}, located))
+    assert _rms(steps[8:], (1,))[:2].max() < 0.6e-3
+
+
 def test_covariance_is_honest() -> None:
     """Errors lie within what is published: not by a wide margin in either direction. These robots are level."""
     _, *steps = _fly(FleetLocalizer(LEVEL), 40)

@@ -68,6 +68,40 @@ def test_a_look_must_fit_and_be_where_the_robot_can_be() -> None:
     assert track.with_match(_seen(0.0, peak=0.29), 0.3).peak == 0.29, "a low peak is reported even if it is not used"
 
 
+def _matched(track: RobotTrack, places: list[float]) -> RobotTrack:
+    """The track after matches at places on the x axis, one a frame; NaN is a frame without."""
+    for x in places:
+        track = track.predicted(STEP_S)
+        track = track if np.isnan(x) else track.with_match(_seen(x, peak=0.7), 0.3)
+        track = track.end_of_frame(LOST_AFTER_S)
+    return track
+
+
+def test_a_coasting_robot_is_matched_thrice_in_one_place_before_it_counts() -> None:
+    coasting = _matched(_followed(), [np.nan] * 3)
+    assert coasting.state is Track.COAST
+    assert _matched(coasting, [0.004, 0.004]).state is Track.COAST
+    assert _matched(coasting, [0.004, 0.005, 0.004]).state is Track.KCF
+    assert _matched(coasting, [0.0, 0.03, 0.0, 0.03, 0.0, 0.03]).state is Track.COAST, "a match that jumps about is no robot's"
+
+
+def test_the_gate_for_matches_does_not_open_with_the_time_unseen() -> None:
+    """After 0.6 s one standard deviation of the prediction is 9 cm; a match 6 cm away is still none."""
+    coasting = _matched(_followed(), [np.nan] * 12)
+    assert coasting.motion is not None and coasting.motion.position_sigma_m > 0.08
+    assert _matched(coasting, [0.06] * 3).state is not Track.KCF
+
+
+def test_one_wrong_match_hardly_moves_the_velocity() -> None:
+    """Three standard deviations off, just inside the gate."""
+    track = _followed().predicted(STEP_S)
+    wrong = track.with_match(_seen(0.004, peak=0.9), 0.3)
+    assert wrong.state is Track.KCF and wrong.motion is not None and track.motion is not None
+    assert np.abs(wrong.motion.mean[3:5] - track.motion.mean[3:5]).max() < 0.08
+    outside = track.with_match(_seen(0.02, peak=0.9), 0.3)
+    assert outside.measured is None and outside.motion is track.motion
+
+
 def test_a_marker_outranks_a_look() -> None:
     track = _followed().predicted(STEP_S).with_marker(_seen(0.001), JUMP_M).with_match(_seen(0.003, peak=0.9), 0.3)
     pose = track.message(0.3, LEVEL)
@@ -79,8 +113,11 @@ def test_a_lost_robot_is_regained_by_a_good_look_but_not_believed() -> None:
     for _ in range(20):
         track = track.predicted(STEP_S).end_of_frame(LOST_AFTER_S)
     assert track.predicted(STEP_S).with_match(_seen(0.05, peak=0.4), 0.3).end_of_frame(LOST_AFTER_S).state is Track.LOST
-    regained = track.predicted(STEP_S).with_match(_seen(0.05, peak=0.7), 0.3).end_of_frame(LOST_AFTER_S)
+    assert _matched(track, [0.02, 0.02]).state is Track.LOST
+    regained = _matched(track, [0.02, 0.02, 0.02])
     assert regained.state is Track.KCF and not regained.verified
+    assert _matched(track, [0.0, 0.01, 0.02]).state is Track.KCF, "it may move: its velocity is not known"
+    assert _matched(track, [0.06, 0.06, 0.06]).state is Track.LOST, "the look of a robot nearby is not its own"
     claimed = track.predicted(STEP_S).with_marker(_seen(1.0), JUMP_M).end_of_frame(LOST_AFTER_S)
     assert claimed.state is Track.LOST and not claimed.verified
     marked = claimed.predicted(STEP_S).with_marker(_seen(1.01), JUMP_M).end_of_frame(LOST_AFTER_S)
@@ -149,7 +186,7 @@ def test_identity_is_doubted_when_robots_touch_until_a_marker_is_read() -> None:
 
 
 def test_placed_robots_are_vouched_for() -> None:
-    track = RobotTrack.at_start(np.array([0.5, 0.2, 1.0])).predicted(0.0).with_match(_seen(0.51, 0.19, 1.05, peak=0.8), 0.3)
+    track = RobotTrack.at_start(np.array([0.5, 0.2, 1.0])).predicted(STEP_S).with_match(_seen(0.51, 0.19, 1.05, peak=0.8), 0.3)
     assert track.state is Track.KCF and track.verified
 
 

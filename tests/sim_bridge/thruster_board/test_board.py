@@ -34,6 +34,8 @@ QUIET = tuple(
         "gyro_bias_radps",
         "heading_noise_rad",
         "heading_bias_rad",
+        "tilt_noise_rad",
+        "tilt_bias_rad",
         "pressure_noise_m",
         "pressure_bias_m",
         "battery_noise_v",
@@ -405,6 +407,12 @@ def test_burst_carries_its_time_and_the_motion() -> None:
     assert seen.acceleration_mps2 == pytest.approx(specific, abs=0.1)
 
 
+def test_burst_carries_the_tilt_and_its_rates() -> None:
+    bench, tilt = BoardBench(*QUIET, start_ns=7 * S), (0.1, -0.15, 0.2, 0.3)
+    bench.agent.receive(bench.board.step(7 * S, STILL, np.array([0.0, 0.0, 0.0, 0.5]), STILL, tilt=tilt), 7 * S)
+    assert bench.seen.tilt == pytest.approx(tilt, abs=1e-6)
+
+
 def test_heading_is_wrapped() -> None:
     bench = BoardBench(*QUIET)
     bench.step(eta=np.array([0, 0, 0, 7 * math.pi / 2]))
@@ -422,6 +430,11 @@ def test_noise_and_bias_are_what_the_file_says() -> None:
     ):
         assert np.mean(values) == pytest.approx(bias, abs=4 * noise / math.sqrt(4000))
         assert np.std(values) == pytest.approx(noise, rel=0.05)
+    tilts = np.array([board.read(STILL, STILL, STILL, (0.1, -0.1, 0.3, 0.2)).tilt for _ in range(4000)])
+    sigmas = np.repeat([sensors.tilt_noise_rad, sensors.gyro_noise_radps], 2)
+    tilt_bias = np.append(board.tilt_bias_rad, [0.0, 0.0])
+    assert np.abs(tilts.mean(axis=0) - [0.1, -0.1, 0.3, 0.2] - tilt_bias).max() < 4 * sigmas.max() / math.sqrt(4000)
+    assert tilts.std(axis=0) == pytest.approx(sigmas, rel=0.05)
     biases = [BoardSensors(sensors, robot, seed).heading_bias_rad for robot in range(1, 6) for seed in range(40)]
     assert len(set(biases)) == 200
     assert np.max(np.abs(biases)) <= sensors.heading_bias_rad

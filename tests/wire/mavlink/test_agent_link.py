@@ -3,10 +3,12 @@
 import math
 import struct
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as dialect
+from scipy.spatial.transform import Rotation
 
 from wire.mavlink import agent_link, board_link
 from wire.mavlink.agent_link import IGNORED, AgentLink
@@ -66,6 +68,27 @@ def test_override_uses_the_channels_and_the_marks_of_the_common_dialect() -> Non
     assert message.get_type() == "RC_CHANNELS_OVERRIDE"
     assert (message.get_srcSystem(), message.get_srcComponent()) == (3, 191)
     assert [getattr(message, f"chan{i}_raw") for i in range(1, 19)] == [*PULSES, *[0] * 10]
+
+
+def test_roll_and_pitch_arrive_with_their_rates() -> None:
+    """Rates about the body's axes become d/dt of roll and pitch: here by differences of the rotation that they make."""
+    roll, pitch, p, q, r, step_s = 0.1, -0.2, 0.3, -0.1, 0.5, 1e-6
+    agent, board = AgentLink(7), FarEnd(7)
+    agent.receive(board.pressure(1, 0.3) + board.attitude(1, 0.4, r, (roll, pitch, p, q)), 0)
+    attitude = Rotation.from_euler("ZYX", [0.4, pitch, roll])
+    later = attitude * Rotation.from_rotvec(np.array([p, q, r]) * step_s)
+    _, pitch_rate, roll_rate = (later.as_euler("ZYX") - attitude.as_euler("ZYX")) / step_s
+    assert agent.telemetry.tilt == pytest.approx((roll, pitch, roll_rate, pitch_rate), abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    "tilt", [(0.0, 0.0, 0.0, 0.0), (math.nan, 0.1, 0.0, 0.0), (0.1, 1.55, 0.0, 0.0), (0.1, 0.1, math.inf, 0.0)]
+)
+def test_zero_or_impossible_tilt_is_unknown_and_keeps_the_heading(tilt: tuple[float, ...]) -> None:
+    agent, board = AgentLink(7), FarEnd(7)
+    agent.receive(board.pressure(1, 0.3) + board.attitude(1, 0.5, 0.1, (0.1, 0.1, 0.0, 0.0)), 0)
+    agent.receive(board.pressure(2, 0.3) + board.attitude(2, 0.25, 0.1, tilt), 20 * MS)
+    assert agent.telemetry.heading_rad == 0.25 and agent.telemetry.tilt == ()
 
 
 def test_telemetry_of_a_burst() -> None:

@@ -1,0 +1,162 @@
+"""Robust alignment of a patch with the learnt one: refines a correlation's match, and tells what it is worth.
+
+A correlation has a peak in any picture. Whether the peak is the robot shows in the pixels: of the learnt texture, the share
+that is seen again. The alignment is a Gauss-Newton iteration over shift, rotation, gain and offset of brightness (Baker and
+Matthews, IJCV 56(3), 2004) with redescending weights (Geman and McClure): a card, a reflection or a cable over the robot is an
+outlier and moves nothing, and what is left of the texture gives the covariance.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wire.frames import Array
+from wire.kernels import kernel
+
+_ROUNDS = 7  # Gauss-Newton iterations; a correlation is off by less than a sample, and the last two move a tenth of one
+_BORDER = 3  # samples at the patch's edge that are left out: a shift may move that far
+_LEAST_SCALE = 2.0  # grey levels: sensor noise after demosaicing
+_MOST_SCALE = 12.0  # grey levels: ripples and caustics on a robot; with a larger one a wrong pattern fits everything
+_FIRST_SCALE = 48.0  # grey levels, halved from round to round: light that fell since it was learnt must not reject all
+_TO_SIGMA = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
+_REJECTS_AT = 2.0  # scales: a residual of that size has a quarter of the weight
+_EDGE_ERROR = 0.15  # samples that an edge may lie off, by ripples and resampling, without being another one
+_BLOCKS = 6  # each way: 45 mm of a robot 0.3 m across, two or three cells of its marker
+_BLOCK_SHARE = 0.5  # of the texture of a block; of a block with another pattern less is seen again, of a covered one nothing
+_UNKNOWNS = 5  # shift ahead, shift to starboard, rotation, gain, offset
+
+
+@kernel("void(f8[:,::1])")
+def invert(matrix: Array) -> None:
+    """Invert a symmetric positive definite matrix (n, n) in place, by Gauss-Jordan elimination on its diagonal."""
+    n = matrix.shape[0]
+    for k in range(n):
+        pivot = 1.0 / matrix[k, k]
+        matrix[k, k] = 1.0
+        for j in range(n):
+            matrix[k, j] *= pivot
+        for i in range(n):
+            if i != k:
+                factor = matrix[i, k]
+                matrix[i, k] = 0.0
+                for j in range(n):
+                    matrix[i, j] -= factor * matrix[k, j]
+
+
+@kernel("f8(f4[:,::1], f4[:,::1], f8[::1], f8[:,::1])")
+def align(learnt: NDArray[np.float32], seen: NDArray[np.float32], move: Array, covariance: Array) -> float:
+    """Find the `move` (4,) [samples ahead (columns), samples to starboard (rows), rad, gain of brightness] of the `learnt`
+    patch (n, n) in the one `seen`, and the `covariance` (3, 3) of the first three. Returns the share of the learnt texture
+    that is seen again, 0 to 1.
+
+    Minimises sum rho(seen(R p + t) - gain learnt(p) - offset) over a chessboard of the points p, with rho'(r) = r w and
+    w = 1 / (1 + r^2 / 4 (s^2 + (0.15 g)^2))^2, g the gradient of the learnt patch. Share: of sum g^2, the part in blocks with
+    sum w g^2 > 0.5 sum g^2. Covariance: s^2 (J^T W J)^-1 of the first three unknowns.
+    """
+    n = learnt.shape[0]
+    middle = n // 2
+    normal = np.empty((_UNKNOWNS, _UNKNOWNS))
+    right = np.empty(_UNKNOWNS)
+    slope = np.empty(_UNKNOWNS)
+    counts = np.empty(256)
+    size = (n + _BLOCKS - 1) // _BLOCKS
+    texture = np.empty(_BLOCKS * _BLOCKS)
+    recognised = np.empty(_BLOCKS * _BLOCKS)
+    x = 0.0
+    y = 0.0
+    turn = 0.0
+    gain = 1.0
+    offset = 0.0
+    widest = _FIRST_SCALE
+    scale = widest
+    share = 0.0
+    covariance[:, :] = 0.0
+    for done in range(_ROUNDS):
+        normal[:, :] = 0.0
+        right[:] = 0.0
+        counts[:] = 0.0
+        texture[:] = 0.0
+        recognised[:] = 0.0
+        weights = 0.0
+        squares = 0.0
+        points = 0.0
+        c = math.cos(turn)
+        s = math.sin(turn)
+        for row in range(_BORDER, n - _BORDER):
+            for column in range(_BORDER + (row + _BORDER) % 2, n - _BORDER, 2):
+                ahead = float(column - middle)
+                side = float(row - middle)
+                u = middle + x + c * ahead - s * side
+                v = middle + y + s * ahead + c * side
+                left = math.floor(u)
+                top = math.floor(v)
+                if left < 0 or top < 0 or left > n - 2 or top > n - 2:
+                    continue
+                fu = u - left
+                fv = v - top
+                above = seen[top, left] * (1.0 - fu) + seen[top, left + 1] * fu
+                below = seen[top + 1, left] * (1.0 - fu) + seen[top + 1, left + 1] * fu
+                gx = 0.5 * (learnt[row, column + 1] - learnt[row, column - 1])
+                gy = 0.5 * (learnt[row + 1, column] - learnt[row - 1, column])
+                residual = above * (1.0 - fv) + below * fv - gain * learnt[row, column] - offset
+                edge = _EDGE_ERROR * _EDGE_ERROR * (gx * gx + gy * gy)
+                root = 1.0 / (1.0 + residual * residual / (_REJECTS_AT * _REJECTS_AT * (scale * scale + edge)))
+                weight = root * root
+                counts[min(int(abs(residual)), 255)] += 1.0
+                points += 1.0
+                block = row // size * _BLOCKS + column // size
+                texture[block] += gx * gx + gy * gy
+                recognised[block] += weight * (gx * gx + gy * gy)
+                weights += weight
+                squares += weight * residual * residual
+                # d seen(R p + t) by shift is the gradient turned with the patch; by rotation, that times the turned lever
+                px = gain * (c * gx - s * gy)
+                py = gain * (s * gx + c * gy)
+                slope[0] = px
+                slope[1] = py
+                slope[2] = px * (middle + y - v) + py * (u - middle - x)
+                slope[3] = -learnt[row, column]
+                slope[4] = -1.0
+                for i in range(_UNKNOWNS):
+                    right[i] -= weight * slope[i] * residual
+                    for j in range(i + 1):
+                        normal[i, j] += weight * slope[i] * slope[j]
+        total = 0.0
+        share = 0.0
+        for block in range(_BLOCKS * _BLOCKS):
+            total += texture[block]
+            if recognised[block] > _BLOCK_SHARE * texture[block]:
+                share += texture[block]
+        if total <= 0.0 or weights <= 0.0:
+            return 0.0
+        share /= total
+        for i in range(_UNKNOWNS):
+            normal[i, i] = normal[i, i] * (1.0 + 1e-9) + 1e-9
+            for j in range(i):
+                normal[j, i] = normal[i, j]
+        invert(normal)
+        variance = max(squares / weights, _LEAST_SCALE * _LEAST_SCALE)
+        for i in range(3):
+            for j in range(3):
+                covariance[i, j] = variance * normal[i, j]
+        if done == _ROUNDS - 1:
+            break
+        for i in range(_UNKNOWNS):
+            x += normal[0, i] * right[i]
+            y += normal[1, i] * right[i]
+            turn += normal[2, i] * right[i]
+            gain += normal[3, i] * right[i]
+            offset += normal[4, i] * right[i]
+        passed = 0.0
+        median = 0
+        while passed < 0.5 * points and median < 255:
+            passed += counts[median]
+            median += 1
+        widest = max(0.5 * widest, _MOST_SCALE)
+        scale = min(max(_TO_SIGMA * (median - 0.5), 0.25 * widest, _LEAST_SCALE), widest)
+    move[0] = x
+    move[1] = y
+    move[2] = turn
+    move[3] = gain
+    return share

@@ -1,0 +1,30 @@
+"""Plates that are covered, glared on, dimmed or exchanged: poses that claim to be good are right, the rest coasts openly."""
+
+import numpy as np
+import pytest
+
+from tests.localizer.spoiled_plates import Film, SpoiledPose, spoiled_poses
+from wire.messages.messages import Track
+
+pytestmark = pytest.mark.long
+
+
+@pytest.fixture(scope="module")
+def film() -> Film:
+    return Film.render(seed=1, frames=50)
+
+
+def _check(poses: list[SpoiledPose]) -> None:
+    assert not [pose for pose in poses if pose.false]
+    guessed = [pose for pose in poses if pose.pose.track in (Track.COAST, Track.KCF)]
+    assert guessed and np.mean([pose.nees for pose in guessed]) < 5.0
+
+
+def test_no_pose_of_a_spoiled_plate_is_wrong_beyond_its_claim(film: Film) -> None:
+    _check(list(spoiled_poses(film, seed=1, frames=100)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(2, 102))
+def test_no_pose_of_many_spoiled_plates_is_wrong_beyond_its_claim(film: Film, seed: int) -> None:
+    _check(list(spoiled_poses(film, seed, frames=300)))
