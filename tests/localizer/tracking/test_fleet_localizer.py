@@ -158,7 +158,7 @@ def test_depth_error_is_covered_by_the_covariance() -> None:
     """A robot reports 1 cm too deep: 2 sigma of its sensor. The error grows by 2.5 mm per metre off the axis, and so does
     the published uncertainty, in that direction only."""
     still = {1: np.array([1.2, 0.0, DEPTH_M, 0.3]), 2: np.array([-0.4, 0.0, DEPTH_M, 0.0])}
-    steps = list(_fly(FleetLocalizer(EXPERIMENT), 5, lambda t: still, depths_m={1: DEPTH_M + 0.01, 2: DEPTH_M}))
+    steps = list(_fly(FleetLocalizer(LEVEL), 5, lambda t: still, depths_m={1: DEPTH_M + 0.01, 2: DEPTH_M}))
     error, covariance = steps[-1].error(1), steps[-1].pose(1).covariance
     assert error[0] == pytest.approx(0.003, abs=1e-3)
     assert abs(error[0]) < 3.0 * np.sqrt(covariance[0, 0])
@@ -166,9 +166,9 @@ def test_depth_error_is_covered_by_the_covariance() -> None:
 
 
 def test_unreported_depth_is_the_experiments_and_less_sure() -> None:
-    steps = list(_fly(FleetLocalizer(EXPERIMENT), 3, depths_m={2: float("nan")}))
+    steps = list(_fly(FleetLocalizer(LEVEL), 3, depths_m={2: float("nan")}))
     assert steps[-1].pose(1).depth_m == DEPTH_M and steps[-1].pose(2).depth_m == DEPTH_M
-    known = list(_fly(FleetLocalizer(EXPERIMENT), 3))
+    known = list(_fly(FleetLocalizer(LEVEL), 3))
     assert np.trace(steps[-1].pose(1).covariance) > 1.5 * np.trace(known[-1].pose(1).covariance)
 
 
