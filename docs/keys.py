@@ -8,7 +8,7 @@ from pathlib import Path
 
 from wire.config import key_reference
 from wire.config.fault_injection import KINDS, OF_PROCESSES
-from wire.config.key_reference import KeyEntry, KeyTable
+from wire.key_reference import KeyEntry, KeyTable
 
 ROOT = Path(__file__).parents[1]
 LAID = "Written by `make docs` from the models in `wire/config/`; edit those. `groundstation keys-of` searches it.\n"

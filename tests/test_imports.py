@@ -37,6 +37,7 @@ PARTS: dict[str, dict[str, set[str]]] = {
         "config": {"frames", "toml_loader"},
         "camera_coverage": {"config", "frames"},
         "messages": {"config", "frames", "toml_loader"},
+        "key_reference": {"config", "toml_loader"},
         "obstacle_memory": {"config", "frames", "messages"},
         "security": {"messages", "toml_loader"},
         "transport": {"loopback", "messages", "security", "toml_loader"},

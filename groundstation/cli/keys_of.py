@@ -22,7 +22,7 @@ def keys_of(
 
     Examples:  groundstation keys-of horizon        groundstation keys-of '^sim.plant'        groundstation keys-of vehicle
     """
-    from wire.config.key_reference import tables
+    from wire.key_reference import tables
 
     try:
         wanted = re.compile(pattern, re.IGNORECASE)

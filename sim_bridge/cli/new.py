@@ -7,7 +7,7 @@ import typer
 from pydantic import TypeAdapter, ValidationError
 
 from wire.config.experiment import Name
-from wire.config.key_reference import SCHEMAS
+from wire.key_reference import SCHEMAS
 from wire.toml_loader import ConfigError, os_errors_as_config_errors
 
 TEMPLATE = Path(__file__).parent / "templates" / "experiment.toml"

@@ -16,6 +16,7 @@ from localizer.detection.obstacles import ObstacleDetector
 from localizer.evaluation.latency import WARM_UP, Latency, OnLocalized, Timing, assess, localize_in_process, measure
 from localizer.sources.base import CapturedFrame, FrameSource
 from localizer.tracking.fleet_localizer import FleetLocalizer, LocalizationResult
+from localizer.tracking.tilt import Attitude
 from tests.localizer.stand_ins import MS, HandClock
 from wire.config.experiment import load_experiment
 from wire.frames import Array
@@ -140,10 +141,16 @@ def test_pictures_that_no_pose_comes_of_are_no_good_measurement(monkeypatch: pyt
     random, clock, locate = np.random.default_rng(1), WallClock(), FleetLocalizer.locate
     begin_ns = clock.now_ns()
 
-    def fail_once(locator: FleetLocalizer, frame: Pixels, stamp_ns: int, depths_m: Mapping[int, float]) -> LocalizationResult:
+    def fail_once(
+        locator: FleetLocalizer,
+        frame: Pixels,
+        stamp_ns: int,
+        depths_m: Mapping[int, float],
+        attitudes: Mapping[int, Attitude],
+    ) -> LocalizationResult:
         if frame[0, 0] == 99:
             raise ValueError("no solution")
-        return locate(locator, frame, stamp_ns, depths_m)
+        return locate(locator, frame, stamp_ns, depths_m, attitudes)
 
     monkeypatch.setattr(FleetLocalizer, "locate", fail_once)
 

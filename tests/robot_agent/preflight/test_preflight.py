@@ -315,7 +315,7 @@ def test_a_board_where_all_is_well_passes_and_its_thrusters_turn(site: Path) -> 
     person = CliRunner().invoke(cli, ["check", "--config", str(site / "agent.toml"), "--thrusters", "--json"], input=answers)
     rows = {row["what"]: row for row in json.loads(person.stdout[person.stdout.index("[\n") :])}
     assert [rows[f"thruster {i}"]["detail"][-6:] for i in (1, 2, 3, 4)] == ["; seen"] * 4
-    assert [rows[f"ankle {i}"]["verdict"] for i in (1, 2, 3, 4)] == ["FAIL", "skipped", "ok", "ok"]
+    assert [rows[f"ankle {i}"]["verdict"] for i in (1, 2, 3, 4)] == ["fail", "skipped", "ok", "ok"]
     assert "  3 [*]----'-----'----[ ] 4" in person.stderr
     assert "thruster 3, rear left, turns slowly and pushes ahead" in person.stderr
     assert checked(site)[1]["thrusters"][0] == "skipped"

@@ -10,8 +10,8 @@ import jsonschema
 import pytest
 
 from wire.config.experiment import EXPERIMENTS, Experiment, load_experiment
-from wire.config.key_reference import ROOTS, SCHEMAS, KeyEntry, schema, tables
 from wire.config.vehicle import VEHICLES, load_vehicle
+from wire.key_reference import ROOTS, SCHEMAS, KeyEntry, schema, tables
 from wire.toml_loader import ConfigError, apply_setting
 
 pytestmark = pytest.mark.long

@@ -21,7 +21,7 @@ from wire.config.experiment import EXPERIMENTS, Experiment
 from wire.config.vehicle import VEHICLES, Vehicle
 from wire.toml_loader import Section, sections_of, toml_value
 
-SCHEMAS = Path(__file__).parents[1] / "schemas"
+SCHEMAS = Path(__file__).parent / "schemas"
 ROOTS: dict[str, type[Section]] = {"experiment": Experiment, "vehicle": Vehicle}  # kinds of files, and of schemas
 SHORT_EXAMPLE = 60  # characters; of the values that shipped files have, one that is not longer is shown if there is one
 # Endings of keys, the longer first where one ends in another.
