@@ -6,7 +6,7 @@ import json
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from wire.config import key_reference
+from wire import key_reference
 from wire.config.fault_injection import KINDS, OF_PROCESSES
 from wire.key_reference import KeyEntry, KeyTable
 
