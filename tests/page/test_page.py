@@ -361,7 +361,7 @@ def test_places_clicked_on_the_map_are_where_the_formation_is_led(browser: Brows
         seen = []
         for x, y in ((0.5, 0.4), (0.6, 0.55)):
             chart.click(position={"x": x * box["width"], "y": y * box["height"]})
-            under = re.fullmatch(r"x (\S+)  y (\S+) m", page.locator(".cursor").inner_text())
+            under = re.fullmatch(r"x (\S+)\s+y (\S+) m", page.locator(".cursor").inner_text())
             assert under is not None
             seen.append((float(under[1]), float(under[2])))
         button(page, "Fly there").click()
