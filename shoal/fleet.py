@@ -161,8 +161,7 @@ class ConnectedFleet:
         """State of the mission, as `groundstation mission states` names them. Raises NotHeard without a fresh heartbeat."""
         if not self._bus.wait(lambda: _fresh(self._heartbeat, max_age_s), max_age_s):
             raise NotHeard("the station is not heard")
-        received = self._heartbeat.newest()
-        return "" if received is None else received.message.mission
+        return self._last_mission()
 
     def wait(self, condition: Callable[[], bool], timeout_s: float) -> None:
         """Wait until a condition holds. It is looked at with every message; one that raises NotHeard does not hold. Raises
@@ -178,14 +177,15 @@ class ConnectedFleet:
 
     def wait_mission(self, *states: str, timeout_s: float = 60.0) -> str:
         """Wait until the mission is in one of these states, for example "RUNNING" or "DONE". Returns it. Raises NotHeard."""
+        if not self._bus.wait(lambda: self._last_mission() in states, timeout_s):
+            is_now = self._last_mission() or "not heard"
+            raise NotHeard(f"the mission was not {' or '.join(states)} within {timeout_s:g} s: it is {is_now}")
+        return self._last_mission()
 
-        def now() -> str:
-            received = self._heartbeat.newest()
-            return "" if received is None else received.message.mission
-
-        if not self._bus.wait(lambda: now() in states, timeout_s):
-            raise NotHeard(f"the mission was not {' or '.join(states)} within {timeout_s:g} s: it is {now() or 'not heard'}")
-        return now()
+    def _last_mission(self) -> str:
+        """State of the mission as last told, however long ago; empty if it never was."""
+        received = self._heartbeat.newest()
+        return "" if received is None else received.message.mission
 
     def wait_ready(self, timeout_s: float = 60.0) -> None:
         """Wait until the station's preflight finds nothing amiss. Raises NotHeard with what it finds."""

@@ -14,7 +14,16 @@ from groundstation.telemetry import FleetInboxes
 from groundstation.web.alarms import alarms
 from groundstation.web.backend import StationApi
 from groundstation.web.scene import flown_paths, scene
-from groundstation.web.snapshot import NEVER_MS, AgedMessage, FleetSnapshot, RobotSnapshot, event_note, past_row, snapshot
+from groundstation.web.snapshot import (
+    NEVER_MS,
+    PAST_ROBOTS,
+    AgedMessage,
+    FleetSnapshot,
+    RobotSnapshot,
+    event_note,
+    past_row,
+    snapshot,
+)
 from wire.config.experiment import Experiment
 from wire.messages import topics
 from wire.messages.codec import DecodeError, Header, decode
@@ -26,7 +35,6 @@ from wire.transport.bus import Bus, Inbox, Received
 MOST_EVENTS = 256  # between two looks
 PAST_S = 600.0  # kept for pages that connect later
 PAST_EVERY_S = 0.5  # a row of the past, in fleets of up to three
-PAST_ROBOTS = 3600  # robots in all rows: 250 bytes each
 STUCK_S = 1.0  # without a cycle of the station: robots hold by themselves then
 
 

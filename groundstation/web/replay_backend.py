@@ -18,7 +18,7 @@ from groundstation.mission.state_machine import MissionState
 from groundstation.telemetry import LINK_WINDOW, LinkMonitor, RobotView
 from groundstation.web.alarms import alarms
 from groundstation.web.scene import floats, flown_samples, paths, scene
-from groundstation.web.snapshot import AgedMessage, FleetSnapshot, RobotSnapshot, event_note, past_row, snapshot
+from groundstation.web.snapshot import PAST_ROBOTS, AgedMessage, FleetSnapshot, RobotSnapshot, event_note, past_row, snapshot
 from wire.config.experiment import Experiment, load_experiment
 from wire.messages import topics
 from wire.messages.codec import DecodeError, Header, decode
@@ -30,7 +30,6 @@ KEPT_BLOCKS = 8
 LOOK_BACK = 2  # blocks: what was last said before that is long stale
 LINK_BLOCKS = 5  # LINK_WINDOW messages of a robot
 PAST_ROWS = 1200  # of a whole run, for plots and trails
-PAST_ROBOTS = 3600  # robots in all of them: 250 bytes each
 PAST_EVERY_NS = 250_000_000  # and no row sooner after another
 FRAME_S = 0.05  # a new state this often while it plays
 

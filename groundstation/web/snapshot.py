@@ -40,6 +40,7 @@ class RobotSnapshot:
     plan: AgedMessage = field(default_factory=AgedMessage)
 
 
+PAST_ROBOTS = 3600  # robots in all rows of the past that a page gets: 250 bytes each
 _PLOTTED = (
     "mode", "eta", "reference", "wrench", "disturbance", "pose_age_ms", "to_pwm_ms", "step_us", "battery_v",
 )  # fmt: skip
