@@ -32,14 +32,14 @@ function options(s: Scene, chart: Chart, width: number, height: number): uPlot.O
       { ...axis, size: 44, gap: 2 },
     ],
     series: [
-      { label: "t", value: (_, t) => (t === null ? "" : moment(t)) },
+      { label: "t", value: (_, t) => (t === null || t === undefined ? "" : moment(t)) },
       ...chart.curves.map((curve, k) => ({
         label: curve.name,
         stroke: robotColour(curve.robot === undefined ? FALLBACK[k % 8]! : placeOf(s, curve.robot)),
         width: 1.5,
         ...(curve.dash ? { dash: curve.dash } : {}),
         points: { show: false },
-        value: (_: uPlot, v: number | null) => (v === null ? "-" : v.toFixed(Math.abs(v) < 10 ? 2 : 0)),
+        value: (_: uPlot, v: number | null | undefined) => (v === null || v === undefined ? "-" : v.toFixed(Math.abs(v) < 10 ? 2 : 0)),
       })),
     ],
     hooks: {
