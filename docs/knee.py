@@ -1,4 +1,4 @@
-"""SHELL: docs/images/knee.png: tracking against smoothness as estimator and weights vary: `python docs/knee.py`."""
+"""SHELL: docs/images/knee.png: tracking against smoothness as estimator and weights vary: `python -m docs.knee`."""
 
 from pathlib import Path
 

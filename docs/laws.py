@@ -1,5 +1,5 @@
 """SHELL: pictures of docs/baselines.md and, on standard output, its tables, from the folders of comparisons:
-`python docs/laws.py NUMERIC_DISTURBED NUMERIC POOL`."""
+`python -m docs.laws NUMERIC_DISTURBED NUMERIC POOL`."""
 
 import sys
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""SHELL: docs/images/localizer-growth.png: time over the robots in the picture: `python docs/localizer_growth.py`."""
+"""SHELL: docs/images/localizer-growth.png: time over the robots in the picture: `python -m docs.localizer_growth`."""
 
 from pathlib import Path
 

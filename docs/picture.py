@@ -1,4 +1,4 @@
-"""SHELL: docs/images/run.png for the README, from a real run: `python docs/picture.py runs/pool-...`."""
+"""SHELL: docs/images/run.png for the README, from a real run: `python -m docs.picture runs/pool-...`."""
 
 import io
 import sys

@@ -1,4 +1,4 @@
-"""SHELL: docs/images/page-*.jpg, the operator's page on real runs: `python docs/screenshots.py` (Chromium; four minutes)."""
+"""SHELL: docs/images/page-*.jpg, the operator's page on real runs: `python -m docs.screenshots` (Chromium; four minutes)."""
 
 import shutil
 import subprocess

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim_bridge.plant.fleet import ActuatorFaults
 from wire.config.experiment import Experiment
 from wire.config.fault_injection import THRUSTERS, Break, Fault
 from wire.frames import Array
@@ -18,6 +17,14 @@ from wire.toml_loader import ConfigError
 NUMERIC = ("thruster", "imu", "battery")  # kinds of faults that a numeric flight can have
 ROUNDING_S = 1e-6  # s by which a change is looked for early, as times are sums of rounded numbers
 BEFORE_S = -1.0  # a time before the robots' start
+
+
+@dataclass(frozen=True, eq=False)
+class ActuatorFaults:
+    """Effects of the faults on thrusters and batteries."""
+
+    thrust: Array  # (n, 4): each thruster's force as a fraction of the healthy one's
+    sag_v: Array  # (n,): voltage that each battery has lost
 
 
 @dataclass(frozen=True)

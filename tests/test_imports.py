@@ -93,9 +93,9 @@ PARTS: dict[str, dict[str, set[str]]] = {
     },
     "sim_bridge": {
         "board_conformance": set(),
-        "plant": set(),
+        "fault_schedule": set(),
+        "plant": {"fault_schedule"},
         "camera": {"plant"},
-        "fault_schedule": {"plant"},
         "sil": {"fault_schedule"},
         "thruster_board": {"plant"},
         "world": {"fault_schedule", "plant", "thruster_board"},

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sim_bridge.fault_schedule import ActuatorFaults
 from sim_bridge.plant import kernels
 from sim_bridge.plant.actuators import ActuatorModel, ActuatorState
 from sim_bridge.plant.battery import BatteryModel
@@ -34,14 +35,6 @@ class PlantState:
     motors: ActuatorState
     tilt: Array  # (n, 4): roll, pitch, and d/dt of them
     charge: Array  # (n,) of the batteries, 0 to 1
-
-
-@dataclass(frozen=True, eq=False)
-class ActuatorFaults:
-    """Effects of the faults on thrusters and batteries."""
-
-    thrust: Array  # (n, 4): each thruster's force as a fraction of the healthy one's
-    sag_v: Array  # (n,): voltage that each battery has lost
 
 
 class Plant:

@@ -6,7 +6,7 @@ import pytest
 from groundstation.mission.state_machine import MissionState
 from groundstation.mission.timetable import START_IN_S
 from groundstation.planning.segment import sample
-from sim_bridge.plant.fleet import ActuatorFaults
+from sim_bridge.fault_schedule import ActuatorFaults
 from tests.closed_loop.crewed_pool import CrewedPool
 from wire.config.experiment import load_experiment
 from wire.messages.messages import Mode, Order

@@ -252,7 +252,8 @@ def alone(browser: Browser, experiment: Experiment) -> Iterator[Alone]:
 def editor(browser: Browser) -> Iterator[Page]:
     """The editor open on a path of waypoints: the planner needs no robots for that."""
     curve = load_experiment(
-        "figure-eight", ["path.points_m=[[-0.8,0.0],[0.0,0.3],[0.8,0.0]]", "path.laps=1", "path.start_index=0", "duration_s=15"]
+        "figure-eight",
+        ["path.points_m=[[-0.8,0.0],[0.0,0.3],[0.8,0.0]]", "path.laps=1", "path.start_index=0", "duration_s=15"],
     )
     with alone(browser, curve) as desk:
         desk.page.goto(desk.url)

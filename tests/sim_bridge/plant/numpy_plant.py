@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from sim_bridge.fault_schedule import ActuatorFaults
 from sim_bridge.plant.actuators import ActuatorState
-from sim_bridge.plant.fleet import ActuatorFaults, PlantState
+from sim_bridge.plant.fleet import PlantState
 from sim_bridge.plant.random_streams import Stream, generator
 from wire.config.experiment import Experiment
 from wire.frames import Array
