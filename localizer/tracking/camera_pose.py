@@ -67,7 +67,7 @@ class CameraPoseTracker:
     def __init__(self, camera: Camera, landmarks: Sequence[Landmark]) -> None:
         self.view = RefractiveCamera(camera)
         self.pose = CameraPoseEstimate(camera, np.zeros((6, 6)))
-        self._corners = np.array([_corners(landmark) for landmark in landmarks])  # (landmarks, 4, 3)
+        self._corners = np.array([corners_of(landmark) for landmark in landmarks])  # (landmarks, 4, 3)
         self._index = {landmark.id: i for i, landmark in enumerate(landmarks)}
         self._detector = marker_detector()
         self._age_s = np.inf  # of the pose
@@ -142,8 +142,8 @@ class CameraPoseTracker:
         return {i: found[i] for i in sorted(found)}
 
 
-def _corners(landmark: Landmark) -> Array:
-    """Corners (4, 3) in the pool frame, in ArUco's order."""
+def corners_of(landmark: Landmark) -> Array:
+    """Corners (4, 3) of a mark in the pool frame, in ArUco's order."""
     flat = np.array(landmark.position_m[:2]) + body_to_pool(square(landmark.side_m), landmark.yaw_rad)
     return np.column_stack([flat, np.full(4, landmark.position_m[2])])
 

@@ -29,6 +29,7 @@ from localizer.detection.image_regions import ImageRegion, Pixels, RobotShape, c
 from localizer.sources.health import FrameHealthMonitor
 from localizer.tracking.appearance import LEARNT_AT_MARKERS, LEARNT_AT_MATCHES, AppearanceModel
 from localizer.tracking.camera_pose import CameraPoseTracker, FixedCameraPose
+from localizer.tracking.check_marks import CheckedCameraPose
 from localizer.tracking.observation import KCF_NOISE, Depth, PredictedView, depths_of
 from localizer.tracking.robot_track import RobotTrack, close_pairs
 from localizer.tracking.tilt import Attitude, MotionEstimate, TiltModel
@@ -76,8 +77,8 @@ class FleetLocalizer:
 
     def __init__(self, experiment: Experiment) -> None:
         vehicle, settings = experiment.vehicle, experiment.localizer
-        camera, landmarks = experiment.camera, experiment.landmarks
-        self._camera_pose = CameraPoseTracker(camera, landmarks) if landmarks else FixedCameraPose(camera)
+        camera = experiment.camera
+        self._camera_pose = _camera_pose(experiment)
         self._experiment = experiment
         self._ids = experiment.robot_ids
         self.radius_m, self.marker_height_m = vehicle.radius_m, vehicle.marker.height_m
@@ -95,7 +96,7 @@ class FleetLocalizer:
         self._appearance = AppearanceModel(
             len(self._ids), hull, settings.template_px, LEARNT_AT_MARKERS if settings.markers else LEARNT_AT_MATCHES
         )
-        self._landmark_ids = {landmark.id for landmark in landmarks}
+        self._landmark_ids = {mark.id for mark in (*experiment.landmarks, *experiment.check_marks)}
         self._foreign_scans: dict[int, int] = {}  # id of a foreign marker -> scans in a row
         self._foreign_ids: set[int] = set()  # in the strips of the present scan
         self._tracks = [RobotTrack() if settings.markers else RobotTrack.at_start(s[[0, 1, 3]]) for s in self._start]
@@ -364,6 +365,15 @@ class FleetLocalizer:
         """Distance from a pose's position to the nearest other robot."""
         others = (t.motion.position_m for i, t in enumerate(self._tracks) if i != robot and t.motion is not None)
         return min((math.dist(other, pose[:2]) for other in others), default=math.inf)
+
+
+def _camera_pose(experiment: Experiment) -> CameraPoseTracker | FixedCameraPose:
+    """The tracker of the camera's pose that an experiment asks for."""
+    if experiment.landmarks:
+        return CameraPoseTracker(experiment.camera, experiment.landmarks)
+    if experiment.check_marks:
+        return CheckedCameraPose(experiment.camera, experiment.check_marks)
+    return FixedCameraPose(experiment.camera)
 
 
 def start_poses(experiment: Experiment) -> Array:

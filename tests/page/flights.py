@@ -40,7 +40,7 @@ def wait_for_port(port: int, process: subprocess.Popen[bytes]) -> None:
 
 @dataclass
 class OperatorFlight:
-    """`sim-bridge sil pool` under an operator's hands."""
+    """`sim-bridge sil pool` under an operator's hands; without the camera, which takes half of the processors' time."""
 
     folder: Path
     port: int
@@ -55,7 +55,7 @@ class OperatorFlight:
     def start(self) -> None:
         """Start all processes; returns when the page can be had."""
         self.starts += 1
-        command = [sys.executable, "-m", "sim_bridge", "sil", "pool", "--lockstep", "--manual", "--duration", "900"]
+        command = [sys.executable, "-m", "sim_bridge", "sil", "pool", "--lockstep", "--poses", "--manual", "--duration", "900"]
         log = (self.folder / f"sil-{self.starts}.log").open("wb")
         self.process = subprocess.Popen(
             [*command, "--out", str(self.folder), "--web", f"127.0.0.1:{self.port}"], stdout=log, stderr=subprocess.STDOUT

@@ -673,7 +673,7 @@ def test_a_recorded_run_is_replayed(browser: Browser, flight: OperatorFlight) ->
             "before => Math.abs(document.querySelector('.replay input').valueAsNumber - before - 0.05) < 0.01", arg=before
         )
         page.locator("body").press(" ")
-        expect(button(page, "Pause")).to_be_visible()
+        expect(page.locator(".replay").get_by_role("button", name="Pause", exact=True)).to_be_visible()
         page.wait_for_function("before => document.querySelector('.replay input').valueAsNumber > before + 1", arg=before)
         page.locator("body").press(" ")
         expect(button(page, "Play")).to_be_visible()
@@ -703,7 +703,7 @@ def test_the_log_holds_the_gains_and_the_solver_had_them(flight: OperatorFlight)
     assert other.compared == len(flown[0])
     since = next(k for k, (_, name) in enumerate(flown[0]) if name == b.id)
     apart_n = np.abs(other.before["wrench"] - other.after["wrench"]).max(axis=1)
-    assert apart_n[since - 20 : since].max() > 0.005  # still another solver
+    assert apart_n[:since].max() > 0.005  # still another solver
     assert apart_n[since + 20 : since + 50].max() < 0.001  # the same one, but for where it started from
 
 

@@ -105,6 +105,8 @@ class Experiment(Section):
     """A table, or the path of a file of `localizer calibrate`. Not needed where localizer.uses_camera is false."""
     landmarks: tuple[Landmark, ...] = ()
     """Markers at known places. With any, the camera is taken to move."""
+    check_marks: tuple[Landmark, ...] = ()
+    """Markers at known places, by which a fixed camera is checked: a bump, a lower water level. Four and more tell which."""
     localizer: Localizer = Localizer()
     """Localizer."""
     recording: Recording = Recording()
@@ -190,21 +192,26 @@ class Experiment(Section):
 
     @model_validator(mode="after")
     def _landmarks_can_be_told_apart(self) -> Self:
-        ids = [landmark.id for landmark in self.landmarks]
-        if 0 < len(ids) < LANDMARKS_NEEDED:
-            raise ValueError(f"landmarks: {len(ids)} cannot place a camera (allowed: none, or {LANDMARKS_NEEDED} and more)")
-        for landmark in self.landmarks:
-            if ids.count(landmark.id) > 1:
-                raise ValueError(f"landmarks: id {landmark.id} is used twice; each landmark needs its own")
+        if 0 < len(self.landmarks) < LANDMARKS_NEEDED:
+            raise ValueError(
+                f"landmarks: {len(self.landmarks)} cannot place a camera (allowed: none, or {LANDMARKS_NEEDED} and more)"
+            )
+        if self.landmarks and self.check_marks:
+            raise ValueError("check_marks: they check a fixed camera, and with landmarks it moves (allowed: one of the two)")
+        marks, key = self.landmarks or self.check_marks, "landmarks" if self.landmarks else "check_marks"
+        ids = [mark.id for mark in marks]
+        for mark in marks:
+            if ids.count(mark.id) > 1:
+                raise ValueError(f"{key}: id {mark.id} is used twice; each needs its own")
             for robot in self.robots:
-                if robot.marker == landmark.id:
+                if robot.marker == mark.id:
                     free = sorted(set(range(50)) - set(ids) - {r.marker for r in self.robots})
                     raise ValueError(
-                        f"landmarks: id {landmark.id} is the marker of robot {robot.id} (free: {', '.join(map(str, free))})"
+                        f"{key}: id {mark.id} is the marker of robot {robot.id} (free: {', '.join(map(str, free))})"
                     )
-            depth, floor = landmark.position_m[2], self.pool.size_m[2]
+            depth, floor = mark.position_m[2], self.pool.size_m[2]
             if depth > floor:
-                raise ValueError(f"landmarks: id {landmark.id} at z = {depth} lies below the floor (allowed: up to {floor})")
+                raise ValueError(f"{key}: id {mark.id} at z = {depth} lies below the floor (allowed: up to {floor})")
         return self
 
     @property

@@ -1,0 +1,144 @@
+"""Check marks: markers at known places that a fixed camera reads in turns, so that a bump or sunken water is noticed.
+
+One mark that is not at its place was moved itself. Most of them are not: the camera was moved. Marks on the floor that another
+water level (one number) brings back to their places: the water sank or rose. In both cases the shift in the pool [m] is added
+to every pose's covariance, and the operator is told. The median of a mark's last readings takes out waves and misreadings.
+"""
+
+import math
+from collections import deque
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+
+from localizer.camera_model import LocalLinearization, RefractiveCamera
+from localizer.detection.fiducials import find_markers, marker_detector
+from localizer.detection.image_regions import ImageRegion, Pixels, cut, whole
+from localizer.tracking.camera_pose import FixedCameraPose, corners_of, fit_camera_pose
+from wire.config.perception import LANDMARKS_NEEDED, Camera, Landmark
+from wire.frames import Array, wrap
+
+REACH_PX = 40.0  # px around a mark in which it is looked for; when most are farther off, the whole picture is searched
+SHIFTED_PX = 1.5  # px; ripples shift a mark by 0.3 px, and calibrations are good to 0.5 px
+READINGS = 5  # of a mark, of which the median counts; read in turns, four marks at 20 Hz have theirs within a second
+LEAST_DROP_M = 0.01  # m of water level that is told; ripples of 0.3 px make 5 mm of it with four marks on the floor
+MOST_DROP_M = 0.2  # m; marks must be deeper than this to tell the level
+_LEVEL_STEP_M = 1e-3  # m, step of the difference that gives the shifts' slope over the water level
+_LEVEL_ROUNDS = 5  # Gauss-Newton iterations; the shifts are linear in the level to 1 % over 5 cm
+
+
+class CheckedCameraPose(FixedCameraPose):
+    """The pose of a fixed camera, watched by check marks."""
+
+    def __init__(self, camera: Camera, marks: Sequence[Landmark]) -> None:
+        super().__init__(camera)
+        self._camera = camera
+        self._corners = np.array([corners_of(mark) for mark in marks])  # (marks, 4, 3)
+        self._ids = [mark.id for mark in marks]
+        self._expected_px = self.view.pool_to_pixel(self._corners)  # (marks, 4, 2)
+        self._places_px = self._expected_px.mean(axis=1)  # (marks, 2), where each was seen last
+        self._detector = marker_detector()
+        self._readings = [deque[Array | None](maxlen=READINGS) for _ in marks]  # corners (4, 2) px; None: not seen
+        self._frames = 0
+        self._covariance = np.zeros((3, 3))
+        self.trouble = ""
+
+    def update(self, frame: Pixels) -> None:
+        """Read the next mark in a picture (height, width), and judge the mapping by all of them after each round."""
+        turn = self._frames % len(self._ids)
+        self._frames += 1
+        lost = sum(bool(readings) and readings[-1] is None for readings in self._readings)
+        if 2 * lost <= len(self._ids):
+            half_px = np.linalg.norm(self._expected_px[turn] - self._expected_px[turn].mean(axis=0), axis=1).max()
+            self._read([turn], cut(frame, self._places_px[turn], float(half_px) + REACH_PX))
+        elif turn == 0:  # as after a hard knock: one look at the whole picture a round
+            self._read(range(len(self._ids)), whole(frame))
+        if turn == len(self._ids) - 1:
+            self._judge()
+
+    def uncertainty(self, tangents: Sequence[LocalLinearization], depths_m: Sequence[float]) -> Array:
+        """Covariances (n, 3, 3) of [x, y, yaw]: of the shift that the marks show, the same everywhere in the pool."""
+        return np.tile(self._covariance, (len(tangents), 1, 1))
+
+    def _read(self, marks: Sequence[int], region: ImageRegion | None) -> None:
+        """Keep what a region of the picture shows of some marks; where there is no region, that they are not seen."""
+        images = [] if region is None else find_markers(self._detector, region)
+        found = {image.id: image.corners_px for image in images}
+        for k in marks:
+            corners = found.get(self._ids[k])
+            self._readings[k].append(corners)
+            if corners is not None:
+                self._places_px[k] = corners.mean(axis=0)
+
+    def _judge(self) -> None:
+        """Find the marks that are shifted, and what that means."""
+        known = {k: [px for px in readings if px is not None] for k, readings in enumerate(self._readings)}
+        seen = {k: np.median(px, axis=0) for k, px in known.items() if len(px) > READINGS // 2}
+        unseen = [k for k, readings in enumerate(self._readings) if len(readings) == READINGS and k not in seen]
+        shift_px = {k: float(np.linalg.norm((px - self._expected_px[k]).mean(axis=0))) for k, px in seen.items()}
+        shifted = [k for k, px in shift_px.items() if px > SHIFTED_PX]
+        places, pixels = self._corners[list(seen)], np.array(list(seen.values())).reshape(-1, 4, 2)
+        rms_px = float(np.sqrt(np.mean(np.square(list(shift_px.values()))))) if seen else 0.0
+        drop_m, left_px = fit_water_drop(self._camera, places, pixels)
+        sunk = abs(drop_m) > LEAST_DROP_M and left_px < rms_px / 2.0
+        bumped = 2 * len(shifted) > len(seen) and (len(shifted) > 1 or len(self._ids) == 1)
+        self._covariance = self._shift_covariance(seen) if sunk or bumped else np.zeros((3, 3))
+        said = [f"check mark {self._ids[k]} is not seen" for k in unseen]
+        if sunk:
+            higher = "lower" if drop_m > 0.0 else "higher"
+            said.append(f"the water stands {abs(drop_m) * 1e3:.0f} mm {higher} than the experiment says")
+        elif bumped:
+            said.append(
+                f"the camera was moved: check marks are {rms_px:.1f} px from their places{self._motion(places, pixels)}"
+            )
+        else:
+            said += [f"check mark {self._ids[k]} is {shift_px[k]:.1f} px from its place: it was moved" for k in shifted]
+        self.trouble = "; ".join(said)
+
+    def _shift_covariance(self, seen: dict[int, Array]) -> Array:
+        """Covariance (3, 3) of [x, y, yaw]: the marks' mean square shift [m^2] and turn [rad^2] in the pool."""
+        shifts, turns = [], []
+        for k, pixels in seen.items():
+            told, true = self.view.pixel_to_pool(pixels, self._corners[k, :, 2]), self._corners[k, :, :2]
+            shifts.append((told - true).mean(axis=0))
+            turns.append(wrap(_direction(told) - _direction(true)))
+        return np.diag([*np.mean(np.square(shifts), axis=0), np.mean(np.square(turns))])
+
+    def _motion(self, places: Array, pixels: Array) -> str:
+        """The camera's displacement as far as enough marks tell it, as the end of a sentence."""
+        if len(places) < LANDMARKS_NEEDED:
+            return ""
+        fitted, _ = fit_camera_pose(self._camera, places, pixels)
+        old, new = (np.asarray(cv2.Rodrigues(np.array(c.rotation_rad))[0]) for c in (self._camera, fitted.camera))
+        turn_rad = np.linalg.norm(np.asarray(cv2.Rodrigues(new @ old.T)[0]))
+        moved_m = np.linalg.norm(np.subtract(fitted.camera.position_m, self._camera.position_m))
+        return f", as if by {moved_m * 1e3:.0f} mm and {np.degrees(turn_rad):.1f} deg"
+
+
+def fit_water_drop(camera: Camera, places: Array, pixels: Array) -> tuple[float, float]:
+    """The drop of the water [m] below the level at which places (n, 4, 3) and camera were measured, fitted to corners that
+    were found at pixels (n, 4, 2); and the RMS shift of the marks [px] that is left. 0 and infinity where no mark is
+    under water."""
+    if not np.any(places[:, :, 2] > MOST_DROP_M):
+        return 0.0, math.inf
+    drop_m = 0.0
+    for _ in range(_LEVEL_ROUNDS):
+        here = _with_drop(camera, places, drop_m)
+        slope = (_with_drop(camera, places, drop_m + _LEVEL_STEP_M) - here) / _LEVEL_STEP_M
+        change_m = float(np.sum(slope * (pixels - here)) / np.sum(slope * slope))
+        drop_m = min(max(drop_m + change_m, -MOST_DROP_M), MOST_DROP_M)
+    left = (pixels - _with_drop(camera, places, drop_m)).mean(axis=1)
+    return drop_m, float(np.sqrt(np.mean(np.sum(left**2, axis=1))))
+
+
+def _with_drop(camera: Camera, places: Array, drop_m: float) -> Array:
+    """Pixels (n, 4, 2) of places when the water stands `drop_m` lower: its surface is z = 0, all else is higher by that."""
+    higher = (camera.position_m[0], camera.position_m[1], camera.position_m[2] - drop_m)
+    return RefractiveCamera(camera.model_copy(update={"position_m": higher})).pool_to_pixel(places - [0.0, 0.0, drop_m])
+
+
+def _direction(corners: Array) -> float:
+    """Heading of a mark's upper edge's normal, up to a constant, from its corners (4, 2)."""
+    edge = corners[1] - corners[0]
+    return math.atan2(edge[1], edge[0])

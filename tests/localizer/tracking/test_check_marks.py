@@ -1,0 +1,117 @@
+"""Check marks of a fixed camera, in pictures of the simulator's renderer, which knows nothing of the localizer's optics.
+
+The renderer's camera is moved, or its water sunk, while the localizer keeps the experiment's. Seeds are in the scene.
+"""
+
+import numpy as np
+import pytest
+
+from localizer.tracking.fleet_localizer import FleetLocalizer, LocalizationResult
+from sim_bridge.camera.renderer import Renderer
+from wire.config.experiment import Experiment, load_experiment
+from wire.config.perception import Landmark
+from wire.frames import Array
+from wire.toml_loader import ConfigError
+
+pytestmark = pytest.mark.long
+
+MARKS = tuple(
+    Landmark(id=40 + k, position_m=place, yaw_rad=0.3 * k)
+    for k, place in enumerate([(-1.3, -0.9, 1.0), (1.3, -0.9, 0.0), (1.3, 0.9, 1.0), (-1.3, 0.9, 0.0), (0.0, 1.0, 1.0)])
+)
+FRAMES = 25  # at 20 Hz: five marks in turns have their five readings
+SETTINGS = ["localizer.tilt_sigma_rad=0", "localizer.tilt_rad_per_n=0", "localizer.surface_slope_rad=0"]
+ETA = np.array([[0.5, 0.1, 0.3, 1.0], [-0.5, -0.1, 0.3, -1.0]])
+
+
+def pool(marks: tuple[Landmark, ...] = MARKS) -> Experiment:
+    return load_experiment("pool", SETTINGS).model_copy(update={"check_marks": marks})
+
+
+def moved_camera(experiment: Experiment, by_m: tuple[float, float, float], turn_rad: float = 0.0) -> Experiment:
+    """The experiment with its camera elsewhere."""
+    camera = experiment.camera
+    place = tuple(np.add(camera.position_m, by_m).tolist())
+    rotation = tuple(np.add(camera.rotation_rad, (turn_rad, 0.0, 0.0)).tolist())
+    return experiment.model_copy(update={"camera": camera.model_copy(update={"position_m": place, "rotation_rad": rotation})})
+
+
+def sunken_water(experiment: Experiment, drop_m: float) -> Experiment:
+    """The experiment with its water lower: seen from the surface, marks, camera and floor are higher."""
+    marks = tuple(
+        mark.model_copy(update={"position_m": (*mark.position_m[:2], mark.position_m[2] - drop_m)})
+        for mark in experiment.check_marks
+    )
+    return moved_camera(experiment.model_copy(update={"check_marks": marks}), (0.0, 0.0, -drop_m))
+
+
+def seen(true: Experiment, believed: Experiment, frames: int = FRAMES) -> LocalizationResult:
+    """The localizer's last word on pictures of the true world."""
+    renderer, localizer = Renderer(true, true.seed), FleetLocalizer(believed)
+    depths = {1: 0.3, 2: 0.3}
+    for k in range(frames):
+        picture = renderer.render(ETA, np.zeros((2, 4)), 0.05 * k, k)
+        result = localizer.step(picture, round(0.05e9 * k), depths)
+    return result
+
+
+def errors_m(result: LocalizationResult) -> Array:
+    """x and y of the robots' errors, (2, 2)."""
+    return np.array([(pose.x_m, pose.y_m) for _, pose in result.poses]) - ETA[:, :2]
+
+
+def test_a_camera_at_its_place_has_no_trouble_and_adds_nothing_to_covariances() -> None:
+    result = seen(pool(), pool())
+    plain = seen(pool(), pool(()))
+    assert result.status.message == ""
+    assert np.array_equal([pose.covariance for _, pose in result.poses], [pose.covariance for _, pose in plain.poses])
+
+
+@pytest.mark.parametrize(("by_m", "turn_rad"), [((0.02, 0.0, 0.0), 0.0), ((0.0, 0.0, 0.0), 0.01), ((0.03, -0.02, 0.0), 0.005)])
+def test_a_bumped_camera_is_noticed_within_a_second_and_poses_claim_their_error(
+    by_m: tuple[float, float, float], turn_rad: float
+) -> None:
+    believed = pool()
+    result = seen(moved_camera(believed, by_m, turn_rad), believed)
+    assert "the camera was moved: check marks are" in result.status.message
+    sigmas_m = np.array([np.sqrt(np.diag(np.reshape(pose.covariance, (3, 3))))[:2] for _, pose in result.poses])
+    assert np.all(np.linalg.norm(errors_m(result), axis=1) < 2.0 * np.linalg.norm(sigmas_m, axis=1))
+
+
+@pytest.mark.parametrize("drop_m", [0.02, 0.05, -0.03])
+def test_sunken_water_is_told_from_a_bump_and_measured(drop_m: float) -> None:
+    believed = pool()
+    message = seen(sunken_water(believed, drop_m), believed).status.message
+    found_mm = float(message.partition("the water stands ")[2].partition(" mm")[0])
+    assert ("lower" in message) == (drop_m > 0.0)
+    assert found_mm == pytest.approx(abs(drop_m) * 1e3, abs=4.0)
+
+
+def test_one_mark_that_was_moved_is_named_and_changes_no_covariance() -> None:
+    believed = pool()
+    x, y, z = MARKS[2].position_m
+    carried = MARKS[2].model_copy(update={"position_m": (x - 0.03, y, z)})
+    result = seen(pool((*MARKS[:2], carried, *MARKS[3:])), believed)
+    assert "check mark 42 is" in result.status.message
+    assert "it was moved" in result.status.message
+    plain = seen(pool(), pool(()))
+    assert np.allclose([p.covariance for _, p in result.poses], [p.covariance for _, p in plain.poses], rtol=0.2)
+
+
+def test_a_hard_knock_that_takes_all_marks_out_of_their_places_is_noticed() -> None:
+    believed = pool()
+    result = seen(moved_camera(believed, (0.25, 0.0, 0.0)), believed, 60)
+    assert "check marks are" in result.status.message
+
+
+def test_a_covered_mark_is_said_and_the_others_still_count() -> None:
+    result = seen(pool(MARKS[1:]), pool())
+    assert result.status.message == "check mark 40 is not seen"
+
+
+def test_check_marks_of_a_moving_camera_and_a_robots_marker_are_refused() -> None:
+    mark = "[{id=1, position_m=[0,0,0]}]"
+    with pytest.raises(ConfigError, match=r"check_marks: id 1 is the marker of robot 1 \(free: 0, "):
+        load_experiment("pool", [f"check_marks={mark}"])
+    with pytest.raises(ConfigError, match="check_marks: they check a fixed camera"):
+        load_experiment("drone", ["check_marks=[{id=49, position_m=[0,0,0]}]"])
