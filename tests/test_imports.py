@@ -4,6 +4,7 @@ import ast
 import subprocess
 import sys
 from collections.abc import Iterator
+from functools import cache
 from importlib import metadata
 from pathlib import Path
 
@@ -123,6 +124,7 @@ def _sources() -> list[str]:
     return [str(path.relative_to(ROOT)) for path in found]
 
 
+@cache
 def _tree(source: str) -> ast.Module:
     return ast.parse((ROOT / source).read_text(encoding="utf-8"))
 
