@@ -29,6 +29,8 @@ def deg(value_rad: float | None) -> str:
 
 
 def with_unit(value: float | None, unit: str) -> str:
-    """A value with the unit it is shown in."""
+    """A value with the unit it is shown in; a number of things, which has none, as it is."""
+    if value is None:
+        return NOTHING
     name, factor = SHOWN_AS.get(unit, (unit, 1.0))
-    return f"{three(value, factor)} {name}".strip() if value is not None else NOTHING
+    return f"{three(value, factor)} {name}" if unit else f"{value:g}"

@@ -149,6 +149,11 @@ class Result:
     flights: tuple[FlightPart, ...] = ()  # all of the log
     cause: Cause | None = None  # of the failure; None if the run passed
 
+    @property
+    def is_whole(self) -> bool:
+        """True if the flight went all its way: only then its figures stand beside those of other whole runs."""
+        return all(check.passed for check in self.checks if check.name == "whole run flown")
+
     def to_json(self) -> str:
         """As result.json."""
         return json.dumps(dataclasses.asdict(self, dict_factory=_plain), indent=1, allow_nan=False) + "\n"
