@@ -532,7 +532,7 @@ def test_a_request_has_one_line_and_that_says_how_it_ended(browser: Browser) -> 
         desk.told = replace(desk.told, requests=(failed,))
         expect(given).to_have_text("return failed: holding: no way from here ✓ 1 ✕ 2 refuses")
         desk.told = replace(desk.told, requests=(replace(told, progress=Progress.DONE, confirmed=(1, 2), waiting=()),))
-        expect(given).to_have_text("return done ✓ 1 ✓ 2")
+        expect(given).to_have_text("return confirmed by 1, 2")
 
 
 def test_a_run_is_ended_on_the_page_which_then_is_silent_without_an_alarm(browser: Browser, station: BareStation) -> None:

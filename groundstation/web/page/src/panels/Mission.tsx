@@ -77,7 +77,7 @@ function standing(g: Request): [text: string, look: string] {
   if (outcome === null) return ["sent", ""];
   if (outcome.progress === "FAILED") return [`failed${outcome.reason && `: ${outcome.reason}`}`, "refused"];
   if (outcome.progress === "UNDER_WAY") return ["under way", ""];
-  return [g.order === "stop" ? "confirmed" : "done", "done"];
+  return [outcome.confirmed.length > 0 ? `confirmed by ${outcome.confirmed.join(", ")}` : "done", "done"];
 }
 
 function Given() {
@@ -90,7 +90,7 @@ function Given() {
         return (
           <li key={g.n} class={look}>
             <b>{g.order}</b> {text}{" "}
-            {g.outcome !== null && (
+            {g.outcome !== null && g.outcome.progress !== "DONE" && (
               <span class="answers">
                 {g.outcome.confirmed.map((robot) => (
                   <span key={robot} class="yes">
