@@ -21,7 +21,7 @@ from groundstation.analysis.series import (
     TimelineEvent,
     active_limits,
 )
-from groundstation.analysis.timeline import faults
+from groundstation.analysis.timeline import faults, tags
 from groundstation.logs.reader import RunLog
 from wire.config.experiment import ArticleRow, Experiment
 from wire.frames import Array, pose_error, wrap_angle
@@ -75,6 +75,7 @@ def evaluate(series: Series, log: RunLog) -> Result:
         log_trouble=log.trouble,
         version=log.metadata.get("version", "unknown"),
         commit=log.metadata.get("commit", "unknown"),
+        tags=tags(series.timeline_events),
         flight=series.flight,
         flights=tuple(_part(flight, series.start_ns) for flight in series.flights),
     )

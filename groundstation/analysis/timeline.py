@@ -1,5 +1,6 @@
 """A run's events, each once: what a robot's states, its agent and the station all tell is one event. Pure."""
 
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
@@ -8,6 +9,7 @@ from groundstation.analysis.series import TimelineEvent
 SAME_S = 1.0  # a robot's state and its agent's words about it come within this time
 REPEATED_S = 5.0  # a line that comes again within this time goes on
 CONFIRMED_BY = {"ARM": "armed", "START": "tracking", "HOLD": "holding", "STOP": "stopped", "DISARM": "disarmed"}
+REMARK, TAG = "remark: ", re.compile(r"(?<!\S)#([\w-]+)")  # how the station tells a person's line
 INJECTED, ENDED = "fault: ", "fault over: "  # how the simulator tells what it breaks (sim_bridge/fault_schedule.py)
 
 
@@ -42,6 +44,12 @@ def faults(events: Sequence[TimelineEvent]) -> tuple[TimelineEvent, ...]:
 def is_injection(event: TimelineEvent) -> bool:
     """True for the begin and the end of what the simulator broke on purpose."""
     return not event.fault and not event.source.startswith("robot ") and event.text.startswith((INJECTED, ENDED))
+
+
+def tags(events: Iterable[TimelineEvent]) -> tuple[str, ...]:
+    """The #words of people's remarks, each once."""
+    found = (word for e in events if e.text.startswith(REMARK) for word in TAG.findall(e.text))
+    return tuple(dict.fromkeys(found))
 
 
 def _source(name: str) -> str:

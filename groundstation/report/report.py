@@ -204,6 +204,7 @@ def _facts(recorded: RunLog, result: Result) -> list[tuple[str, str]]:
         ("version", result.version),
         ("commit", _short_commit(result.commit)),
         *((name, value) for name, value in sorted(recorded.metadata.items()) if name not in known),
+        *([("tags", " ".join(f"#{tag}" for tag in result.tags))] if result.tags else []),
         ("experiment hash", result.experiment_hash[:12]),
     ]
 

@@ -242,7 +242,7 @@ function Remark() {
         if (text !== "" && say({ kind: "remark", text })) field.value = "";
       }}
     >
-      <input name="remark" maxLength={200} placeholder="Remark for the log" aria-label="Remark for the log" autocomplete="off" />
+      <input name="remark" maxLength={200} placeholder="Remark for the log; #word is a tag" aria-label="Remark for the log" autocomplete="off" />
       <button type="submit">Add</button>
     </form>
   );
