@@ -45,8 +45,8 @@ class MetricRow:
 
     @property
     def cells(self) -> list[str]:
-        """The values as text."""
-        return [three(value) for value in self.values]
+        """The values as text; numbers of things as they are."""
+        return [three(value) if self.unit or value is None else f"{value:g}" for value in self.values]
 
 
 def metric_rows(runs: Sequence[ComparedRun]) -> list[MetricRow]:
