@@ -14,7 +14,8 @@ def three(value: float | None, factor: float = 1.0) -> str:
     scaled = value * factor
     if scaled == 0.0:
         return "0"
-    places = min(max(0, 2 - math.floor(math.log10(abs(scaled)))), MOST_PLACES)
+    power = int(f"{scaled:.2e}".partition("e")[2])  # after rounding: 99.96 is 100
+    places = min(max(0, 2 - power), MOST_PLACES)
     return f"{scaled:.{places}f}"
 
 

@@ -5,6 +5,7 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from importlib import resources
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -219,7 +220,8 @@ def _together(events: Sequence[TimelineEvent]) -> Sequence[TimelineEvent]:
     """Robots that do the same at the same time as one line."""
     lines: list[TimelineEvent] = []
     for event in events:
-        before = next((k for k in range(len(lines) - 1, -1, -1) if _is_same(lines[k], event)), None) if lines else None
+        near = takewhile(lambda k: event.time_s - lines[k].time_s <= TOGETHER_S, range(len(lines) - 1, -1, -1))
+        before = next((k for k in near if _is_same(lines[k], event)), None)
         if before is None:
             lines.append(event)
         else:
@@ -230,7 +232,7 @@ def _together(events: Sequence[TimelineEvent]) -> Sequence[TimelineEvent]:
 
 def _is_same(line: TimelineEvent, event: TimelineEvent) -> bool:
     robots = event.source.startswith("robot ") and line.source.startswith("robot")
-    return robots and line.text == event.text and event.time_s - line.time_s <= TOGETHER_S and line.times == event.times == 1
+    return robots and line.text == event.text and line.times == event.times == 1
 
 
 def _most_telling(timeline_events: Sequence[TimelineEvent]) -> Sequence[TimelineEvent]:

@@ -9,7 +9,8 @@
   function three(value) {
     if (value === null || value === undefined || !Number.isFinite(value)) return "–";
     if (value === 0) return "0";
-    return value.toFixed(Math.min(Math.max(0, 2 - Math.floor(Math.log10(Math.abs(value)))), 4));
+    const power = Number(value.toExponential(2).split("e")[1]); // after rounding: 99.96 is 100
+    return value.toFixed(Math.min(Math.max(0, 2 - power), 4));
   }
 
   function float32(text) {

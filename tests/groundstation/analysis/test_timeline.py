@@ -1,5 +1,8 @@
-"""The timeline holds each event once, and the cause is the first fault with what was injected before it."""
+"""The timeline holds each event once; numbers for people have three digits."""
 
+import pytest
+
+from groundstation.analysis.numbers import three
 from groundstation.analysis.series import TimelineEvent
 from groundstation.analysis.timeline import faults, once
 
@@ -43,3 +46,19 @@ def test_the_stations_words_about_a_robots_fault_are_no_second_fault() -> None:
     fault = event(2.0, "robot 2", "fault: no pose", fault=True)
     assert faults([fault, abort]) == (fault,)
     assert faults([abort]) == (abort,)
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (0.0, "0"),
+        (0.012345, "0.0123"),
+        (9.999, "10.0"),
+        (99.96, "100"),
+        (-123456.0, "-123456"),
+        (float("nan"), "–"),
+        (None, "–"),
+    ],
+)
+def test_a_number_for_people_has_three_digits_and_no_power_of_ten(value: float | None, text: str) -> None:
+    assert three(value) == text
