@@ -2,10 +2,10 @@
 
 import json
 import tempfile
+from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from importlib import resources
-from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -220,8 +220,8 @@ def _together(events: Sequence[TimelineEvent]) -> Sequence[TimelineEvent]:
     """Robots that do the same at the same time as one line."""
     lines: list[TimelineEvent] = []
     for event in events:
-        near = takewhile(lambda k: event.time_s - lines[k].time_s <= TOGETHER_S, range(len(lines) - 1, -1, -1))
-        before = next((k for k in near if _is_same(lines[k], event)), None)
+        first_near = bisect_left(lines, event.time_s - TOGETHER_S, key=lambda line: line.time_s)
+        before = next((k for k in range(first_near, len(lines)) if _is_same(lines[k], event)), None)
         if before is None:
             lines.append(event)
         else:

@@ -69,7 +69,7 @@ def dependence(campaign: Campaign, key: str, flown: Sequence[Row], measures: Seq
 
 
 def reasons(rows: Sequence[Row]) -> list[tuple[int, str]]:
-    """How many flights did not pass for each reason, the most frequent first."""
+    """Numbers of flights that did not pass, by reason, the most frequent first."""
     failed = [row for row in rows if row["status"] != "flown" or not row.get("passed")]
     each = Counter(
         reason
