@@ -78,6 +78,8 @@ format: $(INSTALLED) ## let ruff lay out and repair what it can
 
 page: ## build the operator's page again (needs Node 20 or newer; users have the built page in groundstation/web/static)
 	cd groundstation/web/page && npm ci --silent && npm run --silent build
+	cp groundstation/web/page/node_modules/uplot/dist/uPlot.iife.min.js groundstation/report/templates/uplot.min.js
+	cp groundstation/web/page/node_modules/uplot/dist/uPlot.min.css groundstation/report/templates/uplot.min.css
 
 proto: $(INSTALLED) ## generate wire/messages/fleet_pb2.py from wire/messages/fleet.proto
 	$(BIN)/python -m grpc_tools.protoc -I . --python_out=. --pyi_out=. wire/messages/fleet.proto

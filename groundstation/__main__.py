@@ -14,7 +14,7 @@ from groundstation.cli.mission import fleet_request, gains_cli, go, mission_cli,
 from groundstation.cli.replay import replay
 from groundstation.cli.rerun import moment, rerun
 from groundstation.cli.run import plan, run
-from groundstation.cli.run_list import list_runs
+from groundstation.cli.run_list import delete, label, list_runs
 from groundstation.cli.runs import benchmark_report, compare, export, record, repair, report
 from wire.process.cli_options import Version
 from wire.process.optional_packages import run_role
@@ -47,10 +47,12 @@ def _renamed(command: Callable[..., None], name: str) -> Callable[..., None]:
     return old
 
 
-log_cli = _group("Recorded runs: list, report, compare, export, repair, replay, rerun (docs/runs.md).")
+log_cli = _group("Recorded runs: list, label, delete, report, compare, export, repair, replay, rerun (docs/runs.md).")
 for command in (report, compare, export, repair, replay, rerun, record):
     log_cli.command()(command)
 log_cli.command("list")(list_runs)
+log_cli.command()(label)
+log_cli.command()(delete)
 benchmark_cli = _group("Results of `sim-bridge compare`.")
 benchmark_cli.command("report")(benchmark_report)
 

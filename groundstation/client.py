@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
+from groundstation.mission.request_progress import in_words
 from groundstation.mission.state_machine import order_named
 from groundstation.station import discovery
 from wire.messages.live_gains import values_of
@@ -101,5 +102,4 @@ def verdict(reply: Reply, patience_s: float) -> tuple[bool, str]:
         return False, "under way, and this station does not tell what becomes of it"
     if outcome.progress is Progress.UNDER_WAY:
         return (True, "taken by the station") if patience_s == 0.0 else (False, f"not done within {patience_s:g} s")
-    done = outcome.progress is Progress.DONE
-    return done, f"{'done' if done else 'failed'}{f': {outcome.reason}' if outcome.reason else ''}"
+    return outcome.progress is Progress.DONE, in_words(outcome)

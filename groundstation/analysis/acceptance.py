@@ -34,15 +34,16 @@ def _of_every_run(result: Result, series: Series) -> Iterator[Check]:
     flown_s = min(series.reached_s, series.end_s)
     missing = float(result.log_dropped) if result.log_complete else None
     yield Check("messages missing from the log", result.log_trouble.partition(":")[0], missing, 0.0, not result.log_trouble)
-    yield Check("whole run flown, s", "slowest robot", flown_s, series.asked_s, went_all_the_way(series))
+    whole = went_all_the_way(series)
+    yield Check("whole run flown", "slowest robot", flown_s, series.asked_s, whole, "s", at_least=True)
     yield Check("faults", "", float(len(result.faults)), 0.0, not result.faults)
     fraction = result.missed_deadlines_fraction
-    yield _at_most("missed deadlines, fraction", "all robots", fraction, MISSED_FRACTION)
+    yield _at_most("missed deadlines", "all robots", fraction, MISSED_FRACTION, "fraction")
     closest, allowed = result.min_separation_m, 2.0 * experiment.safety.radius_m
     if result.pairs:
         closest_pair = next(pair for pair, found in result.pairs.items() if found.min_separation_m == closest)
         passed = closest is not None and closest >= allowed
-        yield Check("separation, m, at least", closest_pair, closest, allowed, passed)
+        yield Check("separation", f"pair {closest_pair}", closest, allowed, passed, "m", at_least=True)
 
 
 def _of_errors(errors: dict[str, Errors], series: Series) -> Iterator[Check]:
@@ -50,12 +51,12 @@ def _of_errors(errors: dict[str, Errors], series: Series) -> Iterator[Check]:
     for name in ("rms_m", "rms_after_20s_m", "max_after_20s_m"):
         limit = getattr(limits, name)
         if limit is not None and (settles or name == "rms_m"):
-            yield _at_most(name, *_worst_cell(errors, name), limit)
+            yield _at_most(name, *_worst_cell(errors, name), limit, "m")
     if limits.rms_yaw_after_20s_rad is not None and settles:
         turned = {subject: found.rms_yaw_after_20s_rad for subject, found in errors.items()}
         known = {subject: value for subject, value in turned.items() if value is not None}
         where = max(known, key=lambda subject: known[subject]) if len(known) == len(turned) else ""
-        yield _at_most("rms_yaw_after_20s_rad", where, known.get(where), limits.rms_yaw_after_20s_rad)
+        yield _at_most("rms_yaw_after_20s_rad", where, known.get(where), limits.rms_yaw_after_20s_rad, "rad")
 
 
 def _of_the_end(series: Series) -> Iterator[Check]:
@@ -65,7 +66,7 @@ def _of_the_end(series: Series) -> Iterator[Check]:
         away = {robot: float(np.hypot(*end)) for robot, end in ends.items() if np.isfinite(end).all()}
         last = max(away, key=lambda robot: away[robot]) if len(away) == len(series.robots) else None
         where = f"robot {last}" if last is not None else "the end was not reached"
-        yield _at_most("from its place at the end, m", where, away.get(last) if last else None, limits.arrived_m)
+        yield _at_most("from its place at the end", where, away.get(last) if last else None, limits.arrived_m, "m")
 
 
 def _of_the_means(result: Result, series: Series) -> Iterator[Check]:
@@ -73,21 +74,20 @@ def _of_the_means(result: Result, series: Series) -> Iterator[Check]:
     experiment, limits = series.experiment, series.experiment.limits
     if limits.pose_rms_m is not None:
         rms = result.pose_error_m.rms if result.pose_error_m else None
-        yield _at_most("pose error rms, m", "all robots", rms, limits.pose_rms_m)
+        yield _at_most("pose error, RMS", "all robots", rms, limits.pose_rms_m, "m")
     if limits.wrench_step_rms is not None and settled(series.asked_s):
         share = _shares(result.dtau_rms_after_20s, experiment.wrench_step)
         where = ("surge", "heave", "yaw")[int(np.argmax(share))] if share else ""
-        yield _at_most(
-            "rms of input steps after 20 s, fraction of bound", where, max(share, default=None), limits.wrench_step_rms
-        )
+        most = max(share, default=None)
+        yield _at_most("input steps after 20 s, RMS of the bound", where, most, limits.wrench_step_rms, "fraction")
     if limits.exposure_to_pwm_p99_ms is not None and result.mode != "numeric":  # where nothing is exposed, nor sent
         late = result.exposure_to_pwm_ms.p99 if result.exposure_to_pwm_ms else None
-        yield _at_most("exposure to PWM p99, ms", "all robots", late, limits.exposure_to_pwm_p99_ms)
+        yield _at_most("exposure to PWM, p99", "all robots", late, limits.exposure_to_pwm_p99_ms, "ms")
 
 
-def _at_most(name: str, where: str, value: float | None, limit: float) -> Check:
+def _at_most(name: str, where: str, value: float | None, limit: float, unit: str) -> Check:
     """A figure that is missing has not been shown to be good."""
-    return Check(name, where, value, limit, value is not None and value <= limit)
+    return Check(name, where, value, limit, value is not None and value <= limit, unit)
 
 
 def _worst_cell(errors: dict[str, Errors], name: str) -> tuple[str, float | None]:

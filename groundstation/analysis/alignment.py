@@ -14,6 +14,7 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from groundstation.analysis.series import CHANNELS, HOPS, Flight, RobotSeries, Series, States, TimelineEvent
+from groundstation.analysis.timeline import once
 from groundstation.logs.reader import DecodedMessage, RunLog
 from wire.config.experiment import Experiment
 from wire.config.scene import Circle, PathSpec
@@ -403,7 +404,7 @@ def _frame_times(log: RunLog, start_ns: int) -> Array:
 
 
 def _happenings(log: RunLog, recorded: dict[int, _Recorded], start_ns: int) -> tuple[TimelineEvent, ...]:
-    """Every change of a robot's mode or fault, and every event, in order."""
+    """Every change of a robot's mode or fault, and every event, each once and in order."""
     found = []
     for robot, r in recorded.items():
         before: tuple[Mode, str] | None = None
@@ -416,4 +417,4 @@ def _happenings(log: RunLog, recorded: dict[int, _Recorded], start_ns: int) -> t
     for event in log.of(topics.EVENT, Event):
         m = event.message
         found.append(TimelineEvent((event.stamp_ns - start_ns) * 1e-9, m.source, m.message, m.level >= WARNING))
-    return tuple(sorted(found, key=lambda h: h.time_s))
+    return once(found)

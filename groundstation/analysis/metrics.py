@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from groundstation.analysis.acceptance import checks, went_all_the_way
+from groundstation.analysis.cause import cause
 from groundstation.analysis.results import Errors, FlightPart, PairResult, Quantiles, Result, RobotResult, Spread, Three
 from groundstation.analysis.series import (
     HOPS,
@@ -20,6 +21,7 @@ from groundstation.analysis.series import (
     TimelineEvent,
     active_limits,
 )
+from groundstation.analysis.timeline import faults, tags
 from groundstation.logs.reader import RunLog
 from wire.config.experiment import ArticleRow, Experiment
 from wire.frames import Array, pose_error, wrap_angle
@@ -68,16 +70,18 @@ def evaluate(series: Series, log: RunLog) -> Result:
         slack_m=_most(r.states.slack_m[rows] for r, rows in zip(each, flying, strict=True)),
         board_loss=_most(r.states.board_loss[rows] for r, rows in zip(each, flying, strict=True)),
         messages_lost={kind: sum(r.lost.get(kind, 0) for r in each) for kind in next(iter(each)).lost},
-        faults=tuple(h for h in series.timeline_events if h.fault and _in_flight(h, series)),
+        faults=faults([h for h in series.timeline_events if _in_flight(h, series)]),
         asked_s=round(series.asked_s, 6),
         log_trouble=log.trouble,
         version=log.metadata.get("version", "unknown"),
         commit=log.metadata.get("commit", "unknown"),
+        tags=tags(series.timeline_events),
         flight=series.flight,
         flights=tuple(_part(flight, series.start_ns) for flight in series.flights),
     )
     judged = tuple(checks(result, series))
-    return dataclasses.replace(result, checks=judged, passed=all(check.passed for check in judged))
+    result = dataclasses.replace(result, checks=judged, passed=all(check.passed for check in judged))
+    return dataclasses.replace(result, cause=cause(result, series))
 
 
 def _in_flight(happening: TimelineEvent, series: Series) -> bool:
@@ -282,9 +286,6 @@ def _of_the_flight(series: Series) -> Iterator[str]:
         yield f"The run is not complete: the fleet was sent home after {series.sent_home_s:.1f} s of {planned_s:g} s."
     elif not went_all_the_way(series):
         yield f"The run is not complete: {series.reached_s:.1f} s of {series.asked_s:g} s were flown by the slowest robot."
-        first = next((h for h in series.timeline_events if h.fault and _in_flight(h, series)), None)
-        if first is not None:
-            yield f"The first fault was at {first.time_s:.1f} s, {first.source}: {first.text}."
     elif series.asked_s < planned_s - series.experiment.controller.period_s:
         yield f"The path was over after {series.asked_s:.1f} s, before the {planned_s:g} s of the experiment."
 

@@ -75,11 +75,24 @@ class Spread:
 class Check:
     """One requirement: what, where it was worst, the value there, and the limit."""
 
-    name: str
+    name: str  # of the experiment's limit, where it is one
     where: str
     value: float | None
     limit: float
     passed: bool
+    unit: str = ""  # m, rad, s, ms, fraction; empty for a number of things
+    at_least: bool = False  # the limit is the least that is allowed
+
+
+@dataclass(frozen=True)
+class Cause:
+    """The cause of a failure, as far as the log shows it."""
+
+    text: str
+    time_s: float | None  # None for what only the whole run shows
+    noticed_by: str
+    injected: str  # what the simulator had broken before, with its time; empty for nothing
+    outcome: str  # what became of the run
 
 
 @dataclass(frozen=True)
@@ -134,6 +147,13 @@ class Result:
     evaluated_by: str = "unknown"  # the commit of the code that wrote this
     flight: int = 0  # which of the flights is judged, from 1; 0: nothing flew
     flights: tuple[FlightPart, ...] = ()  # all of the log
+    tags: tuple[str, ...] = ()  # #words of the remarks that were made while it was flown
+    cause: Cause | None = None  # of the failure; None if the run passed
+
+    @property
+    def is_whole(self) -> bool:
+        """True if the flight went all its way: only then its figures stand beside those of other whole runs."""
+        return all(check.passed for check in self.checks if check.name == "whole run flown")
 
     def to_json(self) -> str:
         """As result.json."""

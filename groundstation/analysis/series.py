@@ -75,12 +75,19 @@ class RobotSeries:
 
 @dataclass(frozen=True)
 class TimelineEvent:
-    """Something that happened, for people; `fault` if it should not have."""
+    """An event for people; `fault` if it should not have been."""
 
     time_s: float
     source: str
     text: str
     fault: bool
+    times: int = 1  # how often it came, one after the other
+    until_s: float | None = None  # the last of several
+
+    @property
+    def last_s(self) -> float:
+        """Time at which it came last."""
+        return self.time_s if self.until_s is None else self.until_s
 
 
 @dataclass(frozen=True)

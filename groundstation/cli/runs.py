@@ -35,22 +35,24 @@ def report(
     flight: Annotated[int | None, typer.Option(min=1, help="Of several flights in one log: which. Default: the last.")] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Write result.json and report.html of a run again, from its log.
+    """Write result.json and report.html of a run again, from its log, and print what they say.
 
-    What is wrong with the log as a whole (none, empty, cut off, gaps) is the first line. Exit code 0 if the run passed, 1 if
+    What is wrong with the log as a whole (none, empty, cut off, gaps) is the first line; then the cause of a failure, and the
+    errors of each robot. Exit code 0 if the run passed, 1 if
     it did not or its log is not whole.
 
     Example:  groundstation log report runs/pool-20260101-120000 --pdf figures
     """
     from groundstation.report import report as reporting
+    from groundstation.report import terminal
 
     result = reporting.write_report(run_folder, flight)
     figures = reporting.write_figures(run_folder, pdf, flight) if pdf is not None else []
     if as_json:
         typer.echo(result.to_json(), nl=False)
         raise typer.Exit(0 if result.passed else 1)
-    if result.log_trouble:
-        typer.echo(result.log_trouble)
+    for line in terminal.lines(result):
+        typer.echo(line)
     typer.echo(f"report: {run_folder / 'report.html'} ({'passed' if result.passed else 'failed'})")
     for path in figures:
         typer.echo(path)
@@ -95,14 +97,14 @@ def compare(
         return
     console = Console()
     for title, rows in (
-        ("figures", [(f"{row.name} [{row.unit}]" if row.unit else row.name, *row.values) for row in metric_rows(read)]),
+        ("figures", [(f"{row.name} [{row.unit}]" if row.unit else row.name, *row.cells) for row in metric_rows(read)]),
         ("what was different", [(key, *values) for key, values in differences(read)]),
     ):
         table = Table(title=title)
         for column in ("", *names):
             table.add_column(column, overflow="fold")
         for row in rows:
-            table.add_row(*(f"{v:.4g}" if isinstance(v, float) else "–" if v is None else escape(str(v)) for v in row))
+            table.add_row(*map(escape, row))
         console.print(table)
     console.print(f"page: {out}", soft_wrap=True)
 

@@ -144,8 +144,11 @@ class RequestTracker:
         """Outcome of a request; None if the number is not known, or no longer."""
         return next((outcome for outcome in self.recent if outcome.request == number), None)
 
-    def follow(self, mission: Mission, fleet: Fleet, tuning: GainStatus, results: Sequence[CommandResult]) -> None:
-        """Update all outcomes; called once a cycle, after the mission's step."""
+    def follow(
+        self, mission: Mission, fleet: Fleet, tuning: GainStatus, results: Sequence[CommandResult]
+    ) -> tuple[Outcome, ...]:
+        """Update all outcomes; called once a cycle, after the mission's step. Returns those that have ended in it."""
+        ended = []
         for request in tuple(self._open):
             _take_refusals(request, results)
             progress, reason, waiting = (
@@ -155,8 +158,10 @@ class RequestTracker:
             )
             if progress is not Progress.UNDER_WAY:
                 self._open.remove(request)
+                ended.append(request.number)
             why = {robot: _reason(fleet[robot], request.refusals.get(robot, "")) for robot in waiting}
             self._record(request, mission, progress, reason, why, self._concerned(request, mission))
+        return tuple(outcome for outcome in self.recent if outcome.request in ended)
 
     def _concerned(self, request: _Request, mission: Mission) -> tuple[int, ...]:
         all_robots = request.order in TUNING or GOALS[request.order].all_robots
@@ -203,6 +208,14 @@ class RequestTracker:
         kept = [known for known in self._outcomes if known.request != request.number]
         self._outcomes = deque([*kept, outcome], KEPT)
         self.recent = tuple(sorted(self._outcomes, key=lambda outcome: outcome.request))
+
+
+def in_words(outcome: Outcome) -> str:
+    """The end of a request: the robots that have confirmed it, or the reason of its failure."""
+    if outcome.progress is Progress.FAILED:
+        return f"failed{f': {outcome.reason}' if outcome.reason else ''}"
+    by = f"confirmed by {', '.join(map(str, outcome.confirmed))}" if outcome.confirmed else "done"
+    return f"{by}: {outcome.reason}" if outcome.reason else by
 
 
 def _take_refusals(request: _Request, results: Sequence[CommandResult]) -> None:

@@ -9,6 +9,8 @@ from enum import Enum
 
 from wire.messages.messages import Order
 
+READY = "fleet ready"  # WAITING, with nothing left to wait for
+
 
 class MissionState(Enum):
     """State of the mission. Names go into heartbeat and log; values are for people."""

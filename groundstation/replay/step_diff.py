@@ -11,7 +11,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from groundstation.palette import COLOURS
-from groundstation.report.plotting import Curve, Panel, stack
+from groundstation.report.drawing import Curve, Panel, TimePlot
+from groundstation.report.plotting import picture
 from wire.frames import Array, wrap_angle
 from wire.messages import topics
 from wire.messages.codec import decode
@@ -127,7 +128,7 @@ def draw(again: StepComparison) -> Figure | None:
         Panel("surge est. [m/s]", lines("nu", 0)),
         Panel("disturbance, surge [m/s²]", lines("disturbance", 0)),
     ]
-    return stack(panels) if len(again.time_s) else None
+    return picture(TimePlot(panels)) if len(again.time_s) else None
 
 
 def _start_ns(stamps: Sequence[int], states: Sequence[RobotState]) -> int:

@@ -11,7 +11,8 @@ from matplotlib.figure import Figure
 from scipy.stats import t as student
 
 from groundstation.palette import COLOURS, colour
-from groundstation.report.plotting import BOTTOM_IN, GREY, RIGHT_IN, STYLE, WIDTH_IN, Curve, Panel, stack
+from groundstation.report.drawing import Curve, Panel, TimePlot
+from groundstation.report.plotting import BOTTOM_IN, GREY, RIGHT_IN, STYLE, WIDTH_IN, picture
 from wire.config.controller_benchmark import SETTLED_S, Comparison, Traces, Variant
 
 CONFIDENCE = 0.95
@@ -211,7 +212,7 @@ def wanted(comparison: Comparison) -> Figure | None:
             Curve("applied", time_s, np.array(traces.applied_n[most]), COLOURS[0]),
         ]
         panels.append(Panel(f"{variant.name} [N]", lines, limit=comparison.surge_limit_n, unit="N"))
-    return stack(panels, height_in=1.0)
+    return picture(TimePlot(panels, height_in=1.0))
 
 
 def _traced(comparison: Comparison) -> list[tuple[Variant, Traces]]:

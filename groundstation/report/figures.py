@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from matplotlib.figure import Figure
 
 from groundstation.analysis.series import Series
+from groundstation.report.drawing import BarPlot, TimePlot
 from groundstation.report.figures_control import disturbance, frame_times, input_steps, inputs, latency, pulses, step_times
 from groundstation.report.figures_errors import formation_errors, pose_error, separation, tracking_errors, yaw
 from groundstation.report.figures_paths import paths, references, space
@@ -23,14 +24,14 @@ class Kind:
     name: str
     title: str
     caption: str
-    draw: Callable[[Series], Figure | None]
+    draw: Callable[[Series], TimePlot | BarPlot | Figure | None]
 
 
 FIGURES = (
     Kind(
         "timeline",
         "Modes and faults",
-        "What each robot was doing. Triangles: a fault was noticed (in words below). Crosses: made or over, in simulation.",
+        "What each robot was doing. Faults as they were noticed, and as the simulator injected them.",
         timeline,
     ),
     Kind(

@@ -1,26 +1,26 @@
 """The report's figures of what the controllers asked for, estimated, and how long it took them. Pure."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from groundstation.analysis.series import THRUSTERS, RobotSeries, Series
 from groundstation.palette import colour
-from groundstation.report.plotting import LIGHT, Curve, Panel, stack, time_and_histogram
+from groundstation.report.drawing import Curve, Panel, TimePlot
 from wire.frames import Array
 
 MOST_PULSE_PANELS = 6
 
 
-def inputs(series: Series) -> Figure | None:
+def inputs(series: Series) -> TimePlot:
     """Inputs that the controllers commanded; for a law without limits, dotted the input before saturation."""
     bounds = series.experiment.vehicle.limits.wrench
     wanted = None if series.experiment.controller.law == "eso-mpc" else lambda r: r.states.wrench_wanted
     return _wrench(series, lambda r: r.states.wrench, bounds, "", wanted)
 
 
-def input_steps(series: Series) -> Figure | None:
+def input_steps(series: Series) -> TimePlot:
     """Change of the input in each control step: chatter is wear."""
     bounds = series.experiment.wrench_step
     return _wrench(series, lambda r: r.states.wrench_step, bounds, "step of ")
@@ -32,7 +32,7 @@ def _wrench(
     bounds: tuple[float, ...],
     prefix: str,
     dotted: Callable[[RobotSeries], Array] | None = None,
-) -> Figure | None:
+) -> TimePlot:
     def lines(axis: int) -> list[Curve]:
         each = list(enumerate(series.robots.items()))
         under = [(dotted, ", wanted", ":")] if dotted is not None else []
@@ -51,7 +51,7 @@ def _wrench(
         )
         for axis, (name, unit) in enumerate((("surge", "N"), ("heave", "N"), ("yaw", "N m")))
     ]
-    return stack(panels)
+    return TimePlot(panels)
 
 
 def flown(series: Series, r: RobotSeries, label: str, values: Array, index: int, style: str = "-") -> Curve:
@@ -61,7 +61,7 @@ def flown(series: Series, r: RobotSeries, label: str, values: Array, index: int,
     return Curve(label, r.states.time_s[inside], shown[inside], colour(index), style)
 
 
-def pulses(series: Series) -> Figure | None:
+def pulses(series: Series) -> TimePlot:
     """Pulses to the thrusters, one plot per robot; the grey band is the dead zone."""
     curve = np.array(series.experiment.vehicle.thruster.curve)
     dead = curve[curve[:, 1] == 0.0, 0]
@@ -72,17 +72,14 @@ def pulses(series: Series) -> Figure | None:
             f"robot {robot} [µs]",
             [flown(series, r, names[k], r.states.pulse_us[:, k], k) for k in range(THRUSTERS)],
             least=100.0,
+            band=(float(dead.min()), float(dead.max())),
         )
         for robot, r in list(series.robots.items())[:MOST_PULSE_PANELS]
     ]
-    figure = stack(panels)
-    if figure is not None:
-        for axes in figure.axes:
-            axes.axhspan(float(dead.min()), float(dead.max()), color=LIGHT, alpha=0.6, linewidth=0.0, zorder=0)
-    return figure
+    return TimePlot(panels)
 
 
-def disturbance(series: Series) -> Figure | None:
+def disturbance(series: Series) -> TimePlot:
     """Estimated disturbance against the true one."""
     panels = []
     for axis, (name, unit) in enumerate((("surge", "m/s²"), ("sway", "m/s²"), ("heave", "m/s²"), ("yaw", "rad/s²"))):
@@ -91,30 +88,36 @@ def disturbance(series: Series) -> Figure | None:
             lines.append(flown(series, r, f"robot {robot}, true", r.disturbance_at_states[:, axis], i, ":"))
             lines.append(flown(series, r, f"robot {robot}, estimated", r.states.disturbance[:, axis], i))
         panels.append(Panel(f"{name} [{unit}]", [line for line in lines if np.isfinite(line.values).any()]))
-    return stack(panels, height_in=1.2)
+    return TimePlot(panels, height_in=1.2)
 
 
-def step_times(series: Series) -> Figure | None:
+def step_times(series: Series) -> TimePlot:
     """Duration of the control steps on the robot."""
     lines = []
     for i, (robot, r) in enumerate(series.robots.items()):
         lines.append(flown(series, r, f"robot {robot}", np.where(r.states.step_us > 0.0, r.states.step_us, np.nan), i))
     budget_us = 0.5e6 * series.experiment.controller.period_s
-    return time_and_histogram("control step [µs]", lines, budget_us, "budget: half a period")
+    return _dots("control step [µs]", lines, budget_us, "µs, half a period")
 
 
-def latency(series: Series) -> Figure | None:
+def latency(series: Series) -> TimePlot:
     """From the middle of an exposure to the PWM that answers it."""
     lines = []
     for i, (robot, r) in enumerate(series.robots.items()):
         known = np.where(r.states.exposure_to_pwm_ms > 0.0, r.states.exposure_to_pwm_ms, np.nan)
         lines.append(flown(series, r, f"robot {robot}", known, i))
     limit = series.experiment.limits.exposure_to_pwm_p99_ms
-    return time_and_histogram("exposure to PWM [ms]", lines, limit, "limit of p99")
+    return _dots("exposure to PWM [ms]", lines, limit, "ms for p99")
 
 
-def frame_times(series: Series) -> Figure | None:
+def frame_times(series: Series) -> TimePlot:
     """Time that the localizer needed for a frame."""
     inside = (series.frame_ms[:, 0] >= 0.0) & (series.frame_ms[:, 0] <= series.end_s)
     time_s, took_ms = series.frame_ms[inside].T
-    return time_and_histogram("frame [ms]", [Curve("localizer", time_s, took_ms, colour(0))])
+    return _dots("frame [ms]", [Curve("localizer", time_s, took_ms, colour(0))])
+
+
+def _dots(label: str, lines: Sequence[Curve], limit: float | None = None, unit: str = "") -> TimePlot:
+    """Single values over time; on paper with their distribution."""
+    dots = [replace(line, style=".") for line in lines]
+    return TimePlot([Panel(label, dots, limit=limit, unit=unit)], height_in=2.2, histogram=True)

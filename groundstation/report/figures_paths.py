@@ -34,11 +34,11 @@ def references(series: Series) -> Figure | None:
                 x, y, _, yaw_rad = known[robot].T
                 above.plot(x, y, "--", color=colour(index), label=f"reference {robot}")
                 above.plot(x[0], y[0], marker="*", color=colour(index), markersize=9, linestyle="")
-                heading.plot(series.time_s, yaw_rad, "--", color=colour(index))
+                heading.plot(series.time_s, np.degrees(yaw_rad), "--", color=colour(index))
         above.set(xlabel="x [m]", ylabel="y [m], downwards")
         above.set_aspect("equal", adjustable="datalim")
         above.invert_yaxis()
-        heading.set(xlabel="time since the start [s]", ylabel="heading [rad]")
+        heading.set(xlabel="time since the start [s]", ylabel="heading [deg]")
         heading.yaxis.set_label_coords(-0.14, 0.5)
         legend(figure, above)
     return figure

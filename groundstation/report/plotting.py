@@ -6,9 +6,6 @@ alone (references are dashed, truth is dotted, limits are grey).
 
 import io
 import re
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any
 
 import matplotlib as mpl
@@ -16,15 +13,16 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from wire.frames import Array
+from groundstation.report.drawing import BarPlot, Panel, TimePlot, thin
 
 GREY, LIGHT = "#767676", "#D9D9D9"
 WIDTH_IN = 7.2
 # Fixed margins: every figure's axis begins at the same place, and no layout engine has to draw everything twice to find out.
 LEFT_IN, RIGHT_IN, TOP_IN, BOTTOM_IN, GAP_IN = 0.85, 0.12, 0.34, 0.48, 0.20
-MOST_POINTS = 3000  # of a line; beyond that only what can be seen at all is kept
 MOST_LABELS = 8
-SHOW_LIMIT_FROM = 0.4  # of the limit: below it the limit is told in words, so that the curve is not squashed
+ROW_IN = 0.22  # of a bar plot
+LABELS_TO = 0.2  # of the figure's width: where the names of the rows end
+TIME_LABEL = "time since the start [s]"
 
 STYLE: Any = {  # Any: matplotlib types its keys as one literal of hundreds of names
     "svg.fonttype": "none",  # text stays text: small, sharp, searchable
@@ -53,51 +51,37 @@ STYLE: Any = {  # Any: matplotlib types its keys as one literal of hundreds of n
 }
 
 
-@dataclass(frozen=True, eq=False)
-class Curve:
-    """One curve over time."""
-
-    label: str
-    time_s: Array
-    values: Array
-    colour: str
-    style: str = "-"
-
-
-@dataclass(frozen=True, eq=False)
-class Panel:
-    """One plot over time: its axis label with unit, its curves, the least range of values worth showing (noise at the last
-    bit must not fill the plot), and a limit to compare with (drawn at both signs)."""
-
-    label: str
-    lines: Sequence[Curve]
-    least: float = 0.01
-    limit: float | None = None
-    unit: str = ""
-
-
-def stack(panels: Sequence[Panel], mark_s: float | None = None, height_in: float = 1.35) -> Figure | None:
-    """Plots over one time axis, one above the other; None if there is not a single value to plot."""
-    if not any(np.isfinite(line.values).any() for panel in panels for line in panel.lines):
+def picture(drawing: TimePlot | BarPlot | Figure | None) -> Figure | None:
+    """A drawing as a figure on paper; None if there is nothing to plot."""
+    if drawing is None or isinstance(drawing, Figure):
+        return drawing
+    if isinstance(drawing, TimePlot) and drawing.is_empty:
         return None
     with mpl.rc_context(STYLE):
-        gaps_in = GAP_IN * (len(panels) - 1)
-        figure = Figure(figsize=(WIDTH_IN, TOP_IN + BOTTOM_IN + gaps_in + height_in * len(panels)))
-        grid = figure.subplots(len(panels), 1, sharex=True, squeeze=False, gridspec_kw={"hspace": GAP_IN / height_in})
-        place(figure)
-        for axes, panel in zip(grid[:, 0], panels, strict=True):
-            for line in panel.lines:
-                axes.plot(*thin(line.time_s, line.values), line.style, color=line.colour, label=line.label, alpha=0.85)
-            axes.set_ylabel(panel.label)
-            _limit(axes, panel)
-            low, high = axes.get_ylim()
-            if high - low < panel.least:
-                axes.set_ylim((low + high - panel.least) / 2.0, (low + high + panel.least) / 2.0)
-            if mark_s is not None and axes.get_xlim()[1] > mark_s:
-                axes.axvline(mark_s, color=GREY, linewidth=0.7, linestyle=(0, (1, 2)))
-            axes.margins(x=0.01)
-        grid[-1, 0].set_xlabel("time since the start [s]")
-        legend(figure, grid[0, 0])
+        if isinstance(drawing, BarPlot):
+            return _bars(drawing)
+        return _time_and_histogram(drawing) if drawing.histogram else _stack(drawing)
+
+
+def _stack(plot: TimePlot) -> Figure:
+    gaps_in = GAP_IN * (len(plot.panels) - 1)
+    figure = Figure(figsize=(WIDTH_IN, TOP_IN + BOTTOM_IN + gaps_in + plot.height_in * len(plot.panels)))
+    gap = {"hspace": GAP_IN / plot.height_in}
+    grid = figure.subplots(len(plot.panels), 1, sharex=True, squeeze=False, gridspec_kw=gap)
+    place(figure)
+    for axes, panel in zip(grid[:, 0], plot.panels, strict=True):
+        for line in panel.lines:
+            axes.plot(*thin(line.time_s, line.values), line.style, color=line.colour, label=line.label, alpha=0.85)
+        axes.set_ylabel(panel.label)
+        _compare(axes, panel)
+        low, high = axes.get_ylim()
+        if high - low < panel.least:
+            axes.set_ylim((low + high - panel.least) / 2.0, (low + high + panel.least) / 2.0)
+        if plot.mark_s is not None and axes.get_xlim()[1] > plot.mark_s:
+            axes.axvline(plot.mark_s, color=GREY, linewidth=0.7, linestyle=(0, (1, 2)))
+        axes.margins(x=0.01)
+    grid[-1, 0].set_xlabel(TIME_LABEL)
+    legend(figure, grid[0, 0])
     return figure
 
 
@@ -125,66 +109,67 @@ def legend(figure: Figure, axes: Axes) -> None:
         )
 
 
-def _limit(axes: Axes, panel: Panel) -> None:
-    if panel.limit is None:
-        return
-    largest = max((float(np.nanmax(np.abs(line.values), initial=0.0)) for line in panel.lines), default=0.0)
-    if largest >= SHOW_LIMIT_FROM * panel.limit:
+def _compare(axes: Axes, panel: Panel) -> None:
+    """Draw the limits, the floor and the band that a panel's curves are compared with."""
+    if panel.reaches_limit and panel.limit is not None:
         for sign in (1.0, -1.0):
             axes.axhline(sign * panel.limit, color=GREY, linewidth=0.8, linestyle="--")
-    else:
+    elif panel.limit is not None:
         axes.set_title(f"limit ±{panel.limit:g} {panel.unit}", loc="right", fontsize=8.0, color=GREY, pad=2.0)
+    if panel.band is not None:
+        axes.axhspan(*panel.band, color=LIGHT, alpha=0.6, linewidth=0.0, zorder=0)
+    if panel.floor is not None:
+        axes.axhline(panel.floor, color=GREY, linewidth=0.8, linestyle="--")
+        axes.set_ylim(bottom=0.0)
 
 
-def time_and_histogram(
-    label: str, lines: Iterable[Curve], limit: float | None = None, limit_label: str = "", height_in: float = 2.2
-) -> Figure | None:
-    """Dots over time beside how often each value occurs; None without values."""
-    lines = [line for line in lines if np.isfinite(line.values).any()]
-    if not lines:
-        return None
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(WIDTH_IN, TOP_IN + BOTTOM_IN + height_in))
-        left, right = figure.subplots(1, 2, width_ratios=(3, 1), sharey=True, gridspec_kw={"wspace": 0.06})
-        place(figure)
-        for line in lines:
-            # thousands of dots: as a picture inside the SVG
-            left.plot(
-                line.time_s, line.values, ".", color=line.colour, markersize=2.0, alpha=0.6, rasterized=True, label=line.label
-            )
-        everything = np.concatenate([line.values[np.isfinite(line.values)] for line in lines])
-        edges = np.histogram_bin_edges(everything, bins=min(40, max(10, int(np.sqrt(everything.size)))))
-        for line in lines:
-            right.hist(line.values[np.isfinite(line.values)], edges, orientation="horizontal", color=line.colour, alpha=0.55)
-        if limit is not None and float(everything.max()) >= SHOW_LIMIT_FROM * limit:
-            for axes in (left, right):
-                axes.axhline(limit, color=GREY, linewidth=0.8, linestyle="--")
-            left.text(
-                0.01, limit, f" {limit_label}", transform=left.get_yaxis_transform(), va="bottom", fontsize=8.0, color=GREY
-            )
-        left.set_ylim(bottom=0.0)
-        left.margins(x=0.01)
-        left.set(ylabel=label, xlabel="time since the start [s]")
-        right.set(xlabel="how often")
-        right.locator_params(axis="x", nbins=3)
-        legend(figure, left)
+def _time_and_histogram(plot: TimePlot) -> Figure:
+    """Dots over time beside how often each value occurs."""
+    (panel,) = plot.panels
+    lines = [line for line in panel.lines if np.isfinite(line.values).any()]
+    figure = Figure(figsize=(WIDTH_IN, TOP_IN + BOTTOM_IN + plot.height_in))
+    left, right = figure.subplots(1, 2, width_ratios=(3, 1), sharey=True, gridspec_kw={"wspace": 0.06})
+    place(figure)
+    everything = np.concatenate([line.values[np.isfinite(line.values)] for line in lines])
+    edges = np.histogram_bin_edges(everything, bins=min(40, max(10, int(np.sqrt(everything.size)))))
+    for line in lines:
+        # thousands of dots: as a picture inside the file
+        dots = {"color": line.colour, "markersize": 2.0, "alpha": 0.6, "rasterized": True, "label": line.label}
+        left.plot(line.time_s, line.values, ".", **dots)
+        right.hist(line.values[np.isfinite(line.values)], edges, orientation="horizontal", color=line.colour, alpha=0.55)
+    for axes in (left, right):
+        if panel.reaches_limit and panel.limit is not None:
+            axes.axhline(panel.limit, color=GREY, linewidth=0.8, linestyle="--")
+    left.set_ylim(bottom=0.0)
+    left.margins(x=0.01)
+    left.set(ylabel=panel.label, xlabel=TIME_LABEL)
+    right.set(xlabel="how often")
+    right.locator_params(axis="x", nbins=3)
+    legend(figure, left)
     return figure
 
 
-def thin(time_s: Array, values: Array) -> tuple[Array, Array]:
-    """A curve with no more points than can be seen: of each stretch only its lowest and its highest, in order."""
-    stretches = MOST_POINTS // 2
-    if len(values) <= 2 * stretches:
-        return time_s, values
-    edges = np.linspace(0, len(values), stretches + 1).astype(int)
-    kept: list[int] = []
-    for first, last in pairwise(edges.tolist()):
-        part = values[first:last]
-        if np.isfinite(part).any():
-            kept += sorted({first + int(np.nanargmin(part)), first + int(np.nanargmax(part))})
-        else:
-            kept.append(first)  # keeps the gap a gap
-    return time_s[kept], values[kept]
+def _bars(plot: BarPlot) -> Figure:
+    """One axis of time with a named row for each."""
+    names = [*(name for name, _ in plot.rows), *(["faults"] if plot.marks else [])]
+    figure = Figure(figsize=(WIDTH_IN, TOP_IN + BOTTOM_IN + ROW_IN * (len(names) + 1)))
+    axes = figure.subplots()
+    place(figure)
+    figure.subplots_adjust(left=LABELS_TO)
+    axes.set_yticks(range(len(names)), names)
+    axes.set_ylim(len(names) - 0.5, -0.5)
+    axes.grid(visible=False, axis="y")
+    axes.tick_params(axis="y", length=0.0, labelcolor=GREY)
+    axes.set_xlabel(TIME_LABEL)
+    for row, (_, bars) in enumerate(plot.rows):
+        for bar in bars:
+            axes.broken_barh([(bar.begin_s, bar.length_s)], (row - 0.38, 0.76), color=bar.colour, label=bar.label or None)
+    for sign, meaning, times in plot.marks:
+        axes.plot(times, [len(plot.rows)] * len(times), sign, color="black", markersize=5, linestyle="", label=meaning)
+    axes.set_xlim(plot.begin_s, plot.end_s)
+    with mpl.rc_context({"legend.markerscale": 1.0}):
+        legend(figure, axes)
+    return figure
 
 
 def to_svg(figure: Figure, name: str) -> str:

@@ -1,9 +1,13 @@
 """SHELL: from a run's folder to result.json and one self-contained report.html; runs side by side; figures for a paper."""
 
+import json
 import tempfile
+from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from importlib import resources
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -11,32 +15,39 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from groundstation.analysis.alignment import align
+from groundstation.analysis.cause import title
 from groundstation.analysis.metrics import evaluate
-from groundstation.analysis.results import Errors, Result
+from groundstation.analysis.numbers import deg, mm, three, with_unit
+from groundstation.analysis.results import Result
 from groundstation.analysis.series import Series, TimelineEvent
+from groundstation.analysis.timeline import is_injection
 from groundstation.logs.reader import RunLog, read_log
 from groundstation.logs.repair import recover
-from groundstation.report.figures import FIGURES
-from groundstation.report.plotting import to_svg
-from groundstation.report.run_comparison import ComparedRun, differences, drawn, metric_rows
-from wire.config.experiment import ArticleRow, Experiment, load_experiment
+from groundstation.report.drawing import TimePlot, embedded
+from groundstation.report.figures import FIGURES, Kind
+from groundstation.report.plotting import picture, to_svg
+from groundstation.report.report_tables import tables
+from groundstation.report.run_comparison import ComparedRun, differences, metric_rows, plots
+from wire.config.experiment import Experiment, load_experiment
 from wire.process.output_files import replace_text, replacing
 from wire.process.runtime import log
 from wire.process.version import code
 from wire.toml_loader import ConfigError
 
 MOST_HAPPENINGS = 400
-NOTHING = "–"
+TOGETHER_S = 0.15  # robots that do the same within this time are one line
 ERRORS_AGAINST = {"truth": "the plant's truth", "localizer": "the localizer's poses"}
+TEMPLATES = resources.files("groundstation.report") / "templates"
 
 
 @dataclass(frozen=True)
 class Drawn:
-    """A figure in the report; no SVG if the run has nothing to draw."""
+    """A figure in the report: a plot's data for plots.js, or a picture."""
 
     name: str
     title: str
     caption: str
+    plot: Markup | None
     svg: Markup | None
 
 
@@ -65,9 +76,10 @@ def evaluated(run_dir: Path, flight: int | None = None) -> tuple[Series, RunLog,
 
 def write_comparison(runs: Sequence[ComparedRun], path: Path) -> None:
     """One self-contained page with all runs side by side."""
-    figures = [(title, caption, _svg(figure, f"compare-{title}")) for title, caption, figure in drawn(runs)]
+    shown = [(title, caption, _json(embedded(plot))) for title, caption, plot in plots(runs)]
     page = environment().get_template("side_by_side.html")
-    replace_text(path, page.render(runs=runs, rows=metric_rows(runs), differences=differences(runs), drawn=figures))
+    rows = metric_rows(runs)
+    replace_text(path, page.render(runs=runs, rows=rows, differences=differences(runs), plots=shown, **_live()))
 
 
 def write_figures(run_dir: Path, folder: Path, flight: int | None = None) -> list[Path]:
@@ -76,7 +88,7 @@ def write_figures(run_dir: Path, folder: Path, flight: int | None = None) -> lis
     folder.mkdir(parents=True, exist_ok=True)
     written = []
     for kind in FIGURES:
-        figure = kind.draw(series)
+        figure = picture(kind.draw(series))
         if figure is not None:
             written.append(folder / f"{kind.name}.pdf")
             write_pdf(figure, written[-1])
@@ -91,7 +103,11 @@ def write_pdf(figure: Figure, path: Path) -> None:
 
 def render(series: Series, recorded: RunLog, result: Result) -> str:
     """The report as HTML."""
-    shown = _most_telling(series.timeline_events)
+    events = _together(series.timeline_events)
+    shown = _most_telling(events)
+    figures = [_draw(kind, series) for kind in FIGURES]
+    timings = {"control step [µs]": result.control_step_us, "exposure to PWM [ms]": result.exposure_to_pwm_ms}
+    timings |= {f"of it: {hop} [ms]": found for hop, found in result.latency_hops_ms.items()}
     return (
         environment()
         .get_template("report.html")
@@ -100,13 +116,14 @@ def render(series: Series, recorded: RunLog, result: Result) -> str:
             result=result,
             errors_against=ERRORS_AGAINST.get(result.errors_against or ""),
             facts=_facts(recorded, result),
-            rows=_rows(result),
-            article_axes=_article_axes(series.experiment),
-            timings=[("control step [µs]", result.control_step_us), ("exposure to PWM [ms]", result.exposure_to_pwm_ms)]
-            + [(f"of it: {hop} [ms]", found) for hop, found in result.latency_hops_ms.items()],
-            figures=[_draw(series, index) for index in range(len(FIGURES))],
+            tables=tables(result),
+            timings=[(name, found) for name, found in timings.items() if found],
+            figures=[figure for figure in figures if figure.plot or figure.svg],
+            absent=[figure.title for figure in figures if not figure.plot and not figure.svg],
+            marks=_json([{"time": e.time_s, "fault": e.fault} for e in shown if e.fault or is_injection(e)]),
             timeline_events=shown,
-            omitted=len(series.timeline_events) - len(shown),
+            omitted=len(events) - len(shown),
+            **_live(),
         )
     )
 
@@ -120,9 +137,19 @@ def environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    found.filters.update(fixed=_fixed, figure=_figure)
-    found.globals.update(compared=_compared, article_cell=_article_cell, article_yaw=_article_yaw)
+    found.globals.update(three=three, mm=mm, deg=deg, with_unit=with_unit, title_of=title)
     return found
+
+
+def _live() -> dict[str, Markup]:
+    """The scripts and the style of live plots, as every page carries them."""
+    scripts = "\n".join((TEMPLATES / name).read_text(encoding="utf-8") for name in ("uplot.min.js", "plots.js"))
+    return {"scripts": Markup(scripts), "plot_style": Markup((TEMPLATES / "uplot.min.css").read_text(encoding="utf-8"))}
+
+
+def _json(data: Any) -> Markup:
+    """Data within a script element, which no text in it can end."""
+    return Markup(json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c"))
 
 
 def _read(path: Path, mend: bool) -> RunLog:
@@ -154,14 +181,14 @@ def _experiment(run_dir: Path, recorded: RunLog, put_back: bool) -> Experiment:
     return experiment
 
 
-def _draw(series: Series, index: int) -> Drawn:
-    kind = FIGURES[index]
-    return Drawn(kind.name, kind.title, kind.caption, _svg(kind.draw(series), kind.name))
-
-
-def _svg(figure: Figure | None, name: str) -> Markup | None:
-    """Our own figure, with texts that matplotlib has escaped."""
-    return Markup(to_svg(figure, name)) if figure is not None else None
+def _draw(kind: Kind, series: Series) -> Drawn:
+    found = kind.draw(series)
+    if found is None or isinstance(found, Figure):
+        # our own picture, with texts that matplotlib has escaped
+        svg = Markup(to_svg(found, kind.name)) if found is not None else None
+        return Drawn(kind.name, kind.title, kind.caption, None, svg)
+    empty = isinstance(found, TimePlot) and found.is_empty
+    return Drawn(kind.name, kind.title, kind.caption, None if empty else _json(embedded(found)), None)
 
 
 def _facts(recorded: RunLog, result: Result) -> list[tuple[str, str]]:
@@ -172,54 +199,40 @@ def _facts(recorded: RunLog, result: Result) -> list[tuple[str, str]]:
         ("mode", result.mode),
         ("evaluated", f"{result.duration_s:.1f} s of {result.planned_duration_s:g} s"),
         *([("flight", f"{result.flight} of {len(result.flights)}")] if len(result.flights) > 1 else []),
-        ("speed", f"{factor:.2f} × real time" if factor is not None else NOTHING),
+        ("speed", f"{three(factor)} × real time"),
         ("late control steps", f"{result.missed_deadlines} of {sum(r.control_steps for r in result.robots.values())}"),
         ("faults", str(len(result.faults))),
         ("version", result.version),
-        ("commit", result.commit),
+        ("commit", _short_commit(result.commit)),
         *((name, value) for name, value in sorted(recorded.metadata.items()) if name not in known),
-        ("experiment hash", result.experiment_hash),
+        *([("tags", " ".join(f"#{tag}" for tag in result.tags))] if result.tags else []),
+        ("experiment hash", result.experiment_hash[:12]),
     ]
 
 
-def _rows(result: Result) -> list[tuple[str, Errors]]:
-    return [
-        *((f"robot {robot}", found) for robot, found in result.robots.items()),
-        *((f"pair {pair}", found) for pair, found in result.pairs.items()),
-    ]
+def _short_commit(commit: str) -> str:
+    """A commit as git shortens it, and whether files were changed since."""
+    head, _, changed = commit.partition("+")
+    return head[:12] + (" + changed files" if changed else "")
 
 
-def _article_axes(experiment: Experiment) -> list[str]:
-    """Which columns the article's table has: x and y, sometimes z, sometimes yaw."""
-    width = max([2, *(len(row.rms_m) for row in experiment.article)])
-    yaw = any(row.rms_yaw_rad is not None for row in experiment.article)
-    return [*"xyz"[:width], *(["yaw"] if yaw else [])]
+def _together(events: Sequence[TimelineEvent]) -> Sequence[TimelineEvent]:
+    """Robots that do the same at the same time as one line."""
+    lines: list[TimelineEvent] = []
+    for event in events:
+        first_near = bisect_left(lines, event.time_s - TOGETHER_S, key=lambda line: line.time_s)
+        before = next((k for k in range(first_near, len(lines)) if _is_same(lines[k], event)), None)
+        if before is None:
+            lines.append(event)
+        else:
+            first = lines[before].source.removeprefix("robots ").removeprefix("robot ")
+            lines[before] = replace(lines[before], source=f"robots {first}, {event.source.removeprefix('robot ')}")
+    return lines
 
 
-def _article_cell(article: ArticleRow | None, axis: str) -> float | None:
-    if article is None:
-        return None
-    if axis == "yaw":
-        return article.rms_yaw_rad
-    index = "xyz".index(axis)
-    return article.rms_m[index] if index < len(article.rms_m) else None
-
-
-def _article_yaw(article: ArticleRow | None) -> tuple[float | None, ...]:
-    """The article's yaw where `_compared` looks for a fourth axis."""
-    return (None, None, None, article.rms_yaw_rad if article is not None else None)
-
-
-def _compared(values: Sequence[float | None] | None, axis: int, other: Sequence[float | None] | None) -> Markup:
-    """A table cell, marked where the article has a figure to compare with."""
-    value = values[axis] if values is not None and axis < len(values) else None
-    theirs = other[axis] if other is not None and axis < len(other) else None
-    classes, sign = ["first"] if axis == 0 else [], ""
-    if value is not None and theirs is not None:
-        better = value < theirs
-        classes.append("good" if better else "bad")
-        sign = "✓ " if better else "✗ "
-    return Markup('<td class="{}">{}{}</td>').format(" ".join(classes), sign, _fixed(value))
+def _is_same(line: TimelineEvent, event: TimelineEvent) -> bool:
+    robots = event.source.startswith("robot ") and line.source.startswith("robot")
+    return robots and line.text == event.text and line.times == event.times == 1
 
 
 def _most_telling(timeline_events: Sequence[TimelineEvent]) -> Sequence[TimelineEvent]:
@@ -228,15 +241,3 @@ def _most_telling(timeline_events: Sequence[TimelineEvent]) -> Sequence[Timeline
         return timeline_events
     kept = sorted(range(len(timeline_events)), key=lambda i: (not timeline_events[i].fault, i))[:MOST_HAPPENINGS]
     return [timeline_events[i] for i in sorted(kept)]
-
-
-def _fixed(value: float | None) -> str:
-    """Metres or radians, to the millimetre; what is below a centimetre, to 10 um."""
-    return NOTHING if value is None else f"{value:.3f}" if abs(value) >= 0.01 or value == 0.0 else f"{value:.5f}"
-
-
-def _figure(value: float | None) -> str:
-    """A figure of any size, to what can be read."""
-    if value is None:
-        return NOTHING
-    return f"{value:.4g}" if abs(value) >= 1.0 else f"{value:.3g}"

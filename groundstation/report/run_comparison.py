@@ -10,12 +10,12 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
+from groundstation.analysis.numbers import SHOWN_AS, three
 from groundstation.analysis.results import Errors, Result
 from groundstation.analysis.series import SETTLED_S, Series
 from groundstation.palette import colour
-from groundstation.report.plotting import Curve, Panel, stack
+from groundstation.report.drawing import Curve, Panel, TimePlot
 from wire.config.experiment import Experiment
 
 FLOWN_BY = ("(mode)", "(version)", "(commit)")  # no keys of an experiment, which have no brackets
@@ -43,6 +43,11 @@ class MetricRow:
     unit: str
     values: tuple[float | None, ...]
 
+    @property
+    def cells(self) -> list[str]:
+        """The values as text; numbers of things as they are."""
+        return [three(value) if self.unit or value is None else f"{value:g}" for value in self.values]
+
 
 def metric_rows(runs: Sequence[ComparedRun]) -> list[MetricRow]:
     """Figures by which runs are compared. Of errors the worst robot or pair and its worst axis counts."""
@@ -62,7 +67,12 @@ def metric_rows(runs: Sequence[ComparedRun]) -> list[MetricRow]:
         ("missed deadlines", "", lambda r: float(r.missed_deadlines)),
         ("faults", "", lambda r: float(len(r.faults))),
     ]
-    return [MetricRow(name, unit, tuple(figure(run.result) for run in runs)) for name, unit, figure in rows]
+    made = []
+    for name, unit, figure in rows:
+        shown, factor = SHOWN_AS.get(unit, (unit, 1.0))
+        found = [figure(run.result) for run in runs]
+        made.append(MetricRow(name, shown, tuple(None if value is None else factor * value for value in found)))
+    return made
 
 
 def _worst(errors: Sequence[Errors] | Any, key: str) -> float | None:
@@ -93,21 +103,20 @@ def _flat(value: Any, prefix: str = "") -> dict[str, Any]:
     return {key: found for part in parts for key, found in part.items()}
 
 
-def drawn(runs: Sequence[ComparedRun]) -> list[tuple[str, str, Figure | None]]:
-    """Title, caption and figure: errors over time, run over run, of robots and pairs that several runs have."""
+def plots(runs: Sequence[ComparedRun]) -> list[tuple[str, str, TimePlot]]:
+    """Title, caption and plot: errors over time, run over run, of robots and pairs that several runs have."""
     robots = _shared([set(run.series.robots) for run in runs])
     pairs = _shared([set(combinations(run.series.robots, 2)) for run in runs])
-    tracking = [Panel(f"robot {r} [m]", _lines(runs, (r,)), least=0.005) for r in robots]
-    pair = [Panel(f"{a}–{b} [m]", _lines(runs, (a, b)), least=0.005) for a, b in pairs]
-    return [
-        (
-            "Tracking error",
-            "Distance of each robot from its reference. The dotted line is at 20 s.",
-            stack(tracking, SETTLED_S),
-        ),
-        ("Formation error", "Length of a pair's distance vector less that of its references.", stack(pair, SETTLED_S)),
-        ("Thrust", "Surge asked for.", stack([_surge(runs, robot) for robot in robots], SETTLED_S)),
+    tracking = [Panel(f"robot {r} [mm]", _lines(runs, (r,)), least=5.0) for r in robots]
+    formation = [Panel(f"{a}–{b} [mm]", _lines(runs, (a, b)), least=5.0) for a, b in pairs]
+    thrust = [_surge(runs, robot) for robot in robots]
+    found = [
+        ("Tracking error", "Distance of each robot from its reference.", tracking),
+        ("Formation error", "Length of a pair's distance vector less that of its references.", formation),
+        ("Thrust", "Surge asked for.", thrust),
     ]
+    made = [(title, caption, TimePlot(panels, mark_s=SETTLED_S)) for title, caption, panels in found]
+    return [entry for entry in made if not entry[2].is_empty]
 
 
 def _shared(known: Sequence[set[Any]]) -> list[Any]:
@@ -122,7 +131,7 @@ def _lines(runs: Sequence[ComparedRun], whose: tuple[int, ...]) -> list[Curve]:
     for i, run in enumerate(runs):
         if set(whose) <= set(run.series.robots):
             error = run.series.robots[whose[0]].error if len(whose) == 1 else run.series.pair_error(whose[0], whose[1])
-            lines.append(Curve(run.name, run.series.time_s, np.linalg.norm(error[:, :3], axis=1), colour(i)))
+            lines.append(Curve(run.name, run.series.time_s, 1e3 * np.linalg.norm(error[:, :3], axis=1), colour(i)))
     return lines
 
 

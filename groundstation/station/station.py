@@ -19,8 +19,8 @@ from groundstation.mission.lap_statistics import LapStatistics
 from groundstation.mission.mission import LIVE, Mission
 from groundstation.mission.obstacle_monitor import ObstacleSet, obstacle_set
 from groundstation.mission.plan_manager import PlanRequest
-from groundstation.mission.request_progress import AT_REST, RequestTracker
-from groundstation.mission.state_machine import MissionState
+from groundstation.mission.request_progress import AT_REST, RequestTracker, in_words
+from groundstation.mission.state_machine import READY, MissionState
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.segment import PlanSegment
 from groundstation.telemetry import Fleet, FleetInboxes, LinkMonitor, blocking_findings
@@ -147,7 +147,8 @@ class Station:
     def _follow(self, answers: Sequence[CommandResult]) -> None:
         """Update the progress of requests; end the run if one of them asks for it and is done."""
         ending = self.requests.ending
-        self.requests.follow(self.mission, self.seen, self.tuner.status(), answers)
+        for outcome in self.requests.follow(self.mission, self.seen, self.tuner.status(), answers):
+            log.info("%s: %s", outcome.order.name, in_words(outcome))
         ends = [outcome.progress for outcome in self.requests.recent if outcome.order is Order.END]
         if ending and not self.requests.ending and ends[-1] is Progress.DONE:
             self.ended = True
@@ -217,7 +218,7 @@ class Station:
             number = 0 if reason else self.requests.begin(order, self.mission)
         if order in PROMPT and not reason:
             self.wake.set()
-        log.info("%s asked for: %s", order.name, reason or "under way")
+        log.info("%s %s", order.name, f"refused: {reason}" if reason else "asked for")
         return reason, number
 
     def _request_mission(self, order: Order, via: Sequence[tuple[float, float]] = ()) -> str:
@@ -239,7 +240,8 @@ class Station:
                 reason = self.tuner.request(values, next_lap, fleet, now_ns)
                 what = ", ".join(f"{key} = {value:g}" for key, value in values.items())
             number = 0 if reason else self.requests.begin(Order.TUNE, self.mission, self.tuner.status().wanted)
-        log.info("asked for %s%s: %s", what, " on the next lap" if next_lap else "", reason or "under way")
+        when = " on the next lap" if next_lap else ""
+        log.info("gains, %s%s: %s", what, when, f"refused: {reason}" if reason else "asked for")
         return reason, number
 
     def status(self) -> Status:
@@ -274,7 +276,8 @@ class Station:
         if self.recorder.error and not self.recorder_told:
             self.recorder_told = True
             log.error("recorder: %s", self.recorder.error)
-        line = f"{self.mission.state.value}{f': {self.mission.reason}' if self.mission.reason else ''}"
+        ready = self.mission.state is MissionState.WAITING and not self.mission.reason
+        line = READY if ready else f"{self.mission.state.value}{f': {self.mission.reason}' if self.mission.reason else ''}"
         told = FIGURE.sub("", line)
         if told != self.told:
             self.told = told

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from groundstation.mission.state_machine import MissionState, order_name, states_allowing
+from groundstation.mission.state_machine import READY, MissionState, order_name, states_allowing
 from groundstation.telemetry import FleetInboxes
 from groundstation.web.alarms import alarms
 from groundstation.web.backend import StationApi
@@ -111,7 +111,7 @@ class LiveBackend:
                 localizer=localizer,
                 obstacles=_aged(self._heard.obstacles),
                 phase=status.state.name,
-                phase_text="ready" if status.state is MissionState.WAITING and not status.preflight else status.state.value,
+                phase_text=READY if status.state is MissionState.WAITING and not status.preflight else status.state.value,
                 reason=status.reason,
                 allowed=[order_name(order) for order in Order if order is Order.END or status.state in states_allowing(order)],
                 preflight=status.preflight,

@@ -13,13 +13,14 @@ from wire.process.cli_options import ExperimentName, Settings
 from wire.process.output_files import COMPARISON, check_output
 from wire.toml_loader import ConfigError
 
+FIRST_OR_RANGE = "N or FIRST-LAST"
 Jobs = Annotated[int | None, typer.Option(min=1, help="Processes that fly; default: one per core.")]
 
 
 def compare(
     experiment: ExperimentName,
     laws: Annotated[str, typer.Option(metavar="NAMES", help="Whom to compare, with commas; default: all of --list.")] = "",
-    seeds: Annotated[str, typer.Option(metavar="FIRST-LAST", help="Seeds; each is flown by everyone.")] = "1-10",
+    seeds: Annotated[str, typer.Option(metavar=FIRST_OR_RANGE, help="Seeds; each is flown by everyone.")] = "10",
     scatter: Annotated[float, typer.Option(min=0.0, help="Starts are moved by up to this much per seed, m and rad.")] = 0.1,
     duration: Annotated[float | None, typer.Option(help="Seconds to fly; default: the experiment's.")] = None,
     jobs: Jobs = None,
@@ -60,7 +61,7 @@ def compare(
 def tune(
     laws: Annotated[str, typer.Option(metavar="NAMES", help="Which laws, with commas; default: all but eso-mpc.")] = "",
     scenes: Annotated[str, typer.Option(metavar="NAMES", help="Flown in each trial; default: all there are.")] = "",
-    seeds: Annotated[str, typer.Option(metavar="FIRST-LAST", help="Other seeds than a comparison's.")] = "101",
+    seeds: Annotated[str, typer.Option(metavar=FIRST_OR_RANGE, help="Other seeds than a comparison's.")] = "101-101",
     budget: Annotated[int, typer.Option(min=4, help="Trials per law.")] = 32,
     jobs: Jobs = None,
     settings: Settings = None,
@@ -97,11 +98,13 @@ def _names(given: str, allowed: Collection[str], option: str) -> list[str]:
 
 
 def _range(given: str) -> list[int]:
-    """Seeds of `3` or `1-10`."""
-    first, _, last = given.partition("-")
-    if not (first.isdecimal() and (last.isdecimal() or not last)) or int(last or first) < int(first):
-        raise typer.BadParameter(f"--seeds {given}: must be a number or a range, for example 1-10")
-    return list(range(int(first), int(last or first) + 1))
+    """Seeds of `3`, which are 1 to 3 as in a campaign's file, or of `11-20`."""
+    first, dash, last = given.partition("-")
+    if not dash:
+        first, last = "1", given
+    if not (first.isdecimal() and last.isdecimal()) or not int(first) <= int(last) or int(last) < 1:
+        raise typer.BadParameter(f"--seeds {given}: must be a number of seeds or a range (allowed: 10, 1-10, 7-7)")
+    return list(range(int(first), int(last) + 1))
 
 
 def _cores(jobs: int | None) -> int:

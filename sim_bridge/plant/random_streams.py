@@ -19,7 +19,7 @@ class Stream(IntEnum):
     LINK = 6  # per robot and direction
     SCATTER = 7  # of starts, in comparisons
     POSES = 8  # noise of the ideal localizer's poses
-    DRAWS = 9  # per flight of a campaign
+    DRAWS = 9  # per seed of a campaign
     OBSTACLES = 43  # noise of the ideal localizer's obstacles
 
 

@@ -108,11 +108,12 @@ class Monitor:
         states = {r: received.message for r, received in heard.items() if received is not None and r not in silent}
         if len(heard) > FEW:
             robots = [f"{n} {mode.name.lower()}" for mode, n in sorted(Counter(s.mode for s in states.values()).items())]
-            worst = max(states, key=lambda robot: _error_mm(states[robot]), default=None)
-            robots += [f"worst {worst}: {_error_mm(states[worst]):.0f} mm"] if worst is not None else []
+            errors = {robot: error for robot, state in states.items() if (error := _error_mm(state)) is not None}
+            worst = max(errors, key=lambda robot: errors[robot], default=None)
+            robots += [f"worst {worst}: {errors[worst]:.0f} mm"] if worst is not None else []
             robots += [f"{robot}{remark}" for robot, state in states.items() if (remark := _remark(state))]
         else:
-            robots = [f"{r} {s.mode.name.lower()} {_error_mm(s):.0f} mm{_remark(s)}" for r, s in states.items()]
+            robots = [f"{r} {s.mode.name.lower()} {_error(s)}{_remark(s)}" for r, s in states.items()]
         robots += [f"{robot} silent" for robot in silent]
         flown = f"{self.flown_s:6.1f} / {self._experiment.duration_s:.0f} s"
         return f"{flown}  {self.mission.lower():10s} {self.speed:4.1f} x  " + ", ".join(robots)
@@ -127,8 +128,14 @@ def _silent(received: Received[RobotState]) -> bool:
     return time.monotonic_ns() - received.arrived_ns > SILENT_S * 1e9
 
 
-def _error_mm(state: RobotState) -> float:
-    return math.hypot(*(state.eta - state.eta_reference)[:2]) * 1e3 if state.mode is Mode.TRACKING else 0.0
+def _error_mm(state: RobotState) -> float | None:
+    """Distance from the reference in the plane; None for a robot that follows none."""
+    return math.hypot(*(state.eta - state.eta_reference)[:2]) * 1e3 if state.mode is Mode.TRACKING else None
+
+
+def _error(state: RobotState) -> str:
+    error_mm = _error_mm(state)
+    return "-" if error_mm is None else f"{error_mm:.0f} mm"
 
 
 def _remark(state: RobotState) -> str:
@@ -138,7 +145,7 @@ def _remark(state: RobotState) -> str:
 def _cells(state: RobotState) -> tuple[str, ...]:
     return (
         state.mode.name.lower(),
-        f"{_error_mm(state):.0f} mm" if state.mode is Mode.TRACKING else "",
+        _error(state),
         state.track.name.lower(),
         f"{state.pose_age_ms:.0f} ms" if state.pose_age_ms < 1e5 else "never",
         f"{state.step_us:.0f} us",

@@ -9,7 +9,7 @@ camera = true                                   # all of the system, in lockstep
 [sweep]                                         # every combination of these
 "sim.plant.mass_error" = [-0.2, 0.0, 0.2]
 
-[draw]                                          # drawn anew for every flight
+[draw]                                          # drawn anew for every seed
 "sim.plant.drag_error" = { uniform = [-0.3, 0.3] }
 "sim.plant.current_mps" = { uniform = [[-0.01, -0.01, 0.0], [0.01, 0.01, 0.0]] }
 "sim.latency_s" = { choice = [0.03, 0.06, 0.1] }
@@ -123,13 +123,13 @@ def command_of(campaign: Campaign, row: Mapping[str, Any]) -> str:
 
 
 def flights(campaign: Campaign) -> Iterator[CampaignFlight]:
-    """All flights, in order. Drawn values depend on the flight's index alone: a longer campaign begins with the same
-    flights."""
+    """All flights, in order. Drawn values depend on the seed alone: every combination of swept keys meets the same draws,
+    and a longer campaign begins with the same flights."""
     index = 0
     for seed in range(campaign.first_seed, campaign.first_seed + campaign.seeds):
+        random = generator(seed, Stream.DRAWS)
+        drawn = {key: draw.sample(random) for key, draw in campaign.draw.items()}
         for combination in itertools.product(*campaign.sweep.values()):
-            random = generator(campaign.first_seed, Stream.DRAWS, index)
-            drawn = {key: draw.sample(random) for key, draw in campaign.draw.items()}
             yield CampaignFlight(index, seed, {**dict(zip(campaign.sweep, combination, strict=True)), **drawn})
             index += 1
 

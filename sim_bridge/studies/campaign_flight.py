@@ -57,7 +57,8 @@ def _flown(experiment: Experiment) -> dict[str, Any]:
         pass
     found = measures(fleet)
     broken = broken_limits(experiment, found)
-    return {**found, "passed": not broken, "reason": ", ".join(broken)}
+    faults = dict.fromkeys(state.fault for robot in fleet.robots for state in robot.states if state.fault)
+    return {**found, "passed": not broken, "reason": ", ".join([*broken, *faults])}
 
 
 def planning_text(experiment: Experiment) -> str:

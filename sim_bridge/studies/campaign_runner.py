@@ -24,6 +24,7 @@ from sim_bridge import fault_schedule
 from sim_bridge.sil.commands import RunOptions, check
 from sim_bridge.studies.campaign import Campaign, CampaignFlight, command_of, flights
 from sim_bridge.studies.campaign_flight import fly_one, one_thread
+from sim_bridge.studies.dependence import lines
 from sim_bridge.studies.report import write_report
 from wire.config.experiment import NO_CAMERA, Experiment, load_experiment
 from wire.process.output_files import CAMPAIGN, check_output, replacing
@@ -32,6 +33,7 @@ from wire.toml_loader import ConfigError
 
 JOURNAL, RESULTS, REPORT = "journal.jsonl", "results.parquet", "report.html"
 LOOK_EVERY_S = 0.5
+TENTHS = 10  # lines of progress where no bar can be drawn
 CLUSTER_WITHIN_S = 10.0
 IN_THE_AIR = 4  # flights per worker that are handed out at a time
 
@@ -68,6 +70,8 @@ def run(
             pq.write_table(_table(campaign, ordered), results)
         write_report(campaign, ordered, total, folder / REPORT)
         console.print(f"results: {folder / RESULTS}\nreport:  {folder / REPORT}", soft_wrap=True)
+    for line in lines(campaign, ordered):
+        console.print(line, markup=False, highlight=False, soft_wrap=True)
     _say(ordered, total, console)
     if stop.requested:
         console.print(f"interrupted after {len(ordered)} of {total} flights; --resume goes on")
@@ -154,6 +158,7 @@ def _fly(
     pending: dict[Future[dict[str, Any]], tuple[CampaignFlight, str]] = {}
     found: set[str] = set()  # hashes of `kept` that have been met
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    said = 0
     with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
         task = progress.add_task("flights", total=campaign.flights)
         coming = flights(campaign)
@@ -170,6 +175,10 @@ def _fly(
                     pending[executor.submit(fly_one, experiment.model_dump_json())] = (flight, experiment.hash)
                 flight = next(coming, None)
             done, _ = wait(pending, timeout=LOOK_EVERY_S, return_when=FIRST_COMPLETED) if pending else ((), ())
+            share = TENTHS * round(progress.tasks[task].completed) // campaign.flights
+            if share > said and not console.is_terminal:  # in a file or a pipe: a line each tenth
+                said = share
+                console.print(f"{progress.tasks[task].completed:.0f} of {campaign.flights} flights", highlight=False)
             for future in done:
                 flown, digest = pending.pop(future)
                 progress.advance(task)

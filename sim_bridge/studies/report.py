@@ -12,11 +12,11 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from sim_bridge.studies.campaign import Campaign, command_of
+from sim_bridge.studies.dependence import KeyValue, dependence, in_brackets, reasons, shown_measures, unit_of
 from sim_bridge.studies.metrics import MEASURES
 from sim_bridge.studies.statistics import Interval, distribution, rate
 from wire.process.output_files import replace_text
 
-SHOWN = ("rms_after_20s_m", "max_after_20s_m", "wrench_step_rms")  # metrics shown against the varied keys
 WORST = 10
 BLUE, INK = "#0072b2", "#1c2733"
 
@@ -28,7 +28,7 @@ def write_report(campaign: Campaign, rows: Sequence[Row], wanted: int, file: Pat
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("sim_bridge.studies"), autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True
     )
-    environment.filters |= {"interval": _interval, "figure": _figure, "percent": _percent}
+    environment.filters |= {"interval": _interval, "brackets": in_brackets, "figure": _figure, "percent": _percent}
     page = environment.get_template("campaign.html").render(**_content(campaign, rows, wanted))
     replace_text(file, page)
 
@@ -36,8 +36,9 @@ def write_report(campaign: Campaign, rows: Sequence[Row], wanted: int, file: Pat
 def _content(campaign: Campaign, rows: Sequence[Row], wanted: int) -> dict[str, Any]:
     flown = [row for row in rows if row["status"] == "flown"]
     values = {name: [row[name] for row in flown if row.get(name) is not None] for name in MEASURES}
-    main = next((name for name in SHOWN if values[name]), "rms_m")
-    shown = [main, *(name for name in SHOWN if values[name] and name != main)]
+    shown = shown_measures(flown)
+    main = shown[0]
+    dependences = [(key, dependence(campaign, key, flown, shown)) for key in campaign.sweep if flown]
     ranked = sorted((row for row in flown if row[main] is not None), key=lambda row: -row[main])
     return {
         "campaign": campaign,
@@ -45,9 +46,14 @@ def _content(campaign: Campaign, rows: Sequence[Row], wanted: int) -> dict[str, 
         "facts": _facts(campaign, rows, flown, wanted),
         "summary": [(name, MEASURES[name], distribution(found)) for name, found in values.items() if found],
         "histograms": [(_histogram(found), MEASURES[name]) for name, found in values.items() if len(set(found)) > 1],
-        "groups": [(key, _groups(key, flown, shown)) for key in campaign.sweep],
-        "scatters": [(_scatter(key, main, flown), f"{main} against {key}") for key in campaign.draw if _is_number(key, flown)],
-        "shown": shown,
+        "groups": [(key, found, _against(key, found, shown)) for key, found in dependences],
+        "scatters": [
+            (_scatter(name, main, pairs), f"{main} against {name}")
+            for key in campaign.draw
+            for name, pairs in _components(key, main, flown)
+        ],
+        "shown": [(name, unit_of(name)[0]) for name in shown],
+        "reasons": reasons(rows),
         "worst": [
             {"index": row["index"], "value": row[main], "reason": row["reason"], "command": command_of(campaign, row)}
             for row in ranked[:WORST]
@@ -68,25 +74,45 @@ def _facts(campaign: Campaign, rows: Sequence[Row], flown: Sequence[Row], wanted
     return facts
 
 
-def _groups(key: str, flown: Sequence[Row], shown: Sequence[str]) -> list[dict[str, Any]]:
-    """One line for each value of a swept key, in the file's order."""
-    lines = []
-    for value in dict.fromkeys(str(row[key]) for row in flown):
-        members = [row for row in flown if str(row[key]) == value]
-        found = {name: [row[name] for row in members if row[name] is not None] for name in shown}
-        lines.append(
-            {
-                "value": value,
-                "n": len(members),
-                "passed": rate(sum(bool(row["passed"]) for row in members), len(members)),
-                "means": [distribution(numbers).mean if numbers else None for numbers in found.values()],
-            }
-        )
-    return lines
+def _components(key: str, measure: str, flown: Sequence[Row]) -> list[tuple[str, list[tuple[float, float]]]]:
+    """Pairs of a drawn number and the measure; of a drawn list for each component that varies."""
+    drawn = [(row[key], row[measure]) for row in flown if row.get(measure) is not None]
+    if not drawn or not all(np.asarray(value).dtype.kind in "if" for value, _ in drawn):
+        return []
+    if not np.ndim(drawn[0][0]):
+        return [(key, drawn)]
+    each = range(len(drawn[0][0]))
+    found = [(f"{key}[{k}]", [(value[k], result) for value, result in drawn]) for k in each]
+    return [(name, pairs) for name, pairs in found if len({value for value, _ in pairs}) > 1]
 
 
-def _is_number(key: str, flown: Sequence[Row]) -> bool:
-    return bool(flown) and all(isinstance(row[key], int | float) for row in flown)
+def _against(key: str, found: Sequence[KeyValue], measures: Sequence[str]) -> Markup:
+    """Each measure against a swept key: a dot per flight, means with their intervals."""
+    figure = Figure(figsize=(4.2 * len(measures), 2.8))
+    numbers = [_number(line.value) for line in found]
+    places = [n for n in numbers if n is not None]
+    if len(places) < len(found):
+        places = [float(k) for k in range(len(found))]
+    for axes, measure in zip(figure.subplots(1, len(measures), squeeze=False)[0], measures, strict=True):
+        for x, line in zip(places, found, strict=True):
+            axes.plot([x] * len(line.points[measure]), line.points[measure], ".", color=BLUE, markersize=4, alpha=0.4)
+        known = [(x, i) for x, line in zip(places, found, strict=True) if (i := line.means[measure]) is not None]
+        axes.plot([x for x, _ in known], [i.value for _, i in known], "-", color=INK, linewidth=1.0)
+        for x, interval in known:
+            ends = [interval.low if interval.low is not None else interval.value, interval.high or interval.value]
+            axes.plot([x, x], ends, color=INK, linewidth=2.0)
+            axes.plot(x, interval.value, "o", color=INK, markersize=4)
+        axes.set_xticks(places, [line.value for line in found])
+        axes.set(xlabel=key, ylabel=f"{measure} [{unit_of(measure)[0]}]")
+        axes.set_ylim(bottom=0.0)
+    return _svg(figure)
+
+
+def _number(text: str) -> float | None:
+    try:
+        return float(text)
+    except ValueError:
+        return None
 
 
 def _histogram(found: Sequence[float]) -> Markup:
@@ -95,13 +121,13 @@ def _histogram(found: Sequence[float]) -> Markup:
     axes.hist(found, bins="auto" if len(found) < 1000 else 60, color=BLUE)
     axes.axvline(float(np.median(found)), color=INK, linewidth=1.0, linestyle="--")
     axes.set_ylabel("flights")
+    axes.locator_params(axis="x", nbins=5)
     return _svg(figure)
 
 
-def _scatter(key: str, measure: str, flown: Sequence[Row]) -> Markup:
+def _scatter(key: str, measure: str, pairs: Sequence[tuple[float, float]]) -> Markup:
     figure = Figure(figsize=(4.6, 2.8))
     axes = figure.subplots()
-    pairs = [(row[key], row[measure]) for row in flown if row[measure] is not None]
     axes.plot(*zip(*pairs, strict=True), ".", color=BLUE, markersize=4)
     axes.set_xlabel(key)
     axes.set_ylabel(measure)
@@ -117,10 +143,11 @@ def _svg(figure: Figure) -> Markup:
     return Markup(text.getvalue()[text.getvalue().index("<svg") :])  # our own drawing; matplotlib has escaped its texts
 
 
-def _interval(interval: Interval | None) -> str:
-    if interval is None:
-        return "–"
-    ends = ("?" if end is None else _figure(end) for end in (interval.low, interval.high))
+def _interval(interval: Interval) -> str:
+    """A figure with its interval; a bound that too few flights give is left open."""
+    if interval.low is None and interval.high is None:
+        return _figure(interval.value)
+    ends = ("…" if end is None else _figure(end) for end in (interval.low, interval.high))
     return f"{_figure(interval.value)} [{', '.join(ends)}]"
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from scipy import stats
 
 CONFIDENCE = 0.95
+RESAMPLES = 1000  # of a bootstrap: its interval's ends are then known to a few per cent of its width
 HIGH = 0.95  # the quantile that is reported beside the median
 
 
@@ -42,7 +43,7 @@ def distribution(values: Sequence[float]) -> Distribution:
     """Distribution of at least one value."""
     ranked = np.sort(np.asarray(values, dtype=np.float64))
     return Distribution(
-        len(ranked), _mean(ranked), quantile(ranked, 0.5), quantile(ranked, HIGH), float(ranked[0]), float(ranked[-1])
+        len(ranked), mean(ranked.tolist()), quantile(ranked, 0.5), quantile(ranked, HIGH), float(ranked[0]), float(ranked[-1])
     )
 
 
@@ -54,10 +55,13 @@ def quantile(ranked: np.ndarray[tuple[int], np.dtype[np.float64]], share: float)
     return Interval(float(np.quantile(ranked, share)), low, high)
 
 
-def _mean(ranked: np.ndarray[tuple[int], np.dtype[np.float64]]) -> Interval:
-    """Mean with Student's interval, good for some tens of flights of any distribution."""
-    n, mean = len(ranked), float(ranked.mean())
-    if n < 2:
-        return Interval(mean, None, None)
-    half = float(stats.t.isf((1.0 - CONFIDENCE) / 2.0, n - 1) * ranked.std(ddof=1) / np.sqrt(n))
-    return Interval(mean, mean - half, mean + half)
+def mean(values: Sequence[float]) -> Interval:
+    """Mean with its bootstrap interval (percentiles of the means of samples drawn again, always the same ones): it stays
+    within the values, so what cannot be negative has no negative bound."""
+    known = np.asarray(values, dtype=np.float64)
+    centre = float(known.mean())
+    if len(known) < 2:
+        return Interval(centre, None, None)
+    drawn = known[np.random.default_rng(0).integers(len(known), size=(RESAMPLES, len(known)))].mean(axis=1)
+    low, high = np.quantile(drawn, [(1.0 - CONFIDENCE) / 2.0, (1.0 + CONFIDENCE) / 2.0])
+    return Interval(centre, float(low), float(high))

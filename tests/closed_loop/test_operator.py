@@ -50,12 +50,12 @@ class OperatorLab:
         return answer.returncode, answer.stdout + answer.stderr
 
     def ready(self) -> None:
-        self.says("groundstation", "mission: waiting for the fleet\n", timeout_s=90.0)  # every robot is fit
+        self.says("groundstation", "mission: fleet ready\n", timeout_s=90.0)  # every robot is fit
 
     def set_off(self) -> None:
         self.ready()
         code, said = self.order("mission", "start")
-        assert (code, said.splitlines()[-1]) == (0, "start: done"), said
+        assert (code, said.splitlines()[-1]) == (0, "start: confirmed by 1, 2"), said
 
     def told(self, name: str, text: str) -> None:
         """Both robots' programs have said so by now: nobody waits for it."""
@@ -82,14 +82,14 @@ def test_a_mission_by_hand(lab: OperatorLab) -> None:
     lab.set_off()  # each command returns when the robots have done it
     lab.told("agent", "INFO tracking")
     code, said = lab.order("mission", "hold")
-    assert (code, said.splitlines()[-1]) == (0, "hold: done"), said
+    assert (code, said.splitlines()[-1]) == (0, "hold: confirmed by 1, 2"), said
     lab.told("agent", "INFO holding")
     assert lab.order("mission", "resume")[0] == 0
     assert lab.order("mission", "go", "0.5", "-0.3")[0] == 1  # on a circle there is nowhere to go
 
     code, said = lab.order("stop")
     assert code == 0
-    assert said.splitlines()[1:] == ["  robot 1: confirmed", "  robot 2: confirmed", "stop: done"]
+    assert said.splitlines()[1:] == ["  robot 1: confirmed", "  robot 2: confirmed", "stop: confirmed by 1, 2"]
     lab.told("agent", "stopped: emergency stop")
     for robot in (1, 2):
         lab.says("sim-bridge", f"board of robot {robot}: neutral")

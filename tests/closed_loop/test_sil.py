@@ -271,12 +271,12 @@ def test_a_manual_run_is_flown_and_ended_from_another_terminal(tmp_path: Path, m
     try:
         while not list(out.glob("pool-*")):
             time.sleep(0.05)
-        wait_for_line(run_dir(out) / "logs" / "groundstation.log", "mission: waiting for the fleet\n")
+        wait_for_line(run_dir(out) / "logs" / "groundstation.log", "mission: fleet ready\n")
         code, said = order("mission", "start")
         assert code == 0, said
         wait_for_line(run_dir(out) / "logs" / "groundstation.log", "mission: done")
         code, said = order("end")
-        assert (code, said.splitlines()[-1]) == (0, "end: done"), said
+        assert (code, said.splitlines()[-1]) == (0, "end: confirmed by 1, 2"), said
         code, output = finish(run)
     finally:
         run.kill()

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from dataclasses import dataclass, field
+from importlib import resources
 from pathlib import Path
 
 import psutil
@@ -23,6 +24,7 @@ FLAGS = [
     "--disable-component-update",
     "--disable-sync",
 ]
+AXE = resources.files("axe_playwright_python") / "axe.min.js"
 PATIENCE_MS = 120_000  # for anything that a loaded machine may take long over
 
 
@@ -100,3 +102,10 @@ def open_page(browser: Browser, flight: OperatorFlight, asked: PageTraffic, widt
     page.goto(flight.url)
     page.wait_for_selector("[data-robot='1']:not(.stale)")
     return page
+
+
+def serious(page: Page) -> list[tuple[str, list[str]]]:
+    """The findings of axe that keep people out."""
+    page.evaluate(AXE.read_text(encoding="utf-8"))  # not a script tag: the page's own policy forbids what is not its own
+    found = page.evaluate("axe.run(document, {resultTypes: ['violations']})")["violations"]
+    return [(v["id"], [n["target"] for n in v["nodes"]][:5]) for v in found if v["impact"] in ("serious", "critical")]

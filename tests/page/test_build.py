@@ -35,3 +35,9 @@ def test_the_lock_names_no_host() -> None:
     lock = (SOURCES / "package-lock.json").read_text()
     assert '"resolved"' not in lock
     assert "integrity" in lock
+
+
+def test_reports_carry_the_same_plots_as_the_page() -> None:
+    wanted = json.loads((SOURCES / "package.json").read_text())["devDependencies"]["uplot"]
+    carried = (STATIC.parents[1] / "report" / "templates" / "uplot.min.js").read_text(encoding="utf-8")
+    assert f"(v{wanted})" in carried[:200], "run: make page"

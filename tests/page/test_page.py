@@ -8,7 +8,6 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from importlib import resources
 from itertools import groupby
 from pathlib import Path
 
@@ -28,7 +27,7 @@ from groundstation.web.live_backend import LiveBackend
 from groundstation.web.server import WebServer
 from sim_bridge.sil.ports import free_port
 from tests.groundstation.fake_station import FakeStation
-from tests.page.flights import OperatorFlight, PageTraffic, open_page, wait_for_port
+from tests.page.flights import OperatorFlight, PageTraffic, open_page, serious, wait_for_port
 from wire.config.experiment import Experiment, load_experiment
 from wire.messages import topics
 from wire.messages.codec import decode
@@ -39,7 +38,6 @@ from wire.transport.memory_transport import MemoryHub, MemoryTransport
 pytestmark = [pytest.mark.timeout(600), pytest.mark.real_time]  # what waits for a browser waits for a loaded machine
 
 YAW_WEIGHT = "800"  # a hundred times that of the file
-AXE = resources.files("axe_playwright_python") / "axe.min.js"
 
 
 def tile(page: Page, robot: int) -> Locator:
@@ -70,13 +68,6 @@ def fly_on(page: Page, seconds: int) -> None:
 def clear_stop(page: Page) -> None:
     page.get_by_role("button", name=re.compile("Clear stop")).click()
     in_mode(page, "DISARMED")
-
-
-def serious(page: Page) -> list[tuple[str, list[str]]]:
-    """The findings of axe that keep people out."""
-    page.evaluate(AXE.read_text(encoding="utf-8"))  # not a script tag: the page's own policy forbids what is not its own
-    found = page.evaluate("axe.run(document, {resultTypes: ['violations']})")["violations"]
-    return [(v["id"], [n["target"] for n in v["nodes"]][:5]) for v in found if v["impact"] in ("serious", "critical")]
 
 
 def test_an_operator_flies_a_mission(page: Page) -> None:
@@ -541,7 +532,7 @@ def test_a_request_has_one_line_and_that_says_how_it_ended(browser: Browser) -> 
         desk.told = replace(desk.told, requests=(failed,))
         expect(given).to_have_text("return failed: holding: no way from here ✓ 1 ✕ 2 refuses")
         desk.told = replace(desk.told, requests=(replace(told, progress=Progress.DONE, confirmed=(1, 2), waiting=()),))
-        expect(given).to_have_text("return done ✓ 1 ✓ 2")
+        expect(given).to_have_text("return confirmed by 1, 2")
 
 
 def test_a_run_is_ended_on_the_page_which_then_is_silent_without_an_alarm(browser: Browser, station: BareStation) -> None:

@@ -119,7 +119,7 @@ def test_waiting_ends_with_the_event_the_state_or_the_time(fleet: ConnectedFleet
     assert fleet.wait_event("armed", timeout_s=1.0).source == "groundstation"
     with pytest.raises(NotHeard, match="robot 2: not heard"):
         fleet.wait_ready(timeout_s=0.05)
-    station.says("mission: waiting for the fleet")
+    station.says("mission: fleet ready")
     fleet.wait_ready(timeout_s=1.0)
     with pytest.raises(NotHeard, match="no event with 'landed'"):
         fleet.wait_event("landed", timeout_s=0.05)

@@ -21,7 +21,7 @@ from typing import IO
 from wire.toml_loader import ConfigError, os_errors_as_config_errors
 
 # What tells a folder of results, and the files in it that only the command which made it may write.
-RUN = ("run.mcap", "experiment.toml", "result.json", "report.html")
+RUN = ("run.mcap", "experiment.toml", "result.json", "report.html", "label.json")
 CAMPAIGN = ("journal.jsonl", "results.parquet", "report.html")
 COMPARISON = ("comparison.json", "comparison.html")
 _OWN = {"run.mcap": RUN, "experiment.toml": RUN, "journal.jsonl": CAMPAIGN, "comparison.json": COMPARISON}

@@ -192,7 +192,10 @@ def test_a_flight_that_ends_before_its_path_fails_and_says_why(flown: tuple[Expe
     found = result_of(experiment, dataclasses.replace(log, entries=entries))
     assert not found.passed
     assert [fault.text for fault in found.faults] == ["holding: pose late"] * 2 + ["fault: no pose"] * 2
-    assert "The first fault was at 4.0 s, robot 1: holding: pose late" in found.notes[1] or "4.1 s" in found.notes[1]
+    assert found.cause is not None
+    assert (found.cause.text, found.cause.noticed_by) == ("holding: pose late", "robot 1")
+    assert found.cause.time_s == pytest.approx(4.0, abs=0.11)
+    assert found.cause.outcome.startswith("4.0 s of ")
 
 
 def test_a_flight_under_20_s_has_no_settled_figures(flown: tuple[Experiment, RunLog, Path]) -> None:
@@ -208,7 +211,7 @@ def test_a_flight_under_20_s_has_no_settled_figures(flown: tuple[Experiment, Run
     assert not settled(20.0) and settled(20.1)
     over = with_path_until(flown[1], long, 4.0)
     asked = {check.name for check in result_of(long, over).checks}
-    assert not asked & {"rms_after_20s_m", "rms of input steps after 20 s, fraction of bound"}
+    assert not asked & {"rms_after_20s_m", "input steps after 20 s, RMS of the bound"}
 
 
 # --- clocks and values that cannot be

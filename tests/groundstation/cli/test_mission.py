@@ -79,7 +79,11 @@ def test_patience_ends() -> None:
 @pytest.mark.parametrize(
     ("reply", "code", "lines"),
     [
-        (outcome(Progress.DONE, confirmed=(1, 2)), 0, ["  robot 1: confirmed", "  robot 2: confirmed", "stop: done"]),
+        (
+            outcome(Progress.DONE, confirmed=(1, 2)),
+            0,
+            ["  robot 1: confirmed", "  robot 2: confirmed", "stop: confirmed by 1, 2"],
+        ),
         (
             outcome(confirmed=(1,), waiting=(2,), why=("not heard",)),
             1,

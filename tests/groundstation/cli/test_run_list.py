@@ -9,6 +9,9 @@ import pytest
 from typer.testing import CliRunner
 
 from groundstation.__main__ import cli
+from groundstation.analysis.series import TimelineEvent
+from groundstation.analysis.timeline import tags
+from wire.toml_loader import ConfigError
 
 RESULT = {"scene": "pool", "mode": "lockstep", "duration_s": 40.0, "passed": True, "commit": "a" * 40}
 
@@ -61,3 +64,28 @@ def test_every_word_narrows_the_list(runs: Path) -> None:
 def test_the_table_has_a_line_for_each_run(runs: Path) -> None:
     lines = CliRunner().invoke(cli, ["log", "list", "--in", str(runs)]).stdout.splitlines()
     assert len(lines) == 4 and "lockstep" in lines[0] and lines[0].endswith("failed")
+
+
+def test_a_run_is_found_by_its_name_and_tags_until_it_is_deleted(runs: Path) -> None:
+    def station(*words: str) -> int:
+        return CliRunner().invoke(cli, ["log", *words]).exit_code
+
+    folder = str(runs / "second")
+    assert station("label", folder, "--name", "first dive", "--tag", "lamp", "--tag", "cold") == 0
+    assert station("label", folder, "--untag", "cold") == 0
+    (found,) = listed(runs, "dive", "lamp")
+    assert (Path(found["run"]).name, found["name"], found["tags"]) == ("second", "first dive", ["lamp"])
+    assert listed(runs, "cold") == []
+    assert station("delete", folder) == 1 and Path(folder).is_dir()  # nobody says yes
+    assert station("delete", folder, "--yes") == 0 and not Path(folder).exists()
+    for words in (["delete", str(runs / "notes"), "--yes"], ["label", str(runs), "--tag", "x"]):
+        assert isinstance(CliRunner().invoke(cli, ["log", *words]).exception, ConfigError)
+    assert (runs / "notes").is_dir()
+
+
+def test_hash_words_of_remarks_are_tags() -> None:
+    said = ("remark: lamp off #lamp, #cold-water", "remark: a#b #lamp", "mission: #no")
+    assert tags([TimelineEvent(float(k), "groundstation", text, False) for k, text in enumerate(said)]) == (
+        "lamp",
+        "cold-water",
+    )

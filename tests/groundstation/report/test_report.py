@@ -1,5 +1,6 @@
 """The report: complete, self-contained, true to the log, and there whatever became of the run."""
 
+import base64
 import json
 import re
 from collections import Counter
@@ -13,18 +14,20 @@ from hypothesis import strategies as st
 from matplotlib.figure import Figure
 
 from groundstation.analysis.alignment import align
+from groundstation.analysis.numbers import three
 from groundstation.analysis.series import Series
 from groundstation.logs.reader import is_complete, read_log
 from groundstation.logs.recorder import Recorder
-from groundstation.report import figures, figures_errors, figures_paths
-from groundstation.report.plotting import MOST_POINTS, Curve, Panel, stack, thin, to_svg
+from groundstation.report import figures, figures_errors, figures_paths, terminal
+from groundstation.report.drawing import MOST_POINTS, Curve, Panel, TimePlot, embedded, thin
+from groundstation.report.plotting import picture, to_svg
 from groundstation.report.report import write_report
 from tests.groundstation import synthetic
 from tests.groundstation.synthetic import Script, write_run
 from wire.config.experiment import dump_experiment, load_experiment
 from wire.messages import topics
 from wire.messages.codec import Header, encode
-from wire.messages.messages import Event
+from wire.messages.messages import Event, Mode
 from wire.toml_loader import ConfigError
 
 pytestmark = pytest.mark.long
@@ -91,7 +94,7 @@ def series(folder: Path) -> Series:
 def test_page_is_whole_and_needs_nothing_from_outside(folder: Path, page: PageStructure) -> None:
     assert page.open == []
     assert [a for a in page.addresses if not a.startswith(("#", "data:"))] == []
-    assert page.tags["link"] == page.tags["script"] == 0
+    assert page.tags["link"] == 0
     assert "url(http" not in (folder / "report.html").read_text()
 
 
@@ -104,18 +107,18 @@ def test_ids_are_unique_and_every_reference_has_its_target(folder: Path, page: P
 
 
 def test_every_figure_is_there(page: PageStructure) -> None:
-    assert page.tags["figure"] == len(figures.FIGURES)
     # robots that keep their depth need no picture in space; no limit was active; nothing says where the time went
-    assert page.tags["svg"] == len(figures.FIGURES) - 3
+    assert page.tags["figure"] == len(figures.FIGURES) - 3
+    assert page.tags["svg"] == 2  # seen from above; the rest are plots over time
 
 
 def test_table_shows_ours_beside_the_articles(folder: Path, page: PageStructure) -> None:
     result = json.loads((folder / "result.json").read_text())
     for subject in (result["robots"]["1"], result["pairs"]["1-2"]):
         for axis in (0, 1):
-            assert f"✓ {subject['rms_m'][axis]:.3f}" in page.cells
-            assert f"{subject['article']['rms_m'][axis]:.3f}" in page.cells
-    assert f"{result['robots']['1']['baseline']['rms_m'][0]:.3f}" in page.cells
+            assert f"✓ {three(1e3 * subject['rms_m'][axis])}" in page.cells  # mm
+            assert three(1e3 * subject["article"]["rms_m"][axis]) in page.cells
+    assert three(1e3 * result["robots"]["1"]["baseline"]["rms_m"][0]) in page.cells
     assert "✗" not in "".join(page.cells)
 
 
@@ -124,7 +127,33 @@ def test_worse_than_the_article_is_marked(tmp_path: Path, monkeypatch: pytest.Mo
     write_run(tmp_path, Script(duration_s=25.0))
     write_report(tmp_path)
     cells = PageStructure((tmp_path / "report.html").read_text()).cells
-    assert "✗ 0.200" in cells  # the article has 0.11 for robot 1 in y
+    assert "✗ 200" in cells  # the article has 110 mm for robot 1 in y
+
+
+def test_a_broken_run_names_its_cause_and_is_not_held_against_the_article(tmp_path: Path) -> None:
+    script = Script(until_s=9.0, mode=lambda robot, at_s: (Mode.FAULT, "no pose") if at_s > 8.0 else (Mode.TRACKING, ""))
+    write_run(tmp_path, script)
+    result = write_report(tmp_path)
+    text = (tmp_path / "report.html").read_text()
+    assert result.cause is not None and result.cause.text == "fault: no pose"
+    assert text.index("robot 1: fault: no pose") < text.index("<h2>Requirements")
+    assert "Beside the article" not in text
+    told = list(terminal.lines(result))
+    assert told[0] == f"cause: robot 1 at {result.cause.time_s:.1f} s: fault: no pose"
+    assert "article" not in "".join(told)
+
+
+def test_the_terminals_table_has_a_labelled_row_a_robot_in_80_columns(folder: Path) -> None:
+    result = write_report(folder)
+    told = list(terminal.lines(result))
+    assert max(len(line) for line in told) <= 80
+    columns = next(line for line in told if line.split() == ["x", "y", "z", "yaw", "x", "y", "z", "yaw", "x", "y"])
+    for name, row in (("robot 1", result.robots["1"]), ("robot 2", result.robots["2"])):
+        (line,) = (line for line in told if line.startswith(name))
+        assert len(line) == len(columns)
+        assert row.rms_m is not None and row.rms_yaw_rad is not None
+        shown = [float(cell) for cell in line.removeprefix(name).split()[:4]]
+        assert shown == pytest.approx([1e3 * v for v in row.rms_m] + [np.degrees(row.rms_yaw_rad)], rel=5e-3, abs=1e-3)
 
 
 def test_same_log_same_report(folder: Path) -> None:
@@ -146,9 +175,9 @@ def write_events(folder: Path, messages: list[str]) -> None:
 def test_words_from_the_network_are_escaped(tmp_path: Path) -> None:
     write_events(tmp_path, ["<script>alert(1)</script>"])
     write_report(tmp_path)
-    page = PageStructure((tmp_path / "report.html").read_text())
-    assert page.tags["script"] == 0
-    assert "<script>alert(1)</script>" in page.cells  # as text
+    text = (tmp_path / "report.html").read_text()
+    assert "<script>alert(1)" not in text
+    assert "<script>alert(1)</script>" in PageStructure(text).cells  # as text
 
 
 def test_thousands_of_events_keep_the_faults(tmp_path: Path) -> None:
@@ -218,12 +247,12 @@ def drawn(figure: Figure | None) -> Figure:
 
 
 def test_tracking_figure_plots_the_errors(series: Series) -> None:
-    figure = drawn(figures_errors.tracking_errors(series))
+    figure = drawn(picture(figures_errors.tracking_errors(series)))
     for axis, axes in enumerate(figure.axes):
         curves = {line.get_label(): np.asarray(line.get_ydata()) for line in axes.lines}
         for robot in (1, 2):
             expected = [synthetic.tracking_error(robot, t)[axis] for t in series.time_s]
-            np.testing.assert_allclose(curves[f"robot {robot}"], expected, atol=1e-3)
+            np.testing.assert_allclose(curves[f"robot {robot}"], 1e3 * np.array(expected), atol=1.0)  # mm
     assert figure.axes[-1].get_xlabel() == "time since the start [s]"
 
 
@@ -238,7 +267,7 @@ def test_limits_are_drawn_when_near_and_told_when_far() -> None:
     time_s = np.linspace(0.0, 10.0, 50)
     for amplitude, drawn_lines in ((0.25, 3), (0.01, 1)):
         line = Curve("robot 1", time_s, amplitude * np.sin(time_s), "#000000")
-        axes = drawn(stack([Panel("surge [N]", [line], limit=0.3, unit="N")])).axes[0]
+        axes = drawn(picture(TimePlot([Panel("surge [N]", [line], limit=0.3, unit="N")]))).axes[0]
         assert len(axes.lines) == drawn_lines
         assert (axes.get_title(loc="right") == "limit ±0.3 N") == (drawn_lines == 1)
 
@@ -246,19 +275,28 @@ def test_limits_are_drawn_when_near_and_told_when_far() -> None:
 def test_rounding_noise_does_not_fill_a_panel() -> None:
     time_s = np.linspace(0.0, 10.0, 50)
     line = Curve("robot 1", time_s, 0.03 + 1e-14 * np.sin(time_s), "#000000")
-    low, high = drawn(stack([Panel("z error [m]", [line])])).axes[0].get_ylim()
+    low, high = drawn(picture(TimePlot([Panel("z error [m]", [line])]))).axes[0].get_ylim()
     assert high - low == pytest.approx(0.01)
     assert low < 0.03 < high
 
 
 def test_nothing_to_draw_is_none() -> None:
-    assert stack([Panel("x", [Curve("robot 1", np.zeros(3), np.full(3, np.nan), "#000000")])]) is None
+    assert picture(TimePlot([Panel("x", [Curve("robot 1", np.zeros(3), np.full(3, np.nan), "#000000")])])) is None
+
+
+def test_an_embedded_plot_holds_the_values_and_shares_their_times() -> None:
+    time_s = np.linspace(0.0, 1.0, 5)
+    curves = [Curve(name, time_s, time_s * k, "#000000") for k, name in enumerate(("a", "b"))]
+    plot = embedded(TimePlot([Panel("x", curves[:1]), Panel("y", curves[1:])]))
+    assert len(plot["times"]) == 1
+    values = np.frombuffer(base64.b64decode(plot["panels"][1]["lines"][0]["values"]), "<f4")
+    np.testing.assert_array_equal(values, time_s.astype(np.float32))
 
 
 def test_svg_keeps_text_as_text(series: Series) -> None:
-    svg = to_svg(drawn(figures_errors.tracking_errors(series)), "tracking")
+    svg = to_svg(drawn(picture(figures_errors.tracking_errors(series))), "tracking")
     assert ">robot 1<" in svg
-    assert "x error [m]" in svg
+    assert "x error [mm]" in svg
     assert svg.startswith("<svg")
 
 

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from groundstation.__main__ import cli
 from groundstation.logs.reader import is_complete
 from groundstation.report.report import evaluated, write_figures
-from groundstation.report.run_comparison import ComparedRun, differences, drawn, metric_rows
+from groundstation.report.run_comparison import ComparedRun, differences, metric_rows, plots
 from tests.groundstation.synthetic import AMPLITUDE_M, Script, write_run
 from wire.toml_loader import ConfigError
 
@@ -49,7 +49,7 @@ def test_figures_are_those_of_the_results(runs: list[Path]) -> None:
     rows = {row.name: row.values for row in metric_rows(both)}
     assert rows["missed deadlines"] == (0.0, 6.0)
     worst = max(max(error.rms_after_20s_m or (0.0,)) for error in both[0].result.robots.values())
-    assert rows["tracking, RMS after 20 s"] == pytest.approx((worst, worst))
+    assert rows["tracking, RMS after 20 s"] == pytest.approx((1e3 * worst, 1e3 * worst))  # mm
     # from 20 s to 25 s: half a period of the sine of robot 1, whose late amplitude is the largest error on any axis
     assert worst == pytest.approx(max(AMPLITUDE_M[1][1], 0.0) / np.sqrt(2.0), rel=0.03)
 
@@ -70,20 +70,20 @@ def test_only_what_differs_is_told(runs: list[Path]) -> None:
 
 def test_curves_are_the_errors_of_each_run(runs: list[Path]) -> None:
     both = read(runs)
-    (_, _, tracking), (_, _, formation), _ = drawn(both)
-    assert tracking is not None and formation is not None
-    assert [len(axes.lines) for axes in tracking.axes] == [3, 3]  # two runs, and the mark at 20 s
+    (_, _, tracking), (_, _, formation), _ = plots(both)
+    assert [len(panel.lines) for panel in tracking.panels] == [2, 2] and len(formation.panels) == 1
     error = np.linalg.norm(both[1].series.robots[2].error[:, :3], axis=1)
-    assert np.array_equal(np.asarray(tracking.axes[1].lines[1].get_ydata()), error, equal_nan=True)
+    assert np.array_equal(tracking.panels[1].lines[1].values, 1e3 * error, equal_nan=True)  # mm
 
 
 def test_the_command_prints_a_table_and_writes_a_page(runs: list[Path], tmp_path: Path) -> None:
     page = tmp_path / "page.html"
     done = station("log", "compare", *map(str, runs), "--out", str(page))
     assert done.returncode == 0, done.stderr
-    assert "controller.mpc.horizon" in done.stdout and "[m]" in done.stdout
+    assert "controller.mpc.horizon" in done.stdout and "[mm]" in done.stdout
     text = page.read_text()
-    assert "controller.mpc.horizon" in text and text.count("<svg") == 3 and "http" not in text.replace("http://www.w3.org", "")
+    assert "controller.mpc.horizon" in text and text.count('class="plot"') == 3
+    assert "src=" not in text and "href=" not in text
     alone = station("log", "compare", str(runs[0]))
     assert alone.returncode == 2 and "two runs or more" in alone.stderr
     gone = station("log", "compare", str(runs[0]), str(tmp_path))

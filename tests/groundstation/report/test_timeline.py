@@ -5,13 +5,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 
 from groundstation.analysis.alignment import align, hops_of, messages_lost
 from groundstation.analysis.metrics import evaluate
 from groundstation.analysis.series import HOPS, Series, active_limits
 from groundstation.logs.reader import DecodedMessage, RunLog, read_log
 from groundstation.report import figures_timeline as drawn
+from groundstation.report.drawing import BarPlot, TimePlot
+from groundstation.report.plotting import picture
 from tests.groundstation.synthetic import Script, write_run
 from wire.frames import Array
 from wire.messages.messages import Mode, Pose, RobotState, StepInputs
@@ -32,16 +33,15 @@ def with_states(series: Series, robot: int, **columns: object) -> Series:
     return replace(series, robots={**series.robots, robot: replace(mine, states=replace(mine.states, **columns))})  # type: ignore[arg-type]
 
 
-def bars(figure: Figure | None) -> list[float]:
-    """Begin of each bar of a figure, row by row."""
-    assert figure is not None
-    return [float(np.asarray(path.vertices)[:, 0].min()) for c in figure.axes[0].collections for path in c.get_paths()]
+def bars(plot: BarPlot | None) -> list[float]:
+    """Begin of each bar of a plot, row by row."""
+    assert plot is not None
+    return [bar.begin_s for _, row in plot.rows for bar in row]
 
 
-def curve(figure: Figure | None, name: str) -> Array:
+def curve(plot: TimePlot, name: str) -> Array:
     """The values of a line."""
-    assert figure is not None
-    return np.asarray(next(line for line in figure.axes[0].lines if line.get_label() == name).get_ydata())
+    return next(line for line in plot.panels[0].lines if line.label == name).values
 
 
 def test_a_limit_counts_where_it_is_reached_and_only_while_under_way(flown: tuple[Series, Path]) -> None:
@@ -111,7 +111,7 @@ def test_the_timeline_shows_every_mode_there_was(tmp_path: Path) -> None:
         return (Mode.HOLDING, "the pose is old") if robot == 2 and 4.0 <= time_s < 6.0 else (Mode.TRACKING, "")
 
     experiment = write_run(tmp_path, Script(duration_s=10.0, mode=mode))
-    figure = drawn.timeline(align(experiment, read_log(tmp_path / "run.mcap")))
+    figure = picture(drawn.timeline(align(experiment, read_log(tmp_path / "run.mcap"))))
     assert figure is not None
     shown = {text.get_text() for text in figure.legends[0].get_texts()}
     assert {"armed", "tracking", "holding", "noticed"} <= shown
@@ -121,7 +121,7 @@ def test_the_timeline_shows_every_mode_there_was(tmp_path: Path) -> None:
 def test_a_run_with_nothing_in_it_draws_nothing(tmp_path: Path) -> None:
     empty = align(Script().experiment(), read_log_of_nothing(tmp_path))
     for draw in (drawn.timeline, drawn.limits, drawn.slack, drawn.links, drawn.latency_budget):
-        assert draw(empty) is None
+        assert picture(draw(empty)) is None
 
 
 def read_log_of_nothing(folder: Path) -> RunLog:

@@ -516,4 +516,4 @@ def test_a_fleet_that_is_fit_is_ready_and_not_waited_for(lab: ServedStation) -> 
     page.hello()
     assert page.until(state)["phase_text"] == "waiting for the fleet"
     lab.preflight = ()
-    assert page.until(lambda f: state(f) and f["phase_text"] == "ready")["preflight"] == []
+    assert page.until(lambda f: state(f) and f["phase_text"] == "fleet ready")["preflight"] == []

@@ -28,7 +28,7 @@ def tracking(off_m: float, fault: str = "") -> RobotState:
 
 def test_two_robots_are_named() -> None:
     told = line("pool", {1: tracking(0.012), 2: RobotState(mode=Mode.HOLDING, fault="the pose is old")})
-    assert told.endswith("1 tracking 12 mm, 2 holding 0 mm (the pose is old)")
+    assert told.endswith("1 tracking 12 mm, 2 holding - (the pose is old)")
 
 
 def test_of_twenty_robots_the_worst_and_those_with_alarms_are_named() -> None:

@@ -24,8 +24,9 @@ from sim_bridge.in_process import run
 from sim_bridge.studies import campaign_runner
 from sim_bridge.studies.campaign import Campaign, flights
 from sim_bridge.studies.campaign_flight import planning_text
+from sim_bridge.studies.dependence import dependence, lines, reasons
 from sim_bridge.studies.metrics import MEASURES, broken_limits
-from sim_bridge.studies.statistics import distribution, quantile, rate
+from sim_bridge.studies.statistics import distribution, mean, quantile, rate
 from wire.config.experiment import EXPERIMENTS, NO_CAMERA, Experiment, load_experiment
 from wire.process.runtime import Failed, Stop
 from wire.toml_loader import ConfigError, check
@@ -115,6 +116,35 @@ def test_a_value_that_the_experiment_refuses_is_named_before_anything_flies(tmp_
 
 
 # --- flying
+
+
+def test_every_combination_of_a_seed_meets_the_same_draws() -> None:
+    met: dict[int, set[Any]] = {}
+    for flight in flights(campaign(seeds=5)):
+        met.setdefault(flight.seed, set()).add(flight.values["sim.plant.current_mps"])
+    assert [len(draws) for draws in met.values()] == [1] * 5 and len(set.union(*met.values())) == 5
+
+
+def test_differences_are_paired_and_flights_with_a_fault_are_counted_but_not_averaged() -> None:
+    """A tenth less than an error of 1, 3 or 8 mm: over seeds no difference is plain, pair by pair it is."""
+
+    def row(key: str, seed: int, error_m: float, fault: float = 0.0) -> dict[str, Any]:
+        reason = "at_fault, no pose" if fault else ""
+        known = {"rms_after_20s_m": error_m, "at_fault": fault, "passed": not fault, "reason": reason}
+        return {"status": "flown", "seed": seed, "k": key, **known}
+
+    loaded = campaign(sweep={"k": ["a", "b"]}, draw={})
+    found = [
+        row(key, seed, share * e) for seed, e in enumerate((0.001, 0.003, 0.008)) for key, share in (("a", 1), ("b", 0.9))
+    ]
+    found.append(row("b", 9, 0.0, fault=0.5))
+    first, second = dependence(loaded, "k", found, ["rms_after_20s_m"])
+    gain, level = second.against_first["rms_after_20s_m"], second.means["rms_after_20s_m"]
+    assert first.against_first["rms_after_20s_m"] is None and gain is not None and level is not None
+    assert gain.value == pytest.approx(-0.4) and gain.high is not None and gain.high < 0.0
+    assert level.value == pytest.approx(3.6) and (second.flights, second.faults) == (4, 1)
+    assert reasons(found) == [(1, "at_fault"), (1, "no pose")]
+    assert max(len(line) for line in lines(loaded, found)) <= 80
 
 
 @pytest.fixture(scope="module")
@@ -261,7 +291,8 @@ def test_a_flight_that_breaks_what_every_run_must_keep_has_not_passed(setting: s
     loaded = campaign(settings=["duration_s=1.5", setting], seeds=1, sweep={}, draw={})
     assert fly(loaded, tmp_path / "c") == 0
     (row,) = rows(tmp_path / "c")
-    assert (row["status"], row["passed"], row["reason"]) == ("flown", False, reason)
+    assert (row["status"], row["passed"], row["reason"].split(", ")[0]) == ("flown", False, reason)
+    assert (reason == "at_fault") == (", " in row["reason"])  # and then in which words
     words = [sys.executable, "-m", "sim_bridge", *shlex.split(row["command"])[1:], "--out", str(tmp_path / "runs")]
     assert subprocess.run(words, capture_output=True, check=False).returncode == 1
 
@@ -377,6 +408,11 @@ def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
         found = [quantile(s, share) for s in samples]
         held = np.mean([(f.low or 0) <= true.ppf(share) <= (f.high or 9e9) for f in found])
         assert 0.94 < held < 0.995
+
+
+def test_an_interval_of_what_cannot_be_negative_has_no_negative_bound() -> None:
+    found = mean([0.0, 0.001, 0.0, 0.09, 0.0, 0.002])
+    assert found.low is not None and found.high is not None and 0.0 <= found.low < found.value < found.high <= 0.09
 
 
 def test_a_rate_s_interval_is_wilson_s() -> None:

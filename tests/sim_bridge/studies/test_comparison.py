@@ -94,7 +94,7 @@ def test_the_mpc_wants_nothing_that_is_not_allowed_and_its_flight_is_kept_to_loo
 
 def test_the_command_flies_in_processes_what_this_process_flies(tmp_path: Path) -> None:
     """The same figures to the last bit, whatever the number of processes; a variant that changes nothing is left out."""
-    flights = ["--laws", "eso-mpc,mpc-without-sway,pid", "--seeds", "3", "--duration", "21", "--scatter", "0.2"]
+    flights = ["--laws", "eso-mpc,mpc-without-sway,pid", "--seeds", "3-3", "--duration", "21", "--scatter", "0.2"]
     result = subprocess.run(
         [sys.executable, "-m", "sim_bridge", "compare", "numeric", *flights, "--jobs", "2", "--out", str(tmp_path)],
         capture_output=True,
@@ -113,7 +113,7 @@ def test_the_command_flies_in_processes_what_this_process_flies(tmp_path: Path) 
     "arguments,complaint",
     [
         (["numeric", "--laws", "pdi"], "'pdi' (allowed, once each: eso-mpc, backstepping"),
-        (["numeric", "--seeds", "4-2"], "--seeds 4-2: must be a number or a range"),
+        (["numeric", "--seeds", "4-2"], "--seeds 4-2: must be a number of seeds or a range"),
         (["numeric", "--duration", "20"], "duration_s = 20: must be more than 20 s"),
         (["nowhere"], "no such experiment"),
         (["pool", "--scatter", "3.0", "--seeds", "1", "--laws", "pid"], "starts at"),

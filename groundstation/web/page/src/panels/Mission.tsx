@@ -77,7 +77,7 @@ function standing(g: Request): [text: string, look: string] {
   if (outcome === null) return ["sent", ""];
   if (outcome.progress === "FAILED") return [`failed${outcome.reason && `: ${outcome.reason}`}`, "refused"];
   if (outcome.progress === "UNDER_WAY") return ["under way", ""];
-  return [g.order === "stop" ? "confirmed" : "done", "done"];
+  return [outcome.confirmed.length > 0 ? `confirmed by ${outcome.confirmed.join(", ")}` : "done", "done"];
 }
 
 function Given() {
@@ -90,7 +90,7 @@ function Given() {
         return (
           <li key={g.n} class={look}>
             <b>{g.order}</b> {text}{" "}
-            {g.outcome !== null && (
+            {g.outcome !== null && g.outcome.progress !== "DONE" && (
               <span class="answers">
                 {g.outcome.confirmed.map((robot) => (
                   <span key={robot} class="yes">
@@ -242,7 +242,7 @@ function Remark() {
         if (text !== "" && say({ kind: "remark", text })) field.value = "";
       }}
     >
-      <input name="remark" maxLength={200} placeholder="Remark for the log" aria-label="Remark for the log" autocomplete="off" />
+      <input name="remark" maxLength={200} placeholder="Remark for the log; #word is a tag" aria-label="Remark for the log" autocomplete="off" />
       <button type="submit">Add</button>
     </form>
   );

@@ -1,0 +1,122 @@
+"""The report's tables of robots and pairs: errors, the article's beside them, wear; in mm and degrees. Pure."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from groundstation.analysis.numbers import NOTHING, deg, mm, three
+from groundstation.analysis.results import PairResult, Result, RobotResult
+
+Row = RobotResult | PairResult
+XYZ = ("x [mm]", "y [mm]", "z [mm]")
+YAW = "yaw [deg]"
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A cell's text, and whether it is better ("good") or not ("bad") than what it is compared with."""
+
+    text: str
+    sense: str = ""
+
+
+@dataclass(frozen=True)
+class Group:
+    """Columns under one heading."""
+
+    title: str
+    columns: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class ReportTable:
+    """A table of a row each robot or pair: for each group of columns its cells."""
+
+    title: str
+    groups: tuple[Group, ...]
+    rows: tuple[tuple[str, tuple[tuple[Cell, ...], ...]], ...]
+    note: str
+
+
+@dataclass(frozen=True)
+class _Part:
+    group: Group
+    cells: Callable[[Any], Sequence[Cell]]
+
+
+def tables(result: Result) -> list[ReportTable]:
+    """Tables with something in them. The article's figures are of whole runs: a run that was not is not held against them."""
+    rows: list[tuple[str, Row]] = [(f"robot {name}", found) for name, found in result.robots.items()]
+    pairs: list[tuple[str, Row]] = [(f"pair {name}", found) for name, found in result.pairs.items()]
+    made = [_table("Errors", _errors(), [*rows, *pairs], "Root mean square and largest; yaw to the path's tangent.")]
+    if result.is_whole and any(row.article for _, row in (*rows, *pairs)):
+        note = "✓ below, ✗ not below the article's figure. “Never moving” is a robot that sits at the middle of its reference."
+        made.append(_table("Beside the article", _article(), [*rows, *pairs], note))
+    made.append(_table("Robots", _robots(), rows, "Yaw to the heading commanded; disturbance: estimated minus true, RMS."))
+    made.append(_table("Wear", _wear(), rows, "RMS of the change per control step: chatter wears thrusters out."))
+    return [table for table in made if table.groups]
+
+
+def _table(title: str, parts: Iterator[_Part], rows: Sequence[tuple[str, Row]], note: str) -> ReportTable:
+    filled = [part for part in parts if any(c.text != NOTHING for _, row in rows for c in part.cells(row))]
+    cells = tuple((name, tuple(tuple(part.cells(row)) for part in filled)) for name, row in rows)
+    return ReportTable(title, tuple(part.group for part in filled), cells, note)
+
+
+def _errors() -> Iterator[_Part]:
+    yield _Part(Group("RMS, whole run", (*XYZ, YAW)), lambda r: [*_lengths(r.rms_m), Cell(deg(r.rms_yaw_rad))])
+    yield _Part(
+        Group("RMS after 20 s", (*XYZ, YAW)), lambda r: [*_lengths(r.rms_after_20s_m), Cell(deg(r.rms_yaw_after_20s_rad))]
+    )
+    yield _Part(Group("largest, whole run", XYZ), lambda r: _lengths(r.max_m))
+    yield _Part(Group("largest after 20 s", XYZ), lambda r: _lengths(r.max_after_20s_m))
+
+
+def _article() -> Iterator[_Part]:
+    yield _Part(Group("RMS, whole run", XYZ), lambda r: _lengths(r.rms_m, r.article.rms_m if r.article else None))
+    yield _Part(Group("the article's", XYZ), lambda r: _lengths(r.article.rms_m if r.article else None))
+    yield _Part(
+        Group("yaw [deg]", ("here", "article")),
+        lambda r: [
+            _against(r.rms_yaw_rad, r.article.rms_yaw_rad if r.article else None, deg),
+            Cell(deg(r.article.rms_yaw_rad if r.article else None)),
+        ],
+    )
+    yield _Part(Group("largest", XYZ[:2]), lambda r: _lengths(r.max_m, r.article.max_m if r.article else None)[:2])
+    yield _Part(Group("the article's", XYZ[:2]), lambda r: _lengths(r.article.max_m if r.article else None)[:2])
+    yield _Part(Group("never moving, RMS", XYZ[:2]), lambda r: _lengths(r.baseline.rms_m if r.baseline else None)[:2])
+
+
+def _robots() -> Iterator[_Part]:
+    yield _Part(
+        Group("yaw, RMS [deg]", ("whole run", "after 20 s")),
+        lambda r: [Cell(deg(r.rms_yaw_command_rad)), Cell(deg(r.rms_yaw_command_after_20s_rad))],
+    )
+    linear = ("surge [m/s²]", "sway [m/s²]", "heave [m/s²]")
+    yield _Part(
+        Group("disturbance", (*linear, "yaw [deg/s²]")),
+        lambda r: [*_numbers(r.disturbance_error_rms, 4)[:3], Cell(deg((r.disturbance_error_rms or (None,) * 4)[3]))],
+    )
+    yield _Part(Group("control steps", ("all", "late")), lambda r: [Cell(str(r.control_steps)), Cell(str(r.missed_deadlines))])
+
+
+def _wear() -> Iterator[_Part]:
+    axes = ("surge [N]", "heave [N]", "yaw [N m]")
+    yield _Part(Group("input steps, whole run", axes), lambda r: _numbers(r.dtau_rms, 3))
+    yield _Part(Group("input steps after 20 s", axes), lambda r: _numbers(r.dtau_rms_after_20s, 3))
+    yield _Part(Group("pulse steps", ("whole run [µs]",)), lambda r: [Cell(three(r.pulse_step_rms_us))])
+
+
+def _lengths(values: Sequence[float] | None, others: Sequence[float] | None = None) -> list[Cell]:
+    """Three lengths, each against another's where there is one."""
+    own, theirs = ([*(known or ()), None, None, None] for known in (values, others))
+    return [_against(own[axis], theirs[axis], mm) for axis in range(3)]
+
+
+def _against(value: float | None, other: float | None, shown: Callable[[float | None], str]) -> Cell:
+    sense = "" if value is None or other is None else "good" if value < other else "bad"
+    return Cell(shown(value), sense)
+
+
+def _numbers(values: Sequence[float] | None, count: int) -> list[Cell]:
+    return [Cell(three(value)) for value in values or (None,) * count]

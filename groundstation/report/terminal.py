@@ -1,0 +1,53 @@
+"""A run's result for a terminal of 80 columns: verdict with its cause, a line a robot or pair, requirements not met. Pure."""
+
+from collections.abc import Iterator
+
+from groundstation.analysis.cause import missed, title
+from groundstation.analysis.numbers import NOTHING, deg, mm
+from groundstation.analysis.results import PairResult, Result, RobotResult
+
+CELL = 7  # width of a number in characters: names of up to 10 leave the table within 80
+GROUPS = (("RMS, whole run", 4), ("RMS after 20 s", 4), ("article", 2))
+
+
+def lines(result: Result) -> Iterator[str]:
+    """The lines in order. All lengths in mm, all angles in degrees."""
+    if result.log_trouble:
+        yield result.log_trouble
+    if result.cause is not None:
+        when = f" at {result.cause.time_s:.1f} s" if result.cause.time_s is not None else ""
+        yield f"cause: {result.cause.noticed_by}{when}: {result.cause.text}"
+        yield f"  injected before: {result.cause.injected or 'nothing'}"
+        yield f"  outcome: {result.cause.outcome}"
+    if not result.duration_s:
+        yield "nothing was flown"
+        return
+    yield from _table(result)
+    for check in result.checks:
+        if not check.passed and check.value is not None and check.name != "faults":
+            yield f"not met: {missed(check)}"
+    skipped = [title(check) for check in result.checks if not check.passed and check.value is None]
+    if skipped:
+        yield f"not reached: {', '.join(skipped)}"
+    for fault in result.faults[1:]:
+        yield f"also at {fault.time_s:.1f} s, {fault.source}: {fault.text}"
+
+
+def _table(result: Result) -> Iterator[str]:
+    rows: dict[str, RobotResult | PairResult] = {f"robot {name}": robot for name, robot in result.robots.items()}
+    rows |= {f"pair {name}": pair for name, pair in result.pairs.items()}
+    with_article = result.is_whole and any(row.article for row in rows.values())
+    groups = GROUPS if with_article else GROUPS[:2]
+    wide = max(len(name) for name in rows)
+    yield f"{result.scene}, seed {result.seed}, {result.mode}, {result.duration_s:.0f} s: errors in mm, yaw in deg"
+    yield (" " * wide + "".join(f" {heading:^{CELL * count - 1}}" for heading, count in groups)).rstrip()
+    yield " " * wide + "".join(f"{axis:>{CELL}}" for _, count in groups for axis in ("x", "y", "z", "yaw")[:count])
+    for name, row in rows.items():
+        cells = [*_axes(row.rms_m), deg(row.rms_yaw_rad), *_axes(row.rms_after_20s_m), deg(row.rms_yaw_after_20s_rad)]
+        if with_article:
+            cells += [mm(value) for value in row.article.rms_m[:2]] if row.article else [NOTHING] * 2
+        yield f"{name:{wide}}" + "".join(f"{cell:>{CELL}}" for cell in cells)
+
+
+def _axes(values: tuple[float, ...] | None) -> list[str]:
+    return [mm(value) for value in values or (None, None, None)]

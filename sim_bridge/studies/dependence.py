@@ -1,0 +1,109 @@
+"""A campaign's answer: each measure against each swept key, the same seeds and draws paired, failures with reasons. Pure."""
+
+import math
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from sim_bridge.studies.campaign import Campaign
+from sim_bridge.studies.statistics import Interval, mean, rate
+
+SHOWN = ("rms_after_20s_m", "max_after_20s_m", "rms_yaw_after_20s_rad", "wrench_step_rms")
+UNITS = {"_m": ("mm", 1e3), "_rad": ("deg", 180.0 / math.pi)}  # by the ends of measures' names
+MOST_REASONS = 8
+CELL, VALUE = 24, 14  # widths of the terminal's columns in characters
+
+Row = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class KeyValue:
+    """The flights with one value of a swept key. Means leave out flights in which a robot told of a fault: after it no robot
+    has to follow anything, and figures look better than they are."""
+
+    value: str
+    flights: int
+    within: Interval  # share within every limit
+    faults: int
+    points: dict[str, list[float]]  # by measure: one for each flight without a fault, in what it is shown in
+    means: dict[str, Interval | None]
+    against_first: dict[str, Interval | None]  # mean difference from the first value, over flights that differ in nothing else
+
+
+def unit_of(measure: str) -> tuple[str, float]:
+    """The unit that a measure is shown in, and the factor to it; shares in per cent."""
+    return next((shown for end, shown in UNITS.items() if measure.endswith(end)), ("%", 100.0))
+
+
+def shown_measures(rows: Sequence[Row]) -> list[str]:
+    """Measures of the tables: those that these flights have; of flights under 20 s that of the whole run."""
+    return [name for name in SHOWN if any(row.get(name) is not None for row in rows)] or ["rms_m"]
+
+
+def dependence(campaign: Campaign, key: str, flown: Sequence[Row], measures: Sequence[str]) -> list[KeyValue]:
+    """A line for each value of a swept key, in the file's order."""
+    values = list(dict.fromkeys(str(row[key]) for row in flown))
+    sound = [row for row in flown if not row.get("at_fault")]
+    others = [name for name in ("seed", *campaign.sweep) if name != key]
+    twins = {(str(row[key]), *(str(row[name]) for name in others)): row for row in sound}
+    lines = []
+    for value in values:
+        members = [row for row in flown if str(row[key]) == value]
+        kept = [row for row in members if not row.get("at_fault")]
+        pairs = [(row, twins.get((values[0], *(str(row[name]) for name in others)))) for row in kept]
+        points = {m: [unit_of(m)[1] * row[m] for row in kept if row[m] is not None] for m in measures}
+        apart = {m: [unit_of(m)[1] * (a[m] - b[m]) for a, b in pairs if b and None not in (a[m], b[m])] for m in measures}
+        lines.append(
+            KeyValue(
+                value,
+                len(members),
+                rate(sum(bool(row["passed"]) for row in members), len(members)),
+                len(members) - len(kept),
+                points,
+                {m: mean(found) if found else None for m, found in points.items()},
+                {m: mean(found) if found and value != values[0] else None for m, found in apart.items()},
+            )
+        )
+    return lines
+
+
+def reasons(rows: Sequence[Row]) -> list[tuple[int, str]]:
+    """Numbers of flights that did not pass, by reason, the most frequent first."""
+    failed = [row for row in rows if row["status"] != "flown" or not row.get("passed")]
+    each = Counter(
+        reason
+        for row in failed
+        for reason in ([row["reason"]] if row["status"] != "flown" else dict.fromkeys(row["reason"].split(", ")))
+    )
+    return [(count, reason) for reason, count in each.most_common()]
+
+
+def lines(campaign: Campaign, rows: Sequence[Row]) -> Iterator[str]:
+    """The same for a terminal of 80 columns: a table for each swept key, then the reasons of failures."""
+    flown = [row for row in rows if row["status"] == "flown"]
+    measures = shown_measures(flown)[:2]
+    for key in campaign.sweep if flown else ():
+        yield f"{key}: mean [95 %] over flights without a fault"
+        heads = "".join(f"{f'{name} [{unit_of(name)[0]}]':>{CELL}}" for name in measures)
+        yield f"{'value':{VALUE}}{'flights':>8}{'passed':>8}{heads}"
+        for line in dependence(campaign, key, flown, measures):
+            passed = round(line.within.value * line.flights)
+            cells = "".join(f"{in_brackets(line.means[name]):>{CELL}}" for name in measures)
+            yield f"{line.value[: VALUE - 1]:{VALUE}}{line.flights:>8}{passed:>8}{cells}"
+    found = reasons(rows)
+    if found:
+        total = sum(row["status"] != "flown" or not row.get("passed") for row in rows)
+        yield f"{total} of {len(rows)} flights did not pass:"
+        yield from (f"  {count} x {reason}" for count, reason in found[:MOST_REASONS])
+        if len(found) > MOST_REASONS:
+            yield f"  and {len(found) - MOST_REASONS} more reasons (in the report)"
+
+
+def in_brackets(interval: Interval | None) -> str:
+    """A figure with its interval, three digits."""
+    if interval is None:
+        return "–"
+    if interval.low is None or interval.high is None:
+        return f"{interval.value:.3g}"
+    return f"{interval.value:.3g} [{interval.low:.3g}, {interval.high:.3g}]"
