@@ -18,7 +18,7 @@ MOST_ROWS = 24
 LABELS_TO = 0.2  # of the figure's width: where the rows' names end
 WINDOW_S = 1.0  # of the medians that show where time goes
 TONES = {
-    Mode.DISARMED: "#D9D9D9", Mode.ARMED: "#E69F00", Mode.TRACKING: "#009E73", Mode.HOLDING: "#56B4E9",
+    Mode.DISARMED: "#D9D9D9", Mode.ARMED: "#E69F00", Mode.TRACKING: "#009E73", Mode.HOLDING: "#56B4E9", Mode.DRIVEN: "#CC79A7",
     Mode.STOPPED: "#000000", Mode.FAULT: "#D55E00",
 }  # fmt: skip
 

@@ -13,6 +13,8 @@ LONGEST_BYTES = 64 * 1024  # of one text: an edit of 49 nodes and 200 waypoints 
 Count = Annotated[int, msgspec.Meta(ge=0, le=2**53)]
 Metres = Annotated[float, msgspec.Meta(ge=-1e4, le=1e4)]
 Typed = Annotated[float, msgspec.Meta(ge=-1e12, le=1e12)]  # by a person, key by key: the station says what is allowed
+RobotId = Annotated[int, msgspec.Meta(ge=0, le=999)]
+Velocity = Annotated[float, msgspec.Meta(ge=-10, le=10)]  # m/s or rad/s; the robot limits it
 Vec2 = tuple[Metres, Metres]
 Vec3 = tuple[Metres, Metres, Metres]
 ORDERS = (*FLEET_REQUESTS, order_name(Order.GO))
@@ -43,12 +45,23 @@ class Release(msgspec.Struct, tag_field="kind", tag="release", forbid_unknown_fi
 
 
 class OrderRequest(msgspec.Struct, tag_field="kind", tag="order", forbid_unknown_fields=True, frozen=True):
-    """An order for the whole fleet; `n` comes back with the answer. `via_m`: places of a `go`."""
+    """An order for the whole fleet, or for `robot`; `n` comes back with the answer. `via_m`: places of a `go`."""
 
     n: Count
     order: OrderName
     via_m: Annotated[list[Vec2], msgspec.Meta(max_length=MOST_PLACES)] = []
+    robot: RobotId = 0
     seen_ms: Count = 0  # `clock_ms` of the newest state that the page had: an order that was long on its way is none
+
+
+class DriveRequest(msgspec.Struct, tag_field="kind", tag="drive", forbid_unknown_fields=True, frozen=True):
+    """Velocity of one robot in its body frame, now; the page says it again while a key is held. All zeros: hold."""
+
+    robot: RobotId
+    surge_mps: Velocity
+    heave_mps: Velocity
+    yaw_rate_radps: Velocity
+    seen_ms: Count = 0  # as of an order
 
 
 class TuneRequest(msgspec.Struct, tag_field="kind", tag="tune", forbid_unknown_fields=True, frozen=True):
@@ -102,7 +115,7 @@ class Seek(msgspec.Struct, tag_field="kind", tag="seek", forbid_unknown_fields=T
     rate: Annotated[float, msgspec.Meta(ge=0, le=64)] | None = None
 
 
-Request = Hello | Ack | Take | Release | OrderRequest | TuneRequest | PreviewEdit | Save | Remark | Seek
+Request = Hello | Ack | Take | Release | OrderRequest | DriveRequest | TuneRequest | PreviewEdit | Save | Remark | Seek
 _DECODER = msgspec.json.Decoder(Request)
 
 

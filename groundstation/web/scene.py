@@ -33,10 +33,10 @@ def paths(trajectories: Mapping[int, Trajectory], flown: int) -> list[dict[str, 
     ]
 
 
-def flown_paths(trajectories: Mapping[int, Trajectory], end_s: float) -> list[dict[str, Any]]:
-    """The paths of a leg that is flown now, up to its end; what comes after is horizon."""
+def flown_paths(flown: Mapping[int, tuple[Trajectory, float]]) -> list[dict[str, Any]]:
+    """The paths that are flown now, each up to its end in s; what comes after is horizon."""
     found = []
-    for robot, t in trajectories.items():
+    for robot, (t, end_s) in flown.items():
         samples = round((end_s - t.begin_s) / t.period_s) + 1
         found += paths({robot: t}, min(max(samples, 1), len(t.eta)))
     return found

@@ -66,6 +66,7 @@ class FleetSnapshot:
     laps: Sequence[Lap] = ()
     requests: Sequence[Outcome] = ()
     ended: bool = False
+    led: Mapping[int, str] = field(default_factory=dict)
 
 
 def snapshot(news: FleetSnapshot) -> dict[str, Any]:
@@ -85,6 +86,7 @@ def snapshot(news: FleetSnapshot) -> dict[str, Any]:
         "tuning": _tuning(news.tuning, news.laps),
         "requests": [_request(outcome) for outcome in news.requests],
         "ended": news.ended,
+        "led": [{"robot": robot, "text": text} for robot, text in news.led.items()],
         "robots": [_robot(robot, found) for robot, found in news.robots.items()],
     }
 

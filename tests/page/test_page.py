@@ -252,7 +252,8 @@ def alone(browser: Browser, experiment: Experiment) -> Iterator[Alone]:
 def editor(browser: Browser) -> Iterator[Page]:
     """The editor open on a path of waypoints: the planner needs no robots for that."""
     curve = load_experiment(
-        "figure-eight", ["path.points_m=[[-0.8,0.0],[0.0,0.3],[0.8,0.0]]", "path.laps=1", "path.start_index=0", "duration_s=15"]
+        "figure-eight",
+        ["path.points_m=[[-0.8,0.0],[0.0,0.3],[0.8,0.0]]", "path.laps=1", "path.start_index=0", "duration_s=15"],
     )
     with alone(browser, curve) as desk:
         desk.page.goto(desk.url)
@@ -522,7 +523,7 @@ def test_the_map_draws_what_is_flown_now(browser: Browser) -> None:
         before = desk.page.evaluate("document.querySelector('.pool canvas').toDataURL()")
         line = np.linspace([-1.0, -1.0, 0.3, 0.0], [1.0, 1.0, 0.3, 0.0], 100)
         home = {r: Trajectory(f"home-{r}", 0.05, line, 0 * line, 0 * line, begin_s=30.0) for r in planned}
-        desk.paths = home, 35.0
+        desk.paths = {robot: (way, 35.0) for robot, way in home.items()}
         expect(canvas).to_have_attribute("data-paths", "home-1 home-2")
         assert desk.page.evaluate("document.querySelector('.pool canvas').toDataURL()") != before
 
