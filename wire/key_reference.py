@@ -94,8 +94,7 @@ def schema(kind: str) -> dict[str, Any]:
 
 @cache
 def hints(model: type[Section], name: str) -> dict[str, str]:
-    """What a person has to know to fill in each key of one section: dotted key, meaning, range, default. Quick: no file but
-    the source is read."""
+    """Dotted key, meaning, range and default of each key of one section, in one text. Quick: only the source is read."""
     described = model.model_json_schema()["properties"]
     found = {}
     for key, value in described.items():

@@ -214,7 +214,7 @@ class Station:
             keys = dict(zip(command.tuning.keys, command.tuning.values.tolist(), strict=False))
             reason, number = self.request_gains(keys or None, next_lap=False)
         else:
-            reason, number = self.request(command.order, [(x, y) for x, y in command.via.tolist()], command.only)
+            reason, number = self.request(command.order, [(x, y) for x, y in command.via.tolist()])
         outcome = self.requests.outcome(number) if not reason else None
         return Reply(WHOLE_FLEET, not reason, reason, outcome=outcome)
 

@@ -695,7 +695,9 @@ def test_any_field_is_plotted_and_a_layout_is_an_address(browser: Browser) -> No
         expect(page.get_by_label("What plot 2 shows")).to_have_value("state.nu.0")
         expect(tile(page, 2)).to_have_class(re.compile("chosen"))
         for _ in range(8):
-            desk.robots.publish(topics.STATE, RobotState(nu=np.array([0.25, 0.0, 0.0, 0.0]), board_loss=0.5), time.time_ns(), 1)
+            desk.robots.publish(
+                topics.STATE, RobotState(nu=np.array([0.25, 0.0, 0.0, 0.0]), board_loss=0.5), time.time_ns(), 1
+            )
             page.wait_for_timeout(120)
         figures = page.locator(".plot")
         expect(figures.nth(1).locator(".u-legend")).to_contain_text("0.25")

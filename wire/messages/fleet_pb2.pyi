@@ -342,7 +342,7 @@ class DriveVelocity(_message.Message):
     def __init__(self, surge_mps: _Optional[float] = ..., heave_mps: _Optional[float] = ..., yaw_rate_radps: _Optional[float] = ...) -> None: ...
 
 class Command(_message.Message):
-    __slots__ = ("order", "robot", "time_to_live_s", "experiment_hash", "trajectory_id", "start_in_s", "trajectory", "trajectory_s", "tuning_id", "tuning", "recipient", "via", "start_ns", "about", "drive", "only")
+    __slots__ = ("order", "robot", "time_to_live_s", "experiment_hash", "trajectory_id", "start_in_s", "trajectory", "trajectory_s", "tuning_id", "tuning", "recipient", "via", "start_ns", "about", "drive")
     ORDER_FIELD_NUMBER: _ClassVar[int]
     ROBOT_FIELD_NUMBER: _ClassVar[int]
     TIME_TO_LIVE_S_FIELD_NUMBER: _ClassVar[int]
@@ -358,7 +358,6 @@ class Command(_message.Message):
     START_NS_FIELD_NUMBER: _ClassVar[int]
     ABOUT_FIELD_NUMBER: _ClassVar[int]
     DRIVE_FIELD_NUMBER: _ClassVar[int]
-    ONLY_FIELD_NUMBER: _ClassVar[int]
     order: Order
     robot: int
     time_to_live_s: float
@@ -374,8 +373,7 @@ class Command(_message.Message):
     start_ns: int
     about: int
     drive: DriveVelocity
-    only: int
-    def __init__(self, order: _Optional[_Union[Order, str]] = ..., robot: _Optional[int] = ..., time_to_live_s: _Optional[float] = ..., experiment_hash: _Optional[str] = ..., trajectory_id: _Optional[str] = ..., start_in_s: _Optional[float] = ..., trajectory: _Optional[_Union[Trajectory, _Mapping]] = ..., trajectory_s: _Optional[float] = ..., tuning_id: _Optional[str] = ..., tuning: _Optional[_Union[Tuning, _Mapping]] = ..., recipient: _Optional[int] = ..., via: _Optional[_Iterable[float]] = ..., start_ns: _Optional[int] = ..., about: _Optional[int] = ..., drive: _Optional[_Union[DriveVelocity, _Mapping]] = ..., only: _Optional[int] = ...) -> None: ...
+    def __init__(self, order: _Optional[_Union[Order, str]] = ..., robot: _Optional[int] = ..., time_to_live_s: _Optional[float] = ..., experiment_hash: _Optional[str] = ..., trajectory_id: _Optional[str] = ..., start_in_s: _Optional[float] = ..., trajectory: _Optional[_Union[Trajectory, _Mapping]] = ..., trajectory_s: _Optional[float] = ..., tuning_id: _Optional[str] = ..., tuning: _Optional[_Union[Tuning, _Mapping]] = ..., recipient: _Optional[int] = ..., via: _Optional[_Iterable[float]] = ..., start_ns: _Optional[int] = ..., about: _Optional[int] = ..., drive: _Optional[_Union[DriveVelocity, _Mapping]] = ...) -> None: ...
 
 class Outcome(_message.Message):
     __slots__ = ("request", "order", "progress", "reason", "mission", "confirmed", "waiting", "why")

@@ -294,7 +294,6 @@ class Command:
     start_ns: int = 0  # START, RESUME: instant on the station's clock. 0 (older logs): start_in_s after the header's stamp.
     about: int = 0  # To the station, with NONE: number of the request whose outcome is asked for.
     drive: DriveVelocity | None = None  # DRIVE: the velocity.
-    only: int = 0  # To the station: the one robot that the request is about; 0: the whole fleet.
 
 
 @dataclass(frozen=True, eq=False)
