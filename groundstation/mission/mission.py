@@ -163,12 +163,14 @@ class Mission:
             self.plans.request_replan(fleet, now_ns, tuple(via))
         return ""
 
+    def takes_out(self, order: Order) -> bool:
+        """True if such an order for one robot takes it out of the formation: in flight always, while all hold only DISARM."""
+        return self.state in NOMINAL or (self.state is MissionState.PAUSED and order is Order.DISARM)
+
     def lead(self, robot: int, order: Order) -> None:
-        """Let a person lead one robot. In flight it leaves the formation, as a robot that is disarmed always does; while all
-        hold it keeps its slot."""
+        """Let a person lead one robot."""
         self._needs_operator = True
-        leaves = self.state in NOMINAL or (self.state is MissionState.PAUSED and order is Order.DISARM)
-        if leaves and robot not in self.roster.lost:
+        if self.takes_out(order) and robot not in self.roster.lost:
             self.roster.mark_lost(robot, "led by a person")
 
     def objection(self, order: Order, fleet: Fleet, via: Sequence[tuple[float, float]] = ()) -> str:

@@ -22,12 +22,7 @@ from groundstation.telemetry import Fleet, RobotView, preflight
 from wire.config.experiment import Experiment
 from wire.messages.messages import Command, DriveVelocity, Mode, Order, Progress, Trajectory
 
-ONE_ROBOT = (
-    Order.ARM,
-    Order.HOLD,
-    Order.DISARM,
-    Order.GO,
-)  # requests for one robot; DRIVE comes ten times a second beside them
+ONE_ROBOT = (Order.ARM, Order.HOLD, Order.DISARM, Order.GO)  # beside DRIVE, which comes ten times a second
 WHEN = NOMINAL | TERMINAL | {MissionState.WAITING, MissionState.PAUSED}
 VELOCITY_LASTS_S = 0.3  # of the person's last word; then the robot is told to hold
 
@@ -42,9 +37,9 @@ class RobotTask:
     reason: str = ""  # of a failure, or the last refusal
     place_m: tuple[float, float] | None = None  # GO
     trip: PlanSegment | None = None  # GO, once it is planned
-    started: bool = False  # GO: the robot has flown its trip
+    started: bool = False  # GO: the robot has begun to fly its trip
     velocity: DriveVelocity = field(default_factory=DriveVelocity)  # DRIVE: the newest, asked at `since_ns`
-    timetable: Timetable | None = None
+    timetable: Timetable | None = None  # GO, once the robot has its trajectory
 
 
 class SingleRobotControl:
@@ -112,8 +107,8 @@ class SingleRobotControl:
         if mission.state not in WHEN:
             names = ", ".join(state.name for state in MissionState if state in WHEN)
             return f"{order.name} for one robot is not possible when {mission.state.name} (only when {names})"
-        if mission.state in NOMINAL and set(mission.roster.active) == {robot}:
-            return f"robot {robot} is the only one that flies: hold the fleet instead"
+        if mission.takes_out(order) and set(mission.roster.active) == {robot}:
+            return f"robot {robot} is the only one that flies: hold or disarm the fleet instead"
         seen = fleet[robot]
         if not seen.heard:
             return f"robot {robot} is not heard"

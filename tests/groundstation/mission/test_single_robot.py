@@ -103,7 +103,7 @@ def test_a_robot_led_in_flight_leaves_the_formation_and_the_other_flies_on() -> 
     assert run.in_mode(1, Mode.TRACKING)
     assert run.mission.roster.lost == {2: "led by a person"}
     assert run.at(MissionState.DEGRADED)
-    assert run.ask(Order.HOLD, robot=1) == "robot 1 is the only one that flies: hold the fleet instead"
+    assert run.ask(Order.HOLD, robot=1) == "robot 1 is the only one that flies: hold or disarm the fleet instead"
     run.step(1.0)
     assert run.in_mode(2, Mode.HOLDING)
     assert run.mission.request(Order.REJOIN, run.fleet(), run.now_ns) == ""
