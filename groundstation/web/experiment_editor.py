@@ -83,8 +83,9 @@ def attempt(experiment: Experiment, edit: Edit) -> dict[str, Any]:
     shown: dict[str, Any] = {}
     try:
         changed = edited(experiment, edit)
+        shown = {"nodes_m": [[robot.id, *robot.node_m] for robot in changed.robots]}  # also of what cannot be flown
         drafted, problems = planner.draft(changed)
-        shown = _shown(changed, drafted.trajectories)
+        shown |= _shown(changed, drafted.trajectories)
         if not problems:
             planner.start_poses(changed, drafted.trajectories)
     except ConfigError as error:
@@ -96,7 +97,6 @@ def _shown(experiment: Experiment, trajectories: Mapping[int, Trajectory]) -> di
     flown = flown_samples(experiment)
     return {
         "paths": paths(trajectories, flown),
-        "nodes_m": [[robot.id, *robot.node_m] for robot in experiment.robots],
         "duration_s": experiment.duration_s,
         "clearance_m": clearance_m(trajectories, flown),
         "needed_m": 2.0 * experiment.safety.radius_m,

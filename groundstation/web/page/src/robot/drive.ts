@@ -74,6 +74,7 @@ function tell(): void {
   for (const share of [...held.values(), stick()]) share.forEach((value, k) => (asked[k] = Math.max(-1, Math.min(1, asked[k]! + value))));
   const moves = asked.some((value) => value !== 0);
   if (!moves && !moving) return;
+  if (moves && !moving) undriven.value = "";
   moving = moves;
   const [ahead, down, right] = asked.map((value) => value * pace.peek()) as [number, number, number];
   say({
@@ -87,7 +88,7 @@ function tell(): void {
 }
 
 setInterval(() => {
-  if (driven.peek() !== 0 && (!connected.peek() || !inControl.peek())) stopDriving();
+  if (driven.peek() !== 0 && (!connected.peek() || !inControl.peek() || live.snapshot?.stop)) stopDriving();
   tell();
 }, SAY_EVERY_MS);
 addEventListener("keyup", (event) => letGo(event.key.toLowerCase()));
