@@ -178,7 +178,7 @@ class Mission:
         experiment, returns = self._experiment, self.segment.is_return
         from_rest = order is Order.RETURN and self._at_rest  # takes in robots that the last run had lost
         roster = Roster(experiment.robot_ids, self.segment) if from_rest else self.roster
-        moving = [r for r in roster.all_robots if fleet[r].heard and fleet[r].mode in MOVING]
+        moving = [r for r, seen in fleet.items() if seen.heard and seen.mode in MOVING]
         if order in (Order.LOAD, Order.ARM, Order.START, Order.TEST) and self._at_rest and moving:
             return f"robot {moving[0]} is led by a person: let it hold first"
         if order in (Order.ARM, Order.START):
@@ -186,8 +186,8 @@ class Mission:
         if order is Order.TEST:
             return "; ".join(preflight(experiment, fleet, exclude=("thrusters",)))
         if order is Order.RESUME:
-            moves = [r for r in roster.active if fleet[r].mode is not Mode.HOLDING]
-            return "; ".join(f"robot {r} does not hold yet ({mode_name(fleet[r])})" for r in moves)
+            others = [r for r in roster.active if fleet[r].mode is not Mode.HOLDING]
+            return "; ".join(f"robot {r} does not hold yet ({mode_name(fleet[r])})" for r in others)
         if order is Order.CLEAR_STOP:
             flying = [r for r in roster.all_robots if fleet[r].heard and fleet[r].mode in LIVE]
             return "; ".join(f"robot {r} has not stopped yet ({mode_name(fleet[r])})" for r in flying)
