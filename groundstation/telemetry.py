@@ -249,7 +249,7 @@ def _mode(experiment: Experiment, seen: RobotView, state: RobotState) -> Finding
         yield "mode", "critical", True, f"is {state.mode.name}: {state.fault}", remedy
     elif state.fault:
         yield "fault", "warning", False, state.fault, ""
-    flies = state.mode in (Mode.TRACKING, Mode.HOLDING)
+    flies = state.mode in (Mode.TRACKING, Mode.HOLDING, Mode.DRIVEN)
     if flies and topics.PLAN.max_age_in(experiment.safety) < seen.plan_age_s < float("inf"):
         yield "plan", "warning", False, f"its plan is {seen.plan_age_s:.1f} s old", "others give it room"
     if experiment.mission.thruster_test and not flies and state.thruster_test != "passed":

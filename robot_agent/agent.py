@@ -17,20 +17,34 @@ import numpy as np
 
 from robot_agent.control.controller import Controller, ControlOutput
 from robot_agent.control.live_tuning import LiveTuning, Prepared
+from robot_agent.guidance import driving
+from robot_agent.guidance.driving import Driver
 from robot_agent.guidance.formation import Neighbour
 from robot_agent.guidance.obstacles import Obstacle, OwnHullFilter, grown_with_age, island_obstacles, obstacles_from_message
 from robot_agent.guidance.reference import Goal, Hold
 from robot_agent.guidance.trajectory_clock import TrajectoryClock
 from robot_agent.inputs import Inputs, StationView
 from robot_agent.safety.health import HealthMonitor
-from robot_agent.safety.modes import ORDERS, POWERED, Health, react, refusal
+from robot_agent.safety.modes import DRIVE_LASTS_S, ORDERS, POWERED, Health, react, refusal
 from robot_agent.safety.thruster_selftest import ThrusterSelftest
 from robot_agent.vehicle.eso import PoseMeasurement, StateMeasurement
 from wire.camera_coverage import outside_m
 from wire.config.experiment import Experiment
 from wire.mavlink.agent_link import Telemetry
 from wire.messages.codec import Header
-from wire.messages.messages import Command, Mode, Order, Plan, Pose, Reply, RobotState, Solve, Track, Trajectory
+from wire.messages.messages import (
+    Command,
+    DriveVelocity,
+    Mode,
+    Order,
+    Plan,
+    Pose,
+    Reply,
+    RobotState,
+    Solve,
+    Track,
+    Trajectory,
+)
 from wire.obstacle_memory import blindness, is_old
 from wire.transport.command_deduplication import ALWAYS_TAKEN
 
@@ -69,6 +83,8 @@ class Agent:
             room_m=experiment.pool.size_m[:2] if experiment.pool.walls else None,
             islands=island_obstacles(experiment.islands, experiment.vehicle.radius_m),
         )
+        self._driver = Driver(experiment)
+        self._driven: tuple[DriveVelocity, int] | None = None  # the last DRIVE's velocity, and its instant on our clock
         self._tuning = LiveTuning(self.controller, experiment.controller)
         coupled = experiment.formation.kind == "virtual-structure"
         self._in_formation_with = self._me.neighbours if coupled else () if leader is None else (leader,)
@@ -102,12 +118,14 @@ class Agent:
         reason = refusal(command.order, self.mode)
         if not reason:
             prepared = self.prepare(command) if prepared is None else prepared
-            reason = self._objection(command, prepared, station, begin_ns, now_ns)
+            reason = self._objection(command, prepared, station, begin_ns, given_ns, now_ns)
         if not reason and prepared is not None:
             self._apply(command, prepared, station, begin_ns, given_ns)
         return Reply(self._me.id, not reason, reason, self.mode)
 
-    def _objection(self, command: Command, prepared: Prepared, station: StationView, begin_ns: int, now_ns: int) -> str:
+    def _objection(
+        self, command: Command, prepared: Prepared, station: StationView, begin_ns: int, given_ns: int, now_ns: int
+    ) -> str:
         """Return the reason to refuse a command whose mode and origin are right; empty if there is none."""
         eta = self._last.eta if self._last is not None and self._last.estimated else None
         reason = self._clock.objection(command, self.mode is Mode.TRACKING, station, begin_ns, now_ns, eta)
@@ -115,7 +133,17 @@ class Agent:
             return reason
         if command.order is Order.ARM:
             return self._health.arming_refusal(self.inputs, station, now_ns)
+        if command.order is Order.DRIVE:
+            return self._undrivable(command.drive, given_ns, now_ns)
         return self._tuning.objection(command, prepared)
+
+    def _undrivable(self, velocity: DriveVelocity | None, given_ns: int, now_ns: int) -> str:
+        """Return the reason to refuse a DRIVE given at `given_ns`; empty if there is none. What would end it at the next step
+        is one."""
+        if self._driven is not None and given_ns < self._driven[1]:
+            return f"is {(self._driven[1] - given_ns) * 1e-9:.3f} s older than the one that is followed"
+        health = self._health.health(self.inputs, False, now_ns, (now_ns - given_ns) * 1e-9)
+        return driving.objection(velocity) or react(Mode.DRIVEN, health, self._experiment.safety)[1]
 
     def _apply(self, command: Command, prepared: Prepared, station: StationView, begin_ns: int, given_ns: int) -> None:
         """Carry out an accepted command, given at `given_ns`. START and RESUME take effect at `begin_ns`. Both are on our
@@ -127,6 +155,8 @@ class Agent:
             self._selftest = ThrusterSelftest(self._experiment.vehicle, neutral_us)
         if command.order is Order.STOP:
             self._fault = "emergency stop"
+        if command.drive is not None and command.order is Order.DRIVE:
+            self._driven = command.drive, given_ns
         target = ORDERS[command.order].to
         if target is not None:
             self._enter(target, self._fault if target is Mode.STOPPED else "")
@@ -134,6 +164,9 @@ class Agent:
     def _enter(self, mode: Mode, fault: str) -> None:
         if mode is not Mode.HOLDING:
             self._hold = None
+        if mode is not Mode.DRIVEN:
+            self._driven = None
+            self._driver.reset()
         if mode not in POWERED:
             self._tuning.leave_run()
         if mode is not Mode.TRACKING:
@@ -149,17 +182,16 @@ class Agent:
         self.inputs = inputs
         self._health.note_inputs(inputs, self.mode, now_ns, self._selftest is not None and self._selftest.result == "running")
         solver_failed = self._last is not None and self._last.solve is Solve.FAILED
-        health = self._health.health(inputs, solver_failed, now_ns)
+        drive_age_s = (now_ns - self._driven[1]) * 1e-9 if self._driven is not None else 0.0
+        health = self._health.health(inputs, solver_failed, now_ns, drive_age_s)
         mode, reason = react(self.mode, health, self._experiment.safety)
         if reason in SUSPECT and self._selftest is not None and self._selftest.result == "passed":
             self._selftest = None
         if mode is not self.mode:
             self._enter(mode, reason + (LEFT if reason in UNSEEN and self._left_the_picture() else ""))
         neighbours = self._neighbours(inputs, now_ns)
-        obstacles, goal = (
-            self.obstacles(inputs, now_ns),
-            self._goal(now_ns),
-        )  # time goes on along the path while the board arms
+        obstacles = self.obstacles(inputs, now_ns)
+        goal = self._goal(neighbours, obstacles, now_ns)  # time goes on along the path while the board arms
         if not inputs.telemetry.armed:
             goal = None  # a board arms on neutral pulses, and puts out no others
         self._tuning.step(now_ns, self._clock.reached_s)
@@ -239,7 +271,7 @@ class Agent:
             return False
         return float(outside_m(experiment.camera, last.eta[None, :3], experiment.vehicle.radius_m)[0]) > 0.0
 
-    def _goal(self, now_ns: int) -> Goal | None:
+    def _goal(self, neighbours: Sequence[Neighbour], obstacles: Sequence[Obstacle], now_ns: int) -> Goal | None:
         """Return the controller's goal in the present mode; None is neutral."""
         if self.mode is Mode.TRACKING:
             return self._clock.goal(self.inputs.station, now_ns)
@@ -248,6 +280,11 @@ class Agent:
             if (self._hold is None or leapt) and self._last is not None and self._last.estimated:
                 self._hold = Hold(self._last.eta)
             return self._hold
+        if self._driven is not None and self._last is not None and self._last.estimated:
+            (velocity, given_ns), eta = self._driven, self._last.eta
+            lasts_s = DRIVE_LASTS_S - (now_ns - given_ns) * 1e-9
+            around = driving.bodies(neighbours, obstacles, self.controller.formation, now_ns)
+            return self._driver.goal(velocity, lasts_s, eta, around)
         return None
 
     def _neighbours(self, inputs: Inputs, now_ns: int) -> tuple[Neighbour, ...]:

@@ -31,6 +31,7 @@ from wire.messages.messages import (
     LocalizerStatus,
     Mode,
     Obstacles,
+    Order,
     Plan,
     Pose,
     Reply,
@@ -209,7 +210,8 @@ class AgentNode:
             return Reply(
                 self._robot, False, f"{command.order.name}: {type(error).__name__}: {error}; the robot's program ends"
             )
-        log.info("%s: %s", command.order.name, "accepted" if reply.accepted else f"refused: {reply.reason}")
+        if command.order is not Order.DRIVE or not reply.accepted:  # one comes every period
+            log.info("%s: %s", command.order.name, "accepted" if reply.accepted else f"refused: {reply.reason}")
         return reply
 
     def _obey(self, header: Header, command: Command, prepared: Prepared | None) -> Reply:

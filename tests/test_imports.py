@@ -39,6 +39,7 @@ PARTS: dict[str, dict[str, set[str]]] = {
         "camera_coverage": {"config", "frames"},
         "messages": {"config", "frames", "toml_loader"},
         "key_reference": {"config", "toml_loader"},
+        "commented_file": {"config", "key_reference", "toml_loader"},
         "obstacle_memory": {"config", "frames", "messages"},
         "security": {"messages", "toml_loader"},
         "transport": {"loopback", "messages", "security", "toml_loader"},

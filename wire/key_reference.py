@@ -92,6 +92,19 @@ def schema(kind: str) -> dict[str, Any]:
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **found}
 
 
+@cache
+def hints(model: type[Section], name: str) -> dict[str, str]:
+    """Dotted key, meaning, range and default of each key of one section, in one text. Quick: only the source is read."""
+    described = model.model_json_schema()["properties"]
+    found = {}
+    for key, value in described.items():
+        entry = _entry(key, "", value | {"description": meanings(model).get(key, "")}, "default" not in value, False, [])
+        allowed = f" Allowed: {entry.allowed}{f' {entry.unit}' if entry.unit else ''}." if entry.allowed else ""
+        default = f" Default: {entry.default}." if entry.default and entry.default != "required" else ""
+        found[f"{name}.{key}" if name else key] = f"{name}.{key}: {entry.meaning}{allowed}{default}"
+    return found
+
+
 def tables(kind: str) -> list[KeyTable]:
     """All keys of the files of one kind, section by section."""
     described = schema(kind)

@@ -35,6 +35,7 @@ from wire.messages import topics
 from wire.messages.codec import Header, encode
 from wire.messages.messages import (
     CameraHealth,
+    DriveVelocity,
     LocalizerStatus,
     Message,
     Mode,
@@ -159,8 +160,11 @@ class _Station:
         views = {robot: self.heard.view(robot, LinkMonitor(), self.clock) for robot in self.heard.states}
         return Status(MissionState.RUNNING, "", seen=views)
 
-    def request(self, order: Order, via: Sequence[tuple[float, float]] = ()) -> tuple[str, int]:
+    def request(self, order: Order, via: Sequence[tuple[float, float]] = (), only: int = 0) -> tuple[str, int]:
         return "", 0
+
+    def drive(self, robot: int, velocity: DriveVelocity) -> str:
+        return ""
 
     def request_gains(self, values: Mapping[str, float] | None, next_lap: bool) -> tuple[str, int]:
         return "", 0

@@ -207,7 +207,7 @@ class GainUpdater:
 
     def _watch(self, change: _Change, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
         """Wait for the lap. A robot that is disarmed or stopped meanwhile has forgotten the set."""
-        out = [str(robot) for robot in change.robots if fleet[robot].mode not in (Mode.TRACKING, Mode.HOLDING)]
+        out = [str(robot) for robot in change.robots if fleet[robot].mode not in (Mode.TRACKING, Mode.HOLDING, Mode.DRIVEN)]
         if out:
             return self._give_up(f"robot {', '.join(out)} left the run before the lap began", fleet, now_ns)
         return ()

@@ -48,7 +48,8 @@ REST_WITHIN_S = 8.0  # then planning begins all the same: robots that hold again
 OUT_FOR_S = 0.3  # out of step for this long before all hold: states count with their age, but arrive with jitter
 
 ARMED = frozenset({Mode.ARMED, Mode.HOLDING})
-LIVE = ARMED | {Mode.TRACKING}
+MOVING = frozenset({Mode.TRACKING, Mode.DRIVEN})
+LIVE = ARMED | MOVING
 UNFIT = frozenset({Mode.FAULT, Mode.STOPPED})
 PRESTART = frozenset({MissionState.ARMING, MissionState.STARTING})
 
@@ -117,6 +118,7 @@ class Mission:
         self._still_to_arm: frozenset[int] = frozenset()  # robots that may be disarmed until a new plan arms them
         self._last_state: MissionState | None = None  # of the last request: the mission goes no further than this
         self._needs_operator = False  # an automatic mission does not go on by itself
+        self.led: frozenset[int] = frozenset()  # robots that a person leads one by one now (single_robot.py)
 
     @property
     def segment(self) -> PlanSegment:
@@ -161,18 +163,31 @@ class Mission:
             self.plans.request_replan(fleet, now_ns, tuple(via))
         return ""
 
+    def takes_out(self, order: Order) -> bool:
+        """True if such an order for one robot takes it out of the formation: in flight always, while all hold only DISARM."""
+        return self.state in NOMINAL or (self.state is MissionState.PAUSED and order is Order.DISARM)
+
+    def lead(self, robot: int, order: Order) -> None:
+        """Let a person lead one robot."""
+        self._needs_operator = True
+        if self.takes_out(order) and robot not in self.roster.lost:
+            self.roster.mark_lost(robot, "led by a person")
+
     def objection(self, order: Order, fleet: Fleet, via: Sequence[tuple[float, float]] = ()) -> str:
         """Reason against a request in a state that allows it; empty if there is none."""
         experiment, returns = self._experiment, self.segment.is_return
         from_rest = order is Order.RETURN and self._at_rest  # takes in robots that the last run had lost
         roster = Roster(experiment.robot_ids, self.segment) if from_rest else self.roster
+        moving = [r for r, seen in fleet.items() if seen.heard and seen.mode in MOVING]
+        if order in (Order.LOAD, Order.ARM, Order.START, Order.TEST) and self._at_rest and moving:
+            return f"robot {moving[0]} is led by a person: let it hold first"
         if order in (Order.ARM, Order.START):
             return "; ".join(preflight(experiment, fleet, self._starts))
         if order is Order.TEST:
             return "; ".join(preflight(experiment, fleet, exclude=("thrusters",)))
         if order is Order.RESUME:
-            moving = [r for r in roster.active if fleet[r].mode is not Mode.HOLDING]
-            return "; ".join(f"robot {r} does not hold yet ({mode_name(fleet[r])})" for r in moving)
+            others = [r for r in roster.active if fleet[r].mode is not Mode.HOLDING]
+            return "; ".join(f"robot {r} does not hold yet ({mode_name(fleet[r])})" for r in others)
         if order is Order.CLEAR_STOP:
             flying = [r for r in roster.all_robots if fleet[r].heard and fleet[r].mode in LIVE]
             return "; ".join(f"robot {r} has not stopped yet ({mode_name(fleet[r])})" for r in flying)
@@ -271,7 +286,8 @@ class Mission:
         """Commands for lost robots. Such a robot may fly on by a plan that the others no longer have, and may receive though
         it is not heard: its last known mode counts. The mission does not wait for it."""
         if self.state in COMMITTED:
-            return self._send(Order.HOLD, [r for r in self.roster.lost if fleet[r].mode is Mode.TRACKING], now_ns)
+            flying = [r for r in self.roster.lost if fleet[r].mode is Mode.TRACKING and r not in self.led]
+            return self._send(Order.HOLD, flying, now_ns)
         if self.state is MissionState.ENDING:  # lost robots that are heard are disarmed with the others
             silent = [r for r in self.roster.lost if not fleet[r].heard and fleet[r].mode in LIVE]
             return self._send(Order.DISARM, silent, now_ns)
@@ -483,7 +499,7 @@ class Mission:
             self._go(MissionEvent.RECOVERED, now_ns)
             self._replan_if_needed(fleet, now_ns)
             return ()
-        return self._send(Order.HOLD, moving, now_ns)
+        return self._send(Order.HOLD, [r for r in moving if r not in self.led], now_ns)
 
     @property
     def _may_replan(self) -> bool:
@@ -520,7 +536,7 @@ class Mission:
 
     def _halt(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
         """Bring all moving robots to rest, then request the plan."""
-        flying = [r for r in self.roster.active if fleet[r].mode is Mode.TRACKING]
+        flying = [r for r in self.roster.active if fleet[r].mode in MOVING]
         waited_s = (now_ns - self._data.since_ns) * 1e-9
         if flying:
             if waited_s > PATIENCE_S:

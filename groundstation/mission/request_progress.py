@@ -6,12 +6,13 @@ same outcomes.
 """
 
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from groundstation.mission.command_dispatcher import CommandResult
 from groundstation.mission.gain_update import TUNING, GainStage, GainStatus
 from groundstation.mission.mission import ARMED, LIVE, Mission
+from groundstation.mission.single_robot import RobotTask
 from groundstation.mission.state_machine import IN_FLIGHT, NOMINAL, TERMINAL, MissionState
 from groundstation.planning.segment import PlanSegment
 from groundstation.telemetry import Fleet, RobotView
@@ -108,29 +109,32 @@ class _Request:
     order: Order
     segment: PlanSegment
     tuning_id: str = ""  # TUNE: the requested set
+    only: int = 0  # the one robot that it is about; 0: all
     refusals: dict[int, str] = field(default_factory=dict)  # by robot, the last one
 
 
 class RequestTracker:
-    """Outcomes of all requests. One request at a time leads the mission, and one changes the gains."""
+    """Outcomes of all requests. One request at a time leads the mission, one changes the gains, and one leads each robot
+    alone."""
 
-    def __init__(self, robot_ids: tuple[int, ...]) -> None:
-        self._robots = robot_ids
+    def __init__(self, robot_ids: tuple[int, ...], tasks: Mapping[int, RobotTask]) -> None:
+        """`tasks`: what each robot was asked for alone, as it stands."""
+        self._robots, self._tasks = robot_ids, tasks
         self._count = 0
         self._open: list[_Request] = []
         self._outcomes: deque[Outcome] = deque(maxlen=KEPT)
         self.recent: tuple[Outcome, ...] = ()  # oldest first; replaced, never changed: other threads read it
 
-    def begin(self, order: Order, mission: Mission, tuning_id: str = "") -> int:
+    def begin(self, order: Order, mission: Mission, tuning_id: str = "", only: int = 0) -> int:
         """Count a request that was taken up. Returns its number. A repetition while it is under way is the same request."""
         gains = order in TUNING
-        for request in [request for request in self._open if (request.order in TUNING) is gains]:
+        for request in [r for r in self._open if (r.order in TUNING) is gains and r.only == only]:
             if request.order is order and order not in (Order.GO, Order.TUNE):
                 return request.number
             self._open.remove(request)
             self._record(request, mission, Progress.FAILED, f"{order.name} was asked for instead")
         self._count += 1
-        request = _Request(self._count, order, mission.segment, tuning_id)
+        request = _Request(self._count, order, mission.segment, tuning_id, only)
         self._open.append(request)
         self._record(request, mission)
         return request.number
@@ -151,11 +155,14 @@ class RequestTracker:
         ended = []
         for request in tuple(self._open):
             _take_refusals(request, results)
-            progress, reason, waiting = (
-                self._gain_progress(request, fleet, tuning)
-                if request.order in TUNING
-                else self._mission_progress(request, mission, fleet)
-            )
+            if request.only:
+                task = self._tasks[request.only]
+                waits = task.progress is not Progress.DONE
+                progress, reason, waiting = task.progress, task.reason if waits else "", [request.only] if waits else []
+            elif request.order in TUNING:
+                progress, reason, waiting = self._gain_progress(request, fleet, tuning)
+            else:
+                progress, reason, waiting = self._mission_progress(request, mission, fleet)
             if progress is not Progress.UNDER_WAY:
                 self._open.remove(request)
                 ended.append(request.number)
@@ -164,6 +171,8 @@ class RequestTracker:
         return tuple(outcome for outcome in self.recent if outcome.request in ended)
 
     def _concerned(self, request: _Request, mission: Mission) -> tuple[int, ...]:
+        if request.only:
+            return (request.only,)
         all_robots = request.order in TUNING or GOALS[request.order].all_robots
         return self._robots if all_robots else mission.roster.active
 
@@ -220,7 +229,7 @@ def in_words(outcome: Outcome) -> str:
 
 def _take_refusals(request: _Request, results: Sequence[CommandResult]) -> None:
     for result in results:
-        if (result.command.order in TUNING) is (request.order in TUNING):
+        if (result.command.order in TUNING) is (request.order in TUNING) and request.only in (0, result.command.robot):
             request.refusals[result.command.robot] = "" if result.reply.accepted else result.reply.reason
 
 

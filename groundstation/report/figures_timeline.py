@@ -12,7 +12,7 @@ from wire.messages.messages import Mode
 MOST_ROWS = 24
 WINDOW_S = 1.0  # of the medians that show where time goes
 TONES = {
-    Mode.DISARMED: "#D9D9D9", Mode.ARMED: "#E69F00", Mode.TRACKING: "#009E73", Mode.HOLDING: "#56B4E9",
+    Mode.DISARMED: "#D9D9D9", Mode.ARMED: "#E69F00", Mode.TRACKING: "#009E73", Mode.HOLDING: "#56B4E9", Mode.DRIVEN: "#CC79A7",
     Mode.STOPPED: "#000000", Mode.FAULT: "#D55E00",
 }  # fmt: skip
 

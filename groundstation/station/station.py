@@ -20,6 +20,7 @@ from groundstation.mission.mission import LIVE, Mission
 from groundstation.mission.obstacle_monitor import ObstacleSet, obstacle_set
 from groundstation.mission.plan_manager import PlanRequest
 from groundstation.mission.request_progress import AT_REST, RequestTracker, in_words
+from groundstation.mission.single_robot import SingleRobotControl
 from groundstation.mission.state_machine import READY, MissionState
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.segment import PlanSegment
@@ -29,7 +30,7 @@ from wire.config.experiment import Experiment
 from wire.frames import Array
 from wire.messages import topics
 from wire.messages.codec import Header
-from wire.messages.messages import Command, Order, Progress, Reply, StationHeartbeat, Trajectory
+from wire.messages.messages import Command, DriveVelocity, Order, Progress, Reply, StationHeartbeat, Trajectory
 from wire.messages.topics import WHOLE_FLEET
 from wire.process.runtime import Clock, age_s, log
 from wire.transport.bus import Bus
@@ -40,7 +41,8 @@ LOCKSTEP_ORDER_TIMEOUT_S = PATIENT_MS * 1e-3  # as long as a link is kept: sent 
 TROUBLED = frozenset({MissionState.FAILED, MissionState.ABORTING, MissionState.STOPPED, MissionState.DEGRADED})
 PROMPT = frozenset({Order.STOP, Order.DISARM, Order.HOLD})
 MAX_UNANSWERED = 2  # orders of a kind to one robot that may be unanswered: the second goes out before the first is given up
-COMMAND_KINDS = 4  # of orders that may be on their way to one robot at a time, but for PROMPT: LOAD or START, ARM, TUNE, ADOPT
+# of orders that may be on their way to one robot at a time, but for PROMPT: LOAD or START, ARM, TUNE, ADOPT, DRIVE
+COMMAND_KINDS = 5
 STATUS_WITHIN_S = 0.02  # whoever asks for the status waits no longer for the cycle, and is told the last one
 FIGURE = re.compile(r"\d[\d.]*(?:%| (?:s|V|m|ms)\b)")  # a reason in which only these change is not told anew
 
@@ -88,11 +90,11 @@ class Station:
     starts: dict[int, Array]
     links: dict[int, LinkMonitor] = field(default_factory=dict)
     seen: Fleet = field(default_factory=dict)  # as of the last cycle
-    planning: "tuple[PlanRequest, Future[PlanSegment | PlanError]] | None" = None
-    published: PlanSegment | None = None
+    planning: "dict[str, tuple[PlanRequest, Future[PlanSegment | PlanError]]]" = field(default_factory=dict)
+    published: tuple[PlanSegment, Sequence[Trajectory]] | None = None
     obstacles_up_to_ns: int | None = None  # in lockstep: pictures up to then have been told of
     pending: list[tuple[Command, Future[Reply]]] = field(default_factory=list)
-    paths: tuple[Mapping[int, Trajectory], float] | None = None  # what each robot that takes part flies now, until when [s]
+    paths: Mapping[int, tuple[Trajectory, float]] | None = None  # what each robot flies now, until when [s]
     ended: bool = False  # a person has ended the run: everybody who is heard is at rest
     told: str = ""
     insecure: bool = False
@@ -102,7 +104,8 @@ class Station:
     wake: threading.Event = field(default_factory=threading.Event)  # set by a request that cannot wait for the next cycle
 
     def __post_init__(self) -> None:
-        self.requests = RequestTracker(self.experiment.robot_ids)
+        self.single = SingleRobotControl(self.experiment, self.mission)
+        self.requests = RequestTracker(self.experiment.robot_ids, self.single.tasks)
         self.beat_s = time.monotonic()  # instant of the last heartbeat (s, monotonic)
         self._status = Status(self.mission.state, self.mission.reason)
 
@@ -111,9 +114,12 @@ class Station:
         with self.lock:
             self.seen, answers = self.fleet(), self._answers()
             for_tuner = [answer for answer in answers if answer.command.order in TUNING]
-            for_mission = [answer for answer in answers if answer not in for_tuner]
+            led = self.mission.led = self.single.led
+            for_one = [answer for answer in answers if answer not in for_tuner and answer.command.robot in led]
+            for_mission = [answer for answer in answers if answer not in for_tuner and answer not in for_one]
             self.plan(lockstep, now_ns)
             commands = self.mission.step(self.seen, for_mission, now_ns, self._around())
+            commands += self.single.step(self.seen, for_one, now_ns)
             self.plan(lockstep, now_ns)
             self.publish_paths(now_ns)
             commands += self.tuner.step(self.seen, for_tuner, now_ns)
@@ -170,25 +176,28 @@ class Station:
         return obstacle_set(received.message, age_s(self.clock, received), self.experiment.safety)
 
     def plan(self, lockstep: bool, now_ns: int) -> None:
-        """Compute the plan that the mission waits for: in another thread, because the heartbeat must go on; in lockstep at
-        once. The outcome is dropped if the mission no longer waits for it."""
-        wanted = self.mission.plan_request
-        if self.planning is None and wanted is not None:
-            self.planning = wanted, self.workers.plans.submit(_planned, wanted.plan)
-        if self.planning is not None and (lockstep or self.planning[1].done()):
-            (asked, outcome), self.planning = self.planning, None
-            if asked is wanted:
-                self.mission.planned(outcome.result(), self.seen, now_ns)
+        """Compute the plans that the mission and single robots wait for: in another thread, because the heartbeat must go on;
+        in lockstep at once. An outcome is dropped if nobody waits for it any more."""
+        for name, owner in (("mission", self.mission), ("single", self.single)):
+            wanted = owner.plan_request
+            if name not in self.planning and wanted is not None:
+                self.planning[name] = wanted, self.workers.plans.submit(_planned, wanted.plan)
+            if name in self.planning and (lockstep or self.planning[name][1].done()):
+                asked, outcome = self.planning.pop(name)
+                if asked is wanted:
+                    owner.planned(outcome.result(), self.seen, now_ns)
 
     def publish_paths(self, now_ns: int) -> None:
         """Publish the trajectories flown from now on, for page and log: each robot's whole run from its beginning."""
-        segment = self.mission.segment
-        if segment is self.published:
+        segment, trips = self.mission.segment, self.single.trips
+        alone = [trajectory for trajectory, _ in trips.values()]
+        if self.published is not None and segment is self.published[0] and alone == self.published[1]:
             return
-        for robot, trajectory in self.mission.roster.history.items():
-            self.bus.publish(topics.TRAJECTORY, trajectory, now_ns, robot)
-        self.paths = dict(self.mission.roster.trajectories(segment)), segment.end_s
-        self.published = segment
+        if self.published is None or segment is not self.published[0]:
+            for robot, trajectory in self.mission.roster.history.items():
+                self.bus.publish(topics.TRAJECTORY, trajectory, now_ns, robot)
+        self.paths = {r: (t, segment.end_s) for r, t in self.mission.roster.trajectories(segment).items()} | trips
+        self.published = segment, alone
 
     def _answers(self) -> list[CommandResult]:
         done = [(command, future) for command, future in self.pending if future.done()]
@@ -210,16 +219,26 @@ class Station:
         outcome = self.requests.outcome(number) if not reason else None
         return Reply(WHOLE_FLEET, not reason, reason, outcome=outcome)
 
-    def request(self, order: Order, via: Sequence[tuple[float, float]] = ()) -> tuple[str, int]:
-        """Take an operator's request for the whole fleet. Returns the reason of a refusal, or nothing, and the request's
-        number."""
+    def request(self, order: Order, via: Sequence[tuple[float, float]] = (), only: int = 0) -> tuple[str, int]:
+        """Take an operator's request for the whole fleet, or for the robot `only`. Returns the reason of a refusal, or
+        nothing, and the request's number."""
         with self.lock:
-            reason = self._end() if order is Order.END else self._request_mission(order, via)
-            number = 0 if reason else self.requests.begin(order, self.mission)
+            if only:
+                place_m = via[0] if len(via) == 1 else None
+                reason = self.single.request(order, only, self.seen, self.clock.now_ns(), place_m)
+            else:
+                reason = self._end() if order is Order.END else self._request_mission(order, via)
+            number = 0 if reason else self.requests.begin(order, self.mission, only=only)
         if order in PROMPT and not reason:
             self.wake.set()
-        log.info("%s %s", order.name, f"refused: {reason}" if reason else "asked for")
+        asked = f"{order.name} for robot {only}" if only else order.name
+        log.info("%s %s", asked, f"refused: {reason}" if reason else "asked for")
         return reason, number
+
+    def drive(self, robot: int, velocity: DriveVelocity) -> str:
+        """Take a person's newest velocity for one robot. Returns the reason of a refusal, or nothing."""
+        with self.lock:
+            return self.single.drive(robot, velocity, self.seen, self.clock.now_ns())
 
     def _request_mission(self, order: Order, via: Sequence[tuple[float, float]] = ()) -> str:
         return self.mission.request(order, self.seen, self.clock.now_ns(), via)
@@ -267,6 +286,7 @@ class Station:
             seen=self.seen,
             requests=self.requests.recent,
             ended=self.ended,
+            led=self.single.status(),
         )
 
     def _tell(self) -> None:

@@ -9,7 +9,7 @@ from groundstation.mission.lap_statistics import Lap
 from groundstation.mission.state_machine import MissionState
 from groundstation.telemetry import Finding, Fleet
 from wire.config.experiment import Experiment
-from wire.messages.messages import Order, Outcome, Trajectory
+from wire.messages.messages import DriveVelocity, Order, Outcome, Trajectory
 
 
 @dataclass(frozen=True)
@@ -27,12 +27,17 @@ class Status:
     requests: Sequence[Outcome] = ()  # what became of people's requests, oldest first
     ended: bool = False  # a person has ended the run
     beat_age_s: float = 0.0  # since the station's last cycle
+    led: Mapping[int, str] = field(default_factory=dict)  # robots that a person leads one by one, and what they do
 
 
 class OperatorRequests(Protocol):
-    """Requests for the whole fleet. Each returns the reason of a refusal, or nothing, and the request's number."""
+    """Requests for the whole fleet, or for the robot `only`. Each returns the reason of a refusal, or nothing, and the
+    request's number."""
 
-    def request(self, order: Order, via: Sequence[tuple[float, float]] = ()) -> tuple[str, int]: ...
+    def request(self, order: Order, via: Sequence[tuple[float, float]] = (), only: int = 0) -> tuple[str, int]: ...
+    def drive(self, robot: int, velocity: DriveVelocity) -> str:
+        """Move one robot at a velocity; it holds when none comes any more. Returns the reason of a refusal, or nothing."""
+
     def request_gains(self, values: Mapping[str, float] | None, next_lap: bool) -> tuple[str, int]:
         """Change gains; None: go back to those before."""
 
@@ -41,8 +46,8 @@ class StationApi(OperatorRequests, Protocol):
     """The station (groundstation/station/station.py) as the page needs it. All of it may be used from any thread."""
 
     @property
-    def paths(self) -> tuple[Mapping[int, Trajectory], float] | None:
-        """Trajectories flown now and their end in s; None: as planned before the run."""
+    def paths(self) -> Mapping[int, tuple[Trajectory, float]] | None:
+        """Trajectory that each robot flies now, and its end in s; None: as planned before the run."""
 
     def status(self) -> Status: ...
 

@@ -23,7 +23,7 @@ from groundstation.web.auth import WebOptions, origin_allowed, token_allowed
 from groundstation.web.backend import Backend
 from groundstation.web.experiment_editor import attempt, save
 from groundstation.web.send_window import SendWindow
-from wire.messages.messages import Order
+from wire.messages.messages import DriveVelocity, Order
 from wire.process.runtime import log
 
 LOOK_S = 0.02  # how often the inboxes are looked at; a state waits half of this on average
@@ -35,6 +35,7 @@ MOST_STRANGERS = 32  # connections that have not said who they are: one more end
 SILENT_S = 5.0  # without a sign of life, then control is free
 KEPT_EVENTS = 500  # of the log, for a watcher who comes late: as many as the page shows
 ORDER_VALID_S = 3.0  # from the newest state that the page had, to the order's arrival: what was meant for then is void now
+DRIVE_VALID_S = 1.0  # the same for a velocity: a person steers by what the page shows
 COMPLAIN_EVERY_S = 10.0  # when looking or telling fails again and again
 HEAD = struct.Struct("<If")
 
@@ -89,6 +90,8 @@ class Client:
     wake: asyncio.Event = field(default_factory=asyncio.Event)
     busy: bool = False  # an edit of this watcher is being planned
     waiting: protocol.PreviewEdit | None = None  # the newest one that came meanwhile
+    steering: bool = False  # a velocity is being told to the station
+    drive: protocol.DriveRequest | None = None  # the newest one that came meanwhile
 
     def note(self, message: dict[str, Any]) -> None:
         self.window.note(msgspec.msgpack.encode(message))
@@ -256,6 +259,10 @@ class ClientHub:
             self._tell_now()
         elif isinstance(request, protocol.OrderRequest):
             self._spawn(self._request(watcher, request))
+        elif isinstance(request, protocol.DriveRequest):
+            watcher.drive = request
+            if not watcher.steering:
+                self._spawn(self._drive(watcher))
         elif isinstance(request, protocol.TuneRequest):
             self._spawn(self._request_gains(watcher, request))
         elif isinstance(request, protocol.PreviewEdit):
@@ -282,10 +289,10 @@ class ClientHub:
     async def _at(self, threads: ThreadPoolExecutor, do: Callable[..., T], *arguments: Any) -> T:
         return await asyncio.get_running_loop().run_in_executor(threads, do, *arguments)
 
-    def _void(self, seen_ms: int) -> str:
+    def _void(self, seen_ms: int, valid_s: float = ORDER_VALID_S) -> str:
         """Reason for which a request is too old, by the newest state that the page had; empty if it is not."""
         late_s = time.monotonic() - seen_ms * 1e-3
-        return f"this came {late_s:.0f} s late, and was not done" if late_s > ORDER_VALID_S else ""
+        return f"this came {late_s:.0f} s late, and was not done" if late_s > valid_s else ""
 
     async def _request(self, watcher: Client, request: protocol.OrderRequest) -> None:
         order, number = order_named(request.order), 0
@@ -294,8 +301,25 @@ class ClientHub:
         else:
             reason = self._may_command(watcher) or self._void(request.seen_ms)
             if not reason:
-                reason, number = await self._at(self._orders, self._source.station.request, order, request.via_m)
+                reason, number = await self._at(
+                    self._orders, self._source.station.request, order, request.via_m, request.robot
+                )
         self._answer(watcher, request.n, request.order, reason, number)
+
+    async def _drive(self, watcher: Client) -> None:
+        """Tell the station the newest velocity, and again while newer ones come. The page hears of refusals alone."""
+        watcher.steering = True
+        try:
+            while (asked := watcher.drive) is not None:
+                watcher.drive = None
+                velocity = DriveVelocity(asked.surge_mps, asked.heave_mps, asked.yaw_rate_radps)
+                reason = self._may_command(watcher) or self._void(asked.seen_ms, DRIVE_VALID_S)
+                if not reason:
+                    reason = await self._at(self._orders, self._source.station.drive, asked.robot, velocity)
+                if reason:
+                    watcher.note({"k": "undriven", "robot": asked.robot, "reason": reason})
+        finally:
+            watcher.steering = False
 
     async def _request_gains(self, watcher: Client, request: protocol.TuneRequest) -> None:
         reason, number = self._may_command(watcher) or self._void(request.seen_ms), 0

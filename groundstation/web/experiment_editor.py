@@ -1,4 +1,4 @@
-"""SHELL: an operator's edit of path and formation: the real planner says whether it can be flown, and a file keeps it."""
+"""SHELL: an operator's edit of pool, path, formation and robots: the real planner judges it, and a file keeps it."""
 
 from collections.abc import Mapping
 from itertools import combinations
@@ -11,38 +11,70 @@ import numpy as np
 from groundstation.planning import planner
 from groundstation.web.protocol import Edit
 from groundstation.web.scene import flown_samples, paths
-from wire.config.experiment import Experiment, dump_experiment
+from wire.commented_file import commented
+from wire.config.experiment import Experiment
+from wire.config.formation_shapes import shape_nodes
 from wire.messages.messages import Trajectory
 from wire.toml_loader import ConfigError, check
 
 EDITED = Path("experiments")  # below where the station was started
+# The path's keys by the edit's, for each kind of path
 _PATH_KEYS = {
-    "waypoints": ("points_m", "speed_mps", "depth_m"),
-    "circle": ("diameter_m", "lap_s", "depth_m"),
-    "route": ("speed_mps", "depth_m"),
+    "waypoints": {"points_m": "points_m", "speed_mps": "speed_mps", "depth_m": "depth_m"},
+    "circle": {"diameter_m": "diameter_m", "lap_s": "lap_s", "depth_m": "depth_m"},
+    "route": {"points_m": "via_m", "speed_mps": "speed_mps", "depth_m": "depth_m"},
 }
 
 
 def edited(experiment: Experiment, edit: Edit) -> Experiment:
     """The experiment with the edit in it. Raises ConfigError naming key, value and what is allowed."""
     table: dict[str, Any] = experiment.model_dump(mode="json", exclude_none=True)
-    given = msgspec.to_builtins(edit)
+    given = {key: value for key, value in msgspec.to_builtins(edit).items() if value is not None}
+    if "kind" in given and given["kind"] != table["path"]["kind"]:
+        table["path"] = {"kind": given["kind"]}
     kind = table["path"]["kind"]
-    foreign = [
-        k for k in ("points_m", "speed_mps", "diameter_m", "lap_s") if given[k] is not None and k not in _PATH_KEYS[kind]
-    ]
+    foreign = [k for k in ("points_m", "speed_mps", "diameter_m", "lap_s") if k in given and k not in _PATH_KEYS[kind]]
     if foreign:
         raise ConfigError(f"path.{foreign[0]}: a path of kind {kind} has none (allowed: {', '.join(_PATH_KEYS[kind])})")
-    table["path"] |= {key: given[key] for key in _PATH_KEYS[kind] if given[key] is not None}
-    table["formation"] |= {key: given[key] for key in ("mode", "scale") if given[key] is not None}
+    table["path"] |= {key: given[name] for name, key in _PATH_KEYS[kind].items() if name in given}
+    if kind == "waypoints" and table["path"].get("start_index", 0) >= len(table["path"]["points_m"]):
+        table["path"]["start_index"] = 0  # the waypoint at which it began is gone
+    table["formation"] |= {key: given[key] for key in ("mode", "scale", "shape", "spacing_m") if key in given}
+    table["pool"] |= {"size_m": given["pool_m"]} if "pool_m" in given else {}
+    if "islands_m" in given:
+        table["islands"] = [{"position_m": [x, y], "radius_m": radius} for x, y, radius in given["islands_m"]]
     if edit.duration_s is not None:
         table["duration_s"] = edit.duration_s
-    known = {robot["id"]: robot for robot in table["robots"]}
-    for robot, node_m in (edit.nodes_m or {}).items():
-        if robot not in known:
-            raise ConfigError(f"nodes_m: no robot {robot} (allowed: {', '.join(map(str, known))})")
-        known[robot]["node_m"] = list(node_m)
+    _choose_robots(table, edit)
     return check(Experiment, table, "this edit")
+
+
+def _choose_robots(table: dict[str, Any], edit: Edit) -> None:
+    """Take robots in and out, and give each its node: of the shape, or its own. A new robot has its forerunner in the list as
+    neighbour, and the other way round."""
+    known = {robot["id"]: robot for robot in table["robots"]}
+    ids = edit.robots if edit.robots is not None else list(known)
+    for before, robot in zip([0, *ids], ids, strict=False):
+        if robot not in known:
+            known[robot] = {"id": robot, "neighbours": [before] if before else []}
+            if before:
+                known[before]["neighbours"] = [*known[before].get("neighbours", ()), robot]
+    foreign = [robot for robot in edit.nodes_m or {} if robot not in ids]
+    if foreign:
+        raise ConfigError(f"nodes_m: no robot {foreign[0]} (allowed: {', '.join(map(str, ids))})")
+    table["robots"] = [known[robot] for robot in ids]
+    for robot in table["robots"]:
+        robot["neighbours"] = [other for other in robot.get("neighbours", ()) if other in ids]
+    table["article"] = [row for row in table.get("article", ()) if all(int(r) in ids for r in row["subject"].split("-"))]
+    formation = table["formation"]
+    if edit.shape is not None:
+        nodes = shape_nodes(edit.shape, len(ids), formation["spacing_m"]).tolist()
+        for robot, node_m in zip(table["robots"], nodes, strict=True):
+            robot["node_m"] = node_m
+    elif edit.nodes_m is not None:
+        formation.pop("shape", None)
+        for robot in table["robots"]:
+            robot["node_m"] = list(edit.nodes_m.get(robot["id"], robot.get("node_m", (0.0, 0.0, 0.0))))
 
 
 def attempt(experiment: Experiment, edit: Edit) -> dict[str, Any]:
@@ -51,8 +83,9 @@ def attempt(experiment: Experiment, edit: Edit) -> dict[str, Any]:
     shown: dict[str, Any] = {}
     try:
         changed = edited(experiment, edit)
+        shown = {"nodes_m": [[robot.id, *robot.node_m] for robot in changed.robots]}  # also of what cannot be flown
         drafted, problems = planner.draft(changed)
-        shown = _shown(changed, drafted.trajectories)
+        shown |= _shown(changed, drafted.trajectories)
         if not problems:
             planner.start_poses(changed, drafted.trajectories)
     except ConfigError as error:
@@ -83,7 +116,8 @@ def save(experiment: Experiment, edit: Edit, name: str) -> dict[str, Any]:
     if not tried["ok"]:
         return {"ok": False, "problems": tried["problems"]}
     path = EDITED / f"{name}.toml"
-    text = dump_experiment(edited(experiment, edit).model_copy(update={"name": name}))
+    changed = edited(experiment, edit)
+    text = commented(changed.model_copy(update={"name": name, "title": f"{name}, edited from {experiment.name}"}))
     try:
         EDITED.mkdir(exist_ok=True)
         with path.open("x", encoding="utf-8") as file:

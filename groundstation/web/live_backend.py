@@ -59,7 +59,7 @@ class LiveBackend:
         self._events: deque[tuple[Header, bytes]] = deque(maxlen=MOST_EVENTS)
         self._seen: list[Header | None] = []
         self._shown: Header | None = None
-        self._drawn: tuple[Mapping[int, Trajectory], float] | None = None
+        self._drawn: Mapping[int, tuple[Trajectory, float]] | None = None
         self._past_every_s = max(PAST_EVERY_S, PAST_S * len(heard.states) / PAST_ROBOTS)
         self._past: deque[dict[str, Any]] = deque(maxlen=round(PAST_S / self._past_every_s))
         bus.subscribe(topics.EVENT, None, self._event)
@@ -71,7 +71,7 @@ class LiveBackend:
         """Constants of the run, and the paths that are flown now."""
         run = str(self._run_dir or "")
         found = scene(self.experiment, self._trajectories, self._mode) | {"run": run, "life": f"{self._bus.session:x}"}
-        return found if self._drawn is None else found | {"paths": flown_paths(*self._drawn)}
+        return found if self._drawn is None else found | {"paths": flown_paths(self._drawn)}
 
     def paths(self) -> list[dict[str, Any]] | None:
         """Paths flown from now on; returned once after each change."""
@@ -79,7 +79,7 @@ class LiveBackend:
         if flown is None or flown is self._drawn:
             return None
         self._drawn = flown
-        return flown_paths(*flown)
+        return flown_paths(flown)
 
     def changed(self) -> bool:
         """True if a robot's state has arrived since the last call."""
@@ -130,6 +130,7 @@ class LiveBackend:
                 laps=status.laps,
                 requests=status.requests,
                 ended=status.ended,
+                led=status.led,
             )
         )
 

@@ -5,14 +5,19 @@ from typing import Annotated, Literal
 import msgspec
 
 from groundstation.mission.state_machine import FLEET_REQUESTS, order_name
+from wire.config.formation_shapes import Shape
 from wire.messages.messages import Order
 
+MOST_ISLANDS = 100
 MOST_PLACES = 50  # of a way that is clicked on the map
 LONGEST_BYTES = 64 * 1024  # of one text: an edit of 49 nodes and 200 waypoints is 12 kB
 
 Count = Annotated[int, msgspec.Meta(ge=0, le=2**53)]
 Metres = Annotated[float, msgspec.Meta(ge=-1e4, le=1e4)]
 Typed = Annotated[float, msgspec.Meta(ge=-1e12, le=1e12)]  # by a person, key by key: the station says what is allowed
+RobotId = Annotated[int, msgspec.Meta(ge=0, le=999)]
+Velocity = Annotated[float, msgspec.Meta(ge=-10, le=10)]  # m/s or rad/s; the robot limits it
+EditedId = Annotated[int, msgspec.Meta(ge=1, le=49)]
 Vec2 = tuple[Metres, Metres]
 Vec3 = tuple[Metres, Metres, Metres]
 ORDERS = (*FLEET_REQUESTS, order_name(Order.GO))
@@ -43,12 +48,23 @@ class Release(msgspec.Struct, tag_field="kind", tag="release", forbid_unknown_fi
 
 
 class OrderRequest(msgspec.Struct, tag_field="kind", tag="order", forbid_unknown_fields=True, frozen=True):
-    """An order for the whole fleet; `n` comes back with the answer. `via_m`: places of a `go`."""
+    """An order for the whole fleet, or for `robot`; `n` comes back with the answer. `via_m`: places of a `go`."""
 
     n: Count
     order: OrderName
     via_m: Annotated[list[Vec2], msgspec.Meta(max_length=MOST_PLACES)] = []
+    robot: RobotId = 0
     seen_ms: Count = 0  # `clock_ms` of the newest state that the page had: an order that was long on its way is none
+
+
+class DriveRequest(msgspec.Struct, tag_field="kind", tag="drive", forbid_unknown_fields=True, frozen=True):
+    """Velocity of one robot in its body frame, now; the page says it again while a key is held. All zeros: hold."""
+
+    robot: RobotId
+    surge_mps: Velocity
+    heave_mps: Velocity
+    yaw_rate_radps: Velocity
+    seen_ms: Count = 0  # as of an order
 
 
 class TuneRequest(msgspec.Struct, tag_field="kind", tag="tune", forbid_unknown_fields=True, frozen=True):
@@ -61,9 +77,12 @@ class TuneRequest(msgspec.Struct, tag_field="kind", tag="tune", forbid_unknown_f
 
 
 class Edit(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """Changes of path and formation. What is None stays as it is."""
+    """Changes of pool, islands, path, formation and robots. What is None stays as it is."""
 
-    points_m: Annotated[list[Vec2], msgspec.Meta(min_length=2, max_length=200)] | None = None
+    pool_m: Vec3 | None = None
+    islands_m: Annotated[list[Vec3], msgspec.Meta(max_length=MOST_ISLANDS)] | None = None  # x, y, radius of each
+    kind: Literal["circle", "waypoints", "route"] | None = None  # another path: it has only the keys that are given here
+    points_m: Annotated[list[Vec2], msgspec.Meta(min_length=2, max_length=200)] | None = None  # waypoints, or a route's places
     speed_mps: Typed | None = None
     diameter_m: Typed | None = None
     lap_s: Typed | None = None
@@ -71,7 +90,10 @@ class Edit(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     duration_s: Typed | None = None
     mode: Literal["translate", "rotate"] | None = None
     scale: Typed | None = None
-    nodes_m: Annotated[dict[Annotated[int, msgspec.Meta(ge=1, le=49)], Vec3], msgspec.Meta(max_length=49)] | None = None
+    robots: Annotated[list[EditedId], msgspec.Meta(min_length=1, max_length=49)] | None = None  # all of them, in this order
+    nodes_m: Annotated[dict[EditedId, Vec3], msgspec.Meta(max_length=49)] | None = None
+    shape: Shape | None = None  # gives every robot its node instead
+    spacing_m: Typed | None = None
 
 
 class PreviewEdit(msgspec.Struct, tag_field="kind", tag="try", forbid_unknown_fields=True, frozen=True):
@@ -102,7 +124,7 @@ class Seek(msgspec.Struct, tag_field="kind", tag="seek", forbid_unknown_fields=T
     rate: Annotated[float, msgspec.Meta(ge=0, le=64)] | None = None
 
 
-Request = Hello | Ack | Take | Release | OrderRequest | TuneRequest | PreviewEdit | Save | Remark | Seek
+Request = Hello | Ack | Take | Release | OrderRequest | DriveRequest | TuneRequest | PreviewEdit | Save | Remark | Seek
 _DECODER = msgspec.json.Decoder(Request)
 
 

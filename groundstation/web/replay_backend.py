@@ -22,7 +22,16 @@ from groundstation.web.snapshot import PAST_ROBOTS, AgedMessage, FleetSnapshot, 
 from wire.config.experiment import Experiment, load_experiment
 from wire.messages import topics
 from wire.messages.codec import DecodeError, Header, decode
-from wire.messages.messages import Event, LocalizerStatus, Order, Preview, RobotState, StationHeartbeat, Trajectory
+from wire.messages.messages import (
+    DriveVelocity,
+    Event,
+    LocalizerStatus,
+    Order,
+    Preview,
+    RobotState,
+    StationHeartbeat,
+    Trajectory,
+)
 from wire.messages.topics import Topic
 
 BLOCK_NS = 1_000_000_000
@@ -170,8 +179,11 @@ def _read(kind: type[M], payload: bytes) -> M | None:
 class _NoRequests:
     """Refuses all requests: a recorded run takes none."""
 
-    def request(self, order: Order, via: Sequence[tuple[float, float]] = ()) -> tuple[str, int]:
+    def request(self, order: Order, via: Sequence[tuple[float, float]] = (), only: int = 0) -> tuple[str, int]:
         return "this is a recorded run", 0
+
+    def drive(self, robot: int, velocity: DriveVelocity) -> str:
+        return "this is a recorded run"
 
     def request_gains(self, values: Mapping[str, float] | None, next_lap: bool) -> tuple[str, int]:
         return "this is a recorded run", 0

@@ -1,14 +1,18 @@
 """Scene that the page gets once: pool, robots, limits, planned paths, mesh of the camera's picture. Pure."""
 
 from collections.abc import Mapping
+from functools import cache
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from wire.camera_coverage import project
+from wire.config.controller import EstimatorConfig, GuidanceConfig, MpcConfig
 from wire.config.experiment import Experiment
+from wire.config.scene import Circle, FormationConfig, Island, PoolConfig, RobotConfig, Route, Waypoints
 from wire.frames import Array
+from wire.key_reference import hints
 from wire.messages import topics
 from wire.messages.live_gains import tunable_parameters
 from wire.messages.messages import Trajectory
@@ -33,10 +37,10 @@ def paths(trajectories: Mapping[int, Trajectory], flown: int) -> list[dict[str, 
     ]
 
 
-def flown_paths(trajectories: Mapping[int, Trajectory], end_s: float) -> list[dict[str, Any]]:
-    """The paths of a leg that is flown now, up to its end; what comes after is horizon."""
+def flown_paths(flown: Mapping[int, tuple[Trajectory, float]]) -> list[dict[str, Any]]:
+    """The paths that are flown now, each up to its end in s; what comes after is horizon."""
     found = []
-    for robot, t in trajectories.items():
+    for robot, (t, end_s) in flown.items():
         samples = round((end_s - t.begin_s) / t.period_s) + 1
         found += paths({robot: t}, min(max(samples, 1), len(t.eta)))
     return found
@@ -67,6 +71,8 @@ def scene(experiment: Experiment, trajectories: Mapping[int, Trajectory], mode: 
         "limits": {
             "wrench": list(vehicle.limits.wrench),
             "speed_mps": vehicle.limits.speed_mps,
+            "heave_mps": vehicle.limits.heave_mps,
+            "yaw_rate_radps": vehicle.limits.yaw_rate_radps,
             "thrust_n": vehicle.thruster.max_thrust_n,
             "pulse_us": [vehicle.thruster.curve[0][0], vehicle.thruster.neutral_us, vehicle.thruster.curve[-1][0]],
             "battery_v": [vehicle.battery.neutral_v, vehicle.battery.no_arm_v, vehicle.battery.warn_v, vehicle.battery.full_v],
@@ -76,6 +82,7 @@ def scene(experiment: Experiment, trajectories: Mapping[int, Trajectory], mode: 
         "robots": [{"id": r.id, "node_m": list(r.node_m), "neighbours": list(r.neighbours)} for r in experiment.robots],
         "path": experiment.path.model_dump(mode="json"),
         "formation": experiment.formation.model_dump(mode="json"),
+        "hints": _hints(),
         "knobs": [
             {"key": k.key, "value": k.value, "least": k.least, "most": k.most, "above": k.above, "below": k.below}
             for k in tunable_parameters(controller)
@@ -83,6 +90,19 @@ def scene(experiment: Experiment, trajectories: Mapping[int, Trajectory], mode: 
         "paths": paths(trajectories, flown_samples(experiment)),
         "underlay": _underlay(experiment),
     }
+
+
+@cache
+def _hints() -> dict[str, str]:
+    """Meaning, range and default of the keys that panels show, by dotted key; of a path, of all its kinds together."""
+    controller = ((EstimatorConfig, "estimator"), (GuidanceConfig, "guidance"), (MpcConfig, "mpc"))
+    found: dict[str, str] = {}
+    for model, name in (
+        (Route, "path"), (Waypoints, "path"), (Circle, "path"), (PoolConfig, "pool"), (FormationConfig, "formation"),
+        (Island, "islands"), (RobotConfig, "robots"), *((model, f"controller.{name}") for model, name in controller),
+    ):  # fmt: skip
+        found |= hints(model, name)
+    return found
 
 
 def _underlay(experiment: Experiment) -> dict[str, Any] | None:

@@ -40,10 +40,7 @@ class RobotSnapshot:
     plan: AgedMessage = field(default_factory=AgedMessage)
 
 
-PAST_ROBOTS = 3600  # robots in all rows of the past that a page gets: 250 bytes each
-_PLOTTED = (
-    "mode", "eta", "reference", "wrench", "disturbance", "pose_age_ms", "to_pwm_ms", "step_us", "battery_v",
-)  # fmt: skip
+PAST_ROBOTS = 3600  # robots in all rows of the past that a page gets: 700 bytes each
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +63,7 @@ class FleetSnapshot:
     laps: Sequence[Lap] = ()
     requests: Sequence[Outcome] = ()
     ended: bool = False
+    led: Mapping[int, str] = field(default_factory=dict)
 
 
 def snapshot(news: FleetSnapshot) -> dict[str, Any]:
@@ -85,6 +83,7 @@ def snapshot(news: FleetSnapshot) -> dict[str, Any]:
         "tuning": _tuning(news.tuning, news.laps),
         "requests": [_request(outcome) for outcome in news.requests],
         "ended": news.ended,
+        "led": [{"robot": robot, "text": text} for robot, text in news.led.items()],
         "robots": [_robot(robot, found) for robot, found in news.robots.items()],
     }
 
@@ -95,7 +94,7 @@ def past_row(told: Mapping[str, Any]) -> dict[str, Any]:
     for robot in told["robots"]:
         row = {"id": robot["id"], "age_ms": robot["age_ms"]}
         if "state" in robot:
-            row["state"] = {key: robot["state"][key] for key in _PLOTTED}
+            row["state"] = robot["state"]
         robots.append(row)
     localizer = told["localizer"]
     return {

@@ -29,7 +29,7 @@ from robot_agent.control.law import Law, guidance_config, make_law
 from robot_agent.control.mpc import Mpc, MpcPlan
 from robot_agent.guidance.formation import Formation, Neighbour, NeighbourPredictions, Priority, formation_reference
 from robot_agent.guidance.obstacles import Obstacle
-from robot_agent.guidance.reference import Goal, Hold, Reference, ReferenceSampler
+from robot_agent.guidance.reference import Drive, Follow, Goal, Hold, Reference, ReferenceSampler
 from robot_agent.guidance.velocity_obstacles import CATCH_UP_MPS, NOBODY, GiveWay, obstacle_traffic, robot_traffic
 from robot_agent.vehicle.allocation import Allocator
 from robot_agent.vehicle.dynamics import Model
@@ -131,10 +131,10 @@ class Controller:
         nodes_s = vehicle.thruster.dead_time_s + steps_s
         self.sampler = ReferenceSampler(nodes_s)
         self._heading = HeadingReference(vehicle, guidance_config(config), period_s, config.estimator.sway)
-        self._formation = Formation(config.mpc, safety, period_s, vehicle.thruster.dead_time_s, room_m, vehicle.radius_m)
-        self._formation.set_weight(self._formation_weight(config))
+        self.formation = Formation(config.mpc, safety, period_s, vehicle.thruster.dead_time_s, room_m, vehicle.radius_m)
+        self.formation.set_weight(self._formation_weight(config))
         self._give_way = GiveWay(vehicle, np.concatenate([[0.0], nodes_s]), period_s, room_m, islands)
-        self._law: Law = make_law(vehicle, model, config, period_s, self._formation.rows)
+        self._law: Law = make_law(vehicle, model, config, period_s, self.formation.rows)
         self.allocator = Allocator(vehicle)
         # Plans begin at the instant of action and are told from now on: rows of the one for the other
         self._told_rows = np.interp(steps_s, np.concatenate([[0.0], nodes_s]), np.arange(horizon + 2.0))
@@ -152,7 +152,7 @@ class Controller:
         building takes ten times as long as a step."""
         mpc = None
         if isinstance(self._law, Mpc):
-            mpc = Mpc(self._vehicle, self._model, config.mpc, config.period_s, self._formation.rows)
+            mpc = Mpc(self._vehicle, self._model, config.mpc, config.period_s, self.formation.rows)
         return GainSet(config, mpc)
 
     def adopt_gains(self, tuned: GainSet) -> None:
@@ -160,7 +160,7 @@ class Controller:
         self._config, self._weight = tuned.config, np.array(tuned.config.mpc.q)
         self._estimator.tune(tuned.config.estimator)
         self._heading.tune(guidance_config(tuned.config))
-        self._formation.set_weight(self._formation_weight(tuned.config))
+        self.formation.set_weight(self._formation_weight(tuned.config))
         if tuned.mpc is not None and isinstance(self._law, Mpc):
             tuned.mpc.take_over_plan(self._law)
             self._law = tuned.mpc
@@ -179,13 +179,13 @@ class Controller:
             return self._neutral(estimate, now_ns)
         self._take_up(goal)
         reference = self.sampler.sample(goal)
-        predictions = self._formation.predict_neighbours(neighbours, now_ns)
-        lead = (
-            reference if isinstance(goal, Hold) else self._avoidance_path(reference, predictions, obstacles, estimate, now_ns)
-        )
+        predictions = self.formation.predict_neighbours(neighbours, now_ns)
+        lead = reference
+        if isinstance(goal, Follow):
+            lead = self._avoidance_path(reference, predictions, obstacles, estimate, now_ns)
         weight, command = self._command(goal, lead, predictions, estimate)
         predicted_path = self._law.predicted_path(estimate.action)
-        keep_clear = self._formation.half_spaces(
+        keep_clear = self.formation.half_spaces(
             predictions, predicted_path, self._priority, now_ns, (*self._islands, *obstacles)
         )
         plan = self._law.plan(
@@ -221,7 +221,7 @@ class Controller:
         x, y, z, _ = estimate.eta.tolist()
         traffic = NOBODY
         if predictions.neighbours:
-            traffic = robot_traffic(predictions, self._formation.clearances_m(predictions, now_ns), z, self._urgent)
+            traffic = robot_traffic(predictions, self.formation.clearances_m(predictions, now_ns), z, self._urgent)
         for obstacle in obstacles:
             speed_mps = math.hypot(*reference.velocity[0, :2].tolist()) + CATCH_UP_MPS
             traffic = traffic.joined(obstacle_traffic(obstacle, complex(x, y), speed_mps, now_ns))
@@ -239,6 +239,8 @@ class Controller:
             )
             return self._weight, command
         command, weight = reference.eta.copy(), self._weight
+        if isinstance(goal, Drive):  # a person steers
+            return weight, self._unwound(command, estimate)
         if predictions.has_members:
             weight = np.empty(4)
             formation_reference(
@@ -250,12 +252,16 @@ class Controller:
             command[:, 3] = self._heading.heading_along(
                 lead, estimate.eta, estimate.nu, estimate.disturbance, estimate.current
             )
+        return weight, self._unwound(command, estimate)
+
+    def _unwound(self, command: Array, estimate: Estimate) -> Array:
+        """The command (rows, 4) with as many whole turns as the estimate has."""
         away = float(estimate.eta[3] - command[0, 3]) / TURN
         if self._turns is None or abs(away - self._turns) > KEEP_TURN:
             self._turns = round(away)
         if self._turns:
             command[:, 3] += TURN * self._turns
-        return weight, command
+        return command
 
     def _put_out(
         self,

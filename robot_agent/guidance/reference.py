@@ -74,7 +74,18 @@ class Hold:
     eta: Array
 
 
-Goal = Follow | Hold
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """Goal: move from a pose, shape (4,), at a constant velocity in the body frame for `lasts_s`, then rest."""
+
+    eta: Array
+    surge_mps: float
+    heave_mps: float
+    yaw_rate_radps: float
+    lasts_s: float
+
+
+Goal = Follow | Hold | Drive
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,6 +110,8 @@ class ReferenceSampler:
         count = len(self._offsets_s)
         if isinstance(goal, Hold):
             return Reference(np.tile(goal.eta, (count, 1)), np.zeros((count, 4)), np.zeros((count, 4)))
+        if isinstance(goal, Drive):
+            return self._driven(goal)
         path = goal.trajectory
         if path is not self._known:
             self._samples, self._known = np.array((path.eta, path.velocity, path.acceleration)), path
@@ -109,6 +122,22 @@ class ReferenceSampler:
             rows.eta, rows.velocity, rows.acceleration,
         )  # fmt: skip
         return rows
+
+    def _driven(self, goal: Drive) -> Reference:
+        """Arc of a constant surge and yaw rate: the chord after t is surge t sinc(yaw rate t / 2), in the mean heading."""
+        time_s = np.clip(self._offsets_s, 0.0, goal.lasts_s)
+        turned = goal.yaw_rate_radps * time_s
+        chord_m = goal.surge_mps * time_s * np.sinc(turned / (2.0 * np.pi))  # NumPy's sinc is that of pi x
+        mean, yaw = goal.eta[3] + 0.5 * turned, goal.eta[3] + turned
+        eta = np.column_stack([
+            goal.eta[0] + chord_m * np.cos(mean), goal.eta[1] + chord_m * np.sin(mean),
+            goal.eta[2] + goal.heave_mps * time_s, yaw,
+        ])  # fmt: skip
+        moves = (self._offsets_s < goal.lasts_s).astype(np.float64)
+        ahead, spin, zero = np.column_stack([np.cos(yaw), np.sin(yaw)]), goal.yaw_rate_radps, np.zeros((len(yaw), 2))
+        velocity = np.column_stack([goal.surge_mps * ahead, np.full((len(yaw), 2), (goal.heave_mps, spin))])
+        bend = np.column_stack([goal.surge_mps * spin * np.column_stack([-ahead[:, 1], ahead[:, 0]]), zero])
+        return Reference(eta, velocity * moves[:, None], bend * moves[:, None])
 
 
 def interpolate(table: Array, place: Array) -> Array:

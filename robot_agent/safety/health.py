@@ -2,7 +2,7 @@
 
 from robot_agent.control.controller import ControlOutput
 from robot_agent.inputs import Inputs, StationView
-from robot_agent.safety.modes import LIVE, POWERED, Health
+from robot_agent.safety.modes import LIVE, POWERED, UNDER_WAY, Health
 from robot_agent.safety.output_check import OutputCheck
 from robot_agent.safety.path_deviation import PathDeviationMonitor
 from robot_agent.safety.thruster_fault_detection import ThrusterFaultDetector
@@ -79,7 +79,7 @@ class HealthMonitor:
         """Pulses with which no thruster turns: 4 thrusters, 4 ankles."""
         return self._allocator.neutral_us
 
-    def health(self, inputs: Inputs, solver_failed: bool, now_ns: int) -> Health:
+    def health(self, inputs: Inputs, solver_failed: bool, now_ns: int, drive_age_s: float = 0.0) -> Health:
         """Return the values that reactions are decided by. Changes nothing."""
         telemetry = inputs.telemetry
         disarmed_s = (now_ns - self._armed_since_ns) * 1e-9 if self._armed_since_ns is not None else 0.0
@@ -104,6 +104,7 @@ class HealthMonitor:
             depth_leap=self._output.depth_leap if self._output is not None else "",
             leap=self._output.leap if self._output is not None else "",
             place_age_s=self._output.pose_age_s if self._output is not None and self._output.estimated else 0.0,
+            drive_age_s=drive_age_s,
         )
 
     def arming_refusal(self, inputs: Inputs, station: StationView, now_ns: int) -> str:
@@ -151,7 +152,7 @@ class HealthMonitor:
         """Instant at which the pose becomes too old for `mode`; None if there is none."""
         if mode not in POWERED or self._sighted_ns is None:
             return None
-        limit_s = self._safety.pose_hold_s if mode is Mode.TRACKING else self._safety.pose_neutral_s
+        limit_s = self._safety.pose_hold_s if mode in UNDER_WAY else self._safety.pose_neutral_s
         return self._sighted_ns + round(limit_s * 1e9) + 1
 
 

@@ -14,9 +14,11 @@ BOARD_LOST_S = 0.3  # six bursts at 20 Hz; the board itself goes to neutral 0.25
 BOARD_DISOBEYS_S = 0.2  # of the last second: an echo or two may be lost; a thruster that runs by itself should not for long
 BOARD_ARMS_WITHIN_S = 1.5  # its heartbeat, which says so, comes once a second
 LATE_S = 0.15  # so much more of the time steps are late than in time: three steps at 20 Hz, as many as a plan may bridge
+DRIVE_LASTS_S = 0.5  # a DRIVE counts for this long; the station sends one every control period
 DOUBT_S = 0.25  # a marker is unread for a frame or two now and then; robots that may be mixed up hold within 0.3 s
 
-POWERED = frozenset({Mode.TRACKING, Mode.HOLDING})  # modes that put out thrust
+UNDER_WAY = frozenset({Mode.TRACKING, Mode.DRIVEN})  # modes that a robot leaves for HOLDING when it should not go on
+POWERED = UNDER_WAY | {Mode.HOLDING}  # modes that put out thrust
 LIVE = POWERED | {Mode.ARMED}
 ANY = frozenset(Mode)
 
@@ -37,8 +39,9 @@ ORDERS: dict[Order, ModeTransition] = {
     Order.TEST: ModeTransition(frozenset({Mode.ARMED}), None),
     Order.ARM: ModeTransition(frozenset({Mode.DISARMED}), Mode.ARMED),
     Order.START: ModeTransition(frozenset({Mode.ARMED, Mode.HOLDING}), Mode.TRACKING),
-    Order.HOLD: ModeTransition(frozenset({Mode.ARMED, Mode.TRACKING, Mode.HOLDING}), Mode.HOLDING),
+    Order.HOLD: ModeTransition(LIVE, Mode.HOLDING),
     Order.RESUME: ModeTransition(frozenset({Mode.HOLDING}), Mode.TRACKING),
+    Order.DRIVE: ModeTransition(frozenset({Mode.HOLDING, Mode.DRIVEN}), Mode.DRIVEN),
     Order.DISARM: ModeTransition(ANY - {Mode.STOPPED}, Mode.DISARMED),
     Order.STOP: ModeTransition(ANY, Mode.STOPPED),
     Order.CLEAR_STOP: ModeTransition(frozenset({Mode.STOPPED}), Mode.DISARMED),
@@ -69,6 +72,7 @@ class Health:
     depth_leap: str = ""  # the depth that is told and the one that was believed, when one had to give way
     leap: str = ""  # the same for the place
     place_age_s: float = 0.0  # of the last pose that did not contradict the estimate
+    drive_age_s: float = 0.0  # of the last DRIVE, on the station's clock
 
 
 @dataclass(frozen=True)
@@ -106,10 +110,11 @@ REACTIONS: tuple[Reaction, ...] = (
     Reaction("control too slow", POWERED, lambda h, s: h.late_s >= LATE_S, Mode.FAULT),
     Reaction("station lost", LIVE | {Mode.FAULT}, lambda h, s: h.station_age_s > s.station_disarm_s, Mode.DISARMED),
     Reaction("station silent", LIVE, lambda h, s: h.station_age_s > s.station_neutral_s, Mode.FAULT),
-    Reaction("station late", frozenset({Mode.TRACKING}), lambda h, s: h.station_age_s > s.station_hold_s, Mode.HOLDING),
-    Reaction("pose late", frozenset({Mode.TRACKING}), lambda h, s: h.pose_age_s > s.pose_hold_s, Mode.HOLDING),
-    Reaction("identity in doubt", frozenset({Mode.TRACKING}), lambda h, s: h.identity_age_s > DOUBT_S, Mode.HOLDING),
-    Reaction("position leapt", frozenset({Mode.TRACKING}), lambda h, s: h.leap != "", Mode.HOLDING, lambda h: h.leap),
+    Reaction("station late", UNDER_WAY, lambda h, s: h.station_age_s > s.station_hold_s, Mode.HOLDING),
+    Reaction("pose late", UNDER_WAY, lambda h, s: h.pose_age_s > s.pose_hold_s, Mode.HOLDING),
+    Reaction("identity in doubt", UNDER_WAY, lambda h, s: h.identity_age_s > DOUBT_S, Mode.HOLDING),
+    Reaction("position leapt", UNDER_WAY, lambda h, s: h.leap != "", Mode.HOLDING, lambda h: h.leap),
+    Reaction("no drive command", frozenset({Mode.DRIVEN}), lambda h, s: h.drive_age_s > DRIVE_LASTS_S, Mode.HOLDING),
 )  # fmt: skip
 
 

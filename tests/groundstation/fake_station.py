@@ -7,7 +7,7 @@ from groundstation.mission.state_machine import MissionState
 from groundstation.telemetry import Finding, Fleet, FleetInboxes, LinkMonitor, blocking_findings, subscribe_fleet
 from groundstation.web.backend import Status
 from wire.config.experiment import Experiment
-from wire.messages.messages import Order, Trajectory
+from wire.messages.messages import DriveVelocity, Order, Trajectory
 from wire.process.runtime import Clock, WallClock
 from wire.transport.bus import Bus
 
@@ -21,8 +21,10 @@ class FakeStation:
     told: Status = field(default_factory=lambda: Status(MissionState.WAITING, ""))
     orders: list[Order] = field(default_factory=list)
     via: Sequence[tuple[float, float]] = ()  # of the last order
+    only: int = 0  # the robot that the last order was for
+    drives: list[tuple[int, DriveVelocity]] = field(default_factory=list)
     preflight: tuple[Finding, ...] | None = None  # None: as the robots are
-    paths: tuple[Mapping[int, Trajectory], float] | None = None
+    paths: Mapping[int, tuple[Trajectory, float]] | None = None
     clock: Clock = field(default_factory=WallClock)
     heard: FleetInboxes = field(init=False)
 
@@ -35,10 +37,14 @@ class FakeStation:
         preflight = blocking_findings(self.experiment, fleet) if self.preflight is None else self.preflight
         return replace(self.told, seen=fleet, preflight=preflight)
 
-    def request(self, order: Order, via: Sequence[tuple[float, float]] = ()) -> tuple[str, int]:
+    def request(self, order: Order, via: Sequence[tuple[float, float]] = (), only: int = 0) -> tuple[str, int]:
         self.orders.append(order)
-        self.via = via
+        self.via, self.only = via, only
         return "", len(self.orders)
+
+    def drive(self, robot: int, velocity: DriveVelocity) -> str:
+        self.drives.append((robot, velocity))
+        return "" if robot in self.experiment.robot_ids else f"no robot {robot}"
 
     def request_gains(self, values: Mapping[str, float] | None, next_lap: bool) -> tuple[str, int]:
         return "", 1

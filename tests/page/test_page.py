@@ -262,7 +262,7 @@ def test_a_route_is_edited_too_and_what_cannot_be_typed_is_answered(browser: Bro
         button(page, "Edit").click()
         expect(page.locator(".verdict")).to_contain_text("can be flown")
         expect(page.get_by_label("speed")).to_have_value("0.15")
-        expect(button(page, "Add waypoint")).to_have_count(0)
+        expect(button(page, "Add waypoints")).to_be_visible()
         page.get_by_label("duration").fill("0")
         expect(page.locator(".verdict")).to_contain_text("duration_s")
         page.get_by_label("speed").fill("1000000")
@@ -514,7 +514,7 @@ def test_the_map_draws_what_is_flown_now(browser: Browser) -> None:
         before = desk.page.evaluate("document.querySelector('.pool canvas').toDataURL()")
         line = np.linspace([-1.0, -1.0, 0.3, 0.0], [1.0, 1.0, 0.3, 0.0], 100)
         home = {r: Trajectory(f"home-{r}", 0.05, line, 0 * line, 0 * line, begin_s=30.0) for r in planned}
-        desk.paths = home, 35.0
+        desk.paths = {robot: (way, 35.0) for robot, way in home.items()}
         expect(canvas).to_have_attribute("data-paths", "home-1 home-2")
         assert desk.page.evaluate("document.querySelector('.pool canvas').toDataURL()") != before
 
@@ -599,6 +599,137 @@ def test_a_preview_plays_in_time(browser: Browser) -> None:
         assert page.evaluate(map_now) != before
         page.clock.run_for(4200)
         expect(button(page, "Preview")).to_be_visible()
+
+
+def test_one_robot_is_driven_by_keys_and_sent_to_a_place(browser: Browser) -> None:
+    with alone(browser, load_experiment("pool")) as desk:
+        page = desk.page
+        page.goto(desk.url)
+        expect(button(page, "You have control")).to_be_visible()
+        desk.robots.publish(topics.STATE, RobotState(mode=Mode.HOLDING), time.time_ns(), 2)
+        tile(page, 2).get_by_role("button").click()
+        panel = page.get_by_label("Robot 2 alone")
+        expect(button(page, "Arm 2")).to_be_disabled()  # it is
+        button(page, "Hold 2").click()
+        expect(page.locator(".given")).to_contain_text("hold 2 sent")
+        assert (desk.orders, desk.only) == ([Order.HOLD], 2)
+
+        page.keyboard.press("w")  # nobody has asked for keys to drive
+        button(page, "Drive 2").click()
+        page.keyboard.down("w")
+        page.keyboard.down("d")
+        page.wait_for_timeout(500)
+        page.keyboard.up("w")
+        page.keyboard.up("d")
+        page.wait_for_timeout(300)
+        said = len(desk.drives)
+        (robot, ahead), (_, last) = desk.drives[-3], desk.drives[-1]
+        assert said >= 4  # ten a second
+        assert robot == 2
+        assert max(velocity.surge_mps for _, velocity in desk.drives) == pytest.approx(0.4 * 0.48)
+        assert ahead.yaw_rate_radps > 0.0  # to the right, as seen from above
+        assert (last.surge_mps, last.heave_mps, last.yaw_rate_radps) == (0.0, 0.0, 0.0)
+        page.wait_for_timeout(300)
+        assert len(desk.drives) == said  # nothing is held: nothing is said
+        page.keyboard.press("Shift+Space")
+        expect(page.locator(".given")).to_contain_text("stop sent")
+
+        button(page, "Send 2 to…").click()
+        page.locator(".pool > canvas").click(position={"x": 300, "y": 200})
+        panel.get_by_role("button", name=re.compile("^Send 2 to .* m$")).click()
+        expect(page.locator(".given")).to_contain_text("go 2 sent")
+        assert (desk.orders[-1], desk.only, len(desk.via)) == (Order.GO, 2, 1)
+
+
+def test_the_editor_adds_removes_undoes_and_writes_a_commented_file(
+    browser: Browser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with alone(browser, load_experiment("pool", ["pool.size_m=[6,5,1]", "camera.position_m=[0,0,-9]"])) as desk:
+        page = desk.page
+        page.goto(desk.url)
+        button(page, "Edit").click()
+        verdict = page.locator(".verdict")
+        expect(verdict).to_contain_text("can be flown")
+        page.locator(".editor select").first.select_option("waypoints")
+        page.locator(".editor select").nth(1).select_option("column")
+        expect(page.get_by_label("spacing")).to_have_value("0.8")
+        button(page, "Add robot").click()
+        button(page, "Add islands").click()
+        middle, scale = map_of(page, 6.0, 5.0)
+        page.mouse.click(middle[0] + 2.5 * scale, middle[1] - 2.0 * scale)
+        expect(button(page, "Remove island 1")).to_be_enabled()
+        page.wait_for_timeout(800)  # later than what is undone together
+        page.keyboard.press("Delete")
+        expect(button(page, "Remove")).to_be_disabled()
+        button(page, "Undo").click()
+        button(page, "Redo").click()
+        page.keyboard.press("Control+z")
+        page.get_by_label("duration").fill("5")
+        expect(verdict).to_contain_text("can be flown")
+        page.get_by_label("Name of the new experiment").fill("mine")
+        button(page, "Save").click()
+        expect(page.get_by_text("saved: groundstation run experiments/mine.toml")).to_be_visible()
+        expect(page.locator(".editor .number").first).to_have_attribute("title", re.compile("^path.kind: "))
+    text = (tmp_path / "experiments" / "mine.toml").read_text()
+    assert "Waypoints x, y of the formation's centre, in order." in text
+    saved = load_experiment(str(tmp_path / "experiments" / "mine.toml"))
+    assert (saved.path.kind, saved.formation.shape, saved.robot_ids) == ("waypoints", "column", (1, 2, 3))
+    assert [island.position_m for island in saved.islands] == [pytest.approx((2.5, -2.0), abs=0.02)]
+
+
+def test_any_field_is_plotted_and_a_layout_is_an_address(browser: Browser) -> None:
+    with alone(browser, load_experiment("pool")) as desk:
+        page = desk.page
+        page.goto(f"{desk.url}?plots=battery,state.nu.0&robot=2")
+        expect(page.get_by_label("What plot 1 shows")).to_have_value("battery")
+        expect(page.get_by_label("What plot 2 shows")).to_have_value("state.nu.0")
+        expect(tile(page, 2)).to_have_class(re.compile("chosen"))
+        for _ in range(8):
+            desk.robots.publish(
+                topics.STATE, RobotState(nu=np.array([0.25, 0.0, 0.0, 0.0]), board_loss=0.5), time.time_ns(), 1
+            )
+            page.wait_for_timeout(120)
+        figures = page.locator(".plot")
+        expect(figures.nth(1).locator(".u-legend")).to_contain_text("0.25")
+        page.get_by_label("What plot 3 shows").select_option("state.loss")  # of before it was asked for, too
+        expect(figures.nth(2).locator(".u-legend")).to_contain_text("0.50")
+        page.on("dialog", lambda dialog: dialog.accept("mine"))
+        page.get_by_label("Layouts of the plots").select_option("+")
+        page.goto(f"{desk.url}?plots=tracking")
+        page.get_by_label("Layouts of the plots").select_option("=mine")
+        expect(page.get_by_label("What plot 3 shows")).to_have_value("state.loss")
+
+
+def test_on_a_phone_the_map_is_second_and_everything_is_large_enough(browser: Browser) -> None:
+    with alone(browser, load_experiment("pool")) as desk:
+        page = desk.page
+        page.set_viewport_size({"width": 390, "height": 844})
+        page.goto(desk.url)
+        desk.robots.publish(topics.STATE, RobotState(mode=Mode.HOLDING), time.time_ns(), 1)
+        expect(button(page, "You have control")).to_be_visible()
+        tile(page, 1).get_by_role("button").click()
+        button(page, "Drive 1").click()
+        places = page.evaluate(
+            "['.mission', '.pool', '.one-robot', '.tiles', '.plots', '.log']"
+            ".map((name) => document.querySelector(name).getBoundingClientRect().top)"
+        )
+        assert places == sorted(places)
+        small = page.evaluate(
+            "[...document.querySelectorAll('button, select, summary, input')]"
+            ".filter((e) => e.checkVisibility() && e.type !== 'checkbox' && e.getBoundingClientRect().height < 43.5)"
+            ".map((e) => e.outerHTML.slice(0, 80))"
+        )
+        assert small == []
+        thin = page.evaluate(
+            "[...document.querySelectorAll('body *')].filter((e) => e.checkVisibility() && "
+            "[...e.childNodes].some((n) => n.nodeType === 3 && n.data.trim() !== '')"
+            " && parseFloat(getComputedStyle(e).fontSize) < 14)"
+            ".map((e) => e.outerHTML.slice(0, 80))"
+        )
+        assert thin == []
+        assert page.evaluate("document.documentElement.scrollWidth") <= 390
+        assert serious(page) == []
 
 
 def map_of(page: Page, length_m: float, width_m: float) -> tuple[tuple[float, float], float]:

@@ -22,6 +22,7 @@ class Mode(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     MODE_HOLDING: _ClassVar[Mode]
     MODE_STOPPED: _ClassVar[Mode]
     MODE_FAULT: _ClassVar[Mode]
+    MODE_DRIVEN: _ClassVar[Mode]
 
 class Solve(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
@@ -49,6 +50,7 @@ class Order(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     ORDER_SWITCH: _ClassVar[Order]
     ORDER_TEST: _ClassVar[Order]
     ORDER_END: _ClassVar[Order]
+    ORDER_DRIVE: _ClassVar[Order]
 
 class Progress(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
@@ -73,6 +75,7 @@ MODE_TRACKING: Mode
 MODE_HOLDING: Mode
 MODE_STOPPED: Mode
 MODE_FAULT: Mode
+MODE_DRIVEN: Mode
 SOLVE_NONE: Solve
 SOLVE_SOLVED: Solve
 SOLVE_SHIFTED: Solve
@@ -94,6 +97,7 @@ ORDER_GO: Order
 ORDER_SWITCH: Order
 ORDER_TEST: Order
 ORDER_END: Order
+ORDER_DRIVE: Order
 PROGRESS_UNDER_WAY: Progress
 PROGRESS_DONE: Progress
 PROGRESS_FAILED: Progress
@@ -327,8 +331,18 @@ class Tuning(_message.Message):
     values: _containers.RepeatedScalarFieldContainer[float]
     def __init__(self, id: _Optional[str] = ..., keys: _Optional[_Iterable[str]] = ..., values: _Optional[_Iterable[float]] = ...) -> None: ...
 
+class DriveVelocity(_message.Message):
+    __slots__ = ("surge_mps", "heave_mps", "yaw_rate_radps")
+    SURGE_MPS_FIELD_NUMBER: _ClassVar[int]
+    HEAVE_MPS_FIELD_NUMBER: _ClassVar[int]
+    YAW_RATE_RADPS_FIELD_NUMBER: _ClassVar[int]
+    surge_mps: float
+    heave_mps: float
+    yaw_rate_radps: float
+    def __init__(self, surge_mps: _Optional[float] = ..., heave_mps: _Optional[float] = ..., yaw_rate_radps: _Optional[float] = ...) -> None: ...
+
 class Command(_message.Message):
-    __slots__ = ("order", "robot", "time_to_live_s", "experiment_hash", "trajectory_id", "start_in_s", "trajectory", "trajectory_s", "tuning_id", "tuning", "recipient", "via", "start_ns", "about")
+    __slots__ = ("order", "robot", "time_to_live_s", "experiment_hash", "trajectory_id", "start_in_s", "trajectory", "trajectory_s", "tuning_id", "tuning", "recipient", "via", "start_ns", "about", "drive")
     ORDER_FIELD_NUMBER: _ClassVar[int]
     ROBOT_FIELD_NUMBER: _ClassVar[int]
     TIME_TO_LIVE_S_FIELD_NUMBER: _ClassVar[int]
@@ -343,6 +357,7 @@ class Command(_message.Message):
     VIA_FIELD_NUMBER: _ClassVar[int]
     START_NS_FIELD_NUMBER: _ClassVar[int]
     ABOUT_FIELD_NUMBER: _ClassVar[int]
+    DRIVE_FIELD_NUMBER: _ClassVar[int]
     order: Order
     robot: int
     time_to_live_s: float
@@ -357,7 +372,8 @@ class Command(_message.Message):
     via: _containers.RepeatedScalarFieldContainer[float]
     start_ns: int
     about: int
-    def __init__(self, order: _Optional[_Union[Order, str]] = ..., robot: _Optional[int] = ..., time_to_live_s: _Optional[float] = ..., experiment_hash: _Optional[str] = ..., trajectory_id: _Optional[str] = ..., start_in_s: _Optional[float] = ..., trajectory: _Optional[_Union[Trajectory, _Mapping]] = ..., trajectory_s: _Optional[float] = ..., tuning_id: _Optional[str] = ..., tuning: _Optional[_Union[Tuning, _Mapping]] = ..., recipient: _Optional[int] = ..., via: _Optional[_Iterable[float]] = ..., start_ns: _Optional[int] = ..., about: _Optional[int] = ...) -> None: ...
+    drive: DriveVelocity
+    def __init__(self, order: _Optional[_Union[Order, str]] = ..., robot: _Optional[int] = ..., time_to_live_s: _Optional[float] = ..., experiment_hash: _Optional[str] = ..., trajectory_id: _Optional[str] = ..., start_in_s: _Optional[float] = ..., trajectory: _Optional[_Union[Trajectory, _Mapping]] = ..., trajectory_s: _Optional[float] = ..., tuning_id: _Optional[str] = ..., tuning: _Optional[_Union[Tuning, _Mapping]] = ..., recipient: _Optional[int] = ..., via: _Optional[_Iterable[float]] = ..., start_ns: _Optional[int] = ..., about: _Optional[int] = ..., drive: _Optional[_Union[DriveVelocity, _Mapping]] = ...) -> None: ...
 
 class Outcome(_message.Message):
     __slots__ = ("request", "order", "progress", "reason", "mission", "confirmed", "waiting", "why")

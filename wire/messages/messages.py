@@ -54,6 +54,7 @@ class Mode(IntEnum):
     HOLDING = 3  # The robot keeps its position.
     STOPPED = 4  # Emergency stop, latched until it is cleared.
     FAULT = 5
+    DRIVEN = 6  # A person drives the robot; it stops by itself when no DRIVE comes.
 
 
 class Solve(IntEnum):
@@ -85,6 +86,7 @@ class Order(IntEnum):
     SWITCH = 14  # Change to the trajectory that was loaded in flight, at its first sample.
     TEST = 15  # Pulse each thruster and compare the board's echo.
     END = 20  # To the station only: disarm all robots, then end the run.
+    DRIVE = 21  # Move at this velocity, for a short time.
 
 
 class Progress(IntEnum):
@@ -264,6 +266,15 @@ class Tuning:
 
 
 @dataclass(frozen=True, eq=False)
+class DriveVelocity:
+    """A velocity that a person asks of one robot, in its body frame."""
+
+    surge_mps: float = 0.0
+    heave_mps: float = 0.0  # Downwards.
+    yaw_rate_radps: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
 class Command:
     """A command to one robot, or a request to the station (robot 0). It is applied at most once, by the process that it
     names, while the header's session is the station's and the command is younger than its time to live."""
@@ -282,6 +293,7 @@ class Command:
     via: Array = array(-1, 2)  # GO: places x, y for the centre of the formation.
     start_ns: int = 0  # START, RESUME: instant on the station's clock. 0 (older logs): start_in_s after the header's stamp.
     about: int = 0  # To the station, with NONE: number of the request whose outcome is asked for.
+    drive: DriveVelocity | None = None  # DRIVE: the velocity.
 
 
 @dataclass(frozen=True, eq=False)
@@ -414,6 +426,7 @@ class Event:
 
 
 Message = (
-    Tick | Truth | Pose | LocalizerStatus | Obstacles | Plan | RobotState | StationHeartbeat | Trajectory | Tuning | Command
-    | Outcome | Reply | BoardReading | StepInputs | OrderTaken | Frame | Preview | Video | Picture | Event
+    Tick | Truth | Pose | LocalizerStatus | Obstacles | Plan | RobotState | StationHeartbeat | Trajectory | Tuning
+    | DriveVelocity | Command | Outcome | Reply | BoardReading | StepInputs | OrderTaken | Frame | Preview | Video | Picture
+    | Event
 )  # fmt: skip

@@ -44,7 +44,8 @@ class ObedientRobot:
         if (unheard and not self.hears) or command.order in self.refuses:
             return Reply(command.robot, False, "no answer" if unheard else "I refuse", silent=unheard)
         leads = {Order.ARM: Mode.ARMED, Order.START: Mode.TRACKING, Order.HOLD: Mode.HOLDING, Order.RESUME: Mode.TRACKING,
-                 Order.DISARM: Mode.DISARMED, Order.STOP: Mode.STOPPED, Order.CLEAR_STOP: Mode.DISARMED}  # fmt: skip
+                 Order.DISARM: Mode.DISARMED, Order.STOP: Mode.STOPPED, Order.CLEAR_STOP: Mode.DISARMED,
+                 Order.DRIVE: Mode.DRIVEN}  # fmt: skip
         if command.order is Order.LOAD:
             assert command.trajectory is not None
             if self.mode is Mode.TRACKING:

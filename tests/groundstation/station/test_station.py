@@ -248,12 +248,12 @@ def test_the_paths_flown_now_are_told_with_their_end(tmp_path: Path) -> None:
     with a_station(tmp_path) as station:
         segment = station.mission.segment
         station.publish_paths(0)
-        assert station.paths == (segment.trajectories, segment.end_s)
+        assert station.paths == {robot: (way, segment.end_s) for robot, way in segment.trajectories.items()}
         short = replace(segment, end_s=3.0)
         station.mission.plans.adopt(short)
         station.mission.roster.mark_lost(2, "silent")
         station.publish_paths(0)
-        assert (list(station.paths[0]), station.paths[1]) == ([1], 3.0)
+        assert {robot: end_s for robot, (_, end_s) in (station.paths or {}).items()} == {1: 3.0}
 
 
 def test_a_stop_does_not_wait_for_the_next_cycle(tmp_path: Path) -> None:

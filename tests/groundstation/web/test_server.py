@@ -55,10 +55,10 @@ class ServedStation(FakeStation):
     def say(self, robot: int = 1) -> None:
         self.robots.publish(topics.STATE, RobotState(mode=Mode.ARMED, fault="here"), time.time_ns(), robot)
 
-    def request(self, order: Order, via: Sequence[tuple[float, float]] = ()) -> tuple[str, int]:
+    def request(self, order: Order, via: Sequence[tuple[float, float]] = (), only: int = 0) -> tuple[str, int]:
         if self.blocked is not None and order is not Order.STOP:
             self.blocked.wait(PATIENCE_S)
-        accepted = super().request(order, via)
+        accepted = super().request(order, via, only)
         return ("not now", 0) if order is Order.HOLD else accepted
 
     def request_gains(self, values: Any, next_lap: bool) -> tuple[str, int]:
@@ -503,7 +503,7 @@ def test_the_map_gets_the_paths_that_are_flown_now(lab: ServedStation) -> None:
     planned = early.hello()["scene"]["paths"]
     line = np.zeros((60, 4))
     home = {1: Trajectory("home-1", 0.05, line, line, line, begin_s=40.0)}
-    lab.paths = home, 42.0  # 41 samples; the rest is horizon
+    lab.paths = {robot: (way, 42.0) for robot, way in home.items()}  # 41 samples; the rest is horizon
     told = early.until(lambda f: f["k"] == "paths")["paths"]
     late = lab.open().hello()["scene"]["paths"]
     assert [p["id"] for p in planned] == [t.id for t in planner.plan(POOL).values()]
@@ -517,3 +517,27 @@ def test_a_fleet_that_is_fit_is_ready_and_not_waited_for(lab: ServedStation) -> 
     assert page.until(state)["phase_text"] == "waiting for the fleet"
     lab.preflight = ()
     assert page.until(lambda f: state(f) and f["phase_text"] == "fleet ready")["preflight"] == []
+
+
+def test_velocity_is_taken_from_the_page_in_control_alone_and_only_while_it_is_new(lab: ServedStation) -> None:
+    watcher, pilot = lab.open(), lab.open()
+    watcher.hello(), pilot.hello()
+    pilot.say(kind="take")
+    pilot.until(lambda f: f["k"] == "state" and f["holder"])
+
+    def steer(page: PageClient, robot: int, seen_ms: int) -> None:
+        page.say(kind="drive", robot=robot, surge_mps=0.2, heave_mps=0.0, yaw_rate_radps=-0.1, seen_ms=seen_ms)
+
+    steer(watcher, 2, watcher.clock_ms)
+    assert watcher.until(lambda f: f["k"] == "undriven")["reason"] == "another page has control"
+    steer(pilot, 2, pilot.clock_ms - 2000)
+    assert "late, and was not done" in pilot.until(lambda f: f["k"] == "undriven")["reason"]
+    assert lab.drives == []
+    steer(pilot, 9, pilot.clock_ms)
+    assert pilot.until(lambda f: f["k"] == "undriven") == {"k": "undriven", "robot": 9, "reason": "no robot 9"}
+    steer(pilot, 2, pilot.clock_ms)
+    pilot.until(lambda f: len(lab.drives) == 2)
+    assert (lab.drives[1][0], lab.drives[1][1].surge_mps, lab.drives[1][1].yaw_rate_radps) == (2, 0.2, -0.1)
+    pilot.say(kind="order", n=5, order="hold", robot=2, seen_ms=pilot.clock_ms)
+    pilot.until(lambda f: f["k"] == "reply")
+    assert lab.only == 2

@@ -5,6 +5,7 @@ import json
 import math
 import re
 from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -228,7 +229,6 @@ def test_an_edit_with_a_number_that_cannot_be_is_a_request_and_is_answered(key: 
         '{"kind":"nonsense"}',
         '{"kind":"order","n":1,"order":"explode"}',
         '{"kind":"order","n":-1,"order":"stop"}',
-        '{"kind":"order","n":1,"order":"stop","robot":3}',
         '{"kind":"try","n":1,"edit":{"points_m":[[0,0],[1e9,0]]}}',
         '{"kind":"try","n":1,"edit":{"scale":NaN}}',
         '{"kind":"save","n":1,"edit":{},"name":"../../etc/passwd"}',
@@ -372,3 +372,32 @@ def test_an_open_network_is_an_alarm() -> None:
     views = {robot: RobotView() for robot in (1, 2)}
     texts = [[a.text for a in alarms(POOL, views, None, math.inf, "", insecure)] for insecure in (False, True)]
     assert set(texts[1]) - set(texts[0]) == {INSECURE}
+
+
+def test_robots_are_taken_in_and_out_with_their_neighbours() -> None:
+    four = experiment_editor.edited(POOL, protocol.Edit(robots=[1, 2, 5, 7], shape="diamond", spacing_m=0.9))
+    assert {robot.id: robot.neighbours for robot in four.robots} == {1: (2,), 2: (1, 5), 5: (2, 7), 7: (5,)}
+    apart = [math.dist(a.node_m, b.node_m) for a, b in combinations(four.robots, 2)]
+    assert min(apart) == pytest.approx(0.9)
+    alone = experiment_editor.edited(four, protocol.Edit(robots=[2], nodes_m={2: (0.1, 0.2, 0.0)}))
+    assert [(robot.id, robot.node_m, robot.neighbours) for robot in alone.robots] == [(2, (0.1, 0.2, 0.0), ())]
+    assert [row.subject for row in alone.article] == ["2"]
+    assert alone.formation.shape is None  # nobody stands where the shape would have it
+
+
+def test_another_path_pool_and_islands_are_judged_and_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    wide = load_experiment("pool", ["camera.position_m=[0,0,-9]"])  # sees the larger pool
+    edit = protocol.Edit(
+        kind="route", points_m=[(-1.5, -1.0), (1.5, 1.0)], speed_mps=0.1, depth_m=0.4, pool_m=(6.0, 5.0, 1.2),
+        islands_m=[(0.0, 0.0, 0.2)], shape="column", spacing_m=0.9, duration_s=60.0,
+    )  # fmt: skip
+    assert experiment_editor.attempt(wide, edit)["problems"] == []
+    assert experiment_editor.save(wide, edit, "around")["ok"]
+    text = (tmp_path / "experiments" / "around.toml").read_text()
+    assert 'shape = "column"  # Shape for robots without a node_m, in the file\'s order.' in text
+    assert "position_m = [0.0, 0.0]  # Centre, x and y." in text
+    saved = load_experiment(str(tmp_path / "experiments" / "around.toml"))
+    assert saved.hash == experiment_editor.edited(wide, edit).model_copy(update={"name": "around", "title": saved.title}).hash
+    in_the_way = experiment_editor.attempt(wide, protocol.Edit(islands_m=[(0.0, 0.225, 0.2)]))
+    assert not in_the_way["ok"]

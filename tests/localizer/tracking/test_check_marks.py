@@ -57,7 +57,7 @@ def seen(true: Experiment, believed: Experiment, frames: int = FRAMES) -> Locali
 
 def errors_m(result: LocalizationResult) -> Array:
     """x and y of the robots' errors, (2, 2)."""
-    return np.array([(pose.x_m, pose.y_m) for _, pose in result.poses]) - ETA[:, :2]
+    return np.asarray(np.array([(pose.x_m, pose.y_m) for _, pose in result.poses]) - ETA[:, :2])
 
 
 def test_a_camera_at_its_place_has_no_trouble_and_adds_nothing_to_covariances() -> None:

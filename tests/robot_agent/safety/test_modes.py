@@ -90,10 +90,10 @@ def test_a_stop_is_latched_through_anything_that_happens(run: list[Health]) -> N
             assert refusal(order, mode) != ""
 
 
-def test_only_start_resume_and_hold_lead_to_thrust_and_only_from_a_live_mode() -> None:
+def test_only_start_resume_hold_and_drive_lead_to_thrust_and_only_from_a_live_mode() -> None:
     for order, transition in ORDERS.items():
         if transition.to in POWERED:
-            assert order in (Order.START, Order.RESUME, Order.HOLD)
+            assert order in (Order.START, Order.RESUME, Order.HOLD, Order.DRIVE)
             assert transition.accepted_in <= LIVE
 
 

@@ -21,6 +21,7 @@ from wire.messages import codec, fleet_pb2, messages, topics
 from wire.messages.messages import (
     BoardReading,
     Command,
+    DriveVelocity,
     Event,
     Frame,
     Message,
@@ -122,7 +123,7 @@ def test_a_recorded_topic_has_a_schema(topic: Topic) -> None:
 
 
 def test_every_message_has_a_topic_or_is_part_of_another() -> None:
-    assert set(CLASSES) == {topic.type for topic in TOPICS} | {Command, Outcome, Reply, BoardReading}
+    assert set(CLASSES) == {topic.type for topic in TOPICS} | {Command, DriveVelocity, Outcome, Reply, BoardReading}
     once = [topic for topic in TOPICS if topic is not topics.EXPOSED]  # a tick, which the localizer is told of earlier
     assert len({topic.type for topic in once}) == len(once)
 

@@ -1,11 +1,14 @@
 /** What the plots show: one row per tenth of a second since the page connected and the station's own rows before, a column per curve. Of a
  * recorded run, the whole run from the first. */
 
+import { FIELDS } from "./fields";
 import { onSamples, type Sample, scene } from "./store";
-import type { Scene } from "./wire";
+import type { RobotState, Scene } from "./wire";
 
 const ROW_S = 0.1;
 const MOST_ROWS = 6000; // ten minutes
+const COARSE_S = 0.5; // between the whole states that are kept, for a field that somebody asks for later: in fleets of up to three
+const COARSE_ROBOTS = 3600;
 const SPARE_ROWS = 300; // dropped at a time: shifting arrays for every row would cost more than drawing them
 
 export interface Curve {
@@ -93,10 +96,40 @@ export function charts(s: Scene, chosen: number): Chart[] {
   ];
 }
 
+/** A chart of one field of the robots' states, every robot a curve. Undefined for an id that is none. */
+export function fieldChart(s: Scene, id: string): Chart | undefined {
+  const field = FIELDS.get(id);
+  if (field === undefined) return undefined;
+  const curves = s.robots.map(({ id: robot }) => ({ name: `robot ${robot}`, robot, value: (sample: Sample) => of(field.of, state(sample, robot)) }));
+  return { id, title: field.title, unit: field.unit, both: true, curves };
+}
+
+function of(read: (state: RobotState) => number | undefined, told: RobotState | undefined): number | null {
+  const value = told === undefined ? undefined : read(told);
+  return value === undefined || !Number.isFinite(value) ? null : value;
+}
+
+/** Record a chart from now on, and what is known of it from before. */
+export function record(chart: Chart, chosen: number): void {
+  for (const curve of chart.curves) {
+    const name = key(chart, curve, chosen);
+    if (columns.has(name)) continue;
+    let k = 0;
+    columns.set(name, times.map((t) => {
+      while (k + 1 < coarse.length && coarse[k + 1]!.time_s <= t) k += 1;
+      const row = coarse[k];
+      return row !== undefined && Math.abs(t - row.time_s) <= 1.5 * coarse_s ? curve.value(row) : null;
+    }));
+    recorded.push([name, curve]);
+  }
+}
+
 /** Rows of every curve ever asked for. Keyed by chart, robot and curve, so that changing the choice keeps what there is. */
 export const times: number[] = [];
 const columns = new Map<string, (number | null)[]>();
 let recorded: [string, Curve][] = [];
+let coarse: Sample[] = [];
+let coarse_s = COARSE_S;
 
 function key(chart: Chart, curve: Curve, chosen: number): string {
   return `${chart.id}/${chart.id === "inputs" || chart.id === "disturbance" ? chosen : ""}/${curve.name}`;
@@ -110,6 +143,8 @@ function begin(s: Scene): void {
   times.length = 0;
   columns.clear();
   recorded = [];
+  coarse = [];
+  coarse_s = Math.max(COARSE_S, (MOST_ROWS * ROW_S * s.robots.length) / COARSE_ROBOTS);
   for (const { id } of s.robots) {
     for (const chart of charts(s, id)) {
       for (const curve of chart.curves) {
@@ -124,9 +159,11 @@ function begin(s: Scene): void {
 
 function add(sample: Sample): void {
   times.push(sample.time_s);
+  if (coarse.length === 0 || sample.time_s - coarse.at(-1)!.time_s >= coarse_s) coarse.push({ ...sample, robots: new Map(sample.robots) });
   for (const [name, curve] of recorded) columns.get(name)!.push(curve.value(sample));
   if (times.length > MOST_ROWS + SPARE_ROWS) {
     times.splice(0, SPARE_ROWS);
+    coarse = coarse.filter(({ time_s }) => time_s >= times[0]!);
     for (const values of columns.values()) values.splice(0, SPARE_ROWS);
   }
 }

@@ -2,12 +2,15 @@
  * people are used to leave by it: a field with the focus, an open menu, places being chosen. */
 
 import { stepFrames, togglePlay } from "./panels/Replay";
+import { driveKey } from "./robot/drive";
 import { acknowledgeAlarms } from "./sound";
 import { order } from "./link";
 import { choosePlaces, places } from "./pool/places";
 import { follow } from "./pool/layers";
 import { fitView, zoomBy } from "./pool/Pool";
-import { drawSoon, inControl, scene, selected, shown } from "./store";
+import { removePicked } from "./editor/canvas";
+import { redo, undo } from "./editor/model";
+import { drawSoon, editing, inControl, scene, selected, shown } from "./store";
 import type { OrderName } from "./wire";
 
 export const KEYS: [string, string][] = [
@@ -23,6 +26,8 @@ export const KEYS: [string, string][] = [
   ["G", "follow"],
   ["+ -", "zoom"],
   ["1 … 9", "choose a robot"],
+  ["W A S D, Q E", "drive the chosen robot, while Drive is on"],
+  ["Ctrl+Z, Ctrl+Y, Del", "editor: undo, redo, remove what was touched last"],
   ["M", "silence the alarm"],
   ["Space", "recorded run: play or pause"],
   [", .", "recorded run: a state back or on"],
@@ -40,6 +45,16 @@ function left(target: HTMLElement): boolean {
   return true;
 }
 
+/** Undo and redo of the editor. Returns whether it was one of them. */
+function editKey(event: KeyboardEvent): boolean {
+  const key = event.key.toLowerCase();
+  if (!(event.ctrlKey || event.metaKey) || event.altKey || (key !== "z" && key !== "y")) return false;
+  event.preventDefault();
+  if (key === "y" || event.shiftKey) redo();
+  else undo();
+  return true;
+}
+
 addEventListener("keydown", (event) => {
   const target = event.target as HTMLElement;
   const typing = /^(INPUT|SELECT|TEXTAREA)$/.test(target.tagName);
@@ -48,7 +63,10 @@ addEventListener("keydown", (event) => {
     if (scene.peek()?.mode !== "replay") order("stop");
     return;
   }
+  if (editing.peek() && !typing && editKey(event)) return;
   if (event.key === "Escape" || typing || event.ctrlKey || event.metaKey || event.altKey) return;
+  if (driveKey(event)) return;
+  if (editing.peek() && (event.key === "Delete" || event.key === "Backspace")) removePicked();
   const name = ORDERS[event.key];
   if (name !== undefined) {
     if (inControl.peek() && shown.peek()?.allowed.includes(name)) order(name);

@@ -107,16 +107,16 @@ export function say(request: Request): boolean {
   return true;
 }
 
-/** Ask something of the whole fleet; what becomes of it appears in `given`. A stop that is not answered, because it cannot be
+/** Ask something of the whole fleet, or of one robot; what becomes of it appears in `given`. A stop that is not answered, because it cannot be
  * sent now or goes into a connection that is dead and does not know it yet, is sent on return. */
-export function order(name: OrderName, via: [number, number][] = []): void {
+export function order(name: OrderName, via: [number, number][] = [], robot = 0): void {
   if (name === "stop" && stopAsked) {
     sendStop(); // pressed again: the same request
     return;
   }
   const n = nextSerial();
   if (name === "stop") stopAsked = n;
-  give(name, { kind: "order", n, order: name, via_m: via, seen_ms: seenMs() });
+  give(robot === 0 ? name : `${name} ${robot}`, { kind: "order", n, order: name, via_m: via, robot, seen_ms: seenMs() });
 }
 
 function sendStop(): void {

@@ -9,6 +9,7 @@ import { connect } from "./link";
 import { Alarms, Log } from "./panels/Alarms";
 import { Header } from "./panels/Header";
 import { Mission } from "./panels/Mission";
+import { OneRobot } from "./panels/OneRobot";
 import { Plots } from "./panels/Plots";
 import { Replay } from "./panels/Replay";
 import { Tiles } from "./panels/Tiles";
@@ -25,6 +26,7 @@ function Page() {
         <Pool />
         <aside>
           {editing.value ? <Editor /> : <Mission />}
+          <OneRobot />
           <Alarms />
           <Tiles />
           <Tuning />

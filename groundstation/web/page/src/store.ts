@@ -1,7 +1,7 @@
 /** Everything the page knows, in one place. What the canvas draws is plain data; what text shows are signals. */
 
 import { computed, signal } from "@preact/signals";
-import type { Alarm, Frame, LogLine, Outcome, PastRobot, PastState, PathSamples, RobotNews, Scene, Snapshot, Tried } from "./wire";
+import type { Alarm, Frame, LogLine, Outcome, PastState, PathSamples, RobotNews, RobotState, Scene, Snapshot, Tried } from "./wire";
 import { floats } from "./wire";
 
 export const MOST_LINES = 500;
@@ -26,7 +26,7 @@ export interface Robot {
 /** What plots and trails are made of: a state as it came, or a row of the past. */
 export interface Sample {
   time_s: number;
-  robots: Map<number, Pick<Robot, "eta" | "reference" | "disturbance" | "wrench"> & { news: { age_ms: number; state?: PastRobot } }>;
+  robots: Map<number, Pick<Robot, "eta" | "reference" | "disturbance" | "wrench"> & { news: { age_ms: number; state?: RobotState } }>;
   localizer: { to_pose_ms: number } | null;
   roundTripMs: number | null; // of the page itself: not known of the past
 }
@@ -56,6 +56,7 @@ export const selected = signal(0); // robot; 0 is none
 export const tried = signal<Tried | null>(null);
 export const saved = signal<{ ok: boolean; problems: string[]; path?: string } | null>(null);
 export const editing = signal(false);
+export const undriven = signal(""); // why a velocity is not driven
 
 export const inControl = computed(() => connected.value && shown.value !== null && me.value !== 0 && shown.value.holder === me.value);
 export const alarms = computed<Alarm[]>(() => {
@@ -193,6 +194,9 @@ export function take(frame: Frame): void {
       break;
     case "tried":
       tried.value = frame;
+      break;
+    case "undriven":
+      undriven.value = frame.reason;
       break;
     case "saved":
       saved.value = frame;

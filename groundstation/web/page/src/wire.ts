@@ -51,6 +51,8 @@ export interface Scene {
   limits: {
     wrench: [number, number, number];
     speed_mps: number;
+    heave_mps: number;
+    yaw_rate_radps: number;
     thrust_n: number;
     pulse_us: [number, number, number]; // full reverse, neutral, full ahead
     battery_v: [number, number, number, number]; // neutral, no arming, warning, full
@@ -59,7 +61,8 @@ export interface Scene {
   islands: [number, number, number][]; // x, y, radius
   robots: { id: number; node_m: [number, number, number]; neighbours: number[] }[];
   path: CirclePath | WaypointPath | RoutePath;
-  formation: { mode: "translate" | "rotate"; scale: number };
+  formation: { mode: "translate" | "rotate"; scale: number; shape: Shape | null; spacing_m: number };
+  hints: Record<string, string>; // meaning, range and default of keys of the experiment file
   knobs: Knob[]; // of the controller, that may be turned in flight
   paths: PathSamples[];
   underlay: { columns: number; pool: Packed; picture: Packed } | null;
@@ -91,7 +94,7 @@ export interface Tuning {
   laps: { n: number; id: string; s: number; rms: number; max: number }[];
 }
 
-export type Mode = "DISARMED" | "ARMED" | "TRACKING" | "HOLDING" | "STOPPED" | "FAULT";
+export type Mode = "DISARMED" | "ARMED" | "TRACKING" | "HOLDING" | "STOPPED" | "FAULT" | "DRIVEN";
 export type Track = "LOST" | "COAST" | "KCF" | "MARKER";
 
 export interface RobotState {
@@ -181,6 +184,7 @@ export interface Snapshot {
   tuning: Tuning | null;
   requests: Outcome[]; // oldest first
   ended: boolean; // a person has ended the run
+  led: { robot: number; text: string }[]; // robots that a person leads one by one
   localizer: {
     age_ms: number;
     camera: string;
@@ -206,6 +210,7 @@ export interface Tried {
   clearance_m?: number;
   needed_m?: number;
   fastest_mps?: number;
+  nodes_m?: [number, number, number, number][]; // robot, x, y, z
 }
 
 /** A line of the log. */
@@ -219,14 +224,9 @@ export interface LogLine {
 /** A row of the past: what plots and trails need of a state. */
 export interface PastState {
   time_s: number;
-  robots: (Pick<RobotNews, "id" | "age_ms"> & { state?: PastRobot })[];
+  robots: (Pick<RobotNews, "id" | "age_ms"> & { state?: RobotState })[];
   localizer: { to_pose_ms: number } | null;
 }
-
-export type PastRobot = Pick<
-  NonNullable<RobotNews["state"]>,
-  "mode" | "eta" | "reference" | "wrench" | "disturbance" | "pose_age_ms" | "to_pwm_ms" | "step_us" | "battery_v"
->;
 
 export type Frame =
   | { k: "hello"; you: number; scene: Scene; events: LogLine[] }
@@ -236,10 +236,14 @@ export type Frame =
   | { k: "paths"; paths: PathSamples[] }
   | ({ k: "event" } & LogLine)
   | { k: "reply"; n: number; order: string; ok: boolean; reason: string; request: number }
+  | { k: "undriven"; robot: number; reason: string }
   | Tried
   | { k: "saved"; n: number; ok: boolean; problems: string[]; path?: string };
 
 export interface Edit {
+  pool_m?: [number, number, number];
+  islands_m?: [number, number, number][];
+  kind?: "circle" | "waypoints" | "route";
   points_m?: [number, number][];
   speed_mps?: number;
   diameter_m?: number;
@@ -248,15 +252,21 @@ export interface Edit {
   duration_s?: number;
   mode?: "translate" | "rotate";
   scale?: number;
+  robots?: number[];
   nodes_m?: Record<string, [number, number, number]>;
+  shape?: Shape;
+  spacing_m?: number;
 }
+
+export type Shape = "line" | "column" | "triangle" | "diamond" | "circle";
 
 export type Request =
   | { kind: "hello"; token: string; page: string }
   | { kind: "ack"; n: number }
   | { kind: "take"; over?: boolean }
   | { kind: "release" }
-  | { kind: "order"; n: number; order: OrderName; via_m?: [number, number][]; seen_ms: number }
+  | { kind: "order"; n: number; order: OrderName; via_m?: [number, number][]; robot?: number; seen_ms: number }
+  | { kind: "drive"; robot: number; surge_mps: number; heave_mps: number; yaw_rate_radps: number; seen_ms: number }
   | { kind: "tune"; n: number; values: Record<string, number> | null; next_lap: boolean; seen_ms: number }
   | { kind: "try"; n: number; edit: Edit }
   | { kind: "save"; n: number; edit: Edit; name: string }

@@ -1,17 +1,30 @@
-/** Path and formation by number and by shape; dragging happens on the map. */
+/** Pool, path, formation and robots by number and by name; dragging happens on the map. */
 
 import { signal } from "@preact/signals";
 import { nextSerial, say } from "../link";
 import { inControl, saved, scene, tried } from "../store";
-import { change, draft, play, playhead, reset, rotate, SHAPES, shaped, toEdit } from "./model";
+import { adding, pickedName, removePicked } from "./canvas";
+import type { Draft, PathKind } from "./model";
+import { change, draft, freed, ofKind, play, playhead, redo, redoable, reset, rotate, SHAPES, toEdit, undo, undoable, withRobot } from "./model";
 
 const name = signal("");
 const turned = signal(0);
-const ORIGIN: [number, number] = [0, 0];
 
-function Number_({ text, unit, value, step, min, onChange }: { text: string; unit: string; value: number; step: number; min?: number; onChange: (value: number) => void }) {
+interface Field {
+  text: string;
+  of: string; // the key of the experiment file
+  unit: string;
+  value: number;
+  step: number;
+  min?: number;
+  onChange: (value: number) => void;
+}
+
+const hint = (key: string) => scene.value?.hints[key] ?? key;
+
+function Number_({ text, of, unit, value, step, min, onChange }: Field) {
   return (
-    <label class="number">
+    <label class="number" title={hint(of)}>
       <span>{text}</span>
       <input
         type="number"
@@ -79,69 +92,88 @@ function SaveForm() {
   );
 }
 
-export function Editor() {
-  const d = draft.value;
-  const s = scene.value;
-  if (d === null || s === null) return null;
+/** Undo and redo, the preview, and what a click on the free map adds. */
+function Tools({ d }: { d: Draft }) {
+  const name = pickedName(d);
+  const toggle = (what: "point" | "island") => (adding.value = adding.value === what ? "" : what);
   return (
-    <section class="editor" aria-label="Editor of path and formation">
-      <h2>
-        Next run
-        <button type="button" onClick={reset}>
-          Reset
-        </button>
-      </h2>
-      <p class="hint">Drag {d.kind === "waypoints" ? "the numbered waypoints and " : ""}the robots' places on the map. Nothing here moves a robot.</p>
-      <Verdict />
+    <>
       <div class="row">
+        <button type="button" disabled={undoable.value === 0} onClick={undo} title="Ctrl+Z">
+          Undo
+        </button>
+        <button type="button" disabled={redoable.value === 0} onClick={redo} title="Ctrl+Shift+Z, Ctrl+Y">
+          Redo
+        </button>
         <button type="button" onClick={play} disabled={!tried.value?.paths}>
-          {playhead.value === null ? "Preview" : `${playhead.value.toFixed(0)} s of ${d.duration.toFixed(0)}`}
+          {playhead.value === null ? "Preview" : `${playhead.value.toFixed(0)} s of ${(tried.value?.duration_s ?? d.duration).toFixed(0)}`}
         </button>
       </div>
-      <h3>Path</h3>
+      <div class="row">
+        {d.kind !== "circle" && (
+          <button type="button" aria-pressed={adding.value === "point"} onClick={() => toggle("point")} title="Each click on the free map adds one">
+            Add waypoints
+          </button>
+        )}
+        <button type="button" aria-pressed={adding.value === "island"} onClick={() => toggle("island")} title="Each click on the free map adds one">
+          Add islands
+        </button>
+        <button type="button" onClick={() => change(withRobot(d))}>
+          Add robot
+        </button>
+        <button type="button" disabled={name === ""} onClick={removePicked} title="Delete: what was touched last on the map">
+          Remove {name}
+        </button>
+      </div>
+    </>
+  );
+}
+
+function PathFields({ d }: { d: Draft }) {
+  return (
+    <>
+      <label class="number" title={hint("path.kind")}>
+        <span>kind</span>
+        <select value={d.kind} onChange={(event) => change(ofKind(d, event.currentTarget.value as PathKind))}>
+          <option value="circle">circle</option>
+          <option value="waypoints">waypoints</option>
+          <option value="route">route: the shortest clear way</option>
+        </select>
+      </label>
       {d.kind === "circle" ? (
         <>
-          <Number_ text="diameter" unit="m" step={0.05} min={0} value={d.diameter} onChange={(diameter) => change({ ...d, diameter })} />
-          <Number_ text="one lap" unit="s" step={5} min={1} value={d.lap} onChange={(lap) => change({ ...d, lap })} />
+          <Number_ text="diameter" of="path.diameter_m" unit="m" step={0.05} min={0} value={d.diameter} onChange={(diameter) => change({ ...d, diameter })} />
+          <Number_ text="one lap" of="path.lap_s" unit="s" step={5} min={1} value={d.lap} onChange={(lap) => change({ ...d, lap })} />
         </>
       ) : (
-        <>
-          <Number_ text="speed" unit="m/s" step={0.01} min={0} value={d.speed} onChange={(speed) => change({ ...d, speed })} />
-          {d.kind === "waypoints" && (
-            <div class="row">
-              <button type="button" onClick={() => change({ ...d, points: [...d.points, beyond(d.points)] })}>
-                Add waypoint
-              </button>
-              <button type="button" disabled={d.points.length < d.start + 3} onClick={() => change({ ...d, points: d.points.slice(0, -1) })}>
-                Remove last
-              </button>
-            </div>
-          )}
-        </>
+        <Number_ text="speed" of="path.speed_mps" unit="m/s" step={0.01} min={0} value={d.speed} onChange={(speed) => change({ ...d, speed })} />
       )}
-      <Number_ text="depth" unit="m" step={0.05} min={0} value={d.depth} onChange={(depth) => change({ ...d, depth })} />
-      <Number_ text="duration" unit="s" step={5} min={1} value={d.duration} onChange={(duration) => change({ ...d, duration })} />
-      <h3>Formation</h3>
-      <label class="number">
+      <Number_ text="depth" of="path.depth_m" unit="m" step={0.05} min={0} value={d.depth} onChange={(depth) => change({ ...d, depth })} />
+      <Number_ text="duration" of="duration_s" unit="s" step={5} min={1} value={d.duration} onChange={(duration) => change({ ...d, duration })} />
+    </>
+  );
+}
+
+function FormationFields({ d }: { d: Draft }) {
+  return (
+    <>
+      <label class="number" title={hint("formation.shape")}>
         <span>shape</span>
-        <select
-          value=""
-          onChange={(event) => {
-            change(shaped(d, event.currentTarget.value, 2 * s.safety_m + 0.2));
-            event.currentTarget.value = "";
-          }}
-        >
-          <option value="">choose …</option>
-          {Object.keys(SHAPES).map((shape) => (
+        <select value={d.shape} onChange={(event) => change({ ...freed(d), shape: event.currentTarget.value as Draft["shape"] })}>
+          <option value="">each its own place</option>
+          {SHAPES.map((shape) => (
             <option key={shape}>{shape}</option>
           ))}
         </select>
       </label>
-      <label class="number">
+      {d.shape !== "" && (
+        <Number_ text="spacing" of="formation.spacing_m" unit="m" step={0.05} min={0} value={d.spacing} onChange={(spacing) => change({ ...d, spacing })} />
+      )}
+      <label class="number" title={hint("formation.mode")}>
         <span>turns with the path</span>
         <input type="checkbox" checked={d.mode === "rotate"} onChange={(event) => change({ ...d, mode: event.currentTarget.checked ? "rotate" : "translate" })} />
       </label>
-      <label class="number">
+      <label class="number" title={hint("formation.scale")}>
         <span>scale</span>
         <input type="range" min={0.5} max={3} step={0.01} value={d.scale} onInput={(event) => change({ ...d, scale: event.currentTarget.valueAsNumber })} />
         <span class="unit">{d.scale.toFixed(2)}</span>
@@ -162,16 +194,45 @@ export function Editor() {
         />
         <span class="unit">{turned.value}°</span>
       </label>
+    </>
+  );
+}
+
+export function Editor() {
+  const d = draft.value;
+  if (d === null || scene.value === null) return null;
+  const side = (k: 0 | 1 | 2, text: string) => (
+    <Number_
+      text={text}
+      of="pool.size_m"
+      unit="m"
+      step={0.1}
+      min={0.1}
+      value={d.pool[k]}
+      onChange={(to) => change({ ...d, pool: d.pool.map((old, axis) => (axis === k ? to : old)) as Draft["pool"] })}
+    />
+  );
+  return (
+    <section class="editor" aria-label="Editor of the next run">
+      <h2>
+        Next run
+        <button type="button" onClick={reset}>
+          Reset
+        </button>
+      </h2>
+      <p class="hint">Drag waypoints, robots' places, islands, their shores and the pool's corner on the map. Nothing here moves a robot.</p>
+      <Verdict />
+      <Tools d={d} />
+      <h3>Path</h3>
+      <PathFields d={d} />
+      <h3>Formation</h3>
+      <FormationFields d={d} />
+      <h3>Pool</h3>
+      {side(0, "length (x)")}
+      {side(1, "width (y)")}
+      {side(2, "depth (z)")}
       <h3>Keep it</h3>
       <SaveForm />
     </section>
   );
-}
-
-/** A new waypoint goes on in the direction of the last two. */
-function beyond(points: [number, number][]): [number, number] {
-  const a = points.at(-2) ?? ORIGIN;
-  const b = points.at(-1) ?? ORIGIN;
-  const length = Math.hypot(b[0] - a[0], b[1] - a[1]) || 1;
-  return [b[0] + (0.5 * (b[0] - a[0])) / length, b[1] + (0.5 * (b[1] - a[1])) / length];
 }

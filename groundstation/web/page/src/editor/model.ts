@@ -3,11 +3,16 @@
 import { signal } from "@preact/signals";
 import { nextSerial, say } from "../link";
 import { drawSoon, editing, saved, scene, tried } from "../store";
-import type { Edit, Scene } from "../wire";
+import type { Edit, Scene, Shape } from "../wire";
+
+type Point = [number, number];
+export type PathKind = "circle" | "waypoints" | "route";
 
 export interface Draft {
-  kind: "circle" | "waypoints" | "route";
-  points: [number, number][]; // of a route: the places that it leads through, which stay as they are
+  pool: [number, number, number];
+  islands: [number, number, number][]; // x, y, radius
+  kind: PathKind;
+  points: Point[]; // waypoints, or the places of a route
   start: number; // index of the waypoint at which the run begins
   diameter: number;
   lap: number;
@@ -16,30 +21,47 @@ export interface Draft {
   duration: number;
   mode: "translate" | "rotate";
   scale: number;
-  nodes: Map<number, [number, number, number]>;
+  shape: Shape | ""; // gives the robots their nodes; empty: each has its own
+  spacing: number;
+  nodes: Map<number, [number, number, number]>; // by robot, in the file's order
 }
+
+export const SHAPES: Shape[] = ["line", "column", "triangle", "diamond", "circle"]; // the station places them
+const MOST_ROBOTS = 49;
+const TOGETHER_MS = 700; // changes that follow one another so closely are undone together: a drag is one
 
 export const draft = signal<Draft | null>(null);
 export const playhead = signal<number | null>(null); // seconds into the preview; null: not playing
+export const undoable = signal(0);
+export const redoable = signal(0);
+
+let before: Draft[] = [];
+let after: Draft[] = [];
+let changedAtMs = -Infinity;
 
 function fromScene(s: Scene): Draft {
   const { path } = s;
+  const circle = path.kind === "circle";
   return {
+    pool: [...s.pool_m],
+    islands: s.islands.map((island) => [...island]),
     kind: path.kind,
-    points: path.kind === "waypoints" ? path.points_m.map(([x, y]) => [x, y]) : path.kind === "route" ? path.via_m : [],
+    points: path.kind === "waypoints" ? path.points_m.map(([x, y]) => [x, y]) : path.kind === "route" ? path.via_m.map(([x, y]) => [x, y]) : [],
     start: path.kind === "waypoints" ? path.start_index : 0,
-    diameter: path.kind === "circle" ? path.diameter_m : 0,
-    lap: path.kind === "circle" ? path.lap_s : 0,
-    speed: path.kind === "circle" ? 0 : path.speed_mps,
+    diameter: circle ? path.diameter_m : 0.5 * Math.min(s.pool_m[0], s.pool_m[1]),
+    lap: circle ? path.lap_s : 100,
+    speed: circle ? 0.1 : path.speed_mps,
     depth: path.depth_m,
     duration: s.duration_s,
     mode: s.formation.mode,
     scale: s.formation.scale,
+    shape: s.formation.shape ?? "",
+    spacing: s.formation.spacing_m,
     nodes: new Map(s.robots.map(({ id, node_m }) => [id, [...node_m]])),
   };
 }
 
-/** Begin again from what is flown now. */
+/** Begin again from what is flown now. That can be undone, too. */
 export function reset(): void {
   const s = scene.peek();
   if (s === null) return;
@@ -53,48 +75,84 @@ editing.subscribe((on) => {
 });
 
 export function toEdit(d: Draft): Edit {
-  const path: Edit = d.kind === "circle" ? { diameter_m: d.diameter, lap_s: d.lap } : { speed_mps: d.speed };
-  if (d.kind === "waypoints") path.points_m = d.points;
-  return { ...path, depth_m: d.depth, duration_s: d.duration, mode: d.mode, scale: d.scale, nodes_m: Object.fromEntries(d.nodes) };
+  const path: Edit = d.kind === "circle" ? { diameter_m: d.diameter, lap_s: d.lap } : { points_m: d.points, speed_mps: d.speed };
+  const nodes: Edit = d.shape === "" ? { nodes_m: Object.fromEntries(d.nodes) } : { shape: d.shape, spacing_m: d.spacing };
+  const formation: Edit = { mode: d.mode, scale: d.scale, robots: [...d.nodes.keys()], ...nodes };
+  return { pool_m: d.pool, islands_m: d.islands, kind: d.kind, ...path, depth_m: d.depth, duration_s: d.duration, ...formation };
 }
 
 /** Take a change, and ask the planner about it. The station answers the newest question; those in between fall away. */
 export function change(next: Draft): void {
+  const old = draft.peek();
+  const now = performance.now();
+  if (old !== null && now - changedAtMs > TOGETHER_MS) before.push(old);
+  changedAtMs = now;
+  after = [];
+  take(next);
+}
+
+function take(next: Draft): void {
   draft.value = next;
+  [undoable.value, redoable.value] = [before.length, after.length];
   say({ kind: "try", n: nextSerial(), edit: toEdit(next) });
   drawSoon();
+}
+
+export function undo(): void {
+  const [old, now] = [before.pop(), draft.peek()];
+  if (old === undefined || now === null) return;
+  after.push(now);
+  changedAtMs = -Infinity;
+  take(old);
+}
+
+export function redo(): void {
+  const [next, now] = [after.pop(), draft.peek()];
+  if (next === undefined || now === null) return;
+  before.push(now);
+  changedAtMs = -Infinity;
+  take(next);
+}
+
+/** Where the nodes are: those of a shape, as the station has placed them, until it has. */
+export function nodesOf(d: Draft): Map<number, [number, number, number]> {
+  const placed = tried.value?.nodes_m;
+  if (d.shape === "" || placed === undefined || placed.some(([id]) => !d.nodes.has(id))) return d.nodes;
+  return new Map(placed.map(([id, x, y, z]) => [id, [x, y, z]]));
+}
+
+/** The draft with every node its own: what a hand has moved is no shape any more. */
+export function freed(d: Draft): Draft {
+  return { ...d, shape: "", nodes: new Map(nodesOf(d)) };
+}
+
+/** Another kind of path, with points from the old one where it had none. */
+export function ofKind(d: Draft, kind: PathKind): Draft {
+  const r = d.diameter / 2;
+  const points: Point[] = d.points.length >= 2 ? d.points : [[-r, -r], [r, -r], [r, r], [-r, r]];
+  return { ...d, kind, points: kind === "circle" ? d.points : points, start: 0 };
+}
+
+/** A robot more, beside the last one. */
+export function withRobot(d: Draft): Draft {
+  const ids = [...d.nodes.keys()];
+  let id = 1;
+  while (d.nodes.has(id)) id += 1;
+  if (id > MOST_ROBOTS) return d;
+  const [x, y, z] = nodesOf(d).get(ids.at(-1) ?? 0) ?? [0, 0, 0];
+  const own = d.shape === "" ? d.nodes : nodesOf(d);
+  return { ...d, nodes: new Map(own).set(id, [x + d.spacing, y, z]) };
+}
+
+export function withoutRobot(d: Draft, robot: number): Draft {
+  return { ...d, nodes: new Map([...d.nodes].filter(([id]) => id !== robot)) };
 }
 
 /** Turn the formation about its centre, seen from above. */
 export function rotate(d: Draft, angle: number): Draft {
   const [c, s] = [Math.cos(angle), Math.sin(angle)];
-  return { ...d, nodes: new Map([...d.nodes].map(([id, [x, y, z]]) => [id, [c * x - s * y, s * x + c * y, z]])) };
-}
-
-/** Well-known shapes for n robots, neighbours `apart` metres from each other. */
-export const SHAPES: Record<string, (n: number, apart: number) => [number, number][]> = {
-  "line across": (n, apart) => Array.from({ length: n }, (_, k) => [(k - (n - 1) / 2) * apart, 0]),
-  "line ahead": (n, apart) => Array.from({ length: n }, (_, k) => [0, ((n - 1) / 2 - k) * apart]),
-  wedge: (n, apart) =>
-    centred(Array.from({ length: n }, (_, k) => [Math.ceil(k / 2) * (k % 2 ? -1 : 1) * apart * 0.71, -Math.ceil(k / 2) * apart * 0.71])),
-  ring: (n, apart) => {
-    const radius = n > 1 ? apart / (2 * Math.sin(Math.PI / n)) : 0;
-    return Array.from({ length: n }, (_, k) => [radius * Math.sin((2 * Math.PI * k) / n), radius * Math.cos((2 * Math.PI * k) / n)]);
-  },
-  grid: (n, apart) => {
-    const columns = Math.ceil(Math.sqrt(n));
-    return centred(Array.from({ length: n }, (_, k) => [(k % columns) * apart, -Math.floor(k / columns) * apart]));
-  },
-};
-
-function centred(points: [number, number][]): [number, number][] {
-  const [mx, my] = [0, 1].map((axis) => points.reduce((sum, p) => sum + p[axis]!, 0) / points.length) as [number, number];
-  return points.map(([x, y]) => [x - mx, y - my]);
-}
-
-export function shaped(d: Draft, shape: string, apart: number): Draft {
-  const made = SHAPES[shape]?.(d.nodes.size, apart) ?? [];
-  return { ...d, scale: 1, nodes: new Map([...d.nodes].map(([id, [, , z]], k) => [id, [made[k]![0], made[k]![1], z]])) };
+  const own = freed(d);
+  return { ...own, nodes: new Map([...own.nodes].map(([id, [x, y, z]]) => [id, [c * x - s * y, s * x + c * y, z]])) };
 }
 
 let playing = 0;
@@ -107,11 +165,10 @@ export function play(): void {
     drawSoon();
     return;
   }
-  const lasts = tried.peek()?.duration_s ?? 0;
-  const pace = Math.max(1, lasts / 12);
   const began = performance.now();
   const step = () => {
-    const at = ((performance.now() - began) / 1e3) * pace;
+    const lasts = tried.peek()?.duration_s ?? 0; // of the newest edit
+    const at = ((performance.now() - began) / 1e3) * Math.max(1, lasts / 12);
     playhead.value = at < lasts && editing.peek() ? at : null;
     drawSoon();
     if (playhead.peek() !== null) playing = requestAnimationFrame(step);

@@ -1,7 +1,7 @@
 /** Preflight, orders and what became of them. */
 
 import { order, say } from "../link";
-import { choosePlaces, flyThere, places } from "../pool/places";
+import { choosePlaces, flyThere, places, placesFor } from "../pool/places";
 import { connected, type Given as Request, given, inControl, isStale, live, now, scene, shown, stopUnheard, unanswered } from "../store";
 import type { OrderName, RobotNews, Snapshot } from "../wire";
 
@@ -154,7 +154,7 @@ function Stopped({ state }: { state: Snapshot }) {
   );
 }
 
-const LIVE = ["ARMED", "TRACKING", "HOLDING"];
+const LIVE = ["ARMED", "TRACKING", "HOLDING", "DRIVEN"];
 
 /** The end of the run: asked twice while anything may still move. */
 function End({ state }: { state: Snapshot }) {
@@ -208,7 +208,7 @@ function OrderButton({ button, state }: { button: Button; state: Snapshot }) {
 
 /** Leads the running formation to places that are clicked on the map. */
 function Go({ state }: { state: Snapshot }) {
-  const chosen = places.value;
+  const chosen = placesFor.value === 0 ? places.value : null;
   const possible = connected.value && inControl.value && state.allowed.includes("go");
   if (chosen === null) {
     return possible ? (

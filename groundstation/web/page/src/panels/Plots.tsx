@@ -5,7 +5,9 @@ import { useEffect, useRef } from "preact/hooks";
 import uPlot from "uplot";
 import "uplot/dist/uPlot.min.css";
 import { css, robotColour } from "../colours";
-import { type Chart, charts, column, times } from "../history";
+import { FIELDS } from "../fields";
+import { type Chart, charts, column, fieldChart, record, times } from "../history";
+import { keep, layouts, link, show, SLOTS, slots } from "../layout";
 import { placeOf } from "../pool/path";
 import { live, scene, selected } from "../store";
 import type { Scene } from "../wire";
@@ -17,7 +19,6 @@ const FALLBACK = [0, 1, 2, 3, 4, 5, 6, 7];
 
 export const themeSerial = signal(0);
 export const paused = signal(false);
-const slots = signal<string[]>(JSON.parse(localStorage.getItem("plots") ?? '["tracking", "formation", "inputs", "latency"]') as string[]);
 
 function options(s: Scene, chart: Chart, width: number, height: number): uPlot.Options {
   const axis = { stroke: css("--dim"), grid: { stroke: css("--grid"), width: 1 }, ticks: { show: false }, font: "11px system-ui" };
@@ -107,12 +108,16 @@ function Plot({ slot }: { slot: number }) {
   const s = scene.value;
   const chosen = selected.value || (s?.robots[0]?.id ?? 0);
   const all = s === null ? [] : charts(s, chosen);
-  const chart = all.find(({ id }) => id === slots.value[slot]) ?? all[0];
+  const wanted = slots.value[slot] ?? "";
+  const chart = all.find(({ id }) => id === wanted) ?? (s === null ? undefined : fieldChart(s, wanted)) ?? all[0];
   useEffect(() => {
     const box = ref.current;
     if (s === null || chart === undefined || box === null) return;
     let zoomed = false;
-    const data = (): uPlot.AlignedData => [times, ...chart.curves.map((curve) => column(chart, curve, chosen))];
+    const data = (): uPlot.AlignedData => {
+      record(chart, chosen); // each time: another run begins without it
+      return [times, ...chart.curves.map((curve) => column(chart, curve, chosen))];
+    };
     const many = chart.curves.length > 8;
     const size = () => ({ width: box.clientWidth, height: Math.max(80, box.clientHeight - (many ? 2 : 24)) });
     const plot = new uPlot({ ...options(s, chart, size().width, size().height), ...(many ? { legend: { show: false } } : {}) }, data(), box);
@@ -132,10 +137,7 @@ function Plot({ slot }: { slot: number }) {
     };
   }, [s, chart?.id, chosen, themeSerial.value]);
   if (chart === undefined) return null;
-  const choose = (id: string) => {
-    slots.value = slots.value.map((old, k) => (k === slot ? id : old));
-    localStorage.setItem("plots", JSON.stringify(slots.value));
-  };
+  const choose = (id: string) => show(slots.value.map((old, k) => (k === slot ? id : old)));
   return (
     <figure class="plot">
       <figcaption>
@@ -145,6 +147,13 @@ function Plot({ slot }: { slot: number }) {
               {title}
             </option>
           ))}
+          <optgroup label="Any field">
+            {[...FIELDS].map(([id, { title }]) => (
+              <option key={id} value={id}>
+                {title}
+              </option>
+            ))}
+          </optgroup>
         </select>
         <span class="unit">{chart.unit}</span>
       </figcaption>
@@ -153,13 +162,57 @@ function Plot({ slot }: { slot: number }) {
   );
 }
 
+const copied = signal(false);
+
+/** Layouts of this browser, and the address of the present one. */
+function Layouts() {
+  const act = (choice: string) => {
+    const [verb, name] = [choice[0], choice.slice(1)];
+    if (verb === "=") show(layouts.peek()[name]);
+    else if (verb === "-") keep(name, true);
+    else if (verb === "+") {
+      const given = prompt("Name of this layout")?.trim();
+      if (given) keep(given);
+    } else void navigator.clipboard.writeText(link()).then(() => (copied.value = true), () => prompt("The address of this layout", link()));
+  };
+  const names = Object.keys(layouts.value);
+  return (
+    <select
+      aria-label="Layouts of the plots"
+      value=""
+      onChange={(event) => {
+        copied.value = false;
+        act(event.currentTarget.value);
+        event.currentTarget.value = "";
+      }}
+    >
+      <option value="">{copied.value ? "Link copied" : "Layout"}</option>
+      {names.map((name) => (
+        <option key={name} value={`=${name}`}>
+          {name}
+        </option>
+      ))}
+      <option value="+">Save as …</option>
+      <option value="@">Copy link</option>
+      {names.map((name) => (
+        <option key={`-${name}`} value={`-${name}`}>
+          Forget {name}
+        </option>
+      ))}
+    </select>
+  );
+}
+
 export function Plots() {
   return (
     <section class="plots" aria-label="Plots">
-      <button type="button" class="pause" aria-pressed={paused.value} onClick={() => (paused.value = !paused.value)}>
-        {paused.value ? "Paused" : "Pause"}
-      </button>
-      {[0, 1, 2, 3].map((slot) => (
+      <div class="plot-tools">
+        <Layouts />
+        <button type="button" class="pause" aria-pressed={paused.value} onClick={() => (paused.value = !paused.value)}>
+          {paused.value ? "Paused" : "Pause"}
+        </button>
+      </div>
+      {Array.from({ length: SLOTS }, (_, slot) => (
         <Plot key={slot} slot={slot} />
       ))}
     </section>

@@ -4,7 +4,7 @@ import { robotColour } from "../colours";
 import { ageMs, alarms, drawSoon, isStale, live, now, scene, selected, shown } from "../store";
 import type { RobotNews, Scene } from "../wire";
 
-const MARK: Record<string, string> = { DISARMED: "○", ARMED: "◐", TRACKING: "▶", HOLDING: "❚❚", STOPPED: "■", FAULT: "✕" };
+const MARK: Record<string, string> = { DISARMED: "○", ARMED: "◐", TRACKING: "▶", HOLDING: "❚❚", STOPPED: "■", FAULT: "✕", DRIVEN: "✥" };
 const MANY = 6; // from here on a tile tells the mode, the error, the pose, and what is wrong
 const WEIGHT = { critical: 100, warning: 10, notice: 1 };
 

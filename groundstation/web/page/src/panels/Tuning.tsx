@@ -57,6 +57,11 @@ function allowed(knob: Knob): string {
   return `${knob.above ? "above" : "from"} ${least} ${knob.below ? "to below" : "to"} ${most}`;
 }
 
+/** Meaning and range, as the experiment's reference has them. */
+function hint(knob: Knob): string {
+  return scene.value?.hints[knob.key.replace(/\.\d+$/, "")] ?? knob.key;
+}
+
 /** What a text would set; null is nothing that may be flown. */
 function valueOf(knob: Knob, text: string): number | null {
   const value = text.trim() === "" ? NaN : Number(text);
@@ -78,7 +83,7 @@ function Field({ knob, flown, label }: { knob: Knob; flown: number; label: strin
       value={text ?? short(flown)}
       aria-label={label}
       aria-invalid={wrong}
-      title={`${knob.key}, ${allowed(knob)}; flown: ${short(flown)}`}
+      title={`${hint(knob)}\n${knob.key}: ${allowed(knob)}; flown: ${short(flown)}`}
       onInput={(event) => (draft.value = { ...draft.value, [knob.key]: event.currentTarget.value })}
       onKeyDown={(event) => event.key === "Enter" && event.currentTarget.blur()}
     />

@@ -1,4 +1,4 @@
-/** Places that a person clicks on the map, over which the formation is to fly next. */
+/** Places that a person clicks on the map: the formation is to fly over them next, or one robot to one of them. */
 
 import { signal } from "@preact/signals";
 import { css } from "../colours";
@@ -11,19 +11,23 @@ const MOST = 50; // as many as the station takes
 /** The places so far; null: clicks choose robots. */
 export const places = signal<[number, number][] | null>(null);
 
-export function choosePlaces(on: boolean): void {
+export const placesFor = signal(0); // the robot that is sent alone; 0: the formation
+
+export function choosePlaces(on: boolean, robot = 0): void {
   places.value = on ? [] : null;
+  placesFor.value = robot;
   drawSoon();
 }
 
 export function addPlace(x: number, y: number): void {
-  places.value = [...(places.peek() ?? []), [Number(x.toFixed(2)), Number(y.toFixed(2))] as [number, number]].slice(0, MOST);
+  const place: [number, number] = [Number(x.toFixed(2)), Number(y.toFixed(2))];
+  places.value = placesFor.peek() !== 0 ? [place] : [...(places.peek() ?? []), place].slice(0, MOST);
   drawSoon();
 }
 
 export function flyThere(): void {
   const chosen = places.peek();
-  if (chosen !== null && chosen.length > 0) order("go", chosen);
+  if (chosen !== null && chosen.length > 0) order("go", chosen, placesFor.peek());
   choosePlaces(false);
 }
 

@@ -1,0 +1,250 @@
+"""Requests for one robot: arm, hold, disarm, drive, go to a place, while the others hold or fly. Pure.
+
+A robot that is led like this in flight is out of the formation until REJOIN; the others see its plans and stay clear. While
+the mission is paused it keeps its place in the formation. Where the mission arms, starts, ends or plans for all, it leads all
+robots again, and requests for one are over.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from groundstation.mission.command_dispatcher import CommandDispatcher, CommandResult
+from groundstation.mission.mission import ARMED, AT_REST_MPS, LIVE, PATIENCE_S, REST_WITHIN_S, Mission, mode_name
+from groundstation.mission.plan_manager import PlanRequest
+from groundstation.mission.state_machine import NOMINAL, TERMINAL, MissionState
+from groundstation.mission.timetable import START_IN_S, Timetable
+from groundstation.planning.feasibility import PlanError
+from groundstation.planning.rest_to_rest import SETTLE_S, plan_return
+from groundstation.planning.segment import PlanSegment
+from groundstation.telemetry import Fleet, RobotView, preflight
+from wire.config.experiment import Experiment
+from wire.messages.messages import Command, DriveVelocity, Mode, Order, Progress, Trajectory
+
+ONE_ROBOT = (Order.ARM, Order.HOLD, Order.DISARM, Order.GO)  # beside DRIVE, which comes ten times a second
+WHEN = NOMINAL | TERMINAL | {MissionState.WAITING, MissionState.PAUSED}
+VELOCITY_LASTS_S = 0.3  # of the person's last word; then the robot is told to hold
+
+
+@dataclass
+class RobotTask:
+    """A request for one robot."""
+
+    order: Order
+    since_ns: int  # of its present stage
+    progress: Progress = Progress.UNDER_WAY
+    reason: str = ""  # of a failure, or the last refusal
+    place_m: tuple[float, float] | None = None  # GO
+    trip: PlanSegment | None = None  # GO, once it is planned
+    started: bool = False  # GO: the robot has begun to fly its trip
+    velocity: DriveVelocity = field(default_factory=DriveVelocity)  # DRIVE: the newest, asked at `since_ns`
+    timetable: Timetable | None = None  # GO, once the robot has its trajectory
+
+
+class SingleRobotControl:
+    """Tasks of robots that are led one by one. The station calls `step` once a cycle, after the mission's."""
+
+    def __init__(self, experiment: Experiment, mission: Mission) -> None:
+        self.tasks: dict[int, RobotTask] = {}  # the last one of each robot
+        self._experiment, self._mission = experiment, mission
+        self._dispatchers = {robot: CommandDispatcher(experiment.hash) for robot in experiment.robot_ids}
+        self._planned_for: RobotTask | None = None
+        self.plan_request: PlanRequest | None = None
+
+    @property
+    def led(self) -> frozenset[int]:
+        """Robots with a task under way."""
+        return frozenset(robot for robot, task in self.tasks.items() if task.progress is Progress.UNDER_WAY)
+
+    @property
+    def trips(self) -> dict[int, tuple[Trajectory, float]]:
+        """Trajectories that robots fly alone, with their ends in s."""
+        flown = {r: self.tasks[r].trip for r in self.led}
+        return {r: (trip.trajectories[r], trip.end_s) for r, trip in flown.items() if trip is not None}
+
+    def status(self) -> dict[int, str]:
+        """Text for people about each robot that is led."""
+        return {robot: _text(task) for robot, task in self.tasks.items() if task.progress is Progress.UNDER_WAY}
+
+    # --- requests
+
+    def request(self, order: Order, robot: int, fleet: Fleet, now_ns: int, place_m: tuple[float, float] | None = None) -> str:
+        """Take up a request. Returns the reason of a refusal; empty when it is under way."""
+        if order not in ONE_ROBOT:
+            return f"{order.name} is not for one robot (allowed: {', '.join(o.name for o in ONE_ROBOT)})"
+        reason = self._objection(order, robot, fleet, place_m)
+        if not reason:
+            self._mission.lead(robot, order)
+            self._begin(robot, RobotTask(order, now_ns, place_m=place_m))
+        return reason
+
+    def drive(self, robot: int, velocity: DriveVelocity, fleet: Fleet, now_ns: int) -> str:
+        """Take a person's newest velocity for a robot; all zeros are a hold. Returns the reason of a refusal."""
+        task = self.tasks.get(robot)
+        stands = velocity.surge_mps == velocity.heave_mps == velocity.yaw_rate_radps == 0.0
+        driven = task is not None and task.order is Order.DRIVE and task.progress is Progress.UNDER_WAY
+        if stands:
+            return self.request(Order.HOLD, robot, fleet, now_ns) if driven else ""
+        reason = self._objection(Order.DRIVE, robot, fleet, None)
+        if reason:
+            return reason
+        if task is None or not driven:
+            self._mission.lead(robot, Order.DRIVE)
+            self._begin(robot, RobotTask(Order.DRIVE, now_ns, velocity=velocity))
+            return ""
+        task.velocity, task.since_ns = velocity, now_ns
+        return task.reason
+
+    def _begin(self, robot: int, task: RobotTask) -> None:
+        self.tasks[robot] = task
+        self._dispatchers[robot].reset()
+
+    def _objection(self, order: Order, robot: int, fleet: Fleet, place_m: tuple[float, float] | None) -> str:
+        mission = self._mission
+        if robot not in fleet:
+            return f"no robot {robot} (allowed: {', '.join(map(str, fleet))})"
+        if mission.state not in WHEN:
+            names = ", ".join(state.name for state in MissionState if state in WHEN)
+            return f"{order.name} for one robot is not possible when {mission.state.name} (only when {names})"
+        if mission.takes_out(order) and set(mission.roster.active) == {robot}:
+            return f"robot {robot} is the only one that flies: hold or disarm the fleet instead"
+        seen = fleet[robot]
+        if not seen.heard:
+            return f"robot {robot} is not heard"
+        if order is Order.ARM:
+            if seen.mode is not Mode.DISARMED:
+                return f"robot {robot} is {mode_name(seen)}, not DISARMED"
+            return "; ".join(preflight(self._experiment, {robot: seen}))
+        if order is Order.DISARM:
+            return f"robot {robot} is STOPPED: clear the stop" if seen.mode is Mode.STOPPED else ""
+        if seen.mode not in LIVE:
+            return f"robot {robot} is {mode_name(seen)}: arm it first"
+        return self._no_place(robot, fleet, place_m) if order is Order.GO else ""
+
+    def _no_place(self, robot: int, fleet: Fleet, place_m: tuple[float, float] | None) -> str:
+        if place_m is None:
+            return "where to? (one place, x and y in m)"
+        length, width, _ = self._experiment.pool.size_m
+        if not (abs(place_m[0]) <= length / 2.0 and abs(place_m[1]) <= width / 2.0):
+            return f"({place_m[0]:g}, {place_m[1]:g}) m is outside the pool"
+        keep_m = 2.0 * self._experiment.safety.radius_m
+        for other, seen in fleet.items():
+            if other != robot and np.hypot(*(seen.eta[:2] - place_m)) < keep_m:
+                return f"({place_m[0]:g}, {place_m[1]:g}) m is less than {keep_m:g} m from robot {other}"
+        return ""
+
+    # --- the cycle
+
+    def step(self, fleet: Fleet, results: Sequence[CommandResult], now_ns: int) -> tuple[Command, ...]:
+        """One cycle: the commands to send now."""
+        for result in results:
+            task = self.tasks.get(result.command.robot)
+            if task is not None and task.progress is Progress.UNDER_WAY:
+                refusal = self._dispatchers[result.command.robot].on_results([result], now_ns)
+                task.reason = refusal if result.command.order is not Order.DRIVE or refusal else ""
+        commands: list[Command] = []
+        for robot in self.led:
+            task = self.tasks[robot]
+            if self._mission.state not in WHEN:
+                _end(task, f"the mission is {self._mission.state.value}")
+            else:
+                commands += self._advance(robot, task, fleet[robot], fleet, now_ns)
+        return tuple(commands)
+
+    def _advance(self, robot: int, task: RobotTask, seen: RobotView, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
+        if task.order is Order.DRIVE:
+            return self._drive(robot, task, seen, now_ns)
+        if now_ns - task.since_ns > PATIENCE_S * 1e9 and not task.started:
+            _end(task, task.reason or f"robot {robot} is {mode_name(seen)}")
+            return ()
+        if task.order is Order.GO:
+            return self._go(robot, task, seen, fleet, now_ns)
+        confirmed: Mapping[Order, Callable[[Mode | None], bool]] = {
+            Order.ARM: lambda mode: mode in ARMED,
+            Order.HOLD: lambda mode: mode is Mode.HOLDING,
+            Order.DISARM: lambda mode: mode is Mode.DISARMED,
+        }
+        if seen.heard and seen.state_age_s * 1e9 < now_ns - task.since_ns and confirmed[task.order](seen.mode):
+            task.progress, task.reason = Progress.DONE, ""
+            return ()
+        return self._send(task.order, robot, None, now_ns)
+
+    def _drive(self, robot: int, task: RobotTask, seen: RobotView, now_ns: int) -> tuple[Command, ...]:
+        if now_ns - task.since_ns > VELOCITY_LASTS_S * 1e9:
+            self._begin(robot, RobotTask(Order.HOLD, now_ns))
+            return self._send(Order.HOLD, robot, None, now_ns)
+        if seen.mode in (Mode.ARMED, Mode.TRACKING):
+            return self._send(Order.HOLD, robot, None, now_ns)
+        if seen.mode not in (Mode.HOLDING, Mode.DRIVEN):
+            _end(task, f"robot {robot} is {mode_name(seen)}")
+            return ()
+        return (Command(Order.DRIVE, robot, VELOCITY_LASTS_S, self._experiment.hash, drive=task.velocity),)
+
+    def _go(self, robot: int, task: RobotTask, seen: RobotView, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
+        """Hold, plan, load, start, fly, hold."""
+        state, trip = seen.state, task.trip
+        if not seen.heard or state is None or seen.mode not in LIVE:
+            _end(task, f"robot {robot} is {mode_name(seen) if seen.heard else 'not heard'}")
+            return ()
+        if trip is None:
+            if seen.mode is not Mode.HOLDING:
+                return self._send(Order.HOLD, robot, None, now_ns)
+            rests = seen.speed_mps < AT_REST_MPS or now_ns - task.since_ns > REST_WITHIN_S * 1e9
+            if rests and self.plan_request is None:
+                self._plan(robot, task, seen, fleet)
+            return ()
+        trajectory = trip.trajectories[robot]
+        if seen.mode is Mode.HOLDING and task.started:
+            arrived = state.trajectory_s >= trip.end_s - SETTLE_S
+            _end(task, "" if arrived else f"robot {robot} holds: {state.fault or 'on the way'}")
+            return ()
+        if seen.mode is Mode.TRACKING and state.trajectory_id == trajectory.id:
+            task.started = True
+            return self._send(Order.HOLD, robot, None, now_ns) if state.trajectory_s >= trip.end_s - SETTLE_S else ()
+        if state.trajectory_id != trajectory.id:
+            return self._send(Order.LOAD, robot, trajectory, now_ns)
+        if task.timetable is None:
+            task.timetable = Timetable(now_ns + round(START_IN_S * 1e9), trajectory.begin_s + self._mission.governor.lag_s)
+            self._dispatchers[robot].reset()
+        return self._send(Order.START, robot, trajectory, now_ns, task.timetable)
+
+    def _plan(self, robot: int, task: RobotTask, seen: RobotView, fleet: Fleet) -> None:
+        """Request a way to the task's place, clear of islands, obstacles and of where the other robots are now."""
+        experiment, place_m = self._experiment, task.place_m
+        assert place_m is not None
+        away = self._mission.plans.monitor.discs_to_avoid((fleet[r] for r in fleet if r != robot), room_m=0.0)
+        rest = seen.rest
+        goal = np.array([*place_m, rest[2], rest[3]])
+        self._planned_for = task
+        self.plan_request = PlanRequest(
+            f"robot {robot} alone",
+            lambda: plan_return(experiment, experiment.controller.period_s, {robot: rest}, {robot: goal}, away),
+        )
+
+    def planned(self, outcome: PlanSegment | PlanError, fleet: Fleet, now_ns: int) -> None:
+        """Take the outcome of the requested plan."""
+        task, self.plan_request, self._planned_for = self._planned_for, None, None
+        if task is None or task.progress is not Progress.UNDER_WAY:
+            return
+        if isinstance(outcome, PlanSegment):
+            task.trip, task.since_ns = outcome, now_ns
+        else:
+            _end(task, f"no way there: {outcome}")
+
+    def _send(
+        self, order: Order, robot: int, trajectory: Trajectory | None, now_ns: int, timetable: Timetable | None = None
+    ) -> tuple[Command, ...]:
+        return self._dispatchers[robot].commands(order, {robot: trajectory}, now_ns, timetable)
+
+
+def _end(task: RobotTask, reason: str) -> None:
+    """End a task: done, or failed for a reason."""
+    task.progress, task.reason = Progress.FAILED if reason else Progress.DONE, reason
+
+
+def _text(task: RobotTask) -> str:
+    if task.order is Order.GO and task.place_m is not None:
+        return f"on its way to {task.place_m[0]:.2f}, {task.place_m[1]:.2f} m"
+    doing = {Order.DRIVE: "driven", Order.ARM: "arming", Order.HOLD: "coming to rest", Order.DISARM: "disarming"}[task.order]
+    return f"{doing}{f': {task.reason}' if task.reason else ''}"

@@ -1,0 +1,115 @@
+/** The chosen robot alone: arm, hold, disarm, drive it, or send it to a place, while the others hold or fly. */
+
+import { order } from "../link";
+import { choosePlaces, flyThere, places, placesFor } from "../pool/places";
+import { driven, hold, letGo, pace, startDriving, stopDriving } from "../robot/drive";
+import { connected, inControl, scene, selected, shown, undriven } from "../store";
+import type { OrderName, Snapshot } from "../wire";
+
+const FLIES = ["ARMED", "TRACKING", "HOLDING", "DRIVEN"];
+const ORDERS: { order: OrderName; text: string; modes: string[] }[] = [
+  { order: "arm", text: "Arm", modes: ["DISARMED"] },
+  { order: "hold", text: "Hold", modes: FLIES },
+  { order: "disarm", text: "Disarm", modes: [...FLIES, "FAULT"] },
+];
+/** Once a robot is led alone in flight it is out of the formation. */
+const IN_FORMATION = ["RUNNING", "SLOWED", "DEGRADED"];
+
+const PAD: { name: string; text: string; share: readonly [number, number, number] }[] = [
+  { name: "left", text: "↶ A", share: [0, 0, -1] },
+  { name: "ahead", text: "▲ W", share: [1, 0, 0] },
+  { name: "right", text: "↷ D", share: [0, 0, 1] },
+  { name: "up", text: "up Q", share: [0, -1, 0] },
+  { name: "astern", text: "▼ S", share: [-1, 0, 0] },
+  { name: "down", text: "down E", share: [0, 1, 0] },
+];
+
+function Pad({ robot }: { robot: number }) {
+  if (driven.value !== robot) return null;
+  return (
+    <div class="drive">
+      <div class="pad">
+        {PAD.map(({ name, text, share }) => (
+          <button
+            key={name}
+            type="button"
+            aria-label={`Drive ${name}`}
+            onPointerDown={(event) => {
+              event.currentTarget.setPointerCapture(event.pointerId);
+              hold(name, share);
+            }}
+            onPointerUp={() => letGo(name)}
+            onPointerCancel={() => letGo(name)}
+            onContextMenu={(event) => event.preventDefault()}
+          >
+            {text}
+          </button>
+        ))}
+      </div>
+      <label>
+        pace {(100 * pace.value).toFixed(0)} % of its limits
+        <input type="range" min={0.1} max={1} step={0.05} value={pace.value} onInput={(event) => (pace.value = event.currentTarget.valueAsNumber)} />
+      </label>
+      <p class="hint">Hold a key, a button or a gamepad's stick. It stops short of walls and robots, and holds when you let go.</p>
+    </div>
+  );
+}
+
+function Way({ robot, possible }: { robot: number; possible: boolean }) {
+  const chosen = placesFor.value === robot ? places.value : null;
+  if (chosen === null) {
+    return (
+      <button type="button" class="order" disabled={!possible} onClick={() => choosePlaces(true, robot)} title="Choose a place on the map">
+        Send {robot} to…
+      </button>
+    );
+  }
+  return (
+    <>
+      <button type="button" class="order" disabled={!possible || chosen.length === 0} onClick={flyThere}>
+        {chosen.length === 0 ? "Click on the map" : `Send ${robot} to ${chosen[0]!.join(", ")} m`}
+      </button>
+      <button type="button" class="order" onClick={() => choosePlaces(false)}>
+        Cancel
+      </button>
+    </>
+  );
+}
+
+export function OneRobot() {
+  const state: Snapshot | null = shown.value;
+  const robot = state?.robots.find(({ id }) => id === selected.value);
+  if (state === null || robot === undefined || scene.value?.mode === "replay") return null;
+  const mode = robot.state?.mode ?? "";
+  const possible = connected.value && inControl.value;
+  const flies = possible && FLIES.includes(mode);
+  const led = state.led.find((found) => found.robot === robot.id);
+  const drives = driven.value === robot.id;
+  return (
+    <section class="one-robot" aria-label={`Robot ${robot.id} alone`}>
+      <h2>Robot {robot.id} alone</h2>
+      <div class="orders">
+        {ORDERS.map(({ order: name, text, modes }) => (
+          <button key={name} type="button" class="order" disabled={!possible || !modes.includes(mode)} onClick={() => order(name, [], robot.id)}>
+            {text} {robot.id}
+          </button>
+        ))}
+        <button
+          type="button"
+          class="order"
+          aria-pressed={drives}
+          disabled={!flies && !drives}
+          onClick={() => (drives ? stopDriving() : startDriving(robot.id))}
+          title="By keys (W A S D, Q up, E down), the buttons below or a gamepad"
+        >
+          Drive {robot.id}
+        </button>
+        <Way robot={robot.id} possible={flies} />
+      </div>
+      <Pad robot={robot.id} />
+      {undriven.value !== "" && drives && <p class="reason" role="status">{undriven.value}</p>}
+      {led !== undefined && <p class="hint" role="status">{led.text}</p>}
+      {IN_FORMATION.includes(state.phase) && mode === "TRACKING" && <p class="hint">Led alone now, it leaves the formation until Rejoin.</p>}
+    </section>
+  );
+}

@@ -1,0 +1,96 @@
+/** Driving one robot by keys, buttons or gamepad. While something is held, its velocity is said ten times a second; the robot
+ * holds by itself when it hears none any more. */
+
+import { signal } from "@preact/signals";
+import { say } from "../link";
+import { connected, inControl, live, scene, undriven } from "../store";
+
+const SAY_EVERY_MS = 100;
+const DEAD = 0.12; // of a stick's way: it never rests quite in the middle
+
+/** What a key or a button asks: shares of the vehicle's limits ahead, down, and to the right. */
+type Share = readonly [ahead: number, down: number, right: number];
+const KEYS: Record<string, Share> = {
+  w: [1, 0, 0], s: [-1, 0, 0], a: [0, 0, -1], d: [0, 0, 1], q: [0, -1, 0], e: [0, 1, 0],
+  arrowup: [1, 0, 0], arrowdown: [-1, 0, 0], arrowleft: [0, 0, -1], arrowright: [0, 0, 1], pageup: [0, -1, 0], pagedown: [0, 1, 0],
+}; // prettier-ignore
+
+export const driven = signal(0); // the robot that keys move; 0: none
+export const pace = signal(0.4); // of the vehicle's limits, at most
+
+const held = new Map<string, Share>();
+let moving = false;
+
+export function startDriving(robot: number): void {
+  stopDriving();
+  undriven.value = "";
+  driven.value = robot;
+}
+
+export function stopDriving(): void {
+  release();
+  driven.value = 0;
+}
+
+/** Nothing is held any more: the robot is told at once. */
+function release(): void {
+  held.clear();
+  tell();
+}
+
+export function hold(name: string, share: Share): void {
+  held.set(name, share);
+  tell();
+}
+
+export function letGo(name: string): void {
+  if (held.delete(name)) tell();
+}
+
+/** Take a key if it drives. Returns whether it did. */
+export function driveKey(event: KeyboardEvent): boolean {
+  const share = driven.peek() === 0 || event.ctrlKey || event.metaKey || event.altKey || event.shiftKey ? undefined : KEYS[event.key.toLowerCase()];
+  if (share === undefined) return false;
+  event.preventDefault();
+  if (!event.repeat) hold(event.key.toLowerCase(), share);
+  return true;
+}
+
+function stick(): Share {
+  const pad = navigator.getGamepads?.().find((found) => found?.connected);
+  if (!pad) return [0, 0, 0];
+  const axis = (k: number) => {
+    const value = pad.axes[k] ?? 0;
+    return Math.abs(value) < DEAD ? 0 : value;
+  };
+  return [-axis(1), axis(3), axis(2) || axis(0)]; // left stick ahead, right stick depth and turn
+}
+
+function tell(): void {
+  const robot = driven.peek();
+  const limits = scene.peek()?.limits;
+  if (robot === 0 || limits === undefined) return;
+  const asked: [number, number, number] = [0, 0, 0];
+  for (const share of [...held.values(), stick()]) share.forEach((value, k) => (asked[k] = Math.max(-1, Math.min(1, asked[k]! + value))));
+  const moves = asked.some((value) => value !== 0);
+  if (!moves && !moving) return;
+  if (moves && !moving) undriven.value = "";
+  moving = moves;
+  const [ahead, down, right] = asked.map((value) => value * pace.peek()) as [number, number, number];
+  say({
+    kind: "drive",
+    robot,
+    surge_mps: ahead * limits.speed_mps,
+    heave_mps: down * limits.heave_mps,
+    yaw_rate_radps: right * limits.yaw_rate_radps,
+    seen_ms: live.snapshot?.clock_ms ?? 0,
+  });
+}
+
+setInterval(() => {
+  if (driven.peek() !== 0 && (!connected.peek() || !inControl.peek() || live.snapshot?.stop)) stopDriving();
+  tell();
+}, SAY_EVERY_MS);
+addEventListener("keyup", (event) => letGo(event.key.toLowerCase()));
+addEventListener("blur", release);
+document.addEventListener("visibilitychange", () => document.hidden && release());

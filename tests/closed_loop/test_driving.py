@@ -1,0 +1,141 @@
+"""Robots that a person drives, in the real plant: what holds them, what stops them, what they never touch."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from groundstation.planning import planner
+from robot_agent.safety.modes import DRIVE_LASTS_S
+from sim_bridge.in_process.fleet import AgentFleet, DirectPlant
+from wire.config.experiment import load_experiment
+from wire.frames import Array
+from wire.messages.codec import Header
+from wire.messages.messages import Command, DriveVelocity, Mode, Order, Reply
+
+POOL = load_experiment("pool")
+LONE = POOL.model_copy(update={"robots": (POOL.robots[0].model_copy(update={"neighbours": ()}),)})
+FAST = DriveVelocity(surge_mps=9.0)  # more than any robot can do
+
+
+class DrivenFleet:
+    """Robots of the pool that hold at given places, and their commands."""
+
+    def __init__(self, *starts: tuple[float, float, float, float]) -> None:
+        experiment = POOL if len(starts) == len(POOL.robots) else LONE
+        self.fleet = AgentFleet(experiment, planner.plan(experiment), DirectPlant(experiment, 1, np.array(starts)), 1)
+        self.fleet.held = True
+        for _ in range(20):
+            self.fleet.step()
+        for i in range(len(starts)):
+            assert self.fleet.order(Order.ARM, i).accepted
+        self.fleet.step()
+        for i in range(len(starts)):
+            assert self.fleet.order(Order.HOLD, i).accepted
+        self.fleet.step()
+        self.fleet.held = False
+
+    def drive(self, velocity: DriveVelocity | None, i: int = 0, age_s: float = 0.0, number: int = 9) -> Reply:
+        """Reply to a DRIVE that was given `age_s` ago."""
+        robot, now_ns = POOL.robot_ids[i], self.fleet.now_ns
+        command = Command(Order.DRIVE, robot, experiment_hash=self.fleet.experiment.hash, drive=velocity)
+        header = Header(self.fleet.station().session, number, now_ns - round(age_s * 1e9))
+        return self.fleet.robots[i].agent.handle_command(header, command, self.fleet.station(), now_ns)
+
+    def fly(self, seconds: float, velocity: Callable[[int], DriveVelocity | None] = lambda i: None) -> Array:
+        """Fly on, with a DRIVE a period for each robot that is given a velocity. Returns true poses (steps, n, 4)."""
+        began = len(self.fleet.truth)
+        for _ in range(round(seconds / POOL.controller.period_s)):
+            for i in range(len(self.fleet.robots)):
+                asked = velocity(i)
+                if asked is not None:
+                    assert self.drive(asked, i).accepted
+            self.fleet.step()
+        return np.array(self.fleet.truth[began:])
+
+    def mode(self, i: int = 0) -> Mode:
+        return self.fleet.robots[i].agent.mode
+
+
+@pytest.fixture
+def alone() -> DrivenFleet:
+    return DrivenFleet((-1.0, 0.0, 0.3, 0.0), (1.3, 0.8, 0.3, 0.0))
+
+
+def first(velocity: DriveVelocity) -> Callable[[int], DriveVelocity | None]:
+    return lambda i: velocity if i == 0 else None
+
+
+def test_driven_robot_moves_as_asked_and_holds_when_commands_end(alone: DrivenFleet) -> None:
+    driven = alone.fly(6.0, first(DriveVelocity(0.15, 0.03, 0.1)))[:, 0]
+    speed = np.linalg.norm(driven[-1, :2] - driven[-21, :2])  # in the last second
+    assert speed == pytest.approx(0.15, rel=0.15)
+    assert driven[-1, 2] - driven[-21, 2] == pytest.approx(0.03, rel=0.3)
+    assert driven[-1, 3] - driven[-21, 3] == pytest.approx(0.1, rel=0.3)
+    after = alone.fly(DRIVE_LASTS_S + 0.1)
+    assert alone.mode() is Mode.HOLDING
+    assert alone.fleet.robots[0].states[-1].fault == "no drive command"
+    rest = alone.fly(8.0)[-20:, 0]
+    assert np.linalg.norm(rest[:, :3] - after[-1, 0, :3], axis=1).max() < 0.12
+    assert np.ptp(rest[:, :2], axis=0).max() < 0.02
+
+
+def test_late_older_and_impossible_drives_are_refused(alone: DrivenFleet) -> None:
+    assert "lives 1 s" in alone.drive(FAST, age_s=1.1).reason
+    assert "no drive command" in alone.drive(FAST, age_s=DRIVE_LASTS_S + 0.1).reason
+    assert "carries no velocity" in alone.drive(None).reason
+    assert "drive.heave_mps = nan: must be a number" in alone.drive(DriveVelocity(heave_mps=float("nan"))).reason
+    assert alone.drive(FAST, age_s=0.1).accepted
+    assert "older than the one that is followed" in alone.drive(FAST, age_s=0.2).reason
+    assert alone.drive(FAST, age_s=0.1).accepted  # the same again lasts no longer
+    alone.fly(DRIVE_LASTS_S)
+    assert alone.mode() is Mode.HOLDING
+    assert alone.fleet.order(Order.DISARM, 0).accepted
+    assert "DRIVE is not accepted when DISARMED" in alone.drive(FAST).reason
+
+
+def test_stop_ends_a_drive_at_once_and_stays(alone: DrivenFleet) -> None:
+    alone.fly(1.0, first(FAST))
+    assert alone.fleet.order(Order.STOP, 0).accepted
+    alone.fleet.step()
+    assert alone.fleet.robots[0].states[-1].pulse_us == alone.fleet.robots[0].agent.neutral_us
+    assert "not accepted when STOPPED" in alone.drive(FAST).reason
+
+
+def test_late_pose_holds_a_driven_robot_and_refuses_drives(alone: DrivenFleet, monkeypatch: pytest.MonkeyPatch) -> None:
+    alone.fly(1.0, first(DriveVelocity(0.1)))
+    seen = alone.fleet.pose(0)
+    monkeypatch.setattr(alone.fleet, "pose", lambda i: seen)
+    for _ in range(6):
+        alone.drive(DriveVelocity(0.1))
+        alone.fleet.step()
+    assert alone.mode() is Mode.HOLDING
+    assert alone.fleet.robots[0].states[-1].fault == "pose late"
+    assert alone.drive(DriveVelocity(0.1)).reason == "pose late"
+
+
+@pytest.mark.parametrize("yaw_rad", [0.0, 0.7, 2.0, -2.6])
+@pytest.mark.parametrize("surge_mps", [9.0, -9.0])
+def test_robot_driven_at_a_wall_stops_before_it(yaw_rad: float, surge_mps: float) -> None:
+    fleet = DrivenFleet((0.0, 0.0, 0.3, yaw_rad))
+    driven = fleet.fly(14.0, first(DriveVelocity(surge_mps, heave_mps=0.2)))[:, 0]
+    room = np.array(POOL.pool.size_m[:2]) / 2.0 - np.abs(driven[:, :2]) - POOL.vehicle.radius_m
+    assert room.min() > 0.0
+    assert room.min() < 0.3  # it went there
+    assert driven[:, 2].max() < POOL.pool.size_m[2] - POOL.vehicle.radius_m
+
+
+@pytest.mark.parametrize("other", [None, DriveVelocity(9.0)], ids=["that holds", "that comes"])
+@pytest.mark.parametrize("aside_m", [0.0, 0.25])
+def test_robot_driven_at_another_stops_short_of_it(other: DriveVelocity | None, aside_m: float) -> None:
+    fleet = DrivenFleet((-0.9, 0.0, 0.3, 0.0), (0.9, aside_m, 0.3, np.pi))
+    flown = fleet.fly(14.0, lambda i: FAST if i == 0 else other)
+    apart = np.linalg.norm(flown[:, 0, :2] - flown[:, 1, :2], axis=1)
+    assert apart.min() > 2.0 * POOL.safety.radius_m - 0.005
+    assert apart.min() < 2.0 * POOL.safety.radius_m + 0.3
+
+
+def test_robot_driven_down_at_another_stops_above_it() -> None:
+    fleet = DrivenFleet((0.0, 0.0, 0.1, 0.0), (0.1, 0.0, 0.8, 0.0))
+    flown = fleet.fly(8.0, first(DriveVelocity(heave_mps=0.2)))
+    assert (flown[:, 1, 2] - flown[:, 0, 2]).min() > 2.0 * POOL.safety.radius_m - 0.01

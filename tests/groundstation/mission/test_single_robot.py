@@ -1,0 +1,186 @@
+"""Requests for one robot, beside a mission of obedient robots."""
+
+import pytest
+
+from groundstation.mission.command_dispatcher import CommandResult
+from groundstation.mission.single_robot import VELOCITY_LASTS_S, SingleRobotControl
+from groundstation.mission.state_machine import MissionState
+from tests.groundstation.mission.mission_run import MissionRun
+from wire.messages.messages import DriveVelocity, Mode, Order, Progress
+
+AHEAD = DriveVelocity(surge_mps=0.2)
+SETTINGS = ("duration_s=20", 'mission.lost="go-on"')
+
+
+class LedRun(MissionRun):
+    """A mission whose robots can be led one by one; robot 2 stands 0.8 m beside robot 1."""
+
+    def __init__(self) -> None:
+        super().__init__(automatic=False, settings=SETTINGS)
+        self.single = SingleRobotControl(self.experiment, self.mission)
+        self.robots[1].eta, self.robots[2].eta = (-0.4, 0.0, 0.3, 0.0), (0.4, 0.0, 0.3, 0.0)
+        self.for_one: list[CommandResult] = []
+
+    def step(self, seconds: float = 0.05) -> None:
+        for _ in range(round(seconds / 0.05)):
+            self.mission.led = self.single.led
+            super().step()
+            if self.single.plan_request is not None:
+                self.single.planned(self.single.plan_request.plan(), self.fleet(), self.now_ns)
+            commands = self.single.step(self.fleet(), self.for_one, self.now_ns)
+            self.for_one = [CommandResult(c, self.robots[c.robot].obey(c, self.now_ns)) for c in commands]
+
+    def ask(self, order: Order, robot: int = 2, place_m: tuple[float, float] | None = None) -> str:
+        return self.single.request(order, robot, self.fleet(), self.now_ns, place_m)
+
+    def drive(self, velocity: DriveVelocity = AHEAD, robot: int = 2) -> str:
+        return self.single.drive(robot, velocity, self.fleet(), self.now_ns)
+
+    def fly(self) -> None:
+        assert self.mission.request(Order.START, self.fleet(), self.now_ns) == ""
+        self.step(2.0)
+        assert self.at(MissionState.RUNNING)
+
+    def got(self, robot: int) -> list[Order]:
+        return [command.order for command in self.robots[robot].got]
+
+
+def test_one_robot_is_armed_held_driven_and_disarmed_while_the_mission_waits() -> None:
+    run = LedRun()
+    for order, mode in ((Order.ARM, Mode.ARMED), (Order.HOLD, Mode.HOLDING)):
+        assert run.ask(order) == ""
+        run.step(0.2)
+        assert run.in_mode(2, mode)
+        assert run.single.tasks[2].progress is Progress.DONE
+    assert run.drive() == ""
+    run.step(0.1)
+    assert run.in_mode(2, Mode.DRIVEN)
+    assert run.single.status() == {2: "driven"}
+    refused = run.mission.request(Order.START, run.fleet(), run.now_ns)
+    assert refused == "robot 2 is led by a person: let it hold first"
+    assert run.ask(Order.DISARM) == ""
+    run.step(0.2)
+    assert run.in_mode(2, Mode.DISARMED)
+    assert run.got(1) == []
+    assert run.at(MissionState.WAITING)
+
+
+def test_a_velocity_that_is_not_repeated_ends_in_a_hold() -> None:
+    run = LedRun()
+    run.ask(Order.ARM)
+    run.step(0.2)
+    run.drive()
+    run.step(VELOCITY_LASTS_S)
+    sent = [command for command in run.robots[2].got if command.order is Order.DRIVE]
+    assert sent and all(command.time_to_live_s <= VELOCITY_LASTS_S for command in sent)
+    run.step(0.2)
+    assert run.in_mode(2, Mode.HOLDING)
+    assert run.got(2)[-1] is Order.HOLD
+    run.step(1.0)
+    assert run.single.led == frozenset()
+
+
+def test_a_zero_velocity_is_a_hold_and_of_a_robot_that_is_not_driven_nothing() -> None:
+    run = LedRun()
+    assert run.drive(DriveVelocity()) == ""
+    run.ask(Order.ARM)
+    run.step(0.2)
+    run.drive()
+    run.step(0.2)
+    assert run.drive(DriveVelocity()) == ""
+    run.step(0.1)
+    assert run.in_mode(2, Mode.HOLDING)
+
+
+def test_a_robot_led_in_flight_leaves_the_formation_and_the_other_flies_on() -> None:
+    run = LedRun()
+    run.fly()
+    assert run.drive() == ""
+    run.step(0.5 * VELOCITY_LASTS_S)
+    run.drive()
+    run.step(0.5 * VELOCITY_LASTS_S)
+    assert run.in_mode(2, Mode.DRIVEN)
+    assert run.in_mode(1, Mode.TRACKING)
+    assert run.mission.roster.lost == {2: "led by a person"}
+    assert run.at(MissionState.DEGRADED)
+    assert run.ask(Order.HOLD, robot=1) == "robot 1 is the only one that flies: hold or disarm the fleet instead"
+    run.step(1.0)
+    assert run.in_mode(2, Mode.HOLDING)
+    assert run.mission.request(Order.REJOIN, run.fleet(), run.now_ns) == ""
+    assert run.mission.roster.lost == {}
+
+
+def test_a_robot_led_while_all_hold_keeps_its_place_in_the_formation() -> None:
+    run = LedRun()
+    run.fly()
+    run.mission.request(Order.HOLD, run.fleet(), run.now_ns)
+    run.step(0.5)
+    assert run.drive() == ""
+    run.step(0.2)
+    assert run.in_mode(2, Mode.DRIVEN)  # the paused mission does not call it back
+    assert run.mission.roster.lost == {}
+    assert "robot 2 does not hold yet" in run.mission.request(Order.RESUME, run.fleet(), run.now_ns)
+    run.step(1.0)
+    assert run.mission.request(Order.RESUME, run.fleet(), run.now_ns) == ""
+
+
+def test_a_stop_of_the_fleet_ends_what_one_robot_does() -> None:
+    run = LedRun()
+    run.ask(Order.ARM)
+    run.step(0.2)
+    run.drive()
+    run.step(0.1)
+    run.mission.request(Order.STOP, run.fleet(), run.now_ns)
+    run.step(0.2)
+    assert run.in_mode(2, Mode.STOPPED)
+    assert run.single.tasks[2].reason == "the mission is emergency stop"
+    assert "not possible when STOPPED" in run.drive()
+    run.step(1.0)
+    assert run.in_mode(2, Mode.STOPPED)
+
+
+def test_a_robot_sent_to_a_place_holds_plans_flies_and_holds_there() -> None:
+    run = LedRun()
+    run.ask(Order.ARM)
+    run.step(0.2)
+    assert run.ask(Order.GO, place_m=(0.5, 0.8)) == ""
+    run.step(1.0)
+    assert run.got(2) == [Order.ARM, Order.HOLD, Order.LOAD, Order.START]
+    trajectory, end_s = run.single.trips[2]
+    assert trajectory.eta[-1, :2] == pytest.approx((0.5, 0.8), abs=1e-3)
+    assert run.single.status() == {2: "on its way to 0.50, 0.80 m"}
+    run.robots[2].trajectory_s = end_s
+    run.step(0.2)
+    assert run.in_mode(2, Mode.HOLDING)
+    assert run.single.tasks[2].progress is Progress.DONE
+    assert run.got(1) == []
+
+
+def test_requests_that_cannot_be_are_refused_with_the_reason() -> None:
+    run = LedRun()
+    assert "robot 2 is DISARMED: arm it first" in run.drive()
+    assert "no robot 7" in run.ask(Order.ARM, robot=7)
+    assert "START is not for one robot (allowed: ARM, HOLD, DISARM, GO)" in run.ask(Order.START)
+    run.robots[2].battery_v = 10.0
+    assert "battery 10.0 V" in run.ask(Order.ARM)
+    run.robots[2].battery_v = 12.0
+    run.ask(Order.ARM)
+    run.step(0.2)
+    assert "where to?" in run.ask(Order.GO)
+    assert "(9, 0) m is outside the pool" in run.ask(Order.GO, place_m=(9.0, 0.0))
+    assert "less than 0.6 m from robot 1" in run.ask(Order.GO, place_m=(0.1, 0.0))
+    run.robots[2].silent = True
+    assert "robot 2 is not heard" in run.drive()
+
+
+def test_a_robot_that_holds_on_its_way_fails_the_request_with_its_reason() -> None:
+    run = LedRun()
+    run.ask(Order.ARM)
+    run.step(0.2)
+    run.ask(Order.GO, place_m=(0.5, 0.8))
+    run.step(1.5)
+    assert run.in_mode(2, Mode.TRACKING)
+    run.robots[2].mode, run.robots[2].fault = Mode.HOLDING, "pose late"
+    run.step(0.1)
+    task = run.single.tasks[2]
+    assert (task.progress, task.reason) == (Progress.FAILED, "robot 2 holds: pose late")
