@@ -242,7 +242,10 @@ static bool is_due(uint64_t *due_us, uint32_t period_us, uint64_t now_us) {
     return true;
 }
 
-bool board_measures(const struct board *board, uint64_t now_us) { return now_us >= board->burst_due_us; }
+/* A burst waits until the one before is signed: on a slow processor that can take longer than its time. */
+bool board_measures(const struct board *board, uint64_t now_us) {
+    return now_us >= board->burst_due_us && board->link.outbox_ready == board->link.outbox_bytes;
+}
 
 /* Send all measurements that there are, ATTITUDE last: it completes a burst. */
 static void burst(struct board *board, uint64_t now_us, const struct reading *reading, bool has_motion, bool has_battery) {
@@ -273,7 +276,6 @@ static void burst(struct board *board, uint64_t now_us, const struct reading *re
 }
 
 void board_step(struct board *board, uint64_t now_us, const struct reading *reading) {
-    const bool is_behind = board->link.outbox_ready < board->link.outbox_bytes; /* signing takes longer than a burst's time */
     const bool measures = reading != NULL, hil = rules_hil(&board->rules);
     if (hil && measures) {
         age(&board->simulated, now_us);
@@ -286,6 +288,6 @@ void board_step(struct board *board, uint64_t now_us, const struct reading *read
     }
     rules_step(&board->rules, now_us);
     report(board);
-    if (is_due(&board->burst_due_us, BURST_US, now_us) && measures && !is_behind)
+    if (measures && is_due(&board->burst_due_us, BURST_US, now_us))
         burst(board, now_us, reading, has_motion, has_battery);
 }

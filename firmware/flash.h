@@ -12,7 +12,6 @@
 #define memcmp_P memcmp
 #define strlen_P strlen
 #define pgm_read_byte(address) (*(const unsigned char *)(address))
-#define pgm_read_dword(address) (*(const uint32_t *)(address))
 #endif
 
 #endif

@@ -23,9 +23,9 @@ void loop_begin(struct loop *loop, uint8_t robot) {
 }
 
 static void step(struct loop *loop, uint64_t now_us) {
-    struct reading reading;
+    struct reading reading = {0};
     const bool measures = board_measures(&loop->board, now_us);
-    if (measures)
+    if (measures && !rules_hil(&loop->board.rules)) /* in HIL mode the simulator measures */
         hal_sample(now_us, &reading);
     board_step(&loop->board, now_us, measures ? &reading : NULL);
     move_outputs(&loop->board.rules);
@@ -48,6 +48,8 @@ void loop_once(struct loop *loop) {
     const bool busy = steps || board_work(board, now_us); /* not both in one loop: each may be long */
     if (board->link.count.taken != taken)
         hal_heard();
+    if (board->rules.has_command && board->rules.command_at_us == now_us)
+        loop->step_at_us = now_us; /* the outputs follow an override in the next loop, and its age ends with a step */
     store_continue(&loop->store, board);
     uint16_t bytes;
     const uint8_t *output = link_output(&board->link, &bytes);

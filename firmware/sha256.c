@@ -2,7 +2,7 @@
 
 #include "flash.h"
 
-static const uint32_t ROUND_CONSTANTS[64] PROGMEM = {
+const uint32_t sha256_constants[64] PROGMEM = {
     0x428a2f98u, 0x71374491u, 0xb5c0fbcfu, 0xe9b5dba5u, 0x3956c25bu, 0x59f111f1u, 0x923f82a4u, 0xab1c5ed5u,
     0xd807aa98u, 0x12835b01u, 0x243185beu, 0x550c7dc3u, 0x72be5d74u, 0x80deb1feu, 0x9bdc06a7u, 0xc19bf174u,
     0xe49b69c1u, 0xefbe4786u, 0x0fc19dc6u, 0x240ca1ccu, 0x2de92c6fu, 0x4a7484aau, 0x5cb0a9dcu, 0x76f988dau,
@@ -20,44 +20,8 @@ void sha256_begin(uint32_t state[SHA256_WORDS]) {
     memcpy_P(state, INITIAL, sizeof INITIAL);
 }
 
-#ifdef __AVR__
-/* The compiler shifts 32 bits by a loop. Whole bytes are moved instead, and at most 3 bits shifted, either way. */
-#define RIGHT_1 "mov __tmp_reg__, %A0\n\tlsr __tmp_reg__\n\tror %D0\n\tror %C0\n\tror %B0\n\tror %A0\n\t"
-#define LEFT_1 "lsl %A0\n\trol %B0\n\trol %C0\n\trol %D0\n\tadc %A0, __zero_reg__\n\t"
-#define BITS(n) ((n) - 8 * (((n) + 3) / 8))
-static inline __attribute__((always_inline)) uint32_t rotate(uint32_t x, const uint8_t bits) {
-    const uint8_t bytes = (uint8_t)((bits + 3) / 8);
-    if (bytes == 1)
-        x = x >> 8 | x << 24;
-    else if (bytes == 2)
-        x = x >> 16 | x << 16;
-    else if (bytes == 3)
-        x = x >> 24 | x << 8;
-    switch (BITS(bits)) {
-    case 3:
-        __asm__(RIGHT_1 RIGHT_1 RIGHT_1 : "+r"(x));
-        break;
-    case 2:
-        __asm__(RIGHT_1 RIGHT_1 : "+r"(x));
-        break;
-    case 1:
-        __asm__(RIGHT_1 : "+r"(x));
-        break;
-    case -1:
-        __asm__(LEFT_1 : "+r"(x));
-        break;
-    case -2:
-        __asm__(LEFT_1 LEFT_1 : "+r"(x));
-        break;
-    case -3:
-        __asm__(LEFT_1 LEFT_1 LEFT_1 : "+r"(x));
-        break;
-    }
-    return x;
-}
-#else
+#ifndef __AVR__ /* avr/sha256_block.S */
 static inline uint32_t rotate(uint32_t x, uint8_t bits) { return (x >> bits) | (x << (32 - bits)); }
-#endif
 
 void sha256_block(uint32_t state[SHA256_WORDS], const uint8_t block[SHA256_BLOCK]) {
     uint32_t w[16]; /* the last 16 words of the message schedule */
@@ -70,16 +34,17 @@ void sha256_block(uint32_t state[SHA256_WORDS], const uint8_t block[SHA256_BLOCK
             w[at] = (uint32_t)bytes[0] << 24 | (uint32_t)bytes[1] << 16 | (uint32_t)bytes[2] << 8 | bytes[3];
         } else {
             const uint32_t w2 = w[(i + 14) & 15], w15 = w[(i + 1) & 15];
-            const uint32_t small0 = rotate(w15, 7) ^ rotate(w15, 18) ^ (rotate(w15, 3) & 0x1fffffffu); /* shift by 3 */
-            const uint32_t small1 = rotate(w2, 17) ^ rotate(w2, 19) ^ (rotate(w2, 10) & 0x003fffffu); /* by 10 */
+            const uint32_t small0 = rotate(w15, 7) ^ rotate(w15, 18) ^ (w15 >> 3);
+            const uint32_t small1 = rotate(w2, 17) ^ rotate(w2, 19) ^ (w2 >> 10);
             w[at] += small0 + w[(i + 9) & 15] + small1;
         }
         const uint32_t big1 = rotate(e, 6) ^ rotate(e, 11) ^ rotate(e, 25);
         const uint32_t big0 = rotate(a, 2) ^ rotate(a, 13) ^ rotate(a, 22);
-        const uint32_t t1 = h + big1 + (g ^ (e & (f ^ g))) + pgm_read_dword(&ROUND_CONSTANTS[i]) + w[at];
+        const uint32_t t1 = h + big1 + (g ^ (e & (f ^ g))) + sha256_constants[i] + w[at];
         const uint32_t t2 = big0 + ((a & b) | (c & (a | b)));
         h = g, g = f, f = e, e = d + t1, d = c, c = b, b = a, a = t1 + t2;
     }
     state[0] += a, state[1] += b, state[2] += c, state[3] += d;
     state[4] += e, state[5] += f, state[6] += g, state[7] += h;
 }
+#endif

@@ -19,18 +19,23 @@ void signature_begin(struct signature_job *job, const uint8_t *key, const uint8_
 }
 
 bool signature_continue(struct signature_job *job) {
-    uint8_t block[SHA256_BLOCK];
-    uint16_t at = job->hashed;
-    for (uint8_t i = 0; i < SHA256_BLOCK; i++, at++)
-        block[i] = at < KEY_BYTES ? job->key[at] : at < job->length ? job->frame[at - KEY_BYTES] : at == job->length ? 0x80 : 0;
-    const bool last = job->length + 9 <= at; /* 0x80 and the length in 8 bytes fit behind the data */
+    uint8_t block[SHA256_BLOCK] = {0};
+    const uint8_t of_key = job->hashed == 0 ? KEY_BYTES : 0; /* the key begins the first block */
+    const uint16_t at = (uint16_t)(job->hashed + of_key), room = (uint16_t)(SHA256_BLOCK - of_key);
+    const uint16_t left = at < job->length ? (uint16_t)(job->length - at) : 0, bytes = left < room ? left : room;
+    memcpy(block, job->key, of_key);
+    if (bytes > 0)
+        memcpy(block + of_key, job->frame + (at - KEY_BYTES), bytes);
+    if (left < room && at <= job->length)
+        block[of_key + bytes] = 0x80;
+    job->hashed = (uint16_t)(job->hashed + SHA256_BLOCK);
+    const bool last = job->length + 9 <= job->hashed; /* 0x80 and the length in 8 bytes fit behind the data */
     if (last) {
         const uint16_t bits = (uint16_t)(job->length * 8);
         block[SHA256_BLOCK - 2] = (uint8_t)(bits >> 8);
         block[SHA256_BLOCK - 1] = (uint8_t)bits;
     }
     sha256_block(job->state, block);
-    job->hashed = at;
     return last;
 }
 

@@ -62,6 +62,7 @@ static bool find_newest(struct store *store, uint16_t base, uint16_t bytes, uint
 
 uint8_t store_load(struct store *store, struct settings *settings, struct stamps *stamps) {
     memset(store, 0, sizeof *store);
+    store->table = table_checksum();
     memset(stamps, 0, sizeof *stamps);
     uint8_t found = KEEP_NOTHING;
     if (find_newest(store, STAMPS_BASE, STAMPS_SLOT, STAMPS_SLOTS, &store->stamps_slot, &store->stamps_count)) {
@@ -73,7 +74,7 @@ uint8_t store_load(struct store *store, struct settings *settings, struct stamps
         const uint8_t *record = store->record;
         settings->has_key = record[HAS_KEY_AT] == 1;
         memcpy(settings->key, record + KEY_AT, KEY_BYTES);
-        if (read16(record + TABLE_AT) == table_checksum())
+        if (read16(record + TABLE_AT) == store->table)
             memcpy(&settings->parameters, record + VALUES_AT, sizeof settings->parameters);
         else
             parameters_standard(&settings->parameters);
@@ -107,7 +108,7 @@ static void begin_settings(struct store *store, struct board *board) {
     memset(store->record, 0, sizeof store->record);
     store->record[HAS_KEY_AT] = settings.has_key;
     memcpy(store->record + KEY_AT, settings.key, KEY_BYTES);
-    write16(store->record + TABLE_AT, table_checksum());
+    write16(store->record + TABLE_AT, store->table);
     memcpy(store->record + VALUES_AT, &settings.parameters, sizeof settings.parameters);
     begin_record(store, (uint16_t)(store->settings_slot * SETTINGS_SLOT), SETTINGS_SLOT, ++store->settings_count);
 }

@@ -16,6 +16,7 @@ enum {
 };
 
 struct store {
+    uint16_t table; /* checksum of the table of parameters */
     uint8_t settings_slot, stamps_slot; /* the newest */
     uint16_t settings_count, stamps_count;
     uint8_t writing; /* KEEP_SETTINGS, KEEP_STAMPS or KEEP_NOTHING */

@@ -112,7 +112,7 @@ static bool pressure_sample(struct reading *reading) {
         surface_hpa += (pressure_hpa - surface_hpa) / surface_samples;
     }
     until_temperature = until_temperature > 0 ? (uint8_t)(until_temperature - 1) : TEMPERATURE_EVERY;
-    reading->excess_hpa = surface_samples > 0 ? pressure_hpa - surface_hpa : NAN;
+    reading->excess_hpa = pressure_hpa - surface_hpa; /* 0 until the first pressure: the robot is in air */
     reading->temperature_cdegc = temperature_cdegc;
     return convert(until_temperature == 0 ? MS_TEMPERATURE : MS_PRESSURE);
 }

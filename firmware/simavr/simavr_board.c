@@ -2,6 +2,7 @@
 the EEPROM, and counts of cycles. Time is the processor's: 16 cycles are 1 us. */
 #include <simavr/avr_adc.h>
 #include <simavr/avr_eeprom.h>
+#include <simavr/avr_extint.h>
 #include <simavr/avr_ioport.h>
 #include <simavr/avr_timer.h>
 #include <simavr/avr_twi.h>
@@ -25,12 +26,18 @@ struct chip {
     struct simulation *simulation;
 };
 
+struct pin {
+    struct simulation *simulation;
+    uint32_t channel;
+};
+
 struct simulation {
     avr_t *avr;
     uint64_t byte_cycles, next_byte;
     uint32_t in_head, in_tail, out_count, edge_count;
     uint8_t in[RING], out[RING];
     struct edge edges[EDGES];
+    struct pin pins[CHANNELS];
     struct chip chips[2];
     int16_t imu[7];         /* acceleration, temperature, gyro as the MPU-6050 has them */
     uint32_t pressure, temperature; /* raw, of the MS5837 */
@@ -94,11 +101,6 @@ static void on_byte(struct avr_irq_t *irq, uint32_t value, void *parameter) {
     (void)irq;
 }
 
-struct pin {
-    struct simulation *simulation;
-    uint32_t channel;
-};
-
 static void on_pin(struct avr_irq_t *irq, uint32_t value, void *parameter) {
     struct pin *pin = parameter;
     struct simulation *s = pin->simulation;
@@ -115,7 +117,6 @@ static void no_sleep(avr_t *avr, avr_cycle_count_t cycles) {
 static void attach(struct simulation *s) {
     static const char PORTS[CHANNELS] = {'E', 'E', 'E', 'H', 'H', 'H', 'B', 'B'};
     static const uint8_t PINS[CHANNELS] = {3, 4, 5, 3, 4, 5, 5, 6};
-    static struct pin pins[CHANNELS];
     static const char *names[2] = {"8>chip.in", "32<chip.out"};
     avr_t *avr = s->avr;
     uint32_t flags = 0;
@@ -124,9 +125,11 @@ static void attach(struct simulation *s) {
     flags &= ~(uint32_t)AVR_UART_FLAG_POLL_SLEEP;
     avr_ioctl(avr, AVR_IOCTL_UART_SET_FLAGS('0'), &flags);
     avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_OUTPUT), on_byte, s);
+    for (uint8_t i = 4; i <= 5; i++) /* two servo pins are also INT4 and INT5: simavr looks at them in each cycle while they are low */
+        avr_extint_set_strict_lvl_trig(avr, i, 0);
     for (uint32_t i = 0; i < CHANNELS; i++) {
-        pins[i] = (struct pin){s, i};
-        avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ(PORTS[i]), PINS[i]), on_pin, &pins[i]);
+        s->pins[i] = (struct pin){s, i};
+        avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ(PORTS[i]), PINS[i]), on_pin, &s->pins[i]);
     }
     for (uint32_t i = 0; i < 2; i++) {
         struct chip *chip = &s->chips[i];
@@ -179,17 +182,26 @@ void simulation_close(struct simulation *s) {
     free(s);
 }
 
+/* A byte has come; when the next one will have, 0 if there is none. A timer of simavr ends the processor's sleep. */
+static avr_cycle_count_t feed(avr_t *avr, avr_cycle_count_t when, void *parameter) {
+    struct simulation *s = parameter;
+    avr_raise_irq(avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_INPUT), s->in[s->in_tail++ % RING]);
+    s->next_byte = when + s->byte_cycles;
+    return s->in_tail == s->in_head ? 0 : s->next_byte;
+}
+
 /* Bytes to the board, one after the other at the baud rate. */
 void simulation_receive(struct simulation *s, const uint8_t *data, uint32_t bytes) {
     for (uint32_t i = 0; i < bytes; i++)
         s->in[s->in_head++ % RING] = data[i];
 }
 
-static void feed(struct simulation *s) {
-    if (s->in_tail == s->in_head || s->avr->cycle < s->next_byte)
-        return;
-    avr_raise_irq(avr_io_getirq(s->avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_INPUT), s->in[s->in_tail++ % RING]);
-    s->next_byte = s->avr->cycle + s->byte_cycles;
+/* Ends a sleep of the processor. */
+static avr_cycle_count_t wake(avr_t *avr, avr_cycle_count_t when, void *parameter) {
+    (void)avr;
+    (void)when;
+    (void)parameter;
+    return 0;
 }
 
 /* The loop begins anew, or has nothing to do. */
@@ -205,8 +217,12 @@ static void note_loop(struct simulation *s, int begins) {
 /* Run to this cycle; 0 if the processor crashed. */
 int simulation_run(struct simulation *s, uint64_t cycle) {
     int state = cpu_Running;
+    const uint64_t now = s->avr->cycle;
+    if (now < cycle)
+        avr_cycle_timer_register(s->avr, cycle - now, wake, s);
+    if (s->in_tail != s->in_head && avr_cycle_timer_status(s->avr, feed, s) == 0) /* a reset of the processor clears it, too */
+        avr_cycle_timer_register(s->avr, s->next_byte > now ? s->next_byte - now : 1, feed, s);
     while (s->avr->cycle < cycle && state != cpu_Done && state != cpu_Crashed) {
-        feed(s);
         state = avr_run(s->avr);
         if (s->avr->pc == s->loop_address || s->avr->pc == s->idle_address)
             note_loop(s, s->avr->pc == s->loop_address);
