@@ -1,7 +1,8 @@
 """SHELL: requests of an operator to a running station, and their outcomes, for terminals and scripts (`import shoal`).
 
 with connect() as bus:
-    reply = follow(sender(bus), fleet_command("start"), patience_s(Order.START), print)
+    command = request_named("start")
+    reply = follow(sender(bus), command, patience_s(command), print)
     done, text = verdict(reply, 60.0)
 """
 
@@ -13,7 +14,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from groundstation.mission.request_progress import in_words
-from groundstation.mission.state_machine import order_named
 from groundstation.station import discovery
 from wire.messages.live_gains import values_of
 from wire.messages.messages import Command, Order, Outcome, Progress, Reply, Tuning
@@ -27,6 +27,7 @@ from wire.transport.zenoh_transport import ZenohTransport
 ORDER_TIMEOUT_S = 2.0
 ASK_EVERY_S = 0.2
 PATIENCE_S = {Order.STOP: 5.0, Order.RETURN: 600.0, Order.TUNE: 120.0}  # a lap, for gains that change with the next one
+TRIP_S = 600.0  # GO for one robot, which is done when it is there
 OTHERWISE_S = 60.0  # the station itself gives a robot up after 10 s in each of a request's stages
 
 
@@ -44,23 +45,19 @@ def connect(
 
 
 def sender(bus: Bus) -> Callable[[Command], Reply]:
-    """Function that sends a request and waits for the reply."""
-    return lambda command: bus.command(command, time.time_ns(), ORDER_TIMEOUT_S)
+    """Function that sends a request, also one for a single robot, to the station and waits for the reply."""
+    return lambda command: bus.command(command, time.time_ns(), ORDER_TIMEOUT_S, to=WHOLE_FLEET)
 
 
-def fleet_command(name: str) -> Command:
-    """Request of the whole fleet with one of the names FLEET_REQUESTS. Raises KeyError."""
-    return Command(order_named(name), WHOLE_FLEET)
-
-
-def go_command(places_m: ArrayLike) -> Command:
-    """Request to lead the formation through places (n, 2) x, y in m. Raises ValueError for what are none."""
+def go_command(places_m: ArrayLike, robot: int = WHOLE_FLEET) -> Command:
+    """Request to lead the formation through places (n, 2) x, y in m, or to send one robot to one place. Raises ValueError for
+    what are none."""
     via = np.array(places_m, dtype=np.float64)
     if via.ndim != 2 or via.shape[1] != 2 or not len(via):
         raise ValueError(f"{via.tolist()}: no places (allowed: one or more, x and y each)")
     if not np.all(np.isfinite(via)):
         raise ValueError(f"{via.tolist()}: no places (allowed: finite numbers, in m)")
-    return Command(Order.GO, WHOLE_FLEET, via=via)
+    return Command(Order.GO, robot, via=via)
 
 
 def gains_command(changes: Sequence[str]) -> Command:
@@ -69,9 +66,10 @@ def gains_command(changes: Sequence[str]) -> Command:
     return Command(Order.TUNE, WHOLE_FLEET, tuning=Tuning("", tuple(values), np.array(list(values.values()))))
 
 
-def patience_s(order: Order) -> float:
+def patience_s(command: Command) -> float:
     """Time to wait for the outcome of a request where nobody says how long."""
-    return PATIENCE_S.get(order, OTHERWISE_S)
+    trip = command.order is Order.GO and command.robot != WHOLE_FLEET
+    return TRIP_S if trip else PATIENCE_S.get(command.order, OTHERWISE_S)
 
 
 def follow(ask: Callable[[Command], Reply], command: Command, patience_s: float, told: Callable[[Outcome], None]) -> Reply:

@@ -13,6 +13,7 @@ from typing import Any
 
 from shoal.fleet import FRESH_S, ConnectedFleet, connect
 from wire.messages.messages import Event, Outcome, Pose, RobotState
+from wire.messages.topics import WHOLE_FLEET
 from wire.process.cli_options import DEFAULT_FLEET
 
 
@@ -31,17 +32,17 @@ class AsyncFleet:
     async def load(self, wait_s: float | None = None) -> Outcome:
         return await asyncio.to_thread(self.blocking.load, wait_s)
 
-    async def arm(self, wait_s: float | None = None) -> Outcome:
-        return await asyncio.to_thread(self.blocking.arm, wait_s)
+    async def arm(self, wait_s: float | None = None, robot: int = WHOLE_FLEET) -> Outcome:
+        return await asyncio.to_thread(self.blocking.arm, wait_s, robot)
 
     async def start(self, wait_s: float | None = None) -> Outcome:
         return await asyncio.to_thread(self.blocking.start, wait_s)
 
-    async def go(self, *places_m: tuple[float, float], wait_s: float | None = None) -> Outcome:
-        return await asyncio.to_thread(self.blocking.go, *places_m, wait_s=wait_s)
+    async def go(self, *places_m: tuple[float, float], wait_s: float | None = None, robot: int = WHOLE_FLEET) -> Outcome:
+        return await asyncio.to_thread(self.blocking.go, *places_m, wait_s=wait_s, robot=robot)
 
-    async def hold(self, wait_s: float | None = None) -> Outcome:
-        return await asyncio.to_thread(self.blocking.hold, wait_s)
+    async def hold(self, wait_s: float | None = None, robot: int = WHOLE_FLEET) -> Outcome:
+        return await asyncio.to_thread(self.blocking.hold, wait_s, robot)
 
     async def resume(self, wait_s: float | None = None) -> Outcome:
         return await asyncio.to_thread(self.blocking.resume, wait_s)
@@ -55,8 +56,8 @@ class AsyncFleet:
     async def test_thrusters(self, wait_s: float | None = None) -> Outcome:
         return await asyncio.to_thread(self.blocking.test_thrusters, wait_s)
 
-    async def disarm(self, wait_s: float | None = None) -> Outcome:
-        return await asyncio.to_thread(self.blocking.disarm, wait_s)
+    async def disarm(self, wait_s: float | None = None, robot: int = WHOLE_FLEET) -> Outcome:
+        return await asyncio.to_thread(self.blocking.disarm, wait_s, robot)
 
     async def stop(self, wait_s: float | None = None) -> Outcome:
         return await asyncio.to_thread(self.blocking.stop, wait_s)

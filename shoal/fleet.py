@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from groundstation import client
+from groundstation.mission.state_machine import request_named
 from wire.messages import topics
 from wire.messages.codec import DecodeError, Header, decode
 from wire.messages.messages import Command, Event, Outcome, Pose, RobotState, StationHeartbeat
-from wire.messages.topics import Topic
+from wire.messages.topics import WHOLE_FLEET, Topic
 from wire.process.cli_options import DEFAULT_FLEET
 from wire.toml_loader import toml_value
 from wire.transport.bus import Bus, Inbox
@@ -70,21 +71,22 @@ class ConnectedFleet:
         """Load the trajectories into all robots."""
         return self._fleet("load", wait_s)
 
-    def arm(self, wait_s: float | None = None) -> Outcome:
-        """Load the trajectories and arm all robots."""
-        return self._fleet("arm", wait_s)
+    def arm(self, wait_s: float | None = None, robot: int = WHOLE_FLEET) -> Outcome:
+        """Load the trajectories and arm all robots; or arm one robot alone."""
+        return self._ask("arm", request_named("arm", robot), wait_s)
 
     def start(self, wait_s: float | None = None) -> Outcome:
         """Load, arm and start: fly the experiment."""
         return self._fleet("start", wait_s)
 
-    def go(self, *places_m: tuple[float, float], wait_s: float | None = None) -> Outcome:
-        """Lead the running formation through places x, y. Raises ValueError for what are none."""
-        return self._ask("go", client.go_command(places_m), wait_s)
+    def go(self, *places_m: tuple[float, float], wait_s: float | None = None, robot: int = WHOLE_FLEET) -> Outcome:
+        """Lead the running formation through places x, y; or send one robot to one place, out of the formation until
+        `rejoin`. Raises ValueError for what are none."""
+        return self._ask("go", client.go_command(places_m, robot), wait_s)
 
-    def hold(self, wait_s: float | None = None) -> Outcome:
-        """Make all robots hold their places under power."""
-        return self._fleet("hold", wait_s)
+    def hold(self, wait_s: float | None = None, robot: int = WHOLE_FLEET) -> Outcome:
+        """Make all robots, or one, hold their places under power. One alone is out of the formation until `rejoin`."""
+        return self._ask("hold", request_named("hold", robot), wait_s)
 
     def resume(self, wait_s: float | None = None) -> Outcome:
         """Go on after a hold."""
@@ -102,9 +104,9 @@ class ConnectedFleet:
         """Test every thruster of every robot, briefly and with little thrust."""
         return self._fleet("test", wait_s)
 
-    def disarm(self, wait_s: float | None = None) -> Outcome:
-        """Disarm all robots."""
-        return self._fleet("disarm", wait_s)
+    def disarm(self, wait_s: float | None = None, robot: int = WHOLE_FLEET) -> Outcome:
+        """Disarm all robots, or one."""
+        return self._ask("disarm", request_named("disarm", robot), wait_s)
 
     def stop(self, wait_s: float | None = None) -> Outcome:
         """Emergency stop: every robot to neutral, latched until `clear_stop`. Without an answer it is asked for again."""
@@ -129,10 +131,10 @@ class ConnectedFleet:
         return self._ask("gains", client.gains_command(()), wait_s)
 
     def _fleet(self, name: str, wait_s: float | None) -> Outcome:
-        return self._ask(name, client.fleet_command(name), wait_s)
+        return self._ask(name, request_named(name), wait_s)
 
     def _ask(self, name: str, command: Command, wait_s: float | None) -> Outcome:
-        patience_s = client.patience_s(command.order) if wait_s is None else wait_s
+        patience_s = client.patience_s(command) if wait_s is None else wait_s
         reply = client.follow(client.sender(self._bus), command, patience_s, lambda outcome: None)
         done, text = client.verdict(reply, patience_s)
         if not done:

@@ -11,7 +11,7 @@ from typing import Annotated, Any, ParamSpec
 
 import typer
 
-from groundstation.mission.state_machine import FLEET_REQUESTS, markdown, order_named
+from groundstation.mission.state_machine import FLEET_REQUESTS, ONE_ROBOT, markdown, order_named, request_named
 from wire.messages.messages import Command, Outcome, Reply
 from wire.messages.topics import WHOLE_FLEET
 from wire.process.cli_options import DEFAULT_FLEET, AsJson, FleetName, Insecure, KeyRing
@@ -34,6 +34,17 @@ Wait = Annotated[
         min=0.0,
         metavar="SECONDS",
         help="How long to wait for the outcome; 0: only until the station has taken the request.",
+        show_default=False,
+    ),
+]
+Robot = Annotated[
+    int,
+    typer.Option(
+        "--robot",
+        min=1,
+        max=49,
+        metavar="ID",
+        help="Only this robot; in flight it is out of the formation until `groundstation mission rejoin`.",
         show_default=False,
     ),
 ]
@@ -83,7 +94,7 @@ def _tell_station(
     """Make a request of the running station as its operator, wait for the outcome, and exit by it."""
     from groundstation import client
 
-    patience_s = client.patience_s(command.order) if wait is None else wait
+    patience_s = client.patience_s(command) if wait is None else wait
     told = OutcomePrinter(what, as_json)
     try:
         with client.connect(station, fleet, keys, insecure) as bus:
@@ -110,8 +121,12 @@ def request(command: Callable[P, tuple[str, Command]]) -> Callable[..., None]:
 
 
 def fleet_request(name: str) -> Callable[..., None]:
-    """Command that makes one request of the whole fleet."""
-    return request(lambda: (name, Command(order_named(name), WHOLE_FLEET)))
+    """Command that makes one request of the whole fleet, and of one robot where that can be."""
+
+    def for_one(robot: Robot = WHOLE_FLEET) -> tuple[str, Command]:
+        return name, request_named(name, robot)
+
+    return request(for_one if order_named(name) in ONE_ROBOT else lambda: (name, request_named(name)))
 
 
 def register(cli: typer.Typer, name: str, group: str = "") -> None:
@@ -132,7 +147,7 @@ def order(
     """Make a request of the whole fleet. Old name of `groundstation mission ...`."""
     if what not in FLEET_REQUESTS:
         raise typer.BadParameter(f"{what!r} is no order (allowed: {', '.join(FLEET_REQUESTS)})")
-    return what, Command(order_named(what), WHOLE_FLEET)
+    return what, request_named(what)
 
 
 @gains_cli.command("set")
@@ -184,10 +199,12 @@ def go(
         list[float],
         typer.Argument(metavar="X Y", help="Places for the formation's centre, x and y in m; as many as you like."),
     ],
+    robot: Robot = WHOLE_FLEET,
 ) -> tuple[str, Command]:
     """Lead the running formation to other places than planned, by the shortest clear route, without stopping it.
 
-    Exit code 0 when all fly the new path, 1 and the reason if there is none.
+    Exit code 0 when all fly the new path, 1 and the reason if there is none. One robot is sent to one place; then it is 0 when
+    the robot is there.
 
     Example:  groundstation mission go 2.0 -1.5 4.0 0.5
     """
@@ -196,7 +213,7 @@ def go(
     from groundstation.client import go_command
 
     try:
-        return "go", go_command(list(zip(places[::2], places[1::2], strict=True)))
+        return "go", go_command(list(zip(places[::2], places[1::2], strict=True)), robot)
     except ValueError as error:
         raise typer.BadParameter(str(error)) from None
 

@@ -13,7 +13,7 @@ import numpy as np
 from groundstation.mission.command_dispatcher import CommandDispatcher, CommandResult
 from groundstation.mission.mission import ARMED, AT_REST_MPS, LIVE, PATIENCE_S, REST_WITHIN_S, Mission, mode_name
 from groundstation.mission.plan_manager import PlanRequest
-from groundstation.mission.state_machine import NOMINAL, TERMINAL, MissionState
+from groundstation.mission.state_machine import NOMINAL, ONE_ROBOT, TERMINAL, MissionState
 from groundstation.mission.timetable import START_IN_S, Timetable
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.rest_to_rest import SETTLE_S, plan_return
@@ -22,7 +22,6 @@ from groundstation.telemetry import Fleet, RobotView, preflight
 from wire.config.experiment import Experiment
 from wire.messages.messages import Command, DriveVelocity, Mode, Order, Progress, Trajectory
 
-ONE_ROBOT = (Order.ARM, Order.HOLD, Order.DISARM, Order.GO)  # beside DRIVE, which comes ten times a second
 WHEN = NOMINAL | TERMINAL | {MissionState.WAITING, MissionState.PAUSED}
 VELOCITY_LASTS_S = 0.3  # of the person's last word; then the robot is told to hold
 

@@ -7,7 +7,8 @@ groundstation/mission/mission.py follows this table and changes state in no othe
 from dataclasses import dataclass
 from enum import Enum
 
-from wire.messages.messages import Order
+from wire.messages.messages import Command, Order
+from wire.messages.topics import WHOLE_FLEET
 
 READY = "fleet ready"  # WAITING, with nothing left to wait for
 
@@ -207,6 +208,11 @@ def order_named(name: str) -> Order:
     return Order[name.upper().replace("-", "_")]
 
 
+def request_named(name: str, robot: int = WHOLE_FLEET) -> Command:
+    """Request without arguments, of the whole fleet or of one robot. Raises KeyError."""
+    return Command(order_named(name), robot)
+
+
 def rejection_reason(order: Order, state: MissionState) -> str:
     """Reason for which a request is not allowed in a state; empty if it is."""
     requests = [row.cause for row in TRANSITIONS if isinstance(row.cause, Order)]
@@ -218,6 +224,7 @@ def rejection_reason(order: Order, state: MissionState) -> str:
     return f"{order.name} is not possible when {state.name} (only when {names})"
 
 
+ONE_ROBOT = (Order.ARM, Order.HOLD, Order.DISARM, Order.GO)  # requests that may be for one robot alone
 # requests without arguments; END is the station's own, and GO has places
 FLEET_REQUESTS = tuple(
     order_name(order) for order in Order if order is Order.END or (order is not Order.GO and states_allowing(order))

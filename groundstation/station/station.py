@@ -205,8 +205,8 @@ class Station:
         return [CommandResult(command, future.result()) for command, future in done]
 
     def on_operator_command(self, header: Header, command: Command) -> Reply:
-        """Serve a terminal: a request for the whole fleet, or a query of its outcome. A TUNE without gains goes back to the
-        gains before the last change."""
+        """Serve a terminal: a request for the whole fleet or for one robot, or a query of its outcome. A STOP stops everybody,
+        also one that names a robot. A TUNE without gains goes back to the gains before the last change."""
         if command.about:
             outcome = self.requests.outcome(command.about)
             reason = "" if outcome is not None else f"request {command.about} is not known here (any more)"
@@ -215,7 +215,8 @@ class Station:
             keys = dict(zip(command.tuning.keys, command.tuning.values.tolist(), strict=False))
             reason, number = self.request_gains(keys or None, next_lap=False)
         else:
-            reason, number = self.request(command.order, [(x, y) for x, y in command.via.tolist()])
+            only = WHOLE_FLEET if command.order is Order.STOP else command.robot
+            reason, number = self.request(command.order, [(x, y) for x, y in command.via.tolist()], only)
         outcome = self.requests.outcome(number) if not reason else None
         return Reply(WHOLE_FLEET, not reason, reason, outcome=outcome)
 

@@ -61,6 +61,21 @@ def test_each_request_of_a_terminal_is_a_method_and_the_same_command(
     assert [(c.order, c.robot) for c in station.commands] == [(Order[name.upper().replace("-", "_")], 0)] * 2
 
 
+@pytest.mark.parametrize("name", ["arm", "hold", "disarm"])
+def test_a_request_for_one_robot_goes_to_the_station_and_names_it(
+    fleet: ConnectedFleet, station: PlayedStation, name: str
+) -> None:
+    getattr(fleet, name)(robot=2)
+    asyncio.run(getattr(AsyncFleet(fleet), name)(robot=1))
+    assert [(c.order, c.robot) for c in station.commands] == [(Order[name.upper()], 2), (Order[name.upper()], 1)]
+
+
+def test_one_robot_is_sent_to_a_place(fleet: ConnectedFleet, station: PlayedStation) -> None:
+    fleet.go((1.0, -0.5), robot=2)
+    asyncio.run(AsyncFleet(fleet).go((0.0, 0.5), robot=1))
+    assert [(c.robot, c.via.tolist()) for c in station.commands] == [(2, [[1.0, -0.5]]), (1, [[0.0, 0.5]])]
+
+
 def test_places_and_gains_travel_with_the_request(fleet: ConnectedFleet, station: PlayedStation) -> None:
     fleet.go((1.0, -0.5), (2.0, 0.0))
     fleet.set_gains({"controller.mpc.q": [2, 2, 1, 1]})

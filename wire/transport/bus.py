@@ -252,17 +252,18 @@ class Bus:
 
         self.transport.serve(self._key(name), answer, urgent)
 
-    def command(self, command: Command, stamp_ns: int, timeout_s: float) -> Reply:
+    def command(self, command: Command, stamp_ns: int, timeout_s: float, to: int | None = None) -> Reply:
         """Send an order and wait for its answer. No answer, or one that cannot be read, is a refusal with the reason."""
-        return self.send_command(command, stamp_ns, timeout_s)()
+        return self.send_command(command, stamp_ns, timeout_s, to)()
 
-    def send_command(self, command: Command, stamp_ns: int, timeout_s: float) -> Callable[[], Reply]:
-        """Send an order, and return what waits for its answer (`command`). Orders to one recipient reach it in the order of
-        these calls: an order neither overtakes another nor waits until another is answered.
+    def send_command(self, command: Command, stamp_ns: int, timeout_s: float, to: int | None = None) -> Callable[[], Reply]:
+        """Send an order to its robot, or to another recipient `to` that is to see to it, and return what waits for its answer
+        (`command`). Orders to one recipient reach it in the order of these calls: an order neither overtakes another nor waits
+        until another is answered.
 
         The first order to a process asks, in effect, who it is; the second try names it. One to a process that has been
         started again is refused: what it was meant for is no more. So is a second try that would come after a later order."""
-        key = self._key(topics.COMMAND_KEY.format(robot=command.robot))
+        key = self._key(topics.COMMAND_KEY.format(robot=command.robot if to is None else to))
         known = self._recipients.get(key, 0)
         first = self._ask(key, replace(command, recipient=known), stamp_ns, timeout_s)
         assert first is not None

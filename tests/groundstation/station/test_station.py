@@ -164,7 +164,7 @@ def test_an_order_that_is_not_answered_is_on_its_way_twice_at_most(tmp_path: Pat
     """However long a robot says nothing: what is asked then, a stop for example, waits for none of them."""
     free, out = threading.Event(), []
 
-    def silent(command: Command, stamp_ns: int, timeout_s: float) -> Callable[[], Reply]:
+    def silent(command: Command, stamp_ns: int, timeout_s: float, to: int | None = None) -> Callable[[], Reply]:
         out.append(command.order)
 
         def reply() -> Reply:
@@ -196,6 +196,26 @@ def test_a_request_is_known_by_its_number_and_no_other(tmp_path: Path) -> None:
         assert not refused.accepted and refused.outcome is None
         nothing = station.on_operator_command(Header(9, 4, 0), Command(Order.NONE, WHOLE_FLEET))
         assert not nothing.accepted
+
+
+def test_a_terminals_request_for_one_robot_is_for_that_robot_and_a_stop_for_everybody(tmp_path: Path) -> None:
+    hub = MemoryHub()
+    with a_station(tmp_path, hub) as station:
+        fleet = ObedientFleet(hub, station.experiment)
+        fleet.modes = {1: Mode.HOLDING, 2: Mode.HOLDING}
+        fleet.until(station, lambda: len(station.seen) == 2 and all(seen.heard for seen in station.seen.values()))
+        operator = Bus(MemoryTransport(hub))
+        station.bus.serve(WHOLE_FLEET, station.on_operator_command)
+        reply = operator.command(Command(Order.DISARM, 2), time.time_ns(), PATIENCE_S, to=WHOLE_FLEET)
+        assert reply.accepted and reply.outcome is not None, reply.reason
+        number = reply.outcome.request
+        fleet.until(station, lambda: outcome(station, number).progress is Progress.DONE)
+        assert (outcome(station, number).confirmed, fleet.modes) == ((2,), {1: Mode.HOLDING, 2: Mode.DISARMED})
+        refused = operator.command(Command(Order.START, 2), time.time_ns(), PATIENCE_S, to=WHOLE_FLEET)
+        assert refused.reason == "START is not for one robot (allowed: ARM, HOLD, DISARM, GO)"
+        stop = operator.command(Command(Order.STOP, 2), time.time_ns(), PATIENCE_S, to=WHOLE_FLEET)
+        assert stop.outcome is not None
+        fleet.until(station, lambda: set(fleet.modes.values()) == {Mode.STOPPED})
 
 
 @pytest.mark.parametrize("mode", [Mode.DISARMED, Mode.TRACKING, Mode.STOPPED])
