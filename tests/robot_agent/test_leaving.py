@@ -133,7 +133,7 @@ class HeartbeatSender:
     ("number", "why", "code"),
     [
         (signal.SIGTERM, "told to stop", 0),
-        (signal.SIGINT, "told to stop", 0),
+        pytest.param(signal.SIGINT, "told to stop", 0, marks=pytest.mark.slow),  # the same way out as SIGTERM
         (signal.SIGUSR1, "the control loop has ended: RuntimeError: broken on purpose", 1),
     ],
     ids=["SIGTERM", "Ctrl-C", "exception"],
