@@ -198,10 +198,11 @@ def test_one_seed_gives_the_same_pulses_bit_for_bit_and_another_seed_does_not(tm
         assert otherwise[:steps] != robot[:steps]
 
 
+ELSEWHERE = [pytest.param(name, marks=pytest.mark.slow) for name in ("localizer", "agent-1")]  # in tests/faults as well
+
+
 @pytest.mark.real_time
-@pytest.mark.parametrize(
-    "victim", ["groundstation", *(pytest.param(name, marks=pytest.mark.slow) for name in ("localizer", "agent-1"))]
-)
+@pytest.mark.parametrize("victim", ["groundstation", *ELSEWHERE])
 def test_a_process_killed_in_flight_leaves_neutral_boards_and_is_named(victim: str, tmp_path: Path) -> None:
     run = start(tmp_path, "--duration", "60")
     try:
