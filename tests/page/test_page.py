@@ -780,10 +780,8 @@ def test_a_recorded_run_is_replayed(browser: Browser, flight: OperatorFlight) ->
         before = float(slider.input_value())
         drawn = page.locator(".plot canvas").first
         drawn.wait_for()
-        told = page.locator(".plot .u-legend").first.inner_text()
-        assert re.search(r"robot 1:?\s*\d", told), (
-            told
-        )  # the whole run is there, with the values of now, before anything was played
+        # The whole run is there, with the values of now, before anything was played.
+        expect(page.locator(".plot .u-legend").first).to_have_text(re.compile(r"robot 1:?\s*\d"))
         expect(page.locator(".replay .mark").first).to_be_attached()
         page.get_by_label("Pace").select_option("2")  # chooses, and plays nothing
         expect(page.get_by_role("status")).to_contain_text("paused")
