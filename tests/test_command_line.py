@@ -277,7 +277,7 @@ def test_an_order_for_a_script_is_json(monkeypatch: pytest.MonkeyPatch) -> None:
             "order": order,
             "accepted": accepted,
             "done": accepted,
-            "text": "done" if accepted else "refused: no",
+            "text": "confirmed by 1" if accepted else "refused: no",
             "reason": "" if accepted else "no",
             "robots": robots,
         }

@@ -27,6 +27,7 @@ TABLES = {  # tables of lists that the pool has none of
     "islands": "islands=[{position_m=[1.0, 0.5], radius_m=0.1}]",
     "landmarks": "landmarks=[{id=40, position_m=[1, 1, 0]}, {id=41, position_m=[1, 0, 0]}, {id=42, position_m=[0, 1, 0]},"
     " {id=43, position_m=[0, 0, 0]}]",
+    "check_marks": "check_marks=[{id=40, position_m=[1, 1, 0]}]",
     "formation": "formation.changes=[{at_s=1.0}]",
     "sim": 'sim={faults=[{at_s=1.0, what="camera dark"}], drifters=[{start_m=[0, 0, 0]}]}',
 }
@@ -63,7 +64,7 @@ def test_the_reference_knows_every_key_of_a_loaded_experiment(name: str) -> None
     known = {e.name for e in ENTRIES["experiment"]} | {f"vehicle.{e.name}" for e in ENTRIES["vehicle"]}
     whole = {key for key in known if f"{key}.N" not in known}
     own_path = {key for key in leaves(loaded) if key.startswith("robots.N.path.")}  # the same section as [path]
-    empty = {"islands", "landmarks", "article", "formation.changes", "sim.faults", "sim.drifters"}
+    empty = {"islands", "landmarks", "check_marks", "article", "formation.changes", "sim.faults", "sim.drifters"}
     assert leaves(loaded) - own_path - empty <= whole
 
 

@@ -68,9 +68,9 @@ class Landmark(Section):
     """A marker (ArUco, DICT_4X4_50) that lies flat and still where its place is known: on the rim (z <= 0) or on the floor.
     Its upper edge points along `yaw_rad`, as a robot's does."""
 
-    id: Annotated[int, Field(ge=0, le=49)]
+    id: Annotated[int, Field(ge=0, le=49, examples=[40])]
     """Marker id, used by no robot."""
-    position_m: Vec3
+    position_m: Annotated[Vec3, Field(examples=[[1.2, -0.8, 1.0]])]
     """Centre of the marker in the pool frame."""
     yaw_rad: float = 0.0
     """Direction of the marker's upper edge."""
