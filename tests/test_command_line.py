@@ -21,7 +21,8 @@ from groundstation.__main__ import cli as groundstation
 from groundstation.deploy import key_ring
 from sim_bridge.__main__ import cli as sim_bridge
 from sim_bridge.sil.ports import free_port
-from wire.messages.messages import Order, Outcome, Progress, Reply
+from wire.messages.codec import Header
+from wire.messages.messages import Command, Order, Outcome, Progress, Reply
 from wire.process.cli_options import experiments
 from wire.toml_loader import ConfigError
 from wire.transport.bus import Bus
@@ -282,6 +283,23 @@ def test_an_order_for_a_script_is_json(monkeypatch: pytest.MonkeyPatch) -> None:
             "robots": robots,
         }
         assert done.exit_code == (0 if accepted else 1)
+
+
+def test_a_terminals_request_for_one_robot_names_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    hub, asked = MemoryHub(), list[Command]()
+
+    def refuse(header: Header, command: Command) -> Reply:
+        asked.append(command)
+        return Reply(0, False, "no")
+
+    station = Bus(MemoryTransport(hub))
+    station.serve(0, refuse)
+    monkeypatch.setattr("groundstation.client.ZenohTransport", lambda *_, **__: MemoryTransport(hub))
+    for order in (["arm"], ["hold"], ["disarm"], ["go", "0.5", "-1.0"]):
+        assert CliRunner().invoke(groundstation, ["mission", *order, "--robot", "2"]).exit_code == 1
+        assert (asked[-1].order.name.lower(), asked[-1].robot) == (order[0], 2)
+    assert asked[-1].via.tolist() == [[0.5, -1.0]]
+    assert CliRunner().invoke(groundstation, ["mission", "start", "--robot", "2"]).exit_code == 2
 
 
 def test_a_dry_run_of_all_processes_says_what_it_would_start(tmp_path: Path) -> None:

@@ -38,7 +38,7 @@ Wait = Annotated[
     ),
 ]
 Robot = Annotated[
-    int,
+    int | None,
     typer.Option(
         "--robot",
         min=1,
@@ -123,8 +123,8 @@ def request(command: Callable[P, tuple[str, Command]]) -> Callable[..., None]:
 def fleet_request(name: str) -> Callable[..., None]:
     """Command that makes one request of the whole fleet, and of one robot where that can be."""
 
-    def for_one(robot: Robot = WHOLE_FLEET) -> tuple[str, Command]:
-        return name, request_named(name, robot)
+    def for_one(robot: Robot = None) -> tuple[str, Command]:
+        return name, request_named(name, robot or WHOLE_FLEET)
 
     return request(for_one if order_named(name) in ONE_ROBOT else lambda: (name, request_named(name)))
 
@@ -199,7 +199,7 @@ def go(
         list[float],
         typer.Argument(metavar="X Y", help="Places for the formation's centre, x and y in m; as many as you like."),
     ],
-    robot: Robot = WHOLE_FLEET,
+    robot: Robot = None,
 ) -> tuple[str, Command]:
     """Lead the running formation to other places than planned, by the shortest clear route, without stopping it.
 
@@ -213,7 +213,7 @@ def go(
     from groundstation.client import go_command
 
     try:
-        return "go", go_command(list(zip(places[::2], places[1::2], strict=True)), robot)
+        return "go", go_command(list(zip(places[::2], places[1::2], strict=True)), robot or WHOLE_FLEET)
     except ValueError as error:
         raise typer.BadParameter(str(error)) from None
 

@@ -198,7 +198,9 @@ def test_the_command_leaves_log_result_and_report(tmp_path: Path) -> None:
     page = (folder / "report.html").read_text()
     for figure in ("references", "space", "paths", "tracking", "formation", "inputs"):
         drawn = page[page.index(f'id="{figure}"') :]
-        assert any(begin in drawn[: drawn.index("</figure>")] for begin in ("<svg", '<script type="application/json">')), figure
+        assert any(begin in drawn[: drawn.index("</figure>")] for begin in ("<svg", '<script type="application/json">')), (
+            figure
+        )
 
 
 def test_a_plan_that_cannot_be_flown_ends_the_command_with_the_reason(tmp_path: Path) -> None:
