@@ -756,6 +756,7 @@ def test_page_reconnects_when_the_station_is_started_again(page: Page, flight: O
     flight.start()
     expect(tile(page, 1)).not_to_have_class(re.compile("stale"))
     expect(page.get_by_text("Preflight: 2 of 2 ready")).to_be_visible(timeout=60_000)
+    flight.stop()  # what follows reads its logs; in lockstep it would take both processors meanwhile
 
 
 def first_armed_s(run: Path) -> float:
