@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from groundstation.mission.request_progress import in_words
+from groundstation.mission.state_machine import in_words
 from groundstation.station import discovery
 from wire.messages.live_gains import values_of
 from wire.messages.messages import Command, Order, Outcome, Progress, Reply, Tuning

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from groundstation import client
-from groundstation.mission.state_machine import request_named
+from groundstation.mission.state_machine import READY, request_named
 from wire.messages import topics
 from wire.messages.codec import DecodeError, Header, decode
 from wire.messages.messages import Command, Event, Outcome, Pose, RobotState, StationHeartbeat
@@ -22,7 +22,7 @@ M = TypeVar("M")
 ROBOTS = range(1, 50)  # the ids that an experiment may give
 FRESH_S = 1.0  # since a message came; one that is older is no live state
 KEPT_EVENTS = 1000  # that nobody has waited for yet; the oldest are dropped
-READY = "mission: fleet ready"  # the station's line when no check of the preflight fails
+READY_LINE = f"mission: {READY}"  # the station's line when no check of the preflight fails
 
 
 class RequestFailed(Exception):
@@ -191,7 +191,7 @@ class ConnectedFleet:
 
     def wait_ready(self, timeout_s: float = 60.0) -> None:
         """Wait until the station's preflight finds nothing amiss. Raises NotHeard with what it finds."""
-        if not self._bus.wait(lambda: self._mission_line == READY, timeout_s):
+        if not self._bus.wait(lambda: self._mission_line == READY_LINE, timeout_s):
             raise NotHeard(f"the fleet was not ready within {timeout_s:g} s: {self._mission_line or 'nothing heard'}")
 
     def wait_event(self, text: str = "", timeout_s: float = 60.0) -> Event:

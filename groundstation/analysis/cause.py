@@ -1,5 +1,7 @@
 """The cause of a run that failed: the first fault, else the order that ended it, else the requirement missed by most. Pure."""
 
+import math
+
 from groundstation.analysis.numbers import with_unit
 from groundstation.analysis.results import Cause, Check, Result
 from groundstation.analysis.series import Series, TimelineEvent
@@ -42,22 +44,19 @@ def cause(result: Result, series: Series) -> Cause | None:
     if not series.started:
         return Cause("no robot was ever under way", None, "the report", "", _outcome(result, series))
     worst = max((check for check in result.checks if not check.passed), key=_excess)
-    return Cause(missed(worst), None, "the report", _all_injected(series), _outcome(result, series))
+    return Cause(missed(worst), None, "the report", "; ".join(_injected(series)), _outcome(result, series))
 
 
 def _injected_before(fault: TimelineEvent, series: Series) -> str:
     """The latest injection before a fault, with its time."""
-    made = [e for e in series.timeline_events if is_injection(e) and e.text.startswith(INJECTED)]
-    before = [e for e in made if e.time_s <= fault.time_s + BEFORE_S]
-    return _told(before[-1]) if before else ""
+    before = _injected(series, fault.time_s + BEFORE_S)
+    return before[-1] if before else ""
 
 
-def _all_injected(series: Series) -> str:
-    return "; ".join(_told(e) for e in series.timeline_events if is_injection(e) and e.text.startswith(INJECTED))
-
-
-def _told(injection: TimelineEvent) -> str:
-    return f"{injection.text.removeprefix(INJECTED)} at {injection.time_s:.1f} s"
+def _injected(series: Series, until_s: float = math.inf) -> list[str]:
+    """Injections of the simulator up to a time, each with its own time."""
+    made = [e for e in series.timeline_events if is_injection(e) and e.text.startswith(INJECTED) and e.time_s <= until_s]
+    return [f"{e.text.removeprefix(INJECTED)} at {e.time_s:.1f} s" for e in made]
 
 
 def _outcome(result: Result, series: Series) -> str:
@@ -79,6 +78,6 @@ def _ended_by(series: Series) -> TimelineEvent | None:
 def _excess(check: Check) -> float:
     """By how much a requirement is missed, as a ratio; a figure that is missing counts as most."""
     if check.value is None:
-        return float("inf")
+        return math.inf
     one, other = (check.limit, check.value) if check.at_least else (check.value, check.limit)
-    return one / other if other > 0.0 else float("inf")
+    return one / other if other > 0.0 else math.inf

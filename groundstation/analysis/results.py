@@ -151,6 +151,12 @@ class Result:
     cause: Cause | None = None  # of the failure; None if the run passed
 
     @property
+    def rows(self) -> dict[str, RobotResult | PairResult]:
+        """The rows of tables by name: robots, then pairs."""
+        robots = {f"robot {name}": robot for name, robot in self.robots.items()}
+        return {**robots, **{f"pair {name}": pair for name, pair in self.pairs.items()}}
+
+    @property
     def is_whole(self) -> bool:
         """True if the flight went all its way: only then its figures stand beside those of other whole runs."""
         return all(check.passed for check in self.checks if check.name == "whole run flown")

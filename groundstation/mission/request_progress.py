@@ -219,14 +219,6 @@ class RequestTracker:
         self.recent = tuple(sorted(self._outcomes, key=lambda outcome: outcome.request))
 
 
-def in_words(outcome: Outcome) -> str:
-    """The end of a request: the robots that have confirmed it, or the reason of its failure."""
-    if outcome.progress is Progress.FAILED:
-        return f"failed{f': {outcome.reason}' if outcome.reason else ''}"
-    by = f"confirmed by {', '.join(map(str, outcome.confirmed))}" if outcome.confirmed else "done"
-    return f"{by}: {outcome.reason}" if outcome.reason else by
-
-
 def _take_refusals(request: _Request, results: Sequence[CommandResult]) -> None:
     for result in results:
         if (result.command.order in TUNING) is (request.order in TUNING) and request.only in (0, result.command.robot):

@@ -7,7 +7,7 @@ groundstation/mission/mission.py follows this table and changes state in no othe
 from dataclasses import dataclass
 from enum import Enum
 
-from wire.messages.messages import Command, Order
+from wire.messages.messages import Command, Order, Outcome, Progress
 from wire.messages.topics import WHOLE_FLEET
 
 READY = "fleet ready"  # WAITING, with nothing left to wait for
@@ -211,6 +211,14 @@ def order_named(name: str) -> Order:
 def request_named(name: str, robot: int = WHOLE_FLEET) -> Command:
     """Request without arguments, of the whole fleet or of one robot. Raises KeyError."""
     return Command(order_named(name), robot)
+
+
+def in_words(outcome: Outcome) -> str:
+    """The end of a request: the robots that have confirmed it, or the reason of its failure."""
+    if outcome.progress is Progress.FAILED:
+        return f"failed{f': {outcome.reason}' if outcome.reason else ''}"
+    by = f"confirmed by {', '.join(map(str, outcome.confirmed))}" if outcome.confirmed else "done"
+    return f"{by}: {outcome.reason}" if outcome.reason else by
 
 
 def rejection_reason(order: Order, state: MissionState) -> str:

@@ -162,8 +162,9 @@ def _bars(plot: BarPlot) -> Figure:
     axes.tick_params(axis="y", length=0.0, labelcolor=GREY)
     axes.set_xlabel(TIME_LABEL)
     for row, (_, bars) in enumerate(plot.rows):
-        for bar in bars:
-            axes.broken_barh([(bar.begin_s, bar.length_s)], (row - 0.38, 0.76), color=bar.colour, label=bar.label or None)
+        for colour, label in dict.fromkeys((bar.colour, bar.label) for bar in bars):
+            spans = [(bar.begin_s, bar.length_s) for bar in bars if (bar.colour, bar.label) == (colour, label)]
+            axes.broken_barh(spans, (row - 0.38, 0.76), color=colour, label=label or None)
     for sign, meaning, times in plot.marks:
         axes.plot(times, [len(plot.rows)] * len(times), sign, color="black", markersize=5, linestyle="", label=meaning)
     axes.set_xlim(plot.begin_s, plot.end_s)

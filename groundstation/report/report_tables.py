@@ -46,14 +46,14 @@ class _Part:
 
 def tables(result: Result) -> list[ReportTable]:
     """Tables with something in them. The article's figures are of whole runs: a run that was not is not held against them."""
-    rows: list[tuple[str, Row]] = [(f"robot {name}", found) for name, found in result.robots.items()]
-    pairs: list[tuple[str, Row]] = [(f"pair {name}", found) for name, found in result.pairs.items()]
-    made = [_table("Errors", _errors(), [*rows, *pairs], "Root mean square and largest; yaw to the path's tangent.")]
-    if result.is_whole and any(row.article for _, row in (*rows, *pairs)):
+    rows = list(result.rows.items())
+    robots = rows[: len(result.robots)]
+    made = [_table("Errors", _errors(), rows, "Root mean square and largest; yaw to the path's tangent.")]
+    if result.is_whole and any(row.article for _, row in rows):
         note = "✓ below, ✗ not below the article's figure. “Never moving” is a robot that sits at the middle of its reference."
-        made.append(_table("Beside the article", _article(), [*rows, *pairs], note))
-    made.append(_table("Robots", _robots(), rows, "Yaw to the heading commanded; disturbance: estimated minus true, RMS."))
-    made.append(_table("Wear", _wear(), rows, "RMS of the change per control step: chatter wears thrusters out."))
+        made.append(_table("Beside the article", _article(), rows, note))
+    made.append(_table("Robots", _robots(), robots, "Yaw to the heading commanded; disturbance: estimated minus true, RMS."))
+    made.append(_table("Wear", _wear(), robots, "RMS of the change per control step: chatter wears thrusters out."))
     return [table for table in made if table.groups]
 
 

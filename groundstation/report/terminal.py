@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 from groundstation.analysis.cause import missed, title
 from groundstation.analysis.numbers import NOTHING, deg, mm
-from groundstation.analysis.results import PairResult, Result, RobotResult
+from groundstation.analysis.results import Result
 
 CELL = 7  # width of a number in characters: names of up to 10 leave the table within 80
 GROUPS = (("RMS, whole run", 4), ("RMS after 20 s", 4), ("article", 2))
@@ -34,8 +34,7 @@ def lines(result: Result) -> Iterator[str]:
 
 
 def _table(result: Result) -> Iterator[str]:
-    rows: dict[str, RobotResult | PairResult] = {f"robot {name}": robot for name, robot in result.robots.items()}
-    rows |= {f"pair {name}": pair for name, pair in result.pairs.items()}
+    rows = result.rows
     with_article = result.is_whole and any(row.article for row in rows.values())
     groups = GROUPS if with_article else GROUPS[:2]
     wide = max(len(name) for name in rows)

@@ -19,9 +19,9 @@ from groundstation.mission.lap_statistics import LapStatistics
 from groundstation.mission.mission import LIVE, Mission
 from groundstation.mission.obstacle_monitor import ObstacleSet, obstacle_set
 from groundstation.mission.plan_manager import PlanRequest
-from groundstation.mission.request_progress import AT_REST, RequestTracker, in_words
+from groundstation.mission.request_progress import AT_REST, RequestTracker
 from groundstation.mission.single_robot import SingleRobotControl
-from groundstation.mission.state_machine import READY, MissionState
+from groundstation.mission.state_machine import READY, MissionState, in_words
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.segment import PlanSegment
 from groundstation.telemetry import Fleet, FleetInboxes, LinkMonitor, blocking_findings
@@ -205,8 +205,8 @@ class Station:
         return [CommandResult(command, future.result()) for command, future in done]
 
     def on_operator_command(self, header: Header, command: Command) -> Reply:
-        """Serve a terminal: a request for the whole fleet or for one robot, or a query of its outcome. A STOP stops everybody,
-        also one that names a robot. A TUNE without gains goes back to the gains before the last change."""
+        """Serve a terminal: a request for the whole fleet or for one robot, or a query of its outcome. A TUNE without gains
+        goes back to the gains before the last change."""
         if command.about:
             outcome = self.requests.outcome(command.about)
             reason = "" if outcome is not None else f"request {command.about} is not known here (any more)"
@@ -215,14 +215,14 @@ class Station:
             keys = dict(zip(command.tuning.keys, command.tuning.values.tolist(), strict=False))
             reason, number = self.request_gains(keys or None, next_lap=False)
         else:
-            only = WHOLE_FLEET if command.order is Order.STOP else command.robot
-            reason, number = self.request(command.order, [(x, y) for x, y in command.via.tolist()], only)
+            reason, number = self.request(command.order, [(x, y) for x, y in command.via.tolist()], command.robot)
         outcome = self.requests.outcome(number) if not reason else None
         return Reply(WHOLE_FLEET, not reason, reason, outcome=outcome)
 
     def request(self, order: Order, via: Sequence[tuple[float, float]] = (), only: int = 0) -> tuple[str, int]:
-        """Take an operator's request for the whole fleet, or for the robot `only`. Returns the reason of a refusal, or
-        nothing, and the request's number."""
+        """Take an operator's request for the whole fleet, or for the robot `only`; a STOP is for everybody. Returns the reason
+        of a refusal, or nothing, and the request's number."""
+        only = WHOLE_FLEET if order is Order.STOP else only
         with self.lock:
             if only:
                 place_m = via[0] if len(via) == 1 else None

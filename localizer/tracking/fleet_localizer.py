@@ -96,7 +96,7 @@ class FleetLocalizer:
         self._appearance = AppearanceModel(
             len(self._ids), hull, settings.template_px, LEARNT_AT_MARKERS if settings.markers else LEARNT_AT_MATCHES
         )
-        self._landmark_ids = {mark.id for mark in (*experiment.landmarks, *experiment.check_marks)}
+        self._landmark_ids = {mark.id for mark in experiment.marks}
         self._foreign_scans: dict[int, int] = {}  # id of a foreign marker -> scans in a row
         self._foreign_ids: set[int] = set()  # in the strips of the present scan
         self._tracks = [RobotTrack() if settings.markers else RobotTrack.at_start(s[[0, 1, 3]]) for s in self._start]

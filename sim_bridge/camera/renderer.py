@@ -46,7 +46,7 @@ class Renderer:
         self._whole = self._sprites
         self._landmarks = [
             (BodySprite.landmark(landmark, experiment.camera.px_per_m), np.array([[*landmark.position_m, landmark.yaw_rad]]))
-            for landmark in (*experiment.landmarks, *experiment.check_marks)
+            for landmark in experiment.marks
         ]
         random = generator(seed, Stream.CAMERA, 2)
         self._noise = SensorNoise(experiment.camera.size_px, self._picture.noise, random)

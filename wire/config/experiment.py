@@ -198,9 +198,9 @@ class Experiment(Section):
             )
         if self.landmarks and self.check_marks:
             raise ValueError("check_marks: they check a fixed camera, and with landmarks it moves (allowed: one of the two)")
-        marks, key = self.landmarks or self.check_marks, "landmarks" if self.landmarks else "check_marks"
-        ids = [mark.id for mark in marks]
-        for mark in marks:
+        key = "landmarks" if self.landmarks else "check_marks"
+        ids = [mark.id for mark in self.marks]
+        for mark in self.marks:
             if ids.count(mark.id) > 1:
                 raise ValueError(f"{key}: id {mark.id} is used twice; each needs its own")
             for robot in self.robots:
@@ -213,6 +213,11 @@ class Experiment(Section):
             if depth > floor:
                 raise ValueError(f"{key}: id {mark.id} at z = {depth} lies below the floor (allowed: up to {floor})")
         return self
+
+    @property
+    def marks(self) -> tuple[Landmark, ...]:
+        """All markers at known places: landmarks of a moving camera, or check marks of a fixed one."""
+        return self.landmarks or self.check_marks
 
     @property
     def wrench_step(self) -> tuple[float, float, float]:

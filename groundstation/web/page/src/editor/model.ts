@@ -98,21 +98,17 @@ function take(next: Draft): void {
   drawSoon();
 }
 
-export function undo(): void {
-  const [old, now] = [before.pop(), draft.peek()];
-  if (old === undefined || now === null) return;
-  after.push(now);
-  changedAtMs = -Infinity;
-  take(old);
-}
-
-export function redo(): void {
-  const [next, now] = [after.pop(), draft.peek()];
+/** Go to the latest draft on one side; the present one goes to the other side. */
+function step(from: Draft[], to: Draft[]): void {
+  const [next, now] = [from.pop(), draft.peek()];
   if (next === undefined || now === null) return;
-  before.push(now);
+  to.push(now);
   changedAtMs = -Infinity;
   take(next);
 }
+
+export const undo = (): void => step(before, after);
+export const redo = (): void => step(after, before);
 
 /** Where the nodes are: those of a shape, as the station has placed them, until it has. */
 export function nodesOf(d: Draft): Map<number, [number, number, number]> {
