@@ -25,6 +25,10 @@ from wire.process.runtime import Stop, log, start_log
 Poses = Annotated[
     bool, typer.Option("--poses", help="No camera, no localizer: true poses with the noise of sim.numeric instead.")
 ]
+Pace = Annotated[
+    float | None,
+    typer.Option(min=0.01, metavar="TIMES", help="With --lockstep: no faster than this many times real time, to watch it."),
+]
 BoardFolder = Annotated[
     Path | None,
     typer.Option(
@@ -56,6 +60,7 @@ def pool(
     settings: Settings = None,
     boards: BoardFolder = None,
     lockstep: LockstepMode = False,
+    pace: Pace = None,
     poses: Poses = False,
     frame_ring: FrameRingOption = None,
     keys: KeyRing = None,
@@ -67,10 +72,13 @@ def pool(
     Example:  sim-bridge pool pool --station tls/192.168.1.10:7447 --keys keys
     """
     from sim_bridge.node.wires import PoolWires, run_pool
+    from sim_bridge.sil.commands import PACE_OF_REAL_TIME
 
+    if pace is not None and not lockstep:
+        raise typer.BadParameter(PACE_OF_REAL_TIME)
     start_log("sim-bridge", verbose)
     wires = PoolWires(station, fleet, keys, insecure, ports, host, boards, link_insecure)
-    run_pool(load_experiment(experiment, settings or ()), wires, {}, lockstep, poses, frame_ring)
+    run_pool(load_experiment(experiment, settings or ()), wires, {}, lockstep, poses, frame_ring, pace)
 
 
 def hil(

@@ -7,7 +7,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from sim_bridge.cli.pool import Poses
+from sim_bridge.cli.pool import Pace, Poses
 from wire.config.experiment import NO_CAMERA, Experiment, load_experiment
 from wire.process.cli_options import ExperimentName, FaultLines, KeyRing, Settings, caution, experiments
 from wire.process.output_files import new_run_folder
@@ -33,6 +33,7 @@ def sil(
     one_process: Annotated[
         bool, typer.Option("--one-process", help="With --lockstep: the same bits from one process, without a network.")
     ] = False,
+    pace: Pace = None,
     seed: Seed = None,
     duration: Duration = None,
     out: OutFolder = Path("runs"),
@@ -84,7 +85,7 @@ def sil(
     loaded = _load(experiment, seed, duration, [*(settings or ()), *([NO_CAMERA] if poses else [])], faults)
     console = Console()
     page = None if no_web else page_address(web)
-    options = RunOptions(lockstep, page, manual, poses, keys, signed, one_process)
+    options = RunOptions(lockstep, page, manual, poses, keys, signed, one_process, pace)
     check(loaded, options)
     if one_process and not dry_run:
         _with_one_thread()

@@ -205,11 +205,14 @@ class MemoryPorts(BoardPorts):
 class Executor:
     """A lockstep run of all nodes of an experiment in this process."""
 
-    def __init__(self, experiment: Experiment, run_dir: Path, hub: MemoryHub, *, poses: bool = False) -> None:
+    def __init__(
+        self, experiment: Experiment, run_dir: Path, hub: MemoryHub, *, poses: bool = False, pace: float | None = None
+    ) -> None:
         """`run_dir` is there, and may hold the experiment's file. Anybody may listen at the `hub`. With `poses` there is no
-        localizer: the simulator publishes poses in its place."""
+        localizer: the simulator publishes poses in its place. `pace`: at most this many times real time."""
         self.stop = Stop(install=False)
-        self._experiment, self._run_dir, self._hub, self._poses = experiment, run_dir, hub, poses
+        self._experiment, self._run_dir, self._hub = experiment, run_dir, hub
+        self._poses, self._pace = poses, pace
         self._each_tick: Callable[[], None] = lambda: None
         self._decoder = SharedDecoder()
         self._ticked = self._exposed = False
@@ -250,7 +253,7 @@ class Executor:
             pool = part("sim-bridge")
             try:
                 with pool.acting():
-                    PoolNode(experiment, pool.bus, ports, self.stop, lockstep=True, poses=self._poses).run()
+                    PoolNode(experiment, pool.bus, ports, self.stop, True, self._poses, pace=self._pace).run()
             finally:
                 self.stop.request()
                 self._station.finish()  # it closes the log
@@ -286,7 +289,8 @@ def run(experiment: Experiment, run_dir: Path, options: RunOptions, stop: Stop, 
     """Run an experiment in this process, after `commands.check`. Folder, verdict and exit code are those of `launcher.run`."""
     launcher.write_experiment(experiment, run_dir)
     hub = MemoryHub()
-    executor, monitor = Executor(experiment, run_dir, hub, poses=options.poses), Monitor(experiment, Bus(MemoryTransport(hub)))
+    executor = Executor(experiment, run_dir, hub, poses=options.poses, pace=options.pace)
+    monitor = Monitor(experiment, Bus(MemoryTransport(hub)))
     stop.on_request(executor.stop.request)
     log_file, succeeded = run_dir / "run.mcap", False
     try:

@@ -57,11 +57,12 @@ class PoolNode:
         lockstep: bool,
         poses: bool = False,
         make: Callable[[Experiment, int, int], WorldBoard] = ThrusterBoard,
+        pace: float | None = None,
     ) -> None:
         """`sockets` are closed when the run ends. With `poses` there is no camera: poses are published in the localizer's
-        place. `make` makes the thruster boards."""
+        place. `make` makes the thruster boards. A lockstep run goes no faster than `pace` times real time."""
         self._experiment, self._bus, self._stop = experiment, bus, stop
-        self._make = make
+        self._make, self._pace = make, pace
         self._lockstep = LockstepClock() if lockstep else None
         self._clock: Clock = self._lockstep or WallClock()
         self._sockets = sockets
@@ -253,6 +254,7 @@ class PoolNode:
         period_ns = round(self._experiment.controller.period_s * 1e9)
         tick_ns, previous_ns = round(self._experiment.sim.latency_s * 1e9) or period_ns, -1  # at 0 no board has said a word
         self._expose_in_lockstep(world, tick_ns, previous_ns)
+        due_s = 0.0
         while not self._stop.requested:
             while world.now_ns < tick_ns:
                 self._step_plant(world, self._sockets.quiet_until_ns(tick_ns))
@@ -263,6 +265,15 @@ class PoolNode:
             self._tick(world, tick_ns, previous_ns)
             tick_ns, previous_ns = tick_ns + period_ns, tick_ns
             self._publish_due(world, tick_ns, previous_ns)
+            due_s = self._keep_pace(due_s)
+
+    def _keep_pace(self, due_s: float) -> float:
+        """Wait until `due_s` by the monotonic clock. Returns when the step after it is due: lost time is not made up for."""
+        if self._pace is None:
+            return due_s
+        while (ahead_s := due_s - time.monotonic()) > 0.0 and not self._stop.requested:
+            time.sleep(min(ahead_s, SLICE_S))
+        return max(due_s, time.monotonic()) + self._experiment.controller.period_s / self._pace
 
     def _await_everyone(self, world: World) -> None:
         """Wait until all processes are present and every board has a peer."""

@@ -81,10 +81,11 @@ def run_pool(
     lockstep: bool = False,
     poses: bool = False,
     frame_ring: int | None = None,
+    pace: float | None = None,
 ) -> None:
     """Be the pool until told to stop; `real` are the addresses of boards that are not simulated, `frame_ring` the descriptor
-    of the launcher's ring for camera frames. Raises Failed if a part of it cannot go on, ConfigError for wires that cannot
-    be used."""
+    of the launcher's ring for camera frames, `pace` the most that lockstep may be faster than real time. Raises Failed if a
+    part of it cannot go on, ConfigError for wires that cannot be used."""
     cv2.setNumThreads(1)  # of this process: with the fleet's others on the machine, more threads only fight
     stop = Stop()
     wires.check_host(experiment.robot_ids)
@@ -105,5 +106,5 @@ def run_pool(
         # ports that are taken are told before the wait for the station
         sockets = UdpPorts(wires.ports, experiment.robot_ids, experiment.seed, wires.host)
         bus = stack.enter_context(Bus(ZenohTransport(where, stop), wires.fleet, *codec_of(frame_ring)))
-        PoolNode(experiment, bus, sockets, stop, lockstep, poses, make).run()
+        PoolNode(experiment, bus, sockets, stop, lockstep, poses, make, pace).run()
     stop.raise_failure()

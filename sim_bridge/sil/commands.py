@@ -9,6 +9,7 @@ from wire.config.fault_injection import KINDS, OF_PROCESSES
 from wire.toml_loader import ConfigError
 
 LEAST_MARKER_PX = 16  # px, least side of a marker that can be read: two per cell and a margin
+PACE_OF_REAL_TIME = "--pace: real time has a pace of its own (allowed: with --lockstep)"
 BLIND = "Fly without the camera: --poses"
 
 
@@ -26,7 +27,8 @@ class Program:
 class RunOptions:
     """Options of a run: `page` is the address of the operator's page (host:port), `manual` leaves the mission to the
     operator, `poses` replaces camera and localizer by the simulator, `keys` is a ring with which all speak TLS,
-    `signed` signs the boards' links, `one_process` runs all nodes in the launcher's process."""
+    `signed` signs the boards' links, `one_process` runs all nodes in the launcher's process, `pace` is the most a lockstep run
+    may be faster than real time."""
 
     lockstep: bool = False
     page: str | None = None
@@ -35,6 +37,7 @@ class RunOptions:
     keys: Path | None = None
     signed: bool = False
     one_process: bool = False
+    pace: float | None = None
 
 
 def check(experiment: Experiment, options: RunOptions) -> None:
@@ -45,6 +48,8 @@ def check(experiment: Experiment, options: RunOptions) -> None:
         check_sight(experiment)
     if options.one_process:
         _check_one_process(options)
+    if options.pace is not None and not options.lockstep:
+        raise ConfigError(PACE_OF_REAL_TIME)
     if options.lockstep:
         fault_schedule.require_kinds(
             experiment,
@@ -101,6 +106,7 @@ def programs(
     station += ["--no-web"] if options.page is None else ["--web", options.page]
     station += [] if options.manual else ["--auto"]
     pool = ["pool", *client[1:], "--ports", str(ports), *(["--poses"] if options.poses else [])]
+    pool += ["--pace", str(options.pace)] if options.pace is not None else []
     pool += ["--boards", str(boards)] if boards is not None else []
     inherits = () if frame_ring is None else (frame_ring,)
     ring = [part for descriptor in inherits for part in ("--frame-ring", str(descriptor))]

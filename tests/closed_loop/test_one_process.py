@@ -1,9 +1,11 @@
 """A lockstep run in one process: the same folder, the same messages and the same pulses as from a process for each node."""
 
+import itertools
 import json
 import re
 import subprocess
 import sys
+import time
 from collections.abc import Generator, Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -12,9 +14,10 @@ from typing import Any
 import pytest
 from mcap.reader import make_reader
 
-from sim_bridge.in_process.executor import Part
+from sim_bridge.in_process.executor import Executor, Part
 from tests import compare_pulses
 from tests.closed_loop.slow_network import COMPARED, OnLocalized
+from wire.config.experiment import load_experiment
 from wire.messages import topics
 from wire.messages.codec import Header, decode
 from wire.messages.messages import Event
@@ -89,6 +92,19 @@ def test_a_run_that_the_station_refuses_leaves_no_folder(tmp_path: Path) -> None
     assert code == 2
     assert "a run needs" in output.replace("\n", " ")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_at_a_pace_each_second_takes_its_time_and_the_bits_stay(tmp_path: Path) -> None:
+    experiment, folders, pace = load_experiment("islands", ["duration_s=1"]), [tmp_path / "free", tmp_path / "paced"], 4.0
+    ticks_s: list[float] = []
+    for folder, most in zip(folders, (None, pace), strict=True):
+        folder.mkdir()
+        ticks_s.clear()
+        assert Executor(experiment, folder, MemoryHub(), poses=True, pace=most).fly(lambda: ticks_s.append(time.monotonic()))
+    least_s = experiment.controller.period_s / pace
+    assert min(after - before for before, after in itertools.pairwise(ticks_s)) > 0.5 * least_s
+    assert ticks_s[-1] - ticks_s[0] >= 0.99 * least_s * (len(ticks_s) - 1)
+    assert compare_pulses.main(*map(str, folders)) == 0
 
 
 @pytest.fixture

@@ -25,6 +25,7 @@ FLAGS = [
     "--disable-sync",
 ]
 AXE = resources.files("axe_playwright_python") / "axe.min.js"
+PACED = ("--lockstep", "--pace", "2", "--poses")
 PATIENCE_MS = 120_000  # for anything that a loaded machine may take long over
 
 
@@ -42,7 +43,7 @@ def wait_for_port(port: int, process: subprocess.Popen[bytes]) -> None:
 
 @dataclass
 class OperatorFlight:
-    """`sim-bridge sil pool` under an operator's hands; without the camera, which takes half of the processors' time."""
+    """`sim-bridge sil pool` under an operator's hands; without the camera and at twice real time, to leave processors free."""
 
     folder: Path
     port: int
@@ -57,7 +58,7 @@ class OperatorFlight:
     def start(self) -> None:
         """Start all processes; returns when the page can be had."""
         self.starts += 1
-        command = [sys.executable, "-m", "sim_bridge", "sil", "pool", "--lockstep", "--poses", "--manual", "--duration", "900"]
+        command = [sys.executable, "-m", "sim_bridge", "sil", "pool", *PACED, "--manual", "--duration", "900"]
         log = (self.folder / f"sil-{self.starts}.log").open("wb")
         self.process = subprocess.Popen(
             [*command, "--out", str(self.folder), "--web", f"127.0.0.1:{self.port}"], stdout=log, stderr=subprocess.STDOUT

@@ -49,6 +49,13 @@ def test_options_that_need_processes_are_refused_without_them(
         check(load_experiment("pool", (), faults), options)
 
 
+def test_a_pace_without_lockstep_is_refused_and_with_it_is_the_simulators() -> None:
+    with pytest.raises(ConfigError, match="--pace: real time has a pace of its own"):
+        check(load_experiment("pool"), RunOptions(pace=2.0))
+    started = programs((1, 2), RunOptions(lockstep=True, pace=2.0), Path("run"), "tcp/127.0.0.1:7447", 14550)
+    assert [program.name for program in started if "--pace" in program.arguments] == ["sim-bridge"]
+
+
 def test_simulator_and_localizer_alone_are_handed_the_ring_of_frames(tmp_path: Path) -> None:
     started = programs((1, 2), RunOptions(), tmp_path, "tcp/127.0.0.1:7447", 14550, frame_ring=9)
     handed = {program.name: program.arguments[-2:] for program in started if program.inherits == (9,)}
