@@ -17,7 +17,7 @@ from mcap.reader import make_reader
 from sim_bridge.in_process.executor import Executor, Part
 from tests import compare_pulses
 from tests.closed_loop.slow_network import COMPARED, OnLocalized
-from wire.config.experiment import load_experiment
+from wire.config.experiment import NO_CAMERA, load_experiment
 from wire.messages import topics
 from wire.messages.codec import Header, decode
 from wire.messages.messages import Event
@@ -53,17 +53,18 @@ def told(folder: Path) -> OnLocalized:
 
 
 def lines(folder: Path) -> set[tuple[str, str]]:
-    """Source and text of the events of a run, but for what they tell of the machine's time."""
+    """Source and text of the events of a run, but for what they tell of the machine's time and of signatures."""
     with (folder / "run.mcap").open("rb") as file:
         messages = make_reader(file).iter_messages(topics=[f"shoal/{topics.EVENT.key()}"])
         events = [decode(Event, message.data, "log", "event") for _, _, message in messages]
-    return {(event.source, re.sub(r"(^mission \w+ after ).* s$", r"\1", event.message)) for event in events}
+    said = [(event.source, re.sub(r"(^mission \w+ after ).* s$", r"\1", event.message)) for event in events]
+    return {(source, text) for source, text in said if "dropped for their signature" not in text}
 
 
 @pytest.mark.parametrize(
     "arguments",
     [
-        pytest.param(("pool", "--duration", "1.5", "--seed", "3", *FAULTS), id="faults"),
+        pytest.param(("pool", "--duration", "2.5", "--seed", "3", *FAULTS), id="faults"),
         pytest.param(("islands", "--duration", "2", "--poses"), id="poses"),
         pytest.param(("pool", "--duration", "8"), id="pool", marks=pytest.mark.slow),
         pytest.param(("figure-eight", "--duration", "8"), id="figure-eight", marks=pytest.mark.slow),
@@ -71,7 +72,8 @@ def lines(folder: Path) -> set[tuple[str, str]]:
     ],
 )
 def test_one_process_flies_to_the_bit_what_processes_fly(arguments: tuple[str, ...], tmp_path: Path) -> None:
-    code, output, many = sil(tmp_path / "many", *arguments)
+    """And what they fly with signed links: signatures take no part in it."""
+    code, output, many = sil(tmp_path / "many", *arguments, "--signed")
     code_of_one, output_of_one, one = sil(tmp_path / "one", *arguments, "--one-process")
     assert code_of_one == code, output_of_one
     assert compare_pulses.main(str(many), str(one)) == 0
@@ -85,6 +87,15 @@ def test_one_process_flies_to_the_bit_what_processes_fly(arguments: tuple[str, .
         assert results[0]["robots"][robot]["rms_m"] == results[1]["robots"][robot]["rms_m"]
     verdict = "passed" if code == 0 else "failed"
     assert all(re.search(rf"^{verdict}\b", said, re.MULTILINE) for said in (output, output_of_one))
+
+
+def test_another_seed_gives_other_pulses(tmp_path: Path) -> None:
+    experiment = load_experiment("pool", ["duration_s=1", NO_CAMERA])
+    folders = [tmp_path / str(seed) for seed in (3, 4)]
+    for folder in folders:
+        folder.mkdir()
+        assert Executor(experiment.model_copy(update={"seed": int(folder.name)}), folder, MemoryHub(), poses=True).fly()
+    assert compare_pulses.main(*map(str, folders)) == 1
 
 
 def test_a_run_that_the_station_refuses_leaves_no_folder(tmp_path: Path) -> None:
