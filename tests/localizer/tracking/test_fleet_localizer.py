@@ -108,7 +108,7 @@ def _cover_marker(frame: Pixels, locator: FleetLocalizer, eta: Array) -> None:
     cv2.fillPoly(frame, [np.rint(corners).astype(np.int32)], (40,))
 
 
-@pytest.mark.parametrize("covered", [12, 13, 14, 15])
+@pytest.mark.parametrize("covered", [12, 15, *(pytest.param(frame, marks=pytest.mark.slow) for frame in (13, 14))])
 def test_a_cable_over_the_marker_is_bridged(covered: int) -> None:
     """The rest of the look is enough, and fresh enough: it is learnt in every fourth frame, whichever of them is the last with
     a marker. The light falls by 2 % a frame until then."""
@@ -292,7 +292,10 @@ def test_a_frames_poses_do_not_wait_for_what_comes_after_them() -> None:
             assert (a.x_m, a.y_m, a.yaw_rad, a.peak, a.track) == (b.x_m, b.y_m, b.yaw_rad, b.peak, b.track)
 
 
-@pytest.mark.parametrize("y_m", [-1.2, -0.65, -0.38, -0.2, 0.0, 0.25, 0.55, 1.0])
+MORE_PLACES_M = [pytest.param(y_m, marks=pytest.mark.slow) for y_m in (-0.65, -0.38, 0.0, 0.25, 1.0)]
+
+
+@pytest.mark.parametrize("y_m", [-1.2, -0.2, 0.55, *MORE_PLACES_M])
 def test_a_lost_robot_is_found_within_five_frames_wherever_it_comes_back(y_m: float) -> None:
     """At every height of the picture, also across the borders of strips, and in each phase of the scan."""
     for back in range(20, 25):
