@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from groundstation.analysis.results import Check, Errors, Result
+from groundstation.analysis.results import WHOLE_RUN, Check, Errors, Result
 from groundstation.analysis.series import Series
 from wire.config.controller_benchmark import settled
 
@@ -35,7 +35,7 @@ def _of_every_run(result: Result, series: Series) -> Iterator[Check]:
     missing = float(result.log_dropped) if result.log_complete else None
     yield Check("messages missing from the log", result.log_trouble.partition(":")[0], missing, 0.0, not result.log_trouble)
     whole = went_all_the_way(series)
-    yield Check("whole run flown", "slowest robot", flown_s, series.asked_s, whole, "s", at_least=True)
+    yield Check(WHOLE_RUN, "slowest robot", flown_s, series.asked_s, whole, "s", at_least=True)
     yield Check("faults", "", float(len(result.faults)), 0.0, not result.faults)
     fraction = result.missed_deadlines_fraction
     yield _at_most("missed deadlines", "all robots", fraction, MISSED_FRACTION, "fraction")

@@ -2,6 +2,7 @@
 
 import math
 
+from groundstation.analysis.acceptance import went_all_the_way
 from groundstation.analysis.numbers import with_unit
 from groundstation.analysis.results import Cause, Check, Result
 from groundstation.analysis.series import Series, TimelineEvent
@@ -69,7 +70,7 @@ def _outcome(result: Result, series: Series) -> str:
 
 def _ended_by(series: Series) -> TimelineEvent | None:
     """The station's word for the end of a flight that did not go all the way, if it gave a reason."""
-    if not series.started or series.reached_s >= series.asked_s - 2.0 * series.experiment.controller.period_s:
+    if not series.started or went_all_the_way(series):
         return None
     given = (e for e in series.timeline_events if e.source == "groundstation" and e.text.startswith("mission: "))
     return next((e for e in given if e.time_s > 0.0 and ": " in e.text.removeprefix("mission: ")), None)

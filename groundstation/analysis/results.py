@@ -13,6 +13,7 @@ from groundstation.analysis.series import TimelineEvent
 from wire.config.experiment import ArticleRow
 
 Three = tuple[float, float, float]
+WHOLE_RUN = "whole run flown"  # name of the check by which a flight went all its way
 
 
 @dataclass(frozen=True)
@@ -159,7 +160,7 @@ class Result:
     @property
     def is_whole(self) -> bool:
         """True if the flight went all its way: only then its figures stand beside those of other whole runs."""
-        return all(check.passed for check in self.checks if check.name == "whole run flown")
+        return all(check.passed for check in self.checks if check.name == WHOLE_RUN)
 
     def to_json(self) -> str:
         """As result.json."""

@@ -17,6 +17,7 @@ from groundstation.mission.state_machine import IN_FLIGHT, NOMINAL, TERMINAL, Mi
 from groundstation.planning.segment import PlanSegment
 from groundstation.telemetry import Fleet, RobotView
 from wire.messages.messages import Mode, Order, Outcome, Progress
+from wire.messages.topics import WHOLE_FLEET
 
 KEPT = 16  # outcomes that can be queried; a terminal queries several times a second until its request is over
 
@@ -109,7 +110,7 @@ class _Request:
     order: Order
     segment: PlanSegment
     tuning_id: str = ""  # TUNE: the requested set
-    only: int = 0  # the one robot that it is about; 0: all
+    only: int = WHOLE_FLEET  # or the one robot that it is about
     refusals: dict[int, str] = field(default_factory=dict)  # by robot, the last one
 
 
@@ -125,7 +126,7 @@ class RequestTracker:
         self._outcomes: deque[Outcome] = deque(maxlen=KEPT)
         self.recent: tuple[Outcome, ...] = ()  # oldest first; replaced, never changed: other threads read it
 
-    def begin(self, order: Order, mission: Mission, tuning_id: str = "", only: int = 0) -> int:
+    def begin(self, order: Order, mission: Mission, tuning_id: str = "", only: int = WHOLE_FLEET) -> int:
         """Count a request that was taken up. Returns its number. A repetition while it is under way is the same request."""
         gains = order in TUNING
         for request in [r for r in self._open if (r.order in TUNING) is gains and r.only == only]:
@@ -221,7 +222,10 @@ class RequestTracker:
 
 def _take_refusals(request: _Request, results: Sequence[CommandResult]) -> None:
     for result in results:
-        if (result.command.order in TUNING) is (request.order in TUNING) and request.only in (0, result.command.robot):
+        if (result.command.order in TUNING) is (request.order in TUNING) and request.only in (
+            WHOLE_FLEET,
+            result.command.robot,
+        ):
             request.refusals[result.command.robot] = "" if result.reply.accepted else result.reply.reason
 
 

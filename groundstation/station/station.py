@@ -219,7 +219,7 @@ class Station:
         outcome = self.requests.outcome(number) if not reason else None
         return Reply(WHOLE_FLEET, not reason, reason, outcome=outcome)
 
-    def request(self, order: Order, via: Sequence[tuple[float, float]] = (), only: int = 0) -> tuple[str, int]:
+    def request(self, order: Order, via: Sequence[tuple[float, float]] = (), only: int = WHOLE_FLEET) -> tuple[str, int]:
         """Take an operator's request for the whole fleet, or for the robot `only`; a STOP is for everybody. Returns the reason
         of a refusal, or nothing, and the request's number."""
         only = WHOLE_FLEET if order is Order.STOP else only

@@ -10,6 +10,7 @@ from groundstation.mission.state_machine import MissionState
 from groundstation.telemetry import Finding, Fleet
 from wire.config.experiment import Experiment
 from wire.messages.messages import DriveVelocity, Order, Outcome, Trajectory
+from wire.messages.topics import WHOLE_FLEET
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,7 @@ class OperatorRequests(Protocol):
     """Requests for the whole fleet, or for the robot `only`. Each returns the reason of a refusal, or nothing, and the
     request's number."""
 
-    def request(self, order: Order, via: Sequence[tuple[float, float]] = (), only: int = 0) -> tuple[str, int]: ...
+    def request(self, order: Order, via: Sequence[tuple[float, float]] = (), only: int = WHOLE_FLEET) -> tuple[str, int]: ...
     def drive(self, robot: int, velocity: DriveVelocity) -> str:
         """Move one robot at a velocity; it holds when none comes any more. Returns the reason of a refusal, or nothing."""
 

@@ -32,7 +32,7 @@ from wire.messages.messages import (
     StationHeartbeat,
     Trajectory,
 )
-from wire.messages.topics import Topic
+from wire.messages.topics import WHOLE_FLEET, Topic
 
 BLOCK_NS = 1_000_000_000
 KEPT_BLOCKS = 8
@@ -179,7 +179,7 @@ def _read(kind: type[M], payload: bytes) -> M | None:
 class _NoRequests:
     """Refuses all requests: a recorded run takes none."""
 
-    def request(self, order: Order, via: Sequence[tuple[float, float]] = (), only: int = 0) -> tuple[str, int]:
+    def request(self, order: Order, via: Sequence[tuple[float, float]] = (), only: int = WHOLE_FLEET) -> tuple[str, int]:
         return "this is a recorded run", 0
 
     def drive(self, robot: int, velocity: DriveVelocity) -> str:
