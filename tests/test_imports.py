@@ -120,8 +120,9 @@ SHELL_METHODS = {
 SHELL_FUNCTIONS = {"open", "input", "print"}
 
 
-def _sources() -> list[str]:
-    found = (path for package in sorted(PARTS) for path in sorted((ROOT / package).rglob("*.py")))
+def _sources(*packages: str) -> list[str]:
+    """Files of some packages, of all if none is named."""
+    found = (path for package in packages or sorted(PARTS) for path in sorted((ROOT / package).rglob("*.py")))
     return [str(path.relative_to(ROOT)) for path in found]
 
 
@@ -194,19 +195,21 @@ def test_the_rules_notice_offenders() -> None:
     assert len(list(_unseeded(unseeded))) == 2
 
 
-@pytest.mark.parametrize("source", _sources())
-def test_packages_do_not_import_one_another(source: str) -> None:
-    package = source.partition("/")[0]
-    seen = {name.partition(".")[0] for name in _imports(_tree(source), package)}
-    allowed = {package} | ALLOWED.get(source, set()) | (SCRIPTS if package == "shoal" else set())
-    forbidden = seen & (PROCESSES | {"shoal", "tests", "benchmarks"}) - allowed
-    assert not forbidden, f"{source} imports {', '.join(sorted(forbidden))}; what processes share belongs in wire/"
+@pytest.mark.parametrize("package", sorted(PARTS))
+def test_packages_do_not_import_one_another(package: str) -> None:
+    found = []
+    for source in _sources(package):
+        seen = {name.partition(".")[0] for name in _imports(_tree(source), package)}
+        allowed = {package} | ALLOWED.get(source, set()) | (SCRIPTS if package == "shoal" else set())
+        found += [f"{source} imports {other}" for other in seen & (PROCESSES | {"shoal", "tests", "benchmarks"}) - allowed]
+    assert not found, f"{'; '.join(sorted(found))}: what processes share belongs in wire/"
 
 
-@pytest.mark.parametrize("source", _sources())
-def test_packages_do_not_reach_into_one_another_on_disk(source: str) -> None:
-    forbidden = set(_reached_on_disk(_tree(source))) & (PROCESSES | {"tests", "benchmarks"}) - {source.partition("/")[0]}
-    assert not forbidden, f"{source} names files of {', '.join(sorted(forbidden))}; what processes share belongs in wire/"
+@pytest.mark.parametrize("package", sorted(PARTS))
+def test_packages_do_not_reach_into_one_another_on_disk(package: str) -> None:
+    others = (PROCESSES | {"tests", "benchmarks"}) - {package}
+    found = [f"{s} names files of {other}" for s in _sources(package) for other in others & set(_reached_on_disk(_tree(s)))]
+    assert not found, f"{'; '.join(sorted(found))}: what processes share belongs in wire/"
 
 
 def _part(module: str) -> str:
@@ -228,9 +231,9 @@ def _own_imports(source: str) -> set[str]:
 @pytest.mark.parametrize("package", sorted(PARTS))
 def test_parts_of_a_package_import_downwards_and_as_the_table_says(package: str) -> None:
     edges: dict[str, set[str]] = {}
-    for source in _sources():
+    for source in _sources(package):
         own = _part(source.removesuffix(".py").replace("/", "."))
-        if source.startswith(f"{package}/") and own not in ("__init__", "__main__"):
+        if own not in ("__init__", "__main__"):
             edges.setdefault(own, set()).update({_part(name) for name in _own_imports(source)} - {own})
     assert edges == PARTS[package]
     parts = list(PARTS[package])
@@ -245,21 +248,18 @@ def test_the_exceptions_are_needed() -> None:
             assert packages <= seen, f"{source} no longer imports {packages - seen}: take the exception away"
 
 
-@pytest.mark.parametrize("source", [source for source in _sources() if source not in GENERATED])
-def test_only_shell_files_touch_the_world(source: str) -> None:
-    tree = _tree(source)
-    if not _is_shell(tree):
-        found = sorted(set(_impure(tree)))
-        assert not found, f"{source}: {', '.join(found)}: pass it in as an argument, or move it to a file marked SHELL:"
+@pytest.mark.parametrize("package", sorted(PARTS))
+def test_only_shell_files_touch_the_world(package: str) -> None:
+    pure = [source for source in _sources(package) if source not in GENERATED and not _is_shell(_tree(source))]
+    found = [f"{source}: {what}" for source in pure for what in sorted(set(_impure(_tree(source))))]
+    assert not found, f"{'; '.join(found)}: pass it in as an argument, or move it to a file marked SHELL:"
 
 
-@pytest.mark.parametrize("source", [source for source in _sources() if source not in GENERATED])
-def test_files_marked_shell_are_shells(source: str) -> None:
-    tree = _tree(source)
-    if _is_shell(tree):
-        own = source.partition("/")[0]
-        touches = any(_impure(tree)) or any(_reaches_shell(name) for name in _imports(tree, own))
-        assert touches, f"{source} is marked SHELL: but touches nothing; without the mark it can be trusted to stay pure"
+@pytest.mark.parametrize("package", sorted(PARTS))
+def test_files_marked_shell_are_shells(package: str) -> None:
+    shells = [(source, _tree(source)) for source in _sources(package) if _is_shell(_tree(source))]
+    idle = [s for s, tree in shells if not any(_impure(tree)) and not any(_reaches_shell(n) for n in _imports(tree, package))]
+    assert not idle, f"{', '.join(idle)}: marked SHELL: but touch nothing; without the mark they can be trusted to stay pure"
 
 
 def _reaches_shell(module: str) -> bool:
@@ -267,10 +267,10 @@ def _reaches_shell(module: str) -> bool:
     return path.is_file() and _is_shell(_tree(str(path.relative_to(ROOT))))
 
 
-@pytest.mark.parametrize("source", _sources())
-def test_chance_is_seeded(source: str) -> None:
-    found = list(_unseeded(_tree(source)))
-    assert not found, f"{source}: {', '.join(found)}: a run must be repeatable; take a seeded Generator as an argument"
+@pytest.mark.parametrize("package", sorted(PARTS))
+def test_chance_is_seeded(package: str) -> None:
+    found = [f"{source}: {what}" for source in _sources(package) for what in _unseeded(_tree(source))]
+    assert not found, f"{'; '.join(found)}: a run must be repeatable; take a seeded Generator as an argument"
 
 
 def _base_install() -> set[str]:
