@@ -275,12 +275,11 @@ class Controller:
     ) -> ControlOutput:
         """Convert a plan to pulses and output."""
         failed = plan.solve is Solve.FAILED
-        pulses = self.allocator.neutral_us if failed else self.allocator.pulses(plan.wrench)
-        wrench_step, self._wrench = plan.wrench - self._wrench, plan.wrench
-        self._delivered, _ = self.allocator.delivered(pulses)
-        self._estimator.note_wrench(self._delivered, now_ns)
-        error_m = math.dist(reference.eta[0, :3], estimate.eta[:3])
-        told_eta, told_reference = np.empty(plan.eta.shape), np.empty(plan.eta.shape)
+        pulses, delivered = self.allocator.neutral() if failed else self.allocator.allocate(plan.wrench)
+        wrench_step, self._wrench, self._delivered = plan.wrench - self._wrench, plan.wrench, delivered
+        self._estimator.note_wrench(delivered, now_ns)
+        error_m = math.dist(reference.eta[0, :3].tolist(), estimate.eta[:3].tolist())
+        told_eta, told_reference = np.empty((2, *plan.eta.shape))
         tell_from_now(self._told_rows, estimate.eta, plan.eta, lead.eta, command, told_eta, told_reference)
         self._priority = Priority(self._urgent, error_m)
         return ControlOutput(
@@ -288,7 +287,7 @@ class Controller:
             wrench=plan.wrench,
             wrench_step=wrench_step,
             wrench_wanted=plan.wrench if plan.wanted is None else plan.wanted,
-            wrench_delivered=self._delivered,
+            wrench_delivered=delivered,
             estimated=True,
             eta=estimate.eta,
             nu=estimate.nu,

@@ -35,16 +35,13 @@ ERROR_RATE_MPS = 0.5  # plus this per second of the message's age: no robot move
 
 
 @kernel(
-    "void(f8[:,::1], f8[:,::1], i8[::1], f8[::1], f8[::1], b1[::1], f8, f8, i8[::1], f8[::1],"
+    "i8(f8[:,::1], f8[:,::1], f8[:,::1], f8, f8, i8[::1], f8[::1],"
     " b1[::1], f8[:,::1], c16[:,::1], f8[:,::1], c16[::1], f8[::1], c16[::1])"
 )
 def sample_plans(
     eta: Array,
     reference: Array,
-    length: NDArray[np.int64],
-    age_s: Array,
-    plan_period_s: Array,
-    member: NDArray[np.bool_],
+    told: Array,
     dead_s: float,
     period_s: float,
     node: NDArray[np.int64],
@@ -56,47 +53,51 @@ def sample_plans(
     place_now: Places,
     depth_now: Array,
     velocity: Places,
-) -> None:
-    """Plans at our instants. Their poses and references stand below one another in `eta` and `reference` (rows, 4), `length`
-    (robots,) rows each, which began `age_s` ago.
+) -> int:
+    """Plans at our instants. Their poses and references stand below one another in `eta` and `reference` (rows, 4). `told`
+    (robots, 5) says of each plan its rows in the one and in the other, its age in s, its period in s, and 1 for a member.
 
     Row k of a horizon lies dead_s + k period_s ahead. Added to `pull` (nodes, 4): `weight` (4,) times the deviation
-    eta - reference of every `member`, without whole turns. `position` and `depth` (robots, len(node)) are those at `node`;
+    eta - reference of every member, without whole turns. `position` and `depth` (robots, len(node)) are those at `node`;
     `place_now` and `depth_now` (robots,) are those now, `velocity` is the reference's mean one over MEANT_S from now on.
-    Beyond its ends a plan stands. A plan that is not `usable` (robots,) holds numbers that can be no poses.
+    Beyond its ends a plan stands. A plan that is not `usable` (robots,) holds numbers that can be no poses. Returns how many
+    are not.
     """
-    first = 0
-    for i in range(len(length)):
-        plan, meant = eta[first : first + length[i]], reference[first : first + length[i]]
-        first, last, period = first + length[i], length[i] - 1, plan_period_s[i]
-        fine = last >= 0 and SHORTEST_S <= period < ABSURD
-        for k in range(last + 1):
+    first, first_meant, unusable = 0, 0, 0
+    for i in range(len(told)):
+        rows, rows_meant, age_s, period = int(told[i, 0]), int(told[i, 1]), told[i, 2], told[i, 3]
+        plan, meant, last = eta[first : first + rows], reference[first_meant : first_meant + rows_meant], rows - 1
+        first, first_meant = first + rows, first_meant + rows_meant
+        fine = rows == rows_meant and last >= 0 and SHORTEST_S <= period < ABSURD
+        for k in range(rows if fine else 0):
             for c in range(4):
                 fine &= (abs(plan[k, c]) < MOST_TURNED_RAD) & (abs(plan[k, c] - meant[k, c]) < ABSURD)
         usable[i] = fine
         if not fine:
+            unusable += 1
             continue
         turns = TURN * np.rint((plan[0, 3] - meant[0, 3]) / TURN)
-        for k in range(len(pull) if member[i] else 0):
-            place = min(max((age_s[i] + dead_s + k * period_s) / period, 0.0), float(last))
+        for k in range(len(pull) if told[i, 4] != 0.0 else 0):
+            place = min(max((age_s + dead_s + k * period_s) / period, 0.0), float(last))
             low = int(place)
             high, share = min(low + 1, last), place - low
             for c in range(4):
                 before, after = plan[low, c] - meant[low, c], plan[high, c] - meant[high, c]
                 pull[k, c] += weight[c] * (before + share * (after - before) - (turns if c == 3 else 0.0))
         for j in range(len(node)):
-            place = min(max((age_s[i] + dead_s + node[j] * period_s) / period, 0.0), float(last))
+            place = min(max((age_s + dead_s + node[j] * period_s) / period, 0.0), float(last))
             low = int(place)
             high, share = min(low + 1, last), place - low
             position[i, j] = complex(
                 plan[low, 0] + share * (plan[high, 0] - plan[low, 0]), plan[low, 1] + share * (plan[high, 1] - plan[low, 1])
             )
             depth[i, j] = plan[low, 2] + share * (plan[high, 2] - plan[low, 2])
-        now = int(min(max(np.rint(age_s[i] / period), 0.0), float(last)))
+        now = int(min(max(np.rint(age_s / period), 0.0), float(last)))
         then = min(now + max(int(np.rint(MEANT_S / period)), 1), last)
         span_s = period * max(then - now, 1)
         place_now[i], depth_now[i] = complex(plan[now, 0], plan[now, 1]), plan[now, 2]
         velocity[i] = complex((meant[then, 0] - meant[now, 0]) / span_s, (meant[then, 1] - meant[now, 1]) / span_s)
+    return unusable
 
 
 @kernel("void(c16[:,::1], f8[:,::1], i8[::1], f8[::1])")
@@ -259,7 +260,7 @@ class Formation:
     def _room_for(self, neighbours: Sequence[Neighbour], members: int, nodes: int) -> NeighbourPredictions:
         count, kept = len(neighbours), len(self._nodes)
         return NeighbourPredictions(
-            np.zeros((nodes, 4)), members * self._weight, members > 0, sum(n.fresh for n in neighbours), neighbours,
+            np.zeros((nodes, 4)), members * self._weight, members > 0, sum([n.fresh for n in neighbours]), neighbours,
             np.empty((count, kept), np.complex128), np.empty((count, kept)), np.empty(count, np.complex128), np.empty(count),
             np.empty(count, np.complex128),
         )  # fmt: skip
@@ -272,20 +273,18 @@ class Formation:
         """Sample all neighbours' plans on our horizon, together."""
         if not neighbours:
             return self._no_neighbours
-        plans = [neighbour.plan for neighbour in neighbours]
-        lengths = [len(plan.eta) for plan in plans]
-        if lengths != [len(plan.eta_reference) for plan in plans]:
-            return self.predict_neighbours([n for n in neighbours if len(n.plan.eta) == len(n.plan.eta_reference)], now_ns)
-        members, usable = [neighbour.fresh and neighbour.formation for neighbour in neighbours], np.empty(len(plans), bool)
-        found = self._room_for(neighbours, sum(members), len(self._no_neighbours.weighted_deviation))
-        sample_plans(
-            np.concatenate([plan.eta for plan in plans]), np.concatenate([plan.eta_reference for plan in plans]),
-            np.array(lengths), np.array([(now_ns - neighbour.stamp_ns) / NS for neighbour in neighbours]),
-            np.array([plan.period_s for plan in plans], float), np.array(members), self._dead_s, self._period_s, self._nodes,
-            self._weight, usable, found.weighted_deviation, found.position, found.depth, found.place_now,
-            found.depth_now, found.intended_velocity,
+        told = [
+            (len(n.plan.eta), len(n.plan.eta_reference), (now_ns - n.stamp_ns) / NS, n.plan.period_s, n.fresh and n.formation)
+            for n in neighbours
+        ]
+        members, usable = sum([row[4] for row in told]), np.empty(len(told), bool)
+        found = self._room_for(neighbours, members, len(self._no_neighbours.weighted_deviation))
+        unusable = sample_plans(
+            np.concatenate([n.plan.eta for n in neighbours]), np.concatenate([n.plan.eta_reference for n in neighbours]),
+            np.array(told, np.float64), self._dead_s, self._period_s, self._nodes, self._weight, usable,
+            found.weighted_deviation, found.position, found.depth, found.place_now, found.depth_now, found.intended_velocity,
         )  # fmt: skip
-        if not usable.all():
+        if unusable:
             return self.predict_neighbours([n for n, is_usable in zip(neighbours, usable, strict=True) if is_usable], now_ns)
         return found
 

@@ -86,6 +86,27 @@ def closes_in(place: complex, velocity: complex, there: Places, going: Places, k
     return False
 
 
+@kernel("b1(f8[:,::1], i8, f8, c16, c16[::1], c16[::1], f8[::1])")
+def leads_too_close(eta: Array, row: int, row_s: float, place: complex, there: Places, going: Places, keep_m: Array) -> bool:
+    """True if the straight line of a reference (rows, 4) to its `row`, `row_s` from now, closes in on any traffic."""
+    velocity = complex((eta[row, 0] - eta[0, 0]) / row_s, (eta[row, 1] - eta[0, 1]) / row_s)
+    return abs(velocity) >= SLIGHTEST_MPS and closes_in(place, velocity, there, going, keep_m)
+
+
+@kernel("i8(c16[::1], c16[::1], f8[::1], f8[::1], f8, c16[::1], c16[::1], f8[::1])")
+def level_traffic(
+    place: Places, velocity: Places, depth: Array, keep_m: Array, depth_m: float, there: Places, going: Places, far_m: Array
+) -> int:
+    """Those of the robots (k,) that are less than `keep_m` above or below `depth_m`: places, velocities, and distances to keep
+    with ROOM_M, at the front of the last three arrays (k,). Returns their number."""
+    count = 0
+    for i in range(len(place)):
+        if abs(depth[i] - depth_m) < keep_m[i]:
+            there[count], going[count], far_m[count] = place[i], velocity[i], keep_m[i] + ROOM_M
+            count += 1
+    return count
+
+
 @kernel("c16(c16, c16, c16, f8)")
 def homing_velocity(goal: complex, speed: complex, point: complex, fastest_mps: float) -> complex:
     """Velocity that leads a point back to its goal, which moves at `speed`."""
@@ -240,10 +261,6 @@ class Traffic:
     keep_m: Array  # (k,) distances to stay away
     sided: NDArray[np.bool_]  # (k,) robots, that keep to starboard too
 
-    def only(self, which: NDArray[np.bool_]) -> "Traffic":
-        """Return a selection of it."""
-        return self if which.all() else Traffic(*(column[which] for column in self._columns))
-
     def joined(self, other: "Traffic") -> "Traffic":
         """Return both together."""
         return Traffic(*(np.concatenate(both) for both in zip(self._columns, other._columns, strict=True)))
@@ -260,11 +277,15 @@ def robot_traffic(predictions: NeighbourPredictions, keep_m: Array, depth_m: flo
     """The other robots from their plans, each at a distance (k,). Left out are robots as far below or above `depth_m`, and, if
     `urgent`, robots that must give way to us: without an urgent task, and hearing us."""
     others = predictions.neighbours
-    count = np.abs(predictions.depth_now - depth_m) < keep_m
     if urgent:
-        count &= [not (other.fresh and other.hears_us and not other.plan.urgent) for other in others]
-    everyone = Traffic(predictions.place_now, predictions.intended_velocity, keep_m + ROOM_M, np.ones(len(others), bool))
-    return everyone.only(count)
+        gives_way = [other.fresh and other.hears_us and not other.plan.urgent for other in others]
+        keep_m = np.where(gives_way, 0.0, keep_m)  # no robot is nearer in depth than that
+    there, going = np.empty((2, len(others)), np.complex128)
+    far_m = np.empty(len(others))
+    count = level_traffic(
+        predictions.place_now, predictions.intended_velocity, predictions.depth_now, keep_m, depth_m, there, going, far_m
+    )
+    return Traffic(there[:count], going[:count], far_m[:count], np.ones(count, bool))
 
 
 def obstacle_traffic(obstacle: Obstacle, place: complex, speed_mps: float, now_ns: int) -> Traffic:
@@ -299,6 +320,7 @@ class GiveWay:
         self._islands = np.array([island.centre for island in islands], np.complex128)
         self._islands_keep_m = np.array([island.clearance_m + WALL_M for island in islands])
         self._second = min(int(np.searchsorted(times_s, MEANT_S - 1e-9)), len(times_s) - 1)  # a horizon may be shorter
+        self._second_s = float(times_s[self._second])
         self.reset()
 
     def reset(self) -> None:
@@ -340,9 +362,9 @@ class GiveWay:
         """True if the straight line of the coming second, extended, leads too close to any traffic."""
         if not len(traffic.place):
             return False
-        now, second = reference.eta[0], reference.eta[self._second]
-        velocity = complex(second[0] - now[0], second[1] - now[1]) / float(self._times_s[self._second])
-        return abs(velocity) >= SLIGHTEST_MPS and closes_in(place, velocity, traffic.place, traffic.velocity, traffic.keep_m)
+        return leads_too_close(
+            reference.eta, self._second, self._second_s, place, traffic.place, traffic.velocity, traffic.keep_m
+        )
 
     def _avoiding_velocity(self, reference: Reference, place: complex, wanted: complex, traffic: Traffic) -> complex | None:
         """Velocity that avoids the traffic in the way; None if none is."""

@@ -10,19 +10,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robot_agent.vehicle.dynamics import Model, propagate
-from robot_agent.vehicle.eso import (
-    COAST_NS,
-    Estimate,
-    Estimator,
-    PoseMeasurement,
-    StateMeasurement,
+from robot_agent.vehicle.dynamics import (
+    Model,
     correct,
     gains,
     gains_with_rate,
+    propagate,
     split_side_force,
     sway_slope,
 )
+from robot_agent.vehicle.eso import COAST_NS, Estimate, Estimator, PoseMeasurement, StateMeasurement
 from tests.robot_agent.water import integrate
 from wire.config.controller import EstimatorConfig
 from wire.config.vehicle import load_vehicle
