@@ -8,7 +8,7 @@ Each plan is the trajectory the next step linearises along (`linearise = "trajec
 suffices; `"point"` is the article's single working point.
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,8 +51,7 @@ def within_limits(b: Array, unknown: NDArray[np.int64], before: Array, change: A
         wrench[i] = min(max(wrench[i], -limit[i]), limit[i])
 
 
-@dataclass(frozen=True, eq=False)
-class MpcPlan:
+class MpcPlan(NamedTuple):
     """A wrench for now, and the predicted poses."""
 
     wrench: Array  # (3,)

@@ -8,8 +8,7 @@ solve. `update(Px=)` overwrites the caller's array. An infeasible problem return
 
 import importlib
 import math
-from dataclasses import dataclass
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 import osqp
@@ -103,8 +102,7 @@ def unscale(x: Array, y: Array, scale: Array, row_scale: Array) -> bool:
     return finite
 
 
-@dataclass(frozen=True, eq=False)
-class Solution:
+class Solution(NamedTuple):
     """`x` is meaningful only if `solved`."""
 
     x: Array

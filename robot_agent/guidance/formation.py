@@ -7,6 +7,7 @@ upper one would break the surface (a controller that was free to use depth did b
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +37,7 @@ ERROR_RATE_MPS = 0.5  # plus this per second of the message's age: no robot move
 
 @kernel(
     "i8(f8[:,::1], f8[:,::1], f8[:,::1], f8, f8, i8[::1], f8[::1],"
-    " b1[::1], f8[:,::1], c16[:,::1], f8[:,::1], c16[::1], f8[::1], c16[::1])"
+    " b1[::1], f8[:,::1], f8[::1], c16[:,::1], f8[:,::1], c16[::1], f8[::1], c16[::1])"
 )
 def sample_plans(
     eta: Array,
@@ -48,6 +49,7 @@ def sample_plans(
     weight: Array,
     usable: NDArray[np.bool_],
     pull: Array,
+    pull_weight: Array,
     position: Places,
     depth: Array,
     place_now: Places,
@@ -57,13 +59,14 @@ def sample_plans(
     """Plans at our instants. Their poses and references stand below one another in `eta` and `reference` (rows, 4). `told`
     (robots, 5) says of each plan its rows in the one and in the other, its age in s, its period in s, and 1 for a member.
 
-    Row k of a horizon lies dead_s + k period_s ahead. Added to `pull` (nodes, 4): `weight` (4,) times the deviation
-    eta - reference of every member, without whole turns. `position` and `depth` (robots, len(node)) are those at `node`;
-    `place_now` and `depth_now` (robots,) are those now, `velocity` is the reference's mean one over MEANT_S from now on.
-    Beyond its ends a plan stands. A plan that is not `usable` (robots,) holds numbers that can be no poses. Returns how many
-    are not.
+    Row k of a horizon lies dead_s + k period_s ahead. `pull` (nodes, 4) is the sum over the members of `weight` (4,) times
+    their deviation eta - reference, without whole turns, and `pull_weight` (4,) that of the weights. `position` and `depth`
+    (robots, len(node)) are those at `node`; `place_now` and `depth_now` (robots,) are those now, `velocity` is the reference's
+    mean one over MEANT_S from now on. Beyond its ends a plan stands. A plan that is not `usable` (robots,) holds numbers that
+    can be no poses. Returns how many are not.
     """
-    first, first_meant, unusable = 0, 0, 0
+    first, first_meant, unusable, members = 0, 0, 0, 0
+    pull[:] = 0.0
     for i in range(len(told)):
         rows, rows_meant, age_s, period = int(told[i, 0]), int(told[i, 1]), told[i, 2], told[i, 3]
         plan, meant, last = eta[first : first + rows], reference[first_meant : first_meant + rows_meant], rows - 1
@@ -76,6 +79,7 @@ def sample_plans(
         if not fine:
             unusable += 1
             continue
+        members += int(told[i, 4])
         turns = TURN * np.rint((plan[0, 3] - meant[0, 3]) / TURN)
         for k in range(len(pull) if told[i, 4] != 0.0 else 0):
             place = min(max((age_s + dead_s + k * period_s) / period, 0.0), float(last))
@@ -97,6 +101,8 @@ def sample_plans(
         span_s = period * max(then - now, 1)
         place_now[i], depth_now[i] = complex(plan[now, 0], plan[now, 1]), plan[now, 2]
         velocity[i] = complex((meant[then, 0] - meant[now, 0]) / span_s, (meant[then, 1] - meant[now, 1]) / span_s)
+    for c in range(4):
+        pull_weight[c] = members * weight[c]
     return unusable
 
 
@@ -216,9 +222,8 @@ Body = tuple[float, Places, Array, float]
 NOWHERE = HalfSpaces(np.zeros(0, np.intp), np.zeros(0, np.complex128), np.zeros(0))
 
 
-@dataclass(frozen=True, eq=False)
-class NeighbourPredictions:
-    """Neighbours' plans at our instants, as the controller needs them."""
+class NeighbourPredictions(NamedTuple):
+    """Neighbours' plans at our instants, as the controller needs them. Valid until the next are made."""
 
     weighted_deviation: Array  # (horizon + 1, 4) sum of Q_ij (eta_j - eta_j^ref), to be added to Q eta_ref
     weight: Array  # (4,) sum of Q_ij
@@ -226,7 +231,7 @@ class NeighbourPredictions:
     fresh_count: int
     neighbours: Sequence[Neighbour]  # whose plans can be used
     position: NDArray[np.complex128]  # (neighbours, nodes) predicted x + iy, at the nodes where distance is kept
-    depth: Array  # (others, nodes)
+    depth: Array  # (neighbours, nodes)
     place_now: Places  # (neighbours,) places as their plans have them now,
     depth_now: Array  # (neighbours,) and depths, m
     intended_velocity: NDArray[np.complex128]  # (neighbours,) velocities x + iy that they mean to have
@@ -255,15 +260,22 @@ class Formation:
         self._walls = [] if room_m is None else [(-way, 0.5 * size) for way, size in zip((1, 1j), room_m, strict=True)]
         self._walls += [(-inwards, half_m) for inwards, half_m in self._walls]
         self._near_m = 2.0 * safety.radius_m + safety.margin_m
-        self._no_neighbours = self._room_for((), 0, config.horizon + 1)
+        self._horizon = config.horizon
+        self._memory: dict[int, tuple[NDArray[Any], ...]] = {}  # by the number of neighbours
+        self._no_neighbours = NeighbourPredictions(
+            np.zeros((config.horizon + 1, 4)), np.zeros(4), False, 0, (), *self._room(0)
+        )
+        self._node_rows = np.tile(self._nodes, NEAREST)
 
-    def _room_for(self, neighbours: Sequence[Neighbour], members: int, nodes: int) -> NeighbourPredictions:
-        count, kept = len(neighbours), len(self._nodes)
-        return NeighbourPredictions(
-            np.zeros((nodes, 4)), members * self._weight, members > 0, sum([n.fresh for n in neighbours]), neighbours,
-            np.empty((count, kept), np.complex128), np.empty((count, kept)), np.empty(count, np.complex128), np.empty(count),
-            np.empty(count, np.complex128),
-        )  # fmt: skip
+    def _room(self, count: int) -> tuple[NDArray[Any], ...]:
+        """Memory for the positions, depths, places and depths now, and velocities of so many neighbours."""
+        if count not in self._memory:
+            kept = len(self._nodes)
+            self._memory[count] = (
+                np.empty((count, kept), np.complex128), np.empty((count, kept)), np.empty(count, np.complex128),
+                np.empty(count), np.empty(count, np.complex128),
+            )  # fmt: skip
+        return self._memory[count]
 
     def set_weight(self, q: tuple[float, float, float, float]) -> None:
         """Use another Q_ij from now on, the same for every neighbour."""
@@ -277,16 +289,17 @@ class Formation:
             (len(n.plan.eta), len(n.plan.eta_reference), (now_ns - n.stamp_ns) / NS, n.plan.period_s, n.fresh and n.formation)
             for n in neighbours
         ]
-        members, usable = sum([row[4] for row in told]), np.empty(len(told), bool)
-        found = self._room_for(neighbours, members, len(self._no_neighbours.weighted_deviation))
+        usable, sampled = np.empty(len(told), bool), self._room(len(told))
+        deviation, weight = np.empty((self._horizon + 1, 4)), np.empty(4)
         unusable = sample_plans(
             np.concatenate([n.plan.eta for n in neighbours]), np.concatenate([n.plan.eta_reference for n in neighbours]),
-            np.array(told, np.float64), self._dead_s, self._period_s, self._nodes, self._weight, usable,
-            found.weighted_deviation, found.position, found.depth, found.place_now, found.depth_now, found.intended_velocity,
+            np.array(told, np.float64), self._dead_s, self._period_s, self._nodes, self._weight, usable, deviation, weight,
+            *sampled,
         )  # fmt: skip
         if unusable:
             return self.predict_neighbours([n for n, is_usable in zip(neighbours, usable, strict=True) if is_usable], now_ns)
-        return found
+        fresh_count = sum([n.fresh for n in neighbours])
+        return NeighbourPredictions(deviation, weight, any(row[4] for row in told), fresh_count, neighbours, *sampled)
 
     def clearance_m(self, neighbour: Neighbour, now_ns: int) -> float:
         """Distance to keep from a neighbour: it grows with the neighbour's silence."""
@@ -364,5 +377,5 @@ class Formation:
         farthest_m = sorted(beyond_m for beyond_m, *_ in bodies)[:NEAREST][-1]
         bodies = [body for body in bodies if body[0] <= farthest_m][:NEAREST]
         _, normals, offsets, gives = zip(*bodies, strict=True)
-        give = np.array(gives).repeat(len(self._nodes))
-        return HalfSpaces(np.tile(self._nodes, len(bodies)), np.concatenate(normals), np.concatenate(offsets), give)
+        give = np.array([give for give in gives for _ in self._nodes_ns])
+        return HalfSpaces(self._node_rows[: len(give)], np.concatenate(normals), np.concatenate(offsets), give)

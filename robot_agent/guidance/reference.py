@@ -1,6 +1,7 @@
 """Goals, their samples over the horizon, and the splice of one trajectory onto another in flight."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -80,8 +81,7 @@ class Drive:
 Goal = Follow | Hold | Drive
 
 
-@dataclass(frozen=True, eq=False)
-class Reference:
+class Reference(NamedTuple):
     """Reference at now and at the horizon's nodes: rows 0 (now), 1.. (nodes 0..horizon)."""
 
     eta: Array  # (horizon + 2, 4)

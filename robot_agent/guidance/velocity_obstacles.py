@@ -18,8 +18,7 @@ same velocity, never meet, and get back the very reference they came with.
 import cmath
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,18 +92,11 @@ def leads_too_close(eta: Array, row: int, row_s: float, place: complex, there: P
     return abs(velocity) >= SLIGHTEST_MPS and closes_in(place, velocity, there, going, keep_m)
 
 
-@kernel("i8(c16[::1], c16[::1], f8[::1], f8[::1], f8, c16[::1], c16[::1], f8[::1])")
-def level_traffic(
-    place: Places, velocity: Places, depth: Array, keep_m: Array, depth_m: float, there: Places, going: Places, far_m: Array
-) -> int:
-    """Those of the robots (k,) that are less than `keep_m` above or below `depth_m`: places, velocities, and distances to keep
-    with ROOM_M, at the front of the last three arrays (k,). Returns their number."""
-    count = 0
-    for i in range(len(place)):
-        if abs(depth[i] - depth_m) < keep_m[i]:
-            there[count], going[count], far_m[count] = place[i], velocity[i], keep_m[i] + ROOM_M
-            count += 1
-    return count
+@kernel("void(f8[::1], f8[::1], f8, f8[::1])")
+def distances_when_level(depth: Array, keep_m: Array, depth_m: float, level_m: Array) -> None:
+    """Distances to keep from robots (k,), ROOM_M beyond `keep_m`; 0 from those as far below or above `depth_m`."""
+    for i in range(len(depth)):
+        level_m[i] = keep_m[i] + ROOM_M if abs(depth[i] - depth_m) < keep_m[i] else 0.0
 
 
 @kernel("c16(c16, c16, c16, f8)")
@@ -160,13 +152,14 @@ def find_meetings(
 ) -> bool:
     """Find the traffic (k,) that is to be `heeded`, and the part of it that the way `ahead` (steps,) `meets`. True if any.
 
-    Robots that come from behind on their own way forward overtake: they keep clear of us.
+    Robots that come from behind on their own way forward overtake: they keep clear of us. What is to be passed at no distance
+    is not in the way.
     """
     found = False
     for i in range(len(there)):
         away = there[i] - place
         astern = dot(away, wanted) < ABAFT * abs(away) * abs(wanted)
-        heeded[i] = not (sided[i] and astern and dot(going[i], wanted) > 0.0)
+        heeded[i] = keep_m[i] > 0.0 and not (sided[i] and astern and dot(going[i], wanted) > 0.0)
         meets[i] = False
         nearest_m = min(keep_m[i], PARTING * abs(away))
         for k in range(len(ahead) if heeded[i] else 0):
@@ -252,40 +245,31 @@ def path_back(point: complex, velocity: complex, fastest_mps: float, times_s: Ar
             point += velocity * step_s
 
 
-@dataclass(frozen=True, eq=False)
-class Traffic:
+class Traffic(NamedTuple):
     """Robots and obstacle points to be avoided, k in number, at this instant, as complex numbers x + iy."""
 
     place: NDArray[np.complex128]  # (k,) m
     velocity: NDArray[np.complex128]  # (k,) m/s, that they mean to have
-    keep_m: Array  # (k,) distances to stay away
+    keep_m: Array  # (k,) distances to stay away; 0: it is not in the way
     sided: NDArray[np.bool_]  # (k,) robots, that keep to starboard too
 
     def joined(self, other: "Traffic") -> "Traffic":
         """Return both together."""
-        return Traffic(*(np.concatenate(both) for both in zip(self._columns, other._columns, strict=True)))
-
-    @property
-    def _columns(self) -> tuple[NDArray[Any], ...]:
-        return self.place, self.velocity, self.keep_m, self.sided
+        return Traffic(*(np.concatenate(both) for both in zip(self, other, strict=True)))
 
 
 NOBODY = Traffic(np.zeros(0, np.complex128), np.zeros(0, np.complex128), np.zeros(0), np.zeros(0, bool))
 
 
 def robot_traffic(predictions: NeighbourPredictions, keep_m: Array, depth_m: float, urgent: bool) -> Traffic:
-    """The other robots from their plans, each at a distance (k,). Left out are robots as far below or above `depth_m`, and, if
-    `urgent`, robots that must give way to us: without an urgent task, and hearing us."""
-    others = predictions.neighbours
+    """The other robots from their plans, each at a distance (k,). Not in the way are robots as far below or above `depth_m`,
+    and, if `urgent`, robots that must give way to us: without an urgent task, and hearing us."""
     if urgent:
-        gives_way = [other.fresh and other.hears_us and not other.plan.urgent for other in others]
-        keep_m = np.where(gives_way, 0.0, keep_m)  # no robot is nearer in depth than that
-    there, going = np.empty((2, len(others)), np.complex128)
-    far_m = np.empty(len(others))
-    count = level_traffic(
-        predictions.place_now, predictions.intended_velocity, predictions.depth_now, keep_m, depth_m, there, going, far_m
-    )
-    return Traffic(there[:count], going[:count], far_m[:count], np.ones(count, bool))
+        gives_way = [other.fresh and other.hears_us and not other.plan.urgent for other in predictions.neighbours]
+        keep_m = np.where(gives_way, 0.0, keep_m)
+    level_m = np.empty(len(keep_m))
+    distances_when_level(predictions.depth_now, keep_m, depth_m, level_m)
+    return Traffic(predictions.place_now, predictions.intended_velocity, level_m, np.ones(len(keep_m), bool))
 
 
 def obstacle_traffic(obstacle: Obstacle, place: complex, speed_mps: float, now_ns: int) -> Traffic:

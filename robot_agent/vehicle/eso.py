@@ -15,7 +15,7 @@ robot's motion over ground.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Generic, TypeVar
+from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,8 +89,7 @@ class Contradiction(Generic[S]):
         self._last, self._count = None, 0
 
 
-@dataclass(frozen=True, eq=False)
-class Estimate:
+class Estimate(NamedTuple):
     """The estimated state. Velocities and `disturbance` are in the body frame, `current` in the pool frame."""
 
     eta: Array  # (4,) now; yaw continuous, not wrapped
