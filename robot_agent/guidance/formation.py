@@ -22,6 +22,7 @@ Places = NDArray[np.complex128]  # x + iy in the pool frame, m
 
 NS = 1e9
 NEAREST = 4  # bodies that can be avoided at once: a sphere touches six in the plane, and meets no more than four first
+MOST_FRESH = 64  # neighbours: more than there are markers
 NODES = 5  # of the horizon that keep their distance from each
 TOUCHING_M = 1e-6
 LEAST_WEIGHT = 1e-12  # keeps 0/0 out
@@ -173,8 +174,7 @@ def formation_reference(
             moved[k, c] = reference[k, c] + deviation[max(k - 1, 0), c] / per
 
 
-@dataclass(frozen=True, eq=False)
-class Neighbour:
+class Neighbour(NamedTuple):
     """Another robot's last plan. Fresh plans count for the formation; stale ones only keep a growing distance."""
 
     robot: int
@@ -265,7 +265,8 @@ class Formation:
         self._no_neighbours = NeighbourPredictions(
             np.zeros((config.horizon + 1, 4)), np.zeros(4), False, 0, (), *self._room(0)
         )
-        self._node_rows = np.tile(self._nodes, NEAREST)
+        self._clearance_m = np.full(MOST_FRESH, 2.0 * safety.radius_m)
+        self._node_rows, self._all_gives = np.tile(self._nodes, NEAREST), np.ones(self.rows)
 
     def _room(self, count: int) -> tuple[NDArray[Any], ...]:
         """Memory for the positions, depths, places and depths now, and velocities of so many neighbours."""
@@ -298,8 +299,8 @@ class Formation:
         )  # fmt: skip
         if unusable:
             return self.predict_neighbours([n for n, is_usable in zip(neighbours, usable, strict=True) if is_usable], now_ns)
-        fresh_count = sum([n.fresh for n in neighbours])
-        return NeighbourPredictions(deviation, weight, any(row[4] for row in told), fresh_count, neighbours, *sampled)
+        members, fresh_count = sum([row[4] for row in told]), sum([n.fresh for n in neighbours])
+        return NeighbourPredictions(deviation, weight, members > 0, fresh_count, neighbours, *sampled)
 
     def clearance_m(self, neighbour: Neighbour, now_ns: int) -> float:
         """Distance to keep from a neighbour: it grows with the neighbour's silence."""
@@ -311,8 +312,9 @@ class Formation:
 
     def clearances_m(self, predictions: NeighbourPredictions, now_ns: int) -> Array:
         """Distances to keep from all neighbours, (neighbours,)."""
-        if predictions.fresh_count == len(predictions.neighbours):
-            return np.full(predictions.fresh_count, 2.0 * self._safety.radius_m)
+        count = len(predictions.neighbours)
+        if predictions.fresh_count == count <= MOST_FRESH:
+            return self._clearance_m[:count]
         return np.array([self.clearance_m(neighbour, now_ns) for neighbour in predictions.neighbours])
 
     def required_clearance_m(self, neighbour: Neighbour, own: Priority, now_ns: int) -> float | None:
@@ -334,13 +336,21 @@ class Formation:
         bodies = self._robots_near(predictions, own, rank, now_ns) if predictions.neighbours else []
         if not bodies and not obstacles:
             return NOWHERE
-        here = own.view(np.complex128)[self._nodes, 0]
+        if obstacles or self._walls:
+            here = own.view(np.complex128)[self._nodes, 0]
+            bodies += self._obstacles_near(obstacles, here, now_ns)
+            bodies += self._walls_near(here) if bodies else []
+        return self._combined(bodies) if bodies else NOWHERE
+
+    def _obstacles_near(self, obstacles: Sequence[Obstacle], here: Places, now_ns: int) -> list[Body]:
+        """Obstacles to be avoided from places (nodes,)."""
+        found: list[Body] = []
         for obstacle in obstacles:
             there, away, apart_m = nearest_border(obstacle, here, [now_ns + ns for ns in self._nodes_ns])
             beyond_m = float(apart_m.min()) - obstacle.clearance_m
             if beyond_m < self._safety.margin_m:
-                bodies.append((beyond_m, away, (there * away.conj()).real + obstacle.clearance_m, 1.0))
-        return self._combined(bodies + self._walls_near(here)) if bodies else NOWHERE
+                found.append((beyond_m, away, (there * away.conj()).real + obstacle.clearance_m, 1.0))
+        return found
 
     def _walls_near(self, here: Places) -> list[Body]:
         """Walls, while something else is to be avoided: its half-spaces must not lead into a wall. A robot with nothing to
@@ -374,8 +384,14 @@ class Formation:
 
     def _combined(self, bodies: list[Body]) -> HalfSpaces:
         """Half-spaces from the nearest bodies. Their order is kept: the solver goes on from each row's last multiplier."""
-        farthest_m = sorted(beyond_m for beyond_m, *_ in bodies)[:NEAREST][-1]
-        bodies = [body for body in bodies if body[0] <= farthest_m][:NEAREST]
+        if len(bodies) > NEAREST:
+            farthest_m = sorted(beyond_m for beyond_m, *_ in bodies)[NEAREST - 1]
+            bodies = [body for body in bodies if body[0] <= farthest_m][:NEAREST]
         _, normals, offsets, gives = zip(*bodies, strict=True)
-        give = np.array([give for give in gives for _ in self._nodes_ns])
-        return HalfSpaces(self._node_rows[: len(give)], np.concatenate(normals), np.concatenate(offsets), give)
+        rows = len(bodies) * len(self._nodes)
+        give = self._all_gives[:rows] if min(gives) == 1.0 else np.repeat(gives, len(self._nodes))
+        return HalfSpaces(self._node_rows[:rows], _joined(normals), _joined(offsets), give)
+
+
+def _joined(parts: tuple[NDArray[Any], ...]) -> NDArray[Any]:
+    return np.concatenate(parts) if len(parts) > 1 else parts[0]

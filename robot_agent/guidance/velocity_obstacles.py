@@ -18,6 +18,7 @@ same velocity, never meet, and get back the very reference they came with.
 import cmath
 import math
 from collections.abc import Sequence
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -269,7 +270,12 @@ def robot_traffic(predictions: NeighbourPredictions, keep_m: Array, depth_m: flo
         keep_m = np.where(gives_way, 0.0, keep_m)
     level_m = np.empty(len(keep_m))
     distances_when_level(predictions.depth_now, keep_m, depth_m, level_m)
-    return Traffic(predictions.place_now, predictions.intended_velocity, level_m, np.ones(len(keep_m), bool))
+    return Traffic(predictions.place_now, predictions.intended_velocity, level_m, _all_sided(len(keep_m)))
+
+
+@cache
+def _all_sided(count: int) -> NDArray[np.bool_]:
+    return np.ones(count, bool)
 
 
 def obstacle_traffic(obstacle: Obstacle, place: complex, speed_mps: float, now_ns: int) -> Traffic:

@@ -14,7 +14,6 @@ robot's motion over ground.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
@@ -46,8 +45,7 @@ KEPT = 256  # wrenches, and board samples: more wrenches than COAST_NS of the fa
 STATE, GAMMA, CURRENT = slice(0, 11), slice(11, 15), slice(15, 17)  # of the belief
 
 
-@dataclass(frozen=True)
-class PoseMeasurement:
+class PoseMeasurement(NamedTuple):
     """A pose from the localizer, in the pool frame."""
 
     stamp_ns: int  # middle of the exposure, on the robot's clock
@@ -56,8 +54,7 @@ class PoseMeasurement:
     yaw_rad: float
 
 
-@dataclass(frozen=True)
-class StateMeasurement:
+class StateMeasurement(NamedTuple):
     """The newest sensor values. Missing ones are None; the same pose may be given more than once."""
 
     pose: PoseMeasurement | None = None

@@ -265,7 +265,7 @@ def test_old_and_repeated_poses_change_nothing() -> None:
         sighting = PoseMeasurement(now - 40_000_000, 0.01 * k, 0.0, 0.02 * k)
         a = plain.update(StateMeasurement(sighting), now)
         twice.update(StateMeasurement(sighting), now)
-        stale = dataclasses.replace(sighting, stamp_ns=sighting.stamp_ns - 30_000_000, x_m=0.2)
+        stale = sighting._replace(stamp_ns=sighting.stamp_ns - 30_000_000, x_m=0.2)
         twice.update(StateMeasurement(stale), now)
         b = twice.update(StateMeasurement(sighting), now)
         assert a is not None and b is not None
