@@ -25,7 +25,7 @@ from wire.config.scene import RobotConfig
 from wire.frames import Array
 
 BENCHMARK = "simulation"
-LOCKSTEP_S = 10.0  # starting all programs takes as long; 30 s said the same
+LOCKSTEP_S = 10.0  # starting all programs takes as long
 FLOWN_S = 12.0
 FLIGHTS = 2
 

@@ -47,7 +47,7 @@ AWAY_M = 50.0
 
 PRIORITY = 5  # of SCHED_FIFO, 1 to 99
 
-VIDEO_FRAMES = 1500
+VIDEO_FRAMES = 3000
 VIDEO_WINDOW_PX = 64.0
 SYNTHETIC_FRAMES = 200
 CONTRIB = ("opencv-contrib-python-headless==5.0.0.93",)
