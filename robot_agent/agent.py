@@ -8,10 +8,8 @@ Data flow of `Agent.step`:
 The same code runs in a pool and in the simulator; sockets and clock are in robot_agent/node.py.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -83,6 +81,8 @@ class Agent:
             room_m=experiment.pool.size_m[:2] if experiment.pool.walls else None,
             islands=island_obstacles(experiment.islands, experiment.vehicle.radius_m),
         )
+        curve = experiment.vehicle.thruster.curve
+        self._thruster_us = curve[0][0], curve[-1][0]
         self._driver = Driver(experiment)
         self._driven: tuple[DriveVelocity, int] | None = None  # the last DRIVE's velocity, and its instant on our clock
         self._tuning = LiveTuning(self.controller, experiment.controller)
@@ -212,21 +212,18 @@ class Agent:
     def _sound(self, output: ControlOutput) -> ControlOutput:
         """Return a control step's output, or neutral pulses and FAILED in its place if a number is not finite or a pulse is
         outside the vehicle's range: the last guard before the wire."""
-        lowest_us, *_, highest_us = (us for us, _ in self._experiment.vehicle.thruster.curve)
-        least_us, most_us = self._experiment.vehicle.legs.ankle_us
+        (low_us, high_us), (least_us, most_us) = self._thruster_us, self._experiment.vehicle.legs.ankle_us
         thrusters, ankles = output.pulse_us[:THRUSTERS], output.pulse_us[THRUSTERS:]
-        arrays = {name: value for name, value in vars(output).items() if isinstance(value, np.ndarray)}
         if (
-            math.isfinite(np.abs(np.concatenate(list(arrays.values()), axis=None)).max())
-            and math.isfinite(output.tracking_error_m)
-            and math.isfinite(output.slack_m)
-            and lowest_us <= min(thrusters) <= max(thrusters) <= highest_us
+            low_us <= min(thrusters) <= max(thrusters) <= high_us
             and least_us <= min(ankles) <= max(ankles) <= most_us
+            and output.is_finite
         ):
             return output
-        nothing: dict[str, Any] = {name: np.zeros_like(array) for name, array in arrays.items()}
-        nothing |= {"tracking_error_m": 0.0, "slack_m": 0.0, "estimated": False}
-        return replace(output, pulse_us=self.neutral_us, solve=Solve.FAILED, **nothing)
+        nothing = [np.zeros_like(value) if isinstance(value, np.ndarray) else value for value in output]
+        return ControlOutput._make(nothing)._replace(
+            pulse_us=self.neutral_us, solve=Solve.FAILED, tracking_error_m=0.0, slack_m=0.0, estimated=False
+        )
 
     def _pulses(self, output: ControlOutput, telemetry: Telemetry, now_ns: int) -> tuple[int, ...]:
         """Return the controller's pulses, or those of a thruster self-test while it runs."""

@@ -34,7 +34,7 @@ from wire.frames import Array, wrap
 from wire.messages.messages import Track
 
 FLEETS = (1, 3, 10, 20)
-FRAMES = 300
+FRAMES = 120
 WARM_UP = 24  # a robot that is taken away after a quarter of them is lost at their end
 PERIOD_S = 0.05
 SPACING_M = (0.62, 0.55)  # of the robots' circles: hulls 0.25 m apart at least

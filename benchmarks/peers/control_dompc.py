@@ -85,13 +85,13 @@ class DoMpc:
         mpc.bounds["lower", "_x", "wrench"] = -np.array(self._limits.wrench)
         mpc.bounds["upper", "_x", "wrench"] = np.array(self._limits.wrench)
 
-    def predicted_path(self, state: State) -> Array:
+    def predicted_path(self, state: State | Array) -> Array:
         """Nobody is near."""
         return np.tile(state[:4], (self._horizon + 1, 1))
 
     def plan(
         self,
-        state: State,
+        state: State | Array,
         disturbance: Array,
         wrench: Array,
         reference: Array,

@@ -21,6 +21,7 @@ the simulator's).
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -45,11 +46,12 @@ KEEP_TURN = 0.55  # of a turn: a robot that faces backwards does not change its 
 TURN = 2.0 * np.pi
 
 
-@kernel("void(f8[::1], f8[::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1])")
+@kernel("f8(f8[::1], f8[::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[::1], f8[:,::1], f8[:,::1])")
 def tell_from_now(
-    row: Array, eta: Array, planned: Array, path: Array, command: Array, told: Array, told_reference: Array
-) -> None:
-    """Plan for the neighbours, from now on at the command's instants: fractional rows `row` (nodes,) of the others.
+    row: Array, eta: Array, planned: Array, path: Array, command: Array, goal: Array, told: Array, told_reference: Array
+) -> float:
+    """Plan for the neighbours, from now on at the command's instants: fractional rows `row` (nodes,) of the others. Returns
+    the distance from the `goal` (4,) now, m.
 
     Poses: `eta` (4,) now, then `planned` (nodes, 4). Where they are meant to be: places of `path` and headings of `command`,
     (nodes + 1, 4) each. That is without the formation's pull: neighbours who shared a deviation would else see less of it,
@@ -63,10 +65,23 @@ def tell_from_now(
             told[k, c] = before + share * (after - before)
             meant = command if c == 3 else path
             told_reference[k, c] = meant[low, c] + share * (meant[low + 1, c] - meant[low, c])
+    return math.sqrt((goal[0] - eta[0]) ** 2 + (goal[1] - eta[1]) ** 2 + (goal[2] - eta[2]) ** 2)
 
 
-@dataclass(frozen=True, eq=False)
-class ControlOutput:
+@kernel("b1(UniTuple(f8[::1], 9), f8[:,::1], f8[:,::1])")
+def all_finite(vectors: tuple[Array, ...], plan: Array, plan_reference: Array) -> bool:
+    """True if every number of some vectors and of two tables is finite."""
+    finite = True
+    for vector in vectors:
+        for value in vector:
+            finite &= math.isfinite(value)
+    for k in range(len(plan)):
+        for c in range(plan.shape[1]):
+            finite &= math.isfinite(plan[k, c]) & math.isfinite(plan_reference[k, c])
+    return finite
+
+
+class ControlOutput(NamedTuple):
     """Results of one control step. Its arrays belong to the caller: they are never written again."""
 
     pulse_us: tuple[int, ...]  # 4 thrusters, 4 ankles; neutral unless `solve` is SOLVED or SHIFTED
@@ -91,6 +106,15 @@ class ControlOutput:
     leap: str  # what was told and what had been believed, in a step that gave up the estimate's place for another one
     depth_leap: str  # the same for the depth
     is_free: bool  # the robot follows its path: neither giving way nor half-spaces change its plan
+
+    @property
+    def is_finite(self) -> bool:
+        """True if all numbers that go to the wire are finite."""
+        vectors = (
+            self.wrench, self.wrench_step, self.wrench_wanted, self.wrench_delivered, self.eta, self.nu, self.disturbance,
+            self.eta_reference, self.eta_command,
+        )  # fmt: skip
+        return math.isfinite(self.tracking_error_m + self.slack_m) and all_finite(vectors, self.plan_eta, self.plan_reference)
 
 
 @dataclass(frozen=True, eq=False)
@@ -275,25 +299,23 @@ class Controller:
     ) -> ControlOutput:
         """Convert a plan to pulses and output."""
         failed = plan.solve is Solve.FAILED
-        pulses = self.allocator.neutral_us if failed else self.allocator.pulses(plan.wrench)
-        wrench_step, self._wrench = plan.wrench - self._wrench, plan.wrench
-        self._delivered, _ = self.allocator.delivered(pulses)
-        self._estimator.note_wrench(self._delivered, now_ns)
-        error_m = math.dist(reference.eta[0, :3], estimate.eta[:3])
-        told_eta, told_reference = np.empty(plan.eta.shape), np.empty(plan.eta.shape)
-        tell_from_now(self._told_rows, estimate.eta, plan.eta, lead.eta, command, told_eta, told_reference)
+        pulses, delivered = self.allocator.neutral() if failed else self.allocator.allocate(plan.wrench)
+        wrench_step, self._wrench, self._delivered = plan.wrench - self._wrench, plan.wrench, delivered
+        self._estimator.note_wrench(delivered, now_ns)
+        told_eta, told_reference, goal = np.empty(plan.eta.shape), np.empty(plan.eta.shape), reference.eta[0].copy()
+        error_m = tell_from_now(self._told_rows, estimate.eta, plan.eta, lead.eta, command, goal, told_eta, told_reference)
         self._priority = Priority(self._urgent, error_m)
         return ControlOutput(
             pulse_us=pulses,
             wrench=plan.wrench,
             wrench_step=wrench_step,
             wrench_wanted=plan.wrench if plan.wanted is None else plan.wanted,
-            wrench_delivered=self._delivered,
+            wrench_delivered=delivered,
             estimated=True,
             eta=estimate.eta,
             nu=estimate.nu,
             disturbance=estimate.gamma_still_water,
-            eta_reference=reference.eta[0].copy(),
+            eta_reference=goal,
             eta_command=command[0].copy(),
             plan_eta=told_eta,
             plan_reference=told_reference,

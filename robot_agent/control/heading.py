@@ -78,6 +78,51 @@ def headings(
     return direction, jump
 
 
+@kernel("c16(f8[:,::1], f8[:,::1], f8[::1], f8[::1], f8, b1, f8, f8, f8)")
+def correction(
+    eta: Array, velocity: Array, at: Array, nu: Array, side: float, sway: bool, mass: float, stiff: float, damp: float
+) -> complex:
+    """Feedback part of F, x + iy in the pool frame, of a reference (rows, 4 each), for a robot `at` (4,) with the velocity
+    `nu` (4,) over ground; `side` is Gamma_v, `stiff` and `damp` are kp and kd. Without `sway` it is that of the velocity."""
+    error = complex(eta[0, 0] - at[0], eta[0, 1] - at[1])
+    if not sway:
+        return stiff / max(damp, 1e-6) * error
+    ahead = complex(math.cos(at[3]), math.sin(at[3]))
+    slip = complex(velocity[0, 0], velocity[0, 1]) - ahead * complex(nu[0], nu[1])
+    return mass * (stiff * error + damp * slip - 1j * side * ahead)
+
+
+@kernel("void(f8[:,::1], f8[:,::1], f8[:,::1], f8[::1], f8[::1], f8, c16, b1, f8[::1], f8[::1], f8[::1])")
+def headings_along(
+    eta: Array,
+    velocity: Array,
+    acceleration: Array,
+    at: Array,
+    nu: Array,
+    side: float,
+    current: complex,
+    sway: bool,
+    settings: Array,
+    memory: Array,
+    out: Array,
+) -> None:
+    """Headings `out` (rows,) of a reference (rows, 4 each) for a robot `at` (4,): `headings`, with the `correction` filtered.
+
+    `settings` (8,): mass, linear and quadratic drag, kp, kd, the filter's share that stays, force worth a turn, largest angle.
+    `memory` (4,) is written: the filtered correction x, y; direction of thrust; rest of a jump. It is filtered in the
+    tangent's frame: what feeds back in a bend, model errors above all, turns with it.
+    """
+    mass, keep = settings[0], settings[5]
+    asked = correction(eta, velocity, at, nu, side, sway, mass, settings[3], settings[4])
+    asked *= complex(math.cos(-eta[0, 3]), math.sin(-eta[0, 3]))
+    asked = keep * complex(memory[0], memory[1]) + (1.0 - keep) * asked
+    memory[0], memory[1] = asked.real, asked.imag
+    memory[2], memory[3] = headings(
+        eta, velocity, acceleration, current, sway, mass, settings[1], settings[2], asked, settings[6], settings[7], keep,
+        memory[2], memory[3], out,
+    )  # fmt: skip
+
+
 class HeadingReference:
     """One robot's reference heading, with its memory: filtered request, direction of thrust, rest of a jump."""
 
@@ -93,26 +138,23 @@ class HeadingReference:
         """Use other gains from now on; the memory stays."""
         self._config = config
         self._keep = math.exp(-self._period_s / config.filter_s)
-        self._worth = config.turning_force_n * self._per_force
+        self._settings = np.array((
+            self._mass, self._linear, self._quadratic, config.position_gain_per_s2, config.velocity_gain_per_s, self._keep,
+            config.turning_force_n * self._per_force, config.max_correction_rad,
+        ))  # fmt: skip
 
     def reset(self) -> None:
         """Start anew, from the goal's own heading."""
-        self._asked = 0j
-        self._direction = 1.0  # of thrust: 1 ahead, -1 astern
-        self._jump = 0.0
+        self._memory = np.array((0.0, 0.0, 1.0, 0.0))  # filtered request x, y; thrust ahead 1, astern -1; rest of a jump
         self._hold_yaw: float | None = None
 
     def heading_along(self, reference: Reference, eta: Array, nu: Array, disturbance: Array, current: complex = 0j) -> Array:
         """Headings (rows,) for the rows of a reference: now, then all nodes. `eta`, `nu` over ground, Gamma (4,), and the
         water's velocity x + iy are estimates."""
-        request = self._force(reference, eta, nu, float(disturbance[1])) if self._sway else self._velocity(reference, eta)
-        # Filtered in the tangent's frame: what feeds back in a bend, model errors above all, turns with it.
-        feedback = self._filter(request * cmath.rect(1.0, -float(reference.eta[0, 3])))
         out = np.empty(len(reference.eta))
-        self._direction, self._jump = headings(
-            reference.eta, reference.velocity, reference.acceleration, current, self._sway, self._mass, self._linear,
-            self._quadratic, feedback, self._worth, self._config.max_correction_rad, self._keep, self._direction, self._jump,
-            out,
+        headings_along(
+            reference.eta, reference.velocity, reference.acceleration, eta, nu, disturbance[1], current, self._sway,
+            self._settings, self._memory, out,
         )  # fmt: skip
         return out
 
@@ -127,26 +169,13 @@ class HeadingReference:
         care = min(max(2.0 * distance / radius - 1.0, 0.0), 1.0)  # none within half the radius, all from the radius on
         drag = (self._linear + self._quadratic * abs(current)) * current
         unexplained = self._mass * complex(disturbance[0], disturbance[1]) * cmath.rect(1.0, float(eta[3]))
-        force = self._filter(care * self._force(reference, eta, nu, 0.0) - unexplained - drag)
+        stiff, damp = self._config.position_gain_per_s2, self._config.velocity_gain_per_s
+        asked = correction(reference.eta, reference.velocity, eta, nu, 0.0, True, self._mass, stiff, damp)
+        x_n, y_n, _, _ = self._memory.tolist()
+        force = self._keep * complex(x_n, y_n) + (1.0 - self._keep) * (care * asked - unexplained - drag)
+        self._memory[:2] = force.real, force.imag
         size = abs(force) ** 2
         turn = 0.5 * wrap(2.0 * (cmath.phase(force) - self._hold_yaw))
         rate = turn / self._config.filter_s * size / (size + self._config.turning_force_n**2)
         self._hold_yaw += self._period_s * min(max(rate, -HOLD_RADPS), HOLD_RADPS)
         return np.full(len(reference.eta), self._hold_yaw)
-
-    def _force(self, reference: Reference, eta: Array, nu: Array, side: float) -> complex:
-        """Feedback part of F, x + iy in the pool frame, N; `side` is Gamma_v."""
-        ahead = cmath.rect(1.0, float(eta[3]))
-        error = complex(reference.eta[0, 0] - eta[0], reference.eta[0, 1] - eta[1])
-        slip = complex(reference.velocity[0, 0], reference.velocity[0, 1]) - ahead * complex(nu[0], nu[1])
-        stiff, damp = self._config.position_gain_per_s2, self._config.velocity_gain_per_s
-        return self._mass * (stiff * error + damp * slip - 1j * side * ahead)
-
-    def _velocity(self, reference: Reference, eta: Array) -> complex:
-        """Correction of the velocity, x + iy in the pool frame, m/s."""
-        rate = self._config.position_gain_per_s2 / max(self._config.velocity_gain_per_s, 1e-6)
-        return rate * complex(reference.eta[0, 0] - eta[0], reference.eta[0, 1] - eta[1])
-
-    def _filter(self, asked: complex) -> complex:
-        self._asked = self._keep * self._asked + (1.0 - self._keep) * asked
-        return self._asked

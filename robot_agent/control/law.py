@@ -24,12 +24,12 @@ class Law(Protocol):
     def reset(self) -> None:
         """Forget the last plan."""
 
-    def predicted_path(self, state: State) -> Array:
+    def predicted_path(self, state: State | Array) -> Array:
         """Return the poses (horizon + 1, 4) expected of the coming plan."""
 
     def plan(
         self,
-        state: State,
+        state: State | Array,
         disturbance: Array,
         wrench: Array,
         reference: Array,

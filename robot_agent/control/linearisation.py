@@ -7,6 +7,9 @@ The model of dynamics.py, linearised along a nominal trajectory (eta0, nu0), eac
 so it is an array (nodes, columns) with a column per block, and the free response last. Planar quantities x, y, u, v have
 2 blocks + 1 columns: surge blocks, yaw blocks, free. Those of one axis, z and w, yaw and r, have blocks + 1: the blocks of
 heave or of yaw, free. Units are SI, velocities in the body frame and through the water.
+
+Kernels that Python calls take these quantities stacked: `planar` (4, nodes, 2 blocks + 1) is x, y, u, v; `axial` (4, nodes,
+blocks + 1) is z, yaw, w, r; `nominal` (2, nodes, 4) is eta0, nu0.
 """
 
 import math
@@ -140,32 +143,30 @@ def move(
 
 
 @kernel(
-    "void(f8[:,::1], f8, f8, f8[::1], f8[::1], f8[::1], c16, f8[:,::1], f8[:,::1], f8[:,::1], f8[::1],"
-    " f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1])"
+    "void(f8[:,::1], f8, f8, f8[::1], f8[::1], f8[::1], f8[::1], c16, f8[:,:,::1], f8[:,::1], f8[::1],"
+    " f8[:,:,::1], f8[:,:,::1])"
 )
 def linearise(
     model: Array,
     sway: float,
     dt: float,
     state: Array,
-    lacking: Array,
+    asked: Array,
+    delivered: Array,
     gamma: Array,
     current: complex,
-    eta: Array,
-    nu: Array,
+    nominal: Array,
     response: Array,
     fading: Array,
-    x: Array,
-    y: Array,
-    z: Array,
-    yaw: Array,
-    u: Array,
-    v: Array,
-    w: Array,
-    r: Array,
+    planar: Array,
+    axial: Array,
 ) -> None:
-    """All responses, for a start `state` (11,) and Gamma (4,), along the nominal trajectory `eta`, `nu` (nodes, 4), which
-    from here on begins at that state: the plan's turn goes on from the heading there is."""
+    """All responses, for a start `state` (11,) and Gamma (4,), along the nominal trajectory, which from here on begins at
+    that state: the plan's turn goes on from the heading there is. What `delivered` (3,) lacks of the wrench that was `asked`
+    for (3,) goes on to lack."""
+    eta, nu = nominal[0], nominal[1]
+    x, y, u, v = planar[0], planar[1], planar[2], planar[3]
+    z, yaw, w, r = axial[0], axial[1], axial[2], axial[3]
     turned = state[3] - eta[0, 3]
     for k in range(len(eta)):
         eta[k, 3] += turned
@@ -174,31 +175,22 @@ def linearise(
     n, free = len(yaw[0]) - 1, len(x[0]) - 1
     x[0, free], y[0, free], z[0, n], yaw[0, n] = state[0], state[1], state[2], state[3]
     u[0, free], v[0, free], w[0, n], r[0, n] = state[4], state[5], state[6], state[7]
-    single_axis(model, HEAVE, dt, gamma[2], lacking[1], state[9], nu, response, fading, w, z)
-    single_axis(model, YAW, dt, gamma[3], lacking[2], state[10], nu, response, fading, r, yaw)
-    surge_and_sway(model, sway, dt, gamma, lacking[0], state[8], nu, response, fading, r, u, v)
+    single_axis(model, HEAVE, dt, gamma[2], delivered[1] - asked[1], state[9], nu, response, fading, w, z)
+    single_axis(model, YAW, dt, gamma[3], delivered[2] - asked[2], state[10], nu, response, fading, r, yaw)
+    surge_and_sway(model, sway, dt, gamma, delivered[0] - asked[0], state[8], nu, response, fading, r, u, v)
     move(dt, current.real, current.imag, eta, nu, u, v, yaw, x, y)
 
 
-@kernel("void(f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[::1], f8[:,::1], f8[::1], f8[:,::1], f8[::1])")
-def condense(
-    x: Array,
-    y: Array,
-    z: Array,
-    yaw: Array,
-    reference: Array,
-    weight: Array,
-    smooth: Array,
-    gradient: Array,
-    p: Array,
-    q: Array,
-) -> None:
-    """The cost (35), 1/2 b'Pb + q'b over all blocks b: P = smooth + S'WS, q = gradient + S'W (free - reference), nodes 1 on.
+@kernel("void(f8[:,:,::1], f8[:,:,::1], f8[:,::1], f8[::1], f8[:,::1], f8[:,::1], f8[::1])")
+def condense(planar: Array, axial: Array, reference: Array, weight: Array, smooth: Array, p: Array, q: Array) -> None:
+    """The errors' part of the cost (35), 1/2 b'Pb + q'b over all blocks b: P = smooth + S'WS, q += S'W (free - reference),
+    nodes 1 on.
 
-    `reference` (nodes, 4) and `weight` W (4,) as eta; `smooth`, `p` (3 blocks, 3 blocks), `gradient`, `q` (3 blocks,): surge,
-    yaw, heave. Only the lower triangle of `p` is summed; then it is copied to the upper one.
-    """  # fmt: skip
-    p[:], q[:] = smooth, gradient
+    `reference` (nodes, 4) and `weight` W (4,) as eta; `smooth`, `p` (3 blocks, 3 blocks), `q` (3 blocks,): surge, yaw, heave.
+    Only the lower triangle of `p` is summed; then it is copied to the upper one.
+    """
+    x, y, z, yaw = planar[0], planar[1], axial[0], axial[1]
+    p[:] = smooth
     nodes, free = x.shape[0], x.shape[1] - 1
     n = free // 2
     for k in range(1, nodes):
@@ -221,19 +213,57 @@ def condense(
             p[j, i] = p[i, j]
 
 
-@kernel("void(f8[:,::1], f8[:,::1], i8[::1], c16[::1], f8[::1], f8[:,::1], f8[::1])")
-def half_space_rows(
-    x: Array, y: Array, node: NDArray[np.int64], normal: Places, offset: Array, a: Array, lower: Array
+@kernel(
+    "void(f8[:,::1], f8, f8, f8[::1], f8[::1], f8[::1], f8[::1], c16, f8[:,:,::1], f8[:,::1], f8[::1],"
+    " f8[:,:,::1], f8[:,:,::1], f8[:,::1], f8[::1], f8[:,::1], f8[::1], f8[:,::1], f8[::1])"
+)
+def linearise_and_condense(
+    model: Array,
+    sway: float,
+    dt: float,
+    state: Array,
+    asked: Array,
+    delivered: Array,
+    gamma: Array,
+    current: complex,
+    nominal: Array,
+    response: Array,
+    fading: Array,
+    planar: Array,
+    axial: Array,
+    reference: Array,
+    weight: Array,
+    smooth: Array,
+    r: Array,
+    p: Array,
+    q: Array,
 ) -> None:
-    """Rows of the constraints normal . (x, y) >= offset (36) at `node` (rows,): a b >= lower over surge and yaw blocks b.
+    """Responses (`linearise`), and the cost (35) of a reference and of changes between blocks (`condense`). The first change
+    of surge, heave and yaw counts from the wrench that was `asked` for, at the price `r` (3,)."""
+    linearise(model, sway, dt, state, asked, delivered, gamma, current, nominal, response, fading, planar, axial)
+    n = response.shape[1]
+    q[:] = 0.0
+    q[0], q[n], q[2 * n] = -r[0] * asked[0], -r[2] * asked[2], -r[1] * asked[1]
+    condense(planar, axial, reference, weight, smooth, p, q)
 
-    `normal` x + iy, `offset` m; results `a` (rows, 2 blocks) and `lower` (rows,).
+
+@kernel("void(f8[:,:,::1], i8[::1], c16[::1], f8[::1], f8[::1], f8[:,::1], f8[::1])")
+def half_space_rows(
+    planar: Array, node: NDArray[np.int64], normal: Places, offset: Array, give: Array, a: Array, lower: Array
+) -> None:
+    """Rows of the constraints normal . (x, y) + give slack >= offset (36) at `node` (rows,): a b >= lower over all blocks and
+    the slack b.
+
+    `normal` x + iy, `offset` m; results `a` (most, 3 blocks + 1) and `lower` (most,): rows that are left bound nothing.
     """
-    free = x.shape[1] - 1
+    x, y = planar[0], planar[1]
+    free, slack = x.shape[1] - 1, a.shape[1] - 1
+    a[:], a[:, slack], lower[:] = 0.0, 1.0, -np.inf
     for i in range(len(node)):
         k, n_x, n_y = node[i], normal[i].real, normal[i].imag
         for j in range(free):
             a[i, j] = n_x * x[k, j] + n_y * y[k, j]
+        a[i, slack] = give[i]
         lower[i] = offset[i] - n_x * x[k, free] - n_y * y[k, free]
 
 
@@ -254,29 +284,37 @@ def superpose(b: Array, x: Array, y: Array, z: Array, yaw: Array, out: Array) ->
         out[k, 0], out[k, 1], out[k, 2], out[k, 3] = at_x, at_y, at_z, at_yaw
 
 
-@kernel(
-    "void(f8[::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1],"
-    " f8[:,::1], f8[:,::1])"
-)
-def follow_plan(
-    b: Array, x: Array, y: Array, z: Array, yaw: Array, u: Array, v: Array, w: Array, r: Array, eta: Array, nu: Array
-) -> None:
-    """Poses `eta` and velocities `nu` (nodes, 4) under the blocks `b` (3 blocks,)."""
-    superpose(b, x, y, z, yaw, eta)
-    superpose(b, u, v, w, r, nu)
+@kernel("void(f8[:,:,::1])")
+def shift(nominal: Array) -> None:
+    """Move the nominal trajectory on by one step; its last node stands twice."""
+    for rows in nominal:
+        for k in range(len(rows) - 1):
+            for c in range(4):
+                rows[k, c] = rows[k + 1, c]
+
+
+@kernel("void(f8[::1], f8[:,:,::1], f8[:,:,::1], f8[:,:,::1], f8[:,::1])")
+def follow_plan(b: Array, planar: Array, axial: Array, nominal: Array, eta: Array) -> None:
+    """Poses `eta` (nodes, 4) under the blocks `b` (3 blocks,). Moved on by one step they are the nominal trajectory of the
+    next linearisation."""
+    superpose(b, planar[0], planar[1], axial[0], axial[1], eta)
+    superpose(b, planar[2], planar[3], axial[2], axial[3], nominal[1])
+    nominal[0, :, :] = eta
+    shift(nominal)
 
 
 class Prediction:
     """Memory of the linearised model, for `horizon` nodes `period_s` apart, with inputs held over `blocks` (the last to the
-    end). After `linearise`: x, y, z, yaw (nodes, columns) as the module says, nodes 0..horizon."""
+    end). After `linearise_and_condense`: x, y, z, yaw (nodes, columns) as the module says, nodes 0..horizon."""
 
     def __init__(self, model: Model, period_s: float, horizon: int, blocks: tuple[int, ...]) -> None:
         n, nodes = len(blocks), horizon + 1
         self._dt, self._sway, self._model = period_s, model.sway, model.coefficients
-        self.eta, self.nu = np.zeros((nodes, 4)), np.zeros((nodes, 4))  # the nominal trajectory
-        self.x, self.y, u, v = np.zeros((4, nodes, 2 * n + 1))
-        self.z, self.yaw, w, r = np.zeros((4, nodes, n + 1))
-        self._poses, self._velocities = (self.x, self.y, self.z, self.yaw), (u, v, w, r)
+        self._nominal, self._planar, self._axial = (
+            np.zeros((2, nodes, 4)), np.zeros((4, nodes, 2 * n + 1)), np.zeros((4, nodes, n + 1))
+        )  # fmt: skip
+        self.eta, self.nu = self._nominal  # the nominal trajectory
+        self.x, self.y, self.z, self.yaw = (*self._planar[:2], *self._axial[:2])
         left, mean = model.lag(period_s)
         self._fading: Array = mean * np.power(
             left, np.arange(horizon), dtype=np.float64
@@ -288,31 +326,44 @@ class Prediction:
             self._response[k] = commanded + (thrust - commanded) * mean
             thrust = commanded + (thrust - commanded) * left
 
-    def restart(self, state: State) -> None:
+    def restart(self, state: State | Array) -> None:
         """Forget the nominal trajectory: linearise around this state at every node."""
         self.eta[:], self.nu[:] = state[:4], state[4:8]
 
     def shift(self) -> None:
-        """Move the nominal trajectory on by one step; its last node stands twice."""
-        self.eta[:-1] = self.eta[1:]
-        self.nu[:-1] = self.nu[1:]
+        """Move the nominal trajectory on by one step."""
+        shift(self._nominal)
 
-    def linearise(self, state: State, lacking: Array, disturbance: Array, current: complex = 0j) -> None:
-        """Compute the responses for a start `state`, Gamma (4,), and water that streams at `current` (x + iy, m/s).
-        `lacking` (3,) is what thrusters give beyond the wrench of the blocks. Velocities are through the water."""
-        linearise(
-            self._model, self._sway, self._dt, np.array(state), lacking, disturbance, current, self.eta, self.nu,
-            self._response, self._fading, *self._poses, *self._velocities,
+    def linearise_and_condense(
+        self,
+        state: Array,
+        asked: Array,
+        delivered: Array,
+        disturbance: Array,
+        current: complex,
+        reference: Array,
+        weight: Array,
+        smooth: Array,
+        r: Array,
+        p: Array,
+        q: Array,
+    ) -> None:
+        """Compute the responses for a start `state` (11,), Gamma (4,), and water that streams at `current` (x + iy, m/s), and
+        write the cost of a reference (nodes, 4): see the kernel. Velocities are through the water."""
+        linearise_and_condense(
+            self._model, self._sway, self._dt, state, asked, delivered, disturbance, current, self._nominal, self._response,
+            self._fading, self._planar, self._axial, reference, weight, smooth, r, p, q,
         )  # fmt: skip
 
-    def cost(self, reference: Array, weight: Array, smooth: Array, gradient: Array, p: Array, q: Array) -> None:
-        """Write the cost of the errors against a reference (nodes, 4), beside that of the inputs: see `condense`."""
-        condense(*self._poses, reference, weight, smooth, gradient, p, q)
-
     def half_space_rows(self, keep_clear: HalfSpaces, a: Array, lower: Array) -> None:
-        """Write the rows (36) over surge and yaw blocks into `a` (rows, 2 blocks) and their bounds into `lower` (rows,)."""
-        half_space_rows(self.x, self.y, keep_clear.node, keep_clear.normal, keep_clear.offset, a, lower)
+        """Write the rows (36) over all blocks and the slack into `a` (most, 3 blocks + 1) and their bounds into `lower`
+        (most,)."""
+        give = np.ones(len(keep_clear.node)) if keep_clear.give is None else keep_clear.give
+        half_space_rows(self._planar, keep_clear.node, keep_clear.normal, keep_clear.offset, give, a, lower)
 
-    def set_nominal(self, blocks: Array) -> None:
-        """Make the response to the blocks (3 blocks,), surge, yaw, heave, the nominal trajectory."""
-        follow_plan(blocks, *self._poses, *self._velocities, self.eta, self.nu)
+    def follow_plan(self, blocks: Array) -> Array:
+        """Poses (nodes, 4) under the blocks (3 blocks,), surge, yaw, heave. The next linearisation is along them, moved on by
+        one step."""
+        eta = np.empty(self.eta.shape)
+        follow_plan(blocks, self._planar, self._axial, self._nominal, eta)
+        return eta

@@ -8,9 +8,10 @@ Each plan is the trajectory the next step linearises along (`linearise = "trajec
 suffices; `"point"` is the article's single working point.
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from robot_agent.control.linearisation import Prediction
@@ -20,6 +21,7 @@ from robot_agent.vehicle.dynamics import Model, State
 from wire.config.controller import MpcConfig
 from wire.config.vehicle import Vehicle
 from wire.frames import Array
+from wire.kernels import kernel
 from wire.messages.messages import Solve
 
 CHANNELS = (0, 2, 1)  # order of the unknowns: surge, yaw, heave
@@ -33,8 +35,23 @@ def bridged_steps(period_s: float) -> int:
     return int(BRIDGED_S / period_s + 1e-9)
 
 
-@dataclass(frozen=True, eq=False)
-class MpcPlan:
+@kernel("void(f8[::1], f8[::1], i8[::1], f8[::1], f8[::1])")
+def bound_first_changes(asked: Array, most: Array, row: NDArray[np.int64], lower: Array, upper: Array) -> None:
+    """Bounds (40) on the changes at `row` (3,) of a problem, by `most` (3,) from the wrench that was `asked` for (3,)."""
+    for i in range(3):
+        lower[row[i]], upper[row[i]] = asked[i] - most[i], asked[i] + most[i]
+
+
+@kernel("void(f8[::1], i8[::1], f8[::1], f8[::1], f8[::1], f8[::1])")
+def within_limits(b: Array, unknown: NDArray[np.int64], before: Array, change: Array, limit: Array, wrench: Array) -> None:
+    """The `wrench` (3,) at `unknown` (3,) of the blocks `b`, clipped exactly: to a `change` from that `before`, then to its
+    `limit`. (A solver's tolerance is 1e-4.)"""
+    for i in range(3):
+        wrench[i] = min(max(b[unknown[i]], before[i] - change[i]), before[i] + change[i])
+        wrench[i] = min(max(wrench[i], -limit[i]), limit[i])
+
+
+class MpcPlan(NamedTuple):
     """A wrench for now, and the predicted poses."""
 
     wrench: Array  # (3,)
@@ -68,7 +85,7 @@ class Mpc:
         self._r = per_node * np.array(config.r)
         smooth = [self._r[channel] * difference.T @ difference + RIDGE * np.eye(n) for channel in CHANNELS]
         self._smooth = block_diag(*smooth)
-        self._p, self._q, self._gradient = np.zeros((size, size)), np.zeros(size + 1), np.zeros(size)
+        self._p, self._q = np.zeros((size, size)), np.zeros(size + 1)
         self._slack = config.slack * max(1.0, *config.q[:2], *config.q_formation[:2])
         self._p_with_slack = block_diag(self._p, np.array([[self._slack]]))
         self._a = np.vstack([np.eye(size), block_diag(difference, difference, difference)])
@@ -76,8 +93,10 @@ class Mpc:
         limits, steps = self._limit.take(CHANNELS).repeat(n), self._step_limit.take(CHANNELS).repeat(n)
         self._upper = np.concatenate([limits, steps, np.full(rows, NO_BOUND)])
         self._lower = -self._upper
+        # The same without half-spaces: views, so that what is written to the one is in the other
+        self._plain = self._q[:size], self._lower[: 2 * size], self._upper[: 2 * size]
+        self._half_spaces = self._a_with_slack[2 * size :], self._lower[2 * size :]
         self._first_changes = size + n * np.array([0, 2, 1])  # rows of the changes from the wrench asked for last
-        self._half_spaces, self._half_space_bounds = np.zeros((rows, 2 * n)), self._lower[2 * size :]
         self._plain_solver, self._half_space_solver = self._make_solvers(rows)
         self._multipliers = np.zeros(2 * size)  # of the limits, in the last solution
         self._had_half_spaces = False
@@ -89,16 +108,16 @@ class Mpc:
         p_beside = block_diag(np.ones((2 * n, 2 * n)), np.ones((n, n)), np.ones((1, 1))) > 0.0
         a_beside = self._a_with_slack != 0.0
         a_beside[2 * size :, : 2 * n] = True
-        rest = (0.0,) * 11
+        rest, reference, weight = np.zeros(11), np.zeros(self._prediction.eta.shape), np.array(self._config.q)
         self._prediction.restart(rest)
-        self._prediction.linearise(rest, np.zeros(3), np.zeros(4))
-        self._objective(np.zeros(self._prediction.eta.shape), np.array(self._config.q) + self._config.q_formation, np.zeros(3))
+        self._write_cost(rest, np.zeros(3), np.zeros(3), np.zeros(4), 0j, reference, weight + self._config.q_formation)
         scale = 1.0 / np.sqrt(np.diagonal(self._p))
         slack = 1.0 / np.sqrt(self._slack)
         row_scale, scale_beside = np.tile(1.0 / scale, 2), np.append(scale, slack)
         name, row_scale_beside = self._config.solver, np.append(row_scale, np.full(rows, 1.0 / slack))
         alone = make_solver(name, p_beside[:-1, :-1], self._a != 0.0, scale, row_scale, bounds=size)
-        alone.solve(self._p, self._q[:size], self._a, self._lower[: 2 * size], self._upper[: 2 * size])  # it has A from now on
+        q, lower, upper = self._plain
+        alone.solve(self._p, q, self._a, lower, upper)  # it has A from now on
         return alone, make_solver(name, p_beside, a_beside, scale_beside, row_scale_beside, bounds=size)
 
     def reset(self) -> None:
@@ -112,7 +131,7 @@ class Mpc:
         self._blocks, self._multipliers = other._blocks, other._multipliers
         self._plain_solver.warm_start(self._blocks, self._multipliers)
 
-    def predicted_path(self, state: State) -> Array:
+    def predicted_path(self, state: State | Array) -> Array:
         """Return the poses (horizon + 1, 4) around which the coming plan is linearised: the last plan moved on by one step, or
         `state`."""
         if self._fresh or self._config.linearise == "point":
@@ -122,7 +141,7 @@ class Mpc:
 
     def plan(
         self,
-        state: State,
+        state: State | Array,
         disturbance: Array,
         wrench: Array,
         reference: Array,
@@ -133,63 +152,57 @@ class Mpc:
     ) -> MpcPlan:
         """Solve once, see `Law.plan`. Limits (40) count from `wrench` (3,), asked for last. The model assumes that what
         `delivered` (3,) lacks of it goes on to lack."""
-        prediction = self._prediction
         self.predicted_path(state)
-        prediction.linearise(state, np.zeros(3) if delivered is None else delivered - wrench, disturbance, current)
-        self._objective(reference, weight, wrench)
-        self._limits(wrench)
-        solution = self._qp_plain() if len(keep_clear.node) == 0 else self._qp_with_half_spaces(keep_clear)
+        acts = wrench if delivered is None else delivered
+        self._write_cost(np.asarray(state), wrench, acts, disturbance, current, reference, weight)
+        bound_first_changes(wrench, self._step_limit, self._first_changes, self._lower, self._upper)
+        solution = self._qp_with_half_spaces(keep_clear) if len(keep_clear.node) else self._qp_plain()
         if not solution.solved:
             return self._fall_back(wrench, solution.iterations)
         self._blocks, self._shifted = solution.x[: 3 * self._n], 0
         if solution.multipliers is not None:
             self._multipliers = solution.multipliers[: 6 * self._n]
-        prediction.set_nominal(self._blocks)
-        eta = prediction.eta.copy()
-        prediction.shift()
+        eta = self._prediction.follow_plan(self._blocks)
         slack_m = max(0.0, float(solution.x[-1])) if self._had_half_spaces else 0.0
         return MpcPlan(self._step_of_plan(0, wrench), eta, Solve.SOLVED, solution.iterations, slack_m)
 
-    def _objective(self, reference: Array, weight: Array, wrench: Array) -> None:
-        """Write P and q of (35): changes between blocks, the first from `wrench`, and errors."""
-        self._gradient[self._unknowns[0]] = -self._r * wrench
-        self._prediction.cost(reference, weight, self._smooth, self._gradient, self._p, self._q[: 3 * self._n])
-
-    def _limits(self, wrench: Array) -> None:
-        """Write the bounds (40) on the first changes; all others are constant."""
-        self._upper[self._first_changes] = wrench + self._step_limit
-        self._lower[self._first_changes] = wrench - self._step_limit
+    def _write_cost(
+        self,
+        state: Array,
+        asked: Array,
+        delivered: Array,
+        disturbance: Array,
+        current: complex,
+        reference: Array,
+        weight: Array,
+    ) -> None:
+        """Write P and q of (35)."""
+        self._prediction.linearise_and_condense(
+            state, asked, delivered, disturbance, current, reference, weight, self._smooth, self._r, self._p, self._plain[0]
+        )
 
     def _qp_plain(self) -> Solution:
         """Solve without half-spaces."""
-        size = 3 * self._n
         if self._had_half_spaces:
             self._plain_solver.warm_start(self._blocks, self._multipliers)
             self._had_half_spaces = False
-        return self._plain_solver.solve(self._p, self._q[:size], None, self._lower[: 2 * size], self._upper[: 2 * size])
+        q, lower, upper = self._plain
+        return self._plain_solver.solve(self._p, q, None, lower, upper)
 
     def _qp_with_half_spaces(self, keep_clear: HalfSpaces) -> Solution:
         """Solve with half-spaces (36) in the first of the rows reserved for them."""
-        n, size, count = self._n, 3 * self._n, len(keep_clear.node)
         if not self._had_half_spaces:
             self._half_space_solver.warm_start(np.append(self._blocks, 0.0), self._multipliers)
             self._had_half_spaces = True
-        self._half_spaces[count:], self._half_space_bounds[count:] = 0.0, -NO_BOUND
-        self._prediction.half_space_rows(keep_clear, self._half_spaces, self._half_space_bounds)
-        self._a_with_slack[2 * size :, : 2 * n] = self._half_spaces
-        self._a_with_slack[2 * size : 2 * size + count, -1] = 1.0 if keep_clear.give is None else keep_clear.give
+        self._prediction.half_space_rows(keep_clear, *self._half_spaces)
         self._p_with_slack[:-1, :-1] = self._p
         return self._half_space_solver.solve(self._p_with_slack, self._q, self._a_with_slack, self._lower, self._upper)
 
     def _step_of_plan(self, step: int, before: Array) -> Array:
-        """Return the last good plan's wrench (3,) at a step, clipped exactly to the limits (the solver's tolerance is
-        1e-4)."""
-        asked = self._blocks[self._unknowns[step]]
-        np.maximum(asked, before - self._step_limit, out=asked)
-        np.minimum(asked, before + self._step_limit, out=asked)
-        np.maximum(asked, -self._limit, out=asked)
-        np.minimum(asked, self._limit, out=asked)
-        return np.asarray(asked)
+        """Return the last good plan's wrench (3,) at a step, within the limits."""
+        wrench = np.empty(3)
+        within_limits(self._blocks, self._unknowns[step], before, self._step_limit, self._limit, wrench)
+        return wrench
 
     def _fall_back(self, wrench: Array, iterations: int) -> MpcPlan:
         """Return the last good plan moved on by a step; FAILED and no thrust once BRIDGED_S are used up."""

@@ -8,8 +8,7 @@ solve. `update(Px=)` overwrites the caller's array. An infeasible problem return
 
 import importlib
 import math
-from dataclasses import dataclass
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 import osqp
@@ -90,8 +89,20 @@ def scale_problem(
     return finite
 
 
-@dataclass(frozen=True, eq=False)
-class Solution:
+@kernel("b1(f8[::1], f8[::1], f8[::1], f8[::1])")
+def unscale(x: Array, y: Array, scale: Array, row_scale: Array) -> bool:
+    """Bring a solution x (n,) and its multipliers y (m,) back to the problem's own units, in place; False if x is not
+    finite."""
+    finite = True
+    for i in range(len(x)):
+        x[i] *= scale[i]
+        finite &= math.isfinite(x[i])
+    for i in range(len(y)):
+        y[i] *= row_scale[i]
+    return finite
+
+
+class Solution(NamedTuple):
     """`x` is meaningful only if `solved`."""
 
     x: Array
@@ -126,6 +137,7 @@ class OsqpSolver:
         self._p, self._a = np.zeros(len(self._p_entries)), np.zeros(len(self._a_entries))
         self._q, self._low, self._high = np.zeros(n), np.zeros(rows), np.zeros(rows)
         self._solver = _built(upper, a_mask)
+        self._info, self._solution = self._solver.info, self._solver.solution  # of the last solve; their arrays are copies
 
     def solve(self, p: Array, q: Array, a: Array | None, lower: Array, upper: Array) -> Solution:
         """See `Solver`."""
@@ -136,17 +148,18 @@ class OsqpSolver:
         )  # fmt: skip
         if (
             not finite
-            or solver.update_data_vec(q=self._q, l=self._low, u=self._high)  # refuses bounds that cross
-            or solver.update_data_mat(P_x=self._p, P_i=None, A_x=None if same_a else self._a, A_i=None)
+            or solver.update_data_vec(self._q, self._low, self._high)  # refuses bounds that cross
+            or solver.update_data_mat(self._p, None, None if same_a else self._a, None)
         ):
             return Solution(np.zeros(len(q)), False, 0)
         solver.solve()
-        x, info = solver.solution.x, solver.info
-        if not (_finite(x) and self._close(info, x)):
-            if info.status_val != OUT_OF_ITERATIONS or not _finite(x):  # else the next solve goes on from here
+        x, y, info = self._solution.x, self._solution.y, self._info
+        finite = unscale(x, y, self._scale, self._row_scale)
+        if not (finite and self._close(info)):
+            if info.status_val != OUT_OF_ITERATIONS or not finite:  # else the next solve goes on from here
                 solver.warm_start(np.zeros(len(q)), np.zeros(len(lower)))
             return Solution(np.zeros(len(q)), False, info.iter)
-        return Solution(x * self._scale, True, info.iter, solver.solution.y * self._row_scale)
+        return Solution(x, True, info.iter, y)
 
     def warm_start(self, x: Array, multipliers: Array) -> None:
         """See `Solver`."""
@@ -154,13 +167,13 @@ class OsqpSolver:
         y[:known] = multipliers / self._row_scale[:known]
         self._solver.warm_start(x / self._scale, y)
 
-    def _close(self, info: Any, x: Array) -> bool:
+    def _close(self, info: Any) -> bool:
         """True if solved, or out of iterations so near the solution that the plan is better than the last one. Residuals are
         scaled and relative to the largest number: an error of 2 mm of slack is accepted where 0.2 m are needed."""
         status = info.status_val
         if status in SOLVED:
             return True
-        size = max(1.0, float(np.abs(x).max()))
+        size = max(1.0, float(np.abs(self._solution.x).max()))
         largest = max(size, float(np.abs(self._q).max()))
         return bool(status == OUT_OF_ITERATIONS and info.prim_res < CLOSE * size and info.dual_res < CLOSE * largest)
 

@@ -7,6 +7,7 @@ upper one would break the surface (a controller that was free to use depth did b
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ Places = NDArray[np.complex128]  # x + iy in the pool frame, m
 
 NS = 1e9
 NEAREST = 4  # bodies that can be avoided at once: a sphere touches six in the plane, and meets no more than four first
+MOST_FRESH = 64  # neighbours: more than there are markers
 NODES = 5  # of the horizon that keep their distance from each
 TOUCHING_M = 1e-6
 LEAST_WEIGHT = 1e-12  # keeps 0/0 out
@@ -35,68 +37,74 @@ ERROR_RATE_MPS = 0.5  # plus this per second of the message's age: no robot move
 
 
 @kernel(
-    "void(f8[:,::1], f8[:,::1], i8[::1], f8[::1], f8[::1], b1[::1], f8, f8, i8[::1], f8[::1],"
-    " b1[::1], f8[:,::1], c16[:,::1], f8[:,::1], c16[::1], f8[::1], c16[::1])"
+    "i8(f8[:,::1], f8[:,::1], f8[:,::1], f8, f8, i8[::1], f8[::1],"
+    " b1[::1], f8[:,::1], f8[::1], c16[:,::1], f8[:,::1], c16[::1], f8[::1], c16[::1])"
 )
 def sample_plans(
     eta: Array,
     reference: Array,
-    length: NDArray[np.int64],
-    age_s: Array,
-    plan_period_s: Array,
-    member: NDArray[np.bool_],
+    told: Array,
     dead_s: float,
     period_s: float,
     node: NDArray[np.int64],
     weight: Array,
     usable: NDArray[np.bool_],
     pull: Array,
+    pull_weight: Array,
     position: Places,
     depth: Array,
     place_now: Places,
     depth_now: Array,
     velocity: Places,
-) -> None:
-    """Plans at our instants. Their poses and references stand below one another in `eta` and `reference` (rows, 4), `length`
-    (robots,) rows each, which began `age_s` ago.
+) -> int:
+    """Plans at our instants. Their poses and references stand below one another in `eta` and `reference` (rows, 4). `told`
+    (robots, 5) says of each plan its rows in the one and in the other, its age in s, its period in s, and 1 for a member.
 
-    Row k of a horizon lies dead_s + k period_s ahead. Added to `pull` (nodes, 4): `weight` (4,) times the deviation
-    eta - reference of every `member`, without whole turns. `position` and `depth` (robots, len(node)) are those at `node`;
-    `place_now` and `depth_now` (robots,) are those now, `velocity` is the reference's mean one over MEANT_S from now on.
-    Beyond its ends a plan stands. A plan that is not `usable` (robots,) holds numbers that can be no poses.
+    Row k of a horizon lies dead_s + k period_s ahead. `pull` (nodes, 4) is the sum over the members of `weight` (4,) times
+    their deviation eta - reference, without whole turns, and `pull_weight` (4,) that of the weights. `position` and `depth`
+    (robots, len(node)) are those at `node`; `place_now` and `depth_now` (robots,) are those now, `velocity` is the reference's
+    mean one over MEANT_S from now on. Beyond its ends a plan stands. A plan that is not `usable` (robots,) holds numbers that
+    can be no poses. Returns how many are not.
     """
-    first = 0
-    for i in range(len(length)):
-        plan, meant = eta[first : first + length[i]], reference[first : first + length[i]]
-        first, last, period = first + length[i], length[i] - 1, plan_period_s[i]
-        fine = last >= 0 and SHORTEST_S <= period < ABSURD
-        for k in range(last + 1):
+    first, first_meant, unusable, members = 0, 0, 0, 0
+    pull[:] = 0.0
+    for i in range(len(told)):
+        rows, rows_meant, age_s, period = int(told[i, 0]), int(told[i, 1]), told[i, 2], told[i, 3]
+        plan, meant, last = eta[first : first + rows], reference[first_meant : first_meant + rows_meant], rows - 1
+        first, first_meant = first + rows, first_meant + rows_meant
+        fine = rows == rows_meant and last >= 0 and SHORTEST_S <= period < ABSURD
+        for k in range(rows if fine else 0):
             for c in range(4):
                 fine &= (abs(plan[k, c]) < MOST_TURNED_RAD) & (abs(plan[k, c] - meant[k, c]) < ABSURD)
         usable[i] = fine
         if not fine:
+            unusable += 1
             continue
+        members += int(told[i, 4])
         turns = TURN * np.rint((plan[0, 3] - meant[0, 3]) / TURN)
-        for k in range(len(pull) if member[i] else 0):
-            place = min(max((age_s[i] + dead_s + k * period_s) / period, 0.0), float(last))
+        for k in range(len(pull) if told[i, 4] != 0.0 else 0):
+            place = min(max((age_s + dead_s + k * period_s) / period, 0.0), float(last))
             low = int(place)
             high, share = min(low + 1, last), place - low
             for c in range(4):
                 before, after = plan[low, c] - meant[low, c], plan[high, c] - meant[high, c]
                 pull[k, c] += weight[c] * (before + share * (after - before) - (turns if c == 3 else 0.0))
         for j in range(len(node)):
-            place = min(max((age_s[i] + dead_s + node[j] * period_s) / period, 0.0), float(last))
+            place = min(max((age_s + dead_s + node[j] * period_s) / period, 0.0), float(last))
             low = int(place)
             high, share = min(low + 1, last), place - low
             position[i, j] = complex(
                 plan[low, 0] + share * (plan[high, 0] - plan[low, 0]), plan[low, 1] + share * (plan[high, 1] - plan[low, 1])
             )
             depth[i, j] = plan[low, 2] + share * (plan[high, 2] - plan[low, 2])
-        now = int(min(max(np.rint(age_s[i] / period), 0.0), float(last)))
+        now = int(min(max(np.rint(age_s / period), 0.0), float(last)))
         then = min(now + max(int(np.rint(MEANT_S / period)), 1), last)
         span_s = period * max(then - now, 1)
         place_now[i], depth_now[i] = complex(plan[now, 0], plan[now, 1]), plan[now, 2]
         velocity[i] = complex((meant[then, 0] - meant[now, 0]) / span_s, (meant[then, 1] - meant[now, 1]) / span_s)
+    for c in range(4):
+        pull_weight[c] = members * weight[c]
+    return unusable
 
 
 @kernel("void(c16[:,::1], f8[:,::1], i8[::1], f8[::1])")
@@ -166,8 +174,7 @@ def formation_reference(
             moved[k, c] = reference[k, c] + deviation[max(k - 1, 0), c] / per
 
 
-@dataclass(frozen=True, eq=False)
-class Neighbour:
+class Neighbour(NamedTuple):
     """Another robot's last plan. Fresh plans count for the formation; stale ones only keep a growing distance."""
 
     robot: int
@@ -215,9 +222,8 @@ Body = tuple[float, Places, Array, float]
 NOWHERE = HalfSpaces(np.zeros(0, np.intp), np.zeros(0, np.complex128), np.zeros(0))
 
 
-@dataclass(frozen=True, eq=False)
-class NeighbourPredictions:
-    """Neighbours' plans at our instants, as the controller needs them."""
+class NeighbourPredictions(NamedTuple):
+    """Neighbours' plans at our instants, as the controller needs them. Valid until the next are made."""
 
     weighted_deviation: Array  # (horizon + 1, 4) sum of Q_ij (eta_j - eta_j^ref), to be added to Q eta_ref
     weight: Array  # (4,) sum of Q_ij
@@ -225,7 +231,7 @@ class NeighbourPredictions:
     fresh_count: int
     neighbours: Sequence[Neighbour]  # whose plans can be used
     position: NDArray[np.complex128]  # (neighbours, nodes) predicted x + iy, at the nodes where distance is kept
-    depth: Array  # (others, nodes)
+    depth: Array  # (neighbours, nodes)
     place_now: Places  # (neighbours,) places as their plans have them now,
     depth_now: Array  # (neighbours,) and depths, m
     intended_velocity: NDArray[np.complex128]  # (neighbours,) velocities x + iy that they mean to have
@@ -254,15 +260,23 @@ class Formation:
         self._walls = [] if room_m is None else [(-way, 0.5 * size) for way, size in zip((1, 1j), room_m, strict=True)]
         self._walls += [(-inwards, half_m) for inwards, half_m in self._walls]
         self._near_m = 2.0 * safety.radius_m + safety.margin_m
-        self._no_neighbours = self._room_for((), 0, config.horizon + 1)
+        self._horizon = config.horizon
+        self._memory: dict[int, tuple[NDArray[Any], ...]] = {}  # by the number of neighbours
+        self._no_neighbours = NeighbourPredictions(
+            np.zeros((config.horizon + 1, 4)), np.zeros(4), False, 0, (), *self._room(0)
+        )
+        self._clearance_m = np.full(MOST_FRESH, 2.0 * safety.radius_m)
+        self._node_rows, self._all_gives = np.tile(self._nodes, NEAREST), np.ones(self.rows)
 
-    def _room_for(self, neighbours: Sequence[Neighbour], members: int, nodes: int) -> NeighbourPredictions:
-        count, kept = len(neighbours), len(self._nodes)
-        return NeighbourPredictions(
-            np.zeros((nodes, 4)), members * self._weight, members > 0, sum(n.fresh for n in neighbours), neighbours,
-            np.empty((count, kept), np.complex128), np.empty((count, kept)), np.empty(count, np.complex128), np.empty(count),
-            np.empty(count, np.complex128),
-        )  # fmt: skip
+    def _room(self, count: int) -> tuple[NDArray[Any], ...]:
+        """Memory for the positions, depths, places and depths now, and velocities of so many neighbours."""
+        if count not in self._memory:
+            kept = len(self._nodes)
+            self._memory[count] = (
+                np.empty((count, kept), np.complex128), np.empty((count, kept)), np.empty(count, np.complex128),
+                np.empty(count), np.empty(count, np.complex128),
+            )  # fmt: skip
+        return self._memory[count]
 
     def set_weight(self, q: tuple[float, float, float, float]) -> None:
         """Use another Q_ij from now on, the same for every neighbour."""
@@ -272,22 +286,21 @@ class Formation:
         """Sample all neighbours' plans on our horizon, together."""
         if not neighbours:
             return self._no_neighbours
-        plans = [neighbour.plan for neighbour in neighbours]
-        lengths = [len(plan.eta) for plan in plans]
-        if lengths != [len(plan.eta_reference) for plan in plans]:
-            return self.predict_neighbours([n for n in neighbours if len(n.plan.eta) == len(n.plan.eta_reference)], now_ns)
-        members, usable = [neighbour.fresh and neighbour.formation for neighbour in neighbours], np.empty(len(plans), bool)
-        found = self._room_for(neighbours, sum(members), len(self._no_neighbours.weighted_deviation))
-        sample_plans(
-            np.concatenate([plan.eta for plan in plans]), np.concatenate([plan.eta_reference for plan in plans]),
-            np.array(lengths), np.array([(now_ns - neighbour.stamp_ns) / NS for neighbour in neighbours]),
-            np.array([plan.period_s for plan in plans], float), np.array(members), self._dead_s, self._period_s, self._nodes,
-            self._weight, usable, found.weighted_deviation, found.position, found.depth, found.place_now,
-            found.depth_now, found.intended_velocity,
+        told = [
+            (len(n.plan.eta), len(n.plan.eta_reference), (now_ns - n.stamp_ns) / NS, n.plan.period_s, n.fresh and n.formation)
+            for n in neighbours
+        ]
+        usable, sampled = np.empty(len(told), bool), self._room(len(told))
+        deviation, weight = np.empty((self._horizon + 1, 4)), np.empty(4)
+        unusable = sample_plans(
+            np.concatenate([n.plan.eta for n in neighbours]), np.concatenate([n.plan.eta_reference for n in neighbours]),
+            np.array(told, np.float64), self._dead_s, self._period_s, self._nodes, self._weight, usable, deviation, weight,
+            *sampled,
         )  # fmt: skip
-        if not usable.all():
+        if unusable:
             return self.predict_neighbours([n for n, is_usable in zip(neighbours, usable, strict=True) if is_usable], now_ns)
-        return found
+        members, fresh_count = sum([row[4] for row in told]), sum([n.fresh for n in neighbours])
+        return NeighbourPredictions(deviation, weight, members > 0, fresh_count, neighbours, *sampled)
 
     def clearance_m(self, neighbour: Neighbour, now_ns: int) -> float:
         """Distance to keep from a neighbour: it grows with the neighbour's silence."""
@@ -299,8 +312,9 @@ class Formation:
 
     def clearances_m(self, predictions: NeighbourPredictions, now_ns: int) -> Array:
         """Distances to keep from all neighbours, (neighbours,)."""
-        if predictions.fresh_count == len(predictions.neighbours):
-            return np.full(predictions.fresh_count, 2.0 * self._safety.radius_m)
+        count = len(predictions.neighbours)
+        if predictions.fresh_count == count <= MOST_FRESH:
+            return self._clearance_m[:count]
         return np.array([self.clearance_m(neighbour, now_ns) for neighbour in predictions.neighbours])
 
     def required_clearance_m(self, neighbour: Neighbour, own: Priority, now_ns: int) -> float | None:
@@ -322,13 +336,21 @@ class Formation:
         bodies = self._robots_near(predictions, own, rank, now_ns) if predictions.neighbours else []
         if not bodies and not obstacles:
             return NOWHERE
-        here = own.view(np.complex128)[self._nodes, 0]
+        if obstacles or self._walls:
+            here = own.view(np.complex128)[self._nodes, 0]
+            bodies += self._obstacles_near(obstacles, here, now_ns)
+            bodies += self._walls_near(here) if bodies else []
+        return self._combined(bodies) if bodies else NOWHERE
+
+    def _obstacles_near(self, obstacles: Sequence[Obstacle], here: Places, now_ns: int) -> list[Body]:
+        """Obstacles to be avoided from places (nodes,)."""
+        found: list[Body] = []
         for obstacle in obstacles:
             there, away, apart_m = nearest_border(obstacle, here, [now_ns + ns for ns in self._nodes_ns])
             beyond_m = float(apart_m.min()) - obstacle.clearance_m
             if beyond_m < self._safety.margin_m:
-                bodies.append((beyond_m, away, (there * away.conj()).real + obstacle.clearance_m, 1.0))
-        return self._combined(bodies + self._walls_near(here)) if bodies else NOWHERE
+                found.append((beyond_m, away, (there * away.conj()).real + obstacle.clearance_m, 1.0))
+        return found
 
     def _walls_near(self, here: Places) -> list[Body]:
         """Walls, while something else is to be avoided: its half-spaces must not lead into a wall. A robot with nothing to
@@ -362,8 +384,14 @@ class Formation:
 
     def _combined(self, bodies: list[Body]) -> HalfSpaces:
         """Half-spaces from the nearest bodies. Their order is kept: the solver goes on from each row's last multiplier."""
-        farthest_m = sorted(beyond_m for beyond_m, *_ in bodies)[:NEAREST][-1]
-        bodies = [body for body in bodies if body[0] <= farthest_m][:NEAREST]
+        if len(bodies) > NEAREST:
+            farthest_m = sorted(beyond_m for beyond_m, *_ in bodies)[NEAREST - 1]
+            bodies = [body for body in bodies if body[0] <= farthest_m][:NEAREST]
         _, normals, offsets, gives = zip(*bodies, strict=True)
-        give = np.array(gives).repeat(len(self._nodes))
-        return HalfSpaces(np.tile(self._nodes, len(bodies)), np.concatenate(normals), np.concatenate(offsets), give)
+        rows = len(bodies) * len(self._nodes)
+        give = self._all_gives[:rows] if min(gives) == 1.0 else np.repeat(gives, len(self._nodes))
+        return HalfSpaces(self._node_rows[:rows], _joined(normals), _joined(offsets), give)
+
+
+def _joined(parts: tuple[NDArray[Any], ...]) -> NDArray[Any]:
+    return np.concatenate(parts) if len(parts) > 1 else parts[0]

@@ -1,6 +1,7 @@
 """Goals, their samples over the horizon, and the splice of one trajectory onto another in flight."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,25 +24,17 @@ def interpolate_rows(table: Array, place: Array, out: Array) -> None:
             out[i, j] = table[low, j] + share * (table[high, j] - table[low, j])
 
 
-@kernel("void(f8[:,::1], f8[:,::1], f8[:,::1], f8, f8, f8, f8, f8[::1], f8[:,::1], f8[:,::1], f8[:,::1])")
+@kernel("void(f8[:,:,::1], f8, f8, f8, f8, f8[::1], f8[:,:,::1])")
 def sample_trajectory(
-    path: Array,
-    path_velocity: Array,
-    path_acceleration: Array,
-    begin_s: float,
-    period_s: float,
-    time_s: float,
-    rate: float,
-    offset_s: Array,
-    eta: Array,
-    velocity: Array,
-    acceleration: Array,
+    samples: Array, begin_s: float, period_s: float, time_s: float, rate: float, offset_s: Array, out: Array
 ) -> None:
-    """Linear interpolation of a trajectory's samples (n, 4), `period_s` apart from `begin_s` on, at time_s + rate offset_s;
-    before and after it its first and last pose, at rest. Results (offsets, 4).
+    """Linear interpolation of a trajectory's `samples` (3, n, 4), poses, velocities and accelerations, `period_s` apart from
+    `begin_s` on, at time_s + rate offset_s; before and after it its first and last pose, at rest. `out` (3, offsets, 4).
 
     The same way at another pace (chain rule): velocities times `rate`, accelerations times its square.
     """
+    path, path_velocity, path_acceleration = samples[0], samples[1], samples[2]
+    eta, velocity, acceleration = out[0], out[1], out[2]
     last = len(path) - 1
     for k in range(len(offset_s)):
         place = (time_s + rate * offset_s[k] - begin_s) / period_s
@@ -88,8 +81,7 @@ class Drive:
 Goal = Follow | Hold | Drive
 
 
-@dataclass(frozen=True, eq=False)
-class Reference:
+class Reference(NamedTuple):
     """Reference at now and at the horizon's nodes: rows 0 (now), 1.. (nodes 0..horizon)."""
 
     eta: Array  # (horizon + 2, 4)
@@ -115,13 +107,9 @@ class ReferenceSampler:
         path = goal.trajectory
         if path is not self._known:
             self._samples, self._known = np.array((path.eta, path.velocity, path.acceleration)), path
-        rows = Reference(np.empty((count, 4)), np.empty((count, 4)), np.empty((count, 4)))
-        eta, velocity, acceleration = self._samples
-        sample_trajectory(
-            eta, velocity, acceleration, path.begin_s, path.period_s, goal.time_s, goal.rate, self._offsets_s,
-            rows.eta, rows.velocity, rows.acceleration,
-        )  # fmt: skip
-        return rows
+        rows = np.empty((3, count, 4))
+        sample_trajectory(self._samples, path.begin_s, path.period_s, goal.time_s, goal.rate, self._offsets_s, rows)
+        return Reference(*rows)
 
     def _driven(self, goal: Drive) -> Reference:
         """Arc of a constant surge and yaw rate: the chord after t is surge t sinc(yaw rate t / 2), in the mean heading."""

@@ -18,8 +18,8 @@ same velocity, never meet, and get back the very reference they came with.
 import cmath
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,6 +86,20 @@ def closes_in(place: complex, velocity: complex, there: Places, going: Places, k
     return False
 
 
+@kernel("b1(f8[:,::1], i8, f8, c16, c16[::1], c16[::1], f8[::1])")
+def leads_too_close(eta: Array, row: int, row_s: float, place: complex, there: Places, going: Places, keep_m: Array) -> bool:
+    """True if the straight line of a reference (rows, 4) to its `row`, `row_s` from now, closes in on any traffic."""
+    velocity = complex((eta[row, 0] - eta[0, 0]) / row_s, (eta[row, 1] - eta[0, 1]) / row_s)
+    return abs(velocity) >= SLIGHTEST_MPS and closes_in(place, velocity, there, going, keep_m)
+
+
+@kernel("void(f8[::1], f8[::1], f8, f8[::1])")
+def distances_when_level(depth: Array, keep_m: Array, depth_m: float, level_m: Array) -> None:
+    """Distances to keep from robots (k,), ROOM_M beyond `keep_m`; 0 from those as far below or above `depth_m`."""
+    for i in range(len(depth)):
+        level_m[i] = keep_m[i] + ROOM_M if abs(depth[i] - depth_m) < keep_m[i] else 0.0
+
+
 @kernel("c16(c16, c16, c16, f8)")
 def homing_velocity(goal: complex, speed: complex, point: complex, fastest_mps: float) -> complex:
     """Velocity that leads a point back to its goal, which moves at `speed`."""
@@ -139,13 +153,14 @@ def find_meetings(
 ) -> bool:
     """Find the traffic (k,) that is to be `heeded`, and the part of it that the way `ahead` (steps,) `meets`. True if any.
 
-    Robots that come from behind on their own way forward overtake: they keep clear of us.
+    Robots that come from behind on their own way forward overtake: they keep clear of us. What is to be passed at no distance
+    is not in the way.
     """
     found = False
     for i in range(len(there)):
         away = there[i] - place
         astern = dot(away, wanted) < ABAFT * abs(away) * abs(wanted)
-        heeded[i] = not (sided[i] and astern and dot(going[i], wanted) > 0.0)
+        heeded[i] = keep_m[i] > 0.0 and not (sided[i] and astern and dot(going[i], wanted) > 0.0)
         meets[i] = False
         nearest_m = min(keep_m[i], PARTING * abs(away))
         for k in range(len(ahead) if heeded[i] else 0):
@@ -231,40 +246,36 @@ def path_back(point: complex, velocity: complex, fastest_mps: float, times_s: Ar
             point += velocity * step_s
 
 
-@dataclass(frozen=True, eq=False)
-class Traffic:
+class Traffic(NamedTuple):
     """Robots and obstacle points to be avoided, k in number, at this instant, as complex numbers x + iy."""
 
     place: NDArray[np.complex128]  # (k,) m
     velocity: NDArray[np.complex128]  # (k,) m/s, that they mean to have
-    keep_m: Array  # (k,) distances to stay away
+    keep_m: Array  # (k,) distances to stay away; 0: it is not in the way
     sided: NDArray[np.bool_]  # (k,) robots, that keep to starboard too
-
-    def only(self, which: NDArray[np.bool_]) -> "Traffic":
-        """Return a selection of it."""
-        return self if which.all() else Traffic(*(column[which] for column in self._columns))
 
     def joined(self, other: "Traffic") -> "Traffic":
         """Return both together."""
-        return Traffic(*(np.concatenate(both) for both in zip(self._columns, other._columns, strict=True)))
-
-    @property
-    def _columns(self) -> tuple[NDArray[Any], ...]:
-        return self.place, self.velocity, self.keep_m, self.sided
+        return Traffic(*(np.concatenate(both) for both in zip(self, other, strict=True)))
 
 
 NOBODY = Traffic(np.zeros(0, np.complex128), np.zeros(0, np.complex128), np.zeros(0), np.zeros(0, bool))
 
 
 def robot_traffic(predictions: NeighbourPredictions, keep_m: Array, depth_m: float, urgent: bool) -> Traffic:
-    """The other robots from their plans, each at a distance (k,). Left out are robots as far below or above `depth_m`, and, if
-    `urgent`, robots that must give way to us: without an urgent task, and hearing us."""
-    others = predictions.neighbours
-    count = np.abs(predictions.depth_now - depth_m) < keep_m
+    """The other robots from their plans, each at a distance (k,). Not in the way are robots as far below or above `depth_m`,
+    and, if `urgent`, robots that must give way to us: without an urgent task, and hearing us."""
     if urgent:
-        count &= [not (other.fresh and other.hears_us and not other.plan.urgent) for other in others]
-    everyone = Traffic(predictions.place_now, predictions.intended_velocity, keep_m + ROOM_M, np.ones(len(others), bool))
-    return everyone.only(count)
+        gives_way = [other.fresh and other.hears_us and not other.plan.urgent for other in predictions.neighbours]
+        keep_m = np.where(gives_way, 0.0, keep_m)
+    level_m = np.empty(len(keep_m))
+    distances_when_level(predictions.depth_now, keep_m, depth_m, level_m)
+    return Traffic(predictions.place_now, predictions.intended_velocity, level_m, _all_sided(len(keep_m)))
+
+
+@cache
+def _all_sided(count: int) -> NDArray[np.bool_]:
+    return np.ones(count, bool)
 
 
 def obstacle_traffic(obstacle: Obstacle, place: complex, speed_mps: float, now_ns: int) -> Traffic:
@@ -299,6 +310,7 @@ class GiveWay:
         self._islands = np.array([island.centre for island in islands], np.complex128)
         self._islands_keep_m = np.array([island.clearance_m + WALL_M for island in islands])
         self._second = min(int(np.searchsorted(times_s, MEANT_S - 1e-9)), len(times_s) - 1)  # a horizon may be shorter
+        self._second_s = float(times_s[self._second])
         self.reset()
 
     def reset(self) -> None:
@@ -340,9 +352,9 @@ class GiveWay:
         """True if the straight line of the coming second, extended, leads too close to any traffic."""
         if not len(traffic.place):
             return False
-        now, second = reference.eta[0], reference.eta[self._second]
-        velocity = complex(second[0] - now[0], second[1] - now[1]) / float(self._times_s[self._second])
-        return abs(velocity) >= SLIGHTEST_MPS and closes_in(place, velocity, traffic.place, traffic.velocity, traffic.keep_m)
+        return leads_too_close(
+            reference.eta, self._second, self._second_s, place, traffic.place, traffic.velocity, traffic.keep_m
+        )
 
     def _avoiding_velocity(self, reference: Reference, place: complex, wanted: complex, traffic: Traffic) -> complex | None:
         """Velocity that avoids the traffic in the way; None if none is."""

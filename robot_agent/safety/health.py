@@ -68,10 +68,10 @@ class HealthMonitor:
         """Take in a control step's estimate and reference, in the mode from now on."""
         self._estimate_ended |= mode in POWERED and self._estimated and not output.estimated
         self._estimated = output.estimated
-        place_m, path_m = (complex(*eta[:2].tolist()) for eta in (output.eta, output.eta_reference))
-        self._path.step(place_m, path_m, output.is_free, now_ns)
-        depth_m, path_depth_m = (complex(eta[2]) for eta in (output.eta, output.eta_reference))
-        self._depth.step(depth_m, path_depth_m, True, now_ns)  # no robot gives way by depth
+        x_m, y_m, depth_m, _ = output.eta.tolist()
+        path_x_m, path_y_m, path_depth_m, _ = output.eta_reference.tolist()
+        self._path.step(complex(x_m, y_m), complex(path_x_m, path_y_m), output.is_free, now_ns)
+        self._depth.step(complex(depth_m), complex(path_depth_m), True, now_ns)  # no robot gives way by depth
         self._output = output
 
     @property

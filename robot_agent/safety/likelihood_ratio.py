@@ -14,8 +14,6 @@ a fault would be learned as normal.
 """
 
 import math
-from bisect import bisect_left
-from collections import deque
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +26,7 @@ SPANS_S = (0.5, 1.0, 2.0)
 FADES_S = 1000.0
 NOISE_S = 10.0  # how fast the noise is learned
 SUSPECTED = 3.0  # evidence: what is felt meanwhile is no habit
+KEPT = 256  # samples: half of them are more than the fastest loop takes in the longest span
 LEAST = 1e-12  # of what could have been missing: nothing
 
 
@@ -90,6 +89,75 @@ def largest_evidence(
     return best
 
 
+@kernel("f8(i8[::1], f8[:,::1], f8[:,::1], i8, i8, i8, f8[::1], f8, f8, f8[::1], f8[:,::1], i8, f8, f8)")
+def evidence_at(
+    instants_ns: NDArray[np.int64],
+    samples: Array,
+    spread: Array,
+    first: int,
+    end: int,
+    at_ns: int,
+    spans_s: Array,
+    same_s: float,
+    variance: float,
+    theta: Array,
+    covariance: Array,
+    parts: int,
+    least: float,
+    most: float,
+) -> float:
+    """`largest_evidence` in the rows from `first` to `end` of `samples`, over the last `spans_s` before `at_ns`.
+
+    `spread` (n, 2) says for how many seconds each sample stands, and its own standard deviation besides the noise's
+    `variance`. Samples within `same_s` count once.
+    """
+    weights, begins = np.empty(end - first), np.empty(len(spans_s), np.int64)
+    for i in range(first, end):
+        weights[i - first] = spread[i, 0] / (same_s * (variance + spread[i, 1] * spread[i, 1]))
+    for k in range(len(spans_s)):
+        begins[k] = 0
+        while begins[k] < end - first and instants_ns[first + begins[k]] < at_ns - spans_s[k] * NS:
+            begins[k] += 1
+    return float(largest_evidence(samples[first:end], weights, begins, theta, covariance, parts, least, most))
+
+
+@kernel("f8(f8[::1], f8[:,::1], f8[:,::1], f8[::1], f8, f8, f8, f8, f8, f8)")
+def learn(
+    theta: Array,
+    covariance: Array,
+    prior: Array,
+    sample: Array,
+    rough: float,
+    per_sample: float,
+    fades: float,
+    variance: float,
+    renewed: float,
+    least_variance: float,
+) -> float:
+    """One step of recursive least squares with a `sample` (x, y), in `theta` (k,) and `covariance` (k, k):
+
+        C = covariance + fades (prior - covariance)    gain = C x / (x . C x + (variance + rough^2) per_sample)
+
+    The noise's variance takes the share `renewed` of what this sample says of it. Returns the new one.
+    """
+    k, missed, doubt = len(theta), sample[len(theta)], 0.0
+    toward = np.zeros(k)
+    for i in range(k):
+        missed -= theta[i] * sample[i]
+        for j in range(k):
+            covariance[i, j] += fades * (prior[i, j] - covariance[i, j])
+            toward[i] += covariance[i, j] * sample[j]
+        doubt += sample[i] * toward[i]
+    noise = max(missed * missed - doubt - rough * rough, least_variance)
+    variance += renewed * (noise - variance)
+    per = 1.0 / (doubt + (variance + rough * rough) * per_sample)
+    for i in range(k):
+        theta[i] += toward[i] * per * missed
+        for j in range(k):
+            covariance[i, j] -= toward[i] * per * toward[j]
+    return variance
+
+
 class LikelihoodRatioTest:
     """Test of one number y against its regressors x (k,)."""
 
@@ -100,35 +168,43 @@ class LikelihoodRatioTest:
         Samples within `same_s` of each other are correlated and count once. A missing share, from least to most in `shares`,
         is sought in each of the first `parts` of x."""
         self._prior, self._least_variance, self._same_s = prior, least_noise**2, same_s
-        self._theta, self._covariance, self._variance = np.zeros(len(prior)), prior, noise**2
-        self._parts, self._shares = parts, shares
-        self._young: deque[tuple[int, float, float, Array]] = deque()  # instant, seconds, roughness, (x, y)
+        self._theta, self._covariance, self._variance = np.zeros(len(prior)), prior.copy(), noise**2
+        self._parts, self._shares, self._spans_s = parts, shares, np.array(SPANS_S)
+        # Samples not learned yet stand in the rows from `first` to `end`: instant, (x, y), seconds and roughness
+        self._instants_ns, self._samples = np.zeros(KEPT, np.int64), np.zeros((KEPT, len(prior) + 1))
+        self._spread, self._first, self._end = np.zeros((KEPT, 2)), 0, 0
         self.evidence = 0.0  # that a part is missing now
 
     def note_sample(self, x: Array, y: float, rough: float, elapsed_s: float, at_ns: int) -> None:
         """Take in y with x at an instant, `elapsed_s` after the last sample; `rough` is an additional standard deviation
         of y."""
-        self._young.append((at_ns, elapsed_s, rough, np.append(x, y)))
-        while self._young[0][0] <= at_ns - SPANS_S[-1] * NS:
-            _, seconds, roughness, sample = self._young.popleft()
-            if self.evidence < SUSPECTED:
-                self._learn(sample[:-1], float(sample[-1]), roughness, seconds)
-        self.evidence = self._look(at_ns)
+        if self._end == KEPT:
+            self._make_room()
+        row = self._end
+        self._instants_ns[row], self._samples[row, :-1], self._samples[row, -1] = at_ns, x, y
+        self._spread[row] = elapsed_s, rough
+        self._end += 1
+        while self._instants_ns[self._first] <= at_ns - SPANS_S[-1] * NS:
+            self._learn_first()
+        self.evidence = evidence_at(
+            self._instants_ns, self._samples, self._spread, self._first, self._end, at_ns, self._spans_s, self._same_s,
+            self._variance, self._theta, self._covariance, self._parts, *self._shares,
+        )  # fmt: skip
 
-    def _learn(self, x: Array, y: float, rough: float, seconds: float) -> None:
-        missed = y - float(self._theta @ x)
-        known = self._covariance + -math.expm1(-seconds / FADES_S) * (self._prior - self._covariance)
-        toward = known @ x
-        doubt = float(x @ toward)
-        noise = max(missed**2 - doubt - rough**2, self._least_variance)
-        self._variance += -math.expm1(-seconds / NOISE_S) * (noise - self._variance)
-        gain = toward / (doubt + (self._variance + rough**2) * self._same_s / seconds)
-        self._theta = self._theta + gain * missed
-        self._covariance = known - np.outer(gain, toward)
+    def _learn_first(self) -> None:
+        """Learn the oldest sample, unless something is suspected."""
+        if self.evidence < SUSPECTED:
+            seconds, rough = self._spread[self._first].tolist()
+            self._variance = learn(
+                self._theta, self._covariance, self._prior, self._samples[self._first], rough, self._same_s / seconds,
+                -math.expm1(-seconds / FADES_S), self._variance, -math.expm1(-seconds / NOISE_S), self._least_variance,
+            )  # fmt: skip
+        self._first += 1
 
-    def _look(self, at_ns: int) -> float:
-        """Return the evidence in the young samples."""
-        instants, seconds, rough, samples = zip(*self._young, strict=True)
-        weights = np.array(seconds) / (self._same_s * (self._variance + np.square(rough)))
-        begins = np.array([bisect_left(instants, at_ns - span_s * NS) for span_s in SPANS_S])
-        return largest_evidence(np.array(samples), weights, begins, self._theta, self._covariance, self._parts, *self._shares)
+    def _make_room(self) -> None:
+        """Move the samples to the first rows. Of more than half of KEPT the oldest are learned early."""
+        while self._end - self._first > KEPT // 2:
+            self._learn_first()
+        for column in (self._instants_ns, self._samples, self._spread):
+            column[: self._end - self._first] = column[self._first : self._end]
+        self._first, self._end = 0, self._end - self._first

@@ -6,6 +6,7 @@ of them leads back to thrust. `robot-agent modes` prints both for docs/modes.md.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from wire.config.controller import Safety
 from wire.messages.messages import Mode, Order
@@ -50,8 +51,7 @@ ORDERS: dict[Order, ModeTransition] = {
 }
 
 
-@dataclass(frozen=True)
-class Health:
+class Health(NamedTuple):
     """Values that the reactions are decided by. An age is in seconds by the receiver's clock; infinity is "never heard"."""
 
     pose_age_s: float  # of the last pose that was seen, not only predicted
@@ -117,11 +117,13 @@ REACTIONS: tuple[Reaction, ...] = (
     Reaction("no drive command", frozenset({Mode.DRIVEN}), lambda h, s: h.drive_age_s > DRIVE_LASTS_S, Mode.HOLDING),
 )  # fmt: skip
 
+REACTIONS_IN = {mode: tuple(reaction for reaction in REACTIONS if mode in reaction.modes) for mode in Mode}
+
 
 def react(mode: Mode, health: Health, safety: Safety) -> tuple[Mode, str]:
     """Return the mode after this step's reactions, and the reason if it changed (empty otherwise)."""
-    for reaction in REACTIONS:
-        if mode in reaction.modes and reaction.when(health, safety):
+    for reaction in REACTIONS_IN[mode]:
+        if reaction.when(health, safety):
             detail = reaction.detail(health)
             return reaction.to, f"{reaction.reason}: {detail}" if detail else reaction.reason
     return mode, ""

@@ -21,7 +21,7 @@ LATELY_NS = 350_000_000  # 100 ms each way on a bad wire, a board's loop, and wh
 LEAP_US = 200  # a thruster's pulse may take longer for it than to the next command: then it is anywhere it was told lately
 JUDGED_NS = 1_000_000_000  # an echo that happens to look right is no proof: what counts is how much of this was wrong
 LONGEST_NS = 100_000_000  # that one echo speaks for
-KEPT = 256  # commands: more than that of the fastest loop
+KEPT = 512  # commands: half of them are more than that of the fastest loop
 
 THRUSTERS = 4  # the first of the outputs; ankles follow
 
@@ -76,8 +76,10 @@ class OutputCheck:
         """Take note of pulses that went out. Of two at one instant the last counts."""
         if not self._count or self._sent_ns[self._count - 1] != now_ns:
             if self._count == KEPT:
-                self._sent_ns[:-1], self._told_us[:-1] = self._sent_ns[1:], self._told_us[1:]
-            self._count = min(self._count + 1, KEPT)
+                self._count = KEPT // 2
+                for column in (self._sent_ns, self._told_us):
+                    column[: self._count] = column[-self._count :]
+            self._count += 1
         self._sent_ns[self._count - 1], self._told_us[self._count - 1] = now_ns, pulse_us
 
     def note_telemetry(self, telemetry: Telemetry, now_ns: int) -> None:

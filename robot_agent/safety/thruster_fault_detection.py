@@ -29,6 +29,7 @@ from wire.kernels import kernel
 NS = 1_000_000_000
 SMOOTH_S = 0.3  # T: noise of the gyroscope, 3 mrad/s, is then 1.2 mN m; one idle thruster of the article's robot turns with 12
 LEGS = 4
+DRAG, RISING, ALWAYS = 4, 5, 6  # among the causes of the residual, after the legs
 OF_ALL, OF_ONE = 0.3, 0.1  # how far the residual may go with every N_k alike (mass, voltage), and with each (curve, spread),
 OF_DRAG, OF_NOTHING_NM = 0.3, 0.004  # with d(r), and with nothing,
 LATE_S = 0.02  # and for how late the moment comes, before any of it is known
@@ -44,7 +45,7 @@ APART_NS = NS // 20  # as it does if the board's clock tells otherwise how long 
 # Covariance of how far the residual goes with the legs' moments, drag, the moment's change, and nothing.
 PRIOR = np.diag(np.square([OF_ONE] * LEGS + [OF_DRAG, LATE_S, OF_NOTHING_NM]))
 PRIOR[:LEGS, :LEGS] += OF_ALL**2
-KEPT = 64  # commands: more than act within LONGEST_NS of the fastest loop
+KEPT = 128  # commands: half of them are more than act within LONGEST_NS of the fastest loop
 
 
 @kernel("void(i8[::1], f8[:,::1], i8, f8, i8, i8, f8[::1], f8[::1])")
@@ -74,6 +75,46 @@ def follow_commands(
                 acting[leg] = wanted + behind * left
 
 
+@kernel("UniTuple(f8,2)(i8[::1], f8[:,::1], i8, f8, i8, i8, f8[::1], f8[::1], f8[::1], f8, f8, f8, f8, f8)")
+def observe_turn(
+    acts_ns: NDArray[np.int64],
+    moments: Array,
+    count: int,
+    lag_s: float,
+    from_ns: int,
+    to_ns: int,
+    acting: Array,
+    impulse: Array,
+    causes: Array,
+    rate: float,
+    measured: float,
+    mass: float,
+    linear: float,
+    quadratic: float,
+) -> tuple[float, float]:
+    """Advance the observer of the module by one sample of the gyroscope: returns the estimated yaw `rate` r^ and the residual
+    moment, N m. See `follow_commands` for the commands.
+
+    `causes` (7,), each smoothed over T, are the moments of the legs (4), drag, the moment's rate of change, and 1.
+    """
+    follow_commands(acts_ns, moments, count, lag_s, from_ns, to_ns, acting, impulse)
+    elapsed_s = (to_ns - from_ns) / NS
+    drag = (linear + quadratic * abs(rate)) * rate
+    smooth, moment, rising = -math.expm1(-elapsed_s / SMOOTH_S), 0.0, 0.0
+    for leg in range(LEGS):
+        push = impulse[leg] / elapsed_s
+        change = smooth * (push - causes[leg])
+        causes[leg] += change
+        moment += push
+        rising += change
+    predicted = rate + elapsed_s * (moment - drag) / mass
+    rate = predicted + smooth * (measured - predicted)
+    causes[DRAG] += smooth * (drag - causes[DRAG])
+    causes[RISING] = rising / elapsed_s
+    causes[ALWAYS] += smooth * (1.0 - causes[ALWAYS])
+    return rate, mass * (measured - rate) / SMOOTH_S
+
+
 class ThrusterFaultDetector:
     """Fault detection for one robot's thrusters."""
 
@@ -94,8 +135,8 @@ class ThrusterFaultDetector:
         self._test = LikelihoodRatioTest(PRIOR, *NOISE_NM, SAME_S, LEGS, MISSING)
 
     def _forget_causes(self) -> None:
-        """Clear the smoothed moments of legs, drag and the constant."""
-        self._legs, self._drag, self._always = np.zeros(LEGS), 0.0, 0.0
+        """Clear the smoothed causes of the residual."""
+        self._causes = np.zeros(LEGS + 3)
         self._unnoted_s = 0.0
 
     def note_moments(self, moments_nm: Array, now_ns: int) -> None:
@@ -103,8 +144,10 @@ class ThrusterFaultDetector:
         acts_ns = now_ns + self._dead_ns
         if not self._count or self._acts_ns[self._count - 1] != acts_ns:
             if self._count == KEPT:
-                self._acts_ns[:-1], self._told[:-1] = self._acts_ns[1:], self._told[1:]
-            self._count = min(self._count + 1, KEPT)
+                self._count = KEPT // 2
+                for column in (self._acts_ns, self._told):
+                    column[: self._count] = column[-self._count :]
+            self._count += 1
         self._acts_ns[self._count - 1], self._told[self._count - 1] = acts_ns, moments_nm
 
     def step(self, yaw_rate_radps: float, at_ns: int, board_ns: int) -> None:
@@ -114,38 +157,24 @@ class ThrusterFaultDetector:
         if self._rate is None or not 0 <= elapsed_ns <= LONGEST_NS or abs(elapsed_ns - board_elapsed_ns) > APART_NS:
             self._begin(yaw_rate_radps, at_ns, board_ns)
         elif elapsed_ns:
-            elapsed_s, self._at_ns, self._board_ns = elapsed_ns / NS, at_ns, board_ns
-            drag = (self._linear + self._quadratic * abs(self._rate)) * self._rate
-            push = self._push(at_ns - elapsed_ns, at_ns) / elapsed_s
-            residual = self._observe(self._rate, yaw_rate_radps, float(push.sum()) - drag, elapsed_s)
-            smooth = -math.expm1(-elapsed_s / SMOOTH_S)
-            change = smooth * (push - self._legs)
-            self._legs = self._legs + change
-            self._drag += smooth * (drag - self._drag)
-            self._always += smooth * (1.0 - self._always)
-            moment, rising = float(self._legs.sum()), float(change.sum()) / elapsed_s
-            self._unnoted_s += elapsed_s
+            self._rate, residual = observe_turn(
+                self._acts_ns, self._told, self._count, self._lag_s, self._at_ns, at_ns, self._acting, self._impulse,
+                self._causes, self._rate, yaw_rate_radps, self._mass, self._linear, self._quadratic,
+            )  # fmt: skip
+            self._at_ns, self._board_ns = at_ns, board_ns
+            self._unnoted_s += elapsed_ns / NS
             if self._unnoted_s > NOTED_S:
-                causes = np.array([*self._legs, self._drag, rising, self._always])
+                moment, rising = float(self._causes[:LEGS].sum()), float(self._causes[RISING])
                 rough = math.hypot(SHARE * moment, UNEVEN_S * rising)
-                self._test.note_sample(causes, residual, rough, self._unnoted_s, at_ns)
+                self._test.note_sample(self._causes, residual, rough, self._unnoted_s, at_ns)
                 self._unnoted_s = 0.0
                 self.broken |= self._test.evidence > SURE
 
     def _begin(self, yaw_rate_radps: float, at_ns: int, board_ns: int) -> None:
         """Start the observer at this sample. Learned parameters are kept across a gap."""
         if self._rate is not None and at_ns > self._at_ns:
-            self._push(self._at_ns, at_ns)
+            follow_commands(
+                self._acts_ns, self._told, self._count, self._lag_s, self._at_ns, at_ns, self._acting, self._impulse
+            )
         self._rate, self._at_ns, self._board_ns = yaw_rate_radps, at_ns, board_ns
         self._forget_causes()
-
-    def _push(self, from_ns: int, to_ns: int) -> Array:
-        """Let the thrusters follow their commands; return the integral of their moments (4,), N m s."""
-        follow_commands(self._acts_ns, self._told, self._count, self._lag_s, from_ns, to_ns, self._acting, self._impulse)
-        return self._impulse
-
-    def _observe(self, rate: float, measured: float, moment: float, elapsed_s: float) -> float:
-        """Advance the observer; return the residual moment, N m."""
-        predicted = rate + elapsed_s * moment / self._mass
-        self._rate = predicted - math.expm1(-elapsed_s / SMOOTH_S) * (measured - predicted)
-        return self._mass * (measured - self._rate) / SMOOTH_S

@@ -130,6 +130,33 @@ def deliver(
         wrench[2] += moment[i]
 
 
+@kernel("void(f8[::1], f8[:,::1], f8, f8, f8, f8, f8[::1], f8[::1], i8, i8, f8, f8, f8[:,::1], i8[::1], f8[::1])")
+def allocate_and_deliver(
+    wrench: Array,
+    legs: Array,
+    idle_n: float,
+    ahead_n: float,
+    astern_n: float,
+    steepest_tan: float,
+    thrust_n: Array,
+    between_n: Array,
+    slowest_us: int,
+    neutral_us: int,
+    level_us: float,
+    us_per_rad: float,
+    work: Array,
+    pulse: NDArray[np.int64],
+    delivered: Array,
+) -> None:
+    """Pulses (8,) for a wrench (3,), and what they give of it, `delivered` (3,): see `allocate_pulses` and `deliver`. `work`
+    is (3, 4)."""
+    allocate_pulses(
+        wrench, legs, idle_n, ahead_n, astern_n, steepest_tan, between_n, slowest_us, neutral_us, level_us, us_per_rad,
+        work[0], work[1], pulse,
+    )  # fmt: skip
+    deliver(pulse, legs, thrust_n, slowest_us, level_us, us_per_rad, delivered, work[2])
+
+
 class Allocator:
     """Allocation for one vehicle. Wrenches are [surge N, heave N, yaw N m]; pulses are 4 thrusters, then 4 ankles."""
 
@@ -148,18 +175,28 @@ class Allocator:
         pulses_us = np.arange(self._slowest_us, int(curve[-1][0]) + 1, dtype=np.float64)
         self._thrust_n = np.asarray(vehicle.thruster.force_n(pulses_us))
         self._between_n = np.asarray(vehicle.thruster.force_n(pulses_us[:-1] + 0.5))
+        self._work, self._pulse = np.empty((3, 4)), np.empty(8, np.int64)
 
     def pulses(self, wrench: Array) -> tuple[int, ...]:
         """Pulse widths (us) for a wrench (3,), as far as the thrusters can deliver it; neutral if it is not finite."""
+        return self.allocate(wrench)[0]
+
+    def allocate(self, wrench: Array) -> tuple[tuple[int, ...], Array]:
+        """Pulse widths (us) for a wrench (3,), and the part of it (3,) that they give by the nominal thrust curve; neutral if
+        it is not finite."""
         if not math.isfinite(sum(wrench.tolist())):
-            return self.neutral_us
-        pulse = np.empty(8, np.int64)
-        allocate_pulses(
-            wrench, self._legs, self._idle_n, self._ahead_n, self._astern_n, self._steepest_tan, self._between_n,
-            self._slowest_us, self.neutral_us[0], self._ankle_level_us, self._ankle_us_per_rad, np.empty(4), np.empty(4),
-            pulse,
+            return self.neutral()
+        delivered = np.empty(3)
+        allocate_and_deliver(
+            wrench, self._legs, self._idle_n, self._ahead_n, self._astern_n, self._steepest_tan, self._thrust_n,
+            self._between_n, self._slowest_us, self.neutral_us[0], self._ankle_level_us, self._ankle_us_per_rad, self._work,
+            self._pulse, delivered,
         )  # fmt: skip
-        return tuple(pulse.tolist())
+        return tuple(self._pulse.tolist()), delivered
+
+    def neutral(self) -> tuple[tuple[int, ...], Array]:
+        """Pulse widths with which no thruster turns, and the wrench (3,) that they give."""
+        return self.neutral_us, self.delivered(self.neutral_us)[0]
 
     def delivered(self, pulse_us: tuple[int, ...]) -> tuple[Array, Array]:
         """Wrench (3,) of eight pulse widths by the nominal thrust curve, and the yaw moment of each leg (4,), N m."""

@@ -1,4 +1,5 @@
-"""The model that estimator and controller share: body velocities with sway, quadratic drag and lagging thrusters.
+"""The model that estimator and controller share, and the observer's equations on it: body velocities with sway, quadratic
+drag and lagging thrusters.
 
 Equations (3-11) with the sway that the article leaves out (it is what pushes a slow robot off a circle):
 
@@ -22,13 +23,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wire.config.vehicle import Vehicle
-from wire.frames import Array
+from wire.frames import TURN, Array
 from wire.kernels import kernel
 
 Wrench = tuple[float, float, float]  # surge N, heave N, yaw N m
 State = tuple[float, ...]  # 11 numbers: eta (4), nu (4), thrust that acts now [X N, Z N, N N m]
 
 LONGEST_STEP_NS = 50_000_000  # the model's step is first order in the Coriolis terms
+GATE_M, GATE_RAD = 0.3, 1.0  # between two poses nothing moves this far: 0.5 m/s x 0.2 s, 1.9 rad/s x 0.2 s, and doubled
+SENSED_LOOKED_AT = 16  # board samples, one per step: reaches back 0.8 s
+SENSED_HELD_NS = 150_000_000  # so long a board sample stands for what came after it: three bursts at 20 Hz
 
 
 @kernel("UniTuple(f8,2)(f8, f8)")
@@ -124,27 +128,204 @@ def propagate(
     return state
 
 
+@kernel("UniTuple(f8,2)(f8[:,::1], f8, f8)")
+def drag(model: Array, u: float, v: float) -> tuple[float, float]:
+    """Deceleration in m/s^2 by drag at horizontal velocities u, v through the water."""
+    speed = math.hypot(u, v)
+    along, aside = model[1, 0] + model[2, 0] * speed, model[1, 1] + model[2, 1] * speed
+    return along * u / model[0, 0], aside * v / model[0, 1]
+
+
+# --- the observer (31) on this model
+
+
+@kernel("Tuple((f8, c16, f8))(f8, c16, f8, f8, f8, f8)")
+def split_side_force(
+    side: float, current: complex, yaw: float, slope: float, share: float, fastest_mps: float
+) -> tuple[float, complex, float]:
+    """Division of a side force (m/s^2) between Gamma_v and the current: both anew, and by how much the current grew to the
+    side (m/s). The sway velocity through the water falls by as much.
+
+    `slope` is that of the sway drag, `share` the part that goes to the current. A current at its limit grows no further: the
+    rest stays a side force.
+    """
+    drift = share * side / slope
+    aside = complex(-math.sin(yaw), math.cos(yaw))
+    if abs(current + drift * aside) > fastest_mps:
+        along = current.real * aside.real + current.imag * aside.imag  # |current + t aside| = fastest at t = -along +- half
+        half = math.sqrt(max(along**2 + fastest_mps**2 - abs(current) ** 2, 0.0))
+        drift = min(max(drift, min(-along - half, 0.0)), max(-along + half, 0.0))
+    return side - drift * slope, current + drift * aside, drift
+
+
+@kernel("UniTuple(f8,3)(f8, f8)")
+def gains(bandwidth_radps: float, step_s: float) -> tuple[float, float, float]:
+    """Innovation gains b1, b2, b3 for pose, velocity and Gamma: all three observer poles at exp(-w dt)."""
+    beta = math.exp(-bandwidth_radps * step_s)
+    rest = 1.0 - beta
+    return 1.0 - beta**3, 1.5 * rest * rest * (1.0 + beta) / step_s, rest**3 / (step_s * step_s)
+
+
+@kernel("UniTuple(f8,3)(f8, f8)")
+def gains_with_rate(bandwidth_radps: float, step_s: float) -> tuple[float, float, float]:
+    """Gains b1, b2, b3 if velocity is measured too: pose by the pose error; velocity and Gamma by the velocity error."""
+    beta = math.exp(-bandwidth_radps * step_s)
+    rest = 1.0 - beta
+    return rest, 1.0 - beta * beta, rest * rest / step_s
+
+
+@kernel("f8(f8[:,::1], f8, f8)")
+def sway_slope(model: Array, u: float, v: float) -> float:
+    """Rate (1/s) at which sideways motion decays at velocities u, v through the water: slope of the drag, per mass."""
+    speed = math.sqrt(u * u + v * v)
+    bend = v * v / speed if speed > 0.0 else 0.0
+    return float((model[1, 1] + model[2, 1] * (speed + bend)) / model[0, 1])
+
+
 @kernel(
-    "UniTuple(UniTuple(f8,11),2)"
-    "(f8[:,::1], f8, f8, UniTuple(f8,11), UniTuple(f8,4), UniTuple(f8,2), i8[::1], f8[:,::1], i8, i8, i8, i8)"
+    "Tuple((UniTuple(f8,11), UniTuple(f8,4), c16))"
+    "(f8[:,::1], UniTuple(f8,11), UniTuple(f8,4), c16, UniTuple(f8,3), f8, f8, f8, f8, f8, b1, b1, f8, f8)"
 )
-def propagate_twice(
+def correct(
+    model: Array,
+    state: State,
+    gamma: tuple[float, ...],
+    current: complex,
+    error: tuple[float, float, float],
+    depth_m: float,
+    rate_radps: float,
+    step_s: float,
+    bandwidth_radps: float,
+    yaw_bandwidth_radps: float,
+    enabled: bool,
+    sway: bool,
+    current_rate_radps: float,
+    fastest_mps: float,
+) -> tuple[State, tuple[float, ...], complex]:
+    """State, Gamma and current after a pose that differs by `error` (x, y, yaw) from the `state` predicted for it: (31) on
+    the pool's axes x, y, z and yaw, `step_s` after the last one.
+
+        eta += b1 e      nu += b2 J^T e      Gamma += b3 J^T e      J^T turns into the body frame
+
+    `depth_m` and `rate_radps` are NaN when not known. Not `enabled`: no Gamma; without `sway` v and Gamma_v stay as they are.
+    """
+    x, y, z, yaw, u, v, w, r, surge_n, heave_n, yaw_nm = state
+    gamma_u, gamma_v, gamma_w, gamma_r = gamma
+    b1, b2, b3 = gains(bandwidth_radps, step_s)
+    estimates = 1.0 if enabled else 0.0
+    b3 *= estimates
+    c, s = math.cos(yaw), math.sin(yaw)
+    error_u, error_v = c * error[0] + s * error[1], -s * error[0] + c * error[1]
+    x, y, u, gamma_u = x + b1 * error[0], y + b1 * error[1], u + b2 * error_u, gamma_u + b3 * error_u
+    if sway:
+        v += b2 * error_v
+        share = -math.expm1(-current_rate_radps * step_s)
+        gamma_v, current, drift = split_side_force(
+            gamma_v + b3 * error_v, current, yaw, sway_slope(model, u, v), share, fastest_mps
+        )
+        v -= drift
+    if not math.isnan(depth_m):
+        error_z = depth_m - z
+        z, w, gamma_w = z + b1 * error_z, w + b2 * error_z, gamma_w + b3 * error_z
+    if math.isnan(rate_radps):
+        b1, b2, b3 = gains(yaw_bandwidth_radps, step_s)
+        error_r = error[2]
+    else:  # the gyroscope sees the rate at once, the camera keeps the heading; a gyro bias of 2 mrad/s moves it by 0.5 mrad
+        b1, b2, b3 = gains_with_rate(yaw_bandwidth_radps, step_s)
+        error_r = rate_radps - r
+    yaw, r, gamma_r = yaw + b1 * error[2], r + b2 * error_r, gamma_r + estimates * b3 * error_r
+    return (x, y, z, yaw, u, v, w, r, surge_n, heave_n, yaw_nm), (gamma_u, gamma_v, gamma_w, gamma_r), current
+
+
+@kernel("f8(i8[::1], f8[:,::1], i8, i8, i8)")
+def sensed_at(sensed_ns: NDArray[np.int64], sensed: Array, count: int, column: int, at_ns: int) -> float:
+    """Depth (column 0) or yaw rate (1) at an instant, from the last SENSED_LOOKED_AT of the first `count` samples of `sensed`
+    (samples, 2): interpolated, held at the ends; NaN if there is none, or the newest is SENSED_HELD_NS older."""
+    later_ns, later = 0, math.nan
+    for i in range(count - 1, max(count - SENSED_LOOKED_AT, 0) - 1, -1):
+        value = float(sensed[i, column])
+        if math.isnan(value):
+            continue
+        if sensed_ns[i] <= at_ns:
+            if math.isnan(later):
+                return value if at_ns - sensed_ns[i] <= SENSED_HELD_NS else math.nan
+            return float(value + (later - value) * (at_ns - sensed_ns[i]) / (later_ns - sensed_ns[i]))
+        later_ns, later = sensed_ns[i], value
+    return later
+
+
+@kernel(
+    "b1(f8[:,::1], f8, f8, f8[::1], f8[::1], i8[::1], f8[:,::1], i8, i8[::1], f8[:,::1], i8, f8, f8, f8, i8, i8, i8, i8,"
+    " f8[:,::1], f8[::1])"
+)
+def observe(
     model: Array,
     sway: float,
     lag_s: float,
-    state: State,
-    gamma: tuple[float, ...],
-    current: tuple[float, float],
+    settings: Array,
+    belief: Array,
     acts_ns: NDArray[np.int64],
     wrenches: Array,
-    count: int,
-    from_ns: int,
-    to_ns: int,
-    on_to_ns: int,
-) -> tuple[State, State]:
-    """States at `to_ns` and, from there, at `on_to_ns`: see `propagate`."""
-    there = propagate(model, sway, lag_s, state, gamma, current, acts_ns, wrenches, count, from_ns, to_ns)
-    return there, propagate(model, sway, lag_s, there, gamma, current, acts_ns, wrenches, count, to_ns, on_to_ns)
+    inputs: int,
+    sensed_ns: NDArray[np.int64],
+    sensed: Array,
+    samples: int,
+    x_m: float,
+    y_m: float,
+    yaw_rad: float,
+    stamp_ns: int,
+    at_ns: int,
+    now_ns: int,
+    acts_at_ns: int,
+    now: Array,
+    action: Array,
+) -> bool:
+    """One step of the observer: the `belief` of `at_ns`, corrected by a pose of `stamp_ns` if that is later, and predicted to
+    now and on to when a command given now acts.
+
+    `belief` (17,) is the state (11), Gamma (4) and the current x, y (m/s). `settings` (6,) are those of `correct` from the
+    bandwidth on. The first `inputs` of `wrenches` act as in `propagate`; the first `samples` of `sensed` are depth and yaw
+    rate as in `sensed_at`. Results: `now` (4, 4) has the rows eta; nu over ground; Gamma; Gamma with the acceleration by which
+    the current changes drag. `action` (11,) is the state, its velocities through the water.
+    Returns False, and leaves the belief as it was, if the pose is farther off than GATE_M or GATE_RAD.
+    """
+    state: State = (
+        belief[0], belief[1], belief[2], belief[3], belief[4], belief[5], belief[6], belief[7],
+        belief[8], belief[9], belief[10],
+    )  # fmt: skip
+    gamma: tuple[float, ...] = (belief[11], belief[12], belief[13], belief[14])
+    water, passes = (belief[15], belief[16]), True
+    if stamp_ns > at_ns:
+        there = propagate(model, sway, lag_s, state, gamma, water, acts_ns, wrenches, inputs, at_ns, stamp_ns)
+        turned = np.fmod(yaw_rad - there[3], TURN)
+        turned = turned - TURN if turned >= math.pi else turned + TURN if turned < -math.pi else turned
+        error = (x_m - there[0], y_m - there[1], turned)
+        passes = math.hypot(error[0], error[1]) <= GATE_M and abs(error[2]) <= GATE_RAD
+        if passes:
+            state, gamma, current = correct(
+                model, there, gamma, complex(water[0], water[1]), error, sensed_at(sensed_ns, sensed, samples, 0, stamp_ns),
+                sensed_at(sensed_ns, sensed, samples, 1, stamp_ns), (stamp_ns - at_ns) * 1e-9, settings[0], settings[1],
+                settings[2] != 0.0, settings[3] != 0.0, settings[4], settings[5],
+            )  # fmt: skip
+            water, at_ns = (current.real, current.imag), stamp_ns
+            for i in range(11):
+                belief[i] = state[i]
+            for i in range(4):
+                belief[11 + i] = gamma[i]
+            belief[15], belief[16] = water
+    here = propagate(model, sway, lag_s, state, gamma, water, acts_ns, wrenches, inputs, at_ns, now_ns)
+    then = propagate(model, sway, lag_s, here, gamma, water, acts_ns, wrenches, inputs, now_ns, acts_at_ns)
+    for i in range(4):
+        now[0, i], now[1, i], now[2, i], now[3, i] = here[i], here[4 + i], gamma[i], gamma[i]
+    for i in range(11):
+        action[i] = then[i]
+    if water[0] != 0.0 or water[1] != 0.0:
+        carried = complex(water[0], water[1]) * complex(math.cos(-here[3]), math.sin(-here[3]))
+        through_u, through_v = drag(model, here[4], here[5])
+        now[1, 0], now[1, 1] = here[4] + carried.real, here[5] + carried.imag
+        over_u, over_v = drag(model, now[1, 0], now[1, 1])
+        now[3, 0], now[3, 1] = gamma[0] + over_u - through_u, gamma[1] + over_v - through_v
+    return passes
 
 
 class Model:
@@ -165,9 +346,7 @@ class Model:
 
     def drag(self, u: float, v: float) -> tuple[float, float]:
         """Deceleration (2,) in m/s^2 by drag at horizontal velocities u, v through the water."""
-        speed = math.hypot(u, v)
-        along, aside = self.linear[0] + self.quadratic[0] * speed, self.linear[1] + self.quadratic[1] * speed
-        return along * u / self.mass[0], aside * v / self.mass[1]
+        return drag(self.coefficients, u, v)
 
     def advance(self, state: State, disturbance: Sequence[float], wrench: Sequence[float], dt_s: float) -> State:
         """Return the state after `dt_s` (one control step or less) of a constant commanded wrench and disturbance (4,)."""

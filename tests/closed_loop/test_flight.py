@@ -83,8 +83,8 @@ def test_a_board_that_disarmed_itself_is_not_armed_again_unasked() -> None:
     pool.agents_work[0] = False
     pool.run(0.4)
     assert not pool.world.boards[0].armed
-    idle = pool.robots[0].agent.neutral_us
-    pool.robots[0].agent.controller.allocator.pulses = lambda wrench: idle  # type: ignore[method-assign]
+    allocator = pool.robots[0].agent.controller.allocator
+    allocator.allocate = lambda wrench: allocator.neutral()  # type: ignore[method-assign]
     pool.agents_work[0] = True
     pool.run(1.0)
     assert pool.robots[0].agent.mode is Mode.FAULT

@@ -1,7 +1,6 @@
 """A robot's core, given what nobody should give it: the last guard before the wire."""
 
 import itertools
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -45,7 +44,7 @@ def test_invalid_pulse_ends_in_neutral(broken: dict[str, Any], monkeypatch: pyte
     agent, inputs, now_ns = flying()
     controller = agent.controller
     real = controller.step
-    monkeypatch.setattr(controller, "step", lambda *arguments: replace(real(*arguments), **broken))
+    monkeypatch.setattr(controller, "step", lambda *arguments: real(*arguments)._replace(**broken))
     outputs = agent.step(inputs, now_ns)
     assert (outputs.pulse_us[:4], outputs.state.solve, outputs.plan) == (NEUTRAL_US, Solve.FAILED, None)
     assert all(np.isfinite(value).all() for value in vars(outputs.state).values() if isinstance(value, np.ndarray | float))

@@ -52,7 +52,7 @@ class Feedback:
         self._fresh = True
         self._law.reset()
 
-    def predicted_path(self, state: State) -> Array:
+    def predicted_path(self, state: State | Array) -> Array:
         """Return the last plan moved on by one step, or `state`, at all nodes, shape (horizon + 1, 4)."""
         if self._fresh:
             self._eta[:] = state[:4]
@@ -61,7 +61,7 @@ class Feedback:
 
     def plan(
         self,
-        state: State,
+        state: State | Array,
         disturbance: Array,
         wrench: Array,
         reference: Array,
@@ -71,6 +71,7 @@ class Feedback:
         delivered: Array | None = None,
     ) -> MpcPlan:
         """Compute one step of the law, see `Law.plan`. Weights and half-spaces are not used."""
+        state = tuple(np.asarray(state).tolist())
         if not np.abs(reference).max() < ABSURD:
             return self._give_up(state)
         unknown = disturbance.tolist()

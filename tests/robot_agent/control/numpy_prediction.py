@@ -1,9 +1,10 @@
-"""The linearised model as it was before kernels: NumPy and LAPACK in place of loops, an independent oracle."""
+"""The linearised model in NumPy and LAPACK in place of loops, an independent oracle; and steps of the one with loops."""
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dtbtrs
 
+from robot_agent.control.linearisation import Prediction
 from robot_agent.vehicle.dynamics import Model, State
 from wire.frames import Array
 
@@ -201,3 +202,24 @@ def numpy_cost(prediction: NumpyPrediction, reference: Array, weight: Array) -> 
     p = np.zeros((3 * n, 3 * n))
     p[: 2 * n, : 2 * n], p[2 * n :, 2 * n :] = moving[:-1, :-1], sinking[:-1, :-1]
     return p, np.append(moving[-1, :-1], sinking[-1, :-1])
+
+
+def linearise(
+    prediction: Prediction, state: State | Array, lacking: Array, gamma: Array, current: complex = 0j
+) -> tuple[Array, Array]:
+    """Linearise, and return P and q of (35) at unit weights for a reference at the origin, without a price of changes."""
+    nodes, blocks = prediction.yaw.shape[0], prediction.yaw.shape[1] - 1
+    p, q, nothing = np.zeros((3 * blocks, 3 * blocks)), np.zeros(3 * blocks), np.zeros((3 * blocks, 3 * blocks))
+    prediction.linearise_and_condense(
+        np.array(state), np.zeros(3), lacking, gamma, current, np.zeros((nodes, 4)), np.ones(4), nothing, np.zeros(3), p, q
+    )
+    return p, q
+
+
+def follow_without_moving_on(prediction: Prediction, blocks: Array) -> Array:
+    """Make the response to the blocks the nominal trajectory from the same instant on; row 0 is the next state. Returns its
+    poses."""
+    eta = prediction.follow_plan(blocks)
+    for nominal in (prediction.eta, prediction.nu):
+        nominal[1:] = nominal[:-1].copy()
+    return eta

@@ -237,7 +237,7 @@ def test_arrays_handed_out_are_never_written_again() -> None:
     for k in range(1, 15):
         output = one.step(at(k, 0.6 + 0.002 * k), GOAL, (), k * STEP_NS)
         outputs.append(output)
-        copies.append({f.name: np.array(getattr(output, f.name)) for f in dataclasses.fields(output)})
+        copies.append({name: np.array(value) for name, value in output._asdict().items()})
     for output, copy in zip(outputs, copies, strict=True):
         for name, value in copy.items():
             assert np.array_equal(np.array(getattr(output, name)), value)

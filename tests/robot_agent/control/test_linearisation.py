@@ -6,7 +6,7 @@ import pytest
 from robot_agent.control.linearisation import Prediction
 from robot_agent.guidance.formation import HalfSpaces
 from robot_agent.vehicle.dynamics import Model
-from tests.robot_agent.control.numpy_prediction import NumpyPrediction, numpy_cost
+from tests.robot_agent.control.numpy_prediction import NumpyPrediction, linearise, numpy_cost
 from wire.config.vehicle import load_vehicle
 
 PERIOD_S, HORIZON, BLOCKS = 0.05, 30, (1, 1, 2, 3, 4)
@@ -24,7 +24,7 @@ def both(seed: int, sway: bool = True) -> tuple[Prediction, NumpyPrediction]:
         ours.nu[:] = 0.0
     for k in (0, 1):
         oracle.eta[k], oracle.nu[k] = ours.eta[:, 2 * k : 2 * k + 2], ours.nu[:, 2 * k : 2 * k + 2]
-    ours.linearise(state, lacking, gamma, 0.03 + 0.02j)
+    linearise(ours, state, lacking, gamma, 0.03 + 0.02j)
     oracle.linearise(state, lacking, gamma, 0.03 + 0.02j)
     return ours, oracle
 
@@ -40,31 +40,41 @@ def test_responses_are_those_of_the_banded_solve(seed: int, sway: bool) -> None:
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_the_nominal_trajectory_is_the_sum_of_the_responses(seed: int) -> None:
+def test_the_plan_is_the_sum_of_the_responses_and_the_next_nominal_trajectory(seed: int) -> None:
     ours, oracle = both(seed)
     blocks = np.random.default_rng(seed).normal(size=3 * N)
-    ours.set_nominal(blocks)
+    eta = ours.follow_plan(blocks)
     oracle.set_nominal(blocks[: 2 * N], blocks[2 * N :])
+    assert eta == pytest.approx(oracle.poses(), abs=1e-9)
+    oracle.shift()
     assert ours.eta == pytest.approx(oracle.poses(), abs=1e-9)
     assert ours.nu == pytest.approx(np.concatenate(list(oracle.nu), axis=1), abs=1e-9)
 
 
 @pytest.mark.parametrize("seed", range(6))
 def test_the_cost_is_that_of_gram_matrices(seed: int) -> None:
-    (ours, oracle), random = both(seed), np.random.default_rng(seed)
-    reference, weight = random.normal(size=(HORIZON + 1, 4)), random.uniform(size=4)
-    p, q, smooth, gradient = np.zeros((3 * N, 3 * N)), np.zeros(3 * N), np.eye(3 * N), random.normal(size=3 * N)
-    ours.cost(reference, weight, smooth, gradient, p, q)
+    random, model = np.random.default_rng(seed), Model(load_vehicle("spherical"))
+    ours, oracle = Prediction(model, PERIOD_S, HORIZON, BLOCKS), NumpyPrediction(model, PERIOD_S, HORIZON, BLOCKS)
+    state, asked, delivered, gamma = (0.3 * random.normal(size=size) for size in (11, 3, 3, 4))
+    reference, weight, r = random.normal(size=(HORIZON + 1, 4)), random.uniform(size=4), random.uniform(size=3)
+    p, q, smooth = np.zeros((3 * N, 3 * N)), np.zeros(3 * N), np.eye(3 * N)
+    ours.restart(state)
+    oracle.restart(tuple(state))
+    ours.linearise_and_condense(state, asked, delivered, gamma, 0.03j, reference, weight, smooth, r, p, q)
+    oracle.linearise(tuple(state), delivered - asked, gamma, 0.03j)
     expected_p, expected_q = numpy_cost(oracle, reference, weight)
-    assert p - smooth == pytest.approx(expected_p, abs=1e-9) and q - gradient == pytest.approx(expected_q, abs=1e-9)
+    expected_q[[0, 2 * N, N]] -= r * asked  # the first change counts from what was asked for
+    assert p - smooth == pytest.approx(expected_p, abs=1e-9) and q == pytest.approx(expected_q, abs=1e-9)
 
 
 def test_half_space_rows_say_the_same_of_a_plan_as_its_places() -> None:
     ours, _ = both(3)
     blocks, node = np.random.default_rng(3).normal(size=3 * N), np.array([5, 17, 30])
-    normal, offset = np.exp(1j * np.array([0.3, 2.0, -1.0])), np.array([0.1, -0.4, 2.0])
-    a, lower = np.zeros((3, 2 * N)), np.zeros(3)
-    ours.half_space_rows(HalfSpaces(node, normal, offset), a, lower)
-    ours.set_nominal(blocks)
-    places = ours.eta[node, 0] * normal.real + ours.eta[node, 1] * normal.imag
-    assert a @ blocks[: 2 * N] - lower == pytest.approx(places - offset, abs=1e-9)
+    normal, offset, give = np.exp(1j * np.array([0.3, 2.0, -1.0])), np.array([0.1, -0.4, 2.0]), np.array([1.0, 0.5, 0.1])
+    a, lower = np.ones((5, 3 * N + 1)), np.zeros(5)
+    ours.half_space_rows(HalfSpaces(node, normal, offset, give), a, lower)
+    assert not a[3:, :-1].any() and np.all(np.isneginf(lower[3:]))  # rows that are left
+    assert not a[:, 2 * N : -1].any() and np.array_equal(a[:3, -1], give)  # heave, and the slack
+    eta = ours.follow_plan(blocks)
+    places = eta[node, 0] * normal.real + eta[node, 1] * normal.imag
+    assert a[:3, :-1] @ blocks - lower[:3] == pytest.approx(places - offset, abs=1e-9)

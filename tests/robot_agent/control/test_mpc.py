@@ -66,7 +66,7 @@ def test_the_plan_minimises_the_nonlinear_cost() -> None:
     for _ in range(6):  # the same state again: linearised along its own plan, it converges
         # the public step shifts the plan; the optimum without a shift is seen only if that is undone
         for nominal in (controller._prediction.eta, controller._prediction.nu):
-            nominal[:, 1:] = nominal[:, :-1].copy()  # undo the shift
+            nominal[1:] = nominal[:-1].copy()  # undo the shift
         first = controller.plan(START, np.zeros(4), np.zeros(3), reference, WEIGHT, NOWHERE)
     assert first is not None and first.solve is Solve.SOLVED
     assert first.wrench == pytest.approx(best.x[:3], abs=0.05 * float(STEP.max()))

@@ -87,7 +87,7 @@ def test_a_robot_that_does_not_hear_us_is_not_taken_to_yield(own: Priority) -> N
     """It may hear others: a number of neighbours would not tell."""
     deaf = neighbour(plan((1, 0), tracking_error_m=9.0, heard=(3, 4)), hears_us=False)
     assert formation().required_clearance_m(deaf, own, 0) == pytest.approx(0.6)
-    assert formation().required_clearance_m(dataclasses.replace(deaf, hears_us=True), own, 0) is None
+    assert formation().required_clearance_m(deaf._replace(hears_us=True), own, 0) is None
 
 
 @settings(max_examples=300)

@@ -106,7 +106,7 @@ def test_a_trajectory_is_sampled_as_by_interpolation(seed: int) -> None:
     path, offset_s = random.normal(size=(3, 30, 4)), np.sort(random.uniform(-1.0, 3.0, 40))
     begin_s, period_s, time_s, rate = random.uniform(0.05, 1.0, 4).tolist()
     found = np.empty((3, 40, 4))
-    sample_trajectory(path[0], path[1], path[2], begin_s, period_s, time_s, rate, offset_s, found[0], found[1], found[2])
+    sample_trajectory(path, begin_s, period_s, time_s, rate, offset_s, found)
     place = (time_s + rate * offset_s - begin_s) / period_s
     moves = rate * ((place >= 0.0) & (place <= 29.0))[:, None]
     for rows, samples, pace in zip(found, path, (1.0, moves, moves**2), strict=True):

@@ -146,14 +146,14 @@ def test_off_the_path_it_turns_towards_it(offset: float) -> None:
 def test_a_side_force_is_leant_into() -> None:
     """Thrust's side part balances Gamma: F sin b = m gamma with F cos b = drag."""
     gamma = np.array([0.0, 0.002, 0.0, 0.0])
-    heading = settled(guidance(), line(0.05), np.array([0, 0, 0, 0]), np.array([0.05, 0, 0, 0]), gamma)
+    heading = settled(guidance(), line(0.05), REST, np.array([0.05, 0, 0, 0]), gamma)
     drag = (3.0 + 20.0 * 0.05) * 0.05
     assert heading[0] == pytest.approx(-np.arctan(12 * 0.002 / drag), abs=1e-3)
 
 
 def test_a_surge_disturbance_turns_nothing() -> None:
     gamma = np.array([0.02, 0.0, 0.0, 0.0])
-    heading = settled(guidance(), line(0.014), np.array([0, 0, 0, 0]), np.array([0.014, 0, 0, 0]), gamma)
+    heading = settled(guidance(), line(0.014), REST, np.array([0.014, 0, 0, 0]), gamma)
     assert heading == pytest.approx(np.zeros(ROWS))
 
 

@@ -196,8 +196,8 @@ def test_a_plan_that_is_used_up_means_standing() -> None:
 
 def test_only_who_is_deep_below_is_out_of_the_way() -> None:
     keep_m = 2.0 * EXPERIMENT.safety.radius_m
-    assert len(met(Neighbour(2, 0, plan(depth_m=0.35 + keep_m), True)).place) == 0
-    assert len(met(Neighbour(2, 0, plan(depth_m=0.25 + keep_m), True)).place) == 1
+    assert met(Neighbour(2, 0, plan(depth_m=0.35 + keep_m), True)).keep_m == 0.0
+    assert met(Neighbour(2, 0, plan(depth_m=0.25 + keep_m), True)).keep_m > keep_m
 
 
 @pytest.mark.parametrize(
@@ -209,4 +209,4 @@ def test_only_a_robot_that_hears_us_and_is_heard_yields_to_the_urgent(
     mine: bool, theirs: bool, hears_us: bool, fresh: bool, yields: bool
 ) -> None:
     found = met(Neighbour(2, 0, plan(theirs), fresh, hears_us=hears_us), urgent=mine)
-    assert len(found.place) == (0 if yields else 1)
+    assert (found.keep_m[0] == 0.0) == yields

@@ -25,7 +25,7 @@ OUTPUT = Controller(POOL.vehicle, POOL.controller, POOL.safety).step(StateMeasur
 def unfit(inputs: Inputs, station: StationView = STATION) -> str:
     monitor = HealthMonitor(POOL)
     monitor.note_inputs(inputs, Mode.DISARMED, NOW_NS)
-    monitor.note_output(replace(OUTPUT, depth_age_s=0.02), Mode.DISARMED, NOW_NS)
+    monitor.note_output(OUTPUT._replace(depth_age_s=0.02), Mode.DISARMED, NOW_NS)
     return monitor.arming_refusal(inputs, station, NOW_NS)
 
 
@@ -79,7 +79,7 @@ def test_to_ask_how_a_robot_is_changes_nothing() -> None:
 
 
 def off_the_path(aside_m: float) -> ControlOutput:
-    return replace(OUTPUT, eta=np.array([0.0, aside_m, 0.3, 0.0]), eta_reference=np.array([0.0, 0.0, 0.3, 0.0]), is_free=True)
+    return OUTPUT._replace(eta=np.array([0.0, aside_m, 0.3, 0.0]), eta_reference=np.array([0.0, 0.0, 0.3, 0.0]), is_free=True)
 
 
 def test_a_robot_that_was_off_its_path_is_not_so_for_ever() -> None:
@@ -105,7 +105,7 @@ def test_an_estimate_that_ends_under_power_is_remembered_until_the_power_is_gone
 
     def fly(mode: Mode, estimated: bool) -> bool:
         monitor.note_inputs(WELL, mode, NOW_NS)
-        monitor.note_output(replace(OUTPUT, estimated=estimated), mode, NOW_NS)
+        monitor.note_output(OUTPUT._replace(estimated=estimated), mode, NOW_NS)
         return monitor.health(WELL, False, NOW_NS).estimate_ended
 
     assert not fly(Mode.HOLDING, False)  # there was none yet

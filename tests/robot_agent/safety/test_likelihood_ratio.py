@@ -111,3 +111,15 @@ def test_rough_samples_are_less_evidence() -> None:
     calm = teach(fresh(), x, broken).evidence
     assert teach(fresh(), x, broken + 4.0 * y).evidence < 0.5 * calm
     assert teach(fresh(), x, broken, rough=4.0 * NOISE).evidence < 0.5 * calm
+
+
+def test_of_more_samples_than_there_is_room_for_the_oldest_are_learned_early() -> None:
+    """A thousand in the last second: nothing is missing, then most of a part is."""
+    x, y = samples(np.zeros(4), 60.0, 7)
+    test, step_ns = fresh(), NS // 1000
+    for k in range(1000):
+        test.note_sample(x[k], float(y[k]), 0.0, STEP_S, k * step_ns)
+    assert test.evidence < SUSPECTED
+    for k in range(1000, 1100):
+        test.note_sample(x[k], float(y[k] - 0.8 * x[k, 0]), 0.0, STEP_S, k * step_ns)
+    assert test.evidence > SUSPECTED

@@ -8,6 +8,7 @@ import pytest
 
 from robot_agent.control.linearisation import Prediction
 from robot_agent.vehicle.dynamics import Model, State
+from tests.robot_agent.control.numpy_prediction import follow_without_moving_on, linearise
 from tests.robot_agent.water import integrate
 from wire.config.vehicle import Vehicle, load_vehicle
 from wire.frames import Array
@@ -117,8 +118,8 @@ def settled(vehicle: Vehicle, start: Array, before: Array, gamma: Array, lag: bo
     prediction = Prediction(Model(vehicle, lag=lag), PERIOD_S, HORIZON, BLOCKS)
     prediction.restart(tuple(start))
     for _ in range(8):
-        prediction.linearise(tuple(start), before, gamma)
-        prediction.set_nominal(np.zeros(3 * len(BLOCKS)))
+        linearise(prediction, start, before, gamma)
+        follow_without_moving_on(prediction, np.zeros(3 * len(BLOCKS)))
     return prediction
 
 
@@ -141,7 +142,7 @@ def test_water_that_streams_carries_the_prediction_along() -> None:
     still, carried = (Prediction(Model(vehicle), PERIOD_S, HORIZON, BLOCKS) for _ in range(2))
     for prediction, current in ((still, 0j), (carried, 0.05 - 0.02j)):
         prediction.restart(start)
-        prediction.linearise(start, np.zeros(3), np.zeros(4), current)
+        linearise(prediction, start, np.zeros(3), np.zeros(4), current)
     seconds = PERIOD_S * np.arange(HORIZON + 1)
     for moved, there, speed in ((carried.x, still.x, 0.05), (carried.y, still.y, -0.02)):
         assert np.array_equal(moved[:, :-1], there[:, :-1])
@@ -172,7 +173,7 @@ def test_the_turn_of_the_plan_starts_from_the_heading_there_is() -> None:
     prediction.restart(tuple(start))
     turned = start.copy()
     turned[3] = 2.5
-    prediction.linearise(tuple(turned), np.zeros(3), np.zeros(4))
+    linearise(prediction, turned, np.zeros(3), np.zeros(4))
     assert np.arctan2(prediction.y[-1, -1], prediction.x[-1, -1]) == pytest.approx(2.5, abs=1e-6)
 
 

@@ -10,19 +10,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robot_agent.vehicle.dynamics import Model, propagate
-from robot_agent.vehicle.eso import (
-    COAST_NS,
-    Estimate,
-    Estimator,
-    PoseMeasurement,
-    StateMeasurement,
+from robot_agent.vehicle.dynamics import (
+    Model,
     correct,
     gains,
     gains_with_rate,
+    propagate,
     split_side_force,
     sway_slope,
 )
+from robot_agent.vehicle.eso import COAST_NS, Estimate, Estimator, PoseMeasurement, StateMeasurement
 from tests.robot_agent.water import integrate
 from wire.config.controller import EstimatorConfig
 from wire.config.vehicle import load_vehicle
@@ -268,7 +265,7 @@ def test_old_and_repeated_poses_change_nothing() -> None:
         sighting = PoseMeasurement(now - 40_000_000, 0.01 * k, 0.0, 0.02 * k)
         a = plain.update(StateMeasurement(sighting), now)
         twice.update(StateMeasurement(sighting), now)
-        stale = dataclasses.replace(sighting, stamp_ns=sighting.stamp_ns - 30_000_000, x_m=0.2)
+        stale = sighting._replace(stamp_ns=sighting.stamp_ns - 30_000_000, x_m=0.2)
         twice.update(StateMeasurement(stale), now)
         b = twice.update(StateMeasurement(sighting), now)
         assert a is not None and b is not None
