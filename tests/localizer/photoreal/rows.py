@@ -48,6 +48,7 @@ class SceneRow:
     blurred: bool = False  # the exposure takes time; in the other rows it is an instant
     readout_s: float = 0.0  # from the first row of the picture to the last
     corner_sigma_px: float = 0.2  # of a marker's corners, as somebody who knows the film would set it
+    slope_sigma_rad: float = 0.0043  # of the water's surface along an axis, as somebody who knows the waves would set it
     drawn_as: str | None = None  # the row whose courses and pictures these are, darkened or compressed
     h264_crf: int | None = None
 
@@ -72,8 +73,8 @@ ROWS = {
         SceneRow("covered-white", frames=30, first=6, last=26, speed_mps=0.15, plate="white"),
         SceneRow("covered-dark", frames=24, first=6, last=21, speed_mps=0.15, plate="dark"),
         SceneRow("glare", frames=28, first=6, last=20, speed_mps=0.15, glare="full"),
-        SceneRow("waves-long", frames=12, waves="long"),
-        SceneRow("waves-short", frames=8, waves="short"),
+        SceneRow("waves-long", frames=12, waves="long", slope_sigma_rad=0.017),
+        SceneRow("waves-short", frames=8, waves="short", slope_sigma_rad=0.019),
         SceneRow("swapped", frames=12, first=5, plate="swapped"),
         SceneRow("partial-glare", frames=10, speed_mps=0.2, glare="partial"),
         SceneRow("dim", frames=8, light=0.15, drawn_as="level"),
@@ -96,7 +97,10 @@ def experiment(row: SceneRow | None = None) -> Experiment:
         f"localizer.attitude_sigma_rad={np.hypot(*_TILT_SIGMAS_RAD)}",
     ]
     if row is not None:
-        known += [f"camera.readout_s={row.readout_s}", f"localizer.corner_sigma_px={row.corner_sigma_px}"]
+        known += [
+            f"camera.readout_s={row.readout_s}", f"localizer.corner_sigma_px={row.corner_sigma_px}",
+            f"localizer.surface_slope_rad={row.slope_sigma_rad}",
+        ]  # fmt: skip
     return load_experiment("pool", known).model_copy(update={"robots": robots})
 
 
