@@ -184,7 +184,7 @@ def rerun(
     Exit code 1 if nothing was changed and something differs.
 
     Examples:  localizer rerun frames-1
-    localizer rerun frames-1 --set localizer.attitude_sigma_rad=0.01
+    localizer rerun frames-1 --set localizer.corner_sigma_px=0.4
     """
     import cv2
 

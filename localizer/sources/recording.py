@@ -46,7 +46,7 @@ class FrameRecorder:
 
     def __init__(self, folder: Path, experiment: Experiment, free_bytes: Callable[[Path], int] = disk_free) -> None:
         """Raises ConfigError if the folder is there already, or cannot be made."""
-        from mcap.writer import CompressionType, Writer
+        from mcap.writer import CompressionType, IndexType, Writer
 
         self._folder, self._free_bytes = folder, free_bytes
         self._least_bytes = round(experiment.recording.stop_video_below_gb * 1e9)
@@ -56,7 +56,10 @@ class FrameRecorder:
             folder.mkdir(parents=True)
             replace_text(folder / EXPERIMENT, dump_experiment(experiment))
             self._file = (folder / FRAMES).open("xb")
-        self._writer: Any = Writer(self._file, compression=CompressionType.NONE)  # Any: mcap is typed in part
+        indexed = IndexType.CHUNK | IndexType.MESSAGE
+        self._writer: Any = Writer(  # Any: mcap is typed in part
+            self._file, compression=CompressionType.NONE, index_types=indexed
+        )
         self._writer.start(library="shoal")
         self._channels: dict[str, int] = {}
         self._frames = 0

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from mcap.reader import make_reader
 from typer.testing import CliRunner
 
 from localizer.__main__ import cli
@@ -179,6 +180,9 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     published = _localize(folder)
     kept = [(frame.stamp_ns, pose) for frame in recorded_frames(folder) for pose in frame.poses.values()]
     assert kept == published and len(published) == 2 * (RECORDED - 1), "one claim, then poses"
+    with (folder / FRAMES).open("rb") as file:  # viewers read it by its index
+        indexed = [channel.topic for _, channel, _ in make_reader(file).iter_messages(log_time_order=False)]
+    assert indexed.count("camera/frame") == RECORDED and indexed.count("robot/2/pose") == RECORDED - 1
     return folder
 
 
