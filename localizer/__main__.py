@@ -1,11 +1,12 @@
 """SHELL: the command line `localizer`: track robots in an overhead camera's frames, calibrate and check the camera."""
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from localizer.calibration.cli import calibrate, check
-from localizer.evaluation.cli import SourceName, evaluate, latency, track
+from localizer.evaluation.cli import SourceName, evaluate, latency, rerun, track
 from wire.config.experiment import load_experiment
 from wire.process.cli_options import (
     DEFAULT_FLEET,
@@ -46,6 +47,10 @@ def run(
     publish_frames: Annotated[bool, typer.Option("--publish-frames", help="Put an own camera's pictures on the bus.")] = False,
     show: Annotated[bool, typer.Option("--show", help="Annotated pictures for a browser on this machine.")] = False,
     show_port: Annotated[int, typer.Option(help="Where --show serves them, on 127.0.0.1.")] = 8090,
+    record: Annotated[
+        Path | None,
+        typer.Option(metavar="FOLDER", help="Keep raw frames and all that poses come from there, for `rerun` and `track`."),
+    ] = None,
     lockstep: LockstepMode = False,
     frame_ring: FrameRingOption = None,
     keys: KeyRing = None,
@@ -66,7 +71,7 @@ def run(
     # Regions are small, and more threads only compete with the other processes of the machine.
     cv2.setNumThreads(1)
     loaded = load_experiment(experiment, settings or ())
-    options = node.NodeOptions(source, publish_frames, show_port if show else None, frame_ring)
+    options = node.NodeOptions(source, publish_frames, show_port if show else None, frame_ring, record)
     where = endpoint(station, process_name(Role.LOCALIZER), keys, insecure=insecure, lossless=lockstep)
     node.run(loaded, where, fleet, Stop(), lockstep, options)
 
@@ -76,6 +81,7 @@ cli.command()(check)
 cli.command()(latency)
 cli.command()(evaluate)
 cli.command()(track)
+cli.command()(rerun)
 
 
 def app() -> None:

@@ -7,14 +7,16 @@ follows it, unless the next frame comes before that is done.
 import time
 from collections.abc import Generator
 from contextlib import ExitStack, closing
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 
 from localizer.detection.obstacles import ObstacleDetector
 from localizer.sources.base import CapturedFrame, FrameSource
 from localizer.sources.factory import BUS, open_bus, open_own
+from localizer.sources.recording import FrameRecorder, RecordedFrame
 from localizer.tracking.fleet_localizer import FleetLocalizer, LocalizationResult
 from localizer.tracking.tilt import Attitude
 from localizer.view.mjpeg_server import MjpegServer
@@ -23,7 +25,8 @@ from localizer.view.preview import PreviewPublisher
 from localizer.view.video_encoder import VideoEncoder
 from wire.config.experiment import Experiment
 from wire.messages import topics
-from wire.messages.messages import CameraHealth, LocalizerStatus, Obstacles, RobotState, Track
+from wire.messages.codec import encode
+from wire.messages.messages import CameraHealth, LocalizerStatus, Obstacles, Pose, RobotState, Track
 from wire.process.lockstep import LockstepClock
 from wire.process.runtime import Clock, Stop, WallClock, age_s, log, log_to_bus, run_steps
 from wire.toml_loader import ConfigError
@@ -43,6 +46,7 @@ class NodeOptions:
     publish_frames: bool = False  # put the frames of a camera at this machine on the bus
     page_port: int | None = None  # port of the annotated pictures for a browser
     frame_ring: int | None = None  # descriptor of the ring that frames come in, beside the bus
+    record: Path | None = None  # folder for the frames and all that the localizer goes by
 
 
 def run(experiment: Experiment, endpoint: Endpoint, fleet: str, stop: Stop, lockstep: bool, options: NodeOptions) -> None:
@@ -54,14 +58,16 @@ def run(experiment: Experiment, endpoint: Endpoint, fleet: str, stop: Stop, lock
     if options.source == BUS and options.publish_frames:
         raise ConfigError(f"--publish-frames: the frames of --source {BUS} are on the bus already")
     with ExitStack() as stack:
-        own, page = None, None
+        own, page, recorder = None, None, None
         if options.source != BUS:
             own = stack.enter_context(closing(open_own(options.source, experiment.camera, clock)))
         if options.page_port is not None:
             page = stack.enter_context(closing(MjpegServer(options.page_port, stop)))
+        if options.record is not None:
+            recorder = stack.enter_context(closing(FrameRecorder(options.record, experiment)))
         bus = stack.enter_context(Bus(ZenohTransport(endpoint, stop), fleet, *codec_of(options.frame_ring)))
         bus.claim("localizer", stop)
-        LocalizerNode(experiment, bus, stop, clock, own, page, options.publish_frames).run()
+        LocalizerNode(experiment, bus, stop, clock, own, page, options.publish_frames, recorder).run()
     stop.raise_failure()
 
 
@@ -77,9 +83,10 @@ class LocalizerNode:
         own: FrameSource | None = None,
         page: MjpegServer | None = None,
         publish_frames: bool = False,
+        recorder: FrameRecorder | None = None,
     ) -> None:
         self._experiment, self._bus, self.stop, self._clock = experiment, bus, stop, clock
-        self._page, self._publish_frames = page, publish_frames
+        self._page, self._publish_frames, self._recorder = page, publish_frames, recorder
         self._states = bus.inboxes(topics.STATE, RobotState, experiment.robot_ids)
         self._source = own or open_bus(bus, clock, stop, experiment.camera.rate_hz, self._states)
         self._localizer = FleetLocalizer(experiment)
@@ -118,6 +125,7 @@ class LocalizerNode:
     def _handle(self, captured: CapturedFrame, previews: PreviewPublisher) -> None:
         """Localize one frame. An exception costs this frame; FAILURES_IN_A_ROW of them end the process."""
         started_ns = time.perf_counter_ns()
+        depths_m, known = dict[int, float](), dict[int, Attitude]()
         try:
             states = self._fresh_states(captured.inputs_up_to_ns)
             depths_m = {robot: state.message.depth_m for robot, state in states.items()}
@@ -129,6 +137,7 @@ class LocalizerNode:
                 self._bus.publish(topics.POSE, pose, captured.stamp_ns, robot, age_ns=age_ns)
         except Exception as error:
             self._report_failure(captured, error, previews)
+            self._record(captured, depths_m, known, ())
             return
         frame_ms = (time.perf_counter_ns() - started_ns) * 1e-6
         found = result.status
@@ -143,6 +152,21 @@ class LocalizerNode:
         previews.offer(captured, result, self._obstacles)
         if self._video is not None:
             self._video.offer(captured)
+        self._record(captured, depths_m, known, result.poses)
+
+    def _record(
+        self,
+        captured: CapturedFrame,
+        depths_m: dict[int, float],
+        attitudes: dict[int, Attitude],
+        poses: tuple[tuple[int, Pose], ...],
+    ) -> None:
+        if self._recorder is not None:
+            told = {robot: astuple(attitude) for robot, attitude in attitudes.items()}
+            published = {robot: encode(pose) for robot, pose in poses}
+            self._recorder.put(
+                RecordedFrame(captured.pixels, captured.stamp_ns, captured.instant_ns, depths_m, told, published)
+            )
 
     def _finish(self) -> None:
         """Do the tracking that no pose waits for. An exception counts like one before the poses; the next status tells it."""

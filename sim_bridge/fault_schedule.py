@@ -96,6 +96,7 @@ class FaultSchedule:
             self.imu_error[i, ("heading", "gyro").index(b.effect)] += b.value
         self.unmarked = frozenset(i for i, _ in self._of("marker"))
         self.camera = tuple(b for _, b in self._of("camera"))
+        self.water_drop_m = next((b.value for _, b in reversed(self._of("water"))), 0.0)
         self.links = [LinkFaults()] * n
         for i, b in self._of("link"):
             old, is_noisy, is_slow = self.links[i], b.effect == "noisy", b.effect == "slow"

@@ -139,7 +139,7 @@ def _ours(window_px: float) -> Begin:
         follower = SingleObjectTracker(picture, np.array(place), window_px)
 
         def step(picture: Picture) -> Place:
-            (x, y), _ = follower.step(picture)
+            (x, y, _), _ = follower.step(picture)
             return float(x), float(y)
 
         return step

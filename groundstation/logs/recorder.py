@@ -21,7 +21,6 @@ import itertools
 import json
 import math
 import os
-import shutil
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -36,6 +35,7 @@ from wire.messages.codec import DecodeError, Header, protobuf_class
 from wire.messages.pipe import read_pipe
 from wire.messages.topics import STATE, Qos, Role, Topic
 from wire.process.cli_options import DEFAULT_FLEET
+from wire.process.output_files import disk_free
 from wire.process.version import code
 from wire.toml_loader import ConfigError
 from wire.transport.bus import Collected
@@ -62,11 +62,6 @@ def run_metadata(experiment: Experiment, mode: str) -> dict[str, str]:
         "commit": code().commit,
         "zenoh": importlib.metadata.version("eclipse-zenoh"),
     }
-
-
-def disk_free(folder: Path) -> int:
-    """Bytes that can still be written there."""
-    return shutil.disk_usage(folder).free
 
 
 def claim(fd: int, path: Path, how: int, taken: str) -> None:

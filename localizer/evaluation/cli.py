@@ -1,4 +1,4 @@
-"""SHELL: the command line of `localizer latency`, `localizer evaluate` and `localizer track`."""
+"""SHELL: the command line of `localizer latency`, `evaluate`, `track` and `rerun`."""
 
 from contextlib import ExitStack, closing
 from functools import partial
@@ -11,6 +11,7 @@ from wire.config.experiment import experiment_path, load_experiment
 from wire.process.cli_options import (
     DEFAULT_FLEET,
     DEFAULT_STATION,
+    AsJson,
     ExperimentName,
     FleetName,
     Insecure,
@@ -128,26 +129,72 @@ def evaluate(
 
 
 def track(
-    video: Annotated[Path, typer.Argument(metavar="VIDEO", help="A video of the experiment's pool.")],
-    experiment: Annotated[str, typer.Option(metavar="EXPERIMENT", help="Camera, robots and pool.")],
-    out: Annotated[Path, typer.Option(metavar="FILE", help="The table to write: a row for each robot and frame, CSV.")],
-    resume: Annotated[bool, typer.Option("--resume", help="Go on with a table that is there already.")] = False,
+    recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="A video of a pool, or a folder of `run --record`.")],
+    out: Annotated[Path, typer.Option(metavar="FILE", help="The table: a row for each robot and frame, .csv or .parquet.")],
+    experiment: Annotated[
+        str | None, typer.Option(metavar="EXPERIMENT", help="Camera, robots and pool. A folder holds its own.")
+    ] = None,
+    reports: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="CSV of what the robots' boards measured: frame,robot,depth_m,roll_rad,pitch_rad."),
+    ] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on where a run that was stopped ended.")] = False,
     settings: Settings = None,
 ) -> None:
-    """Localize the robots of an experiment in a recorded video, without a station, and write their poses to a table.
+    """Localize the robots of an experiment in a recording, without a station, and write their poses to a table.
 
-    Example:  localizer track pool.mkv --experiment lab.toml --out poses.csv
+    Examples:  localizer track pool.mkv --experiment lab.toml --out poses.csv
+    localizer track frames-1 --out poses.parquet
     """
     import cv2
 
-    from localizer.evaluation.offline import track_video
+    from localizer.evaluation.offline import frames_of_video, part_of, track_frames
     from localizer.sources.files import frame_count
+    from localizer.sources.recording import EXPERIMENT, frame_estimate, recorded_frames
+    from wire.process.runtime import start_log
 
-    check_output(out, [video, experiment_path(experiment)])
-    if out.exists() and not resume:
-        raise ConfigError(f"{out}: is there already (--resume goes on with it; or write to another file)")
+    start_log("localizer")
+    raw = recording.is_dir()
+    if experiment is None and not raw:
+        raise ConfigError(f"{recording}: a video needs --experiment EXPERIMENT")
+    if raw and reports is not None:
+        raise ConfigError(f"--reports: {recording} holds what the boards measured (allowed: with a video)")
+    name = str(recording / EXPERIMENT) if experiment is None else experiment
+    check_output(out, [recording, experiment_path(name), *([reports] if reports is not None else [])])
+    for path in (out, part_of(out)):
+        if path.exists() and not (resume and path != out):
+            raise ConfigError(f"{path}: is there already (write to another file{'' if path == out else ', or --resume'})")
     cv2.setNumThreads(1)  # as `run`
-    loaded = load_experiment(experiment, settings or ())
-    with typer.progressbar(length=frame_count(video), label=video.name) as bar:
-        for done in track_video(video, loaded, out, resume):
+    loaded = load_experiment(name, settings or ())
+    frames = recorded_frames(recording) if raw else frames_of_video(recording, loaded, reports)
+    count = frame_estimate(recording, loaded.camera.size_px) if raw else frame_count(recording)
+    with typer.progressbar(length=count, label=recording.name) as bar:
+        for done in track_frames(frames, loaded, out, resume):
             bar.update(done - bar.pos)
+
+
+def rerun(
+    recording: Annotated[Path, typer.Argument(metavar="FOLDER", help="A folder of `localizer run --record`.")],
+    settings: Settings = None,
+    as_json: AsJson = False,
+) -> None:
+    """Localize in recorded frames once more, and compare with the poses that were published then.
+
+    Nothing changed: the same to the last bit, on the same kind of machine. With --set: other poses, in the same pictures.
+    Exit code 1 if nothing was changed and something differs.
+
+    Examples:  localizer rerun frames-1
+    localizer rerun frames-1 --set localizer.corner_sigma_px=0.4
+    """
+    import cv2
+
+    from localizer.evaluation.offline import compare_again
+    from localizer.evaluation.runner import table, to_json
+    from localizer.sources.recording import EXPERIMENT
+    from wire.process.runtime import start_log
+
+    start_log("localizer")
+    cv2.setNumThreads(1)  # as `run`
+    rows = compare_again(recording, load_experiment(str(recording / EXPERIMENT), settings or ()))
+    typer.echo(to_json(rows) if as_json else table(rows))
+    raise typer.Exit(1 if not settings and any(row.differing for row in rows) else 0)

@@ -1,66 +1,175 @@
-"""SHELL: `localizer track`: the poses of all robots in a recorded video, as a table. No station, no network.
+"""SHELL: `localizer track` and `localizer rerun`: poses from recordings. No station, no network.
 
-A run that was stopped goes on with the last frame of its table that is whole: the localizer is led up to it again, from
-WARM_UP_FRAMES before. Appearances are learnt anew then, so that poses without a marker may differ from those of one run.
+`track` writes a table of the poses of all robots, from a video or from a recording of raw frames. Rows gather in `OUT.part`,
+which becomes the table when it is whole. A run that was stopped goes on with the last frame there that is whole: the
+localizer is led up to it again, from WARM_UP_FRAMES before. Appearances are learnt anew then, so that poses without a marker
+may differ from those of one run.
+
+`rerun` feeds a recording of raw frames to the localizer, and compares its poses with those in the recording.
 """
 
 import csv
+import importlib
+from collections import Counter
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from localizer.evaluation.runner import COLUMNS
+from localizer.evaluation.runner import COLUMNS, read_frame_table
 from localizer.sources.base import as_bayer
 from localizer.sources.files import video_frames
+from localizer.sources.recording import RecordedFrame, recorded_frames
 from localizer.tracking.fleet_localizer import FleetLocalizer
+from localizer.tracking.tilt import Attitude
 from wire.config.experiment import Experiment
+from wire.messages.codec import decode, encode
 from wire.messages.messages import Pose
+from wire.process.output_files import replacing
 from wire.toml_loader import ConfigError
 
 WARM_UP_FRAMES = 40  # 2 s at 20 Hz: markers are believed, velocities known, appearances learnt
+REPORTED = ("depth_m", "roll_rad", "pitch_rad")  # columns of what robots' boards measured
 _SIGMAS = ("sigma_x_m", "sigma_y_m", "sigma_yaw_rad")
-FIELDS = (*COLUMNS, "depth_m", "track", "identity_verified", "peak", *_SIGMAS)  # `evaluate --truth` reads the first six
+FIELDS = (*COLUMNS, "depth_m", "stamp_ns", "track", "identity_verified", "peak", *_SIGMAS)
+_TYPES = {"frame": "int64", "robot": "int64", "stamp_ns": "int64", "track": "string", "identity_verified": "bool"}
 
 
-def track_video(video: Path, experiment: Experiment, out: Path, resume: bool) -> Iterator[int]:
-    """Write the table `out`, a row for each robot and frame; yields the number of frames that are done.
+def frames_of_video(video: Path, experiment: Experiment, reports: Path | None) -> Iterator[RecordedFrame]:
+    """The frames of a video at `camera.rate_hz`, with what a table of robots' `reports` says: frame, robot, REPORTED. Raises
+    ConfigError at once for a table that cannot be read."""
+    period_ns, sigma_rad = round(1e9 / experiment.camera.rate_hz), experiment.localizer.attitude_sigma_rad
+    depths: dict[int, dict[int, float]] = {}
+    attitudes: dict[int, dict[int, tuple[float, float, float]]] = {}
+    for frame, robot, value in read_frame_table(reports, experiment, (), REPORTED) if reports is not None else ():
+        if "depth_m" in value:
+            depths.setdefault(frame, {})[robot] = value["depth_m"]
+        if "roll_rad" in value and "pitch_rad" in value:
+            attitudes.setdefault(frame, {})[robot] = (value["roll_rad"], value["pitch_rad"], sigma_rad)
 
-    With `resume` what is there is kept and gone on with. Raises ConfigError for a table of other columns.
+    def frames() -> Iterator[RecordedFrame]:
+        for frame, picture in enumerate(video_frames(video)):
+            pixels = as_bayer(picture)
+            assert pixels is not None, "a video's pictures are BGR"
+            at_ns = frame * period_ns
+            yield RecordedFrame(pixels, at_ns, at_ns, depths.get(frame, {}), attitudes.get(frame, {}))
+
+    return frames()
+
+
+def _localize(localizer: FleetLocalizer, frame: RecordedFrame) -> tuple[tuple[int, Pose], ...]:
+    attitudes = {robot: Attitude(*told) for robot, told in frame.attitudes.items()}
+    return localizer.step(frame.pixels, frame.instant_ns, frame.depths_m, attitudes).poses
+
+
+# --- track
+
+
+def track_frames(frames: Iterator[RecordedFrame], experiment: Experiment, out: Path, resume: bool) -> Iterator[int]:
+    """Write the table `out`, a row for each robot and frame, as Parquet if that is its suffix, else as CSV; yields the number
+    of frames that are done.
+
+    With `resume` what is in `OUT.part` is kept and gone on with. Raises ConfigError for a table of other columns, or if
+    Parquet cannot be written.
     """
-    kept, done = _kept(out) if resume and out.exists() else ("", 0)
-    locator, period_ns = FleetLocalizer(experiment), round(1e9 / experiment.camera.rate_hz)
-    with out.open("w", encoding="utf-8", newline="") as file:
+    write = _parquet() if out.suffix == ".parquet" else _csv
+    part = part_of(out)
+    kept, done = _kept(part) if resume and part.exists() else ("", 0)
+    localizer = FleetLocalizer(experiment)
+    with part.open("w", encoding="utf-8", newline="") as file:
         file.write(kept)
         table = csv.writer(file, lineterminator="\n")
         if not kept:
             table.writerow(FIELDS)
-        for frame, picture in enumerate(video_frames(video)):
-            if frame < done - WARM_UP_FRAMES:
+        for number, frame in enumerate(frames):
+            if number < done - WARM_UP_FRAMES:
                 continue
-            pixels = as_bayer(picture)
-            assert pixels is not None, "a video's pictures are BGR"
-            poses = locator.step(pixels, frame * period_ns, {}).poses
-            if frame >= done:
-                table.writerows(_row(frame, robot, pose) for robot, pose in poses)
+            poses = _localize(localizer, frame)
+            if number >= done:
+                table.writerows(_row(number, robot, pose, frame.stamp_ns) for robot, pose in poses)
                 file.flush()
-                yield frame + 1
+                yield number + 1
+    write(part, out)
 
 
-def _row(frame: int, robot: int, pose: Pose) -> tuple[object, ...]:
+def part_of(out: Path) -> Path:
+    """The file in which the rows of a table gather."""
+    return out.with_name(f"{out.name}.part")
+
+
+def _row(frame: int, robot: int, pose: Pose, stamp_ns: int) -> tuple[object, ...]:
     sigmas = np.sqrt(np.diag(pose.covariance))
     numbers = (pose.x_m, pose.y_m, pose.yaw_rad, pose.depth_m)
     return (
-        frame, robot, *(f"{number:.6f}" for number in numbers), pose.track.name.lower(), int(pose.identity_verified),
-        f"{pose.peak:.3f}", *(f"{sigma:.6f}" for sigma in sigmas),
+        frame, robot, *(f"{number:.6f}" for number in numbers), stamp_ns, pose.track.name.lower(),
+        int(pose.identity_verified), f"{pose.peak:.3f}", *(f"{sigma:.6f}" for sigma in sigmas),
     )  # fmt: skip
 
 
-def _kept(out: Path) -> tuple[str, int]:
+def _kept(part: Path) -> tuple[str, int]:
     """The lines of a table before its last frame, whose rows may not all be there, and that frame's number."""
-    header, *lines = out.read_text(encoding="utf-8").splitlines(keepends=True) or [""]
+    header, *lines = part.read_text(encoding="utf-8").splitlines(keepends=True) or [""]
     if header.strip() != ",".join(FIELDS):
-        raise ConfigError(f"{out}: cannot be gone on with: its columns are not {', '.join(FIELDS)}")
+        raise ConfigError(f"{part}: cannot be gone on with: its columns are not {', '.join(FIELDS)}")
     whole = [line for line in lines if line.endswith("\n") and line.count(",") == len(FIELDS) - 1]
     last = int(whole[-1].split(",")[0]) if whole else 0
     return "".join([header, *(line for line in whole if int(line.split(",")[0]) < last)]), last
+
+
+def _csv(part: Path, out: Path) -> None:
+    part.replace(out)
+
+
+def _parquet() -> Any:
+    """A function like `_csv` that makes Parquet. Raises ConfigError if that cannot be written here."""
+    try:
+        arrow, files = importlib.import_module("pyarrow.csv"), importlib.import_module("pyarrow.parquet")
+    except ModuleNotFoundError:
+        raise ConfigError("--out: Parquet: not installed here (pip install pyarrow, or write to a .csv file)") from None
+
+    def write(part: Path, out: Path) -> None:
+        types = {name: _TYPES.get(name, "double") for name in FIELDS}
+        rows = arrow.read_csv(part, convert_options=arrow.ConvertOptions(column_types=types))
+        with replacing(out) as file:
+            files.write_table(rows, file)
+        part.unlink()
+
+    return write
+
+
+# --- rerun
+
+
+@dataclass(frozen=True)
+class PoseComparison:
+    """A robot's poses in a recording beside those of another run: how many there are, how many differ in any bit, in which
+    frame first, and by how much at most."""
+
+    robot: int
+    poses: int
+    differing: int
+    first_frame: int | None
+    largest_mm: float
+
+
+def compare_again(folder: Path, experiment: Experiment) -> list[PoseComparison]:
+    """Localize in the frames of a recording again. Raises ConfigError for what is no recording."""
+    localizer = FleetLocalizer(experiment)
+    poses, differing = Counter[int](), Counter[int]()
+    first: dict[int, int] = {}
+    largest_m = dict.fromkeys(experiment.robot_ids, 0.0)
+    for number, frame in enumerate(recorded_frames(folder)):
+        again = dict(_localize(localizer, frame))
+        for robot in sorted(again.keys() | frame.poses.keys()):
+            poses[robot] += 1
+            if robot in again and encode(again[robot]) == frame.poses.get(robot):
+                continue
+            differing[robot] += 1
+            first.setdefault(robot, number)
+            if robot in again and robot in frame.poses:
+                then = decode(Pose, frame.poses[robot], "recording", "pose")
+                apart_m = float(np.hypot(again[robot].x_m - then.x_m, again[robot].y_m - then.y_m))
+                largest_m[robot] = max(largest_m[robot], apart_m)
+    return [PoseComparison(i, poses[i], differing[i], first.get(i), 1e3 * largest_m[i]) for i in experiment.robot_ids]

@@ -4,6 +4,7 @@ Three kinds of recordings. A run's log holds poses and the plant's truth. A vide
 again, with all of the localizer. A plain video of an unknown camera is followed in pixels.
 """
 
+import csv
 import dataclasses
 import json
 import time
@@ -33,7 +34,7 @@ COLUMNS = ("frame", "robot", "x_m", "y_m", "yaw_rad")  # of `read_poses`
 Rows = Sequence[PixelRow] | Sequence[PoseRow]
 
 
-def table(rows: Rows) -> str:
+def table(rows: Sequence[Any]) -> str:
     """Rows as text: one line each, a column per field."""
     fields = [field.name for field in dataclasses.fields(rows[0])]
     cells = [fields, *([_cell(getattr(row, name)) for name in fields] for row in rows)]
@@ -45,7 +46,7 @@ def table(rows: Rows) -> str:
     )
 
 
-def to_json(rows: Rows) -> str:
+def to_json(rows: Sequence[Any]) -> str:
     """Rows as JSON; NaN is null."""
     plain = [{k: None if v != v else v for k, v in dataclasses.asdict(row).items()} for row in rows]
     return json.dumps(plain, indent=1, allow_nan=False) + "\n"
@@ -71,32 +72,43 @@ def read_idtracker(path: Path) -> list[Array]:
 
 
 def read_poses(path: Path, experiment: Experiment) -> tuple[dict[int, GroundTruthTrajectory], dict[int, dict[int, float]]]:
-    """Trajectories by robot, and known depths by frame and robot, from comma-separated values: a line of names, then a line
-    per frame (from 0) and robot.
-
-    COLUMNS are needed, in any order; `depth_m` may be there. Instants are by the experiment's frame rate.
-    """
-    try:
-        with path.open(encoding="utf-8") as file:
-            names = [name.strip() for name in file.readline().split(",")]
-            if missing := [name for name in COLUMNS if name not in names]:
-                needed = ",".join(COLUMNS)
-                raise ConfigError(f"{path}: the first line lacks {', '.join(missing)} (needed: {needed}; depth_m may follow)")
-            lines = np.loadtxt(file, delimiter=",", ndmin=2)
-    except (OSError, ValueError) as error:
-        raise ConfigError(f"{path}: {error}") from None
-    if lines.shape[1] != len(names):
-        raise ConfigError(f"{path}: {lines.shape[1]} values a line, {len(names)} names in the first")
+    """Trajectories by robot, and known depths by frame and robot, from a table with COLUMNS and, where it is known, `depth_m`.
+    Instants are by the experiment's frame rate."""
     period_ns = round(1e9 / experiment.camera.rate_hz)
     samples: dict[int, list[tuple[int, Array]]] = {}
     depths: dict[int, dict[int, float]] = {}
-    for line in lines:
-        value = dict(zip(names, line.tolist(), strict=True))
-        frame, robot = round(value["frame"]), experiment.robot(round(value["robot"])).id
+    for frame, robot, value in read_frame_table(path, experiment, COLUMNS[2:], ("depth_m",)):
         samples.setdefault(robot, []).append((frame * period_ns, np.array([value[name] for name in COLUMNS[2:]])))
         if "depth_m" in value:
             depths.setdefault(frame, {})[robot] = value["depth_m"]
     return {robot: trajectory(found) for robot, found in samples.items()}, depths
+
+
+def read_frame_table(
+    path: Path, experiment: Experiment, needed: Sequence[str], allowed: Sequence[str]
+) -> Iterator[tuple[int, int, dict[str, float]]]:
+    """Frame (from 0), robot and values by name of each line of comma-separated values, a line of names first, in any order.
+
+    The columns `frame`, `robot` and those `needed` must be there; of others only those `allowed` are read, and cells of these
+    may be empty. Raises ConfigError.
+    """
+    needed = (*COLUMNS[:2], *needed)
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            table = csv.reader(file)
+            names = [name.strip() for name in next(table, [])]
+            if missing := [name for name in needed if name not in names]:
+                may = f"; {', '.join(allowed)} may follow" if allowed else ""
+                raise ConfigError(f"{path}: the first line lacks {', '.join(missing)} (needed: {','.join(needed)}{may})")
+            for cells in table:
+                if len(cells) != len(names):
+                    raise ConfigError(f"{path}: {len(cells)} values a line, {len(names)} names (line {table.line_num})")
+                line = dict(zip(names, cells, strict=True))
+                value = {name: float(line[name]) for name in needed}
+                value |= {name: float(line[name]) for name in allowed if line.get(name, "").strip()}
+                yield round(value["frame"]), experiment.robot(round(value["robot"])).id, value
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{path}: {error}") from None
 
 
 def trajectory(samples: list[tuple[int, Array]]) -> GroundTruthTrajectory:
@@ -166,20 +178,23 @@ class _Target:
 
     def step(self, frame: int, picture: Pixels) -> None:
         """Follow the target into the next picture. Farther off than half the box is a failure: the tracker starts anew at
-        the truth."""
+        the truth. So it does, but not as a failure, where the truth itself leaps as far, or comes back from a gap there."""
         place = self._places_px[frame]
-        known = bool(np.all(np.isfinite(place)))
+        known, reach_px = bool(np.all(np.isfinite(place))), self._box_px / 2.0
         if self._follower is None:
             self._follower = SingleObjectTracker(picture, place, self._box_px) if known else None
             return
         started = time.perf_counter()
-        found, _ = self._follower.step(picture)
+        pose, _ = self._follower.step(picture)
         self._times_ms.append(1e3 * (time.perf_counter() - started))
         if not known:
             return
-        self._errors_px.append(float(np.linalg.norm(found - place)))
-        if self._errors_px[-1] > self._box_px / 2.0:
-            self._failures += 1
+        error_px = float(np.linalg.norm(pose[:2] - place))
+        followed = bool(np.linalg.norm(place - self._places_px[frame - 1]) <= reach_px)  # False if that was not known
+        if error_px <= reach_px or followed:
+            self._errors_px.append(error_px)
+            self._failures += error_px > reach_px
+        if error_px > reach_px:
             self._follower = SingleObjectTracker(picture, place, self._box_px)
 
     def row(self, truth: Path) -> PixelRow:

@@ -205,7 +205,8 @@ class FleetLocalizer:
         views.update(self._views_at(frame, depths, elsewhere, dict.fromkeys(elsewhere, 0.0)))
         for i, track in enumerate(self._tracks):
             if i in readings and i in views:
-                measurement = track.at_stamp(views[i].marker(readings[i], self._side_m), self._late_s(views[i]))
+                reading = views[i].marker(readings[i], self._side_m, self._settings.corner_sigma_px)
+                measurement = track.at_stamp(reading, self._late_s(views[i]))
                 self._tracks[i] = track.with_marker(measurement, self.radius_m)
             elif track.motion is not None and self._is_occupied(track.motion.position_m, i, readings):
                 self._tracks[i] = track.contradicted()
@@ -264,7 +265,7 @@ class FleetLocalizer:
             down = views[i].tangent.jacobian[:, 2] if i in views else np.zeros(2)
             attitude = self._attitudes[i]
             ahead_m, aside_m, _ = (0.0, 0.0, 0.0) if attitude is None else attitude.above_m(self.marker_height_m)
-            unknown = self._tilt.covariance(self._motions[i], attitude, down)
+            unknown = self._tilt.covariance(self._motions[i], attitude, down) + track.doubt(self.radius_m)
             messages.append((robot, track.message(depth.centre_m, unknown, (ahead_m, aside_m))))
         return tuple((robot, pose) for robot, pose in messages if pose is not None)
 

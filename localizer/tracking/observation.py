@@ -1,8 +1,10 @@
 """One robot in one frame: its predicted view, the region around it, and the covariance of a pose measured there.
 
-The noise figures were measured against the plant's truth in the pool scene with waves, caustics and sensor noise on.
+The noise figures were measured against the plant's truth in the pool scene with waves, caustics and sensor noise on, that of
+markers' corners (`localizer.corner_sigma_px`) on pictures of another renderer (tests/localizer/photoreal).
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -30,11 +32,12 @@ class MeasurementNoise:
     rim_share: float = 0.0
 
 
-MARKER_NOISE = MeasurementNoise(centre_px=0.03, rim_px=0.15)
 KCF_NOISE = MeasurementNoise(centre_px=0.2, rim_px=0.22, centre_share=0.008, rim_share=0.008)
 _DEPTH_ASSUMED_SIGMA_M = 0.05  # m, of the experiment's depth, for a robot that reported none
 _SHALLOWEST_M = -0.2  # m, least depth that is believed: a robot lying on the surface
-_CORNER_PX, _CORNER_SIGMAS = 0.14, 2.0  # px, of a coordinate of a corner found well; more than so many times it is an error
+# Corners that are farther from a square than so many standard deviations of a corner are an error. Found well they are 0.7
+# from it: a corner's error turns and moves the square more than it deforms it.
+_CORNER_SIGMAS = 1.4
 _LEAST_SHOWN = 0.2  # of the hull's radius, beyond its middle; with less in view filters rotate a robot by up to 30 degrees
 
 
@@ -90,13 +93,18 @@ class PredictedView:
     region: ImageRegion
     plate: ImageRegion  # the part of it that the marker plate is expected in
 
-    def marker(self, reading: MarkerPose, side_m: float) -> TrackMeasurement:
-        """The measurement of a marker's reading. Corners that make no square (glare over one of them, blur, short waves) have
-        been found wrong, and so are place and heading."""
-        expected_m = _CORNER_PX / self.tangent.px_per_m
+    def marker(self, reading: MarkerPose, side_m: float, corner_px: float) -> TrackMeasurement:
+        """The measurement of a marker's reading, `corner_px` the standard deviation s of a corner's coordinates: that of their
+        mean is s / 2, that of the square's rotation s / 2 r, with the corners r = side / sqrt(2) from its middle.
+
+        Corners that make no square (glare over one of them, blur, short waves) have been found wrong, and so are place and
+        heading.
+        """
+        noise = MeasurementNoise(centre_px=corner_px / 2.0, rim_px=corner_px * self.radius_m / (math.sqrt(2.0) * side_m))
+        expected_m = corner_px / self.tangent.px_per_m
         excess_m2 = max(reading.residual_m**2 - (_CORNER_SIGMAS * expected_m) ** 2, 0.0)
         own = np.diag([0.5 * excess_m2, 0.5 * excess_m2, excess_m2 / side_m**2])
-        return self.measurement(reading.pose, MARKER_NOISE, own)
+        return self.measurement(reading.pose, noise, own)
 
     def distance_m(self, pose: Array) -> float:
         """Distance of [x, y, ...] from the predicted position."""

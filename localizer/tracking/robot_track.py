@@ -246,6 +246,17 @@ class RobotTrack:
             track=self.state, identity_verified=self.verified, peak=self.peak, depth_m=depth_m,
         )  # fmt: skip
 
+    def doubt(self, hull_m: float) -> Array:
+        """Covariance (3, 3) of [x, y, yaw] of a track that a marker contradicts: its robot may be where its own marker was
+        read, or has to be the hull's radius `hull_m` away from another robot's."""
+        if self.motion is None or self.measured is not None or (self.claim is None and not self.refuted):
+            return np.zeros((3, 3))
+        if self.claim is None:
+            return np.diag([hull_m**2, hull_m**2, 0.0])
+        away = self.claim.pose - self.motion.mean[:3]
+        away[2] = wrap(float(away[2]))
+        return np.outer(away, away)
+
     def _measured(
         self, measurement: TrackMeasurement, motion: KalmanState | None, state: Track, verified: bool, claim: Claim | None
     ) -> "RobotTrack":

@@ -125,12 +125,17 @@ def attitude(yaw_rad: float, roll_rad: float = 0.0, pitch_rad: float = 0.0) -> A
 
 def exposure_poses(eta: Array, nu: Array, exposure_s: float, reach_m: float, px_per_m: float) -> Array:
     """Poses (k, 4) whose mean picture stands for the exposure around eta: evenly spaced, symmetric in time."""
-    surge, sway, heave, yaw_rate = nu
+    surge, sway, _, yaw_rate = nu
     moved_px = (np.hypot(surge, sway) + abs(yaw_rate) * reach_m) * exposure_s * px_per_m
     count = int(min(max(np.ceil(moved_px / BLUR_STEP_PX), 1), MAX_PARTS))
+    return np.asarray(eta + pool_velocity(eta, nu) * exposure_s * ((np.arange(count)[:, None] + 0.5) / count - 0.5))
+
+
+def pool_velocity(eta: Array, nu: Array) -> Array:
+    """d eta / dt (4,) of a body at eta with velocity nu (4,) in its own axes."""
+    surge, sway, heave, yaw_rate = nu
     cos, sin = np.cos(eta[3]), np.sin(eta[3])
-    velocity = np.array([cos * surge - sin * sway, sin * surge + cos * sway, heave, yaw_rate])
-    return np.asarray(eta + velocity * exposure_s * ((np.arange(count)[:, None] + 0.5) / count - 0.5))
+    return np.array([cos * surge - sin * sway, sin * surge + cos * sway, heave, yaw_rate])
 
 
 def shadow_box(eta: Array, floor_m: float, radius_m: float) -> Array:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from sim_bridge.camera.faults import CameraFaults
 from sim_bridge.camera.ideal_localizer import IdealLocalizer
-from sim_bridge.camera.renderer import Renderer
+from sim_bridge.camera.renderer import Renderer, with_sunken_water
 from sim_bridge.node.board_ports import BoardPorts
 from sim_bridge.thruster_board.board import ThrusterBoard
 from sim_bridge.world import World, WorldBoard
@@ -43,6 +43,7 @@ class Exposure:
     stamp_ns: int
     broken: tuple[Break, ...] = ()  # faults of the camera
     unmarked: frozenset[int] = frozenset()  # robots without markers, by index
+    water_drop_m: float = 0.0  # that the water stands lower
 
 
 class PoolNode:
@@ -70,9 +71,12 @@ class PoolNode:
         self._camera: Renderer | IdealLocalizer = (
             IdealLocalizer(experiment, experiment.seed) if poses else Renderer(experiment, experiment.seed)
         )
+        drops = {fault.broken.value for fault in experiment.sim.faults if fault.broken.kind == "water"}
+        self._sunk = {drop_m: Renderer(with_sunken_water(experiment, drop_m), experiment.seed) for drop_m in sorted(drops)}
         self._camera_trouble = CameraFaults()
         self._rendered_ahead: tuple[Exposure, NDArray[np.uint8]] | None = None
         self._unmarked: frozenset[int] = frozenset()
+        self._water_drop_m = 0.0
         self._frame_index = 0
         self._pending: deque[Exposure] = deque()  # lockstep: exposed, and not old enough yet to count at a control step
         self._frame_ns = self._obstacles_ns = -1
@@ -183,8 +187,10 @@ class PoolNode:
 
     def _exposure(self, world: World, stamp_ns: int) -> Exposure:
         self._frame_index += 1
-        broken, unmarked = world.faults.camera, world.faults.unmarked
-        return Exposure(world.eta, world.nu, world.tilt, world.now_ns * 1e-9, self._frame_index, stamp_ns, broken, unmarked)
+        return Exposure(
+            world.eta, world.nu, world.tilt, world.now_ns * 1e-9, self._frame_index, stamp_ns, world.faults.camera,
+            world.faults.unmarked, world.faults.water_drop_m,
+        )  # fmt: skip
 
     def _run_camera(self, exposures: "queue.Queue[Exposure | None]") -> None:
         while (exposure := exposures.get()) is not None:
@@ -213,13 +219,19 @@ class PoolNode:
     def _publish_frame(self, renderer: Renderer, exposure: Exposure) -> None:
         if exposure.unmarked != self._unmarked:
             self._unmarked = exposure.unmarked
-            renderer.hide_markers(exposure.unmarked)
+            for each in (renderer, *self._sunk.values()):
+                each.hide_markers(exposure.unmarked)
+        self._water_drop_m = exposure.water_drop_m
         pixels = self._take_rendered(exposure)
         if pixels is None:
-            pixels = renderer.render(exposure.eta, exposure.nu, exposure.time_s, exposure.index, exposure.tilt)
+            pixels = self._rendered(renderer, exposure)
         pixels = self._camera_trouble.apply(pixels, exposure.broken)
         age_ns = max(self._clock.now_ns() - exposure.stamp_ns, 0)
         self._bus.publish(topics.FRAME, Frame(pixels), exposure.stamp_ns, age_ns=age_ns)
+
+    def _rendered(self, renderer: Renderer, exposure: Exposure) -> NDArray[np.uint8]:
+        renderer = self._sunk.get(exposure.water_drop_m, renderer)
+        return renderer.render(exposure.eta, exposure.nu, exposure.time_s, exposure.index, exposure.tilt)
 
     # --- in lockstep
 
@@ -230,19 +242,19 @@ class PoolNode:
         if expected is None or not isinstance(self._camera, Renderer):
             return
         exposure = Exposure(
-            *expected, world.exposure_ns * 1e-9, self._frame_index + 1, world.exposure_ns, unmarked=self._unmarked
-        )
-        self._rendered_ahead = (
-            exposure,
-            self._camera.render(exposure.eta, exposure.nu, exposure.time_s, exposure.index, exposure.tilt),
-        )
+            *expected, world.exposure_ns * 1e-9, self._frame_index + 1, world.exposure_ns, unmarked=self._unmarked,
+            water_drop_m=self._water_drop_m,
+        )  # fmt: skip
+        self._rendered_ahead = exposure, self._rendered(self._camera, exposure)
 
     def _take_rendered(self, exposure: Exposure) -> NDArray[np.uint8] | None:
         """The frame that was rendered ahead, if the exposure is the expected one to the bit; else None."""
         if self._rendered_ahead is None:
             return None
         (expected, pixels), self._rendered_ahead = self._rendered_ahead, None
-        same = (expected.time_s, expected.index, expected.unmarked) == (exposure.time_s, exposure.index, exposure.unmarked)
+        same = all(
+            getattr(expected, name) == getattr(exposure, name) for name in ("time_s", "index", "unmarked", "water_drop_m")
+        )
         moved = ((expected.eta, exposure.eta), (expected.nu, exposure.nu), (expected.tilt, exposure.tilt))
         if same and all(np.array_equal(then, now) for then, now in moved):
             return pixels

@@ -58,7 +58,7 @@ def check(experiment: Experiment, options: RunOptions) -> None:
         )
     if options.poses:
         fault_schedule.require_kinds(
-            experiment, tuple(kind for kind in KINDS if kind not in ("camera", "marker")), "--poses needs no camera"
+            experiment, tuple(kind for kind in KINDS if kind not in ("camera", "marker", "water")), "--poses needs no camera"
         )
 
 

@@ -27,7 +27,14 @@ from wire.transport.memory_transport import MemoryHub
 
 pytestmark = [pytest.mark.timeout(600), pytest.mark.long]
 
-BROKEN = ("link 1 noisy 0.3", "thruster 2/3 dead", "camera occluded 0.1", "battery 1 sag 0.2", "marker 2 lost")
+BROKEN = (
+    "link 1 noisy 0.3",
+    "thruster 2/3 dead",
+    "camera occluded 0.1",
+    "battery 1 sag 0.2",
+    "marker 2 lost",
+    "water low 0.02",
+)
 FAULTS = [part for i, what in enumerate(BROKEN) for part in ("--fault", f"t={0.3 + 0.2 * i:g} for=0.9 {what}")]
 
 

@@ -177,14 +177,15 @@ class Film:
 
     @classmethod
     def render(cls, seed: int, frames: int) -> "Film":
-        """Render the courses of a seed."""
+        """Render the courses of a seed, which begin and end at rest: played backwards no robot changes its speed at once."""
         courses = _Courses(np.random.default_rng([seed, 20]))
         starts = courses.eta(0.0).tolist()
         robots = tuple(RobotConfig(id=i + 1, node_m=(0.0, 0.0, 0.0), start=tuple(start)) for i, start in enumerate(starts))
         experiment = load_experiment("pool", [f"seed={seed}", *_SURE]).model_copy(update={"robots": robots})
-        renderer, instants = Renderer(experiment, seed), [k * PERIOD_S for k in range(frames)]
-        etas = tuple(courses.eta(t_s) for t_s in instants)
-        pictures = (renderer.render(courses.eta(t_s), courses.nu(t_s), t_s, k) for k, t_s in enumerate(instants))
+        phase = np.pi * np.arange(frames) / (frames - 1)
+        along_s, pace = 0.5 * (frames - 1) * PERIOD_S * (1.0 - np.cos(phase)), 0.5 * np.pi * np.sin(phase)
+        etas, renderer = tuple(courses.eta(t_s) for t_s in along_s), Renderer(experiment, seed)
+        pictures = (renderer.render(etas[k], pace[k] * courses.nu(along_s[k]), k * PERIOD_S, k) for k in range(frames))
         return cls(experiment, tuple(pictures), etas)
 
     def index(self, k: int) -> int:

@@ -46,6 +46,7 @@ KINDS: dict[str, tuple[str, dict[str, Effect]]] = {
             "bump": Effect("pixels to the right and down", 60.0, 2.0, 1000.0),
         },
     ),
+    "water": ("", {"low": Effect("metres that its level fell", 0.02, -0.2, 0.2)}),
     "imu": (
         "ROBOT",
         {"heading": Effect("error in rad", 0.5, -3.2, 3.2), "gyro": Effect("error in rad/s", 0.1, -10.0, 10.0)},

@@ -12,6 +12,7 @@ not cut it.
 import errno
 import os
 import secrets
+import shutil
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -111,3 +112,8 @@ def new_run_folder(out: Path, name: str) -> Path:
                     continue
                 raise
     raise RuntimeError(f"cannot make a folder {out / stem}")
+
+
+def disk_free(folder: Path) -> int:
+    """Bytes that can still be written there."""
+    return shutil.disk_usage(folder).free

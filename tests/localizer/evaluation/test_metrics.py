@@ -226,14 +226,20 @@ def test_a_video_of_many_targets_is_read_once(tmp_path: Path, monkeypatch: pytes
 
 
 def test_a_failure_is_counted_once_and_the_target_shown_again(tmp_path: Path) -> None:
-    """From frame 20 on the truth is the other animal: one failure of 39, then that one is followed. Unknown places are no
-    errors."""
-    rows = [[places(k)[k >= 20]] for k in range(40)]
-    rows[30] = [np.full(2, np.nan)]
+    """From frame 30 on the truth slides off the animal by 8 px a frame: in the fifth it is half a box away."""
+    rows = [[places(k)[0] + np.array([0.0, 8.0 * max(k - 30, 0)])] for k in range(39)]
     row = evaluate_video(tmp_path, rows)["target 1"]
     assert row["frames"] == 38 and row["failures"] == 1
     assert row["failures_per_1000"] == pytest.approx(1000 / 38)
-    assert row["median_px"] < 0.3 and row["max_px"] > 200.0
+
+
+def test_a_leap_of_the_truth_itself_is_no_failure(tmp_path: Path) -> None:
+    """From frame 20 on the truth is the other animal, and after an unknown frame the first one again: both times the target is
+    shown anew, and that frame does not count."""
+    rows = [[places(k)[20 <= k < 30]] for k in range(40)]
+    rows[30] = [np.full(2, np.nan)]
+    row = evaluate_video(tmp_path, rows)["target 1"]
+    assert row["frames"] == 36 and row["failures"] == 0 and row["max_px"] < 1.0
 
 
 # --- a video of the pool

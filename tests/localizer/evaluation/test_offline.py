@@ -1,67 +1,235 @@
-"""`localizer track`: a video of two robots becomes a table of poses, in one go and in two."""
+"""`localizer track` and `localizer rerun`: a video, and a recording of what the localizer went by, become poses again."""
 
 import csv
+import json
+from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
+from mcap.reader import make_reader
 from typer.testing import CliRunner
 
 from localizer.__main__ import cli
 from localizer.detection.image_regions import BAYER_TO_BGR
+from localizer.node import LocalizerNode
+from localizer.sources.base import CapturedFrame
+from localizer.sources.recording import FRAMES, FrameRecorder, recorded_frames
 from tests.localizer.scene import Scene
+from tests.localizer.stand_ins import MS
 from wire.config.experiment import load_experiment
 from wire.frames import Array
+from wire.messages import topics
+from wire.messages.messages import RobotState
+from wire.process.lockstep import LockstepClock
+from wire.process.runtime import Stop
+from wire.toml_loader import ConfigError
+from wire.transport.bus import Bus
+from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
 pytestmark = pytest.mark.long
 
-FRAMES = 10
-
-
-@pytest.fixture(scope="module")
-def video(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    experiment, path = load_experiment("pool"), tmp_path_factory.mktemp("track") / "pool.avi"
-    scene = Scene(experiment)
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"HFYU"), 20.0, experiment.camera.size_px)
-    for k in range(FRAMES):
-        writer.write(cv2.cvtColor(scene.frame({1: _place(k), 2: np.array([-0.4, 0.1, 0.3, 1.0])}), BAYER_TO_BGR))
-    writer.release()
-    return path
+EXPERIMENT = load_experiment("pool")
+FILMED, RECORDED = 10, 24
+ROLL_RAD, DEPTH_M = 0.06, 0.32
+STANDING = np.array([-0.4, 0.1, 0.3, 1.0])
 
 
 def _place(frame: int) -> Array:
     return np.array([0.4 + 0.01 * frame, 0.1, 0.3, 0.7])
 
 
-def _track(video: Path, out: Path, *options: str) -> None:
-    done = CliRunner().invoke(cli, ["track", str(video), "--experiment", "pool", "--out", str(out), *options])
-    assert done.exit_code == 0, (done.output, done.exception)
+def _run(*arguments: str, exit_code: int = 0) -> str:
+    done = CliRunner().invoke(cli, arguments)
+    assert done.exit_code == exit_code, (done.output, done.exception)
+    return done.stdout
+
+
+def _rows(table: Path) -> list[dict[str, str]]:
+    with table.open() as file:
+        return list(csv.DictReader(file))
+
+
+# --- a video
+
+
+@pytest.fixture(scope="module")
+def video(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("track") / "pool.avi"
+    scene = Scene(EXPERIMENT)
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"HFYU"), 20.0, EXPERIMENT.camera.size_px)
+    for k in range(FILMED):
+        writer.write(cv2.cvtColor(scene.frame({1: _place(k), 2: STANDING}), BAYER_TO_BGR))
+    writer.release()
+    return path
+
+
+def _track(video: Path, out: Path, *options: str) -> list[dict[str, str]]:
+    _run("track", str(video), "--experiment", "pool", "--out", str(out), *options)
+    assert not out.with_name(f"{out.name}.part").exists()
+    return _rows(out) if out.suffix == ".csv" else []
 
 
 def test_the_table_has_a_row_for_each_robot_and_frame(video: Path, tmp_path: Path) -> None:
-    _track(video, tmp_path / "poses.csv")
-    with (tmp_path / "poses.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    assert [(int(row["frame"]), int(row["robot"])) for row in rows] == [(k, i) for k in range(1, FRAMES) for i in (1, 2)]
+    rows = _track(video, tmp_path / "poses.csv")
+    assert [(int(row["frame"]), int(row["robot"])) for row in rows] == [(k, i) for k in range(1, FILMED) for i in (1, 2)]
     for row in rows[::2]:
         assert float(row["x_m"]) == pytest.approx(_place(int(row["frame"]))[0], abs=2e-3)
         assert row["track"] == "marker" and row["identity_verified"] == "1" and float(row["sigma_x_m"]) < 0.01
+        assert int(row["stamp_ns"]) == int(row["frame"]) * 50 * MS
+
+
+def test_parquet_has_the_same_cells(video: Path, tmp_path: Path) -> None:
+    rows = _track(video, tmp_path / "poses.csv")
+    _track(video, tmp_path / "poses.parquet")
+    table = pq.read_table(tmp_path / "poses.parquet")
+    assert table.column_names == list(rows[0])
+    for row, cells in zip(rows, table.to_pylist(), strict=True):
+        assert cells["track"] == row["track"] and cells["identity_verified"] is bool(int(row["identity_verified"]))
+        numbers = [name for name in row if name not in ("track", "identity_verified")]
+        assert [cells[name] for name in numbers] == [float(row[name]) for name in numbers]
+
+
+def test_reports_of_boards_correct_the_poses(video: Path, tmp_path: Path) -> None:
+    """A roll moves the centre below the plate to port of where a level robot's is; another depth moves it towards the lens."""
+    reports = tmp_path / "boards.csv"
+    lines = [f"{k},1,{DEPTH_M},{ROLL_RAD},0.0\n{k},2,,,\n" for k in range(FILMED)]
+    reports.write_text("frame,robot,depth_m,roll_rad,pitch_rad\n" + "".join(lines))
+    level = _track(video, tmp_path / "level.csv")
+    leaning = _track(video, tmp_path / "leaning.csv", "--reports", str(reports))
+    for before, after in zip(level[::2], leaning[::2], strict=True):
+        assert float(after["depth_m"]) == DEPTH_M and float(before["depth_m"]) != DEPTH_M
+        moved = np.array([float(after[name]) - float(before[name]) for name in ("x_m", "y_m")])
+        yaw, aside_m = float(after["yaw_rad"]), EXPERIMENT.vehicle.marker.height_m * np.sin(ROLL_RAD)
+        np.testing.assert_allclose(moved, -aside_m * np.array([-np.sin(yaw), np.cos(yaw)]), atol=4e-3)
+        assert float(after["sigma_x_m"]) < float(before["sigma_x_m"])
+    assert leaning[1::2] == level[1::2], "robot 2 told nothing"
+    bad = tmp_path / "bad.csv"
+    bad.write_text("frame,robot,depth_m\n0,1,deep\n")
+    command = ["track", str(video), "--experiment", "pool", "--out", str(tmp_path / "none.csv"), "--reports", str(bad)]
+    assert "bad.csv: could not convert string to float: 'deep'" in str(CliRunner().invoke(cli, command).exception)
+    assert not list(tmp_path.glob("none*"))
 
 
 def test_a_run_that_was_cut_goes_on_to_the_same_table(video: Path, tmp_path: Path) -> None:
     whole, cut = tmp_path / "whole.csv", tmp_path / "cut.csv"
     _track(video, whole)
     text = whole.read_text()
-    cut.write_text(text[: int(0.55 * len(text))])  # in the middle of a row
+    cut.with_name("cut.csv.part").write_text(text[: int(0.55 * len(text))])  # in the middle of a row
     _track(video, cut, "--resume")
     assert cut.read_text() == text
 
 
 def test_a_table_is_not_overwritten(video: Path, tmp_path: Path) -> None:
+    out, part = tmp_path / "poses.csv", tmp_path / "poses.csv.part"
+    command = ["track", str(video), "--experiment", "pool", "--out", str(out)]
+    part.write_text("kept\n")
+    assert "is there already (write to another file, or --resume)" in str(CliRunner().invoke(cli, command).exception)
+    assert "its columns are not" in str(CliRunner().invoke(cli, [*command, "--resume"]).exception)
+    out.write_text("whole\n")
+    assert "is there already (write to another file)" in str(CliRunner().invoke(cli, [*command, "--resume"]).exception)
+    assert (part.read_text(), out.read_text()) == ("kept\n", "whole\n")
+
+
+# --- a recording
+
+
+class _LeaningRobots:
+    """A camera over two robots whose boards report depth and tilt; robot 1's marker is hidden for a while, and once no
+    frame comes."""
+
+    trouble, silent_after_s = "", 0.25
+
+    def __init__(self, bus: Bus, clock: LockstepClock) -> None:
+        self._bus, self._clock, self._scene = bus, clock, Scene(EXPERIMENT)
+
+    def frames(self, stop: Stop) -> Iterator[CapturedFrame | None]:
+        for k in range(RECORDED):
+            self._clock.tick_ns = at_ns = (20 + k) * 50 * MS
+            for robot in (1, 2):
+                tilt = np.array([ROLL_RAD + 0.001 * k, 0.01 * robot, 0.02, 0.0])
+                self._bus.publish(topics.STATE, RobotState(depth_m=0.3 + 1e-4 * k, tilt=tilt), at_ns, robot)
+            hidden = frozenset({1} if 8 <= k < 14 else ())
+            yield CapturedFrame(self._scene.frame({1: _place(k), 2: STANDING}, hidden), at_ns - 7, at_ns, at_ns)
+            if k == 10:
+                yield None
+
+    def close(self) -> None:
+        """Do nothing: nothing is open."""
+
+
+def _localize(folder: Path, **recording: Any) -> list[tuple[int, bytes]]:
+    """Run the localizer once, recording; returns stamps and bytes of all poses on the bus."""
+    network = MemoryHub()
+    bus, ours = Bus(MemoryTransport(network)), Bus(MemoryTransport(network))
+    published = ours.collect(topics.POSE)
+    with closing(FrameRecorder(folder, EXPERIMENT, **recording)) as recorder:
+        clock = LockstepClock()
+        camera = _LeaningRobots(ours, clock)
+        LocalizerNode(EXPERIMENT, bus, Stop(install=False), clock, camera, recorder=recorder).run()
+    return [(header.stamp_ns, payload) for _, _, header, payload in published()]
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("record") / "frames-1"
+    published = _localize(folder)
+    kept = [(frame.stamp_ns, pose) for frame in recorded_frames(folder) for pose in frame.poses.values()]
+    assert kept == published and len(published) == 2 * (RECORDED - 1), "one claim, then poses"
+    with (folder / FRAMES).open("rb") as file:  # viewers read it by its index
+        indexed = [channel.topic for _, channel, _ in make_reader(file).iter_messages(log_time_order=False)]
+    assert indexed.count("camera/frame") == RECORDED and indexed.count("robot/2/pose") == RECORDED - 1
+    return folder
+
+
+def test_a_recording_localized_again_gives_the_same_poses_to_the_bit(recording: Path) -> None:
+    same = json.loads(_run("rerun", str(recording), "--json"))
+    assert [(row["poses"], row["differing"]) for row in same] == [(RECORDED - 1, 0)] * 2
+    other = json.loads(_run("rerun", str(recording), "--json", "--set", "localizer.depth_sigma_m=0.02"))
+    assert [row["differing"] for row in other] == [RECORDED - 1] * 2 and other[1]["first_frame"] == 1
+
+
+def test_a_changed_recording_differs(recording: Path, tmp_path: Path) -> None:
+    changed = tmp_path / "changed"
+    with closing(FrameRecorder(changed, EXPERIMENT)) as recorder:
+        for frame in recorded_frames(recording):
+            frame.depths_m[2] += 1e-12
+            recorder.put(frame)
+    rows = json.loads(_run("rerun", str(changed), "--json", exit_code=1))
+    assert rows[0]["differing"] == 0 and rows[1]["differing"] > 0 and rows[1]["largest_mm"] < 1e-6
+
+
+def test_a_recording_becomes_a_table_with_what_boards_measured(recording: Path, tmp_path: Path) -> None:
     out = tmp_path / "poses.csv"
-    out.write_text("kept\n")
-    done = CliRunner().invoke(cli, ["track", str(video), "--experiment", "pool", "--out", str(out)])
-    assert "is there already" in str(done.exception)
-    done = CliRunner().invoke(cli, ["track", str(video), "--experiment", "pool", "--out", str(out), "--resume"])
-    assert "its columns are not" in str(done.exception) and out.read_text() == "kept\n"
+    _run("track", str(recording), "--out", str(out))
+    rows, stamps_ns = _rows(out), [frame.stamp_ns for frame in recorded_frames(recording)]
+    assert len(rows) == 2 * (RECORDED - 1)
+    for row in rows:
+        k = int(row["frame"])
+        assert float(row["depth_m"]) == pytest.approx(0.3 + 1e-4 * k) and int(row["stamp_ns"]) == stamps_ns[k]
+
+
+def test_a_recording_that_was_cut_counts_as_far_as_it_goes(recording: Path, tmp_path: Path) -> None:
+    cut = tmp_path / "cut"
+    cut.mkdir()
+    (cut / "experiment.toml").write_bytes((recording / "experiment.toml").read_bytes())
+    whole = (recording / FRAMES).read_bytes()
+    (cut / FRAMES).write_bytes(whole[: int(0.6 * len(whole))])
+    rows = json.loads(_run("rerun", str(cut), "--json"))
+    assert all(10 <= row["poses"] < RECORDED - 1 and row["differing"] == 0 for row in rows)
+    (cut / FRAMES).write_bytes(whole[:100])
+    assert "no recording of frames" in str(CliRunner().invoke(cli, ["rerun", str(cut)]).exception)
+
+
+def test_a_full_disk_ends_the_recording_and_not_the_poses(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    room = iter([10**12] * 5)
+    published = _localize(tmp_path / "full", free_bytes=lambda _: next(room, 0))
+    assert len(published) == 2 * (RECORDED - 1)
+    assert len(list(recorded_frames(tmp_path / "full"))) == 5
+    assert "ends after 5 frames: less than recording.stop_video_below_gb" in caplog.text
+    with pytest.raises(ConfigError, match="is there already"):
+        FrameRecorder(tmp_path / "full", EXPERIMENT)

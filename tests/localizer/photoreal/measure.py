@@ -21,7 +21,15 @@ from wire.messages.messages import Pose, Track
 _FIRST = 2  # frames that do not count: in the first a marker is a claim, in the second a pose
 _FALSE_SIGMAS, _FALSE_SIGMA_M = 5.0, 0.005  # a match is false if it is farther off than so many sigmas that are below this
 
-SIMULATED = ("level", "tilt-2", "tilt-4", "tilt-6", "tilt-8", "blur")  # rows that the simulator's renderer can draw
+SIMULATED = (
+    "level",
+    "tilt-2",
+    "tilt-4",
+    "tilt-6",
+    "tilt-8",
+    "blur",
+    "rolling-shutter",
+)  # rows that the simulator's renderer can draw
 Frames = Callable[[str, str], Iterator[TrueFrame]]
 
 
@@ -47,9 +55,8 @@ class Figures:
 
 def measure(row: str, split: str, source: Frames = frames, true_depths: bool = False, with_attitudes: bool = True) -> Figures:
     """The figures of one row: the localizer through its normal entry point, frame by frame."""
-    pool = experiment()
-    camera = pool.camera.model_copy(update={"readout_s": ROWS[row].readout_s})
-    localizer = FleetLocalizer(pool.model_copy(update={"camera": camera}))
+    pool = experiment(ROWS[row])
+    localizer = FleetLocalizer(pool)
     errors: list[tuple[Array, float, float, float]] = []
     tracks: list[Track] = []
     sigma_rad = pool.localizer.attitude_sigma_rad if with_attitudes else None
@@ -93,7 +100,7 @@ def _rms(values: Array) -> float:
 
 def simulated(row: str, split: str) -> Iterator[TrueFrame]:
     """The frames of a row as the simulator's renderer draws them: same courses, tilt and reports, its own water and light."""
-    courses, renderer = RowCourses(ROWS[row], split), Renderer(experiment(), SPLITS.index(split) + 1)
+    courses, renderer = RowCourses(ROWS[row], split), Renderer(experiment(ROWS[row]), SPLITS.index(split) + 1)
     for k, frame in enumerate(frames(row, split)):
         states = courses.at(k / RATE_HZ)
         eta = np.column_stack([states.place_m, states.attitude_rad[:, 2]])

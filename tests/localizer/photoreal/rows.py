@@ -47,6 +47,8 @@ class SceneRow:
     light: float = 1.0
     blurred: bool = False  # the exposure takes time; in the other rows it is an instant
     readout_s: float = 0.0  # from the first row of the picture to the last
+    corner_sigma_px: float = 0.2  # of a marker's corners, as somebody who knows the film would set it
+    slope_sigma_rad: float = 0.0043  # of the water's surface along an axis, as somebody who knows the waves would set it
     drawn_as: str | None = None  # the row whose courses and pictures these are, darkened or compressed
     h264_crf: int | None = None
 
@@ -57,7 +59,7 @@ class SceneRow:
     @property
     def background(self) -> str:
         """The name of the background with the disturbance in it; that without is `clear`."""
-        return "clear" if self.glare == "none" else f"{self.glare}-glare"
+        return "clear" if self.glare == "none" else f"{self.glare}-lamps"
 
 
 ROWS = {
@@ -71,12 +73,12 @@ ROWS = {
         SceneRow("covered-white", frames=30, first=6, last=26, speed_mps=0.15, plate="white"),
         SceneRow("covered-dark", frames=24, first=6, last=21, speed_mps=0.15, plate="dark"),
         SceneRow("glare", frames=28, first=6, last=20, speed_mps=0.15, glare="full"),
-        SceneRow("waves-long", frames=12, waves="long"),
-        SceneRow("waves-short", frames=8, waves="short"),
+        SceneRow("waves-long", frames=12, waves="long", slope_sigma_rad=0.017),
+        SceneRow("waves-short", frames=8, waves="short", slope_sigma_rad=0.019),
         SceneRow("swapped", frames=12, first=5, plate="swapped"),
         SceneRow("partial-glare", frames=10, speed_mps=0.2, glare="partial"),
         SceneRow("dim", frames=8, light=0.15, drawn_as="level"),
-        SceneRow("h264", frames=8, h264_crf=30, drawn_as="level"),
+        SceneRow("h264", frames=8, h264_crf=30, corner_sigma_px=0.5, drawn_as="level"),
         SceneRow("blur", frames=5, speed_mps=0.4, turn_radps=0.8, blurred=True),
         SceneRow("rolling-shutter", frames=5, speed_mps=0.4, turn_radps=0.8, readout_s=0.03),
         SceneRow("bubbles", frames=7, things="bubbles"),
@@ -87,10 +89,19 @@ ROWS = {
 }
 
 
-def experiment() -> Experiment:
-    """The pool experiment with six robots in it, where they are is not told."""
+def experiment(row: SceneRow | None = None) -> Experiment:
+    """The pool experiment with six robots in it, where they are is not told; sensors and film as they are known in a row."""
     robots = tuple(RobotConfig(id=i, node_m=(0.0, 0.0, 0.0)) for i in range(1, ROBOTS + 1))
-    return load_experiment("pool").model_copy(update={"robots": robots})
+    known = [
+        f"localizer.depth_sigma_m={np.hypot(*_DEPTH_SIGMAS_M)}",
+        f"localizer.attitude_sigma_rad={np.hypot(*_TILT_SIGMAS_RAD)}",
+    ]
+    if row is not None:
+        known += [
+            f"camera.readout_s={row.readout_s}", f"localizer.corner_sigma_px={row.corner_sigma_px}",
+            f"localizer.surface_slope_rad={row.slope_sigma_rad}",
+        ]  # fmt: skip
+    return load_experiment("pool", known).model_copy(update={"robots": robots})
 
 
 @dataclass(frozen=True, eq=False)

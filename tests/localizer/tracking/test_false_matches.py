@@ -25,6 +25,9 @@ def test_no_pose_of_a_spoiled_plate_is_wrong_beyond_its_claim(film: Film) -> Non
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(2, 102))
-def test_no_pose_of_many_spoiled_plates_is_wrong_beyond_its_claim(film: Film, seed: int) -> None:
-    _check(list(spoiled_poses(film, seed, frames=300)))
+@pytest.mark.timeout(3600)
+@pytest.mark.parametrize("seed", range(1, 5))
+def test_no_pose_of_many_spoiled_plates_is_wrong_beyond_its_claim(seed: int) -> None:
+    """Four films of six robots, 14 times 300 pictures each: a robot is seen 100,800 times."""
+    film = Film.render(seed, frames=50)
+    _check([pose for draw in range(2, 16) for pose in spoiled_poses(film, 100 * seed + draw, frames=300)])

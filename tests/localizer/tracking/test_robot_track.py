@@ -46,6 +46,20 @@ def test_published_is_the_measurement_itself() -> None:
     assert pose is not None and (pose.x_m, pose.y_m, pose.yaw_rad) == pytest.approx((0.004, -0.003, 0.02), abs=1e-12)
 
 
+def test_a_contradicted_track_does_not_claim_to_know_where_its_robot_is() -> None:
+    """Its own marker is read 1 m away, or another robot's where it should be: both places are within one sigma."""
+    assert not _followed().doubt(JUMP_M).any()
+    elsewhere = _followed().predicted(STEP_S).with_marker(_seen(0.8, 0.6, 0.5), JUMP_M).end_of_frame(LOST_AFTER_S)
+    assert elsewhere.state is Track.COAST and elsewhere.doubt(JUMP_M)[0, 0] == pytest.approx(0.64)
+    pose = elsewhere.message(0.3, elsewhere.doubt(JUMP_M))
+    away = np.array([0.8, 0.6, 0.5])
+    assert pose is not None and away @ np.linalg.solve(pose.covariance, away) < 1.01
+    assert elsewhere.predicted(STEP_S).end_of_frame(LOST_AFTER_S).doubt(JUMP_M)[0, 1] == pytest.approx(0.48)
+    occupied = _followed().predicted(STEP_S).contradicted().end_of_frame(LOST_AFTER_S)
+    assert np.diag(occupied.doubt(JUMP_M)) == pytest.approx([JUMP_M**2, JUMP_M**2, 0.0])
+    assert not occupied.predicted(STEP_S).with_marker(_seen(0.0), JUMP_M).doubt(JUMP_M)[0, 0] > 1e-4
+
+
 def test_coasts_then_is_lost_then_stays_put() -> None:
     track = _followed().predicted(STEP_S).with_marker(_seen(0.005), JUMP_M).predicted(STEP_S).with_marker(_seen(0.01), JUMP_M)
     states, places = [], []

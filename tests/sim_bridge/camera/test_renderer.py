@@ -273,6 +273,18 @@ def test_blur_is_the_mean_over_the_exposure() -> None:
         assert np.linalg.norm(np.mean(found[i + 1] - corners_px(fast, eta[i]), axis=0)) < 0.1
 
 
+def test_a_rolling_shutter_shows_each_robot_at_the_instant_of_its_row() -> None:
+    """The middle row is exposed at the picture's time, others earlier or later by their share of 30 ms."""
+    rolling = experiment(*CLEAN, "camera.readout_s=0.03")
+    eta, nu = poses((0.4, -0.8, 0.3, 0.7), (-0.5, 0.8, 0.3, -2.0)), np.array([[0.4, 0.1, 0.0, 0.5], [-0.3, 0.2, 0.0, -0.5]])
+    found = detect(Renderer(rolling, 1).render(eta, nu, 0.0, 0))
+    for i in range(2):
+        late_s = 0.03 * (float(found[i + 1][:, 1].mean()) / 960.0 - 0.5)
+        moved = eta[i] + late_s * np.append(body_to_pool(nu[i, :2], float(eta[i, 3])), nu[i, 2:])
+        assert np.linalg.norm(np.mean(found[i + 1] - corners_px(rolling, moved), axis=0)) < 0.15
+        assert np.linalg.norm(np.mean(found[i + 1] - corners_px(rolling, eta[i]), axis=0)) > 0.7
+
+
 def test_water_moves_and_repeats() -> None:
     setup = ("sim.picture.noise=0", *SMALL)
     alone = poses(AWAY, AWAY)

@@ -1,0 +1,164 @@
+"""SHELL: raw frames with all that the localizer goes by: `localizer run --record FOLDER` writes them, `rerun` reads them.
+
+    FOLDER/experiment.toml   the experiment
+    FOLDER/frames.mcap       of each frame: `localizer/inputs` (JSON), `robot/N/pose` as published, `camera/frame`
+
+Frames are written after their poses are out, one by one and not packed (1.2 MB each at 1280 x 960): a slow disk makes the
+camera drop frames, which the localizer then never saw, and leaves no gap between what it saw and what is in the file. A
+killed process loses the last 1 MB.
+"""
+
+import json
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from localizer.detection.image_regions import Pixels
+from wire.config.experiment import Experiment, dump_experiment
+from wire.messages import log_records, topics
+from wire.messages.codec import DecodeError, decode, encode, protobuf_class
+from wire.messages.messages import Frame, Pose
+from wire.process.output_files import disk_free, replace_text
+from wire.process.runtime import log
+from wire.toml_loader import ConfigError, os_errors_as_config_errors
+
+EXPERIMENT, FRAMES = "experiment.toml", "frames.mcap"
+_INPUTS = "localizer/inputs"
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedFrame:
+    """A raw frame (height, width) and what the localizer was told with it, by robot id: depth of the centre, and [roll, pitch,
+    standard deviation] at the exposure. `poses` are those that it published, encoded."""
+
+    pixels: Pixels
+    stamp_ns: int  # the camera's clock
+    instant_ns: int  # the localizer's clock
+    depths_m: dict[int, float] = field(default_factory=dict)
+    attitudes: dict[int, tuple[float, float, float]] = field(default_factory=dict)
+    poses: dict[int, bytes] = field(default_factory=dict)
+
+
+class FrameRecorder:
+    """The writing end. An error of the disk, or too little room on it, ends the recording and is logged."""
+
+    def __init__(self, folder: Path, experiment: Experiment, free_bytes: Callable[[Path], int] = disk_free) -> None:
+        """Raises ConfigError if the folder is there already, or cannot be made."""
+        from mcap.writer import CompressionType, IndexType, Writer
+
+        self._folder, self._free_bytes = folder, free_bytes
+        self._least_bytes = round(experiment.recording.stop_video_below_gb * 1e9)
+        if folder.exists():
+            raise ConfigError(f"--record {folder}: is there already, and would be lost (take a new folder)")
+        with os_errors_as_config_errors(folder):
+            folder.mkdir(parents=True)
+            replace_text(folder / EXPERIMENT, dump_experiment(experiment))
+            self._file = (folder / FRAMES).open("xb")
+        indexed = IndexType.CHUNK | IndexType.MESSAGE
+        self._writer: Any = Writer(  # Any: mcap is typed in part
+            self._file, compression=CompressionType.NONE, index_types=indexed
+        )
+        self._writer.start(library="shoal")
+        self._channels: dict[str, int] = {}
+        self._frames = 0
+        self._ended = False
+
+    def put(self, frame: RecordedFrame) -> None:
+        """Write one frame; its picture last, so that a frame which is there is whole."""
+        if self._ended:
+            return
+        if self._free_bytes(self._folder) < self._least_bytes:
+            self._end(f"less than recording.stop_video_below_gb = {self._least_bytes / 1e9:g} GB are free")
+            return
+        told = {"instant_ns": frame.instant_ns, "depths_m": frame.depths_m, "attitudes": frame.attitudes}
+        try:
+            self._write(_INPUTS, None, json.dumps(told).encode(), frame.stamp_ns)
+            for robot, pose in frame.poses.items():
+                self._write(topics.POSE.key(robot), Pose, pose, frame.stamp_ns)
+            self._write(topics.FRAME.name, Frame, encode(Frame(frame.pixels), frame.stamp_ns), frame.stamp_ns)
+        except OSError as error:
+            self._end(f"{error.strerror}")
+        self._frames += 1
+
+    def close(self) -> None:
+        """Write the file's index."""
+        if not self._ended:
+            self._ended = True
+            try:
+                self._writer.finish()
+                self._file.close()
+            except OSError as error:
+                log.error("recording %s: its end is missing: %s", self._folder, error.strerror)
+
+    def _write(self, topic: str, kind: type | None, data: bytes, stamp_ns: int) -> None:
+        if topic not in self._channels:
+            self._channels[topic] = self._register(topic, kind)
+        self._writer.add_message(self._channels[topic], stamp_ns, data, stamp_ns, self._frames)
+
+    def _register(self, topic: str, kind: type | None) -> int:
+        from mcap_protobuf.schema import build_file_descriptor_set
+
+        if kind is None:
+            schema = self._writer.register_schema(topic, "jsonschema", b'{"type": "object"}')
+            return int(self._writer.register_channel(topic, "json", schema))
+        cls = protobuf_class(kind)
+        files = build_file_descriptor_set(cls).SerializeToString()
+        return int(
+            self._writer.register_channel(
+                topic, "protobuf", self._writer.register_schema(cls.DESCRIPTOR.full_name, "protobuf", files)
+            )
+        )
+
+    def _end(self, reason: str) -> None:
+        self._ended = True
+        with suppress(OSError):
+            self._file.close()
+        log.error("recording %s ends after %d frames: %s", self._folder, self._frames, reason)
+
+
+def frame_estimate(folder: Path, size_px: tuple[int, int]) -> int:
+    """Number of frames of a recording by its size, some too many: what is beside the pixels counts as pixels."""
+    with os_errors_as_config_errors(folder):
+        return (folder / FRAMES).stat().st_size // (size_px[0] * size_px[1])
+
+
+def recorded_frames(folder: Path) -> Iterator[RecordedFrame]:
+    """The frames of a recording, in order, as far as they are whole; where it was cut is logged. Raises ConfigError for a file
+    that is none."""
+    path, names = folder / FRAMES, dict[int, str]()
+    told: dict[str, Any] | None = None
+    poses: dict[int, bytes] = {}
+    count = 0
+    try:
+        with path.open("rb") as file:
+            for opcode, body in log_records.records(file):
+                if opcode == log_records.CHANNEL:
+                    number, topic = log_records.channel_topic(body)
+                    names[number] = topic
+                if opcode != log_records.MESSAGE:
+                    continue
+                number, _, _, stamp_ns, data = log_records.message(body)
+                topic = names.get(number, "")
+                if topic == _INPUTS:
+                    told, poses = json.loads(data), {}
+                elif topic == topics.FRAME.name and told is not None:
+                    yield _frame(decode(Frame, data, "recording", topic).pixels, stamp_ns, told, poses)
+                    count, told = count + 1, None
+                elif topic.endswith("/pose"):
+                    poses[int(topic.split("/")[-2])] = data
+    except log_records.Damaged as error:
+        if count == 0:
+            raise ConfigError(f"{path}: no recording of frames: {error}") from None
+        log.warning("%s: ends after frame %d: %s", path, count, error)
+    except (DecodeError, KeyError, TypeError, ValueError) as error:
+        raise ConfigError(f"{path}: after frame {count}: not written by `localizer run --record`: {error}") from None
+    except OSError as error:
+        raise ConfigError(f"{path}: {error.strerror}") from None
+
+
+def _frame(pixels: Pixels, stamp_ns: int, told: dict[str, Any], poses: dict[int, bytes]) -> RecordedFrame:
+    attitudes = {int(robot): (float(a), float(b), float(sigma)) for robot, (a, b, sigma) in told["attitudes"].items()}
+    depths_m = {int(robot): float(depth) for robot, depth in told["depths_m"].items()}
+    return RecordedFrame(pixels, stamp_ns, int(told["instant_ns"]), depths_m, attitudes, poses)
