@@ -16,7 +16,8 @@ from typing import Any
 import uvicorn
 from starlette.applications import Starlette
 from starlette.datastructures import Headers, MutableHeaders
-from starlette.responses import FileResponse, PlainTextResponse
+from starlette.requests import Request
+from starlette.responses import FileResponse, PlainTextResponse, Response
 from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 
@@ -25,6 +26,7 @@ from groundstation.web.auth import HEADERS, WebOptions, host_allowed
 from groundstation.web.backend import Backend
 from groundstation.web.client_hub import ClientHub
 from groundstation.web.connection_limits import HANDSHAKE_WITHIN_S, ConnectionLimiter, http_class
+from groundstation.web.run_desk import REPORT_POLICY, RunDesk
 from wire.process.runtime import log
 from wire.toml_loader import ConfigError
 
@@ -53,7 +55,7 @@ class Guarded:
             if message["type"] == "http.response.start":
                 headers = MutableHeaders(scope=message)
                 for name, value in HEADERS.items():
-                    headers[name] = value
+                    headers.setdefault(name, value)
                 hashed = scope["path"].startswith("/assets/")
                 headers["cache-control"] = "public, max-age=31536000, immutable" if hashed else "no-cache"
             await send(message)
@@ -61,9 +63,8 @@ class Guarded:
         await self._app(scope, receive, send_guarded)
 
 
-def make_app(source: Backend, options: WebOptions) -> Any:
+def make_app(hub: ClientHub, desk: RunDesk, options: WebOptions) -> Any:
     """The ASGI application."""
-    hub = ClientHub(source, options)
 
     @contextlib.asynccontextmanager
     async def lifespan(app: Starlette) -> Any:
@@ -78,8 +79,15 @@ def make_app(source: Backend, options: WebOptions) -> Any:
     async def index(request: Any) -> FileResponse:
         return FileResponse(STATIC / "index.html")
 
+    def report(request: Request) -> Response:
+        file = desk.report(request.path_params["run"], request.query_params.get("key", ""))
+        if file is None:
+            return PlainTextResponse("no such report", 404)
+        return FileResponse(file, headers={"content-security-policy": REPORT_POLICY})
+
     routes = [
         Route("/", index),
+        Route("/runs/{run}/report.html", report),
         WebSocketRoute("/live", hub.watch),
         Mount("/", StaticFiles(directory=STATIC)),
     ]
@@ -125,8 +133,10 @@ class WebServer:
         """Serve at `bound`; None: `bind` here."""
         self._failure, self._where = "", f"{options.host}:{options.port}"
         self._socket = bound or bind(options)
+        desk = RunDesk(source.run_dir)
+        self._hub = ClientHub(source, options, desk)
         config = uvicorn.Config(
-            make_app(source, options),
+            make_app(self._hub, desk, options),
             loop="asyncio",
             http=http_class(ConnectionLimiter()),
             ws="websockets-sansio",
@@ -146,6 +156,11 @@ class WebServer:
         )
         self._server = uvicorn.Server(config)
         self._thread = threading.Thread(target=self._run, name="page", daemon=True)
+
+    @property
+    def watched(self) -> bool:
+        """True if a page is open."""
+        return self._hub.watched
 
     def _run(self) -> None:
         try:

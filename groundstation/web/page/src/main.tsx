@@ -12,6 +12,7 @@ import { Mission } from "./panels/Mission";
 import { OneRobot } from "./panels/OneRobot";
 import { Plots } from "./panels/Plots";
 import { Replay } from "./panels/Replay";
+import { Runs } from "./panels/Runs";
 import { Tiles } from "./panels/Tiles";
 import { Tuning } from "./panels/Tuning";
 import { Pool } from "./pool/Pool";
@@ -43,6 +44,7 @@ function Page() {
             </dl>
           </details>
         </aside>
+        <Runs />
         <Replay />
         <Plots />
       </main>

@@ -3,13 +3,15 @@
 import { isLight, setTheme } from "../colours";
 import { order, releaseControl, takeControl } from "../link";
 import { soundOn, toggleSound } from "../sound";
-import { connected, drawSoon, editing, given, inControl, refusal, roundTripMs, scene, shown, stopUnheard } from "../store";
+import { browsing, connected, drawSoon, editing, given, inControl, refusal, roundTripMs, scene, shown, stopUnheard } from "../store";
 import { themeSerial } from "./Plots";
+import { showRuns } from "./Runs";
 
 function Control() {
   const s = shown.value;
-  if (s === null || !connected.value || scene.value?.mode === "replay") return null;
+  if (s === null || !connected.value) return null;
   if (inControl.value) {
+    if (scene.value?.mode === "replay") return null; // all may look; control is over names and files alone
     return (
       <button type="button" class="control mine" onClick={releaseControl} title="Give control back, so that another page may take it">
         You have control
@@ -86,6 +88,9 @@ export function Header() {
           Edit
         </button>
       )}
+      <button type="button" aria-pressed={browsing.value} disabled={!connected.value} onClick={() => showRuns(!browsing.value)} title="Runs in this one's folder">
+        Runs
+      </button>
       <button type="button" aria-pressed={soundOn.value} onClick={toggleSound} title="Alarm sounds">
         {soundOn.value ? "Sound on" : "Sound off"}
       </button>

@@ -179,7 +179,7 @@ function Folder({ state }: { state: Snapshot }) {
   return (
     <p class="folder">
       {state.ended ? "The run is ended; it is in" : "The run is being written to"} <code>{run}</code>
-      {state.ended && ", and its report will be there in a moment: report.html"}
+      {state.ended && "; in a moment this page shows it as recorded, with its report"}
     </p>
   );
 }
