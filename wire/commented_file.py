@@ -19,7 +19,8 @@ WIDE = 127  # of a line; with a longer comment it stands above its key
 
 def commented(experiment: Experiment) -> str:
     """The experiment as TOML, in the order of the shipped files."""
-    return "\n".join([schema_line("experiment"), f"# {experiment.title or experiment.name}", "", *_lines(experiment, "", set())]) + "\n"
+    title = f"# {experiment.title or experiment.name}"
+    return "\n".join([schema_line("experiment"), title, "", *_lines(experiment, "", set())]) + "\n"
 
 
 def _lines(section: Section, name: str, told: set[str]) -> Iterator[str]:
