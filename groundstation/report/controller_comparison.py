@@ -13,7 +13,7 @@ from groundstation.palette import COLOURS, colour
 from groundstation.report.drawing import Curve, Panel, TimePlot
 from groundstation.report.plotting import BOTTOM_IN, GREY, RIGHT_IN, STYLE, WIDTH_IN, picture
 from wire.config.controller_benchmark import SETTLED_S, Comparison, Traces, Variant
-from wire.intervals import Interval, mean
+from wire.figures import Interval, mean
 
 NAMES_IN = 1.75  # room for the variants' names
 ROW_IN = 0.27

@@ -12,7 +12,7 @@ from typing import Any
 
 from sim_bridge.studies.campaign import Campaign
 from sim_bridge.studies.statistics import rate
-from wire.intervals import Interval, mean
+from wire.figures import Interval, mean
 
 SHOWN = ("rms_after_20s_m", "max_after_20s_m", "rms_yaw_after_20s_rad", "wrench_step_rms")
 UNITS = {"_m": ("mm", 1e3), "_rad": ("deg", 180.0 / math.pi)}  # by the ends of measures' names

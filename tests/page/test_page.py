@@ -1,5 +1,6 @@
 """The operator's page in a real browser, on a real run. The tests share the run, and leave it as they found it: disarmed."""
 
+import json
 import re
 import signal
 import subprocess
@@ -27,7 +28,7 @@ from groundstation.web.live_backend import LiveBackend
 from groundstation.web.server import WebServer
 from sim_bridge.sil.ports import free_port
 from tests.groundstation.fake_station import FakeStation
-from tests.page.flights import OperatorFlight, PageTraffic, open_page, serious, wait_for_port
+from tests.page.flights import PATIENCE_MS, OperatorFlight, PageTraffic, open_page, serious, wait_for_port
 from wire.config.experiment import Experiment, load_experiment
 from wire.messages import topics
 from wire.messages.codec import decode
@@ -225,12 +226,12 @@ class Alone(FakeStation):
 
 
 @contextmanager
-def alone(browser: Browser, experiment: Experiment) -> Iterator[Alone]:
+def alone(browser: Browser, experiment: Experiment, run_dir: Path | None = None) -> Iterator[Alone]:
     port, hub = free_port(), MemoryHub()
     page = browser.new_page(viewport={"width": 1440, "height": 900})
     with Bus(MemoryTransport(hub)) as bus, Bus(MemoryTransport(hub)) as robots:
         found = Alone(experiment, bus, page=page, url=f"http://127.0.0.1:{port}/", robots=robots)
-        desk = LiveBackend(experiment, planner.plan(experiment), bus, found.heard, found.clock, found, "real-time")
+        desk = LiveBackend(experiment, planner.plan(experiment), bus, found.heard, found.clock, found, "real-time", run_dir)
         with WebServer(desk, WebOptions(port=port)):
             yield found
             page.context.close()
@@ -636,6 +637,120 @@ def test_one_robot_is_driven_by_keys_and_sent_to_a_place(browser: Browser) -> No
         panel.get_by_role("button", name=re.compile("^Send 2 to .* m$")).click()
         expect(page.locator(".given")).to_contain_text("go 2 sent")
         assert (desk.orders[-1], desk.only, len(desk.via)) == (Order.GO, 2, 1)
+
+
+PADS = """
+  window.pads = [null];
+  navigator.getGamepads = () => window.pads;
+  window.pad = (mapping, axes) => {
+    window.pads = [null, {index: 1, id: mapping || 'some pad', connected: true, mapping, axes, buttons: []}];
+  };
+"""
+
+
+def asked_of(desk: FakeStation) -> tuple[float, ...]:
+    """Shares of the vehicle's limits in the newest velocity: ahead, down, right."""
+    limits, (_, last) = desk.experiment.vehicle.limits, desk.drives[-1]
+    shares = (
+        last.surge_mps / limits.speed_mps,
+        last.heave_mps / limits.heave_mps,
+        last.yaw_rate_radps / limits.yaw_rate_radps,
+    )
+    return tuple(round(share / 0.4, 3) for share in shares)
+
+
+def until_asked(desk: FakeStation, page: Page, wanted: tuple[float, ...]) -> None:
+    for _ in range(PATIENCE_MS // 100):
+        if desk.drives and asked_of(desk) == wanted:
+            return
+        page.wait_for_timeout(100)
+    raise AssertionError(f"{asked_of(desk) if desk.drives else 'nothing'} and not {wanted}")
+
+
+def test_a_gamepad_drives_in_any_layout_and_the_robot_holds_without_it(browser: Browser) -> None:
+    """Layouts as browsers give them. A shifted rest, a trigger or a pad that is gone never moves a robot."""
+    half = (0.5 - 0.12) / (1 - 0.12)
+    with alone(browser, load_experiment("pool")) as desk:
+        page = desk.page
+        page.add_init_script(PADS)
+        page.goto(desk.url)
+        expect(button(page, "You have control")).to_be_visible()
+        desk.robots.publish(topics.STATE, RobotState(mode=Mode.HOLDING), time.time_ns(), 2)
+        tile(page, 2).get_by_role("button").click()
+        page.evaluate("pad('standard', [0, -1, 0, 0])")  # held ahead before driving begins
+        button(page, "Drive 2").click()
+        page.wait_for_timeout(500)
+        assert desk.drives == []
+        page.evaluate("pad('standard', [0.1, -0.11, 0.05, 0.1])")  # at rest, as far as sticks are
+        page.wait_for_timeout(300)
+        assert desk.drives == []
+        page.evaluate("pad('standard', [0, -1, 0, 0.5])")
+        until_asked(desk, page, (1.0, round(half, 3), 0.0))
+        page.evaluate("pad('standard', [0, 0, -1.2, 0])")  # the right stick turns, and no stick goes beyond its end
+        until_asked(desk, page, (0.0, 0.0, -1.0))
+        page.evaluate("window.pads = [null, null]")  # pulled out in the middle of it
+        until_asked(desk, page, (0.0, 0.0, 0.0))
+        for rest, pushed, wanted in (  # x, y, left trigger, right x, right y, right trigger, hat; and another maker's
+            ([0, 0, -1, 0, 0, -1, 0, 0], [1, 0, -1, 0, 0, -1, 0, 0], (0.0, 0.0, 1.0)),
+            ([0, 0, 0, -1, -1, 0], [0, -1, 1, -1, -1, 1], (1.0, 0.0, 0.0)),
+        ):
+            page.evaluate("axes => pad('', axes)", pushed)  # plugged in while it is pushed
+            page.wait_for_timeout(300)
+            assert asked_of(desk) == (0.0, 0.0, 0.0)
+            page.evaluate("axes => pad('', axes)", rest)
+            page.wait_for_timeout(300)
+            assert asked_of(desk) == (0.0, 0.0, 0.0)
+            page.evaluate("axes => pad('', axes)", pushed)
+            until_asked(desk, page, wanted)
+            page.evaluate("window.pads[1].connected = false")
+            until_asked(desk, page, (0.0, 0.0, 0.0))
+        page.evaluate("pad('', [NaN])")
+        page.wait_for_timeout(300)
+        assert asked_of(desk) == (0.0, 0.0, 0.0)
+
+
+def test_runs_are_found_named_read_and_deleted_on_the_page(browser: Browser, tmp_path: Path) -> None:
+    for name in ("now", "first", "second"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "run.mcap").write_bytes(bytes(1_500_000))
+    result = {"scene": "pool", "mode": "lockstep", "duration_s": 40.0, "passed": False, "tags": ["lamp"]}
+    (tmp_path / "first" / "result.json").write_text(json.dumps(result))
+    told = "<p id=told></p><script>told.textContent = `${origin}: its script runs`</script>"
+    (tmp_path / "first" / "report.html").write_text(told)
+    with alone(browser, load_experiment("pool"), tmp_path / "now") as desk:
+        page = desk.page
+        page.goto(desk.url)
+        expect(button(page, "You have control")).to_be_visible()
+        button(page, "Runs").click()
+        rows = page.locator(".runs tbody tr")
+        expect(rows).to_have_count(3)
+        expect(page.locator("[data-run='now']")).to_contain_text("this run")
+        expect(page.locator("[data-run='now']").get_by_role("button", name="Delete")).to_be_disabled()
+        expect(page.locator("[data-run='first']")).to_contain_text("#lamp")
+        expect(page.locator("[data-run='first']")).to_contain_text("pool, lockstep40 s1.5 MBfailed")
+        page.get_by_label("Runs with these words").fill("LAMP failed")
+        expect(rows).to_have_count(1)
+        with page.expect_popup() as opened:
+            rows.get_by_role("link", name="Report").click()
+        expect(opened.value.locator("#told")).to_have_text("null: its script runs")  # an origin of its own
+        opened.value.close()
+        page.get_by_label("Runs with these words").fill("")
+        page.locator("[data-run='now']").get_by_role("button", name="Label").click()
+        page.get_by_label("Name of now").fill("first dive")
+        page.get_by_label("Tags of now").fill("#cold deep")
+        button(page, "Keep").click()
+        expect(page.locator("[data-run='now']")).to_contain_text("first dive this run #cold #deep")
+        assert serious(page) == []
+        page.once("dialog", lambda dialog: dialog.dismiss())
+        page.locator("[data-run='second']").get_by_role("button", name="Delete").click()
+        assert (tmp_path / "second").is_dir()
+        page.once("dialog", lambda dialog: dialog.accept())
+        page.locator("[data-run='second']").get_by_role("button", name="Delete").click()
+        expect(rows).to_have_count(2)
+        assert not (tmp_path / "second").exists()
+        page.keyboard.press("Escape")  # closes the list, and stops nothing
+        expect(rows).to_have_count(0)
+        assert desk.orders == []
 
 
 def test_the_editor_adds_removes_undoes_and_writes_a_commented_file(

@@ -13,7 +13,7 @@ from groundstation.__main__ import cli
 from groundstation.report.controller_comparison import cells, ratio
 from tests.sim_bridge.studies.flight_metrics import GOOD
 from wire.config.controller_benchmark import Comparison, FlightRecord, Traces, Variant
-from wire.intervals import mean
+from wire.figures import mean
 from wire.toml_loader import ConfigError
 
 SINE = [round(9.0 * math.sin(0.1 * k), 3) for k in range(100)]
@@ -52,8 +52,8 @@ def test_the_intervals_are_those_of_another_bootstrap_and_never_below_zero() -> 
 def test_every_variant_has_a_row_in_order() -> None:
     rows = cells(comparison(variant("eso-mpc", 1.0), variant("pid", 3.0), variant("lqr", 2.0, seeds=4)))
     assert [name for name, _ in rows] == ["eso-mpc", "pid", "lqr"]
-    assert rows[0][1][0] == "1" and rows[1][1][0] == "3 [3, 3]"
-    assert cells(comparison(variant("eso-mpc", 1.0, 1), variant("pid", 3.0, 1)))[1][1][0] == "3"
+    assert rows[0][1][0] == "1" and rows[1][1][0] == "3.00 [3.00, 3.00]"
+    assert cells(comparison(variant("eso-mpc", 1.0, 1), variant("pid", 3.0, 1)))[1][1][0] == "3.00"
 
 
 def report(folder: Path, *variants: Variant) -> tuple[int, str]:
@@ -64,7 +64,7 @@ def report(folder: Path, *variants: Variant) -> tuple[int, str]:
 
 def test_the_report_shows_table_and_figures(tmp_path: Path) -> None:
     code, output = report(tmp_path, variant("eso-mpc", 1.0), variant("backstepping", 2.0))
-    assert code == 0 and "2 [2, 2]" in output
+    assert code == 0 and "2.00 [2.00, 2.00]" in output
     html = (tmp_path / "comparison.html").read_text(encoding="utf-8")
     assert html.count("<svg") == 4 and "Two robots &lt;&amp;&gt;" in html and "controller.law=backstepping" in html
     assert "http" not in html.replace("http://www.w3.org", "")  # nothing is fetched

@@ -28,7 +28,7 @@ from sim_bridge.studies.dependence import dependence, dependences, lines, reason
 from sim_bridge.studies.metrics import MEASURES, broken_limits
 from sim_bridge.studies.statistics import distribution, quantile, rate
 from wire.config.experiment import EXPERIMENTS, NO_CAMERA, Experiment, load_experiment
-from wire.intervals import mean
+from wire.figures import mean
 from wire.process.runtime import Failed, Stop
 from wire.toml_loader import ConfigError, check
 

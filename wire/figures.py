@@ -1,13 +1,28 @@
-"""Means over flights with 95 % bootstrap confidence intervals, as campaigns and comparisons report them. Pure."""
+"""Figures for people: three digits, and means over flights with 95 % bootstrap confidence intervals. Pure."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+NOTHING = "–"  # what is not known
+MOST_PLACES = 4
 CONFIDENCE = 0.95
 RESAMPLES = 1000  # of a bootstrap: its interval's ends are then known to a few per cent of its width
 AT_ONCE = 1_000_000  # numbers that are drawn at a time: 16 MB
+
+
+def three(value: float | None, factor: float = 1.0) -> str:
+    """Three significant digits of value times factor, never in powers of ten; a dash for what is not known."""
+    if value is None or not math.isfinite(value):
+        return NOTHING
+    scaled = value * factor
+    if scaled == 0.0:
+        return "0"
+    power = int(f"{scaled:.2e}".partition("e")[2])  # after rounding: 99.96 is 100
+    places = min(max(0, 2 - power), MOST_PLACES)
+    return f"{scaled:.{places}f}"
 
 
 @dataclass(frozen=True)
@@ -19,10 +34,10 @@ class Interval:
     high: float | None
 
     def __str__(self) -> str:
-        """Three digits: `7.9 [0.31, 19.5]`."""
+        """As `7.90 [0.310, 19.5]`."""
         if self.low is None or self.high is None:
-            return f"{self.value:.3g}"
-        return f"{self.value:.3g} [{self.low:.3g}, {self.high:.3g}]"
+            return three(self.value)
+        return f"{three(self.value)} [{three(self.low)}, {three(self.high)}]"
 
 
 def mean(values: Sequence[float]) -> Interval:
