@@ -30,7 +30,7 @@ def compare(
 ) -> None:
     """Compare control laws: fly them on the same seeds without camera and network; print a table, write JSON and a report.
 
-    A seed moves the starts and draws noise and thruster spread. Figures are means over seeds with 95 % confidence intervals;
+    A seed moves the starts and draws noise and thruster spread. Figures are means over seeds with 95 % bootstrap intervals;
     the column "×" is the ratio of the distance after 20 s to the first law's, on the same seeds. Results do not depend on
     --jobs. Exit code 0 if everything was flown, 1 if not, 2 for a configuration that cannot be.
 
