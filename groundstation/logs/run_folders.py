@@ -16,7 +16,7 @@ from typing import Any
 
 from groundstation.logs.recorder import claim
 from wire.process.output_files import replace_text
-from wire.toml_loader import ConfigError, os_errors_as_config_errors
+from wire.toml_loader import ConfigError, os_errors_as_config_errors, read_toml
 
 LABEL = "label.json"  # in a run's folder: its name and tags
 TAG = re.compile(r"[\w-]+")
@@ -107,13 +107,21 @@ def _listed(log: Path) -> ListedRun:
         name=name,
         tags=tuple(dict.fromkeys([*tags, *(map(str, said) if isinstance(said, list) else ())])),
         date=datetime.fromtimestamp(_begun_s(log)).isoformat(" ", "minutes"),
-        experiment=str(result.get("scene", "")),
+        experiment=str(result.get("scene") or _experiment_name(log.parent)),
         mode=str(result.get("mode", "")),
         duration_s=float(result.get("duration_s") or 0.0),
         size_mb=size_mb(log.parent),
         verdict=NO_RESULT if passed is None else "passed" if passed else "failed",
         commit=str(result.get("commit", "")),
     )
+
+
+def _experiment_name(folder: Path) -> str:
+    """Name of the experiment of a run that is not evaluated, as while it is flown; empty if its file cannot be read."""
+    try:
+        return str(read_toml(folder / "experiment.toml").get("name", ""))
+    except ConfigError:
+        return ""
 
 
 def _begun_s(log: Path) -> float:

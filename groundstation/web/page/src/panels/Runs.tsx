@@ -5,6 +5,8 @@ import { say } from "../link";
 import { browsing, connected, inControl, runs, scene } from "../store";
 import type { ListedRun } from "../wire";
 
+const FIGURES = ["Length", "Size"]; // columns of numbers
+
 const wanted = signal(""); // words to search for
 const labelled = signal(""); // run whose name and tags are being changed
 
@@ -106,8 +108,8 @@ export function Runs() {
         <table>
           <thead>
             <tr>
-              {["Run", "Begun", "Experiment", "Length", "Size", "Verdict"].map((head) => (
-                <th key={head} scope="col">
+              {["Run", "Begun", "Experiment", ...FIGURES, "Verdict"].map((head) => (
+                <th key={head} scope="col" class={FIGURES.includes(head) ? "figure" : ""}>
                   {head}
                 </th>
               ))}
