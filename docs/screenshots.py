@@ -96,6 +96,7 @@ def of_the_pool(browser: Browser, out: str) -> None:
         gains.scroll_into_view_if_needed()
         keep(page, "tuning")
         gains.locator("summary").click()
+        page.locator("aside").evaluate("panel => panel.scrollTo(0, 0)")
         page.get_by_role("button", name="3-D").click()
         keep(page, "depth")
         phone = opened(browser, url, PHONE)

@@ -38,6 +38,7 @@ KEPT_EVENTS = 500  # of the log, for a watcher who comes late: as many as the pa
 ORDER_VALID_S = 3.0  # from the newest state that the page had, to the order's arrival: what was meant for then is void now
 DRIVE_VALID_S = 1.0  # the same for a velocity: a person steers by what the page shows
 COMPLAIN_EVERY_S = 10.0  # when looking or telling fails again and again
+FAREWELL_S = 0.2  # for pages to be sent the last state
 HEAD = struct.Struct("<If")
 
 # WebSocket close codes of our own
@@ -122,6 +123,12 @@ class ClientHub:
     def watched(self) -> bool:
         """True if a page is connected. From any thread."""
         return bool(self._watchers)
+
+    async def farewell(self) -> None:
+        """Tell the last state before the server ends: pages then know how the run ended."""
+        if self._watchers:
+            self._tell_now()
+            await asyncio.sleep(FAREWELL_S)
 
     def close(self) -> None:
         """Wait for nothing that is still at work."""

@@ -33,6 +33,8 @@ from wire.toml_loader import ConfigError
 STATIC = Path(__file__).parent / "static"
 START_WITHIN_S = 30.0  # on a starved machine; then the station does not start, and says why
 
+FAREWELL_WITHIN_S = 1.0  # a page's thread that hangs holds nobody up
+
 Scope = MutableMapping[str, Any]
 Channel = Callable[..., Awaitable[Any]]
 
@@ -132,6 +134,7 @@ class WebServer:
     def __init__(self, source: Backend, options: WebOptions, bound: socket.socket | None = None) -> None:
         """Serve at `bound`; None: `bind` here."""
         self._failure, self._where = "", f"{options.host}:{options.port}"
+        self._loop: asyncio.AbstractEventLoop | None = None
         self._socket = bound or bind(options)
         desk = RunDesk(source.run_dir)
         self._hub = ClientHub(source, options, desk)
@@ -165,6 +168,7 @@ class WebServer:
     def _run(self) -> None:
         try:
             with asyncio.Runner(loop_factory=_Loop) as runner:
+                self._loop = runner.get_loop()
                 runner.run(self._server.serve(sockets=[self._socket]))
         except (Exception, SystemExit) as error:  # the flight does not depend on the page
             self._failure = f"{type(error).__name__}: {error}"
@@ -182,6 +186,9 @@ class WebServer:
         return self
 
     def __exit__(self, *exception: object) -> None:
+        if self._server.started and self._loop is not None and self._thread.is_alive():
+            with contextlib.suppress(TimeoutError, RuntimeError):  # it hangs, or has just ended
+                asyncio.run_coroutine_threadsafe(self._hub.farewell(), self._loop).result(FAREWELL_WITHIN_S)
         self._server.should_exit = True
         self._thread.join(START_WITHIN_S)
         self._socket.close()

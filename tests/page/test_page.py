@@ -7,7 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
@@ -223,6 +223,7 @@ class Alone(FakeStation):
     page: Page
     url: str
     robots: Bus
+    server: ExitStack
 
 
 @contextmanager
@@ -230,9 +231,11 @@ def alone(browser: Browser, experiment: Experiment, run_dir: Path | None = None)
     port, hub = free_port(), MemoryHub()
     page = browser.new_page(viewport={"width": 1440, "height": 900})
     with Bus(MemoryTransport(hub)) as bus, Bus(MemoryTransport(hub)) as robots:
-        found = Alone(experiment, bus, page=page, url=f"http://127.0.0.1:{port}/", robots=robots)
+        server = ExitStack()
+        found = Alone(experiment, bus, page=page, url=f"http://127.0.0.1:{port}/", robots=robots, server=server)
         desk = LiveBackend(experiment, planner.plan(experiment), bus, found.heard, found.clock, found, "real-time", run_dir)
-        with WebServer(desk, WebOptions(port=port)):
+        with server:
+            server.enter_context(WebServer(desk, WebOptions(port=port)))
             yield found
             page.context.close()
 
@@ -415,9 +418,7 @@ def station(tmp_path_factory: pytest.TempPathFactory) -> Iterator[BareStation]:
     """Shared: the last of its tests ends it."""
     port = free_port()
     command = [sys.executable, "-m", "groundstation", "run", "pool", "--listen", f"tcp/127.0.0.1:{free_port()}"]
-    process = subprocess.Popen(
-        [*command, "--web", f"127.0.0.1:{port}", "--run-dir", str(tmp_path_factory.mktemp("station") / "run")]
-    )
+    process = subprocess.Popen([*command, "--web", f"127.0.0.1:{port}", "--out", str(tmp_path_factory.mktemp("station"))])
     try:
         wait_for_port(port, process)
         yield BareStation(f"http://127.0.0.1:{port}/", process)
@@ -533,16 +534,33 @@ def test_a_request_has_one_line_and_that_says_how_it_ended(browser: Browser) -> 
         expect(given).to_have_text("return confirmed by 1, 2")
 
 
-def test_a_run_is_ended_on_the_page_which_then_is_silent_without_an_alarm(browser: Browser, station: BareStation) -> None:
+def test_a_run_that_is_ended_on_the_page_is_shown_there_as_recorded_with_its_report(
+    browser: Browser, station: BareStation
+) -> None:
     page = browser.new_page(viewport={"width": 1440, "height": 900})
     page.goto(station.url)
     button(page, "End run").click()  # nobody is armed: not asked twice
     expect(page.locator(".folder")).to_contain_text("The run is ended; it is in")
-    assert station.process.wait(30) is not None
     expect(page.locator("header .phase")).to_have_text("the run is ended")
-    expect(page.get_by_text("no connection", exact=True)).to_be_visible()
-    expect(page.get_by_label("Alarms")).not_to_contain_text("no connection")
+    expect(page.get_by_label("Alarms")).not_to_contain_text("no connection")  # while the report is written
+    with page.expect_popup(timeout=PATIENCE_MS) as opened:
+        page.locator(".replay").get_by_role("link", name="Report").click(timeout=PATIENCE_MS)
+    expect(opened.value.locator("h1")).to_contain_text("Two robots in a line on a circle")
+    assert station.process.poll() is None  # until the page is closed, or Ctrl-C
     page.context.close()
+
+
+def test_a_mission_that_is_done_and_its_station_gone_is_no_alarm(browser: Browser) -> None:
+    with alone(browser, load_experiment("pool")) as desk:
+        page = desk.page
+        desk.told = replace(desk.told, state=MissionState.RUNNING)
+        page.goto(desk.url)
+        expect(page.locator("header .phase")).to_have_text("running")
+        desk.told = replace(desk.told, state=MissionState.DONE)  # of the last cycle: an automatic station ends with it
+        desk.server.close()
+        expect(page.locator("header .phase")).to_have_text("the run is ended")
+        expect(page.get_by_text("no connection", exact=True)).to_be_visible()
+        expect(page.get_by_label("Alarms")).to_contain_text("none")
 
 
 def test_a_stop_of_an_earlier_station_can_be_cleared(browser: Browser) -> None:
@@ -781,7 +799,7 @@ def test_the_editor_adds_removes_undoes_and_writes_a_commented_file(
         expect(verdict).to_contain_text("can be flown")
         page.get_by_label("Name of the new experiment").fill("mine")
         button(page, "Save").click()
-        expect(page.get_by_text("saved: groundstation run experiments/mine.toml")).to_be_visible()
+        expect(page.get_by_text("saved: experiments/mine.toml; fly it with groundstation run")).to_be_visible()
         expect(page.locator(".editor .number").first).to_have_attribute("title", re.compile("^path.kind: "))
     text = (tmp_path / "experiments" / "mine.toml").read_text()
     assert "Waypoints x, y of the formation's centre, in order." in text

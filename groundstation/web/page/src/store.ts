@@ -61,10 +61,15 @@ export const runs = signal<RunList | null>(null); // as last told
 export const undriven = signal(""); // why a velocity is not driven
 
 export const inControl = computed(() => connected.value && shown.value !== null && me.value !== 0 && shown.value.holder === me.value);
+/** Whether the run is over: a person has ended it, or its station went when its mission was done, and every robot disarmed. */
+export const ended = computed(() => {
+  const state = shown.value;
+  return state !== null && (state.ended || (!connected.value && ["DONE", "CANCELLED"].includes(state.phase)));
+});
 export const alarms = computed<Alarm[]>(() => {
   const known = shown.value?.alarms ?? [];
   if (connected.value || scene.value === null) return known;
-  if (shown.value?.ended) return []; // of a run that is over
+  if (ended.value) return [];
   return [{ level: "critical", key: "page", robot: 0, text: "no connection to the station: what you see is old" }, ...known];
 });
 

@@ -3,7 +3,7 @@
 import { isLight, setTheme } from "../colours";
 import { order, releaseControl, takeControl } from "../link";
 import { soundOn, toggleSound } from "../sound";
-import { browsing, connected, drawSoon, editing, given, inControl, refusal, roundTripMs, scene, shown, stopUnheard } from "../store";
+import { browsing, connected, drawSoon, editing, ended, given, inControl, refusal, roundTripMs, scene, shown, stopUnheard } from "../store";
 import { themeSerial } from "./Plots";
 import { showRuns } from "./Runs";
 
@@ -33,7 +33,7 @@ function Control() {
 
 function Link() {
   if (refusal.value) return <span class="link bad">not let in: {refusal.value}</span>;
-  if (!connected.value) return <span class={shown.value?.ended ? "link" : "link bad"}>no connection</span>;
+  if (!connected.value) return <span class={ended.value ? "link" : "link bad"}>no connection</span>;
   return (
     <span class="link" title="From the station to this page, drawn, and back">
       link {roundTripMs.value.toFixed(0)} ms
@@ -60,14 +60,13 @@ export function StopButton() {
 export function Header() {
   const s = scene.value;
   const state = shown.value;
-  const ended = state?.ended ?? false;
-  const phase = ended ? "DONE" : connected.value ? (state?.phase ?? "") : "LOST";
+  const phase = ended.value ? "DONE" : connected.value ? (state?.phase ?? "") : "LOST";
   return (
     <header>
       <h1>{s?.title ?? "Shoal"}</h1>
       {state !== null && (
         <span class={`phase ${phase.toLowerCase()}`} role="status">
-          {ended ? "the run is ended" : connected.value ? state.phase_text + paused(state) : "last known: " + state.phase_text}
+          {ended.value ? "the run is ended" : connected.value ? state.phase_text + paused(state) : "last known: " + state.phase_text}
         </span>
       )}
       {s !== null && state !== null && <span class="clock">{clock(flown(state))} / {clock(s.duration_s)}</span>}
