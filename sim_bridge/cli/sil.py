@@ -81,13 +81,13 @@ def sil(
     from sim_bridge.sil.commands import RunOptions, check
     from sim_bridge.sil.ports import page_address
 
+    if one_process and not dry_run:
+        _with_one_thread()
     loaded = _load(experiment, seed, duration, [*(settings or ()), *([NO_CAMERA] if poses else [])], faults)
     console = Console()
     page = None if no_web else page_address(web)
     options = RunOptions(lockstep, page, manual, poses, keys, signed, one_process)
     check(loaded, options)
-    if one_process and not dry_run:
-        _with_one_thread()
     if dry_run:
         raise typer.Exit(software_in_the_loop.dry_run(loaded, out / f"{loaded.name}-TIME", options, console))
     folder = new_run_folder(out, loaded.name)
