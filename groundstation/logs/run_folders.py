@@ -40,12 +40,12 @@ class ListedRun:
 
 
 def list_runs(folder: Path) -> list[ListedRun]:
-    """The runs of a folder, the newest last. A run that goes while they are read is left out."""
+    """The runs of a folder, the newest last. A run that cannot be read, as one that is just deleted, is left out."""
     found = []
     for log in folder.glob("*/run.mcap"):
         try:
             found.append(_listed(log))
-        except FileNotFoundError:
+        except OSError:
             continue
     return sorted(found, key=lambda run: (run.date, run.run))
 
@@ -53,10 +53,11 @@ def list_runs(folder: Path) -> list[ListedRun]:
 def run_named(folder: Path, name: str) -> Path:
     """The run of this name in a folder. The name is compared with the folder's entries, so that none leads out of it. Raises
     ConfigError."""
-    for entry in folder.iterdir():
-        if entry.name == name:
-            check_run(entry)
-            return entry
+    with os_errors_as_config_errors(folder):
+        entries = {entry.name: entry for entry in folder.iterdir()}
+    if name in entries:
+        check_run(entries[name])
+        return entries[name]
     raise ConfigError(f"{name}: no such run")
 
 
@@ -101,7 +102,7 @@ def size_mb(folder: Path) -> float:
 
 def _listed(log: Path) -> ListedRun:
     result, (name, tags) = _json(log.parent / "result.json"), label_of(log.parent)
-    passed, said = result.get("passed"), result.get("tags")
+    passed, said, duration_s = result.get("passed"), result.get("tags"), result.get("duration_s")
     return ListedRun(
         run=str(log.parent),
         name=name,
@@ -109,7 +110,7 @@ def _listed(log: Path) -> ListedRun:
         date=datetime.fromtimestamp(_begun_s(log)).isoformat(" ", "minutes"),
         experiment=str(result.get("scene") or _experiment_name(log.parent)),
         mode=str(result.get("mode", "")),
-        duration_s=float(result.get("duration_s") or 0.0),
+        duration_s=float(duration_s) if isinstance(duration_s, int | float) else 0.0,
         size_mb=size_mb(log.parent),
         verdict=NO_RESULT if passed is None else "passed" if passed else "failed",
         commit=str(result.get("commit", "")),

@@ -377,11 +377,12 @@ class ClientHub:
         watcher.note({"k": "saved", "n": request.n} | done)
 
     async def _answer_of_runs(self, watcher: Client, request: protocol.OfRuns) -> None:
-        """The list of runs, after the change that was asked for. Who watches may look."""
+        """The list of runs, after the change that was asked for. Pages that watch may look."""
         desk, reason = self._desk, self._may_command(watcher)
-        if isinstance(request, protocol.ListRuns) or reason:
-            problem = "" if isinstance(request, protocol.ListRuns) else reason
-            told = await self._at(self._runs, desk.listing, problem)
+        if isinstance(request, protocol.ListRuns):
+            told = await self._at(self._runs, desk.listing)
+        elif reason:
+            told = await self._at(self._runs, desk.listing, reason)
         elif isinstance(request, protocol.LabelRun):
             told = await self._at(self._runs, desk.label, request.run, request.name, request.tags)
         else:
