@@ -831,8 +831,10 @@ def test_any_field_is_plotted_and_a_layout_is_an_address(browser: Browser) -> No
         expect(page.get_by_label("What plot 3 shows")).to_have_value("state.loss")
 
 
-def test_on_a_phone_the_map_is_second_and_everything_is_large_enough(browser: Browser) -> None:
-    with alone(browser, load_experiment("pool")) as desk:
+def test_on_a_phone_the_map_is_second_and_everything_is_large_enough(browser: Browser, tmp_path: Path) -> None:
+    (tmp_path / "now").mkdir()
+    (tmp_path / "now" / "run.mcap").touch()
+    with alone(browser, load_experiment("pool"), tmp_path / "now") as desk:
         page = desk.page
         page.set_viewport_size({"width": 390, "height": 844})
         page.goto(desk.url)
@@ -840,6 +842,8 @@ def test_on_a_phone_the_map_is_second_and_everything_is_large_enough(browser: Br
         expect(button(page, "You have control")).to_be_visible()
         tile(page, 1).get_by_role("button").click()
         button(page, "Drive 1").click()
+        button(page, "Runs").click()
+        button(page, "Label").click()
         places = page.evaluate(
             "['.mission', '.pool', '.one-robot', '.tiles', '.plots', '.log']"
             ".map((name) => document.querySelector(name).getBoundingClientRect().top)"
