@@ -22,7 +22,7 @@ from wire.process.runtime import SLICE_S, Stop, start_log
 if TYPE_CHECKING:  # the page's server takes a second to import
     from groundstation.web.auth import WebOptions
 
-CLOSED_S = 10.0  # without an open page; one that is cut off or loaded again is back within 4 s
+CLOSED_S = 6.0  # without an open page; one that is cut off or loaded again is back within 4 s
 
 
 def replay(

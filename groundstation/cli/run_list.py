@@ -3,14 +3,15 @@
 import dataclasses
 import json
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from groundstation.logs import run_folders
-from groundstation.logs.run_folders import ListedRun
 from wire.process.cli_options import AsJson
 from wire.toml_loader import ConfigError
+
+if TYPE_CHECKING:  # what reads logs is imported where it is needed: a robot's board has none of it
+    from groundstation.logs.run_folders import ListedRun
 
 
 def list_runs(
@@ -27,6 +28,8 @@ def list_runs(
     Examples:  groundstation log list        groundstation log list pool failed
                groundstation log list --in /data/runs --json
     """
+    from groundstation.logs import run_folders
+
     if not folder.is_dir():
         raise ConfigError(f"{folder}: no such folder (--in says where the runs are)")
     found = [run for run in run_folders.list_runs(folder) if all(_has(run, word) for word in words or ())]
@@ -53,6 +56,8 @@ def label(
 
     Examples:  groundstation log label runs/pool-20260101-120000 --name "first dive" --tag lamp
     """
+    from groundstation.logs import run_folders
+
     named, tags = run_folders.label_of(run_folder)
     kept = [known for known in (*tags, *(tag or ())) if known not in (untag or ())]
     run_folders.give_label(run_folder, named if name is None else name, kept)
@@ -66,6 +71,8 @@ def delete(
 
     Example:  groundstation log delete runs/pool-20260101-120000
     """
+    from groundstation.logs import run_folders
+
     for folder in runs:
         run_folders.check_run(folder)
     size_mb = sum(map(run_folders.size_mb, runs))
@@ -75,5 +82,5 @@ def delete(
         run_folders.delete_run(folder)
 
 
-def _has(run: ListedRun, word: str) -> bool:
+def _has(run: "ListedRun", word: str) -> bool:
     return any(word.lower() in str(value).lower() for value in dataclasses.astuple(run))
