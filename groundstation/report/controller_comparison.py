@@ -130,7 +130,7 @@ def _bars(interval: Interval) -> list[list[float]] | None:
     """Lengths below and above a value, as matplotlib takes them; None for a value without an interval."""
     if interval.low is None or interval.high is None:
         return None
-    return [[interval.value - interval.low], [interval.high - interval.value]]
+    return [[max(interval.value - interval.low, 0.0)], [max(interval.high - interval.value, 0.0)]]  # of equal values: rounding
 
 
 def _rows_of(comparison: Comparison, count: int) -> tuple[Figure, Sequence[Axes]]:

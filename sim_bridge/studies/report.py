@@ -15,7 +15,7 @@ from sim_bridge.studies.campaign import Campaign, command_of
 from sim_bridge.studies.dependence import KeyValue, reasons, shown_measures, unit_of
 from sim_bridge.studies.metrics import MEASURES
 from sim_bridge.studies.statistics import distribution, rate
-from wire.figures import Interval, three
+from wire.figures import Interval
 from wire.process.output_files import replace_text
 
 WORST = 10
@@ -32,7 +32,7 @@ def write_report(
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("sim_bridge.studies"), autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True
     )
-    environment.filters |= {"interval": _interval, "figure": three, "percent": _percent}
+    environment.filters |= {"interval": _interval, "figure": _figure, "percent": _percent}
     page = environment.get_template("campaign.html").render(**_content(campaign, rows, found, wanted))
     replace_text(file, page)
 
@@ -149,11 +149,16 @@ def _svg(figure: Figure) -> Markup:
 def _interval(interval: Interval) -> str:
     """A figure with its interval; a bound that too few flights give is left open."""
     if interval.low is None and interval.high is None:
-        return three(interval.value)
-    ends = ("…" if end is None else three(end) for end in (interval.low, interval.high))
-    return f"{three(interval.value)} [{', '.join(ends)}]"
+        return _figure(interval.value)
+    ends = ("…" if end is None else _figure(end) for end in (interval.low, interval.high))
+    return f"{_figure(interval.value)} [{', '.join(ends)}]"
 
 
 def _percent(interval: Interval) -> str:
     ends = "–".join(f"{100 * (end or 0.0):.0f}" for end in (interval.low, interval.high))
     return f"{100 * interval.value:.0f} % [{ends}]"
+
+
+def _figure(value: float | None) -> str:
+    """In SI units, with powers of ten where they are small."""
+    return "–" if value is None else f"{value:.3g}"
