@@ -64,7 +64,7 @@ export const inControl = computed(() => connected.value && shown.value !== null 
 /** Whether the run is over: a person has ended it, or its station went when its mission was done, and every robot disarmed. */
 export const ended = computed(() => {
   const state = shown.value;
-  return state !== null && (state.ended || (!connected.value && ["DONE", "CANCELLED"].includes(state.phase)));
+  return state !== null && (state.ended || (!connected.value && state.phase === "DONE"));
 });
 export const alarms = computed<Alarm[]>(() => {
   const known = shown.value?.alarms ?? [];
