@@ -246,7 +246,7 @@ def _link(experiment: Experiment, seen: RobotView, state: RobotState) -> Finding
 def _mode(experiment: Experiment, seen: RobotView, state: RobotState) -> FindingFields:
     if state.mode in (Mode.STOPPED, Mode.FAULT):
         remedy = "clear the stop" if state.mode is Mode.STOPPED else "disarm it, and look for the cause"
-        yield "mode", "critical", True, f"is {state.mode.name}: {state.fault}", remedy
+        yield "mode", "critical", True, f"{state.mode.name.lower()}: {state.fault}", remedy
     elif state.fault:
         yield "fault", "warning", False, state.fault, ""
     flies = state.mode in (Mode.TRACKING, Mode.HOLDING, Mode.DRIVEN)

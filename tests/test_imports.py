@@ -33,6 +33,7 @@ PARTS: dict[str, dict[str, set[str]]] = {
     "wire": {
         "frames": set(),
         "kernels": set(),
+        "figures": set(),
         "loopback": set(),
         "toml_loader": set(),
         "config": {"frames", "toml_loader"},

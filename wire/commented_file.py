@@ -11,7 +11,7 @@ import numpy as np
 from wire.config.experiment import Experiment
 from wire.config.formation_shapes import shape_nodes
 from wire.config.vehicle import VEHICLES, Vehicle, load_vehicle
-from wire.key_reference import meanings
+from wire.key_reference import meanings, schema_line
 from wire.toml_loader import Section, toml_value
 
 WIDE = 127  # of a line; with a longer comment it stands above its key
@@ -19,7 +19,8 @@ WIDE = 127  # of a line; with a longer comment it stands above its key
 
 def commented(experiment: Experiment) -> str:
     """The experiment as TOML, in the order of the shipped files."""
-    return "\n".join([f"# {experiment.title or experiment.name}", "", *_lines(experiment, "", set())]) + "\n"
+    title = f"# {experiment.title or experiment.name}"
+    return "\n".join([schema_line("experiment"), title, "", *_lines(experiment, "", set())]) + "\n"
 
 
 def _lines(section: Section, name: str, told: set[str]) -> Iterator[str]:

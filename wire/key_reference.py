@@ -92,6 +92,12 @@ def schema(kind: str) -> dict[str, Any]:
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **found}
 
 
+def schema_line(kind: str) -> str:
+    """First line of a file of that kind, from which editors know where its keys are described. Shipped files have it with a
+    path relative to themselves."""
+    return f"#:schema {(SCHEMAS / f'{kind}.schema.json').resolve().as_uri()}"
+
+
 @cache
 def hints(model: type[Section], name: str) -> dict[str, str]:
     """Dotted key, meaning, range and default of each key of one section, in one text. Quick: only the source is read."""

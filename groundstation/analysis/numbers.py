@@ -1,22 +1,10 @@
-"""Numbers for people, in one style: three digits, lengths in mm, angles in degrees, shares in per cent. Pure."""
+"""Numbers of a report, in one style: three digits, lengths in mm, angles in degrees, shares in per cent. Pure."""
 
 import math
 
-NOTHING = "–"
-MOST_PLACES = 4
+from wire.figures import NOTHING, three
+
 SHOWN_AS = {"m": ("mm", 1e3), "rad": ("deg", 180.0 / math.pi), "fraction": ("%", 100.0)}
-
-
-def three(value: float | None, factor: float = 1.0) -> str:
-    """Three significant digits of value times factor, never in powers of ten; a dash for what is not known."""
-    if value is None or not math.isfinite(value):
-        return NOTHING
-    scaled = value * factor
-    if scaled == 0.0:
-        return "0"
-    power = int(f"{scaled:.2e}".partition("e")[2])  # after rounding: 99.96 is 100
-    places = min(max(0, 2 - power), MOST_PLACES)
-    return f"{scaled:.{places}f}"
 
 
 def mm(value_m: float | None) -> str:

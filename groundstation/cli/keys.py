@@ -86,7 +86,7 @@ def list_members(ring: Ring = DEFAULT_RING) -> None:
 
     from wire.security.key_ring import EXPIRES_SOON, read_members
 
-    now, table = datetime.now(UTC), Table("process", "role", "common name", "valid until (UTC)", "")
+    now, table = datetime.now(UTC), Table("process", "role", "common name", "valid until (UTC)", "state")
     for m in read_members(ring).member:
         state = "revoked" if m.revoked else "expired" if m.expires <= now else ""
         if not state and m.expires - now < EXPIRES_SOON:

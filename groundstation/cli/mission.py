@@ -159,7 +159,7 @@ def set_gains(
 
     Exit code 0 when all fly with them, 1 and the reason if not.
 
-    Example:  groundstation gains set controller.mpc.q=[2,2,1,1]
+    Example:  groundstation gains set 'controller.mpc.q=[2,2,1,1]'
     """
     return _gains(changes)
 

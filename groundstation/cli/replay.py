@@ -2,7 +2,7 @@
 
 import time
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -19,6 +19,11 @@ from wire.process.cli_options import (
 )
 from wire.process.runtime import SLICE_S, Stop, start_log
 
+if TYPE_CHECKING:  # the page's server takes a second to import
+    from groundstation.web.auth import WebOptions
+
+CLOSED_S = 6.0  # without an open page; one that is cut off or loaded again is back within 4 s
+
 
 def replay(
     run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run.")],
@@ -26,6 +31,9 @@ def replay(
         Path | None, typer.Option(metavar="RUN", help="Another run of the same robots, drawn beside it.")
     ] = None,
     web: WebAddress = DEFAULT_WEB,
+    until_closed: Annotated[
+        bool, typer.Option("--until-closed", help=f"End when no page has been open for {CLOSED_S:g} s.")
+    ] = False,
     on_bus: Annotated[bool, typer.Option("--bus", help="No page: put it back on the bus, as fleet replay/FLEET.")] = False,
     rate: Annotated[float, typer.Option(min=0.01, help="With --bus: times as fast.")] = 1.0,
     begin: Annotated[float, typer.Option(min=0.0, help="With --bus: from this second of the log on.")] = 0.0,
@@ -44,8 +52,6 @@ def replay(
                groundstation log replay runs/pool-20260101-120000 --bus --rate 4 --begin 30
     """
     from groundstation.web.auth import web_options
-    from groundstation.web.replay_backend import ReplayBackend
-    from groundstation.web.server import WebServer
 
     start_log("groundstation")
     stop = Stop()
@@ -63,8 +69,18 @@ def replay(
             typer.echo(f"{run_folder}: on {listen} as fleet {name}")
             typer.echo(f"{send(bus, chosen(log, begin, end), rate, stop)} messages")
         return
-    options = web_options(web)
-    with ReplayBackend(run_folder, against) as source, WebServer(source, options):
+    show(run_folder, web_options(web), stop, against, until_closed)
+
+
+def show(run_folder: Path, options: "WebOptions", stop: Stop, against: Path | None = None, until_closed: bool = False) -> None:
+    """Show a recorded run on the page, until it is told to stop or, with `until_closed`, nobody looks."""
+    from groundstation.web.replay_backend import ReplayBackend
+    from groundstation.web.server import WebServer
+
+    with ReplayBackend(run_folder, against) as source, WebServer(source, options) as server:
         typer.echo(f"{source.experiment.title or source.experiment.name}: {options.url}")
-        while not stop.requested:
+        seen_s = time.monotonic()
+        while not stop.requested and not (until_closed and time.monotonic() - seen_s > CLOSED_S):
             time.sleep(SLICE_S)
+            if server.watched:
+                seen_s = time.monotonic()

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from groundstation.cli.foxglove import Foxglove, address
+from groundstation.cli.replay import show
 from wire.config.experiment import Experiment, dump_experiment, load_experiment
 from wire.process.cli_options import (
     DEFAULT_FLEET,
@@ -108,6 +109,9 @@ def run(
         passed = write_report(folder).passed
         typer.echo(f"report: {folder / 'report.html'} ({'passed' if passed else 'failed'})")
         succeeded = succeeded and passed
+        if page is not None and not auto and not stop.requested:
+            typer.echo("the page shows the recorded run until it is closed, or Ctrl-C")
+            show(folder, page, stop, until_closed=True)
     raise typer.Exit(0 if succeeded else 1)
 
 

@@ -2,39 +2,16 @@
 
 import dataclasses
 import json
-import re
-import shutil
-from collections.abc import Iterator
-from dataclasses import dataclass
-from datetime import datetime
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from wire.process.cli_options import AsJson
-from wire.process.output_files import replace_text
 from wire.toml_loader import ConfigError
 
-LABEL = "label.json"  # in a run's folder: its name and tags
-TAG = re.compile(r"[\w-]+")
-NO_RESULT = "no result"  # not evaluated, or what result.json holds cannot be read
-
-
-@dataclass(frozen=True)
-class ListedRun:
-    """A run's folder, as its files tell it."""
-
-    run: str  # the folder
-    name: str  # given by `log label`
-    tags: tuple[str, ...]  # given there, or as #words in remarks while it was flown
-    date: str  # local time at which it began
-    experiment: str
-    mode: str
-    duration_s: float
-    size_mb: float  # of the whole folder
-    verdict: str  # passed, failed, or NO_RESULT
-    commit: str  # of the code that recorded it
+if TYPE_CHECKING:  # what reads logs is imported where it is needed: a robot's board has none of it
+    from groundstation.logs.run_folders import ListedRun
 
 
 def list_runs(
@@ -51,10 +28,11 @@ def list_runs(
     Examples:  groundstation log list        groundstation log list pool failed
                groundstation log list --in /data/runs --json
     """
+    from groundstation.logs import run_folders
+
     if not folder.is_dir():
         raise ConfigError(f"{folder}: no such folder (--in says where the runs are)")
-    found = sorted(_runs(folder), key=lambda run: (run.date, run.run))
-    found = [run for run in found if all(_has(run, word) for word in words or ())]
+    found = [run for run in run_folders.list_runs(folder) if all(_has(run, word) for word in words or ())]
     if as_json:
         typer.echo(json.dumps([dataclasses.asdict(run) for run in found], indent=1))
         raise typer.Exit(0 if found else 1)
@@ -78,82 +56,31 @@ def label(
 
     Examples:  groundstation log label runs/pool-20260101-120000 --name "first dive" --tag lamp
     """
-    _of_a_run(run_folder)
-    found = _label(run_folder)
-    tags = [known for known in dict.fromkeys([*found["tags"], *map(_word, tag or ())]) if known not in (untag or ())]
-    replace_text(run_folder / LABEL, json.dumps({"name": found["name"] if name is None else name, "tags": tags}) + "\n")
+    from groundstation.logs import run_folders
+
+    named, tags = run_folders.label_of(run_folder)
+    kept = [known for known in (*tags, *(tag or ())) if known not in (untag or ())]
+    run_folders.give_label(run_folder, named if name is None else name, kept)
 
 
 def delete(
-    run_folders: Annotated[list[Path], typer.Argument(metavar="RUN", help="Folders of runs.")],
+    runs: Annotated[list[Path], typer.Argument(metavar="RUN", help="Folders of runs.")],
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask.")] = False,
 ) -> None:
-    """Delete runs, with everything in their folders. Asks first.
+    """Delete runs, with everything in their folders. Asks first; refuses a run that is being flown.
 
     Example:  groundstation log delete runs/pool-20260101-120000
     """
-    for folder in run_folders:
-        _of_a_run(folder)
-    size_mb = sum(_size_mb(folder) for folder in run_folders)
-    if not yes and not typer.confirm(f"delete {', '.join(map(str, run_folders))} ({size_mb:.1f} MB)?"):
+    from groundstation.logs import run_folders
+
+    for folder in runs:
+        run_folders.check_run(folder)
+    size_mb = sum(map(run_folders.size_mb, runs))
+    if not yes and not typer.confirm(f"delete {', '.join(map(str, runs))} ({size_mb:.1f} MB)?"):
         raise typer.Exit(1)
-    for folder in run_folders:
-        shutil.rmtree(folder)
+    for folder in runs:
+        run_folders.delete_run(folder)
 
 
-def _of_a_run(folder: Path) -> None:
-    if folder.is_symlink() or not (folder / "run.mcap").is_file():
-        raise ConfigError(f"{folder}: no folder of a run (allowed: one with run.mcap, and no link)")
-
-
-def _word(tag: str) -> str:
-    if not TAG.fullmatch(tag):
-        raise ConfigError(f"--tag {tag}: must be a word (allowed: letters, digits, _ and -)")
-    return tag
-
-
-def _label(folder: Path) -> dict[str, Any]:
-    """Name and tags of a run's folder; none where the file is missing or is something else."""
-    found = _json(folder / LABEL)
-    tags = found.get("tags")
-    return {"name": str(found.get("name", "")), "tags": [str(tag) for tag in tags] if isinstance(tags, list) else []}
-
-
-def _size_mb(folder: Path) -> float:
-    return sum(file.stat().st_size for file in folder.rglob("*") if file.is_file()) / 1e6
-
-
-def _runs(folder: Path) -> Iterator[ListedRun]:
-    for log in folder.glob("*/run.mcap"):
-        result, given = _json(log.parent / "result.json"), _label(log.parent)
-        passed, said = result.get("passed"), result.get("tags")
-        yield ListedRun(
-            run=str(log.parent),
-            name=given["name"],
-            tags=tuple(dict.fromkeys([*given["tags"], *(map(str, said) if isinstance(said, list) else ())])),
-            date=datetime.fromtimestamp(_begun_s(log)).isoformat(" ", "minutes"),
-            experiment=str(result.get("scene", "")),
-            mode=str(result.get("mode", "")),
-            duration_s=float(result.get("duration_s") or 0.0),
-            size_mb=_size_mb(log.parent),
-            verdict=NO_RESULT if passed is None else "passed" if passed else "failed",
-            commit=str(result.get("commit", "")),
-        )
-
-
-def _begun_s(log: Path) -> float:
-    """Time at which a run began: its experiment is written first, and never again. A log without one tells its end."""
-    first = log.parent / "experiment.toml"
-    return (first if first.exists() else log).stat().st_mtime
-
-
-def _json(file: Path) -> dict[str, Any]:
-    try:
-        found = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return {}
-    return found if isinstance(found, dict) else {}
-
-
-def _has(run: ListedRun, word: str) -> bool:
+def _has(run: "ListedRun", word: str) -> bool:
     return any(word.lower() in str(value).lower() for value in dataclasses.astuple(run))

@@ -43,7 +43,7 @@ def write(folder: Path) -> bool:
     failed = failures(comparison)
     replace_text(folder / "comparison.html", _render(comparison, failed))
     console = Console()
-    console.width = max(console.width, 170)  # a table that wraps cannot be read
+    console.width = max(console.width, 240)  # a table that wraps cannot be read
     console.print(_table(comparison))
     for line in failed:
         console.print(f"[red]{line}[/]", soft_wrap=True)

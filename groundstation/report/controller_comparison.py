@@ -1,4 +1,4 @@
-"""Means over seeds and their confidence intervals, and the figures of a comparison. Pure; compare_report.py writes."""
+"""Table and figures of a comparison: means over seeds with their intervals. Pure; compare_report.py writes."""
 
 import math
 from collections.abc import Sequence
@@ -8,14 +8,13 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from scipy.stats import t as student
 
 from groundstation.palette import COLOURS, colour
 from groundstation.report.drawing import Curve, Panel, TimePlot
 from groundstation.report.plotting import BOTTOM_IN, GREY, RIGHT_IN, STYLE, WIDTH_IN, picture
 from wire.config.controller_benchmark import SETTLED_S, Comparison, Traces, Variant
+from wire.figures import Interval, mean
 
-CONFIDENCE = 0.95
 NAMES_IN = 1.75  # room for the variants' names
 ROW_IN = 0.27
 SOLID, DASHED = "-", "--"
@@ -44,40 +43,15 @@ COLUMNS = (
 )
 
 
-@dataclass(frozen=True)
-class Mean:
-    """A mean with the half width of its confidence interval (0 for values that are all the same, NaN for a single one)."""
-
-    value: float
-    half: float
-
-    def __str__(self) -> str:
-        """To as many places as its uncertainty allows."""
-        if not math.isfinite(self.half):
-            return _short(self.value)
-        places = 0 if self.half <= 0.0 else max(0, -math.floor(math.log10(self.half)))
-        places = min(max(places, _places(self.value)), 3)
-        return f"{self.value:.{places}f} ± {self.half:.{places}f}"
-
-
-def mean(values: Sequence[float]) -> Mean:
-    """Mean and 95 % confidence interval by Student's t."""
-    n = len(values)
-    centre = float(np.mean(values))
-    if n < 2:
-        return Mean(centre, math.nan)
-    return Mean(centre, float(student.ppf(0.5 + CONFIDENCE / 2.0, n - 1) * np.std(values, ddof=1) / math.sqrt(n)))
-
-
 def column(variant: Variant, key: str) -> list[float]:
     """A figure of all flights, in the order of their seeds."""
     return [float(getattr(flight.figures, key)) for flight in variant.flights]
 
 
-def ratio(variant: Variant, to: Variant, key: str = "rms_after_20s_m") -> tuple[float, float, float]:
+def ratio(variant: Variant, to: Variant, key: str = "rms_after_20s_m") -> Interval:
     """Geometric mean of one variant's figure over another's on the same seeds, with its confidence interval."""
-    shares = mean([math.log(a / b) for a, b in zip(column(variant, key), column(to, key), strict=True)])
-    return math.exp(shares.value), math.exp(shares.value - shares.half), math.exp(shares.value + shares.half)
+    logs = mean([math.log(a / b) for a, b in zip(column(variant, key), column(to, key), strict=True)])
+    return Interval(math.exp(logs.value), *(None if end is None else math.exp(end) for end in (logs.low, logs.high)))
 
 
 def cells(comparison: Comparison) -> list[tuple[str, list[str]]]:
@@ -85,8 +59,7 @@ def cells(comparison: Comparison) -> list[tuple[str, list[str]]]:
     first = comparison.variants[0]
     rows = []
     for variant in comparison.variants:
-        value, low, high = ratio(variant, first)
-        times = "1" if variant is first else f"{value:.3g} ({low:.3g}–{high:.3g})" if math.isfinite(low) else f"{value:.3g}"
+        times = "1" if variant is first else str(ratio(variant, first))
         figures = [mean([c.scale * v for v in column(variant, c.key)]) for c in COLUMNS]
         rows.append((variant.name, [times, *map(str, figures)]))
     return rows
@@ -126,10 +99,8 @@ def errors(comparison: Comparison) -> Figure:
                 tone = colour(i)
                 axes.plot(values, np.full(len(values), i), "o", color=tone, markersize=4.0, alpha=0.4, markeredgewidth=0.0)
                 centre = mean(values.tolist())
-                low = (
-                    max(centre.value - centre.half, 0.2 * float(values.min())) if math.isfinite(centre.half) else centre.value
-                )
-                axes.plot([low, 2 * centre.value - low], [i, i], color=tone, linewidth=1.6)
+                if centre.low is not None and centre.high is not None:
+                    axes.plot([centre.low, centre.high], [i, i], color=tone, linewidth=1.6)
                 axes.plot(centre.value, i, "|", color=tone, markersize=11, markeredgewidth=1.8)
             axes.set_xscale("log")
             axes.set_xlabel(f"{c.heading} [{c.unit}]")
@@ -143,17 +114,23 @@ def demands(comparison: Comparison) -> Figure:
         for i, variant in enumerate(comparison.variants):
             for shift, key, tone in ((-0.2, "wanted_too_large", COLOURS[1]), (0.2, "wanted_too_fast", COLOURS[4])):
                 share = mean([100.0 * v for v in column(variant, key)])
-                error = share.half if math.isfinite(share.half) else 0.0
                 name = {"wanted_too_large": "too large", "wanted_too_fast": "too fast"}[key] if i == 0 else ""
-                left.barh(i + shift, share.value, 0.36, color=tone, xerr=error, ecolor=GREY, label=name)
+                left.barh(i + shift, share.value, 0.36, color=tone, xerr=_bars(share), ecolor=GREY, label=name)
             wear = mean([100.0 * v for v in column(variant, "input_step_rms")])
-            right.barh(i, wear.value, 0.6, color=colour(i), xerr=wear.half if math.isfinite(wear.half) else 0.0, ecolor=GREY)
+            right.barh(i, wear.value, 0.6, color=colour(i), xerr=_bars(wear), ecolor=GREY)
         left.set_xlabel("wanted beyond limits [% of steps]")
         right.set_xlabel("applied change per step [% of limit, RMS]")
         left.legend(loc="lower right")
         for axes in (left, right):
             axes.set_xlim(left=0.0)
     return figure
+
+
+def _bars(interval: Interval) -> list[list[float]] | None:
+    """Lengths below and above a value, as matplotlib takes them; None for a value without an interval."""
+    if interval.low is None or interval.high is None:
+        return None
+    return [[max(interval.value - interval.low, 0.0)], [max(interval.high - interval.value, 0.0)]]  # of equal values: rounding
 
 
 def _rows_of(comparison: Comparison, count: int) -> tuple[Figure, Sequence[Axes]]:
@@ -217,11 +194,3 @@ def wanted(comparison: Comparison) -> Figure | None:
 
 def _traced(comparison: Comparison) -> list[tuple[Variant, Traces]]:
     return [(v, v.flights[0].traces) for v in comparison.variants if v.flights and v.flights[0].traces is not None]
-
-
-def _places(value: float) -> int:
-    return 0 if abs(value) >= 100.0 else 1 if abs(value) >= 1.0 or value == 0.0 else 2
-
-
-def _short(value: float) -> str:
-    return f"{value:.{_places(value)}f}"

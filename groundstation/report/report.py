@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from groundstation.analysis.alignment import align
 from groundstation.analysis.cause import title
 from groundstation.analysis.metrics import evaluate
-from groundstation.analysis.numbers import deg, mm, three, with_unit
+from groundstation.analysis.numbers import deg, mm, with_unit
 from groundstation.analysis.results import Result
 from groundstation.analysis.series import Series, TimelineEvent
 from groundstation.analysis.timeline import is_injection
@@ -29,6 +29,7 @@ from groundstation.report.plotting import picture, to_svg
 from groundstation.report.report_tables import tables
 from groundstation.report.run_comparison import ComparedRun, differences, metric_rows, plots
 from wire.config.experiment import Experiment, load_experiment
+from wire.figures import three
 from wire.process.output_files import replace_text, replacing
 from wire.process.runtime import log
 from wire.process.version import code

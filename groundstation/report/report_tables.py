@@ -4,8 +4,9 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from groundstation.analysis.numbers import NOTHING, deg, mm, three
+from groundstation.analysis.numbers import deg, mm
 from groundstation.analysis.results import PairResult, Result, RobotResult
+from wire.figures import NOTHING, three
 
 Row = RobotResult | PairResult
 XYZ = ("x [mm]", "y [mm]", "z [mm]")

@@ -3,8 +3,9 @@
 from collections.abc import Iterator
 
 from groundstation.analysis.cause import missed, title
-from groundstation.analysis.numbers import NOTHING, deg, mm
+from groundstation.analysis.numbers import deg, mm
 from groundstation.analysis.results import Result
+from wire.figures import NOTHING
 
 CELL = 7  # width of a number in characters: names of up to 10 leave the table within 80
 GROUPS = (("RMS, whole run", 4), ("RMS after 20 s", 4), ("article", 2))

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Protocol
 
 from groundstation.mission.gain_update import GainStatus
@@ -59,6 +60,10 @@ class Backend(Protocol):
 
     @property
     def experiment(self) -> Experiment: ...
+    @property
+    def run_dir(self) -> Path | None:
+        """Folder of the run that is shown."""
+
     @property
     def station(self) -> OperatorRequests: ...
     def scene(self) -> dict[str, Any]: ...

@@ -22,6 +22,7 @@ from groundstation.web import protocol
 from groundstation.web.auth import WebOptions, origin_allowed, token_allowed
 from groundstation.web.backend import Backend
 from groundstation.web.experiment_editor import attempt, save
+from groundstation.web.run_desk import RunDesk
 from groundstation.web.send_window import SendWindow
 from wire.messages.messages import DriveVelocity, Order
 from wire.process.runtime import log
@@ -37,6 +38,7 @@ KEPT_EVENTS = 500  # of the log, for a watcher who comes late: as many as the pa
 ORDER_VALID_S = 3.0  # from the newest state that the page had, to the order's arrival: what was meant for then is void now
 DRIVE_VALID_S = 1.0  # the same for a velocity: a person steers by what the page shows
 COMPLAIN_EVERY_S = 10.0  # when looking or telling fails again and again
+FAREWELL_S = 0.2  # for pages to be sent the last state
 HEAD = struct.Struct("<If")
 
 # WebSocket close codes of our own
@@ -101,8 +103,8 @@ class Client:
 class ClientHub:
     """All open pages, and the backend. Lives in the event loop's thread."""
 
-    def __init__(self, source: Backend, options: WebOptions) -> None:
-        self._source, self._options = source, options
+    def __init__(self, source: Backend, options: WebOptions, desk: RunDesk) -> None:
+        self._source, self._options, self._desk = source, options, desk
         self._watchers: dict[int, Client] = {}
         self._lease = ControlLease()
         self._history: deque[bytes] = deque(maxlen=KEPT_EVENTS)
@@ -115,10 +117,22 @@ class ClientHub:
         self._stops = ThreadPoolExecutor(1, "page-stop")
         self._orders = ThreadPoolExecutor(2, "page-order")
         self._plans = ThreadPoolExecutor(2, "page-plan")
+        self._runs = ThreadPoolExecutor(1, "page-runs")
+
+    @property
+    def watched(self) -> bool:
+        """True if a page is connected. From any thread."""
+        return bool(self._watchers)
+
+    async def farewell(self) -> None:
+        """Tell the last state before the server ends: pages then know how the run ended."""
+        if self._watchers:
+            self._tell_now()
+            await asyncio.sleep(FAREWELL_S)
 
     def close(self) -> None:
         """Wait for nothing that is still at work."""
-        for threads in (self._stops, self._orders, self._plans):
+        for threads in (self._stops, self._orders, self._plans, self._runs):
             threads.shutdown(wait=False, cancel_futures=True)
 
     async def pump(self) -> None:
@@ -193,7 +207,8 @@ class ClientHub:
         self._count += 1
         watcher = Client(self._count, websocket, hello.page)
         events = [msgspec.Raw(body) for body in self._history]
-        watcher.note({"k": "hello", "you": watcher.id, "scene": self._source.scene(), "events": events})
+        scene = self._source.scene() | {"report": self._desk.shown_report}
+        watcher.note({"k": "hello", "you": watcher.id, "scene": scene, "events": events})
         watcher.note({"k": "past", "states": self._source.past()})
         if self._picture:
             watcher.window.offer("picture", self._picture)
@@ -271,6 +286,8 @@ class ClientHub:
                 self._spawn(self._attempt(watcher))
         elif isinstance(request, protocol.Save):
             self._spawn(self._save(watcher, request))
+        elif isinstance(request, protocol.OfRuns):
+            self._spawn(self._answer_of_runs(watcher, request))
         elif isinstance(request, protocol.Remark):
             self._source.remark(request.text)
         elif isinstance(request, protocol.Seek):
@@ -358,6 +375,19 @@ class ClientHub:
             else await self._at(self._plans, save, self._source.experiment, request.edit, request.name)
         )
         watcher.note({"k": "saved", "n": request.n} | done)
+
+    async def _answer_of_runs(self, watcher: Client, request: protocol.OfRuns) -> None:
+        """The list of runs, after the change that was asked for. Pages that watch may look."""
+        desk, reason = self._desk, self._may_command(watcher)
+        if isinstance(request, protocol.ListRuns):
+            told = await self._at(self._runs, desk.listing)
+        elif reason:
+            told = await self._at(self._runs, desk.listing, reason)
+        elif isinstance(request, protocol.LabelRun):
+            told = await self._at(self._runs, desk.label, request.run, request.name, request.tags)
+        else:
+            told = await self._at(self._runs, desk.delete, request.run)
+        watcher.note(told)
 
 
 async def _close(websocket: WebSocket, code: int, why: str) -> None:

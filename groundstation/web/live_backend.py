@@ -53,7 +53,7 @@ class LiveBackend:
         run_dir: Path | None = None,
     ) -> None:
         self.experiment, self.station = experiment, station
-        self._trajectories, self._bus, self._clock, self._mode, self._run_dir = trajectories, bus, clock, mode, run_dir
+        self._trajectories, self._bus, self._clock, self._mode, self.run_dir = trajectories, bus, clock, mode, run_dir
         self._heard = heard
         self._previews = bus.inbox(topics.PREVIEW, Preview)
         self._events: deque[tuple[Header, bytes]] = deque(maxlen=MOST_EVENTS)
@@ -69,7 +69,7 @@ class LiveBackend:
 
     def scene(self) -> dict[str, Any]:
         """Constants of the run, and the paths that are flown now."""
-        run = str(self._run_dir or "")
+        run = str(self.run_dir or "")
         found = scene(self.experiment, self._trajectories, self._mode) | {"run": run, "life": f"{self._bus.session:x}"}
         return found if self._drawn is None else found | {"paths": flown_paths(self._drawn)}
 

@@ -21,6 +21,7 @@ EditedId = Annotated[int, msgspec.Meta(ge=1, le=49)]
 Vec2 = tuple[Metres, Metres]
 Vec3 = tuple[Metres, Metres, Metres]
 ORDERS = (*FLEET_REQUESTS, order_name(Order.GO))
+RunName = Annotated[str, msgspec.Meta(min_length=1, max_length=255)]  # of its folder
 OrderName = Annotated[str, msgspec.Meta(pattern=rf"\A(?:{'|'.join(ORDERS)})\Z")]
 
 
@@ -117,6 +118,24 @@ class Remark(msgspec.Struct, tag_field="kind", tag="remark", forbid_unknown_fiel
     text: Annotated[str, msgspec.Meta(min_length=1, max_length=200)]
 
 
+class ListRuns(msgspec.Struct, tag_field="kind", tag="runs", forbid_unknown_fields=True, frozen=True):
+    """Tell which runs there are."""
+
+
+class LabelRun(msgspec.Struct, tag_field="kind", tag="label", forbid_unknown_fields=True, frozen=True):
+    """Give a run a name and tags."""
+
+    run: RunName
+    name: Annotated[str, msgspec.Meta(max_length=100)]
+    tags: Annotated[list[Annotated[str, msgspec.Meta(max_length=40)]], msgspec.Meta(max_length=20)]
+
+
+class DeleteRun(msgspec.Struct, tag_field="kind", tag="delete", forbid_unknown_fields=True, frozen=True):
+    """Delete a run's folder."""
+
+    run: RunName
+
+
 class Seek(msgspec.Struct, tag_field="kind", tag="seek", forbid_unknown_fields=True, frozen=True):
     """Replay: go to this time of the run, at this pace; 0 is a pause."""
 
@@ -124,7 +143,10 @@ class Seek(msgspec.Struct, tag_field="kind", tag="seek", forbid_unknown_fields=T
     rate: Annotated[float, msgspec.Meta(ge=0, le=64)] | None = None
 
 
-Request = Hello | Ack | Take | Release | OrderRequest | DriveRequest | TuneRequest | PreviewEdit | Save | Remark | Seek
+OfRuns = ListRuns | LabelRun | DeleteRun
+Request = (
+    Hello | Ack | Take | Release | OrderRequest | DriveRequest | TuneRequest | PreviewEdit | Save | Remark | Seek | OfRuns
+)
 _DECODER = msgspec.json.Decoder(Request)
 
 

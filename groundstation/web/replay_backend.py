@@ -193,7 +193,7 @@ class ReplayBackend:
     """A run, perhaps beside another one of the same robots: both counted from the moment when they began to fly."""
 
     def __init__(self, run: Path, against: Path | None = None) -> None:
-        self.station = _NoRequests()
+        self.station, self.run_dir = _NoRequests(), run
         self._log = LogPlayer(run)
         self._against = LogPlayer(against) if against is not None else None
         self._at_ns, self._rate, self._since_s = self._log.flown_ns, 0.0, time.monotonic()

@@ -16,7 +16,8 @@ from typing import Any
 import uvicorn
 from starlette.applications import Starlette
 from starlette.datastructures import Headers, MutableHeaders
-from starlette.responses import FileResponse, PlainTextResponse
+from starlette.requests import Request
+from starlette.responses import FileResponse, PlainTextResponse, Response
 from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 
@@ -25,11 +26,14 @@ from groundstation.web.auth import HEADERS, WebOptions, host_allowed
 from groundstation.web.backend import Backend
 from groundstation.web.client_hub import ClientHub
 from groundstation.web.connection_limits import HANDSHAKE_WITHIN_S, ConnectionLimiter, http_class
+from groundstation.web.run_desk import REPORT_POLICY, RunDesk
 from wire.process.runtime import log
 from wire.toml_loader import ConfigError
 
 STATIC = Path(__file__).parent / "static"
 START_WITHIN_S = 30.0  # on a starved machine; then the station does not start, and says why
+
+FAREWELL_WITHIN_S = 1.0  # a page's thread that hangs holds nobody up
 
 Scope = MutableMapping[str, Any]
 Channel = Callable[..., Awaitable[Any]]
@@ -53,7 +57,7 @@ class Guarded:
             if message["type"] == "http.response.start":
                 headers = MutableHeaders(scope=message)
                 for name, value in HEADERS.items():
-                    headers[name] = value
+                    headers.setdefault(name, value)
                 hashed = scope["path"].startswith("/assets/")
                 headers["cache-control"] = "public, max-age=31536000, immutable" if hashed else "no-cache"
             await send(message)
@@ -61,9 +65,8 @@ class Guarded:
         await self._app(scope, receive, send_guarded)
 
 
-def make_app(source: Backend, options: WebOptions) -> Any:
+def make_app(hub: ClientHub, desk: RunDesk, options: WebOptions) -> Any:
     """The ASGI application."""
-    hub = ClientHub(source, options)
 
     @contextlib.asynccontextmanager
     async def lifespan(app: Starlette) -> Any:
@@ -78,8 +81,15 @@ def make_app(source: Backend, options: WebOptions) -> Any:
     async def index(request: Any) -> FileResponse:
         return FileResponse(STATIC / "index.html")
 
+    def report(request: Request) -> Response:
+        file = desk.report(request.path_params["run"], request.query_params.get("key", ""))
+        if file is None:
+            return PlainTextResponse("no such report", 404)
+        return FileResponse(file, headers={"content-security-policy": REPORT_POLICY})
+
     routes = [
         Route("/", index),
+        Route("/runs/{run}/report.html", report),
         WebSocketRoute("/live", hub.watch),
         Mount("/", StaticFiles(directory=STATIC)),
     ]
@@ -124,9 +134,12 @@ class WebServer:
     def __init__(self, source: Backend, options: WebOptions, bound: socket.socket | None = None) -> None:
         """Serve at `bound`; None: `bind` here."""
         self._failure, self._where = "", f"{options.host}:{options.port}"
+        self._loop: asyncio.AbstractEventLoop | None = None
         self._socket = bound or bind(options)
+        desk = RunDesk(source.run_dir)
+        self._hub = ClientHub(source, options, desk)
         config = uvicorn.Config(
-            make_app(source, options),
+            make_app(self._hub, desk, options),
             loop="asyncio",
             http=http_class(ConnectionLimiter()),
             ws="websockets-sansio",
@@ -147,9 +160,15 @@ class WebServer:
         self._server = uvicorn.Server(config)
         self._thread = threading.Thread(target=self._run, name="page", daemon=True)
 
+    @property
+    def watched(self) -> bool:
+        """True if a page is open."""
+        return self._hub.watched
+
     def _run(self) -> None:
         try:
             with asyncio.Runner(loop_factory=_Loop) as runner:
+                self._loop = runner.get_loop()
                 runner.run(self._server.serve(sockets=[self._socket]))
         except (Exception, SystemExit) as error:  # the flight does not depend on the page
             self._failure = f"{type(error).__name__}: {error}"
@@ -167,6 +186,9 @@ class WebServer:
         return self
 
     def __exit__(self, *exception: object) -> None:
+        if self._server.started and self._loop is not None and self._thread.is_alive():
+            with contextlib.suppress(TimeoutError, RuntimeError):  # it hangs, or has just ended
+                asyncio.run_coroutine_threadsafe(self._hub.farewell(), self._loop).result(FAREWELL_WITHIN_S)
         self._server.should_exit = True
         self._thread.join(START_WITHIN_S)
         self._socket.close()

@@ -17,6 +17,16 @@ FIRST_OR_RANGE = "N or FIRST-LAST"
 Jobs = Annotated[int | None, typer.Option(min=1, help="Processes that fly; default: one per core.")]
 
 
+def _list(asked: bool) -> None:
+    """Print what can be compared, before any argument is missed."""
+    if asked:
+        from sim_bridge.studies.comparison import VARIANTS
+
+        for name, changes in VARIANTS.items():
+            typer.echo(f"{name:26} {' '.join(changes)}")
+        raise typer.Exit
+
+
 def compare(
     experiment: ExperimentName,
     laws: Annotated[str, typer.Option(metavar="NAMES", help="Whom to compare, with commas; default: all of --list.")] = "",
@@ -25,12 +35,14 @@ def compare(
     duration: Annotated[float | None, typer.Option(help="Seconds to fly; default: the experiment's.")] = None,
     jobs: Jobs = None,
     out: Annotated[Path | None, typer.Option(help="Folder for the results; default: runs/compare-EXPERIMENT-TIME.")] = None,
-    show_list: Annotated[bool, typer.Option("--list", help="Say what can be compared, and stop.")] = False,
+    _: Annotated[
+        bool, typer.Option("--list", is_eager=True, callback=_list, help="Say what can be compared, and stop.")
+    ] = False,
     settings: Settings = None,
 ) -> None:
     """Compare control laws: fly them on the same seeds without camera and network; print a table, write JSON and a report.
 
-    A seed moves the starts and draws noise and thruster spread. Figures are means over seeds with 95 % confidence intervals;
+    A seed moves the starts and draws noise and thruster spread. Figures are means over seeds with 95 % bootstrap intervals;
     the column "×" is the ratio of the distance after 20 s to the first law's, on the same seeds. Results do not depend on
     --jobs. Exit code 0 if everything was flown, 1 if not, 2 for a configuration that cannot be.
 
@@ -42,10 +54,6 @@ def compare(
     from sim_bridge.studies import comparison as comparing
     from sim_bridge.studies.comparison import VARIANTS
 
-    if show_list:
-        for name, changes in VARIANTS.items():
-            typer.echo(f"{name:26} {' '.join(changes)}")
-        return
     console, chosen, flown = Console(), _names(laws, VARIANTS, "--laws"), _range(seeds)
     asked = [*(settings or ()), *([f"duration_s={duration}"] if duration is not None else [])]
     name = load_experiment(experiment, asked).name

@@ -7,7 +7,7 @@ import typer
 from pydantic import TypeAdapter, ValidationError
 
 from wire.config.experiment import Name
-from wire.key_reference import SCHEMAS
+from wire.key_reference import schema_line
 from wire.toml_loader import ConfigError, os_errors_as_config_errors
 
 TEMPLATE = Path(__file__).parent / "templates" / "experiment.toml"
@@ -27,8 +27,7 @@ def new(
         TypeAdapter(Name).validate_python(name)
     except ValidationError:
         raise typer.BadParameter(f"{name!r} is no name (allowed: up to 64 small letters, digits and -)") from None
-    text = TEMPLATE.read_text(encoding="utf-8").replace("NAME", name)
-    text = text.replace("SCHEMA", (SCHEMAS / "experiment.schema.json").resolve().as_uri(), 1)
+    text = f"{schema_line('experiment')}\n{TEMPLATE.read_text(encoding='utf-8').replace('NAME', name)}"
     file = out / f"{name}.toml"
     with os_errors_as_config_errors(file):
         try:

@@ -65,7 +65,7 @@ def sil(
     been through, so it remembers; the robots are put where they were, moving as they did.
 
     Examples:  sim-bridge sil pool          sim-bridge sil pool --lockstep --one-process
-               sim-bridge sil pool --lockstep --seed 3 --set sim.plant.current_mps=[0.014,0,0]
+               sim-bridge sil pool --lockstep --seed 3 --set 'sim.plant.current_mps=[0.014,0,0]'
                sim-bridge sil pool --fault "t=20 thruster 2/3 dead" --fault "t=40 for=3 camera frozen"
                sim-bridge sil pool --set path.lap_s=30 --dry-run
                sim-bridge sil --from runs/pool-20260101-120000 --at 35 --set controller.mpc.horizon=60
@@ -82,13 +82,13 @@ def sil(
     from sim_bridge.sil.commands import RunOptions, check
     from sim_bridge.sil.ports import page_address
 
+    if one_process and not dry_run:
+        _with_one_thread()
     loaded = _load(experiment, seed, duration, [*(settings or ()), *([NO_CAMERA] if poses else [])], faults)
     console = Console()
     page = None if no_web else page_address(web)
     options = RunOptions(lockstep, page, manual, poses, keys, signed, one_process, pace)
     check(loaded, options)
-    if one_process and not dry_run:
-        _with_one_thread()
     if dry_run:
         raise typer.Exit(software_in_the_loop.dry_run(loaded, out / f"{loaded.name}-TIME", options, console))
     folder = new_run_folder(out, loaded.name)

@@ -300,4 +300,4 @@ def run(experiment: Experiment, run_dir: Path, options: RunOptions, stop: Stop, 
         launcher.print_error(console, str(error))
         if isinstance(error, ConfigError) and not log_file.exists():
             return launcher.nothing_flown(run_dir, console)
-    return launcher.conclude(run_dir, log_file.exists(), succeeded, stop, console)
+    return launcher.conclude(run_dir, log_file.exists(), succeeded, options, stop, console)

@@ -83,7 +83,7 @@ def run(experiment: Experiment, run_dir: Path, options: RunOptions, stop: Stop, 
             secrets.cleanup()
     if refused and not stop.requested:
         return nothing_flown(run_dir, console)
-    verdict = conclude(run_dir, came_up, not mission_failed and not problems, stop, console)
+    verdict = conclude(run_dir, came_up, not mission_failed and not problems, options, stop, console)
     return 2 if verdict == 1 and station.exit_code == 2 else verdict
 
 
@@ -100,9 +100,9 @@ def nothing_flown(run_dir: Path, console: Console) -> int:
     return 2
 
 
-def conclude(run_dir: Path, came_up: bool, succeeded: bool, stop: Stop, console: Console) -> int:
-    """Report, and print the verdict. `came_up`: the station made a log. Returns the exit code: 0 passed, 1 failed, 130
-    interrupted."""
+def conclude(run_dir: Path, came_up: bool, succeeded: bool, options: RunOptions, stop: Stop, console: Console) -> int:
+    """Report, print the verdict, and show the run to a person who has ended it on the page. `came_up`: the station made a
+    log. Returns the exit code: 0 passed, 1 failed, 130 interrupted."""
     if stop.requested:
         console.print("interrupted: every process is stopped")
     passed = came_up and report(run_dir, console) and succeeded
@@ -111,6 +111,13 @@ def conclude(run_dir: Path, came_up: bool, succeeded: bool, stop: Stop, console:
     if stop.requested:
         return 130
     console.print("[green]passed[/]" if passed else f"[red]failed[/] (what each process said: {run_dir / 'logs'})")
+    if came_up and options.manual and options.page is not None:
+        console.print("the page shows the recorded run until it is closed, or Ctrl-C")
+        arguments = ["log", "replay", str(run_dir), "--web", options.page, "--until-closed"]
+        with subprocess.Popen([sys.executable, "-m", "groundstation", *arguments], stdout=subprocess.DEVNULL) as shown:
+            while shown.poll() is None and not stop.requested:
+                time.sleep(LOOK_EVERY_S)
+            shown.terminate()
     return 0 if passed else 1
 
 

@@ -3,6 +3,8 @@
 import os
 import socket
 
+from wire.toml_loader import ConfigError
+
 
 def free_port(kind: socket.SocketKind = socket.SOCK_STREAM) -> int:
     """A free TCP port; a UDP port with SOCK_DGRAM."""
@@ -13,16 +15,17 @@ def free_port(kind: socket.SocketKind = socket.SOCK_STREAM) -> int:
 
 
 def page_address(wanted: str) -> str:
-    """`wanted` (host:port), or the same host with another port if that one is taken: two runs may go on side by side."""
+    """`wanted` (host:port), or the same host with another port if that one is taken: two runs may go on side by side. Raises
+    ConfigError for what is no address."""
     host, _, port = wanted.rpartition(":")
+    if not host or not port.isdecimal() or not 0 < int(port) < 65536:
+        raise ConfigError(f"--web {wanted!r}: must be HOST:PORT, for example 127.0.0.1:8000")
     with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             probe.bind((host, int(port)))
         except OSError:
             return f"{host}:{free_port()}"
-        except ValueError:  # no number: the station says what is allowed
-            return wanted
     return wanted
 
 

@@ -24,7 +24,7 @@ from sim_bridge import fault_schedule
 from sim_bridge.sil.commands import RunOptions, check
 from sim_bridge.studies.campaign import Campaign, CampaignFlight, command_of, flights
 from sim_bridge.studies.campaign_flight import fly_one, one_thread
-from sim_bridge.studies.dependence import lines
+from sim_bridge.studies.dependence import dependences, lines
 from sim_bridge.studies.report import write_report
 from wire.config.experiment import NO_CAMERA, Experiment, load_experiment
 from wire.process.output_files import CAMPAIGN, check_output, replacing
@@ -65,12 +65,13 @@ def run(
     except BrokenProcessPool:
         console.print("[red]a worker process has died (out of memory?); --resume goes on[/]")
     ordered = [rows[index] for index in sorted(rows)]
+    found = dependences(campaign, ordered)
     if ordered:
         with replacing(folder / RESULTS) as results:
             pq.write_table(_table(campaign, ordered), results)
-        write_report(campaign, ordered, total, folder / REPORT)
+        write_report(campaign, ordered, found, total, folder / REPORT)
         console.print(f"results: {folder / RESULTS}\nreport:  {folder / REPORT}", soft_wrap=True)
-    for line in lines(campaign, ordered):
+    for line in lines(ordered, found):
         console.print(line, markup=False, highlight=False, soft_wrap=True)
     _say(ordered, total, console)
     if stop.requested:

@@ -1,4 +1,8 @@
-"""A campaign's answer: each measure against each swept key, the same seeds and draws paired, failures with reasons. Pure."""
+"""A campaign's answer: each measure against each swept key, the same seeds and draws paired, failures with reasons. Pure.
+
+found = dependences(campaign, rows)             # once: a bootstrap of each figure
+for line in lines(rows, found): ...             # for the terminal; report.py draws the same
+"""
 
 import math
 from collections import Counter
@@ -7,7 +11,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from sim_bridge.studies.campaign import Campaign
-from sim_bridge.studies.statistics import Interval, mean, rate
+from sim_bridge.studies.statistics import rate
+from wire.figures import Interval, mean
 
 SHOWN = ("rms_after_20s_m", "max_after_20s_m", "rms_yaw_after_20s_rad", "wrench_step_rms")
 UNITS = {"_m": ("mm", 1e3), "_rad": ("deg", 180.0 / math.pi)}  # by the ends of measures' names
@@ -68,6 +73,13 @@ def dependence(campaign: Campaign, key: str, flown: Sequence[Row], measures: Seq
     return lines
 
 
+def dependences(campaign: Campaign, rows: Sequence[Row]) -> dict[str, list[KeyValue]]:
+    """The lines of each swept key, for the measures that are shown; none if nothing was flown."""
+    flown = [row for row in rows if row["status"] == "flown"]
+    measures = shown_measures(flown)
+    return {key: dependence(campaign, key, flown, measures) for key in campaign.sweep} if flown else {}
+
+
 def reasons(rows: Sequence[Row]) -> list[tuple[int, str]]:
     """Numbers of flights that did not pass, by reason, the most frequent first."""
     failed = [row for row in rows if row["status"] != "flown" or not row.get("passed")]
@@ -79,31 +91,21 @@ def reasons(rows: Sequence[Row]) -> list[tuple[int, str]]:
     return [(count, reason) for reason, count in each.most_common()]
 
 
-def lines(campaign: Campaign, rows: Sequence[Row]) -> Iterator[str]:
-    """The same for a terminal of 80 columns: a table for each swept key, then the reasons of failures."""
-    flown = [row for row in rows if row["status"] == "flown"]
-    measures = shown_measures(flown)[:2]
-    for key in campaign.sweep if flown else ():
+def lines(rows: Sequence[Row], found: Mapping[str, Sequence[KeyValue]]) -> Iterator[str]:
+    """A terminal's 80 columns: a table for each swept key with the first two measures, then the reasons of failures."""
+    for key, values in found.items():
+        measures = list(values[0].means)[:2]
         yield f"{key}: mean [95 %] over flights without a fault"
         heads = "".join(f"{f'{name} [{unit_of(name)[0]}]':>{CELL}}" for name in measures)
         yield f"{'value':{VALUE}}{'flights':>8}{'passed':>8}{heads}"
-        for line in dependence(campaign, key, flown, measures):
+        for line in values:
             passed = round(line.within.value * line.flights)
-            cells = "".join(f"{in_brackets(line.means[name]):>{CELL}}" for name in measures)
+            cells = "".join(f"{line.means[name] or '–'!s:>{CELL}}" for name in measures)
             yield f"{line.value[: VALUE - 1]:{VALUE}}{line.flights:>8}{passed:>8}{cells}"
-    found = reasons(rows)
-    if found:
+    failed = reasons(rows)
+    if failed:
         total = sum(row["status"] != "flown" or not row.get("passed") for row in rows)
         yield f"{total} of {len(rows)} flights did not pass:"
-        yield from (f"  {count} x {reason}" for count, reason in found[:MOST_REASONS])
-        if len(found) > MOST_REASONS:
-            yield f"  and {len(found) - MOST_REASONS} more reasons (in the report)"
-
-
-def in_brackets(interval: Interval | None) -> str:
-    """A figure with its interval, three digits."""
-    if interval is None:
-        return "–"
-    if interval.low is None or interval.high is None:
-        return f"{interval.value:.3g}"
-    return f"{interval.value:.3g} [{interval.low:.3g}, {interval.high:.3g}]"
+        yield from (f"  {count} x {reason}" for count, reason in failed[:MOST_REASONS])
+        if len(failed) > MOST_REASONS:
+            yield f"  and {len(failed) - MOST_REASONS} more reasons (in the report)"

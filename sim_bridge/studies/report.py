@@ -2,7 +2,7 @@
 them."""
 
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +12,10 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from sim_bridge.studies.campaign import Campaign, command_of
-from sim_bridge.studies.dependence import KeyValue, dependence, in_brackets, reasons, shown_measures, unit_of
+from sim_bridge.studies.dependence import KeyValue, reasons, shown_measures, unit_of
 from sim_bridge.studies.metrics import MEASURES
-from sim_bridge.studies.statistics import Interval, distribution, rate
+from sim_bridge.studies.statistics import distribution, rate
+from wire.figures import Interval
 from wire.process.output_files import replace_text
 
 WORST = 10
@@ -23,30 +24,32 @@ BLUE, INK = "#0072b2", "#1c2733"
 Row = dict[str, Any]
 
 
-def write_report(campaign: Campaign, rows: Sequence[Row], wanted: int, file: Path) -> None:
-    """Write the page. `rows` are the journal's, at least one; `wanted` is the campaign's number of flights."""
+def write_report(
+    campaign: Campaign, rows: Sequence[Row], found: Mapping[str, Sequence[KeyValue]], wanted: int, file: Path
+) -> None:
+    """Write the page. `rows` are the journal's, at least one; `found` are their `dependences`; `wanted` is the campaign's
+    number of flights."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("sim_bridge.studies"), autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True
     )
-    environment.filters |= {"interval": _interval, "brackets": in_brackets, "figure": _figure, "percent": _percent}
-    page = environment.get_template("campaign.html").render(**_content(campaign, rows, wanted))
+    environment.filters |= {"interval": _interval, "figure": _figure, "percent": _percent}
+    page = environment.get_template("campaign.html").render(**_content(campaign, rows, found, wanted))
     replace_text(file, page)
 
 
-def _content(campaign: Campaign, rows: Sequence[Row], wanted: int) -> dict[str, Any]:
+def _content(campaign: Campaign, rows: Sequence[Row], found: Mapping[str, Sequence[KeyValue]], wanted: int) -> dict[str, Any]:
     flown = [row for row in rows if row["status"] == "flown"]
     values = {name: [row[name] for row in flown if row.get(name) is not None] for name in MEASURES}
     shown = shown_measures(flown)
     main = shown[0]
-    dependences = [(key, dependence(campaign, key, flown, shown)) for key in campaign.sweep if flown]
     ranked = sorted((row for row in flown if row[main] is not None), key=lambda row: -row[main])
     return {
         "campaign": campaign,
         "title": campaign.title or f"Campaign {campaign.name}",
         "facts": _facts(campaign, rows, flown, wanted),
-        "summary": [(name, MEASURES[name], distribution(found)) for name, found in values.items() if found],
-        "histograms": [(_histogram(found), MEASURES[name]) for name, found in values.items() if len(set(found)) > 1],
-        "groups": [(key, found, _against(key, found, shown)) for key, found in dependences],
+        "summary": [(name, MEASURES[name], distribution(known)) for name, known in values.items() if known],
+        "histograms": [(_histogram(known), MEASURES[name]) for name, known in values.items() if len(set(known)) > 1],
+        "groups": [(key, lines, _against(key, lines, shown)) for key, lines in found.items()],
         "scatters": [
             (_scatter(name, main, pairs), f"{main} against {name}")
             for key in campaign.draw
@@ -157,4 +160,5 @@ def _percent(interval: Interval) -> str:
 
 
 def _figure(value: float | None) -> str:
+    """In SI units, with powers of ten where they are small."""
     return "–" if value is None else f"{value:.3g}"

@@ -7,18 +7,9 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-CONFIDENCE = 0.95
-RESAMPLES = 1000  # of a bootstrap: its interval's ends are then known to a few per cent of its width
+from wire.figures import CONFIDENCE, Interval, mean
+
 HIGH = 0.95  # the quantile that is reported beside the median
-
-
-@dataclass(frozen=True)
-class Interval:
-    """A figure and its confidence interval. A bound is None if there are too few flights for it."""
-
-    value: float
-    low: float | None
-    high: float | None
 
 
 @dataclass(frozen=True)
@@ -53,15 +44,3 @@ def quantile(ranked: np.ndarray[tuple[int], np.dtype[np.float64]], share: float)
     found: Any = stats.quantile_test(ranked, p=share).confidence_interval(CONFIDENCE)
     low, high = (None if np.isnan(end) else float(end) for end in (found.low, found.high))
     return Interval(float(np.quantile(ranked, share)), low, high)
-
-
-def mean(values: Sequence[float]) -> Interval:
-    """Mean with its bootstrap interval (percentiles of the means of samples drawn again, always the same ones): it stays
-    within the values, so what cannot be negative has no negative bound."""
-    known = np.asarray(values, dtype=np.float64)
-    centre = float(known.mean())
-    if len(known) < 2:
-        return Interval(centre, None, None)
-    drawn = known[np.random.default_rng(0).integers(len(known), size=(RESAMPLES, len(known)))].mean(axis=1)
-    low, high = np.quantile(drawn, [(1.0 - CONFIDENCE) / 2.0, (1.0 + CONFIDENCE) / 2.0])
-    return Interval(centre, float(low), float(high))

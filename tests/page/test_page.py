@@ -1,12 +1,13 @@
 """The operator's page in a real browser, on a real run. The tests share the run, and leave it as they found it: disarmed."""
 
+import json
 import re
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
@@ -27,7 +28,7 @@ from groundstation.web.live_backend import LiveBackend
 from groundstation.web.server import WebServer
 from sim_bridge.sil.ports import free_port
 from tests.groundstation.fake_station import FakeStation
-from tests.page.flights import OperatorFlight, PageTraffic, open_page, serious, wait_for_port
+from tests.page.flights import PATIENCE_MS, OperatorFlight, PageTraffic, open_page, serious, wait_for_port
 from wire.config.experiment import Experiment, load_experiment
 from wire.messages import topics
 from wire.messages.codec import decode
@@ -222,16 +223,19 @@ class Alone(FakeStation):
     page: Page
     url: str
     robots: Bus
+    server: ExitStack
 
 
 @contextmanager
-def alone(browser: Browser, experiment: Experiment) -> Iterator[Alone]:
+def alone(browser: Browser, experiment: Experiment, run_dir: Path | None = None) -> Iterator[Alone]:
     port, hub = free_port(), MemoryHub()
     page = browser.new_page(viewport={"width": 1440, "height": 900})
     with Bus(MemoryTransport(hub)) as bus, Bus(MemoryTransport(hub)) as robots:
-        found = Alone(experiment, bus, page=page, url=f"http://127.0.0.1:{port}/", robots=robots)
-        desk = LiveBackend(experiment, planner.plan(experiment), bus, found.heard, found.clock, found, "real-time")
-        with WebServer(desk, WebOptions(port=port)):
+        server = ExitStack()
+        found = Alone(experiment, bus, page=page, url=f"http://127.0.0.1:{port}/", robots=robots, server=server)
+        desk = LiveBackend(experiment, planner.plan(experiment), bus, found.heard, found.clock, found, "real-time", run_dir)
+        with server:
+            server.enter_context(WebServer(desk, WebOptions(port=port)))
             yield found
             page.context.close()
 
@@ -414,9 +418,7 @@ def station(tmp_path_factory: pytest.TempPathFactory) -> Iterator[BareStation]:
     """Shared: the last of its tests ends it."""
     port = free_port()
     command = [sys.executable, "-m", "groundstation", "run", "pool", "--listen", f"tcp/127.0.0.1:{free_port()}"]
-    process = subprocess.Popen(
-        [*command, "--web", f"127.0.0.1:{port}", "--run-dir", str(tmp_path_factory.mktemp("station") / "run")]
-    )
+    process = subprocess.Popen([*command, "--web", f"127.0.0.1:{port}", "--out", str(tmp_path_factory.mktemp("station"))])
     try:
         wait_for_port(port, process)
         yield BareStation(f"http://127.0.0.1:{port}/", process)
@@ -532,16 +534,33 @@ def test_a_request_has_one_line_and_that_says_how_it_ended(browser: Browser) -> 
         expect(given).to_have_text("return confirmed by 1, 2")
 
 
-def test_a_run_is_ended_on_the_page_which_then_is_silent_without_an_alarm(browser: Browser, station: BareStation) -> None:
+def test_a_run_that_is_ended_on_the_page_is_shown_there_as_recorded_with_its_report(
+    browser: Browser, station: BareStation
+) -> None:
     page = browser.new_page(viewport={"width": 1440, "height": 900})
     page.goto(station.url)
     button(page, "End run").click()  # nobody is armed: not asked twice
     expect(page.locator(".folder")).to_contain_text("The run is ended; it is in")
-    assert station.process.wait(30) is not None
     expect(page.locator("header .phase")).to_have_text("the run is ended")
-    expect(page.get_by_text("no connection", exact=True)).to_be_visible()
-    expect(page.get_by_label("Alarms")).not_to_contain_text("no connection")
+    expect(page.get_by_label("Alarms")).not_to_contain_text("no connection")  # while the report is written
+    with page.expect_popup(timeout=PATIENCE_MS) as opened:
+        page.locator(".replay").get_by_role("link", name="Report").click(timeout=PATIENCE_MS)
+    expect(opened.value.locator("h1")).to_contain_text("Two robots in a line on a circle")
+    assert station.process.poll() is None  # until the page is closed, or Ctrl-C
     page.context.close()
+
+
+def test_a_mission_that_is_done_and_its_station_gone_is_no_alarm(browser: Browser) -> None:
+    with alone(browser, load_experiment("pool")) as desk:
+        page = desk.page
+        desk.told = replace(desk.told, state=MissionState.RUNNING)
+        page.goto(desk.url)
+        expect(page.locator("header .phase")).to_have_text("running")
+        desk.told = replace(desk.told, state=MissionState.DONE)  # of the last cycle: an automatic station ends with it
+        desk.server.close()
+        expect(page.locator("header .phase")).to_have_text("the run is ended")
+        expect(page.get_by_text("no connection", exact=True)).to_be_visible()
+        expect(page.get_by_label("Alarms")).to_contain_text("none")
 
 
 def test_a_stop_of_an_earlier_station_can_be_cleared(browser: Browser) -> None:
@@ -638,6 +657,120 @@ def test_one_robot_is_driven_by_keys_and_sent_to_a_place(browser: Browser) -> No
         assert (desk.orders[-1], desk.only, len(desk.via)) == (Order.GO, 2, 1)
 
 
+PADS = """
+  window.pads = [null];
+  navigator.getGamepads = () => window.pads;
+  window.pad = (mapping, axes) => {
+    window.pads = [null, {index: 1, id: mapping || 'some pad', connected: true, mapping, axes, buttons: []}];
+  };
+"""
+
+
+def asked_of(desk: FakeStation) -> tuple[float, ...]:
+    """Shares of the vehicle's limits in the newest velocity: ahead, down, right."""
+    limits, (_, last) = desk.experiment.vehicle.limits, desk.drives[-1]
+    shares = (
+        last.surge_mps / limits.speed_mps,
+        last.heave_mps / limits.heave_mps,
+        last.yaw_rate_radps / limits.yaw_rate_radps,
+    )
+    return tuple(round(share / 0.4, 3) for share in shares)
+
+
+def until_asked(desk: FakeStation, page: Page, wanted: tuple[float, ...]) -> None:
+    for _ in range(PATIENCE_MS // 100):
+        if desk.drives and asked_of(desk) == wanted:
+            return
+        page.wait_for_timeout(100)
+    raise AssertionError(f"{asked_of(desk) if desk.drives else 'nothing'} and not {wanted}")
+
+
+def test_a_gamepad_drives_in_any_layout_and_the_robot_holds_without_it(browser: Browser) -> None:
+    """Layouts as browsers give them. A shifted rest, a trigger or a pad that is gone never moves a robot."""
+    half = (0.5 - 0.12) / (1 - 0.12)
+    with alone(browser, load_experiment("pool")) as desk:
+        page = desk.page
+        page.add_init_script(PADS)
+        page.goto(desk.url)
+        expect(button(page, "You have control")).to_be_visible()
+        desk.robots.publish(topics.STATE, RobotState(mode=Mode.HOLDING), time.time_ns(), 2)
+        tile(page, 2).get_by_role("button").click()
+        page.evaluate("pad('standard', [0, -1, 0, 0])")  # held ahead before driving begins
+        button(page, "Drive 2").click()
+        page.wait_for_timeout(500)
+        assert desk.drives == []
+        page.evaluate("pad('standard', [0.1, -0.11, 0.05, 0.1])")  # at rest, as far as sticks are
+        page.wait_for_timeout(300)
+        assert desk.drives == []
+        page.evaluate("pad('standard', [0, -1, 0, 0.5])")
+        until_asked(desk, page, (1.0, round(half, 3), 0.0))
+        page.evaluate("pad('standard', [0, 0, -1.2, 0])")  # the right stick turns, and no stick goes beyond its end
+        until_asked(desk, page, (0.0, 0.0, -1.0))
+        page.evaluate("window.pads = [null, null]")  # pulled out in the middle of it
+        until_asked(desk, page, (0.0, 0.0, 0.0))
+        for rest, pushed, wanted in (  # x, y, left trigger, right x, right y, right trigger, hat; and another maker's
+            ([0, 0, -1, 0, 0, -1, 0, 0], [1, 0, -1, 0, 0, -1, 0, 0], (0.0, 0.0, 1.0)),
+            ([0, 0, 0, -1, -1, 0], [0, -1, 1, -1, -1, 1], (1.0, 0.0, 0.0)),
+        ):
+            page.evaluate("axes => pad('', axes)", pushed)  # plugged in while it is pushed
+            page.wait_for_timeout(300)
+            assert asked_of(desk) == (0.0, 0.0, 0.0)
+            page.evaluate("axes => pad('', axes)", rest)
+            page.wait_for_timeout(300)
+            assert asked_of(desk) == (0.0, 0.0, 0.0)
+            page.evaluate("axes => pad('', axes)", pushed)
+            until_asked(desk, page, wanted)
+            page.evaluate("window.pads[1].connected = false")
+            until_asked(desk, page, (0.0, 0.0, 0.0))
+        page.evaluate("pad('', [NaN])")
+        page.wait_for_timeout(300)
+        assert asked_of(desk) == (0.0, 0.0, 0.0)
+
+
+def test_runs_are_found_named_read_and_deleted_on_the_page(browser: Browser, tmp_path: Path) -> None:
+    for name in ("now", "first", "second"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "run.mcap").write_bytes(bytes(1_500_000))
+    result = {"scene": "pool", "mode": "lockstep", "duration_s": 40.0, "passed": False, "tags": ["lamp"]}
+    (tmp_path / "first" / "result.json").write_text(json.dumps(result))
+    told = "<p id=told></p><script>told.textContent = `${origin}: its script runs`</script>"
+    (tmp_path / "first" / "report.html").write_text(told)
+    with alone(browser, load_experiment("pool"), tmp_path / "now") as desk:
+        page = desk.page
+        page.goto(desk.url)
+        expect(button(page, "You have control")).to_be_visible()
+        button(page, "Runs").click()
+        rows = page.locator(".runs tbody tr")
+        expect(rows).to_have_count(3)
+        expect(page.locator("[data-run='now']")).to_contain_text("this run")
+        expect(page.locator("[data-run='now']").get_by_role("button", name="Delete")).to_be_disabled()
+        expect(page.locator("[data-run='first']")).to_contain_text("#lamp")
+        expect(page.locator("[data-run='first']")).to_contain_text("pool, lockstep40 s1.5 MBfailed")
+        page.get_by_label("Runs with these words").fill("LAMP failed")
+        expect(rows).to_have_count(1)
+        with page.expect_popup() as opened:
+            rows.get_by_role("link", name="Report").click()
+        expect(opened.value.locator("#told")).to_have_text("null: its script runs")  # an origin of its own
+        opened.value.close()
+        page.get_by_label("Runs with these words").fill("")
+        page.locator("[data-run='now']").get_by_role("button", name="Label").click()
+        page.get_by_label("Name of now").fill("first dive")
+        page.get_by_label("Tags of now").fill("#cold deep")
+        button(page, "Keep").click()
+        expect(page.locator("[data-run='now']")).to_contain_text("first dive this run #cold #deep")
+        assert serious(page) == []
+        page.once("dialog", lambda dialog: dialog.dismiss())
+        page.locator("[data-run='second']").get_by_role("button", name="Delete").click()
+        assert (tmp_path / "second").is_dir()
+        page.once("dialog", lambda dialog: dialog.accept())
+        page.locator("[data-run='second']").get_by_role("button", name="Delete").click()
+        expect(rows).to_have_count(2)
+        assert not (tmp_path / "second").exists()
+        page.keyboard.press("Escape")  # closes the list, and stops nothing
+        expect(rows).to_have_count(0)
+        assert desk.orders == []
+
+
 def test_the_editor_adds_removes_undoes_and_writes_a_commented_file(
     browser: Browser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -666,7 +799,7 @@ def test_the_editor_adds_removes_undoes_and_writes_a_commented_file(
         expect(verdict).to_contain_text("can be flown")
         page.get_by_label("Name of the new experiment").fill("mine")
         button(page, "Save").click()
-        expect(page.get_by_text("saved: groundstation run experiments/mine.toml")).to_be_visible()
+        expect(page.get_by_text("saved: experiments/mine.toml; fly it with groundstation run")).to_be_visible()
         expect(page.locator(".editor .number").first).to_have_attribute("title", re.compile("^path.kind: "))
     text = (tmp_path / "experiments" / "mine.toml").read_text()
     assert "Waypoints x, y of the formation's centre, in order." in text
@@ -698,8 +831,10 @@ def test_any_field_is_plotted_and_a_layout_is_an_address(browser: Browser) -> No
         expect(page.get_by_label("What plot 3 shows")).to_have_value("state.loss")
 
 
-def test_on_a_phone_the_map_is_second_and_everything_is_large_enough(browser: Browser) -> None:
-    with alone(browser, load_experiment("pool")) as desk:
+def test_on_a_phone_the_map_is_second_and_everything_is_large_enough(browser: Browser, tmp_path: Path) -> None:
+    (tmp_path / "now").mkdir()
+    (tmp_path / "now" / "run.mcap").touch()
+    with alone(browser, load_experiment("pool"), tmp_path / "now") as desk:
         page = desk.page
         page.set_viewport_size({"width": 390, "height": 844})
         page.goto(desk.url)
@@ -707,6 +842,8 @@ def test_on_a_phone_the_map_is_second_and_everything_is_large_enough(browser: Br
         expect(button(page, "You have control")).to_be_visible()
         tile(page, 1).get_by_role("button").click()
         button(page, "Drive 1").click()
+        button(page, "Runs").click()
+        button(page, "Label").click()
         places = page.evaluate(
             "['.mission', '.pool', '.one-robot', '.tiles', '.plots', '.log']"
             ".map((name) => document.querySelector(name).getBoundingClientRect().top)"

@@ -1,7 +1,11 @@
 """Files that people read say the same as the experiments that they are written from."""
 
+import json
+import tomllib
 from pathlib import Path
+from urllib.parse import urlparse
 
+import jsonschema
 import pytest
 
 from wire.commented_file import commented
@@ -14,10 +18,13 @@ NAMES = sorted(path.stem for path in EXPERIMENTS.glob("*.toml"))
 def test_a_written_file_is_the_same_experiment(name: str, tmp_path: Path) -> None:
     experiment = load_experiment(name)
     file = tmp_path / "again.toml"
-    file.write_text(commented(experiment), encoding="utf-8")
+    text = commented(experiment)
+    file.write_text(text, encoding="utf-8")
     again = load_experiment(str(file))
     assert again.model_dump() == experiment.model_dump()
     assert again.hash == experiment.hash
+    schema = Path(urlparse(text.partition("\n")[0].removeprefix("#:schema ")).path)
+    jsonschema.validate(tomllib.loads(text), json.loads(schema.read_text(encoding="utf-8")))
 
 
 def test_a_written_file_has_meanings_shapes_and_no_defaults() -> None:

@@ -7,6 +7,7 @@ included. Lengths are metres, angles radians, times seconds; pool frame (see wir
 import hashlib
 import json
 import math
+import re
 from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
@@ -308,7 +309,19 @@ def load_experiment(name_or_path: str, settings: Sequence[str] = (), faults: Seq
     sim = table.setdefault("sim", {}) if faults else None
     if isinstance(sim, dict) and isinstance(sim.setdefault("faults", []), list):
         sim["faults"] += map(fault_table, faults)
-    return check(Experiment, table, str(path))
+    try:
+        return check(Experiment, table, str(path))
+    except ConfigError as error:
+        raise ConfigError("\n".join(_of_setting(line, path, settings) for line in str(error).splitlines())) from None
+
+
+def _of_setting(line: str, path: Path, settings: Sequence[str]) -> str:
+    """An error's line, with the setting in the file's place where it is about the setting's key."""
+    about = line.removeprefix(f"{path}: ")
+    for setting in reversed(settings):
+        if re.match(rf"{re.escape(setting.partition('=')[0].strip())}[.: ]", about):
+            return f"--set {setting}: {about}"
+    return line
 
 
 def _insert_files(table: dict[str, Any], experiment: Path) -> None:

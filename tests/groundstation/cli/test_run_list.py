@@ -55,6 +55,12 @@ def test_runs_come_in_the_order_of_their_beginning_with_size_and_verdict(runs: P
     assert found[1]["experiment"] == "pool" and found[1]["commit"] == "a" * 40
 
 
+def test_a_result_with_other_types_is_listed_as_far_as_it_can_be_read(tmp_path: Path) -> None:
+    a_run(tmp_path, "odd", json.dumps({"scene": 3, "duration_s": "long", "tags": "lamp", "passed": 1}), 1)
+    (found,) = listed(tmp_path)
+    assert (found["experiment"], found["duration_s"], found["tags"], found["verdict"]) == ("3", 0.0, [], "passed")
+
+
 def test_every_word_narrows_the_list(runs: Path) -> None:
     assert [Path(run["run"]).name for run in listed(runs, "POOL", "failed")] == ["first"]
     done = CliRunner().invoke(cli, ["log", "list", "--in", str(runs), "nothing-like-this"])

@@ -53,7 +53,7 @@ def test_robots_start_at_one_instant_though_one_needs_a_second_order() -> None:
         ({"silent": True}, "not heard"),
         ({"battery_v": 10.0}, "battery 10.0 V, needs 10.5 V"),
         ({"verified": False}, "identity not verified"),
-        ({"mode": Mode.FAULT, "fault": "no pose"}, "is FAULT: no pose"),
+        ({"mode": Mode.FAULT, "fault": "no pose"}, "fault: no pose"),
     ],
 )
 def test_a_failed_preflight_names_robot_and_reason_and_arms_no_robot(change: dict[str, object], says: str) -> None:

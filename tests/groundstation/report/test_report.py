@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 from matplotlib.figure import Figure
 
 from groundstation.analysis.alignment import align
-from groundstation.analysis.numbers import three
 from groundstation.analysis.series import Series
 from groundstation.logs.reader import is_complete, read_log
 from groundstation.logs.recorder import Recorder
@@ -25,6 +24,7 @@ from groundstation.report.report import write_report
 from tests.groundstation import synthetic
 from tests.groundstation.synthetic import Script, write_run
 from wire.config.experiment import dump_experiment, load_experiment
+from wire.figures import three
 from wire.messages import topics
 from wire.messages.codec import Header, encode
 from wire.messages.messages import Event, Mode

@@ -1,6 +1,7 @@
 """The page's server on a real socket, fed by a real desk on the in-memory bus: strangers, stopped pages, leases, orders."""
 
 import contextlib
+import fcntl
 import json
 import select
 import socket
@@ -117,8 +118,8 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-def make_desk(lab: ServedStation) -> LiveBackend:
-    return LiveBackend(POOL, planner.plan(POOL), lab.bus, lab.heard, lab.clock, lab, "real-time")
+def make_desk(lab: ServedStation, run_dir: Path | None = None) -> LiveBackend:
+    return LiveBackend(POOL, planner.plan(POOL), lab.bus, lab.heard, lab.clock, lab, "real-time", run_dir)
 
 
 @pytest.fixture
@@ -128,12 +129,12 @@ def lab() -> Iterator[ServedStation]:
 
 
 @contextlib.contextmanager
-def _served() -> Iterator[ServedStation]:
+def _served(run_dir: Path | None = None) -> Iterator[ServedStation]:
     hub, port = MemoryHub(), free_port()
     with Bus(MemoryTransport(hub)) as bus, Bus(MemoryTransport(hub)) as robots:
         opened = contextlib.ExitStack()
         found = ServedStation(POOL, bus, port=port, robots=robots, opened=opened)
-        with WebServer(make_desk(found), WebOptions(port=port, token=TOKEN)), opened:
+        with WebServer(make_desk(found, run_dir), WebOptions(port=port, token=TOKEN)), opened:
             yield found
 
 
@@ -541,3 +542,108 @@ def test_velocity_is_taken_from_the_page_in_control_alone_and_only_while_it_is_n
     pilot.say(kind="order", n=5, order="hold", robot=2, seen_ms=pilot.clock_ms)
     pilot.until(lambda f: f["k"] == "reply")
     assert lab.only == 2
+
+
+# --- runs
+
+
+@pytest.fixture
+def shelf(tmp_path: Path) -> Iterator[tuple[ServedStation, Path]]:
+    """A station that flies `now`, beside a run with a report, one without, and what is none."""
+    for name in ("now", "old", "bare"):
+        (tmp_path / "runs" / name).mkdir(parents=True)
+        (tmp_path / "runs" / name / "run.mcap").write_bytes(bytes(1000))
+    (tmp_path / "runs" / "old" / "report.html").write_text("<h1>of the old run</h1>")
+    (tmp_path / "secret").mkdir()
+    (tmp_path / "secret" / "report.html").write_text("secret")
+    (tmp_path / "secret" / "run.mcap").touch()
+    (tmp_path / "runs" / "link").symlink_to(tmp_path / "secret")
+    (tmp_path / "runs" / "bare" / "report.html").symlink_to(tmp_path / "secret" / "report.html")
+    with _served(tmp_path / "runs" / "now") as lab:
+        yield lab, tmp_path / "runs"
+
+
+def runs_of(page: PageClient, **request: Any) -> dict[str, Any]:
+    """The answer to a request of runs, which are then listed by their folders' names."""
+    page.say(**request)
+    told = page.until(lambda f: f["k"] == "runs")
+    return {**told, "runs": {run["run"]: run for run in told["runs"]}}
+
+
+def answer(port: int, target: str) -> tuple[int, str, str]:
+    """Status, text and policy of an answer to exactly this request: clients that tidy addresses up would hide an attack."""
+    with socket.create_connection(("127.0.0.1", port), PATIENCE_S) as line:
+        line.sendall(f"GET {target} HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nConnection: close\r\n\r\n".encode())
+        said = b"".join(iter(lambda: line.recv(65536), b"")).decode()
+    head, _, text = said.partition("\r\n\r\n")
+    policy = next((row for row in head.lower().splitlines() if row.startswith("content-security-policy")), "")
+    return int(head.split()[1]), text, policy
+
+
+def test_a_report_is_served_to_a_page_that_was_told_its_address_and_to_no_other(shelf: tuple[ServedStation, Path]) -> None:
+    lab, folder = shelf
+    page = lab.open()
+    page.hello()
+    told = runs_of(page, kind="runs")
+    assert told["folder"] == str(folder) and set(told["runs"]) == {"now", "old", "bare"}
+    assert told["runs"]["now"]["shown"] and not told["runs"]["old"]["shown"]
+    addresses = {name: run["report"] for name, run in told["runs"].items()}
+    assert [name for name, address in addresses.items() if address] == ["old"]  # a link to a report is none
+    status, text, policy = answer(lab.port, f"/{addresses['old']}")
+    assert (status, text) == (200, "<h1>of the old run</h1>")
+    assert "sandbox allow-scripts" in policy and "default-src 'none'" in policy  # it reaches nothing of the station's
+    key = addresses["old"].partition("?key=")[2]
+    for target in (
+        "/runs/old/report.html",
+        "/runs/old/report.html?key=",
+        f"/runs/old/report.html?key={'0' * 64}",
+        f"/runs/bare/report.html?key={key}",
+        *(
+            f"/runs/{name}/report.html?key={key}"
+            for name in ("link", "..%2f..%2fsecret", "..", "%2e%2e", "old%00", "../secret")
+        ),
+        f"/runs/old/..%2f..%2f..%2fsecret/report.html?key={key}",
+        f"/runs/old/run.mcap?key={key}",
+        f"//runs/old/report.html?key={key}",
+    ):
+        status, text, _ = answer(lab.port, target)
+        assert status == 404 and "secret" not in text, target
+    assert answer(lab.port, "/")[0] == 200
+
+
+@pytest.mark.parametrize("name", ["..", ".", "link", "../secret", "/etc", "nothing", "old/../old", "old\0"])
+def test_a_name_that_is_no_run_of_the_folder_is_neither_labelled_nor_deleted(
+    shelf: tuple[ServedStation, Path], name: str
+) -> None:
+    lab, folder = shelf
+    page = lab.open()
+    page.hello()
+    page.say(kind="take")
+    for request in ({"kind": "label", "name": "x", "tags": []}, {"kind": "delete"}):
+        told = runs_of(page, run=name, **request)
+        assert told["problem"] and set(told["runs"]) == {"now", "old", "bare"}
+    assert sorted(path.name for path in folder.iterdir()) == ["bare", "link", "now", "old"]
+    assert not list(folder.parent.rglob("label.json"))
+
+
+def test_runs_are_labelled_and_deleted_by_the_page_in_control_but_never_one_that_is_flown(
+    shelf: tuple[ServedStation, Path],
+) -> None:
+    lab, folder = shelf
+    page, watching = lab.open(), lab.open()
+    page.hello()
+    watching.hello()
+    page.say(kind="take")
+    page.until(lambda f: state(f) and f["holder"] != 0)
+    for request in ({"kind": "label", "run": "old", "name": "x", "tags": []}, {"kind": "delete", "run": "old"}):
+        assert runs_of(watching, **request)["problem"] == "another page has control"
+    told = runs_of(page, kind="label", run="now", name="first dive", tags=["lamp", "lamp"])
+    assert (told["problem"], told["runs"]["now"]["name"], told["runs"]["now"]["tags"]) == ("", "first dive", ["lamp"])
+    assert "must be a word" in runs_of(page, kind="label", run="old", name="", tags=["a b"])["problem"]
+    assert "is shown on this page" in runs_of(page, kind="delete", run="now")["problem"]
+    with (folder / "bare" / "run.mcap").open("rb") as recorder:
+        fcntl.flock(recorder, fcntl.LOCK_EX)  # as another station's
+        assert "its run still goes on" in runs_of(page, kind="delete", run="bare")["problem"]
+    told = runs_of(page, kind="delete", run="old")
+    assert told["problem"] == "" and set(told["runs"]) == {"now", "bare"}
+    assert not (folder / "old").exists() and (folder / "now").is_dir() and (folder / "bare").is_dir()

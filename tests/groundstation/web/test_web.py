@@ -271,7 +271,7 @@ def test_a_well_fleet_raises_no_alarm() -> None:
 def test_each_trouble_is_named_and_the_worst_comes_first() -> None:
     found = _texts(_view(fault="pose late", battery_v=10.7), _view(mode=Mode.FAULT, fault="no pose"), recorder="no space")
     assert found[0].startswith("critical the log")
-    assert found[1] == "critical robot 2: is FAULT: no pose"
+    assert found[1] == "critical robot 2: fault: no pose"
     assert "warning robot 1: pose late" in found and "warning robot 1: battery 10.7 V" in found
     assert _texts(_view(), _view(), camera=CameraHealth.FROZEN) == ["critical the camera is frozen"]
     assert _texts(_view(), _view(), age_s=1.0) == ["critical the localizer is silent"]

@@ -24,10 +24,11 @@ from sim_bridge.in_process import run
 from sim_bridge.studies import campaign_runner
 from sim_bridge.studies.campaign import Campaign, flights
 from sim_bridge.studies.campaign_flight import planning_text
-from sim_bridge.studies.dependence import dependence, lines, reasons
+from sim_bridge.studies.dependence import dependence, dependences, lines, reasons
 from sim_bridge.studies.metrics import MEASURES, broken_limits
-from sim_bridge.studies.statistics import distribution, mean, quantile, rate
+from sim_bridge.studies.statistics import distribution, quantile, rate
 from wire.config.experiment import EXPERIMENTS, NO_CAMERA, Experiment, load_experiment
+from wire.figures import mean
 from wire.process.runtime import Failed, Stop
 from wire.toml_loader import ConfigError, check
 
@@ -144,7 +145,7 @@ def test_differences_are_paired_and_flights_with_a_fault_are_counted_but_not_ave
     assert gain.value == pytest.approx(-0.4) and gain.high is not None and gain.high < 0.0
     assert level.value == pytest.approx(3.6) and (second.flights, second.faults) == (4, 1)
     assert reasons(found) == [(1, "at_fault"), (1, "no pose")]
-    assert max(len(line) for line in lines(loaded, found)) <= 80
+    assert max(len(line) for line in lines(found, dependences(loaded, found))) <= 80
 
 
 @pytest.fixture(scope="module")

@@ -222,7 +222,16 @@ def test_keys_that_cannot_be_guessed_have_no_default(tmp_path: Path, key: str) -
 def test_values_that_do_not_go_together(setting: str, complaint: str) -> None:
     with pytest.raises(ConfigError, match=complaint) as caught:
         load_experiment("pool", [setting])
-    assert str(EXPERIMENTS / "pool.toml") in str(caught.value)
+    assert str(EXPERIMENTS / "pool.toml") in str(caught.value) or f"--set {setting}: " in str(caught.value)
+
+
+def test_a_mistake_in_a_setting_is_told_of_the_setting_and_not_of_the_file() -> None:
+    with pytest.raises(ConfigError) as caught:
+        load_experiment("pool", ["seed=1", "duration=5", "path.lap_s=-1"])
+    told = str(caught.value).splitlines()
+    assert len(told) == 2
+    assert any(line.startswith("--set duration=5: duration: unknown key") for line in told)
+    assert any(line.startswith("--set path.lap_s=-1: path.lap_s = -1") for line in told)
 
 
 # --- the hash

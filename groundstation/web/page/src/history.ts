@@ -89,7 +89,7 @@ export function charts(s: Scene, chosen: number): Chart[] {
         { name: "→ pose", value: (sample) => never(sample.localizer?.to_pose_ms) },
         { name: "→ PWM", value: (sample) => never(Math.max(0, ...s.robots.map(({ id }) => state(sample, id)?.to_pwm_ms ?? 0))) },
         { name: "→ station", value: ({ robots }) => never(Math.max(0, ...[...robots.values()].filter((r) => r.news.state).map((r) => r.news.age_ms))) },
-        { name: "page and back", value: (sample) => sample.roundTripMs },
+        { name: "↔ page", value: (sample) => sample.roundTripMs },
       ],
     },
     { id: "battery", title: "Battery", unit: "V", curves: each((sample, id) => never(state(sample, id)?.battery_v)) },

@@ -1,7 +1,8 @@
 /** Keyboard shortcuts. Shift+Space is always the emergency stop, wherever the focus is. Escape is, too, unless there is something that
- * people are used to leave by it: a field with the focus, an open menu, places being chosen. */
+ * people are used to leave by it: a field with the focus, an open menu, places being chosen, the list of runs. */
 
 import { stepFrames, togglePlay } from "./panels/Replay";
+import { showRuns } from "./panels/Runs";
 import { driveKey } from "./robot/drive";
 import { acknowledgeAlarms } from "./sound";
 import { order } from "./link";
@@ -10,12 +11,12 @@ import { follow } from "./pool/layers";
 import { fitView, zoomBy } from "./pool/Pool";
 import { removePicked } from "./editor/canvas";
 import { redo, undo } from "./editor/model";
-import { drawSoon, editing, inControl, scene, selected, shown } from "./store";
+import { browsing, drawSoon, editing, inControl, scene, selected, shown } from "./store";
 import type { OrderName } from "./wire";
 
 export const KEYS: [string, string][] = [
   ["Shift+Space", "emergency stop, from anywhere"],
-  ["Esc", "leave a field, close a menu; else emergency stop"],
+  ["Esc", "leave a field, close a menu or list; else emergency stop"],
   ["Shift+A", "arm"],
   ["Shift+S", "start"],
   ["H", "hold"],
@@ -41,6 +42,7 @@ function left(target: HTMLElement): boolean {
   if (menu !== null) menu.open = false;
   else if (target.matches("select, textarea, input:not([type=checkbox], [type=range])")) target.blur();
   else if (places.peek() !== null) choosePlaces(false);
+  else if (browsing.peek()) showRuns(false);
   else return false;
   return true;
 }

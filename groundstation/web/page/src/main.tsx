@@ -12,15 +12,16 @@ import { Mission } from "./panels/Mission";
 import { OneRobot } from "./panels/OneRobot";
 import { Plots } from "./panels/Plots";
 import { Replay } from "./panels/Replay";
+import { Runs } from "./panels/Runs";
 import { Tiles } from "./panels/Tiles";
 import { Tuning } from "./panels/Tuning";
 import { Pool } from "./pool/Pool";
-import { connected, editing, scene, shown } from "./store";
+import { connected, editing, ended, scene } from "./store";
 import "./style.css";
 
 function Page() {
   return (
-    <div class={connected.value || scene.value === null || shown.value?.ended ? "page" : "page lost"}>
+    <div class={connected.value || scene.value === null || ended.value ? "page" : "page lost"}>
       <Header />
       <main>
         <Pool />
@@ -43,6 +44,7 @@ function Page() {
             </dl>
           </details>
         </aside>
+        <Runs />
         <Replay />
         <Plots />
       </main>

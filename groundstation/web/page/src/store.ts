@@ -1,7 +1,7 @@
 /** Everything the page knows, in one place. What the canvas draws is plain data; what text shows are signals. */
 
 import { computed, signal } from "@preact/signals";
-import type { Alarm, Frame, LogLine, Outcome, PastState, PathSamples, RobotNews, RobotState, Scene, Snapshot, Tried } from "./wire";
+import type { Alarm, Frame, LogLine, Outcome, PastState, PathSamples, RobotNews, RobotState, RunList, Scene, Snapshot, Tried } from "./wire";
 import { floats } from "./wire";
 
 export const MOST_LINES = 500;
@@ -56,13 +56,20 @@ export const selected = signal(0); // robot; 0 is none
 export const tried = signal<Tried | null>(null);
 export const saved = signal<{ ok: boolean; problems: string[]; path?: string } | null>(null);
 export const editing = signal(false);
+export const browsing = signal(false); // the list of runs is open
+export const runs = signal<RunList | null>(null); // as last told
 export const undriven = signal(""); // why a velocity is not driven
 
 export const inControl = computed(() => connected.value && shown.value !== null && me.value !== 0 && shown.value.holder === me.value);
+/** Whether the run is over: a person has ended it, or its station went when its mission was done, and every robot disarmed. */
+export const ended = computed(() => {
+  const state = shown.value;
+  return state !== null && (state.ended || (!connected.value && state.phase === "DONE"));
+});
 export const alarms = computed<Alarm[]>(() => {
   const known = shown.value?.alarms ?? [];
   if (connected.value || scene.value === null) return known;
-  if (shown.value?.ended) return []; // of a run that is over
+  if (ended.value) return [];
   return [{ level: "critical", key: "page", robot: 0, text: "no connection to the station: what you see is old" }, ...known];
 });
 
@@ -197,6 +204,9 @@ export function take(frame: Frame): void {
       break;
     case "undriven":
       undriven.value = frame.reason;
+      break;
+    case "runs":
+      runs.value = frame;
       break;
     case "saved":
       saved.value = frame;

@@ -68,6 +68,7 @@ export interface Scene {
   underlay: { columns: number; pool: Packed; picture: Packed } | null;
   replay?: { end_s: number };
   run?: string; // the run's folder
+  report: string; // its address; empty if there is none
   life?: string; // of the station: requests are numbered anew in each
 }
 
@@ -228,6 +229,29 @@ export interface PastState {
   localizer: { to_pose_ms: number } | null;
 }
 
+/** A run's folder, as its files tell it. */
+export interface ListedRun {
+  run: string; // its folder
+  name: string; // given by a person, as are the tags in `given`; others are of remarks
+  tags: string[];
+  given: string[];
+  date: string;
+  experiment: string;
+  mode: string;
+  duration_s: number;
+  size_mb: number;
+  verdict: string;
+  commit: string;
+  report: string; // its address; empty if there is none
+  shown: boolean; // it is the one of this page
+}
+
+export interface RunList {
+  folder: string;
+  runs: ListedRun[]; // newest first
+  problem: string; // with this page's last request
+}
+
 export type Frame =
   | { k: "hello"; you: number; scene: Scene; events: LogLine[] }
   | Snapshot
@@ -238,6 +262,7 @@ export type Frame =
   | { k: "reply"; n: number; order: string; ok: boolean; reason: string; request: number }
   | { k: "undriven"; robot: number; reason: string }
   | Tried
+  | ({ k: "runs" } & RunList)
   | { k: "saved"; n: number; ok: boolean; problems: string[]; path?: string };
 
 export interface Edit {
@@ -271,6 +296,9 @@ export type Request =
   | { kind: "try"; n: number; edit: Edit }
   | { kind: "save"; n: number; edit: Edit; name: string }
   | { kind: "remark"; text: string }
+  | { kind: "runs" }
+  | { kind: "label"; run: string; name: string; tags: string[] }
+  | { kind: "delete"; run: string }
   | { kind: "seek"; time_s?: number; rate?: number };
 
 const HEAD_BYTES = 8;

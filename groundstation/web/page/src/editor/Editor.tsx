@@ -85,7 +85,7 @@ function SaveForm() {
       </button>
       {answer !== null && (
         <p class={answer.ok ? "ok" : "bad"} role="status">
-          {answer.ok ? `saved: groundstation run ${answer.path}` : answer.problems.join("; ")}
+          {answer.ok ? `saved: ${answer.path}; fly it with groundstation run, in software with sim-bridge sil` : answer.problems.join("; ")}
         </p>
       )}
     </form>
@@ -160,7 +160,7 @@ function FormationFields({ d }: { d: Draft }) {
       <label class="number" title={hint("formation.shape")}>
         <span>shape</span>
         <select value={d.shape} onChange={(event) => change({ ...freed(d), shape: event.currentTarget.value as Draft["shape"] })}>
-          <option value="">each its own place</option>
+          <option value="">own places</option>
           {SHAPES.map((shape) => (
             <option key={shape}>{shape}</option>
           ))}

@@ -3,13 +3,15 @@
 import { isLight, setTheme } from "../colours";
 import { order, releaseControl, takeControl } from "../link";
 import { soundOn, toggleSound } from "../sound";
-import { connected, drawSoon, editing, given, inControl, refusal, roundTripMs, scene, shown, stopUnheard } from "../store";
+import { browsing, connected, drawSoon, editing, ended, given, inControl, refusal, roundTripMs, scene, shown, stopUnheard } from "../store";
 import { themeSerial } from "./Plots";
+import { showRuns } from "./Runs";
 
 function Control() {
   const s = shown.value;
-  if (s === null || !connected.value || scene.value?.mode === "replay") return null;
+  if (s === null || !connected.value) return null;
   if (inControl.value) {
+    if (scene.value?.mode === "replay") return null; // all may look; control is over names and files alone
     return (
       <button type="button" class="control mine" onClick={releaseControl} title="Give control back, so that another page may take it">
         You have control
@@ -31,7 +33,7 @@ function Control() {
 
 function Link() {
   if (refusal.value) return <span class="link bad">not let in: {refusal.value}</span>;
-  if (!connected.value) return <span class={shown.value?.ended ? "link" : "link bad"}>no connection</span>;
+  if (!connected.value) return <span class={ended.value ? "link" : "link bad"}>no connection</span>;
   return (
     <span class="link" title="From the station to this page, drawn, and back">
       link {roundTripMs.value.toFixed(0)} ms
@@ -58,14 +60,13 @@ export function StopButton() {
 export function Header() {
   const s = scene.value;
   const state = shown.value;
-  const ended = state?.ended ?? false;
-  const phase = ended ? "DONE" : connected.value ? (state?.phase ?? "") : "LOST";
+  const phase = ended.value ? "DONE" : connected.value ? (state?.phase ?? "") : "LOST";
   return (
     <header>
       <h1>{s?.title ?? "Shoal"}</h1>
       {state !== null && (
         <span class={`phase ${phase.toLowerCase()}`} role="status">
-          {ended ? "the run is ended" : connected.value ? state.phase_text + paused(state) : "last known: " + state.phase_text}
+          {ended.value ? "the run is ended" : connected.value ? state.phase_text + paused(state) : "last known: " + state.phase_text}
         </span>
       )}
       {s !== null && state !== null && <span class="clock">{clock(flown(state))} / {clock(s.duration_s)}</span>}
@@ -86,6 +87,9 @@ export function Header() {
           Edit
         </button>
       )}
+      <button type="button" aria-pressed={browsing.value} disabled={!connected.value} onClick={() => showRuns(!browsing.value)} title="Runs in this one's folder">
+        Runs
+      </button>
       <button type="button" aria-pressed={soundOn.value} onClick={toggleSound} title="Alarm sounds">
         {soundOn.value ? "Sound on" : "Sound off"}
       </button>

@@ -2,7 +2,7 @@
 
 import { order, say } from "../link";
 import { choosePlaces, flyThere, places, placesFor } from "../pool/places";
-import { connected, type Given as Request, given, inControl, isStale, live, now, scene, shown, stopUnheard, unanswered } from "../store";
+import { connected, ended, type Given as Request, given, inControl, isStale, live, now, scene, shown, stopUnheard, unanswered } from "../store";
 import type { OrderName, RobotNews, Snapshot } from "../wire";
 
 interface Button {
@@ -125,7 +125,7 @@ function Unheard() {
 /** After a stop: who has confirmed, by name. Stays until the stop is cleared. */
 function Stopped({ state }: { state: Snapshot }) {
   now.value; // who is no longer heard confirms nothing
-  if (!state.stop || (state.ended && !connected.value)) return null;
+  if (!state.stop || (ended.value && !connected.value)) return null;
   const stopped = (robot: RobotNews) => robot.state?.mode === "STOPPED" && connected.value && !isStale(robot, live.arrivedMs);
   const waiting = state.robots.filter((robot) => !stopped(robot));
   return (
@@ -175,11 +175,11 @@ function End({ state }: { state: Snapshot }) {
 
 function Folder({ state }: { state: Snapshot }) {
   const run = scene.value?.run;
-  if (!run || !(state.ended || OVER.includes(state.phase))) return null;
+  if (!run || !(ended.value || OVER.includes(state.phase))) return null;
   return (
     <p class="folder">
-      {state.ended ? "The run is ended; it is in" : "The run is being written to"} <code>{run}</code>
-      {state.ended && ", and its report will be there in a moment: report.html"}
+      {ended.value ? "The run is ended; it is in" : "The run is being written to"} <code>{run}</code>
+      {state.ended && "; in a moment this page shows it as recorded, with its report"}
     </p>
   );
 }

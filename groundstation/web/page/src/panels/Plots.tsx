@@ -29,7 +29,7 @@ function options(s: Scene, chart: Chart, width: number, height: number): uPlot.O
     legend: { live: true, isolate: true },
     scales: { x: { time: false }, y: { range: (_, low, high) => range(chart, low, high) } },
     axes: [
-      { ...axis, size: 22, gap: 2, values: (_, ticks) => ticks.map(moment) },
+      { ...axis, size: 22, gap: 2, space: 72, values: (_, ticks) => ticks.map(moment) }, // room for a time of day
       { ...axis, size: 44, gap: 2 },
     ],
     series: [

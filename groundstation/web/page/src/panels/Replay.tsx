@@ -81,6 +81,11 @@ export function Replay() {
           </option>
         ))}
       </select>
+      {s.report !== "" && (
+        <a href={s.report} target="_blank" rel="noopener">
+          Report
+        </a>
+      )}
     </section>
   );
 }

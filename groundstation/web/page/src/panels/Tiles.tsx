@@ -24,8 +24,9 @@ function age(ms: number): string {
   return ms >= 1e8 ? "never" : ms >= 1e4 ? `${(ms / 1e3).toFixed(0)} s` : ms >= 1e3 ? `${(ms / 1e3).toFixed(1)} s` : `${ms.toFixed(0)} ms`;
 }
 
+/** 0 to 359: a robot's own heading counts its turns. */
 function degrees(radians: number | undefined): string {
-  return radians === undefined ? "-" : ((radians * 180) / Math.PI).toFixed(0);
+  return radians === undefined ? "-" : String(((Math.round((radians * 180) / Math.PI) % 360) + 360) % 360);
 }
 
 /** Through the water's plane, by the robot's own estimate. */

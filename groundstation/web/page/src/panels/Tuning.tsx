@@ -23,14 +23,14 @@ const TEXTS: Record<string, [text: string, axes?: string[]]> = {
   "mpc.q_formation": ["Formation Q", POSE],
   "mpc.r": ["Inputs R", WRENCH],
   "estimator.bandwidth_radps": ["observer"],
-  "estimator.yaw_bandwidth_radps": ["its heading"],
-  "estimator.current_rate_radps": ["its current"],
-  "guidance.position_gain_per_s2": ["to the path"],
-  "guidance.velocity_gain_per_s": ["damping"],
-  "guidance.max_correction_rad": ["most turn"],
-  "guidance.turning_force_n": ["worth a turn"],
-  "guidance.filter_s": ["filter"],
-  "guidance.hold_radius_m": ["hold within"],
+  "estimator.yaw_bandwidth_radps": ["observer, yaw"],
+  "estimator.current_rate_radps": ["observer, current"],
+  "guidance.position_gain_per_s2": ["path gain"],
+  "guidance.velocity_gain_per_s": ["path damping"],
+  "guidance.max_correction_rad": ["largest turn"],
+  "guidance.turning_force_n": ["least force to turn"],
+  "guidance.filter_s": ["turn filter"],
+  "guidance.hold_radius_m": ["hold radius"],
 };
 const UNITS: [suffix: string, unit: string][] = [["_radps", "rad/s"], ["_per_s2", "1/s²"], ["_per_s", "1/s"], ["_rad", "rad"], ["_n", "N"], ["_s", "s"], ["_m", "m"]];
 

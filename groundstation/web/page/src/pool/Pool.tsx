@@ -246,7 +246,7 @@ export function Pool() {
         </button>
       </div>
       <div class="map-foot">
-        <PictureAge />
+        {!deepOpen.value && <PictureAge />}
         <Cursor />
       </div>
     </section>

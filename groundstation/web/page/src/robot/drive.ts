@@ -4,12 +4,10 @@
 import { signal } from "@preact/signals";
 import { say } from "../link";
 import { connected, inControl, live, scene, undriven } from "../store";
+import { forgetPads, padShare, type Share } from "./gamepad";
 
 const SAY_EVERY_MS = 100;
-const DEAD = 0.12; // of a stick's way: it never rests quite in the middle
 
-/** What a key or a button asks: shares of the vehicle's limits ahead, down, and to the right. */
-type Share = readonly [ahead: number, down: number, right: number];
 const KEYS: Record<string, Share> = {
   w: [1, 0, 0], s: [-1, 0, 0], a: [0, 0, -1], d: [0, 0, 1], q: [0, -1, 0], e: [0, 1, 0],
   arrowup: [1, 0, 0], arrowdown: [-1, 0, 0], arrowleft: [0, 0, -1], arrowright: [0, 0, 1], pageup: [0, -1, 0], pagedown: [0, 1, 0],
@@ -24,6 +22,7 @@ let moving = false;
 export function startDriving(robot: number): void {
   stopDriving();
   undriven.value = "";
+  forgetPads();
   driven.value = robot;
 }
 
@@ -56,22 +55,12 @@ export function driveKey(event: KeyboardEvent): boolean {
   return true;
 }
 
-function stick(): Share {
-  const pad = navigator.getGamepads?.().find((found) => found?.connected);
-  if (!pad) return [0, 0, 0];
-  const axis = (k: number) => {
-    const value = pad.axes[k] ?? 0;
-    return Math.abs(value) < DEAD ? 0 : value;
-  };
-  return [-axis(1), axis(3), axis(2) || axis(0)]; // left stick ahead, right stick depth and turn
-}
-
 function tell(): void {
   const robot = driven.peek();
   const limits = scene.peek()?.limits;
   if (robot === 0 || limits === undefined) return;
   const asked: [number, number, number] = [0, 0, 0];
-  for (const share of [...held.values(), stick()]) share.forEach((value, k) => (asked[k] = Math.max(-1, Math.min(1, asked[k]! + value))));
+  for (const share of [...held.values(), padShare()]) share.forEach((value, k) => (asked[k] = Math.max(-1, Math.min(1, asked[k]! + value))));
   const moves = asked.some((value) => value !== 0);
   if (!moves && !moving) return;
   if (moves && !moving) undriven.value = "";

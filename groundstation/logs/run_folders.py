@@ -1,0 +1,139 @@
+"""SHELL: the runs of a folder: what their files tell, their names and tags, and their end.
+
+for run in list_runs(Path("runs")): ...
+give_label(Path("runs/pool-20260101-120000"), name="first dive", tags=["lamp"])
+"""
+
+import fcntl
+import json
+import re
+import shutil
+from collections.abc import Iterable
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from groundstation.logs.recorder import claim
+from wire.process.output_files import replace_text
+from wire.toml_loader import ConfigError, os_errors_as_config_errors, read_toml
+
+LABEL = "label.json"  # in a run's folder: its name and tags
+TAG = re.compile(r"[\w-]+")
+NO_RESULT = "no result"  # not evaluated, or what result.json holds cannot be read
+
+
+@dataclass(frozen=True)
+class ListedRun:
+    """A run's folder, as its files tell it."""
+
+    run: str  # the folder
+    name: str  # given with `give_label`
+    tags: tuple[str, ...]  # given there, or as #words in remarks while it was flown
+    date: str  # local time at which it began
+    experiment: str
+    mode: str
+    duration_s: float
+    size_mb: float  # of the whole folder
+    verdict: str  # passed, failed, or NO_RESULT
+    commit: str  # of the code that recorded it
+
+
+def list_runs(folder: Path) -> list[ListedRun]:
+    """The runs of a folder, the newest last. A run that cannot be read, as one that is just deleted, is left out."""
+    found = []
+    for log in folder.glob("*/run.mcap"):
+        try:
+            found.append(_listed(log))
+        except OSError:
+            continue
+    return sorted(found, key=lambda run: (run.date, run.run))
+
+
+def run_named(folder: Path, name: str) -> Path:
+    """The run of this name in a folder. The name is compared with the folder's entries, so that none leads out of it. Raises
+    ConfigError."""
+    with os_errors_as_config_errors(folder):
+        entries = {entry.name: entry for entry in folder.iterdir()}
+    if name in entries:
+        check_run(entries[name])
+        return entries[name]
+    raise ConfigError(f"{name}: no such run")
+
+
+def check_run(folder: Path) -> None:
+    """Raise ConfigError if a folder is not that of a run."""
+    if folder.is_symlink() or not (folder / "run.mcap").is_file():
+        raise ConfigError(f"{folder}: no folder of a run (allowed: one with run.mcap, and no link)")
+
+
+def label_of(folder: Path) -> tuple[str, tuple[str, ...]]:
+    """Name and tags that a run was given; none where the file is missing or is something else."""
+    found = _json(folder / LABEL)
+    tags = found.get("tags")
+    return str(found.get("name", "")), tuple(map(str, tags)) if isinstance(tags, list) else ()
+
+
+def give_label(folder: Path, name: str, tags: Iterable[str]) -> None:
+    """Give a run this name and these tags instead of those that it had. Raises ConfigError."""
+    check_run(folder)
+    kept = list(dict.fromkeys(tags))
+    for tag in kept:
+        if not TAG.fullmatch(tag):
+            raise ConfigError(f"tag {tag}: must be a word (allowed: letters, digits, _ and -)")
+    with os_errors_as_config_errors(folder / LABEL):
+        replace_text(folder / LABEL, json.dumps({"name": name, "tags": kept}) + "\n")
+
+
+def delete_run(folder: Path) -> None:
+    """Delete a run with everything in its folder. Raises ConfigError for a run that is being flown: its recorder has the
+    log."""
+    check_run(folder)
+    path = folder / "run.mcap"
+    with os_errors_as_config_errors(path), path.open("rb") as log:
+        claim(log.fileno(), path, fcntl.LOCK_EX, "its run still goes on")
+        shutil.rmtree(folder)
+
+
+def size_mb(folder: Path) -> float:
+    """Size of all files below a folder."""
+    return sum(file.lstat().st_size for file in folder.rglob("*") if file.is_file()) / 1e6
+
+
+def _listed(log: Path) -> ListedRun:
+    result, (name, tags) = _json(log.parent / "result.json"), label_of(log.parent)
+    passed, said, duration_s = result.get("passed"), result.get("tags"), result.get("duration_s")
+    return ListedRun(
+        run=str(log.parent),
+        name=name,
+        tags=tuple(dict.fromkeys([*tags, *(map(str, said) if isinstance(said, list) else ())])),
+        date=datetime.fromtimestamp(_begun_s(log)).isoformat(" ", "minutes"),
+        experiment=str(result.get("scene") or _experiment_name(log.parent)),
+        mode=str(result.get("mode", "")),
+        duration_s=float(duration_s) if isinstance(duration_s, int | float) else 0.0,
+        size_mb=size_mb(log.parent),
+        verdict=NO_RESULT if passed is None else "passed" if passed else "failed",
+        commit=str(result.get("commit", "")),
+    )
+
+
+def _experiment_name(folder: Path) -> str:
+    """Name of the experiment of a run that is not evaluated, as while it is flown; empty if its file cannot be read."""
+    try:
+        return str(read_toml(folder / "experiment.toml").get("name", ""))
+    except ConfigError:
+        return ""
+
+
+def _begun_s(log: Path) -> float:
+    """Time at which a run began: its experiment is written first, and never again. A log without one tells its end."""
+    first = log.parent / "experiment.toml"
+    return (first if first.exists() else log).stat().st_mtime
+
+
+def _json(file: Path) -> dict[str, Any]:
+    try:
+        found = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return found if isinstance(found, dict) else {}

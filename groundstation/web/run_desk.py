@@ -1,0 +1,95 @@
+"""SHELL: the runs beside the one that a page shows: their list, names, tags and reports, and their end.
+
+A report is asked for by an ordinary link, which carries no token. So each link has a key that only pages which were let in are
+told, and that is good for this run as long as this server lives.
+"""
+
+import dataclasses
+import hmac
+import secrets
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+from groundstation.logs import run_folders
+from wire.toml_loader import ConfigError
+
+REPORT = "report.html"
+# A report comes from a log, and a log from anybody: it runs its own script in an origin of its own, and reaches nothing.
+REPORT_POLICY = (
+    "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:; "
+    "sandbox allow-scripts; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
+)
+
+
+class RunDesk:
+    """The folder in which a run's own folder lies. For use from any thread."""
+
+    def __init__(self, shown: Path | None) -> None:
+        """`shown`: folder of the run that pages show; None: there is none, and no list."""
+        self._shown = shown.resolve() if shown is not None else None
+        self._secret = secrets.token_bytes(32)
+
+    def _key(self, run: str) -> str:
+        return hmac.new(self._secret, run.encode(), "sha256").hexdigest()
+
+    def _address(self, folder: Path) -> str:
+        """Address of a run's report, relative to the page; empty if there is none."""
+        return f"runs/{quote(folder.name, safe='')}/{REPORT}?key={self._key(folder.name)}" if _report(folder) else ""
+
+    @property
+    def shown_report(self) -> str:
+        """Address of the report of the run that is shown; empty if there is none, as while it is flown."""
+        return self._address(self._shown) if self._shown is not None else ""
+
+    def listing(self, problem: str = "") -> dict[str, Any]:
+        """All runs for the page, the newest first, and what became of its last request."""
+        if self._shown is None:
+            return {"k": "runs", "folder": "", "runs": [], "problem": problem}
+        found = []
+        for run in reversed(run_folders.list_runs(self._shown.parent)):
+            folder = Path(run.run)
+            if folder.is_symlink():  # of somebody else, and elsewhere
+                continue
+            given = run_folders.label_of(folder)[1]  # the others are of remarks, and stay
+            about = {"run": folder.name, "given": given, "report": self._address(folder), "shown": folder == self._shown}
+            found.append(dataclasses.asdict(run) | about)
+        return {"k": "runs", "folder": str(self._shown.parent), "runs": found, "problem": problem}
+
+    def label(self, run: str, name: str, tags: list[str]) -> dict[str, Any]:
+        """Give a run a name and tags, and list all again."""
+        try:
+            run_folders.give_label(self._named(run), name, tags)
+        except ConfigError as error:
+            return self.listing(str(error))
+        return self.listing()
+
+    def delete(self, run: str) -> dict[str, Any]:
+        """Delete a run that nobody flies and no page shows, and list what is left."""
+        try:
+            folder = self._named(run)
+            if folder == self._shown:
+                raise ConfigError(f"{run}: is shown on this page (allowed: any other run)")
+            run_folders.delete_run(folder)
+        except ConfigError as error:
+            return self.listing(str(error))
+        return self.listing()
+
+    def report(self, run: str, key: str) -> Path | None:
+        """The report of a run; None where there is none, for a wrong key, and for what is no run of this folder."""
+        if not hmac.compare_digest(self._key(run).encode(), key.encode()):
+            return None
+        try:
+            return _report(self._named(run))
+        except ConfigError:
+            return None
+
+    def _named(self, run: str) -> Path:
+        if self._shown is None:
+            raise ConfigError(f"{run}: no such run")
+        return run_folders.run_named(self._shown.parent, run)
+
+
+def _report(folder: Path) -> Path | None:
+    file = folder / REPORT
+    return file if file.is_file() and not file.is_symlink() else None
