@@ -18,7 +18,8 @@ def board(port: str, folder: Path, robot: int = 1) -> AbstractContextManager["su
 @contextmanager
 def plugged(command: Sequence[str], says: str) -> Iterator["subprocess.Popen[str]"]:
     """A board's program, `python -m` and these words, from when its first line has been read, which `says` this."""
-    process = subprocess.Popen([sys.executable, "-m", *command], cwd=ROOT, stderr=subprocess.PIPE, text=True)
+    words = [sys.executable, "-m", *command]
+    process = subprocess.Popen(words, cwd=ROOT, stderr=subprocess.PIPE, text=True, errors="replace")
     try:
         assert process.stderr is not None
         assert says in process.stderr.readline()
