@@ -124,7 +124,7 @@ static void receive_frame(struct message message, uint8_t how, const uint8_t *ma
     while (bytes > 1 && message.payload.byte[bytes - 1] == 0)
         bytes--;
     const bool simulated = message.id == MAVLINK_MSG_ID_HIL_SENSOR || message.id == MAVLINK_MSG_ID_BATTERY_STATUS;
-    const uint8_t sender = how == STRANGER ? masked : simulated ? SIMULATOR_COMPONENT : COMPUTER_COMPONENT;
+    const uint8_t sender = how == STRANGER ? sequence : simulated ? SIMULATOR_COMPONENT : COMPUTER_COMPONENT;
     const bool is_signed = board.link.gate.has_key != (how == FORGED && (masked & 1));
     const uint8_t header[HEADER_BYTES] = {
         0xFD, bytes, is_signed ? SIGNED_FLAG : 0, 0, sequence, 1, sender, (uint8_t)message.id, (uint8_t)(message.id >> 8), 0};
@@ -153,7 +153,7 @@ static void look(void) {
         abort();
     for (uint8_t i = 0; i < THRUSTERS; i++) {
         const float echo_us = rules_echo_us(rules, i);
-        if (held && (float)rules_output_us(rules, i) != value[THR_NEUTRAL_US] + value[THR1_TRIM_US + i])
+        if ((float)rules_output_us(rules, i) != (held ? value[THR_NEUTRAL_US] : echo_us) + value[THR1_TRIM_US + i])
             abort();
         if (echo_us != value[THR_NEUTRAL_US] && !(rules->armed && value[THR_MIN_US] <= echo_us && echo_us <= value[THR_MAX_US]))
             abort();
