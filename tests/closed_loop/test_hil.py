@@ -68,6 +68,8 @@ class MegaDesk:
         while self._now_ns < 400 * STEP_NS:  # starts, and measures its gyro's bias
             self.read()
         self.send(ParameterClient(robot).set("HIL_MODE", 1.0))
+        for _ in range(20):  # a heartbeat of before it may still be on its way
+            self.read()
 
     def send(self, data: bytes) -> None:
         self.mega.receive(data, self._now_ns)
