@@ -12,6 +12,7 @@
 #define memcmp_P memcmp
 #define strlen_P strlen
 #define pgm_read_byte(address) (*(const unsigned char *)(address))
+#define pgm_read_dword(address) (*(address))
 #endif
 
 #endif

@@ -55,10 +55,12 @@ static bool find_message(uint32_t id, mavlink_msg_entry_t *found) {
     uint16_t low = 0, high = sizeof MESSAGES / sizeof MESSAGES[0];
     while (low < high) {
         const uint16_t middle = (uint16_t)((low + high) / 2);
-        memcpy_P(found, &MESSAGES[middle], sizeof *found);
-        if (found->msgid == id)
+        const uint32_t there = pgm_read_dword(&MESSAGES[middle].msgid);
+        if (there == id) {
+            memcpy_P(found, &MESSAGES[middle], sizeof *found);
             return true;
-        if (found->msgid < id)
+        }
+        if (there < id)
             low = (uint16_t)(middle + 1);
         else
             high = middle;

@@ -22,12 +22,9 @@ void loop_begin(struct loop *loop, uint8_t robot) {
     move_outputs(&loop->board.rules);
 }
 
-static void step(struct loop *loop, uint64_t now_us) {
-    struct reading reading = {0};
-    const bool measures = board_measures(&loop->board, now_us);
-    if (measures && !rules_hil(&loop->board.rules)) /* in HIL mode the simulator measures */
-        hal_sample(now_us, &reading);
-    board_step(&loop->board, now_us, measures ? &reading : NULL);
+static void step(struct loop *loop, uint64_t now_us, const struct reading *reading) {
+    board_step(&loop->board, now_us, reading);
+    loop->has_reading = false;
     move_outputs(&loop->board.rules);
     hal_alive();
     loop->step_at_us += STEP_US;
@@ -35,17 +32,14 @@ static void step(struct loop *loop, uint64_t now_us) {
         loop->step_at_us = now_us + STEP_US;
 }
 
-void loop_once(struct loop *loop) {
+/* Take what has come, do a piece of the work, go on with the memory, send. Returns false if there was nothing to do. */
+static bool serve_link(struct loop *loop, uint64_t now_us) {
     struct board *board = &loop->board;
-    const uint64_t now_us = hal_now_us();
-    const bool steps = now_us >= loop->step_at_us;
-    if (steps)
-        step(loop, now_us);
     uint8_t data[READ_BYTES];
     const uint16_t room = link_room(&board->link), read = hal_read(data, room < READ_BYTES ? room : READ_BYTES);
     board_put(board, data, read, now_us);
     const uint32_t taken = board->link.count.taken;
-    const bool busy = steps || board_work(board, now_us); /* not both in one loop: each may be long */
+    const bool worked = board_work(board, now_us);
     if (board->link.count.taken != taken)
         hal_heard();
     if (board->rules.has_command && board->rules.command_at_us == now_us)
@@ -56,6 +50,17 @@ void loop_once(struct loop *loop) {
     bytes = bytes > 0 ? hal_write(output, bytes) : 0;
     if (bytes > 0)
         link_sent(&board->link, bytes);
-    if (!busy && read == 0 && bytes == 0 && loop->store.writing == KEEP_NOTHING)
+    return worked || read > 0 || bytes > 0 || loop->store.writing != KEEP_NOTHING;
+}
+
+void loop_once(struct loop *loop) {
+    const uint64_t now_us = hal_now_us();
+    const bool steps = now_us >= loop->step_at_us, measures = steps && board_measures(&loop->board, now_us);
+    if (measures && !loop->has_reading && !rules_hil(&loop->board.rules)) { /* in HIL mode the simulator measures */
+        hal_sample(now_us, &loop->reading);
+        loop->has_reading = true;
+    } else if (steps)
+        step(loop, now_us, measures ? &loop->reading : NULL);
+    else if (!serve_link(loop, now_us))
         hal_idle(loop->step_at_us);
 }

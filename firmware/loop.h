@@ -9,9 +9,11 @@ struct loop {
     struct board board;
     struct store store;
     uint64_t step_at_us; /* when the next step is due */
+    bool has_reading;    /* for that step */
+    struct reading reading;
 };
 
 void loop_begin(struct loop *loop, uint8_t robot);
-void loop_once(struct loop *loop);
+void loop_once(struct loop *loop); /* one thing of these: a sample, a step, or a piece of the link's work */
 
 #endif

@@ -40,8 +40,9 @@ bool signature_continue(struct signature_job *job) {
 }
 
 void signature_hash(const struct signature_job *job, uint8_t hash[HASH_BYTES]) {
-    for (uint8_t i = 0; i < HASH_BYTES; i++)
-        hash[i] = (uint8_t)(job->state[i / 4] >> (24 - 8 * (i % 4)));
+    const uint32_t first = job->state[0], second = job->state[1];
+    hash[0] = (uint8_t)(first >> 24), hash[1] = (uint8_t)(first >> 16), hash[2] = (uint8_t)(first >> 8);
+    hash[3] = (uint8_t)first, hash[4] = (uint8_t)(second >> 24), hash[5] = (uint8_t)(second >> 16);
 }
 
 enum verdict gate_take(struct gate *gate, struct peer peer, const uint8_t *signature) {

@@ -369,12 +369,12 @@ def _states(entries: Sequence[DecodedMessage[RobotState]], inputs: Mapping[int, 
     def column(values: Sequence[float]) -> Array:
         return np.array(values, dtype=np.float64)
 
-    def rows(values: Sequence[Array], width: int) -> Array:
+    def rows(values: Sequence[Array | list[float]], width: int) -> Array:
         return np.array(values, dtype=np.float64).reshape(-1, width)
 
-    pulses = np.full((len(entries), CHANNELS), np.nan)
-    for k, message in enumerate(messages):
-        pulses[k, : len(message.pulse_us[:CHANNELS])] = message.pulse_us[:CHANNELS]
+    def channels(values: Sequence[Sequence[int]]) -> Array:
+        return rows([[*value[:CHANNELS], *[np.nan] * (CHANNELS - len(value))] for value in values], CHANNELS)
+
     return States(
         time_s=column([(e.stamp_ns - start_ns) * 1e-9 for e in entries]),
         mode=column([m.mode for m in messages]),
@@ -386,7 +386,8 @@ def _states(entries: Sequence[DecodedMessage[RobotState]], inputs: Mapping[int, 
         wrench=rows([m.wrench for m in messages], 3),
         wrench_step=rows([m.wrench_step for m in messages], 3),
         wrench_wanted=rows([m.wrench_wanted for m in messages], 3),
-        pulse_us=pulses,
+        pulse_us=channels([m.pulse_us for m in messages]),
+        echo_us=channels([m.echo_us for m in messages]),
         exposure_to_pwm_ms=column([m.exposure_to_pwm_ms for m in messages]),
         step_us=column([m.step_us for m in messages]),
         iterations=column([m.iterations for m in messages]),

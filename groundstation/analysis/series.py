@@ -38,6 +38,7 @@ class States:
     wrench_step: Array  # (m, 3)
     wrench_wanted: Array  # (m, 3) before it was limited
     pulse_us: Array  # (m, 8), NaN where none was sent
+    echo_us: Array  # (m, 8), what the board said by then; NaN where it has not
     exposure_to_pwm_ms: Array
     step_us: Array
     iterations: Array

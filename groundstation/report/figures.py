@@ -52,7 +52,12 @@ FIGURES = (
     Kind("steps", "Input steps", "Change per control step. Smooth is part of good: chatter wears thrusters out.", input_steps),
     Kind("limits", "Active limits", "When a limit held an input back, or a plan entered another robot's space.", limits),
     Kind("slack", "Slack", "By how much a robot's plan enters the space of another.", slack),
-    Kind("pulses", "Thruster pulses", "The grey band is the thrusters' dead zone.", pulses),
+    Kind(
+        "pulses",
+        "Thruster pulses",
+        "Solid: sent. Dotted: the boards' echo, what was at their outputs. The grey band is the thrusters' dead zone.",
+        pulses,
+    ),
     Kind(
         "disturbance",
         "Disturbance",

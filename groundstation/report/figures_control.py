@@ -62,7 +62,7 @@ def flown(series: Series, r: RobotSeries, label: str, values: Array, index: int,
 
 
 def pulses(series: Series) -> TimePlot:
-    """Pulses to the thrusters, one plot per robot; the grey band is the dead zone."""
+    """Pulses to the thrusters, one plot per robot, under them what the boards echoed; the grey band is the dead zone."""
     curve = np.array(series.experiment.vehicle.thruster.curve)
     dead = curve[curve[:, 1] == 0.0, 0]
     legs = series.experiment.vehicle.legs.position_m
@@ -70,7 +70,10 @@ def pulses(series: Series) -> TimePlot:
     panels = [
         Panel(
             f"robot {robot} [µs]",
-            [flown(series, r, names[k], r.states.pulse_us[:, k], k) for k in range(THRUSTERS)],
+            [
+                *(flown(series, r, f"{names[k]}, echo", r.states.echo_us[:, k], k, ":") for k in range(THRUSTERS)),
+                *(flown(series, r, names[k], r.states.pulse_us[:, k], k) for k in range(THRUSTERS)),
+            ],
             least=100.0,
             band=(float(dead.min()), float(dead.max())),
         )

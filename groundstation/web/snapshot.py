@@ -156,6 +156,7 @@ def _state(state: RobotState) -> dict[str, Any]:
         "armed": state.board_armed,
         "board_age_ms": state.board_age_ms,
         "loss": state.board_loss,
+        "round_trip_ms": state.board_round_trip_ms,
         "solve": state.solve.name,
         "iterations": state.iterations,
         "step_us": state.step_us,

@@ -85,6 +85,11 @@ def board_conformance(
         robot = _who_is_there(wire, client)
         if robot is None:
             raise ConfigError(f"--port {port}: {client.silence(link.trouble)}")
+        if _in_hil(wire, client):
+            raise ConfigError(
+                f"--port {port}: the board is in HIL mode and measures nothing itself "
+                f"(allowed: after a loss of power, or robot-agent params set HIL_MODE 0 --link {address})"
+            )
         probe = BoardProbe(wire, robot) if signing is None else BoardProbe(wire, robot, signing.key, signing.stamps)
         outcomes = list(_told(examine(probe, dry, RULES), quiet=as_json))
     finally:
@@ -109,6 +114,15 @@ def _who_is_there(wire: BoardWire, client: ParameterClient) -> int | None:
             wire.send(client.heartbeat())
         client.receive(wire.receive(wire.now_ns() + 50_000_000), wire.now_ns())
     return client.robot_id if client.heard else None
+
+
+def _in_hil(wire: BoardWire, client: ParameterClient) -> bool:
+    """True if the board says that it is in HIL mode."""
+    end_ns = wire.now_ns() + round(HEARD_WITHIN_S * 1e9)
+    wire.send(client.ask("HIL_MODE"))
+    while "HIL_MODE" not in client.values and client.error is None and wire.now_ns() < end_ns:
+        client.receive(wire.receive(wire.now_ns() + 50_000_000), wire.now_ns())
+    return client.values.get("HIL_MODE") == 1.0
 
 
 def _told(outcomes: Iterable[RuleResult], quiet: bool) -> Iterator[RuleResult]:

@@ -1,8 +1,11 @@
 """Hardware in the loop: boards in HIL mode in step with the water, and with every process for real, on a pseudo-terminal and
 on UDP."""
 
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
 from socket import SOCK_DGRAM
+from subprocess import Popen
 
 import numpy as np
 import pytest
@@ -17,10 +20,13 @@ from tests.closed_loop.dry_pool import DryPool, MakeBoard
 from tests.closed_loop.reported import assert_passed
 from tests.firmware.library import built
 from tests.firmware.mega import Mega
+from tests.firmware.plugged_mega import plugged_mega
 from tests.sim_bridge.boards import board
 from tests.waiting import wait_for_line
 from wire.config.experiment import NO_CAMERA, Experiment, dump_experiment, load_experiment
 from wire.mavlink.parameters import ParameterClient
+
+Plug = Callable[[str, Path, int], AbstractContextManager["Popen[str]"]]
 
 STILL = np.zeros(4)
 STEP_NS = 5_000_000
@@ -62,6 +68,8 @@ class MegaDesk:
         while self._now_ns < 400 * STEP_NS:  # starts, and measures its gyro's bias
             self.read()
         self.send(ParameterClient(robot).set("HIL_MODE", 1.0))
+        for _ in range(20):  # a heartbeat of before it may still be on its way
+            self.read()
 
     def send(self, data: bytes) -> None:
         self.mega.receive(data, self._now_ns)
@@ -128,7 +136,10 @@ def in_hil(started: list[Program], boards: dict[int, str]) -> list[Program]:
 
 @pytest.mark.real_time
 @pytest.mark.timeout(300)
-def test_a_formation_of_boards_in_hil_mode_flies_within_its_limits_in_real_time(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "plug", [pytest.param(board, id="reference"), pytest.param(plugged_mega, id="simavr", marks=pytest.mark.slow)]
+)
+def test_a_formation_of_boards_in_hil_mode_flies_within_its_limits_in_real_time(tmp_path: Path, plug: Plug) -> None:
     experiment = load_experiment("pool", ["duration_s=26", NO_CAMERA])
     run, udp = tmp_path / "run", free_port(SOCK_DGRAM)
     run.mkdir()
@@ -137,7 +148,7 @@ def test_a_formation_of_boards_in_hil_mode_flies_within_its_limits_in_real_time(
     address = f"tcp/127.0.0.1:{free_port()}"
     started = programs((1, 2), RunOptions(poses=True), run, address, free_base_port((1, 2)))
     children = Children(run / "logs")
-    with board(f"pty:{tmp_path}/plug", tmp_path / "kept", 1), board(f"udp:127.0.0.1:{udp}", tmp_path / "kept", 2):
+    with plug(f"pty:{tmp_path}/plug", tmp_path / "kept", 1), plug(f"udp:127.0.0.1:{udp}", tmp_path / "kept", 2):
         for where in boards.values():
             set_one("HIL_MODE", 1.0, where)
         try:

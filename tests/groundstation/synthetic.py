@@ -146,6 +146,7 @@ def _state(script: Script, robot: int, k: int, since_s: float, true: Array, traj
         pulse_us=tuple(
             round(v) for v in (1560 + 10 * swing, 1560 + 10 * swing, 1440 - 10 * swing, 1440, 1500, 1500, 1510, 1490)
         ),
+        echo_us=(1550, 1550, 1450, 1440, 1500, 1500, 1510, 1490),
         exposure_to_pwm_ms=30.0 + k % 10,
         depth_m=0.3,
         battery_v=12.2,

@@ -2,34 +2,28 @@
 
 import subprocess
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 
 
+def board(port: str, folder: Path, robot: int = 1) -> AbstractContextManager["subprocess.Popen[str]"]:
+    """A simulated board that is plugged in when this begins."""
+    command = ["sim_bridge", "board", "pool", "--port", port, "--boards", str(folder), "--robot", str(robot)]
+    return plugged(command, "signed, at")
+
+
 @contextmanager
-def board(port: str, folder: Path, robot: int = 1) -> Iterator[subprocess.Popen[str]]:
-    """A board that is plugged in when this begins."""
-    command = [
-        sys.executable,
-        "-m",
-        "sim_bridge",
-        "board",
-        "pool",
-        "--port",
-        port,
-        "--boards",
-        str(folder),
-        "--robot",
-        str(robot),
-    ]
-    process = subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True)
+def plugged(command: Sequence[str], says: str) -> Iterator["subprocess.Popen[str]"]:
+    """A board's program, `python -m` and these words, from when its first line has been read, which `says` this."""
+    words = [sys.executable, "-m", *command]
+    process = subprocess.Popen(words, cwd=ROOT, stderr=subprocess.PIPE, text=True, errors="replace")
     try:
         assert process.stderr is not None
-        assert "signed, at" in process.stderr.readline()
+        assert says in process.stderr.readline()
         yield process
     finally:
         process.terminate()
-        process.communicate(timeout=20)
+        print(process.communicate(timeout=20)[1])

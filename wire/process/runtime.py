@@ -153,6 +153,8 @@ class _BusHandler(logging.Handler):
         self._bus, self._clock, self._source = bus, clock, source
 
     def emit(self, record: logging.LogRecord) -> None:
+        if self._bus.closed:  # the gate's guard speaks to the end
+            return
         level = _LEVELS.get(record.levelno, 2)
         event = Event(level, self._source, record.getMessage())
         try:

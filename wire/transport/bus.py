@@ -130,6 +130,7 @@ class Bus:
         self.session = secrets.randbits(63) | 1
         self.arrival = threading.Condition()  # notified whenever something arrives
         self.rejected = 0  # messages without a readable header
+        self.closed = False
         self.transport, self._fleet = transport, fleet
         self._publishers: dict[str, Callable[[bytes, bytes], None]] = {}
         self._sequences: dict[str, int] = {}
@@ -345,6 +346,7 @@ class Bus:
 
     def close(self) -> None:
         """Leave the fleet."""
+        self.closed = True
         self.transport.close()
 
     def __enter__(self) -> "Bus":

@@ -3,8 +3,6 @@
 import json
 import os
 import re
-import shutil
-import socket
 import stat
 import subprocess
 import sys
@@ -24,12 +22,12 @@ from groundstation.deploy import key_ring, manifest, wheelhouse
 from groundstation.deploy import ssh as deploy_shell
 from groundstation.deploy.manifest import Probe, Target
 from sim_bridge.sil.ports import free_port
+from tests.ssh_server import WITH_PACKAGES, own_wheel, ssh_command, ssh_server
 from wire.config.experiment import load_experiment
 from wire.toml_loader import ConfigError
 
 pytestmark = pytest.mark.real_time
 
-SSHD = shutil.which("sshd", path=f"{os.environ.get('PATH', '')}:/usr/sbin")
 HERE = Probe(os.uname().machine, f"{sys.version_info.major}.{sys.version_info.minor}", {})
 
 
@@ -151,47 +149,12 @@ class SshBoard:
 
 @pytest.fixture
 def board(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[SshBoard]:
-    """An sshd of one's own on a high port, with keys that live as long as the test."""
-    if SSHD is None:
-        pytest.skip("no sshd here (Debian: apt install openssh-server)")
-    if os.geteuid() == 0:
-        Path("/run/sshd").mkdir(mode=0o755, exist_ok=True)  # what an sshd of root wants to find
-    for name in ("host", "user"):
-        subprocess.run(["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", str(tmp_path / name)], check=True)
+    """An sshd of one's own on a high port."""
     port = free_port()
-    settings = {
-        "Port": port,
-        "ListenAddress": "127.0.0.1",
-        "HostKey": tmp_path / "host",
-        "AuthorizedKeysFile": tmp_path / "user.pub",
-        "PidFile": "none",
-        "UsePAM": "no",
-        "StrictModes": "no",
-        "PasswordAuthentication": "no",
-        "SetEnv": " ".join(f"{k}={v}" for k, v in {**_environment(), **getattr(request, "param", {})}.items()).format(
-            tmp=tmp_path
-        ),
-    }
-    (tmp_path / "sshd_config").write_text("".join(f"{key} {value}\n" for key, value in settings.items()))
-    (tmp_path / "known_hosts").write_text(f"[localhost]:{port} {(tmp_path / 'host.pub').read_text()}")
-    ssh = (
-        f"ssh -F none -p {port} -i {tmp_path / 'user'} -o UserKnownHostsFile={tmp_path / 'known_hosts'} -o IdentitiesOnly=yes"
-    )
-    server = subprocess.Popen([SSHD, "-D", "-e", "-f", str(tmp_path / "sshd_config")], stderr=subprocess.DEVNULL)
-    try:
-        for _ in range(200):
-            with socket.socket() as probe:
-                if probe.connect_ex(("127.0.0.1", port)) == 0:
-                    break
-            time.sleep(0.05)
+    ssh = ssh_command(tmp_path, port)
+    environment = {key: value.format(tmp=tmp_path) for key, value in getattr(request, "param", {}).items()}
+    with ssh_server(tmp_path, "localhost", port, environment):
         yield SshBoard(tmp_path / "opt" / "shoal", ssh, port)
-    finally:
-        server.terminate()
-        server.wait()
-
-
-def _environment() -> dict[str, str]:
-    return {"PATH": f"{Path(sys.base_prefix) / 'bin'}:/usr/local/bin:/usr/bin:/bin"}
 
 
 def deployed(board: SshBoard, ring: Path, wheels: Path, *more: str) -> Result:
@@ -206,12 +169,8 @@ def row(result: Result) -> list[str]:
 
 
 @pytest.fixture(scope="module")
-def own_wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A wheelhouse with nothing but this project's wheel."""
-    folder = tmp_path_factory.mktemp("wheels")
-    # the public functions also collect the wheels of all other packages, which takes minutes
-    wheelhouse._pip("wheel", "--no-deps", "--wheel-dir", str(folder), str(wheelhouse.ROOT))
-    return folder
+def wheels(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return own_wheel(tmp_path_factory.mktemp("wheels"))
 
 
 @pytest.fixture
@@ -221,20 +180,13 @@ def ring(tmp_path: Path) -> Path:
     return tmp_path / "keys"
 
 
-WITH_PACKAGES = {  # a board that has the packages already: the test needs no 80 MB of wheels
-    "PIP_NO_DEPS": "1",
-    "PIP_IGNORE_INSTALLED": "1",
-    "PYTHONPATH": next(path for path in sys.path if path.endswith("site-packages")),
-}
-
-
 @pytest.mark.parametrize("board", [WITH_PACKAGES], indirect=True)
-def test_a_bare_board_is_brought_up_to_date_and_then_left_alone(board: SshBoard, ring: Path, own_wheel: Path) -> None:
-    would = deployed(board, ring, own_wheel, "--dry-run")
+def test_a_bare_board_is_brought_up_to_date_and_then_left_alone(board: SshBoard, ring: Path, wheels: Path) -> None:
+    would = deployed(board, ring, wheels, "--dry-run")
     assert row(would)[2:] == ["software, keys, experiment, settings", "", "not touched"]
     assert not board.home.exists()
 
-    first = deployed(board, ring, own_wheel)
+    first = deployed(board, ring, wheels)
     assert first.exit_code == 0, first.output
     assert row(first)[2] == "software, keys, experiment, settings"
     assert row(first)[3] == metadata.version("shoal")
@@ -249,21 +201,21 @@ def test_a_bare_board_is_brought_up_to_date_and_then_left_alone(board: SshBoard,
     assert (found["experiment"], found["certificate"], found["station"]) == ("ok", "ok", "fail")  # there is no station
 
     before = {path: path.stat().st_mtime_ns for path in board.home.rglob("*.toml")}
-    assert row(deployed(board, ring, own_wheel))[2:] == ["nothing", "", "not touched"]
+    assert row(deployed(board, ring, wheels))[2:] == ["nothing", "", "not touched"]
     assert {path: path.stat().st_mtime_ns for path in board.home.rglob("*.toml")} == before
 
-    changed = deployed(board, ring, own_wheel, "--set", "duration_s=33")
+    changed = deployed(board, ring, wheels, "--set", "duration_s=33")
     assert row(changed)[2] == "experiment"
     assert load_experiment(str(board.home / "experiment.toml")).duration_s == 33
     assert "PRIVATE KEY" not in first.output
 
 
 @pytest.mark.parametrize("board", [{**WITH_PACKAGES, "RUNTIME_DIRECTORY": "{tmp}/run"}], indirect=True)
-def test_a_robot_that_flies_is_left_alone(board: SshBoard, ring: Path, own_wheel: Path) -> None:
+def test_a_robot_that_flies_is_left_alone(board: SshBoard, ring: Path, wheels: Path) -> None:
     status = board.home.parents[1] / "run" / "status"
     status.parent.mkdir()
     status.write_text(f"TRACKING {os.getpid()}\n")  # an agent that runs: this test's process
-    refused = deployed(board, ring, own_wheel)
+    refused = deployed(board, ring, wheels)
     assert refused.exit_code == 1
     assert row(refused)[2].startswith("localhost: robot 1 is TRACKING, and a restart would disarm it at once")
     assert not board.home.exists()
@@ -274,20 +226,20 @@ def test_a_robot_that_flies_is_left_alone(board: SshBoard, ring: Path, own_wheel
         [*board.ssh.split(), "localhost", f"sh -s {board.home} yes"], input=script, capture_output=True, check=False
     )
     assert late.returncode == 3 and b"its agent is TRACKING now: the service was not restarted" in late.stderr
-    assert row(deployed(board, ring, own_wheel, "--force", "--dry-run"))[4] == "not touched"
+    assert row(deployed(board, ring, wheels, "--force", "--dry-run"))[4] == "not touched"
     for rests in (f"DISARMED {os.getpid()}", "TRACKING 4194305"):  # the second has ended: no process has such a number
         status.write_text(f"{rests}\n")
         armed = board.run(f"{deploy_shell.ARMED.read_text()}armed")
         assert armed == ""
 
 
-def test_a_board_that_does_not_answer_is_named_and_the_others_get_theirs(ring: Path, own_wheel: Path, board: SshBoard) -> None:
+def test_a_board_that_does_not_answer_is_named_and_the_others_get_theirs(ring: Path, wheels: Path, board: SshBoard) -> None:
     wrong = SshBoard(board.home, board.ssh.replace(str(board.port), str(free_port())), 0)
-    result = deployed(wrong, ring, own_wheel)
+    result = deployed(wrong, ring, wheels)
     assert result.exit_code == 1
     assert re.search(r"localhost.*refused", result.output)
     unknown = SshBoard(board.home, re.sub(r"-i \S+", "-i /nowhere", board.ssh), 0)
-    assert "Permission denied" in deployed(unknown, ring, own_wheel).output
+    assert "Permission denied" in deployed(unknown, ring, wheels).output
 
 
 def test_boards_of_one_kind_share_the_wheels_that_are_made_for_the_first(
@@ -310,9 +262,9 @@ def test_boards_of_one_kind_share_the_wheels_that_are_made_for_the_first(
     assert [path.name for path in folders.pop().iterdir()] == ["shoal-1-py3-none-any.whl"]
 
 
-def test_an_open_network_must_be_asked_for(own_wheel: Path) -> None:
+def test_an_open_network_must_be_asked_for(wheels: Path) -> None:
     result = CliRunner().invoke(
-        cli, ["deploy", "localhost=1", "--station", "tcp/192.168.1.10:7447", "--wheelhouse", str(own_wheel)]
+        cli, ["deploy", "localhost=1", "--station", "tcp/192.168.1.10:7447", "--wheelhouse", str(wheels)]
     )
     assert isinstance(result.exception, ConfigError)
     assert "--insecure" in str(result.exception)

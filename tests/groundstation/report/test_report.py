@@ -17,7 +17,7 @@ from groundstation.analysis.alignment import align
 from groundstation.analysis.series import Series
 from groundstation.logs.reader import is_complete, read_log
 from groundstation.logs.recorder import Recorder
-from groundstation.report import figures, figures_errors, figures_paths, terminal
+from groundstation.report import figures, figures_control, figures_errors, figures_paths, terminal
 from groundstation.report.drawing import MOST_POINTS, Curve, Panel, TimePlot, embedded, thin
 from groundstation.report.plotting import picture, to_svg
 from groundstation.report.report import write_report
@@ -254,6 +254,14 @@ def test_tracking_figure_plots_the_errors(series: Series) -> None:
             expected = [synthetic.tracking_error(robot, t)[axis] for t in series.time_s]
             np.testing.assert_allclose(curves[f"robot {robot}"], 1e3 * np.array(expected), atol=1.0)  # mm
     assert figure.axes[-1].get_xlabel() == "time since the start [s]"
+
+
+def test_the_figure_of_pulses_has_the_echoes_of_the_boards(series: Series) -> None:
+    robot = next(iter(series.robots.values()))
+    flown = robot.states.tracking
+    assert np.array_equal(np.unique(robot.states.echo_us[flown], axis=0), [[1550, 1550, 1450, 1440, 1500, 1500, 1510, 1490]])
+    echoes = [curve for curve in figures_control.pulses(series).panels[0].lines if curve.label.endswith(", echo")]
+    assert [curve.values[np.isfinite(curve.values)].mean() for curve in echoes] == [1550, 1550, 1450, 1440]
 
 
 def test_paths_are_seen_from_above(series: Series) -> None:

@@ -57,6 +57,9 @@ def test_parameters_over_a_serial_port_and_across_a_restart(tmp_path: Path) -> N
         assert code == 1 and "the board has no such parameter" in said
     with board(f"pty:{tmp_path}/plug", tmp_path / "boards"):
         assert say("get", "--link", link, "THR1_TRIM_US") == (0, "-12\n")
+        assert say("set", "--link", link, "HIL_MODE", "1")[0] == 0
+        examined = CliRunner().invoke(sim_bridge, ["board-conformance", "--port", link, "--dry"])
+        assert f"--port {link}: the board is in HIL mode" in str(examined.exception)
 
 
 def test_bench_command_with_invalid_options_is_refused(tmp_path: Path) -> None:

@@ -373,6 +373,21 @@ def test_a_change_forgets_the_override_that_was_checked_before_it() -> None:
     assert rules.arm(True, 0) == ACCEPTED
 
 
+def test_a_change_of_hil_mode_forgets_the_battery_and_no_other_change_does() -> None:
+    rules = fresh()
+    rules.battery(10.0, 1.0)
+    levels = []
+    for name, value in (("SLEW_US_S", 500.0), ("HIL_MODE", 1.0)):
+        assert rules.change(name, value) is None
+        levels.append(rules.charge)
+    rules.battery(10.7, 0.0)  # counts in full, as the first of another battery
+    levels.append(rules.charge)
+    for name, value in (("HIL_OUTPUTS", 1.0), ("HIL_OUTPUTS", 0.0), ("HIL_MODE", 0.0)):
+        assert rules.change(name, value) is None
+        levels.append(rules.charge)
+    assert levels == [Charge.NO_ARM, Charge.GOOD, Charge.WARN, Charge.WARN, Charge.WARN, Charge.GOOD]
+
+
 def test_a_refused_change_forgets_nothing() -> None:
     rules = fresh()
     rules.override(COMPUTER, NEUTRAL, 0)

@@ -116,7 +116,7 @@ def test_await_sight_returns_when_status_poses_and_obstacles_have_come_in_any_or
     assert came == [40]  # robot 2 was not seen: nobody waits for its pose
 
 
-def test_the_logs_lines_travel_as_events_debug_ones_do_not() -> None:
+def test_the_logs_lines_travel_as_events_until_the_bus_is_closed_debug_ones_do_not() -> None:
     sender, receiver = two_buses()
     inbox = receiver.inbox(topics.EVENT, Event)
     before = (list(log.handlers), log.level)
@@ -125,6 +125,8 @@ def test_the_logs_lines_travel_as_events_debug_ones_do_not() -> None:
         log_to_bus(sender, LockstepClock(), "tester")
         log.warning("water in %s", "the boat")
         log.debug("a detail")
+        sender.close()
+        log.warning("said after the end")
     finally:
         log.handlers[:], log.level = before
     received = inbox.newest()

@@ -33,6 +33,7 @@ const NUMBERS: [NumberKey, string, string][] = [
   ["pose_age_ms", "Age of the pose", "ms"],
   ["to_pwm_ms", "Exposure to PWM", "ms"],
   ["board_age_ms", "Age of the board's word", "ms"],
+  ["round_trip_ms", "Round trip to the board", "ms"],
   ["loss", "Board messages lost", ""],
   ["step_us", "Control step", "us"],
   ["iterations", "Solver iterations", ""],

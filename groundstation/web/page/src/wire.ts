@@ -120,6 +120,7 @@ export interface RobotState {
   battery_v: number;
   armed: boolean;
   board_age_ms: number;
+  round_trip_ms: number;
   loss: number;
   solve: "NONE" | "SOLVED" | "SHIFTED" | "FAILED";
   iterations: number;
