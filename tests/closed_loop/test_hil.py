@@ -134,11 +134,10 @@ def in_hil(started: list[Program], boards: dict[int, str]) -> list[Program]:
     return [Program(p.name, p.module, ("hil", *p.arguments[1:], *real)) if p.name == "sim-bridge" else p for p in started]
 
 
+@pytest.mark.slow  # it asks for a processor that is never a tenth of a second late
 @pytest.mark.real_time
 @pytest.mark.timeout(300)
-@pytest.mark.parametrize(
-    "plug", [pytest.param(board, id="reference"), pytest.param(plugged_mega, id="simavr", marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("plug", [pytest.param(board, id="reference"), pytest.param(plugged_mega, id="simavr")])
 def test_a_formation_of_boards_in_hil_mode_flies_within_its_limits_in_real_time(tmp_path: Path, plug: Plug) -> None:
     experiment = load_experiment("pool", ["duration_s=26", NO_CAMERA])
     run, udp = tmp_path / "run", free_port(SOCK_DGRAM)

@@ -89,8 +89,8 @@ class Localizer(Section):
     template_px: Annotated[int, Field(ge=16, le=128)] = 48
     """Side of the correlation filter's template."""
     corner_sigma_px: Positive = 0.2
-    """Standard deviation of a coordinate of a marker's corner in the picture: noise, blur, demosaicing. A compressed video has
-    more: 0.5 with H.264 at a rate factor of 30, in which small turns lag."""
+    """Standard deviation of a coordinate of a marker's corner: noise, blur, demosaicing. Compressed video has more: 0.5 with
+    H.264 at a rate factor of 30."""
     min_peak: Fraction = 0.3
     """Least peak of the correlation that counts as found."""
     lost_after_s: Positive = 0.7
