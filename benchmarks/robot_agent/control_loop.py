@@ -32,6 +32,7 @@ ARTICLE = (
     "controller.mpc.horizon=25",
     f"controller.mpc.blocks={[1] * 15}",
     "controller.mpc.r=[0.01,0.01,0.01]",
+    "controller.mpc.terminal_cost=false",
     'controller.mpc.linearise="point"',
     "controller.mpc.model_lag=false",
     "controller.estimator.sway=false",

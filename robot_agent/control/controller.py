@@ -28,6 +28,7 @@ import numpy as np
 from robot_agent.control.heading import HeadingReference
 from robot_agent.control.law import Law, guidance_config, make_law
 from robot_agent.control.mpc import Mpc, MpcPlan
+from robot_agent.control.short_horizon import let_error_fade, shortness
 from robot_agent.guidance.formation import Formation, Neighbour, NeighbourPredictions, Priority, formation_reference
 from robot_agent.guidance.obstacles import Obstacle
 from robot_agent.guidance.reference import Drive, Follow, Goal, Hold, Reference, ReferenceSampler
@@ -154,7 +155,9 @@ class Controller:
         steps_s = period_s * np.arange(horizon + 1, dtype=np.float64)
         nodes_s = vehicle.thruster.dead_time_s + steps_s
         self.sampler = ReferenceSampler(nodes_s)
-        self._heading = HeadingReference(vehicle, guidance_config(config), period_s, config.estimator.sway)
+        aided = config.law == "eso-mpc" and config.mpc.terminal_cost
+        self._shortness = shortness(period_s * horizon) if aided else 0.0
+        self._heading = HeadingReference(vehicle, guidance_config(config), period_s, config.estimator.sway, self._shortness)
         self.formation = Formation(config.mpc, safety, period_s, vehicle.thruster.dead_time_s, room_m, vehicle.radius_m)
         self.formation.set_weight(self._formation_weight(config))
         self._give_way = GiveWay(vehicle, np.concatenate([[0.0], nodes_s]), period_s, room_m, islands)
@@ -276,6 +279,11 @@ class Controller:
             command[:, 3] = self._heading.heading_along(
                 lead, estimate.eta, estimate.nu, estimate.disturbance, estimate.current
             )
+            if self._shortness:
+                rate = math.sqrt(self._config.guidance.position_gain_per_s2)
+                let_error_fade(
+                    reference.eta, reference.velocity, estimate.eta, rate, self._config.period_s, self._shortness, command
+                )
         return weight, self._unwound(command, estimate)
 
     def _unwound(self, command: Array, estimate: Estimate) -> Array:

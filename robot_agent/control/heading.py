@@ -35,7 +35,7 @@ def off_tangent(force: complex, direction: float, worth: float, limit_rad: float
     return min(max(angle, -limit_rad), limit_rad)
 
 
-@kernel("UniTuple(f8,2)(f8[:,::1], f8[:,::1], f8[:,::1], c16, b1, f8, f8, f8, c16, f8, f8, f8, f8, f8, f8[::1])")
+@kernel("UniTuple(f8,2)(f8[:,::1], f8[:,::1], f8[:,::1], c16, b1, f8, f8, f8, c16, f8, f8, f8, f8, f8, f8, f8[::1])")
 def headings(
     eta: Array,
     velocity: Array,
@@ -48,6 +48,7 @@ def headings(
     feedback: complex,
     worth: float,
     limit_rad: float,
+    left: float,
     keep: float,
     direction: float,
     jump: float,
@@ -58,6 +59,7 @@ def headings(
         F = m a + d(|V|) V + feedback      V = velocity - current      d = linear + quadratic |V|
 
     turned into the tangent's frame, in which `feedback` is given; without `sway` in the model F is the velocity along it.
+    Along the tangent feedback leaves half of the rest, or `left` if that is less: with it the force never reverses.
     Returns the direction of thrust and what is left of a jump: where the force reverses, so does thrust.
     """
     for k in range(len(out)):
@@ -68,7 +70,11 @@ def headings(
             force = back * (mass * complex(acceleration[k, 0], acceleration[k, 1]) + (linear + quadratic * abs(v)) * v)
         else:
             force = complex((back * v).real, 0.0)
+        along = force.real
         force += feedback
+        least = min(0.5 * abs(along), left)
+        if least > 0.0 and math.copysign(1.0, along) * force.real < least:
+            force = complex(math.copysign(least, along), force.imag)
         if k == 0:
             if direction * force.real < -worth:
                 jump += off_tangent(force, direction, worth, limit_rad) - off_tangent(force, -direction, worth, limit_rad)
@@ -108,7 +114,8 @@ def headings_along(
 ) -> None:
     """Headings `out` (rows,) of a reference (rows, 4 each) for a robot `at` (4,): `headings`, with the `correction` filtered.
 
-    `settings` (8,): mass, linear and quadratic drag, kp, kd, the filter's share that stays, force worth a turn, largest angle.
+    `settings` (9,): mass, linear and quadratic drag, kp, kd, the filter's share that stays, force worth a turn, largest angle,
+    force along the path that feedback leaves.
     `memory` (4,) is written: the filtered correction x, y; direction of thrust; rest of a jump. It is filtered in the
     tangent's frame: what feeds back in a bend, model errors above all, turns with it.
     """
@@ -118,16 +125,17 @@ def headings_along(
     asked = keep * complex(memory[0], memory[1]) + (1.0 - keep) * asked
     memory[0], memory[1] = asked.real, asked.imag
     memory[2], memory[3] = headings(
-        eta, velocity, acceleration, current, sway, mass, settings[1], settings[2], asked, settings[6], settings[7], keep,
-        memory[2], memory[3], out,
+        eta, velocity, acceleration, current, sway, mass, settings[1], settings[2], asked, settings[6], settings[7],
+        settings[8], keep, memory[2], memory[3], out,
     )  # fmt: skip
 
 
 class HeadingReference:
     """One robot's reference heading, with its memory: filtered request, direction of thrust, rest of a jump."""
 
-    def __init__(self, vehicle: Vehicle, config: GuidanceConfig, period_s: float, sway: bool) -> None:
-        self._sway, self._period_s = sway, period_s
+    def __init__(self, vehicle: Vehicle, config: GuidanceConfig, period_s: float, sway: bool, shortness: float = 0.0) -> None:
+        """`shortness`: of the horizon that follows the heading (short_horizon.py)."""
+        self._sway, self._period_s, self._shortness = sway, period_s, shortness
         self._mass = vehicle.mass.surge_kg
         self._linear, self._quadratic = vehicle.drag.linear[1], vehicle.drag.quadratic[1]
         self._per_force = 1.0 if sway else 1.0 / vehicle.drag.linear[0]
@@ -138,9 +146,10 @@ class HeadingReference:
         """Use other gains from now on; the memory stays."""
         self._config = config
         self._keep = math.exp(-self._period_s / config.filter_s)
+        worth = config.turning_force_n * self._per_force
         self._settings = np.array((
             self._mass, self._linear, self._quadratic, config.position_gain_per_s2, config.velocity_gain_per_s, self._keep,
-            config.turning_force_n * self._per_force, config.max_correction_rad,
+            worth, config.max_correction_rad, self._shortness * worth,
         ))  # fmt: skip
 
     def reset(self) -> None:

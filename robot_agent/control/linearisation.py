@@ -17,6 +17,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from robot_agent.control.short_horizon import add_terminal_cost
 from robot_agent.guidance.formation import HalfSpaces, Places
 from robot_agent.vehicle.dynamics import Model, State
 from wire.frames import Array
@@ -314,6 +315,7 @@ class Prediction:
             np.zeros((2, nodes, 4)), np.zeros((4, nodes, 2 * n + 1)), np.zeros((4, nodes, n + 1))
         )  # fmt: skip
         self.eta, self.nu = self._nominal  # the nominal trajectory
+        self._along = np.zeros(2 * n + 1)
         self.x, self.y, self.z, self.yaw = (*self._planar[:2], *self._axial[:2])
         left, mean = model.lag(period_s)
         self._fading: Array = mean * np.power(
@@ -353,6 +355,25 @@ class Prediction:
         linearise_and_condense(
             self._model, self._sway, self._dt, state, asked, delivered, disturbance, current, self._nominal, self._response,
             self._fading, self._planar, self._axial, reference, weight, smooth, r, p, q,
+        )  # fmt: skip
+
+    def add_terminal_cost(
+        self,
+        asked: Array,
+        delivered: Array,
+        disturbance: Array,
+        current: complex,
+        reference: Array,
+        weight: Array,
+        r: Array,
+        share: float,
+        p: Array,
+        q: Array,
+    ) -> None:
+        """Add to the cost that was written what the errors at the last node go on to cost: see the kernel."""
+        add_terminal_cost(
+            self._model, self._dt, asked, delivered, disturbance, current, self._nominal, self._planar, self._axial, reference,
+            weight, r, share, self._along, p, q,
         )  # fmt: skip
 
     def half_space_rows(self, keep_clear: HalfSpaces, a: Array, lower: Array) -> None:

@@ -34,6 +34,7 @@ ARTICLE = (  # as printed: one working point, no sway, no lag, heading along the
     "controller.guidance.enabled=false",
     "controller.mpc.horizon=25",
     "controller.mpc.blocks=[1,1,1,1,1,1,1,1,1,1,1,1,1,1,1]",
+    "controller.mpc.terminal_cost=false",
     "controller.mpc.linearise=point",
     "controller.mpc.model_lag=false",
 )

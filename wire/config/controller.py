@@ -121,14 +121,16 @@ class GuidanceConfig(Section):
 
 class MpcConfig(Section):
     """Model predictive control (35-40). The article's own setting: horizon 25, blocks of fifteen ones, r = 0.01,
-    `linearise = "point"`, no lag."""
+    `linearise = "point"`, no terminal cost, no lag."""
 
     solver: Literal["osqp", "daqp"] = "osqp"
     """QP solver. `daqp` needs the package of that name."""
     horizon: Annotated[int, Field(ge=2, le=200)] = 50
-    """Prediction steps of controller.period_s. Below 2.25 s ahead, slow robots have left their paths."""
+    """Prediction steps of controller.period_s. Below 0.75 s ahead, slow robots have left their paths."""
     blocks: Annotated[tuple[Annotated[int, Field(ge=1)], ...], Field(min_length=1)] = (1, 1, 2, 3, 4, 4)
     """Steps for which each input is kept (move blocking). The last input is kept to the horizon's end."""
+    terminal_cost: bool = True
+    """Under a horizon below 2.5 s, count what errors at its end go on to cost. False: nothing comes after it (the article)."""
     linearise: Literal["trajectory", "point"] = "trajectory"
     """Linearise along the predicted trajectory, or at the present state alone (the article)."""
     q: Annotated[tuple[Weight, Weight, Weight, Weight], LIVE] = (1.0, 1.0, 1.0, 1.0)

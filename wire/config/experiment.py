@@ -30,7 +30,7 @@ from wire.frames import Array
 from wire.toml_loader import ConfigError, Section, apply_setting, check, read_toml
 
 EXPERIMENTS = Path(__file__).parents[1] / "experiments"
-SHORTEST_HORIZON_S = 2.25  # that kept slow robots on their paths in every flight (docs/control.md, Optimisation)
+SHORTEST_HORIZON_S = 0.75  # that kept slow robots on their paths in every flight (docs/control.md, Optimisation)
 SHORT_PLAN_AGE_S = float(Safety.model_fields["plan_max_age_s"].default)  # in which no robot gets far, whatever plans reach
 NO_CAMERA = "localizer.uses_camera=false"  # the setting of runs in which poses are the simulation's truth
 MOVED = {"sim.plant.walls": "pool.walls"}  # keys of earlier versions, and where they stand now

@@ -201,19 +201,24 @@ def test_without_sway_in_the_model_it_points_where_it_should_go() -> None:
 
 @pytest.mark.parametrize("seed", range(12))
 @pytest.mark.parametrize("sway", [True, False])
-def test_headings_are_those_of_the_force_in_vectors(seed: int, sway: bool) -> None:
+@pytest.mark.parametrize("left", [0.0, 0.02])
+def test_headings_are_those_of_the_force_in_vectors(seed: int, sway: bool, left: float) -> None:
     """The same in NumPy, over all rows at once."""
     random = np.random.default_rng(seed)
     eta, velocity, acceleration = 0.1 * random.normal(size=(3, ROWS, 4))
     current, feedback = 0.03 - 0.05j, complex(*(0.3 * random.normal(size=2)))
     mass, linear, quadratic, worth, limit, keep, jump = 12.0, 3.0, 20.0, 0.02, 1.2, 0.9, 0.1
     out = np.empty(ROWS)
-    ahead, left = headings(
-        eta, velocity, acceleration, current, sway, mass, linear, quadratic, feedback, worth, limit, keep, 1.0, jump, out
+    ahead, rest = headings(
+        eta, velocity, acceleration, current, sway, mass, linear, quadratic, feedback, worth, limit, left, keep, 1.0, jump, out
     )
     through, back = velocity @ (1.0, 1j, 0.0, 0.0) - (current if sway else 0.0), np.exp(-1j * eta[:, 3])
     needed = mass * (acceleration @ (1.0, 1j, 0.0, 0.0)) + (linear + quadratic * np.abs(through)) * through
-    force = feedback + (back * needed if sway else (back * through).real)
+    own = back * needed if sway else (back * through).real + 0j
+    force, sign = feedback + own, np.sign(own.real)
+    if left:
+        force = sign * np.maximum(sign * force.real, np.minimum(0.5 * np.abs(own.real), left)) + 1j * force.imag
+        assert np.any(force != feedback + own) and np.all(sign * force.real > 0.0)
 
     def angle(direction: float) -> Array:
         tangent = direction * force.imag / np.maximum(direction * force.real, worth)
@@ -221,7 +226,7 @@ def test_headings_are_those_of_the_force_in_vectors(seed: int, sway: bool) -> No
 
     direction = -1.0 if force[0].real < -worth else 1.0
     jump = keep * (jump + float(angle(1.0)[0] - angle(direction)[0]))
-    assert ahead == direction and left == pytest.approx(jump, abs=1e-9)
+    assert ahead == direction and rest == pytest.approx(jump, abs=1e-9)
     assert out == pytest.approx(angle(direction) + eta[:, 3] + jump, abs=1e-9)
 
 

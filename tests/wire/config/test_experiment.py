@@ -445,14 +445,17 @@ def test_the_shipped_rates_are_the_articles_steps_to_the_last_bit() -> None:
     assert load_experiment("pool").wrench_step == (0.3, 0.3, 0.1)
 
 
+FEW = "controller.mpc.blocks=[1,2,3]"
+
+
 def test_a_horizon_that_is_too_short_for_slow_robots_is_told(capsys: pytest.CaptureFixture[str]) -> None:
     for settings, told in (
         ((), ""),
-        (("controller.mpc.horizon=45",), ""),
-        (("controller.mpc.horizon=25", 'controller.law="pid"'), ""),
-        (("controller.mpc.horizon=25",), "controller.mpc.horizon = 25 looks 1.25 s ahead: below 2.25 s"),
-        (("controller.mpc.horizon=25", "controller.period_s=0.1"), ""),
-        (("controller.mpc.horizon=22", "controller.period_s=0.1"), "use 23 or more"),
+        (("controller.mpc.horizon=15", FEW), ""),
+        (("controller.mpc.horizon=10", FEW, 'controller.law="pid"'), ""),
+        (("controller.mpc.horizon=10", FEW), "controller.mpc.horizon = 10 looks 0.50 s ahead: below 0.75 s"),
+        (("controller.mpc.horizon=10", FEW, "controller.period_s=0.1"), ""),
+        (("controller.mpc.horizon=6", FEW, "controller.period_s=0.1"), "use 8 or more"),
     ):
         caution(load_experiment("pool", settings))
         said = capsys.readouterr().err
