@@ -1,6 +1,8 @@
 """Control laws: from estimate and reference to a wrench and a plan. One of them is the ESO-MPC."""
 
-from typing import Protocol
+import importlib
+from collections.abc import Callable
+from typing import Any, Protocol, cast
 
 from robot_agent.control.baselines.adaptive_nn import AdaptiveNn
 from robot_agent.control.baselines.backstepping import Backstepping
@@ -16,6 +18,7 @@ from robot_agent.vehicle.dynamics import Model, State
 from wire.config.controller import ControllerConfig, GuidanceConfig
 from wire.config.vehicle import Vehicle
 from wire.frames import Array
+from wire.toml_loader import ConfigError
 
 
 class Law(Protocol):
@@ -46,7 +49,7 @@ class Law(Protocol):
 
 def guidance_config(config: ControllerConfig) -> GuidanceConfig:
     """Settings of the heading for a law: the correction gain depends on the heading loop."""
-    if config.law == "eso-mpc":
+    if config.law == "eso-mpc" or ":" in config.law:
         return config.guidance
     gain = getattr(config, config.law.replace("-", "_")).guidance_per_s2
     return config.guidance.model_copy(update={"position_gain_per_s2": gain})
@@ -56,7 +59,22 @@ def make_law(vehicle: Vehicle, model: Model, config: ControllerConfig, period_s:
     """Build the law named in the settings. `rows` is the largest number of half-spaces."""
     if config.law == "eso-mpc":
         return Mpc(vehicle, model, config.mpc, period_s, rows)
+    if ":" in config.law:
+        law = _own(config.law)(vehicle, model, config, period_s)
+        return law if hasattr(law, "plan") else Feedback(law, vehicle, model, period_s, config.mpc.horizon)
     return Feedback(_feedback(vehicle, model, config, period_s), vehicle, model, period_s, config.mpc.horizon)
+
+
+def _own(name: str) -> Callable[[Vehicle, Model, ControllerConfig, float], Any]:
+    """The maker of a law of one's own, a `Law` or a `FeedbackLaw`. Raises ConfigError if it cannot be imported."""
+    module, _, maker = name.partition(":")
+    try:
+        found = getattr(importlib.import_module(module), maker)
+    except (ImportError, AttributeError) as error:
+        raise ConfigError(f"controller.law = {name!r}: {error} (install its package where the agent runs)") from None
+    if not callable(found):
+        raise ConfigError(f"controller.law = {name!r}: must name a class or a function")
+    return cast("Callable[[Vehicle, Model, ControllerConfig, float], Any]", found)
 
 
 def _feedback(vehicle: Vehicle, model: Model, config: ControllerConfig, period_s: float) -> FeedbackLaw:
@@ -74,5 +92,5 @@ def _feedback(vehicle: Vehicle, model: Model, config: ControllerConfig, period_s
             return Fuzzy(axes, config.fuzzy)
         case "adaptive-nn":
             return AdaptiveNn(axes, config.adaptive_nn, (limits.speed_mps, limits.heave_mps, limits.yaw_rate_radps))
-        case "eso-mpc":
-            raise ValueError("the ESO-MPC is no feedback law")
+        case _:
+            raise ValueError(f"{config.law} is no feedback law")

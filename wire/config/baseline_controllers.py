@@ -4,7 +4,10 @@ All gains are the outcome of one search with the same budget for each law, for t
 `sim-bridge tune` repeats it for another.
 """
 
-from typing import Literal
+import re
+from typing import Annotated, Literal, get_args
+
+from pydantic import AfterValidator, WithJsonSchema
 
 from wire.config.vehicle import NotNegative, Positive
 from wire.toml_loader import Section
@@ -13,6 +16,23 @@ Gains = tuple[NotNegative, NotNegative, NotNegative]
 Scales = tuple[Positive, Positive, Positive]
 
 LawName = Literal["eso-mpc", "backstepping", "pid", "lqr", "sliding-mode", "fuzzy", "adaptive-nn"]
+OWN_LAW = r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*"
+
+
+def _known(name: str) -> str:
+    names = get_args(LawName)
+    if name not in names and not re.fullmatch(OWN_LAW, name):
+        raise ValueError(
+            f"must be one of {', '.join(map(repr, names))}, or a law of your own: MODULE:NAME (docs/baselines.md)"
+        )
+    return name
+
+
+Law = Annotated[
+    str,
+    AfterValidator(_known),
+    WithJsonSchema({"anyOf": [{"enum": list(get_args(LawName))}, {"type": "string", "pattern": f"^{OWN_LAW}$"}]}),
+]
 
 
 class FeedbackLawConfig(Section):

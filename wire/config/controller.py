@@ -9,7 +9,7 @@ from wire.config.baseline_controllers import (
     AdaptiveNnConfig,
     BacksteppingConfig,
     FuzzyConfig,
-    LawName,
+    Law,
     LqrConfig,
     PidConfig,
     SlidingModeConfig,
@@ -159,8 +159,10 @@ class ControllerConfig(Section):
 
     period_s: Annotated[float, Field(ge=0.01, le=COMMAND_AGE_S / 2)] = 0.05
     """Control period. At most half of the age at which a board disarms, so that one step may be lost."""
-    law: LawName = "eso-mpc"
-    """Control law: the ESO-MPC, or one that it is compared with."""
+    law: Law = "eso-mpc"
+    """Control law: the ESO-MPC, one that it is compared with, or MODULE:NAME of your own (docs/baselines.md)."""
+    own: Annotated[tuple[float, ...], Field(max_length=100, examples=[[0.3, 0.2]])] = ()
+    """Numbers for a law of your own, in the order that it wants."""
     estimator: EstimatorConfig = EstimatorConfig()
     """Extended state observer."""
     guidance: GuidanceConfig = GuidanceConfig()
