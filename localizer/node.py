@@ -105,7 +105,7 @@ class LocalizerNode:
         """The loop: yields when the localizer is ready, and after each frame. In lockstep `next` waits for a frame unless it
         is there already."""
         rate_hz = self._experiment.localizer.preview_rate_hz
-        show = partial(draw, self._localizer)
+        show = partial(draw, self._localizer, labels=self._page is not None)
         with ExitStack() as stack:
             if self._experiment.recording.video != "none":
                 self._video = stack.enter_context(closing(VideoEncoder(self._experiment, self._bus, self.stop)))

@@ -27,27 +27,32 @@ _ELLIPSE_SIGMAS = 3.0
 _ELLIPSE_POINTS = 24
 
 
-def draw(locator: FleetLocalizer, frame: Pixels, result: LocalizationResult, obstacles: Obstacles) -> Pixels:
+def draw(
+    locator: FleetLocalizer, frame: Pixels, result: LocalizationResult, obstacles: Obstacles, labels: bool = True
+) -> Pixels:
     """Draw a BGR picture (480, 640, 3) of a Bayer `frame` (height, width) uint8 of any size.
 
     It shows each robot's outline, heading, three-sigma ellipse, id and correlation peak, and each obstacle's outline,
-    number and motion in a second. A question mark is an unverified identity; the status message is a line at the top.
+    number and motion in a second. A question mark is an unverified identity; the status message is a line at the top. Without
+    `labels` robots have no id and peak: the operator's page writes its own beside them.
     """
     height, width = frame.shape[:2]
     colour = cv2.cvtColor(frame, BAYER_TO_BGR)
     picture = np.asarray(cv2.resize(colour, _SIZE_PX, interpolation=cv2.INTER_AREA), dtype=np.uint8)
     scale = np.array(_SIZE_PX) / (width, height)
     for robot, pose in result.poses:
-        _draw_robot(picture, locator, result.view, robot, pose, scale)
+        corner = _draw_robot(picture, locator, result.view, pose, scale)
+        if labels:
+            label = f"{robot}{'' if pose.identity_verified else '?'} {pose.track.name.lower()} {pose.peak:.2f}"
+            write(picture, label, corner, _COLOURS[pose.track])
     for number, outline, velocity in zip(obstacles.ids, obstacles.outline, obstacles.velocity, strict=True):
         _draw_obstacle(picture, _at(result.view, obstacles.depth_m, scale), number, outline, velocity)
     write(picture, result.status.message, np.array([8, 18]), (60, 60, 220))
     return picture
 
 
-def _draw_robot(
-    picture: Pixels, locator: FleetLocalizer, view: RefractiveCamera, robot: int, pose: Pose, scale: Array
-) -> None:
+def _draw_robot(picture: Pixels, locator: FleetLocalizer, view: RefractiveCamera, pose: Pose, scale: Array) -> Array:
+    """Returns the pixel (2,) at which a label fits."""
     plate_m = pose.depth_m - locator.marker_height_m
     place = np.array([pose.x_m, pose.y_m])
     to_px = _at(view, plate_m, scale)
@@ -61,9 +66,7 @@ def _draw_robot(
     ellipse = _ELLIPSE_SIGMAS * (circle * np.sqrt(np.maximum(values, 0.0))) @ axes.T
     polyline(picture, to_px(place + ellipse), colour, closed=True)
     polyline(picture, to_px(place + body_to_pool(np.array([[0.0, 0.0], [1.3 * radius_m, 0.0]]), pose.yaw_rad)), colour, 2)
-    corner = to_px((place + np.array([-radius_m, -1.2 * radius_m]))[None])[0]
-    label = f"{robot}{'' if pose.identity_verified else '?'} {pose.track.name.lower()} {pose.peak:.2f}"
-    write(picture, label, corner, colour)
+    return np.asarray(to_px((place + np.array([-radius_m, -1.2 * radius_m]))[None])[0])
 
 
 def _draw_obstacle(picture: Pixels, to_px: ToPx, number: int, outline_m: Array, velocity_mps: Array) -> None:

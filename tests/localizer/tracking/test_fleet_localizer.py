@@ -383,6 +383,8 @@ def test_overlay_marks_robots_where_they_are() -> None:
         centre = (locator.view.pool_to_pixel(np.array([eta[0], eta[1], eta[2] - locator.marker_height_m])) + 0.5) / 2 - 0.5
         near = changed[np.linalg.norm(changed - centre, axis=1) < 80]
         assert len(near) > 200 and np.linalg.norm(near - centre, axis=1).min() < 3
+    unlabelled = draw(locator, frame, step.located, Obstacles(), labels=False)
+    assert 0 < np.any(bare != unlabelled, axis=2).sum() < np.any(bare != marked, axis=2).sum()
     assert draw(locator, np.zeros((200, 300), np.uint8), nobody, Obstacles()).shape == (480, 640, 3)
 
 
