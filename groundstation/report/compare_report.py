@@ -43,21 +43,23 @@ def write(folder: Path) -> bool:
     failed = failures(comparison)
     replace_text(folder / "comparison.html", _render(comparison, failed))
     console = Console()
-    console.width = max(console.width, 240)  # a table that wraps cannot be read
-    console.print(_table(comparison))
+    console.width = max(console.width, 110)  # a table that wraps cannot be read
+    for title, caption, columns in ((_title(comparison), None, slice(0, 5)), ("", CAPTION, slice(5, None))):
+        console.print(_table(comparison, title, caption, columns))
     for line in failed:
         console.print(f"[red]{line}[/]", soft_wrap=True)
     console.print(f"report: {folder / 'comparison.html'}", soft_wrap=True)
     return not failed
 
 
-def _table(comparison: Comparison) -> Table:
-    table = Table(title=_title(comparison), caption=CAPTION, padding=(0, 1, 0, 0))
+def _table(comparison: Comparison, title: str, caption: str | None, columns: slice) -> Table:
+    """Some of the columns, intervals below their figures: half the table's width."""
+    table = Table(title=title, caption=caption, padding=(0, 1, 0, 0), show_lines=True)
     table.add_column("", no_wrap=True)
-    for c in ("×", *(f"{c.heading}\n{c.unit}" for c in COLUMNS)):
+    for c in ("×", *(f"{c.heading}\n{c.unit}" for c in COLUMNS))[columns]:
         table.add_column(c, justify="right", no_wrap=True)
     for name, row in cells(comparison):
-        table.add_row(name, *row)
+        table.add_row(name, *(cell.replace(" [", "\n[") for cell in row[columns]))
     return table
 
 
