@@ -109,5 +109,6 @@ $(INSTALLED): pyproject.toml constraints.txt
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt --no-deps MAVProxy
 	@echo "Compiling the kernels ..."
-	@$(BIN)/python -c 'import localizer.kernels, robot_agent.agent, sim_bridge.camera.kernels, sim_bridge.plant.kernels'
+	@$(BIN)/python -c 'import robot_agent.agent' & agent=$$!; \
+	    $(BIN)/python -c 'import localizer.kernels, sim_bridge.camera.kernels, sim_bridge.plant.kernels' && wait $$agent
 	@touch $@
