@@ -21,7 +21,7 @@ help: ## this list
 run: $(INSTALLED) ## fly the pool experiment in software, all processes for real; says where the report is. ARGS="--lockstep --seed 2"
 	$(BIN)/sim-bridge sil pool $(ARGS)
 
-check: lint ## ruff, mypy, and the unit tests that start no process: under a minute
+check: lint ## ruff, mypy, and the unit tests that start no process: three minutes on two cores
 	$(BIN)/python -m pytest -n logical --dist loadgroup -m "not slow and not real_time and not long"
 
 # What only computes fills the idle time of the tests that wait for programs, at a lower priority, so that it delays none of them.
