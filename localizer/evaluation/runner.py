@@ -143,17 +143,9 @@ def evaluate_log(path: Path) -> list[PoseRow]:
 
 def _records(path: Path) -> Iterator[tuple[str, int, bytes]]:
     """Topic, stamp and bytes of the poses and truths of a log, up to a cut or damaged record."""
-    names: dict[int, str] = {}
     try:
         with path.open("rb") as file:
-            for opcode, body in log_records.records(file):
-                if opcode == log_records.CHANNEL:
-                    number, topic = log_records.channel_topic(body)
-                    names[number] = topic
-                elif opcode == log_records.MESSAGE:
-                    number, _, _, stamp_ns, data = log_records.message(body)
-                    if names.get(number, "").endswith(_READ):
-                        yield names[number], stamp_ns, data
+            yield from (found for found in log_records.messages(file) if found[0].endswith(_READ))
     except ImportError:
         raise ConfigError(f"{path}: its chunks are packed: reading it needs pip install 'shoal[station]'") from None
     except log_records.Damaged:  # the recorder was killed: what lies before is good

@@ -127,20 +127,13 @@ def frame_estimate(folder: Path, size_px: tuple[int, int]) -> int:
 def recorded_frames(folder: Path) -> Iterator[RecordedFrame]:
     """The frames of a recording, in order, as far as they are whole; where it was cut is logged. Raises ConfigError for a file
     that is none."""
-    path, names = folder / FRAMES, dict[int, str]()
+    path = folder / FRAMES
     told: dict[str, Any] | None = None
     poses: dict[int, bytes] = {}
     count = 0
     try:
         with path.open("rb") as file:
-            for opcode, body in log_records.records(file):
-                if opcode == log_records.CHANNEL:
-                    number, topic = log_records.channel_topic(body)
-                    names[number] = topic
-                if opcode != log_records.MESSAGE:
-                    continue
-                number, _, _, stamp_ns, data = log_records.message(body)
-                topic = names.get(number, "")
+            for topic, stamp_ns, data in log_records.messages(file):
                 if topic == _INPUTS:
                     told, poses = json.loads(data), {}
                 elif topic == topics.FRAME.name and told is not None:

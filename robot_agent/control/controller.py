@@ -28,7 +28,7 @@ import numpy as np
 from robot_agent.control.heading import HeadingReference
 from robot_agent.control.law import Law, guidance_config, make_law
 from robot_agent.control.mpc import Mpc, MpcPlan
-from robot_agent.control.short_horizon import let_error_fade, shortness
+from robot_agent.control.short_horizon import let_error_fade
 from robot_agent.guidance.formation import Formation, Neighbour, NeighbourPredictions, Priority, formation_reference
 from robot_agent.guidance.obstacles import Obstacle
 from robot_agent.guidance.reference import Drive, Follow, Goal, Hold, Reference, ReferenceSampler
@@ -155,13 +155,12 @@ class Controller:
         steps_s = period_s * np.arange(horizon + 1, dtype=np.float64)
         nodes_s = vehicle.thruster.dead_time_s + steps_s
         self.sampler = ReferenceSampler(nodes_s)
-        aided = config.law == "eso-mpc" and config.mpc.terminal_cost
-        self._shortness = shortness(period_s * horizon) if aided else 0.0
-        self._heading = HeadingReference(vehicle, guidance_config(config), period_s, config.estimator.sway, self._shortness)
         self.formation = Formation(config.mpc, safety, period_s, vehicle.thruster.dead_time_s, room_m, vehicle.radius_m)
         self.formation.set_weight(self._formation_weight(config))
         self._give_way = GiveWay(vehicle, np.concatenate([[0.0], nodes_s]), period_s, room_m, islands)
         self._law: Law = make_law(vehicle, model, config, period_s, self.formation.rows)
+        self._shortness = self._law.shortness if isinstance(self._law, Mpc) else 0.0
+        self._heading = HeadingReference(vehicle, guidance_config(config), period_s, config.estimator.sway, self._shortness)
         self.allocator = Allocator(vehicle)
         # Plans begin at the instant of action and are told from now on: rows of the one for the other
         self._told_rows = np.interp(steps_s, np.concatenate([[0.0], nodes_s]), np.arange(horizon + 2.0))

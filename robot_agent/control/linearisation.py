@@ -17,14 +17,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_agent.control.short_horizon import add_terminal_cost
+from robot_agent.control.short_horizon import HEAVE, YAW, add_terminal_cost
 from robot_agent.guidance.formation import HalfSpaces, Places
 from robot_agent.vehicle.dynamics import Model, State
 from wire.frames import Array
 from wire.kernels import kernel
 
 TINY_MPS = 1e-12  # keeps 0/0 out
-HEAVE, YAW = 2, 3  # axes in eta and nu
 
 
 @kernel("void(f8[:,::1], i8, f8, f8, f8, f8, f8[:,::1], f8[:,::1], f8[::1], f8[:,::1], f8[:,::1])")

@@ -74,7 +74,8 @@ class Mpc:
         self._config, self._n = config, len(config.blocks)
         self._limit, self._step_limit = np.array(vehicle.limits.wrench), np.array(vehicle.limits.wrench_step(period_s))
         self._prediction = Prediction(model, period_s, config.horizon, config.blocks)
-        self._shortness = shortness(period_s * config.horizon) if config.terminal_cost else 0.0
+        # share of what a short horizon does not see (short_horizon.py)
+        self.shortness = shortness(period_s * config.horizon) if config.terminal_cost else 0.0
         n, size = self._n, 3 * self._n
         self._blocks = np.zeros(size)  # of the last good plan
         self._shifted, self._most_shifted = 0, bridged_steps(period_s)
@@ -182,10 +183,10 @@ class Mpc:
         self._prediction.linearise_and_condense(
             state, asked, delivered, disturbance, current, reference, weight, self._smooth, self._r, self._p, self._plain[0]
         )
-        if self._shortness:
+        if self.shortness:
             r = self._r + RIDGE
             self._prediction.add_terminal_cost(
-                asked, delivered, disturbance, current, reference, weight, r, self._shortness, self._p, self._plain[0]
+                asked, delivered, disturbance, current, reference, weight, r, self.shortness, self._p, self._plain[0]
             )
 
     def _qp_plain(self) -> Solution:

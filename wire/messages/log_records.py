@@ -162,6 +162,19 @@ def parts(data: bytes, at: int) -> Iterator[tuple[int, bytes]]:
         place += length
 
 
+def messages(file: IO[bytes]) -> Iterator[tuple[str, int, bytes]]:
+    """Topic, publish time and payload of each message of a file, in order; the topic is empty where none was told. Raises
+    what `records` raises."""
+    names: dict[int, str] = {}
+    for opcode, body in records(file):
+        if opcode == CHANNEL:
+            number, topic = channel_topic(body)
+            names[number] = topic
+        elif opcode == MESSAGE:
+            number, _, _, stamp_ns, data = message(body)
+            yield names.get(number, ""), stamp_ns, data
+
+
 def message(body: bytes) -> tuple[int, int, int, int, bytes]:
     """Channel, sequence number, log time, publish time and payload of a message. Raises Damaged."""
     try:
