@@ -71,6 +71,7 @@ def test_another_trajectory_replaces_the_last_one() -> None:
     assert sampler.sample(Follow(circle(1.0, 20.0), 0.0)).eta[0, 0] == pytest.approx(1.0)
 
 
+@pytest.mark.long
 def test_time_moves_the_horizon_smoothly() -> None:
     """The same instant seen from two control steps is the same pose, yaw beyond half a turn included."""
     sampler, path = ReferenceSampler(OFFSETS), circle(0.5, 20.0)

@@ -84,6 +84,7 @@ def test_ankles_wait_and_ramp() -> None:
     assert back.ankle_rad == pytest.approx(-np.pi / 4)
 
 
+@pytest.mark.long
 def test_spread_is_within_its_bounds_and_belongs_to_the_seed() -> None:
     gains = [ActuatorModel(pool(), seed).gain for seed in range(200)]
     assert np.min(gains) >= 0.9
