@@ -10,6 +10,8 @@ INSTALLED := .venv/.installed
 # More threads only make these matrices slower, and results must not depend on their number.
 export OMP_NUM_THREADS = 1
 export OPENBLAS_NUM_THREADS = 1
+# Programs and test processes start often: where Python may not keep what it compiled, each start costs up to twice as much.
+unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .PHONY: help page run check test test-real-time test-computing test-slow mutants firmware faults fuzz photoreal soak bench lint format proto docs lock clean

@@ -27,7 +27,8 @@ Body = tuple[BodySprite, Array, Array, Array]  # with eta (4,), nu (4,), and rol
 
 
 class Renderer:
-    """The camera of an experiment. Backgrounds are drawn at the start (seconds), frames in milliseconds."""
+    """The camera of an experiment. It draws a frame in milliseconds; each of the first ones, up to LOOP_S, in tens of them,
+    unless `backdrop.prepare` came before."""
 
     def __init__(self, experiment: Experiment, seed: int) -> None:
         self._camera, self._picture = experiment.camera, experiment.sim.picture

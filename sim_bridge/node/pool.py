@@ -73,6 +73,10 @@ class PoolNode:
         )
         drops = {fault.broken.value for fault in experiment.sim.faults if fault.broken.kind == "water"}
         self._sunk = {drop_m: Renderer(with_sunken_water(experiment, drop_m), experiment.seed) for drop_m in sorted(drops)}
+        if not lockstep:
+            for camera in (self._camera, *self._sunk.values()):
+                if isinstance(camera, Renderer):
+                    camera.backdrop.prepare()  # frames of a wall clock must not wait
         self._camera_trouble = CameraFaults()
         self._rendered_ahead: tuple[Exposure, NDArray[np.uint8]] | None = None
         self._unmarked: frozenset[int] = frozenset()
