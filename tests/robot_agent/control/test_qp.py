@@ -12,7 +12,7 @@ import pytest
 from packaging.requirements import Requirement
 from scipy.optimize import LinearConstraint, minimize
 
-from robot_agent.control.qp import NO_BOUND, DaqpSolver, OsqpSolver, Solver, make_solver
+from robot_agent.control.qp import NO_BOUND, DaqpSolver, OsqpSolver, Solver, make_solver, minimise
 from wire.frames import Array
 from wire.toml_loader import ConfigError
 
@@ -173,6 +173,47 @@ def test_masked_entries_follow_the_data() -> None:
         lower, upper = np.full(2, -0.3), np.full(2, 0.3)
         exactly = DaqpSolver(mask, rows, np.ones(4), np.ones(2)).solve(p, q, a, lower, upper).x
         assert backend.solve(p, q, a, lower, upper).x == pytest.approx(exactly, abs=0.01)
+
+
+@pytest.mark.parametrize("name", BACKENDS)
+def test_rows_that_bind_now_and_then_are_kept_by_the_last_matrix_given(name: Backend) -> None:
+    """The backend is asked only where a row binds: it must know of the matrix that came while none did."""
+    random, backend = np.random.default_rng(11), solver(name)
+    a, free = problem(random)[2], 0
+    for k in range(40):
+        p, q, fresh, lower, upper = problem(random)
+        a = fresh if k % 3 == 0 else a
+        if k % 2:
+            lower, upper = np.full(M, -100.0), np.full(M, 100.0)
+        solution = backend.solve(p, q, a if k % 3 == 0 else None, lower, upper)
+        inside = -np.linalg.solve(p, q)
+        if np.all(a @ inside <= upper) and np.all(a @ inside >= lower):
+            free += 1
+            assert solution.iterations == 0 and solution.x == pytest.approx(inside, rel=1e-9)
+            assert solution.multipliers is not None and not solution.multipliers.any()
+        else:
+            assert solution.iterations > 0 and solution.x == pytest.approx(exact(p, q, a, lower, upper), abs=0.02)
+    assert 15 < free < 30
+
+
+def test_the_minimum_without_rows_is_that_of_a_linear_system() -> None:
+    """With blocks of zeros too; not where P is singular or has a negative eigenvalue, or a number is no number."""
+    random = np.random.default_rng(12)
+    for _ in range(50):
+        p = np.zeros((N, N))
+        for part in (slice(0, 4), slice(4, N)):
+            root = random.normal(size=(N, N))[part, part]
+            p[part, part] = root @ root.T + 1e-3 * np.eye(len(root))
+        q, x = random.normal(size=N), np.empty(N)
+        assert minimise(p, q, np.full((N, N), np.nan), x) and x == pytest.approx(-np.linalg.solve(p, q), rel=1e-9)
+        for spoiled in (
+            p - 1.1 * np.linalg.eigvalsh(p)[0] * np.eye(N),
+            np.full((N, N), np.nan),
+            p + np.diag([np.inf] * N),
+            np.zeros((N, N)),
+        ):
+            assert not minimise(spoiled, q, np.empty((N, N)), x)
+        assert not minimise(p, np.append(q[1:], np.inf), np.empty((N, N)), x)
 
 
 def test_a_robot_without_daqp_is_told_so(monkeypatch: pytest.MonkeyPatch) -> None:
