@@ -274,10 +274,7 @@ class Controller:
                 weight,
             )  # fmt: skip
         if self._config.guidance.enabled:
-            lead = Reference(command, reference.velocity, reference.acceleration)
-            command[:, 3] = self._heading.heading_along(
-                lead, estimate.eta, estimate.nu, estimate.disturbance, estimate.current
-            )
+            self._heading.turn_along(command, reference, estimate.eta, estimate.nu, estimate.disturbance, estimate.current)
             if self._shortness:
                 rate = math.sqrt(self._config.guidance.position_gain_per_s2)
                 let_error_fade(
@@ -287,7 +284,7 @@ class Controller:
 
     def _unwound(self, command: Array, estimate: Estimate) -> Array:
         """The command (rows, 4) with as many whole turns as the estimate has."""
-        away = float(estimate.eta[3] - command[0, 3]) / TURN
+        away = (estimate.eta.item(3) - command.item(3)) / TURN
         if self._turns is None or abs(away - self._turns) > KEEP_TURN:
             self._turns = round(away)
         if self._turns:
@@ -312,30 +309,12 @@ class Controller:
         told_eta, told_reference, goal = np.empty(plan.eta.shape), np.empty(plan.eta.shape), reference.eta[0].copy()
         error_m = tell_from_now(self._told_rows, estimate.eta, plan.eta, lead.eta, command, goal, told_eta, told_reference)
         self._priority = Priority(self._urgent, error_m)
-        return ControlOutput(
-            pulse_us=pulses,
-            wrench=plan.wrench,
-            wrench_step=wrench_step,
-            wrench_wanted=plan.wrench if plan.wanted is None else plan.wanted,
-            wrench_delivered=delivered,
-            estimated=True,
-            eta=estimate.eta,
-            nu=estimate.nu,
-            disturbance=estimate.gamma_still_water,
-            eta_reference=goal,
-            eta_command=command[0].copy(),
-            plan_eta=told_eta,
-            plan_reference=told_reference,
-            tracking_error_m=error_m,
-            solve=plan.solve,
-            iterations=plan.iterations,
-            slack_m=plan.slack_m,
-            pose_age_s=estimate.pose_age_s,
-            depth_age_s=estimate.depth_age_s,
-            leap=estimate.leap,
-            depth_leap=estimate.depth_leap,
-            is_free=is_free,
-        )
+        wanted = plan.wrench if plan.wanted is None else plan.wanted
+        return ControlOutput(  # by position: two dozen names cost as much as a small kernel
+            pulses, plan.wrench, wrench_step, wanted, delivered, True, estimate.eta, estimate.nu, estimate.gamma_still_water,
+            goal, command[0].copy(), told_eta, told_reference, error_m, plan.solve, plan.iterations, plan.slack_m,
+            estimate.pose_age_s, estimate.depth_age_s, estimate.leap, estimate.depth_leap, is_free,
+        )  # fmt: skip
 
     def _neutral(self, estimate: Estimate | None, now_ns: int) -> ControlOutput:
         """Output with thrusters off. The plan is forgotten; neighbours are told that the robot stays in place."""
