@@ -1,7 +1,6 @@
 """Quadratic programs of one fixed size, solved repeatedly: min 1/2 x'Px + q'x with lower <= Ax <= upper.
 
-Most problems of a flight have their minimum within all rows, and need no solver: `UnconstrainedFirst` finds it by Cholesky's
-factors, and asks a backend otherwise.
+Most problems of a flight have the active set of the one before, and need no backend: see `ActiveSetFirst`.
 
 Both backends take dense arrays and own all bookkeeping. They are built once; a solve changes numbers, never structure, and
 starts from the last solution. Inputs are checked first, because OSQP does not (all reproduced with 1.1): it prints bounds that
@@ -18,6 +17,7 @@ import osqp
 from numpy.typing import NDArray
 from scipy import sparse
 
+from robot_agent.control.active_set import NO_BOUND, solve_from
 from wire.frames import Array
 from wire.kernels import kernel
 from wire.toml_loader import ConfigError
@@ -43,7 +43,7 @@ SETTINGS = {
 SOLVED = (int(osqp.SolverStatus.OSQP_SOLVED), int(osqp.SolverStatus.OSQP_SOLVED_INACCURATE))
 OUT_OF_ITERATIONS = int(osqp.SolverStatus.OSQP_MAX_ITER_REACHED)
 CLOSE = 0.01  # of what was asked for: a hundred times the tolerance
-NO_BOUND = 1e30  # what both solvers take for infinity
+AT_BOUND = 1e-3  # N, N m or m: so near its bound a row of a backend's solution is guessed to be active
 NO_MATRIX, NO_ENTRIES = np.zeros((0, 0)), np.zeros((0, 2), np.int64)
 
 
@@ -105,59 +105,13 @@ def unscale(x: Array, y: Array, scale: Array, row_scale: Array) -> bool:
     return finite
 
 
-@kernel("b1(f8[:,::1], f8[::1], f8[:,::1], f8[::1])")
-def minimise(p: Array, q: Array, factor: Array, x: Array) -> bool:
-    """Minimum `x` (n,) of 1/2 x'Px + q'x without rows: LL'x = -q, P = LL' (Cholesky), of which `factor` (n, n) is written up
-    to the diagonal. False if P is not positive definite, or a number is not finite.
-
-    Of P the upper triangle is read. Zeros before a column's first entry stay zero in L, and are passed over.
-    """
-    n, finite = len(q), True
-    for i in range(n):
-        first = 0
-        while first < i and p[first, i] == 0.0:
-            factor[i, first] = 0.0
-            first += 1
-        rest = -q[i]
-        for j in range(first, i + 1):
-            entry = p[j, i]
-            for k in range(first, j):
-                entry -= factor[i, k] * factor[j, k]
-            if j < i:
-                factor[i, j] = entry / factor[j, j]
-                rest -= factor[i, j] * x[j]
-            elif not 0.0 < entry < np.inf:
-                return False
-            else:
-                factor[i, i] = math.sqrt(entry)
-        x[i] = rest / factor[i, i]
-    for i in range(n - 1, -1, -1):
-        for k in range(i + 1, n):
-            x[i] -= factor[k, i] * x[k]
-        x[i] /= factor[i, i]
-        finite &= math.isfinite(x[i])
-    return finite
-
-
-@kernel("b1(f8[:,::1], f8[::1], f8[:,::1], f8[::1], f8[::1], f8[:,::1], f8[::1])")
-def minimise_within(p: Array, q: Array, a: Array, lower: Array, upper: Array, factor: Array, x: Array) -> bool:
-    """`minimise`, and True if the minimum keeps lower <= Ax <= upper: then it is the problem's solution."""
-    within = minimise(p, q, factor, x)
-    for i in range(len(a) if within else 0):
-        row = 0.0
-        for j in range(len(x)):
-            row += a[i, j] * x[j]
-        within &= lower[i] <= row <= upper[i]
-    return within
-
-
 class Solution(NamedTuple):
     """`x` is meaningful only if `solved`."""
 
     x: Array
     solved: bool
-    iterations: int  # 0: the minimum without rows
-    multipliers: Array | None = None  # (m,) of the rows; None from a solver that has no use for them
+    iterations: int  # of the backend; 0: it was not asked
+    multipliers: Array | None = None  # (m,) of the rows, positive at the upper bound; None from a solver without
 
 
 class Solver(Protocol):
@@ -265,34 +219,38 @@ class DaqpSolver:
         """See `Solver`."""
 
 
-class UnconstrainedFirst:
-    """The minimum without rows where it keeps all of them, else a `backend`'s solution, which starts from the last one."""
+class ActiveSetFirst:
+    """A solution from the last active set (active_set.py), else a `backend`'s, which starts from the last solution."""
 
     def __init__(self, backend: Solver, rows: int, n: int) -> None:
-        self._backend = backend
-        self._a, self._factor, self._free = np.zeros((rows, n)), np.empty((n, n)), np.zeros(rows)
-        self._told_a = False  # the backend has this A
-        self._last: Array | None = None  # the last solution, if no row was active in it
+        self._backend, self._a, self._told_a = backend, np.zeros((rows, n)), False  # the backend has this A
+        self._held, self._work, self._mu = np.zeros(rows, np.int64), np.empty((4, n, n)), np.empty(n)
+        self._last: tuple[Array, Array] | None = None  # solution and multipliers that the backend has not seen
 
     def solve(self, p: Array, q: Array, a: Array | None, lower: Array, upper: Array) -> Solution:
         """See `Solver`."""
         if a is not None:
             self._a[:], self._told_a = a, False
-        x = np.empty(len(q))
-        if minimise_within(p, np.ascontiguousarray(q), self._a, lower, upper, self._factor, x):
-            self._last = x
-            return Solution(x, True, 0, self._free)
+        x, y = np.empty(len(q)), np.empty(len(lower))
+        if solve_from(p, np.ascontiguousarray(q), self._a, lower, upper, self._held, self._work, self._mu, x, y):
+            self._last = x, y
+            return Solution(x, True, 0, y)
         if self._last is not None:
-            self._backend.warm_start(self._last, self._free)
+            self._backend.warm_start(*self._last)
             self._last = None
         solution = self._backend.solve(p, q, None if self._told_a else self._a, lower, upper)
         self._told_a = True
+        self._held[:] = 0
+        if solution.solved:
+            reached = self._a @ solution.x
+            self._held += 1 * (upper - reached < AT_BOUND) - 1 * (reached - lower < AT_BOUND)
         return solution
 
     def warm_start(self, x: Array, multipliers: Array) -> None:
         """See `Solver`."""
-        self._last = None
-        self._backend.warm_start(x, multipliers)
+        self._last = x, multipliers
+        self._held[:] = 0
+        self._held[: len(multipliers)] = np.sign(multipliers)
 
 
 def _finite(numbers: Array) -> bool:
@@ -323,7 +281,7 @@ def make_solver(
         if name == "osqp"
         else DaqpSolver(p_mask, a_mask, scale, row_scale, bounds)
     )
-    return UnconstrainedFirst(backend, *a_mask.shape)
+    return ActiveSetFirst(backend, *a_mask.shape)
 
 
 def _by_columns(mask: Mask) -> Entries:
