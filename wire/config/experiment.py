@@ -256,6 +256,11 @@ class Experiment(Section):
         return tuple(camera.name for camera in self.cameras)
 
     @property
+    def shown_camera(self) -> str:
+        """The camera whose picture viewers show first: the first of several, "" for the only one."""
+        return next(iter(self.camera_names), "")
+
+    @property
     def all_cameras(self) -> tuple[Camera, ...]:
         """The several cameras, or the only one."""
         return self.cameras or (self.camera,)
