@@ -94,6 +94,7 @@ class LocalizerNode:
         """`camera` is one of several, whose topics it publishes; "" the only one."""
         self._camera, self._name = camera, topics.localizer_name(camera)
         self._number = experiment.camera_names.index(camera) if camera else None
+        self._hash = experiment.hash
         experiment = with_camera(experiment, camera)
         self._experiment, self._bus, self.stop, self._clock = experiment, bus, stop, clock
         self._page, self._publish_frames, self._recorder = page, publish_frames, recorder
@@ -126,7 +127,7 @@ class LocalizerNode:
             stack.enter_context(closing(previews))
             log_to_bus(self._bus, self._clock, self._name)
             self._bus.announce(self._name)
-            log.info("ready, experiment %s", self._experiment.hash[:8])
+            log.info("ready, experiment %s", self._hash[:8])
             yield
             for captured in self._source.frames(self.stop):
                 if captured is None:
