@@ -36,7 +36,7 @@ def run(experiment: Experiment, endpoint: Endpoint, fleet: str, stop: Stop, lock
 
 
 class _Camera:
-    """What one camera's localizer publishes, and what of it was taken."""
+    """Inboxes of one camera's localizer, and what of them was taken."""
 
     def __init__(self, bus: Bus, camera: str, robots: tuple[int, ...]) -> None:
         self.status = bus.inbox(topics.LOCALIZER.of_camera(camera), LocalizerStatus)
