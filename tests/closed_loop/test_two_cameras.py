@@ -4,9 +4,10 @@ from pathlib import Path
 
 import pytest
 
+from groundstation.report.report import write_report
 from localizer.evaluation.runner import evaluate_log
 from sim_bridge.in_process.executor import Executor
-from wire.config.experiment import load_experiment
+from wire.config.experiment import dump_experiment, load_experiment
 from wire.messages import topics
 from wire.messages.codec import decode
 from wire.messages.messages import LocalizerStatus, Pose, Track
@@ -22,6 +23,7 @@ def test_robots_cross_over_and_fly_on_when_the_camera_that_they_left_is_gone(tmp
     experiment, hub = load_experiment("two-cameras", ["duration_s=9"], [f"t={GONE_S:g} camera west gone"]), MemoryHub()
     bus = Bus(MemoryTransport(hub))
     statuses, poses = bus.collect(topics.LOCALIZER), bus.collect(topics.POSE)
+    (tmp_path / "experiment.toml").write_text(dump_experiment(experiment), encoding="utf-8")
     assert Executor(experiment, tmp_path, hub).fly()
 
     told = {header.stamp_ns: decode(LocalizerStatus, data, "test", key) for _, key, header, data in statuses()}
@@ -36,3 +38,7 @@ def test_robots_cross_over_and_fly_on_when_the_camera_that_they_left_is_gone(tmp
     assert rows["seen by 1"].poses > 100 and rows["seen by 2"].poses > 100
     assert rows["step, hand-over"].poses >= 3 and rows["step, hand-over"].max_mm < 3.0
     assert rows["step, hand-over"].nees < rows["step, hand-over"].nees_high
+
+    out = write_report(tmp_path).cameras_out
+    assert out["east"] == 0.0 and out["west"] == pytest.approx((9.0 - GONE_S - 0.25) / 9.0, abs=0.03)
+    assert "Cameras, share of the flight without their poses: west" in (tmp_path / "report.html").read_text(encoding="utf-8")

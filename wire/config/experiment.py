@@ -274,8 +274,10 @@ class Experiment(Section):
             if camera.name == name:
                 alone = Camera.model_validate(camera.model_dump(exclude={"name"}))
                 return self.model_copy(update={"camera": alone, "cameras": ()})
-        allowed = f"one of {', '.join(self.camera_names)}" if self.cameras else "none: there is one camera"
-        raise ConfigError(f"--camera {name}: not in experiment {self.name!r} (allowed: {allowed})")
+        if not self.cameras:
+            raise ConfigError(f"--camera {name}: experiment {self.name!r} has one camera (leave the option out)")
+        what = f"--camera {name}: not in experiment {self.name!r}" if name else f"--camera: missing, {self.name!r} has several"
+        raise ConfigError(f"{what} (allowed: {', '.join(self.camera_names)})")
 
     @property
     def wrench_step(self) -> tuple[float, float, float]:
