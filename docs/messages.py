@@ -92,6 +92,11 @@ def page() -> str:
     lines += ["| Key | Message | From | For | Rate | Stale after | Sent as | Recorded |", "|---|---|---|---|---|---|---|---|"]
     lines += [_topic_row(topic) for topic in TOPICS]
     lines += [f"\n`{topics.COMMAND_KEY}` is a query: a [Command](#command) in, a [Reply](#reply) out."]
+    camera = topics.POSE.of_camera("NAME").name
+    lines += [
+        f"Where there are several cameras, each has its own of {', '.join(f'`{topic.name}`' for topic in topics.OF_CAMERAS)} "
+        f"below `camera/NAME/`, for example `{camera}`; those above are fused from them, without pictures."
+    ]
     lines += [f"`{topics.PRESENCE_KEY}` is a liveliness token: there, not necessarily well.", "\n### How a topic is sent\n"]
     lines += [f"* **{qos.name}**: {qos.value}." for qos in Qos]
     lines += ["\n## Messages", *(line for cls in get_args(Message) for line in _message(cls))]

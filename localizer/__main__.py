@@ -11,6 +11,7 @@ from wire.config.experiment import load_experiment
 from wire.process.cli_options import (
     DEFAULT_FLEET,
     DEFAULT_STATION,
+    CameraName,
     ExperimentName,
     FleetName,
     FrameRingOption,
@@ -51,29 +52,55 @@ def run(
         Path | None,
         typer.Option(metavar="FOLDER", help="Keep raw frames and all that poses come from there, for `rerun` and `track`."),
     ] = None,
+    camera: CameraName = "",
     lockstep: LockstepMode = False,
     frame_ring: FrameRingOption = None,
     keys: KeyRing = None,
     insecure: Insecure = False,
     verbose: Verbose = False,
 ) -> None:
-    """Localize the robots of an experiment in the fleet's camera frames, or be the camera.
+    """Localize the robots of an experiment in the fleet's camera frames, or be the camera. Of several cameras each has a
+    localizer of its own, and `localizer fuse` publishes the robots' poses.
 
     Examples:  localizer run pool --show          localizer run lab.toml --source v4l2:/dev/video0 --publish-frames
     """
     import cv2
 
     from localizer import node
+    from wire.messages.topics import Role, localizer_name, process_name
+    from wire.transport.network import endpoint
+
+    start_log(localizer_name(camera), verbose)
+    # Regions are small, and more threads only compete with the other processes of the machine.
+    cv2.setNumThreads(1)
+    loaded = load_experiment(experiment, settings or ())
+    options = node.NodeOptions(source, publish_frames, show_port if show else None, frame_ring, record, camera)
+    where = endpoint(station, process_name(Role.LOCALIZER), keys, insecure=insecure, lossless=lockstep)
+    node.run(loaded, where, fleet, Stop(), lockstep, options)
+
+
+@cli.command()
+def fuse(
+    experiment: ExperimentName,
+    station: StationAddress = DEFAULT_STATION,
+    fleet: FleetName = DEFAULT_FLEET,
+    settings: Settings = None,
+    lockstep: LockstepMode = False,
+    keys: KeyRing = None,
+    insecure: Insecure = False,
+    verbose: Verbose = False,
+) -> None:
+    """Fuse the poses that the localizers of several cameras publish (docs/cameras.md).
+
+    Example:  localizer fuse two-cameras
+    """
+    from localizer import fusion_node
     from wire.messages.topics import Role, process_name
     from wire.transport.network import endpoint
 
     start_log("localizer", verbose)
-    # Regions are small, and more threads only compete with the other processes of the machine.
-    cv2.setNumThreads(1)
-    loaded = load_experiment(experiment, settings or ())
-    options = node.NodeOptions(source, publish_frames, show_port if show else None, frame_ring, record)
     where = endpoint(station, process_name(Role.LOCALIZER), keys, insecure=insecure, lossless=lockstep)
-    node.run(loaded, where, fleet, Stop(), lockstep, options)
+    fusion_node.run(load_experiment(experiment, settings or ()), where, fleet, Stop(), lockstep)
 
 
 cli.command()(calibrate)

@@ -17,6 +17,7 @@ from localizer.detection.obstacles import ObstacleDetector
 from localizer.sources.base import CapturedFrame, FrameSource
 from localizer.sources.factory import BUS, open_bus, open_own
 from localizer.sources.recording import FrameRecorder, RecordedFrame
+from localizer.tracking.check_marks import with_camera
 from localizer.tracking.fleet_localizer import FleetLocalizer, LocalizationResult
 from localizer.tracking.tilt import Attitude
 from localizer.view.mjpeg_server import MjpegServer
@@ -24,9 +25,11 @@ from localizer.view.overlay import draw
 from localizer.view.preview import PreviewPublisher
 from localizer.view.video_encoder import VideoEncoder
 from wire.config.experiment import Experiment
+from wire.frames import Array
 from wire.messages import topics
 from wire.messages.codec import encode
 from wire.messages.messages import CameraHealth, LocalizerStatus, Obstacles, Pose, RobotState, Track
+from wire.messages.topics import Topic
 from wire.process.lockstep import LockstepClock
 from wire.process.runtime import Clock, Stop, WallClock, age_s, log, log_to_bus, run_steps
 from wire.toml_loader import ConfigError
@@ -47,6 +50,7 @@ class NodeOptions:
     page_port: int | None = None  # port of the annotated pictures for a browser
     frame_ring: int | None = None  # descriptor of the ring that frames come in, beside the bus
     record: Path | None = None  # folder for the frames and all that the localizer goes by
+    camera: str = ""  # one of several cameras
 
 
 def run(experiment: Experiment, endpoint: Endpoint, fleet: str, stop: Stop, lockstep: bool, options: NodeOptions) -> None:
@@ -55,19 +59,20 @@ def run(experiment: Experiment, endpoint: Endpoint, fleet: str, stop: Stop, lock
     Raises ConfigError for anything that cannot be opened, before it waits for a station; Failed if a part could not go on.
     """
     clock: Clock = LockstepClock() if lockstep else WallClock()
+    alone = with_camera(experiment, options.camera)
     if options.source == BUS and options.publish_frames:
         raise ConfigError(f"--publish-frames: the frames of --source {BUS} are on the bus already")
     with ExitStack() as stack:
         own, page, recorder = None, None, None
         if options.source != BUS:
-            own = stack.enter_context(closing(open_own(options.source, experiment.camera, clock)))
+            own = stack.enter_context(closing(open_own(options.source, alone.camera, clock)))
         if options.page_port is not None:
             page = stack.enter_context(closing(MjpegServer(options.page_port, stop)))
         if options.record is not None:
-            recorder = stack.enter_context(closing(FrameRecorder(options.record, experiment)))
+            recorder = stack.enter_context(closing(FrameRecorder(options.record, alone)))
         bus = stack.enter_context(Bus(ZenohTransport(endpoint, stop), fleet, *codec_of(options.frame_ring)))
-        bus.claim("localizer", stop)
-        LocalizerNode(experiment, bus, stop, clock, own, page, options.publish_frames, recorder).run()
+        bus.claim(topics.localizer_name(options.camera), stop)
+        LocalizerNode(experiment, bus, stop, clock, own, page, options.publish_frames, recorder, options.camera).run()
     stop.raise_failure()
 
 
@@ -84,15 +89,22 @@ class LocalizerNode:
         page: MjpegServer | None = None,
         publish_frames: bool = False,
         recorder: FrameRecorder | None = None,
+        camera: str = "",
     ) -> None:
+        """`camera` is one of several, whose topics it publishes; "" the only one."""
+        self._camera, self._name = camera, topics.localizer_name(camera)
+        self._number = experiment.camera_names.index(camera) if camera else None
+        self._hash = experiment.hash
+        experiment = with_camera(experiment, camera)
         self._experiment, self._bus, self.stop, self._clock = experiment, bus, stop, clock
         self._page, self._publish_frames, self._recorder = page, publish_frames, recorder
         self._states = bus.inboxes(topics.STATE, RobotState, experiment.robot_ids)
-        self._source = own or open_bus(bus, clock, stop, experiment.camera.rate_hz, self._states)
-        self._localizer = FleetLocalizer(experiment)
+        self._source = own or open_bus(bus, clock, stop, experiment.camera.rate_hz, self._states, camera, self._number)
+        self._localizer = FleetLocalizer(experiment, sees_all=camera == "")
         self._obstacle_detector = _make_obstacle_detector(experiment)
         self._obstacles, self._obstacles_ns = Obstacles(), -1  # the newest, and the stamp of the newest that was told
         self._status = LocalizerStatus()
+        self._told = dict[int, Array]()  # where robots say that they are, (3,)
         self._last_health = CameraHealth.OK
         self._failed, self._failed_in_a_row = 0, 0  # pictures
         self._video: VideoEncoder | None = None
@@ -108,12 +120,14 @@ class LocalizerNode:
         show = partial(draw, self._localizer, labels=self._page is not None)
         with ExitStack() as stack:
             if self._experiment.recording.video != "none":
-                self._video = stack.enter_context(closing(VideoEncoder(self._experiment, self._bus, self.stop)))
-            previews = PreviewPublisher(show, self._bus, self._clock, self.stop, rate_hz, self._page, self._publish_frames)
+                self._video = stack.enter_context(closing(VideoEncoder(self._experiment, self._bus, self.stop, self._camera)))
+            previews = PreviewPublisher(
+                show, self._bus, self._clock, self.stop, rate_hz, self._page, self._publish_frames, self._camera
+            )
             stack.enter_context(closing(previews))
-            log_to_bus(self._bus, self._clock, "localizer")
-            self._bus.announce("localizer")
-            log.info("ready, experiment %s", self._experiment.hash[:8])
+            log_to_bus(self._bus, self._clock, self._name)
+            self._bus.announce(self._name)
+            log.info("ready, experiment %s", self._hash[:8])
             yield
             for captured in self._source.frames(self.stop):
                 if captured is None:
@@ -128,13 +142,14 @@ class LocalizerNode:
         depths_m, known = dict[int, float](), dict[int, Attitude]()
         try:
             states = self._fresh_states(captured.inputs_up_to_ns)
+            self._told = {robot: state.message.eta[:3] for robot, state in states.items() if state.message.planned}
             depths_m = {robot: state.message.depth_m for robot, state in states.items()}
             attitudes = {robot: self._attitude(state, captured.instant_ns) for robot, state in states.items()}
             known = {robot: attitude for robot, attitude in attitudes.items() if attitude is not None}
             result = self._localizer.locate(captured.pixels, captured.instant_ns, depths_m, known)
             age_ns = max(self._clock.now_ns() - captured.instant_ns, 0)
             for robot, pose in result.poses:
-                self._bus.publish(topics.POSE, pose, captured.stamp_ns, robot, age_ns=age_ns)
+                self._bus.publish(self._own(topics.POSE), pose, captured.stamp_ns, robot, age_ns=age_ns)
         except Exception as error:
             self._report_failure(captured, error, previews)
             self._record(captured, depths_m, known, ())
@@ -146,7 +161,7 @@ class LocalizerNode:
             found, dropped=captured.dropped, frame_ms=frame_ms, frame_age_ms=age_ns * 1e-6, robots=told,
             obstacles_ns=self._obstacles_ns, failed=self._failed,
         )  # fmt: skip
-        self._publish_status(status, captured.stamp_ns)
+        self._publish_status(status, captured.stamp_ns, age_ns)
         self._detect_obstacles(captured, result)
         self._finish()
         previews.offer(captured, result, self._obstacles)
@@ -198,9 +213,13 @@ class LocalizerNode:
         if result.status.camera is not CameraHealth.OK:
             self._obstacles = Obstacles()
             return
-        seen = [[pose.x_m, pose.y_m, pose.depth_m] for _, pose in result.poses if pose.track is not Track.LOST]
+        seen = {robot: [pose.x_m, pose.y_m, pose.depth_m] for robot, pose in result.poses if pose.track is not Track.LOST}
+        if self._camera:  # at the picture's edge a robot is known by another camera's poses, and is no obstacle either
+            seen = {robot: place.tolist() for robot, place in self._told.items()} | seen
         try:
-            found = self._obstacle_detector.step(captured.pixels, captured.instant_ns, np.array(seen).reshape(-1, 3))
+            found = self._obstacle_detector.step(
+                captured.pixels, captured.instant_ns, np.array(list(seen.values())).reshape(-1, 3)
+            )
         except Exception as error:
             log.error("obstacles: %s: %s; the water is learnt anew", type(error).__name__, error, exc_info=error)
             self._obstacle_detector = ObstacleDetector(self._experiment)
@@ -208,7 +227,10 @@ class LocalizerNode:
         if found is not None:
             self._obstacles, self._obstacles_ns = found, captured.stamp_ns
             self._bus.publish(
-                topics.OBSTACLES, found, captured.stamp_ns, age_ns=max(self._clock.now_ns() - captured.instant_ns, 0)
+                self._own(topics.OBSTACLES),
+                found,
+                captured.stamp_ns,
+                age_ns=max(self._clock.now_ns() - captured.instant_ns, 0),
             )
 
     def _report_absent(self, previews: PreviewPublisher) -> None:
@@ -233,9 +255,13 @@ class LocalizerNode:
         later_s = (exposed_ns - measured_ns) * 1e-9
         return Attitude.at(state.message.tilt, later_s, self._experiment.localizer.attitude_sigma_rad)
 
-    def _publish_status(self, status: LocalizerStatus, stamp_ns: int) -> None:
+    def _own(self, topic: Topic) -> Topic:
+        """The topic of this localizer's camera."""
+        return topic.of_camera(self._camera)
+
+    def _publish_status(self, status: LocalizerStatus, stamp_ns: int, age_ns: int = 0) -> None:
         self._status = status
-        self._bus.publish(topics.LOCALIZER, status, stamp_ns)
+        self._bus.publish(self._own(topics.LOCALIZER), status, stamp_ns, age_ns=age_ns)
         if status.camera is not self._last_health:
             self._last_health = status.camera
             say = log.info if status.camera is CameraHealth.OK else log.error

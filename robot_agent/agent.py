@@ -261,12 +261,12 @@ class Agent:
         return abs(pose.x_m) <= 0.5 * length_m + BEYOND_WALLS_M and abs(pose.y_m) <= 0.5 * width_m + BEYOND_WALLS_M
 
     def _left_the_picture(self) -> bool:
-        """True if the robot's estimate is not wholly in the picture of the camera that locates it. A moving camera's place is
+        """True if the robot's estimate is not wholly in a picture of the cameras that locate it. A moving camera's place is
         not known here: False then."""
         experiment, last = self._experiment, self._last
         if last is None or not last.estimated or not experiment.localizer.uses_camera or experiment.landmarks:
             return False
-        return float(outside_m(experiment.camera, last.eta[None, :3], experiment.vehicle.radius_m)[0]) > 0.0
+        return float(outside_m(experiment.all_cameras, last.eta[None, :3], experiment.vehicle.radius_m)[0]) > 0.0
 
     def _goal(self, neighbours: Sequence[Neighbour], obstacles: Sequence[Obstacle], now_ns: int) -> Goal | None:
         """Return the controller's goal in the present mode; None is neutral."""

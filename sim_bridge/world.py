@@ -61,7 +61,7 @@ class World:
         # one thruster board per robot, in the experiment's order
         self.boards: list[WorldBoard] = [board_factory(experiment, robot, seed) for robot in experiment.robot_ids]
         self._step_ns = round(experiment.sim.plant.step_s * 1e9)
-        self._frame_period_s = 1.0 / experiment.camera.rate_hz
+        self._frame_period_s = 1.0 / experiment.all_cameras[0].rate_hz
         self._no_acceleration, self._no_voltage = np.zeros_like(starts), [0.0] * len(starts)
         self._frames = 1  # the first is at time 0
         self.faults = FaultSchedule(experiment)

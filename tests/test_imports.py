@@ -54,6 +54,7 @@ PARTS: dict[str, dict[str, set[str]]] = {
         "view": {"camera_model", "detection", "sources", "tracking"},
         "calibration": {"camera_model", "detection", "sources", "view"},
         "node": {"detection", "sources", "tracking", "view"},
+        "fusion_node": {"sources", "tracking"},
         "evaluation": {"detection", "node", "sources", "tracking"},
     },
     "robot_agent": {

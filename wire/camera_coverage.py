@@ -1,8 +1,10 @@
-"""Coverage of a camera: the part of the pool that its picture shows. Pure.
+"""Coverage of cameras: the part of the pool that their pictures show. Pure.
 
 The same optics as the localizer's (pinhole with OpenCV's distortion, in air above flat water, Snell's law), forwards only and
 without OpenCV, which neither station nor robots install.
 """
+
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -15,9 +17,13 @@ _RING = np.column_stack([np.cos(_TURN), np.sin(_TURN), np.zeros(8)])
 _FARTHEST_M = 1e3  # beside the picture: what is behind the lens, or so far that a number says nothing
 
 
-def outside_m(camera: Camera, places_m: Array, reach_m: float) -> Array:
-    """Distance (n,) by which level discs of radius `reach_m` around places (n, 3) reach out of the picture, in m of the pool
-    at their depth. 0 or less: the disc is inside."""
+def outside_m(cameras: Sequence[Camera], places_m: Array, reach_m: float) -> Array:
+    """Distance (n,) by which level discs of radius `reach_m` around places (n, 3) reach out of the picture that shows them
+    best, in m of the pool at their depth. 0 or less: the disc is wholly inside a picture."""
+    return np.asarray(np.min([_outside_one_m(camera, places_m, reach_m) for camera in cameras], axis=0))
+
+
+def _outside_one_m(camera: Camera, places_m: Array, reach_m: float) -> Array:
     places = np.column_stack([places_m[:, :2], np.maximum(places_m[:, 2], 0.0)])
     points = np.concatenate([places[:, None], places[:, None] + reach_m * _RING], axis=1)  # (n, 9, 3)
     pixels = _without_fold(camera, points.reshape(-1, 3)).reshape(-1, 9, 2)

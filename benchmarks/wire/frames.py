@@ -72,7 +72,7 @@ def _start(role: str, address: str, ring: int | None) -> "subprocess.Popen[str]"
 
 def _turn(way: str) -> tuple[list[float], float]:
     """Ages of the frames in ms, and ms of processor per frame in all three processes."""
-    address, ring = f"tcp/127.0.0.1:{free_port()}", frame_ring.create(SIZE_PX) if way == WAYS[1] else None
+    address, ring = f"tcp/127.0.0.1:{free_port()}", frame_ring.create([SIZE_PX]) if way == WAYS[1] else None
     router = _start("router", address, None)
     reader, camera = _start("reader", address, ring), _start("camera", address, ring)
     if ring is not None:

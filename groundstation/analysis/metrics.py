@@ -25,6 +25,8 @@ from groundstation.analysis.timeline import faults, tags
 from groundstation.logs.reader import RunLog
 from wire.config.experiment import ArticleRow, Experiment
 from wire.frames import Array, pose_error, wrap_angle
+from wire.messages import topics
+from wire.messages.messages import LocalizerStatus
 
 
 def evaluate(series: Series, log: RunLog) -> Result:
@@ -70,6 +72,7 @@ def evaluate(series: Series, log: RunLog) -> Result:
         slack_m=_most(r.states.slack_m[rows] for r, rows in zip(each, flying, strict=True)),
         board_loss=_most(r.states.board_loss[rows] for r, rows in zip(each, flying, strict=True)),
         messages_lost={kind: sum(r.lost.get(kind, 0) for r in each) for kind in next(iter(each)).lost},
+        cameras_out=_cameras_out(series, log),
         faults=faults([h for h in series.timeline_events if _in_flight(h, series)]),
         asked_s=round(series.asked_s, 6),
         log_trouble=log.trouble,
@@ -99,6 +102,13 @@ def _part(flight: Flight, start_ns: int) -> FlightPart:
 
 
 # --- errors
+
+
+def _cameras_out(series: Series, log: RunLog) -> dict[str, float]:
+    """Share of the fused pictures in which each of several cameras gave no poses; empty for a single camera."""
+    statuses, end_ns = log.of(topics.LOCALIZER, LocalizerStatus), series.start_ns + series.end_s * 1e9
+    told = [e.message for e in statuses if series.start_ns <= e.stamp_ns <= end_ns]
+    return {name: sum(name in m.out for m in told) / len(told) for name in series.experiment.camera_names if told}
 
 
 def _robot(series: Series, robot: int) -> RobotResult:

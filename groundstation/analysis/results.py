@@ -148,6 +148,7 @@ class Result:
     evaluated_by: str = "unknown"  # the commit of the code that wrote this
     flight: int = 0  # which of the flights is judged, from 1; 0: nothing flew
     flights: tuple[FlightPart, ...] = ()  # all of the log
+    cameras_out: dict[str, float] = field(default_factory=dict)  # of several, share of the flight without its poses, by name
     tags: tuple[str, ...] = ()  # #words of the remarks that were made while it was flown
     cause: Cause | None = None  # of the failure; None if the run passed
 

@@ -16,6 +16,7 @@ _SEEN = {"none": topics.PREVIEW, "h264": topics.VIDEO, "jpeg": topics.PICTURE}  
 def layout(experiment: Experiment, fleet: str) -> Layout:
     """The layout's file, for the robots of an experiment."""
     length, width, _ = experiment.pool.size_m
+    picture = _SEEN[experiment.recording.video].of_camera(experiment.shown_camera)
     panels: Layout = {
         "3D!pool": {
             "cameraState": {
@@ -37,7 +38,7 @@ def layout(experiment: Experiment, fleet: str) -> Layout:
             "layers": {},
         },
         "Image!camera": {
-            "imageMode": {"imageTopic": f"{fleet}/{_SEEN[experiment.recording.video].name}"},
+            "imageMode": {"imageTopic": f"{fleet}/{picture.name}"},
             "foxglovePanelTitle": "camera",
         },
         "Plot!error": _plot("distance from the reference [m]", _each(experiment, fleet, topics.PLAN, ".tracking_error_m")),

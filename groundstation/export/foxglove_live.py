@@ -46,7 +46,8 @@ class ViewerServer:
         except (RuntimeError, OSError) as error:
             raise ConfigError(f"--foxglove {host}:{port}: {error}") from None
         self.port: int = self._server.port
-        for topic in SHOWN:
+        of_cameras = (topic.of_camera("*") for topic in SHOWN if topic in topics.OF_CAMERAS)
+        for topic in (*SHOWN, *(of_cameras if experiment.cameras else ())):
             bus.subscribe(topic, None, self._hear)
         self._standing_s = 0.0  # when what stands still was drawn last, monotonic
         self._drawer = threading.Thread(target=self._draw_until_closed, name="viewer", daemon=True)

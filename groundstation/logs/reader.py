@@ -56,8 +56,14 @@ READ = (
     topics.EVENT,
 )
 # below any fleet's name: "shoal/robot/3/pose" is topic POSE of robot 3; no robot has a number of more than three digits
+# "shoal/camera/west/robot/3/pose" is that of one of several cameras, and comes first: its end reads like the other
+_PARTS = {"{robot}": r"(?P<robot>[1-9][0-9]{0,2})", "{camera}": r"(?P<camera>[a-z][a-z0-9-]*)"}
 _PATTERNS = tuple(
-    (re.compile(r"(?:.*/)?" + topic.name.replace("{robot}", r"([1-9][0-9]{0,2})")), topic) for topic in topics.TOPICS
+    (re.compile(r"(?:.*/)?" + re.sub(r"\{\w+\}", lambda part: _PARTS[part[0]], name)), topic)
+    for name, topic in (
+        *((topic.of_camera("{camera}").name, topic) for topic in topics.OF_CAMERAS),
+        *((topic.name, topic) for topic in topics.TOPICS),
+    )
 )
 _READ: dict[int, Any] = {SCHEMA: Schema, CHANNEL: Channel, ATTACHMENT: Attachment, METADATA: Metadata}
 _CHUNK_HEAD = struct.Struct("<QQQ")  # first and last log time, unpacked size
@@ -116,7 +122,8 @@ def key_topic(key: str) -> tuple[Topic, int] | None:
     for pattern, topic in _PATTERNS:
         match = pattern.fullmatch(key)
         if match:
-            return topic, int(match[1]) if match.groups() else 0
+            parts = match.groupdict()
+            return topic.of_camera(parts.get("camera", "")), int(parts.get("robot", 0))
     return None
 
 

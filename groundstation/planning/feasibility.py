@@ -94,9 +94,9 @@ def outside(experiment: Experiment, position_m: Array) -> dict[str, Array]:
 
 
 def beyond_picture(experiment: Experiment, position_m: Array) -> Array:
-    """Distances (n,) in m by which positions (n, 3) lie outside the area in which the camera surely sees a robot's hull. For a
+    """Distances (n,) in m by which positions (n, 3) lie outside the area in which a camera surely sees a robot's hull. For a
     moving camera the experiment's pose counts."""
-    return outside_m(experiment.camera, position_m, experiment.vehicle.radius_m + PICTURE_MARGIN_M)
+    return outside_m(experiment.all_cameras, position_m, experiment.vehicle.radius_m + PICTURE_MARGIN_M)
 
 
 def _worst(values: Array, limit: float) -> _Worst | None:

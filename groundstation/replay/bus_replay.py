@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Iterator
 
 from groundstation.logs.reader import LogFile, LogMessage
 from wire.messages import topics
+from wire.messages.topics import Qos
 from wire.process.runtime import SLICE_S, Stop
 from wire.transport.bus import Bus
 
@@ -22,7 +23,9 @@ SEEN_AND_SAID = (
 def chosen(log: LogFile, begin_s: float, end_s: float) -> Iterator[LogMessage]:
     """Messages to send of a part of the run, in seconds from the log's beginning."""
     end_ns = log.start_ns + end_s * 1e9
-    for line in log.messages(lambda topic, _: topic in SEEN_AND_SAID, log.start_ns + round(begin_s * 1e9)):
+    for line in log.messages(
+        lambda topic, _: topic in SEEN_AND_SAID or topic.qos is Qos.IMAGE, log.start_ns + round(begin_s * 1e9)
+    ):
         if line.arrived_ns > end_ns:
             return
         yield line

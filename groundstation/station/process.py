@@ -42,7 +42,8 @@ def record_everything(bus: Bus, recorder: Recorder, clock: Clock) -> None:
     def arrival_ns(header: Header) -> int:
         return header.stamp_ns if isinstance(clock, LockstepClock) else clock.now_ns()
 
-    recorder.gather([bus.collect(topic) for topic in topics.TOPICS if topic.recorded], arrival_ns)
+    known = (*topics.TOPICS, *(topic.of_camera("*") for topic in topics.OF_CAMERAS))
+    recorder.gather([bus.collect(topic) for topic in known if topic.recorded], arrival_ns)
 
 
 def cycles(

@@ -68,3 +68,5 @@ def _system(
     elif localizer.camera is not CameraHealth.OK:
         why = f": {localizer.message}" if localizer.message else ""
         yield Alarm("critical", "camera", f"the camera is {localizer.camera.name.lower().replace('_', ' ')}{why}")
+    elif experiment.cameras and localizer.message:  # which of them is out or in doubt, while the others go on
+        yield Alarm("warning", "cameras", localizer.message)

@@ -55,7 +55,7 @@ class LiveBackend:
         self.experiment, self.station = experiment, station
         self._trajectories, self._bus, self._clock, self._mode, self.run_dir = trajectories, bus, clock, mode, run_dir
         self._heard = heard
-        self._previews = bus.inbox(topics.PREVIEW, Preview)
+        self._previews = bus.inbox(topics.PREVIEW.of_camera(experiment.shown_camera), Preview)
         self._events: deque[tuple[Header, bytes]] = deque(maxlen=MOST_EVENTS)
         self._seen: list[Header | None] = []
         self._shown: Header | None = None

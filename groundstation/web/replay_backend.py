@@ -300,7 +300,8 @@ class ReplayBackend:
 
     def picture(self) -> dict[str, Any] | None:
         """The picture of that time, once."""
-        found = self._log.newest(topics.PREVIEW, Preview, self._now_ns())
+        previews = topics.PREVIEW.of_camera(self.experiment.shown_camera)
+        found = self._log.newest(previews, Preview, self._now_ns())
         if found is None or found[0] == self._picture_ns:
             return None
         self._picture_ns = found[0]

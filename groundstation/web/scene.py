@@ -118,7 +118,7 @@ def _finite(places: Array) -> Array:
 
 
 def mesh(experiment: Experiment) -> tuple[Array, Array]:
-    """Mesh that lays the camera's picture under the map: points (rows + 1, columns + 1, 2) on the plane of the path's depth,
+    """Mesh that lays the (first) camera's picture under the map: points (rows + 1, columns + 1, 2) at the path's depth,
     pool frame, and the places (same shape) in the picture that show them, from 0 to 1 across its width and height."""
     length, width, _ = experiment.pool.size_m
     cell_m = max(length, width) / CELLS
@@ -126,5 +126,6 @@ def mesh(experiment: Experiment) -> tuple[Array, Array]:
     y = np.linspace(-width / 2 - MARGIN_M, width / 2 + MARGIN_M, max(2, round(width / cell_m)) + 1)
     points = np.stack(np.meshgrid(x, y), axis=-1)
     flat = points.reshape(-1, 2)
-    pixels = project(experiment.camera, np.column_stack([flat, np.full(len(flat), experiment.path.depth_m)]))
-    return points, ((pixels + 0.5) / np.array(experiment.camera.size_px)).reshape(points.shape)
+    camera = experiment.all_cameras[0]
+    pixels = project(camera, np.column_stack([flat, np.full(len(flat), experiment.path.depth_m)]))
+    return points, ((pixels + 0.5) / np.array(camera.size_px)).reshape(points.shape)

@@ -10,6 +10,7 @@ from wire.config.experiment import experiment_path, load_experiment
 from wire.process.cli_options import (
     DEFAULT_FLEET,
     DEFAULT_STATION,
+    CameraName,
     ExperimentName,
     FleetName,
     Insecure,
@@ -80,6 +81,7 @@ def check(
     fleet: FleetName = DEFAULT_FLEET,
     keys: KeyRing = None,
     insecure: Insecure = False,
+    camera: CameraName = "",
     settings: Settings = None,
 ) -> None:
     """Draw the pool's grid where the calibration puts it, over a picture, or on black: does it lie on the pool?
@@ -95,7 +97,7 @@ def check(
     from wire.transport.network import endpoint
     from wire.transport.zenoh_transport import ZenohTransport
 
-    loaded = load_experiment(experiment, settings or ())
+    loaded = load_experiment(experiment, settings or ()).of_camera(camera)
     check_output(out, [experiment_path(experiment), *([image] if image is not None else [])])
     if image is not None and (live or show):
         raise typer.BadParameter("give --image, or --live or --show, not both")
@@ -109,7 +111,7 @@ def check(
         page = stack.enter_context(closing(MjpegServer(show_port, stop))) if show else None
         typer.echo(f"Waiting for a frame through the station at {station} ...", err=True)
         where = endpoint(station, process_name(Role.LOCALIZER), keys, insecure=insecure)
-        pictures = LivePictures(stack.enter_context(Bus(ZenohTransport(where, stop), fleet)))
+        pictures = LivePictures(stack.enter_context(Bus(ZenohTransport(where, stop), fleet)), camera)
         picture = pictures.next(stop)
         if picture is not None:
             typer.echo("\n".join(check_camera(loaded, picture, "the newest frame", depth, out)))

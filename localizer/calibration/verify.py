@@ -38,8 +38,9 @@ def check_camera(experiment: Experiment, picture: Pixels | None, what: str, dept
 class LivePictures:
     """Frames of the bus as BGR pictures, each newer than the last."""
 
-    def __init__(self, bus: Bus) -> None:
-        self._bus, self._frames = bus, bus.inbox(topics.FRAME, Frame)
+    def __init__(self, bus: Bus, camera: str = "") -> None:
+        """Of the only camera, or of one of several."""
+        self._bus, self._frames = bus, bus.inbox(topics.FRAME.of_camera(camera), Frame)
         self._seen: Header | None = None
 
     def next(self, stop: Stop) -> Pixels | None:

@@ -12,6 +12,7 @@ from wire.process.cli_options import (
     DEFAULT_FLEET,
     DEFAULT_STATION,
     AsJson,
+    CameraName,
     ExperimentName,
     FleetName,
     Insecure,
@@ -42,6 +43,7 @@ def latency(
     fleet: FleetName = DEFAULT_FLEET,
     keys: KeyRing = None,
     insecure: Insecure = False,
+    camera: CameraName = "",
     settings: Settings = None,
 ) -> None:
     """Measure how old poses are and how even the pictures come. Exit code 1 if something is not as it should be.
@@ -52,6 +54,7 @@ def latency(
 
     from localizer.evaluation.latency import assess, localize_in_process, measure
     from localizer.sources.factory import BUS, open_bus, open_own
+    from localizer.tracking.check_marks import with_camera
     from wire.messages.topics import Role, process_name
     from wire.process.runtime import Stop, WallClock, start_log
     from wire.transport.bus import Bus
@@ -62,13 +65,13 @@ def latency(
     if json is not None:
         check_output(json, [experiment_path(experiment), *([Path(source.split(":")[1])] if ":" in source else [])])
     cv2.setNumThreads(1)  # as `run`
-    loaded, clock = load_experiment(experiment, settings or ()), WallClock()
+    loaded, clock = with_camera(load_experiment(experiment, settings or ()), camera), WallClock()
     stop = Stop()
     with ExitStack() as stack:
         if source == BUS:
             where = endpoint(station, process_name(Role.LOCALIZER), keys, insecure=insecure)
             bus = stack.enter_context(Bus(ZenohTransport(where, stop), fleet))
-            pictures = open_bus(bus, clock, stop, loaded.camera.rate_hz, {})
+            pictures = open_bus(bus, clock, stop, loaded.camera.rate_hz, {}, camera)
         else:
             pictures = open_own(source, loaded.camera, clock)
         stack.enter_context(closing(pictures))
@@ -97,6 +100,7 @@ def evaluate(
     box: Annotated[float, typer.Option(min=8, help="Side of a plain video's target, pixels.")] = 64.0,
     frames: Annotated[int | None, typer.Option(min=2, help="Look at the first so many only.")] = None,
     json: JsonFile = None,
+    camera: CameraName = "",
     settings: Settings = None,
 ) -> None:
     """Print a table of the localizer's errors against a known truth.
@@ -108,6 +112,7 @@ def evaluate(
     import cv2
 
     from localizer.evaluation import runner
+    from localizer.tracking.check_marks import with_camera
 
     if json is not None:
         read = [recording, *([truth] if truth is not None else [])]
@@ -121,7 +126,8 @@ def evaluate(
     elif experiment is None:
         rows = runner.evaluate_plain(recording, truth, box, frames)
     else:
-        loaded = load_experiment(experiment, [*(settings or ()), f"localizer.markers={str(marker).lower()}"])
+        changed = [*(settings or ()), f"localizer.markers={str(marker).lower()}"]
+        loaded = with_camera(load_experiment(experiment, changed), camera)
         rows = runner.evaluate_pool(recording, truth, loaded, frames)
     typer.echo(runner.table(rows))
     if json is not None:
@@ -139,6 +145,7 @@ def track(
         typer.Option(metavar="FILE", help="CSV of what the robots' boards measured: frame,robot,depth_m,roll_rad,pitch_rad."),
     ] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on where a run that was stopped ended.")] = False,
+    camera: CameraName = "",
     settings: Settings = None,
 ) -> None:
     """Localize the robots of an experiment in a recording, without a station, and write their poses to a table.
@@ -151,6 +158,7 @@ def track(
     from localizer.evaluation.offline import frames_of_video, part_of, track_frames
     from localizer.sources.files import frame_count
     from localizer.sources.recording import EXPERIMENT, frame_estimate, recorded_frames
+    from localizer.tracking.check_marks import with_camera
     from wire.process.runtime import start_log
 
     start_log("localizer")
@@ -165,7 +173,7 @@ def track(
         if path.exists() and not (resume and path != out):
             raise ConfigError(f"{path}: is there already (write to another file{'' if path == out else ', or --resume'})")
     cv2.setNumThreads(1)  # as `run`
-    loaded = load_experiment(name, settings or ())
+    loaded = with_camera(load_experiment(name, settings or ()), camera)
     frames = recorded_frames(recording) if raw else frames_of_video(recording, loaded, reports)
     count = frame_estimate(recording, loaded.camera.size_px) if raw else frame_count(recording)
     with typer.progressbar(length=count, label=recording.name) as bar:

@@ -1,7 +1,7 @@
 """Error metrics of a localizer with known truth. Pure; localizer/evaluation/runner.py reads the files."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import chi2
@@ -77,11 +77,12 @@ class GroundTruthTrajectory:
 
 @dataclass(frozen=True, eq=False)
 class PublishedPose:
-    """A published pose of a robot."""
+    """A published pose of a robot: by one of several cameras, or fused from theirs or by the only one ("")."""
 
     robot: int
     stamp_ns: int
     pose: Pose
+    camera: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +115,46 @@ def pose_rows(found: Sequence[PublishedPose], truth: Mapping[int, GroundTruthTra
     groups |= {track.name.lower(): [e for e in errors if e.found.pose.track is track] for track in sorted(Track, reverse=True)}
     groups["all but lost"] = seen
     return [_pose_row(subject, group) for subject, group in groups.items() if group]
+
+
+def camera_rows(found: Sequence[PublishedPose], truth: Mapping[int, GroundTruthTrajectory]) -> list[PoseRow]:
+    """Rows of a run with several cameras; none of one with a single camera.
+
+    Of each camera; of the fused poses by how many cameras measured them; and of how their error changes from one to the next,
+    where those cameras stay the same and where they change: the step that a hand-over makes. Its NEES is with the sum of both
+    covariances.
+    """
+    measured: dict[tuple[int, int], set[str]] = {}
+    for pose in found:
+        if pose.camera and pose.pose.track >= Track.KCF:
+            measured.setdefault((pose.robot, pose.stamp_ns), set()).add(pose.camera)
+    if not measured:
+        return []
+    groups: dict[str, list[_PoseError]] = {}
+    last: dict[int, tuple[set[str], _PoseError]] = {}
+    for pose in sorted(found, key=lambda pose: pose.stamp_ns):
+        error = _error(pose, truth)
+        if error is None or pose.pose.track is Track.LOST:
+            continue
+        if pose.camera:
+            groups.setdefault(f"camera {pose.camera}", []).append(error)
+            continue
+        seen_by = measured.get((pose.robot, pose.stamp_ns), set())
+        groups.setdefault(f"seen by {len(seen_by)}", []).append(error)
+        before = last.get(pose.robot)
+        if before is not None:
+            same = "same cameras" if before[0] == seen_by else "hand-over"
+            groups.setdefault(f"step, {same}", []).append(_change(before[1], error))
+        last[pose.robot] = seen_by, error
+    return [_pose_row(subject, group) for subject, group in sorted(groups.items())]
+
+
+def _change(before: _PoseError, after: _PoseError) -> _PoseError:
+    """The change of a robot's error from one pose to the next."""
+    change = after.error - before.error
+    change[2] = wrap(change[2])
+    covariance = before.found.pose.covariance + after.found.pose.covariance
+    return replace(after, error=change, nees=_nees(change, covariance), swapped=False)
 
 
 def _error(found: PublishedPose, truth: Mapping[int, GroundTruthTrajectory]) -> _PoseError | None:

@@ -15,7 +15,15 @@ from typing import Any
 import numpy as np
 
 from localizer.detection.image_regions import Pixels
-from localizer.evaluation.metrics import GroundTruthTrajectory, PixelRow, PoseRow, PublishedPose, pixel_row, pose_rows
+from localizer.evaluation.metrics import (
+    GroundTruthTrajectory,
+    PixelRow,
+    PoseRow,
+    PublishedPose,
+    camera_rows,
+    pixel_row,
+    pose_rows,
+)
 from localizer.sources.base import as_bayer
 from localizer.sources.files import video_frames
 from localizer.tracking.fleet_localizer import FleetLocalizer
@@ -121,7 +129,8 @@ def trajectory(samples: list[tuple[int, Array]]) -> GroundTruthTrajectory:
 
 
 def evaluate_log(path: Path) -> list[PoseRow]:
-    """Poses of a recorded run against the plant's truth in it. A log that was cut off counts as far as it goes."""
+    """Poses of a recorded run against the plant's truth in it; with several cameras the fused ones, and then rows about the
+    cameras. A log that was cut off counts as far as it goes."""
     found: list[PublishedPose] = []
     true: dict[int, list[tuple[int, Array]]] = {}
     for topic, stamp_ns, data in _records(path):
@@ -132,10 +141,12 @@ def evaluate_log(path: Path) -> list[PoseRow]:
                 for robot, eta in zip(truth.robots, truth.eta, strict=False):
                     true.setdefault(robot, []).append((stamp_ns, eta[[0, 1, 3]]))
             elif parts[-3:-2] == ["robot"] and parts[-1] == "pose":
-                found.append(PublishedPose(int(parts[-2]), stamp_ns, decode(Pose, data, "log", topic)))
+                camera = parts[-4] if parts[-5:-4] == ["camera"] else ""
+                found.append(PublishedPose(int(parts[-2]), stamp_ns, decode(Pose, data, "log", topic), camera))
         except (DecodeError, ValueError) as error:
             raise ConfigError(f"{path}: {error}") from None
-    rows = pose_rows(found, {robot: trajectory(samples) for robot, samples in true.items()})
+    paths = {robot: trajectory(samples) for robot, samples in true.items()}
+    rows = pose_rows([pose for pose in found if not pose.camera], paths) + camera_rows(found, paths)
     if not rows:
         raise ConfigError(f"{path}: no poses with a truth to compare with ({len(found)} poses, truth of {len(true)} robots)")
     return rows

@@ -51,10 +51,10 @@ class _OneCamera:
 class BusSource:
     """Frames that another process publishes, in real time. The newest wins; the sender's clock may be any."""
 
-    def __init__(self, bus: Bus, clock: Clock, rate_hz: float) -> None:
+    def __init__(self, bus: Bus, clock: Clock, rate_hz: float, camera: str = "") -> None:
         self.trouble, self.silent_after_s = "", silent_after_s(rate_hz)
         self._bus, self._clock = bus, clock
-        self._frames = bus.inbox(topics.FRAME, Frame)
+        self._frames = bus.inbox(topics.FRAME.of_camera(camera), Frame)
         self._sequence, self._camera = _Sequence(), _OneCamera(self.silent_after_s)
 
     def frames(self, stop: Stop) -> Iterator[CapturedFrame | None]:
@@ -104,24 +104,34 @@ class LockstepSource:
 
     trouble, silent_after_s = "", math.inf
 
-    def __init__(self, bus: Bus, clock: LockstepClock, stop: Stop, states: Mapping[int, Inbox[RobotState]]) -> None:
+    def __init__(
+        self,
+        bus: Bus,
+        clock: LockstepClock,
+        stop: Stop,
+        states: Mapping[int, Inbox[RobotState]],
+        camera: str = "",
+        number: int | None = None,
+    ) -> None:
+        """Of the only camera, or of one of several with its number in the experiment."""
         self._lockstep = Lockstep(bus, stop, clock, topics.EXPOSED)
-        self._clock, self._states = clock, states
-        self._frames = bus.inbox(topics.FRAME, Frame)
+        self._clock, self._states, self._number = clock, states, number
+        self._frames = bus.inbox(topics.FRAME.of_camera(camera), Frame)
         self._sequence = _Sequence()
 
     def frames(self, stop: Stop) -> Iterator[CapturedFrame]:
         """See FrameSource. Without a tick time stands still, so no frame is ever late."""
         done_ns = -1
         while not stop.requested and (tick := self._lockstep.next()) is not None:
-            if tick.frame_ns <= done_ns:
+            frame_ns = tick.frame_ns if self._number is None else dict(enumerate(tick.frames_ns)).get(self._number, -1)
+            if frame_ns <= done_ns:  # one of several cameras may be late, or gone
                 continue
             states = [(self._states[robot], tick.previous_ns) for robot in tick.robots]
-            if not self._lockstep.await_all([(self._frames, tick.frame_ns), *states]):
+            if not self._lockstep.await_all([(self._frames, frame_ns), *states]):
                 return
-            received = self._frames.newest(tick.frame_ns)
+            received = self._frames.newest(frame_ns)
             if received is not None:
-                done_ns = tick.frame_ns
+                done_ns = frame_ns
                 stamp_ns, dropped = received.header.stamp_ns, self._sequence.note(received)
                 yield CapturedFrame(
                     received.message.pixels,

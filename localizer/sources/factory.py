@@ -20,9 +20,20 @@ ALLOWED = "bus, v4l2:/dev/video0, video:FILE[:FPS|:max], folder:DIR[:FPS|:max]"
 FASTEST = math.inf
 
 
-def open_bus(bus: Bus, clock: Clock, stop: Stop, rate_hz: float, states: Mapping[int, Inbox[RobotState]]) -> FrameSource:
-    """A source of the fleet's camera frames, for the given clock."""
-    return LockstepSource(bus, clock, stop, states) if isinstance(clock, LockstepClock) else BusSource(bus, clock, rate_hz)
+def open_bus(
+    bus: Bus,
+    clock: Clock,
+    stop: Stop,
+    rate_hz: float,
+    states: Mapping[int, Inbox[RobotState]],
+    camera: str = "",
+    number: int | None = None,
+) -> FrameSource:
+    """A source of the fleet's camera frames, for the given clock: of one of several cameras, with its number in the
+    experiment, or of the only one ("")."""
+    if isinstance(clock, LockstepClock):
+        return LockstepSource(bus, clock, stop, states, camera, number)
+    return BusSource(bus, clock, rate_hz, camera)
 
 
 def open_own(name: str, camera: Camera, clock: Clock) -> FrameSource:

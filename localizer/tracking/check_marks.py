@@ -16,6 +16,7 @@ from localizer.camera_model import LocalLinearization, RefractiveCamera
 from localizer.detection.fiducials import find_markers, marker_detector
 from localizer.detection.image_regions import ImageRegion, Pixels, cut, whole
 from localizer.tracking.camera_pose import FixedCameraPose, corners_of, fit_camera_pose
+from wire.config.experiment import Experiment
 from wire.config.perception import LANDMARKS_NEEDED, Camera, Landmark
 from wire.frames import Array, wrap
 
@@ -26,6 +27,18 @@ LEAST_DROP_M = 0.01  # m of water level that is told; ripples of 0.3 px make 5 m
 MOST_DROP_M = 0.2  # m; marks must be deeper than this to tell the level
 _LEVEL_STEP_M = 1e-3  # m, step of the difference that gives the shifts' slope over the water level
 _LEVEL_ROUNDS = 5  # Gauss-Newton iterations; the shifts are linear in the level to 1 % over 5 cm
+
+
+def with_camera(experiment: Experiment, camera: str) -> Experiment:
+    """The experiment with one of several cameras alone, and those of the check marks that its picture shows whole; as it is
+    for "", the only camera. Raises ConfigError if there is no such camera."""
+    alone = experiment.of_camera(camera)
+    if not camera or not alone.check_marks:
+        return alone
+    pixels = RefractiveCamera(alone.camera).pool_to_pixel(np.array([corners_of(mark) for mark in alone.check_marks]))
+    inside = np.all((pixels >= 0.0) & (pixels <= np.array(alone.camera.size_px) - 1.0), axis=(1, 2))
+    marks = tuple(mark for mark, seen in zip(alone.check_marks, inside, strict=True) if seen)
+    return alone.model_copy(update={"check_marks": marks})
 
 
 class CheckedCameraPose(FixedCameraPose):

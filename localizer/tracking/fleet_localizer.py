@@ -75,7 +75,9 @@ class FleetLocalizer:
     """The tracker of all robots: call `locate` and then `finish` once per frame, in order; `step` is both. Robots go by
     index, in the experiment's order."""
 
-    def __init__(self, experiment: Experiment) -> None:
+    def __init__(self, experiment: Experiment, sees_all: bool = True) -> None:
+        """`sees_all` is False for one of several cameras: a robot that its picture does not show is no trouble then."""
+        self._sees_all = sees_all
         vehicle, settings = experiment.vehicle, experiment.localizer
         camera = experiment.camera
         self._camera_pose = _camera_pose(experiment)
@@ -278,7 +280,7 @@ class FleetLocalizer:
         doubted = [str(i) for i, track in pairs if track.state is not Track.LOST and not track.verified]
         strange = [str(i) for i, scans in self._foreign_scans.items() if lost and scans >= _STRANGE_SCANS]
         parts = (
-            ("lost: robot", lost),
+            ("lost: robot", lost if self._sees_all else []),
             ("identity not verified: robot", doubted),
             ("in view, but no robot's: marker", strange),
         )

@@ -69,7 +69,10 @@ class PreviewPublisher:
         preview_rate_hz: float,
         page: MjpegServer | None = None,
         publish_frames: bool = False,
+        camera: str = "",
     ) -> None:
+        """`camera` is one of several, whose topics are published; "" the only one."""
+        self._frames, self._previews = topics.FRAME.of_camera(camera), topics.PREVIEW.of_camera(camera)
         self._draw, self._bus, self._clock, self._page, self._publish_frames = draw, bus, clock, page, publish_frames
         self._preview, self._paging = RateLimiter(preview_rate_hz), RateLimiter(PAGE_RATE_HZ if page is not None else 0.0)
         self._worker: LatestItemWorker[_PreviewItem] = LatestItemWorker("previews", self._make, stop)
@@ -98,7 +101,7 @@ class PreviewPublisher:
         captured = item.captured
         if captured is not None and self._publish_frames:
             age_ns = max(self._clock.now_ns() - captured.instant_ns, 0)
-            self._bus.publish(topics.FRAME, Frame(captured.pixels), captured.stamp_ns, age_ns=age_ns)
+            self._bus.publish(self._frames, Frame(captured.pixels), captured.stamp_ns, age_ns=age_ns)
 
     def _draw_and_show(self, item: _PreviewItem, on_bus: bool, on_page: bool) -> None:
         try:
@@ -117,7 +120,7 @@ class PreviewPublisher:
         _, encoded = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
         jpeg = encoded.tobytes()
         if on_bus:
-            self._bus.publish(topics.PREVIEW, Preview(jpeg), stamp_ns)
+            self._bus.publish(self._previews, Preview(jpeg), stamp_ns)
         if on_page and self._page is not None:
             self._page.show(jpeg)
 

@@ -33,12 +33,13 @@ CLOCK_HZ = 1000  # Hz of the video's own time stamps
 class VideoEncoder:
     """The thread, ended by `close`. A frame that cannot be encoded is left out, and the encoder is made anew."""
 
-    def __init__(self, experiment: Experiment, bus: Bus, stop: Stop) -> None:
-        """Raises ConfigError if the needed package is not installed."""
+    def __init__(self, experiment: Experiment, bus: Bus, stop: Stop, camera: str = "") -> None:
+        """Of one of several cameras, or of the only one (""). Raises ConfigError if the needed package is not installed."""
         self._recording, self._size_px = experiment.recording, experiment.camera.size_px
         self._pack = packer(self._recording, self._size_px)
         self._due, self._bus = RateLimiter(experiment.recording.video_rate_hz), bus
-        self._topic = topics.VIDEO if experiment.recording.video == "h264" else topics.PICTURE
+        self._film = topics.VIDEO if experiment.recording.video == "h264" else topics.PICTURE
+        self._topic = self._film.of_camera(camera)
         self._worker: LatestItemWorker[CapturedFrame] = LatestItemWorker("video", self._send, stop, _give_way)
 
     def offer(self, captured: CapturedFrame) -> None:
@@ -57,7 +58,7 @@ class VideoEncoder:
             self._pack = packer(self._recording, self._size_px)  # a codec that has failed is in no known state
             raise
         if packed:
-            message = Video(packed) if self._topic is topics.VIDEO else Picture(packed)
+            message = Video(packed) if self._film is topics.VIDEO else Picture(packed)
             self._bus.publish(self._topic, message, captured.stamp_ns)
 
 

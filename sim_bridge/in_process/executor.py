@@ -20,6 +20,7 @@ from rich.console import Console
 
 from groundstation.station import process as station_process
 from groundstation.web.auth import WebOptions, web_options
+from localizer.fusion_node import FusionNode
 from localizer.node import LocalizerNode
 from robot_agent.node import AgentNode
 from sim_bridge.node.board_ports import Address, BoardPorts
@@ -29,7 +30,9 @@ from sim_bridge.sil.commands import RunOptions
 from sim_bridge.sil.monitor import Monitor
 from wire.config.experiment import Experiment, dump_experiment
 from wire.messages import topics
-from wire.messages.codec import decode
+from wire.messages.codec import Header, decode
+from wire.messages.messages import Tick
+from wire.messages.topics import Topic
 from wire.process.lockstep import LockstepClock
 from wire.process.runtime import Failed, Stop, log, log_handler, speaking
 from wire.toml_loader import ConfigError
@@ -215,9 +218,11 @@ class Executor:
         self._poses, self._pace = poses, pace
         self._each_tick: Callable[[], None] = lambda: None
         self._decoder = SharedDecoder()
-        self._ticked = self._exposed = False
+        self._ticked = False
+        self._exposed: Tick | None = None
         self._station: Part
-        self._localizer: Part | None = None
+        self._localizers: dict[str, Part] = {}  # by camera; "" is the only one's, or what fuses the others' poses
+        self._frames_ns: tuple[int, ...] = ()  # of several cameras, stamps of the frames that were localized in
         self._agents: list[Part] = []
 
     def fly(self, each_tick: Callable[[], None] = lambda: None, *, automatic: bool = True, page: str | None = None) -> bool:
@@ -238,12 +243,12 @@ class Executor:
 
             listener = closing.enter_context(Bus(MemoryTransport(self._hub)))
             listener.subscribe(topics.TICK, None, lambda *_: setattr(self, "_ticked", True))
-            listener.subscribe(topics.EXPOSED, None, lambda *_: setattr(self, "_exposed", True))
+            listener.subscribe(topics.EXPOSED, None, self._note_exposed)
             self._station = part("groundstation")
             self._station.begin(lambda bus: self._cycles(bus, automatic, web_options(page) if page is not None else None))
-            if not self._poses:
-                self._localizer = part("localizer")
-                self._localizer.begin(lambda bus: LocalizerNode(experiment, bus, self.stop, LockstepClock()).steps())
+            for camera in () if self._poses else (*experiment.camera_names, ""):
+                self._localizers[camera] = part(topics.localizer_name(camera))
+                self._localizers[camera].begin(lambda bus, c=camera: self._localizer(bus, c))  # type: ignore[misc]
             wires = [MemoryWire() for _ in experiment.robot_ids]
             for robot, wire in zip(experiment.robot_ids, wires, strict=True):
                 agent = part(f"agent-{robot}")
@@ -257,7 +262,7 @@ class Executor:
             finally:
                 self.stop.request()
                 self._station.finish()  # it closes the log
-            for other in (*self._agents, *([self._localizer] if self._localizer is not None else [])):
+            for other in (*self._agents, *self._localizers.values()):
                 other.finish()
             self.stop.raise_failure()
         return bool(self._station.result)
@@ -268,13 +273,30 @@ class Executor:
             self._experiment, text, bus, self._run_dir, automatic=automatic, lockstep=True, stop=self.stop, web=web
         )
 
+    def _localizer(self, bus: Bus, camera: str) -> Generator[None]:
+        if self._experiment.cameras and not camera:
+            return FusionNode(self._experiment, bus, self.stop, LockstepClock()).steps()
+        return LocalizerNode(self._experiment, bus, self.stop, LockstepClock(), camera=camera).steps()
+
+    def _note_exposed(self, topic: Topic, key: str, header: Header, payload: bytes) -> None:
+        self._exposed = decode(Tick, payload, "sim-bridge", key)
+
+    def _localize(self, exposed: Tick) -> None:
+        """The step of each camera's localizer that has a new frame, and then of what fuses their poses."""
+        before = self._frames_ns or (-1,) * len(exposed.frames_ns)
+        self._frames_ns = exposed.frames_ns
+        late = [new <= old for new, old in zip(exposed.frames_ns, before, strict=True)]
+        for localizer, is_late in zip(self._localizers.values(), [*late, False], strict=False):
+            if not is_late:
+                localizer.step()
+
     def _others(self) -> None:
         """The step of everyone but the simulator, for the tick that it has published."""
         if not self._ticked:
             raise RuntimeError("the simulator waits, but not for a step")
-        if self._exposed and self._localizer is not None:
-            self._localizer.step()
-        self._ticked = self._exposed = False
+        if self._exposed is not None:
+            self._localize(self._exposed)
+        self._ticked, self._exposed = False, None
         self._decoder.next_tick()
         self._station.step()
         if self._station.ended:

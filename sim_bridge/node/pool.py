@@ -10,40 +10,21 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sim_bridge.camera.faults import CameraFaults
 from sim_bridge.camera.ideal_localizer import IdealLocalizer
-from sim_bridge.camera.renderer import Renderer, with_sunken_water
 from sim_bridge.node.board_ports import BoardPorts
+from sim_bridge.node.simulated_camera import Exposure, SimulatedCamera
 from sim_bridge.thruster_board.board import ThrusterBoard
 from sim_bridge.world import World, WorldBoard
 from wire.config.experiment import Experiment
-from wire.config.fault_injection import Break
 from wire.frames import Array
 from wire.messages import topics
 from wire.messages.messages import CameraHealth, Frame, LocalizerStatus, RobotState, Tick, Trajectory
 from wire.process.lockstep import LOCKSTEP_SAYS_S, LockstepClock, Reminder
 from wire.process.runtime import SLICE_S, Clock, Stop, WallClock, guarded_thread, log, log_to_bus, wait
 from wire.transport.bus import Bus
-
-
-@dataclass(frozen=True, eq=False)
-class Exposure:
-    """The plant in the middle of an exposure, from which a frame is rendered."""
-
-    eta: Array
-    nu: Array
-    tilt: Array
-    time_s: float
-    index: int
-    stamp_ns: int
-    broken: tuple[Break, ...] = ()  # faults of the camera
-    unmarked: frozenset[int] = frozenset()  # robots without markers, by index
-    water_drop_m: float = 0.0  # that the water stands lower
 
 
 class PoolNode:
@@ -68,19 +49,12 @@ class PoolNode:
         self._clock: Clock = self._lockstep or WallClock()
         self._sockets = sockets
         self._states = bus.inboxes(topics.STATE, RobotState, experiment.robot_ids if experiment.sim.faults else ())
-        self._camera: Renderer | IdealLocalizer = (
-            IdealLocalizer(experiment, experiment.seed) if poses else Renderer(experiment, experiment.seed)
-        )
-        drops = {fault.broken.value for fault in experiment.sim.faults if fault.broken.kind == "water"}
-        self._sunk = {drop_m: Renderer(with_sunken_water(experiment, drop_m), experiment.seed) for drop_m in sorted(drops)}
+        self._localizer = IdealLocalizer(experiment, experiment.seed) if poses else None
+        names = () if poses else experiment.camera_names or ("",)
+        self._cameras = [SimulatedCamera(experiment, name) for name in names]
         if not lockstep:
-            for camera in (self._camera, *self._sunk.values()):
-                if isinstance(camera, Renderer):
-                    camera.backdrop.prepare()  # frames of a wall clock must not wait
-        self._camera_trouble = CameraFaults()
-        self._rendered_ahead: tuple[Exposure, NDArray[np.uint8]] | None = None
-        self._unmarked: frozenset[int] = frozenset()
-        self._water_drop_m = 0.0
+            for camera in self._cameras:
+                camera.prepare()  # frames of a wall clock must not wait
         self._frame_index = 0
         self._pending: deque[Exposure] = deque()  # lockstep: exposed, and not old enough yet to count at a control step
         self._frame_ns = self._obstacles_ns = -1
@@ -98,7 +72,7 @@ class PoolNode:
             if starts is None:
                 return
             # No robot arms before the localizer has learnt the water. Until then they are held, or they would drift away.
-            held = isinstance(self._camera, Renderer) and self._experiment.watches_obstacles
+            held = self._localizer is None and self._experiment.watches_obstacles
             world = World(self._experiment, self._experiment.seed, starts, self._make, held)
             self._bus.announce("sim-bridge")
             log.info("robots are in the water")
@@ -157,9 +131,7 @@ class PoolNode:
     # --- by the wall clock
 
     def _run_wall(self, world: World) -> None:
-        exposures: queue.Queue[Exposure | None] = queue.Queue(
-            1 if isinstance(self._camera, Renderer) else 0
-        )  # poses only wait there
+        exposures: queue.Queue[Exposure | None] = queue.Queue(1 if self._localizer is None else 0)  # poses only wait there
         camera = guarded_thread(self._stop, "camera", lambda: self._run_camera(exposures))
         camera.start()
         begin_ns = self._clock.now_ns()
@@ -198,44 +170,33 @@ class PoolNode:
 
     def _run_camera(self, exposures: "queue.Queue[Exposure | None]") -> None:
         while (exposure := exposures.get()) is not None:
-            self._publish_exposure(exposure)
+            self._publish_exposure(exposure, exposure.stamp_ns)
 
-    def _publish_exposure(self, exposure: Exposure) -> None:
-        """Publish a frame of an exposure, or poses as late as the localizer's."""
-        if isinstance(self._camera, Renderer):
-            self._publish_frame(self._camera, exposure)
+    def _publish_exposure(self, exposure: Exposure, newest_ns: int) -> None:
+        """Publish the frames that are due when that of an exposure would be, or poses as late as the localizer's."""
+        if self._localizer is None:
+            for camera in self._cameras:
+                camera.expose(exposure)
+                for stamp_ns, pixels in camera.due(newest_ns):
+                    age_ns = max(self._clock.now_ns() - stamp_ns, 0)
+                    self._bus.publish(topics.FRAME.of_camera(camera.name), Frame(pixels), stamp_ns, age_ns=age_ns)
+                    self._frame_ns = max(self._frame_ns, stamp_ns)
             return
+        self._frame_ns = exposure.stamp_ns
         if self._lockstep is None:
             time.sleep(max(self._experiment.sim.latency_s - (self._clock.now_ns() - exposure.stamp_ns) * 1e-9, 0.0))
         age_ns = max(self._clock.now_ns() - exposure.stamp_ns, 0)
-        for robot, pose in zip(self._experiment.robot_ids, self._camera.poses(exposure.eta), strict=True):
+        for robot, pose in zip(self._experiment.robot_ids, self._localizer.poses(exposure.eta), strict=True):
             self._bus.publish(topics.POSE, pose, exposure.stamp_ns, robot, age_ns=age_ns)
         if self._lockstep is not None:  # where others wait for what is told of each picture
             told = LocalizerStatus(
                 CameraHealth.OK, exposure.index, robots=self._experiment.robot_ids, obstacles_ns=self._obstacles_ns
             )
             self._bus.publish(topics.LOCALIZER, told, exposure.stamp_ns)
-        obstacles = self._camera.obstacles(exposure.time_s)
+        obstacles = self._localizer.obstacles(exposure.time_s)
         if obstacles is not None:
             self._obstacles_ns = exposure.stamp_ns
             self._bus.publish(topics.OBSTACLES, obstacles, exposure.stamp_ns, age_ns=age_ns)
-
-    def _publish_frame(self, renderer: Renderer, exposure: Exposure) -> None:
-        if exposure.unmarked != self._unmarked:
-            self._unmarked = exposure.unmarked
-            for each in (renderer, *self._sunk.values()):
-                each.hide_markers(exposure.unmarked)
-        self._water_drop_m = exposure.water_drop_m
-        pixels = self._take_rendered(exposure)
-        if pixels is None:
-            pixels = self._rendered(renderer, exposure)
-        pixels = self._camera_trouble.apply(pixels, exposure.broken)
-        age_ns = max(self._clock.now_ns() - exposure.stamp_ns, 0)
-        self._bus.publish(topics.FRAME, Frame(pixels), exposure.stamp_ns, age_ns=age_ns)
-
-    def _rendered(self, renderer: Renderer, exposure: Exposure) -> NDArray[np.uint8]:
-        renderer = self._sunk.get(exposure.water_drop_m, renderer)
-        return renderer.render(exposure.eta, exposure.nu, exposure.time_s, exposure.index, exposure.tilt)
 
     # --- in lockstep
 
@@ -243,27 +204,11 @@ class PoolNode:
         """Render the next frame while the others compute: the pulses that are awaited cannot move a robot before it is
         exposed."""
         expected = world.next_exposure() if not self._pending else None
-        if expected is None or not isinstance(self._camera, Renderer):
+        if expected is None:
             return
-        exposure = Exposure(
-            *expected, world.exposure_ns * 1e-9, self._frame_index + 1, world.exposure_ns, unmarked=self._unmarked,
-            water_drop_m=self._water_drop_m,
-        )  # fmt: skip
-        self._rendered_ahead = exposure, self._rendered(self._camera, exposure)
-
-    def _take_rendered(self, exposure: Exposure) -> NDArray[np.uint8] | None:
-        """The frame that was rendered ahead, if the exposure is the expected one to the bit; else None."""
-        if self._rendered_ahead is None:
-            return None
-        (expected, pixels), self._rendered_ahead = self._rendered_ahead, None
-        same = all(
-            getattr(expected, name) == getattr(exposure, name) for name in ("time_s", "index", "unmarked", "water_drop_m")
-        )
-        moved = ((expected.eta, exposure.eta), (expected.nu, exposure.nu), (expected.tilt, exposure.tilt))
-        if same and all(np.array_equal(then, now) for then, now in moved):
-            return pixels
-        log.debug("frame %d came otherwise than expected", exposure.index)
-        return None
+        exposure = Exposure(*expected, world.exposure_ns * 1e-9, self._frame_index + 1, world.exposure_ns)
+        for camera in self._cameras:
+            camera.render_ahead(exposure)
 
     def _run_lockstep(self, world: World, clock: LockstepClock) -> None:
         self._await_everyone(world)
@@ -295,7 +240,8 @@ class PoolNode:
         """Wait until all processes are present and every board has a peer."""
         self._sockets.forget()
         everyone = {"groundstation", *(f"agent-{r}" for r in self._experiment.robot_ids)}
-        everyone |= {"localizer"} if isinstance(self._camera, Renderer) else set()
+        everyone |= {topics.localizer_name(camera.name) for camera in self._cameras}
+        everyone |= {topics.localizer_name("")} if self._cameras else set()
         reminder = Reminder()
         while not self._stop.requested:
             self._sockets.exchange(world)
@@ -318,12 +264,16 @@ class PoolNode:
         newest_ns = tick_ns - round(self._experiment.sim.latency_s * 1e9)
         before_ns = self._frame_ns
         while self._pending and self._pending[0].stamp_ns <= newest_ns:
-            exposure = self._pending.popleft()
-            self._frame_ns = exposure.stamp_ns
-            self._publish_exposure(exposure)
+            self._publish_exposure(self._pending.popleft(), newest_ns)
         next_ns = self._pending[0].stamp_ns if self._pending else world.exposure_ns
         if self._frame_ns > before_ns and next_ns > newest_ns:
-            self._bus.publish(topics.EXPOSED, Tick(tick_ns, previous_ns, self._frame_ns, self._present_robots), tick_ns)
+            exposed = Tick(tick_ns, previous_ns, self._frame_ns, self._present_robots, frames_ns=self._frames_ns)
+            self._bus.publish(topics.EXPOSED, exposed, tick_ns)
+
+    @property
+    def _frames_ns(self) -> tuple[int, ...]:
+        """Stamps of the newest frames of several cameras."""
+        return tuple(camera.frame_ns for camera in self._cameras if camera.name)
 
     @property
     def _present_robots(self) -> tuple[int, ...]:
@@ -350,7 +300,8 @@ class PoolNode:
         self._await_states(world, robots, previous_ns)
         before = [self._sockets.commands[i] for i in indices]
         board_ms = tuple(self._sockets.burst_ms[i] for i in indices)
-        self._bus.publish(topics.TICK, Tick(tick_ns, previous_ns, self._frame_ns, robots, board_ms), tick_ns)
+        tick = Tick(tick_ns, previous_ns, self._frame_ns, robots, board_ms, self._frames_ns)
+        self._bus.publish(topics.TICK, tick, tick_ns)
         self._render_ahead(world)
         reminder = Reminder()
         while not self._stop.requested:

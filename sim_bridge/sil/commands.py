@@ -6,6 +6,8 @@ from pathlib import Path
 from sim_bridge import fault_schedule
 from wire.config.experiment import Experiment
 from wire.config.fault_injection import KINDS, OF_PROCESSES
+from wire.config.perception import NamedCamera
+from wire.messages.topics import localizer_name
 from wire.toml_loader import ConfigError
 
 LEAST_MARKER_PX = 16  # px, least side of a marker that can be read: two per cell and a margin
@@ -75,11 +77,12 @@ def _check_one_process(options: RunOptions) -> None:
 
 def check_sight(experiment: Experiment) -> None:
     """Raise ConfigError if the localizer could read no marker. The station's plan checks that robots stay in the picture."""
-    camera = experiment.camera
+    camera = min(experiment.all_cameras, key=lambda camera: camera.px_per_m)
+    where = f"cameras.{experiment.cameras.index(camera)}" if isinstance(camera, NamedCamera) else "camera"
     wide_px = camera.px_per_m * experiment.vehicle.marker.side_m
     if experiment.localizer.markers and wide_px < LEAST_MARKER_PX:
         raise ConfigError(
-            f"camera.position_m.2 = {camera.position_m[2]:g}: from there markers are {wide_px:.0f} pixels wide, and none "
+            f"{where}.position_m.2 = {camera.position_m[2]:g}: from there markers are {wide_px:.0f} pixels wide, and none "
             f"can be read (allowed: from {LEAST_MARKER_PX} pixels on). {BLIND}"
         )
 
@@ -92,12 +95,13 @@ def programs(
     ports: int,
     boards: Path | None = None,
     frame_ring: int | None = None,
+    cameras: tuple[str, ...] = (),
 ) -> list[Program]:
     """The programs to start, the station first: it is the router at `address`, and the others wait for it.
 
     The experiment is in `run_dir`; the board of robot N is at UDP port `ports` + N. The folder `boards` holds the keys of
     their links. `frame_ring` is the descriptor of the ring of frames that simulator and localizer share; without one frames
-    go over the network.
+    go over the network. `cameras` are the names of several.
     """
     common = [str(run_dir / "experiment.toml"), *(["--lockstep"] if options.lockstep else [])]
     common += ["--keys", str(options.keys)] if options.keys is not None else []
@@ -115,7 +119,11 @@ def programs(
         Program("sim-bridge", "sim_bridge", (*pool, *ring), inherits),
     ]
     if not options.poses:
-        found.append(Program("localizer", "localizer", (*client, *ring), inherits))
+        for camera in cameras or ("",):
+            own = ("--camera", camera) if camera else ()
+            found.append(Program(localizer_name(camera), "localizer", (*client, *own, *ring), inherits))
+        if cameras:
+            found.append(Program(localizer_name(""), "localizer", ("fuse", *client[1:])))
     for robot in robots:
         link = ["--robot", str(robot), "--link", f"udp:127.0.0.1:{ports + robot}"]
         link += ["--link-key", str(boards / f"robot-{robot}.key")] if boards is not None else []

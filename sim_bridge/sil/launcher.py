@@ -56,8 +56,8 @@ def run(experiment: Experiment, run_dir: Path, options: RunOptions, stop: Stop, 
     boards = _link_keys(Path(secrets.name), experiment.robot_ids) if secrets is not None else None
     try:
         address, ports = f"tcp/127.0.0.1:{free_port()}", free_base_port(experiment.robot_ids)
-        ring = None if options.poses else frame_ring.create(experiment.camera.size_px)
-        started = programs(experiment.robot_ids, options, run_dir, address, ports, boards, ring)
+        ring = None if options.poses else frame_ring.create(tuple(camera.size_px for camera in experiment.all_cameras))
+        started = programs(experiment.robot_ids, options, run_dir, address, ports, boards, ring, experiment.camera_names)
         console.print(
             f"station: {address} (groundstation stop, order, set, go, return and end find it)", soft_wrap=True, highlight=False
         )
@@ -125,7 +125,8 @@ def dry_run(experiment: Experiment, run_dir: Path, options: RunOptions, console:
     """Print what a run would fly and start, and leave no files behind. Returns 0; raises ConfigError if it cannot be
     flown. The station's own dry run checks the plan."""
     address, ports = f"tcp/127.0.0.1:{free_port()}", free_base_port(experiment.robot_ids)
-    started = programs(experiment.robot_ids, options, run_dir, address, ports, Path("LINK-KEYS") if options.signed else None)
+    keys = Path("LINK-KEYS") if options.signed else None
+    started = programs(experiment.robot_ids, options, run_dir, address, ports, keys, cameras=experiment.camera_names)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "experiment.toml"
         file.write_text(dump_experiment(experiment), encoding="utf-8")

@@ -37,6 +37,8 @@ BROKEN = (
 )
 FAULTS = [part for i, what in enumerate(BROKEN) for part in ("--fault", f"t={0.3 + 0.2 * i:g} for=0.9 {what}")]
 
+CAMERA_FAULTS = ("--fault", "t=0.3 for=0.8 camera west slow 0.12", "--fault", "t=1.5 camera east gone")
+
 
 def sil(out: Path, *arguments: str) -> tuple[int, str, Path]:
     """Exit code, output and folder of a lockstep run."""
@@ -73,6 +75,7 @@ def lines(folder: Path) -> set[tuple[str, str]]:
     [
         pytest.param(("pool", "--duration", "2.5", "--seed", "3", *FAULTS), id="faults"),
         pytest.param(("islands", "--duration", "2", "--poses"), id="poses", marks=pytest.mark.slow),
+        pytest.param(("two-cameras", "--duration", "2.5", *CAMERA_FAULTS), id="two-cameras", marks=pytest.mark.slow),
         pytest.param(("pool", "--duration", "8"), id="pool", marks=pytest.mark.slow),
         pytest.param(("figure-eight", "--duration", "8"), id="figure-eight", marks=pytest.mark.slow),
         pytest.param(("pool", "--duration", "10", "--set", "sim.latency_s=0.12", *FAULTS), id="late", marks=pytest.mark.slow),

@@ -31,7 +31,7 @@ def test_a_disc_is_outside_by_as_far_as_it_has_to_be_moved_to_be_inside(camera: 
         places = middle + along[:, None] * np.array(way)
         pixels = exact(camera, (places[:, None] + rim).reshape(-1, 3)).reshape(-1, 8, 2)  # type: ignore[arg-type]
         inside = np.all((pixels > -0.5) & (pixels < size - 0.5), axis=(1, 2))
-        found = outside_m(camera, places, 0.2)  # type: ignore[arg-type]
+        found = outside_m([camera], places, 0.2)  # type: ignore[list-item]
         assert np.array_equal(found <= 0.0, inside)
         edge = int(np.argmin(inside))
         assert inside[:edge].all() and not inside[edge:].any()
@@ -44,6 +44,6 @@ def test_places_behind_the_lens_or_folded_by_its_distortion_are_outside() -> Non
     folded = project(WIDE, far)
     size = np.array(WIDE.size_px)
     assert np.any(np.all((folded > 0) & (folded < size), axis=1)), "the polynomial alone would show one of them"
-    assert np.all(outside_m(WIDE, far, 0.2) > 1.0)
+    assert np.all(outside_m([WIDE], far, 0.2) > 1.0)
     over = CAMERA.model_copy(update={"rotation_rad": (2.5, 0.0, 0.0)})
-    assert np.all(outside_m(over, np.array([[0.0, 0.0, 0.3]]), 0.2) > 1.0)
+    assert np.all(outside_m([over], np.array([[0.0, 0.0, 0.3]]), 0.2) > 1.0)

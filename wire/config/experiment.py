@@ -8,7 +8,7 @@ import hashlib
 import json
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Self
@@ -18,10 +18,10 @@ import tomli_w
 from pydantic import Field, model_validator
 
 from wire.config.controller import ControllerConfig, Safety
-from wire.config.fault_injection import fault_table
+from wire.config.fault_injection import KINDS, fault_table
 from wire.config.formation_shapes import SHAPES, shape_nodes
 from wire.config.mission import MissionConfig
-from wire.config.perception import LANDMARKS_NEEDED, UNSEEING, Camera, CameraFile, Landmark, Localizer
+from wire.config.perception import LANDMARKS_NEEDED, UNSEEING, Camera, CameraFile, Landmark, Localizer, NamedCamera
 from wire.config.recording import Recording
 from wire.config.scene import FormationConfig, Island, PathSpec, PoolConfig, RobotConfig
 from wire.config.simulation import Sim
@@ -104,6 +104,8 @@ class Experiment(Section):
     """Control (controller.md)."""
     camera: Camera = UNSEEING
     """A table, or the path of a file of `localizer calibrate`. Not needed where localizer.uses_camera is false."""
+    cameras: tuple[NamedCamera, ...] = ()
+    """Several cameras over one pool, in place of [camera] (cameras.md). `like` names the file of a calibration."""
     landmarks: tuple[Landmark, ...] = ()
     """Markers at known places. With any, the camera is taken to move."""
     check_marks: tuple[Landmark, ...] = ()
@@ -141,10 +143,34 @@ class Experiment(Section):
 
     @model_validator(mode="after")
     def _camera_is_there(self) -> Self:
-        if self.localizer.uses_camera and "camera" not in self.model_fields_set:
+        if self.cameras and "camera" in self.model_fields_set:
+            raise ValueError("camera: stands beside [[cameras]] (allowed: [camera] for one camera, [[cameras]] for several)")
+        if self.localizer.uses_camera and "camera" not in self.model_fields_set and not self.cameras:
             raise ValueError(
                 "camera: missing, and localizer.uses_camera = true (allowed: a [camera] table, the file of a calibration, or "
                 "a run without one: `sim-bridge numeric`, `sim-bridge sil --poses`, or localizer.uses_camera = false)"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _cameras_go_together(self) -> Self:
+        names, effects = self.camera_names, KINDS["camera"][1]
+        for i, camera in enumerate(self.cameras):
+            where = f"cameras.{i}"
+            if names.index(camera.name) != i:
+                raise ValueError(f"{where}.name = {camera.name!r}: is used twice; each camera needs its own")
+            if camera.name in effects:
+                raise ValueError(
+                    f"{where}.name = {camera.name!r}: `camera {camera.name}` is a fault (not: {', '.join(effects)})"
+                )
+            if camera.rate_hz != self.cameras[0].rate_hz:
+                rate_hz = self.cameras[0].rate_hz
+                raise ValueError(f"{where}.rate_hz = {camera.rate_hz:g}: not that of {names[0]} (allowed: {rate_hz:g})")
+        if self.cameras and self.landmarks:
+            raise ValueError("landmarks: they place one moving camera, and [[cameras]] hang still (allowed: check_marks)")
+        if self.cameras and not self.localizer.markers:
+            raise ValueError(
+                "localizer.markers = false: from camera to camera robots are known by their markers (allowed: true)"
             )
         return self
 
@@ -182,11 +208,15 @@ class Experiment(Section):
 
     @model_validator(mode="after")
     def _faults_meet_something(self) -> Self:
-        processes = ("groundstation", "sim-bridge", "localizer", *(f"agent-{robot}" for robot in self.robot_ids))
+        localizers = ("localizer", *(f"localizer-{name}" for name in self.camera_names))
+        processes = ("groundstation", "sim-bridge", *localizers, *(f"agent-{robot}" for robot in self.robot_ids))
         for i, fault in enumerate(self.sim.faults):
             broken, allowed = fault.broken, ", ".join(map(str, self.robot_ids))
             if broken.robot and broken.robot not in self.robot_ids:
                 raise ValueError(f"sim.faults.{i}.what = {fault.what!r}: no robot {broken.robot} (allowed: {allowed})")
+            if broken.camera and broken.camera not in self.camera_names:
+                known = ", ".join(self.camera_names) or "no name: there is one camera"
+                raise ValueError(f"sim.faults.{i}.what = {fault.what!r}: no camera {broken.camera!r} (allowed: {known})")
             if broken.process and broken.process not in processes:
                 raise ValueError(f"sim.faults.{i}.what = {fault.what!r}: no such process (allowed: {', '.join(processes)})")
         return self
@@ -219,6 +249,35 @@ class Experiment(Section):
     def marks(self) -> tuple[Landmark, ...]:
         """All markers at known places: landmarks of a moving camera, or check marks of a fixed one."""
         return self.landmarks or self.check_marks
+
+    @property
+    def camera_names(self) -> tuple[str, ...]:
+        """Names of several cameras, in the file's order; empty where there is one."""
+        return tuple(camera.name for camera in self.cameras)
+
+    @property
+    def shown_camera(self) -> str:
+        """The camera whose picture viewers show first: the first of several, "" for the only one."""
+        return next(iter(self.camera_names), "")
+
+    @property
+    def all_cameras(self) -> tuple[Camera, ...]:
+        """The several cameras, or the only one."""
+        return self.cameras or (self.camera,)
+
+    def of_camera(self, name: str) -> "Experiment":
+        """The experiment as the localizer of one of several cameras has it: with that camera as the only one. The same for "",
+        the only camera. Raises ConfigError naming the cameras there are."""
+        if name == "" and not self.cameras:
+            return self
+        for camera in self.cameras:
+            if camera.name == name:
+                alone = Camera.model_validate(camera.model_dump(exclude={"name"}))
+                return self.model_copy(update={"camera": alone, "cameras": ()})
+        if not self.cameras:
+            raise ConfigError(f"--camera {name}: experiment {self.name!r} has one camera (leave the option out)")
+        what = f"--camera {name}: not in experiment {self.name!r}" if name else f"--camera: missing, {self.name!r} has several"
+        raise ConfigError(f"{what} (allowed: {', '.join(self.camera_names)})")
 
     @property
     def wrench_step(self) -> tuple[float, float, float]:
@@ -279,7 +338,8 @@ class Experiment(Section):
 
 def dump_experiment(experiment: Experiment) -> str:
     """The whole experiment as TOML, vehicle and defaults included: loading it gives the same hash."""
-    return tomli_w.dumps(experiment.model_dump(mode="json", exclude_none=True))
+    unused = {"camera"} if experiment.cameras else set[str]()
+    return tomli_w.dumps(experiment.model_dump(mode="json", exclude_none=True, exclude=unused))
 
 
 def experiment_path(name_or_path: str) -> Path:
@@ -325,21 +385,26 @@ def _of_setting(line: str, path: Path, settings: Sequence[str]) -> str:
 
 
 def _insert_files(table: dict[str, Any], experiment: Path) -> None:
-    """Put vehicle and camera in the place of their files' names, so that settings reach into them and the hash covers them.
+    """Put vehicle and cameras in the place of their files' names, so that settings reach into them and the hash covers them.
 
     A table may name a file as `like` and say only what is different: `vehicle = { like = "spherical", radius_m = 0.2 }`.
     """
-    for key, load in (("vehicle", load_vehicle), ("camera", load_camera)):
-        given = table.get(key)
+    cameras = table.get("cameras")
+    several = range(len(cameras)) if isinstance(cameras, list) else ()
+    places: list[tuple[Any, Any, Callable[[str, Path], Section]]] = [
+        (table, "vehicle", load_vehicle), (table, "camera", load_camera), *((cameras, i, load_camera) for i in several)
+    ]  # fmt: skip
+    for holder, key, load in places:
+        given = holder.get(key) if isinstance(holder, dict) else holder[key]
         name = given.get("like") if isinstance(given, dict) else given
         if not isinstance(name, str):
             continue
         try:
-            table[key] = load(name, experiment.parent).model_dump(mode="json")
+            holder[key] = load(name, experiment.parent).model_dump(mode="json")
         except ConfigError as error:
             raise ConfigError("\n".join(f"{experiment}: {line}" for line in str(error).splitlines())) from None
         if isinstance(given, dict):
-            _lay_over(table[key], {k: value for k, value in given.items() if k != "like"})
+            _lay_over(holder[key], {k: value for k, value in given.items() if k != "like"})
 
 
 def _move_keys(table: dict[str, Any], path: Path) -> None:

@@ -36,8 +36,10 @@ KINDS: dict[str, tuple[str, dict[str, Effect]]] = {
     ),
     "marker": ("ROBOT", {"lost": Effect()}),
     "camera": (
-        "",
+        "[CAMERA]",
         {
+            "gone": Effect(),
+            "slow": Effect("delay in s", 0.1, 0.0, 2.0),
             "frozen": Effect(),
             "dark": Effect(),
             "occluded": Effect("fraction of the picture", 0.4, 0.0, 1.0),
@@ -65,7 +67,7 @@ KINDS: dict[str, tuple[str, dict[str, Effect]]] = {
     "clock": ("NAME", {"step": Effect("by how many seconds", 3600.0, -1e6, 1e6)}),
 }
 OF_PROCESSES = ("process", "disk", "clock")  # by the wall clock, and from outside
-_TARGETS = {"": "", "ROBOT": r"(\d+)", "ROBOT/THRUSTER": r"(\d+)/(\d+)", "NAME": r"(\S+)"}
+_TARGETS = {"": "", "[CAMERA]": r".*", "ROBOT": r"(\d+)", "ROBOT/THRUSTER": r"(\d+)/(\d+)", "NAME": r"(\S+)"}
 _LINE = re.compile(r"t=(?P<at>\S+)(?:\s+for=(?P<during>\S+))?\s+(?P<what>\S.*)")
 
 
@@ -79,6 +81,7 @@ class Break:
     robot: int = 0  # 0: none
     thruster: int = 0  # 1 to 4, in the vehicle file's order
     process: str = ""
+    camera: str = ""  # one of several cameras; "": all of them
 
 
 def read_what(text: str) -> Break:
@@ -88,20 +91,23 @@ def read_what(text: str) -> Break:
         raise ValueError(f"{kind!r} cannot be broken (allowed: {', '.join(KINDS)})")
     target, effects = KINDS[kind]
     usage = " ".join(part for part in (kind, target, "|".join(_usage(*item) for item in effects.items())) if part)
-    target_text = words.pop(0) if target and words else ""
+    left_out = target == "[CAMERA]" and words and words[0] in effects
+    target_text = words.pop(0) if target and words and not left_out else ""
     found = re.fullmatch(_TARGETS[target], target_text)
     if found is None or not words or words[0] not in effects or len(words) > 1 + bool(effects[words[0]].meaning):
         raise ValueError(f"must read: {usage}")
     effect = effects[words[0]]
     value = _number(words[1], effect) if len(words) > 1 else effect.default
-    robot, thruster, process = 0, 0, ""
+    robot, thruster, process, camera = 0, 0, "", ""
     if target == "NAME":
         process = target_text
+    elif target == "[CAMERA]":
+        camera = target_text
     elif target:
         robot, thruster = (int(number) for number in (*found.groups(), "0")[:2])
     if target == "ROBOT/THRUSTER" and not 1 <= thruster <= THRUSTERS:
         raise ValueError(f"thruster {thruster} of robot {robot}: no such thruster (allowed: 1 to {THRUSTERS})")
-    return Break(kind, words[0], value, robot, thruster, process)
+    return Break(kind, words[0], value, robot, thruster, process, camera)
 
 
 def _usage(name: str, effect: Effect) -> str:

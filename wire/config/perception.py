@@ -50,6 +50,13 @@ class Camera(Section):
         return max(self.focal_px) / -self.position_m[2]
 
 
+class NamedCamera(Camera):
+    """One of several cameras over one pool. Poses are in one pool frame: each is calibrated by points of the same survey."""
+
+    name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9-]*$", max_length=24, examples=["west"])]
+    """Name of the camera: in its topics, its localizer's name, reports and faults."""
+
+
 UNSEEING = Camera(
     size_px=(1280, 960), rate_hz=20.0, exposure_s=0.008, focal_px=(1005.0, 1005.0), centre_px=(639.5, 479.5),
     position_m=(0.0, 0.0, -2.8),

@@ -108,18 +108,20 @@ CAMERA_BLACK: CameraHealth
 CAMERA_WRONG_SIZE: CameraHealth
 
 class Tick(_message.Message):
-    __slots__ = ("now_ns", "previous_ns", "frame_ns", "robots", "board_ms")
+    __slots__ = ("now_ns", "previous_ns", "frame_ns", "robots", "board_ms", "frames_ns")
     NOW_NS_FIELD_NUMBER: _ClassVar[int]
     PREVIOUS_NS_FIELD_NUMBER: _ClassVar[int]
     FRAME_NS_FIELD_NUMBER: _ClassVar[int]
     ROBOTS_FIELD_NUMBER: _ClassVar[int]
     BOARD_MS_FIELD_NUMBER: _ClassVar[int]
+    FRAMES_NS_FIELD_NUMBER: _ClassVar[int]
     now_ns: int
     previous_ns: int
     frame_ns: int
     robots: _containers.RepeatedScalarFieldContainer[int]
     board_ms: _containers.RepeatedScalarFieldContainer[int]
-    def __init__(self, now_ns: _Optional[int] = ..., previous_ns: _Optional[int] = ..., frame_ns: _Optional[int] = ..., robots: _Optional[_Iterable[int]] = ..., board_ms: _Optional[_Iterable[int]] = ...) -> None: ...
+    frames_ns: _containers.RepeatedScalarFieldContainer[int]
+    def __init__(self, now_ns: _Optional[int] = ..., previous_ns: _Optional[int] = ..., frame_ns: _Optional[int] = ..., robots: _Optional[_Iterable[int]] = ..., board_ms: _Optional[_Iterable[int]] = ..., frames_ns: _Optional[_Iterable[int]] = ...) -> None: ...
 
 class Truth(_message.Message):
     __slots__ = ("robots", "eta", "nu", "wrench", "disturbance")
@@ -156,7 +158,7 @@ class Pose(_message.Message):
     def __init__(self, x_m: _Optional[float] = ..., y_m: _Optional[float] = ..., yaw_rad: _Optional[float] = ..., covariance: _Optional[_Iterable[float]] = ..., track: _Optional[_Union[Track, str]] = ..., identity_verified: _Optional[bool] = ..., peak: _Optional[float] = ..., depth_m: _Optional[float] = ...) -> None: ...
 
 class LocalizerStatus(_message.Message):
-    __slots__ = ("camera", "frames", "dropped", "frame_ms", "frame_age_ms", "message", "robots", "obstacles_ns", "failed")
+    __slots__ = ("camera", "frames", "dropped", "frame_ms", "frame_age_ms", "message", "robots", "obstacles_ns", "failed", "out")
     CAMERA_FIELD_NUMBER: _ClassVar[int]
     FRAMES_FIELD_NUMBER: _ClassVar[int]
     DROPPED_FIELD_NUMBER: _ClassVar[int]
@@ -166,6 +168,7 @@ class LocalizerStatus(_message.Message):
     ROBOTS_FIELD_NUMBER: _ClassVar[int]
     OBSTACLES_NS_FIELD_NUMBER: _ClassVar[int]
     FAILED_FIELD_NUMBER: _ClassVar[int]
+    OUT_FIELD_NUMBER: _ClassVar[int]
     camera: CameraHealth
     frames: int
     dropped: int
@@ -175,7 +178,8 @@ class LocalizerStatus(_message.Message):
     robots: _containers.RepeatedScalarFieldContainer[int]
     obstacles_ns: int
     failed: int
-    def __init__(self, camera: _Optional[_Union[CameraHealth, str]] = ..., frames: _Optional[int] = ..., dropped: _Optional[int] = ..., frame_ms: _Optional[float] = ..., frame_age_ms: _Optional[float] = ..., message: _Optional[str] = ..., robots: _Optional[_Iterable[int]] = ..., obstacles_ns: _Optional[int] = ..., failed: _Optional[int] = ...) -> None: ...
+    out: _containers.RepeatedScalarFieldContainer[str]
+    def __init__(self, camera: _Optional[_Union[CameraHealth, str]] = ..., frames: _Optional[int] = ..., dropped: _Optional[int] = ..., frame_ms: _Optional[float] = ..., frame_age_ms: _Optional[float] = ..., message: _Optional[str] = ..., robots: _Optional[_Iterable[int]] = ..., obstacles_ns: _Optional[int] = ..., failed: _Optional[int] = ..., out: _Optional[_Iterable[str]] = ...) -> None: ...
 
 class Obstacles(_message.Message):
     __slots__ = ("ids", "outline", "velocity", "depth_m", "watched", "blind", "unseen_s")

@@ -116,6 +116,7 @@ class Tick:
     frame_ns: int  # Stamp of the newest camera frame that counts at this step.
     robots: tuple[int, ...] = ()  # Robots that take part.
     board_ms: tuple[int, ...] = ()  # For each robot, the board's time of the last sensor burst that counts.
+    frames_ns: tuple[int, ...] = ()  # For each of several cameras, stamp of its newest frame; -1: none yet.
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,6 +157,7 @@ class LocalizerStatus:
     robots: tuple[int, ...] = ()  # Robots whose poses in this picture are published.
     obstacles_ns: int = -1  # Stamp of the newest Obstacles published before those poses; -1: none yet.
     failed: int = 0  # Pictures skipped since the start, because their processing raised an error.
+    out: tuple[str, ...] = ()  # Of several cameras, the names of those that give no poses now.
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,7 +4,7 @@ Keys are relative to the fleet's name (`--fleet`, default "shoal"), so two fleet
 fleet has keys, the router lets nothing through that this table does not name (wire/security/access_control.py).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 from wire.config.controller import Safety
@@ -73,6 +73,10 @@ class Topic:
         """The key for one robot, or for all (`*`) when the topic has a robot and none is given."""
         return self.name.format(robot="*" if robot is None else robot)
 
+    def of_camera(self, camera: str) -> "Topic":
+        """The same topic of one of several cameras, `*` for all of them; this one for "", the only camera."""
+        return replace(self, name=f"camera/{camera}/{self.name.removeprefix('camera/')}") if camera else self
+
     @property
     def publisher(self) -> str:
         """The writing roles, for people."""
@@ -120,6 +124,9 @@ TOPICS = (
     TUNING, INPUTS, ORDERS, EVENT,
 )  # fmt: skip
 
+# With several cameras each of them has these topics too (`Topic.of_camera`), and the fused poses have the names above.
+OF_CAMERAS = (FRAME, PREVIEW, VIDEO, PICTURE, POSE, LOCALIZER, OBSTACLES)
+
 COMMAND_KEY = "robot/{robot}/command"  # a queryable, not a topic: every order is answered
 WHOLE_FLEET = 0  # orders to "robot 0" are for the station: what a person wishes for the whole fleet
 COMMANDERS = (Role.STATION,)  # roles that send commands to robots
@@ -139,3 +146,8 @@ PROCESSES = {
 def process_name(role: Role, robot: int = 0) -> str:
     """The name of a process: in the log, in its liveliness token, and in the key ring."""
     return PROCESSES[role].format(robot=robot)
+
+
+def localizer_name(camera: str) -> str:
+    """The name of the localizer of one of several cameras, or of the only one ("")."""
+    return f"{process_name(Role.LOCALIZER)}-{camera}" if camera else process_name(Role.LOCALIZER)

@@ -94,6 +94,7 @@ KeyRing = Annotated[
 Insecure = Annotated[
     bool, typer.Option("--insecure", help="Off this machine without keys: anybody on the network can command the robots.")
 ]
+CameraName = Annotated[str, typer.Option("--camera", metavar="NAME", help="One of the experiment's several cameras.")]
 FrameRingOption = Annotated[
     int | None,
     typer.Option(

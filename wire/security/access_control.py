@@ -18,6 +18,7 @@ from typing import Any
 from wire.messages.topics import (
     COMMAND_KEY,
     COMMANDERS,
+    OF_CAMERAS,
     OPERATORS,
     PRESENCE_KEY,
     RECOVERED,
@@ -25,6 +26,7 @@ from wire.messages.topics import (
     WHOLE_FLEET,
     Role,
     Topic,
+    localizer_name,
     process_name,
 )
 
@@ -58,23 +60,25 @@ class Grants:
     read: tuple[Topic, ...]
     serve: tuple[str, ...]
     ask: tuple[str, ...]
-    announce: str
+    announce: tuple[str, ...]
 
 
 def grants(member: Member) -> Grants:
     """The rights of a member."""
-    me = process_name(member.role, member.robot)
+    names = [process_name(member.role, member.robot)]
+    names += [localizer_name("$*")] if member.role is Role.LOCALIZER else []  # one of several cameras
+    known = (*TOPICS, *(topic.of_camera("*") for topic in OF_CAMERAS))
     if member.role is Role.ROBOT:
         serve: tuple[str, ...] = (COMMAND_KEY.format(robot=member.robot),)
     else:
         serve = (COMMAND_KEY.format(robot=WHOLE_FLEET),) if member.role is Role.STATION else ()
     ask = (COMMAND_KEY.format(robot=WHOLE_FLEET),) if member.role in OPERATORS else ()
     return Grants(
-        write=tuple(topic for topic in TOPICS if member.role in topic.writers),
-        read=tuple(topic for topic in TOPICS if member.role in topic.readers),
+        write=tuple(topic for topic in known if member.role in topic.writers),
+        read=tuple(topic for topic in known if member.role in topic.readers),
         serve=serve,
         ask=(COMMAND_KEY.format(robot="*"),) if member.role in COMMANDERS else ask,
-        announce=PRESENCE_KEY.format(process=me),
+        announce=tuple(PRESENCE_KEY.format(process=name) for name in names),
     )
 
 
@@ -124,7 +128,7 @@ def _rules(fleet: str, member: Member) -> list[dict[str, Any]]:
         ("answers", "ingress", ["reply"], serve + cached),
         ("asks", "ingress", ["query"], ask + caches),
         ("is-answered", "egress", ["reply"], ask + recovered),
-        ("is-there", "ingress", ["liveliness_token"], keys([may.announce]) + cache + follows),
+        ("is-there", "ingress", ["liveliness_token"], keys(may.announce) + cache + follows),
         ("watches", "ingress", listens, presence + caches + followers),
         ("sees", "egress", ["liveliness_token"], presence + caches + followers),
         # Subscriptions, queryables and watches are no secret; messages are.

@@ -10,6 +10,7 @@ when the last of its processes ends or is killed. Zenoh's own shared memory leav
 import mmap
 import os
 import struct
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -21,18 +22,22 @@ from wire.messages.messages import Frame, Message
 from wire.toml_loader import ConfigError
 from wire.transport.bus import Decode, Encode
 
-SLOTS = 4  # frames; a reader has the time of three to copy one: 0.15 s at 20 Hz, where a copy takes less than 1 ms
-_HEAD_BYTES = mmap.PAGESIZE  # numbers of the slots, then their pixels
+SLOTS = 4  # frames of each camera; a reader has the time of three to copy one: 0.15 s at 20 Hz, where a copy takes 1 ms
+_HEAD_BYTES = mmap.PAGESIZE  # how many slots there are, and their numbers; then their pixels
+_COUNT = struct.Struct("<Q")
 REFERENCE = struct.Struct("<IQ")  # slot, number
 _LONGEST_REFERENCE = 128  # bytes of an encoded reference with its other fields; a frame with its pixels is longer
 
 
-def create(size_px: tuple[int, int]) -> int | None:
-    """Descriptor of a new ring for frames of this width and height; None where the system has no anonymous files."""
+def create(sizes_px: Sequence[tuple[int, int]]) -> int | None:
+    """Descriptor of a new ring for the frames of cameras of these widths and heights; None where the system has no anonymous
+    files."""
     if not hasattr(os, "memfd_create"):
         return None
     descriptor = os.memfd_create("shoal-frames")
-    os.ftruncate(descriptor, _HEAD_BYTES + SLOTS * size_px[0] * size_px[1])
+    slots = SLOTS * len(sizes_px)
+    os.ftruncate(descriptor, _HEAD_BYTES + slots * max(width * height for width, height in sizes_px))
+    os.pwrite(descriptor, _COUNT.pack(slots), 0)
     return descriptor
 
 
@@ -52,9 +57,10 @@ class FrameRing:
         try:
             size = os.fstat(descriptor).st_size
             memory = mmap.mmap(descriptor, size)
-            self._numbers = np.frombuffer(memory, np.uint64, SLOTS)  # 0: never written, or being written
-            self._pixels = np.frombuffer(memory, np.uint8, offset=_HEAD_BYTES).reshape(SLOTS, -1)
-        except (OSError, ValueError) as error:
+            self._slots = _COUNT.unpack_from(memory)[0]
+            self._numbers = np.frombuffer(memory, np.uint64, self._slots, _COUNT.size)  # 0: not written, or being written
+            self._pixels = np.frombuffer(memory, np.uint8, offset=_HEAD_BYTES).reshape(self._slots, -1)
+        except (OSError, ValueError, struct.error) as error:
             raise ConfigError(f"--frame-ring {descriptor}: no ring of frames ({error}); `sim-bridge sil` makes one") from None
         self._last = self.newest
 
@@ -68,7 +74,7 @@ class FrameRing:
         if not isinstance(message, Frame) or message.pixels.size > self._pixels.shape[1]:
             return codec.encode(message, stamp_ns)
         self._last += 1
-        slot = self._last % SLOTS
+        slot = self._last % self._slots
         self._numbers[slot] = 0
         self._pixels[slot, : message.pixels.size].reshape(message.pixels.shape)[:] = message.pixels
         self._numbers[slot] = self._last
@@ -96,7 +102,7 @@ class FrameRing:
 
     def _read(self, slot: int, number: int, size: int) -> np.ndarray[Any, np.dtype[np.uint8]] | None:
         """A copy of the first `size` pixels of a slot; None unless it holds the frame of this number before and after."""
-        if slot >= SLOTS or number == 0 or self._numbers[slot] != number:
+        if slot >= self._slots or number == 0 or self._numbers[slot] != number:
             return None
         pixels = self._pixels[slot, :size].copy()
         pixels.setflags(write=False)

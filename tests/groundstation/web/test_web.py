@@ -293,6 +293,14 @@ def test_a_bad_link_a_wrong_clock_and_an_old_plan_are_alarms_in_flight_too() -> 
     assert found == {("2:link", "warning", 2), ("2:clock", "notice", 2), ("2:plan", "warning", 2)}
 
 
+def test_trouble_of_one_of_several_cameras_is_a_warning_in_its_own_words() -> None:
+    several, why = load_experiment("two-cameras"), "camera west is out: camera black"
+    status = LocalizerStatus(CameraHealth.OK, message=why, out=("west",))
+    views = {robot: replace(_view(), state=None) for robot in several.robot_ids}
+    found = [(a.key, a.level, a.text) for a in alarms(several, views, status, 0.0, "") if not a.robot]
+    assert found == [("cameras", "warning", why)]
+
+
 def test_a_station_whose_cycle_hangs_is_an_alarm() -> None:
     found = alarms(POOL, {1: _view(), 2: _view()}, LocalizerStatus(CameraHealth.OK), 0.0, "", stuck_s=3.0)
     assert [(a.level, a.text) for a in found] == [("critical", "the station has sent no heartbeat for 3 s: robots hold")]

@@ -113,7 +113,7 @@ def test_the_newest_frame_wins_and_the_ones_it_overtook_are_counted() -> None:
 @pytest.mark.skipif(not hasattr(os, "memfd_create"), reason="no anonymous files here")
 def test_a_frame_whose_slot_was_written_again_is_dropped_and_counted() -> None:
     """The reader was too slow: the ring has gone round before it looked. The next frame is taken up."""
-    hub, stop, descriptor = MemoryHub(), Stop(install=False), frame_ring.create((8, 6))
+    hub, stop, descriptor = MemoryHub(), Stop(install=False), frame_ring.create([(8, 6)])
     assert descriptor is not None
     ring = frame_ring.FrameRing(descriptor)
     camera = Bus(MemoryTransport(hub), "shoal", ring.decode, ring.encode)

@@ -50,7 +50,7 @@ for line in sys.stdin:
 
 @pytest.fixture
 def descriptor() -> Iterator[int]:
-    made = frame_ring.create(SIZE_PX)
+    made = frame_ring.create([SIZE_PX])
     assert made is not None
     yield made
     os.close(made)
@@ -119,7 +119,7 @@ def test_a_descriptor_of_no_ring_is_refused(wrong: str, tmp_path: Path) -> None:
     st.integers(0, 2**32 - 1) | st.integers(0, 64), st.integers(0, 64),
 )  # fmt: skip
 def test_a_reference_to_nothing_is_refused_and_nothing_else(data: bytes, width: int, height: int) -> None:
-    made = frame_ring.create(SIZE_PX)
+    made = frame_ring.create([SIZE_PX])
     assert made is not None
     try:
         ring = FrameRing(made)
@@ -148,7 +148,7 @@ def _listed() -> set[str]:
 @pytest.mark.parametrize("killed_first", ["writer", "reader"])
 def test_killed_processes_leave_nothing_and_hold_up_nobody(killed_first: str) -> None:
     """Writer and reader are killed in turn. The one that is left goes on, and the memory goes with the last of them."""
-    before, made = _listed(), frame_ring.create((1280, 960))
+    before, made = _listed(), frame_ring.create([(1280, 960)])
     assert made is not None
     writer, reader = _start(WRITER, made), _start(READER, made)
     try:
@@ -177,7 +177,7 @@ def test_killed_processes_leave_nothing_and_hold_up_nobody(killed_first: str) ->
 @pytest.mark.real_time
 def test_no_frame_is_torn_while_its_slot_is_written() -> None:
     """The writer goes round the ring as fast as it can; the reader asks for the frames that are about to be written over."""
-    made = frame_ring.create((1280, 960))
+    made = frame_ring.create([(1280, 960)])
     assert made is not None
     writer, ring = _start(WRITER, made), FrameRing(made)
     read = refused = 0

@@ -145,6 +145,23 @@ def test_each_role_receives_exactly_the_topics_of_the_table(guarded: GuardedRout
     assert over_the_network == wanted
 
 
+def test_a_localizer_speaks_and_is_seen_for_one_of_several_cameras_and_a_robot_does_not(guarded: GuardedRouter) -> None:
+    topic, heard = topics.LOCALIZER.of_camera("west"), list[int]()
+    viewer, localizer, robot = (guarded.buses[process] for process in ("viewer", "localizer", "agent-1"))
+    viewer.subscribe(topic, None, lambda _, key, header, payload: heard.append(header.session))
+
+    def told() -> bool:
+        for bus in (robot, localizer):
+            bus.publish(topic, example(topic), 5)
+        return localizer.session in heard
+
+    assert eventually(told)
+    robot.announce("localizer-east")
+    localizer.announce("localizer-west")
+    assert eventually(lambda: "localizer-west" in viewer.present)
+    assert "localizer-east" not in viewer.present and set(heard) == {localizer.session}
+
+
 def test_only_the_station_commands_robots_and_only_it_and_the_operator_command_the_station(guarded: GuardedRouter) -> None:
     allowed = {("groundstation", 0), ("groundstation", 1), ("groundstation", 2), ("operator", 0)}
     guarded.obeyed.clear()

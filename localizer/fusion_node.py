@@ -1,0 +1,176 @@
+"""SHELL: the process that fuses what the localizers of several cameras publish: `localizer fuse EXPERIMENT`.
+
+It publishes poses, status and obstacles under the names that the localizer of a single camera has, so that nobody else needs
+to know how many cameras there are. Pictures that were exposed together are fused together; a camera that is late, silent or
+gone is not waited for.
+"""
+
+import time
+from collections.abc import Generator, Iterator
+from dataclasses import replace
+
+from localizer.sources.base import silent_after_s
+from localizer.tracking.camera_fusion import CameraFusion, CameraView, fuse_obstacles
+from wire.config.experiment import Experiment
+from wire.messages import topics
+from wire.messages.messages import LocalizerStatus, Obstacles, Pose
+from wire.process.lockstep import Lockstep, LockstepClock
+from wire.process.runtime import Clock, Stop, WallClock, age_s, log, log_to_bus, run_steps, wait
+from wire.toml_loader import ConfigError
+from wire.transport.bus import Bus, Received
+from wire.transport.endpoint import Endpoint
+from wire.transport.zenoh_transport import ZenohTransport
+
+TOGETHER = 0.25  # of a frame period: pictures nearer in time are fused as one, and no pose waits longer for another camera
+
+SAY_AGAIN_S = 5.0  # s between log lines about cameras that disagree
+
+
+def run(experiment: Experiment, endpoint: Endpoint, fleet: str, stop: Stop, lockstep: bool) -> None:
+    """Fuse until told to stop. Raises ConfigError for an experiment with one camera."""
+    if not experiment.cameras:
+        raise ConfigError(f"{experiment.name}: has one camera, whose poses need no fusion (allowed: with [[cameras]])")
+    with Bus(ZenohTransport(endpoint, stop), fleet) as bus:
+        bus.claim(topics.localizer_name(""), stop)
+        FusionNode(experiment, bus, stop, LockstepClock() if lockstep else WallClock()).run()
+
+
+class _Camera:
+    """Inboxes of one camera's localizer, and what of them was taken."""
+
+    def __init__(self, bus: Bus, camera: str, robots: tuple[int, ...]) -> None:
+        self.status = bus.inbox(topics.LOCALIZER.of_camera(camera), LocalizerStatus)
+        self.poses = bus.inboxes(topics.POSE.of_camera(camera), Pose, robots)
+        self.obstacles = bus.inbox(topics.OBSTACLES.of_camera(camera), Obstacles)
+        self.taken: Received[LocalizerStatus] | None = None
+        self.told: Received[Obstacles] | None = None
+
+    @property
+    def is_new(self) -> bool:
+        """True if a status has come that was not taken."""
+        newest = self.status.newest_header()
+        return newest is not None and (self.taken is None or newest is not self.taken.header)
+
+    def is_here(self, now_ns: int, period_s: float, silent_s: float) -> bool:
+        """True if a new status is here with its poses, or none is about to come."""
+        if not self.is_new:
+            since_s = float("inf") if self.taken is None else (now_ns - self.taken.arrived_ns) * 1e-9
+            return not (1.0 - TOGETHER) * period_s < since_s < silent_s
+        status = self.status.newest()
+        poses = [self.poses[robot].newest_header() for robot in status.message.robots if robot in self.poses] if status else []
+        return all(pose is not None and status is not None and pose.stamp_ns >= status.header.stamp_ns for pose in poses)
+
+    def poses_of(self, status: Received[LocalizerStatus]) -> dict[int, Pose]:
+        """The poses of the picture that a status is about."""
+        stamp_ns = status.header.stamp_ns
+        found = {robot: self.poses[robot].newest(stamp_ns) for robot in status.message.robots if robot in self.poses}
+        return {robot: pose.message for robot, pose in found.items() if pose and pose.header.stamp_ns == stamp_ns}
+
+
+class FusionNode:
+    """The loop around the core."""
+
+    def __init__(self, experiment: Experiment, bus: Bus, stop: Stop, clock: Clock) -> None:
+        rate_hz = experiment.all_cameras[0].rate_hz
+        self._period_s, self._silent_s = 1.0 / rate_hz, silent_after_s(rate_hz)
+        self._bus, self.stop, self._clock, self._hash = bus, stop, clock, experiment.hash
+        self._cameras = {name: _Camera(bus, name, experiment.robot_ids) for name in experiment.camera_names}
+        self._up_to_ns: dict[str, tuple[int, int]] = {}  # in lockstep: stamps up to which status and obstacles count
+        self._fusion = CameraFusion(experiment)
+        self._views: dict[str, CameraView] = {}
+        self._obstacles_ns = -1
+        self._lockstep = Lockstep(bus, stop, clock, topics.EXPOSED) if isinstance(clock, LockstepClock) else None
+        self._out: tuple[str, ...] = ()
+        self._say_again_ns = 0
+
+    def run(self) -> None:
+        """Fuse until told to stop."""
+        run_steps(self.steps())
+
+    def steps(self) -> Generator[None]:
+        """The loop: yields when it is ready, and after each fusion. In lockstep `next` waits for a tick unless it is there
+        already."""
+        log_to_bus(self._bus, self._clock, topics.localizer_name(""))
+        self._bus.announce(topics.localizer_name(""))
+        log.info("ready, experiment %s, cameras %s", self._hash[:8], ", ".join(self._cameras))
+        yield
+        for _ in self._lockstep_pace(self._lockstep) if self._lockstep else self._wall_pace():
+            try:
+                self._fuse()
+            except Exception as error:  # of a message that is not what it should be: the next may be
+                log.error("pictures not fused: %s: %s", type(error).__name__, error, exc_info=error)
+            yield
+
+    def _wall_pace(self) -> Iterator[None]:
+        """Whenever a camera has told of a picture, and the others of theirs if they are about to; and after silence."""
+        cameras = self._cameras.values()
+        while not self.stop.requested:
+            if wait(self._bus, self.stop, lambda: any(camera.is_new for camera in cameras), self._silent_s):
+                wait(self._bus, self.stop, self._all_here, TOGETHER * self._period_s)
+            if not self.stop.requested:
+                yield
+
+    def _all_here(self) -> bool:
+        now_ns = time.monotonic_ns()
+        return all(camera.is_here(now_ns, self._period_s, self._silent_s) for camera in self._cameras.values())
+
+    def _lockstep_pace(self, lockstep: Lockstep) -> Iterator[None]:
+        """At each tick, when all that belongs to the cameras' pictures is here."""
+        while (tick := lockstep.next()) is not None:
+            for (name, camera), frame_ns in zip(self._cameras.items(), tick.frames_ns, strict=False):
+                sight = lockstep.await_sight(replace(tick, frame_ns=frame_ns), camera.status, camera.poses, camera.obstacles)
+                if frame_ns >= 0 and sight is not None:
+                    self._up_to_ns[name] = frame_ns, sight
+            if not self.stop.requested:
+                yield
+
+    def _fuse(self) -> None:
+        """Take what has come, and publish poses, obstacles and status."""
+        new = [self._take(name, camera) for name, camera in self._cameras.items()]
+        now_ns = self._clock.now_ns()
+        instant_ns, stamp_ns = max((at for at in new if at is not None), default=(now_ns, now_ns))
+        result = self._fusion.step(self._views, instant_ns)
+        age_ns = max(self._clock.now_ns() - instant_ns, 0)
+        for robot, pose in result.poses:
+            self._bus.publish(topics.POSE, pose, stamp_ns, robot, age_ns=age_ns)
+        self._tell_obstacles(result.status.out)
+        status = replace(result.status, frame_age_ms=age_ns * 1e-6, obstacles_ns=self._obstacles_ns)
+        self._bus.publish(topics.LOCALIZER, status, stamp_ns, age_ns=age_ns)
+        self._log(status, result.disagreement)
+
+    def _take(self, name: str, camera: _Camera) -> tuple[int, int] | None:
+        """Take a camera's newest picture. Returns its instant and stamp, None if there is no new one."""
+        status = camera.status.newest(self._up_to_ns[name][0] if name in self._up_to_ns else None)
+        if status is None or status is camera.taken or (self._lockstep and name not in self._up_to_ns):
+            return None
+        camera.taken = status
+        self._views[name] = CameraView(self._clock.instant_ns(status), status.message, camera.poses_of(status))
+        return self._views[name].instant_ns, status.header.stamp_ns
+
+    def _tell_obstacles(self, out: tuple[str, ...]) -> None:
+        """Publish the obstacles of all cameras that see, when one of them has told of its own."""
+        new: list[Received[Obstacles]] = []
+        for name, camera in self._cameras.items():
+            found = camera.obstacles.newest(self._up_to_ns[name][1] if name in self._up_to_ns else None)
+            if found is not None and found is not camera.told:
+                camera.told = found
+                new.append(found)
+        if not new:
+            return
+        newest = max(new, key=self._clock.instant_ns)
+        limit_s, told = topics.OBSTACLES.max_age_s, {n: camera.told for n, camera in self._cameras.items() if n not in out}
+        fresh = {n: found.message for n, found in told.items() if found and age_s(self._clock, found) <= limit_s}
+        self._obstacles_ns = newest.header.stamp_ns
+        fused = fuse_obstacles(fresh, tuple(self._cameras))
+        age_ns = max(self._clock.now_ns() - self._clock.instant_ns(newest), 0)
+        self._bus.publish(topics.OBSTACLES, fused, self._obstacles_ns, age_ns=age_ns)
+
+    def _log(self, status: LocalizerStatus, disagreement: str) -> None:
+        """Log which cameras are out when that changes, and now and then that they disagree."""
+        if status.out != self._out:
+            self._out = status.out
+            (log.warning if status.out else log.info)("%s", status.message if status.out else "all cameras see")
+        now_ns = self._clock.now_ns()
+        if disagreement and now_ns >= self._say_again_ns:
+            self._say_again_ns = now_ns + round(SAY_AGAIN_S * 1e9)
+            log.warning("%s", disagreement)

@@ -1,0 +1,254 @@
+"""Fusion of what several cameras over one pool tell of its robots, by covariance. Pure.
+
+    each camera's newest poses -> carried to one instant -> doubt in cameras that disagree -> covariance intersection -> poses
+
+Errors of two cameras about one robot are alike to a degree that is not known: both know its depth and its lean from the same
+sensors, and look at one marker through one water. So no average may claim to be better than its best part. Covariance
+intersection holds that for any correlation (Julier and Uhlmann, 1997), with the weights of Niehsen (2002), which change
+steadily while a robot crosses from one picture into the other:
+
+    P^-1 = sum w_k P_k^-1    x = P sum w_k P_k^-1 x_k    w_k = (1 / trace P_k) / sum (1 / trace P_j), of x and y
+
+To P the scatter of the parts is added, sum w_k (x_k - x)(x_k - x)': cameras whose calibrations do not agree claim less.
+Two cameras that are further apart than their covariances allow disagree. A camera whose pose has left the robot's motion,
+while the other's has not, is in doubt, otherwise both are: the square of their distance is added to the covariances of all
+their poses, and the operator is told.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+
+from localizer.sources.base import silent_after_s
+from localizer.tracking.kalman import GATE, KalmanState, initial_state, predict, update
+from wire.config.experiment import Experiment
+from wire.frames import Array, wrap
+from wire.messages.messages import CameraHealth, LocalizerStatus, Obstacles, Pose, Track
+
+_FORGET_S = 2.0  # s in which a doubt falls to 1/e once the cameras agree again; one misread marker costs no more
+
+
+@dataclass(frozen=True, eq=False)
+class CameraView:
+    """All that one camera's localizer told of one picture, exposed at `instant_ns`: poses by robot, and its newest
+    obstacles."""
+
+    instant_ns: int
+    status: LocalizerStatus
+    poses: Mapping[int, Pose]
+    obstacles: Obstacles | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class FusionResult:
+    """Poses (robot id, pose) at one instant of all robots that a new picture tells of, the status of all cameras, and which of
+    them disagree, in words."""
+
+    poses: tuple[tuple[int, Pose], ...]
+    status: LocalizerStatus
+    disagreement: str
+
+
+@dataclass(frozen=True, eq=False)
+class _Candidate:
+    """A camera's pose of a robot at the instant of fusion: mean (3,) and covariance (3, 3) of [x, y, yaw]."""
+
+    camera: str
+    message: Pose
+    mean: Array
+    covariance: Array
+
+
+class CameraFusion:
+    """The fusion of all cameras of an experiment: call `step` in the order of the instants."""
+
+    def __init__(self, experiment: Experiment) -> None:
+        self._names, self._robots = experiment.camera_names, experiment.robot_ids
+        self._out_after_s = silent_after_s(experiment.all_cameras[0].rate_hz)
+        self._motions: dict[int, KalmanState] = {}
+        self._last: dict[int, Pose] = {}
+        self._doubts = {name: np.zeros((3, 3)) for name in self._names}  # added to the covariances of a camera's poses
+        self._known_ns = dict.fromkeys(self._names, -1)  # instant of each camera's last view
+        self._instant_ns: int | None = None
+        self._frames = 0
+
+    def step(self, views: Mapping[str, CameraView], instant_ns: int) -> FusionResult:
+        """Fuse the newest views of the cameras that were heard, by name, at the instant of the newest of them."""
+        self._frames += 1
+        step_s = 0.0 if self._instant_ns is None else max(instant_ns - self._instant_ns, 0) * 1e-9
+        self._instant_ns = instant_ns
+        self._motions = {robot: predict(motion, step_s) for robot, motion in self._motions.items()}
+        out = {name: why for name in self._names if (why := self._trouble(views.get(name), instant_ns))}
+        new = {name for name, view in views.items() if name not in out and view.instant_ns > self._known_ns[name]}
+        self._known_ns |= {name: view.instant_ns for name, view in views.items()}
+        seen = {name: view for name, view in views.items() if name not in out}
+        candidates = {robot: self._candidates(robot, seen, instant_ns) for robot in self._robots}
+        said = self._doubt(candidates, step_s)
+        poses = []
+        for robot, found in candidates.items():
+            if any(candidate.camera in new for candidate in found):
+                poses.append((robot, self._fused(robot, found)))
+            elif not found and robot in self._last and any(robot in seen[name].poses for name in new):
+                poses.append((robot, self._lost(robot)))
+        return FusionResult(tuple(poses), self._status(views, out, said, poses), "; ".join(said))
+
+    def _trouble(self, view: CameraView | None, instant_ns: int) -> str:
+        """The reason why a camera gives no poses; empty if it does."""
+        if view is None:
+            return "not heard yet"
+        if view.status.camera is not CameraHealth.OK:
+            return view.status.message or view.status.camera.name.lower().replace("_", " ")
+        age_s = (instant_ns - view.instant_ns) * 1e-9
+        return f"its last picture is more than {self._out_after_s:g} s old" if age_s > self._out_after_s else ""
+
+    def _candidates(self, robot: int, seen: Mapping[str, CameraView], instant_ns: int) -> list[_Candidate]:
+        """The poses of a robot to fuse: measured ones if there are any, and among these those with a verified identity."""
+        known = {name: pose for name, view in seen.items() if (pose := view.poses.get(robot)) is not None}
+        told = {n: pose for n, pose in known.items() if pose.track is not Track.LOST and _is_covariance(pose.covariance)}
+        best = [name for name, pose in told.items() if pose.track >= Track.KCF] or list(told)
+        best = [name for name in best if told[name].identity_verified] or best
+        return [self._carried(robot, name, told[name], (instant_ns - seen[name].instant_ns) * 1e-9) for name in best]
+
+    def _carried(self, robot: int, camera: str, pose: Pose, later_s: float) -> _Candidate:
+        """A pose some time after its exposure, by the velocity that the fused poses show."""
+        here = initial_state(np.array([pose.x_m, pose.y_m, pose.yaw_rad]), np.array(pose.covariance))
+        motion = self._motions.get(robot)
+        if motion is not None:
+            here.mean[3:], here.covariance[3:, 3:] = motion.mean[3:], motion.covariance[3:, 3:]
+        there = predict(here, later_s) if later_s > 0.0 else here
+        return _Candidate(camera, pose, there.mean[:3], there.covariance[:3, :3])
+
+    def _doubt(self, candidates: Mapping[int, Sequence[_Candidate]], step_s: float) -> list[str]:
+        """Renew the doubts in cameras by the robots that two of them measure. Returns what to tell the operator."""
+        said, agreed, doubted = [], set[str](), dict[str, Array]()
+        for robot, found in candidates.items():
+            for one, other in combinations([c for c in found if c.message.track >= Track.KCF], 2):
+                apart = _difference(one.mean, other.mean)
+                if _squared(apart, one.covariance + other.covariance) <= GATE:
+                    agreed |= {one.camera, other.camera}
+                    continue
+                away_m = float(np.hypot(apart[0], apart[1]))
+                said.append(f"cameras {one.camera} and {other.camera} disagree by {away_m * 1e3:.0f} mm about robot {robot}")
+                left = [c.camera for c in (one, other) if self._left_motion(robot, c)]
+                for name in left if len(left) == 1 else (one.camera, other.camera):
+                    grown = np.diag([away_m**2, away_m**2, apart[2] ** 2])
+                    doubted[name] = np.maximum(doubted.get(name, grown), grown)
+        for name in self._names:
+            kept = self._doubts[name] * (math.exp(-step_s / _FORGET_S) if name in agreed else 1.0)
+            self._doubts[name] = np.maximum(kept, doubted.get(name, kept))
+        return said
+
+    def _left_motion(self, robot: int, candidate: _Candidate) -> bool:
+        motion = self._motions.get(robot)
+        if motion is None:
+            return True
+        return _squared(_difference(candidate.mean, motion.mean[:3]), candidate.covariance + motion.covariance[:3, :3]) > GATE
+
+    def _fused(self, robot: int, found: Sequence[_Candidate]) -> Pose:
+        parts = [(candidate.mean, candidate.covariance + self._doubts[candidate.camera]) for candidate in found]
+        mean, covariance = covariance_intersection(parts)
+        best = max((candidate.message for candidate in found), key=lambda pose: (pose.track, pose.peak))
+        if best.track >= Track.KCF:
+            motion, squared = update(self._motions[robot], mean, covariance) if robot in self._motions else (None, 0.0)
+            known = motion is not None and squared <= GATE
+            self._motions[robot] = motion if motion is not None and known else initial_state(mean, covariance)
+        x_m, y_m, yaw_rad = mean.tolist()
+        verified = any(candidate.message.identity_verified for candidate in found)
+        fused = replace(best, x_m=x_m, y_m=y_m, yaw_rad=yaw_rad, covariance=covariance, identity_verified=verified)
+        self._last[robot] = fused
+        return fused
+
+    def _lost(self, robot: int) -> Pose:
+        """A robot that no camera follows: where it was."""
+        self._motions.pop(robot, None)
+        return replace(self._last[robot], track=Track.LOST, identity_verified=False)
+
+    def _status(
+        self,
+        views: Mapping[str, CameraView],
+        out: Mapping[str, str],
+        said: Sequence[str],
+        poses: Sequence[tuple[int, Pose]],
+    ) -> LocalizerStatus:
+        told = [view.status for view in views.values()]
+        bad = [status.camera for status in told if status.camera is not CameraHealth.OK]
+        lost = [str(robot) for robot, pose in poses if pose.track is Track.LOST]
+        parts = [f"camera {name} is out: {why}" for name, why in out.items()]
+        parts += [f"camera {n}: {view.status.message}" for n, view in views.items() if n not in out and view.status.message]
+        parts += [*said, *([f"lost: robot {', '.join(lost)}"] if lost else [])]
+        return LocalizerStatus(
+            camera=CameraHealth.OK if len(out) < len(self._names) else max(bad, default=CameraHealth.ABSENT),
+            frames=self._frames,
+            dropped=sum(status.dropped for status in told),
+            frame_ms=max((status.frame_ms for status in told), default=0.0),
+            message="; ".join(parts),
+            robots=tuple(robot for robot, _ in poses),
+            failed=sum(status.failed for status in told),
+            out=tuple(out),
+        )
+
+
+def covariance_intersection(parts: Sequence[tuple[Array, Array]]) -> tuple[Array, Array]:
+    """Mean (3,) and covariance (3, 3) of [x, y, yaw] from those of several estimates whose errors may be correlated."""
+    if len(parts) == 1:
+        return parts[0]
+    first = parts[0][0]
+    weights = np.array([1.0 / np.trace(covariance[:2, :2]) for _, covariance in parts])
+    information = [w * np.linalg.inv(covariance) for w, (_, covariance) in zip(weights / weights.sum(), parts, strict=True)]
+    covariance = np.linalg.inv(np.sum(information, axis=0))
+    pull = np.sum([part @ _difference(mean, first) for part, (mean, _) in zip(information, parts, strict=True)], axis=0)
+    mean = first + covariance @ pull
+    mean[2] = wrap(float(mean[2]))
+    apart = np.array([_difference(part, mean) for part, _ in parts])
+    scatter = (weights / weights.sum() * apart.T) @ apart
+    return mean, 0.5 * (covariance + covariance.T) + scatter
+
+
+def fuse_obstacles(told: Mapping[str, Obstacles], cameras: Sequence[str]) -> Obstacles:
+    """The obstacles of all cameras in one list, from those of the cameras that see; one that two of them see is told by the
+    first. Numbers stay apart: that of camera k of n is n times its own plus k."""
+    rows: list[tuple[int, Array, Array, float]] = []
+    for k, name in enumerate(cameras):
+        found = told.get(name)
+        if found is None:
+            continue
+        unseen_s = found.unseen_s if len(found.unseen_s) else np.zeros(len(found.ids))
+        earlier = [outline for _, outline, _, _ in rows]
+        for number, outline, velocity, s in zip(found.ids, found.outline, found.velocity, unseen_s, strict=True):
+            if not any(_inside(outline.mean(axis=0), other) or _inside(other.mean(axis=0), outline) for other in earlier):
+                rows.append((number * len(cameras) + k, outline, velocity, float(s)))
+    return Obstacles(
+        ids=tuple(row[0] for row in rows),
+        outline=np.array([row[1] for row in rows]).reshape(-1, 12, 2),
+        velocity=np.array([row[2] for row in rows]).reshape(-1, 2),
+        depth_m=next((found.depth_m for found in told.values()), 0.0),
+        watched=sum(found.watched for found in told.values()) / len(cameras),
+        blind="; ".join(f"camera {name}: {found.blind}" for name, found in told.items() if found.blind),
+        unseen_s=np.array([row[3] for row in rows]),
+    )
+
+
+def _inside(point: Array, outline: Array) -> bool:
+    """True if a point (2,) lies in a convex outline (n, 2) whose corners go from x to y."""
+    along, to = np.roll(outline, -1, axis=0) - outline, point - outline
+    return bool(np.all(along[:, 0] * to[:, 1] - along[:, 1] * to[:, 0] >= 0.0))
+
+
+def _difference(one: Array, other: Array) -> Array:
+    """one - other of two poses [x, y, yaw], with the heading's wrapped."""
+    away = one - other
+    away[2] = wrap(float(away[2]))
+    return away
+
+
+def _is_covariance(matrix: Array) -> bool:
+    """False for a matrix that is not positive definite, which a message may hold."""
+    return bool(np.linalg.eigvalsh(matrix)[0] > 0.0)
+
+
+def _squared(away: Array, covariance: Array) -> float:
+    """Squared Mahalanobis distance."""
+    return float(away @ np.linalg.solve(covariance, away))

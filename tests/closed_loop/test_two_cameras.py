@@ -1,0 +1,44 @@
+"""A lockstep flight under two cameras: robots cross from one picture into the other, and one camera goes meanwhile."""
+
+from pathlib import Path
+
+import pytest
+
+from groundstation.report.report import write_report
+from localizer.evaluation.runner import evaluate_log
+from sim_bridge.in_process.executor import Executor
+from wire.config.experiment import dump_experiment, load_experiment
+from wire.messages import topics
+from wire.messages.codec import decode
+from wire.messages.messages import LocalizerStatus, Pose, Track
+from wire.transport.bus import Bus
+from wire.transport.memory_transport import MemoryHub, MemoryTransport
+
+pytestmark = pytest.mark.long
+
+GONE_S = 7.0  # s along the trajectories: the east sees both robots, robot 2 in the middle, where the west saw it too
+
+
+def test_robots_cross_over_and_fly_on_when_the_camera_that_they_left_is_gone(tmp_path: Path) -> None:
+    experiment, hub = load_experiment("two-cameras", ["duration_s=9"], [f"t={GONE_S:g} camera west gone"]), MemoryHub()
+    bus = Bus(MemoryTransport(hub))
+    statuses, poses = bus.collect(topics.LOCALIZER), bus.collect(topics.POSE)
+    (tmp_path / "experiment.toml").write_text(dump_experiment(experiment), encoding="utf-8")
+    assert Executor(experiment, tmp_path, hub).fly()
+
+    told = {header.stamp_ns: decode(LocalizerStatus, data, "test", key) for _, key, header, data in statuses()}
+    out_ns = min(stamp_ns for stamp_ns, status in told.items() if status.out and status.robots)
+    assert told[out_ns].out == ("west",) and "camera west is out: its last picture is" in told[out_ns].message
+    assert all(status.robots == (1, 2) for stamp_ns, status in told.items() if stamp_ns >= out_ns)
+    seen = [decode(Pose, data, "test", key) for _, key, _, data in poses()]
+    assert all(pose.track is Track.MARKER for pose in seen)
+
+    rows = {row.subject: row for row in evaluate_log(tmp_path / "run.mcap")}
+    assert rows["all but lost"].rms_mm < 2.0 and rows["all but lost"].nees < 3.5
+    assert rows["seen by 1"].poses > 100 and rows["seen by 2"].poses > 100
+    assert rows["step, hand-over"].poses >= 3 and rows["step, hand-over"].max_mm < 3.0
+    assert rows["step, hand-over"].nees < rows["step, hand-over"].nees_high
+
+    out = write_report(tmp_path).cameras_out
+    assert out["east"] == 0.0 and out["west"] == pytest.approx((9.0 - GONE_S - 0.25) / 9.0, abs=0.03)
+    assert "Cameras, share of the flight without their poses: west" in (tmp_path / "report.html").read_text(encoding="utf-8")

@@ -1,0 +1,237 @@
+"""Fusion of several cameras' poses: honest whatever the errors have in common, without a jump, with a camera that fails."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from localizer.tracking.camera_fusion import (
+    CameraFusion,
+    CameraView,
+    FusionResult,
+    covariance_intersection,
+    fuse_obstacles,
+)
+from wire.config.experiment import load_experiment
+from wire.frames import Array
+from wire.messages.messages import CameraHealth, LocalizerStatus, Obstacles, Pose, Track
+
+EXPERIMENT = load_experiment("two-cameras")
+PERIOD_NS = 50_000_000
+SIGMA = np.diag([0.002, 0.002, 0.005])
+WELL = LocalizerStatus(camera=CameraHealth.OK)
+
+
+def pose(eta: Sequence[float] | Array, covariance: Array = SIGMA**2, track: Track = Track.MARKER, sure: bool = True) -> Pose:
+    x_m, y_m, yaw_rad = np.asarray(eta, dtype=np.float64).tolist()
+    return Pose(x_m, y_m, yaw_rad, covariance, track, sure)
+
+
+def view(instant_ns: int, poses: Mapping[int, Pose], status: LocalizerStatus = WELL) -> CameraView:
+    return CameraView(instant_ns, status, poses)
+
+
+def fused(result: FusionResult, robot: int = 1) -> Array:
+    found = dict(result.poses)[robot]
+    return np.array([found.x_m, found.y_m, found.yaw_rad])
+
+
+# --- honest
+
+
+@pytest.mark.parametrize(
+    ("shared", "from_optimum", "naive_nees"), [(-0.5, 1.1, 1.7), (0.0, 1.02, 3.0), (0.5, 1.1, 4.2), (0.95, 2.1, 5.5)]
+)
+def test_fused_poses_are_consistent_at_any_correlation_and_near_the_optimum(
+    shared: float, from_optimum: float, naive_nees: float
+) -> None:
+    """Against the information form of the estimate that knows the joint covariance of both cameras' errors, which nobody does
+    in a pool. An estimate that takes them as independent is not consistent where they are not. The cameras see along different
+    lines of sight, so that their ellipses differ."""
+    random, count = np.random.default_rng(7), 4000
+    turns = [np.array([[np.cos(a), -np.sin(a), 0.0], [np.sin(a), np.cos(a), 0.0], [0.0, 0.0, 1.0]]) for a in (0.3, 1.4)]
+    parts = [turn @ np.diag([0.003, 0.0015, 0.004]) ** 2 @ turn.T for turn in turns]
+    halves = [np.linalg.cholesky(part) for part in parts]
+    cross = shared * halves[0] @ halves[1].T
+    joint = np.block([[parts[0], cross], [cross.T, parts[1]]])
+    errors = random.multivariate_normal(np.zeros(6), joint, count)
+    stacked = np.vstack([np.eye(3), np.eye(3)])
+    best_covariance = np.linalg.inv(stacked.T @ np.linalg.inv(joint) @ stacked)
+    best = errors @ np.linalg.inv(joint) @ stacked @ best_covariance
+    naive_covariance = np.linalg.inv(sum(map(np.linalg.inv, parts)))
+    naive = sum(errors[:, 3 * k : 3 * k + 3] @ np.linalg.inv(part) for k, part in enumerate(parts)) @ naive_covariance
+
+    found = [covariance_intersection([(e[:3].copy(), parts[0]), (e[3:].copy(), parts[1])]) for e in errors]
+    nees = np.mean([e @ np.linalg.solve(covariance, e) for e, covariance in found])
+    rms = np.sqrt(np.mean([e[:2] @ e[:2] for e, _ in found]))
+    assert 0.5 < nees < 3.1
+    assert rms < from_optimum * np.sqrt(np.mean(np.sum(best[:, :2] ** 2, axis=1)))
+    assert rms < np.sqrt(np.mean(np.sum(errors[:, :2] ** 2, axis=1)))  # than one camera alone
+    independent = np.mean(np.einsum("ni,ij,nj->n", naive, np.linalg.inv(naive_covariance), naive))
+    assert independent == pytest.approx(naive_nees, abs=0.2)
+
+
+def test_a_heading_across_half_a_turn_is_averaged_the_short_way() -> None:
+    mean, _ = covariance_intersection([(np.array([0.0, 0.0, 3.13]), SIGMA**2), (np.array([0.0, 0.0, -3.13]), SIGMA**2)])
+    assert abs(abs(mean[2]) - np.pi) < 1e-6
+
+
+@pytest.mark.parametrize("offset_ns", [0, PERIOD_NS // 2], ids=["together", "in turns"])
+def test_a_moving_robot_seen_by_two_cameras_is_located_as_well_as_its_covariance_says(offset_ns: int) -> None:
+    """Three quarters of each camera's error are common to both; exposed together, or half a period apart."""
+    nees, errors = [], []
+    for seed in range(8):
+        random, fusion, views = np.random.default_rng(seed), CameraFusion(EXPERIMENT), dict[str, CameraView]()
+        common = SIGMA @ random.normal(size=3) * np.sqrt(0.75)
+        for k in range(120):
+            camera = ("west", "east")[k % 2]
+            at_ns = (k // 2) * PERIOD_NS + (k % 2) * offset_ns
+            true = np.array([0.3 * at_ns * 1e-9, 0.1 * np.sin(at_ns * 1e-9), 0.5 * at_ns * 1e-9])
+            views[camera] = view(at_ns, {1: pose(true + common + SIGMA @ random.normal(size=3) * 0.5)})
+            if offset_ns == 0 and camera == "west":
+                continue
+            result = fusion.step(views, at_ns)
+            found = dict(result.poses)[1]
+            error = fused(result) - true
+            if k > 20:
+                nees.append(error @ np.linalg.solve(found.covariance, error))
+                errors.append(error)
+    assert 0.8 < np.mean(nees) < 3.6
+    assert np.sqrt(np.mean(np.sum(np.array(errors)[:, :2] ** 2, axis=1))) < 1.1 * np.sqrt(2.0) * SIGMA[0, 0]
+
+
+# --- from picture to picture
+
+
+def test_a_robot_that_crosses_over_moves_no_more_than_its_covariances_claim() -> None:
+    """The cameras are 3 mm apart, as after two calibrations. West sees the robot until x = 0.4 m, east from -0.4 m on."""
+    fusion, bias, last = CameraFusion(EXPERIMENT), np.array([0.0015, 0.0, 0.0]), None
+    for k in range(160):
+        true, at_ns = np.array([-0.8 + 0.01 * k, 0.0, 0.0]), k * PERIOD_NS
+        west = {1: pose(true - bias)} if true[0] < 0.4 else {1: pose(true - bias, track=Track.LOST)}
+        east = {1: pose(true + bias)} if true[0] > -0.4 else {}
+        result = fusion.step({"west": view(at_ns, west), "east": view(at_ns, east)}, at_ns)
+        error, covariance = fused(result) - true, dict(result.poses)[1].covariance
+        if last is not None:
+            change = error - last[0]
+            assert change @ np.linalg.solve(covariance + last[1], change) < 3.0
+            assert np.hypot(*change[:2]) < 0.0016
+        last = error, covariance
+    assert result.status.message == ""
+
+
+def test_a_robot_seen_by_one_camera_is_where_that_camera_says() -> None:
+    told = pose([1.0, 0.2, 0.3])
+    result = CameraFusion(EXPERIMENT).step({"west": view(0, {}), "east": view(0, {1: told})}, 0)
+    assert fused(result) == pytest.approx([1.0, 0.2, 0.3])
+    assert np.array_equal(dict(result.poses)[1].covariance, told.covariance)
+
+
+def test_measured_and_verified_poses_come_before_coasting_and_doubtful_ones() -> None:
+    far = [0.0, 0.5, 0.0]
+    for worse in (pose(far, track=Track.COAST), pose(far, sure=False), pose(far, -(SIGMA**2)), pose(far, track=Track.LOST)):
+        result = CameraFusion(EXPERIMENT).step({"west": view(0, {1: worse}), "east": view(0, {1: pose([0.0, 0.0, 0.0])})}, 0)
+        assert fused(result) == pytest.approx([0.0, 0.0, 0.0]), worse.track
+
+
+def test_a_robot_that_every_camera_has_lost_is_told_as_lost_where_it_was() -> None:
+    fusion = CameraFusion(EXPERIMENT)
+    fusion.step({"west": view(0, {1: pose([0.1, 0.2, 0.3])}), "east": view(0, {})}, 0)
+    gone = {1: pose([0.1, 0.2, 0.3], track=Track.LOST)}
+    result = fusion.step({"west": view(PERIOD_NS, gone), "east": view(PERIOD_NS, {})}, PERIOD_NS)
+    assert dict(result.poses)[1].track is Track.LOST and not dict(result.poses)[1].identity_verified
+    assert fused(result) == pytest.approx([0.1, 0.2, 0.3])
+    assert "lost: robot 1" in result.status.message
+
+
+# --- a camera fails
+
+
+@pytest.mark.parametrize(
+    ("failure", "why"),
+    [
+        (LocalizerStatus(camera=CameraHealth.FROZEN, message="camera frozen"), "camera west is out: camera frozen"),
+        (LocalizerStatus(camera=CameraHealth.BLACK), "camera west is out: black"),
+        (None, "camera west is out: its last picture is more than 0.25 s old"),
+    ],
+    ids=["frozen", "black", "gone"],
+)
+def test_with_a_camera_out_the_other_goes_on_and_the_status_says_which(failure: LocalizerStatus | None, why: str) -> None:
+    """Robot 2 is seen by the failing camera alone: nothing is told of it any more."""
+    fusion, west = CameraFusion(EXPERIMENT), view(0, {})
+    for k in range(20):
+        at_ns, true = k * PERIOD_NS, [0.01 * k, 0.0, 0.0]
+        if k < 10:
+            west = view(at_ns, {1: pose(true), 2: pose([-1.0, 0.0, 0.0])})
+        elif failure is not None:
+            west = view(at_ns, {}, failure)
+        result = fusion.step({"west": west, "east": view(at_ns, {1: pose(true)})}, at_ns)
+        assert np.hypot(*(fused(result) - true)[:2]) < 0.002
+        assert (2 in dict(result.poses)) == (k < 10)
+    assert result.status.out == ("west",) and why in result.status.message
+    assert result.status.camera is CameraHealth.OK
+
+
+def test_with_all_cameras_out_there_are_no_poses_and_the_health_says_why() -> None:
+    dark = LocalizerStatus(camera=CameraHealth.BLACK)
+    result = CameraFusion(EXPERIMENT).step({"east": view(0, {}, dark)}, 0)
+    assert result.poses == () and result.status.camera is CameraHealth.BLACK
+    assert result.status.out == ("west", "east")
+
+
+def test_a_camera_that_is_late_is_carried_on_and_counts_less() -> None:
+    fusion = CameraFusion(EXPERIMENT)
+    for k in range(2, 40):
+        at_ns, late_ns = k * PERIOD_NS, (k - 2) * PERIOD_NS
+        views = {"west": view(late_ns, {1: pose([0.015 * (k - 2), 0.0, 0.0])}), "east": view(at_ns, {})}
+        result = fusion.step(views, at_ns)
+        alone = dict(result.poses)[1]
+    assert fused(result) == pytest.approx([0.015 * 39, 0.0, 0.0], abs=0.003)
+    assert alone.covariance[0, 0] > 2.0 * SIGMA[0, 0] ** 2
+
+
+def test_a_camera_that_leaves_the_robots_motion_is_in_doubt_and_the_other_is_believed() -> None:
+    """As when it is bumped: its poses leap by 50 mm. Robot 2, which it alone sees, claims that much from then on."""
+    fusion, result = CameraFusion(EXPERIMENT), None
+    for k in range(60):
+        at_ns, true, leap = k * PERIOD_NS, np.array([0.01 * k, 0.0, 0.0]), np.array([0.03, 0.04, 0.0]) * (k >= 30)
+        east = {1: pose(true + leap), 2: pose(np.array([1.5, 0.0, 0.0]) + leap)}
+        result = fusion.step({"west": view(at_ns, {1: pose(true)}), "east": view(at_ns, east)}, at_ns)
+        assert np.hypot(*(fused(result) - true)[:2]) < 0.002
+    assert result is not None and "cameras west and east disagree by 50 mm about robot 1" in result.status.message
+    assert np.sqrt(dict(result.poses)[2].covariance[0, 0]) > 0.05
+
+
+def test_cameras_that_never_agreed_are_both_in_doubt_until_they_do() -> None:
+    fusion, apart = CameraFusion(EXPERIMENT), np.array([0.04, 0.0, 0.0])
+    for k in range(200):
+        at_ns, own = k * PERIOD_NS, apart if k < 5 else 0.0 * apart
+        views = {"west": view(at_ns, {1: pose(np.zeros(3)), 2: pose([-1.0, 0.0, 0.0])}), "east": view(at_ns, {1: pose(own)})}
+        result = fusion.step(views, at_ns)
+        if k == 2:
+            assert all(np.sqrt(pose.covariance[0, 0]) > 0.03 for _, pose in result.poses)
+            assert result.disagreement == "cameras west and east disagree by 40 mm about robot 1"
+    assert all(np.sqrt(pose.covariance[0, 0]) < 0.006 for _, pose in result.poses)
+    assert result.disagreement == ""
+
+
+# --- obstacles
+
+
+def square(x_m: float, y_m: float, side_m: float = 0.2) -> Array:
+    corners = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]) * side_m / 2.0
+    return np.asarray(np.repeat(corners, 3, axis=0) + np.array([x_m, y_m]))
+
+
+def test_obstacles_of_all_cameras_are_in_one_list_and_one_that_two_see_is_in_it_once() -> None:
+    def told(ids: tuple[int, ...], *outlines: Array) -> Obstacles:
+        return Obstacles(ids, np.array(outlines), np.zeros((len(ids), 2)), 0.3, 0.8, "", np.zeros(len(ids)))
+
+    west, east = told((1, 2), square(-1.0, 0.0), square(0.0, 0.3)), told((1, 2), square(0.05, 0.32), square(1.0, 0.0))
+    both = fuse_obstacles({"west": west, "east": replace(east, blind="learning")}, ("west", "east"))
+    assert both.ids == (2, 4, 5)
+    assert both.outline.mean(axis=1).tolist() == pytest.approx(np.array([[-1.0, 0.0], [0.0, 0.3], [1.0, 0.0]]))
+    assert both.watched == pytest.approx(0.8) and both.blind == "camera east: learning"
+    alone = fuse_obstacles({"east": east}, ("west", "east"))
+    assert alone.ids == (3, 5) and alone.watched == pytest.approx(0.4)
