@@ -10,7 +10,7 @@ Data flow of `Controller.step`:
                 -> GiveWay (velocity_obstacles.py)   the same reference, or one around robots and obstacles in the way
     neighbours  -> Formation (formation.py)          weighted reference (35), half-spaces (36)
                 -> HeadingReference (heading.py)     heading in which surge thrust corrects lateral errors
-                -> Mpc (mpc.py, qp.py)               wrench over the horizon (35 to 40), or another law (law.py)
+                -> Mpc (mpc.py, active_set.py)       wrench over the horizon (35 to 40), or another law (law.py)
                 -> Allocator (allocation.py)         pulse widths of 4 thrusters and 4 ankles
 
 The estimator is told that `output.pulse_us` went out at `now_ns`. `goal = None` means neutral: the controller goes on

@@ -74,7 +74,7 @@ class DirectPlant:
         self._pulses_us = self._state.motors.pulses_us[0].copy()
         self._armed = [False] * len(starts)
         self._faults = FaultSchedule(experiment)
-        self._rest_v = self._plant.rest_v(self._state).tolist()  # of the batteries, now
+        self._note_voltage()
         self._begin_ns = 0  # instant at which the trajectories begin
         self.happened: list[str] = []  # faults that began or ended, until they are taken
 
@@ -92,6 +92,7 @@ class DirectPlant:
         eta, nu = np.ascontiguousarray(eta), np.ascontiguousarray(nu)  # the plant's kernels take no other layout
         self._state = replace(self._state, eta=eta, nu=nu, tilt=np.zeros_like(eta), steps=now_ns // self._step_ns)
         self._pulses_us, self._armed, self._begin_ns = pulses_us[-1].copy(), list(armed), begin_ns
+        self._note_voltage()
 
     @property
     def now_ns(self) -> int:
@@ -124,7 +125,11 @@ class DirectPlant:
             steps = self._faults.quiet_steps(self._flown_s, self._step_ns / NS, left)
             pulses_us = self._faults.pulses(self._pulses_us)
             self._state = self._plant.step(self._state, pulses_us, self._faults.actuators, steps)
-        self._rest_v = self._plant.rest_v(self._state, self._faults.actuators).tolist()
+        self._note_voltage()
+
+    def _note_voltage(self) -> None:
+        """Take note of the batteries' voltages without load, now."""
+        self._rest_v: list[float] = self._plant.rest_v(self._state, self._faults.actuators).tolist()
 
     @property
     def _flown_s(self) -> float:
