@@ -10,9 +10,11 @@ INSTALLED := .venv/.installed
 # More threads only make these matrices slower, and results must not depend on their number.
 export OMP_NUM_THREADS = 1
 export OPENBLAS_NUM_THREADS = 1
+# Programs and test processes start often: where Python may not keep what it compiled, each start costs up to twice as much.
+unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help page run check test test-real-time test-computing test-slow mutants firmware faults fuzz photoreal soak bench lint format proto docs lock clean
+.PHONY: help page run check test test-real-time test-page test-computing test-slow mutants firmware faults fuzz photoreal soak bench lint format proto docs lock clean
 
 help: ## this list
 	@echo "Targets (each sets up .venv by itself):"
@@ -24,16 +26,20 @@ run: $(INSTALLED) ## fly the pool experiment in software, all processes for real
 check: lint ## ruff, mypy, and the unit tests that start no process: three minutes on two cores
 	$(BIN)/python -m pytest -n logical --dist loadgroup -m "not slow and not real_time and not long"
 
-# What only computes fills the idle time of the tests that wait for programs, at a lower priority, so that it delays none of them.
+# What only computes, and the page's tests, which have time, fill the idle time of those that wait for programs, at lower
+# priorities, so that they delay none of them.
 test: $(INSTALLED) ## all tests but the slow ones. ARGS="tests/wire -x"
 ifdef ARGS
 	$(BIN)/python -m pytest $(ARGS)
 else
-	@$(MAKE) --no-print-directory --keep-going --jobs=2 test-real-time test-computing
+	@$(MAKE) --no-print-directory --keep-going --jobs=3 test-real-time test-page test-computing
 endif
 
 test-real-time:
-	$(BIN)/python -m pytest -m "real_time and not slow"
+	$(BIN)/python -m pytest -m "real_time and not slow" --ignore=tests/page
+
+test-page:
+	nice -n 5 $(BIN)/python -m pytest -m "real_time and not slow" tests/page
 
 test-computing:
 	nice -n 15 $(BIN)/python -m pytest -n logical --dist loadgroup -m "not real_time and not slow"

@@ -4,18 +4,16 @@ import ast
 import subprocess
 import sys
 from collections.abc import Iterator
-from functools import cache
 from importlib import metadata
-from pathlib import Path
 
 import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-ROOT = Path(__file__).parents[1]
+from tests.source_tree import GENERATED, ROOT, nodes, sources, tree_of
+
 PROCESSES = {"groundstation", "robot_agent", "localizer", "sim_bridge"}
 SCRIPTS = {"groundstation", "sim_bridge"}  # what shoal/, the face for scripts, stands on; nothing imports it
-GENERATED = {"wire/messages/fleet_pb2.py"}
 
 # Numeric flights step agents and plant in one process, from the start or from a moment of a run; the executor steps the nodes
 # of a lockstep run. Nothing else may see another package. `groundstation log rerun` needs no exception: the robots' program
@@ -122,20 +120,9 @@ SHELL_METHODS = {
 SHELL_FUNCTIONS = {"open", "input", "print"}
 
 
-def _sources(*packages: str) -> list[str]:
-    """Files of some packages, of all if none is named."""
-    found = (path for package in packages or sorted(PARTS) for path in sorted((ROOT / package).rglob("*.py")))
-    return [str(path.relative_to(ROOT)) for path in found]
-
-
-@cache
-def _tree(source: str) -> ast.Module:
-    return ast.parse((ROOT / source).read_text(encoding="utf-8"))
-
-
 def _imports(tree: ast.Module, package: str) -> Iterator[str]:
     """Full names of all modules that a file imports, also inside functions and under TYPE_CHECKING."""
-    for node in ast.walk(tree):
+    for node in nodes(tree):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -145,7 +132,7 @@ def _imports(tree: ast.Module, package: str) -> Iterator[str]:
 def _impure(tree: ast.Module) -> Iterator[str]:
     """The parts of a file that only a shell file may have."""
     yield from (name for name in _imports(tree, "") if name.partition(".")[0] in SHELL_MODULES)
-    for node in ast.walk(tree):
+    for node in nodes(tree):
         if not isinstance(node, ast.Call):
             continue
         if isinstance(node.func, ast.Name) and node.func.id in SHELL_FUNCTIONS:
@@ -156,7 +143,7 @@ def _impure(tree: ast.Module) -> Iterator[str]:
 
 def _unseeded(tree: ast.Module) -> Iterator[str]:
     """Uses of numpy's global generator, and generators without a seed."""
-    for node in ast.walk(tree):
+    for node in nodes(tree):
         if not (isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute)):
             continue
         owner, name = ast.unparse(node.func.value), node.func.attr
@@ -166,7 +153,7 @@ def _unseeded(tree: ast.Module) -> Iterator[str]:
 
 def _reached_on_disk(tree: ast.Module) -> Iterator[str]:
     """Packages whose files a file names: `folder / "localizer"`, `Path("localizer/...")`, `resources.files("localizer")`."""
-    for node in ast.walk(tree):
+    for node in nodes(tree):
         named: list[ast.expr] = []
         if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Div):
             named = [node.left, node.right]
@@ -200,8 +187,8 @@ def test_the_rules_notice_offenders() -> None:
 @pytest.mark.parametrize("package", sorted(PARTS))
 def test_packages_do_not_import_one_another(package: str) -> None:
     found = []
-    for source in _sources(package):
-        seen = {name.partition(".")[0] for name in _imports(_tree(source), package)}
+    for source in sources(package):
+        seen = {name.partition(".")[0] for name in _imports(tree_of(source), package)}
         allowed = {package} | ALLOWED.get(source, set()) | (SCRIPTS if package == "shoal" else set())
         found += [f"{source} imports {other}" for other in seen & (PROCESSES | {"shoal", "tests", "benchmarks"}) - allowed]
     assert not found, f"{'; '.join(sorted(found))}: what processes share belongs in wire/"
@@ -210,7 +197,7 @@ def test_packages_do_not_import_one_another(package: str) -> None:
 @pytest.mark.parametrize("package", sorted(PARTS))
 def test_packages_do_not_reach_into_one_another_on_disk(package: str) -> None:
     others = (PROCESSES | {"tests", "benchmarks"}) - {package}
-    found = [f"{s} names files of {other}" for s in _sources(package) for other in others & set(_reached_on_disk(_tree(s)))]
+    found = [f"{s} names files of {other}" for s in sources(package) for other in others & set(_reached_on_disk(tree_of(s)))]
     assert not found, f"{'; '.join(sorted(found))}: what processes share belongs in wire/"
 
 
@@ -222,7 +209,7 @@ def _part(module: str) -> str:
 def _own_imports(source: str) -> set[str]:
     """Modules of the same package that a file imports; `from a.b import c` counts as a.b.c where that is a module."""
     package, found = source.partition("/")[0], set()
-    for node in ast.walk(_tree(source)):
+    for node in nodes(tree_of(source)):
         if isinstance(node, ast.ImportFrom) and node.level == 0:
             found |= {f"{node.module}.{alias.name}" for alias in node.names}
         elif isinstance(node, ast.Import):
@@ -233,7 +220,7 @@ def _own_imports(source: str) -> set[str]:
 @pytest.mark.parametrize("package", sorted(PARTS))
 def test_parts_of_a_package_import_downwards_and_as_the_table_says(package: str) -> None:
     edges: dict[str, set[str]] = {}
-    for source in _sources(package):
+    for source in sources(package):
         own = _part(source.removesuffix(".py").replace("/", "."))
         if own not in ("__init__", "__main__"):
             edges.setdefault(own, set()).update({_part(name) for name in _own_imports(source)} - {own})
@@ -246,32 +233,32 @@ def test_parts_of_a_package_import_downwards_and_as_the_table_says(package: str)
 def test_the_exceptions_are_needed() -> None:
     for source, packages in ALLOWED.items():
         if (ROOT / source).exists():
-            seen = {name.partition(".")[0] for name in _imports(_tree(source), source.partition("/")[0])}
+            seen = {name.partition(".")[0] for name in _imports(tree_of(source), source.partition("/")[0])}
             assert packages <= seen, f"{source} no longer imports {packages - seen}: take the exception away"
 
 
 @pytest.mark.parametrize("package", sorted(PARTS))
 def test_only_shell_files_touch_the_world(package: str) -> None:
-    pure = [source for source in _sources(package) if source not in GENERATED and not _is_shell(_tree(source))]
-    found = [f"{source}: {what}" for source in pure for what in sorted(set(_impure(_tree(source))))]
+    pure = [source for source in sources(package) if source not in GENERATED and not _is_shell(tree_of(source))]
+    found = [f"{source}: {what}" for source in pure for what in sorted(set(_impure(tree_of(source))))]
     assert not found, f"{'; '.join(found)}: pass it in as an argument, or move it to a file marked SHELL:"
 
 
 @pytest.mark.parametrize("package", sorted(PARTS))
 def test_files_marked_shell_are_shells(package: str) -> None:
-    shells = [(source, _tree(source)) for source in _sources(package) if _is_shell(_tree(source))]
+    shells = [(source, tree_of(source)) for source in sources(package) if _is_shell(tree_of(source))]
     idle = [s for s, tree in shells if not any(_impure(tree)) and not any(_reaches_shell(n) for n in _imports(tree, package))]
     assert not idle, f"{', '.join(idle)}: marked SHELL: but touch nothing; without the mark they can be trusted to stay pure"
 
 
 def _reaches_shell(module: str) -> bool:
     path = ROOT / (module.replace(".", "/") + ".py")
-    return path.is_file() and _is_shell(_tree(str(path.relative_to(ROOT))))
+    return path.is_file() and _is_shell(tree_of(str(path.relative_to(ROOT))))
 
 
 @pytest.mark.parametrize("package", sorted(PARTS))
 def test_chance_is_seeded(package: str) -> None:
-    found = [f"{source}: {what}" for source in _sources(package) for what in _unseeded(_tree(source))]
+    found = [f"{source}: {what}" for source in sources(package) for what in _unseeded(tree_of(source))]
     assert not found, f"{'; '.join(found)}: a run must be repeatable; take a seeded Generator as an argument"
 
 
@@ -295,7 +282,9 @@ def test_the_agent_runs_on_the_base_install() -> None:
     base = _base_install() | {"shoal", "setuptools", "pip"}
     base |= {"pyyaml"}  # Numba imports it where it is installed
     assert "numpy" in base and "opencv-python-headless" not in base and "mcap" not in base
-    modules = [s.removesuffix(".py").replace("/", ".") for s in _sources() if s.startswith(("robot_agent/", "wire/"))]
+    modules = [
+        s.removesuffix(".py").replace("/", ".") for s in sources(*sorted(PARTS)) if s.startswith(("robot_agent/", "wire/"))
+    ]
     script = f"import sys; {'; '.join(f'import {m}' for m in modules)}; print(*{{m.partition('.')[0] for m in sys.modules}})"
     done = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr

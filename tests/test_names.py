@@ -7,48 +7,42 @@ import re
 import tokenize
 from collections import defaultdict
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[1]
+from tests.source_tree import ROOT, nodes, sources, tree_of
+
 PACKAGES = ("shoal", "wire", "groundstation", "robot_agent", "localizer", "sim_bridge", "benchmarks", "tests")
-GENERATED = {"fleet_pb2.py"}
 PUBLIC = {"_replace", "_asdict", "_fields", "_exit"}  # of named tuples and of `os`: documented in spite of the underscore
 DIRECTIVE = re.compile(r"#\s*(type: ignore|noqa|fmt:|pragma:)[^#]*")  # a comment for a tool, which gives no reason
 VAGUE = re.compile(r"test_(who|what|whoever|somebody|nobody)_")
 RIDDLES = {"who", "whom", "whose", "whoever", "what", "whatever", "where", "wherever", "how", "why", "whether", "when"}
 
 
-def sources(*packages: str) -> Iterator[Path]:
-    for package in packages:
-        yield from (path for path in sorted((ROOT / package).rglob("*.py")) if path.name not in GENERATED)
-
-
-def first_lines(path: Path) -> Iterator[tuple[str, str]]:
+def first_lines(source: str) -> Iterator[tuple[str, str]]:
     """Each docstring of a file with the name of what it describes."""
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in nodes(tree_of(source)):
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
             text = ast.get_docstring(node)
             if text:
-                yield getattr(node, "name", path.stem), text.partition("\n")[0]
+                yield getattr(node, "name", source), text.partition("\n")[0]
 
 
 def test_one_class_name_stands_for_one_class() -> None:
     where = defaultdict(list)
-    for path in sources(*PACKAGES):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for source in sources(*PACKAGES):
+        for node in nodes(tree_of(source)):
             if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
-                where[node.name].append(str(path.relative_to(ROOT)))
+                where[node.name].append(str(source))
     assert {name: files for name, files in where.items() if len(files) > 1} == {}
 
 
 @pytest.mark.parametrize("package", PACKAGES)
 def test_a_docstring_begins_with_what_a_thing_is_or_does(package: str) -> None:
     found = [
-        f"{path.relative_to(ROOT)}: {name}: {line}"
-        for path in sources(package)
-        for name, line in first_lines(path)
+        f"{source}: {name}: {line}"
+        for source in sources(package)
+        for name, line in first_lines(source)
         if line.removeprefix("SHELL: ").partition(" ")[0].strip(",.:").lower() in RIDDLES
     ]
     assert not found, "\n".join(found)
@@ -93,9 +87,9 @@ def unexplained(text: str) -> list[tuple[int, str]]:
 
 def test_a_private_name_is_used_in_tests_only_with_a_reason_beside_it() -> None:
     found = [
-        f"{path.relative_to(ROOT)}:{line}: {name}"
-        for path in sources("tests")
-        for line, name in unexplained(path.read_text(encoding="utf-8"))
+        f"{source}:{line}: {name}"
+        for source in sources("tests")
+        for line, name in unexplained((ROOT / source).read_text(encoding="utf-8"))
     ]
     assert not found, "\n".join(found)
 
@@ -121,9 +115,9 @@ def test_a_comment_for_a_tool_or_on_another_line_is_no_reason(text: str, names: 
 
 def test_a_test_is_named_by_what_it_does() -> None:
     found = [
-        f"{path.relative_to(ROOT)}: {node.name}"
-        for path in sources("tests")
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        f"{source}: {node.name}"
+        for source in sources("tests")
+        for node in nodes(tree_of(source))
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and VAGUE.match(node.name)
     ]
     assert not found, "\n".join(found)
@@ -132,9 +126,9 @@ def test_a_test_is_named_by_what_it_does() -> None:
 def test_no_test_module_imports_from_another() -> None:
     """Helpers that two of them share are in a module of their own, so that either can be moved or run alone."""
     found = [
-        f"{path.relative_to(ROOT)}: {name}"
-        for path in sources("tests")
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        f"{source}: {name}"
+        for source in sources("tests")
+        for node in nodes(tree_of(source))
         for name in imported_modules(node)
         if name.startswith("tests.") and any(part.startswith("test_") for part in name.split("."))
     ]

@@ -274,10 +274,7 @@ class Controller:
                 weight,
             )  # fmt: skip
         if self._config.guidance.enabled:
-            lead = Reference(command, reference.velocity, reference.acceleration)
-            command[:, 3] = self._heading.heading_along(
-                lead, estimate.eta, estimate.nu, estimate.disturbance, estimate.current
-            )
+            self._heading.turn_along(command, reference, estimate.eta, estimate.nu, estimate.disturbance, estimate.current)
             if self._shortness:
                 rate = math.sqrt(self._config.guidance.position_gain_per_s2)
                 let_error_fade(
@@ -287,7 +284,7 @@ class Controller:
 
     def _unwound(self, command: Array, estimate: Estimate) -> Array:
         """The command (rows, 4) with as many whole turns as the estimate has."""
-        away = float(estimate.eta[3] - command[0, 3]) / TURN
+        away = (estimate.eta.item(3) - command.item(3)) / TURN
         if self._turns is None or abs(away - self._turns) > KEEP_TURN:
             self._turns = round(away)
         if self._turns:

@@ -35,7 +35,7 @@ def off_tangent(force: complex, direction: float, worth: float, limit_rad: float
     return min(max(angle, -limit_rad), limit_rad)
 
 
-@kernel("UniTuple(f8,2)(f8[:,::1], f8[:,::1], f8[:,::1], c16, b1, f8, f8, f8, c16, f8, f8, f8, f8, f8, f8, f8[::1])")
+@kernel("UniTuple(f8,2)(f8[:,::1], f8[:,::1], f8[:,::1], c16, b1, f8, f8, f8, c16, f8, f8, f8, f8, f8, f8)")
 def headings(
     eta: Array,
     velocity: Array,
@@ -52,9 +52,8 @@ def headings(
     keep: float,
     direction: float,
     jump: float,
-    out: Array,
 ) -> tuple[float, float]:
-    """Headings `out` (rows,) of a reference (rows, 4 each), from the force that it needs, row by row:
+    """Headings of a reference (rows, 4 each), in the place of the tangents of `eta`, from the force needed, row by row:
 
         F = m a + d(|V|) V + feedback      V = velocity - current      d = linear + quadratic |V|
 
@@ -62,7 +61,7 @@ def headings(
     Along the tangent feedback leaves half of the rest, or `left` if that is less: with it the force never reverses.
     Returns the direction of thrust and what is left of a jump: where the force reverses, so does thrust.
     """
-    for k in range(len(out)):
+    for k in range(len(eta)):
         back = complex(math.cos(eta[k, 3]), -math.sin(eta[k, 3]))
         v = complex(velocity[k, 0], velocity[k, 1])
         if sway:
@@ -80,7 +79,7 @@ def headings(
                 jump += off_tangent(force, direction, worth, limit_rad) - off_tangent(force, -direction, worth, limit_rad)
                 direction = -direction
             jump *= keep
-        out[k] = off_tangent(force, direction, worth, limit_rad) + eta[k, 3] + jump
+        eta[k, 3] = off_tangent(force, direction, worth, limit_rad) + eta[k, 3] + jump
     return direction, jump
 
 
@@ -98,7 +97,7 @@ def correction(
     return mass * (stiff * error + damp * slip - 1j * side * ahead)
 
 
-@kernel("void(f8[:,::1], f8[:,::1], f8[:,::1], f8[::1], f8[::1], f8, c16, b1, f8[::1], f8[::1], f8[::1])")
+@kernel("void(f8[:,::1], f8[:,::1], f8[:,::1], f8[::1], f8[::1], f8, c16, b1, f8[::1], f8[::1])")
 def headings_along(
     eta: Array,
     velocity: Array,
@@ -110,9 +109,9 @@ def headings_along(
     sway: bool,
     settings: Array,
     memory: Array,
-    out: Array,
 ) -> None:
-    """Headings `out` (rows,) of a reference (rows, 4 each) for a robot `at` (4,): `headings`, with the `correction` filtered.
+    """Headings of a reference (rows, 4 each), written into `eta`, for a robot `at` (4,): `headings`, with the `correction`
+    filtered.
 
     `settings` (9,): mass, linear and quadratic drag, kp, kd, the filter's share that stays, force worth a turn, largest angle,
     force along the path that feedback leaves.
@@ -126,7 +125,7 @@ def headings_along(
     memory[0], memory[1] = asked.real, asked.imag
     memory[2], memory[3] = headings(
         eta, velocity, acceleration, current, sway, mass, settings[1], settings[2], asked, settings[6], settings[7],
-        settings[8], keep, memory[2], memory[3], out,
+        settings[8], keep, memory[2], memory[3],
     )  # fmt: skip
 
 
@@ -157,15 +156,15 @@ class HeadingReference:
         self._memory = np.array((0.0, 0.0, 1.0, 0.0))  # filtered request x, y; thrust ahead 1, astern -1; rest of a jump
         self._hold_yaw: float | None = None
 
-    def heading_along(self, reference: Reference, eta: Array, nu: Array, disturbance: Array, current: complex = 0j) -> Array:
-        """Headings (rows,) for the rows of a reference: now, then all nodes. `eta`, `nu` over ground, Gamma (4,), and the
-        water's velocity x + iy are estimates."""
-        out = np.empty(len(reference.eta))
+    def turn_along(
+        self, command: Array, reference: Reference, eta: Array, nu: Array, disturbance: Array, current: complex = 0j
+    ) -> None:
+        """Turn the poses `command` (rows, 4), now, then all nodes, which have the path's tangents for headings and the motion
+        of `reference`. `eta`, `nu` over ground, Gamma (4,), and the water's velocity x + iy are estimates."""
         headings_along(
-            reference.eta, reference.velocity, reference.acceleration, eta, nu, disturbance[1], current, self._sway,
-            self._settings, self._memory, out,
+            command, reference.velocity, reference.acceleration, eta, nu, disturbance[1], current, self._sway, self._settings,
+            self._memory,
         )  # fmt: skip
-        return out
 
     def heading_on_hold(self, reference: Reference, eta: Array, nu: Array, disturbance: Array, current: complex = 0j) -> Array:
         """Headings (rows,) for keeping station: the line of the needed force, ahead or astern, whichever is nearer; unchanged

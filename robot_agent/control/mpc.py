@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from robot_agent.control.active_set import NO_BOUND
 from robot_agent.control.linearisation import Prediction
-from robot_agent.control.qp import NO_BOUND, Solution, Solver, make_solver
+from robot_agent.control.qp import Solution, Solver, make_solver
 from robot_agent.control.short_horizon import shortness
 from robot_agent.guidance.formation import HalfSpaces
 from robot_agent.vehicle.dynamics import Model, State

@@ -1,5 +1,7 @@
 """Quadratic programs of one fixed size, solved repeatedly: min 1/2 x'Px + q'x with lower <= Ax <= upper.
 
+Most problems of a flight have the active set of the one before, and need no backend: see `ActiveSetFirst`.
+
 Both backends take dense arrays and own all bookkeeping. They are built once; a solve changes numbers, never structure, and
 starts from the last solution. Inputs are checked first, because OSQP does not (all reproduced with 1.1): it prints bounds that
 cross and vectors of a wrong size, drops them, and keeps the old ones. It misreads a strided vector. One NaN spoils every later
@@ -15,6 +17,7 @@ import osqp
 from numpy.typing import NDArray
 from scipy import sparse
 
+from robot_agent.control.active_set import NO_BOUND, solve_from
 from wire.frames import Array
 from wire.kernels import kernel
 from wire.toml_loader import ConfigError
@@ -40,7 +43,7 @@ SETTINGS = {
 SOLVED = (int(osqp.SolverStatus.OSQP_SOLVED), int(osqp.SolverStatus.OSQP_SOLVED_INACCURATE))
 OUT_OF_ITERATIONS = int(osqp.SolverStatus.OSQP_MAX_ITER_REACHED)
 CLOSE = 0.01  # of what was asked for: a hundred times the tolerance
-NO_BOUND = 1e30  # what both solvers take for infinity
+AT_BOUND = 1e-3  # N, N m or m: so near its bound a row of a backend's solution is guessed to be active
 NO_MATRIX, NO_ENTRIES = np.zeros((0, 0)), np.zeros((0, 2), np.int64)
 
 
@@ -107,8 +110,8 @@ class Solution(NamedTuple):
 
     x: Array
     solved: bool
-    iterations: int
-    multipliers: Array | None = None  # (m,) of the rows; None from a solver that has no use for them
+    iterations: int  # of the backend; 0: it was not asked
+    multipliers: Array | None = None  # (m,) of the rows, positive at the upper bound; None from a solver without
 
 
 class Solver(Protocol):
@@ -216,6 +219,40 @@ class DaqpSolver:
         """See `Solver`."""
 
 
+class ActiveSetFirst:
+    """A solution from the last active set (active_set.py), else a `backend`'s, which starts from the last solution."""
+
+    def __init__(self, backend: Solver, rows: int, n: int) -> None:
+        self._backend, self._a, self._told_a = backend, np.zeros((rows, n)), False  # the backend has this A
+        self._held, self._work, self._mu = np.zeros(rows, np.int64), np.empty((4, n, n)), np.empty(n)
+        self._last: tuple[Array, Array] | None = None  # solution and multipliers that the backend has not seen
+
+    def solve(self, p: Array, q: Array, a: Array | None, lower: Array, upper: Array) -> Solution:
+        """See `Solver`."""
+        if a is not None:
+            self._a[:], self._told_a = a, False
+        x, y = np.empty(len(q)), np.empty(len(lower))
+        if solve_from(p, np.ascontiguousarray(q), self._a, lower, upper, self._held, self._work, self._mu, x, y):
+            self._last = x, y
+            return Solution(x, True, 0, y)
+        if self._last is not None:
+            self._backend.warm_start(*self._last)
+            self._last = None
+        solution = self._backend.solve(p, q, None if self._told_a else self._a, lower, upper)
+        self._told_a = True
+        self._held[:] = 0
+        if solution.solved:
+            reached = self._a @ solution.x
+            self._held += 1 * (upper - reached < AT_BOUND) - 1 * (reached - lower < AT_BOUND)
+        return solution
+
+    def warm_start(self, x: Array, multipliers: Array) -> None:
+        """See `Solver`."""
+        self._last = x, multipliers
+        self._held[:] = 0
+        self._held[: len(multipliers)] = np.sign(multipliers)
+
+
 def _finite(numbers: Array) -> bool:
     """True if every number is finite; false too if their sum overflows."""
     return math.isfinite(np.add.reduce(numbers))
@@ -237,11 +274,14 @@ def _built(p_mask: Mask, a_mask: Mask) -> Any:
 def make_solver(
     name: Literal["osqp", "daqp"], p_mask: Mask, a_mask: Mask, scale: Array, row_scale: Array, bounds: int = 0
 ) -> Solver:
-    """Build the backend of that name for problems with entries in these masks only, (n, n) and (m, n). The first `bounds` rows
-    of A are those of the identity."""
-    if name == "osqp":
-        return OsqpSolver(p_mask, a_mask, scale, row_scale)
-    return DaqpSolver(p_mask, a_mask, scale, row_scale, bounds)
+    """Build a solver with the backend of that name for problems with entries in these masks only, (n, n) and (m, n). The first
+    `bounds` rows of A are those of the identity."""
+    backend: Solver = (
+        OsqpSolver(p_mask, a_mask, scale, row_scale)
+        if name == "osqp"
+        else DaqpSolver(p_mask, a_mask, scale, row_scale, bounds)
+    )
+    return ActiveSetFirst(backend, *a_mask.shape)
 
 
 def _by_columns(mask: Mask) -> Entries:

@@ -185,8 +185,7 @@ class Neighbour(NamedTuple):
     hears_us: bool = False  # its plan says so; a robot that does not hear us cannot give way to us
 
 
-@dataclass(frozen=True)
-class Priority:
+class Priority(NamedTuple):
     """Priority of a robot (article, section 3.3): urgent task first, then small tracking error. The article's third criterion,
     which robot hears others, comes before both here, and the other way round: see `Neighbour.hears_us`."""
 

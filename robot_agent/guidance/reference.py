@@ -96,9 +96,11 @@ class ReferenceSampler:
         self._offsets_s = np.concatenate([[0.0], offsets_s])
         self._known: Trajectory | None = None
         self._samples = np.zeros((3, 0, 4))
+        self._rows = np.zeros((3, len(self._offsets_s), 4))
+        self._sampled = Reference(*self._rows)
 
     def sample(self, goal: Goal) -> Reference:
-        """Sample a goal over the horizon."""
+        """Sample a goal over the horizon. The result holds until the next one."""
         count = len(self._offsets_s)
         if isinstance(goal, Hold):
             return Reference(np.tile(goal.eta, (count, 1)), np.zeros((count, 4)), np.zeros((count, 4)))
@@ -107,9 +109,8 @@ class ReferenceSampler:
         path = goal.trajectory
         if path is not self._known:
             self._samples, self._known = np.array((path.eta, path.velocity, path.acceleration)), path
-        rows = np.empty((3, count, 4))
-        sample_trajectory(self._samples, path.begin_s, path.period_s, goal.time_s, goal.rate, self._offsets_s, rows)
-        return Reference(*rows)
+        sample_trajectory(self._samples, path.begin_s, path.period_s, goal.time_s, goal.rate, self._offsets_s, self._rows)
+        return self._sampled
 
     def _driven(self, goal: Drive) -> Reference:
         """Arc of a constant surge and yaw rate: the chord after t is surge t sinc(yaw rate t / 2), in the mean heading."""

@@ -77,7 +77,7 @@ def largest_evidence(
                 for column in range(k + 1):
                     summed[row, column] += weights[i] * z[row] * z[column]
         end = begin
-        explained = np.copy(summed[:k])
+        explained = np.copy(summed[:k, :parts])
         solve(summed[:k, :k] + information, explained)
         for part in range(parts):
             along, size = -summed[k, part], summed[part, part]

@@ -68,6 +68,11 @@ class MovingBackground:
         still = draw_still_pool(experiment, hit, np.full_like(hit.z, LEAN), softness, random)
         self._planes = [np.ascontiguousarray(still[..., channel]) for channel in (2, 1, 0)]
 
+    def prepare(self) -> None:
+        """Draw the whole loop of caustics now, so that no frame waits for its part."""
+        for time_s in self._waters.times_s.tolist():
+            self._waters.pattern(time_s)
+
     def at(self, time_s: float) -> tuple[WaterView, Bytes]:
         """The water's view at a time, and a new raw mosaic (height, width) of it."""
         view = self._view.moved(self._motion.at(time_s))

@@ -1,7 +1,7 @@
 """Backgrounds without robots for a fixed camera: the pool through wavy water, under caustics and glare.
 
-The still pool is drawn once, and from it a loop of raw mosaics with moving water. A frame blends the two nearest to its
-time, which costs a quarter of a millisecond instead of thirty.
+The still pool is drawn once, and from it a loop of raw mosaics with moving water, each when it is first needed. A frame
+blends the two nearest to its time, which costs a quarter of a millisecond instead of thirty.
 """
 
 import cv2
@@ -32,40 +32,54 @@ class StaticBackground:
         self._scene = WaterView(waters, self._view, np.asarray(blocks, dtype=np.float32), shade)
         lean = np.sqrt(1.0 + lines.water_x**2 + lines.water_y**2)
         self._blend = np.empty((self._view.height, self._view.width), np.uint8)
-        self._phases = self._draw_phases(draw_still_pool(experiment, self._hit, lean, LENS_SOFTNESS_PX, random))
+        still = draw_still_pool(experiment, self._hit, lean, LENS_SOFTNESS_PX, random)
+        self._planes = [np.ascontiguousarray(still[..., channel]) for channel in (2, 1, 0)]
+        self._pulls = self._shift_per_slope()
+        self._pixels = np.meshgrid(
+            np.arange(self._view.width, dtype=np.float32), np.arange(self._view.height, dtype=np.float32)
+        )
+        grid = waters.caustics.grid_coordinates(*plan_coordinates(self._hit, self._pool))
+        self._grid_column, self._grid_row = (np.ascontiguousarray(plane[0::2, 0::2]) for plane in grid)
+        self._reach = waters.reach(self._hit.z[0::2, 0::2])
+        self._phases: dict[int, Bytes] = {}
+
+    def prepare(self) -> None:
+        """Draw the whole loop now (seconds), so that no frame waits for its part."""
+        for phase in range(len(self._scene.waters.times_s)):
+            self._phase(phase)
 
     def at(self, time_s: float) -> tuple[WaterView, Bytes]:
         """The water's view at a time, and a raw mosaic (height, width) of it to draw on, valid until the next call."""
         place = time_s / LOOP_S * PHASES
         first = int(np.floor(place))
         share = place - first
-        before, after = (self._phases[phase % len(self._phases)] for phase in (first, first + 1))
+        before, after = self._phase(first), self._phase(first + 1)
         if min(share, 1.0 - share) < UNSEEN_SHARE:
             np.copyto(self._blend, after if share > 0.5 else before)
         else:
             cv2.addWeighted(before, 1.0 - share, after, share, 0.0, dst=self._blend)
         return self._scene, self._blend
 
-    def _draw_phases(self, still: Bytes) -> list[Bytes]:
-        view, waters, window = self._view, self._scene.waters, self._view.whole
-        pull_x, pull_y = self._shift_per_slope()
-        column, row = np.meshgrid(np.arange(view.width, dtype=np.float32), np.arange(view.height, dtype=np.float32))
-        grid = waters.caustics.grid_coordinates(*plan_coordinates(self._hit, self._pool))
-        grid_column, grid_row = (np.ascontiguousarray(plane[0::2, 0::2]) for plane in grid)
-        reach = waters.reach(self._hit.z[0::2, 0::2])
-        planes = [np.ascontiguousarray(still[..., channel]) for channel in (2, 1, 0)]
-        phases = []
-        for time_s in waters.times_s.tolist():
-            light = waters.light(grid_column, grid_row, reach, time_s)
-            slopes = self._scene.slopes(window, time_s)
-            map_x = column + view.spread(pull_x[0] * slopes[0] + pull_x[1] * slopes[1], window)
-            map_y = row + view.spread(pull_y[0] * slopes[0] + pull_y[1] * slopes[1], window)
-            raw = sample_mosaic(planes, map_x, map_y).astype(np.float32)
-            raw *= cv2.resize(light, (view.width, view.height), interpolation=cv2.INTER_LINEAR)
-            raw *= self._scene.vignette
-            raw += view.spread(self._scene.glare(window, slopes), window)
-            phases.append(np.clip(np.rint(raw, out=raw), 0, 255).astype(np.uint8))
-        return phases
+    def _phase(self, number: int) -> Bytes:
+        """A picture of the loop, the first of which follows the last."""
+        times_s = self._scene.waters.times_s
+        number %= len(times_s)
+        if number not in self._phases:
+            self._phases[number] = self._draw(float(times_s[number]))
+        return self._phases[number]
+
+    def _draw(self, time_s: float) -> Bytes:
+        view, window = self._view, self._view.whole
+        (xx, xy), (yx, yy) = self._pulls
+        light = self._scene.waters.light(self._grid_column, self._grid_row, self._reach, time_s)
+        slopes = self._scene.slopes(window, time_s)
+        map_x = self._pixels[0] + view.spread(xx * slopes[0] + xy * slopes[1], window)
+        map_y = self._pixels[1] + view.spread(yx * slopes[0] + yy * slopes[1], window)
+        raw = sample_mosaic(self._planes, map_x, map_y).astype(np.float32)
+        raw *= cv2.resize(light, (view.width, view.height), interpolation=cv2.INTER_LINEAR)
+        raw *= self._scene.vignette
+        raw += view.spread(self._scene.glare(window, slopes), window)
+        return np.clip(np.rint(raw, out=raw), 0, 255).astype(np.uint8)
 
     def _shift_per_slope(self) -> tuple[tuple[Float, Float], tuple[Float, Float]]:
         """Pixels by which a unit slope (x, y) of the surface shifts the image of a block: the Jacobian from metres at the

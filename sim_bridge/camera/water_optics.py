@@ -215,13 +215,15 @@ class WaterLight:
         self.caustics = Caustics(experiment.pool, random)
         moving = self.picture.ripples_m > 0.0 or self.picture.caustics > 0.0
         self.times_s = np.arange(PHASES if moving else 1) * LOOP_S / PHASES
-        self._patterns: list[Bytes] = [
-            np.clip(self.caustics.pattern(time_s) * CAUSTIC_UNIT, 0, 255).astype(np.uint8) for time_s in self.times_s
-        ]
+        self._patterns: dict[int, Bytes] = {}  # by phase, once it was asked for
 
     def pattern(self, time_s: float) -> Bytes:
         """The caustics' pattern at a time, CAUSTIC_UNIT for the mean light."""
-        return self._patterns[round(time_s / LOOP_S * PHASES) % len(self._patterns)]
+        phase = round(time_s / LOOP_S * PHASES) % len(self.times_s)
+        if phase not in self._patterns:
+            light = self.caustics.pattern(self.times_s[phase]) * CAUSTIC_UNIT
+            self._patterns[phase] = np.clip(light, 0, 255).astype(np.uint8)
+        return self._patterns[phase]
 
     def light(self, column: Float, row: Float, reach: Float | np.float32, time_s: float) -> Float:
         """Caustic light relative to its mean at places of the caustics' grid, weighted with `reach` (0 to 1)."""

@@ -38,6 +38,7 @@ NS = 1_000_000_000
 STATION_SESSION = 1
 READY_NS = NS // 2  # ns for which robots are held before they start, until their estimates are at rest
 INFO = 2  # an event's level
+STILL = np.zeros(4)  # the agents read no accelerometer
 SEEN_KEPT = 64  # poses and obstacles kept: more than the longest latency of the fastest loop
 
 Sent = tuple[Topic, int | None, Message, int]  # topic, robot, message, stamp in ns
@@ -73,6 +74,7 @@ class DirectPlant:
         self._pulses_us = self._state.motors.pulses_us[0].copy()
         self._armed = [False] * len(starts)
         self._faults = FaultSchedule(experiment)
+        self._rest_v = self._plant.rest_v(self._state).tolist()  # of the batteries, now
         self._begin_ns = 0  # instant at which the trajectories begin
         self.happened: list[str] = []  # faults that began or ended, until they are taken
 
@@ -122,6 +124,7 @@ class DirectPlant:
             steps = self._faults.quiet_steps(self._flown_s, self._step_ns / NS, left)
             pulses_us = self._faults.pulses(self._pulses_us)
             self._state = self._plant.step(self._state, pulses_us, self._faults.actuators, steps)
+        self._rest_v = self._plant.rest_v(self._state, self._faults.actuators).tolist()
 
     @property
     def _flown_s(self) -> float:
@@ -138,7 +141,7 @@ class DirectPlant:
     def telemetry(self, i: int, now_ns: int) -> Telemetry:
         """A board's telemetry of the i-th robot, `now_ns` on the agent's clock."""
         state = self._state
-        reading = self._sensors[i].read(state.eta[i], state.nu[i], np.zeros(4), state.tilt[i])
+        reading = self._sensors[i].read(state.eta[i], state.nu[i], STILL, state.tilt[i])
         return Telemetry(
             board_ms=now_ns // 1_000_000,
             arrival_ns=now_ns,
@@ -146,7 +149,7 @@ class DirectPlant:
             yaw_rate_radps=reading.yaw_rate_radps,
             tilt=reading.tilt,
             depth_m=reading.depth_m,
-            battery_v=float(self._plant.rest_v(state, self._faults.actuators)[i]),
+            battery_v=self._rest_v[i],
             armed=self._armed[i],
         )
 
@@ -275,14 +278,14 @@ class AgentFleet:
     def control_step(self, i: int, plans: Mapping[int, StampedPlan | None]) -> None:
         """One control step of the i-th robot."""
         robot, me, ahead_ns = self.robots[i], self.experiment.robot_ids[i], self.ahead_ns[i]
-        heard = {r: replace(p, instant_ns=p.instant_ns + ahead_ns) for r, p in plans.items() if p is not None and r != me}
+        heard = {r: StampedPlan(p.plan, p.instant_ns + ahead_ns) for r, p in plans.items() if p is not None and r != me}
         seen, adrift, now_ns = self.pose(i), self._newest_obstacles(), self.now_ns + ahead_ns
         inputs = Inputs(
-            pose=replace(seen, instant_ns=seen.instant_ns + ahead_ns) if seen is not None else None,
+            pose=StampedPose(seen.pose, seen.instant_ns + ahead_ns) if seen is not None else None,
             telemetry=self._water.telemetry(i, now_ns),
             station=self.station(),
             plans=heard,
-            obstacles=replace(adrift, instant_ns=adrift.instant_ns + ahead_ns) if adrift is not None else None,
+            obstacles=StampedObstacles(adrift.obstacles, adrift.instant_ns + ahead_ns) if adrift is not None else None,
         )
         begin_ns = self._clock_ns()
         outputs = robot.agent.step(inputs, now_ns)

@@ -52,6 +52,9 @@ class PoolNode:
         self._localizer = IdealLocalizer(experiment, experiment.seed) if poses else None
         names = () if poses else experiment.camera_names or ("",)
         self._cameras = [SimulatedCamera(experiment, name) for name in names]
+        if not lockstep:
+            for camera in self._cameras:
+                camera.prepare()  # frames of a wall clock must not wait
         self._frame_index = 0
         self._pending: deque[Exposure] = deque()  # lockstep: exposed, and not old enough yet to count at a control step
         self._frame_ns = self._obstacles_ns = -1

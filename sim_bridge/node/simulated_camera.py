@@ -47,6 +47,11 @@ class SimulatedCamera:
         self._water_drop_m = 0.0
         self._waiting: deque[Exposure] = deque()
 
+    def prepare(self) -> None:
+        """Draw all backgrounds now (seconds), so that no frame waits for its part."""
+        for renderer in (self._renderer, *self._sunk.values()):
+            renderer.backdrop.prepare()
+
     def expose(self, exposure: Exposure) -> None:
         """Take a picture, unless the camera is gone."""
         own = tuple(broken for broken in exposure.broken if broken.camera in ("", self.name))

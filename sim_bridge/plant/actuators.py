@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim_bridge.plant import kernels
 from sim_bridge.plant.kernels import THRUSTERS
 from sim_bridge.plant.random_streams import Stream, generator
 from wire.config.experiment import Experiment
@@ -68,12 +67,3 @@ class ActuatorModel:
         history[:steps] = pulses_us
         history[steps:] = motors.pulses_us[:-steps]
         return history
-
-    def wrench(self, motors: ActuatorState) -> Array:
-        """Forces on each hull, (n, 6): surge, sway and heave N, roll, pitch and yaw N m."""
-        wrench, fleet = np.empty((self._robots, 6)), kernels.memory(self._robots)
-        kernels.to_fleet(motors.force_n, fleet, kernels.FORCE_THEN)
-        kernels.to_fleet(motors.ankle_rad, fleet, kernels.ANKLE_THEN)
-        kernels.legs_wrench(fleet, 0, len(fleet), self.constants)
-        kernels.from_fleet(fleet, kernels.WRENCH, wrench)
-        return wrench

@@ -21,7 +21,7 @@ from wire.frames import Array
 from wire.messages.messages import Truth
 from wire.toml_loader import ConfigError
 
-WRENCH_AXES = [0, 2, 3]  # axes of nu on which the legs' [surge, heave, yaw] act
+LEGS_PUSH = [0, 2, 5]  # surge, heave and yaw of the legs' six forces and moments
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +96,7 @@ class Plant:
         return PlantState(state.steps + steps, eta, nu, motors, tilt, charge)
 
     def acceleration(self, state: PlantState) -> Array:
-        """d nu / dt now, (n, 4)."""
+        """d nu / dt now, (n, 4). WRENCH in the fleet's memory is that of now, too."""
         acceleration = np.empty_like(state.nu)
         kernels.fleet_acceleration(
             state.eta, state.nu, state.tilt, self.time_s(state), state.motors.force_n, state.motors.ankle_rad,
@@ -110,18 +110,12 @@ class Plant:
 
     def truth(self, state: PlantState) -> Truth:
         """The true state, wrench and lumped disturbance, for the log; no controller may read it."""
-        wrench = self._thrusters.wrench(state.motors)[:, [0, 2, 5]]
-        disturbance = self.acceleration(state) - self._expected(state.nu, wrench)
-        return Truth(self._robots, state.eta.copy(), state.nu.copy(), wrench, disturbance)
-
-    def _expected(self, nu: Array, wrench: Array) -> Array:
-        """nu' (n, 4) by the nominal model: the vehicle file's numbers, each axis's own drag, still water."""
-        inertia = self._nominal.inertia
-        force = -(self._nominal.drag_linear + self._nominal.drag_quadratic * np.abs(nu)) * nu
-        force[:, WRENCH_AXES] += wrench
-        if not self._sway:
-            force[:, 1] = 0.0
-            return np.asarray(force / inertia)
-        force[:, 0] += inertia[1] * nu[:, 1] * nu[:, 3]
-        force[:, 1] -= inertia[0] * nu[:, 0] * nu[:, 3]
-        return np.asarray(force / inertia)
+        n = len(self._robots)
+        acceleration, six, expected = self.acceleration(state), np.empty((n, 6)), np.empty((n, 4))
+        kernels.from_fleet(self._work[1], kernels.WRENCH, six)
+        wrench = np.ascontiguousarray(six[:, LEGS_PUSH])
+        nominal = self._nominal
+        kernels.nominal_acceleration(
+            state.nu, wrench, nominal.inertia, nominal.drag_linear, nominal.drag_quadratic, self._sway, expected
+        )
+        return Truth(self._robots, state.eta.copy(), state.nu.copy(), wrench, acceleration - expected)

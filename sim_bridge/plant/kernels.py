@@ -763,3 +763,26 @@ def fleet_acceleration(
             fleet[b, SPEED + 2 * LANES + lane] = cp * down_rate - sp * ahead
             fleet[b, SPEED + 3 * LANES + lane] = (turning + yaw_rate * sp * pitch_rate) / cp
     from_fleet(fleet, SPEED, acceleration)
+
+
+@kernel(f"void({MATRIX}, {MATRIX}, f8[::1], f8[::1], f8[::1], b1, {MATRIX})")
+def nominal_acceleration(
+    nu: Array, wrench: Array, inertia: Array, linear: Array, quadratic: Array, sway: bool, acceleration: Array
+) -> None:
+    """d/dt (n, 4) of the velocities nu by the vehicle file's numbers, diagonals (4,), in still water: each axis has its own
+    drag, and of Coriolis terms m_v v r on surge and -m_u u r on sway. `wrench` (n, 3) is surge, heave, yaw.
+    """
+    for i in range(len(nu)):
+        for axis in range(4):
+            v = nu[i, axis]
+            acceleration[i, axis] = -(linear[axis] + quadratic[axis] * abs(v)) * v
+        acceleration[i, 0] += wrench[i, 0]
+        acceleration[i, 2] += wrench[i, 1]
+        acceleration[i, 3] += wrench[i, 2]
+        if sway:
+            acceleration[i, 0] += inertia[1] * nu[i, 1] * nu[i, 3]
+            acceleration[i, 1] -= inertia[0] * nu[i, 0] * nu[i, 3]
+        else:
+            acceleration[i, 1] = 0.0
+        for axis in range(4):
+            acceleration[i, axis] /= inertia[axis]

@@ -45,6 +45,7 @@ class BoardSensors:
         self.gyro_bias_radps = gyro * sensors.gyro_bias_radps
         self._tilt_random = generator(seed, Stream.SENSORS, robot_id, 1)
         self.tilt_bias_rad = sensors.tilt_bias_rad * self._tilt_random.uniform(-1.0, 1.0, 2)
+        self._tilt_noise = np.repeat([sensors.tilt_noise_rad, sensors.gyro_noise_radps], 2)
         self.error = (0.0, 0.0)  # of heading (rad) and yaw rate (rad/s), when the sensor is broken
         self.depth_bias_m = pressure * sensors.pressure_bias_m
 
@@ -55,16 +56,14 @@ class BoardSensors:
         sends.
         """
         sensors = self._sensors
-        noise = [float(value) for value in self._random.standard_normal(6)]
-        _, _, z, yaw = (float(value) for value in eta)
-        u, v, _, r = (float(value) for value in nu)
-        du, dv, dw, _ = (float(value) for value in acceleration)
+        noise: list[float] = self._random.standard_normal(6).tolist()
+        (_, _, z, yaw), (u, v, _, r), (du, dv, dw, _) = eta.tolist(), nu.tolist(), acceleration.tolist()
         roll, pitch = float(tilt[0]), float(tilt[1])
         cr, sr, cp, sp = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch)
         ahead, side, down = du - r * v, dv + r * u, dw - GRAVITY_MPS2
         bow = sp * ahead + cp * down
         force = (cp * ahead - sp * down, cr * side + sr * bow, cr * bow - sr * side)
-        fx, fy, fz = (f + ACCELEROMETER_NOISE_MPS2 * n for f, n in zip(force, noise[3:], strict=True))
+        fx, fy, fz = [f + ACCELEROMETER_NOISE_MPS2 * n for f, n in zip(force, noise[3:], strict=True)]
         return Reading(
             wrap(yaw + self.error[0] + self.heading_bias_rad + sensors.heading_noise_rad * noise[0]),
             cr * cp * r + self.error[1] + self.gyro_bias_radps + sensors.gyro_noise_radps * noise[1],
@@ -75,8 +74,7 @@ class BoardSensors:
 
     def _sense_tilt(self, tilt: Array) -> tuple[float, ...]:
         """Roll, pitch and d/dt of them as an attitude filter has them: with a constant error and noise."""
-        sigma = np.repeat([self._sensors.tilt_noise_rad, self._sensors.gyro_noise_radps], 2)
-        sensed = tilt + sigma * self._tilt_random.standard_normal(4)
+        sensed = tilt + self._tilt_noise * self._tilt_random.standard_normal(4)
         sensed[:2] += self.tilt_bias_rad
         return tuple(sensed.tolist())
 

@@ -4,7 +4,6 @@ A module of its own, because worker processes import it and nothing of the campa
 """
 
 import json
-import os
 import time
 from functools import lru_cache
 from typing import Any
@@ -20,12 +19,6 @@ from wire.toml_loader import ConfigError, check
 
 PLANS_KEPT = 8  # plans cached per worker, which flies the same few trajectories many times
 UNPLANNED = ("sim", "limits", "article", "seed", "name", "title")  # sections that no plan depends on
-
-
-def one_thread() -> None:
-    """Keep numerical libraries on one thread, in this process's children too."""
-    for library in ("OMP", "OPENBLAS", "MKL"):
-        os.environ[f"{library}_NUM_THREADS"] = "1"
 
 
 def fly_one(experiment_json: str) -> dict[str, Any]:

@@ -4,12 +4,10 @@ Every finished flight is appended to journal.jsonl at once, so a campaign that d
 """
 
 import json
-import multiprocessing
 import os
-import signal
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from pathlib import Path
@@ -23,9 +21,10 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from sim_bridge import fault_schedule
 from sim_bridge.sil.commands import RunOptions, check
 from sim_bridge.studies.campaign import Campaign, CampaignFlight, command_of, flights
-from sim_bridge.studies.campaign_flight import fly_one, one_thread
+from sim_bridge.studies.campaign_flight import fly_one
 from sim_bridge.studies.dependence import dependences, lines
 from sim_bridge.studies.report import write_report
+from sim_bridge.studies.worker_pool import worker_pool
 from wire.config.experiment import NO_CAMERA, Experiment, load_experiment
 from wire.process.output_files import CAMPAIGN, check_output, replacing
 from wire.process.runtime import Stop
@@ -129,10 +128,8 @@ def _rows(journal: str) -> Iterator[dict[str, Any]]:
 @contextmanager
 def _executor(workers: int | None, scheduler: str | None) -> Iterator[Executor]:
     """Processes on this machine, or a Dask cluster's workers behind the same interface."""
-    one_thread()
     if scheduler is None:
-        spawn = multiprocessing.get_context("spawn")
-        with ProcessPoolExecutor(workers or os.cpu_count(), spawn, initializer=_ignore_interrupts) as pool:
+        with worker_pool(workers or os.cpu_count() or 1) as pool:
             yield pool
         return
     try:
@@ -145,10 +142,6 @@ def _executor(workers: int | None, scheduler: str | None) -> Iterator[Executor]:
         raise ConfigError(f"--scheduler {scheduler}: {error}") from None
     with client, client.get_executor(retries=1, pure=False) as cluster:
         yield cluster
-
-
-def _ignore_interrupts() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's business
 
 
 def _fly(

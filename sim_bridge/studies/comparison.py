@@ -1,11 +1,8 @@
 """SHELL: `sim-bridge compare`: control laws and variants flown on the same seeds, in parallel; the station reports."""
 
 import math
-import multiprocessing
-import os
 import subprocess
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
@@ -19,6 +16,7 @@ from sim_bridge.in_process.fleet import AgentFleet, DirectPlant
 from sim_bridge.in_process.run import STATION, plan
 from sim_bridge.plant.random_streams import Stream, generator
 from sim_bridge.studies.metrics import flight_figures, flight_traces
+from sim_bridge.studies.worker_pool import worker_pool
 from wire.config.baseline_controllers import LawName
 from wire.config.controller_benchmark import SETTLED_S, Comparison, FlightRecord, Variant
 from wire.config.experiment import NO_CAMERA, Experiment, load_experiment
@@ -106,7 +104,7 @@ def run(
     experiments = _distinct({v: load_experiment(name, [*settings, *VARIANTS[v], NO_CAMERA]) for v in variants}, console)
     planned = tasks_of(plain, seeds, scatter)  # the same for all: variants differ in what flies it
     tasks = [replace(task, experiment=e) for e in experiments.values() for task in planned]
-    with workers(jobs) as pool:
+    with worker_pool(jobs) as pool:
         flights = list(_watched(pool.map(fly, tasks), len(tasks), console))
     found = [Variant(v, list(VARIANTS[v]), flights[i * len(seeds) : (i + 1) * len(seeds)]) for i, v in enumerate(experiments)]
     comparison = Comparison(
@@ -129,13 +127,6 @@ def tasks_of(experiment: Experiment, seeds: Sequence[int], scatter: float) -> li
     places = np.array([starts[robot] for robot in experiment.robot_ids])
     apart_m = 2.0 * experiment.safety.radius_m
     return [FlightTask(experiment, trajectories, scattered(places, scatter, s, apart_m), s, s == seeds[0]) for s in seeds]
-
-
-def workers(jobs: int) -> ProcessPoolExecutor:
-    """Worker processes, started anew and with one thread each, so that no result depends on them."""
-    for library in ("OMP", "OPENBLAS"):
-        os.environ.setdefault(f"{library}_NUM_THREADS", "1")
-    return ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn"))
 
 
 def _watched(flights: Iterable[FlightRecord], count: int, console: Console) -> Iterator[FlightRecord]:

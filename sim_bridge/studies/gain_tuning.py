@@ -16,7 +16,8 @@ import numpy as np
 import tomli_w
 from rich.console import Console
 
-from sim_bridge.studies.comparison import FlightTask, fly, tasks_of, workers
+from sim_bridge.studies.comparison import FlightTask, fly, tasks_of
+from sim_bridge.studies.worker_pool import worker_pool
 from wire.config.baseline_controllers import FeedbackLawConfig
 from wire.config.controller_benchmark import FlightMetrics
 from wire.config.experiment import NO_CAMERA, Experiment, load_experiment
@@ -62,7 +63,7 @@ def run(
     for scene in scenes:
         scatter, own = SCENES[scene]
         tasks += tasks_of(load_experiment(scene, [f"duration_s={DURATION_S}", *own, *settings, NO_CAMERA]), seeds, scatter)
-    with workers(jobs) as pool:
+    with worker_pool(jobs) as pool:
         for law in laws:
             yield _tune(law, tasks, budget, pool, console)
 

@@ -24,6 +24,7 @@ def ownlaw(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(tmp_path)
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("ownlaw")
 def test_the_example_of_the_docs_flies_by_its_own_numbers() -> None:
     worst_m = []

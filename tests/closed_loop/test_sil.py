@@ -66,7 +66,7 @@ def states(folder: Path, robot: int) -> list[tuple[int, RobotState]]:
 @pytest.fixture(scope="module")
 def lockstep_run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, int, str]:
     out = tmp_path_factory.mktemp("lockstep")
-    code, output = finish(start(out, "--lockstep", "--duration", "30", "--seed", "2"))
+    code, output = finish(start(out, "--lockstep", "--duration", "14", "--seed", "2"))
     return run_dir(out), code, output
 
 
@@ -79,8 +79,11 @@ def test_a_lockstep_run_passes_and_leaves_what_it_promises(lockstep_run: tuple[P
     assert str(folder / "report.html") in output
 
 
-def test_its_result_is_within_the_figures_to_reach(lockstep_run: tuple[Path, int, str]) -> None:
-    result: dict[str, Any] = json.loads((lockstep_run[0] / "result.json").read_text())
+@pytest.mark.slow  # numeric flights of `make test` keep the same limits
+def test_the_result_of_thirty_seconds_is_within_the_figures_to_reach(tmp_path: Path) -> None:
+    code, output = finish(start(tmp_path, "--lockstep", "--duration", "30", "--seed", "2"))
+    assert code == 0, output
+    result: dict[str, Any] = json.loads((run_dir(tmp_path) / "result.json").read_text())
     assert (result["scene"], result["seed"], result["mode"]) == ("pool", 2, "lockstep")
     for row, most_m in [(r, 0.07) for r in result["robots"].values()] + [(p, 0.075) for p in result["pairs"].values()]:
         assert max(row["rms_m"][:2]) < most_m  # of the pair 0.069 to 0.072 with true poses too, by the offsets of the start
@@ -105,7 +108,7 @@ def rerun(folder: Path, *arguments: str) -> list[dict[str, Any]]:
 def test_its_steps_done_again_come_out_the_same_to_the_last_bit(lockstep_run: tuple[Path, int, str]) -> None:
     for robot in rerun(lockstep_run[0]):
         assert robot["exact"], robot
-        assert robot["compared"] >= 600  # the whole 30 s
+        assert robot["compared"] >= 280  # the whole 14 s
 
 
 def test_another_weight_would_have_asked_for_other_thrust(lockstep_run: tuple[Path, int, str]) -> None:
@@ -126,14 +129,14 @@ def flown(folder: Path) -> Series:
 
 
 def test_a_simulation_goes_on_from_a_moment_of_it_as_it_went_on(lockstep_run: tuple[Path, int, str], tmp_path: Path) -> None:
-    code, output = go_on(lockstep_run[0], tmp_path, "--at", "10")
+    code, output = go_on(lockstep_run[0], tmp_path, "--at", "8")
     assert code == 0, output
     before, after = flown(lockstep_run[0]), flown(run_dir(tmp_path))
     for robot in (1, 2):
         apart = (after.robots[robot].truth - before.robots[robot].truth[: len(after.time_s)])[:, :3]
         known = np.flatnonzero(np.isfinite(apart).all(axis=1))
-        assert after.time_s[known[0]] == pytest.approx(10.0, abs=0.11)
-        assert after.time_s[known[-1]] == pytest.approx(30.0, abs=0.11)
+        assert after.time_s[known[0]] == pytest.approx(8.0, abs=0.11)
+        assert after.time_s[known[-1]] == pytest.approx(14.0, abs=0.11)
         assert np.abs(apart[known[0]]).max() < 1e-4  # from where they were, as fast as they were,
         assert np.abs(apart[known]).max() < 0.006  # and as they went on, but for the noise: 1 to 5 mm with seeds 2 to 4
 
@@ -141,13 +144,13 @@ def test_a_simulation_goes_on_from_a_moment_of_it_as_it_went_on(lockstep_run: tu
 def test_and_otherwise_where_something_is_otherwise(lockstep_run: tuple[Path, int, str], tmp_path: Path) -> None:
     changes = (
         "--at",
-        "10",
+        "6",
         "--duration",
-        "20",
+        "10",
         "--set",
         "sim.plant.current_mps=[0.05,0,0]",
         "--fault",
-        "t=12 battery 1 sag 0.1",
+        "t=7 battery 1 sag 0.1",
     )
     code, output = go_on(lockstep_run[0], tmp_path, *changes)
     assert code in (0, 1) and "no report" not in output, output
@@ -155,13 +158,13 @@ def test_and_otherwise_where_something_is_otherwise(lockstep_run: tuple[Path, in
     apart = (after.robots[1].truth - before.robots[1].truth[: len(after.time_s)])[:, :2]
     assert np.nanmax(np.abs(apart)) > 0.01
     assert any(
-        h.text == "fault: battery 1 sag 0.1" and h.time_s == pytest.approx(12.0, abs=0.11) for h in after.timeline_events
+        h.text == "fault: battery 1 sag 0.1" and h.time_s == pytest.approx(7.0, abs=0.11) for h in after.timeline_events
     )
 
 
 @pytest.mark.parametrize(
     ("arguments", "said"),
-    [(("--at", "31"), "at 31 s there is nothing: robot 1 came to 30"), (("--at", "10", "pool"), "the run says what is flown")],
+    [(("--at", "31"), "at 31 s there is nothing: robot 1 came to 14"), (("--at", "10", "pool"), "the run says what is flown")],
 )
 def test_resuming_from_a_time_that_was_not_flown_is_refused(
     lockstep_run: tuple[Path, int, str], tmp_path: Path, arguments: tuple[str, ...], said: str

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from robot_agent.control.qp import OsqpSolver, Solution
+from robot_agent.control.qp import ActiveSetFirst, Solution
 from sim_bridge.sil import clock_shim
 from wire.messages.messages import Command, Order
 from wire.transport.bus import Bus
@@ -72,9 +72,9 @@ class Flaws:
 
     def install(self) -> None:
         """Build the flaws in."""
-        real_solve = OsqpSolver.solve
+        real_solve = ActiveSetFirst.solve
 
-        def solve(solver: OsqpSolver, p: Any, q: Any, *rest: Any) -> Solution:
+        def solve(solver: ActiveSetFirst, p: Any, q: Any, *rest: Any) -> Solution:
             time.sleep(self.delay_s)  # a solver that waits is as late as one that computes
             return Solution(np.zeros(len(q)), False, 0) if self.unsolved else real_solve(solver, p, q, *rest)
 
@@ -86,7 +86,7 @@ class Flaws:
                 return 0, lambda: time.sleep(timeout_s)  # nobody answers
             return real_ask(bus, key, command, stamp_ns, timeout_s, only_after)
 
-        OsqpSolver.solve = solve  # type: ignore[assignment, method-assign]
+        ActiveSetFirst.solve = solve  # type: ignore[assignment, method-assign]
         # an order that is lost on its way: every order of a bus goes through this one method
         Bus._ask = ask  # type: ignore[assignment, method-assign]
         for number in (signal.SIGUSR1, signal.SIGUSR2, signal.SIGALRM, signal.SIGHUP, *LOST, *END_THREAD.values()):

@@ -86,6 +86,7 @@ def test_kernels_have_signatures_and_call_only_kernels_of_their_module(source: s
     assert not list(_offences(ast.parse((ROOT / source).read_text(encoding="utf-8"))))
 
 
+@pytest.mark.long
 def test_without_a_folder_to_write_to_kernels_are_compiled_each_time_and_the_log_says_so_once() -> None:
     environment = {**os.environ, "HOME": "/proc/none", "XDG_CACHE_HOME": "/proc/none", "PYTHONPATH": str(ROOT)}
     environment.pop("NUMBA_CACHE_DIR", None)

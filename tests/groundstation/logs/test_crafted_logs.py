@@ -72,6 +72,7 @@ def bombs() -> Iterator[tuple[str, bytes]]:
 BOMBS = dict(bombs())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", BOMBS)
 @pytest.mark.parametrize("closed", [False, True], ids=["cut", "closed"])
 def test_a_small_file_never_takes_much_memory(
@@ -168,6 +169,7 @@ CRAFTED = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", CRAFTED)
 def test_no_command_ends_in_a_traceback(tmp_path: Path, name: str) -> None:
     write_crafted(tmp_path, **CRAFTED[name])  # type: ignore[arg-type]
@@ -289,6 +291,7 @@ def test_layouts_and_figures_are_written_over_nothing_of_a_run(tmp_path: Path) -
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
+@pytest.mark.long
 def test_a_recorder_fed_by_a_pipe_does_not_replace_a_log(tmp_path: Path) -> None:
     write_crafted(tmp_path, "shoal/robot/2/pose")
     before = (tmp_path / "run.mcap").read_bytes()

@@ -160,6 +160,7 @@ def test_a_way_that_turns_on_the_spot_is_no_way_and_says_so() -> None:
         plan_regroup(experiment, first_segment(experiment), 14.6, 14.535478987424009, rests, {1: 1, 2: 2}, obstacles)
 
 
+@pytest.mark.long
 def test_a_dense_fleet_without_transfers_is_refused_in_bounded_time(monkeypatch: pytest.MonkeyPatch) -> None:
     """Twenty robots of a grid, a third of a circle from where they began: each goal is beside somebody who waits."""
     made = []

@@ -63,6 +63,7 @@ def report(folder: Path, *variants: Variant) -> tuple[int, str]:
     return result.exit_code, result.output
 
 
+@pytest.mark.long
 def test_the_report_shows_table_and_figures(tmp_path: Path) -> None:
     code, output = report(tmp_path, variant("eso-mpc", 1.0), variant("backstepping", 2.0))
     assert code == 0 and re.search(r"backstepping.*\b2\.00 .*\n.*\[2\.00, 2\.00\]", output)
@@ -72,6 +73,7 @@ def test_the_report_shows_table_and_figures(tmp_path: Path) -> None:
     assert "http" not in html.replace("http://www.w3.org", "")  # nothing is fetched
 
 
+@pytest.mark.long
 def test_flights_that_failed_are_named_and_make_it_fail(tmp_path: Path) -> None:
     broken = variant("pid", 3.0)
     figures = dataclasses.replace(broken.flights[2].figures, under_way=0.4)

@@ -45,6 +45,7 @@ def error_m(robot: dict[str, Any]) -> Array:
     return np.asarray((eta - reference)[:2])
 
 
+@pytest.mark.long
 def test_replay_begins_where_the_robots_start_to_fly(replay: ReplayBackend) -> None:
     first = replay.snapshot()
     assert first["replay"] == {"time_s": pytest.approx(START_S + 0.05, abs=0.01), "rate": 0.0}

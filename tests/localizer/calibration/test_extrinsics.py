@@ -129,6 +129,7 @@ def test_covariance_is_honest() -> None:
     assert 5.0 < np.mean(scores) < 8.5
 
 
+@pytest.mark.long
 def test_deviation_of_places_is_honest() -> None:
     pixels = np.array([[639.5, 479.5], [250.0, 200.0]])
     off, stated = [], []
@@ -241,6 +242,7 @@ def _marked(number: int, place: tuple[float, float, float]) -> SurveyPoint:
     return SurveyPoint(name=f"marker {number}", pool_m=place, marker_id=number)
 
 
+@pytest.mark.long
 def test_markers_are_found_where_they_are() -> None:
     """On the rim and through the water, some turned by the camera: centres to half a pixel."""
     camera = _hung(1).model_copy(update={"size_px": (640, 480), "focal_px": (400.0, 401.0), "centre_px": (321.0, 236.0)})

@@ -100,6 +100,7 @@ def _places_off_m(found: Camera, depth_m: float) -> Array:
 # --- the whole way
 
 
+@pytest.mark.long
 def test_from_pictures_to_an_experiment(
     lab: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -143,6 +144,7 @@ def test_a_hung_up_camera_keeps_its_lens(
     assert tomllib.loads(out.read_text(encoding="utf-8"))["camera"] == after  # what is not asked for stays
 
 
+@pytest.mark.long
 def test_points_by_hand_need_no_picture(lab: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     points = [
         {"name": str(i), "pool_m": [*xy, z], "pixel_px": project(TRUTH, np.array([[*xy, z]]))[0].round(2).tolist()}

@@ -86,6 +86,7 @@ def _features(patch: Real, windowed: bool) -> NDArray[np.float64]:
     return np.asarray(centred / np.sqrt(np.mean(centred**2)) * (np.outer(wave, wave) if windowed else 1.0))
 
 
+@pytest.mark.long
 @given(right=st.integers(-8, 8), down=st.integers(-8, 8), seed=st.integers(0, 50))
 def test_finds_what_exhaustive_search_finds(right: int, down: int, seed: int) -> None:
     texture = _texture(seed)
@@ -101,6 +102,7 @@ def test_finds_what_exhaustive_search_finds(right: int, down: int, seed: int) ->
     assert abs(shift[0, 1] - best_down) < 0.5 + _window_pull(down)
 
 
+@pytest.mark.long
 @given(right=st.floats(-3, 3), down=st.floats(-3, 3), seed=st.integers(0, 50))
 def test_sub_sample_shifts(right: float, down: float, seed: int) -> None:
     texture = _texture(seed)

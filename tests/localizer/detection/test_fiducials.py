@@ -33,6 +33,7 @@ def _region(frame: Pixels, x_m: float, y_m: float) -> ImageRegion:
     return region
 
 
+@pytest.mark.long
 def test_place_and_heading_all_over_the_pool(scene: Scene) -> None:
     """Every heading, also across the wrap; near the edges lens and water turn its picture by up to 1.5 deg."""
     random = np.random.default_rng(5)

@@ -59,6 +59,7 @@ def test_known_errors_give_known_figures() -> None:
     assert row.nees == pytest.approx(4.25 / 2.0)
 
 
+@pytest.mark.long
 def test_the_band_of_the_nees_holds_for_errors_of_the_stated_size_and_not_for_others() -> None:
     """By simulation: 100 sets of 40 errors drawn from the covariance; about 95 % of their means lie in the band."""
     random = np.random.default_rng(3)
@@ -261,6 +262,7 @@ def pool_video(tmp_path: Path) -> tuple[Path, Path]:
     return tmp_path / "pool.avi", tmp_path / "truth.csv"
 
 
+@pytest.mark.long
 def test_a_video_of_the_pool_is_localized_again_with_and_without_markers(tmp_path: Path) -> None:
     video, truth = pool_video(tmp_path)
     out = tmp_path / "rows.json"

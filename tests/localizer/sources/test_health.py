@@ -22,6 +22,7 @@ def test_frozen_at_the_fifth_identical_frame_and_well_at_the_first_new_one() -> 
     assert not watch.repeated
 
 
+@pytest.mark.long
 def test_a_still_scene_with_the_faintest_noise_is_not_frozen() -> None:
     """0.2 grey levels of noise move one pixel in a hundred; nothing else changes for 50 frames."""
     watch = FrameHealthMonitor(SIZE_PX, frozen_frames=5)

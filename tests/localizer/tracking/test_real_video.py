@@ -22,6 +22,7 @@ SPIN_RAD = 0.2  # a picture, 6 rad/s at the video's 30 Hz
 pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason=f"no video in {DATA} (SHOAL_DATA says where)")
 
 
+@pytest.mark.long
 def test_a_real_animal_is_followed() -> None:
     """Started once, never helped again: median error of 1,000 frames <= 1 px, and it is never lost."""
     (row,) = evaluate_plain(VIDEO, TRUTH, BOX_PX, limit=1000)
@@ -30,6 +31,7 @@ def test_a_real_animal_is_followed() -> None:
     assert row.failures == 0 and row.max_px < 8.0, "less than the animal's length: it was followed throughout"
 
 
+@pytest.mark.long
 def test_an_animal_that_spins_is_followed_and_its_heading_is_told() -> None:
     """The picture is turned about the animal's true place by 0.2 rad from frame to frame: the heading differs by that from
     the heading in the plain video."""

@@ -1,6 +1,7 @@
 """Robots 18 px across in a 16 x 16 m hall, no markers: their look alone, in rendered frames."""
 
 import numpy as np
+import pytest
 
 from localizer.tracking.fleet_localizer import FleetLocalizer
 from sim_bridge.camera.renderer import Renderer
@@ -17,6 +18,7 @@ def _eta(t_s: float) -> Array:
     return np.array([[2.0 + 0.2 * t_s, 1.0 - 0.15 * t_s, 0.3, yaw[0]], [-3.0, -2.0 + 0.25 * t_s, 0.3, yaw[1]]])
 
 
+@pytest.mark.long
 def test_small_robots_are_followed_by_their_look() -> None:
     hall = ("pool.size_m=[16, 16, 1]", "camera.position_m=[0, 0, -16.75]", "camera.distortion=[0, 0, 0, 0, 0]")
     starts = [f"robots.{i}.start={eta}" for i, eta in enumerate(_eta(0.0).tolist())]

@@ -106,6 +106,7 @@ def nees(pose: Pose, eta: Array) -> float:
     return float(error @ np.linalg.solve(pose.covariance, error))
 
 
+@pytest.mark.long
 def test_the_covariance_holds_in_a_flight_of_leaning_robots() -> None:
     """Two robots off their starts at once, then at 0.1 m/s: 3 on average is right, some caution is allowed. For robots
     taken to be level it is above 100."""
@@ -116,6 +117,7 @@ def test_the_covariance_holds_in_a_flight_of_leaning_robots() -> None:
     assert 0.3 < np.mean(pool.nees) < 4.5
 
 
+@pytest.mark.long
 def test_a_measured_attitude_takes_the_lean_out_of_the_poses() -> None:
     """The same flight, by boards that tell roll and pitch with noise and a bias."""
     pool = SeenPool(load_experiment("figure-eight"), measured=True)
@@ -126,6 +128,7 @@ def test_a_measured_attitude_takes_the_lean_out_of_the_poses() -> None:
     assert 0.3 < np.mean(pool.nees) < 4.5
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("roll_deg", "pitch_deg"), [(8.0, 0.0), (0.0, -8.0), (-5.0, 6.0)])
 def test_a_robot_that_leans_is_where_its_centre_is(roll_deg: float, pitch_deg: float) -> None:
     """Seen askew, at rest, with its attitude told exactly."""

@@ -12,7 +12,8 @@ import pytest
 from packaging.requirements import Requirement
 from scipy.optimize import LinearConstraint, minimize
 
-from robot_agent.control.qp import NO_BOUND, DaqpSolver, OsqpSolver, Solver, make_solver
+from robot_agent.control.active_set import NO_BOUND, factorise, solve_from
+from robot_agent.control.qp import DaqpSolver, OsqpSolver, Solver, make_solver
 from wire.frames import Array
 from wire.toml_loader import ConfigError
 
@@ -173,6 +174,77 @@ def test_masked_entries_follow_the_data() -> None:
         lower, upper = np.full(2, -0.3), np.full(2, 0.3)
         exactly = DaqpSolver(mask, rows, np.ones(4), np.ones(2)).solve(p, q, a, lower, upper).x
         assert backend.solve(p, q, a, lower, upper).x == pytest.approx(exactly, abs=0.01)
+
+
+@pytest.mark.parametrize("name", BACKENDS)
+def test_problems_without_an_active_row_are_solved_exactly_and_the_backend_learns_of_their_matrix(name: Backend) -> None:
+    random, backend = np.random.default_rng(11), solver(name)
+    a, free = problem(random)[2], 0
+    for k in range(40):
+        p, q, fresh, lower, upper = problem(random)
+        a = fresh if k % 3 == 0 else a
+        if k % 2:
+            lower, upper = np.full(M, -100.0), np.full(M, 100.0)
+        solution = backend.solve(p, q, a if k % 3 == 0 else None, lower, upper)
+        inside = -np.linalg.solve(p, q)
+        assert solution.solved
+        if np.all(a @ inside <= upper) and np.all(a @ inside >= lower):
+            free += solution.iterations == 0
+            assert solution.x == pytest.approx(inside, abs=0.02 if solution.iterations else 1e-9)
+        else:
+            assert solution.x == pytest.approx(exact(p, q, a, lower, upper), abs=0.02)
+    assert free > 15
+
+
+@pytest.mark.parametrize("name", BACKENDS)
+@pytest.mark.parametrize("seed", range(6))
+def test_a_problem_that_drifts_is_solved_from_its_last_active_set(name: Backend, seed: int) -> None:
+    """As in flight: with rows active, some of them changing. The conditions of Karush, Kuhn and Tucker hold."""
+    random, backend = np.random.default_rng(seed), solver(name)
+    p, q, a, lower, upper = problem(random)
+    by_itself, active = 0, 0
+    for _ in range(60):
+        q += 0.05 * random.normal(size=N)
+        solution = backend.solve(p, q, a, lower, upper)
+        assert solution.solved
+        if solution.iterations:
+            continue
+        assert solution.multipliers is not None
+        x, y, reached = solution.x, solution.multipliers, a @ solution.x
+        by_itself, active = by_itself + 1, active + int(np.count_nonzero(y))
+        assert p @ x + q + a.T @ y == pytest.approx(0.0, abs=1e-8)
+        assert np.all(reached <= upper + 1e-9) and np.all(reached >= lower - 1e-9)
+        assert reached[y > 0] == pytest.approx(upper[y > 0]) and reached[y < 0] == pytest.approx(lower[y < 0])
+    assert by_itself > 30 and active > 30
+
+
+def test_a_guess_that_cannot_be_is_given_up() -> None:
+    """More rows than unknowns, the same row twice, a bound that is gone: no solution, or the right one."""
+    random = np.random.default_rng(13)
+    p, q, a, lower, upper = problem(random)
+    x, y, work, mu = np.empty(N), np.empty(M), np.empty((4, N, N)), np.empty(N)
+    assert not solve_from(p, q, a, lower, upper, np.ones(M, np.int64), work, mu, x, y)
+    twice, held = a.copy(), np.zeros(M, np.int64)
+    twice[1], held[:2] = twice[0], 1
+    assert not solve_from(p, q, twice, lower, upper, held, work, mu, x, y)
+    held = np.zeros(M, np.int64)
+    held[[0, 3]] = -1, 1
+    assert solve_from(p, q, a, np.full(M, -np.inf), np.full(M, NO_BOUND), held, work, mu, x, y)
+    assert x == pytest.approx(-np.linalg.solve(p, q)) and not held.any()
+
+
+def test_only_a_positive_definite_matrix_of_numbers_is_factorised() -> None:
+    """With blocks of zeros too."""
+    random = np.random.default_rng(12)
+    for _ in range(50):
+        p, factor = np.zeros((N, N)), np.full((N, N), np.nan)
+        for part in (slice(0, 4), slice(4, N)):
+            root = random.normal(size=(N, N))[part, part]
+            p[part, part] = root @ root.T + 1e-3 * np.eye(len(root))
+        assert factorise(p, N, factor) and np.tril(factor) @ np.tril(factor).T == pytest.approx(p, abs=1e-12)
+        negative = p - 1.1 * np.linalg.eigvalsh(p)[0] * np.eye(N)
+        for spoiled in (negative, 0.0 * p, np.full((N, N), np.nan), p + np.diag([np.inf] * N)):
+            assert not factorise(spoiled, N, factor)
 
 
 def test_a_robot_without_daqp_is_told_so(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -41,6 +41,7 @@ def test_fitted_curve_is_the_thrusters_within_the_scales_noise() -> None:
     assert np.all(np.diff(found.curve, axis=0)[:, 0] > 0) and np.all(np.diff(found.curve, axis=0)[:, 1] >= 0)
 
 
+@pytest.mark.long
 @given(st.lists(st.tuples(st.floats(-5, 5), st.integers(1, 4)), min_size=6, max_size=30))
 def test_readings_that_fall_are_levelled_as_isotonic_regression_does(rows: list[tuple[float, int]]) -> None:
     readings = [ThrustReading(1, 1000 + 10 * i, force) for i, (force, times) in enumerate(rows) for _ in range(times)]

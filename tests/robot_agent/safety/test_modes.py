@@ -78,6 +78,7 @@ def test_no_reaction_ever_leads_towards_thrust(mode: Mode, health: Health) -> No
         assert to is Mode.STOPPED
 
 
+@pytest.mark.long
 @given(st.lists(healths, min_size=1, max_size=20))
 def test_a_stop_is_latched_through_anything_that_happens(run: list[Health]) -> None:
     mode = Mode.STOPPED

@@ -81,6 +81,7 @@ def test_fields_of_a_rectangle_are_those_of_the_whole_picture() -> None:
     assert np.array_equal(scene.fields(part, depth_m, time_s), found[part.blocks])
 
 
+@pytest.mark.long
 @pytest.mark.skipif(INTERPRETED, reason="runs within itself")
 def test_the_kernels_are_plain_python_too() -> None:
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", __file__]

@@ -43,6 +43,7 @@ def test_every_exposure_has_a_pose_however_old_poses_are() -> None:
     assert min(header.age_ns for header in told) >= 200_000_000
 
 
+@pytest.mark.long
 def test_a_camera_thread_that_fails_ends_the_run_with_the_reason(monkeypatch: pytest.MonkeyPatch) -> None:
     """At its third picture. The run ends by itself, although nobody takes pictures any more, and says why."""
     experiment, seen = load_experiment("pool", [ROBOT]), [0]

@@ -36,6 +36,16 @@ def run(fleet: Plant, motors: ActuatorState | None, command_us: Array, steps: in
     return states
 
 
+def legs_wrench(force: Array, ankle: Array) -> Array:
+    """Forces on two hulls (2, 6) at thruster forces and ankle angles (2, 4)."""
+    wrench, fleet = np.empty((2, 6)), kernels.memory(2)
+    kernels.to_fleet(force, fleet, kernels.FORCE_THEN)
+    kernels.to_fleet(ankle, fleet, kernels.ANKLE_THEN)
+    kernels.legs_wrench(fleet, 0, len(fleet), ActuatorModel(pool(), seed=0).constants)
+    kernels.from_fleet(fleet, kernels.WRENCH, wrench)
+    return wrench
+
+
 def test_dead_time_then_exponential() -> None:
     """3 N is the curve's end; 0.05 s dead time, 0.10 s lag (vehicle file)."""
     states = run(Plant(pool(*EXACT), seed=0), None, pulses(1900, 1500), 60)
@@ -84,6 +94,7 @@ def test_ankles_wait_and_ramp() -> None:
     assert back.ankle_rad == pytest.approx(-np.pi / 4)
 
 
+@pytest.mark.long
 def test_spread_is_within_its_bounds_and_belongs_to_the_seed() -> None:
     gains = [ActuatorModel(pool(), seed).gain for seed in range(200)]
     assert np.min(gains) >= 0.9
@@ -109,20 +120,16 @@ def test_a_gain_scales_its_own_thruster() -> None:
     ],
 )
 def test_wrench_of_the_legs(force: list[float], ankle: list[float], wrench: list[float]) -> None:
-    legs = ActuatorModel(pool(), seed=0)
-    still = legs.start()
-    motors = ActuatorState(np.array([force, [0.0] * 4], float), np.array([ankle, ankle], float), still.pulses_us)
-    found = legs.wrench(motors)[:, [0, 2, 5]]
+    found = legs_wrench(np.array([force, [0.0] * 4], float), np.array([ankle, ankle], float))[:, [0, 2, 5]]
     assert found[0] == pytest.approx(wrench, abs=1e-12)
     assert (found[1] == 0.0).all()
 
 
 def test_wrench_is_the_sum_of_moments() -> None:
     """Against r x F in three dimensions."""
-    legs = ActuatorModel(pool(), seed=0)
     random = np.random.default_rng(1)
     force, ankle = random.uniform(-3, 3, (2, 4)), random.uniform(-1.5, 1.5, (2, 4))
-    found = legs.wrench(ActuatorState(force, ankle, legs.start().pulses_us))
+    found = legs_wrench(force, ankle)
     for robot in range(2):
         vectors = np.array([[f * np.cos(a), 0.0, f * np.sin(a)] for f, a in zip(force[robot], ankle[robot], strict=True)])
         arms = np.column_stack([np.array(pool().vehicle.legs.position_m), np.full(4, pool().sim.plant.tilt.legs_below_m)])

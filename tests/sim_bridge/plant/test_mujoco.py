@@ -129,6 +129,7 @@ def test_motion_at_constant_thrust_equals_mujocos() -> None:
     assert state.eta[0, 0] - APART[0, 0] > 3.0 and state.tilt[0, 1] > 0.05
 
 
+@pytest.mark.long
 def test_circle_equals_mujocos() -> None:
     """Port thrusters harder than starboard: a circle, slid through sideways, heeled outwards. Twenty seconds of it."""
     port, starboard = 0.478, 0.207

@@ -179,6 +179,7 @@ def test_the_command_flies_it_again(flown: Path, tmp_path: Path) -> None:
     assert result["min_separation_m"] == pytest.approx(row["min_separation_m"], rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_campaign_with_the_camera_says_what_the_reports_of_its_flights_say(tmp_path: Path) -> None:
     """The command of the row flies it again, in one process, and its report has the row's figures."""
     loaded = campaign(camera=True, settings=["duration_s=1.5"], seeds=1, sweep={"sim.plant.mass_error": [0.2]}, draw={})
@@ -383,6 +384,7 @@ def test_only_a_few_of_a_million_flights_are_prepared_at_a_time(tmp_path: Path, 
     assert checked == [1], "seeds between the first and the last are not loaded"
 
 
+@pytest.mark.slow
 def test_a_dask_cluster_flies_the_same(flown: Path, tmp_path: Path) -> None:
     with LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as cluster:
         assert fly(campaign(seeds=1), tmp_path / "c", scheduler=cluster.scheduler_address) == 0
@@ -398,6 +400,7 @@ def test_absent_cluster_is_named(tmp_path: Path) -> None:
 # --- statistics
 
 
+@pytest.mark.slow
 def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
     """In 2,000 samples of 40 skewed values each: the true mean and quantiles lie inside in 95 %, or more."""
     random = np.random.default_rng(1)

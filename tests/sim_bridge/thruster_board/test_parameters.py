@@ -155,6 +155,7 @@ def test_damaged_stored_values_are_replaced_by_defaults(broken: dict[str, float]
     assert POOL.restored({"THR2_TRIM_US": 5.0, **broken}) == POOL
 
 
+@pytest.mark.long
 @settings(max_examples=300)
 @given(st.lists(st.tuples(st.sampled_from(POOL.table), st.floats() | st.integers(-200, 3000).map(float)), max_size=30))
 def test_any_sequence_of_writes_leaves_consistent_parameters(writes: list[tuple[Parameter, float]]) -> None:

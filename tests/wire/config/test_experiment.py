@@ -5,7 +5,7 @@ import copy
 import math
 import re
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -91,8 +91,9 @@ def _dotted(key: Key) -> str:
 
 
 LEAVES = [(key, value) for key, value in _items(FULL) if not isinstance(value, dict | list)]
+KIND: Key = ("path", "kind")  # tells which keys the path has: with another kind they would not be looked at
 TABLES: list[Key] = [(), *(key for key, value in _items(FULL) if isinstance(value, dict))]
-by_section = pytest.mark.parametrize("section", FULL)  # of the file, or a key that stands alone
+by_section = pytest.mark.parametrize("section", dict.fromkeys(str(key[0]) for key, _ in LEAVES))  # or a key that stands alone
 
 
 def _leaves(section: str) -> list[tuple[Key, Any]]:
@@ -106,9 +107,10 @@ def _parent(table: dict[str, Any], key: Key) -> Any:
     return node
 
 
-def _with(key: Key, value: object) -> dict[str, Any]:
+def _with(changes: Mapping[Key, object]) -> dict[str, Any]:
     table = copy.deepcopy(FULL)
-    _parent(table, key)[key[-1]] = value
+    for key, value in changes.items():
+        _parent(table, key)[key[-1]] = value
     return table
 
 
@@ -129,34 +131,43 @@ def test_the_walk_reaches_every_depth() -> None:
     assert len(LEAVES) > 200
 
 
-@by_section
-def test_a_wrong_type_is_refused_by_name(tmp_path: Path, section: str) -> None:
-    for key, value in _leaves(section):
-        wrong: list[object] = [17] if isinstance(value, str) else ["true", 1] if isinstance(value, bool) else ["many", True]
-        if key != ("vehicle",):
-            wrong.append({"x": 1})
-        for mutant in wrong:
-            complaint = _complaint(tmp_path, _with(key, mutant))
-            shown = f"{_dotted(key)} = {mutant!r}: " if not isinstance(mutant, dict) else _dotted(key)
-            assert any(line.startswith(shown) for line in complaint.splitlines()), complaint
+def _wrong_types(key: Key, value: object) -> list[object]:
+    wrong: list[object] = [17, 17] if isinstance(value, str) else ["true", 1] if isinstance(value, bool) else ["many", True]
+    return [*wrong, 17 if key == ("vehicle",) else {"x": 1}]  # a table is a vehicle
 
 
 @by_section
-def test_no_number_may_be_nan_or_infinite_or_hugely_negative(tmp_path: Path, section: str) -> None:
+@pytest.mark.parametrize("turn", range(3))
+def test_a_wrong_type_is_refused_by_name(tmp_path: Path, section: str, turn: int) -> None:
+    """All keys of a section are wrong at once, and each is told."""
+    wrong = {key: _wrong_types(key, value)[turn] for key, value in _leaves(section) if key != KIND}
+    lines = _complaint(tmp_path, _with(wrong)).splitlines()
+    for key, mutant in wrong.items():
+        shown = f"{_dotted(key)} = {mutant!r}: " if not isinstance(mutant, dict) else _dotted(key)
+        assert any(line.startswith(shown) for line in lines), shown
+
+
+@by_section
+@pytest.mark.parametrize("number", [math.nan, math.inf, -math.inf])
+def test_no_number_may_be_nan_or_infinite(tmp_path: Path, section: str, number: float) -> None:
+    wrong: dict[Key, object] = {key: number for key, value in _leaves(section) if not isinstance(value, bool | str)}
+    complaint = _complaint(tmp_path, _with(wrong)) if wrong else ""
+    for key in wrong:
+        assert f"{_dotted(key)} = {number!r}: " in complaint
+
+
+@by_section
+def test_no_number_may_be_hugely_negative_but_those_that_have_a_sign(tmp_path: Path, section: str) -> None:
     for key, value in _leaves(section):
-        if isinstance(value, bool | str):
-            continue
-        for mutant in (math.nan, math.inf, -math.inf):
-            assert f"{_dotted(key)} = {mutant!r}: " in _complaint(tmp_path, _with(key, mutant))
         name = ".".join(part for part in key if isinstance(part, str))
-        if name not in SIGNED:
+        if not isinstance(value, bool | str) and name not in SIGNED:
             last = next(part for part in reversed(key) if isinstance(part, str))
-            assert last in _complaint(tmp_path, _with(key, -(10**6))), f"add a range to {name}, or the name to SIGNED"
+            assert last in _complaint(tmp_path, _with({key: -(10**6)})), f"add a range to {name}, or the name to SIGNED"
 
 
 def test_a_misspelt_key_is_refused_with_the_choice(tmp_path: Path) -> None:
     for key in TABLES:
-        complaint = _complaint(tmp_path, _with((*key, "misspelt"), 1))
+        complaint = _complaint(tmp_path, _with({(*key, "misspelt"): 1}))
         name = _dotted((*key, "misspelt"))
         known = [str(part) for part in _parent(FULL, (*key, "misspelt"))]
         assert complaint.startswith(f"{name}: unknown key (allowed here: ")
@@ -208,6 +219,7 @@ def test_keys_that_cannot_be_guessed_have_no_default(tmp_path: Path, key: str) -
         ("name=Pool 1", "name = 'Pool 1'"),
         ("name=" + "a" * 65, "name = 'aaaaaaaa"),
         ("seed=-1", "seed = -1"),
+        ("path.kind=17", "path.kind = 17: must be one of 'circle', 'waypoints'"),
         ("path.kind=square", "path.kind = 'square': must be one of 'circle', 'waypoints'"),
         ('path={kind="waypoints", points_m=[[0, 0]], speed_mps=1}', "path.points_m = .*at least 2"),
         ('path={kind="waypoints", points_m=[[0, 0], [1, 0]], speed_mps=1, start_index=2}', "start_index = 2: .*0 to 1"),
@@ -259,7 +271,7 @@ def _accepted(key: Key, value: object) -> str:
     for mutant in _mutants(value):
         with contextlib.suppress(ConfigError):
             if mutant != value:
-                return _hash(_with(key, mutant))
+                return _hash(_with({key: mutant}))
     pytest.fail(f"no other value of {_dotted(key)} was accepted; give _mutants one")
 
 

@@ -1,0 +1,25 @@
+"""Syntax trees of the project's source files, each parsed and flattened once in a test process."""
+
+import ast
+from functools import cache
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+GENERATED = {"wire/messages/fleet_pb2.py"}
+
+
+def sources(*packages: str) -> list[str]:
+    """Python files of some packages, by their paths below the project's root."""
+    found = (path for package in packages for path in sorted((ROOT / package).rglob("*.py")))
+    return [str(path.relative_to(ROOT)) for path in found]
+
+
+@cache
+def tree_of(source: str) -> ast.Module:
+    return ast.parse((ROOT / source).read_text(encoding="utf-8"))
+
+
+@cache
+def nodes(tree: ast.Module) -> tuple[ast.AST, ...]:
+    """All nodes below a tree, in the order of `ast.walk`."""
+    return tuple(ast.walk(tree))
