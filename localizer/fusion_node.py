@@ -10,9 +10,10 @@ from collections.abc import Generator, Iterator
 from dataclasses import replace
 
 from localizer.sources.base import silent_after_s
-from localizer.tracking.camera_fusion import CameraFusion, CameraView, fuse_obstacles
+from localizer.tracking.camera_fusion import CameraFusion, CameraView, FusionResult, fuse_obstacles
 from wire.config.experiment import Experiment
 from wire.messages import topics
+from wire.messages.codec import Header
 from wire.messages.messages import LocalizerStatus, Obstacles, Pose
 from wire.process.lockstep import Lockstep, LockstepClock
 from wire.process.runtime import Clock, Stop, WallClock, age_s, log, log_to_bus, run_steps, wait
@@ -22,7 +23,6 @@ from wire.transport.endpoint import Endpoint
 from wire.transport.zenoh_transport import ZenohTransport
 
 TOGETHER = 0.25  # of a frame period: pictures nearer in time are fused as one, and no pose waits longer for another camera
-
 SAY_AGAIN_S = 5.0  # s between log lines about cameras that disagree
 
 
@@ -42,14 +42,14 @@ class _Camera:
         self.status = bus.inbox(topics.LOCALIZER.of_camera(camera), LocalizerStatus)
         self.poses = bus.inboxes(topics.POSE.of_camera(camera), Pose, robots)
         self.obstacles = bus.inbox(topics.OBSTACLES.of_camera(camera), Obstacles)
+        self.seen: Header | None = None  # of the last status that was looked at
         self.taken: Received[LocalizerStatus] | None = None
         self.told: Received[Obstacles] | None = None
 
     @property
     def is_new(self) -> bool:
-        """True if a status has come that was not taken."""
-        newest = self.status.newest_header()
-        return newest is not None and (self.taken is None or newest is not self.taken.header)
+        """True if a status has come that was not looked at."""
+        return self.status.newest_header() is not self.seen
 
     def is_here(self, now_ns: int, period_s: float, silent_s: float) -> bool:
         """True if a new status is here with its poses, or none is about to come."""
@@ -78,6 +78,7 @@ class FusionNode:
         self._up_to_ns: dict[str, tuple[int, int]] = {}  # in lockstep: stamps up to which status and obstacles count
         self._fusion = CameraFusion(experiment)
         self._views: dict[str, CameraView] = {}
+        self._newest = (-1, -1)  # instant and stamp of the newest picture
         self._obstacles_ns = -1
         self._lockstep = Lockstep(bus, stop, clock, topics.EXPOSED) if isinstance(clock, LockstepClock) else None
         self._out: tuple[str, ...] = ()
@@ -95,10 +96,7 @@ class FusionNode:
         log.info("ready, experiment %s, cameras %s", self._hash[:8], ", ".join(self._cameras))
         yield
         for _ in self._lockstep_pace(self._lockstep) if self._lockstep else self._wall_pace():
-            try:
-                self._fuse()
-            except Exception as error:  # of a message that is not what it should be: the next may be
-                log.error("pictures not fused: %s: %s", type(error).__name__, error, exc_info=error)
+            self._fuse()
             yield
 
     def _wall_pace(self) -> Iterator[None]:
@@ -126,10 +124,16 @@ class FusionNode:
 
     def _fuse(self) -> None:
         """Take what has come, and publish poses, obstacles and status."""
-        new = [self._take(name, camera) for name, camera in self._cameras.items()]
+        new = [at for name, camera in self._cameras.items() if (at := self._take(name, camera)) is not None]
         now_ns = self._clock.now_ns()
-        instant_ns, stamp_ns = max((at for at in new if at is not None), default=(now_ns, now_ns))
-        result = self._fusion.step(self._views, instant_ns)
+        self._newest = max(self._newest, *(new or [(now_ns, now_ns)]))  # a late camera's picture is carried on to the others'
+        instant_ns, stamp_ns = self._newest
+        try:
+            result = self._fusion.step(self._views, instant_ns)
+        except Exception as error:  # of a message that is not what it should be: in lockstep others wait for the status
+            why = f"pictures not fused: {type(error).__name__}: {error}"
+            log.error("%s", why, exc_info=error)
+            result = FusionResult((), LocalizerStatus(message=why), "")
         age_ns = max(self._clock.now_ns() - instant_ns, 0)
         for robot, pose in result.poses:
             self._bus.publish(topics.POSE, pose, stamp_ns, robot, age_ns=age_ns)
@@ -140,6 +144,7 @@ class FusionNode:
 
     def _take(self, name: str, camera: _Camera) -> tuple[int, int] | None:
         """Take a camera's newest picture. Returns its instant and stamp, None if there is no new one."""
+        camera.seen = camera.status.newest_header()
         status = camera.status.newest(self._up_to_ns[name][0] if name in self._up_to_ns else None)
         if status is None or status is camera.taken or (self._lockstep and name not in self._up_to_ns):
             return None

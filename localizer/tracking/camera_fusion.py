@@ -33,13 +33,11 @@ _FORGET_S = 2.0  # s in which a doubt falls to 1/e once the cameras agree again;
 
 @dataclass(frozen=True, eq=False)
 class CameraView:
-    """All that one camera's localizer told of one picture, exposed at `instant_ns`: poses by robot, and its newest
-    obstacles."""
+    """All that one camera's localizer told of one picture, exposed at `instant_ns`: its status, and poses by robot."""
 
     instant_ns: int
     status: LocalizerStatus
     poses: Mapping[int, Pose]
-    obstacles: Obstacles | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +74,7 @@ class CameraFusion:
         self._frames = 0
 
     def step(self, views: Mapping[str, CameraView], instant_ns: int) -> FusionResult:
-        """Fuse the newest views of the cameras that were heard, by name, at the instant of the newest of them."""
+        """Fuse the newest views of the cameras that were heard, by name, at an instant that is not before any of theirs."""
         self._frames += 1
         step_s = 0.0 if self._instant_ns is None else max(instant_ns - self._instant_ns, 0) * 1e-9
         self._instant_ns = instant_ns

@@ -30,7 +30,8 @@ class Renderer:
     """The camera of an experiment. It draws a frame in milliseconds; each of the first ones, up to LOOP_S, in tens of them,
     unless `backdrop.prepare` came before."""
 
-    def __init__(self, experiment: Experiment, seed: int) -> None:
+    def __init__(self, experiment: Experiment, seed: int, number: int = 0) -> None:
+        """`number` is that of one of several cameras: they see the same water and robots, each with pixel noise of its own."""
         self._camera, self._picture = experiment.camera, experiment.sim.picture
         self._robots = experiment.robot_ids
         random = generator(seed, Stream.CAMERA, 0)
@@ -49,7 +50,7 @@ class Renderer:
             (BodySprite.landmark(landmark, experiment.camera.px_per_m), np.array([[*landmark.position_m, landmark.yaw_rad]]))
             for landmark in experiment.marks
         ]
-        random = generator(seed, Stream.CAMERA, 2)
+        random = generator(seed, Stream.CAMERA, 2, number)
         self._noise = SensorNoise(experiment.camera.size_px, self._picture.noise, random)
 
     def hide_markers(self, unmarked: Collection[int]) -> None:

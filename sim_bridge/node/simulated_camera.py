@@ -14,9 +14,6 @@ from wire.config.fault_injection import Break
 from wire.frames import Array
 from wire.process.runtime import log
 
-# Between cameras: the same water looks otherwise from another place, and pixels have noise of their own.
-SEEDS_APART = 1_000_003
-
 
 @dataclass(frozen=True, eq=False)
 class Exposure:
@@ -40,10 +37,10 @@ class SimulatedCamera:
         self.name = name
         self.frame_ns = -1  # stamp of the newest frame that was handed out
         alone = experiment.of_camera(name)
-        seed = experiment.seed + SEEDS_APART * (experiment.camera_names.index(name) if name else 0)
-        self._renderer = Renderer(alone, seed)
+        number = experiment.camera_names.index(name) if name else 0
+        self._renderer = Renderer(alone, experiment.seed, number)
         drops = {fault.broken.value for fault in experiment.sim.faults if fault.broken.kind == "water"}
-        self._sunk = {drop_m: Renderer(with_sunken_water(alone, drop_m), seed) for drop_m in sorted(drops)}
+        self._sunk = {drop_m: Renderer(with_sunken_water(alone, drop_m), experiment.seed, number) for drop_m in sorted(drops)}
         self._trouble = CameraFaults()
         self._ahead: tuple[Exposure, NDArray[np.uint8]] | None = None
         self._unmarked: frozenset[int] = frozenset()
