@@ -44,6 +44,7 @@ PARTS: dict[str, dict[str, set[str]]] = {
         "obstacle_memory": {"config", "frames", "messages"},
         "security": {"messages", "toml_loader"},
         "transport": {"loopback", "messages", "security", "toml_loader"},
+        "web_access": {"loopback", "toml_loader"},
         "process": {"config", "messages", "toml_loader", "transport"},
         "mavlink": {"loopback", "process", "toml_loader"},
     },
@@ -57,6 +58,7 @@ PARTS: dict[str, dict[str, set[str]]] = {
         "calibration": {"camera_model", "detection", "sources", "view"},
         "node": {"detection", "sources", "tracking", "view"},
         "evaluation": {"detection", "node", "sources", "tracking"},
+        "setup": {"calibration", "camera_model", "detection", "sources", "view"},
     },
     "robot_agent": {
         "host": set(),
