@@ -16,7 +16,8 @@ class CameraFeed:
 
     def __init__(self, source: FrameSource, session: SetupSession, stop: Stop) -> None:
         self._source, self._session, self._stop = source, session, stop
-        self._news, self._number, self._jpeg = threading.Condition(), 0, (0, b"")
+        self._news, self._number = threading.Condition(), 0
+        self._jpeg: tuple[object, bytes] = (None, b"")  # with the frame's number and the overlay that it was made for
         self._encoding = threading.Lock()
         self._board: LatestItemWorker[int] = LatestItemWorker("board", lambda _: session.look_for_board(), stop)
         self._thread = guarded_thread(stop, "frames", self._take_all, daemon=True)
@@ -31,9 +32,10 @@ class CameraFeed:
         if self._stop.requested:
             return None
         with self._encoding:
-            if self._jpeg[0] != number:
-                self._jpeg = (number, self._session.jpeg())
-            return self._jpeg
+            made_for = number, self._session.overlay
+            if self._jpeg[0] != made_for:
+                self._jpeg = made_for, self._session.jpeg()
+            return number, self._jpeg[1]
 
     def close(self) -> None:
         """End the threads."""

@@ -21,7 +21,7 @@ from starlette.staticfiles import StaticFiles
 
 from localizer.setup.camera_feed import CameraFeed
 from localizer.setup.session import SetupSession
-from wire.process.runtime import Stop
+from wire.process.runtime import SLICE_S, Stop, guarded_thread
 from wire.toml_loader import ConfigError
 from wire.web_access import Guarded, WebOptions, token_allowed
 
@@ -64,7 +64,7 @@ class SetupServer:
         return f"{self._options.url}#key={self._options.token}"
 
     def run(self, stop: Stop) -> None:
-        """Serve, in this thread, until told to stop."""
+        """Serve until told to stop; in a thread, where uvicorn leaves signals to us."""
         config = uvicorn.Config(
             self._app,
             loop="asyncio",
@@ -76,9 +76,12 @@ class SetupServer:
             timeout_graceful_shutdown=_GRACE_S,
         )
         server = uvicorn.Server(config)
-        stop.on_request(lambda: setattr(server, "should_exit", True))
-        server.run(sockets=[self._socket])
-        stop.request()  # uvicorn took the signal
+        thread = guarded_thread(stop, "page", lambda: server.run(sockets=[self._socket]))
+        thread.start()
+        while not stop.requested and thread.is_alive():
+            thread.join(SLICE_S)
+        server.should_exit = True
+        thread.join()
 
     def _allowed(self, request: Request) -> bool:
         return token_allowed(self._options, request.headers.get("x-key") or request.query_params.get("key", ""))
@@ -95,11 +98,13 @@ class SetupServer:
 
     def _pictures(self) -> Iterator[bytes]:
         seen = 0
+        yield f"--{_BOUNDARY}\r\n".encode()
         try:
             while (news := self._feed.next(seen)) is not None:
                 seen, jpeg = news
-                head = f"--{_BOUNDARY}\r\nContent-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n\r\n"
-                yield head.encode() + jpeg + b"\r\n" if jpeg else b""
+                head = f"Content-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n\r\n"
+                # with the next boundary at once, as browsers show a picture only when it has come
+                yield head.encode() + jpeg + f"\r\n--{_BOUNDARY}\r\n".encode() if jpeg else b""
         finally:
             self._viewers.release()
 

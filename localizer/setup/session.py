@@ -138,10 +138,16 @@ class SetupSession:
 
     # --- what the page shows
 
+    @property
+    def overlay(self) -> tuple[Camera | None, float | None]:
+        """The camera and the depth, if any, of the grid that is drawn over the picture."""
+        with self._lock:
+            return self._work.camera, self._grid_depth_m
+
     def jpeg(self) -> bytes:
         """The newest picture, with the pool's grid if that was asked for; empty before the first."""
         with self._lock:
-            captured, camera, depth_m = self._captured, self._work.camera, self._grid_depth_m
+            captured, (camera, depth_m) = self._captured, self.overlay
         if captured is None:
             return b""
         picture = np.asarray(cv2.cvtColor(captured.pixels, BAYER_TO_BGR), dtype=np.uint8)
@@ -196,10 +202,10 @@ class SetupSession:
         }
 
     def _survey_state(self, work: CameraWork) -> dict[str, Any]:
-        fit, points = work.pose_fit, work.survey.points
+        survey = work.survey
         return {
-            "points": [point.model_dump(mode="json") for point in points.values()],
-            "residuals": [] if fit is None else [asdict(residual) for residual in work.survey.residuals(fit)],
+            "points": [point.model_dump(mode="json") for point in survey.points.values()],
+            "residuals": [asdict(residual) for residual in survey.residuals.values()],
             "report": work.pose_said,
         }
 

@@ -3,6 +3,7 @@
 Both are points of known place, in the form of `localizer calibrate --pool-points`, and go to the same solver.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -35,6 +36,7 @@ class SurveyStep:
     def __init__(self, pool: PoolConfig, family: MarkerFamily) -> None:
         self._pool, self._family = pool, family
         self.points: dict[str, SurveyPoint] = {}
+        self.residuals: dict[str, PointResidual] = {}  # by the newest fit, of the points that are as they were then
 
     def put(
         self,
@@ -58,28 +60,34 @@ class SurveyStep:
                 else f"at a corner {moved:.1f} px from the click"
             )
         table = {"name": name, "pool_m": pool_m, "pixel_px": pixel, "marker_id": marker_id}
+        self.residuals.pop(name, None)
         self.points[name] = check(SurveyPoint, {k: v for k, v in table.items() if v is not None}, "this point")
         return said
 
     def remove(self, name: str) -> None:
         """Forget a point."""
         self.points.pop(name, None)
+        self.residuals.pop(name, None)
 
     def fit(self, camera: Camera, grey: Pixels | None) -> PoseFit:
         """The camera's pose; markers are looked for in the grey picture. Raises ConfigError."""
         points = tuple(self.points.values())
         table = {"pool": self._pool.model_dump(), "points": [point.model_dump() for point in points]}
         check(SurveyFile, table, "the survey")
-        return fit_pose(camera, points, seen_pixels(points, grey, self._family))
+        found = fit_pose(camera, points, seen_pixels(points, grey, self._family))
+        self.residuals = _residuals(found, points)
+        return found
 
-    def residuals(self, fit: PoseFit) -> list[PointResidual]:
-        """Errors of the points that `fit` was made from."""
-        points = list(self.points.values())
-        off_px, off_m = np.linalg.norm(fit.residuals_px, axis=1), np.linalg.norm(place_errors_m(fit, points), axis=1)
-        return [
-            PointResidual(point.name, (float(px[0]), float(px[1])), float(off_px[i]), 1e3 * float(off_m[i]), i == fit.suspect)
-            for i, (point, px) in enumerate(zip(points, fit.seen_px, strict=True))
-        ]
+
+def _residuals(fit: PoseFit, points: Sequence[SurveyPoint]) -> dict[str, PointResidual]:
+    """Errors of the points that `fit` was made from, by name."""
+    off_px, off_m = np.linalg.norm(fit.residuals_px, axis=1), np.linalg.norm(place_errors_m(fit, points), axis=1)
+    return {
+        point.name: PointResidual(
+            point.name, (float(px[0]), float(px[1])), float(off_px[i]), 1e3 * float(off_m[i]), i == fit.suspect
+        )
+        for i, (point, px) in enumerate(zip(points, fit.seen_px, strict=True))
+    }
 
 
 def outline_corners(pool: PoolConfig) -> dict[str, tuple[float, float, float]]:

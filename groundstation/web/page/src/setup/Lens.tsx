@@ -19,7 +19,7 @@ export function LensOverlay({ s }: { s: State }) {
           <rect
             key={`${i} ${j}`}
             class={count > 0 ? "covered" : "empty"}
-            style={`fill-opacity: ${(0.35 * Math.min(count, ENOUGH)) / ENOUGH}`}
+            style={`fill-opacity: ${0.15 + (0.25 * Math.min(count, ENOUGH)) / ENOUGH}`}
             x={(i * width) / columns - 0.5}
             y={(j * height) / rows - 0.5}
             width={width / columns}

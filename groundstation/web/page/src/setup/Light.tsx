@@ -1,6 +1,9 @@
 /** Step 1: light, focus, blur and rate, and the camera's own controls. */
 
+import { signal } from "@preact/signals";
 import { ask, type Control, type Figures, state, type Verdict } from "./api";
+
+const sliding = signal<{ name: string; value: number } | null>(null); // the slider that is held: the camera's answer comes later
 
 export function Say({ verdict }: { verdict: Verdict }) {
   return (
@@ -23,14 +26,15 @@ function Histogram({ figures }: { figures: Figures }) {
 }
 
 function Slider({ control }: { control: Control }) {
-  const set = (value: number) => void ask("control", { name: control.name, value });
+  const set = (value: number) => ask("control", { name: control.name, value });
+  const value = sliding.value?.name === control.name ? sliding.value.value : control.value;
   const label = control.name.replaceAll("_", " ");
   const isSwitch = control.minimum === 0 && control.maximum === 1 && control.choices.length === 0;
   return (
     <label class="control">
       <span>{label}</span>
       {control.choices.length > 0 ? (
-        <select disabled={!control.usable} value={control.value} onChange={(event) => set(Number(event.currentTarget.value))}>
+        <select disabled={!control.usable} value={control.value} onChange={(event) => void set(Number(event.currentTarget.value))}>
           {control.choices.map(([value, name]) => (
             <option key={value} value={value}>
               {name}
@@ -38,7 +42,7 @@ function Slider({ control }: { control: Control }) {
           ))}
         </select>
       ) : isSwitch ? (
-        <input type="checkbox" disabled={!control.usable} checked={control.value === 1} onChange={(event) => set(event.currentTarget.checked ? 1 : 0)} />
+        <input type="checkbox" disabled={!control.usable} checked={control.value === 1} onChange={(event) => void set(event.currentTarget.checked ? 1 : 0)} />
       ) : (
         <input
           type="range"
@@ -46,11 +50,12 @@ function Slider({ control }: { control: Control }) {
           min={control.minimum}
           max={control.maximum}
           step={control.step}
-          value={control.value}
-          onChange={(event) => set(event.currentTarget.valueAsNumber)}
+          value={value}
+          onInput={(event) => (sliding.value = { name: control.name, value: event.currentTarget.valueAsNumber })}
+          onChange={(event) => void set(event.currentTarget.valueAsNumber).then(() => (sliding.value = null))}
         />
       )}
-      <span class="value">{control.choices.length === 0 && control.value}</span>
+      <span class="value">{control.choices.length === 0 && value}</span>
     </label>
   );
 }

@@ -130,6 +130,7 @@ function PointForm({ s }: { s: State }) {
             {axis}
             <input
               type="number"
+              aria-label={`${axis}, m`}
               step={0.001}
               value={place.value[i]}
               onInput={(event) => {
@@ -187,17 +188,19 @@ export function Survey() {
         <button type="button" class="main" disabled={s.survey.points.length < 4} onClick={() => void ask("fit-pose")}>
           Find the pose
         </button>
-        <label class="control">
-          <span>Grid at depth</span>
+        <label class="row">
           <input type="checkbox" checked={s.grid_depth_m !== null} onChange={(event) => void ask("grid", { depth_m: event.currentTarget.checked ? 0.3 : null })} />
+          Grid at depth
           <input
             type="number"
+            class="depth"
             aria-label="Depth of the grid, m"
             step={0.1}
             value={s.grid_depth_m ?? 0.3}
             disabled={s.grid_depth_m === null}
             onChange={(event) => void ask("grid", { depth_m: event.currentTarget.valueAsNumber })}
           />
+          m
         </label>
         {s.survey.report.length > 0 && <pre tabIndex={0}>{s.survey.report.join("\n")}</pre>}
       </section>
