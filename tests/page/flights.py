@@ -26,7 +26,7 @@ FLAGS = [
 ]
 AXE = resources.files("axe_playwright_python") / "axe.min.js"
 PACED = ("--lockstep", "--pace", "2", "--poses")
-PATIENCE_MS = 15_000  # for anything that a loaded machine may take long over
+PATIENCE_MS = 120_000  # for anything that a loaded machine may take long over
 
 
 def wait_for_port(port: int, process: subprocess.Popen[bytes]) -> None:
