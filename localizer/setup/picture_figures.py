@@ -9,7 +9,7 @@ from localizer.detection.image_regions import Pixels
 
 BINS = 64
 _DARKEST, _BRIGHTEST = 1, 254  # grey levels from which on a pixel is clipped, noise of one level included
-_MOST_BRIGHT, _MOST_DARK = 0.005, 0.25  # shares of clipped pixels; glare on half a marker of 33 px is 0.0005
+_MOST_BRIGHT, _MOST_DARK = 0.02, 0.25  # shares of clipped pixels; caustics and glare of the simulated pool are 0.005
 _DIMMEST = 40.0  # grey levels, mean; markers at 15 % of the simulated light are still read, with twice the noise
 _SHARP = 0.9  # of the best sharpness seen; turning the ring past the best shows as a fall
 SPEED_MPS = 0.1  # that motion blur is told for
