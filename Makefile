@@ -82,7 +82,7 @@ format: $(INSTALLED) ## let ruff lay out and repair what it can
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
-page: ## build the operator's page again (needs Node 20 or newer; users have the built page in groundstation/web/static)
+page: ## build the pages of operator and camera setup again (needs Node 20 or newer; users have what is built, in static/)
 	cd groundstation/web/page && npm ci --silent && npm run --silent build
 	cp groundstation/web/page/node_modules/uplot/dist/uPlot.iife.min.js groundstation/report/templates/uplot.min.js
 	cp groundstation/web/page/node_modules/uplot/dist/uPlot.min.css groundstation/report/templates/uplot.min.css

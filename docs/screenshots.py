@@ -1,19 +1,26 @@
-"""SHELL: docs/images/page-*.jpg, the operator's page on real runs: `python -m docs.screenshots` (Chromium; four minutes)."""
+"""SHELL: docs/images/page-*.jpg, the pages on real runs: `python -m docs.screenshots` (Chromium; four minutes)."""
 
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import count
 from pathlib import Path
 from typing import Literal
 
+import cv2
+import numpy as np
 from playwright.sync_api import Browser, Page, ViewportSize, sync_playwright
 
 from groundstation.logs.run_folders import give_label
+from sim_bridge.camera.renderer import Renderer
 from sim_bridge.sil.ports import free_port
+from wire.config.experiment import Experiment, load_experiment
 
 IMAGES = Path(__file__).parent / "images"
 FLAGS = ["--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking", "--disable-sync"]
@@ -134,12 +141,72 @@ def of_a_fleet(browser: Browser, out: str) -> None:
         showing.wait()
 
 
+@contextmanager
+def camera(folder: Path, experiment: Experiment) -> Iterator[None]:
+    """A folder in which the pictures of a simulated pool come, over and over, ten a second."""
+    folder.mkdir()
+    renderer, eta = Renderer(experiment, 1), np.array([[0.5, 0.2, 0.3, 1.0], [-0.6, -0.3, 0.3, 2.5]])
+    frames = [cv2.imencode(".bmp", renderer.render(eta, np.zeros((2, 4)), 0.1 * k, k))[1].tobytes() for k in range(20)]
+    over = threading.Event()
+
+    def play() -> None:
+        for k in count():
+            (folder / "next").write_bytes(frames[k % len(frames)])
+            (folder / "next").rename(folder / f"{k}.bmp")
+            (folder / f"{k - 50}.bmp").unlink(missing_ok=True)
+            if over.wait(0.1):
+                return
+
+    player = threading.Thread(target=play)
+    player.start()
+    try:
+        yield
+    finally:
+        over.set()
+        player.join()
+
+
+def of_a_camera(browser: Browser, out: str) -> None:
+    """A camera of the simulated pool that is set up: its light, and its pose from the five check marks."""
+    experiment, folder = load_experiment("figure-eight"), Path(out) / "camera"
+    with camera(folder, experiment):
+        _set_up(browser, experiment, ["--camera", f"folder:{folder}:10", "--out", f"{out}/lab.toml"])
+
+
+def _set_up(browser: Browser, experiment: Experiment, options: list[str]) -> None:
+    command = [sys.executable, "-m", "localizer", "setup", experiment.name, *options]
+    program = subprocess.Popen([*command, "--port", str(free_port())], stdout=subprocess.PIPE, text=True)
+    assert program.stdout is not None
+    try:
+        page = browser.new_context(viewport=DESK, color_scheme="dark").new_page()
+        page.goto(program.stdout.readline().split()[5])
+        page.locator(".histogram").wait_for()
+        keep(page, "setup")
+        page.get_by_role("button", name="3 Survey").click()
+        page.get_by_role("button", name="Find markers").click()
+        for mark in experiment.check_marks:
+            page.get_by_label("Name").fill(f"mark {mark.id}")
+            for axis, value in zip("xyz", mark.position_m, strict=True):
+                page.get_by_label(f"{axis}, m", exact=True).fill(f"{value}")
+            page.get_by_role("button", name=f"is marker {mark.id}").click()
+            page.get_by_role("button", name=f"mark {mark.id}", exact=True).wait_for()
+        page.get_by_role("button", name="Find the pose").click()
+        page.get_by_label("Grid at depth").click()
+        page.get_by_text("RMS 0.").first.wait_for()
+        keep(page, "setup-survey")
+        page.context.close()
+    finally:
+        program.send_signal(signal.SIGINT)
+        program.wait()
+
+
 def main() -> None:
     with sync_playwright() as playwright, tempfile.TemporaryDirectory() as out:
         browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=FLAGS)
         fly_before(out)
         of_the_pool(browser, out)
         of_a_fleet(browser, out)
+        of_a_camera(browser, out)
         browser.close()
 
 

@@ -5,8 +5,9 @@ from typing import Annotated
 
 import typer
 
-from localizer.calibration.cli import calibrate, check
+from localizer.calibration.cli import calibrate, check, print_markers
 from localizer.evaluation.cli import SourceName, evaluate, latency, rerun, track
+from localizer.setup.cli import setup
 from wire.config.experiment import load_experiment
 from wire.process.cli_options import (
     DEFAULT_FLEET,
@@ -105,6 +106,8 @@ def fuse(
 
 cli.command()(calibrate)
 cli.command()(check)
+cli.command()(setup)
+cli.command()(print_markers)
 cli.command()(latency)
 cli.command()(evaluate)
 cli.command()(track)

@@ -42,6 +42,7 @@ PARTS: dict[str, dict[str, set[str]]] = {
         "obstacle_memory": {"config", "frames", "messages"},
         "security": {"messages", "toml_loader"},
         "transport": {"loopback", "messages", "security", "toml_loader"},
+        "web_access": {"loopback", "toml_loader"},
         "process": {"config", "messages", "toml_loader", "transport"},
         "mavlink": {"loopback", "process", "toml_loader"},
     },
@@ -56,6 +57,7 @@ PARTS: dict[str, dict[str, set[str]]] = {
         "node": {"detection", "sources", "tracking", "view"},
         "fusion_node": {"sources", "tracking"},
         "evaluation": {"detection", "node", "sources", "tracking"},
+        "setup": {"calibration", "camera_model", "detection", "sources", "view"},
     },
     "robot_agent": {
         "host": set(),

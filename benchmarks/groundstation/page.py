@@ -25,7 +25,6 @@ from benchmarks.harness import Row
 from groundstation.mission.state_machine import MissionState
 from groundstation.planning import planner
 from groundstation.telemetry import LinkMonitor, subscribe_fleet
-from groundstation.web.auth import WebOptions
 from groundstation.web.backend import Status
 from groundstation.web.live_backend import LiveBackend
 from groundstation.web.server import STATIC, WebServer
@@ -53,6 +52,7 @@ from wire.process.runtime import WallClock
 from wire.transport.bus import Bus
 from wire.transport.endpoint import Endpoint
 from wire.transport.zenoh_transport import ZenohTransport
+from wire.web_access import WebOptions
 
 ROBOTS = 49  # as many as there are markers
 NODES = 50

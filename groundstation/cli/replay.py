@@ -20,7 +20,7 @@ from wire.process.cli_options import (
 from wire.process.runtime import SLICE_S, Stop, start_log
 
 if TYPE_CHECKING:  # the page's server takes a second to import
-    from groundstation.web.auth import WebOptions
+    from wire.web_access import WebOptions
 
 CLOSED_S = 6.0  # without an open page; one that is cut off or loaded again is back within 4 s
 
@@ -51,7 +51,7 @@ def replay(
     Examples:  groundstation log replay runs/pool-20260101-120000
                groundstation log replay runs/pool-20260101-120000 --bus --rate 4 --begin 30
     """
-    from groundstation.web.auth import web_options
+    from wire.web_access import web_options
 
     start_log("groundstation")
     stop = Stop()

@@ -70,11 +70,11 @@ def run(
     from groundstation.report.report import write_report
     from groundstation.station import process
     from groundstation.station.discovery import announced
-    from groundstation.web.auth import web_options
     from wire.messages.topics import Role, process_name
     from wire.transport.bus import Bus
     from wire.transport.network import endpoint
     from wire.transport.zenoh_transport import ZenohTransport
+    from wire.web_access import web_options
 
     token = _token(web_token_file) if web_token_file is not None else ""
     page = None if no_web else web_options(web, web_certificate, web_key, token)

@@ -19,7 +19,6 @@ from groundstation.planning import planner
 from groundstation.planning.segment import first_segment
 from groundstation.station.station import Station, workers
 from groundstation.telemetry import subscribe_fleet
-from groundstation.web.auth import WebOptions
 from groundstation.web.live_backend import LiveBackend
 from groundstation.web.server import WebServer, bind
 from wire.config.experiment import Experiment, load_experiment
@@ -32,6 +31,7 @@ from wire.process.runtime import Clock, Stop, WallClock, log, log_to_bus
 from wire.security.access_control import INSECURE
 from wire.toml_loader import ConfigError, os_errors_as_config_errors
 from wire.transport.bus import Bus
+from wire.web_access import WebOptions
 
 FAREWELL_S = 1.0  # a page gets four states in this time, a terminal asks five times
 

@@ -9,60 +9,29 @@ import socket
 import ssl
 import threading
 import time
-from collections.abc import Awaitable, Callable, MutableMapping
 from pathlib import Path
 from typing import Any
 
 import uvicorn
 from starlette.applications import Starlette
-from starlette.datastructures import Headers, MutableHeaders
 from starlette.requests import Request
 from starlette.responses import FileResponse, PlainTextResponse, Response
 from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 
 from groundstation.web import protocol
-from groundstation.web.auth import HEADERS, WebOptions, host_allowed
 from groundstation.web.backend import Backend
 from groundstation.web.client_hub import ClientHub
 from groundstation.web.connection_limits import HANDSHAKE_WITHIN_S, ConnectionLimiter, http_class
 from groundstation.web.run_desk import REPORT_POLICY, RunDesk
 from wire.process.runtime import log
 from wire.toml_loader import ConfigError
+from wire.web_access import Guarded, WebOptions
 
 STATIC = Path(__file__).parent / "static"
 START_WITHIN_S = 30.0  # on a starved machine; then the station does not start, and says why
 
 FAREWELL_WITHIN_S = 1.0  # a page's thread that hangs holds nobody up
-
-Scope = MutableMapping[str, Any]
-Channel = Callable[..., Awaitable[Any]]
-
-
-class Guarded:
-    """Answers only to names that are ours, and puts the security headers on everything."""
-
-    def __init__(self, app: Any, options: WebOptions) -> None:
-        self._app, self._options = app, options
-
-    async def __call__(self, scope: Scope, receive: Channel, send: Channel) -> None:
-        if scope["type"] != "http":
-            await self._app(scope, receive, send)
-            return
-        if not host_allowed(self._options, Headers(scope=scope).get("host", "")):
-            await PlainTextResponse("this station has another name", 421)(scope, receive, send)
-            return
-
-        async def send_guarded(message: Any) -> None:
-            if message["type"] == "http.response.start":
-                headers = MutableHeaders(scope=message)
-                for name, value in HEADERS.items():
-                    headers.setdefault(name, value)
-                hashed = scope["path"].startswith("/assets/")
-                headers["cache-control"] = "public, max-age=31536000, immutable" if hashed else "no-cache"
-            await send(message)
-
-        await self._app(scope, receive, send_guarded)
 
 
 def make_app(hub: ClientHub, desk: RunDesk, options: WebOptions) -> Any:

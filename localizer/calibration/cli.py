@@ -1,12 +1,14 @@
-"""SHELL: the command line of `localizer calibrate` and `localizer check`."""
+"""SHELL: the command line of `localizer calibrate`, `localizer check` and `localizer print-markers`."""
 
+import re
 from contextlib import ExitStack, closing
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, cast, get_args
 
 import typer
 
 from wire.config.experiment import experiment_path, load_experiment
+from wire.config.perception import MarkerFamily
 from wire.process.cli_options import (
     DEFAULT_FLEET,
     DEFAULT_STATION,
@@ -19,6 +21,7 @@ from wire.process.cli_options import (
     StationAddress,
 )
 from wire.process.output_files import check_output
+from wire.toml_loader import ConfigError
 
 Grey = Annotated[bool, typer.Option("--grey", help="Pictures of one channel are grey; otherwise they are raw Bayer RGGB.")]
 
@@ -66,6 +69,46 @@ def calibrate(
         rate_hz=rate, exposure_s=exposure, water_index=water_index, grey=grey,
     )  # fmt: skip
     typer.echo("\n".join(run(request)))
+
+
+def print_markers(
+    ids: Annotated[str, typer.Option(metavar="LIST", help="Their ids: 1-6, or 0,3,7-9.")],
+    size: Annotated[float, typer.Option(help="Side of the black square, mm.")] = 60.0,
+    dictionary: Annotated[str, typer.Option(help="4x4_50 or apriltag_36h11, as localizer.marker_family.")] = "4x4_50",
+    paper: Annotated[str, typer.Option(help="A4 or A3.")] = "A4",
+    out: Annotated[
+        Path, typer.Option("--out", "-o", help="The file to write: .pdf, or .svg for what fits on one sheet.")
+    ] = Path("markers.pdf"),
+) -> None:
+    """Draw markers for robots and survey points on sheets at true scale, with a ruler to check the printer by.
+
+    Examples:  localizer print-markers --ids 1-6          localizer print-markers --ids 40-43 --size 200 --paper A3
+    """
+    from localizer.calibration.marker_sheet import as_pdf, as_svg, marker_sheets
+    from wire.process.output_files import replacing
+
+    families = get_args(MarkerFamily)
+    if dictionary not in families:
+        raise ConfigError(f"--dictionary {dictionary}: not known (allowed: {', '.join(families)})")
+    if out.suffix not in (".pdf", ".svg"):
+        raise ConfigError(f"--out {out}: must end in .pdf or .svg")
+    check_output(out)
+    sheets = marker_sheets(_numbers(ids), size, cast(MarkerFamily, dictionary), paper)
+    if out.suffix == ".svg" and len(sheets) > 1:
+        raise ConfigError(f"--out {out}: they need {len(sheets)} sheets, and an SVG has one (write a .pdf, or take fewer)")
+    with replacing(out) as file:
+        file.write(as_pdf(sheets) if out.suffix == ".pdf" else as_svg(sheets[0]).encode())
+    typer.echo(f"Wrote {out}: {len(sheets)} sheet{'s' if len(sheets) > 1 else ''}. Print at 100 %, and measure the ruler.")
+
+
+def _numbers(text: str) -> list[int]:
+    """The numbers of a list such as `0,3,7-9`, each once. Raises ConfigError."""
+    found = re.fullmatch(r"\s*\d{1,4}(\s*-\s*\d{1,4})?(\s*,\s*\d{1,4}(\s*-\s*\d{1,4})?)*\s*", text)
+    ends = [[int(end) for end in part.split("-")] for part in text.split(",")] if found else []
+    numbers = [number for first, *last in ends for number in range(first, (last or [first])[0] + 1)]
+    if not numbers:
+        raise ConfigError(f"--ids {text}: must be a list of ids and ranges, for example 1-6 or 0,3,7-9")
+    return list(dict.fromkeys(numbers))
 
 
 def check(

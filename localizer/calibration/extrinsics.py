@@ -73,6 +73,12 @@ def fit_pose(camera: Camera, points: Sequence[SurveyPoint], pixels: Array) -> Po
     return fit
 
 
+def place_errors_m(fit: PoseFit, points: Sequence[SurveyPoint]) -> Array:
+    """Places that the fit gives for the points' pixels, at their depths, less the surveyed ones, (n, 2)."""
+    places = np.array([point.pool_m for point in points])
+    return np.asarray(RefractiveCamera(fit.camera).pixel_to_pool(fit.seen_px, places[:, 2]) - places[:, :2])
+
+
 def _check_pixels(camera: Camera, points: Sequence[SurveyPoint], pixels: Array) -> None:
     width, height = camera.size_px
     for point, (u, v) in zip(points, pixels, strict=True):

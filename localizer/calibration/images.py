@@ -55,6 +55,11 @@ def pictures(sources: Sequence[Path], every: int, grey: bool = False) -> Iterato
         yield name, picture
 
 
+def sharpness(grey: Pixels) -> float:
+    """Contrast between neighbouring pixels of a grey picture (height, width): the variance of its Laplacian."""
+    return float(np.var(cv2.Laplacian(grey, cv2.CV_32F)))
+
+
 def _all(sources: Sequence[Path], every: int, grey: bool) -> Iterator[tuple[str, Pixels]]:
     for source in sources:
         if source.is_dir():
@@ -72,9 +77,9 @@ def _sharp_frames(path: Path, every: int) -> Iterator[tuple[str, Pixels]]:
     """Of each `every` frames of a video the one with the most contrast between neighbouring pixels."""
     sharpest, best = -1.0, None
     for index, picture in enumerate(video_frames(path), start=1):
-        sharpness = float(np.var(cv2.Laplacian(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), cv2.CV_32F)))
-        if sharpness > sharpest:
-            sharpest, best = sharpness, (f"{path}:{index - 1}", picture)
+        found = sharpness(np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), dtype=np.uint8))
+        if found > sharpest:
+            sharpest, best = found, (f"{path}:{index - 1}", picture)
         if best is not None and index % every == 0:
             yield best
             sharpest, best = -1.0, None

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from localizer.calibration.extrinsics import PoseFit
-from localizer.calibration.intrinsics import IntrinsicsFit, intrinsics_warnings
+from localizer.calibration.extrinsics import PoseFit, place_errors_m
+from localizer.calibration.intrinsics import IntrinsicsFit, held_out_rms_px, intrinsics_warnings
 from localizer.calibration.pool_grid import ViewFigures, draw_grid
 from localizer.calibration.survey_points import FEWEST_POINTS, SurveyPoint
 from localizer.detection.image_regions import Pixels
@@ -34,7 +34,10 @@ def intrinsics_lines(fit: IntrinsicsFit, missing: Sequence[str], spare: int) -> 
     lines += [f"  {_short(view.name):30} {len(view.pixels):7d} {rms:8.3f}   left out: bad" for view, rms in fit.rejected]
     lines += [f"  {_short(name):30}       -        -   left out: no board found" for name in missing]
     lines += [f"  {spare} more views, evenly taken out, were not needed"] if spare else []
-    lines += [f"  {'all that were kept':30} {len(fit.corners_px):7d} {fit.rms_px:8.3f}", ""]
+    lines += [f"  {'all that were kept':30} {len(fit.corners_px):7d} {fit.rms_px:8.3f}"]
+    held_out_px = held_out_rms_px(fit)
+    lines += [] if held_out_px is None else [f"  {'each third by the lens of the rest':38} {held_out_px:8.3f}"]
+    lines += [""]
     lines += [f"  size_px    {lens.size_px[0]} x {lens.size_px[1]}"]
     lines += [
         "  focal_px   " + _with_sigma(lens.focal_px, sigma[:2], 2),
@@ -60,11 +63,12 @@ def pose_lines(fit: PoseFit, points: Sequence[SurveyPoint], pool: PoolConfig) ->
     lines = [
         f"Pose, from {len(points)} points of the pool",
         "",
-        "  point                          x m     y m     z m    error px    (x,     y)",
+        "  point                          x m     y m     z m    error px    (x,     y)   error mm",
     ]
-    for point, error in zip(points, fit.residuals_px, strict=True):
+    errors_mm = 1e3 * np.linalg.norm(place_errors_m(fit, points), axis=1)
+    for point, error, error_mm in zip(points, fit.residuals_px, errors_mm, strict=True):
         place, pixels = " ".join(f"{value:7.3f}" for value in point.pool_m), ", ".join(f"{value:5.2f}" for value in error)
-        lines.append(f"  {_short(point.name, 24):24}   {place} {np.hypot(*error):11.2f}   ({pixels})")
+        lines.append(f"  {_short(point.name, 24):24}   {place} {np.hypot(*error):11.2f}   ({pixels}) {error_mm:10.1f}")
     sigma = np.sqrt(np.diag(fit.covariance))
     depth_m = pool.size_m[2] / 2
     width, height = fit.camera.size_px

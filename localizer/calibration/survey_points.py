@@ -3,11 +3,13 @@
 from collections.abc import Sequence
 from typing import Annotated, Self
 
+import cv2
 import numpy as np
 from pydantic import Field, model_validator
 
 from localizer.detection.fiducials import marker_centres
 from localizer.detection.image_regions import Pixels
+from wire.config.perception import MarkerFamily
 from wire.config.scene import PoolConfig, Vec2, Vec3
 from wire.frames import Array
 from wire.toml_loader import ConfigError, Section
@@ -15,12 +17,18 @@ from wire.toml_loader import ConfigError, Section
 FEWEST_POINTS = 4
 _OUTSIDE_M = 0.5  # m outside the walls that a rim may lie
 _HIGHEST_M = -1.5  # m, highest point that is accepted; beyond, a sign is probably missing, as z points down
+CORNER_REACH_PX = 5  # px from a click in which a corner is looked for
+_CORNER_BLOCK_PX, _CORNER_WINDOW_PX = 3, (2, 2)  # px; with a half side of 3 the next cell, 5 px away, pulls by 1 px
+_CORNER_SLOPE = (
+    8.0  # grey levels per px (OpenCV's scale), least slope in any direction; noise of 2 makes 2, an edge with it 3.5
+)
+_CORNER_SHARE = 0.3  # of the strongest corner's response
 _LINE_SHARE = 0.05  # width over length of the cloud of points; below it, rotation about the line is not determined
 
 
 class SurveyPoint(Section):
-    """A point of known place in the pool frame: seen at `pixel_px`, or the centre of the ArUco marker `marker_id`
-    (DICT_4X4_50), which is then looked for in the picture."""
+    """A point of known place in the pool frame: seen at `pixel_px`, or the centre of the marker `marker_id`, which is then
+    looked for in the picture."""
 
     name: Annotated[str, Field(min_length=1)]
     pool_m: Vec3
@@ -35,10 +43,12 @@ class SurveyPoint(Section):
 
 
 class SurveyFile(Section):
-    """The file of `--pool-points`. `image`: the picture they were seen in, beside the file."""
+    """The file of `--pool-points`. `image`: the picture they were seen in, beside the file. `marker_family`: of the points'
+    markers."""
 
     pool: PoolConfig  # the experiment's [pool]
     image: str | None = None
+    marker_family: MarkerFamily = "4x4_50"
     points: tuple[SurveyPoint, ...]
 
     @model_validator(mode="after")
@@ -63,9 +73,9 @@ class SurveyFile(Section):
         return self
 
 
-def seen_pixels(points: Sequence[SurveyPoint], picture: Pixels | None) -> Array:
+def seen_pixels(points: Sequence[SurveyPoint], picture: Pixels | None, family: MarkerFamily = "4x4_50") -> Array:
     """Pixels (n, 2) of the points: as written, or as their markers are found in the picture. Raises ConfigError."""
-    markers = {} if picture is None else marker_centres(picture)
+    markers = {} if picture is None else marker_centres(picture, family)
     pixels = []
     for point in points:
         if point.pixel_px is not None:
@@ -80,6 +90,24 @@ def seen_pixels(points: Sequence[SurveyPoint], picture: Pixels | None) -> Array:
             raise ConfigError(f"{what}: {len(found)} markers of that id are in the picture (found in it: {seen})")
         pixels.append(found[0])
     return np.array(pixels)
+
+
+def refined_corner(grey: Pixels, pixel: Array) -> Array | None:
+    """The corner (2,) nearest to a pixel (2,) of a grey picture (height, width), to some 0.4 px; None if there is none."""
+    left, top = (int(value) - CORNER_REACH_PX for value in np.rint(pixel))
+    side = 2 * CORNER_REACH_PX + 1
+    around = grey[max(top, 0) : top + side, max(left, 0) : left + side]
+    if left < 0 or top < 0 or around.shape != (side, side):
+        return None
+    # the weaker of the two slopes around each pixel, squared; along an edge and in plain water it is that of noise
+    slopes = cv2.cornerMinEigenVal(around.astype(np.float32), _CORNER_BLOCK_PX, ksize=3)
+    strong = (slopes == cv2.dilate(slopes, np.ones((3, 3)))) & (slopes > max(_CORNER_SHARE * slopes.max(), _CORNER_SLOPE**2))
+    places = np.argwhere(strong)[:, ::-1] + np.array([left, top], dtype=np.float64)
+    if not len(places):
+        return None
+    nearest = places[np.argmin(np.linalg.norm(places - pixel, axis=1))].astype(np.float32).reshape(1, 1, 2)
+    until = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-3)
+    return np.asarray(cv2.cornerSubPix(grey, nearest, _CORNER_WINDOW_PX, (-1, -1), until), dtype=np.float64).reshape(2)
 
 
 def is_line(cloud: Array) -> bool:

@@ -4,7 +4,6 @@ pictures -> target's corners -> intrinsics --+ points file (+ picture) ---------
 camera.toml, picture, lines
 """
 
-import json
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +21,7 @@ from localizer.calibration.targets import EXAMPLES, TargetView, parse_target
 from localizer.detection.image_regions import Pixels
 from wire.config.perception import Camera, CameraFile
 from wire.process.output_files import check_output, replace_text
-from wire.toml_loader import ConfigError, check, read_toml
+from wire.toml_loader import ConfigError, check, read_toml, toml_value
 
 _NO_POSE = "Without --pool-points the camera has no pose yet: --lens {out} --pool-points FILE finds it."
 _DEFAULTS = {"rate_hz": 20.0, "exposure_s": 0.008}
@@ -131,7 +130,7 @@ def _fit_pose(camera: Camera, points: SurveyFile, request: CalibrationRequest) -
         raise ConfigError(f"{image}: {picture.shape[1]}x{picture.shape[0]}, but the lens was found at {width}x{height}")
     grey = None if picture is None else np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
     try:
-        pose = fit_pose(camera, points.points, seen_pixels(points.points, grey))
+        pose = fit_pose(camera, points.points, seen_pixels(points.points, grey, points.marker_family))
     except ConfigError as error:
         raise ConfigError(f"{request.points}: {error}") from None
     return pose, np.zeros((height, width, 3), np.uint8) if picture is None else picture
@@ -159,12 +158,17 @@ def _without_pose(table: dict[str, Any], source: str, request: CalibrationReques
     return check(CameraFile, {"camera": _DEFAULTS | table | asked | _ANY_POSE}, source).camera
 
 
+def significant(table: dict[str, Any]) -> dict[str, Any]:
+    """A camera's table with significant digits only."""
+    return {k: [round(v, _DIGITS[k]) for v in value] if k in _DIGITS else value for k, value in table.items()}
+
+
 def _write(out: Path, table: dict[str, Any], summary: str, panels: list[Pixels]) -> list[str]:
     """Write the camera file, with significant digits only, and the picture."""
-    table = {k: [round(v, _DIGITS[k]) for v in value] if k in _DIGITS else value for k, value in table.items()}
+    table = significant(table)
     text = f"# Found by `localizer calibrate`, {time.strftime('%Y-%m-%d %H:%M')}: {summary}.\n"
     text += f'# In an experiment: camera = "{out.name}", or this table.\n\n[camera]\n'
-    text += "".join(f"{key} = {json.dumps(value)}\n" for key, value in table.items())  # flat, and for such JSON is TOML
+    text += "".join(f"{key} = {toml_value(value)}\n" for key, value in table.items())
     try:
         replace_text(out, text)
     except OSError as error:

@@ -1,4 +1,4 @@
-"""ArUco markers (DICT_4X4_50): identity, position and heading, from a region or the whole picture.
+"""Markers (ArUco 4x4_50 or AprilTag 36h11): identity, position and heading, from a region or the whole picture.
 
 Settings are for markers of 24 px and more, seen from straight above: one threshold pass instead of OpenCV's three, no
 error correction (4x4_50 differs in only 4 bits, so a corrected reading may be a neighbour's), corners to sub-pixel.
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from localizer import kernels
 from localizer.camera_model import RefractiveCamera
 from localizer.detection.image_regions import ImageRegion, Pixels
+from wire.config.perception import MarkerFamily
 from wire.frames import Array
 
 _MAX_MISFIT = 0.12  # of the side; more is a marker at another depth (20 % in size), a reflection, or no marker
@@ -41,8 +42,15 @@ class MarkerPose:
     residual_m: float
 
 
-def marker_detector(threshold_windows_px: tuple[int, int] = (23, 23)) -> cv2.aruco.ArucoDetector:
-    """OpenCV's detector with the settings of this module.
+def marker_dictionary(family: MarkerFamily) -> cv2.aruco.Dictionary:
+    """OpenCV's dictionary of a family."""
+    return cv2.aruco.getPredefinedDictionary(int(getattr(cv2.aruco, f"DICT_{family}".upper())))
+
+
+def marker_detector(
+    family: MarkerFamily = "4x4_50", threshold_windows_px: tuple[int, int] = (23, 23)
+) -> cv2.aruco.ArucoDetector:
+    """OpenCV's detector of a family, with the settings of this module.
 
     `threshold_windows_px`: the smallest and the largest window of the adaptive threshold, 10 px apart. 23 px are 4 cells of a
     robot's marker, so that no cell goes hollow; every further window costs one more pass over the picture.
@@ -59,7 +67,7 @@ def marker_detector(threshold_windows_px: tuple[int, int] = (23, 23)) -> cv2.aru
     settings.relativeCornerRefinmentWinSize = 0.55
     settings.cornerRefinementMaxIterations = 20
     settings.cornerRefinementMinAccuracy = 0.01  # px: 0.03 mm in the pool, far below the noise
-    return cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50), settings)
+    return cv2.aruco.ArucoDetector(marker_dictionary(family), settings)
 
 
 def find_markers(detector: cv2.aruco.ArucoDetector, region: ImageRegion) -> list[MarkerImage]:
@@ -78,11 +86,11 @@ def _find_in_grey(detector: cv2.aruco.ArucoDetector, grey: Pixels, corner_px: Ar
     return [MarkerImage(int(i), quad.reshape(4, 2) + corner_px) for i, quad in pairs]
 
 
-def marker_centres(grey: Pixels) -> dict[int, list[Array]]:
+def marker_centres(grey: Pixels, family: MarkerFamily = "4x4_50") -> dict[int, list[Array]]:
     """Centres (2,) px of the markers of any size in a grey picture (height, width), by id: the crossing of the diagonals,
     which tilt does not move."""
     found: dict[int, list[Array]] = {}
-    for marker in _find_in_grey(marker_detector(_ALL_WINDOWS_PX), grey, np.zeros(2)):
+    for marker in _find_in_grey(marker_detector(family, _ALL_WINDOWS_PX), grey, np.zeros(2)):
         a, b, c, d = marker.corners_px
         along, _ = np.linalg.solve(np.column_stack([c - a, b - d]), b - a)
         found.setdefault(marker.id, []).append(a + along * (c - a))
@@ -112,10 +120,10 @@ def marker_poses(
 class MarkerReader:
     """Reader of the fleet's markers: from regions to poses by robot."""
 
-    def __init__(self, side_m: float, robot_of_marker: Mapping[int, int]) -> None:
+    def __init__(self, side_m: float, robot_of_marker: Mapping[int, int], family: MarkerFamily = "4x4_50") -> None:
         self._side_m, self._robot_of_marker = side_m, dict(robot_of_marker)
         self.foreign_ids: frozenset[int] = frozenset()  # markers in the last regions, of a robot's size, that are no robot's
-        self._detector = marker_detector()
+        self._detector = marker_detector(family)
 
     def read(
         self, view: RefractiveCamera, regions: Iterable[ImageRegion], plates_m: NDArray[np.float64], tilts_rad: Array

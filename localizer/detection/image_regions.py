@@ -5,6 +5,7 @@ pixel i at 2 i + 0.5 of the full one.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -47,6 +48,12 @@ class ImageRegion:
         half = (width // 2, height // 2)
         pixels = _without_false_colour(bgr) if shrink == 1 else cv2.resize(bgr, half, interpolation=cv2.INTER_AREA)
         return DemosaicedRegion(np.asarray(pixels, dtype=np.uint8), self.left_px, self.top_px, shrink)
+
+
+def in_polygons(pixel: Array, polygons_px: Sequence[Sequence[Sequence[float]]]) -> bool:
+    """True if a pixel (2,) lies in one of some polygons, each a list of corners, or on its edge."""
+    place = (float(pixel[0]), float(pixel[1]))
+    return any(cv2.pointPolygonTest(np.array(p, dtype=np.float32), place, False) >= 0 for p in polygons_px)
 
 
 def _without_false_colour(bgr: Pixels) -> Pixels:

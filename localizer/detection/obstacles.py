@@ -18,6 +18,8 @@ seeds, one minute each). A red ball, a grey box and a black pole are reported af
 0.70, 0.62, velocities within 0.01 m/s (medians).
 """
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -66,6 +68,7 @@ class ObstacleDetector:
         self._radius_m = experiment.vehicle.radius_m
         self._least_m2 = max(experiment.localizer.obstacle_min_m, _LEAST_M) ** 2
         self._corners_m, self._cell_m2, self._in_pool = self._cell_geometry(experiment.pool.size_m)
+        self._in_pool &= ~self._masked(experiment.camera.masks_px)
         shape = (self._grid.rows, self._grid.columns)
         self._smoother, self._background = TemporalSmoother(shape), BackgroundModel(shape)
         self._shaded_from_start = np.zeros(shape, np.bool_)  # learnt while a shadow may have lain there
@@ -123,9 +126,7 @@ class ObstacleDetector:
             places[:, 0, :, :2] += reach * _RING
             places[:, 1, :, :2] += shade[:, None, None] * _RING
             places[:, 1, :, 2] = self._floor_m
-            cells = (self._view.pool_to_pixel(places) + 0.5) / self._grid.cell_px - 0.5
-            fixed = np.rint(np.clip(cells, -1e3, 1e3) * 2**_FRACTION_BITS).astype(np.int32)
-            for robot, shadow in fixed:
+            for robot, shadow in self._in_cells(self._view.pool_to_pixel(places)):
                 cv2.fillConvexPoly(hidden, robot, 1, shift=_FRACTION_BITS)
                 cv2.fillConvexPoly(shaded, shadow, 1, shift=_FRACTION_BITS)
         return hidden.astype(np.bool_), shaded.astype(np.bool_)
@@ -199,6 +200,18 @@ class ObstacleDetector:
         )
 
     # --- at the start
+
+    def _masked(self, polygons_px: Sequence[Sequence[Sequence[float]]]) -> Mask:
+        """Mask of the cells that a polygon of the picture touches."""
+        masked = np.zeros((self._grid.rows, self._grid.columns), np.uint8)
+        for polygon in polygons_px:
+            cv2.fillPoly(masked, [self._in_cells(np.array(polygon))], 1, shift=_FRACTION_BITS)
+        return masked.astype(np.bool_)
+
+    def _in_cells(self, pixels: Array) -> NDArray[np.int32]:
+        """Pixels (..., 2) in cells, as OpenCV's fixed-point numbers."""
+        cells = (pixels + 0.5) / self._grid.cell_px - 0.5
+        return np.asarray(np.rint(np.clip(cells, -1e3, 1e3) * 2**_FRACTION_BITS), dtype=np.int32)
 
     def _cell_geometry(self, size_m: tuple[float, float, float]) -> tuple[Array, Array, Mask]:
         """Corners (rows + 1, columns + 1, 2) and areas of the cells at the assumed depth, and a mask of those inside the

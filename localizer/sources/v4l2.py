@@ -22,6 +22,7 @@ import cv2
 
 from localizer.sources.base import CapturedFrame, as_bayer, silent_after_s
 from localizer.sources.latest_value import LatestValue
+from localizer.sources.v4l2_controls import EXPOSURE_UNIT_S, V4l2Controls, set_all
 from wire.config.perception import Camera
 from wire.process.runtime import SLICE_S, Clock, Stop, guarded_thread, log
 from wire.toml_loader import ConfigError
@@ -34,7 +35,6 @@ JOIN_S = 3.0
 _SELECT_TIMEOUT_S = 2  # s that a hanging camera may block the grabbing thread; OpenCV's default is 10 s
 _BUFFERS = 2
 _MANUAL_EXPOSURE = 1  # V4L2_EXPOSURE_MANUAL
-_EXPOSURE_UNIT_S = 1e-4  # V4L2_CID_EXPOSURE_ABSOLUTE counts in 100 us
 _TOLERANCE = 0.1  # relative, of a setting, as cameras round
 _MJPG = 0x47504A4D  # four-character code
 
@@ -82,7 +82,7 @@ def configure(capture: Capture, camera: Camera) -> list[str]:
     """Set size and rate first, as they restart the stream, then switch everything automatic off. Returns the settings that
     the camera did not accept.
 
-    OpenCV cannot set V4L2_CID_AUTOGAIN: if a camera has it, `v4l2-ctl -c gain_automatic=0` switches it off.
+    What OpenCV cannot set, as V4L2_CID_AUTOGAIN, `camera.controls` does.
     """
     capture.set(cv2.CAP_PROP_BUFFERSIZE, _BUFFERS)
     wanted = [
@@ -90,7 +90,7 @@ def configure(capture: Capture, camera: Camera) -> list[str]:
         ("height", cv2.CAP_PROP_FRAME_HEIGHT, camera.size_px[1]),
         ("frames per second", cv2.CAP_PROP_FPS, camera.rate_hz),
         ("exposure mode", cv2.CAP_PROP_AUTO_EXPOSURE, _MANUAL_EXPOSURE),
-        ("exposure in 100 us", cv2.CAP_PROP_EXPOSURE, camera.exposure_s / _EXPOSURE_UNIT_S),
+        ("exposure in 100 us", cv2.CAP_PROP_EXPOSURE, camera.exposure_s / EXPOSURE_UNIT_S),
     ]
     size_and_rate, exposure = wanted[:3], wanted[3:]
     _set_all(capture, size_and_rate)
@@ -207,5 +207,7 @@ class V4l2Source:
         refused = configure(capture, self._camera)
         if refused:
             log.warning("camera %s does not do as told: %s", self._device, ", ".join(refused))
+        for reason in set_all(V4l2Controls(self._device), self._camera.controls):
+            log.warning("%s", reason)
         exposure = capture.get(cv2.CAP_PROP_EXPOSURE)  # what it really is; negative where the camera does not say
-        self._exposure_ns = round((exposure * _EXPOSURE_UNIT_S if exposure > 0 else self._camera.exposure_s) * 1e9)
+        self._exposure_ns = round((exposure * EXPOSURE_UNIT_S if exposure > 0 else self._camera.exposure_s) * 1e9)

@@ -16,7 +16,7 @@ import numpy as np
 from localizer.camera_model import LocalLinearization, RefractiveCamera
 from localizer.detection.fiducials import find_markers, marker_detector, square
 from localizer.detection.image_regions import Pixels, cut, whole
-from wire.config.perception import LANDMARKS_NEEDED, Camera, Landmark
+from wire.config.perception import LANDMARKS_NEEDED, Camera, Landmark, MarkerFamily
 from wire.frames import Array, body_to_pool
 
 STALE_AFTER_S = 0.3  # s; with an older pose no robot is measured
@@ -64,12 +64,12 @@ class FixedCameraPose:
 class CameraPoseTracker:
     """Tracker of a moving camera's pose. `view` is the newest mapping; before the first fit it is the experiment's guess."""
 
-    def __init__(self, camera: Camera, landmarks: Sequence[Landmark]) -> None:
+    def __init__(self, camera: Camera, landmarks: Sequence[Landmark], family: MarkerFamily = "4x4_50") -> None:
         self.view = RefractiveCamera(camera)
         self.pose = CameraPoseEstimate(camera, np.zeros((6, 6)))
         self._corners = np.array([corners_of(landmark) for landmark in landmarks])  # (landmarks, 4, 3)
         self._index = {landmark.id: i for i, landmark in enumerate(landmarks)}
-        self._detector = marker_detector()
+        self._detector = marker_detector(family)
         self._age_s = np.inf  # of the pose
         self._frames = 0
         self._agreeing = 0

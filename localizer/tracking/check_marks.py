@@ -17,7 +17,7 @@ from localizer.detection.fiducials import find_markers, marker_detector
 from localizer.detection.image_regions import ImageRegion, Pixels, cut, whole
 from localizer.tracking.camera_pose import FixedCameraPose, corners_of, fit_camera_pose
 from wire.config.experiment import Experiment
-from wire.config.perception import LANDMARKS_NEEDED, Camera, Landmark
+from wire.config.perception import LANDMARKS_NEEDED, Camera, Landmark, MarkerFamily
 from wire.frames import Array, wrap
 
 REACH_PX = 40.0  # px around a mark in which it is looked for; when most are farther off, the whole picture is searched
@@ -44,14 +44,14 @@ def with_camera(experiment: Experiment, camera: str) -> Experiment:
 class CheckedCameraPose(FixedCameraPose):
     """The pose of a fixed camera, watched by check marks."""
 
-    def __init__(self, camera: Camera, marks: Sequence[Landmark]) -> None:
+    def __init__(self, camera: Camera, marks: Sequence[Landmark], family: MarkerFamily = "4x4_50") -> None:
         super().__init__(camera)
         self._camera = camera
         self._corners = np.array([corners_of(mark) for mark in marks])  # (marks, 4, 3)
         self._ids = [mark.id for mark in marks]
         self._expected_px = self.view.pool_to_pixel(self._corners)  # (marks, 4, 2)
         self._places_px = self._expected_px.mean(axis=1)  # (marks, 2), where each was seen last
-        self._detector = marker_detector()
+        self._detector = marker_detector(family)
         self._readings = [deque[Array | None](maxlen=READINGS) for _ in marks]  # corners (4, 2) px; None: not seen
         self._frames = 0
         self._covariance = np.zeros((3, 3))

@@ -28,6 +28,7 @@ from localizer.detection.fiducials import MarkerPose, MarkerReader
 from localizer.detection.image_regions import ImageRegion, Pixels, RobotShape, cut, whole
 from localizer.sources.health import FrameHealthMonitor
 from localizer.tracking.appearance import LEARNT_AT_MARKERS, LEARNT_AT_MATCHES, AppearanceModel
+from localizer.tracking.basin_gate import BasinGate
 from localizer.tracking.camera_pose import CameraPoseTracker, FixedCameraPose
 from localizer.tracking.check_marks import CheckedCameraPose
 from localizer.tracking.observation import KCF_NOISE, Depth, PredictedView, depths_of
@@ -88,7 +89,9 @@ class FleetLocalizer:
         self._start = start_poses(experiment)
         self._watch = FrameHealthMonitor(experiment.camera.size_px, settings.frozen_frames)
         markers = {robot.marker: index for index, robot in enumerate(experiment.robots)}
-        self._reader = MarkerReader(vehicle.marker.side_m, markers)
+        self._reader = MarkerReader(vehicle.marker.side_m, markers, settings.marker_family)
+        self._gate = BasinGate(experiment)
+        self._outside_frames: dict[int, int] = {}  # robot -> last frame in which its marker was read where no robot can be
         self._overlap_px = round(
             _OVERLAP_SIDES * vehicle.marker.side_m * max(camera.focal_px) / abs(camera.position_m[2])
         )  # between strips; deeper markers look smaller
@@ -140,7 +143,8 @@ class FleetLocalizer:
                 self._match_appearance([v for i, v in views.items() if self._needs_match(i)])
                 self._doubt_close_pairs()
                 self._located = _Located(frame, depths, views)
-        self._tracks = [track.end_of_frame(self._settings.lost_after_s) for track in self._tracks]
+        tracks = [track.end_of_frame(self._settings.lost_after_s) for track in self._tracks]
+        self._tracks = [track.lost() if self._coasts_outside(track) else track for track in tracks]
         self._estimate_motion()
         poses = self._poses(depths, views) if camera is CameraHealth.OK else ()
         return LocalizationResult(
@@ -198,10 +202,10 @@ class FleetLocalizer:
             return
         plates_m, tilts_rad = np.array([depth.plate_m for depth in depths]), self._tilts_rad()
         plates = [view.plate for i, view in views.items() if self._tracks[i].state is Track.MARKER]
-        readings = self._reader.read(self.view, plates, plates_m, tilts_rad)
+        readings = self._read(plates, plates_m, tilts_rad)
         missed = [view.region for i, view in views.items() if i not in readings and not self._is_lost(i)]
         claims = self._claim_regions(frame, depths, views)
-        readings = self._reader.read(self.view, missed + claims, plates_m, tilts_rad) | readings
+        readings = self._read(missed + claims, plates_m, tilts_rad) | readings
         strays = [i for i, r in readings.items() if i not in views or views[i].distance_m(r.pose) > self.radius_m]
         elsewhere = {i: readings[i].pose[:2] for i in strays}
         views.update(self._views_at(frame, depths, elsewhere, dict.fromkeys(elsewhere, 0.0)))
@@ -212,6 +216,13 @@ class FleetLocalizer:
                 self._tracks[i] = track.with_marker(measurement, self.radius_m)
             elif track.motion is not None and self._is_occupied(track.motion.position_m, i, readings):
                 self._tracks[i] = track.contradicted()
+
+    def _read(self, regions: Sequence[ImageRegion], plates_m: Array, tilts_rad: Array) -> dict[int, MarkerPose]:
+        """Markers by robot in regions of the picture, those left out that lie where no robot can be."""
+        readings = self._reader.read(self.view, regions, plates_m, tilts_rad)
+        outside = [i for i, r in readings.items() if not self._gate.admits(self.view, r.pose[:2], float(plates_m[i]))]
+        self._outside_frames.update(dict.fromkeys(outside, self._frames))
+        return {i: reading for i, reading in readings.items() if i not in outside}
 
     def _claim_regions(self, frame: Pixels, depths: Sequence[Depth], views: Mapping[int, PredictedView]) -> list[ImageRegion]:
         """Regions around claims (markers read once) of lost robots, and where their robot is not expected."""
@@ -238,7 +249,8 @@ class FleetLocalizer:
         matches = self._appearance.match(known, [self._best_pose(view.robot) for view in known])
         for view, match in zip(known, matches, strict=True):
             track = self._tracks[view.robot]
-            clear = self._clearance_m(view.robot, match.pose) > self.radius_m and view.shows(match.pose)
+            alone = self._clearance_m(view.robot, match.pose) > self.radius_m
+            clear = alone and view.shows(match.pose) and self._gate.admits(self.view, match.pose[:2], view.depth.plate_m)
             measurement = view.measurement(match.pose, KCF_NOISE, match.covariance, match.peak)
             dated = track.at_stamp(measurement, self._late_s(view))
             self._tracks[view.robot] = track.with_match(dated, self._settings.min_peak) if clear else track
@@ -279,8 +291,14 @@ class FleetLocalizer:
         lost = [str(i) for i, track in pairs if track.state is Track.LOST]
         doubted = [str(i) for i, track in pairs if track.state is not Track.LOST and not track.verified]
         strange = [str(i) for i, scans in self._foreign_scans.items() if lost and scans >= _STRANGE_SCANS]
+        outside = [
+            str(self._ids[i])
+            for i, frame in self._outside_frames.items()
+            if self._is_lost(i) and self._frames - frame <= _STRIPS
+        ]
         parts = (
             ("lost: robot", lost if self._sees_all else []),
+            ("seen outside the pool or in a mask: robot", outside),
             ("identity not verified: robot", doubted),
             ("in view, but no robot's: marker", strange),
         )
@@ -299,7 +317,7 @@ class FleetLocalizer:
         elif strip == 1:
             regions.append(whole(located.frame))
         plates_m = np.array([depth.plate_m for depth in located.depths])
-        for i, reading in self._reader.read(self.view, regions, plates_m, self._tilts_rad()).items():
+        for i, reading in self._read(regions, plates_m, self._tilts_rad()).items():
             self._tracks[i] = self._tracks[i].with_scan(reading.pose, self.radius_m)
         self._foreign_ids |= self._reader.foreign_ids - self._landmark_ids
         if all(lost) or strip == 0:
@@ -355,6 +373,10 @@ class FleetLocalizer:
         camera = self._experiment.camera
         return camera.readout_s * (float(view.tangent.pixel[1]) / camera.size_px[1] - 0.5)
 
+    def _coasts_outside(self, track: RobotTrack) -> bool:
+        """True if a track was predicted to where no robot can be."""
+        return track.state is Track.COAST and track.motion is not None and not self._gate.inside(track.motion.position_m)
+
     def _is_lost(self, robot: int) -> bool:
         return self._tracks[robot].state is Track.LOST
 
@@ -373,9 +395,9 @@ class FleetLocalizer:
 def _camera_pose(experiment: Experiment) -> CameraPoseTracker | FixedCameraPose:
     """The tracker of the camera's pose that an experiment asks for."""
     if experiment.landmarks:
-        return CameraPoseTracker(experiment.camera, experiment.landmarks)
+        return CameraPoseTracker(experiment.camera, experiment.landmarks, experiment.localizer.marker_family)
     if experiment.check_marks:
-        return CheckedCameraPose(experiment.camera, experiment.check_marks)
+        return CheckedCameraPose(experiment.camera, experiment.check_marks, experiment.localizer.marker_family)
     return FixedCameraPose(experiment.camera)
 
 

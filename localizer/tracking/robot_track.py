@@ -33,6 +33,7 @@ it.
     identity_doubted   another robot is believed close            verified = False                state is MARKER
     end_of_frame       no measurement in this frame               state COAST, or LOST with       measured, or LOST before
                                                                   verified = False
+    lost               it coasts out of the pool                  state LOST, verified = False    -
     message            always: the pose of this frame is published; what follows shows in the next frame's
     with_match         it is lost, its appearance was matched     peak, match; measured,          as above, without the gate
                                                                   state KCF
@@ -224,9 +225,11 @@ class RobotTrack:
         """The track after all updates: without a measurement it coasts, and after `lost_after_s` of that it is lost."""
         if self.motion is None or self.measured is not None or self.state is Track.LOST:
             return self
-        if self.unseen_s > lost_after_s:
-            return replace(self, motion=stopped(self.motion), state=Track.LOST, verified=False)
-        return replace(self, state=Track.COAST)
+        return self.lost() if self.unseen_s > lost_after_s else replace(self, state=Track.COAST)
+
+    def lost(self) -> "RobotTrack":
+        """The track when its robot is given up: it stays where it was last believed."""
+        return self if self.motion is None else replace(self, motion=stopped(self.motion), state=Track.LOST, verified=False)
 
     def message(self, depth_m: float, tilt_covariance: Array, plate_m: tuple[float, float] = (0.0, 0.0)) -> Pose | None:
         """The pose to publish, None before the first accepted measurement.

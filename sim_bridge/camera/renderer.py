@@ -46,8 +46,9 @@ class Renderer:
         ]
         self._balls = [(drifter, BodySprite.ball(drifter.radius_m)) for drifter in experiment.sim.drifters]
         self._whole = self._sprites
+        px_per_m, family = experiment.camera.px_per_m, experiment.localizer.marker_family
         self._landmarks = [
-            (BodySprite.landmark(landmark, experiment.camera.px_per_m), np.array([[*landmark.position_m, landmark.yaw_rad]]))
+            (BodySprite.landmark(landmark, px_per_m, family), np.array([[*landmark.position_m, landmark.yaw_rad]]))
             for landmark in experiment.marks
         ]
         random = generator(seed, Stream.CAMERA, 2, number)

@@ -15,7 +15,7 @@ from sim_bridge.camera.rays import ImageRect
 from sim_bridge.camera.scene import WaterView, water_colour
 from sim_bridge.camera.textures import HULL_PX, LENS_SOFTNESS_PX, RED, hull_texture, plate_texels_per_m, plate_texture
 from wire.config.experiment import Experiment
-from wire.config.perception import Landmark
+from wire.config.perception import Landmark, MarkerFamily
 from wire.config.scene import RobotConfig
 from wire.frames import Array
 
@@ -54,7 +54,8 @@ class BodySprite:
         marked = experiment.localizer.markers
         number = None if experiment.sim.picture.alike else robot.id
         skin = hull_texture(number, marked, LENS_SOFTNESS_PX * texels_per_px, random)
-        plate = _plate(robot.marker, vehicle.marker.side_m, px_per_m) if marked else (NO_PLATE, np.inf)
+        family = experiment.localizer.marker_family
+        plate = _plate(robot.marker, vehicle.marker.side_m, px_per_m, family) if marked else (NO_PLATE, np.inf)
         return cls(vehicle.radius_m, skin, plate[0], vehicle.marker.height_m, plate[1])
 
     @classmethod
@@ -63,9 +64,9 @@ class BodySprite:
         return cls(radius_m, np.full((HULL_PX, HULL_PX, 3), RED, np.uint8))
 
     @classmethod
-    def landmark(cls, landmark: Landmark, px_per_m: float) -> "BodySprite":
+    def landmark(cls, landmark: Landmark, px_per_m: float, family: MarkerFamily) -> "BodySprite":
         """A marker on its plate, fixed in the pool."""
-        plate, texels_per_m = _plate(landmark.id, landmark.side_m, px_per_m)
+        plate, texels_per_m = _plate(landmark.id, landmark.side_m, px_per_m, family)
         return cls(0.0, plate=plate, texels_per_m=texels_per_m)
 
     def unmarked(self) -> "BodySprite":
@@ -107,10 +108,10 @@ class BodySprite:
         kernels.darken(raw, window.top, window.left, light)
 
 
-def _plate(marker_id: int, side_m: float, px_per_m: float) -> tuple[Bytes, float]:
+def _plate(marker_id: int, side_m: float, px_per_m: float, family: MarkerFamily) -> tuple[Bytes, float]:
     """A marker plate's texture, and its texels per metre."""
-    texels_per_m = plate_texels_per_m(side_m)
-    return plate_texture(marker_id, LENS_SOFTNESS_PX * texels_per_m / px_per_m), texels_per_m
+    texels_per_m = plate_texels_per_m(side_m, family)
+    return plate_texture(marker_id, LENS_SOFTNESS_PX * texels_per_m / px_per_m, family), texels_per_m
 
 
 def attitude(yaw_rad: float, roll_rad: float = 0.0, pitch_rad: float = 0.0) -> Array:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_bridge.camera.optics import Bytes, Float
+from wire.config.perception import MarkerFamily
 
 Plane = NDArray[np.float64]
 Colour = tuple[float, float, float]
@@ -124,20 +125,29 @@ def _number(picture: Bytes, number: int) -> None:
     np.maximum(spot, turned, out=spot)
 
 
-def plate_texture(marker_id: int, softness_px: float) -> Bytes:
+def plate_texture(marker_id: int, softness_px: float, family: MarkerFamily) -> Bytes:
     """A marker on its white plate, (n, n, 2) brightness and coverage: row 0 ahead, column 0 to port, MARGIN_PX around it.
 
-    The 6 black-bordered cells are the marker's side. Softening stands for the lens: bilinear sampling of unsoftened texels
+    The black-bordered cells are the marker's side. Softening stands for the lens: bilinear sampling of unsoftened texels
     would move edges by a fraction of a pixel, differently at each heading.
     """
-    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
-    cells = cv2.aruco.generateImageMarker(dictionary, marker_id, 6 * CELL_PX, borderBits=1)
+    dictionary = _dictionary(family)
+    cells = cv2.aruco.generateImageMarker(dictionary, marker_id, _cells(dictionary) * CELL_PX, borderBits=1)
     grey = np.pad(np.where(cells > 127, WHITE, BLACK), QUIET_CELLS * CELL_PX + MARGIN_PX, constant_values=WHITE)
     cover = np.pad(np.full((grey.shape[0] - 2 * MARGIN_PX,) * 2, 255.0), MARGIN_PX)
     soft = [cv2.GaussianBlur(layer.astype(np.float32), (0, 0), max(softness_px, 0.3)) for layer in (grey, cover)]
     return np.clip(np.rint(np.stack(soft, axis=-1)), 0, 255).astype(np.uint8)
 
 
-def plate_texels_per_m(side_m: float) -> float:
+def plate_texels_per_m(side_m: float, family: MarkerFamily) -> float:
     """Texels per metre of `plate_texture` for a marker of this side."""
-    return 6 * CELL_PX / side_m
+    return _cells(_dictionary(family)) * CELL_PX / side_m
+
+
+def _dictionary(family: MarkerFamily) -> cv2.aruco.Dictionary:
+    return cv2.aruco.getPredefinedDictionary(int(getattr(cv2.aruco, f"DICT_{family}".upper())))
+
+
+def _cells(dictionary: cv2.aruco.Dictionary) -> int:
+    """Cells of a marker's side, its black border included."""
+    return int(dictionary.markerSize) + 2

@@ -19,7 +19,6 @@ import cv2
 from rich.console import Console
 
 from groundstation.station import process as station_process
-from groundstation.web.auth import WebOptions, web_options
 from localizer.fusion_node import FusionNode
 from localizer.node import LocalizerNode
 from robot_agent.node import AgentNode
@@ -39,6 +38,7 @@ from wire.toml_loader import ConfigError
 from wire.transport.bus import Bus, Decode
 from wire.transport.memory_transport import MemoryHub, MemoryTransport
 from wire.transport.transport import Answer, Urgent
+from wire.web_access import WebOptions, web_options
 
 PEER: Address = ("memory", 0)  # of every board: its robot's computer
 

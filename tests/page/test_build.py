@@ -8,11 +8,12 @@ from pathlib import Path
 import pytest
 
 from groundstation.web.server import STATIC
+from localizer.setup.server import STATIC as SETUP
 
 pytestmark = pytest.mark.real_time
 
 SOURCES = Path(__file__).parents[2] / "groundstation" / "web" / "page"
-BESIDE = ("index.html", "package-lock.json", "package.json", "tsconfig.json", "vite.config.ts")
+BESIDE = ("index.html", "package-lock.json", "package.json", "setup.html", "tsconfig.json", "vite.config.ts")
 LARGEST_BYTES = 150_000
 
 
@@ -21,7 +22,8 @@ def test_the_build_is_made_from_these_sources() -> None:
     digest = hashlib.sha256()
     for name in sorted([*BESIDE, *inside]):
         digest.update(f"{name}\0".encode() + (SOURCES / name).read_bytes() + b"\0")
-    assert json.loads((STATIC / "build.json").read_text())["sources"] == digest.hexdigest(), "run: make page"
+    for page in (STATIC, SETUP):
+        assert json.loads((page / "build.json").read_text())["sources"] == digest.hexdigest(), "run: make page"
 
 
 def test_the_page_is_small() -> None:

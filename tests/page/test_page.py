@@ -23,7 +23,6 @@ from groundstation.mission.state_machine import MissionState
 from groundstation.planning import planner
 from groundstation.replay.step_replay import rerun
 from groundstation.telemetry import Finding
-from groundstation.web.auth import WebOptions
 from groundstation.web.live_backend import LiveBackend
 from groundstation.web.server import WebServer
 from sim_bridge.sil.ports import free_port
@@ -35,6 +34,7 @@ from wire.messages.codec import decode
 from wire.messages.messages import Event, Mode, Order, Outcome, Progress, RobotState, Trajectory, Tuning
 from wire.transport.bus import Bus
 from wire.transport.memory_transport import MemoryHub, MemoryTransport
+from wire.web_access import WebOptions
 
 pytestmark = [pytest.mark.timeout(600), pytest.mark.real_time]  # what waits for a browser waits for a loaded machine
 

@@ -357,7 +357,13 @@ def load_experiment(name_or_path: str, settings: Sequence[str] = (), faults: Seq
     """Load and check an experiment, with `--set key=value` settings laid over it and `--fault` lines added to its own. Raises
     ConfigError."""
     path = experiment_path(name_or_path)
-    table: dict[str, Any] = read_toml(path)
+    return checked_experiment(read_toml(path), path, settings, faults)
+
+
+def checked_experiment(
+    table: dict[str, Any], path: Path, settings: Sequence[str] = (), faults: Sequence[str] = ()
+) -> Experiment:
+    """The experiment of a parsed file; `table` is changed. Raises ConfigError."""
     _insert_files(table, path)
     for setting in settings:
         apply_setting(table, setting)

@@ -8,6 +8,9 @@ from wire.config.scene import Vec2, Vec3
 from wire.config.vehicle import Fraction, NotNegative, Positive
 from wire.toml_loader import Section
 
+MarkerFamily = Literal["4x4_50", "apriltag_36h11"]
+"""A dictionary of markers, by OpenCV's name without DICT_."""
+
 LANDMARKS_NEEDED = 4  # one could place a camera, but tilt and sway look alike across 0.2 m; four also show which one was moved
 
 
@@ -37,6 +40,10 @@ class Camera(Section):
     """Rotation vector (Rodrigues) from pool frame to camera frame."""
     water_index: Annotated[float, Field(ge=1, le=2)] = 1.333
     """Refractive index of the water."""
+    masks_px: tuple[Annotated[tuple[Vec2, ...], Field(min_length=3)], ...] = ()
+    """Polygons of the picture, by their corners, in which nothing is looked for: a ladder, the deck."""
+    controls: dict[str, int] = Field(default_factory=dict, examples=[{"gain": 20}])
+    """Values that a camera at this machine is given when it is opened, by the names of its own controls (V4L2)."""
 
     @model_validator(mode="after")
     def _above_water(self) -> Self:
@@ -72,7 +79,7 @@ class CameraFile(Section):
 
 
 class Landmark(Section):
-    """A marker (ArUco, DICT_4X4_50) that lies flat and still where its place is known: on the rim (z <= 0) or on the floor.
+    """A marker that lies flat and still where its place is known: on the rim (z <= 0) or on the floor.
     Its upper edge points along `yaw_rad`, as a robot's does."""
 
     id: Annotated[int, Field(ge=0, le=49, examples=[40])]
@@ -93,6 +100,10 @@ class Localizer(Section):
     and obstacles are not looked for."""
     markers: bool = True
     """Read markers. False: follow robots by their looks alone."""
+    marker_family: MarkerFamily = "4x4_50"
+    """Dictionary of all markers: OpenCV's ArUco 4x4_50, or AprilTag 36h11. Ids are 0 to 49 in both."""
+    basin_margin_m: NotNegative = 0.2
+    """Distance outside the pool's outline from which on a pose is none: a marker on the deck, a reflection."""
     template_px: Annotated[int, Field(ge=16, le=128)] = 48
     """Side of the correlation filter's template."""
     corner_sigma_px: Positive = 0.2

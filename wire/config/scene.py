@@ -188,7 +188,7 @@ class RobotConfig(Section):
     urgent: bool = False
     """Has priority: others give way to it."""
     marker_id: Annotated[int | None, Field(ge=0, le=49, examples=[7])] = None
-    """ArUco id (DICT_4X4_50) on its back; left out: its id."""
+    """Id of the marker on its back; left out: its id."""
 
     @property
     def marker(self) -> int:

@@ -194,7 +194,7 @@ class Battery(Section):
 
 
 class Marker(Section):
-    """ArUco marker (DICT_4X4_50) on top of the robot, its upper edge ahead; the id is the experiment's."""
+    """Marker on top of the robot, its upper edge ahead; the id is the experiment's, the dictionary the localizer's."""
 
     side_m: Positive
     """Side of the marker's black square."""

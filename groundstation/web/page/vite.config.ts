@@ -8,7 +8,7 @@ function sources(): string[] {
   const inside = readdirSync("src", { recursive: true, withFileTypes: true })
     .filter((entry) => entry.isFile())
     .map((entry) => join(entry.parentPath, entry.name).replaceAll("\\", "/"));
-  return ["index.html", "package-lock.json", "package.json", "tsconfig.json", "vite.config.ts", ...inside].sort();
+  return ["index.html", "package-lock.json", "package.json", "setup.html", "tsconfig.json", "vite.config.ts", ...inside].sort();
 }
 
 /** Writes into the build which sources it was made from: tests/page/test_build.py compares, without Node. */
@@ -23,14 +23,16 @@ function fingerprint(): Plugin {
   };
 }
 
-export default defineConfig({
+/** Two pages from one set of sources: the operator's, and with `--mode setup` that of `localizer setup`. */
+export default defineConfig(({ mode }) => ({
   base: "./",
   plugins: [fingerprint()],
   build: {
-    outDir: "../static",
+    outDir: mode === "setup" ? "../../../localizer/setup/static" : "../static",
+    rollupOptions: { input: mode === "setup" ? "setup.html" : "index.html" },
     emptyOutDir: true,
     target: "es2022",
     modulePreload: { polyfill: false },
     assetsInlineLimit: 0,
   },
-});
+}));

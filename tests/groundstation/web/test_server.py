@@ -24,7 +24,6 @@ from websockets.sync.client import ClientConnection, connect
 from groundstation.planning import planner
 from groundstation.telemetry import RobotView
 from groundstation.web import connection_limits, protocol
-from groundstation.web.auth import WebOptions
 from groundstation.web.live_backend import PAST_EVERY_S, LiveBackend
 from groundstation.web.server import WebServer
 from tests.groundstation.fake_station import FakeStation
@@ -35,6 +34,7 @@ from wire.process.runtime import log
 from wire.toml_loader import ConfigError
 from wire.transport.bus import Bus
 from wire.transport.memory_transport import MemoryHub, MemoryTransport
+from wire.web_access import WebOptions
 
 pytestmark = pytest.mark.real_time
 

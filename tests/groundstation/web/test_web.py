@@ -18,7 +18,6 @@ from groundstation.planning import planner
 from groundstation.telemetry import RobotView
 from groundstation.web import experiment_editor, protocol
 from groundstation.web.alarms import alarms
-from groundstation.web.auth import host_allowed, origin_allowed, token_allowed, web_options
 from groundstation.web.client_hub import SILENT_S, ControlLease
 from groundstation.web.scene import mesh
 from groundstation.web.send_window import MOST_NOTES, UNACKNOWLEDGED, SendWindow
@@ -29,6 +28,7 @@ from wire.config.experiment import load_experiment
 from wire.messages.messages import CameraHealth, LocalizerStatus, Mode, Pose, RobotState, Track
 from wire.security.access_control import INSECURE
 from wire.toml_loader import ConfigError
+from wire.web_access import host_allowed, origin_allowed, token_allowed, web_options
 
 POOL = load_experiment("pool")
 STRAIGHT = load_experiment("straight")

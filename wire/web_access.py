@@ -1,4 +1,4 @@
-"""Access to the page: addresses, origins, tokens. Pure.
+"""Access to the pages that our programs serve: addresses, origins, tokens, headers. Pure.
 
 On loopback the danger is another page in the same browser: so the request's Host must be this machine by a name that nobody
 else can own (no rebinding), and a WebSocket's Origin must be that same host. Off loopback the network is the danger: TLS and a
@@ -7,8 +7,10 @@ token are then not optional.
 
 import hmac
 import re
+from collections.abc import Awaitable, Callable, MutableMapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from wire.loopback import is_loopback
 from wire.toml_loader import ConfigError
@@ -83,3 +85,40 @@ def origin_allowed(options: WebOptions, host: str, origin: str) -> bool:
 def token_allowed(options: WebOptions, token: str) -> bool:
     """Compared in constant time."""
     return hmac.compare_digest(options.token.encode(), token.encode())
+
+
+Scope = MutableMapping[str, Any]
+Channel = Callable[..., Awaitable[Any]]
+
+
+class Guarded:
+    """An ASGI application that answers only to names that are ours, and puts the security headers on everything."""
+
+    def __init__(self, app: Any, options: WebOptions) -> None:
+        self._app, self._options = app, options
+
+    async def __call__(self, scope: Scope, receive: Channel, send: Channel) -> None:
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        host = next((value.decode("latin-1") for name, value in scope["headers"] if name == b"host"), "")
+        if not host_allowed(self._options, host):
+            text = [(b"content-type", b"text/plain; charset=utf-8")]
+            await send({"type": "http.response.start", "status": 421, "headers": text})
+            await send({"type": "http.response.body", "body": b"this page has another name"})
+            return
+
+        async def send_guarded(message: Any) -> None:
+            if message["type"] == "http.response.start":
+                hashed = scope["path"].startswith("/assets/")
+                always = {"cache-control": "public, max-age=31536000, immutable" if hashed else "no-cache"}
+                own = {name.decode("latin-1"): value for name, value in message["headers"]} | _bytes(always)
+                headers = _bytes(HEADERS) | own
+                message = {**message, "headers": [(name.encode("latin-1"), value) for name, value in headers.items()]}
+            await send(message)
+
+        await self._app(scope, receive, send_guarded)
+
+
+def _bytes(headers: dict[str, str]) -> dict[str, bytes]:
+    return {name: value.encode("latin-1") for name, value in headers.items()}

@@ -1,0 +1,134 @@
+/** What the page of `localizer setup` knows, and how it asks: the state is fetched, requests are posted. localizer/setup/session.py. */
+
+import { signal } from "@preact/signals";
+
+export type Pixel = [number, number];
+export type Place = [number, number, number];
+
+export interface Verdict {
+  good: boolean;
+  text: string;
+}
+
+export interface Figures {
+  histogram: number[];
+  dark_share: number;
+  bright_share: number;
+  focus: number;
+  best_focus: number;
+  blur_mm: number;
+  blur_px: number | null;
+  verdicts: Verdict[];
+}
+
+export interface Control {
+  name: string;
+  value: number;
+  minimum: number;
+  maximum: number;
+  step: number;
+  default: number;
+  choices: [number, string][];
+  usable: boolean;
+}
+
+export interface Point {
+  name: string;
+  pool_m: Place;
+  pixel_px: Pixel | null;
+  marker_id: number | null;
+}
+
+export interface Residual {
+  name: string;
+  seen_px: Pixel;
+  error_px: number;
+  error_mm: number;
+  bad: boolean;
+}
+
+export interface Mask {
+  id: number;
+  corners_px: Pixel[];
+}
+
+export interface State {
+  experiment: string;
+  source: string;
+  trouble: string;
+  said: string[];
+  size_px: [number, number];
+  rate: Verdict;
+  figures: Figures | null;
+  controls: Control[];
+  no_controls: string;
+  grid_depth_m: number | null;
+  lens: {
+    board: string;
+    collecting: boolean;
+    said: string;
+    seen_px: Pixel[];
+    coverage: number[][];
+    tilts_deg: Pixel[];
+    views: string[];
+    missing: string[];
+    report: string[];
+  };
+  survey: { points: Point[]; residuals: Residual[]; report: string[] };
+  outline: Record<string, Pixel>;
+  outline_m: Record<string, Place>;
+  masks: Mask[];
+  path: string;
+  changed: string[];
+}
+
+const PERIOD_MS = 300;
+const key = new URLSearchParams(location.hash.slice(1)).get("key") ?? "";
+const page = crypto.randomUUID();
+
+export const state = signal<State | null>(null);
+export const problem = signal(""); // of the last request, or of the connection
+export const reachable = signal(true);
+export const liveAddress = `live?key=${encodeURIComponent(key)}`;
+
+async function look(): Promise<void> {
+  try {
+    const answer = await fetch(`state?page=${page}`, { headers: { "x-key": key } });
+    if (answer.ok) {
+      state.value = (await answer.json()) as State;
+      reachable.value = true;
+    } else {
+      reachable.value = false;
+      problem.value = await answer.text();
+    }
+  } catch {
+    reachable.value = false;
+    problem.value = "localizer setup does not answer: is it running? What was done is kept there, not in this page.";
+  }
+}
+
+export async function watch(): Promise<void> {
+  for (;;) {
+    await look();
+    await new Promise((later) => setTimeout(later, PERIOD_MS));
+  }
+}
+
+/** Ask for something; undefined when it was refused, which `problem` then tells. */
+export async function ask<T = unknown>(name: string, given: object = {}): Promise<T | undefined> {
+  try {
+    const answer = await fetch("do", {
+      method: "POST",
+      headers: { "x-key": key, "content-type": "application/json" },
+      body: JSON.stringify({ do: name, ...given }),
+    });
+    if (!answer.ok) throw new Error(await answer.text());
+    const told = (await answer.json()) as { problem: string; found?: T };
+    problem.value = told.problem;
+    await look();
+    return told.problem ? undefined : told.found;
+  } catch (error) {
+    problem.value = String(error instanceof Error ? error.message : error);
+    return undefined;
+  }
+}

@@ -1,0 +1,117 @@
+"""SHELL: the file that a setup changes: the experiment, or the camera file that it names. Comments and order are kept.
+
+It is read once, its changes are shown as a difference, and it is written only when asked for, only if it is as it was read,
+and with the old one kept beside it.
+"""
+
+import difflib
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import tomlkit
+
+from wire.config.experiment import EXPERIMENTS, checked_experiment
+from wire.config.perception import CameraFile
+from wire.process.output_files import replacing
+from wire.toml_loader import ConfigError, check, os_errors_as_config_errors, read_toml
+
+_WIDE = 127  # of a line; longer lists are broken
+
+
+class ExperimentFile:
+    """The file that holds the table [camera] of an experiment."""
+
+    def __init__(self, experiment: Path, out: Path | None) -> None:
+        """`out`: a new file for the changed experiment, needed for one that is shipped. Raises ConfigError."""
+        if out is None and experiment.resolve().parent == EXPERIMENTS.resolve():
+            raise ConfigError(
+                f"{experiment.stem}: a shipped experiment is not changed (give a new file: --out {experiment.name})"
+            )
+        if out is not None and out.exists():
+            raise ConfigError(f"--out {out}: is there already (set it up itself: localizer setup {out})")
+        if out is not None and (out.suffix != ".toml" or not out.parent.is_dir()):
+            raise ConfigError(f"--out {out}: must end in .toml, in a folder that exists")
+        self._experiment, self._out = experiment, out
+        camera = read_toml(experiment).get("camera")
+        self._camera_file = experiment.parent / camera if isinstance(camera, str) and out is None else None
+        self.reload()
+
+    @property
+    def path(self) -> Path:
+        """The file that will be written."""
+        return self._camera_file or self._out or self._experiment
+
+    def reload(self) -> None:
+        """Read the file again; changes are then shown against what it holds now. Raises ConfigError."""
+        with os_errors_as_config_errors(self._source):
+            self._text = self._source.read_text(encoding="utf-8")
+
+    @property
+    def _source(self) -> Path:
+        return self._camera_file or self._experiment
+
+    def changed(self, camera: Mapping[str, Any]) -> str:
+        """The file's text with these values of [camera]. Raises ConfigError if no experiment would come of it."""
+        document = tomlkit.parse(self._text)
+        table: Any = document.get("camera")
+        if isinstance(table, str):  # a copy of an experiment whose camera is in a file: it gets the file's table
+            inserted = read_toml(self._experiment.parent / table)["camera"]
+            document.remove("camera")
+            table = tomlkit.table()
+            table.update(inserted)
+            document.append("camera", table)
+        elif table is None:
+            table = tomlkit.table()
+            document.append("camera", table)
+        for key, value in camera.items():
+            if table.get(key) != value:
+                table[key] = _item(key, value)
+        text = tomlkit.dumps(document)
+        parsed = tomlkit.parse(text).unwrap()
+        if self._camera_file is not None:
+            found = check(CameraFile, parsed, str(self._camera_file)).camera.model_dump(mode="json")
+            parsed = read_toml(self._experiment) | {"camera": found}
+        checked_experiment(parsed, self._experiment)
+        return text
+
+    def difference(self, camera: Mapping[str, Any]) -> list[str]:
+        """Lines of the difference that saving would make, as `diff -u` tells it. Raises ConfigError."""
+        before, after = self._text.splitlines(), self.changed(camera).splitlines()
+        return list(difflib.unified_diff(before, after, str(self._source), str(self.path), n=2, lineterm=""))
+
+    def save(self, camera: Mapping[str, Any]) -> str:
+        """Write the changed file, and the old one beside it; returns what was written, in words. Raises ConfigError, and has
+        then written nothing in its place."""
+        text, path = self.changed(camera), self.path
+        with os_errors_as_config_errors(path):
+            if path == self._source and path.read_text(encoding="utf-8") != self._text:
+                raise ConfigError(
+                    f"{path}: was changed by somebody else since it was read; read it again, and look at the difference"
+                )
+            if path != self._source and path.exists():
+                raise ConfigError(f"{path}: is there already, and was not written by this program")
+            kept = ""
+            if path == self._source:
+                old = path.with_name(f"{path.name}.{time.strftime('%Y%m%d-%H%M%S')}")
+                with replacing(old, durable=True) as copy:
+                    copy.write(self._text.encode())
+                kept = f"; the old file is {old}"
+            with replacing(path, durable=True) as new:
+                new.write(text.encode())
+        if self._camera_file is None:
+            self._experiment, self._out = path, None
+        self._text = text
+        return f"wrote {path}{kept}"
+
+
+def _item(key: str, value: Any) -> Any:
+    """A value in tomlkit's form; a long list is broken into lines."""
+    item = tomlkit.item(value)
+    if isinstance(value, dict):
+        item = tomlkit.inline_table()
+        item.update(value)
+    elif isinstance(value, list) and len(f"{key} = {item.as_string()}") > _WIDE:
+        item.multiline(True)
+    return item

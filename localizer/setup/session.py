@@ -1,0 +1,357 @@
+"""SHELL: the work of a setup, and its results. The page's requests, the camera's thread and the board's thread meet
+here, under one lock; fits run outside it.
+
+All work belongs to a size of picture. When the camera changes its size the work for the old size is kept, and counts again
+when that size is back.
+"""
+
+import math
+import threading
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import cv2
+import numpy as np
+
+from localizer.calibration.extrinsics import PoseFit
+from localizer.calibration.intrinsics import IntrinsicsFit, held_out_rms_px, intrinsics_warnings
+from localizer.calibration.pool_grid import draw_grid
+from localizer.calibration.report import intrinsics_lines, pose_lines
+from localizer.calibration.workflow import significant
+from localizer.camera_model import Intrinsics
+from localizer.detection.fiducials import marker_centres
+from localizer.detection.image_regions import BAYER_TO_BGR, BAYER_TO_GREY, Pixels
+from localizer.setup.experiment_file import ExperimentFile
+from localizer.setup.lens_step import LensStep
+from localizer.setup.picture_figures import PictureFigures, PictureJudge, rate_verdict
+from localizer.setup.survey_step import SurveyStep, outline_corners, outline_px
+from localizer.sources.base import CapturedFrame
+from localizer.sources.v4l2_controls import EXPOSURE_UNIT_S, EXPOSURES, CameraControls, Control
+from wire.config.experiment import Experiment
+from wire.config.perception import Camera
+from wire.toml_loader import ConfigError
+
+DEFAULT_BOARD = "charuco:7x5:0.04:0.03:DICT_4X4_50"
+_JPEG_QUALITY = 80  # 200 kB at 1280 x 960; corners in the magnifier stay clean
+_GUESSED_FOCAL = 0.8  # of the picture's width: a lens of 64 degrees, by which tilts of a board are told until one is found
+_ASK_AGAIN_S = 2.0  # s
+_RATE_SHARE = 0.1  # of a new interval in the mean that the rate is told from
+
+
+@dataclass(eq=False)
+class CameraWork:
+    """The work at one size of picture. `camera`: the experiment's with the lens and pose found so far; None while no lens is
+    known for this size."""
+
+    size_px: tuple[int, int]
+    camera: Camera | None
+    survey: SurveyStep
+    lens: LensStep
+    masks: dict[int, list[list[float]]] = field(default_factory=dict)
+    lens_fit: IntrinsicsFit | None = None
+    pose_fit: PoseFit | None = None
+    lens_said: list[str] = field(default_factory=list)
+    pose_said: list[str] = field(default_factory=list)
+
+
+class SetupSession:
+    """One camera's setup. Requests come by name through `do`; every trouble is a ConfigError in words."""
+
+    def __init__(self, experiment: Experiment, file: ExperimentFile, source: str, controls: CameraControls | None) -> None:
+        self._experiment, self._file, self._source, self._controls = experiment, file, source, controls
+        self._lock = threading.RLock()
+        self._judge = PictureJudge()
+        self._figures: PictureFigures | None = None
+        self._captured: CapturedFrame | None = None
+        self._grey: Pixels | None = None
+        self._interval_s, self.trouble = 0.0, "waiting for the first picture"
+        self._board = DEFAULT_BOARD
+        self._works: dict[tuple[int, int], CameraWork] = {}
+        self._work = self._work_at(experiment.camera.size_px)
+        self._collecting = False
+        self._grid_depth_m: float | None = None
+        self._set: dict[str, int] = {}  # controls that were set here
+        self._controls_now: tuple[tuple[Control, ...], str] = (), ""
+        self._asked_s = -math.inf  # when the camera was asked for its controls
+        self._next_mask = 1 + len(self._work.masks)
+        self._said = ""
+        self._commands: dict[str, Callable[[Mapping[str, Any]], Any]] = {
+            "grid": self._show_grid,
+            "focus": lambda _: self._judge.forget_focus(),
+            "control": lambda given: self._set_control(str(given["name"]), int(given["value"])),
+            "defaults": self._set_defaults,
+            "board": lambda given: self._choose_board(str(given["board"])),
+            "collect": self._collect,
+            "drop-view": lambda given: self._work.lens.drop(str(given["name"])),
+            "fit-lens": self._fit_lens,
+            "point": self._put_point,
+            "remove-point": lambda given: self._work.survey.remove(str(given["name"])),
+            "markers": self._find_markers,
+            "fit-pose": self._fit_pose,
+            "mask": self._put_mask,
+            "difference": lambda _: {"path": str(self._file.path), "lines": self._file.difference(self._changes())},
+            "save": self._save,
+            "reload": lambda _: self._file.reload(),
+        }
+
+    # --- from the camera's thread and the board's
+
+    def take(self, captured: CapturedFrame, interval_s: float) -> None:
+        """The newest frame, so long after the one before."""
+        grey = np.asarray(cv2.cvtColor(captured.pixels, BAYER_TO_GREY), dtype=np.uint8)
+        height, width = grey.shape
+        with self._lock:
+            share = _RATE_SHARE if self._interval_s else 1.0
+            self._interval_s += share * (interval_s - self._interval_s)
+            self._captured, self._grey, self.trouble = captured, grey, ""
+            if (width, height) != self._work.size_px:
+                self._resize((width, height))
+            camera = self._work.camera
+            px_per_m = None if camera is None else camera.px_per_m
+        self._figures = self._judge.judge(captured.pixels, grey, self._exposure_s(), px_per_m)
+
+    def look_for_board(self) -> None:
+        """Offer the newest picture to the lens's step, if views are being collected."""
+        with self._lock:
+            lens, grey, wanted = self._work.lens, self._grey, self._collecting
+        if wanted and grey is not None and grey.shape == self._work.size_px[::-1]:
+            lens.offer(grey)
+
+    def _resize(self, size_px: tuple[int, int]) -> None:
+        before = self._work
+        self._work = self._work_at(size_px)
+        here, there = ("x".join(map(str, work.size_px)) for work in (self._work, before))
+        self._said = f"pictures are {here} now; views, points and masks for {there} are kept, and count when that size is back"
+
+    def _work_at(self, size_px: tuple[int, int]) -> CameraWork:
+        """The work for a size of picture, begun if there was none."""
+        if size_px not in self._works:
+            camera = self._experiment.camera
+            known = camera if camera.size_px == size_px else None
+            survey = SurveyStep(self._experiment.pool, self._experiment.localizer.marker_family)
+            lens = LensStep(self._board, _guess(size_px) if known is None else Intrinsics.of(known))
+            masks = {} if known is None else {i + 1: [list(px) for px in mask] for i, mask in enumerate(camera.masks_px)}
+            self._works[size_px] = CameraWork(size_px, known, survey, lens, masks)
+        return self._works[size_px]
+
+    # --- what the page shows
+
+    @property
+    def overlay(self) -> tuple[Camera | None, float | None]:
+        """The camera and the depth, if any, of the grid that is drawn over the picture."""
+        with self._lock:
+            return self._work.camera, self._grid_depth_m
+
+    def jpeg(self) -> bytes:
+        """The newest picture, with the pool's grid if that was asked for; empty before the first."""
+        with self._lock:
+            captured, (camera, depth_m) = self._captured, self.overlay
+        if captured is None:
+            return b""
+        picture = np.asarray(cv2.cvtColor(captured.pixels, BAYER_TO_BGR), dtype=np.uint8)
+        if depth_m is not None and camera is not None:
+            draw_grid(picture, camera, self._experiment.pool, depth_m)
+        return cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])[1].tobytes()
+
+    def state(self, pages: int) -> dict[str, Any]:
+        """All that the page shows, as JSON has it; `pages` are open."""
+        controls, no_controls = self._offered()
+        with self._lock:
+            work, camera = self._work, self._experiment.camera
+            dropped = 0 if self._captured is None else self._captured.dropped
+            rate_hz = 1.0 / self._interval_s if self._interval_s else 0.0
+            said = [self._said] if self._said else []
+            if pages > 1:
+                said.append(f"{pages} pages are open: all see and change the same setup")
+            if work.camera is None:
+                said.append(_no_lens(work.size_px, camera.size_px))
+            return {
+                "experiment": self._experiment.name,
+                "source": self._source,
+                "trouble": self.trouble,
+                "said": said,
+                "size_px": work.size_px,
+                "rate": asdict(rate_verdict(rate_hz, camera.rate_hz, dropped)),
+                "figures": None if self._figures is None else asdict(self._figures),
+                "controls": [asdict(control) for control in controls],
+                "no_controls": no_controls,
+                "grid_depth_m": self._grid_depth_m,
+                "lens": self._lens_state(work),
+                "survey": self._survey_state(work),
+                "outline": {} if work.camera is None else outline_px(work.camera, self._experiment.pool),
+                "outline_m": outline_corners(self._experiment.pool),
+                "masks": [{"id": number, "corners_px": corners} for number, corners in work.masks.items()],
+                "path": str(self._file.path),
+                "changed": sorted(self._changes()),
+            }
+
+    def _lens_state(self, work: CameraWork) -> dict[str, Any]:
+        lens = work.lens
+        return {
+            "board": lens.board,
+            "collecting": self._collecting,
+            "said": lens.said,
+            "seen_px": lens.seen_px.round(1).tolist(),
+            "coverage": lens.coverage,
+            "tilts_deg": [np.degrees(posture.tilt_rad).round(1).tolist() for posture in lens.postures],
+            "views": [view.name for view in lens.views],
+            "missing": lens.missing,
+            "report": work.lens_said,
+        }
+
+    def _survey_state(self, work: CameraWork) -> dict[str, Any]:
+        survey = work.survey
+        return {
+            "points": [point.model_dump(mode="json") for point in survey.points.values()],
+            "residuals": [asdict(residual) for residual in survey.residuals.values()],
+            "report": work.pose_said,
+        }
+
+    # --- what the page asks for
+
+    def do(self, name: str, given: Mapping[str, Any]) -> Any:
+        """Do what a page asks for; returns what it has to know beside the state. Raises ConfigError."""
+        if name not in self._commands:
+            raise ConfigError(f"{name!r}: no such request (allowed: {', '.join(self._commands)})")
+        try:
+            return self._commands[name](given)
+        except (KeyError, TypeError, ValueError) as error:
+            raise ConfigError(f"{name}: {type(error).__name__}: {error}") from None
+
+    def _show_grid(self, given: Mapping[str, Any]) -> None:
+        depth_m = given.get("depth_m")
+        self._grid_depth_m = None if depth_m is None else float(np.clip(float(depth_m), -1.0, 20.0))
+
+    def _offered(self) -> tuple[tuple[Control, ...], str]:
+        """The camera's controls, and the reason if there are none; asked for now and then, as that opens the device."""
+        if self._controls is None:
+            return (), "this source offers no controls"
+        if time.monotonic() - self._asked_s > _ASK_AGAIN_S:
+            self._asked_s = time.monotonic()
+            try:
+                offered = self._controls.offered()
+                self._controls_now = offered, "" if offered else "this camera offers no controls"
+            except ConfigError as error:
+                self._controls_now = (), str(error)
+        return self._controls_now
+
+    def _set_control(self, name: str, value: int) -> None:
+        if self._controls is None:
+            raise ConfigError("this source offers no controls")
+        self._controls.set(name, value)
+        self._set[name], self._asked_s = value, -math.inf
+
+    def _set_defaults(self, given: Mapping[str, Any]) -> None:
+        for control in self._offered()[0]:
+            if control.usable:
+                self._set_control(control.name, control.default)
+
+    def _exposure_s(self) -> float:
+        found = [self._set[name] * EXPOSURE_UNIT_S for name in EXPOSURES if name in self._set]
+        return found[0] if found else self._experiment.camera.exposure_s
+
+    def _choose_board(self, board: str) -> None:
+        """Begin with another board. Views of the one before are gone: their corners are other places."""
+        with self._lock:
+            if board != self._work.lens.board:
+                camera = self._work.camera
+                lens = _guess(self._work.size_px) if camera is None else Intrinsics.of(camera)
+                self._work.lens, self._board = LensStep(board, lens), board
+
+    def _collect(self, given: Mapping[str, Any]) -> None:
+        self._collecting = bool(given["on"])
+
+    def _fit_lens(self, given: Mapping[str, Any]) -> None:
+        with self._lock:
+            work = self._work
+        fit = work.lens.fit()
+        with self._lock:
+            work.lens_fit, work.pose_fit = fit, None
+            work.camera = self._experiment.camera.model_copy(update=fit.lens.model_dump())
+            held_out_px = held_out_rms_px(fit)
+            work.lens_said = intrinsics_lines(fit, [], 0)
+            self._said = f"lens: {len(fit.views)} views, RMS {fit.rms_px:.2f} px"
+            self._said += "" if held_out_px is None else f", {held_out_px:.2f} px in views held out"
+            self._said += "; now find the pose again" if work.survey.points else ""
+            warnings = intrinsics_warnings(fit)
+            self._said += f"; look at: {'; '.join(warnings)}" if warnings else ""
+
+    def _put_point(self, given: Mapping[str, Any]) -> None:
+        x, y, z = (float(value) for value in given["pool_m"])
+        pixel, marker = given.get("pixel_px"), given.get("marker_id")
+        with self._lock:
+            self._said = self._work.survey.put(
+                str(given["name"]).strip(),
+                (x, y, z),
+                None if pixel is None else np.array(pixel, dtype=np.float64).reshape(2),
+                None if marker is None else int(marker),
+                self._grey,
+            )
+
+    def _find_markers(self, given: Mapping[str, Any]) -> list[int]:
+        if self._grey is None:
+            raise ConfigError("no picture yet")
+        return sorted(marker_centres(self._grey, self._experiment.localizer.marker_family))
+
+    def _fit_pose(self, given: Mapping[str, Any]) -> None:
+        with self._lock:
+            work, grey = self._work, self._grey
+        if work.camera is None:
+            raise ConfigError(_no_lens(work.size_px, self._experiment.camera.size_px))
+        fit = work.survey.fit(work.camera, grey)
+        with self._lock:
+            points = tuple(work.survey.points.values())
+            work.pose_fit, work.camera = fit, fit.camera
+            work.pose_said = pose_lines(fit, points, self._experiment.pool)
+            self._said = f"pose: {len(points)} points, RMS {fit.rms_px:.2f} px"
+            if fit.suspect is not None:
+                self._said += f"; point {points[fit.suspect].name!r} does not fit: without it the others agree"
+
+    def _put_mask(self, given: Mapping[str, Any]) -> None:
+        """Add a polygon, or with its id change it; fewer than three corners delete it."""
+        corners = [[round(float(u), 1), round(float(v), 1)] for u, v in given["corners_px"]]
+        with self._lock:
+            number = int(given.get("id") or self._next_mask)
+            if len(corners) < 3:
+                self._work.masks.pop(number, None)
+                return
+            self._next_mask = max(self._next_mask, number + 1)
+            self._work.masks[number] = corners
+
+    def _changes(self) -> dict[str, Any]:
+        """Keys of [camera] with the values found in this setup, as far as they differ."""
+        work, before = self._work, self._experiment.camera
+        found: dict[str, Any] = {}
+        if work.lens_fit is not None:
+            found |= work.lens_fit.lens.model_dump(mode="json")
+        if work.pose_fit is not None:
+            found |= work.pose_fit.camera.model_dump(mode="json", include={"position_m", "rotation_rad"})
+        if work.camera is not None:
+            found["masks_px"] = list(work.masks.values())
+        values = {name: value for name, value in self._set.items() if name not in EXPOSURES}
+        if values:
+            found["controls"] = before.controls | values
+        if values != self._set:
+            found["exposure_s"] = round(self._exposure_s(), 5)
+        was = before.model_dump(mode="json")
+        return significant({key: value for key, value in found.items() if value != was[key]})
+
+    def _save(self, given: Mapping[str, Any]) -> None:
+        changes = self._changes()
+        if not changes:
+            raise ConfigError("nothing was changed: there is nothing to save")
+        self._said = self._file.save(changes)
+
+
+def _guess(size_px: tuple[int, int]) -> Intrinsics:
+    """A lens for a size of picture that none is known for."""
+    width, height = size_px
+    focal = _GUESSED_FOCAL * width
+    return Intrinsics(size_px=size_px, focal_px=(focal, focal), centre_px=((width - 1) / 2, (height - 1) / 2))
+
+
+def _no_lens(size_px: tuple[int, int], known_px: tuple[int, int]) -> str:
+    here, there = ("x".join(map(str, size)) for size in (size_px, known_px))
+    return f"pictures are {here}, and the experiment's lens is for {there}: find the lens first"

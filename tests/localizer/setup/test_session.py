@@ -1,0 +1,337 @@
+"""A setup from the first picture to the saved file, with a rendered board and pool whose camera is known."""
+
+import errno
+import tomllib
+from collections.abc import Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import tomli_w
+
+from localizer.detection.image_regions import Pixels
+from localizer.setup import experiment_file
+from localizer.setup.experiment_file import ExperimentFile
+from localizer.setup.session import SetupSession
+from localizer.sources.base import CapturedFrame
+from localizer.sources.v4l2_controls import Control, V4l2Controls
+from sim_bridge.camera.optics import project
+from tests.localizer.board_scene import CameraBench, charuco, marks
+from wire.config.experiment import EXPERIMENTS, load_experiment
+from wire.toml_loader import ConfigError
+
+pytestmark = pytest.mark.long
+
+BOARD = "charuco:7x5:0.04:0.03:DICT_4X4_50"
+TRUTH = load_experiment("pool").camera.model_copy(
+    update={
+        "size_px": (480, 360),
+        "focal_px": (330.0, 331.5),
+        "centre_px": (236.3, 184.8),
+        "distortion": (-0.12, 0.03, 6e-4, -4e-4, 0.0),
+        "position_m": (0.06, -0.04, -2.6),
+        "rotation_rad": (0.03, -0.02, 0.05),
+    }
+)
+POOL_M = (2.6, 1.9, 0.8)
+RIM = {0: (-1.55, -1.1), 1: (1.5, -1.05), 2: (1.55, 1.1), 3: (-1.5, 1.15)}
+FLOOR = {10: (-0.9, -0.6), 11: (0.9, -0.5), 12: (0.8, 0.6), 13: (-0.9, 0.6), 14: (0.0, 0.05)}
+BENCH = CameraBench(TRUTH)
+LAB = f"""# our lab
+name = "lab"
+duration_s = 10.0
+vehicle = "spherical"           # as shipped
+
+[pool]
+size_m = {list(POOL_M)}
+
+[path]
+kind = "circle"
+diameter_m = 0.45
+lap_s = 100.0
+depth_m = 0.3
+
+[[robots]]
+id = 1
+node_m = [0.0, 0.0, 0.0]
+
+[camera]                        # over the deep end
+size_px = [480, 360]
+rate_hz = 20.0                  # what USB allows
+exposure_s = 0.008
+focal_px = [400.0, 400.0]       # guessed
+centre_px = [239.5, 179.5]
+position_m = [0.0, 0.0, -2.5]
+
+[limits]                        # not yet
+"""
+
+
+class HandControls:
+    """A camera's controls without a camera."""
+
+    def __init__(self) -> None:
+        self.gain, self.exposure = 10, 80
+
+    def offered(self) -> tuple[Control, ...]:
+        gain = Control("gain", self.gain, 0, 100, 1, 32)
+        return gain, Control("exposure_time_absolute", self.exposure, 1, 500, 1, 100)
+
+    def set(self, name: str, value: int) -> None:
+        if name == "gain":
+            self.gain = self.offered()[0].checked(value)
+        else:
+            self.exposure = self.offered()[1].checked(value)
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    path = tmp_path / "lab.toml"
+    path.write_text(LAB, encoding="utf-8")
+    return path
+
+
+def begin(file: Path, controls: HandControls | None = None) -> SetupSession:
+    return SetupSession(load_experiment(str(file)), ExperimentFile(file, None), "test", controls)
+
+
+def show(session: SetupSession, picture: Pixels) -> None:
+    session.take(CapturedFrame(picture, 0, 0, 0), 0.05)
+
+
+def pool_picture() -> Pixels:
+    return BENCH.pool([(0.8, marks(FLOOR, 0.25)), (-0.1, marks(RIM, 0.2))])
+
+
+def place_of(number: int) -> list[float]:
+    return [*FLOOR[number], 0.8] if number in FLOOR else [*RIM[number], -0.1]
+
+
+def do(session: SetupSession, request: str, /, **given: Any) -> Any:
+    return session.do(request, given)
+
+
+def said(session: SetupSession) -> str:
+    return " ".join(session.state(1)["said"])
+
+
+def survey(session: SetupSession, wrong: Mapping[int, list[float]] | None = None) -> None:
+    for number in (*RIM, *FLOOR):
+        place = (wrong or {}).get(number, place_of(number))
+        do(session, "point", name=f"mark {number}", pool_m=place, marker_id=number)
+
+
+def test_a_waved_board_gives_the_lens_and_clicked_points_the_pose_that_the_file_then_holds(file: Path) -> None:
+    session, texture = begin(file), charuco((7, 5), 0.04, 0.03)
+    do(session, "board", board=BOARD)
+    do(session, "collect", on=True)
+    board_m = np.array([[x, y, 0.0] for x in (0.0, 0.28) for y in (0.0, 0.2)])
+    for turn, move in BENCH.poses(24, board_m, seed=4, margin_px=-20.0):
+        picture = BENCH.picture(texture, np.zeros(2), turn, move)
+        for noise in (0, 1):  # held still for two pictures
+            show(session, picture + np.uint8(noise) * np.uint8(picture < 250))
+            session.look_for_board()
+    lens = session.state(1)["lens"]
+    assert 12 <= len(lens["views"]) <= 24  # some are like others, or show too little
+    assert np.mean(np.array(lens["coverage"]) > 0) > 0.8
+    do(session, "fit-lens")
+    assert "px in views held out" in said(session)
+
+    show(session, pool_picture())
+    assert do(session, "markers") == sorted([*RIM, *FLOOR])
+    survey(session)
+    corner = np.array([FLOOR[14][0] - 0.125, FLOOR[14][1] - 0.125, 0.8])  # of a marker's black square
+    clicked = project(TRUTH, corner[None])[0] + [1.4, -0.9]
+    do(session, "point", name="clicked", pool_m=corner.tolist(), pixel_px=clicked.tolist())
+    assert "at a corner" in said(session)
+    do(session, "fit-pose")
+    residuals = {row["name"]: row for row in session.state(1)["survey"]["residuals"]}
+    assert max(row["error_px"] for row in residuals.values()) < 1.0
+    assert max(row["error_mm"] for row in residuals.values()) < 8.0  # one pixel
+
+    difference = "\n".join(do(session, "difference")["lines"])
+    assert "-focal_px = [400.0, 400.0]       # guessed" in difference and "+focal_px = [3" in difference
+    do(session, "save")
+    text = file.read_text(encoding="utf-8")
+    camera = load_experiment(str(file)).camera
+    assert camera.focal_px == pytest.approx(TRUTH.focal_px, rel=0.005)
+    assert camera.position_m == pytest.approx(TRUTH.position_m, abs=0.02)
+    for kept in (
+        "# our lab",
+        "# as shipped",
+        "# over the deep end",
+        "rate_hz = 20.0                  # what USB allows",
+        "# not yet",
+    ):
+        assert kept in text
+    old = [path for path in file.parent.iterdir() if path != file]
+    assert [path.read_text(encoding="utf-8") for path in old] == [LAB]
+
+
+@pytest.fixture
+def true_file(file: Path) -> Path:
+    """The experiment with the true lens."""
+    table = tomllib.loads(LAB)
+    lens = TRUTH.model_dump(mode="json", include={"focal_px", "centre_px", "distortion"})
+    file.write_text(tomli_w.dumps(table | {"camera": table["camera"] | lens}), encoding="utf-8")
+    return file
+
+
+def test_a_point_that_was_measured_wrong_is_named(true_file: Path) -> None:
+    session = begin(true_file)
+    show(session, pool_picture())
+    x, y, z = place_of(12)
+    survey(session, {12: [x + 0.1, y, z]})
+    do(session, "fit-pose")
+    assert [row["name"] for row in session.state(1)["survey"]["residuals"] if row["bad"]] == ["mark 12"]
+    assert "'mark 12' does not fit" in said(session)
+    do(session, "point", name="mark 12", pool_m=[x, y, z], marker_id=12)
+    do(session, "fit-pose")
+    assert not any(row["bad"] for row in session.state(1)["survey"]["residuals"])
+
+
+def test_the_outline_comes_by_the_pose_and_masks_are_drawn_changed_and_deleted(true_file: Path) -> None:
+    session = begin(true_file)
+    show(session, pool_picture())
+    survey(session)
+    do(session, "fit-pose")
+    state = session.state(1)
+    for name, pixel in state["outline"].items():
+        assert np.linalg.norm(pixel - project(TRUTH, np.array([state["outline_m"][name]]))[0]) < 1.0
+    assert len(state["outline"]) >= 4
+    triangle = [[10.0, 10.0], [60.0, 10.0], [10.0, 90.0]]
+    do(session, "mask", corners_px=triangle)
+    do(session, "mask", corners_px=[[200.0, 200.0], *triangle[1:]])
+    first, second = (mask["id"] for mask in session.state(1)["masks"])
+    do(session, "mask", id=first, corners_px=[[12.0, 11.0], *triangle[1:]])
+    do(session, "mask", id=second, corners_px=[])
+    do(session, "save")
+    assert load_experiment(str(true_file)).camera.masks_px == (((12.0, 11.0), (60.0, 10.0), (10.0, 90.0)),)
+
+
+def test_when_the_camera_changes_its_size_the_work_is_kept_and_comes_back(true_file: Path) -> None:
+    session = begin(true_file)
+    show(session, pool_picture())
+    survey(session)
+    do(session, "mask", corners_px=[[10.0, 10.0], [60.0, 10.0], [10.0, 90.0]])
+    show(session, np.zeros((240, 320), np.uint8))
+    state = session.state(1)
+    assert (state["survey"]["points"], state["masks"]) == ([], [])
+    assert "pictures are 320x240 now" in said(session) and "find the lens first" in said(session)
+    with pytest.raises(ConfigError, match="pictures are 320x240, and the experiment's lens is for 480x360"):
+        do(session, "fit-pose")
+    show(session, pool_picture())
+    assert len(session.state(1)["survey"]["points"]) == 9 and len(session.state(1)["masks"]) == 1
+
+
+def test_controls_are_set_and_saved_and_a_wrong_value_is_refused_with_what_is_allowed(file: Path) -> None:
+    controls = HandControls()
+    session = begin(file, controls)
+    do(session, "control", name="gain", value=20)
+    do(session, "control", name="exposure_time_absolute", value=120)
+    with pytest.raises(ConfigError, match=r"camera.controls.gain = 200: not offered \(allowed: 0 to 100\)"):
+        do(session, "control", name="gain", value=200)
+    show(session, np.full((360, 480), 255, np.uint8))
+    verdicts = [verdict["text"] for verdict in session.state(1)["figures"]["verdicts"]]
+    assert verdicts[0].startswith("too bright: 100.0% of the pixels are white")
+    assert verdicts[2].startswith("a robot at 0.1 m/s smears over 1.20 mm in 12.0 ms (limit 1 mm)")
+    do(session, "save")
+    camera = load_experiment(str(file)).camera
+    assert (camera.controls, camera.exposure_s) == ({"gain": 20}, 0.012)
+    do(session, "defaults")
+    assert (controls.gain, controls.exposure) == (32, 100)
+    assert begin(file).state(1)["no_controls"] == "this source offers no controls"
+    with pytest.raises(ConfigError, match="controls of /dev/video99: "):
+        V4l2Controls("/dev/video99").offered()
+
+
+def test_focus_is_told_against_the_best_so_far(file: Path) -> None:
+    session, sharp = begin(file), pool_picture()
+    for picture, good in ((cv2.blur(sharp, (5, 5)), True), (sharp, True), (cv2.blur(sharp, (3, 3)), False)):
+        show(session, np.asarray(picture, dtype=np.uint8))
+        assert session.state(1)["figures"]["verdicts"][1]["good"] is good
+
+
+# --- files
+
+
+def masked(file: Path) -> SetupSession:
+    session = begin(file)
+    do(session, "mask", corners_px=[[10.0, 10.0], [60.0, 10.0], [10.0, 90.0]])
+    return session
+
+
+def test_a_file_that_somebody_else_changed_is_not_written_over(file: Path) -> None:
+    session = masked(file)
+    file.write_text(LAB.replace("duration_s = 10.0", "duration_s = 20.0"), encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"lab.toml: was changed by somebody else"):
+        do(session, "save")
+    do(session, "reload")
+    do(session, "save")
+    saved = load_experiment(str(file))
+    assert saved.duration_s == 20.0 and len(saved.camera.masks_px) == 1
+
+
+def test_a_full_disk_is_told_and_the_work_is_still_there(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    session = masked(file)
+
+    @contextmanager
+    def full(path: Path, durable: bool = False) -> Any:
+        raise OSError(errno.ENOSPC, "No space left on device", str(path))
+        yield
+
+    with monkeypatch.context() as disk:
+        disk.setattr(experiment_file, "replacing", full)
+        with pytest.raises(ConfigError, match="No space left on device"):
+            do(session, "save")
+    assert file.read_text(encoding="utf-8") == LAB
+    do(session, "save")
+    assert "masks_px" in file.read_text(encoding="utf-8")
+
+
+def test_a_camera_in_a_file_of_its_own_is_changed_there(file: Path) -> None:
+    table = tomllib.loads(LAB)
+    camera = file.with_name("camera.toml")
+    camera.write_text("# found in May\n[camera]\n" + tomli_w.dumps(table["camera"]), encoding="utf-8")
+    file.write_text(tomli_w.dumps(table | {"camera": "camera.toml"}), encoding="utf-8")
+    before = file.read_bytes()
+    do(masked(file), "save")
+    assert file.read_bytes() == before and "# found in May" in camera.read_text(encoding="utf-8")
+    assert len(load_experiment(str(file)).camera.masks_px) == 1
+
+
+def test_a_shipped_experiment_is_saved_as_a_new_file(tmp_path: Path) -> None:
+    shipped = EXPERIMENTS / "pool.toml"
+    with pytest.raises(ConfigError, match="pool: a shipped experiment is not changed"):
+        ExperimentFile(shipped, None)
+    new = tmp_path / "mine.toml"
+    session = SetupSession(load_experiment("pool"), ExperimentFile(shipped, new), "test", None)
+    do(session, "mask", corners_px=[[10.0, 10.0], [60.0, 10.0], [10.0, 90.0]])
+    do(session, "save")
+    do(session, "mask", corners_px=[[20.0, 10.0], [60.0, 10.0], [10.0, 90.0]])
+    do(session, "save")  # now over its own file
+    assert len(load_experiment(str(new)).camera.masks_px) == 2
+    with pytest.raises(ConfigError, match="is there already"):
+        ExperimentFile(shipped, new)
+
+
+@pytest.mark.parametrize(
+    ("name", "given", "why"),
+    [
+        ("dance", {}, "no such request"),
+        ("point", {"name": "p"}, "point: KeyError"),
+        ("point", {"name": "", "pool_m": [0, 0, 0], "pixel_px": [1, 1]}, "this point: name"),
+        ("mask", {"corners_px": [["a", 1]]}, "mask: ValueError"),
+        ("board", {"board": "quilt:3x3"}, "not a board"),
+        ("fit-lens", {}, "at least 5 are needed"),
+        ("fit-pose", {}, "at least 4 are needed"),
+        ("save", {}, "nothing was changed"),
+        ("control", {"name": "gain", "value": 1}, "no controls"),
+    ],
+)
+def test_a_request_that_cannot_be_done_says_why(file: Path, name: str, given: dict[str, Any], why: str) -> None:
+    with pytest.raises(ConfigError, match=why):
+        do(begin(file), name, **given)

@@ -1,0 +1,229 @@
+"""The page of `localizer setup` in a real browser: all steps on a simulated camera, a folder of pictures that is played."""
+
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import cv2
+import numpy as np
+import psutil
+import pytest
+from playwright.sync_api import Browser, Page, expect
+
+from localizer.detection.image_regions import Pixels
+from sim_bridge.camera.optics import project
+from sim_bridge.sil.ports import free_port
+from tests.localizer.board_scene import CameraBench, charuco, marks
+from tests.page.flights import PATIENCE_MS, PageTraffic, serious
+from tests.waiting import eventually
+from wire.config.experiment import load_experiment
+from wire.frames import Array
+
+pytestmark = pytest.mark.real_time
+
+TRUTH = load_experiment("pool").camera.model_copy(
+    update={"size_px": (640, 480), "focal_px": (500.0, 501.0), "centre_px": (318.0, 242.0), "position_m": (0.05, -0.04, -2.7)}
+)
+FLOOR = {"nw": (-1.2, -0.8, 1.0), "ne": (1.1, -0.8, 1.0), "se": (1.1, 0.8, 1.0), "sw": (-1.1, 0.8, 1.0)}
+POINTS = FLOOR | {"rim": (0.0, -1.0, -0.1)}
+
+
+@dataclass
+class SimulatedCamera:
+    """A folder that the program watches: a picture that is put there is the camera's next."""
+
+    folder: Path
+    bench: CameraBench = field(default_factory=lambda: CameraBench(TRUTH))
+    shown: int = 0
+
+    def show(self, picture: Pixels) -> None:
+        self.shown += 1
+        new = self.folder / f"{self.shown:04}.part"
+        new.write_bytes(cv2.imencode(".png", picture)[1].tobytes())
+        new.rename(new.with_suffix(".png"))
+
+    def board_views(self, count: int) -> list[Pixels]:
+        board_m = np.array([[x, y, 0.0] for x in (0.0, 0.28) for y in (0.0, 0.2)])
+        texture = charuco((7, 5), 0.04, 0.03)
+        poses = self.bench.poses(count, board_m, seed=2, margin_px=2.0)
+        return [self.bench.picture(texture, np.zeros(2), turn, move) for turn, move in poses]
+
+    def pool(self) -> Pixels:
+        """Squares of 0.2 m whose first corner is at each point."""
+
+        def squares(names: list[str]) -> Callable[[Array], Array]:
+            def colour(points: Array) -> Array:
+                shade = np.full(points.shape[:2], np.nan)
+                for name in names:
+                    inside = np.all((points >= POINTS[name][:2]) & (points <= np.array(POINTS[name][:2]) + 0.2), axis=2)
+                    shade = np.where(inside, 230.0, shade)
+                return shade
+
+            return colour
+
+        planes = [(1.0, squares([*FLOOR])), (1.0, marks({7: (0.0, 0.1)}, 0.3)), (-0.1, squares(["rim"]))]
+        return self.bench.pool(planes)
+
+
+@pytest.fixture
+def camera(tmp_path: Path) -> SimulatedCamera:
+    folder = tmp_path / "camera"
+    folder.mkdir()
+    return SimulatedCamera(folder)
+
+
+@pytest.fixture
+def lab(tmp_path: Path) -> Path:
+    text = (Path(__file__).parents[2] / "wire" / "experiments" / "pool.toml").read_text(encoding="utf-8")
+    text = text.replace("size_px = [1280, 960]", "size_px = [640, 480]").replace("[1005.0, 1005.0]", "[480.0, 480.0]")
+    path = tmp_path / "lab.toml"
+    path.write_text(text.replace("[639.5, 479.5]", "[319.5, 239.5]").replace("-2.8]", "-2.5]"), encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def program(lab: Path, camera: SimulatedCamera) -> Iterator[tuple[psutil.Popen, str]]:
+    """The running program, and the address that it printed."""
+    camera.show(camera.pool())
+    command = [sys.executable, "-m", "localizer", "setup", str(lab), "--camera", f"folder:{camera.folder}"]
+    process = psutil.Popen([*command, "--port", str(free_port())], stdout=subprocess.PIPE, text=True)
+    printed = process.stdout.readline()
+    found = re.search(r"http://\S+", printed)
+    assert found is not None, printed
+    yield process, found[0]
+    process.send_signal(signal.SIGINT)
+    assert process.wait(PATIENCE_MS * 1e-3) == 0
+
+
+def _open(browser: Browser, address: str, asked: PageTraffic, width: int = 1440, height: int = 900) -> Page:
+    page = browser.new_context(viewport={"width": width, "height": height}).new_page()
+    page.set_default_timeout(PATIENCE_MS)
+    page.on("request", lambda request: asked.urls.append(request.url))
+    page.on("pageerror", lambda error: asked.errors.append(str(error)))
+    page.goto(address)
+    expect(page.get_by_text("Camera of pool")).to_be_visible()
+    return page
+
+
+def _at(page: Page, pixel: Array) -> tuple[float, float]:
+    """The place in the window of a pixel of the camera."""
+    box = page.locator(".frame svg").bounding_box()
+    assert box is not None
+    scale = box["width"] / TRUTH.size_px[0]
+    return box["x"] + (float(pixel[0]) + 0.5) * scale, box["y"] + (float(pixel[1]) + 0.5) * scale
+
+
+def _step(page: Page, name: str) -> None:
+    page.get_by_role("button", name=re.compile(rf"\d {name}")).click()
+
+
+def _button(page: Page, name: str) -> None:
+    page.get_by_role("button", name=name, exact=True).click()
+
+
+def test_a_camera_is_set_up_from_the_first_look_to_the_saved_file(
+    browser: Browser, program: tuple[psutil.Popen, str], camera: SimulatedCamera, lab: Path, tmp_path: Path, asked: PageTraffic
+) -> None:
+    _, address = program
+    page = _open(browser, address, asked)
+    expect(page.get_by_text(re.compile("light is right|dim"))).to_be_visible()
+    expect(page.get_by_text("this source offers no controls")).to_be_visible()
+    assert page.locator(".histogram rect").count() == 64
+    expect(page.locator(".frame img")).to_have_js_property("naturalWidth", TRUTH.size_px[0])
+    assert serious(page) == []
+    page.screenshot(path=tmp_path / "1-picture.png")
+
+    _step(page, "Lens")
+    _button(page, "Collect")
+    views = page.locator(".row b")
+    said = page.get_by_role("status").filter(has_text=re.compile("as in a view before|kept view"))
+    for number, picture in enumerate(camera.board_views(12)):
+        for copy in range(100):  # held still, for as long as the program takes
+            camera.show(picture + np.uint8(copy % 2) * np.uint8(picture < 250))
+            page.wait_for_timeout(150)
+            if copy > 2 and said.is_visible():
+                break
+        if number == 9:
+            page.screenshot(path=tmp_path / "2-lens.png")
+    assert int(views.inner_text()) >= 8
+    _button(page, "Find the lens")
+    expect(page.get_by_text(re.compile("px in views held out"))).to_be_visible()
+
+    _step(page, "Survey")
+    camera.show(camera.pool())
+    for name, place in POINTS.items():
+        page.get_by_label("Name").fill(name)
+        for axis, value in zip("xyz", place, strict=True):
+            page.get_by_label(f"{axis}, m", exact=True).fill(f"{value}")
+        x, y = _at(page, project(TRUTH, np.array([place]))[0])
+        page.mouse.move(x - 30, y)
+        page.mouse.click(x + 1.0, y - 1.0)
+        expect(page.get_by_role("button", name=name, exact=True)).to_be_visible()
+    expect(page.locator(".magnifier canvas")).to_be_visible()
+    _button(page, "Find the pose")
+    expect(page.get_by_text(re.compile("pose: 5 points, RMS 0"))).to_be_visible()
+    page.get_by_label("Grid at depth").click()
+    corner = page.locator("circle.corner").first
+    box = corner.bounding_box()
+    assert box is not None
+    middle = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    page.mouse.move(*middle)
+    page.mouse.down()
+    page.mouse.move(middle[0] + 18, middle[1] + 14, steps=3)
+    page.mouse.up()
+    expect(page.get_by_role("button", name=re.compile("corner -x -y"), exact=False).first).to_be_visible()
+    _button(page, "Find the pose")
+    expect(page.locator(".said")).to_contain_text(re.compile("'(surface|floor) corner .*' does not fit"))
+    page.screenshot(path=tmp_path / "3-survey.png")
+    page.get_by_role("button", name=re.compile("Remove .* corner")).click()
+    _button(page, "Find the pose")
+    expect(page.get_by_text(re.compile("pose: 5 points, RMS 0"))).to_be_visible()
+
+    _step(page, "Masks")
+    for pixel in ([560.0, 20.0], [620.0, 20.0], [620.0, 100.0], [560.0, 100.0]):
+        page.mouse.click(*_at(page, np.array(pixel)))
+    _button(page, "Close the polygon")
+    expect(page.get_by_text("mask 1, 4 corners")).to_be_visible()
+    page.screenshot(path=tmp_path / "4-masks.png")
+
+    other = _open(browser, address, asked, 390, 844)  # a phone
+    expect(other.get_by_text("2 pages are open")).to_be_visible()
+    assert other.evaluate("document.documentElement.scrollWidth") <= 390
+    assert serious(other) == []
+    _step(other, "Survey")
+    other.screenshot(path=tmp_path / "phone.png", full_page=True)
+    other.context.close()
+
+    _step(page, "Save")
+    expect(page.locator(".difference .plus").first).to_be_visible()
+    page.screenshot(path=tmp_path / "5-save.png")
+    assert "masks_px" not in lab.read_text(encoding="utf-8")
+    page.locator("button.main").click()
+    expect(page.get_by_text(re.compile("wrote .*lab.toml; the old file is"))).to_be_visible()
+    found = load_experiment(str(lab)).camera
+    assert found.focal_px == pytest.approx(TRUTH.focal_px, rel=0.01)
+    assert found.position_m == pytest.approx(TRUTH.position_m, abs=0.04)
+    assert len(found.masks_px) == 1
+    assert asked.errors == []
+    assert {url.split("/")[2] for url in asked.urls} == {address.split("/")[2]}, "the page works without any other host"
+    page.context.close()
+
+
+def test_a_page_without_the_key_sees_nothing_and_a_program_that_is_gone_is_told(
+    browser: Browser, program: tuple[psutil.Popen, str], asked: PageTraffic
+) -> None:
+    process, address = program
+    page = _open(browser, address, asked)
+    bare = browser.new_context().new_page()
+    bare.goto(address.partition("#")[0])
+    expect(bare.get_by_role("alert")).to_contain_text("the key is missing or wrong")
+    assert bare.request.get(address.partition("#")[0] + "live").status == 403
+    bare.context.close()
+    process.send_signal(signal.SIGINT)
+    assert eventually(lambda: not process.is_running() or process.status() == psutil.STATUS_ZOMBIE, PATIENCE_MS * 1e-3)
+    expect(page.get_by_text("localizer setup does not answer")).to_be_visible()
+    page.context.close()
