@@ -524,7 +524,7 @@ def test_weighing_is_kalmans_in_matrices(far: bool) -> None:
     s *= max(1.0, math.sqrt(error @ np.linalg.solve(s, error)) / OUTLIER)
     gain = p @ h.T @ np.linalg.inv(s)
     found, change = p.copy(), np.empty(8)
-    weigh(found, *error, variance, np.empty((8, 8)), change)
+    weigh(found, float(error[0]), float(error[1]), variance, np.empty((8, 8)), change)
     assert change == pytest.approx(gain @ error)
     assert found == pytest.approx(p - gain @ s @ gain.T) and np.array_equal(found, found.T)
 
@@ -533,9 +533,9 @@ def test_ordinary_poses_put_the_poles_at_the_bandwidth() -> None:
     w = EstimatorConfig().bandwidth_radps
     model, observer = Model(VEHICLE), estimator()
     run_at_rest(observer, POSE_M**2)
-    p, change = observer._covariance.copy(), np.empty(8)  # what the gains come from; nothing tells it outside
-    gain = np.empty((8, 8))
-    spread(model.nominal, 1.0, np.array([*np.zeros(17), 1.0, 1.0]), POSE_S, observer._noise, p, np.empty((2, 8, 8)))
+    p, noise = observer._covariance.copy(), observer._noise  # private: what the gains come from is told nowhere
+    gain, change = np.empty((8, 8)), np.empty(8)
+    spread(model.nominal, 1.0, np.array([*np.zeros(17), 1.0, 1.0]), POSE_S, noise, p, np.empty((2, 8, 8)))
     weigh(p, 0.0, 0.0, POSE_M**2, gain, change)
     a = np.array([[1, POSE_S, POSE_S**2 / 2], [0, 1, POSE_S], [0, 0, 1]])
     poles = np.linalg.eigvals((np.eye(3) - np.outer(gain[[0, 2, 4], 0], [1, 0, 0])) @ a)
@@ -616,4 +616,4 @@ def test_a_robot_that_hardly_moves_learns_nothing_of_its_drag() -> None:
     """Pushed by 0.05 N that its thrusters did not give, at 2 cm/s."""
     observer = estimator(learn_drag=True)
     fly(lambda t: (0.05, 0.0, 0.01 * math.sin(0.3 * t)), 30.0, observer, disturbance=(0.004, 0.002, 0.0, 0.0))
-    assert np.abs(observer._belief[17:] - 1.0).max() < 0.03  # what the model comes from; nothing tells it outside
+    assert np.abs(observer._belief[17:] - 1.0).max() < 0.03  # private: what the model comes from is told nowhere
