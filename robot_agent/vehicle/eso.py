@@ -8,8 +8,8 @@ missing.
 
 Those of surge and sway are Kalman's. Process noise of 3 w^2, 3 w^4 and w^6 in pose, velocity and Gamma, times variance and
 period of ordinary poses, gives the same poles: on the imaginary axis |s + w|^6 = |s^3|^2 + 3 w^2 |s^2|^2 + 3 w^4 |s|^2
-+ w^6. Poses that say that they are worse then count less, a pose after a gap counts more, and drag and thrust per mass are two
-more states. `pace` tells the controller by how much the bandwidth fell.
++ w^6. A pose after a gap counts more. If the observer is adaptive, poses that say that they are worse count less, and drag and
+thrust per mass are two more states: a slower observer needs the right model. `pace` tells by how much the bandwidth fell.
 
 The water may stream. For a robot with constant heading, a current c and a side force Gamma_v look the same; for a robot that
 turns, a current keeps its direction in the pool while a force of the robot turns along. So the lasting part of Gamma_v is
@@ -144,10 +144,10 @@ class Estimator:
 
     def tune(self, config: EstimatorConfig) -> None:
         """Use other gains from the next pose on; the estimate stays."""
-        self._uses_yaw_rate = config.use_imu_yaw_rate
+        self._uses_yaw_rate, self._adaptive = config.use_imu_yaw_rate, config.adaptive
         w, gamma, sway = config.bandwidth_radps, float(config.enabled), float(config.sway)
         place = 3.0 * w**2 * POSE_M**2 * POSE_S
-        learns = float(config.learn_drag) * gamma * sway
+        learns = float(config.adaptive) * gamma * sway
         self._noise = np.array((
             place, place, place * w**2, sway * place * w**2, gamma * place * w**4 / 3.0, gamma * sway * place * w**4 / 3.0,
             RATIO_PER_SQRT_S**2 * learns, RATIO_PER_SQRT_S**2 * learns,
@@ -198,7 +198,7 @@ class Estimator:
         passes = self._observe(pose, now_ns, now, action)
         if pose is not None and passes:
             share = -math.expm1((self._at_ns - pose.stamp_ns) / (VARIANCE_S * NS))
-            self._variance_m2 += share * (_variance_m2(pose) - self._variance_m2)
+            self._variance_m2 += share * (self._variance_of(pose) - self._variance_m2)
             self._at_ns = pose.stamp_ns
             self._other_poses.reset()
         elif pose is not None and self._leaps_to(pose):
@@ -218,12 +218,19 @@ class Estimator:
         """Run `dynamics.observe`. False if the pose does not pass the gate."""
         model, at_ns, stamp_ns = self._model, self._at_ns, self._at_ns
         if pose is not None:
-            self._pose[:], stamp_ns = (pose.x_m, pose.y_m, pose.yaw_rad, _variance_m2(pose)), pose.stamp_ns
+            self._pose[:], stamp_ns = (pose.x_m, pose.y_m, pose.yaw_rad, self._variance_of(pose)), pose.stamp_ns
         return observe(
             model.nominal, model.coefficients, model.sway, model.lag_s, self._settings, self._noise, self._belief,
             self._covariance, self._work, self._acts_ns, self._wrenches, self._inputs, self._sensed_ns, self._sensed,
             self._samples, self._pose, stamp_ns, at_ns, now_ns, now_ns + self._dead_ns, now, action,
         )  # fmt: skip
+
+    def _variance_of(self, pose: PoseMeasurement) -> float:
+        """Variance of x and y as it is believed: none is better than ordinary, or worse than WORST_M. One that is no number
+        says nothing good."""
+        if not self._adaptive:
+            return POSE_M**2
+        return min(max(pose.variance_m2, POSE_M**2), WORST_M**2) if math.isfinite(pose.variance_m2) else WORST_M**2
 
     def _has_coasted(self, now_ns: int) -> bool:
         """True if the last pose is too old for an estimate."""
@@ -324,12 +331,6 @@ class Estimator:
             model.coefficients, model.sway, model.lag_s, tuple(state), tuple(gamma), tuple(current), self._acts_ns,
             self._wrenches, self._inputs, self._at_ns, to_ns,
         )  # fmt: skip
-
-
-def _variance_m2(pose: PoseMeasurement) -> float:
-    """Variance of x and y as it is believed: none is better than ordinary, or worse than WORST_M. One that is no number says
-    nothing good."""
-    return min(max(pose.variance_m2, POSE_M**2), WORST_M**2) if math.isfinite(pose.variance_m2) else WORST_M**2
 
 
 def _drop(count: int, instants_ns: NDArray[np.int64], rows: Array) -> int:

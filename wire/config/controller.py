@@ -83,8 +83,7 @@ class Safety(Section):
 
 class EstimatorConfig(Section):
     """Extended state observer (31), bandwidth form b1 = 3w, b2 = 3w^2, b3 = w^3 (Gao 2003). The sensing delay is compensated,
-    so noise sets the bandwidth, not delay: at 2 rad/s a pose noise of 1.5 mm makes 2 mm/s in velocity. Bandwidths are for that
-    noise: poses whose covariance is larger lower that of x and y, by the third root."""
+    so noise sets the bandwidth, not delay: at 2 rad/s a pose noise of 1.5 mm makes 2 mm/s in velocity."""
 
     enabled: bool = True
     """Estimate the disturbance. False: the estimate is zero."""
@@ -98,8 +97,9 @@ class EstimatorConfig(Section):
     """Model sideways motion. False: the article's model, which cannot slide sideways."""
     current_rate_radps: Gain = 0.15
     """Rate at which a lasting side force is attributed to a current; 0: never."""
-    learn_drag: bool = False
-    """Learn drag and thrust per mass in flight, for water that stands still: of a current, some would be taken for drag."""
+    adaptive: bool = False
+    """Learn drag and thrust per mass in flight, and count poses by their covariance. For water that stands still: of a
+    current, some would be taken for drag."""
 
 
 class GuidanceConfig(Section):

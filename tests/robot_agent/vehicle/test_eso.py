@@ -555,7 +555,7 @@ def run_at_rest(observer: Estimator, variance_m2: float, noise_m: float = 0.0, s
 
 
 def test_poses_that_say_that_they_are_worse_move_velocity_and_disturbance_less() -> None:
-    told, untold = (run_at_rest(estimator(), variance, 0.005)[100:] for variance in (0.005**2, 0.0))
+    told, untold = (run_at_rest(estimator(adaptive=True), variance, 0.005)[100:] for variance in (0.005**2, 0.0))
     for part in ("nu", "disturbance"):
         quiet, loud = (np.std([getattr(e, part)[:2] for e in run]) for run in (told, untold))
         assert quiet < 0.55 * loud
@@ -564,7 +564,7 @@ def test_poses_that_say_that_they_are_worse_move_velocity_and_disturbance_less()
 
 @pytest.mark.parametrize("variance", [math.nan, math.inf, -1.0, 1e9])
 def test_a_variance_that_cannot_be_makes_no_estimate_wild(variance: float) -> None:
-    found = run_at_rest(estimator(), variance, 0.001)
+    found = run_at_rest(estimator(adaptive=True), variance, 0.001)
     assert all(np.isfinite(e.eta).all() and 0.25 < e.pace <= 1.0 for e in found) and np.abs(found[-1].eta[:2]).max() < 0.005
 
 
@@ -590,7 +590,7 @@ def of_another_build(mass: float, drag: float) -> tuple[Model, Estimator, Callab
     model = Model(VEHICLE)
     return (
         model,
-        Estimator(model, EstimatorConfig(learn_drag=True), DEAD_S),
+        Estimator(model, EstimatorConfig(adaptive=True), DEAD_S),
         lambda x, wrench, dt: integrate(other, x, constant(wrench), dt, (0.0, 0.0, 0.0, 0.0), True, 400),
     )
 
@@ -614,6 +614,6 @@ def test_drag_and_thrust_per_mass_are_learned_in_bends(mass: float, drag: float)
 
 def test_a_robot_that_hardly_moves_learns_nothing_of_its_drag() -> None:
     """Pushed by 0.05 N that its thrusters did not give, at 2 cm/s."""
-    observer = estimator(learn_drag=True)
+    observer = estimator(adaptive=True)
     fly(lambda t: (0.05, 0.0, 0.01 * math.sin(0.3 * t)), 30.0, observer, disturbance=(0.004, 0.002, 0.0, 0.0))
     assert np.abs(observer._belief[17:] - 1.0).max() < 0.03  # private: what the model comes from is told nowhere
