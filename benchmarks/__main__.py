@@ -40,6 +40,10 @@ BENCHMARKS = {
         "robot_agent.horizons",
         "slow robots that begin 0.3 m off, under horizons of 10 to 100 steps, other rates and observers (10 minutes)",
     ),
+    "error_budget": (
+        "robot_agent.error_budget",
+        "flights in which one source of error is exchanged for the truth (20 minutes)",
+    ),
     "optimum": ("robot_agent.optimum", "the numeric scenes' whole run beside the best that is possible (1 minute)"),
     "localizer": ("localizer.frame", "the localizer per frame for 1 to 20 robots; its filter alone (2 minutes)"),
     "encounters": ("robot_agent.encounters", "robots in one another's way: 200 random starts of each scene (30 minutes)"),

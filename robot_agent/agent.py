@@ -379,7 +379,9 @@ def _measurement(inputs: Inputs) -> StateMeasurement:
     seen, telemetry = inputs.pose, inputs.telemetry
     known = telemetry.board_ms >= 0
     return StateMeasurement(
-        pose=PoseMeasurement(seen.instant_ns, seen.pose.x_m, seen.pose.y_m, seen.pose.yaw_rad)
+        pose=PoseMeasurement(
+            seen.instant_ns, seen.pose.x_m, seen.pose.y_m, seen.pose.yaw_rad, 0.5 * float(seen.pose.covariance[:2, :2].trace())
+        )
         if seen is not None and seen.pose.track >= Track.KCF
         else None,
         depth_m=telemetry.depth_m if known else None,

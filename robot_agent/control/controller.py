@@ -204,6 +204,7 @@ class Controller:
         if estimate is None or goal is None:
             return self._neutral(estimate, now_ns)
         self._take_up(goal)
+        self._heading.adapt(self._model.coefficients, estimate.pace)
         reference = self.sampler.sample(goal)
         predictions = self.formation.predict_neighbours(neighbours, now_ns)
         lead = reference
@@ -276,7 +277,7 @@ class Controller:
         if self._config.guidance.enabled:
             self._heading.turn_along(command, reference, estimate.eta, estimate.nu, estimate.disturbance, estimate.current)
             if self._shortness:
-                rate = math.sqrt(self._config.guidance.position_gain_per_s2)
+                rate = estimate.pace * math.sqrt(self._config.guidance.position_gain_per_s2)
                 let_error_fade(
                     reference.eta, reference.velocity, estimate.eta, rate, self._config.period_s, self._shortness, command
                 )

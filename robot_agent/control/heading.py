@@ -151,6 +151,15 @@ class HeadingReference:
             worth, config.max_correction_rad, self._shortness * worth,
         ))  # fmt: skip
 
+    def adapt(self, model: Array, pace: float) -> None:
+        """Use mass and drag of a `model` (3, 4), and feed back at `pace` of the rate that the gains are for: no faster than
+        the estimate, which is slower where poses are worse. With 5 mm of noise and the gains for 1.5, `pool` swings."""
+        config = self._config
+        self._mass, self._linear, self._quadratic = float(model[0, 0]), float(model[1, 1]), float(model[2, 1])
+        self._settings[:3] = self._mass, self._linear, self._quadratic
+        self._settings[3], self._settings[4] = config.position_gain_per_s2 * pace**2, config.velocity_gain_per_s * pace
+        self._keep = self._settings[5] = math.exp(-pace * self._period_s / config.filter_s)
+
     def reset(self) -> None:
         """Start anew, from the goal's own heading."""
         self._memory = np.array((0.0, 0.0, 1.0, 0.0))  # filtered request x, y; thrust ahead 1, astern -1; rest of a jump
@@ -177,7 +186,7 @@ class HeadingReference:
         care = min(max(2.0 * distance / radius - 1.0, 0.0), 1.0)  # none within half the radius, all from the radius on
         drag = (self._linear + self._quadratic * abs(current)) * current
         unexplained = self._mass * complex(disturbance[0], disturbance[1]) * cmath.rect(1.0, float(eta[3]))
-        stiff, damp = self._config.position_gain_per_s2, self._config.velocity_gain_per_s
+        _, _, _, stiff, damp, *_ = self._settings.tolist()
         asked = correction(reference.eta, reference.velocity, eta, nu, 0.0, True, self._mass, stiff, damp)
         x_n, y_n, _, _ = self._memory.tolist()
         force = self._keep * complex(x_n, y_n) + (1.0 - self._keep) * (care * asked - unexplained - drag)

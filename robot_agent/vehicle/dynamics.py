@@ -12,6 +12,9 @@ The speed in d is |w|, |r|, and for surge and sway that of both: water presses a
 its own speed, as in the article, makes a sliding robot's side drag three times too small at 0.3 m/s: 4 cm in a bend.)
 The Munk moment (m_u - m_v) u v is left out: it is zero for a sphere, and Gamma_r carries it otherwise.
 
+A vehicle file says mass and drag as well as they are known. The observer can learn the ratios of drag and of thrust to mass
+for surge and sway in flight; everything that predicts uses them (`Model.coefficients`).
+
 Velocities advance by v+ = v + dt phi(a dt) v', phi(s) = (1 - exp(-s)) / s, a = the slope of drag / m (exponential Euler:
 exact for linear drag, stable for any step); poses advance by the trapezoidal rule.
 """
@@ -31,6 +34,9 @@ State = tuple[float, ...]  # 11 numbers: eta (4), nu (4), thrust that acts now [
 
 LONGEST_STEP_NS = 50_000_000  # the model's step is first order in the Coriolis terms
 GATE_M, GATE_RAD = 0.3, 1.0  # between two poses nothing moves this far: 0.5 m/s x 0.2 s, 1.9 rad/s x 0.2 s, and doubled
+OUTLIER = 5.0  # standard deviations: a pose that is farther off counts less
+MOST_RATIO = 2.5  # of drag and of thrust, per mass, to the vehicle file's or the other way round: 30 % each make 1.9
+TELLS_MPS = 0.1  # slower, dead zone and unlike thrusters are as large as drag and thrust: nothing is learned of these
 SENSED_LOOKED_AT = 16  # board samples, one per step: reaches back 0.8 s
 SENSED_HELD_NS = 150_000_000  # so long a board sample stands for what came after it: three bursts at 20 Hz
 
@@ -139,6 +145,22 @@ def drag(model: Array, u: float, v: float) -> tuple[float, float]:
 # --- the observer (31) on this model
 
 
+@kernel("UniTuple(f8,3)(f8, f8)")
+def gains(bandwidth_radps: float, step_s: float) -> tuple[float, float, float]:
+    """Innovation gains b1, b2, b3 for pose, velocity and Gamma: all three observer poles at exp(-w dt)."""
+    beta = math.exp(-bandwidth_radps * step_s)
+    rest = 1.0 - beta
+    return 1.0 - beta**3, 1.5 * rest * rest * (1.0 + beta) / step_s, rest**3 / (step_s * step_s)
+
+
+@kernel("UniTuple(f8,3)(f8, f8)")
+def gains_with_rate(bandwidth_radps: float, step_s: float) -> tuple[float, float, float]:
+    """Gains b1, b2, b3 if velocity is measured too: pose by the pose error; velocity and Gamma by the velocity error."""
+    beta = math.exp(-bandwidth_radps * step_s)
+    rest = 1.0 - beta
+    return rest, 1.0 - beta * beta, rest * rest / step_s
+
+
 @kernel("Tuple((f8, c16, f8))(f8, c16, f8, f8, f8, f8)")
 def split_side_force(
     side: float, current: complex, yaw: float, slope: float, share: float, fastest_mps: float
@@ -158,22 +180,6 @@ def split_side_force(
     return side - drift * slope, current + drift * aside, drift
 
 
-@kernel("UniTuple(f8,3)(f8, f8)")
-def gains(bandwidth_radps: float, step_s: float) -> tuple[float, float, float]:
-    """Innovation gains b1, b2, b3 for pose, velocity and Gamma: all three observer poles at exp(-w dt)."""
-    beta = math.exp(-bandwidth_radps * step_s)
-    rest = 1.0 - beta
-    return 1.0 - beta**3, 1.5 * rest * rest * (1.0 + beta) / step_s, rest**3 / (step_s * step_s)
-
-
-@kernel("UniTuple(f8,3)(f8, f8)")
-def gains_with_rate(bandwidth_radps: float, step_s: float) -> tuple[float, float, float]:
-    """Gains b1, b2, b3 if velocity is measured too: pose by the pose error; velocity and Gamma by the velocity error."""
-    beta = math.exp(-bandwidth_radps * step_s)
-    rest = 1.0 - beta
-    return rest, 1.0 - beta * beta, rest * rest / step_s
-
-
 @kernel("f8(f8[:,::1], f8, f8)")
 def sway_slope(model: Array, u: float, v: float) -> float:
     """Rate (1/s) at which sideways motion decays at velocities u, v through the water: slope of the drag, per mass."""
@@ -182,59 +188,126 @@ def sway_slope(model: Array, u: float, v: float) -> float:
     return float((model[1, 1] + model[2, 1] * (speed + bend)) / model[0, 1])
 
 
-@kernel(
-    "Tuple((UniTuple(f8,11), UniTuple(f8,4), c16))"
-    "(f8[:,::1], UniTuple(f8,11), UniTuple(f8,4), c16, UniTuple(f8,3), f8, f8, f8, f8, f8, b1, b1, f8, f8)"
-)
-def correct(
-    model: Array,
-    state: State,
-    gamma: tuple[float, ...],
-    current: complex,
-    error: tuple[float, float, float],
+@kernel("void(f8[:,::1], f8, f8[::1], f8, f8[::1], f8[:,::1], f8[:,:,::1])")
+def spread(model: Array, sway: float, belief: Array, dt: float, noise: Array, p: Array, work: Array) -> None:
+    """Covariance `p` (8, 8) of the planar belief `dt` later: F P F^T + Q dt, F from the module's equations at the belief.
+
+    Its order is x, y, u, v, Gamma_u, Gamma_v, drag and thrust per mass. `noise` (8,) is the diagonal of Q; `work` (2, 8, 8) is
+    overwritten. Drag and thrust are learned above TELLS_MPS only.
+    """
+    f, fp = work[0], work[1]
+    yaw, u, v, r, surge_n = belief[3], belief[4], belief[5], belief[7], belief[8]
+    speed, c = math.sqrt(u * u + v * v), model[0, 1] / model[0, 0]
+    bend = 1.0 / speed if speed > 0.0 else 0.0
+    along, aside = (model[1, 0] + model[2, 0] * speed) / model[0, 0], (model[1, 1] + model[2, 1] * speed) / model[0, 1]
+    slope_u, slope_v = along + model[2, 0] * u * u * bend / model[0, 0], aside + model[2, 1] * v * v * bend / model[0, 1]
+    phi_u, phi_v = phi_dt(slope_u, dt), sway * phi_dt(slope_v, dt)
+    tells = speed**4 / (speed**4 + TELLS_MPS**4)
+    f[:] = 0.0
+    for i in range(8):
+        f[i, i] = 1.0
+    f[2, 2], f[2, 3], f[2, 4] = 1.0 - phi_u * slope_u, phi_u * c * r, phi_u
+    f[3, 2], f[3, 3], f[3, 5] = -phi_v * r / c, 1.0 - phi_v * slope_v, phi_v
+    f[2, 6], f[3, 6] = -tells * phi_u * along * u / belief[17], -tells * phi_v * aside * v / belief[17]
+    f[2, 7] = tells * phi_u * surge_n / model[0, 0] / belief[18]
+    cos, sin = math.cos(yaw + 0.5 * dt * r), math.sin(yaw + 0.5 * dt * r)
+    for j in range(2, 8):  # half of the way by the velocity before, half by that after
+        ahead = 0.5 * dt * (f[2, j] + (1.0 if j == 2 else 0.0))
+        across = 0.5 * dt * (f[3, j] + (1.0 if j == 3 else 0.0))
+        f[0, j], f[1, j] = cos * ahead - sin * across, sin * ahead + cos * across
+    for i in range(8):
+        for j in range(8):
+            total = 0.0
+            for k in range(8):
+                total += f[i, k] * p[k, j]
+            fp[i, j] = total
+    for i in range(8):
+        for j in range(i + 1):
+            total = 0.0
+            for k in range(8):
+                total += fp[i, k] * f[j, k]
+            p[i, j] = p[j, i] = total
+        p[i, i] += noise[i] * dt
+
+
+@kernel("void(f8[:,::1], f8, f8, f8, f8[:,::1], f8[::1])")
+def weigh(p: Array, error_x: float, error_y: float, variance_m2: float, gain: Array, change: Array) -> None:
+    """Kalman's correction of the planar belief by a pose that is off by an error: `change` (8,) = K e, and `p` after it.
+
+        S = H P H^T + variance I      K = P H^T S^-1      P -= K S K^T      H takes x and y
+
+    An error of more than OUTLIER deviations counts as if its pose were so much worse. `gain` (8, 8) is overwritten.
+    """
+    s_xx, s_xy, s_yy = p[0, 0] + variance_m2, p[0, 1], p[1, 1] + variance_m2
+    det = s_xx * s_yy - s_xy * s_xy
+    distance2 = (s_yy * error_x * error_x - 2.0 * s_xy * error_x * error_y + s_xx * error_y * error_y) / det
+    worse = max(math.sqrt(distance2) / OUTLIER, 1.0)
+    for i in range(8):
+        gain[i, 0] = (s_yy * p[i, 0] - s_xy * p[i, 1]) / (det * worse)
+        gain[i, 1] = (s_xx * p[i, 1] - s_xy * p[i, 0]) / (det * worse)
+        change[i] = gain[i, 0] * error_x + gain[i, 1] * error_y
+    for i in range(8):
+        by_x, by_y = gain[i, 0] * s_xx + gain[i, 1] * s_xy, gain[i, 0] * s_xy + gain[i, 1] * s_yy
+        for j in range(i + 1):
+            p[i, j] -= worse * (by_x * gain[j, 0] + by_y * gain[j, 1])
+            p[j, i] = p[i, j]
+
+
+@kernel("void(f8[:,::1], f8[:,::1], f8[::1], f8[::1], f8, f8[::1])")
+def correct_planar(nominal: Array, model: Array, belief: Array, change: Array, step_s: float, settings: Array) -> None:
+    """Add a `change` (8,) to the planar part of the belief, share the side force out (`split_side_force`), and write drag
+    and thrust per mass into the `model`: as the mass and the drag that fit the thrust that is commanded. See `observe`."""
+    belief[0] += change[0]
+    belief[1] += change[1]
+    belief[4] += change[2]
+    belief[5] += change[3]
+    belief[11] += change[4]
+    belief[12] += change[5]
+    belief[17] = min(max(belief[17] + change[6], 1.0 / MOST_RATIO), MOST_RATIO)
+    belief[18] = min(max(belief[18] + change[7], 1.0 / MOST_RATIO), MOST_RATIO)
+    for i in range(2):
+        model[0, i] = nominal[0, i] / belief[18]
+        model[1, i] = nominal[1, i] * belief[17] / belief[18]
+        model[2, i] = nominal[2, i] * belief[17] / belief[18]
+    if settings[4] > 0.0:
+        slope, share = sway_slope(model, belief[4], belief[5]), -math.expm1(-settings[4] * step_s)
+        belief[12], current, drift = split_side_force(
+            belief[12], complex(belief[15], belief[16]), belief[3], slope, share, settings[3]
+        )
+        belief[5] -= drift
+        belief[15], belief[16] = current.real, current.imag
+
+
+@kernel("void(f8[::1], f8, f8, f8, f8, f8, f8, f8)")
+def correct_heave_and_yaw(
+    belief: Array,
+    error_yaw: float,
     depth_m: float,
     rate_radps: float,
     step_s: float,
     bandwidth_radps: float,
     yaw_bandwidth_radps: float,
-    enabled: bool,
-    sway: bool,
-    current_rate_radps: float,
-    fastest_mps: float,
-) -> tuple[State, tuple[float, ...], complex]:
-    """State, Gamma and current after a pose that differs by `error` (x, y, yaw) from the `state` predicted for it: (31) on
-    the pool's axes x, y, z and yaw, `step_s` after the last one.
+    estimates: float,
+) -> None:
+    """Correction (31) of heave and yaw, `step_s` after the last one: eta += b1 e, nu += b2 e, Gamma += b3 e.
 
-        eta += b1 e      nu += b2 J^T e      Gamma += b3 J^T e      J^T turns into the body frame
-
-    `depth_m` and `rate_radps` are NaN when not known. Not `enabled`: no Gamma; without `sway` v and Gamma_v stay as they are.
+    `depth_m` and `rate_radps` are NaN when not known; `estimates` 0: no Gamma.
     """
-    x, y, z, yaw, u, v, w, r, surge_n, heave_n, yaw_nm = state
-    gamma_u, gamma_v, gamma_w, gamma_r = gamma
-    b1, b2, b3 = gains(bandwidth_radps, step_s)
-    estimates = 1.0 if enabled else 0.0
-    b3 *= estimates
-    c, s = math.cos(yaw), math.sin(yaw)
-    error_u, error_v = c * error[0] + s * error[1], -s * error[0] + c * error[1]
-    x, y, u, gamma_u = x + b1 * error[0], y + b1 * error[1], u + b2 * error_u, gamma_u + b3 * error_u
-    if sway:
-        v += b2 * error_v
-        share = -math.expm1(-current_rate_radps * step_s)
-        gamma_v, current, drift = split_side_force(
-            gamma_v + b3 * error_v, current, yaw, sway_slope(model, u, v), share, fastest_mps
-        )
-        v -= drift
     if not math.isnan(depth_m):
-        error_z = depth_m - z
-        z, w, gamma_w = z + b1 * error_z, w + b2 * error_z, gamma_w + b3 * error_z
+        b1, b2, b3 = gains(bandwidth_radps, step_s)
+        error_z = depth_m - belief[2]
+        belief[2] += b1 * error_z
+        belief[6] += b2 * error_z
+        belief[13] += estimates * b3 * error_z
     if math.isnan(rate_radps):
         b1, b2, b3 = gains(yaw_bandwidth_radps, step_s)
-        error_r = error[2]
+        error_r = error_yaw
     else:  # the gyroscope sees the rate at once, the camera keeps the heading; a gyro bias of 2 mrad/s moves it by 0.5 mrad
         b1, b2, b3 = gains_with_rate(yaw_bandwidth_radps, step_s)
-        error_r = rate_radps - r
-    yaw, r, gamma_r = yaw + b1 * error[2], r + b2 * error_r, gamma_r + estimates * b3 * error_r
-    return (x, y, z, yaw, u, v, w, r, surge_n, heave_n, yaw_nm), (gamma_u, gamma_v, gamma_w, gamma_r), current
+        error_r = rate_radps - belief[7]
+    belief[3] += b1 * error_yaw
+    belief[7] += b2 * error_r
+    belief[14] += estimates * b3 * error_r
 
 
 @kernel("f8(i8[::1], f8[:,::1], i8, i8, i8)")
@@ -255,24 +328,26 @@ def sensed_at(sensed_ns: NDArray[np.int64], sensed: Array, count: int, column: i
 
 
 @kernel(
-    "b1(f8[:,::1], f8, f8, f8[::1], f8[::1], i8[::1], f8[:,::1], i8, i8[::1], f8[:,::1], i8, f8, f8, f8, i8, i8, i8, i8,"
-    " f8[:,::1], f8[::1])"
+    "b1(f8[:,::1], f8[:,::1], f8, f8, f8[::1], f8[::1], f8[::1], f8[:,::1], f8[:,:,::1], i8[::1], f8[:,::1], i8, i8[::1],"
+    " f8[:,::1], i8, f8[::1], i8, i8, i8, i8, f8[:,::1], f8[::1])"
 )
 def observe(
+    nominal: Array,
     model: Array,
     sway: float,
     lag_s: float,
     settings: Array,
+    noise: Array,
     belief: Array,
+    covariance: Array,
+    work: Array,
     acts_ns: NDArray[np.int64],
     wrenches: Array,
     inputs: int,
     sensed_ns: NDArray[np.int64],
     sensed: Array,
     samples: int,
-    x_m: float,
-    y_m: float,
-    yaw_rad: float,
+    pose: Array,
     stamp_ns: int,
     at_ns: int,
     now_ns: int,
@@ -283,10 +358,13 @@ def observe(
     """One step of the observer: the `belief` of `at_ns`, corrected by a pose of `stamp_ns` if that is later, and predicted to
     now and on to when a command given now acts.
 
-    `belief` (17,) is the state (11), Gamma (4) and the current x, y (m/s). `settings` (6,) are those of `correct` from the
-    bandwidth on. The first `inputs` of `wrenches` act as in `propagate`; the first `samples` of `sensed` are depth and yaw
-    rate as in `sensed_at`. Results: `now` (4, 4) has the rows eta; nu over ground; Gamma; Gamma with the acceleration by which
-    the current changes drag. `action` (11,) is the state, its velocities through the water.
+    `belief` (19,) is the state (11), Gamma (4), the current x, y (m/s), and drag and thrust per mass over those of the
+    `nominal` model (3, 4), which are kept in `model` (3, 4) too; `covariance` (8, 8) is that of its planar part, `noise` (8,)
+    and `work` (2, 8, 8) are as in `spread`. `settings` (5,): bandwidths of heave and of yaw (rad/s), 1 or without Gamma 0, the
+    fastest current, the rate at which a side force goes to it. `pose` (4,): x, y, yaw, variance of x and y. The first `inputs`
+    of `wrenches` act as in `propagate`; the first `samples` of `sensed` are depth and yaw rate as in `sensed_at`. Results:
+    `now` (4, 4) has the rows eta; nu over ground; Gamma; Gamma with the acceleration by which the current changes drag;
+    `action` (11,) is the state, its velocities through the water.
     Returns False, and leaves the belief as it was, if the pose is farther off than GATE_M or GATE_RAD.
     """
     state: State = (
@@ -297,22 +375,30 @@ def observe(
     water, passes = (belief[15], belief[16]), True
     if stamp_ns > at_ns:
         there = propagate(model, sway, lag_s, state, gamma, water, acts_ns, wrenches, inputs, at_ns, stamp_ns)
-        turned = np.fmod(yaw_rad - there[3], TURN)
+        turned = np.fmod(pose[2] - there[3], TURN)
         turned = turned - TURN if turned >= math.pi else turned + TURN if turned < -math.pi else turned
-        error = (x_m - there[0], y_m - there[1], turned)
-        passes = math.hypot(error[0], error[1]) <= GATE_M and abs(error[2]) <= GATE_RAD
+        error_x, error_y = pose[0] - there[0], pose[1] - there[1]
+        passes = math.hypot(error_x, error_y) <= GATE_M and abs(turned) <= GATE_RAD
         if passes:
-            state, gamma, current = correct(
-                model, there, gamma, complex(water[0], water[1]), error, sensed_at(sensed_ns, sensed, samples, 0, stamp_ns),
-                sensed_at(sensed_ns, sensed, samples, 1, stamp_ns), (stamp_ns - at_ns) * 1e-9, settings[0], settings[1],
-                settings[2] != 0.0, settings[3] != 0.0, settings[4], settings[5],
-            )  # fmt: skip
-            water, at_ns = (current.real, current.imag), stamp_ns
+            step_s = (stamp_ns - at_ns) * 1e-9
+            steps = (stamp_ns - at_ns + LONGEST_STEP_NS - 1) // LONGEST_STEP_NS
+            for _ in range(steps):
+                spread(model, sway, belief, step_s / steps, noise, covariance, work)
             for i in range(11):
-                belief[i] = state[i]
-            for i in range(4):
-                belief[11 + i] = gamma[i]
-            belief[15], belief[16] = water
+                belief[i] = there[i]
+            weigh(covariance, error_x, error_y, pose[3], work[0], work[1, 0])
+            correct_planar(nominal, model, belief, work[1, 0], step_s, settings)
+            correct_heave_and_yaw(
+                belief, turned, sensed_at(sensed_ns, sensed, samples, 0, stamp_ns),
+                sensed_at(sensed_ns, sensed, samples, 1, stamp_ns), step_s, settings[0], settings[1], settings[2],
+            )  # fmt: skip
+            at_ns = stamp_ns
+            state = (
+                belief[0], belief[1], belief[2], belief[3], belief[4], belief[5], belief[6], belief[7],
+                belief[8], belief[9], belief[10],
+            )  # fmt: skip
+            gamma = (belief[11], belief[12], belief[13], belief[14])
+            water = (belief[15], belief[16])
     here = propagate(model, sway, lag_s, state, gamma, water, acts_ns, wrenches, inputs, at_ns, now_ns)
     then = propagate(model, sway, lag_s, here, gamma, water, acts_ns, wrenches, inputs, now_ns, acts_at_ns)
     for i in range(4):
@@ -335,7 +421,8 @@ class Model:
         self.mass = tuple(float(m) for m in vehicle.inertia)
         self.linear = vehicle.drag.linear
         self.quadratic = vehicle.drag.quadratic
-        self.coefficients = np.array((self.mass, self.linear, self.quadratic), dtype=np.float64)  # (3, 4) for kernels
+        self.nominal = np.array((self.mass, self.linear, self.quadratic), dtype=np.float64)  # (3, 4) for kernels
+        self.coefficients = self.nominal.copy()  # as the observer has found them in flight
         self.sway = 1.0 if sway else 0.0
         self.lag_s = vehicle.thruster.lag_s if lag else 0.0
         self.coriolis = self.mass[1] / self.mass[0]  # m_v / m_u

@@ -2,8 +2,14 @@
 
 The state is that at the exposure of the newest pose. From there it is predicted to now, and on to the instant at which a
 command given now begins to act, with the wrenches that act meanwhile. Without that, 50 ms at 0.3 m/s are 15 mm, more than all
-vision noise. Gains are those of the discrete "current observer" for a bandwidth w (Miklosovic, Radke, Gao 2006). They tend to
-b1 = 3w, b2 = 3w^2, b3 = w^3 for short steps and stay stable for long ones, because poses come late and go missing.
+vision noise. Gains of heave and yaw are those of the discrete "current observer" for a bandwidth w (Miklosovic, Radke, Gao
+2006). They tend to b1 = 3w, b2 = 3w^2, b3 = w^3 for short steps and stay stable for long ones, because poses come late and go
+missing.
+
+Those of surge and sway are Kalman's. Process noise of 3 w^2, 3 w^4 and w^6 in pose, velocity and Gamma, times variance and
+period of ordinary poses, gives the same poles: on the imaginary axis |s + w|^6 = |s^3|^2 + 3 w^2 |s^2|^2 + 3 w^4 |s|^2
++ w^6. A pose after a gap counts more. If the observer is adaptive, poses that say that they are worse count less, and drag and
+thrust per mass are two more states: a slower observer needs the right model. `pace` tells by how much the bandwidth fell.
 
 The water may stream. For a robot with constant heading, a current c and a side force Gamma_v look the same; for a robot that
 turns, a current keeps its direction in the pool while a force of the robot turns along. So the lasting part of Gamma_v is
@@ -29,6 +35,8 @@ from robot_agent.vehicle.dynamics import (
     observe,
     propagate,
     sensed_at,
+    spread,
+    weigh,
 )
 from wire.config.controller import COAST_S, EstimatorConfig
 from wire.frames import Array, wrap
@@ -42,7 +50,12 @@ GATE_RADPS = 1.0  # and for the gyroscope: 0.5 N m turn 0.12 kg m^2 by 0.8 rad/s
 GATE_PATIENCE = 5  # samples in a row that contradict the estimate and agree with one another before they are believed
 ABSURD = 1e3  # m, rad, rad/s: nothing in a pool measures that much
 KEPT = 256  # wrenches, and board samples: more wrenches than COAST_NS of the fastest loop
-STATE, GAMMA, CURRENT = slice(0, 11), slice(11, 15), slice(15, 17)  # of the belief
+STATE, GAMMA, CURRENT, RATIOS = slice(0, 11), slice(11, 15), slice(15, 17), slice(17, 19)  # of the belief
+POSE_M, POSE_S = 0.0015, 0.05  # ordinary poses: standard deviation of x and of y, and period. The bandwidth is for these
+WORST_M = 0.05  # and so much a pose is worth at least: it passed the localizer's gate
+RATIO, RATIO_PER_SQRT_S = 0.15, 0.01  # standard deviation of drag and thrust per mass at first, and by how much they wander
+VARIANCE_S = 1.0  # time constant of the mean variance
+STEADY = 400  # poses after which the covariance has settled, for bandwidths from 0.3 rad/s on
 
 
 class PoseMeasurement(NamedTuple):
@@ -52,6 +65,7 @@ class PoseMeasurement(NamedTuple):
     x_m: float
     y_m: float
     yaw_rad: float
+    variance_m2: float = 0.0  # of x and of y
 
 
 class StateMeasurement(NamedTuple):
@@ -99,6 +113,7 @@ class Estimate(NamedTuple):
     depth_age_s: float  # of the last depth that did not contradict the estimate; infinite before the first
     leap: str = ""  # what was told and what had been believed, in the step that gave up a believed place for another one
     depth_leap: str = ""  # the same for the depth
+    pace: float = 1.0  # bandwidth over that with ordinary poses: as fast may act what feeds the estimate back
 
 
 class Estimator:
@@ -112,7 +127,11 @@ class Estimator:
         self._inputs = 0  # wrenches, each with the instant from which it acts, in order
         self._sensed_ns, self._sensed = np.zeros(KEPT, dtype=np.int64), np.zeros((KEPT, 2))
         self._samples = 0  # depths and yaw rates, each with its instant, in order; NaN where there was none
-        self._belief = np.zeros(17)  # state, Gamma and current at the exposure _at_ns
+        self._belief = np.zeros(19)  # state, Gamma, current, drag and thrust per mass at the exposure _at_ns
+        self._belief[RATIOS] = 1.0
+        self._covariance, self._work = np.zeros((8, 8)), np.empty((2, 8, 8))
+        self._pose = np.zeros(4)  # that was weighed last, with its variance
+        self._variance_m2 = POSE_M**2  # of the poses of late
         self._begun = False  # there is a belief
         self._at_ns = 0
         self._other_poses: Contradiction[PoseMeasurement] = Contradiction(_agree)
@@ -125,11 +144,29 @@ class Estimator:
 
     def tune(self, config: EstimatorConfig) -> None:
         """Use other gains from the next pose on; the estimate stays."""
-        self._uses_yaw_rate = config.use_imu_yaw_rate
+        self._uses_yaw_rate, self._adaptive = config.use_imu_yaw_rate, config.adaptive
+        w, gamma, sway = config.bandwidth_radps, float(config.enabled), float(config.sway)
+        place = 3.0 * w**2 * POSE_M**2 * POSE_S
+        learns = float(config.adaptive) * gamma * sway
+        self._noise = np.array((
+            place, place, place * w**2, sway * place * w**2, gamma * place * w**4 / 3.0, gamma * sway * place * w**4 / 3.0,
+            RATIO_PER_SQRT_S**2 * learns, RATIO_PER_SQRT_S**2 * learns,
+        ))  # fmt: skip
         self._settings = np.array((
-            config.bandwidth_radps, config.yaw_bandwidth_radps, config.enabled, config.sway, config.current_rate_radps,
-            self._fastest_mps,
+            w, config.yaw_bandwidth_radps, gamma, self._fastest_mps, sway * config.current_rate_radps
         ), dtype=np.float64)  # fmt: skip
+        self._steady = self._settled_covariance()
+        self._covariance[6:] = self._covariance[:, 6:] = 0.0  # begin to learn anew, or learn no more
+        self._covariance[6:, 6:] = RATIO**2 * learns * np.eye(2)
+
+    def _settled_covariance(self) -> Array:
+        """Covariance (6, 6) of pose, velocity and Gamma of a robot at rest that is seen in ordinary poses."""
+        p, work, belief = np.zeros((8, 8)), np.empty((2, 8, 8)), np.zeros(19)
+        belief[RATIOS] = 1.0
+        for _ in range(STEADY):
+            spread(self._model.nominal, self._model.sway, belief, POSE_S, self._noise, p, work)
+            weigh(p, 0.0, 0.0, POSE_M**2, work[0], work[1, 0])
+        return p[:6, :6].copy()
 
     def note_wrench(self, wrench: Wrench | Array, now_ns: int) -> None:
         """Take note of the wrench sent out now. It acts after the thrusters' dead time. Of two at one instant the last
@@ -160,6 +197,8 @@ class Estimator:
         now, action = np.empty((4, 4)), np.empty(11)
         passes = self._observe(pose, now_ns, now, action)
         if pose is not None and passes:
+            share = -math.expm1((self._at_ns - pose.stamp_ns) / (VARIANCE_S * NS))
+            self._variance_m2 += share * (self._variance_of(pose) - self._variance_m2)
             self._at_ns = pose.stamp_ns
             self._other_poses.reset()
         elif pose is not None and self._leaps_to(pose):
@@ -172,20 +211,26 @@ class Estimator:
         depth_age_s = (now_ns - self._depth_ns) / NS if self._depth_ns is not None else math.inf
         return Estimate(
             eta, nu, disturbance, complex(x_mps, y_mps), gamma_still_water, action, (now_ns - self._at_ns) / NS, depth_age_s,
-            self._leap, self._depth_leap,
+            self._leap, self._depth_leap, (POSE_M**2 / self._variance_m2) ** (1.0 / 6.0),
         )  # fmt: skip
 
     def _observe(self, pose: PoseMeasurement | None, now_ns: int, now: Array, action: Array) -> bool:
         """Run `dynamics.observe`. False if the pose does not pass the gate."""
-        model, at_ns = self._model, self._at_ns
-        x_m, y_m, yaw_rad, stamp_ns = (
-            (0.0, 0.0, 0.0, at_ns) if pose is None else (pose.x_m, pose.y_m, pose.yaw_rad, pose.stamp_ns)
-        )
+        model, at_ns, stamp_ns = self._model, self._at_ns, self._at_ns
+        if pose is not None:
+            self._pose[:], stamp_ns = (pose.x_m, pose.y_m, pose.yaw_rad, self._variance_of(pose)), pose.stamp_ns
         return observe(
-            model.coefficients, model.sway, model.lag_s, self._settings, self._belief, self._acts_ns, self._wrenches,
-            self._inputs, self._sensed_ns, self._sensed, self._samples, x_m, y_m, yaw_rad, stamp_ns, at_ns, now_ns,
-            now_ns + self._dead_ns, now, action,
+            model.nominal, model.coefficients, model.sway, model.lag_s, self._settings, self._noise, self._belief,
+            self._covariance, self._work, self._acts_ns, self._wrenches, self._inputs, self._sensed_ns, self._sensed,
+            self._samples, self._pose, stamp_ns, at_ns, now_ns, now_ns + self._dead_ns, now, action,
         )  # fmt: skip
+
+    def _variance_of(self, pose: PoseMeasurement) -> float:
+        """Variance of x and y as it is believed: none is better than ordinary, or worse than WORST_M. One that is no number
+        says nothing good."""
+        if not self._adaptive:
+            return POSE_M**2
+        return min(max(pose.variance_m2, POSE_M**2), WORST_M**2) if math.isfinite(pose.variance_m2) else WORST_M**2
 
     def _has_coasted(self, now_ns: int) -> bool:
         """True if the last pose is too old for an estimate."""
@@ -273,6 +318,8 @@ class Estimator:
         self._belief[STATE] = (pose.x_m, pose.y_m, z, yaw, 0.0, 0.0, w, 0.0, *thrust)
         self._belief[GAMMA] = (0.0, 0.0, self._belief[GAMMA][2], 0.0)
         self._belief[CURRENT] = 0.0
+        self._covariance[:6] = self._covariance[:, :6] = 0.0  # what is known of drag and thrust stays
+        self._covariance[:6, :6] = self._steady
         self._at_ns, self._begun = pose.stamp_ns, True
         self._other_poses.reset()
         self._other_rates.reset()

@@ -97,6 +97,9 @@ class EstimatorConfig(Section):
     """Model sideways motion. False: the article's model, which cannot slide sideways."""
     current_rate_radps: Gain = 0.15
     """Rate at which a lasting side force is attributed to a current; 0: never."""
+    adaptive: bool = False
+    """Learn drag and thrust per mass in flight, and count poses by their covariance. For water that stands still: of a
+    current, some would be taken for drag."""
 
 
 class GuidanceConfig(Section):

@@ -11,18 +11,23 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robot_agent.vehicle.dynamics import (
+    OUTLIER,
+    TELLS_MPS,
     Model,
-    correct,
+    correct_heave_and_yaw,
+    correct_planar,
     gains,
     gains_with_rate,
     propagate,
     split_side_force,
+    spread,
     sway_slope,
+    weigh,
 )
-from robot_agent.vehicle.eso import COAST_NS, Estimate, Estimator, PoseMeasurement, StateMeasurement
+from robot_agent.vehicle.eso import COAST_NS, POSE_M, POSE_S, Estimate, Estimator, PoseMeasurement, StateMeasurement
 from tests.robot_agent.water import integrate
 from wire.config.controller import EstimatorConfig
-from wire.config.vehicle import load_vehicle
+from wire.config.vehicle import Vehicle, load_vehicle
 from wire.frames import Array, wrap
 
 pytestmark = pytest.mark.long
@@ -418,22 +423,23 @@ def test_gains_tend_to_the_articles_bandwidth_form() -> None:
 
 
 values = st.floats(allow_nan=True, allow_infinity=True) | st.floats(-2, 2)
-Row = tuple[int, float, float, float, float | None, float | None, int | None]
+Row = tuple[int, float, float, float, float, float | None, float | None, int | None]
 times = st.integers(-STEP_NS, 30 * STEP_NS)
 
 
 @settings(max_examples=150, deadline=None)
 @given(
     st.lists(
-        st.tuples(times, values, values, values, values | st.none(), values | st.none(), times | st.none()),
+        st.tuples(times, values, values, values, values, values | st.none(), values | st.none(), times | st.none()),
         min_size=1,
         max_size=30,
     )
 )
 def test_no_input_makes_it_lose_its_numbers(rows: list[Row]) -> None:
     observer = estimator()
-    for k, (stamp, x, y, yaw, depth, rate, board) in enumerate(rows):
-        estimate = observer.update(StateMeasurement(PoseMeasurement(stamp, x, y, yaw), depth, rate, board), k * STEP_NS)
+    for k, (stamp, x, y, yaw, variance, depth, rate, board) in enumerate(rows):
+        pose = PoseMeasurement(stamp, x, y, yaw, variance)
+        estimate = observer.update(StateMeasurement(pose, depth, rate, board), k * STEP_NS)
         observer.note_wrench((0.1, 0.0, 0.0), k * STEP_NS)
         if estimate is not None:
             numbers = np.concatenate([estimate.eta, estimate.nu, estimate.disturbance, estimate.action])
@@ -442,38 +448,172 @@ def test_no_input_makes_it_lose_its_numbers(rows: list[Row]) -> None:
 
 @pytest.mark.parametrize("seed", range(12))
 def test_the_correction_is_equation_31_in_matrices(seed: int) -> None:
-    """With rotations as matrices and NumPy vectors, in place of the kernel's scalars."""
+    """Heave and yaw by its gains; the planar part by a change in body axes, whose side force is shared out."""
     random = np.random.default_rng(seed)
     config = EstimatorConfig(enabled=seed % 3 != 0, sway=seed % 4 != 0)
-    x, gamma, error = 0.3 * random.normal(size=11), 0.05 * random.normal(size=4), 0.05 * random.normal(size=3)
-    current, step_s = complex(*(0.03 * random.normal(size=2))), float(random.uniform(0.02, 0.3))
+    belief, change, error_yaw = 0.1 * random.normal(size=19), 0.05 * random.normal(size=8), 0.05 * random.normal()
+    belief[17:] = 1.2, 0.9
+    step_s, on = float(random.uniform(0.02, 0.3)), float(config.enabled)
     depth_m, rate_radps = (math.nan if seed % 2 else 0.3), (math.nan if seed % 5 == 0 else 0.1)
-    model = Model(VEHICLE)
-    state, found, water = correct(
-        model.coefficients, tuple(x), tuple(gamma), current, tuple(error), depth_m, rate_radps, step_s,
-        config.bandwidth_radps, config.yaw_bandwidth_radps, config.enabled, config.sway, config.current_rate_radps, math.inf,
-    )  # fmt: skip
+    model, found = Model(VEHICLE), belief.copy()
+    rate = config.current_rate_radps * config.sway
+    settings_ = np.array((config.bandwidth_radps, config.yaw_bandwidth_radps, on, math.inf, rate))
+    correct_planar(model.nominal, model.coefficients, found, change, step_s, settings_)
+    correct_heave_and_yaw(
+        found, error_yaw, depth_m, rate_radps, step_s, config.bandwidth_radps, config.yaw_bandwidth_radps, on
+    )
 
-    on = float(config.enabled)
-    b1, b2, b3 = gains(config.bandwidth_radps, step_s)
-    jacobian = np.array([[np.cos(x[3]), -np.sin(x[3])], [np.sin(x[3]), np.cos(x[3])]])
-    planar = jacobian.T @ error[:2]
-    eta, nu, extra, drift = x[:4].copy(), x[4:8].copy(), gamma.copy(), 0.0
-    eta[:2] += b1 * error[:2]
-    axes = 2 if config.sway else 1
-    nu[:axes] += b2 * planar[:axes]
-    extra[:axes] += on * b3 * planar[:axes]
+    expected = belief.copy()
+    expected[[0, 1, 4, 5, 11, 12, 17, 18]] += change
+    drag, thrust = expected[17:]
+    mass = np.array(model.mass[:2]) / thrust
+    linear, quadratic = (np.array(d[:2]) * drag / thrust for d in (model.linear, model.quadratic))
+    assert model.coefficients[:, :2] == pytest.approx(np.array([mass, linear, quadratic]))
     if config.sway:
-        speed = np.hypot(nu[0], nu[1])
-        slope = (model.linear[1] + model.quadratic[1] * (speed + nu[1] ** 2 / speed)) / model.mass[1]
-        drift = (1.0 - np.exp(-config.current_rate_radps * step_s)) * extra[1] / slope
-        extra[1], nu[1] = extra[1] - drift * slope, nu[1] - drift
+        u, v = expected[4:6]
+        slope = (linear[1] + quadratic[1] * (np.hypot(u, v) + v**2 / np.hypot(u, v))) / mass[1]
+        drift = (1.0 - np.exp(-rate * step_s)) * expected[12] / slope
+        expected[12], expected[5] = expected[12] - drift * slope, v - drift
+        expected[15:17] += drift * np.array([-np.sin(belief[3]), np.cos(belief[3])])
     if not math.isnan(depth_m):
-        off = depth_m - x[2]
-        eta[2], nu[2], extra[2] = x[2] + b1 * off, x[6] + b2 * off, gamma[2] + on * b3 * off
-    b1, b2, b3 = (gains if math.isnan(rate_radps) else gains_with_rate)(config.yaw_bandwidth_radps, step_s)
-    off = error[2] if math.isnan(rate_radps) else rate_radps - x[7]
-    eta[3], nu[3], extra[3] = x[3] + b1 * error[2], x[7] + b2 * off, gamma[3] + on * b3 * off
-    assert np.array(state) == pytest.approx(np.concatenate([eta, nu, x[8:]]), abs=1e-9)
-    assert np.array(found) == pytest.approx(extra, abs=1e-9)
-    assert water == pytest.approx(current + drift * complex(*jacobian[:, 1]), abs=1e-9)
+        expected[[2, 6, 13]] += np.array(gains(config.bandwidth_radps, step_s)) * [1, 1, on] * (depth_m - belief[2])
+    yaw_gains = (gains if math.isnan(rate_radps) else gains_with_rate)(config.yaw_bandwidth_radps, step_s)
+    off = error_yaw if math.isnan(rate_radps) else rate_radps - belief[7]
+    expected[[3, 7, 14]] += np.array(yaw_gains) * [error_yaw, off, on * off]
+    assert found == pytest.approx(expected, abs=1e-9)
+
+
+def planar_step(x: Array, yaw: float, rate: float, surge_n: float, dt: float) -> Array:
+    """Planar belief (8,) `dt` later by the model's equations, with drag and thrust per mass as its last two numbers."""
+    model = Model(VEHICLE)
+    model.coefficients[0, :2] /= x[7]
+    model.coefficients[1:, :2] *= x[6] / x[7]
+    thrust = (surge_n, 0.0, 0.0)
+    state = (x[0], x[1], 0.3, yaw, x[2], x[3], 0.0, rate, *thrust)
+    after = model.advance(state, (x[4], x[5], 0.0, 0.0), thrust, dt)
+    return np.array((*after[:2], *after[4:6], *x[4:]))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_spread_is_that_of_finite_differences(seed: int) -> None:
+    """Unit by unit: a covariance of e_j e_j^T becomes f_j f_j^T. Drag of one axis by the speed of the other is left out."""
+    random, dt = np.random.default_rng(seed), 0.05
+    belief = np.zeros(19)
+    belief[[3, 4, 5, 7, 8]] = random.uniform(-3, 3), random.uniform(0.2, 0.4), random.uniform(-0.02, 0.02), 0.3, 2.0
+    belief[17:] = 1.0
+    x = np.array((0, 0, belief[4], belief[5], 0, 0, 1, 1), dtype=np.float64)
+    speed = math.hypot(belief[4], belief[5])
+    for j in range(8):
+        step = 1e-5 * np.eye(8)[j]
+        forward, backward = (planar_step(x + d, belief[3], belief[7], belief[8], dt) for d in (step, -step))
+        expected = (forward - backward) / 2e-5
+        if j >= 6:
+            expected[:6] *= speed**4 / (speed**4 + TELLS_MPS**4)
+        p = np.outer(np.eye(8)[j], np.eye(8)[j])
+        spread(Model(VEHICLE).nominal, 1.0, belief, dt, np.zeros(8), p, np.empty((2, 8, 8)))
+        column = p[:, j] / math.sqrt(p[j, j])
+        assert column == pytest.approx(expected, abs=0.02 * dt * max(1.0, abs(belief[8])))
+
+
+@pytest.mark.parametrize("far", [False, True])
+def test_weighing_is_kalmans_in_matrices(far: bool) -> None:
+    root, variance = np.random.default_rng(3).normal(size=(8, 8)), 0.5
+    p, error = root @ root.T, np.array([60.0, -20.0]) if far else np.array([0.4, -0.7])
+    h = np.eye(8)[:2]
+    s = h @ p @ h.T + variance * np.eye(2)
+    s *= max(1.0, math.sqrt(error @ np.linalg.solve(s, error)) / OUTLIER)
+    gain = p @ h.T @ np.linalg.inv(s)
+    found, change = p.copy(), np.empty(8)
+    weigh(found, float(error[0]), float(error[1]), variance, np.empty((8, 8)), change)
+    assert change == pytest.approx(gain @ error)
+    assert found == pytest.approx(p - gain @ s @ gain.T) and np.array_equal(found, found.T)
+
+
+def test_ordinary_poses_put_the_poles_at_the_bandwidth() -> None:
+    w = EstimatorConfig().bandwidth_radps
+    model, observer = Model(VEHICLE), estimator()
+    run_at_rest(observer, POSE_M**2)
+    p, noise = observer._covariance.copy(), observer._noise  # private: what the gains come from is told nowhere
+    gain, change = np.empty((8, 8)), np.empty(8)
+    spread(model.nominal, 1.0, np.array([*np.zeros(17), 1.0, 1.0]), POSE_S, noise, p, np.empty((2, 8, 8)))
+    weigh(p, 0.0, 0.0, POSE_M**2, gain, change)
+    a = np.array([[1, POSE_S, POSE_S**2 / 2], [0, 1, POSE_S], [0, 0, 1]])
+    poles = np.linalg.eigvals((np.eye(3) - np.outer(gain[[0, 2, 4], 0], [1, 0, 0])) @ a)
+    assert np.log(np.prod(poles).real) / POSE_S == pytest.approx(-3 * w, rel=0.1)  # their sum: drag pulls a triple root apart
+    assert np.abs(poles).max() < math.exp(-0.5 * w * POSE_S)
+
+
+def run_at_rest(observer: Estimator, variance_m2: float, noise_m: float = 0.0, steps: int = 300) -> list[Estimate]:
+    """A robot that stands still, seen in every step."""
+    random, found = np.random.default_rng(1), []
+    for k in range(1, steps + 1):
+        x, y = noise_m * random.normal(size=2)
+        estimate = observer.update(StateMeasurement(PoseMeasurement(k * STEP_NS, x, y, 0.0, variance_m2)), k * STEP_NS)
+        assert estimate is not None
+        found.append(estimate)
+    return found
+
+
+def test_poses_that_say_that_they_are_worse_move_velocity_and_disturbance_less() -> None:
+    told, untold = (run_at_rest(estimator(adaptive=True), variance, 0.005)[100:] for variance in (0.005**2, 0.0))
+    for part in ("nu", "disturbance"):
+        quiet, loud = (np.std([getattr(e, part)[:2] for e in run]) for run in (told, untold))
+        assert quiet < 0.55 * loud
+    assert told[-1].pace == pytest.approx((0.0015 / 0.005) ** (1 / 3), rel=0.01) and untold[-1].pace == 1.0
+
+
+@pytest.mark.parametrize("variance", [math.nan, math.inf, -1.0, 1e9])
+def test_a_variance_that_cannot_be_makes_no_estimate_wild(variance: float) -> None:
+    found = run_at_rest(estimator(adaptive=True), variance, 0.001)
+    assert all(np.isfinite(e.eta).all() and 0.25 < e.pace <= 1.0 for e in found) and np.abs(found[-1].eta[:2]).max() < 0.005
+
+
+def test_one_pose_that_is_far_off_within_the_gate_counts_little() -> None:
+    observer = estimator()
+    for k in range(1, 200):
+        pose = PoseMeasurement(k * STEP_NS, 0.1 if k == 150 else 0.0, 0.0, 0.0)
+        estimate = observer.update(StateMeasurement(pose), k * STEP_NS)
+        assert estimate is not None and abs(estimate.eta[0]) < 0.005 and abs(estimate.nu[0]) < 0.015
+
+
+# --- drag and thrust per mass
+
+
+def of_another_build(mass: float, drag: float) -> tuple[Model, Estimator, Callable[[Array, Wrench, float], Array]]:
+    """Model, observer, and a true robot whose mass and drag are `mass` and `drag` times those of the vehicle file."""
+    numbers = VEHICLE.model_dump()
+    for axis in ("surge_kg", "sway_kg"):
+        numbers["mass"][axis] *= mass
+    for kind, (u, v, *rest) in VEHICLE.drag.model_dump().items():
+        numbers["drag"][kind] = (drag * u, drag * v, *rest)
+    other = Vehicle.model_validate(numbers)
+    model = Model(VEHICLE)
+    return (
+        model,
+        Estimator(model, EstimatorConfig(adaptive=True), DEAD_S),
+        lambda x, wrench, dt: integrate(other, x, constant(wrench), dt, (0.0, 0.0, 0.0, 0.0), True, 400),
+    )
+
+
+@pytest.mark.parametrize(("mass", "drag"), [(0.7, 1.3), (1.3, 0.7), (1.0, 1.0)])
+def test_drag_and_thrust_per_mass_are_learned_in_bends(mass: float, drag: float) -> None:
+    model, observer, move = of_another_build(mass, drag)
+    state = np.array([0.0, 0.0, 0.3, 0.0, *([0.0] * 7)])
+    acts: Wrench = (0.0, 0.0, 0.0)
+    for k in range(800):
+        pose = PoseMeasurement(k * STEP_NS, state[0], state[1], wrap(state[3]))
+        observer.update(StateMeasurement(pose, state[2], state[7]), k * STEP_NS)
+        wrench = weave(k * STEP_S)
+        observer.note_wrench(wrench, k * STEP_NS)
+        state = move(state, acts, STEP_S)  # the dead time is a step
+        acts = wrench
+    m, linear, _ = model.coefficients[:, 1] / model.nominal[:, 1]
+    assert linear / m == pytest.approx(drag / mass, rel=0.1) and m == pytest.approx(mass, rel=0.15)
+    assert np.array_equal(model.coefficients[:, 2:], model.nominal[:, 2:])
+
+
+def test_a_robot_that_hardly_moves_learns_nothing_of_its_drag() -> None:
+    """Pushed by 0.05 N that its thrusters did not give, at 2 cm/s."""
+    observer = estimator(adaptive=True)
+    fly(lambda t: (0.05, 0.0, 0.01 * math.sin(0.3 * t)), 30.0, observer, disturbance=(0.004, 0.002, 0.0, 0.0))
+    assert np.abs(observer._belief[17:] - 1.0).max() < 0.03  # private: what the model comes from is told nowhere
