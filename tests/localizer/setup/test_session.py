@@ -244,7 +244,7 @@ def test_controls_are_set_and_saved_and_a_wrong_value_is_refused_with_what_is_al
     assert verdicts[2].startswith("a robot at 0.1 m/s smears over 1.20 mm in 12.0 ms (limit 1 mm)")
     do(session, "save")
     camera = load_experiment(str(file)).camera
-    assert (camera.controls, camera.exposure_s) == ({"gain": 20}, 0.012)
+    assert (camera.controls, camera.exposure_s) == ((("gain", 20),), 0.012)
     do(session, "defaults")
     assert (controls.gain, controls.exposure) == (32, 100)
     assert begin(file).state(1)["no_controls"] == "this source offers no controls"
