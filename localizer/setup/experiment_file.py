@@ -109,9 +109,6 @@ class ExperimentFile:
 def _item(key: str, value: Any) -> Any:
     """A value in tomlkit's form; a long list is broken into lines."""
     item = tomlkit.item(value)
-    if isinstance(value, dict):
-        item = tomlkit.inline_table()
-        item.update(value)
-    elif isinstance(value, list) and len(f"{key} = {item.as_string()}") > _WIDE:
+    if isinstance(value, list) and len(f"{key} = {item.as_string()}") > _WIDE:
         item.multiline(True)
     return item

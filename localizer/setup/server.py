@@ -121,7 +121,10 @@ class SetupServer:
             return _refused()
         if int(request.headers.get("content-length", _LONGEST_REQUEST + 1)) > _LONGEST_REQUEST:
             return PlainTextResponse("too long", 413)
-        given = await request.json()
+        try:
+            given: dict[str, Any] = dict(await request.json())
+        except (ValueError, TypeError):
+            return PlainTextResponse("not a JSON object", 400)
         try:
             found: Any = await run_in_threadpool(self._session.do, str(given.pop("do", "")), given)
         except ConfigError as error:

@@ -332,7 +332,7 @@ class SetupSession:
             found["masks_px"] = list(work.masks.values())
         values = {name: value for name, value in self._set.items() if name not in EXPOSURES}
         if values:
-            found["controls"] = before.controls | values
+            found["controls"] = [[name, value] for name, value in (dict(before.controls) | values).items()]
         if values != self._set:
             found["exposure_s"] = round(self._exposure_s(), 5)
         was = before.model_dump(mode="json")

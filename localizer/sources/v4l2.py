@@ -207,7 +207,7 @@ class V4l2Source:
         refused = configure(capture, self._camera)
         if refused:
             log.warning("camera %s does not do as told: %s", self._device, ", ".join(refused))
-        for reason in set_all(V4l2Controls(self._device), self._camera.controls):
+        for reason in set_all(V4l2Controls(self._device), dict(self._camera.controls)):
             log.warning("%s", reason)
         exposure = capture.get(cv2.CAP_PROP_EXPOSURE)  # what it really is; negative where the camera does not say
         self._exposure_ns = round((exposure * EXPOSURE_UNIT_S if exposure > 0 else self._camera.exposure_s) * 1e9)

@@ -42,8 +42,8 @@ class Camera(Section):
     """Refractive index of the water."""
     masks_px: tuple[Annotated[tuple[Vec2, ...], Field(min_length=3)], ...] = ()
     """Polygons of the picture, by their corners, in which nothing is looked for: a ladder, the deck."""
-    controls: dict[str, int] = Field(default_factory=dict, examples=[{"gain": 20}])
-    """Values that a camera at this machine is given when it is opened, by the names of its own controls (V4L2)."""
+    controls: Annotated[tuple[tuple[str, int], ...], Field(examples=[[["gain", 20]]])] = ()
+    """Names of a camera's own controls (V4L2), each with the value that it is given when the camera is opened."""
 
     @model_validator(mode="after")
     def _above_water(self) -> Self:

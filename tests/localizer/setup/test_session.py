@@ -1,9 +1,10 @@
 """A setup from the first picture to the saved file, with a rendered board and pool whose camera is known."""
 
 import errno
+import threading
 import tomllib
-from collections.abc import Mapping
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +15,16 @@ import tomli_w
 
 from localizer.detection.image_regions import Pixels
 from localizer.setup import experiment_file
+from localizer.setup.camera_feed import CameraFeed
 from localizer.setup.experiment_file import ExperimentFile
 from localizer.setup.session import SetupSession
 from localizer.sources.base import CapturedFrame
 from localizer.sources.v4l2_controls import Control, V4l2Controls
 from sim_bridge.camera.optics import project
 from tests.localizer.board_scene import CameraBench, charuco, marks
+from tests.waiting import eventually
 from wire.config.experiment import EXPERIMENTS, load_experiment
+from wire.process.runtime import Stop
 from wire.toml_loader import ConfigError
 
 pytestmark = pytest.mark.long
@@ -240,7 +244,7 @@ def test_controls_are_set_and_saved_and_a_wrong_value_is_refused_with_what_is_al
     assert verdicts[2].startswith("a robot at 0.1 m/s smears over 1.20 mm in 12.0 ms (limit 1 mm)")
     do(session, "save")
     camera = load_experiment(str(file)).camera
-    assert (camera.controls, camera.exposure_s) == ({"gain": 20}, 0.012)
+    assert (camera.controls, camera.exposure_s) == ((("gain", 20),), 0.012)
     do(session, "defaults")
     assert (controls.gain, controls.exposure) == (32, 100)
     assert begin(file).state(1)["no_controls"] == "this source offers no controls"
@@ -253,6 +257,39 @@ def test_focus_is_told_against_the_best_so_far(file: Path) -> None:
     for picture, good in ((cv2.blur(sharp, (5, 5)), True), (sharp, True), (cv2.blur(sharp, (3, 3)), False)):
         show(session, np.asarray(picture, dtype=np.uint8))
         assert session.state(1)["figures"]["verdicts"][1]["good"] is good
+
+
+class UnpluggedOnce:
+    """A camera that is unplugged and plugged in again: a step at a time, as the test says."""
+
+    silent_after_s = 0.1
+
+    def __init__(self) -> None:
+        self.trouble, self.plugged, self.unplugged = "", threading.Event(), threading.Event()
+
+    def frames(self, stop: Stop) -> Iterator[CapturedFrame | None]:
+        yield CapturedFrame(pool_picture(), 0, 0, 10**9)
+        self.trouble = "/dev/video0 stopped delivering"
+        yield None
+        self.unplugged.set()
+        self.plugged.wait(60.0)
+        yield CapturedFrame(pool_picture(), 0, 0, 2 * 10**9)
+        eventually(stop, 60.0)
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+
+def test_a_camera_that_is_unplugged_is_told_and_the_work_goes_on_when_it_is_back(file: Path) -> None:
+    session, source, stop = begin(file), UnpluggedOnce(), Stop(install=False)
+    with closing(CameraFeed(source, session, stop)):
+        assert source.unplugged.wait(60.0)
+        do(session, "mask", corners_px=[[10.0, 10.0], [60.0, 10.0], [10.0, 90.0]])
+        assert session.state(1)["trouble"] == "/dev/video0 stopped delivering"
+        source.plugged.set()
+        assert eventually(lambda: session.state(1)["trouble"] == "", 60.0)
+        assert len(session.state(1)["masks"]) == 1
+        stop.request()
 
 
 # --- files
