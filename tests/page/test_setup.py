@@ -33,7 +33,7 @@ POINTS = FLOOR | {"rim": (0.0, -1.0, -0.1)}
 
 
 @dataclass
-class SimulatedCamera:
+class FolderCamera:
     """A folder that the program watches: a picture that is put there is the camera's next."""
 
     folder: Path
@@ -70,10 +70,10 @@ class SimulatedCamera:
 
 
 @pytest.fixture
-def camera(tmp_path: Path) -> SimulatedCamera:
+def camera(tmp_path: Path) -> FolderCamera:
     folder = tmp_path / "camera"
     folder.mkdir()
-    return SimulatedCamera(folder)
+    return FolderCamera(folder)
 
 
 @pytest.fixture
@@ -86,7 +86,7 @@ def lab(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def program(lab: Path, camera: SimulatedCamera) -> Iterator[tuple[psutil.Popen, str]]:
+def program(lab: Path, camera: FolderCamera) -> Iterator[tuple[psutil.Popen, str]]:
     """The running program, and the address that it printed."""
     camera.show(camera.pool())
     command = [sys.executable, "-m", "localizer", "setup", str(lab), "--camera", f"folder:{camera.folder}"]
@@ -126,7 +126,7 @@ def _button(page: Page, name: str) -> None:
 
 
 def test_a_camera_is_set_up_from_the_first_look_to_the_saved_file(
-    browser: Browser, program: tuple[psutil.Popen, str], camera: SimulatedCamera, lab: Path, tmp_path: Path, asked: PageTraffic
+    browser: Browser, program: tuple[psutil.Popen, str], camera: FolderCamera, lab: Path, tmp_path: Path, asked: PageTraffic
 ) -> None:
     _, address = program
     page = _open(browser, address, asked)
