@@ -303,6 +303,7 @@ def test_a_run_is_interrupted_while_it_connects(tmp_path: Path, monkeypatch: pyt
         ports: int,
         boards: Path | None,
         ring: int | None,
+        cameras: tuple[str, ...],
     ) -> list[Program]:
         return [Program("groundstation", "http.server", (address.rpartition(":")[2], "--bind", "127.0.0.1"))]
 

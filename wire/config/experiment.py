@@ -15,7 +15,7 @@ from typing import Annotated, Any, Self
 
 import numpy as np
 import tomli_w
-from pydantic import Field, model_validator
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from wire.config.controller import ControllerConfig, Safety
 from wire.config.fault_injection import KINDS, fault_table
@@ -329,6 +329,14 @@ class Experiment(Section):
         """Formation nodes from the virtual centre, shape (robots, 3), scaled by L = l I (15)."""
         return self.formation.scale * np.array([robot.node_m for robot in self.robots])
 
+    @model_serializer(mode="wrap")
+    def _without_unused_camera(self, table_of: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """The table that gives this experiment again: `camera` is only a stand-in where there are several."""
+        table: dict[str, Any] = table_of(self)
+        if self.cameras:
+            table.pop("camera", None)
+        return table
+
     @cached_property
     def hash(self) -> str:
         """SHA-256 (hex) over every value of the experiment and its vehicle, defaults included."""
@@ -338,8 +346,7 @@ class Experiment(Section):
 
 def dump_experiment(experiment: Experiment) -> str:
     """The whole experiment as TOML, vehicle and defaults included: loading it gives the same hash."""
-    unused = {"camera"} if experiment.cameras else set[str]()
-    return tomli_w.dumps(experiment.model_dump(mode="json", exclude_none=True, exclude=unused))
+    return tomli_w.dumps(experiment.model_dump(mode="json", exclude_none=True))
 
 
 def experiment_path(name_or_path: str) -> Path:
