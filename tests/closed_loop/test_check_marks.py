@@ -25,6 +25,7 @@ FAULTS = (f"t=1 for=3 {SUNK}", f"t=6 for=3 {BUMPED}")
 NOTICED_NS = 1_300_000_000  # five marks in turns at 20 Hz have their five readings
 
 
+@pytest.mark.slow  # tests/localizer/tracking has both without a flight
 def test_sunken_water_and_a_bumped_camera_are_told_apart_in_flight(tmp_path: Path) -> None:
     experiment, hub = load_experiment("figure-eight", ["duration_s=11"], FAULTS), MemoryHub()
     bus = Bus(MemoryTransport(hub))

@@ -73,8 +73,8 @@ def lines(folder: Path) -> set[tuple[str, str]]:
 @pytest.mark.parametrize(
     "arguments",
     [
-        pytest.param(("pool", "--duration", "2.5", "--seed", "3", *FAULTS), id="faults"),
-        pytest.param(("islands", "--duration", "2", "--poses"), id="poses", marks=pytest.mark.slow),
+        pytest.param(("pool", "--duration", "2.5", "--seed", "3", *FAULTS), id="faults", marks=pytest.mark.slow),
+        pytest.param(("islands", "--duration", "2", "--poses"), id="poses"),
         pytest.param(("two-cameras", "--duration", "2.5", *CAMERA_FAULTS), id="two-cameras", marks=pytest.mark.slow),
         pytest.param(("pool", "--duration", "8"), id="pool", marks=pytest.mark.slow),
         pytest.param(("figure-eight", "--duration", "8"), id="figure-eight", marks=pytest.mark.slow),
