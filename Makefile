@@ -23,7 +23,7 @@ help: ## this list
 run: $(INSTALLED) ## fly the pool experiment in software, all processes for real; says where the report is. ARGS="--lockstep --seed 2"
 	$(BIN)/sim-bridge sil pool $(ARGS)
 
-check: lint ## ruff, mypy, and the unit tests that start no process: three minutes on two cores
+check: lint ## ruff, mypy, and the unit tests that start no process: two minutes on two cores
 	$(BIN)/python -m pytest -n logical --dist loadgroup -m "not slow and not real_time and not long"
 
 # What only computes, and the page's tests, which have time, fill the idle time of those that wait for programs, at lower
