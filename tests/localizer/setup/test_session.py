@@ -22,6 +22,7 @@ from localizer.sources.base import CapturedFrame
 from localizer.sources.v4l2_controls import Control, V4l2Controls
 from sim_bridge.camera.optics import project
 from tests.localizer.board_scene import CameraBench, charuco, marks
+from tests.localizer.small_basin import BOARD, FLOOR, POOL_M, RIM, TRUTH
 from tests.waiting import eventually
 from wire.config.experiment import EXPERIMENTS, load_experiment
 from wire.process.runtime import Stop
@@ -29,20 +30,6 @@ from wire.toml_loader import ConfigError
 
 pytestmark = pytest.mark.long
 
-BOARD = "charuco:7x5:0.04:0.03:DICT_4X4_50"
-TRUTH = load_experiment("pool").camera.model_copy(
-    update={
-        "size_px": (480, 360),
-        "focal_px": (330.0, 331.5),
-        "centre_px": (236.3, 184.8),
-        "distortion": (-0.12, 0.03, 6e-4, -4e-4, 0.0),
-        "position_m": (0.06, -0.04, -2.6),
-        "rotation_rad": (0.03, -0.02, 0.05),
-    }
-)
-POOL_M = (2.6, 1.9, 0.8)
-RIM = {0: (-1.55, -1.1), 1: (1.5, -1.05), 2: (1.55, 1.1), 3: (-1.5, 1.15)}
-FLOOR = {10: (-0.9, -0.6), 11: (0.9, -0.5), 12: (0.8, 0.6), 13: (-0.9, 0.6), 14: (0.0, 0.05)}
 BENCH = CameraBench(TRUTH)
 LAB = f"""# our lab
 name = "lab"
@@ -50,7 +37,7 @@ duration_s = 10.0
 vehicle = "spherical"           # as shipped
 
 [pool]
-size_m = {list(POOL_M)}
+size_m = {POOL_M}
 
 [path]
 kind = "circle"
