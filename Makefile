@@ -14,7 +14,7 @@ export OPENBLAS_NUM_THREADS = 1
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help page run check test test-real-time test-page test-computing test-slow mutants firmware faults fuzz photoreal soak bench lint format proto docs lock clean
+.PHONY: help page run check test test-units test-real-time test-page test-computing test-slow mutants firmware faults fuzz photoreal soak bench lint format proto docs lock clean
 
 help: ## this list
 	@echo "Targets (each sets up .venv by itself):"
@@ -23,7 +23,10 @@ help: ## this list
 run: $(INSTALLED) ## fly the pool experiment in software, all processes for real; says where the report is. ARGS="--lockstep --seed 2"
 	$(BIN)/sim-bridge sil pool $(ARGS)
 
-check: lint ## ruff, mypy, and the unit tests that start no process: two minutes on two cores
+check: $(INSTALLED) ## ruff, mypy, and the unit tests that start no process: a minute on two cores
+	@$(MAKE) --no-print-directory --keep-going --jobs=2 lint test-units
+
+test-units:
 	$(BIN)/python -m pytest -n logical --dist loadgroup -m "not slow and not real_time and not long"
 
 # What only computes, and the page's tests, which have time, fill the idle time of those that wait for programs, at lower

@@ -200,7 +200,7 @@ class V4l2Source:
 
     def _report(self, trouble: str) -> None:
         said, self.trouble = self.trouble, f"{self._device} {trouble}"
-        if said != self.trouble:
+        if said != self.trouble and not self._closing.is_set():  # a closed device delivers no more: no trouble
             log.error("camera %s; trying again", self.trouble)
 
     def _configure(self, capture: Capture) -> None:

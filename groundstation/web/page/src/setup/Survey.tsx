@@ -24,9 +24,11 @@ function next(points: Point[]): void {
   marker.value = null;
 }
 
+/** Send the point that the fields hold; then offer the next name, unless another one was typed in the meantime. */
 async function put(given: object): Promise<void> {
-  await ask("point", { name: name.value, pool_m: place.value, ...given });
-  if (state.value !== null) next(state.value.survey.points);
+  const sent = name.value;
+  await ask("point", { name: sent, pool_m: place.value, ...given });
+  if (state.value !== null && name.value === sent) next(state.value.survey.points);
 }
 
 export function surveyClick(at: Pixel): void {
