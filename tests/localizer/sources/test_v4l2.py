@@ -90,7 +90,6 @@ def plug(monkeypatch: pytest.MonkeyPatch) -> Iterator[Plug]:
     monkeypatch.setattr(v4l2, "JOIN_S", 0.02)
     camera = Plug()
     yield camera
-    camera.unplug()
     camera.unplug()  # ends the grabbing thread
 
 
