@@ -13,46 +13,46 @@ import threading
 from pathlib import Path
 
 from groundstation.deploy.manifest import Probe, digest
+from wire.process.version import PACKAGES
 from wire.toml_loader import ConfigError
 
 ROOT = Path(__file__).parents[2]
 _TURN = threading.Lock()  # several boards are brought up to date at once: what one has made serves the others
-SOURCES = ("wire", "robot_agent", "groundstation", "localizer", "sim_bridge")
 
 
-def wheels(probe: Probe, source: Path = ROOT) -> Path:
+def wheels(probe: Probe) -> Path:
     """A folder with the wheels for such a board. Raises ConfigError where they cannot be had."""
-    if not (source / "constraints.txt").is_file():
-        raise ConfigError(f"{source}: no constraints.txt there; run this from a checkout, or give --wheelhouse FOLDER")
-    key = f"{probe.machine}-{probe.python}-{_source_digest(source)}"
+    if not (ROOT / "constraints.txt").is_file():
+        raise ConfigError(f"{ROOT}: no constraints.txt there; run this from a checkout, or give --wheelhouse FOLDER")
+    key = f"{probe.machine}-{probe.python}-{_source_digest()}"
     folder = _cache() / key
     with _TURN:
         if not folder.is_dir():
             folder.parent.mkdir(parents=True, exist_ok=True)
             with tempfile.TemporaryDirectory(dir=folder.parent) as building:
                 fresh = Path(building) / "wheels"
-                _build(probe, source, fresh)
+                _build(probe, fresh)
                 fresh.rename(folder)
     return folder
 
 
-def _source_digest(source: Path) -> str:
-    files = [source / "pyproject.toml", source / "constraints.txt"]
-    for package in SOURCES:
-        files += [path for path in (source / package).rglob("*") if path.is_file() and "__pycache__" not in path.parts]
-    return digest((str(path.relative_to(source)), path.read_bytes()) for path in files if "node_modules" not in path.parts)
+def _source_digest() -> str:
+    files = [ROOT / "pyproject.toml", ROOT / "constraints.txt"]
+    for package in PACKAGES:
+        files += [path for path in (ROOT / package).rglob("*") if path.is_file() and "__pycache__" not in path.parts]
+    return digest((str(path.relative_to(ROOT)), path.read_bytes()) for path in files if "node_modules" not in path.parts)
 
 
 def _cache() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "shoal" / "wheels"
 
 
-def _build(probe: Probe, source: Path, folder: Path) -> None:
+def _build(probe: Probe, folder: Path) -> None:
     with tempfile.TemporaryDirectory() as own:
-        _pip("wheel", "--no-deps", "--wheel-dir", own, str(source))
+        _pip("wheel", "--no-deps", "--wheel-dir", own, str(ROOT))
         built = next(Path(own).glob("shoal-*.whl"))
         where = [option for platform in probe.platforms for option in ("--platform", platform)]
-        constraints = ["--constraint", str(source / "constraints.txt")]
+        constraints = ["--constraint", str(ROOT / "constraints.txt")]
         python = ["--python-version", probe.python, "--implementation", "cp", "--only-binary=:all:"]
         _pip("download", "--dest", str(folder), *where, *python, *constraints, str(built))
         shutil.copy(built, folder)
