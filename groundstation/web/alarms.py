@@ -57,6 +57,7 @@ def alarms(
 def _system(
     experiment: Experiment, fleet: Fleet, localizer: LocalizerStatus | None, age_s: float, recorder_error: str
 ) -> Iterator[Alarm]:
+    """Alarms of the parts that all robots need: recorder, localizer, cameras."""
     if recorder_error:
         yield Alarm("critical", "recorder", f"the log is not whole: {recorder_error}")
     if localizer is None:

@@ -1,7 +1,7 @@
 """SHELL: hub of all open pages and the backend that they watch. Lives in the page's event loop (server.py).
 
 Frames to a page: u32 number, f32 round trip of the last one in ms, then a MessagePack map. From the page: small JSON texts
-(protocol.py). Nobody ever waits for a page: see send_window.py.
+(protocol.py). Nothing ever waits for a page: see send_window.py.
 """
 
 import asyncio
@@ -55,7 +55,7 @@ class ControlLease:
     """
 
     def __init__(self) -> None:
-        self.holder = 0  # nobody
+        self.holder = 0  # no page
         self._heard_s = 0.0
 
     def ask(self, client: int, now_s: float, over: bool = False) -> bool:
@@ -190,7 +190,7 @@ class ClientHub:
             watcher.wake.set()
 
     async def watch(self, websocket: WebSocket) -> None:
-        """One page's connection, from hello to its end."""
+        """Serve one page's connection, from hello to its end."""
         headers = websocket.headers
         if not origin_allowed(self._options, headers.get("host", ""), headers.get("origin", "")):
             await websocket.close(NOT_ALLOWED)  # before accept: the handshake fails with 403
@@ -262,6 +262,7 @@ class ClientHub:
             self._take(watcher, request)
 
     def _take(self, watcher: Client, request: protocol.Request) -> None:
+        """Act on one message of a page."""
         now_s = time.monotonic()
         if isinstance(request, protocol.Ack):
             watcher.window.acknowledge(request.n, now_s)
@@ -295,7 +296,7 @@ class ClientHub:
 
     def _spawn(self, work: Any) -> None:
         task: asyncio.Task[None] = asyncio.create_task(work)
-        self._tasks.add(task)  # a task that nobody holds may vanish
+        self._tasks.add(task)  # a task without a reference may vanish
         task.add_done_callback(self._tasks.discard)
 
     def _may_command(self, watcher: Client) -> str:

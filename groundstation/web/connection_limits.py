@@ -1,4 +1,4 @@
-"""SHELL: connections that are no pages yet: each has to ask for something soon, and nobody may hold many.
+"""SHELL: connections that are no pages yet: each has to ask for something soon, and no address may hold many.
 
 A browser sends its request with the connection, and its few requests are answered within a second. Whoever opens connections
 and says nothing, or asks and never takes the answer, keeps no place that a page needs: from one address the oldest goes when
@@ -18,13 +18,13 @@ MOST = 128
 
 
 class ConnectionLimiter:
-    """All of them, the oldest first, and the addresses that they come from."""
+    """Connections that are no pages yet, the oldest first, with the addresses that they come from."""
 
     def __init__(self) -> None:
         self._from: dict[Any, str] = {}
 
     def join(self, connection: Any, address: str) -> None:
-        """One more has come."""
+        """Note a new connection. Ends the oldest one where its address, or all together, hold too many."""
         self._from[connection] = address
         if list(self._from.values()).count(address) > MOST_EACH:
             self._end_oldest(address)
@@ -33,7 +33,7 @@ class ConnectionLimiter:
             self._end_oldest(max(set(addresses), key=addresses.count))
 
     def leave(self, connection: Any) -> None:
-        """One has gone, or become a page."""
+        """Forget a connection that has gone, or become a page."""
         self._from.pop(connection, None)
 
     def _end_oldest(self, address: str) -> None:

@@ -99,6 +99,7 @@ class LiveBackend:
         return list(self._past)
 
     def _told(self) -> dict[str, Any]:
+        """The fleet's newest state, as the page gets it."""
         status = self.station.status()
         states = {r: inbox.newest() for r, inbox in self._heard.states.items()}
         poses = {r: inbox.newest() for r, inbox in self._heard.poses.items()}
@@ -110,8 +111,8 @@ class LiveBackend:
                 robots={r: RobotSnapshot(_age(states[r]), _age(poses[r]), _age(plans[r])) for r in states},
                 localizer=localizer,
                 obstacles=_aged(self._heard.obstacles),
-                phase=status.state.name,
-                phase_text=READY if status.state is MissionState.WAITING and not status.preflight else status.state.value,
+                mission=status.state.name,
+                mission_text=READY if status.state is MissionState.WAITING and not status.preflight else status.state.value,
                 reason=status.reason,
                 allowed=[order_name(order) for order in Order if order is Order.END or status.state in states_allowing(order)],
                 preflight=status.preflight,
@@ -135,7 +136,7 @@ class LiveBackend:
         )
 
     def _localizer_age_s(self, found: AgedMessage) -> float:
-        """In lockstep a slow machine is no silence: what counts there is whether the robots get poses."""
+        """Age of the localizer's status. 0 in lockstep, where a slow machine is no silence, and poses are what counts."""
         return found.age_ms * 1e-3 if self._mode == "real-time" else 0.0
 
     def picture(self) -> dict[str, Any] | None:
@@ -172,7 +173,7 @@ def _aged(inbox: Inbox[Any]) -> AgedMessage:
 
 
 def _age(received: Received[Any] | None) -> AgedMessage:
-    """By the machine's own clock, also in lockstep: nothing that has stopped coming may look alive."""
+    """Age of a message by the machine's own clock, also in lockstep: nothing that has stopped coming may look alive."""
     if received is None:
         return AgedMessage()
     return AgedMessage(

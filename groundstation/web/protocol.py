@@ -39,7 +39,7 @@ class Ack(msgspec.Struct, tag_field="kind", tag="ack", forbid_unknown_fields=Tru
 
 
 class Take(msgspec.Struct, tag_field="kind", tag="take", forbid_unknown_fields=True, frozen=True):
-    """Ask for control. With `over`, from whoever has it."""
+    """Ask for control. With `over`, take it from the page that has it."""
 
     over: bool = False
 

@@ -81,7 +81,7 @@ class LogPlayer:
         return math.inf if line is None else line.arrived_ns - self.start_ns
 
     def plan_age_s(self, plan: AgedMessage, robot: int, at_ns: int) -> float:
-        """Of a robot's newest plan, as `Aged` has it: of one that is beyond LOOK_BACK, so long; infinite before the first."""
+        """Age of a robot's newest plan: LOOK_BACK blocks where it is older than that, infinite before the first."""
         if plan.message is not None:
             return plan.age_ms * 1e-3
         return LOOK_BACK * BLOCK_NS * 1e-9 if self._first_plan_ns[robot] <= at_ns else math.inf
@@ -231,7 +231,7 @@ class ReplayBackend:
         return changed
 
     def remark(self, text: str) -> None:
-        """Nothing is added to a recorded run."""
+        """Refuse a remark: nothing is added to a recorded run."""
 
     def seek(self, time_s: float | None, rate: float | None) -> None:
         """Go to a time of the run, or on at another pace."""
@@ -254,14 +254,14 @@ class ReplayBackend:
         views = {r: self._view(r, found, now) for r, found in robots.items()}
         localizer = self._aged(topics.LOCALIZER, LocalizerStatus, now)
         beat = self._log.newest(topics.HEARTBEAT, StationHeartbeat, now)
-        phase = beat[1].mission if beat is not None and beat[1].mission in MissionState.__members__ else ""
+        mission = beat[1].mission if beat is not None and beat[1].mission in MissionState.__members__ else ""
         news = FleetSnapshot(
             time_s=now * 1e-9,
             robots=robots,
             localizer=localizer,
             obstacles=self._aged(topics.OBSTACLES, topics.OBSTACLES.type, now),
-            phase=phase,
-            phase_text=MissionState[phase].value if phase else "recorded",  # a numeric flight has no station
+            mission=mission,
+            mission_text=MissionState[mission].value if mission else "recorded",  # a numeric flight has no station
             emergency_stop=beat is not None and beat[1].emergency_stop,
             alarms=alarms(self.experiment, views, localizer.message, localizer.age_ms * 1e-3, ""),
         )
@@ -318,7 +318,7 @@ class ReplayBackend:
 
 
 def _differ(before: Trajectory, then: Trajectory) -> int:
-    """From which sample on one trajectory is another than the one before."""
+    """Index of the first sample at which a trajectory differs from the one before."""
     both = min(len(before.eta), len(then.eta))
     other = np.flatnonzero((before.eta[:both] != then.eta[:both]).any(axis=1))
     return int(other[0]) if len(other) else both

@@ -15,7 +15,7 @@ from groundstation.logs import run_folders
 from wire.toml_loader import ConfigError
 
 REPORT = "report.html"
-# A report comes from a log, and a log from anybody: it runs its own script in an origin of its own, and reaches nothing.
+# A report comes from a log of unknown source: it runs its own script in an origin of its own, and reaches nothing.
 REPORT_POLICY = (
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:; "
     "sandbox allow-scripts; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
@@ -49,7 +49,7 @@ class RunDesk:
         found = []
         for run in reversed(run_folders.list_runs(self._shown.parent)):
             folder = Path(run.run)
-            if folder.is_symlink():  # of somebody else, and elsewhere
+            if folder.is_symlink():  # of another user, and elsewhere
                 continue
             given = run_folders.label_of(folder)[1]  # the others are of remarks, and stay
             about = {"run": folder.name, "given": given, "report": self._address(folder), "shown": folder == self._shown}
@@ -65,7 +65,7 @@ class RunDesk:
         return self.listing()
 
     def delete(self, run: str) -> dict[str, Any]:
-        """Delete a run that nobody flies and no page shows, and list what is left."""
+        """Delete a run that is not being flown and that no page shows, and list what is left."""
         try:
             folder = self._named(run)
             if folder == self._shown:

@@ -1,7 +1,7 @@
 """Send window of one page: at most two frames on the way, the latest state and picture, every note in order. Pure.
 
 A browser that stops acknowledging stops being sent to. What it costs is one state, one picture and MOST_NOTES notes, and the
-bytes of two frames in a socket; nobody waits for it. Notes and states take turns, so that neither keeps the other waiting.
+bytes of two frames in a socket; nothing waits for it. Notes and states take turns, so that neither keeps the other waiting.
 """
 
 from collections import deque
@@ -15,7 +15,6 @@ class SendWindow:
 
     def __init__(self) -> None:
         self.round_trip_s = 0.0  # of the last frame acknowledged: network and drawing together
-        self.lost_notes = 0
         self._notes: deque[bytes] = deque()
         self._latest: dict[str, bytes] = {}  # by kind, the one that waited longest first
         self._sent_s: dict[int, float] = {}
@@ -23,14 +22,13 @@ class SendWindow:
         self._noted = False  # the frame before was a note
 
     def note(self, body: bytes) -> None:
-        """Something that must arrive: an answer, an event. The oldest go when nobody takes them."""
+        """Queue something that must arrive: an answer, an event. The oldest go when the page takes none."""
         if len(self._notes) >= MOST_NOTES:
             self._notes.popleft()
-            self.lost_notes += 1
         self._notes.append(body)
 
     def offer(self, kind: str, body: bytes) -> None:
-        """Something of which only the latest counts."""
+        """Keep something of which only the latest counts."""
         self._latest[kind] = body
 
     def next(self, now_s: float) -> tuple[int, bytes] | None:

@@ -31,7 +31,7 @@ from wire.web_access import Guarded, WebOptions
 STATIC = Path(__file__).parent / "static"
 START_WITHIN_S = 30.0  # on a starved machine; then the station does not start, and says why
 
-FAREWELL_WITHIN_S = 1.0  # a page's thread that hangs holds nobody up
+FAREWELL_WITHIN_S = 1.0  # a page's thread that hangs delays no exit
 
 
 def make_app(hub: ClientHub, desk: RunDesk, options: WebOptions) -> Any:

@@ -51,8 +51,8 @@ class FleetSnapshot:
     robots: Mapping[int, RobotSnapshot]
     localizer: AgedMessage = field(default_factory=AgedMessage)
     obstacles: AgedMessage = field(default_factory=AgedMessage)
-    phase: str = ""
-    phase_text: str = ""
+    mission: str = ""
+    mission_text: str = ""
     reason: str = ""
     allowed: Sequence[str] = ()  # orders that the mission takes now
     preflight: Sequence[Finding] = ()
@@ -70,8 +70,8 @@ def snapshot(news: FleetSnapshot) -> dict[str, Any]:
     """The page's view of it all."""
     return {
         "time_s": news.time_s,
-        "phase": news.phase,
-        "phase_text": news.phase_text,
+        "mission": news.mission,
+        "mission_text": news.mission_text,
         "reason": news.reason,
         "allowed": list(news.allowed),
         "preflight": [{"robot": found.robot, "text": found.message} for found in news.preflight],
@@ -133,6 +133,7 @@ def _robot(robot: int, news: RobotSnapshot) -> dict[str, Any]:
 
 
 def _state(state: RobotState) -> dict[str, Any]:
+    """One robot's state for the page."""
     return {
         "mode": state.mode.name,
         "fault": state.fault,

@@ -388,8 +388,8 @@ def test_the_log_takes_remarks_and_is_filtered(browser: Browser) -> None:
 
 def looks_lost(page: Page) -> None:
     """As after a connection that was closed: header, link, control, alarms, buttons."""
-    expect(page.locator("header .phase")).to_have_class(re.compile("lost"))
-    expect(page.locator("header .phase")).to_have_text(re.compile("^last known: "))
+    expect(page.locator("header .mission-state")).to_have_class(re.compile("lost"))
+    expect(page.locator("header .mission-state")).to_have_text(re.compile("^last known: "))
     expect(page.get_by_text("no connection", exact=True)).to_be_visible()
     expect(button(page, "You have control")).to_have_count(0)
     expect(page.get_by_label("Alarms")).to_contain_text("no connection to the station: what you see is old")
@@ -541,7 +541,7 @@ def test_a_run_that_is_ended_on_the_page_is_shown_there_as_recorded_with_its_rep
     page.goto(station.url)
     button(page, "End run").click()  # nobody is armed: not asked twice
     expect(page.locator(".folder")).to_contain_text("The run is ended; it is in")
-    expect(page.locator("header .phase")).to_have_text("the run is ended")
+    expect(page.locator("header .mission-state")).to_have_text("the run is ended")
     expect(page.get_by_label("Alarms")).not_to_contain_text("no connection")  # while the report is written
     with page.expect_popup(timeout=PATIENCE_MS) as opened:
         page.locator(".replay").get_by_role("link", name="Report").click(timeout=PATIENCE_MS)
@@ -555,10 +555,10 @@ def test_a_mission_that_is_done_and_its_station_gone_is_no_alarm(browser: Browse
         page = desk.page
         desk.told = replace(desk.told, state=MissionState.RUNNING)
         page.goto(desk.url)
-        expect(page.locator("header .phase")).to_have_text("running")
+        expect(page.locator("header .mission-state")).to_have_text("running")
         desk.told = replace(desk.told, state=MissionState.DONE)  # of the last cycle: an automatic station ends with it
         desk.server.close()
-        expect(page.locator("header .phase")).to_have_text("the run is ended")
+        expect(page.locator("header .mission-state")).to_have_text("the run is ended")
         expect(page.get_by_text("no connection", exact=True)).to_be_visible()
         expect(page.get_by_label("Alarms")).to_contain_text("none")
 

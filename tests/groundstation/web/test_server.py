@@ -515,9 +515,9 @@ def test_the_map_gets_the_paths_that_are_flown_now(lab: ServedStation) -> None:
 def test_a_fleet_that_is_fit_is_ready_and_not_waited_for(lab: ServedStation) -> None:
     page = lab.open()
     page.hello()
-    assert page.until(state)["phase_text"] == "waiting for the fleet"
+    assert page.until(state)["mission_text"] == "waiting for the fleet"
     lab.preflight = ()
-    assert page.until(lambda f: state(f) and f["phase_text"] == "fleet ready")["preflight"] == []
+    assert page.until(lambda f: state(f) and f["mission_text"] == "fleet ready")["preflight"] == []
 
 
 def test_velocity_is_taken_from_the_page_in_control_alone_and_only_while_it_is_new(lab: ServedStation) -> None:

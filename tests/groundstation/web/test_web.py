@@ -96,7 +96,6 @@ def test_a_stopped_page_costs_a_bounded_memory() -> None:
         window.acknowledge(frame[0], 9.5)
     assert len(left) <= MOST_NOTES + 1
     assert left[-1] == b"%d" % (3 * MOST_NOTES - 1)  # the newest note is there; the oldest were given up
-    assert window.lost_notes > 0
     assert window.round_trip_s == 0.5
 
 

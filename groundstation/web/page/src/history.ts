@@ -11,7 +11,7 @@ const COARSE_S = 0.5; // between the whole states that are kept, for a field tha
 const COARSE_ROBOTS = 3600;
 const SPARE_ROWS = 300; // dropped at a time: shifting arrays for every row would cost more than drawing them
 
-export interface Curve {
+interface Curve {
   name: string;
   robot?: number; // whose colour it has
   dash?: number[];

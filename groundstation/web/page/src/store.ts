@@ -4,7 +4,7 @@ import { computed, signal } from "@preact/signals";
 import type { Alarm, Frame, LogLine, Outcome, PastState, PathSamples, RobotNews, RobotState, RunList, Scene, Snapshot, Tried } from "./wire";
 import { floats } from "./wire";
 
-export const MOST_LINES = 500;
+const MOST_LINES = 500;
 const SHOW_EVERY_MS = 200; // people cannot read faster; the canvas draws every state
 const SHOW_MANY_EVERY_MS = 400; // nor so many
 const MANY = 16;
@@ -43,7 +43,7 @@ export interface Given {
 }
 
 export const scene = signal<Scene | null>(null);
-export const me = signal(0);
+const me = signal(0);
 export const shown = signal<Snapshot | null>(null); // at a pace for reading
 /** Whether the station is heard now. A connection over which nothing has come for SILENT_MS is none, whatever the browser thinks of it. */
 export const connected = signal(false);
@@ -64,7 +64,7 @@ export const inControl = computed(() => connected.value && shown.value !== null 
 /** Whether the run is over: a person has ended it, or its station went when its mission was done, and every robot disarmed. */
 export const ended = computed(() => {
   const state = shown.value;
-  return state !== null && (state.ended || (!connected.value && state.phase === "DONE"));
+  return state !== null && (state.ended || (!connected.value && state.mission === "DONE"));
 });
 export const alarms = computed<Alarm[]>(() => {
   const known = shown.value?.alarms ?? [];
@@ -144,7 +144,7 @@ function takeState(state: Snapshot): void {
   for (const listener of onStates) listener(sample);
   takeOutcomes(state.requests);
   const before = shown.peek();
-  const changed = !before || before.phase !== state.phase || before.holder !== state.holder || before.stop !== state.stop;
+  const changed = !before || before.mission !== state.mission || before.holder !== state.holder || before.stop !== state.stop;
   if (changed || at - shownAtMs >= (state.robots.length > MANY ? SHOW_MANY_EVERY_MS : SHOW_EVERY_MS)) {
     shownAtMs = at;
     shown.value = state;

@@ -12,14 +12,14 @@ export interface PathSamples {
   eta: Packed; // rows of [x, y, z, yaw]
 }
 
-export interface CirclePath {
+interface CirclePath {
   kind: "circle";
   diameter_m: number;
   lap_s: number;
   depth_m: number;
 }
 
-export interface WaypointPath {
+interface WaypointPath {
   kind: "waypoints";
   points_m: [number, number][];
   speed_mps: number;
@@ -27,7 +27,7 @@ export interface WaypointPath {
   start_index: number;
 }
 
-export interface RoutePath {
+interface RoutePath {
   kind: "route";
   via_m: [number, number][];
   speed_mps: number;
@@ -95,8 +95,8 @@ export interface Tuning {
   laps: { n: number; id: string; s: number; rms: number; max: number }[];
 }
 
-export type Mode = "DISARMED" | "ARMED" | "TRACKING" | "HOLDING" | "STOPPED" | "FAULT" | "DRIVEN";
-export type Track = "LOST" | "COAST" | "KCF" | "MARKER";
+type Mode = "DISARMED" | "ARMED" | "TRACKING" | "HOLDING" | "STOPPED" | "FAULT" | "DRIVEN";
+type Track = "LOST" | "COAST" | "KCF" | "MARKER";
 
 export interface RobotState {
   mode: Mode;
@@ -148,7 +148,7 @@ export interface RobotNews {
   plan?: { age_ms: number; period_s: number; xyz: Packed };
 }
 
-export type Level = "critical" | "warning" | "notice";
+type Level = "critical" | "warning" | "notice";
 export interface Alarm {
   level: Level;
   key: string;
@@ -175,8 +175,8 @@ export interface Snapshot {
   holder: number;
   watchers: number;
   time_s: number;
-  phase: string;
-  phase_text: string;
+  mission: string;
+  mission_text: string;
   reason: string;
   allowed: OrderName[];
   preflight: { robot: number; text: string }[];
@@ -304,7 +304,7 @@ export type Request =
 
 const HEAD_BYTES = 8;
 
-export interface Received {
+interface Received {
   n: number;
   roundTripMs: number;
   frame: Frame;

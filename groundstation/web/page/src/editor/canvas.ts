@@ -16,7 +16,7 @@ type Handle = { kind: "point"; index: number } | { kind: "node"; robot: number }
 /** What a press on the free map adds; empty: nothing, the map is dragged. */
 export const adding = signal<"" | "point" | "island">("");
 /** The last thing that was pressed: Delete takes it away. */
-export const picked = signal<Handle | null>(null);
+const picked = signal<Handle | null>(null);
 
 const NEW_ISLAND_M = 0.2;
 

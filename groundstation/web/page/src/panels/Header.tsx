@@ -24,7 +24,7 @@ function Control() {
       type="button"
       class="control"
       onClick={() => (!taken || confirm("Another page has control. Take it over?")) && takeControl(taken)}
-      title={taken ? "Another page has control; you watch" : "Nobody has control"}
+      title={taken ? "Another page has control; you watch" : "No page has control"}
     >
       {taken ? "Watching - take over" : "Take control"}
     </button>
@@ -41,7 +41,7 @@ function Link() {
   );
 }
 
-export function StopButton() {
+function StopButton() {
   const state = shown.value;
   if (scene.value?.mode === "replay") return null;
   const unheard = stopUnheard.value;
@@ -60,13 +60,13 @@ export function StopButton() {
 export function Header() {
   const s = scene.value;
   const state = shown.value;
-  const phase = ended.value ? "DONE" : connected.value ? (state?.phase ?? "") : "LOST";
+  const mission = ended.value ? "DONE" : connected.value ? (state?.mission ?? "") : "LOST";
   return (
     <header>
       <h1>{s?.title ?? "Shoal"}</h1>
       {state !== null && (
-        <span class={`phase ${phase.toLowerCase()}`} role="status">
-          {ended.value ? "the run is ended" : connected.value ? state.phase_text + paused(state) : "last known: " + state.phase_text}
+        <span class={`mission-state ${mission.toLowerCase()}`} role="status">
+          {ended.value ? "the run is ended" : connected.value ? state.mission_text + paused(state) : "last known: " + state.mission_text}
         </span>
       )}
       {s !== null && state !== null && <span class="clock">{clock(flown(state))} / {clock(s.duration_s)}</span>}

@@ -35,14 +35,14 @@ const OVER = ["DONE", "CANCELLED", "FAILED"];
 function whyNot(state: Snapshot, button: Button): string {
   if (!connected.value) return "no connection to the station";
   if (!inControl.value) return "you are watching: take control first";
-  if (!state.allowed.includes(button.order)) return `not possible while ${state.phase_text}`;
+  if (!state.allowed.includes(button.order)) return `not possible while ${state.mission_text}`;
   if (button.checked && state.preflight.length > 0) return "preflight is not complete";
   return "";
 }
 
 function Preflight({ state }: { state: Snapshot }) {
   const robots = scene.value?.robots ?? [];
-  const needed = ["WAITING", "LOADING", "ARMING", ...OVER].includes(state.phase);
+  const needed = ["WAITING", "LOADING", "ARMING", ...OVER].includes(state.mission);
   if (!needed) return null;
   const reasons = new Map<number, string[]>();
   for (const { robot, text } of state.preflight) reasons.set(robot, [...(reasons.get(robot) ?? []), text]);
@@ -111,7 +111,7 @@ function Given() {
   );
 }
 
-/** A stop that this page has asked for and nobody has answered. */
+/** A stop of this page without an answer. */
 function Unheard() {
   if (!stopUnheard.value) return null;
   return (
@@ -175,7 +175,7 @@ function End({ state }: { state: Snapshot }) {
 
 function Folder({ state }: { state: Snapshot }) {
   const run = scene.value?.run;
-  if (!run || !(ended.value || OVER.includes(state.phase))) return null;
+  if (!run || !(ended.value || OVER.includes(state.mission))) return null;
   return (
     <p class="folder">
       {ended.value ? "The run is ended; it is in" : "The run is being written to"} <code>{run}</code>
@@ -187,7 +187,7 @@ function Folder({ state }: { state: Snapshot }) {
 /** Orders that are taken now, and do nothing that is not done. A stop from before the station was started is cleared here; its own, above. */
 function idle(order: OrderName, state: Snapshot): boolean {
   if (order === "clear-stop") return state.stop || state.robots.every((robot) => robot.state?.mode !== "STOPPED");
-  return order === "load" && state.phase === "WAITING";
+  return order === "load" && state.mission === "WAITING";
 }
 
 function OrderButton({ button, state }: { button: Button; state: Snapshot }) {
@@ -256,7 +256,7 @@ export function Mission() {
       <h2>Mission</h2>
       <Unheard />
       <Stopped state={state} />
-      {state.reason && !["WAITING", "STOPPED"].includes(state.phase) && <p class="reason">{state.reason}</p>}
+      {state.reason && !["WAITING", "STOPPED"].includes(state.mission) && <p class="reason">{state.reason}</p>}
       <Folder state={state} />
       <Preflight state={state} />
       <div class="orders">

@@ -109,7 +109,7 @@ export function OneRobot() {
       <Pad robot={robot.id} />
       {undriven.value !== "" && drives && <p class="reason" role="status">{undriven.value}</p>}
       {led !== undefined && <p class="hint" role="status">{led.text}</p>}
-      {IN_FORMATION.includes(state.phase) && mode === "TRACKING" && <p class="hint">Led alone now, it leaves the formation until Rejoin.</p>}
+      {IN_FORMATION.includes(state.mission) && mode === "TRACKING" && <p class="hint">Led alone now, it leaves the formation until Rejoin.</p>}
     </section>
   );
 }

@@ -6,7 +6,7 @@ const KEPT_S = 60;
 const APART_M = 0.004;
 const JUMP_S = 1; // in a recorded run: somebody has sought another time
 
-export interface Trail {
+interface Trail {
   t: number[];
   x: number[];
   y: number[];

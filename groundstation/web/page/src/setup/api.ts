@@ -39,7 +39,7 @@ export interface Point {
   marker_id: number | null;
 }
 
-export interface Residual {
+interface Residual {
   name: string;
   seen_px: Pixel;
   error_px: number;
@@ -47,7 +47,7 @@ export interface Residual {
   bad: boolean;
 }
 
-export interface Mask {
+interface Mask {
   id: number;
   corners_px: Pixel[];
 }
