@@ -129,7 +129,7 @@ class Onlooker:
 
     @property
     def mission(self) -> str:
-        """The mission's phase as last heard."""
+        """The mission's state as last heard."""
         return self._mission
 
     def since(self, robot: int, ns: int) -> Iterator[Heard]:

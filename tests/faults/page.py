@@ -113,20 +113,21 @@ percentage holds for that share of them. One row again: `make faults ARGS="--row
 
 What a robot does by itself is in `docs/modes.md`, what a board does in `docs/board.md`. Known gaps:
 
-* A thruster that is told next to nothing, one that has lost a third or less, and one that goes on as it was told just then,
-  may break unnoticed until it matters: the gyroscope does not feel that anything is missing. A thruster that is stuck makes
-  the robot turn to and fro, more and more, and that may be all there is to see: then the distance from its path decides,
-  `safety.off_path_m`. In still water 0.1 m will do, as measured below; the default of 0.3 m leaves room for waves and gusts.
-  In these, what a leg lacks must be more than what they turn the robot with; and what turns it as strongly as a leg that
-  idles, for two seconds, in water that was still before, is taken for a broken one. Which thruster it is, nobody can feel:
-  try them one by one.
-* A pressure sensor that tells the same value for ever contradicts nothing while its robot keeps its depth: the robot moves off
-  it, slowly, as measured below, and nobody is told.
-* When a robot's marker plate comes off altogether, the robot looks like another to the localizer's filters: it holds, then
-  goes to neutral. A marker that is only unreadable (glare, a cable) is bridged.
-* A MAVLink frame that a wire holds back for more than 6.4 s may be taken for a new one, if its link is not signed: its number
-  of 8 bits has come round by then. Who can write on such a wire can also make a board deaf for half a second, with a number
-  far ahead; the board is disarmed by then, and what it takes first after that may be old.
+* A failed thruster may stay unnoticed when it is commanded to give almost no thrust, when it has lost a third of its thrust or
+  less, or when it keeps the thrust that is commanded at that moment: then the gyroscope measures no difference. A stuck
+  thruster makes the robot turn to and fro, more and more, and that may be the only sign; then the distance from its path
+  decides, `safety.off_path_m`. In still water 0.1 m is enough, as measured below; the default of 0.3 m leaves room for waves
+  and gusts. In waves and gusts the missing thrust of a leg must turn the robot more strongly than they do. A disturbance that
+  turns the robot as strongly as an idle leg, for two seconds, in water that was still before, is taken for a broken leg. The
+  measurement does not tell which thruster is broken: test them one by one.
+* A pressure sensor that always reports the same value is not noticed while its robot keeps its depth. The robot then drifts
+  slowly from that depth, as measured below, without an alarm.
+* When a robot's marker plate comes off, the localizer's filters no longer recognize the robot: it holds, then goes to neutral.
+  A marker that is only unreadable (glare, a cable) is bridged.
+* On a link that is not signed, a MAVLink frame that is delayed by more than 6.4 s may be taken for a new one, because its
+  sequence number of 8 bits has wrapped around. An attacker who can write on such a link can also make a board ignore frames
+  for half a second, with a number far ahead. The board is disarmed by then, and the first frame that it accepts after that may
+  be old.
 """
 
 
