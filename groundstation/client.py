@@ -27,7 +27,7 @@ from wire.transport.zenoh_transport import ZenohTransport
 ORDER_TIMEOUT_S = 2.0
 ASK_EVERY_S = 0.2
 PATIENCE_S = {Order.STOP: 5.0, Order.RETURN: 600.0, Order.TUNE: 120.0}  # a lap, for gains that change with the next one
-TRIP_S = 600.0  # GO for one robot, which is done when it is there
+TRANSFER_S = 600.0  # GO for one robot, which is done when it is there
 OTHERWISE_S = 60.0  # the station itself gives a robot up after 10 s in each of a request's stages
 
 
@@ -67,9 +67,9 @@ def gains_command(changes: Sequence[str]) -> Command:
 
 
 def patience_s(command: Command) -> float:
-    """Time to wait for the outcome of a request where nobody says how long."""
-    trip = command.order is Order.GO and command.robot != WHOLE_FLEET
-    return TRIP_S if trip else PATIENCE_S.get(command.order, OTHERWISE_S)
+    """Time to wait for the outcome of a request where no time is given."""
+    transfer = command.order is Order.GO and command.robot != WHOLE_FLEET
+    return TRANSFER_S if transfer else PATIENCE_S.get(command.order, OTHERWISE_S)
 
 
 def follow(ask: Callable[[Command], Reply], command: Command, patience_s: float, told: Callable[[Outcome], None]) -> Reply:
@@ -92,7 +92,7 @@ def follow(ask: Callable[[Command], Reply], command: Command, patience_s: float,
 
 
 def verdict(reply: Reply, patience_s: float) -> tuple[bool, str]:
-    """True if the request is done, and its outcome in words. A request that nobody waits for is done when it is taken."""
+    """True if the request is done, and its outcome in words. A request without a wait is done when it is taken."""
     outcome = reply.outcome
     if outcome is None and not reply.accepted:
         return False, f"not heard: {reply.reason}" if reply.silent else f"refused: {reply.reason}"

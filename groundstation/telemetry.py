@@ -205,6 +205,7 @@ def _pose(experiment: Experiment, seen: RobotView, state: RobotState) -> Finding
 
 
 def _board(experiment: Experiment, seen: RobotView, state: RobotState) -> FindingFields:
+    """Findings about the thruster board: silence, lost messages, depth, battery."""
     age_s = state.board_age_ms * 1e-3
     if age_s > topics.STATE.max_age_s:
         text = f"thruster board silent for {age_s:.1f} s" if age_s < NEVER_S else "thruster board not heard"

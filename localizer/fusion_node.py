@@ -113,7 +113,7 @@ class FusionNode:
         return all(camera.is_here(now_ns, self._period_s, self._silent_s) for camera in self._cameras.values())
 
     def _lockstep_pace(self, lockstep: Lockstep) -> Iterator[None]:
-        """At each tick, when all that belongs to the cameras' pictures is here."""
+        """Yield at each tick, once all that belongs to the cameras' pictures is here."""
         while (tick := lockstep.next()) is not None:
             for (name, camera), frame_ns in zip(self._cameras.items(), tick.frames_ns, strict=False):
                 sight = lockstep.await_sight(replace(tick, frame_ns=frame_ns), camera.status, camera.poses, camera.obstacles)

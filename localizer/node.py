@@ -208,6 +208,7 @@ class LocalizerNode:
             self.stop.fail(f"{self._failed_in_a_row} pictures in a row could not be localized in: {error}")
 
     def _detect_obstacles(self, captured: CapturedFrame, result: LocalizationResult) -> None:
+        """Search a frame for obstacles; forget them while the camera is unwell."""
         if self._obstacle_detector is None:
             return
         if result.status.camera is not CameraHealth.OK:

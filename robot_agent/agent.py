@@ -336,6 +336,7 @@ class Agent:
         heard: tuple[int, ...],
         blind: str,
     ) -> RobotState:
+        """The robot's state as it is told to station and log."""
         telemetry, seen = inputs.telemetry, inputs.pose
         unheard = 1e6  # finite stand-in for "never", in milliseconds: every number on the wire is finite
         return RobotState(

@@ -23,7 +23,7 @@ ConfigFile = Annotated[Path, typer.Option("--config", metavar="FILE", help="The 
 DEFAULT_CONFIG = Path("agent.toml")
 COLOURS = {CheckVerdict.OK: "green", CheckVerdict.WARN: "yellow", CheckVerdict.FAIL: "red", CheckVerdict.SKIPPED: None}
 UNIT_NAME = "shoal-agent.service"
-CAREFUL = "Each thruster will turn, and each ankle. Is the robot free, and is nobody's hand near it?"
+CAREFUL = "Each thruster will turn, and each ankle. Is the robot free, and is no hand near it?"
 
 
 def init(

@@ -76,6 +76,7 @@ class Rerun:
         self._next = record.step + 1
 
     def _step(self, record: StepInputs, now_ns: int) -> Iterator[Again]:
+        """Do one recorded step again, with the inputs that its record names."""
         while self._orders and self._orders[0][1].before_step <= record.step:
             self._order(*self._orders.popleft())
         plans: dict[int, Plan] = {}

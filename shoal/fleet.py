@@ -21,7 +21,7 @@ M = TypeVar("M")
 
 ROBOTS = range(1, 50)  # the ids that an experiment may give
 FRESH_S = 1.0  # since a message came; one that is older is no live state
-KEPT_EVENTS = 1000  # that nobody has waited for yet; the oldest are dropped
+KEPT_EVENTS = 1000  # that no call has waited for yet; the oldest are dropped
 READY_LINE = f"mission: {READY}"  # the station's line when no check of the preflight fails
 
 

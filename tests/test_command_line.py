@@ -415,7 +415,7 @@ def test_a_token_that_cannot_be_read_is_named(tmp_path: Path) -> None:
     for name, says in (
         ("nowhere", "nowhere: No such file"),
         ("token", "token: not a text"),
-        ("empty", "empty: is empty, anybody would know that token"),
+        ("empty", "empty: is empty: an empty token protects nothing"),
     ):
         refused = CliRunner().invoke(groundstation, ["run", "pool", "--web-token-file", str(tmp_path / name)]).exception
         assert isinstance(refused, ConfigError) and says in str(refused)

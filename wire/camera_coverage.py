@@ -35,8 +35,8 @@ def _outside_one_m(camera: Camera, places_m: Array, reach_m: float) -> Array:
 
 
 def _without_fold(camera: Camera, points: Array) -> Array:
-    """As `project`, but far outside without the lens's distortion: beyond the angle at which the distortion's polynomial turns
-    back, it would bring places into the picture that no lens shows there."""
+    """Project as `project` does, but far outside without the lens's distortion: beyond the angle at which the distortion's
+    polynomial turns back, it would bring places into the picture that no lens shows there."""
     k1, k2, _, _, k3 = camera.distortion
     roots = np.roots([7.0 * k3, 5.0 * k2, 3.0 * k1, 1.0])
     turns = [float(root.real) for root in roots if abs(root.imag) < 1e-12 and root.real > 0.0]

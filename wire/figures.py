@@ -34,7 +34,7 @@ class Interval:
     high: float | None
 
     def __str__(self) -> str:
-        """As `7.90 [0.310, 19.5]`."""
+        """Value and interval as text, such as `7.90 [0.310, 19.5]`."""
         if self.low is None or self.high is None:
             return three(self.value)
         return f"{three(self.value)} [{three(self.low)}, {three(self.high)}]"

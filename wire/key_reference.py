@@ -142,6 +142,7 @@ def _tables(
 
 
 def _entry(name: str, when: str, value: dict[str, Any], required: bool, live: bool, shipped: list[Any]) -> KeyEntry:
+    """One key's row: type, unit, allowed values, default, example."""
     default = value.get("default")
     used = [*value.get("examples", ()), *_examples(name, when, shipped)]
     example = min(used, key=lambda one: max(len(json.dumps(one)), SHORT_EXAMPLE), default=default)

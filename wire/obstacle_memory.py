@@ -1,8 +1,8 @@
 """Places where obstacles may be that were seen and are not seen any more. Pure; robots and station use the same.
 
-Whoever cannot see keeps what was there last. It may have drifted on at the velocity that was measured, or have stopped, and it
-may have done something else: it takes up the ground of the way that it would have drifted, and around that the space that
-grows like that of a robot which is not heard (safety.bubble_mps, safety.bubble_max_m).
+A robot that cannot see keeps the obstacles that were there last. An obstacle may have drifted on at the velocity that was
+measured, or have stopped, or have done something else. So it takes up the ground of the way that it would have drifted, and
+around that the space that grows like that of a robot which is not heard (safety.bubble_mps, safety.bubble_max_m).
 """
 
 import numpy as np

@@ -30,6 +30,7 @@ def checks(result: Result, series: Series) -> Iterator[Check]:
 
 
 def _of_every_run(result: Result, series: Series) -> Iterator[Check]:
+    """Checks that every run has to pass: a whole log, a whole flight, no faults, timely steps, distance."""
     experiment = series.experiment
     flown_s = min(series.reached_s, series.end_s)
     missing = float(result.log_dropped) if result.log_complete else None

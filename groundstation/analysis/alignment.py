@@ -159,7 +159,7 @@ def _flights(log: RunLog, robots: Sequence[int]) -> list[Flight]:
 
 
 def _robot_flights(states: Sequence[DecodedMessage[RobotState]], robot: int) -> list[tuple[int, int, float, int]]:
-    """Of one robot: stamps of the first and the last step under way, how far it came, and its number."""
+    """One robot's flights: stamps of the first and the last step under way, the trajectory time reached, and its number."""
     found: list[tuple[int, int, float, int]] = []
     last_s, stood_at_zero = 0.0, False
     for e in states:
@@ -220,6 +220,7 @@ def _start_ns(clock_ns: Array, clock_s: Array) -> int:
 
 
 def _gather(log: RunLog, robot: int, known: bool, window: tuple[int, int]) -> _Recorded:
+    """Collect one robot's messages of a flight from the log, not aligned yet."""
     states = log.of(topics.STATE, RobotState, robot)
     inputs = log.of(topics.INPUTS, StepInputs, robot)
     poses = [entry for entry in log.of(topics.POSE, Pose, robot) if entry.message.track is not Track.LOST]
@@ -303,6 +304,7 @@ def _end_s(recorded: dict[int, _Recorded], flown: Sequence[_Recorded], start_ns:
 
 
 def _robot_series(experiment: Experiment, robot: int, r: _Recorded, time_s: Array, start_ns: int, known: bool) -> RobotSeries:
+    """Put one robot's messages onto the clock `time_s` (n,) of the flight that began at `start_ns`."""
     stamps = start_ns + time_s * 1e9
     states = _states(r.states, r.inputs, start_ns)
     state_stamps = np.array([e.stamp_ns for e in r.states], dtype=np.float64)
@@ -364,6 +366,7 @@ def messages_lost(entries: Sequence[DecodedMessage[Any]]) -> int:
 
 
 def _states(entries: Sequence[DecodedMessage[RobotState]], inputs: Mapping[int, StepInputs], start_ns: int) -> States:
+    """A robot's states as arrays, one row a control step."""
     messages = [e.message for e in entries]
 
     def column(values: Sequence[float]) -> Array:

@@ -77,7 +77,7 @@ def _ended_by(series: Series) -> TimelineEvent | None:
 
 
 def _excess(check: Check) -> float:
-    """By how much a requirement is missed, as a ratio; a figure that is missing counts as most."""
+    """Ratio by which a requirement is missed; infinite where the figure is missing."""
     if check.value is None:
         return math.inf
     one, other = (check.limit, check.value) if check.at_least else (check.value, check.limit)

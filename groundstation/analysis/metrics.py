@@ -112,6 +112,7 @@ def _cameras_out(series: Series, log: RunLog) -> dict[str, float]:
 
 
 def _robot(series: Series, robot: int) -> RobotResult:
+    """Figures of one robot."""
     mine = series.robots[robot]
     states = mine.states
     window = _within(states.time_s, series)
@@ -284,6 +285,7 @@ def _notes(series: Series, log: RunLog) -> Iterator[str]:
 
 
 def _of_the_flight(series: Series) -> Iterator[str]:
+    """Sentences about a flight that is incomplete, or not the only one of its log."""
     planned_s = series.experiment.duration_s
     if len(series.flights) > 1:
         yield (

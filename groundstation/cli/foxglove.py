@@ -18,7 +18,7 @@ Foxglove = Annotated[
     str | None,
     typer.Option(
         metavar="HOST:PORT",
-        help="Serve Foxglove-family viewers there, e.g. 127.0.0.1:8765. Whoever reaches it sees all, and can send nothing.",
+        help="Serve Foxglove-family viewers there, e.g. 127.0.0.1:8765. Viewers that reach it see all, and send nothing.",
     ),
 ]
 

@@ -73,7 +73,7 @@ def replay(
 
 
 def show(run_folder: Path, options: "WebOptions", stop: Stop, against: Path | None = None, until_closed: bool = False) -> None:
-    """Show a recorded run on the page, until it is told to stop or, with `until_closed`, nobody looks."""
+    """Show a recorded run on the page, until it is told to stop or, with `until_closed`, no page is open."""
     from groundstation.web.replay_backend import ReplayBackend
     from groundstation.web.server import WebServer
 

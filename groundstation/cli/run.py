@@ -58,7 +58,7 @@ def run(
     """Fly an experiment: be the fleet's router, wait for the robots, run the mission, record, write the report.
 
     Without --auto the station waits for orders: from the operator's page, or from another terminal
-    (`groundstation mission start`), until somebody ends the run (`groundstation end`, or Ctrl-C).
+    (`groundstation mission start`), until a person ends the run (`groundstation end`, or Ctrl-C).
     Exit code 0 if the mission succeeded and every limit of the experiment held, 1 if not.
 
     Examples:  groundstation run pool --listen tls/0.0.0.0:7447 --keys keys
@@ -122,7 +122,7 @@ def _token(file: Path) -> str:
         except UnicodeDecodeError:
             raise ConfigError(f"--web-token-file {file}: not a text") from None
     if not token:
-        raise ConfigError(f"--web-token-file {file}: is empty, anybody would know that token")
+        raise ConfigError(f"--web-token-file {file}: is empty: an empty token protects nothing")
     return token
 
 

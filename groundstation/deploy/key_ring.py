@@ -55,7 +55,7 @@ def add(ring: Path, role: str, robot: int, now: datetime, days: float = certific
     if role not in ROLE_NAMES:
         raise ConfigError(f"{role!r} is no role (allowed: {', '.join(ROLE_NAMES)})")
     if (ROLE_NAMES[role] is Role.ROBOT) != (robot != 0) or not 0 <= robot <= 999:
-        raise ConfigError(f"{role} {robot or ''}".rstrip() + ": a robot needs its number, 1 to 999; nobody else has one")
+        raise ConfigError(f"{role} {robot or ''}".rstrip() + ": a robot needs its number, 1 to 999; other roles have none")
     longest = certificate_authority.AUTHORITY_YEARS * 365
     if not 0.0 < days <= longest:
         raise ConfigError(f"--days {days:g}: no time for a certificate (allowed: up to {longest} days)")

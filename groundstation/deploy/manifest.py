@@ -101,7 +101,7 @@ def refuse_to_restart(target: Target, probe: Probe) -> None:
 
 
 def digest(files: Iterable[tuple[str, bytes]]) -> str:
-    """Of names and contents, in any order: 16 hex digits."""
+    """Digest of files' names and contents, in any order: 16 hex digits."""
     total = hashlib.sha256()
     for name, content in sorted(files):
         total.update(f"{name}\0{hashlib.sha256(content).hexdigest()}\n".encode())
@@ -114,7 +114,7 @@ def changed(wanted: Mapping[str, str], there: Mapping[str, str]) -> tuple[str, .
 
 
 def write_manifest(wanted: Mapping[str, str]) -> bytes:
-    """As the board keeps it: a part and its digest per line."""
+    """The manifest as the board keeps it: a part and its digest per line."""
     return "".join(f"{part} {wanted[part]}\n" for part in PARTS if part in wanted).encode()
 
 

@@ -91,7 +91,7 @@ def _tried(target: Target, wanted: DeployRequest) -> TargetResult:
 
 
 def deploy_one(target: Target, wanted: DeployRequest) -> TargetResult:
-    """One board. Raises ConfigError with the reason why not."""
+    """Bring one board up to date. Raises ConfigError with the reason where that fails."""
     home = shlex.quote(wanted.home)
     asked = ARMED.read_text(encoding="utf-8") + manifest.PROBE.format(home=home)
     probe = manifest.read_probe(target.host, _ssh(wanted, target, asked, b"", ANSWER_S))

@@ -21,7 +21,7 @@ from wire.process.output_files import RUN, check_output, replace_text, replacing
 LAYOUT_NAME = "foxglove-layout.json"
 COPY_ENDING = "-viewer.mcap"  # never run.mcap: an export is no run
 SCENE_NS = 100_000_000  # a new scene this often: smooth to the eye
-STANDING_NS = 5_000_000_000  # and what stands, for whoever jumps into the middle
+STANDING_NS = 5_000_000_000  # and what stands, for viewers that jump into the middle
 
 
 def export(run: Path, folder: Path) -> list[Path]:
@@ -40,7 +40,7 @@ def export(run: Path, folder: Path) -> list[Path]:
 
 
 class _Copy:
-    """One pass through a log."""
+    """Copy of a log with the scene added, in one pass."""
 
     def __init__(self, writer: Any, picture: SceneDrawer) -> None:
         self._writer, self._picture = writer, picture

@@ -54,7 +54,7 @@ class ViewerServer:
         self._drawer.start()
 
     def _hear(self, topic: Topic, key: str, header: Header, payload: bytes) -> None:
-        """From a network thread: bytes only."""
+        """Keep the newest bytes of a topic. Called by a network thread, so nothing is decoded here."""
         now_ns = self._now_ns(header.stamp_ns)
         self._channel(key, protobuf_class(topic.type)).log(payload, log_time=now_ns)
         if topic in DRAWN:
@@ -88,6 +88,7 @@ class ViewerServer:
                     log.error("the scene for viewers could not be drawn: %s", reason)
 
     def _draw(self) -> None:
+        """Draw what has come since the last call: moving things now, standing ones every STANDING_S or when they change."""
         with self._turn:
             heard, self._heard = self._heard, {}
         for (topic, robot), (at_ns, payload) in heard.items():

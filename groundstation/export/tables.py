@@ -1,4 +1,4 @@
-"""SHELL: a run's messages as tables of plain numbers with named units, for whoever has no reader of MCAP.
+"""SHELL: a run's messages as tables of plain numbers with named units, for users without a reader of MCAP.
 
 One table per topic and robot, a row per message in the order of arrival; of what is a list itself (the truth of all robots, a
 plan's nodes, a trajectory's samples, obstacles, gains) a row per entry. Every recorded topic has its table; of pictures it

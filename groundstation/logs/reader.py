@@ -376,13 +376,13 @@ def read_log(path: Path, wanted: Collection[Topic] = READ) -> RunLog:
 
 
 def _dropped(end: Mapping[str, str]) -> int:
-    """As the recorder wrote it at the end; 0 for what is no number."""
+    """Number of messages that the recorder dropped, as it wrote it at the end; 0 for what is no number."""
     text = end.get("dropped", "0")
     return int(text) if re.fullmatch(r"[0-9]{1,18}", text) else 0
 
 
 def _pace(end: Mapping[str, str]) -> tuple[tuple[int, int], ...]:
-    """As the recorder wrote it at the end; empty for what is no list of pairs."""
+    """Pairs of (stamp, wall clock) in ns, as the recorder wrote them at the end; empty for what is no list of pairs."""
     try:
         return tuple((int(stamp_ns), int(wall_ns)) for stamp_ns, wall_ns in json.loads(end.get("pace", "[]")))
     except (ValueError, TypeError, OverflowError, RecursionError):

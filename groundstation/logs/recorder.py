@@ -197,7 +197,7 @@ class Recorder:
                 ended = self._gathered.wait(GATHER_S)
                 for topic, key, header, payload in itertools.chain.from_iterable(source() for source in sources):
                     self.put(topic, key, header, payload, arrival_ns(header))
-        except BaseException as error:  # nothing comes into the log any more, and without this nobody would be told
+        except BaseException as error:  # nothing comes into the log any more, and without this the operator would not be told
             with self._lock:
                 self._error = self._error or f"log stopped: {type(error).__name__}: {error}"
             raise
@@ -214,6 +214,7 @@ class Recorder:
             self._error = self._error or f"the disk did not take the log's end within {JOIN_S:g} s"
 
     def _run(self) -> None:
+        """Write what is pending, in a thread, until closed; then end the file. An error ends the log, and is told."""
         try:
             while not self._closing.wait(FLUSH_PERIOD_S):
                 self._look_at_disk()
@@ -234,7 +235,7 @@ class Recorder:
             self._output_close()
 
     def _look_at_disk(self) -> None:
-        """Pictures given up stay so: a film that comes and goes with the last megabyte is of no use."""
+        """Pictures given up stay so: a video that comes and goes with the last megabyte is of no use."""
         if self._no_pictures or not self._stop_pictures_below:
             return
         free = self._free_bytes(self._folder)

@@ -101,6 +101,7 @@ def size_mb(folder: Path) -> float:
 
 
 def _listed(log: Path) -> ListedRun:
+    """The row of one run in the list, from its log, its result and its label."""
     result, (name, tags) = _json(log.parent / "result.json"), label_of(log.parent)
     passed, said, duration_s = result.get("passed"), result.get("tags"), result.get("duration_s")
     return ListedRun(

@@ -152,7 +152,7 @@ class GainUpdater:
     # --- the station's cycle
 
     def step(self, fleet: Fleet, results: Sequence[CommandResult], now_ns: int) -> tuple[Command, ...]:
-        """One cycle: the commands to send now."""
+        """Do one cycle; returns the commands to send now."""
         change = self._change
         if change is None:
             return self._update_restarted(fleet, now_ns)

@@ -204,9 +204,9 @@ class Mission:
             outside = [(x, y) for x, y in via if not (abs(x) <= length / 2.0 and abs(y) <= width / 2.0)]
             return "; ".join(f"({x:g}, {y:g}) m is outside the pool" for x, y in outside)
         if order is Order.REJOIN and not roster.lost:
-            return "nobody is out"
+            return "no robot is out"
         if order is Order.REJOIN and returns:
-            return "the others are on their way back to the start, where nobody has a place to take"
+            return "the others are on their way back to the start, where no place is left to take"
         if order is Order.REJOIN:
             return "; ".join(preflight(experiment, {r: fleet[r] for r in roster.lost}, exclude=("thrusters",)))
         if order is Order.RETURN:
@@ -247,7 +247,7 @@ class Mission:
     def step(
         self, fleet: Fleet, results: Sequence[CommandResult], now_ns: int, obstacles: ObstacleSet | None = None
     ) -> tuple[Command, ...]:
-        """One cycle: the commands to send now. `obstacles` None: as in the cycle before."""
+        """Do one cycle; returns the commands to send now. `obstacles` None: as in the cycle before."""
         elapsed_s = (now_ns - self._cycle_ns) * 1e-9 if self._cycle_ns is not None else 0.0
         self._cycle_ns = now_ns
         known = [result for result in results if result.command.robot in self.roster.all_robots]

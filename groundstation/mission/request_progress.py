@@ -178,6 +178,7 @@ class RequestTracker:
         return self._robots if all_robots else mission.roster.active
 
     def _mission_progress(self, request: _Request, mission: Mission, fleet: Fleet) -> tuple[Progress, str, list[int]]:
+        """Progress of a request for the whole fleet, its reason, and the robots that it waits for."""
         goal = GOALS[request.order]
         robots = self._concerned(request, mission)
         waiting = [robot for robot in robots if not goal.confirmed(mission, fleet[robot], robot)]
@@ -210,6 +211,7 @@ class RequestTracker:
         why: dict[int, str] | None = None,
         concerned: Sequence[int] = (),
     ) -> None:
+        """Keep the outcome of a request, in place of an earlier one of the same number."""
         late = why or {}
         confirmed = tuple(robot for robot in concerned if robot not in late)
         outcome = Outcome(

@@ -35,8 +35,8 @@ class RobotTask:
     progress: Progress = Progress.UNDER_WAY
     reason: str = ""  # of a failure, or the last refusal
     place_m: tuple[float, float] | None = None  # GO
-    trip: PlanSegment | None = None  # GO, once it is planned
-    started: bool = False  # GO: the robot has begun to fly its trip
+    transfer: PlanSegment | None = None  # GO, once it is planned
+    started: bool = False  # GO: the robot has begun to fly its transfer
     velocity: DriveVelocity = field(default_factory=DriveVelocity)  # DRIVE: the newest, asked at `since_ns`
     timetable: Timetable | None = None  # GO, once the robot has its trajectory
 
@@ -59,8 +59,8 @@ class SingleRobotControl:
     @property
     def trips(self) -> dict[int, tuple[Trajectory, float]]:
         """Trajectories that robots fly alone, with their ends in s."""
-        flown = {r: self.tasks[r].trip for r in self.led}
-        return {r: (trip.trajectories[r], trip.end_s) for r, trip in flown.items() if trip is not None}
+        flown = {r: self.tasks[r].transfer for r in self.led}
+        return {r: (transfer.trajectories[r], transfer.end_s) for r, transfer in flown.items() if transfer is not None}
 
     def status(self) -> dict[int, str]:
         """Text for people about each robot that is led."""
@@ -100,6 +100,7 @@ class SingleRobotControl:
         self._dispatchers[robot].reset()
 
     def _objection(self, order: Order, robot: int, fleet: Fleet, place_m: tuple[float, float] | None) -> str:
+        """Reason to refuse an order for one robot; empty if there is none."""
         mission = self._mission
         if robot not in fleet:
             return f"no robot {robot} (allowed: {', '.join(map(str, fleet))})"
@@ -136,7 +137,7 @@ class SingleRobotControl:
     # --- the cycle
 
     def step(self, fleet: Fleet, results: Sequence[CommandResult], now_ns: int) -> tuple[Command, ...]:
-        """One cycle: the commands to send now."""
+        """Do one cycle; returns the commands to send now."""
         for result in results:
             task = self.tasks.get(result.command.robot)
             if task is not None and task.progress is Progress.UNDER_WAY:
@@ -152,6 +153,7 @@ class SingleRobotControl:
         return tuple(commands)
 
     def _advance(self, robot: int, task: RobotTask, seen: RobotView, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
+        """Follow one robot's task by a cycle; returns the commands to send for it."""
         if task.order is Order.DRIVE:
             return self._drive(robot, task, seen, now_ns)
         if now_ns - task.since_ns > PATIENCE_S * 1e9 and not task.started:
@@ -182,25 +184,25 @@ class SingleRobotControl:
 
     def _go(self, robot: int, task: RobotTask, seen: RobotView, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
         """Hold, plan, load, start, fly, hold."""
-        state, trip = seen.state, task.trip
+        state, transfer = seen.state, task.transfer
         if not seen.heard or state is None or seen.mode not in LIVE:
             _end(task, f"robot {robot} is {mode_name(seen) if seen.heard else 'not heard'}")
             return ()
-        if trip is None:
+        if transfer is None:
             if seen.mode is not Mode.HOLDING:
                 return self._send(Order.HOLD, robot, None, now_ns)
             rests = seen.speed_mps < AT_REST_MPS or now_ns - task.since_ns > REST_WITHIN_S * 1e9
             if rests and self.plan_request is None:
                 self._plan(robot, task, seen, fleet)
             return ()
-        trajectory = trip.trajectories[robot]
+        trajectory = transfer.trajectories[robot]
         if seen.mode is Mode.HOLDING and task.started:
-            arrived = state.trajectory_s >= trip.end_s - SETTLE_S
+            arrived = state.trajectory_s >= transfer.end_s - SETTLE_S
             _end(task, "" if arrived else f"robot {robot} holds: {state.fault or 'on the way'}")
             return ()
         if seen.mode is Mode.TRACKING and state.trajectory_id == trajectory.id:
             task.started = True
-            return self._send(Order.HOLD, robot, None, now_ns) if state.trajectory_s >= trip.end_s - SETTLE_S else ()
+            return self._send(Order.HOLD, robot, None, now_ns) if state.trajectory_s >= transfer.end_s - SETTLE_S else ()
         if state.trajectory_id != trajectory.id:
             return self._send(Order.LOAD, robot, trajectory, now_ns)
         if task.timetable is None:
@@ -227,7 +229,7 @@ class SingleRobotControl:
         if task is None or task.progress is not Progress.UNDER_WAY:
             return
         if isinstance(outcome, PlanSegment):
-            task.trip, task.since_ns = outcome, now_ns
+            task.transfer, task.since_ns = outcome, now_ns
         else:
             _end(task, f"no way there: {outcome}")
 

@@ -54,21 +54,21 @@ class MissionEvent(Enum):
     RETURN_STARTED = "the plan leads back to the start"
     ROBOT_MISSING = "a robot is out, the others go on"
     LAGGING = "a robot lags behind"
-    CAUGHT_UP = "nobody lags any more"
+    CAUGHT_UP = "no robot lags any more"
     ROBOT_HOLDING = "a robot holds by itself"
     OUT_OF_STEP = "a robot is out of step with the others"
-    BLIND = "nobody can tell what lies in the pool: policy hold"
+    BLIND = "obstacles cannot be seen: policy hold"
     OBSTACLE = "something lies on the path"
     BLOCKED = "there is no way round it"
     LOST = "a robot is lost: policy abort"
     LOST_HOLD = "a robot is lost: policy hold"
     LOST_CLOSE_UP = "a robot is lost: policy close-up"
     LOST_REPLAN = "a robot is lost that the plan counts on: policy go-on"
-    LOST_ALL = "nobody is left who could hold"
+    LOST_ALL = "no robot is left that could hold"
     PLANNED = "all are at rest, and there is a new plan"
     NO_PLAN = "there is no plan to be found"
     RECOVERED = "everybody holds and is well again (automatic missions)"
-    LOST_NEARBY = "somebody's place is beside a robot that is out"
+    LOST_NEARBY = "a robot's place is beside one that is out"
     OFF_PLAN = "a robot has another plan, or is far from its place"
     TRANSFER_BLOCKED = "something lies on a robot's own way"
     ARRIVED = "the end of the trajectories is reached"
@@ -84,13 +84,13 @@ PLANNING = frozenset(
 )  # on the way to a new plan from rest
 COMMITTED = (
     IN_FLIGHT | PLANNING | {MissionState.PAUSED, MissionState.RESUMING, MissionState.RELEASING}
-)  # whoever falls out is lost to the others
+)  # a robot that falls out is lost to the others
 ANY = frozenset(MissionState)
 
 
 @dataclass(frozen=True)
 class MissionTransition:
-    """From any of `states`, `cause` leads to state `to`. Transitions do not overlap."""
+    """A row of the table: from any of `states`, `cause` leads to state `to`. Rows do not overlap."""
 
     states: frozenset[MissionState]
     cause: Order | MissionEvent

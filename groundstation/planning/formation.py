@@ -75,7 +75,7 @@ def slot_offsets(nodes_m: Array, changes: Sequence[Change], time_s: Array) -> li
             whole[..., 1] += (flat * moved).imag
             whole[..., 2] += deep * sunk
         nodes_m = change.scale * nodes_m @ _turn(change.turn_rad).T
-    return [SlotOffset(*course) for course in zip(place, rate, bend, strict=True)]
+    return [SlotOffset(*offset) for offset in zip(place, rate, bend, strict=True)]
 
 
 def _turn(angle_rad: float) -> Array:
@@ -99,9 +99,9 @@ def structure_rotation(yaw_rad: Array, climb_rad: Array) -> Array:
     return np.moveaxis(np.array(rows), -1, 0)
 
 
-def node_motion(centre: PathState, course: SlotOffset, mode: Literal["translate", "rotate"], period_s: float) -> NodeMotion:
+def node_motion(centre: PathState, offset: SlotOffset, mode: Literal["translate", "rotate"], period_s: float) -> NodeMotion:
     """Motion of one node (14); the centre is sampled every `period_s`."""
-    place, rate, bend = course.place_m, course.rate_mps, course.bend_mps2
+    place, rate, bend = offset.place_m, offset.rate_mps, offset.bend_mps2
     if mode == "translate":
         velocity, acceleration = centre.velocity_mps + rate, centre.acceleration_mps2 + bend
         if not rate.any():

@@ -132,7 +132,7 @@ class SplinePath:
         return self._stopped(time_s) if self._stops else self._moving(time_s)
 
     def _stopped(self, time_s: Array) -> PathState:
-        """At rest from the last waypoint on."""
+        """Motion along the path that is at rest from the last waypoint on."""
         at = self._moving(np.minimum(time_s, self._duration_s))
         moves = (time_s < self._duration_s).astype(np.float64)
         return replace(
@@ -144,6 +144,7 @@ class SplinePath:
         )
 
     def _moving(self, time_s: Array) -> PathState:
+        """Motion along the path at constant speed, straight on beyond its ends."""
         arc = self._start_m + self._speed * time_s
         inside = np.clip(arc, 0.0, self.length_m)
         q = self.chord_parameter(inside)

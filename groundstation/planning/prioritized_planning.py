@@ -71,6 +71,7 @@ def _plan_all(
     depth: int,
     tries: Iterator[int],
 ) -> dict[int, Transfer]:
+    """Plan in each order of priority until one succeeds; else let a robot make room first, `depth` times at most."""
     reason = "no robots"
     for order in _orders(starts, goals):
         try:
@@ -127,6 +128,7 @@ def _plan_in_order(
     order: Sequence[int],
     tries: Iterator[int],
 ) -> dict[int, Transfer]:
+    """Plan one robot after the other, each around those before it. Raises PlanError if one finds no way."""
     if next(tries, None) is None:
         raise _TriesExhausted
     done: dict[int, Transfer] = {}
@@ -178,6 +180,7 @@ def _conflict(
     done: Mapping[int, Transfer],
     waiting: Mapping[int, Array],
 ) -> bool:
+    """True if a transfer comes too close to one already planned, or to a robot that still waits at its start."""
     for other in (*done, *waiting):
         length = max(len(transfer), len(done[other]) if other in done else 0)
         there = pad(done[other], 0, length).position if other in done else waiting[other][None, :3]

@@ -1,7 +1,7 @@
 """SHELL: a recorded run back on the bus, for viewers and for programs that are fed by what robots say.
 
 Only what was seen and said goes out, never what made anything move: no order, no heartbeat, no trajectory, no tick. And it
-goes out as another fleet, `replay/NAME`: nobody who listens to robots takes it for theirs, and none of our programs can join
+goes out as another fleet, `replay/NAME`: no listener takes it for the robots' own, and none of our programs can join
 a fleet of that name. A robot in it would hear no station, so it could not be armed.
 """
 

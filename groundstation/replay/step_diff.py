@@ -41,7 +41,7 @@ class Difference:
 
 @dataclass(frozen=True, eq=False)
 class StepComparison:
-    """One robot's steps, done again."""
+    """Comparison of one robot's recorded steps with the same steps done again."""
 
     robot: int
     steps: int  # done again
@@ -59,7 +59,7 @@ class StepComparison:
         return self.compared > 0 and self.compared == self.steps and not self.differing and not self.left_out
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """The comparison as JSON has it."""
         plain = ("robot", "steps", "compared", "differing", "left_out")
         told = {name: getattr(self, name) for name in plain}
         return told | {"exact": self.exact, "differences": [dataclasses.asdict(d) for d in self.differences]}
@@ -150,7 +150,7 @@ def _plan_columns(before: StepOutputs, after: StepOutputs, stamps: Sequence[int]
 
 
 def _same(one: Any, other: Any) -> bool:
-    """To the last bit."""
+    """Compare two values to the last bit."""
     if isinstance(one, np.ndarray) and isinstance(other, np.ndarray):
         return one.shape == other.shape and one.tobytes() == other.tobytes()
     return type(one) is type(other) and bool(one == other)

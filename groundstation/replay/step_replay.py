@@ -41,6 +41,7 @@ def rerun(run: Path, robots: Sequence[int] = (), settings: Sequence[str] = ()) -
 
 
 def _rerun_one(log: LogFile, experiment: Path, robot: int, settings: Sequence[str], same: bool) -> StepComparison:
+    """Run one robot's program through the log, and compare its steps with the recorded ones."""
     own = own_messages(log, robot, with_states=not same)
     if not any(line.topic is topics.INPUTS for line in own):
         raise ConfigError(
@@ -68,6 +69,7 @@ def _rerun_one(log: LogFile, experiment: Path, robot: int, settings: Sequence[st
 
 
 def _feed(stream: IO[bytes], lines: Iterable[LogMessage]) -> None:
+    """Write messages to a program's input until they, or the program, end."""
     try:
         with stream:
             for line in lines:

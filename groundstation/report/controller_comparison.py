@@ -48,9 +48,10 @@ def column(variant: Variant, key: str) -> list[float]:
     return [float(getattr(flight.figures, key)) for flight in variant.flights]
 
 
-def ratio(variant: Variant, to: Variant, key: str = "rms_after_20s_m") -> Interval:
-    """Geometric mean of one variant's figure over another's on the same seeds, with its confidence interval."""
-    logs = mean([math.log(a / b) for a, b in zip(column(variant, key), column(to, key), strict=True)])
+def ratio(variant: Variant, to: Variant) -> Interval:
+    """Geometric mean of one variant's RMS after 20 s over another's on the same seeds, with its confidence interval."""
+    both = zip(column(variant, "rms_after_20s_m"), column(to, "rms_after_20s_m"), strict=True)
+    logs = mean([math.log(a / b) for a, b in both])
     return Interval(math.exp(logs.value), *(None if end is None else math.exp(end) for end in (logs.low, logs.high)))
 
 

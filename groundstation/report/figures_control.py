@@ -33,6 +33,8 @@ def _wrench(
     prefix: str,
     dotted: Callable[[RobotSeries], Array] | None = None,
 ) -> TimePlot:
+    """Figure of a wrench by axis: `values` as full lines, `dotted` below them, `bounds` as limits."""
+
     def lines(axis: int) -> list[Curve]:
         each = list(enumerate(series.robots.items()))
         under = [(dotted, ", wanted", ":")] if dotted is not None else []
@@ -104,7 +106,7 @@ def step_times(series: Series) -> TimePlot:
 
 
 def latency(series: Series) -> TimePlot:
-    """From the middle of an exposure to the PWM that answers it."""
+    """Time from the middle of an exposure to the PWM that answers it."""
     lines = []
     for i, (robot, r) in enumerate(series.robots.items()):
         known = np.where(r.states.exposure_to_pwm_ms > 0.0, r.states.exposure_to_pwm_ms, np.nan)

@@ -25,6 +25,8 @@ def formation_errors(series: Series) -> TimePlot:
 
 
 def _axis_errors(series: Series, errors: dict[str, Array], axes: int) -> TimePlot:
+    """Figure of errors (n, 4) by axis, one line for each robot or pair."""
+
     def lines(axis: int, shown: Array) -> list[Curve]:
         return [
             Curve(label, series.time_s, error[:, axis] * shown[axis], colour(i))

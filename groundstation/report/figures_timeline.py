@@ -56,7 +56,7 @@ def limits(series: Series) -> BarPlot | None:
 
 
 def slack(series: Series) -> TimePlot:
-    """By how much plans entered the space of others."""
+    """Distance by which plans entered the space of others."""
     each = enumerate(series.robots.items())
     lines = [_shown(series, r, f"robot {robot}", 1e3 * r.states.slack_m, i) for i, (robot, r) in each]
     return TimePlot([Panel("slack [mm]", lines, least=1.0)])

@@ -64,6 +64,7 @@ def picture(drawing: TimePlot | BarPlot | Figure | None) -> Figure | None:
 
 
 def _stack(plot: TimePlot) -> Figure:
+    """Draw panels below one another on one axis of time."""
     gaps_in = GAP_IN * (len(plot.panels) - 1)
     figure = Figure(figsize=(WIDTH_IN, TOP_IN + BOTTOM_IN + gaps_in + plot.height_in * len(plot.panels)))
     gap = {"hspace": GAP_IN / plot.height_in}

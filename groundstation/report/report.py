@@ -193,6 +193,7 @@ def _draw(kind: Kind, series: Series) -> Drawn:
 
 
 def _facts(recorded: RunLog, result: Result) -> list[tuple[str, str]]:
+    """Names and values of the report's table of facts about the run."""
     factor = result.real_time_factor
     known = {"scene", "seed", "mode", "experiment_hash", "hash", "version", "commit"}
     return [
@@ -218,7 +219,7 @@ def _short_commit(commit: str) -> str:
 
 
 def _together(events: Sequence[TimelineEvent]) -> Sequence[TimelineEvent]:
-    """Robots that do the same at the same time as one line."""
+    """Merge events of robots that do the same at the same time into one line."""
     lines: list[TimelineEvent] = []
     for event in events:
         first_near = bisect_left(lines, event.time_s - TOGETHER_S, key=lambda line: line.time_s)

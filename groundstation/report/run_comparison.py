@@ -24,7 +24,7 @@ FLOWN_BY = ("(mode)", "(version)", "(commit)")  # no keys of an experiment, whic
 
 @dataclass(frozen=True, eq=False)
 class ComparedRun:
-    """One of the runs."""
+    """One of the runs that are compared."""
 
     name: str
     series: Series
@@ -32,7 +32,7 @@ class ComparedRun:
 
     @property
     def experiment(self) -> Experiment:
-        """As it was run."""
+        """The experiment as it was run."""
         return self.series.experiment
 
 
@@ -51,7 +51,7 @@ class MetricRow:
 
 
 def metric_rows(runs: Sequence[ComparedRun]) -> list[MetricRow]:
-    """Figures by which runs are compared. Of errors the worst robot or pair and its worst axis counts."""
+    """Figures by which runs are compared. An error is that of the worst robot or pair, on its worst axis."""
     rows: list[tuple[str, str, Callable[[Result], float | None]]] = [
         ("tracking, RMS after 20 s", "m", lambda r: _worst(r.robots.values(), "rms_after_20s_m")),
         ("tracking, RMS of the whole run", "m", lambda r: _worst(r.robots.values(), "rms_m")),

@@ -12,7 +12,7 @@ GROUPS = (("RMS, whole run", 4), ("RMS after 20 s", 4), ("article", 2))
 
 
 def lines(result: Result) -> Iterator[str]:
-    """The lines in order. All lengths in mm, all angles in degrees."""
+    """Yield the lines of a result from the top down. All lengths in mm, all angles in degrees."""
     if result.log_trouble:
         yield result.log_trouble
     if result.cause is not None:

@@ -43,7 +43,7 @@ PROMPT = frozenset({Order.STOP, Order.DISARM, Order.HOLD})
 MAX_UNANSWERED = 2  # orders of a kind to one robot that may be unanswered: the second goes out before the first is given up
 # of orders that may be on their way to one robot at a time, but for PROMPT: LOAD or START, ARM, TUNE, ADOPT, DRIVE
 COMMAND_KINDS = 5
-STATUS_WITHIN_S = 0.02  # whoever asks for the status waits no longer for the cycle, and is told the last one
+STATUS_WITHIN_S = 0.02  # a reader of the status waits no longer for the cycle, and gets the last one
 FIGURE = re.compile(r"\d[\d.]*(?:%| (?:s|V|m|ms)\b)")  # a reason in which only these change is not told anew
 
 
@@ -63,7 +63,7 @@ class Workers:
 
 @contextmanager
 def workers(robots: int) -> Iterator[Workers]:
-    """As many threads as there can be orders on their way, so that none waits for another one's."""
+    """Number of threads: that of orders that can be on their way at once, so that none waits for another."""
     most = MAX_UNANSWERED * robots
     with (
         ThreadPoolExecutor(most * len(PROMPT), "prompt") as prompt,
@@ -177,7 +177,7 @@ class Station:
 
     def plan(self, lockstep: bool, now_ns: int) -> None:
         """Compute the plans that the mission and single robots wait for: in another thread, because the heartbeat must go on;
-        in lockstep at once. An outcome is dropped if nobody waits for it any more."""
+        in lockstep at once. An outcome is dropped if no request waits for it any more."""
         for name, owner in (("mission", self.mission), ("single", self.single)):
             wanted = owner.plan_request
             if name not in self.planning and wanted is not None:
@@ -275,6 +275,7 @@ class Station:
         return replace(self._status, beat_age_s=time.monotonic() - self.beat_s)
 
     def _stand(self) -> Status:
+        """The station's status, as page and terminals are told it."""
         mission = self.mission
         return Status(
             mission.state,

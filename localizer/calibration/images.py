@@ -74,7 +74,7 @@ def _all(sources: Sequence[Path], every: int, grey: bool) -> Iterator[tuple[str,
 
 
 def _sharp_frames(path: Path, every: int) -> Iterator[tuple[str, Pixels]]:
-    """Of each `every` frames of a video the one with the most contrast between neighbouring pixels."""
+    """Frames of a video: of each `every` the one with the most contrast between neighbouring pixels."""
     sharpest, best = -1.0, None
     for index, picture in enumerate(video_frames(path), start=1):
         found = sharpness(np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), dtype=np.uint8))

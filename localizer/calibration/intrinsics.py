@@ -83,6 +83,7 @@ def _fit(views: Sequence[TargetView], size_px: tuple[int, int]) -> IntrinsicsFit
 
 
 def _solve(views: Sequence[TargetView], size_px: tuple[int, int], flags: int) -> IntrinsicsFit:
+    """Fit a lens to views of a board. Raises ConfigError if none explains them."""
     boards = [view.board_m.astype(np.float32)[:, None] for view in views]
     pixels = [view.pixels.astype(np.float32)[:, None] for view in views]
     try:

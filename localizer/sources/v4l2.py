@@ -175,6 +175,7 @@ class V4l2Source:
             capture.release()
 
     def _stream(self, capture: Capture) -> None:
+        """Deliver pictures of an open camera until it is closed or stops."""
         while not self._closing.is_set():
             if not capture.grab():
                 self._report("stopped delivering")

@@ -171,6 +171,7 @@ class CameraFusion:
         said: Sequence[str],
         poses: Sequence[tuple[int, Pose]],
     ) -> LocalizerStatus:
+        """One status for all cameras, with a sentence for each that is out or unwell."""
         told = [view.status for view in views.values()]
         bad = [status.camera for status in told if status.camera is not CameraHealth.OK]
         lost = [str(robot) for robot, pose in poses if pose.track is Track.LOST]

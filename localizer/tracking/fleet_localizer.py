@@ -333,7 +333,7 @@ class FleetLocalizer:
         return ImageRegion(frame[top : min(bottom, height) // 2 * 2], 0, top)
 
     def _update_appearance(self, views: Mapping[int, PredictedView]) -> None:
-        """Of the robots whose turn it is, report the correlation peak, so that its fall is visible before a match is needed;
+        """Report the correlation peak of the robots whose turn it is, so that its fall is visible before a match is needed;
         update the appearance where the pose is certain, with no other robot in the patch."""
         turn = [
             s for i, s in views.items() if (self._frames + i) % _LEARN_EVERY == 0 or not self._appearance.is_initialised(i)

@@ -104,8 +104,8 @@ class ProvisionalMatch:
     count: int = 1
 
     def continued(self, offset: Array, unseen_s: float, speed_sigma: Array) -> "ProvisionalMatch":
-        """One more match; the count begins anew where it moved otherwise than a robot whose velocity is known to `speed_sigma`
-        (3,) [m/s, m/s, rad/s]."""
+        """The claim with one more match; the count begins anew where it moved otherwise than a robot whose velocity is known
+        to `speed_sigma` (3,) [m/s, m/s, rad/s]."""
         step = offset - self.offset
         step[2] = wrap(float(step[2]))
         steady = np.zeros(3) if self.step is None else step - self.step

@@ -78,6 +78,7 @@ def _own(name: str) -> Callable[[Vehicle, Model, ControllerConfig, float], Any]:
 
 
 def _feedback(vehicle: Vehicle, model: Model, config: ControllerConfig, period_s: float) -> FeedbackLaw:
+    """The feedback law that `controller.law` names."""
     limits, axes = vehicle.limits, Axes(model, vehicle.limits.wrench)
     match config.law:
         case "backstepping":

@@ -57,8 +57,9 @@ def sample_plans(
     depth_now: Array,
     velocity: Places,
 ) -> int:
-    """Plans at our instants. Their poses and references stand below one another in `eta` and `reference` (rows, 4). `told`
-    (robots, 5) says of each plan its rows in the one and in the other, its age in s, its period in s, and 1 for a member.
+    """Sample the neighbours' plans at our own instants. Their poses and references stand below one another in `eta` and
+    `reference` (rows, 4). `told` (robots, 5) has for each plan its rows in the one and in the other, its age in s, its period
+    in s, and 1 for a member.
 
     Row k of a horizon lies dead_s + k period_s ahead. `pull` (nodes, 4) is the sum over the members of `weight` (4,) times
     their deviation eta - reference, without whole turns, and `pull_weight` (4,) that of the weights. `position` and `depth`

@@ -66,6 +66,7 @@ class TrajectoryClock:
         return splice_objection(self.trajectory, new)
 
     def _unstartable(self, command: Command, station: StationView, begins_ns: int, now_ns: int, eta: Array | None) -> str:
+        """Reason why a START cannot be followed; empty if it can."""
         if self.trajectory is None:
             return "no trajectory is loaded"
         if command.trajectory_id != self.id:

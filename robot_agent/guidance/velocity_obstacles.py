@@ -199,7 +199,7 @@ def nearest_free(
     islands: Places,
     islands_keep_m: Array,
 ) -> complex:
-    """Of the velocities wanted x turns (n,) the cheapest that passes all traffic (k,) at its distance, and `sided` robots on
+    """The cheapest of the velocities wanted x turns (n,) that passes all traffic (k,) at its distance, and `sided` robots on
     the right side; if none does, the one that keeps farthest away. `velocity` is the present one: a change from it costs."""
     least, best = np.inf, wanted
     for n in range(len(turns)):

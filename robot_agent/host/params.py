@@ -136,7 +136,7 @@ def give_key(
 ) -> None:
     """Give a board that has no key this one: from then on it takes only what is signed with it.
 
-    Over a cable, and disarmed: whoever can read the wire has the key. A board that has a key keeps it.
+    Over a cable, and disarmed: every reader of the wire learns the key. A board that has a key keeps it.
 
     Example:  robot-agent params give-key robot-1.key --link serial:/dev/ttyACM0
     """

@@ -45,7 +45,7 @@ def run_preflight(
     except ConfigError as error:
         yield CheckFinding("experiment", CheckVerdict.FAIL, str(error))
     flying = yield from check_network(config)
-    yield from _computer(config)
+    yield from _computer()
     if experiment is not None:
         yield step_timing(experiment, config.robot)
     yield from _device(config)
@@ -123,7 +123,7 @@ def _others(seen: Telemetry) -> str:
     return "what comes is not of this robot's board" if seen.foreign_frames else ""
 
 
-def _computer(config: AgentConfig) -> Iterator[CheckFinding]:
+def _computer() -> Iterator[CheckFinding]:
     yield CheckFinding("real time", CheckVerdict.OK, realtime.permitted())
     governor = realtime.governor()
     if governor and governor != "performance":

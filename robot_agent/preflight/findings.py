@@ -24,7 +24,7 @@ class CheckVerdict(Enum):
 
 @dataclass(frozen=True)
 class CheckFinding:
-    """One line of the preflight's table."""
+    """A finding: one line of the preflight's table."""
 
     what: str
     verdict: CheckVerdict

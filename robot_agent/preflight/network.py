@@ -41,7 +41,9 @@ def check_network(config: AgentConfig) -> Generator[CheckFinding, None, bool]:
         yield CheckFinding("station", CheckVerdict.FAIL, str(error))
         return False
     if where.insecure:
-        yield CheckFinding("certificate", CheckVerdict.WARN, "none: the network is open, anybody on it can command the robots")
+        yield CheckFinding(
+            "certificate", CheckVerdict.WARN, "none: the network is open, every program on it can command the robots"
+        )
     trouble = trouble_reaching(where.address, where.keys)
     if trouble:
         yield CheckFinding("station", CheckVerdict.FAIL, f"{where.address}: {trouble}")

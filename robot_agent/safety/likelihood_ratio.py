@@ -134,7 +134,7 @@ def learn(
     renewed: float,
     least_variance: float,
 ) -> float:
-    """One step of recursive least squares with a `sample` (x, y), in `theta` (k,) and `covariance` (k, k):
+    """Do one step of recursive least squares with a `sample` (x, y), in `theta` (k,) and `covariance` (k, k):
 
         C = covariance + fades (prior - covariance)    gain = C x / (x . C x + (variance + rough^2) per_sample)
 

@@ -32,7 +32,7 @@ def ms(seconds: float) -> str:
 
 
 def stops(frame: Callable[[BoardProbe], Callable[[], bytes] | None]) -> Callable[[BoardProbe], Measured]:
-    """A check that an armed board becomes disarmed and neutral while only this frame is sent: the worst of some."""
+    """A check that an armed board becomes disarmed and neutral while only this frame is sent: the worst of TURNS trials."""
 
     def check(probe: BoardProbe) -> Measured:
         worst = 0.0
@@ -412,7 +412,7 @@ def _hil(probe: BoardProbe) -> Measured:
 
 
 def _hil_silence(probe: BoardProbe) -> Measured:
-    """Without HIL_SENSOR there are no measurements, and the outputs are told all the same."""
+    """Check that without HIL_SENSOR the board tells no measurements, and its outputs all the same."""
     if not probe.stream(probe.motion, 0.5, lambda: _simulated(probe)):
         return False, "own measurements"
     probe.listen(0.2)

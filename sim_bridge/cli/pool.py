@@ -67,7 +67,7 @@ def pool(
     insecure: Insecure = False,
     verbose: Verbose = False,
 ) -> None:
-    """Be the pool: thruster boards on UDP, camera frames on the bus. The other programs run as they would beside water.
+    """Simulate the pool: thruster boards on UDP, camera frames on the bus. The other programs run as they would beside water.
 
     Example:  sim-bridge pool pool --station tls/192.168.1.10:7447 --keys keys
     """
@@ -103,7 +103,7 @@ def hil(
     insecure: Insecure = False,
     verbose: Verbose = False,
 ) -> None:
-    """Be the pool around real thruster boards in HIL mode: their outputs move the robots, and they measure that water.
+    """Simulate the pool around real thruster boards in HIL mode: their outputs move the robots, and they measure that water.
 
     Agents speak with their boards through the ports here, as beside `pool`. A robot-N.key in --boards signs a link. A board
     that is not in HIL mode, or that falls silent, ends the run: exit code 1, or 2 if it was so from the start.
@@ -126,7 +126,7 @@ def board(
     settings: Settings = None,
     verbose: Verbose = False,
 ) -> None:
-    """Be one thruster board on a bench, at rest: for programs that talk to boards.
+    """Simulate one thruster board on a bench, at rest: for programs that talk to boards.
 
     Example:  sim-bridge board pool --port pty:/tmp/board, and then: robot-agent params list --link serial:/tmp/board
     """

@@ -51,7 +51,7 @@ class SharedDecoder:
         self._before: dict[int, tuple[bytes, Any]] = {}  # in the tick before
 
     def decode(self, kind: type[Any], payload: bytes, peer: str, topic: str) -> Any:
-        """As codec.decode."""
+        """Decode a message, as codec.decode does."""
         known = self._read.get(id(payload)) or self._before.get(id(payload))
         if known is None or known[0] is not payload:
             known = payload, decode(kind, payload, peer, topic)
@@ -96,7 +96,7 @@ class Part:
         self.step()
 
     def step(self) -> None:
-        """One step. Its inputs have to be there: nothing arrives meanwhile."""
+        """Do one step. Its inputs have to be there: nothing arrives meanwhile."""
         assert self._steps is not None, f"{self.name} has not begun"
         with self.acting():
             self.ended, self.result = _next(self._steps)

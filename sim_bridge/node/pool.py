@@ -131,6 +131,7 @@ class PoolNode:
     # --- by the wall clock
 
     def _run_wall(self, world: World) -> None:
+        """Step the world by the wall clock until told to stop."""
         exposures: queue.Queue[Exposure | None] = queue.Queue(1 if self._localizer is None else 0)  # poses only wait there
         camera = guarded_thread(self._stop, "camera", lambda: self._run_camera(exposures))
         camera.start()
@@ -211,6 +212,7 @@ class PoolNode:
             camera.render_ahead(exposure)
 
     def _run_lockstep(self, world: World, clock: LockstepClock) -> None:
+        """Step the world from tick to tick, each after all processes have done their step."""
         self._await_everyone(world)
         period_ns = round(self._experiment.controller.period_s * 1e9)
         tick_ns, previous_ns = round(self._experiment.sim.latency_s * 1e9) or period_ns, -1  # at 0 no board has said a word

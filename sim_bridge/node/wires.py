@@ -83,9 +83,9 @@ def run_pool(
     frame_ring: int | None = None,
     pace: float | None = None,
 ) -> None:
-    """Be the pool until told to stop; `real` are the addresses of boards that are not simulated, `frame_ring` the descriptor
-    of the launcher's ring for camera frames, `pace` the most that lockstep may be faster than real time. Raises Failed if a
-    part of it cannot go on, ConfigError for wires that cannot be used."""
+    """Simulate the pool until told to stop. `real` are the addresses of boards that are not simulated, `frame_ring` is the
+    descriptor of the launcher's ring for camera frames, `pace` the most that lockstep may be faster than real time. Raises
+    Failed if a part of it cannot go on, ConfigError for wires that cannot be used."""
     cv2.setNumThreads(1)  # of this process: with the fleet's others on the machine, more threads only fight
     stop = Stop()
     wires.check_host(experiment.robot_ids)

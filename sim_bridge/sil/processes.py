@@ -39,7 +39,7 @@ class Child:
         return self.process.poll()
 
     def explain(self) -> str:
-        """One line: exit code or signal, or that it is not ready, with the last line of its output."""
+        """Explain a process in one line: exit code or signal, or that it is not ready, with the last line of its output."""
         code = self.exit_code
         if code is None:
             how = "has not got ready"

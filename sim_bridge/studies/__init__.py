@@ -1,6 +1,7 @@
 """Studies of many flights: campaigns, comparisons of controllers, tuning of gains.
 
-campaign.py lists the flights of a campaign, campaign_runner.py flies them in parallel (campaign_flight.py each),
-metrics.py measures; dependence.py, statistics.py and report.py sum up with confidence intervals.
-comparison.py flies controllers on the same seeds; gain_tuning.py searches gains on such flights.
+campaign.py lists the flights of a campaign, campaign_runner.py flies them in parallel (worker_pool.py). One flight is
+campaign_flight.py, with the camera in the loop camera_flight.py; metrics.py measures it. dependence.py, statistics.py and
+report.py sum up with confidence intervals. comparison.py flies controllers on the same seeds; gain_tuning.py searches gains
+on such flights.
 """

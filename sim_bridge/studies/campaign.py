@@ -56,7 +56,7 @@ class Draw(Section):
         return self
 
     def sample(self, random: np.random.Generator) -> Any:
-        """One value."""
+        """Draw one value."""
         if self.choice is not None:
             return self.choice[int(random.integers(len(self.choice)))]
         if self.uniform is not None:

@@ -69,6 +69,7 @@ def run(
 
 
 def _tune(law: str, tasks: Sequence[FlightTask], budget: int, pool: ProcessPoolExecutor, console: Console) -> TuningResult:
+    """Search the gains of one law within a budget of trials."""
     first: FeedbackLawConfig = getattr(tasks[0].experiment.controller, law.replace("-", "_"))
 
     def flown(gains: Array) -> float:

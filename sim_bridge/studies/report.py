@@ -38,6 +38,7 @@ def write_report(
 
 
 def _content(campaign: Campaign, rows: Sequence[Row], found: Mapping[str, Sequence[KeyValue]], wanted: int) -> dict[str, Any]:
+    """Values for the campaign's page template."""
     flown = [row for row in rows if row["status"] == "flown"]
     values = {name: [row[name] for row in flown if row.get(name) is not None] for name in MEASURES}
     shown = shown_measures(flown)
@@ -160,5 +161,5 @@ def _percent(interval: Interval) -> str:
 
 
 def _figure(value: float | None) -> str:
-    """In SI units, with powers of ten where they are small."""
+    """A figure as text, in SI units, with a power of ten where it is small."""
     return "–" if value is None else f"{value:.3g}"

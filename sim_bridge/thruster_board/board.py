@@ -143,6 +143,7 @@ class ThrusterBoard:
         return link.taken_frames > before
 
     def _handle(self, data: bytes, now_ns: int) -> None:
+        """Act on received bytes, frame by frame."""
         for asker, event in self.link.receive(data, now_ns):
             match event:
                 case Override(pulses_us):

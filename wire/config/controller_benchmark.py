@@ -79,7 +79,7 @@ class Comparison:
     variants: list[Variant]
 
     def to_json(self) -> str:
-        """As comparison.json."""
+        """The content of comparison.json."""
         return json.dumps(dataclasses.asdict(self), indent=1, allow_nan=False) + "\n"
 
     @classmethod

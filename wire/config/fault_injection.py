@@ -125,7 +125,7 @@ def _number(text: str, effect: Effect) -> float:
 
 
 class Fault(Section):
-    """One thing that breaks."""
+    """A fault of the timeline: the part that breaks, in which way, when, and for how long."""
 
     at_s: Annotated[float, Field(ge=0, examples=[20.0])]
     """Time along the trajectories: 0 is when the robots start."""

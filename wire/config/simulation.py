@@ -101,7 +101,7 @@ class CameraMotion(Section):
 
 
 class Drifter(Section):
-    """A red ball adrift in the simulated pool. Nobody is told of it: the camera has to see it, and no robot bounces off it."""
+    """A red ball adrift in the simulated pool. No message names it: the camera has to see it, and no robot bounces off it."""
 
     radius_m: Positive = 0.1
     """Radius."""

@@ -14,7 +14,7 @@ from wire.toml_loader import ConfigError, Section, check, read_toml
 VEHICLES = Path(__file__).parents[1] / "vehicles"
 
 LEGS = 4  # of every vehicle: allocation, boards and simulator know no other
-SAME_M = 1e-5  # of legs: nearer than anybody builds
+SAME_M = 1e-5  # of legs: nearer than any vehicle is built
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]

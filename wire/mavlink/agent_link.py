@@ -136,7 +136,7 @@ class AgentLink:
         """With a `key` the link is signed; `now()` is the time in ticks, later than in any earlier life of this computer.
 
         The board signs with times later than all it has heard, so what it says to this life is later than this life's start:
-        older telemetry is somebody's recording.
+        older telemetry is a recording.
         """
         self._robot_id, self._board, self._me = robot_id, (robot_id, BOARD_COMPONENT), (robot_id, AGENT_COMPONENT)
         verifier = SignatureVerifier(key, floor=now())
@@ -176,7 +176,7 @@ class AgentLink:
         )
 
     def heartbeat(self) -> bytes:
-        """This end is alive. The board does not move for it: only pulses keep thrusters running."""
+        """Frame that says that this end is alive. It moves nothing: only pulses keep thrusters running."""
         return self._sender.pack(
             dialect.MAVLink_heartbeat_message(
                 dialect.MAV_TYPE_ONBOARD_CONTROLLER,
@@ -252,6 +252,7 @@ class AgentLink:
         return self._read_answer(kind, message, changes, now_ns)
 
     def _read_answer(self, kind: str, message: Any, changes: dict[str, Any], now_ns: int) -> dict[str, Any]:
+        """Fields of the telemetry that an answer of the board changes."""
         if kind == "COMMAND_ACK":
             if message.target_system and (message.target_system, message.target_component) != self._me:
                 return {}  # the answer to another sender's request

@@ -74,17 +74,17 @@ class Unsupported:
 
 @dataclass(frozen=True)
 class TellVersion:
-    """Somebody asks what this board is."""
+    """A request for this board's version."""
 
 
 @dataclass(frozen=True)
 class ListParameters:
-    """Somebody asks for all parameters."""
+    """A request for all parameters."""
 
 
 @dataclass(frozen=True)
 class ReadParameter:
-    """Somebody asks for one parameter, by its index or, with -1, by its name."""
+    """A request for one parameter, by its index or, with -1, by its name."""
 
     name: str
     index: int
@@ -92,7 +92,7 @@ class ReadParameter:
 
 @dataclass(frozen=True)
 class SetParameter:
-    """Somebody wants a parameter to have another value; `real` if it came as a REAL32."""
+    """A request to give a parameter another value; `real` if it came as a REAL32."""
 
     name: str
     value: float
@@ -101,7 +101,7 @@ class SetParameter:
 
 @dataclass(frozen=True)
 class SetKey:
-    """Somebody wants the link signed with this key from now on, and takes nothing for new that is not later than `newest`."""
+    """A request to sign the link with this key from now on, and to refuse what is not later than `newest`."""
 
     key: Key
     newest: int
@@ -186,6 +186,7 @@ class BoardLink:
         return events
 
     def _read(self, message: Any) -> Event | None:
+        """The event that a MAVLink message stands for; None for one that is not for this board."""
         kind = message.get_type()
         if kind == "HEARTBEAT":
             return Heartbeat()
@@ -283,7 +284,7 @@ class BoardLink:
         return self._sender.pack(dialect.MAVLink_statustext_message(severity, text.encode("ascii", "replace")[:TEXT_LENGTH]))
 
     def acknowledge(self, asker: Peer, command: int, result: int) -> bytes:
-        """Answer to somebody's command: MAV_RESULT."""
+        """Answer to a command: MAV_RESULT."""
         return self._sender.pack(dialect.MAVLink_command_ack_message(command, result, 0, 0, *asker))
 
 

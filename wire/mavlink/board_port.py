@@ -187,7 +187,7 @@ def open_link(text: str, secured: bool = False, option: str = "--link") -> Link:
     try:
         if not (secured or is_local(address.where)):
             raise ConfigError(
-                f"{option} {text!r}: unsigned UDP leaves this machine, and anybody on its way could drive the thrusters "
+                f"{option} {text!r}: unsigned UDP leaves this machine, and any sender on its way could drive the thrusters "
                 "(allowed: with --link-key FILE, which `robot-agent link-key` makes, or with --link-insecure)"
             )
         return UdpLink(address.where, address.number)

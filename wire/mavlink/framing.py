@@ -76,7 +76,7 @@ class Receiver:
         self._waiting_bytes = 0  # of the buffer, from its beginning, were there when the wait began
         self._sequences: dict[Peer, Sequence8] = {}
         self.bad_frames = 0  # start bytes that led to no frame: checksum, impossible header, never completed
-        self.foreign_frames = 0  # intact, but from somebody else, or of a kind that the dialect does not have
+        self.foreign_frames = 0  # intact, but from another sender, or of a kind that the dialect does not have
         self.stale_frames = 0  # old or repeated, by their sequence number
         self.refused = dict.fromkeys(SignatureVerdict, 0)  # by their signature
 

@@ -44,7 +44,7 @@ class ParameterClient:
         return peer[1] == BOARD_COMPONENT and wanted
 
     def heartbeat(self) -> bytes:
-        """Somebody is there: a board behind UDP learns whom to answer."""
+        """Frame that says that this end is there: a board behind UDP learns whom to answer."""
         message = dialect.MAVLink_heartbeat_message(
             dialect.MAV_TYPE_GCS, dialect.MAV_AUTOPILOT_INVALID, 0, 0, dialect.MAV_STATE_ACTIVE, PROTOCOL_VERSION
         )

@@ -36,7 +36,7 @@ def write_key(path: Path, key: Key) -> None:
 
 
 def load_key(path: Path, link_id: int = 0) -> Key:
-    """The key of a file that nobody else can read. Raises ConfigError, which never shows what is in the file."""
+    """The key of a file that no other user can read. Raises ConfigError, which never shows what is in the file."""
     try:
         mode = path.stat().st_mode
         text = path.read_text(encoding="ascii").strip()

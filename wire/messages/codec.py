@@ -115,6 +115,7 @@ def _later(cls: Any) -> frozenset[str]:
 
 
 def _reader(hint: Any, metadata: Any) -> Callable[[Any, str], Any]:
+    """The function that reads and checks a field of such a type from protobuf."""
     if "shape" in metadata:
         return _array_reader(metadata["shape"])
     if hint is float:
@@ -185,6 +186,7 @@ def _array_reader(shape: tuple[int, ...]) -> Callable[[Any, str], Any]:
 
 
 def _from_protobuf(cls: type[M], message: Any, prefix: str = "") -> M:
+    """Build a dataclass from its protobuf message. Raises _Invalid for a field that breaks its rules."""
     values: dict[str, Any] = {}
     for name, read, may_be_absent in _fields(cast(Any, cls)):
         absent = may_be_absent and not message.HasField(name)

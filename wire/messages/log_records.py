@@ -1,4 +1,4 @@
-"""SHELL: the records of an MCAP file, read with bounds on memory and time: a log may come from anybody.
+"""SHELL: the records of an MCAP file, read with bounds on memory and time: a log may come from an unknown source.
 
     for opcode, body in records(file): ...      # chunks taken apart; raises Damaged where the file stops being a log
 

@@ -229,7 +229,7 @@ class RobotState:
     heard: tuple[int, ...] = ()  # Neighbours whose plans are fresh.
     planned: bool = False  # True if the robot published a plan in this step. It does not while its position is unknown.
     tilt: Array = array(-1)  # Roll, pitch [rad], their rates [rad/s], `board_age_ms` old; empty if not measured.
-    blind: str = ""  # Reason why obstacles are unknown although somebody should watch for them; empty if they are known.
+    blind: str = ""  # Reason why obstacles are unknown although they should be watched for; empty if they are known.
 
 
 @dataclass(frozen=True, eq=False)

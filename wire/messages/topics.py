@@ -18,7 +18,7 @@ class Qos(Enum):
     CONTROL = "first in line, no batching, dropped rather than queued: only the newest counts"
     STATE = "as CONTROL, behind it"
     IMAGE = "last in line: a picture may be late or missing, a command may not"
-    JOURNAL = "as EVENT, but who comes later hears nothing of what was: it is for the log of the run that is on"
+    JOURNAL = "as EVENT, but a late subscriber gets nothing from before: it is for the log of the present run"
     EVENT = "cached by the publisher and recovered by the subscriber after an outage: each one counts"
 
 
@@ -128,7 +128,7 @@ TOPICS = (
 OF_CAMERAS = (FRAME, PREVIEW, VIDEO, PICTURE, POSE, LOCALIZER, OBSTACLES)
 
 COMMAND_KEY = "robot/{robot}/command"  # a queryable, not a topic: every order is answered
-WHOLE_FLEET = 0  # orders to "robot 0" are for the station: what a person wishes for the whole fleet
+WHOLE_FLEET = 0  # orders to "robot 0" are requests to the station, for the whole fleet
 COMMANDERS = (Role.STATION,)  # roles that send commands to robots
 OPERATORS = (Role.STATION, Role.OPERATOR)  # roles that make requests of the station
 

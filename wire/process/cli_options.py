@@ -25,7 +25,7 @@ def caution(experiment: Experiment, *more: str) -> None:
 def fleet_name(fleet: str) -> str:
     """A fleet's name, if it can be one: keys on the bus and certificates begin with it. Raises ValueError."""
     if fleet.startswith(REPLAY_PREFIX):
-        raise ValueError(f"{fleet!r} is a recorded run: nobody can join it")
+        raise ValueError(f"{fleet!r} is a recorded run, which no program can join")
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,31}", fleet):
         raise ValueError(f"{fleet!r} is no fleet's name (allowed: up to 32 letters, digits, _ . and -)")
     return fleet
@@ -92,7 +92,8 @@ KeyRing = Annotated[
     ),
 ]
 Insecure = Annotated[
-    bool, typer.Option("--insecure", help="Off this machine without keys: anybody on the network can command the robots.")
+    bool,
+    typer.Option("--insecure", help="Off this machine without keys: every program on the network can command the robots."),
 ]
 CameraName = Annotated[str, typer.Option("--camera", metavar="NAME", help="One of the experiment's several cameras.")]
 FrameRingOption = Annotated[

@@ -36,7 +36,7 @@ class Reminder:
         self._said_s = time.monotonic()
 
     def due(self) -> bool:
-        """Once every LOCKSTEP_SAYS_S, from the beginning on."""
+        """True once every LOCKSTEP_SAYS_S, from the beginning on."""
         now_s = time.monotonic()
         if now_s - self._said_s <= LOCKSTEP_SAYS_S:
             return False

@@ -4,8 +4,8 @@
     with replacing(out) as file: ...                # binary; beside it until it is whole, then in its place
     replace_text(run / "result.json", text)
 
-A file is made beside its place under a name that nobody can know, and put there by renaming. So a link that lies there, for
-example in a run that somebody handed over, is replaced and not followed, and a command that reads what it writes over could
+A file is made beside its place under a name that cannot be guessed, and put there by renaming. So a link that lies there, for
+example in a run from another person, is replaced and not followed, and a command that reads what it writes over could
 not cut it.
 """
 

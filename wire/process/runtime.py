@@ -179,7 +179,7 @@ def start_log(process: str, verbose: bool = False) -> None:
 
 
 def log_to_bus(bus: Bus, clock: Clock, process: str) -> None:
-    """From here on the log's lines also go out as events."""
+    """Send the log's lines out as events too, from now on."""
     handler = _BusHandler(bus, clock, process)
     handler.addFilter(lambda _: speaking.get() in (None, process))
     log.addHandler(handler)

@@ -47,7 +47,7 @@ def commit(root: Path) -> str:
 
 
 def _of_work_tree(root: Path) -> str:
-    """As git has it; empty where the folder is no work tree of it (an environment may lie within somebody else's)."""
+    """Commit as git has it; empty where the folder is no work tree of it (an environment may lie within somebody else's)."""
     try:
         _git(root, "ls-files", "--error-unmatch", "--", "wire/process/version.py")
         head = _git(root, "rev-parse", "--verify", "HEAD").decode("ascii").strip()

@@ -30,7 +30,7 @@ from wire.messages.topics import (
     process_name,
 )
 
-INSECURE = "INSECURE: the network is open, anybody on it can command the robots"  # said where there are no keys
+INSECURE = "INSECURE: the network is open, every program on it can command the robots"  # said where there are no keys
 
 # Zenoh's protocol of the station's door, which this machine's user alone can open (wire/transport/gate.py).
 DOOR = "unixsock-stream"
@@ -83,7 +83,7 @@ def grants(member: Member) -> Grants:
 
 
 def access_control(fleet: str, members: Iterable[Member]) -> dict[str, Any]:
-    """Zenoh's `access_control` section for a fleet of these members, an operator at the station's door, and nobody else."""
+    """Zenoh's `access_control` section for a fleet of these members, an operator at the station's door, and no others."""
     rules: list[dict[str, Any]] = []
     subjects, policies = [], []
     for member in (AT_THE_DOOR, *members):
@@ -101,6 +101,7 @@ def listed(access: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def _rules(fleet: str, member: Member) -> list[dict[str, Any]]:
+    """The router's rules for one certificate: keys it may write, read, and ask for what it missed."""
     may = grants(member)
     robot = member.robot if member.role is Role.ROBOT else None
 

@@ -296,12 +296,12 @@ class Refusals:
         self._said_s: OrderedDict[str, float] = OrderedDict()
 
     def note(self, address: str) -> None:
-        """One more connection was refused."""
+        """Count one more refused connection."""
         name = origin_of(address)
         self._counts[name] = self._counts.get(name, 0) + 1
 
     def told(self, now_s: float) -> list[str]:
-        """Sentences that are due."""
+        """Sentences about refused connections that are due now."""
         while self._said_s and now_s - next(iter(self._said_s.values())) >= SAY_AGAIN_S:
             self._said_s.popitem(last=False)
         found = []

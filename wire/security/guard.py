@@ -143,7 +143,7 @@ class Guard:
         self._ending = True
 
     def run(self) -> None:
-        """Until the end of what is watched."""
+        """Carry bytes until the watched process ends."""
         while not self._ending:
             wait_s = None if self._look_s == float("inf") else max(self._look_s - time.monotonic(), 0.0)
             for key, events in self._selector.select(wait_s):
@@ -257,6 +257,7 @@ class Guard:
         self._want(router, READ | WRITE, lambda events: self._from_router(link, events))
 
     def _from_router(self, link: ProxiedConnection, events: int) -> None:
+        """Act on events of the router's socket of one connection: carry bytes, judge the peer, drop what has ended."""
         if link.number not in self._links:
             return
         try:
@@ -329,13 +330,13 @@ def most_links() -> int:
 
 
 def _tell(sentence: str) -> None:
-    """To the station; what it does not take at once is not told."""
+    """Tell the station a sentence; what it does not take at once is lost."""
     with contextlib.suppress(OSError):
         os.write(sys.stdout.fileno(), f"{sentence}\n".encode())
 
 
 def main() -> None:
-    """See the module's docstring."""
+    """Run the guard as a program (see the module's docstring)."""
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)  # meant for the station, which ends us when it has ended its links
     os.set_blocking(sys.stdout.fileno(), False)

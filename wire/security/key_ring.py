@@ -74,7 +74,7 @@ class MemberList(Section):
     member: tuple[Issued, ...] = ()
 
     def valid(self, now: datetime) -> tuple[Issued, ...]:
-        """Those that count."""
+        """The certificates that count."""
         return tuple(m for m in self.member if m.revoked is None and now < m.expires)
 
 
@@ -106,7 +106,7 @@ def open_keys(ring: Path, process: str) -> Keys:
 
 
 def common_name(keys: Keys) -> str:
-    """By which name the router knows a process: its own, a dot, and what no other certificate has."""
+    """Name by which the router knows a process: its own, a dot, and a part that no other certificate has."""
     from cryptography import x509  # a fleet without keys has no use for it
     from cryptography.x509.oid import NameOID
 

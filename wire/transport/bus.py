@@ -172,7 +172,7 @@ class Bus:
 
     def inboxes(self, topic: Topic, kind: type[M], robots: Iterable[int], wakes: bool = True) -> dict[int, Inbox[M]]:
         """An inbox for each of these robots, filled by one subscription: Zenoh has a thread for each, and 19 that take turns
-        at Python's lock cost more than what they bring. `wakes`: whether what comes ends somebody's `wait`."""
+        at Python's lock cost more than what they bring. `wakes`: whether a message ends a `wait`."""
         inboxes = {robot: self._inbox(topic, kind, robot, wakes) for robot in robots}
         by_key = {self._key(inbox.name): inbox for inbox in inboxes.values()}
 
@@ -201,8 +201,8 @@ class Bus:
         self.transport.subscribe(self._key(topic.key(robot)), topic.qos, deliver)
 
     def collect(self, topic: Topic) -> Collected:
-        """As `subscribe`, of all robots, for messages that can wait: to be called now and then, from one thread, for those
-        that have come. Cheaper, and no network thread ever waits for whoever collects."""
+        """Subscribe to a topic of all robots for messages that can wait. Call the result now and then, from one thread, for
+        those that have come. This is cheaper than `subscribe`, and no network thread ever waits for the caller."""
         collect = self.transport.collect(self._key(topic.key()), topic.qos)
 
         def collected() -> Iterator[tuple[Topic, str, Header, bytes]]:

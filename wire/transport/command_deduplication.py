@@ -1,12 +1,12 @@
 """Each command is applied once, and only by the process that it was meant for. Pure.
 
 A process draws a number when it starts (its session). An order names the number of the process that it is for, so what was
-recorded in an earlier life is refused, however fresh it looks and whoever's heartbeats are played back with it. Within a life
+recorded in an earlier life is refused, however fresh it looks, and with any heartbeats played back. Within a life
 the sender's session and sequence number tell an order that has been dealt with: the same once more gets the answer it got, and
 no second effect; an older one is refused.
 
 STOP and DISARM are the exception: they only take power away, and the same once more changes nothing for the worse. They are
-looked at whenever they come, from whoever may command: late, repeated, or meant for an earlier life.
+looked at whenever they come, from every sender that may command: late, repeated, or meant for an earlier life.
 """
 
 from collections import OrderedDict

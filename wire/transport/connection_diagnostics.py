@@ -53,6 +53,7 @@ def public_listener(address: str) -> socket.socket:
 
 
 def _handshake(plain: socket.socket, host: str, keys: Keys) -> str:
+    """Try a TLS handshake; returns the reason why it fails, or an empty text."""
     try:
         context = ssl.create_default_context(ssl.Purpose.SERVER_AUTH, cafile=str(keys.ca))
         context.load_cert_chain(keys.certificate, keys.private_key)

@@ -91,7 +91,7 @@ def settings(endpoint: Endpoint) -> dict[str, Any]:
 
 def _flood_limits() -> list[dict[str, Any]]:
     """A robot's program gone wild must not drown the others: of plans, which robots read of each other, the router drops what
-    comes too often, before anybody has to look at it. Counted for each sender. Not of events: each one counts."""
+    comes too often, before it is decoded. Counted for each sender. Not of events: each one counts."""
     rules = [{"key_expr": f"**/{PLAN.key()}", "freq": FLOOD * PLAN.rate_hz}]
     return [{"id": "flood", "messages": ["put"], "flows": ["ingress"], "rules": rules}]
 

@@ -70,7 +70,7 @@ class FrameRing:
         return int(self._numbers.max())
 
     def encode(self, message: Message, stamp_ns: int = 0) -> bytes:
-        """As codec.encode, but of a frame that fits the ring only where its pixels are."""
+        """Encode as codec.encode does, but of a frame that fits the ring only where its pixels are."""
         if not isinstance(message, Frame) or message.pixels.size > self._pixels.shape[1]:
             return codec.encode(message, stamp_ns)
         self._last += 1
@@ -81,7 +81,7 @@ class FrameRing:
         return codec.encode_frame(message.pixels.shape, SHARED, REFERENCE.pack(slot, self._last), stamp_ns)
 
     def decode(self, cls: type[Any], data: bytes, peer: str, topic: str) -> Any:
-        """As codec.decode, but a frame's pixels may be in the ring. Raises DecodeError if they were written over."""
+        """Decode as codec.decode does; a frame's pixels may be in the ring. Raises DecodeError if they were written over."""
         if cls is not Frame or len(data) > _LONGEST_REFERENCE:
             return codec.decode(cls, data, peer, topic)
         image = codec.protobuf_class(Frame)()

@@ -183,7 +183,7 @@ def door_of(port: int, make: bool = False) -> Path | None:
 
 
 def nearest(endpoint: Endpoint) -> Endpoint:
-    """For a terminal's orders: the station's door, where it runs on this machine as this user; else the endpoint itself."""
+    """Endpoint for a terminal's orders: the station's door, where it runs on this machine as this user; else the given one."""
     _, host, port = parse_address(endpoint.address)
     door = door_of(port)
     if door is None or not _is_here(host) or not _answers(door):

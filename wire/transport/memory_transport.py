@@ -80,7 +80,7 @@ class MemoryTransport:
             self._hub.queryables[key] = (answer, self)
 
     def ask(self, key: str, payload: bytes, header: bytes, timeout_s: float) -> Await:
-        """It comes in order, and at once: who answers does so in the thread of who asks."""
+        """Ask and have the answer at once, in order: it is made in the thread that asks."""
         with self._hub.lock:
             found = self._hub.queryables.get(key)
         reply = found[0](payload, header) if found else None

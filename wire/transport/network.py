@@ -1,7 +1,7 @@
 """SHELL: from a command line to an endpoint: plain on this machine, mutual TLS and access control beyond it.
 
-Off loopback a network without keys lets anybody who is on it command the robots. That must be asked for (`--insecure`), and
-then it is said wherever somebody looks: in every process's log, and on the operator's page.
+Off loopback a network without keys lets every program on it command the robots. That must be asked for (`--insecure`), and
+then it is shown: in every process's log, and on the operator's page.
 """
 
 import logging

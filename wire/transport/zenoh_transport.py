@@ -46,8 +46,9 @@ ONE_RECEIVER = "(rx: (handover: app), net: (handover: app), acc: (handover: app)
 
 
 def receive_on_one_thread() -> None:
-    """For a process that has opened no session yet, and that neither routes (a router of this kind accepts nobody for minutes)
-    nor starts others, which would inherit it. What the user asks for of Zenoh's threads goes before."""
+    """Let Zenoh receive on one thread. Only for a process that has opened no session yet, that does not route (a router of
+    this kind accepts no peer for minutes) and that starts no others, which would inherit it. The user's own ZENOH_RUNTIME
+    wins."""
     os.environ.setdefault("ZENOH_RUNTIME", ONE_RECEIVER)
 
 
@@ -208,8 +209,8 @@ class ZenohTransport:
         self._declare(key, qos, lambda sample: deliver(*_parts(sample)))
 
     def collect(self, key: str, qos: Qos) -> Collect:
-        """For many messages that nobody waits for: half of what a callback for each costs. Uncollected ones never hold up
-        the session: the oldest go."""
+        """Collect messages that can wait, at half the cost of a callback for each. Uncollected ones never hold up the session:
+        the oldest go."""
         channel = zenoh.handlers.FifoChannel if self._endpoint.lossless else zenoh.handlers.RingChannel
         subscriber = self._declare(key, qos, channel(UNCOLLECTED_IMAGES if qos is Qos.IMAGE else UNCOLLECTED))
 

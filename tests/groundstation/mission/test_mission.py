@@ -344,7 +344,7 @@ def test_rejoin_is_refused_while_the_others_return() -> None:
     assert "way back" in why_not(home)
     assert "way back" not in why_not(outward)
     roster.reinstate()
-    assert why_not(home) == "nobody is out"
+    assert why_not(home) == "no robot is out"
 
 
 # --- in step
@@ -571,7 +571,7 @@ def test_patience_for_a_robot_begins_when_it_stops_confirming() -> None:
 
 
 def on_the_way_to_a_plan(policy: str, state: MissionState) -> MissionRun:
-    """Three robots, sent home, in this phase."""
+    """Three robots, sent home, in this state."""
     run = running([THREE, f'mission.lost="{policy}"'], automatic=False)
     assert run.mission.request(Order.RETURN, run.fleet(), run.now_ns) == ""
     run.step(0.2)

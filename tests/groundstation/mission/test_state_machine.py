@@ -36,7 +36,7 @@ WAITS = (
 
 
 def documented() -> dict[tuple[MissionState, str], MissionState]:
-    """(phase, what happens) -> phase, read off the page."""
+    """(state, what happens) -> state, read off the page."""
     found: dict[tuple[MissionState, str], MissionState] = {}
     for line in PAGE.splitlines():
         cells = [cell.strip() for cell in line.strip("|").split("|")]

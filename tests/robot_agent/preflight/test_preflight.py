@@ -99,7 +99,7 @@ def test_init_refuses_what_run_would(options: list[str], says: str, tmp_path: Pa
         ("robot = 1\nrealtime.priority = 100", "realtime.priority = 100: "),
         ('robot = 1\nkeys = "k"\ninsecure = true', "agent.toml: insecure = true beside keys: with keys"),
         ('robot = 1\nfleet = "lab/*"', "fleet = 'lab/*': 'lab/*' is no fleet's name (allowed: up to 32 letters"),
-        ('robot = 1\nfleet = "replay/lab"', "is a recorded run: nobody can join it"),
+        ('robot = 1\nfleet = "replay/lab"', "is a recorded run, which no program can join"),
     ],
 )
 def test_a_bad_file_says_which_key(tmp_path: Path, text: str, says: str) -> None:
