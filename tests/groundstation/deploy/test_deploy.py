@@ -248,7 +248,7 @@ def test_boards_of_one_kind_share_the_wheels_that_are_made_for_the_first(
     """Four boards are brought up to date at once, and none of them finds the wheels there already."""
     made = []
 
-    def build(probe: Probe, source: Path, folder: Path) -> None:
+    def build(probe: Probe, folder: Path) -> None:
         made.append(folder)
         time.sleep(0.2)
         folder.mkdir()
