@@ -81,6 +81,8 @@ class PoolNode:
             else:
                 self._run_wall(world)
         finally:
+            for camera in self._cameras:
+                camera.close()
             self._sockets.close()
 
     def _starts(self) -> Array | None:

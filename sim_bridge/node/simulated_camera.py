@@ -1,7 +1,11 @@
-"""One camera of the simulated pool: exposures in, frames out, in time or late, with the faults of its timeline."""
+"""SHELL: one camera of the simulated pool: exposures in, frames out, in time or late, with the faults of its timeline.
+
+What is rendered ahead is rendered on a thread of its own: most of it is compiled, and runs beside the others' Python.
+"""
 
 from collections import deque
 from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -42,7 +46,8 @@ class SimulatedCamera:
         drops = {fault.broken.value for fault in experiment.sim.faults if fault.broken.kind == "water"}
         self._sunk = {drop_m: Renderer(with_sunken_water(alone, drop_m), experiment.seed, number) for drop_m in sorted(drops)}
         self._trouble = CameraFaults()
-        self._ahead: tuple[Exposure, NDArray[np.uint8]] | None = None
+        self._thread = ThreadPoolExecutor(1, f"render {name}")
+        self._ahead: tuple[Exposure, Future[NDArray[np.uint8]]] | None = None
         self._unmarked: frozenset[int] = frozenset()
         self._water_drop_m = 0.0
         self._waiting: deque[Exposure] = deque()
@@ -71,15 +76,19 @@ class SimulatedCamera:
         """Render the next frame while there is time; it counts if the exposure comes as it was expected."""
         if not self._waiting:
             expected = replace(exposure, unmarked=self._unmarked, water_drop_m=self._water_drop_m)
-            self._ahead = expected, self._rendered(expected)
+            self._ahead = expected, self._thread.submit(self._rendered, expected)
+
+    def close(self) -> None:
+        """Wait for the frame that is being rendered."""
+        self._thread.shutdown()
 
     def _frame(self, exposure: Exposure) -> NDArray[np.uint8]:
+        pixels = self._take_ahead(exposure)  # first: nothing may change while it is being rendered
         if exposure.unmarked != self._unmarked:
             self._unmarked = exposure.unmarked
             for each in (self._renderer, *self._sunk.values()):
                 each.hide_markers(exposure.unmarked)
         self._water_drop_m = exposure.water_drop_m
-        pixels = self._take_ahead(exposure)
         if pixels is None:
             pixels = self._rendered(exposure)
         return self._trouble.apply(pixels, exposure.broken)
@@ -92,7 +101,8 @@ class SimulatedCamera:
         """The frame that was rendered ahead, if the exposure is the expected one to the bit; else None."""
         if self._ahead is None:
             return None
-        (expected, pixels), self._ahead = self._ahead, None
+        (expected, rendered), self._ahead = self._ahead, None
+        pixels = rendered.result()
         same = all(
             getattr(expected, name) == getattr(exposure, name) for name in ("time_s", "index", "unmarked", "water_drop_m")
         )
