@@ -32,6 +32,7 @@ MAX_EVENT_BYTES = 16 * 1024  # of a line of the log: logs of earlier versions ho
 LONGEST_LINE = 1000  # characters of a line of the log; the rest is cut off
 LONGEST_TEXT = 8000  # characters of any other text, for example every reason that keeps fifty robots from arming
 SHARED = "shared_memory"  # encoding of a picture whose pixels are in a ring of frames (wire/transport/frame_ring.py)
+_SHORT = 64  # numbers
 LARGEST = 1e12  # no quantity in any message comes near it; squares of it are still finite
 
 M = TypeVar("M")
@@ -175,7 +176,8 @@ def _array_reader(shape: tuple[int, ...]) -> Callable[[Any, str], Any]:
     row, any_length = math.prod(n for n in shape if n != -1), -1 in shape
 
     def read(value: Any, name: str) -> Any:
-        array = np.array(value, dtype=np.float64)
+        # np.array looks at what it is given for longer than a short array takes to read
+        array = np.array(value, dtype=np.float64) if len(value) > _SHORT else np.fromiter(value, np.float64, len(value))
         if not np.abs(array).max(initial=0.0) <= LARGEST:  # true for NaN too
             raise _Invalid(name, f"holds a value that is not a finite number below {LARGEST:g}")
         if (array.size % row if any_length else array.size - row) != 0:
@@ -217,10 +219,13 @@ def _to_protobuf(message: Any, target: Any) -> Any:
     return target
 
 
-# --- the pixels of a raw picture: put behind the other fields without protobuf, which copies them three times: for 1280 x 960
-#     pixels 0.05 ms instead of 2.7 ms
+# --- the pixels of a raw picture: put behind the other fields, and found there, without protobuf, which copies them three
+#     times and twice: for 1280 x 960 pixels 0.05 ms instead of 2.7 ms to write, and 0.005 ms instead of 1 ms to read
 
 _BYTES = 2  # protobuf's wire type of a field that states its length
+_FIXED = {1: 8, 5: 4}  # bytes of the fields of its other wire types, but for 0, a varint
+_LONGEST_VARINT = 10  # bytes
+_MOST_FIELDS = 16  # that are looked through: a picture has seven
 
 
 def _append_field(head: bytes, number: int, tail: memoryview) -> bytes:
@@ -232,6 +237,39 @@ def _varint(value: int) -> bytes:
     """Protobuf's base-128 form of a number that is not negative."""
     low, rest = value & 0x7F, value >> 7
     return bytes((low | 0x80,)) + _varint(rest) if rest else bytes((low,))
+
+
+def _read_varint(data: bytes, at: int) -> tuple[int, int]:
+    """The number that begins at a place of `data`, and the place behind it. Raises IndexError where `data` ends before it."""
+    number = 0
+    for i in range(_LONGEST_VARINT):
+        number |= (data[at + i] & 0x7F) << 7 * i
+        if data[at + i] < 0x80:
+            return number, at + i + 1
+    raise IndexError("no varint")
+
+
+def _split_last_field(data: bytes, number: int) -> tuple[bytes, memoryview | None]:
+    """The inverse of `_append_field`: the other fields, and the bytes of field `number`, not copied. All of `data` and None
+    where the last field is another."""
+    at = 0
+    try:
+        for _ in range(_MOST_FIELDS):
+            begin = at
+            key, at = _read_varint(data, at)
+            if key & 7 in _FIXED:
+                at += _FIXED[key & 7]
+                continue
+            size, at = _read_varint(data, at)
+            if key & 7 == _BYTES:
+                at += size
+                if key >> 3 == number and at == len(data):
+                    return data[:begin], memoryview(data)[at - size :]
+            elif key & 7 != 0:
+                break
+    except IndexError:
+        pass
+    return data, None
 
 
 # --- messages that travel as foxglove schemas
@@ -253,16 +291,18 @@ def _encode_pixels(frame: Frame, stamp_ns: int) -> bytes:
     return encode_frame(frame.pixels.shape, "bayer_rggb8", np.ascontiguousarray(frame.pixels).data.cast("B"), stamp_ns)
 
 
-def _frame_from_protobuf(image: Any) -> Frame:
+def _frame_from_protobuf(image: Any, pixels: memoryview | None = None) -> Frame:
+    """`pixels` are the image's data, where these are not in it."""
+    data = image.data if pixels is None else pixels
     if image.encoding == SHARED:
         raise _Invalid("encoding", "the pixels are in memory that `sim-bridge sil` shares with its own localizer alone")
     if image.encoding != "bayer_rggb8":
         raise _Invalid("encoding", f"{image.encoding[:20]!r} is not allowed (allowed: bayer_rggb8)")
     if not (0 < image.width <= 16384 and 0 < image.height <= 16384 and image.step == image.width):
         raise _Invalid("step", f"{image.width} x {image.height} with step {image.step} is no packed picture")
-    if len(image.data) != image.step * image.height:
-        raise _Invalid("data", f"{len(image.data)} bytes, must be {image.step * image.height}")
-    return Frame(np.frombuffer(image.data, np.uint8).reshape(image.height, image.width))
+    if len(data) != image.step * image.height:
+        raise _Invalid("data", f"{len(data)} bytes, must be {image.step * image.height}")
+    return Frame(np.frombuffer(data, np.uint8).reshape(image.height, image.width))
 
 
 def _image(cls: Any, schema: Any, form: str) -> tuple[Any, Callable[[Any, int], bytes], Callable[[Any], Any]]:
@@ -340,12 +380,17 @@ def decode(cls: type[M], data: bytes, peer: str, topic: str) -> M:
     limit = max_bytes(cls)
     if len(data) > limit:
         raise DecodeError(peer, topic, "(size)", f"{len(data)} bytes, more than the allowed {limit}")
+    pixels = None
+    if cls is Frame:
+        data, pixels = _split_last_field(data, RawImage.DATA_FIELD_NUMBER)
     message = protobuf_class(cls)()
     try:
         message.ParseFromString(data)
     except (ProtobufError, UnicodeDecodeError) as error:
         raise DecodeError(peer, topic, "(all)", f"no valid {message.DESCRIPTOR.full_name}: {error}") from None
     try:
+        if cls is Frame:
+            return cast(M, _frame_from_protobuf(message, pixels))
         found: M = _FOXGLOVE[cls][2](message) if cls in _FOXGLOVE else _from_protobuf(cls, message)
         return found
     except _Invalid as error:

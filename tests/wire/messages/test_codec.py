@@ -9,6 +9,7 @@ from typing import Any, get_type_hints
 import numpy as np
 import pytest
 from foxglove_schemas_protobuf.Log_pb2 import Log
+from google.protobuf.message import DecodeError as ProtobufError
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -260,6 +261,28 @@ def test_protobuf_reads_the_pictures_that_we_write_and_we_read_its_own() -> None
     image = codec.protobuf_class(Frame).FromString(ours)
     assert (image.width, image.height, image.data) == (6, 4, bytes(range(24)))
     assert _decode(Frame, image.SerializeToString()).pixels.tobytes() == bytes(range(24))
+
+
+@given(st.integers(0, 2**35), st.binary(max_size=40), st.permutations(range(4)))
+def test_a_picture_is_read_as_protobuf_reads_it_in_any_order(unknown: int, spare: bytes, order: list[int]) -> None:
+    """The fast decoder against protobuf itself: a field that we do not know, pixels twice, and pixels before other fields."""
+    image = codec.protobuf_class(Frame)
+    parts = [
+        encode(Frame(np.arange(24, dtype=np.uint8).reshape(4, 6))),
+        image(data=spare).SerializeToString(),
+        image(frame_id="lens", width=6).SerializeToString(),
+        fleet_pb2.RobotState(missed_deadlines=unknown % 2**31, fault="x").SerializeToString(),
+    ]
+    wire = b"".join(parts[i] for i in order)
+    try:
+        expected = image.FromString(wire)
+    except ProtobufError:
+        _refused(Frame, wire)
+        return
+    if len(expected.data) != 24:
+        assert _refused(Frame, wire).field == "data"
+    else:
+        assert _decode(Frame, wire).pixels.tobytes() == expected.data
 
 
 def test_a_picture_is_not_copied_and_not_writable() -> None:
