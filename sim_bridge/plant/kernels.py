@@ -27,7 +27,7 @@ from wire.kernels import kernel
 
 STATES = 12  # numbers of a state
 THRUSTERS = 4
-LANES = 4  # float64 numbers in a vector register of 256 bits
+LANES = 8  # float64 numbers in a vector register of 512 bits, or in two of 256
 POSE, SPEED, TILT = 0, 4 * LANES, 8 * LANES  # eta, nu on level axes, and [roll, pitch and their rates]: 4 each
 FORCE, ANKLE = 12 * LANES, 16 * LANES  # N and rad, 4 each, at a step's start
 GAIN, CHARGE, LOST_V, FACTOR, WAVE = 20 * LANES, 24 * LANES, 25 * LANES, 26 * LANES, 27 * LANES  # of thrusters 4, else 1
@@ -35,11 +35,11 @@ PULSE, CURVE_N, TARGET_RAD, TARGET_N = 28 * LANES, 36 * LANES, 40 * LANES, 44 * 
 FORCE_THEN, ANKLE_THEN, WRENCH = 48 * LANES, 52 * LANES, 56 * LANES  # within a step: 4, 4 and 6
 START, STATE, RATE, SUM = 62 * LANES, 74 * LANES, 86 * LANES, 98 * LANES  # 12 each: SUM of the weighted rates of a step
 TURN, MOTION, CONTACT = 110 * LANES, 119 * LANES, 125 * LANES  # attitude 9; the water's motion 6; contact force 3
-NUMBERS = 130  # with 128 all blocks would begin 4096 bytes apart, and share a few lines of the processor's cache
+NUMBERS = 130  # with 128 all blocks would begin 8192 bytes apart, and share a few lines of the processor's cache
 X, Y, Z, ROLL, PITCH, YAW = STATE, STATE + LANES, STATE + 2 * LANES, STATE + 3 * LANES, STATE + 4 * LANES, STATE + 5 * LANES
 U, V, W = STATE + 6 * LANES, STATE + 7 * LANES, STATE + 8 * LANES
 P, Q, R = STATE + 9 * LANES, STATE + 10 * LANES, STATE + 11 * LANES
-TILE = 4  # blocks that are moved by a whole step at once where robots do not touch: they stay in the processor's cache
+TILE = 12  # blocks that are moved by a whole step at once where robots do not touch: they stay in the processor's cache
 TO_INTEGER = 1.5 * 2.0**52  # added and taken away again it rounds a number to the nearest integer
 HALF_PI_HIGH, HALF_PI_LOW = float.fromhex("0x1.921fb544p0"), 6.077100506506192e-11  # their sum is pi / 2 to 1e-26
 AT_ONCE_S = 1e-9  # s after its start at which a step is first evaluated: without lag the force jumps at the start itself
