@@ -36,13 +36,49 @@ SAME_ERROR_M = 0.02  # tracking errors closer than this give equal priority,
 ERROR_RATE_MPS = 0.5  # plus this per second of the message's age: no robot moves faster
 
 
+@kernel("b1(f8[:,::1], f8[:,::1])")
+def are_poses(plan: Array, meant: Array) -> bool:
+    """True if the numbers of a plan and of its reference (rows, 4) can be poses."""
+    poses, references, fine = plan.reshape(plan.size), meant.reshape(meant.size), 0
+    for i in range(len(poses)):
+        fine += (abs(poses[i]) < MOST_TURNED_RAD) & (abs(poses[i] - references[i]) < ABSURD)
+    return fine == len(poses)
+
+
+@kernel("void(f8[:,::1], f8[:,::1], f8, f8, f8, f8[:,::1])")
+def add_deviation(plan: Array, meant: Array, ahead_s: float, period_s: float, told_period_s: float, total: Array) -> None:
+    """Add the deviation plan - meant, without whole turns, at ahead_s + k period_s to row k of `total` (nodes, 4)."""
+    last, first, between = len(plan) - 1, ahead_s / told_period_s, 0
+    if told_period_s == period_s and 0.0 <= first < last:  # in step with ours: one loop over all numbers, in vector registers
+        low = int(first)
+        between, share = min(last - low, len(total)), first - low
+        poses, references, sums = plan.reshape(plan.size), meant.reshape(meant.size), total.reshape(total.size)
+        begin, end = 4 * low, 4 * (low + between)
+        pose, reference, next_pose, next_reference = (
+            poses[begin:end], references[begin:end], poses[begin + 4 : end + 4], references[begin + 4 : end + 4]
+        )  # fmt: skip
+        for i in range(end - begin):
+            before = pose[i] - reference[i]
+            sums[i] += before + share * (next_pose[i] - next_reference[i] - before)
+    for k in range(between, len(total)):
+        place = min(max(first + k * period_s / told_period_s, 0.0), float(last))
+        low = int(place)
+        high, share = min(low + 1, last), place - low
+        for c in range(4):
+            before, after = plan[low, c] - meant[low, c], plan[high, c] - meant[high, c]
+            total[k, c] += before + share * (after - before)
+    turns = TURN * np.rint((plan[0, 3] - meant[0, 3]) / TURN)
+    if turns != 0.0:
+        for k in range(len(total)):
+            total[k, 3] -= turns
+
+
 @kernel(
-    "i8(f8[:,::1], f8[:,::1], f8[:,::1], f8, f8, i8[::1], f8[::1],"
+    "i8(f8[:,::1], f8[:,::1], f8, f8, i8[::1], f8[::1],"
     " b1[::1], f8[:,::1], f8[::1], c16[:,::1], f8[:,::1], c16[::1], f8[::1], c16[::1])"
 )
 def sample_plans(
-    eta: Array,
-    reference: Array,
+    rows: Array,
     told: Array,
     dead_s: float,
     period_s: float,
@@ -57,9 +93,8 @@ def sample_plans(
     depth_now: Array,
     velocity: Places,
 ) -> int:
-    """Sample the neighbours' plans at our own instants. Their poses and references stand below one another in `eta` and
-    `reference` (rows, 4). `told` (robots, 5) has for each plan its rows in the one and in the other, its age in s, its period
-    in s, and 1 for a member.
+    """Plans at our instants. Below one another in `rows` (all rows, 4) stand each plan's poses and then its references. `told`
+    (robots, 5) says of each how many there are of both, its age in ns, its period in s, and 1 for a member.
 
     Row k of a horizon lies dead_s + k period_s ahead. `pull` (nodes, 4) is the sum over the members of `weight` (4,) times
     their deviation eta - reference, without whole turns, and `pull_weight` (4,) that of the weights. `position` and `depth`
@@ -67,29 +102,20 @@ def sample_plans(
     mean one over MEANT_S from now on. Beyond its ends a plan stands. A plan that is not `usable` (robots,) holds numbers that
     can be no poses. Returns how many are not.
     """
-    first, first_meant, unusable, members = 0, 0, 0, 0
+    first, unusable, members = 0, 0, 0
     pull[:] = 0.0
     for i in range(len(told)):
-        rows, rows_meant, age_s, period = int(told[i, 0]), int(told[i, 1]), told[i, 2], told[i, 3]
-        plan, meant, last = eta[first : first + rows], reference[first_meant : first_meant + rows_meant], rows - 1
-        first, first_meant = first + rows, first_meant + rows_meant
-        fine = rows == rows_meant and last >= 0 and SHORTEST_S <= period < ABSURD
-        for k in range(rows if fine else 0):
-            for c in range(4):
-                fine &= (abs(plan[k, c]) < MOST_TURNED_RAD) & (abs(plan[k, c] - meant[k, c]) < ABSURD)
+        poses, references, age_s, period = int(told[i, 0]), int(told[i, 1]), told[i, 2] / NS, told[i, 3]
+        plan, meant, last = rows[first : first + poses], rows[first + poses : first + poses + references], poses - 1
+        first += poses + references
+        fine = poses == references and last >= 0 and SHORTEST_S <= period < ABSURD and are_poses(plan, meant)
         usable[i] = fine
         if not fine:
             unusable += 1
             continue
-        members += int(told[i, 4])
-        turns = TURN * np.rint((plan[0, 3] - meant[0, 3]) / TURN)
-        for k in range(len(pull) if told[i, 4] != 0.0 else 0):
-            place = min(max((age_s + dead_s + k * period_s) / period, 0.0), float(last))
-            low = int(place)
-            high, share = min(low + 1, last), place - low
-            for c in range(4):
-                before, after = plan[low, c] - meant[low, c], plan[high, c] - meant[high, c]
-                pull[k, c] += weight[c] * (before + share * (after - before) - (turns if c == 3 else 0.0))
+        if told[i, 4] != 0.0:
+            members += 1
+            add_deviation(plan, meant, age_s + dead_s, period_s, period, pull)
         for j in range(len(node)):
             place = min(max((age_s + dead_s + node[j] * period_s) / period, 0.0), float(last))
             low = int(place)
@@ -105,6 +131,8 @@ def sample_plans(
         velocity[i] = complex((meant[then, 0] - meant[now, 0]) / span_s, (meant[then, 1] - meant[now, 1]) / span_s)
     for c in range(4):
         pull_weight[c] = members * weight[c]
+        for k in range(len(pull)):
+            pull[k, c] *= weight[c]
     return unusable
 
 
@@ -286,21 +314,22 @@ class Formation:
         """Sample all neighbours' plans on our horizon, together."""
         if not neighbours:
             return self._no_neighbours
-        told = [
-            (len(n.plan.eta), len(n.plan.eta_reference), (now_ns - n.stamp_ns) / NS, n.plan.period_s, n.fresh and n.formation)
-            for n in neighbours
-        ]
-        usable, sampled = np.empty(len(told), bool), self._room(len(told))
+        rows: list[Array] = []
+        told: list[float] = []
+        fresh_count = 0
+        for _, stamp_ns, plan, fresh, formation, _ in neighbours:
+            rows += plan.eta, plan.eta_reference
+            told += len(plan.eta), len(plan.eta_reference), now_ns - stamp_ns, plan.period_s, fresh and formation
+            fresh_count += fresh
+        usable, sampled = np.empty(len(neighbours), bool), self._room(len(neighbours))
         deviation, weight = np.empty((self._horizon + 1, 4)), np.empty(4)
         unusable = sample_plans(
-            np.concatenate([n.plan.eta for n in neighbours]), np.concatenate([n.plan.eta_reference for n in neighbours]),
-            np.array(told, np.float64), self._dead_s, self._period_s, self._nodes, self._weight, usable, deviation, weight,
-            *sampled,
+            np.concatenate(rows), np.array(told, np.float64).reshape(-1, 5), self._dead_s, self._period_s, self._nodes,
+            self._weight, usable, deviation, weight, *sampled,
         )  # fmt: skip
         if unusable:
             return self.predict_neighbours([n for n, is_usable in zip(neighbours, usable, strict=True) if is_usable], now_ns)
-        members, fresh_count = sum([row[4] for row in told]), sum([n.fresh for n in neighbours])
-        return NeighbourPredictions(deviation, weight, members > 0, fresh_count, neighbours, *sampled)
+        return NeighbourPredictions(deviation, weight, any(told[4::5]), fresh_count, neighbours, *sampled)
 
     def clearance_m(self, neighbour: Neighbour, now_ns: int) -> float:
         """Distance to keep from a neighbour: it grows with the neighbour's silence."""
