@@ -3,7 +3,9 @@
 The primal-dual active set method (Hintermueller, Ito, Kunisch 2003): hold the rows that were active at their bounds, solve,
 let go the rows whose multiplier has the wrong sign, hold those that are violated, and again. Where nothing changes x is the
 exact solution. In flight the active set seldom changes, and is mostly empty, so one or two rounds do; but the method may
-cycle. After ROUNDS of them the problem is a backend's (qp.py).
+cycle, and may hold rows that depend on one another. Then, or after ROUNDS, rows are taken up one by one, from none on, by the
+dual active set method (Goldfarb, Idnani 1983): it needs more time and always ends. What it cannot solve either is a backend's
+(qp.py).
 
 With P = LL', V = L^-1 A' over the held rows and z = -L^-1 q:    V'V mu = V'z - bound        L'x = z - V mu
 """
@@ -19,6 +21,9 @@ from wire.kernels import kernel
 Signs = NDArray[np.int64]  # (rows,) 1: held at the upper bound, -1: at the lower one, 0: not held
 
 ROUNDS = 6  # of two robots too near to each other, 52 % of the steps with an active row take one, 84 % at most four
+MOST_ADDED = 100  # rows taken up one by one, some more than once: of robots too near to each other 3 in the median, 8 at most
+BEYOND = 1e-9  # N, N m or m: so much beyond its bound a row may be by rounding
+DEPENDENT = 1e-9  # of a row's length that is new beside the held ones: less is rounding
 NO_BOUND = 1e30  # what all solvers take for infinity
 
 
@@ -110,6 +115,106 @@ def minimise_held(
     return True
 
 
+@kernel("b1(f8[:,::1], f8[::1], f8[:,::1], f8[::1], f8[::1], i8[::1], i8, i8, f8, f8[:,:,::1], f8[::1], f8[::1], f8[::1])")
+def take_up(
+    factor: Array,
+    q: Array,
+    a: Array,
+    lower: Array,
+    upper: Array,
+    held: Signs,
+    row: int,
+    sign: int,
+    beyond: float,
+    work: Array,
+    mu: Array,
+    x: Array,
+    y: Array,
+) -> bool:
+    """Bring a `row` that is `beyond` its bound, the upper one for `sign` 1, to that bound, and hold it. False if none can.
+
+    Its multiplier grows by t: x += -t L'^-1 w, multipliers of the held rows += -t r with r = (V'V)^-1 V'v and w = v - V r,
+    v = L^-1 a. A held row whose multiplier comes to zero before is let go.
+    """
+    n = len(q)
+    across, gram, gram_factor, aside = work[0], work[1], work[2], np.empty(n)
+    while True:
+        aside[:] = sign * a[row]
+        forward(factor, n, aside)
+        length2, count = dot(aside, aside), 0
+        for other in range(len(held)):
+            if held[other] == 0:
+                continue
+            across[count] = held[other] * a[other]
+            forward(factor, n, across[count])
+            mu[count] = dot(across[count], aside)
+            for j in range(count + 1):
+                gram[j, count] = dot(across[count], across[j])
+            count += 1
+        if not factorise(gram, count, gram_factor):
+            return False
+        forward(gram_factor, count, mu)
+        backward(gram_factor, count, mu)
+        for j in range(count):
+            for i in range(n):
+                aside[i] -= mu[j] * across[j, i]
+        new2 = dot(aside, aside)
+        is_new = count < n and new2 > DEPENDENT**2 * length2
+        step, leaves, count = beyond / new2 if is_new else np.inf, -1, 0
+        for other in range(len(held)):
+            if held[other] != 0:
+                if mu[count] > 0.0 and abs(y[other]) < step * mu[count]:
+                    step, leaves = abs(y[other]) / mu[count], other
+                count += 1
+        if not step < np.inf:
+            return False
+        count = 0
+        for other in range(len(held)):
+            if held[other] != 0:
+                y[other] -= step * mu[count] * held[other]
+                count += 1
+        y[row] += step * sign
+        if is_new:
+            beyond -= step * new2
+            backward(factor, n, aside)
+            for i in range(n):
+                x[i] -= step * aside[i]
+        if leaves < 0:
+            held[row] = sign
+            return True
+        held[leaves], y[leaves] = 0, 0.0
+
+
+@kernel("b1(f8[:,::1], f8[::1], f8[:,::1], f8[::1], f8[::1], i8[::1], f8[:,:,::1], f8[::1], f8[::1], f8[::1])")
+def solve_one_by_one(
+    factor: Array, q: Array, a: Array, lower: Array, upper: Array, held: Signs, work: Array, mu: Array, x: Array, y: Array
+) -> bool:
+    """Solution `x` (n,) with multipliers `y` (rows,): from the minimum without rows on, the row that is farthest beyond its
+    bound is taken up, until none is. `held` becomes the active set. False if there is none."""
+    n = len(q)
+    held[:], y[:] = 0, 0.0
+    for i in range(n):
+        x[i] = -q[i]
+    forward(factor, n, x)
+    backward(factor, n, x)
+    for _ in range(MOST_ADDED):
+        farthest, sign, beyond = -1, 0, BEYOND
+        for row in range(len(held)):
+            if held[row] == 0:
+                place = dot(a[row], x)
+                if math.isnan(place):
+                    return False
+                if place - upper[row] > beyond:
+                    farthest, sign, beyond = row, 1, place - upper[row]
+                elif lower[row] - place > beyond:
+                    farthest, sign, beyond = row, -1, lower[row] - place
+        if farthest < 0:
+            return minimise_held(factor, q, a, lower, upper, held, work, mu, x, y)
+        if not take_up(factor, q, a, lower, upper, held, farthest, sign, beyond, work, mu, x, y):
+            return False
+    return False
+
+
 @kernel("i8(f8[:,::1], f8[::1], f8[:,::1], f8[::1], f8[::1], i8[::1], f8[:,:,::1], f8[::1], f8[::1], f8[::1])")
 def solve_from(
     p: Array, q: Array, a: Array, lower: Array, upper: Array, held: Signs, work: Array, mu: Array, x: Array, y: Array
@@ -117,8 +222,8 @@ def solve_from(
     """Solution `x` (n,) with multipliers `y` (rows,), from the guess that the rows `held` are active; `held` becomes the
     active set. `work` is (4, n, n), `mu` (n,).
 
-    Returns the rounds that it took; 0 if there is no solution after ROUNDS, P is not positive definite, bounds cross, or a
-    number is not finite.
+    Returns the rounds that it took, ROUNDS + 1 if rows were taken up one by one; 0 if there is no solution, P is not positive
+    definite, bounds cross, or a number is not finite.
     """
     factor = work[3]
     for row in range(len(held)):
@@ -130,7 +235,7 @@ def solve_from(
         return 0
     for taken in range(1, ROUNDS + 1):
         if not minimise_held(factor, q, a, lower, upper, held, work[:3], mu, x, y):
-            return 0
+            break
         settled = True
         for row in range(len(held)):
             if held[row] != 0:
@@ -143,4 +248,5 @@ def solve_from(
             settled &= right
         if settled:
             return taken if math.isfinite(dot(x, x)) else 0
-    return 0
+    solved = solve_one_by_one(factor, q, a, lower, upper, held, work[:3], mu, x, y) and math.isfinite(dot(x, x))
+    return ROUNDS + 1 if solved else 0

@@ -12,7 +12,7 @@ import pytest
 from packaging.requirements import Requirement
 from scipy.optimize import LinearConstraint, minimize
 
-from robot_agent.control.active_set import NO_BOUND, factorise, solve_from
+from robot_agent.control.active_set import NO_BOUND, ROUNDS, factorise, solve_from
 from robot_agent.control.qp import DaqpSolver, OsqpSolver, Solver, make_solver
 from wire.frames import Array
 from wire.toml_loader import ConfigError
@@ -219,18 +219,54 @@ def test_a_problem_that_drifts_is_solved_from_its_last_active_set(name: Backend,
 
 
 def test_a_guess_that_cannot_be_is_given_up() -> None:
-    """More rows than unknowns, the same row twice, a bound that is gone: no solution, or the right one."""
+    """More rows than unknowns, the same row twice, a bound that is gone: the right solution all the same."""
     random = np.random.default_rng(13)
     p, q, a, lower, upper = problem(random)
     x, y, work, mu = np.empty(N), np.empty(M), np.empty((4, N, N)), np.empty(N)
-    assert not solve_from(p, q, a, lower, upper, np.ones(M, np.int64), work, mu, x, y)
+    assert solve_from(p, q, a, lower, upper, np.ones(M, np.int64), work, mu, x, y) > ROUNDS
+    assert x == pytest.approx(exact(p, q, a, lower, upper), abs=1e-4)
     twice, held = a.copy(), np.zeros(M, np.int64)
     twice[1], held[:2] = twice[0], 1
-    assert not solve_from(p, q, twice, lower, upper, held, work, mu, x, y)
+    assert solve_from(p, q, twice, lower, upper, held, work, mu, x, y) > ROUNDS
+    assert x == pytest.approx(exact(p, q, twice, lower, upper), abs=1e-4)
     held = np.zeros(M, np.int64)
     held[[0, 3]] = -1, 1
     assert solve_from(p, q, a, np.full(M, -np.inf), np.full(M, NO_BOUND), held, work, mu, x, y)
     assert x == pytest.approx(-np.linalg.solve(p, q)) and not held.any()
+
+
+def optimal(p: Array, q: Array, a: Array, lower: Array, upper: Array, x: Array, y: Array) -> bool:
+    """True if x with multipliers y meets the conditions of Karush, Kuhn and Tucker."""
+    reached = a @ x
+    slope = np.abs(p @ x + q + a.T @ y).max()
+    beyond = max(float((reached - upper).max()), float((lower - reached).max()))
+    off = np.where(y > 0.0, upper - reached, np.where(y < 0.0, reached - lower, 0.0))
+    return bool(slope < 1e-7 and beyond < 1e-8 and np.abs(off).max() < 1e-8)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_rows_that_depend_on_one_another_are_taken_up_one_by_one(seed: int) -> None:
+    """Bounds on every unknown and on every difference of two, as in flight: most of them active at once, from guesses that
+    have nothing to do with it. Where the rows leave no place that is told."""
+    random = np.random.default_rng(seed)
+    x, y, work, mu = np.empty(N), np.empty(2 * N), np.empty((4, N, N)), np.empty(N)
+    a = np.vstack([np.eye(N), np.eye(N) - np.eye(N, k=-1)])
+    one_by_one, active, none = 0, 0, 0
+    for _ in range(300):
+        p, q, *_ = problem(random)
+        upper = random.choice([0.1, 0.2, 0.3], 2 * N)
+        lower = -upper
+        if random.random() < 0.2:  # the first may be nowhere: its own bounds lie beyond those of its change
+            lower[0], upper[0] = 0.35, 0.4
+        held = random.integers(-1, 2, 2 * N)
+        taken = solve_from(p, 20.0 * q, a, lower, upper, held, work, mu, x, y)
+        if lower[0] > 0.0:
+            none += 1
+            assert not taken
+            continue
+        assert taken and optimal(p, 20.0 * q, a, lower, upper, x, y)
+        one_by_one, active = one_by_one + (taken > ROUNDS), active + int(np.count_nonzero(y))
+    assert one_by_one > 100 and active > 600 and none > 30
 
 
 def test_only_a_positive_definite_matrix_of_numbers_is_factorised() -> None:
