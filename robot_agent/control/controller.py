@@ -204,7 +204,8 @@ class Controller:
         if estimate is None or goal is None:
             return self._neutral(estimate, now_ns)
         self._take_up(goal)
-        self._heading.adapt(self._model.coefficients, estimate.pace)
+        if self._config.estimator.adaptive:
+            self._heading.adapt(self._model.coefficients, estimate.pace)
         reference = self.sampler.sample(goal)
         predictions = self.formation.predict_neighbours(neighbours, now_ns)
         lead = reference
