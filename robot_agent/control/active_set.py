@@ -27,7 +27,7 @@ DEPENDENT = 1e-9  # of a row's length that is new beside the held ones: less is 
 NO_BOUND = 1e30  # what all solvers take for infinity
 
 
-@kernel("b1(f8[:,::1], i8, f8[:,::1])")
+@kernel("b1(f8[:,::1], i8, f8[:,::1])", part=True)
 def factorise(p: Array, n: int, factor: Array) -> bool:
     """Cholesky's L, up to the diagonal of `factor` (n, n), of the upper triangle of P (n, n). False unless P is positive
     definite. Zeros above a column's first entry stay zero in L, and are passed over."""
@@ -49,7 +49,7 @@ def factorise(p: Array, n: int, factor: Array) -> bool:
     return True
 
 
-@kernel("void(f8[:,::1], i8, f8[::1])")
+@kernel("void(f8[:,::1], i8, f8[::1])", part=True)
 def forward(factor: Array, n: int, b: Array) -> None:
     """Solve Lx = b (n,), in place."""
     for i in range(n):
@@ -58,7 +58,7 @@ def forward(factor: Array, n: int, b: Array) -> None:
         b[i] /= factor[i, i]
 
 
-@kernel("void(f8[:,::1], i8, f8[::1])")
+@kernel("void(f8[:,::1], i8, f8[::1])", part=True)
 def backward(factor: Array, n: int, b: Array) -> None:
     """Solve L'x = b (n,), in place."""
     for i in range(n - 1, -1, -1):
@@ -67,7 +67,7 @@ def backward(factor: Array, n: int, b: Array) -> None:
             b[k] -= factor[i, k] * b[i]
 
 
-@kernel("f8(f8[::1], f8[::1])", inline=True)
+@kernel("f8(f8[::1], f8[::1])", inline=True, part=True)
 def dot(a: Array, b: Array) -> float:
     """Sum of products of two vectors."""
     total = 0.0
@@ -76,7 +76,7 @@ def dot(a: Array, b: Array) -> float:
     return total
 
 
-@kernel("b1(f8[:,::1], f8[::1], f8[:,::1], f8[::1], f8[::1], i8[::1], f8[:,:,::1], f8[::1], f8[::1], f8[::1])")
+@kernel("b1(f8[:,::1], f8[::1], f8[:,::1], f8[::1], f8[::1], i8[::1], f8[:,:,::1], f8[::1], f8[::1], f8[::1])", part=True)
 def minimise_held(
     factor: Array, q: Array, a: Array, lower: Array, upper: Array, held: Signs, work: Array, mu: Array, x: Array, y: Array
 ) -> bool:
@@ -115,37 +115,27 @@ def minimise_held(
     return True
 
 
-@kernel("b1(f8[:,::1], f8[::1], f8[:,::1], f8[::1], f8[::1], i8[::1], i8, i8, f8, f8[:,:,::1], f8[::1], f8[::1], f8[::1])")
+@kernel("b1(f8[:,::1], f8[:,::1], i8[::1], i8, i8, f8, f8[:,:,::1], f8[::1], f8[::1], f8[::1])", part=True)
 def take_up(
-    factor: Array,
-    q: Array,
-    a: Array,
-    lower: Array,
-    upper: Array,
-    held: Signs,
-    row: int,
-    sign: int,
-    beyond: float,
-    work: Array,
-    mu: Array,
-    x: Array,
-    y: Array,
+    factor: Array, a: Array, held: Signs, row: int, sign: int, beyond: float, work: Array, mu: Array, x: Array, y: Array
 ) -> bool:
     """Bring a `row` that is `beyond` its bound, the upper one for `sign` 1, to that bound, and hold it. False if none can.
 
     Its multiplier grows by t: x += -t L'^-1 w, multipliers of the held rows += -t r with r = (V'V)^-1 V'v and w = v - V r,
     v = L^-1 a. A held row whose multiplier comes to zero before is let go.
     """
-    n = len(q)
+    n = len(x)
     across, gram, gram_factor, aside = work[0], work[1], work[2], np.empty(n)
     while True:
-        aside[:] = sign * a[row]
+        for i in range(n):
+            aside[i] = sign * a[row, i]
         forward(factor, n, aside)
         length2, count = dot(aside, aside), 0
         for other in range(len(held)):
             if held[other] == 0:
                 continue
-            across[count] = held[other] * a[other]
+            for i in range(n):
+                across[count, i] = held[other] * a[other, i]
             forward(factor, n, across[count])
             mu[count] = dot(across[count], aside)
             for j in range(count + 1):
@@ -185,14 +175,15 @@ def take_up(
         held[leaves], y[leaves] = 0, 0.0
 
 
-@kernel("b1(f8[:,::1], f8[::1], f8[:,::1], f8[::1], f8[::1], i8[::1], f8[:,:,::1], f8[::1], f8[::1], f8[::1])")
+@kernel("b1(f8[:,::1], f8[::1], f8[:,::1], f8[::1], f8[::1], i8[::1], f8[:,:,::1], f8[::1], f8[::1], f8[::1])", part=True)
 def solve_one_by_one(
     factor: Array, q: Array, a: Array, lower: Array, upper: Array, held: Signs, work: Array, mu: Array, x: Array, y: Array
 ) -> bool:
     """Solution `x` (n,) with multipliers `y` (rows,): from the minimum without rows on, the row that is farthest beyond its
     bound is taken up, until none is. `held` becomes the active set. False if there is none."""
     n = len(q)
-    held[:], y[:] = 0, 0.0
+    for row in range(len(held)):
+        held[row], y[row] = 0, 0.0
     for i in range(n):
         x[i] = -q[i]
     forward(factor, n, x)
@@ -209,8 +200,8 @@ def solve_one_by_one(
                 elif lower[row] - place > beyond:
                     farthest, sign, beyond = row, -1, lower[row] - place
         if farthest < 0:
-            return minimise_held(factor, q, a, lower, upper, held, work, mu, x, y)
-        if not take_up(factor, q, a, lower, upper, held, farthest, sign, beyond, work, mu, x, y):
+            return True
+        if not take_up(factor, a, held, farthest, sign, beyond, work, mu, x, y):
             return False
     return False
 

@@ -27,7 +27,7 @@ from wire.kernels import kernel
 HOLD_RADPS = 0.3  # station keeping turns no faster: at 1.2 rad/s a robot kept spinning on the side force of its own spin
 
 
-@kernel("f8(c16, f8, f8, f8)")
+@kernel("f8(c16, f8, f8, f8)", part=True)
 def off_tangent(force: complex, direction: float, worth: float, limit_rad: float) -> float:
     """Angle of a force, along + i across the path's tangent, by which to turn from the tangent, ahead or astern
     (`direction` 1 or -1). Forces well below `worth` are not worth a turn."""
@@ -35,7 +35,7 @@ def off_tangent(force: complex, direction: float, worth: float, limit_rad: float
     return min(max(angle, -limit_rad), limit_rad)
 
 
-@kernel("UniTuple(f8,2)(f8[:,::1], f8[:,::1], f8[:,::1], c16, b1, f8, f8, f8, c16, f8, f8, f8, f8, f8, f8)")
+@kernel("UniTuple(f8,2)(f8[:,::1], f8[:,::1], f8[:,::1], c16, b1, f8, f8, f8, c16, f8, f8, f8, f8, f8, f8)", part=True)
 def headings(
     eta: Array,
     velocity: Array,

@@ -26,7 +26,7 @@ from wire.kernels import kernel
 TINY_MPS = 1e-12  # keeps 0/0 out
 
 
-@kernel("void(f8[:,::1], i8, f8, f8, f8, f8, f8[:,::1], f8[:,::1], f8[::1], f8[:,::1], f8[:,::1])")
+@kernel("void(f8[:,::1], i8, f8, f8, f8, f8, f8[:,::1], f8[:,::1], f8[::1], f8[:,::1], f8[:,::1])", part=True)
 def single_axis(
     model: Array,
     axis: int,
@@ -62,7 +62,7 @@ def single_axis(
             place[k + 1, j] = place[k, j] + 0.5 * dt * (rate[k, j] + rate[k + 1, j])
 
 
-@kernel("void(f8[:,::1], f8, f8, f8[::1], f8, f8, f8[:,::1], f8[:,::1], f8[::1], f8[:,::1], f8[:,::1], f8[:,::1])")
+@kernel("void(f8[:,::1], f8, f8, f8[::1], f8, f8, f8[:,::1], f8[:,::1], f8[::1], f8[:,::1], f8[:,::1], f8[:,::1])", part=True)
 def surge_and_sway(
     model: Array,
     sway: float,
@@ -111,7 +111,7 @@ def surge_and_sway(
         v[k + 1, free] += phi_dt_v * (sway * gamma[1] + model[2, 1] * speed * v0 / m_v - v_r * r0)
 
 
-@kernel("void(f8, f8, f8, f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1])")
+@kernel("void(f8, f8, f8, f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1])", part=True)
 def move(
     dt: float, current_x: float, current_y: float, eta0: Array, nu0: Array, u: Array, v: Array, yaw: Array, x: Array, y: Array
 ) -> None:
@@ -144,7 +144,8 @@ def move(
 
 @kernel(
     "void(f8[:,::1], f8, f8, f8[::1], f8[::1], f8[::1], f8[::1], c16, f8[:,:,::1], f8[:,::1], f8[::1],"
-    " f8[:,:,::1], f8[:,:,::1])"
+    " f8[:,:,::1], f8[:,:,::1])",
+    part=True,
 )
 def linearise(
     model: Array,
@@ -181,7 +182,7 @@ def linearise(
     move(dt, current.real, current.imag, eta, nu, u, v, yaw, x, y)
 
 
-@kernel("void(f8[:,:,::1], f8[:,:,::1], f8[:,::1], f8[::1], f8[:,::1], f8[:,::1], f8[::1])")
+@kernel("void(f8[:,:,::1], f8[:,:,::1], f8[:,::1], f8[::1], f8[:,::1], f8[:,::1], f8[::1])", part=True)
 def condense(planar: Array, axial: Array, reference: Array, weight: Array, smooth: Array, p: Array, q: Array) -> None:
     """The errors' part of the cost (35), 1/2 b'Pb + q'b over all blocks b: P = smooth + S'WS, q += S'W (free - reference),
     nodes 1 on.
@@ -267,7 +268,7 @@ def half_space_rows(
         lower[i] = offset[i] - n_x * x[k, free] - n_y * y[k, free]
 
 
-@kernel("void(f8[::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1])")
+@kernel("void(f8[::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1])", part=True)
 def superpose(b: Array, x: Array, y: Array, z: Array, yaw: Array, out: Array) -> None:
     """Response to all blocks `b` (3 blocks,), surge, yaw, heave: free + sum of columns x blocks, into `out` (nodes, 4). Poses,
     or velocities in their place."""

@@ -38,7 +38,7 @@ def shortness(horizon_s: float) -> float:
     return min(max((LONG_S - horizon_s) / (LONG_S - SHORT_S), 0.0), 1.0)
 
 
-@kernel("UniTuple(f8,6)(f8, f8, f8, f8, f8, i8)")
+@kernel("UniTuple(f8,6)(f8, f8, f8, f8, f8, i8)", part=True)
 def cost_to_go(
     mass: float, drag: float, q: float, r: float, step_s: float, steps: int
 ) -> tuple[float, float, float, float, float, float]:
@@ -65,7 +65,7 @@ def cost_to_go(
     return p11, p12, p13, p22, p23, p33
 
 
-@kernel("void(f8, f8, f8, f8, f8, f8[::1], f8[::1], f8, f8, f8, i8, f8[:,::1], f8[::1])")
+@kernel("void(f8, f8, f8, f8, f8, f8[::1], f8[::1], f8, f8, f8, i8, f8[:,::1], f8[::1])", part=True)
 def add_axis(
     mass: float,
     drag: float,

@@ -36,23 +36,23 @@ SAME_ERROR_M = 0.02  # tracking errors closer than this give equal priority,
 ERROR_RATE_MPS = 0.5  # plus this per second of the message's age: no robot moves faster
 
 
-@kernel("b1(f8[:,::1], f8[:,::1])")
+@kernel("b1(f8[:,::1], f8[:,::1])", part=True)
 def are_poses(plan: Array, meant: Array) -> bool:
     """True if the numbers of a plan and of its reference (rows, 4) can be poses."""
-    poses, references, fine = plan.reshape(plan.size), meant.reshape(meant.size), 0
+    poses, references, fine = np.ravel(plan), np.ravel(meant), 0
     for i in range(len(poses)):
         fine += (abs(poses[i]) < MOST_TURNED_RAD) & (abs(poses[i] - references[i]) < ABSURD)
     return fine == len(poses)
 
 
-@kernel("void(f8[:,::1], f8[:,::1], f8, f8, f8, f8[:,::1])")
+@kernel("void(f8[:,::1], f8[:,::1], f8, f8, f8, f8[:,::1])", part=True)
 def add_deviation(plan: Array, meant: Array, ahead_s: float, period_s: float, told_period_s: float, total: Array) -> None:
     """Add the deviation plan - meant, without whole turns, at ahead_s + k period_s to row k of `total` (nodes, 4)."""
     last, first, between = len(plan) - 1, ahead_s / told_period_s, 0
     if told_period_s == period_s and 0.0 <= first < last:  # in step with ours: one loop over all numbers, in vector registers
         low = int(first)
         between, share = min(last - low, len(total)), first - low
-        poses, references, sums = plan.reshape(plan.size), meant.reshape(meant.size), total.reshape(total.size)
+        poses, references, sums = np.ravel(plan), np.ravel(meant), np.ravel(total)
         begin, end = 4 * low, 4 * (low + between)
         pose, reference, next_pose, next_reference = (
             poses[begin:end], references[begin:end], poses[begin + 4 : end + 4], references[begin + 4 : end + 4]

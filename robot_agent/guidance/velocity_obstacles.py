@@ -61,19 +61,19 @@ FAN = np.append(np.outer(_PACES, np.exp(1j * _ANGLES)), 0.0)
 FAN_PRICE = np.append(2.0 * (1.0 - _PACES)[:, None] + np.abs(_ANGLES) + 1e-3 * (_ANGLES < 0.0), 2.0)
 
 
-@kernel("f8(c16, c16)")
+@kernel("f8(c16, c16)", part=True)
 def dot(a: complex, b: complex) -> float:
     """Scalar product of two vectors x + iy."""
     return a.real * b.real + a.imag * b.imag
 
 
-@kernel("f8(c16, c16)")
+@kernel("f8(c16, c16)", part=True)
 def cross(a: complex, b: complex) -> float:
     """|a| times the distance of b to starboard of the direction a; negative to port."""
     return a.real * b.imag - a.imag * b.real
 
 
-@kernel("b1(c16, c16, c16[::1], c16[::1], f8[::1])")
+@kernel("b1(c16, c16, c16[::1], c16[::1], f8[::1])", part=True)
 def closes_in(place: complex, velocity: complex, there: Places, going: Places, keep_m: Array) -> bool:
     """True if straight lines at these velocities lead nearer to any traffic (k,) than allowed within LOOK_AHEAD_S."""
     for i in range(len(there)):
@@ -169,7 +169,7 @@ def find_meetings(
     return found
 
 
-@kernel("b1(c16, c16, f8, f8, c16[::1], f8[::1])")
+@kernel("b1(c16, c16, f8, f8, c16[::1], f8[::1])", part=True)
 def leads_into_wall(place: complex, way: complex, room_x_m: float, room_y_m: float, islands: Places, keep_m: Array) -> bool:
     """True if the velocity `way` leads within WALL_S beyond the room (half its sides), or too close to an island (k,). A robot
     that is there already may go no further in."""

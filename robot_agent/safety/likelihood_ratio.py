@@ -30,7 +30,7 @@ KEPT = 256  # samples: half of them are more than the fastest loop takes in the 
 LEAST = 1e-12  # of what could have been missing: nothing
 
 
-@kernel("void(f8[:,::1], f8[:,::1])")
+@kernel("void(f8[:,::1], f8[:,::1])", part=True)
 def solve(a: Array, b: Array) -> None:
     """Solve a X = b for a positive definite `a` (k, k) by Gaussian elimination, in both arrays: X (k, m) stands in `b`."""
     for i in range(len(a)):
@@ -46,7 +46,7 @@ def solve(a: Array, b: Array) -> None:
             b[i, j] /= a[i, i]
 
 
-@kernel("f8(f8[:,::1], f8[::1], i8[::1], f8[::1], f8[:,::1], i8, f8, f8)")
+@kernel("f8(f8[:,::1], f8[::1], i8[::1], f8[::1], f8[:,::1], i8, f8, f8)", part=True)
 def largest_evidence(
     samples: Array,
     weights: Array,

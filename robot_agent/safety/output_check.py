@@ -28,7 +28,7 @@ THRUSTERS = 4  # the first of the outputs; ankles follow
 Integers = NDArray[np.int64]
 
 
-@kernel("b1(i8[::1], i8[:,::1], i8, i8)")
+@kernel("b1(i8[::1], i8[:,::1], i8, i8)", part=True)
 def lies_between(echo_us: Integers, told_us: Integers, first: int, last: int) -> bool:
     """True if every output (n,) lies within the range of the commands `first` to `last` of `told_us` (commands, n)."""
     for i in range(len(echo_us)):

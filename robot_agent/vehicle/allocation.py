@@ -22,7 +22,7 @@ STEEPEST_RAD = math.radians(60.0)  # beyond, most of a thruster's force is spent
 CROSSING_N = 0.03  # g goes from -1 to 1 over +- this horizontal force: an ankle passes level while its thruster reverses
 
 
-@kernel("f8(f8, f8, f8, f8, f8)")
+@kernel("f8(f8, f8, f8, f8, f8)", part=True)
 def side_bias(idle_n: float, lift_n: float, side_n: float, ahead_n: float, astern_n: float) -> float:
     """Bias of a side: what heave needs, or idle thrust if that is more; within what is left of the thrust there is.
 
@@ -33,7 +33,7 @@ def side_bias(idle_n: float, lift_n: float, side_n: float, ahead_n: float, aster
     return max(0.0, min(max(lift_n, faded), room))
 
 
-@kernel("f8(f8, f8, f8, f8)")
+@kernel("f8(f8, f8, f8, f8)", part=True)
 def lifting_bias(port: float, starboard: float, heave_n: float, steepest_tan: float) -> float:
     """Bias that both sides need for a heave force at the steepest ankle angle; 0 where surge and yaw are enough.
 
@@ -77,7 +77,7 @@ def allocate(
         angle[i] = math.atan(t * angle[i])
 
 
-@kernel("void(f8[::1], f8[:,::1], f8, f8, f8, f8, f8[::1], i8, i8, f8, f8, f8[::1], f8[::1], i8[::1])")
+@kernel("void(f8[::1], f8[:,::1], f8, f8, f8, f8, f8[::1], i8, i8, f8, f8, f8[::1], f8[::1], i8[::1])", part=True)
 def allocate_pulses(
     wrench: Array,
     legs: Array,

@@ -52,7 +52,7 @@ def lag(lag_s: float, dt: float) -> tuple[float, float]:
     return left, lag_s / dt * (1.0 - left)
 
 
-@kernel("f8(f8, f8)")
+@kernel("f8(f8, f8)", part=True)
 def phi_dt(slope: float, dt: float) -> float:
     """dt phi(a dt), s: effective time of a constant acceleration against drag of slope a (1/s, per mass)."""
     return -math.expm1(-slope * dt) / slope
@@ -145,7 +145,7 @@ def drag(model: Array, u: float, v: float) -> tuple[float, float]:
 # --- the observer (31) on this model
 
 
-@kernel("UniTuple(f8,3)(f8, f8)")
+@kernel("UniTuple(f8,3)(f8, f8)", part=True)
 def gains(bandwidth_radps: float, step_s: float) -> tuple[float, float, float]:
     """Innovation gains b1, b2, b3 for pose, velocity and Gamma: all three observer poles at exp(-w dt)."""
     beta = math.exp(-bandwidth_radps * step_s)
@@ -153,7 +153,7 @@ def gains(bandwidth_radps: float, step_s: float) -> tuple[float, float, float]:
     return 1.0 - beta**3, 1.5 * rest * rest * (1.0 + beta) / step_s, rest**3 / (step_s * step_s)
 
 
-@kernel("UniTuple(f8,3)(f8, f8)")
+@kernel("UniTuple(f8,3)(f8, f8)", part=True)
 def gains_with_rate(bandwidth_radps: float, step_s: float) -> tuple[float, float, float]:
     """Gains b1, b2, b3 if velocity is measured too: pose by the pose error; velocity and Gamma by the velocity error."""
     beta = math.exp(-bandwidth_radps * step_s)
@@ -161,7 +161,7 @@ def gains_with_rate(bandwidth_radps: float, step_s: float) -> tuple[float, float
     return rest, 1.0 - beta * beta, rest * rest / step_s
 
 
-@kernel("Tuple((f8, c16, f8))(f8, c16, f8, f8, f8, f8)")
+@kernel("Tuple((f8, c16, f8))(f8, c16, f8, f8, f8, f8)", part=True)
 def split_side_force(
     side: float, current: complex, yaw: float, slope: float, share: float, fastest_mps: float
 ) -> tuple[float, complex, float]:
@@ -180,7 +180,7 @@ def split_side_force(
     return side - drift * slope, current + drift * aside, drift
 
 
-@kernel("f8(f8[:,::1], f8, f8)")
+@kernel("f8(f8[:,::1], f8, f8)", part=True)
 def sway_slope(model: Array, u: float, v: float) -> float:
     """Rate (1/s) at which sideways motion decays at velocities u, v through the water: slope of the drag, per mass."""
     speed = math.sqrt(u * u + v * v)
@@ -253,7 +253,7 @@ def weigh(p: Array, error_x: float, error_y: float, variance_m2: float, gain: Ar
             p[j, i] = p[i, j]
 
 
-@kernel("void(f8[:,::1], f8[:,::1], f8[::1], f8[::1], f8, f8[::1])")
+@kernel("void(f8[:,::1], f8[:,::1], f8[::1], f8[::1], f8, f8[::1])", part=True)
 def correct_planar(nominal: Array, model: Array, belief: Array, change: Array, step_s: float, settings: Array) -> None:
     """Add a `change` (8,) to the planar part of the belief, share the side force out (`split_side_force`), and write drag
     and thrust per mass into the `model`: as the mass and the drag that fit the thrust that is commanded. See `observe`."""
@@ -278,7 +278,7 @@ def correct_planar(nominal: Array, model: Array, belief: Array, change: Array, s
         belief[15], belief[16] = current.real, current.imag
 
 
-@kernel("void(f8[::1], f8, f8, f8, f8, f8, f8, f8)")
+@kernel("void(f8[::1], f8, f8, f8, f8, f8, f8, f8)", part=True)
 def correct_heave_and_yaw(
     belief: Array,
     error_yaw: float,
