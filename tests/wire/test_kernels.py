@@ -2,6 +2,7 @@
 
 import ast
 import builtins
+import importlib.util
 import os
 import subprocess
 import sys
@@ -24,6 +25,18 @@ for _ in range(2):
     exec(compile(source, "/proc/nowhere.py", "exec"), space)
     assert space["twice"](3.0) == 6.0
 assert not CACHE.writable
+"""
+
+WITH_A_PART = """
+from wire.kernels import kernel
+
+@kernel("f8(f8)", part=True)
+def half(x):
+    return x / 2.0
+
+@kernel("f8(i8)")
+def quarter(x):
+    return half(x) / 2.0
 """
 
 
@@ -84,6 +97,20 @@ def b(x):
 @pytest.mark.parametrize("source", _sources())
 def test_kernels_have_signatures_and_call_only_kernels_of_their_module(source: str) -> None:
     assert not list(_offences(ast.parse((ROOT / source).read_text(encoding="utf-8"))))
+
+
+@pytest.mark.skipif("NUMBA_DISABLE_JIT" in os.environ, reason="nothing is compiled")
+def test_a_part_is_compiled_for_its_own_signature_and_not_loaded_again(tmp_path: Path) -> None:
+    path = tmp_path / "with_a_part.py"
+    path.write_text(WITH_A_PART, encoding="utf-8")
+    for has_compiled in (True, False):
+        spec = importlib.util.spec_from_file_location("with_a_part", path)
+        assert spec is not None and spec.loader is not None
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+        assert [str(of) for of in module.half.overloads] == ["(float64,)"] * has_compiled
+        assert module.quarter(3) == 0.75
+    assert module.half(3.0) == 1.5  # a test may call it
 
 
 @pytest.mark.long
