@@ -36,10 +36,10 @@ SAME_ERROR_M = 0.02  # tracking errors closer than this give equal priority,
 ERROR_RATE_MPS = 0.5  # plus this per second of the message's age: no robot moves faster
 
 
-@kernel("b1(f8[:,::1], f8[:,::1])", part=True)
-def are_poses(plan: Array, meant: Array) -> bool:
-    """True if the numbers of a plan and of its reference (rows, 4) can be poses."""
-    poses, references, fine = np.ravel(plan), np.ravel(meant), 0
+@kernel("b1(f8[::1], f8[::1])", part=True)
+def are_poses(poses: Array, references: Array) -> bool:
+    """True if the numbers of a plan and of its reference, row by row (4 rows,), can be poses."""
+    fine = 0
     for i in range(len(poses)):
         fine += (abs(poses[i]) < MOST_TURNED_RAD) & (abs(poses[i] - references[i]) < ABSURD)
     return fine == len(poses)
@@ -74,11 +74,12 @@ def add_deviation(plan: Array, meant: Array, ahead_s: float, period_s: float, to
 
 
 @kernel(
-    "i8(f8[:,::1], f8[:,::1], f8, f8, i8[::1], f8[::1],"
+    "i8(f8[:,::1], f8[::1], f8[:,::1], f8, f8, i8[::1], f8[::1],"
     " b1[::1], f8[:,::1], f8[::1], c16[:,::1], f8[:,::1], c16[::1], f8[::1], c16[::1])"
 )
 def sample_plans(
     rows: Array,
+    numbers: Array,
     told: Array,
     dead_s: float,
     period_s: float,
@@ -93,8 +94,9 @@ def sample_plans(
     depth_now: Array,
     velocity: Places,
 ) -> int:
-    """Plans at our instants. Below one another in `rows` (all rows, 4) stand each plan's poses and then its references. `told`
-    (robots, 5) says of each how many there are of both, its age in ns, its period in s, and 1 for a member.
+    """Sample the neighbours' plans at our own instants. Each plan's poses and then its references stand below one another in
+    `rows` (all rows, 4); `numbers` (4 all rows,) is the same memory, row by row. `told` (robots, 5) has for each plan how many
+    it has of both, its age in ns, its period in s, and 1 for a member.
 
     Row k of a horizon lies dead_s + k period_s ahead. `pull` (nodes, 4) is the sum over the members of `weight` (4,) times
     their deviation eta - reference, without whole turns, and `pull_weight` (4,) that of the weights. `position` and `depth`
@@ -107,8 +109,10 @@ def sample_plans(
     for i in range(len(told)):
         poses, references, age_s, period = int(told[i, 0]), int(told[i, 1]), told[i, 2] / NS, told[i, 3]
         plan, meant, last = rows[first : first + poses], rows[first + poses : first + poses + references], poses - 1
+        begin, end, next_plan = 4 * first, 4 * (first + poses), 4 * (first + poses + references)
         first += poses + references
-        fine = poses == references and last >= 0 and SHORTEST_S <= period < ABSURD and are_poses(plan, meant)
+        fine = poses == references and last >= 0 and SHORTEST_S <= period < ABSURD
+        fine = fine and are_poses(numbers[begin:end], numbers[end:next_plan])
         usable[i] = fine
         if not fine:
             unusable += 1
@@ -322,10 +326,10 @@ class Formation:
             told += len(plan.eta), len(plan.eta_reference), now_ns - stamp_ns, plan.period_s, fresh and formation
             fresh_count += fresh
         usable, sampled = np.empty(len(neighbours), bool), self._room(len(neighbours))
-        deviation, weight = np.empty((self._horizon + 1, 4)), np.empty(4)
+        deviation, weight, together = np.empty((self._horizon + 1, 4)), np.empty(4), np.concatenate(rows)
         unusable = sample_plans(
-            np.concatenate(rows), np.array(told, np.float64).reshape(-1, 5), self._dead_s, self._period_s, self._nodes,
-            self._weight, usable, deviation, weight, *sampled,
+            together, together.reshape(-1), np.array(told, np.float64).reshape(-1, 5), self._dead_s, self._period_s,
+            self._nodes, self._weight, usable, deviation, weight, *sampled,
         )  # fmt: skip
         if unusable:
             return self.predict_neighbours([n for n, is_usable in zip(neighbours, usable, strict=True) if is_usable], now_ns)
