@@ -6,7 +6,8 @@ marker plates as BGR pictures. scene.py follows each line to floor, wall or deck
 
 Then for each picture, in the order of renderer.py (kernels: kernels.py, compiled loops over pixels):
 
-    1. background        static_background.py blends two of 48 cached raw mosaics (height, width) uint8.
+    1. background        static_background.py blends two of 48 cached raw mosaics (height, width) uint8,
+                         lit by two of 60 caustic patterns.
                          moving_background.py remaps a plan of the basin, for a camera that moves.
                          Both bend lines by ripples, multiply caustic light and add glare (water_optics.py, on blocks).
     2. landmarks         marker plates, each in its rectangle (ImageRect) of the mosaic (robot_sprite.py, as 4.)

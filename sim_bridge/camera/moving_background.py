@@ -70,14 +70,14 @@ class MovingBackground:
 
     def prepare(self) -> None:
         """Draw the whole loop of caustics now, so that no frame waits for its part."""
-        for time_s in self._waters.times_s.tolist():
-            self._waters.pattern(time_s)
+        for phase in range(self._waters.caustic_clock.phases):
+            self._waters.phase_pattern(phase)
 
     def at(self, time_s: float) -> tuple[WaterView, Bytes]:
         """The water's view at a time, and a new raw mosaic (height, width) of it."""
         view = self._view.moved(self._motion.at(time_s))
         scene = WaterView(self._waters, view, trace_to_surfaces(view.blocks, self._pool).z, self._vignette)
-        slopes = scene.slopes(view.whole, time_s)
+        slopes = scene.slopes(view.whole, self._waters.ripple_clock.loop_s(time_s))
         hit = trace_to_surfaces(view.blocks.deflected(scene.bending * slopes[0], scene.bending * slopes[1]), self._pool)
         x, y = plan_coordinates(hit, self._pool)
         column, row = (_halved(plane, view) for plane in self._waters.caustics.grid_coordinates(x, y))

@@ -27,7 +27,7 @@ Body = tuple[BodySprite, Array, Array, Array]  # with eta (4,), nu (4,), and rol
 
 
 class Renderer:
-    """The camera of an experiment. It draws a frame in milliseconds; each of the first ones, up to LOOP_S, in tens of them,
+    """The camera of an experiment. It draws a frame in milliseconds; each of the first ones, for 3 s, in tens of them,
     unless `backdrop.prepare` came before."""
 
     def __init__(self, experiment: Experiment, seed: int, number: int = 0) -> None:

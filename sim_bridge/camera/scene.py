@@ -123,10 +123,10 @@ class WaterView:
         shape = view.blocks.surface_x.shape
         self._basis = waters.ripples.basis(view.blocks.surface_x, view.blocks.surface_y).reshape(-1, *shape)
 
-    def slopes(self, window: ImageRect, time_s: float) -> Float:
-        """Slopes of the surface at the rectangle's blocks, (2, block rows, block columns)."""
+    def slopes(self, window: ImageRect, loop_s: float) -> Float:
+        """Slopes of the surface at the rectangle's blocks, (2, block rows, block columns), at a time of the ripples' loop."""
         basis = self._basis[:, *window.blocks]
-        return self.waters.ripples.slopes(basis.reshape(len(basis), -1), time_s).reshape(2, *basis.shape[1:])
+        return self.waters.ripples.slopes(basis.reshape(len(basis), -1), loop_s).reshape(2, *basis.shape[1:])
 
     def glare(self, window: ImageRect, slopes: Float) -> Float:
         """Grey levels that mirrored lamps add at the rectangle's blocks."""
@@ -140,7 +140,8 @@ class WaterView:
         waters, lines = self.waters, self.view.blocks[window.blocks].planes
         fields = np.empty((*lines[0].shape, 4), np.float32)
         block_fields(
-            lines, self._basis[:, *window.blocks], waters.ripples.weights(time_s), waters.pattern(time_s),
+            lines, self._basis[:, *window.blocks], waters.ripples.weights(waters.ripple_clock.loop_s(time_s)),
+            waters.pattern(time_s),
             waters.caustics.half_m, depth_m, float(waters.reach(depth_m)), np.array(self.view.camera.position_m),
             np.array(LAMPS_M), 255.0 * waters.picture.glare, float(self.bending), fields,
         )  # fmt: skip

@@ -1,7 +1,8 @@
 """Backgrounds without robots for a fixed camera: the pool through wavy water, under caustics and glare.
 
-The still pool is drawn once, and from it a loop of raw mosaics with moving water, each when it is first needed. A frame
-blends the two nearest to its time, which costs a quarter of a millisecond instead of thirty.
+The still pool is drawn once, and from it a loop of raw mosaics through moving water, each when it is first needed, and a
+loop of caustic light. The loops are run through at different rates, which wander (water_optics.LoopClock). A frame blends
+the two nearest pictures of each loop, in half a millisecond instead of thirty.
 """
 
 import cv2
@@ -12,10 +13,8 @@ from sim_bridge.camera.optics import Bytes, Float
 from sim_bridge.camera.rays import CameraRays, sample_mosaic
 from sim_bridge.camera.scene import WaterView, draw_still_pool, plan_coordinates, trace_to_surfaces, vignette
 from sim_bridge.camera.textures import LENS_SOFTNESS_PX
-from sim_bridge.camera.water_optics import LOOP_S, PHASES, WaterLight
+from sim_bridge.camera.water_optics import PHASE_S, WaterLight, caustic_levels, light_up
 from wire.config.experiment import Experiment
-
-UNSEEN_SHARE = 1e-3  # weight below which blending changes no pixel: less than half of one grey level in 255
 
 
 class StaticBackground:
@@ -41,45 +40,48 @@ class StaticBackground:
         grid = waters.caustics.grid_coordinates(*plan_coordinates(self._hit, self._pool))
         self._grid_column, self._grid_row = (np.ascontiguousarray(plane[0::2, 0::2]) for plane in grid)
         self._reach = waters.reach(self._hit.z[0::2, 0::2])
-        self._phases: dict[int, Bytes] = {}
+        self._row = np.empty((4, 2 * self._grid_column.shape[1]), np.float32)
+        self._views: dict[int, tuple[Bytes, Bytes]] = {}
+        self._levels: dict[int, Bytes] = {}
 
     def prepare(self) -> None:
-        """Draw the whole loop now (seconds), so that no frame waits for its part."""
-        for phase in range(len(self._scene.waters.times_s)):
-            self._phase(phase)
+        """Draw both loops now (seconds), so that no frame waits for its part."""
+        for phase in range(self._scene.waters.ripple_clock.phases):
+            self._view_phase(phase)
+        for phase in range(self._scene.waters.caustic_clock.phases):
+            self._level_phase(phase)
 
     def at(self, time_s: float) -> tuple[WaterView, Bytes]:
         """The water's view at a time, and a raw mosaic (height, width) of it to draw on, valid until the next call."""
-        place = time_s / LOOP_S * PHASES
-        first = int(np.floor(place))
-        share = place - first
-        before, after = self._phase(first), self._phase(first + 1)
-        if min(share, 1.0 - share) < UNSEEN_SHARE:
-            np.copyto(self._blend, after if share > 0.5 else before)
-        else:
-            cv2.addWeighted(before, 1.0 - share, after, share, 0.0, dst=self._blend)
+        waters = self._scene.waters
+        first, second, view_share = waters.ripple_clock.phase(time_s)
+        (view, glare), (next_view, next_glare) = self._view_phase(first), self._view_phase(second)
+        first, second, share = waters.caustic_clock.phase(time_s)
+        light_up(
+            view, next_view, glare, next_glare, np.float32(view_share), self._level_phase(first), self._level_phase(second),
+            np.float32(share), self._reach, self._row, self._blend,
+        )  # fmt: skip
         return self._scene, self._blend
 
-    def _phase(self, number: int) -> Bytes:
-        """A picture of the loop, the first of which follows the last."""
-        times_s = self._scene.waters.times_s
-        number %= len(times_s)
-        if number not in self._phases:
-            self._phases[number] = self._draw(float(times_s[number]))
-        return self._phases[number]
+    def _view_phase(self, number: int) -> tuple[Bytes, Bytes]:
+        """The pool through the ripples' loop: a mosaic (height, width), and the glare over each of its Bayer squares."""
+        if number not in self._views:
+            view, window = self._view, self._view.whole
+            (xx, xy), (yx, yy) = self._pulls
+            slopes = self._scene.slopes(window, number * PHASE_S)
+            map_x = self._pixels[0] + view.spread(xx * slopes[0] + xy * slopes[1], window)
+            map_y = self._pixels[1] + view.spread(yx * slopes[0] + yy * slopes[1], window)
+            raw = sample_mosaic(self._planes, map_x, map_y).astype(np.float32) * self._scene.vignette
+            glare = view.spread(self._scene.glare(window, slopes), window)[0::2, 0::2]
+            seen, added = (np.clip(np.rint(plane), 0, 255).astype(np.uint8) for plane in (raw, glare))
+            self._views[number] = np.ascontiguousarray(seen), np.ascontiguousarray(added)
+        return self._views[number]
 
-    def _draw(self, time_s: float) -> Bytes:
-        view, window = self._view, self._view.whole
-        (xx, xy), (yx, yy) = self._pulls
-        light = self._scene.waters.light(self._grid_column, self._grid_row, self._reach, time_s)
-        slopes = self._scene.slopes(window, time_s)
-        map_x = self._pixels[0] + view.spread(xx * slopes[0] + xy * slopes[1], window)
-        map_y = self._pixels[1] + view.spread(yx * slopes[0] + yy * slopes[1], window)
-        raw = sample_mosaic(self._planes, map_x, map_y).astype(np.float32)
-        raw *= cv2.resize(light, (view.width, view.height), interpolation=cv2.INTER_LINEAR)
-        raw *= self._scene.vignette
-        raw += view.spread(self._scene.glare(window, slopes), window)
-        return np.clip(np.rint(raw, out=raw), 0, 255).astype(np.uint8)
+    def _level_phase(self, number: int) -> Bytes:
+        """The pattern of the caustics' loop as each Bayer square of the picture meets it."""
+        if number not in self._levels:
+            self._levels[number] = caustic_levels(self._scene.waters.phase_pattern(number), self._grid_column, self._grid_row)
+        return self._levels[number]
 
     def _shift_per_slope(self) -> tuple[tuple[Float, Float], tuple[Float, Float]]:
         """Pixels by which a unit slope (x, y) of the surface shifts the image of a block: the Jacobian from metres at the

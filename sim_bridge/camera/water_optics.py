@@ -1,8 +1,10 @@
 """The water's surface and light: ripples that bend every line of sight, caustics, and lamps mirrored at the surface.
 
-Everything repeats after LOOP_S, so that backgrounds can be drawn once. All fields are functions of position and time
-alone.
+Ripples and caustics are loops, so that backgrounds can be drawn once. Each is run through by a clock of its own whose rate
+wanders, so that the water never repeats. All fields are functions of position and time alone.
 """
+
+import math
 
 import cv2
 import numpy as np
@@ -16,7 +18,11 @@ from wire.config.simulation import PictureConfig
 from wire.frames import Array
 from wire.kernels import kernel
 
-LOOP_S = 2.4  # s after which the water repeats: longer than the slowest wave's period; 48 phases of it take 60 MB
+RIPPLE_LOOP_S, CAUSTIC_LOOP_S = 2.4, 3.0  # s; longer than the slowest wave's period
+PHASE_S = 0.05  # s between the pictures of a loop
+# The clocks' rates wander by three sines each: periods that share no multiple, and the largest parts of the rate.
+WANDER_PERIODS_S = ((19.0, 31.0, 47.0), (17.0, 29.0, 53.0))
+WANDER_RATES = (0.06, 0.05, 0.04)
 GRAVITY_MPS2 = 9.81
 RIPPLE_WAVES = 7
 RIPPLE_LENGTH_M = (0.18, 0.60)  # m, wavelengths that fans, pumps and robots cause in a small indoor basin
@@ -31,20 +37,39 @@ LAMP_HEIGHT_M = 4.0  # above the water
 LAMPS_M = ((-3.1, -1.9, 0.85, 0.07), (2.6, -2.3, 0.85, 0.07), (3.3, 1.7, 0.85, 0.07))
 _LAMPS_M = np.array(LAMPS_M, np.float32).T[..., None, None]  # each value a plane for all lamps: (4, lamps, 1, 1)
 LAMP_EDGE_M = 0.12
-PHASES = 48  # pictures of moving light and ripples in a loop
 CAUSTIC_UNIT = 50.0  # grey levels per mean light in the stored patterns
 
 
-class PlaneWaves:
-    """A sum of plane waves with deep-water dispersion, their periods fitted into LOOP_S."""
+class LoopClock:
+    """The place in a loop of pictures at any time. Its rate stays within 15 % of 1."""
 
-    def __init__(self, count: int, length_m: tuple[float, float], random: np.random.Generator) -> None:
+    def __init__(self, loop_s: float, periods_s: tuple[float, ...], moving: bool, random: np.random.Generator) -> None:
+        self.phases = round(loop_s / PHASE_S) if moving else 1
+        self._rates = 2.0 * np.pi / np.array(periods_s)
+        self._sizes = np.array(WANDER_RATES) / self._rates
+        self._starts = random.uniform(0.0, 2.0 * np.pi, len(periods_s))
+
+    def loop_s(self, time_s: float) -> float:
+        """The loop's own time."""
+        return time_s + float(self._sizes @ np.sin(self._rates * time_s + self._starts))
+
+    def phase(self, time_s: float) -> tuple[int, int, float]:
+        """The two pictures of the loop between which a time lies, and the second one's share."""
+        place = self.loop_s(time_s) / PHASE_S
+        first = math.floor(place)
+        return first % self.phases, (first + 1) % self.phases, place - first
+
+
+class PlaneWaves:
+    """A sum of plane waves with deep-water dispersion, their periods fitted into a loop."""
+
+    def __init__(self, count: int, length_m: tuple[float, float], loop_s: float, random: np.random.Generator) -> None:
         length = np.geomspace(*length_m, count) * random.uniform(0.9, 1.1, count)
         heading = 2.0 * np.pi * (np.arange(count) * 0.382 + random.uniform(-0.05, 0.05, count))  # golden angle: no pattern
         number = 2.0 * np.pi / length
         self.number = number[:, None] * np.column_stack([np.cos(heading), np.sin(heading)])  # (count, 2) rad/m
-        cycles = np.maximum(np.round(np.sqrt(GRAVITY_MPS2 * number) * LOOP_S / (2.0 * np.pi)), 1.0)
-        self.frequency = 2.0 * np.pi * cycles / LOOP_S
+        cycles = np.maximum(np.round(np.sqrt(GRAVITY_MPS2 * number) * loop_s / (2.0 * np.pi)), 1.0)
+        self.frequency = 2.0 * np.pi * cycles / loop_s
         self.phase = random.uniform(0.0, 2.0 * np.pi, count)
 
     def slope_basis(self, x_m: Float, y_m: Float) -> Float:
@@ -67,7 +92,7 @@ class Ripples:
     """Slopes of the surface. `ripples_m` is the significant height: four standard deviations of the elevation."""
 
     def __init__(self, picture: PictureConfig, camera: Camera, random: np.random.Generator) -> None:
-        self._waves = PlaneWaves(RIPPLE_WAVES, RIPPLE_LENGTH_M, random)
+        self._waves = PlaneWaves(RIPPLE_WAVES, RIPPLE_LENGTH_M, RIPPLE_LOOP_S, random)
         length = 1.0 / np.linalg.norm(self._waves.number, axis=1)
         share = length / np.linalg.norm(length)  # elevation falls with wave number: slopes are equal
         self._amplitude = np.sqrt(2.0) * picture.ripples_m / 4.0 * share
@@ -90,7 +115,7 @@ class Caustics:
     """Light on the floor: a regular bundle of rays sent down through a wavy surface and collected on a grid."""
 
     def __init__(self, pool: PoolConfig, random: np.random.Generator) -> None:
-        self._waves = PlaneWaves(CAUSTIC_WAVES, CAUSTIC_LENGTH_M, random)
+        self._waves = PlaneWaves(CAUSTIC_WAVES, CAUSTIC_LENGTH_M, CAUSTIC_LOOP_S, random)
         steep = np.linalg.norm(self._waves.number, axis=1)
         self._amplitude = CAUSTIC_SLOPE / steep * np.sqrt(2.0 / CAUSTIC_WAVES)
         self._throw_m = 0.25 * pool.size_m[2]
@@ -213,24 +238,78 @@ class WaterLight:
         self.picture, self.depth_m = experiment.sim.picture, experiment.pool.size_m[2]
         self.ripples = Ripples(self.picture, experiment.camera, random)
         self.caustics = Caustics(experiment.pool, random)
-        moving = self.picture.ripples_m > 0.0 or self.picture.caustics > 0.0
-        self.times_s = np.arange(PHASES if moving else 1) * LOOP_S / PHASES
+        self.ripple_clock, self.caustic_clock = (
+            LoopClock(loop_s, periods_s, strength > 0.0, random)
+            for loop_s, periods_s, strength in zip(
+                (RIPPLE_LOOP_S, CAUSTIC_LOOP_S),
+                WANDER_PERIODS_S,
+                (self.picture.ripples_m, self.picture.caustics),
+                strict=True,
+            )
+        )
         self._patterns: dict[int, Bytes] = {}  # by phase, once it was asked for
+        self._between: tuple[float, Bytes] | None = None  # the last time that was asked for, and its pattern
 
-    def pattern(self, time_s: float) -> Bytes:
-        """The caustics' pattern at a time, CAUSTIC_UNIT for the mean light."""
-        phase = round(time_s / LOOP_S * PHASES) % len(self.times_s)
+    def phase_pattern(self, phase: int) -> Bytes:
+        """A picture of the loop of caustics, CAUSTIC_UNIT for the mean light."""
         if phase not in self._patterns:
-            light = self.caustics.pattern(self.times_s[phase]) * CAUSTIC_UNIT
+            light = self.caustics.pattern(phase * PHASE_S) * CAUSTIC_UNIT
             self._patterns[phase] = np.clip(light, 0, 255).astype(np.uint8)
         return self._patterns[phase]
 
+    def pattern(self, time_s: float) -> Bytes:
+        """The caustics' pattern at a time, CAUSTIC_UNIT for the mean light."""
+        if self._between is None or self._between[0] != time_s:
+            first, second, share = self.caustic_clock.phase(time_s)
+            before, after = self.phase_pattern(first), self.phase_pattern(second)
+            self._between = time_s, np.asarray(cv2.addWeighted(before, 1.0 - share, after, share, 0.0), dtype=np.uint8)
+        return self._between[1]
+
     def light(self, column: Float, row: Float, reach: Float | np.float32, time_s: float) -> Float:
         """Caustic light relative to its mean at places of the caustics' grid, weighted with `reach` (0 to 1)."""
-        levels = cv2.remap(self.pattern(time_s), column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT_101)
+        levels = caustic_levels(self.pattern(time_s), column, row)
         return np.asarray(1.0 + reach * (levels.astype(np.float32) / np.float32(CAUSTIC_UNIT) - 1.0), dtype=np.float32)
 
     def reach(self, depth_m: Float | float) -> Float:
         """Strength of the caustics at a depth: they gather on the way down."""
         share = np.float32(self.picture.caustics) * np.clip(np.asarray(depth_m) / self.depth_m, 0.0, 1.0)
         return np.asarray(share, dtype=np.float32)
+
+
+def caustic_levels(pattern: Bytes, column: Float, row: Float) -> Bytes:
+    """A pattern's values at places of its grid; beyond its edge it is mirrored."""
+    return np.asarray(cv2.remap(pattern, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT_101), dtype=np.uint8)
+
+
+@kernel("void(u1[:,::1], u1[:,::1], u1[:,::1], u1[:,::1], f4, u1[:,::1], u1[:,::1], f4, f4[:,::1], f4[:,::1], u1[:,::1])")
+def light_up(
+    view: Bytes, next_view: Bytes, glare: Bytes, next_glare: Bytes, view_share: np.float32,
+    levels: Bytes, next_levels: Bytes, levels_share: np.float32, reach: Float, row_of: Float, raw: Bytes,
+) -> None:  # fmt: skip
+    """A mosaic `raw` between two views (height, width) of the pool, lit by a pattern between two others, and then the glare.
+
+    `glare`, the patterns' `levels` and their `reach` have a value for each Bayer square. `row_of` (4, width, or one more if
+    that is odd) is scratch: light and glare of a row. All float32, so that a row runs several pixels at a time.
+    """
+    half, one, most = np.float32(0.5), np.float32(1.0), np.float32(255.0)
+    per_unit = np.float32(1.0 / CAUSTIC_UNIT)
+    height, width = raw.shape
+    light, shine, square_light, square_shine = row_of[0], row_of[1], row_of[2], row_of[3]
+    for i in range(height):
+        if i % 2 == 0:
+            before, after, strength = levels[i // 2], next_levels[i // 2], reach[i // 2]
+            glow, later = glare[i // 2], next_glare[i // 2]
+            for j in range(reach.shape[1]):
+                level = np.float32(before[j]) + levels_share * (np.float32(after[j]) - np.float32(before[j]))
+                square_light[j] = one + strength[j] * (level * per_unit - one)
+                square_shine[j] = np.float32(glow[j]) + view_share * (np.float32(later[j]) - np.float32(glow[j]))
+            for j in range(reach.shape[1]):
+                light[2 * j] = square_light[j]
+                light[2 * j + 1] = square_light[j]
+            for j in range(reach.shape[1]):
+                shine[2 * j] = square_shine[j]
+                shine[2 * j + 1] = square_shine[j]
+        first, second, result = view[i], next_view[i], raw[i]
+        for j in range(width):
+            seen = np.float32(first[j]) + view_share * (np.float32(second[j]) - np.float32(first[j]))
+            result[j] = np.uint8(min(seen * light[j] + shine[j], most) + half)

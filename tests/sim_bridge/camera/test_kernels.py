@@ -12,7 +12,7 @@ from scipy.ndimage import map_coordinates
 from sim_bridge.camera import kernels
 from sim_bridge.camera.rays import CameraRays, ImageRect
 from sim_bridge.camera.scene import WaterView
-from sim_bridge.camera.water_optics import WaterLight
+from sim_bridge.camera.water_optics import CAUSTIC_UNIT, WaterLight, light_up
 from wire.config.experiment import load_experiment
 
 INTERPRETED = os.environ.get("NUMBA_DISABLE_JIT") == "1"
@@ -69,7 +69,7 @@ def test_fields_of_a_rectangle_are_those_of_the_whole_picture() -> None:
     view, waters = CameraRays(experiment.camera), WaterLight(experiment, np.random.default_rng(5))
     scene = WaterView(waters, view, np.ones_like(view.blocks.surface_x), np.ones((240, 320), np.float32))
     window, depth_m, time_s = view.whole, 0.6, 0.7
-    lines, slopes = view.blocks, scene.slopes(window, time_s)
+    lines, slopes = view.blocks, scene.slopes(window, waters.ripple_clock.loop_s(time_s))
     x, y = lines.surface_x + depth_m * lines.water_x, lines.surface_y + depth_m * lines.water_y
     light = waters.light(*waters.caustics.grid_coordinates(x, y), np.float32(waters.reach(depth_m)), time_s)
     found = scene.fields(window, depth_m, time_s)
@@ -79,6 +79,21 @@ def test_fields_of_a_rectangle_are_those_of_the_whole_picture() -> None:
     assert found[..., 3].max() > 1.0
     part = ImageRect(16, 80, 24, 120, 1, 11, 2, 16)
     assert np.array_equal(scene.fields(part, depth_m, time_s), found[part.blocks])
+
+
+def test_a_picture_lies_between_two_of_each_loop() -> None:
+    """The same in NumPy, of an odd size: view between two views, times light between two patterns, and the glare."""
+    random = np.random.default_rng(6)
+    view, next_view = random.integers(0, 256, (2, 7, 11), dtype=np.uint8)
+    glare, next_glare, levels, next_levels = random.integers(0, 201, (4, 4, 6), dtype=np.uint8)
+    reach, raw = random.uniform(0.0, 1.0, (4, 6)).astype(np.float32), np.empty((7, 11), np.uint8)
+    scratch = np.empty((4, 12), np.float32)
+    light_up(view, next_view, glare, next_glare, np.float32(0.3), levels, next_levels, np.float32(0.8), reach, scratch, raw)
+    light = 1.0 + reach * ((0.2 * levels + 0.8 * next_levels) / CAUSTIC_UNIT - 1.0)
+    pixels = np.ones((2, 2))
+    lit = (0.7 * view + 0.3 * next_view) * np.kron(light, pixels)[:7, :11]
+    exact = lit + np.kron(0.7 * glare + 0.3 * next_glare, pixels)[:7, :11]
+    assert np.abs(raw - np.clip(exact, 0.0, 255.0)).max() < 0.501
 
 
 @pytest.mark.long

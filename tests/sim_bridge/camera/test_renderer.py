@@ -285,16 +285,35 @@ def test_a_rolling_shutter_shows_each_robot_at_the_instant_of_its_row() -> None:
         assert np.linalg.norm(np.mean(found[i + 1] - corners_px(rolling, eta[i]), axis=0)) > 0.7
 
 
-def test_water_moves_and_repeats() -> None:
-    setup = ("sim.picture.noise=0", *SMALL)
-    alone = poses(AWAY, AWAY)
-    first, soon, later = (renderer(*setup).render(alone, REST, t, 0).astype(int) for t in (0.5, 0.65, 0.5 + 2.4))
-    assert np.abs(first - soon).mean() > 3
-    assert np.abs(first - later).max() <= 1
-    still = renderer(*CLEAN, *SMALL).render(alone, REST, 0.0, 0)
+def test_water_never_comes_back() -> None:
+    """Autocorrelation of 15 minutes of the picture's moving part, by the power spectrum, at every lag beyond a wave."""
+    moving = renderer("sim.picture.noise=0", "camera.size_px=[160, 120]", "camera.focal_px=[125.6, 125.6]",
+                      "camera.centre_px=[79.5, 59.5]")  # fmt: skip
+    count, period_s = 4500, 0.2
+    seen = np.array([moving.backdrop.at(k * period_s)[1][::4, 1::8].ravel() for k in range(count)], dtype=np.float64)
+    seen -= seen.mean(axis=0)
+    power = np.abs(np.fft.rfft(seen, 2 * count, axis=0)) ** 2
+    alike = np.fft.irfft(power.sum(axis=1))[: count // 2] / (count - np.arange(count // 2))
+    assert np.abs(alike[5:] / alike[0]).max() < 0.35
+    now = moving.backdrop.at(0.5)[1].astype(int)
+    assert np.abs(now - moving.backdrop.at(0.65)[1]).mean() > 3
+
+
+def test_water_makes_no_light() -> None:
+    still = renderer(*CLEAN, *SMALL).render(poses(AWAY, AWAY), REST, 0.0, 0)
     moving = renderer(*CLEAN[:2], *CLEAN[3:], *SMALL, "sim.picture.caustics=0.25")
-    mean = np.mean([moving.render(alone, REST, t, 0) for t in np.arange(0, 2.4, 0.1)])
+    mean = np.mean([moving.render(poses(AWAY, AWAY), REST, t, 0) for t in np.arange(0, 3.0, 0.1)])
     assert mean == pytest.approx(np.mean(still), rel=0.03), "caustics move light about, they do not make any"
+
+
+def test_water_depends_on_seed_and_time_alone() -> None:
+    """All phases drawn in advance, as in real time, or each when it is needed, as in lockstep."""
+    times_s = [float(t) for t in np.random.default_rng(3).uniform(0.0, 500.0, 5)]
+    prepared, lazy = Renderer(experiment(*SMALL), 4), Renderer(experiment(*SMALL), 4)
+    prepared.backdrop.prepare()
+    before = {t: prepared.backdrop.at(t)[1].copy() for t in times_s}
+    assert all(np.array_equal(before[t], lazy.backdrop.at(t)[1]) for t in reversed(times_s))
+    assert not np.array_equal(before[times_s[0]], Renderer(experiment(*SMALL), 5).backdrop.at(times_s[0])[1])
 
 
 @pytest.mark.parametrize("depth_m", [0.3, 1.5, 100.0])
@@ -312,10 +331,12 @@ def test_ripples_shift_the_floor_as_tilted_water_does() -> None:
     camera, rippled = experiment(*setup).camera, renderer(*setup)
     u, v = np.meshgrid(np.arange(600.0, 680.0, 2.0), np.arange(440.0, 520.0, 2.0))
     lines = rays(camera, np.stack([u, v], axis=-1))
-    basis = rippled.backdrop.at(0.0)[0].waters.ripples.basis(*(lines.surface_m[..., i].astype(np.float32) for i in (0, 1)))
+    waters = rippled.backdrop.at(0.0)[0].waters
+    basis = waters.ripples.basis(*(lines.surface_m[..., i].astype(np.float32) for i in (0, 1)))
     moved = []
     for time_s in np.arange(0.0, 2.4, 0.2):
-        slope = rippled.backdrop.at(0.0)[0].waters.ripples.slopes(basis, float(time_s)).reshape(2, *u.shape).astype(np.float64)
+        loop_s = waters.ripple_clock.loop_s(float(time_s))
+        slope = waters.ripples.slopes(basis, loop_s).reshape(2, *u.shape).astype(np.float64)
         floor = _through_tilted_water(lines.surface_m, lines.air, slope, camera.water_index, 1.0)
         inside = np.hypot(floor[..., 0], floor[..., 1]) < 0.085
         expected = np.array([u[inside].mean(), v[inside].mean()])
@@ -346,15 +367,12 @@ def test_ripples_shift_robots_with_the_same_sign() -> None:
     middle = corners_px(experiment(*setup), pose).mean(axis=0)
     u, v = (np.arange(-25.0, 25.0, 0.5) + centre for centre in middle)
     lines = rays(camera, np.stack(np.meshgrid(u, v), axis=-1))
-    basis = rippled.backdrop.at(0.0)[0].waters.ripples.basis(*(lines.surface_m[..., i].astype(np.float32) for i in (0, 1)))
+    waters = rippled.backdrop.at(0.0)[0].waters
+    basis = waters.ripples.basis(*(lines.surface_m[..., i].astype(np.float32) for i in (0, 1)))
     expected, seen = [], []
     for time_s in np.arange(0.0, 2.4, 0.2):
-        slope = (
-            rippled.backdrop.at(0.0)[0]
-            .waters.ripples.slopes(basis, float(time_s))
-            .reshape(2, *lines.air.shape[:2])
-            .astype(np.float64)
-        )
+        loop_s = waters.ripple_clock.loop_s(float(time_s))
+        slope = waters.ripples.slopes(basis, loop_s).reshape(2, *lines.air.shape[:2]).astype(np.float64)
         plate = _through_tilted_water(lines.surface_m, lines.air, slope, camera.water_index, pose[2] - 0.15)
         rows, columns = np.nonzero(np.abs(body_to_pool(plate - pose[:2], -pose[3])).max(axis=-1) < 0.05)
         expected.append([u[columns].mean(), v[rows].mean()])
