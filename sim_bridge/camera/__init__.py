@@ -15,8 +15,9 @@ Then for each picture, in the order of renderer.py (kernels: kernels.py, compile
     4. robots and balls  the farthest first, each in its rectangle (robot_sprite.py, kernels.draw_body). For each pixel and
                          each part of the exposure: bent line of sight -> plate, sphere -> texture -> light, gloss -> water;
                          then the mean of the parts over the background by its coverage, vignette and glare
-    5. noise             a copy of the mosaic with shot and read noise (sensor_noise.py, kernels.add_noise)
-    6. faults            frozen, dark, occluded, glare, bumped (faults.py), applied by the process
+    5. bubbles           specks of light, where there are any (bubbles.py)
+    6. noise             a copy of the mosaic with shot and read noise (sensor_noise.py, kernels.add_noise)
+    7. faults            frozen, dark, occluded, glare, bumped (faults.py), applied by the process
 
 A mosaic is Bayer RGGB, (height, width) uint8, its first pixel red. Light is relative to its mean, colours are 0 to 255.
 ideal_localizer.py stands for camera and localizer together: true poses with noise, without a picture.

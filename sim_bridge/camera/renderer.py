@@ -9,6 +9,7 @@ from collections.abc import Collection, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from sim_bridge.camera.bubbles import Bubbles, draw_bubbles
 from sim_bridge.camera.moving_background import CameraSway, MovingBackground
 from sim_bridge.camera.optics import Bytes, optical_path_m, project
 from sim_bridge.camera.robot_sprite import BodySprite, exposure_poses, pool_velocity, shadow_box
@@ -51,6 +52,8 @@ class Renderer:
             (BodySprite.landmark(landmark, px_per_m, family), np.array([[*landmark.position_m, landmark.yaw_rad]]))
             for landmark in experiment.marks
         ]
+        self._bubbles = Bubbles(experiment.pool, generator(seed, Stream.CAMERA, 4))
+        self._hull_m = experiment.vehicle.radius_m
         random = generator(seed, Stream.CAMERA, 2, number)
         self._noise = SensorNoise(experiment.camera.size_px, self._picture.noise, random)
 
@@ -58,12 +61,15 @@ class Renderer:
         """From now on draw these robots, by index, without their markers, and the others with."""
         self._sprites = [sprite.unmarked() if i in unmarked else sprite for i, sprite in enumerate(self._whole)]
 
-    def render(self, eta: Array, nu: Array, time_s: float, frame_index: int, tilt: Array | None = None) -> NDArray[np.uint8]:
+    def render(
+        self, eta: Array, nu: Array, time_s: float, frame_index: int, tilt: Array | None = None, bubbles: int = 0
+    ) -> NDArray[np.uint8]:
         """Raw RGGB picture (height, width) uint8 of the pool; COLOR_BayerRGGB2BGR gives its colours.
 
         eta (n, 4) and nu (n, 4) are the robots, in the experiment's order, in the middle of the exposure at `time_s`.
-        `tilt` (n, 2 or more) begins with their roll and pitch; without it they are level. A robot outside the picture is
-        not drawn. Raises ValueError for numbers that are not finite, which are a bug of the plant.
+        `tilt` (n, 2 or more) begins with their roll and pitch; without it they are level. `bubbles` is the number of streams
+        of them beside the experiment's own. A robot outside the picture is not drawn. Raises ValueError for numbers that are
+        not finite, which are a bug of the plant.
         """
         for i, robot in enumerate(self._robots):
             if not (np.all(np.isfinite(eta[i])) and np.all(np.isfinite(nu[i]))):
@@ -77,6 +83,8 @@ class Renderer:
         if self._picture.shadows:
             self._draw_shadows(raw, scene, bodies)
         self._draw_bodies(raw, scene, bodies, time_s)
+        if streams := bubbles + self._picture.bubbles:
+            draw_bubbles(raw, self._bubbles.at(time_s, streams), scene.view.camera, eta[:, :3], self._hull_m)
         return self._noise.add(raw, frame_index)
 
     def _drifting_balls(self, time_s: float) -> list[Body]:

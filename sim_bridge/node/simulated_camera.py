@@ -33,6 +33,11 @@ class Exposure:
     unmarked: frozenset[int] = frozenset()  # robots without markers, by index
     water_drop_m: float = 0.0  # that the water stands lower
 
+    @property
+    def bubbles(self) -> int:
+        """Streams of bubbles that a fault makes."""
+        return round(sum(broken.value for broken in self.broken if broken.effect == "bubbles"))
+
 
 class SimulatedCamera:
     """The only camera of an experiment (""), or one of several by its name."""
@@ -50,6 +55,7 @@ class SimulatedCamera:
         self._ahead: tuple[Exposure, Future[NDArray[np.uint8]]] | None = None
         self._unmarked: frozenset[int] = frozenset()
         self._water_drop_m = 0.0
+        self._broken: tuple[Break, ...] = ()
         self._waiting: deque[Exposure] = deque()
 
     def prepare(self) -> None:
@@ -75,7 +81,7 @@ class SimulatedCamera:
     def render_ahead(self, exposure: Exposure) -> None:
         """Render the next frame while there is time; it counts if the exposure comes as it was expected."""
         if not self._waiting:
-            expected = replace(exposure, unmarked=self._unmarked, water_drop_m=self._water_drop_m)
+            expected = replace(exposure, unmarked=self._unmarked, water_drop_m=self._water_drop_m, broken=self._broken)
             self._ahead = expected, self._thread.submit(self._rendered, expected)
 
     def close(self) -> None:
@@ -88,14 +94,14 @@ class SimulatedCamera:
             self._unmarked = exposure.unmarked
             for each in (self._renderer, *self._sunk.values()):
                 each.hide_markers(exposure.unmarked)
-        self._water_drop_m = exposure.water_drop_m
+        self._water_drop_m, self._broken = exposure.water_drop_m, exposure.broken
         if pixels is None:
             pixels = self._rendered(exposure)
         return self._trouble.apply(pixels, exposure.broken)
 
     def _rendered(self, exposure: Exposure) -> NDArray[np.uint8]:
         renderer = self._sunk.get(exposure.water_drop_m, self._renderer)
-        return renderer.render(exposure.eta, exposure.nu, exposure.time_s, exposure.index, exposure.tilt)
+        return renderer.render(exposure.eta, exposure.nu, exposure.time_s, exposure.index, exposure.tilt, exposure.bubbles)
 
     def _take_ahead(self, exposure: Exposure) -> NDArray[np.uint8] | None:
         """The frame that was rendered ahead, if the exposure is the expected one to the bit; else None."""
@@ -103,9 +109,8 @@ class SimulatedCamera:
             return None
         (expected, rendered), self._ahead = self._ahead, None
         pixels = rendered.result()
-        same = all(
-            getattr(expected, name) == getattr(exposure, name) for name in ("time_s", "index", "unmarked", "water_drop_m")
-        )
+        names = ("time_s", "index", "unmarked", "water_drop_m", "bubbles")
+        same = all(getattr(expected, name) == getattr(exposure, name) for name in names)
         moved = ((expected.eta, exposure.eta), (expected.nu, exposure.nu), (expected.tilt, exposure.tilt))
         if same and all(np.array_equal(then, now) for then, now in moved):
             return pixels

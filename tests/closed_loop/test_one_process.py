@@ -35,6 +35,7 @@ BROKEN = (
     "battery 1 sag 0.2",
     "marker 2 lost",
     "water low 0.02",
+    "camera bubbles 10",
 )
 FAULTS = [part for i, what in enumerate(BROKEN) for part in ("--fault", f"t={0.3 + 0.2 * i:g} for=0.9 {what}")]
 

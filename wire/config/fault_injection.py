@@ -45,6 +45,7 @@ KINDS: dict[str, tuple[str, dict[str, Effect]]] = {
             "occluded": Effect("fraction of the picture", 0.4, 0.0, 1.0),
             "glare": Effect("fraction of the picture", 0.2, 0.0, 1.0),
             "lamp": Effect("times as much light", 0.5, 0.1, 4.0),
+            "bubbles": Effect("streams of bubbles", 10.0, 1.0, 50.0),
             "bump": Effect("pixels to the right and down", 60.0, 2.0, 1000.0),
         },
     ),

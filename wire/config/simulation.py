@@ -26,6 +26,8 @@ class PictureConfig(Section):
     """Strength of the lamps' reflections."""
     vignetting: Fraction = 0.15
     """Loss of light at the picture's corners."""
+    bubbles: Annotated[int, Field(ge=0, le=50)] = 0
+    """Streams of rising bubbles, small bright specks over robots and floor."""
     shadows: bool = True
     """Draw the robots' shadows."""
     alike: bool = False
