@@ -230,18 +230,22 @@ def spread(model: Array, sway: float, belief: Array, dt: float, noise: Array, p:
         p[i, i] += noise[i] * dt
 
 
-@kernel("void(f8[:,::1], f8, f8, f8, f8[:,::1], f8[::1])")
-def weigh(p: Array, error_x: float, error_y: float, variance_m2: float, gain: Array, change: Array) -> None:
+@kernel("void(f8[:,::1], f8, f8, f8, f8, f8[:,::1], f8[::1])")
+def weigh(p: Array, error_x: float, error_y: float, variance_m2: float, told_m2: float, gain: Array, change: Array) -> None:
     """Kalman's correction of the planar belief by a pose that is off by an error: `change` (8,) = K e, and `p` after it.
 
         S = H P H^T + variance I      K = P H^T S^-1      P -= K S K^T      H takes x and y
 
-    An error of more than OUTLIER deviations counts as if its pose were so much worse. `gain` (8, 8) is overwritten.
+    An error of more than OUTLIER deviations counts as if its pose were so much worse. If the pose tells that it is worse than
+    it is believed to be, `told_m2`, deviations are those of what it tells: noise that is told is no reason to slow down.
+    `gain` (8, 8) is overwritten.
     """
     s_xx, s_xy, s_yy = p[0, 0] + variance_m2, p[0, 1], p[1, 1] + variance_m2
     det = s_xx * s_yy - s_xy * s_xy
-    distance2 = (s_yy * error_x * error_x - 2.0 * s_xy * error_x * error_y + s_xx * error_y * error_y) / det
-    worse = max(math.sqrt(distance2) / OUTLIER, 1.0)
+    more_m2 = max(told_m2 - variance_m2, 0.0)
+    d_xx, d_yy = s_xx + more_m2, s_yy + more_m2
+    distance2 = d_yy * error_x * error_x - 2.0 * s_xy * error_x * error_y + d_xx * error_y * error_y
+    worse = max(math.sqrt(distance2 / (d_xx * d_yy - s_xy * s_xy)) / OUTLIER, 1.0)
     for i in range(8):
         gain[i, 0] = (s_yy * p[i, 0] - s_xy * p[i, 1]) / (det * worse)
         gain[i, 1] = (s_xx * p[i, 1] - s_xy * p[i, 0]) / (det * worse)
@@ -361,10 +365,10 @@ def observe(
     `belief` (19,) is the state (11), Gamma (4), the current x, y (m/s), and drag and thrust per mass over those of the
     `nominal` model (3, 4), which are kept in `model` (3, 4) too; `covariance` (8, 8) is that of its planar part, `noise` (8,)
     and `work` (2, 8, 8) are as in `spread`. `settings` (5,): bandwidths of heave and of yaw (rad/s), 1 or without Gamma 0, the
-    fastest current, the rate at which a side force goes to it. `pose` (4,): x, y, yaw, variance of x and y. The first `inputs`
-    of `wrenches` act as in `propagate`; the first `samples` of `sensed` are depth and yaw rate as in `sensed_at`. Results:
-    `now` (4, 4) has the rows eta; nu over ground; Gamma; Gamma with the acceleration by which the current changes drag;
-    `action` (11,) is the state, its velocities through the water.
+    fastest current, the rate at which a side force goes to it. `pose` (5,): x, y, yaw, variance of x and y as it is believed
+    and as it is told. The first `inputs` of `wrenches` act as in `propagate`; the first `samples` of `sensed` are depth and
+    yaw rate as in `sensed_at`. Results: `now` (4, 4) has the rows eta; nu over ground; Gamma; Gamma with the
+    acceleration by which the current changes drag; `action` (11,) is the state, its velocities through the water.
     Returns False, and leaves the belief as it was, if the pose is farther off than GATE_M or GATE_RAD.
     """
     state: State = (
@@ -386,7 +390,7 @@ def observe(
                 spread(model, sway, belief, step_s / steps, noise, covariance, work)
             for i in range(11):
                 belief[i] = there[i]
-            weigh(covariance, error_x, error_y, pose[3], work[0], work[1, 0])
+            weigh(covariance, error_x, error_y, pose[3], pose[4], work[0], work[1, 0])
             correct_planar(nominal, model, belief, work[1, 0], step_s, settings)
             correct_heave_and_yaw(
                 belief, turned, sensed_at(sensed_ns, sensed, samples, 0, stamp_ns),

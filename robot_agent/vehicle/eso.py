@@ -130,7 +130,7 @@ class Estimator:
         self._belief = np.zeros(19)  # state, Gamma, current, drag and thrust per mass at the exposure _at_ns
         self._belief[RATIOS] = 1.0
         self._covariance, self._work = np.zeros((8, 8)), np.empty((2, 8, 8))
-        self._pose = np.zeros(4)  # that was weighed last, with its variance
+        self._pose = np.zeros(5)  # that was weighed last, with its variance, believed and told
         self._variance_m2 = POSE_M**2  # of the poses of late
         self._begun = False  # there is a belief
         self._at_ns = 0
@@ -165,7 +165,7 @@ class Estimator:
         belief[RATIOS] = 1.0
         for _ in range(STEADY):
             spread(self._model.nominal, self._model.sway, belief, POSE_S, self._noise, p, work)
-            weigh(p, 0.0, 0.0, POSE_M**2, work[0], work[1, 0])
+            weigh(p, 0.0, 0.0, POSE_M**2, 0.0, work[0], work[1, 0])
         return p[:6, :6].copy()
 
     def note_wrench(self, wrench: Wrench | Array, now_ns: int) -> None:
@@ -218,7 +218,7 @@ class Estimator:
         """Run `dynamics.observe`. False if the pose does not pass the gate."""
         model, at_ns, stamp_ns = self._model, self._at_ns, self._at_ns
         if pose is not None:
-            self._pose[:], stamp_ns = (pose.x_m, pose.y_m, pose.yaw_rad, self._variance_of(pose)), pose.stamp_ns
+            self._pose[:], stamp_ns = (pose.x_m, pose.y_m, pose.yaw_rad, self._variance_of(pose), _told(pose)), pose.stamp_ns
         return observe(
             model.nominal, model.coefficients, model.sway, model.lag_s, self._settings, self._noise, self._belief,
             self._covariance, self._work, self._acts_ns, self._wrenches, self._inputs, self._sensed_ns, self._sensed,
@@ -226,11 +226,8 @@ class Estimator:
         )  # fmt: skip
 
     def _variance_of(self, pose: PoseMeasurement) -> float:
-        """Variance of x and y as it is believed: none is better than ordinary, or worse than WORST_M. One that is no number
-        says nothing good."""
-        if not self._adaptive:
-            return POSE_M**2
-        return min(max(pose.variance_m2, POSE_M**2), WORST_M**2) if math.isfinite(pose.variance_m2) else WORST_M**2
+        """Variance of x and y as it is believed: that of ordinary poses, or as it is told if the observer is adaptive."""
+        return _told(pose) if self._adaptive else POSE_M**2
 
     def _has_coasted(self, now_ns: int) -> bool:
         """True if the last pose is too old for an estimate."""
@@ -338,6 +335,12 @@ def _drop(count: int, instants_ns: NDArray[np.int64], rows: Array) -> int:
     for column in (instants_ns, rows):
         column[: KEPT - count] = column[count:]
     return KEPT - count
+
+
+def _told(pose: PoseMeasurement) -> float:
+    """Variance of x and y that a pose tells: none is better than ordinary, or worse than WORST_M. One that is no number says
+    nothing good."""
+    return min(max(pose.variance_m2, POSE_M**2), WORST_M**2) if math.isfinite(pose.variance_m2) else WORST_M**2
 
 
 def _agree(a: PoseMeasurement, b: PoseMeasurement) -> bool:

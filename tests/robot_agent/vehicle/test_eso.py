@@ -515,16 +515,18 @@ def test_spread_is_that_of_finite_differences(seed: int) -> None:
         assert column == pytest.approx(expected, abs=0.02 * dt * max(1.0, abs(belief[8])))
 
 
+@pytest.mark.parametrize("told", [0.0, 0.5, 30.0])
 @pytest.mark.parametrize("far", [False, True])
-def test_weighing_is_kalmans_in_matrices(far: bool) -> None:
+def test_weighing_is_kalmans_in_matrices(far: bool, told: float) -> None:
     root, variance = np.random.default_rng(3).normal(size=(8, 8)), 0.5
     p, error = root @ root.T, np.array([60.0, -20.0]) if far else np.array([0.4, -0.7])
     h = np.eye(8)[:2]
     s = h @ p @ h.T + variance * np.eye(2)
-    s *= max(1.0, math.sqrt(error @ np.linalg.solve(s, error)) / OUTLIER)
+    expected = h @ p @ h.T + max(variance, told) * np.eye(2)  # how far off a pose may be that says so of itself
+    s *= max(1.0, math.sqrt(error @ np.linalg.solve(expected, error)) / OUTLIER)
     gain = p @ h.T @ np.linalg.inv(s)
     found, change = p.copy(), np.empty(8)
-    weigh(found, float(error[0]), float(error[1]), variance, np.empty((8, 8)), change)
+    weigh(found, float(error[0]), float(error[1]), variance, told, np.empty((8, 8)), change)
     assert change == pytest.approx(gain @ error)
     assert found == pytest.approx(p - gain @ s @ gain.T) and np.array_equal(found, found.T)
 
@@ -536,7 +538,7 @@ def test_ordinary_poses_put_the_poles_at_the_bandwidth() -> None:
     p, noise = observer._covariance.copy(), observer._noise  # private: what the gains come from is told nowhere
     gain, change = np.empty((8, 8)), np.empty(8)
     spread(model.nominal, 1.0, np.array([*np.zeros(17), 1.0, 1.0]), POSE_S, noise, p, np.empty((2, 8, 8)))
-    weigh(p, 0.0, 0.0, POSE_M**2, gain, change)
+    weigh(p, 0.0, 0.0, POSE_M**2, 0.0, gain, change)
     a = np.array([[1, POSE_S, POSE_S**2 / 2], [0, 1, POSE_S], [0, 0, 1]])
     poles = np.linalg.eigvals((np.eye(3) - np.outer(gain[[0, 2, 4], 0], [1, 0, 0])) @ a)
     assert np.log(np.prod(poles).real) / POSE_S == pytest.approx(-3 * w, rel=0.1)  # their sum: drag pulls a triple root apart
