@@ -7,7 +7,8 @@ model the heading is that of the force F, so that no part of it is left along th
 
 This holds the crab angle of a turn, leans into a current, looks ahead along a bend, and steers back to the path. Of Gamma only
 the side force counts: surge thrust compensates a surge disturbance. (With the whole of Gamma a robot with a strong thruster
-oscillated by 0.4 rad.) The opposite heading is as good: thrust reverses.
+oscillated by 0.4 rad.) The opposite heading is as good: thrust reverses. kp and kd grow with the speed through the water: a
+slow robot turns far for a small force, and with a fast one's gains it swings.
 
 The article keeps the path's tangent, and never corrects a lateral error at walking pace: 0.33 m on its own circle. Its model
 without sway moves where it points, so there the heading is that of the velocity V + (kp / kd) e_position.
@@ -24,6 +25,8 @@ from wire.config.vehicle import Vehicle
 from wire.frames import Array, wrap
 from wire.kernels import kernel
 
+FAST_MPS = 0.06  # from here on through the water a force aside costs little heading, and feedback is
+QUICKER = 1.6  # so many times as quick. Twice as quick swings in a current, and slow robots swing at 1.4
 HOLD_RADPS = 0.3  # station keeping turns no faster: at 1.2 rad/s a robot kept spinning on the side force of its own spin
 
 
@@ -114,12 +117,16 @@ def headings_along(
     filtered.
 
     `settings` (9,): mass, linear and quadratic drag, kp, kd, the filter's share that stays, force worth a turn, largest angle,
-    force along the path that feedback leaves.
+    force along the path that feedback leaves. kp, kd and the filter are a slow robot's: a fast one has them QUICKER, if there
+    is sway in the model.
     `memory` (4,) is written: the filtered correction x, y; direction of thrust; rest of a jump. It is filtered in the
     tangent's frame: what feeds back in a bend, model errors above all, turns with it.
     """
-    mass, keep = settings[0], settings[5]
-    asked = correction(eta, velocity, at, nu, side, sway, mass, settings[3], settings[4])
+    mass = settings[0]
+    speed = abs(complex(velocity[0, 0], velocity[0, 1]) - current) if sway else 0.0
+    pace = 1.0 + (QUICKER - 1.0) * speed**4 / (speed**4 + FAST_MPS**4)
+    keep = settings[5] ** pace
+    asked = correction(eta, velocity, at, nu, side, sway, mass, settings[3] * pace**2, settings[4] * pace)
     asked *= complex(math.cos(-eta[0, 3]), math.sin(-eta[0, 3]))
     asked = keep * complex(memory[0], memory[1]) + (1.0 - keep) * asked
     memory[0], memory[1] = asked.real, asked.imag

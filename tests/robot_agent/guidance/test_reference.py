@@ -241,6 +241,20 @@ def test_headings_are_those_of_the_force_in_vectors(seed: int, sway: bool, left:
     assert np.array_equal(turned[:, :3], eta[:, :3])
 
 
+@pytest.mark.parametrize(("speed_mps", "quicker"), [(0.01, 1.0), (0.06, 1.3), (0.4, 1.6)])
+def test_a_fast_robot_feeds_back_more_quickly(speed_mps: float, quicker: float) -> None:
+    """Force aside for 1 cm and 1 mm/s off the path, settled and after a second, from the thrust along the heading."""
+    config, drag, mass = GuidanceConfig(), VEHICLE.drag, VEHICLE.mass.surge_kg
+    beside, slips = np.array([0.0, -0.01, 0.0, 0.0]), np.array([speed_mps, -0.001, 0.0, 0.0])
+    own = (drag.linear[1] + drag.quadratic[1] * speed_mps) * speed_mps
+    asked = mass * (0.01 * config.position_gain_per_s2 * quicker**2 + 0.001 * config.velocity_gain_per_s * quicker)
+    ahead = max(own, config.turning_force_n)
+    assert np.tan(settled(guidance(), line(speed_mps), beside, slips)) * ahead == pytest.approx(asked, rel=0.01)
+    after = settled(guidance(), line(speed_mps), beside, slips, steps=round(1.0 / PERIOD_S))
+    share = 1.0 - np.exp(-quicker / config.filter_s)
+    assert np.tan(after) * ahead == pytest.approx(share * asked, rel=0.01)
+
+
 # --- station keeping
 
 
