@@ -179,6 +179,9 @@ class Agent:
         """Run one control step at `now_ns`."""
         if inputs.pose is not None and not self._inside(inputs.pose.pose):
             inputs = replace(inputs, pose=None)
+        if self._me.depth_offset_m:
+            depth_m = inputs.telemetry.depth_m - self._me.depth_offset_m
+            inputs = replace(inputs, telemetry=replace(inputs.telemetry, depth_m=depth_m))
         self.inputs = inputs
         self._health.note_inputs(inputs, self.mode, now_ns, self._selftest is not None and self._selftest.result == "running")
         solver_failed = self._last is not None and self._last.solve is Solve.FAILED
