@@ -73,6 +73,22 @@ def test_a_formation_that_turns_with_its_path_is_tracked_too() -> None:
     assert place_m < 0.005 and yaw_rad < 0.005
 
 
+def late_errors(*settings: str) -> tuple[float, Array]:
+    """Figure of eight after 20 s: RMS of the worse axis and robot, in m, and of the wrench's change per second, (3,)."""
+    flight = flown("figure-eight", "duration_s=40", "sim.plant.step_s=0.01", *settings)
+    change = np.array([[state.wrench_step for state in states[flight.settled :]] for states in flight.states])
+    rate = np.sqrt(np.mean((change / flight.experiment.controller.period_s) ** 2, axis=1))
+    return float(np.sqrt(np.mean(flight.error[flight.settled :, :, :2] ** 2, axis=0)).max()), rate.max(axis=0)
+
+
+@pytest.mark.parametrize("period_s", [0.1, 0.02])
+def test_slow_and_fast_loops_fly_as_the_usual_one(period_s: float) -> None:
+    """With a horizon of 50 steps at 50 Hz the error was three times as large."""
+    (usual_m, usual_rate), (error_m, rate) = late_errors(), late_errors(f"controller.period_s={period_s}")
+    assert error_m < 1.6 * usual_m
+    assert np.all(rate < 1.6 * usual_rate)
+
+
 # --- limits
 
 

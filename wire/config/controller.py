@@ -1,6 +1,7 @@
 """Settings of the robots' control and safety: observer, heading, optimisation, distances, ages."""
 
-from typing import Annotated, Literal, Self
+from itertools import accumulate, pairwise
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -117,9 +118,13 @@ class GuidanceConfig(Section):
     turning_force_n: Annotated[float, Field(gt=0, le=10), LIVE] = 0.02
     """Size of a force that turns the heading. Forces well below it do not."""
     filter_s: Annotated[float, Field(gt=0, le=30), LIVE] = 1.0
-    """Time constant of the force that feeds back. 0.5 follows noise, 2.0 overshoots by 4 cm."""
+    """Time constant of the force that feeds back; on slow paths slight forces, mostly noise, take three times as long. 2.0
+    overshoots by 4 cm."""
     hold_radius_m: Annotated[float, Field(gt=0, le=5), LIVE] = 0.06
     """Station keeping: nearer to the place than this, the heading stays as it is."""
+
+
+MOST_STEPS = 200  # of a horizon
 
 
 class MpcConfig(Section):
@@ -128,10 +133,12 @@ class MpcConfig(Section):
 
     solver: Literal["osqp", "daqp"] = "osqp"
     """QP solver. `daqp` needs the package of that name."""
-    horizon: Annotated[int, Field(ge=2, le=200)] = 50
-    """Prediction steps of controller.period_s. Below 0.75 s ahead, slow robots have left their paths."""
+    horizon: Annotated[int, Field(ge=2, le=MOST_STEPS)] = 50
+    """Prediction steps of controller.period_s. Not given: as many as reach 2.5 s ahead. Below 0.75 s ahead, slow robots have
+    left their paths."""
     blocks: Annotated[tuple[Annotated[int, Field(ge=1)], ...], Field(min_length=1)] = (1, 1, 2, 3, 4, 4)
-    """Steps for which each input is kept (move blocking). The last input is kept to the horizon's end."""
+    """Steps for which each input is kept (move blocking). The last input is kept to the horizon's end. Not given at another
+    period: blocks that end at the same times."""
     terminal_cost: bool = True
     """Under a horizon below 2.5 s, count what errors at its end go on to cost. False: nothing comes after it (the article)."""
     linearise: Literal["trajectory", "point"] = "trajectory"
@@ -184,3 +191,19 @@ class ControllerConfig(Section):
     """Fuzzy PI."""
     adaptive_nn: AdaptiveNnConfig = AdaptiveNnConfig()
     """Adaptive neural network."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _looks_as_far_ahead_at_every_rate(cls, given: Any) -> Any:
+        """Horizon and blocks that are not given are the default ones in time."""
+        fields, mpc_fields = cls.model_fields, MpcConfig.model_fields
+        if not isinstance(given, dict) or not isinstance(period_s := given.get("period_s"), int | float):
+            return given
+        mpc = given.get("mpc", {})
+        if not (isinstance(mpc, dict) and 1e-3 < period_s < 1.0) or period_s == fields["period_s"].default:
+            return given
+        per_step = fields["period_s"].default / period_s
+        horizon = min(max(round(mpc_fields["horizon"].default * per_step), 2), MOST_STEPS)
+        ends = sorted({max(round(end * per_step), 1) for end in accumulate(mpc_fields["blocks"].default)})
+        blocks = tuple(end - begin for begin, end in pairwise((0, *ends)))
+        return {**given, "mpc": {"horizon": horizon, "blocks": blocks, **mpc}}

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import tomli_w
 
@@ -472,6 +473,21 @@ def test_a_horizon_that_is_too_short_for_slow_robots_is_told(capsys: pytest.Capt
         caution(load_experiment("pool", settings))
         said = capsys.readouterr().err
         assert (told in said and said.startswith("warning: ")) if told else not said
+
+
+def test_horizon_and_blocks_that_nobody_gives_are_the_same_in_time_at_every_rate() -> None:
+    usual = load_experiment("pool").controller
+    for period_s in (0.1, 0.04, 0.02, 0.0125):
+        mpc = load_experiment("pool", [f"controller.period_s={period_s}", "sim.plant.step_s=0.0025"]).controller.mpc
+        assert mpc.horizon * period_s == pytest.approx(usual.mpc.horizon * usual.period_s, abs=period_s)
+        ends_s = period_s * np.cumsum(mpc.blocks)
+        assert len(set(ends_s)) >= 5
+        for end_s in usual.period_s * np.cumsum(usual.mpc.blocks):
+            assert np.abs(ends_s - end_s).min() <= 0.5 * period_s + 1e-9
+    given = load_experiment("pool", ["controller.period_s=0.1", "controller.mpc.horizon=30", FEW]).controller.mpc
+    assert (given.horizon, given.blocks) == (30, (1, 2, 3))
+    recorded = dump_experiment(load_experiment("pool", ["controller.period_s=0.1", "controller.mpc.horizon=50"]))
+    assert tomllib.loads(recorded)["controller"]["mpc"]["horizon"] == 50
 
 
 def test_no_shipped_experiment_and_no_example_has_a_horizon_that_is_too_short() -> None:
