@@ -27,6 +27,8 @@ from wire.kernels import kernel
 
 FAST_MPS = 0.06  # from here on through the water a force aside costs little heading, and feedback is
 QUICKER = 1.6  # so many times as quick. Twice as quick swings in a current, and slow robots swing at 1.4
+CALM = 2.0  # slight feedback is filtered so many times as slowly in addition, on a path that asks for little:
+SLIGHT, LITTLE = 2.5, 10.0  # in forces worth a turn: 50 mN, where noise makes some 15; 0.2 N, the drag at 5 cm/s
 HOLD_RADPS = 0.3  # station keeping turns no faster: at 1.2 rad/s a robot kept spinning on the side force of its own spin
 
 
@@ -117,19 +119,31 @@ def headings_along(
     filtered.
 
     `settings` (9,): mass, linear and quadratic drag, kp, kd, the filter's share that stays, force worth a turn, largest angle,
-    force along the path that feedback leaves. kp, kd and the filter are a slow robot's: a fast one has them QUICKER, if there
-    is sway in the model.
-    `memory` (4,) is written: the filtered correction x, y; direction of thrust; rest of a jump. It is filtered in the
-    tangent's frame: what feeds back in a bend, model errors above all, turns with it.
+    force along the path that feedback leaves. kp, kd and the filter are those of a robot at rest: a fast one has them QUICKER,
+    if there is sway in the model.
+    `memory` (5,) is written: the filtered correction x, y; direction of thrust; rest of a jump; 1 until the first call, which
+    takes what is not slight as it is: from zero on, a robot 0.15 m off first turned away. The correction is filtered in the
+    tangent's frame: what feeds back in a bend, model errors above all, turns with it. Slight news is mostly noise, and where
+    the path asks for little force noise turns the robot far: there the filter is slower.
     """
-    mass = settings[0]
-    speed = abs(complex(velocity[0, 0], velocity[0, 1]) - current) if sway else 0.0
-    pace = 1.0 + (QUICKER - 1.0) * speed**4 / (speed**4 + FAST_MPS**4)
-    keep = settings[5] ** pace
-    asked = correction(eta, velocity, at, nu, side, sway, mass, settings[3] * pace**2, settings[4] * pace)
+    mass, stiff, damp, keep, worth = settings[0], settings[3], settings[4], settings[5], settings[6]
+    speed = abs(complex(velocity[0, 0], velocity[0, 1]) - current)
+    needed = speed  # without sway a velocity stands for a force
+    if sway:
+        needed = (settings[1] + settings[2] * speed) * speed
+        pace = 1.0 + (QUICKER - 1.0) * speed**4 / (speed**4 + FAST_MPS**4)
+        stiff *= pace**2
+        damp *= pace
+        keep **= pace
+    asked = correction(eta, velocity, at, nu, side, sway, mass, stiff, damp)
     asked *= complex(math.cos(-eta[0, 3]), math.sin(-eta[0, 3]))
-    asked = keep * complex(memory[0], memory[1]) + (1.0 - keep) * asked
-    memory[0], memory[1] = asked.real, asked.imag
+    news = asked - complex(memory[0], memory[1])
+    loud = abs(news) / (SLIGHT * worth)
+    needed /= LITTLE * worth
+    slower = 1.0 + CALM / (1.0 + loud * loud + needed * needed)
+    asked -= (keep ** (1.0 / slower) if memory[4] == 0.0 else 1.0 / (1.0 + loud * loud)) * news
+    keep = keep if memory[4] == 0.0 else 0.0
+    memory[0], memory[1], memory[4] = asked.real, asked.imag, 0.0
     memory[2], memory[3] = headings(
         eta, velocity, acceleration, current, sway, mass, settings[1], settings[2], asked, settings[6], settings[7],
         settings[8], keep, memory[2], memory[3],
@@ -169,7 +183,8 @@ class HeadingReference:
 
     def reset(self) -> None:
         """Start anew, from the goal's own heading."""
-        self._memory = np.array((0.0, 0.0, 1.0, 0.0))  # filtered request x, y; thrust ahead 1, astern -1; rest of a jump
+        # filtered request x, y; thrust ahead 1, astern -1; rest of a jump; 1: nothing yet
+        self._memory = np.array((0.0, 0.0, 1.0, 0.0, 1.0))
         self._hold_yaw: float | None = None
 
     def turn_along(
@@ -195,7 +210,7 @@ class HeadingReference:
         unexplained = self._mass * complex(disturbance[0], disturbance[1]) * cmath.rect(1.0, float(eta[3]))
         _, _, _, stiff, damp, *_ = self._settings.tolist()
         asked = correction(reference.eta, reference.velocity, eta, nu, 0.0, True, self._mass, stiff, damp)
-        x_n, y_n, _, _ = self._memory.tolist()
+        x_n, y_n, *_ = self._memory.tolist()
         force = self._keep * complex(x_n, y_n) + (1.0 - self._keep) * (care * asked - unexplained - drag)
         self._memory[:2] = force.real, force.imag
         size = abs(force) ** 2
