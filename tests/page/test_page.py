@@ -7,7 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
@@ -156,8 +156,12 @@ def test_gains_are_changed_in_flight_and_changed_back(page: Page) -> None:
 
 def renderers() -> dict[int, psutil.Process]:
     """The browser's processes that hold pages."""
-    found = psutil.Process().children(recursive=True)
-    return {process.pid: process for process in found if "--type=renderer" in " ".join(process.cmdline())}
+    found = {}
+    for process in psutil.Process().children(recursive=True):
+        with suppress(psutil.NoSuchProcess):  # it has just ended
+            if "--type=renderer" in " ".join(process.cmdline()):
+                found[process.pid] = process
+    return found
 
 
 def test_a_stopped_tab_holds_nobody_up(page: Page, browser: Browser, flight: OperatorFlight, asked: PageTraffic) -> None:
