@@ -104,7 +104,7 @@ PARTS: dict[str, dict[str, set[str]]] = {
         "thruster_board": {"plant"},
         "world": {"fault_schedule", "plant", "thruster_board"},
         "node": {"camera", "fault_schedule", "plant", "thruster_board", "world"},
-        "in_process": {"camera", "fault_schedule", "node", "plant", "sil"},
+        "in_process": {"fault_schedule", "node", "plant", "sil"},
         "studies": {"fault_schedule", "in_process", "plant", "sil"},
         "cli": {"fault_schedule", "in_process", "node", "sil", "studies", "thruster_board"},
     },

@@ -76,30 +76,43 @@ def dot(a: Array, b: Array) -> float:
     return total
 
 
+@kernel("i8(f8[:,::1], f8[:,::1], i8[::1], f8[:,:,::1])", part=True)
+def factorise_held(factor: Array, a: Array, held: Signs, work: Array) -> int:
+    """Number of the rows `held`. Writes V' (held, n) into `work` (3, n, n), then V'V, then its factor. -1 if the held rows
+    depend on one another."""
+    n, count = len(factor), 0
+    across, gram = work[0], work[1]
+    for row in range(len(held)):
+        if held[row] == 0:
+            continue
+        if count == n:
+            return -1
+        across[count] = a[row]
+        forward(factor, n, across[count])
+        for j in range(count + 1):
+            gram[j, count] = dot(across[count], across[j])
+        count += 1
+    return count if factorise(gram, count, work[2]) else -1
+
+
 @kernel("b1(f8[:,::1], f8[::1], f8[:,::1], f8[::1], f8[::1], i8[::1], f8[:,:,::1], f8[::1], f8[::1], f8[::1])", part=True)
 def minimise_held(
     factor: Array, q: Array, a: Array, lower: Array, upper: Array, held: Signs, work: Array, mu: Array, x: Array, y: Array
 ) -> bool:
     """Minimum `x` (n,) with the rows `held` at their bounds, and multipliers `y` (rows,), zero for the others. False if the
     held rows depend on one another. `work` is (3, n, n), `mu` (n,)."""
-    n, count = len(q), 0
-    across, gram, gram_factor = work[0], work[1], work[2]
+    n, across, gram_factor = len(q), work[0], work[2]
     for i in range(n):
         x[i] = -q[i]
     forward(factor, n, x)
-    for row in range(len(held)):
-        if held[row] == 0:
-            continue
-        if count == n:
-            return False
-        across[count] = a[row]
-        forward(factor, n, across[count])
-        mu[count] = dot(across[count], x) - (upper[row] if held[row] > 0 else lower[row])
-        for j in range(count + 1):
-            gram[j, count] = dot(across[count], across[j])
-        count += 1
-    if not factorise(gram, count, gram_factor):
+    count = factorise_held(factor, a, held, work)
+    if count < 0:
         return False
+    count = 0
+    for row in range(len(held)):
+        if held[row] != 0:
+            mu[count] = dot(across[count], x) - (upper[row] if held[row] > 0 else lower[row])
+            count += 1
     forward(gram_factor, count, mu)
     backward(gram_factor, count, mu)
     for j in range(count):
@@ -124,25 +137,17 @@ def take_up(
     Its multiplier grows by t: x += -t L'^-1 w, multipliers of the held rows += -t r with r = (V'V)^-1 V'v and w = v - V r,
     v = L^-1 a. A held row whose multiplier comes to zero before is let go.
     """
-    n = len(x)
-    across, gram, gram_factor, aside = work[0], work[1], work[2], np.empty(n)
+    n, across, gram_factor = len(x), work[0], work[2]
+    aside = np.empty(n)
     while True:
         for i in range(n):
             aside[i] = sign * a[row, i]
         forward(factor, n, aside)
-        length2, count = dot(aside, aside), 0
-        for other in range(len(held)):
-            if held[other] == 0:
-                continue
-            for i in range(n):
-                across[count, i] = held[other] * a[other, i]
-            forward(factor, n, across[count])
-            mu[count] = dot(across[count], aside)
-            for j in range(count + 1):
-                gram[j, count] = dot(across[count], across[j])
-            count += 1
-        if not factorise(gram, count, gram_factor):
+        length2, count = dot(aside, aside), factorise_held(factor, a, held, work)
+        if count < 0:
             return False
+        for j in range(count):
+            mu[j] = dot(across[j], aside)
         forward(gram_factor, count, mu)
         backward(gram_factor, count, mu)
         for j in range(count):
@@ -153,15 +158,16 @@ def take_up(
         step, leaves, count = beyond / new2 if is_new else np.inf, -1, 0
         for other in range(len(held)):
             if held[other] != 0:
-                if mu[count] > 0.0 and abs(y[other]) < step * mu[count]:
-                    step, leaves = abs(y[other]) / mu[count], other
+                fades = held[other] * mu[count]
+                if fades > 0.0 and abs(y[other]) < step * fades:
+                    step, leaves = abs(y[other]) / fades, other
                 count += 1
         if not step < np.inf:
             return False
         count = 0
         for other in range(len(held)):
             if held[other] != 0:
-                y[other] -= step * mu[count] * held[other]
+                y[other] -= step * mu[count]
                 count += 1
         y[row] += step * sign
         if is_new:

@@ -140,9 +140,12 @@ def headings_along(
     news = asked - complex(memory[0], memory[1])
     loud = abs(news) / (SLIGHT * worth)
     needed /= LITTLE * worth
-    slower = 1.0 + CALM / (1.0 + loud * loud + needed * needed)
-    asked -= (keep ** (1.0 / slower) if memory[4] == 0.0 else 1.0 / (1.0 + loud * loud)) * news
-    keep = keep if memory[4] == 0.0 else 0.0
+    if memory[4] == 0.0:
+        slower = 1.0 + CALM / (1.0 + loud * loud + needed * needed)
+        left_out = keep ** (1.0 / slower)
+    else:
+        left_out, keep = 1.0 / (1.0 + loud * loud), 0.0
+    asked -= left_out * news
     memory[0], memory[1], memory[4] = asked.real, asked.imag, 0.0
     memory[2], memory[3] = headings(
         eta, velocity, acceleration, current, sway, mass, settings[1], settings[2], asked, settings[6], settings[7],

@@ -20,5 +20,4 @@ Then for each picture, in the order of renderer.py (kernels: kernels.py, compile
     7. faults            frozen, dark, occluded, glare, bumped (faults.py), applied by the process
 
 A mosaic is Bayer RGGB, (height, width) uint8, its first pixel red. Light is relative to its mean, colours are 0 to 255.
-ideal_localizer.py stands for camera and localizer together: true poses with noise, without a picture.
 """

@@ -21,8 +21,8 @@ import numpy as np
 
 from robot_agent.agent import Agent, Outputs
 from robot_agent.inputs import Inputs, StampedObstacles, StampedPlan, StampedPose, StationView
-from sim_bridge.camera.ideal_localizer import IdealLocalizer
 from sim_bridge.fault_schedule import FaultSchedule
+from sim_bridge.node.ideal_localizer import IdealLocalizer
 from sim_bridge.plant.fleet import Plant
 from sim_bridge.plant.sensors import BoardSensors
 from wire.config.experiment import Experiment

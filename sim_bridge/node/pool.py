@@ -13,8 +13,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from sim_bridge.camera.ideal_localizer import IdealLocalizer
 from sim_bridge.node.board_ports import BoardPorts
+from sim_bridge.node.ideal_localizer import IdealLocalizer
 from sim_bridge.node.simulated_camera import Exposure, SimulatedCamera
 from sim_bridge.thruster_board.board import ThrusterBoard
 from sim_bridge.world import World, WorldBoard

@@ -190,7 +190,7 @@ class RobotConfig(Section):
     marker_id: Annotated[int | None, Field(ge=0, le=49, examples=[7])] = None
     """Id of the marker on its back; left out: its id."""
     depth_offset_m: Annotated[float, Field(ge=-1, le=1)] = 0.0
-    """What its pressure sensor says beyond the true depth of the robot's centre; taken off before anything uses it."""
+    """Depth that its pressure sensor tells beyond the true depth of the robot's centre; taken off before anything uses it."""
 
     @property
     def marker(self) -> int:
