@@ -125,8 +125,10 @@ class ClientHub:
         return bool(self._watchers)
 
     async def farewell(self) -> None:
-        """Tell the last state before the server ends: pages then know how the run ended."""
+        """Tell the last state before the server ends, also to pages that are slow to acknowledge: all then know how the run
+        ended."""
         if self._watchers:
+            self._each(lambda w: w.window.end())
             self._tell_now()
             await asyncio.sleep(FAREWELL_S)
 

@@ -2,6 +2,7 @@
 
 A browser that stops acknowledging stops being sent to. What it costs is one state, one picture and MOST_NOTES notes, and the
 bytes of two frames in a socket; nothing waits for it. Notes and states take turns, so that neither keeps the other waiting.
+Before the connection ends, all that waits goes out at once.
 """
 
 from collections import deque
@@ -20,6 +21,7 @@ class SendWindow:
         self._sent_s: dict[int, float] = {}
         self._n = 0
         self._noted = False  # the frame before was a note
+        self._ends = False
 
     def note(self, body: bytes) -> None:
         """Queue something that must arrive: an answer, an event. The oldest go when the page takes none."""
@@ -33,13 +35,18 @@ class SendWindow:
 
     def next(self, now_s: float) -> tuple[int, bytes] | None:
         """Number and body of the frame to send now; None when there is nothing or too much is on its way."""
-        if len(self._sent_s) >= UNACKNOWLEDGED or not (self._notes or self._latest):
+        full = len(self._sent_s) >= UNACKNOWLEDGED and not self._ends
+        if full or not (self._notes or self._latest):
             return None
         self._noted = bool(self._notes) and not (self._noted and self._latest)
         body = self._notes.popleft() if self._noted else self._latest.pop(next(iter(self._latest)))
         self._n += 1
         self._sent_s[self._n] = now_s
         return self._n, body
+
+    def end(self) -> None:
+        """Wait for no acknowledgement from now on: the connection is about to be closed."""
+        self._ends = True
 
     def acknowledge(self, n: int, now_s: float) -> None:
         """Frame `n` and those before it have arrived. A number that was never sent changes nothing."""

@@ -20,11 +20,13 @@ import pytest
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
+from websockets.typing import Origin
 
 from groundstation.planning import planner
 from groundstation.telemetry import RobotView
 from groundstation.web import connection_limits, protocol
 from groundstation.web.live_backend import PAST_EVERY_S, LiveBackend
+from groundstation.web.send_window import UNACKNOWLEDGED
 from groundstation.web.server import WebServer
 from tests.groundstation.fake_station import FakeStation
 from wire.config.experiment import load_experiment
@@ -269,6 +271,24 @@ def test_a_page_that_stops_reading_delays_no_other(lab: ServedStation) -> None:
     stopped.socket.recv(timeout=20)
     with pytest.raises(TimeoutError):
         stopped.socket.recv(timeout=0.5)
+
+
+def test_a_page_that_acknowledges_nothing_is_told_the_last_state_before_the_server_ends() -> None:
+    with contextlib.ExitStack() as opened:
+        with _served() as lab:
+            address, origin = f"ws://127.0.0.1:{lab.port}/live", f"http://127.0.0.1:{lab.port}"
+            page = PageClient(opened.enter_context(connect(address, max_size=None, origin=Origin(origin))))
+            page.hello()
+            for _ in range(UNACKNOWLEDGED):
+                page.socket.recv(timeout=20)
+            lab.robots.publish(topics.STATE, RobotState(mode=Mode.DISARMED, fault="the last"), time.time_ns(), 2)
+        told = []
+        with pytest.raises(ConnectionClosed):
+            while True:
+                frame = page.socket.recv(timeout=20)
+                assert isinstance(frame, bytes)
+                told.append(msgspec.msgpack.decode(frame[HEAD.size :]))
+    assert next(f for f in reversed(told) if state(f))["robots"][1]["state"]["fault"] == "the last"
 
 
 def test_request_outcomes_and_log_lines_reach_the_page(lab: ServedStation) -> None:
