@@ -13,6 +13,9 @@ export OPENBLAS_NUM_THREADS = 1
 # Programs and test processes start often: where Python may not keep what it compiled, each start costs up to twice as much.
 unexport PYTHONDONTWRITEBYTECODE
 
+# By file, for tests of a file share what is dear to make; in order, for the longest files come first (tests/closed_loop).
+IN_PARALLEL := -n logical --dist loadfile --no-loadscope-reorder
+
 .DEFAULT_GOAL := help
 .PHONY: help page run check test test-units test-real-time test-page test-computing test-slow mutants firmware faults fuzz photoreal soak bench lint format proto docs lock clean
 
@@ -27,7 +30,7 @@ check: $(INSTALLED) ## ruff, mypy, and the unit tests that start no process: a m
 	@$(MAKE) --no-print-directory --keep-going --jobs=2 lint test-units
 
 test-units:
-	$(BIN)/python -m pytest -n logical --dist loadgroup -m "not slow and not real_time and not long"
+	$(BIN)/python -m pytest $(IN_PARALLEL) -m "not slow and not real_time and not long"
 
 # What only computes, and the page's tests, which have time, fill the idle time of those that wait for programs, at lower
 # priorities, so that they delay none of them.
@@ -45,7 +48,7 @@ test-page:
 	nice -n 5 $(BIN)/python -m pytest -m "real_time and not slow" tests/page
 
 test-computing:
-	nice -n 15 $(BIN)/python -m pytest -n logical --dist loadgroup -m "not real_time and not slow"
+	nice -n 15 $(BIN)/python -m pytest $(IN_PARALLEL) -m "not real_time and not slow"
 
 test-slow: $(INSTALLED) ## the long checks: fault campaigns, deep fuzzing
 	$(BIN)/python -m pytest -m slow --timeout=1800 $(ARGS)

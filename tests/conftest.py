@@ -1,8 +1,8 @@
 """One thread for the matrices and for OpenCV, so that results do not depend on the machine; the same examples in every run;
 and no station that runs here for other reasons is found by a test's terminal.
 
-Where tests run in several processes (`pytest -n`), a file's tests stay together, for they share what is dear to make. All that
-are marked `real_time` stay together too, so that they never run beside one another.
+Where tests run in several processes, run them with `--dist loadfile` as the Makefile does: a file's tests then stay together, for
+they share what is dear to make. What is marked `real_time` never runs so: its tests must not run beside one another.
 """
 
 import os
@@ -28,13 +28,6 @@ os.environ["XDG_RUNTIME_DIR"] = _runtime.name
 settings.register_profile("steady", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.register_profile("explore", deadline=None, max_examples=2000, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "steady"))
-
-
-@pytest.hookimpl(tryfirst=True)  # before pytest-xdist reads the groups
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    for item in items:
-        together = "real-time" if item.get_closest_marker("real_time") else item.nodeid.partition("::")[0]
-        item.add_marker(pytest.mark.xdist_group(together))
 
 
 @pytest.fixture
