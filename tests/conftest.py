@@ -1,8 +1,8 @@
 """One thread for the matrices and for OpenCV, so that results do not depend on the machine; the same examples in every run;
 and no station that runs here for other reasons is found by a test's terminal.
 
-Where tests run in several processes, run them with `--dist loadfile` as the Makefile does: a file's tests then stay together, for
-they share what is dear to make. What is marked `real_time` never runs so: its tests must not run beside one another.
+Where tests run in several processes, run them with `--dist loadfile` as the Makefile does: a file's tests then stay together,
+for they share what is dear to make. What is marked `real_time` never runs so: its tests must not run beside one another.
 """
 
 import os
