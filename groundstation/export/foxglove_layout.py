@@ -16,7 +16,7 @@ _SEEN = {"none": topics.PREVIEW, "h264": topics.VIDEO, "jpeg": topics.PICTURE}  
 def layout(experiment: Experiment, fleet: str) -> Layout:
     """The layout's file, for the robots of an experiment."""
     length, width, _ = experiment.pool.size_m
-    picture = _SEEN[experiment.recording.video].of_camera(experiment.shown_camera)
+    pictures = _pictures(experiment, fleet)
     panels: Layout = {
         "3D!pool": {
             "cameraState": {
@@ -37,10 +37,7 @@ def layout(experiment: Experiment, fleet: str) -> Layout:
             "topics": {f"{fleet}/{name}": {"visible": True} for name in (MOVING, STANDING)},
             "layers": {},
         },
-        "Image!camera": {
-            "imageMode": {"imageTopic": f"{fleet}/{picture.name}"},
-            "foxglovePanelTitle": "camera",
-        },
+        **pictures,
         "Plot!error": _plot("distance from the reference [m]", _each(experiment, fleet, topics.PLAN, ".tracking_error_m")),
         "Plot!wrench": _plot(
             "surge [N], yaw [N m]",
@@ -60,7 +57,7 @@ def layout(experiment: Experiment, fleet: str) -> Layout:
         },
         "RosOut!log": {"topicToRender": f"{fleet}/{topics.EVENT.name}", "searchTerms": [], "minLogLevel": 2},
     }
-    arranged = _split("row", "3D!pool", _split("column", "Image!camera", "RosOut!log", 60), 62)
+    arranged = _split("row", "3D!pool", _split("column", _stack(tuple(pictures)), "RosOut!log", 60), 62)
     plots = _split("row", _split("row", "Plot!error", "Plot!wrench"), _split("row", "Plot!timing", "StateTransitions!mode"))
     return {
         "configById": panels,
@@ -68,6 +65,18 @@ def layout(experiment: Experiment, fleet: str) -> Layout:
         "userNodes": {},
         "playbackConfig": {"speed": 1},
         "layout": _split("column", arranged, plots, 65),
+    }
+
+
+def _pictures(experiment: Experiment, fleet: str) -> Layout:
+    """A panel for the picture of each camera."""
+    topic = _SEEN[experiment.recording.video]
+    return {
+        f"Image!camera-{name}" if name else "Image!camera": {
+            "imageMode": {"imageTopic": f"{fleet}/{topic.of_camera(name).name}"},
+            "foxglovePanelTitle": f"camera {name}".rstrip(),
+        }
+        for name in experiment.camera_names or ("",)
     }
 
 
@@ -97,6 +106,12 @@ def _plot(title: str, paths: Iterable[Layout]) -> Layout:
         "xAxisVal": "timestamp",
         "sidebarDimension": 240,
     }
+
+
+def _stack(panels: tuple[str, ...]) -> Any:
+    """Panels below each other, all of one height."""
+    first, *rest = panels
+    return _split("column", first, _stack(tuple(rest)), 100.0 / len(panels)) if rest else first
 
 
 def _split(direction: str, first: Any, second: Any, percent: float = 50.0) -> Layout:

@@ -32,6 +32,15 @@ class Status:
     led: Mapping[int, str] = field(default_factory=dict)  # robots that a person leads one by one, and what they do
 
 
+@dataclass(frozen=True)
+class ShownPicture:
+    """A camera's picture for the page, and its age when it was asked for."""
+
+    stamp_ns: int
+    age_ms: float
+    jpeg: bytes
+
+
 class OperatorRequests(Protocol):
     """Requests for the whole fleet, or for the robot `only`. Each returns the reason of a refusal, or nothing, and the
     request's number."""
@@ -72,7 +81,9 @@ class Backend(Protocol):
     def past(self) -> list[dict[str, Any]]:
         """Rows of the past (snapshot.past_row), oldest first, for a page that has just connected."""
 
-    def picture(self) -> dict[str, Any] | None: ...
+    def picture(self, camera: str, shown_ns: int) -> ShownPicture | None:
+        """The newest picture of a camera ("" for the only one); None if it is the one of stamp `shown_ns`."""
+
     def paths(self) -> list[dict[str, Any]] | None: ...
     def notes(self) -> list[dict[str, Any]]: ...
     def remark(self, text: str) -> None: ...

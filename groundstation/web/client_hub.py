@@ -88,6 +88,8 @@ class Client:
     id: int
     websocket: WebSocket
     page: str = ""  # by which it is known when it comes back
+    camera: str = ""  # one of several: its picture is shown here
+    shown_ns: int = -1  # stamp of the picture that was sent last
     window: SendWindow = field(default_factory=SendWindow)
     wake: asyncio.Event = field(default_factory=asyncio.Event)
     busy: bool = False  # an edit of this watcher is being planned
@@ -108,7 +110,6 @@ class ClientHub:
         self._watchers: dict[int, Client] = {}
         self._lease = ControlLease()
         self._history: deque[bytes] = deque(maxlen=KEPT_EVENTS)
-        self._picture = b""
         self._count = 0
         self._tasks: set[asyncio.Task[None]] = set()
         self._strangers: deque[asyncio.Task[protocol.Request]] = deque()
@@ -168,10 +169,27 @@ class ClientHub:
         if paths is not None:
             body = msgspec.msgpack.encode({"k": "paths", "paths": paths})
             self._each(lambda w: w.window.offer("paths", body))
-        picture = self._source.picture() if self._watchers else None
-        if picture is not None:
-            self._picture = msgspec.msgpack.encode({"k": "picture", "stamp_ms": time.time() * 1e3, **picture})
-            self._each(lambda w: w.window.offer("picture", self._picture))
+        for camera, shown_ns in {(w.camera, w.shown_ns) for w in self._watchers.values()}:
+            self._show(camera, shown_ns)
+
+    def _show(self, camera: str, shown_ns: int) -> None:
+        """Offer a camera's newest picture to all pages that show this camera and were sent the picture of that stamp last."""
+        picture = self._source.picture(camera, shown_ns)
+        if picture is None:
+            return
+        told = {
+            "k": "picture",
+            "stamp_ms": time.time() * 1e3,
+            "camera": camera,
+            "age_ms": picture.age_ms,
+            "jpeg": picture.jpeg,
+        }
+        body = msgspec.msgpack.encode(told)
+        for watcher in self._watchers.values():
+            if (watcher.camera, watcher.shown_ns) == (camera, shown_ns):
+                watcher.shown_ns = picture.stamp_ns
+                watcher.window.offer("picture", body)
+                watcher.wake.set()
 
     def tell(self) -> None:
         """Offer the present state to everyone."""
@@ -207,13 +225,11 @@ class ClientHub:
                 await websocket.close(NOT_ALLOWED, "wrong token")
             return
         self._count += 1
-        watcher = Client(self._count, websocket, hello.page)
+        watcher = Client(self._count, websocket, hello.page, self._camera(hello.camera))
         events = [msgspec.Raw(body) for body in self._history]
         scene = self._source.scene() | {"report": self._desk.shown_report}
         watcher.note({"k": "hello", "you": watcher.id, "scene": scene, "events": events})
         watcher.note({"k": "past", "states": self._source.past()})
-        if self._picture:
-            watcher.window.offer("picture", self._picture)
         self._replace(watcher)
         self._watchers[watcher.id] = watcher
         self._tell_now()
@@ -291,10 +307,17 @@ class ClientHub:
             self._spawn(self._save(watcher, request))
         elif isinstance(request, protocol.OfRuns):
             self._spawn(self._answer_of_runs(watcher, request))
+        elif isinstance(request, protocol.ChooseCamera):
+            watcher.camera, watcher.shown_ns = self._camera(request.camera), -1
         elif isinstance(request, protocol.Remark):
             self._source.remark(request.text)
         elif isinstance(request, protocol.Seek):
             self._source.seek(request.time_s, request.rate)
+
+    def _camera(self, name: str) -> str:
+        """The camera of that name; the first one where there is none."""
+        experiment = self._source.experiment
+        return name if name in experiment.camera_names else experiment.shown_camera
 
     def _spawn(self, work: Any) -> None:
         task: asyncio.Task[None] = asyncio.create_task(work)

@@ -12,7 +12,7 @@ from typing import Any
 from groundstation.mission.state_machine import READY, MissionState, order_name, states_allowing
 from groundstation.telemetry import FleetInboxes
 from groundstation.web.alarms import alarms
-from groundstation.web.backend import StationApi
+from groundstation.web.backend import ShownPicture, StationApi
 from groundstation.web.scene import flown_paths, scene
 from groundstation.web.snapshot import (
     NEVER_MS,
@@ -55,10 +55,10 @@ class LiveBackend:
         self.experiment, self.station = experiment, station
         self._trajectories, self._bus, self._clock, self._mode, self.run_dir = trajectories, bus, clock, mode, run_dir
         self._heard = heard
-        self._previews = bus.inbox(topics.PREVIEW.of_camera(experiment.shown_camera), Preview)
+        cameras = experiment.camera_names or ("",)
+        self._previews = {name: bus.inbox(topics.PREVIEW.of_camera(name), Preview) for name in cameras}
         self._events: deque[tuple[Header, bytes]] = deque(maxlen=MOST_EVENTS)
         self._seen: list[Header | None] = []
-        self._shown: Header | None = None
         self._drawn: Mapping[int, tuple[Trajectory, float]] | None = None
         self._past_every_s = max(PAST_EVERY_S, PAST_S * len(heard.states) / PAST_ROBOTS)
         self._past: deque[dict[str, Any]] = deque(maxlen=round(PAST_S / self._past_every_s))
@@ -139,14 +139,13 @@ class LiveBackend:
         """Age of the localizer's status. 0 in lockstep, where a slow machine is no silence, and poses are what counts."""
         return found.age_ms * 1e-3 if self._mode == "real-time" else 0.0
 
-    def picture(self) -> dict[str, Any] | None:
-        """The camera's newest picture, once."""
-        header = self._previews.newest_header()
-        if header is None or header == self._shown:
+    def picture(self, camera: str, shown_ns: int) -> ShownPicture | None:
+        """The newest picture of a camera, if it is not the one of stamp `shown_ns`."""
+        header = self._previews[camera].newest_header()
+        if header is None or header.stamp_ns == shown_ns:
             return None
-        self._shown = header
-        found = self._previews.newest()
-        return None if found is None else {"age_ms": _age(found).age_ms, "jpeg": found.message.jpeg}
+        found = self._previews[camera].newest()
+        return None if found is None else ShownPicture(found.header.stamp_ns, _age(found).age_ms, found.message.jpeg)
 
     def notes(self) -> list[dict[str, Any]]:
         """Events since the last call, in order: lines of the log."""

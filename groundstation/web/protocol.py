@@ -21,6 +21,7 @@ EditedId = Annotated[int, msgspec.Meta(ge=1, le=49)]
 Vec2 = tuple[Metres, Metres]
 Vec3 = tuple[Metres, Metres, Metres]
 ORDERS = (*FLEET_REQUESTS, order_name(Order.GO))
+CameraName = Annotated[str, msgspec.Meta(max_length=64)]
 RunName = Annotated[str, msgspec.Meta(min_length=1, max_length=255)]  # of its folder
 OrderName = Annotated[str, msgspec.Meta(pattern=rf"\A(?:{'|'.join(ORDERS)})\Z")]
 
@@ -30,6 +31,7 @@ class Hello(msgspec.Struct, tag_field="kind", tag="hello", forbid_unknown_fields
 
     token: Annotated[str, msgspec.Meta(max_length=256)] = ""
     page: Annotated[str, msgspec.Meta(max_length=64)] = ""  # drawn by each page: one that comes back is the same
+    camera: CameraName = ""  # whose picture to show; empty, or one that there is not: the first
 
 
 class Ack(msgspec.Struct, tag_field="kind", tag="ack", forbid_unknown_fields=True, frozen=True):
@@ -112,6 +114,12 @@ class Save(msgspec.Struct, tag_field="kind", tag="save", forbid_unknown_fields=T
     name: Annotated[str, msgspec.Meta(pattern=r"\A[a-z0-9][a-z0-9-]{0,63}\Z")]
 
 
+class ChooseCamera(msgspec.Struct, tag_field="kind", tag="camera", forbid_unknown_fields=True, frozen=True):
+    """Show this page the picture of another camera."""
+
+    camera: CameraName
+
+
 class Remark(msgspec.Struct, tag_field="kind", tag="remark", forbid_unknown_fields=True, frozen=True):
     """A person's line for the log."""
 
@@ -145,7 +153,19 @@ class Seek(msgspec.Struct, tag_field="kind", tag="seek", forbid_unknown_fields=T
 
 OfRuns = ListRuns | LabelRun | DeleteRun
 Request = (
-    Hello | Ack | Take | Release | OrderRequest | DriveRequest | TuneRequest | PreviewEdit | Save | Remark | Seek | OfRuns
+    Hello
+    | Ack
+    | Take
+    | Release
+    | OrderRequest
+    | DriveRequest
+    | TuneRequest
+    | PreviewEdit
+    | Save
+    | ChooseCamera
+    | Remark
+    | Seek
+    | OfRuns
 )
 _DECODER = msgspec.json.Decoder(Request)
 

@@ -17,6 +17,7 @@ from groundstation.logs.reader import open_log
 from groundstation.mission.state_machine import MissionState
 from groundstation.telemetry import LINK_WINDOW, LinkMonitor, RobotView
 from groundstation.web.alarms import alarms
+from groundstation.web.backend import ShownPicture
 from groundstation.web.scene import floats, flown_samples, paths, scene
 from groundstation.web.snapshot import PAST_ROBOTS, AgedMessage, FleetSnapshot, RobotSnapshot, event_note, past_row, snapshot
 from wire.config.experiment import Experiment, load_experiment
@@ -200,7 +201,6 @@ class ReplayBackend:
         self._changed = True
         self._shown_s = 0.0
         self._past, self._events = self._log.past(), self._log.events()
-        self._picture_ns = -1
         self._drawn: list[int] = []
 
     def __enter__(self) -> "ReplayBackend":
@@ -298,14 +298,12 @@ class ReplayBackend:
         found = ((r, self._against.newest(topics.STATE, RobotState, then_ns, r)) for r in self._against.experiment.robot_ids)
         return [{"id": r, "eta": floats(state[1].eta)} for r, state in found if state is not None]
 
-    def picture(self) -> dict[str, Any] | None:
-        """The picture of that time, once."""
-        previews = topics.PREVIEW.of_camera(self.experiment.shown_camera)
-        found = self._log.newest(previews, Preview, self._now_ns())
-        if found is None or found[0] == self._picture_ns:
+    def picture(self, camera: str, shown_ns: int) -> ShownPicture | None:
+        """The picture of a camera at that time, if it is not the one that arrived at `shown_ns`."""
+        found = self._log.newest(topics.PREVIEW.of_camera(camera), Preview, self._now_ns())
+        if found is None or found[0] == shown_ns:
             return None
-        self._picture_ns = found[0]
-        return {"age_ms": (self._now_ns() - found[0]) * 1e-6, "jpeg": found[1].jpeg}
+        return ShownPicture(found[0], (self._now_ns() - found[0]) * 1e-6, found[1].jpeg)
 
     def past(self) -> list[dict[str, Any]]:
         """The whole run."""

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from wire.camera_coverage import project
 from wire.config.controller import EstimatorConfig, GuidanceConfig, MpcConfig
 from wire.config.experiment import Experiment
+from wire.config.perception import Camera
 from wire.config.scene import Circle, FormationConfig, Island, PoolConfig, RobotConfig, Route, Waypoints
 from wire.frames import Array
 from wire.key_reference import hints
@@ -88,7 +89,10 @@ def scene(experiment: Experiment, trajectories: Mapping[int, Trajectory], mode: 
             for k in tunable_parameters(controller)
         ],
         "paths": paths(trajectories, flown_samples(experiment)),
-        "underlay": _underlay(experiment),
+        "cameras": [
+            {"name": name, "underlay": _underlay(experiment, camera)}
+            for name, camera in zip(experiment.camera_names or ("",), experiment.all_cameras, strict=True)
+        ],
     }
 
 
@@ -105,11 +109,11 @@ def _hints() -> dict[str, str]:
     return found
 
 
-def _underlay(experiment: Experiment) -> dict[str, Any] | None:
+def _underlay(experiment: Experiment, camera: Camera) -> dict[str, Any] | None:
     """None where the camera moves: where it looks is then known only for each picture."""
     if experiment.landmarks:
         return None
-    points, places = mesh(experiment)
+    points, places = mesh(experiment, camera)
     return {"columns": points.shape[1], "pool": floats(points), "picture": floats(_finite(places))}
 
 
@@ -117,8 +121,8 @@ def _finite(places: Array) -> Array:
     return np.where(np.isfinite(places), places, -1e3)
 
 
-def mesh(experiment: Experiment) -> tuple[Array, Array]:
-    """Mesh that lays the (first) camera's picture under the map: points (rows + 1, columns + 1, 2) at the path's depth,
+def mesh(experiment: Experiment, camera: Camera) -> tuple[Array, Array]:
+    """Mesh that lays a camera's picture under the map: points (rows + 1, columns + 1, 2) at the path's depth,
     pool frame, and the places (same shape) in the picture that show them, from 0 to 1 across its width and height."""
     length, width, _ = experiment.pool.size_m
     cell_m = max(length, width) / CELLS
@@ -126,6 +130,5 @@ def mesh(experiment: Experiment) -> tuple[Array, Array]:
     y = np.linspace(-width / 2 - MARGIN_M, width / 2 + MARGIN_M, max(2, round(width / cell_m)) + 1)
     points = np.stack(np.meshgrid(x, y), axis=-1)
     flat = points.reshape(-1, 2)
-    camera = experiment.all_cameras[0]
     pixels = project(camera, np.column_stack([flat, np.full(len(flat), experiment.path.depth_m)]))
     return points, ((pixels + 0.5) / np.array(camera.size_px)).reshape(points.shape)

@@ -202,6 +202,7 @@ def _localizer(found: AgedMessage) -> dict[str, Any] | None:
         "frame_ms": status.frame_ms,
         "to_pose_ms": status.frame_age_ms,
         "message": status.message,
+        "out": list(status.out),
     }
 
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
 
+import cv2
 import numpy as np
 import psutil
 import pytest
@@ -31,7 +32,19 @@ from tests.page.flights import PATIENCE_MS, OperatorFlight, PageTraffic, open_pa
 from wire.config.experiment import Experiment, load_experiment
 from wire.messages import topics
 from wire.messages.codec import decode
-from wire.messages.messages import Event, Mode, Order, Outcome, Progress, RobotState, Trajectory, Tuning
+from wire.messages.messages import (
+    CameraHealth,
+    Event,
+    LocalizerStatus,
+    Mode,
+    Order,
+    Outcome,
+    Preview,
+    Progress,
+    RobotState,
+    Trajectory,
+    Tuning,
+)
 from wire.transport.bus import Bus
 from wire.transport.memory_transport import MemoryHub, MemoryTransport
 from wire.web_access import WebOptions
@@ -520,6 +533,60 @@ def test_the_map_draws_what_is_flown_now(browser: Browser) -> None:
         desk.paths = {robot: (way, 35.0) for robot, way in home.items()}
         expect(canvas).to_have_attribute("data-paths", "home-1 home-2")
         assert desk.page.evaluate("document.querySelector('.pool canvas').toDataURL()") != before
+
+
+def test_of_several_cameras_the_picture_of_one_is_chosen(browser: Browser) -> None:
+    """West's picture is red, east's is green; each lies under its own end of the map."""
+    experiment = load_experiment("two-cameras")
+    with alone(browser, experiment) as desk:
+        page, choice = desk.page, desk.page.get_by_label("Camera whose picture is shown")
+
+        def tell(*out: str) -> None:
+            for name, colour in (("west", (0, 0, 255)), ("east", (0, 255, 0))):
+                jpeg = cv2.imencode(".jpg", np.full((480, 640, 3), colour, np.uint8))[1].tobytes()
+                desk.robots.publish(topics.PREVIEW.of_camera(name), Preview(jpeg), time.time_ns())
+            desk.robots.publish(topics.LOCALIZER, LocalizerStatus(CameraHealth.OK, out=out), time.time_ns())
+
+        def under(x_m: float) -> str:
+            """The strongest colour of the map at a place of the pool; none of them in water."""
+            middle, scale = map_of(page, 6.4, 2.5)
+            place = [round(middle[0] + x_m * scale), round(middle[1] + 0.3 * scale)]
+            script = """([x, y]) => {
+                const c = document.querySelector('.pool canvas'), box = c.getBoundingClientRect();
+                return [...c.getContext('2d').getImageData(x - box.left, y - box.top, 1, 1).data];
+            }"""
+            red, green, blue, _ = page.evaluate(script, place)
+            return "west" if red > 2 * max(green, blue) else "east" if green > 2 * max(red, blue) else "water"
+
+        def shows(name: str) -> None:
+            deadline = time.monotonic() + PATIENCE_MS * 1e-3
+            while (found := (under(-2.2), under(2.2))) != ((name, "water") if name == "west" else ("water", name)):
+                assert time.monotonic() < deadline, found
+                tell()
+                page.wait_for_timeout(50)
+            expect(page.locator(".picture-age")).to_contain_text(f"picture of {name} ")
+
+        page.goto(desk.url)
+        expect(choice).to_have_value("west")
+        shows("west")
+        page.keyboard.press("c")
+        expect(choice).to_have_value("east")
+        shows("east")
+        page.reload()  # the choice is remembered
+        expect(choice).to_have_value("east")
+        shows("east")
+        choice.focus()
+        page.keyboard.press("ArrowUp")
+        expect(choice).to_have_value("west")
+        shows("west")
+        tell("east")
+        expect(choice.locator("option")).to_have_text(["west", "east (out)"])
+        assert serious(page) == []
+        desk.orders.clear()
+        page.keyboard.press("Escape")  # leaves the choice, and stops nobody
+        page.keyboard.press("Escape")
+        expect(page.locator(".given")).to_contain_text("stop")
+        assert desk.orders == [Order.STOP]
 
 
 def test_a_request_has_one_line_and_that_says_how_it_ended(browser: Browser) -> None:

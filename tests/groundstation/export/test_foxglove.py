@@ -172,8 +172,9 @@ def test_the_layouts_words_are_those_of_the_viewers_own_library() -> None:
         assert not unknown, f"{name}: {unknown}"
 
 
-def test_every_panel_has_its_place() -> None:
-    made = layout(load_experiment("pool"), "shoal")
+@pytest.mark.parametrize("name", ["pool", "two-cameras"])
+def test_every_panel_has_its_place(name: str) -> None:
+    made = layout(load_experiment(name), "shoal")
 
     def leaves(node: Any) -> Iterator[str]:
         if isinstance(node, str):
@@ -182,6 +183,12 @@ def test_every_panel_has_its_place() -> None:
             yield from (leaf for side in ("first", "second") for leaf in leaves(node[side]))
 
     assert sorted(leaves(made["layout"])) == sorted(made["configById"])
+
+
+def test_each_of_several_cameras_has_a_panel_for_its_picture() -> None:
+    panels = layout(load_experiment("two-cameras", ["recording.video=h264"]), "lab")["configById"]
+    topics_shown = {key: panel["imageMode"]["imageTopic"] for key, panel in panels.items() if key.startswith("Image!")}
+    assert topics_shown == {"Image!camera-west": "lab/camera/west/video", "Image!camera-east": "lab/camera/east/video"}
 
 
 def test_the_layout_is_printed_for_any_experiment() -> None:

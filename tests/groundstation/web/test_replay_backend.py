@@ -16,7 +16,7 @@ from wire.config.experiment import dump_experiment, load_experiment
 from wire.frames import Array
 from wire.messages import topics
 from wire.messages.codec import Header, encode
-from wire.messages.messages import Mode, Order, Plan, RobotState, Trajectory
+from wire.messages.messages import Mode, Order, Plan, Preview, RobotState, Trajectory
 from wire.toml_loader import ConfigError
 
 SECOND = 1_000_000_000
@@ -101,6 +101,30 @@ def test_the_other_run_is_aligned_by_its_own_start(run: Path, tmp_path: Path) ->
         for robot in shown["robots"]:
             here = np.frombuffer(robot["state"]["eta"], "<f4")
             np.testing.assert_allclose(ghosts[robot["id"]][:2], here[:2], atol=1e-3)
+
+
+def test_each_camera_has_its_recorded_picture(tmp_path: Path) -> None:
+    """Also in a log with pictures of the first camera alone."""
+    experiment = load_experiment("two-cameras")
+    (tmp_path / "experiment.toml").write_text(dump_experiment(experiment))
+    recorder = Recorder(tmp_path / "run.mcap", "", {})
+    for k in range(20):
+        for number, name in enumerate(("west", "east") if k < 10 else ("west",)):
+            topic = topics.PREVIEW.of_camera(name)
+            header, jpeg = Header(1 + number, k + 1, k * SECOND // 5), f"{name} {k}".encode()
+            recorder.put(topic, f"shoal/{topic.name}", header, encode(Preview(jpeg)), k * SECOND // 5)
+    recorder.put(topics.STATE, "shoal/robot/1/state", Header(3, 1, 0), encode(RobotState()), 8 * SECOND)
+    recorder.close()
+    with ReplayBackend(tmp_path) as found:
+        assert [camera["name"] for camera in found.scene()["cameras"]] == ["west", "east"]
+        found.seek(1.1, 0.0)
+        shown = {name: found.picture(name, -1) for name in ("west", "east")}
+        assert {name: picture and picture.jpeg for name, picture in shown.items()} == {"west": b"west 5", "east": b"east 5"}
+        east = shown["east"]
+        assert east is not None and east.age_ms == pytest.approx(100.0)
+        assert found.picture("east", east.stamp_ns) is None  # it is shown already
+        found.seek(7.9, 0.0)
+        assert found.picture("east", east.stamp_ns) is None
 
 
 def test_a_recorded_run_takes_no_orders(replay: ReplayBackend) -> None:

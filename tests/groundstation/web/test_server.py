@@ -29,7 +29,7 @@ from groundstation.web.live_backend import PAST_EVERY_S, LiveBackend
 from groundstation.web.send_window import UNACKNOWLEDGED
 from groundstation.web.server import WebServer
 from tests.groundstation.fake_station import FakeStation
-from wire.config.experiment import load_experiment
+from wire.config.experiment import Experiment, load_experiment
 from wire.messages import codec, fleet_pb2, topics
 from wire.messages.messages import Event, Mode, Order, Outcome, Preview, Progress, RobotState, Trajectory
 from wire.process.runtime import log
@@ -106,9 +106,9 @@ class PageClient:
                 return frame
         raise AssertionError("never came")
 
-    def hello(self, token: str = TOKEN, page: str = "") -> dict[str, Any]:
+    def hello(self, token: str = TOKEN, page: str = "", camera: str = "") -> dict[str, Any]:
         """Introduced, and past the first state."""
-        self.say(kind="hello", token=token, page=page)
+        self.say(kind="hello", token=token, page=page, camera=camera)
         found = self.until(lambda frame: frame["k"] == "hello")
         self.until(state)
         return found
@@ -121,7 +121,7 @@ def free_port() -> int:
 
 
 def make_desk(lab: ServedStation, run_dir: Path | None = None) -> LiveBackend:
-    return LiveBackend(POOL, planner.plan(POOL), lab.bus, lab.heard, lab.clock, lab, "real-time", run_dir)
+    return LiveBackend(lab.experiment, planner.plan(lab.experiment), lab.bus, lab.heard, lab.clock, lab, "real-time", run_dir)
 
 
 @pytest.fixture
@@ -131,11 +131,11 @@ def lab() -> Iterator[ServedStation]:
 
 
 @contextlib.contextmanager
-def _served(run_dir: Path | None = None) -> Iterator[ServedStation]:
+def _served(run_dir: Path | None = None, experiment: Experiment = POOL) -> Iterator[ServedStation]:
     hub, port = MemoryHub(), free_port()
     with Bus(MemoryTransport(hub)) as bus, Bus(MemoryTransport(hub)) as robots:
         opened = contextlib.ExitStack()
-        found = ServedStation(POOL, bus, port=port, robots=robots, opened=opened)
+        found = ServedStation(experiment, bus, port=port, robots=robots, opened=opened)
         with WebServer(make_desk(found, run_dir), WebOptions(port=port, token=TOKEN)), opened:
             yield found
 
@@ -156,6 +156,26 @@ def test_a_page_gets_the_scene_then_states_as_they_come(lab: ServedStation) -> N
     assert seen["allowed"] == ["load", "arm", "start", "stop", "disarm", "clear-stop", "return", "test", "end"]
     lab.robots.publish(topics.PREVIEW, Preview(b"jpeg"), time.time_ns())
     assert page.until(lambda f: f["k"] == "picture")["jpeg"] == b"jpeg"
+
+
+def test_each_page_gets_the_picture_of_the_camera_that_it_chose() -> None:
+    with _served(experiment=load_experiment("two-cameras")) as lab:
+        first, second, third = lab.open(), lab.open(), lab.open()
+        assert [camera["name"] for camera in first.hello()["scene"]["cameras"]] == ["west", "east"]
+        second.hello(camera="east")
+        third.hello(camera="a camera of another experiment")
+        for name in ("west", "east"):
+            lab.robots.publish(topics.PREVIEW.of_camera(name), Preview(name.encode()), time.time_ns())
+
+        def shown(page: PageClient) -> tuple[str, bytes]:
+            frame = page.until(lambda f: f["k"] == "picture")
+            return frame["camera"], frame["jpeg"]
+
+        assert [shown(page) for page in (first, second, third)] == [("west", b"west"), ("east", b"east"), ("west", b"west")]
+        first.say(kind="camera", camera="east")  # its newest picture comes at once
+        assert shown(first) == ("east", b"east")
+        lab.robots.publish(topics.PREVIEW.of_camera("east"), Preview(b"next"), time.time_ns())
+        assert shown(first) == shown(second) == ("east", b"next")
 
 
 def test_a_remark_becomes_one_line_of_the_log(

@@ -8,7 +8,7 @@ import { acknowledgeAlarms } from "./sound";
 import { order } from "./link";
 import { choosePlaces, places } from "./pool/places";
 import { follow } from "./pool/layers";
-import { fitView, zoomBy } from "./pool/Pool";
+import { fitView, showNextCamera, zoomBy } from "./pool/Pool";
 import { removePicked } from "./editor/canvas";
 import { redo, undo } from "./editor/model";
 import { browsing, drawSoon, editing, inControl, scene, selected, shown } from "./store";
@@ -26,6 +26,7 @@ export const KEYS: [string, string][] = [
   ["F", "show the whole pool"],
   ["G", "follow"],
   ["+ -", "zoom"],
+  ["C", "the next camera's picture"],
   ["1 … 9", "choose a robot"],
   ["W A S D, Q E", "drive the chosen robot, while Drive is on"],
   ["Ctrl+Z, Ctrl+Y, Del", "editor: undo, redo, remove what was touched last"],
@@ -74,6 +75,7 @@ addEventListener("keydown", (event) => {
     if (inControl.peek() && shown.peek()?.allowed.includes(name)) order(name);
   } else if (event.key === "f" || event.key === "F") fitView();
   else if (event.key === "g" || event.key === "G") follow.value = !follow.value;
+  else if (event.key === "c" || event.key === "C") showNextCamera();
   else if (event.key === "+" || event.key === "=") zoomBy(1.25);
   else if (event.key === "-") zoomBy(0.8);
   else if (event.key === "," || event.key === ".") stepFrames(event.key === "." ? 1 : -1);

@@ -3,7 +3,7 @@
  * The station says something at least four times a second. Silence means that the station hangs, or that what is between is dead
  * and the browser does not know it yet: then this page is not connected, and after a while it tries another connection. */
 
-import { connected, given, live, now, refusal, roundTripMs, take } from "./store";
+import { connected, forgetPicture, given, live, now, refusal, roundTripMs, take, wantedCamera } from "./store";
 import type { OrderName, Request } from "./wire";
 import { read } from "./wire";
 
@@ -48,7 +48,7 @@ export function connect(): void {
   opened.onopen = () => {
     if (opened !== socket) return;
     refusal.value = "";
-    say({ kind: "hello", token: token(), page });
+    say({ kind: "hello", token: token(), page, camera: wantedCamera.peek() });
     if (wantsControl) say({ kind: "take" });
     if (stopAsked) sendStop();
   };
@@ -105,6 +105,14 @@ export function say(request: Request): boolean {
   if (socket?.readyState !== WebSocket.OPEN) return false;
   socket.send(JSON.stringify(request));
   return true;
+}
+
+/** Show another camera's picture, here and in this browser's next pages. */
+export function chooseCamera(name: string): void {
+  wantedCamera.value = name;
+  localStorage.setItem("camera", name);
+  forgetPicture();
+  say({ kind: "camera", camera: name });
 }
 
 /** Ask something of the whole fleet, or of one robot; what becomes of it appears in `given`. A stop that is not answered, because it cannot be

@@ -58,6 +58,13 @@ export const saved = signal<{ ok: boolean; problems: string[]; path?: string } |
 export const editing = signal(false);
 export const browsing = signal(false); // the list of runs is open
 export const runs = signal<RunList | null>(null); // as last told
+/** The camera whose picture a person wants to see; a choice is remembered. */
+export const wantedCamera = signal(localStorage.getItem("camera") ?? "");
+/** The camera whose picture is shown: the one that is wanted, or the first where there is none of that name. */
+export const camera = computed(() => {
+  const cameras = scene.value?.cameras ?? [];
+  return cameras.find(({ name }) => name === wantedCamera.value) ?? cameras[0];
+});
 export const undriven = signal(""); // why a velocity is not driven
 
 export const inControl = computed(() => connected.value && shown.value !== null && me.value !== 0 && shown.value.holder === me.value);
@@ -152,10 +159,11 @@ function takeState(state: Snapshot): void {
   }
 }
 
-function takePicture(jpeg: Uint8Array<ArrayBuffer>, ageMs: number, stampMs: number): void {
+function takePicture(of: string, jpeg: Uint8Array<ArrayBuffer>, ageMs: number, stampMs: number): void {
   const arrived = performance.now();
   createImageBitmap(new Blob([jpeg], { type: "image/jpeg" })).then(
     (bitmap) => {
+      if (camera.peek()?.name !== of) return bitmap.close(); // another one was chosen meanwhile
       live.picture?.close();
       Object.assign(live, { picture: bitmap, pictureAgeMs: ageMs, pictureArrivedMs: arrived, pictureStampMs: stampMs });
       live.pictureSerial += 1;
@@ -165,11 +173,22 @@ function takePicture(jpeg: Uint8Array<ArrayBuffer>, ageMs: number, stampMs: numb
   );
 }
 
+/** Show no picture until one of the chosen camera comes. */
+export function forgetPicture(): void {
+  live.picture?.close();
+  live.picture = null;
+  live.pictureSerial += 1;
+  drawSoon();
+}
+
 /** Take in a frame from the station. */
 export function take(frame: Frame): void {
   switch (frame.k) {
     case "hello":
-      if (scene.peek()?.hash !== frame.scene.hash) live.robots.clear();
+      if (scene.peek()?.hash !== frame.scene.hash) {
+        live.robots.clear();
+        forgetPicture(); // another experiment has other cameras
+      }
       if (scene.peek()?.life !== frame.scene.life) given.value = given.value.filter((g) => !g.heard);
       me.value = frame.you;
       scene.value = frame.scene;
@@ -189,7 +208,7 @@ export function take(frame: Frame): void {
       drawSoon();
       break;
     case "picture":
-      takePicture(frame.jpeg, frame.age_ms, frame.stamp_ms);
+      takePicture(frame.camera, frame.jpeg, frame.age_ms, frame.stamp_ms);
       break;
     case "event":
       lines.value = [...lines.value, frame].slice(-MOST_LINES);

@@ -65,7 +65,7 @@ export interface Scene {
   hints: Record<string, string>; // meaning, range and default of keys of the experiment file
   knobs: Knob[]; // of the controller, that may be turned in flight
   paths: PathSamples[];
-  underlay: { columns: number; pool: Packed; picture: Packed } | null;
+  cameras: { name: string; underlay: { columns: number; pool: Packed; picture: Packed } | null }[]; // one without a name, or several
   replay?: { end_s: number };
   run?: string; // the run's folder
   report: string; // its address; empty if there is none
@@ -195,6 +195,7 @@ export interface Snapshot {
     frame_ms: number;
     to_pose_ms: number;
     message: string;
+    out: string[]; // cameras of several whose poses do not count now
   } | null;
   obstacles: { age_ms: number; ids: number[]; outline: Packed; velocity: Packed } | null;
   robots: RobotNews[];
@@ -257,7 +258,7 @@ export type Frame =
   | { k: "hello"; you: number; scene: Scene; events: LogLine[] }
   | Snapshot
   | { k: "past"; states: PastState[] }
-  | { k: "picture"; stamp_ms: number; age_ms: number; jpeg: Uint8Array<ArrayBuffer> }
+  | { k: "picture"; stamp_ms: number; camera: string; age_ms: number; jpeg: Uint8Array<ArrayBuffer> }
   | { k: "paths"; paths: PathSamples[] }
   | ({ k: "event" } & LogLine)
   | { k: "reply"; n: number; order: string; ok: boolean; reason: string; request: number }
@@ -287,7 +288,8 @@ export interface Edit {
 export type Shape = "line" | "column" | "triangle" | "diamond" | "circle";
 
 export type Request =
-  | { kind: "hello"; token: string; page: string }
+  | { kind: "hello"; token: string; page: string; camera: string }
+  | { kind: "camera"; camera: string }
   | { kind: "ack"; n: number }
   | { kind: "take"; over?: boolean }
   | { kind: "release" }

@@ -4,7 +4,8 @@ import { signal } from "@preact/signals";
 import { useEffect, useRef } from "preact/hooks";
 import { css } from "../colours";
 import { drawEdit, editDrag, editDrop, editGrab } from "../editor/canvas";
-import { drawSoon, drawWith, editing, live, now, scene, selected } from "../store";
+import { chooseCamera } from "../link";
+import { camera, drawSoon, drawWith, editing, live, now, scene, selected, shown } from "../store";
 import { drawPool } from "./draw";
 import { follow, LAYERS, type Layer, layers, toggle } from "./layers";
 import { addPlace, drawPlaces, places } from "./places";
@@ -171,15 +172,44 @@ function LayerMenu() {
   );
 }
 
+/** The next camera's picture, after the last one the first's. */
+export function showNextCamera(): void {
+  const cameras = scene.peek()?.cameras ?? [];
+  const place = cameras.findIndex(({ name }) => name === camera.peek()?.name);
+  if (cameras.length > 1) chooseCamera(cameras[(place + 1) % cameras.length]!.name);
+}
+
+/** The choice of the camera whose picture lies under the map, where there are several. */
+function CameraChoice() {
+  const cameras = scene.value?.cameras ?? [];
+  if (cameras.length < 2) return null;
+  const out = shown.value?.localizer?.out ?? [];
+  return (
+    <select
+      aria-label="Camera whose picture is shown"
+      title="camera whose picture is shown (C)"
+      value={camera.value?.name}
+      onChange={(event) => chooseCamera(event.currentTarget.value)}
+    >
+      {cameras.map(({ name }) => (
+        <option key={name} value={name}>
+          {out.includes(name) ? `${name} (out)` : name}
+        </option>
+      ))}
+    </select>
+  );
+}
+
 function PictureAge() {
   now.value; // re-read the clock
-  const s = scene.value;
-  if (s !== null && s.underlay === null) return <span class="picture-age old">picture not shown: the camera moves</span>;
-  if (s === null || live.pictureSerial === 0) return <span class="picture-age old">no camera picture</span>;
+  const [s, from] = [scene.value, camera.value];
+  if (from?.underlay === null) return <span class="picture-age old">picture not shown: the camera moves</span>;
+  const of = from?.name ? ` of ${from.name}` : "";
+  if (s === null || live.picture === null) return <span class="picture-age old">no camera picture{of}</span>;
   const waited = s.replay === undefined ? performance.now() - live.pictureArrivedMs : 0; // a recorded run stands still when it pauses
   const age = live.pictureAgeMs + waited;
   const old = age > s.picture_stale_s * 1e3;
-  return <span class={old ? "picture-age old" : "picture-age"}>picture {(age / 1e3).toFixed(1)} s{old ? " old" : ""}</span>;
+  return <span class={old ? "picture-age old" : "picture-age"}>picture{of} {(age / 1e3).toFixed(1)} s{old ? " old" : ""}</span>;
 }
 
 function Cursor() {
@@ -226,6 +256,7 @@ export function Pool() {
       <canvas ref={ref} role="img" aria-label="The pool seen from above, with every robot; the same is told in the list of robots" />
       {deepOpen.value && <DeepView />}
       <div class="map-tools">
+        <CameraChoice />
         <LayerMenu />
         <button type="button" onClick={() => zoomBy(1.25)} aria-label="zoom in" title="zoom in (+)">+</button>
         <button type="button" onClick={() => zoomBy(0.8)} aria-label="zoom out" title="zoom out (-)">−</button>

@@ -1,6 +1,6 @@
 /** Lays the camera's picture under the map: each cell of the station's mesh is an affine piece of it. */
 
-import { live, scene } from "../store";
+import { camera, live, scene } from "../store";
 import { floats } from "../wire";
 
 const MOST_PX_PER_M = 170; // of the straightened picture; the preview of the pool scene has about 140
@@ -21,16 +21,17 @@ const flat = document.createElement("canvas");
 let flatSerial = -1;
 
 function theMesh(): Mesh | null {
-  const s = scene.peek();
-  if (s === null || s.hash === meshOf) return mesh;
-  meshOf = s.hash;
+  const [s, from] = [scene.peek(), camera.peek()];
+  if (s === null || from === undefined || `${s.hash} ${from.name}` === meshOf) return mesh;
+  meshOf = `${s.hash} ${from.name}`;
   flatSerial = -1;
-  if (s.underlay === null) {
+  const u = from.underlay;
+  if (u === null) {
     mesh = null;
   } else {
-    const pool = floats(s.underlay.pool);
+    const pool = floats(u.pool);
     const pxPerM = Math.min(MOST_PX_PER_M, MOST_PX / (pool[pool.length - 2]! - pool[0]!));
-    mesh = { pxPerM, columns: s.underlay.columns, rows: pool.length / 2 / s.underlay.columns, pool, picture: floats(s.underlay.picture) };
+    mesh = { pxPerM, columns: u.columns, rows: pool.length / 2 / u.columns, pool, picture: floats(u.picture) };
   }
   return mesh;
 }
