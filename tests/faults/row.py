@@ -19,6 +19,7 @@ HELD = {Mode.HOLDING, Mode.FAULT, Mode.DISARMED}
 OFF = {Mode.FAULT, Mode.DISARMED}
 POWERED = {Mode.TRACKING, Mode.HOLDING}
 RESUMED = "thrust again unasked"  # a measure of all rows whose robots must stay where they are
+LEFT = "robots that left their path"  # of all rows whose robots must fly on
 
 
 @dataclass(frozen=True)
@@ -55,3 +56,8 @@ def resumed(rig: Rig, robots: tuple[int, ...], for_s: float) -> float:
     """The number of robots at neutral that thrust again though nobody asked."""
     time.sleep(for_s)
     return float(sum(rig.boards[r].thrusting for r in robots))
+
+
+def left(rig: Rig, ns: int) -> float:
+    """The number of robots that did anything but track since an instant."""
+    return float(sum(any(h.state.mode is not Mode.TRACKING for h in rig.since(r, ns)) for r in rig.robots))

@@ -21,20 +21,14 @@ from sim_bridge.sil.processes import Child
 from tests.faults.onlooker import Stuck
 from tests.faults.patched import END_THREAD
 from tests.faults.rig import Rig
-from tests.faults.row import Random, Sample
+from tests.faults.row import LEFT, Random, Sample, left
 from wire.messages import topics
 from wire.messages.messages import Event, Mode
 
-LEFT = "robots that left their path"
 GAP = "longest gap between heartbeats"
 SMALL_DISK_BYTES = 1 << 30
 LINE_BYTES = 4 << 20
 NEVER_S = 30.0
-
-
-def _left(rig: Rig, ns: int) -> float:
-    """Robots that did anything but track since an instant."""
-    return float(sum(any(h.state.mode is not Mode.TRACKING for h in rig.since(r, ns)) for r in rig.robots))
 
 
 def _gap_s(rig: Rig, ns: int) -> float:
@@ -51,7 +45,7 @@ def page_frozen(rig: Rig, random: Random, for_s: float = 60.0) -> Sample:
     for page in pages:
         page.process.send_signal(signal.SIGSTOP)
     time.sleep(for_s)
-    found = {GAP: _gap_s(rig, ns), LEFT: _left(rig, ns)}
+    found = {GAP: _gap_s(rig, ns), LEFT: left(rig, ns)}
     for page in pages:
         page.process.kill()
         page.process.wait()
@@ -74,7 +68,7 @@ def page_events(rig: Rig, random: Random) -> Sample:
         live.recv(NEVER_S)
     found = {"page opens": (time.monotonic_ns() - begin_ns) * 1e-9}
     time.sleep(2.0)
-    return {**found, GAP: _gap_s(rig, ns), LEFT: _left(rig, ns)}
+    return {**found, GAP: _gap_s(rig, ns), LEFT: left(rig, ns)}
 
 
 def _looks(rig: Rig, pages: list[Child]) -> None:
@@ -89,7 +83,7 @@ def clock_step(rig: Rig, random: Random) -> Sample:
     time.sleep(2.0)
     rig.set_clock(name, 0.0)
     time.sleep(1.0)
-    return {LEFT: _left(rig, ns)}
+    return {LEFT: left(rig, ns)}
 
 
 # --- the log
@@ -125,7 +119,7 @@ def disk_full(rig: Rig, random: Random) -> Sample:
                     os.posix_fallocate(file.fileno(), at, step)
     alert_s = rig.alert_s(ns, "log stopped")
     time.sleep(1.0)
-    found = {"alert": alert_s, GAP: _gap_s(rig, ns), LEFT: _left(rig, ns)}
+    found = {"alert": alert_s, GAP: _gap_s(rig, ns), LEFT: left(rig, ns)}
     filler.unlink()
     found |= _read_back(_log(rig), now_unix_ns)
     rig.signal("groundstation", signal.SIGKILL)
@@ -163,7 +157,7 @@ def flood(rig: Rig, random: Random) -> Sample:
     missed = sum(rig.states[r][-1].state.missed_deadlines - before[r] for r in rig.robots)
     return {
         "share of deadlines missed": missed / max(steps, 1),
-        LEFT: _left(rig, ns),
+        LEFT: left(rig, ns),
         "processes ended": float(len(rig.children.ended())),
     }
 
@@ -177,7 +171,7 @@ def thread_dead(rig: Rig, random: Random) -> Sample:
     name = str(random.choice(["recorder", "camera", "previews", "gatherer"]))
     if name in ("recorder", "gatherer"):
         ns = rig.signal("groundstation", END_THREAD[name])
-        found = {"told that the log has stopped": rig.alert_s(ns, "log stopped"), LEFT: _left(rig, ns)}
+        found = {"told that the log has stopped": rig.alert_s(ns, "log stopped"), LEFT: left(rig, ns)}
         rig.signal("groundstation", signal.SIGKILL)
         _another_station(rig)
         return found

@@ -1,8 +1,8 @@
 """The table of faults: what is measured of each, and what it must not exceed."""
 
 from benchmarks.robot_agent.thrusters import LACKING_N
-from tests.faults import rows_alone, rows_network, rows_robot, rows_sight, rows_station, rows_strangers
-from tests.faults.row import RESUMED, SECONDS, STEP_S, TIMES, FaultRow, Measure
+from tests.faults import rows_alone, rows_cameras, rows_network, rows_robot, rows_sight, rows_station, rows_strangers
+from tests.faults.row import LEFT, RESUMED, SECONDS, STEP_S, TIMES, FaultRow, Measure
 
 STATION_LOST = {
     "hold": SECONDS(1.0 + STEP_S),
@@ -35,6 +35,10 @@ ROWS: tuple[FaultRow, ...] = (
         "camera-bumped", "The camera is bumped", "the picture is moved by 60 to 118 pixels, for 6 s",
         {"hold": SECONDS(1.0), rows_sight.TRACKS: TIMES()},
         rows_sight.camera_bumped, times=5,
+    ),
+    FaultRow(
+        "camera-bubbles", "Bubbles before the camera", "10 to 50 streams, for 6 s of a lockstep flight",
+        {LEFT: TIMES(), rows_cameras.OFF_TRUTH: Measure(0.005, "m")}, rows_cameras.camera_bubbles, times=10, rig="",
     ),
     FaultRow(
         "agent-killed", "Agent killed", "SIGKILL, restarted",
@@ -145,22 +149,22 @@ ROWS: tuple[FaultRow, ...] = (
     ),
     FaultRow(
         "page-frozen", "Operator's browser frozen", "three pages connected, then stopped with SIGSTOP",
-        {"longest gap between heartbeats": SECONDS(0.3), "robots that left their path": TIMES()}, rows_station.page_frozen,
+        {"longest gap between heartbeats": SECONDS(0.3), LEFT: TIMES()}, rows_station.page_frozen,
         times=3, rig="page",
     ),
     FaultRow(
         "page-events", "Log lines that are too long", "two of 4 MB in a robot's name; then the page is opened",
-        {"page opens": SECONDS(1.0), "longest gap between heartbeats": SECONDS(0.3), "robots that left their path": TIMES()},
+        {"page opens": SECONDS(1.0), "longest gap between heartbeats": SECONDS(0.3), LEFT: TIMES()},
         rows_station.page_events, times=5, rig="page",
     ),
     FaultRow(
         "clock-step", "Clock skew between machines", "one of the clocks steps by 1 to 47 hours, and back",
-        {"robots that left their path": TIMES()}, rows_station.clock_step, rig="patched",
+        {LEFT: TIMES()}, rows_station.clock_step, rig="patched",
     ),
     FaultRow(
         "disk-full", "Log: disk full", "the log's file system is filled up",
         {"alert": SECONDS(2.0), "of the log lost": SECONDS(1.0), "longest gap between heartbeats": SECONDS(0.3),
-         "unreadable logs": TIMES(), "robots that left their path": TIMES()},
+         "unreadable logs": TIMES(), LEFT: TIMES()},
         rows_station.disk_full, times=20, rig="disk",
     ),
     FaultRow(
@@ -169,13 +173,13 @@ ROWS: tuple[FaultRow, ...] = (
     ),
     FaultRow(
         "flood", "Malformed, oversized, flood", "10,000 messages a second in robot 2's name: damaged, of 4 MB, of other types",
-        {"share of deadlines missed": Measure(0.001, ""), "robots that left their path": TIMES(), "processes ended": TIMES()},
+        {"share of deadlines missed": Measure(0.001, ""), LEFT: TIMES(), "processes ended": TIMES()},
         rows_station.flood, times=10,
     ),
     FaultRow(
         "thread-dead", "A thread ends", "an exception in one of the localizer's, the simulator's or the station's recorder's",
         {"process ended": SECONDS(1.0), "ended without a reason": TIMES(), "neutral": SECONDS(1.5),
-         "told that the log has stopped": SECONDS(2.0), rows_station.LEFT: TIMES()},
+         "told that the log has stopped": SECONDS(2.0), LEFT: TIMES()},
         rows_station.thread_dead, times=8, rig="patched",
     ),
     FaultRow(

@@ -1,0 +1,69 @@
+"""Faults of cameras in lockstep flights, in this process: how busy the machine is makes no difference."""
+
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from sim_bridge.in_process.executor import Executor
+from tests.faults.row import LEFT, Random, Sample
+from wire.config.experiment import dump_experiment, load_experiment
+from wire.messages import topics
+from wire.messages.codec import decode
+from wire.messages.messages import Event, Mode, Pose, RobotState, Truth
+from wire.messages.topics import Topic
+from wire.transport.bus import Bus
+from wire.transport.memory_transport import MemoryHub, MemoryTransport
+
+OFF_TRUTH = "pose off the truth"
+FLOWN_S, FOR_S, LATEST_S = 12.0, 6.0, 5.0
+
+M = TypeVar("M")
+
+
+class Flight:
+    """A lockstep flight of a scene with one fault, and what was said in it: messages with their instants and robots."""
+
+    def __init__(self, scene: str, settings: Sequence[str], what: str, times: str) -> None:
+        hub = MemoryHub()
+        experiment = load_experiment(scene, settings, [f"{times} {what}"])
+        with Bus(MemoryTransport(hub)) as bus, tempfile.TemporaryDirectory() as out:
+            said = {topic: bus.collect(topic) for topic in (topics.EVENT, topics.STATE, topics.POSE, topics.TRUTH)}
+            folder = Path(out)
+            (folder / "experiment.toml").write_text(dump_experiment(experiment), encoding="utf-8")
+            Executor(experiment, folder, hub).fly()
+            self._said = {topic: collected() for topic, collected in said.items()}
+        told = {event.message: at_ns for at_ns, _, event in self.said(topics.EVENT, Event)}
+        self.begin_ns = told[f"fault: {what}"]
+        self.end_ns = told.get(f"fault over: {what}", max(told.values()))
+
+    def said(self, topic: Topic, kind: type[M]) -> list[tuple[int, int, M]]:
+        """All messages of a topic: instant, robot (0: of none), message."""
+        robot = topic.name.split("/").index("{robot}") - len(topic.name.split("/")) if "{robot}" in topic.name else 0
+        return [
+            (header.stamp_ns, int(key.split("/")[robot]) if robot else 0, decode(kind, data, "flight", key))
+            for _, key, header, data in self._said[topic]
+        ]
+
+    def left(self) -> float:
+        """The number of robots that did anything but track while the fault was there."""
+        states = self.said(topics.STATE, RobotState)
+        return float(
+            len({r for at, r, state in states if self.begin_ns <= at <= self.end_ns and state.mode is not Mode.TRACKING})
+        )
+
+    def off_truth_m(self) -> float:
+        """The largest distance of a pose from the true place while the fault was there."""
+        true = {at: dict(zip(t.robots, t.eta, strict=True)) for at, _, t in self.said(topics.TRUTH, Truth)}
+        poses = [(at, r, pose) for at, r, pose in self.said(topics.POSE, Pose) if self.begin_ns <= at <= self.end_ns]
+        return max(float(np.hypot(*(np.array([p.x_m, p.y_m]) - true[at][r][:2]))) for at, r, p in poses)
+
+
+def camera_bubbles(rig: None, random: Random) -> Sample:
+    """Bubbles rise before robots and floor: specks that come and go are neither obstacles nor a reason to lose a robot."""
+    settings = [f"duration_s={FLOWN_S}", f"seed={int(random.integers(1 << 30))}"]
+    what = f"camera bubbles {int(random.integers(10, 51))}"
+    flight = Flight("figure-eight", settings, what, f"t={random.uniform(1.0, LATEST_S):.2f} for={FOR_S:g}")
+    return {LEFT: flight.left(), OFF_TRUTH: flight.off_truth_m()}
