@@ -137,7 +137,7 @@ class FusionNode:
         age_ns = max(self._clock.now_ns() - instant_ns, 0)
         for robot, pose in result.poses:
             self._bus.publish(topics.POSE, pose, stamp_ns, robot, age_ns=age_ns)
-        self._tell_obstacles(result.status.out)
+        self._tell_obstacles(result.distrusted)
         status = replace(result.status, frame_age_ms=age_ns * 1e-6, obstacles_ns=self._obstacles_ns)
         self._bus.publish(topics.LOCALIZER, status, stamp_ns, age_ns=age_ns)
         self._log(status, result.disagreement)
@@ -153,7 +153,7 @@ class FusionNode:
         return self._views[name].instant_ns, status.header.stamp_ns
 
     def _tell_obstacles(self, out: tuple[str, ...]) -> None:
-        """Publish the obstacles of all cameras that see, when one of them has told of its own."""
+        """Publish the obstacles of all cameras that see and are not `out`, when one of them has told of its own."""
         new: list[Received[Obstacles]] = []
         for name, camera in self._cameras.items():
             found = camera.obstacles.newest(self._up_to_ns[name][1] if name in self._up_to_ns else None)

@@ -1,6 +1,7 @@
 """Fusion of what several cameras over one pool tell of its robots, by covariance. Pure.
 
-    each camera's newest poses -> carried to one instant -> doubt in cameras that disagree -> covariance intersection -> poses
+    each camera's newest poses -> carried to one instant -> cameras that were moved taken out, doubt in others that disagree
+    -> covariance intersection -> poses
 
 Errors of two cameras about one robot are alike to a degree that is not known: both know its depth and its lean from the same
 sensors, and look at one marker through one water. So no average may claim to be better than its best part. Covariance
@@ -10,9 +11,9 @@ steadily while a robot crosses from one picture into the other:
     P^-1 = sum w_k P_k^-1    x = P sum w_k P_k^-1 x_k    w_k = (1 / trace P_k) / sum (1 / trace P_j), of x and y
 
 To P the scatter of the parts is added, sum w_k (x_k - x)(x_k - x)': cameras whose calibrations do not agree claim less.
-Two cameras that are further apart than their covariances allow disagree. A camera whose pose has left the robot's motion,
-while the other's has not, is in doubt, otherwise both are: the square of their distance is added to the covariances of all
-their poses, and the operator is told.
+Two cameras that are further apart than their covariances allow disagree. A camera that was within a robot's motion and has
+left it, while the other has not, seems to have been moved (camera_bumps.py): its poses do not count. Otherwise both are in
+doubt: the square of their distance is added to the covariances of all their poses, and the operator is told.
 """
 
 import math
@@ -23,11 +24,13 @@ from itertools import combinations
 import numpy as np
 
 from localizer.sources.base import silent_after_s
+from localizer.tracking.camera_bumps import CameraBumps, Evidence
 from localizer.tracking.kalman import GATE, KalmanState, initial_state, predict, update
 from wire.config.experiment import Experiment
 from wire.frames import Array, wrap
 from wire.messages.messages import CameraHealth, LocalizerStatus, Obstacles, Pose, Track
 
+_FOLLOWED_S = 1.0  # s after which a camera that has not been within a robot's motion is not said to have left it
 _FORGET_S = 2.0  # s in which a doubt falls to 1/e once the cameras agree again; one misread marker costs no more
 
 
@@ -42,12 +45,13 @@ class CameraView:
 
 @dataclass(frozen=True, eq=False)
 class FusionResult:
-    """Poses (robot id, pose) at one instant of all robots that a new picture tells of, the status of all cameras, and which of
-    them disagree, in words."""
+    """Poses (robot id, pose) at one instant of all robots that a new picture tells of, the status of all cameras, which of
+    them disagree, in words, and the names of those whose obstacles do not count either."""
 
     poses: tuple[tuple[int, Pose], ...]
     status: LocalizerStatus
     disagreement: str
+    distrusted: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +73,9 @@ class CameraFusion:
         self._motions: dict[int, KalmanState] = {}
         self._last: dict[int, Pose] = {}
         self._doubts = {name: np.zeros((3, 3)) for name in self._names}  # added to the covariances of a camera's poses
+        self._bumps = CameraBumps(self._names)
+        self._marked = bool(experiment.check_marks)
+        self._within_s: dict[tuple[str, int], float] = {}  # since a camera was within the motion of a robot
         self._known_ns = dict.fromkeys(self._names, -1)  # instant of each camera's last view
         self._instant_ns: int | None = None
         self._frames = 0
@@ -84,14 +91,20 @@ class CameraFusion:
         self._known_ns |= {name: view.instant_ns for name, view in views.items()}
         seen = {name: view for name, view in views.items() if name not in out}
         candidates = {robot: self._candidates(robot, seen, instant_ns) for robot in self._robots}
-        said = self._doubt(candidates, step_s)
+        said = self._doubt(candidates, seen, step_s)
+        unwell, out = len(out), out | self._bumps.out
+        if self._bumps.distrusted:
+            new -= self._bumps.distrusted
+            seen = {name: view for name, view in seen.items() if name not in self._bumps.distrusted}
+            candidates = {robot: self._candidates(robot, seen, instant_ns) for robot in self._robots}
         poses = []
         for robot, found in candidates.items():
             if any(candidate.camera in new for candidate in found):
                 poses.append((robot, self._fused(robot, found)))
             elif not found and robot in self._last and any(robot in seen[name].poses for name in new):
                 poses.append((robot, self._lost(robot)))
-        return FusionResult(tuple(poses), self._status(views, out, said, poses), "; ".join(said))
+        status = self._status(views, out, unwell, said, poses)
+        return FusionResult(tuple(poses), status, "; ".join(said), tuple({*out, *self._bumps.distrusted}))
 
     def _trouble(self, view: CameraView | None, instant_ns: int) -> str:
         """The reason why a camera gives no poses; empty if it does."""
@@ -119,25 +132,55 @@ class CameraFusion:
         there = predict(here, later_s) if later_s > 0.0 else here
         return _Candidate(camera, pose, there.mean[:3], there.covariance[:3, :3])
 
-    def _doubt(self, candidates: Mapping[int, Sequence[_Candidate]], step_s: float) -> list[str]:
-        """Renew the doubts in cameras by the robots that two of them measure. Returns what to tell the operator."""
-        said, agreed, doubted = [], set[str](), dict[str, Array]()
+    def _doubt(
+        self, candidates: Mapping[int, Sequence[_Candidate]], seen: Mapping[str, CameraView], step_s: float
+    ) -> list[str]:
+        """Judge the cameras by the robots that two of them measure, and by their check marks: which were moved, and which are
+        in doubt. Returns what to tell the operator."""
+        said, agreed, backed = list[str](), set[str](), set[str]()
+        doubted, apart_m, was_out = dict[str, Array](), dict[str, float](), set(self._bumps.out)
+        stayed, leapt = set[str](), set[str]()  # cameras by what they measure of the robots whose motion they have followed
         for robot, found in candidates.items():
-            for one, other in combinations([c for c in found if c.message.track >= Track.KCF], 2):
+            measured = [c for c in found if c.message.track >= Track.KCF]
+            followed, within = self._follow(robot, measured, step_s)
+            stayed |= followed & within
+            leapt |= followed - within
+            for one, other in combinations(measured, 2):
                 apart = _difference(one.mean, other.mean)
                 if _squared(apart, one.covariance + other.covariance) <= GATE:
                     agreed |= {one.camera, other.camera}
+                    backed |= {a.camera for a, b in ((one, other), (other, one)) if b.camera not in was_out}
                     continue
                 away_m = float(np.hypot(apart[0], apart[1]))
+                pair = {one.camera, other.camera}
+                left = pair & was_out or pair & followed - within
+                if len(left) == 1 and (left <= was_out or pair & within):
+                    apart_m |= {name: max(away_m, apart_m.get(name, 0.0)) for name in left}
+                    continue
                 said.append(f"cameras {one.camera} and {other.camera} disagree by {away_m * 1e3:.0f} mm about robot {robot}")
-                left = [c.camera for c in (one, other) if self._left_motion(robot, c)]
-                for name in left if len(left) == 1 else (one.camera, other.camera):
+                for name in pair:
                     grown = np.diag([away_m**2, away_m**2, apart[2] ** 2])
                     doubted[name] = np.maximum(doubted.get(name, grown), grown)
+        moved = {name: view.status.message for name, view in seen.items() if view.status.moved}
+        told = Evidence(moved, apart_m, frozenset(leapt - stayed if self._marked else ()), frozenset(backed))
+        self._bumps.step(seen.keys(), told, step_s)
+        if set(self._bumps.out) - was_out:  # theirs is the fault, and nobody else's
+            self._doubts = {name: np.zeros((3, 3)) for name in self._names}
+            doubted = {}
         for name in self._names:
             kept = self._doubts[name] * (math.exp(-step_s / _FORGET_S) if name in agreed else 1.0)
             self._doubts[name] = np.maximum(kept, doubted.get(name, kept))
         return said
+
+    def _follow(self, robot: int, measured: Sequence[_Candidate], step_s: float) -> tuple[set[str], set[str]]:
+        """The cameras that measure a robot and were within its motion a short while ago, and those that are within it now."""
+        names = {candidate.camera for candidate in measured}
+        followed = {name for name in names if self._within_s.get((name, robot), math.inf) <= _FOLLOWED_S}
+        within = {candidate.camera for candidate in measured if not self._left_motion(robot, candidate)}
+        for name in self._names:
+            since_s = self._within_s.get((name, robot), math.inf) + step_s
+            self._within_s[name, robot] = 0.0 if name in within else since_s
+        return followed, within
 
     def _left_motion(self, robot: int, candidate: _Candidate) -> bool:
         motion = self._motions.get(robot)
@@ -168,10 +211,11 @@ class CameraFusion:
         self,
         views: Mapping[str, CameraView],
         out: Mapping[str, str],
+        unwell: int,
         said: Sequence[str],
         poses: Sequence[tuple[int, Pose]],
     ) -> LocalizerStatus:
-        """One status for all cameras, with a sentence for each that is out or unwell."""
+        """One status for all cameras, with a sentence for each that is out, of which so many are `unwell`, or in trouble."""
         told = [view.status for view in views.values()]
         bad = [status.camera for status in told if status.camera is not CameraHealth.OK]
         lost = [str(robot) for robot, pose in poses if pose.track is Track.LOST]
@@ -179,7 +223,7 @@ class CameraFusion:
         parts += [f"camera {n}: {view.status.message}" for n, view in views.items() if n not in out and view.status.message]
         parts += [*said, *([f"lost: robot {', '.join(lost)}"] if lost else [])]
         return LocalizerStatus(
-            camera=CameraHealth.OK if len(out) < len(self._names) else max(bad, default=CameraHealth.ABSENT),
+            camera=CameraHealth.OK if unwell < len(self._names) else max(bad, default=CameraHealth.ABSENT),
             frames=self._frames,
             dropped=sum(status.dropped for status in told),
             frame_ms=max((status.frame_ms for status in told), default=0.0),

@@ -45,6 +45,7 @@ class FixedCameraPose:
     """The pose of a camera that is fixed, as the experiment gives it."""
 
     fresh = usable = True
+    moved = False
     trouble = ""
 
     def __init__(self, camera: Camera) -> None:
@@ -73,6 +74,8 @@ class CameraPoseTracker:
         self._age_s = np.inf  # of the pose
         self._frames = 0
         self._agreeing = 0
+
+    moved = False  # that it moves is no news
 
     @property
     def fresh(self) -> bool:

@@ -3,6 +3,7 @@
 One mark that is not at its place was moved itself. Most of them are not: the camera was moved. Marks on the floor that another
 water level (one number) brings back to their places: the water sank or rose. In both cases the shift in the pool [m] is added
 to every pose's covariance, and the operator is told. The median of a mark's last readings takes out waves and misreadings.
+After a knock that no waves explain the last reading of each mark counts: most of them have one within the next pictures.
 """
 
 import math
@@ -22,6 +23,7 @@ from wire.frames import Array, wrap
 
 REACH_PX = 40.0  # px around a mark in which it is looked for; when most are farther off, the whole picture is searched
 SHIFTED_PX = 1.5  # px; ripples shift a mark by 0.3 px, and calibrations are good to 0.5 px
+KNOCKED_PX = 8.0  # px; waves of 5 mm shift a mark by 3 px (0.05 rad, 0.25 of it over 1 m, 300 px/m)
 READINGS = 5  # of a mark, of which the median counts; read in turns, four marks at 20 Hz have theirs within a second
 LEAST_DROP_M = 0.01  # m of water level that is told; ripples of 0.3 px make 5 mm of it with four marks on the floor
 MOST_DROP_M = 0.2  # m; marks must be deeper than this to tell the level
@@ -55,20 +57,30 @@ class CheckedCameraPose(FixedCameraPose):
         self._readings = [deque[Array | None](maxlen=READINGS) for _ in marks]  # corners (4, 2) px; None: not seen
         self._frames = 0
         self._covariance = np.zeros((3, 3))
+        self._searched = False  # in the whole picture, since most marks were not seen
+        self.moved = False
         self.trouble = ""
 
     def update(self, frame: Pixels) -> None:
-        """Read the next mark in a picture (height, width), and judge the mapping by all of them after each round."""
+        """Read the next mark in a picture (height, width), and judge the mapping by all of them: after each round, or at once
+        after a knock."""
         turn = self._frames % len(self._ids)
         self._frames += 1
         lost = sum(bool(readings) and readings[-1] is None for readings in self._readings)
         if 2 * lost <= len(self._ids):
             half_px = np.linalg.norm(self._expected_px[turn] - self._expected_px[turn].mean(axis=0), axis=1).max()
             self._read([turn], cut(frame, self._places_px[turn], float(half_px) + REACH_PX))
-        elif turn == 0:  # as after a hard knock: one look at the whole picture a round
+            self._searched = False
+        elif turn == 0 or not self._searched:  # as after a hard knock: a look at the whole picture at once, then one a round
             self._read(range(len(self._ids)), whole(frame))
-        if turn == len(self._ids) - 1:
-            self._judge()
+            self._searched = True
+        last = {k: px for k, readings in enumerate(self._readings) if readings and (px := readings[-1]) is not None}
+        knocked = {k: px for k, px in last.items() if self._shift_px(k, px) > KNOCKED_PX}
+        if 2 * len(knocked) > max(len(last), 2):
+            self._judge(knocked)  # what was read before the knock counts no more
+        elif turn == len(self._ids) - 1:
+            known = {k: [px for px in readings if px is not None] for k, readings in enumerate(self._readings)}
+            self._judge({k: np.median(px, axis=0) for k, px in known.items() if len(px) > READINGS // 2})
 
     def uncertainty(self, tangents: Sequence[LocalLinearization], depths_m: Sequence[float]) -> Array:
         """Covariances (n, 3, 3) of [x, y, yaw]: of the shift that the marks show, the same everywhere in the pool."""
@@ -84,18 +96,18 @@ class CheckedCameraPose(FixedCameraPose):
             if corners is not None:
                 self._places_px[k] = corners.mean(axis=0)
 
-    def _judge(self) -> None:
-        """Find the marks that are shifted, and what that means."""
-        known = {k: [px for px in readings if px is not None] for k, readings in enumerate(self._readings)}
-        seen = {k: np.median(px, axis=0) for k, px in known.items() if len(px) > READINGS // 2}
-        unseen = [k for k, readings in enumerate(self._readings) if len(readings) == READINGS and k not in seen]
-        shift_px = {k: float(np.linalg.norm((px - self._expected_px[k]).mean(axis=0))) for k, px in seen.items()}
+    def _judge(self, seen: dict[int, Array]) -> None:
+        """Find the marks that are shifted among those whose corners (4, 2) are `seen`, and what that means."""
+        missed = [k for k, readings in enumerate(self._readings) if len(readings) == READINGS and readings[-1] is None]
+        unseen = [k for k in missed if k not in seen]
+        shift_px = {k: self._shift_px(k, px) for k, px in seen.items()}
         shifted = [k for k, px in shift_px.items() if px > SHIFTED_PX]
         places, pixels = self._corners[list(seen)], np.array(list(seen.values())).reshape(-1, 4, 2)
         rms_px = float(np.sqrt(np.mean(np.square(list(shift_px.values()))))) if seen else 0.0
         drop_m, left_px = fit_water_drop(self._camera, places, pixels)
         sunk = abs(drop_m) > LEAST_DROP_M and left_px < rms_px / 2.0
         bumped = 2 * len(shifted) > len(seen) and (len(shifted) > 1 or len(self._ids) == 1)
+        self.moved = bumped and not sunk
         self._covariance = self._shift_covariance(seen) if sunk or bumped else np.zeros((3, 3))
         said = [f"check mark {self._ids[k]} is not seen" for k in unseen]
         if sunk:
@@ -108,6 +120,10 @@ class CheckedCameraPose(FixedCameraPose):
         else:
             said += [f"check mark {self._ids[k]} is {shift_px[k]:.1f} px from its place: it was moved" for k in shifted]
         self.trouble = "; ".join(said)
+
+    def _shift_px(self, mark: int, pixels: Array) -> float:
+        """Distance of a mark, found with its corners at pixels (4, 2), from its place."""
+        return float(np.linalg.norm((pixels - self._expected_px[mark]).mean(axis=0)))
 
     def _shift_covariance(self, seen: dict[int, Array]) -> Array:
         """Covariance (3, 3) of [x, y, yaw]: the marks' mean square shift [m^2] and turn [rad^2] in the pool."""

@@ -1,4 +1,4 @@
-"""A lockstep flight under two cameras: robots cross from one picture into the other, and one camera goes meanwhile."""
+"""Lockstep flights under two cameras: robots cross from one picture into the other, and one camera goes or is bumped."""
 
 from pathlib import Path
 
@@ -10,13 +10,41 @@ from sim_bridge.in_process.executor import Executor
 from wire.config.experiment import dump_experiment, load_experiment
 from wire.messages import topics
 from wire.messages.codec import decode
-from wire.messages.messages import LocalizerStatus, Pose, Track
+from wire.messages.messages import Event, LocalizerStatus, Mode, Obstacles, Pose, RobotState, Track
 from wire.transport.bus import Bus
 from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
 pytestmark = pytest.mark.long
 
+BUMPED_S = 3.8  # s along the trajectories
 GONE_S = 7.0  # s along the trajectories: the east sees both robots, robot 2 in the middle, where the west saw it too
+
+
+def test_robots_fly_on_under_one_camera_when_the_other_is_bumped(tmp_path: Path) -> None:
+    """East is bumped while the west sees both robots, until the end."""
+    fault = "camera east bump 20"
+    settings = ["duration_s=5", "recording.video=none", "localizer.preview_rate_hz=0"]
+    experiment, hub = load_experiment("two-cameras", settings, [f"t={BUMPED_S:g} {fault}"]), MemoryHub()
+    bus = Bus(MemoryTransport(hub))
+    statuses, poses, states, events, obstacles = (
+        bus.collect(topic) for topic in (topics.LOCALIZER, topics.POSE, topics.STATE, topics.EVENT, topics.OBSTACLES)
+    )
+    (tmp_path / "experiment.toml").write_text(dump_experiment(experiment), encoding="utf-8")
+    assert Executor(experiment, tmp_path, hub).fly()
+
+    said = {decode(Event, data, "test", key).message: header.stamp_ns for _, key, header, data in events()}
+    begin_ns = said[f"fault: {fault}"]
+    told = {header.stamp_ns: decode(LocalizerStatus, data, "test", key) for _, key, header, data in statuses()}
+    out_ns = min(stamp_ns for stamp_ns, status in told.items() if status.out)
+    assert begin_ns < out_ns <= begin_ns + 250_000_000  # most of the five marks are read in three pictures
+    assert all(status.out == ("east",) and status.robots == (1, 2) for at, status in told.items() if at >= out_ns)
+    assert "camera east is out: the camera was moved: check marks are" in told[out_ns].message
+    assert all(decode(Obstacles, data, "test", key).ids == () for _, key, _, data in obstacles())
+    flown = [decode(RobotState, data, "test", key).mode for _, key, h, data in states() if begin_ns <= h.stamp_ns < max(told)]
+    assert flown.count(Mode.TRACKING) >= 2 * 20 and set(flown) <= {Mode.TRACKING, Mode.DISARMED}
+    assert len([0 for _, _, header, _ in poses() if header.stamp_ns > begin_ns]) > 2 * 20
+    rows = {row.subject: row for row in evaluate_log(tmp_path / "run.mcap")}
+    assert rows["all but lost"].max_mm < 6.0 and rows["camera east"].max_mm > 50.0
 
 
 def test_robots_cross_over_and_fly_on_when_the_camera_that_they_left_is_gone(tmp_path: Path) -> None:

@@ -37,6 +37,17 @@ ROWS: tuple[FaultRow, ...] = (
         rows_sight.camera_bumped, times=5,
     ),
     FaultRow(
+        "camera-bumped-of-two", "One of two cameras is bumped",
+        "the picture of one is moved by 23 to 113 pixels while the other sees all robots, for 3 s of a lockstep flight",
+        {"camera out": SECONDS(0.5), LEFT: TIMES(), rows_cameras.OFF_TRUTH: Measure(0.01, "m")},
+        rows_cameras.camera_bumped_of_two, times=10, rig="",
+    ),
+    FaultRow(
+        "camera-bumped-alone", "One of two cameras is bumped", "the same while it alone sees a robot",
+        {"camera out": SECONDS(0.5), "hold": SECONDS(1.0), rows_cameras.OFF_TRUTH: Measure(0.01, "m")},
+        rows_cameras.camera_bumped_alone, times=10, rig="",
+    ),
+    FaultRow(
         "camera-bubbles", "Bubbles before the camera", "10 to 50 streams, for 6 s of a lockstep flight",
         {LEFT: TIMES(), rows_cameras.OFF_TRUTH: Measure(0.005, "m")}, rows_cameras.camera_bubbles, times=10, rig="",
     ),

@@ -158,6 +158,7 @@ class LocalizerStatus:
     obstacles_ns: int = -1  # Stamp of the newest Obstacles published before those poses; -1: none yet.
     failed: int = 0  # Pictures skipped since the start, because their processing raised an error.
     out: tuple[str, ...] = ()  # Of several cameras, the names of those that give no poses now.
+    moved: bool = False  # Whether check marks show that the camera was moved.
 
 
 @dataclass(frozen=True, eq=False)
