@@ -85,6 +85,13 @@ class RefractiveCamera:
         """The pool's z axis in the camera's frame, (3,)."""
         return np.asarray(self._pool_to_camera[:, 2])
 
+    def apparent_m(self, point: Array) -> float:
+        """Distance of the camera from a pool point (3,) in water of the same index, in which objects look as large as they
+        do: the way through air counts as `water_index` times its length."""
+        camera, index = self.numbers[9:12], float(self.numbers[21])
+        slant = float(np.linalg.norm(point - camera)) / max(float(point[2] - camera[2]), 1e-9)
+        return slant * (max(float(point[2]), 0.0) - index * float(min(camera[2], 0.0)))
+
     def pixel_to_pool(self, points_px: ArrayLike, depth_m: ArrayLike) -> Array:
         """Map pixels (..., 2) to pool x, y (..., 2) on the planes at `depth_m` (scalar or (...))."""
         pixels = np.asarray(points_px, dtype=np.float64)

@@ -31,6 +31,7 @@ from localizer.tracking.appearance import LEARNT_AT_MARKERS, LEARNT_AT_MATCHES, 
 from localizer.tracking.basin_gate import BasinGate
 from localizer.tracking.camera_pose import CameraPoseTracker, FixedCameraPose
 from localizer.tracking.check_marks import CheckedCameraPose
+from localizer.tracking.hull_lean import LeanReader
 from localizer.tracking.observation import KCF_NOISE, Depth, PredictedView, depths_of
 from localizer.tracking.robot_track import RobotTrack, close_pairs
 from localizer.tracking.tilt import Attitude, MotionEstimate, TiltModel
@@ -108,6 +109,8 @@ class FleetLocalizer:
         self._motions: list[MotionEstimate | None] = [None] * len(self._ids)  # of the tracks, as far as they were measured
         self._tilt = TiltModel.of(vehicle, settings.tilt_sigma_rad, settings.tilt_rad_per_n)
         self._attitudes: list[Attitude | None] = [None] * len(self._ids)  # at the present exposure
+        self._leans_before = self._attitudes  # in the frame before
+        self._lean_reader = LeanReader(vehicle) if settings.tilt_from_outline and settings.markers else None
         self._stamp_ns: int | None = None
         self._frames = 0
         self._located: _Located | None = None
@@ -132,6 +135,7 @@ class FleetLocalizer:
         self._located = None
         camera = self._watch.assess(frame)
         depths = depths_of(self._experiment, self._start[:, 2].tolist(), depths_m, attitudes)
+        self._leans_before = self._attitudes if self._lean_reader is not None else [None] * len(self._ids)
         self._attitudes = [attitudes.get(robot) for robot in self._ids]
         self._predict(stamp_ns)
         views: dict[int, PredictedView] = {}
@@ -141,6 +145,7 @@ class FleetLocalizer:
                 views = self._predict_views(frame, depths)
                 self._read_markers(frame, depths, views)
                 self._match_appearance([v for i, v in views.items() if self._needs_match(i)])
+                self._read_leans(frame, views)
                 self._doubt_close_pairs()
                 self._located = _Located(frame, depths, views)
         tracks = [track.end_of_frame(self._settings.lost_after_s) for track in self._tracks]
@@ -256,6 +261,19 @@ class FleetLocalizer:
             dated = track.at_stamp(measurement, self._late_s(view))
             self._tracks[view.robot] = track.with_match(dated, self._settings.min_peak) if clear else track
 
+    def _read_leans(self, frame: Pixels, views: Mapping[int, PredictedView]) -> None:
+        """Read the lean of each robot that was measured and whose board has not told its attitude."""
+        if self._lean_reader is None:
+            return
+        for i, view in views.items():
+            measured = self._tracks[i].measured
+            if measured is None or self._attitudes[i] is not None:
+                continue
+            plate = self._tracks[i].at_row(measured.pose, self._late_s(view))
+            self._attitudes[i] = self._lean_reader.read(
+                self.view, frame, view.tangent, plate, view.depth.centre_m, self._settings.surface_slope_rad
+            )
+
     def _doubt_close_pairs(self) -> None:
         for pair in close_pairs(self._tracks, _TOUCHING * self.radius_m):
             for i in pair:
@@ -354,8 +372,10 @@ class FleetLocalizer:
     # --- small questions
 
     def _tilts_rad(self) -> Array:
-        """Roll and pitch (robots, 2) at the present exposure, 0 where they are not known."""
-        return np.array([[0.0, 0.0] if a is None else [a.roll_rad, a.pitch_rad] for a in self._attitudes])
+        """Roll and pitch (robots, 2) at the present exposure, or as they were read in the frame before; 0 where they are not
+        known."""
+        known = [now or before for now, before in zip(self._attitudes, self._leans_before, strict=True)]
+        return np.array([[0.0, 0.0] if a is None else [a.roll_rad, a.pitch_rad] for a in known])
 
     @property
     def view(self) -> RefractiveCamera:

@@ -181,6 +181,10 @@ class RobotTrack:
         pose[2] = wrap(float(pose[2]))
         return replace(measurement, pose=pose, covariance=measurement.covariance + late_s**2 * motion.covariance[3:, 3:])
 
+    def at_row(self, pose: Array, late_s: float) -> Array:
+        """A pose at the stamp carried to a row of the picture that was exposed `late_s` after it."""
+        return pose if late_s == 0.0 or self.motion is None else pose + late_s * self.motion.mean[3:]
+
     def with_match(self, measurement: TrackMeasurement, least_peak: float) -> "RobotTrack":
         """The track after its appearance was matched: a measurement if no marker was read, the peak suffices and the gate
         holds."""

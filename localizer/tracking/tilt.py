@@ -1,10 +1,10 @@
 """Tilt of a robot: told by its board, or bounded by its motion. Pure.
 
 The marker plate is above the robot's centre, so roll and pitch move it sideways by height * tilt, which looks like motion of
-the robot. A board that measures roll and pitch tells them (`Attitude`), and the pose is corrected. The picture does not: a
-degree moves the corners of a marker 33 px wide by 0.03 px against each other.
+the robot. A board that measures roll and pitch tells them (`Attitude`), or the hull's outline does (hull_lean.py), and the
+pose is corrected. The marker alone does not tell: a degree moves its corners, 33 px apart, by 0.03 px against each other.
 
-Of another board the tilt is not known. But a robot tilts because thrust acts below its centre, and its motion tells the
+Otherwise the tilt is not known. But a robot tilts because thrust acts below its centre, and its motion tells the
 thrust: F = M a + D(v), with mass and drag of the vehicle's file. A robot that has tilted swings back slowly. This tilt is no
 correction, because its sign is not known: it is one standard deviation in the covariance.
 

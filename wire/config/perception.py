@@ -122,6 +122,9 @@ class Localizer(Section):
     the centre."""
     tilt_rad_per_n: Annotated[float, Field(ge=0, le=1)] = 0.026
     """Tilt per newton of thrust: the thrusters' distance below the centre over the righting moment, here 0.05 m / 1.9 N m."""
+    tilt_from_outline: bool = False
+    """Read roll and pitch that boards do not measure off the picture: from plate and outline of the hull, which must be a
+    sphere of `vehicle.radius_m`."""
     surface_slope_rad: Annotated[float, Field(ge=0, le=0.2)] = 0.0043
     """Standard deviation of the slope of the water's surface."""
     attitude_sigma_rad: Annotated[float, Field(ge=0, le=0.5)] = 0.005

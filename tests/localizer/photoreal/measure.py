@@ -53,9 +53,19 @@ class Figures:
     false_matches: int
 
 
-def measure(row: str, split: str, source: Frames = frames, true_depths: bool = False, with_attitudes: bool = True) -> Figures:
-    """The figures of one row: the localizer through its normal entry point, frame by frame."""
+def measure(
+    row: str,
+    split: str,
+    source: Frames = frames,
+    true_depths: bool = False,
+    with_attitudes: bool = True,
+    by_outline: bool = False,
+) -> Figures:
+    """The figures of one row: the localizer through its normal entry point, frame by frame. `by_outline` sets
+    `localizer.tilt_from_outline`."""
     pool = experiment(ROWS[row])
+    settings = pool.localizer.model_copy(update={"tilt_from_outline": by_outline})
+    pool = pool.model_copy(update={"localizer": settings})
     localizer = FleetLocalizer(pool)
     errors: list[tuple[Array, float, float, float]] = []
     tracks: list[Track] = []
@@ -129,13 +139,15 @@ def main() -> None:
     parser.add_argument("--renderer", choices=("mitsuba", "simulator"), default="mitsuba")
     parser.add_argument("--true-depths", action="store_true", help="tell the true depths instead of the reported ones")
     parser.add_argument("--no-attitudes", action="store_true", help="robots whose boards do not measure roll and pitch")
+    parser.add_argument("--outline", action="store_true", help="localizer.tilt_from_outline; with --no-attitudes")
     choice = parser.parse_args()
     source = frames if choice.renderer == "mitsuba" else simulated
     names = choice.rows or [name for name in rendered_rows(choice.split) if source is frames or name in SIMULATED]
     columns = [field.name for field in dataclasses.fields(Figures)]
     print(f"| {' | '.join(columns)} |\n|{'---|' * len(columns)}")
     for name in names:
-        values = dataclasses.astuple(measure(name, choice.split, source, choice.true_depths, not choice.no_attitudes))
+        how = choice.true_depths, not choice.no_attitudes, choice.outline
+        values = dataclasses.astuple(measure(name, choice.split, source, *how))
         print(f"| {' | '.join(f'{v:.3g}' if isinstance(v, float) else str(v) for v in values)} |", flush=True)
 
 

@@ -37,6 +37,14 @@ def test_poses_are_as_wrong_as_they_say(row: str, split: str) -> None:
     assert found.false_matches == 0, asdict(found)
 
 
+@pytest.mark.parametrize("split", SPLITS)
+@pytest.mark.parametrize("row", ["tilt-2", "tilt-8", "dim"])
+def test_lean_that_no_board_measures_is_read_off_the_outline(row: str, split: str) -> None:
+    found = measure(row, split, with_attitudes=False, by_outline=True)
+    assert found.rms_mm < 1.7, asdict(found)
+    assert 1.3 < found.nees < 5.0, asdict(found)
+
+
 def test_level_robots_in_flat_water_are_where_another_renderer_put_them() -> None:
     """The optics are the same: what is left at known depths is the markers' corners, 0.1 px of which are 0.29 mm."""
     found = measure("level", "tune", true_depths=True, with_attitudes=False)
