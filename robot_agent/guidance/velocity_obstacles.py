@@ -319,9 +319,11 @@ class GiveWay:
         self._velocity = 0j
         self._turn = 0.0  # of the heading, away from the reference's
         self._met = 0  # consecutive steps with a conflict
+        self.path_is_blocked = False  # the reference was left, and leads into traffic by itself, wherever the robot is
 
     def avoidance_path(self, reference: Reference, place: complex, traffic: Traffic) -> Reference:
         """Return the reference to follow instead, for a robot at `place`; `reference` itself if it is free."""
+        self.path_is_blocked = False
         if self._point is None:
             self._met = self._met + 1 if self._conflicts(reference, place, traffic) else 0
             if self._met < self._sure_steps:
@@ -330,6 +332,7 @@ class GiveWay:
             complex(reference.eta[0, 0], reference.eta[0, 1]),
             complex(reference.velocity[0, 0], reference.velocity[0, 1]),
         )
+        self.path_is_blocked = self._conflicts(reference, begin, traffic)
         on_path = self._point is None
         if self._point is None:
             self._point, self._velocity, self._turn = begin, speed, 0.0

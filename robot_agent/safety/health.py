@@ -56,6 +56,8 @@ class HealthMonitor:
             self._thrusters.reset()
             self._estimate_ended = False
         elif telemetry.board_ms >= 0:
+            if telemetry.battery_v > 0.0:
+                self._thrusters.note_voltage(telemetry.battery_v, telemetry.arrival_ns)
             self._thrusters.step(telemetry.yaw_rate_radps, telemetry.arrival_ns, telemetry.board_ms * 1_000_000)
 
     def note_pulses(self, pulse_us: tuple[int, ...], now_ns: int) -> None:
@@ -70,8 +72,9 @@ class HealthMonitor:
         self._estimated = output.estimated
         x_m, y_m, depth_m, _ = output.eta.tolist()
         path_x_m, path_y_m, path_depth_m, _ = output.eta_reference.tolist()
-        self._path.step(complex(x_m, y_m), complex(path_x_m, path_y_m), output.is_free, now_ns)
-        self._depth.step(complex(depth_m), complex(path_depth_m), True, now_ns)  # no robot gives way by depth
+        place, path, is_free = complex(x_m, y_m), complex(path_x_m, path_y_m), output.is_free
+        self._path.step(place, path, is_free, output.is_called_aside, now_ns)
+        self._depth.step(complex(depth_m), complex(path_depth_m), True, False, now_ns)  # no robot gives way by depth
         self._output = output
 
     @property

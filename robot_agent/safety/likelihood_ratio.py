@@ -169,6 +169,7 @@ class LikelihoodRatioTest:
         is sought in each of the first `parts` of x."""
         self._prior, self._least_variance, self._same_s = prior, least_noise**2, same_s
         self._theta, self._covariance, self._variance = np.zeros(len(prior)), prior.copy(), noise**2
+        self._doubt, self._changed_ns = np.zeros_like(prior), 0  # of a change that no learned sample has seen
         self._parts, self._shares, self._spans_s = parts, shares, np.array(SPANS_S)
         # Samples not learned yet stand in the rows from `first` to `end`: instant, (x, y), seconds and roughness
         self._instants_ns, self._samples = np.zeros(KEPT, np.int64), np.zeros((KEPT, len(prior) + 1))
@@ -186,13 +187,23 @@ class LikelihoodRatioTest:
         self._end += 1
         while self._instants_ns[self._first] <= at_ns - SPANS_S[-1] * NS:
             self._learn_first()
+        first = max(self._first, int(np.searchsorted(self._instants_ns[: self._end], self._changed_ns)))
         self.evidence = evidence_at(
-            self._instants_ns, self._samples, self._spread, self._first, self._end, at_ns, self._spans_s, self._same_s,
-            self._variance, self._theta, self._covariance, self._parts, *self._shares,
+            self._instants_ns, self._samples, self._spread, first, self._end, at_ns, self._spans_s, self._same_s,
+            self._variance, self._theta, self._covariance + self._doubt, self._parts, *self._shares,
         )  # fmt: skip
+
+    def note_change(self, covariance: Array, at_ns: int) -> None:
+        """Take note that theta has changed at an instant, with an unknown change of this `covariance` (k, k). The test doubts
+        it at once, and looks at later samples only; earlier ones, which are not learned yet, do not settle it."""
+        self._doubt += covariance
+        self._changed_ns = at_ns
 
     def _learn_first(self) -> None:
         """Learn the oldest sample, unless something is suspected."""
+        if self._instants_ns[self._first] >= self._changed_ns:
+            self._covariance += self._doubt
+            self._doubt[:] = 0.0
         if self.evidence < SUSPECTED:
             seconds, rough = self._spread[self._first].tolist()
             self._variance = learn(

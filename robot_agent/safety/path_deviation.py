@@ -1,10 +1,10 @@
 """Detection of a robot that has left its path without a known reason. Pure. It is the last line of defence, for causes that no
 other check covers.
 
-Known reasons are avoidance of a robot or obstacle, or room made for one, that began while the robot was on its path (a robot
-that drifts off comes near to others as well), and a robot that has not arrived yet. A robot that starts off its path, or
-returns to it, is watched from the instant at which it is close to it and as fast. When the path's velocity leaps, all robots
-have to arrive again.
+Known reasons are avoidance of a robot or obstacle, or room made for one, that began while the robot was on its path, or to
+which the path itself would have led (a robot that drifts off comes near to others as well, but its path does not), and a robot
+that has not arrived yet. A robot that starts off its path, or returns to it, is watched from the instant at which it is close
+to it and as fast. When the path's velocity leaps, all robots have to arrive again.
 """
 
 ARRIVED = 0.5  # of the limit
@@ -28,14 +28,17 @@ class PathDeviationMonitor:
         self._before: tuple[complex, complex, int] | None = None
         self._path_mps: complex | None = None
 
-    def step(self, place_m: complex, path_m: complex, is_free: bool, now_ns: int) -> None:
-        """Take in the robot's place and its reference, both x + iy in m. `is_free`: the robot avoids nothing at this step."""
+    def step(self, place_m: complex, path_m: complex, is_free: bool, is_called_aside: bool, now_ns: int) -> None:
+        """Take in the robot's place and its reference, both x + iy in m. `is_free`: the robot avoids nothing at this step.
+        `is_called_aside`: it avoids what it would meet on its path too."""
         off_m = abs(place_m - path_m)
         drift_mps, at_once = self._motion(place_m, path_m, now_ns)
         if at_once:
             self._has_arrived = False
         if off_m + drift_mps * FORESEEN_S < ARRIVED * self._limit_m:
             self._has_arrived = is_free
+        if is_called_aside:
+            self._has_arrived = False
         if not (self._has_arrived and off_m > self._limit_m):
             self._since_ns = None
         elif self._since_ns is None:

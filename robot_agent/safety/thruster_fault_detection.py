@@ -7,9 +7,9 @@ Each leg turns the robot as it pushes, and the gyroscope senses that at once. A 
 gives the unexplained moment, smoothed over T, without differences of a noisy rate. N_k is the commanded moment of leg k after
 the thruster's dead time and lag. Mass, voltage, drag and curve are never known exactly, thrusters differ, a gyroscope has a
 bias, and pulses and rates are delayed. So the dependence of the residual on each N_k, on d(r), on a constant and on the
-moment's rate of change is learned in flight. A leg that gives less thrust than commanded, none, or the opposite leaves a share
-of its own N_k in the residual. likelihood_ratio.py tests at each step whether that is chance; disturbances of the water do not
-follow one leg's pulses.
+moment's rate of change is learned in flight; a voltage that changes is new doubt about all legs alike. A leg that gives less
+thrust than commanded, none, or the opposite leaves a share of its own N_k in the residual. likelihood_ratio.py tests at each
+step whether that is chance; disturbances of the water do not follow one leg's pulses.
 
 A thruster with almost no command, or one stuck at its present command, cannot be seen: neither moves the robot. The limits are
 measured on flights of the article's robot with masses and thrusters off by 30 %, in waves and gusts
@@ -45,6 +45,10 @@ APART_NS = NS // 20  # as it does if the board's clock tells otherwise how long 
 # Covariance of how far the residual goes with the legs' moments, drag, the moment's change, and nothing.
 PRIOR = np.diag(np.square([OF_ONE] * LEGS + [OF_DRAG, LATE_S, OF_NOTHING_NM]))
 PRIOR[:LEGS, :LEGS] += OF_ALL**2
+ALIKE = np.diag([1.0] * LEGS + [0.0] * 3)  # covariance of how far all legs' moments go together, one for one
+ALIKE[:LEGS, :LEGS] = 1.0
+EXPONENT = 1.2  # of thrust over voltage (OpenThruster's A2212 data at 10 to 12.6 V)
+CHANGED = 0.05  # of the thrust: half a volt of 12. Less is within what a leg may be off, and full load alone is as much
 KEPT = 128  # commands: half of them are more than act within LONGEST_NS of the fastest loop
 
 
@@ -131,6 +135,7 @@ class ThrusterFaultDetector:
         self._acting, self._impulse = np.zeros(LEGS), np.zeros(LEGS)
         self._rate: float | None = None
         self._at_ns = self._board_ns = 0
+        self._voltage_v: float | None = None  # at which legs were as they are known
         self._forget_causes()
         self._test = LikelihoodRatioTest(PRIOR, *NOISE_NM, SAME_S, LEGS, MISSING)
 
@@ -149,6 +154,15 @@ class ThrusterFaultDetector:
                     column[: self._count] = column[-self._count :]
             self._count += 1
         self._acts_ns[self._count - 1], self._told[self._count - 1] = acts_ns, moments_nm
+
+    def note_voltage(self, voltage_v: float, at_ns: int) -> None:
+        """Take note of the battery's voltage, however raw, with its instant."""
+        if self._voltage_v is None:
+            self._voltage_v = voltage_v
+        changed = EXPONENT * math.log(voltage_v / self._voltage_v)
+        if abs(changed) > CHANGED:
+            self._test.note_change(changed**2 * ALIKE, at_ns)
+            self._voltage_v = voltage_v
 
     def step(self, yaw_rate_radps: float, at_ns: int, board_ns: int) -> None:
         """Take in a yaw rate with its instant on our clock and on the board's clock. A sample that was given before is

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from benchmarks.flights import flew
 from benchmarks.robot_agent.encounters import SCENES, meet
 from groundstation.planning import planner
 from sim_bridge.in_process.fleet import AgentFleet, DirectPlant
@@ -19,6 +20,16 @@ def test_everyone_arrives_and_nobody_comes_near(name: str) -> None:
     assert not flight.deadlock
     assert flight.nearest_m > 2.0 * experiment.safety.radius_m - 0.005
     assert flight.clear_m > experiment.vehicle.radius_m + 0.05
+
+
+def test_robot_that_has_to_give_way_while_it_is_still_off_its_path_is_not_stopped() -> None:
+    """It starts 7 cm off, falls 14 cm behind as its path sets off, and is never as fast as it before it has to turn aside."""
+    assert not meet(load_experiment("crossing-2"), 72).deadlock
+
+
+def test_robot_that_drives_off_before_others_are_in_its_way_is_stopped() -> None:
+    fleet = flew(load_experiment("swap", ["safety.watch_thrusters=false", "duration_s=10"], ["t=2 thruster 1/2 reversed"]))
+    assert fleet.robots[0].states[-1].fault == "off its path"
 
 
 @pytest.mark.parametrize("apart_m", [0.31, 0.41])

@@ -146,6 +146,19 @@ def test_robot_comes_back_to_its_path_without_overshoot() -> None:
     assert np.all(np.diff(aside[gone:]) < 1e-3)
 
 
+@pytest.mark.parametrize(("robot", "other", "by_its_path"), [(0.0j, 0.1j, True), (0.5j, 0.1j, True), (0.5j, 1.0j, False)])
+def test_path_that_leads_into_others_is_told_from_a_robot_that_is_off_it(
+    robot: complex, other: complex, by_its_path: bool
+) -> None:
+    """All three give way. In the last case the path is free, 1 m to port of what the robot, 0.5 m off, would come too near."""
+    point = Point(-1.8, 1.8, 0.1)
+    point.place += robot
+    told = [point.step(k * PERIOD_S, one(other, -0.1 + 0j, KEEP_M, True)) for k in range(5)]
+    assert told[-1] and point.give_way.path_is_blocked is by_its_path
+    point.give_way.reset()
+    assert not point.give_way.path_is_blocked
+
+
 def test_robot_is_not_driven_into_a_wall() -> None:
     """The wall is 0.5 m to starboard: the other one has to do it all."""
     room = (10.0, 1.0)

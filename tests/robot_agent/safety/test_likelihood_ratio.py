@@ -83,6 +83,23 @@ def test_constant_lack_becomes_a_habit() -> None:
     assert max(teach(test, x[k : k + 1], y[k : k + 1], k).evidence for k in range(len(x))) < SUSPECTED
 
 
+def test_change_is_doubted_at_once_and_settled_by_later_samples_only() -> None:
+    """Both parts lose a third at an instant. Told so, it is no evidence; untold it is."""
+    x, y = samples(np.zeros(4), 40.0, 8)
+    begin = round(20.0 / STEP_S)
+    y[begin:] -= 0.33 * x[begin:, :2].sum(axis=1)
+    alike = np.zeros((4, 4))
+    alike[:2, :2] = 0.33**2
+
+    def most(told: bool) -> float:
+        test = teach(fresh(), x[:begin], y[:begin])
+        if told:
+            test.note_change(alike, begin * round(STEP_S * NS))
+        return max(teach(test, x[k : k + 1], y[k : k + 1], k).evidence for k in range(begin, len(x)))
+
+    assert most(told=True) < SUSPECTED < 8.0 < most(told=False)
+
+
 def test_suspected_sample_does_not_become_a_habit() -> None:
     """However long it lasts."""
     x, y = samples(np.zeros(4), 60.0, 4)

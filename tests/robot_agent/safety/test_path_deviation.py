@@ -14,11 +14,11 @@ from wire.messages.messages import Mode
 STEP_NS = 50_000_000
 
 
-def left(off_m: Sequence[float], is_free: Sequence[bool] | None = None) -> int | None:
+def left(off_m: Sequence[float], is_free: Sequence[bool] | None = None, called: Sequence[bool] | None = None) -> int | None:
     """The step at which a robot that was so far off its path says so."""
     watch = PathDeviationMonitor(0.3)
     for k, off in enumerate(off_m):
-        watch.step(complex(off), 0j, is_free is None or is_free[k], k * STEP_NS)
+        watch.step(complex(off), 0j, is_free is None or is_free[k], called is not None and called[k], k * STEP_NS)
         if watch.left:
             return k
     return None
@@ -45,6 +45,14 @@ def test_robot_that_drifts_towards_others_is_not_excused() -> None:
     assert left([0.05] * 20 + [0.2] * 20 + [0.31] * 100, [True] * 25 + [False] * 115) == 50
 
 
+def test_robot_that_its_path_leads_to_others_is_excused_wherever_it_begins_to_give_way() -> None:
+    """Until it is back on its path."""
+    off_m = [0.05] * 20 + [0.2] * 20 + [0.8] * 100 + [0.4] * 100 + [0.05] * 20 + [0.4] * 100
+    is_free, called = [True] * 30 + [False] * 110 + [True] * 220, [False] * 30 + [True] * 10 + [False] * 320
+    assert left(off_m, is_free) == 50
+    assert left(off_m, is_free, called) == 20 + 20 + 100 + 100 + 20 + 10
+
+
 def test_where_a_path_sets_off_at_once_all_arrive_anew() -> None:
     watch, place_m, worst_m = PathDeviationMonitor(0.3), 0.0, 0.0
     for k in range(600):
@@ -52,11 +60,11 @@ def test_where_a_path_sets_off_at_once_all_arrive_anew() -> None:
         path_m, speed_mps = 0.4 * flown_s, min(0.1 * flown_s, 0.5)
         place_m = min(place_m + 0.05 * speed_mps, path_m)
         worst_m = max(worst_m, path_m - place_m)
-        watch.step(complex(place_m), complex(path_m), True, k * STEP_NS)
+        watch.step(complex(place_m), complex(path_m), True, False, k * STEP_NS)
     assert worst_m > 0.6 and place_m == path_m and not watch.left
     for k in range(600, 640):  # and then something drives it off
         path_m += 0.05 * 0.4
-        watch.step(complex(path_m, 0.02 * (k - 599)), complex(path_m), True, k * STEP_NS)
+        watch.step(complex(path_m, 0.02 * (k - 599)), complex(path_m), True, False, k * STEP_NS)
     assert watch.left
 
 
@@ -70,10 +78,10 @@ def test_robot_that_starts_from_rest_on_a_fast_path_flies_it(speed_mps: float) -
 def test_once_said_it_stays_so_until_the_goal_is_another() -> None:
     watch = PathDeviationMonitor(0.3)
     for k, off in enumerate([0.0] * 2 + [1.0] * 40 + [0.0] * 10):
-        watch.step(complex(off), 0j, True, k * STEP_NS)
+        watch.step(complex(off), 0j, True, False, k * STEP_NS)
     assert watch.left
     watch.reset()
-    watch.step(1.0 + 0j, 0j, True, 0)
+    watch.step(1.0 + 0j, 0j, True, False, 0)
     assert not watch.left
 
 

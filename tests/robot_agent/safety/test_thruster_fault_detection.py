@@ -71,6 +71,14 @@ def test_a_wrong_model_and_rough_water_are_no_broken_thrusters(settings: Sequenc
     assert flagged(settings, 20.0) == {}
 
 
+def test_battery_that_falls_at_once_is_no_broken_thruster_and_one_that_breaks_then_is_found() -> None:
+    """By 2.4 V, to what a robot may just fly with: all legs give a quarter less."""
+    sag = [f"t=8 battery {robot} sag 2.4" for robot in (1, 2)]
+    assert flagged((), 12.0, sag, "figure-eight") == {}
+    found = flagged((), 16.0, [*sag, "t=14 thruster 2/3 dead"])
+    assert list(found) == [2] and found[2] > 14.0
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(8))
 @pytest.mark.parametrize("name", ["pool", "figure-eight"])
