@@ -225,8 +225,9 @@ class Agent:
             return output
         nothing = [np.zeros_like(value) if isinstance(value, np.ndarray) else value for value in output]
         return ControlOutput._make(nothing)._replace(
-            pulse_us=self.neutral_us, solve=Solve.FAILED, tracking_error_m=0.0, slack_m=0.0, estimated=False
-        )
+            pulse_us=self.neutral_us, solve=Solve.FAILED, tracking_error_m=0.0, slack_m=0.0, drag_ratio=0.0,
+            thrust_ratio=0.0, estimated=False,
+        )  # fmt: skip
 
     def _pulses(self, output: ControlOutput, telemetry: Telemetry, now_ns: int) -> tuple[int, ...]:
         """Return the controller's pulses, or those of a thruster self-test while it runs."""
@@ -375,6 +376,8 @@ class Agent:
             heard=heard,
             planned=output.estimated,
             blind=blind,
+            drag_ratio=output.drag_ratio,
+            thrust_ratio=output.thrust_ratio,
         )
 
 

@@ -143,6 +143,8 @@ def _state(state: RobotState) -> dict[str, Any]:
         "eta": floats(state.eta),
         "nu": floats(state.nu),
         "disturbance": floats(state.disturbance),
+        "drag_ratio": state.drag_ratio,
+        "thrust_ratio": state.thrust_ratio,
         "reference": floats(state.eta_reference),
         "command": floats(state.eta_command),
         "wrench": floats(state.wrench),

@@ -94,6 +94,8 @@ class ControlOutput(NamedTuple):
     eta: Array  # (4,) estimated pose now
     nu: Array  # (4,) estimated velocity now, body frame
     disturbance: Array  # (4,) estimated acceleration that the nominal model in still water does not explain, body frame
+    drag_ratio: float  # drag per mass over the vehicle's, as learned; 0 if it is not
+    thrust_ratio: float  # the same of thrust per mass
     eta_reference: Array  # (4,) the goal now: yaw is the path's tangent
     eta_command: Array  # (4,) what the controller was given: yaw with crab angle and correction
     plan_eta: Array  # (horizon + 1, 4) predicted poses at now + s * period_s; node 0 is `eta`
@@ -116,7 +118,8 @@ class ControlOutput(NamedTuple):
             self.wrench, self.wrench_step, self.wrench_wanted, self.wrench_delivered, self.eta, self.nu, self.disturbance,
             self.eta_reference, self.eta_command,
         )  # fmt: skip
-        return math.isfinite(self.tracking_error_m + self.slack_m) and all_finite(vectors, self.plan_eta, self.plan_reference)
+        numbers = self.tracking_error_m + self.slack_m + self.drag_ratio + self.thrust_ratio
+        return math.isfinite(numbers) and all_finite(vectors, self.plan_eta, self.plan_reference)
 
 
 @dataclass(frozen=True, eq=False)
@@ -322,6 +325,8 @@ class Controller:
             eta=estimate.eta,
             nu=estimate.nu,
             disturbance=estimate.gamma_still_water,
+            drag_ratio=estimate.drag_ratio,
+            thrust_ratio=estimate.thrust_ratio,
             eta_reference=goal,
             eta_command=command[0].copy(),
             plan_eta=told_eta,
@@ -359,6 +364,8 @@ class Controller:
             eta=eta,
             nu=np.zeros(4) if estimate is None else estimate.nu,
             disturbance=np.zeros(4) if estimate is None else estimate.gamma_still_water,
+            drag_ratio=0.0 if estimate is None else estimate.drag_ratio,
+            thrust_ratio=0.0 if estimate is None else estimate.thrust_ratio,
             eta_reference=eta,
             eta_command=eta,
             plan_eta=stay,

@@ -113,6 +113,8 @@ class Estimate(NamedTuple):
     depth_age_s: float  # of the last depth that did not contradict the estimate; infinite before the first
     leap: str = ""  # what was told and what had been believed, in the step that gave up a believed place for another one
     depth_leap: str = ""  # the same for the depth
+    drag_ratio: float = 0.0  # drag per mass over the nominal model's, as learned; 0 if it is not adaptive
+    thrust_ratio: float = 0.0  # the same of thrust per mass
     pace: float = 1.0  # bandwidth over that with ordinary poses: as fast may act what feeds the estimate back
 
 
@@ -208,10 +210,11 @@ class Estimator:
             return None
         eta, nu, disturbance, gamma_still_water = now
         x_mps, y_mps = self._belief[CURRENT].tolist()
+        drag_ratio, thrust_ratio = self._belief[RATIOS].tolist() if self._adaptive else (0.0, 0.0)
         depth_age_s = (now_ns - self._depth_ns) / NS if self._depth_ns is not None else math.inf
         return Estimate(
             eta, nu, disturbance, complex(x_mps, y_mps), gamma_still_water, action, (now_ns - self._at_ns) / NS, depth_age_s,
-            self._leap, self._depth_leap, (POSE_M**2 / self._variance_m2) ** (1.0 / 6.0),
+            self._leap, self._depth_leap, drag_ratio, thrust_ratio, (POSE_M**2 / self._variance_m2) ** (1.0 / 6.0),
         )  # fmt: skip
 
     def _observe(self, pose: PoseMeasurement | None, now_ns: int, now: Array, action: Array) -> bool:

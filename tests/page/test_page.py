@@ -887,10 +887,10 @@ def test_any_field_is_plotted_and_a_layout_is_an_address(browser: Browser) -> No
         expect(page.get_by_label("What plot 2 shows")).to_have_value("state.nu.0")
         expect(tile(page, 2)).to_have_class(re.compile("chosen"))
         for _ in range(8):
-            desk.robots.publish(
-                topics.STATE, RobotState(nu=np.array([0.25, 0.0, 0.0, 0.0]), board_loss=0.5), time.time_ns(), 1
-            )
+            told = RobotState(nu=np.array([0.25, 0.0, 0.0, 0.0]), board_loss=0.5, drag_ratio=1.32, thrust_ratio=0.75)
+            desk.robots.publish(topics.STATE, told, time.time_ns(), 1)
             page.wait_for_timeout(120)
+        expect(tile(page, 1)).to_contain_text("× 1.32, 0.75")
         figures = page.locator(".plot")
         expect(figures.nth(1).locator(".u-legend")).to_contain_text("0.25")
         page.get_by_label("What plot 3 shows").select_option("state.loss")  # of before it was asked for, too
@@ -900,6 +900,9 @@ def test_any_field_is_plotted_and_a_layout_is_an_address(browser: Browser) -> No
         page.goto(f"{desk.url}?plots=tracking")
         page.get_by_label("Layouts of the plots").select_option("=mine")
         expect(page.get_by_label("What plot 3 shows")).to_have_value("state.loss")
+        desk.robots.publish(topics.STATE, RobotState(board_loss=0.25), time.time_ns(), 1)
+        expect(tile(page, 1)).to_contain_text("25 %")
+        expect(tile(page, 1)).not_to_contain_text("thrust")  # it learns nothing
 
 
 def test_on_a_phone_the_map_is_second_and_everything_is_large_enough(browser: Browser, tmp_path: Path) -> None:

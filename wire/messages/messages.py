@@ -231,6 +231,8 @@ class RobotState:
     planned: bool = False  # True if the robot published a plan in this step. It does not while its position is unknown.
     tilt: Array = array(-1)  # Roll, pitch [rad], their rates [rad/s], `board_age_ms` old; empty if not measured.
     blind: str = ""  # Reason why obstacles are unknown although they should be watched for; empty if they are known.
+    drag_ratio: float = 0.0  # Learned drag per mass of surge and sway, over the vehicle file's; 0 if it is not learned.
+    thrust_ratio: float = 0.0  # The same of thrust per mass.
 
 
 @dataclass(frozen=True, eq=False)

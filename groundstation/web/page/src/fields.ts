@@ -38,6 +38,8 @@ const NUMBERS: [NumberKey, string, string][] = [
   ["step_us", "Control step", "us"],
   ["iterations", "Solver iterations", ""],
   ["missed", "Missed deadlines", ""],
+  ["drag_ratio", "Learned drag per mass, × the file's", ""],
+  ["thrust_ratio", "Learned thrust per mass, × the file's", ""],
   ["slack_m", "Plan in another's space", "m"],
 ];
 

@@ -107,6 +107,8 @@ export interface RobotState {
   eta: Packed;
   nu: Packed;
   disturbance: Packed;
+  drag_ratio: number; // drag and thrust per mass over the vehicle file's, as learned; 0 if they are not
+  thrust_ratio: number;
   reference: Packed;
   command: Packed;
   wrench: Packed;

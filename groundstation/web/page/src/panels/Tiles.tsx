@@ -86,6 +86,7 @@ function Tile({ robot, place, s }: { robot: RobotNews; place: number; s: Scene }
           <Fact name="step" value={`${(state.step_us / 1e3).toFixed(1)} ms`} bad={state.step_us > 500e3 * s.period_s} />
           <Fact name="battery" value={`${state.battery_v.toFixed(1)} V`} bad={state.battery_v < battery[2]} />
           <Fact name="board loss" value={`${(100 * state.loss).toFixed(0)} %`} bad={state.loss > 0.05} />
+          {state.drag_ratio > 0 && <Fact name="drag, thrust" value={`× ${state.drag_ratio.toFixed(2)}, ${state.thrust_ratio.toFixed(2)}`} />}
           <Fact name="to PWM" value={state.to_pwm_ms > 0 ? `${state.to_pwm_ms.toFixed(0)} ms` : "-"} />
         </dl>
       )}
