@@ -44,7 +44,7 @@ BENCHMARKS = {
         "robot_agent.error_budget",
         "flights in which one source of error is exchanged for the truth (20 minutes)",
     ),
-    "optimum": ("robot_agent.optimum", "whole runs of the numeric scenes and of `pool` beside the best that is possible (1 minute)"),
+    "optimum": ("robot_agent.optimum", "whole runs of numeric scenes and `pool` beside the best possible (2 minutes)"),
     "localizer": ("localizer.frame", "the localizer per frame for 1 to 20 robots; its filter alone (2 minutes)"),
     "encounters": ("robot_agent.encounters", "robots in one another's way: 200 random starts of each scene (30 minutes)"),
     "simulation": ("simulation", "the plant, a frame, numeric flights, and lockstep with all processes (3 minutes)"),
