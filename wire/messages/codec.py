@@ -34,6 +34,7 @@ LONGEST_TEXT = 8000  # characters of any other text, for example every reason th
 SHARED = "shared_memory"  # encoding of a picture whose pixels are in a ring of frames (wire/transport/frame_ring.py)
 _SHORT = 64  # numbers
 LARGEST = 1e12  # no quantity in any message comes near it; squares of it are still finite
+_CLEARLY_SMALL = 1e20  # sum of squares; below it no value is near LARGEST, and none is NaN
 
 M = TypeVar("M")
 
@@ -142,7 +143,7 @@ def _optional_message(hint: Any) -> type | None:
 
 
 def _read_float(value: float, name: str) -> float:
-    if not math.isfinite(value) or abs(value) > LARGEST:
+    if not -LARGEST <= value <= LARGEST:  # true for NaN too
         raise _Invalid(name, f"{value} is not a finite number below {LARGEST:g}")
     return value
 
@@ -178,7 +179,7 @@ def _array_reader(shape: tuple[int, ...]) -> Callable[[Any, str], Any]:
     def read(value: Any, name: str) -> Any:
         # np.array looks at what it is given for longer than a short array takes to read
         array = np.array(value, dtype=np.float64) if len(value) > _SHORT else np.fromiter(value, np.float64, len(value))
-        if not np.abs(array).max(initial=0.0) <= LARGEST:  # true for NaN too
+        if not array.dot(array) < _CLEARLY_SMALL and not np.abs(array).max() <= LARGEST:  # both are true for NaN
             raise _Invalid(name, f"holds a value that is not a finite number below {LARGEST:g}")
         if (array.size % row if any_length else array.size - row) != 0:
             raise _Invalid(name, f"{array.size} values do not fill the shape {shape}")
@@ -202,18 +203,26 @@ def _from_protobuf(cls: type[M], message: Any, prefix: str = "") -> M:
     for name in _numbers(cast(Any, cls)):
         if len(values[name]) != len(values[first]):
             raise _Invalid(prefix + name, f"{len(values[name])} numbers for {len(values[first])} rows of {first}")
-    return cls(**values)
+    built = object.__new__(cls)
+    built.__dict__.update(values)  # what cls(**values) does, but for a frozen class that sets one field after the other
+    return built
 
 
 def _to_protobuf(message: Any, target: Any) -> Any:
     for name, _, is_message in _fields(cast(Any, type(message))):
         value = getattr(message, name)
-        if isinstance(value, np.ndarray):
+        kind = type(value)
+        if kind is float or kind is int:
+            setattr(target, name, value)
+        elif kind is str:
+            if value:  # the default is not sent
+                setattr(target, name, _cut(value, LONGEST_TEXT))
+        elif isinstance(value, np.ndarray):
             getattr(target, name).extend(value.ravel().tolist())
         elif isinstance(value, tuple):
             getattr(target, name).extend(value)
         elif not is_message:
-            setattr(target, name, _cut(value, LONGEST_TEXT) if type(value) is str else value)
+            setattr(target, name, value)
         elif value is not None:
             _to_protobuf(value, getattr(target, name))
     return target
