@@ -113,7 +113,8 @@ class LinkMonitor:
     @property
     def clock_offset_s(self) -> float:
         """Offset of the robot's clock in s. Messages are late, never early: the one with the least delay counts."""
-        return max((ahead_s for _, _, ahead_s in self.headers if ahead_s > -math.inf), default=0.0)
+        ahead_s = max([ahead_s for _, _, ahead_s in self.headers], default=-math.inf)
+        return ahead_s if ahead_s > -math.inf else 0.0
 
 
 @dataclass(frozen=True, eq=False)

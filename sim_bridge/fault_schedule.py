@@ -60,6 +60,8 @@ class FaultSchedule:
 
     def quiet_steps(self, time_s: float, step_s: float, most: int) -> int:
         """Plant steps from `time_s` to the first instant of a step at which a fault begins or ends; 1 to `most`."""
+        if not self._faults:
+            return most
         begins = [fault.at_s for fault in self._faults]
         ends = [fault.at_s + fault.for_s for fault in self._faults if fault.for_s is not None]
         change_s = min((change_s for change_s in (*begins, *ends) if change_s > time_s), default=math.inf) - time_s
@@ -67,6 +69,8 @@ class FaultSchedule:
 
     def pulses(self, pulses_us: Array) -> Array:
         """The pulses (n, 8) that thrusters get, from those on the boards' outputs: a stuck one keeps its last."""
+        if not (self._active or self._stuck_us):
+            return pulses_us
         stuck = {(i, b.thruster - 1) for i, b in self._of("thruster") if b.effect == "stuck"}
         self._stuck_us = {where: self._stuck_us.get(where, float(pulses_us[where])) for where in stuck}
         if not stuck:

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from sim_bridge.plant.sensors import BoardSensors
-from sim_bridge.thruster_board.board import STATUS_NS, crosses, demanded_load
+from sim_bridge.thruster_board.board import STATUS_NS, DemandedLoad, crosses
 from sim_bridge.thruster_board.parameters import VOLATILE
 from wire.config.experiment import Experiment
 from wire.frames import Array
@@ -44,12 +44,13 @@ class HilBoard:
         """`where` is the text of its address, for messages. The `link` is the caller's to close."""
         key, now = (None, lambda: 0) if signing is None else (signing.key, signing.stamps)
         self.sensors = BoardSensors(experiment.sim.sensors, robot_id, seed)
-        self._thruster, self._where, self._robot_id = experiment.vehicle.thruster, where, robot_id
+        thruster, self._where, self._robot_id = experiment.vehicle.thruster, where, robot_id
+        self._load = DemandedLoad(thruster)
         self._link, self._signing = link, signing
         self._judge = BoardLink(robot_id, SignatureVerifier(key))  # frames are judged as the board does
         self._board = SimulatorLink(robot_id, key, now)
         self._burst_ns = round(1e9 / experiment.sim.sensors.rate_hz)
-        self._rest_us = (round(self._thruster.neutral_us),) * 4 + (round(sum(experiment.vehicle.legs.ankle_us) / 2),) * 4
+        self._rest_us = (round(thruster.neutral_us),) * 4 + (round(sum(experiment.vehicle.legs.ankle_us) / 2),) * 4
         self._begin_ns = self._mode_ns = 0  # of the first step; of the last at which the mode was known
         self._last_step_ns: int | None = None
 
@@ -104,7 +105,7 @@ class HilBoard:
             values = (reading.heading_rad, reading.yaw_rate_radps, reading.acceleration_mps2, reading.depth_m)
             self._link.send(self._board.motion(now_ns // 1000, *values))
             if crosses(STATUS_NS, self._last_step_ns, now_ns):
-                load = demanded_load(self._thruster, self.pulses)
+                load = self._load.of(self.pulses)
                 self._link.send(self._board.battery(self.sensors.battery_v(supply_v, load)))
                 if self._signing is not None:
                     self._signing.stamps.renew(self._board.stamp)

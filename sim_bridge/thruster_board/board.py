@@ -79,6 +79,24 @@ class SimulatedSensors:
         return self._voltage_v if now_ns - self._battery_ns <= BATTERY_AGE_NS else 0.0
 
 
+class DemandedLoad:
+    """Thrust demanded from the battery by the outputs, as a fraction of all thrusters at full."""
+
+    def __init__(self, thruster: Thruster) -> None:
+        self._thruster, self._full_n = thruster, THRUSTERS * thruster.max_thrust_n
+        self._force_n: dict[int, float] = {}  # by pulse, either way: there are some hundreds, and each comes again and again
+
+    def of(self, pulses_us: Sequence[int]) -> float:
+        """The load of these pulses, of which the first four are the thrusters'."""
+        total_n = 0.0
+        for pulse in pulses_us[:THRUSTERS]:
+            force_n = self._force_n.get(pulse)
+            if force_n is None:
+                force_n = self._force_n[pulse] = abs(float(self._thruster.force_n(np.array(pulse, dtype=np.float64))))
+            total_n += force_n
+        return total_n / self._full_n
+
+
 class ThrusterBoard:
     """One robot's thruster board."""
 
@@ -94,7 +112,8 @@ class ThrusterBoard:
         """Switch the board on, with what it `kept`; `keep` is called with what must survive the next loss of power."""
         sensors, stored = experiment.sim.sensors, stored or NonvolatileState()
         self._key, self._robot_id = key, robot_id
-        self._thruster, self._supply_v, self._store_callback = experiment.vehicle.thruster, sensors.battery_v, store
+        self._load, self._supply_v = DemandedLoad(experiment.vehicle.thruster), sensors.battery_v
+        self._store_callback = store
         computer = (robot_id, agent_link.AGENT_COMPONENT)
         self.rules = BoardStateMachine(Parameters.of(experiment).restored(stored.parameters), computer, key, stored.heard)
         self.link = BoardLink(robot_id, self.rules.gate, key, stored.sent + SENT_BETWEEN)
@@ -255,9 +274,8 @@ class ThrusterBoard:
             if self._simulated is not None:
                 voltage = self._simulated.battery_v(now_ns)
             else:
-                voltage = self.sensors.battery_v(
-                    self._supply_v if supply_v is None else supply_v, demanded_load(self._thruster, self.pulses)
-                )
+                supply_v = self._supply_v if supply_v is None else supply_v
+                voltage = self.sensors.battery_v(supply_v, self._load.of(self.pulses))
             if voltage is not None:
                 self.rules.battery(voltage, _seconds(self._last_burst_ns, now_ns))
         self.rules.step(now_ns)
@@ -307,12 +325,6 @@ class ThrusterBoard:
             self._outbox.append(link.attitude(self.burst_ms, reading.heading_rad, reading.yaw_rate_radps, tilt))
         if crosses(KEEP_NS, self._last_burst_ns, now_ns) and self.rules.gate.newest > self._stored_heard:
             self._store()
-
-
-def demanded_load(thruster: Thruster, pulses_us: Sequence[int]) -> float:
-    """Thrust demanded from the battery by the outputs, as a fraction of all thrusters at full."""
-    force_n = np.abs(thruster.force_n(np.array(pulses_us[:THRUSTERS], dtype=np.float64)))
-    return float(force_n.sum()) / (THRUSTERS * thruster.max_thrust_n)
 
 
 def crosses(period_ns: int, since_ns: int | None, now_ns: int) -> bool:

@@ -195,6 +195,8 @@ class AgentLink:
 
     def receive(self, data: bytes, now_ns: int) -> None:
         """Take in bytes that arrived at `now_ns`. Never raises, whatever they are."""
+        if not (data or self._receiver.is_waiting):
+            return
         changes: dict[str, Any] = {}
         for message in self._receiver.receive(data, now_ns):
             try:

@@ -92,6 +92,8 @@ class Receiver:
 
     def receive(self, data: bytes, now_ns: int) -> list[Any]:
         """The peers' messages, in order, that are complete with these bytes. Never raises, whatever the bytes are."""
+        if not (data or self._buffer):
+            return []
         self._buffer += data
         messages: list[Any] = []
         at = 0
