@@ -56,15 +56,31 @@ class CorrelationFilter:
         Returns shifts (n, 2) in samples [columns, rows], sub-sample, within half a patch, and peaks (n,), 1 for the very
         patch that was learnt.
         """
-        spectrum, energy = self._features(patches)
-        spectrum *= self._model[robots]
-        kernel = self._kernel(spectrum.sum(axis=1), energy + self._model_energy[robots])
-        kernel *= self._dual[robots]
-        return self._peaks.find(scipy.fft.irfft2(kernel, s=self._size, overwrite_x=True))  # equation 22
+        return self._respond(robots, *self._features(patches))
 
     def learn(self, robots: NDArray[np.intp], patches: Real, rates: Real) -> None:
         """Blend `patches` (n, channels, rows, columns), robot at the centre, into the filters; rate 1 starts anew."""
+        self._learn(robots, *self._features(patches), rates)
+
+    def detect_and_learn(
+        self, robots: NDArray[np.intp], patches: Real, rates: Real
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """`detect`, and then `learn` the same patches: their spectra are made once."""
         spectrum, energy = self._features(patches)
+        found = self._respond(robots, spectrum, energy)
+        self._learn(robots, spectrum, energy, rates)
+        return found
+
+    def _respond(
+        self, robots: NDArray[np.intp], spectrum: Complex, energy: Real
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Peaks of the responses to features."""
+        kernel = self._kernel((spectrum * self._model[robots]).sum(axis=1), energy + self._model_energy[robots])
+        kernel *= self._dual[robots]
+        return self._peaks.find(scipy.fft.irfft2(kernel, s=self._size, overwrite_x=True))  # equation 22
+
+    def _learn(self, robots: NDArray[np.intp], spectrum: Complex, energy: Real, rates: Real) -> None:
+        """Blend features into the filters. `spectrum` is used up."""
         power = (spectrum.real**2 + spectrum.imag**2).sum(axis=1)
         kernel = self._kernel(power, np.float32(2.0) * energy).real
         dual = self._target / (kernel + np.float32(self._shape.regularisation))  # equation 17

@@ -119,11 +119,9 @@ class AppearanceModel:
             return []
         robots, colours, at = _robot_indices(views), self._colours(views), np.array(poses)
         patches, rings = self._patches(views, colours, at), self._rings(views, colours, at)
-        _, peaks = self._place.detect(robots, patches)
-        _, turn_peaks = self._turn.detect(robots, rings)
         blend = np.where(self._learnt[robots], rates, np.sign(rates)).astype(np.float32)
-        self._place.learn(robots, patches, blend)
-        self._turn.learn(robots, rings, blend)
+        _, peaks = self._place.detect_and_learn(robots, patches, blend)
+        _, turn_peaks = self._turn.detect_and_learn(robots, rings, blend)
         self._grey[robots] += blend[:, None, None] * (patches.mean(axis=1) - self._grey[robots])
         self._learnt[robots] |= rates > 0.0
         return [float(peak) for peak in _verified(peaks, turn_peaks)]

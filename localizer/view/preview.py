@@ -48,13 +48,15 @@ class RateLimiter:
 
 @dataclass(frozen=True, eq=False)
 class _PreviewItem:
-    """A frame with its result (None: no frame), and a message for pictures without one."""
+    """A frame with its result (None: no frame), and a message for pictures without one; whether bus and page are due one."""
 
     captured: CapturedFrame | None
     result: LocalizationResult | None
     stamp_ns: int
     obstacles: Obstacles
-    message: str = ""
+    message: str
+    on_bus: bool
+    on_page: bool
 
 
 class PreviewPublisher:
@@ -79,23 +81,35 @@ class PreviewPublisher:
 
     def offer(self, captured: CapturedFrame, result: LocalizationResult, obstacles: Obstacles) -> None:
         """Offer a frame and its result. Never waits."""
-        self._worker.offer(_PreviewItem(captured, result, captured.stamp_ns, obstacles))
+        self._offer(captured, result, captured.stamp_ns, obstacles)
 
     def offer_nothing(self, message: str, stamp_ns: int) -> None:
         """Offer a blank picture with a message: the last frame would look live."""
-        self._worker.offer(_PreviewItem(None, None, stamp_ns, Obstacles(), message))
+        self._offer(None, None, stamp_ns, Obstacles(), message)
 
     def close(self) -> None:
         """Finish the last one."""
         self._worker.close()
 
+    def _offer(
+        self,
+        captured: CapturedFrame | None,
+        result: LocalizationResult | None,
+        stamp_ns: int,
+        obstacles: Obstacles,
+        message: str = "",
+    ) -> None:
+        """Wake the thread, unless it has nothing to do: it would take Python's lock from the caller."""
+        on_bus, on_page = self._preview.due(stamp_ns), self._paging.due(stamp_ns)
+        if on_bus or on_page or (self._publish_frames and captured is not None):
+            self._worker.offer(_PreviewItem(captured, result, stamp_ns, obstacles, message, on_bus, on_page))
+
     def _make(self, item: _PreviewItem) -> None:
         try:
             self._publish_raw(item)
         finally:
-            on_bus, on_page = self._preview.due(item.stamp_ns), self._paging.due(item.stamp_ns)
-            if on_bus or on_page:
-                self._draw_and_show(item, on_bus, on_page)
+            if item.on_bus or item.on_page:
+                self._draw_and_show(item)
 
     def _publish_raw(self, item: _PreviewItem) -> None:
         captured = item.captured
@@ -103,25 +117,25 @@ class PreviewPublisher:
             age_ns = max(self._clock.now_ns() - captured.instant_ns, 0)
             self._bus.publish(self._frames, Frame(captured.pixels), captured.stamp_ns, age_ns=age_ns)
 
-    def _draw_and_show(self, item: _PreviewItem, on_bus: bool, on_page: bool) -> None:
+    def _draw_and_show(self, item: _PreviewItem) -> None:
         try:
             picture = self._picture(item)
         except Exception as error:
-            self._show(_blank(f"no preview: {error}"), item.stamp_ns, on_bus, on_page)  # the picture before would look live
+            self._show(_blank(f"no preview: {error}"), item)  # the picture before would look live
             raise
-        self._show(picture, item.stamp_ns, on_bus, on_page)
+        self._show(picture, item)
 
     def _picture(self, item: _PreviewItem) -> Pixels:
         if item.captured is not None and item.result is not None:
             return self._draw(item.captured.pixels, item.result, item.obstacles)
         return _blank(item.message)
 
-    def _show(self, picture: Pixels, stamp_ns: int, on_bus: bool, on_page: bool) -> None:
+    def _show(self, picture: Pixels, item: _PreviewItem) -> None:
         _, encoded = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
         jpeg = encoded.tobytes()
-        if on_bus:
-            self._bus.publish(self._previews, Preview(jpeg), stamp_ns)
-        if on_page and self._page is not None:
+        if item.on_bus:
+            self._bus.publish(self._previews, Preview(jpeg), item.stamp_ns)
+        if item.on_page and self._page is not None:
             self._page.show(jpeg)
 
 
