@@ -40,7 +40,8 @@ class StaticBackground:
         grid = waters.caustics.grid_coordinates(*plan_coordinates(self._hit, self._pool))
         self._grid_column, self._grid_row = (np.ascontiguousarray(plane[0::2, 0::2]) for plane in grid)
         self._reach = waters.reach(self._hit.z[0::2, 0::2])
-        self._row = np.empty((4, 2 * self._grid_column.shape[1]), np.float32)
+        squares = self._grid_column.shape[1]
+        self._scratch = tuple(np.empty(n, np.float32) for n in (squares, squares, 2 * squares, 2 * squares))
         self._views: dict[int, tuple[Bytes, Bytes]] = {}
         self._levels: dict[int, Bytes] = {}
 
@@ -59,7 +60,7 @@ class StaticBackground:
         first, second, share = waters.caustic_clock.phase(time_s)
         light_up(
             view, next_view, glare, next_glare, np.float32(view_share), self._level_phase(first), self._level_phase(second),
-            np.float32(share), self._reach, self._row, self._blend,
+            np.float32(share), self._reach, self._scratch, self._blend,
         )  # fmt: skip
         return self._scene, self._blend
 

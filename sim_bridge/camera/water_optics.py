@@ -9,7 +9,7 @@ import math
 import cv2
 import numpy as np
 
-from sim_bridge.camera.kernels import LINES, Planes
+from sim_bridge.camera.kernels import LINES, PICTURE, PLANE, Planes
 from sim_bridge.camera.optics import Bytes, Float
 from wire.config.experiment import Experiment
 from wire.config.perception import Camera
@@ -281,20 +281,23 @@ def caustic_levels(pattern: Bytes, column: Float, row: Float) -> Bytes:
     return np.asarray(cv2.remap(pattern, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT_101), dtype=np.uint8)
 
 
-@kernel("void(u1[:,::1], u1[:,::1], u1[:,::1], u1[:,::1], f4, u1[:,::1], u1[:,::1], f4, f4[:,::1], f4[:,::1], u1[:,::1])")
+@kernel(
+    f"void({PICTURE}, {PICTURE}, {PICTURE}, {PICTURE}, f4, {PICTURE}, {PICTURE}, f4, {PLANE}, UniTuple(f4[::1], 4), {PICTURE})"
+)
 def light_up(
     view: Bytes, next_view: Bytes, glare: Bytes, next_glare: Bytes, view_share: np.float32,
-    levels: Bytes, next_levels: Bytes, levels_share: np.float32, reach: Float, row_of: Float, raw: Bytes,
+    levels: Bytes, next_levels: Bytes, levels_share: np.float32, reach: Float, scratch: Planes, raw: Bytes,
 ) -> None:  # fmt: skip
     """A mosaic `raw` between two views (height, width) of the pool, lit by a pattern between two others, and then the glare.
 
-    `glare`, the patterns' `levels` and their `reach` have a value for each Bayer square. `row_of` (4, width, or one more if
-    that is odd) is scratch: light and glare of a row. All float32, so that a row runs several pixels at a time.
+    `glare`, the patterns' `levels` and their `reach` have a value for each Bayer square. `scratch` are light
+    and glare of a row's squares (n,), and of its pixels (2 n,). All float32, and each scratch an array of its own, so that all
+    loops run several pixels at a time.
     """
     half, one, most = np.float32(0.5), np.float32(1.0), np.float32(255.0)
     per_unit = np.float32(1.0 / CAUSTIC_UNIT)
     height, width = raw.shape
-    light, shine, square_light, square_shine = row_of[0], row_of[1], row_of[2], row_of[3]
+    square_light, square_shine, light, shine = scratch
     for i in range(height):
         if i % 2 == 0:
             before, after, strength = levels[i // 2], next_levels[i // 2], reach[i // 2]

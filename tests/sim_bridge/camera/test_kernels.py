@@ -87,7 +87,7 @@ def test_a_picture_lies_between_two_of_each_loop() -> None:
     view, next_view = random.integers(0, 256, (2, 7, 11), dtype=np.uint8)
     glare, next_glare, levels, next_levels = random.integers(0, 201, (4, 4, 6), dtype=np.uint8)
     reach, raw = random.uniform(0.0, 1.0, (4, 6)).astype(np.float32), np.empty((7, 11), np.uint8)
-    scratch = np.empty((4, 12), np.float32)
+    scratch = tuple(np.empty(n, np.float32) for n in (6, 6, 12, 12))
     light_up(view, next_view, glare, next_glare, np.float32(0.3), levels, next_levels, np.float32(0.8), reach, scratch, raw)
     light = 1.0 + reach * ((0.2 * levels + 0.8 * next_levels) / CAUSTIC_UNIT - 1.0)
     pixels = np.ones((2, 2))
