@@ -16,6 +16,7 @@ from sim_bridge.camera.optics import Bytes, Float
 from wire.frames import Array
 from wire.kernels import kernel
 
+LANES = 32  # px of a row that a body is drawn on at a time
 BLOCK = 8  # px, side of a block; the shortest ripple is some 60 px long
 LAMP_X, LAMP_Y, LAMP_UP = -0.30, -0.22, 0.93  # direction to most of the light: pool x, y and up; shadows fall the other way
 AMBIENT, DIFFUSE = 0.50, 0.56  # shares of ambient and of directed light on a hull
@@ -61,25 +62,25 @@ def intersect_sphere(
     return (x + w * slope_x) * per_m, (y + w * slope_y) * per_m, -w * per_m, cover
 
 
-@kernel(f"f8({LAYERS}, i8, f8[:,:,::1], i8, f8, f8, f8, f8)", inline=True)
-def hull_colour(
-    skin: Bytes, channel: int, attitudes: Array, pose: int, normal_x: float, normal_y: float, up: float, light: float
-) -> float:
-    """Colour of a hull at a unit normal, in air. `skin` (3, size, size) is Lambert's azimuthal projection of the sphere
-    about its top (textures.hull_texture); the columns of `attitudes[pose]` are the body's axes: ahead, aside, down."""
+@kernel("UniTuple(f8, 4)(f8[:,:,::1], i8, f8, f8, f8, f8)", inline=True)
+def hull_look(
+    attitudes: Array, pose: int, half: float, normal_x: float, normal_y: float, up: float
+) -> tuple[float, float, float, float]:
+    """Texel (column, row) of a hull's skin at a unit normal, the light that its paint is multiplied by, and the grey levels of
+    its highlight, in air. The skin, twice `half` texels wide, is Lambert's azimuthal projection of the sphere about its top
+    (textures.hull_texture); the columns of `attitudes[pose]` are the body's axes: ahead, aside, down."""
     ahead = attitudes[pose, 0, 0] * normal_x + attitudes[pose, 1, 0] * normal_y - attitudes[pose, 2, 0] * up
     aside = attitudes[pose, 0, 1] * normal_x + attitudes[pose, 1, 1] * normal_y - attitudes[pose, 2, 1] * up
     above = attitudes[pose, 2, 2] * up - attitudes[pose, 0, 2] * normal_x - attitudes[pose, 1, 2] * normal_y
-    half = skin.shape[1] / 2.0
     flat = half / math.sqrt(2.0 * (1.0 + max(above, -0.999)))
-    paint = sample(skin, channel, ahead * flat + half - 0.5, aside * flat + half - 0.5)
     lamp = max(normal_x * LAMP_X + normal_y * LAMP_Y + up * LAMP_UP, 0.0)
     lamp2 = lamp * lamp
     lamp8 = lamp2 * lamp2 * lamp2 * lamp2
-    return paint * (AMBIENT * (0.6 + 0.4 * up) + DIFFUSE * lamp) * light + GLOSS * lamp8 * lamp8 * lamp8
+    shade = AMBIENT * (0.6 + 0.4 * up) + DIFFUSE * lamp
+    return ahead * flat + half - 0.5, aside * flat + half - 0.5, shade, GLOSS * lamp8 * lamp8 * lamp8
 
 
-@kernel(f"void({PICTURE}, i8, i8, {LINES}, f4[:,:,:], {PLANE}, {BODY}, f8[:,::1], f8[:,:,::1], f8[:,:,:,::1], f8)")
+@kernel(f"void({PICTURE}, i8, i8, {LINES}, f4[:,:,:], {PLANE}, {BODY}, f8[:,::1], f8[:,:,::1], f8[:,:,:,::1], f8, f8[:,::1])")
 def draw_body(
     raw: Bytes,
     top: int,
@@ -92,6 +93,7 @@ def draw_body(
     attitudes: Array,
     water: Array,
     px_per_m: float,
+    lanes: Array,
 ) -> None:
     """Lay a body over a rectangle of the mosaic: the mean of its pictures in k poses, by their coverage.
 
@@ -101,55 +103,82 @@ def draw_body(
     and coverage, with texels per metre. In each of k poses its centre is at `places` (k, 3), its axes are the columns of
     `attitudes` (k, 3, 3), and `water` (k, 2, 2, 3) is the share and the veil of the water over the sphere and over the plate,
     in red, green and blue.
+
+    All that needs no texture is computed for LANES pixels of a row at a time, in vector registers. Pixels beyond the rectangle
+    repeat its last, and are not drawn. `lanes` (15, LANES) is scratch: 0 to 5 the line of sight (surface, water, air), 6 and 7
+    colour and coverage, 8 and 9 the plate's texel, 10 to 12 the sphere's normal, which becomes its texel and light, 13 its
+    coverage, 14 its highlight.
     """
     radius, height_m, skin, has_plate, plate, texels_per_m = body
     surface_x, surface_y, air_x, air_y, water_x, water_y = lines
     middle = plate.shape[1] / 2.0 - 0.5
+    half = skin.shape[1] / 2.0
+    height, width = surface_x.shape
     k = len(places)
-    for i in range(surface_x.shape[0]):
-        for j in range(surface_x.shape[1]):
-            row, column = top + i, left + j
-            channel = row % 2 + column % 2
-            sx, sy = surface_x[i, j], surface_y[i, j]
-            wx = water_x[i, j] + fields[i, j, 0]
-            wy = water_y[i, j] + fields[i, j, 1]
-            light = fields[i, j, 2]
-            colour, cover = 0.0, 0.0
+    for i in range(height):
+        row = top + i
+        for begin in range(0, width, LANES):
+            for n in range(LANES):
+                j = min(begin + n, width - 1)
+                lanes[0, n], lanes[1, n] = surface_x[i, j], surface_y[i, j]
+                lanes[2, n], lanes[3, n] = water_x[i, j] + fields[i, j, 0], water_y[i, j] + fields[i, j, 1]
+                lanes[4, n], lanes[5, n] = air_x[i, j], air_y[i, j]
+                lanes[6, n], lanes[7, n] = 0.0, 0.0  # colour and coverage
             for pose in range(k):
                 x, y, z = places[pose, 0], places[pose, 1], places[pose, 2]
-                marking, plate_cover = 0.0, 0.0
                 if has_plate:
                     ox, oy, oz = attitudes[pose, 0, 2], attitudes[pose, 1, 2], attitudes[pose, 2, 2]
                     above = z - height_m * oz
-                    slope_x, slope_y = (wx, wy) if above > 0.0 else (air_x[i, j], air_y[i, j])
-                    dx, dy = sx - (x - height_m * ox), sy - (y - height_m * oy)  # and (slope, 1) deeper per metre
-                    deep = (above * oz - dx * ox - dy * oy) / (oz + slope_x * ox + slope_y * oy)  # to the plate's plane
-                    dx += deep * slope_x
-                    dy += deep * slope_y
-                    dz = deep - above
-                    right_m = attitudes[pose, 0, 1] * dx + attitudes[pose, 1, 1] * dy + attitudes[pose, 2, 1] * dz
-                    ahead_m = attitudes[pose, 0, 0] * dx + attitudes[pose, 1, 0] * dy + attitudes[pose, 2, 0] * dz
-                    texel_x, texel_y = middle + texels_per_m * right_m, middle - texels_per_m * ahead_m
-                    if max(abs(texel_x - middle), abs(texel_y - middle)) < middle:
-                        plate_cover = sample(plate, 1, texel_x, texel_y) / 255.0
-                        marking = sample(plate, 0, texel_x, texel_y) * light
-                        marking = plate_cover * (marking * water[pose, 1, 0, channel] + water[pose, 1, 1, channel])
-                sphere, sphere_cover = 0.0, 0.0
-                if radius > 0.0 and plate_cover < 1.0:
-                    nx, ny, up, sphere_cover = intersect_sphere(sx + z * wx - x, sy + z * wy - y, wx, wy, radius, px_per_m)
+                    slope = 2 if above > 0.0 else 4
+                    for n in range(LANES):
+                        slope_x, slope_y = lanes[slope, n], lanes[slope + 1, n]
+                        # from the middle of the plate; and (slope, 1) deeper per metre, to the plate's plane
+                        dx, dy = lanes[0, n] - (x - height_m * ox), lanes[1, n] - (y - height_m * oy)
+                        deep = (above * oz - dx * ox - dy * oy) / (oz + slope_x * ox + slope_y * oy)
+                        dx += deep * slope_x
+                        dy += deep * slope_y
+                        dz = deep - above
+                        right_m = attitudes[pose, 0, 1] * dx + attitudes[pose, 1, 1] * dy + attitudes[pose, 2, 1] * dz
+                        ahead_m = attitudes[pose, 0, 0] * dx + attitudes[pose, 1, 0] * dy + attitudes[pose, 2, 0] * dz
+                        lanes[8, n], lanes[9, n] = middle + texels_per_m * right_m, middle - texels_per_m * ahead_m
+                if radius > 0.0:
+                    for n in range(LANES):
+                        wx, wy = lanes[2, n], lanes[3, n]
+                        nx, ny, up, cover = intersect_sphere(
+                            lanes[0, n] + z * wx - x, lanes[1, n] + z * wy - y, wx, wy, radius, px_per_m
+                        )
+                        lanes[10, n], lanes[11, n], lanes[12, n], lanes[13, n] = nx, ny, up, cover
                     if z < radius:  # it breaks the surface: the part above is seen straight
-                        ax, ay = air_x[i, j], air_y[i, j]
-                        dry = intersect_sphere(sx + z * ax - x, sy + z * ay - y, ax, ay, radius, px_per_m)
-                        if (up if z > 0.0 else dry[2]) * radius > z:
-                            nx, ny, up, sphere_cover = dry
-                    if sphere_cover > 0.0:
-                        sphere = hull_colour(skin, channel, attitudes, pose, nx, ny, up, light)
+                        for n in range(LANES):
+                            ax, ay = lanes[4, n], lanes[5, n]
+                            nx, ny, up, cover = intersect_sphere(
+                                lanes[0, n] + z * ax - x, lanes[1, n] + z * ay - y, ax, ay, radius, px_per_m
+                            )
+                            if (lanes[12, n] if z > 0.0 else up) * radius > z:
+                                lanes[10, n], lanes[11, n], lanes[12, n], lanes[13, n] = nx, ny, up, cover
+                    for n in range(LANES):
+                        look = hull_look(attitudes, pose, half, lanes[10, n], lanes[11, n], lanes[12, n])
+                        lanes[10, n], lanes[11, n], lanes[12, n], lanes[14, n] = look
+                for n in range(min(LANES, width - begin)):
+                    channel = row % 2 + (left + begin + n) % 2
+                    light = fields[i, begin + n, 2]
+                    marking, plate_cover, sphere, sphere_cover = 0.0, 0.0, 0.0, 0.0
+                    if has_plate and max(abs(lanes[8, n] - middle), abs(lanes[9, n] - middle)) < middle:
+                        plate_cover = sample(plate, 1, lanes[8, n], lanes[9, n]) / 255.0
+                        marking = sample(plate, 0, lanes[8, n], lanes[9, n]) * light
+                        marking = plate_cover * (marking * water[pose, 1, 0, channel] + water[pose, 1, 1, channel])
+                    if radius > 0.0 and plate_cover < 1.0 and lanes[13, n] > 0.0:
+                        sphere_cover = lanes[13, n]
+                        sphere = sample(skin, channel, lanes[10, n], lanes[11, n]) * lanes[12, n] * light + lanes[14, n]
                         sphere = sphere_cover * (sphere * water[pose, 0, 0, channel] + water[pose, 0, 1, channel])
-                colour += (sphere * (1.0 - plate_cover) + marking) / k
-                cover += (sphere_cover * (1.0 - plate_cover) + plate_cover) / k
-            if cover > 0.0:
-                seen = colour * vignette[row, column] + cover * fields[i, j, 3]
-                raw[row, column] = int(min(max(raw[row, column] * (1.0 - cover) + seen, 0.0), 255.0) + 0.5)
+                    lanes[6, n] += (sphere * (1.0 - plate_cover) + marking) / k
+                    lanes[7, n] += (sphere_cover * (1.0 - plate_cover) + plate_cover) / k
+            for n in range(min(LANES, width - begin)):
+                cover = lanes[7, n]
+                if cover > 0.0:
+                    column = left + begin + n
+                    seen = lanes[6, n] * vignette[row, column] + cover * fields[i, begin + n, 3]
+                    raw[row, column] = int(min(max(raw[row, column] * (1.0 - cover) + seen, 0.0), 255.0) + 0.5)
 
 
 @kernel(f"void({LINES}, {WINDOW}, f8, f8, f8, f8, {PLANE})")

@@ -9,7 +9,7 @@ import copy
 import numpy as np
 
 from sim_bridge.camera import kernels
-from sim_bridge.camera.kernels import LAMP_UP, LAMP_X, LAMP_Y, PENUMBRA
+from sim_bridge.camera.kernels import LAMP_UP, LAMP_X, LAMP_Y, LANES, PENUMBRA
 from sim_bridge.camera.optics import Bytes
 from sim_bridge.camera.rays import ImageRect
 from sim_bridge.camera.scene import WaterView, water_colour
@@ -21,6 +21,7 @@ from wire.frames import Array
 
 BLUR_STEP_PX = 1.0  # px that a body may move between two parts of an exposure; the lens's blur hides that much
 MAX_PARTS = 8  # of an exposure
+CORNERS = np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (0, 1)], dtype=np.float64)  # of a box
 NO_SKIN = np.zeros((2, 2, 3), np.uint8)
 NO_PLATE = np.zeros((2, 2, 2), np.uint8)
 
@@ -77,12 +78,10 @@ class BodySprite:
 
     def box(self, eta: Array, tilt_rad: float = 0.0) -> Array:
         """Corners (8, 3) of a box in the pool frame that holds the body at eta, tilted by `tilt_rad`."""
-        corner = np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (0, 1)], dtype=np.float64)
         lean = abs(float(np.sin(tilt_rad)))
         reach = max(self.radius_m, self._half_m + lean * self.height_m)
         top, bottom = max(self.radius_m, self.height_m + lean * self._half_m), self.radius_m
-        corner = corner * [reach, reach, top + bottom] - [0.0, 0.0, top]
-        return np.asarray(eta[:3] + corner)
+        return np.asarray(eta[:3] + (CORNERS * np.array([reach, reach, top + bottom]) - np.array([0.0, 0.0, top])))
 
     def draw(
         self, raw: Bytes, scene: WaterView, window: ImageRect, poses: Array, tilt: Array, px_per_m: float, time_s: float
@@ -96,6 +95,7 @@ class BodySprite:
         kernels.draw_body(
             raw, window.top, window.left, scene.view.lines(window).planes, scene.view.spread(fields, window), scene.vignette,
             self._constants, np.ascontiguousarray(poses[:, :3]), attitudes, water.astype(np.float64), px_per_m,
+            np.empty((15, LANES)),
         )  # fmt: skip
 
     def draw_shadow(self, raw: Bytes, scene: WaterView, window: ImageRect, eta: Array) -> None:

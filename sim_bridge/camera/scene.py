@@ -120,6 +120,8 @@ class WaterView:
     def __init__(self, waters: WaterLight, view: CameraRays, block_z: Float, vignette: Float) -> None:
         self.waters, self.view, self.block_z, self.vignette = waters, view, block_z, vignette
         self.depth_m, self.bending = waters.depth_m, np.float32(waters.ripples.bending)
+        self._lens, self._lamps = np.array(view.camera.position_m), np.array(LAMPS_M)
+        self._weights: tuple[float, Float] | None = None  # of the ripples, at the last time that was asked for
         shape = view.blocks.surface_x.shape
         self._basis = waters.ripples.basis(view.blocks.surface_x, view.blocks.surface_y).reshape(-1, *shape)
 
@@ -138,12 +140,13 @@ class WaterView:
         """Fields (block rows, block columns, 4) of water_optics.block_fields at the rectangle's blocks, with the light at a
         depth."""
         waters, lines = self.waters, self.view.blocks[window.blocks].planes
+        if self._weights is None or self._weights[0] != time_s:
+            self._weights = time_s, waters.ripples.weights(waters.ripple_clock.loop_s(time_s))
         fields = np.empty((*lines[0].shape, 4), np.float32)
         block_fields(
-            lines, self._basis[:, *window.blocks], waters.ripples.weights(waters.ripple_clock.loop_s(time_s)),
-            waters.pattern(time_s),
-            waters.caustics.half_m, depth_m, float(waters.reach(depth_m)), np.array(self.view.camera.position_m),
-            np.array(LAMPS_M), 255.0 * waters.picture.glare, float(self.bending), fields,
+            lines, self._basis[:, *window.blocks], self._weights[1], waters.pattern(time_s),
+            waters.caustics.half_m, depth_m, float(waters.reach(depth_m)), self._lens, self._lamps,
+            255.0 * waters.picture.glare, float(self.bending), fields,
         )  # fmt: skip
         return fields
 
