@@ -32,9 +32,8 @@ MAX_EVENT_BYTES = 16 * 1024  # of a line of the log: logs of earlier versions ho
 LONGEST_LINE = 1000  # characters of a line of the log; the rest is cut off
 LONGEST_TEXT = 8000  # characters of any other text, for example every reason that keeps fifty robots from arming
 SHARED = "shared_memory"  # encoding of a picture whose pixels are in a ring of frames (wire/transport/frame_ring.py)
-_SHORT = 64  # numbers
+_SHORT = 32  # numbers
 LARGEST = 1e12  # no quantity in any message comes near it; squares of it are still finite
-_CLEARLY_SMALL = 1e20  # sum of squares; below it no value is near LARGEST, and none is NaN
 
 M = TypeVar("M")
 
@@ -177,9 +176,14 @@ def _array_reader(shape: tuple[int, ...]) -> Callable[[Any, str], Any]:
     row, any_length = math.prod(n for n in shape if n != -1), -1 in shape
 
     def read(value: Any, name: str) -> Any:
-        # np.array looks at what it is given for longer than a short array takes to read
-        array = np.array(value, dtype=np.float64) if len(value) > _SHORT else np.fromiter(value, np.float64, len(value))
-        if not array.dot(array) < _CLEARLY_SMALL and not np.abs(array).max() <= LARGEST:  # both are true for NaN
+        if len(value) > _SHORT:
+            array = np.array(value, dtype=np.float64)
+            small = bool(np.abs(array).max() <= LARGEST)  # false for NaN
+        else:  # of a few numbers lists are faster
+            numbers = value[:]
+            array = np.array(numbers, dtype=np.float64)
+            small = sum(map(abs, numbers)) <= LARGEST or bool(np.abs(array).max() <= LARGEST)
+        if not small:
             raise _Invalid(name, f"holds a value that is not a finite number below {LARGEST:g}")
         if (array.size % row if any_length else array.size - row) != 0:
             raise _Invalid(name, f"{array.size} values do not fill the shape {shape}")
