@@ -133,12 +133,16 @@ class ObstacleDetector:
     def _foreground(self, distance: Planes, watched: Mask) -> NDArray[np.uint8]:
         """Mask of the cells that are at least half covered by an object."""
         clear = distance * watched
+        if not clear.max() > _FOREGROUND:  # bare water
+            return np.zeros(clear.shape, np.uint8)
         peak = cv2.dilate(clear, _EDGE_REACH)
         found = ((clear > _FOREGROUND) & (clear >= np.float32(_EDGE) * peak)).astype(np.uint8)
         return np.asarray(cv2.morphologyEx(found, cv2.MORPH_CLOSE, _GAP), dtype=np.uint8)
 
     def _regions(self, foreground: NDArray[np.uint8]) -> list[Blob]:
         """Connected cells that cover enough of the pool, the largest first."""
+        if not foreground.any():
+            return []
         count, labels = cv2.connectedComponents(foreground)
         areas = np.bincount(labels.ravel(), self._cell_m2.ravel(), count)
         areas[0] = 0.0  # water
@@ -160,10 +164,11 @@ class ObstacleDetector:
         stale = (self._shaded_from_start & ~shaded) | (hidden & ~known)
         self._shaded_from_start = shaded & (self._shaded_from_start | ~known)
         clear = ~hidden & (~shaded | self._shaded_from_start)
-        followed = np.zeros(clear.shape, np.uint8)
-        for blob in self._tracker.blobs:
-            followed |= blob.region.cells
-        clear &= cv2.dilate(followed, _EDGE_REACH) == 0
+        if self._tracker.blobs:
+            followed = np.zeros(clear.shape, np.uint8)
+            for blob in self._tracker.blobs:
+                followed |= blob.region.cells
+            clear &= cv2.dilate(followed, _EDGE_REACH) == 0
         self._background.forget(stale)
         self._background.learn(colours, distance, clear, step_s)
 
