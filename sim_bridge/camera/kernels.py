@@ -115,6 +115,10 @@ def draw_body(
     half = skin.shape[1] / 2.0
     height, width = surface_x.shape
     k = len(places)
+    deep = True  # it is all under water: the lines in air, each row of which is another page of memory, are not needed
+    for pose in range(k):
+        z = places[pose, 2]
+        deep = deep and z >= radius and z > height_m * attitudes[pose, 2, 2]
     for i in range(height):
         row = top + i
         for begin in range(0, width, LANES):
@@ -122,7 +126,8 @@ def draw_body(
                 j = min(begin + n, width - 1)
                 lanes[0, n], lanes[1, n] = surface_x[i, j], surface_y[i, j]
                 lanes[2, n], lanes[3, n] = water_x[i, j] + fields[i, j, 0], water_y[i, j] + fields[i, j, 1]
-                lanes[4, n], lanes[5, n] = air_x[i, j], air_y[i, j]
+                if not deep:
+                    lanes[4, n], lanes[5, n] = air_x[i, j], air_y[i, j]
                 lanes[6, n], lanes[7, n] = 0.0, 0.0  # colour and coverage
             for pose in range(k):
                 x, y, z = places[pose, 0], places[pose, 1], places[pose, 2]
@@ -134,10 +139,10 @@ def draw_body(
                         slope_x, slope_y = lanes[slope, n], lanes[slope + 1, n]
                         # from the middle of the plate; and (slope, 1) deeper per metre, to the plate's plane
                         dx, dy = lanes[0, n] - (x - height_m * ox), lanes[1, n] - (y - height_m * oy)
-                        deep = (above * oz - dx * ox - dy * oy) / (oz + slope_x * ox + slope_y * oy)
-                        dx += deep * slope_x
-                        dy += deep * slope_y
-                        dz = deep - above
+                        down = (above * oz - dx * ox - dy * oy) / (oz + slope_x * ox + slope_y * oy)
+                        dx += down * slope_x
+                        dy += down * slope_y
+                        dz = down - above
                         right_m = attitudes[pose, 0, 1] * dx + attitudes[pose, 1, 1] * dy + attitudes[pose, 2, 1] * dz
                         ahead_m = attitudes[pose, 0, 0] * dx + attitudes[pose, 1, 0] * dy + attitudes[pose, 2, 0] * dz
                         lanes[8, n], lanes[9, n] = middle + texels_per_m * right_m, middle - texels_per_m * ahead_m
