@@ -17,6 +17,10 @@ from wire.frames import Array
 from wire.kernels import kernel
 
 LANES = 32  # px of a row that a body is drawn on at a time
+# Rows of what is known of these pixels: line of sight in water and air, the body's colour and coverage so far, texel of the
+# plate, and of the sphere its normal, coverage, texel of the skin, light on its paint, and highlight.
+SURFACE_X, SURFACE_Y, WATER_X, WATER_Y, AIR_X, AIR_Y, COLOUR, COVER, PLATE_COLUMN, PLATE_ROW = range(10)
+NORMAL_X, NORMAL_Y, UP, SPHERE_COVER, SKIN_COLUMN, SKIN_ROW, SHADE, HIGHLIGHT, LANE_ROWS = range(10, 19)
 BLOCK = 8  # px, side of a block; the shortest ripple is some 60 px long
 LAMP_X, LAMP_Y, LAMP_UP = -0.30, -0.22, 0.93  # direction to most of the light: pool x, y and up; shadows fall the other way
 AMBIENT, DIFFUSE = 0.50, 0.56  # shares of ambient and of directed light on a hull
@@ -105,9 +109,7 @@ def draw_body(
     in red, green and blue.
 
     All that needs no texture is computed for LANES pixels of a row at a time, in vector registers. Pixels beyond the rectangle
-    repeat its last, and are not drawn. `lanes` (15, LANES) is scratch: 0 to 5 the line of sight (surface, water, air), 6 and 7
-    colour and coverage, 8 and 9 the plate's texel, 10 to 12 the sphere's normal, which becomes its texel and light, 13 its
-    coverage, 14 its highlight.
+    repeat its last, and are not drawn. `lanes` (LANE_ROWS, LANES) is scratch; its rows are named above.
     """
     radius, height_m, skin, has_plate, plate, texels_per_m = body
     surface_x, surface_y, air_x, air_y, water_x, water_y = lines
@@ -124,65 +126,73 @@ def draw_body(
         for begin in range(0, width, LANES):
             for n in range(LANES):
                 j = min(begin + n, width - 1)
-                lanes[0, n], lanes[1, n] = surface_x[i, j], surface_y[i, j]
-                lanes[2, n], lanes[3, n] = water_x[i, j] + fields[i, j, 0], water_y[i, j] + fields[i, j, 1]
+                lanes[SURFACE_X, n], lanes[SURFACE_Y, n] = surface_x[i, j], surface_y[i, j]
+                lanes[WATER_X, n], lanes[WATER_Y, n] = water_x[i, j] + fields[i, j, 0], water_y[i, j] + fields[i, j, 1]
                 if not deep:
-                    lanes[4, n], lanes[5, n] = air_x[i, j], air_y[i, j]
-                lanes[6, n], lanes[7, n] = 0.0, 0.0  # colour and coverage
+                    lanes[AIR_X, n], lanes[AIR_Y, n] = air_x[i, j], air_y[i, j]
+                lanes[COLOUR, n], lanes[COVER, n] = 0.0, 0.0
             for pose in range(k):
                 x, y, z = places[pose, 0], places[pose, 1], places[pose, 2]
                 if has_plate:
                     ox, oy, oz = attitudes[pose, 0, 2], attitudes[pose, 1, 2], attitudes[pose, 2, 2]
                     above = z - height_m * oz
-                    slope = 2 if above > 0.0 else 4
+                    slope = WATER_X if above > 0.0 else AIR_X
                     for n in range(LANES):
                         slope_x, slope_y = lanes[slope, n], lanes[slope + 1, n]
                         # from the middle of the plate; and (slope, 1) deeper per metre, to the plate's plane
-                        dx, dy = lanes[0, n] - (x - height_m * ox), lanes[1, n] - (y - height_m * oy)
+                        dx, dy = lanes[SURFACE_X, n] - (x - height_m * ox), lanes[SURFACE_Y, n] - (y - height_m * oy)
                         down = (above * oz - dx * ox - dy * oy) / (oz + slope_x * ox + slope_y * oy)
                         dx += down * slope_x
                         dy += down * slope_y
                         dz = down - above
                         right_m = attitudes[pose, 0, 1] * dx + attitudes[pose, 1, 1] * dy + attitudes[pose, 2, 1] * dz
                         ahead_m = attitudes[pose, 0, 0] * dx + attitudes[pose, 1, 0] * dy + attitudes[pose, 2, 0] * dz
-                        lanes[8, n], lanes[9, n] = middle + texels_per_m * right_m, middle - texels_per_m * ahead_m
+                        lanes[PLATE_COLUMN, n] = middle + texels_per_m * right_m
+                        lanes[PLATE_ROW, n] = middle - texels_per_m * ahead_m
                 if radius > 0.0:
                     for n in range(LANES):
-                        wx, wy = lanes[2, n], lanes[3, n]
+                        wx, wy = lanes[WATER_X, n], lanes[WATER_Y, n]
                         nx, ny, up, cover = intersect_sphere(
-                            lanes[0, n] + z * wx - x, lanes[1, n] + z * wy - y, wx, wy, radius, px_per_m
+                            lanes[SURFACE_X, n] + z * wx - x, lanes[SURFACE_Y, n] + z * wy - y, wx, wy, radius, px_per_m
                         )
-                        lanes[10, n], lanes[11, n], lanes[12, n], lanes[13, n] = nx, ny, up, cover
+                        lanes[NORMAL_X, n], lanes[NORMAL_Y, n] = nx, ny
+                        lanes[UP, n], lanes[SPHERE_COVER, n] = up, cover
                     if z < radius:  # it breaks the surface: the part above is seen straight
                         for n in range(LANES):
-                            ax, ay = lanes[4, n], lanes[5, n]
+                            ax, ay = lanes[AIR_X, n], lanes[AIR_Y, n]
                             nx, ny, up, cover = intersect_sphere(
-                                lanes[0, n] + z * ax - x, lanes[1, n] + z * ay - y, ax, ay, radius, px_per_m
+                                lanes[SURFACE_X, n] + z * ax - x, lanes[SURFACE_Y, n] + z * ay - y, ax, ay, radius, px_per_m
                             )
-                            if (lanes[12, n] if z > 0.0 else up) * radius > z:
-                                lanes[10, n], lanes[11, n], lanes[12, n], lanes[13, n] = nx, ny, up, cover
+                            if (lanes[UP, n] if z > 0.0 else up) * radius > z:
+                                lanes[NORMAL_X, n], lanes[NORMAL_Y, n], lanes[UP, n], lanes[SPHERE_COVER, n] = (
+                                    nx,
+                                    ny,
+                                    up,
+                                    cover,
+                                )
                     for n in range(LANES):
-                        look = hull_look(attitudes, pose, half, lanes[10, n], lanes[11, n], lanes[12, n])
-                        lanes[10, n], lanes[11, n], lanes[12, n], lanes[14, n] = look
+                        look = hull_look(attitudes, pose, half, lanes[NORMAL_X, n], lanes[NORMAL_Y, n], lanes[UP, n])
+                        lanes[SKIN_COLUMN, n], lanes[SKIN_ROW, n], lanes[SHADE, n], lanes[HIGHLIGHT, n] = look
                 for n in range(min(LANES, width - begin)):
                     channel = row % 2 + (left + begin + n) % 2
                     light = fields[i, begin + n, 2]
                     marking, plate_cover, sphere, sphere_cover = 0.0, 0.0, 0.0, 0.0
-                    if has_plate and max(abs(lanes[8, n] - middle), abs(lanes[9, n] - middle)) < middle:
-                        plate_cover = sample(plate, 1, lanes[8, n], lanes[9, n]) / 255.0
-                        marking = sample(plate, 0, lanes[8, n], lanes[9, n]) * light
+                    if has_plate and max(abs(lanes[PLATE_COLUMN, n] - middle), abs(lanes[PLATE_ROW, n] - middle)) < middle:
+                        plate_cover = sample(plate, 1, lanes[PLATE_COLUMN, n], lanes[PLATE_ROW, n]) / 255.0
+                        marking = sample(plate, 0, lanes[PLATE_COLUMN, n], lanes[PLATE_ROW, n]) * light
                         marking = plate_cover * (marking * water[pose, 1, 0, channel] + water[pose, 1, 1, channel])
-                    if radius > 0.0 and plate_cover < 1.0 and lanes[13, n] > 0.0:
-                        sphere_cover = lanes[13, n]
-                        sphere = sample(skin, channel, lanes[10, n], lanes[11, n]) * lanes[12, n] * light + lanes[14, n]
+                    if radius > 0.0 and plate_cover < 1.0 and lanes[SPHERE_COVER, n] > 0.0:
+                        sphere_cover = lanes[SPHERE_COVER, n]
+                        sphere = sample(skin, channel, lanes[SKIN_COLUMN, n], lanes[SKIN_ROW, n]) * lanes[SHADE, n] * light
+                        sphere += lanes[HIGHLIGHT, n]
                         sphere = sphere_cover * (sphere * water[pose, 0, 0, channel] + water[pose, 0, 1, channel])
-                    lanes[6, n] += (sphere * (1.0 - plate_cover) + marking) / k
-                    lanes[7, n] += (sphere_cover * (1.0 - plate_cover) + plate_cover) / k
+                    lanes[COLOUR, n] += (sphere * (1.0 - plate_cover) + marking) / k
+                    lanes[COVER, n] += (sphere_cover * (1.0 - plate_cover) + plate_cover) / k
             for n in range(min(LANES, width - begin)):
-                cover = lanes[7, n]
+                cover = lanes[COVER, n]
                 if cover > 0.0:
                     column = left + begin + n
-                    seen = lanes[6, n] * vignette[row, column] + cover * fields[i, begin + n, 3]
+                    seen = lanes[COLOUR, n] * vignette[row, column] + cover * fields[i, begin + n, 3]
                     raw[row, column] = int(min(max(raw[row, column] * (1.0 - cover) + seen, 0.0), 255.0) + 0.5)
 
 

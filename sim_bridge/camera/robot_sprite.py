@@ -9,7 +9,7 @@ import copy
 import numpy as np
 
 from sim_bridge.camera import kernels
-from sim_bridge.camera.kernels import LAMP_UP, LAMP_X, LAMP_Y, LANES, PENUMBRA
+from sim_bridge.camera.kernels import LAMP_UP, LAMP_X, LAMP_Y, LANE_ROWS, LANES, PENUMBRA
 from sim_bridge.camera.optics import Bytes
 from sim_bridge.camera.rays import ImageRect
 from sim_bridge.camera.scene import WaterView, water_colour
@@ -95,7 +95,7 @@ class BodySprite:
         kernels.draw_body(
             raw, window.top, window.left, scene.view.lines(window).planes, scene.view.spread(fields, window), scene.vignette,
             self._constants, np.ascontiguousarray(poses[:, :3]), attitudes, water.astype(np.float64), px_per_m,
-            np.empty((15, LANES)),
+            np.empty((LANE_ROWS, LANES)),
         )  # fmt: skip
 
     def draw_shadow(self, raw: Bytes, scene: WaterView, window: ImageRect, eta: Array) -> None:
