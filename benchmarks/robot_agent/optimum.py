@@ -21,7 +21,7 @@ PERIOD_S = 0.05
 
 
 @dataclass(frozen=True)
-class Case:
+class BoundedRun:
     """A scene and what counts in it."""
 
     name: str
@@ -33,13 +33,13 @@ class Case:
 
 
 CASES = (
-    Case("numeric", (), 35.0, 20.0, 4, "RMS, m and rad"),
-    Case("numeric-disturbed", (), 35.0, 20.0, 4, "RMS, m and rad"),
-    *(Case("pool", (*CAMERA, f"seed={seed}"), 60.0, 25.0, 3, "RMS, m") for seed in (1, 2, 3)),
+    BoundedRun("numeric", (), 35.0, 20.0, 4, "RMS, m and rad"),
+    BoundedRun("numeric-disturbed", (), 35.0, 20.0, 4, "RMS, m and rad"),
+    *(BoundedRun("pool", (*CAMERA, f"seed={seed}"), 60.0, 25.0, 3, "RMS, m") for seed in (1, 2, 3)),
 )
 
 
-def task(case: Case, flight: SceneFlight) -> dict[str, object]:
+def task(case: BoundedRun, flight: SceneFlight) -> dict[str, object]:
     """The description of a flight for the peer that computes the optimum. Its search begins at what was flown if there is
     sway: from the reference alone it does not find out how to turn."""
     experiment = flight.experiment

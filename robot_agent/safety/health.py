@@ -56,8 +56,7 @@ class HealthMonitor:
             self._thrusters.reset()
             self._estimate_ended = False
         elif telemetry.board_ms >= 0:
-            if telemetry.battery_v > 0.0:
-                self._thrusters.note_voltage(telemetry.battery_v, telemetry.arrival_ns)
+            self._thrusters.note_voltage(telemetry.battery_v, telemetry.arrival_ns)
             self._thrusters.step(telemetry.yaw_rate_radps, telemetry.arrival_ns, telemetry.board_ms * 1_000_000)
 
     def note_pulses(self, pulse_us: tuple[int, ...], now_ns: int) -> None:

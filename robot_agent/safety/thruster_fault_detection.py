@@ -49,6 +49,7 @@ ALIKE = np.diag([1.0] * LEGS + [0.0] * 3)  # covariance of how far all legs' mom
 ALIKE[:LEGS, :LEGS] = 1.0
 EXPONENT = 1.2  # of thrust over voltage (OpenThruster's A2212 data at 10 to 12.6 V)
 CHANGED = 0.05  # of the thrust: half a volt of 12. Less is within what a leg may be off, and full load alone is as much
+MOST_CHANGED = 0.3  # of the thrust: from a full battery to one at which robots go to neutral
 KEPT = 128  # commands: half of them are more than act within LONGEST_NS of the fastest loop
 
 
@@ -156,12 +157,15 @@ class ThrusterFaultDetector:
         self._acts_ns[self._count - 1], self._told[self._count - 1] = acts_ns, moments_nm
 
     def note_voltage(self, voltage_v: float, at_ns: int) -> None:
-        """Take note of the battery's voltage, however raw, with its instant."""
+        """Take note of the battery's voltage, however raw, with its instant. 0: not known. A change by
+        more than MOST_CHANGED counts as that much: no wrong reading makes the test blinder."""
+        if not 0.0 < voltage_v < math.inf:
+            return
         if self._voltage_v is None:
             self._voltage_v = voltage_v
-        changed = EXPONENT * math.log(voltage_v / self._voltage_v)
-        if abs(changed) > CHANGED:
-            self._test.note_change(changed**2 * ALIKE, at_ns)
+        changed = EXPONENT * abs(math.log(voltage_v) - math.log(self._voltage_v))
+        if changed > CHANGED:
+            self._test.note_change(min(changed, MOST_CHANGED) ** 2 * ALIKE, at_ns)
             self._voltage_v = voltage_v
 
     def step(self, yaw_rate_radps: float, at_ns: int, board_ns: int) -> None:

@@ -129,6 +129,21 @@ def test_one_page_has_control_and_a_silent_page_loses_it() -> None:
     assert lease.free(10.0)
 
 
+def test_silent_page_that_comes_to_itself_has_control_again_unless_another_asked_or_it_was_gone() -> None:
+    late = 2.0 * SILENT_S
+    for another_asked, gone, holder in ((False, False, 1), (True, False, 2), (False, True, 0)):
+        lease = ControlLease()
+        lease.ask(1, 0.0)
+        assert lease.free(late)
+        if another_asked:
+            lease.ask(2, late)
+        if gone:
+            lease.leave(1)
+        lease.heard(2, late)
+        lease.heard(1, late)
+        assert lease.holder == holder
+
+
 # --- who may look in
 
 

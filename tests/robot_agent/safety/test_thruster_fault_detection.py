@@ -102,10 +102,11 @@ def watched(
     deaf: range = range(0),
     late: range = range(0),
     watch_late_ns: int = 0,
+    volts: dict[int, float] | None = None,
 ) -> ThrusterFaultDetector:
     """Detector on a body that the moments (n,) turn, integrated independently in steps of 1 ms; the detector is given the
     moments of the legs (n, 4). In some steps no gyroscope sample arrives, in others one that is 0.1 s old; in all steps
-    the samples may be older than stated."""
+    the samples may be older than stated. `volts` are the battery's, by step."""
     vehicle = load_experiment("pool").vehicle
     detector, rate, acting = ThrusterFaultDetector(vehicle), 0.0, 0.0
     drag, mass, thruster = vehicle.drag, vehicle.mass.yaw_kg_m2, vehicle.thruster
@@ -113,6 +114,8 @@ def watched(
     line, rates = [0.0] * round(thruster.dead_time_s / 0.001), [0.0, 0.0]
     for k, (torque, told) in enumerate(zip(torque_nm, told_nm, strict=True)):
         detector.note_moments(told, k * STEP_NS)
+        if volts and k in volts:
+            detector.note_voltage(volts[k], k * STEP_NS)
         for _ in range(50):
             line.append(torque)
             acting += 0.001 / thruster.lag_s * (line.pop(0) - acting)
@@ -222,3 +225,13 @@ def test_numbers_that_cannot_be_and_gaps_begin_anew() -> None:
     assert not detector.broken
     detector.reset()
     assert not detector.broken
+
+
+def test_readings_that_no_battery_gives_blind_nobody() -> None:
+    told = legs(34.0)
+    given = told.copy()
+    given[600:, 1] = 0.0
+    nonsense = {100: 12.0, 200: np.inf, 210: np.nan, 220: -3.0, 230: 1e-300, 231: 12.0, 400: 65.0, 401: 12.0}
+    with np.errstate(all="raise"):
+        assert not watched(told.sum(axis=1), told, volts=nonsense).broken
+        assert watched(given.sum(axis=1), told, volts=nonsense).broken
