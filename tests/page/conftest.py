@@ -47,7 +47,7 @@ def _let_flights_go_first() -> None:
         with suppress(OSError):  # it has ended, or may not
             group = Path(f"/proc/{program.pid}/autogroup")
             if group.read_text(encoding="ascii").partition(" ")[0] != ours:
-                group.write_text("10", encoding="ascii")
+                group.write_text("15", encoding="ascii")
 
 
 @pytest.fixture(scope="package")
