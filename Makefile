@@ -32,20 +32,21 @@ check: $(INSTALLED) ## ruff, mypy, and the unit tests that start no process: a m
 test-units:
 	$(BIN)/python -m pytest $(IN_PARALLEL) -m "not slow and not real_time and not long"
 
-# What only computes, and the page's tests, which have time, fill the idle time of those that wait for programs, at lower
-# priorities, so that they delay none of them.
+# What only computes fills the idle time of the tests that wait for programs, at a lower priority, so that it delays none of
+# them. The page's tests come after: a browser, a flight and whatever else share two processors badly, and these need both.
 test: $(INSTALLED) ## all tests but the slow ones. ARGS="tests/wire -x"
 ifdef ARGS
 	$(BIN)/python -m pytest $(ARGS)
 else
-	@$(MAKE) --no-print-directory --keep-going --jobs=3 test-real-time test-page test-computing
+	@others=0; $(MAKE) --no-print-directory --keep-going --jobs=2 test-real-time test-computing || others=$$?; \
+	$(MAKE) --no-print-directory test-page && exit $$others
 endif
 
 test-real-time:
 	$(BIN)/python -m pytest -m "real_time and not slow" --ignore=tests/page
 
 test-page:
-	nice -n 5 $(BIN)/python -m pytest -m "real_time and not slow" tests/page
+	$(BIN)/python -m pytest -m "real_time and not slow" tests/page
 
 test-computing:
 	nice -n 15 $(BIN)/python -m pytest $(IN_PARALLEL) -m "not real_time and not slow"

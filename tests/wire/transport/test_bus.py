@@ -386,6 +386,8 @@ def fleet_with_agent() -> Iterator[tuple[Bus, "subprocess.Popen[bytes]"]]:
         other = subprocess.Popen([sys.executable, "-c", THERE, address], stdout=subprocess.PIPE)
         try:
             assert other.stdout is not None and other.stdout.readline() == b"there\n"
+            bus.watch_presence()  # its token reaches the router some time after it was declared
+            assert eventually(lambda: "agent-1" in bus.present)
             yield bus, other
         finally:
             other.kill()
