@@ -91,10 +91,6 @@ class MemoryTransport:
             self._hub.tokens[key] = self
         self._tell(key, True)
 
-    def is_present(self, key: str) -> bool:
-        with self._hub.lock:
-            return key in self._hub.tokens
-
     def watch(self, key: str, presence: Presence) -> None:
         with self._hub.lock:
             self._hub.watchers.append((key, presence, self))

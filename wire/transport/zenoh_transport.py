@@ -29,7 +29,6 @@ log = logging.getLogger("shoal")
 
 UNCOLLECTED = 8192  # messages of a subscription that wait to be collected: 20 s of the busiest topic of 20 robots
 UNCOLLECTED_IMAGES = 256  # 12 s, in some 30 MB
-PRESENT_WITHIN_S = 2.0  # for the router to say who is there
 TRY_AGAIN_S = 0.2
 DRAWS = 3  # of free ports behind the gate
 SAY_AGAIN_S = 10.0  # how often a process says that it still waits
@@ -279,9 +278,6 @@ class ZenohTransport:
 
     def announce(self, key: str) -> None:
         self._kept.append(self._control.liveliness().declare_token(key))
-
-    def is_present(self, key: str) -> bool:
-        return any(reply.ok is not None for reply in self._control.liveliness().get(key, timeout=PRESENT_WITHIN_S))
 
     def watch(self, key: str, presence: Presence) -> None:
         def on_sample(sample: zenoh.Sample) -> None:

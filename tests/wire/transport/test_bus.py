@@ -387,7 +387,7 @@ def fleet_with_agent() -> Iterator[tuple[Bus, "subprocess.Popen[bytes]"]]:
         try:
             assert other.stdout is not None and other.stdout.readline() == b"there\n"
             bus.watch_presence()  # its token reaches the router some time after it was declared
-            assert eventually(lambda: "agent-1" in bus.present)
+            assert bus.wait(lambda: "agent-1" in bus.present, 20.0)
             yield bus, other
         finally:
             other.kill()
