@@ -5,7 +5,7 @@ wins: a slow viewer never slows the poses.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -59,6 +59,11 @@ class _PreviewItem:
     on_page: bool
 
 
+def _combined(waiting: _PreviewItem, newer: _PreviewItem) -> _PreviewItem:
+    """The newer picture, on what either was due: a slow machine shows each period one."""
+    return replace(newer, on_bus=waiting.on_bus or newer.on_bus, on_page=waiting.on_page or newer.on_page)
+
+
 class PreviewPublisher:
     """The thread, and the outputs that it feeds."""
 
@@ -77,7 +82,7 @@ class PreviewPublisher:
         self._frames, self._previews = topics.FRAME.of_camera(camera), topics.PREVIEW.of_camera(camera)
         self._draw, self._bus, self._clock, self._page, self._publish_frames = draw, bus, clock, page, publish_frames
         self._preview, self._paging = RateLimiter(preview_rate_hz), RateLimiter(PAGE_RATE_HZ if page is not None else 0.0)
-        self._worker: LatestItemWorker[_PreviewItem] = LatestItemWorker("previews", self._make, stop)
+        self._worker: LatestItemWorker[_PreviewItem] = LatestItemWorker("previews", self._make, stop, combine=_combined)
 
     def offer(self, captured: CapturedFrame, result: LocalizationResult, obstacles: Obstacles) -> None:
         """Offer a frame and its result. Never waits."""

@@ -17,10 +17,17 @@ class LatestItemWorker(Generic[T]):
     is an error in the log. If the thread itself ends, the process ends with the reason.
     """
 
-    def __init__(self, name: str, handle: Callable[[T], None], stop: Stop, begin: Callable[[], None] = lambda: None) -> None:
-        """`begin` is called once, in the thread."""
+    def __init__(
+        self,
+        name: str,
+        handle: Callable[[T], None],
+        stop: Stop,
+        begin: Callable[[], None] = lambda: None,
+        combine: Callable[[T, T], T] = lambda waiting, newer: newer,
+    ) -> None:
+        """`begin` is called once, in the thread. `combine` makes the item that replaces a waiting one (LatestValue)."""
         self._name, self._handle, self._begin = name, handle, begin
-        self._newest: LatestValue[T] = LatestValue()
+        self._newest = LatestValue(combine)
         self._closing = threading.Event()
         self.failed = 0  # items that `handle` raised for, in a row
         self._thread = guarded_thread(stop, name, self._work)

@@ -14,7 +14,7 @@ from wire.config.scene import PoolConfig
 from wire.frames import Array
 from wire.kernels import kernel
 
-MOST_STREAMS = 50
+MOST_STREAMS = 100  # the experiment's 50 and 50 of a fault; more are not drawn
 STREAM_HZ = 15.0  # bubbles a second of one stream
 RISE_MPS = 0.24  # of bubbles of 3 to 8 mm in tap water (Clift, Grace and Weber 1978, figure 7.3)
 RADIUS_M = (0.0015, 0.004)
@@ -57,8 +57,8 @@ class Bubbles:
 
 
 def draw_bubbles(raw: Bytes, bubbles: Array, camera: Camera, robots_m: Array, hull_m: float) -> None:
-    """Lay bubbles (k, 4) over a raw mosaic, in place, except those that are below a robot at `robots_m` (n, 3) of radius
-    `hull_m`."""
+    """Lay bubbles (k, 4) over a raw mosaic, in place, except those that are vertically below a robot at `robots_m` (n, 3), in
+    the middle of the exposure, of radius `hull_m`: a camera that looks aslant sees some through a hull's side."""
     away = np.linalg.norm(bubbles[:, None, :2] - robots_m[None, :, :2], axis=2)
     seen = bubbles[~np.any((away < hull_m) & (bubbles[:, None, 2] > robots_m[None, :, 2]), axis=1)]
     if len(seen):

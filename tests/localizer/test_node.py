@@ -446,6 +446,26 @@ def test_a_preview_that_cannot_be_drawn_says_so_and_is_not_the_picture_before() 
     assert not stop.requested
 
 
+def test_a_preview_that_is_due_is_shown_though_newer_frames_come_before_it_is_drawn() -> None:
+    hub, stop, drawing, go_on = MemoryHub(), Stop(install=False), threading.Event(), threading.Event()
+    previews = Bus(MemoryTransport(hub)).inbox(topics.PREVIEW, Preview)
+
+    def draw(pixels: Pixels, result: LocalizationResult, obstacles: Obstacles) -> Pixels:
+        drawing.set()
+        assert go_on.wait(20.0)
+        return np.full((480, 640, 3), 200, np.uint8)
+
+    made = PreviewPublisher(draw, Bus(MemoryTransport(hub)), WallClock(), stop, 5.0, publish_frames=True)
+    result = LocalizationResult((), LocalizerStatus(), RefractiveCamera(EXPERIMENT.camera))
+    for stamp_ns in (1000 * MS, 1200 * MS, 1250 * MS):  # drawn at once; due; not due
+        made.offer(CapturedFrame(np.zeros((8, 8), np.uint8), stamp_ns, stamp_ns, stamp_ns), result, Obstacles())
+        assert drawing.wait(20.0)
+    go_on.set()
+    shown = eventually(lambda: (h := previews.newest_header()) is not None and h.stamp_ns == 1250 * MS)
+    made.close()
+    assert shown
+
+
 @pytest.mark.parametrize(("scene", "settings"), [("pool", ["localizer.obstacle_min_m=0"]), ("drone", [])])
 def test_obstacles_are_not_watched_unasked_or_from_a_moving_camera(scene: str, settings: list[str]) -> None:
     """Under a drone all of the background moves."""
