@@ -7,7 +7,7 @@ from pathlib import Path
 PERIOD_S = 0.005  # between two looks
 
 
-def eventually(ready: Callable[[], object], timeout_s: float = 5.0) -> bool:
+def eventually(ready: Callable[[], object], timeout_s: float = 30.0) -> bool:
     """True as soon as `ready()` is true; False if it was not within the timeout, in s. Not asked again once it was true."""
     deadline_s = time.monotonic() + timeout_s
     while not ready():
