@@ -45,7 +45,7 @@ class FixedCameraPose:
     """The pose of a camera that is fixed, as the experiment gives it."""
 
     fresh = usable = True
-    moved = False
+    moved = marks_seen = False
     trouble = ""
 
     def __init__(self, camera: Camera) -> None:
@@ -75,7 +75,7 @@ class CameraPoseTracker:
         self._frames = 0
         self._agreeing = 0
 
-    moved = False  # that it moves is no news
+    moved = marks_seen = False  # that it moves is no news, and it has no check marks
 
     @property
     def fresh(self) -> bool:

@@ -4,6 +4,7 @@ One mark that is not at its place was moved itself. Most of them are not: the ca
 water level (one number) brings back to their places: the water sank or rose. In both cases the shift in the pool [m] is added
 to every pose's covariance, and the operator is told. The median of a mark's last readings takes out waves and misreadings.
 After a knock that no waves explain the last reading of each mark counts: most of them have one within the next pictures.
+Fewer than most of the marks can tell that the camera was moved, never that it is back: covered marks clear nothing.
 """
 
 import math
@@ -58,7 +59,8 @@ class CheckedCameraPose(FixedCameraPose):
         self._frames = 0
         self._covariance = np.zeros((3, 3))
         self._searched = False  # in the whole picture, since most marks were not seen
-        self.moved = False
+        self._verdict = ""  # on the camera or the water; empty if both are as the experiment says
+        self.moved = self.marks_seen = False
         self.trouble = ""
 
     def update(self, frame: Pixels) -> None:
@@ -79,8 +81,8 @@ class CheckedCameraPose(FixedCameraPose):
         if 2 * len(knocked) > max(len(last), 2):
             self._judge(knocked)  # what was read before the knock counts no more
         elif turn == len(self._ids) - 1:
-            known = {k: [px for px in readings if px is not None] for k, readings in enumerate(self._readings)}
-            self._judge({k: np.median(px, axis=0) for k, px in known.items() if len(px) > READINGS // 2})
+            known = self._known()
+            self._judge({k: np.median(known[k], axis=0) for k in last if len(known[k]) > READINGS // 2})
 
     def uncertainty(self, tangents: Sequence[LocalLinearization], depths_m: Sequence[float]) -> Array:
         """Covariances (n, 3, 3) of [x, y, yaw]: of the shift that the marks show, the same everywhere in the pool."""
@@ -96,10 +98,15 @@ class CheckedCameraPose(FixedCameraPose):
             if corners is not None:
                 self._places_px[k] = corners.mean(axis=0)
 
+    def _known(self) -> list[list[Array]]:
+        """The last readings of each mark in which it was seen: corners (4, 2) px."""
+        return [[px for px in readings if px is not None] for readings in self._readings]
+
     def _judge(self, seen: dict[int, Array]) -> None:
         """Find the marks that are shifted among those whose corners (4, 2) are `seen`, and what that means."""
+        self.marks_seen = 2 * len(seen) > len(self._ids)
         missed = [k for k, readings in enumerate(self._readings) if len(readings) == READINGS and readings[-1] is None]
-        unseen = [k for k in missed if k not in seen]
+        unseen = [k for k in missed if len(self._known()[k]) <= READINGS // 2]
         shift_px = {k: self._shift_px(k, px) for k, px in seen.items()}
         shifted = [k for k, px in shift_px.items() if px > SHIFTED_PX]
         places, pixels = self._corners[list(seen)], np.array(list(seen.values())).reshape(-1, 4, 2)
@@ -107,16 +114,20 @@ class CheckedCameraPose(FixedCameraPose):
         drop_m, left_px = fit_water_drop(self._camera, places, pixels)
         sunk = abs(drop_m) > LEAST_DROP_M and left_px < rms_px / 2.0
         bumped = 2 * len(shifted) > len(seen) and (len(shifted) > 1 or len(self._ids) == 1)
-        self.moved = bumped and not sunk
-        self._covariance = self._shift_covariance(seen) if sunk or bumped else np.zeros((3, 3))
-        said = [f"check mark {self._ids[k]} is not seen" for k in unseen]
+        verdict = ""
         if sunk:
             higher = "lower" if drop_m > 0.0 else "higher"
-            said.append(f"the water stands {abs(drop_m) * 1e3:.0f} mm {higher} than the experiment says")
+            verdict = f"the water stands {abs(drop_m) * 1e3:.0f} mm {higher} than the experiment says"
         elif bumped:
-            said.append(
-                f"the camera was moved: check marks are {rms_px:.1f} px from their places{self._motion(places, pixels)}"
-            )
+            verdict = f"the camera was moved: check marks are {rms_px:.1f} px from their places{self._motion(places, pixels)}"
+        moved = bumped and not sunk
+        if self.marks_seen or moved or not self._verdict:
+            covariance = self._shift_covariance(seen) if verdict else np.zeros((3, 3))
+            self._covariance = covariance if self.marks_seen else np.maximum(covariance, self._covariance)
+            self._verdict, self.moved = verdict, moved
+        said = [f"check mark {self._ids[k]} is not seen" for k in unseen]
+        if self._verdict:
+            said.append(self._verdict)
         else:
             said += [f"check mark {self._ids[k]} is {shift_px[k]:.1f} px from its place: it was moved" for k in shifted]
         self.trouble = "; ".join(said)

@@ -152,10 +152,14 @@ class FleetLocalizer:
         self._tracks = [track.lost() if self._coasts_outside(track) else track for track in tracks]
         self._estimate_motion()
         poses = self._poses(depths, views) if camera is CameraHealth.OK else ()
-        message, moved = self._status_message(camera), self._camera_pose.moved
-        return LocalizationResult(
-            poses, LocalizerStatus(camera=camera, frames=self._frames, message=message, moved=moved), self.view
+        status = LocalizerStatus(
+            camera=camera,
+            frames=self._frames,
+            message=self._status_message(camera),
+            moved=self._camera_pose.moved,
+            marks_seen=self._camera_pose.marks_seen,
         )
+        return LocalizationResult(poses, status, self.view)
 
     def finish(self) -> None:
         """Do what the poses of the frame last located need not wait for. A second call does nothing."""

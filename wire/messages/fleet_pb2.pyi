@@ -158,7 +158,7 @@ class Pose(_message.Message):
     def __init__(self, x_m: _Optional[float] = ..., y_m: _Optional[float] = ..., yaw_rad: _Optional[float] = ..., covariance: _Optional[_Iterable[float]] = ..., track: _Optional[_Union[Track, str]] = ..., identity_verified: _Optional[bool] = ..., peak: _Optional[float] = ..., depth_m: _Optional[float] = ...) -> None: ...
 
 class LocalizerStatus(_message.Message):
-    __slots__ = ("camera", "frames", "dropped", "frame_ms", "frame_age_ms", "message", "robots", "obstacles_ns", "failed", "out", "moved")
+    __slots__ = ("camera", "frames", "dropped", "frame_ms", "frame_age_ms", "message", "robots", "obstacles_ns", "failed", "out", "moved", "marks_seen")
     CAMERA_FIELD_NUMBER: _ClassVar[int]
     FRAMES_FIELD_NUMBER: _ClassVar[int]
     DROPPED_FIELD_NUMBER: _ClassVar[int]
@@ -170,6 +170,7 @@ class LocalizerStatus(_message.Message):
     FAILED_FIELD_NUMBER: _ClassVar[int]
     OUT_FIELD_NUMBER: _ClassVar[int]
     MOVED_FIELD_NUMBER: _ClassVar[int]
+    MARKS_SEEN_FIELD_NUMBER: _ClassVar[int]
     camera: CameraHealth
     frames: int
     dropped: int
@@ -181,7 +182,8 @@ class LocalizerStatus(_message.Message):
     failed: int
     out: _containers.RepeatedScalarFieldContainer[str]
     moved: bool
-    def __init__(self, camera: _Optional[_Union[CameraHealth, str]] = ..., frames: _Optional[int] = ..., dropped: _Optional[int] = ..., frame_ms: _Optional[float] = ..., frame_age_ms: _Optional[float] = ..., message: _Optional[str] = ..., robots: _Optional[_Iterable[int]] = ..., obstacles_ns: _Optional[int] = ..., failed: _Optional[int] = ..., out: _Optional[_Iterable[str]] = ..., moved: _Optional[bool] = ...) -> None: ...
+    marks_seen: bool
+    def __init__(self, camera: _Optional[_Union[CameraHealth, str]] = ..., frames: _Optional[int] = ..., dropped: _Optional[int] = ..., frame_ms: _Optional[float] = ..., frame_age_ms: _Optional[float] = ..., message: _Optional[str] = ..., robots: _Optional[_Iterable[int]] = ..., obstacles_ns: _Optional[int] = ..., failed: _Optional[int] = ..., out: _Optional[_Iterable[str]] = ..., moved: _Optional[bool] = ..., marks_seen: _Optional[bool] = ...) -> None: ...
 
 class Obstacles(_message.Message):
     __slots__ = ("ids", "outline", "velocity", "depth_m", "watched", "blind", "unseen_s")

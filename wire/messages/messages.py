@@ -159,6 +159,7 @@ class LocalizerStatus:
     failed: int = 0  # Pictures skipped since the start, because their processing raised an error.
     out: tuple[str, ...] = ()  # Of several cameras, the names of those that give no poses now.
     moved: bool = False  # Whether check marks show that the camera was moved.
+    marks_seen: bool = False  # Whether most check marks are seen. Only then is a camera that was moved known to be back.
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,6 +6,8 @@ The renderer's camera is moved, or its water sunk, while the localizer keeps the
 import numpy as np
 import pytest
 
+from localizer.detection.image_regions import Pixels
+from localizer.tracking.check_marks import READINGS, CheckedCameraPose
 from localizer.tracking.fleet_localizer import FleetLocalizer, LocalizationResult
 from sim_bridge.camera.renderer import Renderer
 from wire.config.experiment import Experiment, load_experiment
@@ -117,6 +119,49 @@ def test_a_knock_is_noticed_in_the_next_pictures_and_its_end_as_soon_as_most_rea
         moved.append(localizer.step(picture, round(0.05e9 * k), {1: 0.3, 2: 0.3}).status.moved)
     told = [k for k, said in enumerate(moved) if said]
     assert told[0] == 9 and told == list(range(9, told[-1] + 1)) and 27 < told[-1] < 27 + 4 * 5
+
+
+@pytest.mark.parametrize(("seen", "pictures"), [((), 1), ((2,), 3), ((1, 4), 3)])
+def test_a_bumped_camera_is_not_cleared_by_marks_that_are_covered(seen: tuple[int, ...], pictures: int) -> None:
+    """All but the `seen` are covered after so many pictures of each mark. Then the camera is put back, and at last all of
+    them are seen again."""
+    believed, few = pool(), tuple(MARKS[k] for k in seen)
+    bumped, (at_place, covered) = moved_camera(believed, (0.1, 0.0, 0.0)), (picture(pool()), picture(pool(few)))
+    pose = CheckedCameraPose(believed.camera, MARKS)
+    watch(pose, at_place, READINGS)
+    assert not pose.moved and pose.marks_seen
+    watch(pose, picture(bumped), pictures)
+    assert pose.moved and pose.marks_seen
+    wide = shift_variance_m2(pose)
+    for hidden in (picture(moved_camera(pool(few), (0.1, 0.0, 0.0))), covered):
+        for _ in range(READINGS + 1):
+            watch(pose, hidden, 1)
+            assert pose.moved and "the camera was moved" in pose.trouble
+            assert shift_variance_m2(pose) >= wide
+    assert not pose.marks_seen and "check mark 40 is not seen" in pose.trouble
+    watch(pose, at_place, READINGS)
+    assert not pose.moved and pose.marks_seen
+    assert shift_variance_m2(pose) == 0.0 and pose.trouble == ""
+
+
+def test_two_marks_of_five_can_tell_a_bump() -> None:
+    believed, few = pool(), MARKS[:2]
+    pose = CheckedCameraPose(believed.camera, MARKS)
+    watch(pose, picture(moved_camera(pool(few), (0.1, 0.0, 0.0))), READINGS)
+    assert pose.moved and shift_variance_m2(pose) > 0.0 and not pose.marks_seen
+
+
+def picture(true: Experiment) -> Pixels:
+    return np.asarray(Renderer(true, true.seed).render(ETA, np.zeros((2, 4)), 0.0, 0))
+
+
+def watch(pose: CheckedCameraPose, seen: Pixels, rounds: int) -> None:
+    for _ in range(rounds * len(MARKS)):
+        pose.update(seen)
+
+
+def shift_variance_m2(pose: CheckedCameraPose) -> float:
+    return float(np.trace(pose.uncertainty(pose.view.linearize([ETA[0, :2]], [0.3]), [0.3])[0][:2, :2]))
 
 
 def test_a_covered_mark_is_said_and_the_others_still_count() -> None:
