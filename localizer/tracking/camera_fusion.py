@@ -25,12 +25,14 @@ import numpy as np
 
 from localizer.sources.base import silent_after_s
 from localizer.tracking.camera_bumps import CameraBumps, Evidence
+from localizer.tracking.check_marks import with_camera
 from localizer.tracking.kalman import GATE, KalmanState, initial_state, predict, update
 from wire.config.experiment import Experiment
 from wire.frames import Array, wrap
 from wire.messages.messages import CameraHealth, LocalizerStatus, Obstacles, Pose, Track
 
 _FOLLOWED_S = 1.0  # s after which a camera that has not been within a robot's motion is not said to have left it
+_LONGEST_STEP = 2.0  # periods between pictures that count against a camera or for it; a longer gap proves nothing more
 _FORGET_S = 2.0  # s in which a doubt falls to 1/e once the cameras agree again; one misread marker costs no more
 
 
@@ -69,12 +71,13 @@ class CameraFusion:
 
     def __init__(self, experiment: Experiment) -> None:
         self._names, self._robots = experiment.camera_names, experiment.robot_ids
-        self._out_after_s = silent_after_s(experiment.all_cameras[0].rate_hz)
+        rate_hz = experiment.all_cameras[0].rate_hz
+        self._out_after_s, self._longest_step_s = silent_after_s(rate_hz), _LONGEST_STEP / rate_hz
         self._motions: dict[int, KalmanState] = {}
         self._last: dict[int, Pose] = {}
         self._doubts = {name: np.zeros((3, 3)) for name in self._names}  # added to the covariances of a camera's poses
         self._bumps = CameraBumps(self._names)
-        self._marked = bool(experiment.check_marks)
+        self._marked = frozenset(name for name in self._names if with_camera(experiment, name).check_marks)
         self._within_s: dict[tuple[str, int], float] = {}  # since a camera was within the motion of a robot
         self._known_ns = dict.fromkeys(self._names, -1)  # instant of each camera's last view
         self._instant_ns: int | None = None
@@ -138,7 +141,8 @@ class CameraFusion:
         """Judge the cameras by the robots that two of them measure, and by their check marks: which were moved, and which are
         in doubt. Returns what to tell the operator."""
         said, agreed, backed = list[str](), set[str](), set[str]()
-        doubted, apart_m, was_out = dict[str, Array](), dict[str, float](), set(self._bumps.out)
+        doubted, was_out = dict[str, Array](), set(self._bumps.out)
+        alone_apart = dict[str, tuple[float, str]]()  # of a camera that is alone at fault, the worst
         stayed, leapt = set[str](), set[str]()  # cameras by what they measure of the robots whose motion they have followed
         for robot, found in candidates.items():
             measured = [c for c in found if c.message.track >= Track.KCF]
@@ -147,23 +151,31 @@ class CameraFusion:
             leapt |= followed - within
             for one, other in combinations(measured, 2):
                 apart = _difference(one.mean, other.mean)
-                if _squared(apart, one.covariance + other.covariance) <= GATE:
+                squared = _squared(apart, covariance := one.covariance + other.covariance)
+                if squared <= GATE:
                     agreed |= {one.camera, other.camera}
                     backed |= {a.camera for a, b in ((one, other), (other, one)) if b.camera not in was_out}
                     continue
-                away_m = float(np.hypot(apart[0], apart[1]))
+                words = _in_words(apart, covariance)
                 pair = {one.camera, other.camera}
                 left = pair & was_out or pair & followed - within
                 if len(left) == 1 and (left <= was_out or pair & within):
-                    apart_m |= {name: max(away_m, apart_m.get(name, 0.0)) for name in left}
+                    alone_apart |= {name: max((squared, words), alone_apart.get(name, (0.0, ""))) for name in left}
                     continue
-                said.append(f"cameras {one.camera} and {other.camera} disagree by {away_m * 1e3:.0f} mm about robot {robot}")
+                said.append(f"cameras {one.camera} and {other.camera} disagree by {words} about robot {robot}")
                 for name in pair:
-                    grown = np.diag([away_m**2, away_m**2, apart[2] ** 2])
+                    away_m2 = float(apart[:2] @ apart[:2])
+                    grown = np.diag([away_m2, away_m2, apart[2] ** 2])
                     doubted[name] = np.maximum(doubted.get(name, grown), grown)
         moved = {name: view.status.message for name, view in seen.items() if view.status.moved}
-        told = Evidence(moved, apart_m, frozenset(leapt - stayed if self._marked else ()), frozenset(backed))
-        self._bumps.step(seen.keys(), told, step_s)
+        told = Evidence(
+            moved=moved,
+            in_place=frozenset(name for name, view in seen.items() if view.status.marks_seen and name not in moved),
+            apart={name: words for name, (_, words) in alone_apart.items()},
+            leapt=self._marked & leapt - stayed,
+            agreed=frozenset(backed),
+        )
+        self._bumps.step(seen.keys(), told, min(step_s, self._longest_step_s))
         if set(self._bumps.out) - was_out:  # theirs is the fault, and nobody else's
             self._doubts = {name: np.zeros((3, 3)) for name in self._names}
             doubted = {}
@@ -285,6 +297,12 @@ def _difference(one: Array, other: Array) -> Array:
     away = one - other
     away[2] = wrap(float(away[2]))
     return away
+
+
+def _in_words(apart: Array, covariance: Array) -> str:
+    """The part of a difference (3,) that its covariance explains least: of the places, or of the headings."""
+    turned = apart[2] ** 2 / covariance[2, 2] > _squared(apart[:2], covariance[:2, :2])
+    return f"{abs(np.degrees(apart[2])):.1f} deg of heading" if turned else f"{np.hypot(*apart[:2]) * 1e3:.0f} mm"
 
 
 def _is_covariance(matrix: Array) -> bool:

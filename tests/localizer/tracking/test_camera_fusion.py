@@ -13,6 +13,7 @@ from localizer.tracking.camera_fusion import (
     covariance_intersection,
     fuse_obstacles,
 )
+from localizer.tracking.check_marks import with_camera
 from wire.config.experiment import load_experiment
 from wire.frames import Array
 from wire.messages.messages import CameraHealth, LocalizerStatus, Obstacles, Pose, Track
@@ -20,7 +21,7 @@ from wire.messages.messages import CameraHealth, LocalizerStatus, Obstacles, Pos
 EXPERIMENT = load_experiment("two-cameras")
 PERIOD_NS = 50_000_000
 SIGMA = np.diag([0.002, 0.002, 0.005])
-WELL = LocalizerStatus(camera=CameraHealth.OK)
+WELL = LocalizerStatus(camera=CameraHealth.OK, marks_seen=True)
 
 
 def pose(eta: Sequence[float] | Array, covariance: Array = SIGMA**2, track: Track = Track.MARKER, sure: bool = True) -> Pose:
@@ -249,7 +250,7 @@ def test_a_camera_whose_check_marks_are_off_is_out_at_once_and_back_when_they_ar
         west = {1: pose([-1.0, 0.0, 0.0])} | ({3: pose([0.0, 0.0, 0.0])} if k < 5 else {})
         east = {2: pose([1.0, 0.0, 0.0])} | ({3: pose(LEAP)} if k < 5 else {})
         views = {"west": view(at_ns, west), "east": view(at_ns, east, MOVED if moved else WELL)}
-        result = CameraFusion.step(fusion, views, at_ns)
+        result = fusion.step(views, at_ns)
         out.append(result.status.out)
         assert (2 in dict(result.poses)) == (out[-1] == ()) and 1 in dict(result.poses)
         if moved:
@@ -270,6 +271,63 @@ def test_a_leap_of_all_that_a_camera_measures_is_not_told_until_its_check_marks_
             assert result.status.out == ()
         assert silent <= told and bool(silent) == bool(told)
         assert fused(result) == pytest.approx([-0.7, 0.4, 0.0])
+
+
+def test_a_camera_without_check_marks_does_not_wait_for_them_to_tell_a_leap() -> None:
+    marks = set(with_camera(EXPERIMENT, "east").check_marks) - set(with_camera(EXPERIMENT, "west").check_marks)
+    assert len(marks) == 3
+    fusion = CameraFusion(EXPERIMENT.model_copy(update={"check_marks": tuple(marks)}))
+    for k in range(24):
+        at_ns, leap_m = k * PERIOD_NS, 0.3 * (k >= 20)
+        west, east = {1: pose([-1.0 + leap_m, 0.4, 0.0])}, {2: pose([1.0 + leap_m, 0.4, 0.0])}
+        result = fusion.step({"west": view(at_ns, west), "east": view(at_ns, east)}, at_ns)
+        assert dict(result.poses).keys() == ({1, 2} if k < 20 else {1})
+
+
+def test_a_bumped_camera_stays_out_while_its_check_marks_are_not_seen() -> None:
+    """As when they are covered, and its localizer was started anew and knows nothing of the bump."""
+    fusion, out, covered = CameraFusion(EXPERIMENT), [], replace(WELL, marks_seen=False)
+    for k in range(200):
+        at_ns, status = k * PERIOD_NS, MOVED if k < 20 else covered if k < 120 else WELL
+        result = fusion.step({"west": view(at_ns, {}), "east": view(at_ns, {2: pose([1.0, 0.0, 0.0])}, status)}, at_ns)
+        out.append(result.status.out)
+    assert [k for k in range(200) if out[k]] == list(range(159))  # back 2 s after its marks are seen
+
+
+def test_a_gap_between_pictures_is_no_evidence() -> None:
+    """A leap of all that a camera measures is not told after it either, and two pictures in contradiction put nobody out."""
+    fusion = CameraFusion(EXPERIMENT)
+    for k in range(20):
+        fusion.step({"west": view(k * PERIOD_NS, {1: pose([-1.0, 0.4, 0.0])})}, k * PERIOD_NS)
+    late_ns = 28 * PERIOD_NS
+    assert fusion.step({"west": view(late_ns, {1: pose([1.0, 0.4, 0.0])})}, late_ns).poses == ()
+
+    fusion = CameraFusion(EXPERIMENT)
+    for at_ns in (*range(0, 21 * PERIOD_NS, PERIOD_NS), 20 * PERIOD_NS + 220_000_000):
+        east = pose(10.0 * LEAP * (at_ns >= 20 * PERIOD_NS))
+        result = fusion.step({"west": view(at_ns, {1: pose(np.zeros(3))}), "east": view(at_ns, {1: east})}, at_ns)
+        assert result.status.out == () and ("east" in result.distrusted) == (at_ns >= 20 * PERIOD_NS)
+
+
+def test_a_suspicion_begins_anew_when_the_camera_was_silent() -> None:
+    fusion, frozen = CameraFusion(EXPERIMENT), LocalizerStatus(camera=CameraHealth.FROZEN)
+    for k in range(28):
+        at_ns = k * PERIOD_NS
+        east = view(at_ns, {}, frozen) if k == 23 else view(at_ns, {1: pose(LEAP * (k >= 20))})
+        result = fusion.step({"west": view(at_ns, {1: pose(np.zeros(3))}), "east": east}, at_ns)
+        assert result.status.out == (("east",) if k == 23 else ())
+
+
+def test_a_camera_whose_headings_alone_are_off_is_out_and_the_words_say_so() -> None:
+    fusion = CameraFusion(EXPERIMENT)
+    for k in range(30):
+        at_ns, turned = k * PERIOD_NS, pose([0.0, 0.0, 0.5 * (k >= 20)])
+        result = fusion.step({"west": view(at_ns, {1: pose(np.zeros(3))}), "east": view(at_ns, {1: turned})}, at_ns)
+        assert fused(result)[2] == pytest.approx(0.0, abs=1e-9)
+    why = "camera east is out: it seems to have been moved: its poses are 28.6 deg of heading from those of another camera"
+    assert result.status.message == why
+    result = CameraFusion(EXPERIMENT).step({"west": view(0, {1: pose(np.zeros(3))}), "east": view(0, {1: turned})}, 0)
+    assert result.disagreement == "cameras west and east disagree by 28.6 deg of heading about robot 1"
 
 
 def test_with_all_cameras_moved_there_are_no_poses() -> None:
