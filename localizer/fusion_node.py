@@ -82,6 +82,7 @@ class FusionNode:
         self._obstacles_ns = -1
         self._lockstep = Lockstep(bus, stop, clock, topics.EXPOSED) if isinstance(clock, LockstepClock) else None
         self._out: tuple[str, ...] = ()
+        self._distrusted: tuple[str, ...] = ()
         self._say_again_ns = 0
 
     def run(self) -> None:
@@ -133,7 +134,8 @@ class FusionNode:
         except Exception as error:  # of a message that is not what it should be: in lockstep others wait for the status
             why = f"pictures not fused: {type(error).__name__}: {error}"
             log.error("%s", why, exc_info=error)
-            result = FusionResult((), LocalizerStatus(message=why), "")
+            result = FusionResult((), LocalizerStatus(message=why, out=self._out), "", self._distrusted)
+        self._distrusted = result.distrusted
         age_ns = max(self._clock.now_ns() - instant_ns, 0)
         for robot, pose in result.poses:
             self._bus.publish(topics.POSE, pose, stamp_ns, robot, age_ns=age_ns)
@@ -159,7 +161,8 @@ class FusionNode:
             found = camera.obstacles.newest(self._up_to_ns[name][1] if name in self._up_to_ns else None)
             if found is not None and found is not camera.told:
                 camera.told = found
-                new.append(found)
+                if name not in out:
+                    new.append(found)
         if not new:
             return
         newest = max(new, key=self._clock.instant_ns)

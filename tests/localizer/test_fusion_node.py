@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from localizer.fusion_node import FusionNode
+from localizer.tracking.camera_fusion import CameraFusion
 from tests.waiting import eventually
 from wire.config.experiment import load_experiment
 from wire.messages import topics
@@ -19,7 +20,10 @@ from wire.transport.memory_transport import MemoryHub, MemoryTransport
 pytestmark = pytest.mark.real_time
 
 EXPERIMENT = load_experiment("two-cameras")
-SEEN = Obstacles((3,), np.zeros((1, 12, 2)), np.zeros((1, 2)), unseen_s=np.zeros(1))
+POSE = Pose(0.1, 0.0, 0.0, 1e-6 * np.eye(3), Track.MARKER, True)
+ROUND = 0.1 * np.array([[np.cos(a), np.sin(a)] for a in np.arange(12) * np.pi / 6.0])
+SEEN = Obstacles((3,), ROUND[None], np.zeros((1, 2)), unseen_s=np.zeros(1))
+ELSEWHERE = Obstacles((3,), ROUND[None] + 1.0, np.zeros((1, 2)), unseen_s=np.zeros(1))
 
 
 @pytest.fixture
@@ -45,6 +49,39 @@ def tell(bus: Bus, camera: str, robots: tuple[int, ...] = (1,)) -> int:
     status = LocalizerStatus(CameraHealth.OK, robots=robots)
     bus.publish(topics.LOCALIZER.of_camera(camera), status, stamp_ns, age_ns=20_000_000)
     return stamp_ns
+
+
+def test_obstacles_of_a_camera_that_is_out_are_not_told_and_renew_no_list(monkeypatch: pytest.MonkeyPatch) -> None:
+    """East is bumped: out. Then it alone tells of obstacles, and at last both do while the fusion fails."""
+    hub = MemoryHub()
+    bus, stop = Bus(MemoryTransport(hub)), Stop(install=False)
+    steps = FusionNode(EXPERIMENT, Bus(MemoryTransport(hub)), stop, WallClock()).steps()
+    obstacles, statuses = bus.inbox(topics.OBSTACLES, Obstacles), bus.inbox(topics.LOCALIZER, LocalizerStatus)
+    next(steps)
+
+    def told(west: Obstacles | None) -> tuple[int, tuple[int, ...], LocalizerStatus]:
+        """Fuse what both tell of a picture. The stamp that west gave, the list's numbers and the status."""
+        stamp_ns = time.time_ns()
+        for camera, seen, moved in (("east", ELSEWHERE, True), ("west", west, False)):
+            if seen is not None:
+                bus.publish(topics.OBSTACLES.of_camera(camera), seen, stamp_ns)
+            bus.publish(topics.POSE.of_camera(camera), POSE, stamp_ns, 1)
+            status = LocalizerStatus(CameraHealth.OK, message="moved" if moved else "", robots=(1,), moved=moved)
+            bus.publish(topics.LOCALIZER.of_camera(camera), status, stamp_ns)
+        next(steps)
+        fused, said = obstacles.newest(), statuses.newest()
+        assert fused is not None and said is not None and said.message.obstacles_ns == fused.header.stamp_ns
+        return stamp_ns - fused.header.stamp_ns, fused.message.ids, said.message
+
+    later_ns, ids, status = told(SEEN)
+    assert later_ns == 0 and ids == (6,) and status.out == ("east",)
+    later_ns, ids, status = told(None)
+    assert later_ns > 0 and ids == (6,)
+    monkeypatch.setattr(CameraFusion, "step", lambda *_: 1 // 0)
+    later_ns, ids, status = told(SEEN)
+    assert "pictures not fused" in status.message and status.out == ("east",)
+    assert later_ns == 0 and ids == (6,)
+    stop.request()
 
 
 def keeps_telling(bus: Bus, cameras: tuple[str, ...], until: Callable[[], bool]) -> bool:
