@@ -13,7 +13,7 @@ from wire.config.vehicle import Vehicle
 from wire.frames import Array, pool_to_body
 
 _MOST_RAD = 0.3  # rad; more lean is not looked for
-_LEAST_RADIUS_PX = 15.0  # px; on a smaller hull the floor below is more than 3 degrees
+_LEAST_RADIUS_PX = 15.0  # px; on a smaller hull _SIGMA_PX alone is more than 3 degrees of lean
 _SIGMA_PX = 0.15  # px, floor of the standard deviation: light and shade on the rim, corners of the marker
 _BENT = 0.25  # of the water's slope: by so much it bends lines of sight, which plate and rim see 0.15 m apart
 
