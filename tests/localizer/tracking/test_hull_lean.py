@@ -7,11 +7,12 @@ from scipy.ndimage import map_coordinates
 from localizer.camera_model import RefractiveCamera
 from localizer.detection.hull_outline import fit_circle, outline_edges, strongest_circle
 from localizer.detection.image_regions import Pixels
+from localizer.tracking.fleet_localizer import FleetLocalizer
 from localizer.tracking.hull_lean import LeanReader
 from localizer.tracking.tilt import Attitude
 from sim_bridge.camera.renderer import Renderer
 from wire.config.experiment import Experiment, load_experiment
-from wire.frames import Array, body_to_pool
+from wire.frames import Array, body_to_pool, pool_to_body, wrap
 
 pytestmark = pytest.mark.long
 
@@ -93,6 +94,27 @@ def test_lean_is_read_within_a_few_sigmas(tilt_deg: tuple[float, float]) -> None
         error = np.array([found.roll_rad, found.pitch_rad]) - true
         assert np.abs(error).max() < np.radians(0.6) and np.abs(error).max() < 3.5 * found.sigma_rad
         assert found.sigma_rad < np.radians(0.4)
+
+
+def test_leaning_robots_in_motion_are_where_their_centres_are_under_a_rolling_shutter() -> None:
+    """Boards tell no attitude. Robots of 0.4 m/s are 3 mm off if the row's instant is left out; without the lean of the frame
+    before, headings are 1 deg off, and without any lean places are by 22 mm."""
+    rolling = load_experiment("pool", ["localizer.tilt_from_outline=true", "camera.readout_s=0.03"])
+    renderer, localizer = Renderer(rolling, 1), FleetLocalizer(rolling)
+    start, velocity = np.array([[0.9, 0.65, 0.3, 0.4], [-0.9, -0.65, 0.3, -2.0]]), np.array([[0.4, 0.0], [-0.4, 0.0]])
+    tilt, nu = np.radians([[8.0, -3.0], [-4.0, 9.0]]), np.zeros((2, 4))
+    nu[:, :2] = [pool_to_body(velocity[i], float(start[i, 3])) for i in range(2)]
+    errors = []
+    for k in range(8):
+        eta = start + np.pad(0.05 * k * velocity, ((0, 0), (0, 2)))
+        picture = renderer.render(eta, nu, 0.05 * k, k, tilt)
+        for robot, found in localizer.step(picture, round(0.05e9 * k), {1: 0.3, 2: 0.3}).poses:
+            if k > 2:  # the velocity is known
+                true = eta[robot - 1]
+                errors.append([found.x_m - true[0], found.y_m - true[1], wrap(found.yaw_rad - float(true[3]))])
+    assert len(errors) == 10
+    assert np.hypot(*np.transpose(errors)[:2]).max() < 1.3e-3
+    assert np.abs(np.transpose(errors)[2]).max() < np.radians(0.5)
 
 
 def test_no_lean_is_read_off_a_hull_that_is_half_covered_of_another_size_or_not_there() -> None:
