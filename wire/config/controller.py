@@ -137,8 +137,8 @@ class MpcConfig(Section):
     """Prediction steps of controller.period_s. Not given: as many as reach 2.5 s ahead, 200 at most. Below 0.75 s ahead, slow
     robots have left their paths."""
     blocks: Annotated[tuple[Annotated[int, Field(ge=1)], ...], Field(min_length=1)] = (1, 1, 2, 3, 4, 4)
-    """Steps for which each input is kept (move blocking). The last input is kept to the horizon's end. Not given:
-    blocks that end at the times of these at every period, and with the horizon at the latest."""
+    """Steps for which each input is kept, the last one to the horizon's end (move blocking). Not given: the same times at
+    every period, within the horizon."""
     terminal_cost: bool = True
     """Under a horizon below 2.5 s, count what errors at its end go on to cost. False: nothing comes after it (the article)."""
     linearise: Literal["trajectory", "point"] = "trajectory"
