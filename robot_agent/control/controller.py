@@ -109,7 +109,7 @@ class ControlOutput(NamedTuple):
     leap: str  # what was told and what had been believed, in a step that gave up the estimate's place for another one
     depth_leap: str  # the same for the depth
     is_free: bool  # the robot follows its path: neither giving way nor half-spaces change its plan
-    is_called_aside: bool  # it gives way, as it would have to on its path too
+    path_is_blocked: bool  # it avoids what it would meet on its path too
 
     @property
     def is_finite(self) -> bool:
@@ -340,7 +340,7 @@ class Controller:
             leap=estimate.leap,
             depth_leap=estimate.depth_leap,
             is_free=is_free,
-            is_called_aside=self._give_way.path_is_blocked,
+            path_is_blocked=self._give_way.path_is_blocked,
         )
 
     def _neutral(self, estimate: Estimate | None, now_ns: int) -> ControlOutput:
@@ -379,5 +379,5 @@ class Controller:
             leap="" if estimate is None else estimate.leap,
             depth_leap="" if estimate is None else estimate.depth_leap,
             is_free=False,
-            is_called_aside=False,
+            path_is_blocked=False,
         )

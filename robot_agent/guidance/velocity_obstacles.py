@@ -319,7 +319,7 @@ class GiveWay:
         self._velocity = 0j
         self._turn = 0.0  # of the heading, away from the reference's
         self._met = 0  # consecutive steps with a conflict
-        self.path_is_blocked = False  # the reference was left, and leads into traffic by itself, wherever the robot is
+        self.path_is_blocked = False  # it avoids what it would meet on its path too
 
     def avoidance_path(self, reference: Reference, place: complex, traffic: Traffic) -> Reference:
         """Return the reference to follow instead, for a robot at `place`; `reference` itself if it is free."""

@@ -35,6 +35,7 @@ def rehearse(experiment: Experiment, robot: int) -> Iterator[tuple[Agent, Inputs
     agent, period_s, noise = Agent(experiment, robot), experiment.controller.period_s, np.random.default_rng(1)
     period_ns, me = round(period_s * 1e9), experiment.robot_ids.index(robot)
     trajectory, full_v = _circle(period_s), experiment.vehicle.battery.full_v
+    told_m = DEPTH_M + experiment.robot(robot).depth_offset_m
     k = 0
     while True:
         now_ns = (k + 1) * period_ns
@@ -44,7 +45,7 @@ def rehearse(experiment: Experiment, robot: int) -> Iterator[tuple[Agent, Inputs
         pose = Pose(x, y, yaw, np.diag(np.square(NOISE)), Track.MARKER, True, 0.9, DEPTH_M)
         station = StationView(STATION, now_ns, 0.0)
         telemetry = Telemetry(
-            board_ms=now_ns // 1_000_000, arrival_ns=now_ns, depth_m=DEPTH_M, armed=k >= ARM_AFTER, battery_v=full_v
+            board_ms=now_ns // 1_000_000, arrival_ns=now_ns, depth_m=told_m, armed=k >= ARM_AFTER, battery_v=full_v
         )
         others = ((i, other) for i, other in enumerate(experiment.robot_ids) if other != robot)
         plans = {other: StampedPlan(_plan(experiment, i - me, flown), now_ns) for i, other in others}

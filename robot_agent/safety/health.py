@@ -72,7 +72,7 @@ class HealthMonitor:
         x_m, y_m, depth_m, _ = output.eta.tolist()
         path_x_m, path_y_m, path_depth_m, _ = output.eta_reference.tolist()
         place, path, is_free = complex(x_m, y_m), complex(path_x_m, path_y_m), output.is_free
-        self._path.step(place, path, is_free, output.is_called_aside, now_ns)
+        self._path.step(place, path, is_free, output.path_is_blocked, now_ns)
         self._depth.step(complex(depth_m), complex(path_depth_m), True, False, now_ns)  # no robot gives way by depth
         self._output = output
 

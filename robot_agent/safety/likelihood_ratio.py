@@ -169,7 +169,8 @@ class LikelihoodRatioTest:
         is sought in each of the first `parts` of x."""
         self._prior, self._least_variance, self._same_s = prior, least_noise**2, same_s
         self._theta, self._covariance, self._variance = np.zeros(len(prior)), prior.copy(), noise**2
-        self._doubt, self._changed_ns = np.zeros_like(prior), 0  # of a change that no learned sample has seen
+        # Covariance of told changes that is not yet in `_covariance`: it is added when the first sample after them is learned
+        self._doubt, self._changed_ns = np.zeros_like(prior), 0
         self._parts, self._shares, self._spans_s = parts, shares, np.array(SPANS_S)
         # Samples not learned yet stand in the rows from `first` to `end`: instant, (x, y), seconds and roughness
         self._instants_ns, self._samples = np.zeros(KEPT, np.int64), np.zeros((KEPT, len(prior) + 1))
@@ -195,8 +196,10 @@ class LikelihoodRatioTest:
 
     def note_change(self, covariance: Array, at_ns: int) -> None:
         """Take note that theta has changed at an instant, with an unknown change of this `covariance` (k, k). The test doubts
-        it at once, and looks at later samples only; earlier ones, which are not learned yet, do not settle it."""
-        self._doubt += covariance
+        it at once, up to the prior: of nothing less is known than at first. It looks at later samples only."""
+        changed = np.diag(covariance) > 0.0
+        room = np.diag(self._prior - self._covariance - self._doubt)[changed] / np.diag(covariance)[changed]
+        self._doubt += min(max(float(room.min(initial=1.0)), 0.0), 1.0) * covariance
         self._changed_ns = at_ns
 
     def _learn_first(self) -> None:

@@ -28,16 +28,16 @@ class PathDeviationMonitor:
         self._before: tuple[complex, complex, int] | None = None
         self._path_mps: complex | None = None
 
-    def step(self, place_m: complex, path_m: complex, is_free: bool, is_called_aside: bool, now_ns: int) -> None:
+    def step(self, place_m: complex, path_m: complex, is_free: bool, path_is_blocked: bool, now_ns: int) -> None:
         """Take in the robot's place and its reference, both x + iy in m. `is_free`: the robot avoids nothing at this step.
-        `is_called_aside`: it avoids what it would meet on its path too."""
+        `path_is_blocked`: it avoids what it would meet on its path too."""
         off_m = abs(place_m - path_m)
         drift_mps, at_once = self._motion(place_m, path_m, now_ns)
         if at_once:
             self._has_arrived = False
         if off_m + drift_mps * FORESEEN_S < ARRIVED * self._limit_m:
             self._has_arrived = is_free
-        if is_called_aside:
+        if path_is_blocked:
             self._has_arrived = False
         if not (self._has_arrived and off_m > self._limit_m):
             self._since_ns = None

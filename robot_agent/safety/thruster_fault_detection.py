@@ -21,7 +21,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_agent.safety.likelihood_ratio import LikelihoodRatioTest
+from robot_agent.safety.likelihood_ratio import SPANS_S, LikelihoodRatioTest
 from wire.config.vehicle import Vehicle
 from wire.frames import Array
 from wire.kernels import kernel
@@ -50,6 +50,7 @@ ALIKE[:LEGS, :LEGS] = 1.0
 EXPONENT = 1.2  # of thrust over voltage (OpenThruster's A2212 data at 10 to 12.6 V)
 CHANGED = 0.05  # of the thrust: half a volt of 12. Less is within what a leg may be off, and full load alone is as much
 MOST_CHANGED = 0.3  # of the thrust: from a full battery to one at which robots go to neutral
+SETTLES_NS = round(SPANS_S[-1] * NS)  # after a change: until then nothing felt since is learned
 KEPT = 128  # commands: half of them are more than act within LONGEST_NS of the fastest loop
 
 
@@ -136,7 +137,8 @@ class ThrusterFaultDetector:
         self._acting, self._impulse = np.zeros(LEGS), np.zeros(LEGS)
         self._rate: float | None = None
         self._at_ns = self._board_ns = 0
-        self._voltage_v: float | None = None  # at which legs were as they are known
+        self._known_v: float | None = None  # battery's voltage at which legs were as they are known
+        self._changed, self._changed_v, self._changed_ns = 0.0, 0.0, 0  # the largest change from there, already doubted
         self._forget_causes()
         self._test = LikelihoodRatioTest(PRIOR, *NOISE_NM, SAME_S, LEGS, MISSING)
 
@@ -157,16 +159,22 @@ class ThrusterFaultDetector:
         self._acts_ns[self._count - 1], self._told[self._count - 1] = acts_ns, moments_nm
 
     def note_voltage(self, voltage_v: float, at_ns: int) -> None:
-        """Take note of the battery's voltage, however raw, with its instant. 0: not known. A change by
-        more than MOST_CHANGED counts as that much: no wrong reading makes the test blinder."""
+        """Take note of the battery's voltage, however raw, with its instant. 0: not known.
+
+        A change by more than MOST_CHANGED counts as that much. For SETTLES_NS after a change only one that goes farther from
+        the voltage before it counts: readings to and fro let the test begin anew no more often than that, unless each of up
+        to MOST_CHANGED / CHANGED goes farther.
+        """
         if not 0.0 < voltage_v < math.inf:
             return
-        if self._voltage_v is None:
-            self._voltage_v = voltage_v
-        changed = EXPONENT * abs(math.log(voltage_v) - math.log(self._voltage_v))
-        if changed > CHANGED:
-            self._test.note_change(min(changed, MOST_CHANGED) ** 2 * ALIKE, at_ns)
-            self._voltage_v = voltage_v
+        if self._known_v is None:
+            self._known_v = self._changed_v = voltage_v
+        if at_ns - self._changed_ns > SETTLES_NS:
+            self._known_v, self._changed = self._changed_v, 0.0
+        changed = min(EXPONENT * abs(math.log(voltage_v) - math.log(self._known_v)), MOST_CHANGED)
+        if changed > self._changed + CHANGED:
+            self._test.note_change((changed**2 - self._changed**2) * ALIKE, at_ns)
+            self._changed, self._changed_v, self._changed_ns = changed, voltage_v, at_ns
 
     def step(self, yaw_rate_radps: float, at_ns: int, board_ns: int) -> None:
         """Take in a yaw rate with its instant on our clock and on the board's clock. A sample that was given before is

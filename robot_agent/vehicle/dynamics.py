@@ -367,9 +367,9 @@ def observe(
     and `work` (2, 8, 8) are as in `spread`. `settings` (5,): bandwidths of heave and of yaw (rad/s), 1 or without Gamma 0, the
     fastest current, the rate at which a side force goes to it. `pose` (5,): x, y, yaw, variance of x and y as it is believed
     and as it is told. The first `inputs` of `wrenches` act as in `propagate`; the first `samples` of `sensed` are depth and
-    yaw rate as in `sensed_at`. Results: `now` (4, 4) has the rows eta; nu over ground; Gamma; Gamma with the
-    acceleration by which the current changes drag; `action` (11,) is the state, its velocities through the water.
-    Returns False, and leaves the belief as it was, if the pose is farther off than GATE_M or GATE_RAD.
+    yaw rate as in `sensed_at`. Results: `now` (4, 4) has the rows eta; nu over ground; Gamma; Gamma with the acceleration by
+    which the current changes drag; `action` (11,) is the state, its velocities through the water. Returns False, and leaves
+    the belief as it was, if the pose is farther off than GATE_M or GATE_RAD.
     """
     state: State = (
         belief[0], belief[1], belief[2], belief[3], belief[4], belief[5], belief[6], belief[7],

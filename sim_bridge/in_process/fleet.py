@@ -70,7 +70,7 @@ class DirectPlant:
         self._plant = Plant(experiment, seed)
         self._state = self._plant.start(starts)
         self._step_ns, self._steps_a_period = step_ns, period_ns // step_ns
-        self._sensors = [BoardSensors(experiment.sim.sensors, robot, seed) for robot in experiment.robot_ids]
+        self._sensors = [BoardSensors(experiment, robot, seed) for robot in experiment.robot_ids]
         self._pulses_us = self._state.motors.pulses_us[0].copy()
         self._armed = [False] * len(starts)
         self._faults = FaultSchedule(experiment)

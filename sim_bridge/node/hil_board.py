@@ -43,7 +43,7 @@ class HilBoard:
     ) -> None:
         """`where` is the text of its address, for messages. The `link` is the caller's to close."""
         key, now = (None, lambda: 0) if signing is None else (signing.key, signing.stamps)
-        self.sensors = BoardSensors(experiment.sim.sensors, robot_id, seed)
+        self.sensors = BoardSensors(experiment, robot_id, seed)
         thruster, self._where, self._robot_id = experiment.vehicle.thruster, where, robot_id
         self._load = DemandedLoad(thruster)
         self._link, self._signing = link, signing

@@ -8,7 +8,7 @@ import numpy as np
 
 from sim_bridge.plant.kernels import GRAVITY_MPS2
 from sim_bridge.plant.random_streams import Stream, generator
-from wire.config.simulation import Sensors
+from wire.config.experiment import Experiment
 from wire.frames import Array, wrap
 
 ACCELEROMETER_NOISE_MPS2 = 0.02  # m/s^2, standard deviation of an ordinary MEMS part at 50 Hz; the link rounds to 0.01
@@ -35,10 +35,11 @@ class Reading:
 
 
 class BoardSensors:
-    """The sensors of one robot. A bias is drawn within +- the value of the experiment file, and stays."""
+    """The sensors of one robot. A bias is drawn within +- the value of the experiment file, and stays. Depth is off by the
+    robot's `depth_offset_m` as well."""
 
-    def __init__(self, sensors: Sensors, robot_id: int, seed: int) -> None:
-        self._sensors = sensors
+    def __init__(self, experiment: Experiment, robot_id: int, seed: int) -> None:
+        self._sensors = sensors = experiment.sim.sensors
         self._random = generator(seed, Stream.SENSORS, robot_id)
         heading, gyro, pressure = (float(value) for value in self._random.uniform(-1.0, 1.0, 3))
         self.heading_bias_rad = heading * sensors.heading_bias_rad
@@ -47,7 +48,7 @@ class BoardSensors:
         self.tilt_bias_rad = sensors.tilt_bias_rad * self._tilt_random.uniform(-1.0, 1.0, 2)
         self._tilt_noise = np.repeat([sensors.tilt_noise_rad, sensors.gyro_noise_radps], 2)
         self.error = (0.0, 0.0)  # of heading (rad) and yaw rate (rad/s), when the sensor is broken
-        self.depth_bias_m = pressure * sensors.pressure_bias_m
+        self.depth_bias_m = pressure * sensors.pressure_bias_m + experiment.robot(robot_id).depth_offset_m
 
     def read(self, eta: Array, nu: Array, acceleration: Array, tilt: Array | Sequence[float] = LEVEL) -> Reading:
         """Sample a motion: eta, nu and d nu / dt, each (4,), on level axes.

@@ -117,7 +117,7 @@ class ThrusterBoard:
         computer = (robot_id, agent_link.AGENT_COMPONENT)
         self.rules = BoardStateMachine(Parameters.of(experiment).restored(stored.parameters), computer, key, stored.heard)
         self.link = BoardLink(robot_id, self.rules.gate, key, stored.sent + SENT_BETWEEN)
-        self.sensors = BoardSensors(sensors, robot_id, seed)
+        self.sensors = BoardSensors(experiment, robot_id, seed)
         self._burst_ns = round(S_NS / sensors.rate_hz)
         self._outbox: list[bytes] = []
         self._simulated: SimulatedSensors | None = None  # in HIL mode

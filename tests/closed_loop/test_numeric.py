@@ -45,6 +45,11 @@ def test_without_the_observer_the_disturbed_scene_is_five_times_worse() -> None:
     assert without > 5.0 * with_eso
 
 
+def test_a_robot_whose_sensor_tells_too_much_flies_at_its_depth_where_that_is_known() -> None:
+    known = flown("pool", "duration_s=6", "robots.0.depth_offset_m=0.1", "robots.1.depth_offset_m=-0.05")
+    assert np.abs(known.truth[:, :, 2] - flown("pool", "duration_s=6").truth[:, :, 2]).max() < 0.001
+
+
 @pytest.mark.parametrize("name", ["numeric", "numeric-disturbed"])
 def test_the_whole_run_is_near_the_best_that_the_start_allows(name: str) -> None:
     flight = flown(name, "duration_s=35")

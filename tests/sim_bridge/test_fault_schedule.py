@@ -80,7 +80,7 @@ def test_before_the_start_nothing_breaks() -> None:
 def test_broken_imu_gives_its_faulty_samples() -> None:
     experiment = load_experiment("pool")
     still = np.zeros(4)
-    whole, broken = (BoardSensors(experiment.sim.sensors, 1, 1) for _ in range(2))
+    whole, broken = (BoardSensors(experiment, 1, 1) for _ in range(2))
     broken.error = (0.5, -0.1)
     a, b = whole.read(still, still, still), broken.read(still, still, still)
     assert (b.heading_rad - a.heading_rad, b.yaw_rate_radps - a.yaw_rate_radps) == pytest.approx((0.5, -0.1))

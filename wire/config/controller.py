@@ -134,11 +134,11 @@ class MpcConfig(Section):
     solver: Literal["osqp", "daqp"] = "osqp"
     """QP solver. `daqp` needs the package of that name."""
     horizon: Annotated[int, Field(ge=2, le=MOST_STEPS)] = 50
-    """Prediction steps of controller.period_s. Not given: as many as reach 2.5 s ahead. Below 0.75 s ahead, slow robots have
-    left their paths."""
+    """Prediction steps of controller.period_s. Not given: as many as reach 2.5 s ahead, 200 at most. Below 0.75 s ahead, slow
+    robots have left their paths."""
     blocks: Annotated[tuple[Annotated[int, Field(ge=1)], ...], Field(min_length=1)] = (1, 1, 2, 3, 4, 4)
-    """Steps for which each input is kept (move blocking). The last input is kept to the horizon's end. Not given at another
-    period: blocks that end at the same times."""
+    """Steps for which each input is kept, the last one to the horizon's end (move blocking). Not given: the same times at
+    every period, within the horizon."""
     terminal_cost: bool = True
     """Under a horizon below 2.5 s, count what errors at its end go on to cost. False: nothing comes after it (the article)."""
     linearise: Literal["trajectory", "point"] = "trajectory"
@@ -195,15 +195,15 @@ class ControllerConfig(Section):
     @model_validator(mode="before")
     @classmethod
     def _looks_as_far_ahead_at_every_rate(cls, given: Any) -> Any:
-        """Horizon and blocks that are not given are the default ones in time."""
-        fields, mpc_fields = cls.model_fields, MpcConfig.model_fields
-        if not isinstance(given, dict) or not isinstance(period_s := given.get("period_s"), int | float):
+        """Horizon and blocks that are not given are the default ones in time; no block ends after the horizon."""
+        usual_s, mpc_fields = cls.model_fields["period_s"].default, MpcConfig.model_fields
+        if not isinstance(given, dict) or not isinstance(period_s := given.get("period_s", usual_s), int | float):
             return given
-        mpc = given.get("mpc", {})
-        if not (isinstance(mpc, dict) and 1e-3 < period_s < 1.0) or period_s == fields["period_s"].default:
+        if not isinstance(mpc := given.get("mpc", {}), dict) or not 1e-3 < period_s < 1.0:
             return given
-        per_step = fields["period_s"].default / period_s
-        horizon = min(max(round(mpc_fields["horizon"].default * per_step), 2), MOST_STEPS)
-        ends = sorted({max(round(end * per_step), 1) for end in accumulate(mpc_fields["blocks"].default)})
+        per_step = usual_s / period_s
+        horizon = mpc.get("horizon", min(max(round(mpc_fields["horizon"].default * per_step), 2), MOST_STEPS))
+        latest = horizon if isinstance(horizon, int) and horizon > 0 else MOST_STEPS  # another is refused for itself
+        ends = sorted({min(max(round(end * per_step), 1), latest) for end in accumulate(mpc_fields["blocks"].default)})
         blocks = tuple(end - begin for begin, end in pairwise((0, *ends)))
         return {**given, "mpc": {"horizon": horizon, "blocks": blocks, **mpc}}

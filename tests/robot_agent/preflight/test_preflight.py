@@ -167,9 +167,10 @@ def test_the_rehearsal_flies_with_every_neighbour() -> None:
     [
         "vehicle.battery={cells=6, full_v=25.2, warn_v=21.6, no_arm_v=21.0, neutral_v=19.8, hysteresis_v=0.3}",
         "controller.period_s=0.1",
+        "robots.0.depth_offset_m=1",
     ],
 )
-def test_the_rehearsal_flies_whatever_the_battery_and_the_rate(setting: str) -> None:
+def test_the_rehearsal_flies_whatever_the_battery_the_rate_and_the_depths_zero(setting: str) -> None:
     """The time of a step of a robot that lies disarmed says nothing."""
     for agent, inputs, now_ns in itertools.islice(rehearse(load_experiment("pool", [setting]), 1), 40):
         outputs = agent.step(inputs, now_ns)

@@ -100,6 +100,17 @@ def test_change_is_doubted_at_once_and_settled_by_later_samples_only() -> None:
     assert most(told=True) < SUSPECTED < 8.0 < most(told=False)
 
 
+def test_however_many_changes_are_told_no_less_is_known_than_at_first() -> None:
+    x, y = samples(np.zeros(4), 22.0, 9)
+    begin = round(20.0 / STEP_S)
+    y[begin:] -= x[begin:, 0]
+    test = teach(fresh(), x[:begin], y[:begin])
+    for _ in range(100):
+        test.note_change(PRIOR, begin * round(STEP_S * NS))
+    at_first = teach(fresh(), x[begin:], y[begin:]).evidence
+    assert teach(test, x[begin:], y[begin:], begin).evidence > 0.9 * at_first > SUSPECTED
+
+
 def test_suspected_sample_does_not_become_a_habit() -> None:
     """However long it lasts."""
     x, y = samples(np.zeros(4), 60.0, 4)

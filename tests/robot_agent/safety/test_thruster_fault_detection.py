@@ -227,11 +227,26 @@ def test_numbers_that_cannot_be_and_gaps_begin_anew() -> None:
     assert not detector.broken
 
 
+TO_AND_FRO = [(1, (12.0, 11.3)), (5, (12.0, 9.9)), (20, (12.0, 9.9)), (5, (12.0, 11.4, 10.9, 10.4, 9.9, 10.4, 10.9, 11.4))]
+
+
+@pytest.mark.parametrize(("steps", "volts"), TO_AND_FRO)
+def test_readings_to_and_fro_blind_nobody(steps: int, volts: Sequence[float]) -> None:
+    """All the time, while a leg is dead too."""
+    told = legs(34.0)
+    given = told.copy()
+    given[600:, 1] = 0.0
+    read = {k: volts[k // steps % len(volts)] for k in range(len(told))}
+    assert not watched(told.sum(axis=1), told, volts=read).broken
+    assert watched(given.sum(axis=1)[: 600 + round(WITHIN_S / 0.05)], told[:640], volts=read).broken
+
+
 def test_readings_that_no_battery_gives_blind_nobody() -> None:
     told = legs(34.0)
     given = told.copy()
     given[600:, 1] = 0.0
-    nonsense = {100: 12.0, 200: np.inf, 210: np.nan, 220: -3.0, 230: 1e-300, 231: 12.0, 400: 65.0, 401: 12.0}
+    nonsense = (12.0, np.inf, np.nan, -3.0, 0.0, 1e-300, 65.0)
+    read = {k: nonsense[k % len(nonsense)] for k in range(100, len(told))}
     with np.errstate(all="raise"):
-        assert not watched(told.sum(axis=1), told, volts=nonsense).broken
-        assert watched(given.sum(axis=1), told, volts=nonsense).broken
+        assert not watched(told.sum(axis=1), told, volts=read).broken
+        assert watched(given.sum(axis=1), told, volts=read).broken

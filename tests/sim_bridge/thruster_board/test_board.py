@@ -420,8 +420,8 @@ def test_heading_is_wrapped() -> None:
 
 
 def test_noise_and_bias_are_what_the_file_says() -> None:
-    sensors = load_experiment("pool").sim.sensors
-    board = BoardSensors(sensors, 1, 1)
+    experiment = load_experiment("pool")
+    sensors, board = experiment.sim.sensors, BoardSensors(experiment, 1, 1)
     readings = [board.read(STILL, STILL, STILL) for _ in range(4000)]
     for values, bias, noise in (
         ([r.heading_rad for r in readings], board.heading_bias_rad, sensors.heading_noise_rad),
@@ -435,10 +435,18 @@ def test_noise_and_bias_are_what_the_file_says() -> None:
     tilt_bias = np.append(board.tilt_bias_rad, [0.0, 0.0])
     assert np.abs(tilts.mean(axis=0) - [0.1, -0.1, 0.3, 0.2] - tilt_bias).max() < 4 * sigmas.max() / math.sqrt(4000)
     assert tilts.std(axis=0) == pytest.approx(sigmas, rel=0.05)
-    biases = [BoardSensors(sensors, robot, seed).heading_bias_rad for robot in range(1, 6) for seed in range(40)]
+    biases = [BoardSensors(experiment, robot, seed).heading_bias_rad for robot in (1, 2) for seed in range(100)]
     assert len(set(biases)) == 200
     assert np.max(np.abs(biases)) <= sensors.heading_bias_rad
     assert np.std(biases) == pytest.approx(sensors.heading_bias_rad / math.sqrt(3), rel=0.15)
+
+
+def test_depth_is_off_by_the_robots_own_offset() -> None:
+    settings = (*QUIET, "robots.1.depth_offset_m=0.25")
+    for robot_id, depth_m in ((1, 1.0), (2, 1.25)):
+        bench = BoardBench(*settings, robot_id=robot_id)
+        bench.step(eta=np.array([0.0, 0.0, 1.0, 0.0]))
+        assert bench.seen.depth_m == pytest.approx(depth_m, abs=2e-3)
 
 
 def test_the_same_seed_sends_the_same_bytes() -> None:

@@ -490,6 +490,15 @@ def test_horizon_and_blocks_that_nobody_gives_are_the_same_in_time_at_every_rate
     assert tomllib.loads(recorded)["controller"]["mpc"]["horizon"] == 50
 
 
+@pytest.mark.parametrize(
+    ("period_s", "horizon", "blocks"),
+    [(0.02, 30, (2, 3, 5, 8, 10, 2)), (0.05, 10, (1, 1, 2, 3, 3)), (0.05, 4, (1, 1, 2)), (0.05, 15, (1, 1, 2, 3, 4, 4))],
+)
+def test_blocks_that_nobody_gives_end_with_a_given_horizon(period_s: float, horizon: int, blocks: tuple[int, ...]) -> None:
+    mpc = load_experiment("pool", [f"controller.period_s={period_s}", f"controller.mpc.horizon={horizon}"]).controller.mpc
+    assert (mpc.horizon, mpc.blocks) == (horizon, blocks)
+
+
 def test_no_shipped_experiment_and_no_example_has_a_horizon_that_is_too_short() -> None:
     root = EXPERIMENTS.parents[1]
     pages = [root / "README.md", *(root / "docs").glob("*.md"), *root.glob("*/cli/*.py")]
