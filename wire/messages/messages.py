@@ -215,7 +215,7 @@ class RobotState:
     track: Track = Track.LOST
     pose_age_ms: float = 0.0
     exposure_to_pwm_ms: float = 0.0
-    depth_m: float = 0.0  # Measured depth.
+    depth_m: float = 0.0  # Measured depth, less the experiment's `depth_offset_m` of the robot.
     battery_v: float = 0.0
     board_armed: bool = False
     board_age_ms: float = 0.0
