@@ -1,7 +1,6 @@
 """A browser, and the pool experiment flown for it with all its processes, in lockstep: slow machines are slow, not wrong."""
 
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 from playwright.sync_api import Browser, Page, expect, sync_playwright
@@ -10,14 +9,6 @@ from sim_bridge.sil.ports import free_port
 from tests.page.flights import CHROMIUM, FLAGS, PATIENCE_MS, OperatorFlight, PageTraffic, open_page
 
 expect.set_options(timeout=PATIENCE_MS)
-
-
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Put the tests of the flight last: in lockstep it takes all of two processors, as long as it lasts."""
-    here = [k for k, item in enumerate(items) if item.path.is_relative_to(Path(__file__).parent)]
-    ordered = sorted((items[k] for k in here), key=lambda item: "flight" in getattr(item, "fixturenames", ()))
-    for k, item in zip(here, ordered, strict=True):
-        items[k] = item
 
 
 @pytest.fixture(scope="package")

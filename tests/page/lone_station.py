@@ -1,0 +1,42 @@
+"""A page on a station without robots, in this process."""
+
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from playwright.sync_api import Browser, Page
+
+from groundstation.planning import planner
+from groundstation.web.live_backend import LiveBackend
+from groundstation.web.server import WebServer
+from sim_bridge.sil.ports import free_port
+from tests.groundstation.fake_station import FakeStation
+from wire.config.experiment import Experiment
+from wire.transport.bus import Bus
+from wire.transport.memory_transport import MemoryHub, MemoryTransport
+from wire.web_access import WebOptions
+
+
+@dataclass(kw_only=True)
+class LoneStation(FakeStation):
+    """A station without robots, and a page on it."""
+
+    page: Page
+    url: str
+    robots: Bus
+    server: ExitStack
+
+
+@contextmanager
+def lone_station(browser: Browser, experiment: Experiment, run_dir: Path | None = None) -> Iterator[LoneStation]:
+    port, hub = free_port(), MemoryHub()
+    page = browser.new_page(viewport={"width": 1440, "height": 900})
+    with Bus(MemoryTransport(hub)) as bus, Bus(MemoryTransport(hub)) as robots:
+        server = ExitStack()
+        found = LoneStation(experiment, bus, page=page, url=f"http://127.0.0.1:{port}/", robots=robots, server=server)
+        desk = LiveBackend(experiment, planner.plan(experiment), bus, found.heard, found.clock, found, "real-time", run_dir)
+        with server:
+            server.enter_context(WebServer(desk, WebOptions(port=port)))
+            yield found
+            page.context.close()

@@ -1,0 +1,199 @@
+"""A page whose station hangs, is cut off or has ended: it says so, and no stop is lost."""
+
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import pytest
+from foxglove_schemas_protobuf.Log_pb2 import Log
+from playwright.sync_api import Browser, Page, WebSocketRoute, expect
+
+from groundstation.mission.state_machine import MissionState
+from sim_bridge.sil.ports import free_port
+from tests.page.elements import button
+from tests.page.flights import PATIENCE_MS, wait_for_port
+from tests.page.lone_station import lone_station
+from wire.config.experiment import load_experiment
+from wire.messages import topics
+from wire.messages.messages import (
+    Event,
+    Order,
+)
+
+pytestmark = [pytest.mark.timeout(600), pytest.mark.real_time]  # what waits for a browser waits for a loaded machine
+
+
+def looks_lost(page: Page) -> None:
+    """As after a connection that was closed: header, link, control, alarms, buttons."""
+    expect(page.locator("header .mission-state")).to_have_class(re.compile("lost"))
+    expect(page.locator("header .mission-state")).to_have_text(re.compile("^last known: "))
+    expect(page.get_by_text("no connection", exact=True)).to_be_visible()
+    expect(button(page, "You have control")).to_have_count(0)
+    expect(page.get_by_label("Alarms")).to_contain_text("no connection to the station: what you see is old")
+    expect(page.locator(".page")).to_have_class(re.compile("lost"))
+    for name in ("Arm", "Start", "Disarm", "End run"):
+        expect(button(page, name)).to_be_disabled()
+
+
+def stop_is_not_heard(page: Page) -> None:
+    expect(page.get_by_role("button", name="STOP NOT HEARD")).to_be_visible()
+    expect(page.get_by_role("alert").filter(has_text="Emergency stop not heard")).to_be_visible()
+    expect(page.locator(".given")).to_contain_text("stop no answer: the station may not have heard it; it is sent again")
+    expect(page.get_by_text("confirms: stopped")).to_have_count(0)
+
+
+def test_a_stop_into_a_connection_that_is_dead_already_is_sent_on_return(browser: Browser) -> None:
+    """The page cannot know yet: what it says goes into a buffer, and is lost with it."""
+    with lone_station(browser, load_experiment("pool")) as desk:
+        page, lines, dead = desk.page, list[WebSocketRoute](), set[int]()
+
+        def between(line: WebSocketRoute) -> None:
+            lines.append(line)
+            station, number = line.connect_to_server(), len(lines)
+            line.on_message(lambda said: None if number in dead else station.send(said))
+
+        page.route_web_socket("**/live", between)
+        page.goto(desk.url)
+        expect(button(page, "You have control")).to_be_visible()
+        dead.add(1)
+        page.keyboard.press("Escape")
+        expect(page.locator(".given")).to_contain_text("stop no answer: the station may not have heard it; it is sent again")
+        assert desk.orders == []
+        lines[0].close()
+        expect(page.locator(".given")).to_contain_text("stop sent")
+        assert desk.orders == [Order.STOP]
+        lines[1].close()
+        expect(button(page, "You have control")).to_be_visible()
+        page.wait_for_timeout(500)
+        assert desk.orders == [Order.STOP]  # answered: not again
+
+
+def test_a_browser_that_is_cut_off_without_a_close_knows_it(browser: Browser) -> None:
+    """Nothing comes and nothing goes, and no socket says so; when it is back, it is the same page."""
+    with lone_station(browser, load_experiment("pool")) as desk:
+        page, dead = desk.page, set[int]()
+        lines: list[WebSocketRoute] = []
+
+        def between(line: WebSocketRoute) -> None:
+            lines.append(line)
+            station, number = line.connect_to_server(), len(lines)
+            line.on_message(lambda said: None if number in dead else station.send(said))
+            station.on_message(lambda said: None if number in dead else line.send(said))
+
+        page.route_web_socket("**/live", between)
+        page.goto(desk.url)
+        expect(button(page, "You have control")).to_be_visible()
+        dead.update(range(1, 3))  # the next connection is no better
+        looks_lost(page)
+        page.keyboard.press("Escape")
+        stop_is_not_heard(page)
+        assert desk.orders == []
+        expect(page.locator(".given")).to_contain_text("stop sent")  # over the third
+        assert len(lines) >= 3
+        assert desk.orders == [Order.STOP]
+        expect(button(page, "You have control")).to_be_visible()
+
+
+def test_events_of_megabytes_leave_the_page_and_its_stop_alive(browser: Browser) -> None:
+    with lone_station(browser, load_experiment("pool")) as desk:
+        page = desk.page
+        page.goto(desk.url)
+        expect(button(page, "You have control")).to_be_visible()
+        huge = Log(level=Log.Level.INFO, name="agent-2", message="x" * 4_100_000).SerializeToString()
+        for _ in range(2):
+            desk.robots.forward(topics.EVENT, huge, time.time_ns())
+        desk.robots.publish(topics.EVENT, Event(2, "agent-2", "y" * 4_100_000), time.time_ns())
+        expect(page.get_by_label("Log", exact=True)).to_contain_text("yyyy")
+        page.keyboard.press("Escape")
+        expect(page.locator(".given")).to_contain_text("stop sent")
+        assert desk.orders == [Order.STOP]
+        assert page.evaluate("document.body.innerText.length") < 20_000
+
+
+def test_a_mission_that_is_done_and_its_station_gone_is_no_alarm(browser: Browser) -> None:
+    with lone_station(browser, load_experiment("pool")) as desk:
+        page = desk.page
+        desk.told = replace(desk.told, state=MissionState.RUNNING)
+        page.goto(desk.url)
+        expect(page.locator("header .mission-state")).to_have_text("running")
+        desk.told = replace(desk.told, state=MissionState.DONE)  # of the last cycle: an automatic station ends with it
+        desk.server.close()
+        expect(page.locator("header .mission-state")).to_have_text("the run is ended")
+        expect(page.get_by_text("no connection", exact=True)).to_be_visible()
+        expect(page.get_by_label("Alarms")).to_contain_text("none")
+
+
+@dataclass
+class BareStation:
+    """`groundstation run` by the wall clock, without robots."""
+
+    url: str
+    process: subprocess.Popen[bytes]
+
+
+@pytest.fixture(scope="module")
+def station(tmp_path_factory: pytest.TempPathFactory) -> Iterator[BareStation]:
+    """Shared: the last of its tests ends it."""
+    port = free_port()
+    command = [sys.executable, "-m", "groundstation", "run", "pool", "--listen", f"tcp/127.0.0.1:{free_port()}"]
+    process = subprocess.Popen([*command, "--web", f"127.0.0.1:{port}", "--out", str(tmp_path_factory.mktemp("station"))])
+    try:
+        wait_for_port(port, process)
+        yield BareStation(f"http://127.0.0.1:{port}/", process)
+    finally:
+        process.send_signal(signal.SIGCONT)
+        process.terminate()
+        process.wait(30)
+
+
+def test_a_station_that_hangs_looks_like_one_that_is_gone_and_a_stop_says_that_nobody_heard_it(
+    browser: Browser, station: BareStation
+) -> None:
+    page = browser.new_page(viewport={"width": 1440, "height": 900})
+    page.goto(station.url)
+    expect(button(page, "You have control")).to_be_visible()
+    station.process.send_signal(signal.SIGSTOP)
+    looks_lost(page)
+    page.keyboard.press("Escape")
+    stop_is_not_heard(page)
+    station.process.send_signal(signal.SIGCONT)
+    expect(page.get_by_role("alert")).to_contain_text("robot 1 has not confirmed")
+    expect(page.get_by_role("button", name="STOPPING")).to_be_visible()
+    expect(page.locator(".given")).to_contain_text("stop under way … 1 not heard … 2 not heard")
+    expect(button(page, "You have control")).to_be_visible()  # the same page as before
+    expect(page.get_by_label("Alarms")).not_to_contain_text("no connection")
+    page.context.close()
+
+
+def test_a_stop_pressed_before_the_silence_is_noticed_says_so_too(browser: Browser, station: BareStation) -> None:
+    page = browser.new_page()
+    page.goto(station.url)
+    expect(button(page, "You have control")).to_be_visible()
+    station.process.send_signal(signal.SIGSTOP)
+    page.keyboard.press("Escape")
+    expect(page.locator(".given")).not_to_contain_text("sent;")
+    stop_is_not_heard(page)
+    looks_lost(page)
+    station.process.send_signal(signal.SIGCONT)
+    expect(page.locator(".given")).to_contain_text("stop under way")
+    page.context.close()
+
+
+def test_a_run_that_is_ended_on_the_page_is_shown_there_as_recorded_with_its_report(
+    browser: Browser, station: BareStation
+) -> None:
+    page = browser.new_page(viewport={"width": 1440, "height": 900})
+    page.goto(station.url)
+    button(page, "End run").click()  # nobody is armed: not asked twice
+    expect(page.locator(".folder")).to_contain_text("The run is ended; it is in")
+    expect(page.locator("header .mission-state")).to_have_text("the run is ended")
+    expect(page.get_by_label("Alarms")).not_to_contain_text("no connection")  # while the report is written
+    with page.expect_popup(timeout=PATIENCE_MS) as opened:
+        page.locator(".replay").get_by_role("link", name="Report").click(timeout=PATIENCE_MS)
+    expect(opened.value.locator("h1")).to_contain_text("Two robots in a line on a circle")
+    assert station.process.poll() is None  # until the page is closed, or Ctrl-C
+    page.context.close()

@@ -1,0 +1,238 @@
+"""The page's panels: alarms, log, map, pictures, runs, plots, and all of them on a phone."""
+
+import json
+import re
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from playwright.sync_api import Browser, expect
+
+from groundstation.planning import planner
+from tests.page.elements import button, map_of, tile
+from tests.page.flights import PATIENCE_MS, serious
+from tests.page.lone_station import lone_station
+from wire.config.experiment import load_experiment
+from wire.messages import topics
+from wire.messages.messages import (
+    CameraHealth,
+    Event,
+    LocalizerStatus,
+    Mode,
+    Order,
+    Preview,
+    RobotState,
+    Trajectory,
+)
+
+pytestmark = [pytest.mark.timeout(600), pytest.mark.real_time]  # what waits for a browser waits for a loaded machine
+
+
+def test_an_alarm_that_comes_again_is_loud_again(browser: Browser) -> None:
+    with lone_station(browser, load_experiment("pool")) as desk:
+        page, quiet = desk.page, desk.told
+        loud = replace(quiet, recorder_error="no space left")
+        desk.told = loud
+        page.goto(desk.url)
+        button(page, "Silence").click()
+        expect(button(page, "Silence")).to_have_count(0)
+        expect(page.get_by_label("Alarms")).to_contain_text("no space left")
+        desk.told = quiet
+        expect(page.get_by_label("Alarms")).not_to_contain_text("no space left")
+        desk.told = loud
+        expect(button(page, "Silence")).to_be_visible()
+
+
+def test_the_log_takes_remarks_and_is_filtered(browser: Browser) -> None:
+    with lone_station(browser, load_experiment("pool")) as desk:
+        page = desk.page
+        page.goto(desk.url)
+        expect(button(page, "You have control")).to_be_visible()
+        for level, source, text in ((2, "agent-1", "armed"), (4, "agent-2", "no pose"), (3, "groundstation", "robot 1: late")):
+            desk.robots.publish(topics.EVENT, Event(level, source, text), time.time_ns())
+        lines = page.locator(".log li")
+        expect(lines).to_have_count(3)
+        page.get_by_label("Lines of which robot").select_option("1")
+        expect(lines).to_have_count(2)
+        page.get_by_label("From which level on").select_option("3")
+        expect(lines).to_have_text([re.compile("robot 1: late")])
+        page.get_by_label("Lines of which robot").select_option("")
+        page.get_by_label("Lines with this text").fill("POSE")
+        expect(lines).to_have_text([re.compile("no pose")])
+
+
+def test_the_map_draws_what_is_flown_now(browser: Browser) -> None:
+    experiment = load_experiment("pool")
+    with lone_station(browser, experiment) as desk:
+        canvas = desk.page.locator(".pool canvas")
+        desk.page.goto(desk.url)
+        planned = planner.plan(experiment)
+        expect(canvas).to_have_attribute("data-paths", " ".join(t.id for t in planned.values()))
+        before = desk.page.evaluate("document.querySelector('.pool canvas').toDataURL()")
+        line = np.linspace([-1.0, -1.0, 0.3, 0.0], [1.0, 1.0, 0.3, 0.0], 100)
+        home = {r: Trajectory(f"home-{r}", 0.05, line, 0 * line, 0 * line, begin_s=30.0) for r in planned}
+        desk.paths = {robot: (way, 35.0) for robot, way in home.items()}
+        expect(canvas).to_have_attribute("data-paths", "home-1 home-2")
+        assert desk.page.evaluate("document.querySelector('.pool canvas').toDataURL()") != before
+
+
+def test_of_several_cameras_the_picture_of_one_is_chosen(browser: Browser) -> None:
+    """West's picture is red, east's is green; each lies under its own end of the map."""
+    experiment = load_experiment("two-cameras")
+    with lone_station(browser, experiment) as desk:
+        page, choice = desk.page, desk.page.get_by_label("Camera whose picture is shown")
+
+        def tell(*out: str) -> None:
+            for name, colour in (("west", (0, 0, 255)), ("east", (0, 255, 0))):
+                jpeg = cv2.imencode(".jpg", np.full((480, 640, 3), colour, np.uint8))[1].tobytes()
+                desk.robots.publish(topics.PREVIEW.of_camera(name), Preview(jpeg), time.time_ns())
+            desk.robots.publish(topics.LOCALIZER, LocalizerStatus(CameraHealth.OK, out=out), time.time_ns())
+
+        def under(x_m: float) -> str:
+            """The strongest colour of the map at a place of the pool; none of them in water."""
+            middle, scale = map_of(page, 6.4, 2.5)
+            place = [round(middle[0] + x_m * scale), round(middle[1] + 0.3 * scale)]
+            script = """([x, y]) => {
+                const c = document.querySelector('.pool canvas'), box = c.getBoundingClientRect();
+                return [...c.getContext('2d').getImageData(x - box.left, y - box.top, 1, 1).data];
+            }"""
+            red, green, blue, _ = page.evaluate(script, place)
+            return "west" if red > 2 * max(green, blue) else "east" if green > 2 * max(red, blue) else "water"
+
+        def shows(name: str) -> None:
+            deadline = time.monotonic() + PATIENCE_MS * 1e-3
+            while (found := (under(-2.2), under(2.2))) != ((name, "water") if name == "west" else ("water", name)):
+                assert time.monotonic() < deadline, found
+                tell()
+                page.wait_for_timeout(50)
+            expect(page.locator(".picture-age")).to_contain_text(f"picture of {name} ")
+
+        page.goto(desk.url)
+        expect(choice).to_have_value("west")
+        shows("west")
+        page.keyboard.press("c")
+        expect(choice).to_have_value("east")
+        shows("east")
+        page.reload()  # the choice is remembered
+        expect(choice).to_have_value("east")
+        shows("east")
+        choice.focus()
+        page.keyboard.press("ArrowUp")
+        expect(choice).to_have_value("west")
+        shows("west")
+        tell("east")
+        expect(choice.locator("option")).to_have_text(["west", "east (out)"])
+        assert serious(page) == []
+        desk.orders.clear()
+        page.keyboard.press("Escape")  # leaves the choice, and stops nobody
+        page.keyboard.press("Escape")
+        expect(page.locator(".given")).to_contain_text("stop")
+        assert desk.orders == [Order.STOP]
+
+
+def test_runs_are_found_named_read_and_deleted_on_the_page(browser: Browser, tmp_path: Path) -> None:
+    for name in ("now", "first", "second"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "run.mcap").write_bytes(bytes(1_500_000))
+    result = {"scene": "pool", "mode": "lockstep", "duration_s": 40.0, "passed": False, "tags": ["lamp"]}
+    (tmp_path / "first" / "result.json").write_text(json.dumps(result))
+    told = "<p id=told></p><script>told.textContent = `${origin}: its script runs`</script>"
+    (tmp_path / "first" / "report.html").write_text(told)
+    with lone_station(browser, load_experiment("pool"), tmp_path / "now") as desk:
+        page = desk.page
+        page.goto(desk.url)
+        expect(button(page, "You have control")).to_be_visible()
+        button(page, "Runs").click()
+        rows = page.locator(".runs tbody tr")
+        expect(rows).to_have_count(3)
+        expect(page.locator("[data-run='now']")).to_contain_text("this run")
+        expect(page.locator("[data-run='now']").get_by_role("button", name="Delete")).to_be_disabled()
+        expect(page.locator("[data-run='first']")).to_contain_text("#lamp")
+        expect(page.locator("[data-run='first']")).to_contain_text("pool, lockstep40 s1.5 MBfailed")
+        page.get_by_label("Runs with these words").fill("LAMP failed")
+        expect(rows).to_have_count(1)
+        with page.expect_popup() as opened:
+            rows.get_by_role("link", name="Report").click()
+        expect(opened.value.locator("#told")).to_have_text("null: its script runs")  # an origin of its own
+        opened.value.close()
+        page.get_by_label("Runs with these words").fill("")
+        page.locator("[data-run='now']").get_by_role("button", name="Label").click()
+        page.get_by_label("Name of now").fill("first dive")
+        page.get_by_label("Tags of now").fill("#cold deep")
+        button(page, "Keep").click()
+        expect(page.locator("[data-run='now']")).to_contain_text("first dive this run #cold #deep")
+        assert serious(page) == []
+        page.once("dialog", lambda dialog: dialog.dismiss())
+        page.locator("[data-run='second']").get_by_role("button", name="Delete").click()
+        assert (tmp_path / "second").is_dir()
+        page.once("dialog", lambda dialog: dialog.accept())
+        page.locator("[data-run='second']").get_by_role("button", name="Delete").click()
+        expect(rows).to_have_count(2)
+        assert not (tmp_path / "second").exists()
+        page.keyboard.press("Escape")  # closes the list, and stops nothing
+        expect(rows).to_have_count(0)
+        assert desk.orders == []
+
+
+def test_any_field_is_plotted_and_a_layout_is_an_address(browser: Browser) -> None:
+    with lone_station(browser, load_experiment("pool")) as desk:
+        page = desk.page
+        page.goto(f"{desk.url}?plots=battery,state.nu.0&robot=2")
+        expect(page.get_by_label("What plot 1 shows")).to_have_value("battery")
+        expect(page.get_by_label("What plot 2 shows")).to_have_value("state.nu.0")
+        expect(tile(page, 2)).to_have_class(re.compile("chosen"))
+        for _ in range(8):
+            told = RobotState(nu=np.array([0.25, 0.0, 0.0, 0.0]), board_loss=0.5, drag_ratio=1.32, thrust_ratio=0.75)
+            desk.robots.publish(topics.STATE, told, time.time_ns(), 1)
+            page.wait_for_timeout(120)
+        expect(tile(page, 1)).to_contain_text("× 1.32, 0.75")
+        figures = page.locator(".plot")
+        expect(figures.nth(1).locator(".u-legend")).to_contain_text("0.25")
+        page.get_by_label("What plot 3 shows").select_option("state.loss")  # of before it was asked for, too
+        expect(figures.nth(2).locator(".u-legend")).to_contain_text("0.50")
+        page.on("dialog", lambda dialog: dialog.accept("mine"))
+        page.get_by_label("Layouts of the plots").select_option("+")
+        page.goto(f"{desk.url}?plots=tracking")
+        page.get_by_label("Layouts of the plots").select_option("=mine")
+        expect(page.get_by_label("What plot 3 shows")).to_have_value("state.loss")
+        desk.robots.publish(topics.STATE, RobotState(board_loss=0.25), time.time_ns(), 1)
+        expect(tile(page, 1)).to_contain_text("25 %")
+        expect(tile(page, 1)).not_to_contain_text("thrust")  # it learns nothing
+
+
+def test_on_a_phone_the_map_is_second_and_everything_is_large_enough(browser: Browser, tmp_path: Path) -> None:
+    (tmp_path / "now").mkdir()
+    (tmp_path / "now" / "run.mcap").touch()
+    with lone_station(browser, load_experiment("pool"), tmp_path / "now") as desk:
+        page = desk.page
+        page.set_viewport_size({"width": 390, "height": 844})
+        page.goto(desk.url)
+        desk.robots.publish(topics.STATE, RobotState(mode=Mode.HOLDING), time.time_ns(), 1)
+        expect(button(page, "You have control")).to_be_visible()
+        tile(page, 1).get_by_role("button").click()
+        button(page, "Drive 1").click()
+        button(page, "Runs").click()
+        button(page, "Label").click()
+        places = page.evaluate(
+            "['.mission', '.pool', '.one-robot', '.tiles', '.plots', '.log']"
+            ".map((name) => document.querySelector(name).getBoundingClientRect().top)"
+        )
+        assert places == sorted(places)
+        small = page.evaluate(
+            "[...document.querySelectorAll('button, select, summary, input')]"
+            ".filter((e) => e.checkVisibility() && e.type !== 'checkbox' && e.getBoundingClientRect().height < 43.5)"
+            ".map((e) => e.outerHTML.slice(0, 80))"
+        )
+        assert small == []
+        thin = page.evaluate(
+            "[...document.querySelectorAll('body *')].filter((e) => e.checkVisibility() && "
+            "[...e.childNodes].some((n) => n.nodeType === 3 && n.data.trim() !== '')"
+            " && parseFloat(getComputedStyle(e).fontSize) < 14)"
+            ".map((e) => e.outerHTML.slice(0, 80))"
+        )
+        assert thin == []
+        assert page.evaluate("document.documentElement.scrollWidth") <= 390
+        assert serious(page) == []

@@ -1,0 +1,230 @@
+"""Requests from the page: buttons, keys, places on the map and gamepads."""
+
+import re
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from playwright.sync_api import Browser, Page, expect
+
+from groundstation.mission.state_machine import MissionState
+from groundstation.telemetry import Finding
+from tests.groundstation.fake_station import FakeStation
+from tests.page.elements import button, tile
+from tests.page.flights import PATIENCE_MS
+from tests.page.lone_station import lone_station
+from wire.config.experiment import load_experiment
+from wire.messages import topics
+from wire.messages.messages import (
+    Mode,
+    Order,
+    Outcome,
+    Progress,
+    RobotState,
+)
+
+pytestmark = [pytest.mark.timeout(600), pytest.mark.real_time]  # what waits for a browser waits for a loaded machine
+
+PADS = """
+  window.pads = [null];
+  navigator.getGamepads = () => window.pads;
+  window.pad = (mapping, axes) => {
+    window.pads = [null, {index: 1, id: mapping || 'some pad', connected: true, mapping, axes, buttons: []}];
+  };
+"""
+
+
+def test_escape_leaves_what_is_open_and_else_stops_and_shift_space_always_stops(browser: Browser) -> None:
+    with lone_station(browser, load_experiment("pool")) as desk:
+        page = desk.page
+        page.goto(desk.url)
+        expect(button(page, "You have control")).to_be_visible()
+        page.get_by_text("Layers", exact=True).click()
+        page.get_by_label("trails").uncheck()
+        page.keyboard.press("Escape")
+        expect(page.get_by_label("trails")).not_to_be_visible()
+        page.get_by_label("Remark for the log").fill("half a word")
+        page.keyboard.press("Escape")
+        expect(page.get_by_label("Remark for the log")).not_to_be_focused()
+        page.wait_for_timeout(300)
+        assert desk.orders == []
+        page.keyboard.press("Escape")
+        expect(page.locator(".given")).to_contain_text("stop sent")
+        assert desk.orders == [Order.STOP]
+        page.get_by_label("Remark for the log").focus()
+        page.keyboard.press("Shift+Space")
+        expect(page.locator(".given li")).to_have_count(2)
+        assert desk.orders == [Order.STOP, Order.STOP]
+        button(page, "Fit").focus()
+        page.get_by_role("button", name="Follow").focus()
+        page.keyboard.press("Shift+Space")
+        expect(page.locator(".given li")).to_have_count(3)
+        expect(page.get_by_role("button", name="Follow")).to_have_attribute("aria-pressed", "false")  # not pressed by it
+
+
+def test_places_clicked_on_the_map_are_where_the_formation_is_led(browser: Browser) -> None:
+    with lone_station(browser, load_experiment("pool")) as desk:
+        desk.told = replace(desk.told, state=MissionState.RUNNING)
+        page = desk.page
+        page.goto(desk.url)
+        button(page, "Go to…").click()
+        expect(button(page, "Fly there")).to_be_disabled()
+        chart = page.locator(".pool > canvas")
+        box = chart.bounding_box()
+        assert box is not None
+        seen = []
+        for x, y in ((0.5, 0.4), (0.6, 0.55)):
+            chart.click(position={"x": x * box["width"], "y": y * box["height"]})
+            under = re.fullmatch(r"x (\S+)\s+y (\S+) m", page.locator(".cursor").inner_text())
+            assert under is not None
+            seen.append((float(under[1]), float(under[2])))
+        button(page, "Fly there").click()
+        expect(page.locator(".given")).to_contain_text("go sent")
+        assert desk.orders == [Order.GO]
+        np.testing.assert_allclose(desk.via, seen, atol=0.011)  # both are shown to the centimetre
+        assert abs(seen[0][0] - seen[1][0]) > 0.05
+        button(page, "Go to…").click()
+        page.keyboard.press("Escape")  # leaves the choice, and stops nothing
+        expect(button(page, "Go to…")).to_be_visible()
+        assert desk.orders == [Order.GO]
+
+
+def test_a_request_has_one_line_and_that_says_how_it_ended(browser: Browser) -> None:
+    with lone_station(browser, load_experiment("pool")) as desk:
+        page, given = desk.page, desk.page.locator(".given li")
+        page.goto(desk.url)
+        button(page, "Return to start").click()
+        expect(given).to_have_text("return sent")
+        told = Outcome(1, Order.RETURN, Progress.UNDER_WAY, "", "HALTING", (1,), (2,), ("is holding",))
+        desk.told = replace(desk.told, requests=(told,))
+        expect(given).to_have_text("return under way ✓ 1 … 2 is holding")
+        failed = replace(told, progress=Progress.FAILED, reason="holding: no way from here", why=("refuses",))
+        desk.told = replace(desk.told, requests=(failed,))
+        expect(given).to_have_text("return failed: holding: no way from here ✓ 1 ✕ 2 refuses")
+        desk.told = replace(desk.told, requests=(replace(told, progress=Progress.DONE, confirmed=(1, 2), waiting=()),))
+        expect(given).to_have_text("return confirmed by 1, 2")
+
+
+def test_a_stop_of_an_earlier_station_can_be_cleared(browser: Browser) -> None:
+    with lone_station(browser, load_experiment("pool")) as desk:
+        desk.page.goto(desk.url)
+        expect(button(desk.page, "You have control")).to_be_visible()
+        expect(button(desk.page, "Clear stop")).to_have_count(0)
+        desk.robots.publish(topics.STATE, RobotState(mode=Mode.STOPPED), time.time_ns(), 2)
+        button(desk.page, "Clear stop").click()
+        expect(desk.page.locator(".given")).to_contain_text("clear-stop sent")
+        assert desk.orders == [Order.CLEAR_STOP]
+
+
+def test_thrusters_can_be_tested_where_preflight_waits_for_that(browser: Browser) -> None:
+    with lone_station(browser, load_experiment("pool")) as desk:
+        untested = Finding(1, "thrusters", "notice", True, "thruster test: not done", "groundstation mission test")
+        desk.preflight = (untested,)
+        desk.page.goto(desk.url)
+        expect(desk.page.locator(".preflight")).to_contain_text("thruster test: not done")
+        expect(button(desk.page, "Start")).to_be_disabled()
+        button(desk.page, "Test thrusters").click()
+        expect(desk.page.locator(".given")).to_contain_text("test sent")
+        assert desk.orders == [Order.TEST]
+
+
+def test_one_robot_is_driven_by_keys_and_sent_to_a_place(browser: Browser) -> None:
+    with lone_station(browser, load_experiment("pool")) as desk:
+        page = desk.page
+        page.goto(desk.url)
+        expect(button(page, "You have control")).to_be_visible()
+        desk.robots.publish(topics.STATE, RobotState(mode=Mode.HOLDING), time.time_ns(), 2)
+        tile(page, 2).get_by_role("button").click()
+        panel = page.get_by_label("Robot 2 alone")
+        expect(button(page, "Arm 2")).to_be_disabled()  # it is
+        button(page, "Hold 2").click()
+        expect(page.locator(".given")).to_contain_text("hold 2 sent")
+        assert (desk.orders, desk.only) == ([Order.HOLD], 2)
+
+        page.keyboard.press("w")  # nobody has asked for keys to drive
+        button(page, "Drive 2").click()
+        page.keyboard.down("w")
+        page.keyboard.down("d")
+        page.wait_for_timeout(500)
+        page.keyboard.up("w")
+        page.keyboard.up("d")
+        page.wait_for_timeout(300)
+        said = len(desk.drives)
+        (robot, ahead), (_, last) = desk.drives[-3], desk.drives[-1]
+        assert said >= 4  # ten a second
+        assert robot == 2
+        assert max(velocity.surge_mps for _, velocity in desk.drives) == pytest.approx(0.4 * 0.48)
+        assert ahead.yaw_rate_radps > 0.0  # to the right, as seen from above
+        assert (last.surge_mps, last.heave_mps, last.yaw_rate_radps) == (0.0, 0.0, 0.0)
+        page.wait_for_timeout(300)
+        assert len(desk.drives) == said  # nothing is held: nothing is said
+        page.keyboard.press("Shift+Space")
+        expect(page.locator(".given")).to_contain_text("stop sent")
+
+        button(page, "Send 2 to…").click()
+        page.locator(".pool > canvas").click(position={"x": 300, "y": 200})
+        panel.get_by_role("button", name=re.compile("^Send 2 to .* m$")).click()
+        expect(page.locator(".given")).to_contain_text("go 2 sent")
+        assert (desk.orders[-1], desk.only, len(desk.via)) == (Order.GO, 2, 1)
+
+
+def asked_of(desk: FakeStation) -> tuple[float, ...]:
+    """Shares of the vehicle's limits in the newest velocity: ahead, down, right."""
+    limits, (_, last) = desk.experiment.vehicle.limits, desk.drives[-1]
+    shares = (
+        last.surge_mps / limits.speed_mps,
+        last.heave_mps / limits.heave_mps,
+        last.yaw_rate_radps / limits.yaw_rate_radps,
+    )
+    return tuple(round(share / 0.4, 3) for share in shares)
+
+
+def until_asked(desk: FakeStation, page: Page, wanted: tuple[float, ...]) -> None:
+    for _ in range(PATIENCE_MS // 100):
+        if desk.drives and asked_of(desk) == wanted:
+            return
+        page.wait_for_timeout(100)
+    raise AssertionError(f"{asked_of(desk) if desk.drives else 'nothing'} and not {wanted}")
+
+
+def test_a_gamepad_drives_in_any_layout_and_the_robot_holds_without_it(browser: Browser) -> None:
+    """Layouts as browsers give them. A shifted rest, a trigger or a pad that is gone never moves a robot."""
+    half = (0.5 - 0.12) / (1 - 0.12)
+    with lone_station(browser, load_experiment("pool")) as desk:
+        page = desk.page
+        page.add_init_script(PADS)
+        page.goto(desk.url)
+        expect(button(page, "You have control")).to_be_visible()
+        desk.robots.publish(topics.STATE, RobotState(mode=Mode.HOLDING), time.time_ns(), 2)
+        tile(page, 2).get_by_role("button").click()
+        page.evaluate("pad('standard', [0, -1, 0, 0])")  # held ahead before driving begins
+        button(page, "Drive 2").click()
+        page.wait_for_timeout(500)
+        assert desk.drives == []
+        page.evaluate("pad('standard', [0.1, -0.11, 0.05, 0.1])")  # at rest, as far as sticks are
+        page.wait_for_timeout(300)
+        assert desk.drives == []
+        page.evaluate("pad('standard', [0, -1, 0, 0.5])")
+        until_asked(desk, page, (1.0, round(half, 3), 0.0))
+        page.evaluate("pad('standard', [0, 0, -1.2, 0])")  # the right stick turns, and no stick goes beyond its end
+        until_asked(desk, page, (0.0, 0.0, -1.0))
+        page.evaluate("window.pads = [null, null]")  # pulled out in the middle of it
+        until_asked(desk, page, (0.0, 0.0, 0.0))
+        for rest, pushed, wanted in (  # x, y, left trigger, right x, right y, right trigger, hat; and another maker's
+            ([0, 0, -1, 0, 0, -1, 0, 0], [1, 0, -1, 0, 0, -1, 0, 0], (0.0, 0.0, 1.0)),
+            ([0, 0, 0, -1, -1, 0], [0, -1, 1, -1, -1, 1], (1.0, 0.0, 0.0)),
+        ):
+            page.evaluate("axes => pad('', axes)", pushed)  # plugged in while it is pushed
+            page.wait_for_timeout(300)
+            assert asked_of(desk) == (0.0, 0.0, 0.0)
+            page.evaluate("axes => pad('', axes)", rest)
+            page.wait_for_timeout(300)
+            assert asked_of(desk) == (0.0, 0.0, 0.0)
+            page.evaluate("axes => pad('', axes)", pushed)
+            until_asked(desk, page, wanted)
+            page.evaluate("window.pads[1].connected = false")
+            until_asked(desk, page, (0.0, 0.0, 0.0))
+        page.evaluate("pad('', [NaN])")
+        page.wait_for_timeout(300)
+        assert asked_of(desk) == (0.0, 0.0, 0.0)
