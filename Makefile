@@ -46,7 +46,7 @@ test-real-time:
 	$(BIN)/python -m pytest -m "real_time and not slow" --ignore=tests/page
 
 test-page:
-	$(BIN)/python -m pytest -m "real_time and not slow" tests/page
+	$(BIN)/python -m pytest $(IN_PARALLEL) -m "real_time and not slow" tests/page
 
 test-computing:
 	nice -n 15 $(BIN)/python -m pytest $(IN_PARALLEL) -m "not real_time and not slow"
