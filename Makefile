@@ -14,7 +14,10 @@ export OPENBLAS_NUM_THREADS = 1
 unexport PYTHONDONTWRITEBYTECODE
 
 # By file, for tests of a file share what is dear to make; in order, for the longest files come first (tests/closed_loop).
-IN_PARALLEL := -n logical --dist loadfile --no-loadscope-reorder
+BY_FILE := --dist loadfile --no-loadscope-reorder
+IN_PARALLEL := -n logical $(BY_FILE)
+# Two at a time: what waits for programs and for the clock leaves the processors idle for most of its time, but not for more.
+IN_PAIRS := -n 2 $(BY_FILE)
 
 .DEFAULT_GOAL := help
 .PHONY: help page run check test test-units test-real-time test-page test-computing test-slow mutants firmware faults fuzz photoreal soak bench lint format proto docs lock clean
@@ -43,10 +46,10 @@ else
 endif
 
 test-real-time:
-	$(BIN)/python -m pytest -m "real_time and not slow" --ignore=tests/page
+	$(BIN)/python -m pytest $(IN_PAIRS) -m "real_time and not slow" --ignore=tests/page
 
 test-page:
-	$(BIN)/python -m pytest $(IN_PARALLEL) -m "real_time and not slow" tests/page
+	$(BIN)/python -m pytest $(IN_PAIRS) -m "real_time and not slow" tests/page
 
 test-computing:
 	nice -n 15 $(BIN)/python -m pytest $(IN_PARALLEL) -m "not real_time and not slow"

@@ -2,7 +2,8 @@
 and no station that runs here for other reasons is found by a test's terminal.
 
 Where tests run in several processes, run them with `--dist loadfile` as the Makefile does: a file's tests then stay together,
-for they share what is dear to make. What is marked `real_time` never runs so: its tests must not run beside one another.
+for they share what is dear to make. What is marked `real_time` runs in two processes at most: a
+third would starve the others of processor time.
 """
 
 import os
