@@ -46,7 +46,7 @@ class Row:
         return cls(benchmark, case, subject, unit, percentile(50), percentile(99), ranked[-1], n)
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """The row as a dictionary for JSON."""
         return asdict(self)
 
 

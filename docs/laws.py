@@ -15,7 +15,7 @@ TOLD = ("rms_m", "rms_after_20s_m", "formation_after_20s_m", "input_step_rms", "
 
 
 def table(comparison: Comparison) -> str:
-    """In Markdown."""
+    """A comparison's table in Markdown."""
     columns = [0, *(1 + k for k, column in enumerate(COLUMNS) if column.key in TOLD)]
     heads = ["×", *(f"{column.heading}, {column.unit}" for column in COLUMNS)]
     rows = [["", *(heads[k] for k in columns)], ["---"] * (1 + len(columns))]

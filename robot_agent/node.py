@@ -67,7 +67,7 @@ class AgentNode:
         watchdog: ServiceNotifier | None = None,
         signing: Signing | None = None,
     ) -> None:
-        """With `signing`, frames to the board are signed, and unsigned frames from it are dropped."""
+        """Make the node. With `signing`, frames to the board are signed, and unsigned frames from it are dropped."""
         self.agent = Agent(experiment, robot)
         self._experiment, self._robot, self._bus, self._link, self.stop = experiment, robot, bus, link, stop
         self._watchdog = watchdog or ServiceNotifier({})

@@ -54,7 +54,7 @@ class World:
         board_factory: Callable[[Experiment, int, int], WorldBoard] = ThrusterBoard,
         held: bool = False,
     ) -> None:
-        """With `held` the robots are kept in place until the first of them is armed."""
+        """Make the world. With `held` the robots are kept in place until the first of them is armed."""
         self._held = held
         self._plant = Plant(experiment, seed)
         self._state = self._plant.start(starts)

@@ -173,7 +173,7 @@ def _control(address: str, told: Connection, stop: Any) -> None:
 
 @dataclass(frozen=True)
 class Measured:
-    """With one way of recording."""
+    """Figures of one way of recording."""
 
     share: float  # of a core
     sent: int
@@ -286,7 +286,7 @@ def run(count: int = KILLS) -> Iterator[Row]:
 
 
 def main(count: Annotated[int, typer.Option("--kills", help="How many.")] = 200) -> None:
-    """Only the kills."""
+    """Run only the kills."""
     row = kills(count)
     print(
         f"{row.n} kills: lost {row.p50:.2f} s in the median, {row.p99:.2f} s at the 99th percentile, {row.max:.2f} s at worst"

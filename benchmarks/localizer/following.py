@@ -30,7 +30,7 @@ class Task:
     window_px: float
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """The row as a dictionary for JSON."""
         return asdict(self)
 
 

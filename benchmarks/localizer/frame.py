@@ -174,7 +174,7 @@ def _video() -> Task | None:
 
 @contextmanager
 def real_time() -> Iterator[None]:
-    """One core, and no program of the ordinary scheduler before this one."""
+    """Take one core, and let no program of the ordinary scheduler before this one."""
     cores = os.sched_getaffinity(0)
     try:
         os.sched_setaffinity(0, {max(cores)})

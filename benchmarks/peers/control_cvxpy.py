@@ -33,7 +33,7 @@ class Cvxpy:
         return Solution(np.array(self._x.value) if solved else np.zeros(len(q)), solved, 0)
 
     def warm_start(self, x: Array, multipliers: Array) -> None:
-        """It starts from its last solution."""
+        """Do nothing: it starts from its last solution."""
 
 
 print_rows("cvxpy, OSQP", in_place_of_ours(Cvxpy))

@@ -86,7 +86,7 @@ class DoMpc:
         mpc.bounds["upper", "_x", "wrench"] = np.array(self._limits.wrench)
 
     def predicted_path(self, state: State | Array) -> Array:
-        """Nobody is near."""
+        """Nothing: no robot is near."""
         return np.tile(state[:4], (self._horizon + 1, 1))
 
     def plan(
@@ -114,7 +114,7 @@ class DoMpc:
         return MpcPlan(np.clip(wrench + change, -limit, limit), eta, Solve.SOLVED if solved else Solve.SHIFTED, 0, 0.0)
 
     def reset(self) -> None:
-        """Nothing is kept."""
+        """Do nothing: nothing is kept."""
 
 
 def tamper(controller: Controller, experiment: Experiment) -> None:

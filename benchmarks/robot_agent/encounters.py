@@ -44,7 +44,7 @@ class Encounter:
 
     @property
     def deadlock(self) -> bool:
-        """Somebody did not get where it was to go."""
+        """True if a robot did not get to its end."""
         return max(self.arrived_s) == float("inf")
 
 

@@ -46,7 +46,7 @@ def starts(random: np.random.Generator) -> list[tuple[float, float, float, float
 
 
 def errors_mm(settings: Sequence[str], count: int) -> Iterator[float]:
-    """Each robot's error; infinite if it stopped."""
+    """Errors of all robots; infinite if it stopped."""
     for seed in range(1, count + 1):
         experiment = load_experiment("pool", [*POOL, *settings, f"seed={seed}"])
         offsets = starts(np.random.default_rng(seed))

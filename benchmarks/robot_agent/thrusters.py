@@ -26,7 +26,7 @@ LONG_FLIGHTS, LONG_S = 16, 120.0
 
 
 def lacking_s(how: str, seed: int, settings: Sequence[str]) -> float:
-    """For how long a robot flew on though a thruster lacked force; WATCHED_S where it did not notice at all."""
+    """Seconds for which a robot flew on though a thruster lacked force; WATCHED_S where it did not notice at all."""
     random = np.random.default_rng(seed)
     robot, number, at_s = int(random.integers(1, 3)), int(random.integers(1, 5)), float(random.uniform(8.0, 20.0))
     fault = f"t={at_s:.2f} thruster {robot}/{number} {how}"
@@ -41,7 +41,7 @@ def lacking_s(how: str, seed: int, settings: Sequence[str]) -> float:
 
 
 def false_alarms(seed: int) -> list[float]:
-    """Of each robot of a long flight: 1 if it thought that a thruster was broken."""
+    """For each robot of a long flight 1 if it thought that a thruster was broken."""
     random = np.random.default_rng(seed)
     model = (
         f"sim.plant.drag_error={random.uniform(-0.3, 0.3):.2f}",

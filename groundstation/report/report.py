@@ -238,7 +238,7 @@ def _is_same(line: TimelineEvent, event: TimelineEvent) -> bool:
 
 
 def _most_telling(timeline_events: Sequence[TimelineEvent]) -> Sequence[TimelineEvent]:
-    """All of them, or when there are too many the faults first."""
+    """The marks that are drawn: all, or when there are too many the faults first."""
     if len(timeline_events) <= MOST_HAPPENINGS:
         return timeline_events
     kept = sorted(range(len(timeline_events)), key=lambda i: (not timeline_events[i].fault, i))[:MOST_HAPPENINGS]

@@ -77,7 +77,7 @@ def metric_rows(runs: Sequence[ComparedRun]) -> list[MetricRow]:
 
 
 def _worst(errors: Sequence[Errors] | Any, key: str) -> float | None:
-    """None where one of them has none: a robot that never flew is not better than the others."""
+    """The worst figure, None where one of them has none: a robot that never flew is not better than the others."""
     known = [max(values) for error in errors if (values := getattr(error, key)) is not None]
     return max(known) if known and len(known) == len(errors) else None
 

@@ -380,7 +380,7 @@ class ClientHub:
         self._tell_now()
 
     def _tell_now(self) -> None:
-        """As `tell`, where a state that cannot be told must end nothing else."""
+        """Tell as `tell` does, where a state that cannot be told must end nothing else."""
         try:
             self.tell()
         except Exception as error:

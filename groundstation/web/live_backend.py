@@ -164,7 +164,7 @@ class LiveBackend:
         log.info("remark: %s", " ".join(text.split()))
 
     def seek(self, time_s: float | None, rate: float | None) -> None:
-        """Only a recorded run can be at another time."""
+        """Refuse: only a recorded run can be at another time."""
 
 
 def _aged(inbox: Inbox[Any]) -> AgedMessage:

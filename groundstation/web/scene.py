@@ -110,7 +110,7 @@ def _hints() -> dict[str, str]:
 
 
 def _underlay(experiment: Experiment, camera: Camera) -> dict[str, Any] | None:
-    """None where the camera moves: where it looks is then known only for each picture."""
+    """The camera's picture as it lies under the map. None where the camera moves: its view is known only for each picture."""
     if experiment.landmarks:
         return None
     points, places = mesh(experiment, camera)

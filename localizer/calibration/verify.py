@@ -39,7 +39,7 @@ class LivePictures:
     """Frames of the bus as BGR pictures, each newer than the last."""
 
     def __init__(self, bus: Bus, camera: str = "") -> None:
-        """Of the only camera, or of one of several."""
+        """Make it for the only camera, or for one of several."""
         self._bus, self._frames = bus, bus.inbox(topics.FRAME.of_camera(camera), Frame)
         self._seen: Header | None = None
 

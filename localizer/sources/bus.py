@@ -113,7 +113,7 @@ class LockstepSource:
         camera: str = "",
         number: int | None = None,
     ) -> None:
-        """Of the only camera, or of one of several with its number in the experiment."""
+        """Make it for the only camera, or for one of several with its number in the experiment."""
         self._lockstep = Lockstep(bus, stop, clock, topics.EXPOSED)
         self._clock, self._states, self._number = clock, states, number
         self._frames = bus.inbox(topics.FRAME.of_camera(camera), Frame)

@@ -78,7 +78,7 @@ class SingleObjectTracker:
         return self._sampler.rings(DemosaicedRegion(picture, 0, 0, 1), self._projection())[None]
 
     def _projection(self) -> BodyProjection:
-        """From the target's axes to the picture: a metre of the sampler is a pixel."""
+        """The map from the target's axes to the picture: a metre of the sampler is a pixel."""
         return BodyProjection(self._pose[:2], self._turned(), np.zeros(2))
 
     def _turned(self) -> Array:

@@ -34,7 +34,7 @@ class VideoEncoder:
     """The thread, ended by `close`. A frame that cannot be encoded is left out, and the encoder is made anew."""
 
     def __init__(self, experiment: Experiment, bus: Bus, stop: Stop, camera: str = "") -> None:
-        """Of one of several cameras, or of the only one (""). Raises ConfigError if the needed package is not installed."""
+        """For one of several cameras, or the only one (""). Raises ConfigError if the needed package is not installed."""
         self._recording, self._size_px = experiment.recording, experiment.camera.size_px
         self._pack = packer(self._recording, self._size_px)
         self._due, self._bus = RateLimiter(experiment.recording.video_rate_hz), bus

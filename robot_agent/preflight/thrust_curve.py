@@ -123,7 +123,7 @@ def interpolate(curve: Sequence[tuple[int, float]], pulse_us: float) -> float:
 
 
 def _thinned(dense: Curve, points: int) -> Curve:
-    """At most so many points: the ends, the edges of the dead zone, and then always the one that is furthest off."""
+    """At most so many of the points: the ends, the edges of the dead zone, and then always the one that is furthest off."""
     still = [point for point in dense if point[1] == 0.0]
     kept = {dense[0], still[0], still[-1], dense[-1]}
     while len(kept) < min(points, len(dense)):

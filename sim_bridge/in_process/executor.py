@@ -165,7 +165,7 @@ class MemoryWire:
         raise RuntimeError("waits for its board, which says nothing until the step is over")
 
     def close(self) -> None:
-        """Nothing is open."""
+        """Do nothing: nothing is open."""
 
 
 class MemoryPort:
@@ -180,7 +180,7 @@ class MemoryPort:
         return datagrams
 
     def hear(self, peer: Address, now_ns: int) -> None:
-        """There is one peer, and it stays."""
+        """Do nothing: there is one peer, and it stays."""
 
     def send(self, data: bytes, now_ns: int) -> None:
         self._wire.to_computer.append(data)
@@ -196,13 +196,13 @@ class MemoryPorts(BoardPorts):
         self._others = others
 
     def forget(self) -> None:
-        """Nothing is ever left waiting."""
+        """Do nothing: no datagram is ever left waiting."""
 
     def wait(self, timeout_s: float) -> None:
         self._others()
 
     def close(self) -> None:
-        """Nothing is open."""
+        """Do nothing: nothing is open."""
 
 
 class Executor:

@@ -20,7 +20,7 @@ ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_
 
 
 def _die_with_parent() -> None:
-    """In the child, before it becomes the program: ask to be killed when the launcher dies (Linux)."""
+    """Ask, in the child before it becomes the program, to be killed when the launcher dies (Linux)."""
     if _libc is not None:
         _libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
 
@@ -35,7 +35,7 @@ class Child:
 
     @property
     def exit_code(self) -> int | None:
-        """None while it runs; negative: the signal that ended it."""
+        """The exit code: None while it runs, negative if a signal ended it."""
         return self.process.poll()
 
     def explain(self) -> str:

@@ -115,7 +115,7 @@ class Drifter(Section):
     """Time at which it comes into the water."""
 
     def place_m(self, time_s: float) -> Array | None:
-        """Its middle, (3,); None before it comes."""
+        """The place of its middle, (3,); None before it comes."""
         since_s = time_s - self.from_s
         return np.array(self.start_m) + since_s * np.array(self.velocity_mps) if since_s >= 0.0 else None
 

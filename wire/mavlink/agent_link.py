@@ -133,7 +133,7 @@ class AgentLink:
     """The robot's computer: packs commands, keeps the telemetry."""
 
     def __init__(self, robot_id: int, key: Key | None = None, now: Callable[[], int] = lambda: 0) -> None:
-        """With a `key` the link is signed; `now()` is the time in ticks, later than in any earlier life of this computer.
+        """With a `key`, sign; `now()` is the time in ticks, later than in any earlier life of this computer.
 
         The board signs with times later than all it has heard, so what it says to this life is later than this life's start:
         older telemetry is a recording.

@@ -46,7 +46,7 @@ def parse_link(text: str, option: str = "--link") -> Address:
 
 
 class Link(Protocol):
-    """Never blocks, never raises for a board that is not there: its silence is noticed by its age."""
+    """A way to a board. Never blocks, never raises for a board that is not there: its silence is noticed by its age."""
 
     def send(self, data: bytes) -> None: ...
     def read(self) -> bytes: ...

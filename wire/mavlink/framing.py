@@ -181,7 +181,7 @@ class Sender:
     """Numbers, packs and signs the frames of one end."""
 
     def __init__(self, peer: Peer, key: Key | None = None, now: Callable[[], int] = lambda: 0) -> None:
-        """With a key frames are signed; `now()` is the time in ticks of a signature's timestamp."""
+        """Make it. With a key frames are signed; `now()` is the time in ticks of a signature's timestamp."""
         self._mavlink = dialect.MAVLink(None, *peer)
         self.signer = Signer(key, now) if key is not None else None
 

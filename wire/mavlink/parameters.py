@@ -22,7 +22,7 @@ class ParameterClient:
     """The parameters received from a board, and the requests that are still open."""
 
     def __init__(self, robot_id: int | None = None, key: Key | None = None, now: Callable[[], int] = lambda: 0) -> None:
-        """Without a `robot_id`, of the first board that is heard."""
+        """Make it for `robot_id`, or for the first board that is heard."""
         verifier = SignatureVerifier(key, floor=now())
         self.robot_id = robot_id
         self._sender = Sender(STATION, key, lambda: max(now(), verifier.newest + 1))

@@ -23,7 +23,7 @@ class SimulatorLink:
     """The latest outputs and mode that a board has told, and the packing of its simulated measurements."""
 
     def __init__(self, robot_id: int, key: Key | None = None, now: Callable[[], int] = lambda: 0) -> None:
-        """With a `key` the link is signed; `now()` is the time in ticks."""
+        """Make the link. With a `key` it is signed; `now()` is the time in ticks."""
         verifier = SignatureVerifier(key, floor=now())
         self._sender = Sender((robot_id, SIMULATOR_COMPONENT), key, lambda: max(now(), verifier.newest + 1))
         self._receiver = Receiver(lambda peer: peer == (robot_id, BOARD_COMPONENT), verifier)

@@ -65,7 +65,7 @@ def _within(prefix: str, section: Section) -> Iterator[TunableParameter]:
 
 
 def _parameter(key: str, value: float, marks: list[Any]) -> TunableParameter:
-    """From what pydantic checks: its marks have an attribute of the bound's name."""
+    """A parameter with the bounds that pydantic checks: its marks have an attribute of the bound's name."""
     bound = {name: float(getattr(mark, name)) for name in ("ge", "gt", "le", "lt") for mark in marks if hasattr(mark, name)}
     least, most = bound.get("gt", bound.get("ge", -np.inf)), bound.get("lt", bound.get("le", np.inf))
     return TunableParameter(key, value, least, most, "gt" in bound, "lt" in bound)

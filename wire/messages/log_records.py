@@ -127,7 +127,7 @@ def unpacked(found: Packed, allowed: Allowance, at: int) -> bytes:
 
 
 def _unpack(found: Packed, at: int) -> bytes:
-    """Never more than one byte beyond the size that the chunk says."""
+    """Unpack a chunk to never more than one byte beyond the size that the chunk says."""
     if found.packing == "":
         return found.data
     if found.packing == "zstd":

@@ -71,7 +71,7 @@ class Inbox(Generic[M]):
     """
 
     def __init__(self, bus: "Bus", topic: Topic, kind: type[M], robot: int | None, wakes: bool) -> None:
-        """Of `Bus.inbox`, which has it filled."""
+        """Make it for `Bus.inbox`, which has it filled."""
         self.dropped = 0  # repeated, reordered
         self.bad = 0  # not decodable
         self.last_error = ""
@@ -192,7 +192,7 @@ class Bus:
         return Inbox(self, topic, kind, robot, wakes)
 
     def subscribe(self, topic: Topic, robot: int | None, raw: Raw) -> None:
-        """Every message of a topic as bytes (of all robots if none is named). Called from a network thread: be quick."""
+        """Receive a topic's messages as bytes (of all robots if none is named). Called from a network thread: be quick."""
 
         def deliver(key: str, payload: bytes, header: bytes) -> None:
             decoded = self._header(topic, header)

@@ -97,7 +97,7 @@ def _flood_limits() -> list[dict[str, Any]]:
 
 
 def _tls(keys: Keys, router: bool) -> dict[str, Any]:
-    """Both sides show a certificate of the fleet's authority; the router's must name the host that was asked for."""
+    """TLS: both sides show a certificate of the fleet's authority; the router's must name the host that was asked for."""
     found: dict[str, Any] = {
         "transport/link/protocols": ["tls", DOOR] if router else ["tls"],
         "transport/link/tls/root_ca_certificate": str(keys.ca),
