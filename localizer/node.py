@@ -10,6 +10,7 @@ from contextlib import ExitStack, closing
 from dataclasses import astuple, dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,7 +21,6 @@ from localizer.sources.recording import FrameRecorder, RecordedFrame
 from localizer.tracking.check_marks import with_camera
 from localizer.tracking.fleet_localizer import FleetLocalizer, LocalizationResult
 from localizer.tracking.tilt import Attitude
-from localizer.view.mjpeg_server import MjpegServer
 from localizer.view.overlay import draw
 from localizer.view.preview import PreviewPublisher
 from localizer.view.video_encoder import VideoEncoder
@@ -37,6 +37,9 @@ from wire.transport.bus import Bus, Received
 from wire.transport.endpoint import Endpoint
 from wire.transport.frame_ring import codec_of
 from wire.transport.zenoh_transport import ZenohTransport
+
+if TYPE_CHECKING:
+    from localizer.view.mjpeg_server import MjpegServer
 
 FAILURES_IN_A_ROW = 10  # frames (0.5 s at 20 Hz) that may fail before the process ends, for its supervisor to restart it
 
@@ -67,6 +70,8 @@ def run(experiment: Experiment, endpoint: Endpoint, fleet: str, stop: Stop, lock
         if options.source != BUS:
             own = stack.enter_context(closing(open_own(options.source, alone.camera, clock)))
         if options.page_port is not None:
+            from localizer.view.mjpeg_server import MjpegServer  # its web server takes long to import
+
             page = stack.enter_context(closing(MjpegServer(options.page_port, stop)))
         if options.record is not None:
             recorder = stack.enter_context(closing(FrameRecorder(options.record, alone)))
@@ -86,7 +91,7 @@ class LocalizerNode:
         stop: Stop,
         clock: Clock,
         own: FrameSource | None = None,
-        page: MjpegServer | None = None,
+        page: "MjpegServer | None" = None,
         publish_frames: bool = False,
         recorder: FrameRecorder | None = None,
         camera: str = "",

@@ -1,6 +1,7 @@
 """SHELL: `localizer check`: the pool's grid by the calibration, drawn over a picture or over live frames."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -9,7 +10,6 @@ from localizer.calibration.images import write_picture
 from localizer.calibration.pool_grid import GRID_M, draw_grid, view_figures
 from localizer.calibration.report import view_lines
 from localizer.detection.image_regions import BAYER_TO_BGR, Pixels
-from localizer.view.mjpeg_server import MjpegServer
 from wire.config.experiment import Experiment
 from wire.messages import topics
 from wire.messages.codec import Header
@@ -17,6 +17,9 @@ from wire.messages.messages import Frame
 from wire.process.runtime import Stop, wait
 from wire.toml_loader import ConfigError
 from wire.transport.bus import Bus
+
+if TYPE_CHECKING:  # its web server takes long to import
+    from localizer.view.mjpeg_server import MjpegServer
 
 LIVE_PATIENCE_S = 5.0
 
@@ -57,7 +60,7 @@ class LivePictures:
         raise ConfigError(f"--live: no frame on {frames.name} within {LIVE_PATIENCE_S:g} s: {why}")
 
 
-def show_live(experiment: Experiment, pictures: LivePictures, page: MjpegServer, depth_m: float, stop: Stop) -> None:
+def show_live(experiment: Experiment, pictures: LivePictures, page: "MjpegServer", depth_m: float, stop: Stop) -> None:
     """Show every new frame under the grid in a browser, until told to stop, for aiming the camera. Raises ConfigError when
     no frame comes, or one of another size."""
     while (picture := pictures.next(stop)) is not None:

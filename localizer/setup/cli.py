@@ -44,10 +44,11 @@ def setup(
 
     from localizer.setup.camera_feed import CameraFeed
     from localizer.setup.experiment_file import ExperimentFile
-    from localizer.setup.server import SetupServer, bind
+    from localizer.setup.server import SetupServer
     from localizer.setup.session import SetupSession
     from localizer.sources.factory import BUS, open_bus, open_own
     from localizer.sources.v4l2_controls import V4l2Controls
+    from localizer.view.local_server import bind
     from wire.messages.topics import Role, process_name
     from wire.process.runtime import Stop, WallClock, start_log
     from wire.transport.bus import Bus
@@ -60,7 +61,7 @@ def setup(
     clock, stop = WallClock(), Stop()
     kind, _, device = camera.partition(":")
     with ExitStack() as stack:
-        bound = stack.enter_context(closing(bind(port)))
+        bound = stack.enter_context(closing(bind(port, "--port")))
         if camera == BUS:
             typer.echo(f"Pictures come through the station at {station}.", err=True)
             where = endpoint(station, process_name(Role.LOCALIZER), keys, insecure=insecure)

@@ -5,58 +5,36 @@ of another page of the same browser has no key.
 """
 
 import socket
-import threading
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import uvicorn
-from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
-from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, Response, StreamingResponse
+from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, Response
 from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
 from localizer.setup.camera_feed import CameraFeed
 from localizer.setup.session import SetupSession
-from wire.process.runtime import SLICE_S, Stop, guarded_thread
+from localizer.view.local_server import LocalServer, PictureStream
+from wire.process.runtime import SLICE_S, Stop
 from wire.toml_loader import ConfigError
-from wire.web_access import Guarded, WebOptions, token_allowed
+from wire.web_access import WebOptions, token_allowed
 
 STATIC = Path(__file__).parent / "static"
-MOST_VIEWERS = 4  # streams; each has a thread
 _PAGE_GONE_S = 3.0  # s without a look at the state after which a page counts as closed
 _LONGEST_REQUEST = 100_000  # bytes; a mask of a thousand corners has 20,000
-_BOUNDARY = "picture"
-_GRACE_S = 2  # s that open streams get when the program ends
-
-
-def bind(port: int) -> socket.socket:
-    """The page's socket at 127.0.0.1; port 0: any that is free. Raises ConfigError."""
-    try:
-        return socket.create_server(("127.0.0.1", port))
-    except (OSError, OverflowError) as error:
-        raise ConfigError(f"--port {port}: {error} (choose another one)") from None
 
 
 class SetupServer:
     """The page's server: `run` until told to stop."""
 
     def __init__(self, session: SetupSession, feed: CameraFeed, bound: socket.socket, key: str) -> None:
-        self._session, self._feed, self._socket = session, feed, bound
+        self._session, self._socket = session, bound
         self._options = WebOptions(port=bound.getsockname()[1], token=key)
-        self._viewers = threading.BoundedSemaphore(MOST_VIEWERS)
+        self._stream = PictureStream(feed.next)
         self._pages: dict[str, float] = {}  # by the name that each gives itself: when it looked last
-        routes = [
-            Route("/", self._index),
-            Route("/live", self._live),
-            Route("/state", self._state),
-            Route("/do", self._do, methods=["POST"]),
-            Mount("/", StaticFiles(directory=STATIC)),
-        ]
-        self._app = Guarded(Starlette(routes=routes), self._options)
 
     @property
     def address(self) -> str:
@@ -64,24 +42,18 @@ class SetupServer:
         return f"{self._options.url}#key={self._options.token}"
 
     def run(self, stop: Stop) -> None:
-        """Serve until told to stop; in a thread, where uvicorn leaves signals to us."""
-        config = uvicorn.Config(
-            self._app,
-            loop="asyncio",
-            lifespan="off",
-            log_config=None,
-            log_level="warning",
-            access_log=False,
-            server_header=False,
-            timeout_graceful_shutdown=_GRACE_S,
-        )
-        server = uvicorn.Server(config)
-        thread = guarded_thread(stop, "page", lambda: server.run(sockets=[self._socket]))
-        thread.start()
-        while not stop.requested and thread.is_alive():
-            thread.join(SLICE_S)
-        server.should_exit = True
-        thread.join()
+        """Serve until told to stop."""
+        routes = [
+            Route("/", self._index),
+            Route("/live", self._live),
+            Route("/state", self._state),
+            Route("/do", self._do, methods=["POST"]),
+            Mount("/", StaticFiles(directory=STATIC)),
+        ]
+        server = LocalServer(routes, self._options, self._socket, stop)
+        while not stop.requested and server.serves:
+            time.sleep(SLICE_S)
+        server.close()
 
     def _allowed(self, request: Request) -> bool:
         return token_allowed(self._options, request.headers.get("x-key") or request.query_params.get("key", ""))
@@ -92,21 +64,7 @@ class SetupServer:
     def _live(self, request: Request) -> Response:
         if not self._allowed(request):
             return _refused()
-        if not self._viewers.acquire(blocking=False):
-            return PlainTextResponse(f"{MOST_VIEWERS} viewers already", 503)
-        return StreamingResponse(self._pictures(), media_type=f"multipart/x-mixed-replace; boundary={_BOUNDARY}")
-
-    def _pictures(self) -> Iterator[bytes]:
-        seen = 0
-        yield f"--{_BOUNDARY}\r\n".encode()
-        try:
-            while (news := self._feed.next(seen)) is not None:
-                seen, jpeg = news
-                head = f"Content-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n\r\n"
-                # with the next boundary at once, as browsers show a picture only when it has come
-                yield head.encode() + jpeg + f"\r\n--{_BOUNDARY}\r\n".encode() if jpeg else b""
-        finally:
-            self._viewers.release()
+        return self._stream.answer(request)
 
     def _state(self, request: Request) -> Response:
         if not self._allowed(request):

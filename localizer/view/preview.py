@@ -6,6 +6,7 @@ wins: a slow viewer never slows the poses.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -13,12 +14,14 @@ import numpy as np
 from localizer.detection.image_regions import Pixels
 from localizer.sources.base import CapturedFrame
 from localizer.tracking.fleet_localizer import LocalizationResult
-from localizer.view.mjpeg_server import MjpegServer
 from localizer.view.worker import LatestItemWorker
 from wire.messages import topics
 from wire.messages.messages import Frame, Obstacles, Preview
 from wire.process.runtime import Clock, Stop
 from wire.transport.bus import Bus
+
+if TYPE_CHECKING:  # its web server takes long to import
+    from localizer.view.mjpeg_server import MjpegServer
 
 PAGE_RATE_HZ = 15.0  # Hz of the page's pictures, each of which takes 5 ms of one core
 _JPEG_QUALITY = 70  # about 40 kB at 640 x 480
@@ -74,7 +77,7 @@ class PreviewPublisher:
         clock: Clock,
         stop: Stop,
         preview_rate_hz: float,
-        page: MjpegServer | None = None,
+        page: "MjpegServer | None" = None,
         publish_frames: bool = False,
         camera: str = "",
     ) -> None:

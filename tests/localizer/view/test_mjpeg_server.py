@@ -1,13 +1,16 @@
 """The page of `--show`: real HTTP on this machine, a few viewers, none of whom can hold anything up."""
 
 import http.client
+import socket
 import threading
 from collections.abc import Iterator
 
 import pytest
 
+from localizer.view import local_server
 from localizer.view import mjpeg_server as page_module
-from localizer.view.mjpeg_server import MAX_VIEWERS, MjpegServer
+from localizer.view.local_server import MOST_VIEWERS
+from localizer.view.mjpeg_server import MjpegServer
 from tests.waiting import eventually
 from wire.process.runtime import Stop
 from wire.toml_loader import ConfigError
@@ -21,8 +24,12 @@ def page(monkeypatch: pytest.MonkeyPatch) -> Iterator[MjpegServer]:
     opened.close()
 
 
+def port_of(page: MjpegServer) -> int:
+    return int(page.address.rstrip("/").rpartition(":")[2])
+
+
 def ask(page: MjpegServer, path: str, host: str | None = None) -> http.client.HTTPResponse:
-    connection = http.client.HTTPConnection("127.0.0.1", int(page.address.rstrip("/").rpartition(":")[2]), timeout=5)
+    connection = http.client.HTTPConnection("127.0.0.1", port_of(page), timeout=5)
     connection.request("GET", path, headers={} if host is None else {"Host": host})
     return connection.getresponse()
 
@@ -70,10 +77,20 @@ def test_a_viewer_that_does_not_read_holds_nobody_up(page: MjpegServer) -> None:
     assert picture(ask(page, "/stream")) == b"last"
 
 
+def test_a_viewer_that_stops_reading_loses_its_place(page: MjpegServer, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(local_server, "_TAKEN_WITHIN_S", 0.2)
+    page.show(bytes(8_000_000))  # more than all socket buffers hold
+    stalled = [ask(page, "/stream") for _ in range(MOST_VIEWERS)]
+    assert ask(page, "/stream").status == 503
+    page.show(b"small")
+    assert eventually(lambda: ask(page, "/stream").status == 200)
+    assert len(stalled) == MOST_VIEWERS  # and their connections are still open here
+
+
 def test_there_is_room_for_a_few_and_again_when_one_leaves(page: MjpegServer) -> None:
     page.show(b"x")
-    viewers = [ask(page, "/stream") for _ in range(MAX_VIEWERS)]
-    assert [v.status for v in viewers] == [200] * MAX_VIEWERS
+    viewers = [ask(page, "/stream") for _ in range(MOST_VIEWERS)]
+    assert [v.status for v in viewers] == [200] * MOST_VIEWERS
     assert ask(page, "/stream").status == 503
     viewers[0].close()
     assert eventually(lambda: ask(page, "/stream").status == 200)
@@ -81,18 +98,19 @@ def test_there_is_room_for_a_few_and_again_when_one_leaves(page: MjpegServer) ->
 
 def test_another_name_for_this_machine_is_refused(page: MjpegServer) -> None:
     """A foreign web page can have its own name lead here; the browser then sends that name."""
-    assert ask(page, "/", host="evil.example:8090").status == 403
-    assert ask(page, "/stream", host="evil.example").status == 403
+    assert ask(page, "/", host="evil.example:8090").status == 421
+    assert ask(page, "/stream", host="evil.example").status == 421
     assert ask(page, "/", host="localhost:1234").status == 200
 
 
-def test_only_this_machine_is_served(page: MjpegServer) -> None:
-    # the public address says 127.0.0.1 whatever the socket is bound to
-    assert page._server.server_address[0] == "127.0.0.1"
+def test_only_the_one_loopback_address_is_served(page: MjpegServer) -> None:
+    """127.0.0.2 leads to this machine too, as its addresses in a network do."""
+    with pytest.raises(ConnectionRefusedError):
+        socket.create_connection(("127.0.0.2", port_of(page)), 5.0)
 
 
 def test_a_port_in_use_is_explained(page: MjpegServer) -> None:
-    port = int(page.address.rstrip("/").rpartition(":")[2])
+    port = port_of(page)
     with pytest.raises(ConfigError, match=f"--show-port {port}: in use"):
         MjpegServer(port, Stop(install=False))
 
