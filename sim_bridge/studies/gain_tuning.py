@@ -1,9 +1,7 @@
 """SHELL: `sim-bridge tune`: search for a law's gains on simulated flights, with a fixed budget, the same search for all laws.
 
-Every gain is searched on a logarithmic scale. A quarter of the budget goes to random draws around the first guess, by a
-factor of 4 up or down; the rest to a (1+1) evolution strategy from the best of them, whose step follows the one-fifth
-success rule (Rechenberg 1973; Beyer and Schwefel 2002). It needs no gradients and no parameters of its own, and tolerates
-the kinks that limits cause.
+Every gain is searched on a logarithmic scale by CMA-ES (Hansen 2016, the package `cma`), from the first guess on. It needs no
+gradients and tolerates the kinks that limits cause. The trials of a generation do not depend on one another and fly at once.
 """
 
 import math
@@ -72,10 +70,11 @@ def _tune(law: str, tasks: Sequence[FlightTask], budget: int, pool: ProcessPoolE
     """Search the gains of one law within a budget of trials."""
     first: FeedbackLawConfig = getattr(tasks[0].experiment.controller, law.replace("-", "_"))
 
-    def flown(gains: Array) -> float:
-        section = with_gains(first, gains)
-        changed = [replace(task, experiment=_under(task.experiment, law, section), with_traces=False) for task in tasks]
-        return cost([flight.figures for flight in pool.map(fly, changed)])
+    def flown(generation: Sequence[Array]) -> list[float]:
+        sections = [with_gains(first, gains) for gains in generation]
+        changed = [replace(t, experiment=_under(t.experiment, law, s), with_traces=False) for s in sections for t in tasks]
+        figures = iter([flight.figures for flight in pool.map(fly, changed)])
+        return [cost([next(figures) for _ in tasks]) for _ in generation]
 
     trials: list[Trial] = []
     for trial in search(np.array(values(first)), budget, seed=1, fly=flown):
@@ -106,10 +105,7 @@ def _under(experiment: Experiment, law: str, section: FeedbackLawConfig) -> Expe
     return experiment.model_copy(update={"controller": controller})
 
 
-DRAWN = 0.25  # share of the budget for random draws
-REACH = math.log(4.0)  # largest logarithm of a draw over the first guess
-FIRST_STEP = 0.4  # first standard deviation of a gain's logarithm
-GROW = 1.5  # growth of the step after a success; four failures undo it
+SPREAD = 0.4  # first standard deviation of a gain's logarithm: a factor of two
 FLOOR_M = 0.001  # m added to errors, so that smaller ones do not count
 WEAR = 2.0  # cost of the largest input change at all times: as much as both errors e times as large
 FAILED = 10.0  # cost of robots that never get under way
@@ -136,24 +132,24 @@ def _cost(figures: FlightMetrics) -> float:
     return math.log(whole) + math.log(settled) + WEAR * figures.input_step_rms + FAILED * (1.0 - figures.under_way)
 
 
-def search(first: Array, budget: int, seed: int, fly: Callable[[Array], float]) -> Iterator[Trial]:
-    """`budget` trials; the first is the guess itself."""
-    random = np.random.default_rng(seed)
-    best = Trial(first, fly(first))
-    yield best
-    for _ in range(max(1, round(DRAWN * budget)) - 1):
-        trial = _trial(first * np.exp(random.uniform(-REACH, REACH, first.shape)), fly)
-        best = min(best, trial, key=lambda t: t.cost)
-        yield trial
-    step = FIRST_STEP
-    for _ in range(budget - max(1, round(DRAWN * budget))):
-        trial = _trial(best.gains * np.exp(step * random.standard_normal(first.shape)), fly)
-        better = trial.cost < best.cost
-        best = trial if better else best
-        step *= GROW if better else GROW**-0.25
-        yield trial
+def search(first: Array, budget: int, seed: int, fly: Callable[[Sequence[Array]], list[float]]) -> Iterator[Trial]:
+    """`budget` trials; the first is the guess itself. `fly` returns the costs of a generation of gains."""
+    import cma
+
+    yield Trial(first, fly([first])[0])
+    spent, random = 1, np.random.default_rng(seed)
+    options = {"randn": lambda *shape: random.standard_normal(shape), "seed": math.nan, "verbose": -9}  # nan: seeds nothing
+    evolution = cma.CMAEvolutionStrategy(np.zeros(len(first)), SPREAD, options)
+    while spent < budget:
+        points = evolution.ask()
+        generation = [_rounded(first * np.exp(point)) for point in points[: budget - spent]]
+        costs = fly(generation)
+        spent += len(generation)
+        yield from map(Trial, generation, costs)
+        if len(costs) == len(points):
+            evolution.tell(points, costs)
 
 
-def _trial(gains: Array, fly: Callable[[Array], float]) -> Trial:
-    rounded = np.array([float(f"{gain:.3g}") for gain in gains])  # flown as they will be written
-    return Trial(rounded, fly(rounded))
+def _rounded(gains: Array) -> Array:
+    """Gains as they will be written, to be flown as such."""
+    return np.array([float(f"{gain:.3g}") for gain in gains])

@@ -2,6 +2,7 @@
 
 import dataclasses
 import tomllib
+from collections.abc import Sequence
 from typing import get_args
 
 import numpy as np
@@ -49,12 +50,16 @@ def bowl(gains: Array) -> float:
     return float(np.sum(np.log(gains / BEST) ** 2))
 
 
+def bowls(generation: Sequence[Array]) -> list[float]:
+    return [bowl(gains) for gains in generation]
+
+
 def test_search_spends_its_budget_and_begins_with_the_guess() -> None:
     flown: list[Array] = []
 
-    def fly(gains: Array) -> float:
-        flown.append(gains)
-        return bowl(gains)
+    def fly(generation: Sequence[Array]) -> list[float]:
+        flown.extend(generation)
+        return bowls(generation)
 
     trials = list(search(np.ones(4), 30, 1, fly))
     assert len(trials) == len(flown) == 30
@@ -65,20 +70,29 @@ def test_search_spends_its_budget_and_begins_with_the_guess() -> None:
 
 
 def test_search_finds_gains_two_decades_away() -> None:
-    costs = [min(t.cost for t in search(np.ones(4), 200, seed, bowl)) for seed in range(5)]
+    costs = [min(t.cost for t in search(np.ones(4), 200, seed, bowls)) for seed in range(5)]
     assert bowl(np.ones(4)) > 30.0 and max(costs) < 0.1
 
 
 def test_the_same_seed_tries_the_same_gains_and_another_does_not() -> None:
     def last(seed: int) -> Array:
-        return list(search(np.ones(3), 20, seed, lambda g: float(np.sum(g))))[-1].gains
+        return list(search(np.ones(3), 20, seed, lambda found: [float(np.sum(gains)) for gains in found]))[-1].gains
 
     np.testing.assert_array_equal(last(3), last(3))
     assert not np.array_equal(last(3), last(4))
 
 
+def test_the_search_leaves_the_random_numbers_of_others_alone() -> None:
+    others = np.random.mtrand._rand  # numpy's global generator has no public name
+    others.seed(1)
+    wanted = others.random_sample()
+    others.seed(1)
+    list(search(np.ones(3), 20, 1, lambda found: [float(np.sum(np.log(gains) ** 2)) for gains in found]))
+    assert others.random_sample() == wanted
+
+
 def test_gains_that_are_zero_stay_out_of_it() -> None:
-    assert all(t.gains[1] == 0.0 for t in search(np.array([1.0, 0.0]), 20, 1, lambda g: float(g[0])))
+    assert all(t.gains[1] == 0.0 for t in search(np.array([1.0, 0.0]), 20, 1, lambda found: [float(g[0]) for g in found]))
 
 
 @pytest.mark.parametrize(
