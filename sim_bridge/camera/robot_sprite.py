@@ -84,7 +84,7 @@ class BodySprite:
         unmarked._set_plate(NO_PLATE, np.inf)
         return unmarked
 
-    def draw(self, raw: Bytes, scene: WaterView, window: ImageRect, look: "Exposure", time_s: float) -> None:
+    def draw(self, raw: Bytes, scene: WaterView, window: ImageRect, look: "BodyLook", time_s: float) -> None:
         """Lay the body, as it looks, over a rectangle of the raw mosaic, in place."""
         fields = scene.fields(window, look.depth_m, time_s)
         kernels.draw_body(
@@ -109,7 +109,7 @@ def _plate(marker_id: int, side_m: float, px_per_m: float, family: MarkerFamily)
 
 
 class Bodies(NamedTuple):
-    """What is in the water, n of them, in the middle of an exposure."""
+    """Robots and balls, or landmarks, n of them, in the middle of an exposure."""
 
     sprites: Sequence[BodySprite]
     eta: Array  # (n, 4)
@@ -124,7 +124,7 @@ class Bodies(NamedTuple):
         return self._replace(eta=self.eta + seconds[:, None] * velocity)
 
 
-class Exposure(NamedTuple):
+class BodyLook(NamedTuple):
     """One body as it looks in the picture: its poses during the exposure, k of them."""
 
     poses: Array  # (k, 4) evenly spaced, symmetric in time; their mean picture stands for the exposure
@@ -135,7 +135,7 @@ class Exposure(NamedTuple):
     path_m: float  # optical length from the lens: bodies that are farther are behind the others
 
 
-def exposures(bodies: Bodies, optics: Optics, exposure_s: float, floor_m: float) -> tuple[list[Exposure], Array, Array]:
+def exposures(bodies: Bodies, optics: Optics, exposure_s: float, floor_m: float) -> tuple[list[BodyLook], Array, Array]:
     """The looks of n bodies in an exposure, corners (n, 16, 3) of boxes that hold them, and corners (n, 4, 3) of squares on
     the floor that hold their shadows."""
     n = len(bodies.sprites)
@@ -150,7 +150,7 @@ def exposures(bodies: Bodies, optics: Optics, exposure_s: float, floor_m: float)
     )  # fmt: skip
     water = np.stack(water_colour(2.0 * depths), axis=3).astype(np.float64)  # from a lamp down and up to the camera
     numbers = zip(parts.tolist(), bodies.eta[:, 2].tolist(), px_per_m.tolist(), seen.path_m[::3].tolist(), strict=True)
-    looks = [Exposure(poses[i, :k], attitudes[i, :k], water[i, :k], *rest) for i, (k, *rest) in enumerate(numbers)]
+    looks = [BodyLook(poses[i, :k], attitudes[i, :k], water[i, :k], *rest) for i, (k, *rest) in enumerate(numbers)]
     return looks, boxes, shadows
 
 

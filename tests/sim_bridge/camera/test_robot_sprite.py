@@ -45,8 +45,8 @@ def looked_up(layer: NDArray[np.uint8], column: Array, row: Array) -> Array:
     return np.asarray(map_coordinates(layer.astype(float), [row, column], order=1, mode="nearest"))
 
 
-class Drawn:
-    """What a camera sees of a sphere with a plate on it in a rectangle of its picture, all pixels (rows, columns) at once."""
+class PlatedSphere:
+    """A sphere with a plate on it as a camera sees it in a rectangle of its picture, all pixels (rows, columns) at once."""
 
     def __init__(self, camera: Camera, window: ImageRect, eta: Array, tilt: Array) -> None:
         rows, columns = np.mgrid[window.top : window.bottom, window.left : window.right]
@@ -143,7 +143,7 @@ def test_each_pixel_is_that_of_its_exact_line_of_sight(eta: tuple[float, ...], r
     before = raw.copy()
     sprite.draw(raw, scene, window, look, 0.0)
     spot = np.s_[window.top : window.bottom, window.left : window.right]
-    exact = Drawn(scene.view.camera, window, place[0], tilt[0]).over(before[spot], skin, square)
+    exact = PlatedSphere(scene.view.camera, window, place[0], tilt[0]).over(before[spot], skin, square)
     off = np.abs(raw[spot] - np.clip(exact, 0.0, 255.0))
     drawn = np.count_nonzero(raw != before)
     assert drawn == np.count_nonzero(raw[spot] != before[spot]) > 1000
