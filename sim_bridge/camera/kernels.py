@@ -16,35 +16,56 @@ from sim_bridge.camera.optics import Bytes, Float
 from wire.frames import Array
 from wire.kernels import kernel
 
-LANES = 32  # px of a row that a body is drawn on at a time
-# Rows of what is known of these pixels: line of sight in water and air, the body's colour and coverage so far, texel of the
-# plate, and of the sphere its normal, coverage, texel of the skin, light on its paint, and highlight.
-SURFACE_X, SURFACE_Y, WATER_X, WATER_Y, AIR_X, AIR_Y, COLOUR, COVER, PLATE_COLUMN, PLATE_ROW = range(10)
-NORMAL_X, NORMAL_Y, UP, SPHERE_COVER, SKIN_COLUMN, SKIN_ROW, SHADE, HIGHLIGHT, LANE_ROWS = range(10, 19)
 BLOCK = 8  # px, side of a block; the shortest ripple is some 60 px long
+LANES = 4 * BLOCK  # px of a row that a body is drawn on at a time
+# Fields of a block, and of a pixel between four of them: line of sight in water, light on a body, glare, line of sight in air.
+SURFACE_X, SURFACE_Y, WATER_X, WATER_Y, LIGHT, GLARE, AIR_X, AIR_Y, FIELDS = range(9)
+# What else is known of a pixel: the body's colour and coverage so far; of the plate and of the sphere the coverage, texel and
+# colour there; of the sphere its normal, the light on its paint, and the highlight; between four texels the place and them.
+COLOUR, COVER, PLATE_COVER, PLATE_COLUMN, PLATE_ROW, MARKING = range(FIELDS, FIELDS + 6)
+SPHERE_COVER, SKIN_COLUMN, SKIN_ROW, PAINT, NORMAL_X, NORMAL_Y, UP, SHADE, HIGHLIGHT = range(FIELDS + 6, FIELDS + 15)
+RIGHT, DOWN, TEXELS, LANE_ROWS = FIELDS + 15, FIELDS + 16, FIELDS + 17, FIELDS + 21
 LAMP_X, LAMP_Y, LAMP_UP = -0.30, -0.22, 0.93  # direction to most of the light: pool x, y and up; shadows fall the other way
 AMBIENT, DIFFUSE = 0.50, 0.56  # shares of ambient and of directed light on a hull
 GLOSS = 26.0  # grey levels of a wet hull's highlight, which falls with the 24th power of the light
 SHADOW = 0.42  # share of the light that is missing in the middle of a shadow
 PENUMBRA = 0.30  # width of a shadow's edge per metre between robot and floor, for long lamp tubes
 
-PICTURE, PLANE, WINDOW, LAYERS = "u1[:,::1]", "f4[:,::1]", "f4[:,:]", "u1[:,:,::1]"
-LINES = f"UniTuple({WINDOW}, 6)"
+PICTURE, PLANE, LAYERS = "u1[:,::1]", "f4[:,::1]", "u1[:,:,::1]"
+LINES = f"UniTuple({PLANE}, 6)"
+MATRIX, CUBE, CORNERS = "f8[:,::1]", "f8[:,:,::1]", "i4[:,::1]"
+RECT = "UniTuple(i8, 8)"
 BODY = f"Tuple((f8, f8, {LAYERS}, b1, {LAYERS}, f8))"
+SHADING = "UniTuple(f8, 3)"
 
 Planes = tuple[Any, ...]
 
 
-@kernel(f"f8({LAYERS}, i8, f8, f8)", inline=True)
-def sample(texture: Bytes, layer: int, column: float, row: float) -> float:
-    """Bilinear sample of a texture's layer; beyond its edge the edge is repeated."""
-    x = min(max(column, 0.0), texture.shape[2] - 1.001)
-    y = min(max(row, 0.0), texture.shape[1] - 1.001)
-    j, i = int(x), int(y)
-    u, v = x - j, y - i
-    upper = (1.0 - u) * texture[layer, i, j] + u * texture[layer, i, j + 1]
-    lower = (1.0 - u) * texture[layer, i + 1, j] + u * texture[layer, i + 1, j + 1]
-    return float((1.0 - v) * upper + v * lower)
+@kernel(f"void({LAYERS}, i8, i8, {MATRIX}, i8, i8, i8, {CORNERS})", inline=True)
+def sample(
+    texture: Bytes, even: int, odd: int, lanes: Array, used: int, column: int, result: int, corners: NDArray[np.int32]
+) -> None:
+    """Bilinear samples of a texture, layer `even` for even lanes and `odd` for the others; beyond its edge it is repeated.
+
+    The rows `column` and `column` + 1 of `lanes` are the places; the samples are written to the row `result`, and count only
+    where the row `used` is above zero. Only the texels themselves are taken one after the other.
+    """
+    height, width = texture.shape[1:]
+    for n in range(LANES):
+        x = min(max(lanes[column, n], 0.0), width - 1.001)
+        y = min(max(lanes[column + 1, n], 0.0), height - 1.001)
+        j, i = np.int32(x), np.int32(y)
+        corners[0, n], corners[1, n] = i, j
+        lanes[RIGHT, n], lanes[DOWN, n] = x - j, y - i
+    for n in range(LANES):
+        if lanes[used, n] > 0.0:
+            layer, i, j = odd if n % 2 else even, corners[0, n], corners[1, n]
+            lanes[TEXELS, n], lanes[TEXELS + 1, n] = texture[layer, i, j], texture[layer, i, j + 1]
+            lanes[TEXELS + 2, n], lanes[TEXELS + 3, n] = texture[layer, i + 1, j], texture[layer, i + 1, j + 1]
+    for n in range(LANES):
+        upper = lanes[TEXELS, n] + lanes[RIGHT, n] * (lanes[TEXELS + 1, n] - lanes[TEXELS, n])
+        lower = lanes[TEXELS + 2, n] + lanes[RIGHT, n] * (lanes[TEXELS + 3, n] - lanes[TEXELS + 2, n])
+        lanes[result, n] = upper + lanes[DOWN, n] * (lower - upper)
 
 
 @kernel("UniTuple(f8, 4)(f8, f8, f8, f8, f8, f8)", inline=True)
@@ -84,143 +105,197 @@ def hull_look(
     return ahead * flat + half - 0.5, aside * flat + half - 0.5, shade, GLOSS * lamp8 * lamp8 * lamp8
 
 
-@kernel(f"void({PICTURE}, i8, i8, {LINES}, f4[:,:,:], {PLANE}, {BODY}, f8[:,::1], f8[:,:,::1], f8[:,:,:,::1], f8, f8[:,::1])")
+@kernel(f"i8({MATRIX}, {MATRIX}, i8, {CUBE}, f8, f8, f8)", inline=True)
+def meet_plate(
+    lanes: Array, poses: Array, pose: int, attitudes: Array, height_m: float, texels_per_m: float, middle: float
+) -> int:
+    """Write where the pixels' lines of sight meet the plane of a plate, in its texels, and PLATE_COVER, 1 on the plate.
+    Returns how many meet the plate."""
+    x, y, z = poses[pose, 0], poses[pose, 1], poses[pose, 2]
+    ox, oy, oz = attitudes[pose, 0, 2], attitudes[pose, 1, 2], attitudes[pose, 2, 2]
+    deep = z - height_m * oz
+    slope = WATER_X if deep > 0.0 else AIR_X
+    for n in range(LANES):
+        slope_x, slope_y = lanes[slope, n], lanes[slope + 1, n]
+        # from the middle of the plate; and (slope, 1) deeper per metre, to the plate's plane
+        dx, dy = lanes[SURFACE_X, n] - (x - height_m * ox), lanes[SURFACE_Y, n] - (y - height_m * oy)
+        down = (deep * oz - dx * ox - dy * oy) / (oz + slope_x * ox + slope_y * oy)
+        dx += down * slope_x
+        dy += down * slope_y
+        dz = down - deep
+        right_m = attitudes[pose, 0, 1] * dx + attitudes[pose, 1, 1] * dy + attitudes[pose, 2, 1] * dz
+        ahead_m = attitudes[pose, 0, 0] * dx + attitudes[pose, 1, 0] * dy + attitudes[pose, 2, 0] * dz
+        lanes[PLATE_COLUMN, n] = middle + texels_per_m * right_m
+        lanes[PLATE_ROW, n] = middle - texels_per_m * ahead_m
+    met = 0
+    for n in range(LANES):
+        is_on = max(abs(lanes[PLATE_COLUMN, n] - middle), abs(lanes[PLATE_ROW, n] - middle)) < middle
+        lanes[PLATE_COVER, n] = 1.0 if is_on else 0.0
+        met += 1 if is_on else 0
+    return met
+
+
+@kernel(f"i8({MATRIX}, {MATRIX}, i8, f8, f8)", inline=True)
+def meet_sphere(lanes: Array, poses: Array, pose: int, radius: float, px_per_m: float) -> int:
+    """Write where the pixels' lines of sight meet a sphere, as its unit normal there, and SPHERE_COVER. Returns how many
+    pixels it covers. Of a sphere that breaks the surface the part above is seen straight."""
+    x, y, z = poses[pose, 0], poses[pose, 1], poses[pose, 2]
+    for n in range(LANES):
+        slope_x, slope_y = lanes[WATER_X, n], lanes[WATER_Y, n]
+        at_x, at_y = lanes[SURFACE_X, n] + z * slope_x - x, lanes[SURFACE_Y, n] + z * slope_y - y
+        normal_x, normal_y, up, cover = intersect_sphere(at_x, at_y, slope_x, slope_y, radius, px_per_m)
+        lanes[NORMAL_X, n], lanes[NORMAL_Y, n], lanes[UP, n], lanes[SPHERE_COVER, n] = normal_x, normal_y, up, cover
+    if z < radius:
+        for n in range(LANES):
+            slope_x, slope_y = lanes[AIR_X, n], lanes[AIR_Y, n]
+            at_x, at_y = lanes[SURFACE_X, n] + z * slope_x - x, lanes[SURFACE_Y, n] + z * slope_y - y
+            normal_x, normal_y, up, cover = intersect_sphere(at_x, at_y, slope_x, slope_y, radius, px_per_m)
+            if (lanes[UP, n] if z > 0.0 else up) * radius > z:
+                lanes[NORMAL_X, n], lanes[NORMAL_Y, n], lanes[UP, n], lanes[SPHERE_COVER, n] = normal_x, normal_y, up, cover
+    met = 0
+    for n in range(LANES):
+        met += 1 if lanes[SPHERE_COVER, n] > 0.0 else 0
+    return met
+
+
+@kernel("Tuple((i8, f8))(i8, i8)", inline=True)
+def between_blocks(pixel: int, blocks: int) -> tuple[int, float]:
+    """The block before a pixel, and how far the pixel is on the way from its middle to the next one's: a share, which is
+    negative or more than 1 beyond the outermost middles. `blocks` are as many as there are along this side."""
+    first = min(max((pixel - BLOCK // 2) // BLOCK, 0), blocks - 2)
+    return first, (pixel - first * BLOCK - (BLOCK - 1) / 2.0) / BLOCK
+
+
+@kernel(
+    f"void({PICTURE}, {RECT}, {CUBE}, {SHADING}, {BODY}, {MATRIX}, {CUBE}, f8[:,:,:,::1], f8, {MATRIX}, {MATRIX}, {CORNERS})"
+)
 def draw_body(
     raw: Bytes,
-    top: int,
-    left: int,
-    lines: Planes,
-    fields: Float,
-    vignette: Float,
+    rect: Planes,
+    fields: Array,
+    shading: Planes,
     body: Planes,
-    places: Array,
+    poses: Array,
     attitudes: Array,
     water: Array,
     px_per_m: float,
+    edge: Array,
     lanes: Array,
+    corners: NDArray[np.int32],
 ) -> None:
     """Lay a body over a rectangle of the mosaic: the mean of its pictures in k poses, by their coverage.
 
-    The rectangle begins at (top, left). `lines` are its lines of sight (planes surface x, y, air x, y, water x, y), `fields`
-    (height, width, 4) the turn of the lines in the water along x and y, the light on the body, and the glare at the surface.
-    The body is a sphere (radius 0: none) with its skin, and a plate at a height above its centre, (2, size, size) brightness
-    and coverage, with texels per metre. In each of k poses its centre is at `places` (k, 3), its axes are the columns of
-    `attitudes` (k, 3, 3), and `water` (k, 2, 2, 3) is the share and the veil of the water over the sphere and over the plate,
-    in red, green and blue.
+    `rect` is the rectangle (rays.ImageRect), `fields` (FIELDS, its block rows, its block columns) are given at its blocks and
+    interpolated between their middles. A pixel gets 1 - dimming r^2 of its light, `shading` being the column and row from
+    which r is measured, px, and the dimming. The body is a sphere (radius 0: none) with its skin, and a plate at a height
+    above its centre, (2, size, size) brightness and coverage, with texels per metre. In each of k poses its centre is at the
+    first three of `poses` (k, 4), its axes are the columns of `attitudes` (k, 3, 3), and `water` (k, 2, 2, 3) is the share
+    and the veil of the water over the sphere and over the plate, in blue, green and red.
 
-    All that needs no texture is computed for LANES pixels of a row at a time, in vector registers. Pixels beyond the rectangle
-    repeat its last, and are not drawn. `lanes` (LANE_ROWS, LANES) is scratch; its rows are named above.
+    All but the texels is computed for LANES pixels of a row at a time, in vector registers; they begin at the middle of a
+    block, and those outside the rectangle are not drawn. `edge` (FIELDS, block columns), `lanes` (LANE_ROWS, LANES), zeros at
+    first, and `corners` (2, LANES) are scratch; the rows of the first two are named above.
     """
+    top, bottom, left, right, block_top, _, block_left, _ = rect
     radius, height_m, skin, has_plate, plate, texels_per_m = body
-    surface_x, surface_y, air_x, air_y, water_x, water_y = lines
-    middle = plate.shape[1] / 2.0 - 0.5
-    half = skin.shape[1] / 2.0
-    height, width = surface_x.shape
-    k = len(places)
-    deep = True  # it is all under water: the lines in air, each row of which is another page of memory, are not needed
+    middle_x, middle_y, dimming = shading
+    middle, half = plate.shape[1] / 2.0 - 0.5, skin.shape[1] / 2.0
+    k = len(poses)
+    block_rows, block_columns = fields.shape[1:]
+    needed = AIR_X  # of the fields, if all is under water
     for pose in range(k):
-        z = places[pose, 2]
-        deep = deep and z >= radius and z > height_m * attitudes[pose, 2, 2]
-    for i in range(height):
-        row = top + i
-        for begin in range(0, width, LANES):
+        if poses[pose, 2] < radius or poses[pose, 2] <= height_m * attitudes[pose, 2, 2]:
+            needed = FIELDS
+    first = (left - BLOCK // 2) // BLOCK * BLOCK + BLOCK // 2  # the first pixel after a block's middle
+    for row in range(top, bottom):
+        even, odd = row % 2, row % 2 + 1  # channels
+        above, share = between_blocks(row - block_top * BLOCK, block_rows)
+        for field in range(needed):
+            upper, lower, result = fields[field, above], fields[field, above + 1], edge[field]
+            for b in range(block_columns):
+                result[b] = upper[b] + share * (lower[b] - upper[b])
+        for begin in range(first, right, LANES):
+            for cell in range(0, LANES, BLOCK):
+                b, share = between_blocks(begin + cell - block_left * BLOCK, block_columns)
+                for field in range(needed):
+                    value, step = edge[field, b], (edge[field, b + 1] - edge[field, b]) / BLOCK
+                    value += share * BLOCK * step
+                    for n in range(BLOCK):
+                        lanes[field, cell + n] = value + n * step
             for n in range(LANES):
-                j = min(begin + n, width - 1)
-                lanes[SURFACE_X, n], lanes[SURFACE_Y, n] = surface_x[i, j], surface_y[i, j]
-                lanes[WATER_X, n], lanes[WATER_Y, n] = water_x[i, j] + fields[i, j, 0], water_y[i, j] + fields[i, j, 1]
-                if not deep:
-                    lanes[AIR_X, n], lanes[AIR_Y, n] = air_x[i, j], air_y[i, j]
                 lanes[COLOUR, n], lanes[COVER, n] = 0.0, 0.0
             for pose in range(k):
-                x, y, z = places[pose, 0], places[pose, 1], places[pose, 2]
-                if has_plate:
-                    ox, oy, oz = attitudes[pose, 0, 2], attitudes[pose, 1, 2], attitudes[pose, 2, 2]
-                    above = z - height_m * oz
-                    slope = WATER_X if above > 0.0 else AIR_X
+                on_plate = meet_plate(lanes, poses, pose, attitudes, height_m, texels_per_m, middle) if has_plate else 0
+                on_sphere = meet_sphere(lanes, poses, pose, radius, px_per_m) if radius > 0.0 else 0
+                if on_plate > 0:
+                    sample(plate, 0, 0, lanes, PLATE_COVER, PLATE_COLUMN, MARKING, corners)
+                    sample(plate, 1, 1, lanes, PLATE_COVER, PLATE_COLUMN, PAINT, corners)
                     for n in range(LANES):
-                        slope_x, slope_y = lanes[slope, n], lanes[slope + 1, n]
-                        # from the middle of the plate; and (slope, 1) deeper per metre, to the plate's plane
-                        dx, dy = lanes[SURFACE_X, n] - (x - height_m * ox), lanes[SURFACE_Y, n] - (y - height_m * oy)
-                        down = (above * oz - dx * ox - dy * oy) / (oz + slope_x * ox + slope_y * oy)
-                        dx += down * slope_x
-                        dy += down * slope_y
-                        dz = down - above
-                        right_m = attitudes[pose, 0, 1] * dx + attitudes[pose, 1, 1] * dy + attitudes[pose, 2, 1] * dz
-                        ahead_m = attitudes[pose, 0, 0] * dx + attitudes[pose, 1, 0] * dy + attitudes[pose, 2, 0] * dz
-                        lanes[PLATE_COLUMN, n] = middle + texels_per_m * right_m
-                        lanes[PLATE_ROW, n] = middle - texels_per_m * ahead_m
-                if radius > 0.0:
-                    for n in range(LANES):
-                        wx, wy = lanes[WATER_X, n], lanes[WATER_Y, n]
-                        nx, ny, up, cover = intersect_sphere(
-                            lanes[SURFACE_X, n] + z * wx - x, lanes[SURFACE_Y, n] + z * wy - y, wx, wy, radius, px_per_m
-                        )
-                        lanes[NORMAL_X, n], lanes[NORMAL_Y, n] = nx, ny
-                        lanes[UP, n], lanes[SPHERE_COVER, n] = up, cover
-                    if z < radius:  # it breaks the surface: the part above is seen straight
-                        for n in range(LANES):
-                            ax, ay = lanes[AIR_X, n], lanes[AIR_Y, n]
-                            nx, ny, up, cover = intersect_sphere(
-                                lanes[SURFACE_X, n] + z * ax - x, lanes[SURFACE_Y, n] + z * ay - y, ax, ay, radius, px_per_m
-                            )
-                            if (lanes[UP, n] if z > 0.0 else up) * radius > z:
-                                lanes[NORMAL_X, n], lanes[NORMAL_Y, n], lanes[UP, n], lanes[SPHERE_COVER, n] = (
-                                    nx,
-                                    ny,
-                                    up,
-                                    cover,
-                                )
+                        passed = water[pose, 1, 0, 2 - odd] if n % 2 else water[pose, 1, 0, 2 - even]
+                        veil = water[pose, 1, 1, 2 - odd] if n % 2 else water[pose, 1, 1, 2 - even]
+                        cover = lanes[PAINT, n] / 255.0 if lanes[PLATE_COVER, n] > 0.0 else 0.0
+                        lanes[SPHERE_COVER, n] *= 1.0 - cover
+                        lanes[COVER, n] += cover
+                        lanes[COLOUR, n] += cover * (lanes[MARKING, n] * lanes[LIGHT, n] * passed + veil)
+                if on_sphere > 0:
                     for n in range(LANES):
                         look = hull_look(attitudes, pose, half, lanes[NORMAL_X, n], lanes[NORMAL_Y, n], lanes[UP, n])
                         lanes[SKIN_COLUMN, n], lanes[SKIN_ROW, n], lanes[SHADE, n], lanes[HIGHLIGHT, n] = look
-                for n in range(min(LANES, width - begin)):
-                    channel = row % 2 + (left + begin + n) % 2
-                    light = fields[i, begin + n, 2]
-                    marking, plate_cover, sphere, sphere_cover = 0.0, 0.0, 0.0, 0.0
-                    if has_plate and max(abs(lanes[PLATE_COLUMN, n] - middle), abs(lanes[PLATE_ROW, n] - middle)) < middle:
-                        plate_cover = sample(plate, 1, lanes[PLATE_COLUMN, n], lanes[PLATE_ROW, n]) / 255.0
-                        marking = sample(plate, 0, lanes[PLATE_COLUMN, n], lanes[PLATE_ROW, n]) * light
-                        marking = plate_cover * (marking * water[pose, 1, 0, channel] + water[pose, 1, 1, channel])
-                    if radius > 0.0 and plate_cover < 1.0 and lanes[SPHERE_COVER, n] > 0.0:
-                        sphere_cover = lanes[SPHERE_COVER, n]
-                        sphere = sample(skin, channel, lanes[SKIN_COLUMN, n], lanes[SKIN_ROW, n]) * lanes[SHADE, n] * light
-                        sphere += lanes[HIGHLIGHT, n]
-                        sphere = sphere_cover * (sphere * water[pose, 0, 0, channel] + water[pose, 0, 1, channel])
-                    lanes[COLOUR, n] += (sphere * (1.0 - plate_cover) + marking) / k
-                    lanes[COVER, n] += (sphere_cover * (1.0 - plate_cover) + plate_cover) / k
-            for n in range(min(LANES, width - begin)):
-                cover = lanes[COVER, n]
+                    sample(skin, even, odd, lanes, SPHERE_COVER, SKIN_COLUMN, PAINT, corners)
+                    for n in range(LANES):
+                        passed = water[pose, 0, 0, 2 - odd] if n % 2 else water[pose, 0, 0, 2 - even]
+                        veil = water[pose, 0, 1, 2 - odd] if n % 2 else water[pose, 0, 1, 2 - even]
+                        cover = lanes[SPHERE_COVER, n]
+                        lanes[COVER, n] += cover
+                        seen = lanes[PAINT, n] * lanes[SHADE, n] * lanes[LIGHT, n] + lanes[HIGHLIGHT, n]
+                        lanes[COLOUR, n] += cover * (seen * passed + veil)
+            for n in range(max(left - begin, 0), min(LANES, right - begin)):
+                cover, column = lanes[COVER, n] / k, begin + n
                 if cover > 0.0:
-                    column = left + begin + n
-                    seen = lanes[COLOUR, n] * vignette[row, column] + cover * fields[i, begin + n, 3]
+                    dim = 1.0 - dimming * ((column - middle_x) ** 2 + (row - middle_y) ** 2)
+                    seen = lanes[COLOUR, n] / k * dim + cover * lanes[GLARE, n]
                     raw[row, column] = int(min(max(raw[row, column] * (1.0 - cover) + seen, 0.0), 255.0) + 0.5)
 
 
-@kernel(f"void({LINES}, {WINDOW}, f8, f8, f8, f8, {PLANE})")
-def shadow(lines: Planes, depth_m: Float, x: float, y: float, z: float, radius_m: float, light: Float) -> None:
-    """Share of the light that the shadow of a sphere at (x, y, z) leaves where `lines` meet the surface of their
-    `depth_m`."""
+@kernel(f"void({PICTURE}, {RECT}, {LINES}, {PLANE}, f8[::1], f8, {MATRIX}, f4[::1])")
+def draw_shadow(
+    raw: Bytes, rect: Planes, lines: Planes, depth_m: Float, place: Array, radius_m: float, light: Array, left_over: Float
+) -> None:
+    """Darken floor and walls in a rectangle of the mosaic (rays.ImageRect) by the shadow of a sphere at `place` x, y, z.
+
+    `lines` are the lines of sight of all blocks of the picture, and `depth_m` the depths at which they end. `light` (the
+    rectangle's block rows, block columns), the share of it that is left, and `left_over` (BLOCK (block columns + 1),), that
+    of a row's pixels, are scratch.
+    """
+    top, bottom, left, right, block_top, _, block_left, _ = rect
     surface_x, surface_y, _, _, water_x, water_y = lines
-    for i in range(light.shape[0]):
-        for j in range(light.shape[1]):
-            below = depth_m[i, j] - z
-            dx = surface_x[i, j] + depth_m[i, j] * water_x[i, j] - x + below * (LAMP_X / LAMP_UP)
-            dy = surface_y[i, j] + depth_m[i, j] * water_y[i, j] - y + below * (LAMP_Y / LAMP_UP)
+    rows, columns = light.shape
+    for a in range(rows):
+        for b in range(columns):
+            i, j = block_top + a, block_left + b
+            deep = depth_m[i, j]
+            below = deep - place[2]
+            dx = surface_x[i, j] + deep * water_x[i, j] - place[0] + below * (LAMP_X / LAMP_UP)
+            dy = surface_y[i, j] + deep * water_y[i, j] - place[1] + below * (LAMP_Y / LAMP_UP)
             softness = PENUMBRA * max(below, 0.02)
             inside = min(max((radius_m - math.sqrt(dx * dx + dy * dy)) / softness * 0.5 + 0.5, 0.0), 1.0)
             inside *= inside * (3.0 - 2.0 * inside)
-            light[i, j] = 1.0 - SHADOW * inside if below > 0.0 else 1.0
-
-
-@kernel(f"void({PICTURE}, i8, i8, {PLANE})")
-def darken(raw: Bytes, top: int, left: int, light: Float) -> None:
-    """Multiply the rectangle of the mosaic that begins at (top, left) by its share of the light, rounded."""
-    height, width = light.shape
-    half = np.float32(0.5)
-    for i in range(height):
-        levels, share = raw[top + i, left : left + width], light[i]
-        for j in range(width):
-            levels[j] = np.uint8(np.float32(levels[j]) * share[j] + half)
+            light[a, b] = 1.0 - SHADOW * inside if below > 0.0 else 1.0
+    first = (left - BLOCK // 2) // BLOCK * BLOCK + BLOCK // 2  # the first pixel after a block's middle
+    half, one = np.float32(0.5), np.float32(1.0)
+    for row in range(top, bottom):
+        above, down = between_blocks(row - block_top * BLOCK, rows)
+        for begin in range(first, right, BLOCK):
+            b, share = between_blocks(begin - block_left * BLOCK, columns)
+            value = light[above, b] + down * (light[above + 1, b] - light[above, b])
+            step = light[above, b + 1] + down * (light[above + 1, b + 1] - light[above, b + 1]) - value
+            value += share * step
+            step /= BLOCK
+            for n in range(BLOCK):
+                left_over[begin - first + n] = np.float32(value + n * step)
+        levels, shares = raw[row, left:right], left_over[left - first :]
+        for n in range(right - left):
+            levels[n] = np.uint8(np.float32(levels[n]) * min(shares[n], one) + half)
 
 
 @kernel(f"void({PICTURE}, i1[:,::1], i8, i8, f4, f4, {PICTURE})")

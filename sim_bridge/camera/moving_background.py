@@ -55,8 +55,7 @@ class MovingBackground:
         self._motion, self._pool = motion, experiment.pool
         self._view = CameraRays(experiment.camera)
         self._waters = WaterLight(experiment, random)
-        self._vignette = vignette(self._view, self._waters.picture.vignetting)
-        self._half_vignette = np.ascontiguousarray(self._vignette[0::2, 0::2])
+        self._vignette = np.ascontiguousarray(vignette(self._view, self._waters.picture.vignetting)[0::2, 0::2])
         px_m = 1.0 / experiment.camera.px_per_m
         self._texel_m = px_m / TEXELS_PER_PX
         length, width, depth = experiment.pool.size_m
@@ -76,13 +75,13 @@ class MovingBackground:
     def at(self, time_s: float) -> tuple[WaterView, Bytes]:
         """The water's view at a time, and a new raw mosaic (height, width) of it."""
         view = self._view.moved(self._motion.at(time_s))
-        scene = WaterView(self._waters, view, trace_to_surfaces(view.blocks, self._pool).z, self._vignette)
-        slopes = scene.slopes(view.whole, self._waters.ripple_clock.loop_s(time_s))
+        scene = WaterView(self._waters, view, trace_to_surfaces(view.blocks, self._pool).z)
+        slopes = scene.slopes(self._waters.ripple_clock.loop_s(time_s))
         hit = trace_to_surfaces(view.blocks.deflected(scene.bending * slopes[0], scene.bending * slopes[1]), self._pool)
         x, y = plan_coordinates(hit, self._pool)
         column, row = (_halved(plane, view) for plane in self._waters.caustics.grid_coordinates(x, y))
-        light = self._waters.light(column, row, _halved(self._waters.reach(hit.z), view), time_s) * self._half_vignette
-        glare = np.rint(_halved(scene.glare(view.whole, slopes), view)).astype(np.uint8)
+        light = self._waters.light(column, row, _halved(self._waters.reach(hit.z), view), time_s) * self._vignette
+        glare = np.rint(_halved(scene.glare(slopes), view)).astype(np.uint8)
         half_x, half_y = self._reach.astype(np.float32)
         texel = np.float32(self._texel_m)
         column, row = (x + half_x) / texel - np.float32(0.5), (y + half_y) / texel - np.float32(0.5)

@@ -92,32 +92,49 @@ def project_air(points: Array, lens: Array, turn: Array, pinhole: Array, pixels:
             pixels[i, 0] = pixels[i, 1] = math.nan
 
 
-def refraction_points(camera: Camera, points_pool: Array) -> Array:
-    """Points (m, 3) at which the light from points (m, 3) to the camera crosses z = 0. Points above the water are returned
-    unchanged."""
-    points = np.ascontiguousarray(points_pool, dtype=np.float64).reshape(-1, 3)
-    crossings = np.empty_like(points)
-    refract(points, np.array(camera.position_m), camera.water_index, crossings)
-    return crossings
+@kernel("void(f8[:,::1], f8[::1], f8, f8[:,::1], f8[::1], f8[:,::1], f8[:,::1], f8[::1])")
+def see(
+    points: Array, lens: Array, index: float, turn: Array, pinhole: Array, crossings: Array, pixels: Array, path_m: Array
+) -> None:
+    """Crossings (m, 3) as `refract`, pixels (m, 2) as `project_air`, and the optical path (m,) from the lens to each point."""
+    refract(points, lens, index, crossings)
+    project_air(crossings, lens, turn, pinhole, pixels)
+    for i in range(len(points)):
+        in_air, in_water = 0.0, 0.0
+        for axis in range(3):
+            in_air += (crossings[i, axis] - lens[axis]) ** 2
+            in_water += (points[i, axis] - crossings[i, axis]) ** 2
+        path_m[i] = math.sqrt(in_air) + index * math.sqrt(in_water)
+
+
+@dataclass(frozen=True)
+class SeenPoints:
+    """Points of the pool as a camera sees them."""
+
+    crossings: Array  # (m, 3), where their light crosses z = 0; points above the water unchanged
+    pixels: Array  # (m, 2); NaN for points behind the lens
+    path_m: Array  # (m,) optical length from the lens. It grows along every line of sight, and so orders bodies by distance
+
+
+class Optics:
+    """A camera in its pose: its numbers as the kernels take them."""
+
+    def __init__(self, camera: Camera) -> None:
+        self._lens, self._index = np.array(camera.position_m), camera.water_index
+        self._turn = np.asarray(cv2.Rodrigues(np.array(camera.rotation_rad))[0], dtype=np.float64)
+        self._pinhole = np.array([*camera.focal_px, *camera.centre_px, *camera.distortion])
+
+    def see(self, points_pool: Array) -> SeenPoints:
+        """Points (m, 3) of the pool frame, as the camera sees them."""
+        points = np.ascontiguousarray(points_pool, dtype=np.float64).reshape(-1, 3)
+        seen = SeenPoints(np.empty_like(points), np.empty((len(points), 2)), np.empty(len(points)))
+        see(points, self._lens, self._index, self._turn, self._pinhole, seen.crossings, seen.pixels, seen.path_m)
+        return seen
 
 
 def project(camera: Camera, points_pool: Array) -> Array:
     """Pixels (m, 2) at which the camera sees points (m, 3) of the pool frame; NaN for points behind the lens."""
-    crossings = refraction_points(camera, points_pool)
-    turn = np.asarray(cv2.Rodrigues(np.array(camera.rotation_rad))[0], dtype=np.float64)
-    pinhole = np.array([*camera.focal_px, *camera.centre_px, *camera.distortion])
-    pixels = np.empty((len(crossings), 2))
-    project_air(crossings, np.array(camera.position_m), turn, pinhole, pixels)
-    return pixels
-
-
-def optical_path_m(camera: Camera, points_pool: Array) -> Array:
-    """Optical length (m,) from the lens to each point. It grows along every line of sight, and so orders bodies by
-    distance."""
-    points = np.asarray(points_pool, dtype=np.float64).reshape(-1, 3)
-    crossing = refraction_points(camera, points)
-    in_air = np.linalg.norm(crossing - np.array(camera.position_m), axis=1)
-    return np.asarray(in_air + camera.water_index * np.linalg.norm(points - crossing, axis=1))
+    return Optics(camera).see(points_pool).pixels
 
 
 def camera_slopes(camera: Camera, pixels: Array) -> Array:

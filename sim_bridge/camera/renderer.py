@@ -4,27 +4,23 @@ The pipeline is described in this package's __init__. A camera under a drone (si
 exposure.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim_bridge.camera.bubbles import Bubbles, draw_bubbles
 from sim_bridge.camera.moving_background import CameraSway, MovingBackground
-from sim_bridge.camera.optics import Bytes, optical_path_m, project
-from sim_bridge.camera.robot_sprite import BodySprite, exposure_poses, pool_velocity, shadow_box
+from sim_bridge.camera.optics import Bytes, Optics
+from sim_bridge.camera.robot_sprite import Bodies, BodySprite, exposures
 from sim_bridge.camera.scene import WaterView
 from sim_bridge.camera.sensor_noise import SensorNoise
 from sim_bridge.camera.static_background import StaticBackground
 from sim_bridge.plant.random_streams import Stream, generator
 from wire.config.experiment import Experiment
-from wire.config.perception import Camera
 from wire.frames import Array
 
 MARGIN_PX = 4.0  # px around a body's projection, for ripples and soft edges
-PROBE_M = 0.02  # m over which the local scale is measured
-
-Body = tuple[BodySprite, Array, Array, Array]  # with eta (4,), nu (4,), and roll and pitch (2,)
 
 
 class Renderer:
@@ -48,10 +44,13 @@ class Renderer:
         self._balls = [(drifter, BodySprite.ball(drifter.radius_m)) for drifter in experiment.sim.drifters]
         self._whole = self._sprites
         px_per_m, family = experiment.camera.px_per_m, experiment.localizer.marker_family
-        self._landmarks = [
-            (BodySprite.landmark(landmark, px_per_m, family), np.array([[*landmark.position_m, landmark.yaw_rad]]))
-            for landmark in experiment.marks
-        ]
+        marks = experiment.marks
+        self._landmarks = Bodies(
+            [BodySprite.landmark(mark, px_per_m, family) for mark in marks],
+            np.array([[*mark.position_m, mark.yaw_rad] for mark in marks]),
+            np.zeros((len(marks), 4)),
+            np.zeros((len(marks), 2)),
+        )
         self._bubbles = Bubbles(experiment.pool, generator(seed, Stream.CAMERA, 4))
         self._hull_m = experiment.vehicle.radius_m
         random = generator(seed, Stream.CAMERA, 2, number)
@@ -71,72 +70,50 @@ class Renderer:
         of them beside the experiment's own. A robot outside the picture is not drawn. Raises ValueError for numbers that are
         not finite, which are a bug of the plant.
         """
-        for i, robot in enumerate(self._robots):
-            if not (np.all(np.isfinite(eta[i])) and np.all(np.isfinite(nu[i]))):
-                raise ValueError(f"robot {robot}: eta = {eta[i]}, nu = {nu[i]} must be finite")
+        for i in np.flatnonzero(~np.isfinite(eta + nu).all(axis=1)):
+            raise ValueError(f"robot {self._robots[i]}: eta = {eta[i]}, nu = {nu[i]} must be finite")
         scene, raw = self.backdrop.at(time_s)
-        self._draw_landmarks(raw, scene, time_s)
-        roll_pitch = np.zeros((len(eta), 2)) if tilt is None else tilt[:, :2]
-        bodies: list[Body] = [*zip(self._sprites, eta, nu, roll_pitch, strict=True), *self._drifting_balls(time_s)]
+        if self._landmarks.sprites:
+            self._draw(raw, scene, self._landmarks, time_s, shadows=False)
+        bodies = self._bodies(eta, nu, np.zeros((len(eta), 2)) if tilt is None else tilt[:, :2], time_s)
         if self._camera.readout_s > 0.0:
-            bodies = [self._when_read_out(scene.view.camera, body) for body in bodies]
-        if self._picture.shadows:
-            self._draw_shadows(raw, scene, bodies)
-        self._draw_bodies(raw, scene, bodies, time_s)
+            bodies = self._when_read_out(scene.view.optics, bodies)
+        self._draw(raw, scene, bodies, time_s, self._picture.shadows)
         if streams := bubbles + self._picture.bubbles:
             draw_bubbles(raw, self._bubbles.at(time_s, streams), scene.view.camera, eta[:, :3], self._hull_m)
         return self._noise.add(raw, frame_index)
 
-    def _drifting_balls(self, time_s: float) -> list[Body]:
-        """The balls that are in the water: heading 0, so that body and pool axes agree."""
+    def _bodies(self, eta: Array, nu: Array, tilt: Array, time_s: float) -> Bodies:
+        """The robots, and the balls that are in the water: heading 0, so that body and pool axes agree."""
         places = [(sprite, drifter, drifter.place_m(time_s)) for drifter, sprite in self._balls]
-        return [
-            (sprite, np.append(place, 0.0), np.append(drifter.velocity_mps, 0.0), np.zeros(2))
-            for sprite, drifter, place in places
-            if place is not None
-        ]
+        balls = [(sprite, drifter, place) for sprite, drifter, place in places if place is not None]
+        if not balls:
+            return Bodies(self._sprites, eta, nu, tilt)
+        return Bodies(
+            [*self._sprites, *(sprite for sprite, _, _ in balls)],
+            np.concatenate([eta, [[*place, 0.0] for _, _, place in balls]]),
+            np.concatenate([nu, [[*drifter.velocity_mps, 0.0] for _, drifter, _ in balls]]),
+            np.concatenate([tilt, np.zeros((len(balls), 2))]),
+        )
 
-    def _draw_landmarks(self, raw: Bytes, scene: WaterView, time_s: float) -> None:
-        windows = scene.view.windows([sprite.box(poses[0]) for sprite, poses in self._landmarks], MARGIN_PX)
-        for (sprite, poses), window in zip(self._landmarks, windows, strict=True):
-            if window is not None:
-                sprite.draw(raw, scene, window, poses, np.zeros(2), self._camera.px_per_m, time_s)
+    def _draw(self, raw: Bytes, scene: WaterView, bodies: Bodies, time_s: float, shadows: bool) -> None:
+        """Draw their shadows, and then the bodies, the farthest first; none that is above the lens."""
+        looks, boxes, squares = exposures(bodies, scene.view.optics, self._camera.exposure_s, scene.depth_m)
+        if shadows:
+            for sprite, eta, window in zip(bodies.sprites, bodies.eta, scene.view.windows(squares, MARGIN_PX), strict=True):
+                if window is not None:
+                    sprite.draw_shadow(raw, scene, window, eta)
+        seen = zip(bodies.sprites, looks, scene.view.windows(boxes, MARGIN_PX), strict=True)
+        for sprite, look, window in sorted(seen, key=lambda each: -each[1].path_m):
+            if window is not None and look.px_per_m > 0.0:
+                sprite.draw(raw, scene, window, look, time_s)
 
-    def _draw_shadows(self, raw: Bytes, scene: WaterView, bodies: Sequence[Body]) -> None:
-        boxes = [shadow_box(eta, scene.depth_m, sprite.radius_m) for sprite, eta, _, _ in bodies]
-        for (sprite, eta, _, _), window in zip(bodies, scene.view.windows(boxes, MARGIN_PX), strict=True):
-            if window is not None:
-                sprite.draw_shadow(raw, scene, window, eta)
-
-    def _draw_bodies(self, raw: Bytes, scene: WaterView, bodies: Sequence[Body], time_s: float) -> None:
-        """Draw the bodies, the farthest first; none that is above the lens."""
-        places = np.array([eta[:3] for _, eta, _, _ in bodies])
-        scales = _scales(scene.view.camera, places)
-        far_m = optical_path_m(scene.view.camera, places)
-        seen = [i for i in np.argsort(-far_m, kind="stable").tolist() if np.isfinite(scales[i])]
-        exposures = [self._exposure(bodies[i], scales[i]) for i in seen]
-        windows = scene.view.windows([box for _, box in exposures], MARGIN_PX)
-        for i, (poses, _), window in zip(seen, exposures, windows, strict=True):
-            if window is not None:
-                sprite, _, _, roll_pitch = bodies[i]
-                sprite.draw(raw, scene, window, poses, roll_pitch, scales[i], time_s)
-
-    def _when_read_out(self, camera: Camera, body: Body) -> Body:
-        """The body where it is when the row of its centre is exposed, by a rolling shutter whose middle row is exposed at the
-        time of the picture. Its other rows are not told apart: 0.5 mm at 0.3 m/s, 100 px of 960 and 15 ms of read-out."""
-        sprite, eta, nu, roll_pitch = body
-        row = float(project(camera, eta[None, :3])[0, 1])
-        if not np.isfinite(row):  # above the lens
-            return body
-        late_s = self._camera.readout_s * (row / camera.size_px[1] - 0.5)
-        return sprite, eta + late_s * pool_velocity(eta, nu), nu, roll_pitch
-
-    def _exposure(self, body: Body, px_per_m: float) -> tuple[Array, Array]:
-        """Poses (k, 4) of a body during the exposure, and corners (16, 3) of a box around them."""
-        sprite, eta, nu, roll_pitch = body
-        poses = exposure_poses(eta, nu, self._camera.exposure_s, sprite.radius_m, px_per_m)
-        lean = float(np.hypot(*roll_pitch))
-        return poses, np.concatenate([sprite.box(pose, lean) for pose in (poses[0], poses[-1])])
+    def _when_read_out(self, optics: Optics, bodies: Bodies) -> Bodies:
+        """The bodies where they are when the row of their centre is exposed, by a rolling shutter whose middle row is exposed
+        at the time of the picture. Other rows are not told apart: 0.5 mm at 0.3 m/s, 100 px of 960 and 15 ms of read-out."""
+        rows = optics.see(bodies.eta[:, :3]).pixels[:, 1]
+        late_s = self._camera.readout_s * (rows / self._camera.size_px[1] - 0.5)
+        return bodies.later(np.where(np.isnan(rows), 0.0, late_s))  # NaN: above the lens
 
 
 def with_sunken_water(experiment: Experiment, drop_m: float) -> Experiment:
@@ -152,11 +129,3 @@ def with_sunken_water(experiment: Experiment, drop_m: float) -> Experiment:
     return experiment.model_copy(
         update={**marks, **lower, "pool": pool.model_copy(update={"size_m": (length, width, depth - drop_m)})}
     )
-
-
-def _scales(camera: Camera, places_m: Array) -> list[float]:
-    """Pixels per metre around places (k, 3); NaN above the lens."""
-    probes = places_m[:, None] + PROBE_M * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-    seen = project(camera, probes.reshape(-1, 3)).reshape(-1, 3, 2)
-    scales: list[float] = (np.linalg.norm(seen[:, 1:] - seen[:, :1], axis=2).mean(axis=1) / PROBE_M).tolist()
-    return scales

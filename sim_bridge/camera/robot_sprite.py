@@ -1,16 +1,21 @@
 """Robots, balls and landmarks: shaded spheres and plates, traced pixel by pixel through lens and water.
 
-Each pixel's line of sight is intersected with sphere and plate in closed form (kernels.draw_body), so edges and texture lie
-where exact optics puts them. A ball is a sphere without a plate; a landmark is a plate without a sphere.
+Each pixel's line of sight, interpolated between those of four blocks, is intersected with sphere and plate in closed form
+(kernels.draw_body), so edges and texture lie where exact optics puts them, to a hundredth of a pixel. A ball is a sphere
+without a plate; a landmark is a plate without a sphere.
 """
 
 import copy
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sim_bridge.camera import kernels
-from sim_bridge.camera.kernels import LAMP_UP, LAMP_X, LAMP_Y, LANE_ROWS, LANES, PENUMBRA
-from sim_bridge.camera.optics import Bytes
+from sim_bridge.camera.kernels import BLOCK, LAMP_UP, LAMP_X, LAMP_Y, LANE_ROWS, LANES, PENUMBRA
+from sim_bridge.camera.optics import Bytes, Optics
 from sim_bridge.camera.rays import ImageRect
 from sim_bridge.camera.scene import WaterView, water_colour
 from sim_bridge.camera.textures import HULL_PX, LENS_SOFTNESS_PX, RED, hull_texture, plate_texels_per_m, plate_texture
@@ -18,10 +23,12 @@ from wire.config.experiment import Experiment
 from wire.config.perception import Landmark, MarkerFamily
 from wire.config.scene import RobotConfig
 from wire.frames import Array
+from wire.kernels import kernel
 
 BLUR_STEP_PX = 1.0  # px that a body may move between two parts of an exposure; the lens's blur hides that much
 MAX_PARTS = 8  # of an exposure
-CORNERS = np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (0, 1)], dtype=np.float64)  # of a box
+PROBE_M = 0.02  # m over which the local scale is measured
+PROBES_M = PROBE_M * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 NO_SKIN = np.zeros((2, 2, 3), np.uint8)
 NO_PLATE = np.zeros((2, 2, 2), np.uint8)
 
@@ -46,6 +53,7 @@ class BodySprite:
         layers = np.ascontiguousarray(np.moveaxis(plate, -1, 0))  # brightness and coverage
         self._half_m = float(np.sqrt(0.5) * plate.shape[0] / texels_per_m)  # from its middle to a corner, margin included
         self._constants = (self.radius_m, self.height_m, self._skin, self._half_m > 0.0, layers, float(texels_per_m))
+        self.shape_m = (self.radius_m, self.height_m, self._half_m)
 
     @classmethod
     def robot(cls, robot: RobotConfig, experiment: Experiment, random: np.random.Generator) -> "BodySprite":
@@ -76,36 +84,22 @@ class BodySprite:
         unmarked._set_plate(NO_PLATE, np.inf)
         return unmarked
 
-    def box(self, eta: Array, tilt_rad: float = 0.0) -> Array:
-        """Corners (8, 3) of a box in the pool frame that holds the body at eta, tilted by `tilt_rad`."""
-        lean = abs(float(np.sin(tilt_rad)))
-        reach = max(self.radius_m, self._half_m + lean * self.height_m)
-        top, bottom = max(self.radius_m, self.height_m + lean * self._half_m), self.radius_m
-        return np.asarray(eta[:3] + (CORNERS * np.array([reach, reach, top + bottom]) - np.array([0.0, 0.0, top])))
-
-    def draw(
-        self, raw: Bytes, scene: WaterView, window: ImageRect, poses: Array, tilt: Array, px_per_m: float, time_s: float
-    ) -> None:
-        """Lay the mean of the body's pictures in poses (k, 4), with roll and pitch `tilt` (2,), over a rectangle of the raw
-        mosaic, in place. There are `px_per_m` pixels per metre around the body."""
-        fields = scene.fields(window, float(np.mean(poses[:, 2])), time_s)
-        attitudes = np.stack([attitude(pose[3], *tilt) for pose in poses])
-        depths = poses[:, 2, None] - [0.7 * self.radius_m, 0.0] - attitudes[:, 2, 2, None] * [0.0, self.height_m]
-        water = np.stack(water_colour(2.0 * np.maximum(depths, 0.0)), axis=2)[..., ::-1]  # sphere and plate; red first
+    def draw(self, raw: Bytes, scene: WaterView, window: ImageRect, look: "BodyLook", time_s: float) -> None:
+        """Lay the body, as it looks, over a rectangle of the raw mosaic, in place."""
+        fields = scene.fields(window, look.depth_m, time_s)
         kernels.draw_body(
-            raw, window.top, window.left, scene.view.lines(window).planes, scene.view.spread(fields, window), scene.vignette,
-            self._constants, np.ascontiguousarray(poses[:, :3]), attitudes, water.astype(np.float64), px_per_m,
-            np.empty((LANE_ROWS, LANES)),
+            raw, tuple(window), fields, scene.shading, self._constants, look.poses, look.attitudes, look.water, look.px_per_m,
+            np.empty(fields.shape[::2]), np.zeros((LANE_ROWS, LANES)), np.empty((2, LANES), np.int32),
         )  # fmt: skip
 
     def draw_shadow(self, raw: Bytes, scene: WaterView, window: ImageRect, eta: Array) -> None:
         """Darken the floor and walls of a rectangle below the body at eta, in place. Blocks are fine enough, as a
         shadow's edge is wider than one."""
-        lines, depth_m = scene.view.blocks[window.blocks], scene.block_z[window.blocks]
-        light = np.empty(depth_m.shape, np.float32)
-        kernels.shadow(lines.planes, depth_m, eta[0], eta[1], eta[2], self.radius_m, light)
-        light = np.ascontiguousarray(scene.view.spread(light, window))
-        kernels.darken(raw, window.top, window.left, light)
+        rows, columns = window.block_bottom - window.block_top, window.block_right - window.block_left
+        kernels.draw_shadow(
+            raw, tuple(window), scene.view.blocks.planes, scene.block_z, eta, self.radius_m,
+            np.empty((rows, columns)), np.empty((columns + 1) * BLOCK, np.float32),
+        )  # fmt: skip
 
 
 def _plate(marker_id: int, side_m: float, px_per_m: float, family: MarkerFamily) -> tuple[Bytes, float]:
@@ -114,34 +108,102 @@ def _plate(marker_id: int, side_m: float, px_per_m: float, family: MarkerFamily)
     return plate_texture(marker_id, LENS_SOFTNESS_PX * texels_per_m / px_per_m, family), texels_per_m
 
 
-def attitude(yaw_rad: float, roll_rad: float = 0.0, pitch_rad: float = 0.0) -> Array:
-    """Rotation from body to pool, (3, 3): Rz(yaw) Ry(pitch) Rx(roll)."""
-    (cy, cp, cr), (sy, sp, sr) = np.cos([yaw_rad, pitch_rad, roll_rad]), np.sin([yaw_rad, pitch_rad, roll_rad])
-    return np.array([
-        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-        [-sp, cp * sr, cp * cr],
-    ])  # fmt: skip
+class Bodies(NamedTuple):
+    """Robots and balls, or landmarks, n of them, in the middle of an exposure."""
+
+    sprites: Sequence[BodySprite]
+    eta: Array  # (n, 4)
+    nu: Array  # (n, 4)
+    tilt: Array  # (n, 2), roll and pitch
+
+    def later(self, seconds: Array) -> "Bodies":
+        """Each of them so much later, (n,)."""
+        cos, sin = np.cos(self.eta[:, 3]), np.sin(self.eta[:, 3])
+        along, across = self.nu[:, 0], self.nu[:, 1]
+        velocity = np.column_stack([cos * along - sin * across, sin * along + cos * across, self.nu[:, 2:]])
+        return self._replace(eta=self.eta + seconds[:, None] * velocity)
 
 
-def exposure_poses(eta: Array, nu: Array, exposure_s: float, reach_m: float, px_per_m: float) -> Array:
-    """Poses (k, 4) whose mean picture stands for the exposure around eta: evenly spaced, symmetric in time."""
-    surge, sway, _, yaw_rate = nu
-    moved_px = (np.hypot(surge, sway) + abs(yaw_rate) * reach_m) * exposure_s * px_per_m
-    count = int(min(max(np.ceil(moved_px / BLUR_STEP_PX), 1), MAX_PARTS))
-    return np.asarray(eta + pool_velocity(eta, nu) * exposure_s * ((np.arange(count)[:, None] + 0.5) / count - 0.5))
+class BodyLook(NamedTuple):
+    """One body as it looks in the picture: its poses during the exposure, k of them."""
+
+    poses: Array  # (k, 4) evenly spaced, symmetric in time; their mean picture stands for the exposure
+    attitudes: Array  # (k, 3, 3), rotations from body to pool: Rz(yaw) Ry(pitch) Rx(roll)
+    water: Array  # (k, 2, 2, 3) share that passes and veil of the water over sphere and plate, in blue, green and red
+    depth_m: float  # of its centre
+    px_per_m: float  # around it, 0 above the lens
+    path_m: float  # optical length from the lens: bodies that are farther are behind the others
 
 
-def pool_velocity(eta: Array, nu: Array) -> Array:
-    """d eta / dt (4,) of a body at eta with velocity nu (4,) in its own axes."""
-    surge, sway, heave, yaw_rate = nu
-    cos, sin = np.cos(eta[3]), np.sin(eta[3])
-    return np.array([cos * surge - sin * sway, sin * surge + cos * sway, heave, yaw_rate])
+def exposures(bodies: Bodies, optics: Optics, exposure_s: float, floor_m: float) -> tuple[list[BodyLook], Array, Array]:
+    """The looks of n bodies in an exposure, corners (n, 16, 3) of boxes that hold them, and corners (n, 4, 3) of squares on
+    the floor that hold their shadows."""
+    n = len(bodies.sprites)
+    seen = optics.see(bodies.eta[:, None, :3] + PROBES_M)
+    shapes = np.array([sprite.shape_m for sprite in bodies.sprites])
+    parts, px_per_m, poses = np.empty(n, np.int64), np.empty(n), np.zeros((n, MAX_PARTS, 4))
+    attitudes, depths = np.zeros((n, MAX_PARTS, 3, 3)), np.zeros((n, MAX_PARTS, 2))
+    boxes, shadows = np.empty((n, 16, 3)), np.empty((n, 4, 3))
+    expose(
+        bodies.eta, bodies.nu, bodies.tilt, shapes, seen.pixels.reshape(n, 3, 2), exposure_s, floor_m,
+        parts, px_per_m, poses, attitudes, depths, boxes, shadows,
+    )  # fmt: skip
+    water = np.stack(water_colour(2.0 * depths), axis=3).astype(np.float64)  # from a lamp down and up to the camera
+    numbers = zip(parts.tolist(), bodies.eta[:, 2].tolist(), px_per_m.tolist(), seen.path_m[::3].tolist(), strict=True)
+    looks = [BodyLook(poses[i, :k], attitudes[i, :k], water[i, :k], *rest) for i, (k, *rest) in enumerate(numbers)]
+    return looks, boxes, shadows
 
 
-def shadow_box(eta: Array, floor_m: float, radius_m: float) -> Array:
-    """Corners (4, 3) of a square on the floor that holds a robot's shadow."""
-    below = max(floor_m - eta[2], 0.02)
-    centre = eta[:2] - below * np.array([LAMP_X, LAMP_Y]) / LAMP_UP
-    reach = radius_m + PENUMBRA * below
-    return np.array([[centre[0] + i * reach, centre[1] + j * reach, floor_m] for i in (-1, 1) for j in (-1, 1)])
+@kernel(
+    "void(f8[:,:], f8[:,:], f8[:,:], f8[:,::1], f8[:,:,::1], f8, f8, "
+    "i8[::1], f8[::1], f8[:,:,::1], f8[:,:,:,::1], f8[:,:,::1], f8[:,:,::1], f8[:,:,::1])"
+)
+def expose(
+    eta: Array, nu: Array, tilt: Array, shapes: Array, probes_px: Array, exposure_s: float, floor_m: float,
+    parts: NDArray[np.int64], px_per_m: Array, poses: Array, attitudes: Array, depths: Array, boxes: Array, shadows: Array,
+) -> None:  # fmt: skip
+    """The numbers of `exposures`, for n bodies at `eta` (n, 4) in the exposure's middle.
+
+    `nu` (n, 4) are velocities on level axes, `tilt` (n, 2) roll and pitch, `shapes` (n, 3) a sphere's radius, and its
+    plate's height above the centre and reach from its middle. `probes_px` (n, 3, 2) are the pixels of its centre and of
+    points PROBE_M beside it along x and y. Of MAX_PARTS poses `parts` (n,) are used: so many that a body moves by
+    BLUR_STEP_PX at most from one to the next. `depths` (n, MAX_PARTS, 2) are those of what is seen of sphere and plate.
+    """
+    for i in range(len(eta)):
+        radius, height, half = shapes[i, 0], shapes[i, 1], shapes[i, 2]
+        right = math.hypot(probes_px[i, 1, 0] - probes_px[i, 0, 0], probes_px[i, 1, 1] - probes_px[i, 0, 1])
+        down = math.hypot(probes_px[i, 2, 0] - probes_px[i, 0, 0], probes_px[i, 2, 1] - probes_px[i, 0, 1])
+        px_per_m[i] = 0.0 if math.isnan(right + down) else 0.5 * (right + down) / PROBE_M
+        surge, sway, heave, yaw_rate = nu[i, 0], nu[i, 1], nu[i, 2], nu[i, 3]
+        moved_px = (math.hypot(surge, sway) + abs(yaw_rate) * radius) * exposure_s * px_per_m[i]
+        k = int(min(max(math.ceil(moved_px / BLUR_STEP_PX), 1), MAX_PARTS))
+        parts[i] = k
+        cos, sin = math.cos(eta[i, 3]), math.sin(eta[i, 3])
+        cr, sr, cp, sp = math.cos(tilt[i, 0]), math.sin(tilt[i, 0]), math.cos(tilt[i, 1]), math.sin(tilt[i, 1])
+        for part in range(k):
+            later_s = exposure_s * ((part + 0.5) / k - 0.5)
+            pose, turn = poses[i, part], attitudes[i, part]
+            pose[0] = eta[i, 0] + later_s * (cos * surge - sin * sway)
+            pose[1] = eta[i, 1] + later_s * (sin * surge + cos * sway)
+            pose[2] = eta[i, 2] + later_s * heave
+            pose[3] = eta[i, 3] + later_s * yaw_rate
+            cy, sy = math.cos(pose[3]), math.sin(pose[3])
+            turn[0, 0], turn[0, 1], turn[0, 2] = cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr
+            turn[1, 0], turn[1, 1], turn[1, 2] = sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr
+            turn[2, 0], turn[2, 1], turn[2, 2] = -sp, cp * sr, cp * cr
+            depths[i, part, 0] = max(pose[2] - 0.7 * radius, 0.0)
+            depths[i, part, 1] = max(pose[2] - height * cp * cr, 0.0)
+        lean = abs(math.sin(math.hypot(tilt[i, 0], tilt[i, 1])))
+        reach = max(radius, half + lean * height)
+        rise = max(radius, height + lean * half)
+        for corner in range(16):
+            place, box = poses[i, 0 if corner < 8 else k - 1], boxes[i, corner]
+            box[0] = place[0] + (reach if corner & 1 else -reach)
+            box[1] = place[1] + (reach if corner & 2 else -reach)
+            box[2] = place[2] + (radius if corner & 4 else -rise)
+        below = max(floor_m - eta[i, 2], 0.02)
+        reach = radius + PENUMBRA * below
+        for corner in range(4):
+            shadows[i, corner, 0] = eta[i, 0] - below * (LAMP_X / LAMP_UP) + (reach if corner & 1 else -reach)
+            shadows[i, corner, 1] = eta[i, 1] - below * (LAMP_Y / LAMP_UP) + (reach if corner & 2 else -reach)
+            shadows[i, corner, 2] = floor_m

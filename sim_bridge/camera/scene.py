@@ -7,12 +7,14 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from sim_bridge.camera.kernels import FIELDS
 from sim_bridge.camera.optics import Bytes, Float
 from sim_bridge.camera.rays import CameraRays, ImageRect, RayBundle
 from sim_bridge.camera.textures import TILE_M, grain, texels_per_tile, tile_texture
 from sim_bridge.camera.water_optics import LAMPS_M, WaterLight, block_fields, glare
 from wire.config.experiment import Experiment
 from wire.config.scene import PoolConfig
+from wire.frames import Array
 
 # Absorption per metre of water: blue, green, red. Clear water absorbs red first (Pope and Fry 1997: 0.01, 0.06, 0.34 at 450,
 # 550, 650 nm); a little is added for floating particles. Then colour and rate of the light that the water scatters back.
@@ -117,46 +119,54 @@ def _deck(hit: SurfacePoints, half_x: np.float32, half_y: np.float32, random: np
 class WaterView:
     """The water's light from one point of view. `block_z` (block rows, columns) is the depth of floor, wall or deck."""
 
-    def __init__(self, waters: WaterLight, view: CameraRays, block_z: Float, vignette: Float) -> None:
-        self.waters, self.view, self.block_z, self.vignette = waters, view, block_z, vignette
+    def __init__(self, waters: WaterLight, view: CameraRays, block_z: Float) -> None:
+        self.waters, self.view, self.block_z = waters, view, block_z
+        self.shading = vignette_numbers(view, waters.picture.vignetting)
         self.depth_m, self.bending = waters.depth_m, np.float32(waters.ripples.bending)
         self._lens, self._lamps = np.array(view.camera.position_m), np.array(LAMPS_M)
         self._weights: tuple[float, Float] | None = None  # of the ripples, at the last time that was asked for
         shape = view.blocks.surface_x.shape
         self._basis = waters.ripples.basis(view.blocks.surface_x, view.blocks.surface_y).reshape(-1, *shape)
 
-    def slopes(self, window: ImageRect, loop_s: float) -> Float:
-        """Slopes of the surface at the rectangle's blocks, (2, block rows, block columns), at a time of the ripples' loop."""
-        basis = self._basis[:, *window.blocks]
-        return self.waters.ripples.slopes(basis.reshape(len(basis), -1), loop_s).reshape(2, *basis.shape[1:])
+    def slopes(self, loop_s: float) -> Float:
+        """Slopes of the surface at all blocks, (2, block rows, block columns), at a time of the ripples' loop."""
+        basis = self._basis.reshape(len(self._basis), -1)
+        return self.waters.ripples.slopes(basis, loop_s).reshape(2, *self._basis.shape[1:])
 
-    def glare(self, window: ImageRect, slopes: Float) -> Float:
-        """Grey levels that mirrored lamps add at the rectangle's blocks."""
-        lines = self.view.blocks[window.blocks]
+    def glare(self, slopes: Float) -> Float:
+        """Grey levels that mirrored lamps add at all blocks."""
+        lines = self.view.blocks
         levels = glare(lines.surface_x, lines.surface_y, slopes, self.view.camera)
         return levels * np.float32(255.0 * self.waters.picture.glare)
 
-    def fields(self, window: ImageRect, depth_m: float, time_s: float) -> Float:
-        """Fields (block rows, block columns, 4) of water_optics.block_fields at the rectangle's blocks, with the light at a
-        depth."""
-        waters, lines = self.waters, self.view.blocks[window.blocks].planes
+    def fields(self, window: ImageRect, depth_m: float, time_s: float) -> Array:
+        """Fields (FIELDS, block rows, block columns) of water_optics.block_fields at the rectangle's blocks, with the light at
+        a depth."""
+        waters = self.waters
         if self._weights is None or self._weights[0] != time_s:
             self._weights = time_s, waters.ripples.weights(waters.ripple_clock.loop_s(time_s))
-        fields = np.empty((*lines[0].shape, 4), np.float32)
+        reach = waters.picture.caustics * min(max(depth_m / self.depth_m, 0.0), 1.0)
+        fields = np.empty((FIELDS, window.block_bottom - window.block_top, window.block_right - window.block_left))
         block_fields(
-            lines, self._basis[:, *window.blocks], self._weights[1], waters.pattern(time_s),
-            waters.caustics.half_m, depth_m, float(waters.reach(depth_m)), self._lens, self._lamps,
+            tuple(window), self.view.blocks.planes, self._basis, self._weights[1], *waters.patterns(time_s),
+            waters.caustics.half_m, depth_m, reach, self._lens, self._lamps,
             255.0 * waters.picture.glare, float(self.bending), fields,
         )  # fmt: skip
         return fields
 
 
+def vignette_numbers(view: CameraRays, strength: float) -> tuple[float, float, float]:
+    """Column and row of the camera's centre, and the share of its light that a pixel loses per square px away from there."""
+    centre_x, centre_y = view.camera.centre_px
+    far_x, far_y = max(centre_x, view.width - 1 - centre_x), max(centre_y, view.height - 1 - centre_y)
+    return centre_x, centre_y, strength / (far_x**2 + far_y**2)
+
+
 def vignette(view: CameraRays, strength: float) -> Float:
     """Share of its light that each pixel gets, (height, width)."""
-    centre_x, centre_y = view.camera.centre_px
+    centre_x, centre_y, dimming = vignette_numbers(view, strength)
     column, row = (np.arange(view.width) - centre_x) ** 2, (np.arange(view.height) - centre_y) ** 2
-    corner = max(column[0], column[-1]) + max(row[0], row[-1])
-    return np.asarray(1.0 - strength * (column[None, :] + row[:, None]) / corner, dtype=np.float32)
+    return np.asarray(1.0 - dimming * (column[None, :] + row[:, None]), dtype=np.float32)
 
 
 def plan_coordinates(hit: SurfacePoints, pool: PoolConfig) -> tuple[Float, Float]:

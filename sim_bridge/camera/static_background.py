@@ -21,35 +21,37 @@ class StaticBackground:
     """Cached backgrounds of a fixed camera."""
 
     def __init__(self, experiment: Experiment, random: np.random.Generator) -> None:
-        self._view, self._pool = CameraRays(experiment.camera), experiment.pool
+        self._view = view = CameraRays(experiment.camera)
         waters = WaterLight(experiment, random)
-        lines = self._view.lines(self._view.whole)
-        self._hit = trace_to_surfaces(lines, experiment.pool)
-        blocks = cv2.resize(self._hit.z, None, fx=1.0 / BLOCK, fy=1.0 / BLOCK, interpolation=cv2.INTER_AREA)
-        blocks = cv2.resize(blocks, self._view.blocks.surface_x.shape[::-1], interpolation=cv2.INTER_LINEAR)
-        shade = vignette(self._view, waters.picture.vignetting)
-        self._scene = WaterView(waters, self._view, np.asarray(blocks, dtype=np.float32), shade)
+        lines = view.pixel_lines()
+        hit = trace_to_surfaces(lines, experiment.pool)
+        blocks = cv2.resize(hit.z, None, fx=1.0 / BLOCK, fy=1.0 / BLOCK, interpolation=cv2.INTER_AREA)
+        blocks = cv2.resize(blocks, view.blocks.surface_x.shape[::-1], interpolation=cv2.INTER_LINEAR)
+        self._scene = WaterView(waters, view, np.asarray(blocks, dtype=np.float32))
+        self._vignette = vignette(view, waters.picture.vignetting)
         lean = np.sqrt(1.0 + lines.water_x**2 + lines.water_y**2)
-        self._blend = np.empty((self._view.height, self._view.width), np.uint8)
-        still = draw_still_pool(experiment, self._hit, lean, LENS_SOFTNESS_PX, random)
+        still = draw_still_pool(experiment, hit, lean, LENS_SOFTNESS_PX, random)
         self._planes = [np.ascontiguousarray(still[..., channel]) for channel in (2, 1, 0)]
         self._pulls = self._shift_per_slope()
-        self._pixels = np.meshgrid(
-            np.arange(self._view.width, dtype=np.float32), np.arange(self._view.height, dtype=np.float32)
-        )
-        grid = waters.caustics.grid_coordinates(*plan_coordinates(self._hit, self._pool))
+        self._pixels = np.meshgrid(np.arange(view.width, dtype=np.float32), np.arange(view.height, dtype=np.float32))
+        grid = waters.caustics.grid_coordinates(*plan_coordinates(hit, experiment.pool))
         self._grid_column, self._grid_row = (np.ascontiguousarray(plane[0::2, 0::2]) for plane in grid)
-        self._reach = waters.reach(self._hit.z[0::2, 0::2])
-        squares = self._grid_column.shape[1]
-        self._scratch = tuple(np.empty(n, np.float32) for n in (squares, squares, 2 * squares, 2 * squares))
-        self._views: dict[int, tuple[Bytes, Bytes]] = {}
-        self._levels: dict[int, Bytes] = {}
+        self._reach = waters.reach(hit.z[0::2, 0::2])
+        squares = self._grid_column.shape
+        self._scratch = tuple(np.empty(n, np.float32) for n in (squares[1], squares[1], 2 * squares[1], 2 * squares[1]))
+        self._blend = np.empty((view.height, view.width), np.uint8)
+        # The loops lie each in one array, which the system puts on large pages: less time to find them in memory.
+        ripples, caustics = waters.ripple_clock.phases, waters.caustic_clock.phases
+        self._views = np.empty((ripples, view.height, view.width), np.uint8)
+        self._glares = np.empty((ripples, *squares), np.uint8)
+        self._levels = np.empty((caustics, *squares), np.uint8)
+        self._are_drawn = np.zeros(ripples, np.bool_), np.zeros(caustics, np.bool_)
 
     def prepare(self) -> None:
         """Draw both loops now (seconds), so that no frame waits for its part."""
-        for phase in range(self._scene.waters.ripple_clock.phases):
+        for phase in range(len(self._views)):
             self._view_phase(phase)
-        for phase in range(self._scene.waters.caustic_clock.phases):
+        for phase in range(len(self._levels)):
             self._level_phase(phase)
 
     def at(self, time_s: float) -> tuple[WaterView, Bytes]:
@@ -66,23 +68,25 @@ class StaticBackground:
 
     def _view_phase(self, number: int) -> tuple[Bytes, Bytes]:
         """The pool through the ripples' loop: a mosaic (height, width), and the glare over each of its Bayer squares."""
-        if number not in self._views:
-            view, window = self._view, self._view.whole
+        if not self._are_drawn[0][number]:
+            view = self._view
             (xx, xy), (yx, yy) = self._pulls
-            slopes = self._scene.slopes(window, number * PHASE_S)
-            map_x = self._pixels[0] + view.spread(xx * slopes[0] + xy * slopes[1], window)
-            map_y = self._pixels[1] + view.spread(yx * slopes[0] + yy * slopes[1], window)
-            raw = sample_mosaic(self._planes, map_x, map_y).astype(np.float32) * self._scene.vignette
-            glare = view.spread(self._scene.glare(window, slopes), window)[0::2, 0::2]
-            seen, added = (np.clip(np.rint(plane), 0, 255).astype(np.uint8) for plane in (raw, glare))
-            self._views[number] = np.ascontiguousarray(seen), np.ascontiguousarray(added)
-        return self._views[number]
+            slopes = self._scene.slopes(number * PHASE_S)
+            map_x = self._pixels[0] + view.spread(xx * slopes[0] + xy * slopes[1])
+            map_y = self._pixels[1] + view.spread(yx * slopes[0] + yy * slopes[1])
+            raw = sample_mosaic(self._planes, map_x, map_y).astype(np.float32) * self._vignette
+            glare = view.spread(self._scene.glare(slopes))[0::2, 0::2]
+            self._views[number], self._glares[number] = (np.clip(np.rint(plane), 0, 255) for plane in (raw, glare))
+            self._are_drawn[0][number] = True
+        return self._views[number], self._glares[number]
 
     def _level_phase(self, number: int) -> Bytes:
         """The pattern of the caustics' loop as each Bayer square of the picture meets it."""
-        if number not in self._levels:
+        if not self._are_drawn[1][number]:
             self._levels[number] = caustic_levels(self._scene.waters.phase_pattern(number), self._grid_column, self._grid_row)
-        return self._levels[number]
+            self._are_drawn[1][number] = True
+        levels: Bytes = self._levels[number]
+        return levels
 
     def _shift_per_slope(self) -> tuple[tuple[Float, Float], tuple[Float, Float]]:
         """Pixels by which a unit slope (x, y) of the surface shifts the image of a block: the Jacobian from metres at the

@@ -9,7 +9,21 @@ import math
 import cv2
 import numpy as np
 
-from sim_bridge.camera.kernels import LINES, PICTURE, PLANE, Planes
+from sim_bridge.camera.kernels import (
+    AIR_X,
+    AIR_Y,
+    GLARE,
+    LIGHT,
+    LINES,
+    PICTURE,
+    PLANE,
+    RECT,
+    SURFACE_X,
+    SURFACE_Y,
+    WATER_X,
+    WATER_Y,
+    Planes,
+)
 from sim_bridge.camera.optics import Bytes, Float
 from wire.config.experiment import Experiment
 from wire.config.perception import Camera
@@ -165,12 +179,26 @@ def mirror(value: float, size: int) -> float:
     return last - abs(last - away)
 
 
-@kernel(f"void({LINES}, f4[:,:,:], f4[:,:], u1[:,::1], f8[::1], f8, f8, f8[::1], f8[:,::1], f8, f8, f4[:,:,::1])")
+@kernel(f"f8({PICTURE}, i8, i8, f8, f8)", inline=True)
+def grid_value(grid: Bytes, left: int, top: int, u: float, v: float) -> float:
+    """Bilinear value of a grid between four of its points, at the shares u and v of the way from (left, top)."""
+    upper = (1.0 - u) * grid[top, left] + u * grid[top, left + 1]
+    lower = (1.0 - u) * grid[top + 1, left] + u * grid[top + 1, left + 1]
+    return float((1.0 - v) * upper + v * lower)
+
+
+@kernel(
+    f"void({RECT}, {LINES}, f4[:,:,::1], f4[:,:], {PICTURE}, {PICTURE}, f8, "
+    "f8[::1], f8, f8, f8[::1], f8[:,::1], f8, f8, f8[:,:,::1])"
+)
 def block_fields(
+    rect: Planes,
     lines: Planes,
     basis: Float,
     weights: Float,
     pattern: Bytes,
+    next_pattern: Bytes,
+    pattern_share: float,
     half_m: Array,
     depth_m: float,
     reach: float,
@@ -178,20 +206,23 @@ def block_fields(
     lamps_m: Array,
     glare_levels: float,
     bending: float,
-    fields: Float,
+    fields: Array,
 ) -> None:
-    """For each block (rows, columns) the turn of its line of sight in the water along x and y, the light at a depth, and the
-    grey levels of mirrored lamps: `fields` (rows, columns, 4). The same as Ripples.slopes, WaterLight.light and `glare`, for
-    a part of the picture.
+    """Fields (FIELDS, block rows, block columns) of a rectangle's blocks: their lines of sight, bent by the ripples, the light
+    at a depth, and the grey levels of mirrored lamps. The same as Ripples.slopes, WaterLight.light and `glare`, for a part of
+    the picture.
 
-    `basis` and `weights`: PlaneWaves. `pattern` is the caustics' and begins at -`half_m`; `reach` is its strength. `lamps_m`
-    (lamps, 4): centre x, y, half length and half width.
+    `lines`, and `basis` and `weights` (PlaneWaves), are those of all blocks. The caustics' pattern lies between `pattern` and
+    `next_pattern`, with the share of the second; it begins at -`half_m`, and `reach` is its strength. `lamps_m` (lamps, 4):
+    centre x, y, half length and half width.
     """
-    surface_x, surface_y, _, _, water_x, water_y = lines
+    _, _, _, _, block_top, _, block_left, _ = rect
+    surface_x, surface_y, air_x, air_y, water_x, water_y = lines
     rows, columns = pattern.shape
     further = 1.0 - LAMP_HEIGHT_M / lens[2]
-    for i in range(fields.shape[0]):
-        for j in range(fields.shape[1]):
+    for a in range(fields.shape[1]):
+        for b in range(fields.shape[2]):
+            i, j = block_top + a, block_left + b
             slope_x, slope_y = 0.0, 0.0
             for k in range(len(basis)):
                 slope_x += weights[0, k] * basis[k, i, j]
@@ -201,8 +232,8 @@ def block_fields(
             row = mirror((sy + depth_m * water_y[i, j] + half_m[1]) / CAUSTIC_GRID_M, rows)
             left, top = min(int(column), columns - 2), min(int(row), rows - 2)
             u, v = column - left, row - top
-            upper = (1.0 - u) * pattern[top, left] + u * pattern[top, left + 1]
-            lower = (1.0 - u) * pattern[top + 1, left] + u * pattern[top + 1, left + 1]
+            before = grid_value(pattern, left, top, u, v)
+            level = before + pattern_share * (grid_value(next_pattern, left, top, u, v) - before)
             x = lens[0] + (sx - lens[0]) * further - slope_x * (2.0 * LAMP_HEIGHT_M)
             y = lens[1] + (sy - lens[1]) * further - slope_y * (2.0 * LAMP_HEIGHT_M)
             mirrored = 0.0
@@ -210,9 +241,12 @@ def block_fields(
                 along = (lamps_m[k, 2] - abs(x - lamps_m[k, 0])) / (2.0 * LAMP_EDGE_M) + 0.5
                 across = (lamps_m[k, 3] - abs(y - lamps_m[k, 1])) / (2.0 * LAMP_EDGE_M) + 0.5
                 mirrored += min(max(along, 0.0), 1.0) * min(max(across, 0.0), 1.0)
-            fields[i, j, 0], fields[i, j, 1] = bending * slope_x, bending * slope_y
-            fields[i, j, 2] = 1.0 + reach * (((1.0 - v) * upper + v * lower) / CAUSTIC_UNIT - 1.0)
-            fields[i, j, 3] = glare_levels * mirrored
+            fields[SURFACE_X, a, b], fields[SURFACE_Y, a, b] = sx, sy
+            fields[WATER_X, a, b] = water_x[i, j] + bending * slope_x
+            fields[WATER_Y, a, b] = water_y[i, j] + bending * slope_y
+            fields[AIR_X, a, b], fields[AIR_Y, a, b] = air_x[i, j], air_y[i, j]
+            fields[LIGHT, a, b] = 1.0 + reach * (level / CAUSTIC_UNIT - 1.0)
+            fields[GLARE, a, b] = glare_levels * mirrored
 
 
 def glare(surface_x: Float, surface_y: Float, slopes: Float, camera: Camera) -> Float:
@@ -248,7 +282,6 @@ class WaterLight:
             )
         )
         self._patterns: dict[int, Bytes] = {}  # by phase, once it was asked for
-        self._between: tuple[float, Bytes] | None = None  # the last time that was asked for, and its pattern
 
     def phase_pattern(self, phase: int) -> Bytes:
         """A picture of the loop of caustics, CAUSTIC_UNIT for the mean light."""
@@ -257,17 +290,16 @@ class WaterLight:
             self._patterns[phase] = np.clip(light, 0, 255).astype(np.uint8)
         return self._patterns[phase]
 
-    def pattern(self, time_s: float) -> Bytes:
-        """The caustics' pattern at a time, CAUSTIC_UNIT for the mean light."""
-        if self._between is None or self._between[0] != time_s:
-            first, second, share = self.caustic_clock.phase(time_s)
-            before, after = self.phase_pattern(first), self.phase_pattern(second)
-            self._between = time_s, np.asarray(cv2.addWeighted(before, 1.0 - share, after, share, 0.0), dtype=np.uint8)
-        return self._between[1]
+    def patterns(self, time_s: float) -> tuple[Bytes, Bytes, float]:
+        """The pictures of the loop of caustics before and after a time, and the second one's share."""
+        first, second, share = self.caustic_clock.phase(time_s)
+        return self.phase_pattern(first), self.phase_pattern(second), share
 
     def light(self, column: Float, row: Float, reach: Float | np.float32, time_s: float) -> Float:
         """Caustic light relative to its mean at places of the caustics' grid, weighted with `reach` (0 to 1)."""
-        levels = caustic_levels(self.pattern(time_s), column, row)
+        before, after, share = self.patterns(time_s)
+        pattern = np.asarray(cv2.addWeighted(before, 1.0 - share, after, share, 0.0), dtype=np.uint8)
+        levels = caustic_levels(pattern, column, row)
         return np.asarray(1.0 + reach * (levels.astype(np.float32) / np.float32(CAUSTIC_UNIT) - 1.0), dtype=np.float32)
 
     def reach(self, depth_m: Float | float) -> Float:

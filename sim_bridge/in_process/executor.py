@@ -9,6 +9,7 @@ So all inputs of a step are there when it begins, and the pulses are bit by bit 
 that may import all other packages.
 """
 
+import gc
 import logging
 from collections.abc import Callable, Generator, Iterator
 from contextlib import ExitStack, contextmanager
@@ -41,6 +42,7 @@ from wire.transport.transport import Answer, Urgent
 from wire.web_access import WebOptions, web_options
 
 PEER: Address = ("memory", 0)  # of every board: its robot's computer
+COLLECTED_AT = (20_000, 20, 100)  # objects, some 30 steps' worth, and collections of the younger objects
 
 
 class SharedDecoder:
@@ -127,6 +129,21 @@ def _own_log() -> Iterator[None]:
     finally:
         log.handlers[:], level, log.propagate = before
         log.setLevel(level)
+
+
+@contextmanager
+def _rare_collections() -> Iterator[None]:
+    """Look for unreachable cycles rarely, and only among what is made from now on: a step makes hundreds of objects, hardly a
+    cycle among them, and the collector would look through all nodes again and again."""
+    before = gc.get_threshold()
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(*COLLECTED_AT)
+    try:
+        yield
+    finally:
+        gc.set_threshold(*before)
+        gc.unfreeze()
 
 
 class _PartTransport(MemoryTransport):
@@ -256,6 +273,7 @@ class Executor:
                 agent.begin(lambda bus, r=robot, w=wire: AgentNode(experiment, r, bus, w, True, self.stop).steps())  # type: ignore[misc]
             ports = MemoryPorts(wires, experiment.robot_ids, experiment.seed, self._others)
             pool = part("sim-bridge")
+            closing.enter_context(_rare_collections())
             try:
                 with pool.acting():
                     PoolNode(experiment, pool.bus, ports, self.stop, True, self._poses, pace=self._pace).run()

@@ -56,8 +56,10 @@ class Plant:
         self.no_faults = ActuatorFaults(np.ones((n, THRUSTERS)), np.zeros(n))
         memory = kernels.memory(n)
         kernels.to_fleet(body.wave_radps, memory, kernels.WAVE)
-        # the robots' order along x, the memory, what contact takes and gives in rows, the water's motion, places in order
-        self._work = np.arange(n), memory, np.empty((4, n, 3)), np.empty((n, 6)), np.empty((3, n))
+        # the robots' order along x, the memory, what contact takes and gives in rows, the water's motion, places in order, and
+        # places at which nothing was near
+        calm_m = np.full((len(memory), 3 * kernels.LANES), np.nan)
+        self._work = np.arange(n), memory, np.empty((4, n, 3)), np.empty((n, 6)), np.empty((3, n)), calm_m
 
     def start(self, eta: Array) -> PlantState:
         """Robots at rest at poses (n, 4). Raises ConfigError if one of them starts in a wall, an island or another robot."""

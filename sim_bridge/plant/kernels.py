@@ -47,6 +47,7 @@ DENSITY_KGPM3 = 998.0  # fresh water at 20 degrees
 GRAVITY_MPS2 = 9.81
 THRUST_EXPONENT = 1.2  # of thrust over voltage (OpenThruster's A2212 data at 10 to 12.6 V)
 NEAR_M = 0.1  # m, distance from which contact is computed; no robot moves farther in one step
+SPARE_M = 0.2  # m; where hulls are so much farther apart, they are not looked at again before one has moved by a part of it
 # Hunt and Crossley (1975): damping that grows with the penetration, so that the force starts from zero and never pulls. At
 # this value 0.6 of the speed is left after a bump at 0.1 m/s, 0.2 at 0.5 m/s.
 CONTACT_DAMPING_S_PER_M = 10.0
@@ -58,7 +59,7 @@ BATTERY = f"Tuple((b1, {VECTOR}, {VECTOR}, f8, f8, f8, f8, f8, f8, f8, f8))"
 FLOW = f"Tuple((b1, {VECTOR}, {VECTOR}, f8, {MATRIX}, {MATRIX}, f8, {VECTOR}, f8, f8, f8))"
 BASIN = f"Tuple(({VECTOR}, {MATRIX}, f8, f8))"
 BODY = f"Tuple((b1, {VECTOR}, f8, {MATRIX}, {VECTOR}, {VECTOR}, f8, f8, f8, b1, {VECTOR}))"
-WORK = f"Tuple((i8[::1], {MATRIX}, {CUBE}, {MATRIX}, {MATRIX}))"
+WORK = f"Tuple((i8[::1], {MATRIX}, {CUBE}, {MATRIX}, {MATRIX}, {MATRIX}))"
 
 Constants = tuple[Any, ...]
 Indices = NDArray[np.intp]
@@ -312,21 +313,21 @@ def sort_by_x(place_m: Array, order: Indices) -> None:
         order[before + 1] = i
 
 
-@kernel(f"b1({MATRIX}, i8[::1], {BASIN}, {MATRIX})")
-def is_near(place_m: Array, order: Indices, basin: Constants, sorted_m: Array) -> bool:
-    """True if any hull is within NEAR_M of a wall, the floor, an island or another hull. `order`: see `sort_by_x`;
+@kernel(f"b1({MATRIX}, i8[::1], {BASIN}, f8, {MATRIX})")
+def is_near(place_m: Array, order: Indices, basin: Constants, margin_m: float, sorted_m: Array) -> bool:
+    """True if any hull is within `margin_m` of a wall, the floor, an island or another hull. `order`: see `sort_by_x`;
     `sorted_m` (3, n) is for the places in this order."""
     inside_m, islands_m, radius_m, _ = basin
-    within_m = 2.0 * radius_m + NEAR_M
+    within_m = 2.0 * radius_m + margin_m
     xs, ys, zs = sorted_m[0], sorted_m[1], sorted_m[2]
     for k in range(len(order)):
         x, y, z = place_m[order[k], 0], place_m[order[k], 1], place_m[order[k], 2]
         xs[k], ys[k], zs[k] = x, y, z
-        if max(abs(x) - inside_m[0], abs(y) - inside_m[1], z - inside_m[2]) > -NEAR_M:
+        if max(abs(x) - inside_m[0], abs(y) - inside_m[1], z - inside_m[2]) > -margin_m:
             return True
         for island in range(len(islands_m)):
             distance = math.hypot(x - islands_m[island, 0], y - islands_m[island, 1])
-            if distance < islands_m[island, 2] + radius_m + NEAR_M:
+            if distance < islands_m[island, 2] + radius_m + margin_m:
                 return True
     begin = 0
     for k in range(len(order)):
@@ -592,7 +593,7 @@ def state_rate(
 ) -> None:
     """RATE, d/dt of STATE, with the legs' WRENCH. MOTION and CONTACT, zero before, are computed for the whole fleet where
     water moves and where the fleet `touches` anything. `work` holds the order and the places of the step's start."""
-    order, _, places, water, _ = work
+    order, _, places, water, _, _ = work
     kinematics(fleet, first, end)
     if not flow[0]:
         from_fleet(fleet, X, places[1])
@@ -608,11 +609,24 @@ def state_rate(
 
 @kernel(f"b1({MATRIX}, {BASIN}, {WORK})")
 def begins_near(fleet: Array, basin: Constants, work: Constants) -> bool:
-    """Sort the places at a step's start, and tell whether contact has to be computed in this step; else CONTACT is zero."""
-    order, _, places, _, sorted_m = work
-    from_fleet(fleet, POSE, places[0])
-    sort_by_x(places[0], order)
-    touches = is_near(places[0], order, basin, sorted_m)
+    """Tell whether contact has to be computed in this step; else CONTACT is zero. If so, the places at the step's start are
+    sorted.
+
+    `calm_m` are the places, (blocks, 3 LANES), at which all were last seen farther apart than NEAR_M + SPARE_M. While each is
+    within SPARE_M / 4 of its own on every axis, none is within NEAR_M of anything.
+    """
+    order, _, places, _, sorted_m, calm_m = work
+    lanes, moved = fleet.shape[1] // NUMBERS, 0
+    for b in range(len(fleet)):
+        for k in range(3 * lanes):
+            moved += 0 if abs(fleet[b, POSE + k] - calm_m[b, k]) < SPARE_M / 4.0 else 1  # NaN: never seen
+    touches = False
+    if moved > 0:
+        from_fleet(fleet, POSE, places[0])
+        sort_by_x(places[0], order)
+        touches = is_near(places[0], order, basin, NEAR_M, sorted_m)
+        if not touches and not is_near(places[0], order, basin, NEAR_M + SPARE_M, sorted_m):
+            calm_m[:] = fleet[:, POSE : POSE + 3 * LANES]
     if not touches:
         fleet[:, CONTACT : CONTACT + 3 * LANES] = 0.0
     return touches

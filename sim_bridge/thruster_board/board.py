@@ -30,7 +30,7 @@ from wire.mavlink.board_link import (
     Timesync,
     Unsupported,
 )
-from wire.mavlink.framing import Peer
+from wire.mavlink.frame_codec import Peer
 from wire.mavlink.signing import Key
 
 MS_NS = 1_000_000

@@ -11,7 +11,7 @@ from enum import IntEnum
 
 from sim_bridge.thruster_board.parameters import Parameters, Refusal
 from wire.mavlink.agent_link import ACCEPTED, CHANNELS, IGNORED, REJECTED
-from wire.mavlink.framing import Peer
+from wire.mavlink.frame_codec import Peer
 from wire.mavlink.signing import Key, SignatureVerifier
 
 THRUSTERS = 4

@@ -15,7 +15,7 @@ import numpy as np
 
 from wire.mavlink.agent_link import AgentLink
 from wire.mavlink.board_link import BoardLink, Override
-from wire.mavlink.framing import MARKER
+from wire.mavlink.frame_codec import MARKER
 
 READ_BYTES = 65536
 NUMBER_AT = 4  # in a frame

@@ -30,7 +30,7 @@ from tests.faults.patched import end_thread
 from wire.config.experiment import Experiment, load_experiment
 from wire.config.fault_injection import Fault
 from wire.frames import Array
-from wire.mavlink.framing import Peer
+from wire.mavlink.frame_codec import Peer
 from wire.process.runtime import Stop, run_app, start_log
 from wire.transport.bus import Bus
 from wire.transport.endpoint import Endpoint

@@ -13,7 +13,7 @@ from sim_bridge.plant.sensors import Reading
 from sim_bridge.thruster_board.parameters import Parameters
 from wire.config.experiment import load_experiment
 from wire.mavlink.agent_link import CHANNELS, STANDARD_GRAVITY_MPS2, SURFACE_HPA, depth_to_hpa
-from wire.mavlink.framing import Peer
+from wire.mavlink.frame_codec import Peer
 from wire.mavlink.signing import Key
 
 FIRMWARE = Path(__file__).parents[2] / "firmware"

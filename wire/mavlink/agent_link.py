@@ -8,13 +8,14 @@ docs/board.md; how frames are found in the stream, in wire/mavlink/framing.py.
 import math
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from operator import attrgetter
 from typing import Any
 
 from pymavlink.dialects.v20 import common as dialect
 
-from wire.mavlink.framing import LOSS_WINDOW_NS, MARKER, Receiver, Sender
+from wire.mavlink.frame_codec import MARKER
+from wire.mavlink.framing import LOSS_WINDOW_NS, Receiver, Sender
 from wire.mavlink.signing import Key, SignatureVerdict, SignatureVerifier
 
 BOARD_COMPONENT = 1  # MAV_COMP_ID_AUTOPILOT1
@@ -204,18 +205,19 @@ class AgentLink:
             except Refused:
                 self._refused += 1
         receiver = self._receiver
-        self.telemetry = replace(
-            self.telemetry,
-            **changes,
-            loss=receiver.loss(self._board),
-            bad_frames=receiver.bad_frames,
-            foreign_frames=receiver.foreign_frames,
-            stale_frames=receiver.stale_frames,
-            refused_frames=self._refused,
-            unsigned_frames=receiver.refused[SignatureVerdict.UNSIGNED],
-            forged_frames=receiver.refused[SignatureVerdict.FORGED],
-            replayed_frames=receiver.refused[SignatureVerdict.REPLAYED],
-        )
+        changes |= {
+            "loss": receiver.loss(self._board),
+            "bad_frames": receiver.bad_frames,
+            "foreign_frames": receiver.foreign_frames,
+            "stale_frames": receiver.stale_frames,
+            "refused_frames": self._refused,
+            "unsigned_frames": receiver.refused[SignatureVerdict.UNSIGNED],
+            "forged_frames": receiver.refused[SignatureVerdict.FORGED],
+            "replayed_frames": receiver.refused[SignatureVerdict.REPLAYED],
+        }
+        latest = object.__new__(Telemetry)  # what dataclasses.replace does, which sets 30 frozen fields one after the other
+        latest.__dict__.update(self.telemetry.__dict__ | changes)
+        self.telemetry = latest
 
     def _read(self, message: Any, changes: dict[str, Any], now_ns: int) -> dict[str, Any]:
         """The changes that a message makes to the telemetry, on top of `changes` from the same bytes."""

@@ -25,7 +25,8 @@ from wire.mavlink.agent_link import (
     pulses_of,
     within,
 )
-from wire.mavlink.framing import Peer, Receiver, Sender
+from wire.mavlink.frame_codec import Peer
+from wire.mavlink.framing import Receiver, Sender
 from wire.mavlink.signing import LATEST, Key, SignatureVerifier
 
 ALL_COMPONENTS = 0  # some ground stations ask everybody of a system

@@ -1,9 +1,9 @@
-"""MAVLink 2 frames in a stream of bytes, sans-IO: finding, checking and numbering them. wire/mavlink/agent_link.py has the
-messages.
+"""MAVLink 2 frames in a stream of bytes, sans-IO: finding, checking and numbering them. wire/mavlink/frame_codec.py has single
+frames, wire/mavlink/agent_link.py the messages.
 
-pymavlink packs and decodes single messages; finding them in the stream is done here. Its own stream parser takes any start
-byte for a frame and throws away what the frame would have covered: at 20 overrides per second a false start byte cost it
-half a second of commands. It also passes messages it does not know without looking at their checksum.
+pymavlink's own stream parser takes any start byte for a frame and throws away what the frame would have covered: at 20
+overrides per second a false start byte cost it half a second of commands. It also passes messages it does not know without
+looking at their checksum.
 """
 
 from collections import deque
@@ -12,10 +12,10 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as dialect
 
+from wire.mavlink import frame_codec
+from wire.mavlink.frame_codec import CHECKSUM_BYTES, HEADER_BYTES, MARKER, Peer
 from wire.mavlink.signing import SIGNATURE_BYTES, SIGNED, Key, SignatureVerdict, SignatureVerifier, Signer
 
-MARKER = 0xFD
-HEADER_BYTES, CHECKSUM_BYTES = 10, 2
 EXTENSION_BYTES = 32  # a newer dialect at the other end may have appended this much to a message
 FRAME_TIMEOUT_NS = 50_000_000  # 280 bytes take 25 ms at 115200 baud: after this, an unfinished frame is a false start byte
 LOSS_WINDOW_NS = 5_000_000_000
@@ -23,11 +23,6 @@ LOSS_WINDOW_NS = 5_000_000_000
 # (0.3 s at most), or one frame repeated for ever could keep thrusters running.
 SILENCE_NS = 500_000_000
 PEERS = 16  # senders whose sequence numbers are followed at a time; more within SILENCE_NS are a flood
-
-Peer = tuple[int, int]  # MAVLink system and component
-
-# An environment variable can switch pymavlink's checksums off. Not for thrusters.
-dialect.MAVLINK_IGNORE_CRC = 0
 
 
 class Sequence8:
@@ -70,7 +65,6 @@ class Receiver:
     def __init__(self, wanted: Callable[[Peer], bool], verifier: SignatureVerifier) -> None:
         """Takes frames of `wanted` peers that pass the `verifier`."""
         self._wanted, self._verifier = wanted, verifier
-        self._mavlink = dialect.MAVLink(None)
         self._buffer = bytearray()
         self._waiting_since_ns = 0
         self._waiting_bytes = 0  # of the buffer, from its beginning, were there when the wait began
@@ -103,9 +97,13 @@ class Receiver:
                 if not self._waited_too_long(at, now_ns):
                     break
                 size = 0
-            frame = self._buffer[at : at + size]
-            message = self._decode(frame) if size else None
+            if not size:
+                at += 1
+                continue
+            frame = bytes(self._buffer[at : at + size])
+            message = frame_codec.unpack(frame)
             if message is None:
+                self.bad_frames += 1
                 at += 1
                 continue
             at += size
@@ -143,20 +141,13 @@ class Receiver:
         self.bad_frames += 1
         return True
 
-    def _decode(self, frame: bytearray) -> Any:
-        try:
-            return self._mavlink.decode(frame)
-        except dialect.MAVError:
-            self.bad_frames += 1
-            return None
-
-    def _is_taken(self, message: Any, frame: bytearray, now_ns: int) -> bool:
+    def _is_taken(self, message: Any, frame: bytes, now_ns: int) -> bool:
         """Signature before sequence: a forged frame must not make the true ones look old."""
         peer = (message.get_srcSystem(), message.get_srcComponent())
         if not self._wanted(peer):
             self.foreign_frames += 1
             return False
-        verdict = self._verifier.verify(bytes(frame), *peer)
+        verdict = self._verifier.verify(frame, *peer)
         if verdict is not SignatureVerdict.GOOD:
             self.refused[verdict] += 1
             return False
@@ -182,17 +173,11 @@ class Sender:
 
     def __init__(self, peer: Peer, key: Key | None = None, now: Callable[[], int] = lambda: 0) -> None:
         """Make it. With a key frames are signed; `now()` is the time in ticks of a signature's timestamp."""
-        self._mavlink = dialect.MAVLink(None, *peer)
+        self._peer, self._sequence = peer, 0
         self.signer = Signer(key, now) if key is not None else None
 
     def pack(self, message: Any) -> bytes:
         """The frame of one message. Raises struct.error for a value that its field cannot hold."""
-        frame: bytes = message.pack(self._mavlink)
-        self._mavlink.seq = (self._mavlink.seq + 1) % 256
-        if self.signer is None:
-            return frame
-        # The checksum covers the flag, so the frame that pymavlink made is no longer right.
-        covered = bytes([frame[1], SIGNED]) + frame[3:-CHECKSUM_BYTES]
-        checksum = dialect.x25crc(covered)
-        checksum.accumulate(bytes([message.crc_extra]))
-        return self.signer.sign(bytes([MARKER]) + covered + checksum.crc.to_bytes(CHECKSUM_BYTES, "little"))
+        frame = frame_codec.pack(message, self._peer, self._sequence, SIGNED if self.signer is not None else 0)
+        self._sequence = (self._sequence + 1) % 256
+        return frame if self.signer is None else self.signer.sign(frame)

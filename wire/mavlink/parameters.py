@@ -10,7 +10,8 @@ from typing import Any
 from pymavlink.dialects.v20 import common as dialect
 
 from wire.mavlink.agent_link import BOARD_COMPONENT, PROTOCOL_VERSION
-from wire.mavlink.framing import Peer, Receiver, Sender
+from wire.mavlink.frame_codec import Peer
+from wire.mavlink.framing import Receiver, Sender
 from wire.mavlink.signing import Key, SignatureVerdict, SignatureVerifier
 
 STATION: Peer = (255, 190)  # what ground stations go by

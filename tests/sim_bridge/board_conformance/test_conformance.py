@@ -21,7 +21,8 @@ from wire.config.experiment import load_experiment
 from wire.mavlink import framing
 from wire.mavlink.agent_link import ACCEPTED, IGNORED
 from wire.mavlink.board_link import BoardLink
-from wire.mavlink.framing import Peer, Sequence8
+from wire.mavlink.frame_codec import Peer
+from wire.mavlink.framing import Sequence8
 from wire.mavlink.signing import Key, SignatureVerifier
 
 pytestmark = pytest.mark.long

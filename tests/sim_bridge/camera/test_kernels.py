@@ -10,6 +10,21 @@ import pytest
 from scipy.ndimage import map_coordinates
 
 from sim_bridge.camera import kernels
+from sim_bridge.camera.kernels import (
+    AIR_X,
+    AIR_Y,
+    GLARE,
+    LAMP_UP,
+    LAMP_X,
+    LAMP_Y,
+    LIGHT,
+    PENUMBRA,
+    SHADOW,
+    SURFACE_X,
+    SURFACE_Y,
+    WATER_X,
+    WATER_Y,
+)
 from sim_bridge.camera.rays import CameraRays, ImageRect
 from sim_bridge.camera.scene import WaterView
 from sim_bridge.camera.water_optics import CAUSTIC_UNIT, WaterLight, light_up
@@ -19,11 +34,18 @@ INTERPRETED = os.environ.get("NUMBA_DISABLE_JIT") == "1"
 
 
 def test_a_sample_is_bilinear_and_repeats_the_edge() -> None:
+    """One layer for even lanes and another for odd ones; lanes that are not used keep no trace of the texture."""
     random = np.random.default_rng(1)
-    texture = random.integers(0, 256, (2, 9, 13), dtype=np.uint8)
-    for column, row in random.uniform(-3.0, 15.0, (200, 2)):
-        expected = map_coordinates(texture[1].astype(float), [[row], [column]], order=1, mode="nearest")[0]
-        assert kernels.sample(texture, 1, column, row) == pytest.approx(expected, abs=0.3)  # the last texel's last thousandth
+    texture = random.integers(0, 256, (3, 9, 13), dtype=np.uint8)
+    lanes, corners = np.zeros((kernels.LANE_ROWS, kernels.LANES)), np.empty((2, kernels.LANES), np.int32)
+    for _ in range(10):
+        used = random.random(kernels.LANES) < 0.8
+        places = random.uniform(-3.0, 15.0, (2, kernels.LANES))
+        lanes[kernels.SPHERE_COVER], lanes[kernels.SKIN_COLUMN : kernels.SKIN_ROW + 1] = used, places
+        kernels.sample(texture, 1, 2, lanes, kernels.SPHERE_COVER, kernels.SKIN_COLUMN, kernels.PAINT, corners)
+        for n in np.flatnonzero(used):
+            expected = map_coordinates(texture[1 + n % 2].astype(float), places[::-1, n : n + 1], order=1, mode="nearest")[0]
+            assert lanes[kernels.PAINT, n] == pytest.approx(expected, abs=0.3)  # the last texel's last thousandth
 
 
 def test_a_line_meets_the_sphere_on_its_upper_side() -> None:
@@ -41,15 +63,33 @@ def test_a_line_meets_the_sphere_on_its_upper_side() -> None:
             assert normal_x * slope_x + normal_y * slope_y - up <= 0.0  # towards the camera
 
 
-def test_darkening_is_a_product() -> None:
+@pytest.mark.parametrize("rect", [ImageRect(10, 60, 20, 90, 0, 9, 1, 13), ImageRect(0, 75, 0, 101, 0, 10, 0, 13)])
+def test_a_shadow_is_the_picture_times_the_light_that_is_left(rect: ImageRect) -> None:
+    """Against the light at the blocks' middles in NumPy, interpolated by OpenCV; also up to the edges of an odd picture."""
     random = np.random.default_rng(3)
-    raw, light = random.integers(0, 256, (20, 30), dtype=np.uint8), random.uniform(0.5, 1.0, (8, 12)).astype(np.float32)
-    expected = raw.copy()
-    spot = expected[4:12, 6:18]
-    spot[:] = cv2.multiply(spot, light, dtype=cv2.CV_8U)
-    kernels.darken(raw, 4, 6, light)
-    assert np.abs(raw.astype(int) - expected).max() <= 1
-    assert np.mean(raw != expected) < 0.02  # halves are rounded up here, and to even there
+    raw, lines = (
+        random.integers(0, 256, (75, 101), dtype=np.uint8),
+        random.uniform(-0.02, 0.02, (6, 10, 13)).astype(np.float32),
+    )
+    rows, columns = np.mgrid[:10, :13]
+    lines[0] += 0.04 * columns - 0.3
+    lines[1] += 0.04 * rows - 0.2
+    depth_m = random.uniform(0.9, 1.1, (10, 13)).astype(np.float32)
+    place, radius_m = np.array([0.1, 0.05, 0.4, 0.0]), 0.15
+    below = depth_m - place[2]
+    off = [lines[k] + depth_m * lines[4 + k] - place[k] + below * lamp / LAMP_UP for k, lamp in enumerate((LAMP_X, LAMP_Y))]
+    inside = np.clip((radius_m - np.hypot(*off)) / (PENUMBRA * below) * 0.5 + 0.5, 0.0, 1.0)
+    light = 1.0 - SHADOW * inside**2 * (3.0 - 2.0 * inside)
+    assert light.min() < 0.8
+    fine = cv2.resize(light, (8 * 13, 8 * 10), interpolation=cv2.INTER_LINEAR)
+    expected, spot = raw.astype(float), np.s_[rect.top : rect.bottom, rect.left : rect.right]
+    expected[spot] *= fine[spot]
+    part = np.empty(light[rect.blocks].shape)
+    left_over = np.empty(8 * (part.shape[1] + 1), np.float32)
+    kernels.draw_shadow(raw, tuple(rect), tuple(lines), depth_m, place, radius_m, part, left_over)
+    off_by = np.abs(raw - expected)
+    assert off_by[4:71, 4:97].max() < 0.51
+    assert off_by.max() < 12.0  # beyond the outermost blocks' middles the light goes on straight here, and is constant there
 
 
 def test_noise_is_added_and_clipped() -> None:
@@ -63,22 +103,23 @@ def test_noise_is_added_and_clipped() -> None:
 
 
 def test_fields_of_a_rectangle_are_those_of_the_whole_picture() -> None:
-    """Slopes, caustic light and glare by block against the same in NumPy and OpenCV, whose samples are 1/32 px apart."""
+    """Bent lines, caustic light and glare by block against the same in NumPy and OpenCV, whose samples are 1/32 px apart."""
     size = ("camera.size_px=[320, 240]", "camera.focal_px=[251.25, 251.25]", "camera.centre_px=[159.5, 119.5]")
     experiment = load_experiment("pool", size)
     view, waters = CameraRays(experiment.camera), WaterLight(experiment, np.random.default_rng(5))
-    scene = WaterView(waters, view, np.ones_like(view.blocks.surface_x), np.ones((240, 320), np.float32))
-    window, depth_m, time_s = view.whole, 0.6, 0.7
-    lines, slopes = view.blocks, scene.slopes(window, waters.ripple_clock.loop_s(time_s))
+    scene = WaterView(waters, view, np.ones_like(view.blocks.surface_x))
+    depth_m, time_s = 0.6, 0.7
+    lines, slopes = view.blocks, scene.slopes(waters.ripple_clock.loop_s(time_s))
     x, y = lines.surface_x + depth_m * lines.water_x, lines.surface_y + depth_m * lines.water_y
     light = waters.light(*waters.caustics.grid_coordinates(x, y), np.float32(waters.reach(depth_m)), time_s)
-    found = scene.fields(window, depth_m, time_s)
-    assert found[..., :2] == pytest.approx(np.moveaxis(scene.bending * slopes, 0, -1), abs=1e-6)
-    assert np.abs(found[..., 2] - light).max() < 0.05 < np.ptp(light)
-    assert found[..., 3] == pytest.approx(scene.glare(window, slopes), abs=0.01)
-    assert found[..., 3].max() > 1.0
+    found = scene.fields(ImageRect(0, 240, 0, 320, 0, 30, 0, 40), depth_m, time_s)
+    bent = lines.deflected(scene.bending * slopes[0], scene.bending * slopes[1])
+    assert found[[SURFACE_X, SURFACE_Y, AIR_X, AIR_Y, WATER_X, WATER_Y]] == pytest.approx(np.stack(bent.planes), abs=1e-6)
+    assert np.abs(found[LIGHT] - light).max() < 0.05 < np.ptp(light)
+    assert found[GLARE] == pytest.approx(scene.glare(slopes), abs=0.01)
+    assert found[GLARE].max() > 1.0
     part = ImageRect(16, 80, 24, 120, 1, 11, 2, 16)
-    assert np.array_equal(scene.fields(part, depth_m, time_s), found[part.blocks])
+    assert np.array_equal(scene.fields(part, depth_m, time_s), found[:, *part.blocks])
 
 
 def test_a_picture_lies_between_two_of_each_loop() -> None:

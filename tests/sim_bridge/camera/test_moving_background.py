@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.interpolate import RegularGridInterpolator
 
 from sim_bridge.camera.moving_background import CameraSway
 from sim_bridge.camera.optics import project
@@ -105,16 +106,22 @@ def test_swings_are_smooth_bounded_and_repeatable() -> None:
     assert np.abs(np.diff(places, axis=0)).max() < 0.05 * 0.4 and np.abs(np.diff(turns, axis=0)).max() < 0.05 * 0.08
 
 
-def test_lines_of_sight_of_a_moved_camera_are_exact() -> None:
-    """Every 50th pixel in a tilted pose, down to the floor and back by projection."""
+@pytest.mark.parametrize("step_px, most_px", [(8.0, 0.002), (9.7, 0.006)], ids=["blocks", "between and around them"])
+def test_lines_of_sight_of_a_moved_camera(step_px: float, most_px: float) -> None:
+    """In a tilted pose, to the floor and back by projection; between blocks interpolated, and beyond the outermost straight
+    on."""
     camera = load_experiment("drone").camera
     tilted = camera.model_copy(update={"rotation_rad": (0.06, -0.05, 0.4), "position_m": (0.3, -0.2, -3.0)})
-    view = CameraRays(camera).moved(tilted)
-    lines = view.lines(view.whole)[np.s_[::50, ::50]]
-    column, row = np.meshgrid(np.arange(1280)[::50], np.arange(960)[::50])
-    points = np.stack([lines.surface_x + lines.water_x, lines.surface_y + lines.water_y, np.ones_like(lines.water_x)], axis=-1)
-    seen = project(tilted, points.reshape(-1, 3).astype(float)).reshape(*column.shape, 2)
-    assert np.abs(seen - np.stack([column, row], axis=-1)).max() < 0.002
+    lines = CameraRays(camera).moved(tilted).blocks
+    blocks = np.arange(3.5, 960.0, 8.0), np.arange(3.5, 1280.0, 8.0)
+    start_px = 3.5 if step_px == 8.0 else 0.0
+    wanted = np.stack(
+        np.meshgrid(np.arange(start_px, 960.0, step_px), np.arange(start_px, 1280.0, step_px), indexing="ij"), -1
+    )
+    ends = [lines.surface_x + lines.water_x, lines.surface_y + lines.water_y]
+    x, y = (RegularGridInterpolator(blocks, plane, bounds_error=False, fill_value=None)(wanted) for plane in ends)
+    seen = project(tilted, np.column_stack([x.ravel(), y.ravel(), np.ones(x.size)]))[:, ::-1].reshape(wanted.shape)
+    assert np.abs(seen - wanted).max() < most_px
 
 
 def test_a_picture_of_odd_size_is_the_even_one_less_its_edge() -> None:

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import brentq
 
-from sim_bridge.camera.optics import optical_path_m, project, rays, refraction_points
+from sim_bridge.camera.optics import Optics, project, rays
 from wire.config.experiment import load_experiment
 from wire.config.perception import Camera
 from wire.frames import Array
@@ -44,7 +44,7 @@ def _travel_time_is_least(camera: Camera, point: Array) -> Array:
 def test_light_takes_the_quickest_way(camera: Camera, place: tuple[float, float, float]) -> None:
     point = np.array(place)
     crossing = _travel_time_is_least(camera, point)
-    assert refraction_points(camera, point)[0] == pytest.approx(crossing, abs=1e-8)
+    assert Optics(camera).see(point).crossings[0] == pytest.approx(crossing, abs=1e-8)
     matrix = np.array([[camera.focal_px[0], 0, camera.centre_px[0]], [0, camera.focal_px[1], camera.centre_px[1]], [0, 0, 1]])
     seen = cv2.Rodrigues(np.array(camera.rotation_rad))[0] @ (crossing - np.array(camera.position_m))
     expected = cv2.projectPoints(seen[None], np.zeros(3), np.zeros(3), matrix, np.array(camera.distortion))[0].ravel()
@@ -105,6 +105,6 @@ def test_optical_path_grows_along_a_ray() -> None:
     depths = np.array([0.0, 0.1, 0.5, 0.9])
     points = np.column_stack([lines.surface_m + depths[:, None] * lines.water, depths])
     length = np.linalg.norm(np.append(lines.water, 1.0))
-    path = optical_path_m(CAMERA, points)
+    path = Optics(CAMERA).see(points).path_m
     assert np.diff(path) == pytest.approx(CAMERA.water_index * length * np.diff(depths))
     assert path[0] == pytest.approx(np.hypot(2.8, np.linalg.norm(lines.surface_m)))

@@ -63,7 +63,32 @@ def test_nearness_is_that_of_the_nearest_pair() -> None:
         kernels.sort_by_x(place, order)
         assert (np.diff(place[order, 0]) >= 0).all()
         apart = np.linalg.norm(place[:, None] - place, axis=2)[np.triu_indices(12, 1)]
-        near = bool(apart.min() < 2 * 0.15 + 0.1)
-        assert kernels.is_near(place, order, basin.constants, np.empty((3, 12))) is near
-        answers.add(near)
+        for margin_m in (0.1, 0.3):
+            near = bool(apart.min() < 2 * 0.15 + margin_m)
+            assert kernels.is_near(place, order, basin.constants, margin_m, np.empty((3, 12))) is near
+            answers.add(near)
     assert answers == {True, False}
+
+
+def test_nearness_is_not_forgotten_while_nobody_is_near() -> None:
+    """Robots that swarm about: with the places remembered at which all were far apart, a step finds contact exactly where a
+    search without any memory does. Now and then they are put anywhere."""
+    random = np.random.default_rng(8)
+    basin = ContactModel(load_experiment("pool", ["pool.size_m=[6, 5, 3]"]))
+    n, fleet = 5, kernels.memory(5)
+    memory = np.arange(n), fleet, np.empty((4, n, 3)), np.empty((n, 6)), np.empty((3, n)), np.full((1, 24), np.nan)
+    place, speed, answers, searches = np.zeros((n, 3)), np.zeros((n, 3)), [], 0
+    for step in range(4000):
+        if step % 400 == 0:
+            place = random.uniform([-2.8, -2.3, 0.2], [2.8, 2.3, 2.8], (n, 3))
+        speed = 0.98 * speed + random.normal(0.0, 0.002, (n, 3)) - 0.0005 * (place - [0.0, 0.0, 1.2])
+        place = place + speed
+        kernels.to_fleet(np.column_stack([place, np.zeros(n)]), fleet, kernels.POSE)
+        calm_m, order = memory[5].copy(), np.arange(n)
+        near = kernels.begins_near(fleet, basin.constants, memory)
+        kernels.sort_by_x(place, order)
+        assert near is kernels.is_near(place, order, basin.constants, kernels.NEAR_M, np.empty((3, n)))
+        answers.append(near)
+        searches += near or not np.array_equal(calm_m, memory[5], equal_nan=True)
+    assert 0.1 < np.mean(answers) < 0.9
+    assert searches < 0.9 * len(answers)
