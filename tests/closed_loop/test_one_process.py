@@ -125,9 +125,10 @@ def test_at_a_pace_each_second_takes_its_time_and_the_bits_stay(tmp_path: Path) 
         ticks_s.clear()
         assert Executor(experiment, folder, MemoryHub(), poses=True, pace=most).fly(lambda: ticks_s.append(time.monotonic()))
     least_s = experiment.controller.period_s / pace
-    # A tick may be noted late, and then the next one seems early: half of them are not.
+    # A tick may be noted late, and then the next ones seem early: half of them are not.
     assert statistics.median(after - before for before, after in itertools.pairwise(ticks_s)) > 0.9 * least_s
-    assert ticks_s[-1] - ticks_s[0] >= 0.99 * least_s * (len(ticks_s) - 1)
+    later = [(ticks_s[-1] - tick_s, len(ticks_s) - 1 - k) for k, tick_s in enumerate(ticks_s[: len(ticks_s) // 2])]
+    assert any(took_s >= 0.99 * least_s * ticks for took_s, ticks in later)
     assert compare_pulses.main(*map(str, folders)) == 0
 
 
