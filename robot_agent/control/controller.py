@@ -25,6 +25,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from robot_agent.control.approach import Approach, Approaching
 from robot_agent.control.heading import HeadingReference
 from robot_agent.control.law import Law, guidance_config, make_law
 from robot_agent.control.mpc import Mpc, MpcPlan
@@ -165,6 +166,8 @@ class Controller:
         self._law: Law = make_law(vehicle, model, config, period_s, self.formation.rows)
         self._shortness = self._law.shortness if isinstance(self._law, Mpc) else 0.0
         self._heading = HeadingReference(vehicle, guidance_config(config), period_s, config.estimator.sway, self._shortness)
+        plans = config.guidance.enabled and config.guidance.plan_start and config.estimator.sway and not has_leader
+        self._approach = Approach(vehicle, model, config, room_m) if plans and isinstance(self._law, Mpc) else None
         self.allocator = Allocator(vehicle)
         # Plans begin at the instant of action and are told from now on: rows of the one for the other
         self._told_rows = np.interp(steps_s, np.concatenate([[0.0], nodes_s]), np.arange(horizon + 2.0))
@@ -190,6 +193,8 @@ class Controller:
         self._config, self._weight = tuned.config, np.array(tuned.config.mpc.q)
         self._estimator.tune(tuned.config.estimator)
         self._heading.tune(guidance_config(tuned.config))
+        if self._approach is not None:
+            self._approach.tune(tuned.config)
         self.formation.set_weight(self._formation_weight(tuned.config))
         if tuned.mpc is not None and isinstance(self._law, Mpc):
             tuned.mpc.take_over_plan(self._law)
@@ -215,8 +220,12 @@ class Controller:
         lead = reference
         if isinstance(goal, Follow):
             lead = self._avoidance_path(reference, predictions, obstacles, estimate, now_ns)
-        weight, command = self._command(goal, lead, predictions, estimate)
-        predicted_path = self._law.predicted_path(estimate.action)
+        approaching = self._approaching(goal, reference, lead, estimate, now_ns)
+        if approaching is None:
+            weight, command = self._command(goal, lead, predictions, estimate)
+            predicted_path = self._law.predicted_path(estimate.action)
+        else:
+            weight, command, predicted_path = self._weight, approaching.command, approaching.command[1:]
         keep_clear = self.formation.half_spaces(
             predictions, predicted_path, self._priority, now_ns, (*self._islands, *obstacles)
         )
@@ -224,6 +233,8 @@ class Controller:
             estimate.action, estimate.disturbance, self._wrench, command[1:], weight, keep_clear, estimate.current,
             self._delivered,
         )  # fmt: skip
+        if approaching is not None and not keep_clear.binds(predicted_path):
+            plan = self._as_planned(plan, approaching)
         is_free = lead is reference and not keep_clear.binds(plan.eta)
         return self._put_out(plan, estimate, reference, lead, command, is_free, now_ns)
 
@@ -240,6 +251,31 @@ class Controller:
             self._heading.reset()
             self._give_way.reset()
             self._turns = None
+            if self._approach is not None and isinstance(goal, Follow):
+                self._approach.begin()
+
+    def _approaching(
+        self, goal: Goal, reference: Reference, lead: Reference, estimate: Estimate, now_ns: int
+    ) -> Approaching | None:
+        """Return the approach to the path, if there is one. A robot that leaves its path for others has none."""
+        if self._approach is None or not isinstance(goal, Follow):
+            return None
+        if lead is not reference:
+            self._approach.drop()
+            return None
+        return self._approach.step(goal, reference.eta, estimate, self._wrench, self._heading, now_ns)
+
+    def _as_planned(self, plan: MpcPlan, approaching: Approaching) -> MpcPlan:
+        """The approach's surge, yaw and places in the plan, within the limits."""
+        if plan.solve is not Solve.SOLVED:
+            return plan
+        limit, step = self._vehicle.limits.wrench, self._vehicle.limits.wrench_step(self._config.period_s)
+        wrench, eta = plan.wrench.copy(), approaching.command[1:].copy()
+        for axis, asked in ((0, approaching.surge_n), (2, approaching.yaw_nm)):
+            least, most = self._wrench.item(axis) - step[axis], self._wrench.item(axis) + step[axis]
+            wrench[axis] = min(max(min(max(asked, least), most), -limit[axis]), limit[axis])
+        eta[:, 2] = plan.eta[:, 2]
+        return plan._replace(wrench=wrench, eta=eta)
 
     def _avoidance_path(
         self,
