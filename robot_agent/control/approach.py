@@ -133,8 +133,8 @@ class Approach:
         half = np.array(room_m if room_m is not None else (math.inf, math.inf)) / 2.0 - vehicle.radius_m
         self._half_x, self._half_y = half.tolist()
         self._limit = np.array((vehicle.limits.wrench, vehicle.limits.wrench_rate_per_s))[:, [0, 2]].copy()
-        self._goals = np.empty((NODES + 1, GOALS))
-        self._states, self._inputs = np.zeros((NODES + 1, STATES)), np.zeros((NODES, INPUTS))
+        self.goals = np.empty((NODES + 1, GOALS))
+        self.states, self._inputs = np.zeros((NODES + 1, STATES)), np.zeros((NODES, INPUTS))
         self._other = np.zeros((NODES + 1, STATES)), np.zeros((NODES, INPUTS))
         self._first, self._damping = np.zeros(NODES), np.empty(1)  # surge's inputs of the flight found first
         self._work = (
@@ -151,49 +151,49 @@ class Approach:
         surge, _, yaw = (LIVELY * WEIGHED_S**2 * weight for weight in config.mpc.r)
         place = 0.5 * (x + y)
         heading, end, end_heading = HEADING * place, END_S * place, END_RAD2 * place
-        self._weight = np.array((x, y, heading, heading, surge, yaw, end, end_heading, end, end_heading, CALM * surge))
-        self._free_weight = np.append(self._weight[:-1], 0.0)
+        self.weight = np.array((x, y, heading, heading, surge, yaw, end, end_heading, end, end_heading, CALM * surge))
+        self._free_weight = np.append(self.weight[:-1], 0.0)
 
     def begin(self) -> None:
         """Wait for the robot to be so near to its path that it can join it."""
-        self._waits, self._flies = True, False
+        self.waits, self.flies = True, False
         self._begun_ns = self._again_ns = self._stepped_ns = 0
 
     def drop(self) -> None:
         """End the approach: the robot is on its path, or has to do something else."""
-        self._waits = self._flies = False
+        self.waits = self.flies = False
 
     def step(
         self, goal: Follow, path: Array, estimate: Estimate, wrench: Array, heading: HeadingReference, now_ns: int
     ) -> Approaching | None:
         """Plan from the estimate and the `wrench` (3,) asked for last; None if there is no approach. `path` (horizon + 2, 4)
         is the goal's reference."""
-        if self._waits:
+        if self.waits:
             off_m = math.hypot(path[0, 0] - estimate.eta[0], path[0, 1] - estimate.eta[1])
-            self._waits = off_m >= FROM_M
+            self.waits = off_m >= FROM_M
             if off_m > TO_M or now_ns < self._again_ns:
                 return None
-        if not (self._waits or self._flies):
+        if not (self.waits or self.flies):
             return None
         start = self._start(estimate, wrench)
         self._set_goals(goal, estimate, heading)
-        finite = math.isfinite(self._find(start, estimate) if self._waits else self._go_on(start, estimate, now_ns))
+        finite = math.isfinite(self._find(start, estimate) if self.waits else self._go_on(start, estimate, now_ns))
         self._stepped_ns = now_ns
         if not finite or self._leaves_the_pool(start):
             self.drop()
             return None
-        node = joins_at(self._states, self._goals)
-        if self._waits:
+        node = joins_at(self.states, self.goals)
+        if self.waits:
             if node > NODES:
                 self._again_ns = now_ns + round(AGAIN_S * 1e9)
                 return None
-            self._waits, self._flies, self._begun_ns = False, True, now_ns
+            self.waits, self.flies, self._begun_ns = False, True, now_ns
         elif node == 0 or now_ns - self._begun_ns > LASTS_S * 1e9:
             self.drop()
             heading.reset(on_path=True)
             return None
         command = path.copy()
-        sample_flight(self._states, estimate.action, self._later_s, NODE_S, self._period_s, command[1:])
+        sample_flight(self.states, estimate.action, self._later_s, NODE_S, self._period_s, command[1:])
         command[0] = command[1]
         surge_n, _, yaw_nm = wrench.tolist()
         surge_rate, yaw_rate = self._inputs[0].tolist()
@@ -213,8 +213,8 @@ class Approach:
         """Write the goals: the path, with the headings in which it is flown."""
         eta, velocity, acceleration = (rows[1:] for rows in self._sampler.sample(goal))
         heading.turn_along_path(eta, velocity, acceleration, estimate.disturbance, estimate.current)
-        near_rad = float(estimate.eta[3]) if self._waits else self._yaw
-        self._yaw = set_goals(eta, velocity, estimate.current, near_rad, self._goals)
+        near_rad = float(estimate.eta[3]) if self.waits else self._yaw
+        self._yaw = set_goals(eta, velocity, estimate.current, near_rad, self.goals)
 
     def _find(self, start: Array, estimate: Estimate) -> float:
         """Find a flight, and return its cost: the better of two, each to the whole turns that are nearest to its guess."""
@@ -222,32 +222,32 @@ class Approach:
         for ahead in (1.0, -1.0):
             states, inputs = self._other
             states[0], self._damping[0] = start, FIRST_DAMPING
-            guess(*self._water(estimate), NODE_S, self._goals, self._limit, ahead, states, inputs)
-            turned = TURN * np.rint((states[-1, 2] - self._goals[-1, 2]) / TURN)
-            self._goals[:, 2] += turned
+            guess(*self._water(estimate), NODE_S, self.goals, self._limit, ahead, states, inputs)
+            turned = TURN * np.rint((states[-1, 2] - self.goals[-1, 2]) / TURN)
+            self.goals[:, 2] += turned
             cost = self._optimise(states, inputs, estimate, np.zeros(NODES), self._free_weight, FIRST_ITERATIONS)
-            self._goals[:, 2] -= turned
+            self.goals[:, 2] -= turned
             if cost < least:
                 least, self._yaw = cost, yaw + turned
-                self._other = self._states, self._inputs
-                self._states, self._inputs = states, inputs
-        self._goals[:, 2] += self._yaw - yaw
+                self._other = self.states, self._inputs
+                self.states, self._inputs = states, inputs
+        self.goals[:, 2] += self._yaw - yaw
         self._first[:] = self._inputs[:, 0]
         return least
 
     def _go_on(self, start: Array, estimate: Estimate, now_ns: int) -> float:
         """Improve the last step's flight, from where the robot is by now, and return its cost."""
         move_on(self._inputs, (now_ns - self._stepped_ns) * 1e-9 / NODE_S)
-        self._states[0] = start
+        self.states[0] = start
         node, flown_s = np.arange(NODES, dtype=np.float64), (now_ns - self._begun_ns) * 1e-9
         planned = np.interp(node + flown_s / NODE_S, node, self._first, right=0.0)
-        return self._optimise(self._states, self._inputs, estimate, planned, self._weight, ITERATIONS)
+        return self._optimise(self.states, self._inputs, estimate, planned, self.weight, ITERATIONS)
 
     def _optimise(
         self, states: Array, inputs: Array, estimate: Estimate, planned: Array, weight: Array, iterations: int
     ) -> float:
         return optimise(
-            *self._water(estimate), NODE_S, self._goals, planned, weight, self._limit, iterations, states, inputs,
+            *self._water(estimate), NODE_S, self.goals, planned, weight, self._limit, iterations, states, inputs,
             self._damping, *self._work,
         )  # fmt: skip
 
@@ -257,5 +257,5 @@ class Approach:
 
     def _leaves_the_pool(self, start: Array) -> bool:
         """True if the flight gets out of the pool farther than its start or its goals."""
-        given = [farthest_out(places, self._half_x, self._half_y) for places in (start[None], self._goals)]
-        return farthest_out(self._states, self._half_x, self._half_y) > max(*given, 0.0) + JOINED_M
+        given = [farthest_out(places, self._half_x, self._half_y) for places in (start[None], self.goals)]
+        return farthest_out(self.states, self._half_x, self._half_y) > max(*given, 0.0) + JOINED_M

@@ -10,6 +10,7 @@ Data flow of `Controller.step`:
                 -> GiveWay (velocity_obstacles.py)   the same reference, or one around robots and obstacles in the way
     neighbours  -> Formation (formation.py)          weighted reference (35), half-spaces (36)
                 -> HeadingReference (heading.py)     heading in which surge thrust corrects lateral errors
+                -> Approach (approach.py)            at a path's beginning, surge and yaw onto it, planned together
                 -> Mpc (mpc.py, active_set.py)       wrench over the horizon (35 to 40), or another law (law.py)
                 -> Allocator (allocation.py)         pulse widths of 4 thrusters and 4 ankles
 
@@ -167,7 +168,7 @@ class Controller:
         self._shortness = self._law.shortness if isinstance(self._law, Mpc) else 0.0
         self._heading = HeadingReference(vehicle, guidance_config(config), period_s, config.estimator.sway, self._shortness)
         plans = config.guidance.enabled and config.guidance.plan_start and config.estimator.sway and not has_leader
-        self._approach = Approach(vehicle, model, config, room_m) if plans and isinstance(self._law, Mpc) else None
+        self.approach = Approach(vehicle, model, config, room_m) if plans and isinstance(self._law, Mpc) else None
         self.allocator = Allocator(vehicle)
         # Plans begin at the instant of action and are told from now on: rows of the one for the other
         self._told_rows = np.interp(steps_s, np.concatenate([[0.0], nodes_s]), np.arange(horizon + 2.0))
@@ -193,8 +194,8 @@ class Controller:
         self._config, self._weight = tuned.config, np.array(tuned.config.mpc.q)
         self._estimator.tune(tuned.config.estimator)
         self._heading.tune(guidance_config(tuned.config))
-        if self._approach is not None:
-            self._approach.tune(tuned.config)
+        if self.approach is not None:
+            self.approach.tune(tuned.config)
         self.formation.set_weight(self._formation_weight(tuned.config))
         if tuned.mpc is not None and isinstance(self._law, Mpc):
             tuned.mpc.take_over_plan(self._law)
@@ -251,19 +252,19 @@ class Controller:
             self._heading.reset()
             self._give_way.reset()
             self._turns = None
-            if self._approach is not None and isinstance(goal, Follow):
-                self._approach.begin()
+            if self.approach is not None and isinstance(goal, Follow):
+                self.approach.begin()
 
     def _approaching(
         self, goal: Goal, reference: Reference, lead: Reference, estimate: Estimate, now_ns: int
     ) -> Approaching | None:
         """Return the approach to the path, if there is one. A robot that leaves its path for others has none."""
-        if self._approach is None or not isinstance(goal, Follow):
+        if self.approach is None or not isinstance(goal, Follow):
             return None
         if lead is not reference:
-            self._approach.drop()
+            self.approach.drop()
             return None
-        return self._approach.step(goal, reference.eta, estimate, self._wrench, self._heading, now_ns)
+        return self.approach.step(goal, reference.eta, estimate, self._wrench, self._heading, now_ns)
 
     def _as_planned(self, plan: MpcPlan, approaching: Approaching) -> MpcPlan:
         """The approach's surge, yaw and places in the plan, within the limits."""

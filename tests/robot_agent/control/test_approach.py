@@ -119,7 +119,7 @@ def test_a_robot_as_light_as_two_thirds_of_its_file_does_not_swing() -> None:
 
 
 @pytest.mark.long
-def test_what_is_the_same_is_flown_the_same() -> None:
+def test_a_start_repeats_to_the_bit() -> None:
     first, again = ([state.wrench for state in flown("pool", "duration_s=4", f"title='{n}'").states[0]] for n in ("a", "b"))
     assert np.array_equal(first, again)
 
@@ -132,12 +132,12 @@ def steps(controller: Controller, count: int, **beginning: float) -> Iterator[tu
     for k in range(count):
         output = controller.step(at(k, **beginning), Follow(GOAL.trajectory, 0.05 * k), [], k * STEP_NS)
         check(output)
-        yield output, approach(controller)._flies
+        yield output, approach(controller).flies
 
 
 def approach(controller: Controller) -> Approach:
-    assert controller._approach is not None
-    return controller._approach
+    assert controller.approach is not None
+    return controller.approach
 
 
 def of(*settings: str, **more: tuple[float, float]) -> Controller:
@@ -149,7 +149,7 @@ def test_a_robot_on_its_path_or_far_from_it_does_not_approach() -> None:
     for off_m in (0.8 * FROM_M, 0.7):
         controller = of()
         assert not any(flies for _, flies in steps(controller, 10, x=0.625 + off_m))
-        assert approach(controller)._waits == (off_m > FROM_M)  # it may come near
+        assert approach(controller).waits == (off_m > FROM_M)  # it may come near
 
 
 def test_a_robot_that_cannot_move_gives_up_in_time() -> None:
@@ -162,7 +162,7 @@ def test_a_robot_that_cannot_move_gives_up_in_time() -> None:
     "settings", [WITHOUT, "controller.guidance.enabled=false", "controller.estimator.sway=false", 'controller.law="pid"']
 )
 def test_there_is_none_where_it_is_off_or_cannot_be(settings: str) -> None:
-    assert of(settings)._approach is None
+    assert of(settings).approach is None
 
 
 def test_a_flight_that_leads_farther_out_of_the_pool_than_its_start_is_not_begun() -> None:
@@ -170,8 +170,8 @@ def test_a_flight_that_leads_farther_out_of_the_pool_than_its_start_is_not_begun
     start = {"x": 0.6, "y": -0.2, "yaw": 0.5}
     free = of()
     assert next(steps(free, 1, **start))[1]
-    swings_to_m = float(approach(free)._states[:, 0].max())
-    assert swings_to_m > approach(free)._goals[:, 0].max() + 4.0 * JOINED_M
+    swings_to_m = float(approach(free).states[:, 0].max())
+    assert swings_to_m > approach(free).goals[:, 0].max() + 4.0 * JOINED_M
     for room_m, begins in ((1e-6, True), (-1e-6, False)):
         wall_m = swings_to_m + VEHICLE.radius_m - JOINED_M + room_m
         assert next(steps(of(room_m=(2.0 * wall_m, 9.0)), 1, **start))[1] == begins
@@ -184,16 +184,16 @@ def test_a_robot_that_leaves_its_path_for_an_obstacle_approaches_no_more() -> No
     for k in range(5, 25):
         output = controller.step(at(k, x=0.775), Follow(GOAL.trajectory, 0.05 * k), [], k * STEP_NS, (ahead,))
         check(output)
-    assert output.path_is_blocked and not approach(controller)._flies and not approach(controller)._waits
+    assert output.path_is_blocked and not approach(controller).flies and not approach(controller).waits
     assert not any(flies for _, flies in steps(controller, 5, x=0.775))
 
 
 def test_tuning_changes_its_weights_alone() -> None:
     controller = of()
     assert next(steps(controller, 1, x=0.775))[1]
-    before = approach(controller)._weight
+    before = approach(controller).weight
     tuned = load_experiment("pool", ["controller.mpc.r=[0.1,0.05,16.0]"]).controller
     controller.adopt_gains(controller.prepare_gains(tuned))
-    after = approach(controller)._weight
-    assert after[[4, 5, 10]] == pytest.approx(2.0 * before[[4, 5, 10]]) and approach(controller)._flies
+    after = approach(controller).weight
+    assert after[[4, 5, 10]] == pytest.approx(2.0 * before[[4, 5, 10]]) and approach(controller).flies
     assert np.array_equal(np.delete(after, [4, 5, 10]), np.delete(before, [4, 5, 10]))
