@@ -10,6 +10,7 @@ Data flow of `Controller.step`:
                 -> GiveWay (velocity_obstacles.py)   the same reference, or one around robots and obstacles in the way
     neighbours  -> Formation (formation.py)          weighted reference (35), half-spaces (36)
                 -> HeadingReference (heading.py)     heading in which surge thrust corrects lateral errors
+                -> Approach (approach.py)            at a path's beginning, surge and yaw onto it, planned together
                 -> Mpc (mpc.py, active_set.py)       wrench over the horizon (35 to 40), or another law (law.py)
                 -> Allocator (allocation.py)         pulse widths of 4 thrusters and 4 ankles
 
@@ -25,6 +26,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from robot_agent.control.approach import Approach, Approaching
 from robot_agent.control.heading import HeadingReference
 from robot_agent.control.law import Law, guidance_config, make_law
 from robot_agent.control.mpc import Mpc, MpcPlan
@@ -165,6 +167,8 @@ class Controller:
         self._law: Law = make_law(vehicle, model, config, period_s, self.formation.rows)
         self._shortness = self._law.shortness if isinstance(self._law, Mpc) else 0.0
         self._heading = HeadingReference(vehicle, guidance_config(config), period_s, config.estimator.sway, self._shortness)
+        plans = config.guidance.enabled and config.guidance.plan_start and config.estimator.sway and not has_leader
+        self.approach = Approach(vehicle, model, config, room_m) if plans and isinstance(self._law, Mpc) else None
         self.allocator = Allocator(vehicle)
         # Plans begin at the instant of action and are told from now on: rows of the one for the other
         self._told_rows = np.interp(steps_s, np.concatenate([[0.0], nodes_s]), np.arange(horizon + 2.0))
@@ -190,6 +194,8 @@ class Controller:
         self._config, self._weight = tuned.config, np.array(tuned.config.mpc.q)
         self._estimator.tune(tuned.config.estimator)
         self._heading.tune(guidance_config(tuned.config))
+        if self.approach is not None:
+            self.approach.tune(tuned.config)
         self.formation.set_weight(self._formation_weight(tuned.config))
         if tuned.mpc is not None and isinstance(self._law, Mpc):
             tuned.mpc.take_over_plan(self._law)
@@ -215,8 +221,12 @@ class Controller:
         lead = reference
         if isinstance(goal, Follow):
             lead = self._avoidance_path(reference, predictions, obstacles, estimate, now_ns)
-        weight, command = self._command(goal, lead, predictions, estimate)
-        predicted_path = self._law.predicted_path(estimate.action)
+        approaching = self._approaching(goal, reference, lead, estimate, now_ns)
+        if approaching is None:
+            weight, command = self._command(goal, lead, predictions, estimate)
+            predicted_path = self._law.predicted_path(estimate.action)
+        else:
+            weight, command, predicted_path = self._weight, approaching.command, approaching.command[1:]
         keep_clear = self.formation.half_spaces(
             predictions, predicted_path, self._priority, now_ns, (*self._islands, *obstacles)
         )
@@ -224,6 +234,8 @@ class Controller:
             estimate.action, estimate.disturbance, self._wrench, command[1:], weight, keep_clear, estimate.current,
             self._delivered,
         )  # fmt: skip
+        if approaching is not None and not keep_clear.binds(predicted_path):
+            plan = self._as_planned(plan, approaching)
         is_free = lead is reference and not keep_clear.binds(plan.eta)
         return self._put_out(plan, estimate, reference, lead, command, is_free, now_ns)
 
@@ -240,6 +252,31 @@ class Controller:
             self._heading.reset()
             self._give_way.reset()
             self._turns = None
+            if self.approach is not None and isinstance(goal, Follow):
+                self.approach.begin()
+
+    def _approaching(
+        self, goal: Goal, reference: Reference, lead: Reference, estimate: Estimate, now_ns: int
+    ) -> Approaching | None:
+        """Return the approach to the path, if there is one. A robot that leaves its path for others has none."""
+        if self.approach is None or not isinstance(goal, Follow):
+            return None
+        if lead is not reference:
+            self.approach.drop()
+            return None
+        return self.approach.step(goal, reference.eta, estimate, self._wrench, self._heading, now_ns)
+
+    def _as_planned(self, plan: MpcPlan, approaching: Approaching) -> MpcPlan:
+        """The approach's surge, yaw and places in the plan, within the limits."""
+        if plan.solve is not Solve.SOLVED:
+            return plan
+        limit, step = self._vehicle.limits.wrench, self._vehicle.limits.wrench_step(self._config.period_s)
+        wrench, eta = plan.wrench.copy(), approaching.command[1:].copy()
+        for axis, asked in ((0, approaching.surge_n), (2, approaching.yaw_nm)):
+            least, most = self._wrench.item(axis) - step[axis], self._wrench.item(axis) + step[axis]
+            wrench[axis] = min(max(min(max(asked, least), most), -limit[axis]), limit[axis])
+        eta[:, 2] = plan.eta[:, 2]
+        return plan._replace(wrench=wrench, eta=eta)
 
     def _avoidance_path(
         self,

@@ -184,10 +184,10 @@ class HeadingReference:
         self._settings[3], self._settings[4] = config.position_gain_per_s2 * pace**2, config.velocity_gain_per_s * pace
         self._keep = self._settings[5] = math.exp(-pace * self._period_s / config.filter_s)
 
-    def reset(self) -> None:
-        """Start anew, from the goal's own heading."""
+    def reset(self, on_path: bool = False) -> None:
+        """Start anew, from the goal's own heading. `on_path`: the first request is filtered as all later ones are."""
         # filtered request x, y; thrust ahead 1, astern -1; rest of a jump; 1: nothing yet
-        self._memory = np.array((0.0, 0.0, 1.0, 0.0, 1.0))
+        self._memory = np.array((0.0, 0.0, 1.0, 0.0, 0.0 if on_path else 1.0))
         self._hold_yaw: float | None = None
 
     def turn_along(
@@ -198,6 +198,16 @@ class HeadingReference:
         headings_along(
             command, reference.velocity, reference.acceleration, eta, nu, disturbance[1], current, self._sway, self._settings,
             self._memory,
+        )  # fmt: skip
+
+    def turn_along_path(
+        self, eta: Array, velocity: Array, acceleration: Array, disturbance: Array, current: complex = 0j
+    ) -> None:
+        """Turn poses on a path (rows, 4), with its motion (rows, 4 each), as for a robot that is on it. The memory stays."""
+        ahead = complex(math.cos(eta[0, 3]), -math.sin(eta[0, 3])) * complex(velocity[0, 0], velocity[0, 1])
+        headings_along(
+            eta, velocity, acceleration, eta[0].copy(), np.array((ahead.real, ahead.imag, 0.0, 0.0)), disturbance[1], current,
+            self._sway, self._settings, np.array((0.0, 0.0, 1.0, 0.0, 1.0)),
         )  # fmt: skip
 
     def heading_on_hold(self, reference: Reference, eta: Array, nu: Array, disturbance: Array, current: complex = 0j) -> Array:

@@ -23,6 +23,7 @@ ROOT = Path(__file__).parents[2]
 KERNEL_TESTS = [
     "tests/robot_agent/control/test_linearisation.py",
     "tests/robot_agent/control/test_short_horizon.py",
+    "tests/robot_agent/control/test_trajectory_optimisation.py",
     "tests/robot_agent/guidance/test_guidance_kernels.py",
     "tests/robot_agent/guidance/test_reference.py::test_headings_are_those_of_the_force_in_vectors",
     "tests/robot_agent/safety/test_safety_kernels.py",

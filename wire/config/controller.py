@@ -120,6 +120,9 @@ class GuidanceConfig(Section):
     filter_s: Annotated[float, Field(gt=0, le=30), LIVE] = 1.0
     """Time constant of the force that feeds back; on slow paths slight forces, mostly noise, take three times as long. 2.0
     overshoots by 4 cm."""
+    plan_start: bool = True
+    """Plan the whole flight onto a path from up to 0.6 m off it: turn and thrust together. Only `eso-mpc` with `sway`,
+    without a leader."""
     hold_radius_m: Annotated[float, Field(gt=0, le=5), LIVE] = 0.06
     """Station keeping: nearer to the place than this, the heading stays as it is."""
 
