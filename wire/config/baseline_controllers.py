@@ -47,46 +47,46 @@ class BacksteppingConfig(FeedbackLawConfig):
     """Decay rates of the errors and of the velocity errors, and the weight of the first in the Lyapunov function, in which the
     second has weight one."""
 
-    guidance_per_s2: NotNegative = 0.0975
-    error_per_s: Gains = (0.102, 0.797, 2.41)
+    guidance_per_s2: NotNegative = 0.155
+    error_per_s: Gains = (0.0576, 0.889, 3.87)
     """Decay rate of the errors."""
-    velocity_per_s: Gains = (0.801, 2.62, 0.448)
+    velocity_per_s: Gains = (2.28, 0.394, 1.71)
     """Decay rate of the velocity errors."""
-    coupling_per_s2: Gains = (0.292, 0.169, 0.476)
+    coupling_per_s2: Gains = (0.645, 0.0355, 4.71)
     """Weight of the errors in the Lyapunov function, in which the velocity errors have weight 1."""
 
 
 class PidConfig(FeedbackLawConfig):
     """One independent loop per axis."""
 
-    guidance_per_s2: NotNegative = 0.22
-    p: Gains = (7.63, 11.8, 0.781)
+    guidance_per_s2: NotNegative = 0.256
+    p: Gains = (15.9, 11.1, 0.787)
     """Proportional gain, N/m, N/m and N m/rad."""
-    i: Gains = (1.92, 1.75, 0.0227)
+    i: Gains = (4.41, 1.36, 0.0633)
     """Integral gain, the same per second."""
-    d: Gains = (7.57, 7.22, 0.162)
+    d: Gains = (14.0, 3.58, 0.0978)
     """Derivative gain, N s/m, N s/m and N m s/rad."""
 
 
 class LqrConfig(FeedbackLawConfig):
     """Weights of squared errors and of squared velocity errors; that of the wrench is 1 / limit^2 (Bryson's rule)."""
 
-    guidance_per_s2: NotNegative = 0.102
-    error: Gains = (3.88, 4.59, 4.02)
+    guidance_per_s2: NotNegative = 0.132
+    error: Gains = (5.38, 13.3, 8.87)
     """Weight of squared errors."""
-    velocity: Gains = (1.0, 0.892, 1.08)
+    velocity: Gains = (27.8, 7.11, 0.277)
     """Weight of squared velocity errors."""
 
 
 class SlidingModeConfig(FeedbackLawConfig):
     """s = velocity error + slope error. The switching term is `reach` m/s^2 strong, and linear for |s| < `layer` m/s."""
 
-    guidance_per_s2: NotNegative = 0.0831
-    slope_per_s: Gains = (0.351, 1.35, 1.97)
+    guidance_per_s2: NotNegative = 0.0978
+    slope_per_s: Gains = (0.67, 0.946, 1.49)
     """Slope of the sliding surface."""
-    reach: Gains = (0.377, 0.281, 1.0)
+    reach: Gains = (0.16, 0.0673, 0.872)
     """Strength of the switching term, m/s^2 and rad/s^2."""
-    layer: Scales = (0.106, 0.0748, 0.0709)
+    layer: Scales = (0.149, 0.0316, 0.071)
     """Boundary layer, m/s and rad/s: within it the switching term is linear, so that it does not chatter."""
 
 
@@ -94,24 +94,24 @@ class FuzzyConfig(FeedbackLawConfig):
     """Errors and velocity errors that count as "big", and what the rules' verdict (-1 to 1) does, as a share of the limit: at
     once, and per second."""
 
-    guidance_per_s2: NotNegative = 0.154
-    error: Scales = (0.62, 0.271, 0.552)
+    guidance_per_s2: NotNegative = 0.0935
+    error: Scales = (0.981, 0.622, 0.324)
     """Error that counts as big, m and rad."""
-    velocity: Scales = (0.149, 0.407, 0.957)
+    velocity: Scales = (0.308, 0.495, 0.616)
     """Velocity error that counts as big, m/s and rad/s."""
-    proportional: Gains = (1.13, 2.08, 1.1)
+    proportional: Gains = (0.635, 3.69, 0.341)
     """Effect of the rules' output (-1 to 1) at once, as a share of the limit."""
-    integral: Gains = (0.477, 0.342, 0.315)
+    integral: Gains = (0.894, 1.66, 0.667)
     """Effect of the rules' output per second, as a share of the limit."""
 
 
 class AdaptiveNnConfig(FeedbackLawConfig):
     """s = velocity error + slope error; wrench = gain s + network. The network learns `learning` N per m/s of s and second."""
 
-    guidance_per_s2: NotNegative = 0.142
-    slope_per_s: Gains = (0.38, 0.749, 1.81)
+    guidance_per_s2: NotNegative = 0.202
+    slope_per_s: Gains = (0.685, 0.953, 5.91)
     """Slope of s = velocity error + slope error."""
-    gain: Gains = (51.6, 48.1, 0.422)
+    gain: Gains = (27.7, 40.0, 0.128)
     """Gain of s, N per m/s and N m per rad/s."""
-    learning: Gains = (7.63, 5.54, 1.73)
+    learning: Gains = (15.5, 43.4, 1.89)
     """Rate at which the network learns, N per m/s of s and second."""
