@@ -20,7 +20,7 @@ IN_PARALLEL := -n logical $(BY_FILE)
 IN_PAIRS := -n 2 $(BY_FILE)
 
 .DEFAULT_GOAL := help
-.PHONY: help page run check test test-units test-real-time test-page test-computing test-slow mutants firmware faults fuzz photoreal soak bench lint format proto docs lock clean
+.PHONY: help page run check test test-units test-real-time test-page test-computing test-slow mutants firmware faults fuzz photoreal soak scenes bench lint format proto docs lock clean
 
 help: ## this list
 	@echo "Targets (each sets up .venv by itself):"
@@ -78,6 +78,9 @@ mutants: $(INSTALLED) ## change the thruster board's rules in every small way, a
 
 firmware: $(INSTALLED) ## the thruster board's firmware (gcc; avr-gcc for the Arduino Mega). ARGS="avr ROBOT=2", "fuzz"
 	$(MAKE) -C firmware $(ARGS)
+
+scenes: $(INSTALLED) ## fly every shipped scene whole, with its camera, ten seeds (half an hour); writes docs/evidence/scenes.md. ARGS="open-water --seeds 3"
+	$(BIN)/python -m benchmarks.scenes $(or $(ARGS),--write)
 
 bench: $(INSTALLED) ## benchmarks, each beside its peers. ARGS="codec --json rows.json"
 	$(BIN)/python -m benchmarks $(ARGS)

@@ -216,7 +216,7 @@ def _board(experiment: Experiment, seen: RobotView, state: RobotState) -> Findin
         text = f"{state.board_loss:.0%} of the board's messages are lost"
         yield "loss", "warning", True, text, "check the cable between computer and board"
     depth_m = experiment.pool.size_m[2]
-    if not -DEPTH_SLACK_M <= state.depth_m <= depth_m + DEPTH_SLACK_M:
+    if experiment.pool.walls and not -DEPTH_SLACK_M <= state.depth_m <= depth_m + DEPTH_SLACK_M:
         text = f"depth {state.depth_m:.2f} m in a basin of {depth_m:g} m"
         yield "depth", "warning", True, text, "check its pressure sensor, or its zero"
     battery = experiment.vehicle.battery

@@ -87,6 +87,9 @@ def sil(
     loaded = _load(experiment, seed, duration, [*(settings or ()), *([NO_CAMERA] if poses else [])], faults)
     console = Console()
     page = None if no_web else page_address(web)
+    if not (poses or loaded.localizer.uses_camera):
+        poses = True
+        console.print("no camera (localizer.uses_camera = false): the simulator gives the poses", soft_wrap=True)
     options = RunOptions(lockstep, page, manual, poses, keys, signed, one_process, pace)
     check(loaded, options)
     if dry_run:

@@ -15,7 +15,7 @@ from wire.toml_loader import ConfigError
 @pytest.mark.parametrize(
     ("name", "settings", "complaint"),
     [
-        ("islands", (), "camera.position_m.2 = -32: from there markers are 3 pixels wide"),
+        ("islands", ("localizer.uses_camera=true",), "camera.position_m.2 = -32: from there markers are 3 pixels wide"),
         ("numeric-disturbed", (), "localizer.uses_camera = false: no camera locates these robots"),
     ],
 )
