@@ -27,11 +27,12 @@ def sil(
             autocompletion=experiments,
         ),
     ] = None,
-    lockstep: Annotated[
-        bool, typer.Option("--lockstep", help="As fast as it goes, and the same bits for the same seed.")
+    lockstep: Annotated[bool, typer.Option("--lockstep", help="As fast as the machine can, with the same bits.")] = False,
+    real_time: Annotated[
+        bool, typer.Option("--real-time", help="By the wall clock, as in a pool: measures latency, and needs a fast machine.")
     ] = False,
     one_process: Annotated[
-        bool, typer.Option("--one-process", help="With --lockstep: the same bits from one process, without a network.")
+        bool, typer.Option("--one-process", help="The same bits from one process, without a network.")
     ] = False,
     pace: Pace = None,
     seed: Seed = None,
@@ -59,6 +60,9 @@ def sil(
 ) -> None:
     """Fly an experiment with all its processes on this machine, the pool simulated; write log and report.
 
+    It goes in real time, and slower where the machine is busy: the same seed gives the same bits either way. With --real-time
+    the programs live by the wall clock, as they do in a pool, and a machine that is too slow is late.
+
     Exit code 0 if the mission succeeded and every limit of the experiment held, 1 if not.
 
     With --from, agents and plant go on in this process, as in `numeric`: each agent is first led through what its robot had
@@ -79,7 +83,7 @@ def sil(
     if experiment is None:
         raise typer.BadParameter("name an EXPERIMENT, or a run with --from")
     from sim_bridge.sil import launcher as software_in_the_loop
-    from sim_bridge.sil.commands import RunOptions, check
+    from sim_bridge.sil.commands import RunOptions, check, pace_of, time_in_words
     from sim_bridge.sil.ports import page_address
 
     if one_process and not dry_run:
@@ -87,14 +91,15 @@ def sil(
     loaded = _load(experiment, seed, duration, [*(settings or ()), *([NO_CAMERA] if poses else [])], faults)
     console = Console()
     page = None if no_web else page_address(web)
-    options = RunOptions(lockstep, page, manual, poses, keys, signed, one_process, pace)
+    pace = pace_of(lockstep, real_time, one_process, pace)
+    options = RunOptions(not real_time, page, manual, poses, keys, signed, one_process, pace)
     check(loaded, options)
     if dry_run:
         raise typer.Exit(software_in_the_loop.dry_run(loaded, out / f"{loaded.name}-TIME", options, console))
     folder = new_run_folder(out, loaded.name)
-    mode = "lockstep, in one process" if one_process else "lockstep" if lockstep else "real time"
     console.print(
-        f"{loaded.title or loaded.name}: {loaded.duration_s:g} s in {mode}, seed {loaded.seed}, into {folder}", soft_wrap=True
+        f"{loaded.title or loaded.name}: {loaded.duration_s:g} s {time_in_words(options)}; seed {loaded.seed}, into {folder}",
+        soft_wrap=True,
     )
     if page is not None:
         console.print(f"operator page: http://{page}/", soft_wrap=True)

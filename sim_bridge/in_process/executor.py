@@ -330,7 +330,7 @@ def run(experiment: Experiment, run_dir: Path, options: RunOptions, stop: Stop, 
     launcher.write_experiment(experiment, run_dir)
     hub = MemoryHub()
     executor = Executor(experiment, run_dir, hub, poses=options.poses, pace=options.pace)
-    monitor = Monitor(experiment, Bus(MemoryTransport(hub)))
+    monitor = Monitor(experiment, Bus(MemoryTransport(hub)), options.pace)
     stop.on_request(executor.stop.request)
     log_file, succeeded = run_dir / "run.mcap", False
     try:
