@@ -23,7 +23,7 @@ ADDITIONS = 10_000_000  # of the loop that tells how fast this machine is now
 
 
 @dataclass(frozen=True)
-class Outcome:
+class WatchedRun:
     """One run: its verdict, the page's, and its times."""
 
     passed: bool
@@ -41,7 +41,7 @@ def additions_s() -> float:
     return time.monotonic() - began_s
 
 
-def fly(browser: Browser, duration_s: float, options: list[str]) -> Outcome:
+def fly(browser: Browser, duration_s: float, options: list[str]) -> WatchedRun:
     """One run beside a page that is open from its first second to its last."""
     began_s, port = time.monotonic(), free_port()
     with tempfile.TemporaryDirectory() as out:
@@ -53,7 +53,7 @@ def fly(browser: Browser, duration_s: float, options: list[str]) -> Outcome:
         lines = (Path(out) / "said").read_text(encoding="utf-8").splitlines()
         (result,) = list(Path(out).glob("*/result.json")) or [None]
         pace = json.loads(result.read_text(encoding="utf-8"))["real_time_factor"] if result is not None else None
-    return Outcome(code == 0, shown, time.monotonic() - began_s, pace or 0.0, lines[-1] if lines else "")
+    return WatchedRun(code == 0, shown, time.monotonic() - began_s, pace or 0.0, lines[-1] if lines else "")
 
 
 def watch(browser: Browser, port: int, run: subprocess.Popen[bytes]) -> bool:

@@ -1,4 +1,4 @@
-"""SHELL: the fleet's own time as a program beside it sees it: the wall clock's, or simulated time, stretched by a busy machine.
+"""SHELL: the fleet's own time as a program beside it sees it: the wall clock's, or simulated time, which a busy laptop slows.
 
 A station in lockstep stamps its heartbeats with simulated time. A wait of 60 s for such a fleet is over when 60 s have gone by
 on both clocks: a machine that simulates half a second a second has then had its 120 s.
