@@ -38,11 +38,12 @@ def connect(
     keys: Path | None = None,
     insecure: bool = False,
     patience_s: float = ORDER_TIMEOUT_S,
+    stopped: Callable[[], bool] = lambda: False,
 ) -> Bus:
     """The bus of a running station's fleet, as its operator. Without an endpoint it is the station that runs on this machine.
-    Raises ConfigError where there are several, and Unreached if none answers within `patience_s`."""
+    Raises ConfigError where there are several, and Unreached if none answers within `patience_s` or until `stopped()`."""
     where = nearest(endpoint(discovery.station(station, fleet), process_name(Role.OPERATOR), keys, insecure=insecure))
-    return Bus(ZenohTransport(where, patience_s=patience_s), fleet)
+    return Bus(ZenohTransport(where, stopped, patience_s), fleet)
 
 
 def sender(bus: Bus) -> Callable[[Command], Reply]:

@@ -48,8 +48,9 @@ class ConnectedFleet:
     Waits and ages are in the fleet's time: where a busy machine simulates slowly, a wait of 60 s lasts 60 simulated seconds.
     """
 
-    def __init__(self, bus: Bus) -> None:
-        self._bus = bus
+    def __init__(self, bus: Bus, gone: Callable[[], str] = lambda: "") -> None:
+        """`gone` gives the reason for which the fleet will never be heard again; empty while it may."""
+        self._bus, self._gone = bus, gone
         self._states = bus.inboxes(topics.STATE, RobotState, ROBOTS)
         self._poses = bus.inboxes(topics.POSE, Pose, ROBOTS)
         self._heartbeat = bus.inbox(topics.HEARTBEAT, StationHeartbeat)
@@ -217,6 +218,8 @@ class ConnectedFleet:
         """Wait until `ready()` or so many seconds of the fleet's time have gone by. Returns whether `ready()`."""
         over = self._time.limit(timeout_s)
         while not self._bus.wait(ready, min(timeout_s, LOOK_S)):
+            if reason := self._gone():
+                raise NotHeard(reason)
             if over():
                 return False
         return True
