@@ -1,6 +1,7 @@
 """SHELL: simulated flights from a script: flown to their end, or led by the script as its operator."""
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -20,6 +21,7 @@ from wire.toml_loader import toml_value
 from wire.transport.transport import Unreached
 
 STATION = "station: "  # begins the line in which `sim-bridge sil` tells the endpoint of its station
+PROGRESS = re.compile(r" *[\d.]+ / [\d.]+ s  ")  # begins the lines in which it tells how far the flight has come
 START_WITHIN_S = 300.0  # on a busy machine whose kernels were never compiled; otherwise a few seconds
 END_WITHIN_S = 300.0  # of a run's processes, its report written
 LAST_WORDS_S = 5.0  # for the output of a process that has ended to be read
@@ -77,15 +79,12 @@ def simulation(
     """All processes of an experiment on this machine, as `sim-bridge sil --manual` starts them, and the connection to their
     station once its preflight has passed. When the block ends, they are ended. The run's folder in `out` has its report.
 
-    Time goes as in `sim-bridge sil`: in real time, and slower while the machine is busy; `lockstep` is as fast as
-    it can, `real_time` by the wall clock. Raises Failed with the reason where the run is refused or ends before it is ready, NotHeard
-    with the preflight's findings where it does not get ready."""
+    Time goes as in `sim-bridge sil`: in real time, and slower while the machine is busy; `lockstep` is as fast as it can,
+    `real_time` by the wall clock. Raises Failed with the reason where the run is refused or ends before it is ready,
+    NotHeard with the preflight's findings where it does not get ready."""
+    options = {"--lockstep": lockstep, "--real-time": real_time, "--poses": not camera}
     command = [sys.executable, "-m", "sim_bridge", "sil", experiment, "--manual", "--no-web", "--out", str(out)]
-    command += [
-        *(["--lockstep"] if lockstep else []),
-        *(["--real-time"] if real_time else []),
-        *([] if camera else ["--poses"]),
-    ]
+    command += [option for option, given in options.items() if given]
     for line in _lines(settings, seed, duration_s):
         command += ["--set", line]
     environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
@@ -130,7 +129,7 @@ def _last_words(said: Sequence[str], output: threading.Thread) -> str:
     """Output of `sim-bridge sil`, which has ended, after its station's endpoint."""
     output.join(LAST_WORDS_S)
     begin = next(k for k, line in enumerate(said) if line.startswith(STATION))
-    return "".join(said[begin + 1 :]).strip() or "it said nothing"
+    return "".join(line for line in said[begin + 1 :] if not PROGRESS.match(line)).strip() or "it said nothing"
 
 
 def _lines(settings: Mapping[str, Any] | None, seed: int | None, duration_s: float | None) -> list[str]:

@@ -74,7 +74,7 @@ def sil(
                sim-bridge sil pool --set path.lap_s=30 --dry-run
                sim-bridge sil --from runs/pool-20260101-120000 --at 35 --set controller.mpc.horizon=60
     """
-    from rich.console import Console
+    from wire.process.terminal import Terminal
 
     if source is not None and dry_run:
         raise typer.BadParameter("--dry-run is for an EXPERIMENT, not for --from")
@@ -89,7 +89,7 @@ def sil(
     if one_process and not dry_run:
         _with_one_thread()
     loaded = _load(experiment, seed, duration, [*(settings or ()), *([NO_CAMERA] if poses else [])], faults)
-    console = Console()
+    console = Terminal()
     page = None if no_web else page_address(web)
     pace = pace_of(lockstep, real_time, one_process, pace)
     options = RunOptions(not real_time, page, manual, poses, keys, signed, one_process, pace)
@@ -125,12 +125,11 @@ def numeric(
 
     Examples:  sim-bridge numeric numeric      sim-bridge numeric numeric-disturbed --set controller.estimator.enabled=false
     """
-    from rich.console import Console
-
     from sim_bridge.in_process import run
+    from wire.process.terminal import Terminal
 
     loaded = _load(experiment, seed, duration, [*(settings or ()), NO_CAMERA], faults)
-    console = Console()
+    console = Terminal()
     fleet, water = run.prepared(loaded)
     folder = new_run_folder(out, loaded.name)
     console.print(f"{loaded.title or loaded.name}: {loaded.duration_s:g} s, seed {loaded.seed}, into {folder}", soft_wrap=True)
@@ -155,17 +154,16 @@ def campaign(
 
     Examples:  sim-bridge campaign errors.toml       sim-bridge campaign errors.toml --resume --scheduler tcp://10.0.0.1:8786
     """
-    from rich.console import Console
-
     from sim_bridge.studies import campaign_runner
     from sim_bridge.studies.campaign import Campaign
+    from wire.process.terminal import Terminal
     from wire.toml_loader import check, read_toml
 
     loaded = check(Campaign, {**read_toml(file), **({"camera": True} if camera else {})}, str(file))
     folder = out or Path("runs") / f"campaign-{loaded.name}"
     raise typer.Exit(
         campaign_runner.run(
-            loaded, folder, workers=workers, scheduler=scheduler, resume=resume, stop=Stop(), console=Console()
+            loaded, folder, workers=workers, scheduler=scheduler, resume=resume, stop=Stop(), console=Terminal()
         )
     )
 
@@ -204,14 +202,13 @@ def _go_on(
     experiment: str | None, source: Path, at_s: float, changes: list[str], faults: list[str] | None, out: Path
 ) -> NoReturn:
     """Run `sil --from`."""
-    from rich.console import Console
-
     from sim_bridge.in_process import resume, run
+    from wire.process.terminal import Terminal
 
     if experiment is not None:
         raise typer.BadParameter(f"{experiment!r}: with --from, the run says what is flown (change it with --set)")
     loaded = _cautioned(resume.load_changed(source, changes, faults or ()))
     fleet, water = resume.prepared(loaded, source, at_s)
-    folder, console = new_run_folder(out, f"{loaded.name}-from-{at_s:g}"), Console()
+    folder, console = new_run_folder(out, f"{loaded.name}-from-{at_s:g}"), Terminal()
     console.print(f"{loaded.title or loaded.name}: from {at_s:g} s of {source} on, into {folder}", soft_wrap=True)
     raise typer.Exit(run.run(fleet, water, folder, stop=Stop(), console=console))

@@ -11,6 +11,7 @@ from wire.messages.topics import localizer_name
 from wire.toml_loader import ConfigError
 
 LEAST_MARKER_PX = 16  # px, least side of a marker that can be read: two per cell and a margin
+GIVE_UP_S = 300.0  # s of the run's own time without progress, of a run that nobody attends: a drifter crosses a pool in 120
 REAL_TIME_PACE = 1.0  # times real time: the most that a run gets without --lockstep, however fast the machine
 BLIND = "Fly without the camera: --poses"
 
@@ -134,7 +135,7 @@ def programs(
     client = ["run", *common, "--station", address]
     station = ["run", *common, "--run-dir", str(run_dir), "--listen", address]
     station += ["--no-web"] if options.page is None else ["--web", options.page]
-    station += [] if options.manual else ["--auto"]
+    station += [] if options.manual else ["--auto", "--give-up", f"{GIVE_UP_S:g}"]
     pool = ["pool", *client[1:], "--ports", str(ports), *(["--poses"] if options.poses else [])]
     pool += ["--pace", str(options.pace)] if options.pace is not None else []
     pool += ["--boards", str(boards)] if boards is not None else []

@@ -164,9 +164,9 @@ def test_the_awaited_fleet_has_every_method_of_the_blocking_one() -> None:
 
 
 def test_a_wait_ends_with_the_reason_when_the_fleet_is_gone_for_good(hub: MemoryHub) -> None:
-    with ConnectedFleet(Bus(MemoryTransport(hub)), lambda: "the simulation has ended: refused") as fleet:
-        with pytest.raises(NotHeard, match="the simulation has ended: refused"):
-            fleet.wait_ready(60.0)
+    gone = ConnectedFleet(Bus(MemoryTransport(hub)), lambda: "the simulation has ended: refused")
+    with gone, pytest.raises(NotHeard, match="the simulation has ended: refused"):
+        gone.wait_ready(60.0)
 
 
 def test_a_slow_simulation_is_waited_for(fleet: ConnectedFleet, station: PlayedStation) -> None:

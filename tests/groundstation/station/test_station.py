@@ -92,7 +92,8 @@ def test_a_planner_that_breaks_leaves_the_fleet_holding_and_the_station_alive(tm
             MissionState.HALTING,
             PlanRequest("another path", lambda: dict[str, PlanSegment]()["robot 3"]),
         )
-        station.plan(True, 0)
+        with station.lock:
+            station.plan(True, 0)
         assert mission.state is MissionState.PAUSED
         assert "KeyError: 'robot 3'" in mission.reason
 
