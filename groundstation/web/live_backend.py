@@ -29,7 +29,7 @@ from wire.messages import topics
 from wire.messages.codec import DecodeError, Header, decode
 from wire.messages.messages import Event, Order, Preview, Trajectory
 from wire.messages.topics import Topic
-from wire.process.fleet_time import STANDING_S
+from wire.process.fleet_time import STANDING_S, PaceMeter
 from wire.process.lockstep import LockstepClock
 from wire.process.runtime import Clock, log
 from wire.transport.bus import Bus, Received
@@ -63,6 +63,7 @@ class LiveBackend:
         self._seen: list[Header | None] = []
         self._drawn: Mapping[int, tuple[Trajectory, float]] | None = None
         self._past_every_s = max(PAST_EVERY_S, PAST_S * len(heard.states) / PAST_ROBOTS)
+        self._meter = PaceMeter()
         self._stands = False  # in lockstep: simulated time does not go on
         self._past: deque[dict[str, Any]] = deque(maxlen=round(PAST_S / self._past_every_s))
         bus.subscribe(topics.EVENT, None, self._event)
@@ -103,7 +104,7 @@ class LiveBackend:
 
     def _told(self) -> dict[str, Any]:
         """The fleet's newest state, as the page gets it."""
-        status = self.station.status()
+        status, now_s = self.station.status(), self._clock.now_ns() * 1e-9
         self._stands = status.beat_age_s > STANDING_S
         states = {r: inbox.newest() for r, inbox in self._heard.states.items()}
         poses = {r: inbox.newest() for r, inbox in self._heard.poses.items()}
@@ -111,7 +112,7 @@ class LiveBackend:
         localizer = self._age(self._heard.localizer.newest())
         return snapshot(
             FleetSnapshot(
-                time_s=self._clock.now_ns() * 1e-9,
+                time_s=now_s,
                 robots={r: RobotSnapshot(self._age(states[r]), self._age(poses[r]), self._age(plans[r])) for r in states},
                 localizer=localizer,
                 obstacles=self._age(self._heard.obstacles.newest()),
@@ -137,6 +138,7 @@ class LiveBackend:
                 requests=status.requests,
                 ended=status.ended,
                 led=status.led,
+                pace=self._meter.add(now_s, time.monotonic()) if self._mode == "lockstep" else None,
             )
         )
 
