@@ -152,9 +152,9 @@ def process_rows() -> Iterator[Row]:
         ("lockstep, pool, poses instead of frames", pool, ("--lockstep", "--poses")),
         ("lockstep, 5 of fleet-20, poses instead of frames", first_of_fleet(5), ("--lockstep", "--poses")),
         ("lockstep, fleet-20, poses instead of frames", fleet, ("--lockstep", "--poses")),
-        ("real time, 5 of fleet-20, poses instead of frames", first_of_fleet(5), ("--poses",)),
-        ("real time, 10 of fleet-20, poses instead of frames", first_of_fleet(10), ("--poses",)),
-        ("real time, fleet-20, poses instead of frames", fleet, ("--poses",)),
+        ("real time, 5 of fleet-20, poses instead of frames", first_of_fleet(5), ("--real-time", "--poses")),
+        ("real time, 10 of fleet-20, poses instead of frames", first_of_fleet(10), ("--real-time", "--poses")),
+        ("real time, fleet-20, poses instead of frames", fleet, ("--real-time", "--poses")),
     )
     for case, experiment, options in runs:
         for result in flown(experiment, options):

@@ -14,6 +14,8 @@ import pytest
 import zenoh
 from hypothesis import HealthCheck, settings
 
+from tests import skipped
+
 for library in ("OMP", "OPENBLAS"):  # read when numpy is first imported, which is after this
     os.environ[f"{library}_NUM_THREADS"] = "1"
 os.environ["OPENCV_FOR_THREADS_NUM"] = "1"
@@ -29,6 +31,16 @@ os.environ["XDG_RUNTIME_DIR"] = _runtime.name
 settings.register_profile("steady", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.register_profile("explore", deadline=None, max_examples=2000, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "steady"))
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
+    """Tell what was skipped, why, and the command that brings it; `make test` does so once for its three processes."""
+    if hasattr(config, "workerinput"):  # one of xdist's: the process that started it counts for all
+        return
+    reasons = [str(report.longrepr[2]).removeprefix("Skipped: ") for report in terminalreporter.stats.get("skipped", ())]
+    if not skipped.note(reasons):
+        for line in skipped.summary(reasons):
+            terminalreporter.write_line(line)
 
 
 @pytest.fixture

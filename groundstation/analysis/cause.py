@@ -44,7 +44,7 @@ def cause(result: Result, series: Series) -> Cause | None:
         return Cause(result.log_trouble, None, "the report", "", _outcome(result, series))
     if not series.started:
         return Cause("no robot was ever under way", None, "the report", "", _outcome(result, series))
-    worst = max((check for check in result.checks if not check.passed), key=_excess)
+    worst = max((check for check in result.checks if check.failed), key=_excess)
     return Cause(missed(worst), None, "the report", "; ".join(_injected(series)), _outcome(result, series))
 
 
@@ -64,7 +64,7 @@ def _outcome(result: Result, series: Series) -> str:
     if not series.started:
         return "nothing was flown"
     flown_s = min(series.reached_s, series.end_s)
-    unmet = sum(not check.passed for check in result.checks)
+    unmet = sum(check.failed for check in result.checks)
     return f"{flown_s:.1f} s of {series.asked_s:g} s flown, {unmet} of {len(result.checks)} requirements not met"
 
 

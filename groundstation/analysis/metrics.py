@@ -83,7 +83,7 @@ def evaluate(series: Series, log: RunLog) -> Result:
         flights=tuple(_part(flight, series.start_ns) for flight in series.flights),
     )
     judged = tuple(checks(result, series))
-    result = dataclasses.replace(result, checks=judged, passed=all(check.passed for check in judged))
+    result = dataclasses.replace(result, checks=judged, passed=not any(check.failed for check in judged))
     return dataclasses.replace(result, cause=cause(result, series))
 
 

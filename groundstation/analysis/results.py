@@ -80,9 +80,19 @@ class Check:
     where: str
     value: float | None
     limit: float
-    passed: bool
+    passed: bool | None  # None: of a part that the flight is too short to have; it decides nothing
     unit: str = ""  # m, rad, s, ms, fraction; empty for a number of things
     at_least: bool = False  # the limit is the least that is allowed
+
+    @property
+    def failed(self) -> bool:
+        """True if it makes the run fail."""
+        return self.passed is False
+
+    @property
+    def reached(self) -> bool:
+        """True if the flight came so far that there is a value."""
+        return self.value is not None
 
 
 @dataclass(frozen=True)

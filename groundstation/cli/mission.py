@@ -98,7 +98,7 @@ def _tell_station(
     told = OutcomePrinter(what, as_json)
     try:
         with client.connect(station, fleet, keys, insecure) as bus:
-            reply = client.follow(client.sender(bus), command, patience_s, told.progress)
+            reply = client.follow(client.sender(bus), command, client.limit(bus, patience_s), told.progress)
     except KeyboardInterrupt:
         typer.echo(f"{what}: not waited for; the station goes on with it", err=True)
         raise typer.Exit(130) from None

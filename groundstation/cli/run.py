@@ -37,6 +37,12 @@ def run(
     out: Annotated[Path, typer.Option(help="Folder for the run's own folder.")] = Path("runs"),
     run_dir: Annotated[Path | None, typer.Option(help="Use exactly this folder, without a log so far.")] = None,
     auto: Annotated[bool, typer.Option("--auto", help="Load, arm, start and finish without being asked.")] = False,
+    give_up: Annotated[
+        float | None,
+        typer.Option(
+            min=1.0, metavar="SECONDS", help="With --auto: fail after so long without progress. Default: wait for ever."
+        ),
+    ] = None,
     listen: ListenAddress = DEFAULT_STATION,
     external_router: ExternalRouter = False,
     settings: Settings = None,
@@ -100,6 +106,7 @@ def run(
             automatic=auto,
             lockstep=lockstep,
             stop=stop,
+            give_up_s=give_up,
             web=page,
             insecure=where.insecure,
             viewer=viewer,

@@ -25,9 +25,9 @@ def lines(result: Result) -> Iterator[str]:
         return
     yield from _table(result)
     for check in result.checks:
-        if not check.passed and check.value is not None and check.name != "faults":
+        if check.failed and check.reached and check.name != "faults":
             yield f"not met: {missed(check)}"
-    skipped = [title(check) for check in result.checks if not check.passed and check.value is None]
+    skipped = [title(check) for check in result.checks if not check.reached]
     if skipped:
         yield f"not reached: {', '.join(skipped)}"
     for fault in result.faults[1:]:

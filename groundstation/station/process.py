@@ -55,12 +55,14 @@ def cycles(
     automatic: bool,
     lockstep: bool,
     stop: Stop,
+    give_up_s: float | None = None,
     web: WebOptions | None = None,
     insecure: bool = False,
     viewer: tuple[str, int] | None = None,
 ) -> Generator[None, None, bool]:
-    """The station until its mission is over (automatic) or it is told to stop; `viewer` is where Foxglove-family viewers are
-    served. Makes `run_dir`. Returns whether the mission succeeded.
+    """The station until its mission is over (automatic) or it is told to stop; `give_up_s` is the time without progress after
+    which an automatic mission fails, `viewer` is where Foxglove-family viewers are served. Makes `run_dir`. Returns whether
+    the mission succeeded.
 
     In lockstep yields when the station is present, and after each cycle; `next` waits for a tick unless it is there already.
     """
@@ -85,7 +87,7 @@ def cycles(
         served.callback(recorder.close)
         record_everything(bus, recorder, clock)
         threads = served.enter_context(workers(len(trajectories)))
-        mission = Mission(experiment, segment, starts, automatic)
+        mission = Mission(experiment, segment, starts, automatic, give_up_s)
         heard, tuner = subscribe_fleet(bus, experiment.robot_ids), GainUpdater(experiment)
         laps = LapStatistics(tuner.lap_s)
         station = Station(experiment, bus, clock, recorder, mission, tuner, laps, heard, threads, starts, insecure=insecure)

@@ -8,7 +8,7 @@ import re
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 
@@ -182,10 +182,20 @@ class Station:
             wanted = owner.plan_request
             if name not in self.planning and wanted is not None:
                 self.planning[name] = wanted, self.workers.plans.submit(_planned, wanted.plan)
+            if lockstep and name in self.planning:
+                self._await_unlocked(self.planning[name][1])
             if name in self.planning and (lockstep or self.planning[name][1].done()):
                 asked, outcome = self.planning.pop(name)
                 if asked is wanted:
                     owner.planned(outcome.result(), self.seen, now_ns)
+
+    def _await_unlocked(self, plan: "Future[PlanSegment | PlanError]") -> None:
+        """Wait for a plan without the lock, which the cycle holds: an operator's requests are answered meanwhile."""
+        self.lock.release()
+        try:
+            wait([plan])
+        finally:
+            self.lock.acquire()
 
     def publish_paths(self, now_ns: int) -> None:
         """Publish the trajectories flown from now on, for page and log: each robot's whole run from its beginning."""

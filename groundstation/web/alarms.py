@@ -39,11 +39,15 @@ def alarms(
     recorder_error: str,
     insecure: bool = False,
     stuck_s: float = 0.0,
+    stands_s: float = 0.0,
 ) -> list[Alarm]:
-    """All that is amiss, critical first. `stuck_s`: for how long the station's cycle has not run, if that is too long."""
+    """All that is amiss, critical first. `stuck_s`: for how long the station's cycle has not run, if that is too long;
+    `stands_s`: the same of a simulation, whose time waits for it."""
     found = [*_system(experiment, fleet, localizer, localizer_age_s, recorder_error)]
     if stuck_s > 0.0:
         found.append(Alarm("critical", "stuck", f"the station has sent no heartbeat for {stuck_s:.0f} s: robots hold"))
+    if stands_s > 0.0:
+        found.append(Alarm("notice", "stands", f"simulated time stands since {stands_s:.0f} s: the machine is busy"))
     if insecure:
         found.append(Alarm("warning", "insecure", INSECURE))
     for robot in experiment.robot_ids:

@@ -49,12 +49,11 @@ def compare(
     Examples:  sim-bridge compare numeric-disturbed --scatter 0.5
                sim-bridge compare pool --laws eso-mpc,lqr,mpc-leader-follower --seeds 1-5 --set sim.numeric.pose_noise_m=0.0015
     """
-    from rich.console import Console
-
     from sim_bridge.studies import comparison as comparing
     from sim_bridge.studies.comparison import VARIANTS
+    from wire.process.terminal import Terminal
 
-    console, chosen, flown = Console(), _names(laws, VARIANTS, "--laws"), _range(seeds)
+    console, chosen, flown = Terminal(), _names(laws, VARIANTS, "--laws"), _range(seeds)
     asked = [*(settings or ()), *([f"duration_s={duration}"] if duration is not None else [])]
     name = load_experiment(experiment, asked).name
     folder = out or Path("runs") / f"compare-{name}-{time.strftime('%Y%m%d-%H%M%S')}"

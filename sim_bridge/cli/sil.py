@@ -27,11 +27,12 @@ def sil(
             autocompletion=experiments,
         ),
     ] = None,
-    lockstep: Annotated[
-        bool, typer.Option("--lockstep", help="As fast as it goes, and the same bits for the same seed.")
+    lockstep: Annotated[bool, typer.Option("--lockstep", help="As fast as the machine can, with the same bits.")] = False,
+    real_time: Annotated[
+        bool, typer.Option("--real-time", help="By the wall clock, as in a pool: measures latency, and needs a fast machine.")
     ] = False,
     one_process: Annotated[
-        bool, typer.Option("--one-process", help="With --lockstep: the same bits from one process, without a network.")
+        bool, typer.Option("--one-process", help="The same bits from one process, without a network.")
     ] = False,
     pace: Pace = None,
     seed: Seed = None,
@@ -59,6 +60,9 @@ def sil(
 ) -> None:
     """Fly an experiment with all its processes on this machine, the pool simulated; write log and report.
 
+    It goes in real time, and slower where the machine is busy: the same seed gives the same bits either way. With --real-time
+    the programs live by the wall clock, as they do in a pool, and a machine that is too slow is late.
+
     Exit code 0 if the mission succeeded and every limit of the experiment held, 1 if not.
 
     With --from, agents and plant go on in this process, as in `numeric`: each agent is first led through what its robot had
@@ -70,7 +74,7 @@ def sil(
                sim-bridge sil pool --set path.lap_s=30 --dry-run
                sim-bridge sil --from runs/pool-20260101-120000 --at 35 --set controller.mpc.horizon=60
     """
-    from rich.console import Console
+    from wire.process.terminal import Terminal
 
     if source is not None and dry_run:
         raise typer.BadParameter("--dry-run is for an EXPERIMENT, not for --from")
@@ -79,25 +83,26 @@ def sil(
     if experiment is None:
         raise typer.BadParameter("name an EXPERIMENT, or a run with --from")
     from sim_bridge.sil import launcher as software_in_the_loop
-    from sim_bridge.sil.commands import RunOptions, check
+    from sim_bridge.sil.commands import RunOptions, check, pace_of, time_in_words
     from sim_bridge.sil.ports import page_address
 
     if one_process and not dry_run:
         _with_one_thread()
     loaded = _load(experiment, seed, duration, [*(settings or ()), *([NO_CAMERA] if poses else [])], faults)
-    console = Console()
+    console = Terminal()
     page = None if no_web else page_address(web)
     if not (poses or loaded.localizer.uses_camera):
         poses = True
         console.print("no camera (localizer.uses_camera = false): the simulator gives the poses", soft_wrap=True)
-    options = RunOptions(lockstep, page, manual, poses, keys, signed, one_process, pace)
+    pace = pace_of(lockstep, real_time, one_process, pace)
+    options = RunOptions(not real_time, page, manual, poses, keys, signed, one_process, pace)
     check(loaded, options)
     if dry_run:
         raise typer.Exit(software_in_the_loop.dry_run(loaded, out / f"{loaded.name}-TIME", options, console))
     folder = new_run_folder(out, loaded.name)
-    mode = "lockstep, in one process" if one_process else "lockstep" if lockstep else "real time"
     console.print(
-        f"{loaded.title or loaded.name}: {loaded.duration_s:g} s in {mode}, seed {loaded.seed}, into {folder}", soft_wrap=True
+        f"{loaded.title or loaded.name}: {loaded.duration_s:g} s {time_in_words(options)}; seed {loaded.seed}, into {folder}",
+        soft_wrap=True,
     )
     if page is not None:
         console.print(f"operator page: http://{page}/", soft_wrap=True)
@@ -123,12 +128,11 @@ def numeric(
 
     Examples:  sim-bridge numeric numeric      sim-bridge numeric numeric-disturbed --set controller.estimator.enabled=false
     """
-    from rich.console import Console
-
     from sim_bridge.in_process import run
+    from wire.process.terminal import Terminal
 
     loaded = _load(experiment, seed, duration, [*(settings or ()), NO_CAMERA], faults)
-    console = Console()
+    console = Terminal()
     fleet, water = run.prepared(loaded)
     folder = new_run_folder(out, loaded.name)
     console.print(f"{loaded.title or loaded.name}: {loaded.duration_s:g} s, seed {loaded.seed}, into {folder}", soft_wrap=True)
@@ -153,17 +157,16 @@ def campaign(
 
     Examples:  sim-bridge campaign errors.toml       sim-bridge campaign errors.toml --resume --scheduler tcp://10.0.0.1:8786
     """
-    from rich.console import Console
-
     from sim_bridge.studies import campaign_runner
     from sim_bridge.studies.campaign import Campaign
+    from wire.process.terminal import Terminal
     from wire.toml_loader import check, read_toml
 
     loaded = check(Campaign, {**read_toml(file), **({"camera": True} if camera else {})}, str(file))
     folder = out or Path("runs") / f"campaign-{loaded.name}"
     raise typer.Exit(
         campaign_runner.run(
-            loaded, folder, workers=workers, scheduler=scheduler, resume=resume, stop=Stop(), console=Console()
+            loaded, folder, workers=workers, scheduler=scheduler, resume=resume, stop=Stop(), console=Terminal()
         )
     )
 
@@ -202,14 +205,13 @@ def _go_on(
     experiment: str | None, source: Path, at_s: float, changes: list[str], faults: list[str] | None, out: Path
 ) -> NoReturn:
     """Run `sil --from`."""
-    from rich.console import Console
-
     from sim_bridge.in_process import resume, run
+    from wire.process.terminal import Terminal
 
     if experiment is not None:
         raise typer.BadParameter(f"{experiment!r}: with --from, the run says what is flown (change it with --set)")
     loaded = _cautioned(resume.load_changed(source, changes, faults or ()))
     fleet, water = resume.prepared(loaded, source, at_s)
-    folder, console = new_run_folder(out, f"{loaded.name}-from-{at_s:g}"), Console()
+    folder, console = new_run_folder(out, f"{loaded.name}-from-{at_s:g}"), Terminal()
     console.print(f"{loaded.title or loaded.name}: from {at_s:g} s of {source} on, into {folder}", soft_wrap=True)
     raise typer.Exit(run.run(fleet, water, folder, stop=Stop(), console=console))

@@ -17,7 +17,7 @@ from pathlib import Path
 from rich.console import Console
 
 from sim_bridge import fault_schedule
-from sim_bridge.sil.commands import Program, RunOptions, programs
+from sim_bridge.sil.commands import Program, RunOptions, programs, time_in_words
 from sim_bridge.sil.fault_injector import ProcessFaultInjector
 from sim_bridge.sil.monitor import Monitor
 from sim_bridge.sil.ports import free_base_port, free_port
@@ -69,7 +69,8 @@ def run(experiment: Experiment, run_dir: Path, options: RunOptions, stop: Stop, 
             try:
                 with Bus(ZenohTransport(where, lambda: stop.requested or station.exit_code is not None)) as bus:
                     injector = ProcessFaultInjector(experiment, children, bus)
-                    problems = _watch(children, station, Monitor(experiment, bus), injector, options.lockstep, stop, console)
+                    monitor = Monitor(experiment, bus, options.pace)
+                    problems = _watch(children, station, monitor, injector, options.lockstep, stop, console)
             except Unreached:  # interrupted, or the station is gone: both are told below
                 came_up = False
         mission_failed = not came_up or station.exit_code != 0
@@ -136,10 +137,10 @@ def dry_run(experiment: Experiment, run_dir: Path, options: RunOptions, console:
     if told.returncode != 0:
         raise ConfigError(told.stderr.strip().replace(f"{file}: ", ""))
     console.print(told.stdout.strip(), soft_wrap=True, highlight=False)
-    pace = (
-        "lockstep, as fast as it goes" if options.lockstep else f"real time, {experiment.duration_s:g} s and some to get ready"
+    how = time_in_words(options)
+    console.print(
+        f"{experiment.duration_s:g} s {how}; seed {experiment.seed}; it would start:", soft_wrap=True, highlight=False
     )
-    console.print(f"in {pace}; seed {experiment.seed}; it would start:", soft_wrap=True, highlight=False)
     if options.one_process:
         console.print(f"  nothing: {', '.join(program.name for program in started)} run in this process", soft_wrap=True)
         started = []

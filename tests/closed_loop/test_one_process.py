@@ -6,6 +6,7 @@ import re
 import statistics
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Generator, Iterator
 from contextlib import ExitStack
@@ -130,6 +131,28 @@ def test_at_a_pace_each_second_takes_its_time_and_the_bits_stay(tmp_path: Path) 
     later = [(ticks_s[-1] - tick_s, len(ticks_s) - 1 - k) for k, tick_s in enumerate(ticks_s[: len(ticks_s) // 2])]
     assert any(took_s >= 0.99 * least_s * ticks for took_s, ticks in later)
     assert compare_pulses.main(*map(str, folders)) == 0
+
+
+def test_a_run_whose_reader_has_gone_is_flown_to_its_end(tmp_path: Path) -> None:
+    """`sim-bridge sil ... | head -1`"""
+    command = [sys.executable, "-m", "sim_bridge", "sil", "pool", "--lockstep", "--one-process", "--poses", "--no-web"]
+    run = subprocess.Popen([*command, "--duration", "1", "--out", str(tmp_path)], stdout=subprocess.PIPE)
+    assert run.stdout is not None
+    assert b"pool" in run.stdout.readline()
+    run.stdout.close()
+    assert run.wait(300.0) == 0
+    (result,) = tmp_path.glob("*/result.json")
+    assert json.loads(result.read_text())["passed"]
+
+
+def test_a_run_that_breaks_leaves_no_thread_that_keeps_the_program(tmp_path: Path) -> None:
+    def broken() -> None:
+        raise BrokenPipeError("whoever was shown each tick has gone")
+
+    before = set(threading.enumerate())
+    with pytest.raises(Failed, match="BrokenPipeError"):
+        Executor(load_experiment("pool", ["duration_s=1"]), tmp_path, MemoryHub()).fly(broken)
+    assert not [thread for thread in threading.enumerate() if thread not in before and not thread.daemon]
 
 
 @pytest.fixture

@@ -185,7 +185,7 @@ ELSEWHERE = [pytest.param(name, marks=pytest.mark.slow) for name in ("localizer"
 @pytest.mark.real_time
 @pytest.mark.parametrize("victim", ["groundstation", *ELSEWHERE])
 def test_a_process_killed_in_flight_leaves_neutral_boards_and_is_named(victim: str, tmp_path: Path) -> None:
-    run = start(tmp_path, "--duration", "60")
+    run = start(tmp_path, "--real-time", "--duration", "60")
     try:
         while not list(tmp_path.glob("pool-*")):
             time.sleep(0.05)

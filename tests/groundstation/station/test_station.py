@@ -92,9 +92,37 @@ def test_a_planner_that_breaks_leaves_the_fleet_holding_and_the_station_alive(tm
             MissionState.HALTING,
             PlanRequest("another path", lambda: dict[str, PlanSegment]()["robot 3"]),
         )
-        station.plan(True, 0)
+        with station.lock:
+            station.plan(True, 0)
         assert mission.state is MissionState.PAUSED
         assert "KeyError: 'robot 3'" in mission.reason
+
+
+def test_in_lockstep_a_stop_is_taken_while_a_plan_is_computed(tmp_path: Path) -> None:
+    """And the plan, which nobody waits for any more, is dropped."""
+    begun, late = threading.Event(), threading.Event()
+    with a_station(tmp_path) as station:
+        station.seen = station.fleet()
+        mission, detour = station.mission, station.mission.segment
+
+        def slow() -> PlanSegment:
+            begun.set()
+            late.wait(PATIENCE_S)
+            return detour
+
+        def cycle() -> None:
+            with station.lock:
+                station.plan(True, 0)
+
+        mission.state, mission.plans.request = MissionState.HALTING, PlanRequest("another path", slow)
+        planning = threading.Thread(target=cycle)
+        planning.start()
+        assert begun.wait(PATIENCE_S)
+        reason, _ = station.request(Order.STOP)
+        assert (reason, planning.is_alive()) == ("", True)
+        late.set()
+        planning.join(PATIENCE_S)
+        assert mission.state is MissionState.STOPPED
 
 
 class ObedientFleet:

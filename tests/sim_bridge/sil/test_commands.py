@@ -2,12 +2,13 @@
 
 import io
 from pathlib import Path
+from typing import Any
 
 import pytest
 from rich.console import Console
 
 from sim_bridge.sil import launcher
-from sim_bridge.sil.commands import RunOptions, check, programs
+from sim_bridge.sil.commands import RunOptions, check, pace_of, programs
 from wire.config.experiment import load_experiment
 from wire.toml_loader import ConfigError
 
@@ -31,14 +32,13 @@ def test_robot_outside_the_picture_flies_without_the_camera_or_not_at_all(
 @pytest.mark.parametrize(
     ("options", "faults", "complaint"),
     [
-        (RunOptions(one_process=True), (), "--one-process: keeps no real time"),
         (RunOptions(lockstep=True, one_process=True, keys=Path("keys")), (), "--keys: with --one-process there is no link"),
         (RunOptions(lockstep=True, one_process=True, signed=True), (), "--signed: with --one-process there is no link"),
         (RunOptions(lockstep=True, one_process=True, manual=True), (), "--manual: with --one-process only the page"),
         (
             RunOptions(lockstep=True, one_process=True),
             ("t=1 process agent-1 killed",),
-            "sim.faults.0.what = 'process agent-1 killed': --one-process has no processes to break",
+            "sim.faults.0.what = 'process agent-1 killed': --one-process has none to break: it needs --real-time",
         ),
     ],
 )
@@ -49,9 +49,18 @@ def test_options_that_need_processes_are_refused_without_them(
         check(load_experiment("pool", (), faults), options)
 
 
-def test_a_pace_without_lockstep_is_refused_and_with_it_is_the_simulators() -> None:
-    with pytest.raises(ConfigError, match="--pace: real time has a pace of its own"):
-        check(load_experiment("pool"), RunOptions(pace=2.0))
+@pytest.mark.parametrize("option", ["lockstep", "one_process", "pace"])
+def test_the_wall_clock_excludes_what_stops_it(option: str) -> None:
+    given: dict[str, Any] = {"lockstep": False, "one_process": False, "pace": None}
+    given[option] = 2.0 if option == "pace" else True
+    with pytest.raises(ConfigError, match=rf"^--{option.replace('_', '-')}: .*allowed: without --real-time"):
+        pace_of(real_time=True, **given)
+
+
+def test_a_run_goes_in_real_time_at_most_unless_its_options_say_otherwise() -> None:
+    assert pace_of(lockstep=False, real_time=False, one_process=False, pace=None) == 1.0
+    assert pace_of(lockstep=True, real_time=False, one_process=False, pace=None) is None
+    assert pace_of(lockstep=True, real_time=False, one_process=True, pace=2.0) == 2.0
     started = programs((1, 2), RunOptions(lockstep=True, pace=2.0), Path("run"), "tcp/127.0.0.1:7447", 14550)
     assert [program.name for program in started if "--pace" in program.arguments] == ["sim-bridge"]
 

@@ -201,6 +201,7 @@ export interface Snapshot {
   } | null;
   obstacles: { age_ms: number; ids: number[]; outline: Packed; velocity: Packed } | null;
   robots: RobotNews[];
+  pace?: number | null; // simulated seconds per second; null by the wall clock and before it is known
   replay?: { time_s: number; rate: number };
   ghosts?: { id: number; eta: Packed }[]; // of the run beside which this one is replayed
 }

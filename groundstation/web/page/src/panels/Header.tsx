@@ -7,6 +7,8 @@ import { browsing, connected, drawSoon, editing, ended, given, inControl, refusa
 import { themeSerial } from "./Plots";
 import { showRuns } from "./Runs";
 
+const NOTICEABLE = 0.05; // of the pace: smaller differences say nothing
+
 function Control() {
   const s = shown.value;
   if (s === null || !connected.value) return null;
@@ -70,6 +72,7 @@ export function Header() {
         </span>
       )}
       {s !== null && state !== null && <span class="clock">{clock(flown(state))} / {clock(s.duration_s)}</span>}
+      {connected.value && !ended.value && state !== null && <Pace pace={state.pace ?? null} />}
       <span class="gap" />
       <Link />
       {state !== null && state.watchers > 1 && <span class="link">{state.watchers} pages</span>}
@@ -106,6 +109,16 @@ export function Header() {
       </button>
       <StopButton />
     </header>
+  );
+}
+
+/** How fast simulated time goes, where that is not as the clock does. */
+function Pace({ pace }: { pace: number | null }) {
+  if (pace === null || Math.abs(pace - 1) < NOTICEABLE) return null;
+  return (
+    <span class="link" title="Simulated seconds a second. Below the pace that was asked for, the machine is busy: the run is slower, and nothing in it is late">
+      {pace.toFixed(1)} × real time
+    </span>
   );
 }
 
