@@ -14,10 +14,10 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, NamedTuple
 
 from wire import kernel_cache
 
@@ -26,6 +26,7 @@ WORKER = "SHOAL_KERNEL_WORKER"  # set in a process that compiles
 START = "import sys; sys.path[:] = sys.argv.pop(1).split(':'); from wire.kernel_worker import main; main()"
 
 WORKER_MB = 500.0  # memory of a process that compiles the kernels of one package (measured: 440)
+SHARE = 0.6  # of the free memory: a process that has grown beyond it ends, and the next module goes to another
 SAY_EVERY_S = 10.0  # where stderr is no terminal
 LOOK_EVERY_S = 0.2
 WIDTH = 30  # characters of the bar
@@ -33,10 +34,17 @@ WIDTH = 30  # characters of the bar
 _built: set[str] = set()  # packages that this process has had compiled: a kernel that is missing then cannot be kept
 
 
-def ensure_compiled(packages: tuple[str, ...] = PACKAGES) -> int:
-    """Compile the kernels of packages that are missing, before anything that needs them starts. Returns their number."""
+class Compilation(NamedTuple):
+    """Result of `ensure_compiled`."""
+
+    compiled: int  # kernels that were missing
+    is_complete: bool  # all are there now, and stay there
+
+
+def ensure_compiled(packages: tuple[str, ...] = PACKAGES) -> Compilation:
+    """Compile the kernels of packages that are missing, before anything that needs them starts."""
     if os.environ.get("NUMBA_DISABLE_JIT") == "1":
-        return 0
+        return Compilation(0, True)
     return _build(packages, _is_complete)
 
 
@@ -47,17 +55,21 @@ def build_package_of(file: str, source: str) -> bool:
     ours = package in PACKAGES and Path(source).is_relative_to(kernel_cache.ROOT / package)
     if not ours or package in _built or WORKER in os.environ:
         return False
-    _build((package,), lambda _: any((folder / file).exists() for folder in kernel_cache.readable_folders()))
+    try:
+        _build((package,), lambda _: any((folder / file).exists() for folder in kernel_cache.readable_folders()))
+    except OSError as error:  # no room for the lock, or for another process
+        print(f"kernels: compiled by each program for itself: {error}", file=sys.stderr)
+        return False
     return True
 
 
-def _build(packages: tuple[str, ...], is_done: Callable[[str], bool]) -> int:
+def _build(packages: tuple[str, ...], is_done: Callable[[str], bool]) -> Compilation:
     if all(map(is_done, packages)):
-        return 0
+        return Compilation(0, True)
     _built.update(packages)
     with _locked() as lock:
         missing = [package for package in packages if not is_done(package)]
-        return Build(missing, lock).run() if missing else 0
+        return Build(missing, lock).run() if missing else Compilation(0, True)
 
 
 @contextmanager
@@ -66,19 +78,21 @@ def _locked() -> Iterator[IO[str]]:
     workers, however they end. Its file says how far they are."""
     path = kernel_cache.folder() / "lock"
     with path.open("a+", encoding="utf-8") as lock:
-        progress = Progress(0)
+        progress = CompileProgress(0)
         while True:
             try:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 break
             except BlockingIOError:
-                progress.say(f"another program compiles the kernels ({path.read_text(encoding='utf-8')}); waiting for it")
+                text = path.read_text(encoding="utf-8")
+                progress.say("waiting for another program that compiles the kernels" + (f": {text}" if text else ""))
                 time.sleep(LOOK_EVERY_S)
         progress.end()
+        lock.truncate(0)
         yield lock
 
 
-class Progress:
+class CompileProgress:
     """One line that is renewed on a terminal, or a line now and then where stderr is none."""
 
     def __init__(self, kernels: int) -> None:
@@ -95,7 +109,7 @@ class Progress:
         self.compiled += kernels if compiled else 0
         if not self.compiled:  # they lie in the cache: nothing to wait for
             return ""
-        left_s = (time.monotonic() - self._began_s) * (self._kernels / self._ready - 1.0)
+        left_s = (time.monotonic() - self._began_s) * (self._kernels - self._ready) / self.compiled
         text = f"{self._ready} of {self._kernels} kernels compiled, about {left_s:.0f} s left, only this time"
         hashes = "#" * (WIDTH * self._ready // self._kernels)
         self.say(f"[{hashes:-<{WIDTH}}] {text}" if sys.stderr.isatty() else text)
@@ -116,7 +130,7 @@ class Progress:
             print("\r\x1b[K", end="", file=sys.stderr)
         if self.compiled:
             took_s = time.monotonic() - self._began_s
-            print(f"{self.compiled} kernels compiled in {took_s:.0f} s, kept in {kernel_cache.folder()}", file=sys.stderr)
+            print(f"{self.compiled} kernels compiled in {took_s:.0f} s, into {kernel_cache.folder()}", file=sys.stderr)
 
 
 class Build:
@@ -128,22 +142,21 @@ class Build:
         self._state = {package: _sources_state(modules.values()) for package, modules in self._sources.items()}
         self._files: dict[str, int] = {}
         texts = (path.read_text(encoding="utf-8") for modules in self._sources.values() for path in modules.values())
-        self._progress = Progress(sum(len(re.findall(r"^@kernel\b", text, re.MULTILINE)) for text in texts))
+        self._progress = CompileProgress(sum(len(re.findall(r"^@kernel\b", text, re.MULTILINE)) for text in texts))
 
-    def run(self) -> int:
-        """Compile, in two processes where there are processors and memory for them, and write down that it is done. Returns
-        the number of kernels that were compiled."""
+    def run(self) -> Compilation:
+        """Compile, in two processes where there are processors and memory for them, and write down that it is done."""
         free_mb = free_memory_mb()
-        together = len(os.sched_getaffinity(0)) > 1 and free_mb > 2.0 * WORKER_MB
+        together = (os.cpu_count() or 1) > 1 and free_mb > 2.0 * WORKER_MB
         first = [module for package in self._sources if package == PACKAGES[0] for module in self._sources[package]]
         rest = [module for package in self._sources if package != PACKAGES[0] for module in self._sources[package]]
-        complete = self._compile([first, rest] if together else [first + rest], WORKER_MB if together else 0.6 * free_mb)
+        succeeded = self._compile([first, rest] if together else [first + rest], WORKER_MB if together else SHARE * free_mb)
         self._progress.end()
-        for package in self._sources if complete else ():
+        for package in self._sources if succeeded else ():
             self._write_down(package)
-        if not complete:
-            print("kernels: not all could be compiled; each program compiles what it misses", file=sys.stderr)
-        return self._progress.compiled
+        if not succeeded:
+            print("not all kernels could be compiled: each program compiles those that it misses", file=sys.stderr)
+        return Compilation(self._progress.compiled, succeeded and kernel_cache.folder_lasts())
 
     def _compile(self, queues: list[list[str]], limit_mb: float) -> bool:
         """Have each queue of modules compiled by processes one after the other. Returns False if one of them failed."""
@@ -180,9 +193,10 @@ class Build:
             else:
                 self._files[said["file"]] = said["kernels"]
             text = self._progress.advance(said["kernels"], said.get("compiled", False))
-            self._lock.truncate(0)
-            self._lock.write(text)
-            self._lock.flush()
+            with suppress(OSError):  # a full disk
+                self._lock.truncate(0)
+                self._lock.write(text)
+                self._lock.flush()
             return
         ready.unregister(worker.stdout)
         queue = workers.pop(worker)
@@ -208,7 +222,11 @@ def _is_complete(package: str) -> bool:
         try:
             record = json.loads(_record(folder, package).read_text(encoding="utf-8"))
             state = _sources_state([Path(path) for path in record["sources"]])
-            if record["machine"] == _machine() and record["sources"] == state and all(kernel_cache.read(name) for name in record["files"]):
+            if (
+                record["machine"] == _machine()
+                and record["sources"] == state
+                and all(kernel_cache.read(name) for name in record["files"])
+            ):
                 return True
         except (OSError, ValueError, KeyError, TypeError):
             continue
@@ -227,15 +245,12 @@ def _sources_state(paths: Any) -> dict[str, list[int]]:
 
 
 def _machine() -> str:
-    """What machine code depends on besides its source: interpreter and processor."""
-    facts = [sys.version, platform.machine(), *(f"{key}={os.environ[key]}" for key in sorted(os.environ) if key.startswith("NUMBA_CPU"))]
-    try:
-        with open("/proc/cpuinfo", encoding="utf-8") as file:
-            processor = file.read(8192).split("\n\n")[0]
-    except OSError:
-        processor = platform.processor()
+    """Interpreter and processor, on which machine code depends besides its source."""
+    chosen = [f"{key}={value}" for key, value in sorted(os.environ.items()) if key.startswith("NUMBA_CPU")]
+    facts = [sys.version, platform.machine(), *chosen]
+    processor = _lines("/proc/cpuinfo") or [f"CPU {platform.processor()}"]
     kinds = ("model", "vendor", "flags", "Features", "CPU")
-    return "\n".join(facts + [line for line in processor.splitlines() if line.startswith(kinds)])
+    return "\n".join(dict.fromkeys([*facts, *(line for line in processor if line.startswith(kinds))]))
 
 
 def _kernel_modules(package: str) -> dict[str, Path]:
@@ -263,10 +278,7 @@ def _kernel_modules(package: str) -> dict[str, Path]:
 
 def free_memory_mb() -> float:
     """Memory that this process and its children may still take."""
-    limits = []
-    for line in _lines("/proc/meminfo"):
-        if line.startswith("MemAvailable:"):
-            limits.append(float(line.split()[1]) / 1024.0)
+    limits = [float(line.split()[1]) / 1024.0 for line in _lines("/proc/meminfo") if line.startswith("MemAvailable:")]
     for line in _lines("/proc/self/cgroup"):
         _, kind, group = line.rstrip().split(":", 2)
         if kind == "memory":
@@ -289,4 +301,4 @@ def _lines(path: str) -> list[str]:
 
 
 if __name__ == "__main__":
-    ensure_compiled()
+    sys.exit(not ensure_compiled().is_complete)

@@ -5,6 +5,7 @@ its children. A file that a power cut has left empty, half written or with other
 """
 
 import atexit
+import contextlib
 import functools
 import hashlib
 import logging
@@ -16,6 +17,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]  # folder of the installed packages
 MAGIC = b"shoal kernel 1\n"
+TEMPORARY = "shoal-kernels-"  # begins the name of a folder that goes with its process
 
 _log = logging.getLogger("shoal")
 
@@ -48,10 +50,18 @@ def folder() -> Path:
         if _is_writable(candidate):
             return candidate
     _log.warning("no folder to keep compiled kernels in: every start compiles them (set NUMBA_CACHE_DIR)")
-    own = tempfile.mkdtemp(prefix="shoal-kernels-")
-    atexit.register(shutil.rmtree, own, ignore_errors=True)
-    os.environ["NUMBA_CACHE_DIR"] = own  # children share it
+    with contextlib.suppress(OSError):
+        own = tempfile.mkdtemp(prefix=TEMPORARY)
+        atexit.register(shutil.rmtree, own, ignore_errors=True)
+        os.environ["NUMBA_CACHE_DIR"] = own  # children share it
+        (own_kernels := _named_folders()[0]).mkdir()
+        return own_kernels
     return _named_folders()[0]
+
+
+def folder_lasts() -> bool:
+    """True if what is written now is there at the next start."""
+    return not folder().parent.name.startswith(TEMPORARY)
 
 
 def readable_folders() -> list[Path]:

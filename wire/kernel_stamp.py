@@ -40,7 +40,7 @@ def _codes(code: CodeType) -> Iterator[CodeType]:
 
 
 def _content(function: Callable[..., Any], name: str, stamps: dict[object, str]) -> str:
-    """What a global name stands for, as far as machine code depends on it."""
+    """Text of a global name's value, as far as machine code depends on it."""
     value = function.__globals__[name]
     kernel = getattr(value, "py_func", None)
     if kernel in stamps:

@@ -3,6 +3,7 @@
 Machine code, compiler and their memory are gone with it. It ends with whoever started it: the pipe breaks.
 """
 
+import gc
 import importlib
 import json
 import os
@@ -18,6 +19,7 @@ def main() -> None:
     argument): another one goes on with the rest."""
     os.environ[kernel_build.WORKER] = "1"
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C ends whoever started it, and so this
+    gc.set_threshold(20_000, 20, 20)  # a compiler makes many objects that stay: 4 % less time than at 700, for 20 MB
     from wire import kernels
 
     parts = 0
@@ -26,18 +28,21 @@ def main() -> None:
         nonlocal parts
         parts += 1
         if file:  # a part is compiled with the next kernel that is none
-            print(json.dumps({"kernels": parts, "file": file, "compiled": compiled}), flush=True)
+            _say({"kernels": parts, "file": file, "compiled": compiled})
             parts = 0
 
     kernels.listeners.append(report)
     limit_mb = float(sys.argv[1])
     for module in sys.argv[2:]:
         importlib.import_module(module)
-        print(json.dumps({"kernels": parts, "module": module}), flush=True)
+        _say({"kernels": parts, "module": module})
         parts = 0
         if resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024 > limit_mb:
             break
 
 
-if __name__ == "__main__":
-    main()
+def _say(report: dict[str, object]) -> None:
+    try:
+        print(json.dumps(report), flush=True)
+    except BrokenPipeError:  # whoever started this has been killed: with this process the lock is free
+        os._exit(1)
