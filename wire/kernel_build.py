@@ -23,7 +23,7 @@ from wire import kernel_cache
 
 PACKAGES = ("robot_agent", "localizer", "sim_bridge")  # those with kernels
 WORKER = "SHOAL_KERNEL_WORKER"  # set in a process that compiles
-START = "import sys; sys.path[:] = sys.argv.pop(1).split(':'); from wire.kernel_worker import main; main()"
+START = "import json, sys; sys.path[:] = json.loads(sys.argv.pop(1)); from wire.kernel_worker import main; main()"
 
 WORKER_MB = 500.0  # memory of a process that compiles the kernels of one package (measured: 440)
 SHARE = 0.6  # of the free memory: a process that has grown beyond it ends, and the next module goes to another
@@ -48,18 +48,19 @@ def ensure_compiled(packages: tuple[str, ...] = PACKAGES) -> Compilation:
     return _build(packages, _is_complete)
 
 
+def is_worker() -> bool:
+    """True in a process that compiles for others."""
+    return WORKER in os.environ
+
+
 def build_package_of(file: str, source: str) -> bool:
     """Compile the package of a kernel whose `file` is missing. Returns False if its caller has to compile it: a worker, a
     kernel of no package of ours, or one that could not be kept the last time."""
     package = file.partition(".")[0]
     ours = package in PACKAGES and Path(source).is_relative_to(kernel_cache.ROOT / package)
-    if not ours or package in _built or WORKER in os.environ:
+    if not ours or package in _built or is_worker():
         return False
-    try:
-        _build((package,), lambda _: any((folder / file).exists() for folder in kernel_cache.readable_folders()))
-    except OSError as error:  # no room for the lock, or for another process
-        print(f"kernels: compiled by each program for itself: {error}", file=sys.stderr)
-        return False
+    _build((package,), lambda _: any((folder / file).exists() for folder in kernel_cache.readable_folders()))
     return True
 
 
@@ -67,9 +68,13 @@ def _build(packages: tuple[str, ...], is_done: Callable[[str], bool]) -> Compila
     if all(map(is_done, packages)):
         return Compilation(0, True)
     _built.update(packages)
-    with _locked() as lock:
-        missing = [package for package in packages if not is_done(package)]
-        return Build(missing, lock).run() if missing else Compilation(0, True)
+    try:
+        with _locked() as lock:
+            missing = [package for package in packages if not is_done(package)]
+            return Build(missing, lock).run() if missing else Compilation(0, True)
+    except OSError as error:  # no lock, or no process, can be had
+        print(f"kernels cannot be compiled once for all programs: {error}", file=sys.stderr)
+        return Compilation(0, False)
 
 
 @contextmanager
@@ -150,7 +155,8 @@ class Build:
         together = (os.cpu_count() or 1) > 1 and free_mb > 2.0 * WORKER_MB
         first = [module for package in self._sources if package == PACKAGES[0] for module in self._sources[package]]
         rest = [module for package in self._sources if package != PACKAGES[0] for module in self._sources[package]]
-        succeeded = self._compile([first, rest] if together else [first + rest], WORKER_MB if together else SHARE * free_mb)
+        succeeded = together and self._compile([first, rest], WORKER_MB)
+        succeeded = succeeded or self._compile([first + rest], SHARE * free_mb)  # what is left: one was too large for two
         self._progress.end()
         for package in self._sources if succeeded else ():
             self._write_down(package)
@@ -177,9 +183,11 @@ class Build:
         return True
 
     def _start(self, queue: list[str], limit_mb: float, workers: dict[Any, list[str]], ready: selectors.BaseSelector) -> None:
-        path = ":".join([part for part in sys.path if part] + [str(kernel_cache.ROOT)])
+        path = json.dumps([part for part in sys.path if part] + [str(kernel_cache.ROOT)])
         command = [sys.executable, "-P", "-c", START, path, str(limit_mb), *queue]
-        worker = subprocess.Popen(command, stdout=subprocess.PIPE, stdin=subprocess.DEVNULL, pass_fds=[self._lock.fileno()])
+        worker = subprocess.Popen(
+            command, bufsize=0, stdout=subprocess.PIPE, stdin=subprocess.DEVNULL, pass_fds=[self._lock.fileno()]
+        )
         workers[worker] = queue
         ready.register(worker.stdout, selectors.EVENT_READ, worker)  # type: ignore[arg-type]
 

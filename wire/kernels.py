@@ -6,7 +6,6 @@ Rules: it calls only kernels, it raises nothing, and it writes its results into 
 `NUMBA_DISABLE_JIT=1` runs all of them as Python.
 """
 
-import os
 import pickle
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
@@ -61,7 +60,7 @@ def kernel(signature: str, inline: bool = False, part: bool = False) -> Callable
 def _compile_when_called(dispatcher: Any, signature: str) -> None:
     """Have a kernel compiled when one that calls it is, for its own signature rather than for the call's types."""
     template = dispatcher.get_call_template
-    if kernel_build.WORKER in os.environ:
+    if kernel_build.is_worker():
         dispatcher.targetoptions["no_cpython_wrapper"] = True  # no test calls it here: 4 % less time
 
     def declared(*call_types: Any) -> Any:
