@@ -129,7 +129,5 @@ $(INSTALLED): pyproject.toml constraints.txt
 	@echo "Installing the pinned packages into .venv (a minute or two the first time) ..."
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt --no-deps MAVProxy
-	@echo "Compiling the kernels ..."
-	@$(BIN)/python -c 'import robot_agent.agent' & agent=$$!; \
-	    $(BIN)/python -c 'import localizer.kernels, sim_bridge.camera.kernels, sim_bridge.plant.kernels' && wait $$agent
+	@$(BIN)/python -m wire.kernel_build
 	@touch $@

@@ -30,7 +30,11 @@ ALLOWED = {
 PARTS: dict[str, dict[str, set[str]]] = {
     "wire": {
         "frames": set(),
-        "kernels": set(),
+        "kernel_stamp": set(),
+        "kernel_cache": set(),
+        "kernel_build": {"kernel_cache"},
+        "kernels": {"kernel_build", "kernel_cache", "kernel_stamp"},
+        "kernel_worker": {"kernel_build", "kernels"},
         "figures": set(),
         "loopback": set(),
         "toml_loader": set(),
@@ -69,7 +73,7 @@ PARTS: dict[str, dict[str, set[str]]] = {
         "safety": {"control", "inputs", "vehicle"},
         "agent": {"control", "guidance", "inputs", "safety", "vehicle"},
         "preflight": {"agent", "host", "inputs", "safety", "vehicle"},
-        "commands": {"agent", "host", "preflight"},
+        "commands": {"host", "preflight"},
         "node": {"agent", "control", "host", "safety", "step_record"},
         "rerun": {"agent", "step_record"},
     },

@@ -9,6 +9,7 @@ import typer
 
 from sim_bridge.cli.pool import Pace, Poses
 from wire.config.experiment import NO_CAMERA, Experiment, load_experiment
+from wire.kernel_build import ensure_compiled
 from wire.process.cli_options import ExperimentName, FaultLines, KeyRing, Settings, caution, experiments
 from wire.process.output_files import new_run_folder
 from wire.process.runtime import Stop
@@ -99,6 +100,7 @@ def sil(
     check(loaded, options)
     if dry_run:
         raise typer.Exit(software_in_the_loop.dry_run(loaded, out / f"{loaded.name}-TIME", options, console))
+    ensure_compiled()
     folder = new_run_folder(out, loaded.name)
     console.print(
         f"{loaded.title or loaded.name}: {loaded.duration_s:g} s {time_in_words(options)}; seed {loaded.seed}, into {folder}",
