@@ -16,8 +16,7 @@ def lines(result: Result) -> Iterator[str]:
     if result.log_trouble:
         yield result.log_trouble
     if result.cause is not None:
-        when = f" at {result.cause.time_s:.1f} s" if result.cause.time_s is not None else ""
-        yield f"cause: {result.cause.noticed_by}{when}: {result.cause.text}"
+        yield f"cause: {result.cause.sentence}"
         yield f"  injected before: {result.cause.injected or 'nothing'}"
         yield f"  outcome: {result.cause.outcome}"
     if not result.duration_s:
@@ -30,7 +29,9 @@ def lines(result: Result) -> Iterator[str]:
     skipped = [title(check) for check in result.checks if not check.passed and check.value is None]
     if skipped:
         yield f"not reached: {', '.join(skipped)}"
-    for fault in result.faults[1:]:
+    for fault in result.faults:
+        if result.cause is not None and (fault.time_s, fault.text) == (result.cause.time_s, result.cause.text):
+            continue
         yield f"also at {fault.time_s:.1f} s, {fault.source}: {fault.text}"
 
 

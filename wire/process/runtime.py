@@ -71,6 +71,7 @@ class Stop:
 
     def __init__(self, install: bool = True) -> None:
         self.requested = False
+        self.interrupted = False  # by SIGINT: a person pressed Ctrl-C
         self._wakes: list[Callable[[], None]] = []
         self.failure = ""  # why the process ends itself; empty: nothing has failed
         if install:
@@ -80,6 +81,7 @@ class Stop:
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
         if self.requested:
             os._exit(128 + number)
+        self.interrupted = number == signal.SIGINT
         self.request()
 
     def __call__(self) -> bool:
