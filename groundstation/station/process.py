@@ -27,7 +27,7 @@ from wire.messages import topics
 from wire.messages.codec import Header
 from wire.messages.topics import WHOLE_FLEET
 from wire.process.lockstep import Lockstep, LockstepClock
-from wire.process.output_files import replace_text
+from wire.process.output_files import PAGE_OPEN, replace_text
 from wire.process.runtime import Clock, Stop, WallClock, log, log_to_bus
 from wire.security.access_control import INSECURE
 from wire.toml_loader import ConfigError, os_errors_as_config_errors
@@ -37,9 +37,6 @@ from wire.web_access import WebOptions
 FAREWELL_S = 1.0  # a page gets four states in this time, a terminal asks five times
 IDLE_S = 600.0  # without a request, then a run that a person has taken over is ended: time to fetch a robot from the water
 IDLE_ALONE_S = 60.0  # the same while no page is open: time for the next command in a terminal
-PAGE_OPEN = (
-    ".page-open"  # in the run's folder: a page was open when the station ended (groundstation/cli/ended.py takes it away)
-)
 INTERRUPTED = "interrupted: Ctrl-C in the terminal"  # groundstation/analysis/cause.py knows it
 
 
@@ -66,7 +63,7 @@ def cycles(
     insecure: bool = False,
     viewer: tuple[str, int] | None = None,
 ) -> Generator[None, None, bool]:
-    """The station until its run is over (`_End`) or it is told to stop; `viewer` is where Foxglove-family viewers are
+    """The station until its run is over (EndOfRun) or it is told to stop; `viewer` is where Foxglove-family viewers are
     served. Makes `run_dir`. Returns whether the mission succeeded.
 
     In lockstep yields when the station is present, and after each cycle; `next` waits for a tick unless it is there already.
@@ -113,7 +110,7 @@ def cycles(
         ticks = Lockstep(bus, stop, clock) if isinstance(clock, LockstepClock) else None
         bus.announce("groundstation")
         started_s = time.monotonic()
-        end = _End(station, server)
+        end = EndOfRun(station, server)
         if ticks is not None:
             yield from _lockstep_cycles(station, ticks, end)
         else:
@@ -136,7 +133,7 @@ def _write_experiment(file: Path, loaded: Experiment, text: str) -> None:
         raise ConfigError(f"{file}: is there already, is another experiment, and would be lost (allowed: a new folder)")
 
 
-class _End:
+class EndOfRun:
     """End of the run: at a request; of an automatic mission also by itself, and once it was left alone for long after a person
     stopped the fleet or sent it back. After a request pages and terminals are told for FAREWELL_S."""
 
@@ -177,7 +174,7 @@ class _End:
         return True
 
 
-def _wall_loop(station: Station, stop: Stop, end: _End) -> None:
+def _wall_loop(station: Station, stop: Stop, end: EndOfRun) -> None:
     period_ns = round(station.experiment.controller.period_s * 1e9)
     due_ns = time.monotonic_ns()
     while not stop.requested:
@@ -191,7 +188,7 @@ def _wall_loop(station: Station, stop: Stop, end: _End) -> None:
         station.wake.wait((due_ns - now_ns) * 1e-9)
 
 
-def _lockstep_cycles(station: Station, lockstep: Lockstep, end: _End) -> Generator[None]:
+def _lockstep_cycles(station: Station, lockstep: Lockstep, end: EndOfRun) -> Generator[None]:
     heard = station.heard
     yield
     while (tick := lockstep.next()) is not None:
