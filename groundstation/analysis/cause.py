@@ -91,7 +91,8 @@ def _cause(event: TimelineEvent, noticed_by: str, text: str, result: Result, ser
         if noticed_by == PERSON
         else f"{noticed_by} at {event.time_s:.1f} s{where}: {text}"
     )
-    return Cause(text, event.time_s, noticed_by, injected, _outcome(result, series), place, sentence)
+    outcome = _flown(series) if noticed_by == PERSON else _outcome(result, series)  # what is not judged, misses nothing
+    return Cause(text, event.time_s, noticed_by, injected, outcome, place, sentence)
 
 
 def _over_all(text: str, result: Result, series: Series, injected: str = "") -> Cause:
@@ -157,11 +158,13 @@ def _injected(series: Series, until_s: float = math.inf) -> list[str]:
 
 
 def _outcome(result: Result, series: Series) -> str:
-    if not series.started:
-        return "nothing was flown"
-    flown_s = min(series.reached_s, series.end_s)
     unmet = sum(not check.passed for check in result.checks)
-    return f"{flown_s:.1f} s of {series.asked_s:g} s flown, {unmet} of {len(result.checks)} requirements not met"
+    return f"{_flown(series)}, {unmet} of {len(result.checks)} requirements not met" if series.started else _flown(series)
+
+
+def _flown(series: Series) -> str:
+    flown_s = min(series.reached_s, series.end_s)
+    return f"{flown_s:.1f} s of {series.asked_s:g} s flown" if series.started else "nothing was flown"
 
 
 def _ended_by(series: Series) -> TimelineEvent | None:

@@ -22,7 +22,7 @@ from wire.process.cli_options import (
 from wire.process.runtime import SLICE_S, Stop, start_log
 
 if TYPE_CHECKING:  # the page's server takes a second to import
-    from groundstation.web.replay_backend import AfterRun
+    from groundstation.web.replay_backend import RunChoice
     from wire.web_access import WebOptions
 
 CLOSED_S = 6.0  # without an open page; one that is cut off or loaded again is back within 4 s
@@ -101,7 +101,7 @@ def show(
     until_closed: bool = False,
     offers: Sequence[str] = (),
     problem: str = "",
-) -> "AfterRun | None":
+) -> "RunChoice | None":
     """Show a recorded run on the page, until it is told to stop, a person chooses one of the `offers` or, with `until_closed`,
     no page is open. Returns the choice."""
     from groundstation.web.replay_backend import ReplayBackend

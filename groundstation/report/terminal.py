@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from groundstation.analysis.cause import missed, title
+from groundstation.analysis.cause import NOT_JUDGED, missed, title
 from groundstation.analysis.numbers import deg, mm
 from groundstation.analysis.results import Result
 from wire.figures import NOTHING
@@ -23,10 +23,11 @@ def lines(result: Result) -> Iterator[str]:
         yield "nothing was flown"
         return
     yield from _table(result)
-    for check in result.checks:
+    judged = () if result.verdict == NOT_JUDGED else result.checks
+    for check in judged:
         if not check.passed and check.value is not None and check.name != "faults":
             yield f"not met: {missed(check)}"
-    skipped = [title(check) for check in result.checks if not check.passed and check.value is None]
+    skipped = [title(check) for check in judged if not check.passed and check.value is None]
     if skipped:
         yield f"not reached: {', '.join(skipped)}"
     for fault in result.faults:

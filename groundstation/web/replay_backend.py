@@ -193,8 +193,8 @@ class _NoRequests:
 
 
 @dataclass(frozen=True)
-class AfterRun:
-    """What a person chose after an ended run: "again", "edited" with the experiment to fly, or "close"."""
+class RunChoice:
+    """Choice of a person after an ended run: "again", "edited" with the experiment to fly, or "close"."""
 
     what: str
     experiment: Experiment | None = None
@@ -204,10 +204,10 @@ class ReplayBackend:
     """A run, perhaps beside another one of the same robots: both counted from the moment when they began to fly."""
 
     def __init__(self, run: Path, against: Path | None = None, offers: Sequence[str] = (), problem: str = "") -> None:
-        """`offers`: what a person may choose after it (AfterRun.what); it is then shown as it ended. `problem`: with the run,
+        """`offers`: what a person may choose after it (RunChoice.what); it is then shown as it ended. `problem`: with the run,
         or with the last choice."""
         self.station, self.run_dir = _NoRequests(), run
-        self.choice: AfterRun | None = None
+        self.choice: RunChoice | None = None
         self._offers, self._problem = list(offers), problem
         self._log = LogPlayer(run)
         self._against = LogPlayer(against) if against is not None else None
@@ -263,7 +263,7 @@ class ReplayBackend:
             tried = attempt(self.experiment, edit or Edit())
             if not tried["ok"]:
                 return list(tried["problems"])
-        self.choice = AfterRun(what, edited(self.experiment, edit or Edit()) if what == "edited" else None)
+        self.choice = RunChoice(what, edited(self.experiment, edit or Edit()) if what == "edited" else None)
         return []
 
     def _aged(self, topic: Topic, kind: type[Any], at_ns: int, robot: int = 0) -> AgedMessage:

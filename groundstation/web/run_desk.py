@@ -45,7 +45,7 @@ class RunDesk:
 
     @property
     def shown_end(self) -> dict[str, Any] | None:
-        """What became of the run that is shown; None while it is flown."""
+        """End of the run that is shown (run_end.py); None while it is flown."""
         return run_end(self._shown) if self._shown is not None else None
 
     def listing(self, problem: str = "") -> dict[str, Any]:

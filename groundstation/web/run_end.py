@@ -1,4 +1,4 @@
-"""SHELL: what a page shows of an ended run, from its result.json: verdict, cause, figures, requirements, for people."""
+"""SHELL: an ended run for its page, from its result.json: verdict, cause, figures, requirements, as people read them."""
 
 import json
 from collections.abc import Callable

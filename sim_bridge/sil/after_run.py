@@ -1,4 +1,4 @@
-"""SHELL: what follows a run whose page is open: the page shows it as recorded, until a person closes it or flies again."""
+"""SHELL: shows a run that has ended to its page, if that is open, until a person closes it or flies again."""
 
 import json
 import subprocess

@@ -24,7 +24,7 @@ from sim_bridge.sil.commands import Program, RunOptions, programs
 from sim_bridge.sil.fault_injector import ProcessFaultInjector
 from sim_bridge.sil.monitor import Monitor
 from sim_bridge.sil.ports import free_base_port, free_port
-from sim_bridge.sil.processes import GRACE_S, Child, Children
+from sim_bridge.sil.processes import Child, Children
 from wire.config.experiment import Experiment, dump_experiment
 from wire.config.fault_injection import KINDS
 from wire.mavlink.signing_key import new_key
@@ -43,6 +43,7 @@ START_WITHIN_S = 180.0  # s for the station to listen; on a starved machine a pr
 LOOK_EVERY_S = 0.2
 STALLED_S = 180.0  # s without a new heartbeat of the station after which the run is ended as stuck
 VERDICTS = {"passed": "[green]passed[/]", "failed": "[red]failed[/]", "not judged": "[yellow]not judged[/]"}
+INTERRUPTED_WITHIN_S = 15.0  # s for the station to close its log after a Ctrl-C, also on a starved machine
 SAFE_WITHIN_S = 1.0  # s in which robots bring themselves to rest when the station has gone
 
 
@@ -179,7 +180,7 @@ def _interrupt(station: Child) -> None:
     if station.exit_code is None:
         station.process.send_signal(signal.SIGINT)
         with contextlib.suppress(subprocess.TimeoutExpired):
-            station.process.wait(GRACE_S)
+            station.process.wait(INTERRUPTED_WITHIN_S)
 
 
 def _link_keys(folder: Path, robots: tuple[int, ...]) -> Path:

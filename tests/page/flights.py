@@ -76,7 +76,7 @@ class OperatorFlight:
 
     @property
     def told(self) -> str:
-        """What the program has printed."""
+        """The program's output so far."""
         return (self.folder / f"sil-{self.starts}.log").read_text(encoding="utf-8")
 
     @property

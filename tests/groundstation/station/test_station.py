@@ -260,9 +260,9 @@ def test_an_automatic_run_that_a_person_took_over_ends_only_when_it_is_left_alon
     hub = MemoryHub()
     with a_station(tmp_path, hub) as station:
         fleet, end = ObedientFleet(hub, station.experiment), process.EndOfRun(station, None)
-        station.mission.automatic, station.mission.state = True, MissionState.RUNNING
         fleet.modes = dict.fromkeys(fleet.modes, Mode.TRACKING)
-        fleet.until(station, lambda: all(seen.heard for seen in station.seen.values()))
+        fleet.until(station, lambda: [seen.mode for seen in station.seen.values()] == [Mode.TRACKING] * 2)
+        station.mission.automatic, station.mission.state = True, MissionState.RUNNING
         stop = asked(station, Order.STOP)
         assert not end.reached()
         time.sleep(0.3)

@@ -58,7 +58,7 @@ function Figures({ figures: { heads, rows } }: { figures: RunEnd["figures"] }) {
 }
 
 function Requirements({ end }: { end: RunEnd }) {
-  if (end.requirements.length === 0) return null;
+  if (end.requirements.length === 0 || end.verdict === "not judged") return null;
   const met = end.requirements.filter((one) => one.met === "yes").length;
   return (
     <details open={end.verdict === "failed"}>

@@ -150,7 +150,7 @@ function Stopped({ state }: { state: Snapshot }) {
       >
         Clear stop{waiting.length > 0 ? ` (${waiting.length} not confirmed)` : ""}
       </button>
-      <p class="hint">Then Return to start or Load again go on with this run; End run shows its verdict and its replay.</p>
+      <p class="hint">The run goes on after Clear stop: Return to start, then Start. End run shows its verdict and its replay.</p>
     </div>
   );
 }
