@@ -115,13 +115,18 @@ def cycles(
             yield from _lockstep_cycles(station, ticks, end)
         else:
             _wall_loop(station, stop, end)
-        if stop.interrupted:
-            station.ended = True
-            log.info(INTERRUPTED)
-        if server is not None and server.watched:
-            (run_dir / PAGE_OPEN).touch()
+        _conclude(station, server, stop, run_dir)
         log.info("mission %s after %.1f s", mission.state.value, time.monotonic() - started_s)
         return mission.state is MissionState.DONE and not recorder.error
+
+
+def _conclude(station: Station, server: WebServer | None, stop: Stop, run_dir: Path) -> None:
+    """Record a person's Ctrl-C, and mark the run's folder if a page is open: then that is shown the ended run next."""
+    if stop.interrupted:
+        station.ended = True
+        log.info(INTERRUPTED)
+    if server is not None and server.watched:
+        (run_dir / PAGE_OPEN).touch()
 
 
 def _write_experiment(file: Path, loaded: Experiment, text: str) -> None:

@@ -1,5 +1,6 @@
 """The end of a run on the operator's page, whatever ends it: verdict, cause, figures, and what may follow; no reload."""
 
+import html
 import json
 import re
 import signal
@@ -53,8 +54,9 @@ def agrees(page: Page, flight: OperatorFlight, verdict: str, words: str) -> None
     cause = result["cause"]["sentence"] if result["cause"] else ""
     assert words in cause
     expect(end_of(page).locator(".verdict")).to_contain_text(cause)
-    assert f"cause: {cause}" in flight.told if cause else "cause: " not in flight.told
-    page_of_report = (run / "report.html").read_text()
+    told = flight.told.rpartition(f"into {run}")[2]
+    assert f"cause: {cause}" in told if cause else "cause: " not in told
+    page_of_report = html.unescape((run / "report.html").read_text())
     assert f"{verdict}</span></h1>" in page_of_report and cause in page_of_report
 
 

@@ -1,7 +1,7 @@
 /** The end of a run: verdict, cause, figures, requirements, and what may follow. Shown as soon as the run is recorded. */
 
 import { nextSerial, say } from "../link";
-import { choice, drawSoon, editing, inControl, scene, shown } from "../store";
+import { choice, connected, drawSoon, editing, inControl, scene, shown } from "../store";
 import type { RunEnd } from "../wire";
 
 const LOOKS: Record<string, [mark: string, look: string]> = { passed: ["✓", "ok"], failed: ["✕", "bad"] };
@@ -95,7 +95,7 @@ function Buttons() {
   const from = at !== undefined && at.time_s < replay.end_s - 0.1 ? at.time_s : replay.begin_s;
   return (
     <div class="orders">
-      <button type="button" class="order" title="Play the recorded run; Space" onClick={() => say({ kind: "seek", time_s: from, rate: 1 })}>
+      <button type="button" class="order" disabled={!connected.value} title="Play the recorded run; Space" onClick={() => say({ kind: "seek", time_s: from, rate: 1 })}>
         Replay
       </button>
       <Choice what="again" text="Fly again" title="The same experiment with the same options, into a new folder" />
@@ -104,6 +104,7 @@ function Buttons() {
           type="button"
           class="order"
           aria-pressed={editing.value}
+          disabled={!connected.value}
           title="Change path, formation and pool on the map, then fly that"
           onClick={() => {
             editing.value = !editing.value;
