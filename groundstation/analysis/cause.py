@@ -54,12 +54,11 @@ def cause(result: Result, series: Series) -> Cause | None:
         return None
     noticed = result.faults or (() if series.started else faults(series.timeline_events))
     act = _persons_act(series)
-    if act is not None and not any(_explains(fault, act, series) for fault in noticed):
-        return _cause(act, PERSON, ACTS[act.text], result, series)
-    lasting = [fault for fault in noticed if not _healed(fault, series)]
+    lasting = [f for f in noticed if (_explains(f, act, series) if act is not None else not _healed(f, series))]
     if lasting:
-        first = next((fault for fault in lasting if act is None or _explains(fault, act, series)), lasting[0])
-        return _cause(first, first.source, first.text, result, series, _injected_before(first, series))
+        return _cause(lasting[0], lasting[0].source, lasting[0].text, result, series, _injected_before(lasting[0], series))
+    if act is not None:
+        return _cause(act, PERSON, ACTS[act.text], result, series)
     ended = _ended_by(series)
     if ended is not None:
         return _cause(ended, ended.source, ended.text.removeprefix("mission: "), result, series)
