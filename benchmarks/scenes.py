@@ -108,7 +108,7 @@ def _not_flown(scene: str, seed: int, last_line: Sequence[str], took_s: float) -
 
 def _flight(result: dict[str, Any], tracks: dict[str, PoseRow], took_s: float) -> Flight:
     robots = result["robots"].values()
-    unmet = [check["name"] for check in result["checks"] if not check["passed"]]
+    unmet = [check["name"] for check in result["checks"] if check["passed"] is False]
     cause = result["cause"]["text"] if result["cause"] else ""
     arrival = next((check["value"] for check in result["checks"] if check["name"] == "from its place at the end"), None)
     faults = tuple(f"{fault['source']}: {fault['text']} ({fault['time_s']:.1f} s)" for fault in result["faults"])

@@ -124,6 +124,16 @@ def of_the_pool(browser: Browser, out: str) -> None:
         page.context.close()
 
 
+def of_an_end(browser: Browser, out: str) -> None:
+    """A short run when it is over."""
+    with flight(out, "pool", "--duration", "25") as url:
+        page = opened(browser, url, DESK)
+        page.get_by_label("End of the run").wait_for()
+        page.locator(".end summary").click()
+        keep(page, "end")
+        page.context.close()
+
+
 def of_a_fleet(browser: Browser, out: str) -> None:
     """Twenty robots replayed."""
     port, run = free_port(), next(Path(out).glob("fleet-20-*"))
@@ -205,6 +215,7 @@ def main() -> None:
         browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=FLAGS)
         fly_before(out)
         of_the_pool(browser, out)
+        of_an_end(browser, out)
         of_a_fleet(browser, out)
         of_a_camera(browser, out)
         browser.close()

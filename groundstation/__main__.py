@@ -11,7 +11,7 @@ from groundstation.cli.foxglove import foxglove_cli, foxglove_layout
 from groundstation.cli.keys import keys_cli
 from groundstation.cli.keys_of import keys_of
 from groundstation.cli.mission import fleet_request, gains_cli, go, mission_cli, order, register, set_or_undo, states
-from groundstation.cli.replay import replay
+from groundstation.cli.replay import ended, replay
 from groundstation.cli.rerun import moment, rerun
 from groundstation.cli.run import plan, run
 from groundstation.cli.run_list import delete, label, list_runs
@@ -69,6 +69,7 @@ cli.add_typer(keys_cli, name="keys")
 cli.command()(deploy)
 cli.add_typer(foxglove_cli, name="foxglove")
 cli.command(hidden=True)(moment)
+cli.command(hidden=True)(ended)
 
 OLD_NAMES: dict[str, tuple[Callable[..., None], str]] = {
     "order": (order, "mission load|arm|start|hold|resume|return|rejoin|test|disarm|clear-stop, or stop, end"),

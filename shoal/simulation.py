@@ -118,7 +118,7 @@ def simulation(
             ended = fleet.ended
     finally:
         if not ended and child.poll() is None:
-            child.send_signal(signal.SIGINT)
+            child.send_signal(signal.SIGTERM)  # SIGINT would be a person
         try:
             child.wait(END_WITHIN_S)
         except subprocess.TimeoutExpired:

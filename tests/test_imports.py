@@ -88,7 +88,7 @@ PARTS: dict[str, dict[str, set[str]]] = {
         "replay": {"logs", "palette", "report"},
         "telemetry": set(),
         "mission": {"planning", "telemetry"},
-        "web": {"logs", "mission", "planning", "telemetry"},
+        "web": {"analysis", "logs", "mission", "planning", "telemetry"},
         "station": {"export", "logs", "mission", "planning", "telemetry", "web"},
         "client": {"mission", "station"},
         "cli": {"client", "deploy", "export", "logs", "mission", "planning", "replay", "report", "station", "web"},

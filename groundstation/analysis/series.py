@@ -29,6 +29,7 @@ class States:
 
     time_s: Array
     mode: Array  # Mode as a number
+    faulty: Mask  # the robot reports a fault
     trajectory_s: Array
     eta: Array  # (m, 4) estimated
     eta_reference: Array  # (m, 4)

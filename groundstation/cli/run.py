@@ -3,7 +3,7 @@
 import json
 import time
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -26,8 +26,12 @@ from wire.process.cli_options import (
     WebAddress,
     caution,
 )
+from wire.process.output_files import page_was_open
 from wire.process.runtime import Stop, run_steps, start_log
 from wire.toml_loader import ConfigError, os_errors_as_config_errors
+
+if TYPE_CHECKING:  # the page's server takes a second to import
+    from wire.web_access import WebOptions
 
 NoWeb = Annotated[bool, typer.Option("--no-web", help="Serve no page.")]
 
@@ -64,7 +68,8 @@ def run(
     """Fly an experiment: be the fleet's router, wait for the robots, run the mission, record, write the report.
 
     Without --auto the station waits for orders: from the operator's page, or from another terminal
-    (`groundstation mission start`), until a person ends the run (`groundstation end`, or Ctrl-C).
+    (`groundstation mission start`), until a person ends the run (`groundstation end`, or Ctrl-C). A page that is open at the
+    end shows the recorded run, and can have it flown again, until it is closed.
     Exit code 0 if the mission succeeded and every limit of the experiment held, 1 if not.
 
     Examples:  groundstation run pool --listen tls/0.0.0.0:7447 --keys keys
@@ -91,35 +96,46 @@ def run(
     if dry_run:
         typer.echo(_intent(loaded, run_dir or out))
         return
-    stop = Stop()
-    folder = run_dir or out / f"{loaded.name}-{time.strftime('%Y%m%d-%H%M%S')}"
-    text = dump_experiment(loaded)
-    if (folder / "run.mcap").exists():
-        raise ConfigError(f"{folder / 'run.mcap'}: is there already, and would be lost (allowed: a folder without a log)")
-    with Bus(ZenohTransport(where, stop), fleet) as bus, announced(where, fleet, loaded.name):
-        bus.claim(me, stop)
-        station = process.cycles(
-            loaded,
-            text,
-            bus,
-            folder,
-            automatic=auto,
-            lockstep=lockstep,
-            stop=stop,
-            give_up_s=give_up,
-            web=page,
-            insecure=where.insecure,
-            viewer=viewer,
-        )
-        succeeded = run_steps(station)
-    if run_dir is None:  # a launcher that names the folder writes the report itself, when every process has stopped
-        passed = write_report(folder).passed
-        typer.echo(f"report: {folder / 'report.html'} ({'passed' if passed else 'failed'})")
-        succeeded = succeeded and passed
-        if page is not None and not auto and not stop.requested:
-            typer.echo("the page shows the recorded run until it is closed, or Ctrl-C")
-            show(folder, page, stop, until_closed=True)
-    raise typer.Exit(0 if succeeded else 1)
+
+    def fly(folder: Path, stop: Stop) -> bool:
+        """Fly once. Returns whether the mission succeeded."""
+        if (folder / "run.mcap").exists():
+            raise ConfigError(f"{folder / 'run.mcap'}: is there already, and would be lost (allowed: a folder without a log)")
+        with Bus(ZenohTransport(where, stop), fleet) as bus, announced(where, fleet, loaded.name):
+            bus.claim(me, stop)
+            station = process.cycles(
+                loaded,
+                dump_experiment(loaded),
+                bus,
+                folder,
+                automatic=auto,
+                lockstep=lockstep,
+                stop=stop,
+                give_up_s=give_up,
+                web=page,
+                insecure=where.insecure,
+                viewer=viewer,
+            )
+            return run_steps(station)
+
+    if run_dir is not None:  # a launcher that names the folder writes the report itself, when every process has stopped
+        raise typer.Exit(0 if fly(run_dir, Stop()) else 1)
+    again = True
+    while again:
+        folder, stop = out / f"{loaded.name}-{time.strftime('%Y%m%d-%H%M%S')}", Stop()
+        succeeded = fly(folder, stop)
+        result = write_report(folder)
+        typer.echo(f"report: {folder / 'report.html'} ({result.verdict})")
+        again = page is not None and page_was_open(folder) and not stop.terminated and _flies_again(folder, page)
+    raise typer.Exit(0 if succeeded and result.passed else 1)
+
+
+def _flies_again(folder: Path, page: "WebOptions") -> bool:
+    """Show the recorded run to the page that is open, until it is closed. Returns True if it is to be flown again: the same
+    experiment, because the robots have no other."""
+    typer.echo("the page shows the recorded run: Close there, close the page, or press Ctrl-C")
+    choice = show(folder, page, Stop(), until_closed=True, offers=("again", "close"))
+    return choice is not None and choice.what == "again"
 
 
 def _token(file: Path) -> str:

@@ -53,7 +53,7 @@ def report(
         raise typer.Exit(0 if result.passed else 1)
     for line in terminal.lines(result):
         typer.echo(line)
-    typer.echo(f"report: {run_folder / 'report.html'} ({'passed' if result.passed else 'failed'})")
+    typer.echo(f"report: {run_folder / 'report.html'} ({result.verdict})")
     for path in figures:
         typer.echo(path)
     raise typer.Exit(0 if result.passed else 1)

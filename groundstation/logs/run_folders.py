@@ -35,7 +35,7 @@ class ListedRun:
     mode: str
     duration_s: float
     size_mb: float  # of the whole folder
-    verdict: str  # passed, failed, or NO_RESULT
+    verdict: str  # passed, failed, not judged, or NO_RESULT
     commit: str  # of the code that recorded it
 
 
@@ -113,7 +113,7 @@ def _listed(log: Path) -> ListedRun:
         mode=str(result.get("mode", "")),
         duration_s=float(duration_s) if isinstance(duration_s, int | float) else 0.0,
         size_mb=size_mb(log.parent),
-        verdict=NO_RESULT if passed is None else "passed" if passed else "failed",
+        verdict=NO_RESULT if passed is None else str(result.get("verdict") or ("passed" if passed else "failed")),
         commit=str(result.get("commit", "")),
     )
 

@@ -40,6 +40,7 @@ ORDER_TIMEOUT_S = 0.5
 LOCKSTEP_ORDER_TIMEOUT_S = PATIENT_MS * 1e-3  # as long as a link is kept: sent again, an order would count at a later step
 TROUBLED = frozenset({MissionState.FAILED, MissionState.ABORTING, MissionState.STOPPED, MissionState.DEGRADED})
 PROMPT = frozenset({Order.STOP, Order.DISARM, Order.HOLD})
+COURSE = frozenset({Order.STOP, Order.RETURN, Order.START})  # a person's: the first two take an automatic run over
 MAX_UNANSWERED = 2  # orders of a kind to one robot that may be unanswered: the second goes out before the first is given up
 # of orders that may be on their way to one robot at a time, but for PROMPT: LOAD or START, ARM, TUNE, ADOPT, DRIVE
 COMMAND_KINDS = 5
@@ -95,7 +96,9 @@ class Station:
     obstacles_up_to_ns: int | None = None  # in lockstep: pictures up to then have been told of
     pending: list[tuple[Command, Future[Reply]]] = field(default_factory=list)
     paths: Mapping[int, tuple[Trajectory, float]] | None = None  # what each robot flies now, until when [s]
-    ended: bool = False  # a person has ended the run: everybody who is heard is at rest
+    ended: bool = False  # the run is over: everybody who is heard is at rest, or the program was interrupted
+    by_hand: bool = False  # a person stopped the fleet or sent it back, and has started no flight since
+    asked_s: float = 0.0  # instant of the last request (s, monotonic)
     told: str = ""
     insecure: bool = False
     recorder_told: bool = False
@@ -240,6 +243,9 @@ class Station:
             else:
                 reason = self._end() if order is Order.END else self._request_mission(order, via)
             number = 0 if reason else self.requests.begin(order, self.mission, only=only)
+            self.asked_s = time.monotonic()
+            if not reason and not only and order in COURSE:
+                self.by_hand = order is not Order.START
         if order in PROMPT and not reason:
             self.wake.set()
         asked = f"{order.name} for robot {only}" if only else order.name

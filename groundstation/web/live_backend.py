@@ -13,6 +13,7 @@ from groundstation.mission.state_machine import READY, MissionState, order_name,
 from groundstation.telemetry import FleetInboxes
 from groundstation.web.alarms import alarms
 from groundstation.web.backend import ShownPicture, StationApi
+from groundstation.web.protocol import Edit
 from groundstation.web.scene import flown_paths, scene
 from groundstation.web.snapshot import (
     NEVER_MS,
@@ -182,3 +183,7 @@ class LiveBackend:
 
     def seek(self, time_s: float | None, rate: float | None) -> None:
         """Refuse: only a recorded run can be at another time."""
+
+    def choose(self, what: str, edit: Edit | None) -> list[str]:
+        """Refuse: this run is not over."""
+        return ["the run still goes on"]

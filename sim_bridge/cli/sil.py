@@ -3,7 +3,7 @@
 import os
 import sys
 from pathlib import Path
-from typing import Annotated, NoReturn
+from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
@@ -13,6 +13,12 @@ from wire.kernel_build import ensure_compiled
 from wire.process.cli_options import ExperimentName, FaultLines, KeyRing, Settings, caution, experiments
 from wire.process.output_files import new_run_folder
 from wire.process.runtime import Stop
+from wire.toml_loader import ConfigError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from sim_bridge.sil.commands import RunOptions
 
 Seed = Annotated[int | None, typer.Option(help="Seed of everything random; default: the experiment's.")]
 Duration = Annotated[float | None, typer.Option(help="Seconds to fly; default: the experiment's.")]
@@ -84,7 +90,7 @@ def sil(
     if experiment is None:
         raise typer.BadParameter("name an EXPERIMENT, or a run with --from")
     from sim_bridge.sil import launcher as software_in_the_loop
-    from sim_bridge.sil.commands import RunOptions, check, pace_of, time_in_words
+    from sim_bridge.sil.commands import RunOptions, check, pace_of
     from sim_bridge.sil.ports import page_address
 
     if one_process and not dry_run:
@@ -97,22 +103,59 @@ def sil(
         console.print("no camera (localizer.uses_camera = false): the simulator gives the poses", soft_wrap=True)
     pace = pace_of(lockstep, real_time, one_process, pace)
     options = RunOptions(not real_time, page, manual, poses, keys, signed, one_process, pace)
-    check(loaded, options)
     if dry_run:
+        check(loaded, options)
         raise typer.Exit(software_in_the_loop.dry_run(loaded, out / f"{loaded.name}-TIME", options, console))
     ensure_compiled()
-    folder = new_run_folder(out, loaded.name)
+    raise typer.Exit(_fly_on(loaded, out, options, console))
+
+
+def _fly_on(experiment: Experiment, out: Path, options: "RunOptions", console: "Console") -> int:
+    """Fly an experiment, and then what a person chooses on the page. Returns the exit code of the last run that was flown."""
+    from sim_bridge.sil.after_run import EndedRun, next_experiment
+    from sim_bridge.sil.commands import check
+
+    run: EndedRun | None = None
+    while True:
+        problem, stop = "", Stop()
+        try:
+            check(experiment, options)
+            folder, code = _fly(experiment, out, options, stop, console)
+        except ConfigError as error:
+            if run is None:
+                raise
+            problem = str(error)
+        else:
+            if folder.exists():
+                run = EndedRun(experiment, folder, code)
+            elif run is None:
+                return code
+            else:
+                problem = "the station refused to fly this: the terminal says why"
+        chosen = next_experiment(run, options, problem, stop, console)
+        if chosen is None:
+            return run.code
+        experiment = chosen
+
+
+def _fly(experiment: Experiment, out: Path, options: "RunOptions", stop: Stop, console: "Console") -> tuple[Path, int]:
+    """Fly an experiment once. Returns its folder, which is gone if nothing was flown, and the exit code."""
+    from sim_bridge.sil.commands import time_in_words
+
+    folder, how = new_run_folder(out, experiment.name), time_in_words(options)
     console.print(
-        f"{loaded.title or loaded.name}: {loaded.duration_s:g} s {time_in_words(options)}; seed {loaded.seed}, into {folder}",
+        f"{experiment.title or experiment.name}: {experiment.duration_s:g} s {how}; seed {experiment.seed}, into {folder}",
         soft_wrap=True,
     )
-    if page is not None:
-        console.print(f"operator page: http://{page}/", soft_wrap=True)
-    if one_process:
+    if options.page is not None:
+        console.print(f"operator page: http://{options.page}/", soft_wrap=True)
+    if options.one_process:
         from sim_bridge.in_process import executor
 
-        raise typer.Exit(executor.run(loaded, folder, options, Stop(), console))
-    raise typer.Exit(software_in_the_loop.run(loaded, folder, options, Stop(), console))
+        return folder, executor.run(experiment, folder, options, stop, console)
+    from sim_bridge.sil import launcher
+
+    return folder, launcher.run(experiment, folder, options, stop, console)
 
 
 def numeric(

@@ -345,7 +345,7 @@ def run(experiment: Experiment, run_dir: Path, options: RunOptions, stop: Stop, 
     hub = MemoryHub()
     executor = Executor(experiment, run_dir, hub, poses=options.poses, pace=options.pace)
     monitor = Monitor(experiment, Bus(MemoryTransport(hub)), options.pace)
-    stop.on_request(executor.stop.request)
+    stop.on_request(lambda: executor.stop.request(stop.interrupted))
     log_file, succeeded = run_dir / "run.mcap", False
     try:
         with monitor.shown(console) as say:
@@ -354,4 +354,4 @@ def run(experiment: Experiment, run_dir: Path, options: RunOptions, stop: Stop, 
         launcher.print_error(console, str(error))
         if isinstance(error, ConfigError) and not log_file.exists():
             return launcher.nothing_flown(run_dir, console)
-    return launcher.conclude(run_dir, log_file.exists(), succeeded, options, stop, console)
+    return launcher.conclude(run_dir, log_file.exists(), succeeded, stop, console)

@@ -3,10 +3,13 @@
 The processes are the ones that run in the pool, started as a user would start them; only the pool is simulated.
 """
 
+import contextlib
+import json
 import os
 import resource
 import shlex
 import shutil
+import signal
 import socket
 import subprocess
 import sys
@@ -26,6 +29,7 @@ from wire.config.experiment import Experiment, dump_experiment
 from wire.config.fault_injection import KINDS
 from wire.mavlink.signing_key import new_key
 from wire.messages.topics import Role, process_name
+from wire.process.output_files import PAGE_OPEN
 from wire.process.runtime import Stop
 from wire.toml_loader import ConfigError
 from wire.transport import frame_ring
@@ -38,12 +42,14 @@ from wire.transport.zenoh_transport import ZenohTransport
 START_WITHIN_S = 180.0  # s for the station to listen; on a starved machine a program takes a minute to load
 LOOK_EVERY_S = 0.2
 STALLED_S = 180.0  # s without a new heartbeat of the station after which the run is ended as stuck
+VERDICTS = {"passed": "[green]passed[/]", "failed": "[red]failed[/]", "not judged": "[yellow]not judged[/]"}
+INTERRUPTED_WITHIN_S = 15.0  # s for the station to close its log after a Ctrl-C, also on a starved machine
 SAFE_WITHIN_S = 1.0  # s in which robots bring themselves to rest when the station has gone
 
 
 def run(experiment: Experiment, run_dir: Path, options: RunOptions, stop: Stop, console: Console) -> int:
-    """Run an experiment with all its processes, after `commands.check`. Returns the exit code: 0 passed, 1 failed, 2
-    refused by the station, 130 interrupted."""
+    """Run an experiment with all its processes, after `commands.check`. Returns the exit code: 0 passed, 1 failed or not
+    judged, 2 refused by the station, 130 interrupted."""
     write_experiment(experiment, run_dir)
     if not hasattr(resource, "prlimit"):
         fault_schedule.require_kinds(
@@ -73,19 +79,22 @@ def run(experiment: Experiment, run_dir: Path, options: RunOptions, stop: Stop, 
                     problems = _watch(children, station, monitor, injector, options.lockstep, stop, console)
             except Unreached:  # interrupted, or the station is gone: both are told below
                 came_up = False
+        if stop.interrupted:
+            _interrupt(station)
         mission_failed = not came_up or station.exit_code != 0
         refused = station.exit_code == 2 and not (run_dir / "run.mcap").exists()
         if not stop.requested and (not came_up or station.exit_code not in (None, 0, 1)):
             problems.append(station.log.read_text(encoding="utf-8").strip() if refused else station.explain())
             print_error(console, problems[-1])
+            (run_dir / PAGE_OPEN).touch()  # it cannot say any more whether its page was open
     finally:
         children.stop()
         if secrets is not None:
             secrets.cleanup()
     if refused and not stop.requested:
         return nothing_flown(run_dir, console)
-    verdict = conclude(run_dir, came_up, not mission_failed and not problems, options, stop, console)
-    return 2 if verdict == 1 and station.exit_code == 2 else verdict
+    code = conclude(run_dir, came_up, not mission_failed and not problems, stop, console)
+    return 2 if code == 1 and station.exit_code == 2 else code
 
 
 def write_experiment(experiment: Experiment, run_dir: Path) -> None:
@@ -101,9 +110,9 @@ def nothing_flown(run_dir: Path, console: Console) -> int:
     return 2
 
 
-def conclude(run_dir: Path, came_up: bool, succeeded: bool, options: RunOptions, stop: Stop, console: Console) -> int:
-    """Report, print the verdict, and show the run to a person who has ended it on the page. `came_up`: the station made a
-    log. Returns the exit code: 0 passed, 1 failed, 130 interrupted."""
+def conclude(run_dir: Path, came_up: bool, succeeded: bool, stop: Stop, console: Console) -> int:
+    """Report, and print the verdict. `came_up`: the station made a log. Returns the exit code: 0 passed, 1 failed or not
+    judged, 130 interrupted."""
     if stop.requested:
         console.print("interrupted: every process is stopped")
     passed = came_up and report(run_dir, console) and succeeded
@@ -111,15 +120,14 @@ def conclude(run_dir: Path, came_up: bool, succeeded: bool, options: RunOptions,
         console.print(f"report: {run_dir / 'report.html'}", soft_wrap=True)
     if stop.requested:
         return 130
-    console.print("[green]passed[/]" if passed else f"[red]failed[/] (what each process said: {run_dir / 'logs'})")
-    if came_up and options.manual and options.page is not None:
-        console.print("the page shows the recorded run until it is closed, or Ctrl-C")
-        arguments = ["log", "replay", str(run_dir), "--web", options.page, "--until-closed"]
-        with subprocess.Popen([sys.executable, "-m", "groundstation", *arguments], stdout=subprocess.DEVNULL) as shown:
-            while shown.poll() is None and not stop.requested:
-                time.sleep(LOOK_EVERY_S)
-            shown.terminate()
+    console.print(VERDICTS[verdict(run_dir, passed)] + ("" if passed else f" (what each process said: {run_dir / 'logs'})"))
     return 0 if passed else 1
+
+
+def verdict(run_dir: Path, passed: bool) -> str:
+    """The verdict in words: "failed" also for a run whose result passed, but not all of its processes."""
+    result = json.loads((run_dir / "result.json").read_text(encoding="utf-8")) if (run_dir / "result.json").exists() else {}
+    return "passed" if passed else "not judged" if result.get("verdict") == "not judged" else "failed"
 
 
 def dry_run(experiment: Experiment, run_dir: Path, options: RunOptions, console: Console) -> int:
@@ -166,6 +174,14 @@ def _start_all(children: Children, wanted: list[Program], address: str, stop: St
     for program in others:
         children.start(program.name, program.module, program.arguments, inherits=program.inherits)
     return station, True
+
+
+def _interrupt(station: Child) -> None:
+    """Let the station end by a person's Ctrl-C before the others: it writes that into the log, and tells its page."""
+    if station.exit_code is None:
+        station.process.send_signal(signal.SIGINT)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            station.process.wait(INTERRUPTED_WITHIN_S)
 
 
 def _link_keys(folder: Path, robots: tuple[int, ...]) -> Path:

@@ -109,9 +109,10 @@ def test_a_mission_by_hand(lab: OperatorLab) -> None:
     lab.says("groundstation", "the run is ended")
     assert lab.children.all[2].process.wait(60) == 1  # it did not fly to its end
     code, said = run_groundstation("log", "report", str(lab.folder / "run"))
-    assert (code, said.rstrip().endswith("(failed)")) == (1, True), said
+    assert (code, said.rstrip().endswith("(not judged)")) == (1, True), said
     result = json.loads((lab.folder / "run" / "result.json").read_text())
     assert (result["scene"], result["mode"], result["passed"]) == ("pool", "lockstep", False)
+    assert result["cause"]["text"] == "pressed the emergency stop"
     assert 1.0 < result["duration_s"] < 900.0
     assert (lab.folder / "run" / "report.html").stat().st_size > 10_000
 

@@ -23,10 +23,19 @@ from wire.toml_loader import ConfigError, os_errors_as_config_errors
 
 # What tells a folder of results, and the files in it that only the command which made it may write.
 RUN = ("run.mcap", "experiment.toml", "result.json", "report.html", "label.json")
+PAGE_OPEN = ".page-open"  # in a run's folder: its page was open when its station ended; who shows the ended run takes it away
 CAMPAIGN = ("journal.jsonl", "results.parquet", "report.html")
 COMPARISON = ("comparison.json", "comparison.html")
 _OWN = {"run.mcap": RUN, "experiment.toml": RUN, "journal.jsonl": CAMPAIGN, "comparison.json": COMPARISON}
 _KINDS = {RUN: "a run", CAMPAIGN: "a campaign", COMPARISON: "a comparison"}
+
+
+def page_was_open(folder: Path) -> bool:
+    """True if the page of a run's station was open when the station ended. Takes the mark away that says so."""
+    mark = folder / PAGE_OPEN
+    found = mark.exists()
+    mark.unlink(missing_ok=True)
+    return found
 
 
 def check_output(path: Path, reads: Iterable[Path] = (), mine: tuple[str, ...] = ()) -> None:

@@ -71,6 +71,7 @@ class Stop:
 
     def __init__(self, install: bool = True) -> None:
         self.requested = False
+        self.interrupted = False  # by SIGINT: a person pressed Ctrl-C
         self._wakes: list[Callable[[], None]] = []
         self.failure = ""  # why the process ends itself; empty: nothing has failed
         if install:
@@ -80,17 +81,23 @@ class Stop:
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
         if self.requested:
             os._exit(128 + number)
-        self.request()
+        self.request(number == signal.SIGINT)
 
     def __call__(self) -> bool:
         """True once a stop has been asked for."""
         return self.requested
 
-    def request(self) -> None:
-        """Ask for a clean stop."""
+    def request(self, interrupted: bool = False) -> None:
+        """Ask for a clean stop. `interrupted`: a person has pressed Ctrl-C."""
+        self.interrupted = self.interrupted or interrupted
         self.requested = True
         for wake in self._wakes:
             threading.Thread(target=wake, name="stop", daemon=True).start()
+
+    @property
+    def terminated(self) -> bool:
+        """True if a stop was asked for by a program, and not by a person's Ctrl-C."""
+        return self.requested and not self.interrupted
 
     def on_request(self, wake: Callable[[], None]) -> None:
         """Have `wake` called when a stop is asked for, for a loop that sleeps too long to look. On a thread of its own: a

@@ -281,6 +281,32 @@ def test_an_end_replaced_by_a_start_ends_no_run(tmp_path: Path) -> None:
         assert not station.ended
 
 
+def test_an_automatic_run_that_a_person_took_over_ends_only_when_it_is_left_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(process, "IDLE_ALONE_S", 0.2)
+    hub = MemoryHub()
+    with a_station(tmp_path, hub) as station:
+        fleet, end = ObedientFleet(hub, station.experiment), process.EndOfRun(station, None)
+        fleet.modes = dict.fromkeys(fleet.modes, Mode.TRACKING)
+        fleet.until(station, lambda: [seen.mode for seen in station.seen.values()] == [Mode.TRACKING] * 2)
+        station.mission.automatic, station.mission.state = True, MissionState.RUNNING
+        stop = asked(station, Order.STOP)
+        assert not end.reached()
+        time.sleep(0.3)
+        assert not end.reached()  # a robot that moves is never left alone
+        fleet.until(station, lambda: outcome(station, stop).progress is Progress.DONE)
+        fleet.until(station, lambda: all(seen.mode is Mode.STOPPED for seen in station.seen.values()))
+        assert not end.reached()
+        fleet.until(station, end.reached)
+        assert station.ended
+
+        station.ended, station.mission.state = False, MissionState.DONE  # after a return to the start
+        assert not process.EndOfRun(station, None).reached()
+        station.by_hand = False  # as a person's START leaves it
+        assert process.EndOfRun(station, None).reached()
+
+
 def test_status_returns_at_once_while_a_cycle_hangs(tmp_path: Path) -> None:
     with a_station(tmp_path) as station:
         station.cycle(station.clock.now_ns(), lockstep=False)

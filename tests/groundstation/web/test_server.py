@@ -266,6 +266,16 @@ def test_only_the_page_in_control_commands_and_all_may_stop(lab: ServedStation) 
     assert second.until(lambda f: state(f) and f["holder"] == yours)
 
 
+def test_a_run_that_still_goes_on_is_followed_by_no_other_whoever_asks(lab: ServedStation) -> None:
+    page = lab.open()
+    page.hello()
+    for what, problem in (("again", "take control first"), ("close", "the run still goes on")):
+        page.say(kind="after", n=1, what=what)
+        assert page.until(lambda f: f["k"] == "chosen")["problems"] == [problem]
+        page.say(kind="take")
+        page.until(lambda f: state(f) and f["holder"] != 0)
+
+
 def test_a_page_that_stops_reading_delays_no_other(lab: ServedStation) -> None:
     """It stays connected and takes nothing in; the other still gets every second state and more, and memory stays flat."""
     stopped, other = lab.open(), lab.open()

@@ -3,7 +3,7 @@
 import { isLight, setTheme } from "../colours";
 import { order, releaseControl, takeControl } from "../link";
 import { soundOn, toggleSound } from "../sound";
-import { browsing, connected, drawSoon, editing, ended, given, inControl, refusal, roundTripMs, scene, shown, stopUnheard } from "../store";
+import { browsing, connected, drawSoon, editing, ended, given, inControl, refusal, roundTripMs, scene, shown, stopUnheard, waiting } from "../store";
 import { themeSerial } from "./Plots";
 import { showRuns } from "./Runs";
 
@@ -35,7 +35,8 @@ function Control() {
 
 function Link() {
   if (refusal.value) return <span class="link bad">not let in: {refusal.value}</span>;
-  if (!connected.value) return <span class={ended.value ? "link" : "link bad"}>no connection</span>;
+  if (!connected.value && ended.value) return null; // the state says what the page waits for
+  if (!connected.value) return <span class="link bad">no connection</span>;
   return (
     <span class="link" title="From the station to this page, drawn, and back">
       link {roundTripMs.value.toFixed(0)} ms
@@ -43,9 +44,12 @@ function Link() {
   );
 }
 
+const MOVES = ["ARMED", "TRACKING", "HOLDING", "DRIVEN"];
+
 function StopButton() {
   const state = shown.value;
-  if (scene.value?.mode === "replay") return null;
+  const moves = state?.robots.some((robot) => MOVES.includes(robot.state?.mode ?? "")) ?? false;
+  if (scene.value?.mode === "replay" || (ended.value && !moves)) return null; // there is nothing to stop
   const unheard = stopUnheard.value;
   const latched = connected.value && (state?.stop ?? false);
   const confirmed = latched && state !== null && state.robots.every((robot) => robot.state?.mode === "STOPPED");
@@ -68,7 +72,7 @@ export function Header() {
       <h1>{s?.title ?? "Shoal"}</h1>
       {state !== null && (
         <span class={`mission-state ${mission.toLowerCase()}`} role="status">
-          {ended.value ? "the run is ended" : connected.value ? state.mission_text + paused(state) : "last known: " + state.mission_text}
+          {ended.value ? waiting.value : connected.value ? recorded(state) + state.mission_text + paused(state) : "last known: " + state.mission_text}
         </span>
       )}
       {s !== null && state !== null && <span class="clock">{clock(flown(state))} / {clock(s.duration_s)}</span>}
@@ -77,7 +81,7 @@ export function Header() {
       <Link />
       {state !== null && state.watchers > 1 && <span class="link">{state.watchers} pages</span>}
       <Control />
-      {s !== null && s.mode !== "replay" && (
+      {s !== null && s.mode !== "replay" && !ended.value && (
         <button
           type="button"
           aria-pressed={editing.value}
@@ -120,6 +124,10 @@ function Pace({ pace }: { pace: number | null }) {
       {pace.toFixed(1)} × real time
     </span>
   );
+}
+
+function recorded(state: NonNullable<typeof shown.value>): string {
+  return state.replay === undefined || state.mission_text === "recorded" ? "" : "recorded: ";
 }
 
 function paused(state: NonNullable<typeof shown.value>): string {
