@@ -7,7 +7,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -105,15 +105,15 @@ def simulation(
             return "" if child.poll() is None else f"the simulation has ended: {_last_words(said, output)}"
 
         address = said[-1].removeprefix(STATION).split()[0]
-        try:
-            bus = client.connect(address, patience_s=START_WITHIN_S, stopped=lambda: child.poll() is not None)
-            fleet = ConnectedFleet(bus, gone)
-            fleet.wait_ready(START_WITHIN_S)
-        except (Unreached, NotHeard):
-            if child.poll() is None:
-                raise
-            raise Failed(_last_words(said, output)) from None
-        with fleet:
+        with ExitStack() as closing:
+            try:
+                bus = client.connect(address, patience_s=START_WITHIN_S, stopped=lambda: child.poll() is not None)
+                fleet = closing.enter_context(ConnectedFleet(bus, gone))
+                fleet.wait_ready(START_WITHIN_S)
+            except (Unreached, NotHeard):
+                if child.poll() is None:
+                    raise
+                raise Failed(_last_words(said, output)) from None
             yield fleet
             ended = fleet.ended
     finally:
