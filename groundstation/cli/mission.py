@@ -61,9 +61,10 @@ HELP = {
     "test": "Test every thruster of every robot, briefly and with little thrust.",
     "disarm": "Disarm all robots: neutral, and no pulses until they are armed again.",
     "clear-stop": "Clear an emergency stop. Robots stay disarmed until they are armed again.",
-    "stop": """Emergency stop: every robot to neutral, latched until `groundstation mission clear-stop`.
+    "stop": """Emergency stop: every robot of every station here to neutral, latched until `groundstation mission clear-stop`.
 
-    Exit code 0 when every robot of the experiment has confirmed, 1 with the names of those that have not.""",
+    On the station's machine it needs no keys. It stops first, and names afterwards what it could not use of its command line.
+    Exit code 0 when every robot of every station has confirmed, 1 with the names of those that have not.""",
     "end": """End the run: disarm every robot, then let the station write what it has, and stop. In `sim-bridge sil`
     everything ends.""",
 }
@@ -93,11 +94,13 @@ def _tell_station(
 ) -> None:
     """Make a request of the running station as its operator, wait for the outcome, and exit by it."""
     from groundstation import client
+    from groundstation.station import discovery
 
     patience_s = client.patience_s(command) if wait is None else wait
     told = OutcomePrinter(what, as_json)
     try:
-        with client.connect(station, fleet, keys, insecure) as bus:
+        there = discovery.station(station, fleet)
+        with client.connect_for_requests(there, fleet, keys, insecure, client.ORDER_TIMEOUT_S) as bus:
             reply = client.follow(client.sender(bus), command, patience_s, told.progress)
     except KeyboardInterrupt:
         typer.echo(f"{what}: not waited for; the station goes on with it", err=True)

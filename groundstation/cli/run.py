@@ -90,7 +90,7 @@ def run(
     text = dump_experiment(loaded)
     if (folder / "run.mcap").exists():
         raise ConfigError(f"{folder / 'run.mcap'}: is there already, and would be lost (allowed: a folder without a log)")
-    with Bus(ZenohTransport(where, stop), fleet) as bus, announced(where, fleet, loaded.name):
+    with Bus(ZenohTransport(where, stop), fleet) as bus, announced(where, fleet, loaded.name, bus):
         bus.claim(me, stop)
         station = process.cycles(
             loaded,

@@ -18,7 +18,7 @@ from tests.wire.strangers import Strangers
 from wire.messages.messages import Command, Order
 from wire.transport.bus import Bus
 from wire.transport.endpoint import Endpoint
-from wire.transport.gate import nearest
+from wire.transport.gate import through_door
 from wire.transport.network import endpoint
 from wire.transport.transport import Unreached
 from wire.transport.zenoh_transport import ZenohTransport
@@ -96,7 +96,7 @@ def strangers_knock(rig: None, random: Random) -> Sample:
         with Strangers(port, source, **attack):  # type: ignore[arg-type]
             time.sleep(ATTACK_S)
             return {
-                "stop answered, this machine": _stop_s(nearest(operator)),
+                "stop answered, this machine": _stop_s(through_door(address) or operator),
                 "stop answered": _stop_s(operator),
                 "agent joins": _joins_s(there, endpoint(address, "agent-1", ring)),
             }
