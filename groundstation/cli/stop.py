@@ -11,7 +11,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
-import click
 import typer
 from typer.core import TyperCommand, TyperGroup
 
@@ -71,7 +70,7 @@ def usable(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
 class StopCommand(TyperCommand):
     """A command that runs whatever its arguments are."""
 
-    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse what can be used."""
         kept, ctx.meta[HERE] = usable(args)
         return super().parse_args(ctx, kept)
@@ -80,7 +79,7 @@ class StopCommand(TyperCommand):
 class ProgramGroup(TyperGroup):
     """The program's commands. What stands before `stop` is an argument of it; `mission stop` and `order stop` are it too."""
 
-    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the program's own options."""
         at = next((place for place, word in enumerate(args) if word in self.commands), 0)
         if args[at : at + 1] == [NAME] or args[at : at + 2] in ([group, NAME] for group in GROUPS):

@@ -4,6 +4,7 @@ The stations' and terminals' programs run as ever, with one difference: the fold
 test's own, so that no station that runs here for other reasons is stopped. Robots are links that confirm what they are told.
 """
 
+import json
 import os
 import shutil
 import signal
@@ -16,6 +17,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
+from types import MappingProxyType
 
 import pytest
 import zenoh
@@ -29,7 +31,7 @@ from wire.messages.codec import Header
 from wire.messages.messages import Command, Mode, Order, Reply, RobotState
 from wire.security.key_ring import Keys
 from wire.transport.bus import Bus
-from wire.transport.endpoint import Endpoint
+from wire.transport.endpoint import Endpoint, settings
 from wire.transport.network import endpoint
 from wire.transport.zenoh_transport import MOST_LINKS_OF_ONE, ZenohTransport
 
@@ -38,7 +40,7 @@ pytestmark = pytest.mark.real_time
 PROGRAM = """
 import sys
 from pathlib import Path
-from wire.process import user_folders
+from wire import user_folders
 user_folders.RUN, user_folders.TEMPORARY = Path(sys.argv.pop(1)), Path(sys.argv.pop(1))
 from groundstation.__main__ import app
 sys.argv[0] = "groundstation"
@@ -83,7 +85,7 @@ class StationProcess:
     address: str
 
     def stops(self) -> int:
-        """How many stops have reached it."""
+        """The number of stops that have reached it."""
         return self.log.read_text().count("STOP asked for")
 
 
@@ -120,10 +122,10 @@ class Machine:
             self.ends.callback(robot.close)
         return StationProcess(process, log, address)
 
-    def stop(self, *arguments: str, cwd: Path | None = None, **login: str) -> tuple[int, str, str]:
+    def stop(self, *arguments: str, login: Mapping[str, str] = MappingProxyType({})) -> tuple[int, str, str]:
         """Exit code and what a terminal prints to stdout and stderr, of a command in a login with this environment."""
         done = subprocess.run(
-            self.command(*arguments), env=self.environment(login), cwd=cwd or self.folder, capture_output=True, text=True,
+            self.command(*arguments), env=self.environment(login), cwd=self.folder, capture_output=True, text=True,
             timeout=60, check=False,
         )  # fmt: skip
         return done.returncode, done.stdout, done.stderr
@@ -186,7 +188,7 @@ LOGINS: dict[str, dict[str, str]] = {
 @pytest.mark.parametrize("login", LOGINS.values(), ids=LOGINS.keys())
 def test_stop_from_any_login(machine: Machine, station: StationProcess, login: dict[str, str]) -> None:
     before = station.stops()
-    code, out, err = machine.stop("stop", **login)
+    code, out, err = machine.stop("stop", login=login)
     assert (code, station.stops()) == (0, before + 1), out + err
     assert out.splitlines() == [
         f"station {station.address} (pool, process {station.process.pid})",
@@ -250,7 +252,7 @@ def test_stop_from_another_machine_or_user_over_tls(
     with a_machine(tmp_path) as other:
         code, out, err = other.stop("stop", "--station", station.address, "--keys", str(ring))
         assert (code, out.splitlines()[-1], station.stops()) == (0, CONFIRMED, before + 1), err
-        code, out, err = other.stop("stop", "--station", station.address, SHOAL_KEYS="missing", XDG_RUNTIME_DIR="missing")
+        code, out, err = other.stop("stop", "--station", station.address, login={"SHOAL_KEYS": "missing"})
         assert (code, station.stops()) == (1, before + 1)
         assert "NOT HEARD" in out and "missing" in err
 
@@ -291,14 +293,18 @@ class Sessions:
         self._thread = threading.Thread(target=self._attack, daemon=True)
 
     def _attack(self) -> None:
-        from wire.transport.zenoh_transport import _config
-
         while self.tried < self._count and not self._over.is_set():
             self.tried += 1
             try:
-                self._sessions.append(zenoh.open(_config(self._where)))
+                self._sessions.append(self._session())
             except zenoh.ZError:
                 time.sleep(0.1)
+
+    def _session(self) -> zenoh.Session:
+        config = zenoh.Config()
+        for key, value in settings(self._where).items():
+            config.insert_json5(key, json.dumps(value))
+        return zenoh.open(config)
 
     def open(self) -> int:
         """The number of sessions that have a link to the router."""

@@ -22,11 +22,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import IO
 
-from wire.process.user_folders import fits, user_folders
 from wire.security.access_control import DOOR
 from wire.transport.connection_diagnostics import public_listener
 from wire.transport.endpoint import Endpoint, parse_address
 from wire.transport.own_door import opens
+from wire.user_folders import fits, user_folders
 
 log = logging.getLogger("shoal")
 

@@ -1,7 +1,7 @@
 """SHELL: a station's own door for the requests of this machine's user: a Unix socket apart from Zenoh and its ports.
 
 Nothing that happens on the network holds it up: it has a thread of its own, and neither sessions, certificates nor limits. The
-folder that it stands in lets nobody else in (wire/process/user_folders.py). A connection carries one request and its reply,
+folder that it stands in lets nobody else in (wire/user_folders.py). A connection carries one request and its reply,
 each a head of lengths and then bytes.
 """
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from groundstation.station.discovery import RunningStation, announced, running, station
-from wire.process import user_folders
+from wire import user_folders
 from wire.process.cli_options import DEFAULT_STATION
 from wire.toml_loader import ConfigError
 from wire.transport.bus import Bus

@@ -19,10 +19,10 @@ from groundstation.deploy import key_ring
 from sim_bridge.sil.ports import free_port
 from tests.waiting import eventually
 from tests.wire.strangers import Strangers
+from wire import user_folders
 from wire.messages import messages, topics
 from wire.messages.codec import Header
 from wire.messages.messages import Command, Order, Reply
-from wire.process import user_folders
 from wire.security import admission
 from wire.security.access_control import DOOR
 from wire.security.admission import RETRY

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from wire.process import user_folders
-from wire.process.user_folders import fits, is_private
-from wire.process.user_folders import user_folders as folders
+from wire import user_folders
+from wire.user_folders import fits, is_private
+from wire.user_folders import user_folders as folders
 
 
 @pytest.fixture(autouse=True)
@@ -42,7 +42,7 @@ def test_each_login_looks_into_a_folder_of_each_other(
     assert shared >= {machine / "run" / str(os.geteuid()) / "shoal", machine / "tmp" / f"shoal-{os.geteuid()}"}
 
 
-def test_what_others_may_enter_or_own_is_no_folder(machine: Path) -> None:
+def test_a_folder_that_others_may_enter_is_not_used(machine: Path) -> None:
     folder = machine / "tmp" / f"shoal-{os.geteuid()}"
     assert not is_private(folder)
     assert is_private(folder, make=True) and folder in folders()
