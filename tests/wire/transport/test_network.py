@@ -18,6 +18,8 @@ import pytest
 
 from groundstation.deploy import key_ring
 from sim_bridge.sil.ports import free_port
+from tests.waiting import eventually
+from tests.wire.strangers import Strangers
 from wire.messages import topics
 from wire.security.access_control import INSECURE
 from wire.security.key_ring import Keys
@@ -261,3 +263,18 @@ def test_a_robot_that_floods_is_not_let_through_and_the_others_are() -> None:
     finally:
         for transport in (wild, calm, ear, router):
             transport.close()
+
+
+@pytest.mark.real_time
+@pytest.mark.timeout(60)
+def test_silent_connections_to_a_router_keep_nobody_out() -> None:
+    """More of them than Zenoh would take by itself at a time, which keeps each for 10 s."""
+    address = f"tcp/127.0.0.1:{free_port()}"
+    router = ZenohTransport(Endpoint(address, router=True))
+    try:
+        with Strangers(int(address.rpartition(":")[2]), half_open=200) as strangers:
+            assert eventually(lambda: strangers.held >= 200)
+            time.sleep(0.5)  # the router has them all
+            ZenohTransport(Endpoint(address), patience_s=2.0).close()
+    finally:
+        router.close()
