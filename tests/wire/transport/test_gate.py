@@ -335,6 +335,7 @@ def test_a_member_that_is_killed_is_no_stranger(passage: Passage) -> None:
 def test_a_request_for_another_hello_ends_a_connection(passage: Passage) -> None:
     client, server = passage.pair(HELLO)
     with client, server:
+        server.settimeout(admission.PROOF_S / 2)  # by then every connection without a proof ends
         server.sendall(b"\x16\x03\x03\x00\x58\x02\x00\x00\x54\x03\x03" + RETRY + bytes(50))
         assert server.recv(1) == b""
 
