@@ -4,7 +4,6 @@ The stations' and terminals' programs run as ever, with one difference: the fold
 test's own, so that no station that runs here for other reasons is stopped. Robots are links that confirm what they are told.
 """
 
-import json
 import os
 import shutil
 import signal
@@ -20,18 +19,16 @@ from pathlib import Path
 from types import MappingProxyType
 
 import pytest
-import zenoh
 
 from groundstation.deploy import key_ring
 from sim_bridge.sil.ports import free_port
 from tests.waiting import eventually, wait_for_line
-from tests.wire.strangers import Strangers
+from tests.wire.strangers import Sessions, Strangers
 from wire.messages import topics
 from wire.messages.codec import Header
 from wire.messages.messages import Command, Mode, Order, Reply, RobotState
-from wire.security.key_ring import Keys
 from wire.transport.bus import Bus
-from wire.transport.endpoint import Endpoint, settings
+from wire.transport.endpoint import Endpoint
 from wire.transport.network import endpoint
 from wire.transport.zenoh_transport import MOST_LINKS_OF_ONE, ZenohTransport
 
@@ -281,44 +278,6 @@ def test_stop_while_holders_of_certificates_and_strangers_flood_the_port(
     log = station.log.read_text()
     assert "is not on the list of members (revoked?): its connections are closed" in log
     assert f"has {MOST_LINKS_OF_ONE} connections: more of them are closed" in log
-
-
-class Sessions:
-    """Zenoh sessions with one certificate, as many as are let in."""
-
-    def __init__(self, address: str, source: str, keys: Path, count: int) -> None:
-        self._where = Endpoint(f"{address}#bind={source}:0", keys=Keys(keys))
-        self._count, self._over, self._sessions = count, threading.Event(), list[zenoh.Session]()
-        self.tried = 0
-        self._thread = threading.Thread(target=self._attack, daemon=True)
-
-    def _attack(self) -> None:
-        while self.tried < self._count and not self._over.is_set():
-            self.tried += 1
-            try:
-                self._sessions.append(self._session())
-            except zenoh.ZError:
-                time.sleep(0.1)
-
-    def _session(self) -> zenoh.Session:
-        config = zenoh.Config()
-        for key, value in settings(self._where).items():
-            config.insert_json5(key, json.dumps(value))
-        return zenoh.open(config)
-
-    def open(self) -> int:
-        """The number of sessions that have a link to the router."""
-        return sum(bool(session.info.routers_zid()) for session in self._sessions)
-
-    def __enter__(self) -> "Sessions":
-        self._thread.start()
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self._over.set()
-        self._thread.join()
-        for session in self._sessions:
-            session.close()
 
 
 def test_stop_reaches_every_station_and_says_of_each_what_it_confirmed(machine: Machine, station: StationProcess) -> None:

@@ -1,10 +1,11 @@
 """SHELL: strangers at a port of this machine: short connections, silent ones, and handshakes without a certificate; also
-holders of a certificate who say no more than it takes to show it.
+holders of a certificate, who say no more than it takes to show it, or open one session after the other.
 
 Loopback addresses only, and bounded in number and time: what they attack is started by the test itself.
 """
 
 import contextlib
+import json
 import socket
 import ssl
 import threading
@@ -12,6 +13,11 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
+
+import zenoh
+
+from wire.security.key_ring import Keys
+from wire.transport.endpoint import Endpoint, settings
 
 MOST_HALF_OPEN = 1000
 MOST_PER_S = 500
@@ -109,3 +115,42 @@ class Strangers:
             thread.join()
         for held in self._held:
             held.close()
+
+
+class Sessions:
+    """Zenoh sessions with one certificate from `source`, as many as are let in, up to `count`."""
+
+    def __init__(self, address: str, source: str, keys: Path, count: int) -> None:
+        assert source.startswith("127.") and count <= MOST_HALF_OPEN
+        self._where = Endpoint(f"{address}#bind={source}:0", keys=Keys(keys))
+        self._count, self._over, self._sessions = count, threading.Event(), list[zenoh.Session]()
+        self.tried = 0
+        self._thread = threading.Thread(target=self._attack, daemon=True)
+
+    def _attack(self) -> None:
+        while self.tried < self._count and not self._over.is_set():
+            self.tried += 1
+            try:
+                self._sessions.append(self._session())
+            except zenoh.ZError:
+                time.sleep(0.1)
+
+    def _session(self) -> zenoh.Session:
+        config = zenoh.Config()
+        for key, value in settings(self._where).items():
+            config.insert_json5(key, json.dumps(value))
+        return zenoh.open(config)
+
+    def open(self) -> int:
+        """The number of sessions that have a link to the router."""
+        return sum(bool(session.info.routers_zid()) for session in self._sessions)
+
+    def __enter__(self) -> "Sessions":
+        self._thread.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._over.set()
+        self._thread.join()
+        for session in self._sessions:
+            session.close()
