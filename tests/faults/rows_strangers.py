@@ -1,4 +1,5 @@
 """SHELL: strangers, and holders of certificates, at the port of a station that has keys: members must come in all the same."""
+
 import shutil
 import signal
 import subprocess
@@ -101,7 +102,7 @@ def members_flood(rig: None, random: Random) -> Sample:
 
 
 def _under(attack: Callable[[int, Path], Attack]) -> Sample:
-    """What a person and a robot meet at a station whose port and keys are attacked so."""
+    """Measure a stop and a robot that joins at a station that is attacked so."""
     folder = Path(tempfile.mkdtemp(prefix="shoal-strangers-"))
     ring, now, port = folder / "keys", datetime.now(UTC), free_port()
     key_ring.init(ring, [], "shoal", now)
