@@ -14,6 +14,7 @@ import typer
 from groundstation.mission.state_machine import FLEET_REQUESTS, ONE_ROBOT, markdown, order_named, request_named
 from wire.messages.messages import Command, Outcome, Reply
 from wire.messages.topics import WHOLE_FLEET
+from wire.printable import printable
 from wire.process.cli_options import DEFAULT_FLEET, AsJson, FleetName, Insecure, KeyRing
 
 P = ParamSpec("P")
@@ -244,7 +245,7 @@ class OutcomePrinter:
             return
         if outcome.mission != self._mission:
             self._mission = outcome.mission
-            typer.echo(f"  mission: {outcome.mission.lower().replace('_', ' ')}")
+            typer.echo(printable(f"  mission: {outcome.mission.lower().replace('_', ' ')}"))
         for robot in outcome.confirmed:
             if self._robots.get(robot) != "confirmed":
                 self._robots[robot] = "confirmed"
@@ -265,6 +266,6 @@ class OutcomePrinter:
         if outcome is not None and patience_s > 0.0:
             self.progress(outcome)
             for robot, why in zip(outcome.waiting, outcome.why, strict=False):
-                typer.echo(f"  robot {robot}: NOT confirmed: {why}")
-        typer.echo(f"{self._what}: {text}")
+                typer.echo(printable(f"  robot {robot}: NOT confirmed: {why}"))
+        typer.echo(printable(f"{self._what}: {text}"))
         return 0 if done else 1

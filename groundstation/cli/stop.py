@@ -19,6 +19,7 @@ from groundstation.station import discovery
 from groundstation.station.discovery import RunningStation
 from wire.messages.messages import Command, Order, Reply
 from wire.messages.topics import WHOLE_FLEET
+from wire.printable import printable
 from wire.process.cli_options import DEFAULT_FLEET, DEFAULT_STATION, AsJson, Insecure, KeyRing, fleet_name
 from wire.toml_loader import ConfigError
 from wire.transport.endpoint import parse_address
@@ -145,12 +146,12 @@ class StationStop:
             accepted, reason = (self.reply.accepted, self.reply.reason) if self.reply is not None else (False, self.trouble)
             typer.echo(json.dumps(line | {"accepted": accepted, "robots": robots | missing, "reason": reason}))
             return
-        typer.echo(f"station {self.station.name}")
+        typer.echo(printable(f"station {self.station.name}"))
         for robot in robots if self.patience_s else ():
             typer.echo(f"  robot {robot}: confirmed")
         for robot, why in missing.items() if self.patience_s else ():
-            typer.echo(f"  robot {robot}: NOT confirmed: {why}")
-        typer.echo(f"{NAME}: {text}")
+            typer.echo(printable(f"  robot {robot}: NOT confirmed: {why}"))
+        typer.echo(printable(f"{NAME}: {text}"))
 
 
 def stop(
@@ -183,7 +184,7 @@ def stop(
         typer.echo(f"{NAME}: not waited for; the stations go on with it", err=True)
         raise typer.Exit(130) from None
     for complaint in dict.fromkeys([*complaints, *(text for one in stops for text in one.complaints)]):
-        typer.echo(f"left out: {complaint}", err=True)
+        typer.echo(printable(f"left out: {complaint}"), err=True)
     raise typer.Exit(0 if all(one.outcome()[0] for one in stops) else 1)
 
 

@@ -82,7 +82,7 @@ def test_the_station_says_whose_certificate_ends_soon(ring: Path, caplog: pytest
 
 def test_keys_that_others_can_read_are_refused(ring: Path) -> None:
     (ring / "viewer" / "key.pem").chmod(0o640)
-    with pytest.raises(ConfigError, match=r"key\.pem: mode 0640 lets others read it; chmod 600"):
+    with pytest.raises(ConfigError, match=r"key\.pem: mode 0640 lets others read the private key .*chmod 600"):
         endpoint("tls/127.0.0.1:7447", "viewer", ring)
 
 
