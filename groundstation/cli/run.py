@@ -27,8 +27,10 @@ from wire.process.cli_options import (
     caution,
 )
 from wire.process.runtime import Stop, run_steps, start_log
+from wire.secret_files import refuse_shared
 from wire.toml_loader import ConfigError, os_errors_as_config_errors
 
+LONGEST_TOKEN = 10_000  # bytes
 NoWeb = Annotated[bool, typer.Option("--no-web", help="Serve no page.")]
 
 
@@ -118,11 +120,13 @@ def run(
 def _token(file: Path) -> str:
     with os_errors_as_config_errors(file):
         try:
-            token = file.read_text(encoding="utf-8").strip()
+            with file.open("rb") as opened:  # also a pipe that a shell makes of a command's output
+                token = opened.read(LONGEST_TOKEN).decode().strip()
         except UnicodeDecodeError:
             raise ConfigError(f"--web-token-file {file}: not a text") from None
     if not token:
         raise ConfigError(f"--web-token-file {file}: is empty: an empty token protects nothing")
+    refuse_shared(file, "the page's token")
     return token
 
 
