@@ -26,7 +26,7 @@ from wire.security.key_ring import Keys
 from wire.toml_loader import ConfigError
 from wire.transport import connection_diagnostics
 from wire.transport.connection_diagnostics import trouble_reaching
-from wire.transport.endpoint import FLOOD, Endpoint
+from wire.transport.endpoint import FLOOD, Endpoint, parse_address
 from wire.transport.network import endpoint
 from wire.transport.transport import Unreached
 from wire.transport.zenoh_transport import ZenohTransport
@@ -57,12 +57,18 @@ def test_beyond_this_machine_keys_are_not_optional(address: str, caplog: pytest.
     "address",
     [
         "", "7447", "tcp/host", "tcp/:7447", "tcp/a..b:7447", "tcp/" + "a" * 64 + ":7447", "udp/1.2.3.4:7447", "tcp/1.2.3.4:0",
-        "tcp/1.2:x",
+        "tls/host:0", "tcp/1.2:x", "tcp/1.2.3.4:65536", "tcp/1.2.3.4:-1", "tcp/1.2.3.4", "tcp1.2.3.4:7447", "tcp/[]:7447",
     ],
 )  # fmt: skip
 def test_a_malformed_address_is_refused(address: str) -> None:
     with pytest.raises(ConfigError, match="allowed: tcp/HOST:PORT or tls/HOST:PORT"):
         endpoint(address, "viewer", None, insecure=True)
+
+
+@pytest.mark.parametrize("port", [1, 65535])
+def test_the_first_and_the_last_port_are_ports(port: int) -> None:
+    assert parse_address(f"tcp/127.0.0.1:{port}#bind=127.0.0.1:0") == ("tcp", "127.0.0.1", port)
+    assert parse_address(f"tls/[::1]:{port}") == ("tls", "::1", port)
 
 
 def test_with_keys_it_is_always_tls_and_only_a_router_has_access_control(ring: Path) -> None:
