@@ -35,6 +35,7 @@ def test_systemd_accepts_the_unit_and_finds_it_shut_in(tmp_path: Path) -> None:
     assert SYSTEMD is not None
     verified = subprocess.run([SYSTEMD, "verify", str(file)], capture_output=True, text=True, check=False)
     assert (verified.returncode, verified.stderr) == (0, "")
+    file.write_text(unit_text("/opt/shoal", "shoal"), encoding="utf-8")  # `verify` wants a program and a user that are there
     rated = subprocess.run(
         [SYSTEMD, "security", "--offline=true", "--threshold=30", str(file)], capture_output=True, text=True, check=False
     )
