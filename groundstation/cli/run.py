@@ -38,6 +38,9 @@ def run(
     experiment: ExperimentName,
     out: Annotated[Path, typer.Option(help="Folder for the run's own folder.")] = Path("runs"),
     run_dir: Annotated[Path | None, typer.Option(help="Use exactly this folder, without a log so far.")] = None,
+    no_report: Annotated[
+        bool, typer.Option("--no-report", help="Leave the report to `groundstation log report`, as a launcher does.")
+    ] = False,
     auto: Annotated[bool, typer.Option("--auto", help="Load, arm, start and finish without being asked.")] = False,
     listen: ListenAddress = DEFAULT_STATION,
     external_router: ExternalRouter = False,
@@ -107,7 +110,7 @@ def run(
             viewer=viewer,
         )
         succeeded = run_steps(station)
-    if run_dir is None:  # a launcher that names the folder writes the report itself, when every process has stopped
+    if not no_report:
         passed = write_report(folder).passed
         typer.echo(f"report: {folder / 'report.html'} ({'passed' if passed else 'failed'})")
         succeeded = succeeded and passed

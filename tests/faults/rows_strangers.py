@@ -111,7 +111,7 @@ def _under(attack: Callable[[int, Path], Attack]) -> Sample:
     shutil.copytree(ring / "agent-2", ring / "stolen")
     key_ring.revoke(ring, "agent-2", now)
     address = f"tls/127.0.0.1:{port}"
-    station = ["groundstation", "run", "pool", "--listen", address, "--keys", str(ring), "--no-web"]
+    station = ["groundstation", "run", "pool", "--listen", address, "--keys", str(ring), "--no-web", "--no-report"]
     with (
         _process(folder / "station.log", *station, "--run-dir", str(folder / "run")),
         Bus(_arrived(endpoint(address, "viewer", ring))) as there,
