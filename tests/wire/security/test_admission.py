@@ -327,3 +327,32 @@ def test_one_origin_cannot_have_all_links() -> None:
     door.admission.ended(held[0], False, now_s)
     door.admission.overdue(now_s + admission.TURN_S)  # who waited meanwhile
     door.join("10.0.0.1", now_s + admission.TURN_S)
+
+
+def test_a_lane_has_so_many_handshakes_under_way_and_no_more() -> None:
+    door, tried = Door(), list[int]()
+    for step in range(29):  # until the first of them is overdue, in s/10
+        for peer in range(3):
+            door.come(f"10.0.{step}.{peer}", step / 10, hello=True)
+        tried += [number for number, _ in door.turns(step / 10)]
+    assert admission.LANE_BURST + 2.8 * admission.LANE_PER_S > admission.MOST_TRYING  # tokens do not limit it
+    assert len(tried) == admission.MOST_TRYING
+
+
+def test_so_many_origins_are_known_and_the_longest_unproven_is_forgotten_first() -> None:
+    door = Door()
+    addresses = [f"10.{i >> 8}.{i & 255}.1" for i in range(admission.MOST_KNOWN + 1)]
+
+    def lane(address: str, now_s: float) -> int:
+        number = door.come(address, now_s, hello=True)
+        found = dict(door.turns(now_s))[number]
+        door.admission.proven(number, now_s)
+        door.admission.ended(number, False, now_s)
+        return found
+
+    for i, address in enumerate(addresses[:-1]):
+        assert lane(address, i) == NEW
+    now_s = len(addresses)
+    assert lane(addresses[0], now_s) == KNOWN  # all of them are; this one is now the last to go
+    assert lane(addresses[-1], now_s) == NEW
+    assert [lane(addresses[i], now_s) for i in (0, 2, 1)] == [KNOWN, KNOWN, NEW]
