@@ -65,7 +65,7 @@ def test_a_request_to_another_fleet_or_robot_is_not_answered(station: Bus, path:
     ],
     ids=str,
 )
-def test_what_is_no_request_holds_up_nobody(station: Bus, path: Path, said: bytes) -> None:
+def test_other_bytes_hold_up_nobody(station: Bus, path: Path, said: bytes) -> None:
     with ExitStack() as stack:
         for _ in range(20):
             other = stack.enter_context(socket.socket(socket.AF_UNIX))
