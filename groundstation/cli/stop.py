@@ -7,7 +7,7 @@ line, the environment or the keys. What cannot be used is left out, and named at
 import json
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -24,7 +24,8 @@ from wire.process.cli_options import DEFAULT_FLEET, DEFAULT_STATION, AsJson, Ins
 from wire.toml_loader import ConfigError
 from wire.transport.endpoint import parse_address
 
-NAME, HERE = "stop", "stop complaints"  # the command; where its context keeps what it could not use
+NAME = "stop"
+COMPLAINTS = "complaints"  # where the command's context keeps what it could not use
 GROUPS = ("mission", "order")  # before it, by habit
 LATE_S = 10.0  # beyond the patience: for a connection that hangs
 OnlyFleet = Annotated[
@@ -34,7 +35,7 @@ OnlyFleet = Annotated[
 
 def _seconds(text: str) -> None:
     if not 0.0 <= float(text) < float("inf"):
-        raise ValueError
+        raise ValueError("must be 0 or more seconds")
 
 
 CHECKS: dict[str, Callable[[str], Any]] = {
@@ -46,7 +47,7 @@ CHECKS: dict[str, Callable[[str], Any]] = {
 FLAGS = ("--insecure", "--json", "--help")
 
 
-def usable(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
+def usable_arguments(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
     """The arguments that `stop` can use, and complaints about the others."""
     kept, complaints, left = list[str](), list[str](), list(arguments)
     while left:
@@ -73,7 +74,7 @@ class StopCommand(TyperCommand):
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse what can be used."""
-        kept, ctx.meta[HERE] = usable(args)
+        kept, ctx.meta[COMPLAINTS] = usable_arguments(args)
         return super().parse_args(ctx, kept)
 
 
@@ -164,7 +165,7 @@ def stop(
     as_json: AsJson = False,
 ) -> None:
     """Emergency stop: every robot of every station here to neutral. The help is HELP's."""
-    complaints: list[str] = ctx.meta[HERE]
+    complaints: list[str] = ctx.meta[COMPLAINTS]
     from groundstation import client
 
     patience_s = client.PATIENCE_S[Order.STOP] if wait is None else wait
@@ -199,7 +200,8 @@ def _send_to_all(
     here: a stop that reaches nobody is worse than one that reaches too many."""
     here = discovery.running()
     if station is not None:
-        send([discovery.named(station)])
+        named = discovery.named(station)
+        send([named if named.pid else replace(named, fleet=fleet or "")])
         stops[0].await_end()
         others = [one for one in here if one.endpoint != station]
         if stops[0].reply is None and others:

@@ -278,7 +278,9 @@ def test_stop_while_holders_of_certificates_and_strangers_flood_the_port(
     assert f"has {MOST_LINKS_OF_ONE} connections: more of them are closed" in log
 
 
-def test_stop_reaches_every_station_and_says_of_each_what_it_confirmed(machine: Machine, station: StationProcess) -> None:
+def test_stop_reaches_every_station_and_says_of_each_what_it_confirmed(
+    machine: Machine, station: StationProcess, tmp_path: Path
+) -> None:
     """One without keys for another fleet, and one that hangs, both without robots."""
     addresses = [f"tcp/127.0.0.1:{free_port()}" for _ in range(2)]
     other = machine.station("other", addresses[0], "--fleet", "second", robots=())
@@ -294,6 +296,9 @@ def test_stop_reaches_every_station_and_says_of_each_what_it_confirmed(machine: 
         other.address: [*(f"  robot {n}: NOT confirmed: not heard" for n in (1, 2)), "stop: not done within 1 s"],
         hung.address: ["stop: not heard: no answer within 2 s"],
     }
+    with a_machine(tmp_path) as elsewhere:
+        code, out, err = elsewhere.stop("stop", "--station", other.address, "--fleet", "second", "--wait", "0")
+        assert (code, out.splitlines()[-1], other.stops()) == (0, "stop: taken by the station", 2), err
     hung.process.send_signal(signal.SIGCONT)
     for one in (other, hung):
         one.process.terminate()
