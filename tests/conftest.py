@@ -24,7 +24,7 @@ os.environ["OPENCV_FOR_THREADS_NUM"] = "1"
 zenoh.init_log_from_env_or("error")
 
 _runtime = tempfile.TemporaryDirectory(prefix="shoal-tests-")
-os.environ["XDG_RUNTIME_DIR"] = _runtime.name
+os.environ["SHOAL_RUNTIME_DIR"] = _runtime.name
 
 # A test suite that judges by the clock fails on a busy machine; one that draws new examples each time fails on a stranger's.
 # HYPOTHESIS_PROFILE=explore looks for new examples, and keeps the bad ones in .hypothesis/.

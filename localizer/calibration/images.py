@@ -8,7 +8,7 @@ import numpy as np
 
 from localizer.detection.image_regions import Pixels
 from localizer.sources.base import SUFFIXES, as_colour
-from localizer.sources.files import picture_files, video_frames
+from localizer.sources.files import decode_file, picture_files, video_frames
 from wire.process.output_files import replacing
 from wire.toml_loader import ConfigError
 
@@ -16,12 +16,12 @@ from wire.toml_loader import ConfigError
 def read_picture(path: Path, grey: bool = False) -> Pixels:
     """A picture file as BGR (height, width, 3); one channel is raw Bayer RGGB, or grey with `grey`. Raises ConfigError."""
     try:
-        data = path.read_bytes()
+        picture = decode_file(path)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
-    picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
     if picture is None:
-        raise ConfigError(f"{path}: not a picture that OpenCV reads (allowed: {', '.join(s[1:] for s in SUFFIXES)})")
+        kinds = ", ".join(s[1:] for s in SUFFIXES)
+        raise ConfigError(f"{path}: not a picture that OpenCV reads (allowed: {kinds}; at most 134 million pixels)")
     colour = as_colour(picture, grey)
     if colour is None:
         raise ConfigError(f"{path}: {picture.dtype}, must be a picture of 8 bits a channel")

@@ -6,6 +6,7 @@ again, with all of the localizer. A plain video of an unknown camera is followed
 
 import csv
 import dataclasses
+import io
 import json
 import time
 from collections.abc import Iterator, Sequence
@@ -33,6 +34,7 @@ from wire.frames import Array
 from wire.messages import log_records, topics
 from wire.messages.codec import DecodeError, decode
 from wire.messages.messages import Pose, Truth
+from wire.regular_files import open_regular
 from wire.toml_loader import ConfigError
 
 _READ = (topics.TRUTH.name, "/pose")
@@ -102,7 +104,7 @@ def read_frame_table(
     """
     needed = (*COLUMNS[:2], *needed)
     try:
-        with path.open(encoding="utf-8", newline="") as file:
+        with io.TextIOWrapper(open_regular(path), encoding="utf-8", newline="") as file:
             table = csv.reader(file)
             names = [name.strip() for name in next(table, [])]
             if missing := [name for name in needed if name not in names]:
@@ -155,7 +157,7 @@ def evaluate_log(path: Path) -> list[PoseRow]:
 def _records(path: Path) -> Iterator[tuple[str, int, bytes]]:
     """Topic, stamp and bytes of the poses and truths of a log, up to a cut or damaged record."""
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             yield from (found for found in log_records.messages(file) if found[0].endswith(_READ))
     except ImportError:
         raise ConfigError(f"{path}: its chunks are packed: reading it needs pip install 'shoal[station]'") from None

@@ -15,7 +15,8 @@ import tomlkit
 from wire.config.experiment import EXPERIMENTS, checked_experiment
 from wire.config.perception import CameraFile
 from wire.process.output_files import replacing
-from wire.toml_loader import ConfigError, check, os_errors_as_config_errors, read_toml
+from wire.regular_files import read_regular
+from wire.toml_loader import MOST_BYTES, ConfigError, check, os_errors_as_config_errors, read_toml
 
 _WIDE = 127  # of a line; longer lists are broken
 
@@ -46,7 +47,7 @@ class ExperimentFile:
     def reload(self) -> None:
         """Read the file again; changes are then shown against what it holds now. Raises ConfigError."""
         with os_errors_as_config_errors(self._source):
-            self._text = self._source.read_text(encoding="utf-8")
+            self._text = read_regular(self._source, MOST_BYTES).decode()
 
     @property
     def _source(self) -> Path:

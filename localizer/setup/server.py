@@ -50,7 +50,7 @@ class SetupServer:
             Route("/do", self._do, methods=["POST"]),
             Mount("/", StaticFiles(directory=STATIC)),
         ]
-        server = LocalServer(routes, self._options, self._socket, stop)
+        server = LocalServer(routes, self._options, self._socket, stop, _LONGEST_REQUEST)
         while not stop.requested and server.serves:
             time.sleep(SLICE_S)
         server.close()
@@ -77,8 +77,6 @@ class SetupServer:
     async def _do(self, request: Request) -> Response:
         if not self._allowed(request):
             return _refused()
-        if int(request.headers.get("content-length", _LONGEST_REQUEST + 1)) > _LONGEST_REQUEST:
-            return PlainTextResponse("too long", 413)
         try:
             given: dict[str, Any] = dict(await request.json())
         except (ValueError, TypeError):

@@ -8,17 +8,21 @@ import math
 import re
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from localizer.detection.image_regions import Pixels
 from localizer.sources.base import SUFFIXES, CapturedFrame, as_bayer, silent_after_s
 from wire.process.runtime import SLICE_S, Clock, Stop, log
+from wire.regular_files import read_regular
 from wire.toml_loader import ConfigError
 
+MOST_PICTURE_BYTES = 500_000_000  # of a file
 _POLL_NS = 10_000_000  # ns between checks of a folder for new images
 _SETTLED_NS = 100_000_000  # ns; file systems stamp in steps of 4 ms or more, so a younger change may not be the last
 
@@ -88,6 +92,15 @@ def frame_count(path: Path) -> int:
         return max(int(capture.get(cv2.CAP_PROP_FRAME_COUNT)), 0)
     finally:
         capture.release()
+
+
+def decode_file(path: Path) -> NDArray[Any] | None:
+    """A picture file as OpenCV reads it; None for what it does not read, or has too many pixels. Raises OSError."""
+    data = read_regular(path, MOST_PICTURE_BYTES)
+    try:
+        return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
+    except cv2.error:
+        return None
 
 
 def picture_files(folder: Path) -> list[Path]:
@@ -187,7 +200,9 @@ class FolderSource:
         return CapturedFrame(pixels, due_ns, due_ns, self._clock.now_ns(), self._dropped)
 
     def _read(self, path: Path) -> Pixels | None:
-        picture: Any = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        picture = None
+        with suppress(OSError):  # taken away, or no file
+            picture = decode_file(path)
         pixels = None if picture is None else as_bayer(picture)
         self.trouble = "" if pixels is not None else f"{path} is no 8-bit image"
         if self.trouble:

@@ -22,6 +22,7 @@ from wire.messages.codec import DecodeError, decode, encode, protobuf_class
 from wire.messages.messages import Frame, Pose
 from wire.process.output_files import disk_free, replace_text
 from wire.process.runtime import log
+from wire.regular_files import open_regular
 from wire.toml_loader import ConfigError, os_errors_as_config_errors
 
 EXPERIMENT, FRAMES = "experiment.toml", "frames.mcap"
@@ -132,7 +133,7 @@ def recorded_frames(folder: Path) -> Iterator[RecordedFrame]:
     poses: dict[int, bytes] = {}
     count = 0
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             for topic, stamp_ns, data in log_records.messages(file):
                 if topic == _INPUTS:
                     told, poses = json.loads(data), {}

@@ -243,7 +243,8 @@ def test_ctrl_c_stops_everything_cleanly(tmp_path: Path) -> None:
 @pytest.mark.real_time
 def test_a_manual_run_is_flown_and_ended_from_another_terminal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Which finds it by itself; and the launcher reports what was flown."""
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    tmp_path.chmod(0o700)
+    monkeypatch.setenv("SHOAL_RUNTIME_DIR", str(tmp_path))
     out = tmp_path / "runs"
     run = start(out, "--lockstep", "--manual", "--poses", "--duration", "2")
 

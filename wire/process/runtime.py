@@ -19,6 +19,7 @@ from typing import Any, Protocol, TextIO, TypeVar
 
 from wire.messages import topics
 from wire.messages.messages import Event
+from wire.printable import printable, printable_lines
 from wire.toml_loader import ConfigError
 from wire.transport.bus import Bus, Received
 from wire.transport.transport import Unreached
@@ -170,10 +171,25 @@ class _BusHandler(logging.Handler):
             self.handleError(record)
 
 
+class LineFormatter(logging.Formatter):
+    """One line an event, and a traceback's lines below it, without what a terminal would act on: texts come from others."""
+
+    def __init__(self, process: str) -> None:
+        super().__init__(f"%(asctime)s.%(msecs)03d {process} %(levelname)s %(message)s", "%H:%M:%S")
+
+    def formatMessage(self, record: logging.LogRecord) -> str:
+        """The event's line."""
+        return printable(super().formatMessage(record))
+
+    def formatException(self, ei: Any) -> str:
+        """The traceback's lines."""
+        return printable_lines(super().formatException(ei))
+
+
 def log_handler(process: str, stream: TextIO | None = None) -> logging.Handler:
     """A handler that writes one line an event, with the process's name, to stderr or `stream`."""
     handler = logging.StreamHandler(stream)
-    handler.setFormatter(logging.Formatter(f"%(asctime)s.%(msecs)03d {process} %(levelname)s %(message)s", "%H:%M:%S"))
+    handler.setFormatter(LineFormatter(process))
     handler.addFilter(lambda _: speaking.get() in (None, process))
     return handler
 
@@ -199,13 +215,13 @@ def run_app(app: Callable[[], None]) -> None:
     try:
         app()
     except ConfigError as error:
-        print(error, file=sys.stderr)
+        print(printable_lines(str(error)), file=sys.stderr)
         sys.exit(2)
     except OSError as error:
         if error.filename is None:  # no file of a person's: a bug
             raise
-        print(f"{error.filename2 or error.filename}: {error.strerror}", file=sys.stderr)
+        print(printable(f"{error.filename2 or error.filename}: {error.strerror}"), file=sys.stderr)
         sys.exit(2)
     except (Unreached, Failed) as error:
-        print(error, file=sys.stderr)
+        print(printable_lines(str(error)), file=sys.stderr)
         sys.exit(1)

@@ -4,8 +4,9 @@
 
 The station starts it (wire/router.py) with the listening socket; the router listens at two loopback ports behind it. TLS goes
 end to end between member and router: the guard reads a ClientHello's length and counts bytes, no more. Which connections are
-passed on, and when, is decided in wire/security/admission.py. It ends when its standard input does, that is with the station,
-and tells on its standard output of whom it refused, a line each.
+passed on, and when, is decided in wire/security/admission.py. Its standard input names connections that the router does not
+want after all, each by the port from which it reaches the router; the guard ends when that input does, that is with the
+station. It tells on its standard output of whom it refused, a line each.
 """
 
 import contextlib
@@ -113,6 +114,7 @@ class ProxiedConnection:
         self.up, self.down = Pump(peer, router), Pump(router, peer)
         self.up.waiting = hello
         self.proven = self.by_router = False
+        self.port = 0  # from which it reaches the router
         self.claimed_at: int | None = None  # bytes from the router when the peer had sent as much as a certificate
 
 
@@ -128,6 +130,8 @@ class Guard:
         self._peers: dict[int, tuple[socket.socket, str]] = {}  # all connections, with their address
         self._hellos: dict[int, list[bytes]] = {}  # of those that wait, as far as it has come, in the pieces it came in
         self._links: dict[int, ProxiedConnection] = {}
+        self._at_router: dict[int, int] = {}  # number of each link, by the port from which it reaches the router
+        self._unwanted = b""  # of the ports on the watched descriptor: what has come of the next
         self._number = 0
         self._buffer = bytearray(CHUNK)
         self._look_s = float("inf")  # when the admission is to be asked again
@@ -136,11 +140,26 @@ class Guard:
         self._selector.register(listener, READ, lambda events: self._accept(listener))
 
     def watch(self, descriptor: int) -> None:
-        """End when there is something to read here, or its end."""
-        self._selector.register(descriptor, READ, self._end)
+        """Expel the links whose ports come here, a line each; end when it ends."""
+        self._selector.register(descriptor, READ, lambda events: self._listen(descriptor))
 
-    def _end(self, events: int) -> None:
-        self._ending = True
+    def _listen(self, descriptor: int) -> None:
+        try:
+            read = os.read(descriptor, CHUNK)
+        except BlockingIOError:
+            return
+        except OSError:
+            read = b""
+        self._ending = not read
+        *lines, self._unwanted = (self._unwanted + read).split(b"\n")
+        for line in lines:
+            number = self._at_router.get(int(line)) if line.isdigit() else None
+            if number is not None:
+                self._admission.expelled(number, time.monotonic())
+                self._drop(number)
+
+    def _ignore(self, events: int) -> None:
+        """Called for none: of a socket that is not looked at."""
 
     def run(self) -> None:
         """Carry bytes until the watched process ends."""
@@ -203,7 +222,7 @@ class Guard:
             if hello_is_whole(b"".join(self._hellos[number])):  # it waits for its turn: is it still there?
                 if not peer.recv(1, socket.MSG_PEEK):
                     raise NotTls
-                self._want(peer, 0, self._end)  # what it says before the router's answer is read after it
+                self._want(peer, 0, self._ignore)  # what it says before the router's answer is read after it
                 return
             said = peer.recv(2 * MOST_HELLO)
             self._hellos[number].append(said)
@@ -246,7 +265,7 @@ class Guard:
 
     def _pass_on(self, number: int, lane: int) -> None:
         peer, _ = self._peers[number]
-        self._want(peer, 0, self._end)
+        self._want(peer, 0, self._ignore)
         router = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         router.setblocking(False)
         router.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, INNER_BUFFER)
@@ -254,6 +273,8 @@ class Guard:
             one.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         link = self._links[number] = ProxiedConnection(number, peer, router, b"".join(self._hellos.pop(number)))
         router.connect_ex(("127.0.0.1", self._ports[lane]))
+        link.port = router.getsockname()[1]
+        self._at_router[link.port] = number
         self._want(router, READ | WRITE, lambda events: self._from_router(link, events))
 
     def _from_router(self, link: ProxiedConnection, events: int) -> None:
@@ -312,6 +333,7 @@ class Guard:
     def _drop(self, number: int) -> None:
         """End a connection at the router."""
         link = self._links.pop(number)
+        self._at_router.pop(link.port, None)
         self._shut(link.down.source)
         if self._admission.ended(number, link.by_router, time.monotonic()):
             self._refusals.note(self._peers[number][1])
@@ -319,14 +341,21 @@ class Guard:
         self._look_s = 0.0
 
 
-def most_links() -> int:
-    """Connections that the process may have files for, two each. Raises the soft limit as far as that is allowed."""
+def allow_files(wanted: int) -> int:
+    """Raise the process's soft limit of open files to `wanted`, as far as that is allowed. Returns the limit."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    wanted = 2 * MOST_LINKS + MOST_WAITING + FILES_APART
-    with contextlib.suppress(ValueError, OSError):  # some systems know a hard limit that they do not grant
-        resource.setrlimit(resource.RLIMIT_NOFILE, (wanted if hard == resource.RLIM_INFINITY else min(wanted, hard), hard))
+    if soft != resource.RLIM_INFINITY and soft < wanted:
+        with contextlib.suppress(ValueError, OSError):  # some systems know a hard limit that they do not grant
+            limit = wanted if hard == resource.RLIM_INFINITY else min(wanted, hard)
+            resource.setrlimit(resource.RLIMIT_NOFILE, (limit, hard))
     soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
-    return max(min((soft - MOST_WAITING - FILES_APART) // 2, MOST_LINKS), 1)
+    return wanted if soft == resource.RLIM_INFINITY else soft
+
+
+def most_links() -> int:
+    """Connections that the process may have files for, two each."""
+    files = allow_files(2 * MOST_LINKS + MOST_WAITING + FILES_APART)
+    return max(min((files - MOST_WAITING - FILES_APART) // 2, MOST_LINKS), 1)
 
 
 def _tell(sentence: str) -> None:

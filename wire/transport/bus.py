@@ -24,7 +24,7 @@ from wire.messages.topics import Topic
 from wire.toml_loader import ConfigError
 from wire.transport.command_deduplication import CommandDeduplicator
 from wire.transport.delay_estimator import DelayEstimator
-from wire.transport.transport import Await, Transport
+from wire.transport.transport import Answer, Await, Transport
 
 log = logging.getLogger("shoal")
 
@@ -138,6 +138,7 @@ class Bus:
         self._present: set[str] = set()
         self._recipients: dict[str, int] = {}  # by key: session of the process that answers its commands
         self._turns: dict[str, threading.Lock] = {}  # by key: around a message's number and its sending
+        self._served: dict[str, Answer] = {}  # by key: the answers to commands
 
     def _key(self, name: str) -> str:
         return f"{self._fleet}/{name}"
@@ -252,7 +253,14 @@ class Bus:
             except DecodeError:
                 return False
 
+        self._served[self._key(name)] = answer
         self.transport.serve(self._key(name), answer, urgent)
+
+    def answer(self, key: str, payload: bytes, header: bytes) -> bytes | None:
+        """The reply to a command that came another way than over the network (wire/transport/own_door.py); None if nobody here
+        serves its key. Thread-safe."""
+        answer = self._served.get(key)
+        return answer(payload, header) if answer is not None else None
 
     def command(self, command: Command, stamp_ns: int, timeout_s: float, to: int | None = None) -> Reply:
         """Send an order and wait for its answer. No answer, or one that cannot be read, is a refusal with the reason."""

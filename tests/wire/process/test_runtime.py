@@ -1,6 +1,8 @@
 """Clocks, waiting and lockstep, on the in-memory bus."""
 
+import io
 import logging
+import sys
 import threading
 import time
 
@@ -9,7 +11,7 @@ import pytest
 from wire.messages import topics
 from wire.messages.messages import CameraHealth, Event, LocalizerStatus, Obstacles, Pose, StationHeartbeat, Tick
 from wire.process.lockstep import Lockstep, LockstepClock
-from wire.process.runtime import Failed, Stop, WallClock, age_s, guarded_thread, log, log_to_bus, run_app, wait
+from wire.process.runtime import Failed, Stop, WallClock, age_s, guarded_thread, log, log_handler, log_to_bus, run_app, wait
 from wire.transport.bus import Bus
 from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
@@ -181,3 +183,25 @@ def test_a_process_that_failed_says_why_and_exits_with_1(
         run_app(app)
     assert ended.value.code == 1
     assert capsys.readouterr().err == "the camera is gone\n"
+
+
+def test_a_text_of_others_in_the_log_is_one_line_and_does_not_act_on_the_terminal() -> None:
+    out = io.StringIO()
+    handler = log_handler("tester", out)
+    record = logging.LogRecord(
+        "shoal", logging.INFO, "", 0, "remark: %s", ("a\x1b[2J\r\n12:00:00 fake ERROR b\x9b1m \u202ec \ud800 \u00e4",), None
+    )
+    handler.handle(record)
+    (line,) = out.getvalue().splitlines()
+    assert line.endswith("tester INFO remark: a\\x1b[2J\\r\\n12:00:00 fake ERROR b\\x9b1m \\u202ec \\ud800 \u00e4")
+
+
+def test_a_traceback_in_the_log_keeps_its_lines() -> None:
+    out = io.StringIO()
+    try:
+        raise ValueError("bad \x1b[2J")
+    except ValueError:
+        record = logging.LogRecord("shoal", logging.ERROR, "", 0, "broken", (), sys.exc_info())
+    log_handler("tester", out).handle(record)
+    first, *_, last = out.getvalue().splitlines()
+    assert first.endswith("tester ERROR broken") and last == "ValueError: bad \\x1b[2J"

@@ -4,12 +4,10 @@ import contextlib
 import os
 import signal
 import socket
-import stat
 import threading
 import time
 from collections.abc import Iterator
 from contextlib import closing
-from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -21,6 +19,7 @@ from groundstation.deploy import key_ring
 from sim_bridge.sil.ports import free_port
 from tests.waiting import eventually
 from tests.wire.strangers import Strangers
+from wire import user_folders
 from wire.messages import messages, topics
 from wire.messages.codec import Header
 from wire.messages.messages import Command, Order, Reply
@@ -28,10 +27,9 @@ from wire.security import admission
 from wire.security.access_control import DOOR
 from wire.security.admission import RETRY
 from wire.security.guard import Guard
-from wire.transport import gate
 from wire.transport.bus import Bus
 from wire.transport.connection_diagnostics import trouble_reaching
-from wire.transport.gate import door_of, nearest
+from wire.transport.gate import doors_of, through_door
 from wire.transport.network import endpoint
 from wire.transport.zenoh_transport import ZenohTransport
 
@@ -65,7 +63,7 @@ def answer(header: Header, command: Command) -> Reply:
 def station(ring: Path, address: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bus]:
     """A station's bus, which answers orders for the whole fleet."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_RUNTIME_DIR", str(tmp_path_factory.mktemp("r")))
+        patch.setenv(user_folders.ONLY, str(tmp_path_factory.mktemp("r")))
         with Bus(ZenohTransport(endpoint(address, "groundstation", ring, router=True))) as bus:
             bus.serve(0, answer)
             yield bus
@@ -151,12 +149,20 @@ def test_a_guard_that_cannot_be_started_at_once_is_started_later(
     assert "cannot be started: RuntimeError: can't start new thread" in caplog.text
 
 
-# --- the door
+# --- the router's door
+
+
+@pytest.fixture
+def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The only folder of this user."""
+    tmp_path.chmod(0o700)
+    monkeypatch.setenv(user_folders.ONLY, str(tmp_path))
+    return tmp_path
 
 
 def test_the_door_accepts_only_requests_to_the_station(station: Bus, ring: Path, address: str) -> None:
-    where = nearest(endpoint(address, "operator", ring))
-    assert where.address.startswith(f"{DOOR}/")
+    where = through_door(address)
+    assert where is not None and where.address.startswith(f"{DOOR}/")
     obeyed: list[Order] = []
     station.serve(1, lambda header, command: obeyed.append(command.order) or Reply(1, True))  # type: ignore[func-returns-value]
     heard: list[int] = []
@@ -179,42 +185,27 @@ def test_a_terminals_stop_comes_through_the_door_under_attack_and_without_keys(s
 
 def test_the_door_needs_no_keys_and_is_only_this_machines(station: Bus, address: str) -> None:
     port = int(address.rpartition(":")[2])
-    here = endpoint(f"tcp/127.0.0.1:{port}", "operator", None)
-    assert nearest(here).address == f"{DOOR}/{door_of(port)}"
-    elsewhere = replace(here, address=f"tcp/192.0.2.1:{port}")  # a documentation address: nobody's
-    assert nearest(elsewhere) is elsewhere
+    here = through_door(f"tcp/127.0.0.1:{port}")
+    assert here is not None and (here.address, here.keys) == (f"{DOOR}/{doors_of(port)[0]}", None)
+    assert through_door(f"tcp/192.0.2.1:{port}") is None  # a documentation address: nobody's
 
 
-def test_a_door_without_a_station_is_skipped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    where = endpoint("tcp/127.0.0.1:7447", "operator", None)
-    assert nearest(where) is where  # no folder
-    door = door_of(7447, make=True)
-    assert door is not None
+def test_a_door_without_a_station_is_skipped(place: Path) -> None:
+    address = "tcp/127.0.0.1:7447"
+    assert through_door(address) is None
+    (door,) = doors_of(7447)
     with closing(socket.socket(socket.AF_UNIX)) as left:
         left.bind(str(door))  # as after a station that was killed
-    assert nearest(where) is where
-
-
-def test_a_folder_that_others_may_enter_has_no_door(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    assert door_of(7447, make=True) is not None
-    folder = gate.door_folder()
-    assert stat.S_IMODE(folder.stat().st_mode) == 0o700
-    folder.chmod(0o750)
-    assert door_of(7447, make=True) is None
-    folder.rmdir()
-    (tmp_path / "elsewhere").mkdir(mode=0o700)
-    folder.symlink_to(tmp_path / "elsewhere")
-    assert door_of(7447, make=True) is None
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / ("long" * 30)))
-    assert door_of(7447, make=True) is None
+    assert through_door(address) is None
 
 
 def test_a_station_without_a_door_says_so_and_runs(
     ring: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "missing"))
+    for name in (user_folders.ONLY, "XDG_RUNTIME_DIR", "TMPDIR"):
+        monkeypatch.delenv(name, raising=False)
+    for name in ("RUN", "TEMPORARY"):
+        monkeypatch.setattr(user_folders, name, tmp_path / "missing")
     address = f"tls/127.0.0.1:{free_port()}"
     with Bus(ZenohTransport(endpoint(address, "groundstation", ring, router=True))) as bus:
         bus.serve(0, lambda header, command: Reply(0, True))
@@ -344,6 +335,7 @@ def test_a_member_that_is_killed_is_no_stranger(passage: Passage) -> None:
 def test_a_request_for_another_hello_ends_a_connection(passage: Passage) -> None:
     client, server = passage.pair(HELLO)
     with client, server:
+        server.settimeout(admission.PROOF_S / 2)  # by then every connection without a proof ends
         server.sendall(b"\x16\x03\x03\x00\x58\x02\x00\x00\x54\x03\x03" + RETRY + bytes(50))
         assert server.recv(1) == b""
 
