@@ -23,6 +23,7 @@ _LEAST_TURN_PEAK = 0.2  # peak of the heading filter; a heading found with less 
 _AVERAGED_PX = 1.3  # px between samples; wider patches are taken from a picture at half scale
 _ALIGNED_PX = 0.6  # px between samples, least for an alignment: of a robot below 30 px across blocks show no texture
 _CORRELATED = 4.0  # variance of an aligned pose over that of independent pixels: ripples and caustics move samples together
+TRACE=None
 _FAR_SHIFT = 1.5  # samples; the window biases a peak by 4.5 % of its shift, so a larger shift is measured a second time
 
 
@@ -67,7 +68,8 @@ class AppearanceModel:
         self._turn = CorrelationFilter(count, rings)
         self._recognition = recognition
         self._learnt = np.zeros(count, dtype=np.bool_)
-        self._grey = np.zeros((count, template_px, template_px), np.float32)  # the learnt patches
+        self._texture = np.zeros((count, channels, template_px, template_px), np.float32)  # the learnt patches
+        self._seen = np.zeros((count, template_px, template_px), np.float32)  # sums of weights, of each sample
         self.reach_m = _SPAN * hull.radius_m  # half the diagonal of a patch, rounded up to its side
 
     def is_initialised(self, robot: int) -> bool:
@@ -87,27 +89,30 @@ class AppearanceModel:
                 break
         turns, turn_peaks = self._turn.detect(robots, self._rings(views, colours, found))
         found[:, 2] += turns[:, 0] * (2.0 * np.pi / self._sampler.angles)
-        clipped, patches = _verified(peaks, turn_peaks), self._patches(views, colours, found).mean(axis=1)
+        clipped = _verified(peaks, turn_peaks)
         return [
-            self._aligned(view, pose, peak, patch)
-            for view, pose, peak, patch in zip(views, found, clipped.tolist(), patches, strict=True)
+            self._aligned(view, colour, pose, peak)
+            for view, colour, pose, peak in zip(views, colours, found, clipped.tolist(), strict=True)
         ]
 
-    def _aligned(self, view: PredictedView, pose: Array, peak: float, patch: Real) -> Match:
-        """The match after an alignment of the grey patch (size, size) that was sampled at its pose; small robots: as it is."""
-        unrefined = np.array([pose[0], pose[1], wrap(float(pose[2]))])
-        if self._sampler.pitch_m * view.tangent.px_per_m < _ALIGNED_PX:
-            return Match(unrefined, np.zeros((3, 3)), peak)
-        move, covariance, limits = np.zeros(4), np.empty((3, 3)), self._recognition
-        share = align(self._grey[view.robot], patch, move, covariance)
+    def _aligned(self, view: PredictedView, colour: DemosaicedRegion, pose: Array, peak: float) -> Match:
+        """The match of a correlation after an alignment: with its pose, or refused."""
+        limits, found = self._recognition, pose.copy()
+        covariance, move = np.empty((3, 3)), np.zeros(4)
+        for _ in range(2):
+            body = view.body(found)
+            weights = self._sampler.facing(body) * (self._seen[view.robot] > 0.0)
+            patch = self._sampler.patch(colour, body)
+            share = align(self._texture[view.robot], patch, weights, move, covariance)
+            to_pool = np.eye(3)
+            to_pool[:2, :2] = self._sampler.pitch_m * body_to_pool(view.body_to_level[:2, :2].T, float(found[2])).T
+            found = found + to_pool @ move[:3]
+            if np.max(np.abs(move[:2])) < 0.5:
+                break
+        found[2] = wrap(float(found[2]))
+        if TRACE is not None: TRACE.append((view.robot, share, move[3], peak, found-pose, np.sqrt(np.diag(to_pool@covariance@to_pool.T))))
         if share <= limits.share or not limits.gain <= move[3] <= 1.0 / limits.gain:
-            return Match(unrefined, np.zeros((3, 3)), 0.0)
-        if not limits.refines:
-            return Match(unrefined, np.zeros((3, 3)), peak)
-        to_pool = np.eye(3)
-        to_pool[:2, :2] = self._sampler.pitch_m * body_to_pool(np.eye(2), float(pose[2])).T
-        x, y, yaw = pose + to_pool @ move[:3]
-        found = np.array([x, y, wrap(float(yaw))])
+            return Match(pose, np.zeros((3, 3)), 0.0)
         return Match(found, _CORRELATED / share * to_pool @ covariance @ to_pool.T, peak)
 
     def update(self, views: Sequence[PredictedView], poses: Sequence[Array], rates: Array) -> list[float]:
@@ -122,9 +127,17 @@ class AppearanceModel:
         blend = np.where(self._learnt[robots], rates, np.sign(rates)).astype(np.float32)
         _, peaks = self._place.detect_and_learn(robots, patches, blend)
         _, turn_peaks = self._turn.detect_and_learn(robots, rings, blend)
-        self._grey[robots] += blend[:, None, None] * (patches.mean(axis=1) - self._grey[robots])
+        for view, patch, pose, rate in zip(views, patches, poses, rates.tolist(), strict=True):
+            if rate > 0.0:
+                self._learn_texture(view.robot, patch, self._sampler.facing(view.body(pose)), rate)
         self._learnt[robots] |= rates > 0.0
         return [float(peak) for peak in _verified(peaks, turn_peaks)]
+
+    def _learn_texture(self, robot: int, patch: Real, weights: Real, rate: float) -> None:
+        """Average the patch into the texture where it was seen: all pictures alike at first, later at the `rate`."""
+        self._seen[robot] = np.minimum(self._seen[robot] + weights, 1.0 / rate)
+        share = np.divide(weights, self._seen[robot], out=np.zeros_like(weights), where=weights > 0.0)
+        self._texture[robot] += np.minimum(share, 1.0) * (patch - self._texture[robot])
 
     def _colours(self, views: Sequence[PredictedView]) -> list[DemosaicedRegion]:
         """Demosaiced regions, at half scale where samples lie farther apart than pixels."""

@@ -87,6 +87,7 @@ class PredictedView:
     robot: int
     radius_m: float
     depth: Depth
+    body_to_level: Array  # (3, 3), rotation by roll and pitch, as far as they are known
     slope_rad: float  # standard deviation of the water's slope, which bends the line of sight by (1 - 1/n) of it
     tangent: LocalLinearization
     mapping: Array  # (3, 3), covariance of [x, y, yaw] here due to the error of the camera's pose
@@ -121,7 +122,13 @@ class PredictedView:
         """Projection of the robot's body at `pose` [x, y, yaw]."""
         c, s = np.cos(pose[2]), np.sin(pose[2])
         at = self.tangent
-        return BodyProjection(at.nearby_px(pose[:2]), at.pool_to_px @ np.array([[c, -s], [s, c]]), at.down_px)
+        to_pool = np.array([[c, -s], [s, c]])
+        sight = np.append(-self.tangent.jacobian[:, 2] @ to_pool, -1.0)  # up along the line of sight, on level axes
+        return BodyProjection(
+            at.nearby_px(pose[:2]),
+            np.column_stack([at.pool_to_px @ to_pool, at.down_px]) @ self.body_to_level,
+            sight / np.linalg.norm(sight) @ self.body_to_level,
+        )
 
     def measurement(self, pose: Array, noise: MeasurementNoise, own: Array, peak: float = 0.0) -> TrackMeasurement:
         """A measurement of `pose`: its covariance sums the picture's noise, moving water, depth error, the camera's pose
