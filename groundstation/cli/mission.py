@@ -95,7 +95,6 @@ def _tell_station(
 ) -> None:
     """Make a request of the running station as its operator, wait for the outcome, and exit by it."""
     from groundstation import client
-    from groundstation.station import discovery
 
     patience_s = client.patience_s(command) if wait is None else wait
     told = OutcomePrinter(what, as_json)

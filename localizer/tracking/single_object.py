@@ -23,6 +23,7 @@ _FAR_SHIFT = 1.5  # samples; the window biases a shift towards zero, so a larger
 _SPEED_MEMORY = 0.5  # share of the old velocity per picture
 _FLAT = RobotShape(radius_m=0.0, top_m=0.0, plate_half_m=np.inf)
 _ONE = np.zeros(1, dtype=np.intp)
+_UP = np.array([0.0, 0.0, -1.0])
 
 
 class SingleObjectTracker:
@@ -79,7 +80,7 @@ class SingleObjectTracker:
 
     def _projection(self) -> BodyProjection:
         """The map from the target's axes to the picture: a metre of the sampler is a pixel."""
-        return BodyProjection(self._pose[:2], self._turned(), np.zeros(2))
+        return BodyProjection(self._pose[:2], np.column_stack([self._turned(), np.zeros(2)]), _UP)
 
     def _turned(self) -> Array:
         c, s = np.cos(self._pose[2]), np.sin(self._pose[2])
