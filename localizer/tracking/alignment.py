@@ -27,7 +27,7 @@ _BLOCK_SHARE = 0.5  # of the texture of a block; of a block with another pattern
 _UNKNOWNS = 5  # shift ahead, shift to starboard, rotation, gain, offset
 
 
-@kernel("void(f8[:,::1])")
+@kernel("void(f8[:,::1])", part=True)
 def invert(matrix: Array) -> None:
     """Invert a symmetric positive definite matrix (n, n) in place, by Gauss-Jordan elimination on its diagonal."""
     n = matrix.shape[0]

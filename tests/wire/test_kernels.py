@@ -78,6 +78,39 @@ def test_kernels_have_types_and_raise_nothing(source: str) -> None:
     assert not list(_offences(ast.parse((ROOT / source).read_text(encoding="utf-8"))))
 
 
+def _called_from_python() -> set[str]:
+    """Full names of what code outside kernels mentions: by its name, as an import, or as `module.name`."""
+    mentioned: set[str] = set()
+    for package in PACKAGES:
+        for path in sorted((ROOT / package).rglob("*.py")):
+            tree = ast.parse(path.read_text(encoding="utf-8"))
+            own, kernels = _module(path), {id(function) for function, _ in _kernels(tree)}
+            imports = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
+            full = {alias.asname or alias.name: f"{node.module}.{alias.name}" for node in imports for alias in node.names}
+            for node in (inner for top in tree.body if id(top) not in kernels for inner in ast.walk(top)):
+                if isinstance(node, ast.Name):
+                    mentioned.add(full.get(node.id, f"{own}.{node.id}"))
+                if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
+                    mentioned.add(f"{full.get(node.value.id)}.{node.attr}")
+    return mentioned
+
+
+def _module(path: Path) -> str:
+    return ".".join(path.relative_to(ROOT).with_suffix("").parts)
+
+
+def test_what_only_kernels_call_is_a_part_and_nothing_else_is() -> None:
+    """A kernel of its own costs time and memory at each start; a part that Python calls is compiled in flight."""
+    mentioned, wrong = _called_from_python(), []
+    for source in _sources():
+        for function, mark in _kernels(ast.parse((ROOT / source).read_text(encoding="utf-8"))):
+            name = f"{_module(ROOT / source)}.{function.name}"
+            is_part = isinstance(mark, ast.Call) and any(keyword.arg == "part" for keyword in mark.keywords)
+            if is_part is (name in mentioned):
+                wrong.append(f"{name}: {'called from Python' if is_part else 'should be a part'}")
+    assert not wrong, "\n".join(wrong)
+
+
 @pytest.mark.skipif("NUMBA_DISABLE_JIT" in os.environ, reason="nothing is compiled")
 def test_a_part_is_compiled_for_its_own_signature_and_not_loaded_again(tmp_path: Path) -> None:
     path = tmp_path / "with_a_part.py"
