@@ -30,10 +30,11 @@ ALLOWED = {
 PARTS: dict[str, dict[str, set[str]]] = {
     "wire": {
         "frames": set(),
-        "kernel_stamp": set(),
+        "kernel_types": set(),
+        "kernel_stamp": {"kernel_types"},
         "kernel_cache": set(),
         "kernel_build": {"kernel_cache"},
-        "kernels": {"kernel_build", "kernel_cache", "kernel_stamp"},
+        "kernels": {"kernel_build", "kernel_cache", "kernel_stamp", "kernel_types"},
         "kernel_worker": {"kernel_build", "kernels"},
         "figures": set(),
         "loopback": set(),

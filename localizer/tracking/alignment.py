@@ -27,7 +27,7 @@ _BLOCK_SHARE = 0.5  # of the texture of a block; of a block with another pattern
 _SHARED = 5  # unknowns of all channels: shift ahead, shift to starboard, rotation, slopes of brightness ahead and to starboard
 
 
-@kernel("void(f8[:,::1])")
+@kernel("void(f8[:,::1])", part=True)
 def invert(matrix: Array) -> None:
     """Invert a symmetric positive definite matrix (n, n) in place, by Gauss-Jordan elimination on its diagonal."""
     n = matrix.shape[0]

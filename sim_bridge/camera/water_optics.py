@@ -171,7 +171,7 @@ def _fold(value: Float, size: int) -> Float:
     return folded
 
 
-@kernel("f8(f8, i8)", inline=True)
+@kernel("f8(f8, i8)", inline=True, part=True)
 def mirror(value: float, size: int) -> float:
     """Mirror a value into 0 .. size - 1, repeatedly."""
     last = size - 1.0
@@ -179,7 +179,7 @@ def mirror(value: float, size: int) -> float:
     return last - abs(last - away)
 
 
-@kernel(f"f8({PICTURE}, i8, i8, f8, f8)", inline=True)
+@kernel(f"f8({PICTURE}, i8, i8, f8, f8)", inline=True, part=True)
 def grid_value(grid: Bytes, left: int, top: int, u: float, v: float) -> float:
     """Bilinear value of a grid between four of its points, at the shares u and v of the way from (left, top)."""
     upper = (1.0 - u) * grid[top, left] + u * grid[top, left + 1]
