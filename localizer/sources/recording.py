@@ -39,6 +39,7 @@ class RecordedFrame:
     depths_m: dict[int, float] = field(default_factory=dict)
     attitudes: dict[int, tuple[float, float, float]] = field(default_factory=dict)
     poses: dict[int, bytes] = field(default_factory=dict)
+    number: int = 0  # from 0
 
 
 class FrameRecorder:
@@ -137,7 +138,7 @@ def recorded_frames(folder: Path) -> Iterator[RecordedFrame]:
                 if topic == _INPUTS:
                     told, poses = json.loads(data), {}
                 elif topic == topics.FRAME.name and told is not None:
-                    yield _frame(decode(Frame, data, "recording", topic).pixels, stamp_ns, told, poses)
+                    yield _frame(decode(Frame, data, "recording", topic).pixels, stamp_ns, told, poses, count)
                     count, told = count + 1, None
                 elif topic.endswith("/pose"):
                     poses[int(topic.split("/")[-2])] = data
@@ -151,7 +152,7 @@ def recorded_frames(folder: Path) -> Iterator[RecordedFrame]:
         raise ConfigError(f"{path}: {error.strerror}") from None
 
 
-def _frame(pixels: Pixels, stamp_ns: int, told: dict[str, Any], poses: dict[int, bytes]) -> RecordedFrame:
+def _frame(pixels: Pixels, stamp_ns: int, told: dict[str, Any], poses: dict[int, bytes], number: int) -> RecordedFrame:
     attitudes = {int(robot): (float(a), float(b), float(sigma)) for robot, (a, b, sigma) in told["attitudes"].items()}
     depths_m = {int(robot): float(depth) for robot, depth in told["depths_m"].items()}
-    return RecordedFrame(pixels, stamp_ns, int(told["instant_ns"]), depths_m, attitudes, poses)
+    return RecordedFrame(pixels, stamp_ns, int(told["instant_ns"]), depths_m, attitudes, poses, number)
