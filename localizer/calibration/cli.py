@@ -53,7 +53,11 @@ def calibrate(
         float | None, typer.Option(min=1, max=2, help="Refractive index: 1.333 in fresh water (default), 1.34 in sea water.")
     ] = None,
     grey: Grey = False,
-    out: Annotated[Path, typer.Option(help="The camera file; a picture goes beside it.")] = Path("camera.toml"),
+    out: Annotated[
+        Path,
+        typer.Option(help="The camera file; a picture goes beside it. A file that is there keeps what is not found anew."),
+    ] = Path("camera.toml"),
+    force: Annotated[bool, typer.Option("--force", help="Write a lens that the report warns against.")] = False,
 ) -> None:
     """Find lens and pose of a camera from pictures of a board and points of the pool (docs/calibration.md).
 
@@ -66,9 +70,13 @@ def calibrate(
     files = tuple(sources or ())
     request = CalibrationRequest(
         files, board, every, lens, pool_points, pool_points_image, out,
-        rate_hz=rate, exposure_s=exposure, water_index=water_index, grey=grey,
+        rate_hz=rate, exposure_s=exposure, water_index=water_index, grey=grey, force=force,
     )  # fmt: skip
-    typer.echo("\n".join(run(request)))
+    report = run(request)
+    typer.echo("\n".join(report.lines))
+    if report.refusal:
+        typer.echo(report.refusal, err=True)
+        raise typer.Exit(1)
 
 
 def print_markers(

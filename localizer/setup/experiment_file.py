@@ -5,7 +5,6 @@ and with the old one kept beside it.
 """
 
 import difflib
-import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,7 @@ import tomlkit
 
 from wire.config.experiment import EXPERIMENTS, checked_experiment
 from wire.config.perception import CameraFile
-from wire.process.output_files import replacing
+from wire.process.output_files import keep_old, replacing
 from wire.toml_loader import ConfigError, check, os_errors_as_config_errors, read_toml
 
 _WIDE = 127  # of a line; longer lists are broken
@@ -94,10 +93,7 @@ class ExperimentFile:
                 raise ConfigError(f"{path}: is there already, and was not written by this program")
             kept = ""
             if path == self._source:
-                old = path.with_name(f"{path.name}.{time.strftime('%Y%m%d-%H%M%S')}")
-                with replacing(old, durable=True) as copy:
-                    copy.write(self._text.encode())
-                kept = f"; the old file is {old}"
+                kept = f"; the old file is {keep_old(path)}"
             with replacing(path, durable=True) as new:
                 new.write(text.encode())
         if self._camera_file is None:

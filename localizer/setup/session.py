@@ -271,7 +271,7 @@ class SetupSession:
             work.lens_fit, work.pose_fit = fit, None
             work.camera = self._experiment.camera.model_copy(update=fit.lens.model_dump())
             held_out_px = held_out_rms_px(fit)
-            work.lens_said = intrinsics_lines(fit, [], 0)
+            work.lens_said = intrinsics_lines(fit, {})
             self._said = f"lens: {len(fit.views)} views, RMS {fit.rms_px:.2f} px"
             self._said += "" if held_out_px is None else f", {held_out_px:.2f} px in views held out"
             self._said += "; now find the pose again" if work.survey.points else ""

@@ -14,13 +14,14 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from localizer.camera_model import LocalLinearization, RefractiveCamera
+from localizer.camera_model import LARGEST_FOLD_PX, Intrinsics, LocalLinearization, RefractiveCamera, fold_px
 from localizer.detection.fiducials import find_markers, marker_detector
 from localizer.detection.image_regions import ImageRegion, Pixels, cut, whole
 from localizer.tracking.camera_pose import FixedCameraPose, corners_of, fit_camera_pose
 from wire.config.experiment import Experiment
 from wire.config.perception import LANDMARKS_NEEDED, Camera, Landmark, MarkerFamily
 from wire.frames import Array, wrap
+from wire.toml_loader import ConfigError
 
 REACH_PX = 40.0  # px around a mark in which it is looked for; when most are farther off, the whole picture is searched
 SHIFTED_PX = 1.5  # px; ripples shift a mark by 0.3 px, and calibrations are good to 0.5 px
@@ -34,14 +35,25 @@ _LEVEL_ROUNDS = 5  # Gauss-Newton iterations; the shifts are linear in the level
 
 def with_camera(experiment: Experiment, camera: str) -> Experiment:
     """The experiment with one of several cameras alone, and those of the check marks that its picture shows whole; as it is
-    for "", the only camera. Raises ConfigError if there is no such camera."""
+    for "", the only camera. Raises ConfigError if there is no such camera, or if its lens cannot be undone."""
     alone = experiment.of_camera(camera)
+    _check_lens(alone)
     if not camera or not alone.check_marks:
         return alone
     pixels = RefractiveCamera(alone.camera).pool_to_pixel(np.array([corners_of(mark) for mark in alone.check_marks]))
     inside = np.all((pixels >= 0.0) & (pixels <= np.array(alone.camera.size_px) - 1.0), axis=(1, 2))
     marks = tuple(mark for mark, seen in zip(alone.check_marks, inside, strict=True) if seen)
     return alone.model_copy(update={"check_marks": marks})
+
+
+def _check_lens(experiment: Experiment) -> None:
+    camera = experiment.camera
+    if (fold := fold_px(Intrinsics.of(camera))) > LARGEST_FOLD_PX:
+        raise ConfigError(
+            f"{experiment.name}: camera.distortion = {list(camera.distortion)}: cannot be undone at the picture's edge "
+            f"({fold:.1f} px off), so places there would be wrong: calibrate again (docs/calibration.md), or take a lens "
+            "that is less wide"
+        )
 
 
 class CheckedCameraPose(FixedCameraPose):
