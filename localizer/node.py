@@ -74,7 +74,7 @@ def run(experiment: Experiment, endpoint: Endpoint, fleet: str, stop: Stop, lock
 
             page = stack.enter_context(closing(MjpegServer(options.page_port, stop)))
         if options.record is not None:
-            recorder = stack.enter_context(closing(FrameRecorder(options.record, alone)))
+            recorder = stack.enter_context(closing(FrameRecorder(options.record, alone, lockstep=lockstep)))
         bus = stack.enter_context(Bus(ZenohTransport(endpoint, stop), fleet, *codec_of(options.frame_ring)))
         bus.claim(topics.localizer_name(options.camera), stop)
         LocalizerNode(experiment, bus, stop, clock, own, page, options.publish_frames, recorder, options.camera).run()

@@ -36,7 +36,7 @@ class ExperimentFile:
         table = read_toml(experiment)
         if "cameras" in table:
             raise ConfigError(
-                f"{experiment}: has several cameras, and a setup is of one (allowed: for each an experiment with one [camera]; "
+                f"{experiment}: has several cameras, and a setup is of one (allowed: for each an experiment with [camera]; "
                 "then [[cameras]] takes the saved files: docs/calibration.md)"
             )
         camera = table.get("camera")

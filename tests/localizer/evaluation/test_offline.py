@@ -2,8 +2,10 @@
 
 import csv
 import json
+import shutil
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
@@ -20,7 +22,7 @@ from localizer.__main__ import cli
 from localizer.detection.image_regions import BAYER_TO_BGR
 from localizer.node import LocalizerNode
 from localizer.sources.base import CapturedFrame
-from localizer.sources.recording import FRAMES, FrameRecorder, recorded_frames
+from localizer.sources.recording import FRAMES, FrameRecorder, RecordedFrame, recorded_frames
 from tests.localizer.scene import Scene
 from tests.localizer.stand_ins import MS
 from wire.config.experiment import load_experiment
@@ -28,6 +30,7 @@ from wire.frames import Array
 from wire.messages import topics
 from wire.messages.messages import RobotState
 from wire.process.lockstep import LockstepClock
+from wire.process.output_files import disk_free
 from wire.process.runtime import Stop
 from wire.toml_loader import ConfigError
 from wire.transport.bus import Bus
@@ -231,7 +234,7 @@ def _localize(folder: Path, **recording: Any) -> list[tuple[int, bytes]]:
     network = MemoryHub()
     bus, ours = Bus(MemoryTransport(network)), Bus(MemoryTransport(network))
     published = ours.collect(topics.POSE)
-    with closing(FrameRecorder(folder, EXPERIMENT, **recording)) as recorder:
+    with closing(FrameRecorder(folder, EXPERIMENT, lockstep=True, **recording)) as recorder:
         clock = LockstepClock()
         camera = _LeaningRobots(ours, clock)
         LocalizerNode(EXPERIMENT, bus, Stop(install=False), clock, camera, recorder=recorder).run()
@@ -287,6 +290,42 @@ def test_a_recording_that_was_cut_counts_as_far_as_it_goes(recording: Path, tmp_
     assert all(10 <= row["poses"] < RECORDED - 1 and row["differing"] == 0 for row in rows)
     (cut / FRAMES).write_bytes(whole[:100])
     assert "no recording of frames" in str(CliRunner().invoke(cli, ["rerun", str(cut)]).exception)
+
+
+def test_a_disk_that_vanishes_or_blocks_ends_the_recording_and_not_the_poses(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A USB disk is pulled out after five frames; another one stops answering then, and `close` gives it up."""
+
+    def free_bytes(folder: Path) -> int:
+        next(frames, None) or shutil.rmtree(folder, ignore_errors=True)
+        return disk_free(folder)
+
+    frames = iter([True] * 5)
+    published = _localize(tmp_path / "pulled", free_bytes=free_bytes)
+    assert len(published) == 2 * (RECORDED - 1) and "ends after 5 frames: No such file or directory" in caplog.text
+    answers, calls = threading.Event(), iter(range(RECORDED))
+
+    def blocking(folder: Path) -> int:
+        if next(calls) >= 5:
+            answers.wait(60.0)
+        return 10**12
+
+    recorder = FrameRecorder(tmp_path / "stuck", EXPERIMENT, free_bytes=blocking, patience_s=0.1)
+    frame = RecordedFrame(np.zeros(EXPERIMENT.camera.size_px[::-1], np.uint8), 0, 0)
+    for _ in range(200):  # with a disk that is waited for, this never ends
+        recorder.put(frame)
+    recorder.close()
+    answers.set()
+    assert "stuck ends: the disk is too slow, or does not answer" in caplog.text
+    assert "the disk does not answer; its last frames and its end are missing" in caplog.text
+
+
+def test_frames_that_could_not_be_read_again_are_not_recorded(tmp_path: Path) -> None:
+    large = load_experiment("pool", ["camera.size_px=[8192,8192]", "camera.centre_px=[4095.5,4095.5]"])
+    with pytest.raises(ConfigError, match=r"frames of camera\.size_px 8192x8192 are larger than what can be read again"):
+        FrameRecorder(tmp_path / "large", large)
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_recording_without_frames_is_not_the_same(tmp_path: Path) -> None:
