@@ -18,6 +18,7 @@ from localizer.detection.obstacles import ObstacleDetector
 from localizer.sources.base import CapturedFrame, FrameSource
 from localizer.sources.factory import BUS, open_bus, open_own
 from localizer.sources.recording import FrameRecorder, RecordedFrame
+from localizer.sources.session_stamps import SessionStamps
 from localizer.tracking.check_marks import with_camera
 from localizer.tracking.fleet_localizer import FleetLocalizer, LocalizationResult
 from localizer.tracking.tilt import Attitude
@@ -113,6 +114,7 @@ class LocalizerNode:
         self._last_health = CameraHealth.OK
         self._failed, self._failed_in_a_row = 0, 0  # pictures
         self._video: VideoEncoder | None = None
+        self._stamps = SessionStamps()
 
     def run(self) -> None:
         """Localize until told to stop, or until a recording is over."""
@@ -144,6 +146,7 @@ class LocalizerNode:
     def _handle(self, captured: CapturedFrame, previews: PreviewPublisher) -> None:
         """Localize one frame. An exception costs this frame; FAILURES_IN_A_ROW of them end the process."""
         started_ns = time.perf_counter_ns()
+        captured = replace(captured, stamp_ns=self._stamps.of("", captured.stamp_ns, captured.instant_ns))
         depths_m, known = dict[int, float](), dict[int, Attitude]()
         try:
             states = self._fresh_states(captured.inputs_up_to_ns)
@@ -241,7 +244,7 @@ class LocalizerNode:
 
     def _report_absent(self, previews: PreviewPublisher) -> None:
         why = f"no frame for {self._source.silent_after_s:g} s" + (f": {self._source.trouble}" if self._source.trouble else "")
-        now_ns = self._clock.now_ns()
+        now_ns = self._stamps.now_ns(self._clock.now_ns())
         self._publish_status(replace(self._status, camera=CameraHealth.ABSENT, message=why, robots=()), now_ns)
         previews.offer_nothing(why, now_ns)
 
