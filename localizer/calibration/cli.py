@@ -92,7 +92,7 @@ def print_markers(
 
     Examples:  localizer print-markers --ids 1-6          localizer print-markers --ids 40-43 --size 200 --paper A3
     """
-    from localizer.calibration.marker_sheet import as_pdf, as_svg, marker_sheets
+    from localizer.calibration.marker_sheet import as_pdf, as_svg, marker_sheets, mirrored_ids
     from wire.process.output_files import replacing
 
     families = get_args(MarkerFamily)
@@ -101,12 +101,23 @@ def print_markers(
     if out.suffix not in (".pdf", ".svg"):
         raise ConfigError(f"--out {out}: must end in .pdf or .svg")
     check_output(out)
-    sheets = marker_sheets(_numbers(ids), size, cast(MarkerFamily, dictionary), paper)
+    family = cast(MarkerFamily, dictionary)
+    numbers, mirrored = _numbers(ids), mirrored_ids(family)
+    left_out = [number for number in numbers if number in mirrored]
+    if left_out == numbers:
+        why = f"the markers {', '.join(map(str, mirrored))} are read in a mirror too, so that a reflection looks like a robot"
+        raise ConfigError(f"--ids {ids}: {why} (take others; robots.marker_id says which one a robot has)")
+    sheets = marker_sheets([number for number in numbers if number not in mirrored], size, family, paper)
     if out.suffix == ".svg" and len(sheets) > 1:
         raise ConfigError(f"--out {out}: they need {len(sheets)} sheets, and an SVG has one (write a .pdf, or take fewer)")
     with replacing(out) as file:
         file.write(as_pdf(sheets) if out.suffix == ".pdf" else as_svg(sheets[0]).encode())
     typer.echo(f"Wrote {out}: {len(sheets)} sheet{'s' if len(sheets) > 1 else ''}. Print at 100 %, and measure the ruler.")
+    if left_out:
+        typer.echo(
+            f"Left out: {', '.join(map(str, left_out))}, which are read in a mirror too, so that a reflection looks like a "
+            "robot. Give those robots another marker: robots.marker_id."
+        )
 
 
 def _numbers(text: str) -> list[int]:
