@@ -127,13 +127,10 @@ class MarkerReader:
 
     def read(
         self, view: RefractiveCamera, regions: Iterable[ImageRegion], plates_m: NDArray[np.float64], tilts_rad: Array
-    ) -> dict[int, MarkerPose]:
-        """Poses by robot (index), from regions that may overlap; `plates_m` (robots,) are the depths of their plates, and
-        `tilts_rad` (robots, 2) their roll and pitch.
-
-        Of two markers with one id (a reflection) the better square counts.
-        """
-        best: dict[int, MarkerPose] = {}
+    ) -> dict[int, list[MarkerPose]]:
+        """All good readings by robot (index), from regions that may overlap; `plates_m` (robots,) are the depths of their
+        plates, and `tilts_rad` (robots, 2) their roll and pitch."""
+        good: dict[int, list[MarkerPose]] = {}
         foreign_ids = set()
         images = [image for region in regions for image in find_markers(self._detector, region)]
         robots = [self._robot_of_marker.get(image.id) for image in images]
@@ -143,7 +140,7 @@ class MarkerReader:
         for image, robot, reading in zip(images, robots, readings, strict=True):
             if robot is None:
                 foreign_ids.update({image.id} if reading.misfit < _MAX_MISFIT else set())
-            elif reading.misfit < (best[robot].misfit if robot in best else _MAX_MISFIT):
-                best[robot] = reading
+            elif reading.misfit < _MAX_MISFIT:
+                good.setdefault(robot, []).append(reading)
         self.foreign_ids = frozenset(foreign_ids)
-        return best
+        return good

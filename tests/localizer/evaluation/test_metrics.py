@@ -109,7 +109,7 @@ def test_where_the_truth_has_a_gap_or_ends_nothing_is_made_up() -> None:
 
 def test_where_the_truth_is_not_a_number_it_is_not_known() -> None:
     """Motion capture lost the robot from 100 to 200 ms: these poses do not count, and none in between is made up."""
-    trajectory = GroundTruthTrajectory(np.arange(5) * 50 * MS, np.zeros((5, 3)))
+    trajectory = GroundTruthTrajectory(np.array([0, 50, 100, 150, 200]) * MS, np.zeros((5, 3)))
     trajectory.pose[2:4] = np.nan
     found = [PublishedPose(1, at * MS, pose(0.004, 0.0, 0.0)) for at in (0, 50, 75, 100, 125, 150, 175, 200)]
     row = pose_rows(found, {1: trajectory})[-1]

@@ -298,7 +298,8 @@ def test_a_disk_that_vanishes_or_blocks_ends_the_recording_and_not_the_poses(
     """A USB disk is pulled out after five frames; another one stops answering then, and `close` gives it up."""
 
     def free_bytes(folder: Path) -> int:
-        next(frames, None) or shutil.rmtree(folder, ignore_errors=True)
+        if not next(frames, False):
+            shutil.rmtree(folder, ignore_errors=True)
         return disk_free(folder)
 
     frames = iter([True] * 5)
