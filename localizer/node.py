@@ -105,6 +105,7 @@ class LocalizerNode:
         self._experiment, self._bus, self.stop, self._clock = experiment, bus, stop, clock
         self._page, self._publish_frames, self._recorder = page, publish_frames, recorder
         self._states = bus.inboxes(topics.STATE, RobotState, experiment.robot_ids)
+        self._has_own_source = own is not None
         self._source = own or open_bus(bus, clock, stop, experiment.camera.rate_hz, self._states, camera, self._number)
         self._localizer = FleetLocalizer(experiment, sees_all=camera == "")
         self._obstacle_detector = _make_obstacle_detector(experiment)
@@ -135,6 +136,11 @@ class LocalizerNode:
             log_to_bus(self._bus, self._clock, self._name)
             self._bus.announce(self._name)
             log.info("ready, experiment %s", self._hash[:8])
+            if not (self._experiment.check_marks or self._experiment.landmarks):
+                say = log.warning if self._has_own_source else log.info
+                say(
+                    "nothing guards the camera: without check_marks nobody notices that it was knocked, or that the water sank"
+                )
             yield
             for captured in self._source.frames(self.stop):
                 if captured is None:

@@ -33,6 +33,7 @@ from localizer.tracking.camera_pose import CameraPoseTracker, FixedCameraPose
 from localizer.tracking.check_marks import CheckedCameraPose
 from localizer.tracking.depth_memory import DepthMemory
 from localizer.tracking.hull_lean import LeanReader
+from localizer.tracking.marker_sizes import MarkerSizes
 from localizer.tracking.observation import KCF_NOISE, Depth, PredictedView, depths_of
 from localizer.tracking.robot_track import RobotTrack, close_pairs
 from localizer.tracking.tilt import Attitude, MotionEstimate, TiltModel
@@ -107,7 +108,7 @@ class FleetLocalizer:
             len(self._ids), hull, settings.template_px, LEARNT_AT_MARKERS if settings.markers else LEARNT_AT_MATCHES
         )
         self._landmark_ids = {mark.id for mark in experiment.marks}
-        self._twins = TwinMarkers(vehicle.radius_m)
+        self._twins, self._sizes = TwinMarkers(vehicle.radius_m), MarkerSizes(len(self._ids))
         self._foreign_scans: dict[int, int] = {}  # id of a foreign marker -> scans in a row
         self._foreign_ids: set[int] = set()  # in the strips of the present scan
         self._tracks = [RobotTrack() if settings.markers else RobotTrack.at_start(s[[0, 1, 3]]) for s in self._start]
@@ -227,6 +228,7 @@ class FleetLocalizer:
         for i, track in enumerate(self._tracks):
             if i in readings and i in views:
                 reading = views[i].marker(readings[i], self._side_m, self._settings.corner_sigma_px)
+                self._sizes.note(i, readings[i].size)
                 measurement = track.at_stamp(reading, self._late_s(views[i]))
                 self._tracks[i] = track.with_marker(measurement, self.radius_m)
             elif track.motion is not None and self._is_occupied(track.motion.position_m, i, readings):
@@ -236,8 +238,11 @@ class FleetLocalizer:
 
     def _read(self, regions: Sequence[ImageRegion], plates_m: Array, tilts_rad: Array) -> dict[int, MarkerPose]:
         """Markers by robot in regions of the picture, those left out that lie where no robot can be."""
-        readings = dict[int, MarkerPose]()
-        for i, found in self._reader.read(self.view, regions, plates_m, tilts_rad).items():
+        readings, seen = dict[int, MarkerPose](), self._reader.read(self.view, regions, plates_m, tilts_rad)
+        for i, size in self._reader.strange_sizes.items():
+            if i not in seen and self._is_lost(i):
+                self._sizes.note_strange(i, size, self._frames)
+        for i, found in seen.items():
             inside = [r for r in found if self._gate.admits(self.view, r.pose[:2], float(plates_m[i]))]
             if not inside:
                 self._outside_frames[i] = self._frames
@@ -347,7 +352,7 @@ class FleetLocalizer:
             ("in view, but no robot's: marker", strange),
             ("in view twice: the marker of robot", [str(self._ids[i]) for i in self._twins.twins(self._frames)]),
         )
-        said = [f"{what} {', '.join(ids)}" for what, ids in parts if ids]
+        said = [f"{what} {', '.join(ids)}" for what, ids in parts if ids] + self._sizes.in_words(self._ids, self._frames)
         return "; ".join([self._camera_pose.trouble, *said] if self._camera_pose.trouble else said)
 
     def _scan(self, located: _Located) -> None:

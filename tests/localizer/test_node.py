@@ -199,6 +199,15 @@ def test_an_own_camera_is_shared_and_shown(start: Callable[..., LocalizerProgram
     assert shown is not None and shown.shape == (480, 640, 3)
 
 
+def test_a_camera_that_nothing_guards_is_told_of(start: Callable[..., LocalizerProgram]) -> None:
+    localizer = start()
+    localizer.feed(Scene(EXPERIMENT).frame(ETA))
+    localizer.until(CameraHealth.OK)
+    localizer.process.send_signal(signal.SIGINT)
+    _, said = localizer.process.communicate(timeout=PATIENCE_S)
+    assert "nothing guards the camera: without check_marks" in said
+
+
 def test_impossible_setting_is_refused_without_waiting_for_a_station() -> None:
     command = [sys.executable, "-m", "localizer", "run", "pool", "--station", f"tcp/127.0.0.1:{free_port()}"]
     source = ["--source", "v4l2:/dev/video-nobody-has"]

@@ -468,3 +468,31 @@ def test_a_marker_that_was_read_is_looked_for_on_its_plate_first(monkeypatch: py
     sides.clear()
     list(_fly(locator, 1, first=5))
     assert len(sides[0]) == 1 and len(sides[1]) == 1, "robot 2 is followed by its look: its whole region is read"
+
+
+# --- sizes
+
+
+def test_a_depth_that_is_wrong_by_10_cm_is_told() -> None:
+    """Of one of three robots: the others' markers look right."""
+    three = EXPERIMENT.model_copy(update={"robots": (*EXPERIMENT.robots, EXPERIMENT.robots[0].model_copy(update={"id": 3}))})
+    places = {1: np.array([0.7, -0.4, 0.3, 0.4]), 2: np.array([-0.7, 0.1, 0.4, 1.0]), 3: np.array([0.1, 0.7, 0.3, 2.0])}
+    scene = Scene(three, seed=3)
+    frames = [scene.frame(places) for _ in range(3)]  # drawing is slow
+    for wrong_m, looks in ((0.0, ""), (0.1, "too large"), (-0.1, "too small")):
+        locator = FleetLocalizer(three)
+        for k in range(50):
+            located = locator.step(frames[k % 3], k * STEP_NS, {1: 0.3, 2: 0.4 + wrong_m, 3: 0.3})
+        told = located.status.message
+        assert (looks in told and told.endswith("robot 2")) if looks else told == ""
+
+
+@pytest.mark.parametrize(("printed", "words"), [(0.8, "too small, and is not believed"), (0.94, "too small for its depth")])
+def test_a_marker_that_was_not_printed_at_true_scale_is_told(printed: float, words: str) -> None:
+    marker = EXPERIMENT.vehicle.marker
+    small = marker.model_copy(update={"side_m": printed * marker.side_m})
+    scene = Scene(EXPERIMENT.model_copy(update={"vehicle": EXPERIMENT.vehicle.model_copy(update={"marker": small})}), seed=3)
+    frames, locator = [scene.frame({1: np.array([0.7, -0.4, 0.3, 0.4])}) for _ in range(3)], FleetLocalizer(EXPERIMENT)
+    for k in range(50):
+        located = locator.step(frames[k % 3], k * STEP_NS, DEPTHS_M)
+    assert words in located.status.message and "robot 1" in located.status.message
