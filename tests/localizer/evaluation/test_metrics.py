@@ -15,6 +15,7 @@ from localizer.__main__ import cli
 from localizer.detection.image_regions import BAYER_TO_BGR, Pixels
 from localizer.evaluation.metrics import GroundTruthTrajectory, PoseRow, PublishedPose, pose_rows
 from localizer.evaluation.runner import evaluate_plain
+from localizer.tracking.single_object import SingleObjectTracker
 from tests.localizer.scene import Scene
 from wire.config.experiment import load_experiment
 from wire.frames import Array, wrap
@@ -250,6 +251,23 @@ def test_a_leap_of_the_truth_itself_is_no_failure(tmp_path: Path) -> None:
     rows[30] = [np.full(2, np.nan)]
     row = evaluate_video(tmp_path, rows)["target 1"]
     assert row["frames"] == 36 and row["failures"] == 0 and row["max_px"] < 1.0
+
+
+def test_a_turn_that_nothing_confirms_any_more_ends() -> None:
+    """An animal turns by 0.1 rad a picture, then a sheet without texture is laid over it."""
+    look, floor = textured(2, 81), np.full((200, 200, 3), 90, np.uint8)
+
+    def picture(turn_rad: float) -> Pixels:
+        about = cv2.getRotationMatrix2D((40.0, 40.0), -np.degrees(turn_rad), 1.0)
+        there = floor.copy()
+        there[60:141, 60:141] = cv2.warpAffine(look, about, (81, 81), borderMode=cv2.BORDER_REFLECT)
+        return there
+
+    follower = SingleObjectTracker(picture(0.0), np.array([100.0, 100.0]), 64.0)
+    turns = [follower.step(picture(0.1 * k))[0][2] for k in range(1, 40)]
+    assert turns[-1] == pytest.approx(3.9, abs=0.3)
+    covered = [follower.step(floor)[0][2] for _ in range(40)]
+    assert abs(covered[-1] - turns[-1]) < 1.0, "at its old rate it turns by 4 rad"
 
 
 # --- a video of the pool
