@@ -119,9 +119,8 @@ def marker_poses(
     kernels.marker_poses(view.numbers, corners_px, depths_m, tilts_rad, side_m, poses, misfits)
     corners = view.pixel_to_pool(corners_px, np.broadcast_to(depths_m[:, None], corners_px.shape[:2]))
     sizes = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).mean(axis=1) / side_m
-    return [
-        MarkerPose(pose, *misfit, size) for pose, misfit, size in zip(poses, misfits.tolist(), sizes.tolist(), strict=True)
-    ]
+    rows = zip(poses, misfits.tolist(), sizes.tolist(), strict=True)
+    return [MarkerPose(pose, misfit, residual_m, size) for pose, (misfit, residual_m), size in rows]
 
 
 class MarkerReader:

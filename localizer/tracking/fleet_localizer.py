@@ -28,6 +28,7 @@ from localizer.detection.fiducials import MarkerPose, MarkerReader
 from localizer.detection.image_regions import ImageRegion, Pixels, RobotShape, cut, whole
 from localizer.sources.health import FrameHealthMonitor
 from localizer.tracking.appearance import LEARNT_AT_MARKERS, LEARNT_AT_MATCHES, AppearanceModel
+from localizer.tracking.attitude_check import AttitudeCheck
 from localizer.tracking.basin_gate import BasinGate
 from localizer.tracking.camera_pose import CameraPoseTracker, FixedCameraPose
 from localizer.tracking.check_marks import CheckedCameraPose
@@ -75,6 +76,7 @@ class _Located:
     frame: Pixels
     depths: tuple[Depth, ...]
     views: Mapping[int, PredictedView]
+    reported: frozenset[int]  # robots whose boards reported their attitude
 
 
 class FleetLocalizer:
@@ -116,6 +118,7 @@ class FleetLocalizer:
         self._tilt = TiltModel.of(vehicle, settings.tilt_sigma_rad, settings.tilt_rad_per_n)
         self._attitudes: list[Attitude | None] = [None] * len(self._ids)  # at the present exposure
         self._leans_before = self._attitudes  # in the frame before
+        self._attitude_check = AttitudeCheck(len(self._ids))
         self._lean_reader = LeanReader(vehicle) if settings.tilt_from_outline and settings.markers else None
         self._stamp_ns: int | None = None
         self._frames = 0
@@ -153,7 +156,8 @@ class FleetLocalizer:
                 self._match_appearance([v for i, v in views.items() if self._needs_match(i)])
                 self._read_leans(frame, views)
                 self._doubt_close_pairs()
-                self._located = _Located(frame, depths, views)
+                reported = frozenset(i for i, robot in enumerate(self._ids) if robot in attitudes)
+                self._located = _Located(frame, depths, views, reported)
         tracks = [track.end_of_frame(self._settings.lost_after_s) for track in self._tracks]
         self._tracks = [track.lost() if self._coasts_outside(track) else track for track in tracks]
         self._estimate_motion()
@@ -174,6 +178,7 @@ class FleetLocalizer:
             return
         self._match_appearance([v for i, v in located.views.items() if self._is_lost(i)])
         self._scan(located)
+        self._check_attitude(located)
         if self._camera_pose.fresh:
             self._update_appearance(located.views)
 
@@ -304,6 +309,19 @@ class FleetLocalizer:
                 self.view, frame, view.tangent, plate, view.depth.centre_m, self._settings.surface_slope_rad
             )
 
+    def _check_attitude(self, located: _Located) -> None:
+        """Hold the attitude that one robot's board reports against the lean of its hull; robots take turns."""
+        robot = self._frames % len(self._ids)
+        view, told = located.views.get(robot), self._attitudes[robot]
+        measured = self._tracks[robot].measured
+        if self._lean_reader is None or view is None or measured is None or robot not in located.reported or told is None:
+            return
+        plate = self._tracks[robot].at_row(measured.pose, self._late_s(view))
+        slope_rad = self._settings.surface_slope_rad
+        shown = self._lean_reader.read(self.view, located.frame, view.tangent, plate, view.depth.centre_m, slope_rad)
+        if shown is not None:
+            self._attitude_check.note(robot, told, shown)
+
     def _doubt_close_pairs(self) -> None:
         for pair in close_pairs(self._tracks, _TOUCHING * self.radius_m):
             for i in pair:
@@ -353,6 +371,7 @@ class FleetLocalizer:
             ("in view twice: the marker of robot", [str(self._ids[i]) for i in self._twins.twins(self._frames)]),
         )
         said = [f"{what} {', '.join(ids)}" for what, ids in parts if ids] + self._sizes.in_words(self._ids, self._frames)
+        said += self._attitude_check.in_words(self._ids)
         return "; ".join([self._camera_pose.trouble, *said] if self._camera_pose.trouble else said)
 
     def _scan(self, located: _Located) -> None:

@@ -51,8 +51,8 @@ class TwinMarkers:
 
     def is_twin(self, robot: int, frame: int) -> bool:
         """True if a robot's marker was in view twice of late, in more than one picture: a misread marker is in one."""
-        seen = self._seen.get(robot, ())
-        return len(seen) == _NEEDED and frame - seen[0] <= _TOLD_FRAMES
+        seen = self._seen.get(robot)
+        return seen is not None and len(seen) == _NEEDED and frame - seen[0] <= _TOLD_FRAMES
 
     def are_apart(self, poses: Sequence[Array]) -> bool:
         """True if poses [x, y, ...] of one picture cannot be of one plate."""
