@@ -79,7 +79,7 @@ class SetupServer:
             return _refused()
         try:
             given: dict[str, Any] = dict(await request.json())
-        except (ValueError, TypeError):
+        except (ValueError, TypeError, RecursionError):
             return PlainTextResponse("not a JSON object", 400)
         try:
             found: Any = await run_in_threadpool(self._session.do, str(given.pop("do", "")), given)

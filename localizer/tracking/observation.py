@@ -5,7 +5,7 @@ markers' corners (`localizer.corner_sigma_px`) on pictures of another renderer (
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +14,7 @@ from localizer import kernels
 from localizer.camera_model import LocalLinearization
 from localizer.detection.fiducials import MarkerPose
 from localizer.detection.image_regions import BodyProjection, ImageRegion
+from localizer.tracking.depth_memory import KnownDepth
 from localizer.tracking.tilt import Attitude
 from wire.config.experiment import Experiment
 from wire.frames import Array, body_to_pool
@@ -37,8 +38,6 @@ class MeasurementNoise:
 COVERED_NOISE = MeasurementNoise(centre_px=0.2, rim_px=0.22, centre_share=0.008, rim_share=0.008)
 # Of a robot without marker. Light and rim stay where they are when a hull leans: of the way of its top they hide so much.
 LOOKS_NOISE = MeasurementNoise(centre_px=0.04, rim_px=0.05, centre_share=0.003, rim_share=0.003, lean_px=1.6)
-_DEPTH_ASSUMED_SIGMA_M = 0.05  # m, of the experiment's depth, for a robot that reported none
-_SHALLOWEST_M = -0.2  # m, least depth that is believed: a robot lying on the surface
 # Corners that are farther from a square than so many standard deviations of a corner are an error. Found well they are 0.7
 # from it: a corner's error turns and moves the square more than it deforms it.
 _CORNER_SIGMAS = 1.4
@@ -69,21 +68,14 @@ class Depth:
     above_m: float = 0.0  # height of the plate over the centre while the robot is level
 
 
-def depths_of(
-    experiment: Experiment, start_m: Sequence[float], reported_m: Mapping[int, float], attitudes: Mapping[int, Attitude]
-) -> tuple[Depth, ...]:
-    """Every robot's depth, (robots,), in the experiment's order: as reported (by id), or as at the start."""
-    height_m, deepest_m = experiment.vehicle.marker.height_m, experiment.pool.size_m[2]
-    known_sigma_m = experiment.localizer.depth_sigma_m
+def depths_of(experiment: Experiment, known: Mapping[int, KnownDepth], attitudes: Mapping[int, Attitude]) -> tuple[Depth, ...]:
+    """Every robot's depth, (robots,), in the experiment's order, from that of its centre (by id)."""
+    height_m = experiment.vehicle.marker.height_m
     depths = []
-    for robot_id, start in zip(experiment.robot_ids, start_m, strict=True):
-        depth = reported_m.get(robot_id, float("nan"))
-        known = _SHALLOWEST_M <= depth <= deepest_m
-        centre = depth if known else float(start)
+    for robot_id in experiment.robot_ids:
+        centre = known[robot_id].centre_m
         up_m = attitudes[robot_id].above_m(height_m)[2] if robot_id in attitudes else height_m
-        depths.append(
-            Depth(centre, centre - up_m, known_sigma_m if known else max(known_sigma_m, _DEPTH_ASSUMED_SIGMA_M), height_m)
-        )
+        depths.append(Depth(centre, centre - up_m, known[robot_id].sigma_m, height_m))
     return tuple(depths)
 
 

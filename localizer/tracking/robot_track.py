@@ -30,6 +30,7 @@ it.
                                                                                                   peak, outside gate or reach;
                                                                                                   for all but match: coasting,
                                                                                                   and not the third steady one
+    unverified         its marker is in view twice                verified = False                -
     identity_doubted   another robot is believed close            verified = False                state is MARKER
     end_of_frame       no measurement in this frame               state COAST, or LOST with       measured, or LOST before
                                                                   verified = False
@@ -147,8 +148,9 @@ class RobotTrack:
     def with_marker(self, measurement: TrackMeasurement, jump_m: float) -> "RobotTrack":
         """The track after its marker was read, as in the table above.
 
-        A reading farther than `jump_m` from where a followed track can be contradicts it. A nearer one is right whatever
-        the prediction was (a push, a stamp off by a frame): outside the gate only the velocity is reset.
+        A reading farther than `jump_m` from where a followed track can be contradicts it. A nearer one may be right whatever
+        the prediction was (a push), or be of an old picture: outside the gate the velocity is reset, and the leap enters the
+        covariance of this frame's pose.
         """
         if not measurement.finite:
             return self
@@ -157,9 +159,14 @@ class RobotTrack:
             assert self.motion is not None
             verified_now = self.verified or agreed
             updated, squared = update(self.motion, measurement.pose, measurement.covariance)
-            motion = updated if squared <= GATE else None
             claim = None if verified_now else Claim(measurement.pose)
-            return self._measured(measurement, motion, Track.MARKER, verified_now, claim)
+            if squared <= GATE:
+                return self._measured(measurement, updated, Track.MARKER, verified_now, claim)
+            leap = measurement.pose - self.motion.mean[:3]
+            leap[2] = wrap(float(leap[2]))
+            doubted = replace(measurement, covariance=measurement.covariance + np.outer(leap, leap))
+            anew = initial_state(measurement.pose, measurement.covariance)
+            return self._measured(doubted, anew, Track.MARKER, verified_now, claim)
         if agreed:
             return self._measured(measurement, None, Track.MARKER, verified=True, claim=None)
         return replace(self.contradicted(), claim=Claim(measurement.pose))
@@ -227,6 +234,10 @@ class RobotTrack:
     def identity_doubted(self) -> "RobotTrack":
         """The track when another robot nearly touches it: not verified, unless its state is MARKER."""
         return self if self.state is Track.MARKER else replace(self, verified=False)
+
+    def unverified(self) -> "RobotTrack":
+        """The track of a robot whose marker is in view twice: it may be the other one."""
+        return replace(self, verified=False)
 
     def end_of_frame(self, lost_after_s: float) -> "RobotTrack":
         """The track after all updates: without a measurement it coasts, and after `lost_after_s` of that it is lost."""

@@ -62,6 +62,19 @@ def test_a_contradicted_track_does_not_claim_to_know_where_its_robot_is() -> Non
     assert not occupied.predicted(STEP_S).with_marker(_seen(0.0), JUMP_M).doubt(JUMP_M)[0, 0] > 1e-4
 
 
+def test_a_leap_outside_the_gate_is_published_with_its_own_size() -> None:
+    """A driver hands out an old picture with a new stamp: where the robot was is no place for a claim of a millimetre. The
+    next picture is right, and so is its claim soon."""
+    track, away = _followed().predicted(STEP_S), np.array([0.06, 0.0, 0.0])
+    stale = track.with_marker(_seen(0.06), JUMP_M).end_of_frame(LOST_AFTER_S)
+    pose = stale.message(0.3, LEVEL)
+    assert pose is not None and pose.track is Track.MARKER and away @ np.linalg.solve(pose.covariance, away) < 1.01
+    for _ in range(3):
+        stale = stale.predicted(STEP_S).with_marker(_seen(0.0), JUMP_M).end_of_frame(LOST_AFTER_S)
+    pose = stale.message(0.3, LEVEL)
+    assert pose is not None and pose.covariance == pytest.approx(SIGMA)
+
+
 def test_coasts_then_is_lost_then_stays_put() -> None:
     track = _followed().predicted(STEP_S).with_marker(_seen(0.005), JUMP_M).predicted(STEP_S).with_marker(_seen(0.01), JUMP_M)
     states, places = [], []
