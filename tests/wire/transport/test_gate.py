@@ -23,7 +23,7 @@ from wire import user_folders
 from wire.messages import messages, topics
 from wire.messages.codec import Header
 from wire.messages.messages import Command, Order, Reply
-from wire.security import admission
+from wire.security import admission, guard
 from wire.security.access_control import DOOR
 from wire.security.admission import RETRY
 from wire.security.guard import Guard
@@ -35,6 +35,7 @@ from wire.transport.zenoh_transport import ZenohTransport
 
 pytestmark = pytest.mark.real_time
 
+MOST_LINKS = 10  # of the guard in these tests
 SOON_S = 5.0  # without a guard nobody comes in for minutes
 
 
@@ -224,7 +225,7 @@ class Passage:
         listener = socket.create_server(("127.0.0.1", 0))
         self.port, self.told = listener.getsockname()[1], list[str]()
         inner = self.server.getsockname()[1]
-        self.guard = Guard(listener, (inner, inner), self.told.append, most_links=10)
+        self.guard = Guard(listener, (inner, inner), self.told.append, MOST_LINKS)
         self._end, self._ended = socket.socketpair()
         self.guard.watch(self._ended.fileno())
         self.thread = threading.Thread(target=self.guard.run)
@@ -238,6 +239,10 @@ class Passage:
         server.settimeout(SOON_S)
         assert server.recv(len(hello), socket.MSG_WAITALL) == hello
         return client, server
+
+    def expel(self, said: str) -> None:
+        """Tell the guard, as the station does, whom the router does not want."""
+        self._end.sendall(said.encode())
 
     def close(self) -> None:
         self._end.close()
@@ -361,3 +366,94 @@ def test_a_stranger_gone_before_its_turn_is_skipped(passage: Passage) -> None:
     client, server = passage.pair(HELLO)
     with client, server:
         assert passage.told == ["refused a connection from 127.0.0.1 without a valid certificate"]
+
+
+def reset(one: socket.socket) -> None:
+    """Close a socket with a reset instead of an orderly end."""
+    one.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\x01\0\0\0\0\0\0\0")
+    one.close()
+
+
+def ended(one: socket.socket, within_s: float = SOON_S) -> bool:
+    """True if the other side closes a connection, in whatever way."""
+    one.settimeout(within_s)
+    try:
+        return one.recv(1) == b""
+    except TimeoutError:
+        return False
+    except ConnectionError:
+        return True
+
+
+def test_a_router_that_resets_ends_the_peers_connection(passage: Passage) -> None:
+    client, server = passage.pair(HELLO)
+    server.sendall(b"answer")
+    assert client.recv(6, socket.MSG_WAITALL) == b"answer"
+    reset(server)
+    with client:
+        assert ended(client, admission.PROOF_S / 2)
+
+
+@pytest.mark.parametrize(
+    ("sent", "answered", "member"),
+    [
+        (guard.CERTIFICATE_BYTES, guard.ANSWER_BYTES, True),
+        (guard.CERTIFICATE_BYTES - 1, guard.ANSWER_BYTES, False),
+        (guard.CERTIFICATE_BYTES, guard.ANSWER_BYTES - 1, False),
+    ],
+)
+def test_a_certificate_and_its_answer_are_known_by_their_lengths(
+    passage: Passage, sent: int, answered: int, member: bool
+) -> None:
+    client, server = passage.pair(HELLO)
+    with server:
+        server.sendall(b"answer")
+        assert client.recv(6, socket.MSG_WAITALL) == b"answer"
+        client.sendall(bytes(sent))
+        assert len(server.recv(sent, socket.MSG_WAITALL)) == sent
+        server.sendall(bytes(answered))
+        assert len(client.recv(answered, socket.MSG_WAITALL)) == answered
+        client.close()
+        assert ended(server)
+    assert eventually(lambda: bool(passage.told), 0.5) is not member
+
+
+def test_the_oldest_silent_connection_of_an_address_goes_for_one_too_many(passage: Passage) -> None:
+    with contextlib.ExitStack() as stack:
+        silent = [
+            stack.enter_context(socket.create_connection(("127.0.0.1", passage.port), timeout=SOON_S))
+            for _ in range(admission.MOST_WAITING_EACH + 1)
+        ]
+        assert ended(silent[0], admission.HELLO_S / 2)
+
+
+def test_a_connection_that_waits_for_its_turn_keeps_what_it_has_said_since(passage: Passage) -> None:
+    pairs = [passage.pair(HELLO) for _ in range(admission.MOST_TRYING_EACH)]
+    with contextlib.ExitStack() as stack:
+        for one in (one for pair in pairs for one in pair):
+            stack.enter_context(one)
+        waiting = stack.enter_context(socket.create_connection(("127.0.0.1", passage.port), timeout=SOON_S))
+        waiting.sendall(HELLO)
+        time.sleep(0.1)
+        waiting.sendall(b"more")
+        time.sleep(0.1)
+        for one in pairs[0]:
+            one.close()
+        passage.server.settimeout(SOON_S)
+        server = stack.enter_context(passage.server.accept()[0])
+        server.settimeout(SOON_S)
+        assert server.recv(len(HELLO), socket.MSG_WAITALL) == HELLO
+        server.sendall(b"answer")
+        assert server.recv(4, socket.MSG_WAITALL) == b"more"
+
+
+def test_the_router_may_have_a_connection_ended(passage: Passage) -> None:
+    pairs = [passage.pair(HELLO) for _ in range(3)]
+    ports = [server.getpeername()[1] for _, server in pairs]
+    passage.expel(f"nonsense\n-1\n99999999999\n{ports[0]}\n{str(ports[1])[:2]}")
+    assert ended(pairs[0][0]) and ended(pairs[0][1])
+    assert not ended(pairs[1][0], 0.1)
+    passage.expel(f"{str(ports[1])[2:]}\n{ports[0]}\n")
+    assert ended(pairs[1][0]) and not ended(pairs[2][0], 0.1)
+    for one in (one for pair in pairs for one in pair):
+        one.close()
