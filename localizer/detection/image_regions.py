@@ -94,11 +94,12 @@ def whole(frame: Pixels) -> ImageRegion:
 
 
 def cut(frame: Pixels, centre_px: Array, half_px: float) -> ImageRegion | None:
-    """The region of `frame` (height, width) around a point, clipped to the picture. None if less than 16 px a side are
+    """The region of `frame` (height, width) around a point, of at least 16 px a side, clipped to the picture. None if less is
     left, or the point is not finite."""
     u, v = centre_px.tolist()
     if not (math.isfinite(u) and math.isfinite(v) and math.isfinite(half_px)):
         return None
+    half_px = max(half_px, _LEAST_SIDE_PX / 2.0)
     height, width = frame.shape
     left, top = max(2 * math.floor((u - half_px) / 2.0), 0), max(2 * math.floor((v - half_px) / 2.0), 0)
     right = min(2 * math.ceil((u + half_px) / 2.0) + 2, width // 2 * 2)

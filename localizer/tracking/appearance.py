@@ -24,6 +24,7 @@ _AVERAGED_PX = 1.3  # px between samples; wider patches are taken from a picture
 _ALIGNED_PX = 0.6  # px between samples, least for an alignment: of a robot below 30 px across blocks show no texture
 _CORRELATED = 4.0  # variance of an aligned pose over that of independent pixels: ripples and caustics move samples together
 TRACE=None
+_SAMPLINGS, _NEAR_SHIFT = 2, 0.5  # of a patch for its alignment; no second one is made where it moved by fewer samples
 _FAR_SHIFT = 1.5  # samples; the window biases a peak by 4.5 % of its shift, so a larger shift is measured a second time
 
 
@@ -89,31 +90,36 @@ class AppearanceModel:
                 break
         turns, turn_peaks = self._turn.detect(robots, self._rings(views, colours, found))
         found[:, 2] += turns[:, 0] * (2.0 * np.pi / self._sampler.angles)
-        clipped = _verified(peaks, turn_peaks)
+        clipped = _verified(peaks, turn_peaks).tolist()
         return [
-            self._aligned(view, colour, pose, peak)
-            for view, colour, pose, peak in zip(views, colours, found, clipped.tolist(), strict=True)
+            self._aligned(view, colour, (pose, correlated), peak)
+            for view, colour, pose, correlated, peak in zip(views, colours, poses, found, clipped, strict=True)
         ]
 
-    def _aligned(self, view: PredictedView, colour: DemosaicedRegion, pose: Array, peak: float) -> Match:
-        """The match of a correlation after an alignment: with its pose, or refused."""
-        limits, found = self._recognition, pose.copy()
-        covariance, move = np.empty((3, 3)), np.zeros(4)
-        for _ in range(2):
-            body = view.body(found)
+    def _aligned(self, view: PredictedView, colour: DemosaicedRegion, starts: Sequence[Array], peak: float) -> Match:
+        """The match at which the robot's texture is seen again, from the first of some poses that leads to one; without peak if
+        none does."""
+        limits = self._recognition
+        for start in starts:
+            pose, covariance, share, gain = self._align(view, colour, start)
+            if TRACE is not None: TRACE.append((view.robot, share, gain, peak, pose-start, np.sqrt(np.diag(covariance))))
+            if share > limits.share and limits.gain <= gain <= 1.0 / limits.gain:
+                return Match(pose, _CORRELATED / share * covariance, peak)
+        return Match(pose, np.zeros((3, 3)), 0.0)
+
+    def _align(self, view: PredictedView, colour: DemosaicedRegion, start: Array) -> tuple[Array, Array, float, float]:
+        """Pose, covariance (3, 3), share of the texture and gain of an alignment that begins at a pose."""
+        pose, covariance, move, to_pool = start.copy(), np.empty((3, 3)), np.zeros(4), np.eye(3)
+        for _ in range(_SAMPLINGS):
+            body = view.body(pose)
             weights = self._sampler.facing(body) * (self._seen[view.robot] > 0.0)
-            patch = self._sampler.patch(colour, body)
-            share = align(self._texture[view.robot], patch, weights, move, covariance)
-            to_pool = np.eye(3)
-            to_pool[:2, :2] = self._sampler.pitch_m * body_to_pool(view.body_to_level[:2, :2].T, float(found[2])).T
-            found = found + to_pool @ move[:3]
-            if np.max(np.abs(move[:2])) < 0.5:
+            share = align(self._texture[view.robot], self._sampler.patch(colour, body), weights, move, covariance)
+            to_pool[:2, :2] = self._sampler.pitch_m * body_to_pool(view.body_to_level[:2, :2].T, float(pose[2])).T
+            pose = pose + to_pool @ move[:3]
+            if np.max(np.abs(move[:2])) < _NEAR_SHIFT:
                 break
-        found[2] = wrap(float(found[2]))
-        if TRACE is not None: TRACE.append((view.robot, share, move[3], peak, found-pose, np.sqrt(np.diag(to_pool@covariance@to_pool.T))))
-        if share <= limits.share or not limits.gain <= move[3] <= 1.0 / limits.gain:
-            return Match(pose, np.zeros((3, 3)), 0.0)
-        return Match(found, _CORRELATED / share * to_pool @ covariance @ to_pool.T, peak)
+        pose[2] = wrap(float(pose[2]))
+        return pose, to_pool @ covariance @ to_pool.T, share, float(move[3])
 
     def update(self, views: Sequence[PredictedView], poses: Sequence[Array], rates: Array) -> list[float]:
         """Peaks of the robots' appearances at known poses, as in `Match`; then blend in what is seen there at `rates` (n,).
