@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from localizer.detection.correlation_filter import CorrelationFilter, FilterShape, Real
 from localizer.detection.image_regions import BodySampler, DemosaicedRegion, RobotShape
 from localizer.tracking.alignment import align
-from localizer.tracking.observation import PredictedView
+from localizer.tracking.observation import COVERED_NOISE, LOOKS_NOISE, MeasurementNoise, PredictedView
 from wire.frames import Array, body_to_pool, wrap
 
 _SPAN = 0.9  # side of the patch over the robot's diameter; wider ones show the rim, and errors grow from 0.3 to 2.5 mm
@@ -21,29 +21,28 @@ _PLACE_KERNEL = 1.0
 _TURN_KERNEL = 2.0
 _LEAST_TURN_PEAK = 0.2  # peak of the heading filter; a heading found with less is not used
 _AVERAGED_PX = 1.3  # px between samples; wider patches are taken from a picture at half scale
-_ALIGNED_PX = 0.6  # px between samples, least for an alignment: of a robot below 30 px across blocks show no texture
-_CORRELATED = 4.0  # variance of an aligned pose over that of independent pixels: ripples and caustics move samples together
-TRACE=None
+_CORRELATED = 4.0  # variance of an aligned pose over that of independent samples: ripples and caustics move them together
 _SAMPLINGS, _NEAR_SHIFT = 2, 0.5  # of a patch for its alignment; no second one is made where it moved by fewer samples
+_USED = 1.5  # values of a sample that an alignment uses, half the samples in three colours; a pixel measures one
 _FAR_SHIFT = 1.5  # samples; the window biases a peak by 4.5 % of its shift, so a larger shift is measured a second time
 
 
 @dataclass(frozen=True)
 class Recognition:
-    """Limits of an alignment beyond which a robot is not recognised: the least share of the learnt texture, the least gain
-    (the largest is its inverse), and True if the pose of the alignment is taken."""
+    """Limits of an alignment beyond which a robot is not recognised: the least share of the learnt texture and the least gain
+    (the largest is its inverse); and the noise of a match, beside what its pixels tell."""
 
     share: float
     gain: float
-    refines: bool
+    noise: MeasurementNoise
 
 
 # With less of the texture a pattern may be another one, or the same turned by a right angle; with any gain a grey card is a
 # faint robot.
-LEARNT_AT_MARKERS = Recognition(share=0.5, gain=0.6, refines=True)
-# An appearance that is learnt at poses of its own fits worse on its way round the robot's heading, and would drift with the
-# alignment's pose (4 mm in 10 s). A refusal also ends the learning, so that the robot would stay lost.
-LEARNT_AT_MATCHES = Recognition(share=0.3, gain=0.2, refines=False)
+LEARNT_AT_MARKERS = Recognition(share=0.5, gain=0.6, noise=COVERED_NOISE)
+# An appearance that is learnt at poses of its own fits worse on its way round the robot's heading: a robot in sight shows 0.59
+# of it at least, at a contrast of 0.71 to 1.21. A refusal also ends the learning, so that the robot would stay lost.
+LEARNT_AT_MATCHES = Recognition(share=0.4, gain=0.6, noise=LOOKS_NOISE)
 
 
 @dataclass(frozen=True)
@@ -67,7 +66,7 @@ class AppearanceModel:
         self._place = CorrelationFilter(count, patches)
         rings = FilterShape(1, self._sampler.angles, self._sampler.ring_channels, _TARGET_WIDTH, _TURN_KERNEL, windowed=False)
         self._turn = CorrelationFilter(count, rings)
-        self._recognition = recognition
+        self.recognition = recognition
         self._learnt = np.zeros(count, dtype=np.bool_)
         self._texture = np.zeros((count, channels, template_px, template_px), np.float32)  # the learnt patches
         self._seen = np.zeros((count, template_px, template_px), np.float32)  # sums of weights, of each sample
@@ -90,21 +89,23 @@ class AppearanceModel:
                 break
         turns, turn_peaks = self._turn.detect(robots, self._rings(views, colours, found))
         found[:, 2] += turns[:, 0] * (2.0 * np.pi / self._sampler.angles)
-        clipped = _verified(peaks, turn_peaks).tolist()
+        clipped, verified = np.clip(peaks, 0.0, 1.0).tolist(), _verified(peaks, turn_peaks).tolist()
         return [
-            self._aligned(view, colour, (pose, correlated), peak)
-            for view, colour, pose, correlated, peak in zip(views, colours, poses, found, clipped, strict=True)
+            self._aligned(view, colours[i], ((poses[i], clipped[i]), (found[i], verified[i]))) for i, view in enumerate(views)
         ]
 
-    def _aligned(self, view: PredictedView, colour: DemosaicedRegion, starts: Sequence[Array], peak: float) -> Match:
-        """The match at which the robot's texture is seen again, from the first of some poses that leads to one; without peak if
-        none does."""
-        limits = self._recognition
-        for start in starts:
+    def _aligned(self, view: PredictedView, colour: DemosaicedRegion, starts: Sequence[tuple[Array, float]]) -> Match:
+        """The match where the robot's texture is seen again, by an alignment from the first of some `starts` (pose and peak)
+        that leads there; with peak 0 if none does.
+
+        From the predicted pose the heading is known. Where the correlation lies its own filter has to recognise it.
+        """
+        limits = self.recognition
+        for start, peak in starts:
             pose, covariance, share, gain = self._align(view, colour, start)
-            if TRACE is not None: TRACE.append((view.robot, share, gain, peak, pose-start, np.sqrt(np.diag(covariance))))
             if share > limits.share and limits.gain <= gain <= 1.0 / limits.gain:
-                return Match(pose, _CORRELATED / share * covariance, peak)
+                repeated = _USED / (self._sampler.pitch_m * view.tangent.px_per_m) ** 2
+                return Match(pose, max(repeated, 1.0) * _CORRELATED / share * covariance, peak)
         return Match(pose, np.zeros((3, 3)), 0.0)
 
     def _align(self, view: PredictedView, colour: DemosaicedRegion, start: Array) -> tuple[Array, Array, float, float]:

@@ -32,9 +32,9 @@ from localizer.tracking.basin_gate import BasinGate
 from localizer.tracking.camera_pose import CameraPoseTracker, FixedCameraPose
 from localizer.tracking.check_marks import CheckedCameraPose
 from localizer.tracking.hull_lean import LeanReader
-from localizer.tracking.observation import KCF_NOISE, Depth, PredictedView, depths_of
+from localizer.tracking.observation import Depth, PredictedView, depths_of
 from localizer.tracking.robot_track import RobotTrack, close_pairs
-from localizer.tracking.tilt import Attitude, body_to_level, MotionEstimate, TiltModel
+from localizer.tracking.tilt import Attitude, MotionEstimate, TiltModel, body_to_level
 from wire.config.experiment import Experiment
 from wire.config.scene import Circle, PathSpec, Route
 from wire.frames import Array
@@ -199,7 +199,17 @@ class FleetLocalizer:
             region = cut(frame, tangent.pixel, (self._appearance.reach_m + around_m) * tangent.px_per_m)
             plate = cut(frame, tangent.pixel, (self._plate_reach_m + around_m) * tangent.px_per_m)
             if region is not None:
-                views[i] = PredictedView(i, self.radius_m, depths[i], body_to_level(*tilts_rad[i]), slope_rad, tangent, mapping, region, plate or region)
+                views[i] = PredictedView(
+                    i,
+                    self.radius_m,
+                    depths[i],
+                    body_to_level(*tilts_rad[i]),
+                    slope_rad,
+                    tangent,
+                    mapping,
+                    region,
+                    plate or region,
+                )
         return views
 
     def _read_markers(self, frame: Pixels, depths: Sequence[Depth], views: dict[int, PredictedView]) -> None:
@@ -261,7 +271,7 @@ class FleetLocalizer:
             track = self._tracks[view.robot]
             alone = self._clearance_m(view.robot, match.pose) > self.radius_m
             clear = alone and view.shows(match.pose) and self._gate.admits(self.view, match.pose[:2], view.depth.plate_m)
-            measurement = view.measurement(match.pose, KCF_NOISE, match.covariance, match.peak)
+            measurement = view.measurement(match.pose, self._appearance.recognition.noise, match.covariance, match.peak)
             dated = track.at_stamp(measurement, self._late_s(view))
             self._tracks[view.robot] = track.with_match(dated, self._settings.min_peak) if clear else track
 

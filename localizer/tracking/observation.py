@@ -16,7 +16,7 @@ from localizer.detection.fiducials import MarkerPose
 from localizer.detection.image_regions import BodyProjection, ImageRegion
 from localizer.tracking.tilt import Attitude
 from wire.config.experiment import Experiment
-from wire.frames import Array
+from wire.frames import Array, body_to_pool
 
 
 @dataclass(frozen=True)
@@ -30,9 +30,13 @@ class MeasurementNoise:
     rim_px: float
     centre_share: float = 0.0
     rim_share: float = 0.0
+    lean_px: float = 0.0  # error, along the way of the hull's top, over that way in radii of the hull
 
 
-KCF_NOISE = MeasurementNoise(centre_px=0.2, rim_px=0.22, centre_share=0.008, rim_share=0.008)
+# Of a robot whose marker is covered: what covers it hides part of the robot, too.
+COVERED_NOISE = MeasurementNoise(centre_px=0.2, rim_px=0.22, centre_share=0.008, rim_share=0.008)
+# Of a robot without marker. Light and rim stay where they are when a hull leans: of the way of its top they hide so much.
+LOOKS_NOISE = MeasurementNoise(centre_px=0.04, rim_px=0.05, centre_share=0.003, rim_share=0.003, lean_px=1.6)
 _DEPTH_ASSUMED_SIGMA_M = 0.05  # m, of the experiment's depth, for a robot that reported none
 _SHALLOWEST_M = -0.2  # m, least depth that is believed: a robot lying on the surface
 # Corners that are farther from a square than so many standard deviations of a corner are an error. Found well they are 0.7
@@ -62,6 +66,7 @@ class Depth:
     centre_m: float
     plate_m: float
     sigma_m: float
+    above_m: float = 0.0  # height of the plate over the centre while the robot is level
 
 
 def depths_of(
@@ -76,7 +81,9 @@ def depths_of(
         known = _SHALLOWEST_M <= depth <= deepest_m
         centre = depth if known else float(start)
         up_m = attitudes[robot_id].above_m(height_m)[2] if robot_id in attitudes else height_m
-        depths.append(Depth(centre, centre - up_m, known_sigma_m if known else max(known_sigma_m, _DEPTH_ASSUMED_SIGMA_M)))
+        depths.append(
+            Depth(centre, centre - up_m, known_sigma_m if known else max(known_sigma_m, _DEPTH_ASSUMED_SIGMA_M), height_m)
+        )
     return tuple(depths)
 
 
@@ -130,10 +137,16 @@ class PredictedView:
             sight / np.linalg.norm(sight) @ self.body_to_level,
         )
 
+    def top_m(self, pose: Array) -> Array:
+        """Place (2,), in the pool, of the hull's top from its centre, as far as the lean of the robot at `pose` is known."""
+        return body_to_pool(-self.depth.above_m * self.body_to_level[:2, 2], float(pose[2]))
+
     def measurement(self, pose: Array, noise: MeasurementNoise, own: Array, peak: float = 0.0) -> TrackMeasurement:
         """A measurement of `pose`: its covariance sums the picture's noise, moving water, depth error, the camera's pose
         error, and its `own` part (3, 3), from the residuals of this one."""
         wave_m = 0.25 * self.slope_rad * max(self.depth.plate_m, 0.0)
+        lean_m = noise.lean_px / self.tangent.px_per_m * self.top_m(pose) / self.radius_m
+        own = own + np.pad(np.outer(lean_m, lean_m), (0, 1))
         round_m2 = wave_m**2 + (noise.centre_share * self.radius_m) ** 2
         yaw_rad2 = (noise.rim_px / (self.tangent.px_per_m * self.radius_m)) ** 2 + noise.rim_share**2
         covariance = np.empty((3, 3))

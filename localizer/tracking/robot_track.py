@@ -63,6 +63,7 @@ _MATCH_REACH_M = 0.05  # m, farthest that a match may be from the prediction, ho
 # A robot that coasts or is lost is matched in so many pictures in a row before it counts, with steady offsets from the
 # prediction: a robot accelerates by 0.3 m/s^2 (1 mm from picture to picture), a match that jumps about or slides more.
 _MATCHES_NEEDED, _SAME_OFFSET = 3, np.array([0.005, 0.005, 0.05])
+_STEADY_SIGMAS = 4.0  # of a match: of a robot 10 px across one match alone is as far off; a change between three adds up
 # A claim is dropped when both limits have passed without a second reading. A visible marker is read ten times in 0.5 s; the
 # number of pictures leaves time to a slow camera or a busy computer.
 _CLAIM_S, _CLAIM_PICTURES = 0.5, 3
@@ -103,14 +104,15 @@ class ProvisionalMatch:
     step: Array | None = None
     count: int = 1
 
-    def continued(self, offset: Array, unseen_s: float, speed_sigma: Array) -> "ProvisionalMatch":
-        """The claim with one more match; the count begins anew where it moved otherwise than a robot whose velocity is known
-        to `speed_sigma` (3,) [m/s, m/s, rad/s]."""
+    def continued(self, offset: Array, unseen_s: float, speed_sigma: Array, sigma: Array) -> "ProvisionalMatch":
+        """The claim with one more match, of standard deviations `sigma` (3,); the count begins anew where it moved otherwise
+        than a robot whose velocity is known to `speed_sigma` (3,) [m/s, m/s, rad/s]."""
         step = offset - self.offset
         step[2] = wrap(float(step[2]))
         steady = np.zeros(3) if self.step is None else step - self.step
-        may = _SAME_OFFSET + (unseen_s - self.unseen_s) * speed_sigma
-        same = bool(np.all(np.abs(step) <= may) and np.all(np.abs(steady) <= _SAME_OFFSET))
+        same_offset = np.maximum(_SAME_OFFSET, _STEADY_SIGMAS * sigma)
+        may = same_offset + (unseen_s - self.unseen_s) * speed_sigma
+        same = bool(np.all(np.abs(step) <= may) and np.all(np.abs(steady) <= same_offset))
         return ProvisionalMatch(offset, unseen_s, step, self.count + 1) if same else ProvisionalMatch(offset, unseen_s)
 
 
@@ -205,7 +207,8 @@ class RobotTrack:
             speed_sigma = np.sqrt(np.diag(self.motion.covariance)[3:])
             before = self.match
             first = ProvisionalMatch(offset, self.unseen_s)
-            match = first if before is None else before.continued(offset, self.unseen_s, speed_sigma)
+            sigma = np.sqrt(np.diag(measurement.covariance))
+            match = first if before is None else before.continued(offset, self.unseen_s, speed_sigma, sigma)
             if match.count < _MATCHES_NEEDED:
                 return replace(matched, match=match)
         return matched._measured(measurement, None if lost else updated, Track.KCF, self.verified, self.claim)
