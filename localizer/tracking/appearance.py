@@ -1,4 +1,4 @@
-"""Appearance models of the robots: two correlation filters per robot, one for position and one for heading."""
+"""Appearance models of the robots: two correlation filters each, one for position and one for heading, and its texture."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
