@@ -30,19 +30,22 @@ _FAR_SHIFT = 1.5  # samples; the window biases a peak by 4.5 % of its shift, so 
 @dataclass(frozen=True)
 class Recognition:
     """Limits of an alignment beyond which a robot is not recognised: the least share of the learnt texture and the least gain
-    (the largest is its inverse); and the noise of a match, beside what its pixels tell."""
+    (the largest is its inverse); the noise of a match, beside what its pixels tell; and the number of updates over which the
+    texture is averaged."""
 
     share: float
     gain: float
     noise: MeasurementNoise
+    memory: float
 
 
 # With less of the texture a pattern may be another one, or the same turned by a right angle; with any gain a grey card is a
 # faint robot.
-LEARNT_AT_MARKERS = Recognition(share=0.5, gain=0.6, noise=COVERED_NOISE)
+LEARNT_AT_MARKERS = Recognition(share=0.5, gain=0.6, noise=COVERED_NOISE, memory=33.0)
 # An appearance that is learnt at poses of its own fits worse on its way round the robot's heading: a robot in sight shows 0.59
-# of it at least, at a contrast of 0.71 to 1.21. A refusal also ends the learning, so that the robot would stay lost.
-LEARNT_AT_MATCHES = Recognition(share=0.4, gain=0.6, noise=LOOKS_NOISE)
+# of it at least, at a contrast of 0.71 to 1.21. A refusal also ends the learning, so that the robot would stay lost. With a
+# short memory the texture creeps over the hull (4 mm in 30 s of `open-water`).
+LEARNT_AT_MATCHES = Recognition(share=0.4, gain=0.6, noise=LOOKS_NOISE, memory=400.0)
 
 
 @dataclass(frozen=True)
@@ -136,13 +139,13 @@ class AppearanceModel:
         _, turn_peaks = self._turn.detect_and_learn(robots, rings, blend)
         for view, patch, pose, rate in zip(views, patches, poses, rates.tolist(), strict=True):
             if rate > 0.0:
-                self._learn_texture(view.robot, patch, self._sampler.facing(view.body(pose)), rate)
+                self._learn_texture(view.robot, patch, self._sampler.facing(view.body(pose)))
         self._learnt[robots] |= rates > 0.0
         return [float(peak) for peak in _verified(peaks, turn_peaks)]
 
-    def _learn_texture(self, robot: int, patch: Real, weights: Real, rate: float) -> None:
-        """Average the patch into the texture where it was seen: all pictures alike at first, later at the `rate`."""
-        self._seen[robot] = np.minimum(self._seen[robot] + weights, 1.0 / rate)
+    def _learn_texture(self, robot: int, patch: Real, weights: Real) -> None:
+        """Average the patch into the texture where it was seen: all pictures alike at first, older ones less later."""
+        self._seen[robot] = np.minimum(self._seen[robot] + weights, self.recognition.memory).astype(np.float32)
         share = np.divide(weights, self._seen[robot], out=np.zeros_like(weights), where=weights > 0.0)
         self._texture[robot] += np.minimum(share, 1.0) * (patch - self._texture[robot])
 

@@ -394,18 +394,3 @@ def test_water_and_robots_alone_raise_no_alarm(settings: tuple[str, ...], seed: 
     looks = watch(60.0, circling, settings=settings, seed=seed)
     alarms = {number for look in looks for number in look.obstacles.ids}
     assert not alarms, f"{len(alarms)} false alarms in a minute"
-
-
-def test_a_robot_that_moves_far_below_the_camera_is_no_obstacle() -> None:
-    """A cell of `open-water` is 0.17 m wide, more than the robot's radius: its neighbours show part of the robot."""
-    experiment = load_experiment("open-water", ["seed=2"])
-    renderer, detector = Renderer(experiment, 2), ObstacleDetector(experiment)
-    apart_m, seen = np.array([[0.0, 0.0], [-2.9, -0.8], [-0.8, -2.9]]), list[int]()
-    for step in range(140):
-        t_s = step * LOOK_S
-        middle = np.array([3.9, 4.7]) + 0.25 * t_s * np.array([0.71, 0.704])
-        eta = np.column_stack([apart_m + middle, np.ones(3), np.full(3, 0.78)])
-        nu = np.array([[0.25, 0.0, 0.0, 0.0]] * 3)
-        obstacles = detector.step(renderer.render(eta, nu, t_s, step), round(t_s * 1e9), eta[:, :3])
-        seen += obstacles.ids if obstacles is not None else ()
-    assert not seen
