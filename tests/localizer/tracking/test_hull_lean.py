@@ -126,7 +126,7 @@ def test_a_board_that_reports_another_lean_than_the_hull_shows_is_told(how: str)
         swing = np.radians(6.0) * np.array([np.sin(0.7 * k), np.cos(0.5 * k)])
         picture = renderer.render(LEANING, np.zeros((2, 4)), 0.05 * k, k, np.array([swing, swing]))
         told = {"right": swing, "sign": -swing, "exchanged": swing[::-1], "askew": swing + np.radians([3.0, 0.0])}[how]
-        attitudes = {1: Attitude(*swing, 0.005), 2: Attitude(*told, 0.005)}
+        attitudes = {1: Attitude(swing[0], swing[1], 0.005), 2: Attitude(told[0], told[1], 0.005)}
         result = localizer.step(picture, round(0.05e9 * k), {1: 0.3, 2: 0.5}, attitudes)
     found = result.status.message
     assert ("from what the hull shows" in found and found.endswith("robot 2")) if how != "right" else found == ""
