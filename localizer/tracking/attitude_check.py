@@ -28,7 +28,7 @@ class AttitudeCheck:
         self._squares_rad2[robot] += (apart**2 - self._squares_rad2[robot]) / min(int(self._readings[robot]), _NEEDED)
 
     def in_words(self, ids: Sequence[int]) -> list[str]:
-        """What is wrong with the boards, for people."""
+        """Name the boards that are wrong, and by how much, for people."""
         apart_rad = np.sqrt(self._squares_rad2)
         wrong = [i for i in range(len(ids)) if self._readings[i] >= _NEEDED and apart_rad[i] > _LEAST_RAD]
         return [

@@ -187,7 +187,7 @@ class CameraFusion:
         return said or self._doubts_in_words()
 
     def _doubts_in_words(self) -> list[str]:
-        """What is still to tell of a disagreement that is over while its doubt is in the poses."""
+        """A sentence about a disagreement that is over, while its doubt is in the poses."""
         sigmas_m = {name: math.sqrt(doubt[0, 0]) for name, doubt in self._doubts.items()}
         doubted = {name: sigma_m for name, sigma_m in sigmas_m.items() if sigma_m > _TOLD_DOUBT_M}
         if not doubted:

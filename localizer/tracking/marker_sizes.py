@@ -33,7 +33,7 @@ class MarkerSizes:
         self._strange[robot] = frame, size
 
     def in_words(self, ids: Sequence[int], frame: int) -> list[str]:
-        """What is wrong with the sizes, for people."""
+        """Name the robots whose markers have a wrong size, for people."""
         known, said = self._readings >= _NEEDED, list[str]()
         middle = np.median(self._means[known]) if np.sum(known) >= _FLEET else None
         for i, robot in enumerate(ids):

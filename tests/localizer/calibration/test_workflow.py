@@ -296,7 +296,7 @@ def test_a_new_lens_keeps_what_the_file_holds(
     assert kept.read_text(encoding="utf-8") == before
 
 
-def test_what_would_be_lost_is_not_written_over(
+def test_file_that_would_be_lost_is_not_written_over(
     lab: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "camera.toml"

@@ -1,6 +1,7 @@
 """`localizer track` and `localizer rerun`: a video, and a recording of what the localizer went by, become poses again."""
 
 import csv
+import itertools
 import json
 import shutil
 import subprocess
@@ -305,7 +306,7 @@ def test_a_disk_that_vanishes_or_blocks_ends_the_recording_and_not_the_poses(
     frames = iter([True] * 5)
     published = _localize(tmp_path / "pulled", free_bytes=free_bytes)
     assert len(published) == 2 * (RECORDED - 1) and "ends after 5 frames: No such file or directory" in caplog.text
-    answers, calls = threading.Event(), iter(range(RECORDED))
+    answers, calls = threading.Event(), itertools.count()
 
     def blocking(folder: Path) -> int:
         if next(calls) >= 5:

@@ -118,7 +118,7 @@ def test_a_missed_reading_makes_no_moved_mark_of_a_knock() -> None:
     for k, readings in enumerate(camera._readings):
         at = expected[k]
         readings.extend([at, at, None, at + 4.0, at + 4.0] if k == 3 else [at, at, at + 4.0, at + 4.0, at + 4.0])
-    camera._frames = len(MARKS) - 1
+    camera._frames = len(MARKS) - 1  # private: the end of a round
     camera.update(np.zeros(pool().camera.size_px[::-1], np.uint8))
     assert "was moved" in camera.trouble and "check mark 43 is" not in camera.trouble
 

@@ -458,7 +458,7 @@ def test_a_marker_that_was_read_is_looked_for_on_its_plate_first(monkeypatch: py
         return read(view, regions, plates_m, tilts_rad)
 
     list(_fly(locator, 3))
-    monkeypatch.setattr(locator._reader, "read", noted)
+    monkeypatch.setattr(locator._reader, "read", noted)  # private: as above
     list(_fly(locator, 1, first=3))
     plates, missed = sides[0], sides[1]
     assert len(plates) == 2 and missed == []
