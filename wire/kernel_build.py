@@ -173,7 +173,7 @@ class Build:
                     self._start(queue, limit_mb, workers, ready)
                 while workers:
                     for key, _ in ready.select():
-                        self._hear(key.data, limit_mb, workers, ready)
+                        self._take_report(key.data, limit_mb, workers, ready)
             except ChildProcessError:
                 return False
             finally:
@@ -191,16 +191,16 @@ class Build:
         workers[worker] = queue
         ready.register(worker.stdout, selectors.EVENT_READ, worker)  # type: ignore[arg-type]
 
-    def _hear(self, worker: Any, limit_mb: float, workers: dict[Any, list[str]], ready: selectors.BaseSelector) -> None:
+    def _take_report(self, worker: Any, limit_mb: float, workers: dict[Any, list[str]], ready: selectors.BaseSelector) -> None:
         """Take up one report of a worker, or its end; what an early end has left, another worker goes on with."""
         line = worker.stdout.readline()
         if line:
-            said = json.loads(line)
-            if "module" in said:
-                workers[worker].remove(said["module"])
+            report = json.loads(line)
+            if "module" in report:
+                workers[worker].remove(report["module"])
             else:
-                self._files[said["file"]] = said["kernels"]
-            text = self._progress.advance(said["kernels"], said.get("compiled", False))
+                self._files[report["file"]] = report["kernels"]
+            text = self._progress.advance(report["kernels"], report.get("compiled", False))
             with suppress(OSError):  # a full disk
                 self._lock.truncate(0)
                 self._lock.write(text)
