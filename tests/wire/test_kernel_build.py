@@ -36,6 +36,13 @@ print(*ensure_compiled(("robot_agent",)), "numba" in sys.modules)
 """
 
 
+LITTLE_MEMORY = """
+from wire import kernel_build
+kernel_build.free_memory_mb = lambda: 1.0
+kernel_build.ensure_compiled(("robot_agent",))
+"""
+
+
 @pytest.fixture
 def installation(tmp_path: Path) -> Path:
     """Folder of an installation whose kernels nobody has compiled."""
@@ -136,6 +143,15 @@ def test_without_a_folder_every_start_compiles_and_the_log_says_so_once(installa
         assert output == RIGHT
         assert complaints.count("no folder to keep compiled kernels in") == 1
     assert not _files(installation)
+
+
+def test_with_little_memory_each_module_has_a_process_of_its_own(installation: Path) -> None:
+    text = "from robot_agent.small import a, b\nfrom wire.kernels import kernel\n"
+    text += KERNEL.format(name="later", place=6).replace("FACTOR", "1.0")
+    (installation / "robot_agent" / "another.py").write_text(text, encoding="utf-8")
+    assert "6 kernels compiled in" in _run(installation, LITTLE_MEMORY)[1]
+    progress = next(installation.rglob("lock")).read_text(encoding="utf-8")
+    assert progress == "6 of 6 kernels compiled, about 0 s left, only this time"
 
 
 def test_next_program_takes_over_from_one_that_is_killed(installation: Path) -> None:
