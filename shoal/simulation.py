@@ -1,9 +1,8 @@
 """SHELL: simulated flights from a script: flown to their end, or led by the script as its operator."""
 
-import os
+import io
 import signal
 import subprocess
-import sys
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -12,6 +11,7 @@ from typing import Any
 
 from shoal.fleet import ConnectedFleet, connect
 from shoal.runs import FlownRun
+from wire import programs
 from wire.config.experiment import NO_CAMERA, load_experiment
 from wire.process.output_files import new_run_folder
 from wire.process.runtime import Failed, Stop
@@ -74,22 +74,24 @@ def simulation(
     station once its preflight has passed. When the block ends, they are ended. The run's folder in `out` has its report.
 
     `lockstep` flies as fast as the machine can, or slower than time where it cannot."""
-    command = [sys.executable, "-m", "sim_bridge", "sil", experiment, "--manual", "--no-web", "--out", str(out)]
-    command += [*(["--lockstep"] if lockstep else []), *([] if camera else ["--poses"])]
+    words = ["sil", experiment, "--manual", "--no-web", "--out", str(out)]
+    words += [*(["--lockstep"] if lockstep else []), *([] if camera else ["--poses"])]
     for line in _lines(settings, seed, duration_s):
-        command += ["--set", line]
-    environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
-    child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment)
+        words += ["--set", line]
+    child = programs.start(
+        "sim_bridge", words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, more={"PYTHONUNBUFFERED": "1"}
+    )
     assert child.stdout is not None
     said, ended = list[str](), False
     try:
-        for line in child.stdout:
+        lines = io.TextIOWrapper(child.stdout, "utf-8", errors="replace")
+        for line in lines:
             said.append(line)
             if line.startswith(STATION):
                 break
         else:
             raise Failed("".join(said).strip() or f"sim-bridge sil ended with exit code {child.wait()}")
-        threading.Thread(target=said.extend, args=(child.stdout,), name="sil-output", daemon=True).start()
+        threading.Thread(target=said.extend, args=(lines,), name="sil-output", daemon=True).start()
         with connect(said[-1].removeprefix(STATION).split()[0], patience_s=START_WITHIN_S) as fleet:
             fleet.wait_ready(START_WITHIN_S)
             yield fleet

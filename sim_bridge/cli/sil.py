@@ -8,8 +8,10 @@ from typing import Annotated, NoReturn
 import typer
 
 from sim_bridge.cli.pool import Pace, Poses
+from wire import programs
 from wire.config.experiment import NO_CAMERA, Experiment, load_experiment
 from wire.process.cli_options import ExperimentName, FaultLines, KeyRing, Settings, caution, experiments
+from wire.process.output import background
 from wire.process.output_files import new_run_folder
 from wire.process.runtime import Stop
 
@@ -85,7 +87,7 @@ def sil(
     if one_process and not dry_run:
         _with_one_thread()
     loaded = _load(experiment, seed, duration, [*(settings or ()), *([NO_CAMERA] if poses else [])], faults)
-    console = Console()
+    console = Console(file=background(sys.stdout))
     page = None if no_web else page_address(web)
     options = RunOptions(lockstep, page, manual, poses, keys, signed, one_process, pace)
     check(loaded, options)
@@ -125,7 +127,7 @@ def numeric(
     from sim_bridge.in_process import run
 
     loaded = _load(experiment, seed, duration, [*(settings or ()), NO_CAMERA], faults)
-    console = Console()
+    console = Console(file=background(sys.stdout))
     fleet, water = run.prepared(loaded)
     folder = new_run_folder(out, loaded.name)
     console.print(f"{loaded.title or loaded.name}: {loaded.duration_s:g} s, seed {loaded.seed}, into {folder}", soft_wrap=True)
@@ -160,7 +162,13 @@ def campaign(
     folder = out or Path("runs") / f"campaign-{loaded.name}"
     raise typer.Exit(
         campaign_runner.run(
-            loaded, folder, workers=workers, scheduler=scheduler, resume=resume, stop=Stop(), console=Console()
+            loaded,
+            folder,
+            workers=workers,
+            scheduler=scheduler,
+            resume=resume,
+            stop=Stop(),
+            console=Console(file=background(sys.stdout)),
         )
     )
 
@@ -171,7 +179,7 @@ def _with_one_thread() -> None:
     from sim_bridge.sil.processes import ONE_THREAD
 
     if not ONE_THREAD.items() <= os.environ.items():
-        os.execve(sys.executable, [sys.executable, "-m", "sim_bridge", *sys.argv[1:]], {**os.environ, **ONE_THREAD})
+        os.execve(sys.executable, programs.command("sim_bridge", sys.argv[1:]), programs.environment(ONE_THREAD))
 
 
 def _load(
@@ -207,6 +215,6 @@ def _go_on(
         raise typer.BadParameter(f"{experiment!r}: with --from, the run says what is flown (change it with --set)")
     loaded = _cautioned(resume.load_changed(source, changes, faults or ()))
     fleet, water = resume.prepared(loaded, source, at_s)
-    folder, console = new_run_folder(out, f"{loaded.name}-from-{at_s:g}"), Console()
+    folder, console = new_run_folder(out, f"{loaded.name}-from-{at_s:g}"), Console(file=background(sys.stdout))
     console.print(f"{loaded.title or loaded.name}: from {at_s:g} s of {source} on, into {folder}", soft_wrap=True)
     raise typer.Exit(run.run(fleet, water, folder, stop=Stop(), console=console))

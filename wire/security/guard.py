@@ -2,8 +2,8 @@
 
     python -m wire.security.guard LISTENER_FD NEW_PORT KNOWN_PORT
 
-The station starts it (wire/router.py) with the listening socket; the router listens at two loopback ports behind it. TLS goes
-end to end between member and router: the guard reads a ClientHello's length and counts bytes, no more. Which connections are
+The gate (wire/transport/gate.py) starts it with the listening socket; the router listens at two loopback ports behind it.
+TLS goes end to end: the guard reads a ClientHello's length and counts bytes, no more. Which connections are
 passed on, and when, is decided in wire/security/admission.py. It ends when its standard input does, that is with the station,
 and tells on its standard output of whom it refused, a line each.
 """
@@ -337,7 +337,7 @@ def _tell(sentence: str) -> None:
 
 def main() -> None:
     """Run the guard as a program (see the module's docstring)."""
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)  # meant for the station, which ends us when it has ended its links
     os.set_blocking(sys.stdout.fileno(), False)
     listener = socket.socket(fileno=int(sys.argv[1]))

@@ -64,16 +64,22 @@ def test_simulator_and_localizer_alone_are_handed_the_ring_of_frames(tmp_path: P
     assert not any(program.inherits or "--frame-ring" in program.arguments for program in without)
 
 
+BROKEN_REPORT = """
+from groundstation.report import report
+def broken(*_):
+    raise MemoryError("on purpose")
+report.write_report = broken
+"""
+
+
 @pytest.mark.parametrize("earlier", [None, '{"passed": true}'])
 def test_a_report_that_ends_with_an_error_is_none(
     earlier: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A Python program that raises ends with 1, as the report of a run that did not pass does. What was there before is no
     result of this run."""
-    (tmp_path / "groundstation").mkdir()
-    (tmp_path / "groundstation" / "__init__.py").touch()
-    (tmp_path / "groundstation" / "__main__.py").write_text("raise MemoryError('on purpose')")
-    monkeypatch.chdir(tmp_path)  # where `python -m` looks first
+    (tmp_path / "sitecustomize.py").write_text(BROKEN_REPORT)  # Python reads it in each process
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     if earlier is not None:
         (tmp_path / "result.json").write_text(earlier)
     told = Console(record=True, width=500, file=io.StringIO())

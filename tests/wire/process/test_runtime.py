@@ -1,6 +1,9 @@
 """Clocks, waiting and lockstep, on the in-memory bus."""
 
 import logging
+import signal
+import subprocess
+import sys
 import threading
 import time
 
@@ -43,6 +46,23 @@ def test_in_lockstep_an_age_is_the_difference_of_stamps() -> None:
     clock = LockstepClock()
     clock.tick_ns = 130_000_000
     assert age_s(clock, received) == pytest.approx(0.08)
+
+
+@pytest.mark.parametrize(
+    ("signals", "before", "code"),
+    [
+        (["SIGHUP", "SIGHUP"], "", 0),
+        (["SIGTERM", "SIGHUP"], "", 0),
+        (["SIGHUP", "SIGTERM"], "", 128 + signal.SIGTERM),
+        (["SIGHUP"], "signal.signal(signal.SIGHUP, signal.SIG_IGN)", 3),
+    ],
+    ids=["hung up twice", "and then hung up", "and then told", "nohup"],
+)
+def test_a_hang_up_is_a_request_to_stop(signals: list[str], before: str, code: int) -> None:
+    sent = "".join(f"; os.kill(os.getpid(), signal.{name})" for name in signals)
+    script = f"import os, signal, sys; {before}\nfrom wire.process.runtime import Stop\nstop = Stop(){sent}\n"
+    done = subprocess.run([sys.executable, "-c", f"{script}sys.exit(0 if stop() else 3)"], check=False)
+    assert done.returncode == code
 
 
 def test_waiting_ends_on_arrival_on_time_and_on_stop() -> None:

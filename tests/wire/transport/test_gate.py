@@ -19,6 +19,7 @@ from typer.testing import CliRunner
 from groundstation.__main__ import cli as groundstation
 from groundstation.deploy import key_ring
 from sim_bridge.sil.ports import free_port
+from tests.planted import executed, plant
 from tests.waiting import eventually
 from tests.wire.strangers import Strangers
 from wire.messages import messages, topics
@@ -62,10 +63,17 @@ def answer(header: Header, command: Command) -> Reply:
 
 
 @pytest.fixture(scope="module")
-def station(ring: Path, address: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bus]:
+def planted(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder in which the station works."""
+    return plant(tmp_path_factory.mktemp("planted"))
+
+
+@pytest.fixture(scope="module")
+def station(ring: Path, address: str, planted: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bus]:
     """A station's bus, which answers orders for the whole fleet."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_RUNTIME_DIR", str(tmp_path_factory.mktemp("r")))
+        patch.chdir(planted)
         with Bus(ZenohTransport(endpoint(address, "groundstation", ring, router=True))) as bus:
             bus.serve(0, answer)
             yield bus
@@ -89,6 +97,11 @@ def test_strangers_keep_no_member_out(
         assert eventually(lambda: strangers.made >= first)
         assert stopped(ring, address)
         ZenohTransport(endpoint(address, "agent-1", ring), patience_s=SOON_S).close()
+
+
+def test_the_guard_imports_nothing_from_the_working_folder(station: Bus, ring: Path, address: str, planted: Path) -> None:
+    assert stopped(ring, address)
+    assert not executed(planted)
 
 
 def test_a_rejected_stranger_is_logged_in_one_line(
