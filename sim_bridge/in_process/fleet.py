@@ -151,7 +151,7 @@ class DirectPlant:
             board_ms=now_ns // 1_000_000,
             arrival_ns=now_ns,
             heading_rad=reading.heading_rad,
-            yaw_rate_radps=reading.yaw_rate_radps,
+            yaw_rate_radps=reading.heading_rate_radps,
             tilt=reading.tilt,
             depth_m=reading.depth_m,
             battery_v=self._rest_v[i],
