@@ -61,15 +61,10 @@ class DirectPlant:
     """The plant without boards: pulses go straight to the thrusters, and sensor readings straight to the agent."""
 
     def __init__(self, experiment: Experiment, seed: int, starts: Array) -> None:
-        step_ns, period_ns = round(experiment.sim.plant.step_s * NS), round(experiment.controller.period_s * NS)
-        if period_ns % step_ns:
-            raise ConfigError(
-                f"sim.plant.step_s = {experiment.sim.plant.step_s:g}: must go into controller.period_s = "
-                f"{experiment.controller.period_s:g} without a rest"
-            )
+        steps, step_ns = experiment.plant_steps, round(experiment.sim.plant.step_s * NS)
         self._plant = Plant(experiment, seed)
         self._state = self._plant.start(starts)
-        self._step_ns, self._steps_a_period = step_ns, period_ns // step_ns
+        self._step_ns, self._steps_a_period = step_ns, steps
         self._sensors = [BoardSensors(experiment, robot, seed) for robot in experiment.robot_ids]
         self._pulses_us = self._state.motors.pulses_us[0].copy()
         self._armed = [False] * len(starts)

@@ -53,6 +53,7 @@ def check(experiment: Experiment, options: RunOptions) -> None:
     if options.pace is not None and not options.lockstep:
         raise ConfigError(PACE_OF_REAL_TIME)
     if options.lockstep:
+        _ = experiment.plant_steps  # raises where they do not keep step
         fault_schedule.require_kinds(
             experiment,
             tuple(kind for kind in KINDS if kind not in OF_PROCESSES),

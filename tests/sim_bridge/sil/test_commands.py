@@ -49,6 +49,13 @@ def test_options_that_need_processes_are_refused_without_them(
         check(load_experiment("pool", (), faults), options)
 
 
+def test_a_step_of_the_plant_that_does_not_go_into_the_control_period_is_refused_in_lockstep() -> None:
+    experiment = load_experiment("pool", ["sim.plant.step_s=0.02"])
+    check(experiment, RunOptions())
+    with pytest.raises(ConfigError, match=r"sim\.plant\.step_s = 0\.02: must go into controller\.period_s = 0\.05"):
+        check(experiment, RunOptions(lockstep=True))
+
+
 def test_a_pace_without_lockstep_is_refused_and_with_it_is_the_simulators() -> None:
     with pytest.raises(ConfigError, match="--pace: real time has a pace of its own"):
         check(load_experiment("pool"), RunOptions(pace=2.0))
