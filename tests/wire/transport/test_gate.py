@@ -29,6 +29,7 @@ from wire.security import admission
 from wire.security.access_control import DOOR
 from wire.security.admission import RETRY
 from wire.security.guard import Guard
+from wire.toml_loader import ConfigError
 from wire.transport import gate
 from wire.transport.bus import Bus
 from wire.transport.connection_diagnostics import trouble_reaching
@@ -102,6 +103,15 @@ def test_strangers_keep_no_member_out(
 def test_the_guard_imports_nothing_from_the_working_folder(station: Bus, ring: Path, address: str, planted: Path) -> None:
     assert stopped(ring, address)
     assert not executed(planted)
+
+
+def test_with_keys_too_a_name_is_one_processs(station: Bus, ring: Path, address: str) -> None:
+    """Neither has announced itself: they know each other by their claims, which access control lets through."""
+    where = endpoint(address, "agent-1", ring)
+    with Bus(ZenohTransport(where, patience_s=SOON_S)) as first, Bus(ZenohTransport(where, patience_s=SOON_S)) as second:
+        first.claim("agent-1", bool)
+        with pytest.raises(ConfigError, match="agent-1: another process of this name"):
+            second.claim("agent-1", bool, patience_s=0.5)
 
 
 def test_a_rejected_stranger_is_logged_in_one_line(
