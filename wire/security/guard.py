@@ -33,6 +33,7 @@ INNER_BUFFER = 128 * 1024  # bytes: the kernel's between router and guard. What 
 # A proof of a member's handshake: it has sent a certificate, and the router has answered with more than an alert (24 bytes).
 # On what was measured here: certificate, signature and Finished 700 bytes and more; session tickets 150 and more.
 CERTIFICATE_BYTES, ANSWER_BYTES = 300, 64
+LAST_WORDS_S = 2.0  # s for which what the router has said last waits for a peer that does not read: twice a lease
 MOST_PIECES = 64  # that a ClientHello comes in; each costs a look at all that has come
 ACCEPTS = 32  # in one go, between which bytes are passed on
 FILES_APART = 64  # file descriptors for everything but connections
@@ -113,6 +114,7 @@ class ProxiedConnection:
         self.up, self.down = Pump(peer, router), Pump(router, peer)
         self.up.waiting = hello
         self.proven = self.by_router = False
+        self.until_s = float("inf")  # when it is dropped, after the router has ended it
         self.claimed_at: int | None = None  # bytes from the router when the peer had sent as much as a certificate
 
 
@@ -226,11 +228,14 @@ class Guard:
                 self._drop(number)
             else:
                 self._refuse(number)
+        for number in [number for number, link in self._links.items() if link.until_s <= now_s]:
+            self._drop(number)
         for number, lane in self._admission.turns(now_s):
             self._pass_on(number, lane)
         for sentence in self._refusals.told(now_s):
             self._tell(sentence)
-        self._look_s = min(self._admission.next_s(now_s), self._refusals.next_s())
+        ends_s = min((link.until_s for link in self._links.values()), default=float("inf"))
+        self._look_s = min(self._admission.next_s(now_s), self._refusals.next_s(), ends_s)
 
     def _refuse(self, number: int) -> None:
         """Close a connection that was not passed on."""
@@ -300,11 +305,15 @@ class Guard:
             self._look_s = 0.0
 
     def _go_on(self, link: ProxiedConnection) -> None:
-        """Look at both sockets for what they are good for now; end a link that is over."""
+        """Look at both sockets for what they are good for now; end a link that the router has ended, though a peer that is
+        frozen or gone keeps its end open."""
         up, down = link.up, link.down
-        if up.over and down.over:
+        if down.over:
             self._drop(link.number)
             return
+        if down.ended and link.until_s == float("inf"):
+            link.until_s = time.monotonic() + LAST_WORDS_S
+            self._look_s = min(self._look_s, link.until_s)
         self._want(down.source, down.wanted | (WRITE if up.waiting else 0), lambda events: self._from_router(link, events))
         if down.passed:
             self._want(up.source, up.wanted | (WRITE if down.waiting else 0), lambda events: self._from_peer(link, events))

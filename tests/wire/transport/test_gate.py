@@ -28,7 +28,7 @@ from wire.messages.messages import Command, Order, Reply
 from wire.security import admission
 from wire.security.access_control import DOOR
 from wire.security.admission import RETRY
-from wire.security.guard import Guard
+from wire.security.guard import ANSWER_BYTES, CERTIFICATE_BYTES, Guard
 from wire.toml_loader import ConfigError
 from wire.transport import gate
 from wire.transport.bus import Bus
@@ -315,6 +315,25 @@ def test_the_end_of_one_direction_leaves_the_other(passage: Passage) -> None:
         server.sendall(b"last words")
         server.close()
         assert client.recv(100, socket.MSG_WAITALL) == b"last words"
+
+
+@pytest.mark.parametrize("unread", [0, 8_000_000], ids=["all read", "frozen"])
+def test_a_link_that_the_router_has_ended_is_dropped_though_the_peer_keeps_its_end(passage: Passage, unread: int) -> None:
+    """A member that froze or lost its power would hold its place for ever, and the last one of them keep others out."""
+    client, server = passage.pair(HELLO)
+    with client, server:
+        server.sendall(b"answer")
+        assert client.recv(6, socket.MSG_WAITALL) == b"answer"
+        client.sendall(bytes(CERTIFICATE_BYTES))  # as a member that has proven itself
+        assert len(server.recv(CERTIFICATE_BYTES, socket.MSG_WAITALL)) == CERTIFICATE_BYTES
+        server.sendall(bytes(ANSWER_BYTES))
+        assert len(client.recv(ANSWER_BYTES, socket.MSG_WAITALL)) == ANSWER_BYTES
+        server.setblocking(False)
+        with contextlib.suppress(BlockingIOError):
+            while unread:
+                server.send(bytes(unread))
+        server.close()
+        assert eventually(lambda: not passage.guard._links)  # held places can be seen nowhere else
 
 
 def test_a_lost_end_ends_the_other(passage: Passage) -> None:
