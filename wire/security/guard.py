@@ -33,7 +33,7 @@ INNER_BUFFER = 128 * 1024  # bytes: the kernel's between router and guard. What 
 # A proof of a member's handshake: it has sent a certificate, and the router has answered with more than an alert (24 bytes).
 # On what was measured here: certificate, signature and Finished 700 bytes and more; session tickets 150 and more.
 CERTIFICATE_BYTES, ANSWER_BYTES = 300, 64
-LAST_WORDS_S = 2.0  # s for which what the router has said last waits for a peer that does not read: twice a lease
+STALLED_S = 10.0  # s for which bytes wait for a peer that reads none: the router misses it after its lease of 1 s
 MOST_PIECES = 64  # that a ClientHello comes in; each costs a look at all that has come
 ACCEPTS = 32  # in one go, between which bytes are passed on
 FILES_APART = 64  # file descriptors for everything but connections
@@ -114,7 +114,7 @@ class ProxiedConnection:
         self.up, self.down = Pump(peer, router), Pump(router, peer)
         self.up.waiting = hello
         self.proven = self.by_router = False
-        self.until_s = float("inf")  # when it is dropped, after the router has ended it
+        self.until_s = float("inf")  # when it is dropped, unless the peer reads
         self.claimed_at: int | None = None  # bytes from the router when the peer had sent as much as a certificate
 
 
@@ -289,6 +289,7 @@ class Guard:
         try:
             if events & WRITE:
                 link.down.write()
+                link.until_s = float("inf")
             if events & READ:
                 link.up.read(self._buffer)
                 if link.claimed_at is None and link.up.passed >= CERTIFICATE_BYTES:
@@ -311,8 +312,8 @@ class Guard:
         if down.over:
             self._drop(link.number)
             return
-        if down.ended and link.until_s == float("inf"):
-            link.until_s = time.monotonic() + LAST_WORDS_S
+        if down.waiting and link.until_s == float("inf"):  # meanwhile the router is not read, and its end not seen
+            link.until_s = time.monotonic() + STALLED_S
             self._look_s = min(self._look_s, link.until_s)
         self._want(down.source, down.wanted | (WRITE if up.waiting else 0), lambda events: self._from_router(link, events))
         if down.passed:

@@ -318,8 +318,11 @@ def test_the_end_of_one_direction_leaves_the_other(passage: Passage) -> None:
 
 
 @pytest.mark.parametrize("unread", [0, 8_000_000], ids=["all read", "frozen"])
-def test_a_link_that_the_router_has_ended_is_dropped_though_the_peer_keeps_its_end(passage: Passage, unread: int) -> None:
+def test_a_link_that_the_router_has_ended_is_dropped_though_the_peer_keeps_its_end(
+    passage: Passage, unread: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A member that froze or lost its power would hold its place for ever, and the last one of them keep others out."""
+    monkeypatch.setattr("wire.security.guard.STALLED_S", 0.3)
     client, server = passage.pair(HELLO)
     with client, server:
         server.sendall(b"answer")
