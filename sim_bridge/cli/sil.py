@@ -21,6 +21,7 @@ OutFolder = Annotated[Path, typer.Option(help="Folder for the run's own folder."
 
 
 def sil(
+    context: typer.Context,
     experiment: Annotated[
         str | None,
         typer.Argument(
@@ -84,6 +85,10 @@ def sil(
     from sim_bridge.sil.commands import RunOptions, check
     from sim_bridge.sil.ports import page_address
 
+    source_of_keys = context.get_parameter_source("keys")
+    if one_process and source_of_keys is not None and source_of_keys.name == "ENVIRONMENT":
+        keys = None  # for this person's other programs: here is no link that could be listened to
+        del os.environ["SHOAL_KEYS"]
     if one_process and not dry_run:
         _with_one_thread()
     loaded = _load(experiment, seed, duration, [*(settings or ()), *([NO_CAMERA] if poses else [])], faults)

@@ -86,6 +86,10 @@ def run(experiment: Experiment, run_dir: Path, options: RunOptions, stop: Stop, 
         children.stop()
         if secrets is not None:
             secrets.cleanup()
+    if stop.requested and not (run_dir / "run.mcap").exists():
+        shutil.rmtree(run_dir)
+        console.print("interrupted: nothing was flown, and no folder is left")
+        return 130
     if refused and not stop.requested:
         return nothing_flown(run_dir, console)
     verdict = conclude(run_dir, came_up, not mission_failed and not problems, options, stop, console)

@@ -23,7 +23,7 @@ from rich.console import Console
 from groundstation.analysis.alignment import align
 from groundstation.analysis.series import Series
 from groundstation.logs.reader import read_log
-from sim_bridge.sil import launcher
+from sim_bridge.sil import commands, launcher
 from sim_bridge.sil.commands import Program, RunOptions
 from sim_bridge.sil.processes import Child, Children
 from tests.planted import executed, installed, plant
@@ -343,7 +343,7 @@ def test_a_run_is_interrupted_while_it_connects(tmp_path: Path, monkeypatch: pyt
         threading.Timer(0.2, stop.request).start()  # while it waits
         return ZenohTransport(endpoint, stopped)
 
-    monkeypatch.setattr(launcher, "programs", silent)
+    monkeypatch.setattr(commands, "programs", silent)
     monkeypatch.setattr(launcher, "Children", Watched)
     monkeypatch.setattr(launcher, "ZenohTransport", open_and_stop)
     said = Console(record=True, file=io.StringIO())

@@ -5,7 +5,9 @@ from pathlib import Path
 
 import pytest
 from rich.console import Console
+from typer.testing import CliRunner
 
+from sim_bridge.__main__ import cli
 from sim_bridge.sil import launcher
 from sim_bridge.sil.commands import RunOptions, check, programs
 from wire.config.experiment import load_experiment
@@ -92,3 +94,12 @@ def test_a_report_that_ends_with_an_error_is_none(
     told = Console(record=True, width=500, file=io.StringIO())
     assert not launcher.report(tmp_path, told)
     assert "no report: Traceback" in (text := told.export_text()) and "MemoryError: on purpose" in text
+
+
+def test_a_key_ring_of_the_environment_does_not_keep_one_process_from_flying(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SHOAL_KEYS", "keys")
+    words = ["sil", "pool", "--lockstep", "--one-process", "--no-web", "--dry-run"]
+    done = CliRunner().invoke(cli, words)
+    assert done.exit_code == 0, done.output
+    named = CliRunner().invoke(cli, [*words, "--keys", "keys"])
+    assert isinstance(named.exception, ConfigError) and "--keys: with --one-process" in str(named.exception)
