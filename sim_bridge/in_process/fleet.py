@@ -141,7 +141,7 @@ class DirectPlant:
     def telemetry(self, i: int, now_ns: int) -> Telemetry:
         """A board's telemetry of the i-th robot, `now_ns` on the agent's clock."""
         state = self._state
-        reading = self._sensors[i].read(state.eta[i], state.nu[i], STILL, state.tilt[i])
+        reading = self._sensors[i].read(state.eta[i], state.nu[i], STILL, state.tilt[i], self._plant.time_s(state))
         return Telemetry(
             board_ms=now_ns // 1_000_000,
             arrival_ns=now_ns,

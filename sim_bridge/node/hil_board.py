@@ -103,7 +103,7 @@ class HilBoard:
         self._board.receive(data, now_ns)
         self._check(now_ns)
         if self.measures(now_ns):
-            reading = self.sensors.read(eta, nu, acceleration, tilt)
+            reading = self.sensors.read(eta, nu, acceleration, tilt, now_ns * 1e-9)
             values = (reading.heading_rad, reading.yaw_rate_radps, reading.acceleration_mps2, reading.depth_m)
             self._link.send(self._board.motion(now_ns // 1000, *values))
             if crosses(STATUS_NS, self._last_step_ns, now_ns):

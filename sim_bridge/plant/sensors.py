@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sim_bridge.plant.currents_waves import SurfaceWave
 from sim_bridge.plant.kernels import GRAVITY_MPS2
 from sim_bridge.plant.random_streams import Stream, generator
 from wire.config.experiment import Experiment
@@ -53,17 +54,21 @@ class BoardSensors:
         self.tilt_bias_rad = sensors.tilt_bias_rad * self._tilt_random.uniform(-1.0, 1.0, 2)
         self._tilt_noise = np.repeat([sensors.tilt_noise_rad, sensors.gyro_noise_radps], 2)
         self.error = (0.0, 0.0)  # of heading (rad) and yaw rate (rad/s), when the sensor is broken
+        self._wave = SurfaceWave(experiment)
         self.depth_bias_m = pressure * sensors.pressure_bias_m + experiment.robot(robot_id).depth_offset_m
 
-    def read(self, eta: Array, nu: Array, acceleration: Array, tilt: Array | Sequence[float] = LEVEL) -> Reading:
-        """Sample a motion: eta, nu and d nu / dt, each (4,), on level axes.
+    def read(
+        self, eta: Array, nu: Array, acceleration: Array, tilt: Array | Sequence[float] = LEVEL, time_s: float = 0.0
+    ) -> Reading:
+        """Sample a motion: eta, nu and d nu / dt, each (4,), on level axes, at the plant's time: depth is a pressure, which
+        waves change too.
 
         `tilt` is roll, pitch, and d/dt of them, which turn the sensors with the body. The rate about the body's third axis is
         cos(roll) cos(pitch) d yaw/dt - sin(roll) d pitch/dt (Fossen 2021, eq. 2.31). The board levels its heading.
         """
         sensors = self._sensors
         noise: list[float] = self._random.standard_normal(6).tolist()
-        (_, _, z, yaw), (u, v, _, r), (du, dv, dw, _) = eta.tolist(), nu.tolist(), acceleration.tolist()
+        (x, y, z, yaw), (u, v, _, r), (du, dv, dw, _) = eta.tolist(), nu.tolist(), acceleration.tolist()
         roll, pitch, pitch_rate = float(tilt[0]), float(tilt[1]), float(tilt[3])
         cr, sr, cp, sp = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch)
         ahead, side, down = du - r * v, dv + r * u, dw - GRAVITY_MPS2
@@ -74,7 +79,7 @@ class BoardSensors:
             wrap(yaw + self.error[0] + self.heading_bias_rad + sensors.heading_noise_rad * noise[0]),
             cr * cp * r - sr * pitch_rate + self.error[1] + self.gyro_bias_radps + sensors.gyro_noise_radps * noise[1],
             (fx, fy, fz),
-            z + self.depth_bias_m + sensors.pressure_noise_m * noise[2],
+            z + self._wave.pressure_m(x, y, z, time_s) + self.depth_bias_m + sensors.pressure_noise_m * noise[2],
             self._sense_tilt(np.asarray(tilt, dtype=np.float64)),
         )
 

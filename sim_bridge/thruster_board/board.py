@@ -285,7 +285,7 @@ class ThrusterBoard:
             if self._simulated is not None:
                 self._burst(now_ns, self._simulated.motion(now_ns), voltage)
             else:
-                self._burst(now_ns, self.sensors.read(eta, nu, acceleration, tilt), voltage)
+                self._burst(now_ns, self.sensors.read(eta, nu, acceleration, tilt, now_ns / S_NS), voltage)
             self._last_burst_ns = now_ns
         self._last_step_ns = now_ns
         data = b"".join(self._outbox)
