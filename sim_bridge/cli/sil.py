@@ -146,7 +146,7 @@ def campaign(
     resume: Annotated[bool, typer.Option("--resume", help="Go on with what an earlier run left.")] = False,
     workers: Annotated[int | None, typer.Option(min=1, help="Processes; default: one for each core.")] = None,
     scheduler: Annotated[
-        str | None, typer.Option(metavar="ADDRESS", help="Fly on this Dask cluster, e.g. tcp://10.0.0.1:8786.")
+        str | None, typer.Option(metavar="ADDRESS", help="Fly on this Dask cluster, e.g. tcp://192.0.2.10:8786.")
     ] = None,
 ) -> None:
     """Fly an experiment many times, keys swept or drawn, on all cores or on a cluster; write Parquet and a report.
@@ -155,7 +155,7 @@ def campaign(
 
     Exit code 0 if every flight was flown, well or badly; 1 if one was refused or failed.
 
-    Examples:  sim-bridge campaign errors.toml       sim-bridge campaign errors.toml --resume --scheduler tcp://10.0.0.1:8786
+    Examples:  sim-bridge campaign errors.toml       sim-bridge campaign errors.toml --resume --scheduler tcp://192.0.2.10:8786
     """
     from rich.console import Console
 

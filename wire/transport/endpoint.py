@@ -15,7 +15,7 @@ from wire.toml_loader import ConfigError
 PATIENT_MS = 120_000  # lease and congestion limit in lockstep: a starved machine is slow, not cut off
 LEASE_MS = 1000  # a cut link is noticed after this long (default 10 s); at 400 ms a busy laptop loses healthy links
 FLOOD = 10  # times a topic's rate: above it messages are dropped; a busy machine sends what it held back in bursts
-FORMS = "tcp/HOST:PORT or tls/HOST:PORT, for example tls/192.168.1.10:7447"
+FORMS = "tcp/HOST:PORT or tls/HOST:PORT, for example tls/192.0.2.10:7447"
 WILDCARDS = {"0.0.0.0": "127.0.0.1", "::": "[::1]"}  # by address listened at: the address to connect to from the same machine
 TRY_MS = 1000  # one attempt to reach the station: Zenoh does not hear Ctrl-C meanwhile
 
