@@ -21,6 +21,7 @@ from wire import programs
 from wire.config.experiment import Experiment, dump_experiment
 from wire.messages.messages import Trajectory
 from wire.messages.pipe import PipeWriter
+from wire.process.output_files import replace_text
 from wire.process.runtime import Failed, Stop
 from wire.toml_loader import ConfigError
 
@@ -76,7 +77,7 @@ def plan(experiment: Experiment) -> tuple[dict[int, Trajectory], dict[int, Any]]
     it ended otherwise, for example for want of memory."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "experiment.toml"
-        file.write_text(dump_experiment(experiment), encoding="utf-8")
+        replace_text(file, dump_experiment(experiment))
         planning = programs.ask("groundstation", ["plan", str(file)])
     said = planning.stderr.strip().replace(f"{file}: ", "")
     if planning.returncode == REFUSED:

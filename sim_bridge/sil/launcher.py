@@ -136,7 +136,7 @@ def dry_run(experiment: Experiment, run_dir: Path, options: RunOptions, console:
     started = commands.programs(experiment.robot_ids, options, run_dir, address, ports, keys, cameras=experiment.camera_names)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "experiment.toml"
-        file.write_text(dump_experiment(experiment), encoding="utf-8")
+        replace_text(file, dump_experiment(experiment))
         arguments = [str(file) if part == str(run_dir / file.name) else part for part in started[0].arguments]
         told = programs.ask(started[0].module, [*arguments, "--dry-run"])
     if told.returncode != 0:

@@ -6,6 +6,7 @@ Two ways to run, and one loop for both:
         outputs = core.step(...)    # says so and every input it names is here
 """
 
+import errno
 import io
 import logging
 import os
@@ -32,6 +33,8 @@ T = TypeVar("T")
 speaking: ContextVar[str | None] = ContextVar("speaking", default=None)  # whose step this is, where one process runs several
 
 SLICE_S = 0.1  # how long a wait may keep a process from noticing that it was told to stop
+
+NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # a write raises these without the file's name
 
 _LEVELS = {logging.DEBUG: 1, logging.INFO: 2, logging.WARNING: 3, logging.ERROR: 4, logging.CRITICAL: 5}
 
@@ -223,9 +226,9 @@ def run_app(app: Callable[[], None]) -> None:
     except ConfigError as error:
         _end(error, 2)
     except OSError as error:
-        if error.filename is None:  # no file of a person's: a bug
+        if error.filename is None and error.errno not in NO_ROOM:  # no file of a person's: a bug
             raise
-        _end(f"{error.filename2 or error.filename}: {error.strerror}", 2)
+        _end(f"{error.filename2 or error.filename or 'a file that was being written'}: {error.strerror}", 2)
     except (Unreached, Failed) as error:
         _end(error, 1)
 

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
 
 import pytest
 
@@ -201,3 +202,15 @@ def test_a_process_that_failed_says_why_and_exits_with_1(
         run_app(app)
     assert ended.value.code == 1
     assert capsys.readouterr().err == "the camera is gone\n"
+
+
+def test_a_full_disk_is_a_line_and_no_traceback(tmp_path: Path) -> None:
+    """A write that finds no room raises without the file's name."""
+    script = (
+        "import resource, sys\nfrom wire.process.runtime import run_app\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (10, 10))\n"
+        "def app():\n    with open(sys.argv[1], 'w') as file:\n        file.write('x' * 100)\nrun_app(app)"
+    )
+    words = [sys.executable, "-c", script, str(tmp_path / "file")]
+    done = subprocess.run(words, stderr=subprocess.PIPE, text=True, check=False)
+    assert (done.returncode, done.stderr) == (2, "a file that was being written: File too large\n")
