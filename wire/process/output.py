@@ -127,6 +127,13 @@ class _Stream(io.TextIOBase):
             _writer.flush(AT_EXIT_S)
         super().close()
 
+    def __del__(self) -> None:
+        """Give the descriptor back at once: what waits would refer to the stream. When the interpreter ends, no thread can be
+        waited for."""
+        descriptor, self._descriptor = self._descriptor, -1
+        if descriptor >= 0:
+            os.close(descriptor)
+
     def put_out(self, data: bytes) -> None:
         """Write to the file itself, or close it, from the writer's thread."""
         if data == CLOSE:

@@ -57,6 +57,7 @@ def test_udp_goes_over_ipv6_too() -> None:
         board.bind(("::1", 0))
         board.settimeout(5)
         link = open_link(f"udp:[::1]:{board.getsockname()[1]}")  # loopback: it needs no key
+        assert isinstance(link, UdpLink)
         link.send(b"pulses")
         data, peer = board.recvfrom(100)
         assert data == b"pulses"

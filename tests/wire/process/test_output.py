@@ -60,6 +60,14 @@ def test_a_process_ends_although_nobody_reads_its_output() -> None:
     os.close(reading)
 
 
+def test_a_process_that_ends_with_an_error_ends() -> None:
+    """Its frames hold the stream until the interpreter has no threads any more."""
+    script = "import sys\nfrom wire.process.output import background\ndef f():\n    stream = background(sys.stdout)\n"
+    script += "    stream.write('said')\n    raise ValueError\nf()"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stdout) == (1, "said")
+
+
 def test_a_reader_that_is_gone_stops_nothing() -> None:
     reading, writing = os.pipe()
     os.close(reading)
