@@ -60,12 +60,20 @@ def test_a_process_ends_although_nobody_reads_its_output() -> None:
     os.close(reading)
 
 
-def test_a_process_that_ends_with_an_error_ends() -> None:
-    """Its frames hold the stream until the interpreter has no threads any more."""
-    script = "import sys\nfrom wire.process.output import background\ndef f():\n    stream = background(sys.stdout)\n"
-    script += "    stream.write('said')\n    raise ValueError\nf()"
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False)
-    assert (done.returncode, done.stdout) == (1, "said")
+def test_a_program_that_ends_with_an_error_ends() -> None:
+    """The error's frames hold the console until the interpreter has no threads any more."""
+    script = """
+import sys
+from sim_bridge.in_process import run
+def broken(*_):
+    raise ValueError("on purpose")
+run.prepared = broken
+sys.argv = ["sim-bridge", "numeric", "numeric"]
+from sim_bridge.__main__ import app
+app()
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 1 and "ValueError: on purpose" in done.stderr
 
 
 def test_a_reader_that_is_gone_stops_nothing() -> None:
