@@ -178,7 +178,7 @@ def test_refusal_of_the_system_is_told_and_not_fatal() -> None:
 
 
 @pytest.mark.skipif(sys.platform != "linux" or os.geteuid() != 0, reason="needs root to give up a capability")
-def test_what_is_permitted_is_tried_and_not_read_from_limits() -> None:
+def test_permissions_are_tried_and_not_read_from_limits() -> None:
     """Root without CAP_SYS_NICE, as in many containers."""
     script = """
 import ctypes, os, sys
