@@ -73,7 +73,8 @@ def test_pressure_below_a_wave_is_what_moves_the_water() -> None:
         for place in np.random.default_rng(1).uniform([-2, -1, 0.1], [2, 1, 0.9], (10, 3)):
             acceleration = flow.motion(place[None], time_s)[0, 3:]
             for axis in range(3):
-                ends = [wave.pressure_m(*(place + sign * step_m * np.eye(3)[axis]), time_s) for sign in (1, -1)]
+                along = step_m * np.eye(3)[axis]
+                ends = [wave.pressure_m(x, y, z, time_s) for x, y, z in (place + along, place - along)]
                 assert (ends[0] - ends[1]) / (2 * step_m) == pytest.approx(-acceleration[axis] / 9.81, abs=1e-5)
 
 
@@ -104,8 +105,8 @@ def test_errors_of_the_calibration_are_a_camera_that_is_elsewhere() -> None:
         f"vehicle.marker.height_m={plain.vehicle.marker.height_m + 0.01}",
     ]
     assert plain.camera.rotation_rad == (0.0, 0.0, 0.0)
-    pictures = [Renderer(load_experiment("pool", keys), 1).render(eta, np.zeros((2, 4)), 0.4, 1) for keys in (errors, truth)]
-    assert np.array_equal(*pictures)
+    wrong, elsewhere = (Renderer(load_experiment("pool", k), 1).render(eta, np.zeros((2, 4)), 0.4, 1) for k in (errors, truth))
+    assert np.array_equal(wrong, elsewhere)
     near = ["camera.position_m=[0, 0, -0.8]", "sim.camera.position_error_m=[0, 0, 0.9]"]
     with pytest.raises(ConfigError, match=r"sim\.camera\.position_error_m\.2 = 0\.9: .* would hang in the water"):
         Renderer(load_experiment("pool", near), 1)
