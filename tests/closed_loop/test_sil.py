@@ -312,7 +312,7 @@ def test_a_setting_that_cannot_be_is_explained_at_once(tmp_path: Path) -> None:
 
 
 def test_a_run_is_interrupted_while_it_connects(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """To a station that listens and says nothing. No process is left."""
+    """To a station that listens and says nothing. No process and no folder is left."""
     stop, started = Stop(install=False), []
 
     def silent(
@@ -348,5 +348,6 @@ def test_a_run_is_interrupted_while_it_connects(tmp_path: Path, monkeypatch: pyt
     monkeypatch.setattr(launcher, "ZenohTransport", open_and_stop)
     said = Console(record=True, file=io.StringIO())
     assert launcher.run(load_experiment("pool"), tmp_path / "run", RunOptions(), stop, said) == 130
-    assert "interrupted: every process is stopped" in said.export_text()
+    assert "interrupted: nothing was flown, and no folder is left" in said.export_text()
+    assert not (tmp_path / "run").exists()
     assert [child.exit_code is not None for child in started] == [True]
