@@ -41,7 +41,7 @@ def init(
 ) -> None:
     """Write a commented configuration for this board.
 
-    Example:  robot-agent init --robot 2 --station tls/192.168.1.10:7447 --keys keys
+    Example:  robot-agent init --robot 2 --station tls/192.0.2.10:7447 --keys keys
     """
     from wire.mavlink.board_port import parse_link
 

@@ -91,9 +91,12 @@ def apply_setting(table: dict[str, Any], setting: str) -> None:
     if not equals or not key.strip():
         raise ConfigError(f"--set {setting}: write it as key=value, for example --set duration_s=30")
     try:
-        value = _parsed(f"v = {text}")["v"]
+        parsed = _parsed(f"v = {text}")
     except (ValueError, RecursionError):
-        value = text
+        parsed = {"v": text}
+    if len(parsed) > 1:
+        raise ConfigError(f"--set {setting!r}: holds more than one key (allowed: one; give --set once for each)")
+    value = parsed["v"]
     *parents, last = key.strip().split(".")
     node: Any = table
     for i, name in enumerate(parents):

@@ -81,6 +81,7 @@ def check(experiment: Experiment, options: RunOptions) -> None:
     if options.one_process:
         _check_one_process(options)
     if options.lockstep:
+        _ = experiment.plant_steps  # raises where they do not keep step
         fault_schedule.require_kinds(
             experiment,
             tuple(kind for kind in KINDS if kind not in OF_PROCESSES),

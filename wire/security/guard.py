@@ -2,10 +2,10 @@
 
     python -m wire.security.guard LISTENER_FD NEW_PORT KNOWN_PORT
 
-The station starts it (wire/router.py) with the listening socket; the router listens at two loopback ports behind it. TLS goes
-end to end between member and router: the guard reads a ClientHello's length and counts bytes, no more. Which connections are
-passed on, and when, is decided in wire/security/admission.py. Its standard input names connections that the router does not
-want after all, each by the port from which it reaches the router; the guard ends when that input does, that is with the
+The gate (wire/transport/gate.py) starts it with the listening socket; the router listens at two loopback ports behind it. TLS
+goes end to end between member and router: the guard reads a ClientHello's length and counts bytes, no more. Which connections
+are passed on, and when, is decided in wire/security/admission.py. Its standard input names connections that the router does
+not want after all, each by the port from which it reaches the router; the guard ends when that input does, that is with the
 station. It tells on its standard output of whom it refused, a line each.
 """
 
@@ -34,6 +34,7 @@ INNER_BUFFER = 128 * 1024  # bytes: the kernel's between router and guard. What 
 # A proof of a member's handshake: it has sent a certificate, and the router has answered with more than an alert (24 bytes).
 # On what was measured here: certificate, signature and Finished 700 bytes and more; session tickets 150 and more.
 CERTIFICATE_BYTES, ANSWER_BYTES = 300, 64
+STALLED_S = 10.0  # s for which bytes wait for a peer that reads none: the router misses it after its lease of 1 s
 MOST_PIECES = 64  # that a ClientHello comes in; each costs a look at all that has come
 ACCEPTS = 32  # in one go, between which bytes are passed on
 FILES_APART = 64  # file descriptors for everything but connections
@@ -115,6 +116,7 @@ class ProxiedConnection:
         self.up.waiting = hello
         self.proven = self.by_router = False
         self.port = 0  # from which it reaches the router
+        self.until_s = float("inf")  # when it is dropped, unless the peer reads
         self.claimed_at: int | None = None  # bytes from the router when the peer had sent as much as a certificate
 
 
@@ -245,11 +247,14 @@ class Guard:
                 self._drop(number)
             else:
                 self._refuse(number)
+        for number in [number for number, link in self._links.items() if link.until_s <= now_s]:
+            self._drop(number)
         for number, lane in self._admission.turns(now_s):
             self._pass_on(number, lane)
         for sentence in self._refusals.told(now_s):
             self._tell(sentence)
-        self._look_s = min(self._admission.next_s(now_s), self._refusals.next_s())
+        ends_s = min((link.until_s for link in self._links.values()), default=float("inf"))
+        self._look_s = min(self._admission.next_s(now_s), self._refusals.next_s(), ends_s)
 
     def _refuse(self, number: int) -> None:
         """Close a connection that was not passed on."""
@@ -305,6 +310,7 @@ class Guard:
         try:
             if events & WRITE:
                 link.down.write()
+                link.until_s = float("inf")
             if events & READ:
                 link.up.read(self._buffer)
                 if link.claimed_at is None and link.up.passed >= CERTIFICATE_BYTES:
@@ -321,11 +327,15 @@ class Guard:
             self._look_s = 0.0
 
     def _go_on(self, link: ProxiedConnection) -> None:
-        """Look at both sockets for what they are good for now; end a link that is over."""
+        """Look at both sockets for what they are good for now; end a link that the router has ended, though a peer that is
+        frozen or gone keeps its end open."""
         up, down = link.up, link.down
-        if up.over and down.over:
+        if down.over:
             self._drop(link.number)
             return
+        if down.waiting and link.until_s == float("inf"):  # meanwhile the router is not read, and its end not seen
+            link.until_s = time.monotonic() + STALLED_S
+            self._look_s = min(self._look_s, link.until_s)
         self._want(down.source, down.wanted | (WRITE if up.waiting else 0), lambda events: self._from_router(link, events))
         if down.passed:
             self._want(up.source, up.wanted | (WRITE if down.waiting else 0), lambda events: self._from_peer(link, events))
@@ -366,7 +376,7 @@ def _tell(sentence: str) -> None:
 
 def main() -> None:
     """Run the guard as a program (see the module's docstring)."""
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)  # meant for the station, which ends us when it has ended its links
     os.set_blocking(sys.stdout.fileno(), False)
     listener = socket.socket(fileno=int(sys.argv[1]))

@@ -12,16 +12,15 @@
 import contextlib
 import errno
 import logging
-import os
 import socket
 import subprocess
-import sys
 import threading
 import time
 from dataclasses import replace
 from pathlib import Path
 from typing import IO
 
+from wire import programs
 from wire.security.access_control import DOOR
 from wire.transport.connection_diagnostics import public_listener
 from wire.transport.endpoint import Endpoint, parse_address
@@ -30,7 +29,6 @@ from wire.user_folders import fits, user_folders
 
 log = logging.getLogger("shoal")
 
-ROOT = Path(__file__).parents[2]
 BACKLOG = 1024
 AGAIN_S = 0.2  # between a guard that has ended and the next one
 FREED_S = 0.5  # an earlier station's guard may hold the port for so long after its station was killed
@@ -47,7 +45,7 @@ class Gate:
         self._listener.listen(BACKLOG)
         self._public = endpoint
         self._ports = (0, 0)
-        self._guard: subprocess.Popen[str] | None = None
+        self._guard: subprocess.Popen[bytes] | None = None
         self._turn = threading.Lock()  # around the guard's start and end
         self._closed = False
         self._watch = threading.Thread(target=self._watch_guard, name="gate", daemon=True)
@@ -83,15 +81,12 @@ class Gate:
         with self._turn:
             if self._closed:
                 return
-            command = [sys.executable, "-m", "wire.security.guard", str(self._listener.fileno()), *map(str, self._ports)]
-            path = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
-            self._guard = subprocess.Popen(
-                command,
+            self._guard = programs.start(
+                "wire.security.guard",
+                [str(self._listener.fileno()), *map(str, self._ports)],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
-                text=True,
-                pass_fds=[self._listener.fileno()],
-                env={**os.environ, "PYTHONPATH": path},
+                inherits=[self._listener.fileno()],
             )
 
     def _watch_guard(self) -> None:
@@ -118,7 +113,7 @@ class Gate:
             guard = self._guard
             if guard is not None and guard.stdin is not None and not self._closed:
                 with contextlib.suppress(OSError, ValueError):  # it has ended, and its connections with it
-                    guard.stdin.write(f"{port}\n")
+                    guard.stdin.write(f"{port}\n".encode())
                     guard.stdin.flush()
 
     def close(self) -> None:
@@ -152,9 +147,9 @@ def _public_listener(address: str) -> socket.socket:
         time.sleep(0.05)
 
 
-def _tell(lines: IO[str]) -> None:
+def _tell(lines: IO[bytes]) -> None:
     for line in lines:
-        log.warning("%s", line.rstrip("\n"))
+        log.warning("%s", line.decode("utf-8", errors="replace").rstrip("\n"))
 
 
 def _free_port() -> int:

@@ -184,6 +184,22 @@ def test_refusal_of_the_system_is_told_and_not_fatal() -> None:
     assert "SCHED_FIFO priority" in realtime.permitted()
 
 
+@pytest.mark.skipif(sys.platform != "linux" or os.geteuid() != 0, reason="needs root to give up a capability")
+def test_permissions_are_tried_and_not_read_from_limits() -> None:
+    """Root without CAP_SYS_NICE, as in many containers."""
+    script = """
+import ctypes, os, sys
+if len(sys.argv) == 1:  # the capability is lost at the next program
+    ctypes.CDLL(None).prctl(24, 23, 0, 0, 0)
+    os.execv(sys.executable, [sys.executable, "-c", sys.stdin.read(), "again"])
+from robot_agent.host import realtime
+from robot_agent.host.config import RealtimeConfig
+print(realtime.permitted().split(";")[0], realtime.apply(RealtimeConfig(priority=5)))
+"""
+    done = subprocess.run([sys.executable, "-c", script], input=script, capture_output=True, text=True, check=True)
+    assert done.stdout.startswith("SCHED_FIFO priority: none (Operation not permitted) ['priority 5: ")
+
+
 @pytest.mark.skipif(sys.platform != "linux" or os.geteuid() != 0, reason="needs root to be allowed everything")
 def test_realtime_settings_hold_for_this_thread_only() -> None:
     script = """

@@ -2,9 +2,12 @@
 
 import io
 import logging
+import signal
+import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
 
 import pytest
 
@@ -45,6 +48,23 @@ def test_in_lockstep_an_age_is_the_difference_of_stamps() -> None:
     clock = LockstepClock()
     clock.tick_ns = 130_000_000
     assert age_s(clock, received) == pytest.approx(0.08)
+
+
+@pytest.mark.parametrize(
+    ("signals", "before", "code"),
+    [
+        (["SIGHUP", "SIGHUP"], "", 0),
+        (["SIGTERM", "SIGHUP"], "", 0),
+        (["SIGHUP", "SIGTERM"], "", 128 + signal.SIGTERM),
+        (["SIGHUP"], "signal.signal(signal.SIGHUP, signal.SIG_IGN)", 3),
+    ],
+    ids=["hung up twice", "and then hung up", "and then told", "nohup"],
+)
+def test_a_hang_up_is_a_request_to_stop(signals: list[str], before: str, code: int) -> None:
+    sent = "".join(f"; os.kill(os.getpid(), signal.{name})" for name in signals)
+    script = f"import os, signal, sys; {before}\nfrom wire.process.runtime import Stop\nstop = Stop(){sent}\n"
+    done = subprocess.run([sys.executable, "-c", f"{script}sys.exit(0 if stop() else 3)"], check=False)
+    assert done.returncode == code
 
 
 def test_waiting_ends_on_arrival_on_time_and_on_stop() -> None:
@@ -205,3 +225,15 @@ def test_a_traceback_in_the_log_keeps_its_lines() -> None:
     log_handler("tester", out).handle(record)
     first, *_, last = out.getvalue().splitlines()
     assert first.endswith("tester ERROR broken") and last == "ValueError: bad \\x1b[2J"
+
+
+def test_a_full_disk_is_a_line_and_no_traceback(tmp_path: Path) -> None:
+    """A write that finds no room raises without the file's name."""
+    script = (
+        "import resource, sys\nfrom wire.process.runtime import run_app\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (10, 10))\n"
+        "def app():\n    with open(sys.argv[1], 'w') as file:\n        file.write('x' * 100)\nrun_app(app)"
+    )
+    words = [sys.executable, "-c", script, str(tmp_path / "file")]
+    done = subprocess.run(words, stderr=subprocess.PIPE, text=True, check=False)
+    assert (done.returncode, done.stderr) == (2, "a file that was being written: File too large\n")

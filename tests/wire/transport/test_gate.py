@@ -17,6 +17,7 @@ from typer.testing import CliRunner
 from groundstation.__main__ import cli as groundstation
 from groundstation.deploy import key_ring
 from sim_bridge.sil.ports import free_port
+from tests.planted import executed, plant
 from tests.waiting import eventually
 from tests.wire.strangers import Strangers
 from wire import user_folders
@@ -26,7 +27,8 @@ from wire.messages.messages import Command, Order, Reply
 from wire.security import admission, guard
 from wire.security.access_control import DOOR
 from wire.security.admission import RETRY
-from wire.security.guard import Guard
+from wire.security.guard import ANSWER_BYTES, CERTIFICATE_BYTES, Guard
+from wire.toml_loader import ConfigError
 from wire.transport.bus import Bus
 from wire.transport.connection_diagnostics import trouble_reaching
 from wire.transport.gate import doors_of, through_door
@@ -61,10 +63,17 @@ def answer(header: Header, command: Command) -> Reply:
 
 
 @pytest.fixture(scope="module")
-def station(ring: Path, address: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bus]:
+def planted(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder in which the station works."""
+    return plant(tmp_path_factory.mktemp("planted"))
+
+
+@pytest.fixture(scope="module")
+def station(ring: Path, address: str, planted: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bus]:
     """A station's bus, which answers orders for the whole fleet."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv(user_folders.ONLY, str(tmp_path_factory.mktemp("r")))
+        patch.chdir(planted)
         with Bus(ZenohTransport(endpoint(address, "groundstation", ring, router=True))) as bus:
             bus.serve(0, answer)
             yield bus
@@ -88,6 +97,20 @@ def test_strangers_keep_no_member_out(
         assert eventually(lambda: strangers.made >= first)
         assert stopped(ring, address)
         ZenohTransport(endpoint(address, "agent-1", ring), patience_s=SOON_S).close()
+
+
+def test_the_guard_imports_nothing_from_the_working_folder(station: Bus, ring: Path, address: str, planted: Path) -> None:
+    assert stopped(ring, address)
+    assert not executed(planted)
+
+
+def test_with_keys_too_a_name_is_one_processs(station: Bus, ring: Path, address: str) -> None:
+    """Neither has announced itself: they know each other by their claims, which access control lets through."""
+    where = endpoint(address, "agent-1", ring)
+    with Bus(ZenohTransport(where, patience_s=SOON_S)) as first, Bus(ZenohTransport(where, patience_s=SOON_S)) as second:
+        first.claim("agent-1", bool)
+        with pytest.raises(ConfigError, match="agent-1: another process of this name"):
+            second.claim("agent-1", bool, patience_s=0.5)
 
 
 def test_a_rejected_stranger_is_logged_in_one_line(
@@ -288,6 +311,28 @@ def test_the_end_of_one_direction_leaves_the_other(passage: Passage) -> None:
         server.sendall(b"last words")
         server.close()
         assert client.recv(100, socket.MSG_WAITALL) == b"last words"
+
+
+@pytest.mark.parametrize("unread", [0, 8_000_000], ids=["all read", "frozen"])
+def test_a_link_that_the_router_has_ended_is_dropped_though_the_peer_keeps_its_end(
+    passage: Passage, unread: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A member that froze or lost its power would hold its place for ever, and the last one of them keep others out."""
+    monkeypatch.setattr("wire.security.guard.STALLED_S", 0.3)
+    client, server = passage.pair(HELLO)
+    with client, server:
+        server.sendall(b"answer")
+        assert client.recv(6, socket.MSG_WAITALL) == b"answer"
+        client.sendall(bytes(CERTIFICATE_BYTES))  # as a member that has proven itself
+        assert len(server.recv(CERTIFICATE_BYTES, socket.MSG_WAITALL)) == CERTIFICATE_BYTES
+        server.sendall(bytes(ANSWER_BYTES))
+        assert len(client.recv(ANSWER_BYTES, socket.MSG_WAITALL)) == ANSWER_BYTES
+        server.setblocking(False)
+        with contextlib.suppress(BlockingIOError):
+            while unread:
+                server.send(bytes(unread))
+        server.close()
+        assert eventually(lambda: not passage.guard._links)  # held places can be seen nowhere else
 
 
 def test_a_lost_end_ends_the_other(passage: Passage) -> None:

@@ -213,9 +213,16 @@ def test_a_machine_that_does_not_answer_is_told(monkeypatch: pytest.MonkeyPatch)
     assert said == "no answer: is it switched on, and on this network?"
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_process_that_waits_for_its_station_says_so_and_can_be_stopped(number: int) -> None:
-    """As a person does it: the agent is started where there is no station, and is told to stop."""
+@pytest.mark.parametrize(
+    ("number", "link", "first"),
+    [
+        (signal.SIGINT, "udp:127.0.0.1:9", "waiting for the station"),
+        (signal.SIGTERM, "serial:/dev/no-board", "thruster board: /dev/no-board: not there; is the board plugged in"),
+    ],
+)
+def test_a_process_that_waits_for_its_station_says_so_and_can_be_stopped(number: int, link: str, first: str) -> None:
+    """As a person does it: the agent is started where there is no station, and is told to stop. That its board is not there
+    it says at once."""
     command = [
         "robot_agent",
         "run",
@@ -223,7 +230,7 @@ def test_a_process_that_waits_for_its_station_says_so_and_can_be_stopped(number:
         "--robot",
         "1",
         "--link",
-        "udp:127.0.0.1:9",
+        link,
         "--station",
         f"tcp/127.0.0.1:{free_port()}",
     ]
@@ -232,7 +239,8 @@ def test_a_process_that_waits_for_its_station_says_so_and_can_be_stopped(number:
     ) as process:
         assert process.stderr is not None
         try:
-            assert "waiting for the station" in process.stderr.readline()
+            assert first in (line := process.stderr.readline())
+            assert "waiting for the station" in line or "waiting for the station" in process.stderr.readline()
             process.send_signal(number)
             assert process.wait(20.0) == 1
             assert "stopped while waiting" in process.stderr.read()
