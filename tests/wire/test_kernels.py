@@ -99,7 +99,7 @@ def _module(path: Path) -> str:
     return ".".join(path.relative_to(ROOT).with_suffix("").parts)
 
 
-def test_what_only_kernels_call_is_a_part_and_nothing_else_is() -> None:
+def test_parts_are_the_kernels_that_only_kernels_call() -> None:
     """A kernel of its own costs time and memory at each start; a part that Python calls is compiled in flight."""
     mentioned, wrong = _called_from_python(), []
     for source in _sources():
