@@ -14,6 +14,7 @@ from wire.messages.messages import Mode, Track
 ARM_AGAIN_S = 0.2  # how often the board is asked to arm, or later to disarm, when it has not done as told
 DISARM_S = 0.5  # so long after the power is taken away every step disarms, whatever the board says: frames get lost
 NEVER_S = float("inf")
+RESTART_DEPTH_M = 0.05  # a board that restarted deeper has a wrong zero; noise and drift of a sensor are some cm at most
 DEPTH_SLACK_M = 0.3  # a pressure sensor that says more than this beyond the pool is wrong; the station warns from there on
 
 
@@ -33,6 +34,7 @@ class HealthMonitor:
         self._verified_ns: int | None = None  # and of the last one that is surely this robot
         self._armed_since_ns: int | None = None  # since when the board should be armed and is not
         self._board_armed = False  # the board has armed since it was last to be disarmed
+        self._disarmed_at: int | None = None  # number of the heartbeat that first reported it disarmed since then
         self._wanted: bool | None = None  # whether the board is to be armed; None before the first step
         self._wanted_since_ns = 0
         self._asked_ns: int | None = None  # when the board was last told so
@@ -50,6 +52,10 @@ class HealthMonitor:
             self._depth.reset()
         self._mode = mode
         self._battery.note_telemetry(telemetry, now_ns)
+        if telemetry.armed or not self._board_armed:
+            self._disarmed_at = None
+        elif self._disarmed_at is None:
+            self._disarmed_at = telemetry.heartbeats
         if not testing:
             self._outputs.note_telemetry(telemetry, now_ns)
         if mode not in POWERED:
@@ -85,14 +91,15 @@ class HealthMonitor:
         """Return the values that reactions are decided by. Changes nothing."""
         telemetry = inputs.telemetry
         disarmed_s = (now_ns - self._armed_since_ns) * 1e-9 if self._armed_since_ns is not None else 0.0
-        if self._board_armed and not telemetry.armed:
-            disarmed_s = NEVER_S  # by itself, and it knows why: only a person may arm it again
+        if self._disarmed_at is not None and (telemetry.heartbeats == 0 or telemetry.heartbeats > self._disarmed_at):
+            disarmed_s = NEVER_S  # two heartbeats say so. By itself, and it knows why: only a person may arm it again
         return Health(
             pose_age_s=_age_s(self._sighted_ns, now_ns),
             identity_age_s=_age_s(self._verified_ns, now_ns),
             station_age_s=inputs.station.age_s,
             board_age_s=_age_s(telemetry.arrival_ns if telemetry.board_ms >= 0 else None, now_ns),
             board_disarmed_s=disarmed_s,
+            autopilot=telemetry.autopilot_name,
             battery_empty=self._battery.empty,
             emergency_stop=inputs.emergency_stop,
             solver_failed=solver_failed,
@@ -118,8 +125,15 @@ class HealthMonitor:
             return "no station is heard"
         if health.board_age_s > limit_s:
             return f"the thruster board was last heard {health.board_age_s:.2f} s ago"
+        if health.autopilot:
+            return f"{health.autopilot} is on the link, no thruster board: it takes pulses for a pilot's sticks"
         if inputs.telemetry.armed:
             return "the thruster board is still armed"
+        if inputs.telemetry.power_on_depth_m > RESTART_DEPTH_M:
+            return (
+                f"the thruster board restarted at {inputs.telemetry.power_on_depth_m:.2f} m and took its depth zero there: "
+                "restart it in air; or, if it was in air, confirm that by a restart of robot-agent"
+            )
         if health.pose_age_s > limit_s:
             return f"the last pose is {health.pose_age_s:.2f} s old"
         if health.identity_age_s > limit_s:
@@ -143,6 +157,8 @@ class HealthMonitor:
             self._armed_since_ns, self._board_armed = None, wanted
         elif self._armed_since_ns is None or not wanted:
             self._armed_since_ns = now_ns if wanted else None
+        if wanted and not armed and self._board_armed:
+            return None  # it has disarmed itself, or one heartbeat is wrong: neither is a reason to arm it
         insists = not wanted and now_ns - self._wanted_since_ns < DISARM_S * 1e9
         is_due = self._asked_ns is None or now_ns - self._asked_ns >= ARM_AGAIN_S * 1e9
         if not insists and (armed == wanted or not is_due):

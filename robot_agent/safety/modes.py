@@ -73,6 +73,7 @@ class Health(NamedTuple):
     leap: str = ""  # the same for the place
     place_age_s: float = 0.0  # of the last pose that did not contradict the estimate
     drive_age_s: float = 0.0  # of the last DRIVE, on the station's clock
+    autopilot: str = ""  # the name of the autopilot that answers in place of a thruster board
 
 
 @dataclass(frozen=True)
@@ -89,6 +90,7 @@ class Reaction:
 REACTIONS: tuple[Reaction, ...] = (
     Reaction("emergency stop", ANY - {Mode.STOPPED}, lambda h, s: h.emergency_stop, Mode.STOPPED),
     Reaction("thruster board silent", LIVE, lambda h, s: h.board_age_s > BOARD_LOST_S, Mode.FAULT),
+    Reaction("no thruster board", LIVE, lambda h, s: h.autopilot != "", Mode.FAULT, lambda h: f"{h.autopilot} is on the link"),
     Reaction("thruster board disarmed", LIVE, lambda h, s: h.board_disarmed_s > BOARD_ARMS_WITHIN_S, Mode.FAULT),
     Reaction("thruster board disobeys", LIVE, lambda h, s: h.echo_wrong_s > BOARD_DISOBEYS_S, Mode.FAULT),
     Reaction("thrusters do not do as told", POWERED, lambda h, s: h.thrusters_broken and s.watch_thrusters, Mode.FAULT),
