@@ -5,6 +5,7 @@ from robot_agent.inputs import Inputs, StationView
 from robot_agent.safety.modes import LIVE, POWERED, UNDER_WAY, Health
 from robot_agent.safety.output_check import OutputCheck
 from robot_agent.safety.path_deviation import PathDeviationMonitor
+from robot_agent.safety.sensor_checks import GyroscopeCheck, StuckSensorCheck
 from robot_agent.safety.thruster_fault_detection import ThrusterFaultDetector
 from robot_agent.vehicle.allocation import Allocator
 from robot_agent.vehicle.battery import BatteryMonitor
@@ -26,6 +27,8 @@ class HealthMonitor:
         self._period_s = experiment.controller.period_s
         self._battery = BatteryMonitor(experiment.vehicle.battery)
         self._outputs, self._thrusters = OutputCheck(), ThrusterFaultDetector(experiment.vehicle)
+        self._gyroscope, self._pressure = GyroscopeCheck(), StuckSensorCheck()
+        self._uses_gyroscope = experiment.controller.estimator.use_imu_yaw_rate
         self._allocator, self._path = Allocator(experiment.vehicle), PathDeviationMonitor(experiment.safety.off_path_m)
         self._depth, self._pool = PathDeviationMonitor(experiment.safety.off_depth_m), experiment.pool
         self._output: ControlOutput | None = None  # of the last control step
@@ -47,6 +50,7 @@ class HealthMonitor:
             self._sighted_ns = seen.instant_ns
             if seen.pose.identity_verified or not self._markers:
                 self._verified_ns = seen.instant_ns
+        self._check_sensors(inputs)
         if mode is not self._mode:
             self._path.reset()
             self._depth.reset()
@@ -64,6 +68,17 @@ class HealthMonitor:
         elif telemetry.board_ms >= 0:
             self._thrusters.note_voltage(telemetry.battery_v, telemetry.arrival_ns)
             self._thrusters.step(telemetry.yaw_rate_radps, telemetry.arrival_ns, telemetry.board_ms * 1_000_000)
+
+    def _check_sensors(self, inputs: Inputs) -> None:
+        """Compare the board's sensors with themselves and with the poses."""
+        seen, telemetry = inputs.pose, inputs.telemetry
+        if telemetry.board_ms < 0:
+            return
+        self._pressure.note_sample(telemetry.depth_m, telemetry.arrival_ns)
+        if self._uses_gyroscope:
+            self._gyroscope.note_rate(telemetry.yaw_rate_radps, telemetry.arrival_ns)
+            if seen is not None and seen.pose.track >= Track.KCF:
+                self._gyroscope.note_heading(seen.pose.yaw_rad, seen.instant_ns)
 
     def note_pulses(self, pulse_us: tuple[int, ...], now_ns: int) -> None:
         """Take note of pulses that went out; the board's echo and the gyroscope are compared with them."""
@@ -100,6 +115,8 @@ class HealthMonitor:
             board_age_s=_age_s(telemetry.arrival_ns if telemetry.board_ms >= 0 else None, now_ns),
             board_disarmed_s=disarmed_s,
             autopilot=telemetry.autopilot_name,
+            gyroscope_apart_rad=self._gyroscope.apart_rad,
+            depth_same_s=self._pressure.same_s,
             battery_empty=self._battery.empty,
             emergency_stop=inputs.emergency_stop,
             solver_failed=solver_failed,
@@ -144,6 +161,10 @@ class HealthMonitor:
             return f"the depth sensor says {depth_m:.2f} m in a pool of {floor_m:g} m: check it, or its zero"
         if health.depth_age_s > self._safety.pose_neutral_s:
             return f"no depth that can be true for {health.depth_age_s:.2f} s (the sensor says {depth_m:.2f} m)"
+        if health.depth_same_s:
+            return f"the depth sensor has said exactly {depth_m:.2f} m for {health.depth_same_s:.1f} s: it measures nothing"
+        if health.gyroscope_apart_rad:
+            return f"gyroscope and camera differ by {health.gyroscope_apart_rad:.2f} rad: check the gyroscope, and the marker"
         return self._battery.arming_refusal(now_ns)
 
     def arming_command(self, armed: bool, mode: Mode, now_ns: int) -> bool | None:

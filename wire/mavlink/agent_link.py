@@ -319,13 +319,16 @@ class AgentLink:
 
     def _measured_ns(self, board_ms: int, now_ns: int) -> int:
         """The instant of a burst on the robot's clock: not later than now, and now while the board's clock is unknown. A board
-        that was restarted has another clock."""
+        that was restarted has another clock. While one answer contradicts those before it, that clock counts by which the
+        burst is younger: by the wrong one it is old, or of the future."""
         if board_ms < self._burst_ms:
             self._clocks.clear()
+            self._doubted_clock = None
         self._burst_ms = board_ms
-        if not self._clocks or min(self._clocks)[0] > CLOCK_TRIP_NS:
-            return now_ns
-        age_ns = (now_ns + min(self._clocks)[1] - board_ms * 1_000_000) % (BOARD_MS_WRAPS * 1_000_000)
+        clocks = (min(self._clocks, default=None), self._doubted_clock)
+        offsets_ns = [clock[1] for clock in clocks if clock is not None and clock[0] <= CLOCK_TRIP_NS]
+        ages_ns = [(now_ns + offset_ns - board_ms * 1_000_000) % (BOARD_MS_WRAPS * 1_000_000) for offset_ns in offsets_ns]
+        age_ns = min(ages_ns, default=0)
         return now_ns - age_ns if age_ns < BOARD_MS_WRAPS * 500_000 else now_ns
 
 
