@@ -102,7 +102,7 @@ def read_frame_table(
     """
     needed = (*COLUMNS[:2], *needed)
     try:
-        with path.open(encoding="utf-8", newline="") as file:
+        with path.open(encoding="utf-8-sig", newline="") as file:
             table = csv.reader(file)
             names = [name.strip() for name in next(table, [])]
             if missing := [name for name in needed if name not in names]:

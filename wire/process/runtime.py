@@ -19,6 +19,7 @@ from typing import Any, Protocol, TextIO, TypeVar
 
 from wire.messages import topics
 from wire.messages.messages import Event
+from wire.process.foreign_packages import foreign_package
 from wire.toml_loader import ConfigError
 from wire.transport.bus import Bus, Received
 from wire.transport.transport import Unreached
@@ -209,3 +210,9 @@ def run_app(app: Callable[[], None]) -> None:
     except (Unreached, Failed) as error:
         print(error, file=sys.stderr)
         sys.exit(1)
+    except Exception as error:
+        foreign = foreign_package()
+        if not foreign:
+            raise
+        print(f"{type(error).__name__}: {error}\n{foreign}", file=sys.stderr)
+        sys.exit(2)
