@@ -24,8 +24,8 @@ from wire.messages.messages import DriveVelocity
 
 STOP_S = 2.0  # time constant of the approach: at 0.2 m from a wall at most 0.1 m/s
 SHORT_M = 0.1  # stops this far before the distance to keep: a hull overshoots its reference by some centimetres
-LEAD_M = 0.5  # reference ahead of the robot, at most: a robot follows some 1 s behind, and what is held back must not wind up
-LEAD_SHARE = 0.8  # of safety.off_path_m and off_depth_m: a reference that leads by more would stop the robot as "off its path"
+FOLLOWS_S = 1.0  # by so much a driven robot is behind its reference
+LEAD_M = 0.5  # reference ahead of the robot, at most: what is held back must not wind up
 LEAD_RAD = 0.5
 
 
@@ -59,9 +59,7 @@ class Driver:
             Body(complex(*island.position_m), 0j, island.radius_m + vehicle.radius_m + SHORT_M)
             for island in experiment.islands
         ]
-        self._period_s, safety = experiment.controller.period_s, experiment.safety
-        self._lead_m = min(LEAD_M, LEAD_SHARE * safety.off_path_m)
-        self._lead_depth_m = min(LEAD_M, LEAD_SHARE * safety.off_depth_m)
+        self._period_s = experiment.controller.period_s
         self._eta: Array | None = None
 
     def reset(self) -> None:
@@ -76,9 +74,9 @@ class Driver:
         x_m, y_m, depth_m, yaw_rad = eta.tolist()
         led_x_m, led_y_m, led_depth_m, led_yaw_rad = (eta if self._eta is None else self._eta).tolist()
         # There is no side thruster: sideways the reference goes with the robot.
-        led_m = _within((ahead.conjugate() * complex(led_x_m - x_m, led_y_m - y_m)).real, self._lead_m)
+        led_m = _within((ahead.conjugate() * complex(led_x_m - x_m, led_y_m - y_m)).real, LEAD_M)
         place = complex(x_m, y_m) + led_m * ahead
-        depth_m += _within(led_depth_m - depth_m, self._lead_depth_m)
+        depth_m += _within(led_depth_m - depth_m, LEAD_M)
         yaw_rad += _within(wrap(led_yaw_rad - yaw_rad), LEAD_RAD)
         for body in (*around, *self._islands):
             surge, heave = _slowed(surge, heave, ahead, place, depth_m, body)

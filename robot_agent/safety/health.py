@@ -1,6 +1,9 @@
 """Health of a robot: ages of its inputs and results of its checks, from which the mode is decided. Pure."""
 
+import cmath
+
 from robot_agent.control.controller import ControlOutput
+from robot_agent.guidance.driving import FOLLOWS_S
 from robot_agent.inputs import Inputs, StationView
 from robot_agent.safety.modes import LIVE, POWERED, UNDER_WAY, Health
 from robot_agent.safety.output_check import OutputCheck
@@ -95,6 +98,10 @@ class HealthMonitor:
         x_m, y_m, depth_m, _ = output.eta.tolist()
         path_x_m, path_y_m, path_depth_m, _ = output.eta_reference.tolist()
         place, path, is_free = complex(x_m, y_m), complex(path_x_m, path_y_m), output.is_free
+        if mode is Mode.DRIVEN:  # its reference leads: what counts is where it would be by then
+            surge_mps, sway_mps, heave_mps, _ = output.nu.tolist()
+            place += cmath.rect(FOLLOWS_S, output.eta.item(3)) * complex(surge_mps, sway_mps)
+            depth_m += FOLLOWS_S * heave_mps
         self._path.step(place, path, is_free, output.path_is_blocked, now_ns)
         self._depth.step(complex(depth_m), complex(path_depth_m), True, False, now_ns)  # no robot gives way by depth
         self._output = output

@@ -13,6 +13,7 @@ from wire.frames import wrap
 NS = 1_000_000_000
 KEPT = 64  # samples of the gyroscope: 1.3 s at 50 Hz, longer than poses are late
 LONGEST_S = 0.5  # between two samples, or two poses; after a longer gap the comparison begins anew
+LEAP_RADPS = 2.0  # from one sample to the next: 0.5 N m turn 0.12 kg m^2 by 0.2 rad/s faster in 50 ms; after it, too
 LEAP_RAD = 0.5  # from one pose to the next: that is the camera's marker or track, no gyroscope
 FORGETS_S = 10.0  # time constant: a lasting error of the rate shows as 10 s of it, a bias of 0.01 rad/s as 0.1 rad
 APART_RAD = 0.35  # 0.035 rad/s for long, or a turn by 0.35 rad at once; poses are good to 0.01 rad
@@ -40,7 +41,7 @@ class GyroscopeCheck:
         if self._at_ns and at_ns <= self._at_ns[-1]:
             return
         elapsed_s = (at_ns - self._at_ns[-1]) / NS if self._at_ns else math.inf
-        if elapsed_s > LONGEST_S:
+        if elapsed_s > LONGEST_S or abs(rate_radps - self._rate_radps) > LEAP_RADPS:
             self._at_ns, self._turned_rad, self._pose_ns = [], [], None
         turned_rad = self._turned_rad[-1] + 0.5 * (self._rate_radps + rate_radps) * elapsed_s if self._at_ns else 0.0
         self._at_ns, self._turned_rad = [*self._at_ns[-KEPT:], at_ns], [*self._turned_rad[-KEPT:], turned_rad]

@@ -16,7 +16,5 @@ def foreign_package() -> str:
         if file is None or "." in name or not any(Path(file).resolve().is_relative_to(folder) for folder in folders):
             continue
         if any((folder / name).is_dir() or any(folder.glob(f"{name}.*")) for folder in own):
-            return (
-                f"PYTHONPATH={variable}: puts {file} before this program's own {name} (run it without: env -u PYTHONPATH ...)"
-            )
+            return f"PYTHONPATH={variable}: puts {file} before this program's own {name} (remedy: env -u PYTHONPATH ...)"
     return ""
