@@ -145,7 +145,8 @@ class AgentNode:
             told < LEAVE_TIMES or (not disarmed and time.monotonic() < until_s)
         ):
             self._link.send(self._mavlink.arm(False))
-            self._link.send(self._mavlink.pulses(self.agent.neutral_us))
+            if self._mavlink.telemetry.is_thruster_board:
+                self._link.send(self._mavlink.pulses(self.agent.neutral_us))
             told += 1
             self._link.wait(LEAVE_AGAIN_S)
             self._mavlink.receive(self._link.read(), self.clock.now_ns())

@@ -232,6 +232,31 @@ def test_a_robot_whose_experiment_puts_it_far_from_its_path_starts_there() -> No
         assert "from where its path is" in clock.objection(start, False, view, NS, NS, starts[robot] + away)
 
 
+def test_the_rate_that_is_told_is_the_references_own_while_it_catches_up() -> None:
+    """Heartbeats of a formation that is half a second behind, then of one that is not: the prediction over the horizon goes by it."""
+    robot = ClockedRobot(straight())
+    assert robot.start() == ""
+    goals = []
+    for k in range(100):
+        robot.lag_s = 0.5 if 20 <= k < 40 else 0.0
+        robot.now_ns += STEP_NS
+        goal = robot.clock.goal(robot.station, robot.now_ns)
+        assert goal is not None
+        goals.append(goal)
+    for k in set(range(99)) - {19, 39}:  # before these nobody knows what the next heartbeat says
+        assert goals[k].rate == pytest.approx((goals[k + 1].time_s - goals[k].time_s) * NS / STEP_NS, abs=1e-6)
+    assert max(goal.rate for goal in goals) == pytest.approx(1.0 + FASTER)
+
+
+def test_a_trajectorys_flaw_is_found_beside_the_steps() -> None:
+    """The check of an hour takes 40 ms: with its result nothing of it is looked at again."""
+    robot, wrong = ClockedRobot(), Command(Order.LOAD, ME, trajectory=changed(id=""))
+    assert robot.clock.flaw(wrong) == "trajectory.id is empty"
+    arguments = wrong, False, robot.station, 0, robot.now_ns, robot.eta
+    assert robot.clock.objection(*arguments) == robot.clock.objection(*arguments, flaw="trajectory.id is empty") != ""
+    assert robot.clock.objection(*arguments, flaw="") == ""
+
+
 def test_a_start_taken_late_keeps_the_timetable() -> None:
     robots = [ClockedRobot(straight()), ClockedRobot(straight())]
     start = Command(Order.START, ME, trajectory_id="straight", trajectory_s=0.0, start_ns=robots[0].station.clock_ns + NS // 2)
