@@ -23,15 +23,14 @@ _TURN = threading.Lock()  # several boards are brought up to date at once: what 
 
 def wheels(probe: Probe) -> Path:
     """A folder with the wheels for such a board. Raises ConfigError where they cannot be had."""
-    root = checkout()
-    key = f"{probe.machine}-{probe.python}-{_source_digest(root)}"
+    key = f"{probe.machine}-{probe.python}-{_source_digest(checkout())}"
     folder = _cache() / key
     with _TURN:
         if not folder.is_dir():
             folder.parent.mkdir(parents=True, exist_ok=True)
             with tempfile.TemporaryDirectory(dir=folder.parent) as building:
                 fresh = Path(building) / "wheels"
-                _build(root, probe, fresh)
+                _build(probe, fresh)
                 fresh.rename(folder)
     return folder
 
@@ -73,7 +72,8 @@ def _cache() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "shoal" / "wheels"
 
 
-def _build(root: Path, probe: Probe, folder: Path) -> None:
+def _build(probe: Probe, folder: Path) -> None:
+    root = checkout()
     with tempfile.TemporaryDirectory() as own:
         _pip("wheel", "--no-deps", "--wheel-dir", own, str(root))
         built = next(Path(own).glob("shoal-*.whl"))

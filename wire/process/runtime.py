@@ -211,7 +211,7 @@ def run_app(app: Callable[[], None]) -> None:
         print(error, file=sys.stderr)
         sys.exit(1)
     except Exception as error:
-        foreign = foreign_package()
+        foreign = foreign_package(error)
         if not foreign:
             raise
         print(f"{type(error).__name__}: {error}\n{foreign}", file=sys.stderr)
