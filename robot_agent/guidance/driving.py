@@ -24,8 +24,7 @@ from wire.messages.messages import DriveVelocity
 
 STOP_S = 2.0  # time constant of the approach: at 0.2 m from a wall at most 0.1 m/s
 SHORT_M = 0.1  # stops this far before the distance to keep: a hull overshoots its reference by some centimetres
-FOLLOWS_S = 1.0  # by so much a driven robot is behind its reference
-LEAD_M = 0.5  # reference ahead of the robot, at most: what is held back must not wind up
+LEAD_M = 0.5  # reference ahead of the robot, at most: a robot follows some 1 s behind, and what is held back must not wind up
 LEAD_RAD = 0.5
 
 

@@ -3,7 +3,6 @@
 import cmath
 
 from robot_agent.control.controller import ControlOutput
-from robot_agent.guidance.driving import FOLLOWS_S
 from robot_agent.inputs import Inputs, StationView
 from robot_agent.safety.modes import LIVE, POWERED, UNDER_WAY, Health
 from robot_agent.safety.output_check import OutputCheck
@@ -19,6 +18,7 @@ from wire.messages.messages import Mode, Track
 ARM_AGAIN_S = 0.2  # how often the board is asked to arm, or later to disarm, when it has not done as told
 DISARM_S = 0.5  # so long after the power is taken away every step disarms, whatever the board says: frames get lost
 NEVER_S = float("inf")
+FOLLOWS_S = 1.0  # so far a driven robot is behind its reference (guidance/driving.py)
 RESTART_DEPTH_M = 0.05  # a board that restarted deeper has a wrong zero; noise and drift of a sensor are some cm at most
 DEPTH_SLACK_M = 0.3  # a pressure sensor that says more than this beyond the pool is wrong; the station warns from there on
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pymavlink.dialects.v20 import common as dialect
 
 from robot_agent import node
 from robot_agent.agent import Agent
@@ -18,6 +19,8 @@ from sim_bridge.sil.ports import free_port
 from tests.robot_agent.obedient_board import Board
 from wire.config.experiment import load_experiment
 from wire.mavlink.board_port import open_link
+from wire.mavlink.framing import Receiver, Sender
+from wire.mavlink.signing import SignatureVerifier
 from wire.messages import topics
 from wire.messages.live_gains import tuning
 from wire.messages.messages import Command, Mode, Order, Pose, Reply, RobotState, StationHeartbeat, Track, Tuning
@@ -194,3 +197,34 @@ def test_a_request_to_stop_wakes_a_loop_that_sleeps(monkeypatch: pytest.MonkeyPa
     assert not woken.is_set()
     stop.request()
     assert woken.wait(PATIENCE_S) and stop()
+
+
+class Autopilot(Board):
+    """An autopilot that is armed, where the thruster board belongs, and what is sent to it."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._autopilot, self.sent = Sender((1, 1)), bytearray()
+
+    def send(self, data: bytes) -> None:
+        self.sent += data
+
+    def read(self) -> bytes:
+        armed, ardupilot = dialect.MAV_MODE_FLAG_SAFETY_ARMED, dialect.MAV_AUTOPILOT_ARDUPILOTMEGA
+        beat = self._autopilot.pack(dialect.MAVLink_heartbeat_message(12, ardupilot, armed, 0, 4, 3))
+        return beat if self.sent else b""  # it is connected after a while
+
+
+def test_an_autopilot_gets_no_pulses_and_no_requests_to_arm() -> None:
+    hub, stop, there = MemoryHub(), Stop(install=False), Autopilot()
+    bus, station = Bus(MemoryTransport(hub)), Bus(MemoryTransport(hub))
+    heard = station.inbox(topics.STATE, RobotState, 1)
+    thread = threading.Thread(target=node.AgentNode(POOL, 1, bus, there, False, stop).run)
+    thread.start()
+    try:
+        assert wait(station, stop, lambda: (header := heard.newest_header()) is not None and header.sequence > 5, PATIENCE_S)
+    finally:
+        stop.request()
+        thread.join()
+    received = Receiver(lambda peer: True, SignatureVerifier(None)).receive(bytes(there.sent), 0)
+    assert {message.get_type() for message in received} <= {"HEARTBEAT", "TIMESYNC"}

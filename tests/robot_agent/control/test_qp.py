@@ -54,7 +54,7 @@ def exact(p: Array, q: Array, a: Array, lower: Array, upper: Array) -> Array:
 
 
 def test_no_solution_violates_a_row_by_more_than_a_hundredth_of_its_bounds() -> None:
-    """Where an axis costs nothing x grows to 1e9, and the backend's tolerance with it."""
+    """An axis that costs nothing lets x grow to 1e9, and the backend's tolerance with it."""
     random, refused = np.random.default_rng(3), 0
     for _ in range(400):
         p, q = np.diag(random.choice([0.0, 1e-9, 1e-6, 1.0, 100.0], N)), random.normal(size=N) * random.choice([1.0, 1e2, 1e4])
