@@ -66,6 +66,14 @@ def is_override(datagram: bytes) -> bool:
     return datagram[:1] == bytes([MARKER]) and kind == dialect.MAVLINK_MSG_ID_RC_CHANNELS_OVERRIDE
 
 
+def autopilot_name(autopilot: int) -> str:
+    """Name of a MAV_AUTOPILOT; empty for that of a thruster board."""
+    if autopilot in NO_AUTOPILOT:
+        return ""
+    entry = dialect.enums["MAV_AUTOPILOT"].get(autopilot)
+    return f"autopilot {autopilot}" + (f" ({entry.name.removeprefix('MAV_AUTOPILOT_')})" if entry else "")
+
+
 @dataclass(frozen=True)
 class Telemetry:
     """The board's last telemetry, complete as of the burst of `board_ms`. Values are finite and within a sensor's range."""
@@ -106,10 +114,7 @@ class Telemetry:
     @property
     def autopilot_name(self) -> str:
         """Name of the autopilot at the other end; empty for a thruster board, and before the first HEARTBEAT."""
-        if self.autopilot in NO_AUTOPILOT:
-            return ""
-        entry = dialect.enums["MAV_AUTOPILOT"].get(self.autopilot)
-        return f"autopilot {self.autopilot}" + (f" ({entry.name.removeprefix('MAV_AUTOPILOT_')})" if entry else "")
+        return autopilot_name(self.autopilot)
 
     @property
     def is_thruster_board(self) -> bool:

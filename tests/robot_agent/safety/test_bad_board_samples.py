@@ -91,7 +91,8 @@ class RehearsedBoard:
 
 def fault_after(change: Callable[[Reports], Reports], times: int) -> str:
     """The fault of a flight in which the board's reports are bad `times` times in a row; empty if it goes on."""
-    board, pulses_us = RehearsedBoard(change, times), (1500,) * 8
+    board = RehearsedBoard(change, times)
+    pulses_us: tuple[int, ...] = (1500,) * 8
     for k, (agent, inputs, now_ns) in enumerate(itertools.islice(rehearse(POOL, ME), FLOWN)):
         rate_radps = inputs.telemetry.yaw_rate_radps
         reports = Reports(SWITCHED_ON_MS + now_ns // MS, inputs.telemetry.armed, pulses_us, rate_radps)

@@ -1,5 +1,9 @@
 """Restarts of a board, from the times and depths that it reports."""
 
+import pytest
+
+from wire.mavlink.agent_link import AgentLink
+from wire.mavlink.board_link import BoardLink
 from wire.mavlink.power_on_depth import MS_WRAPS, PowerOnDepth
 
 
@@ -26,3 +30,10 @@ def test_a_second_restart_deeper_adds_up() -> None:
 def test_one_earlier_time_and_the_clocks_wrap_are_no_restart() -> None:
     assert told((9000, 0.3), (20, 0.0), (9050, 0.3), (9100, 0.3)).depth_m == 0.0
     assert told((MS_WRAPS - 20, 0.3), (10, 0.3), (30, 0.3)).depth_m == 0.0
+
+
+def test_the_link_reports_where_a_board_was_switched_on() -> None:
+    link, board = AgentLink(1), BoardLink(1)
+    for board_ms, depth_m in ((9000, 0.2), (9050, 0.2), (20, 0.0), (40, 0.0)):
+        link.receive(board.pressure(board_ms, depth_m) + board.attitude(board_ms, 0.0, 0.0), 0)
+    assert link.telemetry.power_on_depth_m == pytest.approx(0.2, abs=1e-3)
