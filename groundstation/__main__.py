@@ -16,11 +16,13 @@ from groundstation.cli.rerun import moment, rerun
 from groundstation.cli.run import plan, run
 from groundstation.cli.run_list import delete, label, list_runs
 from groundstation.cli.runs import benchmark_report, compare, export, record, repair, report
+from groundstation.cli.stop import ProgramGroup, register_stop
 from wire.process.cli_options import Version
 from wire.process.optional_packages import run_role
 from wire.process.runtime import run_app
 
 cli = typer.Typer(
+    cls=ProgramGroup,
     help="Ground station: plans trajectories, commands the fleet, records everything, writes the report.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
@@ -60,7 +62,7 @@ cli.command()(run)
 cli.command()(plan)
 cli.command()(keys_of)
 cli.add_typer(mission_cli, name="mission")
-register(cli, "stop")
+register_stop(cli)
 register(cli, "end")
 cli.add_typer(gains_cli, name="gains")
 cli.add_typer(log_cli, name="log")

@@ -15,14 +15,16 @@ from numpy.typing import ArrayLike
 
 from groundstation.mission.state_machine import in_words
 from groundstation.station import discovery
+from groundstation.station.discovery import RunningStation
 from wire.messages.live_gains import values_of
 from wire.messages.messages import Command, Order, Outcome, Progress, Reply, StationHeartbeat, Tuning
 from wire.messages.topics import HEARTBEAT, WHOLE_FLEET, Role, process_name
 from wire.process.cli_options import DEFAULT_FLEET
 from wire.process.fleet_time import FleetTime
 from wire.transport.bus import Bus
-from wire.transport.gate import nearest
+from wire.transport.gate import through_door
 from wire.transport.network import endpoint
+from wire.transport.own_door import DoorTransport, opens
 from wire.transport.zenoh_transport import ZenohTransport
 
 ORDER_TIMEOUT_S = 2.0
@@ -42,7 +44,23 @@ def connect(
 ) -> Bus:
     """The bus of a running station's fleet, as its operator. Without an endpoint it is the station that runs on this machine.
     Raises ConfigError where there are several, and Unreached if none answers within `patience_s` or until `stopped()`."""
-    where = nearest(endpoint(discovery.station(station, fleet), process_name(Role.OPERATOR), keys, insecure=insecure))
+    return _connected(discovery.station(station, fleet), fleet, keys, insecure, patience_s, stopped)
+
+
+def connect_for_requests(station: RunningStation, fleet: str, keys: Path | None, insecure: bool, patience_s: float) -> Bus:
+    """A bus that takes requests to a station, and nothing else: through the station's own door and without keys where it has
+    one, else as `connect` does."""
+    if any(opens(door) for door in station.doors):
+        return Bus(DoorTransport(station.doors), fleet)
+    return _connected(station, fleet, keys, insecure, patience_s, lambda: False)
+
+
+def _connected(
+    station: RunningStation, fleet: str, keys: Path | None, insecure: bool, patience_s: float, stopped: Callable[[], bool]
+) -> Bus:
+    where = through_door(station.endpoint)  # before the keys: whoever may use the door needs none
+    if where is None:
+        where = endpoint(station.endpoint, process_name(Role.OPERATOR), keys, insecure=insecure)
     return Bus(ZenohTransport(where, stopped, patience_s), fleet)
 
 

@@ -191,7 +191,11 @@ FindingFields = Iterator[tuple[str, str, bool, str, str]]  # key, level, blocks_
 def _experiment(experiment: Experiment, seen: RobotView, state: RobotState) -> FindingFields:
     if state.experiment_hash != experiment.hash:
         text = f"has another experiment ({state.experiment_hash[:8]}, here {experiment.hash[:8]})"
-        yield "experiment", "critical", True, text, "start its agent with this run's experiment.toml"
+        remedy = (
+            "start its agent with this run's experiment.toml; if it has that, its code is another version, as the first lines "
+            "of both logs say (groundstation deploy)"
+        )
+        yield "experiment", "critical", True, text, remedy
 
 
 def _pose(experiment: Experiment, seen: RobotView, state: RobotState) -> FindingFields:

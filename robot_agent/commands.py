@@ -42,7 +42,7 @@ def init(
 ) -> None:
     """Write a commented configuration for this board.
 
-    Example:  robot-agent init --robot 2 --station tls/192.168.1.10:7447 --keys keys
+    Example:  robot-agent init --robot 2 --station tls/192.0.2.10:7447 --keys keys
     """
     from wire.mavlink.board_port import parse_link
 
@@ -87,9 +87,9 @@ def unit_text(home: str, user: str) -> str:
 def compile_kernels() -> None:
     """Compile the numeric kernels that are not in the cache yet, so that no start of the agent has to.
 
-    Half a minute on a quick machine, some minutes on a small board, with 350 MB of memory; nothing if all are there. The cache
-    is the folder that NUMBA_CACHE_DIR names, else the installation itself, else the user's cache. The service has its own:
-    `groundstation deploy` fills it; by hand, as the service's user, after each installation:
+    Half a minute on a quick machine, some minutes on a small board, where 250 MB of memory are enough; nothing if all are
+    there. The cache is the folder that NUMBA_CACHE_DIR names, else the installation itself, else the user's cache. The service
+    has its own: `groundstation deploy` fills it; by hand, as the service's user, after each installation:
 
     Example:  NUMBA_CACHE_DIR=/var/lib/shoal-agent/kernels robot-agent compile
     """

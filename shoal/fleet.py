@@ -258,6 +258,6 @@ def connect(
     insecure: bool = False,
     patience_s: float = client.ORDER_TIMEOUT_S,
 ) -> ConnectedFleet:
-    """Connect as an operator to a running station: the one at an endpoint (`tls/192.168.1.10:7447`), or the only one that runs
+    """Connect as an operator to a running station: the one at an endpoint (`tls/192.0.2.10:7447`), or the only one that runs
     on this machine. `keys` is the fleet's key ring. Raises ConfigError, or Unreached if none answers within `patience_s`."""
     return ConnectedFleet(client.connect(station, fleet, Path(keys) if keys is not None else None, insecure, patience_s))

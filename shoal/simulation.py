@@ -1,19 +1,19 @@
 """SHELL: simulated flights from a script: flown to their end, or led by the script as its operator."""
 
-import os
+import io
 import re
 import signal
 import subprocess
-import sys
 import threading
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
 from groundstation import client
 from shoal.fleet import ConnectedFleet, NotHeard
 from shoal.runs import FlownRun
+from wire import programs
 from wire.config.experiment import NO_CAMERA, load_experiment
 from wire.process.output_files import new_run_folder
 from wire.process.runtime import Failed, Stop
@@ -83,37 +83,39 @@ def simulation(
     `real_time` by the wall clock. Raises Failed with the reason where the run is refused or ends before it is ready,
     NotHeard with the preflight's findings where it does not get ready."""
     options = {"--lockstep": lockstep, "--real-time": real_time, "--poses": not camera}
-    command = [sys.executable, "-m", "sim_bridge", "sil", experiment, "--manual", "--no-web", "--out", str(out)]
-    command += [option for option, given in options.items() if given]
+    words = ["sil", experiment, "--manual", "--no-web", "--out", str(out)]
+    words += [option for option, given in options.items() if given]
     for line in _lines(settings, seed, duration_s):
-        command += ["--set", line]
-    environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
-    child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment)
+        words += ["--set", line]
+    child = programs.start(
+        "sim_bridge", words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, more={"PYTHONUNBUFFERED": "1"}
+    )
     assert child.stdout is not None
     said, ended = list[str](), False
     try:
-        for line in child.stdout:
+        lines = io.TextIOWrapper(child.stdout, "utf-8", errors="replace")
+        for line in lines:
             said.append(line)
             if line.startswith(STATION):
                 break
         else:
             raise Failed("".join(said).strip() or f"sim-bridge sil ended with exit code {child.wait()}")
-        output = threading.Thread(target=said.extend, args=(child.stdout,), name="sil-output", daemon=True)
+        output = threading.Thread(target=said.extend, args=(lines,), name="sil-output", daemon=True)
         output.start()
 
         def gone() -> str:
             return "" if child.poll() is None else f"the simulation has ended: {_last_words(said, output)}"
 
         address = said[-1].removeprefix(STATION).split()[0]
-        try:
-            bus = client.connect(address, patience_s=START_WITHIN_S, stopped=lambda: child.poll() is not None)
-            fleet = ConnectedFleet(bus, gone)
-            fleet.wait_ready(START_WITHIN_S)
-        except (Unreached, NotHeard):
-            if child.poll() is None:
-                raise
-            raise Failed(_last_words(said, output)) from None
-        with fleet:
+        with ExitStack() as closing:
+            try:
+                bus = client.connect(address, patience_s=START_WITHIN_S, stopped=lambda: child.poll() is not None)
+                fleet = closing.enter_context(ConnectedFleet(bus, gone))
+                fleet.wait_ready(START_WITHIN_S)
+            except (Unreached, NotHeard):
+                if child.poll() is None:
+                    raise
+                raise Failed(_last_words(said, output)) from None
             yield fleet
             ended = fleet.ended
     finally:

@@ -19,12 +19,13 @@ from tests import skipped
 for library in ("OMP", "OPENBLAS"):  # read when numpy is first imported, which is after this
     os.environ[f"{library}_NUM_THREADS"] = "1"
 os.environ["OPENCV_FOR_THREADS_NUM"] = "1"
+os.environ["SHOAL_CHECK_KERNELS"] = "1"  # at every call the types of the arguments, which machine code does not look at
 
 # The first call in a process counts: without it, one verbose test would make Zenoh print in all later ones.
 zenoh.init_log_from_env_or("error")
 
 _runtime = tempfile.TemporaryDirectory(prefix="shoal-tests-")
-os.environ["XDG_RUNTIME_DIR"] = _runtime.name
+os.environ["SHOAL_RUNTIME_DIR"] = _runtime.name
 
 # A test suite that judges by the clock fails on a busy machine; one that draws new examples each time fails on a stranger's.
 # HYPOTHESIS_PROFILE=explore looks for new examples, and keeps the bad ones in .hypothesis/.

@@ -417,7 +417,10 @@ def test_a_start_that_fails_leaves_no_folder(tmp_path: Path) -> None:
 def test_a_token_that_cannot_be_read_is_named(tmp_path: Path) -> None:
     (tmp_path / "token").write_bytes(b"\xff")
     (tmp_path / "empty").write_text(" \n")
+    (tmp_path / "shared").write_text("a token of many characters\n")
+    (tmp_path / "shared").chmod(0o644)
     for name, says in (
+        ("shared", "shared: mode 0644 lets others read the page's token (allowed: 0600"),
         ("nowhere", "nowhere: No such file"),
         ("token", "token: not a text"),
         ("empty", "empty: is empty: an empty token protects nothing"),

@@ -110,7 +110,7 @@ class CompileProgress:
 
     def advance(self, kernels: int, compiled: bool) -> str:
         """Count kernels that are ready, and show how far that is."""
-        self._ready += kernels
+        self._ready = min(self._ready + kernels, self._kernels)
         self.compiled += kernels if compiled else 0
         if not self.compiled:  # they lie in the cache: nothing to wait for
             return ""
@@ -145,7 +145,7 @@ class Build:
         self._lock = lock
         self._sources = {package: _kernel_modules(package) for package in packages}
         self._state = {package: _sources_state(modules.values()) for package, modules in self._sources.items()}
-        self._files: dict[str, int] = {}
+        self._files: set[str] = set()
         texts = (path.read_text(encoding="utf-8") for modules in self._sources.values() for path in modules.values())
         self._progress = CompileProgress(sum(len(re.findall(r"^@kernel\b", text, re.MULTILINE)) for text in texts))
 
@@ -173,7 +173,7 @@ class Build:
                     self._start(queue, limit_mb, workers, ready)
                 while workers:
                     for key, _ in ready.select():
-                        self._hear(key.data, limit_mb, workers, ready)
+                        self._take_report(key.data, limit_mb, workers, ready)
             except ChildProcessError:
                 return False
             finally:
@@ -191,16 +191,17 @@ class Build:
         workers[worker] = queue
         ready.register(worker.stdout, selectors.EVENT_READ, worker)  # type: ignore[arg-type]
 
-    def _hear(self, worker: Any, limit_mb: float, workers: dict[Any, list[str]], ready: selectors.BaseSelector) -> None:
+    def _take_report(self, worker: Any, limit_mb: float, workers: dict[Any, list[str]], ready: selectors.BaseSelector) -> None:
         """Take up one report of a worker, or its end; what an early end has left, another worker goes on with."""
         line = worker.stdout.readline()
         if line:
-            said = json.loads(line)
-            if "module" in said:
-                workers[worker].remove(said["module"])
-            else:
-                self._files[said["file"]] = said["kernels"]
-            text = self._progress.advance(said["kernels"], said.get("compiled", False))
+            report = json.loads(line)
+            if "module" in report:
+                workers[worker].remove(report["module"])
+            is_new = report.get("file") not in self._files  # a module imports kernels that an earlier process has compiled
+            if "file" in report:
+                self._files.add(report["file"])
+            text = self._progress.advance(report["kernels"] if is_new else 0, report.get("compiled", False))
             with suppress(OSError):  # a full disk
                 self._lock.truncate(0)
                 self._lock.write(text)
@@ -215,7 +216,7 @@ class Build:
 
     def _write_down(self, package: str) -> None:
         """Note that all kernels of a package are there, of which sources, and where the first is missing they are not."""
-        files = [name for name in self._files if name.startswith(f"{package}.")]
+        files = [name for name in sorted(self._files) if name.startswith(f"{package}.")]
         record = {"machine": _machine(), "sources": self._state[package], "files": files}
         try:
             _record(kernel_cache.folder(), package).write_text(json.dumps(record), encoding="utf-8")

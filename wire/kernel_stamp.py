@@ -11,6 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from wire.kernel_types import fields_of, is_record
+
 LIBRARIES = {"math", "cmath", "numpy"}
 PLAIN = (int, float, complex, bool, str, bytes, tuple, type(None))
 
@@ -29,6 +31,14 @@ def stamp_of(function: Callable[..., Any], compiled_for: str, stamps: dict[objec
     for name, cell in zip(function.__code__.co_freevars, function.__closure__ or (), strict=True):
         digest.update(f"{name}={cell.cell_contents!r}".encode())
     return digest.hexdigest()
+
+
+def record_content(kind: Any) -> str:
+    """Text of a type: of a record (NamedTuple) its name and all its fields, also of records in it."""
+    if not is_record(kind):
+        return repr(kind)
+    fields = ", ".join(f"{name}: {record_content(field)}" for name, field in fields_of(kind).items())
+    return f"{kind.__module__}.{kind.__qualname__}({fields})"
 
 
 def _codes(code: CodeType) -> Iterator[CodeType]:
@@ -50,7 +60,7 @@ def _content(function: Callable[..., Any], name: str, stamps: dict[object, str])
     if isinstance(value, np.ndarray):
         return f"{value.dtype}{value.shape}{value.tobytes().hex()}"
     if isinstance(value, type):
-        return f"{value.__qualname__}{getattr(value, '__annotations__', '') if issubclass(value, tuple) else ''}"
+        return record_content(value)
     if isinstance(value, PLAIN):
         return repr(value)
     if isinstance(value, BuiltinFunctionType | np.ufunc):

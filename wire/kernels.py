@@ -1,33 +1,52 @@
-"""Compile numeric kernels: plain loops over float64 arrays, written like the equations and as fast as C.
+"""SHELL: compile numeric kernels: plain loops over float64 arrays, written like the equations and as fast as C.
 
-A kernel is a function of arrays and numbers at module level. Its class checks inputs and owns memory; the kernel checks
-nothing.
-Rules: it calls only kernels, it raises nothing, and it writes its results into arrays that the caller passes.
-`NUMBA_DISABLE_JIT=1` runs all of them as Python.
+A kernel is a function of numbers, arrays and records at module level; its annotations say which (`wire/kernel_types.py`). Its
+class checks inputs and owns memory; the kernel checks nothing.
+
+    @kernel
+    def deliver(pulse: Ints, legs: ThrusterLegs, wrench: Floats) -> None: ...
+
+Rules: at most 8 parameters, the others grouped in records (NamedTuple) of at most 16 numbers, or of arrays. Constants are
+records that are built once and kept; what changes at each call is built at the call. Memory that changes is an array in a
+kept record. Small results are returned as records, large ones written into arrays that the caller passes. A kernel calls only
+kernels, of any module, and raises nothing. `NUMBA_DISABLE_JIT=1` runs all of them as Python.
 """
 
+import functools
+import os
 import pickle
 from collections.abc import Callable
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar, cast, get_type_hints, overload
 
 import llvmlite
 import numba
-from numba.core import caching, compiler, config, serialize
+from numba.core import caching, compiler, config, serialize, types
+from numba.extending import typeof_impl
 
 from wire import kernel_build, kernel_cache
-from wire.kernel_stamp import stamp_of
+from wire.kernel_stamp import record_content, stamp_of
+from wire.kernel_types import misfits, signature_of
 
 F = TypeVar("F", bound=Callable[..., Any])
 
 OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": False, "no_cfunc_wrapper": True}
 VERSIONS = f"numba {numba.__version__}, llvmlite {llvmlite.__version__}"
+CHECK_ALL = os.environ.get("SHOAL_CHECK_KERNELS") == "1"  # every call, not only the first: tests/conftest.py sets it
 
 stamps: dict[object, str] = {}  # of each kernel, by its Python function
 listeners: list[Callable[[str, bool], None]] = []  # called when a kernel is ready: with its file ("" for a part), if compiled
 
 
-def kernel(signature: str, inline: bool = False, part: bool = False) -> Callable[[F], F]:
-    """Compile a function for the argument types of `signature`, for example ``"void(f8[:,::1], f8)"``.
+@overload
+def kernel(form: F) -> F: ...
+
+
+@overload
+def kernel(form: str | None = None, inline: bool = False, part: bool = False) -> Callable[[F], F]: ...
+
+
+def kernel(form: Any = None, inline: bool = False, part: bool = False) -> Any:
+    """Compile a function for the types of its annotations. (The older form names them: ``@kernel("void(f8[:,::1], f8)")``.)
 
     Compilation happens when the module is imported, never at a call; machine code is kept on disk (`wire/kernel_cache.py`).
     The first kernel that is missing there has all kernels of its package compiled (`wire/kernel_build.py`).
@@ -37,27 +56,69 @@ def kernel(signature: str, inline: bool = False, part: bool = False) -> Callable
     A kernel that is only a `part` of others is compiled with them, for its signature, and neither kept nor loaded by itself:
     half of a robot's kernels are, and each would take up to 3 MB more.
     """
-
-    def compiled(function: F) -> F:
-        if config.DISABLE_JIT:  # type: ignore[attr-defined]
-            return function
-        stamps[function] = stamp_of(function, f"{signature} {inline}", stamps)
-        dispatcher: Any = numba.njit(forceinline=inline, **OPTIONS)(function)
-        file = KernelFile(function)
-        if part:
-            _compile_when_called(dispatcher, signature)
-        else:
-            dispatcher._cache = file
-            dispatcher.compile(signature)
-            dispatcher.disable_compile()
-        for listener in listeners:
-            listener(file.name, file.was_missing)
-        return cast(F, dispatcher)
-
-    return compiled
+    if callable(form):
+        return _compiled(form, None, inline, part)
+    return lambda function: _compiled(function, form, inline, part)
 
 
-def _compile_when_called(dispatcher: Any, signature: str) -> None:
+def _compiled(function: F, named: str | None, inline: bool, part: bool) -> F:
+    if config.DISABLE_JIT:  # type: ignore[attr-defined]
+        return function
+    signature = named or signature_of(function)
+    compiled_for = named or ", ".join(map(record_content, get_type_hints(function, include_extras=True).values()))
+    stamps[function] = stamp_of(function, f"{compiled_for} {inline}", stamps)
+    dispatcher: Any = numba.njit(forceinline=inline, **OPTIONS)(function)
+    file = KernelFile(function)
+    if part:
+        _compile_when_called(dispatcher, signature)
+    else:
+        dispatcher._cache = file
+        dispatcher.compile(signature)
+        dispatcher.disable_compile()
+    for listener in listeners:
+        listener(file.name, file.was_missing)
+    return cast(F, dispatcher if named else Kernel(function, dispatcher, signature))
+
+
+class Kernel:
+    """A compiled function. From Python it is called by the entry of its machine code, which looks at no types and is several
+    times faster than Numba's choice among signatures: so the first call is checked."""
+
+    def __init__(self, function: Callable[..., Any], dispatcher: Any, signature: Any) -> None:
+        functools.update_wrapper(self, function)
+        self.py_func = function
+        self.dispatcher = dispatcher
+        self._signature = signature
+        self._entry: Callable[..., Any] | None = None
+        self._is_checked = False
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Run the machine code."""
+        if not self._is_checked:
+            self.check(arguments)
+            self._is_checked = not CHECK_ALL
+        return self._entry(*arguments)  # type: ignore[misc]
+
+    def check(self, arguments: tuple[Any, ...]) -> None:
+        """Raises TypeError unless the arguments are of the types that the kernel is compiled for."""
+        if not self.dispatcher.overloads:  # a part that somebody calls by itself
+            self.dispatcher.compile(self._signature)
+            self.dispatcher.disable_compile()
+        (self._entry,) = (result.entry_point for result in self.dispatcher.overloads.values())
+        names = self.py_func.__code__.co_varnames[: self.py_func.__code__.co_argcount]
+        if len(arguments) != len(names):
+            raise TypeError(f"{self.py_func.__qualname__}: {len(arguments)} arguments, takes {len(names)}")
+        for name, value, wanted in zip(names, arguments, self._signature.args, strict=True):
+            for misfit in misfits(value, wanted, name):
+                raise TypeError(f"{self.py_func.__qualname__}: {misfit}")
+
+
+@typeof_impl.register(Kernel)
+def _type_in_other_kernels(value: Kernel, context: object) -> Any:
+    return types.Dispatcher(value.dispatcher)
+
+
+def _compile_when_called(dispatcher: Any, signature: Any) -> None:
     """Have a kernel compiled when one that calls it is, for its own signature rather than for the call's types."""
     template = dispatcher.get_call_template
     if kernel_build.is_worker():

@@ -28,11 +28,13 @@ from wire.process.cli_options import (
 )
 from wire.process.output_files import page_was_open
 from wire.process.runtime import Stop, run_steps, start_log
+from wire.secret_files import refuse_shared
 from wire.toml_loader import ConfigError, os_errors_as_config_errors
 
 if TYPE_CHECKING:  # the page's server takes a second to import
     from wire.web_access import WebOptions
 
+LONGEST_TOKEN = 10_000  # bytes
 NoWeb = Annotated[bool, typer.Option("--no-web", help="Serve no page.")]
 
 
@@ -40,6 +42,9 @@ def run(
     experiment: ExperimentName,
     out: Annotated[Path, typer.Option(help="Folder for the run's own folder.")] = Path("runs"),
     run_dir: Annotated[Path | None, typer.Option(help="Use exactly this folder, without a log so far.")] = None,
+    no_report: Annotated[
+        bool, typer.Option("--no-report", help="Leave the report to `groundstation log report`, as a launcher does.")
+    ] = False,
     auto: Annotated[bool, typer.Option("--auto", help="Load, arm, start and finish without being asked.")] = False,
     give_up: Annotated[
         float | None,
@@ -101,7 +106,7 @@ def run(
         """Fly once. Returns whether the mission succeeded."""
         if (folder / "run.mcap").exists():
             raise ConfigError(f"{folder / 'run.mcap'}: is there already, and would be lost (allowed: a folder without a log)")
-        with Bus(ZenohTransport(where, stop), fleet) as bus, announced(where, fleet, loaded.name):
+        with Bus(ZenohTransport(where, stop), fleet) as bus, announced(where, fleet, loaded.name, bus):
             bus.claim(me, stop)
             station = process.cycles(
                 loaded,
@@ -118,34 +123,41 @@ def run(
             )
             return run_steps(station)
 
-    if run_dir is not None:  # a launcher that names the folder writes the report itself, when every process has stopped
-        raise typer.Exit(0 if fly(run_dir, Stop()) else 1)
+    if no_report:
+        raise typer.Exit(0 if fly(run_dir or _named_by_time(out, loaded), Stop()) else 1)
     again = True
     while again:
-        folder, stop = out / f"{loaded.name}-{time.strftime('%Y%m%d-%H%M%S')}", Stop()
+        folder, stop = run_dir or _named_by_time(out, loaded), Stop()
         succeeded = fly(folder, stop)
         result = write_report(folder)
         typer.echo(f"report: {folder / 'report.html'} ({result.verdict})")
-        again = page is not None and page_was_open(folder) and not stop.terminated and _flies_again(folder, page)
+        offers = ("again", "close") if run_dir is None else ("close",)  # a folder that was named holds one run
+        again = page is not None and page_was_open(folder) and not stop.terminated and _flies_again(folder, page, offers)
     raise typer.Exit(0 if succeeded and result.passed else 1)
 
 
-def _flies_again(folder: Path, page: "WebOptions") -> bool:
+def _named_by_time(out: Path, experiment: Experiment) -> Path:
+    return out / f"{experiment.name}-{time.strftime('%Y%m%d-%H%M%S')}"
+
+
+def _flies_again(folder: Path, page: "WebOptions", offers: tuple[str, ...]) -> bool:
     """Show the recorded run to the page that is open, until it is closed. Returns True if it is to be flown again: the same
     experiment, because the robots have no other."""
     typer.echo("the page shows the recorded run: Close there, close the page, or press Ctrl-C")
-    choice = show(folder, page, Stop(), until_closed=True, offers=("again", "close"))
+    choice = show(folder, page, Stop(), until_closed=True, offers=offers)
     return choice is not None and choice.what == "again"
 
 
 def _token(file: Path) -> str:
     with os_errors_as_config_errors(file):
         try:
-            token = file.read_text(encoding="utf-8").strip()
+            with file.open("rb") as opened:  # also a pipe that a shell makes of a command's output
+                token = opened.read(LONGEST_TOKEN).decode().strip()
         except UnicodeDecodeError:
             raise ConfigError(f"--web-token-file {file}: not a text") from None
     if not token:
         raise ConfigError(f"--web-token-file {file}: is empty: an empty token protects nothing")
+    refuse_shared(file, "the page's token")
     return token
 
 

@@ -40,6 +40,7 @@ from wire.messages.log_records import (
     Damaged,
 )
 from wire.messages.topics import Topic
+from wire.regular_files import open_regular
 from wire.toml_loader import ConfigError
 
 M = TypeVar("M")
@@ -75,7 +76,7 @@ _CHUNK_HEAD = struct.Struct("<QQQ")  # first and last log time, unpacked size
 def is_complete(path: Path) -> bool:
     """True if the file was closed: a file that was cut does not end in MCAP's magic. Raises ConfigError for what never was a
     log, which must not be mended: nothing would be left of it."""
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         if not MCAP0_MAGIC.startswith(file.read(len(MCAP0_MAGIC))):
             raise ConfigError(f"{path}: is no log: it does not begin as MCAP files do")
         if file.seek(0, os.SEEK_END) < 2 * len(MCAP0_MAGIC):
@@ -86,7 +87,7 @@ def is_complete(path: Path) -> bool:
 
 def valid_records(path: Path) -> Iterator[McapRecord]:
     """All records up to the first that is cut, damaged, or larger than wire/messages/log_records.py allows."""
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         try:
             yield from _checked_records(file)
         except Damaged:
@@ -274,7 +275,7 @@ def open_log(run: Path) -> Iterator[LogFile]:
     """The log in a run's folder. Raises ConfigError for what is no run."""
     path = run / "run.mcap"
     try:
-        file = path.open("rb")
+        file = open_regular(path)
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror or error}") from None
     with file:
@@ -338,7 +339,7 @@ def read_log(path: Path, wanted: Collection[Topic] = READ) -> RunLog:
     channels, entries = Channels(), dict[tuple[str, int], list[DecodedMessage[Any]]]()
     metadata: dict[str, dict[str, str]] = {}
     experiment_toml, damage, messages, undecodable = "", "", 0, 0
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         try:
             for record in _checked_records(file):
                 messages += isinstance(record, Message)

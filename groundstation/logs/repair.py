@@ -13,6 +13,7 @@ from mcap.writer import Writer
 from groundstation.logs.reader import is_complete, valid_records
 from groundstation.logs.recorder import CHUNK_BYTES, claim
 from wire.process.output_files import replacing
+from wire.regular_files import open_regular
 
 
 def recover(path: Path) -> bool:
@@ -23,7 +24,7 @@ def recover(path: Path) -> bool:
     """
     if is_complete(path):
         return False
-    with path.open("rb") as cut:
+    with open_regular(path) as cut:
         claim(cut.fileno(), path, fcntl.LOCK_SH, "its run still goes on")
         with replacing(path, durable=True) as file:
             writer: Any = Writer(file, chunk_size=CHUNK_BYTES)  # Any: mcap is typed in part

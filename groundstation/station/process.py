@@ -29,6 +29,7 @@ from wire.messages.topics import WHOLE_FLEET
 from wire.process.lockstep import Lockstep, LockstepClock
 from wire.process.output_files import PAGE_OPEN, replace_text
 from wire.process.runtime import Clock, Stop, WallClock, log, log_to_bus
+from wire.process.version import code
 from wire.security.access_control import INSECURE
 from wire.toml_loader import ConfigError, os_errors_as_config_errors
 from wire.transport.bus import Bus
@@ -98,6 +99,7 @@ def cycles(
         station.seen = station.fleet()
         bus.serve(WHOLE_FLEET, station.on_operator_command)
         log_to_bus(bus, clock, "groundstation")
+        log.info("%s", code())
         if insecure:
             log.warning(INSECURE)  # once more: now the recorder has it
         station.publish_paths(clock.now_ns())

@@ -30,7 +30,7 @@ from wire.messages import topics
 from wire.messages.codec import DecodeError, Header, decode
 from wire.messages.messages import Event, Order, Preview, Trajectory
 from wire.messages.topics import Topic
-from wire.process.fleet_time import STANDING_S, PaceMeter
+from wire.process.fleet_time import PaceMeter
 from wire.process.lockstep import LockstepClock
 from wire.process.runtime import Clock, log
 from wire.transport.bus import Bus, Received
@@ -38,6 +38,7 @@ from wire.transport.bus import Bus, Received
 MOST_EVENTS = 256  # between two looks
 PAST_S = 600.0  # kept for pages that connect later
 PAST_EVERY_S = 0.5  # a row of the past, in fleets of up to three
+STANDS_S = 5.0  # without a cycle in lockstep, where a step that plans takes some: what is shown may be a process that hangs
 STUCK_S = 1.0  # without a cycle of the station: robots hold by themselves then
 
 
@@ -106,7 +107,7 @@ class LiveBackend:
     def _told(self) -> dict[str, Any]:
         """The fleet's newest state, as the page gets it."""
         status, now_s = self.station.status(), self._clock.now_ns() * 1e-9
-        self._stands = status.beat_age_s > STANDING_S
+        self._stands = status.beat_age_s > STANDS_S
         states = {r: inbox.newest() for r, inbox in self._heard.states.items()}
         poses = {r: inbox.newest() for r, inbox in self._heard.poses.items()}
         plans = {r: inbox.newest() for r, inbox in self._heard.plans.items()}
@@ -130,8 +131,8 @@ class LiveBackend:
                     self._localizer_age_s(localizer),
                     status.recorder_error,
                     status.insecure,
-                    status.beat_age_s if self._mode == "real-time" and status.beat_age_s > STUCK_S else 0.0,
-                    status.beat_age_s if self._mode == "lockstep" and status.beat_age_s > STUCK_S else 0.0,
+                    status.beat_age_s if status.beat_age_s > STUCK_S else 0.0,
+                    self._mode == "lockstep",
                 ),
                 present=sorted(self._bus.present),
                 tuning=status.tuning,

@@ -74,7 +74,7 @@ def pool(
 ) -> None:
     """Simulate the pool: thruster boards on UDP, camera frames on the bus. The other programs run as they would beside water.
 
-    Example:  sim-bridge pool pool --station tls/192.168.1.10:7447 --keys keys
+    Example:  sim-bridge pool pool --station tls/192.0.2.10:7447 --keys keys
     """
     from sim_bridge.node.wires import PoolWires, run_pool
 

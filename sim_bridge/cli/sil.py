@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 import typer
 
 from sim_bridge.cli.pool import Pace, Poses
+from wire import programs
 from wire.config.experiment import NO_CAMERA, Experiment, load_experiment
 from wire.kernel_build import ensure_compiled
 from wire.process.cli_options import ExperimentName, FaultLines, KeyRing, Settings, caution, experiments
+from wire.process.output import background
 from wire.process.output_files import new_run_folder
 from wire.process.runtime import Stop
 from wire.toml_loader import ConfigError
@@ -26,6 +28,7 @@ OutFolder = Annotated[Path, typer.Option(help="Folder for the run's own folder."
 
 
 def sil(
+    context: typer.Context,
     experiment: Annotated[
         str | None,
         typer.Argument(
@@ -81,7 +84,7 @@ def sil(
                sim-bridge sil pool --set path.lap_s=30 --dry-run
                sim-bridge sil --from runs/pool-20260101-120000 --at 35 --set controller.mpc.horizon=60
     """
-    from wire.process.terminal import Terminal
+    from rich.console import Console
 
     if source is not None and dry_run:
         raise typer.BadParameter("--dry-run is for an EXPERIMENT, not for --from")
@@ -93,10 +96,14 @@ def sil(
     from sim_bridge.sil.commands import RunOptions, check, pace_of
     from sim_bridge.sil.ports import page_address
 
+    source_of_keys = context.get_parameter_source("keys")
+    if one_process and source_of_keys is not None and source_of_keys.name == "ENVIRONMENT":
+        keys = None  # for this person's other programs: here is no link that could be listened to
+        del os.environ["SHOAL_KEYS"]
     if one_process and not dry_run:
         _with_one_thread()
     loaded = _load(experiment, seed, duration, [*(settings or ()), *([NO_CAMERA] if poses else [])], faults)
-    console = Terminal()
+    console = Console(file=background(sys.stdout))
     page = None if no_web else page_address(web)
     if not (poses or loaded.localizer.uses_camera):
         poses = True
@@ -173,11 +180,12 @@ def numeric(
 
     Examples:  sim-bridge numeric numeric      sim-bridge numeric numeric-disturbed --set controller.estimator.enabled=false
     """
+    from rich.console import Console
+
     from sim_bridge.in_process import run
-    from wire.process.terminal import Terminal
 
     loaded = _load(experiment, seed, duration, [*(settings or ()), NO_CAMERA], faults)
-    console = Terminal()
+    console = Console(file=background(sys.stdout))
     fleet, water = run.prepared(loaded)
     folder = new_run_folder(out, loaded.name)
     console.print(f"{loaded.title or loaded.name}: {loaded.duration_s:g} s, seed {loaded.seed}, into {folder}", soft_wrap=True)
@@ -191,7 +199,7 @@ def campaign(
     resume: Annotated[bool, typer.Option("--resume", help="Go on with what an earlier run left.")] = False,
     workers: Annotated[int | None, typer.Option(min=1, help="Processes; default: one for each core.")] = None,
     scheduler: Annotated[
-        str | None, typer.Option(metavar="ADDRESS", help="Fly on this Dask cluster, e.g. tcp://10.0.0.1:8786.")
+        str | None, typer.Option(metavar="ADDRESS", help="Fly on this Dask cluster, e.g. tcp://192.0.2.10:8786.")
     ] = None,
 ) -> None:
     """Fly an experiment many times, keys swept or drawn, on all cores or on a cluster; write Parquet and a report.
@@ -200,18 +208,25 @@ def campaign(
 
     Exit code 0 if every flight was flown, well or badly; 1 if one was refused or failed.
 
-    Examples:  sim-bridge campaign errors.toml       sim-bridge campaign errors.toml --resume --scheduler tcp://10.0.0.1:8786
+    Examples:  sim-bridge campaign errors.toml       sim-bridge campaign errors.toml --resume --scheduler tcp://192.0.2.10:8786
     """
+    from rich.console import Console
+
     from sim_bridge.studies import campaign_runner
     from sim_bridge.studies.campaign import Campaign
-    from wire.process.terminal import Terminal
     from wire.toml_loader import check, read_toml
 
     loaded = check(Campaign, {**read_toml(file), **({"camera": True} if camera else {})}, str(file))
     folder = out or Path("runs") / f"campaign-{loaded.name}"
     raise typer.Exit(
         campaign_runner.run(
-            loaded, folder, workers=workers, scheduler=scheduler, resume=resume, stop=Stop(), console=Terminal()
+            loaded,
+            folder,
+            workers=workers,
+            scheduler=scheduler,
+            resume=resume,
+            stop=Stop(),
+            console=Console(file=background(sys.stdout)),
         )
     )
 
@@ -222,7 +237,7 @@ def _with_one_thread() -> None:
     from sim_bridge.sil.processes import ONE_THREAD
 
     if not ONE_THREAD.items() <= os.environ.items():
-        os.execve(sys.executable, [sys.executable, "-m", "sim_bridge", *sys.argv[1:]], {**os.environ, **ONE_THREAD})
+        os.execve(sys.executable, programs.command("sim_bridge", sys.argv[1:]), programs.environment(ONE_THREAD))
 
 
 def _load(
@@ -250,13 +265,14 @@ def _go_on(
     experiment: str | None, source: Path, at_s: float, changes: list[str], faults: list[str] | None, out: Path
 ) -> NoReturn:
     """Run `sil --from`."""
+    from rich.console import Console
+
     from sim_bridge.in_process import resume, run
-    from wire.process.terminal import Terminal
 
     if experiment is not None:
         raise typer.BadParameter(f"{experiment!r}: with --from, the run says what is flown (change it with --set)")
     loaded = _cautioned(resume.load_changed(source, changes, faults or ()))
     fleet, water = resume.prepared(loaded, source, at_s)
-    folder, console = new_run_folder(out, f"{loaded.name}-from-{at_s:g}"), Terminal()
+    folder, console = new_run_folder(out, f"{loaded.name}-from-{at_s:g}"), Console(file=background(sys.stdout))
     console.print(f"{loaded.title or loaded.name}: from {at_s:g} s of {source} on, into {folder}", soft_wrap=True)
     raise typer.Exit(run.run(fleet, water, folder, stop=Stop(), console=console))

@@ -74,7 +74,9 @@ class Part:
         self.ended = False
         self._steps: Generator[None, None, Any] | None = None
         stream = closing.enter_context((log_dir / f"{name}.log").open("w", encoding="utf-8"))
-        log.addHandler(log_handler(name, stream))
+        handler = log_handler(name, stream)
+        closing.callback(handler.close)
+        log.addHandler(handler)
         self.bus = closing.enter_context(Bus(_PartTransport(hub, self), decode=decode))
 
     @contextmanager

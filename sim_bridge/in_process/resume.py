@@ -19,7 +19,7 @@ from robot_agent.inputs import StampedPlan
 from robot_agent.rerun import Logged, Rerun
 from sim_bridge import fault_schedule
 from sim_bridge.in_process.fleet import NS, AgentFleet, DirectPlant
-from sim_bridge.in_process.run import STATION
+from wire import programs
 from wire.config.experiment import Experiment, load_experiment
 from wire.frames import Array
 from wire.messages import topics
@@ -146,8 +146,8 @@ def prepared(experiment: Experiment, source: Path, at_s: float) -> tuple[AgentFl
 
 
 def _read_history(experiment: Experiment, source: Path, at_s: float, robot: int) -> RobotHistory:
-    command = [*STATION, "moment", str(source), "--at", str(at_s), "--robot", str(robot)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as telling:
+    words = ["moment", str(source), "--at", str(at_s), "--robot", str(robot)]
+    with programs.start("groundstation", words, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as telling:
         assert telling.stdout is not None and telling.stderr is not None
         lines = list(read_pipe(telling.stdout))
         said = telling.stderr.read().decode(errors="replace").strip()

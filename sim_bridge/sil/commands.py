@@ -81,6 +81,7 @@ def check(experiment: Experiment, options: RunOptions) -> None:
     if options.one_process:
         _check_one_process(options)
     if options.lockstep:
+        _ = experiment.plant_steps  # raises where they do not keep step
         fault_schedule.require_kinds(
             experiment,
             tuple(kind for kind in KINDS if kind not in OF_PROCESSES),
@@ -133,7 +134,7 @@ def programs(
     common = [str(run_dir / "experiment.toml"), *(["--lockstep"] if options.lockstep else [])]
     common += ["--keys", str(options.keys)] if options.keys is not None else []
     client = ["run", *common, "--station", address]
-    station = ["run", *common, "--run-dir", str(run_dir), "--listen", address]
+    station = ["run", *common, "--run-dir", str(run_dir), "--no-report", "--listen", address]  # the launcher writes it
     station += ["--no-web"] if options.page is None else ["--web", options.page]
     station += [] if options.manual else ["--auto", "--give-up", f"{GIVE_UP_S:g}"]
     pool = ["pool", *client[1:], "--ports", str(ports), *(["--poses"] if options.poses else [])]

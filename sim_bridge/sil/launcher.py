@@ -12,7 +12,6 @@ import shutil
 import signal
 import socket
 import subprocess
-import sys
 import tempfile
 import time
 from pathlib import Path
@@ -20,16 +19,18 @@ from pathlib import Path
 from rich.console import Console
 
 from sim_bridge import fault_schedule
-from sim_bridge.sil.commands import Program, RunOptions, programs, time_in_words
+from sim_bridge.sil import commands
+from sim_bridge.sil.commands import Program, RunOptions, time_in_words
 from sim_bridge.sil.fault_injector import ProcessFaultInjector
 from sim_bridge.sil.monitor import Monitor
 from sim_bridge.sil.ports import free_base_port, free_port
 from sim_bridge.sil.processes import Child, Children
+from wire import programs
 from wire.config.experiment import Experiment, dump_experiment
 from wire.config.fault_injection import KINDS
 from wire.mavlink.signing_key import new_key
 from wire.messages.topics import Role, process_name
-from wire.process.output_files import PAGE_OPEN
+from wire.process.output_files import PAGE_OPEN, replace_text
 from wire.process.runtime import Stop
 from wire.toml_loader import ConfigError
 from wire.transport import frame_ring
@@ -63,7 +64,9 @@ def run(experiment: Experiment, run_dir: Path, options: RunOptions, stop: Stop, 
     try:
         address, ports = f"tcp/127.0.0.1:{free_port()}", free_base_port(experiment.robot_ids)
         ring = None if options.poses else frame_ring.create(tuple(camera.size_px for camera in experiment.all_cameras))
-        started = programs(experiment.robot_ids, options, run_dir, address, ports, boards, ring, experiment.camera_names)
+        started = commands.programs(
+            experiment.robot_ids, options, run_dir, address, ports, boards, ring, experiment.camera_names
+        )
         console.print(
             f"station: {address} (groundstation stop, order, set, go, return and end find it)", soft_wrap=True, highlight=False
         )
@@ -91,6 +94,10 @@ def run(experiment: Experiment, run_dir: Path, options: RunOptions, stop: Stop, 
         children.stop()
         if secrets is not None:
             secrets.cleanup()
+    if stop.requested and not (run_dir / "run.mcap").exists():
+        shutil.rmtree(run_dir)
+        console.print("interrupted: nothing was flown, and no folder is left")
+        return 130
     if refused and not stop.requested:
         return nothing_flown(run_dir, console)
     code = conclude(run_dir, came_up, not mission_failed and not problems, stop, console)
@@ -100,7 +107,7 @@ def run(experiment: Experiment, run_dir: Path, options: RunOptions, stop: Stop, 
 def write_experiment(experiment: Experiment, run_dir: Path) -> None:
     """Begin a run's folder with the experiment's file."""
     run_dir.mkdir(parents=True, exist_ok=True)
-    (run_dir / "experiment.toml").write_text(dump_experiment(experiment), encoding="utf-8")
+    replace_text(run_dir / "experiment.toml", dump_experiment(experiment))
 
 
 def nothing_flown(run_dir: Path, console: Console) -> int:
@@ -116,8 +123,6 @@ def conclude(run_dir: Path, came_up: bool, succeeded: bool, stop: Stop, console:
     if stop.requested:
         console.print("interrupted: every process is stopped")
     passed = came_up and report(run_dir, console) and succeeded
-    if came_up:
-        console.print(f"report: {run_dir / 'report.html'}", soft_wrap=True)
     if stop.requested:
         return 130
     console.print(VERDICTS[verdict(run_dir, passed)] + ("" if passed else f" (what each process said: {run_dir / 'logs'})"))
@@ -135,13 +140,12 @@ def dry_run(experiment: Experiment, run_dir: Path, options: RunOptions, console:
     flown. The station's own dry run checks the plan."""
     address, ports = f"tcp/127.0.0.1:{free_port()}", free_base_port(experiment.robot_ids)
     keys = Path("LINK-KEYS") if options.signed else None
-    started = programs(experiment.robot_ids, options, run_dir, address, ports, keys, cameras=experiment.camera_names)
+    started = commands.programs(experiment.robot_ids, options, run_dir, address, ports, keys, cameras=experiment.camera_names)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "experiment.toml"
-        file.write_text(dump_experiment(experiment), encoding="utf-8")
+        replace_text(file, dump_experiment(experiment))
         arguments = [str(file) if part == str(run_dir / file.name) else part for part in started[0].arguments]
-        asked = [started[0].module, *arguments, "--dry-run"]
-        told = subprocess.run([sys.executable, "-m", *asked], capture_output=True, text=True, check=False)
+        told = programs.ask(started[0].module, [*arguments, "--dry-run"])
     if told.returncode != 0:
         raise ConfigError(told.stderr.strip().replace(f"{file}: ", ""))
     console.print(told.stdout.strip(), soft_wrap=True, highlight=False)
@@ -228,19 +232,18 @@ def _watch(
 
 
 def report(run_dir: Path, console: Console) -> bool:
-    """Have the station's command write the report, and print what it says. Returns True if the result passed."""
-    file = run_dir / "result.json"
-    before = _written(file)
-    writing = subprocess.run(
-        [sys.executable, "-m", "groundstation", "log", "report", str(run_dir)], capture_output=True, text=True, check=False
-    )
-    # 1: there is one, of a run that did not pass; but so ends a program with an error of its own
-    if writing.returncode not in (0, 1) or _written(file) == before:
+    """Have the station's command write the report, and print what it says. Returns True if the result in its file passed: a
+    program that was cut off while it printed has written its files."""
+    result, page = run_dir / "result.json", run_dir / "report.html"
+    before = _written(result), _written(page)
+    writing = programs.ask("groundstation", ["log", "report", str(run_dir)])
+    if _written(result) == before[0] or _written(page) == before[1]:
         print_error(console, f"no report: {writing.stderr.strip() or writing.stdout.strip()}")
         return False
-    told = writing.stdout.strip().splitlines()
-    console.print("\n".join(told[:-1]), markup=False, highlight=False, soft_wrap=True)  # the last names the report
-    return writing.returncode == 0
+    told = [line for line in writing.stdout.strip().splitlines() if not line.startswith("report: ")]
+    console.print("\n".join(told), markup=False, highlight=False, soft_wrap=True)
+    console.print(f"report: {page}", soft_wrap=True)
+    return bool(json.loads(result.read_text(encoding="utf-8"))["passed"])
 
 
 def _written(file: Path) -> tuple[int, int] | None:

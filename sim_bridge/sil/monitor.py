@@ -1,6 +1,7 @@
 """SHELL: the terminal's view of a run: a table of the robots, a progress bar, or lines for a log."""
 
 import math
+import textwrap
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -22,6 +23,7 @@ from wire.transport.bus import Bus, Received
 
 SAY_EVERY_S = 5.0  # s between lines of text, without a terminal to draw in
 MISSION_LINE = "mission: "  # begins the station's line about its state
+REASON_CHARS = 300  # of a reason: twenty robots may have one each, and the page has them all
 FEW = 6  # robots that one line can name
 SILENT_S = 3.0  # s of the fleet's time without a state after which a robot is silent
 WAITS = frozenset({"WAITING", "PAUSED", "STOPPED", "ABORTING", "FAILED"})  # states whose reason a person wants to read
@@ -80,7 +82,7 @@ class Monitor:
     @property
     def reason(self) -> str:
         """The reason for which the mission does not go on; empty if it does."""
-        return self._reason if self.mission in WAITS else ""
+        return textwrap.shorten(self._reason, REASON_CHARS, placeholder=" ...") if self.mission in WAITS else ""
 
     def _event(self, topic: Topic, key: str, header: Header, payload: bytes) -> None:
         """Keep the reason from the station's line `mission: STATE: REASON`."""

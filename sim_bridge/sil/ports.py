@@ -1,5 +1,6 @@
 """SHELL: free ports of this machine, for programs that are about to be started."""
 
+import errno
 import os
 import random
 import socket
@@ -28,11 +29,13 @@ def page_address(wanted: str) -> str:
     host, _, port = wanted.rpartition(":")
     if not host or not port.isdecimal() or not 0 < int(port) < 65536:
         raise ConfigError(f"--web {wanted!r}: must be HOST:PORT, for example 127.0.0.1:8000")
-    with socket.socket() as probe:
+    with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET) as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
-            probe.bind((host, int(port)))
-        except OSError:
+            probe.bind((host.strip("[]"), int(port)))
+        except OSError as error:
+            if error.errno != errno.EADDRINUSE:
+                raise ConfigError(f"--web {wanted}: {error.strerror or error}") from None
             return f"{host}:{free_port()}"
     return wanted
 

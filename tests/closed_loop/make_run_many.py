@@ -51,9 +51,8 @@ def fly(browser: Browser, duration_s: float, options: list[str]) -> WatchedRun:
             shown = watch(browser, port, run)
             code = run.wait()
         lines = (Path(out) / "said").read_text(encoding="utf-8").splitlines()
-        (result,) = list(Path(out).glob("*/result.json")) or [None]
-        pace = json.loads(result.read_text(encoding="utf-8"))["real_time_factor"] if result is not None else None
-    return WatchedRun(code == 0, shown, time.monotonic() - began_s, pace or 0.0, lines[-1] if lines else "")
+        paces = [json.loads(file.read_text(encoding="utf-8"))["real_time_factor"] for file in Path(out).glob("*/result.json")]
+    return WatchedRun(code == 0, shown, time.monotonic() - began_s, (paces and paces[0]) or 0.0, lines[-1] if lines else "")
 
 
 def watch(browser: Browser, port: int, run: subprocess.Popen[bytes]) -> bool:

@@ -2,6 +2,7 @@
 
 import itertools
 import json
+import os
 import re
 import statistics
 import subprocess
@@ -19,6 +20,7 @@ from mcap.reader import make_reader
 from sim_bridge.in_process.executor import Executor, Part
 from tests import compare_pulses
 from tests.closed_loop.slow_network import COMPARED, OnLocalized
+from tests.planted import executed, installed, plant
 from wire.config.experiment import NO_CAMERA, load_experiment
 from wire.messages import topics
 from wire.messages.codec import Header, decode
@@ -45,8 +47,11 @@ CAMERA_FAULTS = ("--fault", "t=0.3 for=0.8 camera west slow 0.12", "--fault", "t
 
 def sil(out: Path, *arguments: str) -> tuple[int, str, Path]:
     """Exit code, output and folder of a lockstep run."""
-    command = [sys.executable, "-m", "sim_bridge", "sil", *arguments, "--lockstep", "--no-web", "--out", str(out)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    command = [installed("sim-bridge"), "sil", *arguments, "--lockstep", "--no-web", "--out", str(out)]
+    around = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}  # it begins itself anew
+    planted = plant(out.with_name(f"{out.name}-planted"))
+    done = subprocess.run(command, cwd=planted, env=around, capture_output=True, text=True, check=False)
+    assert not executed(planted)
     folders = list(out.iterdir()) if out.exists() else []
     return done.returncode, done.stdout + done.stderr, folders[0] if folders else out
 

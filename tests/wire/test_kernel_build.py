@@ -36,6 +36,13 @@ print(*ensure_compiled(("robot_agent",)), "numba" in sys.modules)
 """
 
 
+LITTLE_MEMORY = """
+from wire import kernel_build
+kernel_build.free_memory_mb = lambda: 1.0
+kernel_build.ensure_compiled(("robot_agent",))
+"""
+
+
 @pytest.fixture
 def installation(tmp_path: Path) -> Path:
     """Folder of an installation whose kernels nobody has compiled."""
@@ -63,11 +70,11 @@ def _start(installation: Path, program: str = PROGRAM, user_cache: Path | None =
 
 
 def _run(installation: Path, program: str = PROGRAM, user_cache: Path | None = None) -> tuple[str, str]:
-    """Run a program to its good end. Returns its output and what it has said on stderr."""
+    """Run a program to its good end. Returns its output and its lines on stderr."""
     started = _start(installation, program, user_cache)
-    said, complaints = started.communicate(timeout=300)
+    output, complaints = started.communicate(timeout=300)
     assert started.returncode == 0, complaints
-    return said.strip(), complaints
+    return output.strip(), complaints
 
 
 def _files(installation: Path) -> list[Path]:
@@ -76,9 +83,9 @@ def _files(installation: Path) -> list[Path]:
 
 def test_programs_that_start_together_compile_once_and_the_next_one_nothing(installation: Path) -> None:
     together = [_start(installation) for _ in range(3)]
-    outputs = [program.communicate(timeout=300) for program in together]
-    assert [said.strip() for said, _ in outputs] == [RIGHT] * 3
-    assert "".join(complaints for _, complaints in outputs).count("5 kernels compiled in") == 1
+    results = [program.communicate(timeout=300) for program in together]
+    assert [output.strip() for output, _ in results] == [RIGHT] * 3
+    assert "".join(complaints for _, complaints in results).count("5 kernels compiled in") == 1
     assert _run(installation) == (RIGHT, "")
     # the next program is told at once, without the compiler
     assert _run(installation, ENSURE)[0] == "0 True False"
@@ -87,8 +94,8 @@ def test_programs_that_start_together_compile_once_and_the_next_one_nothing(inst
 def test_changed_constant_of_another_module_is_noticed(installation: Path) -> None:
     assert _run(installation, ENSURE)[0] == "5 True False"
     (installation / "robot_agent" / "numbers.py").write_text("FACTOR = 10.0\n", encoding="utf-8")
-    said, complaints = _run(installation)
-    assert said == "20.0 40.0 60.0 80.0 100.0"
+    output, complaints = _run(installation)
+    assert output == "20.0 40.0 60.0 80.0 100.0"
     assert "5 kernels compiled in" in complaints
 
 
@@ -105,8 +112,8 @@ def test_damaged_files_count_as_missing(installation: Path) -> None:
     ]
     for file, content in zip(files, damaged, strict=False):
         file.write_bytes(content)
-    said, complaints = _run(installation)
-    assert said == RIGHT
+    output, complaints = _run(installation)
+    assert output == RIGHT
     assert complaints.count("is damaged: that kernel is compiled again") == 4
     assert "4 kernels compiled in" in complaints
     files[4].unlink()
@@ -117,8 +124,8 @@ def test_whole_file_that_cannot_be_loaded_counts_as_missing(installation: Path) 
     _run(installation, ENSURE)
     write = "from wire import kernel_cache; import sys; kernel_cache.write('{}', b'of another compiler')"
     _run(installation, write.format(_files(installation)[0].name))
-    said, complaints = _run(installation)
-    assert said == RIGHT
+    output, complaints = _run(installation)
+    assert output == RIGHT
     assert "cannot be loaded" in complaints
 
 
@@ -132,10 +139,19 @@ def test_installation_that_cannot_be_written_uses_the_users_cache(installation: 
 def test_without_a_folder_every_start_compiles_and_the_log_says_so_once(installation: Path) -> None:
     (installation / "wire" / "__pycache__").touch()
     for _ in range(2):
-        said, complaints = _run(installation, user_cache=Path("/proc/none"))
-        assert said == RIGHT
+        output, complaints = _run(installation, user_cache=Path("/proc/none"))
+        assert output == RIGHT
         assert complaints.count("no folder to keep compiled kernels in") == 1
     assert not _files(installation)
+
+
+def test_with_little_memory_each_module_has_a_process_of_its_own(installation: Path) -> None:
+    text = "from robot_agent.small import a, b\nfrom wire.kernels import kernel\n"
+    text += KERNEL.format(name="later", place=6).replace("FACTOR", "1.0")
+    (installation / "robot_agent" / "another.py").write_text(text, encoding="utf-8")
+    assert "6 kernels compiled in" in _run(installation, LITTLE_MEMORY)[1]
+    progress = next(installation.rglob("lock")).read_text(encoding="utf-8")
+    assert progress == "6 of 6 kernels compiled, about 0 s left, only this time"
 
 
 def test_next_program_takes_over_from_one_that_is_killed(installation: Path) -> None:

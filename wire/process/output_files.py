@@ -94,6 +94,27 @@ def replace_text(path: Path, text: str) -> None:
         file.write(text.encode())
 
 
+def keep_old(path: Path) -> Path:
+    """Copy a file to one beside it with the time in its name, which was not there. Returns that. Raises OSError."""
+    stem, old = f"{path.name}.{time.strftime('%Y%m%d-%H%M%S')}", path.read_bytes()
+    for suffix in ["", *(f"-{i}" for i in range(2, 1000))]:
+        copy = path.with_name(stem + suffix)
+        try:
+            file = copy.open("xb")
+        except FileExistsError:
+            continue
+        try:
+            with file:
+                file.write(old)
+                file.flush()
+                os.fsync(file.fileno())
+        except OSError as error:
+            copy.unlink(missing_ok=True)
+            raise OSError(error.errno, error.strerror, str(copy)) from None
+        return copy
+    raise RuntimeError(f"cannot keep {path} as {stem}")
+
+
 def _same(path: Path, other: Path) -> bool:
     """True if both are one file, by whatever names and links."""
     try:

@@ -96,10 +96,9 @@ def test_a_stop_after_the_end_of_the_path_is_no_cause(tmp_path: Path) -> None:
     shown = run_end(tmp_path)
     assert shown is not None
     assert shown["figures"]["heads"] == ["RMS, whole run", "the article's"]  # it is over before 20 s
-    assert shown["figures"]["rows"][0] == {
-        "name": "robot 1",
-        "cells": [[mm(v) for v in result.robots["1"].rms_m[:2]], ["70.0", "110"]],
-    }
+    rms_m = result.robots["1"].rms_m
+    assert rms_m is not None
+    assert shown["figures"]["rows"][0] == {"name": "robot 1", "cells": [[mm(v) for v in rms_m[:2]], ["70.0", "110"]]}
     assert {one["met"] for one in shown["requirements"]} == {"yes"}
     (tmp_path / "result.json").write_text('{"verdict": "passed"}')  # of another version
     assert run_end(tmp_path) is None

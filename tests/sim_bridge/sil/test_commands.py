@@ -6,7 +6,9 @@ from typing import Any
 
 import pytest
 from rich.console import Console
+from typer.testing import CliRunner
 
+from sim_bridge.__main__ import cli
 from sim_bridge.sil import launcher
 from sim_bridge.sil.commands import RunOptions, check, pace_of, programs
 from wire.config.experiment import load_experiment
@@ -57,6 +59,13 @@ def test_the_wall_clock_excludes_what_stops_it(option: str) -> None:
         pace_of(real_time=True, **given)
 
 
+def test_a_step_of_the_plant_that_does_not_go_into_the_control_period_is_refused_in_lockstep() -> None:
+    experiment = load_experiment("pool", ["sim.plant.step_s=0.02"])
+    check(experiment, RunOptions())
+    with pytest.raises(ConfigError, match=r"sim\.plant\.step_s = 0\.02: must go into controller\.period_s = 0\.05"):
+        check(experiment, RunOptions(lockstep=True))
+
+
 def test_a_run_goes_in_real_time_at_most_unless_its_options_say_otherwise() -> None:
     assert pace_of(lockstep=False, real_time=False, one_process=False, pace=None) == 1.0
     assert pace_of(lockstep=True, real_time=False, one_process=False, pace=None) is None
@@ -73,18 +82,33 @@ def test_simulator_and_localizer_alone_are_handed_the_ring_of_frames(tmp_path: P
     assert not any(program.inherits or "--frame-ring" in program.arguments for program in without)
 
 
+BROKEN_REPORT = """
+from groundstation.report import report
+def broken(*_):
+    raise MemoryError("on purpose")
+report.write_report = broken
+"""
+
+
 @pytest.mark.parametrize("earlier", [None, '{"passed": true}'])
 def test_a_report_that_ends_with_an_error_is_none(
     earlier: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A Python program that raises ends with 1, as the report of a run that did not pass does. What was there before is no
     result of this run."""
-    (tmp_path / "groundstation").mkdir()
-    (tmp_path / "groundstation" / "__init__.py").touch()
-    (tmp_path / "groundstation" / "__main__.py").write_text("raise MemoryError('on purpose')")
-    monkeypatch.chdir(tmp_path)  # where `python -m` looks first
+    (tmp_path / "sitecustomize.py").write_text(BROKEN_REPORT)  # Python reads it in each process
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     if earlier is not None:
         (tmp_path / "result.json").write_text(earlier)
     told = Console(record=True, width=500, file=io.StringIO())
     assert not launcher.report(tmp_path, told)
     assert "no report: Traceback" in (text := told.export_text()) and "MemoryError: on purpose" in text
+
+
+def test_a_key_ring_of_the_environment_does_not_keep_one_process_from_flying(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SHOAL_KEYS", "keys")
+    words = ["sil", "pool", "--lockstep", "--one-process", "--no-web", "--dry-run"]
+    done = CliRunner().invoke(cli, words)
+    assert done.exit_code == 0, done.output
+    named = CliRunner().invoke(cli, [*words, "--keys", "keys"])
+    assert isinstance(named.exception, ConfigError) and "--keys: with --one-process" in str(named.exception)
