@@ -13,7 +13,6 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
-from pymavlink.dialects.v20 import common as dialect
 from typer.testing import CliRunner, Result
 
 from groundstation.deploy import key_ring
@@ -26,8 +25,8 @@ from robot_agent.preflight.rehearsal import rehearse
 from robot_agent.preflight.thrusters import judge
 from sim_bridge.sil.ports import free_base_port, free_port
 from tests.robot_agent import obedient_board
+from tests.robot_agent.autopilot import Autopilot
 from wire.config.experiment import Experiment, load_experiment
-from wire.mavlink.framing import Sender
 from wire.messages import topics
 from wire.messages.messages import Mode, Solve, StationHeartbeat
 from wire.toml_loader import ConfigError
@@ -196,21 +195,6 @@ def test_a_rehearsal_that_does_not_fly_tells_no_time() -> None:
     assert (finding.what, finding.verdict) == ("control step", CheckVerdict.WARN)
     assert "not timed" in finding.detail and "LOAD is refused: trajectory.eta leaves the pool" in finding.detail
     assert "p50" not in finding.detail
-
-
-class Autopilot(obedient_board.Board):
-    """An autopilot where the board belongs. It reports no depth that can be true."""
-
-    def __init__(self, system: int) -> None:
-        super().__init__()
-        self._sender = Sender((system, 1))
-        self.sent = bytearray()
-
-    def send(self, data: bytes) -> None:
-        self.sent += data
-
-    def read(self) -> bytes:
-        return self._sender.pack(dialect.MAVLink_heartbeat_message(12, dialect.MAV_AUTOPILOT_ARDUPILOTMEGA, 81, 19, 3, 3))
 
 
 @pytest.mark.parametrize(
