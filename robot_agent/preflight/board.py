@@ -132,7 +132,7 @@ def _others(seen: Telemetry, robot: int) -> str:
         return "it speaks, but tells no depth that can be true"
     if seen.foreign_peer is not None:
         system, component = seen.foreign_peer
-        return f"what comes is not of this robot's board, system {robot} component 1, but of system {system} component {component}"
+        return f"what comes is not of this robot's board (system {robot}, component 1), but of {system}, {component}"
     return "what comes is no frame of a thruster board" if seen.foreign_frames else ""
 
 

@@ -201,7 +201,7 @@ def test_a_rehearsal_that_does_not_fly_tells_no_time() -> None:
     ("system", "says"),
     [
         (1, "udp:127.0.0.1:9: autopilot 3 (ARDUPILOTMEGA), no thruster board: it takes pulses for a pilot's sticks"),
-        (2, "what comes is not of this robot's board, system 1 component 1, but of system 2 component 1"),
+        (2, "what comes is not of this robot's board (system 1, component 1), but of 2, 1"),
     ],
 )
 def test_an_autopilot_and_another_robots_board_fail_by_name(system: int, says: str, monkeypatch: pytest.MonkeyPatch) -> None:
