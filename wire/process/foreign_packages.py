@@ -17,8 +17,13 @@ def foreign_package(error: BaseException) -> str:
     files = {name: getattr(module, "__file__", None) for name, module in sorted(sys.modules.items())}
     files |= {str(module.get("__name__")): module.get("__file__") for module in failed}
     for name, file in files.items():
-        if file is None or "." in name or not any(Path(file).resolve().is_relative_to(folder) for folder in folders):
+        if file is None or "." in name or _is_in(file, own) or not _is_in(file, folders):
             continue
         if any((folder / name).is_dir() or any(folder.glob(f"{name}.*")) for folder in own):
             return f"PYTHONPATH={variable}: puts {file} before this program's own {name} (remedy: env -u PYTHONPATH ...)"
     return ""
+
+
+def _is_in(file: str, folders: list[Path]) -> bool:
+    """True if a file lies in one of the folders, or below it."""
+    return any(Path(file).resolve().is_relative_to(folder) for folder in folders)

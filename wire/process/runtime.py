@@ -247,6 +247,8 @@ def run_app(app: Callable[[], None]) -> None:
         _end(f"{error.filename2 or error.filename or 'a file that was being written'}: {error.strerror}", 2)
     except (Unreached, Failed) as error:
         _end(error, 1)
+    except ModuleNotFoundError:  # a role that was not installed: optional_packages.py says so
+        raise
     except Exception as error:
         foreign = foreign_package(error)
         if not foreign:
