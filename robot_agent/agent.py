@@ -100,9 +100,9 @@ class Agent:
     # --- orders
 
     def prepare(self, command: Command) -> Prepared:
-        """Do the slow part of a command (building solvers for TUNE) beforehand. It may run beside a step; `handle_command` may
-        not."""
-        return self._tuning.prepare(command)
+        """Do the slow part of a command (solvers for TUNE, the check of a LOAD's trajectory) beforehand. It may run beside a
+        step; `handle_command` may not."""
+        return self._clock.flaw(command) or self._tuning.prepare(command)
 
     def handle_command(
         self, header: Header, command: Command, station: StationView, now_ns: int, prepared: Prepared | None = None
@@ -128,7 +128,8 @@ class Agent:
     ) -> str:
         """Return the reason to refuse a command whose mode and origin are right; empty if there is none."""
         eta = self._last.eta if self._last is not None and self._last.estimated else None
-        reason = self._clock.objection(command, self.mode is Mode.TRACKING, station, begin_ns, now_ns, eta)
+        flaw = prepared if isinstance(prepared, str) else ""
+        reason = self._clock.objection(command, self.mode is Mode.TRACKING, station, begin_ns, now_ns, eta, flaw)
         if reason:
             return reason
         if command.order is Order.ARM:

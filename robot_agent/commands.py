@@ -11,6 +11,7 @@ import typer
 from robot_agent.host.config import DEFAULT_LINK, load_agent_config, merge_config, template
 from robot_agent.preflight.findings import CheckFinding, CheckVerdict, exit_code, to_json
 from wire.config.experiment import Experiment, load_experiment
+from wire.config.scene import LARGEST_ROBOT
 from wire.process.cli_options import DEFAULT_FLEET, FleetName
 from wire.process.output_files import check_output, replace_text
 from wire.process.runtime import start_log
@@ -26,7 +27,7 @@ CAREFUL = "Each thruster will turn, and each ankle. Is the robot free, and is no
 
 
 def init(
-    robot: Annotated[int, typer.Option(min=1, max=999, help="Which robot of the experiment this is.")],
+    robot: Annotated[int, typer.Option(min=1, max=LARGEST_ROBOT, help="Which robot of the experiment this is.")],
     station: Annotated[str, typer.Option(metavar="ENDPOINT", help="Where the station's router listens.")],
     experiment: Annotated[
         str, typer.Option(help="What is flown: a shipped experiment, or a path, relative to the file.")

@@ -143,14 +143,20 @@ class AgentNode:
         self._leaving = True
         before, until_s = self._mavlink.telemetry.acknowledgements, time.monotonic() + LEAVE_S
         told, disarmed = 0, False
-        while told < LEAVE_TIMES or (not disarmed and time.monotonic() < until_s):
+        while not self._mavlink.telemetry.autopilot_name and (
+            told < LEAVE_TIMES or (not disarmed and time.monotonic() < until_s)
+        ):
             self._link.send(self._mavlink.arm(False))
-            self._link.send(self._mavlink.pulses(self.agent.neutral_us))
+            if self._mavlink.telemetry.is_thruster_board:
+                self._link.send(self._mavlink.pulses(self.agent.neutral_us))
             told += 1
             self._link.wait(LEAVE_AGAIN_S)
             self._mavlink.receive(self._link.read(), self.clock.now_ns())
             seen = self._mavlink.telemetry
             disarmed = seen.acknowledgements > before and seen.acknowledged == DISARMED and not seen.armed
+        if self._mavlink.telemetry.autopilot_name:
+            log.log(level, "%s; %s is on the link: nothing is sent to it", why, self._mavlink.telemetry.autopilot_name)
+            return
         log.log(
             level if disarmed else max(level, logging.WARNING),
             "%s; neutral and disarm sent to the thruster board, %s", why,
@@ -168,7 +174,8 @@ class AgentNode:
 
     def _tell_of_link(self) -> None:
         """Log why nothing gets through to the board (no device, or a device in use), once per change."""
-        trouble = self._link.trouble
+        autopilot = self._mavlink.telemetry.autopilot_name
+        trouble = f"{autopilot} is on the link; nothing is sent to it" if autopilot else self._link.trouble
         if trouble and trouble != self._trouble:
             log.warning("thruster board: %s", trouble)
         self._trouble = trouble
@@ -335,14 +342,16 @@ class AgentNode:
     def write(self, outputs: Outputs, now_ns: int, due_ns: int, started_ns: int) -> None:
         """Send pulses to the board first, then publish plan and state."""
         step_ns = time.perf_counter_ns() - started_ns
-        if outputs.arm is not None:
+        board = self._mavlink.telemetry
+        if outputs.arm is not None and (board.is_thruster_board or not (outputs.arm or board.autopilot_name)):
             self._link.send(self._mavlink.arm(outputs.arm))
         if now_ns * 1e-9 - self._link_heartbeat_s >= LINK_HEARTBEAT_S:
             self._link_heartbeat_s = now_ns * 1e-9
             self._tell_of_link()
             self._greet()
             self._tell_of_strangers()
-        self._link.send(self._mavlink.pulses(outputs.pulse_us))
+        if board.is_thruster_board:  # not before its first heartbeat: an autopilot would take pulses for a pilot's sticks
+            self._link.send(self._mavlink.pulses(outputs.pulse_us))
         sent_ns = time.perf_counter_ns() - started_ns
         if not self._lockstep:  # where time waits for the step, nothing is late
             self._pace.put_out((sent_ns + now_ns - due_ns) * 1e-9)

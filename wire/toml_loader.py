@@ -43,10 +43,11 @@ def os_errors_as_config_errors(path: Path) -> Iterator[None]:
 
 def read_toml(path: Path) -> dict[str, Any]:
     """Parse a TOML file. Raises ConfigError naming the file, and the line where it stops being TOML; also for one that is
-    larger, or has longer keys, than any of ours: it may take all memory."""
+    larger, or has longer keys, than any of ours: it may take all memory. A byte order mark, as some editors write it, is
+    skipped."""
     try:
         data = read_regular(path, MOST_BYTES)
-        return _parsed(data.decode("utf-8").replace("\r\n", "\n"))
+        return _parsed(data.decode("utf-8-sig").replace("\r\n", "\n"))
     except FileNotFoundError:
         raise ConfigError(f"{path}: no such file") from None
     except OSError as error:

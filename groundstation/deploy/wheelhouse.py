@@ -15,15 +15,14 @@ from wire import programs
 from wire.process.version import PACKAGES
 from wire.toml_loader import ConfigError
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[2]  # of this program: its checkout (`pip install -e`), or the folder that it is installed in
+PINS, PROJECT = "constraints.txt", "pyproject.toml"
 _TURN = threading.Lock()  # several boards are brought up to date at once: what one has made serves the others
 
 
 def wheels(probe: Probe) -> Path:
     """A folder with the wheels for such a board. Raises ConfigError where they cannot be had."""
-    if not (ROOT / "constraints.txt").is_file():
-        raise ConfigError(f"{ROOT}: no constraints.txt there; run this from a checkout, or give --wheelhouse FOLDER")
-    key = f"{probe.machine}-{probe.python}-{_source_digest()}"
+    key = f"{probe.machine}-{probe.python}-{_source_digest(checkout())}"
     folder = _cache() / key
     with _TURN:
         if not folder.is_dir():
@@ -35,11 +34,37 @@ def wheels(probe: Probe) -> Path:
     return folder
 
 
-def _source_digest() -> str:
-    files = [ROOT / "pyproject.toml", ROOT / "constraints.txt"]
+def checkout() -> Path:
+    """The checkout that this program runs from, else the one that holds the working folder. Raises ConfigError if there is
+    none, and for a checkout of other sources than this program's: a board must not get another version."""
+    here = Path.cwd()
+    found = next((folder for folder in (ROOT, here, *here.parents) if _is_checkout(folder)), None)
+    if found is None:
+        raise ConfigError(f"{here}: in no checkout (no {PINS} there or above); run this from one, or give --wheelhouse FOLDER")
+    if found != ROOT and not _has_this_code(found):
+        raise ConfigError(
+            f"{found}: holds other sources than this program runs ({ROOT}); install that checkout "
+            f"(pip install -c {PINS} '.[station]'), or give --wheelhouse FOLDER"
+        )
+    return found
+
+
+def _is_checkout(folder: Path) -> bool:
+    return (folder / PINS).is_file() and (folder / PROJECT).is_file() and all((folder / name).is_dir() for name in PACKAGES)
+
+
+def _has_this_code(folder: Path) -> bool:
+    """True if a checkout holds each module of this program as it is here."""
+    modules = (path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
+    pairs = ((path, folder / path.relative_to(ROOT)) for path in modules)
+    return all(there.is_file() and there.read_bytes() == path.read_bytes() for path, there in pairs)
+
+
+def _source_digest(root: Path) -> str:
+    files = [root / PROJECT, root / PINS]
     for package in PACKAGES:
-        files += [path for path in (ROOT / package).rglob("*") if path.is_file() and "__pycache__" not in path.parts]
-    return digest((str(path.relative_to(ROOT)), path.read_bytes()) for path in files if "node_modules" not in path.parts)
+        files += [path for path in (root / package).rglob("*") if path.is_file() and "__pycache__" not in path.parts]
+    return digest((str(path.relative_to(root)), path.read_bytes()) for path in files if "node_modules" not in path.parts)
 
 
 def _cache() -> Path:
@@ -47,11 +72,12 @@ def _cache() -> Path:
 
 
 def _build(probe: Probe, folder: Path) -> None:
+    root = checkout()
     with tempfile.TemporaryDirectory() as own:
-        _pip("wheel", "--no-deps", "--wheel-dir", own, str(ROOT))
+        _pip("wheel", "--no-deps", "--wheel-dir", own, str(root))
         built = next(Path(own).glob("shoal-*.whl"))
         where = [option for platform in probe.platforms for option in ("--platform", platform)]
-        constraints = ["--constraint", str(ROOT / "constraints.txt")]
+        constraints = ["--constraint", str(root / PINS)]
         python = ["--python-version", probe.python, "--implementation", "cp", "--only-binary=:all:"]
         _pip("download", "--dest", str(folder), *where, *python, *constraints, str(built))
         shutil.copy(built, folder)

@@ -87,10 +87,12 @@ def compare(robot: int, before: StepOutputs, after: StepOutputs, same_experiment
     was = [decode(RobotState, before.states[stamp], "log", "state") for stamp in stamps]
     would = [decode(RobotState, after.states[stamp], "rerun", "state") for stamp in stamps]
     time_s: Array = (np.array(stamps, dtype=np.int64) - _start_ns(stamps, was)).astype(np.float64) * 1e-9
+    lost = [stamp for stamp, state in zip(stamps, was, strict=True) if state.planned and stamp not in before.plans]
+    unlogged = [f"the plan of robot {robot} at {s:.2f} s is not in the log" for s in time_s[np.isin(stamps, lost)].tolist()]
     left_out = MEASURED if same_experiment else (*MEASURED, *NAMED_SO)
     names = [f.name for f in dataclasses.fields(RobotState) if f.name not in left_out]
     columns = {name: ([getattr(s, name) for s in was], [getattr(s, name) for s in would]) for name in names}
-    columns |= _plan_columns(before, after, stamps)
+    columns |= _plan_columns(before, after, stamps, frozenset(lost))
     differing, differences = np.zeros(len(stamps), dtype=bool), []
     for name, (old, new) in columns.items():
         differs = np.array([not _same(a, b) for a, b in zip(old, new, strict=True)], dtype=bool)
@@ -103,7 +105,7 @@ def compare(robot: int, before: StepOutputs, after: StepOutputs, same_experiment
         compared=len(stamps),
         differing=int(differing.sum()),
         differences=tuple(differences),
-        left_out=_gaps(after.gaps),
+        left_out=_gaps([*after.gaps, *unlogged]),
         time_s=time_s,
         before={name: _rows(columns[name][0]) for name in DRAWN},
         after={name: _rows(columns[name][1]) for name in DRAWN},
@@ -137,11 +139,13 @@ def _start_ns(stamps: Sequence[int], states: Sequence[RobotState]) -> int:
     return next(flown, min(stamps, default=0))
 
 
-def _plan_columns(before: StepOutputs, after: StepOutputs, stamps: Sequence[int]) -> dict[str, tuple[list[Any], list[Any]]]:
-    """The plans' fields at each step; None where there was no plan."""
+def _plan_columns(
+    before: StepOutputs, after: StepOutputs, stamps: Sequence[int], lost: frozenset[int]
+) -> dict[str, tuple[list[Any], list[Any]]]:
+    """The plans' fields at each step; None where there was no plan, or where the log has `lost` it: that is no difference."""
 
     def read(told: StepOutputs) -> list[Plan | None]:
-        found = (told.plans.get(stamp) for stamp in stamps)
+        found = (None if stamp in lost else told.plans.get(stamp) for stamp in stamps)
         return [None if payload is None else decode(Plan, payload, "log", "plan") for payload in found]
 
     old, new = read(before), read(after)

@@ -12,7 +12,7 @@ from wire.messages.live_gains import of_message, tuning
 from wire.messages.messages import Command, Order
 from wire.toml_loader import ConfigError
 
-Prepared = GainSet | str  # a set that can be flown, or why it cannot be
+Prepared = GainSet | str  # a set that can be flown, or why a command cannot be carried out; empty: nothing is against it
 
 
 @dataclass(frozen=True, eq=False)

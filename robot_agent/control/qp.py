@@ -172,8 +172,15 @@ class OsqpSolver:
 
     def _close(self, info: Any) -> bool:
         """True if solved, or out of iterations so near the solution that the plan is better than the last one. Residuals are
-        scaled and relative to the largest number: an error of 2 mm of slack is accepted where 0.2 m are needed."""
+        scaled and relative to the largest number: an error of 2 mm of slack is accepted where 0.2 m are needed.
+
+        The backend's own tolerance is relative to A x. Where an axis costs nothing, x grows to 1e9 and A x with it: then rows
+        that are violated by 1e5 are "solved". So no row may be violated by more than CLOSE of the largest bound."""
         status = info.status_val
+        bounds = np.abs(np.concatenate([self._low, self._high]))
+        largest_bound = max(1.0, float(bounds[bounds < NO_BOUND].max(initial=0.0)))
+        if info.prim_res > CLOSE * largest_bound:
+            return False
         if status in SOLVED:
             return True
         size = max(1.0, float(np.abs(self._solution.x).max()))

@@ -53,7 +53,7 @@ def sample_trajectory(
 @dataclass(frozen=True, eq=False)
 class Follow:
     """Goal: fly a trajectory. `time_s` is the time along it now (before its beginning the robot waits at its first pose), and
-    `rate` its speed: 1 as planned, 0 while the formation waits."""
+    `rate` its speed: 1 as planned, 0 while the formation waits, above 1 while it catches up."""
 
     trajectory: Trajectory
     time_s: float

@@ -41,15 +41,27 @@ class TrajectoryClock:
         """Id of the trajectory; empty if there is none."""
         return self.trajectory.id if self.trajectory is not None else ""
 
+    def flaw(self, command: Command) -> str:
+        """Return the reason why a LOAD's trajectory cannot be flown; empty if it can. That takes as long as a control step for
+        each quarter of an hour of it, and depends on nothing that a step changes: it may run beside one."""
+        return unflyable(command.trajectory, self._pool, self._vehicle) if command.order is Order.LOAD else ""
+
     def objection(
-        self, command: Command, under_way: bool, station: StationView, begins_ns: int, now_ns: int, eta: Array | None
+        self,
+        command: Command,
+        under_way: bool,
+        station: StationView,
+        begins_ns: int,
+        now_ns: int,
+        eta: Array | None,
+        flaw: str | None = None,
     ) -> str:
         """Return the reason to refuse a command about trajectories; empty if there is none. START and RESUME take effect at
-        `begins_ns` on our clock; `eta` (4,) is the robot's estimate, None without one."""
+        `begins_ns` on our clock; `eta` (4,) is the robot's estimate, None without one; `flaw` is the result
+        of that method, None if it was not called."""
         if command.order is Order.LOAD:
-            return unflyable(command.trajectory, self._pool, self._vehicle) or (
-                self._unjoinable(command.trajectory) if under_way else ""
-            )
+            flaw = self.flaw(command) if flaw is None else flaw
+            return flaw or (self._unjoinable(command.trajectory) if under_way else "")
         if command.order is Order.SWITCH:
             if self._next is None or self._next.id != command.trajectory_id:
                 return f"trajectory {command.trajectory_id} is not loaded"
@@ -129,7 +141,7 @@ class TrajectoryClock:
         wanted_s, rate = self._told(station)
         before_s = wanted_s if self._lag_s is None else self._lag_s
         self._lag_s = min(max(wanted_s, before_s - FASTER * passed_s), before_s + passed_s)
-        self._rate = rate if self._lag_s == wanted_s else min(rate, 1.0 - (self._lag_s - before_s) / max(passed_s, 1e-3))
+        self._rate = rate if self._lag_s == wanted_s else 1.0 - (self._lag_s - before_s) / max(passed_s, 1e-3)
 
     @staticmethod
     def _told(station: StationView) -> tuple[float, float]:

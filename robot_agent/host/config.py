@@ -10,6 +10,7 @@ from typing import Annotated, Any, Self
 import tomli_w
 from pydantic import AfterValidator, Field, model_validator
 
+from wire.config.scene import LARGEST_ROBOT
 from wire.mavlink.board_port import Link, open_link
 from wire.mavlink.signing_key import Signing
 from wire.process.cli_options import DEFAULT_FLEET, DEFAULT_STATION, fleet_name
@@ -61,7 +62,7 @@ class RealtimeConfig(Section):
 class AgentConfig(Section):
     """The whole file."""
 
-    robot: Annotated[int, Field(ge=1, le=999)]
+    robot: Annotated[int, Field(ge=1, le=LARGEST_ROBOT)]
     experiment: str
     station: str
     fleet: Annotated[str, AfterValidator(fleet_name)] = DEFAULT_FLEET

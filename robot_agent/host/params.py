@@ -11,6 +11,7 @@ from typing import Annotated
 import typer
 
 from robot_agent.host.config import DEFAULT_LINK
+from wire.config.scene import LARGEST_ROBOT
 from wire.mavlink.board_port import Link, open_link
 from wire.mavlink.parameters import DOES_NOT_EXIST, LINK_ID, ParameterClient
 from wire.mavlink.signing_key import Signing
@@ -22,7 +23,9 @@ WITHIN_S = 5.0  # for an answer
 LARGEST = 3.4028234e38  # of single precision, which parameters have on the wire
 
 LinkAddress = Annotated[str, typer.Option("--link", help="The thruster board: udp:HOST:PORT or serial:DEVICE[:BAUD].")]
-WhichRobot = Annotated[int | None, typer.Option("--robot", help="Whose board; default: the one that is heard first.")]
+WhichRobot = Annotated[
+    int | None, typer.Option("--robot", min=1, max=LARGEST_ROBOT, help="Whose board; default: the one that is heard first.")
+]
 Name = Annotated[str, typer.Argument(metavar="NAME", help="The parameter's name, for example SLEW_US_S.")]
 
 cli = typer.Typer(help="The thruster board's parameters (docs/board.md). They change only while it is disarmed.")
@@ -67,8 +70,10 @@ def talk(link: str, robot: int | None, key: Path | None, insecure: bool) -> Iter
     wires = open_link(link, secured=signing is not None or insecure)
     try:
         session = ParameterSession(wires, client)
-        if not session.until(lambda: client.heard and client.robot_id is not None, lambda: b""):
+        if not session.until(lambda: client.autopilot is not None, lambda: b"") and not (client.heard and client.robot_id):
             raise ConfigError(f"--link {link}: {client.silence(wires.trouble)}")
+        if client.autopilot:
+            raise ConfigError(f"--link {link}: {client.autopilot} is there, no thruster board: its parameters are not changed")
         yield session
     finally:
         wires.close()

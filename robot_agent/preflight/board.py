@@ -25,6 +25,7 @@ from wire.toml_loader import ConfigError
 
 REHEARSED, WARM_UP = 400, 60  # control steps: 20 s of flight
 BOARD_WITHIN_S = 2.0
+HIGHEST_M = 0.05  # above the surface; a sensor's noise and drift in a session
 
 
 def run_preflight(
@@ -80,12 +81,19 @@ def _board(config: AgentConfig) -> Generator[CheckFinding, None, bool]:
     except ConfigError as error:
         yield CheckFinding("thruster board", CheckVerdict.FAIL, str(error))
         return False
+    if telemetry.autopilot_name:
+        why = f"{config.link}: {telemetry.autopilot_name}, no thruster board: it takes pulses for a pilot's sticks"
+        yield CheckFinding("thruster board", CheckVerdict.FAIL, why)
+        return False
     idle = telemetry.heartbeats > 0 and not telemetry.armed
     battery = f"{telemetry.battery_v:.1f} V" if telemetry.battery_reports else "no voltage told"
     armed = "disarmed" if idle else "ARMED: by whom?" if telemetry.armed else "does not say whether it is armed"
     simulated = ", in HIL mode: measurements are simulated" if telemetry.hil else ""
-    sound = idle and telemetry.battery_reports and not telemetry.hil
-    detail = f"heard; {battery}, depth {telemetry.depth_m:.2f} m, {armed}{simulated}"
+    is_zero_wrong = telemetry.depth_m < -HIGHEST_M
+    zero = ", above the surface: was it switched on under water? Restart it in air" if is_zero_wrong else ""
+    on = f"on for {telemetry.board_ms / 1000.0:.0f} s (its depth counts from where it was then)"
+    sound = idle and telemetry.battery_reports and not telemetry.hil and not is_zero_wrong
+    detail = f"heard; {battery}, depth {telemetry.depth_m:.2f} m{zero}, {on}, {armed}{simulated}"
     yield CheckFinding("thruster board", CheckVerdict.OK if sound else CheckVerdict.WARN, detail)
     return idle
 
@@ -100,19 +108,21 @@ def read_telemetry(config: AgentConfig) -> Telemetry:
             wires.send(mavlink.heartbeat())  # a board behind UDP learns from it where we are
             wires.wait(0.1)
             mavlink.receive(wires.read(), time.monotonic_ns())
+            if mavlink.telemetry.autopilot_name:
+                return mavlink.telemetry
             if mavlink.telemetry.board_ms >= 0:
                 heard = mavlink.telemetry
                 if heard.battery_reports and heard.heartbeats:
                     break
         if heard is None:
-            why = wires.trouble or _others(mavlink.telemetry)
+            why = wires.trouble or _others(mavlink.telemetry, config.robot)
             raise ConfigError(f"{config.link}: silent for {BOARD_WITHIN_S:g} s{why and '; '}{why}")
         return heard
     finally:
         wires.close()
 
 
-def _others(seen: Telemetry) -> str:
+def _others(seen: Telemetry, robot: int) -> str:
     """Text about the frames that came instead of the board's own; empty if there were none."""
     if seen.forged_frames:
         return "what comes is signed with another key, or there is no link_key"
@@ -120,7 +130,10 @@ def _others(seen: Telemetry) -> str:
         return "what comes is not signed (over a cable, `robot-agent params give-key FILE` gives the board a key)"
     if seen.echo_us:
         return "it speaks, but tells no depth that can be true"
-    return "what comes is not of this robot's board" if seen.foreign_frames else ""
+    if seen.foreign_peer is not None:
+        system, component = seen.foreign_peer
+        return f"what comes is not of this robot's board (system {robot}, component 1), but of {system}, {component}"
+    return "what comes is no frame of a thruster board" if seen.foreign_frames else ""
 
 
 def _computer() -> Iterator[CheckFinding]:

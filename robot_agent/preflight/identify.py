@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from robot_agent.host.params import ParameterSession, talk
+from robot_agent.host.params import ParameterSession, WhichRobot, talk
 from robot_agent.preflight.thrust_curve import ThrustFit, fit, read_rows
 from wire.config.vehicle import Thruster, load_vehicle
 from wire.mavlink.agent_link import STANDARD_GRAVITY_MPS2
@@ -29,7 +29,7 @@ def thrust(
     lever: Annotated[float, typer.Option(min=0.01, max=100.0, help="Thrust divided by the force on the scale.")] = 1.0,
     still_g: Annotated[float, typer.Option(min=0.0, max=1000.0, help="Readings up to this count as no thrust.")] = 3.0,
     link: Annotated[str | None, typer.Option("--link", help="Also write it to the thruster board at this address.")] = None,
-    robot: Annotated[int | None, typer.Option("--robot", help="Whose board; default: the one that is heard first.")] = None,
+    robot: WhichRobot = None,
     key: LinkKey = None,
     insecure: LinkInsecure = False,
 ) -> None:
@@ -40,7 +40,7 @@ def thrust(
     Example:  robot-agent identify thrust scale.csv --lever 0.5 --link serial:/dev/ttyACM0
     """
     with os_errors_as_config_errors(file):
-        lines = file.read_text(encoding="utf-8").splitlines()
+        lines = file.read_text(encoding="utf-8-sig").splitlines()
     readings = read_rows(lines, str(file), lever)
     like = load_vehicle(vehicle).thruster
     found = fit(readings, str(file), len(like.curve), still_g * 1e-3 * STANDARD_GRAVITY_MPS2 * lever)

@@ -45,7 +45,12 @@ def rehearse(experiment: Experiment, robot: int) -> Iterator[tuple[Agent, Inputs
         pose = Pose(x, y, yaw, np.diag(np.square(NOISE)), Track.MARKER, True, 0.9, DEPTH_M)
         station = StationView(STATION, now_ns, 0.0)
         telemetry = Telemetry(
-            board_ms=now_ns // 1_000_000, arrival_ns=now_ns, depth_m=told_m, armed=k >= ARM_AFTER, battery_v=full_v
+            board_ms=now_ns // 1_000_000,
+            arrival_ns=now_ns,
+            yaw_rate_radps=SPEED_MPS / RADIUS_M if k > ARM_AFTER else 0.0,
+            depth_m=told_m,
+            armed=k >= ARM_AFTER,
+            battery_v=full_v,
         )
         others = ((i, other) for i, other in enumerate(experiment.robot_ids) if other != robot)
         plans = {other: StampedPlan(_plan(experiment, i - me, flown), now_ns) for i, other in others}

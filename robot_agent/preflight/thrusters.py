@@ -24,6 +24,7 @@ from wire.mavlink.signing_key import agent_end
 TURN_S, REST_S = 0.6, 0.4  # long enough for a person to see which one it is
 ARM_WITHIN_S = 2.0
 ANKLE_DEG = 30  # degrees
+STRAYS = 2  # echoes in which another output moves: one may be wrong
 NOT_ARMED = "the board does not arm"
 THRUST_SHARE = 0.15  # of the largest thrust: turns, and tips nothing over
 
@@ -55,9 +56,11 @@ class _Bench:
         echoes: list[tuple[int, ...]] = []
         end_s = time.monotonic() + seconds
         while time.monotonic() < end_s:
-            if arm is not None:
-                self._link.send(self._mavlink.arm(arm))
-            self._link.send(self._mavlink.heartbeat() + self._mavlink.pulses(pulse_us))
+            self._link.send(self._mavlink.heartbeat())
+            if self._mavlink.telemetry.is_thruster_board:  # an autopilot would take pulses for a pilot's sticks
+                if arm is not None:
+                    self._link.send(self._mavlink.arm(arm))
+                self._link.send(self._mavlink.pulses(pulse_us))
             time.sleep(self._period_s)
             self._mavlink.receive(self._link.read(), time.monotonic_ns())
             echoes.append(self._mavlink.telemetry.echo_us)
@@ -136,7 +139,8 @@ def judge(channel: int, wanted: tuple[int, ...], echoes: list[tuple[int, ...]]) 
     nearest = min(full, key=lambda echo: abs(echo[channel] - wanted[channel]))
     if abs(nearest[channel] - wanted[channel]) > TOLERANCE_US:
         return CheckFinding(what, CheckVerdict.FAIL, f"told {wanted[channel]} us, put out {nearest[channel]} us")
-    others = [k for k in outputs if k != channel and abs(nearest[k] - wanted[k]) > TOLERANCE_US]
+    strayed = [sum(abs(echo[k] - wanted[k]) > TOLERANCE_US for echo in full) for k in outputs]
+    others = [k for k in outputs if k != channel and strayed[k] >= min(STRAYS, len(full))]
     if others:
         return CheckFinding(what, CheckVerdict.FAIL, f"{part(others[0])} moved as well")
     return CheckFinding(what, CheckVerdict.OK, f"{wanted[channel]} us, as the board says too")

@@ -1,19 +1,25 @@
 """Health of a robot: ages of its inputs and results of its checks, from which the mode is decided. Pure."""
 
+import cmath
+
 from robot_agent.control.controller import ControlOutput
 from robot_agent.inputs import Inputs, StationView
 from robot_agent.safety.modes import LIVE, POWERED, UNDER_WAY, Health
 from robot_agent.safety.output_check import OutputCheck
 from robot_agent.safety.path_deviation import PathDeviationMonitor
+from robot_agent.safety.sensor_checks import GyroscopeCheck, StuckSensorCheck
 from robot_agent.safety.thruster_fault_detection import ThrusterFaultDetector
 from robot_agent.vehicle.allocation import Allocator
 from robot_agent.vehicle.battery import BatteryMonitor
 from wire.config.experiment import Experiment
+from wire.mavlink.power_on_depth import PowerOnDepth
 from wire.messages.messages import Mode, Track
 
 ARM_AGAIN_S = 0.2  # how often the board is asked to arm, or later to disarm, when it has not done as told
 DISARM_S = 0.5  # so long after the power is taken away every step disarms, whatever the board says: frames get lost
 NEVER_S = float("inf")
+FOLLOWS_S = 1.0  # so far a driven robot is behind its reference (guidance/driving.py)
+RESTART_DEPTH_M = 0.05  # a board that restarted deeper has a wrong zero; noise and drift of a sensor are some cm at most
 DEPTH_SLACK_M = 0.3  # a pressure sensor that says more than this beyond the pool is wrong; the station warns from there on
 
 
@@ -25,6 +31,8 @@ class HealthMonitor:
         self._period_s = experiment.controller.period_s
         self._battery = BatteryMonitor(experiment.vehicle.battery)
         self._outputs, self._thrusters = OutputCheck(), ThrusterFaultDetector(experiment.vehicle)
+        self._gyroscope, self._pressure, self._power_on = GyroscopeCheck(), StuckSensorCheck(), PowerOnDepth()
+        self._uses_gyroscope = experiment.controller.estimator.use_imu_yaw_rate
         self._allocator, self._path = Allocator(experiment.vehicle), PathDeviationMonitor(experiment.safety.off_path_m)
         self._depth, self._pool = PathDeviationMonitor(experiment.safety.off_depth_m), experiment.pool
         self._output: ControlOutput | None = None  # of the last control step
@@ -33,6 +41,7 @@ class HealthMonitor:
         self._verified_ns: int | None = None  # and of the last one that is surely this robot
         self._armed_since_ns: int | None = None  # since when the board should be armed and is not
         self._board_armed = False  # the board has armed since it was last to be disarmed
+        self._disarmed_at: int | None = None  # number of the heartbeat that first reported it disarmed since then
         self._wanted: bool | None = None  # whether the board is to be armed; None before the first step
         self._wanted_since_ns = 0
         self._asked_ns: int | None = None  # when the board was last told so
@@ -45,11 +54,16 @@ class HealthMonitor:
             self._sighted_ns = seen.instant_ns
             if seen.pose.identity_verified or not self._markers:
                 self._verified_ns = seen.instant_ns
+        self._check_sensors(inputs)
         if mode is not self._mode:
             self._path.reset()
             self._depth.reset()
         self._mode = mode
         self._battery.note_telemetry(telemetry, now_ns)
+        if telemetry.armed or not self._board_armed:
+            self._disarmed_at = None
+        elif self._disarmed_at is None:
+            self._disarmed_at = telemetry.heartbeats
         if not testing:
             self._outputs.note_telemetry(telemetry, now_ns)
         if mode not in POWERED:
@@ -58,6 +72,18 @@ class HealthMonitor:
         elif telemetry.board_ms >= 0:
             self._thrusters.note_voltage(telemetry.battery_v, telemetry.arrival_ns)
             self._thrusters.step(telemetry.yaw_rate_radps, telemetry.arrival_ns, telemetry.board_ms * 1_000_000)
+
+    def _check_sensors(self, inputs: Inputs) -> None:
+        """Compare the board's sensors with themselves and with the poses."""
+        seen, telemetry = inputs.pose, inputs.telemetry
+        if telemetry.board_ms < 0:
+            return
+        self._power_on.note_burst(telemetry.board_ms, telemetry.depth_m)
+        self._pressure.note_sample(telemetry.depth_m, telemetry.arrival_ns)
+        if self._uses_gyroscope:
+            self._gyroscope.note_rate(telemetry.yaw_rate_radps, telemetry.arrival_ns)
+            if seen is not None and seen.pose.track >= Track.KCF:
+                self._gyroscope.note_heading(seen.pose.yaw_rad, seen.instant_ns)
 
     def note_pulses(self, pulse_us: tuple[int, ...], now_ns: int) -> None:
         """Take note of pulses that went out; the board's echo and the gyroscope are compared with them."""
@@ -72,6 +98,10 @@ class HealthMonitor:
         x_m, y_m, depth_m, _ = output.eta.tolist()
         path_x_m, path_y_m, path_depth_m, _ = output.eta_reference.tolist()
         place, path, is_free = complex(x_m, y_m), complex(path_x_m, path_y_m), output.is_free
+        if mode is Mode.DRIVEN:  # its reference leads: what counts is where it would be by then
+            surge_mps, sway_mps, heave_mps, _ = output.nu.tolist()
+            place += cmath.rect(FOLLOWS_S, output.eta.item(3)) * complex(surge_mps, sway_mps)
+            depth_m += FOLLOWS_S * heave_mps
         self._path.step(place, path, is_free, output.path_is_blocked, now_ns)
         self._depth.step(complex(depth_m), complex(path_depth_m), True, False, now_ns)  # no robot gives way by depth
         self._output = output
@@ -85,14 +115,17 @@ class HealthMonitor:
         """Return the values that reactions are decided by. Changes nothing."""
         telemetry = inputs.telemetry
         disarmed_s = (now_ns - self._armed_since_ns) * 1e-9 if self._armed_since_ns is not None else 0.0
-        if self._board_armed and not telemetry.armed:
-            disarmed_s = NEVER_S  # by itself, and it knows why: only a person may arm it again
+        if self._disarmed_at is not None and (telemetry.heartbeats == 0 or telemetry.heartbeats > self._disarmed_at):
+            disarmed_s = NEVER_S  # two heartbeats say so. By itself, and it knows why: only a person may arm it again
         return Health(
             pose_age_s=_age_s(self._sighted_ns, now_ns),
             identity_age_s=_age_s(self._verified_ns, now_ns),
             station_age_s=inputs.station.age_s,
             board_age_s=_age_s(telemetry.arrival_ns if telemetry.board_ms >= 0 else None, now_ns),
             board_disarmed_s=disarmed_s,
+            autopilot=telemetry.autopilot_name,
+            gyroscope_apart_rad=self._gyroscope.apart_rad,
+            depth_same_s=self._pressure.same_s,
             battery_empty=self._battery.empty,
             emergency_stop=inputs.emergency_stop,
             solver_failed=solver_failed,
@@ -118,8 +151,17 @@ class HealthMonitor:
             return "no station is heard"
         if health.board_age_s > limit_s:
             return f"the thruster board was last heard {health.board_age_s:.2f} s ago"
+        if health.autopilot:
+            return f"{health.autopilot} is on the link, no thruster board: it takes pulses for a pilot's sticks"
         if inputs.telemetry.armed:
             return "the thruster board is still armed"
+        # By the link, which is older than this agent, or, where an old log has no such depth, by what the agent has seen.
+        power_on_depth_m = max(inputs.telemetry.power_on_depth_m, self._power_on.depth_m)
+        if power_on_depth_m > RESTART_DEPTH_M:
+            return (
+                f"the thruster board restarted at {power_on_depth_m:.2f} m and took its depth zero there: "
+                "restart it in air; or, if it was in air, confirm that by a restart of robot-agent"
+            )
         if health.pose_age_s > limit_s:
             return f"the last pose is {health.pose_age_s:.2f} s old"
         if health.identity_age_s > limit_s:
@@ -130,6 +172,10 @@ class HealthMonitor:
             return f"the depth sensor says {depth_m:.2f} m in a pool of {floor_m:g} m: check it, or its zero"
         if health.depth_age_s > self._safety.pose_neutral_s:
             return f"no depth that can be true for {health.depth_age_s:.2f} s (the sensor says {depth_m:.2f} m)"
+        if health.depth_same_s:
+            return f"the depth sensor has said exactly {depth_m:.2f} m for {health.depth_same_s:.1f} s: it measures nothing"
+        if health.gyroscope_apart_rad:
+            return f"gyroscope and camera differ by {health.gyroscope_apart_rad:.2f} rad: check the gyroscope, and the marker"
         return self._battery.arming_refusal(now_ns)
 
     def arming_command(self, armed: bool, mode: Mode, now_ns: int) -> bool | None:
@@ -143,6 +189,8 @@ class HealthMonitor:
             self._armed_since_ns, self._board_armed = None, wanted
         elif self._armed_since_ns is None or not wanted:
             self._armed_since_ns = now_ns if wanted else None
+        if wanted and not armed and self._board_armed:
+            return None  # it has disarmed itself, or one heartbeat is wrong: neither is a reason to arm it
         insists = not wanted and now_ns - self._wanted_since_ns < DISARM_S * 1e9
         is_due = self._asked_ns is None or now_ns - self._asked_ns >= ARM_AGAIN_S * 1e9
         if not insists and (armed == wanted or not is_due):

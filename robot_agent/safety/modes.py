@@ -73,6 +73,9 @@ class Health(NamedTuple):
     leap: str = ""  # the same for the place
     place_age_s: float = 0.0  # of the last pose that did not contradict the estimate
     drive_age_s: float = 0.0  # of the last DRIVE, on the station's clock
+    autopilot: str = ""  # the name of the autopilot that answers in place of a thruster board
+    gyroscope_apart_rad: float = 0.0  # how far the turn by the gyroscope is from that by the poses, once that lasts
+    depth_same_s: float = 0.0  # for how long the depth has been exactly the same, once that is too long
 
 
 @dataclass(frozen=True)
@@ -89,12 +92,21 @@ class Reaction:
 REACTIONS: tuple[Reaction, ...] = (
     Reaction("emergency stop", ANY - {Mode.STOPPED}, lambda h, s: h.emergency_stop, Mode.STOPPED),
     Reaction("thruster board silent", LIVE, lambda h, s: h.board_age_s > BOARD_LOST_S, Mode.FAULT),
+    Reaction("no thruster board", LIVE, lambda h, s: h.autopilot != "", Mode.FAULT, lambda h: f"{h.autopilot} is on the link"),
     Reaction("thruster board disarmed", LIVE, lambda h, s: h.board_disarmed_s > BOARD_ARMS_WITHIN_S, Mode.FAULT),
     Reaction("thruster board disobeys", LIVE, lambda h, s: h.echo_wrong_s > BOARD_DISOBEYS_S, Mode.FAULT),
     Reaction("thrusters do not do as told", POWERED, lambda h, s: h.thrusters_broken and s.watch_thrusters, Mode.FAULT),
     Reaction("off its path", POWERED, lambda h, s: h.off_path, Mode.FAULT),
     Reaction("off its depth", POWERED, lambda h, s: h.off_depth, Mode.FAULT),
     Reaction("depth in doubt", POWERED, lambda h, s: h.depth_leap != "", Mode.FAULT, lambda h: h.depth_leap),
+    Reaction(
+        "depth sensor stuck", POWERED, lambda h, s: h.depth_same_s > 0.0, Mode.FAULT,
+        lambda h: f"exactly the same for {h.depth_same_s:.1f} s",
+    ),
+    Reaction(
+        "gyroscope in doubt", POWERED, lambda h, s: h.gyroscope_apart_rad > 0.0, Mode.FAULT,
+        lambda h: f"its turn and the camera's differ by {h.gyroscope_apart_rad:.2f} rad",
+    ),
     Reaction(
         "no depth", POWERED, lambda h, s: h.depth_age_s > s.pose_neutral_s, Mode.FAULT,
         lambda h: f"none that can be true for {h.depth_age_s:.2f} s",

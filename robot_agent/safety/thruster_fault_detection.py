@@ -51,6 +51,7 @@ EXPONENT = 1.2  # of thrust over voltage (OpenThruster's A2212 data at 10 to 12.
 CHANGED = 0.05  # of the thrust: half a volt of 12. Less is within what a leg may be off, and full load alone is as much
 MOST_CHANGED = 0.3  # of the thrust: from a full battery to one at which robots go to neutral
 SETTLES_NS = round(SPANS_S[-1] * NS)  # after a change: until then nothing felt since is learned
+OUTLIER_RADPS = 1.0  # from the estimated yaw rate; 0.5 N m turn 0.12 kg m^2 by 0.2 rad/s faster in a step at 20 Hz
 KEPT = 128  # commands: half of them are more than act within LONGEST_NS of the fastest loop
 
 
@@ -137,6 +138,7 @@ class ThrusterFaultDetector:
         self._acting, self._impulse = np.zeros(LEGS), np.zeros(LEGS)
         self._rate: float | None = None
         self._at_ns = self._board_ns = 0
+        self._outlier_ns: int | None = None  # on the board's clock: the sample that was left out last
         self._known_v: float | None = None  # battery's voltage at which legs were as they are known
         self._changed, self._changed_v, self._changed_ns = 0.0, 0.0, 0  # the largest change from there, already doubted
         self._forget_causes()
@@ -182,7 +184,7 @@ class ThrusterFaultDetector:
         elapsed_ns, board_elapsed_ns = at_ns - self._at_ns, board_ns - self._board_ns
         if self._rate is None or not 0 <= elapsed_ns <= LONGEST_NS or abs(elapsed_ns - board_elapsed_ns) > APART_NS:
             self._begin(yaw_rate_radps, at_ns, board_ns)
-        elif elapsed_ns:
+        elif elapsed_ns and not self._leaves_out(yaw_rate_radps - self._rate, board_ns):
             self._rate, residual = observe_turn(
                 self._acts_ns, self._told, self._count, self._lag_s, self._at_ns, at_ns, self._acting, self._impulse,
                 self._causes, self._rate, yaw_rate_radps, self._mass, self._linear, self._quadratic,
@@ -195,6 +197,15 @@ class ThrusterFaultDetector:
                 self._test.note_sample(self._causes, residual, rough, self._unnoted_s, at_ns)
                 self._unnoted_s = 0.0
                 self.broken |= self._test.evidence > SURE
+
+    def _leaves_out(self, off_radps: float, board_ns: int) -> bool:
+        """True for a sample far off the estimated rate, unless the one before it was left out: two in a row count."""
+        if abs(off_radps) <= OUTLIER_RADPS:
+            self._outlier_ns = None
+            return False
+        if self._outlier_ns is None:
+            self._outlier_ns = board_ns
+        return self._outlier_ns == board_ns
 
     def _begin(self, yaw_rate_radps: float, at_ns: int, board_ns: int) -> None:
         """Start the observer at this sample. Learned parameters are kept across a gap."""

@@ -1,11 +1,14 @@
 """State of the battery for arming and flying. Pure.
 
-One raw voltage says little: under load it sags by more than the distance between two thresholds. So it is smoothed over 1 s,
-as the board does it (docs/board.md, rule 6). The board's own charge state counts as well: the board measures more often, and
-its thresholds may differ from the vehicle file's.
+One raw voltage says little: under load it sags by more than the distance between two thresholds, and one reading may be wrong
+altogether. So the median of three is smoothed over 1 s, as the board smooths it (docs/board.md, rule 6).
+
+The board's own charge state counts as well: the board measures more often, and its thresholds may differ from those of the
+vehicle file.
 """
 
 import math
+from collections import deque
 
 from wire.config.vehicle import Battery
 from wire.mavlink.agent_link import Telemetry
@@ -24,7 +27,8 @@ class BatteryMonitor:
         self.charge = 0  # the board's own opinion: MAV_BATTERY_CHARGE_STATE, 0 not known
         self._battery = battery
         self._low = False  # it may not arm, and may not until it is well above the threshold again
-        self._raw_v = 0.0
+        self._raw_v: deque[float] = deque(maxlen=3)  # the last reports
+        self._median_v = 0.0  # of them
         self._noted_ns = self._reported_ns = 0
         self._reports = -1
 
@@ -34,13 +38,15 @@ class BatteryMonitor:
         self.charge = telemetry.charge
         if telemetry.battery_reports == 0 and telemetry.battery_v <= 0.0:
             return
+        before_v = self._median_v
         if telemetry.battery_reports != self._reports or telemetry.battery_reports == 0:
             self._reports, self._reported_ns = telemetry.battery_reports, now_ns
+            self._raw_v.append(telemetry.battery_v)
+            self._median_v = sorted(self._raw_v)[len(self._raw_v) // 2]
         if self.voltage_v is None:
             self.voltage_v = telemetry.battery_v
-        else:  # until now the last raw voltage held
-            self.voltage_v += (self._raw_v - self.voltage_v) * -math.expm1(-elapsed_s / SMOOTH_S)
-        self._raw_v = telemetry.battery_v
+        else:  # until now the median before held
+            self.voltage_v += (before_v - self.voltage_v) * -math.expm1(-elapsed_s / SMOOTH_S)
         above_v = self._battery.hysteresis_v if self._low else 0.0
         self._low = self.voltage_v < self._battery.no_arm_v + above_v
 

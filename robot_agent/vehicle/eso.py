@@ -129,6 +129,7 @@ class Estimator:
         self._inputs = 0  # wrenches, each with the instant from which it acts, in order
         self._sensed_ns, self._sensed = np.zeros(KEPT, dtype=np.int64), np.zeros((KEPT, 2))
         self._samples = 0  # depths and yaw rates, each with its instant, in order; NaN where there was none
+        self._board_ns = -1  # instant of the last measurement of the board, accepted or not
         self._belief = np.zeros(19)  # state, Gamma, current, drag and thrust per mass at the exposure _at_ns
         self._belief[RATIOS] = 1.0
         self._covariance, self._work = np.zeros((8, 8)), np.empty((2, 8, 8))
@@ -244,8 +245,9 @@ class Estimator:
     def _note_board(self, measurement: StateMeasurement, now_ns: int) -> None:
         """Store a depth and a yaw rate that pass their gates."""
         at_ns = now_ns if measurement.board_ns is None else measurement.board_ns
-        if at_ns > now_ns or (self._samples and at_ns <= self._sensed_ns[self._samples - 1]):
+        if at_ns > now_ns or at_ns <= self._board_ns:
             return
+        self._board_ns = at_ns
         depth, rate = measurement.depth_m, measurement.yaw_rate_radps
         if depth is not None and not (_sane(depth) and self._accepts_depth(depth, at_ns)):
             depth = None

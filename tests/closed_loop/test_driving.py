@@ -80,6 +80,14 @@ def test_driven_robot_moves_as_asked_and_holds_when_commands_end(alone: DrivenFl
     assert np.ptp(rest[:, :2], axis=0).max() < 0.02
 
 
+def test_robot_driven_by_a_slowly_rising_stick_is_on_its_path(alone: DrivenFleet) -> None:
+    """A robot follows its reference a second behind, up to the lead that the reference may have. No path is left so."""
+    began = alone.fleet.now_ns
+    driven = alone.fly(6.0, lambda i: DriveVelocity(min(0.2 * (alone.fleet.now_ns - began) * 1e-9, 0.3)) if i == 0 else None)
+    assert alone.mode() is Mode.DRIVEN
+    assert np.linalg.norm(driven[-1, 0, :2] - driven[-21, 0, :2]) == pytest.approx(0.3, rel=0.15)
+
+
 def test_late_older_and_impossible_drives_are_refused(alone: DrivenFleet) -> None:
     assert "lives 1 s" in alone.drive(FAST, age_s=1.1).reason
     assert "no drive command" in alone.drive(FAST, age_s=DRIVE_LASTS_S + 0.1).reason

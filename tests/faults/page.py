@@ -120,8 +120,8 @@ What a robot does by itself is in `docs/modes.md`, what a board does in `docs/bo
   and gusts. In waves and gusts the missing thrust of a leg must turn the robot more strongly than they do. A disturbance that
   turns the robot as strongly as an idle leg, for two seconds, in water that was still before, is taken for a broken leg. The
   measurement does not tell which thruster is broken: test them one by one.
-* A pressure sensor that always reports the same value is not noticed while its robot keeps its depth. The robot then drifts
-  slowly from that depth, as measured below, without an alarm.
+* A pressure sensor that sticks is found after 3 s of exactly the same value, if it showed noise before. One that sticks from
+  the start is not found while its robot keeps its depth: the robot then drifts slowly from that depth without an alarm.
 * When a robot's marker plate comes off, the localizer's filters no longer recognize the robot: it holds, then goes to neutral.
   A marker that is only unreadable (glare, a cable) is bridged.
 * On a link that is not signed, a MAVLink frame that is delayed by more than 6.4 s may be taken for a new one, because its

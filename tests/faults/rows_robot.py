@@ -52,7 +52,7 @@ def agent_ended(rig: Rig, random: Random) -> Sample:
 
 
 def depth_wrong(rig: Rig, random: Random) -> Sample:
-    """Until the robot is neutral: after that it floats. A sensor that is stuck nothing gives away."""
+    """Until the robot is neutral: after that it floats. A sensor that is stuck shows only after seconds."""
     rig.cruise(SETTLED_S)
     robot, how = int(random.choice(rig.robots)), str(random.choice(["reads 10", "jumps 0.5", "jumps -0.2", "stuck"]))
     i, off_m = rig.robots.index(robot), 0.0

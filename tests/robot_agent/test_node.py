@@ -15,6 +15,7 @@ from robot_agent.agent import Agent
 from robot_agent.control.controller import Controller
 from robot_agent.host.step_clock import StepClock
 from sim_bridge.sil.ports import free_port
+from tests.robot_agent.autopilot import Autopilot
 from tests.robot_agent.obedient_board import Board
 from wire.config.experiment import load_experiment
 from wire.mavlink.board_port import open_link
@@ -194,3 +195,17 @@ def test_a_request_to_stop_wakes_a_loop_that_sleeps(monkeypatch: pytest.MonkeyPa
     assert not woken.is_set()
     stop.request()
     assert woken.wait(PATIENCE_S) and stop()
+
+
+def test_an_autopilot_gets_no_pulses_and_no_requests_to_arm() -> None:
+    hub, stop, there = MemoryHub(), Stop(install=False), Autopilot()
+    bus, station = Bus(MemoryTransport(hub)), Bus(MemoryTransport(hub))
+    heard = station.inbox(topics.STATE, RobotState, 1)
+    thread = threading.Thread(target=node.AgentNode(POOL, 1, bus, there, False, stop).run)
+    thread.start()
+    try:
+        assert wait(station, stop, lambda: (header := heard.newest_header()) is not None and header.sequence > 5, PATIENCE_S)
+    finally:
+        stop.request()
+        thread.join()
+    assert there.received <= {"HEARTBEAT", "TIMESYNC"}

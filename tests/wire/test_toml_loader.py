@@ -81,6 +81,12 @@ def test_an_error_names_file_key_value_and_allowed_values(setting: str, complain
     assert complaint in str(caught.value).splitlines()
 
 
+def test_a_byte_order_mark_is_skipped(tmp_path: Path) -> None:
+    file = tmp_path / "notepad.toml"
+    file.write_bytes(b'\xef\xbb\xbfname = "B\xc3\xa4cken"\r\n')
+    assert read_toml(file) == {"name": "Bäcken"}
+
+
 def test_all_problems_are_told_at_once() -> None:
     table = copy.deepcopy(GOOD) | {"count": "x", "open": 3, "colour": 1}
     with pytest.raises(ConfigError) as caught:

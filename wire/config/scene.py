@@ -13,6 +13,7 @@ Vec2 = tuple[float, float]
 Vec3 = tuple[float, float, float]
 Vec4 = tuple[float, float, float, float]
 
+LARGEST_ROBOT = 49  # the marker of a robot is, unless told otherwise, that of its number, of 50
 MOST_WAYPOINTS = 30_000  # of a path, all laps together: no file has room for more
 
 
@@ -171,7 +172,7 @@ class RobotConfig(Section):
     on one path are planned to stay apart; on different paths they may be planned through one another, and give way there.
     """
 
-    id: Annotated[int, Field(ge=1, le=49)]
+    id: Annotated[int, Field(ge=1, le=LARGEST_ROBOT)]
     """Number of the robot."""
     node_m: Vec3
     """Node in the formation, from its centre. With formation.shape it may be left out."""

@@ -14,8 +14,9 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as dialect
 
-from wire.mavlink.frame_codec import MARKER
+from wire.mavlink.frame_codec import MARKER, Peer
 from wire.mavlink.framing import LOSS_WINDOW_NS, Receiver, Sender
+from wire.mavlink.power_on_depth import PowerOnDepth
 from wire.mavlink.signing import Key, SignatureVerdict, SignatureVerifier
 
 BOARD_COMPONENT = 1  # MAV_COMP_ID_AUTOPILOT1
@@ -43,6 +44,7 @@ CLOCK_TRIP_NS = 20_000_000  # a slower answer may be wrong by more than what a b
 CLOCK_STEP_NS = 5_000_000  # two answers that differ by this more than their round trips explain: the board's clock was set
 BOARD_MS_WRAPS = 2**32  # `time_boot_ms` begins at 0 again after 49.7 days
 CHARGE_STATES = range(8)  # MAV_BATTERY_CHARGE_STATE
+NO_AUTOPILOT = frozenset({dialect.MAV_AUTOPILOT_GENERIC, dialect.MAV_AUTOPILOT_INVALID})  # MAV_AUTOPILOT of a thruster board
 
 ARM_DISARM: int = dialect.MAV_CMD_COMPONENT_ARM_DISARM
 ACCEPTED, REJECTED, UNSUPPORTED = 0, 1, 3  # MAV_RESULT; rejected: for now
@@ -64,6 +66,14 @@ def is_override(datagram: bytes) -> bool:
     return datagram[:1] == bytes([MARKER]) and kind == dialect.MAVLINK_MSG_ID_RC_CHANNELS_OVERRIDE
 
 
+def autopilot_name(autopilot: int) -> str:
+    """Name of a MAV_AUTOPILOT; empty for that of a thruster board."""
+    if autopilot in NO_AUTOPILOT:
+        return ""
+    entry = dialect.enums["MAV_AUTOPILOT"].get(autopilot)
+    return f"autopilot {autopilot}" + (f" ({entry.name.removeprefix('MAV_AUTOPILOT_')})" if entry else "")
+
+
 @dataclass(frozen=True)
 class Telemetry:
     """The board's last telemetry, complete as of the burst of `board_ms`. Values are finite and within a sensor's range."""
@@ -81,6 +91,8 @@ class Telemetry:
     armed: bool = False
     hil: bool = False  # the board is in HIL mode: measurements and water are simulated
     heartbeats: int = 0  # how many times the board has told whether it is armed; 0: that is not known
+    autopilot: int = dialect.MAV_AUTOPILOT_GENERIC  # MAV_AUTOPILOT that the last HEARTBEAT reported
+    power_on_depth_m: float = 0.0  # where the board was switched on, by what it measured before; 0: not known to be deeper
     echo_us: tuple[int, ...] = ()  # what the board put out: 4 thrusters, 4 ankles
     acknowledged: tuple[int, int] | None = None  # last COMMAND_ACK: command, MAV_RESULT
     acknowledgements: int = 0
@@ -92,11 +104,22 @@ class Telemetry:
     loss: float = 0.0  # fraction of the board's frames lost over 5 s
     bad_frames: int = 0
     foreign_frames: int = 0
+    foreign_peer: Peer | None = None  # system and component of the last intact frame of another sender
     stale_frames: int = 0
     refused_frames: int = 0  # intact, but with a value that cannot be true
     unsigned_frames: int = 0
     forged_frames: int = 0  # signed with another key, or where no key is expected
     replayed_frames: int = 0
+
+    @property
+    def autopilot_name(self) -> str:
+        """Name of the autopilot at the other end; empty for a thruster board, and before the first HEARTBEAT."""
+        return autopilot_name(self.autopilot)
+
+    @property
+    def is_thruster_board(self) -> bool:
+        """True if the other end has reported that it is no autopilot: one would take pulses for a pilot's sticks."""
+        return self.heartbeats > 0 and self.autopilot in NO_AUTOPILOT
 
 
 class Refused(Exception):
@@ -156,6 +179,9 @@ class AgentLink:
         self._burst_ms = -1  # the board's time of the last burst
         self._asked_ns: int | None = None
         self._clocks: deque[tuple[int, int]] = deque(maxlen=CLOCKS_KEPT)  # round trip, the board's clock minus ours
+        self._doubted_clock: tuple[int, int] | None = None  # the last answer, if it contradicts those before it
+        self._power_on = PowerOnDepth()
+        self._reported: dict[str, int] = {}  # the last value of each field that the next report has to confirm
         self.telemetry = Telemetry()
 
     @property
@@ -217,6 +243,7 @@ class AgentLink:
             "loss": receiver.loss(self._board),
             "bad_frames": receiver.bad_frames,
             "foreign_frames": receiver.foreign_frames,
+            "foreign_peer": receiver.foreign_peer,
             "stale_frames": receiver.stale_frames,
             "refused_frames": self._refused,
             "unsigned_frames": receiver.refused[SignatureVerdict.UNSIGNED],
@@ -235,13 +262,15 @@ class AgentLink:
             if not complete:  # the pressure sensor is dead, or that frame lost: the last depth must not look live
                 return {}
             tilt = _tilt_of(message)
-            return {
+            burst = {
                 "heading_rad": within(message.yaw, -math.tau, math.tau),
                 "yaw_rate_radps": within(_yaw_rate_of(message, tilt), -FASTEST_TURN_RADPS, FASTEST_TURN_RADPS),
                 "tilt": tilt,
                 "board_ms": message.time_boot_ms,
                 "arrival_ns": self._measured_ns(message.time_boot_ms, now_ns),
             }
+            self._power_on.note_burst(message.time_boot_ms, changes.get("depth_m", self.telemetry.depth_m))
+            return burst | {"power_on_depth_m": self._power_on.depth_m}
         if kind == "SCALED_IMU":
             unit = STANDARD_GRAVITY_MPS2 / 1000.0
             return {"acceleration_mps2": (message.xacc * unit, message.yacc * unit, message.zacc * unit)}
@@ -256,12 +285,13 @@ class AgentLink:
             return {"battery_v": within(message.voltage_battery, 0, IGNORED - 1) / 1000.0, "battery_reports": count + 1}
         if kind == "BATTERY_STATUS":
             within(message.charge_state, CHARGE_STATES.start, CHARGE_STATES[-1])
-            return {"charge": message.charge_state} if message.id == 0 else {}
+            return self._confirmed("charge", message.charge_state) if message.id == 0 else {}
         if kind == "HEARTBEAT":
             count = changes.get("heartbeats", self.telemetry.heartbeats)
             armed, hil = dialect.MAV_MODE_FLAG_SAFETY_ARMED, dialect.MAV_MODE_FLAG_HIL_ENABLED
             mode = message.base_mode
-            return {"armed": bool(mode & armed), "hil": bool(mode & hil), "heartbeats": count + 1}
+            told = {"armed": bool(mode & armed), "hil": bool(mode & hil), "heartbeats": count + 1}
+            return told | self._confirmed("autopilot", message.autopilot)
         return self._read_answer(kind, message, changes, now_ns)
 
     def _read_answer(self, kind: str, message: Any, changes: dict[str, Any], now_ns: int) -> dict[str, Any]:
@@ -283,21 +313,39 @@ class AgentLink:
             return {"clock_offset_ns": min(self._clocks)[1], "round_trip_ns": round_trip_ns, "round_trips": trips}
         return {}
 
+    def _confirmed(self, field: str, value: int) -> dict[str, Any]:
+        """The change that a reported value makes: none before the next report confirms it. The first one counts at once."""
+        before = self._reported.get(field, value)
+        self._reported[field] = value
+        return {field: value} if value == before else {}
+
     def _note_clock(self, round_trip_ns: int, offset_ns: int) -> None:
-        """Take in how far the board's clock is from ours; an answer is wrong by half its round trip at most."""
-        if self._clocks:
-            best_trip_ns, best_ns = min(self._clocks)
-            if abs(offset_ns - best_ns) > (round_trip_ns + best_trip_ns) // 2 + CLOCK_STEP_NS:
-                self._clocks.clear()
-        self._clocks.append((round_trip_ns, offset_ns))
+        """Take in how far the board's clock is from ours; an answer is wrong by half its round trip at most. Two answers in a
+        row that agree with each other and contradict those before: the board's clock was set."""
+        answer = round_trip_ns, offset_ns
+        if self._clocks and _contradict(answer, min(self._clocks)):
+            doubted, self._doubted_clock = self._doubted_clock, answer
+            if doubted is None or _contradict(answer, doubted):
+                return
+            self._clocks.clear()
+        self._doubted_clock = None
+        self._clocks.append(answer)
 
     def _measured_ns(self, board_ms: int, now_ns: int) -> int:
         """The instant of a burst on the robot's clock: not later than now, and now while the board's clock is unknown. A board
-        that was restarted has another clock."""
+        that was restarted has another clock. While one answer contradicts those before it, that clock counts by which the
+        burst is younger: by the wrong one it is old, or of the future."""
         if board_ms < self._burst_ms:
             self._clocks.clear()
+            self._doubted_clock = None
         self._burst_ms = board_ms
-        if not self._clocks or min(self._clocks)[0] > CLOCK_TRIP_NS:
-            return now_ns
-        age_ns = (now_ns + min(self._clocks)[1] - board_ms * 1_000_000) % (BOARD_MS_WRAPS * 1_000_000)
+        clocks = (min(self._clocks, default=None), self._doubted_clock)
+        offsets_ns = [clock[1] for clock in clocks if clock is not None and clock[0] <= CLOCK_TRIP_NS]
+        ages_ns = [(now_ns + offset_ns - board_ms * 1_000_000) % (BOARD_MS_WRAPS * 1_000_000) for offset_ns in offsets_ns]
+        age_ns = min(ages_ns, default=0)
         return now_ns - age_ns if age_ns < BOARD_MS_WRAPS * 500_000 else now_ns
+
+
+def _contradict(a: tuple[int, int], b: tuple[int, int]) -> bool:
+    """True if two answers, round trip and offset in ns, differ by more than their round trips explain."""
+    return abs(a[1] - b[1]) > (a[0] + b[0]) // 2 + CLOCK_STEP_NS

@@ -71,6 +71,7 @@ class Receiver:
         self._sequences: dict[Peer, Sequence8] = {}
         self.bad_frames = 0  # start bytes that led to no frame: checksum, impossible header, never completed
         self.foreign_frames = 0  # intact, but from another sender, or of a kind that the dialect does not have
+        self.foreign_peer: Peer | None = None  # the last other sender of an intact frame
         self.stale_frames = 0  # old or repeated, by their sequence number
         self.refused = dict.fromkeys(SignatureVerdict, 0)  # by their signature
         self.frames: list[bytes] = []  # of the messages of the last `receive`
@@ -149,6 +150,7 @@ class Receiver:
         peer = (message.get_srcSystem(), message.get_srcComponent())
         if not self._wanted(peer):
             self.foreign_frames += 1
+            self.foreign_peer = peer
             return False
         verdict = self._verifier.verify(frame, *peer)
         if verdict is not SignatureVerdict.GOOD:

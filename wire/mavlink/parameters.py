@@ -9,7 +9,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as dialect
 
-from wire.mavlink.agent_link import BOARD_COMPONENT, PROTOCOL_VERSION
+from wire.mavlink.agent_link import BOARD_COMPONENT, PROTOCOL_VERSION, autopilot_name
 from wire.mavlink.frame_codec import Peer
 from wire.mavlink.framing import Receiver, Sender
 from wire.mavlink.signing import Key, SignatureVerdict, SignatureVerifier
@@ -29,6 +29,9 @@ class ParameterClient:
         self._sender = Sender(STATION, key, lambda: max(now(), verifier.newest + 1))
         self._receiver = Receiver(self._is_board, verifier)
         self.heard = False
+        self.autopilot: str | None = (
+            None  # name of the autopilot at the other end; empty: a thruster board; None: not known yet
+        )
         self._others: set[int] = set()  # robots whose boards speak on the link as well
         self._key = key
         self._count: int | None = None
@@ -109,8 +112,9 @@ class ParameterClient:
     def _read(self, message: Any) -> None:
         kind = message.get_type()
         self.heard = True
-        if self.robot_id is None and kind == "HEARTBEAT":
-            self.robot_id = message.get_srcSystem()
+        if kind == "HEARTBEAT":
+            self.robot_id = message.get_srcSystem()  # the one that is wanted, if one is
+            self.autopilot = autopilot_name(message.autopilot)
         if kind == "PARAM_VALUE" and math.isfinite(message.param_value) and message.param_index < message.param_count:
             self._count = message.param_count
             self._by_index[message.param_index] = message.param_id

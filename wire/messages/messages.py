@@ -346,6 +346,9 @@ class BoardReading:
     loss: float = 0.0  # Fraction of the board's messages lost in the last 5 s.
     charge: int = 0  # Charge state by the board: MAV_BATTERY_CHARGE_STATE, 0 if not known.
     battery_reports: int = 0  # Number of voltages received from the board; 0: none yet, or an old log.
+    heartbeats: int = 0  # Number of HEARTBEATs received from the board; 0: none yet, or an old log.
+    autopilot: int = 0  # MAV_AUTOPILOT that the board's HEARTBEAT reports: 0 or 8 for a thruster board.
+    power_on_depth_m: float = 0.0  # Depth at which the board was restarted, by what it measured before; 0: not restarted.
 
 
 @dataclass(frozen=True, eq=False)

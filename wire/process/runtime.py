@@ -23,6 +23,7 @@ from wire.messages import topics
 from wire.messages.messages import Event
 from wire.printable import printable, printable_lines
 from wire.process import output
+from wire.process.foreign_packages import foreign_package
 from wire.programs import end_with_parent
 from wire.toml_loader import ConfigError
 from wire.transport.bus import Bus, Received
@@ -246,6 +247,13 @@ def run_app(app: Callable[[], None]) -> None:
         _end(f"{error.filename2 or error.filename or 'a file that was being written'}: {error.strerror}", 2)
     except (Unreached, Failed) as error:
         _end(error, 1)
+    except ModuleNotFoundError:  # a role that was not installed: optional_packages.py says so
+        raise
+    except Exception as error:
+        foreign = foreign_package(error)
+        if not foreign:
+            raise
+        _end(f"{type(error).__name__}: {error}\n{foreign}", 2)
 
 
 def _end(reason: object, code: int) -> NoReturn:

@@ -24,6 +24,7 @@ from groundstation.deploy.manifest import Probe, Target
 from sim_bridge.sil.ports import free_port
 from tests.ssh_server import WITH_PACKAGES, own_wheel, ssh_command, ssh_server
 from wire.config.experiment import load_experiment
+from wire.process.version import PACKAGES
 from wire.toml_loader import ConfigError
 
 pytestmark = pytest.mark.real_time
@@ -293,3 +294,23 @@ def test_wheels_exist_for_the_boards_of_today(tmp_path: Path, monkeypatch: pytes
     for python in ("3.11", "3.13"):  # Raspberry Pi OS of 2023 and of 2025
         names = [path.name for path in wheelhouse.wheels(Probe("aarch64", python, {})).iterdir()]
         assert any(name.startswith("eclipse_zenoh") and "aarch64" in name for name in names)
+
+
+def test_an_installed_program_takes_the_checkout_that_one_stands_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """After `pip install .`, without `-e`: the program is not in the checkout."""
+    installed, clone = tmp_path / "site-packages", tmp_path / "shoal"
+    for folder in (installed, clone):
+        for package in PACKAGES:
+            (folder / package).mkdir(parents=True)
+            (folder / package / "__init__.py").write_text(f'"""{package}."""\n')
+    for name in ("pyproject.toml", "constraints.txt"):
+        (clone / name).write_text("")
+    monkeypatch.setattr(wheelhouse, "ROOT", installed)
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ConfigError, match="in no checkout"):
+        wheelhouse.checkout()
+    monkeypatch.chdir(clone / "wire")
+    assert wheelhouse.checkout() == clone
+    (clone / "wire" / "__init__.py").write_text("newer = 1\n")
+    with pytest.raises(ConfigError, match="holds other sources than this program runs"):
+        wheelhouse.checkout()

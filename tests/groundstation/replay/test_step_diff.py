@@ -1,9 +1,11 @@
 """Comparison by `groundstation log rerun` of a robot's steps: the log's beside the program's."""
 
+import numpy as np
+
 from groundstation.replay.step_diff import StepOutputs, compare
 from wire.messages import topics
 from wire.messages.codec import encode
-from wire.messages.messages import Event, RobotState
+from wire.messages.messages import Event, Plan, RobotState
 
 
 def told(stamps: range, gap: str = "") -> StepOutputs:
@@ -23,4 +25,18 @@ def test_steps_that_come_out_the_same_round_a_gap_of_the_log_are_not_exact() -> 
     gap = "steps 2 to 3 are not in the log"
     again = compare(1, told(range(5)), told(range(4), gap), same_experiment=True)
     assert (again.compared, again.differing, again.left_out) == (4, 0, (gap,))
+    assert not again.exact
+
+
+def test_a_plan_that_the_log_lost_is_named_and_is_no_difference() -> None:
+    lost_ns = 3
+    before, after = StepOutputs(), StepOutputs()
+    for stamp_ns in range(6):
+        for outputs in (before, after):
+            outputs.add(topics.STATE, stamp_ns, encode(RobotState(trajectory_s=0.05, planned=True)))
+            if outputs is after or stamp_ns != lost_ns:
+                outputs.add(topics.PLAN, stamp_ns, encode(Plan(0.05, np.zeros((2, 4)), np.zeros((2, 4)))))
+    again = compare(1, before, after, same_experiment=True)
+    assert (again.compared, again.differing) == (6, 0)
+    assert again.left_out == ("the plan of robot 1 at 0.05 s is not in the log",)
     assert not again.exact

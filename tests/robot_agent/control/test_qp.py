@@ -53,6 +53,22 @@ def exact(p: Array, q: Array, a: Array, lower: Array, upper: Array) -> Array:
     return np.asarray(found.x)
 
 
+def test_no_solution_violates_a_row_by_more_than_a_hundredth_of_its_bounds() -> None:
+    """An axis that costs nothing lets x grow to 1e9, and the backend's tolerance with it."""
+    random, refused = np.random.default_rng(3), 0
+    for _ in range(400):
+        p, q = np.diag(random.choice([0.0, 1e-9, 1e-6, 1.0, 100.0], N)), random.normal(size=N) * random.choice([1.0, 1e2, 1e4])
+        a = random.normal(size=(M, N)) * (random.random((M, N)) < 0.5)
+        lower, upper = -random.uniform(0.05, 1.0, M), random.uniform(0.05, 1.0, M)
+        lower[random.random(M) < 0.5] = -NO_BOUND
+        backend = OsqpSolver(np.ones((N, N), bool), np.ones((M, N), bool), np.ones(N), np.ones(M))
+        found = backend.solve(p, q, a, lower, upper)
+        refused += not found.solved
+        if found.solved:
+            assert max((a @ found.x - upper).max(), (lower - a @ found.x).max()) < 0.011
+    assert 0 < refused < 200
+
+
 @pytest.mark.parametrize("name", BACKENDS)
 def test_random_problems_in_a_row_are_solved(name: Backend) -> None:
     random, backend = np.random.default_rng(1), solver(name)

@@ -1,6 +1,7 @@
 """Orders about trajectories: every refusal by name, starts taken late, and a reference that no heartbeat can throw about."""
 
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -230,6 +231,32 @@ def test_a_robot_whose_experiment_puts_it_far_from_its_path_starts_there() -> No
         away = np.array([5.0, 5.0, 5.0, 0.0])
         assert clock.objection(start, False, view, NS, NS, starts[robot]) == ""
         assert "from where its path is" in clock.objection(start, False, view, NS, NS, starts[robot] + away)
+
+
+def test_the_rate_that_is_told_is_the_references_own_while_it_catches_up() -> None:
+    """A formation is half a second behind, and then is not. The prediction over the horizon goes by this rate."""
+    robot = ClockedRobot(straight())
+    assert robot.start() == ""
+    goals = []
+    for k in range(100):
+        robot.lag_s = 0.51 if 20 <= k < 40 else 0.0
+        robot.now_ns += STEP_NS
+        goal = robot.clock.goal(robot.station, robot.now_ns)
+        assert goal is not None
+        goals.append(goal)
+    for goal, later in pairwise(goals):
+        if goal.rate == pytest.approx(later.rate, abs=1e-6):  # else a heartbeat came, or the lag was caught up, between them
+            assert goal.rate == pytest.approx((later.time_s - goal.time_s) * NS / STEP_NS, abs=1e-6)
+    assert max(goal.rate for goal in goals) == pytest.approx(1.0 + FASTER)
+
+
+def test_a_trajectorys_flaw_is_found_beside_the_steps() -> None:
+    """The check of an hour takes 40 ms: with its result nothing of it is looked at again."""
+    robot, wrong = ClockedRobot(), Command(Order.LOAD, ME, trajectory=changed(id=""))
+    assert robot.clock.flaw(wrong) == "trajectory.id is empty"
+    arguments = wrong, False, robot.station, 0, robot.now_ns, robot.eta
+    assert robot.clock.objection(*arguments) == robot.clock.objection(*arguments, flaw="trajectory.id is empty") != ""
+    assert robot.clock.objection(*arguments, flaw="") == ""
 
 
 def test_a_start_taken_late_keeps_the_timetable() -> None:

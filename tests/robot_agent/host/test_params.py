@@ -1,8 +1,11 @@
 """`robot-agent params`: what it says of a board's answers."""
 
 import pytest
+from pymavlink.dialects.v20 import common as dialect
 
+from robot_agent.host import params
 from robot_agent.host.params import answered_value
+from tests.robot_agent.autopilot import Autopilot
 from wire.mavlink.board_link import BoardLink
 from wire.mavlink.parameters import STATION, ParameterClient
 from wire.toml_loader import ConfigError
@@ -19,3 +22,15 @@ def test_an_error_that_comes_before_the_value_is_told_as_what_it_is(code: int, s
     with pytest.raises(ConfigError) as refused:
         answered_value(client, "CMD_AGE_MS")
     assert str(refused.value) == says
+
+
+@pytest.mark.parametrize("robot", [1, None])
+def test_an_autopilots_parameters_are_left_alone(robot: int | None, monkeypatch: pytest.MonkeyPatch) -> None:
+    there = Autopilot(kind=dialect.MAV_AUTOPILOT_PX4)
+    monkeypatch.setattr(params, "open_link", lambda link, secured: there)
+    with (
+        pytest.raises(ConfigError, match=r"autopilot 12 \(PX4\) is there"),
+        params.talk("udp:127.0.0.1:9", robot, None, False),
+    ):
+        raise AssertionError("a session with an autopilot")
+    assert there.received == {"HEARTBEAT"}

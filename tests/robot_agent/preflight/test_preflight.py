@@ -25,6 +25,7 @@ from robot_agent.preflight.rehearsal import rehearse
 from robot_agent.preflight.thrusters import judge
 from sim_bridge.sil.ports import free_base_port, free_port
 from tests.robot_agent import obedient_board
+from tests.robot_agent.autopilot import Autopilot
 from wire.config.experiment import Experiment, load_experiment
 from wire.messages import topics
 from wire.messages.messages import Mode, Solve, StationHeartbeat
@@ -62,6 +63,13 @@ def test_init_writes_what_run_reads(tmp_path: Path) -> None:
     assert "is there already" in str(again.exception)
 
 
+def test_init_refuses_a_robot_that_no_link_can_name(tmp_path: Path) -> None:
+    options = ["--station", "tcp/127.0.0.1:7447", "--experiment", "brought-later.toml", "--out", str(tmp_path / "agent.toml")]
+    assert invoke("init", "--robot", "49", *options).exit_code == 0
+    refused = invoke("init", "--robot", "256", "--force", *options)
+    assert refused.exit_code == 2 and "49" in refused.output
+
+
 def test_init_writes_any_path_so_that_toml_reads_it(tmp_path: Path) -> None:
     file, odd = tmp_path / "agent.toml", 'a "b" \\c.key'
     options = ["--robot", "1", "--station", "tcp/127.0.0.1:7447", "--link-key", odd, "--experiment", "later.toml"]
@@ -95,6 +103,7 @@ def test_init_refuses_what_run_would(options: list[str], says: str, tmp_path: Pa
     ("text", "says"),
     [
         ("robot = 0", "robot = 0: "),
+        ("robot = 256", "robot = 256: "),
         ('robot = 1\nspeed = "high"', "speed: unknown key (allowed here: experiment, fleet"),
         ("robot = 1\nrealtime.priority = 100", "realtime.priority = 100: "),
         ('robot = 1\nkeys = "k"\ninsecure = true', "agent.toml: insecure = true beside keys: with keys"),
@@ -153,6 +162,9 @@ def test_an_echo_tells_which_thruster_turned() -> None:
     assert judge(1, wanted, [()]).verdict is CheckVerdict.FAIL
     assert "thruster 3 moved as well" in judge(1, wanted, [pulses(c1=1540, c2=1540)]).detail
     assert "ankle 4 moved as well" in judge(4, pulses(c4=1600), [pulses(c4=1600, c7=1600)]).detail
+    strays = [wanted, pulses(c1=1530, c2=1540), pulses(c1=1530, c2=1600), wanted]  # not in the echo that is nearest
+    assert "thruster 3 moved as well" in judge(1, wanted, strays).detail
+    assert judge(1, wanted, strays[:2] + strays[3:]).verdict is CheckVerdict.OK  # one echo may be wrong
 
 
 def test_the_rehearsal_flies_with_every_neighbour() -> None:
@@ -183,6 +195,23 @@ def test_a_rehearsal_that_does_not_fly_tells_no_time() -> None:
     assert (finding.what, finding.verdict) == ("control step", CheckVerdict.WARN)
     assert "not timed" in finding.detail and "LOAD is refused: trajectory.eta leaves the pool" in finding.detail
     assert "p50" not in finding.detail
+
+
+@pytest.mark.parametrize(
+    ("system", "says"),
+    [
+        (1, "udp:127.0.0.1:9: autopilot 3 (ARDUPILOTMEGA), no thruster board: it takes pulses for a pilot's sticks"),
+        (2, "what comes is not of this robot's board (system 1, component 1), but of 2, 1"),
+    ],
+)
+def test_an_autopilot_and_another_robots_board_fail_by_name(system: int, says: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    there = Autopilot(system)
+    monkeypatch.setattr(check_shell, "open_board_link", lambda board: (there, None))
+    monkeypatch.setattr(check_shell, "BOARD_WITHIN_S", 0.05)
+    monkeypatch.setattr(check_shell, "REHEARSED", check_shell.WARM_UP + 1)
+    board = AgentConfig(robot=1, experiment="pool", station=f"tcp/127.0.0.1:{free_port()}", link="udp:127.0.0.1:9")
+    found = {finding.what: finding for finding in check_shell.run_preflight(board, None)}
+    assert found["thruster board"].verdict is CheckVerdict.FAIL and says in found["thruster board"].detail
 
 
 class Told(obedient_board.Board):

@@ -49,6 +49,13 @@ def test_a_robot_that_is_well_arms() -> None:
         (replace(WELL, telemetry=replace(BOARD, arrival_ns=NOW_NS - 200 * MS)), STATION,
          "the thruster board was last heard 0.20 s ago"),
         (replace(WELL, telemetry=replace(BOARD, armed=True)), STATION, "the thruster board is still armed"),
+        (replace(WELL, telemetry=replace(BOARD, autopilot=12)), STATION,
+         "autopilot 12 (PX4) is on the link, no thruster board: it takes pulses for a pilot's sticks"),
+        (replace(WELL, telemetry=replace(BOARD, autopilot=8)), STATION, ""),
+        (replace(WELL, telemetry=replace(BOARD, power_on_depth_m=0.2)), STATION,
+         "the thruster board restarted at 0.20 m and took its depth zero there: restart it in air; or, if it was in air, "
+         "confirm that by a restart of robot-agent"),
+        (replace(WELL, telemetry=replace(BOARD, power_on_depth_m=0.04)), STATION, ""),
         (replace(WELL, pose=None), STATION, "the last pose is inf s old"),
         (replace(WELL, pose=StampedPose(POSE, NOW_NS - 200 * MS)), STATION, "the last pose is 0.20 s old"),
         (replace(WELL, pose=StampedPose(replace(POSE, track=Track.COAST), NOW_NS)), STATION, "the last pose is inf s old"),
@@ -64,6 +71,34 @@ def test_a_robot_that_is_well_arms() -> None:
 )  # fmt: skip
 def test_reason_against_arming_is_told(inputs: Inputs, station: StationView, reason: str) -> None:
     assert unfit(inputs, station) == reason
+
+
+@pytest.mark.parametrize(("depth_m", "arms"), [(0.3, False), (0.02, True)])
+def test_a_board_that_restarts_under_water_is_not_armed(depth_m: float, arms: bool) -> None:
+    monitor = HealthMonitor(POOL)
+    for k in range(100):  # silent from 2 s to 3 s, then switched on anew
+        now_ns = NOW_NS + 50 * k * MS
+        board_ms, told_m, heard_ns = (50 * (k - 59), 0.0, now_ns) if k >= 60 else (9000 + 50 * min(k, 40), depth_m, now_ns)
+        telemetry = replace(BOARD, board_ms=board_ms, arrival_ns=heard_ns, depth_m=told_m, battery_reports=k)
+        inputs = Inputs(StampedPose(POSE, now_ns - 40 * MS), telemetry, StationView(7, now_ns, 0.03))
+        monitor.note_inputs(inputs, Mode.DISARMED, now_ns)
+        monitor.note_output(OUTPUT._replace(depth_age_s=0.02), Mode.DISARMED, now_ns)
+        reason = monitor.arming_refusal(inputs, inputs.station, now_ns)
+        assert k < 62 or (reason == "") is arms, reason
+
+
+def test_a_board_that_reports_disarmed_once_is_not_asked_to_arm() -> None:
+    monitor = HealthMonitor(POOL)
+    for k, armed in enumerate([True, False, False, True]):
+        now_ns = NOW_NS + 500 * k * MS
+        inputs = replace(WELL, telemetry=replace(BOARD, armed=armed, heartbeats=(1, 2, 2, 3)[k]))
+        monitor.note_inputs(inputs, Mode.TRACKING, now_ns)
+        assert monitor.health(inputs, False, now_ns).board_disarmed_s < 1.5
+        assert monitor.arming_command(armed, Mode.TRACKING, now_ns) is None
+    for k, heartbeats in enumerate([4, 5]):
+        inputs = replace(WELL, telemetry=replace(BOARD, armed=False, heartbeats=heartbeats))
+        monitor.note_inputs(inputs, Mode.TRACKING, NOW_NS + (2000 + 50 * k) * MS)
+        assert (monitor.health(inputs, False, NOW_NS).board_disarmed_s > 1.5) is (k == 1)
 
 
 def test_to_ask_how_a_robot_is_changes_nothing() -> None:

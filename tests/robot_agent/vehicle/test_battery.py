@@ -46,7 +46,7 @@ def test_one_raw_voltage_under_load_is_no_empty_battery_and_one_that_stays_is() 
 
 def test_a_board_that_measures_nothing_any_more_tells_0_V_and_that_is_empty() -> None:
     battery, _ = told(12.4, 12.4)
-    battery, now_ns = told(0.0, battery=battery, from_ms=1000)
+    battery, now_ns = told(0.0, 0.0, 0.0, battery=battery, from_ms=1000)
     assert battery.empty and "the battery has" in battery.arming_refusal(now_ns)
 
 

@@ -10,6 +10,8 @@ from robot_agent.agent import Outputs
 from robot_agent.inputs import Inputs, StationView
 from robot_agent.preflight.rehearsal import ARM_AFTER, DEPTH_M, STATION, rehearse
 from robot_agent.safety.thruster_selftest import ThrusterSelftest
+from robot_agent.vehicle.dynamics import Model
+from robot_agent.vehicle.eso import Estimator, PoseMeasurement, StateMeasurement
 from wire.config.experiment import load_experiment
 from wire.messages.codec import Header
 from wire.messages.messages import Command, Mode, Order
@@ -143,3 +145,19 @@ def test_a_thruster_that_runs_by_itself_is_noticed_before_the_start(testing: boo
     found = next(k for k, state in enumerate(seen) if state.mode is Mode.FAULT)
     assert seen[found].fault == "thruster board disobeys" and found <= (12 if testing else 6)
     assert seen[-1].thruster_test.startswith("thruster 1 was asked for") is testing
+
+
+@pytest.mark.parametrize("gyroscope", [True, False])
+def test_one_bad_burst_is_judged_once_however_often_it_is_seen(gyroscope: bool) -> None:
+    """Its depth contradicts, and so does its rate: nothing of it is kept."""
+    period_ns = 50_000_000
+    config = POOL.controller.estimator.model_copy(update={"use_imu_yaw_rate": gyroscope})
+    observer = Estimator(Model(POOL.vehicle), config, 0.05)
+    for k in range(60):
+        now_ns = (k + 1) * period_ns
+        bad = 40 <= k < 46  # the board is silent for 0.25 s after the bad burst
+        pose = PoseMeasurement(now_ns - 20_000_000, 0.0, 0.0, 0.0, 2e-6)
+        board_ns = 41 * period_ns if bad else now_ns
+        estimate = observer.update(StateMeasurement(pose, 0.6 if bad else 0.3, 9.0 if bad else 0.0, board_ns), now_ns)
+        assert estimate is not None and estimate.depth_leap == "" and abs(estimate.nu[3]) < 0.1
+        observer.note_wrench((0.0, 0.0, 0.0), now_ns)
