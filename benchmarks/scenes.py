@@ -50,7 +50,7 @@ FLIGHT_WITHIN_S = 1800.0  # of wall time: the longest takes two minutes on an id
 
 
 @dataclass(frozen=True)
-class Flight:
+class FlownScene:
     """One flight. Errors are those of the worst robot on its worst axis, in m; NaN for what the flight did not give."""
 
     scene: str
@@ -78,7 +78,7 @@ class Poses:
     nees: float  # 3 where the published covariances are right
 
 
-def fly(scene: str, seed: int) -> Flight:
+def fly(scene: str, seed: int) -> FlownScene:
     """Fly a scene as a user does, and read what it left. Raises RuntimeError where exit code and result disagree."""
     with tempfile.TemporaryDirectory(prefix="shoal-scene-") as folder:
         command = [sys.executable, "-P", "-m", "sim_bridge", "sil", scene, "--lockstep", "--one-process", "--no-web"]
@@ -101,18 +101,18 @@ def fly(scene: str, seed: int) -> Flight:
         return _flight(result, _tracks(results[0].with_name("run.mcap")), took_s)
 
 
-def _not_flown(scene: str, seed: int, last_line: Sequence[str], took_s: float) -> Flight:
+def _not_flown(scene: str, seed: int, last_line: Sequence[str], took_s: float) -> FlownScene:
     nan = math.nan
-    return Flight(scene, seed, False, "".join(last_line) or "no result", nan, nan, nan, nan, nan, nan, (), {}, took_s)
+    return FlownScene(scene, seed, False, "".join(last_line) or "no result", nan, nan, nan, nan, nan, nan, (), {}, took_s)
 
 
-def _flight(result: dict[str, Any], tracks: dict[str, PoseRow], took_s: float) -> Flight:
+def _flight(result: dict[str, Any], tracks: dict[str, PoseRow], took_s: float) -> FlownScene:
     robots = result["robots"].values()
     unmet = [check["name"] for check in result["checks"] if check["passed"] is False]
     cause = result["cause"]["text"] if result["cause"] else ""
     arrival = next((check["value"] for check in result["checks"] if check["name"] == "from its place at the end"), None)
     faults = tuple(f"{fault['source']}: {fault['text']} ({fault['time_s']:.1f} s)" for fault in result["faults"])
-    return Flight(
+    return FlownScene(
         result["scene"],
         result["seed"],
         result["passed"],
@@ -147,7 +147,7 @@ def _tracks(log: Path) -> dict[str, PoseRow]:
     return {row.subject: row for row in rows if row.subject in TRACKS}
 
 
-def pooled(flights: Sequence[Flight], track: str) -> Poses | None:
+def pooled(flights: Sequence[FlownScene], track: str) -> Poses | None:
     """The poses of one kind of track of all flights together; None if there is none."""
     rows = [flight.tracks[track] for flight in flights if track in flight.tracks]
     count = sum(row.poses for row in rows)
@@ -158,13 +158,13 @@ def pooled(flights: Sequence[Flight], track: str) -> Poses | None:
     return Poses(count, math.sqrt(square / count), max(row.max_mm for row in rows), nees / count)
 
 
-def worst_of(flights: Sequence[Flight]) -> Flight:
+def worst_of(flights: Sequence[FlownScene]) -> FlownScene:
     """The flight that says most against a scene: one that failed, else the one with the largest error over the whole run."""
     failed = [flight for flight in flights if not flight.passed]
     return max(failed or flights, key=lambda flight: -1.0 if math.isnan(flight.max_m) else flight.max_m)
 
 
-def markdown(flights: Sequence[Flight], seeds: int) -> str:
+def markdown(flights: Sequence[FlownScene], seeds: int) -> str:
     """The page of evidence."""
     by_scene = {scene: sorted((f for f in flights if f.scene == scene), key=lambda f: f.seed) for scene in SCENES}
     flown = {scene: group for scene, group in by_scene.items() if group}
@@ -202,7 +202,7 @@ def markdown(flights: Sequence[Flight], seeds: int) -> str:
     return "\n".join(lines)
 
 
-def _flight_row(scene: str, group: Sequence[Flight]) -> str:
+def _flight_row(scene: str, group: Sequence[FlownScene]) -> str:
     poses = "" if load_experiment(scene).localizer.uses_camera else " (no camera)"
     worst = worst_of(group)
     columns = [[f.rms_whole_m for f in group], [f.rms_settled_m for f in group], [f.max_m for f in group]]
@@ -220,14 +220,14 @@ def _spread_mm(values: Sequence[float]) -> str:
     return f"{known[-1]:.3g} ({known[len(known) // 2]:.3g})" if known else ""
 
 
-def _track_rows(scene: str, group: Sequence[Flight]) -> Iterator[str]:
+def _track_rows(scene: str, group: Sequence[FlownScene]) -> Iterator[str]:
     for track in TRACKS:
         poses = pooled(group, track)
         if poses is not None:
             yield f"| {scene} | {track} | {poses.count} | {poses.rms_mm:.2f} | {poses.max_mm:.1f} | {poses.nees:.2f} |"
 
 
-def _faults(flown: dict[str, list[Flight]]) -> list[str]:
+def _faults(flown: dict[str, list[FlownScene]]) -> list[str]:
     lines = []
     for scene, group in flown.items():
         for flight in group:
@@ -251,11 +251,11 @@ def _plain(value: Any) -> Any:
     return None if isinstance(value, float) and math.isnan(value) else value
 
 
-def fly_all(scenes: Sequence[str], seeds: int, workers: int, console: Console) -> list[Flight]:
+def fly_all(scenes: Sequence[str], seeds: int, workers: int, console: Console) -> list[FlownScene]:
     """Fly every scene on every seed, longest scenes first, with progress."""
     wanted = [(scene, seed) for seed in range(1, seeds + 1) for scene in scenes]
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-    flights: list[Flight] = []
+    flights: list[FlownScene] = []
     with (
         Progress(*columns, console=console, disable=not console.is_terminal) as progress,
         ThreadPoolExecutor(workers) as pool,  # each thread waits for a process of its own

@@ -2,7 +2,6 @@
 
 import json
 import subprocess
-import sys
 import tempfile
 import time
 from dataclasses import dataclass
@@ -11,6 +10,7 @@ from pathlib import Path
 from rich.console import Console
 
 from sim_bridge.sil.commands import RunOptions
+from wire import programs
 from wire.config.experiment import Experiment, load_experiment
 from wire.process.output_files import page_was_open
 from wire.process.runtime import SLICE_S, Stop
@@ -40,13 +40,13 @@ def next_experiment(run: EndedRun, options: RunOptions, problem: str, stop: Stop
     )
     arguments = ["ended", str(run.folder), "--web", options.page, "--problem", problem]
     closing = Stop()  # a person's next Ctrl-C is for the page alone
-    with subprocess.Popen([sys.executable, "-m", "groundstation", *arguments], stdout=subprocess.PIPE, text=True) as shown:
+    with programs.start("groundstation", arguments, stdout=subprocess.PIPE) as shown:
         while shown.poll() is None and not closing.requested:
             time.sleep(SLICE_S)
         if closing.requested:
             shown.terminate()
             return None
-        told = shown.communicate(timeout=ENDS_WITHIN_S)[0].splitlines()
+        told = shown.communicate(timeout=ENDS_WITHIN_S)[0].decode("utf-8", errors="replace").splitlines()
     choice = json.loads(told[-1]) if told and shown.returncode == 0 else {"what": "close"}
     if choice["what"] == "again":
         return run.experiment

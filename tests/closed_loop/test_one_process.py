@@ -25,6 +25,7 @@ from wire.config.experiment import NO_CAMERA, load_experiment
 from wire.messages import topics
 from wire.messages.codec import Header, decode
 from wire.messages.messages import Event
+from wire.process import output
 from wire.process.runtime import Failed, log
 from wire.toml_loader import ConfigError
 from wire.transport.memory_transport import MemoryHub
@@ -184,6 +185,7 @@ def test_a_part_that_fails_is_named_and_its_log_says_why(tmp_path: Path, closing
     part.begin(lambda bus: steps())
     with pytest.raises(Failed, match="agent-1 has ended: ValueError: robot 1: no such thing"):
         part.step()
+    output.flush()
     said, others = ((tmp_path / f"agent-{robot}.log").read_text() for robot in (1, 2))
     assert "agent-1 INFO ready" in said and "ValueError: robot 1: no such thing" in said and "meanwhile" not in said
     assert others.endswith("agent-2 INFO spoken meanwhile\n") and others.count("\n") == 1

@@ -204,7 +204,7 @@ def test_a_campaign_with_the_camera_says_what_the_reports_of_its_flights_say(tmp
     ("changes", "complaint"),
     [
         ({"settings": ["localizer.uses_camera=false"]}, "localizer.uses_camera = false: no camera locates these robots"),
-        ({"sweep": {"sim.faults": [[{"at_s": 1.0, "what": "disk full"}]]}}, "--one-process has no processes to break"),
+        ({"sweep": {"sim.faults": [[{"at_s": 1.0, "what": "disk full"}]]}}, "--one-process has none to break"),
     ],
 )
 def test_a_campaign_with_the_camera_refuses_what_has_none(changes: dict[str, Any], complaint: str, tmp_path: Path) -> None:
