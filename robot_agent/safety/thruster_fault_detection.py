@@ -9,7 +9,7 @@ the thruster's dead time and lag. Mass, voltage, drag and curve are never known 
 bias, and pulses and rates are delayed. So the dependence of the residual on each N_k, on d(r), on a constant and on the
 moment's rate of change is learned in flight; a voltage that changes is new doubt about all legs alike. A leg that gives less
 thrust than commanded, none, or the opposite leaves a share of its own N_k in the residual. likelihood_ratio.py tests at each
-step whether that is chance; disturbances of the water do not follow one leg's pulses.
+look whether that is chance, and two looks have to agree; disturbances of the water do not follow one leg's pulses.
 
 A thruster with almost no command, or one stuck at its present command, cannot be seen: neither moves the robot. The limits are
 measured on flights of the article's robot with masses and thrusters off by 30 %, in waves and gusts
@@ -39,7 +39,8 @@ NOTED_S = 0.09  # and not every one is looked at
 SHARE = 0.02  # of the moment: curves are no straight lines
 UNEVEN_S = 0.005  # steps begin, and pulses leave, a little earlier or later
 MISSING = (0.6, 2.0)  # of what a leg is told: most of it, up to twice, which is reversed
-SURE = 8.0  # evidence: e^8 to one
+SURE = 8.0  # evidence: e^8 to one,
+SURE_AGAIN = 2  # looks that have to be sure one after the other: a hull that pitches back from full thrust gave 9 at one
 LONGEST_NS = NS // 5  # between two steps; after a longer gap the observer begins anew,
 APART_NS = NS // 20  # as it does if the board's clock tells otherwise how long it was: what is heard late says nothing of now
 # Covariance of how far the residual goes with the legs' moments, drag, the moment's change, and nothing.
@@ -147,7 +148,7 @@ class ThrusterFaultDetector:
     def _forget_causes(self) -> None:
         """Clear the smoothed causes of the residual."""
         self._causes = np.zeros(LEGS + 3)
-        self._unnoted_s = 0.0
+        self._unnoted_s, self._sure = 0.0, 0
 
     def note_moments(self, moments_nm: Array, now_ns: int) -> None:
         """Take note of the yaw moments (4,) of pulses that went out. Of two at one instant the last counts."""
@@ -196,7 +197,8 @@ class ThrusterFaultDetector:
                 rough = math.hypot(SHARE * moment, UNEVEN_S * rising)
                 self._test.note_sample(self._causes, residual, rough, self._unnoted_s, at_ns)
                 self._unnoted_s = 0.0
-                self.broken |= self._test.evidence > SURE
+                self._sure = self._sure + 1 if self._test.evidence > SURE else 0
+                self.broken |= self._sure >= SURE_AGAIN
 
     def _leaves_out(self, off_radps: float, board_ns: int) -> bool:
         """True for a sample far off the estimated rate, unless the one before it was left out: two in a row count."""
