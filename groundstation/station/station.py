@@ -14,14 +14,13 @@ from dataclasses import dataclass, field, replace
 
 from groundstation.logs.recorder import Recorder
 from groundstation.mission.command_dispatcher import CommandResult
-from groundstation.mission.gain_update import TUNING, GainUpdater
+from groundstation.mission.gain_update import GainUpdater
 from groundstation.mission.lap_statistics import LapStatistics
-from groundstation.mission.mission import LIVE, Mission
+from groundstation.mission.mission import Mission
 from groundstation.mission.obstacle_monitor import ObstacleSet, obstacle_set
 from groundstation.mission.plan_manager import PlanRequest
-from groundstation.mission.request_progress import AT_REST, RequestTracker
-from groundstation.mission.single_robot import SingleRobotControl
 from groundstation.mission.state_machine import READY, MissionState, in_words
+from groundstation.mission.station_core import StationCore
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.segment import PlanSegment
 from groundstation.telemetry import Fleet, FleetInboxes, LinkMonitor, blocking_findings
@@ -30,7 +29,7 @@ from wire.config.experiment import Experiment
 from wire.frames import Array
 from wire.messages import topics
 from wire.messages.codec import Header
-from wire.messages.messages import Command, DriveVelocity, Order, Progress, Reply, StationHeartbeat, Trajectory
+from wire.messages.messages import Command, DriveVelocity, Order, Reply, StationHeartbeat, Trajectory
 from wire.messages.topics import WHOLE_FLEET
 from wire.process.runtime import Clock, age_s, log
 from wire.transport.bus import Bus
@@ -95,7 +94,6 @@ class Station:
     obstacles_up_to_ns: int | None = None  # in lockstep: pictures up to then have been told of
     pending: list[tuple[Command, Future[Reply]]] = field(default_factory=list)
     paths: Mapping[int, tuple[Trajectory, float]] | None = None  # what each robot flies now, until when [s]
-    ended: bool = False  # a person has ended the run: everybody who is heard is at rest
     told: str = ""
     insecure: bool = False
     recorder_told: bool = False
@@ -104,8 +102,8 @@ class Station:
     wake: threading.Event = field(default_factory=threading.Event)  # set by a request that cannot wait for the next cycle
 
     def __post_init__(self) -> None:
-        self.single = SingleRobotControl(self.experiment, self.mission)
-        self.requests = RequestTracker(self.experiment.robot_ids, self.single.tasks)
+        self.core = StationCore(self.experiment, self.mission, self.tuner, self.laps)
+        self.single, self.requests = self.core.single, self.core.requests
         self.beat_s = time.monotonic()  # instant of the last heartbeat (s, monotonic)
         self._status = Status(self.mission.state, self.mission.reason)
 
@@ -113,17 +111,10 @@ class Station:
         """Read the fleet, step the mission, send its commands, publish the heartbeat."""
         with self.lock:
             self.seen, answers = self.fleet(), self._answers()
-            for_tuner = [answer for answer in answers if answer.command.order in TUNING]
-            led = self.mission.led = self.single.led
-            for_one = [answer for answer in answers if answer not in for_tuner and answer.command.robot in led]
-            for_mission = [answer for answer in answers if answer not in for_tuner and answer not in for_one]
             self.plan(lockstep, now_ns)
-            commands = self.mission.step(self.seen, for_mission, now_ns, self._around())
-            commands += self.single.step(self.seen, for_one, now_ns)
+            commands = self.core.step(self.seen, answers, now_ns, self._around())
             self.plan(lockstep, now_ns)
             self.publish_paths(now_ns)
-            commands += self.tuner.step(self.seen, for_tuner, now_ns)
-            self.laps.update(self.seen)
             self._follow(answers)
             new_gains = self.tuner.take_unlogged()
         for gains in new_gains:
@@ -151,14 +142,17 @@ class Station:
         return sum(c.robot == command.robot and c.order is command.order for c, _ in self.pending)
 
     def _follow(self, answers: Sequence[CommandResult]) -> None:
-        """Update the progress of requests; end the run if one of them asks for it and is done."""
-        ending = self.requests.ending
-        for outcome in self.requests.follow(self.mission, self.seen, self.tuner.status(), answers):
+        """Update the progress of requests, and log those that have ended."""
+        ended = self.ended
+        for outcome in self.core.follow(self.seen, answers):
             log.info("%s: %s", outcome.order.name, in_words(outcome))
-        ends = [outcome.progress for outcome in self.requests.recent if outcome.order is Order.END]
-        if ending and not self.requests.ending and ends[-1] is Progress.DONE:
-            self.ended = True
+        if self.ended and not ended:
             log.info("the run is ended")
+
+    @property
+    def ended(self) -> bool:
+        """True if a person has ended the run: every robot that is heard is at rest."""
+        return self.core.ended
 
     def fleet(self) -> Fleet:
         """View of every robot now."""
@@ -178,14 +172,13 @@ class Station:
     def plan(self, lockstep: bool, now_ns: int) -> None:
         """Compute the plans that the mission and single robots wait for: in another thread, because the heartbeat must go on;
         in lockstep at once. An outcome is dropped if no request waits for it any more."""
-        for name, owner in (("mission", self.mission), ("single", self.single)):
-            wanted = owner.plan_request
+        for name, wanted in self.core.plan_requests():
             if name not in self.planning and wanted is not None:
                 self.planning[name] = wanted, self.workers.plans.submit(_planned, wanted.plan)
             if name in self.planning and (lockstep or self.planning[name][1].done()):
                 asked, outcome = self.planning.pop(name)
                 if asked is wanted:
-                    owner.planned(outcome.result(), self.seen, now_ns)
+                    self.core.planned(name, outcome.result(), self.seen, now_ns)
 
     def publish_paths(self, now_ns: int) -> None:
         """Publish the trajectories flown from now on, for page and log: each robot's whole run from its beginning."""
@@ -222,44 +215,25 @@ class Station:
     def request(self, order: Order, via: Sequence[tuple[float, float]] = (), only: int = WHOLE_FLEET) -> tuple[str, int]:
         """Take an operator's request for the whole fleet, or for the robot `only`; a STOP is for everybody. Returns the reason
         of a refusal, or nothing, and the request's number."""
-        only = WHOLE_FLEET if order is Order.STOP else only
         with self.lock:
-            if only:
-                place_m = via[0] if len(via) == 1 else None
-                reason = self.single.request(order, only, self.seen, self.clock.now_ns(), place_m)
-            else:
-                reason = self._end() if order is Order.END else self._request_mission(order, via)
-            number = 0 if reason else self.requests.begin(order, self.mission, only=only)
+            reason, number = self.core.request(order, self.seen, self.clock.now_ns(), via, only)
         if order in PROMPT and not reason:
             self.wake.set()
-        asked = f"{order.name} for robot {only}" if only else order.name
+        asked = f"{order.name} for robot {only}" if only and order is not Order.STOP else order.name
         log.info("%s %s", asked, f"refused: {reason}" if reason else "asked for")
         return reason, number
 
     def drive(self, robot: int, velocity: DriveVelocity) -> str:
         """Take a person's newest velocity for one robot. Returns the reason of a refusal, or nothing."""
         with self.lock:
-            return self.single.drive(robot, velocity, self.seen, self.clock.now_ns())
-
-    def _request_mission(self, order: Order, via: Sequence[tuple[float, float]] = ()) -> str:
-        return self.mission.request(order, self.seen, self.clock.now_ns(), via)
-
-    def _end(self) -> str:
-        """Disarm all robots that may be armed. Returns the reason of a refusal, or nothing."""
-        moves = self.mission.state not in AT_REST or any(seen.heard and seen.mode in LIVE for seen in self.seen.values())
-        return self._request_mission(Order.DISARM) if moves and self.mission.state is not MissionState.STOPPED else ""
+            return self.core.drive(robot, velocity, self.seen, self.clock.now_ns())
 
     def request_gains(self, values: Mapping[str, float] | None, next_lap: bool) -> tuple[str, int]:
         """Change the fleet's gains; None: go back to those before. Returns the reason of a refusal, or nothing, and the
         number."""
         with self.lock:
-            fleet, now_ns = self.fleet(), self.clock.now_ns()
-            if values is None:
-                reason, what = self.tuner.undo(fleet, now_ns), "the gains before"
-            else:
-                reason = self.tuner.request(values, next_lap, fleet, now_ns)
-                what = ", ".join(f"{key} = {value:g}" for key, value in values.items())
-            number = 0 if reason else self.requests.begin(Order.TUNE, self.mission, self.tuner.status().wanted)
+            reason, number = self.core.request_gains(values, next_lap, self.fleet(), self.clock.now_ns())
+        what = "the gains before" if values is None else ", ".join(f"{key} = {value:g}" for key, value in values.items())
         when = " on the next lap" if next_lap else ""
         log.info("gains, %s%s: %s", what, when, f"refused: {reason}" if reason else "asked for")
         return reason, number
