@@ -63,7 +63,7 @@ def _injected(series: Series, until_s: float = math.inf) -> list[str]:
 def _outcome(result: Result, series: Series) -> str:
     if not series.started:
         return "nothing was flown"
-    flown_s = min(series.reached_s, series.end_s)
+    flown_s = series.flown_s
     unmet = sum(not check.passed for check in result.checks)
     return f"{flown_s:.1f} s of {series.asked_s:g} s flown, {unmet} of {len(result.checks)} requirements not met"
 

@@ -7,7 +7,7 @@ orders of a cycle are answered before its heartbeat, so a robot that has the hea
 import re
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -17,11 +17,13 @@ from groundstation.mission.command_dispatcher import CommandResult
 from groundstation.mission.gain_update import GainUpdater
 from groundstation.mission.lap_statistics import LapStatistics
 from groundstation.mission.mission import Mission
+from groundstation.mission.objections import LIVE
 from groundstation.mission.obstacle_monitor import ObstacleSet, obstacle_set
 from groundstation.mission.plan_manager import PlanRequest
 from groundstation.mission.state_machine import READY, MissionState, in_words
 from groundstation.mission.station_core import StationCore
 from groundstation.planning.feasibility import PlanError
+from groundstation.planning.prioritized_planning import OutOfTime
 from groundstation.planning.segment import PlanSegment
 from groundstation.telemetry import Fleet, FleetInboxes, LinkMonitor, blocking_findings
 from groundstation.web.backend import Status
@@ -42,6 +44,7 @@ PROMPT = frozenset({Order.STOP, Order.DISARM, Order.HOLD})
 MAX_UNANSWERED = 2  # orders of a kind to one robot that may be unanswered: the second goes out before the first is given up
 # of orders that may be on their way to one robot at a time, but for PROMPT: LOAD or START, ARM, TUNE, ADOPT, DRIVE
 COMMAND_KINDS = 5
+PLANNING_S = 15.0  # for a plan of robots at rest; the formation holds meanwhile, and its battery does not last for ever
 STATUS_WITHIN_S = 0.02  # a reader of the status waits no longer for the cycle, and gets the last one
 FIGURE = re.compile(r"\d[\d.]*(?:%| (?:s|V|m|ms)\b)")  # a reason in which only these change is not told anew
 
@@ -53,7 +56,8 @@ class Workers:
 
     prompt: ThreadPoolExecutor  # PROMPT
     orders: ThreadPoolExecutor
-    plans: ThreadPoolExecutor
+    plans: ThreadPoolExecutor  # one thread for each owner of a plan
+    closing: threading.Event  # the station ends: no plan is waited for
 
     def of(self, order: Order) -> ThreadPoolExecutor:
         """Threads that send a command."""
@@ -67,9 +71,13 @@ def workers(robots: int) -> Iterator[Workers]:
     with (
         ThreadPoolExecutor(most * len(PROMPT), "prompt") as prompt,
         ThreadPoolExecutor(most * COMMAND_KINDS, "order") as orders,
-        ThreadPoolExecutor(1, "plan") as plans,
+        ThreadPoolExecutor(2, "plan") as plans,
     ):
-        yield Workers(prompt, orders, plans)
+        closing = threading.Event()
+        try:
+            yield Workers(prompt, orders, plans, closing)
+        finally:
+            closing.set()
 
 
 @dataclass
@@ -90,7 +98,7 @@ class Station:
     links: dict[int, LinkMonitor] = field(default_factory=dict)
     seen: Fleet = field(default_factory=dict)  # as of the last cycle
     planning: "dict[str, tuple[PlanRequest, Future[PlanSegment | PlanError]]]" = field(default_factory=dict)
-    published: tuple[PlanSegment, Sequence[Trajectory]] | None = None
+    published: tuple[PlanSegment, Mapping[int, Trajectory]] | None = None  # segment, and what robots fly alone
     obstacles_up_to_ns: int | None = None  # in lockstep: pictures up to then have been told of
     pending: list[tuple[Command, Future[Reply]]] = field(default_factory=list)
     paths: Mapping[int, tuple[Trajectory, float]] | None = None  # what each robot flies now, until when [s]
@@ -159,7 +167,7 @@ class Station:
         found = {}
         for robot in self.experiment.robot_ids:
             seen = self.heard.view(robot, self.links.setdefault(robot, LinkMonitor()), self.clock)
-            found[robot] = replace(seen, behind_s=self.mission.behind_s(seen, self.clock.now_ns()))
+            found[robot] = self.core.view(robot, seen, self.clock.now_ns())
         return found
 
     def _around(self) -> ObstacleSet:
@@ -174,21 +182,29 @@ class Station:
         in lockstep at once. An outcome is dropped if no request waits for it any more."""
         for name, wanted in self.core.plan_requests():
             if name not in self.planning and wanted is not None:
-                self.planning[name] = wanted, self.workers.plans.submit(_planned, wanted.plan)
+                self.planning[name] = wanted, self.workers.plans.submit(_planned, wanted, self._patience(lockstep))
             if name in self.planning and (lockstep or self.planning[name][1].done()):
                 asked, outcome = self.planning.pop(name)
                 if asked is wanted:
                     self.core.planned(name, outcome.result(), self.seen, now_ns)
 
+    def _patience(self, lockstep: bool) -> OutOfTime:
+        """Limit of time of a plan that begins now; none in lockstep, where a plan must not depend on the machine."""
+        closing, deadline_s = self.workers.closing, time.monotonic() + PLANNING_S
+        return lambda: closing.is_set() or (not lockstep and time.monotonic() > deadline_s)
+
     def publish_paths(self, now_ns: int) -> None:
-        """Publish the trajectories flown from now on, for page and log: each robot's whole run from its beginning."""
+        """Publish the trajectories flown from now on, for page and log: each robot's whole run with the formation from its
+        beginning, or what it flies alone."""
         segment, trips = self.mission.segment, self.single.trips
-        alone = [trajectory for trajectory, _ in trips.values()]
+        alone = {robot: trajectory for robot, (trajectory, _) in trips.items()}
         if self.published is not None and segment is self.published[0] and alone == self.published[1]:
             return
-        if self.published is None or segment is not self.published[0]:
-            for robot, trajectory in self.mission.roster.history.items():
-                self.bus.publish(topics.TRAJECTORY, trajectory, now_ns, robot)
+        before = self.published[1] if self.published is not None and segment is self.published[0] else None
+        for robot, trajectory in self.mission.roster.history.items():
+            flown = alone.get(robot, trajectory)
+            if before is None or flown is not before.get(robot, trajectory):
+                self.bus.publish(topics.TRAJECTORY, flown, now_ns, robot)
         self.paths = {r: (t, segment.end_s) for r, t in self.mission.roster.trajectories(segment).items()} | trips
         self.published = segment, alone
 
@@ -227,6 +243,15 @@ class Station:
         """Take a person's newest velocity for one robot. Returns the reason of a refusal, or nothing."""
         with self.lock:
             return self.core.drive(robot, velocity, self.seen, self.clock.now_ns())
+
+    def come_to_rest(self) -> bool:
+        """Hold every robot that moves: the station is about to leave. Returns False once none that is heard moves."""
+        with self.lock:
+            return self.core.come_to_rest(self.seen, self.clock.now_ns())
+
+    def has_power(self) -> bool:
+        """True while a robot that is heard may put out thrust."""
+        return any(seen.heard and seen.mode in LIVE for seen in self.seen.values())
 
     def request_gains(self, values: Mapping[str, float] | None, next_lap: bool) -> tuple[str, int]:
         """Change the fleet's gains; None: go back to those before. Returns the reason of a refusal, or nothing, and the
@@ -280,9 +305,9 @@ class Station:
             (log.warning if self.mission.state in TROUBLED else log.info)("mission: %s", line)
 
 
-def _planned(make: Callable[[], PlanSegment]) -> PlanSegment | PlanError:
+def _planned(wanted: PlanRequest, out_of_time: OutOfTime) -> PlanSegment | PlanError:
     try:
-        return make()
+        return wanted.plan(out_of_time)
     except PlanError as error:
         return error
     except Exception as error:  # a bug in planning is no reason to leave a fleet in the water without its station

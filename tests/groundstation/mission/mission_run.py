@@ -7,6 +7,7 @@ import numpy as np
 
 from groundstation.mission.command_dispatcher import CommandResult
 from groundstation.mission.mission import Mission
+from groundstation.mission.objections import LIVE
 from groundstation.mission.state_machine import MissionState
 from groundstation.planning.segment import PlanSegment
 from groundstation.telemetry import RobotView
@@ -43,6 +44,8 @@ class ObedientRobot:
         unheard = self.silent or self.unknown
         if (unheard and not self.hears) or command.order in self.refuses:
             return Reply(command.robot, False, "no answer" if unheard else "I refuse", silent=unheard)
+        if command.order is Order.HOLD and self.mode not in LIVE:
+            return Reply(command.robot, False, "HOLD is not accepted")
         leads = {Order.ARM: Mode.ARMED, Order.START: Mode.TRACKING, Order.HOLD: Mode.HOLDING, Order.RESUME: Mode.TRACKING,
                  Order.DISARM: Mode.DISARMED, Order.STOP: Mode.STOPPED, Order.CLEAR_STOP: Mode.DISARMED,
                  Order.DRIVE: Mode.DRIVEN}  # fmt: skip

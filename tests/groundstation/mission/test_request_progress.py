@@ -23,7 +23,7 @@ class Asked:
     """A mission by hand, and the account of what is asked for."""
 
     run: MissionRun = field(default_factory=lambda: MissionRun(automatic=False, settings=["duration_s=60"]))
-    requests: RequestTracker = field(default_factory=lambda: RequestTracker((1, 2), {}))
+    requests: RequestTracker = field(default_factory=lambda: RequestTracker((1, 2)))
     tuning: GainStatus = field(default_factory=lambda: GainStatus(FLOWN))
 
     def ask(self, order: Order, **more: Any) -> int:
