@@ -24,6 +24,7 @@ from groundstation.web.server import WebServer, bind
 from wire.config.experiment import Experiment, load_experiment
 from wire.messages import topics
 from wire.messages.codec import Header
+from wire.messages.messages import Order
 from wire.messages.topics import WHOLE_FLEET
 from wire.process.lockstep import Lockstep, LockstepClock
 from wire.process.output_files import replace_text
@@ -33,6 +34,8 @@ from wire.toml_loader import ConfigError, os_errors_as_config_errors
 from wire.transport.bus import Bus
 from wire.web_access import WebOptions
 
+REST_WITHIN_S = 5.0  # of robots that hold because the station is told to end
+DISARM_WITHIN_S = 2.0  # of robots that rest then
 FAREWELL_S = 1.0  # a page gets four states in this time, a terminal asks five times
 
 
@@ -110,7 +113,10 @@ def cycles(
         else:
             _wall_loop(station, stop)
         log.info("mission %s after %.1f s", mission.state.value, time.monotonic() - started_s)
-        return mission.state is MissionState.DONE and not recorder.error
+        recorder.close()
+        if recorder.error:  # also of the log's end, which nobody else tells
+            log.error("recorder: %s", recorder.error)
+        return mission.verdict is MissionState.DONE and not recorder.error
 
 
 def _write_experiment(file: Path, loaded: Experiment, text: str) -> None:
@@ -140,10 +146,30 @@ class _End:
         return station.mission.automatic and station.mission.state in TERMINAL
 
 
+class _Leaving:
+    """End of a station that is told to end while robots have power: they hold, and are disarmed when they rest."""
+
+    def __init__(self, station: Station) -> None:
+        self._station, self._until_s, self._disarms = station, 0.0, False
+
+    def over(self) -> bool:
+        """True if the station may end now."""
+        station, now_s = self._station, time.monotonic()
+        if not self._until_s:
+            self._until_s = now_s + REST_WITHIN_S
+            if station.has_power():
+                log.warning("told to end while robots have power: they hold, and are disarmed when they rest")
+        if not self._disarms and (not station.come_to_rest() or now_s > self._until_s):
+            self._disarms, self._until_s = True, now_s + DISARM_WITHIN_S
+            if station.has_power():
+                station.request(Order.END)
+        return self._disarms and (not station.has_power() or now_s > self._until_s)
+
+
 def _wall_loop(station: Station, stop: Stop) -> None:
     period_ns = round(station.experiment.controller.period_s * 1e9)
-    due_ns, end = time.monotonic_ns(), _End(station)
-    while not stop.requested:
+    due_ns, end, leaving = time.monotonic_ns(), _End(station), _Leaving(station)
+    while not stop.requested or not leaving.over():
         station.wake.clear()
         station.cycle(station.clock.now_ns(), lockstep=False)
         if end.reached():

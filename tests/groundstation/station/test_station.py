@@ -68,13 +68,13 @@ def test_an_outdated_plan_is_dropped(tmp_path: Path) -> None:
         mission, detour = station.mission, station.mission.segment
         home = replace(detour, is_return=True)
 
-        def slow() -> PlanSegment:
+        def slow(out_of_time: Callable[[], bool]) -> PlanSegment:
             late.wait(PATIENCE_S)
             return detour
 
         mission.state, mission.plans.request = MissionState.HALTING, PlanRequest("another path", slow)
         station.plan(False, 0)
-        mission.plans.request = PlanRequest("a way for everybody from rest", lambda: home)
+        mission.plans.request = PlanRequest("a way for everybody from rest", lambda out_of_time: home)
         late.set()
         deadline = time.monotonic() + PATIENCE_S
         while mission.state is MissionState.HALTING and time.monotonic() < deadline:
@@ -90,7 +90,7 @@ def test_a_planner_that_breaks_leaves_the_fleet_holding_and_the_station_alive(tm
         station.seen = station.fleet()
         mission.state, mission.plans.request = (
             MissionState.HALTING,
-            PlanRequest("another path", lambda: dict[str, PlanSegment]()["robot 3"]),
+            PlanRequest("another path", lambda out_of_time: dict[str, PlanSegment]()["robot 3"]),
         )
         station.plan(True, 0)
         assert mission.state is MissionState.PAUSED
@@ -127,7 +127,12 @@ class ObedientFleet:
             time.sleep(0.002)
 
 
-LEADS = {Order.STOP: Mode.STOPPED, Order.CLEAR_STOP: Mode.DISARMED, Order.DISARM: Mode.DISARMED}
+def tell_until(fleet: ObedientFleet, over: threading.Event) -> None:
+    while not over.wait(0.02):
+        fleet.tell()
+
+
+LEADS = {Order.HOLD: Mode.HOLDING, Order.STOP: Mode.STOPPED, Order.CLEAR_STOP: Mode.DISARMED, Order.DISARM: Mode.DISARMED}
 
 
 def asked(station: Station, order: Order) -> int:
@@ -237,6 +242,42 @@ def test_a_run_is_ended_once_everybody_is_at_rest(tmp_path: Path, mode: Mode) ->
         assert (Order.DISARM in [order for _, order in fleet.got]) is (mode is Mode.TRACKING)
         assert not any(m is Mode.TRACKING for m in fleet.modes.values())
         assert station.status().ended
+
+
+def test_a_station_that_is_told_to_end_in_flight_holds_and_then_disarms(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    hub, stop = MemoryHub(), Stop(install=False)
+    with a_station(tmp_path, hub) as station:
+        fleet = ObedientFleet(hub, station.experiment)
+        fleet.modes = dict.fromkeys(fleet.modes, Mode.TRACKING)
+        station.mission.state = MissionState.RUNNING
+        fleet.until(station, lambda: len(station.seen) == 2 and all(seen.heard for seen in station.seen.values()))
+        stop.request()
+        over, told = threading.Event(), threading.Thread(target=lambda: tell_until(fleet, over))
+        told.start()
+        try:
+            # the loop alone: `cycles` around it needs a network and a page
+            process._wall_loop(station, stop)
+        finally:
+            over.set()
+            told.join()
+        for robot in fleet.modes:
+            orders = [order for of, order in fleet.got if of == robot]
+            assert orders.index(Order.HOLD) < orders.index(Order.DISARM)
+        assert set(fleet.modes.values()) == {Mode.DISARMED}
+        assert "told to end while robots have power" in caplog.text
+
+
+def test_an_end_disarms_the_one_robot_that_is_armed(tmp_path: Path) -> None:
+    hub = MemoryHub()
+    with a_station(tmp_path, hub) as station:
+        fleet = ObedientFleet(hub, station.experiment)
+        fleet.modes = {1: Mode.DISARMED, 2: Mode.HOLDING}
+        fleet.until(station, lambda: len(station.seen) == 2 and all(seen.heard for seen in station.seen.values()))
+        asked(station, Order.END)
+        fleet.until(station, lambda: station.ended)
+        assert fleet.modes == {1: Mode.DISARMED, 2: Mode.DISARMED}
 
 
 def test_an_end_replaced_by_a_start_ends_no_run(tmp_path: Path) -> None:
