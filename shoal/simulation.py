@@ -79,7 +79,9 @@ def simulation(
     for line in _lines(settings, seed, duration_s):
         command += ["--set", line]
     environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
-    child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment)
+    child = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment, start_new_session=True
+    )
     assert child.stdout is not None
     said, ended = list[str](), False
     try:
@@ -100,7 +102,7 @@ def simulation(
         try:
             child.wait(END_WITHIN_S)
         except subprocess.TimeoutExpired:
-            child.kill()
+            os.killpg(child.pid, signal.SIGKILL)  # and its children, which would keep ports and files
 
 
 def _lines(settings: Mapping[str, Any] | None, seed: int | None, duration_s: float | None) -> list[str]:
