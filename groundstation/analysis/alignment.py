@@ -355,6 +355,11 @@ def _reference(r: _Recorded, stamps: Array) -> Array:
     curve = CubicHermiteSpline(time_s, r.trajectory.eta, r.trajectory.velocity)
     clock_s = np.interp(stamps, r.clock_ns, r.clock_s) if r.flew else np.zeros(len(stamps))
     reference = np.asarray(curve(np.clip(clock_s, 0.0, time_s[-1])))
+    if len(r.clock_ns) > 1:  # a clock is no more invented across a gap of the log than the truth is
+        after = np.clip(np.searchsorted(r.clock_ns, stamps), 1, len(r.clock_ns) - 1)
+        gap_ns = r.clock_ns[after] - r.clock_ns[after - 1]
+        inside = (stamps > r.clock_ns[after - 1]) & (stamps < r.clock_ns[after])
+        reference[inside & (gap_ns > LONGEST_GAP_S * 1e9)] = np.nan
     if not r.with_formation.all():
         last = np.searchsorted(np.array([e.stamp_ns for e in r.states], dtype=np.float64), stamps, side="right") - 1
         reference[(last >= 0) & ~r.with_formation[np.maximum(last, 0)]] = np.nan

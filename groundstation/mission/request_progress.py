@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 from groundstation.mission.command_dispatcher import CommandResult
 from groundstation.mission.gain_update import TUNING, GainStage, GainStatus
-from groundstation.mission.mission import Mission, may_move
+from groundstation.mission.mission import JOIN_WITHIN_S, Mission, may_move
 from groundstation.mission.objections import ARMED, LIVE, MOVING
 from groundstation.mission.single_robot import RobotTask
 from groundstation.mission.state_machine import AT_REST, IN_FLIGHT, NOMINAL, MissionState
@@ -218,8 +218,9 @@ class RequestTracker:
         waiting = [robot for robot, state in states.items() if state is None or state.tuning_id != request.tuning_id]
         if tuning.stage is not GainStage.IDLE:
             return Progress.UNDER_WAY, "", waiting
-        if tuning.flown.id == request.tuning_id:
-            return Progress.DONE, "", waiting
+        if tuning.flown.id == request.tuning_id:  # one that came back meanwhile is given them within seconds
+            coming = [robot for robot in waiting if fleet[robot].state_age_s < JOIN_WITHIN_S]
+            return (Progress.UNDER_WAY if coming else Progress.DONE), "", waiting
         return Progress.FAILED, tuning.reason, waiting
 
     def _record(

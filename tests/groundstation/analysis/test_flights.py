@@ -340,3 +340,14 @@ def test_a_separation_that_is_unknown_for_long_fails(flown: tuple[Experiment, Ru
     separation = next(check for check in found.checks if check.name == "separation")
     assert separation.value is not None and separation.value > separation.limit and not separation.passed
     assert "known for" in separation.where
+
+
+def test_a_clock_is_not_invented_across_a_gap_of_the_log(flown: tuple[Experiment, RunLog, Path]) -> None:
+    """A robot out of reach flies on for a second, then holds: where it should have been meanwhile nobody knows."""
+    experiment, log, _ = flown
+    name = topics.STATE.name, 2
+    heard = [e for e in log.entries[name] if not 2.0 < e.stamp_ns / SECOND - START_S < 4.0]
+    series = align(experiment, dataclasses.replace(log, entries={**log.entries, name: heard}))
+    known = np.isfinite(series.robots[2].error[:, 0])
+    out = (series.time_s > 2.06) & (series.time_s < 3.94)
+    assert not known[out].any() and known[series.time_s < 1.94].all() and known[series.time_s > 4.06].all()
