@@ -324,9 +324,7 @@ else:
     )  # fmt: skip
 
 
-def test_what_was_deployed_without_a_restart_is_started_by_the_next_deployment(
-    kept_manifest: DeployRequest, tmp_path: Path
-) -> None:
+def test_the_next_deployment_starts_a_board_that_was_left_running(kept_manifest: DeployRequest, tmp_path: Path) -> None:
     without = replace(kept_manifest, restart=False)
     board = Target("board", 1)
     assert deploy_one(board, without).changed
