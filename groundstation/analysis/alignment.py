@@ -343,6 +343,7 @@ def _robot_series(experiment: Experiment, robot: int, r: _Recorded, time_s: Arra
         pose_time_s=(pose_stamps - start_ns) * 1e-9,
         pose=pose,
         pose_error=error,
+        led_away=_led_away(r, stamps),
         lost=r.lost,
     )
 
@@ -360,10 +361,16 @@ def _reference(r: _Recorded, stamps: Array) -> Array:
         gap_ns = r.clock_ns[after] - r.clock_ns[after - 1]
         inside = (stamps > r.clock_ns[after - 1]) & (stamps < r.clock_ns[after])
         reference[inside & (gap_ns > LONGEST_GAP_S * 1e9)] = np.nan
-    if not r.with_formation.all():
-        last = np.searchsorted(np.array([e.stamp_ns for e in r.states], dtype=np.float64), stamps, side="right") - 1
-        reference[(last >= 0) & ~r.with_formation[np.maximum(last, 0)]] = np.nan
+    reference[_led_away(r, stamps)] = np.nan
     return reference
+
+
+def _led_away(r: _Recorded, stamps: Array) -> Mask:
+    """True at the stamps at which a person led the robot elsewhere, (n,)."""
+    if r.with_formation.all():
+        return np.zeros(len(stamps), dtype=bool)
+    last = np.searchsorted(np.array([e.stamp_ns for e in r.states], dtype=np.float64), stamps, side="right") - 1
+    return np.asarray((last >= 0) & ~r.with_formation[np.maximum(last, 0)])
 
 
 def _middle(path: PathSpec, duration_s: float, trajectory: Trajectory | None) -> Array | None:
