@@ -30,6 +30,7 @@ class ObedientRobot:
     hears: bool = False  # also when silent: nothing that it says arrives
     unknown: bool = False
     test: str = ""
+    tuning_id: str = ""
     eta: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     age_s: float = 0.02
     fault: str = ""
@@ -68,6 +69,7 @@ class ObedientRobot:
         state = RobotState(
             mode=self.mode, fault=self.fault, experiment_hash=self.experiment.hash, trajectory_id=self.loaded,
             trajectory_s=self.trajectory_s, battery_v=self.battery_v, thruster_test=self.test,
+            tuning_id=self.tuning_id,
             eta=np.array(self.eta),
         )  # fmt: skip
         if self.unknown:
