@@ -20,6 +20,7 @@ from benchmarks.harness import Row
 from sim_bridge.camera.renderer import Renderer
 from sim_bridge.in_process.fleet import fly
 from sim_bridge.plant.fleet import Plant
+from wire import programs
 from wire.config.experiment import Experiment, dump_experiment, load_experiment
 from wire.config.scene import RobotConfig
 from wire.frames import Array
@@ -126,11 +127,14 @@ def flown(experiment: Experiment, options: tuple[str, ...], seeds: int = 1) -> l
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "experiment.toml"
         file.write_text(dump_experiment(experiment), encoding="utf-8")
-        command = [sys.executable, "-m", "sim_bridge", "sil", str(file), "--no-web", "--duration", str(LOCKSTEP_S), *options]
+        words = ["sil", str(file), "--no-web", "--duration", str(LOCKSTEP_S), *options]
         outs = [Path(folder) / str(seed) for seed in range(1, seeds + 1)]
         started = [
-            subprocess.Popen(
-                [*command, "--seed", out.name, "--out", str(out)], stdout=subprocess.PIPE, stderr=subprocess.STDOUT
+            programs.start(
+                "sim_bridge",
+                [*words, "--seed", out.name, "--out", str(out)],
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
             )
             for out in outs
         ]
@@ -152,9 +156,9 @@ def process_rows() -> Iterator[Row]:
         ("lockstep, pool, poses instead of frames", pool, ("--lockstep", "--poses")),
         ("lockstep, 5 of fleet-20, poses instead of frames", first_of_fleet(5), ("--lockstep", "--poses")),
         ("lockstep, fleet-20, poses instead of frames", fleet, ("--lockstep", "--poses")),
-        ("real time, 5 of fleet-20, poses instead of frames", first_of_fleet(5), ("--poses",)),
-        ("real time, 10 of fleet-20, poses instead of frames", first_of_fleet(10), ("--poses",)),
-        ("real time, fleet-20, poses instead of frames", fleet, ("--poses",)),
+        ("real time, 5 of fleet-20, poses instead of frames", first_of_fleet(5), ("--real-time", "--poses")),
+        ("real time, 10 of fleet-20, poses instead of frames", first_of_fleet(10), ("--real-time", "--poses")),
+        ("real time, fleet-20, poses instead of frames", fleet, ("--real-time", "--poses")),
     )
     for case, experiment, options in runs:
         for result in flown(experiment, options):

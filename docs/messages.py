@@ -97,7 +97,11 @@ def page() -> str:
         f"Where there are several cameras, each has its own of {', '.join(f'`{topic.name}`' for topic in topics.OF_CAMERAS)} "
         f"below `camera/NAME/`, for example `{camera}`; those above are fused from them, without pictures."
     ]
-    lines += [f"`{topics.PRESENCE_KEY}` is a liveliness token: there, not necessarily well.", "\n### How a topic is sent\n"]
+    lines += [
+        f"`{topics.PRESENCE_KEY}` is a liveliness token: there, not necessarily well. `{topics.CLAIM_KEY}` is one of a",
+        "session that wants (`candidate`) or has (`holder`) a name: each name is one process's.",
+        "\n### How a topic is sent\n",
+    ]
     lines += [f"* **{qos.name}**: {qos.value}." for qos in Qos]
     lines += ["\n## Messages", *(line for cls in get_args(Message) for line in _message(cls))]
     lines += ["\n## Choices", *(line for cls in _enums() for line in _choices(cls))]

@@ -3,7 +3,6 @@
 import shutil
 import signal
 import subprocess
-import sys
 import tempfile
 import threading
 import time
@@ -20,6 +19,7 @@ from playwright.sync_api import Browser, Page, ViewportSize, sync_playwright
 from groundstation.logs.run_folders import give_label
 from sim_bridge.camera.renderer import Renderer
 from sim_bridge.sil.ports import free_port
+from wire import programs
 from wire.config.experiment import Experiment, load_experiment
 
 IMAGES = Path(__file__).parent / "images"
@@ -33,8 +33,8 @@ PHONE: ViewportSize = {"width": 390, "height": 844}
 def flight(out: str, *arguments: str) -> Iterator[str]:
     """A run in lockstep; where its page is."""
     port = free_port()
-    command = [sys.executable, "-m", "sim_bridge", "sil", *arguments, "--lockstep", "--out", out, "--web", f"127.0.0.1:{port}"]
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
+    words = ["sil", *arguments, "--lockstep", "--out", out, "--web", f"127.0.0.1:{port}"]
+    process = programs.start("sim_bridge", words, stdout=subprocess.DEVNULL)
     try:
         yield f"http://127.0.0.1:{port}/"
     finally:
@@ -78,8 +78,7 @@ def keep(page: Page, name: str) -> None:
 def fly_before(out: str) -> None:
     """Two numeric runs with names, of which the first is too short to pass."""
     for scene, duration_s, name, tag in (("fleet-20", 16, "all twenty", "demo"), ("numeric", 25, "new weights", "tuning")):
-        flying = [sys.executable, "-m", "sim_bridge", "numeric", scene, "--duration", str(duration_s), "--out", out]
-        subprocess.run(flying, stdout=subprocess.DEVNULL, check=False)
+        programs.ask("sim_bridge", ["numeric", scene, "--duration", str(duration_s), "--out", out])
         give_label(next(Path(out).glob(f"{scene}-*")), name, [tag])
 
 
@@ -124,12 +123,20 @@ def of_the_pool(browser: Browser, out: str) -> None:
         page.context.close()
 
 
+def of_an_end(browser: Browser, out: str) -> None:
+    """A short run when it is over."""
+    with flight(out, "pool", "--duration", "25") as url:
+        page = opened(browser, url, DESK)
+        page.get_by_label("End of the run").wait_for()
+        page.locator(".end summary").click()
+        keep(page, "end")
+        page.context.close()
+
+
 def of_a_fleet(browser: Browser, out: str) -> None:
     """Twenty robots replayed."""
     port, run = free_port(), next(Path(out).glob("fleet-20-*"))
-    showing = subprocess.Popen(
-        [sys.executable, "-m", "groundstation", "log", "replay", str(run), "--web", f"127.0.0.1:{port}"]
-    )
+    showing = programs.start("groundstation", ["log", "replay", str(run), "--web", f"127.0.0.1:{port}"])
     try:
         page = opened(browser, f"http://127.0.0.1:{port}/", DESK)
         page.get_by_role("button", name="Play").click()
@@ -174,12 +181,12 @@ def of_a_camera(browser: Browser, out: str) -> None:
 
 
 def _set_up(browser: Browser, experiment: Experiment, options: list[str]) -> None:
-    command = [sys.executable, "-m", "localizer", "setup", experiment.name, *options]
-    program = subprocess.Popen([*command, "--port", str(free_port())], stdout=subprocess.PIPE, text=True)
+    words = ["setup", experiment.name, *options, "--port", str(free_port())]
+    program = programs.start("localizer", words, stdout=subprocess.PIPE)
     assert program.stdout is not None
     try:
         page = browser.new_context(viewport=DESK, color_scheme="dark").new_page()
-        page.goto(program.stdout.readline().split()[5])
+        page.goto(program.stdout.readline().decode().split()[5])
         page.locator(".histogram").wait_for()
         keep(page, "setup")
         page.get_by_role("button", name="3 Survey").click()
@@ -205,6 +212,7 @@ def main() -> None:
         browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=FLAGS)
         fly_before(out)
         of_the_pool(browser, out)
+        of_an_end(browser, out)
         of_a_fleet(browser, out)
         of_a_camera(browser, out)
         browser.close()

@@ -11,16 +11,18 @@ from groundstation.cli.foxglove import foxglove_cli, foxglove_layout
 from groundstation.cli.keys import keys_cli
 from groundstation.cli.keys_of import keys_of
 from groundstation.cli.mission import fleet_request, gains_cli, go, mission_cli, order, register, set_or_undo, states
-from groundstation.cli.replay import replay
+from groundstation.cli.replay import ended, replay
 from groundstation.cli.rerun import moment, rerun
 from groundstation.cli.run import plan, run
 from groundstation.cli.run_list import delete, label, list_runs
 from groundstation.cli.runs import benchmark_report, compare, export, record, repair, report
+from groundstation.cli.stop import ProgramGroup, register_stop
 from wire.process.cli_options import Version
 from wire.process.optional_packages import run_role
 from wire.process.runtime import run_app
 
 cli = typer.Typer(
+    cls=ProgramGroup,
     help="Ground station: plans trajectories, commands the fleet, records everything, writes the report.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
@@ -60,7 +62,7 @@ cli.command()(run)
 cli.command()(plan)
 cli.command()(keys_of)
 cli.add_typer(mission_cli, name="mission")
-register(cli, "stop")
+register_stop(cli)
 register(cli, "end")
 cli.add_typer(gains_cli, name="gains")
 cli.add_typer(log_cli, name="log")
@@ -69,6 +71,7 @@ cli.add_typer(keys_cli, name="keys")
 cli.command()(deploy)
 cli.add_typer(foxglove_cli, name="foxglove")
 cli.command(hidden=True)(moment)
+cli.command(hidden=True)(ended)
 
 OLD_NAMES: dict[str, tuple[Callable[..., None], str]] = {
     "order": (order, "mission load|arm|start|hold|resume|return|rejoin|test|disarm|clear-stop, or stop, end"),

@@ -2,7 +2,7 @@
 
 with connect() as bus:
     command = request_named("start")
-    reply = follow(sender(bus), command, patience_s(command), print)
+    reply = follow(sender(bus), command, limit(bus, patience_s(command)), print)
     done, text = verdict(reply, 60.0)
 """
 
@@ -15,13 +15,16 @@ from numpy.typing import ArrayLike
 
 from groundstation.mission.state_machine import in_words
 from groundstation.station import discovery
+from groundstation.station.discovery import RunningStation
 from wire.messages.live_gains import values_of
-from wire.messages.messages import Command, Order, Outcome, Progress, Reply, Tuning
-from wire.messages.topics import WHOLE_FLEET, Role, process_name
+from wire.messages.messages import Command, Order, Outcome, Progress, Reply, StationHeartbeat, Tuning
+from wire.messages.topics import HEARTBEAT, WHOLE_FLEET, Role, process_name
 from wire.process.cli_options import DEFAULT_FLEET
+from wire.process.fleet_time import FleetTime
 from wire.transport.bus import Bus
-from wire.transport.gate import nearest
+from wire.transport.gate import through_door
 from wire.transport.network import endpoint
+from wire.transport.own_door import DoorTransport, opens
 from wire.transport.zenoh_transport import ZenohTransport
 
 ORDER_TIMEOUT_S = 2.0
@@ -37,11 +40,28 @@ def connect(
     keys: Path | None = None,
     insecure: bool = False,
     patience_s: float = ORDER_TIMEOUT_S,
+    stopped: Callable[[], bool] = lambda: False,
 ) -> Bus:
     """The bus of a running station's fleet, as its operator. Without an endpoint it is the station that runs on this machine.
-    Raises ConfigError where there are several, and Unreached if none answers within `patience_s`."""
-    where = nearest(endpoint(discovery.station(station, fleet), process_name(Role.OPERATOR), keys, insecure=insecure))
-    return Bus(ZenohTransport(where, patience_s=patience_s), fleet)
+    Raises ConfigError where there are several, and Unreached if none answers within `patience_s` or until `stopped()`."""
+    return _connected(discovery.station(station, fleet), fleet, keys, insecure, patience_s, stopped)
+
+
+def connect_for_requests(station: RunningStation, fleet: str, keys: Path | None, insecure: bool, patience_s: float) -> Bus:
+    """A bus that takes requests to a station, and nothing else: through the station's own door and without keys where it has
+    one, else as `connect` does."""
+    if any(opens(door) for door in station.doors):
+        return Bus(DoorTransport(station.doors), fleet)
+    return _connected(station, fleet, keys, insecure, patience_s, lambda: False)
+
+
+def _connected(
+    station: RunningStation, fleet: str, keys: Path | None, insecure: bool, patience_s: float, stopped: Callable[[], bool]
+) -> Bus:
+    where = through_door(station.endpoint)  # before the keys: whoever may use the door needs none
+    if where is None:
+        where = endpoint(station.endpoint, process_name(Role.OPERATOR), keys, insecure=insecure)
+    return Bus(ZenohTransport(where, stopped, patience_s), fleet)
 
 
 def sender(bus: Bus) -> Callable[[Command], Reply]:
@@ -72,18 +92,24 @@ def patience_s(command: Command) -> float:
     return TRANSFER_S if transfer else PATIENCE_S.get(command.order, OTHERWISE_S)
 
 
-def follow(ask: Callable[[Command], Reply], command: Command, patience_s: float, told: Callable[[Outcome], None]) -> Reply:
-    """Make a request, and query its outcome until it is over or `patience_s` have gone by. Returns the last reply.
+def limit(bus: Bus, patience_s: float) -> Callable[[], bool]:
+    """A function that is true once so many seconds of the fleet's time have gone by."""
+    return FleetTime(bus.inbox(HEARTBEAT, StationHeartbeat)).limit(patience_s)
+
+
+def follow(
+    ask: Callable[[Command], Reply], command: Command, over: Callable[[], bool], told: Callable[[Outcome], None]
+) -> Reply:
+    """Make a request, and query its outcome until it is known or the wait is `over`. Returns the last reply.
 
     An emergency stop without a reply is repeated.
     """
-    deadline = time.monotonic() + patience_s
     reply = ask(command)
-    while command.order is Order.STOP and reply.silent and time.monotonic() < deadline:
+    while command.order is Order.STOP and reply.silent and not over():
         reply = ask(command)
     while reply.accepted and reply.outcome is not None and reply.outcome.progress is Progress.UNDER_WAY:
         told(reply.outcome)
-        if time.monotonic() >= deadline:
+        if over():
             return reply
         time.sleep(ASK_EVERY_S)
         answer = ask(Command(Order.NONE, robot=WHOLE_FLEET, about=reply.outcome.request))

@@ -192,7 +192,11 @@ FindingFields = Iterator[tuple[str, str, bool, str, str]]  # key, level, blocks_
 def _experiment(experiment: Experiment, seen: RobotView, state: RobotState) -> FindingFields:
     if state.experiment_hash != experiment.hash:
         text = f"has another experiment ({state.experiment_hash[:8]}, here {experiment.hash[:8]})"
-        yield "experiment", "critical", True, text, "start its agent with this run's experiment.toml"
+        remedy = (
+            "start its agent with this run's experiment.toml; if it has that, its code is another version, as the first lines "
+            "of both logs say (groundstation deploy)"
+        )
+        yield "experiment", "critical", True, text, remedy
 
 
 def _pose(experiment: Experiment, seen: RobotView, state: RobotState) -> FindingFields:
@@ -217,7 +221,7 @@ def _board(experiment: Experiment, seen: RobotView, state: RobotState) -> Findin
         text = f"{state.board_loss:.0%} of the board's messages are lost"
         yield "loss", "warning", True, text, "check the cable between computer and board"
     depth_m = experiment.pool.size_m[2]
-    if not -DEPTH_SLACK_M <= state.depth_m <= depth_m + DEPTH_SLACK_M:
+    if experiment.pool.walls and not -DEPTH_SLACK_M <= state.depth_m <= depth_m + DEPTH_SLACK_M:
         text = f"depth {state.depth_m:.2f} m in a basin of {depth_m:g} m"
         yield "depth", "warning", True, text, "check its pressure sensor, or its zero"
     battery = experiment.vehicle.battery

@@ -20,6 +20,7 @@ from wire.config.perception import Camera
 from wire.frames import Array
 from wire.toml_loader import Section
 
+LARGEST_FOLD_PX = 0.1  # px; a lens whose picture's edge is farther off gives wrong places there
 # Undistortion is a fixed-point iteration. OpenCV's default of 5 rounds stops 0.3 px short in the corners of a wide lens.
 _UNDISTORT = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-12)
 
@@ -47,6 +48,17 @@ class Intrinsics(Section):
         """Directions (n, 3) in the camera's frame, third component 1, of pixels (n, 2), by undistortion."""
         normal = cv2.undistortPoints(pixels[:, None], self.matrix, np.array(self.distortion), criteria=_UNDISTORT)
         return np.concatenate([normal[:, 0, :], np.ones((len(normal), 1))], axis=1)
+
+
+def fold_px(lens: Intrinsics) -> float:
+    """Largest error of undistorting and distorting the picture's edge, px; above zero where the polynomial folds over."""
+    width, height = lens.size_px
+    x, y = np.linspace(0.0, width - 1.0, 33), np.linspace(0.0, height - 1.0, 25)
+    edge = np.concatenate([np.stack(np.broadcast_arrays(x, v), axis=-1) for v in (y[0], y[-1])])
+    edge = np.concatenate([edge, *(np.stack(np.broadcast_arrays(u, y), axis=-1) for u in (x[0], x[-1]))])
+    rays = lens.rays(edge)
+    back, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), lens.matrix, np.array(lens.distortion))
+    return float(np.abs(np.asarray(back)[:, 0] - edge).max())
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from collections.abc import Generator, Iterator
 from dataclasses import replace
 
 from localizer.sources.base import silent_after_s
+from localizer.sources.session_stamps import SessionStamps
 from localizer.tracking.camera_fusion import CameraFusion, CameraView, FusionResult, fuse_obstacles
 from wire.config.experiment import Experiment
 from wire.messages import topics
@@ -84,6 +85,7 @@ class FusionNode:
         self._out: tuple[str, ...] = ()
         self._distrusted: tuple[str, ...] = ()
         self._say_again_ns = 0
+        self._stamps = SessionStamps()
 
     def run(self) -> None:
         """Fuse until told to stop."""
@@ -127,7 +129,8 @@ class FusionNode:
         """Take what has come, and publish poses, obstacles and status."""
         new = [at for name, camera in self._cameras.items() if (at := self._take(name, camera)) is not None]
         now_ns = self._clock.now_ns()
-        self._newest = max(self._newest, *(new or [(now_ns, now_ns)]))  # a late camera's picture is carried on to the others'
+        new = new or [(now_ns, self._stamps.now_ns(now_ns))]
+        self._newest = max(self._newest, *new)  # a late camera's picture is carried on to the others'
         instant_ns, stamp_ns = self._newest
         try:
             result = self._fusion.step(self._views, instant_ns)
@@ -151,26 +154,27 @@ class FusionNode:
         if status is None or status is camera.taken or (self._lockstep and name not in self._up_to_ns):
             return None
         camera.taken = status
-        self._views[name] = CameraView(self._clock.instant_ns(status), status.message, camera.poses_of(status))
-        return self._views[name].instant_ns, status.header.stamp_ns
+        instant_ns = self._clock.instant_ns(status)
+        self._views[name] = CameraView(instant_ns, status.message, camera.poses_of(status))
+        return instant_ns, self._stamps.of(name, status.header.stamp_ns, instant_ns)
 
     def _tell_obstacles(self, out: tuple[str, ...]) -> None:
         """Publish the obstacles of all cameras that see and are not `out`, when one of them has told of its own."""
-        new: list[Received[Obstacles]] = []
+        new: list[tuple[int, int]] = []  # instant and stamp
         for name, camera in self._cameras.items():
             found = camera.obstacles.newest(self._up_to_ns[name][1] if name in self._up_to_ns else None)
             if found is not None and found is not camera.told:
                 camera.told = found
                 if name not in out:
-                    new.append(found)
+                    new.append((self._clock.instant_ns(found), self._stamps.carried(name, found.header.stamp_ns)))
         if not new:
             return
-        newest = max(new, key=self._clock.instant_ns)
+        newest_ns, stamp_ns = max(new)
         limit_s, told = topics.OBSTACLES.max_age_s, {n: camera.told for n, camera in self._cameras.items() if n not in out}
         fresh = {n: found.message for n, found in told.items() if found and age_s(self._clock, found) <= limit_s}
-        self._obstacles_ns = newest.header.stamp_ns
+        self._obstacles_ns = stamp_ns
         fused = fuse_obstacles(fresh, tuple(self._cameras))
-        age_ns = max(self._clock.now_ns() - self._clock.instant_ns(newest), 0)
+        age_ns = max(self._clock.now_ns() - newest_ns, 0)
         self._bus.publish(topics.OBSTACLES, fused, self._obstacles_ns, age_ns=age_ns)
 
     def _log(self, status: LocalizerStatus, disagreement: str) -> None:

@@ -20,7 +20,7 @@ _DIFFERENCE_PX = 0.5  # px, step of central differences; their error is below 1e
 _TURN = 2.0 * math.pi
 
 
-@kernel("f8(f8)")
+@kernel("f8(f8)", part=True)
 def wrapped(angle: float) -> float:
     """An angle [rad] in [-pi, pi)."""
     rest: float = np.fmod(angle, _TURN)
@@ -31,7 +31,7 @@ def wrapped(angle: float) -> float:
     return rest
 
 
-@kernel("UniTuple(f8, 2)(f8[::1], f8, f8, f8)")
+@kernel("UniTuple(f8, 2)(f8[::1], f8, f8, f8)", part=True)
 def pool_point(camera: Array, u: float, v: float, depth: float) -> tuple[float, float]:
     """Pool x, y [m] of pixel u, v at a depth [m]: undistorted ray, surface, Snell's law; above the water straight."""
     fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]
@@ -65,7 +65,7 @@ def pool_point(camera: Array, u: float, v: float, depth: float) -> tuple[float, 
     return surface_x + depth * ray_x / ray_z, surface_y + depth * ray_y / ray_z
 
 
-@kernel("UniTuple(f8, 2)(f8[::1], f8, f8, f8)")
+@kernel("UniTuple(f8, 2)(f8[::1], f8, f8, f8)", part=True)
 def pixel_of(camera: Array, x: float, y: float, z: float) -> tuple[float, float]:
     """Pixel u, v of a pool point [m].
 

@@ -18,6 +18,7 @@ from localizer.detection.obstacles import ObstacleDetector
 from localizer.sources.base import CapturedFrame, FrameSource
 from localizer.sources.factory import BUS, open_bus, open_own
 from localizer.sources.recording import FrameRecorder, RecordedFrame
+from localizer.sources.session_stamps import SessionStamps
 from localizer.tracking.check_marks import with_camera
 from localizer.tracking.fleet_localizer import FleetLocalizer, LocalizationResult
 from localizer.tracking.tilt import Attitude
@@ -74,7 +75,7 @@ def run(experiment: Experiment, endpoint: Endpoint, fleet: str, stop: Stop, lock
 
             page = stack.enter_context(closing(MjpegServer(options.page_port, stop)))
         if options.record is not None:
-            recorder = stack.enter_context(closing(FrameRecorder(options.record, alone)))
+            recorder = stack.enter_context(closing(FrameRecorder(options.record, alone, lockstep=lockstep)))
         bus = stack.enter_context(Bus(ZenohTransport(endpoint, stop), fleet, *codec_of(options.frame_ring)))
         bus.claim(topics.localizer_name(options.camera), stop)
         LocalizerNode(experiment, bus, stop, clock, own, page, options.publish_frames, recorder, options.camera).run()
@@ -104,6 +105,7 @@ class LocalizerNode:
         self._experiment, self._bus, self.stop, self._clock = experiment, bus, stop, clock
         self._page, self._publish_frames, self._recorder = page, publish_frames, recorder
         self._states = bus.inboxes(topics.STATE, RobotState, experiment.robot_ids)
+        self._has_own_source = own is not None
         self._source = own or open_bus(bus, clock, stop, experiment.camera.rate_hz, self._states, camera, self._number)
         self._localizer = FleetLocalizer(experiment, sees_all=camera == "")
         self._obstacle_detector = _make_obstacle_detector(experiment)
@@ -113,6 +115,7 @@ class LocalizerNode:
         self._last_health = CameraHealth.OK
         self._failed, self._failed_in_a_row = 0, 0  # pictures
         self._video: VideoEncoder | None = None
+        self._stamps = SessionStamps()
 
     def run(self) -> None:
         """Localize until told to stop, or until a recording is over."""
@@ -133,6 +136,11 @@ class LocalizerNode:
             log_to_bus(self._bus, self._clock, self._name)
             self._bus.announce(self._name)
             log.info("ready, experiment %s", self._hash[:8])
+            if not (self._experiment.check_marks or self._experiment.landmarks):
+                say = log.warning if self._has_own_source else log.info
+                say(
+                    "nothing guards the camera: without check_marks nobody notices that it was knocked, or that the water sank"
+                )
             yield
             for captured in self._source.frames(self.stop):
                 if captured is None:
@@ -144,6 +152,7 @@ class LocalizerNode:
     def _handle(self, captured: CapturedFrame, previews: PreviewPublisher) -> None:
         """Localize one frame. An exception costs this frame; FAILURES_IN_A_ROW of them end the process."""
         started_ns = time.perf_counter_ns()
+        captured = replace(captured, stamp_ns=self._stamps.of("", captured.stamp_ns, captured.instant_ns))
         depths_m, known = dict[int, float](), dict[int, Attitude]()
         try:
             states = self._fresh_states(captured.inputs_up_to_ns)
@@ -241,7 +250,7 @@ class LocalizerNode:
 
     def _report_absent(self, previews: PreviewPublisher) -> None:
         why = f"no frame for {self._source.silent_after_s:g} s" + (f": {self._source.trouble}" if self._source.trouble else "")
-        now_ns = self._clock.now_ns()
+        now_ns = self._stamps.now_ns(self._clock.now_ns())
         self._publish_status(replace(self._status, camera=CameraHealth.ABSENT, message=why, robots=()), now_ns)
         previews.offer_nothing(why, now_ns)
 

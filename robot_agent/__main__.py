@@ -77,7 +77,7 @@ def run(
 ) -> None:
     """Fly one robot. Starts disarmed, waits for the station, and puts out neutral pulses until it is told to arm and start.
 
-    Examples on a board:  robot-agent run pool --robot 1 --station tls/192.168.1.10:7447 --keys keys
+    Examples on a board:  robot-agent run pool --robot 1 --station tls/192.0.2.10:7447 --keys keys
                           robot-agent run --config /etc/shoal/agent.toml
     """
     from robot_agent.host import realtime
@@ -109,6 +109,8 @@ def run(
     me = process_name(Role.ROBOT, board.robot)
     where = endpoint(board.station, me, ring, insecure=board.insecure, lossless=lockstep)
     (wires, signing), watchdog = open_board_link(board), ServiceNotifier()
+    if wires.trouble:  # said before the station is waited for, which may take long
+        log.warning("thruster board: %s", wires.trouble)
     try:
         receive_on_one_thread()
         with Bus(ZenohTransport(where, stop), board.fleet) as bus:

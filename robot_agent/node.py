@@ -41,6 +41,7 @@ from wire.messages.messages import (
 )
 from wire.process.lockstep import Lockstep, LockstepClock, Reminder
 from wire.process.runtime import SLICE_S, Clock, Stop, WallClock, log, log_to_bus, run_steps, wait
+from wire.process.version import code
 from wire.transport.bus import Bus, Received
 from wire.transport.command_deduplication import ALWAYS_TAKEN
 
@@ -108,6 +109,7 @@ class AgentNode:
         """The control loop: yields when the robot is ready, and after each step. In lockstep `next` waits for a tick unless it
         is there already."""
         log_to_bus(self._bus, self.clock, f"agent-{self._robot}")
+        log.info("%s", code())
         self.stop.on_request(self._awake)
         self._bus.serve(self._robot, self.on_order)
         self._greet()

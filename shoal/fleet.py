@@ -1,6 +1,5 @@
 """SHELL: a connection to a running station: the operator's requests, and what robots, localizer and station say."""
 
-import time
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
@@ -14,6 +13,7 @@ from wire.messages.codec import DecodeError, Header, decode
 from wire.messages.messages import Command, Event, Outcome, Pose, RobotState, StationHeartbeat
 from wire.messages.topics import WHOLE_FLEET, Topic
 from wire.process.cli_options import DEFAULT_FLEET
+from wire.process.fleet_time import FleetTime
 from wire.toml_loader import toml_value
 from wire.transport.bus import Bus, Inbox
 
@@ -21,6 +21,7 @@ M = TypeVar("M")
 
 ROBOTS = range(1, 50)  # the ids that an experiment may give
 FRESH_S = 1.0  # since a message came; one that is older is no live state
+LOOK_S = 0.2  # at most between two looks at the time that a wait has left
 KEPT_EVENTS = 1000  # that no call has waited for yet; the oldest are dropped
 READY_LINE = f"mission: {READY}"  # the station's line when no check of the preflight fails
 
@@ -43,13 +44,17 @@ class ConnectedFleet:
 
     Each request waits until it is done by every robot that it concerns, and raises RequestFailed otherwise. `wait_s` says how
     long (docs/commands.md has the defaults); 0: only until the station has taken it. What is not waited for goes on.
+
+    Waits and ages are in the fleet's time: where a busy machine simulates slowly, a wait of 60 s lasts 60 simulated seconds.
     """
 
-    def __init__(self, bus: Bus) -> None:
-        self._bus = bus
+    def __init__(self, bus: Bus, gone: Callable[[], str] = lambda: "") -> None:
+        """`gone` gives the reason for which the fleet will never be heard again; empty while it may."""
+        self._bus, self._gone = bus, gone
         self._states = bus.inboxes(topics.STATE, RobotState, ROBOTS)
         self._poses = bus.inboxes(topics.POSE, Pose, ROBOTS)
         self._heartbeat = bus.inbox(topics.HEARTBEAT, StationHeartbeat)
+        self._time = FleetTime(self._heartbeat)
         self._events: deque[Event] = deque(maxlen=KEPT_EVENTS)
         self._mission_line = ""
         self.ended = False  # True once the run was ended from here
@@ -135,7 +140,7 @@ class ConnectedFleet:
 
     def _ask(self, name: str, command: Command, wait_s: float | None) -> Outcome:
         patience_s = client.patience_s(command) if wait_s is None else wait_s
-        reply = client.follow(client.sender(self._bus), command, patience_s, lambda outcome: None)
+        reply = client.follow(client.sender(self._bus), command, self._time.limit(patience_s), lambda outcome: None)
         done, text = client.verdict(reply, patience_s)
         if not done:
             missing = zip(reply.outcome.waiting, reply.outcome.why, strict=False) if reply.outcome is not None else ()
@@ -148,7 +153,7 @@ class ConnectedFleet:
     @property
     def robots(self) -> tuple[int, ...]:
         """Ids of the robots that are heard now."""
-        return tuple(robot for robot, inbox in self._states.items() if _fresh(inbox, FRESH_S))
+        return tuple(robot for robot, inbox in self._states.items() if self._fresh(inbox, FRESH_S))
 
     def state(self, robot: int, max_age_s: float = FRESH_S) -> RobotState:
         """Newest state of a robot: mode, estimate, reference, inputs, battery. Waits up to `max_age_s` for one. Raises
@@ -161,7 +166,7 @@ class ConnectedFleet:
 
     def mission(self, max_age_s: float = FRESH_S) -> str:
         """State of the mission, as `groundstation mission states` names them. Raises NotHeard without a fresh heartbeat."""
-        if not self._bus.wait(lambda: _fresh(self._heartbeat, max_age_s), max_age_s):
+        if not self._wait(lambda: self._fresh(self._heartbeat, max_age_s), max_age_s):
             raise NotHeard("the station is not heard")
         return self._last_mission()
 
@@ -174,12 +179,12 @@ class ConnectedFleet:
                 return condition()
             return False
 
-        if not self._bus.wait(holds, timeout_s):
+        if not self._wait(holds, timeout_s):
             raise NotHeard(f"the condition did not hold within {timeout_s:g} s")
 
     def wait_mission(self, *states: str, timeout_s: float = 60.0) -> str:
         """Wait until the mission is in one of these states, for example "RUNNING" or "DONE". Returns it. Raises NotHeard."""
-        if not self._bus.wait(lambda: _fresh(self._heartbeat, FRESH_S) and self._last_mission() in states, timeout_s):
+        if not self._wait(lambda: self._fresh(self._heartbeat, FRESH_S) and self._last_mission() in states, timeout_s):
             is_now = self._last_mission() or "not heard"
             raise NotHeard(f"the mission was not {' or '.join(states)} within {timeout_s:g} s: it is {is_now}")
         return self._last_mission()
@@ -191,7 +196,7 @@ class ConnectedFleet:
 
     def wait_ready(self, timeout_s: float = 60.0) -> None:
         """Wait until the station's preflight finds nothing amiss. Raises NotHeard with what it finds."""
-        if not self._bus.wait(lambda: self._mission_line == READY_LINE, timeout_s):
+        if not self._wait(lambda: self._mission_line == READY_LINE, timeout_s):
             raise NotHeard(f"the fleet was not ready within {timeout_s:g} s: {self._mission_line or 'nothing heard'}")
 
     def wait_event(self, text: str = "", timeout_s: float = 60.0) -> Event:
@@ -205,17 +210,31 @@ class ConnectedFleet:
                     found.append(event)
             return bool(found)
 
-        if not self._bus.wait(look, timeout_s):
+        if not self._wait(look, timeout_s):
             raise NotHeard(f"no event with {text!r} within {timeout_s:g} s")
         return found[0]
+
+    def _wait(self, ready: Callable[[], bool], timeout_s: float) -> bool:
+        """Wait until `ready()` or so many seconds of the fleet's time have gone by. Returns whether `ready()`."""
+        over = self._time.limit(timeout_s)
+        while not self._bus.wait(ready, min(timeout_s, LOOK_S)):
+            if reason := self._gone():
+                raise NotHeard(reason)
+            if over():
+                return False
+        return True
+
+    def _fresh(self, inbox: Inbox[Any], max_age_s: float) -> bool:
+        received = inbox.newest()
+        return received is not None and self._time.age_s(received) <= max_age_s
 
     def _newest(self, inboxes: dict[int, Inbox[M]], robot: int, what: str, max_age_s: float) -> M:
         inbox = inboxes.get(robot)
         if inbox is None:
             raise NotHeard(f"robot {robot}: no such robot (allowed: {ROBOTS.start} to {ROBOTS.stop - 1})")
-        self._bus.wait(lambda: _fresh(inbox, max_age_s), max_age_s)
+        self._wait(lambda: self._fresh(inbox, max_age_s), max_age_s)
         received = inbox.newest()
-        if received is None or not _fresh(inbox, max_age_s):
+        if received is None or not self._fresh(inbox, max_age_s):
             raise NotHeard(f"robot {robot}: no {what} of the last {max_age_s:g} s")
         return received.message
 
@@ -231,11 +250,6 @@ class ConnectedFleet:
             self._bus.arrival.notify_all()
 
 
-def _fresh(inbox: Inbox[Any], max_age_s: float) -> bool:
-    received = inbox.newest()
-    return received is not None and (time.monotonic_ns() - received.arrived_ns) * 1e-9 <= max_age_s
-
-
 def connect(
     station: str | None = None,
     *,
@@ -244,6 +258,6 @@ def connect(
     insecure: bool = False,
     patience_s: float = client.ORDER_TIMEOUT_S,
 ) -> ConnectedFleet:
-    """Connect as an operator to a running station: the one at an endpoint (`tls/192.168.1.10:7447`), or the only one that runs
+    """Connect as an operator to a running station: the one at an endpoint (`tls/192.0.2.10:7447`), or the only one that runs
     on this machine. `keys` is the fleet's key ring. Raises ConfigError, or Unreached if none answers within `patience_s`."""
     return ConnectedFleet(client.connect(station, fleet, Path(keys) if keys is not None else None, insecure, patience_s))

@@ -8,8 +8,10 @@ from typing import Any
 from numpy.typing import NDArray
 
 from groundstation.export import tables
+from groundstation.logs.run_folders import MOST_JSON_BYTES
 from wire.config.experiment import Experiment, load_experiment
 from wire.messages.topics import TOPICS, Topic
+from wire.regular_files import read_regular
 from wire.toml_loader import ConfigError
 
 
@@ -32,7 +34,7 @@ class FlownRun:
             from groundstation.report.report import write_report  # brings matplotlib
 
             write_report(self.folder)
-        found: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+        found: dict[str, Any] = json.loads(read_regular(file, MOST_JSON_BYTES))
         return found
 
     @property

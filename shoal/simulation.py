@@ -1,25 +1,30 @@
 """SHELL: simulated flights from a script: flown to their end, or led by the script as its operator."""
 
-import os
+import io
+import re
 import signal
 import subprocess
-import sys
 import threading
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
-from shoal.fleet import ConnectedFleet, connect
+from groundstation import client
+from shoal.fleet import ConnectedFleet, NotHeard
 from shoal.runs import FlownRun
+from wire import programs
 from wire.config.experiment import NO_CAMERA, load_experiment
 from wire.process.output_files import new_run_folder
 from wire.process.runtime import Failed, Stop
 from wire.toml_loader import toml_value
+from wire.transport.transport import Unreached
 
 STATION = "station: "  # begins the line in which `sim-bridge sil` tells the endpoint of its station
+PROGRESS = re.compile(r" *[\d.]+ / [\d.]+ s  ")  # begins the lines in which it tells how far the flight has come
 START_WITHIN_S = 300.0  # on a busy machine whose kernels were never compiled; otherwise a few seconds
 END_WITHIN_S = 300.0  # of a run's processes, its report written
+LAST_WORDS_S = 5.0  # for the output of a process that has ended to be read
 
 
 def simulate(
@@ -68,41 +73,65 @@ def simulation(
     duration_s: float | None = None,
     camera: bool = False,
     lockstep: bool = False,
+    real_time: bool = False,
     out: str | Path = "runs",
 ) -> Iterator[ConnectedFleet]:
     """All processes of an experiment on this machine, as `sim-bridge sil --manual` starts them, and the connection to their
     station once its preflight has passed. When the block ends, they are ended. The run's folder in `out` has its report.
 
-    `lockstep` flies as fast as the machine can, or slower than time where it cannot."""
-    command = [sys.executable, "-m", "sim_bridge", "sil", experiment, "--manual", "--no-web", "--out", str(out)]
-    command += [*(["--lockstep"] if lockstep else []), *([] if camera else ["--poses"])]
+    Time goes as in `sim-bridge sil`: in real time, and slower while the machine is busy; `lockstep` is as fast as it can,
+    `real_time` by the wall clock. Raises Failed with the reason where the run is refused or ends before it is ready,
+    NotHeard with the preflight's findings where it does not get ready."""
+    options = {"--lockstep": lockstep, "--real-time": real_time, "--poses": not camera}
+    words = ["sil", experiment, "--manual", "--no-web", "--out", str(out)]
+    words += [option for option, given in options.items() if given]
     for line in _lines(settings, seed, duration_s):
-        command += ["--set", line]
-    environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
-    child = subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment, start_new_session=True
+        words += ["--set", line]
+    child = programs.start(
+        "sim_bridge", words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, more={"PYTHONUNBUFFERED": "1"}
     )
     assert child.stdout is not None
     said, ended = list[str](), False
     try:
-        for line in child.stdout:
+        lines = io.TextIOWrapper(child.stdout, "utf-8", errors="replace")
+        for line in lines:
             said.append(line)
             if line.startswith(STATION):
                 break
         else:
             raise Failed("".join(said).strip() or f"sim-bridge sil ended with exit code {child.wait()}")
-        threading.Thread(target=said.extend, args=(child.stdout,), name="sil-output", daemon=True).start()
-        with connect(said[-1].removeprefix(STATION).split()[0], patience_s=START_WITHIN_S) as fleet:
-            fleet.wait_ready(START_WITHIN_S)
+        output = threading.Thread(target=said.extend, args=(lines,), name="sil-output", daemon=True)
+        output.start()
+
+        def gone() -> str:
+            return "" if child.poll() is None else f"the simulation has ended: {_last_words(said, output)}"
+
+        address = said[-1].removeprefix(STATION).split()[0]
+        with ExitStack() as closing:
+            try:
+                bus = client.connect(address, patience_s=START_WITHIN_S, stopped=lambda: child.poll() is not None)
+                fleet = closing.enter_context(ConnectedFleet(bus, gone))
+                fleet.wait_ready(START_WITHIN_S)
+            except (Unreached, NotHeard):
+                if child.poll() is None:
+                    raise
+                raise Failed(_last_words(said, output)) from None
             yield fleet
             ended = fleet.ended
     finally:
         if not ended and child.poll() is None:
-            child.send_signal(signal.SIGINT)
+            child.send_signal(signal.SIGTERM)  # SIGINT would be a person
         try:
             child.wait(END_WITHIN_S)
         except subprocess.TimeoutExpired:
-            os.killpg(child.pid, signal.SIGKILL)  # and its children, which would keep ports and files
+            child.kill()  # its own children end with it
+
+
+def _last_words(said: Sequence[str], output: threading.Thread) -> str:
+    """Output of `sim-bridge sil`, which has ended, after its station's endpoint."""
+    output.join(LAST_WORDS_S)
+    begin = next(k for k, line in enumerate(said) if line.startswith(STATION))
+    return "".join(line for line in said[begin + 1 :] if not PROGRESS.match(line)).strip() or "it said nothing"
 
 
 def _lines(settings: Mapping[str, Any] | None, seed: int | None, duration_s: float | None) -> list[str]:

@@ -14,21 +14,34 @@ import pytest
 import zenoh
 from hypothesis import HealthCheck, settings
 
+from tests import skipped
+
 for library in ("OMP", "OPENBLAS"):  # read when numpy is first imported, which is after this
     os.environ[f"{library}_NUM_THREADS"] = "1"
 os.environ["OPENCV_FOR_THREADS_NUM"] = "1"
+os.environ["SHOAL_CHECK_KERNELS"] = "1"  # at every call the types of the arguments, which machine code does not look at
 
 # The first call in a process counts: without it, one verbose test would make Zenoh print in all later ones.
 zenoh.init_log_from_env_or("error")
 
 _runtime = tempfile.TemporaryDirectory(prefix="shoal-tests-")
-os.environ["XDG_RUNTIME_DIR"] = _runtime.name
+os.environ["SHOAL_RUNTIME_DIR"] = _runtime.name
 
 # A test suite that judges by the clock fails on a busy machine; one that draws new examples each time fails on a stranger's.
 # HYPOTHESIS_PROFILE=explore looks for new examples, and keeps the bad ones in .hypothesis/.
 settings.register_profile("steady", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.register_profile("explore", deadline=None, max_examples=2000, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "steady"))
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
+    """Tell what was skipped, why, and the command that brings it; `make test` does so once for its three processes."""
+    if hasattr(config, "workerinput"):  # one of xdist's: the process that started it counts for all
+        return
+    reasons = [str(report.longrepr[2]).removeprefix("Skipped: ") for report in terminalreporter.stats.get("skipped", ())]
+    if not skipped.note(reasons):
+        for line in skipped.summary(reasons):
+            terminalreporter.write_line(line)
 
 
 @pytest.fixture

@@ -307,7 +307,7 @@ def test_a_dry_run_of_all_processes_says_what_it_would_start(tmp_path: Path) -> 
         fault = ["--fault", "t=6 process agent-2 killed"]
         return CliRunner().invoke(sim_bridge, ["sil", "blocked-path", "--dry-run", "--out", str(tmp_path), *fault, *more])
 
-    said = dry("--poses").stdout
+    said = dry("--poses", "--real-time").stdout
     assert [line.split()[0] for line in said.splitlines() if "python -m" in line] == [
         "groundstation", "sim-bridge", "agent-1", "agent-2", "agent-3",
     ]  # fmt: skip
@@ -315,10 +315,15 @@ def test_a_dry_run_of_all_processes_says_what_it_would_start(tmp_path: Path) -> 
     assert "at 6 s: process agent-2 killed" in said
     for wrong, why in (
         ([], "Fly without the camera"),
-        (["--poses", "--lockstep"], "processes break by the wall clock"),
-        (["--poses", "--set", "path.speed_mps=9", "--set", "path.slow=false"], "robot 1: speed"),
-        (["--poses", "--web", "nowhere"], "--web 'nowhere': must be HOST:PORT"),
-        (["--poses", "--keys", str(tmp_path)], f"--keys {tmp_path}: "),
+        (["--poses"], "processes break by the wall clock: it needs --real-time"),
+        (["--poses", "--lockstep"], "processes break by the wall clock: it needs --real-time"),
+        (
+            ["--poses", "--lockstep", "--real-time"],
+            "--lockstep: the wall clock waits for nobody",
+        ),
+        (["--poses", "--real-time", "--set", "path.speed_mps=9", "--set", "path.slow=false"], "robot 1: speed"),
+        (["--poses", "--real-time", "--web", "nowhere"], "--web 'nowhere': must be HOST:PORT"),
+        (["--poses", "--real-time", "--keys", str(tmp_path)], f"--keys {tmp_path}: "),
     ):
         refused = dry(*wrong).exception
         assert isinstance(refused, ConfigError) and why in str(refused)
@@ -412,7 +417,10 @@ def test_a_start_that_fails_leaves_no_folder(tmp_path: Path) -> None:
 def test_a_token_that_cannot_be_read_is_named(tmp_path: Path) -> None:
     (tmp_path / "token").write_bytes(b"\xff")
     (tmp_path / "empty").write_text(" \n")
+    (tmp_path / "shared").write_text("a token of many characters\n")
+    (tmp_path / "shared").chmod(0o644)
     for name, says in (
+        ("shared", "shared: mode 0644 lets others read the page's token (allowed: 0600"),
         ("nowhere", "nowhere: No such file"),
         ("token", "token: not a text"),
         ("empty", "empty: is empty: an empty token protects nothing"),

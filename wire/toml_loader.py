@@ -10,6 +10,8 @@ from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from wire.regular_files import read_regular
+
 MOST_BYTES = 1024 * 1024  # of a file; a path of 30,000 waypoints has no more. A parsed file takes a hundred times its size
 MOST_PARTS = 16  # of a dotted key; the parser's memory grows with the square of it, and no key of ours has more than five
 
@@ -43,10 +45,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     """Parse a TOML file. Raises ConfigError naming the file, and the line where it stops being TOML; also for one that is
     larger, or has longer keys, than any of ours: it may take all memory."""
     try:
-        with path.open("rb") as file:
-            data = file.read(MOST_BYTES + 1)
-        if len(data) > MOST_BYTES:
-            raise ConfigError(f"{path}: is larger than {MOST_BYTES} bytes, the most that is read")
+        data = read_regular(path, MOST_BYTES)
         return _parsed(data.decode("utf-8").replace("\r\n", "\n"))
     except FileNotFoundError:
         raise ConfigError(f"{path}: no such file") from None
@@ -92,9 +91,12 @@ def apply_setting(table: dict[str, Any], setting: str) -> None:
     if not equals or not key.strip():
         raise ConfigError(f"--set {setting}: write it as key=value, for example --set duration_s=30")
     try:
-        value = _parsed(f"v = {text}")["v"]
+        parsed = _parsed(f"v = {text}")
     except (ValueError, RecursionError):
-        value = text
+        parsed = {"v": text}
+    if len(parsed) > 1:
+        raise ConfigError(f"--set {setting!r}: holds more than one key (allowed: one; give --set once for each)")
+    value = parsed["v"]
     *parents, last = key.strip().split(".")
     node: Any = table
     for i, name in enumerate(parents):

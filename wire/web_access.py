@@ -7,7 +7,7 @@ token are then not optional.
 
 import hmac
 import re
-from collections.abc import Awaitable, Callable, MutableMapping
+from collections.abc import Awaitable, Callable, Iterable, MutableMapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -91,21 +91,32 @@ Scope = MutableMapping[str, Any]
 Channel = Callable[..., Awaitable[Any]]
 
 
-class Guarded:
-    """An ASGI application that answers only to names that are ours, and puts the security headers on everything."""
+def body_fits(headers: Iterable[tuple[bytes, bytes]], longest_body: int) -> bool:
+    """True if a request with these headers has a body of at most so many bytes. One that does not say its length has too
+    many."""
+    told = dict(headers)
+    length = told.get(b"content-length", b"0")
+    return b"transfer-encoding" not in told and length.isdigit() and len(length) < 19 and int(length) <= longest_body
 
-    def __init__(self, app: Any, options: WebOptions) -> None:
-        self._app, self._options = app, options
+
+class Guarded:
+    """An ASGI application that answers only to names that are ours, reads no body that nobody wants, and puts the security
+    headers on everything."""
+
+    def __init__(self, app: Any, options: WebOptions, longest_body: int = 0) -> None:
+        """`longest_body`: bytes of a request."""
+        self._app, self._options, self._longest_body = app, options, longest_body
 
     async def __call__(self, scope: Scope, receive: Channel, send: Channel) -> None:
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
         host = next((value.decode("latin-1") for name, value in scope["headers"] if name == b"host"), "")
+        if not body_fits(scope["headers"], self._longest_body):
+            await _refuse(send, 413, f"the longest body that is read has {self._longest_body} bytes")
+            return
         if not host_allowed(self._options, host):
-            text = [(b"content-type", b"text/plain; charset=utf-8")]
-            await send({"type": "http.response.start", "status": 421, "headers": text})
-            await send({"type": "http.response.body", "body": b"this page has another name"})
+            await _refuse(send, 421, "this page has another name")
             return
 
         async def send_guarded(message: Any) -> None:
@@ -118,6 +129,13 @@ class Guarded:
             await send(message)
 
         await self._app(scope, receive, send_guarded)
+
+
+async def _refuse(send: Channel, status: int, why: str) -> None:
+    """Answer, and close the connection: what still comes of the request is not read."""
+    headers = [(b"content-type", b"text/plain; charset=utf-8"), (b"connection", b"close")]
+    await send({"type": "http.response.start", "status": status, "headers": headers})
+    await send({"type": "http.response.body", "body": why.encode()})
 
 
 def _bytes(headers: dict[str, str]) -> dict[str, bytes]:

@@ -59,6 +59,7 @@ def run() -> Iterator[Row]:
                 "run",
                 "pool",
                 "--no-web",
+                "--no-report",
                 "--auto",
                 "--listen",
                 address,

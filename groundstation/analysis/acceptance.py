@@ -54,10 +54,14 @@ def _of_errors(errors: dict[str, Errors], series: Series) -> Iterator[Check]:
     blind = _unknown({f"robot {robot}": series.known_share(r.error[~r.led_away]) for robot, r in series.robots.items()})
     for name in ("rms_m", "rms_after_20s_m", "max_after_20s_m"):
         limit = getattr(limits, name)
-        if limit is not None and (settles or name == "rms_m"):
+        if limit is not None and not settles and name != "rms_m":
+            yield _too_short(name, limit, "m")
+        elif limit is not None:
             where, value = _worst_cell(errors, name)
             yield _at_most(name, blind or where, value, limit, "m", not blind)
-    if limits.rms_yaw_after_20s_rad is not None and settles:
+    if limits.rms_yaw_after_20s_rad is not None and not settles:
+        yield _too_short("rms_yaw_after_20s_rad", limits.rms_yaw_after_20s_rad, "rad")
+    elif limits.rms_yaw_after_20s_rad is not None:
         turned = {subject: found.rms_yaw_after_20s_rad for subject, found in errors.items()}
         known = {subject: value for subject, value in turned.items() if value is not None}
         where = max(known, key=lambda subject: known[subject]) if len(known) == len(turned) else ""
@@ -82,7 +86,9 @@ def _of_the_means(result: Result, series: Series) -> Iterator[Check]:
     if limits.pose_rms_m is not None:
         rms = result.pose_error_m.rms if result.pose_error_m else None
         yield _at_most("pose error, RMS", "all robots", rms, limits.pose_rms_m, "m")
-    if limits.wrench_step_rms is not None and settled(series.asked_s):
+    if limits.wrench_step_rms is not None and not settled(series.asked_s):
+        yield _too_short("input steps after 20 s, RMS of the bound", limits.wrench_step_rms, "fraction")
+    elif limits.wrench_step_rms is not None:
         share = _shares(result.dtau_rms_after_20s, experiment.wrench_step)
         where = ("surge", "heave", "yaw")[int(np.argmax(share))] if share else ""
         most = max(share, default=None)
@@ -105,6 +111,11 @@ def _unknown(shares: Mapping[str, float]) -> str:
     """The subject that is known for the least share of the flight, if that is too little; else empty."""
     least = min(shares, key=lambda subject: shares[subject], default="")
     return f"{least}: known for {shares[least]:.0%} of the flight" if least and shares[least] < KNOWN_SHARE else ""
+
+
+def _too_short(name: str, limit: float, unit: str) -> Check:
+    """A limit for a part that the flight was not asked to have."""
+    return Check(name, "the flight is too short", None, limit, None, unit)
 
 
 def _worst_cell(errors: dict[str, Errors], name: str) -> tuple[str, float | None]:

@@ -420,6 +420,7 @@ def _states(
         time_s=column([(e.stamp_ns - start_ns) * 1e-9 for e in entries]),
         mode=column([m.mode for m in messages]),
         with_formation=with_formation,
+        faulty=np.array([bool(m.fault) for m in messages], dtype=np.bool_),
         trajectory_s=column([m.trajectory_s for m in messages]),
         eta=rows([m.eta for m in messages], 4),
         eta_reference=rows([m.eta_reference for m in messages], 4),

@@ -1,13 +1,32 @@
-"""The cause of a run that failed: the first fault, else the order that ended it, else the requirement missed by most. Pure."""
+"""The cause of a run that did not pass, and the verdict. Pure.
+
+The cause is what a person would name first: what they did themselves to end it, unless a fault lasted by then; else the first
+fault that did not heal by itself, the station's reason for the end, the requirement that was missed by most.
+"""
 
 import math
+
+import numpy as np
 
 from groundstation.analysis.acceptance import went_all_the_way
 from groundstation.analysis.numbers import with_unit
 from groundstation.analysis.results import Cause, Check, Result
 from groundstation.analysis.series import Series, TimelineEvent
 from groundstation.analysis.timeline import INJECTED, faults, is_injection
+from wire.messages.messages import Mode
 
+PASSED, FAILED, NOT_JUDGED = "passed", "failed", "not judged"
+PERSON = "a person"
+FAULTS = "faults"  # name of the check by which a run has none
+ACTS = {  # the station's lines for what a person does to end a flight (groundstation/station/), and the same in words
+    "STOP asked for": "pressed the emergency stop",
+    "DISARM asked for": "disarmed the robots",
+    "END asked for": "ended the run",
+    "RETURN asked for": "sent the fleet back to the start",
+    "interrupted: Ctrl-C in the terminal": "interrupted the program (Ctrl-C)",
+}
+OVER = ("mission: aborting", "mission: failed")  # the station's lines for the end of a mission that failed
+STANDING = frozenset(mode.name.lower() for mode in Mode if mode is not Mode.TRACKING)  # modes in which a robot does not go on
 BEFORE_S = 0.2  # a fault may be noticed in the cycle before its injection is told
 TITLES = {
     "rms_m": "RMS error, whole run",
@@ -30,22 +49,99 @@ def missed(check: Check) -> str:
 
 
 def cause(result: Result, series: Series) -> Cause | None:
-    """The cause of a failure; None if the run passed."""
+    """The cause of a run that did not pass; None if it passed."""
     if result.passed:
         return None
     noticed = result.faults or (() if series.started else faults(series.timeline_events))
-    if noticed:
-        first = noticed[0]
-        return Cause(first.text, first.time_s, first.source, _injected_before(first, series), _outcome(result, series))
+    act = _persons_act(series)
+    lasting = [f for f in noticed if (_explains(f, act, series) if act is not None else not _healed(f, series))]
+    if lasting:
+        return _cause(lasting[0], lasting[0].source, lasting[0].text, result, series, _injected_before(lasting[0], series))
+    if act is not None:
+        return _cause(act, PERSON, ACTS[act.text], result, series)
     ended = _ended_by(series)
     if ended is not None:
-        return Cause(ended.text.removeprefix("mission: "), ended.time_s, ended.source, "", _outcome(result, series))
+        return _cause(ended, ended.source, ended.text.removeprefix("mission: "), result, series)
     if result.log_trouble:
-        return Cause(result.log_trouble, None, "the report", "", _outcome(result, series))
+        return _over_all(result.log_trouble, result, series)
     if not series.started:
-        return Cause("no robot was ever under way", None, "the report", "", _outcome(result, series))
-    worst = max((check for check in result.checks if not check.passed), key=_excess)
-    return Cause(missed(worst), None, "the report", "; ".join(_injected(series)), _outcome(result, series))
+        return _over_all("no robot was ever under way", result, series)
+    unmet = [check for check in result.checks if check.failed and check.name != FAULTS]
+    if not unmet:  # nothing but holds that healed
+        return _cause(noticed[0], noticed[0].source, noticed[0].text, result, series, _injected_before(noticed[0], series))
+    return _over_all(missed(max(unmet, key=_excess)), result, series, "; ".join(_injected(series)))
+
+
+def verdict(result: Result, series: Series) -> str:
+    """PASSED; FAILED; or NOT_JUDGED for a flight that a person ended before its end, and for none."""
+    if result.passed:
+        return PASSED
+    by_person = result.cause is not None and result.cause.noticed_by == PERSON
+    nothing = not series.started and not result.faults and not result.log_trouble
+    return NOT_JUDGED if by_person or nothing else FAILED
+
+
+def _cause(event: TimelineEvent, noticed_by: str, text: str, result: Result, series: Series, injected: str = "") -> Cause:
+    """A cause with its time and place."""
+    place = _place(event, series)
+    where = f", {place}" if place else ""
+    sentence = (
+        f"A person {text} at {event.time_s:.1f} s{where}."
+        if noticed_by == PERSON
+        else f"{noticed_by} at {event.time_s:.1f} s{where}: {text}"
+    )
+    outcome = _flown(series) if noticed_by == PERSON else _outcome(result, series)  # what is not judged, misses nothing
+    return Cause(text, event.time_s, noticed_by, injected, outcome, place, sentence)
+
+
+def _over_all(text: str, result: Result, series: Series, injected: str = "") -> Cause:
+    """A cause that only the whole run shows."""
+    return Cause(text, None, "the report", injected, _outcome(result, series), "", f"the report: {text}")
+
+
+def _place(event: TimelineEvent, series: Series) -> str:
+    """Place of the robot that an event is about; of another event the middle of the fleet. Empty where none is known."""
+    own = {f"robot {number}": robot for number, robot in series.robots.items()}
+    shown = [own[event.source]] if event.source in own else list(own.values())
+    rows = series.time_s <= event.time_s
+    places = [robot.truth[rows & np.isfinite(robot.truth[:, :2]).all(axis=1), :2][-1:] for robot in shown]
+    known = [place[0] for place in places if len(place)]
+    if not known:
+        return ""
+    x_m, y_m = np.mean(known, axis=0)
+    whose = "" if len(shown) == 1 else "the fleet's middle "
+    return f"{whose}at x {x_m:.2f}, y {y_m:.2f} m"
+
+
+def _persons_act(series: Series) -> TimelineEvent | None:
+    """The first request of a person that ended the flight; None for a flight that went all its way."""
+    if series.started and went_all_the_way(series):
+        return None
+    begin_s, until_s = (0.0, series.ended_s) if series.started else (-math.inf, math.inf)
+    acts = (e for e in series.timeline_events if e.source == "groundstation" and e.text in ACTS)
+    return next((act for act in acts if begin_s <= act.time_s <= until_s), None)
+
+
+def _explains(fault: TimelineEvent, act: TimelineEvent, series: Series) -> bool:
+    """True for a fault that lasted when a person ended the flight: of a robot's mode, or the end of the mission."""
+    over = fault.source == "groundstation" and fault.text.startswith(OVER)
+    return (over or _of_a_mode(fault)) and fault.time_s < act.time_s and not _healed(fault, series, act.time_s)
+
+
+def _of_a_mode(fault: TimelineEvent) -> bool:
+    return fault.source.startswith("robot ") and fault.text.partition(": ")[0] in STANDING
+
+
+def _healed(fault: TimelineEvent, series: Series, until_s: float = math.inf) -> bool:
+    """True if the robot stood with a fault for a while, and had gone on without one by `until_s`."""
+    robot = {f"robot {number}": robot for number, robot in series.robots.items()}.get(fault.source)
+    if robot is None or not _of_a_mode(fault):
+        return False
+    states = robot.states
+    since = (states.time_s > fault.time_s) & (states.time_s <= min(until_s, series.ended_s))
+    faulty_s = states.time_s[since & states.faulty]
+    well_s = states.time_s[since & ~states.faulty & (states.mode == Mode.TRACKING)]
+    return bool(len(well_s) and well_s[-1] > max(faulty_s, default=fault.time_s))
 
 
 def _injected_before(fault: TimelineEvent, series: Series) -> str:
@@ -61,11 +157,12 @@ def _injected(series: Series, until_s: float = math.inf) -> list[str]:
 
 
 def _outcome(result: Result, series: Series) -> str:
-    if not series.started:
-        return "nothing was flown"
-    flown_s = series.flown_s
-    unmet = sum(not check.passed for check in result.checks)
-    return f"{flown_s:.1f} s of {series.asked_s:g} s flown, {unmet} of {len(result.checks)} requirements not met"
+    unmet = sum(check.failed for check in result.checks)
+    return f"{_flown(series)}, {unmet} of {len(result.checks)} requirements not met" if series.started else _flown(series)
+
+
+def _flown(series: Series) -> str:
+    return f"{series.flown_s:.1f} s of {series.asked_s:g} s flown" if series.started else "nothing was flown"
 
 
 def _ended_by(series: Series) -> TimelineEvent | None:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from groundstation.analysis.acceptance import checks, went_all_the_way
-from groundstation.analysis.cause import cause
+from groundstation.analysis.cause import cause, verdict
 from groundstation.analysis.results import Errors, FlightPart, PairResult, Quantiles, Result, RobotResult, Spread, Three
 from groundstation.analysis.series import (
     HOPS,
@@ -83,8 +83,9 @@ def evaluate(series: Series, log: RunLog) -> Result:
         flights=tuple(_part(flight, series.start_ns) for flight in series.flights),
     )
     judged = tuple(checks(result, series))
-    result = dataclasses.replace(result, checks=judged, passed=all(check.passed for check in judged))
-    return dataclasses.replace(result, cause=cause(result, series))
+    result = dataclasses.replace(result, checks=judged, passed=not any(check.failed for check in judged))
+    result = dataclasses.replace(result, cause=cause(result, series))
+    return dataclasses.replace(result, verdict=verdict(result, series))
 
 
 def _in_flight(happening: TimelineEvent, series: Series) -> bool:

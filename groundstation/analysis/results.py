@@ -80,20 +80,32 @@ class Check:
     where: str
     value: float | None
     limit: float
-    passed: bool
+    passed: bool | None  # None: of a part that the flight is too short to have; it decides nothing
     unit: str = ""  # m, rad, s, ms, fraction; empty for a number of things
     at_least: bool = False  # the limit is the least that is allowed
+
+    @property
+    def failed(self) -> bool:
+        """True if it makes the run fail."""
+        return self.passed is False
+
+    @property
+    def reached(self) -> bool:
+        """True if the flight came so far that there is a value."""
+        return self.value is not None
 
 
 @dataclass(frozen=True)
 class Cause:
-    """The cause of a failure, as far as the log shows it."""
+    """The cause of a run that did not pass, as far as the log shows it."""
 
     text: str
     time_s: float | None  # None for what only the whole run shows
     noticed_by: str
     injected: str  # what the simulator had broken before, with its time; empty for nothing
     outcome: str  # what became of the run
+    place: str = ""  # where the robot was, or the middle of the fleet
+    sentence: str = ""  # all of it for people
 
 
 @dataclass(frozen=True)
@@ -150,7 +162,8 @@ class Result:
     flights: tuple[FlightPart, ...] = ()  # all of the log
     cameras_out: dict[str, float] = field(default_factory=dict)  # of several, share of the flight without its poses, by name
     tags: tuple[str, ...] = ()  # #words of the remarks that were made while it was flown
-    cause: Cause | None = None  # of the failure; None if the run passed
+    cause: Cause | None = None  # None if the run passed
+    verdict: str = ""  # passed, failed, or not judged: nothing was flown, or a person ended the flight before its end
 
     @property
     def rows(self) -> dict[str, RobotResult | PairResult]:

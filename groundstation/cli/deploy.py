@@ -13,7 +13,7 @@ from wire.toml_loader import ConfigError
 
 def deploy(
     boards: Annotated[list[str], typer.Argument(metavar="[USER@]HOST=ROBOT", help="Boards, and which robot each is.")],
-    station: Annotated[str, typer.Option(metavar="ENDPOINT", help="Where robots find the station: tls/192.168.1.10:7447.")],
+    station: Annotated[str, typer.Option(metavar="ENDPOINT", help="Where robots find the station: tls/192.0.2.10:7447.")],
     experiment: Annotated[str, typer.Option(help="What is flown: a shipped experiment, or a path.")] = "pool",
     settings: Settings = None,
     fleet: FleetName = DEFAULT_FLEET,
@@ -33,8 +33,8 @@ def deploy(
     What is there already does not travel; a board where nothing has changed is not touched. A robot that is not disarmed is
     refused. Exit code 1 if one has failed.
 
-    Examples:  groundstation deploy pi@192.168.1.21=1 pi@192.168.1.22=2 --station tls/192.168.1.10:7447 --keys keys
-               groundstation deploy pi@192.168.1.21=1 --station tls/192.168.1.10:7447 --keys keys --dry-run
+    Examples:  groundstation deploy pi@192.0.2.21=1 pi@192.0.2.22=2 --station tls/192.0.2.10:7447 --keys keys
+               groundstation deploy pi@192.0.2.21=1 --station tls/192.0.2.10:7447 --keys keys --dry-run
     """
     from rich.console import Console
     from rich.markup import escape

@@ -30,7 +30,7 @@ def init(
 ) -> None:
     """Make the fleet's authority, and certificates for station, operator, localizer, simulator and viewer.
 
-    Example:  groundstation keys init --host 192.168.1.10 --host pool-laptop.local
+    Example:  groundstation keys init --host 192.0.2.10 --host pool-laptop.local
     """
     from groundstation.deploy import key_ring
 

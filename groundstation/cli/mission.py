@@ -14,6 +14,7 @@ import typer
 from groundstation.mission.state_machine import FLEET_REQUESTS, ONE_ROBOT, markdown, order_named, request_named
 from wire.messages.messages import Command, Outcome, Reply
 from wire.messages.topics import WHOLE_FLEET
+from wire.printable import printable
 from wire.process.cli_options import DEFAULT_FLEET, AsJson, FleetName, Insecure, KeyRing
 
 P = ParamSpec("P")
@@ -61,9 +62,10 @@ HELP = {
     "test": "Test every thruster of every robot, briefly and with little thrust.",
     "disarm": "Disarm all robots: neutral, and no pulses until they are armed again.",
     "clear-stop": "Clear an emergency stop. Robots stay disarmed until they are armed again.",
-    "stop": """Emergency stop: every robot to neutral, latched until `groundstation mission clear-stop`.
+    "stop": """Emergency stop: every robot of every station here to neutral, latched until `groundstation mission clear-stop`.
 
-    Exit code 0 when every robot of the experiment has confirmed, 1 with the names of those that have not.""",
+    On the station's machine it needs no keys. It stops first, and names afterwards what it could not use of its command line.
+    Exit code 0 when every robot of every station has confirmed, 1 with the names of those that have not.""",
     "end": """End the run: disarm every robot, then let the station write what it has, and stop. In `sim-bridge sil`
     everything ends.""",
 }
@@ -98,7 +100,7 @@ def _tell_station(
     told = OutcomePrinter(what, as_json)
     try:
         with client.connect(station, fleet, keys, insecure) as bus:
-            reply = client.follow(client.sender(bus), command, patience_s, told.progress)
+            reply = client.follow(client.sender(bus), command, client.limit(bus, patience_s), told.progress)
     except KeyboardInterrupt:
         typer.echo(f"{what}: not waited for; the station goes on with it", err=True)
         raise typer.Exit(130) from None
@@ -241,7 +243,7 @@ class OutcomePrinter:
             return
         if outcome.mission != self._mission:
             self._mission = outcome.mission
-            typer.echo(f"  mission: {outcome.mission.lower().replace('_', ' ')}")
+            typer.echo(printable(f"  mission: {outcome.mission.lower().replace('_', ' ')}"))
         for robot in outcome.confirmed:
             if self._robots.get(robot) != "confirmed":
                 self._robots[robot] = "confirmed"
@@ -262,6 +264,6 @@ class OutcomePrinter:
         if outcome is not None and patience_s > 0.0:
             self.progress(outcome)
             for robot, why in zip(outcome.waiting, outcome.why, strict=False):
-                typer.echo(f"  robot {robot}: NOT confirmed: {why}")
-        typer.echo(f"{self._what}: {text}")
+                typer.echo(printable(f"  robot {robot}: NOT confirmed: {why}"))
+        typer.echo(printable(f"{self._what}: {text}"))
         return 0 if done else 1

@@ -1,6 +1,8 @@
-"""SHELL: `groundstation log replay`: a run on the page again, or on the bus."""
+"""SHELL: `groundstation log replay`: a run on the page again, or on the bus. `ended` shows one that has just ended."""
 
+import json
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -20,9 +22,11 @@ from wire.process.cli_options import (
 from wire.process.runtime import SLICE_S, Stop, start_log
 
 if TYPE_CHECKING:  # the page's server takes a second to import
+    from groundstation.web.replay_backend import RunChoice
     from wire.web_access import WebOptions
 
 CLOSED_S = 6.0  # without an open page; one that is cut off or loaded again is back within 4 s
+RETURN_S = 15.0  # for a page that was open to come the first time; one in a hidden tab tries more rarely
 
 
 def replay(
@@ -72,15 +76,43 @@ def replay(
     show(run_folder, web_options(web), stop, against, until_closed)
 
 
-def show(run_folder: Path, options: "WebOptions", stop: Stop, against: Path | None = None, until_closed: bool = False) -> None:
-    """Show a recorded run on the page, until it is told to stop or, with `until_closed`, no page is open."""
+def ended(
+    run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run.")],
+    web: WebAddress = DEFAULT_WEB,
+    problem: Annotated[str, typer.Option(help="Shown beside the verdict.")] = "",
+) -> None:
+    """Show a run that has just ended to its page, and hand over to stdout what a person chose then, for `sim-bridge sil`."""
+    from wire.config.experiment import dump_experiment
+    from wire.web_access import web_options
+
+    start_log("groundstation")
+    choice = show(
+        run_folder, web_options(web), Stop(), until_closed=True, offers=("again", "edited", "close"), problem=problem
+    )
+    text = dump_experiment(choice.experiment) if choice is not None and choice.experiment is not None else ""
+    typer.echo(json.dumps({"what": choice.what if choice is not None else "close", "experiment": text}))
+
+
+def show(
+    run_folder: Path,
+    options: "WebOptions",
+    stop: Stop,
+    against: Path | None = None,
+    until_closed: bool = False,
+    offers: Sequence[str] = (),
+    problem: str = "",
+) -> "RunChoice | None":
+    """Show a recorded run on the page, until it is told to stop, a person chooses one of the `offers` or, with `until_closed`,
+    no page is open. Returns the choice."""
     from groundstation.web.replay_backend import ReplayBackend
     from groundstation.web.server import WebServer
 
-    with ReplayBackend(run_folder, against) as source, WebServer(source, options) as server:
-        typer.echo(f"{source.experiment.title or source.experiment.name}: {options.url}")
-        seen_s = time.monotonic()
-        while not stop.requested and not (until_closed and time.monotonic() - seen_s > CLOSED_S):
+    with ReplayBackend(run_folder, against, offers, problem) as source, WebServer(source, options) as server:
+        if not offers:
+            typer.echo(f"{source.experiment.title or source.experiment.name}: {options.url}")
+        closed_s = time.monotonic() + RETURN_S  # then it counts as closed
+        while not stop.requested and source.choice is None and not (until_closed and time.monotonic() > closed_s):
             time.sleep(SLICE_S)
             if server.watched:
-                seen_s = time.monotonic()
+                closed_s = time.monotonic() + CLOSED_S
+        return source.choice

@@ -3,7 +3,7 @@
 import json
 import time
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -26,9 +26,15 @@ from wire.process.cli_options import (
     WebAddress,
     caution,
 )
+from wire.process.output_files import page_was_open
 from wire.process.runtime import Stop, run_steps, start_log
+from wire.secret_files import refuse_shared
 from wire.toml_loader import ConfigError, os_errors_as_config_errors
 
+if TYPE_CHECKING:  # the page's server takes a second to import
+    from wire.web_access import WebOptions
+
+LONGEST_TOKEN = 10_000  # bytes
 NoWeb = Annotated[bool, typer.Option("--no-web", help="Serve no page.")]
 
 
@@ -36,7 +42,16 @@ def run(
     experiment: ExperimentName,
     out: Annotated[Path, typer.Option(help="Folder for the run's own folder.")] = Path("runs"),
     run_dir: Annotated[Path | None, typer.Option(help="Use exactly this folder, without a log so far.")] = None,
+    no_report: Annotated[
+        bool, typer.Option("--no-report", help="Leave the report to `groundstation log report`, as a launcher does.")
+    ] = False,
     auto: Annotated[bool, typer.Option("--auto", help="Load, arm, start and finish without being asked.")] = False,
+    give_up: Annotated[
+        float | None,
+        typer.Option(
+            min=1.0, metavar="SECONDS", help="With --auto: fail after so long without progress. Default: wait for ever."
+        ),
+    ] = None,
     listen: ListenAddress = DEFAULT_STATION,
     external_router: ExternalRouter = False,
     settings: Settings = None,
@@ -58,7 +73,8 @@ def run(
     """Fly an experiment: be the fleet's router, wait for the robots, run the mission, record, write the report.
 
     Without --auto the station waits for orders: from the operator's page, or from another terminal
-    (`groundstation mission start`), until a person ends the run (`groundstation end`, or Ctrl-C).
+    (`groundstation mission start`), until a person ends the run (`groundstation end`, or Ctrl-C). A page that is open at the
+    end shows the recorded run, and can have it flown again, until it is closed.
     Exit code 0 if the mission succeeded and every limit of the experiment held, 1 if not.
 
     Examples:  groundstation run pool --listen tls/0.0.0.0:7447 --keys keys
@@ -85,44 +101,63 @@ def run(
     if dry_run:
         typer.echo(_intent(loaded, run_dir or out))
         return
-    stop = Stop()
-    folder = run_dir or out / f"{loaded.name}-{time.strftime('%Y%m%d-%H%M%S')}"
-    text = dump_experiment(loaded)
-    if (folder / "run.mcap").exists():
-        raise ConfigError(f"{folder / 'run.mcap'}: is there already, and would be lost (allowed: a folder without a log)")
-    with Bus(ZenohTransport(where, stop), fleet) as bus, announced(where, fleet, loaded.name):
-        bus.claim(me, stop)
-        station = process.cycles(
-            loaded,
-            text,
-            bus,
-            folder,
-            automatic=auto,
-            lockstep=lockstep,
-            stop=stop,
-            web=page,
-            insecure=where.insecure,
-            viewer=viewer,
-        )
-        succeeded = run_steps(station)
-    if run_dir is None:  # a launcher that names the folder writes the report itself, when every process has stopped
-        passed = write_report(folder).passed
-        typer.echo(f"report: {folder / 'report.html'} ({'passed' if passed else 'failed'})")
-        succeeded = succeeded and passed
-        if page is not None and not auto and not stop.requested:
-            typer.echo("the page shows the recorded run until it is closed, or Ctrl-C")
-            show(folder, page, stop, until_closed=True)
-    raise typer.Exit(0 if succeeded else 1)
+
+    def fly(folder: Path, stop: Stop) -> bool:
+        """Fly once. Returns whether the mission succeeded."""
+        if (folder / "run.mcap").exists():
+            raise ConfigError(f"{folder / 'run.mcap'}: is there already, and would be lost (allowed: a folder without a log)")
+        with Bus(ZenohTransport(where, stop), fleet) as bus, announced(where, fleet, loaded.name, bus):
+            bus.claim(me, stop)
+            station = process.cycles(
+                loaded,
+                dump_experiment(loaded),
+                bus,
+                folder,
+                automatic=auto,
+                lockstep=lockstep,
+                stop=stop,
+                give_up_s=give_up,
+                web=page,
+                insecure=where.insecure,
+                viewer=viewer,
+            )
+            return run_steps(station)
+
+    if no_report:
+        raise typer.Exit(0 if fly(run_dir or _named_by_time(out, loaded), Stop()) else 1)
+    again = True
+    while again:
+        folder, stop = run_dir or _named_by_time(out, loaded), Stop()
+        succeeded = fly(folder, stop)
+        result = write_report(folder)
+        typer.echo(f"report: {folder / 'report.html'} ({result.verdict})")
+        offers = ("again", "close") if run_dir is None else ("close",)  # a folder that was named holds one run
+        again = page is not None and page_was_open(folder) and not stop.terminated and _flies_again(folder, page, offers)
+    raise typer.Exit(0 if succeeded and result.passed else 1)
+
+
+def _named_by_time(out: Path, experiment: Experiment) -> Path:
+    return out / f"{experiment.name}-{time.strftime('%Y%m%d-%H%M%S')}"
+
+
+def _flies_again(folder: Path, page: "WebOptions", offers: tuple[str, ...]) -> bool:
+    """Show the recorded run to the page that is open, until it is closed. Returns True if it is to be flown again: the same
+    experiment, because the robots have no other."""
+    typer.echo("the page shows the recorded run: Close there, close the page, or press Ctrl-C")
+    choice = show(folder, page, Stop(), until_closed=True, offers=offers)
+    return choice is not None and choice.what == "again"
 
 
 def _token(file: Path) -> str:
     with os_errors_as_config_errors(file):
         try:
-            token = file.read_text(encoding="utf-8").strip()
+            with file.open("rb") as opened:  # also a pipe that a shell makes of a command's output
+                token = opened.read(LONGEST_TOKEN).decode().strip()
         except UnicodeDecodeError:
             raise ConfigError(f"--web-token-file {file}: not a text") from None
     if not token:
         raise ConfigError(f"--web-token-file {file}: is empty: an empty token protects nothing")
+    refuse_shared(file, "the page's token")
     return token
 
 

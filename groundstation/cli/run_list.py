@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from wire.printable import printable
 from wire.process.cli_options import AsJson
 from wire.toml_loader import ConfigError
 
@@ -40,7 +41,7 @@ def list_runs(
     for run in found:
         figures = f"{run.experiment:16} {run.mode:10} {run.duration_s:6.0f} s {run.size_mb:8.1f} MB"
         label = " ".join([*([f'"{run.name}"'] if run.name else []), *(f"#{tag}" for tag in run.tags)])
-        typer.echo(f"{run.date:16}  {run.run:{wide}}  {figures}  {run.verdict}  {label}".rstrip())
+        typer.echo(printable(f"{run.date:16}  {run.run:{wide}}  {figures}  {run.verdict}  {label}".rstrip()))
     if not found:
         typer.echo(f"{folder}: no such run", err=True)
     raise typer.Exit(0 if found else 1)

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from wire.config.experiment import load_experiment
+from wire.printable import printable
 from wire.process.cli_options import AsJson
 from wire.process.output_files import RUN, check_output
 from wire.toml_loader import ConfigError
@@ -52,8 +53,8 @@ def report(
         typer.echo(result.to_json(), nl=False)
         raise typer.Exit(0 if result.passed else 1)
     for line in terminal.lines(result):
-        typer.echo(line)
-    typer.echo(f"report: {run_folder / 'report.html'} ({'passed' if result.passed else 'failed'})")
+        typer.echo(printable(line))
+    typer.echo(f"report: {run_folder / 'report.html'} ({result.verdict})")
     for path in figures:
         typer.echo(path)
     raise typer.Exit(0 if result.passed else 1)
@@ -88,7 +89,7 @@ def compare(
         series, _, result = reporting.evaluated(folder)
         read.append(ComparedRun(name, series, result))
         if result.log_trouble:
-            typer.echo(f"{name}: {result.log_trouble}", err=True)
+            typer.echo(printable(f"{name}: {result.log_trouble}"), err=True)
     reporting.write_comparison(read, out)
     if as_json:
         figures = [{"name": row.name, "unit": row.unit, "values": row.values} for row in metric_rows(read)]

@@ -48,7 +48,7 @@ def parse_target(text: str) -> Target:
     host, equals, robot = text.rpartition("=")
     # A host that begins with a dash would be an option to ssh.
     if not equals or not re.fullmatch(r"[A-Za-z0-9_][\w.@:-]*", host) or not robot.isdecimal() or not 0 < int(robot) < 1000:
-        raise ConfigError(f"{text!r}: not a board (write [USER@]HOST=ROBOT, for example pi@192.168.1.21=1)")
+        raise ConfigError(f"{text!r}: not a board (write [USER@]HOST=ROBOT, for example pi@192.0.2.21=1)")
     return Target(host, int(robot))
 
 

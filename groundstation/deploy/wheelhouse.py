@@ -6,13 +6,12 @@ Kept in the user's cache until the source or a pin changes.
 
 import os
 import shutil
-import subprocess
-import sys
 import tempfile
 import threading
 from pathlib import Path
 
 from groundstation.deploy.manifest import Probe, digest
+from wire import programs
 from wire.process.version import PACKAGES
 from wire.toml_loader import ConfigError
 
@@ -68,7 +67,6 @@ def _build(probe: Probe, folder: Path) -> None:
 
 
 def _pip(*arguments: str) -> None:
-    command = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check", *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, stdin=subprocess.DEVNULL)
+    done = programs.ask("pip", ["--quiet", "--disable-pip-version-check", *arguments])
     if done.returncode != 0:
         raise ConfigError(f"pip {arguments[0]}: {done.stderr.strip() or done.stdout.strip()}")

@@ -40,6 +40,7 @@ from wire.messages.log_records import (
     Damaged,
 )
 from wire.messages.topics import Topic
+from wire.regular_files import open_regular
 from wire.toml_loader import ConfigError
 
 M = TypeVar("M")
@@ -75,7 +76,7 @@ _CHUNK_HEAD = struct.Struct("<QQQ")  # first and last log time, unpacked size
 def is_complete(path: Path) -> bool:
     """True if the file was closed: a file that was cut does not end in MCAP's magic. Raises ConfigError for what never was a
     log, which must not be mended: nothing would be left of it."""
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         if not MCAP0_MAGIC.startswith(file.read(len(MCAP0_MAGIC))):
             raise ConfigError(f"{path}: is no log: it does not begin as MCAP files do")
         if file.seek(0, os.SEEK_END) < 2 * len(MCAP0_MAGIC):
@@ -88,7 +89,7 @@ def valid_records(path: Path, damage: list[str] | None = None) -> Iterator[McapR
     """All records that are whole, up to the first that cannot be followed, or is larger than wire/messages/log_records.py
     allows. `damage` takes what was left out, and where reading ended before the file did."""
     damage = [] if damage is None else damage
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         try:
             yield from _checked_records(file, damage)
         except Damaged as error:
@@ -276,7 +277,7 @@ def open_log(run: Path) -> Iterator[LogFile]:
     """The log in a run's folder. Raises ConfigError for what is no run."""
     path = run / "run.mcap"
     try:
-        file = path.open("rb")
+        file = open_regular(path)
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror or error}") from None
     with file:

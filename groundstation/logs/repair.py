@@ -18,6 +18,7 @@ from mcap.writer import Writer
 from groundstation.logs.reader import damage_in_words, is_complete, valid_records
 from groundstation.logs.recorder import CHUNK_BYTES, REPAIR_METADATA, claim
 from wire.process.output_files import replacing
+from wire.regular_files import open_regular
 
 ORIGINAL = ".original"  # end of the name that the file keeps
 MOST_KEPT = 100
@@ -35,7 +36,7 @@ def recover(path: Path) -> bool:
         pass
     if complete and not damage:
         return False
-    with path.open("rb") as cut:
+    with open_regular(path) as cut:
         claim(cut.fileno(), path, fcntl.LOCK_SH, "its run still goes on")
         damage.clear()
         with replacing(path, durable=True) as file:

@@ -16,10 +16,14 @@ from typing import Any
 
 from groundstation.logs.recorder import claim
 from wire.process.output_files import replace_text
+from wire.regular_files import open_regular, read_regular
 from wire.toml_loader import ConfigError, os_errors_as_config_errors, read_toml
 
 LABEL = "label.json"  # in a run's folder: its name and tags
 TAG = re.compile(r"[\w-]+")
+MOST_JSON_BYTES = 8_000_000  # of result.json: a flight of 20 robots has a hundredth
+MOST_TEXT, MOST_TAGS = 200, 50  # characters of a text, and tags, that the list shows
+LONGEST_S = 1e7  # of a run: four months
 NO_RESULT = "no result"  # not evaluated, or what result.json holds cannot be read
 
 
@@ -35,12 +39,12 @@ class ListedRun:
     mode: str
     duration_s: float
     size_mb: float  # of the whole folder
-    verdict: str  # passed, failed, or NO_RESULT
+    verdict: str  # passed, failed, not judged, or NO_RESULT
     commit: str  # of the code that recorded it
 
 
 def list_runs(folder: Path) -> list[ListedRun]:
-    """The runs of a folder, the newest last. A run that cannot be read, as one that is just deleted, is left out."""
+    """The runs of a folder, the newest last. A run that is just deleted is left out."""
     found = []
     for log in folder.glob("*/run.mcap"):
         try:
@@ -70,8 +74,7 @@ def check_run(folder: Path) -> None:
 def label_of(folder: Path) -> tuple[str, tuple[str, ...]]:
     """Name and tags that a run was given; none where the file is missing or is something else."""
     found = _json(folder / LABEL)
-    tags = found.get("tags")
-    return str(found.get("name", "")), tuple(map(str, tags)) if isinstance(tags, list) else ()
+    return _text(found.get("name")), _texts(found.get("tags"))
 
 
 def give_label(folder: Path, name: str, tags: Iterable[str]) -> None:
@@ -90,7 +93,7 @@ def delete_run(folder: Path) -> None:
     log."""
     check_run(folder)
     path = folder / "run.mcap"
-    with os_errors_as_config_errors(path), path.open("rb") as log:
+    with os_errors_as_config_errors(path), open_regular(path) as log:
         claim(log.fileno(), path, fcntl.LOCK_EX, "its run still goes on")
         shutil.rmtree(folder)
 
@@ -103,25 +106,25 @@ def size_mb(folder: Path) -> float:
 def _listed(log: Path) -> ListedRun:
     """The row of one run in the list, from its log, its result and its label."""
     result, (name, tags) = _json(log.parent / "result.json"), label_of(log.parent)
-    passed, said, duration_s = result.get("passed"), result.get("tags"), result.get("duration_s")
+    passed = result.get("passed")
     return ListedRun(
         run=str(log.parent),
         name=name,
-        tags=tuple(dict.fromkeys([*tags, *(map(str, said) if isinstance(said, list) else ())])),
+        tags=tuple(dict.fromkeys([*tags, *_texts(result.get("tags"))])),
         date=datetime.fromtimestamp(_begun_s(log)).isoformat(" ", "minutes"),
-        experiment=str(result.get("scene") or _experiment_name(log.parent)),
-        mode=str(result.get("mode", "")),
-        duration_s=float(duration_s) if isinstance(duration_s, int | float) else 0.0,
+        experiment=_text(result.get("scene")) or _experiment_name(log.parent),
+        mode=_text(result.get("mode")),
+        duration_s=_seconds(result.get("duration_s")),
         size_mb=size_mb(log.parent),
-        verdict=NO_RESULT if passed is None else "passed" if passed else "failed",
-        commit=str(result.get("commit", "")),
+        verdict=NO_RESULT if passed is None else _text(result.get("verdict")) or ("passed" if passed else "failed"),
+        commit=_text(result.get("commit")),
     )
 
 
 def _experiment_name(folder: Path) -> str:
     """Name of the experiment of a run that is not evaluated, as while it is flown; empty if its file cannot be read."""
     try:
-        return str(read_toml(folder / "experiment.toml").get("name", ""))
+        return _text(read_toml(folder / "experiment.toml").get("name"))
     except ConfigError:
         return ""
 
@@ -133,8 +136,24 @@ def _begun_s(log: Path) -> float:
 
 
 def _json(file: Path) -> dict[str, Any]:
+    """The object that a file holds; none where it is missing or holds something else."""
     try:
-        found = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        found = json.loads(read_regular(file, MOST_JSON_BYTES))
+    except (OSError, ValueError, RecursionError):
         return {}
     return found if isinstance(found, dict) else {}
+
+
+def _text(value: Any) -> str:
+    """A text or a number of a file as text, cut where no reader would go on; nothing for any other value."""
+    return str(value)[:MOST_TEXT] if isinstance(value, str | int | float) else ""
+
+
+def _texts(value: Any) -> tuple[str, ...]:
+    return tuple(_text(one) for one in value[:MOST_TAGS]) if isinstance(value, list) else ()
+
+
+def _seconds(value: Any) -> float:
+    """A duration of a file; 0 for a value that is none."""
+    is_one = isinstance(value, int | float) and not isinstance(value, bool) and 0 <= value < LONGEST_S
+    return float(value) if is_one else 0.0

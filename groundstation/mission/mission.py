@@ -35,6 +35,7 @@ from groundstation.mission.state_machine import (
     NOMINAL,
     PLANNING,
     TERMINAL,
+    UNDER_WAY,
     MissionEvent,
     MissionState,
     next_state,
@@ -109,8 +110,16 @@ class _RunData:
 class Mission:
     """One run of an experiment. `automatic` goes from WAITING to DONE by itself; otherwise START is requested."""
 
-    def __init__(self, experiment: Experiment, segment: PlanSegment, starts: Mapping[int, Array], automatic: bool) -> None:
-        """`starts`: poses (4,) in which the robots begin."""
+    def __init__(
+        self,
+        experiment: Experiment,
+        segment: PlanSegment,
+        starts: Mapping[int, Array],
+        automatic: bool,
+        give_up_s: float | None = None,
+    ) -> None:
+        """`starts`: poses (4,) in which the robots begin. An automatic mission that nobody attends fails after
+        `give_up_s` without progress along the path; None: it waits for ever."""
         self.state = MissionState.WAITING
         self.reason = ""  # of waiting, or of a failure
         self.automatic = automatic
@@ -124,6 +133,8 @@ class Mission:
         self._timetable: Timetable | None = None  # of the last start
         self._still_to_arm: frozenset[int] = frozenset()  # robots that may be disarmed until a new plan arms them
         self._last_state: MissionState | None = None  # of the last request: the mission goes no further than this
+        self._give_up_s = give_up_s if automatic else None
+        self._progress: tuple[float, int] | None = None  # along the path [s], and the instant of its last change
         self._needs_operator = False  # an automatic mission does not go on by itself
         self.verdict: MissionState | None = None  # how the last run ended; None while one is under way, or before the first
 
@@ -144,6 +155,7 @@ class Mission:
         reason = rejection_reason(order, self.state) or self.objection(order, fleet, via)
         if reason:
             return reason
+        self._give_up_s = None  # a person attends
         before, why = self.state, self.reason
         if order in (Order.LOAD, Order.ARM, Order.START, Order.TEST):
             self._begin_run()
@@ -184,6 +196,7 @@ class Mission:
 
     def lead(self, robot: int, order: Order) -> None:
         """Let a person lead one robot."""
+        self._give_up_s = None
         self._needs_operator = True
         self.roster.led_by[robot] = Leader.PERSON
         if self.takes_out(order) and robot not in self.roster.lost:
@@ -227,6 +240,8 @@ class Mission:
         if refused and (not self.reason or self.state in SHOWS_REFUSALS):
             self.reason = refused
         self.plans.monitor.update(obstacles, now_ns)
+        if self._give_up_s is not None and self.state in UNDER_WAY:
+            self._check_progress(self._give_up_s, now_ns)
         if self.state is MissionState.WAITING:
             self._wait(fleet, now_ns)
         if self.state in COMMITTED:
@@ -270,6 +285,14 @@ class Mission:
         if self.automatic and not self._needs_operator and not reasons and not moves:
             self._begin_run()
             self._go(MissionEvent.PREFLIGHT_PASSED, now_ns)
+
+    def _check_progress(self, give_up_s: float, now_ns: int) -> None:
+        """Fail a mission that has made no progress along its path for `give_up_s`."""
+        if self._progress is None or self._progress[0] != self.plans.progress_s:
+            self._progress = self.plans.progress_s, now_ns
+        elif now_ns - self._progress[1] > give_up_s * 1e9:
+            why = f"{self.state.value}{f': {self.reason}' if self.reason else ''}"
+            self._fail(MissionEvent.NO_PROGRESS, f"no progress for {give_up_s:g} s, and nobody attends: {why}", now_ns)
 
     # --- checks in flight
 

@@ -23,7 +23,7 @@ from wire.messages.topics import WHOLE_FLEET
 KEPT = 16  # outcomes that can be queried; a terminal queries several times a second until its request is over
 
 _FROM_REST = frozenset({MissionState.HALTING, MissionState.RELOADING, MissionState.REARMING, MissionState.RELEASING})
-_UNARMED = AT_REST | {MissionState.STOPPED}  # the mission arms no robot
+UNARMED = AT_REST | {MissionState.STOPPED}  # the mission arms no robot
 
 Confirms = Callable[[Mission, RobotView, int], bool]
 
@@ -99,7 +99,7 @@ GOALS: dict[Order, RequestGoal] = {
         _tested,
     ),
     Order.END: RequestGoal(
-        frozenset({MissionState.ENDING, MissionState.ABORTING}), _UNARMED, _not_in(LIVE), repeats=True, all_robots=True
+        frozenset({MissionState.ENDING, MissionState.ABORTING}), UNARMED, _not_in(LIVE), repeats=True, all_robots=True
     ),
 }
 

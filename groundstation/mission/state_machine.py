@@ -71,6 +71,7 @@ class MissionEvent(Enum):
     LOST_NEARBY = "a robot's place is beside one that is out"
     OFF_PLAN = "a robot has another plan, or is far from its place"
     TRANSFER_BLOCKED = "something lies on a robot's own way"
+    NO_PROGRESS = "nothing goes on for long, and nobody attends (automatic missions)"
     ARRIVED = "the end of the trajectories is reached"
 
 
@@ -87,6 +88,8 @@ COMMITTED = (
     IN_FLIGHT | PLANNING | {MissionState.PAUSED, MissionState.RESUMING, MissionState.RELEASING}
 )  # a robot that falls out is lost to the others
 ANY = frozenset(MissionState)
+# states that an automatic mission passes on its way to the end
+UNDER_WAY = COMMITTED | JOINING | {MissionState.WAITING, MissionState.LOADING, MissionState.ARMING}
 
 
 @dataclass(frozen=True)
@@ -178,6 +181,7 @@ TRANSITIONS: tuple[MissionTransition, ...] = (
         MissionEvent.TIMEOUT,
         MissionState.ABORTING,
     ),
+    _row(UNDER_WAY, MissionEvent.NO_PROGRESS, MissionState.ABORTING),
     _row(MissionState.ABORTING, MissionEvent.ALL_CONFIRMED, MissionState.FAILED),
     _row(MissionState.ABORTING, MissionEvent.TIMEOUT, MissionState.FAILED),
     _row(MissionState.CLEARING, MissionEvent.ALL_CONFIRMED, MissionState.WAITING),

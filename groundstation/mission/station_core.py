@@ -24,6 +24,8 @@ from wire.config.experiment import Experiment
 from wire.messages.messages import Command, DriveVelocity, Mode, Order, Outcome, Progress
 from wire.messages.topics import WHOLE_FLEET
 
+COURSE = frozenset({Order.STOP, Order.RETURN, Order.START})  # a person's: the first two take an automatic run over
+
 
 class StationCore:
     """The station without its network: decisions of one run."""
@@ -32,7 +34,8 @@ class StationCore:
         self.mission, self.tuner, self.laps = mission, tuner, laps
         self.single = SingleRobotControl(experiment, mission)
         self.requests = RequestTracker(experiment.robot_ids)
-        self.ended = False  # a person has ended the run: every robot that is heard is at rest
+        self.ended = False  # the run is over: every robot that is heard is at rest, or the program was interrupted
+        self.by_hand = False  # a person stopped the fleet or sent it back, and has started no flight since
 
     # --- the cycle
 
@@ -85,6 +88,8 @@ class StationCore:
             reason = self.single.request(order, only, fleet, now_ns, via[0] if len(via) == 1 else None)
             return reason, 0 if reason else self._begin_task(only)
         reason = self._end(fleet, now_ns) if order is Order.END else self.mission.request(order, fleet, now_ns, via)
+        if not reason and order in COURSE:
+            self.by_hand = order is not Order.START
         return reason, 0 if reason else self.requests.begin(order, self.mission)
 
     def come_to_rest(self, fleet: Fleet, now_ns: int) -> bool:

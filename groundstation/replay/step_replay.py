@@ -5,7 +5,6 @@ each step names just before the step (robot_agent/rerun.py).
 """
 
 import subprocess
-import sys
 import threading
 from collections import OrderedDict
 from collections.abc import Iterable, Iterator, Sequence
@@ -15,6 +14,7 @@ from typing import IO
 
 from groundstation.logs.reader import LogFile, LogMessage, open_log
 from groundstation.replay.step_diff import StepComparison, StepOutputs, compare
+from wire import programs
 from wire.config.experiment import load_experiment
 from wire.messages import topics
 from wire.messages.codec import DecodeError, decode
@@ -48,8 +48,8 @@ def _rerun_one(log: LogFile, experiment: Path, robot: int, settings: Sequence[st
             f"{log.path}: holds no inputs of robot {robot}: it is of an older version, or of a numeric flight, which has none"
         )
     changes = [part for setting in settings for part in ("--set", setting)]
-    command = [sys.executable, "-m", "robot_agent", "rerun", str(experiment), "--robot", str(robot), *changes]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as program:
+    words = ["rerun", str(experiment), "--robot", str(robot), *changes]
+    with programs.start("robot_agent", words, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as program:
         assert program.stdin is not None and program.stdout is not None
         feeder = threading.Thread(target=_feed, args=(program.stdin, in_order_of_use(log, robot, own)), daemon=True)
         feeder.start()

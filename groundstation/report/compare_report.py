@@ -11,6 +11,7 @@ from groundstation.report.plotting import to_svg
 from groundstation.report.report import environment
 from wire.config.controller_benchmark import Comparison
 from wire.process.output_files import replace_text
+from wire.regular_files import read_regular
 from wire.toml_loader import ConfigError
 
 FIGURES = (
@@ -29,6 +30,7 @@ FIGURES = (
         demands,
     ),
 )
+MOST_BYTES = 100_000_000  # of comparison.json
 CAPTION = "RMS distances from the reference; largest, yaw and formation after 20 s; wanted: before limits cut it off"
 HEADINGS = ("×", *(f"{c.heading} [{c.unit}]" for c in COLUMNS))
 
@@ -37,8 +39,8 @@ def write(folder: Path) -> bool:
     """Print the table and write comparison.html. Returns whether everybody was under way all the time."""
     path = folder / "comparison.json"
     try:
-        comparison = Comparison.from_json(path.read_text(encoding="utf-8"))
-    except (OSError, KeyError, TypeError, ValueError) as error:
+        comparison = Comparison.from_json(read_regular(path, MOST_BYTES).decode())
+    except (OSError, KeyError, TypeError, ValueError, RecursionError) as error:
         raise ConfigError(f"{path}: no comparison that can be read: {error!r}") from None
     failed = failures(comparison)
     replace_text(folder / "comparison.html", _render(comparison, failed))

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from groundstation.analysis.cause import missed, title
+from groundstation.analysis.cause import NOT_JUDGED, missed, title
 from groundstation.analysis.numbers import deg, mm
 from groundstation.analysis.results import Result
 from wire.figures import NOTHING
@@ -16,21 +16,23 @@ def lines(result: Result) -> Iterator[str]:
     if result.log_trouble:
         yield result.log_trouble
     if result.cause is not None:
-        when = f" at {result.cause.time_s:.1f} s" if result.cause.time_s is not None else ""
-        yield f"cause: {result.cause.noticed_by}{when}: {result.cause.text}"
+        yield f"cause: {result.cause.sentence}"
         yield f"  injected before: {result.cause.injected or 'nothing'}"
         yield f"  outcome: {result.cause.outcome}"
     if not result.duration_s:
         yield "nothing was flown"
         return
     yield from _table(result)
-    for check in result.checks:
-        if not check.passed and check.value is not None and check.name != "faults":
+    judged = () if result.verdict == NOT_JUDGED else result.checks
+    for check in judged:
+        if check.failed and check.reached and check.name != "faults":
             yield f"not met: {missed(check)}"
-    skipped = [title(check) for check in result.checks if not check.passed and check.value is None]
+    skipped = [title(check) for check in judged if not check.reached]
     if skipped:
         yield f"not reached: {', '.join(skipped)}"
-    for fault in result.faults[1:]:
+    for fault in result.faults:
+        if result.cause is not None and (fault.time_s, fault.text) == (result.cause.time_s, result.cause.text):
+            continue
         yield f"also at {fault.time_s:.1f} s, {fault.source}: {fault.text}"
 
 

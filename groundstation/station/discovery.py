@@ -1,22 +1,28 @@
 """SHELL: discovery of this user's stations on this machine, so that a terminal finds the one that runs.
 
-Each station holds a lock on a file of its own in the user's runtime folder for as long as it lives; the kernel lets go of it
-however the process ends, so a file without a lock is of a station that is gone.
+Each station has its own door, and a file that says what it is, in each of the user's folders (wire/user_folders.py).
+It holds a lock on the file for as long as it lives; the kernel lets go of it however the process ends, so a file without a
+lock is of a station that is gone.
 """
 
 import fcntl
 import json
 import os
+import secrets
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import IO
 
 from wire.process.cli_options import DEFAULT_STATION
 from wire.process.runtime import log
 from wire.toml_loader import ConfigError
-from wire.transport.endpoint import Endpoint, beside
-from wire.transport.gate import private_folder
+from wire.transport.bus import Bus
+from wire.transport.endpoint import Endpoint, beside, parse_address
+from wire.transport.gate import is_here
+from wire.transport.own_door import OwnDoor
+from wire.user_folders import fits, user_folders
 
 LARGEST_BYTES = 4096
 
@@ -29,56 +35,94 @@ class RunningStation:
     fleet: str
     experiment: str
     pid: int
+    doors: tuple[Path, ...] = ()  # all lead to it
 
-
-def folder() -> Path | None:
-    """Folder of the running stations; None if there is none that is the user's alone."""
-    return private_folder(make=True)
+    @property
+    def name(self) -> str:
+        """Name for a person's eyes."""
+        return f"{self.endpoint} ({self.experiment}, process {self.pid})" if self.pid else self.endpoint
 
 
 @contextmanager
-def announced(endpoint: Endpoint, fleet: str, experiment: str) -> Iterator[None]:
-    """Let terminals find this station meanwhile. Without a runtime folder they need --station."""
-    place = folder()
-    if place is None:
-        log.warning("no runtime folder of this user's own: terminals find this station by --station only")
-        yield
-        return
+def announced(endpoint: Endpoint, fleet: str, experiment: str, bus: Bus) -> Iterator[None]:
+    """Let terminals find this station meanwhile, and make requests at its own door."""
     standing = RunningStation(beside(endpoint).address, fleet, experiment, os.getpid())
-    path = place / f"{os.getpid()}.json"
-    new = path.with_suffix(".new")
+    name = f"{os.getpid()}-{secrets.token_hex(4)}"  # containers share folders, and count processes each for themselves
+    with ExitStack() as places:
+        doors = sum([_stand(places, folder / name, standing, bus) for folder in user_folders(make=True)])
+        if not doors:
+            log.warning("no door for this machine: terminals find this station by --station only")
+        yield
+
+
+def _stand(places: ExitStack, path: Path, standing: RunningStation, bus: Bus) -> bool:
+    """Open the door and lay the file in one folder, until `places` ends. Returns whether there is a door."""
+    file_path, door_path = path.with_suffix(".json"), path.with_suffix(".sock")
+    new, door = path.with_suffix(".new"), False
     try:
-        with new.open("w", encoding="utf-8") as file:
-            fcntl.flock(file, fcntl.LOCK_EX)
-            json.dump(asdict(standing), file)
-            file.flush()
-            new.replace(path)  # only now it is looked at: locked, and whole
-            yield
-    finally:
-        path.unlink(missing_ok=True)
+        if fits(door_path):
+            places.callback(OwnDoor(door_path, bus.answer).close)
+            door = True
+        file = places.enter_context(new.open("w", encoding="utf-8"))
+        places.callback(file_path.unlink, missing_ok=True)
+        places.callback(new.unlink, missing_ok=True)
+        fcntl.flock(file, fcntl.LOCK_EX)
+        json.dump({key: value for key, value in asdict(standing).items() if key != "doors"}, file)
+        file.flush()
+        new.replace(file_path)  # only now it is looked at: locked, and whole
+    except OSError as error:  # a full disk: the other folders may be elsewhere
+        log.warning("terminals do not find this station in %s: %s", path.parent, error.strerror or error)
+        return False
+    return door
 
 
 def running() -> list[RunningStation]:
-    """Every station of this user on this machine. Removes the files of stations that are gone."""
-    place, found = folder(), []
-    for path in sorted(place.glob("*.json")) if place is not None else []:
-        with suppress(OSError, ValueError, TypeError), path.open(encoding="utf-8") as file:
+    """Every station of this user on this machine. Removes what stations that are gone have left."""
+    stations: dict[str, RunningStation] = {}
+    for path in sorted(file for folder in user_folders() for file in folder.glob("*.json")):
+        with suppress(OSError, ValueError, TypeError, RecursionError, ConfigError), _opened(path) as file:
+            door = path.with_suffix(".sock")
             try:
                 fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
             except BlockingIOError:
-                found.append(RunningStation(**json.loads(file.read(LARGEST_BYTES))))
+                other = stations.get(path.name) or _read(file.read(LARGEST_BYTES))
+                stations[path.name] = replace(other, doors=(*other.doors, *([door] if door.is_socket() else [])))
             else:
-                path.unlink(missing_ok=True)
-    return found
+                for left in (path, door):
+                    left.unlink(missing_ok=True)
+    return list(stations.values())
 
 
-def station(given: str | None, fleet: str) -> str:
-    """Endpoint of the station that a terminal means: the one it names, or the only one of this fleet that runs here, or where
-    one listens by default. Raises ConfigError if there are several."""
+def _opened(path: Path) -> IO[str]:
+    """A file of a folder, for reading: a pipe is not waited for."""
+    return open(os.open(path, os.O_RDONLY | os.O_NONBLOCK), encoding="utf-8")  # noqa: PTH123
+
+
+def _read(text: str) -> RunningStation:
+    """The station that a file tells of. Raises ValueError, TypeError or ConfigError for any other text."""
+    station = RunningStation(**json.loads(text))
+    if not all(isinstance(part, str) for part in (station.endpoint, station.fleet, station.experiment)):
+        raise TypeError("not a station's file")
+    parse_address(station.endpoint)
+    return station
+
+
+def named(address: str) -> RunningStation:
+    """The station at an endpoint: with its doors where it runs on this machine as this user. Raises ConfigError for what is no
+    endpoint."""
+    _, host, port = parse_address(address)
+    here = [one for one in running() if parse_address(one.endpoint)[2] == port] if is_here(host) else []
+    same = [one for one in here if parse_address(one.endpoint)[1] == host] or here
+    return same[0] if same else RunningStation(address, "", "", 0)
+
+
+def station(given: str | None, fleet: str) -> RunningStation:
+    """The station that a terminal means: the one it names, the only one of this fleet that runs here, or one at the default
+    port. Raises ConfigError if there are several."""
     if given is not None:
-        return given
+        return named(given)
     here = [standing for standing in running() if standing.fleet == fleet]
     if len(here) > 1:
-        names = "; ".join(f"--station {s.endpoint} ({s.experiment}, process {s.pid})" for s in here)
+        names = "; ".join(f"--station {s.name}" for s in here)
         raise ConfigError(f"several stations run here; say which: {names}")
-    return here[0].endpoint if here else DEFAULT_STATION
+    return here[0] if here else RunningStation(DEFAULT_STATION, fleet, "", 0)

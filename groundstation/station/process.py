@@ -14,6 +14,8 @@ from groundstation.logs.recorder import Recorder, check_room, run_metadata
 from groundstation.mission.gain_update import GainUpdater
 from groundstation.mission.lap_statistics import LapStatistics
 from groundstation.mission.mission import Mission
+from groundstation.mission.objections import LIVE
+from groundstation.mission.request_progress import UNARMED
 from groundstation.mission.state_machine import TERMINAL, MissionState
 from groundstation.planning import planner
 from groundstation.planning.segment import first_segment
@@ -24,11 +26,11 @@ from groundstation.web.server import WebServer, bind
 from wire.config.experiment import Experiment, load_experiment
 from wire.messages import topics
 from wire.messages.codec import Header
-from wire.messages.messages import Order
 from wire.messages.topics import WHOLE_FLEET
 from wire.process.lockstep import Lockstep, LockstepClock
-from wire.process.output_files import replace_text
+from wire.process.output_files import PAGE_OPEN, replace_text
 from wire.process.runtime import Clock, Stop, WallClock, log, log_to_bus
+from wire.process.version import code
 from wire.security.access_control import INSECURE
 from wire.toml_loader import ConfigError, os_errors_as_config_errors
 from wire.transport.bus import Bus
@@ -37,6 +39,9 @@ from wire.web_access import WebOptions
 REST_WITHIN_S = 5.0  # of robots that hold because the station is told to end
 DISARM_WITHIN_S = 2.0  # of robots that rest then
 FAREWELL_S = 1.0  # a page gets four states in this time, a terminal asks five times
+IDLE_S = 600.0  # without a request, then a run that a person has taken over is ended: time to fetch a robot from the water
+IDLE_ALONE_S = 60.0  # the same while no page is open: time for the next command in a terminal
+INTERRUPTED = "interrupted: Ctrl-C in the terminal"  # groundstation/analysis/cause.py knows it
 
 
 def record_everything(bus: Bus, recorder: Recorder, clock: Clock) -> None:
@@ -58,12 +63,14 @@ def cycles(
     automatic: bool,
     lockstep: bool,
     stop: Stop,
+    give_up_s: float | None = None,
     web: WebOptions | None = None,
     insecure: bool = False,
     viewer: tuple[str, int] | None = None,
 ) -> Generator[None, None, bool]:
-    """The station until its mission is over (automatic) or it is told to stop; `viewer` is where Foxglove-family viewers are
-    served. Makes `run_dir`. Returns whether the mission succeeded.
+    """The station until its run is over (EndOfRun) or it is told to stop; `give_up_s` is the time without progress after
+    which an automatic mission fails, `viewer` is where Foxglove-family viewers are served. Makes `run_dir`. Returns whether
+    the mission succeeded.
 
     In lockstep yields when the station is present, and after each cycle; `next` waits for a tick unless it is there already.
     """
@@ -88,35 +95,54 @@ def cycles(
         served.callback(recorder.close)
         record_everything(bus, recorder, clock)
         threads = served.enter_context(workers(len(trajectories)))
-        mission = Mission(experiment, segment, starts, automatic)
+        mission = Mission(experiment, segment, starts, automatic, give_up_s)
         heard, tuner = subscribe_fleet(bus, experiment.robot_ids), GainUpdater(experiment)
         laps = LapStatistics(tuner.lap_s)
         station = Station(experiment, bus, clock, recorder, mission, tuner, laps, heard, threads, starts, insecure=insecure)
         station.seen = station.fleet()
         bus.serve(WHOLE_FLEET, station.on_operator_command)
         log_to_bus(bus, clock, "groundstation")
+        log.info("%s", code())
         if insecure:
             log.warning(INSECURE)  # once more: now the recorder has it
         station.publish_paths(clock.now_ns())
         bus.watch_presence()
+        server = None
         if web is not None:
             backend = LiveBackend(experiment, trajectories, bus, heard, clock, station, mode, run_dir.resolve())
-            served.enter_context(WebServer(backend, web, page))
+            server = served.enter_context(WebServer(backend, web, page))
             log.info("operator page: %s", web.url)
         if viewer is not None:
             log.info("viewers: ws://%s:%d", *viewer)
         ticks = Lockstep(bus, stop, clock) if isinstance(clock, LockstepClock) else None
         bus.announce("groundstation")
         started_s = time.monotonic()
+        end = EndOfRun(station, server)
         if ticks is not None:
-            yield from _lockstep_cycles(station, ticks)
+            yield from _lockstep_cycles(station, ticks, end)
+            _tell_interruption(stop)
         else:
-            _wall_loop(station, stop)
+            _wall_loop(station, stop, end)
+        _conclude(station, server, stop, run_dir)
         log.info("mission %s after %.1f s", mission.state.value, time.monotonic() - started_s)
         recorder.close()
         if recorder.error:  # also of the log's end, which nobody else tells
             log.error("recorder: %s", recorder.error)
         return mission.verdict is MissionState.DONE and not recorder.error
+
+
+def _conclude(station: Station, server: WebServer | None, stop: Stop, run_dir: Path) -> None:
+    """End the run at a person's Ctrl-C, and mark the run's folder if a page is open: then that is shown the ended run next."""
+    if stop.interrupted:
+        station.core.ended = True
+    if server is not None and server.watched:
+        (run_dir / PAGE_OPEN).touch()
+
+
+def _tell_interruption(stop: Stop) -> None:
+    """Record a person's Ctrl-C."""
+    if stop.interrupted:
+        log.info(INTERRUPTED)
 
 
 def _write_experiment(file: Path, loaded: Experiment, text: str) -> None:
@@ -128,47 +154,71 @@ def _write_experiment(file: Path, loaded: Experiment, text: str) -> None:
         raise ConfigError(f"{file}: is there already, is another experiment, and would be lost (allowed: a new folder)")
 
 
-class _End:
-    """End of the run: of an automatic mission by itself, of any other at a request. Then pages and terminals are told for
-    FAREWELL_S."""
+class EndOfRun:
+    """End of the run: at a request; of an automatic mission also by itself, and once it was left alone for long after a person
+    stopped the fleet or sent it back. After a request pages and terminals are told for FAREWELL_S."""
 
-    def __init__(self, station: Station) -> None:
-        self._station = station
+    def __init__(self, station: Station, server: WebServer | None) -> None:
+        self._station, self._server = station, server
         self._since_s = 0.0
+        self._rests_since_s: float | None = None
 
     def reached(self) -> bool:
         """True if the loop is to be left."""
-        station, now_s = self._station, time.monotonic()
-        if station.ended and not self._since_s:
-            self._since_s = now_s
-        if station.ended:
+        core, now_s = self._station.core, time.monotonic()
+        if core.ended:
+            self._since_s = self._since_s or now_s
             return now_s - self._since_s > FAREWELL_S
-        return station.mission.automatic and station.mission.state in TERMINAL
+        if core.mission.automatic:
+            core.ended = self._left_alone(now_s) if core.by_hand else core.mission.state in TERMINAL
+        return core.ended
+
+    def _left_alone(self, now_s: float) -> bool:
+        """True if every robot is heard and at rest, and nobody has asked for anything for the idle time."""
+        station = self._station
+        at_rest = station.mission.state in UNARMED and all(r.heard and r.mode not in LIVE for r in station.seen.values())
+        if not at_rest:
+            self._rests_since_s = None
+            return False
+        if self._rests_since_s is None:
+            self._rests_since_s = now_s
+            log.info(
+                "the run goes on until a person ends it (End run, groundstation end), or asks for nothing for %.0f s "
+                "(%.0f s while no page is open)",
+                IDLE_S,
+                IDLE_ALONE_S,
+            )
+        idle_s = IDLE_S if self._server is not None and self._server.watched else IDLE_ALONE_S
+        if now_s - max(self._rests_since_s, station.asked_s) <= idle_s:
+            return False
+        log.info("the run is ended: nobody has asked for anything for %.0f s", idle_s)
+        return True
 
 
 class _Leaving:
     """End of a station that is told to end while robots have power: they hold, and are disarmed when they rest."""
 
-    def __init__(self, station: Station) -> None:
-        self._station, self._until_s, self._disarms = station, 0.0, False
+    def __init__(self, station: Station, stop: Stop) -> None:
+        self._station, self._stop, self._until_s, self._disarms = station, stop, 0.0, False
 
     def over(self) -> bool:
         """True if the station may end now."""
         station, now_s = self._station, time.monotonic()
         if not self._until_s:
             self._until_s = now_s + REST_WITHIN_S
+            _tell_interruption(self._stop)
             if station.has_power():
                 log.warning("told to end while robots have power: they hold, and are disarmed when they rest")
         if not self._disarms and (not station.come_to_rest() or now_s > self._until_s):
             self._disarms, self._until_s = True, now_s + DISARM_WITHIN_S
             if station.has_power():
-                station.request(Order.END)
+                station.disarm()
         return self._disarms and (not station.has_power() or now_s > self._until_s)
 
 
-def _wall_loop(station: Station, stop: Stop) -> None:
+def _wall_loop(station: Station, stop: Stop, end: EndOfRun) -> None:
     period_ns = round(station.experiment.controller.period_s * 1e9)
-    due_ns, end, leaving = time.monotonic_ns(), _End(station), _Leaving(station)
+    due_ns, leaving = time.monotonic_ns(), _Leaving(station, stop)
     while not stop.requested or not leaving.over():
         station.wake.clear()
         station.cycle(station.clock.now_ns(), lockstep=False)
@@ -180,8 +230,8 @@ def _wall_loop(station: Station, stop: Stop) -> None:
         station.wake.wait((due_ns - now_ns) * 1e-9)
 
 
-def _lockstep_cycles(station: Station, lockstep: Lockstep) -> Generator[None]:
-    heard, end = station.heard, _End(station)
+def _lockstep_cycles(station: Station, lockstep: Lockstep, end: EndOfRun) -> Generator[None]:
+    heard = station.heard
     yield
     while (tick := lockstep.next()) is not None:
         # What the robots found in the step before, and where the picture shows them.

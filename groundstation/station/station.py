@@ -8,7 +8,7 @@ import re
 import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 
@@ -102,6 +102,7 @@ class Station:
     obstacles_up_to_ns: int | None = None  # in lockstep: pictures up to then have been told of
     pending: list[tuple[Command, Future[Reply]]] = field(default_factory=list)
     paths: Mapping[int, tuple[Trajectory, float]] | None = None  # what each robot flies now, until when [s]
+    asked_s: float = 0.0  # instant of the last request (s, monotonic)
     told: str = ""
     insecure: bool = False
     recorder_told: bool = False
@@ -159,7 +160,7 @@ class Station:
 
     @property
     def ended(self) -> bool:
-        """True if a person has ended the run: every robot that is heard is at rest."""
+        """True once the run is over."""
         return self.core.ended
 
     def fleet(self) -> Fleet:
@@ -183,6 +184,9 @@ class Station:
         for name, wanted in self.core.plan_requests():
             if name not in self.planning and wanted is not None:
                 self.planning[name] = wanted, self.workers.plans.submit(_planned, wanted, self._patience(lockstep))
+            if lockstep and name in self.planning:
+                self._await_unlocked(self.planning[name][1])
+        for name, wanted in self.core.plan_requests():  # asked again: requests came while lockstep waited
             if name in self.planning and (lockstep or self.planning[name][1].done()):
                 asked, outcome = self.planning.pop(name)
                 if asked is wanted:
@@ -192,6 +196,14 @@ class Station:
         """Limit of time of a plan that begins now; none in lockstep, where a plan must not depend on the machine."""
         closing, deadline_s = self.workers.closing, time.monotonic() + PLANNING_S
         return lambda: closing.is_set() or (not lockstep and time.monotonic() > deadline_s)
+
+    def _await_unlocked(self, plan: "Future[PlanSegment | PlanError]") -> None:
+        """Wait for a plan without the lock, which the cycle holds: an operator's requests are answered meanwhile."""
+        self.lock.release()
+        try:
+            wait([plan])
+        finally:
+            self.lock.acquire()
 
     def publish_paths(self, now_ns: int) -> None:
         """Publish the trajectories flown from now on, for page and log: each robot's whole run with the formation from its
@@ -233,6 +245,7 @@ class Station:
         of a refusal, or nothing, and the request's number."""
         with self.lock:
             reason, number = self.core.request(order, self.seen, self.clock.now_ns(), via, only)
+            self.asked_s = time.monotonic()
         if order in PROMPT and not reason:
             self.wake.set()
         asked = f"{order.name} for robot {only}" if only and order is not Order.STOP else order.name
@@ -248,6 +261,11 @@ class Station:
         """Hold every robot that moves: the station is about to leave. Returns False once none that is heard moves."""
         with self.lock:
             return self.core.come_to_rest(self.seen, self.clock.now_ns())
+
+    def disarm(self) -> None:
+        """Disarm every robot: the station is about to leave. No person has asked for it, so no request is logged."""
+        with self.lock:
+            self.core.request(Order.END, self.seen, self.clock.now_ns())
 
     def has_power(self) -> bool:
         """True while a robot that is heard may put out thrust."""

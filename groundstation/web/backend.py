@@ -9,6 +9,7 @@ from groundstation.mission.gain_update import GainStatus
 from groundstation.mission.lap_statistics import Lap
 from groundstation.mission.state_machine import MissionState
 from groundstation.telemetry import Finding, Fleet
+from groundstation.web.protocol import Edit
 from wire.config.experiment import Experiment
 from wire.messages.messages import DriveVelocity, Order, Outcome, Trajectory
 from wire.messages.topics import WHOLE_FLEET
@@ -88,3 +89,5 @@ class Backend(Protocol):
     def notes(self) -> list[dict[str, Any]]: ...
     def remark(self, text: str) -> None: ...
     def seek(self, time_s: float | None, rate: float | None) -> None: ...
+    def choose(self, what: str, edit: Edit | None) -> list[str]:
+        """Take what a person wants after an ended run (protocol.AfterRun). Returns every reason against it."""

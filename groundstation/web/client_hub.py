@@ -235,7 +235,7 @@ class ClientHub:
         self._count += 1
         watcher = Client(self._count, websocket, hello.page, self._camera(hello.camera))
         events = [msgspec.Raw(body) for body in self._history]
-        scene = self._source.scene() | {"report": self._desk.shown_report}
+        scene = self._source.scene() | {"report": self._desk.shown_report, "end": self._desk.shown_end}
         watcher.note({"k": "hello", "you": watcher.id, "scene": scene, "events": events})
         watcher.note({"k": "past", "states": self._source.past()})
         self._replace(watcher)
@@ -321,6 +321,8 @@ class ClientHub:
             self._source.remark(request.text)
         elif isinstance(request, protocol.Seek):
             self._source.seek(request.time_s, request.rate)
+        elif isinstance(request, protocol.AfterRun):
+            self._spawn(self._choose(watcher, request))
 
     def _camera(self, name: str) -> str:
         """The camera of that name; the first one where there is none."""
@@ -409,6 +411,11 @@ class ClientHub:
             else await self._at(self._plans, save, self._source.experiment, request.edit, request.name)
         )
         watcher.note({"k": "saved", "n": request.n} | done)
+
+    async def _choose(self, watcher: Client, request: protocol.AfterRun) -> None:
+        reason = self._may_command(watcher)
+        found = [reason] if reason else await self._at(self._plans, self._source.choose, request.what, request.edit)
+        watcher.note({"k": "chosen", "n": request.n, "problems": found})
 
     async def _answer_of_runs(self, watcher: Client, request: protocol.OfRuns) -> None:
         """The list of runs, after the change that was asked for. Pages that watch may look."""

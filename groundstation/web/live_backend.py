@@ -13,6 +13,7 @@ from groundstation.mission.state_machine import READY, MissionState, order_name,
 from groundstation.telemetry import FleetInboxes
 from groundstation.web.alarms import alarms
 from groundstation.web.backend import ShownPicture, StationApi
+from groundstation.web.protocol import Edit
 from groundstation.web.scene import flown_paths, scene
 from groundstation.web.snapshot import (
     NEVER_MS,
@@ -29,12 +30,15 @@ from wire.messages import topics
 from wire.messages.codec import DecodeError, Header, decode
 from wire.messages.messages import Event, Order, Preview, Trajectory
 from wire.messages.topics import Topic
+from wire.process.fleet_time import PaceMeter
+from wire.process.lockstep import LockstepClock
 from wire.process.runtime import Clock, log
-from wire.transport.bus import Bus, Inbox, Received
+from wire.transport.bus import Bus, Received
 
 MOST_EVENTS = 256  # between two looks
 PAST_S = 600.0  # kept for pages that connect later
 PAST_EVERY_S = 0.5  # a row of the past, in fleets of up to three
+STANDS_S = 5.0  # without a cycle in lockstep, where a step that plans takes some: what is shown may be a process that hangs
 STUCK_S = 1.0  # without a cycle of the station: robots hold by themselves then
 
 
@@ -61,6 +65,8 @@ class LiveBackend:
         self._seen: list[Header | None] = []
         self._drawn: Mapping[int, tuple[Trajectory, float]] | None = None
         self._past_every_s = max(PAST_EVERY_S, PAST_S * len(heard.states) / PAST_ROBOTS)
+        self._meter = PaceMeter()
+        self._stands = False  # in lockstep: simulated time does not go on
         self._past: deque[dict[str, Any]] = deque(maxlen=round(PAST_S / self._past_every_s))
         bus.subscribe(topics.EVENT, None, self._event)
 
@@ -100,17 +106,18 @@ class LiveBackend:
 
     def _told(self) -> dict[str, Any]:
         """The fleet's newest state, as the page gets it."""
-        status = self.station.status()
+        status, now_s = self.station.status(), self._clock.now_ns() * 1e-9
+        self._stands = status.beat_age_s > STANDS_S
         states = {r: inbox.newest() for r, inbox in self._heard.states.items()}
         poses = {r: inbox.newest() for r, inbox in self._heard.poses.items()}
         plans = {r: inbox.newest() for r, inbox in self._heard.plans.items()}
-        localizer = _aged(self._heard.localizer)
+        localizer = self._age(self._heard.localizer.newest())
         return snapshot(
             FleetSnapshot(
-                time_s=self._clock.now_ns() * 1e-9,
-                robots={r: RobotSnapshot(_age(states[r]), _age(poses[r]), _age(plans[r])) for r in states},
+                time_s=now_s,
+                robots={r: RobotSnapshot(self._age(states[r]), self._age(poses[r]), self._age(plans[r])) for r in states},
                 localizer=localizer,
-                obstacles=_aged(self._heard.obstacles),
+                obstacles=self._age(self._heard.obstacles.newest()),
                 mission=status.state.name,
                 mission_text=READY if status.state is MissionState.WAITING and not status.preflight else status.state.value,
                 reason=status.reason,
@@ -124,7 +131,8 @@ class LiveBackend:
                     self._localizer_age_s(localizer),
                     status.recorder_error,
                     status.insecure,
-                    status.beat_age_s if self._mode == "real-time" and status.beat_age_s > STUCK_S else 0.0,
+                    status.beat_age_s if status.beat_age_s > STUCK_S else 0.0,
+                    self._mode == "lockstep",
                 ),
                 present=sorted(self._bus.present),
                 tuning=status.tuning,
@@ -132,6 +140,7 @@ class LiveBackend:
                 requests=status.requests,
                 ended=status.ended,
                 led=status.led,
+                pace=self._meter.add(now_s, time.monotonic()) if self._mode == "lockstep" else None,
             )
         )
 
@@ -139,13 +148,23 @@ class LiveBackend:
         """Age of the localizer's status. 0 in lockstep, where a slow machine is no silence, and poses are what counts."""
         return found.age_ms * 1e-3 if self._mode == "real-time" else 0.0
 
+    def _age(self, received: Received[Any] | None) -> AgedMessage:
+        """Age of a message by the machine's own clock. In lockstep by the simulated one, for a busy machine makes nothing old;
+        but where simulated time stands, nothing that has stopped coming may look alive."""
+        if received is None:
+            return AgedMessage()
+        age_ms = (time.monotonic_ns() - received.arrived_ns + received.header.age_ns) * 1e-6
+        if isinstance(self._clock, LockstepClock) and not self._stands:
+            age_ms = min(age_ms, max(self._clock.now_ns() - received.header.stamp_ns, 0) * 1e-6)
+        return AgedMessage(received.message, min(age_ms, NEVER_MS))
+
     def picture(self, camera: str, shown_ns: int) -> ShownPicture | None:
         """The newest picture of a camera, if it is not the one of stamp `shown_ns`."""
         header = self._previews[camera].newest_header()
         if header is None or header.stamp_ns == shown_ns:
             return None
         found = self._previews[camera].newest()
-        return None if found is None else ShownPicture(found.header.stamp_ns, _age(found).age_ms, found.message.jpeg)
+        return None if found is None else ShownPicture(found.header.stamp_ns, self._age(found).age_ms, found.message.jpeg)
 
     def notes(self) -> list[dict[str, Any]]:
         """Events since the last call, in order: lines of the log."""
@@ -166,15 +185,6 @@ class LiveBackend:
     def seek(self, time_s: float | None, rate: float | None) -> None:
         """Refuse: only a recorded run can be at another time."""
 
-
-def _aged(inbox: Inbox[Any]) -> AgedMessage:
-    return _age(inbox.newest())
-
-
-def _age(received: Received[Any] | None) -> AgedMessage:
-    """Age of a message by the machine's own clock, also in lockstep: nothing that has stopped coming may look alive."""
-    if received is None:
-        return AgedMessage()
-    return AgedMessage(
-        received.message, min((time.monotonic_ns() - received.arrived_ns + received.header.age_ns) * 1e-6, NEVER_MS)
-    )
+    def choose(self, what: str, edit: Edit | None) -> list[str]:
+        """Refuse: this run is not over."""
+        return ["the run still goes on"]

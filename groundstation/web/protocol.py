@@ -151,6 +151,14 @@ class Seek(msgspec.Struct, tag_field="kind", tag="seek", forbid_unknown_fields=T
     rate: Annotated[float, msgspec.Meta(ge=0, le=64)] | None = None
 
 
+class AfterRun(msgspec.Struct, tag_field="kind", tag="after", forbid_unknown_fields=True, frozen=True):
+    """After an ended run: fly it again, fly an edit of it, or close the page's server. `n` comes back with the answer."""
+
+    n: Count
+    what: Literal["again", "edited", "close"]
+    edit: Edit | None = None  # with "edited"
+
+
 OfRuns = ListRuns | LabelRun | DeleteRun
 Request = (
     Hello
@@ -165,6 +173,7 @@ Request = (
     | ChooseCamera
     | Remark
     | Seek
+    | AfterRun
     | OfRuns
 )
 _DECODER = msgspec.json.Decoder(Request)

@@ -6,7 +6,7 @@ from bisect import bisect_right
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any, TypeVar
@@ -18,6 +18,8 @@ from groundstation.mission.state_machine import MissionState
 from groundstation.telemetry import LINK_WINDOW, LinkMonitor, RobotView
 from groundstation.web.alarms import alarms
 from groundstation.web.backend import ShownPicture
+from groundstation.web.experiment_editor import attempt, edited
+from groundstation.web.protocol import Edit
 from groundstation.web.scene import floats, flown_samples, paths, scene
 from groundstation.web.snapshot import PAST_ROBOTS, AgedMessage, FleetSnapshot, RobotSnapshot, event_note, past_row, snapshot
 from wire.config.experiment import Experiment, load_experiment
@@ -190,14 +192,26 @@ class _NoRequests:
         return "this is a recorded run", 0
 
 
+@dataclass(frozen=True)
+class RunChoice:
+    """Choice of a person after an ended run: "again", "edited" with the experiment to fly, or "close"."""
+
+    what: str
+    experiment: Experiment | None = None
+
+
 class ReplayBackend:
     """A run, perhaps beside another one of the same robots: both counted from the moment when they began to fly."""
 
-    def __init__(self, run: Path, against: Path | None = None) -> None:
+    def __init__(self, run: Path, against: Path | None = None, offers: Sequence[str] = (), problem: str = "") -> None:
+        """`offers`: what a person may choose after it (RunChoice.what); it is then shown as it ended. `problem`: with the run,
+        or with the last choice."""
         self.station, self.run_dir = _NoRequests(), run
+        self.choice: RunChoice | None = None
+        self._offers, self._problem = list(offers), problem
         self._log = LogPlayer(run)
         self._against = LogPlayer(against) if against is not None else None
-        self._at_ns, self._rate, self._since_s = self._log.flown_ns, 0.0, time.monotonic()
+        self._at_ns, self._rate, self._since_s = self._log.end_ns if offers else self._log.flown_ns, 0.0, time.monotonic()
         self._changed = True
         self._shown_s = 0.0
         self._past, self._events = self._log.past(), self._log.events()
@@ -222,7 +236,9 @@ class ReplayBackend:
 
     def scene(self) -> dict[str, Any]:
         """The recorded scene, and how long it is."""
-        return scene(self.experiment, self._log.trajectories, "replay") | {"replay": {"end_s": self._log.end_ns * 1e-9}}
+        replay = {"begin_s": self._log.flown_ns * 1e-9, "end_s": self._log.end_ns * 1e-9}
+        found = scene(self.experiment, self._log.trajectories, "replay")
+        return found | {"replay": replay, "run": str(self.run_dir), "offers": self._offers, "problem": self._problem}
 
     def changed(self) -> bool:
         """True if there is another state to show."""
@@ -238,6 +254,17 @@ class ReplayBackend:
         at_ns = self._now_ns() if time_s is None else min(round(time_s * 1e9), self._log.end_ns)
         self._at_ns, self._since_s, self._changed = at_ns, time.monotonic(), True
         self._rate = self._rate if rate is None else rate
+
+    def choose(self, what: str, edit: Edit | None) -> list[str]:
+        """Take what a person wants next, if it is offered and can be flown. Returns every reason against it."""
+        if what not in self._offers:
+            return ["this is not possible here"]
+        if what == "edited":
+            tried = attempt(self.experiment, edit or Edit())
+            if not tried["ok"]:
+                return list(tried["problems"])
+        self.choice = RunChoice(what, edited(self.experiment, edit or Edit()) if what == "edited" else None)
+        return []
 
     def _aged(self, topic: Topic, kind: type[Any], at_ns: int, robot: int = 0) -> AgedMessage:
         found = self._log.newest(topic, kind, at_ns, robot)
@@ -265,7 +292,11 @@ class ReplayBackend:
             emergency_stop=beat is not None and beat[1].emergency_stop,
             alarms=alarms(self.experiment, views, localizer.message, localizer.age_ms * 1e-3, ""),
         )
-        return snapshot(news) | {"replay": {"time_s": now * 1e-9, "rate": self._rate}, "ghosts": self._ghosts(now)}
+        return (
+            snapshot(news)
+            | {"replay": {"time_s": now * 1e-9, "rate": self._rate}, "ghosts": self._ghosts(now)}
+            | {"next": self.choice.what if self.choice is not None else ""}
+        )
 
     def _view(self, robot: int, news: RobotSnapshot, now_ns: int) -> RobotView:
         ages_s = [n.age_ms * 1e-3 if n.message is not None else math.inf for n in (news.state, news.pose)]

@@ -12,6 +12,7 @@ from typing import Any
 from urllib.parse import quote
 
 from groundstation.logs import run_folders
+from groundstation.web.run_end import run_end
 from wire.toml_loader import ConfigError
 
 REPORT = "report.html"
@@ -41,6 +42,11 @@ class RunDesk:
     def shown_report(self) -> str:
         """Address of the report of the run that is shown; empty if there is none, as while it is flown."""
         return self._address(self._shown) if self._shown is not None else ""
+
+    @property
+    def shown_end(self) -> dict[str, Any] | None:
+        """End of the run that is shown (run_end.py); None while it is flown."""
+        return run_end(self._shown) if self._shown is not None else None
 
     def listing(self, problem: str = "") -> dict[str, Any]:
         """All runs for the page, the newest first, and what became of its last request."""

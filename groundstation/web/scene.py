@@ -22,6 +22,7 @@ MOST_POINTS = 1500  # of a path: 0.08 s apart for the pool scene, less than a pi
 CELLS = 16  # of the picture's mesh, along the longer side: straight edges are then within 1 mm of the lens's curves
 MARGIN_M = 0.2  # of the mesh beyond the walls
 LOCKSTEP_STALE_S = 1.0  # there a slow machine is no fault; periods are the simulator's
+LOCKSTEP_PICTURE_STALE_S = 6.0  # a preview each 0.2 simulated s, at a thirtieth of real time
 
 
 def floats(values: npt.ArrayLike) -> bytes:
@@ -63,7 +64,7 @@ def scene(experiment: Experiment, trajectories: Mapping[int, Trajectory], mode: 
         "duration_s": experiment.duration_s,
         "period_s": controller.period_s,
         "stale_s": 3.0 * controller.period_s if mode == "real-time" else LOCKSTEP_STALE_S,
-        "picture_stale_s": topics.PREVIEW.max_age_s,
+        "picture_stale_s": LOCKSTEP_PICTURE_STALE_S if mode == "lockstep" else topics.PREVIEW.max_age_s,
         "pool_m": list(experiment.pool.size_m),
         "walls": experiment.pool.walls,
         "hull_m": vehicle.radius_m,

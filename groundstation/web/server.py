@@ -5,6 +5,7 @@ with WebServer(backend, options): ...                  # binds when it is made, 
 
 import asyncio
 import contextlib
+import logging
 import socket
 import ssl
 import threading
@@ -25,12 +26,16 @@ from groundstation.web.client_hub import ClientHub
 from groundstation.web.connection_limits import HANDSHAKE_WITHIN_S, ConnectionLimiter, http_class
 from groundstation.web.run_desk import REPORT_POLICY, RunDesk
 from wire.process.runtime import log
+from wire.secret_files import refuse_shared
 from wire.toml_loader import ConfigError
 from wire.web_access import Guarded, WebOptions
 
 STATIC = Path(__file__).parent / "static"
 START_WITHIN_S = 30.0  # on a starved machine; then the station does not start, and says why
 
+SAY_AGAIN_S = 10.0  # how often a text of a library is told
+MOST_TEXTS = 100  # that are told at all
+LONGEST_LINE = 300  # characters of one
 FAREWELL_WITHIN_S = 1.0  # a page's thread that hangs delays no exit
 
 
@@ -87,6 +92,7 @@ def bind(options: WebOptions) -> socket.socket:
         except OSError as error:
             files = f"--web-certificate {options.certificate}, --web-key {options.key}"
             raise ConfigError(f"{files}: {error.strerror or error} (two files in PEM are needed)") from None
+        refuse_shared(options.key or options.certificate, "the page's private key")
     bound = socket.socket(socket.AF_INET6 if ":" in options.host else socket.AF_INET, socket.SOCK_STREAM)
     bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
@@ -97,6 +103,29 @@ def bind(options: WebOptions) -> socket.socket:
     return bound
 
 
+class SeldomRelay(logging.Handler):
+    """Takes a library's lines into our log, each text once in SAY_AGAIN_S with the number since: a stranger at the page's port
+    must not fill the log."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.WARNING)
+        self._counts: dict[str, int] = {}  # of each text since it was told
+        self._told_s: dict[str, float] = {}
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Tell it, or count it."""
+        text, now_s = str(record.msg), time.monotonic()  # without arguments: these are the stranger's
+        if now_s - self._told_s.get(text, float("-inf")) < SAY_AGAIN_S or (
+            text not in self._told_s and len(self._told_s) >= MOST_TEXTS
+        ):
+            self._counts[text] = self._counts.get(text, 0) + (text in self._told_s)
+            return
+        self._told_s[text] = now_s
+        count = self._counts.pop(text, 0)
+        more = f" ({count} more of them since last told)" if count else ""
+        log.log(record.levelno, "page: %s%s", record.getMessage()[:LONGEST_LINE], more, exc_info=record.exc_info)
+
+
 class WebServer:
     """The page's thread. A page that fails says so in the log and is gone; the station flies on."""
 
@@ -105,6 +134,8 @@ class WebServer:
         self._failure, self._where = "", f"{options.host}:{options.port}"
         self._loop: asyncio.AbstractEventLoop | None = None
         self._socket = bound or bind(options)
+        for name in ("uvicorn.error", "websockets.server"):
+            logging.getLogger(name).handlers, logging.getLogger(name).propagate = [SeldomRelay()], False
         desk = RunDesk(source.run_dir)
         self._hub = ClientHub(source, options, desk)
         config = uvicorn.Config(

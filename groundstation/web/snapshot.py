@@ -64,6 +64,7 @@ class FleetSnapshot:
     requests: Sequence[Outcome] = ()
     ended: bool = False
     led: Mapping[int, str] = field(default_factory=dict)
+    pace: float | None = None  # simulated seconds per second, lately; None for a fleet that lives by the wall clock
 
 
 def snapshot(news: FleetSnapshot) -> dict[str, Any]:
@@ -83,6 +84,7 @@ def snapshot(news: FleetSnapshot) -> dict[str, Any]:
         "tuning": _tuning(news.tuning, news.laps),
         "requests": [_request(outcome) for outcome in news.requests],
         "ended": news.ended,
+        "pace": news.pace,
         "led": [{"robot": robot, "text": text} for robot, text in news.led.items()],
         "robots": [_robot(robot, found) for robot, found in news.robots.items()],
     }

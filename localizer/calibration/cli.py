@@ -53,7 +53,11 @@ def calibrate(
         float | None, typer.Option(min=1, max=2, help="Refractive index: 1.333 in fresh water (default), 1.34 in sea water.")
     ] = None,
     grey: Grey = False,
-    out: Annotated[Path, typer.Option(help="The camera file; a picture goes beside it.")] = Path("camera.toml"),
+    out: Annotated[
+        Path,
+        typer.Option(help="The camera file; a picture goes beside it. A file that is there keeps what is not found anew."),
+    ] = Path("camera.toml"),
+    force: Annotated[bool, typer.Option("--force", help="Write a lens that the report warns against.")] = False,
 ) -> None:
     """Find lens and pose of a camera from pictures of a board and points of the pool (docs/calibration.md).
 
@@ -66,9 +70,13 @@ def calibrate(
     files = tuple(sources or ())
     request = CalibrationRequest(
         files, board, every, lens, pool_points, pool_points_image, out,
-        rate_hz=rate, exposure_s=exposure, water_index=water_index, grey=grey,
+        rate_hz=rate, exposure_s=exposure, water_index=water_index, grey=grey, force=force,
     )  # fmt: skip
-    typer.echo("\n".join(run(request)))
+    report = run(request)
+    typer.echo("\n".join(report.lines))
+    if report.refusal:
+        typer.echo(report.refusal, err=True)
+        raise typer.Exit(1)
 
 
 def print_markers(
@@ -84,7 +92,7 @@ def print_markers(
 
     Examples:  localizer print-markers --ids 1-6          localizer print-markers --ids 40-43 --size 200 --paper A3
     """
-    from localizer.calibration.marker_sheet import as_pdf, as_svg, marker_sheets
+    from localizer.calibration.marker_sheet import as_pdf, as_svg, marker_sheets, mirrored_ids
     from wire.process.output_files import replacing
 
     families = get_args(MarkerFamily)
@@ -93,12 +101,23 @@ def print_markers(
     if out.suffix not in (".pdf", ".svg"):
         raise ConfigError(f"--out {out}: must end in .pdf or .svg")
     check_output(out)
-    sheets = marker_sheets(_numbers(ids), size, cast(MarkerFamily, dictionary), paper)
+    family = cast(MarkerFamily, dictionary)
+    numbers, mirrored = _numbers(ids), mirrored_ids(family)
+    left_out = [number for number in numbers if number in mirrored]
+    if left_out == numbers:
+        why = f"the markers {', '.join(map(str, mirrored))} are read in a mirror too, so that a reflection looks like a robot"
+        raise ConfigError(f"--ids {ids}: {why} (take others; robots.marker_id says which one a robot has)")
+    sheets = marker_sheets([number for number in numbers if number not in mirrored], size, family, paper)
     if out.suffix == ".svg" and len(sheets) > 1:
         raise ConfigError(f"--out {out}: they need {len(sheets)} sheets, and an SVG has one (write a .pdf, or take fewer)")
     with replacing(out) as file:
         file.write(as_pdf(sheets) if out.suffix == ".pdf" else as_svg(sheets[0]).encode())
     typer.echo(f"Wrote {out}: {len(sheets)} sheet{'s' if len(sheets) > 1 else ''}. Print at 100 %, and measure the ruler.")
+    if left_out:
+        typer.echo(
+            f"Left out: {', '.join(map(str, left_out))}, which are read in a mirror too, so that a reflection looks like a "
+            "robot. Give those robots another marker: robots.marker_id."
+        )
 
 
 def _numbers(text: str) -> list[int]:

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from localizer.calibration.targets import TargetView
-from localizer.camera_model import Intrinsics
+from localizer.camera_model import LARGEST_FOLD_PX, Intrinsics, fold_px
 from wire.frames import Array
 from wire.toml_loader import ConfigError
 
@@ -26,8 +26,13 @@ CELLS = (8, 6)  # columns and rows in which coverage is counted
 _COVERED = 0.6  # share of cells with corners; below it, distortion is extrapolated in places
 _REACHED = 0.7  # of the distance from the centre to each of the picture's corners; below it, a warning
 _LOOSE_FOCAL, _LOOSE_CENTRE_PX = 0.002, 2.0  # standard deviations for a warning; 0.2 % is 2 mm at 1 m from the foot
-_POOR_RMS_PX = 1.0  # px, for a warning
-_FOLD_PX = 0.1  # px, for a warning
+_UNKNOWN_FOCAL, _UNKNOWN_CENTRE_PX = 0.01, 10.0  # standard deviations from which on a lens is not written: 1 cm at 1 m
+_POOR_RMS_PX = 1.0  # px of a picture 1280 wide, above which a lens is not written
+_TILTED_RAD, _FEWEST_TILTED = np.radians(10.0), 4  # views whose board is tilted so far; fewer do not tell the focal length
+_SAME_VIEW_PX = 0.7  # px, RMS distance of the corners of two views that show one board at one place: noise and a hand's shake
+_POSE, _INTRINSICS = 6, 9  # columns of a view's derivatives: its rotation and place, then fx, fy, cx, cy, k1, k2, p1, p2, k3
+_SINGULAR = 1e-12  # of the largest eigenvalue of the scaled information; below it there is rounding only
+_NO_SHARE = 1e-9  # of a unit vector, squared: so little of a direction that is not determined is rounding
 _FOLDS = 3  # parts of the views, each of which is predicted by a lens that it did not help to find
 
 
@@ -42,6 +47,7 @@ class IntrinsicsFit:
     views: tuple[TargetView, ...]
     view_rms_px: Array  # (views,)
     residuals_px: tuple[Array, ...]  # found less predicted, (corners, 2) per view
+    tilts_rad: Array  # (views,): between the board's normal and the line of sight
     rejected: tuple[tuple[TargetView, float], ...] = ()  # with the RMS they had when they went
 
     @property
@@ -58,14 +64,38 @@ class IntrinsicsFit:
         return np.asarray(counts)
 
 
+def distinct_views(views: Sequence[TargetView]) -> tuple[list[TargetView], list[tuple[TargetView, TargetView]]]:
+    """The views without those that repeat an earlier one, and these, each with the one that it repeats.
+
+    A repeated view adds nothing but confidence: its errors are the same once more."""
+    kept, repeated = list[TargetView](), list[tuple[TargetView, TargetView]]()
+    for view in views:
+        same = next((one for one in kept if _is_same(one, view)), None)
+        if same is None:
+            kept.append(view)
+        else:
+            repeated.append((view, same))
+    return kept, repeated
+
+
+def _is_same(one: TargetView, other: TargetView) -> bool:
+    if one.board_m.shape != other.board_m.shape or not np.array_equal(one.board_m, other.board_m):
+        return False
+    return float(np.sqrt(np.mean(np.sum((one.pixels - other.pixels) ** 2, axis=1)))) < _SAME_VIEW_PX
+
+
 def fit_intrinsics(views: Sequence[TargetView], size_px: tuple[int, int]) -> IntrinsicsFit:
-    """The intrinsics that explain the views, bad ones dropped. Raises ConfigError if there are too few."""
-    if len(views) < FEWEST_VIEWS:
-        names = ", ".join(view.name for view in views) or "none"
-        raise ConfigError(f"the board was found in {len(views)} pictures ({names}), at least {FEWEST_VIEWS} are needed")
-    kept, rejected = list(views), list[tuple[TargetView, float]]()
-    fit = _fit(kept, size_px)
-    while len(kept) > FEWEST_VIEWS and len(rejected) < int(len(views) * _BAD_SHARE):
+    """The intrinsics that explain the views, bad and repeated ones dropped. Raises ConfigError if there are too few."""
+    kept, _ = distinct_views(views)
+    if len(kept) < FEWEST_VIEWS:
+        names = ", ".join(view.name for view in kept) or "none"
+        different = "different " if len(kept) < len(views) else ""
+        raise ConfigError(
+            f"the board was found in {len(kept)} {different}pictures ({names}), at least {FEWEST_VIEWS} are needed"
+        )
+    rejected = list[tuple[TargetView, float]]()
+    fit, count = _fit(kept, size_px), len(kept)
+    while len(kept) > FEWEST_VIEWS and len(rejected) < int(count * _BAD_SHARE):
         worst = int(np.argmax(fit.view_rms_px))
         if fit.view_rms_px[worst] <= max(_BAD_RATIO * float(np.median(fit.view_rms_px)), _BAD_PX):
             break
@@ -87,7 +117,7 @@ def _solve(views: Sequence[TargetView], size_px: tuple[int, int], flags: int) ->
     boards = [view.board_m.astype(np.float32)[:, None] for view in views]
     pixels = [view.pixels.astype(np.float32)[:, None] for view in views]
     try:
-        rms, matrix, distortion, turns, moves, deviations, _, errors = cv2.calibrateCameraExtended(
+        rms, matrix, distortion, turns, moves, _, _, errors = cv2.calibrateCameraExtended(
             boards, pixels, size_px, np.eye(3), np.zeros(5), flags=flags
         )
     except cv2.error as error:
@@ -95,14 +125,40 @@ def _solve(views: Sequence[TargetView], size_px: tuple[int, int], flags: int) ->
     found = np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *distortion.ravel()[:5]])
     if not np.all(np.isfinite(found)) or min(found[:2]) <= 0:
         raise ConfigError(f"no lens explains the {len(views)} views of the board: tilt it by 20 to 40 degrees, each way")
-    predicted = [
-        cv2.projectPoints(b, r, t, matrix, distortion)[0].reshape(-1, 2) for b, r, t in zip(boards, turns, moves, strict=True)
-    ]
-    residuals = tuple(view.pixels - place for view, place in zip(views, predicted, strict=True))
+    distortion = np.asarray(distortion).ravel()[:5]
+    poses = zip(views, turns, moves, strict=True)
+    predicted = [cv2.projectPoints(view.board_m, turn, move, matrix, distortion) for view, turn, move in poses]
+    residuals = tuple(view.pixels - places.reshape(-1, 2) for view, (places, _) in zip(views, predicted, strict=True))
     fx, fy, cx, cy, *ks = (float(value) for value in found)
     lens = Intrinsics(size_px=size_px, focal_px=(fx, fy), centre_px=(cx, cy), distortion=(ks[0], ks[1], ks[2], ks[3], ks[4]))
-    sigma, view_rms = (np.asarray(values, dtype=np.float64).ravel() for values in (deviations, errors))
-    return IntrinsicsFit(lens, sigma[:9], float(rms), tuple(views), view_rms, residuals)
+    deviations = _deviations([np.asarray(jacobian) for _, jacobian in predicted], residuals, flags == cv2.CALIB_FIX_K3)
+    tilts = [float(np.arccos(abs(np.asarray(cv2.Rodrigues(turn)[0])[2, 2]))) for turn in turns]
+    view_rms = np.asarray(errors, dtype=np.float64).ravel()
+    return IntrinsicsFit(lens, deviations, float(rms), tuple(views), view_rms, residuals, np.array(tilts))
+
+
+def _deviations(jacobians: Sequence[Array], residuals: Sequence[Array], without_k3: bool) -> Array:
+    """One standard deviation of the nine intrinsics, from derivatives by each view's pose (6 columns) and the intrinsics (9).
+
+    Infinite where the views do not determine them: OpenCV's own deviations come from a pseudo-inverse, which leaves such a
+    direction out, as if it were known.
+    """
+    known = _POSE + np.arange(_INTRINSICS - without_k3)
+    information = np.zeros((len(known), len(known)))
+    for jacobian in jacobians:
+        by_lens, by_pose = jacobian[:, known], jacobian[:, :_POSE]
+        # What is left of the lens's information when the view's pose is unknown too (a Schur complement).
+        mixed = by_lens.T @ by_pose
+        information += by_lens.T @ by_lens - mixed @ np.linalg.pinv(by_pose.T @ by_pose) @ mixed.T
+    count = sum(residual.size for residual in residuals)
+    variance = sum(float(np.sum(residual**2)) for residual in residuals) / max(count - _POSE * len(jacobians) - len(known), 1)
+    scale = np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
+    eigenvalues, vectors = np.linalg.eigh(information / np.outer(scale, scale))
+    inverses = np.where(eigenvalues > _SINGULAR * eigenvalues[-1], 1.0 / np.maximum(eigenvalues, 1e-300), np.inf)
+    with np.errstate(invalid="ignore"):
+        shares = np.where(vectors**2 > _NO_SHARE, vectors**2 * inverses, 0.0)
+    deviations = np.sqrt(variance * shares.sum(axis=1)) / scale
+    return np.append(deviations, 0.0) if without_k3 else deviations
 
 
 def held_out_rms_px(fit: IntrinsicsFit) -> float | None:
@@ -122,8 +178,26 @@ def held_out_rms_px(fit: IntrinsicsFit) -> float | None:
     return float(np.sqrt(np.mean(np.concatenate(errors))))
 
 
+def intrinsics_faults(fit: IntrinsicsFit) -> list[str]:
+    """Reasons not to use a lens, with advice: places by it will be wrong."""
+    said = []
+    tilted = int(np.sum(fit.tilts_rad > _TILTED_RAD))
+    if tilted < min(_FEWEST_TILTED, len(fit.views)):
+        said.append(f"only {tilted} views of a tilted board: a board that faces the camera does not tell the focal length")
+    if max(fit.deviations[:2] / fit.lens.focal_px) > _UNKNOWN_FOCAL or max(fit.deviations[2:4]) > _UNKNOWN_CENTRE_PX:
+        said.append("focal length or centre is not known: tilt the board by 20 to 40 degrees each way, and come near")
+    if fit.rms_px > _POOR_RMS_PX * max(1.0, max(fit.lens.size_px) / 1280.0):
+        said.append(f"an RMS of {fit.rms_px:.2f} px is poor: is the board flat, the --board right, the picture sharp?")
+    if (fold := fold_px(fit.lens)) > LARGEST_FOLD_PX:
+        said.append(
+            f"the distortion folds over before the picture's edge ({fold:.1f} px off): places there will be wrong; the lens "
+            "is a fish-eye, or the board was not shown near the edges"
+        )
+    return said
+
+
 def intrinsics_warnings(fit: IntrinsicsFit) -> list[str]:
-    """Warnings about a fit, with advice."""
+    """Warnings about a fit, with advice; its faults last."""
     said = []
     if len(fit.views) < ADVISED_VIEWS:
         said.append(f"only {len(fit.views)} views: take {ADVISED_VIEWS} or more")
@@ -132,13 +206,11 @@ def intrinsics_warnings(fit: IntrinsicsFit) -> list[str]:
         said.append(f"corners cover {covered:.0%} of the picture (wanted: {_COVERED:.0%}): show it where the map is empty")
     if (reach := _least_reach(fit)) < _REACHED:
         said.append(f"towards a corner of the picture the board goes only {reach:.0%} of the way: beyond, the lens is a guess")
-    if max(fit.deviations[:2] / fit.lens.focal_px) > _LOOSE_FOCAL or max(fit.deviations[2:4]) > _LOOSE_CENTRE_PX:
+    faults = intrinsics_faults(fit)
+    loose = max(fit.deviations[:2] / fit.lens.focal_px) > _LOOSE_FOCAL or max(fit.deviations[2:4]) > _LOOSE_CENTRE_PX
+    if loose and not any("is not known" in fault for fault in faults):
         said.append("focal length or centre is loose: tilt the board by 20 to 40 degrees each way, and come near")
-    if fit.rms_px > _POOR_RMS_PX:
-        said.append(f"an RMS of {fit.rms_px:.2f} px is poor: is the board flat, the --board right, the picture sharp?")
-    if (fold := fold_px(fit.lens)) > _FOLD_PX:
-        said.append(f"the distortion folds over before the picture's edge ({fold:.1f} px off): places there will be wrong")
-    return said
+    return [*said, *faults]
 
 
 def _least_reach(fit: IntrinsicsFit) -> float:
@@ -149,14 +221,3 @@ def _least_reach(fit: IntrinsicsFit) -> float:
     way = corners - fit.lens.centre_px
     went = (fit.corners_px - fit.lens.centre_px) @ (way / np.sum(way**2, axis=1, keepdims=True)).T
     return float(went.max(axis=0).min())
-
-
-def fold_px(lens: Intrinsics) -> float:
-    """Largest error of undistorting and distorting the picture's edge, px; above zero where the polynomial folds over."""
-    width, height = lens.size_px
-    x, y = np.linspace(0.0, width - 1.0, 33), np.linspace(0.0, height - 1.0, 25)
-    edge = np.concatenate([np.stack(np.broadcast_arrays(x, v), axis=-1) for v in (y[0], y[-1])])
-    edge = np.concatenate([edge, *(np.stack(np.broadcast_arrays(u, y), axis=-1) for u in (x[0], x[-1]))])
-    rays = lens.rays(edge)
-    back, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), lens.matrix, np.array(lens.distortion))
-    return float(np.abs(np.asarray(back)[:, 0] - edge).max())

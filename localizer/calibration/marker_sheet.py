@@ -63,6 +63,18 @@ def marker_sheets(ids: Sequence[int], size_mm: float, family: MarkerFamily, pape
     return sheets
 
 
+def mirrored_ids(family: MarkerFamily) -> tuple[int, ...]:
+    """Ids of the markers that are read in a mirror too, as themselves or as another marker: a reflection at a wall, or at the
+    surface from below, looks like a robot."""
+    dictionary = marker_dictionary(family)
+    count, side = len(dictionary.bytesList), dictionary.markerSize
+    bits = [
+        cv2.aruco.Dictionary.getBitsFromByteList(dictionary.bytesList[number : number + 1], side) for number in range(count)
+    ]
+    mirrored = (np.ascontiguousarray(pattern[:, ::-1]) for pattern in bits)
+    return tuple(number for number, pattern in enumerate(mirrored) if dictionary.identify(pattern, 0.0)[0])
+
+
 def as_svg(sheet: MarkerSheet) -> str:
     """One sheet as SVG."""
     width, height = sheet.size_mm

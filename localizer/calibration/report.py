@@ -1,6 +1,6 @@
 """Report of `localizer calibrate` and `localizer check`: lines of text, and a picture."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -21,10 +21,10 @@ _POOR_POINT_PX = 2.0
 _SEEN, _PREDICTED, _ARROW, _BAD, _INK = (80, 220, 80), (60, 160, 255), (60, 60, 230), (40, 40, 160), (230, 230, 230)
 
 
-def intrinsics_lines(fit: IntrinsicsFit, missing: Sequence[str], spare: int) -> list[str]:
+def intrinsics_lines(fit: IntrinsicsFit, left_out: Mapping[str, str]) -> list[str]:
     """Lines about the intrinsics: every view's error, coverage, values with one standard deviation, warnings.
 
-    `missing`: pictures without the target; `spare`: number of views that were not used.
+    `left_out`: pictures that were not used, by name, with the reasons.
     """
     lens, sigma = fit.lens, fit.deviations
     lines = [f"Lens, from {len(fit.views)} views of the board", "", "  picture                        corners   RMS px"]
@@ -32,8 +32,7 @@ def intrinsics_lines(fit: IntrinsicsFit, missing: Sequence[str], spare: int) -> 
         f"  {_short(v.name):30} {len(v.pixels):7d} {rms:8.3f}" for v, rms in zip(fit.views, fit.view_rms_px, strict=True)
     ]
     lines += [f"  {_short(view.name):30} {len(view.pixels):7d} {rms:8.3f}   left out: bad" for view, rms in fit.rejected]
-    lines += [f"  {_short(name):30}       -        -   left out: no board found" for name in missing]
-    lines += [f"  {spare} more views, evenly taken out, were not needed"] if spare else []
+    lines += [f"  {_short(name):30}       -        -   left out: {reason}" for name, reason in left_out.items()]
     lines += [f"  {'all that were kept':30} {len(fit.corners_px):7d} {fit.rms_px:8.3f}"]
     held_out_px = held_out_rms_px(fit)
     lines += [] if held_out_px is None else [f"  {'each third by the lens of the rest':38} {held_out_px:8.3f}"]

@@ -13,17 +13,20 @@ import cv2
 import numpy as np
 
 from localizer.calibration.extrinsics import PoseFit, fit_pose
-from localizer.calibration.images import pictures, read_picture, write_picture
-from localizer.calibration.intrinsics import IntrinsicsFit, fit_intrinsics
+from localizer.calibration.images import pictures, read_picture, shown
+from localizer.calibration.intrinsics import IntrinsicsFit, distinct_views, fit_intrinsics, intrinsics_faults
 from localizer.calibration.report import intrinsics_lines, intrinsics_picture, pose_lines, pose_picture
 from localizer.calibration.survey_points import SurveyFile, seen_pixels
 from localizer.calibration.targets import EXAMPLES, TargetView, parse_target
 from localizer.detection.image_regions import Pixels
 from wire.config.perception import Camera, CameraFile
-from wire.process.output_files import check_output, replace_text
-from wire.toml_loader import ConfigError, check, read_toml, toml_value
+from wire.process.output_files import check_output, keep_old, replacing
+from wire.toml_loader import ConfigError, check, os_errors_as_config_errors, read_toml, toml_value
 
 _NO_POSE = "Without --pool-points the camera has no pose yet: --lens {out} --pool-points FILE finds it."
+_OLD_POSE = (
+    "WARNING: the pose in it is the earlier one, found with the earlier lens: --lens {out} --pool-points FILE finds it again."
+)
 _DEFAULTS = {"rate_hz": 20.0, "exposure_s": 0.008}
 _ANY_POSE = {"position_m": (0.0, 0.0, -1.0), "rotation_rad": (0.0, 0.0, 0.0)}
 _MOST_VIEWS = 60  # views that are used, evenly taken; 200 with bad ones take five minutes and add little
@@ -45,25 +48,39 @@ class CalibrationRequest:
     exposure_s: float | None = None
     water_index: float | None = None
     grey: bool = False  # pictures of one channel are grey, not raw Bayer RGGB
+    force: bool = False  # write a lens that should not be used
 
 
-def calibrate(request: CalibrationRequest) -> list[str]:
+@dataclass(frozen=True)
+class CalibrationReport:
+    """The report's lines, and the reason why no camera file was written; "" if one was."""
+
+    lines: list[str]
+    refusal: str = ""
+
+
+def calibrate(request: CalibrationRequest) -> CalibrationReport:
     """Find the intrinsics from pictures of a target (or take them from a file), then the pose from points of the pool.
 
-    Writes the camera file and a picture beside it; returns the report's lines. Raises ConfigError.
+    Writes the camera file and a picture beside it. What an earlier file at that place holds and this run does not find stays,
+    and the file itself is kept beside. Raises ConfigError.
     """
     _check_request(request)
+    earlier = _earlier(request.out)
     points = None if request.points is None else check(SurveyFile, read_toml(request.points), str(request.points))
     image, drawn = _points_image(request, points), request.out.with_suffix(".png")
     _check_outputs(request, image, drawn)
     summary, lines, panels = [], [], []
     if request.lens is not None:
-        camera = _read_lens(request)
+        camera = _read_lens(request, earlier)
         lines.append(f"Lens from {request.lens}")
     else:
-        fit, missing, spare, backdrop = _fit_lens(request)
-        camera = _without_pose(fit.lens.model_dump(), "the camera found", request)
-        lines += intrinsics_lines(fit, missing, spare)
+        fit, left_out, backdrop = _fit_lens(request)
+        _check_same_size(request.out, earlier, fit.lens.size_px)
+        camera = _without_pose(earlier | fit.lens.model_dump(), "the camera found", request)
+        lines += intrinsics_lines(fit, left_out)
+        if (faults := intrinsics_faults(fit)) and not request.force:
+            return CalibrationReport(lines, f"No camera file was written: {faults[0]} (--force writes it all the same)")
         panels.append(intrinsics_picture(backdrop, fit))
         summary.append(f"lens: {len(fit.views)} views, RMS {fit.rms_px:.2f} px")
     if points is not None:
@@ -72,9 +89,13 @@ def calibrate(request: CalibrationRequest) -> list[str]:
         lines += ["", *pose_lines(pose, points.points, points.pool)]
         panels.append(pose_picture(backdrop, pose, points.points, points.pool))
         summary.append(f"pose: {len(points.points)} points, RMS {pose.rms_px:.2f} px")
-    left_out = set() if points else set(_ANY_POSE)
-    lines += ["", *_write(request.out, camera.model_dump(mode="json", exclude=left_out), "; ".join(summary), panels)]
-    return [*lines, *([] if points else [_NO_POSE.format(out=request.out)])]
+    table = camera.model_dump(mode="json", exclude=set() if points else set(_ANY_POSE))
+    if points is None:
+        table |= {key: earlier[key] for key in _ANY_POSE if key in earlier}
+    lines += ["", *_write(request.out, table, "; ".join(summary), panels)]
+    if points is None:
+        lines.append((_OLD_POSE if "position_m" in table else _NO_POSE).format(out=request.out))
+    return CalibrationReport(lines)
 
 
 def _check_request(request: CalibrationRequest) -> None:
@@ -101,24 +122,67 @@ def _check_outputs(request: CalibrationRequest, image: Path | None, drawn: Path)
             raise ConfigError(f"--out {request.out}: {error}") from None
 
 
-def _fit_lens(request: CalibrationRequest) -> tuple[IntrinsicsFit, list[str], int, Pixels]:
-    """The intrinsics, the names of pictures without the target, the number of unused views, and a picture to draw on."""
+def _earlier(out: Path) -> dict[str, Any]:
+    """The table [camera] of the file that is there, {} if there is none. Raises ConfigError if it is no camera file."""
+    if not out.exists():
+        return {}
+    found = read_toml(out)
+    if set(found) != {"camera"} or not isinstance(found["camera"], dict):
+        raise ConfigError(f"--out {out}: is there already, and holds something else than a camera (write to another file)")
+    return found["camera"]
+
+
+def _check_same_size(out: Path, earlier: dict[str, Any], size_px: tuple[int, int]) -> None:
+    """Refuse to mix what was marked in pictures of one size with a lens for another."""
+    if earlier and tuple(earlier.get("size_px", ())) != size_px:
+        sizes = ["x".join(map(str, size)) for size in (earlier.get("size_px", ("?",)), size_px)]
+        raise ConfigError(
+            f"--out {out}: holds a camera with pictures of {sizes[0]}, these are {sizes[1]}: its masks and pose would not fit "
+            "(write to another file)"
+        )
+
+
+def _fit_lens(request: CalibrationRequest) -> tuple[IntrinsicsFit, dict[str, str], Pixels]:
+    """The intrinsics, the pictures that were left out with the reasons, and a picture to draw on."""
     if request.board is None:
         raise ConfigError(f"--board: which board do the pictures show? (allowed: {EXAMPLES})")
     board = parse_target(request.board)
-    views, missing, backdrop = list[TargetView](), list[str](), np.empty((0, 0, 3), np.uint8)
-    for name, picture in pictures(request.sources, request.every, request.grey):
+    left_out, backdrops = dict[str, str](), dict[tuple[int, int], Pixels]()
+    views: dict[tuple[int, int], list[TargetView]] = {}  # by the picture's size
+    sizes: dict[str, tuple[int, int]] = {}  # of pictures by name
+    for name, picture in pictures(request.sources, request.every, request.grey, left_out):
+        sizes[name] = size_px = (picture.shape[1], picture.shape[0])
         view = board.find(np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), dtype=np.uint8), name)
         if view is None:
-            missing.append(name)
+            left_out[name] = "no board found"
         else:
-            views.append(view)
-            backdrop = picture
+            views.setdefault(size_px, []).append(view)
+            backdrops[size_px] = picture
     if not views:
-        raise ConfigError(f"--board {request.board}: found in none of {len(missing)} pictures; are counts and kind right?")
-    used = [views[i] for i in np.unique(np.linspace(0, len(views) - 1, _MOST_VIEWS).astype(int))]
-    height, width, _ = backdrop.shape
-    return fit_intrinsics(used, (width, height)), missing, len(views) - len(used), backdrop
+        raise ConfigError(f"--board {request.board}: found in none of {len(sizes)} pictures; are counts and kind right?")
+    size_px = max(views, key=lambda size: (len(views[size]), size))
+    _leave_out_other_sizes(request, sizes, size_px, left_out)
+    kept, repeated = distinct_views(views[size_px])
+    left_out |= {view.name: f"shows the board as in {Path(same.name).name}" for view, same in repeated}
+    used = [kept[i] for i in np.unique(np.linspace(0, len(kept) - 1, _MOST_VIEWS).astype(int))]
+    if len(kept) > len(used):
+        left_out[f"{len(kept) - len(used)} more views"] = "evenly taken out, not needed"
+    return fit_intrinsics(used, size_px), left_out, backdrops[size_px]
+
+
+def _leave_out_other_sizes(
+    request: CalibrationRequest, sizes: dict[str, tuple[int, int]], size_px: tuple[int, int], left_out: dict[str, str]
+) -> None:
+    """Leave out a folder's pictures of another size, such as a camera's thumbnails. Raises ConfigError for one that was named
+    itself: it shows another camera, or a mistake."""
+    named = {shown(source) for source in request.sources}
+    for name, size in sizes.items():
+        if size == size_px:
+            continue
+        text = f"{size[0]}x{size[1]}, but most boards are in pictures of {size_px[0]}x{size_px[1]}"
+        if name in named:
+            raise ConfigError(f"{name}: {text}: all must come from one camera at one size")
+        left_out[name] = text
 
 
 def _fit_pose(camera: Camera, points: SurveyFile, request: CalibrationRequest) -> tuple[PoseFit, Pixels]:
@@ -143,12 +207,16 @@ def _points_image(request: CalibrationRequest, points: SurveyFile | None) -> Pat
     return request.points.parent / points.image
 
 
-def _read_lens(request: CalibrationRequest) -> Camera:
+def _read_lens(request: CalibrationRequest, earlier: dict[str, Any]) -> Camera:
+    """The lens of a file, with what an earlier file at the output's place holds beside it."""
     assert request.lens is not None
     camera = read_toml(request.lens).get("camera", {})
     if not isinstance(camera, dict):
         raise ConfigError(f"{request.lens}: camera = {camera!r}: must be a table")
-    return _without_pose(camera, str(request.lens), request)
+    size_px = camera.get("size_px")
+    if isinstance(size_px, list):
+        _check_same_size(request.out, earlier, tuple(size_px))
+    return _without_pose(earlier | {key: value for key, value in camera.items() if value != []}, str(request.lens), request)
 
 
 def _without_pose(table: dict[str, Any], source: str, request: CalibrationRequest) -> Camera:
@@ -169,10 +237,14 @@ def _write(out: Path, table: dict[str, Any], summary: str, panels: list[Pixels])
     text = f"# Found by `localizer calibrate`, {time.strftime('%Y-%m-%d %H:%M')}: {summary}.\n"
     text += f'# In an experiment: camera = "{out.name}", or this table.\n\n[camera]\n'
     text += "".join(f"{key} = {toml_value(value)}\n" for key, value in table.items())
-    try:
-        replace_text(out, text)
-    except OSError as error:
-        raise ConfigError(f"{out}: cannot be written: {error.strerror}") from None
     picture = out.with_suffix(".png")
-    write_picture(picture, np.concatenate(panels, axis=1))
-    return [f"Wrote {out} and {picture}"]
+    _, drawn = cv2.imencode(picture.suffix, np.concatenate(panels, axis=1))
+    kept = ""
+    with os_errors_as_config_errors(out):
+        if out.exists():
+            kept = f"; the file before is {keep_old(out)}"
+        with replacing(picture) as image, replacing(out, durable=True) as file:  # both are whole before either is in place
+            image.write(drawn.tobytes())
+            image.flush()
+            file.write(text.encode())
+    return [f"Wrote {out} and {picture}{kept}"]

@@ -18,6 +18,8 @@ from wire.config.perception import MarkerFamily
 from wire.frames import Array
 
 _MAX_MISFIT = 0.12  # of the side; more is a marker at another depth (20 % in size), a reflection, or no marker
+_SQUARE_SHARE = 0.03  # of the side; corners nearer to a square of any size make one
+_STRANGEST = 0.6  # of the side; a marker that is told as one of the wrong size is not farther off
 _SHORTEST_SIDE_PX = 14.0  # px; below this the 6 cells of a side are too small to be read
 _ALL_WINDOWS_PX = (3, 23)  # OpenCV's default: three passes, for markers whose size is not known
 _LONGEST_RATE = 3.99  # OpenCV's upper bound of a marker's perimeter over the picture's longer side
@@ -35,11 +37,12 @@ class MarkerImage:
 class MarkerPose:
     """A marker in the pool frame: [x, y, yaw], its upper edge ahead, and its misfit: the largest distance of a corner from
     the fitted square, relative to the side. `residual_m` is the standard deviation of a corner's coordinates about a square
-    of any size."""
+    of any size. `size`: mean of its sides over that of the square."""
 
     pose: Array
     misfit: float
     residual_m: float
+    size: float = 1.0
 
 
 def marker_dictionary(family: MarkerFamily) -> cv2.aruco.Dictionary:
@@ -114,7 +117,10 @@ def marker_poses(
     corners_px = np.array([image.corners_px for image in images]).reshape(-1, 4, 2)
     poses, misfits = np.empty((len(images), 3)), np.empty((len(images), 2))
     kernels.marker_poses(view.numbers, corners_px, depths_m, tilts_rad, side_m, poses, misfits)
-    return [MarkerPose(pose, *misfit) for pose, misfit in zip(poses, misfits.tolist(), strict=True)]
+    corners = view.pixel_to_pool(corners_px, np.broadcast_to(depths_m[:, None], corners_px.shape[:2]))
+    sizes = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).mean(axis=1) / side_m
+    rows = zip(poses, misfits.tolist(), sizes.tolist(), strict=True)
+    return [MarkerPose(pose, misfit, residual_m, size) for pose, (misfit, residual_m), size in rows]
 
 
 class MarkerReader:
@@ -123,17 +129,16 @@ class MarkerReader:
     def __init__(self, side_m: float, robot_of_marker: Mapping[int, int], family: MarkerFamily = "4x4_50") -> None:
         self._side_m, self._robot_of_marker = side_m, dict(robot_of_marker)
         self.foreign_ids: frozenset[int] = frozenset()  # markers in the last regions, of a robot's size, that are no robot's
+        self.strange_sizes: dict[int, float] = {}  # of robots' markers in the last regions that are squares of another size
         self._detector = marker_detector(family)
 
     def read(
         self, view: RefractiveCamera, regions: Iterable[ImageRegion], plates_m: NDArray[np.float64], tilts_rad: Array
-    ) -> dict[int, MarkerPose]:
-        """Poses by robot (index), from regions that may overlap; `plates_m` (robots,) are the depths of their plates, and
-        `tilts_rad` (robots, 2) their roll and pitch.
-
-        Of two markers with one id (a reflection) the better square counts.
-        """
-        best: dict[int, MarkerPose] = {}
+    ) -> dict[int, list[MarkerPose]]:
+        """All good readings by robot (index), from regions that may overlap; `plates_m` (robots,) are the depths of their
+        plates, and `tilts_rad` (robots, 2) their roll and pitch."""
+        good: dict[int, list[MarkerPose]] = {}
+        self.strange_sizes = {}
         foreign_ids = set()
         images = [image for region in regions for image in find_markers(self._detector, region)]
         robots = [self._robot_of_marker.get(image.id) for image in images]
@@ -143,7 +148,9 @@ class MarkerReader:
         for image, robot, reading in zip(images, robots, readings, strict=True):
             if robot is None:
                 foreign_ids.update({image.id} if reading.misfit < _MAX_MISFIT else set())
-            elif reading.misfit < (best[robot].misfit if robot in best else _MAX_MISFIT):
-                best[robot] = reading
+            elif reading.misfit < _MAX_MISFIT:
+                good.setdefault(robot, []).append(reading)
+            elif reading.residual_m < _SQUARE_SHARE * self._side_m and abs(reading.size - 1.0) < _STRANGEST:
+                self.strange_sizes[robot] = reading.size
         self.foreign_ids = frozenset(foreign_ids)
-        return best
+        return good

@@ -26,6 +26,7 @@ _RINGS = 10
 _ANGLES = 128
 _INNER_RING = 0.15  # radius of the innermost ring over the outermost; nearer the centre a turn moves nothing
 _LEAST_SIDE_PX = 16  # smaller regions hold too little of a robot to be measured
+_LEAST_FACING = 0.3  # cosine; nearer the rim a robot's pixels are mixed with the water beside it
 _HUE_BLUR_PX = 1.0  # standard deviation of the blur of colour differences; less leaves the aliasing of `_without_false_colour`
 
 
@@ -93,11 +94,12 @@ def whole(frame: Pixels) -> ImageRegion:
 
 
 def cut(frame: Pixels, centre_px: Array, half_px: float) -> ImageRegion | None:
-    """The region of `frame` (height, width) around a point, clipped to the picture. None if less than 16 px a side are
+    """The region of `frame` (height, width) around a point, of at least 16 px a side, clipped to the picture. None if less is
     left, or the point is not finite."""
     u, v = centre_px.tolist()
     if not (math.isfinite(u) and math.isfinite(v) and math.isfinite(half_px)):
         return None
+    half_px = max(half_px, _LEAST_SIDE_PX / 2.0)
     height, width = frame.shape
     left, top = max(2 * math.floor((u - half_px) / 2.0), 0), max(2 * math.floor((v - half_px) / 2.0), 0)
     right = min(2 * math.ceil((u + half_px) / 2.0) + 2, width // 2 * 2)
@@ -109,12 +111,11 @@ def cut(frame: Pixels, centre_px: Array, half_px: float) -> ImageRegion | None:
 
 @dataclass(frozen=True)
 class BodyProjection:
-    """The projection of a robot's body into the picture, linear around its top: ahead, starboard and down in pixels per
-    metre."""
+    """The projection of a robot's body into the picture, linear around its top."""
 
     top_px: Array  # (2,)
-    body_to_px: Array  # (2, 2) px/m
-    down_px: Array  # (2,) px/m
+    body_to_px: Array  # (2, 3) px/m: of the body's own axes ahead, to starboard and down
+    to_camera: Array  # (3,) unit vector, of the same axes
 
 
 @dataclass(frozen=True)
@@ -129,6 +130,14 @@ class RobotShape:
     radius_m: float
     top_m: float
     plate_half_m: float
+
+    def normals(self, points_m: Array) -> Array:
+        """Unit vectors (3, ...) out of the surface at points (2, ...) ahead and to starboard; 0 beyond the hull."""
+        away = points_m / self.radius_m if self.radius_m > 0.0 else np.zeros_like(points_m)
+        squared = np.sum(away**2, axis=0)
+        on_plate = np.max(np.abs(points_m), axis=0) <= self.plate_half_m
+        normals = np.concatenate([away, -np.sqrt(np.maximum(1.0 - squared, 0.0))[None]]) * (squared < 1.0)
+        return np.where(on_plate, np.array([0.0, 0.0, -1.0]).reshape(3, *[1] * (points_m.ndim - 1)), normals)
 
     def drop_m(self, points_m: Array) -> Array:
         """Depth (...) of the surface below the robot's top at points (2, ...) ahead and to starboard."""
@@ -150,7 +159,8 @@ class BodySampler:
     def __init__(self, size: int, pitch_m: float, ring_radius_m: float, hull: RobotShape) -> None:
         self.pitch_m = pitch_m
         along = (np.arange(size) - size // 2) * pitch_m
-        self._grid = _with_drop(np.stack(np.meshgrid(along, along)), hull)
+        grid_m = np.stack(np.meshgrid(along, along))
+        self._grid, self._normals = _with_drop(grid_m, hull), hull.normals(grid_m)
         turn = 2.0 * np.pi * np.arange(_ANGLES) / _ANGLES
         radius = ring_radius_m * np.linspace(_INNER_RING, 1.0, _RINGS)
         self._rings = _with_drop(np.stack([np.outer(radius, np.cos(turn)), np.outer(radius, np.sin(turn))]), hull)
@@ -158,6 +168,12 @@ class BodySampler:
     def patch(self, colour: DemosaicedRegion, body: BodyProjection) -> NDArray[np.float32]:
         """Square patch (channels, size, size)."""
         return _sample(colour, self._grid, body)
+
+    def facing(self, body: BodyProjection) -> NDArray[np.float32]:
+        """Cosine (size, size) of the angle between the surface's normal and the line of sight at each sample of a patch; 0 of
+        those that are hidden, or seen aslant along the rim."""
+        cosine = np.tensordot(body.to_camera, self._normals, axes=1)
+        return np.where(cosine > _LEAST_FACING, cosine, 0.0).astype(np.float32)
 
     def rings(self, colour: DemosaicedRegion, body: BodyProjection) -> NDArray[np.float32]:
         """Circles around the centre, (ring_channels, 1, angles): the first sample ahead, then towards starboard."""
@@ -171,8 +187,8 @@ def _with_drop(points_m: Array, hull: RobotShape) -> Array:
 
 def _sample(colour: DemosaicedRegion, points_m: Array, body: BodyProjection) -> NDArray[np.float32]:
     """Sample the region at body points (3, rows, columns): (3, rows, columns), BGR."""
-    to_colour = np.column_stack([body.body_to_px, body.down_px]) / colour.shrink
     left, top = colour.place(body.top_px)
     samples = np.empty(points_m.shape, np.float32)
-    kernels.sample_colours(colour.bgr, points_m.reshape(3, -1), to_colour, left, top, samples.reshape(3, -1))
+    to_px = body.body_to_px / colour.shrink
+    kernels.sample_colours(colour.bgr, points_m.reshape(3, -1), to_px, left, top, samples.reshape(3, -1))
     return samples

@@ -48,7 +48,8 @@ _LEARNS = "the localizer learns what the water looks like"
 _CHANGED = "the light changed or the camera moved, and the localizer learns anew what the water looks like"
 _HIDDEN = "too little of the pool is in sight"
 
-_ROBOT_MARGIN_M = 0.06  # m around a robot: its legs, half a cell's reach, and the averaging over neighbours
+_LEGS_M = 0.025  # m, reach of a robot's legs and trim beyond its hull
+_CELLS_AROUND = 1.5  # cells around a robot that show part of it: half a cell's reach, and the averaging over neighbours
 _LAMP_SLOPE = 0.6  # m sideways per metre of water below a robot, the farthest that its shadow lies aside (31 degrees)
 _ANGLES = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
 _RING = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES)])
@@ -64,10 +65,11 @@ class ObstacleDetector:
         self._grid = CellGrid(experiment.camera.size_px)
         self._depth_m, self._safety = experiment.path.depth_m, experiment.safety
         self._floor_m = experiment.pool.size_m[2]
-        self._radius_m = experiment.vehicle.radius_m
         self._least_m2 = max(experiment.localizer.obstacle_min_m, _LEAST_M) ** 2
         self._corners_m, self._cell_m2, self._in_pool = self._cell_geometry(experiment.pool.size_m)
         self._in_pool &= ~self._masked(experiment.camera.masks_px)
+        cell_m = float(np.sqrt(self._cell_m2[self._in_pool].mean())) if self._in_pool.any() else 0.0
+        self._robot_reach_m = experiment.vehicle.radius_m + _LEGS_M + _CELLS_AROUND * cell_m
         shape = (self._grid.rows, self._grid.columns)
         self._smoother, self._background = TemporalSmoother(shape), BackgroundModel(shape)
         self._shaded_from_start = np.zeros(shape, np.bool_)  # learnt while a shadow may have lain there
@@ -119,7 +121,7 @@ class ObstacleDetector:
         above."""
         hidden, shaded = (np.zeros(self._in_pool.shape, np.uint8) for _ in range(2))
         if len(robots_m):
-            reach = self._radius_m + _ROBOT_MARGIN_M
+            reach = self._robot_reach_m
             shade = reach + _LAMP_SLOPE * np.maximum(self._floor_m - robots_m[:, 2], 0.0)
             places = np.repeat(robots_m[:, None, None, :], 2, axis=1).repeat(len(_RING), axis=2)  # (n, 2, ring, 3)
             places[:, 0, :, :2] += reach * _RING

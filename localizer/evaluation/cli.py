@@ -1,5 +1,7 @@
 """SHELL: the command line of `localizer latency`, `evaluate`, `track` and `rerun`."""
 
+import hashlib
+import sys
 from contextlib import ExitStack, closing
 from functools import partial
 from pathlib import Path
@@ -119,19 +121,24 @@ def evaluate(
         check_output(json, [*read, *([experiment_path(experiment)] if experiment is not None else [])])
     cv2.setNumThreads(1)  # as `run`
 
+    rows: runner.Rows
+    damage = ""
     if recording.suffix == ".mcap":
-        rows: runner.Rows = runner.evaluate_log(recording)
+        rows = runner.evaluate_log(recording)
     elif truth is None:
         raise ConfigError(f"{recording}: no log (a run's is RUN/run.mcap), and a video needs --truth FILE")
     elif experiment is None:
-        rows = runner.evaluate_plain(recording, truth, box, frames)
+        rows, damage = runner.evaluate_plain(recording, truth, box, frames)
     else:
         changed = [*(settings or ()), f"localizer.markers={str(marker).lower()}"]
         loaded = with_camera(load_experiment(experiment, changed), camera)
-        rows = runner.evaluate_pool(recording, truth, loaded, frames)
+        rows, damage = runner.evaluate_pool(recording, truth, loaded, frames)
     typer.echo(runner.table(rows))
     if json is not None:
         replace_text(json, runner.to_json(rows))
+    if damage:
+        typer.echo(damage, err=True)
+        raise typer.Exit(1)
 
 
 def track(
@@ -155,9 +162,9 @@ def track(
     """
     import cv2
 
-    from localizer.evaluation.offline import frames_of_video, part_of, track_frames
-    from localizer.sources.files import frame_count
+    from localizer.evaluation.offline import PoseTable, frames_of_video
     from localizer.sources.recording import EXPERIMENT, frame_estimate, recorded_frames
+    from localizer.sources.video import VideoReader
     from localizer.tracking.check_marks import with_camera
     from wire.process.runtime import start_log
 
@@ -169,16 +176,29 @@ def track(
         raise ConfigError(f"--reports: {recording} holds what the boards measured (allowed: with a video)")
     name = str(recording / EXPERIMENT) if experiment is None else experiment
     check_output(out, [recording, experiment_path(name), *([reports] if reports is not None else [])])
-    for path in (out, part_of(out)):
-        if path.exists() and not (resume and path != out):
-            raise ConfigError(f"{path}: is there already (write to another file{'' if path == out else ', or --resume'})")
     cv2.setNumThreads(1)  # as `run`
     loaded = with_camera(load_experiment(name, settings or ()), camera)
-    frames = recorded_frames(recording) if raw else frames_of_video(recording, loaded, reports)
-    count = frame_estimate(recording, loaded.camera.size_px) if raw else frame_count(recording)
-    with typer.progressbar(length=count, label=recording.name) as bar:
-        for done in track_frames(frames, loaded, out, resume):
-            bar.update(done - bar.pos)
+    table = PoseTable(out, _fingerprint(f"{loaded.hash} {camera}", recording, reports))
+    table.check(resume)
+    with ExitStack() as stack:
+        video = None if raw else stack.enter_context(closing(VideoReader(recording)))
+        frames = recorded_frames(recording) if video is None else frames_of_video(video, recording, loaded, reports)
+        count = frame_estimate(recording, loaded.camera.size_px) if video is None else len(video.stamps_ns)
+        with typer.progressbar(length=count, label=recording.name, file=sys.stderr) as bar:
+            for done in table.write(frames, loaded):
+                bar.update(done - bar.pos)
+        damage = "" if video is None else video.damage()
+    typer.echo(f"Wrote {out}: {table.rows} poses from {table.frames} pictures.")
+    if damage:
+        typer.echo(damage, err=True)
+        raise typer.Exit(1)
+
+
+def _fingerprint(settings: str, *files: Path | None) -> str:
+    """Eight digits that change with the settings and with each of the files."""
+    stats = [None if file is None else file.resolve().stat() for file in files]
+    parts = [settings, *("" if stat is None else f"{stat.st_size} {stat.st_mtime_ns}" for stat in stats)]
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:8]
 
 
 def rerun(

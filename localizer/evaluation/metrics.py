@@ -55,13 +55,17 @@ class PoseRow:
 
 @dataclass(frozen=True, eq=False)
 class GroundTruthTrajectory:
-    """A robot's true trajectory: instants (n,) in ns, rising, and [x, y, yaw] (n, 3)."""
+    """A robot's true trajectory: instants (n,) in ns, rising, and [x, y, yaw] (n, 3), NaN where it is not known."""
 
     stamp_ns: Array
     pose: Array
 
     def at(self, stamp_ns: int) -> Array | None:
-        """The pose at an instant: linear in between, None outside and across gaps."""
+        """The pose at an instant: linear in between, None outside, across gaps and where it is not known."""
+        pose = self._interpolated(stamp_ns)
+        return pose if pose is not None and np.all(np.isfinite(pose)) else None
+
+    def _interpolated(self, stamp_ns: int) -> Array | None:
         after = int(np.searchsorted(self.stamp_ns, stamp_ns))
         if after < len(self.stamp_ns) and self.stamp_ns[after] == stamp_ns:
             return np.array(self.pose[after])

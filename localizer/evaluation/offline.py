@@ -1,14 +1,15 @@
 """SHELL: `localizer track` and `localizer rerun`: poses from recordings. No station, no network.
 
-`track` writes a table of the poses of all robots, from a video or from a recording of raw frames. Rows gather in `OUT.part`,
-which becomes the table when it is whole. A run that was stopped goes on with the last frame there that is whole: the
-localizer is led up to it again, from WARM_UP_FRAMES before. Appearances are learnt anew then, so that poses without a marker
-may differ from those of one run.
+`track` writes a table of the poses of all robots, from a video or from a recording of raw frames. Rows gather in
+`OUT.KEY.part`, which becomes the table when it is whole. A run that was stopped goes on with the last frame there that is
+whole: the localizer is led up to it again, from WARM_UP_FRAMES before. Appearances are learnt anew then, so that poses
+without a marker may differ from those of one run.
 
 `rerun` feeds a recording of raw frames to the localizer, and compares its poses with those in the recording.
 """
 
 import csv
+import glob
 import importlib
 from collections import Counter
 from collections.abc import Iterator
@@ -18,16 +19,17 @@ from typing import Any
 
 import numpy as np
 
-from localizer.evaluation.runner import COLUMNS, read_frame_table
+from localizer.evaluation.runner import COLUMNS, check_size, read_frame_table
 from localizer.sources.base import as_bayer
-from localizer.sources.files import video_frames
 from localizer.sources.recording import RecordedFrame, recorded_frames
-from localizer.tracking.fleet_localizer import FleetLocalizer
+from localizer.sources.video import VideoReader
+from localizer.tracking.fleet_localizer import FleetLocalizer, LocalizationResult
 from localizer.tracking.tilt import Attitude
 from wire.config.experiment import Experiment
 from wire.messages.codec import decode, encode
 from wire.messages.messages import Pose
 from wire.process.output_files import replacing
+from wire.process.runtime import Failed
 from wire.toml_loader import ConfigError
 
 WARM_UP_FRAMES = 40  # 2 s at 20 Hz: markers are believed, velocities known, appearances learnt
@@ -37,10 +39,11 @@ FIELDS = (*COLUMNS, "depth_m", "stamp_ns", "track", "identity_verified", "peak",
 _TYPES = {"frame": "int64", "robot": "int64", "stamp_ns": "int64", "track": "string", "identity_verified": "bool"}
 
 
-def frames_of_video(video: Path, experiment: Experiment, reports: Path | None) -> Iterator[RecordedFrame]:
-    """The frames of a video at `camera.rate_hz`, with what a table of robots' `reports` says: frame, robot, REPORTED. Raises
-    ConfigError at once for a table that cannot be read."""
-    period_ns, sigma_rad = round(1e9 / experiment.camera.rate_hz), experiment.localizer.attitude_sigma_rad
+def frames_of_video(video: VideoReader, path: Path, experiment: Experiment, reports: Path | None) -> Iterator[RecordedFrame]:
+    """The frames of the video at `path`, with what a table of robots' `reports` says: frame, robot, REPORTED. Raises
+    ConfigError at once for a table that cannot be read, and for pictures of another size than the camera's."""
+    check_size(path, video.size_px, experiment)
+    sigma_rad = experiment.localizer.attitude_sigma_rad
     depths: dict[int, dict[int, float]] = {}
     attitudes: dict[int, dict[int, tuple[float, float, float]]] = {}
     for frame, robot, value in read_frame_table(reports, experiment, (), REPORTED) if reports is not None else ():
@@ -50,53 +53,71 @@ def frames_of_video(video: Path, experiment: Experiment, reports: Path | None) -
             attitudes.setdefault(frame, {})[robot] = (value["roll_rad"], value["pitch_rad"], sigma_rad)
 
     def frames() -> Iterator[RecordedFrame]:
-        for frame, picture in enumerate(video_frames(video)):
-            pixels = as_bayer(picture)
+        for picture in video.pictures():
+            pixels, number, at_ns = as_bayer(picture.pixels), picture.number, picture.stamp_ns
             assert pixels is not None, "a video's pictures are BGR"
-            at_ns = frame * period_ns
-            yield RecordedFrame(pixels, at_ns, at_ns, depths.get(frame, {}), attitudes.get(frame, {}))
+            yield RecordedFrame(pixels, at_ns, at_ns, depths.get(number, {}), attitudes.get(number, {}), number=number)
 
     return frames()
 
 
-def _localize(localizer: FleetLocalizer, frame: RecordedFrame) -> tuple[tuple[int, Pose], ...]:
+def _localize(localizer: FleetLocalizer, frame: RecordedFrame) -> LocalizationResult:
     attitudes = {robot: Attitude(*told) for robot, told in frame.attitudes.items()}
-    return localizer.step(frame.pixels, frame.instant_ns, frame.depths_m, attitudes).poses
+    return localizer.step(frame.pixels, frame.instant_ns, frame.depths_m, attitudes)
 
 
 # --- track
 
 
-def track_frames(frames: Iterator[RecordedFrame], experiment: Experiment, out: Path, resume: bool) -> Iterator[int]:
-    """Write the table `out`, a row for each robot and frame, as Parquet if that is its suffix, else as CSV; yields the number
-    of frames that are done.
+class PoseTable:
+    """The table that `track` writes: `OUT.KEY.part` until it is whole."""
 
-    With `resume` what is in `OUT.part` is kept and gone on with. Raises ConfigError for a table of other columns, or if
-    Parquet cannot be written.
-    """
-    write = _parquet() if out.suffix == ".parquet" else _csv
-    part = part_of(out)
-    kept, done = _kept(part) if resume and part.exists() else ("", 0)
-    localizer = FleetLocalizer(experiment)
-    with part.open("w", encoding="utf-8", newline="") as file:
-        file.write(kept)
-        table = csv.writer(file, lineterminator="\n")
-        if not kept:
-            table.writerow(FIELDS)
-        for number, frame in enumerate(frames):
-            if number < done - WARM_UP_FRAMES:
-                continue
-            poses = _localize(localizer, frame)
-            if number >= done:
-                table.writerows(_row(number, robot, pose, frame.stamp_ns) for robot, pose in poses)
-                file.flush()
-                yield number + 1
-    write(part, out)
+    def __init__(self, out: Path, key: str) -> None:
+        """`key` stands for all that the poses come from: rows of another camera, recording or setting are never gone on with.
+        Raises ConfigError if Parquet cannot be written."""
+        self.rows, self.frames = 0, 0
+        self._out = out
+        self._part = out.with_name(f"{out.name}.{key}.part")
+        self._write = _parquet() if out.suffix == ".parquet" else _csv
 
+    def check(self, resume: bool) -> None:
+        """Raises ConfigError if a table, or a part of one, is there that this run would lose."""
+        if self._out.exists():
+            raise ConfigError(f"{self._out}: is there already (write to another file)")
+        parts = sorted(self._out.parent.glob(f"{glob.escape(self._out.name)}.*.part"))
+        if not resume and parts:
+            raise ConfigError(f"{parts[0]}: is there already (write to another file, or --resume)")
+        if resume and parts and self._part not in parts:
+            raise ConfigError(
+                f"{parts[0]}: its poses are of another recording, or of other settings (allowed to --resume: the same again)"
+            )
 
-def part_of(out: Path) -> Path:
-    """The file in which the rows of a table gather."""
-    return out.with_name(f"{out.name}.part")
+    def write(self, frames: Iterator[RecordedFrame], experiment: Experiment) -> Iterator[int]:
+        """Write a row for each robot and frame, behind those that are there; yields the number of frames that are done. Raises
+        ConfigError for a part of other columns, and Failed if no robot is ever found: then there is no table."""
+        kept, done = _kept(self._part) if self._part.exists() else ("", 0)
+        self.rows = max(kept.count("\n") - 1, 0)
+        localizer, message = FleetLocalizer(experiment), ""
+        with self._part.open("w", encoding="utf-8", newline="") as file:
+            file.write(kept)
+            table = csv.writer(file, lineterminator="\n")
+            if not kept:
+                table.writerow(FIELDS)
+            for frame in frames:
+                if frame.number < done - WARM_UP_FRAMES:
+                    continue
+                result = _localize(localizer, frame)
+                message = result.status.message or message
+                if frame.number >= done:
+                    table.writerows(_row(frame.number, robot, pose, frame.stamp_ns) for robot, pose in result.poses)
+                    file.flush()
+                    self.rows += len(result.poses)
+                    self.frames = frame.number + 1
+                    yield self.frames
+        if not self.rows:
+            self._part.unlink()
+            raise Failed(f"no robot was found in any picture: {message or 'no marker was read'}; no table was written")
+        self._write(self._part, self._out)
 
 
 def _row(frame: int, robot: int, pose: Pose, stamp_ns: int) -> tuple[object, ...]:
@@ -155,13 +176,16 @@ class PoseComparison:
 
 
 def compare_again(folder: Path, experiment: Experiment) -> list[PoseComparison]:
-    """Localize in the frames of a recording again. Raises ConfigError for what is no recording."""
+    """Localize in the frames of a recording again. Raises ConfigError for what is no recording, and Failed
+    for one without frames."""
     localizer = FleetLocalizer(experiment)
     poses, differing = Counter[int](), Counter[int]()
     first: dict[int, int] = {}
     largest_m = dict.fromkeys(experiment.robot_ids, 0.0)
+    frames = 0
     for number, frame in enumerate(recorded_frames(folder)):
-        again = dict(_localize(localizer, frame))
+        frames += 1
+        again = dict(_localize(localizer, frame).poses)
         for robot in sorted(again.keys() | frame.poses.keys()):
             poses[robot] += 1
             if robot in again and encode(again[robot]) == frame.poses.get(robot):
@@ -172,4 +196,6 @@ def compare_again(folder: Path, experiment: Experiment) -> list[PoseComparison]:
                 then = decode(Pose, frame.poses[robot], "recording", "pose")
                 apart_m = float(np.hypot(again[robot].x_m - then.x_m, again[robot].y_m - then.y_m))
                 largest_m[robot] = max(largest_m[robot], apart_m)
+    if not frames:
+        raise Failed(f"{folder}: holds no frame, so nothing was compared")
     return [PoseComparison(i, poses[i], differing[i], first.get(i), 1e3 * largest_m[i]) for i in experiment.robot_ids]

@@ -6,9 +6,12 @@ again, with all of the localizer. A plain video of an unknown camera is followed
 
 import csv
 import dataclasses
+import io
 import json
+import math
 import time
 from collections.abc import Iterator, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +28,7 @@ from localizer.evaluation.metrics import (
     pose_rows,
 )
 from localizer.sources.base import as_bayer
-from localizer.sources.files import video_frames
+from localizer.sources.video import VideoReader
 from localizer.tracking.fleet_localizer import FleetLocalizer
 from localizer.tracking.single_object import SingleObjectTracker
 from wire.config.experiment import Experiment
@@ -33,6 +36,7 @@ from wire.frames import Array
 from wire.messages import log_records, topics
 from wire.messages.codec import DecodeError, decode
 from wire.messages.messages import Pose, Truth
+from wire.regular_files import open_regular
 from wire.toml_loader import ConfigError
 
 _READ = (topics.TRUTH.name, "/pose")
@@ -79,14 +83,18 @@ def read_idtracker(path: Path) -> list[Array]:
     return [columns[:, first : first + 2] - 1.0 for first in range(0, columns.shape[1] - 1, 3)]
 
 
-def read_poses(path: Path, experiment: Experiment) -> tuple[dict[int, GroundTruthTrajectory], dict[int, dict[int, float]]]:
+def read_poses(
+    path: Path, experiment: Experiment, stamps_ns: Sequence[int]
+) -> tuple[dict[int, GroundTruthTrajectory], dict[int, dict[int, float]]]:
     """Trajectories by robot, and known depths by frame and robot, from a table with COLUMNS and, where it is known, `depth_m`.
-    Instants are by the experiment's frame rate."""
-    period_ns = round(1e9 / experiment.camera.rate_hz)
+    A pose that is not known (an empty cell, NaN) stays a gap. Frames beyond `stamps_ns` are left out."""
     samples: dict[int, list[tuple[int, Array]]] = {}
     depths: dict[int, dict[int, float]] = {}
     for frame, robot, value in read_frame_table(path, experiment, COLUMNS[2:], ("depth_m",)):
-        samples.setdefault(robot, []).append((frame * period_ns, np.array([value[name] for name in COLUMNS[2:]])))
+        if frame >= len(stamps_ns):
+            continue
+        pose = np.array([value.get(name, math.nan) for name in COLUMNS[2:]])
+        samples.setdefault(robot, []).append((stamps_ns[frame], pose))
         if "depth_m" in value:
             depths.setdefault(frame, {})[robot] = value["depth_m"]
     return {robot: trajectory(found) for robot, found in samples.items()}, depths
@@ -97,26 +105,43 @@ def read_frame_table(
 ) -> Iterator[tuple[int, int, dict[str, float]]]:
     """Frame (from 0), robot and values by name of each line of comma-separated values, a line of names first, in any order.
 
-    The columns `frame`, `robot` and those `needed` must be there; of others only those `allowed` are read, and cells of these
-    may be empty. Raises ConfigError.
+    The columns `frame`, `robot` and those `needed` must be there; of others only those `allowed` are read. A value that is not
+    known (an empty cell, NaN, an infinity) is left out. Raises ConfigError, which names line and column.
     """
     needed = (*COLUMNS[:2], *needed)
     try:
-        with path.open(encoding="utf-8", newline="") as file:
+        with io.TextIOWrapper(open_regular(path), encoding="utf-8-sig", newline="") as file:
             table = csv.reader(file)
             names = [name.strip() for name in next(table, [])]
             if missing := [name for name in needed if name not in names]:
                 may = f"; {', '.join(allowed)} may follow" if allowed else ""
                 raise ConfigError(f"{path}: the first line lacks {', '.join(missing)} (needed: {','.join(needed)}{may})")
             for cells in table:
+                where = f"{path}: line {table.line_num}"
                 if len(cells) != len(names):
-                    raise ConfigError(f"{path}: {len(cells)} values a line, {len(names)} names (line {table.line_num})")
+                    raise ConfigError(f"{where}: {len(cells)} values, but the first line has {len(names)} names")
                 line = dict(zip(names, cells, strict=True))
-                value = {name: float(line[name]) for name in needed}
-                value |= {name: float(line[name]) for name in allowed if line.get(name, "").strip()}
-                yield round(value["frame"]), experiment.robot(round(value["robot"])).id, value
-    except (OSError, ValueError) as error:
+                frame, robot = (_whole(f"{where}, column {name}", line[name]) for name in COLUMNS[:2])
+                value = {name: _number(f"{where}, column {name}", line.get(name, "")) for name in (*needed[2:], *allowed)}
+                yield frame, experiment.robot(robot).id, {name: v for name, v in value.items() if math.isfinite(v)}
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise ConfigError(f"{path}: {error}") from None
+
+
+def _number(where: str, cell: str) -> float:
+    """The number of a cell; NaN for an empty one."""
+    try:
+        return float(cell) if cell.strip() else math.nan
+    except ValueError:
+        raise ConfigError(f"{where}: {cell!r} is no number (allowed: a number; empty or nan for what is not known)") from None
+
+
+def _whole(where: str, cell: str) -> int:
+    """The whole number, from 0, of a cell."""
+    value = _number(where, cell)
+    if not (value >= 0 and value.is_integer()):
+        raise ConfigError(f"{where}: {cell!r} must be a whole number (allowed: 0, 1, 2, ...)")
+    return int(value)
 
 
 def trajectory(samples: list[tuple[int, Array]]) -> GroundTruthTrajectory:
@@ -155,7 +180,7 @@ def evaluate_log(path: Path) -> list[PoseRow]:
 def _records(path: Path) -> Iterator[tuple[str, int, bytes]]:
     """Topic, stamp and bytes of the poses and truths of a log, up to a cut or damaged record."""
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             yield from (found for found in log_records.messages(file) if found[0].endswith(_READ))
     except ImportError:
         raise ConfigError(f"{path}: its chunks are packed: reading it needs pip install 'shoal[station]'") from None
@@ -207,30 +232,44 @@ class _Target:
         return pixel_row(f"target {self.number}", self._errors_px, self._failures, self._times_ms)
 
 
-def evaluate_plain(path: Path, truth: Path, box_px: float, limit: int | None) -> list[PixelRow]:
-    """Follow each target of an idTracker file from its first known place on, all in one pass through the video."""
+def evaluate_plain(path: Path, truth: Path, box_px: float, limit: int | None) -> tuple[list[PixelRow], str]:
+    """Follow each target of an idTracker file from its first known place on, all in one pass through the video. Returns rows,
+    and a sentence if pictures are missing."""
     places = read_idtracker(truth)
     targets = [_Target(number, places_px, box_px) for number, places_px in enumerate(places, start=1)]
     frames = min(len(places[0]), limit) if limit is not None else len(places[0])
-    for frame, picture in enumerate(video_frames(path, frames)):
-        for target in targets:
-            target.step(frame, picture)
-    return [target.row(truth) for target in targets]
+    with closing(VideoReader(path)) as video:
+        for picture in video.pictures(frames):
+            for target in targets:
+                target.step(picture.number, picture.pixels)
+        return [target.row(truth) for target in targets], video.damage(frames)
 
 
-def evaluate_pool(path: Path, truth: Path, experiment: Experiment, limit: int | None) -> list[PoseRow]:
-    """Localize the robots of an experiment in a video, frame by frame, and compare with a truth file (see read_poses)."""
-    trajectories, depths = read_poses(truth, experiment)
-    locator, found = FleetLocalizer(experiment), []
-    period_ns = round(1e9 / experiment.camera.rate_hz)
-    for frame, picture in enumerate(video_frames(path, limit)):
-        pixels = as_bayer(picture)
-        assert pixels is not None, "a video's pictures are BGR"
-        located = locator.step(pixels, frame * period_ns, depths.get(frame, {}))
-        found += [PublishedPose(robot, frame * period_ns, pose) for robot, pose in located.poses]
+def evaluate_pool(path: Path, truth: Path, experiment: Experiment, limit: int | None) -> tuple[list[PoseRow], str]:
+    """Localize the robots of an experiment in a video, picture by picture, and compare with a truth file (see read_poses).
+    Returns rows, and a sentence if pictures are missing."""
+    with closing(VideoReader(path)) as video:
+        trajectories, depths = read_poses(truth, experiment, video.stamps_ns)
+        check_size(path, video.size_px, experiment)
+        locator, found, message = FleetLocalizer(experiment), list[PublishedPose](), ""
+        for picture in video.pictures(limit):
+            pixels = as_bayer(picture.pixels)
+            assert pixels is not None, "a video's pictures are BGR"
+            located = locator.step(pixels, picture.stamp_ns, depths.get(picture.number, {}))
+            message = located.status.message
+            found += [PublishedPose(robot, picture.stamp_ns, pose) for robot, pose in located.poses]
+        damage = video.damage(limit)
     rows = pose_rows(found, trajectories)
     if not rows:
+        raise ConfigError(f"{path}: no robot was ever found where {truth} has a truth ({message or 'no marker'})")
+    return rows, damage
+
+
+def check_size(path: Path, size_px: tuple[int, int], experiment: Experiment) -> None:
+    """Raises ConfigError for pictures of another size than the experiment's camera has."""
+    if size_px != experiment.camera.size_px:
+        sizes = ["x".join(map(str, size)) for size in (size_px, experiment.camera.size_px)]
         raise ConfigError(
-            f"{path}: no robot was ever found where {truth} has a truth ({located.status.message or 'no marker'})"
+            f"{path}: {sizes[0]}, but camera.size_px of experiment {experiment.name!r} is {sizes[1]} "
+            "(allowed: pictures as they were when the camera was calibrated)"
         )
-    return rows

@@ -57,7 +57,8 @@ def setup(
     from wire.transport.zenoh_transport import ZenohTransport
 
     start_log("localizer", verbose)
-    loaded, file = load_experiment(experiment), ExperimentFile(experiment_path(experiment), out)
+    file = ExperimentFile(experiment_path(experiment), out)
+    loaded = load_experiment(experiment)
     clock, stop = WallClock(), Stop()
     kind, _, device = camera.partition(":")
     with ExitStack() as stack:

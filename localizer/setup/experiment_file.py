@@ -5,17 +5,17 @@ and with the old one kept beside it.
 """
 
 import difflib
-import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import tomlkit
 
-from wire.config.experiment import EXPERIMENTS, checked_experiment
-from wire.config.perception import CameraFile
-from wire.process.output_files import replacing
-from wire.toml_loader import ConfigError, check, os_errors_as_config_errors, read_toml
+from wire.config.experiment import EXPERIMENTS, Experiment, checked_experiment
+from wire.config.perception import Camera, CameraFile
+from wire.process.output_files import keep_old, replacing
+from wire.regular_files import read_regular
+from wire.toml_loader import MOST_BYTES, ConfigError, check, os_errors_as_config_errors, read_toml
 
 _WIDE = 127  # of a line; longer lists are broken
 
@@ -34,7 +34,13 @@ class ExperimentFile:
         if out is not None and (out.suffix != ".toml" or not out.parent.is_dir()):
             raise ConfigError(f"--out {out}: must end in .toml, in a folder that exists")
         self._experiment, self._out = experiment, out
-        camera = read_toml(experiment).get("camera")
+        table = read_toml(experiment)
+        if "cameras" in table:
+            raise ConfigError(
+                f"{experiment}: has several cameras, and a setup is of one (allowed: for each an experiment with [camera]; "
+                "then [[cameras]] takes the saved files: docs/calibration.md)"
+            )
+        camera = table.get("camera")
         self._camera_file = experiment.parent / camera if isinstance(camera, str) and out is None else None
         self.reload()
 
@@ -46,7 +52,12 @@ class ExperimentFile:
     def reload(self) -> None:
         """Read the file again; changes are then shown against what it holds now. Raises ConfigError."""
         with os_errors_as_config_errors(self._source):
-            self._text = self._source.read_text(encoding="utf-8")
+            self._text = read_regular(self._source, MOST_BYTES).decode()
+
+    @property
+    def camera(self) -> Camera:
+        """The camera that the file holds. Raises ConfigError if the file is no longer one of an experiment."""
+        return self._checked(tomlkit.parse(self._text).unwrap()).camera
 
     @property
     def _source(self) -> Path:
@@ -69,12 +80,14 @@ class ExperimentFile:
             if table.get(key) != value:
                 table[key] = _item(key, value)
         text = tomlkit.dumps(document)
-        parsed = tomlkit.parse(text).unwrap()
-        if self._camera_file is not None:
-            found = check(CameraFile, parsed, str(self._camera_file)).camera.model_dump(mode="json")
-            parsed = read_toml(self._experiment) | {"camera": found}
-        checked_experiment(parsed, self._experiment)
+        self._checked(tomlkit.parse(text).unwrap())
         return text
+
+    def _checked(self, table: dict[str, Any]) -> Experiment:
+        if self._camera_file is not None:
+            found = check(CameraFile, table, str(self._camera_file)).camera.model_dump(mode="json")
+            table = read_toml(self._experiment) | {"camera": found}
+        return checked_experiment(table, self._experiment)
 
     def difference(self, camera: Mapping[str, Any]) -> list[str]:
         """Lines of the difference that saving would make, as `diff -u` tells it. Raises ConfigError."""
@@ -94,10 +107,7 @@ class ExperimentFile:
                 raise ConfigError(f"{path}: is there already, and was not written by this program")
             kept = ""
             if path == self._source:
-                old = path.with_name(f"{path.name}.{time.strftime('%Y%m%d-%H%M%S')}")
-                with replacing(old, durable=True) as copy:
-                    copy.write(self._text.encode())
-                kept = f"; the old file is {old}"
+                kept = f"; the old file is {keep_old(path)}"
             with replacing(path, durable=True) as new:
                 new.write(text.encode())
         if self._camera_file is None:

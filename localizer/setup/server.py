@@ -50,7 +50,7 @@ class SetupServer:
             Route("/do", self._do, methods=["POST"]),
             Mount("/", StaticFiles(directory=STATIC)),
         ]
-        server = LocalServer(routes, self._options, self._socket, stop)
+        server = LocalServer(routes, self._options, self._socket, stop, _LONGEST_REQUEST)
         while not stop.requested and server.serves:
             time.sleep(SLICE_S)
         server.close()
@@ -77,11 +77,9 @@ class SetupServer:
     async def _do(self, request: Request) -> Response:
         if not self._allowed(request):
             return _refused()
-        if int(request.headers.get("content-length", _LONGEST_REQUEST + 1)) > _LONGEST_REQUEST:
-            return PlainTextResponse("too long", 413)
         try:
             given: dict[str, Any] = dict(await request.json())
-        except (ValueError, TypeError):
+        except (ValueError, TypeError, RecursionError):
             return PlainTextResponse("not a JSON object", 400)
         try:
             found: Any = await run_in_threadpool(self._session.do, str(given.pop("do", "")), given)

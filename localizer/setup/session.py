@@ -93,7 +93,7 @@ class SetupSession:
             "mask": self._put_mask,
             "difference": lambda _: {"path": str(self._file.path), "lines": self._file.difference(self._changes())},
             "save": self._save,
-            "reload": lambda _: self._file.reload(),
+            "reload": self._reload,
         }
 
     # --- from the camera's thread and the board's
@@ -167,6 +167,8 @@ class SetupSession:
                 said.append(f"{pages} pages are open: all see and change the same setup")
             if work.camera is None:
                 said.append(_no_lens(work.size_px, camera.size_px))
+            if work.lens_fit is not None and work.pose_fit is None:
+                said.append("the pose is older than the lens, and wrong with it: find the pose again")
             return {
                 "experiment": self._experiment.name,
                 "source": self._source,
@@ -215,6 +217,8 @@ class SetupSession:
         """Do what a page asks for; returns what it has to know beside the state. Raises ConfigError."""
         if name not in self._commands:
             raise ConfigError(f"{name!r}: no such request (allowed: {', '.join(self._commands)})")
+        if not _is_finite(given):
+            raise ConfigError(f"{name}: NaN or an infinity (allowed: finite numbers)")
         try:
             return self._commands[name](given)
         except (KeyError, TypeError, ValueError) as error:
@@ -268,13 +272,13 @@ class SetupSession:
             work = self._work
         fit = work.lens.fit()
         with self._lock:
-            work.lens_fit, work.pose_fit = fit, None
+            work.lens_fit, work.pose_fit, work.pose_said = fit, None, []
+            work.survey.residuals.clear()
             work.camera = self._experiment.camera.model_copy(update=fit.lens.model_dump())
             held_out_px = held_out_rms_px(fit)
-            work.lens_said = intrinsics_lines(fit, [], 0)
+            work.lens_said = intrinsics_lines(fit, {})
             self._said = f"lens: {len(fit.views)} views, RMS {fit.rms_px:.2f} px"
             self._said += "" if held_out_px is None else f", {held_out_px:.2f} px in views held out"
-            self._said += "; now find the pose again" if work.survey.points else ""
             warnings = intrinsics_warnings(fit)
             self._said += f"; look at: {'; '.join(warnings)}" if warnings else ""
 
@@ -336,13 +340,31 @@ class SetupSession:
         if values != self._set:
             found["exposure_s"] = round(self._exposure_s(), 5)
         was = before.model_dump(mode="json")
-        return significant({key: value for key, value in found.items() if value != was[key]})
+        return {key: value for key, value in significant(found).items() if value != was[key]}
 
     def _save(self, given: Mapping[str, Any]) -> None:
         changes = self._changes()
         if not changes:
             raise ConfigError("nothing was changed: there is nothing to save")
         self._said = self._file.save(changes)
+        self._take_up_file()
+
+    def _reload(self, given: Mapping[str, Any]) -> None:
+        self._file.reload()
+        self._take_up_file()
+
+    def _take_up_file(self) -> None:
+        """Hold changes against what the file holds now."""
+        self._experiment = self._experiment.model_copy(update={"camera": self._file.camera})
+
+
+def _is_finite(given: Any) -> bool:
+    """False if there is a NaN or an infinity in what a page sent."""
+    if isinstance(given, Mapping):
+        return all(_is_finite(value) for value in given.values())
+    if isinstance(given, list):
+        return all(_is_finite(value) for value in given)
+    return not isinstance(given, float) or math.isfinite(given)
 
 
 def _guess(size_px: tuple[int, int]) -> Intrinsics:

@@ -1,24 +1,30 @@
-"""SHELL: recorded pictures: reading videos and folders, and playing them as a camera. A folder may still be growing.
+"""SHELL: recorded pictures: videos and folders, played as a camera. A folder may still be growing.
 
 At a rate they behave like a live camera: a picture is exposed when it is due, a slow reader gets the newest, and the rest
-is counted as dropped. As fast as possible (`max`), every picture comes and the stamps are one frame period apart.
+is counted as dropped. As fast as possible (`max`), every picture comes, with stamps as if it had come when it was due.
 """
 
+import bisect
 import math
 import re
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from localizer.detection.image_regions import Pixels
 from localizer.sources.base import SUFFIXES, CapturedFrame, as_bayer, silent_after_s
+from localizer.sources.video import VideoReader
 from wire.process.runtime import SLICE_S, Clock, Stop, log
+from wire.regular_files import read_regular
 from wire.toml_loader import ConfigError
 
+MOST_PICTURE_BYTES = 500_000_000  # of a file
 _POLL_NS = 10_000_000  # ns between checks of a folder for new images
 _SETTLED_NS = 100_000_000  # ns; file systems stamp in steps of 4 ms or more, so a younger change may not be the last
 
@@ -59,45 +65,25 @@ class FramePacer:
         return due_ns if self._fast or sleep_until(self._clock, due_ns, stop) else None
 
 
-def open_video(path: Path) -> cv2.VideoCapture:
-    """A video file by OpenCV's FFmpeg. Raises ConfigError if it cannot be played."""
-    capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
-    if not path.is_file() or not capture.isOpened():
-        raise ConfigError(f"video {path}: {'cannot be read as a video' if path.is_file() else 'no such file'}")
-    return capture
-
-
-def video_frames(path: Path, limit: int | None = None) -> Iterator[Pixels]:
-    """The first `limit` frames of a video, or all, BGR (height, width, 3). Raises ConfigError if there are none."""
-    capture = open_video(path)
+def decode_file(path: Path) -> NDArray[Any] | None:
+    """A picture file as OpenCV reads it; None for what it does not read, or has too many pixels. Raises OSError."""
+    data = read_regular(path, MOST_PICTURE_BYTES)
     try:
-        count = 0
-        while (limit is None or count < limit) and (read := capture.read())[0]:
-            count += 1
-            yield np.asarray(read[1], dtype=np.uint8)
-        if count == 0:
-            raise ConfigError(f"video {path}: no frame can be read")
-    finally:
-        capture.release()
-
-
-def frame_count(path: Path) -> int:
-    """Number of frames of a video by its index, 0 if it has none."""
-    capture = open_video(path)
-    try:
-        return max(int(capture.get(cv2.CAP_PROP_FRAME_COUNT)), 0)
-    finally:
-        capture.release()
+        return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
+    except cv2.error:
+        return None
 
 
 def picture_files(folder: Path) -> list[Path]:
-    """The picture files of a folder in the order of their names, numbers inside names as numbers. Raises OSError."""
-    return sorted((path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES), key=_by_number)
+    """The picture files of a folder in the order of their names, numbers inside names as numbers; without hidden files, of
+    which cameras and systems leave some that only look like pictures (`._IMG_1.JPG`). Raises OSError."""
+    named = (path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and not path.name.startswith("."))
+    return sorted((path for path in named if not path.is_dir()), key=_by_number)
 
 
 def _by_number(path: Path) -> tuple[tuple[int, int, str], ...]:
     parts = re.split(r"(\d+)", path.name)
-    return tuple((1, int(part), part) if part.isdigit() else (0, 0, part) for part in parts)
+    return tuple((1, int(part), part) if part.isdecimal() else (0, 0, part) for part in parts)
 
 
 class VideoSource:
@@ -106,34 +92,34 @@ class VideoSource:
     trouble, silent_after_s = "", math.inf
 
     def __init__(self, path: Path, rate_hz: float | None, clock: Clock, as_fast_as_possible: bool = False) -> None:
-        """`rate_hz` None: the file's own. Raises ConfigError if the file cannot be played."""
-        self._path, self._clock = path, clock
-        self._capture = open_video(path)
-        own_hz = self._capture.get(cv2.CAP_PROP_FPS)
-        if rate_hz is None and not 0.0 < own_hz < 1e4:
-            raise ConfigError(f"video {path}: the file does not say its frame rate; give one, for example video:{path}:25")
-        self._pace = FramePacer(clock, rate_hz or own_hz, as_fast_as_possible)
-        self._dropped = 0
+        """`rate_hz` None: as the file's stamps say. Raises ConfigError if the file cannot be played."""
+        self._path, self._clock, self._fast = path, clock, as_fast_as_possible
+        self._reader = VideoReader(path)
+        own_ns = self._reader.stamps_ns
+        self._stamps_ns = own_ns if rate_hz is None else [round(1e9 * number / rate_hz) for number in range(len(own_ns))]
 
     def frames(self, stop: Stop) -> Iterator[CapturedFrame | None]:
         """See FrameSource. Ends with the file."""
-        while not stop.requested:
-            late = self._pace.overdue()
-            for _ in range(late):
-                self._capture.grab()
-            self._dropped += late
-            good, picture = self._capture.read()
-            pixels = as_bayer(np.asarray(picture)) if good else None
-            if pixels is None:
-                log.info("end of %s", self._path)
-                return
-            due_ns = self._pace.release(late, stop)
-            if due_ns is not None:
-                yield CapturedFrame(pixels, due_ns, due_ns, self._clock.now_ns(), self._dropped)
+        start_ns: int | None = None  # instant of the file's stamp 0
+        newest = 0
+        while not stop.requested and (picture := self._reader.next(newest)) is not None:
+            pixels = as_bayer(picture.pixels)
+            assert pixels is not None, "a video's pictures are BGR"
+            stamp_ns = self._stamps_ns[picture.number]
+            start_ns = self._clock.now_ns() - stamp_ns if start_ns is None else start_ns
+            due_ns, dropped = start_ns + stamp_ns, picture.number + 1 - self._reader.decoded
+            if self._fast or sleep_until(self._clock, due_ns, stop):
+                yield CapturedFrame(pixels, due_ns, due_ns, self._clock.now_ns(), dropped)
+            if not self._fast:
+                newest = bisect.bisect_right(self._stamps_ns, self._clock.now_ns() - start_ns) - 1
+                newest = min(newest, len(self._stamps_ns) - 1)
+        log.info("end of %s", self._path)
+        if self._fast and not stop.requested and (damage := self._reader.damage()):
+            log.warning("%s", damage)
 
     def close(self) -> None:
         """Close the file."""
-        self._capture.release()
+        self._reader.close()
 
 
 class FolderSource:
@@ -187,7 +173,9 @@ class FolderSource:
         return CapturedFrame(pixels, due_ns, due_ns, self._clock.now_ns(), self._dropped)
 
     def _read(self, path: Path) -> Pixels | None:
-        picture: Any = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        picture = None
+        with suppress(OSError):  # taken away, or no file
+            picture = decode_file(path)
         pixels = None if picture is None else as_bayer(picture)
         self.trouble = "" if pixels is not None else f"{path} is no 8-bit image"
         if self.trouble:

@@ -3,12 +3,15 @@
     FOLDER/experiment.toml   the experiment
     FOLDER/frames.mcap       of each frame: `localizer/inputs` (JSON), `robot/N/pose` as published, `camera/frame`
 
-Frames are written after their poses are out, one by one and not packed (1.2 MB each at 1280 x 960): a slow disk makes the
-camera drop frames, which the localizer then never saw, and leaves no gap between what it saw and what is in the file. A
-killed process loses the last 1 MB.
+Frames are written by a thread of their own, one by one and not packed (1.2 MB each at 1280 x 960), and no pose waits for the
+disk. A gap between what the localizer saw and what is in the file would make `rerun` worthless: so a disk that is too slow,
+blocks or vanishes ends the recording, which is whole up to there. A killed process loses the frames that waited.
 """
 
 import json
+import queue
+import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -22,10 +25,13 @@ from wire.messages.codec import DecodeError, decode, encode, protobuf_class
 from wire.messages.messages import Frame, Pose
 from wire.process.output_files import disk_free, replace_text
 from wire.process.runtime import log
+from wire.regular_files import open_regular
 from wire.toml_loader import ConfigError, os_errors_as_config_errors
 
 EXPERIMENT, FRAMES = "experiment.toml", "frames.mcap"
 _INPUTS = "localizer/inputs"
+_WAITING_BYTES = 64 * 1024 * 1024  # of frames that wait for the disk: 2.7 s of 1280 x 960 at 20 Hz
+_BESIDE_BYTES = 4096  # of a frame's record beside its pixels, at most
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,15 +45,31 @@ class RecordedFrame:
     depths_m: dict[int, float] = field(default_factory=dict)
     attitudes: dict[int, tuple[float, float, float]] = field(default_factory=dict)
     poses: dict[int, bytes] = field(default_factory=dict)
+    number: int = 0  # from 0
 
 
 class FrameRecorder:
     """The writing end. An error of the disk, or too little room on it, ends the recording and is logged."""
 
-    def __init__(self, folder: Path, experiment: Experiment, free_bytes: Callable[[Path], int] = disk_free) -> None:
-        """Raises ConfigError if the folder is there already, or cannot be made."""
+    def __init__(
+        self,
+        folder: Path,
+        experiment: Experiment,
+        free_bytes: Callable[[Path], int] = disk_free,
+        lockstep: bool = False,
+        patience_s: float = 10.0,
+    ) -> None:
+        """In `lockstep` the disk is waited for, as everybody waits for everybody. `close` waits for it for `patience_s`.
+        Raises ConfigError if the folder is there already, or cannot be made, or if frames are too large to be read again."""
         from mcap.writer import CompressionType, IndexType, Writer
 
+        width, height = experiment.camera.size_px
+        if width * height + _BESIDE_BYTES > log_records.LARGEST_BYTES:
+            raise ConfigError(
+                f"--record {folder}: frames of camera.size_px {width}x{height} are larger than what can be read again "
+                f"(allowed: {log_records.LARGEST_BYTES - _BESIDE_BYTES} pixels)"
+            )
+        self._lockstep, self._patience_s = lockstep, patience_s
         self._folder, self._free_bytes = folder, free_bytes
         self._least_bytes = round(experiment.recording.stop_video_below_gb * 1e9)
         if folder.exists():
@@ -63,29 +85,59 @@ class FrameRecorder:
         self._writer.start(library="shoal")
         self._channels: dict[str, int] = {}
         self._frames = 0
-        self._ended = False
+        self._ended = False  # no more frames are taken
+        self._failed = False  # none are written any more
+        self._waiting: queue.Queue[RecordedFrame | None] = queue.Queue(max(2, _WAITING_BYTES // (width * height)))
+        # a daemon: a disk that never answers must not keep the process
+        self._thread = threading.Thread(target=self._write_all, name="recording", daemon=True)
+        self._thread.start()
 
     def put(self, frame: RecordedFrame) -> None:
-        """Write one frame; its picture last, so that a frame which is there is whole."""
+        """Have one frame written. Never waits for the disk, except in lockstep: when too many frames wait, the recording
+        ends."""
         if self._ended:
             return
+        try:
+            self._waiting.put(frame, block=self._lockstep)
+        except queue.Full:
+            self._ended = True
+            log.error("recording %s ends: the disk is too slow, or does not answer", self._folder)
+
+    def _write_all(self) -> None:
+        """Write frames until None comes; after the end of the recording they only leave the queue."""
+        while (frame := self._waiting.get()) is not None:
+            if self._failed:
+                continue
+            try:
+                self._write_frame(frame)
+            except Exception as error:  # poses go on, whatever the disk does
+                text = error.strerror if isinstance(error, OSError) else f"{type(error).__name__}: {error}"
+                self._end(f"{text}")
+
+    def _write_frame(self, frame: RecordedFrame) -> None:
+        """Write one frame; its picture last, so that a frame which is there is whole."""
         if self._free_bytes(self._folder) < self._least_bytes:
             self._end(f"less than recording.stop_video_below_gb = {self._least_bytes / 1e9:g} GB are free")
             return
         told = {"instant_ns": frame.instant_ns, "depths_m": frame.depths_m, "attitudes": frame.attitudes}
-        try:
-            self._write(_INPUTS, None, json.dumps(told).encode(), frame.stamp_ns)
-            for robot, pose in frame.poses.items():
-                self._write(topics.POSE.key(robot), Pose, pose, frame.stamp_ns)
-            self._write(topics.FRAME.name, Frame, encode(Frame(frame.pixels), frame.stamp_ns), frame.stamp_ns)
-        except OSError as error:
-            self._end(f"{error.strerror}")
+        self._write(_INPUTS, None, json.dumps(told).encode(), frame.stamp_ns)
+        for robot, pose in frame.poses.items():
+            self._write(topics.POSE.key(robot), Pose, pose, frame.stamp_ns)
+        self._write(topics.FRAME.name, Frame, encode(Frame(frame.pixels), frame.stamp_ns), frame.stamp_ns)
         self._frames += 1
 
     def close(self) -> None:
-        """Write the file's index."""
-        if not self._ended:
-            self._ended = True
+        """Write what waits, and the file's index."""
+        self._ended = True
+        deadline_s = time.monotonic() + self._patience_s
+        try:
+            self._waiting.put(None, timeout=self._patience_s)
+        except queue.Full:
+            deadline_s = 0.0
+        self._thread.join(max(deadline_s - time.monotonic(), 0.0))
+        if self._thread.is_alive():
+            log.error("recording %s: the disk does not answer; its last frames and its end are missing", self._folder)
+        elif not self._failed:
             try:
                 self._writer.finish()
                 self._file.close()
@@ -112,7 +164,7 @@ class FrameRecorder:
         )
 
     def _end(self, reason: str) -> None:
-        self._ended = True
+        self._ended = self._failed = True
         with suppress(OSError):
             self._file.close()
         log.error("recording %s ends after %d frames: %s", self._folder, self._frames, reason)
@@ -132,12 +184,12 @@ def recorded_frames(folder: Path) -> Iterator[RecordedFrame]:
     poses: dict[int, bytes] = {}
     count = 0
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             for topic, stamp_ns, data in log_records.messages(file):
                 if topic == _INPUTS:
                     told, poses = json.loads(data), {}
                 elif topic == topics.FRAME.name and told is not None:
-                    yield _frame(decode(Frame, data, "recording", topic).pixels, stamp_ns, told, poses)
+                    yield _frame(decode(Frame, data, "recording", topic).pixels, stamp_ns, told, poses, count)
                     count, told = count + 1, None
                 elif topic.endswith("/pose"):
                     poses[int(topic.split("/")[-2])] = data
@@ -151,7 +203,7 @@ def recorded_frames(folder: Path) -> Iterator[RecordedFrame]:
         raise ConfigError(f"{path}: {error.strerror}") from None
 
 
-def _frame(pixels: Pixels, stamp_ns: int, told: dict[str, Any], poses: dict[int, bytes]) -> RecordedFrame:
+def _frame(pixels: Pixels, stamp_ns: int, told: dict[str, Any], poses: dict[int, bytes], number: int) -> RecordedFrame:
     attitudes = {int(robot): (float(a), float(b), float(sigma)) for robot, (a, b, sigma) in told["attitudes"].items()}
     depths_m = {int(robot): float(depth) for robot, depth in told["depths_m"].items()}
-    return RecordedFrame(pixels, stamp_ns, int(told["instant_ns"]), depths_m, attitudes, poses)
+    return RecordedFrame(pixels, stamp_ns, int(told["instant_ns"]), depths_m, attitudes, poses, number)

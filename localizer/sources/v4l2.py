@@ -94,13 +94,17 @@ def configure(capture: Capture, camera: Camera) -> list[str]:
     ]
     size_and_rate, exposure = wanted[:3], wanted[3:]
     _set_all(capture, size_and_rate)
-    if capture.get(cv2.CAP_PROP_FPS) < camera.rate_hz * (1.0 - _TOLERANCE):  # raw pictures do not fit through USB 2
+    compressed = capture.get(cv2.CAP_PROP_FPS) < camera.rate_hz * (1.0 - _TOLERANCE)  # raw pictures do not fit through USB 2
+    if compressed:
         _set_all(capture, [("format", cv2.CAP_PROP_FOURCC, _MJPG), *size_and_rate])
     for automatic in (cv2.CAP_PROP_AUTO_WB, cv2.CAP_PROP_AUTOFOCUS, cv2.CAP_PROP_BACKLIGHT):  # not every camera has them
         capture.set(automatic, 0)
     _set_all(capture, exposure)
     found = [(name, value, capture.get(key)) for name, key, value in wanted]
-    return [f"{name} {got:g} instead of {value:g}" for name, value, got in found if abs(got - value) > _TOLERANCE * value]
+    refused = ["pictures compressed (MJPG) instead of raw: corners are found less well"] if compressed else []
+    return refused + [
+        f"{name} {got:g} instead of {value:g}" for name, value, got in found if abs(got - value) > _TOLERANCE * value
+    ]
 
 
 def _set_all(capture: Capture, settings: Sequence[tuple[str, int, float]]) -> None:

@@ -24,10 +24,10 @@ _REJECTS_AT = 2.0  # scales: a residual of that size has a quarter of the weight
 _EDGE_ERROR = 0.15  # samples that an edge may lie off, by ripples and resampling, without being another one
 _BLOCKS = 6  # each way: 45 mm of a robot 0.3 m across, two or three cells of its marker
 _BLOCK_SHARE = 0.5  # of the texture of a block; of a block with another pattern less is seen again, of a covered one nothing
-_UNKNOWNS = 5  # shift ahead, shift to starboard, rotation, gain, offset
+_SHARED = 5  # unknowns of all channels: shift ahead, shift to starboard, rotation, slopes of brightness ahead and to starboard
 
 
-@kernel("void(f8[:,::1])")
+@kernel("void(f8[:,::1])", part=True)
 def invert(matrix: Array) -> None:
     """Invert a symmetric positive definite matrix (n, n) in place, by Gauss-Jordan elimination on its diagonal."""
     n = matrix.shape[0]
@@ -44,30 +44,32 @@ def invert(matrix: Array) -> None:
                     matrix[i, j] -= factor * matrix[k, j]
 
 
-@kernel("f8(f4[:,::1], f4[:,::1], f8[::1], f8[:,::1])")
-def align(learnt: NDArray[np.float32], seen: NDArray[np.float32], move: Array, covariance: Array) -> float:
+@kernel("f8(f4[:,:,::1], f4[:,:,::1], f4[:,::1], f8[::1], f8[:,::1])")
+def align(
+    learnt: NDArray[np.float32], seen: NDArray[np.float32], weights: NDArray[np.float32], move: Array, covariance: Array
+) -> float:
     """Find the `move` (4,) [samples ahead (columns), samples to starboard (rows), rad, gain of brightness] of the `learnt`
-    patch (n, n) in the one `seen`, and the `covariance` (3, 3) of the first three. Returns the share of the learnt texture
-    that is seen again, 0 to 1.
+    patch (channels, n, n) in the one `seen`, and the `covariance` (3, 3) of the first three. Returns the share of the learnt
+    texture that is seen again, 0 to 1.
 
-    Minimises sum rho(seen(R p + t) - gain learnt(p) - offset) over a chessboard of the points p, with rho'(r) = r w and
-    w = 1 / (1 + r^2 / 4 (s^2 + (0.15 g)^2))^2, g the gradient of the learnt patch. Share: of sum g^2, the part in blocks with
-    sum w g^2 > 0.5 sum g^2. Covariance: s^2 (J^T W J)^-1 of the first three unknowns.
+    Minimises sum v rho(seen(R p + t) - (gain + slope p) learnt(p) - offset) over a chessboard of the points p with `weights`
+    v (n, n) above 0, gain and offset of each channel, with rho'(r) = r w and w = 1 / (1 + r^2 / 4 (s^2 + (0.15 g)^2))^2, g the
+    gradient of the learnt patch. Share: of sum v g^2, the part in blocks with sum v w g^2 > 0.5 sum v g^2. Covariance:
+    s^2 (J^T W J)^-1 of the first three unknowns.
     """
-    n = learnt.shape[0]
+    channels, n = learnt.shape[0], learnt.shape[1]
     middle = n // 2
-    normal = np.empty((_UNKNOWNS, _UNKNOWNS))
-    right = np.empty(_UNKNOWNS)
-    slope = np.empty(_UNKNOWNS)
+    unknowns = _SHARED + 2 * channels
+    normal = np.empty((unknowns, unknowns))
+    right = np.empty(unknowns)
+    found = np.zeros(unknowns)
+    slope = np.empty(_SHARED + 2)
+    index = np.arange(_SHARED + 2)
     counts = np.empty(256)
     size = (n + _BLOCKS - 1) // _BLOCKS
     texture = np.empty(_BLOCKS * _BLOCKS)
     recognised = np.empty(_BLOCKS * _BLOCKS)
-    x = 0.0
-    y = 0.0
-    turn = 0.0
-    gain = 1.0
-    offset = 0.0
+    found[_SHARED : _SHARED + channels] = 1.0
     widest = _FIRST_SCALE
     scale = widest
     share = 0.0
@@ -78,76 +80,85 @@ def align(learnt: NDArray[np.float32], seen: NDArray[np.float32], move: Array, c
         counts[:] = 0.0
         texture[:] = 0.0
         recognised[:] = 0.0
-        weights = 0.0
+        total_weight = 0.0
         squares = 0.0
         points = 0.0
-        c = math.cos(turn)
-        s = math.sin(turn)
+        c = math.cos(found[2])
+        s = math.sin(found[2])
         for row in range(_BORDER, n - _BORDER):
             for column in range(_BORDER + (row + _BORDER) % 2, n - _BORDER, 2):
+                known = min(
+                    weights[row, column], weights[row - 1, column], weights[row + 1, column], weights[row, column - 1],
+                    weights[row, column + 1],
+                )  # fmt: skip
                 ahead = float(column - middle)
                 side = float(row - middle)
-                u = middle + x + c * ahead - s * side
-                v = middle + y + s * ahead + c * side
+                u = middle + found[0] + c * ahead - s * side
+                v = middle + found[1] + s * ahead + c * side
                 left = math.floor(u)
                 top = math.floor(v)
-                if left < 0 or top < 0 or left > n - 2 or top > n - 2:
+                if known <= 0.0 or left < 0 or top < 0 or left > n - 2 or top > n - 2:
                     continue
                 fu = u - left
                 fv = v - top
-                above = seen[top, left] * (1.0 - fu) + seen[top, left + 1] * fu
-                below = seen[top + 1, left] * (1.0 - fu) + seen[top + 1, left + 1] * fu
-                gx = 0.5 * (learnt[row, column + 1] - learnt[row, column - 1])
-                gy = 0.5 * (learnt[row + 1, column] - learnt[row - 1, column])
-                residual = above * (1.0 - fv) + below * fv - gain * learnt[row, column] - offset
-                edge = _EDGE_ERROR * _EDGE_ERROR * (gx * gx + gy * gy)
-                root = 1.0 / (1.0 + residual * residual / (_REJECTS_AT * _REJECTS_AT * (scale * scale + edge)))
-                weight = root * root
-                counts[min(int(abs(residual)), 255)] += 1.0
-                points += 1.0
                 block = row // size * _BLOCKS + column // size
-                texture[block] += gx * gx + gy * gy
-                recognised[block] += weight * (gx * gx + gy * gy)
-                weights += weight
-                squares += weight * residual * residual
-                # d seen(R p + t) by shift is the gradient turned with the patch; by rotation, that times the turned lever
-                px = gain * (c * gx - s * gy)
-                py = gain * (s * gx + c * gy)
-                slope[0] = px
-                slope[1] = py
-                slope[2] = px * (middle + y - v) + py * (u - middle - x)
-                slope[3] = -learnt[row, column]
-                slope[4] = -1.0
-                for i in range(_UNKNOWNS):
-                    right[i] -= weight * slope[i] * residual
-                    for j in range(i + 1):
-                        normal[i, j] += weight * slope[i] * slope[j]
+                for k in range(channels):
+                    above = seen[k, top, left] * (1.0 - fu) + seen[k, top, left + 1] * fu
+                    below = seen[k, top + 1, left] * (1.0 - fu) + seen[k, top + 1, left + 1] * fu
+                    gx = 0.5 * (learnt[k, row, column + 1] - learnt[k, row, column - 1])
+                    gy = 0.5 * (learnt[k, row + 1, column] - learnt[k, row - 1, column])
+                    level = float(learnt[k, row, column])
+                    gain = found[_SHARED + k] + (found[3] * ahead + found[4] * side) / middle
+                    residual = above * (1.0 - fv) + below * fv - gain * level - found[_SHARED + channels + k]
+                    edge = _EDGE_ERROR * _EDGE_ERROR * (gx * gx + gy * gy)
+                    root = 1.0 / (1.0 + residual * residual / (_REJECTS_AT * _REJECTS_AT * (scale * scale + edge)))
+                    weight = known * root * root
+                    counts[min(int(abs(residual)), 255)] += 1.0
+                    points += 1.0
+                    texture[block] += known * (gx * gx + gy * gy)
+                    recognised[block] += weight * (gx * gx + gy * gy)
+                    total_weight += weight
+                    squares += weight * residual * residual
+                    # d seen(R p + t) by shift is the gradient turned with the patch; by rotation, that times the turned lever
+                    px = gain * (c * gx - s * gy)
+                    py = gain * (s * gx + c * gy)
+                    slope[0] = px
+                    slope[1] = py
+                    slope[2] = px * (middle + found[1] - v) + py * (u - middle - found[0])
+                    slope[3] = -level * ahead / middle
+                    slope[4] = -level * side / middle
+                    slope[5] = -level
+                    slope[6] = -1.0
+                    index[5] = _SHARED + k
+                    index[6] = _SHARED + channels + k
+                    for i in range(_SHARED + 2):
+                        scaled = weight * slope[i]
+                        right[index[i]] -= scaled * residual
+                        for j in range(i + 1):
+                            normal[index[i], index[j]] += scaled * slope[j]
         total = 0.0
         share = 0.0
         for block in range(_BLOCKS * _BLOCKS):
             total += texture[block]
             if recognised[block] > _BLOCK_SHARE * texture[block]:
                 share += texture[block]
-        if total <= 0.0 or weights <= 0.0:
+        if total <= 0.0 or total_weight <= 0.0:
             return 0.0
         share /= total
-        for i in range(_UNKNOWNS):
+        for i in range(unknowns):
             normal[i, i] = normal[i, i] * (1.0 + 1e-9) + 1e-9
             for j in range(i):
                 normal[j, i] = normal[i, j]
         invert(normal)
-        variance = max(squares / weights, _LEAST_SCALE * _LEAST_SCALE)
+        variance = max(squares / total_weight, _LEAST_SCALE * _LEAST_SCALE)
         for i in range(3):
             for j in range(3):
                 covariance[i, j] = variance * normal[i, j]
         if done == _ROUNDS - 1:
             break
-        for i in range(_UNKNOWNS):
-            x += normal[0, i] * right[i]
-            y += normal[1, i] * right[i]
-            turn += normal[2, i] * right[i]
-            gain += normal[3, i] * right[i]
-            offset += normal[4, i] * right[i]
+        for i in range(unknowns):
+            for j in range(unknowns):
+                found[i] += normal[i, j] * right[j]
         passed = 0.0
         median = 0
         while passed < 0.5 * points and median < 255:
@@ -155,8 +166,7 @@ def align(learnt: NDArray[np.float32], seen: NDArray[np.float32], move: Array, c
             median += 1
         widest = max(0.5 * widest, _MOST_SCALE)
         scale = min(max(_TO_SIGMA * (median - 0.5), 0.25 * widest, _LEAST_SCALE), widest)
-    move[0] = x
-    move[1] = y
-    move[2] = turn
-    move[3] = gain
+    for i in range(3):
+        move[i] = found[i]
+    move[3] = np.mean(found[_SHARED : _SHARED + channels])
     return share

@@ -2,9 +2,11 @@
 
 What tells it: the camera's own check marks; or poses that are elsewhere than another camera's and have left the motion of
 their robot, while the other's have not. A leap of all that it measures makes it suspected until its marks tell. A suspected
-camera is not trusted from the first picture on: it may be a misread marker. It is out when the suspicion lasts. It comes back
-when it has agreed with another camera for a while, or when its check marks, if these had told, have been seen at their places
-for as long and nothing contradicts. Until then it stays out, however long: it has to be surveyed anew.
+camera is not trusted from the first picture on: it may be a misread marker. It is out when the suspicion lasts. A camera
+whose check marks are seen at their places, for longer than they take to tell a knock, was not moved, whatever its poses are:
+it is no longer alone at fault. A camera that is out comes back when it has agreed with another camera for a while, or when
+its check marks have been seen at their places for as long and nothing contradicts. Until then it stays out, however long: it
+has to be surveyed anew.
 """
 
 from collections.abc import Collection, Mapping
@@ -34,7 +36,8 @@ class _Record:
     suspected: bool = False
     well_s: float = 0.0  # for how long nothing has spoken against it, since it is out
     why: str = ""  # it is out; empty: it is not
-    by_marks: bool = False  # its check marks have told so
+    apart_in_place_s: float = 0.0  # for how long it has been apart while its check marks were at their places
+    proven: bool = False  # its check marks have told that it was not moved, although it is apart
     leapt_s: float = 0.0  # for how long all that it measures has been out of place
 
 
@@ -54,6 +57,11 @@ class CameraBumps:
         """Cameras that were moved, or may have been."""
         return {name for name, record in self._records.items() if record.why or record.suspected}
 
+    @property
+    def proven(self) -> set[str]:
+        """Cameras that were not moved, by their check marks, although their poses are apart from another camera's."""
+        return {name for name, record in self._records.items() if record.proven}
+
     def step(self, seen: Collection[str], told: Evidence, step_s: float) -> None:
         """Judge the cameras that are `seen`, some time after the last step. A suspicion of the others has its break."""
         for name, record in self._records.items():
@@ -61,18 +69,28 @@ class CameraBumps:
                 record.suspected, record.suspected_s, record.leapt_s = False, 0.0, 0.0
                 continue
             record.leapt_s = record.leapt_s + step_s if name in told.leapt else 0.0
-            well = name in told.agreed or (record.by_marks and name in told.in_place)
-            self._judge(record, told.moved.get(name, ""), told.apart.get(name, ""), well, step_s)
+            self._prove(record, name in told.in_place, name in told.agreed, name in told.apart, step_s)
+            well = name in told.agreed or name in told.in_place
+            apart = "" if record.proven else told.apart.get(name, "")
+            self._judge(record, told.moved.get(name, ""), apart, well, name in told.in_place, step_s)
 
-    def _judge(self, record: _Record, moved: str, apart: str, well: bool, step_s: float) -> None:
+    def _prove(self, record: _Record, in_place: bool, agreed: bool, apart: bool, step_s: float) -> None:
+        """Note whether its check marks have been at their places for longer than they take to tell a knock."""
+        if not in_place or agreed:
+            record.proven, record.apart_in_place_s = False, 0.0
+        elif apart:
+            record.apart_in_place_s += step_s
+            record.proven = record.proven or record.apart_in_place_s > _MARKS_TELL_S
+
+    def _judge(self, record: _Record, moved: str, apart: str, well: bool, in_place: bool, step_s: float) -> None:
         record.suspected_s = record.suspected_s + step_s if record.suspected and apart else 0.0
         record.suspected = bool(apart) or 0.0 < record.leapt_s <= _MARKS_TELL_S
         if moved:
-            record.why, record.by_marks, record.well_s = moved, True, 0.0
-        elif apart and (record.why or record.suspected_s >= _SURE_S):
+            record.why, record.well_s = moved, 0.0
+        elif apart and (record.why or (record.suspected_s >= _SURE_S and not in_place)):
             record.why = f"it seems to have been moved: its poses are {apart} from those of another camera"
-            record.by_marks, record.well_s = False, 0.0
+            record.well_s = 0.0
         elif record.why:
             record.well_s += step_s if well else 0.0
             if record.well_s >= _WELL_S:
-                record.why, record.by_marks, record.well_s = "", False, 0.0
+                record.why, record.well_s = "", 0.0

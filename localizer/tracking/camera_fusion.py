@@ -33,7 +33,9 @@ from wire.messages.messages import CameraHealth, LocalizerStatus, Obstacles, Pos
 
 _FOLLOWED_S = 1.0  # s after which a camera that has not been within a robot's motion is not said to have left it
 _LONGEST_STEP = 2.0  # periods between pictures that count against a camera or for it; a longer gap proves nothing more
-_FORGET_S = 2.0  # s in which a doubt falls to 1/e once the cameras agree again; one misread marker costs no more
+_FORGET_S = 2.0  # s in which the square of a doubt falls to 1/e once the cameras agree again
+_FORGET_ALONE_S = 10.0  # s of the same while no robot is seen by two of them: one misread marker costs no more
+_TOLD_DOUBT_M = 0.005  # m, least doubt in the poses that the operator is told of
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,7 +160,7 @@ class CameraFusion:
                     continue
                 words = _in_words(apart, covariance)
                 pair = {one.camera, other.camera}
-                left = pair & was_out or pair & followed - within
+                left = (pair & was_out or pair & followed - within) - self._bumps.proven
                 if len(left) == 1 and (left <= was_out or pair & within):
                     alone_apart |= {name: max((squared, words), alone_apart.get(name, (0.0, ""))) for name in left}
                     continue
@@ -180,9 +182,17 @@ class CameraFusion:
             self._doubts = {name: np.zeros((3, 3)) for name in self._names}
             doubted = {}
         for name in self._names:
-            kept = self._doubts[name] * (math.exp(-step_s / _FORGET_S) if name in agreed else 1.0)
+            kept = self._doubts[name] * math.exp(-step_s / (_FORGET_S if name in agreed else _FORGET_ALONE_S))
             self._doubts[name] = np.maximum(kept, doubted.get(name, kept))
-        return said
+        return said or self._doubts_in_words()
+
+    def _doubts_in_words(self) -> list[str]:
+        """A sentence about a disagreement that is over, while its doubt is in the poses."""
+        sigmas_m = {name: math.sqrt(doubt[0, 0]) for name, doubt in self._doubts.items()}
+        doubted = {name: sigma_m for name, sigma_m in sigmas_m.items() if sigma_m > _TOLD_DOUBT_M}
+        if not doubted:
+            return []
+        return [f"cameras {' and '.join(doubted)} disagreed: their poses are in doubt by {1e3 * max(doubted.values()):.0f} mm"]
 
     def _follow(self, robot: int, measured: Sequence[_Candidate], step_s: float) -> tuple[set[str], set[str]]:
         """The cameras that measure a robot and were within its motion a short while ago, and those that are within it now."""

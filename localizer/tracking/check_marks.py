@@ -14,18 +14,20 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from localizer.camera_model import LocalLinearization, RefractiveCamera
+from localizer.camera_model import LARGEST_FOLD_PX, Intrinsics, LocalLinearization, RefractiveCamera, fold_px
 from localizer.detection.fiducials import find_markers, marker_detector
 from localizer.detection.image_regions import ImageRegion, Pixels, cut, whole
 from localizer.tracking.camera_pose import FixedCameraPose, corners_of, fit_camera_pose
 from wire.config.experiment import Experiment
 from wire.config.perception import LANDMARKS_NEEDED, Camera, Landmark, MarkerFamily
 from wire.frames import Array, wrap
+from wire.toml_loader import ConfigError
 
 REACH_PX = 40.0  # px around a mark in which it is looked for; when most are farther off, the whole picture is searched
 SHIFTED_PX = 1.5  # px; ripples shift a mark by 0.3 px, and calibrations are good to 0.5 px
 KNOCKED_PX = 8.0  # px; waves of 5 mm shift a mark by 3 px (0.05 rad, 0.25 of it over 1 m, 300 px/m)
 READINGS = 5  # of a mark, of which the median counts; read in turns, four marks at 20 Hz have theirs within a second
+_EARLY_MARKS = 2  # marks of the last pictures that are enough to doubt the poses, not to blame the camera
 LEAST_DROP_M = 0.01  # m of water level that is told; ripples of 0.3 px make 5 mm of it with four marks on the floor
 MOST_DROP_M = 0.2  # m; marks must be deeper than this to tell the level
 _LEVEL_STEP_M = 1e-3  # m, step of the difference that gives the shifts' slope over the water level
@@ -34,14 +36,25 @@ _LEVEL_ROUNDS = 5  # Gauss-Newton iterations; the shifts are linear in the level
 
 def with_camera(experiment: Experiment, camera: str) -> Experiment:
     """The experiment with one of several cameras alone, and those of the check marks that its picture shows whole; as it is
-    for "", the only camera. Raises ConfigError if there is no such camera."""
+    for "", the only camera. Raises ConfigError if there is no such camera, or if its lens cannot be undone."""
     alone = experiment.of_camera(camera)
+    _check_lens(alone)
     if not camera or not alone.check_marks:
         return alone
     pixels = RefractiveCamera(alone.camera).pool_to_pixel(np.array([corners_of(mark) for mark in alone.check_marks]))
     inside = np.all((pixels >= 0.0) & (pixels <= np.array(alone.camera.size_px) - 1.0), axis=(1, 2))
     marks = tuple(mark for mark, seen in zip(alone.check_marks, inside, strict=True) if seen)
     return alone.model_copy(update={"check_marks": marks})
+
+
+def _check_lens(experiment: Experiment) -> None:
+    camera = experiment.camera
+    if (fold := fold_px(Intrinsics.of(camera))) > LARGEST_FOLD_PX:
+        raise ConfigError(
+            f"{experiment.name}: camera.distortion = {list(camera.distortion)}: cannot be undone at the picture's edge "
+            f"({fold:.1f} px off), so places there would be wrong: calibrate again (docs/calibration.md), or take a lens "
+            "that is less wide"
+        )
 
 
 class CheckedCameraPose(FixedCameraPose):
@@ -57,7 +70,7 @@ class CheckedCameraPose(FixedCameraPose):
         self._detector = marker_detector(family)
         self._readings = [deque[Array | None](maxlen=READINGS) for _ in marks]  # corners (4, 2) px; None: not seen
         self._frames = 0
-        self._covariance = np.zeros((3, 3))
+        self._covariance = self._early = np.zeros((3, 3))
         self._searched = False  # in the whole picture, since most marks were not seen
         self._verdict = ""  # on the camera or the water; empty if both are as the experiment says
         self.moved = self.marks_seen = False
@@ -76,17 +89,34 @@ class CheckedCameraPose(FixedCameraPose):
         elif turn == 0 or not self._searched:  # as after a hard knock: a look at the whole picture at once, then one a round
             self._read(range(len(self._ids)), whole(frame))
             self._searched = True
+        self._early = self._early_covariance(turn)
         last = {k: px for k, readings in enumerate(self._readings) if readings and (px := readings[-1]) is not None}
         knocked = {k: px for k, px in last.items() if self._shift_px(k, px) > KNOCKED_PX}
         if 2 * len(knocked) > max(len(last), 2):
             self._judge(knocked)  # what was read before the knock counts no more
         elif turn == len(self._ids) - 1:
             known = self._known()
-            self._judge({k: np.median(known[k], axis=0) for k in last if len(known[k]) > READINGS // 2})
+            # of an even number the median would be half-way between the old and the new
+            odd = {k: known[k][1 - len(known[k]) % 2 :] for k in last if len(known[k]) > READINGS // 2}
+            self._judge({k: np.median(readings, axis=0) for k, readings in odd.items()})
 
     def uncertainty(self, tangents: Sequence[LocalLinearization], depths_m: Sequence[float]) -> Array:
         """Covariances (n, 3, 3) of [x, y, yaw]: of the shift that the marks show, the same everywhere in the pool."""
-        return np.tile(self._covariance, (len(tangents), 1, 1))
+        covariance = self._covariance if self._verdict else np.maximum(self._covariance, self._early)
+        return np.tile(covariance, (len(tangents), 1, 1))
+
+    def _early_covariance(self, turn: int) -> Array:
+        """Covariance (3, 3) of the shift that the marks of the last pictures show, if they have moved alike: poses do not wait
+        for the verdict on a small knock, for which waves could be to blame. Waves move each mark another way."""
+        marks = sorted({(turn - back) % len(self._ids) for back in range(_EARLY_MARKS)})
+        seen = {k: px for k in marks if self._readings[k] and (px := self._readings[k][-1]) is not None}
+        if len(seen) < _EARLY_MARKS:
+            return np.zeros((3, 3))
+        shifts = np.array([(px - self._expected_px[k]).mean(axis=0) for k, px in seen.items()])
+        mean = shifts.mean(axis=0)
+        alike = np.linalg.norm(shifts - mean, axis=1).max() < max(SHIFTED_PX / 2.0, 0.5 * float(np.linalg.norm(mean)))
+        moved = np.linalg.norm(shifts, axis=1).min() > SHIFTED_PX
+        return self._shift_covariance(seen) if moved and alike else np.zeros((3, 3))
 
     def _read(self, marks: Sequence[int], region: ImageRegion | None) -> None:
         """Keep what a region of the picture shows of some marks; where there is no region, that they are not seen."""

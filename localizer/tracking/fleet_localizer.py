@@ -28,19 +28,24 @@ from localizer.detection.fiducials import MarkerPose, MarkerReader
 from localizer.detection.image_regions import ImageRegion, Pixels, RobotShape, cut, whole
 from localizer.sources.health import FrameHealthMonitor
 from localizer.tracking.appearance import LEARNT_AT_MARKERS, LEARNT_AT_MATCHES, AppearanceModel
+from localizer.tracking.attitude_check import AttitudeCheck
 from localizer.tracking.basin_gate import BasinGate
 from localizer.tracking.camera_pose import CameraPoseTracker, FixedCameraPose
 from localizer.tracking.check_marks import CheckedCameraPose
+from localizer.tracking.depth_memory import DepthMemory
 from localizer.tracking.hull_lean import LeanReader
-from localizer.tracking.observation import KCF_NOISE, Depth, PredictedView, depths_of
+from localizer.tracking.marker_sizes import MarkerSizes
+from localizer.tracking.observation import Depth, PredictedView, depths_of
 from localizer.tracking.robot_track import RobotTrack, close_pairs
-from localizer.tracking.tilt import Attitude, MotionEstimate, TiltModel
+from localizer.tracking.tilt import Attitude, MotionEstimate, TiltModel, body_to_level
+from localizer.tracking.twin_markers import TwinMarkers
 from wire.config.experiment import Experiment
 from wire.config.scene import Circle, PathSpec, Route
 from wire.frames import Array
 from wire.messages.messages import CameraHealth, LocalizerStatus, Pose, Track
 
 _STRIPS = 5  # frames in which the whole picture is scanned while a robot is lost, a strip in each (3 ms); more find it later
+_TWINS_EVERY = 5  # frames between strips that are scanned while no robot is lost, for a second marker of one id
 _STRANGE_SCANS = 2  # scans in a row that must show a foreign marker before it is told; a misreading does not repeat
 _LEARN_EVERY = 4  # frames between updates (and peaks) of an appearance, robots taking turns: light changes slowly
 _LEARNING_RATE = 0.03  # per update: follows the light in 7 s, and is slow enough for an arm over the robot
@@ -71,6 +76,7 @@ class _Located:
     frame: Pixels
     depths: tuple[Depth, ...]
     views: Mapping[int, PredictedView]
+    reported: frozenset[int]  # robots whose boards reported their attitude
 
 
 class FleetLocalizer:
@@ -88,6 +94,7 @@ class FleetLocalizer:
         self.radius_m, self.marker_height_m = vehicle.radius_m, vehicle.marker.height_m
         self._side_m, self._settings = vehicle.marker.side_m, settings
         self._start = start_poses(experiment)
+        self._depths = DepthMemory(experiment, self._start[:, 2].tolist())
         self._watch = FrameHealthMonitor(experiment.camera.size_px, settings.frozen_frames)
         markers = {robot.marker: index for index, robot in enumerate(experiment.robots)}
         self._reader = MarkerReader(vehicle.marker.side_m, markers, settings.marker_family)
@@ -103,6 +110,7 @@ class FleetLocalizer:
             len(self._ids), hull, settings.template_px, LEARNT_AT_MARKERS if settings.markers else LEARNT_AT_MATCHES
         )
         self._landmark_ids = {mark.id for mark in experiment.marks}
+        self._twins, self._sizes = TwinMarkers(vehicle.radius_m), MarkerSizes(len(self._ids))
         self._foreign_scans: dict[int, int] = {}  # id of a foreign marker -> scans in a row
         self._foreign_ids: set[int] = set()  # in the strips of the present scan
         self._tracks = [RobotTrack() if settings.markers else RobotTrack.at_start(s[[0, 1, 3]]) for s in self._start]
@@ -110,6 +118,7 @@ class FleetLocalizer:
         self._tilt = TiltModel.of(vehicle, settings.tilt_sigma_rad, settings.tilt_rad_per_n)
         self._attitudes: list[Attitude | None] = [None] * len(self._ids)  # at the present exposure
         self._leans_before = self._attitudes  # in the frame before
+        self._attitude_check = AttitudeCheck(len(self._ids))
         self._lean_reader = LeanReader(vehicle) if settings.tilt_from_outline and settings.markers else None
         self._stamp_ns: int | None = None
         self._frames = 0
@@ -134,7 +143,7 @@ class FleetLocalizer:
         self._frames += 1
         self._located = None
         camera = self._watch.assess(frame)
-        depths = depths_of(self._experiment, self._start[:, 2].tolist(), depths_m, attitudes)
+        depths = depths_of(self._experiment, self._depths.update(depths_m, stamp_ns), attitudes)
         self._leans_before = self._attitudes if self._lean_reader is not None else [None] * len(self._ids)
         self._attitudes = [attitudes.get(robot) for robot in self._ids]
         self._predict(stamp_ns)
@@ -147,7 +156,8 @@ class FleetLocalizer:
                 self._match_appearance([v for i, v in views.items() if self._needs_match(i)])
                 self._read_leans(frame, views)
                 self._doubt_close_pairs()
-                self._located = _Located(frame, depths, views)
+                reported = frozenset(i for i, robot in enumerate(self._ids) if robot in attitudes)
+                self._located = _Located(frame, depths, views, reported)
         tracks = [track.end_of_frame(self._settings.lost_after_s) for track in self._tracks]
         self._tracks = [track.lost() if self._coasts_outside(track) else track for track in tracks]
         self._estimate_motion()
@@ -168,6 +178,7 @@ class FleetLocalizer:
             return
         self._match_appearance([v for i, v in located.views.items() if self._is_lost(i)])
         self._scan(located)
+        self._check_attitude(located)
         if self._camera_pose.fresh:
             self._update_appearance(located.views)
 
@@ -192,14 +203,24 @@ class FleetLocalizer:
     ) -> dict[int, PredictedView]:
         plates_m = [depths[i].plate_m for i in places]
         tangents = self.view.linearize(list(places.values()), plates_m)
-        views, slope_rad = {}, self._settings.surface_slope_rad
+        views, slope_rad, tilts_rad = {}, self._settings.surface_slope_rad, self._tilts_rad()
         for i, tangent, mapping in zip(places, tangents, self._camera_pose.uncertainty(tangents, plates_m), strict=True):
             sigma_m = sigmas_m[i] + float(np.sqrt(mapping[0, 0] + mapping[1, 1]))
             around_m = _REGION_SIGMAS * min(sigma_m, _WIDEST_SIGMA_M)
             region = cut(frame, tangent.pixel, (self._appearance.reach_m + around_m) * tangent.px_per_m)
             plate = cut(frame, tangent.pixel, (self._plate_reach_m + around_m) * tangent.px_per_m)
             if region is not None:
-                views[i] = PredictedView(i, self.radius_m, depths[i], slope_rad, tangent, mapping, region, plate or region)
+                views[i] = PredictedView(
+                    i,
+                    self.radius_m,
+                    depths[i],
+                    body_to_level(*tilts_rad[i]),
+                    slope_rad,
+                    tangent,
+                    mapping,
+                    region,
+                    plate or region,
+                )
         return views
 
     def _read_markers(self, frame: Pixels, depths: Sequence[Depth], views: dict[int, PredictedView]) -> None:
@@ -222,17 +243,37 @@ class FleetLocalizer:
         for i, track in enumerate(self._tracks):
             if i in readings and i in views:
                 reading = views[i].marker(readings[i], self._side_m, self._settings.corner_sigma_px)
+                self._sizes.note(i, readings[i].size)
                 measurement = track.at_stamp(reading, self._late_s(views[i]))
                 self._tracks[i] = track.with_marker(measurement, self.radius_m)
             elif track.motion is not None and self._is_occupied(track.motion.position_m, i, readings):
                 self._tracks[i] = track.contradicted()
+            if self._twins.is_twin(i, self._frames):
+                self._tracks[i] = self._tracks[i].unverified()
 
     def _read(self, regions: Sequence[ImageRegion], plates_m: Array, tilts_rad: Array) -> dict[int, MarkerPose]:
         """Markers by robot in regions of the picture, those left out that lie where no robot can be."""
-        readings = self._reader.read(self.view, regions, plates_m, tilts_rad)
-        outside = [i for i, r in readings.items() if not self._gate.admits(self.view, r.pose[:2], float(plates_m[i]))]
-        self._outside_frames.update(dict.fromkeys(outside, self._frames))
-        return {i: reading for i, reading in readings.items() if i not in outside}
+        readings, seen = dict[int, MarkerPose](), self._reader.read(self.view, regions, plates_m, tilts_rad)
+        for i, size in self._reader.strange_sizes.items():
+            if i not in seen and self._is_lost(i):
+                self._sizes.note_strange(i, size, self._frames)
+        for i, found in seen.items():
+            inside = [r for r in found if self._gate.admits(self.view, r.pose[:2], float(plates_m[i]))]
+            if not inside:
+                self._outside_frames[i] = self._frames
+                continue
+            poses, near = [r.pose for r in inside], self._near_track(i, inside)
+            self._twins.note(i, poses, self._frames)
+            if near or not (self._twins.are_apart(poses) or self._twins.is_twin(i, self._frames)):
+                readings[i] = min(near or inside, key=lambda reading: reading.misfit)
+        return readings
+
+    def _near_track(self, robot: int, readings: Sequence[MarkerPose]) -> list[MarkerPose]:
+        """Those of a robot's readings that are where it is followed to."""
+        motion = self._tracks[robot].motion
+        if motion is None or self._is_lost(robot):
+            return []
+        return [r for r in readings if math.dist(r.pose[:2], motion.position_m) <= self.radius_m]
 
     def _claim_regions(self, frame: Pixels, depths: Sequence[Depth], views: Mapping[int, PredictedView]) -> list[ImageRegion]:
         """Regions around claims (markers read once) of lost robots, and where their robot is not expected."""
@@ -261,7 +302,7 @@ class FleetLocalizer:
             track = self._tracks[view.robot]
             alone = self._clearance_m(view.robot, match.pose) > self.radius_m
             clear = alone and view.shows(match.pose) and self._gate.admits(self.view, match.pose[:2], view.depth.plate_m)
-            measurement = view.measurement(match.pose, KCF_NOISE, match.covariance, match.peak)
+            measurement = view.measurement(match.pose, self._appearance.recognition.noise, match.covariance, match.peak)
             dated = track.at_stamp(measurement, self._late_s(view))
             self._tracks[view.robot] = track.with_match(dated, self._settings.min_peak) if clear else track
 
@@ -277,6 +318,19 @@ class FleetLocalizer:
             self._attitudes[i] = self._lean_reader.read(
                 self.view, frame, view.tangent, plate, view.depth.centre_m, self._settings.surface_slope_rad
             )
+
+    def _check_attitude(self, located: _Located) -> None:
+        """Hold the attitude that one robot's board reports against the lean of its hull; robots take turns."""
+        robot = self._frames % len(self._ids)
+        view, told = located.views.get(robot), self._attitudes[robot]
+        measured = self._tracks[robot].measured
+        if self._lean_reader is None or view is None or measured is None or robot not in located.reported or told is None:
+            return
+        plate = self._tracks[robot].at_row(measured.pose, self._late_s(view))
+        slope_rad = self._settings.surface_slope_rad
+        shown = self._lean_reader.read(self.view, located.frame, view.tangent, plate, view.depth.centre_m, slope_rad)
+        if shown is not None:
+            self._attitude_check.note(robot, told, shown)
 
     def _doubt_close_pairs(self) -> None:
         for pair in close_pairs(self._tracks, _TOUCHING * self.radius_m):
@@ -324,24 +378,31 @@ class FleetLocalizer:
             ("seen outside the pool or in a mask: robot", outside),
             ("identity not verified: robot", doubted),
             ("in view, but no robot's: marker", strange),
+            ("in view twice: the marker of robot", [str(self._ids[i]) for i in self._twins.twins(self._frames)]),
         )
-        said = [f"{what} {', '.join(ids)}" for what, ids in parts if ids]
+        said = [f"{what} {', '.join(ids)}" for what, ids in parts if ids] + self._sizes.in_words(self._ids, self._frames)
+        said += self._attitude_check.in_words(self._ids)
         return "; ".join([self._camera_pose.trouble, *said] if self._camera_pose.trouble else said)
 
     def _scan(self, located: _Located) -> None:
         """While a robot is lost, read the markers where it was lost and in the picture's next strip; in all of the picture in
         every fifth frame as long as no robot is followed. What is found is a claim, which the next frame confirms."""
         lost = [self._is_lost(i) for i in range(len(self._tracks))]
-        if not self._settings.markers or not any(lost):
+        if not self._settings.markers or not (any(lost) or self._frames % _TWINS_EVERY == 0):
             return
         regions, strip = [view.region for i, view in located.views.items() if lost[i]], self._frames % _STRIPS
-        if not all(lost):
+        if not any(lost):
+            regions.append(self._strip(located.frame, self._frames // _TWINS_EVERY % _STRIPS))
+        elif not all(lost):
             regions.append(self._strip(located.frame, strip))
         elif strip == 1:
             regions.append(whole(located.frame))
         plates_m = np.array([depth.plate_m for depth in located.depths])
         for i, reading in self._read(regions, plates_m, self._tilts_rad()).items():
-            self._tracks[i] = self._tracks[i].with_scan(reading.pose, self.radius_m)
+            if lost[i] or not self._near_track(i, [reading]):
+                self._tracks[i] = self._tracks[i].with_scan(reading.pose, self.radius_m)
+        if not any(lost):
+            return
         self._foreign_ids |= self._reader.foreign_ids - self._landmark_ids
         if all(lost) or strip == 0:
             self._foreign_scans = {i: self._foreign_scans.get(i, 0) + 1 for i in sorted(self._foreign_ids)}

@@ -5,7 +5,7 @@ markers' corners (`localizer.corner_sigma_px`) on pictures of another renderer (
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,9 +14,10 @@ from localizer import kernels
 from localizer.camera_model import LocalLinearization
 from localizer.detection.fiducials import MarkerPose
 from localizer.detection.image_regions import BodyProjection, ImageRegion
+from localizer.tracking.depth_memory import KnownDepth
 from localizer.tracking.tilt import Attitude
 from wire.config.experiment import Experiment
-from wire.frames import Array
+from wire.frames import Array, body_to_pool
 
 
 @dataclass(frozen=True)
@@ -30,11 +31,13 @@ class MeasurementNoise:
     rim_px: float
     centre_share: float = 0.0
     rim_share: float = 0.0
+    lean_px: float = 0.0  # error, along the way of the hull's top, over that way in radii of the hull
 
 
-KCF_NOISE = MeasurementNoise(centre_px=0.2, rim_px=0.22, centre_share=0.008, rim_share=0.008)
-_DEPTH_ASSUMED_SIGMA_M = 0.05  # m, of the experiment's depth, for a robot that reported none
-_SHALLOWEST_M = -0.2  # m, least depth that is believed: a robot lying on the surface
+# Of a robot whose marker is covered: what covers it hides part of the robot, too.
+COVERED_NOISE = MeasurementNoise(centre_px=0.2, rim_px=0.22, centre_share=0.008, rim_share=0.008)
+# Of a robot without marker. Light and rim stay where they are when a hull leans: of the way of its top they hide so much.
+LOOKS_NOISE = MeasurementNoise(centre_px=0.04, rim_px=0.05, centre_share=0.003, rim_share=0.003, lean_px=1.6)
 # Corners that are farther from a square than so many standard deviations of a corner are an error. Found well they are 0.7
 # from it: a corner's error turns and moves the square more than it deforms it.
 _CORNER_SIGMAS = 1.4
@@ -62,21 +65,17 @@ class Depth:
     centre_m: float
     plate_m: float
     sigma_m: float
+    above_m: float = 0.0  # height of the plate over the centre while the robot is level
 
 
-def depths_of(
-    experiment: Experiment, start_m: Sequence[float], reported_m: Mapping[int, float], attitudes: Mapping[int, Attitude]
-) -> tuple[Depth, ...]:
-    """Every robot's depth, (robots,), in the experiment's order: as reported (by id), or as at the start."""
-    height_m, deepest_m = experiment.vehicle.marker.height_m, experiment.pool.size_m[2]
-    known_sigma_m = experiment.localizer.depth_sigma_m
+def depths_of(experiment: Experiment, known: Mapping[int, KnownDepth], attitudes: Mapping[int, Attitude]) -> tuple[Depth, ...]:
+    """Every robot's depth, (robots,), in the experiment's order, from that of its centre (by id)."""
+    height_m = experiment.vehicle.marker.height_m
     depths = []
-    for robot_id, start in zip(experiment.robot_ids, start_m, strict=True):
-        depth = reported_m.get(robot_id, float("nan"))
-        known = _SHALLOWEST_M <= depth <= deepest_m
-        centre = depth if known else float(start)
+    for robot_id in experiment.robot_ids:
+        centre = known[robot_id].centre_m
         up_m = attitudes[robot_id].above_m(height_m)[2] if robot_id in attitudes else height_m
-        depths.append(Depth(centre, centre - up_m, known_sigma_m if known else max(known_sigma_m, _DEPTH_ASSUMED_SIGMA_M)))
+        depths.append(Depth(centre, centre - up_m, known[robot_id].sigma_m, height_m))
     return tuple(depths)
 
 
@@ -87,6 +86,7 @@ class PredictedView:
     robot: int
     radius_m: float
     depth: Depth
+    body_to_level: Array  # (3, 3), rotation by roll and pitch, as far as they are known
     slope_rad: float  # standard deviation of the water's slope, which bends the line of sight by (1 - 1/n) of it
     tangent: LocalLinearization
     mapping: Array  # (3, 3), covariance of [x, y, yaw] here due to the error of the camera's pose
@@ -121,12 +121,24 @@ class PredictedView:
         """Projection of the robot's body at `pose` [x, y, yaw]."""
         c, s = np.cos(pose[2]), np.sin(pose[2])
         at = self.tangent
-        return BodyProjection(at.nearby_px(pose[:2]), at.pool_to_px @ np.array([[c, -s], [s, c]]), at.down_px)
+        to_pool = np.array([[c, -s], [s, c]])
+        sight = np.append(-self.tangent.jacobian[:, 2] @ to_pool, -1.0)  # up along the line of sight, on level axes
+        return BodyProjection(
+            at.nearby_px(pose[:2]),
+            np.column_stack([at.pool_to_px @ to_pool, at.down_px]) @ self.body_to_level,
+            sight / np.linalg.norm(sight) @ self.body_to_level,
+        )
+
+    def top_m(self, pose: Array) -> Array:
+        """Place (2,), in the pool, of the hull's top from its centre, as far as the lean of the robot at `pose` is known."""
+        return body_to_pool(-self.depth.above_m * self.body_to_level[:2, 2], float(pose[2]))
 
     def measurement(self, pose: Array, noise: MeasurementNoise, own: Array, peak: float = 0.0) -> TrackMeasurement:
         """A measurement of `pose`: its covariance sums the picture's noise, moving water, depth error, the camera's pose
         error, and its `own` part (3, 3), from the residuals of this one."""
         wave_m = 0.25 * self.slope_rad * max(self.depth.plate_m, 0.0)
+        lean_m = noise.lean_px / self.tangent.px_per_m * self.top_m(pose) / self.radius_m
+        own = own + np.pad(np.outer(lean_m, lean_m), (0, 1))
         round_m2 = wave_m**2 + (noise.centre_share * self.radius_m) ** 2
         yaw_rad2 = (noise.rim_px / (self.tangent.px_per_m * self.radius_m)) ** 2 + noise.rim_share**2
         covariance = np.empty((3, 3))

@@ -30,6 +30,7 @@ it.
                                                                                                   peak, outside gate or reach;
                                                                                                   for all but match: coasting,
                                                                                                   and not the third steady one
+    unverified         its marker is in view twice                verified = False                -
     identity_doubted   another robot is believed close            verified = False                state is MARKER
     end_of_frame       no measurement in this frame               state COAST, or LOST with       measured, or LOST before
                                                                   verified = False
@@ -63,6 +64,7 @@ _MATCH_REACH_M = 0.05  # m, farthest that a match may be from the prediction, ho
 # A robot that coasts or is lost is matched in so many pictures in a row before it counts, with steady offsets from the
 # prediction: a robot accelerates by 0.3 m/s^2 (1 mm from picture to picture), a match that jumps about or slides more.
 _MATCHES_NEEDED, _SAME_OFFSET = 3, np.array([0.005, 0.005, 0.05])
+_STEADY_SIGMAS = 4.0  # of a match: of a robot 10 px across one match alone is as far off; a change between three adds up
 # A claim is dropped when both limits have passed without a second reading. A visible marker is read ten times in 0.5 s; the
 # number of pictures leaves time to a slow camera or a busy computer.
 _CLAIM_S, _CLAIM_PICTURES = 0.5, 3
@@ -103,14 +105,15 @@ class ProvisionalMatch:
     step: Array | None = None
     count: int = 1
 
-    def continued(self, offset: Array, unseen_s: float, speed_sigma: Array) -> "ProvisionalMatch":
-        """The claim with one more match; the count begins anew where it moved otherwise than a robot whose velocity is known
-        to `speed_sigma` (3,) [m/s, m/s, rad/s]."""
+    def continued(self, offset: Array, unseen_s: float, speed_sigma: Array, sigma: Array) -> "ProvisionalMatch":
+        """The claim with one more match, of standard deviations `sigma` (3,); the count begins anew where it moved otherwise
+        than a robot whose velocity is known to `speed_sigma` (3,) [m/s, m/s, rad/s]."""
         step = offset - self.offset
         step[2] = wrap(float(step[2]))
         steady = np.zeros(3) if self.step is None else step - self.step
-        may = _SAME_OFFSET + (unseen_s - self.unseen_s) * speed_sigma
-        same = bool(np.all(np.abs(step) <= may) and np.all(np.abs(steady) <= _SAME_OFFSET))
+        same_offset = np.maximum(_SAME_OFFSET, _STEADY_SIGMAS * sigma)
+        may = same_offset + (unseen_s - self.unseen_s) * speed_sigma
+        same = bool(np.all(np.abs(step) <= may) and np.all(np.abs(steady) <= same_offset))
         return ProvisionalMatch(offset, unseen_s, step, self.count + 1) if same else ProvisionalMatch(offset, unseen_s)
 
 
@@ -145,8 +148,9 @@ class RobotTrack:
     def with_marker(self, measurement: TrackMeasurement, jump_m: float) -> "RobotTrack":
         """The track after its marker was read, as in the table above.
 
-        A reading farther than `jump_m` from where a followed track can be contradicts it. A nearer one is right whatever
-        the prediction was (a push, a stamp off by a frame): outside the gate only the velocity is reset.
+        A reading farther than `jump_m` from where a followed track can be contradicts it. A nearer one may be right whatever
+        the prediction was (a push), or be of an old picture: outside the gate the velocity is reset, and the leap enters the
+        covariance of this frame's pose.
         """
         if not measurement.finite:
             return self
@@ -155,9 +159,14 @@ class RobotTrack:
             assert self.motion is not None
             verified_now = self.verified or agreed
             updated, squared = update(self.motion, measurement.pose, measurement.covariance)
-            motion = updated if squared <= GATE else None
             claim = None if verified_now else Claim(measurement.pose)
-            return self._measured(measurement, motion, Track.MARKER, verified_now, claim)
+            if squared <= GATE:
+                return self._measured(measurement, updated, Track.MARKER, verified_now, claim)
+            leap = measurement.pose - self.motion.mean[:3]
+            leap[2] = wrap(float(leap[2]))
+            doubted = replace(measurement, covariance=measurement.covariance + np.outer(leap, leap))
+            anew = initial_state(measurement.pose, measurement.covariance)
+            return self._measured(doubted, anew, Track.MARKER, verified_now, claim)
         if agreed:
             return self._measured(measurement, None, Track.MARKER, verified=True, claim=None)
         return replace(self.contradicted(), claim=Claim(measurement.pose))
@@ -205,7 +214,8 @@ class RobotTrack:
             speed_sigma = np.sqrt(np.diag(self.motion.covariance)[3:])
             before = self.match
             first = ProvisionalMatch(offset, self.unseen_s)
-            match = first if before is None else before.continued(offset, self.unseen_s, speed_sigma)
+            sigma = np.sqrt(np.diag(measurement.covariance))
+            match = first if before is None else before.continued(offset, self.unseen_s, speed_sigma, sigma)
             if match.count < _MATCHES_NEEDED:
                 return replace(matched, match=match)
         return matched._measured(measurement, None if lost else updated, Track.KCF, self.verified, self.claim)
@@ -224,6 +234,10 @@ class RobotTrack:
     def identity_doubted(self) -> "RobotTrack":
         """The track when another robot nearly touches it: not verified, unless its state is MARKER."""
         return self if self.state is Track.MARKER else replace(self, verified=False)
+
+    def unverified(self) -> "RobotTrack":
+        """The track of a robot whose marker is in view twice: it may be the other one."""
+        return replace(self, verified=False)
 
     def end_of_frame(self, lost_after_s: float) -> "RobotTrack":
         """The track after all updates: without a measurement it coasts, and after `lost_after_s` of that it is lost."""

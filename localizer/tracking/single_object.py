@@ -21,8 +21,10 @@ _LEARN_EVERY = 8  # pictures between updates, each of which costs as much as det
 _LEARNING_RATE = 0.08  # per update
 _FAR_SHIFT = 1.5  # samples; the window biases a shift towards zero, so a larger one is measured a second time
 _SPEED_MEMORY = 0.5  # share of the old velocity per picture
+_TURN_MEMORY = 0.98  # of the old turn rate: without a loss small errors of the rings add up to a rate that there is not
 _FLAT = RobotShape(radius_m=0.0, top_m=0.0, plate_half_m=np.inf)
 _ONE = np.zeros(1, dtype=np.intp)
+_UP = np.array([0.0, 0.0, -1.0])
 
 
 class SingleObjectTracker:
@@ -64,7 +66,9 @@ class SingleObjectTracker:
         if peaks[0] > _LEAST_TURN_PEAK:
             turned_rad = turns[0, 0] * 2.0 * np.pi / self._sampler.angles
             self._pose[2] += turned_rad
-            self._speed[2] += (1.0 - _SPEED_MEMORY) * turned_rad / _TURN_EVERY
+            self._speed[2] = _TURN_MEMORY * self._speed[2] + (1.0 - _SPEED_MEMORY) * turned_rad / _TURN_EVERY
+        else:  # a rate that nothing confirms turns the patch on and on
+            self._speed[2] *= _SPEED_MEMORY
 
     def _learn(self, picture: Pixels, rate: float) -> None:
         rates = np.full(1, rate, np.float32)
@@ -79,7 +83,7 @@ class SingleObjectTracker:
 
     def _projection(self) -> BodyProjection:
         """The map from the target's axes to the picture: a metre of the sampler is a pixel."""
-        return BodyProjection(self._pose[:2], self._turned(), np.zeros(2))
+        return BodyProjection(self._pose[:2], np.column_stack([self._turned(), np.zeros(2)]), _UP)
 
     def _turned(self) -> Array:
         c, s = np.cos(self._pose[2]), np.sin(self._pose[2])

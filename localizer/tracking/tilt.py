@@ -51,6 +51,12 @@ class Attitude:
         return -up * np.sin(self.pitch_rad), height_m * np.sin(self.roll_rad), up * np.cos(self.pitch_rad)
 
 
+def body_to_level(roll_rad: float, pitch_rad: float) -> Array:
+    """Rotation (3, 3) from the body's axes (ahead, to starboard, down) to level ones with the same heading: Ry(p) Rx(r)."""
+    cr, sr, cp, sp = np.cos(roll_rad), np.sin(roll_rad), np.cos(pitch_rad), np.sin(pitch_rad)
+    return np.array([[cp, sp * sr, sp * cr], [0.0, cr, -sr], [-sp, cp * sr, cp * cr]])
+
+
 @dataclass(frozen=True)
 class MotionEstimate:
     """Position, velocity (2,) and acceleration (2,) of a robot's plate, pool frame, and the tilt `residual_tilt_rad` that

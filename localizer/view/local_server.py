@@ -40,9 +40,12 @@ def bind(port: int, option: str) -> socket.socket:
 class LocalServer:
     """A thread that serves `routes` at a socket of `bind`, to requests for this machine by its own names only."""
 
-    def __init__(self, routes: Sequence[BaseRoute], options: WebOptions, bound: socket.socket, stop: Stop) -> None:
+    def __init__(
+        self, routes: Sequence[BaseRoute], options: WebOptions, bound: socket.socket, stop: Stop, longest_body: int = 0
+    ) -> None:
+        """`longest_body`: bytes of a request."""
         config = uvicorn.Config(
-            Guarded(Starlette(routes=routes, exception_handlers={Exception: _failed}), options),
+            Guarded(Starlette(routes=routes, exception_handlers={Exception: _failed}), options, longest_body),
             loop="asyncio",
             ws="none",
             lifespan="off",

@@ -70,7 +70,7 @@ def midpoint(
     )  # fmt: skip
 
 
-@kernel("void(f8[:,::1], f8, c16, f8[::1], f8, f8[::1], f8, f8, f8[::1])")
+@kernel("void(f8[:,::1], f8, c16, f8[::1], f8, f8[::1], f8, f8, f8[::1])", part=True)
 def advance_node(
     model: Array,
     sway: float,
@@ -155,7 +155,8 @@ def bounds(thrust: float, limit: float, most: float, h: float) -> tuple[float, f
 
 @kernel(
     "f8(f8[:,::1], f8, c16, f8[::1], f8, f8[:,::1], f8[::1], f8[::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,:,::1],"
-    " f8[:,::1], f8, f8[:,::1], f8[:,::1])"
+    " f8[:,::1], f8, f8[:,::1], f8[:,::1])",
+    part=True,
 )
 def fly(
     model: Array,
@@ -223,7 +224,8 @@ def least_in_box(
 
 @kernel(
     "void(f8[:,::1], f8, c16, f8[::1], f8, f8[:,::1], f8[::1], f8[::1], f8[:,::1], f8[:,::1], f8[:,::1], f8,"
-    " f8[:,:,::1], f8[:,:,::1], f8[:,::1])"
+    " f8[:,:,::1], f8[:,:,::1], f8[:,::1])",
+    part=True,
 )
 def improve(
     model: Array,

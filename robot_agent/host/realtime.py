@@ -9,12 +9,14 @@ import gc
 import os
 import resource
 import sys
+import threading
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
 from robot_agent.host.config import RealtimeConfig
 
+HIGHEST = 99  # real-time priority of Linux
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
 _MCL_ONFAULT = 4  # lock pages at first use: unused stacks and pools of threads would take another 250 MB
 _GOVERNOR = Path("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor")
@@ -57,15 +59,34 @@ def _pin(cores: Sequence[int]) -> None:
 
 
 def permitted() -> str:
-    """Text of this process's real-time permissions."""
+    """Text of this process's real-time permissions. The priority is tried: limits do not tell what a control group or missing
+    capabilities refuse."""
     if sys.platform != "linux":
         return "not Linux: no real-time options"
     most = resource.getrlimit(resource.RLIMIT_RTPRIO)[1]
     memory = resource.getrlimit(resource.RLIMIT_MEMLOCK)[1]
     root = os.geteuid() == 0
-    fifo = "any" if root else "none" if most == 0 else f"up to {most}"
+    highest = HIGHEST if root or most == resource.RLIM_INFINITY else min(most, HIGHEST)
+    refusal = _refusal(highest) if highest else ""
+    fifo = f"none ({refusal})" if refusal else "none" if not highest else "any" if highest == HIGHEST else f"up to {highest}"
     lock = "all" if root or memory == resource.RLIM_INFINITY else f"{memory // 1024} KiB"
     return f"SCHED_FIFO priority: {fifo}; locked memory: {lock}; cores {_ranges(os.sched_getaffinity(0))}"
+
+
+def _refusal(priority: int) -> str:
+    """The reason why a thread of this process may not have a priority; empty if it may. Tried by one that ends at once."""
+    refusals: list[str] = []
+
+    def attempt() -> None:
+        try:
+            os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
+        except OSError as error:
+            refusals.append(error.strerror or str(error))
+
+    thread = threading.Thread(target=attempt, name="priority")
+    thread.start()
+    thread.join()
+    return "".join(refusals)
 
 
 def governor() -> str:

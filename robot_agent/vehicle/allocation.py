@@ -10,30 +10,53 @@ sign, so an ankle never turns over when surge reverses. What does not fit gives 
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wire.config.vehicle import Vehicle
 from wire.frames import Array
+from wire.kernel_types import Floats, Ints, Table
 from wire.kernels import kernel
 
 STEEPEST_RAD = math.radians(60.0)  # beyond, most of a thruster's force is spent on cancelling its neighbour
 CROSSING_N = 0.03  # g goes from -1 to 1 over +- this horizontal force: an ankle passes level while its thruster reverses
 
 
-@kernel("f8(f8, f8, f8, f8, f8)", part=True)
-def side_bias(idle_n: float, lift_n: float, side_n: float, ahead_n: float, astern_n: float) -> float:
+class ThrusterLegs(NamedTuple):
+    """ThrusterLegs of a vehicle, and what their thrusters and ankles can do."""
+
+    place: Table  # (4, 2): 1 fore or -1 aft, distance to starboard in m
+    idle_n: float
+    ahead_n: float  # the most that a thruster gives
+    astern_n: float
+    steepest_tan: float
+
+
+class PulseCurve(NamedTuple):
+    """Thrust and ankle angle of each pulse."""
+
+    thrust_n: Floats  # (pulses,), from `slowest_us` on
+    between_n: Floats  # (pulses - 1,): halfway between two pulses
+    slowest_us: int
+    neutral_us: int  # no thrust
+    level_us: float  # ankle level
+    us_per_rad: float
+
+
+@kernel(part=True)
+def side_bias(legs: ThrusterLegs, lift_n: float, side_n: float) -> float:
     """Bias of a side: what heave needs, or idle thrust if that is more; within what is left of the thrust there is.
 
     Idle thrust is whole when the side is quiet, and none once it pushes three times as hard.
     """
+    idle_n = legs.idle_n
     faded = idle_n * min(1.0, max(0.0, 1.5 - 0.5 * abs(side_n) / idle_n)) if idle_n > 0.0 else 0.0
-    room = min(ahead_n - abs(side_n), astern_n - abs(side_n))
+    room = min(legs.ahead_n - abs(side_n), legs.astern_n - abs(side_n))
     return max(0.0, min(max(lift_n, faded), room))
 
 
-@kernel("f8(f8, f8, f8, f8)", part=True)
+@kernel(part=True)
 def lifting_bias(port: float, starboard: float, heave_n: float, steepest_tan: float) -> float:
     """Bias that both sides need for a heave force at the steepest ankle angle; 0 where surge and yaw are enough.
 
@@ -46,115 +69,67 @@ def lifting_bias(port: float, starboard: float, heave_n: float, steepest_tan: fl
     return max(0.0, need - high) if need < 2.0 * high else 0.5 * need
 
 
-@kernel("void(f8[::1], f8[:,::1], f8, f8, f8, f8, f8[::1], f8[::1])")
-def allocate(
-    wrench: Array, legs: Array, idle_n: float, ahead_n: float, astern_n: float, steepest_tan: float, force: Array, angle: Array
-) -> None:
-    """Thruster forces (4,) in N and ankle angles (4,) in rad for a wrench (3,): surge first, then yaw, then heave.
-
-    `legs` (4, 2): 1 fore or -1 aft, distance to starboard in m; `ahead_n`, `astern_n`: the most a thruster gives.
-    """
+@kernel
+def allocate(wrench: Floats, legs: ThrusterLegs, force: Floats, angle: Floats) -> None:
+    """Thruster forces (4,) in N and ankle angles (4,) in rad for a wrench (3,): surge first, then yaw, then heave."""
     surge, heave, yaw = wrench[0], wrench[1], wrench[2]
-    mean = min(max(0.25 * surge, -astern_n), ahead_n)
-    room = min(ahead_n - mean, astern_n + mean)
-    turn = min(max(0.25 * yaw / abs(legs[0, 1]), -room), room)
+    mean = min(max(0.25 * surge, -legs.astern_n), legs.ahead_n)
+    room = min(legs.ahead_n - mean, legs.astern_n + mean)
+    turn = min(max(0.25 * yaw / abs(legs.place[0, 1]), -room), room)
     port, starboard = mean + turn, mean - turn
-    lift = lifting_bias(port, starboard, abs(heave), steepest_tan)
-    bias_port = side_bias(idle_n, lift, port, ahead_n, astern_n)
-    bias_starboard = side_bias(idle_n, lift, starboard, ahead_n, astern_n)
+    lift = lifting_bias(port, starboard, abs(heave), legs.steepest_tan)
+    bias_port, bias_starboard = side_bias(legs, lift, port), side_bias(legs, lift, starboard)
     lever, spare = 0.0, math.inf
     for i in range(4):
-        h = port + bias_port * legs[i, 0] if legs[i, 1] < 0.0 else starboard + bias_starboard * legs[i, 0]
+        fore = legs.place[i, 0]
+        h = port + bias_port * fore if legs.place[i, 1] < 0.0 else starboard + bias_starboard * fore
         g = min(max(h / CROSSING_N, -1.0), 1.0)
         force[i], angle[i] = h, g
         lever += h * g
-        spare = min(spare, (ahead_n if h >= 0.0 else astern_n) / max(abs(h), 1e-9))
+        spare = min(spare, (legs.ahead_n if h >= 0.0 else legs.astern_n) / max(abs(h), 1e-9))
     # Heave gives way: the steepest common tangent at which no thruster is asked for more than it has.
-    steepest = min(math.sqrt(max(spare * spare - 1.0, 0.0)), steepest_tan)
+    steepest = min(math.sqrt(max(spare * spare - 1.0, 0.0)), legs.steepest_tan)
     t = min(max(heave / lever, -steepest), steepest) if lever > 0.0 else 0.0
     for i in range(4):
         force[i] *= math.sqrt(1.0 + (t * angle[i]) ** 2)
         angle[i] = math.atan(t * angle[i])
 
 
-@kernel("void(f8[::1], f8[:,::1], f8, f8, f8, f8, f8[::1], i8, i8, f8, f8, f8[::1], f8[::1], i8[::1])", part=True)
-def allocate_pulses(
-    wrench: Array,
-    legs: Array,
-    idle_n: float,
-    ahead_n: float,
-    astern_n: float,
-    steepest_tan: float,
-    between_n: Array,
-    slowest_us: int,
-    neutral_us: int,
-    level_us: float,
-    us_per_rad: float,
-    force: Array,
-    angle: Array,
-    pulse: NDArray[np.int64],
-) -> None:
-    """Pulses (8,) in us for a wrench (3,): those with the nearest thrust of the curve and the nearest ankle angle.
+@kernel(part=True)
+def to_pulses(force: Floats, angle: Floats, curve: PulseCurve, pulse: Ints) -> None:
+    """Pulses (8,) in us for four forces and ankle angles: those with the nearest thrust of the curve and the nearest angle.
 
-    `between_n` (pulses - 1,): thrusts halfway between two pulses, from `slowest_us` on. The smallest thrust lies just outside
-    the dead zone; zero force is `neutral_us`. An ankle is level at `level_us`. See `allocate` for the rest.
+    The smallest thrust lies just outside the dead zone; zero force is neutral.
     """
-    allocate(wrench, legs, idle_n, ahead_n, astern_n, steepest_tan, force, angle)
     for i in range(4):
-        pulse[i] = neutral_us
+        pulse[i] = curve.neutral_us
         if force[i] != 0.0:
-            pulse[i] = slowest_us + np.searchsorted(between_n, force[i], "right")
-        pulse[4 + i] = int(np.rint(level_us + us_per_rad * angle[i]))
+            pulse[i] = curve.slowest_us + np.searchsorted(curve.between_n, force[i], "right")
+        pulse[4 + i] = int(np.rint(curve.level_us + curve.us_per_rad * angle[i]))
 
 
-@kernel("void(i8[::1], f8[:,::1], f8[::1], i8, f8, f8, f8[::1], f8[::1])")
-def deliver(
-    pulse: NDArray[np.int64],
-    legs: Array,
-    thrust_n: Array,
-    slowest_us: int,
-    level_us: float,
-    us_per_rad: float,
-    wrench: Array,
-    moment: Array,
-) -> None:
-    """Forward equations of the module: what pulses (8,) give by the curve `thrust_n` (pulses,), from `slowest_us` on: wrench
-    (3,), and the yaw moment of each leg (4,) in N m."""
+@kernel
+def deliver(pulse: Ints, legs: ThrusterLegs, curve: PulseCurve, wrench: Floats, moment: Floats) -> None:
+    """Forward equations of the module: what pulses (8,) give: wrench (3,), and the yaw moment of each leg (4,) in N m."""
     wrench[:] = 0.0
     for i in range(4):
-        force, angle = thrust_n[pulse[i] - slowest_us], (pulse[4 + i] - level_us) / us_per_rad
+        force = curve.thrust_n[pulse[i] - curve.slowest_us]
+        angle = (pulse[4 + i] - curve.level_us) / curve.us_per_rad
         level = force * math.cos(angle)
-        moment[i] = -legs[i, 1] * level
+        moment[i] = -legs.place[i, 1] * level
         wrench[0] += level
         wrench[1] += force * math.sin(angle)
         wrench[2] += moment[i]
 
 
-@kernel("void(f8[::1], f8[:,::1], f8, f8, f8, f8, f8[::1], f8[::1], i8, i8, f8, f8, f8[:,::1], i8[::1], f8[::1])")
+@kernel
 def allocate_and_deliver(
-    wrench: Array,
-    legs: Array,
-    idle_n: float,
-    ahead_n: float,
-    astern_n: float,
-    steepest_tan: float,
-    thrust_n: Array,
-    between_n: Array,
-    slowest_us: int,
-    neutral_us: int,
-    level_us: float,
-    us_per_rad: float,
-    work: Array,
-    pulse: NDArray[np.int64],
-    delivered: Array,
+    wrench: Floats, legs: ThrusterLegs, curve: PulseCurve, work: Table, pulse: Ints, delivered: Floats
 ) -> None:
-    """Pulses (8,) for a wrench (3,), and what they give of it, `delivered` (3,): see `allocate_pulses` and `deliver`. `work`
-    is (3, 4)."""
-    allocate_pulses(
-        wrench, legs, idle_n, ahead_n, astern_n, steepest_tan, between_n, slowest_us, neutral_us, level_us, us_per_rad,
-        work[0], work[1], pulse,
-    )  # fmt: skip
-    deliver(pulse, legs, thrust_n, slowest_us, level_us, us_per_rad, delivered, work[2])
+    """Pulses (8,) for a wrench (3,), and what they give of it, `delivered` (3,). `work` is (3, 4)."""
+    allocate(wrench, legs, work[0], work[1])
+    to_pulses(work[0], work[1], curve, pulse)
+    deliver(pulse, legs, curve, delivered, work[2])
 
 
 class Allocator:
@@ -162,19 +137,27 @@ class Allocator:
 
     def __init__(self, vehicle: Vehicle) -> None:
         legs, curve = vehicle.legs, vehicle.thruster.curve
-        self._legs = np.array([(1.0 if along > 0.0 else -1.0, across) for along, across in legs.position_m])
-        self._idle_n = legs.idle_thrust_n
-        self._ahead_n = min(vehicle.thruster.max_thrust_n, curve[-1][1])
-        self._astern_n = min(vehicle.thruster.max_thrust_n, -curve[0][1])
         low, high = legs.ankle_us
-        self._ankle_level_us, self._ankle_us_per_rad = 0.5 * (low + high), 0.5 * (high - low) / legs.ankle_range_rad
-        self._steepest_tan = math.tan(min(STEEPEST_RAD, legs.ankle_range_rad))
-        self.neutral_us = (vehicle.thruster.neutral_us,) * 4 + (round(self._ankle_level_us),) * 4
+        level_us = 0.5 * (low + high)
+        self.neutral_us = (vehicle.thruster.neutral_us,) * 4 + (round(level_us),) * 4
+        self._legs = ThrusterLegs(
+            place=np.array([(1.0 if along > 0.0 else -1.0, across) for along, across in legs.position_m]),
+            idle_n=legs.idle_thrust_n,
+            ahead_n=min(vehicle.thruster.max_thrust_n, curve[-1][1]),
+            astern_n=min(vehicle.thruster.max_thrust_n, -curve[0][1]),
+            steepest_tan=math.tan(min(STEEPEST_RAD, legs.ankle_range_rad)),
+        )
         # Pulses are whole microseconds: the thrust of each there is, and between them where one is nearer than the other.
-        self._slowest_us = int(curve[0][0])
-        pulses_us = np.arange(self._slowest_us, int(curve[-1][0]) + 1, dtype=np.float64)
-        self._thrust_n = np.asarray(vehicle.thruster.force_n(pulses_us))
-        self._between_n = np.asarray(vehicle.thruster.force_n(pulses_us[:-1] + 0.5))
+        slowest_us = int(curve[0][0])
+        pulses_us = np.arange(slowest_us, int(curve[-1][0]) + 1, dtype=np.float64)
+        self._curve = PulseCurve(
+            thrust_n=np.asarray(vehicle.thruster.force_n(pulses_us)),
+            between_n=np.asarray(vehicle.thruster.force_n(pulses_us[:-1] + 0.5)),
+            slowest_us=slowest_us,
+            neutral_us=vehicle.thruster.neutral_us,
+            level_us=level_us,
+            us_per_rad=0.5 * (high - low) / legs.ankle_range_rad,
+        )
         self._work, self._pulse = np.empty((3, 4)), np.empty(8, np.int64)
 
     def pulses(self, wrench: Array) -> tuple[int, ...]:
@@ -187,11 +170,7 @@ class Allocator:
         if not math.isfinite(sum(wrench.tolist())):
             return self.neutral()
         delivered = np.empty(3)
-        allocate_and_deliver(
-            wrench, self._legs, self._idle_n, self._ahead_n, self._astern_n, self._steepest_tan, self._thrust_n,
-            self._between_n, self._slowest_us, self.neutral_us[0], self._ankle_level_us, self._ankle_us_per_rad, self._work,
-            self._pulse, delivered,
-        )  # fmt: skip
+        allocate_and_deliver(wrench, self._legs, self._curve, self._work, self._pulse, delivered)
         return tuple(self._pulse.tolist()), delivered
 
     def neutral(self) -> tuple[tuple[int, ...], Array]:
@@ -201,14 +180,11 @@ class Allocator:
     def delivered(self, pulse_us: tuple[int, ...]) -> tuple[Array, Array]:
         """Wrench (3,) of eight pulse widths by the nominal thrust curve, and the yaw moment of each leg (4,), N m."""
         wrench, moment = np.empty(3), np.empty(4)
-        deliver(
-            np.array(pulse_us), self._legs, self._thrust_n, self._slowest_us, self._ankle_level_us, self._ankle_us_per_rad,
-            wrench, moment,
-        )  # fmt: skip
+        deliver(np.array(pulse_us), self._legs, self._curve, wrench, moment)
         return wrench, moment
 
     def forces(self, wrench: Sequence[float] | Array) -> tuple[Array, Array]:
         """Four thruster forces in N and ankle angles in rad for a wrench."""
         force, angle, asked = np.empty(4), np.empty(4), np.asarray(wrench, dtype=np.float64)
-        allocate(asked, self._legs, self._idle_n, self._ahead_n, self._astern_n, self._steepest_tan, force, angle)
+        allocate(asked, self._legs, force, angle)
         return force, angle

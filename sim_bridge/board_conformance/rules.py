@@ -108,8 +108,11 @@ def follows(probe: BoardProbe) -> Measured:
 
 
 def at_once(probe: BoardProbe) -> Measured:
-    if not (probe.arm() and probe.stream(probe.nudge, 0.5)):
-        probe.stream(probe.nudge, 0.1)
+    if not probe.arm():
+        return False, "does not arm"
+    probe.stream(probe.nudge, 0.6)
+    if probe.still:
+        return False, "does not turn"
     probe.wire.send(probe.computer.arm(False))
     begun_ns = probe.wire.now_ns()
     done = probe.stream(probe.nudge, 0.5, lambda: not probe.armed and probe.still)
@@ -123,6 +126,8 @@ def stops_from_thrust(probe: BoardProbe) -> Measured:
         if not probe.arm():
             return False, "does not arm"
         probe.stream(probe.nudge, 0.3)
+        if probe.still:
+            return False, "does not turn"
         probe.wire.send(probe.nudge())
         last_ns = probe.wire.now_ns()
         done = probe.listen(1.0, lambda: not probe.armed and probe.still)

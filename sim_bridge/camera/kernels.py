@@ -41,7 +41,7 @@ SHADING = "UniTuple(f8, 3)"
 Planes = tuple[Any, ...]
 
 
-@kernel(f"void({LAYERS}, i8, i8, {MATRIX}, i8, i8, i8, {CORNERS})", inline=True)
+@kernel(f"void({LAYERS}, i8, i8, {MATRIX}, i8, i8, i8, {CORNERS})", inline=True, part=True)
 def sample(
     texture: Bytes, even: int, odd: int, lanes: Array, used: int, column: int, result: int, corners: NDArray[np.int32]
 ) -> None:
@@ -68,7 +68,7 @@ def sample(
         lanes[result, n] = upper + lanes[DOWN, n] * (lower - upper)
 
 
-@kernel("UniTuple(f8, 4)(f8, f8, f8, f8, f8, f8)", inline=True)
+@kernel("UniTuple(f8, 4)(f8, f8, f8, f8, f8, f8)", inline=True, part=True)
 def intersect_sphere(
     x: float, y: float, slope_x: float, slope_y: float, radius: float, px_per_m: float
 ) -> tuple[float, float, float, float]:
@@ -87,7 +87,7 @@ def intersect_sphere(
     return (x + w * slope_x) * per_m, (y + w * slope_y) * per_m, -w * per_m, cover
 
 
-@kernel("UniTuple(f8, 4)(f8[:,:,::1], i8, f8, f8, f8, f8)", inline=True)
+@kernel("UniTuple(f8, 4)(f8[:,:,::1], i8, f8, f8, f8, f8)", inline=True, part=True)
 def hull_look(
     attitudes: Array, pose: int, half: float, normal_x: float, normal_y: float, up: float
 ) -> tuple[float, float, float, float]:
@@ -105,7 +105,7 @@ def hull_look(
     return ahead * flat + half - 0.5, aside * flat + half - 0.5, shade, GLOSS * lamp8 * lamp8 * lamp8
 
 
-@kernel(f"i8({MATRIX}, {MATRIX}, i8, {CUBE}, f8, f8, f8)", inline=True)
+@kernel(f"i8({MATRIX}, {MATRIX}, i8, {CUBE}, f8, f8, f8)", inline=True, part=True)
 def meet_plate(
     lanes: Array, poses: Array, pose: int, attitudes: Array, height_m: float, texels_per_m: float, middle: float
 ) -> int:
@@ -135,7 +135,7 @@ def meet_plate(
     return met
 
 
-@kernel(f"i8({MATRIX}, {MATRIX}, i8, f8, f8)", inline=True)
+@kernel(f"i8({MATRIX}, {MATRIX}, i8, f8, f8)", inline=True, part=True)
 def meet_sphere(lanes: Array, poses: Array, pose: int, radius: float, px_per_m: float) -> int:
     """Write where the pixels' lines of sight meet a sphere, as its unit normal there, and SPHERE_COVER. Returns how many
     pixels it covers. Of a sphere that breaks the surface the part above is seen straight."""
@@ -158,7 +158,7 @@ def meet_sphere(lanes: Array, poses: Array, pose: int, radius: float, px_per_m: 
     return met
 
 
-@kernel("Tuple((i8, f8))(i8, i8)", inline=True)
+@kernel("Tuple((i8, f8))(i8, i8)", inline=True, part=True)
 def between_blocks(pixel: int, blocks: int) -> tuple[int, float]:
     """The block before a pixel, and how far the pixel is on the way from its middle to the next one's: a share, which is
     negative or more than 1 beyond the outermost middles. `blocks` are as many as there are along this side."""

@@ -39,7 +39,7 @@ def _camera_matrix(camera: Camera) -> Array:
     return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
 
-@kernel("f8(f8, f8, f8, f8)")
+@kernel("f8(f8, f8, f8, f8)", part=True)
 def crossing_m(reach_m: float, depth_m: float, height_m: float, index: float) -> float:
     """Distance from the camera's foot at which light from a point to a camera crosses the surface.
 
@@ -58,7 +58,7 @@ def crossing_m(reach_m: float, depth_m: float, height_m: float, index: float) ->
     return r
 
 
-@kernel("void(f8[:,::1], f8[::1], f8, f8[:,::1])")
+@kernel("void(f8[:,::1], f8[::1], f8, f8[:,::1])", part=True)
 def refract(points: Array, lens: Array, index: float, crossings: Array) -> None:
     """Points (m, 3) at which the light from points (m, 3) to the lens crosses z = 0; points above the water stay."""
     for i in range(len(points)):
@@ -71,7 +71,7 @@ def refract(points: Array, lens: Array, index: float, crossings: Array) -> None:
         crossings[i, 0], crossings[i, 1], crossings[i, 2] = x, y, z
 
 
-@kernel("void(f8[:,::1], f8[::1], f8[:,::1], f8[::1], f8[:,::1])")
+@kernel("void(f8[:,::1], f8[::1], f8[:,::1], f8[::1], f8[:,::1])", part=True)
 def project_air(points: Array, lens: Array, turn: Array, pinhole: Array, pixels: Array) -> None:
     """Pixels (m, 2) of points (m, 3) in air; NaN behind the lens. `turn` is the rotation from pool to camera, `pinhole` focal
     lengths, centre and OpenCV's distortion k1, k2, p1, p2, k3."""

@@ -6,6 +6,7 @@ exposure.
 
 from collections.abc import Collection
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,11 +17,14 @@ from sim_bridge.camera.robot_sprite import Bodies, BodySprite, exposures
 from sim_bridge.camera.scene import WaterView
 from sim_bridge.camera.sensor_noise import SensorNoise
 from sim_bridge.camera.static_background import StaticBackground
+from sim_bridge.plant.currents_waves import SurfaceWave
 from sim_bridge.plant.random_streams import Stream, generator
 from wire.config.experiment import Experiment
 from wire.frames import Array
+from wire.toml_loader import ConfigError
 
 MARGIN_PX = 4.0  # px around a body's projection, for ripples and soft edges
+STEEPEST = 0.5  # largest difference of a line's slopes in air and in water: 60 degrees off the vertical
 
 
 class Renderer:
@@ -29,6 +33,7 @@ class Renderer:
 
     def __init__(self, experiment: Experiment, seed: int, number: int = 0) -> None:
         """`number` is that of one of several cameras: they see the same water and robots, each with pixel noise of its own."""
+        experiment = with_true_camera(experiment)
         self._camera, self._picture = experiment.camera, experiment.sim.picture
         self._robots = experiment.robot_ids
         random = generator(seed, Stream.CAMERA, 0)
@@ -51,6 +56,9 @@ class Renderer:
             np.zeros((len(marks), 4)),
             np.zeros((len(marks), 2)),
         )
+        wave, depth_m = SurfaceWave(experiment), experiment.pool.size_m[2]
+        bent = 0.25 * float(np.linalg.norm(wave.number)) * depth_m + STEEPEST  # displacement of a line over the amplitude
+        self._margin_px = MARGIN_PX + px_per_m * wave.amplitude_m * bent
         self._bubbles = Bubbles(experiment.pool, generator(seed, Stream.CAMERA, 4))
         self._hull_m = experiment.vehicle.radius_m
         random = generator(seed, Stream.CAMERA, 2, number)
@@ -100,10 +108,12 @@ class Renderer:
         """Draw their shadows, and then the bodies, the farthest first; none that is above the lens."""
         looks, boxes, squares = exposures(bodies, scene.view.optics, self._camera.exposure_s, scene.depth_m)
         if shadows:
-            for sprite, eta, window in zip(bodies.sprites, bodies.eta, scene.view.windows(squares, MARGIN_PX), strict=True):
+            for sprite, eta, window in zip(
+                bodies.sprites, bodies.eta, scene.view.windows(squares, self._margin_px), strict=True
+            ):
                 if window is not None:
                     sprite.draw_shadow(raw, scene, window, eta)
-        seen = zip(bodies.sprites, looks, scene.view.windows(boxes, MARGIN_PX), strict=True)
+        seen = zip(bodies.sprites, looks, scene.view.windows(boxes, self._margin_px), strict=True)
         for sprite, look, window in sorted(seen, key=lambda each: -each[1].path_m):
             if window is not None and look.px_per_m > 0.0:
                 sprite.draw(raw, scene, window, look, time_s)
@@ -114,6 +124,32 @@ class Renderer:
         rows = optics.see(bodies.eta[:, :3]).pixels[:, 1]
         late_s = self._camera.readout_s * (rows / self._camera.size_px[1] - 0.5)
         return bodies.later(np.where(np.isnan(rows), 0.0, late_s))  # NaN: above the lens
+
+
+def with_true_camera(experiment: Experiment) -> Experiment:
+    """The experiment with camera and marker plates as they are, which the localizer knows up to the errors of sim.camera.
+    Raises ConfigError for a camera that would hang in the water."""
+    errors, camera, marker = experiment.sim.camera, experiment.camera, experiment.vehicle.marker
+    place = tuple(float(value) for value in np.add(camera.position_m, errors.position_error_m))
+    if place[2] >= 0.0:
+        raise ConfigError(
+            f"sim.camera.position_error_m.2 = {errors.position_error_m[2]:g}: the camera at z = {camera.position_m[2]:g} "
+            f"would hang in the water (allowed: below {-camera.position_m[2]:g})"
+        )
+    turn = cv2.Rodrigues(np.array(errors.rotation_error_rad))[0] @ cv2.Rodrigues(np.array(camera.rotation_rad))[0]
+    turned = tuple(float(value) for value in cv2.Rodrigues(turn)[0].ravel())
+    lens = {
+        "focal_px": tuple(focal * (1.0 + errors.focal_error) for focal in camera.focal_px),
+        "position_m": place,
+        "rotation_rad": turned if any(errors.rotation_error_rad) else camera.rotation_rad,
+    }
+    higher = marker.model_copy(update={"height_m": marker.height_m + errors.plate_error_m})
+    return experiment.model_copy(
+        update={
+            "camera": camera.model_copy(update=lens),
+            "vehicle": experiment.vehicle.model_copy(update={"marker": higher}),
+        }
+    )
 
 
 def with_sunken_water(experiment: Experiment, drop_m: float) -> Experiment:

@@ -150,7 +150,7 @@ class WaterView:
         block_fields(
             tuple(window), self.view.blocks.planes, self._basis, self._weights[1], *waters.patterns(time_s),
             waters.caustics.half_m, depth_m, reach, self._lens, self._lamps,
-            255.0 * waters.picture.glare, float(self.bending), fields,
+            255.0 * waters.picture.glare, float(self.bending), waters.wave.at(time_s), fields,
         )  # fmt: skip
         return fields
 

@@ -25,6 +25,7 @@ from sim_bridge.camera.kernels import (
     Planes,
 )
 from sim_bridge.camera.optics import Bytes, Float
+from sim_bridge.plant.currents_waves import SurfaceWave
 from wire.config.experiment import Experiment
 from wire.config.perception import Camera
 from wire.config.scene import PoolConfig
@@ -171,7 +172,7 @@ def _fold(value: Float, size: int) -> Float:
     return folded
 
 
-@kernel("f8(f8, i8)", inline=True)
+@kernel("f8(f8, i8)", inline=True, part=True)
 def mirror(value: float, size: int) -> float:
     """Mirror a value into 0 .. size - 1, repeatedly."""
     last = size - 1.0
@@ -179,7 +180,7 @@ def mirror(value: float, size: int) -> float:
     return last - abs(last - away)
 
 
-@kernel(f"f8({PICTURE}, i8, i8, f8, f8)", inline=True)
+@kernel(f"f8({PICTURE}, i8, i8, f8, f8)", inline=True, part=True)
 def grid_value(grid: Bytes, left: int, top: int, u: float, v: float) -> float:
     """Bilinear value of a grid between four of its points, at the shares u and v of the way from (left, top)."""
     upper = (1.0 - u) * grid[top, left] + u * grid[top, left + 1]
@@ -187,9 +188,35 @@ def grid_value(grid: Bytes, left: int, top: int, u: float, v: float) -> float:
     return float((1.0 - v) * upper + v * lower)
 
 
+@kernel("void(f8[::1], f8, f8, f8, f8, f8, f8[:,:,::1], i8, i8)", part=True)
+def meet_wave(
+    wave: Array, air_x: float, air_y: float, slope_x: float, slope_y: float, index: float, fields: Array, a: int, b: int
+) -> None:
+    """Change a block's line of sight, in `fields`, to that through a wave (SurfaceWave.at) with ripples of a slope on it.
+
+    A wave is steep and high enough for lines that slant to need the whole of Snell's law, and the place where they meet the
+    crest; for ripples the first order does. `index` is 1 over the water's."""
+    x, y, height_m, phase = fields[SURFACE_X, a, b], fields[SURFACE_Y, a, b], 0.0, 0.0
+    for _ in range(3):  # each is better by the wave's slope times the line's
+        phase = wave[1] * (x - height_m * air_x) + wave[2] * (y - height_m * air_y) - wave[3]
+        height_m = wave[0] * math.cos(phase)
+    slope_x -= wave[0] * wave[1] * math.sin(phase)
+    slope_y -= wave[0] * wave[2] * math.sin(phase)
+    long, steep = math.sqrt(1.0 + air_x * air_x + air_y * air_y), math.sqrt(1.0 + slope_x * slope_x + slope_y * slope_y)
+    cosine = (1.0 + air_x * slope_x + air_y * slope_y) / (long * steep)
+    along = math.sqrt(1.0 - index * index * (1.0 - cosine * cosine)) - index * cosine
+    down = index / long + along / steep
+    water_x, water_y = (
+        (index * air_x / long + along * slope_x / steep) / down,
+        (index * air_y / long + along * slope_y / steep) / down,
+    )
+    fields[SURFACE_X, a, b], fields[SURFACE_Y, a, b] = x + height_m * (water_x - air_x), y + height_m * (water_y - air_y)
+    fields[WATER_X, a, b], fields[WATER_Y, a, b] = water_x, water_y
+
+
 @kernel(
     f"void({RECT}, {LINES}, f4[:,:,::1], f4[:,:], {PICTURE}, {PICTURE}, f8, "
-    "f8[::1], f8, f8, f8[::1], f8[:,::1], f8, f8, f8[:,:,::1])"
+    "f8[::1], f8, f8, f8[::1], f8[:,::1], f8, f8, f8[::1], f8[:,:,::1])"
 )
 def block_fields(
     rect: Planes,
@@ -206,11 +233,12 @@ def block_fields(
     lamps_m: Array,
     glare_levels: float,
     bending: float,
+    wave: Array,
     fields: Array,
 ) -> None:
-    """Fields (FIELDS, block rows, block columns) of a rectangle's blocks: their lines of sight, bent by the ripples, the light
-    at a depth, and the grey levels of mirrored lamps. The same as Ripples.slopes, WaterLight.light and `glare`, for a part of
-    the picture.
+    """Fields (FIELDS, block rows, block columns) of a rectangle's blocks: their lines of sight, bent by ripples and `wave`
+    (SurfaceWave.at), the light at a depth, and the grey levels of mirrored lamps. The same as Ripples.slopes, WaterLight.light
+    and `glare`, for a part of the picture.
 
     `lines`, and `basis` and `weights` (PlaneWaves), are those of all blocks. The caustics' pattern lies between `pattern` and
     `next_pattern`, with the share of the second; it begins at -`half_m`, and `reach` is its strength. `lamps_m` (lamps, 4):
@@ -244,6 +272,8 @@ def block_fields(
             fields[SURFACE_X, a, b], fields[SURFACE_Y, a, b] = sx, sy
             fields[WATER_X, a, b] = water_x[i, j] + bending * slope_x
             fields[WATER_Y, a, b] = water_y[i, j] + bending * slope_y
+            if wave[0] > 0.0:
+                meet_wave(wave, air_x[i, j], air_y[i, j], slope_x, slope_y, 1.0 - bending, fields, a, b)
             fields[AIR_X, a, b], fields[AIR_Y, a, b] = air_x[i, j], air_y[i, j]
             fields[LIGHT, a, b] = 1.0 + reach * (level / CAUSTIC_UNIT - 1.0)
             fields[GLARE, a, b] = glare_levels * mirrored
@@ -272,6 +302,7 @@ class WaterLight:
         self.picture, self.depth_m = experiment.sim.picture, experiment.pool.size_m[2]
         self.ripples = Ripples(self.picture, experiment.camera, random)
         self.caustics = Caustics(experiment.pool, random)
+        self.wave = SurfaceWave(experiment)
         self.ripple_clock, self.caustic_clock = (
             LoopClock(loop_s, periods_s, strength > 0.0, random)
             for loop_s, periods_s, strength in zip(

@@ -1,6 +1,7 @@
 """SHELL: `sim-bridge compare` and `sim-bridge tune` on the command line."""
 
 import os
+import sys
 import time
 from collections.abc import Collection
 from pathlib import Path
@@ -10,6 +11,7 @@ import typer
 
 from wire.config.experiment import experiment_path, load_experiment
 from wire.process.cli_options import ExperimentName, Settings
+from wire.process.output import background
 from wire.process.output_files import COMPARISON, check_output
 from wire.toml_loader import ConfigError
 
@@ -54,7 +56,7 @@ def compare(
     from sim_bridge.studies import comparison as comparing
     from sim_bridge.studies.comparison import VARIANTS
 
-    console, chosen, flown = Console(), _names(laws, VARIANTS, "--laws"), _range(seeds)
+    console, chosen, flown = Console(file=background(sys.stdout)), _names(laws, VARIANTS, "--laws"), _range(seeds)
     asked = [*(settings or ()), *([f"duration_s={duration}"] if duration is not None else [])]
     name = load_experiment(experiment, asked).name
     folder = out or Path("runs") / f"compare-{name}-{time.strftime('%Y%m%d-%H%M%S')}"
@@ -90,7 +92,7 @@ def tune(
 
     chosen = _names(laws, [name for name in get_args(LawName) if name != "eso-mpc"], "--laws")
     flown = _names(scenes, tuning.SCENES, "--scenes")
-    console = Console(stderr=True)
+    console = Console(file=background(sys.stderr))
     for tuned in tuning.run(chosen, flown, settings or (), _range(seeds), budget, _cores(jobs), console):
         console.print(f"{tuned.law}: cost {tuned.first:.3f} before, {tuned.best:.3f} after {budget} trials", soft_wrap=True)
         typer.echo(tuned.toml())

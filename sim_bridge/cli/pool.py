@@ -27,7 +27,9 @@ Poses = Annotated[
 ]
 Pace = Annotated[
     float | None,
-    typer.Option(min=0.01, metavar="TIMES", help="With --lockstep: no faster than this many times real time, to watch it."),
+    typer.Option(
+        min=0.01, metavar="TIMES", help="No faster than this many times real time. Default: 1; with --lockstep no limit."
+    ),
 ]
 BoardFolder = Annotated[
     Path | None,
@@ -60,7 +62,10 @@ def pool(
     settings: Settings = None,
     boards: BoardFolder = None,
     lockstep: LockstepMode = False,
-    pace: Pace = None,
+    pace: Annotated[
+        float | None,
+        typer.Option(min=0.01, metavar="TIMES", help="With --lockstep: no faster than this many times real time."),
+    ] = None,
     poses: Poses = False,
     frame_ring: FrameRingOption = None,
     keys: KeyRing = None,
@@ -69,13 +74,12 @@ def pool(
 ) -> None:
     """Simulate the pool: thruster boards on UDP, camera frames on the bus. The other programs run as they would beside water.
 
-    Example:  sim-bridge pool pool --station tls/192.168.1.10:7447 --keys keys
+    Example:  sim-bridge pool pool --station tls/192.0.2.10:7447 --keys keys
     """
     from sim_bridge.node.wires import PoolWires, run_pool
-    from sim_bridge.sil.commands import PACE_OF_REAL_TIME
 
     if pace is not None and not lockstep:
-        raise typer.BadParameter(PACE_OF_REAL_TIME)
+        raise typer.BadParameter("--pace: the wall clock has a pace of its own (allowed: with --lockstep)")
     start_log("sim-bridge", verbose)
     wires = PoolWires(station, fleet, keys, insecure, ports, host, boards, link_insecure)
     run_pool(load_experiment(experiment, settings or ()), wires, {}, lockstep, poses, frame_ring, pace)

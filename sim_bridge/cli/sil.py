@@ -3,15 +3,24 @@
 import os
 import sys
 from pathlib import Path
-from typing import Annotated, NoReturn
+from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
 from sim_bridge.cli.pool import Pace, Poses
+from wire import programs
 from wire.config.experiment import NO_CAMERA, Experiment, load_experiment
+from wire.kernel_build import ensure_compiled
 from wire.process.cli_options import ExperimentName, FaultLines, KeyRing, Settings, caution, experiments
+from wire.process.output import background
 from wire.process.output_files import new_run_folder
 from wire.process.runtime import Stop
+from wire.toml_loader import ConfigError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from sim_bridge.sil.commands import RunOptions
 
 Seed = Annotated[int | None, typer.Option(help="Seed of everything random; default: the experiment's.")]
 Duration = Annotated[float | None, typer.Option(help="Seconds to fly; default: the experiment's.")]
@@ -19,6 +28,7 @@ OutFolder = Annotated[Path, typer.Option(help="Folder for the run's own folder."
 
 
 def sil(
+    context: typer.Context,
     experiment: Annotated[
         str | None,
         typer.Argument(
@@ -27,11 +37,12 @@ def sil(
             autocompletion=experiments,
         ),
     ] = None,
-    lockstep: Annotated[
-        bool, typer.Option("--lockstep", help="As fast as it goes, and the same bits for the same seed.")
+    lockstep: Annotated[bool, typer.Option("--lockstep", help="As fast as the machine can, with the same bits.")] = False,
+    real_time: Annotated[
+        bool, typer.Option("--real-time", help="By the wall clock, as in a pool: measures latency, and needs a fast machine.")
     ] = False,
     one_process: Annotated[
-        bool, typer.Option("--one-process", help="With --lockstep: the same bits from one process, without a network.")
+        bool, typer.Option("--one-process", help="The same bits from one process, without a network.")
     ] = False,
     pace: Pace = None,
     seed: Seed = None,
@@ -59,6 +70,9 @@ def sil(
 ) -> None:
     """Fly an experiment with all its processes on this machine, the pool simulated; write log and report.
 
+    It goes in real time, and slower where the machine is busy: the same seed gives the same bits either way. With --real-time
+    the programs live by the wall clock, as they do in a pool, and a machine that is too slow is late.
+
     Exit code 0 if the mission succeeded and every limit of the experiment held, 1 if not.
 
     With --from, agents and plant go on in this process, as in `numeric`: each agent is first led through what its robot had
@@ -79,30 +93,76 @@ def sil(
     if experiment is None:
         raise typer.BadParameter("name an EXPERIMENT, or a run with --from")
     from sim_bridge.sil import launcher as software_in_the_loop
-    from sim_bridge.sil.commands import RunOptions, check
+    from sim_bridge.sil.commands import RunOptions, check, pace_of
     from sim_bridge.sil.ports import page_address
 
+    source_of_keys = context.get_parameter_source("keys")
+    if one_process and source_of_keys is not None and source_of_keys.name == "ENVIRONMENT":
+        keys = None  # for this person's other programs: here is no link that could be listened to
+        del os.environ["SHOAL_KEYS"]
     if one_process and not dry_run:
         _with_one_thread()
     loaded = _load(experiment, seed, duration, [*(settings or ()), *([NO_CAMERA] if poses else [])], faults)
-    console = Console()
+    console = Console(file=background(sys.stdout))
     page = None if no_web else page_address(web)
-    options = RunOptions(lockstep, page, manual, poses, keys, signed, one_process, pace)
-    check(loaded, options)
+    if not (poses or loaded.localizer.uses_camera):
+        poses = True
+        console.print("no camera (localizer.uses_camera = false): the simulator gives the poses", soft_wrap=True)
+    pace = pace_of(lockstep, real_time, one_process, pace)
+    options = RunOptions(not real_time, page, manual, poses, keys, signed, one_process, pace)
     if dry_run:
+        check(loaded, options)
         raise typer.Exit(software_in_the_loop.dry_run(loaded, out / f"{loaded.name}-TIME", options, console))
-    folder = new_run_folder(out, loaded.name)
-    mode = "lockstep, in one process" if one_process else "lockstep" if lockstep else "real time"
+    ensure_compiled()
+    raise typer.Exit(_fly_on(loaded, out, options, console))
+
+
+def _fly_on(experiment: Experiment, out: Path, options: "RunOptions", console: "Console") -> int:
+    """Fly an experiment, and then what a person chooses on the page. Returns the exit code of the last run that was flown."""
+    from sim_bridge.sil.after_run import EndedRun, next_experiment
+    from sim_bridge.sil.commands import check
+
+    run: EndedRun | None = None
+    while True:
+        problem, stop = "", Stop()
+        try:
+            check(experiment, options)
+            folder, code = _fly(experiment, out, options, stop, console)
+        except ConfigError as error:
+            if run is None:
+                raise
+            problem = str(error)
+        else:
+            if folder.exists():
+                run = EndedRun(experiment, folder, code)
+            elif run is None:
+                return code
+            else:
+                problem = "the station refused to fly this: the terminal says why"
+        chosen = next_experiment(run, options, problem, stop, console)
+        if chosen is None:
+            return run.code
+        experiment = chosen
+
+
+def _fly(experiment: Experiment, out: Path, options: "RunOptions", stop: Stop, console: "Console") -> tuple[Path, int]:
+    """Fly an experiment once. Returns its folder, which is gone if nothing was flown, and the exit code."""
+    from sim_bridge.sil.commands import time_in_words
+
+    folder, how = new_run_folder(out, experiment.name), time_in_words(options)
     console.print(
-        f"{loaded.title or loaded.name}: {loaded.duration_s:g} s in {mode}, seed {loaded.seed}, into {folder}", soft_wrap=True
+        f"{experiment.title or experiment.name}: {experiment.duration_s:g} s {how}; seed {experiment.seed}, into {folder}",
+        soft_wrap=True,
     )
-    if page is not None:
-        console.print(f"operator page: http://{page}/", soft_wrap=True)
-    if one_process:
+    if options.page is not None:
+        console.print(f"operator page: http://{options.page}/", soft_wrap=True)
+    if options.one_process:
         from sim_bridge.in_process import executor
 
-        raise typer.Exit(executor.run(loaded, folder, options, Stop(), console))
-    raise typer.Exit(software_in_the_loop.run(loaded, folder, options, Stop(), console))
+        return folder, executor.run(experiment, folder, options, stop, console)
+    from sim_bridge.sil import launcher
+
+    return folder, launcher.run(experiment, folder, options, stop, console)
 
 
 def numeric(
@@ -125,7 +185,7 @@ def numeric(
     from sim_bridge.in_process import run
 
     loaded = _load(experiment, seed, duration, [*(settings or ()), NO_CAMERA], faults)
-    console = Console()
+    console = Console(file=background(sys.stdout))
     fleet, water = run.prepared(loaded)
     folder = new_run_folder(out, loaded.name)
     console.print(f"{loaded.title or loaded.name}: {loaded.duration_s:g} s, seed {loaded.seed}, into {folder}", soft_wrap=True)
@@ -139,7 +199,7 @@ def campaign(
     resume: Annotated[bool, typer.Option("--resume", help="Go on with what an earlier run left.")] = False,
     workers: Annotated[int | None, typer.Option(min=1, help="Processes; default: one for each core.")] = None,
     scheduler: Annotated[
-        str | None, typer.Option(metavar="ADDRESS", help="Fly on this Dask cluster, e.g. tcp://10.0.0.1:8786.")
+        str | None, typer.Option(metavar="ADDRESS", help="Fly on this Dask cluster, e.g. tcp://192.0.2.10:8786.")
     ] = None,
 ) -> None:
     """Fly an experiment many times, keys swept or drawn, on all cores or on a cluster; write Parquet and a report.
@@ -148,7 +208,7 @@ def campaign(
 
     Exit code 0 if every flight was flown, well or badly; 1 if one was refused or failed.
 
-    Examples:  sim-bridge campaign errors.toml       sim-bridge campaign errors.toml --resume --scheduler tcp://10.0.0.1:8786
+    Examples:  sim-bridge campaign errors.toml       sim-bridge campaign errors.toml --resume --scheduler tcp://192.0.2.10:8786
     """
     from rich.console import Console
 
@@ -160,7 +220,13 @@ def campaign(
     folder = out or Path("runs") / f"campaign-{loaded.name}"
     raise typer.Exit(
         campaign_runner.run(
-            loaded, folder, workers=workers, scheduler=scheduler, resume=resume, stop=Stop(), console=Console()
+            loaded,
+            folder,
+            workers=workers,
+            scheduler=scheduler,
+            resume=resume,
+            stop=Stop(),
+            console=Console(file=background(sys.stdout)),
         )
     )
 
@@ -171,7 +237,7 @@ def _with_one_thread() -> None:
     from sim_bridge.sil.processes import ONE_THREAD
 
     if not ONE_THREAD.items() <= os.environ.items():
-        os.execve(sys.executable, [sys.executable, "-m", "sim_bridge", *sys.argv[1:]], {**os.environ, **ONE_THREAD})
+        os.execve(sys.executable, programs.command("sim_bridge", sys.argv[1:]), programs.environment(ONE_THREAD))
 
 
 def _load(
@@ -207,6 +273,6 @@ def _go_on(
         raise typer.BadParameter(f"{experiment!r}: with --from, the run says what is flown (change it with --set)")
     loaded = _cautioned(resume.load_changed(source, changes, faults or ()))
     fleet, water = resume.prepared(loaded, source, at_s)
-    folder, console = new_run_folder(out, f"{loaded.name}-from-{at_s:g}"), Console()
+    folder, console = new_run_folder(out, f"{loaded.name}-from-{at_s:g}"), Console(file=background(sys.stdout))
     console.print(f"{loaded.title or loaded.name}: from {at_s:g} s of {source} on, into {folder}", soft_wrap=True)
     raise typer.Exit(run.run(fleet, water, folder, stop=Stop(), console=console))

@@ -26,7 +26,7 @@ from robot_agent.node import AgentNode
 from sim_bridge.node.board_ports import Address, BoardPorts
 from sim_bridge.node.pool import PoolNode
 from sim_bridge.sil import launcher
-from sim_bridge.sil.commands import RunOptions
+from sim_bridge.sil.commands import GIVE_UP_S, RunOptions
 from sim_bridge.sil.monitor import Monitor
 from wire.config.experiment import Experiment, dump_experiment
 from wire.messages import topics
@@ -74,7 +74,9 @@ class Part:
         self.ended = False
         self._steps: Generator[None, None, Any] | None = None
         stream = closing.enter_context((log_dir / f"{name}.log").open("w", encoding="utf-8"))
-        log.addHandler(log_handler(name, stream))
+        handler = log_handler(name, stream)
+        closing.callback(handler.close)
+        log.addHandler(handler)
         self.bus = closing.enter_context(Bus(_PartTransport(hub, self), decode=decode))
 
     @contextmanager
@@ -248,47 +250,61 @@ class Executor:
 
         Raises ConfigError if the station refuses the experiment, Failed with its name if a part of the run has ended.
         """
-        experiment, self._each_tick = self._experiment, each_tick
+        self._each_tick = each_tick
         cv2.setNumThreads(1)
         log_dir = self._run_dir / "logs"
         log_dir.mkdir(exist_ok=True)
         with ExitStack() as closing:
             closing.enter_context(_own_log())
 
+            parts: list[Part] = []
+
             def part(name: str) -> Part:
-                return Part(name, self._hub, log_dir, closing, self._decoder.decode)
+                parts.append(Part(name, self._hub, log_dir, closing, self._decoder.decode))
+                return parts[-1]
 
             listener = closing.enter_context(Bus(MemoryTransport(self._hub)))
             listener.subscribe(topics.TICK, None, lambda *_: setattr(self, "_ticked", True))
             listener.subscribe(topics.EXPOSED, None, self._note_exposed)
-            self._station = part("groundstation")
-            self._station.begin(lambda bus: self._cycles(bus, automatic, web_options(page) if page is not None else None))
-            for camera in () if self._poses else (*experiment.camera_names, ""):
-                self._localizers[camera] = part(topics.localizer_name(camera))
-                self._localizers[camera].begin(lambda bus, c=camera: self._localizer(bus, c))  # type: ignore[misc]
-            wires = [MemoryWire() for _ in experiment.robot_ids]
-            for robot, wire in zip(experiment.robot_ids, wires, strict=True):
-                agent = part(f"agent-{robot}")
-                self._agents.append(agent)
-                agent.begin(lambda bus, r=robot, w=wire: AgentNode(experiment, r, bus, w, True, self.stop).steps())  # type: ignore[misc]
-            ports = MemoryPorts(wires, experiment.robot_ids, experiment.seed, self._others)
-            pool = part("sim-bridge")
-            closing.enter_context(_rare_collections())
             try:
-                with pool.acting():
-                    PoolNode(experiment, pool.bus, ports, self.stop, True, self._poses, pace=self._pace).run()
-            finally:
+                self._run_all(part, automatic, web_options(page) if page is not None else None)
+            finally:  # also of a run that breaks: a localizer that is not finished has a thread, which keeps the program
                 self.stop.request()
-                self._station.finish()  # it closes the log
-            for other in (*self._agents, *self._localizers.values()):
-                other.finish()
+                for one in parts:
+                    one.finish()  # the station closes the log
             self.stop.raise_failure()
         return bool(self._station.result)
+
+    def _run_all(self, part: Callable[[str], Part], automatic: bool, web: WebOptions | None) -> None:
+        """Begin all nodes and run the simulator, who has the others do their steps, to its end."""
+        experiment = self._experiment
+        self._station = part("groundstation")
+        self._station.begin(lambda bus: self._cycles(bus, automatic, web))
+        for camera in () if self._poses else (*experiment.camera_names, ""):
+            self._localizers[camera] = part(topics.localizer_name(camera))
+            self._localizers[camera].begin(lambda bus, c=camera: self._localizer(bus, c))  # type: ignore[misc]
+        wires = [MemoryWire() for _ in experiment.robot_ids]
+        for robot, wire in zip(experiment.robot_ids, wires, strict=True):
+            agent = part(f"agent-{robot}")
+            self._agents.append(agent)
+            agent.begin(lambda bus, r=robot, w=wire: AgentNode(experiment, r, bus, w, True, self.stop).steps())  # type: ignore[misc]
+        ports = MemoryPorts(wires, experiment.robot_ids, experiment.seed, self._others)
+        pool = part("sim-bridge")
+        with _rare_collections(), pool.acting():
+            PoolNode(experiment, pool.bus, ports, self.stop, True, self._poses, pace=self._pace).run()
 
     def _cycles(self, bus: Bus, automatic: bool, web: WebOptions | None) -> Generator[None, None, bool]:
         text = dump_experiment(self._experiment)
         return station_process.cycles(
-            self._experiment, text, bus, self._run_dir, automatic=automatic, lockstep=True, stop=self.stop, web=web
+            self._experiment,
+            text,
+            bus,
+            self._run_dir,
+            automatic=automatic,
+            lockstep=True,
+            stop=self.stop,
+            give_up_s=GIVE_UP_S,
+            web=web,
         )
 
     def _localizer(self, bus: Bus, camera: str) -> Generator[None]:
@@ -330,8 +346,8 @@ def run(experiment: Experiment, run_dir: Path, options: RunOptions, stop: Stop, 
     launcher.write_experiment(experiment, run_dir)
     hub = MemoryHub()
     executor = Executor(experiment, run_dir, hub, poses=options.poses, pace=options.pace)
-    monitor = Monitor(experiment, Bus(MemoryTransport(hub)))
-    stop.on_request(executor.stop.request)
+    monitor = Monitor(experiment, Bus(MemoryTransport(hub)), options.pace)
+    stop.on_request(lambda: executor.stop.request(stop.interrupted))
     log_file, succeeded = run_dir / "run.mcap", False
     try:
         with monitor.shown(console) as say:
@@ -340,4 +356,4 @@ def run(experiment: Experiment, run_dir: Path, options: RunOptions, stop: Stop, 
         launcher.print_error(console, str(error))
         if isinstance(error, ConfigError) and not log_file.exists():
             return launcher.nothing_flown(run_dir, console)
-    return launcher.conclude(run_dir, log_file.exists(), succeeded, options, stop, console)
+    return launcher.conclude(run_dir, log_file.exists(), succeeded, stop, console)

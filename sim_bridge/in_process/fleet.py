@@ -61,15 +61,10 @@ class DirectPlant:
     """The plant without boards: pulses go straight to the thrusters, and sensor readings straight to the agent."""
 
     def __init__(self, experiment: Experiment, seed: int, starts: Array) -> None:
-        step_ns, period_ns = round(experiment.sim.plant.step_s * NS), round(experiment.controller.period_s * NS)
-        if period_ns % step_ns:
-            raise ConfigError(
-                f"sim.plant.step_s = {experiment.sim.plant.step_s:g}: must go into controller.period_s = "
-                f"{experiment.controller.period_s:g} without a rest"
-            )
+        steps, step_ns = experiment.plant_steps, round(experiment.sim.plant.step_s * NS)
         self._plant = Plant(experiment, seed)
         self._state = self._plant.start(starts)
-        self._step_ns, self._steps_a_period = step_ns, period_ns // step_ns
+        self._step_ns, self._steps_a_period = step_ns, steps
         self._sensors = [BoardSensors(experiment, robot, seed) for robot in experiment.robot_ids]
         self._pulses_us = self._state.motors.pulses_us[0].copy()
         self._armed = [False] * len(starts)
@@ -146,12 +141,12 @@ class DirectPlant:
     def telemetry(self, i: int, now_ns: int) -> Telemetry:
         """A board's telemetry of the i-th robot, `now_ns` on the agent's clock."""
         state = self._state
-        reading = self._sensors[i].read(state.eta[i], state.nu[i], STILL, state.tilt[i])
+        reading = self._sensors[i].read(state.eta[i], state.nu[i], STILL, state.tilt[i], self._plant.time_s(state))
         return Telemetry(
             board_ms=now_ns // 1_000_000,
             arrival_ns=now_ns,
             heading_rad=reading.heading_rad,
-            yaw_rate_radps=reading.yaw_rate_radps,
+            yaw_rate_radps=reading.heading_rate_radps,
             tilt=reading.tilt,
             depth_m=reading.depth_m,
             battery_v=self._rest_v[i],

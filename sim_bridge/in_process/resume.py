@@ -19,7 +19,7 @@ from robot_agent.inputs import StampedPlan
 from robot_agent.rerun import Logged, Rerun
 from sim_bridge import fault_schedule
 from sim_bridge.in_process.fleet import NS, AgentFleet, DirectPlant
-from sim_bridge.in_process.run import STATION
+from wire import programs
 from wire.config.experiment import Experiment, load_experiment
 from wire.frames import Array
 from wire.messages import topics
@@ -27,10 +27,10 @@ from wire.messages.codec import decode
 from wire.messages.messages import Mode, Plan, RobotState, Truth
 from wire.messages.pipe import read_pipe
 from wire.process.cli_options import caution
+from wire.process.fleet_time import SIMULATED_BELOW_NS
 from wire.toml_loader import ConfigError
 
 THRUST_MEMORY_S = 1.0  # s of pulses that the plant is given, ten times a thruster's lag
-WALL_CLOCK_NS = 10**16  # ns; smaller stamps are the plant's own time in a lockstep run, which began at 0, not in 1970
 SAME_CLOCK_NS = 1_000_000_000  # ns; the truth's stamps and a robot's are of one clock if they are this near
 
 
@@ -87,7 +87,7 @@ def resume(
         1, 0, 2
     )
     water = DirectPlant(experiment, seed, eta)
-    now_ns = memories[0].now_ns if memories[0].now_ns < WALL_CLOCK_NS else at_ns
+    now_ns = memories[0].now_ns if memories[0].now_ns < SIMULATED_BELOW_NS else at_ns
     armed = [memory.state.board_armed for memory in memories]
     water.resume_at(eta, nu, _pulses(experiment, memories), armed, now_ns, now_ns - at_ns)
     trajectories = {r: m.agent.trajectory for r, m in zip(experiment.robot_ids, memories, strict=True) if m.agent.trajectory}
@@ -146,8 +146,8 @@ def prepared(experiment: Experiment, source: Path, at_s: float) -> tuple[AgentFl
 
 
 def _read_history(experiment: Experiment, source: Path, at_s: float, robot: int) -> RobotHistory:
-    command = [*STATION, "moment", str(source), "--at", str(at_s), "--robot", str(robot)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as telling:
+    words = ["moment", str(source), "--at", str(at_s), "--robot", str(robot)]
+    with programs.start("groundstation", words, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as telling:
         assert telling.stdout is not None and telling.stderr is not None
         lines = list(read_pipe(telling.stdout))
         said = telling.stderr.read().decode(errors="replace").strip()

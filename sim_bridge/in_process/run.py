@@ -6,7 +6,6 @@ The station's programs run as a user would start them. The messages of the fligh
 import json
 import secrets
 import subprocess
-import sys
 import tempfile
 import time
 from pathlib import Path
@@ -18,13 +17,14 @@ from rich.console import Console
 from sim_bridge import fault_schedule
 from sim_bridge.in_process.fleet import AgentFleet, DirectPlant, fly
 from sim_bridge.sil import launcher
+from wire import programs
 from wire.config.experiment import Experiment, dump_experiment
 from wire.messages.messages import Trajectory
 from wire.messages.pipe import PipeWriter
+from wire.process.output_files import replace_text
 from wire.process.runtime import Failed, Stop
 from wire.toml_loader import ConfigError
 
-STATION = (sys.executable, "-m", "groundstation")
 REFUSED = 2  # exit code of `groundstation plan` for an experiment that cannot be flown
 
 
@@ -41,8 +41,10 @@ def prepared(experiment: Experiment) -> tuple[AgentFleet, DirectPlant]:
 
 def run(fleet: AgentFleet, plant: DirectPlant, run_dir: Path, *, stop: Stop, console: Console) -> int:
     """Fly a fleet that has started to its end, and report. Returns the exit code: 0 passed, 1 failed, 130 interrupted."""
-    (run_dir / "experiment.toml").write_text(dump_experiment(fleet.experiment), encoding="utf-8")
-    recording = subprocess.Popen([*STATION, "log", "record", str(run_dir)], stdin=subprocess.PIPE)
+    launcher.write_experiment(fleet.experiment, run_dir)
+    recording = programs.start(
+        "groundstation", ["log", "record", str(run_dir)], stdin=subprocess.PIPE, stdout=subprocess.DEVNULL
+    )
     assert recording.stdin is not None
     start_s = fleet.time_s
     begin_s, begin_cpu_s = time.perf_counter(), time.process_time()
@@ -66,7 +68,6 @@ def run(fleet: AgentFleet, plant: DirectPlant, run_dir: Path, *, stop: Stop, con
         soft_wrap=True,
     )
     passed = launcher.report(run_dir, console) and recorded
-    console.print(f"report: {run_dir / 'report.html'}", soft_wrap=True)
     console.print("[green]passed[/]" if passed else "[red]failed[/]")
     return 0 if passed else 1
 
@@ -76,8 +77,8 @@ def plan(experiment: Experiment) -> tuple[dict[int, Trajectory], dict[int, Any]]
     it ended otherwise, for example for want of memory."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "experiment.toml"
-        file.write_text(dump_experiment(experiment), encoding="utf-8")
-        planning = subprocess.run([*STATION, "plan", str(file)], capture_output=True, text=True, check=False)
+        replace_text(file, dump_experiment(experiment))
+        planning = programs.ask("groundstation", ["plan", str(file)])
     said = planning.stderr.strip().replace(f"{file}: ", "")
     if planning.returncode == REFUSED:
         raise ConfigError(said)

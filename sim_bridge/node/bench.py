@@ -39,6 +39,8 @@ class PseudoTerminal:
 
     def __init__(self, path: Path) -> None:
         self._path = path
+        if path.is_symlink() and not path.exists():  # of a board that was killed: its terminal is gone
+            path.unlink()
         self._board, self._computer = os.openpty()  # the other end is held open, or a computer that disconnects would end it
         tty.setraw(self._computer)
         os.set_blocking(self._board, False)

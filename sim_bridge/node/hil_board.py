@@ -3,7 +3,7 @@
     agent -> its port (board_ports.py) -> gate -> board -> SERVO_OUTPUT_RAW -> plant -> HIL_SENSOR -> board
                                                   board -> telemetry -> agent
 
-The gate lets an agent's bytes through only to a board that has just said that it is in HIL mode. So a board on whose
+The gate lets an agent's frames through only to a board that has just said that it is in HIL mode. So a board on whose
 pins thrusters may turn is never armed from here.
 """
 
@@ -70,14 +70,16 @@ class HilBoard:
         return self.pulses[:4] == self._rest_us[:4]
 
     def receive(self, data: bytes, now_ns: int) -> bool:
-        """Pass an agent's bytes on to the board, if it is in HIL mode. Returns True if a frame in them is one that the board
-        takes. HIL_MODE and HIL_OUTPUTS cannot be changed through here."""
+        """Pass an agent's frames on to the board, if it is in HIL mode. Returns True if one of them is one that the board
+        takes. HIL_MODE and HIL_OUTPUTS cannot be changed through here. Only whole frames that were read go on: in other bytes
+        the board might find a frame that was not."""
         before = self._judge.taken_frames
-        events = [event for _, event in self._judge.receive(data, now_ns)]
-        if any(isinstance(event, SetParameter) and event.name in VOLATILE for event in events):
+        self._judge.receive(data, now_ns)
+        frames = [f for f, event in self._judge.read if not (isinstance(event, SetParameter) and event.name in VOLATILE)]
+        if len(frames) < len(self._judge.read):
             log.warning("robot %d: a change of %s is not passed on", self._robot_id, " or ".join(VOLATILE))
-        elif self._is_open(now_ns):
-            self._link.send(data)
+        if frames and self._is_open(now_ns):
+            self._link.send(b"".join(frames))
         return self._judge.taken_frames > before
 
     def _is_open(self, now_ns: int) -> bool:
@@ -101,7 +103,7 @@ class HilBoard:
         self._board.receive(data, now_ns)
         self._check(now_ns)
         if self.measures(now_ns):
-            reading = self.sensors.read(eta, nu, acceleration, tilt)
+            reading = self.sensors.read(eta, nu, acceleration, tilt, now_ns * 1e-9)
             values = (reading.heading_rad, reading.yaw_rate_radps, reading.acceleration_mps2, reading.depth_m)
             self._link.send(self._board.motion(now_ns // 1000, *values))
             if crosses(STATUS_NS, self._last_step_ns, now_ns):

@@ -216,8 +216,10 @@ class PoolNode:
     def _run_lockstep(self, world: World, clock: LockstepClock) -> None:
         """Step the world from tick to tick, each after all processes have done their step."""
         self._await_everyone(world)
-        period_ns = round(self._experiment.controller.period_s * 1e9)
-        tick_ns, previous_ns = round(self._experiment.sim.latency_s * 1e9) or period_ns, -1  # at 0 no board has said a word
+        steps, period_ns = self._experiment.plant_steps, round(self._experiment.controller.period_s * 1e9)
+        step_ns = period_ns // steps
+        # A tick is at a step of the plant: boards would report from after it. At 0 no board has said a word.
+        tick_ns, previous_ns = -(-round(self._experiment.sim.latency_s * 1e9) // step_ns) * step_ns or period_ns, -1
         self._expose_in_lockstep(world, tick_ns, previous_ns)
         due_s = 0.0
         while not self._stop.requested:

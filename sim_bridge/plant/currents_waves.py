@@ -42,6 +42,33 @@ class WaterFlow:
         return motion
 
 
+class SurfaceWave:
+    """The wave of WaterFlow as camera and pressure sensor meet it. With the phase k (x cos + y sin) - omega t:
+
+    elevation = a cos(phase), up,    pressure as depth = z + a cosh(k (h - z)) / cosh(k h) cos(phase)
+    """
+
+    def __init__(self, experiment: Experiment) -> None:
+        waves, self._depth_m = experiment.sim.plant.waves, experiment.pool.size_m[2]
+        self.amplitude_m, self.radps = 0.5 * waves.height_m, 2.0 * np.pi / waves.period_s
+        self._per_m = wave_number(self.radps, self._depth_m)
+        self.number = self._per_m * np.array([np.cos(waves.direction_rad), np.sin(waves.direction_rad)])  # rad/m
+
+    def at(self, time_s: float) -> Array:
+        """Amplitude m, k along x and y in rad/m, and omega t: what fixes the surface at a time."""
+        return np.array([self.amplitude_m, *self.number, self.radps * time_s])
+
+    def pressure_m(self, x_m: float, y_m: float, z_m: float, time_s: float) -> float:
+        """Depth by which the pressure at a place is above that of still water."""
+        if self.amplitude_m == 0.0:
+            return 0.0
+        down_m, k, h = min(max(z_m, 0.0), self._depth_m), self._per_m, self._depth_m
+        # cosh(k (h - z)) / cosh(k h), without the large numbers of a deep pool
+        share = (np.exp(-k * down_m) + np.exp(-k * (2.0 * h - down_m))) / (1.0 + np.exp(-2.0 * k * h))
+        phase = self.number[0] * x_m + self.number[1] * y_m - self.radps * time_s
+        return float(self.amplitude_m * share * np.cos(phase))
+
+
 def wave_number(radps: float, depth_m: float) -> float:
     """k in rad/m of the dispersion omega^2 = g k tanh(k depth), by Newton's method from deep water."""
     wanted = radps**2 * depth_m / GRAVITY_MPS2

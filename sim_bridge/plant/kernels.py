@@ -65,7 +65,7 @@ Constants = tuple[Any, ...]
 Indices = NDArray[np.intp]
 
 
-@kernel("UniTuple(f8, 2)(f8)", inline=True)
+@kernel("UniTuple(f8, 2)(f8)", inline=True, part=True)
 def sine_cosine(angle_rad: float) -> tuple[float, float]:
     """Sine and cosine of an angle up to 1e6 rad, to 2e-16: Taylor's series about the nearest multiple of pi / 2.
 
@@ -89,7 +89,7 @@ def sine_cosine(angle_rad: float) -> tuple[float, float]:
     return sine, cosine
 
 
-@kernel(f"void({MATRIX}, i8, i8, i8, i8, {VECTOR}, {VECTOR})", inline=True)
+@kernel(f"void({MATRIX}, i8, i8, i8, i8, {VECTOR}, {VECTOR})", inline=True, part=True)
 def interpolate(fleet: Array, block: int, x: int, y: int, count: int, knots: Array, values: Array) -> None:
     """Write the piecewise linear function through (knots, values), constant beyond its ends, of `count` numbers at x to y."""
     last = len(knots) - 1
@@ -137,7 +137,7 @@ def from_fleet(fleet: Array, first: int, values: Array) -> None:
 # --- batteries
 
 
-@kernel(f"void({MATRIX}, i8, i8, {BATTERY})")
+@kernel(f"void({MATRIX}, i8, i8, {BATTERY})", part=True)
 def thrust_factor(fleet: Array, first: int, end: int, battery: Constants) -> None:
     """FACTOR, thrust over the static curve's: (voltage / curve's voltage)^1.2, with thrusters at FORCE.
 
@@ -157,7 +157,7 @@ def thrust_factor(fleet: Array, first: int, end: int, battery: Constants) -> Non
             fleet[b, FACTOR + lane] = fleet[b, FACTOR + lane] ** THRUST_EXPONENT
 
 
-@kernel(f"void({MATRIX}, i8, i8, f8, {BATTERY})")
+@kernel(f"void({MATRIX}, i8, i8, f8, {BATTERY})", part=True)
 def discharge(fleet: Array, first: int, end: int, seconds: float, battery: Constants) -> None:
     """Take from CHARGE the energy of thrusters at FORCE: power ~ |thrust|^1.5 (momentum theory), and the electronics'."""
     ideal, _, _, _, _, _, _, max_thrust_n, thruster_w, electronics_w, capacity_j = battery
@@ -176,7 +176,7 @@ def discharge(fleet: Array, first: int, end: int, seconds: float, battery: Const
 # --- thrusters and ankles
 
 
-@kernel(f"void({MATRIX}, i8, i8, {CUBE}, {MATRIX}, i8, {ACTUATORS})")
+@kernel(f"void({MATRIX}, i8, i8, {CUBE}, {MATRIX}, i8, {ACTUATORS})", part=True)
 def actuator_targets(
     fleet: Array, first: int, end: int, history_us: Array, pulses_us: Array, step: int, actuators: Constants
 ) -> None:
@@ -207,7 +207,7 @@ def actuator_targets(
                 fleet[b, TARGET_N + k] = fleet[b, FACTOR + lane] * fleet[b, GAIN + k] * fleet[b, CURVE_N + k]
 
 
-@kernel(f"void({MATRIX}, i8, i8, f8, {ACTUATORS})")
+@kernel(f"void({MATRIX}, i8, i8, f8, {ACTUATORS})", part=True)
 def move_actuators(fleet: Array, first: int, end: int, since_s: float, actuators: Constants) -> None:
     """FORCE_THEN and ANKLE_THEN, `since_s` after they were FORCE and ANKLE: a first-order lag, and a limited rate. Targets are
     constant meanwhile, so both are exact."""
@@ -223,7 +223,7 @@ def move_actuators(fleet: Array, first: int, end: int, since_s: float, actuators
             fleet[b, ANKLE_THEN + k] = fleet[b, ANKLE + k] + min(max(to_go, -reach_rad), reach_rad)
 
 
-@kernel(f"void({MATRIX}, i8, i8, {ACTUATORS})")
+@kernel(f"void({MATRIX}, i8, i8, {ACTUATORS})", part=True)
 def legs_wrench(fleet: Array, first: int, end: int, actuators: Constants) -> None:
     """WRENCH of the legs at FORCE_THEN and ANKLE_THEN on surge, sway, heave, roll, pitch, yaw: the sum of (F, r x F).
 
@@ -287,7 +287,7 @@ def water_motion(place_m: Array, time_s: float, flow: Constants, motion: Array) 
             motion[i, 5] += across * wave_radps * math.cos(phase)
 
 
-@kernel("f8(f8, f8, f8, b1)", inline=True)
+@kernel("f8(f8, f8, f8, b1)", inline=True, part=True)
 def lift(z_m: float, buoyancy_n: float, radius_m: float, has_surface: bool) -> float:
     """Vertical force on a hull at depth z, down positive: residual buoyancy, and above water the missing displacement of
     the cap of height c = r - z that stands out, rho g pi / 3 c^2 (3 r - c)."""
@@ -298,7 +298,7 @@ def lift(z_m: float, buoyancy_n: float, radius_m: float, has_surface: bool) -> f
 # --- contact
 
 
-@kernel(f"void({MATRIX}, i8[::1])")
+@kernel(f"void({MATRIX}, i8[::1])", part=True)
 def sort_by_x(place_m: Array, order: Indices) -> None:
     """Sort the indices `order` (n,) by (x, index), in place: insertion, as a step changes the order little."""
     for k in range(1, len(order)):
@@ -313,7 +313,7 @@ def sort_by_x(place_m: Array, order: Indices) -> None:
         order[before + 1] = i
 
 
-@kernel(f"b1({MATRIX}, i8[::1], {BASIN}, f8, {MATRIX})")
+@kernel(f"b1({MATRIX}, i8[::1], {BASIN}, f8, {MATRIX})", part=True)
 def is_near(place_m: Array, order: Indices, basin: Constants, margin_m: float, sorted_m: Array) -> bool:
     """True if any hull is within `margin_m` of a wall, the floor, an island or another hull. `order`: see `sort_by_x`;
     `sorted_m` (3, n) is for the places in this order."""
@@ -342,13 +342,13 @@ def is_near(place_m: Array, order: Indices, basin: Constants, margin_m: float, s
     return False
 
 
-@kernel("f8(f8, f8, f8)")
+@kernel("f8(f8, f8, f8)", part=True)
 def normal_force(stiffness_npm: float, penetration_m: float, closing_mps: float) -> float:
     """Force of a contact: k d (1 + c d'), never negative, for a penetration d that grows by d'."""
     return stiffness_npm * max(penetration_m, 0.0) * max(1.0 + CONTACT_DAMPING_S_PER_M * closing_mps, 0.0)
 
 
-@kernel(f"void({MATRIX}, {MATRIX}, {MATRIX}, i8[::1], {BASIN}, {MATRIX})")
+@kernel(f"void({MATRIX}, {MATRIX}, {MATRIX}, i8[::1], {BASIN}, {MATRIX})", part=True)
 def contact_force(start_m: Array, place_m: Array, velocity_mps: Array, order: Indices, basin: Constants, force: Array) -> None:
     """Contact forces (n, 3) in the pool frame, without friction, at places and velocities whose rows begin with x, y, z.
 
@@ -396,7 +396,7 @@ def contact_force(start_m: Array, place_m: Array, velocity_mps: Array, order: In
 # --- rigid bodies
 
 
-@kernel(f"void({MATRIX}, i8, i8)")
+@kernel(f"void({MATRIX}, i8, i8)", part=True)
 def pack(fleet: Array, first: int, end: int) -> None:
     """STATE, and START with it, of POSE, SPEED and TILT. SPEED is on level axes that turn with the heading."""
     lanes = fleet.shape[1] // NUMBERS
@@ -423,7 +423,7 @@ def pack(fleet: Array, first: int, end: int) -> None:
             fleet[b, SUM + k] = 0.0
 
 
-@kernel(f"void({MATRIX}, i8, i8)")
+@kernel(f"void({MATRIX}, i8, i8)", part=True)
 def unpack(fleet: Array, first: int, end: int) -> None:
     """POSE, SPEED and TILT of STATE: the inverse of `pack`."""
     lanes = fleet.shape[1] // NUMBERS
@@ -443,7 +443,7 @@ def unpack(fleet: Array, first: int, end: int) -> None:
             fleet[b, TILT + 2 * LANES + lane], fleet[b, TILT + 3 * LANES + lane] = p + turn * sp / cp, cr * q - sr * r
 
 
-@kernel(f"void({MATRIX}, i8, i8)")
+@kernel(f"void({MATRIX}, i8, i8)", part=True)
 def kinematics(fleet: Array, first: int, end: int) -> None:
     """First six numbers of RATE: velocity in the pool frame, and rates of roll, pitch and yaw. Also TURN, the attitude R, body
     to pool, row by row."""
@@ -478,7 +478,7 @@ def kinematics(fleet: Array, first: int, end: int) -> None:
             fleet[b, RATE + 5 * LANES + lane] = yaw_rate
 
 
-@kernel(f"void({MATRIX}, i8, i8, f8, {BODY})")
+@kernel(f"void({MATRIX}, i8, i8, f8, {BODY})", part=True)
 def dynamics(fleet: Array, first: int, end: int, time_s: float, body: Constants) -> None:
     """Last six numbers of RATE (Fossen 2021, chapters 6 to 8), nu_r being the velocity relative to the water:
 
@@ -579,7 +579,7 @@ def dynamics(fleet: Array, first: int, end: int, time_s: float, body: Constants)
             fleet[b, RATE + 11 * LANES + lane] = rr * yaw
 
 
-@kernel(f"void({MATRIX}, i8, i8, f8, b1, {FLOW}, {BASIN}, {BODY}, {WORK})")
+@kernel(f"void({MATRIX}, i8, i8, f8, b1, {FLOW}, {BASIN}, {BODY}, {WORK})", part=True)
 def state_rate(
     fleet: Array,
     first: int,
@@ -607,7 +607,7 @@ def state_rate(
     dynamics(fleet, first, end, time_s, body)
 
 
-@kernel(f"b1({MATRIX}, {BASIN}, {WORK})")
+@kernel(f"b1({MATRIX}, {BASIN}, {WORK})", part=True)
 def begins_near(fleet: Array, basin: Constants, work: Constants) -> bool:
     """Tell whether contact has to be computed in this step; else CONTACT is zero. If so, the places at the step's start are
     sorted.
@@ -635,7 +635,7 @@ def begins_near(fleet: Array, basin: Constants, work: Constants) -> bool:
 # --- the fleet
 
 
-@kernel(f"void({MATRIX}, i8, i8, f8, f8)")
+@kernel(f"void({MATRIX}, i8, i8, f8, f8)", part=True)
 def add_stage(fleet: Array, first: int, end: int, weight: float, by_s: float) -> None:
     """Add a stage's weighted RATE to SUM. STATE becomes what it would be `by_s` after START at this RATE."""
     lanes = fleet.shape[1] // NUMBERS
@@ -645,7 +645,7 @@ def add_stage(fleet: Array, first: int, end: int, weight: float, by_s: float) ->
             fleet[b, STATE + k] = fleet[b, START + k] + by_s * fleet[b, RATE + k]
 
 
-@kernel(f"void({MATRIX}, i8, i8, f8)")
+@kernel(f"void({MATRIX}, i8, i8, f8)", part=True)
 def add_step(fleet: Array, first: int, end: int, step_s: float) -> None:
     """STATE at a step's end, START + step / 6 SUM. The legs' forces and angles are those of this instant."""
     lanes = fleet.shape[1] // NUMBERS

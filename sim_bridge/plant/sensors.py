@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sim_bridge.plant.currents_waves import SurfaceWave
 from sim_bridge.plant.kernels import GRAVITY_MPS2
 from sim_bridge.plant.random_streams import Stream, generator
 from wire.config.experiment import Experiment
@@ -20,7 +21,7 @@ class Reading:
     """One sample of all sensors but the battery's."""
 
     heading_rad: float
-    yaw_rate_radps: float
+    yaw_rate_radps: float  # about the body's third axis
     acceleration_mps2: tuple[float, float, float]  # specific force, body frame: at rest 1 g upwards, (0, 0, -g)
     depth_m: float
     tilt: tuple[float, ...] = LEVEL
@@ -30,8 +31,13 @@ class Reading:
         """Roll, pitch [rad], and the rates about the body's first two axes [rad/s], as ATTITUDE has them."""
         roll, pitch, roll_rate, pitch_rate = self.tilt
         about_y = (pitch_rate + self.yaw_rate_radps * math.sin(roll)) / math.cos(roll)
-        turn = about_y * math.sin(roll) + self.yaw_rate_radps * math.cos(roll)
-        return roll, pitch, roll_rate - turn * math.tan(pitch), about_y
+        return roll, pitch, roll_rate - self.heading_rate_radps * math.sin(pitch), about_y
+
+    @property
+    def heading_rate_radps(self) -> float:
+        """d/dt of the heading, as an agent has it from gyroscope and tilt (wire/mavlink/agent_link.py)."""
+        roll, pitch, _, pitch_rate = self.tilt
+        return (self.yaw_rate_radps + math.sin(roll) * pitch_rate) / (math.cos(roll) * math.cos(pitch))
 
 
 class BoardSensors:
@@ -48,18 +54,22 @@ class BoardSensors:
         self.tilt_bias_rad = sensors.tilt_bias_rad * self._tilt_random.uniform(-1.0, 1.0, 2)
         self._tilt_noise = np.repeat([sensors.tilt_noise_rad, sensors.gyro_noise_radps], 2)
         self.error = (0.0, 0.0)  # of heading (rad) and yaw rate (rad/s), when the sensor is broken
+        self._wave = SurfaceWave(experiment)
         self.depth_bias_m = pressure * sensors.pressure_bias_m + experiment.robot(robot_id).depth_offset_m
 
-    def read(self, eta: Array, nu: Array, acceleration: Array, tilt: Array | Sequence[float] = LEVEL) -> Reading:
-        """Sample a motion: eta, nu and d nu / dt, each (4,), on level axes.
+    def read(
+        self, eta: Array, nu: Array, acceleration: Array, tilt: Array | Sequence[float] = LEVEL, time_s: float = 0.0
+    ) -> Reading:
+        """Sample a motion: eta, nu and d nu / dt, each (4,), on level axes, at the plant's time: depth is a pressure, which
+        waves change too.
 
-        `tilt` is roll, pitch, and d/dt of them, which turn the sensors with the body. The board levels the heading that it
-        sends.
+        `tilt` is roll, pitch, and d/dt of them, which turn the sensors with the body. The rate about the body's third axis is
+        cos(roll) cos(pitch) d yaw/dt - sin(roll) d pitch/dt (Fossen 2021, eq. 2.31). The board levels its heading.
         """
         sensors = self._sensors
         noise: list[float] = self._random.standard_normal(6).tolist()
-        (_, _, z, yaw), (u, v, _, r), (du, dv, dw, _) = eta.tolist(), nu.tolist(), acceleration.tolist()
-        roll, pitch = float(tilt[0]), float(tilt[1])
+        (x, y, z, yaw), (u, v, _, r), (du, dv, dw, _) = eta.tolist(), nu.tolist(), acceleration.tolist()
+        roll, pitch, pitch_rate = float(tilt[0]), float(tilt[1]), float(tilt[3])
         cr, sr, cp, sp = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch)
         ahead, side, down = du - r * v, dv + r * u, dw - GRAVITY_MPS2
         bow = sp * ahead + cp * down
@@ -67,9 +77,9 @@ class BoardSensors:
         fx, fy, fz = [f + ACCELEROMETER_NOISE_MPS2 * n for f, n in zip(force, noise[3:], strict=True)]
         return Reading(
             wrap(yaw + self.error[0] + self.heading_bias_rad + sensors.heading_noise_rad * noise[0]),
-            cr * cp * r + self.error[1] + self.gyro_bias_radps + sensors.gyro_noise_radps * noise[1],
+            cr * cp * r - sr * pitch_rate + self.error[1] + self.gyro_bias_radps + sensors.gyro_noise_radps * noise[1],
             (fx, fy, fz),
-            z + self.depth_bias_m + sensors.pressure_noise_m * noise[2],
+            z + self._wave.pressure_m(x, y, z, time_s) + self.depth_bias_m + sensors.pressure_noise_m * noise[2],
             self._sense_tilt(np.asarray(tilt, dtype=np.float64)),
         )
 

@@ -11,7 +11,8 @@ from wire.messages.topics import localizer_name
 from wire.toml_loader import ConfigError
 
 LEAST_MARKER_PX = 16  # px, least side of a marker that can be read: two per cell and a margin
-PACE_OF_REAL_TIME = "--pace: real time has a pace of its own (allowed: with --lockstep)"
+GIVE_UP_S = 300.0  # s of the run's own time without progress, of a run that nobody attends: a drifter crosses a pool in 120
+REAL_TIME_PACE = 1.0  # times real time: the most that a run gets without --lockstep, however fast the machine
 BLIND = "Fly without the camera: --poses"
 
 
@@ -29,8 +30,9 @@ class Program:
 class RunOptions:
     """Options of a run: `page` is the address of the operator's page (host:port), `manual` leaves the mission to the
     operator, `poses` replaces camera and localizer by the simulator, `keys` is a ring with which all speak TLS,
-    `signed` signs the boards' links, `one_process` runs all nodes in the launcher's process, `pace` is the most a lockstep run
-    may be faster than real time."""
+    `signed` signs the boards' links, `one_process` runs all nodes in the launcher's process. In lockstep the simulator owns
+    time, and `pace` is the most that it may be faster than the clock (None: as fast as it goes); otherwise all live by the
+    wall clock."""
 
     lockstep: bool = False
     page: str | None = None
@@ -42,6 +44,34 @@ class RunOptions:
     pace: float | None = None
 
 
+def pace_of(lockstep: bool, real_time: bool, one_process: bool, pace: float | None) -> float | None:
+    """The pace of a run whose command line has these options: real time at most, with --lockstep as fast as it goes, unless
+    --pace says otherwise. None: no limit, or the wall clock. Raises ConfigError for options that exclude each other."""
+    if not real_time:
+        return pace if pace is not None or lockstep else REAL_TIME_PACE
+    for option, given, why in (
+        ("--lockstep", lockstep, "the wall clock waits for nobody"),
+        ("--pace", pace is not None, "the wall clock has a pace of its own"),
+        ("--one-process", one_process, "one process cannot keep up with the wall clock"),
+    ):
+        if given:
+            raise ConfigError(f"{option}: {why} (allowed: without --real-time)")
+    return None
+
+
+def time_in_words(options: RunOptions) -> str:
+    """The timing of a run in words."""
+    if not options.lockstep:
+        return "by the wall clock"
+    if options.pace is None:
+        words = "in lockstep, as fast as the machine can"
+    elif options.pace == REAL_TIME_PACE:
+        words = "in real time, slower while the machine is busy"
+    else:
+        words = f"at {options.pace:g} x real time, slower while the machine is busy"
+    return f"{words}, in one process" if options.one_process else words
+
+
 def check(experiment: Experiment, options: RunOptions) -> None:
     """Raise ConfigError if the experiment cannot be flown with these options."""
     if not options.poses:
@@ -50,13 +80,13 @@ def check(experiment: Experiment, options: RunOptions) -> None:
         check_sight(experiment)
     if options.one_process:
         _check_one_process(options)
-    if options.pace is not None and not options.lockstep:
-        raise ConfigError(PACE_OF_REAL_TIME)
     if options.lockstep:
+        _ = experiment.plant_steps  # raises where they do not keep step
         fault_schedule.require_kinds(
             experiment,
             tuple(kind for kind in KINDS if kind not in OF_PROCESSES),
-            "--one-process has no processes to break" if options.one_process else "processes break by the wall clock",
+            f"{'--one-process has none to break' if options.one_process else 'processes break by the wall clock'}: it needs "
+            "--real-time",
         )
     if options.poses:
         fault_schedule.require_kinds(
@@ -66,8 +96,6 @@ def check(experiment: Experiment, options: RunOptions) -> None:
 
 def _check_one_process(options: RunOptions) -> None:
     """Raise ConfigError for options that mean nothing without processes, or without a network between them."""
-    if not options.lockstep:
-        raise ConfigError("--one-process: keeps no real time (allowed: with --lockstep)")
     if options.keys is not None or options.signed:
         option = "--keys" if options.keys is not None else "--signed"
         raise ConfigError(f"{option}: with --one-process there is no link that could be listened to (allowed: one of them)")
@@ -106,9 +134,9 @@ def programs(
     common = [str(run_dir / "experiment.toml"), *(["--lockstep"] if options.lockstep else [])]
     common += ["--keys", str(options.keys)] if options.keys is not None else []
     client = ["run", *common, "--station", address]
-    station = ["run", *common, "--run-dir", str(run_dir), "--listen", address]
+    station = ["run", *common, "--run-dir", str(run_dir), "--no-report", "--listen", address]  # the launcher writes it
     station += ["--no-web"] if options.page is None else ["--web", options.page]
-    station += [] if options.manual else ["--auto"]
+    station += [] if options.manual else ["--auto", "--give-up", f"{GIVE_UP_S:g}"]
     pool = ["pool", *client[1:], "--ports", str(ports), *(["--poses"] if options.poses else [])]
     pool += ["--pace", str(options.pace)] if options.pace is not None else []
     pool += ["--boards", str(boards)] if boards is not None else []

@@ -3,13 +3,15 @@
 The processes are the ones that run in the pool, started as a user would start them; only the pool is simulated.
 """
 
+import contextlib
+import json
 import os
 import resource
 import shlex
 import shutil
+import signal
 import socket
 import subprocess
-import sys
 import tempfile
 import time
 from pathlib import Path
@@ -17,15 +19,18 @@ from pathlib import Path
 from rich.console import Console
 
 from sim_bridge import fault_schedule
-from sim_bridge.sil.commands import Program, RunOptions, programs
+from sim_bridge.sil import commands
+from sim_bridge.sil.commands import Program, RunOptions, time_in_words
 from sim_bridge.sil.fault_injector import ProcessFaultInjector
 from sim_bridge.sil.monitor import Monitor
 from sim_bridge.sil.ports import free_base_port, free_port
 from sim_bridge.sil.processes import Child, Children
+from wire import programs
 from wire.config.experiment import Experiment, dump_experiment
 from wire.config.fault_injection import KINDS
 from wire.mavlink.signing_key import new_key
 from wire.messages.topics import Role, process_name
+from wire.process.output_files import PAGE_OPEN, replace_text
 from wire.process.runtime import Stop
 from wire.toml_loader import ConfigError
 from wire.transport import frame_ring
@@ -38,12 +43,14 @@ from wire.transport.zenoh_transport import ZenohTransport
 START_WITHIN_S = 180.0  # s for the station to listen; on a starved machine a program takes a minute to load
 LOOK_EVERY_S = 0.2
 STALLED_S = 180.0  # s without a new heartbeat of the station after which the run is ended as stuck
+VERDICTS = {"passed": "[green]passed[/]", "failed": "[red]failed[/]", "not judged": "[yellow]not judged[/]"}
+INTERRUPTED_WITHIN_S = 15.0  # s for the station to close its log after a Ctrl-C, also on a starved machine
 SAFE_WITHIN_S = 1.0  # s in which robots bring themselves to rest when the station has gone
 
 
 def run(experiment: Experiment, run_dir: Path, options: RunOptions, stop: Stop, console: Console) -> int:
-    """Run an experiment with all its processes, after `commands.check`. Returns the exit code: 0 passed, 1 failed, 2
-    refused by the station, 130 interrupted."""
+    """Run an experiment with all its processes, after `commands.check`. Returns the exit code: 0 passed, 1 failed or not
+    judged, 2 refused by the station, 130 interrupted."""
     write_experiment(experiment, run_dir)
     if not hasattr(resource, "prlimit"):
         fault_schedule.require_kinds(
@@ -57,7 +64,9 @@ def run(experiment: Experiment, run_dir: Path, options: RunOptions, stop: Stop, 
     try:
         address, ports = f"tcp/127.0.0.1:{free_port()}", free_base_port(experiment.robot_ids)
         ring = None if options.poses else frame_ring.create(tuple(camera.size_px for camera in experiment.all_cameras))
-        started = programs(experiment.robot_ids, options, run_dir, address, ports, boards, ring, experiment.camera_names)
+        started = commands.programs(
+            experiment.robot_ids, options, run_dir, address, ports, boards, ring, experiment.camera_names
+        )
         console.print(
             f"station: {address} (groundstation stop, mission, gains and end find it)", soft_wrap=True, highlight=False
         )
@@ -69,28 +78,36 @@ def run(experiment: Experiment, run_dir: Path, options: RunOptions, stop: Stop, 
             try:
                 with Bus(ZenohTransport(where, lambda: stop.requested or station.exit_code is not None)) as bus:
                     injector = ProcessFaultInjector(experiment, children, bus)
-                    problems = _watch(children, station, Monitor(experiment, bus), injector, options.lockstep, stop, console)
+                    monitor = Monitor(experiment, bus, options.pace)
+                    problems = _watch(children, station, monitor, injector, options.lockstep, stop, console)
             except Unreached:  # interrupted, or the station is gone: both are told below
                 came_up = False
+        if stop.interrupted:
+            _interrupt(station)
         mission_failed = not came_up or station.exit_code != 0
         refused = station.exit_code == 2 and not (run_dir / "run.mcap").exists()
         if not stop.requested and (not came_up or station.exit_code not in (None, 0, 1)):
             problems.append(station.log.read_text(encoding="utf-8").strip() if refused else station.explain())
             print_error(console, problems[-1])
+            (run_dir / PAGE_OPEN).touch()  # it cannot say any more whether its page was open
     finally:
         children.stop()
         if secrets is not None:
             secrets.cleanup()
+    if stop.requested and not (run_dir / "run.mcap").exists():
+        shutil.rmtree(run_dir)
+        console.print("interrupted: nothing was flown, and no folder is left")
+        return 130
     if refused and not stop.requested:
         return nothing_flown(run_dir, console)
-    verdict = conclude(run_dir, came_up, not mission_failed and not problems, options, stop, console)
-    return 2 if verdict == 1 and station.exit_code == 2 else verdict
+    code = conclude(run_dir, came_up, not mission_failed and not problems, stop, console)
+    return 2 if code == 1 and station.exit_code == 2 else code
 
 
 def write_experiment(experiment: Experiment, run_dir: Path) -> None:
     """Begin a run's folder with the experiment's file."""
     run_dir.mkdir(parents=True, exist_ok=True)
-    (run_dir / "experiment.toml").write_text(dump_experiment(experiment), encoding="utf-8")
+    replace_text(run_dir / "experiment.toml", dump_experiment(experiment))
 
 
 def nothing_flown(run_dir: Path, console: Console) -> int:
@@ -100,25 +117,22 @@ def nothing_flown(run_dir: Path, console: Console) -> int:
     return 2
 
 
-def conclude(run_dir: Path, came_up: bool, succeeded: bool, options: RunOptions, stop: Stop, console: Console) -> int:
-    """Report, print the verdict, and show the run to a person who has ended it on the page. `came_up`: the station made a
-    log. Returns the exit code: 0 passed, 1 failed, 130 interrupted."""
+def conclude(run_dir: Path, came_up: bool, succeeded: bool, stop: Stop, console: Console) -> int:
+    """Report, and print the verdict. `came_up`: the station made a log. Returns the exit code: 0 passed, 1 failed or not
+    judged, 130 interrupted."""
     if stop.requested:
         console.print("interrupted: every process is stopped")
     passed = came_up and report(run_dir, console) and succeeded
-    if came_up:
-        console.print(f"report: {run_dir / 'report.html'}", soft_wrap=True)
     if stop.requested:
         return 130
-    console.print("[green]passed[/]" if passed else f"[red]failed[/] (what each process said: {run_dir / 'logs'})")
-    if came_up and options.manual and options.page is not None:
-        console.print("the page shows the recorded run until it is closed, or Ctrl-C")
-        arguments = ["log", "replay", str(run_dir), "--web", options.page, "--until-closed"]
-        with subprocess.Popen([sys.executable, "-m", "groundstation", *arguments], stdout=subprocess.DEVNULL) as shown:
-            while shown.poll() is None and not stop.requested:
-                time.sleep(LOOK_EVERY_S)
-            shown.terminate()
+    console.print(VERDICTS[verdict(run_dir, passed)] + ("" if passed else f" (what each process said: {run_dir / 'logs'})"))
     return 0 if passed else 1
+
+
+def verdict(run_dir: Path, passed: bool) -> str:
+    """The verdict in words: "failed" also for a run whose result passed, but not all of its processes."""
+    result = json.loads((run_dir / "result.json").read_text(encoding="utf-8")) if (run_dir / "result.json").exists() else {}
+    return "passed" if passed else "not judged" if result.get("verdict") == "not judged" else "failed"
 
 
 def dry_run(experiment: Experiment, run_dir: Path, options: RunOptions, console: Console) -> int:
@@ -126,20 +140,19 @@ def dry_run(experiment: Experiment, run_dir: Path, options: RunOptions, console:
     flown. The station's own dry run checks the plan."""
     address, ports = f"tcp/127.0.0.1:{free_port()}", free_base_port(experiment.robot_ids)
     keys = Path("LINK-KEYS") if options.signed else None
-    started = programs(experiment.robot_ids, options, run_dir, address, ports, keys, cameras=experiment.camera_names)
+    started = commands.programs(experiment.robot_ids, options, run_dir, address, ports, keys, cameras=experiment.camera_names)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "experiment.toml"
-        file.write_text(dump_experiment(experiment), encoding="utf-8")
+        replace_text(file, dump_experiment(experiment))
         arguments = [str(file) if part == str(run_dir / file.name) else part for part in started[0].arguments]
-        asked = [started[0].module, *arguments, "--dry-run"]
-        told = subprocess.run([sys.executable, "-m", *asked], capture_output=True, text=True, check=False)
+        told = programs.ask(started[0].module, [*arguments, "--dry-run"])
     if told.returncode != 0:
         raise ConfigError(told.stderr.strip().replace(f"{file}: ", ""))
     console.print(told.stdout.strip(), soft_wrap=True, highlight=False)
-    pace = (
-        "lockstep, as fast as it goes" if options.lockstep else f"real time, {experiment.duration_s:g} s and some to get ready"
+    how = time_in_words(options)
+    console.print(
+        f"{experiment.duration_s:g} s {how}; seed {experiment.seed}; it would start:", soft_wrap=True, highlight=False
     )
-    console.print(f"in {pace}; seed {experiment.seed}; it would start:", soft_wrap=True, highlight=False)
     if options.one_process:
         console.print(f"  nothing: {', '.join(program.name for program in started)} run in this process", soft_wrap=True)
         started = []
@@ -165,6 +178,14 @@ def _start_all(children: Children, wanted: list[Program], address: str, stop: St
     for program in others:
         children.start(program.name, program.module, program.arguments, inherits=program.inherits)
     return station, True
+
+
+def _interrupt(station: Child) -> None:
+    """Let the station end by a person's Ctrl-C before the others: it writes that into the log, and tells its page."""
+    if station.exit_code is None:
+        station.process.send_signal(signal.SIGINT)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            station.process.wait(INTERRUPTED_WITHIN_S)
 
 
 def _link_keys(folder: Path, robots: tuple[int, ...]) -> Path:
@@ -211,19 +232,18 @@ def _watch(
 
 
 def report(run_dir: Path, console: Console) -> bool:
-    """Have the station's command write the report, and print what it says. Returns True if the result passed."""
-    file = run_dir / "result.json"
-    before = _written(file)
-    writing = subprocess.run(
-        [sys.executable, "-m", "groundstation", "log", "report", str(run_dir)], capture_output=True, text=True, check=False
-    )
-    # 1: there is one, of a run that did not pass; but so ends a program with an error of its own
-    if writing.returncode not in (0, 1) or _written(file) == before:
+    """Have the station's command write the report, and print what it says. Returns True if the result in its file passed: a
+    program that was cut off while it printed has written its files."""
+    result, page = run_dir / "result.json", run_dir / "report.html"
+    before = _written(result), _written(page)
+    writing = programs.ask("groundstation", ["log", "report", str(run_dir)])
+    if _written(result) == before[0] or _written(page) == before[1]:
         print_error(console, f"no report: {writing.stderr.strip() or writing.stdout.strip()}")
         return False
-    told = writing.stdout.strip().splitlines()
-    console.print("\n".join(told[:-1]), markup=False, highlight=False, soft_wrap=True)  # the last names the report
-    return writing.returncode == 0
+    told = [line for line in writing.stdout.strip().splitlines() if not line.startswith("report: ")]
+    console.print("\n".join(told), markup=False, highlight=False, soft_wrap=True)
+    console.print(f"report: {page}", soft_wrap=True)
+    return bool(json.loads(result.read_text(encoding="utf-8"))["passed"])
 
 
 def _written(file: Path) -> tuple[int, int] | None:

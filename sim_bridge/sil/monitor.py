@@ -1,6 +1,7 @@
 """SHELL: the terminal's view of a run: a table of the robots, a progress bar, or lines for a log."""
 
 import math
+import textwrap
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -10,24 +11,35 @@ from rich.console import Console, Group, RenderableType
 from rich.live import Live
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
+from rich.text import Text
 
 from wire.config.experiment import Experiment
 from wire.messages import topics
-from wire.messages.messages import LocalizerStatus, Mode, RobotState, StationHeartbeat
+from wire.messages.codec import DecodeError, Header, decode
+from wire.messages.messages import Event, LocalizerStatus, Mode, RobotState, StationHeartbeat
+from wire.messages.topics import Topic
+from wire.process.fleet_time import FleetTime, pace_in_words
 from wire.transport.bus import Bus, Received
 
 SAY_EVERY_S = 5.0  # s between lines of text, without a terminal to draw in
+MISSION_LINE = "mission: "  # begins the station's line about its state
+REASON_CHARS = 300  # of a reason: twenty robots may have one each, and the page has them all
 FEW = 6  # robots that one line can name
-SILENT_S = 3.0  # s of the wall clock without a state after which a robot is silent; a step in lockstep may take a while
+SILENT_S = 3.0  # s of the fleet's time without a state after which a robot is silent
+WAITS = frozenset({"WAITING", "PAUSED", "STOPPED", "ABORTING", "FAILED"})  # states whose reason a person wants to read
 
 
 class Monitor:
     """A view of the fleet through its own session, which only listens."""
 
-    def __init__(self, experiment: Experiment, bus: Bus) -> None:
-        self._experiment = experiment
+    def __init__(self, experiment: Experiment, bus: Bus, pace: float | None = None) -> None:
+        """`pace`: times real time that the run should keep up with; None: as fast as the machine can, or the wall clock."""
+        self._experiment, self._wanted = experiment, pace
         self._states = bus.inboxes(topics.STATE, RobotState, experiment.robot_ids)
         self._heartbeat = bus.inbox(topics.HEARTBEAT, StationHeartbeat)
+        self._time = FleetTime(self._heartbeat)
+        self._reason = ""  # of the mission's state, as the station's log last gave it
+        bus.subscribe(topics.EVENT, None, self._event)
         self._localizer = bus.inbox(topics.LOCALIZER, LocalizerStatus)
         self._progress = Progress(
             TextColumn("{task.description}"),
@@ -37,7 +49,6 @@ class Monitor:
             TimeElapsedColumn(),
         )
         self._task = self._progress.add_task(experiment.name, total=experiment.duration_s, speed="")
-        self._started_s: float | None = None
         self._flown_s = 0.0
 
     @property
@@ -58,19 +69,29 @@ class Monitor:
         states = [inbox.newest() for inbox in self._states.values()]
         if None in states:
             return self._flown_s
-        heard = [s.message.trajectory_s for s in states if s is not None and not _silent(s)]
+        heard = [s.message.trajectory_s for s in states if s is not None and not self._silent(s)]
         self._flown_s = min(heard, default=self._flown_s)
         return self._flown_s
 
     @property
-    def speed(self) -> float:
-        """Flown seconds per second of wall clock, since the robots started; 0 before."""
-        flown_s = self.flown_s
-        if flown_s <= 0:
-            return 0.0
-        if self._started_s is None:
-            self._started_s = time.monotonic() - 1e-3
-        return flown_s / max(time.monotonic() - self._started_s, 1e-3)
+    def pace(self) -> str:
+        """The pace of simulated time lately, in words; empty for the wall clock."""
+        pace = self._time.pace()
+        return "" if pace is None else pace_in_words(pace, self._wanted)
+
+    @property
+    def reason(self) -> str:
+        """The reason for which the mission does not go on; empty if it does."""
+        return textwrap.shorten(self._reason, REASON_CHARS, placeholder=" ...") if self.mission in WAITS else ""
+
+    def _event(self, topic: Topic, key: str, header: Header, payload: bytes) -> None:
+        """Keep the reason from the station's line `mission: STATE: REASON`."""
+        try:
+            event: Event = decode(Event, payload, key, topic.name)
+        except DecodeError:
+            return
+        if event.source == "groundstation" and event.message.startswith(MISSION_LINE):
+            self._reason = event.message.removeprefix(MISSION_LINE).partition(": ")[2]
 
     @contextmanager
     def shown(self, console: Console) -> Iterator[Callable[[], None]]:
@@ -90,21 +111,21 @@ class Monitor:
 
     def render(self) -> RenderableType:
         """The table and the progress bar, now."""
-        self._progress.update(self._task, completed=self.flown_s, speed=f"{self.speed:4.1f} x real time")
+        self._progress.update(self._task, completed=self.flown_s, speed=self.pace)
         table = Table("robot", "mode", "error", "pose", "age", "step", "battery", "remarks", title=self._title(), expand=False)
         for robot, inbox in self._states.items():
             received = inbox.newest()
             if received is None:
                 table.add_row(str(robot), "not heard", *[""] * 6)
                 continue
-            cells = ("silent", *[""] * 6) if _silent(received) else _cells(received.message)
+            cells = ("silent", *[""] * 6) if self._silent(received) else _cells(received.message)
             table.add_row(str(robot), *cells)
-        return Group(table, self._progress)
+        return Group(table, self._progress, *([Text(self.reason)] if self.reason else []))
 
     def line(self) -> str:
         """The same in one line, for a log; for a large fleet counts of modes, and the worst robot."""
         heard = {robot: inbox.newest() for robot, inbox in self._states.items()}
-        silent = [robot for robot, received in heard.items() if received is not None and _silent(received)]
+        silent = [robot for robot, received in heard.items() if received is not None and self._silent(received)]
         states = {r: received.message for r, received in heard.items() if received is not None and r not in silent}
         if len(heard) > FEW:
             robots = [f"{n} {mode.name.lower()}" for mode, n in sorted(Counter(s.mode for s in states.values()).items())]
@@ -116,16 +137,16 @@ class Monitor:
             robots = [f"{r} {s.mode.name.lower()} {_error(s)}{_remark(s)}" for r, s in states.items()]
         robots += [f"{robot} silent" for robot in silent]
         flown = f"{self.flown_s:6.1f} / {self._experiment.duration_s:.0f} s"
-        return f"{flown}  {self.mission.lower():10s} {self.speed:4.1f} x  " + ", ".join(robots)
+        parts = [f"{flown}  {self.mission.lower():10s}", self.pace, self.reason or ", ".join(robots)]
+        return "  ".join(part for part in parts if part)
+
+    def _silent(self, received: Received[RobotState]) -> bool:
+        return self._time.age_s(received) > SILENT_S
 
     def _title(self) -> str:
         localizer = self._localizer.newest()
         camera = f", camera {localizer.message.camera.name.lower()}" if localizer is not None else ""
         return f"{self._experiment.title or self._experiment.name}: {self.mission.lower()}{camera}"
-
-
-def _silent(received: Received[RobotState]) -> bool:
-    return time.monotonic_ns() - received.arrived_ns > SILENT_S * 1e9
 
 
 def _error_mm(state: RobotState) -> float | None:

@@ -1,17 +1,26 @@
 """SHELL: free ports of this machine, for programs that are about to be started."""
 
+import errno
 import os
+import random
 import socket
 
 from wire.toml_loader import ConfigError
 
+OURS = range(15000, 32000)  # below the ports that Linux (from 32768 on) and macOS (from 49152 on) give to outgoing connections
+
 
 def free_port(kind: socket.SocketKind = socket.SOCK_STREAM) -> int:
-    """A free TCP port; a UDP port with SOCK_DGRAM."""
-    with socket.socket(socket.AF_INET, kind) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port
+    """A free TCP port; a UDP port with SOCK_DGRAM. None that the system hands out: on a busy machine seconds go by until the
+    program that gets it has bound it, and any connection of another program could take it meanwhile."""
+    for port in random.SystemRandom().sample(OURS, len(OURS)):
+        with socket.socket(socket.AF_INET, kind) as probe:
+            try:
+                probe.bind(("127.0.0.1", port))
+            except OSError:
+                continue
+            return port
+    raise RuntimeError(f"no free port from {OURS.start} to {OURS.stop - 1}")
 
 
 def page_address(wanted: str) -> str:
@@ -20,11 +29,13 @@ def page_address(wanted: str) -> str:
     host, _, port = wanted.rpartition(":")
     if not host or not port.isdecimal() or not 0 < int(port) < 65536:
         raise ConfigError(f"--web {wanted!r}: must be HOST:PORT, for example 127.0.0.1:8000")
-    with socket.socket() as probe:
+    with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET) as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
-            probe.bind((host, int(port)))
-        except OSError:
+            probe.bind((host.strip("[]"), int(port)))
+        except OSError as error:
+            if error.errno != errno.EADDRINUSE:
+                raise ConfigError(f"--web {wanted}: {error.strerror or error}") from None
             return f"{host}:{free_port()}"
     return wanted
 

@@ -1,28 +1,18 @@
 """SHELL: child processes that are watched while they run and never left behind."""
 
-import ctypes
-import os
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-GRACE_S = 5.0  # s between SIGTERM and SIGKILL
+from wire import programs
 
-_PR_SET_PDEATHSIG = 1
-_libc = ctypes.CDLL(None, use_errno=True) if sys.platform == "linux" else None
+GRACE_S = 5.0  # s between SIGTERM and SIGKILL
 
 # Numerical libraries on one thread: on two cores their thread pools compete, and results depend on their number.
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-
-
-def _die_with_parent() -> None:
-    """Ask, in the child before it becomes the program, to be killed when the launcher dies (Linux)."""
-    if _libc is not None:
-        _libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
 
 
 @dataclass
@@ -65,23 +55,19 @@ class Children:
         environment: Mapping[str, str] | None = None,
         inherits: Sequence[int] = (),
     ) -> Child:
-        """Start `python -m module arguments` in a process group of its own, so that Ctrl-C reaches only the launcher.
-
-        `inherits`: descriptors of open files that it keeps."""
+        """Start a program with its output in a log. `inherits`: descriptors of open files that it keeps."""
         self.log_dir.mkdir(parents=True, exist_ok=True)
         if name in self.clocks:
             module, arguments = "sim_bridge.sil.clock_shim", [str(self.clock_file(name)), module, *arguments]
         log = self.log_dir / f"{name}.log"
         with log.open("wb") as output:
-            process = subprocess.Popen(
-                [sys.executable, "-m", module, *arguments],
-                stdin=subprocess.DEVNULL,
+            process = programs.start(
+                module,
+                arguments,
                 stdout=output,
                 stderr=subprocess.STDOUT,
-                env={**os.environ, **ONE_THREAD, **(environment or {})},
-                process_group=0,
-                pass_fds=inherits,
-                preexec_fn=_die_with_parent,
+                more={**ONE_THREAD, **(environment or {})},
+                inherits=inherits,
             )
         child = Child(name, process, log)
         self.all.append(child)

@@ -31,7 +31,7 @@ def fly_with_camera(experiment: Experiment) -> dict[str, Any]:
     with tempfile.TemporaryDirectory(prefix="shoal-flight-") as folder:
         Executor(quiet, Path(folder), MemoryHub()).fly()
         series, recorded, result = evaluated(Path(folder))
-    broken = [check.name for check in result.checks if not check.passed] + [fault.text for fault in result.faults]
+    broken = [check.name for check in result.checks if check.failed] + [fault.text for fault in result.faults]
     verdict = {"passed": result.passed, "reason": ", ".join(dict.fromkeys(broken))}
     if not series.started:
         return {**dict.fromkeys(MEASURES), **verdict, "reason": verdict["reason"] or "no robot has started"}

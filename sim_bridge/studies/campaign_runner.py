@@ -3,6 +3,8 @@
 Every finished flight is appended to journal.jsonl at once, so a campaign that dies loses only the flights under way.
 """
 
+import errno
+import fcntl
 import json
 import os
 from collections import Counter
@@ -22,12 +24,13 @@ from sim_bridge import fault_schedule
 from sim_bridge.sil.commands import RunOptions, check
 from sim_bridge.studies.campaign import Campaign, CampaignFlight, command_of, flights
 from sim_bridge.studies.campaign_flight import fly_one
-from sim_bridge.studies.dependence import dependences, lines
+from sim_bridge.studies.dependence import KeyValue, dependences, lines
 from sim_bridge.studies.report import write_report
 from sim_bridge.studies.worker_pool import worker_pool
 from wire.config.experiment import NO_CAMERA, Experiment, load_experiment
 from wire.process.output_files import CAMPAIGN, check_output, replacing
 from wire.process.runtime import Stop
+from wire.process.version import UNKNOWN, code
 from wire.toml_loader import ConfigError
 
 JOURNAL, RESULTS, REPORT = "journal.jsonl", "results.parquet", "report.html"
@@ -49,34 +52,98 @@ def run(
     for name in CAMPAIGN:
         check_output(folder / name, mine=CAMPAIGN)
     folder.mkdir(parents=True, exist_ok=True)
-    said = journal.read_text(encoding="utf-8") if journal.exists() else ""
-    kept, total = {row["hash"]: row for row in _rows(said) if row["status"] != "failed"}, campaign.flights
+    total = campaign.flights
     rows: dict[int, dict[str, Any]] = {}
-    console.print(f"{campaign.title or campaign.name}: {total} flights, into {folder}")
+    is_whole = True  # what was flown is in the files
     try:
-        with journal.open("a", encoding="utf-8") as file, _executor(workers, scheduler) as executor:
-            file.write("\n" if said and not said.endswith("\n") else "")  # behind a line that was torn
-            for row, is_new in _fly(executor, campaign, kept, _window(workers), stop, console):
+        with Journal(journal) as kept, _executor(workers, scheduler) as executor:
+            console.print(f"{campaign.title or campaign.name}: {total} flights, into {folder}")
+            for row, is_new in _fly(executor, campaign, kept.rows, _window(workers), stop, console):
                 rows[row["index"]] = row
                 if is_new:
-                    file.write(json.dumps(row) + "\n")
-                    file.flush()
+                    kept.add(row)
     except BrokenProcessPool:
         console.print("[red]a worker process has died (out of memory?); --resume goes on[/]")
+    except OSError as error:
+        is_whole = False
+        console.print(f"{error.filename or journal}: {error.strerror}; --resume goes on", style="red", soft_wrap=True)
     ordered = [rows[index] for index in sorted(rows)]
     found = dependences(campaign, ordered)
-    if ordered:
-        with replacing(folder / RESULTS) as results:
-            pq.write_table(_table(campaign, ordered), results)
-        write_report(campaign, ordered, found, total, folder / REPORT)
-        console.print(f"results: {folder / RESULTS}\nreport:  {folder / REPORT}", soft_wrap=True)
     for line in lines(ordered, found):
         console.print(line, markup=False, highlight=False, soft_wrap=True)
     _say(ordered, total, console)
+    is_whole = _write(campaign, ordered, found, folder, console) and is_whole
     if stop.requested:
         console.print(f"interrupted after {len(ordered)} of {total} flights; --resume goes on")
         return 130
-    return 0 if len(ordered) == total and all(row["status"] == "flown" for row in ordered) else 1
+    return 0 if is_whole and len(ordered) == total and all(row["status"] == "flown" for row in ordered) else 1
+
+
+class Journal:
+    """The file with a line for each finished flight, and its lock: one program at a time writes it."""
+
+    def __init__(self, path: Path) -> None:
+        """Raises ConfigError where another program writes it, or where other code has flown what it holds."""
+        self._path = path
+        self._file = path.open("ab", buffering=0)
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            text = path.read_text(encoding="utf-8")
+            self.rows = {row["hash"]: row for row in _rows(text) if row["status"] != "failed"}
+            for other in {str(row.get("commit", UNKNOWN)) for row in self.rows.values()} - {code().commit}:
+                raise ConfigError(
+                    f"{path}: holds flights of commit {other}, and this is {code().commit}: figures of two versions do not "
+                    "belong together (allowed: --resume with that commit, or --out DIR for another campaign)"
+                )
+            self._append(b"\n" if text and not text.endswith("\n") else b"")  # behind a line that was torn
+        except BlockingIOError:
+            self._file.close()
+            raise ConfigError(f"{path}: another program flies this campaign (allowed: one at a time)") from None
+        except BaseException:
+            self._file.close()
+            raise
+
+    def __enter__(self) -> "Journal":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._file.close()
+
+    def add(self, row: Mapping[str, Any]) -> None:
+        """Add a flight's row. Raises OSError that names the file, which then ends as before."""
+        self._append(json.dumps(row).encode() + b"\n")
+
+    def _append(self, data: bytes) -> None:
+        size = os.fstat(self._file.fileno()).st_size
+        try:
+            if self._file.write(data) != len(data):
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        except OSError as error:
+            os.truncate(self._file.fileno(), size)
+            raise OSError(error.errno, error.strerror, str(self._path)) from None
+
+
+def _write(
+    campaign: Campaign,
+    rows: Sequence[dict[str, Any]],
+    found: Mapping[str, Sequence[KeyValue]],
+    folder: Path,
+    console: Console,
+) -> bool:
+    """Write the table and the report of what was flown. Returns False, after saying why, where that cannot be done."""
+    if not rows:
+        return True
+    try:
+        with replacing(folder / RESULTS) as results:
+            pq.write_table(_table(campaign, rows), results)
+        console.print(f"results: {folder / RESULTS}", soft_wrap=True)
+        write_report(campaign, rows, found, campaign.flights, folder / REPORT)
+        console.print(f"report:  {folder / REPORT}", soft_wrap=True)
+    except OSError as error:
+        reason = f"no results or report: {error.filename}: {error.strerror}; --resume writes them"
+        console.print(reason, style="red", markup=False, highlight=False, soft_wrap=True)
+        return False
+    return True
 
 
 def _say(rows: Sequence[dict[str, Any]], total: int, console: Console) -> None:
@@ -141,7 +208,17 @@ def _executor(workers: int | None, scheduler: str | None) -> Iterator[Executor]:
     except OSError as error:
         raise ConfigError(f"--scheduler {scheduler}: {error}") from None
     with client, client.get_executor(retries=1, pure=False) as cluster:
+        for worker, commit in client.run(_commit).items():
+            if commit != code().commit:
+                raise ConfigError(
+                    f"--scheduler {scheduler}: its worker {worker} has commit {commit}, and this is {code().commit} "
+                    "(allowed: the same on all)"
+                )
         yield cluster
+
+
+def _commit() -> str:
+    return code().commit
 
 
 def _fly(
@@ -176,7 +253,8 @@ def _fly(
             for future in done:
                 flown, digest = pending.pop(future)
                 progress.advance(task)
-                yield {"index": flown.index, "seed": flown.seed, **flown.values, "hash": digest, **future.result()}, True
+                named = {"index": flown.index, "seed": flown.seed, **flown.values, "hash": digest, "commit": code().commit}
+                yield {**named, **future.result()}, True
         for future in pending:
             future.cancel()
     missing = set(kept) - found
@@ -188,7 +266,7 @@ def _fly(
         flight = next(coming, None)
 
 
-def _table(campaign: Campaign, rows: list[dict[str, Any]]) -> pa.Table:
+def _table(campaign: Campaign, rows: Sequence[dict[str, Any]]) -> pa.Table:
     """All rows with all columns, and the command that flies each row again."""
     columns = list(dict.fromkeys(key for row in rows for key in row))
     data = {column: _column([row.get(column) for row in rows]) for column in columns}

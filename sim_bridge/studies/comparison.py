@@ -1,7 +1,6 @@
 """SHELL: `sim-bridge compare`: control laws and variants flown on the same seeds, in parallel; the station reports."""
 
 import math
-import subprocess
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -13,15 +12,17 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from sim_bridge.in_process.fleet import AgentFleet, DirectPlant
-from sim_bridge.in_process.run import STATION, plan
+from sim_bridge.in_process.run import plan
 from sim_bridge.plant.random_streams import Stream, generator
 from sim_bridge.studies.metrics import flight_figures, flight_traces
 from sim_bridge.studies.worker_pool import worker_pool
+from wire import programs
 from wire.config.baseline_controllers import LawName
 from wire.config.controller_benchmark import SETTLED_S, Comparison, FlightRecord, Variant
 from wire.config.experiment import NO_CAMERA, Experiment, load_experiment
 from wire.frames import Array
 from wire.messages.messages import Trajectory
+from wire.process.output import flush
 from wire.process.output_files import replace_text
 from wire.toml_loader import ConfigError
 
@@ -119,7 +120,8 @@ def run(
         separation_m=2.0 * plain.safety.radius_m,
     )
     replace_text(folder / "comparison.json", comparison.to_json())
-    return subprocess.run([*STATION, "benchmark", "report", str(folder)], check=False).returncode
+    flush()
+    return programs.start("groundstation", ["benchmark", "report", str(folder)]).wait()
 
 
 def tasks_of(experiment: Experiment, seeds: Sequence[int], scatter: float) -> list[FlightTask]:

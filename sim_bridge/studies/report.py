@@ -71,11 +71,18 @@ def _facts(campaign: Campaign, rows: Sequence[Row], flown: Sequence[Row], wanted
         ("flights", f"{len(rows)} of {wanted}"),
         ("refused or failed", str(len(rows) - len(flown))),
         ("seeds", f"{campaign.first_seed} to {campaign.first_seed + campaign.seeds - 1}"),
+        ("commit", ", ".join(sorted({_short(row["commit"]) for row in rows}))),
         ("computing", f"{sum(row['wall_s'] for row in rows):.0f} s of one core"),
     ]
     if flown:
         facts.insert(1, ("within every limit", _percent(rate(sum(bool(row["passed"]) for row in flown), len(flown)))))
     return facts
+
+
+def _short(commit: str) -> str:
+    """A commit as git shortens it, and whether files were changed since."""
+    head, _, changed = commit.partition("+")
+    return f"{head[:8]} and changes" if changed else head[:8]
 
 
 def _components(key: str, measure: str, flown: Sequence[Row]) -> list[tuple[str, list[tuple[float, float]]]]:

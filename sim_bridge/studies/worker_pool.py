@@ -6,6 +6,7 @@ A worker takes milliseconds to start, where a fresh interpreter takes seconds to
 import multiprocessing
 import os
 import signal
+import threading
 from concurrent.futures import ProcessPoolExecutor
 
 LOADED = ("sim_bridge.studies.campaign_flight", "sim_bridge.studies.comparison")  # with all that they import
@@ -18,12 +19,23 @@ def one_thread() -> None:
 
 
 def worker_pool(workers: int) -> ProcessPoolExecutor:
-    """An executor of processes with one thread each, which leave Ctrl-C to this process."""
+    """An executor of processes with one thread each, which leave Ctrl-C and a hang-up to this process and end with it, however
+    it ends. Like all children they import nothing from the working folder (wire/programs.py)."""
     one_thread()
+    os.environ["PYTHONSAFEPATH"] = "1"  # read by the interpreters that multiprocessing starts
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(list(LOADED))
-    return ProcessPoolExecutor(workers, context, initializer=_ignore_interrupts)
+    return ProcessPoolExecutor(workers, context, initializer=_begin)
 
 
-def _ignore_interrupts() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+def _begin() -> None:
+    for number in (signal.SIGINT, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, name="parent", daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()  # the fork server is not it: that lives as long as any worker
+        os.kill(os.getpid(), signal.SIGKILL)

@@ -109,7 +109,8 @@ class ThrusterBoard:
         stored: NonvolatileState | None = None,
         store: Callable[[NonvolatileState], None] = lambda stored: None,
     ) -> None:
-        """Switch the board on, with what it `kept`; `keep` is called with what must survive the next loss of power."""
+        """Switch the board on, with what it `stored` before; `store` is called with what must survive the next loss of power.
+        With a `key` it signs its frames, and takes signed ones alone."""
         sensors, stored = experiment.sim.sensors, stored or NonvolatileState()
         self._key, self._robot_id = key, robot_id
         self._load, self._supply_v = DemandedLoad(experiment.vehicle.thruster), sensors.battery_v
@@ -284,7 +285,7 @@ class ThrusterBoard:
             if self._simulated is not None:
                 self._burst(now_ns, self._simulated.motion(now_ns), voltage)
             else:
-                self._burst(now_ns, self.sensors.read(eta, nu, acceleration, tilt), voltage)
+                self._burst(now_ns, self.sensors.read(eta, nu, acceleration, tilt, now_ns / S_NS), voltage)
             self._last_burst_ns = now_ns
         self._last_step_ns = now_ns
         data = b"".join(self._outbox)

@@ -7,7 +7,10 @@ from pathlib import Path
 from sim_bridge.thruster_board.board import NonvolatileState, ThrusterBoard
 from wire.config.experiment import Experiment
 from wire.mavlink.signing_key import load_key, write_key
+from wire.regular_files import read_regular
 from wire.toml_loader import ConfigError, os_errors_as_config_errors
+
+MOST_BYTES = 1_000_000  # of a board's memory
 
 BoardFactory = Callable[[Experiment, int, int], ThrusterBoard]  # of an experiment, for a robot, with a seed
 
@@ -31,10 +34,10 @@ def _read(memory: Path) -> NonvolatileState:
     if not memory.exists():
         return NonvolatileState()
     try:
-        found = json.loads(memory.read_text(encoding="utf-8"))
+        found = json.loads(read_regular(memory, MOST_BYTES))
         parameters = {str(name): float(value) for name, value in found["parameters"].items()}
         return NonvolatileState(parameters, int(found["heard"]), int(found["sent"]))
-    except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:
+    except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
         raise ConfigError(f"{memory}: not what a board keeps: {error} (delete it for a board as new)") from None
 
 

@@ -56,6 +56,15 @@ def test_poses_are_as_old_as_the_experiment_says(latency_s: float, tmp_path: Pat
         assert ages_ms == {1000.0 * latency_s}
 
 
+def test_no_step_uses_what_a_board_measures_after_it(tmp_path: Path) -> None:
+    """With steps of the plant that go into the control period, but not into the age of the poses, which begins the ticks."""
+    experiment = load_experiment("pool", ["duration_s=0.3", "sim.plant.step_s=0.025", "sim.latency_s=0.03"])
+    told = fly(experiment, tmp_path / "run", None, poses=True).messages
+    for robot in POOL.robot_ids:
+        ages_ns = [stamp_ns - said["board"]["board_ms"] * 1_000_000 for stamp_ns, said in told[f"shoal/robot/{robot}/inputs"]]
+        assert len(ages_ns) > 5 and min(ages_ns) >= 0
+
+
 def test_a_robot_without_a_pose_publishes_no_plan_and_others_do_not_wait_for_one(tmp_path: Path) -> None:
     experiment = load_experiment("pool", ["duration_s=1.5", "mission.lost=go-on"], ["t=0.1 marker 1 lost"])
     told = fly(experiment, tmp_path / "run", None, poses=False).messages

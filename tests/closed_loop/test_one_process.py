@@ -2,10 +2,12 @@
 
 import itertools
 import json
+import os
 import re
 import statistics
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Generator, Iterator
 from contextlib import ExitStack
@@ -18,6 +20,7 @@ from mcap.reader import make_reader
 from sim_bridge.in_process.executor import Executor, Part
 from tests import compare_pulses
 from tests.closed_loop.slow_network import COMPARED, OnLocalized
+from tests.planted import executed, installed, plant
 from wire.config.experiment import NO_CAMERA, load_experiment
 from wire.messages import topics
 from wire.messages.codec import Header, decode
@@ -44,8 +47,11 @@ CAMERA_FAULTS = ("--fault", "t=0.3 for=0.8 camera west slow 0.12", "--fault", "t
 
 def sil(out: Path, *arguments: str) -> tuple[int, str, Path]:
     """Exit code, output and folder of a lockstep run."""
-    command = [sys.executable, "-m", "sim_bridge", "sil", *arguments, "--lockstep", "--no-web", "--out", str(out)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    command = [installed("sim-bridge"), "sil", *arguments, "--lockstep", "--no-web", "--out", str(out)]
+    around = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}  # it begins itself anew
+    planted = plant(out.with_name(f"{out.name}-planted"))
+    done = subprocess.run(command, cwd=planted, env=around, capture_output=True, text=True, check=False)
+    assert not executed(planted)
     folders = list(out.iterdir()) if out.exists() else []
     return done.returncode, done.stdout + done.stderr, folders[0] if folders else out
 
@@ -130,6 +136,28 @@ def test_at_a_pace_each_second_takes_its_time_and_the_bits_stay(tmp_path: Path) 
     later = [(ticks_s[-1] - tick_s, len(ticks_s) - 1 - k) for k, tick_s in enumerate(ticks_s[: len(ticks_s) // 2])]
     assert any(took_s >= 0.99 * least_s * ticks for took_s, ticks in later)
     assert compare_pulses.main(*map(str, folders)) == 0
+
+
+def test_a_run_whose_reader_has_gone_is_flown_to_its_end(tmp_path: Path) -> None:
+    """`sim-bridge sil ... | head -1`"""
+    command = [sys.executable, "-m", "sim_bridge", "sil", "pool", "--lockstep", "--one-process", "--poses", "--no-web"]
+    run = subprocess.Popen([*command, "--duration", "1", "--out", str(tmp_path)], stdout=subprocess.PIPE)
+    assert run.stdout is not None
+    assert b"pool" in run.stdout.readline()
+    run.stdout.close()
+    assert run.wait(300.0) == 0
+    (result,) = tmp_path.glob("*/result.json")
+    assert json.loads(result.read_text())["passed"]
+
+
+def test_a_run_that_breaks_leaves_no_thread_that_keeps_the_program(tmp_path: Path) -> None:
+    def broken() -> None:
+        raise BrokenPipeError("whoever was shown each tick has gone")
+
+    before = set(threading.enumerate())
+    with pytest.raises(Failed, match="BrokenPipeError"):
+        Executor(load_experiment("pool", ["duration_s=1"]), tmp_path, MemoryHub()).fly(broken)
+    assert not [thread for thread in threading.enumerate() if thread not in before and not thread.daemon]
 
 
 @pytest.fixture

@@ -23,9 +23,10 @@ from rich.console import Console
 from groundstation.analysis.alignment import align
 from groundstation.analysis.series import Series
 from groundstation.logs.reader import read_log
-from sim_bridge.sil import launcher
+from sim_bridge.sil import commands, launcher
 from sim_bridge.sil.commands import Program, RunOptions
 from sim_bridge.sil.processes import Child, Children
+from tests.planted import executed, installed, plant
 from tests.waiting import wait_for_line
 from wire.config.experiment import load_experiment
 from wire.messages import codec, topics
@@ -37,9 +38,10 @@ from wire.transport.zenoh_transport import ZenohTransport
 pytestmark = [pytest.mark.timeout(400), pytest.mark.long]
 
 
-def start(out: Path, *arguments: str) -> "subprocess.Popen[str]":
+def start(out: Path, *arguments: str, cwd: Path | None = None) -> "subprocess.Popen[str]":
     return subprocess.Popen(
-        [sys.executable, "-m", "sim_bridge", "sil", "pool", "--no-web", "--out", str(out), *arguments],
+        [installed("sim-bridge"), "sil", "pool", "--no-web", "--out", str(out), *arguments],
+        cwd=cwd,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
@@ -64,9 +66,15 @@ def states(folder: Path, robot: int) -> list[tuple[int, RobotState]]:
 
 
 @pytest.fixture(scope="module")
-def lockstep_run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, int, str]:
+def planted(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder in which a person works: programs start others there."""
+    return plant(tmp_path_factory.mktemp("planted"))
+
+
+@pytest.fixture(scope="module")
+def lockstep_run(planted: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, int, str]:
     out = tmp_path_factory.mktemp("lockstep")
-    code, output = finish(start(out, "--lockstep", "--duration", "14", "--seed", "2"))
+    code, output = finish(start(out, "--lockstep", "--duration", "14", "--seed", "2", cwd=planted))
     return run_dir(out), code, output
 
 
@@ -77,6 +85,18 @@ def test_a_lockstep_run_passes_and_leaves_what_it_promises(lockstep_run: tuple[P
     assert {"run.mcap", "experiment.toml", "result.json", "report.html"} <= {p.name for p in folder.iterdir()}
     assert load_experiment(str(folder / "experiment.toml")).seed == 2
     assert str(folder / "report.html") in output
+
+
+def test_no_program_imports_from_the_working_folder(
+    lockstep_run: tuple[Path, int, str], planted: Path, tmp_path: Path
+) -> None:
+    assert not executed(planted)
+    words = [installed("groundstation"), "log", "rerun", str(lockstep_run[0]), "--robot", "1"]
+    subprocess.run(words, cwd=planted, capture_output=True, check=True)
+    from_there = ["sil", "--from", str(lockstep_run[0]), "--at", "13", "--out", str(tmp_path)]
+    subprocess.run([installed("sim-bridge"), *from_there], cwd=planted, capture_output=True, check=False)
+    assert (run_dir(tmp_path) / "report.html").is_file()
+    assert not executed(planted)
 
 
 @pytest.mark.slow  # numeric flights of `make test` keep the same limits
@@ -185,7 +205,7 @@ ELSEWHERE = [pytest.param(name, marks=pytest.mark.slow) for name in ("localizer"
 @pytest.mark.real_time
 @pytest.mark.parametrize("victim", ["groundstation", *ELSEWHERE])
 def test_a_process_killed_in_flight_leaves_neutral_boards_and_is_named(victim: str, tmp_path: Path) -> None:
-    run = start(tmp_path, "--duration", "60")
+    run = start(tmp_path, "--real-time", "--duration", "60")
     try:
         while not list(tmp_path.glob("pool-*")):
             time.sleep(0.05)
@@ -243,7 +263,8 @@ def test_ctrl_c_stops_everything_cleanly(tmp_path: Path) -> None:
 @pytest.mark.real_time
 def test_a_manual_run_is_flown_and_ended_from_another_terminal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Which finds it by itself; and the launcher reports what was flown."""
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    tmp_path.chmod(0o700)
+    monkeypatch.setenv("SHOAL_RUNTIME_DIR", str(tmp_path))
     out = tmp_path / "runs"
     run = start(out, "--lockstep", "--manual", "--poses", "--duration", "2")
 
@@ -292,7 +313,7 @@ def test_a_setting_that_cannot_be_is_explained_at_once(tmp_path: Path) -> None:
 
 
 def test_a_run_is_interrupted_while_it_connects(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """To a station that listens and says nothing. No process is left."""
+    """To a station that listens and says nothing. No process and no folder is left."""
     stop, started = Stop(install=False), []
 
     def silent(
@@ -323,10 +344,11 @@ def test_a_run_is_interrupted_while_it_connects(tmp_path: Path, monkeypatch: pyt
         threading.Timer(0.2, stop.request).start()  # while it waits
         return ZenohTransport(endpoint, stopped)
 
-    monkeypatch.setattr(launcher, "programs", silent)
+    monkeypatch.setattr(commands, "programs", silent)
     monkeypatch.setattr(launcher, "Children", Watched)
     monkeypatch.setattr(launcher, "ZenohTransport", open_and_stop)
     said = Console(record=True, file=io.StringIO())
     assert launcher.run(load_experiment("pool"), tmp_path / "run", RunOptions(), stop, said) == 130
-    assert "interrupted: every process is stopped" in said.export_text()
+    assert "interrupted: nothing was flown, and no folder is left" in said.export_text()
+    assert not (tmp_path / "run").exists()
     assert [child.exit_code is not None for child in started] == [True]

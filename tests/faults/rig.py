@@ -86,7 +86,16 @@ class Rig(Onlooker):
         if self._own_router:
             self.station_options.append("--external-router")
             self.bus = Bus(ZenohTransport(Endpoint(self.address, router=True)))
-        station = ["run", str(self.file), "--run-dir", str(self.run_dir), "--listen", self.address, *self.station_options]
+        station = [
+            "run",
+            str(self.file),
+            "--run-dir",
+            str(self.run_dir),
+            "--no-report",
+            "--listen",
+            self.address,
+            *self.station_options,
+        ]
         self._launch("groundstation", "groundstation", station)
         harness = str(self._harness.getsockname()[1])
         witness = [str(self.file), self.address, str(ports), harness, *(["--poses"] if self._poses else [])]

@@ -219,6 +219,12 @@ ROWS: tuple[FaultRow, ...] = (
         rows_strangers.strangers_knock, times=12, rig="",
     ),
     FaultRow(
+        "members-flood", "Holders of certificates at the station's port",
+        "up to 1000 sessions of a revoked or of a viewer's certificate, or 200 handshakes with it and no more, for 8 s and on",
+        {"stop answered, this machine": SECONDS(1.0), "stop answered": SECONDS(2.0), "agent joins": SECONDS(2.0)},
+        rows_strangers.members_flood, times=12, rig="",
+    ),
+    FaultRow(
         "old-traffic", "Replay of old traffic", "recorded orders sent again, live and after restarts of either side",
         {"obeyed": TIMES()}, rows_alone.old_traffic, times=5, rig="",
     ),

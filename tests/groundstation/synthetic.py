@@ -50,6 +50,7 @@ class Script:
     clock: Callable[[float], float] = lambda since_s: since_s  # where the robots are on their trajectories
     mode: Callable[[int, float], tuple[Mode, str]] = lambda robot, time_s: (Mode.TRACKING, "")
     missed: Callable[[int, float], int] = lambda robot, time_s: 0
+    lines: tuple[tuple[float, str], ...] = ()  # the station's, with their times
     metadata: dict[str, str] = field(default_factory=lambda: {"mode": "lockstep", "version": "0.1.0", "zenoh": "1.10.0"})
 
     def experiment(self) -> Experiment:
@@ -82,6 +83,8 @@ def write_run(folder: Path, script: Script | None = None) -> Experiment:
         for robot, trajectory in trajectories.items():
             log.put(topics.TRAJECTORY, trajectory, 0.0, robot)
     log.put(topics.EVENT, Event(2, "groundstation", "mission: running"), START_S)
+    for at_s, text in script.lines:
+        log.put(topics.EVENT, Event(2, "groundstation", text), START_S + at_s)
     # One second armed, half a second under way but waiting, the run, half a second disarmed.
     for k in range(-30, round(script.duration_s / PERIOD_S) + 11):
         since_s = k * PERIOD_S

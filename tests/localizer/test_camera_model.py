@@ -8,9 +8,12 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize
 
 from localizer.camera_model import RefractiveCamera
+from localizer.tracking.check_marks import with_camera
 from tests.localizer.cameras import CAMERA, TILTED
+from wire.config.experiment import load_experiment
 from wire.config.perception import Camera
 from wire.frames import Array
+from wire.toml_loader import ConfigError
 
 CAMERAS = pytest.mark.parametrize("camera", [CAMERA, TILTED], ids=["pool", "tilted"])
 
@@ -99,3 +102,11 @@ def test_tangent_is_the_derivative(camera: Camera, x: float, y: float, depth_m: 
 
 def test_no_points_is_no_trouble() -> None:
     assert RefractiveCamera(CAMERA).linearize([], []) == []
+
+
+def test_an_experiment_whose_lens_cannot_be_undone_is_refused() -> None:
+    """r (1 - 0.5 r^2) turns back at r = 0.82, which this wide picture reaches: pixels beyond have no place in the pool."""
+    settings = ["camera.focal_px=[600.0, 600.0]", "camera.distortion=[-0.5, 0.0, 0.0, 0.0, 0.0]"]
+    with pytest.raises(ConfigError, match=r"pool: camera\.distortion = .* cannot be undone at the picture's edge"):
+        with_camera(load_experiment("pool", settings), "")
+    with_camera(load_experiment("pool"), "")  # as it is shipped

@@ -84,6 +84,32 @@ def test_obstacles_of_a_camera_that_is_out_are_not_told_and_renew_no_list(monkey
     stop.request()
 
 
+@pytest.mark.parametrize("ahead_s", [0.05, -0.2, 2.0, -20.0, 3600.0])
+def test_ages_are_right_whatever_the_cameras_clocks_show(ahead_s: float) -> None:
+    """East's computer is ahead of west's; then its localizer is started anew on one that is not. Who receives the fused poses
+    knows how old they are."""
+    hub, stop = MemoryHub(), Stop(install=False)
+    bus, again = Bus(MemoryTransport(hub)), Bus(MemoryTransport(hub))
+    steps = FusionNode(EXPERIMENT, Bus(MemoryTransport(hub)), stop, WallClock()).steps()
+    poses, statuses = bus.inbox(topics.POSE, Pose, 1), bus.inbox(topics.LOCALIZER, LocalizerStatus)
+    obstacles, receiver = bus.inbox(topics.OBSTACLES, Obstacles), WallClock()
+    next(steps)
+    for k in range(24):
+        camera = ("west", "east")[k % 2]
+        sender, ahead_ns = (again, 0) if k >= 16 else (bus, round(ahead_s * 1e9) * (camera == "east"))
+        exposed_ns = receiver.now_ns()
+        clock_ns = exposed_ns + ahead_ns
+        sender.publish(topics.POSE.of_camera(camera), POSE, clock_ns, 1)
+        sender.publish(topics.OBSTACLES.of_camera(camera), SEEN, clock_ns)
+        sender.publish(topics.LOCALIZER.of_camera(camera), LocalizerStatus(CameraHealth.OK, robots=(1,)), clock_ns)
+        next(steps)
+        for inbox in (poses, statuses, obstacles) if k % 16 >= 4 else ():  # the first ones show what is quick
+            received = inbox.newest()
+            assert received is not None
+            assert abs(receiver.instant_ns(received) - exposed_ns) < 20_000_000, (k, inbox.name)  # this computer is busy
+    stop.request()
+
+
 def keeps_telling(bus: Bus, cameras: tuple[str, ...], until: Callable[[], bool]) -> bool:
     """True as soon as `until()` is true; the cameras tell of a picture every 50 ms meanwhile."""
 

@@ -36,7 +36,7 @@ from wire.messages.topics import Topic
 from wire.process.lockstep import LockstepClock
 from wire.process.runtime import Clock, Failed, Stop, WallClock, log
 from wire.toml_loader import ConfigError
-from wire.transport.bus import Bus, Inbox
+from wire.transport.bus import Bus, Inbox, Received
 from wire.transport.endpoint import Endpoint
 from wire.transport.memory_transport import MemoryHub, MemoryTransport
 from wire.transport.zenoh_transport import ZenohTransport
@@ -199,6 +199,15 @@ def test_an_own_camera_is_shared_and_shown(start: Callable[..., LocalizerProgram
     assert shown is not None and shown.shape == (480, 640, 3)
 
 
+def test_a_camera_that_nothing_guards_is_told_of(start: Callable[..., LocalizerProgram]) -> None:
+    localizer = start()
+    localizer.feed(Scene(EXPERIMENT).frame(ETA))
+    localizer.until(CameraHealth.OK)
+    localizer.process.send_signal(signal.SIGINT)
+    _, said = localizer.process.communicate(timeout=PATIENCE_S)
+    assert "nothing guards the camera: without check_marks" in said
+
+
 def test_impossible_setting_is_refused_without_waiting_for_a_station() -> None:
     command = [sys.executable, "-m", "localizer", "run", "pool", "--station", f"tcp/127.0.0.1:{free_port()}"]
     source = ["--source", "v4l2:/dev/video-nobody-has"]
@@ -263,6 +272,16 @@ def test_a_pose_carries_the_cameras_stamp_and_a_true_age(hub: tuple[Bus, Callabl
     received = poses.newest()
     assert received is not None and received.header.stamp_ns == stamp_ns
     assert 40 * MS <= received.header.age_ns <= 40 * MS + elapsed_ns
+    assert eventually(lambda: bool(_absent(statuses)), PATIENCE_S)
+    absent = _absent(statuses)
+    assert abs(absent[0].header.stamp_ns - time.time_ns() - 3_600_000_000_000) < 10_000 * MS, "by the same clock"
+    assert absent[0].late_ns < 2_000 * MS, "a jump of the clock would look like a delay of an hour"
+
+
+def _absent(statuses: Inbox[LocalizerStatus]) -> list[Received[LocalizerStatus]]:
+    """The newest status, if it says that no frames come."""
+    received = statuses.newest()
+    return [received] if received is not None and received.message.camera is CameraHealth.ABSENT else []
 
 
 def test_in_lockstep_only_what_the_tick_names_is_used(hub: tuple[Bus, Callable[..., LocalizerNode]]) -> None:

@@ -1,5 +1,6 @@
 """Flights under the hands of an operator's page, and the pages of a browser."""
 
+import os
 import shutil
 import signal
 import socket
@@ -43,10 +44,12 @@ def wait_for_port(port: int, process: subprocess.Popen[bytes]) -> None:
 
 @dataclass
 class OperatorFlight:
-    """`sim-bridge sil pool` under an operator's hands; without the camera and at twice real time, to leave processors free."""
+    """`sim-bridge sil pool` under an operator's hands; without the camera and at twice real time, to leave processors free.
+    `arguments` are those of its own."""
 
     folder: Path
     port: int
+    arguments: tuple[str, ...] = ("--manual", "--duration", "900")
     process: subprocess.Popen[bytes] | None = None
     starts: int = 0
     stopped: list[psutil.Process] = field(default_factory=list)
@@ -58,15 +61,28 @@ class OperatorFlight:
     def start(self) -> None:
         """Start all processes; returns when the page can be had."""
         self.starts += 1
-        command = [sys.executable, "-m", "sim_bridge", "sil", "pool", *PACED, "--manual", "--duration", "900"]
+        command = [sys.executable, "-m", "sim_bridge", "sil", "pool", *PACED, *self.arguments]
         log = (self.folder / f"sil-{self.starts}.log").open("wb")
         self.process = subprocess.Popen(
-            [*command, "--out", str(self.folder), "--web", f"127.0.0.1:{self.port}"], stdout=log, stderr=subprocess.STDOUT
+            [*command, "--out", str(self.folder), "--web", f"127.0.0.1:{self.port}"],
+            stdout=log,
+            stderr=subprocess.STDOUT,
+            env={**os.environ, "PYTHONUNBUFFERED": "1"},
         )
         try:
             wait_for_port(self.port, self.process)
         except AssertionError as error:
-            raise AssertionError(f"{error}: {(self.folder / f'sil-{self.starts}.log').read_text()}") from None
+            raise AssertionError(f"{error}: {self.told}") from None
+
+    @property
+    def told(self) -> str:
+        """The program's output so far."""
+        return (self.folder / f"sil-{self.starts}.log").read_text(encoding="utf-8")
+
+    @property
+    def runs(self) -> list[Path]:
+        """The folders of all runs, the oldest first."""
+        return sorted(folder for folder in self.folder.iterdir() if folder.is_dir())
 
     def agent(self, robot: int) -> psutil.Process:
         """The process of one robot's agent."""

@@ -120,10 +120,13 @@ def test_a_mission_that_is_done_and_its_station_gone_is_no_alarm(browser: Browse
         desk.told = replace(desk.told, state=MissionState.RUNNING)
         page.goto(desk.url)
         expect(page.locator("header .mission-state")).to_have_text("running")
-        desk.told = replace(desk.told, state=MissionState.DONE)  # of the last cycle: an automatic station ends with it
+        desk.told = replace(
+            desk.told, state=MissionState.DONE, ended=True
+        )  # of the last cycle: an automatic station ends with it
         desk.server.close()
-        expect(page.locator("header .mission-state")).to_have_text("the run is ended")
-        expect(page.get_by_text("no connection", exact=True)).to_be_visible()
+        expect(page.locator("header .mission-state")).to_have_text("the run is over: its report is being written")
+        expect(page.get_by_text("no connection", exact=True)).to_have_count(0)
+        expect(page.get_by_role("button", name=re.compile("STOP"))).to_have_count(0)  # there is nothing to stop
         expect(page.get_by_label("Alarms")).to_contain_text("none")
 
 
@@ -183,17 +186,29 @@ def test_a_stop_pressed_before_the_silence_is_noticed_says_so_too(browser: Brows
     page.context.close()
 
 
-def test_a_run_that_is_ended_on_the_page_is_shown_there_as_recorded_with_its_report(
+def test_a_run_that_is_ended_on_the_page_is_shown_there_with_its_verdict_and_flown_again(
     browser: Browser, station: BareStation
 ) -> None:
     page = browser.new_page(viewport={"width": 1440, "height": 900})
     page.goto(station.url)
     button(page, "End run").click()  # nobody is armed: not asked twice
-    expect(page.locator(".folder")).to_contain_text("The run is ended; it is in")
-    expect(page.locator("header .mission-state")).to_have_text("the run is ended")
+    expect(page.locator(".folder")).to_contain_text("The run is over; it is in")
+    expect(page.locator("header .mission-state")).to_have_text("the run is over: its report is being written")
     expect(page.get_by_label("Alarms")).not_to_contain_text("no connection")  # while the report is written
+    end = page.get_by_label("End of the run")
+    expect(end.locator(".verdict")).to_contain_text("not judged")
+    expect(end.locator(".verdict")).to_contain_text("A person pressed the emergency stop")  # of the tests before
+    expect(button(page, "Edit and fly")).to_have_count(0)  # robots in a pool have the experiment that was deployed
     with page.expect_popup(timeout=PATIENCE_MS) as opened:
         page.locator(".replay").get_by_role("link", name="Report").click(timeout=PATIENCE_MS)
     expect(opened.value.locator("h1")).to_contain_text("Two robots in a line on a circle")
-    assert station.process.poll() is None  # until the page is closed, or Ctrl-C
+    button(page, "Fly again").click()
+    expect(end).to_have_count(0)
+    expect(page.get_by_label("Mission", exact=True)).to_contain_text("robot 1 not heard")  # it waits for its robots again
+    assert station.process.poll() is None
+    button(page, "End run").click()
+    button(page, "Close").click()
+    assert station.process.wait(60) == 1
+    expect(page.locator("header .mission-state")).to_have_text("the program has ended")
+    expect(page.get_by_label("Alarms")).not_to_contain_text("no connection")
     page.context.close()

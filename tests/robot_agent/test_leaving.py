@@ -134,9 +134,10 @@ class HeartbeatSender:
     [
         (signal.SIGTERM, "told to stop", 0),
         pytest.param(signal.SIGINT, "told to stop", 0, marks=pytest.mark.slow),  # the same way out as SIGTERM
+        pytest.param(signal.SIGHUP, "told to stop", 0, marks=pytest.mark.slow),
         (signal.SIGUSR1, "the control loop has ended: RuntimeError: broken on purpose", 1),
     ],
-    ids=["SIGTERM", "Ctrl-C", "exception"],
+    ids=["SIGTERM", "Ctrl-C", "hang-up", "exception"],
 )
 def test_a_program_that_ends_leaves_its_board_neutral_and_disarmed(
     number: signal.Signals, why: str, code: int, address: str, tmp_path: Path

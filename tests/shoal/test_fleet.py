@@ -2,6 +2,7 @@
 test, on a bus in memory."""
 
 import asyncio
+import threading
 from collections.abc import Iterator
 
 import numpy as np
@@ -160,3 +161,18 @@ def test_a_corrupt_event_harms_nobody(fleet: ConnectedFleet, station: PlayedStat
 def test_the_awaited_fleet_has_every_method_of_the_blocking_one() -> None:
     own = {name for name in vars(ConnectedFleet) if not name.startswith("_")} - {"close"}
     assert own == {name for name in vars(AsyncFleet) if not name.startswith("_")}
+
+
+def test_a_wait_ends_with_the_reason_when_the_fleet_is_gone_for_good(hub: MemoryHub) -> None:
+    gone = ConnectedFleet(Bus(MemoryTransport(hub)), lambda: "the simulation has ended: refused")
+    with gone, pytest.raises(NotHeard, match="the simulation has ended: refused"):
+        gone.wait_ready(60.0)
+
+
+def test_a_slow_simulation_is_waited_for(fleet: ConnectedFleet, station: PlayedStation) -> None:
+    """Simulated time stands here: a wait of a tenth of a second outlasts it, and sees what comes then."""
+    station.bus.publish(topics.HEARTBEAT, StationHeartbeat(mission="RUNNING"), 5)
+    late = threading.Timer(0.5, lambda: station.bus.publish(topics.HEARTBEAT, StationHeartbeat(mission="DONE"), 6))
+    late.start()
+    assert fleet.wait_mission("DONE", timeout_s=0.1) == "DONE"
+    late.join()

@@ -4,6 +4,7 @@ import json
 import tomllib
 from pathlib import Path
 from urllib.parse import urlparse
+from urllib.request import url2pathname
 
 import jsonschema
 import pytest
@@ -20,7 +21,9 @@ def test_a_new_experiment_loads_and_keeps_the_schema_that_it_names(tmp_path: Pat
     text = file.read_text(encoding="utf-8")
     loaded = load_experiment(str(file), [NO_CAMERA])
     assert (loaded.name, loaded.robot_ids) == ("lab-2", (1, 2, 3))
-    schema = json.loads(Path(urlparse(text.partition("\n")[0].removeprefix("#:schema ")).path).read_text(encoding="utf-8"))
+    schema = json.loads(
+        Path(url2pathname(urlparse(text.partition("\n")[0].removeprefix("#:schema ")).path)).read_text(encoding="utf-8")
+    )
     jsonschema.validate(tomllib.loads(text), schema)
 
 

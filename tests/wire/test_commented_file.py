@@ -4,6 +4,7 @@ import json
 import tomllib
 from pathlib import Path
 from urllib.parse import urlparse
+from urllib.request import url2pathname
 
 import jsonschema
 import pytest
@@ -23,7 +24,7 @@ def test_a_written_file_is_the_same_experiment(name: str, tmp_path: Path) -> Non
     again = load_experiment(str(file))
     assert again.model_dump() == experiment.model_dump()
     assert again.hash == experiment.hash
-    schema = Path(urlparse(text.partition("\n")[0].removeprefix("#:schema ")).path)
+    schema = Path(url2pathname(urlparse(text.partition("\n")[0].removeprefix("#:schema ")).path))
     jsonschema.validate(tomllib.loads(text), json.loads(schema.read_text(encoding="utf-8")))
 
 

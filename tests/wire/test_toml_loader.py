@@ -130,7 +130,8 @@ def test_a_file_that_would_take_all_memory_is_refused_before_it_is_parsed(tmp_pa
     tracemalloc.start()
     try:
         with pytest.raises(
-            ConfigError, match=r"nest\.toml: (not valid TOML: a key of more than 16 parts .at line 1|is larger)"
+            ConfigError,
+            match=r"nest\.toml: (not valid TOML: a key of more than 16 parts .at line 1|cannot be read: is larger)",
         ):
             read_toml(path)
         assert tracemalloc.get_traced_memory()[1] < 10 * MOST_BYTES
@@ -210,13 +211,15 @@ def test_a_setting_reaches_into_tables_and_lists() -> None:
         ("empty.0=3", "allowed: none, the list is empty"),
         ("robots.0.id.x=3", "robots.0.id is a value, not a table"),
         ("robots.0.id.x.y=3", "robots.0.id is a value, not a table"),
+        ("seed=3\nduration_s=5", "more than one key"),
+        ("seed=3\n[sim]", "more than one key"),
     ],
 )
 def test_a_setting_that_leads_nowhere(setting: str, complaint: str) -> None:
     table: dict[str, Any] = {"robots": [{"id": 1}, {"id": 2}], "empty": []}
     with pytest.raises(ConfigError, match=complaint) as caught:
         apply_setting(table, setting)
-    assert f"--set {setting}" in str(caught.value)
+    assert f"--set {setting}" in str(caught.value) or f"--set {setting!r}" in str(caught.value)
 
 
 def test_a_table_nested_too_deep_is_refused_with_a_message() -> None:
@@ -232,7 +235,7 @@ def test_any_setting_is_applied_or_refused(setting: str) -> None:
     try:
         apply_setting(table, setting)
     except ConfigError as error:
-        assert setting in str(error)
+        assert setting in str(error) or repr(setting) in str(error)
 
 
 @given(st.dictionaries(st.text("abc", min_size=1), st.integers() | st.floats(allow_nan=False) | st.text() | st.booleans()))

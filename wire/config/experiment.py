@@ -280,6 +280,18 @@ class Experiment(Section):
         raise ConfigError(f"{what} (allowed: {', '.join(self.camera_names)})")
 
     @property
+    def plant_steps(self) -> int:
+        """Steps of the simulated plant in a control period, where they keep step: in lockstep and numeric flights. Raises
+        ConfigError where they do not: a control step would use measurements from after it."""
+        step_ns, period_ns = round(self.sim.plant.step_s * 1e9), round(self.controller.period_s * 1e9)
+        if period_ns % step_ns:
+            raise ConfigError(
+                f"sim.plant.step_s = {self.sim.plant.step_s:g}: must go into controller.period_s = "
+                f"{self.controller.period_s:g} without a rest (allowed: {self.controller.period_s:g} over a whole number)"
+            )
+        return period_ns // step_ns
+
+    @property
     def wrench_step(self) -> tuple[float, float, float]:
         """The largest change of the wrench per control step: N, N, N m."""
         return self.vehicle.limits.wrench_step(self.controller.period_s)

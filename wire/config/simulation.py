@@ -12,6 +12,9 @@ from wire.config.vehicle import Fraction, NotNegative, Positive
 from wire.frames import Array
 from wire.toml_loader import Section
 
+Metre = Annotated[float, Field(ge=-1, le=1)]
+Turn = Annotated[float, Field(ge=-0.5, le=0.5)]
+
 
 class PictureConfig(Section):
     """The look of the simulated picture, apart from the robots."""
@@ -120,6 +123,20 @@ class Drifter(Section):
         return np.array(self.start_m) + since_s * np.array(self.velocity_mps) if since_s >= 0.0 else None
 
 
+class CameraErrors(Section):
+    """Errors of the calibration: the simulated camera and plates are as their keys say, plus this; of each camera alike. With
+    none the localizer knows lens, pose and plates exactly, which no calibration gives."""
+
+    focal_error: Annotated[float, Field(gt=-0.5, lt=0.5)] = 0.0
+    """Relative error of the focal lengths: true = camera.focal_px (1 + error)."""
+    position_error_m: tuple[Metre, Metre, Metre] = (0.0, 0.0, 0.0)
+    """Error of the position: true = camera.position_m + error."""
+    rotation_error_rad: tuple[Turn, Turn, Turn] = (0.0, 0.0, 0.0)
+    """Error of the attitude: a further turn (rotation vector) in the camera's frame."""
+    plate_error_m: Annotated[float, Field(gt=-0.1, lt=0.1)] = 0.0
+    """Error of the plates' height: true = vehicle.marker.height_m + error."""
+
+
 class Sim(Section):
     """All settings of the simulator."""
 
@@ -133,6 +150,8 @@ class Sim(Section):
     """Faults to inject."""
     picture: PictureConfig = PictureConfig()
     """The camera's picture."""
+    camera: CameraErrors = CameraErrors()
+    """Errors of the camera's calibration."""
     camera_motion: CameraMotion = CameraMotion()
     """Motion of the camera."""
     drifters: tuple[Drifter, ...] = ()

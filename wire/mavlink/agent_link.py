@@ -71,7 +71,7 @@ class Telemetry:
     board_ms: int = -1  # the board's time of the last burst; -1: none yet
     arrival_ns: int = 0  # when that burst was measured, on the receiver's clock; when it was read, until TIMESYNC was answered
     heading_rad: float = 0.0
-    yaw_rate_radps: float = 0.0
+    yaw_rate_radps: float = 0.0  # d/dt of the heading; of a board that does not measure its tilt: about its own axis
     tilt: tuple[float, ...] = ()  # roll, pitch, and d/dt of them [rad, rad/s]; empty if the board does not measure them
     acceleration_mps2: tuple[float, float, float] = (0.0, 0.0, 0.0)  # specific force, body frame
     depth_m: float = 0.0
@@ -119,6 +119,14 @@ def _tilt_of(message: Any) -> tuple[float, ...]:
     aside, down = math.sin(roll), math.cos(roll)
     roll_rate = about_x + (about_y * aside + message.yawspeed * down) * math.tan(pitch)
     return roll, pitch, roll_rate, about_y * down - message.yawspeed * aside
+
+
+def _yaw_rate_of(message: Any, tilt: tuple[float, ...]) -> float:
+    """d/dt of the heading of an ATTITUDE, whose rates are about the body's axes; without a tilt the rate about its third."""
+    if not tilt:
+        return float(message.yawspeed)
+    roll, pitch = tilt[:2]
+    return float((message.pitchspeed * math.sin(roll) + message.yawspeed * math.cos(roll)) / math.cos(pitch))
 
 
 def pulses_of(message: Any, fields: Callable[[Any], tuple[int, ...]], ignorable: bool) -> tuple[int, ...]:
@@ -226,10 +234,11 @@ class AgentLink:
             complete, self._has_depth = self._has_depth, False
             if not complete:  # the pressure sensor is dead, or that frame lost: the last depth must not look live
                 return {}
+            tilt = _tilt_of(message)
             return {
                 "heading_rad": within(message.yaw, -math.tau, math.tau),
-                "yaw_rate_radps": within(message.yawspeed, -FASTEST_TURN_RADPS, FASTEST_TURN_RADPS),
-                "tilt": _tilt_of(message),
+                "yaw_rate_radps": within(_yaw_rate_of(message, tilt), -FASTEST_TURN_RADPS, FASTEST_TURN_RADPS),
+                "tilt": tilt,
                 "board_ms": message.time_boot_ms,
                 "arrival_ns": self._measured_ns(message.time_boot_ms, now_ns),
             }

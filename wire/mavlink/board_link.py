@@ -146,6 +146,9 @@ class BoardLink:
         self.hil = False  # simulated measurements are taken
         self.refused_frames = 0
         self.taken_frames = 0  # intact ones that passed the verifier, whatever they asked for
+        self.read: list[
+            tuple[bytes, Event | None]
+        ] = []  # frames of the last `receive` but refused ones, and what they ask for
 
     @property
     def bad_frames(self) -> int:
@@ -175,13 +178,15 @@ class BoardLink:
     def receive(self, data: bytes, now_ns: int) -> list[tuple[Peer, Event]]:
         """The requests in these bytes, with their senders. Never raises, whatever the bytes."""
         events: list[tuple[Peer, Event]] = []
-        for message in self._receiver.receive(data, now_ns):
+        self.read = []
+        for message, frame in zip(self._receiver.receive(data, now_ns), self._receiver.frames, strict=True):
             self.taken_frames += 1
             try:
                 event = self._read(message)
             except Refused:
                 self.refused_frames += 1
                 continue
+            self.read.append((frame, event))
             if event is not None:
                 events.append(((message.get_srcSystem(), message.get_srcComponent()), event))
         return events

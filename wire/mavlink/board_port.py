@@ -36,7 +36,7 @@ def parse_link(text: str, option: str = "--link") -> Address:
     kind, _, rest = text.partition(":")
     first, _, last = rest.rpartition(":")
     if kind == "udp" and first and last.isdecimal() and 0 < int(last) < 65536:
-        return Address(kind, first, int(last))
+        return Address(kind, first.removeprefix("[").removesuffix("]"), int(last))
     if kind == "serial" and rest:
         device, baud = (first, int(last)) if first and last.isdecimal() else (rest, 115200)
         if baud in BAUDS:
@@ -63,7 +63,7 @@ class UdpLink:
     """A board behind UDP, as in simulation or on an Ethernet autopilot."""
 
     def __init__(self, host: str, port: int) -> None:
-        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.socket = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET, socket.SOCK_DGRAM)
         self.socket.connect((host, port))
         self.socket.setblocking(False)
         self.address = (host, port)
@@ -173,9 +173,16 @@ def serial_trouble(device: Path) -> str:
     return ""
 
 
+def _resolved(host: str) -> tuple[socket.AddressFamily, str]:
+    """The address of a host, IPv4 where it has both, as simulated boards do. Raises OSError if it has none."""
+    found = socket.getaddrinfo(host, None, type=socket.SOCK_DGRAM)
+    family, _, _, _, place = min(found, key=lambda entry: entry[0] != socket.AF_INET)
+    return family, str(place[0])
+
+
 def is_local(host: str) -> bool:
     """True if a host name resolves to a loopback address. Raises OSError if it has no address."""
-    return is_loopback(socket.gethostbyname(host))
+    return is_loopback(_resolved(host)[1])
 
 
 def open_link(text: str, secured: bool = False, option: str = "--link") -> Link:
@@ -190,7 +197,7 @@ def open_link(text: str, secured: bool = False, option: str = "--link") -> Link:
                 f"{option} {text!r}: unsigned UDP leaves this machine, and any sender on its way could drive the thrusters "
                 "(allowed: with --link-key FILE, which `robot-agent link-key` makes, or with --link-insecure)"
             )
-        return UdpLink(address.where, address.number)
+        return UdpLink(_resolved(address.where)[1], address.number)
     except (socket.gaierror, UnicodeError):  # the second for a part of a name that is empty or longer than 63
         raise ConfigError(f"{option} {text!r}: {address.where!r} is no address of a host, nor a name that has one") from None
     except OSError as error:

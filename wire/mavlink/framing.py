@@ -73,6 +73,7 @@ class Receiver:
         self.foreign_frames = 0  # intact, but from another sender, or of a kind that the dialect does not have
         self.stale_frames = 0  # old or repeated, by their sequence number
         self.refused = dict.fromkeys(SignatureVerdict, 0)  # by their signature
+        self.frames: list[bytes] = []  # of the messages of the last `receive`
 
     @property
     def is_waiting(self) -> bool:
@@ -86,6 +87,7 @@ class Receiver:
 
     def receive(self, data: bytes, now_ns: int) -> list[Any]:
         """The peers' messages, in order, that are complete with these bytes. Never raises, whatever the bytes are."""
+        self.frames = []
         if not (data or self._buffer):
             return []
         self._buffer += data
@@ -109,6 +111,7 @@ class Receiver:
             at += size
             if self._is_taken(message, frame, now_ns):
                 messages.append(message)
+                self.frames.append(frame)
         done = len(self._buffer) if at < 0 else at
         del self._buffer[:done]
         self._waiting_bytes = max(self._waiting_bytes - done, 0)

@@ -2,7 +2,6 @@
 
 import os
 import secrets
-import stat
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,11 +10,14 @@ from pathlib import Path
 from wire.mavlink.agent_link import AgentLink
 from wire.mavlink.signing import KEY_BYTES, Key, ticks
 from wire.process.output_files import replace_text, replacing
+from wire.regular_files import read_regular
+from wire.secret_files import refuse_shared
 from wire.toml_loader import ConfigError
 
 # A program writes down how far it may count before it counts there. Half of this is left when it writes again, from its
 # control loop and without waiting for the disk: longer than a file system holds writes back (ext4: 5 s).
 AHEAD_TICKS = 6_000_000  # 60 s
+MOST_BYTES = 1000  # of a key, or a time
 HOW = "make one with `robot-agent link-key FILE` and give the board the same"
 
 
@@ -38,16 +40,13 @@ def write_key(path: Path, key: Key) -> None:
 def load_key(path: Path, link_id: int = 0) -> Key:
     """The key of a file that no other user can read. Raises ConfigError, which never shows what is in the file."""
     try:
-        mode = path.stat().st_mode
-        text = path.read_text(encoding="ascii").strip()
+        text = read_regular(path, MOST_BYTES).decode("ascii").strip()
     except FileNotFoundError:
         raise ConfigError(f"{path}: no such link key ({HOW})") from None
     except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: cannot be read as a link key: {type(error).__name__}") from None
-    if stat.S_IMODE(mode) & 0o077:
-        raise ConfigError(
-            f"{path}: mode {stat.S_IMODE(mode):04o} lets others read the link key (allowed: 0600; chmod 600 {path})"
-        )
+        why = error.strerror if isinstance(error, OSError) else "not a text"  # never what is in it
+        raise ConfigError(f"{path}: cannot be read as a link key: {why}") from None
+    refuse_shared(path, "the link key")
     try:
         return Key(bytes.fromhex(text), link_id)
     except ValueError:
@@ -61,7 +60,7 @@ class TimestampStore:
         """The file at `path` holds how far was counted. Raises ConfigError if it cannot be kept."""
         self._path, self._unix_ns = path, unix_ns
         try:
-            self._least = self._limit = int(path.read_text(encoding="ascii")) if path.exists() else 0
+            self._least = self._limit = int(read_regular(path, MOST_BYTES)) if path.exists() else 0
             self._reserve(self())
         except (OSError, ValueError) as error:
             raise ConfigError(f"{path}: the times that signatures have used cannot be kept: {error}") from None

@@ -133,6 +133,8 @@ COMMANDERS = (Role.STATION,)  # roles that send commands to robots
 OPERATORS = (Role.STATION, Role.OPERATOR)  # roles that make requests of the station
 
 PRESENCE_KEY = "presence/{process}"  # a liveliness token: there, not necessarily well
+CLAIM_KEY = "claim/{process}/{state}/{session}"  # a liveliness token: a session that wants, or has, a process's name
+CANDIDATE, HOLDER = "candidate", "holder"
 PROCESSES = {
     Role.STATION: "groundstation",
     Role.OPERATOR: "operator",

@@ -23,10 +23,19 @@ from wire.toml_loader import ConfigError, os_errors_as_config_errors
 
 # What tells a folder of results, and the files in it that only the command which made it may write.
 RUN = ("run.mcap", "experiment.toml", "result.json", "report.html", "label.json")
+PAGE_OPEN = ".page-open"  # in a run's folder: its page was open when its station ended; who shows the ended run takes it away
 CAMPAIGN = ("journal.jsonl", "results.parquet", "report.html")
 COMPARISON = ("comparison.json", "comparison.html")
 _OWN = {"run.mcap": RUN, "experiment.toml": RUN, "journal.jsonl": CAMPAIGN, "comparison.json": COMPARISON}
 _KINDS = {RUN: "a run", CAMPAIGN: "a campaign", COMPARISON: "a comparison"}
+
+
+def page_was_open(folder: Path) -> bool:
+    """True if the page of a run's station was open when the station ended. Takes the mark away that says so."""
+    mark = folder / PAGE_OPEN
+    found = mark.exists()
+    mark.unlink(missing_ok=True)
+    return found
 
 
 def check_output(path: Path, reads: Iterable[Path] = (), mine: tuple[str, ...] = ()) -> None:
@@ -83,6 +92,27 @@ def replace_text(path: Path, text: str) -> None:
     """Write a text as UTF-8, see `replacing`."""
     with replacing(path) as file:
         file.write(text.encode())
+
+
+def keep_old(path: Path) -> Path:
+    """Copy a file to one beside it with the time in its name, which was not there. Returns that. Raises OSError."""
+    stem, old = f"{path.name}.{time.strftime('%Y%m%d-%H%M%S')}", path.read_bytes()
+    for suffix in ["", *(f"-{i}" for i in range(2, 1000))]:
+        copy = path.with_name(stem + suffix)
+        try:
+            file = copy.open("xb")
+        except FileExistsError:
+            continue
+        try:
+            with file:
+                file.write(old)
+                file.flush()
+                os.fsync(file.fileno())
+        except OSError as error:
+            copy.unlink(missing_ok=True)
+            raise OSError(error.errno, error.strerror, str(copy)) from None
+        return copy
+    raise RuntimeError(f"cannot keep {path} as {stem}")
 
 
 def _same(path: Path, other: Path) -> bool:

@@ -6,6 +6,8 @@ Two ways to run, and one loop for both:
         outputs = core.step(...)    # says so and every input it names is here
 """
 
+import errno
+import io
 import logging
 import os
 import signal
@@ -15,10 +17,13 @@ import time
 from collections.abc import Callable, Generator
 from contextvars import ContextVar
 from types import FrameType
-from typing import Any, Protocol, TextIO, TypeVar
+from typing import Any, NoReturn, Protocol, TextIO, TypeVar, cast
 
 from wire.messages import topics
 from wire.messages.messages import Event
+from wire.printable import printable, printable_lines
+from wire.process import output
+from wire.programs import end_with_parent
 from wire.toml_loader import ConfigError
 from wire.transport.bus import Bus, Received
 from wire.transport.transport import Unreached
@@ -28,6 +33,8 @@ T = TypeVar("T")
 speaking: ContextVar[str | None] = ContextVar("speaking", default=None)  # whose step this is, where one process runs several
 
 SLICE_S = 0.1  # how long a wait may keep a process from noticing that it was told to stop
+
+NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # a write raises these without the file's name
 
 _LEVELS = {logging.DEBUG: 1, logging.INFO: 2, logging.WARNING: 3, logging.ERROR: 4, logging.CRITICAL: 5}
 
@@ -64,33 +71,43 @@ class Failed(Exception):
 
 
 class Stop:
-    """Set by SIGINT, SIGTERM or a call; every loop looks at it. A second signal ends the process at once.
+    """Set by SIGINT, SIGTERM, SIGHUP or a call; every loop looks at it. A second SIGINT or SIGTERM ends the process at once; a
+    second SIGHUP does not, because a terminal that goes sends it from the kernel and from the shell. `nohup` is respected.
 
     A part of the process that cannot go on calls `fail`; all loops then end as for a signal, within SLICE_S, and who has
     closed everything calls `raise_failure`, so that the process does not end as if all were well."""
 
     def __init__(self, install: bool = True) -> None:
         self.requested = False
+        self.interrupted = False  # by SIGINT: a person pressed Ctrl-C
         self._wakes: list[Callable[[], None]] = []
         self.failure = ""  # why the process ends itself; empty: nothing has failed
         if install:
             signal.signal(signal.SIGINT, self._on_signal)
             signal.signal(signal.SIGTERM, self._on_signal)
+            if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+                signal.signal(signal.SIGHUP, self._on_signal)
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
-        if self.requested:
+        if self.requested and number != signal.SIGHUP:
             os._exit(128 + number)
-        self.request()
+        self.request(number == signal.SIGINT)
 
     def __call__(self) -> bool:
         """True once a stop has been asked for."""
         return self.requested
 
-    def request(self) -> None:
-        """Ask for a clean stop."""
+    def request(self, interrupted: bool = False) -> None:
+        """Ask for a clean stop. `interrupted`: a person has pressed Ctrl-C."""
+        self.interrupted = self.interrupted or interrupted
         self.requested = True
         for wake in self._wakes:
             threading.Thread(target=wake, name="stop", daemon=True).start()
+
+    @property
+    def terminated(self) -> bool:
+        """True if a stop was asked for by a program, and not by a person's Ctrl-C."""
+        return self.requested and not self.interrupted
 
     def on_request(self, wake: Callable[[], None]) -> None:
         """Have `wake` called when a stop is asked for, for a loop that sleeps too long to look. On a thread of its own: a
@@ -163,10 +180,37 @@ class _BusHandler(logging.Handler):
             self.handleError(record)
 
 
+class LineFormatter(logging.Formatter):
+    """One line an event, and a traceback's lines below it, without what a terminal would act on: texts come from others."""
+
+    def __init__(self, process: str) -> None:
+        super().__init__(f"%(asctime)s.%(msecs)03d {process} %(levelname)s %(message)s", "%H:%M:%S")
+
+    def formatMessage(self, record: logging.LogRecord) -> str:
+        """The event's line."""
+        return printable(super().formatMessage(record))
+
+    def formatException(self, ei: Any) -> str:
+        """The traceback's lines."""
+        return printable_lines(super().formatException(ei))
+
+
+class _OutputHandler(logging.StreamHandler[TextIO]):
+    """Writes lines without waiting for what takes them."""
+
+    def __init__(self, stream: TextIO | None) -> None:
+        super().__init__(cast(TextIO, output.background(stream)))
+
+    def close(self) -> None:
+        """Close the log's own descriptor, once its lines are written."""
+        self.stream.close()
+        super().close()
+
+
 def log_handler(process: str, stream: TextIO | None = None) -> logging.Handler:
-    """A handler that writes one line an event, with the process's name, to stderr or `stream`."""
-    handler = logging.StreamHandler(stream)
-    handler.setFormatter(logging.Formatter(f"%(asctime)s.%(msecs)03d {process} %(levelname)s %(message)s", "%H:%M:%S"))
+    """A handler that writes one line an event, with the process's name, to stderr or `stream`. Close it before the stream."""
+    handler = _OutputHandler(stream or sys.stderr)
+    handler.setFormatter(LineFormatter(process))
     handler.addFilter(lambda _: speaking.get() in (None, process))
     return handler
 
@@ -188,17 +232,23 @@ def log_to_bus(bus: Bus, clock: Clock, process: str) -> None:
 def run_app(app: Callable[[], None]) -> None:
     """Run a command line. A configuration that cannot be used, or a file that cannot be read or written, is one message and
     exit code 2, a station that cannot be reached, or a part of the process that has failed, one message and exit code 1;
-    never a traceback."""
+    never a traceback. What the terminal's locale cannot show is replaced."""
+    end_with_parent()
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")
     try:
         app()
     except ConfigError as error:
-        print(error, file=sys.stderr)
-        sys.exit(2)
+        _end(error, 2)
     except OSError as error:
-        if error.filename is None:  # no file of a person's: a bug
+        if error.filename is None and error.errno not in NO_ROOM:  # no file of a person's: a bug
             raise
-        print(f"{error.filename2 or error.filename}: {error.strerror}", file=sys.stderr)
-        sys.exit(2)
+        _end(f"{error.filename2 or error.filename or 'a file that was being written'}: {error.strerror}", 2)
     except (Unreached, Failed) as error:
-        print(error, file=sys.stderr)
-        sys.exit(1)
+        _end(error, 1)
+
+
+def _end(reason: object, code: int) -> NoReturn:
+    """Say why the process ends, behind what it has logged, and end it."""
+    output.background(sys.stderr).write(f"{printable_lines(str(reason))}\n")
+    sys.exit(code)

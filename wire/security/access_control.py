@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from wire.messages.topics import (
+    CLAIM_KEY,
     COMMAND_KEY,
     COMMANDERS,
     OF_CAMERAS,
@@ -78,7 +79,9 @@ def grants(member: Member) -> Grants:
         read=tuple(topic for topic in known if member.role in topic.readers),
         serve=serve,
         ask=(COMMAND_KEY.format(robot="*"),) if member.role in COMMANDERS else ask,
-        announce=tuple(PRESENCE_KEY.format(process=name) for name in names),
+        announce=tuple(
+            key.format(process=name, state="*", session="*") for name in names for key in (PRESENCE_KEY, CLAIM_KEY)
+        ),
     )
 
 
@@ -116,7 +119,7 @@ def _rules(fleet: str, member: Member) -> list[dict[str, Any]]:
     recovered = keys(topic.key() for topic in may.read if topic.qos in RECOVERED)
     cache, follows = below(may.write, robot, CACHE), below(may.read, None, FOLLOWER)
     caches, followers = below(may.read, None, CACHE), below(may.write, robot, FOLLOWER)
-    presence = keys([PRESENCE_KEY.format(process="*")])
+    presence = keys(key.format(process="*", state="*", session="*") for key in (PRESENCE_KEY, CLAIM_KEY))
     anything = [f"{fleet}/**", f"{fleet}/**/@adv/**"]
     serve, ask = keys(may.serve), keys(may.ask)
     listens = ["declare_liveliness_subscriber", "liveliness_query"]

@@ -24,6 +24,7 @@ MOST_TRYING = 32  # handshakes at a time, per lane
 MOST_TRYING_EACH = 8  # and of one origin
 MOST_ORIGINS = 4096  # remembered
 MOST_KNOWN = 1024  # of these with a proof
+MOST_LINKS_EACH = 512  # of one origin at the router: 49 robots behind one address take some 150
 
 # Failed handshakes. 5 a second make the router pause for half of its time, 3 of one origin for a third. A burst is what a
 # robot with the wrong keys tries in ten seconds: it shall hear the router's reason.
@@ -116,6 +117,7 @@ class Origin:
     silent: OrderedDict[int, float] = field(default_factory=OrderedDict)  # no whole ClientHello yet; since when, s
     ready: OrderedDict[int, float] = field(default_factory=OrderedDict)  # waiting for their turn; since when, s
     trying: int = 0
+    links: int = 0  # at the router, those included
     tokens: Tokens = field(default_factory=lambda: Tokens(ORIGIN_BURST, ORIGIN_PER_S))
 
 
@@ -135,6 +137,7 @@ class HandshakeAttempt:
     lane: int
     since_s: float
     proven: bool = False
+    expelled: bool = False
 
 
 NEW, KNOWN = 0, 1  # lanes
@@ -177,7 +180,7 @@ class Admission:
     def _forget(self) -> None:
         """Drop the origins longest unused that have nothing under way; what they failed at is over by then."""
         if len(self._origins) > MOST_ORIGINS:
-            idle = [name for name, one in self._origins.items() if not (one.silent or one.ready or one.trying)]
+            idle = [name for name, one in self._origins.items() if not (one.silent or one.ready or one.links)]
             for name in idle[: len(self._origins) - MOST_ORIGINS]:
                 del self._origins[name]
 
@@ -217,6 +220,9 @@ class Admission:
     def ended(self, connection: int, by_router: bool, now_s: float) -> bool:
         """A connection at the router has ended. Returns whether its handshake counts as failed."""
         found = self._tries.pop(connection)
+        self._origins[found.origin].links -= 1
+        if found.expelled:
+            return False
         if not found.proven:
             self._settle(connection, found)
             return True
@@ -224,6 +230,17 @@ class Admission:
             self._give(found, -1.0, now_s)
             return True
         return False
+
+    def expelled(self, connection: int, now_s: float) -> None:
+        """The router does not want a member's connection, which counts as a handshake that failed. Then call `ended`."""
+        found = self._tries[connection]
+        if found.proven:
+            self._give(found, -1.0, now_s)
+        else:
+            self._settle(connection, found)
+        found.expelled = True
+        if not any(one.proven and not one.expelled for one in self._tries.values() if one.origin == found.origin):
+            self._known.pop(found.origin, None)
 
     def _settle(self, connection: int, found: HandshakeAttempt) -> None:
         """A handshake is no longer under way."""
@@ -257,7 +274,8 @@ class Admission:
                     moved = True
 
     def _may_try(self, origin: Origin, lane: Lane, now_s: float) -> bool:
-        room = lane.trying < MOST_TRYING and origin.trying < MOST_TRYING_EACH and len(self._tries) < self._most_links
+        room = lane.trying < MOST_TRYING and origin.trying < MOST_TRYING_EACH
+        room = room and origin.links < MOST_LINKS_EACH and len(self._tries) < self._most_links
         return room and lane.tokens.left(now_s) >= 1.0 and origin.tokens.left(now_s) >= 1.0
 
     def _try(self, connection: int, lane: int, now_s: float) -> int:
@@ -268,6 +286,7 @@ class Admission:
         self._unproven[connection] = now_s
         self._lanes[lane].trying += 1
         self._origins[name].trying += 1
+        self._origins[name].links += 1
         self._give(found, -1.0, now_s)
         return connection
 

@@ -2,10 +2,11 @@
 
     python -m wire.security.guard LISTENER_FD NEW_PORT KNOWN_PORT
 
-The station starts it (wire/router.py) with the listening socket; the router listens at two loopback ports behind it. TLS goes
-end to end between member and router: the guard reads a ClientHello's length and counts bytes, no more. Which connections are
-passed on, and when, is decided in wire/security/admission.py. It ends when its standard input does, that is with the station,
-and tells on its standard output of whom it refused, a line each.
+The gate (wire/transport/gate.py) starts it with the listening socket; the router listens at two loopback ports behind it. TLS
+goes end to end between member and router: the guard reads a ClientHello's length and counts bytes, no more. Which connections
+are passed on, and when, is decided in wire/security/admission.py. Its standard input names connections that the router does
+not want after all, each by the port from which it reaches the router; the guard ends when that input does, that is with the
+station. It tells on its standard output of whom it refused, a line each.
 """
 
 import contextlib
@@ -33,6 +34,7 @@ INNER_BUFFER = 128 * 1024  # bytes: the kernel's between router and guard. What 
 # A proof of a member's handshake: it has sent a certificate, and the router has answered with more than an alert (24 bytes).
 # On what was measured here: certificate, signature and Finished 700 bytes and more; session tickets 150 and more.
 CERTIFICATE_BYTES, ANSWER_BYTES = 300, 64
+STALLED_S = 10.0  # s for which bytes wait for a peer that reads none: the router misses it after its lease of 1 s
 MOST_PIECES = 64  # that a ClientHello comes in; each costs a look at all that has come
 ACCEPTS = 32  # in one go, between which bytes are passed on
 FILES_APART = 64  # file descriptors for everything but connections
@@ -113,6 +115,8 @@ class ProxiedConnection:
         self.up, self.down = Pump(peer, router), Pump(router, peer)
         self.up.waiting = hello
         self.proven = self.by_router = False
+        self.port = 0  # from which it reaches the router
+        self.until_s = float("inf")  # when it is dropped, unless the peer reads
         self.claimed_at: int | None = None  # bytes from the router when the peer had sent as much as a certificate
 
 
@@ -128,6 +132,8 @@ class Guard:
         self._peers: dict[int, tuple[socket.socket, str]] = {}  # all connections, with their address
         self._hellos: dict[int, list[bytes]] = {}  # of those that wait, as far as it has come, in the pieces it came in
         self._links: dict[int, ProxiedConnection] = {}
+        self._at_router: dict[int, int] = {}  # number of each link, by the port from which it reaches the router
+        self._unwanted = b""  # of the ports on the watched descriptor: what has come of the next
         self._number = 0
         self._buffer = bytearray(CHUNK)
         self._look_s = float("inf")  # when the admission is to be asked again
@@ -136,11 +142,26 @@ class Guard:
         self._selector.register(listener, READ, lambda events: self._accept(listener))
 
     def watch(self, descriptor: int) -> None:
-        """End when there is something to read here, or its end."""
-        self._selector.register(descriptor, READ, self._end)
+        """Expel the links whose ports come here, a line each; end when it ends."""
+        self._selector.register(descriptor, READ, lambda events: self._listen(descriptor))
 
-    def _end(self, events: int) -> None:
-        self._ending = True
+    def _listen(self, descriptor: int) -> None:
+        try:
+            read = os.read(descriptor, CHUNK)
+        except BlockingIOError:
+            return
+        except OSError:
+            read = b""
+        self._ending = not read
+        *lines, self._unwanted = (self._unwanted + read).split(b"\n")
+        for line in lines:
+            number = self._at_router.get(int(line)) if line.isdigit() else None
+            if number is not None:
+                self._admission.expelled(number, time.monotonic())
+                self._drop(number)
+
+    def _ignore(self, events: int) -> None:
+        """Called for none: of a socket that is not looked at."""
 
     def run(self) -> None:
         """Carry bytes until the watched process ends."""
@@ -203,7 +224,7 @@ class Guard:
             if hello_is_whole(b"".join(self._hellos[number])):  # it waits for its turn: is it still there?
                 if not peer.recv(1, socket.MSG_PEEK):
                     raise NotTls
-                self._want(peer, 0, self._end)  # what it says before the router's answer is read after it
+                self._want(peer, 0, self._ignore)  # what it says before the router's answer is read after it
                 return
             said = peer.recv(2 * MOST_HELLO)
             self._hellos[number].append(said)
@@ -226,11 +247,14 @@ class Guard:
                 self._drop(number)
             else:
                 self._refuse(number)
+        for number in [number for number, link in self._links.items() if link.until_s <= now_s]:
+            self._drop(number)
         for number, lane in self._admission.turns(now_s):
             self._pass_on(number, lane)
         for sentence in self._refusals.told(now_s):
             self._tell(sentence)
-        self._look_s = min(self._admission.next_s(now_s), self._refusals.next_s())
+        ends_s = min((link.until_s for link in self._links.values()), default=float("inf"))
+        self._look_s = min(self._admission.next_s(now_s), self._refusals.next_s(), ends_s)
 
     def _refuse(self, number: int) -> None:
         """Close a connection that was not passed on."""
@@ -246,7 +270,7 @@ class Guard:
 
     def _pass_on(self, number: int, lane: int) -> None:
         peer, _ = self._peers[number]
-        self._want(peer, 0, self._end)
+        self._want(peer, 0, self._ignore)
         router = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         router.setblocking(False)
         router.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, INNER_BUFFER)
@@ -254,6 +278,8 @@ class Guard:
             one.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         link = self._links[number] = ProxiedConnection(number, peer, router, b"".join(self._hellos.pop(number)))
         router.connect_ex(("127.0.0.1", self._ports[lane]))
+        link.port = router.getsockname()[1]
+        self._at_router[link.port] = number
         self._want(router, READ | WRITE, lambda events: self._from_router(link, events))
 
     def _from_router(self, link: ProxiedConnection, events: int) -> None:
@@ -284,6 +310,7 @@ class Guard:
         try:
             if events & WRITE:
                 link.down.write()
+                link.until_s = float("inf")
             if events & READ:
                 link.up.read(self._buffer)
                 if link.claimed_at is None and link.up.passed >= CERTIFICATE_BYTES:
@@ -300,11 +327,15 @@ class Guard:
             self._look_s = 0.0
 
     def _go_on(self, link: ProxiedConnection) -> None:
-        """Look at both sockets for what they are good for now; end a link that is over."""
+        """Look at both sockets for what they are good for now; end a link that the router has ended, though a peer that is
+        frozen or gone keeps its end open."""
         up, down = link.up, link.down
-        if up.over and down.over:
+        if down.over:
             self._drop(link.number)
             return
+        if down.waiting and link.until_s == float("inf"):  # meanwhile the router is not read, and its end not seen
+            link.until_s = time.monotonic() + STALLED_S
+            self._look_s = min(self._look_s, link.until_s)
         self._want(down.source, down.wanted | (WRITE if up.waiting else 0), lambda events: self._from_router(link, events))
         if down.passed:
             self._want(up.source, up.wanted | (WRITE if down.waiting else 0), lambda events: self._from_peer(link, events))
@@ -312,6 +343,7 @@ class Guard:
     def _drop(self, number: int) -> None:
         """End a connection at the router."""
         link = self._links.pop(number)
+        self._at_router.pop(link.port, None)
         self._shut(link.down.source)
         if self._admission.ended(number, link.by_router, time.monotonic()):
             self._refusals.note(self._peers[number][1])
@@ -319,14 +351,21 @@ class Guard:
         self._look_s = 0.0
 
 
-def most_links() -> int:
-    """Connections that the process may have files for, two each. Raises the soft limit as far as that is allowed."""
+def allow_files(wanted: int) -> int:
+    """Raise the process's soft limit of open files to `wanted`, as far as that is allowed. Returns the limit."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    wanted = 2 * MOST_LINKS + MOST_WAITING + FILES_APART
-    with contextlib.suppress(ValueError, OSError):  # some systems know a hard limit that they do not grant
-        resource.setrlimit(resource.RLIMIT_NOFILE, (wanted if hard == resource.RLIM_INFINITY else min(wanted, hard), hard))
+    if soft != resource.RLIM_INFINITY and soft < wanted:
+        with contextlib.suppress(ValueError, OSError):  # some systems know a hard limit that they do not grant
+            limit = wanted if hard == resource.RLIM_INFINITY else min(wanted, hard)
+            resource.setrlimit(resource.RLIMIT_NOFILE, (limit, hard))
     soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
-    return max(min((soft - MOST_WAITING - FILES_APART) // 2, MOST_LINKS), 1)
+    return wanted if soft == resource.RLIM_INFINITY else soft
+
+
+def most_links() -> int:
+    """Connections that the process may have files for, two each."""
+    files = allow_files(2 * MOST_LINKS + MOST_WAITING + FILES_APART)
+    return max(min((files - MOST_WAITING - FILES_APART) // 2, MOST_LINKS), 1)
 
 
 def _tell(sentence: str) -> None:
@@ -337,7 +376,7 @@ def _tell(sentence: str) -> None:
 
 def main() -> None:
     """Run the guard as a program (see the module's docstring)."""
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)  # meant for the station, which ends us when it has ended its links
     os.set_blocking(sys.stdout.fileno(), False)
     listener = socket.socket(fileno=int(sys.argv[1]))

@@ -9,7 +9,6 @@ A key ring is a folder with one folder per process, named as the process is:
 """
 
 import ssl
-import stat
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -18,6 +17,7 @@ from typing import Annotated
 from pydantic import AwareDatetime, Field
 
 from wire.messages.topics import Role
+from wire.secret_files import refuse_shared
 from wire.security.access_control import Member
 from wire.toml_loader import ConfigError, Section, check, os_errors_as_config_errors, read_toml
 
@@ -86,9 +86,7 @@ def open_keys(ring: Path, process: str) -> Keys:
             if not path.is_file():
                 raise ConfigError(f"--keys {ring}: {path} is missing (made by `groundstation keys add`, copied by `deploy`)")
             path.open("rb").close()
-        mode = stat.S_IMODE(keys.private_key.stat().st_mode)
-    if mode & 0o077:
-        raise ConfigError(f"{keys.private_key}: mode {mode:04o} lets others read it; chmod 600 {keys.private_key}")
+    refuse_shared(keys.private_key, "the private key")
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     try:
         context.load_verify_locations(keys.ca)

@@ -24,7 +24,7 @@ from wire.messages.topics import Topic
 from wire.toml_loader import ConfigError
 from wire.transport.command_deduplication import CommandDeduplicator
 from wire.transport.delay_estimator import DelayEstimator
-from wire.transport.transport import Await, Transport
+from wire.transport.transport import Answer, Await, Transport
 
 log = logging.getLogger("shoal")
 
@@ -123,6 +123,12 @@ class Inbox(Generic[M]):
         return Received(message, kept.header, kept.arrived_ns, kept.late_ns)
 
 
+def _claim_of(key: str) -> tuple[str, int]:
+    """State and session of a claim's key."""
+    state, session = key.split("/")[-2:]
+    return state, int(session, 16)
+
+
 class Bus:
     """One process's access to the fleet. Thread-safe. Close it in a `finally`."""
 
@@ -138,6 +144,7 @@ class Bus:
         self._present: set[str] = set()
         self._recipients: dict[str, int] = {}  # by key: session of the process that answers its commands
         self._turns: dict[str, threading.Lock] = {}  # by key: around a message's number and its sending
+        self._served: dict[str, Answer] = {}  # by key: the answers to commands
 
     def _key(self, name: str) -> str:
         return f"{self._fleet}/{name}"
@@ -252,7 +259,14 @@ class Bus:
             except DecodeError:
                 return False
 
+        self._served[self._key(name)] = answer
         self.transport.serve(self._key(name), answer, urgent)
+
+    def answer(self, key: str, payload: bytes, header: bytes) -> bytes | None:
+        """The reply to a command that came another way than over the network (wire/transport/own_door.py); None if nobody here
+        serves its key. Thread-safe."""
+        answer = self._served.get(key)
+        return answer(payload, header) if answer is not None else None
 
     def command(self, command: Command, stamp_ns: int, timeout_s: float, to: int | None = None) -> Reply:
         """Send an order and wait for its answer. No answer, or one that cannot be read, is a refusal with the reason."""
@@ -305,27 +319,45 @@ class Bus:
             return Reply(command.robot, False, str(error))
 
     def claim(self, process: str, stopped: Callable[[], bool], patience_s: float = SAME_NAME_S) -> None:
-        """Wait until no other process of this name is in the fleet: one that has crashed is missed after some seconds. Raises
-        ConfigError if one is there all the same. Do it first: two of one name would act by turns."""
-        taken = False
+        """Take a name in the fleet, or wait until no other process has it: one that has crashed is missed after some seconds.
+        Raises ConfigError if one has it all the same. Do it first: two of one name would act by turns.
 
-        def presence(key: str, there: bool) -> None:
-            nonlocal taken
+        Of several that begin together each says so, looks again when the others must have heard, and the lowest session gets
+        the name. One that appears all the same, when a network has been in two parts, is an error in the log of both."""
+        others: set[tuple[str, int]] = set()  # states and sessions of other processes of this name
+
+        def note(key: str, there: bool) -> None:
+            state, session = (topics.HOLDER, 0) if "/presence/" in key else _claim_of(key)
+            if session == self.session:
+                return
             with self.arrival:
-                taken = there
+                (others.add if there else others.discard)((state, session))
                 self.arrival.notify_all()
+                alarm = held and there and state == topics.HOLDER and session
+            if alarm:  # a thread of its own: what is logged goes out as an event, and this is a thread of the network's
+                text = "%s: another process of this name is in the fleet, and the two act by turns: end one"
+                threading.Thread(target=log.error, args=(text, process), name="claim", daemon=True).start()
 
-        self.transport.watch(self._key(topics.PRESENCE_KEY.format(process=process)), presence)
-        deadline_s = time.monotonic() + patience_s
-        if not self.wait(lambda: taken, TOLD_WITHIN_S):
-            return
-        log.info("%s: another process of this name is in the fleet; waiting for it to be gone", process)
-        while not stopped() and not self.wait(lambda: not taken, STOPPED_WITHIN_S):
+        def is_free() -> bool:
+            return not any(state == topics.HOLDER or session < self.session for state, session in others)
+
+        held, deadline_s = False, time.monotonic() + patience_s
+        for key in (topics.PRESENCE_KEY, topics.CLAIM_KEY):
+            self.transport.watch(self._key(key.format(process=process, state="*", session="*")), note)
+        self.transport.announce(self._claim_key(process, topics.CANDIDATE))
+        if self.wait(lambda: not is_free(), TOLD_WITHIN_S):
+            log.info("%s: another process of this name is in the fleet; waiting for it to be gone", process)
+        while not stopped() and not self.wait(is_free, STOPPED_WITHIN_S):
             if time.monotonic() > deadline_s:
                 raise ConfigError(
                     f"{process}: another process of this name is in fleet {self._fleet} (allowed: one): end it, or start this "
                     "one for another robot (--robot) or fleet (--fleet)"
                 )
+        held = True
+        self.transport.announce(self._claim_key(process, topics.HOLDER))
+
+    def _claim_key(self, process: str, state: str) -> str:
+        return self._key(topics.CLAIM_KEY.format(process=process, state=state, session=f"{self.session:x}"))
 
     def announce(self, process: str) -> None:
         """Make this process visible to the others. Do it last, when every subscription stands."""

@@ -15,8 +15,10 @@ from wire.toml_loader import ConfigError
 PATIENT_MS = 120_000  # lease and congestion limit in lockstep: a starved machine is slow, not cut off
 LEASE_MS = 1000  # a cut link is noticed after this long (default 10 s); at 400 ms a busy laptop loses healthy links
 FLOOD = 10  # times a topic's rate: above it messages are dropped; a busy machine sends what it held back in bursts
-FORMS = "tcp/HOST:PORT or tls/HOST:PORT, for example tls/192.168.1.10:7447"
+FORMS = "tcp/HOST:PORT or tls/HOST:PORT, for example tls/192.0.2.10:7447"
 WILDCARDS = {"0.0.0.0": "127.0.0.1", "::": "[::1]"}  # by address listened at: the address to connect to from the same machine
+MOST_SESSIONS = 4096  # of a router: more than its guard lets in (MOST_LINKS of wire/security/guard.py); Zenoh's own is 1,000
+ACCEPT_MS = 3000  # for a session to be opened after its handshake; shorter than YOUNG_S of wire/security/admission.py
 TRY_MS = 1000  # one attempt to reach the station: Zenoh does not hear Ctrl-C meanwhile
 
 
@@ -77,6 +79,9 @@ def settings(endpoint: Endpoint) -> dict[str, Any]:
         found["downsampling"] = _flood_limits()
     if endpoint.router:
         found["listen/endpoints"] = list(endpoint.listens) or [endpoint.address]
+        found["transport/unicast/max_sessions"] = MOST_SESSIONS
+        found["transport/unicast/accept_pending"] = MOST_SESSIONS  # with 100 (default) that many silent links block the rest
+        found["transport/unicast/accept_timeout"] = ACCEPT_MS
     else:
         found["connect/endpoints"] = [endpoint.address]
         found["connect/timeout_ms"] = TRY_MS

@@ -3,38 +3,36 @@
 * At the public port the guard accepts (wire/security/guard.py), in a process of its own, and passes on to two loopback ports
   of the router, one for origins that are new to it and one for those that are known. Another process of this machine could
   find these ports and knock there past the guard; strangers on the network cannot.
-* The door is a Unix socket in a folder that only the station's user may enter. Through it go a terminal's orders
-  (`groundstation stop`), with an operator's rights, whatever happens at the public port. The router knows by the kind of link
-  who comes that way (wire/security/access_control.py); that user could as well read the operator's key.
+* The router's door is a Unix socket in a folder that only the station's user may enter. Through it come that user's scripts
+  (`import shoal`), with an operator's rights and without a key. The router knows by the kind of link who comes that way
+  (wire/security/access_control.py); that user could as well read the operator's key. A terminal's requests have a door of
+  their own, which is not the router's (wire/transport/own_door.py).
 """
 
 import contextlib
 import errno
 import logging
-import os
 import socket
-import stat
 import subprocess
-import sys
-import tempfile
 import threading
 import time
 from dataclasses import replace
 from pathlib import Path
 from typing import IO
 
+from wire import programs
 from wire.security.access_control import DOOR
 from wire.transport.connection_diagnostics import public_listener
 from wire.transport.endpoint import Endpoint, parse_address
+from wire.transport.own_door import opens
+from wire.user_folders import fits, user_folders
 
 log = logging.getLogger("shoal")
 
-ROOT = Path(__file__).parents[2]
 BACKLOG = 1024
 AGAIN_S = 0.2  # between a guard that has ended and the next one
 FREED_S = 0.5  # an earlier station's guard may hold the port for so long after its station was killed
 ENDS_S = 2.0  # what a guard may take to end
-LONGEST_DOOR = 100  # bytes of a Unix socket's path; systems allow 104 (macOS) or 108
 INNER_HANDSHAKE_MS = 3000  # the router's own limit behind the guard: PROOF_S of wire/security/admission.py
 
 
@@ -47,7 +45,7 @@ class Gate:
         self._listener.listen(BACKLOG)
         self._public = endpoint
         self._ports = (0, 0)
-        self._guard: subprocess.Popen[str] | None = None
+        self._guard: subprocess.Popen[bytes] | None = None
         self._turn = threading.Lock()  # around the guard's start and end
         self._closed = False
         self._watch = threading.Thread(target=self._watch_guard, name="gate", daemon=True)
@@ -59,10 +57,10 @@ class Gate:
         self._ports = _free_port(), _free_port()
         inner = tuple(f"tls/127.0.0.1:{port}#tls_handshake_timeout_ms={INNER_HANDSHAKE_MS}" for port in self._ports)
         port = parse_address(self._public.address)[2]
-        door = door_of(port, make=True)
-        if door is None:
-            log.warning("no door for this machine: %s is not a folder of this user alone", door_folder())
-        self.endpoint = replace(self._public, listens=(*inner, *([f"{DOOR}/{door}"] if door is not None else [])))
+        doors = doors_of(port, make=True)
+        if not doors:
+            log.warning("no door for this machine: there is no folder of this user alone (%s)", "XDG_RUNTIME_DIR, /tmp")
+        self.endpoint = replace(self._public, listens=(*inner, *(f"{DOOR}/{door}" for door in doors[:1])))
 
     @property
     def inside(self) -> Endpoint:
@@ -83,15 +81,12 @@ class Gate:
         with self._turn:
             if self._closed:
                 return
-            command = [sys.executable, "-m", "wire.security.guard", str(self._listener.fileno()), *map(str, self._ports)]
-            path = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
-            self._guard = subprocess.Popen(
-                command,
+            self._guard = programs.start(
+                "wire.security.guard",
+                [str(self._listener.fileno()), *map(str, self._ports)],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
-                text=True,
-                pass_fds=[self._listener.fileno()],
-                env={**os.environ, "PYTHONPATH": path},
+                inherits=[self._listener.fileno()],
             )
 
     def _watch_guard(self) -> None:
@@ -111,6 +106,15 @@ class Gate:
             except Exception as error:  # no memory, no process, no thread to be had: again, until there is
                 log.error("the guard of %s cannot be started: %s: %s", self._public.address, type(error).__name__, error)
                 self._guard = None
+
+    def expel(self, port: int) -> None:
+        """Have the guard end the connection that reaches the router from this loopback port."""
+        with self._turn:
+            guard = self._guard
+            if guard is not None and guard.stdin is not None and not self._closed:
+                with contextlib.suppress(OSError, ValueError):  # it has ended, and its connections with it
+                    guard.stdin.write(f"{port}\n".encode())
+                    guard.stdin.flush()
 
     def close(self) -> None:
         """End the guard, and give the port back."""
@@ -143,9 +147,9 @@ def _public_listener(address: str) -> socket.socket:
         time.sleep(0.05)
 
 
-def _tell(lines: IO[str]) -> None:
+def _tell(lines: IO[bytes]) -> None:
     for line in lines:
-        log.warning("%s", line.rstrip("\n"))
+        log.warning("%s", line.decode("utf-8", errors="replace").rstrip("\n"))
 
 
 def _free_port() -> int:
@@ -154,44 +158,22 @@ def _free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-def door_folder() -> Path:
-    """The folder of the doors of this user's stations."""
-    runtime = os.environ.get("XDG_RUNTIME_DIR", "")
-    return Path(runtime) / "shoal" if runtime else Path(tempfile.gettempdir()) / f"shoal-{os.getuid()}"
+def doors_of(port: int, make: bool = False) -> list[Path]:
+    """Paths at which the router of this user's station at a port may have its door, which need not be there. With `make` the
+    folders are made."""
+    doors = [folder / f"station-{port}.sock" for folder in user_folders(make)]
+    return [door for door in doors if fits(door)]
 
 
-def private_folder(make: bool = False) -> Path | None:
-    """The folder of what runs for this user, which need not be there; None where it is not the user's alone. With `make` it is
-    made."""
-    folder = door_folder()
-    try:
-        if make:
-            folder.mkdir(mode=0o700, exist_ok=True)
-        found = folder.lstat()
-    except OSError:
-        return None
-    private = stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid() and not stat.S_IMODE(found.st_mode) & 0o077
-    return folder if private else None
+def through_door(address: str) -> Endpoint | None:
+    """Endpoint for a station that runs on this machine as this user: its router's door. None where it has none."""
+    _, host, port = parse_address(address)
+    open_doors = (door for door in doors_of(port) if opens(door)) if is_here(host) else iter(())
+    door = next(open_doors, None)
+    return Endpoint(f"{DOOR}/{door}") if door is not None else None
 
 
-def door_of(port: int, make: bool = False) -> Path | None:
-    """The door of this user's station at a port, which need not be there; None where the folder is not the user's alone.
-    With `make` the folder is made."""
-    folder = private_folder(make)
-    door = folder / f"station-{port}.sock" if folder is not None else None
-    return door if door is not None and len(os.fsencode(door)) <= LONGEST_DOOR else None
-
-
-def nearest(endpoint: Endpoint) -> Endpoint:
-    """Endpoint for a terminal's orders: the station's door, where it runs on this machine as this user; else the given one."""
-    _, host, port = parse_address(endpoint.address)
-    door = door_of(port)
-    if door is None or not _is_here(host) or not _answers(door):
-        return endpoint
-    return replace(endpoint, address=f"{DOOR}/{door}", keys=None)
-
-
-def _is_here(host: str) -> bool:
+def is_here(host: str) -> bool:
     """True if a program could listen at this address, because it belongs to this machine."""
     try:
         family, kind, _, _, place = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
@@ -199,13 +181,4 @@ def _is_here(host: str) -> bool:
             probe.bind(place)
     except OSError:
         return False
-    return True
-
-
-def _answers(door: Path) -> bool:
-    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
-        try:
-            probe.connect(os.fspath(door))
-        except OSError:
-            return False
     return True

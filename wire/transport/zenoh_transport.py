@@ -19,9 +19,10 @@ import zenoh.ext
 
 from wire.messages.topics import RECOVERED, Qos
 from wire.security.access_control import DOOR, listed
+from wire.security.guard import FILES_APART, allow_files
 from wire.toml_loader import ConfigError
 from wire.transport.connection_diagnostics import trouble_listening, trouble_reaching
-from wire.transport.endpoint import Endpoint, beside, settings
+from wire.transport.endpoint import MOST_SESSIONS, Endpoint, beside, settings
 from wire.transport.gate import Gate
 from wire.transport.transport import Answer, Await, Collect, Deliver, Presence, Unreached, Urgent
 
@@ -32,6 +33,8 @@ UNCOLLECTED_IMAGES = 256  # 12 s, in some 30 MB
 TRY_AGAIN_S = 0.2
 DRAWS = 3  # of free ports behind the gate
 SAY_AGAIN_S = 10.0  # how often a process says that it still waits
+MOST_LINKS_OF_ONE = 64  # connections of one certificate: a robot has two, a viewer's may be used by many people
+MOST_NAMES = 1000  # of unlisted members that are remembered as told of
 NO_ANSWER = "something listens there, but does not answer as a station without keys (one that has them wants --keys FOLDER)"
 
 # Zenoh's own log, on stdout, of a router with keys, with --verbose: who came in, why a handshake failed, and what access
@@ -111,7 +114,7 @@ def _open_gate(endpoint: Endpoint) -> tuple[zenoh.Session, Gate]:
     try:
         session = _open_router(gate)
         if endpoint.access is not None:
-            _tell_of_unlisted(session, frozenset(listed(endpoint.access)))
+            _expel_unlisted(session, gate, frozenset(listed(endpoint.access)))
         gate.open()
     except BaseException:
         gate.close()
@@ -119,19 +122,59 @@ def _open_gate(endpoint: Endpoint) -> tuple[zenoh.Session, Gate]:
     return session, gate
 
 
-def _tell_of_unlisted(session: zenoh.Session, listed: frozenset[str]) -> None:
-    """Log each connection whose certificate the authority made and whose name counts no more: it can say and hear nothing.
-    A thread of its own: what the log says goes out as an event, and Zenoh's threads are not to wait for themselves."""
-    came = session.info.declare_link_events_listener(zenoh.handlers.RingChannel(UNCOLLECTED))
+class _Members:
+    """The router's connections by the name in their certificate. Pure: time is an argument, in s."""
+
+    def __init__(self, listed: frozenset[str]) -> None:
+        self._listed = listed
+        self._links: dict[str, set[int]] = {}  # ports, by name
+        self._said_s: dict[str, float] = {}
+
+    def objection(self, name: str, port: int) -> str:
+        """Note a new connection. Returns the reason why it is not wanted, or nothing."""
+        if name not in self._listed:
+            return f"{name} is not on the list of members (revoked?): its connections are closed"
+        links = self._links.setdefault(name, set())
+        if len(links) >= MOST_LINKS_OF_ONE:
+            return f"{name} has {MOST_LINKS_OF_ONE} connections: more of them are closed"
+        links.add(port)
+        return ""
+
+    def gone(self, name: str, port: int) -> None:
+        """Note the end of a connection."""
+        self._links.get(name, set()).discard(port)
+
+    def to_be_told(self, name: str, now_s: float) -> bool:
+        """True once in SAY_AGAIN_S for a name."""
+        if now_s - self._said_s.get(name, float("-inf")) < SAY_AGAIN_S:
+            return False
+        if len(self._said_s) > MOST_NAMES:
+            self._said_s.clear()
+        self._said_s[name] = now_s
+        return True
+
+
+def _expel_unlisted(session: zenoh.Session, gate: Gate, listed: frozenset[str]) -> None:
+    """Close each connection whose certificate the authority made and whose name counts no more, or has too many already: else
+    one revoked certificate could fill the router. A thread of its own: what the log says goes out as an event, and Zenoh's
+    threads are not to wait for themselves."""
+    came = session.info.declare_link_events_listener(zenoh.handlers.FifoChannel(UNCOLLECTED))
 
     def follow() -> None:
+        members = _Members(listed)
         with contextlib.suppress(zenoh.ZError):  # the session is closed
             for event in came:
                 name = event.link.auth_identifier
-                if event.kind == zenoh.SampleKind.PUT and name is not None and name not in listed:
-                    log.warning(
-                        "%s is not on the list of members (revoked?): it is connected, and says and hears nothing", name
-                    )
+                where = str(event.link.dst).partition("#")[0].rpartition(":")[2]
+                if name is None or not where.isdecimal():  # the door
+                    continue
+                port = int(where)
+                if event.kind != zenoh.SampleKind.PUT:
+                    members.gone(name, port)
+                elif objection := members.objection(name, port):
+                    gate.expel(port)
+                    if members.to_be_told(name, time.monotonic()):
+                        log.warning("%s", objection)
 
     threading.Thread(target=follow, name="unlisted", daemon=True).start()
 
@@ -164,6 +207,8 @@ class ZenohTransport:
     ) -> None:
         self._endpoint, self._stopped = endpoint, stopped
         self._gate: Gate | None = None
+        if endpoint.router:
+            allow_files(MOST_SESSIONS + FILES_APART)
         if endpoint.router and endpoint.keys is not None:
             self._control, self._gate = _open_gate(endpoint)
         else:

@@ -10,6 +10,8 @@ from groundstation import client
 from groundstation.cli.mission import OutcomePrinter
 from groundstation.client import follow
 from wire.messages.messages import Command, Order, Outcome, Progress, Reply
+from wire.transport.bus import Bus
+from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
 SILENT = Reply(0, False, "no answer within 2 s", silent=True)
 
@@ -39,7 +41,8 @@ def asked(*replies: Reply, order: Order = Order.STOP, patience_s: float = 60.0) 
         commands.append(command)
         return next(answer)
 
-    return follow(ask, Command(order, 0), patience_s, told.append), commands, told
+    over = client.limit(Bus(MemoryTransport(MemoryHub())), patience_s)
+    return follow(ask, Command(order, 0), over, told.append), commands, told
 
 
 def test_the_terminal_queries_the_outcome_until_it_is_over() -> None:

@@ -80,13 +80,13 @@ class ObedientRobot:
 class MissionRun:
     """A mission and its robots, stepped together."""
 
-    def __init__(self, automatic: bool = True, settings: Sequence[str] = ()) -> None:
+    def __init__(self, automatic: bool = True, settings: Sequence[str] = (), give_up_s: float | None = None) -> None:
         self.experiment = load_experiment("pool", ["duration_s=2", *settings])
         two = np.zeros((2, 4))
         trajectories = {r: Trajectory(f"t{r}", 0.05, two, two, two) for r in self.experiment.robot_ids}
         starts = dict.fromkeys(self.experiment.robot_ids, np.zeros(4))
         segment = PlanSegment(trajectories, trajectories[1], self.experiment.duration_s)
-        self.mission = Mission(self.experiment, segment, starts, automatic)
+        self.mission = Mission(self.experiment, segment, starts, automatic, give_up_s)
         self.robots = {r: ObedientRobot(self.experiment) for r in self.experiment.robot_ids}
         self.now_ns = 0
         self.answers: list[CommandResult] = []

@@ -8,7 +8,7 @@ import pytest
 
 from groundstation.mission.mission import PATIENCE_S, TEST_PATIENCE_S
 from groundstation.mission.obstacle_monitor import ObstacleSet
-from groundstation.mission.state_machine import MissionState
+from groundstation.mission.state_machine import TERMINAL, MissionState
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.segment import PlanSegment
 from groundstation.telemetry import first_lost_robot, preflight
@@ -122,6 +122,42 @@ def test_a_hold_by_an_operator_lasts_until_an_operator_resumes() -> None:
     assert run.mission.request(Order.RESUME, run.fleet(), run.now_ns) == ""
     run.step(4.0)
     assert run.at(MissionState.DONE)
+
+
+def test_a_mission_that_never_gets_ready_fails_with_its_reason_where_nobody_attends() -> None:
+    run = MissionRun(give_up_s=5.0)
+    run.robots[2].battery_v = 10.0
+    run.step(4.9)
+    assert run.at(MissionState.WAITING)
+    run.step(2.0)
+    assert run.at(MissionState.FAILED)
+    assert "no progress for 5 s, and nobody attends: waiting for the fleet: robot 2: battery 10.0 V" in run.mission.reason
+
+
+def test_a_mission_that_holds_for_ever_fails_with_its_reason_where_nobody_attends() -> None:
+    run = MissionRun(give_up_s=5.0)
+    while run.mission.state is not MissionState.RUNNING:
+        run.step()
+    run.robots[2].mode, run.robots[2].fault = Mode.HOLDING, "no way round"
+    run.robots[1].refuses = run.robots[2].refuses = frozenset({Order.RESUME})
+    run.step(4.0)
+    assert run.mission.state not in TERMINAL
+    run.step(8.0)
+    assert run.at(MissionState.FAILED)
+    assert run.in_mode(1, Mode.DISARMED) and run.in_mode(2, Mode.DISARMED)
+    assert run.mission.reason.startswith("no progress for 5 s, and nobody attends: ")
+
+
+def test_a_mission_that_a_person_attends_or_that_goes_on_is_not_given_up() -> None:
+    attended = MissionRun(give_up_s=1.0)
+    while attended.mission.state is not MissionState.RUNNING:
+        attended.step()
+    assert attended.mission.request(Order.HOLD, attended.fleet(), attended.now_ns) == ""
+    attended.step(5.0)
+    assert attended.at(MissionState.PAUSED)
+    goes_on = MissionRun(give_up_s=1.0)
+    goes_on.step(6.0)
+    assert goes_on.at(MissionState.DONE)
 
 
 def test_stop_is_latched_on_every_robot_until_cleared() -> None:

@@ -136,10 +136,10 @@ def test_a_broken_run_names_its_cause_and_is_not_held_against_the_article(tmp_pa
     result = write_report(tmp_path)
     text = (tmp_path / "report.html").read_text()
     assert result.cause is not None and result.cause.text == "fault: no pose"
-    assert text.index("robot 1: fault: no pose") < text.index("<h2>Requirements")
+    assert text.index(f"{result.cause.sentence}</p>") < text.index("<h2>Requirements")
     assert "Beside the article" not in text
     told = list(terminal.lines(result))
-    assert told[0] == f"cause: robot 1 at {result.cause.time_s:.1f} s: fault: no pose"
+    assert re.fullmatch(rf"cause: robot 1 at {result.cause.time_s:.1f} s, at x \S+, y \S+ m: fault: no pose", told[0])
     assert "article" not in "".join(told)
 
 

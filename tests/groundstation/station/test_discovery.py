@@ -1,18 +1,23 @@
 """A terminal finds the station that runs on its machine."""
 
+import fcntl
 import os
 import signal
 import subprocess
 import sys
-import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
-from groundstation.station.discovery import announced, folder, running, station
+from groundstation.station.discovery import RunningStation, announced, running, station
+from wire import user_folders
 from wire.process.cli_options import DEFAULT_STATION
 from wire.toml_loader import ConfigError
+from wire.transport.bus import Bus
 from wire.transport.endpoint import Endpoint
+from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
 pytestmark = pytest.mark.real_time
 
@@ -20,17 +25,31 @@ HERE = Endpoint("tcp/127.0.0.1:17448", router=True)
 CHILD = """
 import sys
 from groundstation.station.discovery import announced
+from wire.transport.bus import Bus
 from wire.transport.endpoint import Endpoint
-with announced(Endpoint(sys.argv[1], router=True), "shoal", "pool"):
+from wire.transport.memory_transport import MemoryHub, MemoryTransport
+with announced(Endpoint(sys.argv[1], router=True), "shoal", "pool", Bus(MemoryTransport(MemoryHub()))):
     print("here", flush=True)
     sys.stdin.read()
 """
 
 
 @pytest.fixture(autouse=True)
-def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    return tmp_path / "shoal"
+def place(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The user's only folder."""
+    place = tmp_path_factory.mktemp("p")
+    monkeypatch.setenv(user_folders.ONLY, str(place))
+    return place
+
+
+@contextmanager
+def standing(endpoint: Endpoint = HERE, experiment: str = "pool") -> Iterator[None]:
+    with announced(endpoint, "shoal", experiment, Bus(MemoryTransport(MemoryHub()))):
+        yield
+
+
+def found(given: str | None = None, fleet: str = "shoal") -> str:
+    return station(given, fleet).endpoint
 
 
 def another(address: str) -> "subprocess.Popen[str]":
@@ -40,28 +59,51 @@ def another(address: str) -> "subprocess.Popen[str]":
 
 
 def test_the_only_station_is_found_while_it_runs(place: Path) -> None:
-    assert station(None, "shoal") == DEFAULT_STATION
-    with announced(HERE, "shoal", "pool"):
-        assert station(None, "shoal") == HERE.address
-        assert station("tcp/other:1", "shoal") == "tcp/other:1"
-        assert station(None, "another-fleet") == DEFAULT_STATION
-    assert station(None, "shoal") == DEFAULT_STATION
+    assert found() == DEFAULT_STATION
+    with standing():
+        assert found() == HERE.address
+        assert found("tcp/192.0.2.1:1") == "tcp/192.0.2.1:1"
+        assert found(fleet="another-fleet") == DEFAULT_STATION
+    assert found() == DEFAULT_STATION
     assert list(place.iterdir()) == []
 
 
+def test_a_named_station_is_known_by_its_port_on_this_machine() -> None:
+    with standing(), standing(Endpoint("tls/127.0.0.2:17448", router=True), "islands"):
+        assert station("tls/127.0.0.1:17448", "shoal").experiment == "pool"
+        assert station("tcp/127.0.0.2:17448", "shoal").experiment == "islands"
+        assert len(station("tcp/localhost:17448", "shoal").doors) == 1
+        for other in ("tcp/127.0.0.1:17449", "tcp/192.0.2.1:17448"):
+            assert station(other, "shoal") == RunningStation(other, "", "", 0)
+
+
 def test_one_that_listens_everywhere_is_called_by_loopback() -> None:
-    with announced(Endpoint("tls/0.0.0.0:7448", router=True), "shoal", "pool"):
-        assert station(None, "shoal") == "tls/127.0.0.1:7448"
+    with standing(Endpoint("tls/0.0.0.0:7448", router=True)):
+        assert found() == "tls/127.0.0.1:7448"
 
 
-def test_a_station_that_was_killed_is_not_there_and_its_file_goes(place: Path) -> None:
+def test_a_station_in_several_folders_is_one_with_several_doors(
+    tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv(user_folders.ONLY)
+    places = [tmp_path_factory.mktemp("q") for _ in range(2)]
+    monkeypatch.setattr(user_folders, "TEMPORARY", places[0])
+    monkeypatch.setattr(user_folders, "RUN", places[1] / "missing")
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(places[1]))
+    with standing():
+        (one,) = running()
+        assert len(one.doors) == 2
+    assert running() == []
+
+
+def test_a_station_that_was_killed_is_not_there_and_its_files_go(place: Path) -> None:
     child = another("tcp/127.0.0.1:4")
     try:
-        assert station(None, "shoal") == "tcp/127.0.0.1:4"
+        assert found() == "tcp/127.0.0.1:4"
         child.send_signal(signal.SIGKILL)
         child.wait()
-        assert len(list(place.iterdir())) == 1
-        assert station(None, "shoal") == DEFAULT_STATION
+        assert len(list(place.iterdir())) == 2
+        assert found() == DEFAULT_STATION
         assert list(place.iterdir()) == []
     finally:
         child.kill()
@@ -71,10 +113,7 @@ def test_a_station_that_was_killed_is_not_there_and_its_file_goes(place: Path) -
 def test_several_running_stations_are_named_and_none_is_chosen() -> None:
     child = another("tcp/127.0.0.1:4")
     try:
-        with (
-            announced(HERE, "shoal", "islands"),
-            pytest.raises(ConfigError, match="several stations run here") as refused,
-        ):
+        with standing(experiment="islands"), pytest.raises(ConfigError, match="several stations run here") as refused:
             station(None, "shoal")
         for part in ("--station tcp/127.0.0.1:4 (pool", f"--station {HERE.address} (islands, process {os.getpid()})"):
             assert part in str(refused.value)
@@ -83,32 +122,36 @@ def test_several_running_stations_are_named_and_none_is_chosen() -> None:
         child.communicate()
 
 
-@pytest.mark.parametrize("text", ["", "{", "[]", "{}", '{"endpoint": 1}', "\x00" * 9000])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "{",
+        "[]",
+        "{}",
+        '{"endpoint": 1}',
+        '{"endpoint": 1, "fleet": 1, "experiment": 1, "pid": 1}',
+        "[" * 4000,
+        "\x00" * 9000,
+    ],
+)
 def test_discovery_ignores_foreign_files(place: Path, text: str) -> None:
-    import fcntl
-
-    with announced(HERE, "shoal", "pool"), (place / "1.json").open("w") as file:
+    os.mkfifo(place / "2.json")
+    with standing(), (place / "1.json").open("w") as file:
         file.write(text)
         file.flush()
         fcntl.flock(file, fcntl.LOCK_EX)
-        assert [found.endpoint for found in running() if found.pid == os.getpid()] == [HERE.address]
-        assert station(None, "shoal") == HERE.address
+        assert [one.endpoint for one in running() if one.pid == os.getpid()] == [HERE.address]
+        assert found() == HERE.address
 
 
-def test_a_folder_that_others_can_write_to_is_not_believed(place: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Else anybody on the machine could lead a stop astray."""
-    place.mkdir(mode=0o700)
-    place.chmod(0o777)
-    assert folder() is None
-    with announced(HERE, "shoal", "pool"):
-        assert station(None, "shoal") == DEFAULT_STATION
-    place.chmod(0o700)
-    assert folder() == place
-
-
-def test_without_a_runtime_folder_there_is_one_of_the_user_s_own(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.delenv("XDG_RUNTIME_DIR")
-    monkeypatch.setattr(tempfile, "gettempdir", lambda: str(tmp_path))
-    assert folder() == tmp_path / f"shoal-{os.getuid()}"
-    with announced(HERE, "shoal", "pool"):
-        assert station(None, "shoal") == HERE.address
+def test_a_station_without_a_folder_runs_and_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    for name in (user_folders.ONLY, "XDG_RUNTIME_DIR", "TMPDIR"):
+        monkeypatch.delenv(name, raising=False)
+    for name in ("RUN", "TEMPORARY"):
+        monkeypatch.setattr(user_folders, name, tmp_path / "missing")
+    with standing():
+        assert running() == []
+    assert "find this station by --station only" in caplog.text

@@ -1,13 +1,23 @@
-"""The station as a program: starts that fail leave nothing behind."""
+"""The station as a program: starts that fail leave nothing behind; its terminal stops, and goes."""
 
+import os
+import signal
 import socket
 import subprocess
 import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
 from sim_bridge.sil.ports import free_port
+from tests.waiting import eventually
+from wire.messages.messages import Command, Order
+from wire.transport.bus import Bus
+from wire.transport.endpoint import Endpoint
+from wire.transport.zenoh_transport import ZenohTransport
 
 pytestmark = pytest.mark.real_time
 
@@ -23,3 +33,52 @@ def test_a_start_with_a_taken_page_address_is_refused_and_leaves_no_folder(tmp_p
     assert done.returncode == 2
     assert f"--web {web}: Address already in use" in done.stderr
     assert not (tmp_path / "runs").exists()
+
+
+@contextmanager
+def listening(folder: Path, terminal: int) -> Iterator[tuple["subprocess.Popen[bytes]", str]]:
+    """A station that waits for its fleet, in a session of its own with this terminal, and its address."""
+    address = f"tcp/127.0.0.1:{free_port()}"
+    command = [sys.executable, "-m", "groundstation", "run", "pool", "--no-web", "--listen", address, "--out", str(folder)]
+    station = subprocess.Popen(command, stdin=terminal, stdout=terminal, stderr=terminal, start_new_session=True)
+    try:
+        assert eventually(lambda: list(folder.glob("*/run.mcap")))
+        yield station, address
+    finally:
+        station.kill()
+        station.wait()
+
+
+def read_until(terminal: int, text: str) -> None:
+    said = ""
+    while text not in said:
+        said += os.read(terminal, 4096).decode()
+
+
+def test_the_stop_gets_through_while_the_terminal_is_stopped(tmp_path: Path) -> None:
+    """Ctrl-S in the station's terminal. An order before the stop has it log a line."""
+    person, terminal = os.openpty()
+    with listening(tmp_path, terminal) as (_, address):
+        read_until(person, "waiting for the fleet")
+        os.write(person, b"\x13")  # Ctrl-S
+        with Bus(ZenohTransport(Endpoint(address))) as bus:
+            for order in (Order.HOLD, Order.STOP):
+                reply = bus.command(Command(order, 0), time.time_ns(), 20.0)
+                assert not reply.silent
+            assert reply.accepted
+        os.write(person, b"\x11")  # Ctrl-Q
+        read_until(person, "HOLD refused")
+    os.close(terminal)
+    os.close(person)
+
+
+def test_a_station_whose_terminal_has_gone_ends_as_when_told_to(tmp_path: Path) -> None:
+    """The kernel and the shell each send a hang-up."""
+    person, terminal = os.openpty()
+    with listening(tmp_path, terminal) as (station, _):
+        os.close(terminal)
+        os.close(person)
+        for _ in range(2):
+            station.send_signal(signal.SIGHUP)
+        station.wait(60)
+        assert {"result.json", "report.html"} <= {path.name for path in next(tmp_path.iterdir()).iterdir()}

@@ -92,9 +92,37 @@ def test_a_planner_that_breaks_leaves_the_fleet_holding_and_the_station_alive(tm
             MissionState.HALTING,
             PlanRequest("another path", lambda out_of_time: dict[str, PlanSegment]()["robot 3"]),
         )
-        station.plan(True, 0)
+        with station.lock:
+            station.plan(True, 0)
         assert mission.state is MissionState.PAUSED
         assert "KeyError: 'robot 3'" in mission.reason
+
+
+def test_in_lockstep_a_stop_is_taken_while_a_plan_is_computed(tmp_path: Path) -> None:
+    """And the plan, which nobody waits for any more, is dropped."""
+    begun, late = threading.Event(), threading.Event()
+    with a_station(tmp_path) as station:
+        station.seen = station.fleet()
+        mission, detour = station.mission, station.mission.segment
+
+        def slow(out_of_time: Callable[[], bool]) -> PlanSegment:
+            begun.set()
+            late.wait(PATIENCE_S)
+            return detour
+
+        def cycle() -> None:
+            with station.lock:
+                station.plan(True, 0)
+
+        mission.state, mission.plans.request = MissionState.HALTING, PlanRequest("another path", slow)
+        planning = threading.Thread(target=cycle)
+        planning.start()
+        assert begun.wait(PATIENCE_S)
+        reason, _ = station.request(Order.STOP)
+        assert (reason, planning.is_alive()) == ("", True)
+        late.set()
+        planning.join(PATIENCE_S)
+        assert mission.state is MissionState.STOPPED
 
 
 class ObedientFleet:
@@ -258,7 +286,7 @@ def test_a_station_that_is_told_to_end_in_flight_holds_and_then_disarms(
         told.start()
         try:
             # the loop alone: `cycles` around it needs a network and a page
-            process._wall_loop(station, stop)
+            process._wall_loop(station, stop, process.EndOfRun(station, None))
         finally:
             over.set()
             told.join()
@@ -292,6 +320,32 @@ def test_an_end_replaced_by_a_start_ends_no_run(tmp_path: Path) -> None:
         fleet.until(station, lambda: outcome(station, stop).progress is Progress.DONE)
         assert outcome(station, number).progress is Progress.FAILED
         assert not station.ended
+
+
+def test_an_automatic_run_that_a_person_took_over_ends_only_when_it_is_left_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(process, "IDLE_ALONE_S", 0.2)
+    hub = MemoryHub()
+    with a_station(tmp_path, hub) as station:
+        fleet, end = ObedientFleet(hub, station.experiment), process.EndOfRun(station, None)
+        fleet.modes = dict.fromkeys(fleet.modes, Mode.TRACKING)
+        fleet.until(station, lambda: [seen.mode for seen in station.seen.values()] == [Mode.TRACKING] * 2)
+        station.mission.automatic, station.mission.state = True, MissionState.RUNNING
+        stop = asked(station, Order.STOP)
+        assert not end.reached()
+        time.sleep(0.3)
+        assert not end.reached()  # a robot that moves is never left alone
+        fleet.until(station, lambda: outcome(station, stop).progress is Progress.DONE)
+        fleet.until(station, lambda: all(seen.mode is Mode.STOPPED for seen in station.seen.values()))
+        assert not end.reached()
+        fleet.until(station, end.reached)
+        assert station.ended
+
+        station.core.ended, station.mission.state = False, MissionState.DONE  # after a return to the start
+        assert not process.EndOfRun(station, None).reached()
+        station.core.by_hand = False  # as a person's START leaves it
+        assert process.EndOfRun(station, None).reached()
 
 
 def test_status_returns_at_once_while_a_cycle_hangs(tmp_path: Path) -> None:

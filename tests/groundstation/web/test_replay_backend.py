@@ -10,6 +10,7 @@ import pytest
 from groundstation.logs.recorder import Recorder
 from groundstation.planning.planner import plan
 from groundstation.planning.segment import concatenate
+from groundstation.web.protocol import Edit
 from groundstation.web.replay_backend import ReplayBackend
 from tests.groundstation.synthetic import POSE_OFFSET_M, START_S, Script, tracking_error, write_run
 from wire.config.experiment import dump_experiment, load_experiment
@@ -125,6 +126,17 @@ def test_each_camera_has_its_recorded_picture(tmp_path: Path) -> None:
         assert found.picture("east", east.stamp_ns) is None  # it is shown already
         found.seek(7.9, 0.0)
         assert found.picture("east", east.stamp_ns) is None
+
+
+def test_an_ended_run_is_followed_by_what_is_offered_and_can_be_flown(run: Path, replay: ReplayBackend) -> None:
+    assert replay.choose("again", None) == ["this is not possible here"]
+    with ReplayBackend(run, offers=("again", "edited")) as ended:
+        assert ended.snapshot()["replay"]["time_s"] == pytest.approx(ended.scene()["replay"]["end_s"])
+        assert ended.choose("edited", Edit(scale=0.1))  # too near one another
+        assert ended.choice is None
+        assert ended.choose("edited", Edit(duration_s=3.0)) == []
+        assert ended.choice is not None and ended.choice.experiment is not None
+        assert ended.choice.experiment.duration_s == 3.0
 
 
 def test_a_recorded_run_takes_no_orders(replay: ReplayBackend) -> None:

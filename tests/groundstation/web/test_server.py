@@ -10,6 +10,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -22,12 +23,13 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin
 
+from groundstation.deploy import key_ring
 from groundstation.planning import planner
 from groundstation.telemetry import RobotView
-from groundstation.web import connection_limits, protocol
+from groundstation.web import connection_limits, protocol, server
 from groundstation.web.live_backend import PAST_EVERY_S, LiveBackend
 from groundstation.web.send_window import UNACKNOWLEDGED
-from groundstation.web.server import WebServer
+from groundstation.web.server import WebServer, bind
 from tests.groundstation.fake_station import FakeStation
 from wire.config.experiment import Experiment, load_experiment
 from wire.messages import codec, fleet_pb2, topics
@@ -36,7 +38,7 @@ from wire.process.runtime import log
 from wire.toml_loader import ConfigError
 from wire.transport.bus import Bus
 from wire.transport.memory_transport import MemoryHub, MemoryTransport
-from wire.web_access import WebOptions
+from wire.web_access import WebOptions, body_fits
 
 pytestmark = pytest.mark.real_time
 
@@ -266,6 +268,16 @@ def test_only_the_page_in_control_commands_and_all_may_stop(lab: ServedStation) 
     assert second.until(lambda f: state(f) and f["holder"] == yours)
 
 
+def test_a_run_that_still_goes_on_is_followed_by_no_other_whoever_asks(lab: ServedStation) -> None:
+    page = lab.open()
+    page.hello()
+    for what, problem in (("again", "take control first"), ("close", "the run still goes on")):
+        page.say(kind="after", n=1, what=what)
+        assert page.until(lambda f: f["k"] == "chosen")["problems"] == [problem]
+        page.say(kind="take")
+        page.until(lambda f: state(f) and f["holder"] != 0)
+
+
 def test_a_page_that_stops_reading_delays_no_other(lab: ServedStation) -> None:
     """It stays connected and takes nothing in; the other still gets every second state and more, and memory stays flat."""
     stopped, other = lab.open(), lab.open()
@@ -347,6 +359,58 @@ def test_an_unusable_certificate_is_refused_at_start(lab: ServedStation, tmp_pat
     for certificate in (tmp_path / "absent.pem", none):
         with pytest.raises(ConfigError, match=f"--web-certificate {certificate}"):
             WebServer(make_desk(lab), WebOptions(port=free_port(), certificate=certificate, key=none))
+
+
+def test_a_private_key_that_others_can_read_is_refused_at_start(lab: ServedStation, tmp_path: Path) -> None:
+    key_ring.init(tmp_path / "keys", [], "shoal", datetime.now(UTC))
+    keys = tmp_path / "keys" / "groundstation"
+    options = WebOptions(port=free_port(), certificate=keys / "cert.pem", key=keys / "key.pem")
+    with bind(options):
+        pass
+    for mode in (0o640, 0o604, 0o620, 0o602):
+        (keys / "key.pem").chmod(mode)
+        with pytest.raises(ConfigError, match=f"key.pem: mode {mode:04o} lets others read the page's private key"):
+            bind(options)
+
+
+def test_bad_requests_do_not_fill_the_log(
+    lab: ServedStation, caplog: pytest.LogCaptureFixture, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def knock(said: bytes) -> None:
+        with socket.create_connection(("127.0.0.1", lab.port), PATIENCE_S) as stranger:
+            stranger.sendall(said)
+            while stranger.recv(4096):
+                pass
+
+    def lines() -> list[str]:
+        return [record.getMessage() for record in caplog.records if record.name == "shoal" and "HTTP" in record.getMessage()]
+
+    caplog.clear()
+    for _ in range(50):
+        knock(b"\x00\r\n\r\n")
+    assert lines() == ["page: Invalid HTTP request received."]
+    monkeypatch.setattr(server, "SAY_AGAIN_S", 0.0)
+    knock(b"\x00\r\n\r\n")
+    assert lines()[1:] == ["page: Invalid HTTP request received. (49 more of them since last told)"]
+    assert capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize("length", [b"content-length: 300000000", b"transfer-encoding: chunked"])
+@pytest.mark.parametrize("method", [b"POST", b"GET"])
+def test_a_request_with_a_body_is_refused_and_its_body_is_not_read(lab: ServedStation, method: bytes, length: bytes) -> None:
+    with socket.create_connection(("127.0.0.1", lab.port), PATIENCE_S) as sender:
+        sender.sendall(method + b" / HTTP/1.1\r\nhost: 127.0.0.1\r\n" + length + b"\r\n\r\n")
+        answer = b""
+        with contextlib.suppress(ConnectionError):
+            while read := sender.recv(4096):  # its end without a byte of the body: the connection is closed
+                answer += read
+    assert answer.startswith(b"HTTP/1.1 413 ") and b"connection: close" in answer
+
+
+def test_a_body_is_measured_by_its_headers() -> None:
+    assert body_fits([], 0) and body_fits([(b"content-length", b"0")], 0) and body_fits([(b"content-length", b"5")], 5)
+    for headers in ([(b"content-length", b"6")], [(b"content-length", b"9" * 5000)], [(b"transfer-encoding", b"chunked")]):
+        assert not body_fits(headers, 5)
 
 
 def test_assets_are_served_with_security_headers(lab: ServedStation) -> None:

@@ -9,11 +9,11 @@ from localizer.calibration.intrinsics import (
     FEWEST_VIEWS,
     IntrinsicsFit,
     fit_intrinsics,
-    fold_px,
+    intrinsics_faults,
     intrinsics_warnings,
 )
 from localizer.calibration.targets import TargetView, parse_target
-from localizer.camera_model import Intrinsics
+from localizer.camera_model import Intrinsics, fold_px
 from tests.localizer.board_scene import CameraBench, charuco, chessboard
 from wire.config.experiment import load_experiment
 from wire.frames import Array
@@ -223,18 +223,35 @@ def test_too_few_views(count: int) -> None:
 
 
 def test_the_same_view_again_and_again_makes_no_lens() -> None:
-    """Nothing but a board that faces the camera tells distance from focal length: refused, or said to be loose."""
+    """Copies of one picture, as a burst or a video of a board at rest has them, are one view."""
     flat = [TargetView(f"flat-{i}", BOARD_M, BENCH.see(BOARD_M + np.array([-0.12, -0.07, 0.4]))) for i in range(8)]
     noisy = [
         TargetView(v.name, v.board_m, v.pixels + 0.1 * np.random.default_rng(i).normal(size=(54, 2)))
         for i, v in enumerate(flat)
     ]
-    try:
-        fit = fit_intrinsics(noisy, WIDE.size_px)
-    except ConfigError as error:
-        assert "no lens explains" in str(error)
-    else:
-        assert any("loose" in text for text in intrinsics_warnings(fit))
+    with pytest.raises(ConfigError, match=r"found in 1 different pictures \(flat-0\), at least 5 are needed"):
+        fit_intrinsics(noisy, WIDE.size_px)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("tilt_deg", [0.0, 1.0, 3.0, 6.0])
+def test_a_board_that_faces_the_camera_is_no_reason_to_be_sure(tilt_deg: float, seed: int) -> None:
+    """Distance and focal length cannot be told apart then: whatever is found is within what it claims, and is refused."""
+    truth, random = Intrinsics.of(WIDE), np.random.default_rng(seed)
+    middle_m, views = BOARD_M.mean(axis=0), list[TargetView]()
+    while len(views) < 20:
+        turn = np.append(random.uniform(-1.0, 1.0, 2) * np.radians(tilt_deg), random.uniform(-3.0, 3.0))
+        aim = (random.uniform(0.05, 0.95, 2) * truth.size_px - truth.centre_px) / truth.focal_px
+        move = random.uniform(0.25, 0.6) * np.append(aim, 1.0) - cv2.Rodrigues(turn)[0] @ middle_m
+        seen = cv2.projectPoints(BOARD_M, turn, move, truth.matrix, np.array(truth.distortion))[0].reshape(-1, 2)
+        inside = np.all((seen > 2) & (seen < np.array(truth.size_px) - 3), axis=1)
+        if inside.sum() >= 12:
+            noise = 0.05 * random.normal(size=(inside.sum(), 2))
+            views.append(TargetView(str(len(views)), BOARD_M[inside], seen[inside] + noise))
+    fit = fit_intrinsics(views, truth.size_px)
+    assert np.all(np.abs(_miss(fit.lens, truth)) < 4.0 * fit.deviations[:4])
+    said = " ".join(intrinsics_faults(fit))
+    assert "only 0 views of a tilted board" in said and ("is not known" in said or tilt_deg > 3.0)
 
 
 # --- what is said about it

@@ -43,20 +43,21 @@ def _read(picture: Pixels, family: str) -> dict[int, Array]:
     settings.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{family}"))
     corners, ids, _ = cv2.aruco.ArucoDetector(dictionary, settings).detectMarkers(picture)
-    return {int(i): np.asarray(quad, dtype=np.float64).reshape(4, 2) for i, quad in zip(np.ravel(ids), corners, strict=True)}
+    pairs = zip([] if ids is None else np.ravel(ids), corners, strict=True)
+    return {int(i): np.asarray(quad, dtype=np.float64).reshape(4, 2) for i, quad in pairs}
 
 
 @pytest.mark.parametrize("family", ["4X4_50", "APRILTAG_36H11"])
 def test_a_pdf_holds_all_markers_upright_and_at_true_scale(tmp_path: Path, family: str) -> None:
     out = tmp_path / "markers.pdf"
     done = CliRunner().invoke(
-        cli, ["print-markers", "--ids", "1-6,9", "--size", "60", "--dictionary", family.lower(), "-o", str(out)]
+        cli, ["print-markers", "--ids", "1-6,10", "--size", "60", "--dictionary", family.lower(), "-o", str(out)]
     )
     assert done.exit_code == 0 and "2 sheets" in done.output
     pages = _drawn_pdf(out)
     assert pages[0].shape == pytest.approx([side * PX_PER_MM for side in SHEET_MM[::-1]], abs=1.5)
     found = {number: quad for page in pages for number, quad in _read(page, family).items()}
-    assert sorted(found) == [1, 2, 3, 4, 5, 6, 9]
+    assert sorted(found) == [1, 2, 3, 4, 5, 6, 10]
     for quad in found.values():
         sides_mm = np.linalg.norm(quad - np.roll(quad, -1, axis=0), axis=1) / PX_PER_MM
         assert sides_mm == pytest.approx(60.0, abs=0.15)
@@ -74,6 +75,17 @@ def test_an_svg_holds_one_sheet(tmp_path: Path) -> None:
     assert np.linalg.norm(quad[0] - quad[1]) / PX_PER_MM == pytest.approx(140.0, abs=0.2)
 
 
+def test_markers_that_are_read_in_a_mirror_are_left_out(tmp_path: Path) -> None:
+    """Of those that are printed none is read in a picture of all of them in a mirror."""
+    out = tmp_path / "markers.pdf"
+    done = CliRunner().invoke(cli, ["print-markers", "--ids", "0-49", "--size", "25", "-o", str(out)])
+    assert done.exit_code == 0 and "Left out: 8, 9, 17, 47, which are read in a mirror too" in done.output
+    pages = _drawn_pdf(out)
+    assert {number for page in pages for number in _read(page, "4X4_50")} == set(range(50)) - {8, 9, 17, 47}
+    for page in pages:
+        assert not _read(np.ascontiguousarray(page[:, ::-1]), "4X4_50")
+
+
 @pytest.mark.parametrize(
     ("options", "why"),
     [
@@ -82,8 +94,9 @@ def test_an_svg_holds_one_sheet(tmp_path: Path) -> None:
         (["--ids", "1", "--size", "300"], "--size 300: does not fit on a sheet of A4 (allowed: above 0 to 142 mm)"),
         (["--ids", "1", "--size", "nan"], "--size nan: does not fit on a sheet of A4"),
         (["--ids", "1", "--dictionary", "5x5"], "--dictionary 5x5: not known (allowed: 4x4_50, apriltag_36h11)"),
-        (["--ids", "1-9", "-o", "m.svg"], "they need 2 sheets"),
+        (["--ids", "1-10", "-o", "m.svg"], "they need 2 sheets"),
         (["--ids", "1", "--paper", "B5"], "--paper B5: not known (allowed: A4, A3)"),
+        (["--ids", "8,9,17"], "--ids 8,9,17: the markers 8, 9, 17, 47 are read in a mirror too"),
         (["--ids", "1", "-o", "m.png"], "must end in .pdf or .svg"),
     ],
 )

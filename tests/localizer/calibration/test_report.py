@@ -29,7 +29,8 @@ def _pose_fit(errors_px: list[tuple[float, float]], suspect: int | None = None) 
 def test_every_view_is_accounted_for() -> None:
     views = BENCH.views(8, BOARD_M, seed=2, noise_px=0.1)
     bad = TargetView("shaken", BOARD_M, views[3].pixels + 4.0 * np.random.default_rng(1).normal(size=(54, 2)))
-    lines = intrinsics_lines(fit_intrinsics([*views, bad], CAMERA.size_px), ["dark.png"], spare=7)
+    fit = fit_intrinsics([*views, bad], CAMERA.size_px)
+    lines = intrinsics_lines(fit, {"dark.png": "no board found", "7 more views": "evenly taken out, not needed"})
     assert next(line for line in lines if "shaken" in line).endswith("left out: bad")
     assert next(line for line in lines if "dark.png" in line).endswith("left out: no board found")
     assert all(any(view.name in line for line in lines) for view in views)
@@ -41,7 +42,7 @@ def test_every_view_is_accounted_for() -> None:
 
 def test_the_map_is_empty_where_no_corner_fell() -> None:
     fit = fit_intrinsics(BENCH.views(6, BOARD_M, seed=3, noise_px=0.1), CAMERA.size_px)
-    rows = [line.split() for line in intrinsics_lines(fit, [], 0) if len(line.split()) == 8 and set(line) <= set(" ·-+*#")]
+    rows = [line.split() for line in intrinsics_lines(fit, {}) if len(line.split()) == 8 and set(line) <= set(" ·-+*#")]
     assert np.array_equal(np.array(rows) == "·", fit.coverage == 0)
 
 

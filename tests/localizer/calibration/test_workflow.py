@@ -1,15 +1,19 @@
 """`localizer calibrate` and `localizer check` as a lab uses them: files in, files and lines out, errors that help."""
 
+import struct
+import subprocess
 import sys
 import threading
 import tomllib
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 import tomli_w
+from numpy.typing import NDArray
 
 from localizer.__main__ import app
 from localizer.calibration.images import pictures, read_picture
@@ -191,6 +195,138 @@ def test_a_picture_of_16_bits_is_refused(tmp_path: Path) -> None:
         read_picture(tmp_path / "deep.png")
 
 
+# --- folders as people have them
+
+
+def test_a_folder_as_a_camera_and_a_person_leave_it(
+    lab: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Thumbnails, a hidden file that a system left, a broken one, a 16 bit one, one named by another alphabet's bytes, one
+    whose note says that the camera was turned: the calibration is that of the good pictures, and the report names the rest."""
+    folder = tmp_path / "IMG"
+    folder.mkdir()
+    for path in sorted((lab / "board").glob("[0-9]*.png")):
+        (folder / path.name).write_bytes(path.read_bytes())
+    first = cv2.imread(str(folder / "00.png"))
+    assert first is not None
+    for i in range(3):
+        cv2.imwrite(str(folder / f"thumb{i}.jpg"), cv2.resize(first, (160, 120)))
+    (folder / "._00.png").write_bytes(b"\x00\x05\x16\x07")
+    (folder / "cut.jpg").write_bytes(b"\xff\xd8\xff\xe0")
+    (folder / "album.png").mkdir()
+    cv2.imwrite(str(folder / "deep.png"), np.zeros((360, 480), np.uint16))
+    (folder / "01.png").rename(folder / "\u00b21 \udce4.png")
+    (folder / "02.png").unlink()
+    (folder / "02.jpg").write_bytes(_turned(cv2.imread(str(lab / "board" / "02.png"), cv2.IMREAD_GRAYSCALE)))
+    out = tmp_path / "camera.toml"
+    assert _run(monkeypatch, "calibrate", folder, "--board", BOARD, "--grey", "--out", out) == 0
+    said = capsys.readouterr().out
+    camera = tomllib.loads(out.read_text(encoding="utf-8"))["camera"]
+    assert camera["focal_px"] == pytest.approx(TRUTH.focal_px, rel=0.005) and camera["size_px"] == [480, 360]
+    for name in ("cut.jpg", "deep.png", "99-empty.png"):
+        assert any(name in line and "left out" in line for line in said.splitlines()), name
+    assert "._00" not in said and "album" not in said
+    (line,) = (line for line in said.splitlines() if "02.jpg" in line)
+    assert "left out" not in line, "its note is ignored, as in a video"
+
+
+def _turned(picture: NDArray[Any] | None) -> bytes:
+    """A picture as JPEG with an EXIF note that the camera was held upright."""
+    assert picture is not None
+    jpeg = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 98])[1].tobytes()
+    note = b"II*\0" + struct.pack("<IHHHII", 8, 1, 0x112, 3, 1, 6) + bytes(4)
+    exif = b"Exif\0\0" + note
+    return jpeg[:2] + b"\xff\xe1" + struct.pack(">H", len(exif) + 2) + exif + jpeg[2:]
+
+
+# --- a lens that should not be used, and a file that is there
+
+
+def test_a_lens_that_explains_nothing_is_not_written(
+    lab: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Squares of the wrong count: corners are found, and no lens explains them."""
+    out, wrong = tmp_path / "camera.toml", BOARD.replace("7x5", "5x7")
+    arguments = ("calibrate", lab / "board", "--board", wrong, "--grey", "--out", out)
+    assert _run(monkeypatch, *arguments) in (1, 2)
+    assert not list(tmp_path.iterdir())
+    capsys.readouterr()
+    still = tmp_path / "still"
+    still.mkdir()
+    for i in range(12):
+        (still / f"{i}.png").write_bytes((lab / "board" / "03.png").read_bytes())
+    assert _run(monkeypatch, "calibrate", still, "--board", BOARD, "--grey", "--out", out) == 2
+    assert "found in 1 pictures" in capsys.readouterr().err and not out.exists()
+
+
+def test_a_lens_that_is_warned_of_is_written_with_force_only(
+    lab: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Half of the pictures were squeezed by an editor."""
+    folder, out = tmp_path / "board", tmp_path / "camera.toml"
+    folder.mkdir()
+    for i, path in enumerate(sorted((lab / "board").glob("[01]*.png"))):
+        picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+        assert picture is not None
+        squeeze = np.array([[0.75 if i % 2 else 1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+        cv2.imwrite(str(folder / path.name), cv2.warpAffine(picture, squeeze, (480, 360), borderValue=90))
+    arguments = ("calibrate", folder, "--board", BOARD, "--grey", "--out", out)
+    assert _run(monkeypatch, *arguments) == 1
+    said = capsys.readouterr()
+    assert "px is poor" in said.out and said.err.startswith("No camera file was written: ")
+    assert [path.name for path in tmp_path.iterdir()] == ["board"]
+    assert _run(monkeypatch, *arguments, "--force") == 0 and out.exists()
+
+
+def test_a_new_lens_keeps_what_the_file_holds(
+    lab: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "camera.toml"
+    masks = [[[1.0, 2.0], [30.0, 2.0], [30.0, 40.0]]]
+    table = TRUTH.model_dump(mode="json") | {"masks_px": masks, "controls": [["gain", 20]], "rate_hz": 33.0, "readout_s": 0.01}
+    before = "# hung up in May\n" + tomli_w.dumps({"camera": table | {"focal_px": [1.0, 1.0]}})
+    out.write_text(before, encoding="utf-8")
+    assert _calibrate(monkeypatch, lab, out) == 0
+    found = tomllib.loads(out.read_text(encoding="utf-8"))["camera"]
+    assert found["focal_px"] == pytest.approx(TRUTH.focal_px, rel=0.005)
+    for key in ("masks_px", "controls", "rate_hz", "readout_s", "position_m", "rotation_rad"):
+        assert found[key] == table[key], key
+    assert "WARNING: the pose in it is the earlier one" in capsys.readouterr().out
+    (kept,) = tmp_path.glob("camera.toml.2*")
+    assert kept.read_text(encoding="utf-8") == before
+
+
+def test_file_that_would_be_lost_is_not_written_over(
+    lab: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "camera.toml"
+    for text, complaint in (
+        ((EXPERIMENTS / "pool.toml").read_text(encoding="utf-8"), "holds something else than a camera"),
+        (tomli_w.dumps({"camera": {"size_px": [640, 480]}}), "holds a camera with pictures of 640x480, these are 480x360"),
+    ):
+        out.write_text(text, encoding="utf-8")
+        assert _calibrate(monkeypatch, lab, out) == 2
+        assert complaint in capsys.readouterr().err
+        assert out.read_text(encoding="utf-8") == text and len(list(tmp_path.iterdir())) == 1
+
+
+def test_a_full_disk_leaves_the_old_file(lab: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither the new camera without its picture, nor the new picture beside the old camera."""
+    (tmp_path / "lens.toml").write_text(tomli_w.dumps({"camera": TRUTH.model_dump(mode="json")}), encoding="utf-8")
+    out, picture = tmp_path / "camera.toml", tmp_path / "camera.png"
+    arguments = ("--grey", "--lens", tmp_path / "lens.toml", "--pool-points", lab / "points.toml", "--out", out)
+    assert _run(monkeypatch, "calibrate", *arguments) == 0
+    before = out.read_bytes(), picture.read_bytes()
+    script = (
+        "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (8000, 8000)); "
+        "import signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN); from localizer.__main__ import app; app()"
+    )
+    command = [sys.executable, "-c", script, "calibrate", *map(str, arguments), "--rate", "50"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 2 and "File too large" in done.stderr
+    assert (out.read_bytes(), picture.read_bytes()) == before
+
+
 # --- videos
 
 
@@ -244,7 +380,7 @@ def _files(folder: Path, lab: Path) -> None:
         ("empty --board {board}", "empty: no pictures in this folder"),
         ("text.png --board {board}", r"text\.png: not a picture that OpenCV reads .allowed: .*png"),
         ("text.avi --board {board}", r"text\.avi: cannot be read as a video"),
-        ("two large.png --board {board}", r"large\.png: 960x720, but two/00\.png is 480x360: all must come from one camera"),
+        ("two large.png --board {board}", r"large\.png: 960x720, but most boards are in pictures of 480x360: all must come"),
         ("two --board {board}", r"found in 2 pictures \(two/00\.png, two/01\.png\), at least 5 are needed"),
         ("blank --board {board}", "found in none of 1 pictures"),
         ("{lab}/board --board {board} --out camera.txt", r"--out camera\.txt: must end in \.toml"),

@@ -41,7 +41,7 @@ def test_place_and_heading_all_over_the_pool(scene: Scene) -> None:
     for yaw in np.linspace(-np.pi, np.pi, 24):
         x, y = random.uniform([-1.4, -1.0], [1.4, 1.0])
         frame = scene.frame({1: np.array([x, y, 0.3, yaw])})
-        pose = _reader().read(VIEW, [_region(frame, x, y)], np.array([PLATE_M, PLATE_M]), np.zeros((2, 2)))[0].pose
+        pose = _reader().read(VIEW, [_region(frame, x, y)], np.array([PLATE_M, PLATE_M]), np.zeros((2, 2)))[0][0].pose
         errors.append([pose[0] - x, pose[1] - y, wrap(float(pose[2] - yaw))])
     rms = np.sqrt(np.mean(np.square(errors), axis=0))
     assert rms[:2] == pytest.approx(0.0, abs=4e-4)
@@ -73,7 +73,7 @@ def test_whole_picture_and_region_agree(scene: Scene) -> None:
     near = _reader().read(VIEW, regions, plates, np.zeros((2, 2)))
     assert sorted(everywhere) == sorted(near) == [0, 1]
     for robot in (0, 1):
-        assert everywhere[robot].pose == pytest.approx(near[robot].pose, abs=5e-4)
+        assert everywhere[robot][0].pose == pytest.approx(near[robot][0].pose, abs=5e-4)
 
 
 def test_strangers_and_wrong_sizes_are_refused(scene: Scene) -> None:

@@ -60,7 +60,7 @@ def test_samples_lie_where_the_body_frame_says(shrink: int, x: float, y: float, 
     region = cut(frame, np.array([x, y]), 30.0)
     assert region is not None
     turn = 100.0 * np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
-    body = BodyProjection(np.array([x, y]), turn, np.zeros(2))
+    body = BodyProjection(np.array([x, y]), np.column_stack([turn, np.zeros(2)]), np.array([0.0, 0.0, -1.0]))
     sampler = BodySampler(24, 0.008, 0.12, FLAT)
     seen = sampler.patch(region.demosaiced(shrink), body)[:2] / 3.0
     offsets = (np.arange(24) - 12) * 0.008

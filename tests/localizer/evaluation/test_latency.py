@@ -157,7 +157,7 @@ def test_pictures_that_no_pose_comes_of_are_no_good_measurement(monkeypatch: pyt
     def frames() -> Iterator[CapturedFrame | None]:
         for k, (low, high) in enumerate(((60, 90),) * WARM_UP + ((60, 90), (99, 100), (60, 90), (0, 4), (60, 90)), start=1):
             yield CapturedFrame(
-                random.integers(low, high, (960, 1280), np.uint8), k, begin_ns + k * 50 * MS, begin_ns + k * 50 * MS
+                random.integers(low, high, (960, 1280), np.uint8), k * 50 * MS, begin_ns + k * 50 * MS, begin_ns + k * 50 * MS
             )
 
     found, _ = measure(

@@ -15,6 +15,7 @@ from localizer.__main__ import cli
 from localizer.detection.image_regions import BAYER_TO_BGR, Pixels
 from localizer.evaluation.metrics import GroundTruthTrajectory, PoseRow, PublishedPose, pose_rows
 from localizer.evaluation.runner import evaluate_plain
+from localizer.tracking.single_object import SingleObjectTracker
 from tests.localizer.scene import Scene
 from wire.config.experiment import load_experiment
 from wire.frames import Array, wrap
@@ -105,6 +106,15 @@ def test_where_the_truth_has_a_gap_or_ends_nothing_is_made_up() -> None:
     row = pose_rows([PublishedPose(1, at * MS, pose(0.0, 0.0, 0.0)) for at in instants], {1: trajectory})[-1]
     assert row.poses == 4
     assert pose_rows([PublishedPose(3, 0, pose(0.0, 0.0, 0.0))], {1: trajectory}) == []
+
+
+def test_where_the_truth_is_not_a_number_it_is_not_known() -> None:
+    """Motion capture lost the robot from 100 to 200 ms: these poses do not count, and none in between is made up."""
+    trajectory = GroundTruthTrajectory(np.array([0, 50, 100, 150, 200]) * MS, np.zeros((5, 3)))
+    trajectory.pose[2:4] = np.nan
+    found = [PublishedPose(1, at * MS, pose(0.004, 0.0, 0.0)) for at in (0, 50, 75, 100, 125, 150, 175, 200)]
+    row = pose_rows(found, {1: trajectory})[-1]
+    assert row.poses == 3 and row.rms_mm == pytest.approx(4.0)
 
 
 def test_a_matrix_that_is_no_covariance_leaves_the_nees_out() -> None:
@@ -219,10 +229,10 @@ def test_a_video_of_many_targets_is_read_once(tmp_path: Path, monkeypatch: pytes
         return open_video(*args)
 
     monkeypatch.setattr(cv2, "VideoCapture", counted)
-    together = evaluate_plain(video, both, 64.0, None)
-    assert opened[0] == 1
+    together, _ = evaluate_plain(video, both, 64.0, None)
+    assert opened[0] == 2, "its index, and its pictures"
     for row, truth in zip(together, alone, strict=True):
-        (single,) = evaluate_plain(video, truth, 64.0, None)
+        (single,), _ = evaluate_plain(video, truth, 64.0, None)
         assert (row.frames, row.median_px, row.max_px) == (single.frames, single.median_px, single.max_px)
 
 
@@ -241,6 +251,23 @@ def test_a_leap_of_the_truth_itself_is_no_failure(tmp_path: Path) -> None:
     rows[30] = [np.full(2, np.nan)]
     row = evaluate_video(tmp_path, rows)["target 1"]
     assert row["frames"] == 36 and row["failures"] == 0 and row["max_px"] < 1.0
+
+
+def test_a_turn_that_nothing_confirms_any_more_ends() -> None:
+    """An animal turns by 0.1 rad a picture, then a sheet without texture is laid over it."""
+    look, floor = textured(2, 81), np.full((200, 200, 3), 90, np.uint8)
+
+    def picture(turn_rad: float) -> Pixels:
+        about = cv2.getRotationMatrix2D((40.0, 40.0), -np.degrees(turn_rad), 1.0)
+        there = floor.copy()
+        there[60:141, 60:141] = cv2.warpAffine(look, about, (81, 81), borderMode=cv2.BORDER_REFLECT)
+        return there
+
+    follower = SingleObjectTracker(picture(0.0), np.array([100.0, 100.0]), 64.0)
+    turns = [follower.step(picture(0.1 * k))[0][2] for k in range(1, 40)]
+    assert turns[-1] == pytest.approx(3.9, abs=0.3)
+    covered = [follower.step(floor)[0][2] for _ in range(40)]
+    assert abs(covered[-1] - turns[-1]) < 1.0, "at its old rate it turns by 4 rad"
 
 
 # --- a video of the pool
@@ -293,9 +320,13 @@ def test_a_video_of_the_pool_is_localized_again_with_and_without_markers(tmp_pat
         (["nowhere.mp4", "--truth", "good.txt"], "nowhere.mp4: no such file"),
         (["nowhere.mp4", "--truth", "nowhere.txt"], "nowhere.txt"),
         (["nowhere.mp4", "--truth", "bad.txt"], "bad.txt"),
-        (["nowhere.mp4", "--truth", "good.txt", "--experiment", "pool"], "good.txt: the first line lacks frame, robot"),
-        (["nowhere.mp4", "--truth", "robot9.csv", "--experiment", "pool"], "robot 9: not in experiment 'pool'"),
-        (["nowhere.mp4", "--truth", "short.csv", "--experiment", "pool"], "short.csv: 5 values a line, 6 names"),
+        (["film.avi", "--truth", "good.txt", "--experiment", "pool"], "good.txt: the first line lacks frame, robot"),
+        (["film.avi", "--truth", "robot9.csv", "--experiment", "pool"], "robot 9: not in experiment 'pool'"),
+        (["film.avi", "--truth", "short.csv", "--experiment", "pool"], "short.csv: line 2: 5 values, but the first line"),
+        (["film.avi", "--truth", "half.csv", "--experiment", "pool"], "half.csv: line 3, column frame: '0.5' must be a whole"),
+        (["film.avi", "--truth", "word.csv", "--experiment", "pool"], "word.csv: line 2, column x_m: 'far' is no number"),
+        (["film.avi", "--truth", "nan.csv", "--experiment", "pool"], "nan.csv: line 2, column robot: 'nan' must be a whole"),
+        (["film.avi", "--truth", "marked.csv", "--experiment", "pool"], "film.avi: 480x400, but camera.size_px of experiment"),
         (["empty.mcap"], "empty.mcap"),
     ],
 )
@@ -307,6 +338,12 @@ def test_a_recording_or_truth_that_cannot_be_is_explained(
     Path("bad.txt").write_text("X1\tY1\tProbId1\n5\tsix\tNaN\n")
     Path("robot9.csv").write_text("frame,robot,x_m,y_m,yaw_rad\n0,9,0,0,0\n")
     Path("short.csv").write_text("frame,robot,x_m,y_m,yaw_rad,depth_m\n0,1,0,0,0\n")
+    names = "frame,robot,x_m,y_m,yaw_rad\n"
+    Path("half.csv").write_text(f"{names}0,1,0,0,0\n0.5,1,0,0,0\n")
+    Path("word.csv").write_text(f"{names}0,1,far,0,0\n")
+    Path("nan.csv").write_text(f"{names}0,nan,0,0,0\n")
+    Path("marked.csv").write_text(f"\ufeff{names}0,1,,inf,nan\n", encoding="utf-8")  # as spreadsheets save it
+    plain_video(Path("film.avi"), 3)
     Path("empty.mcap").write_bytes(b"")
     done = CliRunner().invoke(cli, ["evaluate", *arguments])
     assert complaint in str(done.exception), (done.output, done.exception)

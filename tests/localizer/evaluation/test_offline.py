@@ -1,7 +1,12 @@
 """`localizer track` and `localizer rerun`: a video, and a recording of what the localizer went by, become poses again."""
 
 import csv
+import itertools
 import json
+import shutil
+import subprocess
+import sys
+import threading
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
@@ -18,7 +23,7 @@ from localizer.__main__ import cli
 from localizer.detection.image_regions import BAYER_TO_BGR
 from localizer.node import LocalizerNode
 from localizer.sources.base import CapturedFrame
-from localizer.sources.recording import FRAMES, FrameRecorder, recorded_frames
+from localizer.sources.recording import FRAMES, FrameRecorder, RecordedFrame, recorded_frames
 from tests.localizer.scene import Scene
 from tests.localizer.stand_ins import MS
 from wire.config.experiment import load_experiment
@@ -26,6 +31,7 @@ from wire.frames import Array
 from wire.messages import topics
 from wire.messages.messages import RobotState
 from wire.process.lockstep import LockstepClock
+from wire.process.output_files import disk_free
 from wire.process.runtime import Stop
 from wire.toml_loader import ConfigError
 from wire.transport.bus import Bus
@@ -69,8 +75,9 @@ def video(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def _track(video: Path, out: Path, *options: str) -> list[dict[str, str]]:
-    _run("track", str(video), "--experiment", "pool", "--out", str(out), *options)
-    assert not out.with_name(f"{out.name}.part").exists()
+    said = _run("track", str(video), "--experiment", "pool", "--out", str(out), *options)
+    assert said.endswith(f"Wrote {out}: {2 * (FILMED - 1)} poses from {FILMED} pictures.\n")
+    assert not list(out.parent.glob("*.part"))
     return _rows(out) if out.suffix == ".csv" else []
 
 
@@ -111,7 +118,7 @@ def test_reports_of_boards_correct_the_poses(video: Path, tmp_path: Path) -> Non
     bad = tmp_path / "bad.csv"
     bad.write_text("frame,robot,depth_m\n0,1,deep\n")
     command = ["track", str(video), "--experiment", "pool", "--out", str(tmp_path / "none.csv"), "--reports", str(bad)]
-    assert "bad.csv: could not convert string to float: 'deep'" in str(CliRunner().invoke(cli, command).exception)
+    assert "bad.csv: line 2, column depth_m: 'deep' is no number" in str(CliRunner().invoke(cli, command).exception)
     assert not list(tmp_path.glob("none*"))
 
 
@@ -119,20 +126,81 @@ def test_a_run_that_was_cut_goes_on_to_the_same_table(video: Path, tmp_path: Pat
     whole, cut = tmp_path / "whole.csv", tmp_path / "cut.csv"
     _track(video, whole)
     text = whole.read_text()
-    cut.with_name("cut.csv.part").write_text(text[: int(0.55 * len(text))])  # in the middle of a row
+    part = _begun(video, cut)
+    part.write_text(text[: int(0.55 * len(text))])  # in the middle of a row
     _track(video, cut, "--resume")
     assert cut.read_text() == text
 
 
+def _begun(video: Path, out: Path) -> Path:
+    """The part of a table that a run of the same command gathers, made by one that is stopped."""
+    script = f"""
+import os
+from localizer.evaluation import offline
+row = offline._row  # private: the run ends in the middle of its work, as if it were killed
+offline._row = lambda frame, *rest: os._exit(9) if frame > 3 else row(frame, *rest)
+from localizer.__main__ import cli
+cli(["track", {str(video)!r}, "--experiment", "pool", "--out", {str(out)!r}])
+"""
+    assert subprocess.run([sys.executable, "-c", script], capture_output=True, check=False).returncode == 9
+    (part,) = out.parent.glob(f"{out.name}.*.part")
+    return part
+
+
+def test_a_part_of_other_settings_is_not_gone_on_with(video: Path, tmp_path: Path) -> None:
+    """One table must not hold the poses of two calibrations."""
+    out = tmp_path / "cut.csv"
+    part = _begun(video, out)
+    text = part.read_text()
+    command = ["track", str(video), "--experiment", "pool", "--out", str(out), "--resume"]
+    done = CliRunner().invoke(cli, [*command, "--set", "camera.focal_px=[1200.0, 1200.0]"])
+    assert f"{part}: its poses are of another recording, or of other settings" in str(done.exception)
+    assert part.read_text() == text and not out.exists()
+
+
 def test_a_table_is_not_overwritten(video: Path, tmp_path: Path) -> None:
-    out, part = tmp_path / "poses.csv", tmp_path / "poses.csv.part"
-    command = ["track", str(video), "--experiment", "pool", "--out", str(out)]
+    out = tmp_path / "poses.csv"
+    command, part = ["track", str(video), "--experiment", "pool", "--out", str(out)], _begun(video, out)
     part.write_text("kept\n")
     assert "is there already (write to another file, or --resume)" in str(CliRunner().invoke(cli, command).exception)
     assert "its columns are not" in str(CliRunner().invoke(cli, [*command, "--resume"]).exception)
     out.write_text("whole\n")
     assert "is there already (write to another file)" in str(CliRunner().invoke(cli, [*command, "--resume"]).exception)
     assert (part.read_text(), out.read_text()) == ("kept\n", "whole\n")
+
+
+def test_a_video_of_another_size_or_without_robots_makes_no_table(video: Path, tmp_path: Path) -> None:
+    writer = cv2.VideoWriter(str(tmp_path / "empty.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 20.0, EXPERIMENT.camera.size_px)
+    for _ in range(3):
+        writer.write(np.full((960, 1280, 3), 90, np.uint8))
+    writer.release()
+    out = str(tmp_path / "poses.csv")
+    command = ["track", str(tmp_path / "empty.avi"), "--experiment", "pool", "--out", out]
+    assert "no robot was found in any picture" in str(CliRunner().invoke(cli, command).exception)
+    other = ["--set", "camera.size_px=[960,1280]", "--set", "camera.centre_px=[479.5,639.5]"]
+    turned = CliRunner().invoke(cli, [*command, *other])
+    assert "empty.avi: 1280x960, but camera.size_px of experiment 'pool' is 960x1280" in str(turned.exception)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["empty.avi"]
+
+
+def test_a_video_that_was_cut_makes_a_table_and_exit_code_1(tmp_path: Path) -> None:
+    """Three of ten pictures are gone from the middle: later ones keep their numbers, and the last line tells."""
+    scene, whole = Scene(EXPERIMENT), tmp_path / "pool.avi"
+    writer = cv2.VideoWriter(str(whole), cv2.VideoWriter.fourcc(*"MJPG"), 20.0, EXPERIMENT.camera.size_px)
+    for k in range(FILMED):
+        writer.write(cv2.cvtColor(scene.frame({1: _place(k), 2: STANDING}), BAYER_TO_BGR))
+    writer.release()
+    data = bytearray(whole.read_bytes())
+    middle = len(data) // 2
+    data[middle : middle + len(data) // 4] = bytes(len(data) // 4)
+    whole.write_bytes(data)
+    out = tmp_path / "poses.csv"
+    done = CliRunner().invoke(cli, ["track", str(whole), "--experiment", "pool", "--out", str(out)])
+    assert done.exit_code == 1 and "3 of 10 pictures cannot be read: 5 to 7" in done.stderr
+    rows = _rows(out)
+    assert {int(row["frame"]) for row in rows} >= {1, 2, 3, 8, 9} and len(rows) < 2 * (FILMED - 1)
+    for row in rows[::2]:
+        assert float(row["x_m"]) == pytest.approx(_place(int(row["frame"]))[0], abs=4e-3)
 
 
 # --- a recording
@@ -167,7 +235,7 @@ def _localize(folder: Path, **recording: Any) -> list[tuple[int, bytes]]:
     network = MemoryHub()
     bus, ours = Bus(MemoryTransport(network)), Bus(MemoryTransport(network))
     published = ours.collect(topics.POSE)
-    with closing(FrameRecorder(folder, EXPERIMENT, **recording)) as recorder:
+    with closing(FrameRecorder(folder, EXPERIMENT, lockstep=True, **recording)) as recorder:
         clock = LockstepClock()
         camera = _LeaningRobots(ours, clock)
         LocalizerNode(EXPERIMENT, bus, Stop(install=False), clock, camera, recorder=recorder).run()
@@ -223,6 +291,48 @@ def test_a_recording_that_was_cut_counts_as_far_as_it_goes(recording: Path, tmp_
     assert all(10 <= row["poses"] < RECORDED - 1 and row["differing"] == 0 for row in rows)
     (cut / FRAMES).write_bytes(whole[:100])
     assert "no recording of frames" in str(CliRunner().invoke(cli, ["rerun", str(cut)]).exception)
+
+
+def test_a_disk_that_vanishes_or_blocks_ends_the_recording_and_not_the_poses(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A USB disk is pulled out after five frames; another one stops answering then, and `close` gives it up."""
+
+    def free_bytes(folder: Path) -> int:
+        if not next(frames, False):
+            shutil.rmtree(folder, ignore_errors=True)
+        return disk_free(folder)
+
+    frames = iter([True] * 5)
+    published = _localize(tmp_path / "pulled", free_bytes=free_bytes)
+    assert len(published) == 2 * (RECORDED - 1) and "ends after 5 frames: No such file or directory" in caplog.text
+    answers, calls = threading.Event(), itertools.count()
+
+    def blocking(folder: Path) -> int:
+        if next(calls) >= 5:
+            answers.wait(60.0)
+        return 10**12
+
+    recorder = FrameRecorder(tmp_path / "stuck", EXPERIMENT, free_bytes=blocking, patience_s=0.1)
+    frame = RecordedFrame(np.zeros(EXPERIMENT.camera.size_px[::-1], np.uint8), 0, 0)
+    for _ in range(200):  # with a disk that is waited for, this never ends
+        recorder.put(frame)
+    recorder.close()
+    answers.set()
+    assert "stuck ends: the disk is too slow, or does not answer" in caplog.text
+    assert "the disk does not answer; its last frames and its end are missing" in caplog.text
+
+
+def test_frames_that_could_not_be_read_again_are_not_recorded(tmp_path: Path) -> None:
+    large = load_experiment("pool", ["camera.size_px=[8192,8192]", "camera.centre_px=[4095.5,4095.5]"])
+    with pytest.raises(ConfigError, match=r"frames of camera\.size_px 8192x8192 are larger than what can be read again"):
+        FrameRecorder(tmp_path / "large", large)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_recording_without_frames_is_not_the_same(tmp_path: Path) -> None:
+    FrameRecorder(tmp_path / "empty", EXPERIMENT).close()
+    assert "holds no frame" in str(CliRunner().invoke(cli, ["rerun", str(tmp_path / "empty")]).exception)
 
 
 def test_a_full_disk_ends_the_recording_and_not_the_poses(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

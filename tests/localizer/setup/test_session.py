@@ -21,7 +21,7 @@ from localizer.setup.session import SetupSession
 from localizer.sources.base import CapturedFrame
 from localizer.sources.v4l2_controls import Control, V4l2Controls
 from sim_bridge.camera.optics import project
-from tests.localizer.board_scene import CameraBench, charuco, marks
+from tests.localizer.board_scene import CameraBench, charuco, chessboard, marks
 from tests.localizer.small_basin import BOARD, FLOOR, POOL_M, RIM, TRUTH
 from tests.waiting import eventually
 from wire.config.experiment import EXPERIMENTS, load_experiment
@@ -325,6 +325,73 @@ def test_a_camera_in_a_file_of_its_own_is_changed_there(file: Path) -> None:
     do(masked(file), "save")
     assert file.read_bytes() == before and "# found in May" in camera.read_text(encoding="utf-8")
     assert len(load_experiment(str(file)).camera.masks_px) == 1
+
+
+MASK = [[10.0, 10.0], [60.0, 10.0], [10.0, 90.0]]
+
+
+def test_a_second_click_on_save_keeps_the_old_file(file: Path) -> None:
+    """Two saves in one second, of which the second has nothing to write; and two that do, in one second."""
+    session = begin(file)
+    do(session, "mask", corners_px=MASK)
+    do(session, "save")
+    with pytest.raises(ConfigError, match="nothing was changed"):
+        do(session, "save")
+    do(session, "mask", corners_px=[[20.0, 10.0], *MASK[1:]])
+    do(session, "save")
+    kept = sorted(path.read_text(encoding="utf-8") for path in file.parent.glob("lab.toml.*"))
+    assert len(kept) == 2 and LAB in kept
+
+
+def test_a_saved_mask_can_be_deleted(file: Path) -> None:
+    session = begin(file)
+    do(session, "mask", corners_px=MASK)
+    do(session, "save")
+    assert len(load_experiment(str(file)).camera.masks_px) == 1 and session.state(1)["changed"] == []
+    do(session, "mask", id=1, corners_px=[])
+    assert session.state(1)["changed"] == ["masks_px"]
+    do(session, "save")
+    assert load_experiment(str(file)).camera.masks_px == ()
+
+
+def test_a_lens_that_is_found_after_the_pose_takes_the_pose_and_its_residuals_away(file: Path) -> None:
+    session = begin(file)
+    show(session, pool_picture())
+    survey(session)
+    do(session, "fit-pose")
+    assert session.state(1)["survey"]["residuals"]
+    # private: the views as the board's thread gathers them from a board that is waved
+    session._work.lens.views = BENCH.views(12, chessboard(9, 6, 0.03)[2], seed=2, noise_px=0.05)
+    do(session, "fit-lens")
+    state = session.state(1)
+    assert state["survey"]["residuals"] == [] and state["survey"]["report"] == []
+    assert "the pose is older than the lens" in said(session) and "position_m" not in state["changed"]
+    do(session, "fit-pose")
+    assert "older" not in said(session) and {"focal_px", "position_m"} <= set(session.state(1)["changed"])
+    do(session, "save")
+    assert session.state(1)["changed"] == [], "what was saved is the base of the next changes"
+    assert load_experiment(str(file)).camera.position_m == pytest.approx(TRUTH.position_m, abs=0.02)
+
+
+def test_no_number_is_no_request(file: Path) -> None:
+    """The grid is drawn at the depth that a page asks for, for all pages."""
+    session = begin(file)
+    show(session, pool_picture())
+    for name, given in (
+        ("grid", {"depth_m": float("nan")}),
+        ("mask", {"corners_px": [[1.0, 2.0], [float("inf"), 3.0], [4.0, 5.0]]}),
+    ):
+        with pytest.raises(ConfigError, match=f"{name}: NaN or an infinity"):
+            session.do(name, given)
+    assert session.jpeg() and session.state(1)["changed"] == []
+
+
+def test_an_experiment_with_several_cameras_is_refused_before_any_work(tmp_path: Path) -> None:
+    for out in (None, tmp_path / "mine.toml"):
+        path = tmp_path / "two.toml"
+        path.write_text((EXPERIMENTS / "two-cameras.toml").read_text(encoding="utf-8"), encoding="utf-8")
+        with pytest.raises(ConfigError, match=r"two\.toml: has several cameras, and a setup is of one"):
+            ExperimentFile(path, out)
 
 
 def test_a_shipped_experiment_is_saved_as_a_new_file(tmp_path: Path) -> None:

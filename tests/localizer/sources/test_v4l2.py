@@ -219,6 +219,7 @@ def test_everything_automatic_is_off_and_the_exposure_is_the_experiments(plug: P
 def test_refused_camera_setting_is_told_and_a_slow_camera_is_asked_for_jpeg(plug: Plug) -> None:
     plug.refuses = {cv2.CAP_PROP_EXPOSURE: 156.0, cv2.CAP_PROP_FPS: 5.0}
     assert configure(plug.open("/dev/video7"), CAMERA) == [
+        "pictures compressed (MJPG) instead of raw: corners are found less well",
         "frames per second 5 instead of 20",
         "exposure in 100 us 156 instead of 80",
     ]

@@ -22,6 +22,7 @@ EXPERIMENT = load_experiment("two-cameras")
 PERIOD_NS = 50_000_000
 SIGMA = np.diag([0.002, 0.002, 0.005])
 WELL = LocalizerStatus(camera=CameraHealth.OK, marks_seen=True)
+COVERED = replace(WELL, marks_seen=False)
 
 
 def pose(eta: Sequence[float] | Array, covariance: Array = SIGMA**2, track: Track = Track.MARKER, sure: bool = True) -> Pose:
@@ -202,11 +203,11 @@ def test_a_camera_whose_poses_leave_the_robots_motions_is_out_until_it_agrees_ag
     """As when it is bumped: its poses leap by 50 mm. Robot 1 goes on as the other camera sees it. Of robot 2, which it alone
     sees, nothing wrong is ever told."""
     fusion, out = CameraFusion(EXPERIMENT), []
-    for k in range(130):
+    for k in range(130):  # its check marks are covered
         bumped = 30 <= k < 60
         at_ns, true, leap = k * PERIOD_NS, np.array([0.01 * k, 0.0, 0.0]), LEAP * bumped
         east = {1: pose(true + leap), 2: pose(np.array([1.5, 0.0, 0.0]) + leap)}
-        result = fusion.step({"west": view(at_ns, {1: pose(true)}), "east": view(at_ns, east)}, at_ns)
+        result = fusion.step({"west": view(at_ns, {1: pose(true)}), "east": view(at_ns, east, COVERED)}, at_ns)
         assert np.hypot(*(fused(result) - true)[:2]) < 0.002
         assert np.sqrt(dict(result.poses)[1].covariance[0, 0]) < 0.004  # the other camera is not in doubt
         assert (2 in dict(result.poses)) == (k < 30 or "east" not in result.distrusted)
@@ -216,6 +217,46 @@ def test_a_camera_whose_poses_leave_the_robots_motions_is_out_until_it_agrees_ag
             why = "camera east is out: it seems to have been moved: its poses are 50 mm from those of another camera"
             assert result.status.message == why and result.status.camera is CameraHealth.OK
     assert [k for k in range(130) if out[k] == ("east",)] == list(range(34, 99))
+
+
+def test_a_camera_whose_check_marks_are_in_place_is_not_put_out_for_its_poses() -> None:
+    """A plate that was glued on anew, say: robot 1 leaps by 50 mm as east alone sees it. East is not trusted until its marks
+    could have told a knock; then both are in doubt, for as long as they differ, and east's other robots have poses."""
+    fusion = CameraFusion(EXPERIMENT)
+    for k in range(400):
+        at_ns, leap = k * PERIOD_NS, LEAP * (k >= 30)
+        east = {1: pose(leap), 2: pose([1.5, 0.0, 0.0])}
+        result = fusion.step({"west": view(at_ns, {1: pose(np.zeros(3))}), "east": view(at_ns, east)}, at_ns)
+        assert result.status.out == () and (2 in dict(result.poses)) == (not 30 <= k < 36)
+        if k >= 37:
+            assert "cameras west and east disagree by 50 mm about robot 1" in result.status.message
+            assert np.sqrt(dict(result.poses)[2].covariance[0, 0]) > 0.02
+
+
+def test_a_camera_that_is_out_comes_back_when_its_check_marks_are_uncovered_in_place() -> None:
+    fusion, out = CameraFusion(EXPERIMENT), []
+    for k in range(300):
+        at_ns, status = k * PERIOD_NS, COVERED if k < 100 else WELL
+        views = {"west": view(at_ns, {1: pose(np.zeros(3))}), "east": view(at_ns, {1: pose(LEAP * (k >= 30))}, status)}
+        out.append(fusion.step(views, at_ns).status.out)
+    assert out[34] == out[100] == ("east",) and [k for k in range(300) if out[k]][-1] in range(140, 150)
+
+
+def test_a_doubt_passes_while_the_cameras_see_no_common_robot_and_is_told_until_then() -> None:
+    """Two pictures 160 mm apart, then each camera has robots of its own."""
+    fusion, apart, sigmas_m, messages = CameraFusion(EXPERIMENT), np.array([0.16, 0.0, 0.0]), list[float](), list[str]()
+    for k in range(1800):
+        at_ns = k * PERIOD_NS
+        east = {1: pose(apart)} if k < 2 else {2: pose([1.0, 0.0, 0.0])}
+        views = {"west": view(at_ns, {1: pose(np.zeros(3))}), "east": view(at_ns, east)}
+        result = fusion.step(views, at_ns)
+        sigmas_m.append(float(np.sqrt(dict(result.poses)[1].covariance[0, 0])))
+        messages.append(result.status.message)
+    assert sigmas_m[1] > 0.15 and sigmas_m[600] < 0.04 and sigmas_m[-1] < 0.003
+    assert "disagree by 160 mm" in messages[1] and messages[-1] == ""
+    assert all(
+        "cameras west and east disagreed" in text for text, s in zip(messages[2:], sigmas_m[2:], strict=True) if s > 0.006
+    )
 
 
 def test_one_misread_marker_takes_no_camera_out() -> None:
@@ -286,9 +327,9 @@ def test_a_camera_without_check_marks_does_not_wait_for_them_to_tell_a_leap() ->
 
 def test_a_bumped_camera_stays_out_while_its_check_marks_are_not_seen() -> None:
     """As when they are covered, and its localizer was started anew and knows nothing of the bump."""
-    fusion, out, covered = CameraFusion(EXPERIMENT), [], replace(WELL, marks_seen=False)
+    fusion, out = CameraFusion(EXPERIMENT), []
     for k in range(200):
-        at_ns, status = k * PERIOD_NS, MOVED if k < 20 else covered if k < 120 else WELL
+        at_ns, status = k * PERIOD_NS, MOVED if k < 20 else COVERED if k < 120 else WELL
         result = fusion.step({"west": view(at_ns, {}), "east": view(at_ns, {2: pose([1.0, 0.0, 0.0])}, status)}, at_ns)
         out.append(result.status.out)
     assert [k for k in range(200) if out[k]] == list(range(159))  # back 2 s after its marks are seen
@@ -322,7 +363,8 @@ def test_a_camera_whose_headings_alone_are_off_is_out_and_the_words_say_so() -> 
     fusion = CameraFusion(EXPERIMENT)
     for k in range(30):
         at_ns, turned = k * PERIOD_NS, pose([0.0, 0.0, 0.5 * (k >= 20)])
-        result = fusion.step({"west": view(at_ns, {1: pose(np.zeros(3))}), "east": view(at_ns, {1: turned})}, at_ns)
+        views = {"west": view(at_ns, {1: pose(np.zeros(3))}), "east": view(at_ns, {1: turned}, COVERED)}
+        result = fusion.step(views, at_ns)
         assert fused(result)[2] == pytest.approx(0.0, abs=1e-9)
     why = "camera east is out: it seems to have been moved: its poses are 28.6 deg of heading from those of another camera"
     assert result.status.message == why

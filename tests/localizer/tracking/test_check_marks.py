@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from localizer.detection.image_regions import Pixels
+from localizer.tracking.camera_pose import corners_of
 from localizer.tracking.check_marks import READINGS, CheckedCameraPose
 from localizer.tracking.fleet_localizer import FleetLocalizer, LocalizationResult
 from sim_bridge.camera.renderer import Renderer
@@ -89,6 +90,37 @@ def test_sunken_water_is_told_from_a_bump_and_measured(drop_m: float) -> None:
     found_mm = float(message.partition("the water stands ")[2].partition(" mm")[0])
     assert ("lower" in message) == (drop_m > 0.0)
     assert found_mm == pytest.approx(abs(drop_m) * 1e3, abs=4.0)
+
+
+def test_a_small_knock_enters_the_covariances_within_three_pictures() -> None:
+    """3 mm and 0.3 deg move the picture by some 6 px: too little to blame the camera at once, and 10 to 20 mm of the poses."""
+    still = pool()
+    knocked = moved_camera(still, (0.003, 0.0, 0.0), np.radians(0.3))
+    before, after, localizer = Renderer(still, 1), Renderer(knocked, 1), FleetLocalizer(still)
+    for k in range(40):
+        picture = (after if k >= 30 else before).render(ETA, np.zeros((2, 4)), 0.05 * k, k)
+        result = localizer.step(picture, round(0.05e9 * k), {1: 0.3, 2: 0.3})
+        errors = errors_m(result) if len(result.poses) == 2 else np.zeros((2, 2))
+        sigmas = np.array([np.sqrt(pose.covariance[0, 0] + pose.covariance[1, 1]) for _, pose in result.poses])
+        if k >= 30:
+            assert np.linalg.norm(errors, axis=1).max() > 0.008
+        if k >= 32:
+            assert np.all(np.linalg.norm(errors, axis=1) < 3.0 * sigmas), k
+        elif 5 < k < 30:
+            assert sigmas.max() < 0.004
+
+
+def test_a_missed_reading_makes_no_moved_mark_of_a_knock() -> None:
+    """Four readings of one mark, two before and two after: their median is no place at all."""
+    camera = CheckedCameraPose(pool().camera, MARKS)
+    expected = camera.view.pool_to_pixel(np.array([corners_of(mark) for mark in MARKS]))
+    # private: what pictures would show is put in directly
+    for k, readings in enumerate(camera._readings):
+        at = expected[k]
+        readings.extend([at, at, None, at + 4.0, at + 4.0] if k == 3 else [at, at, at + 4.0, at + 4.0, at + 4.0])
+    camera._frames = len(MARKS) - 1  # private: the end of a round
+    camera.update(np.zeros(pool().camera.size_px[::-1], np.uint8))
+    assert "was moved" in camera.trouble and "check mark 43 is" not in camera.trouble
 
 
 def test_one_mark_that_was_moved_is_named_and_changes_no_covariance() -> None:

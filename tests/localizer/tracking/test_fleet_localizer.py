@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -400,3 +401,98 @@ def test_overlay_outlines_obstacles_where_they_are() -> None:
     for point in (*outline, middle + np.array([0.15, 0.0])):  # its rim, and the way it drifts
         measurement = (locator.view.pool_to_pixel(np.append(point, 0.5)) + 0.5) / 2 - 0.5
         assert np.linalg.norm(changed - measurement, axis=1).min() < 2.0
+
+
+# --- one id at two places
+
+
+def test_two_robots_with_one_id_are_neither() -> None:
+    """From the first picture on: whichever it is taken for, the other one is 1.4 m away."""
+    locator, message = FleetLocalizer(EXPERIMENT), ""
+    for k in range(40):
+        places = {1: np.array([0.7, -0.4, 0.3, 0.4]), 2: np.array([-0.7, -0.4, 0.3, 1.0])}
+        located = locator.step(SIDE.frame(places, swapped={2: 1}), k * STEP_NS, DEPTHS_M)
+        assert 1 not in dict(located.poses) or not dict(located.poses)[1].identity_verified
+        message = located.status.message
+    assert "in view twice: the marker of robot 1" in message
+
+
+def test_a_spare_plate_that_comes_beside_a_followed_robot_takes_its_verification() -> None:
+    """The robot is followed on, but is it the right one? While the plate is away again, it is."""
+    locator, verified, messages = FleetLocalizer(EXPERIMENT), list[bool](), list[str]()
+    for k in range(220):
+        places = {1: np.array([0.7, -0.4, 0.3, 0.4]), 2: np.array([-0.7, 0.1, 0.3, 1.0])}
+        spare = {3: np.array([-0.2, -0.7, 0.3, 0.2])} if 20 <= k < 90 else {}
+        located = locator.step(SIDE.frame(places | spare, swapped={3: 1}), k * STEP_NS, DEPTHS_M)
+        if k > 1:
+            pose = dict(located.poses)[1]
+            assert np.hypot(pose.x_m - 0.7, pose.y_m + 0.4) < 2e-3
+            assert dict(located.poses)[2].identity_verified
+            verified.append(pose.identity_verified)
+            messages.append(located.status.message)
+    assert all(verified[:18]) and not any(verified[80:100]) and all(verified[-20:])
+    assert "in view twice: the marker of robot 1" in messages[85] and messages[-1] == ""
+
+
+def test_a_spare_plate_in_a_mask_hides_no_robot() -> None:
+    """The better square lies where no robot can be."""
+    mask = ((200.0, 200.0), (520.0, 200.0), (520.0, 460.0), (200.0, 460.0))
+    masked = EXPERIMENT.model_copy(update={"camera": EXPERIMENT.camera.model_copy(update={"masks_px": (mask,)})})
+    for depth_m in (0.3, 0.5):
+        locator = FleetLocalizer(masked)
+        for k in range(8):
+            places = {1: np.array([0.7, -0.4, depth_m, 0.4]), 2: np.array([-0.7, -0.4, 0.3, 1.0])}
+            located = locator.step(SIDE.frame(places, swapped={2: 1}), k * STEP_NS, {1: depth_m, 2: 0.3})
+        pose = dict(located.poses)[1]
+        assert pose.identity_verified and np.hypot(pose.x_m - 0.7, pose.y_m + 0.4) < 4e-3
+
+
+def test_a_marker_that_was_read_is_looked_for_on_its_plate_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The whole region of a robot costs twice as much, and is read where the plate alone shows no marker."""
+    locator, sides = _found(), list[list[int]]()
+    # private: what is cut out of the picture shows in no result
+    read = locator._reader.read
+
+    def noted(view: Any, regions: Any, plates_m: Any, tilts_rad: Any) -> Any:
+        sides.append([region.bayer.shape[0] for region in regions])
+        return read(view, regions, plates_m, tilts_rad)
+
+    list(_fly(locator, 3))
+    monkeypatch.setattr(locator._reader, "read", noted)  # private: as above
+    list(_fly(locator, 1, first=3))
+    plates, missed = sides[0], sides[1]
+    assert len(plates) == 2 and missed == []
+    sides.clear()
+    list(_fly(locator, 1, hidden=lambda k: frozenset({2}), first=4))
+    assert len(sides[0]) == 2 and len(sides[1]) == 1 and sides[1][0] > 1.3 * max(plates)
+    sides.clear()
+    list(_fly(locator, 1, first=5))
+    assert len(sides[0]) == 1 and len(sides[1]) == 1, "robot 2 is followed by its look: its whole region is read"
+
+
+# --- sizes
+
+
+def test_a_depth_that_is_wrong_by_10_cm_is_told() -> None:
+    """Of one of three robots: the others' markers look right."""
+    three = EXPERIMENT.model_copy(update={"robots": (*EXPERIMENT.robots, EXPERIMENT.robots[0].model_copy(update={"id": 3}))})
+    places = {1: np.array([0.7, -0.4, 0.3, 0.4]), 2: np.array([-0.7, 0.1, 0.4, 1.0]), 3: np.array([0.1, 0.7, 0.3, 2.0])}
+    scene = Scene(three, seed=3)
+    frames = [scene.frame(places) for _ in range(3)]  # drawing is slow
+    for wrong_m, looks in ((0.0, ""), (0.1, "too large"), (-0.1, "too small")):
+        locator = FleetLocalizer(three)
+        for k in range(50):
+            located = locator.step(frames[k % 3], k * STEP_NS, {1: 0.3, 2: 0.4 + wrong_m, 3: 0.3})
+        told = located.status.message
+        assert (looks in told and told.endswith("robot 2")) if looks else told == ""
+
+
+@pytest.mark.parametrize(("printed", "words"), [(0.8, "too small, and is not believed"), (0.94, "too small for its depth")])
+def test_a_marker_that_was_not_printed_at_true_scale_is_told(printed: float, words: str) -> None:
+    marker = EXPERIMENT.vehicle.marker
+    small = marker.model_copy(update={"side_m": printed * marker.side_m})
+    scene = Scene(EXPERIMENT.model_copy(update={"vehicle": EXPERIMENT.vehicle.model_copy(update={"marker": small})}), seed=3)
+    frames, locator = [scene.frame({1: np.array([0.7, -0.4, 0.3, 0.4])}) for _ in range(3)], FleetLocalizer(EXPERIMENT)
+    for k in range(50):
+        located = locator.step(frames[k % 3], k * STEP_NS, DEPTHS_M)
+    assert words in located.status.message and "robot 1" in located.status.message

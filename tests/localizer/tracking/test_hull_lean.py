@@ -117,6 +117,21 @@ def test_leaning_robots_in_motion_are_where_their_centres_are_under_a_rolling_sh
     assert np.abs(np.transpose(errors)[2]).max() < np.radians(0.5)
 
 
+@pytest.mark.parametrize("how", ["right", "sign", "exchanged", "askew"])
+def test_a_board_that_reports_another_lean_than_the_hull_shows_is_told(how: str) -> None:
+    """Robots swing by 6 deg. Robot 2's board has the wrong signs, exchanged axes, or is mounted 3 deg askew."""
+    experiment = load_experiment("pool", ["localizer.tilt_from_outline=true"])
+    renderer, localizer = Renderer(experiment, 1), FleetLocalizer(experiment)
+    for k in range(40):
+        swing = np.radians(6.0) * np.array([np.sin(0.7 * k), np.cos(0.5 * k)])
+        picture = renderer.render(LEANING, np.zeros((2, 4)), 0.05 * k, k, np.array([swing, swing]))
+        told = {"right": swing, "sign": -swing, "exchanged": swing[::-1], "askew": swing + np.radians([3.0, 0.0])}[how]
+        attitudes = {1: Attitude(swing[0], swing[1], 0.005), 2: Attitude(told[0], told[1], 0.005)}
+        result = localizer.step(picture, round(0.05e9 * k), {1: 0.3, 2: 0.5}, attitudes)
+    found = result.status.message
+    assert ("from what the hull shows" in found and found.endswith("robot 2")) if how != "right" else found == ""
+
+
 def test_no_lean_is_read_off_a_hull_that_is_half_covered_of_another_size_or_not_there() -> None:
     level = np.zeros((2, 2))
     assert all(read(POOL, LEANING, level))

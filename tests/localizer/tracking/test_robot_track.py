@@ -1,5 +1,7 @@
 """The rules of one track: states, identity, gates, and what is published."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -60,6 +62,19 @@ def test_a_contradicted_track_does_not_claim_to_know_where_its_robot_is() -> Non
     assert not occupied.predicted(STEP_S).with_marker(_seen(0.0), JUMP_M).doubt(JUMP_M)[0, 0] > 1e-4
 
 
+def test_a_leap_outside_the_gate_is_published_with_its_own_size() -> None:
+    """A driver hands out an old picture with a new stamp: where the robot was is no place for a claim of a millimetre. The
+    next picture is right, and so is its claim soon."""
+    track, away = _followed().predicted(STEP_S), np.array([0.06, 0.0, 0.0])
+    stale = track.with_marker(_seen(0.06), JUMP_M).end_of_frame(LOST_AFTER_S)
+    pose = stale.message(0.3, LEVEL)
+    assert pose is not None and pose.track is Track.MARKER and away @ np.linalg.solve(pose.covariance, away) < 1.01
+    for _ in range(3):
+        stale = stale.predicted(STEP_S).with_marker(_seen(0.0), JUMP_M).end_of_frame(LOST_AFTER_S)
+    pose = stale.message(0.3, LEVEL)
+    assert pose is not None and pose.covariance == pytest.approx(SIGMA)
+
+
 def test_coasts_then_is_lost_then_stays_put() -> None:
     track = _followed().predicted(STEP_S).with_marker(_seen(0.005), JUMP_M).predicted(STEP_S).with_marker(_seen(0.01), JUMP_M)
     states, places = [], []
@@ -97,6 +112,15 @@ def test_a_coasting_robot_is_matched_thrice_in_one_place_before_it_counts() -> N
     assert _matched(coasting, [0.004, 0.004]).state is Track.COAST
     assert _matched(coasting, [0.004, 0.005, 0.004]).state is Track.KCF
     assert _matched(coasting, [0.0, 0.03, 0.0, 0.03, 0.0, 0.03]).state is Track.COAST, "a match that jumps about is no robot's"
+
+
+def test_matches_of_a_small_robot_need_not_be_steadier_than_they_are() -> None:
+    """One of 9 pixels across is matched to 7 mm: three matches that scatter so much are in one place."""
+    coasting = _matched(_followed(), [np.nan] * 3)
+    for x in (0.0, 0.01, -0.004):
+        match = replace(_seen(x, peak=0.7), covariance=np.diag([7e-3, 7e-3, 0.08]) ** 2)
+        coasting = coasting.predicted(STEP_S).with_match(match, 0.3).end_of_frame(LOST_AFTER_S)
+    assert coasting.state is Track.KCF
 
 
 def test_the_gate_for_matches_does_not_open_with_the_time_unseen() -> None:

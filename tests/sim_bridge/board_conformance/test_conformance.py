@@ -245,6 +245,15 @@ def _own_battery(self: SimulatedSensors, now_ns: int) -> float:
     return 12.4
 
 
+def _never_arm(self: BoardStateMachine, now_ns: int) -> str:
+    return "broken"
+
+
+def _never_thrust(self: BoardStateMachine, now_ns: int) -> None:
+    Rules_step(self, now_ns)
+    self._thrusters_us = [self.parameters.neutral_us] * THRUSTERS
+
+
 def _still_in_hil(self: BoardStateMachine, now_ns: int) -> None:
     Rules_step(self, now_ns)
     if self.parameters.hil:
@@ -271,6 +280,8 @@ WRONG: list[tuple[type, str, Any, set[str], bool]] = [
     (BoardStateMachine, "_arming_refusal", _arm_at_any_pulse, {"arming-thrust"}, False),
     (BoardStateMachine, "_arming_refusal", _arm_on_any_age, {"arming-late"}, False),
     (BoardStateMachine, "_arming_refusal", _arm_on_any_battery, {"arming-battery"}, False),
+    (BoardStateMachine, "_arming_refusal", _never_arm, {"at-once", "revival", "parameter-armed", "hil-armed"}, False),
+    (BoardStateMachine, "step", _never_thrust, {"at-once", "age-thrust", "follows"}, False),
     (BoardStateMachine, "step", _keep_thrust, {"at-once", "age-thrust"}, False),
     (BoardStateMachine, "step", _slewed_to_neutral, {"at-once", "age-thrust"}, False),
     (BoardStateMachine, "step", _follow_while_disarmed, {"disarmed-neutral"}, False),

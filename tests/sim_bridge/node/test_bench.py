@@ -44,6 +44,16 @@ def port() -> Iterator[UdpPort]:
     found.close()
 
 
+def test_a_terminal_takes_the_place_of_one_whose_board_was_killed(tmp_path: Path) -> None:
+    plug = tmp_path / "plug"
+    with board(f"pty:{plug}", tmp_path / "boards") as killed:
+        killed.kill()
+        killed.wait()
+        assert plug.is_symlink()
+        with board(f"pty:{plug}", tmp_path / "boards"):
+            assert say("get", "--link", f"serial:{plug}", "THR1_TRIM_US") == (0, "0\n")
+
+
 def test_parameters_over_a_serial_port_and_across_a_restart(tmp_path: Path) -> None:
     link = f"serial:{tmp_path}/plug"
     with board(f"pty:{tmp_path}/plug", tmp_path / "boards"):

@@ -5,16 +5,18 @@ import numpy as np
 from sim_bridge.sil.monitor import Monitor
 from wire.config.experiment import load_experiment
 from wire.messages import topics
-from wire.messages.messages import Mode, RobotState, StationHeartbeat
+from wire.messages.messages import Event, Mode, RobotState, StationHeartbeat
 from wire.transport.bus import Bus
 from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
 
-def line(name: str, states: dict[int, RobotState]) -> str:
+def line(name: str, states: dict[int, RobotState], mission: str = "RUNNING", told: str = "") -> str:
     hub = MemoryHub()
     robots, person = Bus(MemoryTransport(hub)), Bus(MemoryTransport(hub))
     monitor = Monitor(load_experiment(name), person)
-    robots.publish(topics.HEARTBEAT, StationHeartbeat(mission="RUNNING"), 1)
+    robots.publish(topics.HEARTBEAT, StationHeartbeat(mission=mission), 1)
+    if told:
+        robots.publish(topics.EVENT, Event(2, "groundstation", told), 1)
     for robot, state in states.items():
         robots.publish(topics.STATE, state, 1, robot)
     return monitor.line()
@@ -38,3 +40,10 @@ def test_of_twenty_robots_the_worst_and_those_with_alarms_are_named() -> None:
     told = line("fleet-20", states)  # robot 20 has not been heard
     assert told.endswith("1 disarmed, 18 tracking, worst 18: 18 mm, 19 (no battery)")
     assert len(told) < 120
+
+
+def test_a_run_that_waits_or_holds_gives_the_reason() -> None:
+    told = line("pool", {1: tracking(0.0)}, "WAITING", "mission: waiting for the fleet: robot 1: depth -1.00 m")
+    assert told.endswith("waiting     robot 1: depth -1.00 m")
+    assert line("pool", {}, "PAUSED", "mission: holding: robot 2: no pose").endswith("robot 2: no pose")
+    assert line("pool", {1: tracking(0.0)}, "RUNNING", "mission: waiting for the fleet: depth").endswith("1 tracking 0 mm")

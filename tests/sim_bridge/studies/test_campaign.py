@@ -11,8 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 import pyarrow.parquet as pq
 import pytest
+import tomli_w
 from distributed import LocalCluster
 from rich.console import Console
 from scipy import stats
@@ -27,9 +29,12 @@ from sim_bridge.studies.campaign_flight import planning_text
 from sim_bridge.studies.dependence import dependence, dependences, lines, reasons
 from sim_bridge.studies.metrics import MEASURES, broken_limits
 from sim_bridge.studies.statistics import distribution, quantile, rate
+from tests.planted import installed
+from tests.waiting import eventually
 from wire.config.experiment import EXPERIMENTS, NO_CAMERA, Experiment, load_experiment
 from wire.figures import mean
 from wire.process.runtime import Failed, Stop
+from wire.process.version import code
 from wire.toml_loader import ConfigError, check
 
 pytestmark = pytest.mark.long
@@ -318,9 +323,10 @@ def test_a_robot_that_refuses_is_a_refusal_with_its_reason_and_leaves_no_folder(
     assert (row["status"], row["reason"]) == ("refused", str(done.exception))
 
 
-def test_a_planner_that_is_killed_has_refused_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    dies = (sys.executable, "-c", "import os; os.kill(os.getpid(), 9)")
-    monkeypatch.setattr(run, "STATION", dies)
+def test_a_planner_that_is_killed_has_refused_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    dies = "import os, sys\nif 'plan' in sys.orig_argv: os.kill(os.getpid(), 9)"
+    (tmp_path / "sitecustomize.py").write_text(dies)  # Python reads it in each process
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     with pytest.raises(Failed, match="groundstation plan ended with exit code -9: without a word"):
         run.plan(load_experiment("pool", [NO_CAMERA]))
 
@@ -336,6 +342,73 @@ def test_a_flight_that_failed_is_flown_again_by_resume(flown: Path, tmp_path: Pa
     (tmp_path / "journal.jsonl").write_text("".join(json.dumps(row) + "\n" for row in spoilt))
     assert fly(campaign(), tmp_path, resume=True) == 1
     assert [row["status"] for row in rows(tmp_path)] == ["flown", "refused", "flown", "flown"]
+
+
+def test_resume_refuses_flights_of_another_version(flown: Path, tmp_path: Path) -> None:
+    lines_ = (flown / "journal.jsonl").read_text().splitlines()
+    assert {json.loads(line)["commit"] for line in lines_} == {row["commit"] for row in rows(flown)} == {code().commit}
+    for other in ({"commit": "0" * 40}, None):  # None: of a version that did not record it
+        row = json.loads(lines_[0])
+        del row["commit"]
+        (tmp_path / "journal.jsonl").write_text(
+            "".join(f"{line}\n" for line in [json.dumps({**row, **(other or {})}), *lines_[1:]])
+        )
+        before = (tmp_path / "journal.jsonl").read_bytes()
+        with pytest.raises(ConfigError, match=r"holds flights of commit (0{40}|unknown), and this is "):
+            fly(campaign(), tmp_path, resume=True)
+        assert (tmp_path / "journal.jsonl").read_bytes() == before
+
+
+def test_a_second_program_in_a_folder_is_refused(tmp_path: Path) -> None:
+    complaint = pytest.raises(ConfigError, match="another program flies this campaign")
+    with campaign_runner.Journal(tmp_path / "journal.jsonl"), complaint:
+        fly(campaign(), tmp_path, resume=True)
+    with campaign_runner.Journal(tmp_path / "journal.jsonl") as journal:
+        assert not journal.rows
+
+
+def with_room(size: int, folder: Path) -> subprocess.CompletedProcess[str]:
+    """`sim-bridge campaign small.toml --out c --resume` in a folder where no file may grow beyond this many bytes."""
+    (folder / "small.toml").write_text(tomli_w.dumps(TABLE))
+    words = ["campaign", "small.toml", "--workers", "1", "--out", "c", "--resume"]
+    limit = f"import resource; resource.setrlimit(resource.RLIMIT_FSIZE, ({size},) * 2)"
+    script = f"{limit}; import sys; sys.argv[1:] = {words}; from sim_bridge.__main__ import app; app()"
+    done = subprocess.run([sys.executable, "-c", script], cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 1 and "Traceback" not in done.stdout + done.stderr
+    return done
+
+
+def test_a_journal_on_a_full_disk_keeps_whole_rows(flown: Path, tmp_path: Path) -> None:
+    """It has room for one and a half rows more."""
+    row, empty = len((flown / "journal.jsonl").read_bytes().splitlines(keepends=True)[0]), b"\n" * 2**20
+    (tmp_path / "c").mkdir()
+    (tmp_path / "c" / "journal.jsonl").write_bytes(empty)
+    done = with_room(len(empty) + row * 3 // 2, tmp_path)
+    assert "c/journal.jsonl: " in done.stdout and "; --resume goes on" in done.stdout
+    assert "2 of 4 flights flown" in done.stdout and "report:  c/report.html" in done.stdout
+    (line,) = (tmp_path / "c" / "journal.jsonl").read_bytes().lstrip(b"\n").splitlines(keepends=True)
+    assert line.endswith(b"\n") and json.loads(line)["status"] == "flown"
+
+
+def test_results_that_find_no_room_are_not_announced(flown: Path, tmp_path: Path) -> None:
+    (tmp_path / "c").mkdir()
+    (tmp_path / "c" / "journal.jsonl").write_bytes((flown / "journal.jsonl").read_bytes())
+    done = with_room(1000, tmp_path)
+    assert "no results or report: c/results.parquet: File too large; --resume writes them" in done.stdout
+    assert "4 of 4 flights flown" in done.stdout and "report:  " not in done.stdout
+
+
+@pytest.mark.real_time
+def test_workers_end_with_a_campaign_that_is_killed(tmp_path: Path) -> None:
+    (tmp_path / "small.toml").write_text(tomli_w.dumps({**TABLE, "seeds": 1000}))
+    words = [installed("sim-bridge"), "campaign", "small.toml", "--workers", "2", "--out", "c"]
+    with subprocess.Popen(words, cwd=tmp_path, stdout=subprocess.DEVNULL) as flying:
+        journal = tmp_path / "c" / "journal.jsonl"
+        assert eventually(lambda: journal.exists() and journal.read_text())
+        started = psutil.Process(flying.pid).children(recursive=True)
+        flying.kill()
+    assert len(started) >= 3  # the fork server and two workers
+    assert eventually(lambda: not any(one.is_running() and one.status() != psutil.STATUS_ZOMBIE for one in started))
 
 
 def test_a_campaign_in_which_no_flight_flew_says_so_with_the_first_reason(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ import pytest
 from groundstation.planning import planner
 from sim_bridge.studies.comparison import VARIANTS, FlightTask, fly, scattered
 from tests.closed_loop.numeric import flown
+from tests.planted import executed, installed, plant
 from wire.config.controller_benchmark import Comparison, Variant
 from wire.config.experiment import EXPERIMENTS, Experiment, load_experiment
 from wire.toml_loader import ConfigError
@@ -95,13 +96,16 @@ def test_the_mpc_wants_nothing_that_is_not_allowed_and_its_flight_is_kept_to_loo
 def test_the_command_flies_in_processes_what_this_process_flies(tmp_path: Path) -> None:
     """The same figures to the last bit, whatever the number of processes; a variant that changes nothing is left out."""
     flights = ["--laws", "eso-mpc,mpc-without-sway,pid", "--seeds", "3-3", "--duration", "21", "--scatter", "0.2"]
+    planted = plant(tmp_path / "planted")  # no process of it imports from the folder it works in
     result = subprocess.run(
-        [sys.executable, "-m", "sim_bridge", "compare", "numeric", *flights, "--jobs", "2", "--out", str(tmp_path)],
+        [installed("sim-bridge"), "compare", "numeric", *flights, "--jobs", "2", "--out", str(tmp_path)],
+        cwd=planted,
         capture_output=True,
         text=True,
         check=False,
     )
     assert result.returncode == 0, result.stderr
+    assert not executed(planted)
     assert "mpc-without-sway is the same as eso-mpc here" in result.stdout and "pid" in result.stdout
     found = Comparison.from_json((tmp_path / "comparison.json").read_text(encoding="utf-8"))
     assert [v.name for v in found.variants] == ["eso-mpc", "pid"] and (tmp_path / "comparison.html").is_file()

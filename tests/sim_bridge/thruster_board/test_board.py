@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as dialect
+from scipy.spatial.transform import Rotation
 
 from sim_bridge.plant.sensors import BoardSensors
 from sim_bridge.thruster_board.board import ThrusterBoard
@@ -411,6 +412,24 @@ def test_burst_carries_the_tilt_and_its_rates() -> None:
     bench, tilt = BoardBench(*QUIET, start_ns=7 * S), (0.1, -0.15, 0.2, 0.3)
     bench.agent.receive(bench.board.step(7 * S, STILL, np.array([0.0, 0.0, 0.0, 0.5]), STILL, tilt=tilt), 7 * S)
     assert bench.seen.tilt == pytest.approx(tilt, abs=1e-6)
+    assert bench.seen.yaw_rate_radps == pytest.approx(0.5, abs=1e-6)  # of the heading, however the body leans
+
+
+def test_the_rates_of_a_swinging_body_integrate_to_its_attitude() -> None:
+    """A second integration: rotations composed from what the gyroscopes measure, against the angles themselves. It knows no
+    Euler angles' rates."""
+    sensors, step_s = BoardSensors(load_experiment("pool", QUIET), 1, 1), 1e-3
+    turned = Rotation.identity()
+    for k in range(4000):
+        t = (k + 0.5) * step_s
+        roll, pitch, yaw_rate = 0.4 * math.sin(3.0 * t), 0.3 * math.sin(2.0 * t), 0.8 * math.cos(t)
+        tilt = (roll, pitch, 1.2 * math.cos(3.0 * t), 0.6 * math.cos(2.0 * t))
+        reading = sensors.read(STILL, np.array([0.0, 0.0, 0.0, yaw_rate]), STILL, tilt)
+        assert reading.heading_rate_radps == pytest.approx(yaw_rate, abs=1e-9)
+        turned *= Rotation.from_rotvec(np.array([*reading.tilt_sensed[2:], reading.yaw_rate_radps]) * step_s)
+    end_s = 4000 * step_s
+    true = (0.8 * math.sin(end_s), 0.3 * math.sin(2.0 * end_s), 0.4 * math.sin(3.0 * end_s))
+    assert turned.as_euler("ZYX") == pytest.approx(true, abs=1e-5)
 
 
 def test_heading_is_wrapped() -> None:

@@ -52,6 +52,20 @@ def test_udp_carries_bytes_both_ways_and_survives_a_board_that_comes_late() -> N
         link.close()
 
 
+def test_udp_goes_over_ipv6_too() -> None:
+    with socket.socket(socket.AF_INET6, socket.SOCK_DGRAM) as board:
+        board.bind(("::1", 0))
+        board.settimeout(5)
+        link = open_link(f"udp:[::1]:{board.getsockname()[1]}")  # loopback: it needs no key
+        assert isinstance(link, UdpLink)
+        link.send(b"pulses")
+        data, peer = board.recvfrom(100)
+        assert data == b"pulses"
+        board.sendto(b"one", peer)
+        assert read_for(link, b"one") == b"one"
+        link.close()
+
+
 class Answered(socket.socket):
     """A socket that the network has answered, once, why something sent did not arrive (ICMP)."""
 

@@ -79,7 +79,7 @@ def test_times_that_cannot_be_written_are_explained(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "says"),
     [
-        (b"\xff\xfe", "robot-1.key: cannot be read as a link key: UnicodeDecodeError"),
+        (b"\xff\xfe", "robot-1.key: cannot be read as a link key: not a text"),
         (b"", "robot-1.key: not a link key (allowed: 64 hexadecimal digits; make one with `robot-agent link-key FILE`"),
         (b"abc", "not a link key (allowed: 64 hexadecimal digits"),
         (b"ab" * 33, "not a link key (allowed: 64 hexadecimal digits"),
@@ -99,7 +99,7 @@ def test_a_file_that_is_no_key_is_refused_and_its_content_not_shown(tmp_path: Pa
 
 def test_a_folder_is_no_key(tmp_path: Path) -> None:
     (tmp_path / "robot-1.key").mkdir(mode=0o700)
-    with pytest.raises(ConfigError, match="cannot be read as a link key: IsADirectoryError"):
+    with pytest.raises(ConfigError, match="cannot be read as a link key: is no regular file"):
         load_key(tmp_path / "robot-1.key")
 
 

@@ -1,15 +1,20 @@
 """Clocks, waiting and lockstep, on the in-memory bus."""
 
+import io
 import logging
+import signal
+import subprocess
+import sys
 import threading
 import time
+from pathlib import Path
 
 import pytest
 
 from wire.messages import topics
 from wire.messages.messages import CameraHealth, Event, LocalizerStatus, Obstacles, Pose, StationHeartbeat, Tick
 from wire.process.lockstep import Lockstep, LockstepClock
-from wire.process.runtime import Failed, Stop, WallClock, age_s, guarded_thread, log, log_to_bus, run_app, wait
+from wire.process.runtime import Failed, Stop, WallClock, age_s, guarded_thread, log, log_handler, log_to_bus, run_app, wait
 from wire.transport.bus import Bus
 from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
@@ -43,6 +48,23 @@ def test_in_lockstep_an_age_is_the_difference_of_stamps() -> None:
     clock = LockstepClock()
     clock.tick_ns = 130_000_000
     assert age_s(clock, received) == pytest.approx(0.08)
+
+
+@pytest.mark.parametrize(
+    ("signals", "before", "code"),
+    [
+        (["SIGHUP", "SIGHUP"], "", 0),
+        (["SIGTERM", "SIGHUP"], "", 0),
+        (["SIGHUP", "SIGTERM"], "", 128 + signal.SIGTERM),
+        (["SIGHUP"], "signal.signal(signal.SIGHUP, signal.SIG_IGN)", 3),
+    ],
+    ids=["hung up twice", "and then hung up", "and then told", "nohup"],
+)
+def test_a_hang_up_is_a_request_to_stop(signals: list[str], before: str, code: int) -> None:
+    sent = "".join(f"; os.kill(os.getpid(), signal.{name})" for name in signals)
+    script = f"import os, signal, sys; {before}\nfrom wire.process.runtime import Stop\nstop = Stop(){sent}\n"
+    done = subprocess.run([sys.executable, "-c", f"{script}sys.exit(0 if stop() else 3)"], check=False)
+    assert done.returncode == code
 
 
 def test_waiting_ends_on_arrival_on_time_and_on_stop() -> None:
@@ -181,3 +203,37 @@ def test_a_process_that_failed_says_why_and_exits_with_1(
         run_app(app)
     assert ended.value.code == 1
     assert capsys.readouterr().err == "the camera is gone\n"
+
+
+def test_a_text_of_others_in_the_log_is_one_line_and_does_not_act_on_the_terminal() -> None:
+    out = io.StringIO()
+    handler = log_handler("tester", out)
+    record = logging.LogRecord(
+        "shoal", logging.INFO, "", 0, "remark: %s", ("a\x1b[2J\r\n12:00:00 fake ERROR b\x9b1m \u202ec \ud800 \u00e4",), None
+    )
+    handler.handle(record)
+    (line,) = out.getvalue().splitlines()
+    assert line.endswith("tester INFO remark: a\\x1b[2J\\r\\n12:00:00 fake ERROR b\\x9b1m \\u202ec \\ud800 \u00e4")
+
+
+def test_a_traceback_in_the_log_keeps_its_lines() -> None:
+    out = io.StringIO()
+    try:
+        raise ValueError("bad \x1b[2J")
+    except ValueError:
+        record = logging.LogRecord("shoal", logging.ERROR, "", 0, "broken", (), sys.exc_info())
+    log_handler("tester", out).handle(record)
+    first, *_, last = out.getvalue().splitlines()
+    assert first.endswith("tester ERROR broken") and last == "ValueError: bad \\x1b[2J"
+
+
+def test_a_full_disk_is_a_line_and_no_traceback(tmp_path: Path) -> None:
+    """A write that finds no room raises without the file's name."""
+    script = (
+        "import resource, sys\nfrom wire.process.runtime import run_app\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (10, 10))\n"
+        "def app():\n    with open(sys.argv[1], 'w') as file:\n        file.write('x' * 100)\nrun_app(app)"
+    )
+    words = [sys.executable, "-c", script, str(tmp_path / "file")]
+    done = subprocess.run(words, stderr=subprocess.PIPE, text=True, check=False)
+    assert (done.returncode, done.stderr) == (2, "a file that was being written: File too large\n")

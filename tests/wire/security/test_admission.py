@@ -280,3 +280,79 @@ def test_of_many_origins_a_few_are_named() -> None:
         refusals.note(f"10.0.0.{host}")
     assert len(refusals.told(0.0)) == admission.MOST_NAMED
     assert refusals.told(1.0) == []
+
+
+def test_a_member_that_is_not_wanted_is_rationed_like_a_stranger() -> None:
+    door = Door()
+    door.join("10.0.0.1", 0.0)  # one that is
+    expelled = 0
+    for step in range(1000):
+        now_s = step * 0.01
+        door.come("10.0.0.2", now_s, hello=True)
+        for number, lane in door.turns(now_s):
+            assert lane == NEW  # never that of the members
+            door.admission.proven(number, now_s)
+            door.admission.expelled(number, now_s)
+            assert not door.admission.ended(number, False, now_s)  # no failed handshake: the router says whose it was
+            expelled += 1
+        door.admission.overdue(now_s)
+    assert expelled <= admission.ORIGIN_BURST + 10 * admission.ORIGIN_PER_S + 1
+    number = door.come("10.0.0.1", 10.0, hello=True)
+    assert (number, KNOWN) in door.turns(10.0)
+
+
+def test_an_origin_stays_known_by_its_other_members_when_one_is_expelled() -> None:
+    door = Door()
+    door.join("10.0.0.1", 0.0)
+    number = door.come("10.0.0.1", 0.1, hello=True)
+    assert door.turns(0.1) == [(number, KNOWN)]
+    door.admission.expelled(number, 0.1)  # before its handshake was seen to succeed
+    assert not door.admission.ended(number, False, 0.1)
+    assert door.turns(0.2) == []
+    other = door.come("10.0.0.1", 0.3, hello=True)
+    assert door.turns(0.3) == [(other, KNOWN)]
+
+
+def test_one_origin_cannot_have_all_links() -> None:
+    door, held = Door(2048), list[int]()
+    for step in range(admission.MOST_LINKS_EACH + 100):
+        number = door.come("10.0.0.1", step * 1.0, hello=True)
+        for link, _ in door.turns(step * 1.0):
+            door.admission.proven(link, step * 1.0)
+            held.append(link)
+        door.admission.overdue(step * 1.0)
+    assert len(held) == admission.MOST_LINKS_EACH and number not in held
+    now_s = (admission.MOST_LINKS_EACH + 100) * 1.0
+    door.join("10.0.0.2", now_s)
+    door.admission.ended(held[0], False, now_s)
+    door.admission.overdue(now_s + admission.TURN_S)  # who waited meanwhile
+    door.join("10.0.0.1", now_s + admission.TURN_S)
+
+
+def test_a_lane_has_so_many_handshakes_under_way_and_no_more() -> None:
+    door, tried = Door(), list[int]()
+    for step in range(29):  # until the first of them is overdue, in s/10
+        for peer in range(3):
+            door.come(f"10.0.{step}.{peer}", step / 10, hello=True)
+        tried += [number for number, _ in door.turns(step / 10)]
+    assert admission.LANE_BURST + 2.8 * admission.LANE_PER_S > admission.MOST_TRYING  # tokens do not limit it
+    assert len(tried) == admission.MOST_TRYING
+
+
+def test_so_many_origins_are_known_and_the_longest_unproven_is_forgotten_first() -> None:
+    door = Door()
+    addresses = [f"10.{i >> 8}.{i & 255}.1" for i in range(admission.MOST_KNOWN + 1)]
+
+    def lane(address: str, now_s: float) -> int:
+        number = door.come(address, now_s, hello=True)
+        found = dict(door.turns(now_s))[number]
+        door.admission.proven(number, now_s)
+        door.admission.ended(number, False, now_s)
+        return found
+
+    for i, address in enumerate(addresses[:-1]):
+        assert lane(address, i) == NEW
+    now_s = len(addresses)
+    assert lane(addresses[0], now_s) == KNOWN  # all of them are; this one is now the last to go
+    assert lane(addresses[-1], now_s) == NEW
+    assert [lane(addresses[i], now_s) for i in (0, 2, 1)] == [KNOWN, KNOWN, NEW]

@@ -1,5 +1,6 @@
 """The same contract for real Zenoh sessions through a real router, and for the in-memory twin."""
 
+import contextlib
 import signal
 import subprocess
 import sys
@@ -7,6 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 
 import numpy as np
 import pytest
@@ -409,3 +411,37 @@ def test_a_name_is_free_when_its_process_is_gone(
     other.send_signal(how)
     bus.claim("agent-1", bool)
     bus.announce("agent-1")
+
+
+def test_of_several_that_claim_a_name_together_one_gets_it() -> None:
+    address = f"tcp/127.0.0.1:{free_port()}"
+    with Bus(ZenohTransport(Endpoint(address, router=True))), ExitStack() as closing:
+        for number in range(3):
+            buses = [closing.enter_context(Bus(ZenohTransport(Endpoint(address)))) for _ in range(3)]
+            together, got = threading.Barrier(len(buses)), list[int]()
+
+            def claim(bus: Bus, name: str, together: threading.Barrier = together, got: list[int] = got) -> None:
+                together.wait()
+                with contextlib.suppress(ConfigError):
+                    bus.claim(name, bool, patience_s=1.0)
+                    got.append(bus.session)
+
+            threads = [threading.Thread(target=claim, args=(bus, f"agent-{number}")) for bus in buses]
+            for thread in threads:
+                thread.start()
+            for thread in threads:
+                thread.join()
+            assert got == [min(bus.session for bus in buses)]
+
+
+def test_two_that_have_one_name_all_the_same_are_said(caplog: pytest.LogCaptureFixture) -> None:
+    """Each got it in its own part of a network that is whole again."""
+    hub, other = MemoryHub(), MemoryHub()
+    with Bus(MemoryTransport(hub)) as bus, Bus(MemoryTransport(other)) as apart:
+        bus.claim("agent-1", bool)
+        apart.claim("agent-1", bool)
+        for key in list(other.tokens):
+            MemoryTransport(hub).announce(key)
+        assert eventually(
+            lambda: "agent-1: another process of this name is in the fleet, and the two act by turns" in caplog.text
+        )

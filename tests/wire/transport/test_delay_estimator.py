@@ -11,7 +11,7 @@ from wire.messages import topics
 from wire.messages.messages import StationHeartbeat
 from wire.process.runtime import WallClock, age_s
 from wire.transport.bus import Bus
-from wire.transport.delay_estimator import ANOTHER_CLOCK_NS, WINDOW_NS, DelayEstimator
+from wire.transport.delay_estimator import WINDOW_NS, DelayEstimator
 from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
 MS = 1_000_000
@@ -51,13 +51,34 @@ def test_clocks_that_drift_apart_while_nothing_comes_make_nothing_late(drift: fl
     assert max(late) <= 2 * WINDOW_NS * abs(drift) + MS
 
 
-def test_a_clock_that_is_set_and_a_process_that_is_restarted_make_nothing_late() -> None:
+@pytest.mark.parametrize("held_up_s", [0.5, 4.9, 5.1, 8.0, 25.0, 600.0])
+def test_a_burst_is_late_however_long_it_was_held_up(held_up_s: float) -> None:
+    """And what is sent after it is not."""
+    estimator = DelayEstimator()
+    for k in range(100):
+        estimator.excess_ns(7, k * PERIOD_NS, k * PERIOD_NS + MS)
+    held_up, back_ns = round(held_up_s * 1e9) // PERIOD_NS, 100 * PERIOD_NS + round(held_up_s * 1e9)
+    for k in range(100, 100 + held_up):
+        assert estimator.excess_ns(7, k * PERIOD_NS, back_ns) == pytest.approx(back_ns - k * PERIOD_NS, abs=2 * MS)
+    assert estimator.excess_ns(7, back_ns, back_ns + MS) == pytest.approx(0, abs=2 * MS)
+
+
+def test_a_process_that_is_restarted_makes_nothing_late() -> None:
     estimator = DelayEstimator()
     estimator.excess_ns(7, 0, MS)
-    assert estimator.excess_ns(7, -3600 * 10**9, 51 * MS) == 0
-    assert estimator.excess_ns(7, -3600 * 10**9 + PERIOD_NS, 101 * MS) == 0
-    assert estimator.excess_ns(8, 0, 151 * MS) == 0
-    assert estimator.excess_ns(8, PERIOD_NS, 201 * MS + ANOTHER_CLOCK_NS // 2) == ANOTHER_CLOCK_NS // 2
+    assert estimator.excess_ns(8, -3600 * 10**9, 151 * MS) == 0
+    assert estimator.excess_ns(8, -3600 * 10**9 + PERIOD_NS, 251 * MS) == 50 * MS
+
+
+def test_a_sender_that_slept_is_late_for_two_windows_at_most() -> None:
+    """Its monotonic clock stood still for a minute."""
+    estimator = DelayEstimator()
+    for k in range(100):
+        estimator.excess_ns(7, k * PERIOD_NS, k * PERIOD_NS)
+    minute_ns = 60 * 10**9
+    late = [estimator.excess_ns(7, k * PERIOD_NS, k * PERIOD_NS + minute_ns) for k in range(100, 600)]
+    assert late[0] == minute_ns and late[-1] == 0
+    assert sum(each > 0 for each in late) * PERIOD_NS <= 2 * WINDOW_NS
 
 
 def test_a_slower_way_is_the_usual_one_after_a_while() -> None:

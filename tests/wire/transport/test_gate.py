@@ -4,12 +4,10 @@ import contextlib
 import os
 import signal
 import socket
-import stat
 import threading
 import time
 from collections.abc import Iterator
 from contextlib import closing
-from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -19,24 +17,27 @@ from typer.testing import CliRunner
 from groundstation.__main__ import cli as groundstation
 from groundstation.deploy import key_ring
 from sim_bridge.sil.ports import free_port
+from tests.planted import executed, plant
 from tests.waiting import eventually
 from tests.wire.strangers import Strangers
+from wire import user_folders
 from wire.messages import messages, topics
 from wire.messages.codec import Header
 from wire.messages.messages import Command, Order, Reply
-from wire.security import admission
+from wire.security import admission, guard
 from wire.security.access_control import DOOR
 from wire.security.admission import RETRY
-from wire.security.guard import Guard
-from wire.transport import gate
+from wire.security.guard import ANSWER_BYTES, CERTIFICATE_BYTES, Guard
+from wire.toml_loader import ConfigError
 from wire.transport.bus import Bus
 from wire.transport.connection_diagnostics import trouble_reaching
-from wire.transport.gate import door_of, nearest
+from wire.transport.gate import doors_of, through_door
 from wire.transport.network import endpoint
 from wire.transport.zenoh_transport import ZenohTransport
 
 pytestmark = pytest.mark.real_time
 
+MOST_LINKS = 10  # of the guard in these tests
 SOON_S = 5.0  # without a guard nobody comes in for minutes
 
 
@@ -62,10 +63,17 @@ def answer(header: Header, command: Command) -> Reply:
 
 
 @pytest.fixture(scope="module")
-def station(ring: Path, address: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bus]:
+def planted(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder in which the station works."""
+    return plant(tmp_path_factory.mktemp("planted"))
+
+
+@pytest.fixture(scope="module")
+def station(ring: Path, address: str, planted: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bus]:
     """A station's bus, which answers orders for the whole fleet."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_RUNTIME_DIR", str(tmp_path_factory.mktemp("r")))
+        patch.setenv(user_folders.ONLY, str(tmp_path_factory.mktemp("r")))
+        patch.chdir(planted)
         with Bus(ZenohTransport(endpoint(address, "groundstation", ring, router=True))) as bus:
             bus.serve(0, answer)
             yield bus
@@ -89,6 +97,20 @@ def test_strangers_keep_no_member_out(
         assert eventually(lambda: strangers.made >= first)
         assert stopped(ring, address)
         ZenohTransport(endpoint(address, "agent-1", ring), patience_s=SOON_S).close()
+
+
+def test_the_guard_imports_nothing_from_the_working_folder(station: Bus, ring: Path, address: str, planted: Path) -> None:
+    assert stopped(ring, address)
+    assert not executed(planted)
+
+
+def test_with_keys_too_a_name_is_one_processs(station: Bus, ring: Path, address: str) -> None:
+    """Neither has announced itself: they know each other by their claims, which access control lets through."""
+    where = endpoint(address, "agent-1", ring)
+    with Bus(ZenohTransport(where, patience_s=SOON_S)) as first, Bus(ZenohTransport(where, patience_s=SOON_S)) as second:
+        first.claim("agent-1", bool)
+        with pytest.raises(ConfigError, match="agent-1: another process of this name"):
+            second.claim("agent-1", bool, patience_s=0.5)
 
 
 def test_a_rejected_stranger_is_logged_in_one_line(
@@ -151,12 +173,20 @@ def test_a_guard_that_cannot_be_started_at_once_is_started_later(
     assert "cannot be started: RuntimeError: can't start new thread" in caplog.text
 
 
-# --- the door
+# --- the router's door
+
+
+@pytest.fixture
+def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The only folder of this user."""
+    tmp_path.chmod(0o700)
+    monkeypatch.setenv(user_folders.ONLY, str(tmp_path))
+    return tmp_path
 
 
 def test_the_door_accepts_only_requests_to_the_station(station: Bus, ring: Path, address: str) -> None:
-    where = nearest(endpoint(address, "operator", ring))
-    assert where.address.startswith(f"{DOOR}/")
+    where = through_door(address)
+    assert where is not None and where.address.startswith(f"{DOOR}/")
     obeyed: list[Order] = []
     station.serve(1, lambda header, command: obeyed.append(command.order) or Reply(1, True))  # type: ignore[func-returns-value]
     heard: list[int] = []
@@ -179,42 +209,27 @@ def test_a_terminals_stop_comes_through_the_door_under_attack_and_without_keys(s
 
 def test_the_door_needs_no_keys_and_is_only_this_machines(station: Bus, address: str) -> None:
     port = int(address.rpartition(":")[2])
-    here = endpoint(f"tcp/127.0.0.1:{port}", "operator", None)
-    assert nearest(here).address == f"{DOOR}/{door_of(port)}"
-    elsewhere = replace(here, address=f"tcp/192.0.2.1:{port}")  # a documentation address: nobody's
-    assert nearest(elsewhere) is elsewhere
+    here = through_door(f"tcp/127.0.0.1:{port}")
+    assert here is not None and (here.address, here.keys) == (f"{DOOR}/{doors_of(port)[0]}", None)
+    assert through_door(f"tcp/192.0.2.1:{port}") is None  # a documentation address: nobody's
 
 
-def test_a_door_without_a_station_is_skipped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    where = endpoint("tcp/127.0.0.1:7447", "operator", None)
-    assert nearest(where) is where  # no folder
-    door = door_of(7447, make=True)
-    assert door is not None
+def test_a_door_without_a_station_is_skipped(place: Path) -> None:
+    address = "tcp/127.0.0.1:7447"
+    assert through_door(address) is None
+    (door,) = doors_of(7447)
     with closing(socket.socket(socket.AF_UNIX)) as left:
         left.bind(str(door))  # as after a station that was killed
-    assert nearest(where) is where
-
-
-def test_a_folder_that_others_may_enter_has_no_door(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    assert door_of(7447, make=True) is not None
-    folder = gate.door_folder()
-    assert stat.S_IMODE(folder.stat().st_mode) == 0o700
-    folder.chmod(0o750)
-    assert door_of(7447, make=True) is None
-    folder.rmdir()
-    (tmp_path / "elsewhere").mkdir(mode=0o700)
-    folder.symlink_to(tmp_path / "elsewhere")
-    assert door_of(7447, make=True) is None
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / ("long" * 30)))
-    assert door_of(7447, make=True) is None
+    assert through_door(address) is None
 
 
 def test_a_station_without_a_door_says_so_and_runs(
     ring: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "missing"))
+    for name in (user_folders.ONLY, "XDG_RUNTIME_DIR", "TMPDIR"):
+        monkeypatch.delenv(name, raising=False)
+    for name in ("RUN", "TEMPORARY"):
+        monkeypatch.setattr(user_folders, name, tmp_path / "missing")
     address = f"tls/127.0.0.1:{free_port()}"
     with Bus(ZenohTransport(endpoint(address, "groundstation", ring, router=True))) as bus:
         bus.serve(0, lambda header, command: Reply(0, True))
@@ -233,7 +248,7 @@ class Passage:
         listener = socket.create_server(("127.0.0.1", 0))
         self.port, self.told = listener.getsockname()[1], list[str]()
         inner = self.server.getsockname()[1]
-        self.guard = Guard(listener, (inner, inner), self.told.append, most_links=10)
+        self.guard = Guard(listener, (inner, inner), self.told.append, MOST_LINKS)
         self._end, self._ended = socket.socketpair()
         self.guard.watch(self._ended.fileno())
         self.thread = threading.Thread(target=self.guard.run)
@@ -247,6 +262,10 @@ class Passage:
         server.settimeout(SOON_S)
         assert server.recv(len(hello), socket.MSG_WAITALL) == hello
         return client, server
+
+    def expel(self, said: str) -> None:
+        """Tell the guard, as the station does, whom the router does not want."""
+        self._end.sendall(said.encode())
 
     def close(self) -> None:
         self._end.close()
@@ -292,6 +311,28 @@ def test_the_end_of_one_direction_leaves_the_other(passage: Passage) -> None:
         server.sendall(b"last words")
         server.close()
         assert client.recv(100, socket.MSG_WAITALL) == b"last words"
+
+
+@pytest.mark.parametrize("unread", [0, 8_000_000], ids=["all read", "frozen"])
+def test_a_link_that_the_router_has_ended_is_dropped_though_the_peer_keeps_its_end(
+    passage: Passage, unread: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A member that froze or lost its power would hold its place for ever, and the last one of them keep others out."""
+    monkeypatch.setattr("wire.security.guard.STALLED_S", 0.3)
+    client, server = passage.pair(HELLO)
+    with client, server:
+        server.sendall(b"answer")
+        assert client.recv(6, socket.MSG_WAITALL) == b"answer"
+        client.sendall(bytes(CERTIFICATE_BYTES))  # as a member that has proven itself
+        assert len(server.recv(CERTIFICATE_BYTES, socket.MSG_WAITALL)) == CERTIFICATE_BYTES
+        server.sendall(bytes(ANSWER_BYTES))
+        assert len(client.recv(ANSWER_BYTES, socket.MSG_WAITALL)) == ANSWER_BYTES
+        server.setblocking(False)
+        with contextlib.suppress(BlockingIOError):
+            while unread:
+                server.send(bytes(unread))
+        server.close()
+        assert eventually(lambda: not passage.guard._links)  # held places can be seen nowhere else
 
 
 def test_a_lost_end_ends_the_other(passage: Passage) -> None:
@@ -344,6 +385,7 @@ def test_a_member_that_is_killed_is_no_stranger(passage: Passage) -> None:
 def test_a_request_for_another_hello_ends_a_connection(passage: Passage) -> None:
     client, server = passage.pair(HELLO)
     with client, server:
+        server.settimeout(admission.PROOF_S / 2)  # by then every connection without a proof ends
         server.sendall(b"\x16\x03\x03\x00\x58\x02\x00\x00\x54\x03\x03" + RETRY + bytes(50))
         assert server.recv(1) == b""
 
@@ -369,3 +411,94 @@ def test_a_stranger_gone_before_its_turn_is_skipped(passage: Passage) -> None:
     client, server = passage.pair(HELLO)
     with client, server:
         assert passage.told == ["refused a connection from 127.0.0.1 without a valid certificate"]
+
+
+def reset(one: socket.socket) -> None:
+    """Close a socket with a reset instead of an orderly end."""
+    one.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\x01\0\0\0\0\0\0\0")
+    one.close()
+
+
+def ended(one: socket.socket, within_s: float = SOON_S) -> bool:
+    """True if the other side closes a connection, in whatever way."""
+    one.settimeout(within_s)
+    try:
+        return one.recv(1) == b""
+    except TimeoutError:
+        return False
+    except ConnectionError:
+        return True
+
+
+def test_a_router_that_resets_ends_the_peers_connection(passage: Passage) -> None:
+    client, server = passage.pair(HELLO)
+    server.sendall(b"answer")
+    assert client.recv(6, socket.MSG_WAITALL) == b"answer"
+    reset(server)
+    with client:
+        assert ended(client, admission.PROOF_S / 2)
+
+
+@pytest.mark.parametrize(
+    ("sent", "answered", "member"),
+    [
+        (guard.CERTIFICATE_BYTES, guard.ANSWER_BYTES, True),
+        (guard.CERTIFICATE_BYTES - 1, guard.ANSWER_BYTES, False),
+        (guard.CERTIFICATE_BYTES, guard.ANSWER_BYTES - 1, False),
+    ],
+)
+def test_a_certificate_and_its_answer_are_known_by_their_lengths(
+    passage: Passage, sent: int, answered: int, member: bool
+) -> None:
+    client, server = passage.pair(HELLO)
+    with server:
+        server.sendall(b"answer")
+        assert client.recv(6, socket.MSG_WAITALL) == b"answer"
+        client.sendall(bytes(sent))
+        assert len(server.recv(sent, socket.MSG_WAITALL)) == sent
+        server.sendall(bytes(answered))
+        assert len(client.recv(answered, socket.MSG_WAITALL)) == answered
+        client.close()
+        assert ended(server)
+    assert eventually(lambda: bool(passage.told), 0.5) is not member
+
+
+def test_the_oldest_silent_connection_of_an_address_goes_for_one_too_many(passage: Passage) -> None:
+    with contextlib.ExitStack() as stack:
+        silent = [
+            stack.enter_context(socket.create_connection(("127.0.0.1", passage.port), timeout=SOON_S))
+            for _ in range(admission.MOST_WAITING_EACH + 1)
+        ]
+        assert ended(silent[0], admission.HELLO_S / 2)
+
+
+def test_a_connection_that_waits_for_its_turn_keeps_what_it_has_said_since(passage: Passage) -> None:
+    pairs = [passage.pair(HELLO) for _ in range(admission.MOST_TRYING_EACH)]
+    with contextlib.ExitStack() as stack:
+        for one in (one for pair in pairs for one in pair):
+            stack.enter_context(one)
+        waiting = stack.enter_context(socket.create_connection(("127.0.0.1", passage.port), timeout=SOON_S))
+        waiting.sendall(HELLO)
+        time.sleep(0.1)
+        waiting.sendall(b"more")
+        time.sleep(0.1)
+        for one in pairs[0]:
+            one.close()
+        passage.server.settimeout(SOON_S)
+        server = stack.enter_context(passage.server.accept()[0])
+        server.settimeout(SOON_S)
+        assert server.recv(len(HELLO), socket.MSG_WAITALL) == HELLO
+        server.sendall(b"answer")
+        assert server.recv(4, socket.MSG_WAITALL) == b"more"
+
+
+def test_the_router_may_have_a_connection_ended(passage: Passage) -> None:
+    pairs = [passage.pair(HELLO) for _ in range(3)]
+    ports = [server.getpeername()[1] for _, server in pairs]
+    passage.expel(f"nonsense\n-1\n99999999999\n{ports[0]}\n{str(ports[1])[:2]}")
+    assert ended(pairs[0][0]) and ended(pairs[0][1])
+    assert not ended(pairs[1][0], 0.1)
+    passage.expel(f"{str(ports[1])[2:]}\n{ports[0]}\n")
+    assert ended(pairs[1][0]) and not ended(pairs[2][0], 0.1)
+    for one in (one for pair in pairs for one in pair):
+        one.close()

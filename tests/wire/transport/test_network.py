@@ -18,13 +18,15 @@ import pytest
 
 from groundstation.deploy import key_ring
 from sim_bridge.sil.ports import free_port
+from tests.waiting import eventually
+from tests.wire.strangers import Strangers
 from wire.messages import topics
 from wire.security.access_control import INSECURE
 from wire.security.key_ring import Keys
 from wire.toml_loader import ConfigError
 from wire.transport import connection_diagnostics
 from wire.transport.connection_diagnostics import trouble_reaching
-from wire.transport.endpoint import FLOOD, Endpoint
+from wire.transport.endpoint import FLOOD, Endpoint, parse_address
 from wire.transport.network import endpoint
 from wire.transport.transport import Unreached
 from wire.transport.zenoh_transport import ZenohTransport
@@ -55,12 +57,18 @@ def test_beyond_this_machine_keys_are_not_optional(address: str, caplog: pytest.
     "address",
     [
         "", "7447", "tcp/host", "tcp/:7447", "tcp/a..b:7447", "tcp/" + "a" * 64 + ":7447", "udp/1.2.3.4:7447", "tcp/1.2.3.4:0",
-        "tcp/1.2:x",
+        "tls/host:0", "tcp/1.2:x", "tcp/1.2.3.4:65536", "tcp/1.2.3.4:-1", "tcp/1.2.3.4", "tcp1.2.3.4:7447", "tcp/[]:7447",
     ],
 )  # fmt: skip
 def test_a_malformed_address_is_refused(address: str) -> None:
     with pytest.raises(ConfigError, match="allowed: tcp/HOST:PORT or tls/HOST:PORT"):
         endpoint(address, "viewer", None, insecure=True)
+
+
+@pytest.mark.parametrize("port", [1, 65535])
+def test_the_first_and_the_last_port_are_ports(port: int) -> None:
+    assert parse_address(f"tcp/127.0.0.1:{port}#bind=127.0.0.1:0") == ("tcp", "127.0.0.1", port)
+    assert parse_address(f"tls/[::1]:{port}") == ("tls", "::1", port)
 
 
 def test_with_keys_it_is_always_tls_and_only_a_router_has_access_control(ring: Path) -> None:
@@ -80,7 +88,7 @@ def test_the_station_says_whose_certificate_ends_soon(ring: Path, caplog: pytest
 
 def test_keys_that_others_can_read_are_refused(ring: Path) -> None:
     (ring / "viewer" / "key.pem").chmod(0o640)
-    with pytest.raises(ConfigError, match=r"key\.pem: mode 0640 lets others read it; chmod 600"):
+    with pytest.raises(ConfigError, match=r"key\.pem: mode 0640 lets others read the private key .*chmod 600"):
         endpoint("tls/127.0.0.1:7447", "viewer", ring)
 
 
@@ -205,9 +213,16 @@ def test_a_machine_that_does_not_answer_is_told(monkeypatch: pytest.MonkeyPatch)
     assert said == "no answer: is it switched on, and on this network?"
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_process_that_waits_for_its_station_says_so_and_can_be_stopped(number: int) -> None:
-    """As a person does it: the agent is started where there is no station, and is told to stop."""
+@pytest.mark.parametrize(
+    ("number", "link", "first"),
+    [
+        (signal.SIGINT, "udp:127.0.0.1:9", "waiting for the station"),
+        (signal.SIGTERM, "serial:/dev/no-board", "thruster board: /dev/no-board: not there; is the board plugged in"),
+    ],
+)
+def test_a_process_that_waits_for_its_station_says_so_and_can_be_stopped(number: int, link: str, first: str) -> None:
+    """As a person does it: the agent is started where there is no station, and is told to stop. That its board is not there
+    it says at once."""
     command = [
         "robot_agent",
         "run",
@@ -215,7 +230,7 @@ def test_a_process_that_waits_for_its_station_says_so_and_can_be_stopped(number:
         "--robot",
         "1",
         "--link",
-        "udp:127.0.0.1:9",
+        link,
         "--station",
         f"tcp/127.0.0.1:{free_port()}",
     ]
@@ -224,7 +239,8 @@ def test_a_process_that_waits_for_its_station_says_so_and_can_be_stopped(number:
     ) as process:
         assert process.stderr is not None
         try:
-            assert "waiting for the station" in process.stderr.readline()
+            assert first in (line := process.stderr.readline())
+            assert "waiting for the station" in line or "waiting for the station" in process.stderr.readline()
             process.send_signal(number)
             assert process.wait(20.0) == 1
             assert "stopped while waiting" in process.stderr.read()
@@ -261,3 +277,18 @@ def test_a_robot_that_floods_is_not_let_through_and_the_others_are() -> None:
     finally:
         for transport in (wild, calm, ear, router):
             transport.close()
+
+
+@pytest.mark.real_time
+@pytest.mark.timeout(60)
+def test_silent_connections_to_a_router_keep_nobody_out() -> None:
+    """More of them than Zenoh would take by itself at a time, which keeps each for 10 s."""
+    address = f"tcp/127.0.0.1:{free_port()}"
+    router = ZenohTransport(Endpoint(address, router=True))
+    try:
+        with Strangers(int(address.rpartition(":")[2]), half_open=200) as strangers:
+            assert eventually(lambda: strangers.held >= 200)
+            time.sleep(0.5)  # the router has them all
+            ZenohTransport(Endpoint(address), patience_s=2.0).close()
+    finally:
+        router.close()

@@ -3,7 +3,7 @@
  * The station says something at least four times a second. Silence means that the station hangs, or that what is between is dead
  * and the browser does not know it yet: then this page is not connected, and after a while it tries another connection. */
 
-import { connected, forgetPicture, given, live, now, refusal, roundTripMs, take, wantedCamera } from "./store";
+import { connected, ended, forgetPicture, given, live, now, refusal, roundTripMs, take, wantedCamera } from "./store";
 import type { OrderName, Request } from "./wire";
 import { read } from "./wire";
 
@@ -78,7 +78,7 @@ export function connect(): void {
 function again(): void {
   socket = null;
   setTimeout(connect, retryMs);
-  retryMs = Math.min(2 * retryMs, LONGEST_RETRY_MS);
+  retryMs = Math.min(2 * retryMs, ended.peek() ? 4 * FIRST_RETRY_MS : LONGEST_RETRY_MS); // after a run's end somebody waits for the page
 }
 
 /** How long the station has said nothing, in ms. */

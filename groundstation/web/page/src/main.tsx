@@ -7,6 +7,7 @@ import "./keys";
 import { KEYS } from "./keys";
 import { connect } from "./link";
 import { Alarms, Log } from "./panels/Alarms";
+import { End } from "./panels/End";
 import { Header } from "./panels/Header";
 import { Mission } from "./panels/Mission";
 import { OneRobot } from "./panels/OneRobot";
@@ -26,6 +27,7 @@ function Page() {
       <main>
         <Pool />
         <aside>
+          <End />
           {editing.value ? <Editor /> : <Mission />}
           <OneRobot />
           <Alarms />

@@ -1,7 +1,7 @@
 /** Alarms that are heard. Made of two tones each; nothing is loaded. */
 
 import { effect, signal } from "@preact/signals";
-import { alarms } from "./store";
+import { alarms, scene } from "./store";
 
 const AGAIN_MS = 3000;
 
@@ -48,8 +48,9 @@ effect(() => {
   if (worst !== undefined) sound(worst.level);
 });
 
+/** Of a recorded run nothing sounds: it is over. */
 function sound(level: keyof typeof TONES): void {
-  if (soundOn.peek()) TONES[level].forEach((frequency, k) => tone(frequency, 0.16 * k, 0.15));
+  if (soundOn.peek() && scene.peek()?.replay === undefined) TONES[level].forEach((frequency, k) => tone(frequency, 0.16 * k, 0.15));
 }
 
 /** A critical cause sounds again until it is acknowledged or gone. */

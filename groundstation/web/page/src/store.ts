@@ -9,6 +9,7 @@ const SHOW_EVERY_MS = 200; // people cannot read faster; the canvas draws every 
 const SHOW_MANY_EVERY_MS = 400; // nor so many
 const MANY = 16;
 const TICK_MS = 300;
+const GONE_AFTER_MS = 90_000; // of silence after a run's end: a report of an hour's run takes a minute on a slow machine
 const ANSWER_WITHIN_MS = 1000; // then nobody seems to have heard
 
 /** One robot, unpacked for drawing. */
@@ -65,13 +66,19 @@ export const camera = computed(() => {
   const cameras = scene.value?.cameras ?? [];
   return cameras.find(({ name }) => name === wantedCamera.value) ?? cameras[0];
 });
+/** What was chosen after this run; no problems: it is under way, null: not answered. */
+export const choice = signal<{ n: number; what: string; problems: string[] | null } | null>(null);
 export const undriven = signal(""); // why a velocity is not driven
 
 export const inControl = computed(() => connected.value && shown.value !== null && me.value !== 0 && shown.value.holder === me.value);
-/** Whether the run is over: a person has ended it, or its station went when its mission was done, and every robot disarmed. */
-export const ended = computed(() => {
-  const state = shown.value;
-  return state !== null && (state.ended || (!connected.value && state.mission === "DONE"));
+/** Whether nothing flies that this page shows: the run is over, or a recorded run is not shown any more. */
+export const ended = computed(() => shown.value !== null && (shown.value.ended || (!connected.value && scene.value?.replay !== undefined)));
+/** What an ended run says of itself while its page waits for the program, or has lost it. */
+export const waiting = computed(() => {
+  const [state, gone] = [shown.value, !connected.value && now.value - live.arrivedMs > GONE_AFTER_MS];
+  if (state?.next === "again" || state?.next === "edited") return gone ? "the program has ended" : "the next run is being started";
+  if (scene.value?.replay !== undefined || gone) return "the program has ended";
+  return "the run is over: its report is being written";
 });
 export const alarms = computed<Alarm[]>(() => {
   const known = shown.value?.alarms ?? [];
@@ -185,9 +192,11 @@ export function forgetPicture(): void {
 export function take(frame: Frame): void {
   switch (frame.k) {
     case "hello":
-      if (scene.peek()?.hash !== frame.scene.hash) {
-        live.robots.clear();
-        forgetPicture(); // another experiment has other cameras
+      if (scene.peek()?.hash !== frame.scene.hash) forgetPicture(); // another experiment has other cameras
+      if (scene.peek()?.hash !== frame.scene.hash || scene.peek()?.run !== frame.scene.run) live.robots.clear();
+      if (scene.peek()?.run !== frame.scene.run || scene.peek()?.mode !== frame.scene.mode) {
+        choice.value = null;
+        if (scene.peek() !== null && frame.scene.mode !== "replay") editing.value = false; // what was edited flies now
       }
       if (scene.peek()?.life !== frame.scene.life) given.value = given.value.filter((g) => !g.heard);
       me.value = frame.you;
@@ -220,6 +229,9 @@ export function take(frame: Frame): void {
       break;
     case "tried":
       tried.value = frame;
+      break;
+    case "chosen":
+      if (choice.peek()?.n === frame.n) choice.value = frame.problems.length > 0 ? { ...choice.peek()!, problems: frame.problems } : choice.peek();
       break;
     case "undriven":
       undriven.value = frame.reason;
@@ -258,6 +270,7 @@ export function ageMs(robot: RobotNews, arrivedMs: number): number {
 
 /** Whether what a robot last said is too old to be shown as if it were now. */
 export function isStale(robot: RobotNews | undefined, arrivedMs: number): boolean {
+  if (ended.peek()) return false; // nothing is now: what is shown is how it ended
   const limit = scene.peek()?.stale_s ?? 0;
   return robot?.state === undefined || ageMs(robot, arrivedMs) > limit * 1e3;
 }

@@ -66,10 +66,24 @@ export interface Scene {
   knobs: Knob[]; // of the controller, that may be turned in flight
   paths: PathSamples[];
   cameras: { name: string; underlay: { columns: number; pool: Packed; picture: Packed } | null }[]; // one without a name, or several
-  replay?: { end_s: number };
+  replay?: { begin_s: number; end_s: number };
   run?: string; // the run's folder
   report: string; // its address; empty if there is none
+  end?: RunEnd | null; // what became of it; none while it is flown
+  offers?: ("again" | "edited" | "close")[]; // what may follow an ended run
+  problem?: string; // with the run, or with what was chosen after it
   life?: string; // of the station: requests are numbered anew in each
+}
+
+/** What became of a run, as people read it (groundstation/web/run_end.py). */
+export interface RunEnd {
+  verdict: "passed" | "failed" | "not judged";
+  cause: string; // empty if it passed
+  outcome: string;
+  injected: string;
+  notes: string[];
+  figures: { heads: string[]; rows: { name: string; cells: string[][] }[] }; // x and y in mm under each head
+  requirements: { text: string; met: "yes" | "no" | "not reached" }[];
 }
 
 /** A number that may be changed in flight. `above`: `least` itself may not be; `below`: nor may `most`. */
@@ -187,7 +201,8 @@ export interface Snapshot {
   present: string[];
   tuning: Tuning | null;
   requests: Outcome[]; // oldest first
-  ended: boolean; // a person has ended the run
+  ended: boolean; // the run is over
+  next?: "" | "again" | "edited" | "close"; // of an ended run: what a person has chosen
   led: { robot: number; text: string }[]; // robots that a person leads one by one
   localizer: {
     age_ms: number;
@@ -201,6 +216,7 @@ export interface Snapshot {
   } | null;
   obstacles: { age_ms: number; ids: number[]; outline: Packed; velocity: Packed } | null;
   robots: RobotNews[];
+  pace?: number | null; // simulated seconds per second; null by the wall clock and before it is known
   replay?: { time_s: number; rate: number };
   ghosts?: { id: number; eta: Packed }[]; // of the run beside which this one is replayed
 }
@@ -266,6 +282,7 @@ export type Frame =
   | { k: "reply"; n: number; order: string; ok: boolean; reason: string; request: number }
   | { k: "undriven"; robot: number; reason: string }
   | Tried
+  | { k: "chosen"; n: number; problems: string[] }
   | ({ k: "runs" } & RunList)
   | { k: "saved"; n: number; ok: boolean; problems: string[]; path?: string };
 
@@ -300,6 +317,7 @@ export type Request =
   | { kind: "tune"; n: number; values: Record<string, number> | null; next_lap: boolean; seen_ms: number }
   | { kind: "try"; n: number; edit: Edit }
   | { kind: "save"; n: number; edit: Edit; name: string }
+  | { kind: "after"; n: number; what: "again" | "edited" | "close"; edit?: Edit }
   | { kind: "remark"; text: string }
   | { kind: "runs" }
   | { kind: "label"; run: string; name: string; tags: string[] }

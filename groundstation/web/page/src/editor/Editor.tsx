@@ -2,7 +2,8 @@
 
 import { signal } from "@preact/signals";
 import { nextSerial, say } from "../link";
-import { inControl, saved, scene, tried } from "../store";
+import { after } from "../panels/End";
+import { choice, inControl, saved, scene, tried } from "../store";
 import { adding, pickedName, removePicked } from "./canvas";
 import type { Draft, PathKind } from "./model";
 import { change, draft, freed, ofKind, play, playhead, redo, redoable, reset, rotate, SHAPES, toEdit, undo, undoable, withRobot } from "./model";
@@ -89,6 +90,17 @@ function SaveForm() {
         </p>
       )}
     </form>
+  );
+}
+
+/** After a run: fly the edit, without a file of its own. */
+function FlyNow({ d }: { d: Draft }) {
+  if (!scene.value?.offers?.includes("edited")) return null;
+  const waits = choice.value !== null && choice.value.problems === null;
+  return (
+    <button type="button" class="order start" disabled={!tried.value?.ok || !inControl.value || waits} title={inControl.value ? "" : "take control first"} onClick={() => after("edited", toEdit(d))}>
+      Fly this
+    </button>
   );
 }
 
@@ -222,6 +234,7 @@ export function Editor() {
       </h2>
       <p class="hint">Drag waypoints, robots' places, islands, their shores and the pool's corner on the map. Nothing here moves a robot.</p>
       <Verdict />
+      <FlyNow d={d} />
       <Tools d={d} />
       <h3>Path</h3>
       <PathFields d={d} />

@@ -66,11 +66,15 @@ export function reset(): void {
   const s = scene.peek();
   if (s === null) return;
   saved.value = null;
+  begunFrom = s.hash;
   change(fromScene(s));
 }
 
+let begunFrom = ""; // hash of the experiment that the draft began from
+
 editing.subscribe((on) => {
-  if (on && draft.peek() === null) reset();
+  if (on && (draft.peek() === null || begunFrom !== scene.peek()?.hash)) reset();
+  else if (on) change(draft.peek()!); // another program may answer now
   playhead.value = null;
 });
 

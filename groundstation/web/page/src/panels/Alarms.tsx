@@ -15,7 +15,7 @@ export function moment(time_s: number): string {
 
 export function Alarms() {
   const current = alarms.value;
-  const loud = current.some((alarm) => alarm.level === "critical" && !silenced.value.has(alarm.key));
+  const loud = scene.value?.replay === undefined && current.some((alarm) => alarm.level === "critical" && !silenced.value.has(alarm.key));
   return (
     <section class="alarms" aria-label="Alarms">
       <h2>

@@ -3,9 +3,11 @@
 import { isLight, setTheme } from "../colours";
 import { order, releaseControl, takeControl } from "../link";
 import { soundOn, toggleSound } from "../sound";
-import { browsing, connected, drawSoon, editing, ended, given, inControl, refusal, roundTripMs, scene, shown, stopUnheard } from "../store";
+import { browsing, connected, drawSoon, editing, ended, given, inControl, refusal, roundTripMs, scene, shown, stopUnheard, waiting } from "../store";
 import { themeSerial } from "./Plots";
 import { showRuns } from "./Runs";
+
+const NOTICEABLE = 0.05; // of the pace: smaller differences say nothing
 
 function Control() {
   const s = shown.value;
@@ -33,7 +35,8 @@ function Control() {
 
 function Link() {
   if (refusal.value) return <span class="link bad">not let in: {refusal.value}</span>;
-  if (!connected.value) return <span class={ended.value ? "link" : "link bad"}>no connection</span>;
+  if (!connected.value && ended.value) return null; // the state says what the page waits for
+  if (!connected.value) return <span class="link bad">no connection</span>;
   return (
     <span class="link" title="From the station to this page, drawn, and back">
       link {roundTripMs.value.toFixed(0)} ms
@@ -41,9 +44,12 @@ function Link() {
   );
 }
 
+const MOVES = ["ARMED", "TRACKING", "HOLDING", "DRIVEN"];
+
 function StopButton() {
   const state = shown.value;
-  if (scene.value?.mode === "replay") return null;
+  const moves = state?.robots.some((robot) => MOVES.includes(robot.state?.mode ?? "")) ?? false;
+  if (scene.value?.mode === "replay" || (ended.value && !moves)) return null; // there is nothing to stop
   const unheard = stopUnheard.value;
   const latched = connected.value && (state?.stop ?? false);
   const confirmed = latched && state !== null && state.robots.every((robot) => robot.state?.mode === "STOPPED");
@@ -66,15 +72,16 @@ export function Header() {
       <h1>{s?.title ?? "Shoal"}</h1>
       {state !== null && (
         <span class={`mission-state ${mission.toLowerCase()}`} role="status">
-          {ended.value ? "the run is ended" : connected.value ? state.mission_text + paused(state) : "last known: " + state.mission_text}
+          {ended.value ? waiting.value : connected.value ? recorded(state) + state.mission_text + paused(state) : "last known: " + state.mission_text}
         </span>
       )}
       {s !== null && state !== null && <span class="clock">{clock(flown(state))} / {clock(s.duration_s)}</span>}
+      {connected.value && !ended.value && state !== null && <Pace pace={state.pace ?? null} />}
       <span class="gap" />
       <Link />
       {state !== null && state.watchers > 1 && <span class="link">{state.watchers} pages</span>}
       <Control />
-      {s !== null && s.mode !== "replay" && (
+      {s !== null && s.mode !== "replay" && !ended.value && (
         <button
           type="button"
           aria-pressed={editing.value}
@@ -107,6 +114,20 @@ export function Header() {
       <StopButton />
     </header>
   );
+}
+
+/** How fast simulated time goes, where that is not as the clock does. */
+function Pace({ pace }: { pace: number | null }) {
+  if (pace === null || Math.abs(pace - 1) < NOTICEABLE) return null;
+  return (
+    <span class="link" title="Simulated seconds a second. Below the pace that was asked for, the machine is busy: the run is slower, and nothing in it is late">
+      {pace.toFixed(1)} × real time
+    </span>
+  );
+}
+
+function recorded(state: NonNullable<typeof shown.value>): string {
+  return state.replay === undefined || state.mission_text === "recorded" ? "" : "recorded: ";
 }
 
 function paused(state: NonNullable<typeof shown.value>): string {

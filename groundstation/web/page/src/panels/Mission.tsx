@@ -125,7 +125,7 @@ function Unheard() {
 /** After a stop: who has confirmed, by name. Stays until the stop is cleared. */
 function Stopped({ state }: { state: Snapshot }) {
   now.value; // who is no longer heard confirms nothing
-  if (!state.stop || (ended.value && !connected.value)) return null;
+  if (!state.stop) return null;
   const stopped = (robot: RobotNews) => robot.state?.mode === "STOPPED" && connected.value && !isStale(robot, live.arrivedMs);
   const waiting = state.robots.filter((robot) => !stopped(robot));
   return (
@@ -150,6 +150,7 @@ function Stopped({ state }: { state: Snapshot }) {
       >
         Clear stop{waiting.length > 0 ? ` (${waiting.length} not confirmed)` : ""}
       </button>
+      <p class="hint">The run goes on after Clear stop: Return to start, then Start. End run shows its verdict and its replay.</p>
     </div>
   );
 }
@@ -178,9 +179,21 @@ function Folder({ state }: { state: Snapshot }) {
   if (!run || !(ended.value || OVER.includes(state.mission))) return null;
   return (
     <p class="folder">
-      {ended.value ? "The run is ended; it is in" : "The run is being written to"} <code>{run}</code>
-      {state.ended && "; in a moment this page shows it as recorded, with its report"}
+      {ended.value ? "The run is over; it is in" : "The run is being written to"} <code>{run}</code>
+      {ended.value && "; in a moment this page shows its verdict, figures and replay"}
     </p>
+  );
+}
+
+/** Between the end of a run and its report: nothing can be asked for. */
+function Over({ state }: { state: Snapshot }) {
+  return (
+    <section class="mission" aria-label="Mission">
+      <h2>Mission</h2>
+      {state.reason && <p class="reason">{state.reason}</p>}
+      <Folder state={state} />
+      <Given />
+    </section>
   );
 }
 
@@ -251,6 +264,7 @@ function Remark() {
 export function Mission() {
   const state = shown.value;
   if (state === null || scene.value?.mode === "replay") return null;
+  if (ended.value) return <Over state={state} />;
   return (
     <section class="mission" aria-label="Mission">
       <h2>Mission</h2>

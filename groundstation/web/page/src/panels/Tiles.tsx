@@ -83,7 +83,7 @@ function Tile({ robot, place, s }: { robot: RobotNews; place: number; s: Scene }
           <Fact name="depth" value={`${live.robots.get(robot.id)?.eta[2]?.toFixed(2) ?? "-"} m`} />
           <Fact name="yaw" value={`${degrees(live.robots.get(robot.id)?.eta[3])}°`} />
           <Fact name="speed" value={`${speed(robot.id)} m/s`} />
-          <Fact name="step" value={`${(state.step_us / 1e3).toFixed(1)} ms`} bad={state.step_us > 500e3 * s.period_s} />
+          <Fact name="step" value={`${(state.step_us / 1e3).toFixed(1)} ms`} bad={s.mode !== "lockstep" && state.step_us > 500e3 * s.period_s} />
           <Fact name="battery" value={`${state.battery_v.toFixed(1)} V`} bad={state.battery_v < battery[2]} />
           <Fact name="board loss" value={`${(100 * state.loss).toFixed(0)} %`} bad={state.loss > 0.05} />
           {state.drag_ratio > 0 && <Fact name="drag, thrust" value={`× ${state.drag_ratio.toFixed(2)}, ${state.thrust_ratio.toFixed(2)}`} />}

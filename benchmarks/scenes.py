@@ -1,0 +1,303 @@
+"""`python -m benchmarks.scenes`: every shipped experiment, flown whole as its users fly it, on several seeds.
+
+Each flight is the command `sim-bridge sil NAME --lockstep --one-process --no-web --seed N`, one worker process a core. So the
+camera is in the loop wherever the experiment has one. The verdict is the exit code, which must agree with result.json; errors
+are against the plant's truth. With all scenes and --write, docs/evidence/scenes.md and scenes.json are written anew.
+"""
+
+import json
+import math
+import os
+import platform
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import asdict, dataclass, field
+from datetime import date
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from localizer.evaluation.metrics import PoseRow
+from localizer.evaluation.runner import evaluate_log
+from wire.config.experiment import load_experiment
+from wire.process.version import code
+from wire.toml_loader import ConfigError
+
+ROOT = Path(__file__).parents[1]
+SCENES = tuple(sorted(path.stem for path in (ROOT / "wire" / "experiments").glob("*.toml")))
+EVIDENCE = ROOT / "docs" / "evidence" / "scenes"
+TRACKS = ("marker", "kcf", "coast", "lost")  # kinds of track that a pose has, from best to worst
+COLUMNS = (
+    "Scene",
+    "Passed",
+    "RMS, whole run",
+    "RMS after 20 s",
+    "Largest",
+    "Depth, RMS after 20 s",
+    "At the end",
+    "Nearest centres, m",
+    "Worst",
+)
+FLIGHT_WITHIN_S = 1800.0  # of wall time: the longest takes two minutes on an idle core
+
+
+@dataclass(frozen=True)
+class FlownScene:
+    """One flight. Errors are those of the worst robot on its worst axis, in m; NaN for what the flight did not give."""
+
+    scene: str
+    seed: int
+    passed: bool
+    reason: str  # of a failure, in the report's words
+    rms_whole_m: float
+    rms_settled_m: float  # after 20 s
+    max_m: float  # of the whole run
+    depth_settled_m: float
+    arrival_m: float  # from the place where the path ends; NaN where the experiment sets no limit for it
+    separation_m: float
+    faults: tuple[str, ...]
+    tracks: dict[str, PoseRow] = field(default_factory=dict)
+    took_s: float = 0.0
+
+
+@dataclass(frozen=True)
+class Poses:
+    """Errors of all poses of one kind of track over several flights."""
+
+    count: int
+    rms_mm: float
+    max_mm: float
+    nees: float  # 3 where the published covariances are right
+
+
+def fly(scene: str, seed: int) -> FlownScene:
+    """Fly a scene as a user does, and read what it left. Raises RuntimeError where exit code and result disagree."""
+    with tempfile.TemporaryDirectory(prefix="shoal-scene-") as folder:
+        command = [sys.executable, "-P", "-m", "sim_bridge", "sil", scene, "--lockstep", "--one-process", "--no-web"]
+        begin_s = time.monotonic()
+        done = subprocess.run(
+            [*command, "--seed", str(seed), "--out", folder],
+            capture_output=True,
+            encoding="utf-8",
+            errors="replace",
+            timeout=FLIGHT_WITHIN_S,
+            check=False,
+        )
+        took_s = time.monotonic() - begin_s
+        results = list(Path(folder).glob("*/result.json"))
+        if not results:
+            return _not_flown(scene, seed, (done.stderr or done.stdout).strip().splitlines()[-1:], took_s)
+        result = json.loads(results[0].read_text(encoding="utf-8"))
+        if result["passed"] != (done.returncode == 0):
+            raise RuntimeError(f"{scene}, seed {seed}: exit code {done.returncode}, but result.json says {result['passed']}")
+        return _flight(result, _tracks(results[0].with_name("run.mcap")), took_s)
+
+
+def _not_flown(scene: str, seed: int, last_line: Sequence[str], took_s: float) -> FlownScene:
+    nan = math.nan
+    return FlownScene(scene, seed, False, "".join(last_line) or "no result", nan, nan, nan, nan, nan, nan, (), {}, took_s)
+
+
+def _flight(result: dict[str, Any], tracks: dict[str, PoseRow], took_s: float) -> FlownScene:
+    robots = result["robots"].values()
+    unmet = [check["name"] for check in result["checks"] if check["passed"] is False]
+    cause = result["cause"]["text"] if result["cause"] else ""
+    arrival = next((check["value"] for check in result["checks"] if check["name"] == "from its place at the end"), None)
+    faults = tuple(f"{fault['source']}: {fault['text']} ({fault['time_s']:.1f} s)" for fault in result["faults"])
+    return FlownScene(
+        result["scene"],
+        result["seed"],
+        result["passed"],
+        "" if result["passed"] else cause or ", ".join(unmet),
+        _worst(robots, "rms_m", (0, 1)),
+        _worst(robots, "rms_after_20s_m", (0, 1)),
+        _worst(robots, "max_m", (0, 1)),
+        _worst(robots, "rms_after_20s_m", (2,)),
+        _number(arrival),
+        _number(result["min_separation_m"]),
+        faults,
+        tracks,
+        took_s,
+    )
+
+
+def _worst(robots: Any, name: str, axes: tuple[int, ...]) -> float:
+    values = [robot[name][axis] for robot in robots if robot[name] for axis in axes]
+    return max(values, default=math.nan)
+
+
+def _number(value: float | None) -> float:
+    return math.nan if value is None else value
+
+
+def _tracks(log: Path) -> dict[str, PoseRow]:
+    """Rows of the poses by kind of track; empty where no localizer took part."""
+    try:
+        rows = evaluate_log(log)
+    except ConfigError:
+        return {}
+    return {row.subject: row for row in rows if row.subject in TRACKS}
+
+
+def pooled(flights: Sequence[FlownScene], track: str) -> Poses | None:
+    """The poses of one kind of track of all flights together; None if there is none."""
+    rows = [flight.tracks[track] for flight in flights if track in flight.tracks]
+    count = sum(row.poses for row in rows)
+    if not count:
+        return None
+    square = sum(row.poses * row.rms_mm**2 for row in rows)
+    nees = sum(row.poses * row.nees for row in rows if math.isfinite(row.nees))
+    return Poses(count, math.sqrt(square / count), max(row.max_mm for row in rows), nees / count)
+
+
+def worst_of(flights: Sequence[FlownScene]) -> FlownScene:
+    """The flight that says most against a scene: one that failed, else the one with the largest error over the whole run."""
+    failed = [flight for flight in flights if not flight.passed]
+    return max(failed or flights, key=lambda flight: -1.0 if math.isnan(flight.max_m) else flight.max_m)
+
+
+def markdown(flights: Sequence[FlownScene], seeds: int) -> str:
+    """The page of evidence."""
+    by_scene = {scene: sorted((f for f in flights if f.scene == scene), key=lambda f: f.seed) for scene in SCENES}
+    flown = {scene: group for scene, group in by_scene.items() if group}
+    machine = f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
+    lines = [
+        "# Every shipped scene, flown whole",
+        "",
+        f"Written by `make scenes` on {date.today().isoformat()}: commit {code().commit[:12]}, {machine}, seeds 1 to {seeds}.",
+        "",
+        "Each flight is `sim-bridge sil NAME --lockstep --one-process --seed N`: with the camera where the scene uses one.",
+        "Errors are in mm, against the simulator's truth, of the worst robot on its worst axis. The first number is the worst",
+        "seed's, the one in brackets the median. The localizer's camera model is the simulator's own: a real calibration",
+        "adds its error. Where robots give way to others or go round something, the detour counts as error; the limit there",
+        "is the distance from the place where the path ends.",
+        "",
+        "## Flights",
+        "",
+        f"| {' | '.join(COLUMNS)} |",
+        f"|{'---|' * len(COLUMNS)}",
+        *(_flight_row(scene, group) for scene, group in flown.items()),
+        "",
+        "## Poses by kind of track",
+        "",
+        "NEES is 3 where the published covariances are right. The targets are 1.5 to 5.",
+        "",
+        "| Scene | Track | Poses | RMS, mm | Largest, mm | NEES |",
+        "|---|---|---|---|---|---|",
+        *(row for scene, group in flown.items() for row in _track_rows(scene, group)),
+        "",
+        "## Holds, faults and failures",
+        "",
+        *(_faults(flown) or ["None in any flight."]),
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def _flight_row(scene: str, group: Sequence[FlownScene]) -> str:
+    poses = "" if load_experiment(scene).localizer.uses_camera else " (no camera)"
+    worst = worst_of(group)
+    columns = [[f.rms_whole_m for f in group], [f.rms_settled_m for f in group], [f.max_m for f in group]]
+    columns += [[f.depth_settled_m for f in group], [f.arrival_m for f in group]]
+    nearest = [f.separation_m for f in group if not math.isnan(f.separation_m)]
+    passed = sum(f.passed for f in group)
+    cells = [f"{scene}{poses}", f"{passed} of {len(group)}", *(_spread_mm(column) for column in columns)]
+    cells += [f"{min(nearest):.3f}" if nearest else "", f"seed {worst.seed}"]
+    return f"| {' | '.join(cells)} |"
+
+
+def _spread_mm(values: Sequence[float]) -> str:
+    """The largest, and in brackets the median, in mm; empty where nothing is known."""
+    known = sorted(1e3 * value for value in values if not math.isnan(value))
+    return f"{known[-1]:.3g} ({known[len(known) // 2]:.3g})" if known else ""
+
+
+def _track_rows(scene: str, group: Sequence[FlownScene]) -> Iterator[str]:
+    for track in TRACKS:
+        poses = pooled(group, track)
+        if poses is not None:
+            yield f"| {scene} | {track} | {poses.count} | {poses.rms_mm:.2f} | {poses.max_mm:.1f} | {poses.nees:.2f} |"
+
+
+def _faults(flown: dict[str, list[FlownScene]]) -> list[str]:
+    lines = []
+    for scene, group in flown.items():
+        for flight in group:
+            words = [*([] if flight.passed else [f"failed: {flight.reason}"]), *_counted(flight.faults)]
+            if words:
+                lines.append(f"* {scene}, seed {flight.seed}: {'; '.join(words)}")
+    return lines
+
+
+def _counted(faults: Sequence[str]) -> list[str]:
+    """Faults in order, those with the same words once, with their number."""
+    counts = Counter(fault.rpartition(" (")[0] for fault in faults)
+    first = {fault.rpartition(" (")[0]: fault for fault in reversed(faults)}
+    return [first[words] if count == 1 else f"{first[words]} and {count - 1} more" for words, count in counts.items()]
+
+
+def _plain(value: Any) -> Any:
+    """The value with None for every number that is not known, as JSON has no NaN."""
+    if isinstance(value, dict):
+        return {key: _plain(inner) for key, inner in value.items()}
+    return None if isinstance(value, float) and math.isnan(value) else value
+
+
+def fly_all(scenes: Sequence[str], seeds: int, workers: int, console: Console) -> list[FlownScene]:
+    """Fly every scene on every seed, longest scenes first, with progress."""
+    wanted = [(scene, seed) for seed in range(1, seeds + 1) for scene in scenes]
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    flights: list[FlownScene] = []
+    with (
+        Progress(*columns, console=console, disable=not console.is_terminal) as progress,
+        ThreadPoolExecutor(workers) as pool,  # each thread waits for a process of its own
+    ):
+        task = progress.add_task("flights", total=len(wanted))
+        for done in as_completed([pool.submit(fly, scene, seed) for scene, seed in wanted]):
+            flight = done.result()
+            flights.append(flight)
+            progress.advance(task)
+            verdict = "[green]passed[/]" if flight.passed else "[red]failed[/]"
+            console.print(
+                f"{len(flights)} of {len(wanted)}: {flight.scene}, seed {flight.seed}: {verdict}"
+                f" in {flight.took_s:.0f} s, largest error {1e3 * flight.max_m:.0f} mm {flight.reason}",
+                highlight=False,
+                soft_wrap=True,
+            )
+    return flights
+
+
+def main(
+    names: Annotated[list[str] | None, typer.Argument(help="Scenes; all shipped ones if none is named.")] = None,
+    seeds: Annotated[int, typer.Option(min=1, help="Fly seeds 1 to this.")] = 10,
+    workers: Annotated[int | None, typer.Option(min=1, help="Flights at a time; default: one a core.")] = None,
+    write: Annotated[bool, typer.Option("--write", help="Write docs/evidence/scenes.md and scenes.json.")] = False,
+) -> None:
+    """Fly shipped scenes whole, as users fly them; print the tables. Exit code 0 if every flight passed."""
+    unknown = sorted(set(names or ()) - set(SCENES))
+    if unknown:
+        raise typer.BadParameter(f"{', '.join(unknown)}: no such scene (allowed: {', '.join(SCENES)})")
+    if write and names:
+        raise typer.BadParameter("--write needs all scenes: leave the names out")
+    console = Console()
+    flights = fly_all(names or SCENES, seeds, workers or os.cpu_count() or 1, console)
+    page = markdown(flights, seeds)
+    console.print(page, markup=False, highlight=False, soft_wrap=True)
+    if write:
+        EVIDENCE.parent.mkdir(exist_ok=True)
+        EVIDENCE.with_suffix(".md").write_text(page, encoding="utf-8")
+        rows = [_plain(asdict(flight)) for flight in sorted(flights, key=lambda flight: (flight.scene, flight.seed))]
+        EVIDENCE.with_suffix(".json").write_text(json.dumps(rows, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    raise typer.Exit(0 if all(flight.passed for flight in flights) else 1)
+
+
+if __name__ == "__main__":
+    typer.run(main)

@@ -1,0 +1,223 @@
+"""SHELL: `groundstation stop`, the emergency stop of a terminal: it stops first, and complains afterwards.
+
+It is sent to every station of this user on this machine before anything is printed, whatever else is wrong with the command
+line, the environment or the keys. What cannot be used is left out, and named at the end.
+"""
+
+import json
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from typer.core import TyperCommand, TyperGroup
+
+from groundstation.cli.mission import HELP, Station, Wait
+from groundstation.station import discovery
+from groundstation.station.discovery import RunningStation
+from wire.messages.messages import Command, Order, Reply
+from wire.messages.topics import WHOLE_FLEET
+from wire.printable import printable
+from wire.process.cli_options import DEFAULT_FLEET, DEFAULT_STATION, AsJson, Insecure, KeyRing, fleet_name
+from wire.toml_loader import ConfigError
+from wire.transport.endpoint import parse_address
+
+NAME = "stop"
+COMPLAINTS = "complaints"  # where the command's context keeps what it could not use
+GROUPS = ("mission", "order")  # before it, by habit
+LATE_S = 10.0  # beyond the patience: for a connection that hangs
+OnlyFleet = Annotated[
+    str | None, typer.Option("--fleet", help="Only stations of this fleet. Default: every fleet.", show_default=False)
+]
+
+
+def _seconds(text: str) -> None:
+    if not 0.0 <= float(text) < float("inf"):
+        raise ValueError("must be 0 or more seconds")
+
+
+CHECKS: dict[str, Callable[[str], Any]] = {
+    "--station": parse_address,
+    "--fleet": fleet_name,
+    "--keys": Path,
+    "--wait": _seconds,
+}
+FLAGS = ("--insecure", "--json", "--help")
+
+
+def usable_arguments(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
+    """The arguments that `stop` can use, and complaints about the others."""
+    kept, complaints, left = list[str](), list[str](), list(arguments)
+    while left:
+        word = left.pop(0)
+        name, joined, value = word.partition("=")
+        if word in FLAGS:
+            kept.append(word)
+        elif name not in CHECKS:
+            complaints.append(f"{word!r} means nothing to `stop`")
+        elif not joined and (not left or left[0].startswith("--")):
+            complaints.append(f"{word} has no value")
+        else:
+            value = value if joined else left.pop(0)
+            try:
+                CHECKS[name](value)
+                kept += [name, value]
+            except (ConfigError, ValueError) as error:
+                complaints.append(str(error) if name in str(error) else f"{name} {value!r} cannot be used: {error}")
+    return kept, complaints
+
+
+class StopCommand(TyperCommand):
+    """A command that runs whatever its arguments are."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse what can be used."""
+        kept, ctx.meta[COMPLAINTS] = usable_arguments(args)
+        return super().parse_args(ctx, kept)
+
+
+class ProgramGroup(TyperGroup):
+    """The program's commands. What stands before `stop` is an argument of it; `mission stop` and `order stop` are it too."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse the program's own options."""
+        at = next((place for place, word in enumerate(args) if word in self.commands), 0)
+        if args[at : at + 1] == [NAME] or args[at : at + 2] in ([group, NAME] for group in GROUPS):
+            args = [NAME, *(word for word in args if word not in (NAME, *GROUPS))]
+        return super().parse_args(ctx, args)
+
+
+@dataclass
+class StationStop:
+    """A stop on its way to one station."""
+
+    station: RunningStation
+    patience_s: float
+    keys: Path | None
+    insecure: bool
+    reply: Reply | None = None
+    trouble: str = "no answer"  # where there is no reply
+    complaints: list[str] = field(default_factory=list)
+    _thread: threading.Thread | None = None
+
+    def begin(self) -> None:
+        """Send it. Returns at once."""
+        self._thread = threading.Thread(target=self._send, name="stop", daemon=True)
+        self._thread.start()
+
+    def await_end(self) -> None:
+        """Wait for the outcome, or the end of the patience."""
+        assert self._thread is not None
+        self._thread.join(self.patience_s + LATE_S)
+
+    def _send(self) -> None:
+        try:
+            try:
+                self.reply = self._follow(self.keys, self.insecure)
+            except ConfigError as error:  # of the keys, or of a network without: all that we send is a stop
+                self.complaints.append(str(error))
+                self.reply = self._follow(None, True)
+        except Exception as error:  # whatever it is: the other stations are stopped all the same
+            self.trouble = str(error) or type(error).__name__
+
+    def _follow(self, keys: Path | None, insecure: bool) -> Reply:
+        from groundstation import client
+
+        patience_s = max(self.patience_s, client.ORDER_TIMEOUT_S)
+        fleet = self.station.fleet or DEFAULT_FLEET
+        with client.connect_for_requests(self.station, fleet, keys, insecure, patience_s) as bus:
+            until_s = time.monotonic() + self.patience_s
+            request = Command(Order.STOP, WHOLE_FLEET)
+            return client.follow(client.sender(bus), request, lambda: time.monotonic() >= until_s, lambda outcome: None)
+
+    def outcome(self) -> tuple[bool, str]:
+        """True if every robot has confirmed, and the outcome in words."""
+        from groundstation import client
+
+        return client.verdict(self.reply, self.patience_s) if self.reply is not None else (False, f"NOT HEARD: {self.trouble}")
+
+    def print(self, as_json: bool) -> None:
+        """Print the outcome, robot by robot."""
+        done, text = self.outcome()
+        outcome = self.reply.outcome if self.reply is not None else None
+        robots = dict.fromkeys(outcome.confirmed, "confirmed") if outcome is not None else {}
+        missing = dict(zip(outcome.waiting, outcome.why, strict=False)) if outcome is not None else {}
+        if as_json:
+            line = {"order": NAME, "station": self.station.endpoint, "fleet": self.station.fleet, "done": done, "text": text}
+            accepted, reason = (self.reply.accepted, self.reply.reason) if self.reply is not None else (False, self.trouble)
+            typer.echo(json.dumps(line | {"accepted": accepted, "robots": robots | missing, "reason": reason}))
+            return
+        typer.echo(printable(f"station {self.station.name}"))
+        for robot in robots if self.patience_s else ():
+            typer.echo(f"  robot {robot}: confirmed")
+        for robot, why in missing.items() if self.patience_s else ():
+            typer.echo(printable(f"  robot {robot}: NOT confirmed: {why}"))
+        typer.echo(printable(f"{NAME}: {text}"))
+
+
+def stop(
+    ctx: typer.Context,
+    station: Station = None,
+    fleet: OnlyFleet = None,
+    keys: KeyRing = None,
+    insecure: Insecure = False,
+    wait: Wait = None,
+    as_json: AsJson = False,
+) -> None:
+    """Emergency stop: every robot of every station here to neutral. The help is HELP's."""
+    complaints: list[str] = ctx.meta[COMPLAINTS]
+    from groundstation import client
+
+    patience_s = client.PATIENCE_S[Order.STOP] if wait is None else wait
+    stops: list[StationStop] = []
+
+    def send(stations: Sequence[RunningStation]) -> None:
+        for one in stations:
+            stops.append(StationStop(one, patience_s, keys, insecure))
+            stops[-1].begin()
+
+    try:
+        _send_to_all(station, fleet, complaints, send, stops)
+        for one in stops:
+            one.await_end()
+            one.print(as_json)
+    except KeyboardInterrupt:
+        typer.echo(f"{NAME}: not waited for; the stations go on with it", err=True)
+        raise typer.Exit(130) from None
+    for complaint in dict.fromkeys([*complaints, *(text for one in stops for text in one.complaints)]):
+        typer.echo(printable(f"left out: {complaint}"), err=True)
+    raise typer.Exit(0 if all(one.outcome()[0] for one in stops) else 1)
+
+
+def _send_to_all(
+    station: str | None,
+    fleet: str | None,
+    complaints: list[str],
+    send: Callable[[Sequence[RunningStation]], None],
+    stops: list[StationStop],
+) -> None:
+    """Stop what was named: a station, the stations of a fleet, or all. Where nobody answers to that name, stop all that run
+    here: a stop that reaches nobody is worse than one that reaches too many."""
+    here = discovery.running()
+    if station is not None:
+        named = discovery.named(station)
+        send([named if named.pid else replace(named, fleet=fleet or "")])
+        stops[0].await_end()
+        others = [one for one in here if one.endpoint != station]
+        if stops[0].reply is None and others:
+            complaints.append(f"--station {station}: nobody answers there; every station of this machine was stopped")
+            send(others)
+        return
+    chosen = [one for one in here if fleet in (None, one.fleet)]
+    if here and not chosen:
+        complaints.append(f"--fleet {fleet}: no such station runs here; every station of this machine was stopped")
+    send(chosen or here or [RunningStation(DEFAULT_STATION, fleet or DEFAULT_FLEET, "", 0)])
+
+
+def register_stop(cli: typer.Typer) -> None:
+    """Add the command to the program."""
+    help_text = f"{HELP[NAME]}\n\n    Example:  groundstation {NAME}"
+    cli.command(NAME, cls=StopCommand, help=help_text)(stop)

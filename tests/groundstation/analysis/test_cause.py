@@ -1,0 +1,110 @@
+"""The cause of a run is what a person would name first, and the verdict, the report and the terminal follow it."""
+
+from pathlib import Path
+
+import pytest
+
+from groundstation.analysis.numbers import mm
+from groundstation.analysis.results import Result
+from groundstation.report import terminal
+from groundstation.report.report import write_report
+from groundstation.station.process import INTERRUPTED
+from groundstation.web.run_end import run_end
+from tests.groundstation.synthetic import Script, write_run
+from wire.messages.messages import Mode
+
+pytestmark = pytest.mark.long
+
+FLOWN_S = 8.0
+
+
+def judged(folder: Path, script: Script) -> Result:
+    folder.mkdir(exist_ok=True)
+    write_run(folder, script)
+    return write_report(folder)
+
+
+def holds(since_s: float, until_s: float = 1e9) -> Script:
+    """Robot 1 holds by itself for a while."""
+
+    def mode(robot: int, at_s: float) -> tuple[Mode, str]:
+        late = robot == 1 and since_s <= at_s < until_s
+        return (Mode.HOLDING, "pose late") if late else (Mode.TRACKING, "")
+
+    return Script(duration_s=FLOWN_S, mode=mode)
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("STOP asked for", "pressed the emergency stop"),
+        ("DISARM asked for", "disarmed the robots"),
+        ("END asked for", "ended the run"),
+        ("RETURN asked for", "sent the fleet back to the start"),
+        (INTERRUPTED, "interrupted the program (Ctrl-C)"),
+    ],
+)
+def test_a_persons_act_is_the_cause_before_a_hold_that_healed(tmp_path: Path, line: str, words: str) -> None:
+    script = holds(2.0, 3.6)
+    script.lines, script.until_s = ((5.0, line), (5.6, "END asked for")), 6.0
+    result = judged(tmp_path, script)
+    assert result.cause is not None
+    assert (result.cause.noticed_by, result.cause.text, result.verdict) == ("a person", words, "not judged")
+    assert result.cause.time_s == pytest.approx(5.0, abs=0.01)
+    assert result.cause.sentence.startswith(f"A person {words} at 5.0 s, the fleet's middle at x ")
+    assert not result.passed
+    told = list(terminal.lines(result))
+    assert told[0] == f"cause: {result.cause.sentence}"
+    assert any(line.startswith("also at ") and line.endswith(", robot 1: holding: pose late") for line in told)
+    assert not any(line.startswith(("not met", "not reached")) for line in told)
+    shown = run_end(tmp_path)
+    assert shown is not None
+    assert (shown["verdict"], shown["cause"], shown["outcome"]) == ("not judged", result.cause.sentence, "6.0 s of 8 s flown")
+    page = (tmp_path / "report.html").read_text()
+    assert "– not judged" in page and "✗ failed" not in page
+
+
+def test_a_fault_that_lasts_is_the_cause_also_if_a_person_stops_the_fleet_then(tmp_path: Path) -> None:
+    script = holds(4.0)
+    script.lines, script.until_s = ((5.0, "STOP asked for"),), 6.0
+    result = judged(tmp_path, script)
+    assert result.cause is not None
+    assert (result.cause.noticed_by, result.cause.text, result.verdict) == ("robot 1", "holding: pose late", "failed")
+    assert result.cause.place.startswith("at x ")
+
+
+def test_faults_after_a_stop_are_not_its_cause(tmp_path: Path) -> None:
+    script = holds(5.5)
+    script.lines, script.until_s = ((5.0, "STOP asked for"),), 6.0
+    result = judged(tmp_path, script)
+    assert result.cause is not None and result.cause.text == "pressed the emergency stop"
+
+
+def test_a_hold_that_healed_is_the_cause_only_of_a_run_that_misses_nothing_else(tmp_path: Path) -> None:
+    result = judged(tmp_path, holds(2.0, 3.6))
+    assert result.cause is not None
+    assert (result.cause.text, result.verdict) == ("holding: pose late", "failed")
+    script = holds(2.0, 3.6)
+    script.settings = ("limits.rms_m=0.001",)
+    result = judged(tmp_path / "strict", script)
+    assert result.cause is not None and result.cause.text.startswith("RMS error, whole run")
+
+
+def test_a_stop_after_the_end_of_the_path_is_no_cause(tmp_path: Path) -> None:
+    result = judged(tmp_path, Script(duration_s=FLOWN_S, lines=((FLOWN_S + 0.2, "STOP asked for"),)))
+    assert (result.passed, result.verdict, result.cause) == (True, "passed", None)
+    shown = run_end(tmp_path)
+    assert shown is not None
+    assert shown["figures"]["heads"] == ["RMS, whole run", "the article's"]  # it is over before 20 s
+    rms_m = result.robots["1"].rms_m
+    assert rms_m is not None
+    assert shown["figures"]["rows"][0] == {"name": "robot 1", "cells": [[mm(v) for v in rms_m[:2]], ["70.0", "110"]]}
+    assert {one["met"] for one in shown["requirements"]} == {"yes"}
+    (tmp_path / "result.json").write_text('{"verdict": "passed"}')  # of another version
+    assert run_end(tmp_path) is None
+
+
+def test_a_run_without_a_flight_is_not_judged(tmp_path: Path) -> None:
+    result = judged(tmp_path, Script(duration_s=FLOWN_S, started=False, lines=((1.0, "END asked for"),)))
+    assert result.cause is not None
+    assert (result.cause.text, result.verdict) == ("ended the run", "not judged")

@@ -1,0 +1,132 @@
+"""The end of a run on the operator's page, whatever ends it: verdict, cause, figures, and what may follow; no reload."""
+
+import html
+import json
+import re
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Browser, Locator, Page, expect
+
+from sim_bridge.sil.ports import free_port
+from tests.page.elements import button, in_mode
+from tests.page.flights import PATIENCE_MS, OperatorFlight, PageTraffic, open_page, serious
+
+pytestmark = [pytest.mark.timeout(600), pytest.mark.real_time]  # what waits for a browser waits for a loaded machine
+
+
+@contextmanager
+def flown(browser: Browser, folder: Path, *arguments: str) -> Iterator[tuple[OperatorFlight, Page]]:
+    """An automatic flight, and a page on it."""
+    flight, traffic = OperatorFlight(folder, free_port(), arguments), PageTraffic()
+    flight.start()
+    try:
+        page = open_page(browser, flight, traffic)
+        yield flight, page
+        page.context.close()
+        assert traffic.errors == []
+    finally:
+        flight.stop()
+
+
+def end_of(page: Page) -> Locator:
+    return page.get_by_label("End of the run")
+
+
+def flies(page: Page) -> None:
+    """A live flight is shown, and no recorded one."""
+    expect(end_of(page)).to_have_count(0)
+    in_mode(page, "TRACKING")
+    expect(page.locator("header .clock")).to_have_text(re.compile("^0:0[1-9]"))  # and the flight has begun
+
+
+def agrees(page: Page, flight: OperatorFlight, verdict: str, words: str) -> None:
+    """Page, result, report and terminal name the same verdict and cause."""
+    expect(end_of(page).locator(".verdict b")).to_have_text(re.compile(f"{verdict}$"))
+    expect(page.get_by_text("no connection")).to_have_count(0)
+    expect(page.get_by_role("button", name=re.compile("STOP"))).to_have_count(0)
+    run = flight.runs[-1]
+    result = json.loads((run / "result.json").read_text())
+    assert result["verdict"] == verdict
+    cause = result["cause"]["sentence"] if result["cause"] else ""
+    assert words in cause
+    expect(end_of(page).locator(".verdict")).to_contain_text(cause)
+    told = flight.told.rpartition(f"into {run}")[2]
+    assert f"cause: {cause}" in told if cause else "cause: " not in told
+    page_of_report = html.unescape((run / "report.html").read_text())
+    assert f"{verdict}</span></h1>" in page_of_report and cause in page_of_report
+
+
+def test_a_run_ends_with_its_verdict_and_is_flown_again_stopped_brought_back_and_started(
+    browser: Browser, tmp_path: Path
+) -> None:
+    with flown(browser, tmp_path, "--duration", "8") as (flight, page):
+        agrees(page, flight, "passed", "")
+        expect(end_of(page).get_by_label("Errors in mm")).to_contain_text("the article's")
+        expect(page.get_by_label("Alarms")).to_contain_text("none")
+        assert serious(page) == []
+        button(page, "Replay").click()
+        expect(button(page, "Pause").first).to_be_visible()
+
+        button(page, "Fly again").click()
+        flies(page)
+        assert len(flight.runs) == 2
+        page.keyboard.press("Shift+Space")
+        expect(page.get_by_role("alert")).to_contain_text("robot 2 confirms: stopped")
+        page.get_by_role("button", name=re.compile("Clear stop")).click()
+        button(page, "Return to start").click()
+        expect(page.locator("header .mission-state")).to_have_text("done")
+        button(page, "Load again").click()  # the program has not ended
+        button(page, "Start").click()
+        flies(page)
+        button(page, "Disarm").click()
+        agrees(page, flight, "not judged", "A person disarmed the robots at ")
+        button(page, "Close").click()
+        assert flight.process is not None
+        assert flight.process.wait(PATIENCE_MS * 1e-3) == 1
+        expect(page.locator("header .mission-state")).to_have_text("the program has ended")
+    assert flight.told.count("the page shows the recorded run: Close there, close the page, or press Ctrl-C") == 2
+    assert not list(tmp_path.rglob(".page-open"))
+
+
+def test_a_run_that_fails_shows_its_cause_and_an_edit_of_it_flies_next(browser: Browser, tmp_path: Path) -> None:
+    """All in one process."""
+    failing = ("--fault", "t=4 link 2 cut", "--one-process")
+    with flown(browser, tmp_path, "--duration", "20", *failing) as (flight, page):
+        agrees(page, flight, "failed", "robot 2 at ")
+        assert "link 2 cut at 4" in end_of(page).inner_text()
+        assert serious(page) == []
+        button(page, "Edit and fly").click()
+        expect(page.locator(".editor .verdict")).to_contain_text("can be flown")
+        page.locator(".editor").get_by_label("duration").fill("2")
+        expect(button(page, "Fly this")).to_be_enabled()
+        button(page, "Fly this").click()
+        flies(page)
+        expect(page.locator(".editor")).to_have_count(0)
+        agrees(page, flight, "passed", "")
+        assert json.loads((flight.runs[-1] / "result.json").read_text())["planned_duration_s"] == 2.0
+        page.context.close()  # the program ends with it
+        assert flight.process is not None
+        assert flight.process.wait(PATIENCE_MS * 1e-3) == 0
+
+
+def test_ctrl_c_in_the_terminal_ends_on_the_page_and_the_next_one_ends_the_program(browser: Browser, tmp_path: Path) -> None:
+    with flown(browser, tmp_path, "--duration", "300") as (flight, page):
+        flies(page)
+        assert flight.process is not None
+        flight.process.send_signal(signal.SIGINT)
+        agrees(page, flight, "not judged", "A person interrupted the program (Ctrl-C) at ")
+        assert flight.process.poll() is None
+        flight.process.send_signal(signal.SIGINT)
+        assert flight.process.wait(PATIENCE_MS * 1e-3) == 130
+
+
+def test_a_run_that_nobody_watches_ends_by_itself(tmp_path: Path) -> None:
+    flight = OperatorFlight(tmp_path, free_port(), ("--duration", "1", "--one-process"))
+    flight.start()
+    assert flight.process is not None
+    assert flight.process.wait(PATIENCE_MS * 1e-3) == 0
+    assert "the page shows" not in flight.told

@@ -1,0 +1,66 @@
+"""The end of `make test`: what was skipped, why, and what brings it."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+from tests import skipped
+
+ROOT = Path(__file__).parents[1]
+TESTS = """
+import pytest
+
+@pytest.mark.skipif(True, reason="needs Chromium, and none is installed")
+@pytest.mark.parametrize("k", range(3))
+def test_page(k): ...
+
+def test_ssh():
+    pytest.skip("no sshd here (Debian: apt install openssh-server)")
+
+def test_root():
+    pytest.skip("needs root to be allowed everything")
+"""
+
+
+def test_processes_leave_their_reasons_and_the_end_tells_them_once_with_one_command(tmp_path: Path) -> None:
+    """Also where xdist runs them; and a process that nobody collects from tells its own."""
+    (tmp_path / "noted").mkdir()
+    (tmp_path / "test_here.py").write_text(TESTS)
+    command = [
+        sys.executable,
+        "-m",
+        "pytest",
+        "-q",
+        "-p",
+        "tests.conftest",
+        "-p",
+        "no:cacheprovider",
+        "--rootdir",
+        str(tmp_path),
+    ]
+    environment = {name: value for name, value in os.environ.items() if name != skipped.FOLDER}
+    for options in (["-n", "0"], ["-n", "2"]):
+        done = subprocess.run(
+            [*command, *options, "test_here.py"],
+            cwd=tmp_path,
+            env={**environment, "PYTHONPATH": str(ROOT), skipped.FOLDER: str(tmp_path / "noted")},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode == 0 and "were skipped" not in done.stdout, done.stdout + done.stderr
+    told = subprocess.run(
+        [sys.executable, "-m", "tests.skipped", str(tmp_path / "noted")], cwd=ROOT, capture_output=True, text=True, check=True
+    ).stdout
+    assert told.splitlines() == [
+        "10 tests were skipped:",
+        "    6 needs Chromium, and none is installed",
+        "    2 needs root to be allowed everything",
+        "    2 no sshd here (Debian: apt install openssh-server)",
+        "What they lack comes with: sudo apt install chromium openssh-server",
+    ]
+
+
+def test_nothing_skipped_is_nothing_told() -> None:
+    assert not list(skipped.summary([]))
