@@ -125,6 +125,24 @@ def test_in_lockstep_a_stop_is_taken_while_a_plan_is_computed(tmp_path: Path) ->
         assert mission.state is MissionState.STOPPED
 
 
+def test_in_lockstep_a_plan_that_another_request_replaced_meanwhile_is_dropped(tmp_path: Path) -> None:
+    with a_station(tmp_path) as station:
+        mission, detour = station.mission, station.mission.segment
+        home = PlanRequest("a way for everybody from rest", lambda out_of_time: replace(detour, is_return=True))
+
+        def slow(out_of_time: Callable[[], bool]) -> PlanSegment:
+            with station.lock:  # as a request takes it
+                mission.plans.request = home
+            return replace(detour, is_return=False)
+
+        mission.state, mission.plans.request = MissionState.HALTING, PlanRequest("another path", slow)
+        with station.lock:
+            station.plan(True, 0)
+            assert (mission.state, mission.plan_request) == (MissionState.HALTING, home)
+            station.plan(True, 0)
+        assert (mission.state, mission.segment.is_return) == (MissionState.RELOADING, True)
+
+
 class ObedientFleet:
     """Robots on the station's bus that do as they are told, and tell a state when they are asked to."""
 
@@ -275,13 +293,14 @@ def test_a_run_is_ended_once_everybody_is_at_rest(tmp_path: Path, mode: Mode) ->
 def test_a_station_that_is_told_to_end_in_flight_holds_and_then_disarms(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
+    caplog.set_level("INFO", "shoal")
     hub, stop = MemoryHub(), Stop(install=False)
     with a_station(tmp_path, hub) as station:
         fleet = ObedientFleet(hub, station.experiment)
         fleet.modes = dict.fromkeys(fleet.modes, Mode.TRACKING)
         station.mission.state = MissionState.RUNNING
         fleet.until(station, lambda: len(station.seen) == 2 and all(seen.heard for seen in station.seen.values()))
-        stop.request()
+        stop.request(interrupted=True)
         over, told = threading.Event(), threading.Thread(target=lambda: tell_until(fleet, over))
         told.start()
         try:
@@ -294,7 +313,10 @@ def test_a_station_that_is_told_to_end_in_flight_holds_and_then_disarms(
             orders = [order for of, order in fleet.got if of == robot]
             assert orders.index(Order.HOLD) < orders.index(Order.DISARM)
         assert set(fleet.modes.values()) == {Mode.DISARMED}
-        assert "told to end while robots have power" in caplog.text
+        lines = [record.message for record in caplog.records]
+        told_to_end = next(k for k, line in enumerate(lines) if line.startswith("told to end while robots have power"))
+        assert lines.index(process.INTERRUPTED) < told_to_end  # the report's cause is Ctrl-C, and no request that nobody made
+        assert not [line for line in lines if line.endswith("asked for")]
 
 
 def test_an_end_disarms_the_one_robot_that_is_armed(tmp_path: Path) -> None:
