@@ -314,7 +314,7 @@ def test_a_dry_run_of_all_processes_says_what_it_would_start(tmp_path: Path) -> 
     assert "75 s" in said and said.count("starts at x") == 3
     assert "at 6 s: process agent-2 killed" in said
     for wrong, why in (
-        (["--set", "localizer.uses_camera=false"], "Fly without the camera"),
+        (["--set", "localizer.uses_camera=true"], "Fly without the camera"),
         (["--poses"], "processes break by the wall clock: it needs --real-time"),
         (["--poses", "--lockstep"], "processes break by the wall clock: it needs --real-time"),
         (

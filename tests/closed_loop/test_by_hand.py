@@ -32,7 +32,7 @@ def test_a_station_whose_run_met_not_every_limit_says_so_in_its_exit_code(tmp_pa
         for process in started:
             process.wait(60.0)
     result = tmp_path / "result.json"
-    failed = [check["name"] for check in json.loads(result.read_text())["checks"] if not check["passed"]]
+    failed = [check["name"] for check in json.loads(result.read_text())["checks"] if check["passed"] is False]
     assert failed == ["rms_m"]  # the mission itself succeeded
     assert ended.stdout.endswith(f"report: {result.parent / 'report.html'} (failed)\n")
     assert ended.returncode == 1
