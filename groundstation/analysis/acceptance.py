@@ -51,7 +51,7 @@ def _of_every_run(result: Result, series: Series) -> Iterator[Check]:
 
 def _of_errors(errors: dict[str, Errors], series: Series) -> Iterator[Check]:
     limits, settles = series.experiment.limits, settled(series.asked_s)
-    blind = _unknown({f"robot {robot}": series.known_share(r.error[~r.led_away]) for robot, r in series.robots.items()})
+    blind = _unknown({f"robot {robot}": series.known_share(r.error, ~r.led_away) for robot, r in series.robots.items()})
     for name in ("rms_m", "rms_after_20s_m", "max_after_20s_m"):
         limit = getattr(limits, name)
         if limit is not None and not settles and name != "rms_m":

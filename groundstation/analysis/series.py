@@ -131,11 +131,17 @@ class Series:
         """Progress along the trajectory that the slowest robot has flown, as far as it is evaluated."""
         return min(self.reached_s, self.end_s)
 
-    def known_share(self, values: Array) -> float:
-        """Share of the evaluated instants at which every number of `values` (n, ...) is known; 0 if there are none."""
+    def known_share(self, values: Array, rows: Mask | None = None) -> float:
+        """Share of the evaluated instants (or those in `rows`, (n,)) at which every number of `values` (n, ...) is known; 0 if
+        there are none. A simulation that goes on from a moment of another run begins where its log does."""
         if not len(values):
             return 0.0
-        return float(np.isfinite(values).reshape(len(values), -1).all(axis=1).mean())
+        seen = np.stack([np.isfinite(robot.truth).all(axis=1) for robot in self.robots.values()]).any(axis=0)
+        counted = np.logical_or.accumulate(seen)
+        if rows is not None:
+            counted &= rows
+        known = np.isfinite(values).reshape(len(values), -1).all(axis=1)
+        return float(known[counted].mean()) if counted.any() else 0.0
 
     def pair_error(self, a: int, b: int) -> Array:
         """Formation error (p_a - p_b) - (ref_a - ref_b), (n, 4), yaw wrapped."""
