@@ -140,7 +140,7 @@ class Series:
         counted = np.logical_or.accumulate(seen)
         if rows is not None:
             counted &= rows
-        known = np.isfinite(values).reshape(len(values), -1).all(axis=1)
+        known: Mask = np.asarray(np.isfinite(values).reshape(len(values), -1).all(axis=1))
         return float(known[counted].mean()) if counted.any() else 0.0
 
     def pair_error(self, a: int, b: int) -> Array:
