@@ -39,6 +39,7 @@ class RobotView:
     clock_offset_s: float = 0.0  # of the robot's clock from the station's
     loss: float = 0.0  # share of its last messages that did not arrive
     behind_s: float = 0.0  # lag behind the fleet's timetable (groundstation/mission/timetable.py)
+    other_gains: bool = False  # it has other gains than the fleet
 
     @property
     def mode(self) -> Mode | None:
@@ -263,6 +264,11 @@ def _mode(experiment: Experiment, seen: RobotView, state: RobotState) -> Finding
         yield "thrusters", "notice", True, text, "groundstation mission test"
 
 
+def _gains(experiment: Experiment, seen: RobotView, state: RobotState) -> FindingFields:
+    if seen.other_gains:
+        yield "gains", "warning", True, "has other gains than the fleet", "wait: the station gives it the fleet's"
+
+
 def _step(experiment: Experiment, seen: RobotView, state: RobotState) -> FindingFields:
     if abs(seen.behind_s) > OUT_OF_STEP_S:
         how = "behind" if seen.behind_s > 0.0 else "ahead of"
@@ -288,7 +294,7 @@ def _sight(experiment: Experiment, seen: RobotView, state: RobotState) -> Findin
 
 
 CHECKS: tuple[Callable[[Experiment, RobotView, RobotState], FindingFields], ...] = (
-    _mode, _experiment, _board, _pose, _sight, _link, _step, _control,
+    _mode, _experiment, _board, _pose, _sight, _link, _gains, _step, _control,
 )  # fmt: skip
 
 

@@ -184,7 +184,7 @@ class ConnectedFleet:
 
     def wait_mission(self, *states: str, timeout_s: float = 60.0) -> str:
         """Wait until the mission is in one of these states, for example "RUNNING" or "DONE". Returns it. Raises NotHeard."""
-        if not self._wait(lambda: self._last_mission() in states, timeout_s):
+        if not self._wait(lambda: self._fresh(self._heartbeat, FRESH_S) and self._last_mission() in states, timeout_s):
             is_now = self._last_mission() or "not heard"
             raise NotHeard(f"the mission was not {' or '.join(states)} within {timeout_s:g} s: it is {is_now}")
         return self._last_mission()

@@ -124,7 +124,7 @@ def simulation(
         try:
             child.wait(END_WITHIN_S)
         except subprocess.TimeoutExpired:
-            child.kill()
+            child.kill()  # its own children end with it
 
 
 def _last_words(said: Sequence[str], output: threading.Thread) -> str:

@@ -1,6 +1,7 @@
 """Acceptance of a run: its figures against the limits of every run and of its experiment. Pure."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import combinations
 
 import numpy as np
 
@@ -9,6 +10,7 @@ from groundstation.analysis.series import Series
 from wire.config.controller_benchmark import settled
 
 MISSED_FRACTION = 0.001  # of all control steps; more is a run that did not keep time
+KNOWN_SHARE = 0.9  # of the flight in which distances and errors must be known: what nobody saw has not been good
 AXES = ("x", "y", "z")
 
 
@@ -17,7 +19,7 @@ def went_all_the_way(series: Series) -> bool:
     it. A fleet that turned home before has not."""
     spare_s = 2.0 * series.experiment.controller.period_s
     turned = series.sent_home_s is not None and series.sent_home_s < series.experiment.duration_s - spare_s
-    return series.started and not turned and min(series.reached_s, series.end_s) >= series.asked_s - spare_s
+    return series.started and not turned and series.flown_s >= series.asked_s - spare_s
 
 
 def checks(result: Result, series: Series) -> Iterator[Check]:
@@ -32,36 +34,40 @@ def checks(result: Result, series: Series) -> Iterator[Check]:
 def _of_every_run(result: Result, series: Series) -> Iterator[Check]:
     """Checks that every run has to pass: a whole log, a whole flight, no faults, timely steps, distance."""
     experiment = series.experiment
-    flown_s = min(series.reached_s, series.end_s)
     missing = float(result.log_dropped) if result.log_complete else None
     yield Check("messages missing from the log", result.log_trouble.partition(":")[0], missing, 0.0, not result.log_trouble)
     whole = went_all_the_way(series)
-    yield Check(WHOLE_RUN, "slowest robot", flown_s, series.asked_s, whole, "s", at_least=True)
+    yield Check(WHOLE_RUN, "slowest robot", series.flown_s, series.asked_s, whole, "s", at_least=True)
     yield Check("faults", "", float(len(result.faults)), 0.0, not result.faults)
     fraction = result.missed_deadlines_fraction
     yield _at_most("missed deadlines", "all robots", fraction, MISSED_FRACTION, "fraction")
     closest, allowed = result.min_separation_m, 2.0 * experiment.safety.radius_m
     if result.pairs:
         closest_pair = next(pair for pair, found in result.pairs.items() if found.min_separation_m == closest)
-        passed = closest is not None and closest >= allowed
-        yield Check("separation", f"pair {closest_pair}", closest, allowed, passed, "m", at_least=True)
+        blind = _unknown({f"pair {a}-{b}": series.known_share(series.separation_m(a, b)) for a, b in _pairs(series)})
+        passed = closest is not None and closest >= allowed and not blind
+        yield Check("separation", blind or f"pair {closest_pair}", closest, allowed, passed, "m", at_least=True)
 
 
 def _of_errors(errors: dict[str, Errors], series: Series) -> Iterator[Check]:
     limits, settles = series.experiment.limits, settled(series.asked_s)
+    blind = _unknown({f"robot {robot}": series.known_share(r.error, ~r.led_away) for robot, r in series.robots.items()})
     for name in ("rms_m", "rms_after_20s_m", "max_after_20s_m"):
         limit = getattr(limits, name)
-        if limit is None:
-            continue
-        judged = settles or name == "rms_m"
-        yield _at_most(name, *_worst_cell(errors, name), limit, "m") if judged else _too_short(name, limit, "m")
+        if limit is not None and not settles and name != "rms_m":
+            yield _too_short(name, limit, "m")
+        elif limit is not None:
+            where, value = _worst_cell(errors, name)
+            yield _at_most(name, blind or where, value, limit, "m", not blind)
     if limits.rms_yaw_after_20s_rad is not None and not settles:
         yield _too_short("rms_yaw_after_20s_rad", limits.rms_yaw_after_20s_rad, "rad")
     elif limits.rms_yaw_after_20s_rad is not None:
         turned = {subject: found.rms_yaw_after_20s_rad for subject, found in errors.items()}
         known = {subject: value for subject, value in turned.items() if value is not None}
         where = max(known, key=lambda subject: known[subject]) if len(known) == len(turned) else ""
-        yield _at_most("rms_yaw_after_20s_rad", where, known.get(where), limits.rms_yaw_after_20s_rad, "rad")
+        yield _at_most(
+            "rms_yaw_after_20s_rad", blind or where, known.get(where), limits.rms_yaw_after_20s_rad, "rad", not blind
+        )
 
 
 def _of_the_end(series: Series) -> Iterator[Check]:
@@ -92,9 +98,19 @@ def _of_the_means(result: Result, series: Series) -> Iterator[Check]:
         yield _at_most("exposure to PWM, p99", "all robots", late, limits.exposure_to_pwm_p99_ms, "ms")
 
 
-def _at_most(name: str, where: str, value: float | None, limit: float, unit: str) -> Check:
-    """A figure that is missing has not been shown to be good."""
-    return Check(name, where, value, limit, value is not None and value <= limit, unit)
+def _at_most(name: str, where: str, value: float | None, limit: float, unit: str, known: bool = True) -> Check:
+    """A figure that is missing, or `known` for a part of the flight only, has not been shown to be good."""
+    return Check(name, where, value, limit, value is not None and value <= limit and known, unit)
+
+
+def _pairs(series: Series) -> Iterator[tuple[int, int]]:
+    return combinations(series.robots, 2)
+
+
+def _unknown(shares: Mapping[str, float]) -> str:
+    """The subject that is known for the least share of the flight, if that is too little; else empty."""
+    least = min(shares, key=lambda subject: shares[subject], default="")
+    return f"{least}: known for {shares[least]:.0%} of the flight" if least and shares[least] < KNOWN_SHARE else ""
 
 
 def _too_short(name: str, limit: float, unit: str) -> Check:

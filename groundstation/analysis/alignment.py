@@ -1,7 +1,8 @@
 """From a log to aligned arrays: truth, reference and estimate of every robot on one clock. Pure.
 
 A robot's reference at an instant is where its own trajectory clock (RobotState.trajectory_s) says it should be. A clock that
-stands (holding, dead) leaves the reference standing, and the run counts as incomplete.
+stands (holding, dead) leaves the reference standing, and the run counts as incomplete. While a person leads a robot elsewhere
+it has no reference of the formation (groundstation/formation_clock.py), and its errors are not known.
 
 A log may hold several flights. One of them is looked at: the last that was more than the way home, or the one asked for.
 """
@@ -13,8 +14,9 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
-from groundstation.analysis.series import CHANNELS, HOPS, Flight, RobotSeries, Series, States, TimelineEvent
+from groundstation.analysis.series import CHANNELS, HOPS, Flight, Mask, RobotSeries, Series, States, TimelineEvent
 from groundstation.analysis.timeline import once
+from groundstation.formation_clock import FormationPlans
 from groundstation.logs.reader import DecodedMessage, RunLog
 from wire.config.experiment import Experiment
 from wire.config.scene import Circle, PathSpec
@@ -70,6 +72,7 @@ class _Recorded:
     """Data of one robot from the log."""
 
     states: list[DecodedMessage[RobotState]]
+    with_formation: Mask  # (states,) False while a person leads the robot elsewhere
     trajectory: Trajectory | None
     truth: _Samples
     disturbance: _Samples
@@ -130,7 +133,7 @@ def zero_ns(log: RunLog, robots: Sequence[int]) -> int:
     if not number:
         return _first_stamp_ns(log)
     window = (flights[number - 1].begin_ns, flights[number - 1].until_ns)
-    clocks = [_clock(log.of(topics.STATE, RobotState, robot), window) for robot in robots]
+    clocks = [_clock(_of_formation(log, robot), window) for robot in robots]
     return max(_start_ns(clock_ns, clock_s) for clock_ns, clock_s in clocks if len(clock_s))
 
 
@@ -140,7 +143,7 @@ def zero_ns(log: RunLog, robots: Sequence[int]) -> int:
 def _flights(log: RunLog, robots: Sequence[int]) -> list[Flight]:
     """All flights of the fleet. A new one begins when a robot begins again that has flown in this one, or when nobody of this
     one flies any more."""
-    parts = sorted(part for robot in robots for part in _robot_flights(log.of(topics.STATE, RobotState, robot), robot))
+    parts = sorted(part for robot in robots for part in _robot_flights(_of_formation(log, robot), robot))
     groups: list[list[tuple[int, int, float, int]]] = []
     for part in parts:
         here = groups[-1] if groups else []
@@ -205,6 +208,19 @@ def _asked_s(experiment: Experiment, recorded: Mapping[int, _Recorded]) -> float
 # --- one robot
 
 
+def _plans(log: RunLog, robot: int) -> FormationPlans:
+    """The formation's trajectories of a robot, as the station recorded them; a state that names none belongs to it."""
+    ids = {e.message.id for e in log.of(topics.TRAJECTORY, Trajectory, robot)}
+    return FormationPlans(ids | {""} if ids else None)
+
+
+def _of_formation(log: RunLog, robot: int) -> list[DecodedMessage[RobotState]]:
+    """A robot's states while it is with the formation."""
+    states = log.of(topics.STATE, RobotState, robot)
+    counts = _plans(log, robot).with_formation(e.message for e in states)
+    return [e for e, counted in zip(states, counts, strict=True) if counted]
+
+
 def _clock(states: Sequence[DecodedMessage[RobotState]], window: tuple[int, int]) -> tuple[Array, Array]:
     """Stamps and where on its trajectory the robot was, from its first step under way in a window on, whatever the mode: while
     it holds, its clock stands. Empty if it did not fly."""
@@ -224,15 +240,19 @@ def _gather(log: RunLog, robot: int, known: bool, window: tuple[int, int]) -> _R
     states = log.of(topics.STATE, RobotState, robot)
     inputs = log.of(topics.INPUTS, StepInputs, robot)
     poses = [entry for entry in log.of(topics.POSE, Pose, robot) if entry.message.track is not Track.LOST]
-    flown = [e.message for e in states if window[0] <= e.stamp_ns < window[1] and e.message.trajectory_s > 0.0]
+    plans = _plans(log, robot)
+    counted = _of_formation(log, robot)
+    flown = [e.message for e in counted if window[0] <= e.stamp_ns < window[1] and e.message.trajectory_s > 0.0]
     named = [m.trajectory_id for m in flown if m.mode is Mode.TRACKING]
-    trajectories = [e.message for e in log.of(topics.TRAJECTORY, Trajectory, robot) if _is_path(e.message)]
+    recorded = [e.message for e in log.of(topics.TRAJECTORY, Trajectory, robot)]
+    trajectories = [t for t in recorded if _is_path(t) and plans.include(t.id)]
     # the last that was flown holds what was flown before it as well
     chosen = [t for t in trajectories if named and t.id == named[-1]] or trajectories
     truth, disturbance = _truth(log, robot) if known else (_located(states, poses), _samples([], []))
-    clock_ns, clock_s = _clock(states, window)
+    clock_ns, clock_s = _clock(counted, window)
     return _Recorded(
         states=states,
+        with_formation=np.array(list(plans.with_formation(e.message for e in states)), dtype=bool),
         trajectory=chosen[-1] if chosen else None,
         truth=truth,
         disturbance=disturbance,
@@ -306,7 +326,7 @@ def _end_s(recorded: dict[int, _Recorded], flown: Sequence[_Recorded], start_ns:
 def _robot_series(experiment: Experiment, robot: int, r: _Recorded, time_s: Array, start_ns: int, known: bool) -> RobotSeries:
     """Put one robot's messages onto the clock `time_s` (n,) of the flight that began at `start_ns`."""
     stamps = start_ns + time_s * 1e9
-    states = _states(r.states, r.inputs, start_ns)
+    states = _states(r.states, r.with_formation, r.inputs, start_ns)
     state_stamps = np.array([e.stamp_ns for e in r.states], dtype=np.float64)
     pose = np.array([[e.message.x_m, e.message.y_m, e.message.yaw_rad] for e in r.poses], dtype=np.float64).reshape(-1, 3)
     pose_stamps = np.array([e.stamp_ns for e in r.poses], dtype=np.float64)
@@ -323,6 +343,7 @@ def _robot_series(experiment: Experiment, robot: int, r: _Recorded, time_s: Arra
         pose_time_s=(pose_stamps - start_ns) * 1e-9,
         pose=pose,
         pose_error=error,
+        led_away=_led_away(r, stamps),
         lost=r.lost,
     )
 
@@ -334,7 +355,22 @@ def _reference(r: _Recorded, stamps: Array) -> Array:
     time_s = r.trajectory.period_s * np.arange(len(r.trajectory.eta))
     curve = CubicHermiteSpline(time_s, r.trajectory.eta, r.trajectory.velocity)
     clock_s = np.interp(stamps, r.clock_ns, r.clock_s) if r.flew else np.zeros(len(stamps))
-    return np.asarray(curve(np.clip(clock_s, 0.0, time_s[-1])))
+    reference = np.asarray(curve(np.clip(clock_s, 0.0, time_s[-1])))
+    if len(r.clock_ns) > 1:  # a clock is no more invented across a gap of the log than the truth is
+        after = np.clip(np.searchsorted(r.clock_ns, stamps), 1, len(r.clock_ns) - 1)
+        gap_ns = r.clock_ns[after] - r.clock_ns[after - 1]
+        inside = (stamps > r.clock_ns[after - 1]) & (stamps < r.clock_ns[after])
+        reference[inside & (gap_ns > LONGEST_GAP_S * 1e9)] = np.nan
+    reference[_led_away(r, stamps)] = np.nan
+    return reference
+
+
+def _led_away(r: _Recorded, stamps: Array) -> Mask:
+    """True at the stamps at which a person led the robot elsewhere, (n,)."""
+    if r.with_formation.all():
+        return np.zeros(len(stamps), dtype=bool)
+    last = np.searchsorted(np.array([e.stamp_ns for e in r.states], dtype=np.float64), stamps, side="right") - 1
+    return np.asarray((last >= 0) & ~r.with_formation[np.maximum(last, 0)])
 
 
 def _middle(path: PathSpec, duration_s: float, trajectory: Trajectory | None) -> Array | None:
@@ -365,7 +401,9 @@ def messages_lost(entries: Sequence[DecodedMessage[Any]]) -> int:
     return int((steps[steps > 1] - 1).sum())
 
 
-def _states(entries: Sequence[DecodedMessage[RobotState]], inputs: Mapping[int, StepInputs], start_ns: int) -> States:
+def _states(
+    entries: Sequence[DecodedMessage[RobotState]], with_formation: Mask, inputs: Mapping[int, StepInputs], start_ns: int
+) -> States:
     """A robot's states as arrays, one row a control step."""
     messages = [e.message for e in entries]
 
@@ -381,6 +419,7 @@ def _states(entries: Sequence[DecodedMessage[RobotState]], inputs: Mapping[int, 
     return States(
         time_s=column([(e.stamp_ns - start_ns) * 1e-9 for e in entries]),
         mode=column([m.mode for m in messages]),
+        with_formation=with_formation,
         faulty=np.array([bool(m.fault) for m in messages], dtype=np.bool_),
         trajectory_s=column([m.trajectory_s for m in messages]),
         eta=rows([m.eta for m in messages], 4),

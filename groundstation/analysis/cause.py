@@ -162,8 +162,7 @@ def _outcome(result: Result, series: Series) -> str:
 
 
 def _flown(series: Series) -> str:
-    flown_s = min(series.reached_s, series.end_s)
-    return f"{flown_s:.1f} s of {series.asked_s:g} s flown" if series.started else "nothing was flown"
+    return f"{series.flown_s:.1f} s of {series.asked_s:g} s flown" if series.started else "nothing was flown"
 
 
 def _ended_by(series: Series) -> TimelineEvent | None:

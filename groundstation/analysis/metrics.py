@@ -298,7 +298,7 @@ def _of_the_flight(series: Series) -> Iterator[str]:
     elif series.sent_home_s is not None and not went_all_the_way(series):
         yield f"The run is not complete: the fleet was sent home after {series.sent_home_s:.1f} s of {planned_s:g} s."
     elif not went_all_the_way(series):
-        yield f"The run is not complete: {series.reached_s:.1f} s of {series.asked_s:g} s were flown by the slowest robot."
+        yield f"The run is not complete: {series.flown_s:.1f} s of {series.asked_s:g} s were flown by the slowest robot."
     elif series.asked_s < planned_s - series.experiment.controller.period_s:
         yield f"The path was over after {series.asked_s:.1f} s, before the {planned_s:g} s of the experiment."
 

@@ -29,6 +29,7 @@ class States:
 
     time_s: Array
     mode: Array  # Mode as a number
+    with_formation: Mask  # (m,) False while a person leads the robot elsewhere
     faulty: Mask  # the robot reports a fault
     trajectory_s: Array
     eta: Array  # (m, 4) estimated
@@ -50,8 +51,8 @@ class States:
 
     @property
     def tracking(self) -> Mask:
-        """The rows under way on the trajectory, (m,)."""
-        return np.asarray((self.mode == Mode.TRACKING) & (self.trajectory_s > 0.0))
+        """The rows under way on the formation's trajectory, (m,)."""
+        return np.asarray((self.mode == Mode.TRACKING) & (self.trajectory_s > 0.0) & self.with_formation)
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +68,7 @@ class RobotSeries:
     pose_time_s: Array  # (k,)
     pose: Array  # (k, 3) x, y, yaw as located
     pose_error: Array  # (k, 3) against the truth, NaN where there is none
+    led_away: Mask  # (n,) a person leads it, and the formation's reference is not its own
     lost: dict[str, int] = field(default_factory=dict)  # messages that never reached the log, by kind: gaps in their numbers
 
     @property
@@ -123,6 +125,23 @@ class Series:
     cut_short: bool = False  # the evaluation ends before the flight does: its clock leaps
     flights: tuple[Flight, ...] = ()  # all of the log
     flight: int = 0  # number of this one, from 1; 0 if there is none
+
+    @property
+    def flown_s(self) -> float:
+        """Progress along the trajectory that the slowest robot has flown, as far as it is evaluated."""
+        return min(self.reached_s, self.end_s)
+
+    def known_share(self, values: Array, rows: Mask | None = None) -> float:
+        """Share of the evaluated instants (or those in `rows`, (n,)) at which every number of `values` (n, ...) is known; 0 if
+        there are none. A simulation that goes on from a moment of another run begins where its log does."""
+        if not len(values):
+            return 0.0
+        seen = np.stack([np.isfinite(robot.truth).all(axis=1) for robot in self.robots.values()]).any(axis=0)
+        counted = np.logical_or.accumulate(seen)
+        if rows is not None:
+            counted &= rows
+        known: Mask = np.asarray(np.isfinite(values).reshape(len(values), -1).all(axis=1))
+        return float(known[counted].mean()) if counted.any() else 0.0
 
     def pair_error(self, a: int, b: int) -> Array:
         """Formation error (p_a - p_b) - (ref_a - ref_b), (n, 4), yaw wrapped."""

@@ -152,17 +152,20 @@ def export(
 def repair(
     log_file: Annotated[Path, typer.Argument(metavar="FILE", help="A log that was cut off.")], as_json: AsJson = False
 ) -> None:
-    """Make a cut log whole: everything up to the cut, and the index that readers want. Reports do this by themselves.
+    """Make a cut or damaged log whole: every part that can be read, and the index that other programs want. The original is
+    kept beside it. Reports and replays need none of this.
 
     Example:  groundstation log repair runs/pool-20260101-120000/run.mcap
     """
+    from groundstation.logs.reader import read_log
     from groundstation.logs.repair import recover
 
     mended = recover(log_file)
     if as_json:
         typer.echo(json.dumps({"file": str(log_file), "mended": mended}))
         return
-    typer.echo(f"{log_file}: {'mended up to the cut' if mended else 'is whole, nothing to mend'}")
+    lost = f"without what is damaged ({read_log(log_file, ()).damage}); the original is kept beside it"
+    typer.echo(f"{log_file}: {f'mended, {lost}' if mended else 'is whole, nothing to mend'}")
 
 
 def benchmark_report(

@@ -35,6 +35,7 @@ class Probe:
     python: str  # 3.11
     manifest: Mapping[str, str]
     agent: str = ""  # what the agent does, if it runs and is not disarmed: a mode's name, or "unknown"
+    restart_due: bool = False  # what came last was installed without a restart
 
     @property
     def platforms(self) -> tuple[str, ...]:
@@ -83,7 +84,8 @@ def read_probe(host: str, said: str) -> Probe:
     if tuple(map(int, python.split("."))) < OLDEST_PYTHON:
         raise ConfigError(f"{host}: Python {python}, needs {'.'.join(map(str, OLDEST_PYTHON))} or newer")
     known = dict(line.split(" ", 1) for line in manifest if " " in line)
-    return Probe(machine, python, {part: known[part] for part in PARTS if part in known}, known.get("agent", ""))
+    parts = {part: known[part] for part in PARTS if part in known}
+    return Probe(machine, python, parts, known.get("agent", ""), "restart" in known)
 
 
 def refuse_to_restart(target: Target, probe: Probe) -> None:

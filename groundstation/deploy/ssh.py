@@ -98,8 +98,8 @@ def deploy_one(target: Target, wanted: DeployRequest) -> TargetResult:
     parts = _parts(target, wanted, probe)
     digests = {part: manifest.digest(files) for part, files in parts.items()}
     travels = manifest.changed(digests, probe.manifest)
-    if not travels:
-        return TargetResult(target, travels, service="not touched")
+    if not travels and not (probe.restart_due and wanted.restart):
+        return TargetResult(target, travels, service="to be restarted" if probe.restart_due else "not touched")
     if wanted.restart and not wanted.force:
         manifest.refuse_to_restart(target, probe)
     if wanted.dry_run:
@@ -114,7 +114,15 @@ def deploy_one(target: Target, wanted: DeployRequest) -> TargetResult:
         f"tar -xf - -C {home}/incoming; sh {home}/incoming/board.sh {home} {restart}"
     )
     report = manifest.read_report(_ssh(wanted, target, command, archive, INSTALL_S))
-    return TargetResult(target, travels, report.get("version", ""), report.get("service", ""))
+    version, service = report.get("version", ""), report.get("service", "")
+    return TargetResult(target, travels, version, service, _trouble_of(service) if wanted.restart else "")
+
+
+def _trouble_of(service: str) -> str:
+    """Reason for which a restarted service does not run; empty if it runs, or the board has none."""
+    if service not in ("failed", "activating", "deactivating", "inactive"):
+        return ""
+    return f"its service is {service} after the restart: journalctl -u shoal-agent.service on the board says why"
 
 
 def _parts(target: Target, wanted: DeployRequest, probe: Probe) -> dict[str, Files]:

@@ -17,6 +17,7 @@ from wire.toml_loader import ConfigError
 
 ROOT = Path(__file__).parents[2]  # of this program: its checkout (`pip install -e`), or the folder that it is installed in
 PINS, PROJECT = "constraints.txt", "pyproject.toml"
+KEPT = 6  # folders of wheels in the cache, some 100 MB each: boards of two kinds, before and after a few changes
 _TURN = threading.Lock()  # several boards are brought up to date at once: what one has made serves the others
 
 
@@ -31,6 +32,7 @@ def wheels(probe: Probe) -> Path:
                 fresh = Path(building) / "wheels"
                 _build(probe, fresh)
                 fresh.rename(folder)
+            _clean(folder)
     return folder
 
 
@@ -58,6 +60,13 @@ def _has_this_code(folder: Path) -> bool:
     modules = (path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
     pairs = ((path, folder / path.relative_to(ROOT)) for path in modules)
     return all(there.is_file() and there.read_bytes() == path.read_bytes() for path, there in pairs)
+
+
+def _clean(newest: Path) -> None:
+    """Delete the oldest folders of wheels beside a new one."""
+    others = [place for place in newest.parent.iterdir() if place.is_dir() and place != newest and "-" in place.name]
+    for place in sorted(others, key=lambda place: place.stat().st_mtime)[: -(KEPT - 1)]:
+        shutil.rmtree(place, ignore_errors=True)
 
 
 def _source_digest(root: Path) -> str:

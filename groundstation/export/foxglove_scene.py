@@ -1,10 +1,10 @@
 """Robots and obstacles as foxglove.* messages that 3-D viewers draw: hulls with headings, plans, paths, obstacles, pool.
 Pure.
 
-    picture = Picture(experiment)
-    picture.take(topic, robot, message)         # every message of the run, in order
-    picture.moving(stamp_ns)                    # SceneUpdate: robots, horizons, obstacles; all of it each time
-    picture.standing(stamp_ns)                  # SceneUpdate: pool, islands, paths
+    drawer = SceneDrawer(experiment)
+    drawer.take(topic, robot, message, stamp_ns)    # every message of the run, in order
+    drawer.moving(stamp_ns)                     # SceneUpdate: robots, horizons, obstacles; all of it each time
+    drawer.standing(stamp_ns)                   # SceneUpdate: pool, islands, paths
     upright(stamp_ns)                           # FrameTransform: viewers like z up, the pool's frame has it down
 """
 

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.analysis.alignment import zero_ns
+from groundstation.formation_clock import clock_reading
 from groundstation.logs.reader import LogMessage, read_log, valid_messages
 from wire.config.experiment import load_experiment
 from wire.messages import messages, topics
@@ -158,13 +159,23 @@ def table(log: Path, topic: Topic, robot: int = 0) -> dict[str, NDArray[Any]]:
     return found
 
 
+CLOCKS = (topics.STATE, topics.TRAJECTORY, topics.HEARTBEAT)  # topics by which time 0 is found
+
+
 def _zero(log: Path) -> tuple[int, str]:
     """The instant at which time_s is 0, ns, and what is wrong with the log as a whole. Raises ConfigError for an empty one."""
-    states, file = read_log(log, (topics.STATE, topics.HEARTBEAT)), log.parent / "experiment.toml"
+    states, file = read_log(log, CLOCKS, _clock_of), log.parent / "experiment.toml"
     if not states.messages:
         raise ConfigError(f"{log}: holds no messages")
     robots = load_experiment(str(file)).robot_ids if file.exists() else ()
     return zero_ns(states, robots or sorted({robot for _, robot in states.entries if robot})), states.trouble
+
+
+def _clock_of(message: Any) -> Any:
+    """The part of a message that time 0 is counted from: a log of hours does not fit into memory as a whole."""
+    if isinstance(message, messages.RobotState):
+        return clock_reading(message)
+    return messages.Trajectory(message.id, message.period_s) if isinstance(message, messages.Trajectory) else message
 
 
 def _rows(message: Any, line: LogMessage, zero: int, columns: Sequence[TableColumn]) -> Iterator[list[Any]]:

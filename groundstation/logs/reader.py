@@ -1,4 +1,4 @@
-"""SHELL: reads a recorded run back. A cut or damaged file gives what lies before the damage.
+"""SHELL: reads a recorded run back. A cut file gives what lies before the cut, a damaged one all but its damaged chunks.
 
 with open_log(run) as log:                     # bytes unchanged, in order of arrival, any part of the time
     for line in log.messages(wanted): ...
@@ -11,7 +11,7 @@ import json
 import os
 import re
 import struct
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from heapq import heappop, heappush
@@ -23,7 +23,7 @@ from mcap.exceptions import McapError
 from mcap.records import Attachment, Channel, McapRecord, Message, Metadata, Schema
 from mcap.writer import MCAP0_MAGIC
 
-from groundstation.logs.recorder import END_METADATA, EXPERIMENT_NAME, RUN_METADATA
+from groundstation.logs.recorder import END_METADATA, EXPERIMENT_NAME, REPAIR_METADATA, RUN_METADATA
 from wire.messages import log_records, topics
 from wire.messages.codec import DecodeError, Header, decode
 from wire.messages.log_records import (
@@ -85,19 +85,21 @@ def is_complete(path: Path) -> bool:
         return file.read() == MCAP0_MAGIC
 
 
-def valid_records(path: Path) -> Iterator[McapRecord]:
-    """All records up to the first that is cut, damaged, or larger than wire/messages/log_records.py allows."""
+def valid_records(path: Path, damage: list[str] | None = None) -> Iterator[McapRecord]:
+    """All records that are whole, up to the first that cannot be followed, or is larger than wire/messages/log_records.py
+    allows. `damage` takes what was left out, and where reading ended before the file did."""
+    damage = [] if damage is None else damage
     with open_regular(path) as file:
         try:
-            yield from _checked_records(file)
-        except Damaged:
-            return
+            yield from _checked_records(file, damage)
+        except Damaged as error:
+            damage.append(str(error))
 
 
-def _checked_records(file: IO[bytes]) -> Iterator[McapRecord]:
+def _checked_records(file: IO[bytes], skipped: list[str]) -> Iterator[McapRecord]:
     """All schemas, channels, messages, attachments and metadata of a file; chunks taken apart, checksums verified. Raises
-    Damaged where it is cut or damaged."""
-    for opcode, body in log_records.records(file):
+    Damaged where it is cut; damaged chunks are left out and go into `skipped`."""
+    for opcode, body in log_records.records(file, skipped):
         if opcode == MESSAGE:
             yield _message(body)
         elif opcode in _READ:
@@ -159,7 +161,7 @@ class Channels(dict[int, tuple[Topic, int, int]]):
 
 
 def valid_messages(path: Path) -> Iterator[LogMessage]:
-    """All messages of ours, in the order of the file, up to where it is cut or damaged."""
+    """All messages of ours, in the order of the file, up to where it is cut."""
     channels = Channels()
     found = (channels.take(record) for record in valid_records(path))
     return (line for line in found if line is not None)
@@ -307,7 +309,8 @@ class RunLog:
     found: bool = True  # there is a file
     messages: int = 0  # of all topics, also of those that are not read here
     complete: bool = False  # the recorder came to the run's end
-    damage: str = ""  # why reading ended before the file did
+    damage: str = ""  # why reading ended before the file did, or left parts of it out
+    ended: bool = False  # the recorder's last word is there
     dropped: int = 0  # messages the recorder could not take
     pace: tuple[tuple[int, int], ...] = ()  # (stamp, wall time) pairs in ns, from the recorder; empty if it was cut off
     undecodable: int = 0
@@ -320,6 +323,8 @@ class RunLog:
         if not self.messages:
             why = f" ({self.damage})" if self.damage else ""
             return f"Empty log: run.mcap holds no message that can be read{why}."
+        if not self.complete and self.ended:
+            return f"Damaged log: not all of run.mcap can be read ({self.damage}). What could be read is evaluated."
         if not self.complete:
             why = f" ({self.damage})" if self.damage else ""
             return f"Cut log: run.mcap ends before its run does{why}. What could be read is evaluated."
@@ -333,32 +338,30 @@ class RunLog:
         return self.entries.get((topic.name, robot), [])
 
 
-def read_log(path: Path, wanted: Collection[Topic] = READ) -> RunLog:
-    """Read the wanted topics of a run into memory (docs/runs.md says how much that takes). Raises OSError if there is no such
-    file; damage inside it only shortens what is found, and is told in `damage`."""
+def read_log(path: Path, wanted: Collection[Topic] = READ, kept_of: Callable[[Any], Any] = lambda message: message) -> RunLog:
+    """Read the wanted topics of a run into memory (docs/runs.md says how much that takes), of each message what `kept_of`
+    returns. Raises OSError if there is no such file; damage inside it only shortens what is found, and is told in `damage`."""
     channels, entries = Channels(), dict[tuple[str, int], list[DecodedMessage[Any]]]()
     metadata: dict[str, dict[str, str]] = {}
-    experiment_toml, damage, messages, undecodable = "", "", 0, 0
-    with open_regular(path) as file:
+    experiment_toml, messages, undecodable = "", 0, 0
+    damage: list[str] = []
+    for record in valid_records(path, damage):
+        messages += isinstance(record, Message)
+        if isinstance(record, Attachment) and record.name == EXPERIMENT_NAME:
+            experiment_toml = record.data.decode(errors="replace")
+        elif isinstance(record, Metadata):
+            metadata[record.name] = record.metadata
+        line = channels.take(record)
+        if line is None or line.topic not in wanted:
+            continue
         try:
-            for record in _checked_records(file):
-                messages += isinstance(record, Message)
-                if isinstance(record, Attachment) and record.name == EXPERIMENT_NAME:
-                    experiment_toml = record.data.decode(errors="replace")
-                elif isinstance(record, Metadata):
-                    metadata[record.name] = record.metadata
-                line = channels.take(record)
-                if line is None or line.topic not in wanted:
-                    continue
-                try:
-                    message: Any = decode(line.topic.type, line.payload, "log", line.topic.name)
-                except DecodeError:
-                    undecodable += 1
-                    continue
-                entry = DecodedMessage(line.header.stamp_ns, line.arrived_ns, line.header.sequence, message)
-                entries.setdefault((line.topic.name, line.robot), []).append(entry)
-        except Damaged as error:
-            damage = str(error)
+            message: Any = decode(line.topic.type, line.payload, "log", line.topic.name)
+        except DecodeError:
+            undecodable += 1
+            continue
+        entry = DecodedMessage(line.header.stamp_ns, line.arrived_ns, line.header.sequence, kept_of(message))
+        entries.setdefault((line.topic.name, line.robot), []).append(entry)
+    damage += [text for text in [metadata.get(REPAIR_METADATA, {}).get("damage", "")] if text]
     for found_entries in entries.values():
         found_entries.sort(key=lambda entry: entry.stamp_ns)
     end = metadata.get(END_METADATA, {})
@@ -369,11 +372,18 @@ def read_log(path: Path, wanted: Collection[Topic] = READ) -> RunLog:
         messages=messages,
         # a mended file ends as it should, and lacks what was cut off all the same
         complete=END_METADATA in metadata and not damage,
-        damage=damage,
+        damage=damage_in_words(damage),
+        ended=END_METADATA in metadata,
         dropped=_dropped(end),
         pace=_pace(end),
         undecodable=undecodable,
     )
+
+
+def damage_in_words(damage: Sequence[str]) -> str:
+    """Damage in one line: the first, and how many more there are."""
+    more = f", and {len(damage) - 1} more" if len(damage) > 1 else ""
+    return f"{damage[0]}{more}" if damage else ""
 
 
 def _dropped(end: Mapping[str, str]) -> int:

@@ -49,6 +49,7 @@ JOIN_S = 10.0  # a disk that hangs must not keep the process from ending
 EXPERIMENT_NAME = "experiment.toml"
 RUN_METADATA = "run"
 END_METADATA = "recorder"
+REPAIR_METADATA = "repair"  # damage that a mended log has lost
 
 
 def run_metadata(experiment: Experiment, mode: str) -> dict[str, str]:
@@ -104,13 +105,15 @@ class _Output:
     def sync(self) -> None:
         os.fsync(self._fd)
 
-    def close(self, cut: bool = False) -> None:
-        """Close the file; with `cut`, without what a failed write left behind its last good byte."""
-        try:
-            if cut:
-                os.ftruncate(self._fd, self.good_bytes)
-        finally:
-            os.close(self._fd)
+    def cut(self) -> None:
+        """Take off what a failed write left behind the last good byte. The file stays open, and locked: its run goes on."""
+        os.ftruncate(self._fd, self.good_bytes)
+
+    def close(self) -> None:
+        """Close the file. Idempotent."""
+        fd, self._fd = self._fd, -1
+        if fd >= 0:
+            os.close(fd)
 
 
 class Recorder:
@@ -212,6 +215,8 @@ class Recorder:
         self._thread.join(JOIN_S)
         if self._thread.is_alive():
             self._error = self._error or f"the disk did not take the log's end within {JOIN_S:g} s"
+        else:
+            self._finish_file(self._output.close)
 
     def _run(self) -> None:
         """Write what is pending, in a thread, until closed; then end the file. An error ends the log, and is told."""
@@ -232,7 +237,7 @@ class Recorder:
             self._fail(f"{type(error).__name__}: {error}")
             raise  # a bug: threading's hook prints where; the operator already sees that the log has stopped
         else:
-            self._output_close()
+            self._finish_file(self._output.close)
 
     def _look_at_disk(self) -> None:
         """Pictures given up stay so: a video that comes and goes with the last megabyte is of no use."""
@@ -278,11 +283,11 @@ class Recorder:
             self._error = f"log stopped: {reason}"
             self._dropped += len(self._pending)
             self._pending, self._pending_bytes = [], 0
-        self._output_close(cut=True)
+        self._finish_file(self._output.cut)
 
-    def _output_close(self, cut: bool = False) -> None:
+    def _finish_file(self, do: Callable[[], None]) -> None:
         try:
-            self._output.close(cut)
+            do()
         except OSError as error:
             self._error = self._error or f"log stopped: {error.strerror} (errno {error.errno})"
 

@@ -1,39 +1,64 @@
-"""SHELL: repair of a log that was cut by a crash or a kill: a whole file made of its valid records.
+"""SHELL: repair of a log that was cut by a crash or a kill, or has damaged chunks: a whole file made of its valid records.
 
 if recover(path): ...           # mended; the file opens in all readers
+
+What a mended log has lost stands in its metadata, so that every report tells it. The original stays beside it, as
+`run.mcap.original`: nobody can say how much of what follows the damage could still be read.
 """
 
+import errno
 import fcntl
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from mcap.records import Attachment, Channel, McapRecord, Message, Metadata, Schema
 from mcap.writer import Writer
 
-from groundstation.logs.reader import is_complete, valid_records
-from groundstation.logs.recorder import CHUNK_BYTES, claim
+from groundstation.logs.reader import damage_in_words, is_complete, valid_records
+from groundstation.logs.recorder import CHUNK_BYTES, REPAIR_METADATA, claim
 from wire.process.output_files import replacing
 from wire.regular_files import open_regular
 
+ORIGINAL = ".original"  # end of the name that the file keeps
+MOST_KEPT = 100
+
 
 def recover(path: Path) -> bool:
-    """Make a cut file whole again: keep everything up to the cut, add the index. True if there was something to mend.
+    """Make a cut or damaged file whole again: keep every whole chunk up to the cut, add the index. True if there was something
+    to mend.
 
     Raises OSError if the mended file cannot be written, or the recorder still writes this one, which would go on in a file
     without a name; ConfigError for what never was a log. The file then stays as it is.
     """
-    if is_complete(path):
+    complete, damage = is_complete(path), list[str]()
+    for _ in valid_records(path, damage) if complete else ():
+        pass
+    if complete and not damage:
         return False
     with open_regular(path) as cut:
         claim(cut.fileno(), path, fcntl.LOCK_SH, "its run still goes on")
+        damage.clear()
         with replacing(path, durable=True) as file:
             writer: Any = Writer(file, chunk_size=CHUNK_BYTES)  # Any: mcap is typed in part
             writer.start(library="shoal, recovered")
             copier = RecordCopier(writer)
-            for record in valid_records(path):
+            for record in valid_records(path, damage):
                 copier.copy(record)
+            if damage:
+                writer.add_metadata(REPAIR_METADATA, {"damage": damage_in_words(damage)})
             writer.finish()
+            _keep(path)
     return True
+
+
+def _keep(path: Path) -> None:
+    """Keep a file under another name as well; never over one that is there."""
+    for number in range(1, MOST_KEPT):
+        with suppress(FileExistsError):
+            path.with_name(f"{path.name}{ORIGINAL}{f'-{number}' if number > 1 else ''}").hardlink_to(path)
+            return
+    raise FileExistsError(errno.EEXIST, f"{MOST_KEPT - 1} originals are kept already: delete some", str(path))
 
 
 class RecordCopier:

@@ -4,8 +4,8 @@
          -> ADOPTING: from the same instant on (ADOPT)     one does not -> the others go back to the set before
          -> WAITING, with `next_lap`: until the lap begins -> IDLE
 
-`step` returns the commands to send now; groundstation/station/station.py sends them. A robot that comes back with other gains
-than the fleet's (it was restarted) is given the fleet's gains while it is disarmed.
+`step` returns the commands to send now; groundstation/station/station.py sends them. A change is for the robots of the
+formation. A robot that comes back with other gains than the fleet's (it was restarted, or out of reach) is given the fleet's.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,7 +19,7 @@ from wire.config.controller import ControllerConfig
 from wire.config.experiment import Experiment
 from wire.config.scene import Circle
 from wire.messages.live_gains import tuned, tuning
-from wire.messages.messages import Command, Mode, Order, Tuning
+from wire.messages.messages import Command, Mode, Order, RobotState, Tuning
 from wire.toml_loader import ConfigError
 
 PATIENCE_S = 3.0  # for all robots to reply in one stage
@@ -60,6 +60,7 @@ class _Change:
     trajectory_s: float = 0.0
     back: bool = False  # to the set before, after one robot did not follow; or of a restarted robot
     accepted: set[int] = field(default_factory=set)
+    begun_ns: int | None = None  # instant at which the first robot flew with it
 
 
 class GainUpdater:
@@ -90,8 +91,11 @@ class GainUpdater:
 
     # --- requests of the operator; each returns the reason of a refusal, or nothing
 
-    def request(self, values: Mapping[str, float], next_lap: bool, fleet: Fleet, now_ns: int) -> str:
-        """Change these gains (key: value), keep the others."""
+    def request(
+        self, values: Mapping[str, float], next_lap: bool, fleet: Fleet, now_ns: int, flying: Mapping[int, RobotState]
+    ) -> str:
+        """Change these gains (key: value), keep the others. `fleet`: the robots of the formation; `flying`: states of those
+        that fly its trajectories."""
         if self._stage is not GainStage.IDLE:
             return f"another change is under way: {self._stage.value}"
         try:
@@ -102,7 +106,7 @@ class GainUpdater:
             return "this is what is flown already"
         if not next_lap:
             return self._begin(config, fleet, now_ns)
-        start_s, reason = self._next_lap_s(fleet)
+        start_s, reason = self._next_lap_s(fleet, flying)
         return reason or self._begin(config, fleet, now_ns, start_s)
 
     def undo(self, fleet: Fleet, now_ns: int) -> str:
@@ -113,14 +117,13 @@ class GainUpdater:
             return f"another change is under way: {self._stage.value}"
         return self._begin(self._before[-1], fleet, now_ns) if self._before else "there is nothing to undo"
 
-    def _next_lap_s(self, fleet: Fleet) -> tuple[float, str]:
+    def _next_lap_s(self, fleet: Fleet, flying: Mapping[int, RobotState]) -> tuple[float, str]:
         """Progress in s at which the next lap begins, and the reason if there is none."""
         if self.lap_s is None:
             return 0.0, "this path has no laps"
-        states = [robot.state for robot in fleet.values()]
-        if any(state is None or state.mode is not Mode.TRACKING for state in states):
+        if not flying or set(flying) != set(fleet):
             return 0.0, "there is no next lap: not every robot is on its trajectory"
-        progress_s = max(state.trajectory_s for state in states if state is not None)
+        progress_s = max(state.trajectory_s for state in flying.values())
         start_s = (progress_s + START_IN_S) // self.lap_s * self.lap_s + self.lap_s
         ends = start_s >= self._experiment.duration_s
         return start_s, "there is no next lap: the run ends with this one" if ends else ""
@@ -133,7 +136,7 @@ class GainUpdater:
         if message.id not in self._known:
             self._known.append(message.id)
             self._unlogged.append(message)
-        self._begin_stage(_Change(message, config, self._experiment.robot_ids, trajectory_s), now_ns)
+        self._begin_stage(_Change(message, config, tuple(fleet), trajectory_s), now_ns)
         self._reason = ""
         return ""
 
@@ -155,7 +158,7 @@ class GainUpdater:
         """Do one cycle; returns the commands to send now."""
         change = self._change
         if change is None:
-            return self._update_restarted(fleet, now_ns)
+            return self._update_returned(fleet, now_ns)
         wanted = Order.TUNE if self._stage is GainStage.ASKING else Order.ADOPT
         for result in results:
             if result.command.order is wanted and result.command.robot in change.robots and _is_about(result, change):
@@ -206,10 +209,17 @@ class GainUpdater:
         self._change, self._stage = None, GainStage.IDLE
 
     def _watch(self, change: _Change, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
-        """Wait for the lap. A robot that is disarmed or stopped meanwhile has forgotten the set."""
-        out = [str(robot) for robot in change.robots if fleet[robot].mode not in (Mode.TRACKING, Mode.HOLDING, Mode.DRIVEN)]
-        if out:
-            return self._give_up(f"robot {', '.join(out)} left the run before the lap began", fleet, now_ns)
+        """Wait for the lap. A robot that is disarmed or stopped meanwhile has forgotten the set; one that is not heard, or for
+        which the lap does not begin, would keep the others waiting."""
+        flying = (Mode.TRACKING, Mode.HOLDING, Mode.DRIVEN)
+        gone = [r for r in change.robots if fleet[r].mode not in flying or fleet[r].state_age_s > PATIENCE_S]
+        if gone:
+            return self._give_up(f"robot {', '.join(map(str, gone))} left the run before the lap began", fleet, now_ns)
+        late = [r for r in change.robots if not _flies_with(fleet, r, change)]
+        if change.begun_ns is None and len(late) < len(change.robots):
+            change.begun_ns = now_ns
+        if change.begun_ns is not None and now_ns - change.begun_ns > PATIENCE_S * 1e9:
+            return self._give_up(f"robot {', '.join(map(str, late))} did not change over with the lap", fleet, now_ns)
         return ()
 
     def _give_up(self, reason: str, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
@@ -228,14 +238,14 @@ class GainUpdater:
                 self._begin_stage(_Change(self._flown, self._config, changed, back=True), now_ns)
         return ()
 
-    def _update_restarted(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
-        """Give disarmed robots that have other gains the fleet's gains."""
+    def _update_returned(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
+        """Give robots that have other gains the fleet's gains."""
         differing = tuple(
             robot
             for robot, seen in fleet.items()
             if seen.heard
             and seen.state is not None
-            and seen.mode is Mode.DISARMED
+            and seen.mode is not Mode.STOPPED
             and seen.state.experiment_hash == self._experiment.hash
             and seen.state.tuning_id != self._flown.id
         )

@@ -1,10 +1,10 @@
 """Tracking error of each lap and set of gains, so that two sets can be compared lap by lap. Pure."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
-from groundstation.telemetry import Fleet
-from wire.messages.messages import Mode
+from wire.messages.messages import RobotState
 
 KEPT = 12  # rows, the newest: as many as the page shows
 BACK_S = 5.0  # after a hold a robot goes on a little further back, with the slowest; further back than this is another run
@@ -29,12 +29,10 @@ class LapStatistics:
         self._last_s: dict[int, float] = {}
         self._rows: dict[tuple[int, str], tuple[float, float, int, float]] = {}  # robot seconds, sum of squares, count, max
 
-    def update(self, fleet: Fleet) -> None:
-        """Take in the newest states. A trajectory that begins again starts another run."""
-        for robot, seen in fleet.items():
-            state = seen.state
-            if state is None or state.mode is not Mode.TRACKING or state.trajectory_s <= 0.0:
-                continue
+    def update(self, flying: Mapping[int, RobotState]) -> None:
+        """Take in the newest states of the robots that fly with the formation. A trajectory that begins again starts another
+        run."""
+        for robot, state in flying.items():
             last_s = self._last_s.get(robot, state.trajectory_s)
             if state.trajectory_s < last_s - BACK_S:
                 self._rows.clear()

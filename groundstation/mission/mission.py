@@ -13,11 +13,22 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from groundstation.mission.command_dispatcher import CommandDispatcher, CommandResult
+from groundstation.mission.objections import (
+    ARMED,
+    LIVE,
+    MOVING,
+    RequestContext,
+    fit_to_rejoin,
+    mode_name,
+    objection,
+    unfit_to_return,
+)
 from groundstation.mission.obstacle_monitor import ObstacleSet
 from groundstation.mission.plan_manager import PlanManager, PlanRequest
 from groundstation.mission.progress_governor import ProgressGovernor
-from groundstation.mission.roster import Roster
+from groundstation.mission.roster import Leader, Roster
 from groundstation.mission.state_machine import (
+    AT_REST,
     COMMITTED,
     IN_FLIGHT,
     JOINING,
@@ -32,13 +43,12 @@ from groundstation.mission.state_machine import (
 )
 from groundstation.mission.timetable import START_IN_S, Timetable
 from groundstation.planning.feasibility import PlanError
-from groundstation.planning.replanning import can_replan
 from groundstation.planning.segment import PlanSegment, sample
-from groundstation.telemetry import OUT_OF_STEP_S, Fleet, RobotView, blocking_findings, first_lost_robot, preflight
+from groundstation.telemetry import OUT_OF_STEP_S, Fleet, RobotView, first_lost_robot, preflight
 from wire.config.experiment import Experiment
 from wire.frames import Array
 from wire.messages import topics
-from wire.messages.messages import Command, Mode, Order
+from wire.messages.messages import Command, Mode, Order, RobotState
 
 PATIENCE_S = 10.0  # for a robot to do what it was commanded; then the mission aborts
 JOIN_WITHIN_S = 3.5  # for a robot to begin to fly with the others, who fly already: as long as robots fly without a station
@@ -48,9 +58,6 @@ AT_REST_MPS = 0.03  # slower than this counts as at rest
 REST_WITHIN_S = 8.0  # then planning begins all the same: robots that hold against waves never quite rest
 OUT_FOR_S = 0.3  # out of step for this long before all hold: states count with their age, but arrive with jitter
 
-ARMED = frozenset({Mode.ARMED, Mode.HOLDING})
-MOVING = frozenset({Mode.TRACKING, Mode.DRIVEN})
-LIVE = ARMED | MOVING
 UNFIT = frozenset({Mode.FAULT, Mode.STOPPED})
 PRESTART = frozenset({MissionState.ARMING, MissionState.STARTING})
 
@@ -129,7 +136,7 @@ class Mission:
         self._give_up_s = give_up_s if automatic else None
         self._progress: tuple[float, int] | None = None  # along the path [s], and the instant of its last change
         self._needs_operator = False  # an automatic mission does not go on by itself
-        self.led: frozenset[int] = frozenset()  # robots that a person leads one by one now (single_robot.py)
+        self.verdict: MissionState | None = None  # how the last run ended; None while one is under way, or before the first
 
     @property
     def segment(self) -> PlanSegment:
@@ -149,23 +156,17 @@ class Mission:
         if reason:
             return reason
         self._give_up_s = None  # a person attends
+        before, why = self.state, self.reason
         if order in (Order.LOAD, Order.ARM, Order.START, Order.TEST):
             self._begin_run()
         self._last_state = {Order.LOAD: MissionState.LOADING, Order.ARM: MissionState.ARMING}.get(order)
         if order is not Order.TEST:  # a test makes no robot fly: what waits for the operator goes on waiting
             self._needs_operator = order in (Order.HOLD, Order.CLEAR_STOP)
-        if order is Order.RETURN:
-            self._prepare_return(fleet)
-        if order is Order.REJOIN:
-            self.roster.reinstate()
-            self.plans.target_slots()
-        if order in (Order.RETURN, Order.REJOIN):
-            self._still_to_arm = frozenset(r for r in self.roster.active if fleet[r].mode is Mode.DISARMED)
-        if order is Order.HOLD and self.state in PLANNING:
-            self._drop_disarmed(fleet)
-        before = self.state
+        self._prepare(order, fleet)
         self._go(order, now_ns)
-        if order is Order.DISARM and before is not MissionState.ENDING and before not in TERMINAL:
+        if order is Order.DISARM and before in TERMINAL | {MissionState.ENDING}:
+            self.reason = why
+        elif order is Order.DISARM:
             if self._run.ended_by is MissionEvent.ALL_CONFIRMED:
                 self._run.ended_by = MissionEvent.DISARMED_CANCELLED
             self.reason = f"a person asked for DISARM when {before.name}"
@@ -175,6 +176,20 @@ class Mission:
             self.plans.request_replan(fleet, now_ns, tuple(via))
         return ""
 
+    def _prepare(self, order: Order, fleet: Fleet) -> None:
+        """Set roster and plans for a request, before the state changes."""
+        if order is Order.RETURN:
+            self._prepare_return(fleet)
+        if order is Order.REJOIN:
+            self.roster.reinstate(fit_to_rejoin(self._context(fleet)))
+            self.plans.target_slots()
+        if order in (Order.RETURN, Order.REJOIN):
+            self._still_to_arm = frozenset(r for r in self.roster.active if fleet[r].mode is Mode.DISARMED)
+        if order is Order.HOLD:
+            self.roster.take_back()
+            if self.state in PLANNING:
+                self._drop_disarmed(fleet)
+
     def takes_out(self, order: Order) -> bool:
         """True if such an order for one robot takes it out of the formation: in flight always, while all hold only DISARM."""
         return self.state in NOMINAL or (self.state is MissionState.PAUSED and order is Order.DISARM)
@@ -183,63 +198,18 @@ class Mission:
         """Let a person lead one robot."""
         self._give_up_s = None
         self._needs_operator = True
+        self.roster.led_by[robot] = Leader.PERSON
         if self.takes_out(order) and robot not in self.roster.lost:
             self.roster.mark_lost(robot, "led by a person")
 
     def objection(self, order: Order, fleet: Fleet, via: Sequence[tuple[float, float]] = ()) -> str:
         """Reason against a request in a state that allows it; empty if there is none."""
-        experiment, returns = self._experiment, self.segment.is_return
-        from_rest = order is Order.RETURN and self._at_rest  # takes in robots that the last run had lost
-        roster = Roster(experiment.robot_ids, self.segment) if from_rest else self.roster
-        moving = [r for r, seen in fleet.items() if seen.heard and seen.mode in MOVING]
-        if order in (Order.LOAD, Order.ARM, Order.START, Order.TEST) and self._at_rest and moving:
-            return f"robot {moving[0]} is led by a person: let it hold first"
-        if order in (Order.ARM, Order.START):
-            return "; ".join(preflight(experiment, fleet, self._starts))
-        if order is Order.TEST:
-            return "; ".join(preflight(experiment, fleet, exclude=("thrusters",)))
-        if order is Order.RESUME:
-            others = [r for r in roster.active if fleet[r].mode is not Mode.HOLDING]
-            return "; ".join(f"robot {r} does not hold yet ({mode_name(fleet[r])})" for r in others)
-        if order is Order.CLEAR_STOP:
-            flying = [r for r in roster.all_robots if fleet[r].heard and fleet[r].mode in LIVE]
-            return "; ".join(f"robot {r} has not stopped yet ({mode_name(fleet[r])})" for r in flying)
-        if order is Order.HOLD and all(fleet[r].mode is Mode.DISARMED for r in roster.active):
-            return "no robot is armed"
-        if order is Order.GO and returns:
-            return "the robots are on their way back to the start, each on its own"
-        if order is Order.GO and not via:
-            return "where to? (places for the formation's centre, x and y in m)"
-        if order is Order.GO and not can_replan(experiment):
-            return "the path is a circle, dives, or is not common to all robots: it cannot be changed under way"
-        if order is Order.GO:
-            length, width, _ = experiment.pool.size_m  # robots accept no path beyond it, in open water neither
-            outside = [(x, y) for x, y in via if not (abs(x) <= length / 2.0 and abs(y) <= width / 2.0)]
-            return "; ".join(f"({x:g}, {y:g}) m is outside the pool" for x, y in outside)
-        if order is Order.REJOIN and not roster.lost:
-            return "no robot is out"
-        if order is Order.REJOIN and returns:
-            return "the others are on their way back to the start, where no place is left to take"
-        if order is Order.REJOIN:
-            return "; ".join(preflight(experiment, {r: fleet[r] for r in roster.lost}, exclude=("thrusters",)))
-        if order is Order.RETURN:
-            stay = [f"robot {r}: {why}" for r in roster.active if (why := self._cannot_return(fleet, r))]
-            return "" if len(stay) < len(roster.active) else "; ".join(["no robot is fit to move", *stay])
-        return ""
+        from_rest = order is Order.RETURN and self.state in AT_REST  # takes in robots that the last run had lost
+        roster = Roster(self._experiment.robot_ids, self.segment) if from_rest else self.roster
+        return objection(order, self._context(fleet, roster, via))
 
-    def _cannot_return(self, fleet: Fleet, robot: int) -> str:
-        """Reason for which a robot cannot take part in a return; empty if it can. A disarmed robot has to be armed for it:
-        all that blocks arming counts, except its distance from the start."""
-        lost = first_lost_robot((robot,), fleet, (robot,))
-        if lost is not None:
-            return lost[1]
-        disarmed = fleet[robot].mode is Mode.DISARMED
-        blocks = blocking_findings(self._experiment, {robot: fleet[robot]}) if disarmed else ()
-        return "; ".join(finding.message for finding in blocks)
-
-    @property
-    def _at_rest(self) -> bool:
-        return self.state is MissionState.WAITING or self.state in TERMINAL
+    def _context(self, fleet: Fleet, roster: Roster | None = None, via: Sequence[tuple[float, float]] = ()) -> RequestContext:
+        return RequestContext(self._experiment, self.state, roster or self.roster, self.segment, self._starts, fleet, via)
 
     def _begin_run(self) -> None:
         self._run = _RunData()
@@ -247,10 +217,10 @@ class Mission:
         self.governor.start()
 
     def _prepare_return(self, fleet: Fleet) -> None:
-        if self._at_rest:
+        if self.state in AT_REST:
             self._begin_run()
         for robot in self.roster.active:
-            why = self._cannot_return(fleet, robot)
+            why = unfit_to_return(self._context(fleet), robot)
             if why:
                 self.roster.mark_lost(robot, why)
         self.plans.target_return()
@@ -264,7 +234,8 @@ class Mission:
         elapsed_s = (now_ns - self._cycle_ns) * 1e-9 if self._cycle_ns is not None else 0.0
         self._cycle_ns = now_ns
         known = [result for result in results if result.command.robot in self.roster.all_robots]
-        counted = [r for r in known if not (r.reply.silent and r.command.robot in self.roster.lost)]
+        left_out = self.roster.all_robots if self.state in AT_REST else self.roster.lost  # silence of theirs stops nothing
+        counted = [r for r in known if not (r.reply.silent and r.command.robot in left_out)]
         refused = self._dispatcher.on_results(counted, now_ns)
         if refused and (not self.reason or self.state in SHOWS_REFUSALS):
             self.reason = refused
@@ -272,7 +243,7 @@ class Mission:
         if self._give_up_s is not None and self.state in UNDER_WAY:
             self._check_progress(self._give_up_s, now_ns)
         if self.state is MissionState.WAITING:
-            return self._wait(fleet, now_ns)
+            self._wait(fleet, now_ns)
         if self.state in COMMITTED:
             self._handle_losses(fleet, now_ns)
         if self.state in IN_FLIGHT | JOINING:
@@ -280,7 +251,7 @@ class Mission:
         if self.state in IN_FLIGHT | {MissionState.PAUSED} and self.roster.active:
             self._check_flight(fleet, now_ns)
         self._govern(fleet, elapsed_s)
-        return self._commands(fleet, now_ns) + self._command_lost(fleet, now_ns)
+        return self._commands(fleet, now_ns) + self._command_others(fleet, now_ns)
 
     def _commands(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
         if self.state in STAGES:
@@ -297,24 +268,23 @@ class Mission:
             return self._send(Order.STOP, _not_in(Mode.STOPPED, fleet, self._experiment.robot_ids), now_ns)
         return ()
 
-    def _command_lost(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
-        """Commands for lost robots. Such a robot may fly on by a plan that the others no longer have, and may receive though
-        it is not heard: its last known mode counts. The mission does not wait for it."""
-        if self.state in COMMITTED:
-            flying = [r for r in self.roster.lost if fleet[r].mode is Mode.TRACKING and r not in self.led]
-            return self._send(Order.HOLD, flying, now_ns)
+    def _command_others(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
+        """Commands for robots that have no part in what the mission does. One that moves, and is led by no person, is told to
+        hold; it may receive though it is not heard, so its last known mode counts. The mission does not wait for it."""
         if self.state is MissionState.ENDING:  # lost robots that are heard are disarmed with the others
             silent = [r for r in self.roster.lost if not fleet[r].heard and fleet[r].mode in LIVE]
             return self._send(Order.DISARM, silent, now_ns)
-        return ()
+        others = self.roster.all_robots if self.state in AT_REST else self.roster.lost if self.state in COMMITTED else ()
+        led = self.roster.led_by_people
+        return self._send(Order.HOLD, [r for r in others if fleet[r].mode in MOVING and r not in led], now_ns)
 
-    def _wait(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
+    def _wait(self, fleet: Fleet, now_ns: int) -> None:
+        moves = any(fleet[r].heard and fleet[r].mode in MOVING for r in self.roster.all_robots)
         reasons = preflight(self._experiment, fleet, self._starts)
         self.reason = "; ".join(reasons)
-        if self.automatic and not self._needs_operator and not reasons:
+        if self.automatic and not self._needs_operator and not reasons and not moves:
             self._begin_run()
             self._go(MissionEvent.PREFLIGHT_PASSED, now_ns)
-        return ()
 
     def _check_progress(self, give_up_s: float, now_ns: int) -> None:
         """Fail a mission that has made no progress along its path for `give_up_s`."""
@@ -326,16 +296,28 @@ class Mission:
 
     # --- checks in flight
 
-    def behind_s(self, robot: RobotView, now_ns: int) -> float:
-        """Lag of a robot behind the fleet's timetable, from its own state; negative: ahead. 0 without a timetable."""
+    def behind_s(self, robot: int, seen: RobotView, now_ns: int) -> float:
+        """Lag of a robot behind the fleet's timetable, from its own state; negative: ahead. 0 without a timetable, and for a
+        robot on another trajectory than the formation's."""
         flown = self._timetable if self.state in IN_FLIGHT | JOINING else None
-        return flown.behind_s(robot, self.governor, now_ns) if flown is not None else 0.0
+        if flown is None or self._clock_s(robot, seen) is None:
+            return 0.0
+        return flown.behind_s(seen, self.governor, now_ns)
+
+    def flying(self, fleet: Fleet) -> dict[int, RobotState]:
+        """States of the robots that fly the formation's trajectories now."""
+        plans = {r: self.roster.plans(r, self.segment, self.plans.next) for r in fleet}
+        return {r: seen.state for r, seen in fleet.items() if seen.state is not None and plans[r].under_way(seen.state)}
+
+    def _clock_s(self, robot: int, seen: RobotView) -> float | None:
+        """Progress of a robot along the formation's trajectories in s; None while it is on another."""
+        return self.roster.plans(robot, self.segment, self.plans.next).clock_s(seen.state)
 
     def _check_in_step(self, fleet: Fleet, now_ns: int) -> None:
         """Hold the fleet when, for OUT_FOR_S, a robot flies another plan or by another timetable than the others."""
         out = ""
         for robot in self.roster.active:
-            behind_s = self.behind_s(fleet[robot], now_ns)
+            behind_s = self.behind_s(robot, fleet[robot], now_ns)
             if abs(behind_s) > OUT_OF_STEP_S:
                 out = f"robot {robot} is {abs(behind_s):.1f} s {'behind' if behind_s > 0.0 else 'ahead of'} the others"
                 break
@@ -355,8 +337,9 @@ class Mission:
     def _check_flight(self, fleet: Fleet, now_ns: int) -> None:
         """Update the fleet's progress, and go where the first event in flight leads."""
         plans = self.plans
-        in_step = [r for r in self.roster.active if abs(self.behind_s(fleet[r], now_ns)) <= OUT_OF_STEP_S]
-        progress_s = min((fleet[r].trajectory_s for r in in_step), default=plans.progress_s)
+        in_step = [r for r in self.roster.active if abs(self.behind_s(r, fleet[r], now_ns)) <= OUT_OF_STEP_S]
+        clocks_s = [clock_s for r in in_step if (clock_s := self._clock_s(r, fleet[r])) is not None]
+        progress_s = min(clocks_s, default=plans.progress_s)
         if self.state is MissionState.PAUSED:  # all go on from the slowest robot's progress, except one that fell out of step
             plans.progress_s = max(plans.progress_s, progress_s)
             return
@@ -503,13 +486,13 @@ class Mission:
         return counts and stage.confirmed(seen.mode, self.roster.has_segment(self.segment, fleet, robot))
 
     def _addressed(self, fleet: Fleet) -> Sequence[int]:
-        """Robots that get a stage's command. DISARM also goes to lost robots that are heard."""
+        """Robots that get a stage's command. DISARM also goes to lost robots that are heard, or were until just now."""
         all_robots = self.roster.all_robots
         if self.state in (MissionState.ABORTING, MissionState.CLEARING):
             return all_robots
         if self.state is MissionState.ENDING:
             lost = self.roster.lost
-            return [r for r in all_robots if r not in lost or (fleet[r].heard and fleet[r].mode is not Mode.STOPPED)]
+            return [r for r in all_robots if r not in lost or (fleet[r].mode is not Mode.STOPPED and may_move(fleet[r]))]
         return self.roster.active
 
     def _pause(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
@@ -522,7 +505,7 @@ class Mission:
             self._go(MissionEvent.RECOVERED, now_ns)
             self._replan_if_needed(fleet, now_ns)
             return ()
-        return self._send(Order.HOLD, [r for r in moving if r not in self.led], now_ns)
+        return self._send(Order.HOLD, [r for r in moving if r not in self.roster.led_by_people], now_ns)
 
     @property
     def _may_replan(self) -> bool:
@@ -661,6 +644,10 @@ class Mission:
             raise RuntimeError(f"{cause.name} leads nowhere from {self.state.name}")
         if state not in TERMINAL | {MissionState.ABORTING}:
             self.reason = ""
+        if state in TERMINAL:
+            self.verdict = state
+        elif self.state in AT_REST and state in (MissionState.LOADING, MissionState.HALTING):
+            self.verdict = None
         if state is MissionState.HALTING and self.state not in PLANNING and isinstance(cause, MissionEvent):
             self._still_to_arm = frozenset()  # robots flew just now: one that is disarmed is lost
         if state in JOINING:  # one instant for all, the same in every command: late robots join where the others are
@@ -678,10 +665,11 @@ class Mission:
         self._dispatcher.reset()
 
 
+def may_move(seen: RobotView) -> bool:
+    """True for a robot that is heard, or that had power and may have it still: without a station it is neutral after a while,
+    and a short gap of its radio must not end a run beside it."""
+    return seen.heard or (seen.mode in LIVE and seen.state_age_s < JOIN_WITHIN_S)
+
+
 def _not_in(mode: Mode, fleet: Fleet, robots: Sequence[int]) -> list[int]:
     return [r for r in robots if fleet[r].mode is not mode]
-
-
-def mode_name(robot: RobotView) -> str:
-    """Name of a robot's mode for people."""
-    return robot.mode.name if robot.mode is not None else "never heard"

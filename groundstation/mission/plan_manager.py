@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 from groundstation.mission.obstacle_monitor import ObstacleMonitor
 from groundstation.mission.roster import Roster
+from groundstation.planning.prioritized_planning import OutOfTime, never
 from groundstation.planning.replanning import replan
 from groundstation.planning.rest_to_rest import plan_regroup, plan_return
 from groundstation.planning.segment import PlanSegment, ceil_to_period
@@ -27,7 +28,11 @@ class PlanRequest:
     """A plan that the mission waits for. The station calls `plan` and gives the mission its outcome."""
 
     name: str
-    plan: Callable[[], PlanSegment]
+    make: Callable[[OutOfTime], PlanSegment]
+
+    def plan(self, out_of_time: OutOfTime = never) -> PlanSegment:
+        """Compute the plan. Raises PlanError, also when `out_of_time`."""
+        return self.make(out_of_time)
 
 
 class PlanManager:
@@ -43,7 +48,7 @@ class PlanManager:
         self.by_operator = False  # the other path was requested by the operator
         self.monitor = ObstacleMonitor(experiment)
         self._experiment, self._first, self._starts, self._roster = experiment, first, dict(starts), roster
-        self._purpose: Callable[[Fleet, float], Callable[[], PlanSegment]] | None = None  # of coming to rest
+        self._purpose: Callable[[Fleet, float], Callable[[OutOfTime], PlanSegment]] | None = None  # of coming to rest
 
     def reset(self) -> None:
         """Start again at the beginning of the first segment, with all robots."""
@@ -79,16 +84,16 @@ class PlanManager:
         """True if the plan from rest leads back to the starts."""
         return self._purpose == self._plan_return
 
-    def _plan_return(self, fleet: Fleet, begin_s: float) -> Callable[[], PlanSegment]:
+    def _plan_return(self, fleet: Fleet, begin_s: float) -> Callable[[OutOfTime], PlanSegment]:
         experiment, starts = self._experiment, self._starts
         rests, obstacles = self._roster.rest_poses(fleet), self.discs_to_avoid(fleet)
-        return lambda: plan_return(experiment, begin_s, rests, starts, obstacles)
+        return lambda out_of_time: plan_return(experiment, begin_s, rests, starts, obstacles, out_of_time)
 
-    def _plan_regroup(self, fleet: Fleet, begin_s: float) -> Callable[[], PlanSegment]:
+    def _plan_regroup(self, fleet: Fleet, begin_s: float) -> Callable[[OutOfTime], PlanSegment]:
         experiment, segment, progress_s = self._experiment, self.segment, self.progress_s
         rests, slots = self._roster.rest_poses(fleet), self._roster.slots_in_use()
         obstacles = self.discs_to_avoid(fleet)
-        return lambda: plan_regroup(experiment, segment, begin_s, progress_s, rests, slots, obstacles)
+        return lambda out_of_time: plan_regroup(experiment, segment, begin_s, progress_s, rests, slots, obstacles, out_of_time)
 
     def request_plan_from_rest(self, fleet: Fleet) -> None:
         """Request the targeted plan, now that all robots rest. It uses the fleet as known now: it is computed in another
@@ -103,7 +108,7 @@ class PlanManager:
         begin_s = ceil_to_period(self.progress_s + AHEAD_S, self._experiment.controller.period_s)
         experiment, segment, obstacles = self._experiment, self.segment, self.discs_to_avoid(fleet, now_ns)
         self.deadline_s, self.by_operator = begin_s - LAST_CALL_S, bool(via)
-        self.request = PlanRequest("another path", lambda: replan(experiment, segment, begin_s, obstacles, via))
+        self.request = PlanRequest("another path", lambda _: replan(experiment, segment, begin_s, obstacles, via))
 
     # --- obstacles
 

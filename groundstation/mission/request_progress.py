@@ -6,14 +6,15 @@ same outcomes.
 """
 
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from groundstation.mission.command_dispatcher import CommandResult
 from groundstation.mission.gain_update import TUNING, GainStage, GainStatus
-from groundstation.mission.mission import ARMED, LIVE, Mission
+from groundstation.mission.mission import JOIN_WITHIN_S, Mission, may_move
+from groundstation.mission.objections import ARMED, LIVE, MOVING
 from groundstation.mission.single_robot import RobotTask
-from groundstation.mission.state_machine import IN_FLIGHT, NOMINAL, TERMINAL, MissionState
+from groundstation.mission.state_machine import AT_REST, IN_FLIGHT, NOMINAL, MissionState
 from groundstation.planning.segment import PlanSegment
 from groundstation.telemetry import Fleet, RobotView
 from wire.messages.messages import Mode, Order, Outcome, Progress
@@ -22,7 +23,7 @@ from wire.messages.topics import WHOLE_FLEET
 KEPT = 16  # outcomes that can be queried; a terminal queries several times a second until its request is over
 
 _FROM_REST = frozenset({MissionState.HALTING, MissionState.RELOADING, MissionState.REARMING, MissionState.RELEASING})
-AT_REST = TERMINAL | {MissionState.WAITING, MissionState.STOPPED}  # the mission arms no robot
+UNARMED = AT_REST | {MissionState.STOPPED}  # the mission arms no robot
 
 Confirms = Callable[[Mission, RobotView, int], bool]
 
@@ -53,7 +54,7 @@ class RequestGoal:
     """Goal of a request: mission states on the way and at the end, and the check that a robot has confirmed.
 
     `repeats`: in the end state the command is sent again and again, so a robot may still confirm. `all_robots`: lost robots
-    count too. `new_segment`: another segment is flown then.
+    count too; `moving`: lost robots count that move or hold. `new_segment`: another segment is flown then.
     """
 
     through: frozenset[MissionState]
@@ -61,6 +62,7 @@ class RequestGoal:
     confirmed: Confirms
     repeats: bool = False
     all_robots: bool = False
+    moving: bool = False
     new_segment: bool = False
 
 
@@ -70,7 +72,7 @@ GOALS: dict[Order, RequestGoal] = {
     Order.START: RequestGoal(
         frozenset({MissionState.LOADING, MissionState.ARMING, MissionState.STARTING}), IN_FLIGHT, _in(Mode.TRACKING)
     ),
-    Order.HOLD: RequestGoal(frozenset(), frozenset({MissionState.PAUSED}), _in(Mode.HOLDING), repeats=True),
+    Order.HOLD: RequestGoal(frozenset(), frozenset({MissionState.PAUSED}), _in(Mode.HOLDING), repeats=True, moving=True),
     Order.RESUME: RequestGoal(_FROM_REST | {MissionState.RESUMING}, IN_FLIGHT, _in(Mode.TRACKING)),
     Order.GO: RequestGoal(frozenset({MissionState.SWITCHING}), NOMINAL, _in(Mode.TRACKING), new_segment=True),
     Order.RETURN: RequestGoal(
@@ -83,7 +85,7 @@ GOALS: dict[Order, RequestGoal] = {
     Order.REJOIN: RequestGoal(_FROM_REST, NOMINAL, _in(Mode.TRACKING), new_segment=True),
     Order.DISARM: RequestGoal(
         frozenset({MissionState.ENDING, MissionState.ABORTING}),
-        TERMINAL | {MissionState.WAITING},
+        AT_REST,
         _in(Mode.DISARMED),
         all_robots=True,
     ),
@@ -97,7 +99,7 @@ GOALS: dict[Order, RequestGoal] = {
         _tested,
     ),
     Order.END: RequestGoal(
-        frozenset({MissionState.ENDING, MissionState.ABORTING}), AT_REST, _not_in(LIVE), repeats=True, all_robots=True
+        frozenset({MissionState.ENDING, MissionState.ABORTING}), UNARMED, _not_in(LIVE), repeats=True, all_robots=True
     ),
 }
 
@@ -110,7 +112,8 @@ class _Request:
     order: Order
     segment: PlanSegment
     tuning_id: str = ""  # TUNE: the requested set
-    only: int = WHOLE_FLEET  # or the one robot that it is about
+    only: int = WHOLE_FLEET  # or the one robot that it is about,
+    task: RobotTask | None = None  # and its task
     refusals: dict[int, str] = field(default_factory=dict)  # by robot, the last one
 
 
@@ -118,24 +121,34 @@ class RequestTracker:
     """Outcomes of all requests. One request at a time leads the mission, one changes the gains, and one leads each robot
     alone."""
 
-    def __init__(self, robot_ids: tuple[int, ...], tasks: Mapping[int, RobotTask]) -> None:
-        """`tasks`: what each robot was asked for alone, as it stands."""
-        self._robots, self._tasks = robot_ids, tasks
+    def __init__(self, robot_ids: tuple[int, ...]) -> None:
+        self._robots = robot_ids
         self._count = 0
         self._open: list[_Request] = []
         self._outcomes: deque[Outcome] = deque(maxlen=KEPT)
         self.recent: tuple[Outcome, ...] = ()  # oldest first; replaced, never changed: other threads read it
 
-    def begin(self, order: Order, mission: Mission, tuning_id: str = "", only: int = WHOLE_FLEET) -> int:
-        """Count a request that was taken up. Returns its number. A repetition while it is under way is the same request."""
+    def begin(self, order: Order, mission: Mission, tuning_id: str = "") -> int:
+        """Count a request of the whole fleet that was taken up. Returns its number. A repetition while it is under way is the
+        same request; another one takes its place."""
         gains = order in TUNING
-        for request in [r for r in self._open if (r.order in TUNING) is gains and r.only == only]:
+        for request in [r for r in self._open if r.task is None and (r.order in TUNING) is gains]:
             if request.order is order and order not in (Order.GO, Order.TUNE):
                 return request.number
             self._open.remove(request)
             self._record(request, mission, Progress.FAILED, f"{order.name} was asked for instead")
+        return self._open_one(order, mission, tuning_id=tuning_id)
+
+    def begin_task(self, robot: int, task: RobotTask, mission: Mission) -> int:
+        """Count a request of one robot. Returns its number: the same for the same task. The task knows its own end."""
+        number = next((request.number for request in self._open if request.task is task), 0)
+        return number or self._open_one(task.order, mission, only=robot, task=task)
+
+    def _open_one(
+        self, order: Order, mission: Mission, tuning_id: str = "", only: int = WHOLE_FLEET, task: RobotTask | None = None
+    ) -> int:
         self._count += 1
-        request = _Request(self._count, order, mission.segment, tuning_id, only)
+        request = _Request(self._count, order, mission.segment, tuning_id, only, task)
         self._open.append(request)
         self._record(request, mission)
         return request.number
@@ -156,31 +169,34 @@ class RequestTracker:
         ended = []
         for request in tuple(self._open):
             _take_refusals(request, results)
-            if request.only:
-                task = self._tasks[request.only]
-                waits = task.progress is not Progress.DONE
+            if request.task is not None:
+                task, waits = request.task, request.task.progress is not Progress.DONE
                 progress, reason, waiting = task.progress, task.reason if waits else "", [request.only] if waits else []
             elif request.order in TUNING:
-                progress, reason, waiting = self._gain_progress(request, fleet, tuning)
+                progress, reason, waiting = self._gain_progress(request, mission, fleet, tuning)
             else:
                 progress, reason, waiting = self._mission_progress(request, mission, fleet)
             if progress is not Progress.UNDER_WAY:
                 self._open.remove(request)
                 ended.append(request.number)
             why = {robot: _reason(fleet[robot], request.refusals.get(robot, "")) for robot in waiting}
-            self._record(request, mission, progress, reason, why, self._concerned(request, mission))
+            self._record(request, mission, progress, reason, why, self._concerned(request, mission, fleet))
         return tuple(outcome for outcome in self.recent if outcome.request in ended)
 
-    def _concerned(self, request: _Request, mission: Mission) -> tuple[int, ...]:
+    def _concerned(self, request: _Request, mission: Mission, fleet: Fleet) -> tuple[int, ...]:
         if request.only:
             return (request.only,)
-        all_robots = request.order in TUNING or GOALS[request.order].all_robots
-        return self._robots if all_robots else mission.roster.active
+        if request.order in TUNING:
+            return mission.roster.active
+        if GOALS[request.order].all_robots:
+            return self._robots
+        lost = [r for r in mission.roster.lost if GOALS[request.order].moving and _moves_or_holds(fleet[r])]
+        return tuple(r for r in self._robots if r in lost or r in mission.roster.active)
 
     def _mission_progress(self, request: _Request, mission: Mission, fleet: Fleet) -> tuple[Progress, str, list[int]]:
         """Progress of a request for the whole fleet, its reason, and the robots that it waits for."""
         goal = GOALS[request.order]
-        robots = self._concerned(request, mission)
+        robots = self._concerned(request, mission, fleet)
         waiting = [robot for robot in robots if not goal.confirmed(mission, fleet[robot], robot)]
         if mission.state in goal.through:
             return Progress.UNDER_WAY, "", waiting
@@ -188,19 +204,24 @@ class RequestTracker:
         if mission.state not in goal.to or (goal.new_segment and mission.segment is request.segment):
             return Progress.FAILED, stands, waiting
         if request.order is Order.END:  # a robot that is not heard cannot be waited for: it comes to rest by itself
-            flying = [robot for robot in waiting if fleet[robot].heard]
+            flying = [robot for robot in waiting if may_move(fleet[robot])]
             return (Progress.UNDER_WAY if flying else Progress.DONE), "", waiting
+        left = "; ".join(f"robot {r} is left out: {why}" for r, why in mission.roster.lost.items() if r in waiting)
         if not waiting:
             return Progress.DONE, "", []
-        left = "; ".join(f"robot {r} is left out: {why}" for r, why in mission.roster.lost.items() if r in waiting)
         return (Progress.UNDER_WAY, "", waiting) if goal.repeats else (Progress.FAILED, left, waiting)
 
-    def _gain_progress(self, request: _Request, fleet: Fleet, tuning: GainStatus) -> tuple[Progress, str, list[int]]:
-        states = {robot: fleet[robot].state for robot in self._robots}
+    def _gain_progress(
+        self, request: _Request, mission: Mission, fleet: Fleet, tuning: GainStatus
+    ) -> tuple[Progress, str, list[int]]:
+        states = {robot: fleet[robot].state for robot in self._concerned(request, mission, fleet)}
         waiting = [robot for robot, state in states.items() if state is None or state.tuning_id != request.tuning_id]
         if tuning.stage is not GainStage.IDLE:
             return Progress.UNDER_WAY, "", waiting
-        return (Progress.DONE, "", []) if tuning.flown.id == request.tuning_id else (Progress.FAILED, tuning.reason, waiting)
+        if tuning.flown.id == request.tuning_id:  # one that came back meanwhile is given them within seconds
+            coming = [robot for robot in waiting if fleet[robot].state_age_s < JOIN_WITHIN_S]
+            return (Progress.UNDER_WAY if coming else Progress.DONE), "", waiting
+        return Progress.FAILED, tuning.reason, waiting
 
     def _record(
         self,
@@ -220,6 +241,10 @@ class RequestTracker:
         kept = [known for known in self._outcomes if known.request != request.number]
         self._outcomes = deque([*kept, outcome], KEPT)
         self.recent = tuple(sorted(self._outcomes, key=lambda outcome: outcome.request))
+
+
+def _moves_or_holds(seen: RobotView) -> bool:
+    return may_move(seen) and seen.mode in MOVING | {Mode.HOLDING}
 
 
 def _take_refusals(request: _Request, results: Sequence[CommandResult]) -> None:

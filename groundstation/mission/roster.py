@@ -1,7 +1,9 @@
-"""Robots that take part in a mission: the slot of each, and the trajectory it flies. Pure."""
+"""Robots that take part in a mission: the slot of each, the trajectory it flies, and who leads it. Pure."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from enum import Enum
 
+from groundstation.formation_clock import FormationPlans
 from groundstation.planning.rest_to_rest import assign_slots
 from groundstation.planning.segment import PlanSegment, concatenate
 from groundstation.telemetry import Fleet
@@ -9,11 +11,19 @@ from wire.frames import Array
 from wire.messages.messages import Trajectory
 
 
+class Leader(Enum):
+    """Sender of a robot's commands."""
+
+    MISSION = "the mission"
+    PERSON = "a person"
+
+
 class Roster:
     """Robots of an experiment with their slots. A slot is a node of the formation; a robot has its own until gaps close."""
 
     def __init__(self, robot_ids: tuple[int, ...], segment: PlanSegment) -> None:
         self.all_robots = robot_ids
+        self.led_by = dict.fromkeys(robot_ids, Leader.MISSION)
         self.reset(segment)
 
     def reset(self, segment: PlanSegment) -> None:
@@ -45,12 +55,22 @@ class Roster:
         """Go on without a robot."""
         self.lost[robot] = why
 
-    def reinstate(self) -> None:
-        """Take lost robots in again, in the free slots."""
+    def reinstate(self, robots: Iterable[int]) -> None:
+        """Take lost robots in again, in free slots."""
         taken = self.slots_in_use().values()
-        free = [slot for slot in self.all_robots if slot not in taken]
-        self.slots |= dict(zip(self.lost, free, strict=True))
-        self.lost = {}
+        free = (slot for slot in self.all_robots if slot not in taken)
+        for robot in robots:
+            del self.lost[robot]
+            self.slots[robot] = next(free)
+
+    @property
+    def led_by_people(self) -> frozenset[int]:
+        """Robots that a person leads now."""
+        return frozenset(robot for robot, leader in self.led_by.items() if leader is Leader.PERSON)
+
+    def take_back(self) -> None:
+        """Let the mission lead every robot."""
+        self.led_by = dict.fromkeys(self.all_robots, Leader.MISSION)
 
     def slots_in_use(self) -> dict[int, int]:
         """Slot of each active robot."""
@@ -60,10 +80,14 @@ class Roster:
         """Trajectory of a robot on a segment; None if it has no part in it."""
         return segment.trajectories.get(self.slots[robot]) if segment is not None else None
 
+    def plans(self, robot: int, *segments: PlanSegment | None) -> FormationPlans:
+        """The formation's trajectories of a robot on these segments."""
+        planned = (self.trajectory(segment, robot) for segment in segments)
+        return FormationPlans(tuple(trajectory.id for trajectory in planned if trajectory is not None))
+
     def has_segment(self, segment: PlanSegment, fleet: Fleet, robot: int) -> bool:
         """True if a robot's state names its trajectory of the segment."""
-        state, trajectory = fleet[robot].state, self.trajectory(segment, robot)
-        return state is not None and trajectory is not None and state.trajectory_id == trajectory.id
+        return self.plans(robot, segment).clock_s(fleet[robot].state) is not None
 
     def trajectories(self, segment: PlanSegment) -> Mapping[int, Trajectory]:
         """Trajectory of each active robot on a segment."""

@@ -5,15 +5,18 @@ the mission is paused it keeps its place in the formation. Where the mission arm
 robots again, and requests for one are over.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from groundstation.formation_clock import named_alone
 from groundstation.mission.command_dispatcher import CommandDispatcher, CommandResult
-from groundstation.mission.mission import ARMED, AT_REST_MPS, LIVE, PATIENCE_S, REST_WITHIN_S, Mission, mode_name
+from groundstation.mission.mission import AT_REST_MPS, PATIENCE_S, REST_WITHIN_S, Mission
+from groundstation.mission.objections import ARMED, LIVE, mode_name
 from groundstation.mission.plan_manager import PlanRequest
-from groundstation.mission.state_machine import NOMINAL, ONE_ROBOT, TERMINAL, MissionState
+from groundstation.mission.roster import Leader
+from groundstation.mission.state_machine import AT_REST, NOMINAL, ONE_ROBOT, MissionState
 from groundstation.mission.timetable import START_IN_S, Timetable
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.rest_to_rest import SETTLE_S, plan_return
@@ -22,13 +25,19 @@ from groundstation.telemetry import Fleet, RobotView, preflight
 from wire.config.experiment import Experiment
 from wire.messages.messages import Command, DriveVelocity, Mode, Order, Progress, Trajectory
 
-WHEN = NOMINAL | TERMINAL | {MissionState.WAITING, MissionState.PAUSED}
+WHEN = NOMINAL | AT_REST | {MissionState.PAUSED}
 VELOCITY_LASTS_S = 0.3  # of the person's last word; then the robot is told to hold
 
+CONFIRMS: Mapping[Order, frozenset[Mode]] = {
+    Order.ARM: ARMED,
+    Order.HOLD: frozenset({Mode.HOLDING}),
+    Order.DISARM: frozenset({Mode.DISARMED}),
+}  # modes in which a robot has done a request
 
-@dataclass
+
+@dataclass(eq=False)
 class RobotTask:
-    """A request for one robot."""
+    """A request for one robot, from its beginning to its end: another request for the robot ends it, and never changes it."""
 
     order: Order
     since_ns: int  # of its present stage
@@ -37,7 +46,7 @@ class RobotTask:
     place_m: tuple[float, float] | None = None  # GO
     transfer: PlanSegment | None = None  # GO, once it is planned
     started: bool = False  # GO: the robot has begun to fly its transfer
-    velocity: DriveVelocity = field(default_factory=DriveVelocity)  # DRIVE: the newest, asked at `since_ns`
+    velocity: DriveVelocity | None = None  # DRIVE: the newest, asked at `since_ns`; None: let go, the robot comes to rest
     timetable: Timetable | None = None  # GO, once the robot has its trajectory
 
 
@@ -48,13 +57,14 @@ class SingleRobotControl:
         self.tasks: dict[int, RobotTask] = {}  # the last one of each robot
         self._experiment, self._mission = experiment, mission
         self._dispatchers = {robot: CommandDispatcher(experiment.hash) for robot in experiment.robot_ids}
-        self._planned_for: RobotTask | None = None
+        self._planned_for: tuple[int, RobotTask] | None = None
+        self._interrupted_ns: dict[int, int] = {}  # by robot whose DRIVE another request ended: instant of the last velocity
         self.plan_request: PlanRequest | None = None
 
     @property
     def led(self) -> frozenset[int]:
         """Robots with a task under way."""
-        return frozenset(robot for robot, task in self.tasks.items() if task.progress is Progress.UNDER_WAY)
+        return self._mission.roster.led_by_people
 
     @property
     def trips(self) -> dict[int, tuple[Trajectory, float]]:
@@ -74,30 +84,63 @@ class SingleRobotControl:
             return f"{order.name} is not for one robot (allowed: {', '.join(o.name for o in ONE_ROBOT)})"
         reason = self._objection(order, robot, fleet, place_m)
         if not reason:
-            self._mission.lead(robot, order)
             self._begin(robot, RobotTask(order, now_ns, place_m=place_m))
         return reason
 
     def drive(self, robot: int, velocity: DriveVelocity, fleet: Fleet, now_ns: int) -> str:
-        """Take a person's newest velocity for a robot; all zeros are a hold. Returns the reason of a refusal."""
-        task = self.tasks.get(robot)
-        stands = velocity.surge_mps == velocity.heave_mps == velocity.yaw_rate_radps == 0.0
-        driven = task is not None and task.order is Order.DRIVE and task.progress is Progress.UNDER_WAY
-        if stands:
-            return self.request(Order.HOLD, robot, fleet, now_ns) if driven else ""
-        reason = self._objection(Order.DRIVE, robot, fleet, None)
+        """Take a person's newest velocity for a robot; all zeros let go. Returns the reason of a refusal, or nothing. A drive
+        that another request has ended goes on only after it was let go."""
+        task = self._under_way(robot)
+        driven = task is not None and task.order is Order.DRIVE
+        lets_go = velocity.surge_mps == velocity.heave_mps == velocity.yaw_rate_radps == 0.0
+        if lets_go:
+            self._interrupted_ns.pop(robot, None)
+            if task is not None and driven and task.velocity is not None:
+                self._let_go(robot, task, now_ns)
+            return ""
+        reason = self._objection(Order.DRIVE, robot, fleet, None) or self._interruption(robot, now_ns)
         if reason:
             return reason
         if task is None or not driven:
-            self._mission.lead(robot, Order.DRIVE)
             self._begin(robot, RobotTask(Order.DRIVE, now_ns, velocity=velocity))
             return ""
         task.velocity, task.since_ns = velocity, now_ns
         return task.reason
 
+    def _interruption(self, robot: int, now_ns: int) -> str:
+        """Reason to refuse a velocity of a drive that another request has ended; empty if there was none, or it was let go."""
+        last_ns = self._interrupted_ns.pop(robot, None)
+        if last_ns is None or now_ns - last_ns > VELOCITY_LASTS_S * 1e9:
+            return ""
+        self._interrupted_ns[robot] = now_ns
+        return f"{self.tasks[robot].order.name} was asked for instead: let go first"
+
+    def _under_way(self, robot: int) -> RobotTask | None:
+        task = self.tasks.get(robot)
+        return task if task is not None and task.progress is Progress.UNDER_WAY else None
+
     def _begin(self, robot: int, task: RobotTask) -> None:
+        """Lead a robot by a new task; the one before it fails. A repetition of the same request is no other one."""
+        before = self._under_way(robot)
+        if before is not None and before.order is task.order and task.order is not Order.GO:
+            return
+        if before is not None:
+            self._end(robot, f"{task.order.name} was asked for instead")
+            if before.order is Order.DRIVE and before.velocity is not None:
+                self._interrupted_ns[robot] = task.since_ns
         self.tasks[robot] = task
         self._dispatchers[robot].reset()
+        self._mission.lead(robot, task.order)
+
+    def _let_go(self, robot: int, task: RobotTask, now_ns: int) -> None:
+        task.velocity, task.since_ns = None, now_ns
+        self._dispatchers[robot].reset()
+
+    def _end(self, robot: int, reason: str = "") -> None:
+        """End a robot's task: done, or failed for a reason. The mission leads the robot again."""
+        task = self.tasks[robot]
+        task.progress, task.reason = Progress.FAILED if reason else Progress.DONE, reason
+        self._mission.roster.led_by[robot] = Leader.MISSION
 
     def _objection(self, order: Order, robot: int, fleet: Fleet, place_m: tuple[float, float] | None) -> str:
         """Reason to refuse an order for one robot; empty if there is none."""
@@ -139,54 +182,55 @@ class SingleRobotControl:
     def step(self, fleet: Fleet, results: Sequence[CommandResult], now_ns: int) -> tuple[Command, ...]:
         """Do one cycle; returns the commands to send now."""
         for result in results:
-            task = self.tasks.get(result.command.robot)
-            if task is not None and task.progress is Progress.UNDER_WAY:
+            task = self._under_way(result.command.robot)
+            if task is not None:
                 refusal = self._dispatchers[result.command.robot].on_results([result], now_ns)
                 task.reason = refusal if result.command.order is not Order.DRIVE or refusal else ""
         commands: list[Command] = []
-        for robot in self.led:
-            task = self.tasks[robot]
-            if self._mission.state not in WHEN:
-                _end(task, f"the mission is {self._mission.state.value}")
+        for robot in self.tasks:
+            task = self._under_way(robot)
+            if task is None:
+                continue
+            if self._mission.state not in WHEN or robot not in self.led:
+                self._end(robot, f"the mission is {self._mission.state.value}")
             else:
                 commands += self._advance(robot, task, fleet[robot], fleet, now_ns)
         return tuple(commands)
 
     def _advance(self, robot: int, task: RobotTask, seen: RobotView, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
         """Follow one robot's task by a cycle; returns the commands to send for it."""
-        if task.order is Order.DRIVE:
-            return self._drive(robot, task, seen, now_ns)
+        if task.order is Order.DRIVE and task.velocity is not None:
+            return self._drive(robot, task, task.velocity, seen, now_ns)
         if now_ns - task.since_ns > PATIENCE_S * 1e9 and not task.started:
-            _end(task, task.reason or f"robot {robot} is {mode_name(seen)}")
+            self._end(robot, task.reason or f"robot {robot} is {mode_name(seen)}")
             return ()
         if task.order is Order.GO:
             return self._go(robot, task, seen, fleet, now_ns)
-        confirmed: Mapping[Order, Callable[[Mode | None], bool]] = {
-            Order.ARM: lambda mode: mode in ARMED,
-            Order.HOLD: lambda mode: mode is Mode.HOLDING,
-            Order.DISARM: lambda mode: mode is Mode.DISARMED,
-        }
-        if seen.heard and seen.state_age_s * 1e9 < now_ns - task.since_ns and confirmed[task.order](seen.mode):
-            task.progress, task.reason = Progress.DONE, ""
+        order = Order.HOLD if task.order is Order.DRIVE else task.order
+        if seen.heard and seen.state_age_s * 1e9 < now_ns - task.since_ns and seen.mode in CONFIRMS[order]:
+            self._end(robot)
             return ()
-        return self._send(task.order, robot, None, now_ns)
+        return self._send(order, robot, None, now_ns)
 
-    def _drive(self, robot: int, task: RobotTask, seen: RobotView, now_ns: int) -> tuple[Command, ...]:
+    def _drive(
+        self, robot: int, task: RobotTask, velocity: DriveVelocity, seen: RobotView, now_ns: int
+    ) -> tuple[Command, ...]:
+        """Send the newest velocity, and HOLD when none comes any more."""
         if now_ns - task.since_ns > VELOCITY_LASTS_S * 1e9:
-            self._begin(robot, RobotTask(Order.HOLD, now_ns))
+            self._let_go(robot, task, now_ns)
             return self._send(Order.HOLD, robot, None, now_ns)
         if seen.mode in (Mode.ARMED, Mode.TRACKING):
             return self._send(Order.HOLD, robot, None, now_ns)
         if seen.mode not in (Mode.HOLDING, Mode.DRIVEN):
-            _end(task, f"robot {robot} is {mode_name(seen)}")
+            self._end(robot, f"robot {robot} is {mode_name(seen)}")
             return ()
-        return (Command(Order.DRIVE, robot, VELOCITY_LASTS_S, self._experiment.hash, drive=task.velocity),)
+        return (Command(Order.DRIVE, robot, VELOCITY_LASTS_S, self._experiment.hash, drive=velocity),)
 
     def _go(self, robot: int, task: RobotTask, seen: RobotView, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
         """Hold, plan, load, start, fly, hold."""
         state, transfer = seen.state, task.transfer
         if not seen.heard or state is None or seen.mode not in LIVE:
-            _end(task, f"robot {robot} is {mode_name(seen) if seen.heard else 'not heard'}")
+            self._end(robot, f"robot {robot} is {mode_name(seen) if seen.heard else 'not heard'}")
             return ()
         if transfer is None:
             if seen.mode is not Mode.HOLDING:
@@ -198,7 +242,7 @@ class SingleRobotControl:
         trajectory = transfer.trajectories[robot]
         if seen.mode is Mode.HOLDING and task.started:
             arrived = state.trajectory_s >= transfer.end_s - SETTLE_S
-            _end(task, "" if arrived else f"robot {robot} holds: {state.fault or 'on the way'}")
+            self._end(robot, "" if arrived else f"robot {robot} holds: {state.fault or 'on the way'}")
             return ()
         if seen.mode is Mode.TRACKING and state.trajectory_id == trajectory.id:
             task.started = True
@@ -217,21 +261,25 @@ class SingleRobotControl:
         away = self._mission.plans.monitor.discs_to_avoid((fleet[r] for r in fleet if r != robot), room_m=0.0)
         rest = seen.rest
         goal = np.array([*place_m, rest[2], rest[3]])
-        self._planned_for = task
+        self._planned_for = robot, task
         self.plan_request = PlanRequest(
             f"robot {robot} alone",
-            lambda: plan_return(experiment, experiment.controller.period_s, {robot: rest}, {robot: goal}, away),
+            lambda out_of_time: plan_return(
+                experiment, experiment.controller.period_s, {robot: rest}, {robot: goal}, away, out_of_time
+            ),
         )
 
     def planned(self, outcome: PlanSegment | PlanError, fleet: Fleet, now_ns: int) -> None:
         """Take the outcome of the requested plan."""
-        task, self.plan_request, self._planned_for = self._planned_for, None, None
-        if task is None or task.progress is not Progress.UNDER_WAY:
+        planned_for, self.plan_request, self._planned_for = self._planned_for, None, None
+        if planned_for is None or self._under_way(planned_for[0]) is not planned_for[1]:
             return
+        robot, task = planned_for
         if isinstance(outcome, PlanSegment):
-            task.transfer, task.since_ns = outcome, now_ns
+            alone = {robot: named_alone(trajectory) for robot, trajectory in outcome.trajectories.items()}
+            task.transfer, task.since_ns = replace(outcome, trajectories=alone), now_ns
         else:
-            _end(task, f"no way there: {outcome}")
+            self._end(robot, f"no way there: {outcome}")
 
     def _send(
         self, order: Order, robot: int, trajectory: Trajectory | None, now_ns: int, timetable: Timetable | None = None
@@ -239,13 +287,10 @@ class SingleRobotControl:
         return self._dispatchers[robot].commands(order, {robot: trajectory}, now_ns, timetable)
 
 
-def _end(task: RobotTask, reason: str) -> None:
-    """End a task: done, or failed for a reason."""
-    task.progress, task.reason = Progress.FAILED if reason else Progress.DONE, reason
-
-
 def _text(task: RobotTask) -> str:
     if task.order is Order.GO and task.place_m is not None:
         return f"on its way to {task.place_m[0]:.2f}, {task.place_m[1]:.2f} m"
+    if task.order is Order.DRIVE and task.velocity is None:
+        return "coming to rest"
     doing = {Order.DRIVE: "driven", Order.ARM: "arming", Order.HOLD: "coming to rest", Order.DISARM: "disarming"}[task.order]
     return f"{doing}{f': {task.reason}' if task.reason else ''}"

@@ -78,6 +78,7 @@ class MissionEvent(Enum):
 NOMINAL = frozenset({MissionState.RUNNING, MissionState.SLOWED, MissionState.DEGRADED})
 IN_FLIGHT = NOMINAL | {MissionState.SWITCHING, MissionState.RETURNING}
 TERMINAL = frozenset({MissionState.DONE, MissionState.CANCELLED, MissionState.FAILED})
+AT_REST = TERMINAL | {MissionState.WAITING}  # no run is under way: one may begin
 # robots begin to fly, all at one instant
 JOINING = frozenset({MissionState.STARTING, MissionState.RESUMING, MissionState.RELEASING})
 PLANNING = frozenset(
@@ -119,24 +120,23 @@ _TEST = frozenset({MissionState.TEST_ARMING, MissionState.TESTING, MissionState.
 
 TRANSITIONS: tuple[MissionTransition, ...] = (
     # requests of the operator
-    _row(frozenset({MissionState.WAITING}) | TERMINAL, Order.LOAD, MissionState.LOADING),
-    _row(frozenset({MissionState.WAITING, MissionState.LOADING}), Order.ARM, MissionState.LOADING),
-    _row(frozenset({MissionState.WAITING, MissionState.LOADING, MissionState.ARMING}), Order.START, MissionState.LOADING),
-    _row(frozenset({MissionState.WAITING}) | TERMINAL, Order.TEST, MissionState.TEST_ARMING),
+    _row(AT_REST, Order.LOAD, MissionState.LOADING),
+    _row(AT_REST | {MissionState.LOADING}, Order.ARM, MissionState.LOADING),
+    _row(AT_REST | {MissionState.LOADING, MissionState.ARMING}, Order.START, MissionState.LOADING),
+    _row(AT_REST, Order.TEST, MissionState.TEST_ARMING),
     _row(IN_FLIGHT | JOINING | PLANNING | {MissionState.PAUSED}, Order.HOLD, MissionState.PAUSED),
     _row(MissionState.PAUSED, Order.RESUME, MissionState.RESUMING),
     _row(NOMINAL, Order.GO, MissionState.SWITCHING),
     _row(
-        NOMINAL | {MissionState.SWITCHING, MissionState.PAUSED, MissionState.WAITING} | TERMINAL,
+        NOMINAL | AT_REST | {MissionState.SWITCHING, MissionState.PAUSED},
         Order.RETURN,
         MissionState.HALTING,
     ),
     _row(NOMINAL | {MissionState.PAUSED}, Order.REJOIN, MissionState.HALTING),
     _row(ANY - {MissionState.STOPPED}, Order.DISARM, MissionState.ENDING),
     _row(ANY, Order.STOP, MissionState.STOPPED),
-    _row(
-        frozenset({MissionState.STOPPED, MissionState.WAITING}), Order.CLEAR_STOP, MissionState.CLEARING
-    ),  # WAITING: of an earlier station's life
+    # at rest: a robot was out of reach when the stop was cleared, or was stopped in an earlier station's life
+    _row(AT_REST | {MissionState.STOPPED}, Order.CLEAR_STOP, MissionState.CLEARING),
     # from the water to the end
     _row(MissionState.WAITING, MissionEvent.PREFLIGHT_PASSED, MissionState.LOADING),
     _row(MissionState.LOADING, MissionEvent.ALL_CONFIRMED, MissionState.ARMING),

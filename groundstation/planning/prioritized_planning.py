@@ -5,7 +5,7 @@ leaves as early as it stays clear of those planned before it, and of those not y
 robots works (two stand on one another's goals), one first makes room.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -25,17 +25,44 @@ ORDERS = 6  # orders of the robots that are tried
 ASIDE_M = (0.8, 1.2, 1.8, 2.6)  # how far a robot goes to make room
 ASIDE_WAYS = 12
 MAKING_ROOM = 2  # robots that do so at most
-MOST_TRIES = 1500  # orders of robots in all, some 15 s of computing; a dense fleet has more
+MOST_TRIES = 1500  # orders of robots in all; a dense fleet has more
+
+OutOfTime = Callable[[], bool]  # True when the caller waits no longer for a plan
 
 
-class _TriesExhausted(Exception):
-    """MOST_TRIES have been made."""
+def never() -> bool:
+    """No limit of time: of a run that has to be the same each time."""
+    return False
+
+
+class _Exhausted(Exception):
+    """No more tries, or no more time. The text is the reason."""
+
+
+class _Tries:
+    """Tries that are left. Time is asked for before each: a try with twenty robots takes a tenth of a second."""
+
+    def __init__(self, out_of_time: OutOfTime) -> None:
+        self._left, self._out_of_time = MOST_TRIES, out_of_time
+
+    def spend(self) -> None:
+        """Count a try. Raises _Exhausted."""
+        if self._out_of_time():
+            raise _Exhausted(f"in time, in {MOST_TRIES - self._left} tries")
+        if self._left == 0:
+            raise _Exhausted(f"in {MOST_TRIES} tries")
+        self._left -= 1
 
 
 def plan_transfers(
-    experiment: Experiment, starts: Mapping[int, Array], goals: Mapping[int, Array], obstacles: Array
+    experiment: Experiment,
+    starts: Mapping[int, Array],
+    goals: Mapping[int, Array],
+    obstacles: Array,
+    out_of_time: OutOfTime = never,
 ) -> dict[int, NodeMotion]:
-    """Plan motions of all robots, equally long, from `starts` to `goals`, poses (4,). Raises PlanError with the reason."""
+    """Plan motions of all robots, equally long, from `starts` to `goals`, poses (4,). Raises PlanError with the reason, also
+    when `out_of_time`."""
     for robot, rest in starts.items():
         if not np.all(np.abs(rest[:3]) <= np.array(experiment.pool.size_m) + ABSURD_M):
             raise PlanError(f"robot {robot} says that it is at ({rest[0]:.3g}, {rest[1]:.3g}, {rest[2]:.3g}) m")
@@ -43,9 +70,9 @@ def plan_transfers(
             raise PlanError(f"robot {robot} says that it heads {rest[3]:.3g} rad")
     around = free_space(experiment, obstacles)
     try:
-        transfers = _plan_all(experiment, around, dict(starts), dict(goals), MAKING_ROOM, iter(range(MOST_TRIES)))
-    except _TriesExhausted:
-        raise PlanError(f"no ways clear of one another have been found in {MOST_TRIES} tries") from None
+        transfers = _plan_all(experiment, around, dict(starts), dict(goals), MAKING_ROOM, _Tries(out_of_time))
+    except _Exhausted as error:
+        raise PlanError(f"no ways clear of one another have been found {error}") from None
     for robot, transfer in transfers.items():
         _stays_in_sight(experiment, robot, transfer)
     return {robot: add_heading(transfer, float(starts[robot][3]), experiment) for robot, transfer in transfers.items()}
@@ -69,7 +96,7 @@ def _plan_all(
     starts: dict[int, Array],
     goals: dict[int, Array],
     depth: int,
-    tries: Iterator[int],
+    tries: _Tries,
 ) -> dict[int, Transfer]:
     """Plan in each order of priority until one succeeds; else let a robot make room first, `depth` times at most."""
     reason = "no robots"
@@ -126,11 +153,10 @@ def _plan_in_order(
     starts: Mapping[int, Array],
     goals: Mapping[int, Array],
     order: Sequence[int],
-    tries: Iterator[int],
+    tries: _Tries,
 ) -> dict[int, Transfer]:
     """Plan one robot after the other, each around those before it. Raises PlanError if one finds no way."""
-    if next(tries, None) is None:
-        raise _TriesExhausted
+    tries.spend()
     done: dict[int, Transfer] = {}
     for robot in order:
         waiting = {r: starts[r] for r in order if r not in done and r != robot}

@@ -1,7 +1,7 @@
 """Plans for robots that hold: into their slots of a segment and on along it, or back to the starts. Pure.
 
-    leg = gathered(experiment, leg, begin_s, reached_s, rests, slots)   # into their slots, and on
-    leg = homeward(experiment, begin_s, rests, starts)                  # back to the starts
+    segment = plan_regroup(experiment, segment, begin_s, progress_s, rests, slots)   # into their slots, and on
+    segment = plan_return(experiment, begin_s, rests, starts)                        # back to the starts
 
 groundstation/planning/prioritized_planning.py plans the transfers, clear of one another.
 """
@@ -15,7 +15,7 @@ from scipy.optimize import linear_sum_assignment
 from groundstation.planning import planner
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.formation import NodeMotion
-from groundstation.planning.prioritized_planning import plan_transfers
+from groundstation.planning.prioritized_planning import OutOfTime, never, plan_transfers
 from groundstation.planning.segment import NO_OBSTACLES, PlanSegment, sample
 from groundstation.planning.transfer import RAMP_S, heading_rates, ramp, turn_profile, turn_samples
 from wire.config.experiment import Experiment
@@ -30,10 +30,16 @@ Rests = Mapping[int, Array]  # poses (4,) of robots that are at rest
 
 
 def plan_return(
-    experiment: Experiment, begin_s: float, rests: Rests, starts: Rests, obstacles: Array = NO_OBSTACLES
+    experiment: Experiment,
+    begin_s: float,
+    rests: Rests,
+    starts: Rests,
+    obstacles: Array = NO_OBSTACLES,
+    out_of_time: OutOfTime = never,
 ) -> PlanSegment:
     """Plan the return of the robots in `rests` from their rest poses to their starts."""
-    motions = plan_transfers(experiment, rests, {r: starts[r] for r in rests}, keep_away(experiment, obstacles))
+    goals = {r: starts[r] for r in rests}
+    motions = plan_transfers(experiment, rests, goals, keep_away(experiment, obstacles), out_of_time)
     period_s = experiment.controller.period_s
     trajectories = {r: planner.trajectory(_at_least_two(m), period_s, begin_s) for r, m in motions.items()}
     some = next(iter(trajectories.values()))
@@ -48,13 +54,14 @@ def plan_regroup(
     rests: Rests,
     slots: Mapping[int, int],
     obstacles: Array = NO_OBSTACLES,
+    out_of_time: OutOfTime = never,
 ) -> PlanSegment:
     """Plan transfers from rest into the slots of a segment at `progress_s`, and on along it. Where an obstacle lies in a slot,
     the transfers lead further along the segment, until all slots are free."""
     period_s, away = experiment.controller.period_s, keep_away(experiment, obstacles)
     progress_s = _free_from(segment, max(progress_s, segment.transfer_end_s), [slots[r] for r in rests], away)
     places = {r: sample(segment.trajectories[slots[r]], np.array([progress_s])).eta[0] for r in rests}
-    moves = plan_transfers(experiment, rests, places, away)
+    moves = plan_transfers(experiment, rests, places, away, out_of_time)
     still = max(len(m.eta) for m in moves.values())
     on_way = {slots[r]: m for r, m in moves.items()}
     left = round((segment.end_s - progress_s + RAMP_S) / period_s) + planner.horizon(experiment)

@@ -1,7 +1,7 @@
 """Table and figures of a comparison: means over seeds with their intervals. Pure; compare_report.py writes."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import matplotlib as mpl
@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from groundstation.palette import COLOURS, colour
 from groundstation.report.drawing import Curve, Panel, TimePlot
 from groundstation.report.plotting import BOTTOM_IN, GREY, RIGHT_IN, STYLE, WIDTH_IN, picture
-from wire.config.controller_benchmark import SETTLED_S, Comparison, Traces, Variant
+from wire.config.controller_benchmark import SETTLED_S, Comparison, FlightMetrics, Traces, Variant
 from wire.figures import Interval, mean
 
 NAMES_IN = 1.75  # room for the variants' names
@@ -69,11 +69,18 @@ def cells(comparison: Comparison) -> list[tuple[str, list[str]]]:
 def failures(comparison: Comparison) -> list[str]:
     """Failures to read before the figures: flights that were not flown under way, and robots that came too close."""
     return [
-        f"{variant.name}, seed {flight.seed}: under way in {100.0 * flight.figures.under_way:.1f} % of the control steps only"
+        f"{variant.name}, seed {flight.seed}: {failure}"
         for variant in comparison.variants
         for flight in variant.flights
-        if flight.figures.under_way < 1.0
+        for failure in _failures_of(flight.figures, comparison.separation_m)
     ]
+
+
+def _failures_of(figures: FlightMetrics, least_m: float) -> Iterator[str]:
+    if figures.under_way < 1.0:
+        yield f"under way in {100.0 * figures.under_way:.1f} % of the control steps only"
+    if figures.min_separation_m is not None and figures.min_separation_m < least_m:
+        yield f"two robots came to {figures.min_separation_m:.3f} m of one another (allowed: {least_m:g} m)"
 
 
 def closest(comparison: Comparison) -> list[tuple[str, float]]:

@@ -22,7 +22,6 @@ from groundstation.analysis.results import Result
 from groundstation.analysis.series import Series, TimelineEvent
 from groundstation.analysis.timeline import is_injection
 from groundstation.logs.reader import RunLog, read_log
-from groundstation.logs.repair import recover
 from groundstation.report.drawing import TimePlot, embedded
 from groundstation.report.figures import FIGURES, Kind
 from groundstation.report.plotting import picture, to_svg
@@ -31,7 +30,6 @@ from groundstation.report.run_comparison import ComparedRun, differences, metric
 from wire.config.experiment import Experiment, load_experiment
 from wire.figures import three
 from wire.process.output_files import replace_text, replacing
-from wire.process.runtime import log
 from wire.process.version import code
 from wire.toml_loader import ConfigError
 
@@ -56,10 +54,10 @@ def write_report(run_dir: Path, flight: int | None = None) -> Result:
     """Evaluate a run's folder (run.mcap, experiment.toml) and write result.json and report.html into it; of several flights
     the one of that number, else the last.
 
-    A log that was cut off is mended first, if there is room. A run of any length gives a report. Raises ConfigError if the
-    experiment is neither in the folder nor in the log, or there is no such flight.
+    A log that was cut off is read as far as it goes, and stays as it is. A run of any length gives a report. Raises
+    ConfigError if the experiment is neither in the folder nor in the log, or there is no such flight.
     """
-    recorded = _read(run_dir / "run.mcap", mend=True)
+    recorded = _read(run_dir / "run.mcap")
     experiment = _experiment(run_dir, recorded, put_back=True)
     series = align(experiment, recorded, flight)
     result = replace(evaluate(series, recorded), evaluated_by=code().commit)
@@ -70,7 +68,7 @@ def write_report(run_dir: Path, flight: int | None = None) -> Result:
 
 def evaluated(run_dir: Path, flight: int | None = None) -> tuple[Series, RunLog, Result]:
     """A run's folder read and evaluated, and left as it is. Raises ConfigError as `write_report`."""
-    recorded = _read(run_dir / "run.mcap", mend=False)
+    recorded = _read(run_dir / "run.mcap")
     series = align(_experiment(run_dir, recorded, put_back=False), recorded, flight)
     return series, recorded, evaluate(series, recorded)
 
@@ -153,16 +151,8 @@ def _json(data: Any) -> Markup:
     return Markup(json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c"))
 
 
-def _read(path: Path, mend: bool) -> RunLog:
-    if not path.exists():
-        return RunLog(found=False)
-    if mend:
-        try:
-            if recover(path):
-                log.warning("%s was cut off: mended up to the cut", path)
-        except OSError as error:
-            log.warning("%s is not whole and cannot be mended (%s); reading what is there", path, error.strerror)
-    return read_log(path)
+def _read(path: Path) -> RunLog:
+    return read_log(path) if path.exists() else RunLog(found=False)
 
 
 def _experiment(run_dir: Path, recorded: RunLog, put_back: bool) -> Experiment:

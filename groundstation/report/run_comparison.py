@@ -1,7 +1,7 @@
 """Runs side by side: their figures, their errors over time, and in what their experiments differ. Pure.
 
-runs = [Run(name, series, result, experiment), ...]
-figures_of(runs), differences(runs), drawn(runs)
+runs = [ComparedRun(name, series, result, experiment), ...]
+metric_rows(runs), differences(runs), plots(runs)
 """
 
 from collections.abc import Callable, Sequence

@@ -13,8 +13,9 @@ from groundstation.export.foxglove_live import ViewerServer
 from groundstation.logs.recorder import Recorder, check_room, run_metadata
 from groundstation.mission.gain_update import GainUpdater
 from groundstation.mission.lap_statistics import LapStatistics
-from groundstation.mission.mission import LIVE, Mission
-from groundstation.mission.request_progress import AT_REST
+from groundstation.mission.mission import Mission
+from groundstation.mission.objections import LIVE
+from groundstation.mission.request_progress import UNARMED
 from groundstation.mission.state_machine import TERMINAL, MissionState
 from groundstation.planning import planner
 from groundstation.planning.segment import first_segment
@@ -35,6 +36,8 @@ from wire.toml_loader import ConfigError, os_errors_as_config_errors
 from wire.transport.bus import Bus
 from wire.web_access import WebOptions
 
+REST_WITHIN_S = 5.0  # of robots that hold because the station is told to end
+DISARM_WITHIN_S = 2.0  # of robots that rest then
 FAREWELL_S = 1.0  # a page gets four states in this time, a terminal asks five times
 IDLE_S = 600.0  # without a request, then a run that a person has taken over is ended: time to fetch a robot from the water
 IDLE_ALONE_S = 60.0  # the same while no page is open: time for the next command in a terminal
@@ -117,20 +120,29 @@ def cycles(
         end = EndOfRun(station, server)
         if ticks is not None:
             yield from _lockstep_cycles(station, ticks, end)
+            _tell_interruption(stop)
         else:
             _wall_loop(station, stop, end)
         _conclude(station, server, stop, run_dir)
         log.info("mission %s after %.1f s", mission.state.value, time.monotonic() - started_s)
-        return mission.state is MissionState.DONE and not recorder.error
+        recorder.close()
+        if recorder.error:  # also of the log's end, which nobody else tells
+            log.error("recorder: %s", recorder.error)
+        return mission.verdict is MissionState.DONE and not recorder.error
 
 
 def _conclude(station: Station, server: WebServer | None, stop: Stop, run_dir: Path) -> None:
-    """Record a person's Ctrl-C, and mark the run's folder if a page is open: then that is shown the ended run next."""
+    """End the run at a person's Ctrl-C, and mark the run's folder if a page is open: then that is shown the ended run next."""
     if stop.interrupted:
-        station.ended = True
-        log.info(INTERRUPTED)
+        station.core.ended = True
     if server is not None and server.watched:
         (run_dir / PAGE_OPEN).touch()
+
+
+def _tell_interruption(stop: Stop) -> None:
+    """Record a person's Ctrl-C."""
+    if stop.interrupted:
+        log.info(INTERRUPTED)
 
 
 def _write_experiment(file: Path, loaded: Experiment, text: str) -> None:
@@ -153,18 +165,18 @@ class EndOfRun:
 
     def reached(self) -> bool:
         """True if the loop is to be left."""
-        station, now_s = self._station, time.monotonic()
-        if station.ended:
+        core, now_s = self._station.core, time.monotonic()
+        if core.ended:
             self._since_s = self._since_s or now_s
             return now_s - self._since_s > FAREWELL_S
-        if station.mission.automatic:
-            station.ended = self._left_alone(now_s) if station.by_hand else station.mission.state in TERMINAL
-        return station.ended
+        if core.mission.automatic:
+            core.ended = self._left_alone(now_s) if core.by_hand else core.mission.state in TERMINAL
+        return core.ended
 
     def _left_alone(self, now_s: float) -> bool:
         """True if every robot is heard and at rest, and nobody has asked for anything for the idle time."""
         station = self._station
-        at_rest = station.mission.state in AT_REST and all(r.heard and r.mode not in LIVE for r in station.seen.values())
+        at_rest = station.mission.state in UNARMED and all(r.heard and r.mode not in LIVE for r in station.seen.values())
         if not at_rest:
             self._rests_since_s = None
             return False
@@ -183,10 +195,31 @@ class EndOfRun:
         return True
 
 
+class _Leaving:
+    """End of a station that is told to end while robots have power: they hold, and are disarmed when they rest."""
+
+    def __init__(self, station: Station, stop: Stop) -> None:
+        self._station, self._stop, self._until_s, self._disarms = station, stop, 0.0, False
+
+    def over(self) -> bool:
+        """True if the station may end now."""
+        station, now_s = self._station, time.monotonic()
+        if not self._until_s:
+            self._until_s = now_s + REST_WITHIN_S
+            _tell_interruption(self._stop)
+            if station.has_power():
+                log.warning("told to end while robots have power: they hold, and are disarmed when they rest")
+        if not self._disarms and (not station.come_to_rest() or now_s > self._until_s):
+            self._disarms, self._until_s = True, now_s + DISARM_WITHIN_S
+            if station.has_power():
+                station.disarm()
+        return self._disarms and (not station.has_power() or now_s > self._until_s)
+
+
 def _wall_loop(station: Station, stop: Stop, end: EndOfRun) -> None:
     period_ns = round(station.experiment.controller.period_s * 1e9)
-    due_ns = time.monotonic_ns()
-    while not stop.requested:
+    due_ns, leaving = time.monotonic_ns(), _Leaving(station, stop)
+    while not stop.requested or not leaving.over():
         station.wake.clear()
         station.cycle(station.clock.now_ns(), lockstep=False)
         if end.reached():

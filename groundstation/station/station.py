@@ -7,22 +7,23 @@ orders of a cycle are answered before its heartbeat, so a robot that has the hea
 import re
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 
 from groundstation.logs.recorder import Recorder
 from groundstation.mission.command_dispatcher import CommandResult
-from groundstation.mission.gain_update import TUNING, GainUpdater
+from groundstation.mission.gain_update import GainUpdater
 from groundstation.mission.lap_statistics import LapStatistics
-from groundstation.mission.mission import LIVE, Mission
+from groundstation.mission.mission import Mission
+from groundstation.mission.objections import LIVE
 from groundstation.mission.obstacle_monitor import ObstacleSet, obstacle_set
 from groundstation.mission.plan_manager import PlanRequest
-from groundstation.mission.request_progress import AT_REST, RequestTracker
-from groundstation.mission.single_robot import SingleRobotControl
 from groundstation.mission.state_machine import READY, MissionState, in_words
+from groundstation.mission.station_core import StationCore
 from groundstation.planning.feasibility import PlanError
+from groundstation.planning.prioritized_planning import OutOfTime
 from groundstation.planning.segment import PlanSegment
 from groundstation.telemetry import Fleet, FleetInboxes, LinkMonitor, blocking_findings
 from groundstation.web.backend import Status
@@ -30,7 +31,7 @@ from wire.config.experiment import Experiment
 from wire.frames import Array
 from wire.messages import topics
 from wire.messages.codec import Header
-from wire.messages.messages import Command, DriveVelocity, Order, Progress, Reply, StationHeartbeat, Trajectory
+from wire.messages.messages import Command, DriveVelocity, Order, Reply, StationHeartbeat, Trajectory
 from wire.messages.topics import WHOLE_FLEET
 from wire.process.runtime import Clock, age_s, log
 from wire.transport.bus import Bus
@@ -40,10 +41,10 @@ ORDER_TIMEOUT_S = 0.5
 LOCKSTEP_ORDER_TIMEOUT_S = PATIENT_MS * 1e-3  # as long as a link is kept: sent again, an order would count at a later step
 TROUBLED = frozenset({MissionState.FAILED, MissionState.ABORTING, MissionState.STOPPED, MissionState.DEGRADED})
 PROMPT = frozenset({Order.STOP, Order.DISARM, Order.HOLD})
-COURSE = frozenset({Order.STOP, Order.RETURN, Order.START})  # a person's: the first two take an automatic run over
 MAX_UNANSWERED = 2  # orders of a kind to one robot that may be unanswered: the second goes out before the first is given up
 # of orders that may be on their way to one robot at a time, but for PROMPT: LOAD or START, ARM, TUNE, ADOPT, DRIVE
 COMMAND_KINDS = 5
+PLANNING_S = 15.0  # for a plan of robots at rest; the formation holds meanwhile, and its battery does not last for ever
 STATUS_WITHIN_S = 0.02  # a reader of the status waits no longer for the cycle, and gets the last one
 FIGURE = re.compile(r"\d[\d.]*(?:%| (?:s|V|m|ms)\b)")  # a reason in which only these change is not told anew
 
@@ -55,7 +56,8 @@ class Workers:
 
     prompt: ThreadPoolExecutor  # PROMPT
     orders: ThreadPoolExecutor
-    plans: ThreadPoolExecutor
+    plans: ThreadPoolExecutor  # one thread for each owner of a plan
+    closing: threading.Event  # the station ends: no plan is waited for
 
     def of(self, order: Order) -> ThreadPoolExecutor:
         """Threads that send a command."""
@@ -69,9 +71,13 @@ def workers(robots: int) -> Iterator[Workers]:
     with (
         ThreadPoolExecutor(most * len(PROMPT), "prompt") as prompt,
         ThreadPoolExecutor(most * COMMAND_KINDS, "order") as orders,
-        ThreadPoolExecutor(1, "plan") as plans,
+        ThreadPoolExecutor(2, "plan") as plans,
     ):
-        yield Workers(prompt, orders, plans)
+        closing = threading.Event()
+        try:
+            yield Workers(prompt, orders, plans, closing)
+        finally:
+            closing.set()
 
 
 @dataclass
@@ -92,12 +98,10 @@ class Station:
     links: dict[int, LinkMonitor] = field(default_factory=dict)
     seen: Fleet = field(default_factory=dict)  # as of the last cycle
     planning: "dict[str, tuple[PlanRequest, Future[PlanSegment | PlanError]]]" = field(default_factory=dict)
-    published: tuple[PlanSegment, Sequence[Trajectory]] | None = None
+    published: tuple[PlanSegment, Mapping[int, Trajectory]] | None = None  # segment, and what robots fly alone
     obstacles_up_to_ns: int | None = None  # in lockstep: pictures up to then have been told of
     pending: list[tuple[Command, Future[Reply]]] = field(default_factory=list)
     paths: Mapping[int, tuple[Trajectory, float]] | None = None  # what each robot flies now, until when [s]
-    ended: bool = False  # the run is over: everybody who is heard is at rest, or the program was interrupted
-    by_hand: bool = False  # a person stopped the fleet or sent it back, and has started no flight since
     asked_s: float = 0.0  # instant of the last request (s, monotonic)
     told: str = ""
     insecure: bool = False
@@ -107,8 +111,8 @@ class Station:
     wake: threading.Event = field(default_factory=threading.Event)  # set by a request that cannot wait for the next cycle
 
     def __post_init__(self) -> None:
-        self.single = SingleRobotControl(self.experiment, self.mission)
-        self.requests = RequestTracker(self.experiment.robot_ids, self.single.tasks)
+        self.core = StationCore(self.experiment, self.mission, self.tuner, self.laps)
+        self.single, self.requests = self.core.single, self.core.requests
         self.beat_s = time.monotonic()  # instant of the last heartbeat (s, monotonic)
         self._status = Status(self.mission.state, self.mission.reason)
 
@@ -116,17 +120,10 @@ class Station:
         """Read the fleet, step the mission, send its commands, publish the heartbeat."""
         with self.lock:
             self.seen, answers = self.fleet(), self._answers()
-            for_tuner = [answer for answer in answers if answer.command.order in TUNING]
-            led = self.mission.led = self.single.led
-            for_one = [answer for answer in answers if answer not in for_tuner and answer.command.robot in led]
-            for_mission = [answer for answer in answers if answer not in for_tuner and answer not in for_one]
             self.plan(lockstep, now_ns)
-            commands = self.mission.step(self.seen, for_mission, now_ns, self._around())
-            commands += self.single.step(self.seen, for_one, now_ns)
+            commands = self.core.step(self.seen, answers, now_ns, self._around())
             self.plan(lockstep, now_ns)
             self.publish_paths(now_ns)
-            commands += self.tuner.step(self.seen, for_tuner, now_ns)
-            self.laps.update(self.seen)
             self._follow(answers)
             new_gains = self.tuner.take_unlogged()
         for gains in new_gains:
@@ -154,21 +151,24 @@ class Station:
         return sum(c.robot == command.robot and c.order is command.order for c, _ in self.pending)
 
     def _follow(self, answers: Sequence[CommandResult]) -> None:
-        """Update the progress of requests; end the run if one of them asks for it and is done."""
-        ending = self.requests.ending
-        for outcome in self.requests.follow(self.mission, self.seen, self.tuner.status(), answers):
+        """Update the progress of requests, and log those that have ended."""
+        ended = self.ended
+        for outcome in self.core.follow(self.seen, answers):
             log.info("%s: %s", outcome.order.name, in_words(outcome))
-        ends = [outcome.progress for outcome in self.requests.recent if outcome.order is Order.END]
-        if ending and not self.requests.ending and ends[-1] is Progress.DONE:
-            self.ended = True
+        if self.ended and not ended:
             log.info("the run is ended")
+
+    @property
+    def ended(self) -> bool:
+        """True once the run is over."""
+        return self.core.ended
 
     def fleet(self) -> Fleet:
         """View of every robot now."""
         found = {}
         for robot in self.experiment.robot_ids:
             seen = self.heard.view(robot, self.links.setdefault(robot, LinkMonitor()), self.clock)
-            found[robot] = replace(seen, behind_s=self.mission.behind_s(seen, self.clock.now_ns()))
+            found[robot] = self.core.view(robot, seen, self.clock.now_ns())
         return found
 
     def _around(self) -> ObstacleSet:
@@ -181,16 +181,21 @@ class Station:
     def plan(self, lockstep: bool, now_ns: int) -> None:
         """Compute the plans that the mission and single robots wait for: in another thread, because the heartbeat must go on;
         in lockstep at once. An outcome is dropped if no request waits for it any more."""
-        for name, owner in (("mission", self.mission), ("single", self.single)):
-            wanted = owner.plan_request
+        for name, wanted in self.core.plan_requests():
             if name not in self.planning and wanted is not None:
-                self.planning[name] = wanted, self.workers.plans.submit(_planned, wanted.plan)
+                self.planning[name] = wanted, self.workers.plans.submit(_planned, wanted, self._patience(lockstep))
             if lockstep and name in self.planning:
                 self._await_unlocked(self.planning[name][1])
+        for name, wanted in self.core.plan_requests():  # asked again: requests came while lockstep waited
             if name in self.planning and (lockstep or self.planning[name][1].done()):
                 asked, outcome = self.planning.pop(name)
                 if asked is wanted:
-                    owner.planned(outcome.result(), self.seen, now_ns)
+                    self.core.planned(name, outcome.result(), self.seen, now_ns)
+
+    def _patience(self, lockstep: bool) -> OutOfTime:
+        """Limit of time of a plan that begins now; none in lockstep, where a plan must not depend on the machine."""
+        closing, deadline_s = self.workers.closing, time.monotonic() + PLANNING_S
+        return lambda: closing.is_set() or (not lockstep and time.monotonic() > deadline_s)
 
     def _await_unlocked(self, plan: "Future[PlanSegment | PlanError]") -> None:
         """Wait for a plan without the lock, which the cycle holds: an operator's requests are answered meanwhile."""
@@ -201,14 +206,17 @@ class Station:
             self.lock.acquire()
 
     def publish_paths(self, now_ns: int) -> None:
-        """Publish the trajectories flown from now on, for page and log: each robot's whole run from its beginning."""
+        """Publish the trajectories flown from now on, for page and log: each robot's whole run with the formation from its
+        beginning, or what it flies alone."""
         segment, trips = self.mission.segment, self.single.trips
-        alone = [trajectory for trajectory, _ in trips.values()]
+        alone = {robot: trajectory for robot, (trajectory, _) in trips.items()}
         if self.published is not None and segment is self.published[0] and alone == self.published[1]:
             return
-        if self.published is None or segment is not self.published[0]:
-            for robot, trajectory in self.mission.roster.history.items():
-                self.bus.publish(topics.TRAJECTORY, trajectory, now_ns, robot)
+        before = self.published[1] if self.published is not None and segment is self.published[0] else None
+        for robot, trajectory in self.mission.roster.history.items():
+            flown = alone.get(robot, trajectory)
+            if before is None or flown is not before.get(robot, trajectory):
+                self.bus.publish(topics.TRAJECTORY, flown, now_ns, robot)
         self.paths = {r: (t, segment.end_s) for r, t in self.mission.roster.trajectories(segment).items()} | trips
         self.published = segment, alone
 
@@ -235,47 +243,40 @@ class Station:
     def request(self, order: Order, via: Sequence[tuple[float, float]] = (), only: int = WHOLE_FLEET) -> tuple[str, int]:
         """Take an operator's request for the whole fleet, or for the robot `only`; a STOP is for everybody. Returns the reason
         of a refusal, or nothing, and the request's number."""
-        only = WHOLE_FLEET if order is Order.STOP else only
         with self.lock:
-            if only:
-                place_m = via[0] if len(via) == 1 else None
-                reason = self.single.request(order, only, self.seen, self.clock.now_ns(), place_m)
-            else:
-                reason = self._end() if order is Order.END else self._request_mission(order, via)
-            number = 0 if reason else self.requests.begin(order, self.mission, only=only)
+            reason, number = self.core.request(order, self.seen, self.clock.now_ns(), via, only)
             self.asked_s = time.monotonic()
-            if not reason and not only and order in COURSE:
-                self.by_hand = order is not Order.START
         if order in PROMPT and not reason:
             self.wake.set()
-        asked = f"{order.name} for robot {only}" if only else order.name
+        asked = f"{order.name} for robot {only}" if only and order is not Order.STOP else order.name
         log.info("%s %s", asked, f"refused: {reason}" if reason else "asked for")
         return reason, number
 
     def drive(self, robot: int, velocity: DriveVelocity) -> str:
         """Take a person's newest velocity for one robot. Returns the reason of a refusal, or nothing."""
         with self.lock:
-            return self.single.drive(robot, velocity, self.seen, self.clock.now_ns())
+            return self.core.drive(robot, velocity, self.seen, self.clock.now_ns())
 
-    def _request_mission(self, order: Order, via: Sequence[tuple[float, float]] = ()) -> str:
-        return self.mission.request(order, self.seen, self.clock.now_ns(), via)
+    def come_to_rest(self) -> bool:
+        """Hold every robot that moves: the station is about to leave. Returns False once none that is heard moves."""
+        with self.lock:
+            return self.core.come_to_rest(self.seen, self.clock.now_ns())
 
-    def _end(self) -> str:
-        """Disarm all robots that may be armed. Returns the reason of a refusal, or nothing."""
-        moves = self.mission.state not in AT_REST or any(seen.heard and seen.mode in LIVE for seen in self.seen.values())
-        return self._request_mission(Order.DISARM) if moves and self.mission.state is not MissionState.STOPPED else ""
+    def disarm(self) -> None:
+        """Disarm every robot: the station is about to leave. No person has asked for it, so no request is logged."""
+        with self.lock:
+            self.core.request(Order.END, self.seen, self.clock.now_ns())
+
+    def has_power(self) -> bool:
+        """True while a robot that is heard may put out thrust."""
+        return any(seen.heard and seen.mode in LIVE for seen in self.seen.values())
 
     def request_gains(self, values: Mapping[str, float] | None, next_lap: bool) -> tuple[str, int]:
         """Change the fleet's gains; None: go back to those before. Returns the reason of a refusal, or nothing, and the
         number."""
         with self.lock:
-            fleet, now_ns = self.fleet(), self.clock.now_ns()
-            if values is None:
-                reason, what = self.tuner.undo(fleet, now_ns), "the gains before"
-            else:
-                reason = self.tuner.request(values, next_lap, fleet, now_ns)
-                what = ", ".join(f"{key} = {value:g}" for key, value in values.items())
-            number = 0 if reason else self.requests.begin(Order.TUNE, self.mission, self.tuner.status().wanted)
+            reason, number = self.core.request_gains(values, next_lap, self.fleet(), self.clock.now_ns())
+        what = "the gains before" if values is None else ", ".join(f"{key} = {value:g}" for key, value in values.items())
         when = " on the next lap" if next_lap else ""
         log.info("gains, %s%s: %s", what, when, f"refused: {reason}" if reason else "asked for")
         return reason, number
@@ -322,9 +323,9 @@ class Station:
             (log.warning if self.mission.state in TROUBLED else log.info)("mission: %s", line)
 
 
-def _planned(make: Callable[[], PlanSegment]) -> PlanSegment | PlanError:
+def _planned(wanted: PlanRequest, out_of_time: OutOfTime) -> PlanSegment | PlanError:
     try:
-        return make()
+        return wanted.plan(out_of_time)
     except PlanError as error:
         return error
     except Exception as error:  # a bug in planning is no reason to leave a fleet in the water without its station

@@ -229,6 +229,9 @@ class ClientHub:
             with contextlib.suppress(RuntimeError, WebSocketDisconnect):
                 await websocket.close(NOT_ALLOWED, "wrong token")
             return
+        if len(self._watchers) >= MOST_WATCHERS:  # others came while this one introduced itself
+            await websocket.close(TOO_MANY, f"{MOST_WATCHERS} pages are open already")
+            return
         self._count += 1
         watcher = Client(self._count, websocket, hello.page, self._camera(hello.camera))
         events = [msgspec.Raw(body) for body in self._history]

@@ -37,7 +37,7 @@ def edited(experiment: Experiment, edit: Edit) -> Experiment:
     if foreign:
         raise ConfigError(f"path.{foreign[0]}: a path of kind {kind} has none (allowed: {', '.join(_PATH_KEYS[kind])})")
     table["path"] |= {key: given[name] for name, key in _PATH_KEYS[kind].items() if name in given}
-    if kind == "waypoints" and table["path"].get("start_index", 0) >= len(table["path"]["points_m"]):
+    if kind == "waypoints" and table["path"].get("start_index", 0) >= len(table["path"].get("points_m", ())):
         table["path"]["start_index"] = 0  # the waypoint at which it began is gone
     table["formation"] |= {key: given[key] for key in ("mode", "scale", "shape", "spacing_m") if key in given}
     table["pool"] |= {"size_m": given["pool_m"]} if "pool_m" in given else {}

@@ -139,7 +139,7 @@ def interpolate(table: Array, place: Array) -> Array:
 def pose_at(trajectory: Trajectory, time_s: float) -> Array:
     """Pose (4,) at an instant of a trajectory's clock; before its start and after its end the first and the last one."""
     last = len(trajectory.eta) - 1
-    row = min(max(_row(trajectory, time_s), 0.0), last)
+    row = min(max(_row(trajectory, time_s), 0.0), float(last))
     low = min(int(row), max(last - 1, 0))
     pose: Array = interpolate(np.array(trajectory.eta[low : low + 2]), np.array([row - low]))[0]
     return pose

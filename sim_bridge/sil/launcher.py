@@ -68,7 +68,7 @@ def run(experiment: Experiment, run_dir: Path, options: RunOptions, stop: Stop, 
             experiment.robot_ids, options, run_dir, address, ports, boards, ring, experiment.camera_names
         )
         console.print(
-            f"station: {address} (groundstation stop, order, set, go, return and end find it)", soft_wrap=True, highlight=False
+            f"station: {address} (groundstation stop, mission, gains and end find it)", soft_wrap=True, highlight=False
         )
         station, came_up = _start_all(children, started, address, stop)
         if ring is not None:

@@ -117,6 +117,7 @@ def run(
         surge_limit_n=plain.vehicle.limits.wrench[0],
         robots=list(plain.robot_ids),
         variants=found,
+        separation_m=2.0 * plain.safety.radius_m,
     )
     replace_text(folder / "comparison.json", comparison.to_json())
     flush()

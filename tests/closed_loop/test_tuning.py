@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 import pytest
 
+from groundstation.formation_clock import FormationPlans
 from groundstation.mission.command_dispatcher import CommandResult
 from groundstation.mission.gain_update import GainStage, GainUpdater
 from groundstation.mission.lap_statistics import LapStatistics
@@ -82,14 +83,18 @@ class TuningLab:
         self.pool.step()
         commands = self.tuner.step(self.fleet(), self.answers, self.pool.now_ns)
         self.answers = [CommandResult(command, self.send(command)) for command in commands]
-        self.laps.update(self.fleet())
+        self.laps.update(self.flying())
+
+    def flying(self) -> dict[int, RobotState]:
+        states = {r: seen.state for r, seen in self.fleet().items() if seen.state is not None}
+        return {r: state for r, state in states.items() if FormationPlans().under_way(state)}
 
     def run(self, seconds: float) -> None:
         for _ in range(round(seconds / 0.05)):
             self.step()
 
     def wish(self, values: Mapping[str, float], next_lap: bool = False) -> str:
-        return self.tuner.request(values, next_lap, self.fleet(), self.pool.now_ns)
+        return self.tuner.request(values, next_lap, self.fleet(), self.pool.now_ns, self.flying())
 
     def states(self, robot: int = 0) -> list[RobotState]:
         return self.pool.robots[robot].states

@@ -77,6 +77,7 @@ class Comparison:
     surge_limit_n: float
     robots: list[int]
     variants: list[Variant]
+    separation_m: float = 0.0  # the least that robots may come to one another; 0: not told, in older files
 
     def to_json(self) -> str:
         """The content of comparison.json."""

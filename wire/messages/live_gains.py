@@ -9,7 +9,7 @@ import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, get_args
+from typing import Any, get_args, get_origin
 
 import numpy as np
 from pydantic.fields import FieldInfo
@@ -110,7 +110,24 @@ def values_of(settings: Sequence[str]) -> dict[str, float]:
             if isinstance(entry, bool) or not isinstance(entry, int | float):
                 raise ConfigError(f"{name} = {entry!r}: must be a number")
             found[name] = float(entry)
+        wrong = _wrong_length(key, value)
+        if wrong:
+            raise ConfigError(wrong)
     return found
+
+
+def _wrong_length(key: str, value: object) -> str:
+    """Reason to refuse a value for a key that holds a list: some of its numbers alone would be a set that nobody gave."""
+    section: Any = ControllerConfig
+    for name in key.split(".")[1:]:
+        field = section.model_fields.get(name) if isinstance(section, type) and issubclass(section, Section) else None
+        if field is None:
+            return ""
+        section = field.annotation
+    length = len(get_args(section)) if get_origin(section) is tuple else 0
+    if not length or (isinstance(value, list) and len(value) == length):
+        return ""
+    return f"{key} = {value}: must be {length} numbers, or one of them by its place: {key}.0 to {key}.{length - 1}"
 
 
 def of_message(controller: ControllerConfig, message: Tuning) -> ControllerConfig:

@@ -1,6 +1,8 @@
 """SHELL: the records of an MCAP file, read with bounds on memory and time: a log may come from an unknown source.
 
     for opcode, body in records(file): ...      # chunks taken apart; raises Damaged where the file stops being a log
+    skipped: list[str] = []
+    for opcode, body in records(file, skipped): ...     # goes on behind a chunk that is damaged in itself, and says which
 
 A record is refused before its bytes are read when it is larger than the file can hold or than LARGEST_BYTES, a chunk before it
 is unpacked when it says, or turns out, to be larger than LARGEST_BYTES. All chunks together may unpack to UNPACKED_AT_LEAST
@@ -12,7 +14,7 @@ import importlib
 import os
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import IO
 
@@ -48,8 +50,10 @@ class Packed:
     data: bytes
 
 
-def records(file: IO[bytes]) -> Iterator[tuple[int, bytes]]:
-    """Opcode and body of every record in order, chunks replaced by what is in them, checksums verified. Raises Damaged."""
+def records(file: IO[bytes], skipped: list[str] | None = None) -> Iterator[tuple[int, bytes]]:
+    """Opcode and body of every record in order, chunks replaced by what is in them, checksums verified. Raises Damaged where
+    the records themselves cannot be followed. With `skipped` a chunk that is damaged in itself is left out and named there;
+    without it that is an error too."""
     allowed = Allowance(_size(file))
     file.seek(0)
     if file.read(len(MAGIC)) != MAGIC:
@@ -62,14 +66,30 @@ def records(file: IO[bytes]) -> Iterator[tuple[int, bytes]]:
         if len(body) < length:
             raise Damaged(f"byte {at}: cut within a record")
         if opcode == CHUNK:
-            yield from parts(unpacked(chunk(body, at), allowed, at), at)
+            yield from _within(body, allowed, at, skipped)
         else:
             if opcode == DATA_END and len(body) >= 4 and _U32.unpack_from(body)[0] not in (0, checksum):
-                raise Damaged(f"byte {at}: the file's checksum is wrong")
+                _tell(Damaged(f"byte {at}: the file's checksum is wrong"), skipped)
             yield opcode, body
         if opcode == FOOTER:
             return
         checksum = zlib.crc32(body, zlib.crc32(_HEAD.pack(opcode, length), checksum))
+
+
+def _within(body: bytes, allowed: "Allowance", at: int, skipped: list[str] | None) -> Iterable[tuple[int, bytes]]:
+    """The records of a chunk; none, with `skipped`, of a damaged one."""
+    try:
+        within = parts(unpacked(chunk(body, at), allowed, at), at)
+        return within if skipped is None else list(within)
+    except Damaged as error:
+        _tell(error, skipped)
+        return ()
+
+
+def _tell(error: Damaged, skipped: list[str] | None) -> None:
+    if skipped is None:
+        raise error
+    skipped.append(str(error))
 
 
 class Allowance:

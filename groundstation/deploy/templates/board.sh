@@ -69,12 +69,22 @@ if [ -d /run/systemd/system ]; then
     $sudo install -d -m 700 -o "$(id -un)" /var/lib/shoal-agent "$kernels"
     NUMBA_CACHE_DIR=$kernels venv/bin/robot-agent compile >/dev/null
     refuse_if_armed
-    [ "$restart" = no ] || $sudo systemctl restart --no-block shoal-agent.service
-    service=$(systemctl is-active shoal-agent.service || true)
+    if [ "$restart" = no ]; then
+        service="$(systemctl is-active shoal-agent.service || true), to be restarted"
+    else
+        $sudo systemctl restart --no-block shoal-agent.service
+        for _ in 1 2 3 4 5 6 7 8 9 10; do # an agent that fails at its start is not told by the restart itself
+            sleep 1
+            service=$(systemctl is-active shoal-agent.service || true)
+            [ "$service" = activating ] || [ "$service" = deactivating ] || break
+        done
+    fi
 else
     service="no systemd here"
 fi
 
+# What is installed and does not run yet: the next deployment restarts it though nothing travels then.
+[ "$restart" != no ] || echo "restart due" >>"$in/manifest"
 mv "$in/manifest" manifest
 rm -rf "$in"
 echo "version=$(venv/bin/python -c 'from importlib.metadata import version; print(version("shoal"))')"

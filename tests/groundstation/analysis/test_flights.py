@@ -275,3 +275,79 @@ def test_time_0_of_a_table_is_the_reports(flown: tuple[Experiment, RunLog, Path]
     experiment, log, _ = flown
     for some in (log, with_aborted_flight(log, 4.0), RunLog()):
         assert zero_ns(some, experiment.robot_ids) == align(experiment, some).start_ns
+
+
+# --- robots that a person leads
+
+
+def led_alone(log: RunLog, robot: int, from_s: float, base_s: float = 0.0) -> RunLog:
+    """The log with one robot on a trajectory of its own from an instant on: its clock begins anew, and it is 3 m off."""
+    name = topics.STATE.name, robot
+    changed = [
+        later(e, 0.0, trajectory_s=since_s - from_s + base_s + PERIOD_S, trajectory_id="alone-1", mode=Mode.TRACKING)
+        if (since_s := e.stamp_ns / SECOND - START_S) >= from_s
+        else e
+        for e in log.entries[name]
+    ]
+    return dataclasses.replace(log, entries={**log.entries, name: changed})
+
+
+def test_a_trip_of_one_robot_after_the_flight_is_no_flight(flown: tuple[Experiment, RunLog, Path]) -> None:
+    experiment, log, _ = flown
+    last = log.entries[topics.STATE.name, 1][-1]
+    trip = [
+        later(last, 10.0 + 0.05 * k, mode=Mode.TRACKING, trajectory_s=0.05 * k, trajectory_id="alone-1") for k in range(1, 100)
+    ]
+    states = [*log.entries[topics.STATE.name, 1], *trip]
+    after = dataclasses.replace(log, entries={**log.entries, (topics.STATE.name, 1): states})
+    found, before = result_of(experiment, after), result_of(experiment, log)
+    assert (found.flight, len(found.flights), found.passed) == (1, 1, before.passed)
+    assert found.robots["1"].rms_m == before.robots["1"].rms_m
+
+
+def test_a_robot_that_is_led_away_is_judged_by_what_it_flew_with_the_formation(
+    flown: tuple[Experiment, RunLog, Path],
+) -> None:
+    experiment, log, _ = flown
+    found, before = result_of(experiment, led_alone(log, 2, 3.0)), result_of(experiment, log)
+    rms_m, usual_m = found.robots["2"].max_m, before.robots["2"].max_m
+    assert rms_m is not None and usual_m is not None and max(rms_m) <= max(usual_m) + 1e-6
+    whole = next(check for check in found.checks if check.name == "whole run flown")
+    assert not whole.passed and whole.value == pytest.approx(3.0, abs=0.1)
+    assert any(f"{whole.value:.1f} s of" in note for note in found.notes)
+    assert found.robots["1"].rms_m == before.robots["1"].rms_m
+
+
+def test_a_driven_robot_that_holds_far_off_has_no_error_until_it_flies_again(flown: tuple[Experiment, RunLog, Path]) -> None:
+    experiment, log, _ = flown
+    modes = {2.0: Mode.DRIVEN, 3.0: Mode.HOLDING, 4.0: Mode.TRACKING}
+    name = topics.STATE.name, 2
+    states = []
+    for e in log.entries[name]:
+        since_s = e.stamp_ns / SECOND - START_S
+        mode = next((mode for at_s, mode in reversed(modes.items()) if since_s >= at_s), None)
+        states.append(e if mode is None or e.message.mode is not Mode.TRACKING else later(e, 0.0, mode=mode))
+    series = align(experiment, dataclasses.replace(log, entries={**log.entries, name: states}))
+    known = np.isfinite(series.robots[2].error[:, 0])
+    away = (series.time_s > 2.06) & (series.time_s < 3.94)
+    assert not known[away].any() and known[series.time_s < 1.94].all() and known[series.time_s > 4.06].all()
+
+
+def test_a_separation_that_is_unknown_for_long_fails(flown: tuple[Experiment, RunLog, Path]) -> None:
+    experiment, log, _ = flown
+    seen = [e for e in log.entries[topics.TRUTH.name, 0] if not 2.0 < e.stamp_ns / SECOND - START_S < 4.0]
+    found = result_of(experiment, dataclasses.replace(log, entries={**log.entries, (topics.TRUTH.name, 0): seen}))
+    separation = next(check for check in found.checks if check.name == "separation")
+    assert separation.value is not None and separation.value > separation.limit and not separation.passed
+    assert "known for" in separation.where
+
+
+def test_a_clock_is_not_invented_across_a_gap_of_the_log(flown: tuple[Experiment, RunLog, Path]) -> None:
+    """A robot out of reach flies on for a second, then holds: where it should have been meanwhile nobody knows."""
+    experiment, log, _ = flown
+    name = topics.STATE.name, 2
+    heard = [e for e in log.entries[name] if not 2.0 < e.stamp_ns / SECOND - START_S < 4.0]
+    series = align(experiment, dataclasses.replace(log, entries={**log.entries, name: heard}))
+    known = np.isfinite(series.robots[2].error[:, 0])
+    out = (series.time_s > 2.06) & (series.time_s < 3.94)
+    assert not known[out].any() and known[series.time_s < 1.94].all() and known[series.time_s > 4.06].all()

@@ -9,7 +9,7 @@ import sys
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
@@ -21,6 +21,7 @@ from groundstation.__main__ import cli
 from groundstation.deploy import key_ring, manifest, wheelhouse
 from groundstation.deploy import ssh as deploy_shell
 from groundstation.deploy.manifest import Probe, Target
+from groundstation.deploy.ssh import DeployRequest, deploy_one
 from sim_bridge.sil.ports import free_port
 from tests.ssh_server import WITH_PACKAGES, own_wheel, ssh_command, ssh_server
 from wire.config.experiment import load_experiment
@@ -314,3 +315,49 @@ def test_an_installed_program_takes_the_checkout_that_one_stands_in(tmp_path: Pa
     (clone / "wire" / "__init__.py").write_text("newer = 1\n")
     with pytest.raises(ConfigError, match="holds other sources than this program runs"):
         wheelhouse.checkout()
+
+
+# --- a board's manifest alone, behind a stand-in for ssh
+
+
+@pytest.fixture
+def kept_manifest(tmp_path: Path) -> DeployRequest:
+    """A board that keeps its manifest, and writes what its script was asked; `service` says how its service is then."""
+    (tmp_path / "shoal-9-py3-none-any.whl").write_bytes(b"new software")
+    (tmp_path / "service").write_text("active")
+    stand_in = tmp_path / "ssh.py"
+    stand_in.write_text(
+        f"""import io, pathlib, sys, tarfile
+board, command = pathlib.Path({str(tmp_path)!r}), sys.argv[-1]
+if "uname" in command:
+    print("x86_64", "3.11", (board / "manifest").read_text() if (board / "manifest").exists() else "", sep="\\n")
+else:
+    restart = command.split()[-1].strip("'")
+    manifest = tarfile.open(fileobj=io.BytesIO(sys.stdin.buffer.read())).extractfile("manifest").read().decode()
+    (board / "manifest").write_text(manifest + ("restart due\\n" if restart == "no" else ""))
+    with (board / "asked").open("a") as asked: asked.write(restart + " ")
+    print("version=9", "service=" + (board / "service").read_text(), sep="\\n")
+"""
+    )
+    return DeployRequest(
+        load_experiment("pool"), "tcp/127.0.0.1:7447", "shoal", "udp:127.0.0.1:9", None, "/opt/shoal", None, True, tmp_path,
+        (sys.executable, str(stand_in)),
+    )  # fmt: skip
+
+
+def test_the_next_deployment_starts_a_board_that_was_left_running(kept_manifest: DeployRequest, tmp_path: Path) -> None:
+    without = replace(kept_manifest, restart=False)
+    board = Target("board", 1)
+    assert deploy_one(board, without).changed
+    again = deploy_one(board, without)
+    assert (again.changed, again.service) == ((), "to be restarted")
+    assert deploy_one(board, kept_manifest).service == "active"
+    assert deploy_one(board, kept_manifest).service == "not touched"
+    assert (tmp_path / "asked").read_text().split() == ["no", "yes"]
+
+
+@pytest.mark.parametrize("service", ["activating", "failed"])
+def test_a_service_that_does_not_come_up_is_trouble(kept_manifest: DeployRequest, tmp_path: Path, service: str) -> None:
+    (tmp_path / "service").write_text(service)
+    found = deploy_one(Target("board", 1), kept_manifest)
+    assert f"its service is {service} after the restart" in found.trouble

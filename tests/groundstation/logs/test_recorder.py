@@ -18,8 +18,10 @@ from mcap_protobuf.decoder import DecoderFactory
 from groundstation.logs.reader import is_complete
 from groundstation.logs.recorder import FLUSH_PERIOD_S, MAX_PENDING_BYTES, Recorder, check_room
 from groundstation.logs.repair import recover
+from groundstation.logs.run_folders import delete_run
 from sim_bridge.sil.ports import free_port
 from tests.groundstation.small_log import SECOND, pose, record_poses, sequences
+from tests.waiting import eventually
 from wire.messages import topics
 from wire.messages.codec import Header, decode, encode
 from wire.messages.messages import Event, Plan, Pose, Preview, Video
@@ -346,3 +348,23 @@ def test_the_end_comes_behind_the_last_message(tmp_path: Path) -> None:
         kinds = [type(record).__name__ for record in StreamReader(file, emit_chunks=True).records]
     assert kinds.index("DataEnd") - 1 == len(kinds) - 1 - kinds[::-1].index("Metadata")
     assert kinds[: kinds.index("DataEnd") - 1].count("Chunk") == kinds.count("Chunk") == 1
+
+
+def test_a_run_whose_log_has_stopped_is_not_deleted_while_it_flies(tmp_path: Path) -> None:
+    folder = tmp_path / "pool-20260101-120000"
+    folder.mkdir()
+    recorder = Recorder(folder / "run.mcap", "", {})
+    failed = threading.Event()
+
+    def fail() -> None:
+        failed.set()
+        raise OSError(28, "No space left on device")
+
+    # the recorder opens its file itself, so a disk that fails can only be put in here
+    recorder._output.sync = fail  # type: ignore[method-assign]
+    assert failed.wait(30.0) and eventually(lambda: bool(recorder.error), 30.0)
+    with pytest.raises(ConfigError, match="its run still goes on"):
+        delete_run(folder)
+    recorder.close()
+    delete_run(folder)
+    assert not folder.exists()

@@ -7,6 +7,7 @@ import numpy as np
 
 from groundstation.mission.command_dispatcher import CommandResult
 from groundstation.mission.mission import Mission
+from groundstation.mission.objections import LIVE
 from groundstation.mission.state_machine import MissionState
 from groundstation.planning.segment import PlanSegment
 from groundstation.telemetry import RobotView
@@ -29,6 +30,7 @@ class ObedientRobot:
     hears: bool = False  # also when silent: nothing that it says arrives
     unknown: bool = False
     test: str = ""
+    tuning_id: str = ""
     eta: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     age_s: float = 0.02
     fault: str = ""
@@ -43,6 +45,8 @@ class ObedientRobot:
         unheard = self.silent or self.unknown
         if (unheard and not self.hears) or command.order in self.refuses:
             return Reply(command.robot, False, "no answer" if unheard else "I refuse", silent=unheard)
+        if command.order is Order.HOLD and self.mode not in LIVE:
+            return Reply(command.robot, False, "HOLD is not accepted")
         leads = {Order.ARM: Mode.ARMED, Order.START: Mode.TRACKING, Order.HOLD: Mode.HOLDING, Order.RESUME: Mode.TRACKING,
                  Order.DISARM: Mode.DISARMED, Order.STOP: Mode.STOPPED, Order.CLEAR_STOP: Mode.DISARMED,
                  Order.DRIVE: Mode.DRIVEN}  # fmt: skip
@@ -65,6 +69,7 @@ class ObedientRobot:
         state = RobotState(
             mode=self.mode, fault=self.fault, experiment_hash=self.experiment.hash, trajectory_id=self.loaded,
             trajectory_s=self.trajectory_s, battery_v=self.battery_v, thruster_test=self.test,
+            tuning_id=self.tuning_id,
             eta=np.array(self.eta),
         )  # fmt: skip
         if self.unknown:

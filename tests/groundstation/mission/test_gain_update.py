@@ -81,7 +81,9 @@ class TunedFleet:
                 robot.trajectory_s += STEP_S if robot.mode is Mode.TRACKING else 0.0
 
     def request(self, value: float = VALUE, next_lap: bool = False) -> str:
-        return self.tuner.request({KEY: value}, next_lap, self.views(), round(self.now_s * 1e9))
+        views = self.views()
+        flying = {r: seen.state for r, seen in views.items() if seen.state is not None and seen.mode is Mode.TRACKING}
+        return self.tuner.request({KEY: value}, next_lap, views, round(self.now_s * 1e9), flying)
 
     def undo(self) -> str:
         return self.tuner.undo(self.views(), round(self.now_s * 1e9))
@@ -211,7 +213,7 @@ def test_gains_for_a_next_lap_that_never_comes_are_refused(progress_s: float, mo
 
 def test_a_path_without_laps_has_no_next_one() -> None:
     tuner = GainUpdater(load_experiment("figure-eight"))
-    assert tuner.request({KEY: VALUE}, True, {}, 0) == "this path has no laps"
+    assert tuner.request({KEY: VALUE}, True, {}, 0, {}) == "this path has no laps"
 
 
 def test_wishes_that_cannot_be() -> None:
@@ -239,8 +241,8 @@ def test_undo_goes_back_a_set_at_a_time() -> None:
     assert fleet.undo() == "there is nothing to undo"
 
 
-@pytest.mark.parametrize(("mode", "taken"), [(Mode.DISARMED, True), (Mode.HOLDING, False)])
-def test_a_restarted_disarmed_robot_gets_the_gains_of_the_fleet(mode: Mode, taken: bool) -> None:
+@pytest.mark.parametrize(("mode", "taken"), [(Mode.DISARMED, True), (Mode.HOLDING, True), (Mode.STOPPED, False)])
+def test_a_robot_that_comes_back_gets_the_gains_of_the_fleet(mode: Mode, taken: bool) -> None:
     fleet = TunedFleet()
     fleet.request()
     fleet.step(1.0)
@@ -257,3 +259,25 @@ def test_a_late_reply_about_another_gain_set_is_ignored() -> None:
     fleet.answers.append(wrong)
     fleet.step(1.0)
     assert fleet.flown == {fleet.tuner.status().flown.id} != {fleet.first}
+
+
+def test_a_change_for_the_next_lap_ends_when_a_robot_falls_silent() -> None:
+    fleet = TunedFleet()
+    fleet.request(next_lap=True)
+    fleet.step(1.0)
+    fleet.robots[2].heard = False
+    fleet.step(PATIENCE_S + 12.0)
+    assert fleet.tuner.status().reason.startswith("robot 2 left the run before the lap began")
+    assert fleet.tuner.status().stage is GainStage.IDLE
+    assert fleet.robots[1].tuning_id == fleet.first
+
+
+def test_a_change_for_the_next_lap_ends_when_one_robot_never_begins_it() -> None:
+    fleet = TunedFleet()
+    fleet.request(next_lap=True)
+    fleet.step(1.0)
+    # its clock stands, the lap of the other begins
+    fleet.robots[2].mode, fleet.robots[2].adopts_at_s = Mode.HOLDING, float("inf")
+    fleet.step(15.0 + PATIENCE_S + 3.0)
+    assert "robot 2 did not change over with the lap" in fleet.tuner.status().reason
+    assert fleet.flown == {fleet.first}

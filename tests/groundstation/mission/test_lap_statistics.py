@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from groundstation.mission.lap_statistics import LapStatistics
-from groundstation.telemetry import RobotView
 from wire.messages.messages import Mode, RobotState
 
 LAP_S = 10.0
@@ -14,10 +13,7 @@ def note(laps: LapStatistics, trajectory_s: dict[int, float], error_m: float = 0
     """A step of robots that are so far along, all as far from their references."""
     away = np.array([error_m, 0.0, 0.0, 0.0])
     laps.update(
-        {
-            robot: RobotView(RobotState(mode=Mode.TRACKING, tuning_id="a", trajectory_s=s, eta=away), 0.0)
-            for robot, s in trajectory_s.items()
-        }
+        {robot: RobotState(mode=Mode.TRACKING, tuning_id="a", trajectory_s=s, eta=away) for robot, s in trajectory_s.items()}
     )
 
 

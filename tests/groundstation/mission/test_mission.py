@@ -379,7 +379,7 @@ def test_rejoin_is_refused_while_the_others_return() -> None:
     outward, home = run.mission.segment, replace(run.mission.segment, is_return=True)
     assert "way back" in why_not(home)
     assert "way back" not in why_not(outward)
-    roster.reinstate()
+    roster.reinstate((2,))
     assert why_not(home) == "no robot is out"
 
 
@@ -1048,3 +1048,75 @@ def test_a_robot_that_disarms_when_its_way_home_is_blocked_is_lost(monkeypatch: 
     run.robots[2].mode = Mode.DISARMED
     run.step(0.2)
     assert run.mission.reason == "robot 2: disarmed" and run.in_mode(1, Mode.DISARMED)
+
+
+def test_rejoin_takes_in_who_is_fit_and_leaves_out_who_is_not() -> None:
+    run = three_running("go-on")
+    run.robots[3].silent = True
+    run.robots[2].mode = Mode.FAULT
+    run.step(0.5)
+    assert set(run.mission.roster.lost) == {2, 3}
+    run.robots[2].mode, run.robots[2].fault = Mode.HOLDING, ""
+    run.step(0.5)
+    assert run.mission.request(Order.REJOIN, run.fleet(), run.now_ns) == ""
+    assert set(run.mission.roster.lost) == {3}
+
+
+def test_a_stop_that_one_robot_missed_to_clear_is_cleared_later() -> None:
+    run = running(automatic=False)
+    run.mission.request(Order.STOP, run.fleet(), run.now_ns)
+    run.step(1.0)
+    run.robots[2].silent = True
+    assert run.mission.request(Order.CLEAR_STOP, run.fleet(), run.now_ns) == ""
+    run.step(PATIENCE_S * 2.0 + 1.0)
+    assert run.at(MissionState.FAILED)
+    reason = run.mission.reason
+    run.robots[2].silent = False
+    assert run.mission.request(Order.DISARM, run.fleet(), run.now_ns) == ""
+    run.step(PATIENCE_S * 2.0 + 1.0)
+    assert run.at(MissionState.FAILED) and run.mission.reason
+    assert "robot 2" in reason
+    assert run.mission.request(Order.CLEAR_STOP, run.fleet(), run.now_ns) == ""
+    run.step(1.0)
+    assert run.at(MissionState.WAITING)
+    assert {robot.mode for robot in run.robots.values()} == {Mode.DISARMED}
+
+
+def test_disarm_when_all_is_over_keeps_the_reason() -> None:
+    run = running(automatic=False)
+    run.mission.request(Order.DISARM, run.fleet(), run.now_ns)
+    run.step(1.0)
+    assert run.at(MissionState.CANCELLED)
+    reason = run.mission.reason
+    run.mission.request(Order.DISARM, run.fleet(), run.now_ns)
+    run.step(1.0)
+    assert (run.mission.state, run.mission.reason) == (MissionState.CANCELLED, reason)
+    assert "DISARM when RUNNING" in reason
+
+
+def test_a_run_that_is_over_can_be_started_again_and_a_test_keeps_its_verdict() -> None:
+    run = MissionRun(automatic=False)
+    assert run.mission.request(Order.START, run.fleet(), run.now_ns) == ""
+    run.step(6.0)
+    assert run.at(MissionState.DONE)
+    assert run.mission.request(Order.TEST, run.fleet(), run.now_ns) == ""
+    for robot in run.robots.values():
+        robot.test = "passed"
+    run.step(2.0)
+    assert run.at(MissionState.WAITING) and run.mission.verdict is MissionState.DONE
+    assert run.mission.request(Order.START, run.fleet(), run.now_ns) == ""
+    assert run.mission.verdict is None
+    run.step(6.0)
+    assert run.at(MissionState.DONE)
+    assert run.mission.request(Order.START, run.fleet(), run.now_ns) == ""
+
+
+def test_hold_while_planning_leaves_out_a_robot_that_is_disarmed() -> None:
+    """It was to be armed for the plan, and cannot hold."""
+    run = three_running("go-on")
+    run.mission.request(Order.DISARM, run.fleet(), run.now_ns)
+    run.step(1.0)
+    assert run.mission.request(Order.RETURN, run.fleet(), run.now_ns) == ""
+    run.robots[1].mode = run.robots[3].mode = Mode.HOLDING
+    assert run.mission.request(Order.HOLD, run.fleet(), run.now_ns) == ""
+    assert run.mission.roster.lost == {2: "disarmed"}

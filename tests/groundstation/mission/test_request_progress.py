@@ -23,7 +23,7 @@ class Asked:
     """A mission by hand, and the account of what is asked for."""
 
     run: MissionRun = field(default_factory=lambda: MissionRun(automatic=False, settings=["duration_s=60"]))
-    requests: RequestTracker = field(default_factory=lambda: RequestTracker((1, 2), {}))
+    requests: RequestTracker = field(default_factory=lambda: RequestTracker((1, 2)))
     tuning: GainStatus = field(default_factory=lambda: GainStatus(FLOWN))
 
     def ask(self, order: Order, **more: Any) -> int:
@@ -170,6 +170,10 @@ def test_gains_are_told_apart_from_the_mission() -> None:
     assert (asked.progress(number), asked.outcome(number).reason) == (Progress.FAILED, "robot 2 refuses: too much")
     again = asked.requests.begin(Order.TUNE, asked.run.mission, WANTED.id)
     asked.tuning = GainStatus(WANTED)
+    asked.run.robots[1].tuning_id = WANTED.id
+    asked.look()
+    assert (asked.progress(again), asked.outcome(again).waiting) == (Progress.UNDER_WAY, (2,))  # it came back meanwhile
+    asked.run.robots[2].tuning_id = WANTED.id
     asked.look()
     assert asked.progress(again) is Progress.DONE
 

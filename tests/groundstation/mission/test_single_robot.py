@@ -23,7 +23,6 @@ class LedRun(MissionRun):
 
     def step(self, seconds: float = 0.05) -> None:
         for _ in range(round(seconds / 0.05)):
-            self.mission.led = self.single.led
             super().step()
             if self.single.plan_request is not None:
                 self.single.planned(self.single.plan_request.plan(), self.fleet(), self.now_ns)
@@ -184,3 +183,81 @@ def test_a_robot_that_holds_on_its_way_fails_the_request_with_its_reason() -> No
     run.step(0.1)
     task = run.single.tasks[2]
     assert (task.progress, task.reason) == (Progress.FAILED, "robot 2 holds: pose late")
+
+
+def test_a_hold_of_the_fleet_holds_a_robot_that_is_led_alone() -> None:
+    run = LedRun()
+    run.fly()
+    run.ask(Order.GO, place_m=(0.5, 1.0))
+    run.step(2.0)
+    assert run.in_mode(2, Mode.TRACKING)
+    assert run.mission.request(Order.HOLD, run.fleet(), run.now_ns) == ""
+    run.step(0.5)
+    assert {robot.mode for robot in run.robots.values()} == {Mode.HOLDING}
+    assert run.single.tasks[2].progress is Progress.FAILED
+
+
+def test_a_trip_of_its_own_is_no_progress_of_the_formation() -> None:
+    run = LedRun()
+    run.fly()
+    run.mission.request(Order.HOLD, run.fleet(), run.now_ns)
+    run.step(0.5)
+    held_s = run.mission.plans.progress_s
+    for robot, place_m in ((2, (0.5, 1.0)), (1, (-0.5, -1.0))):
+        assert run.ask(Order.GO, robot, place_m) == ""
+        while robot in run.single.led:
+            run.step(0.5)
+        assert run.robots[robot].trajectory_s > held_s
+        run.robots[robot].eta = (*place_m, 0.3, 0.0)
+    assert run.mission.plans.progress_s == held_s
+    assert run.mission.request(Order.RESUME, run.fleet(), run.now_ns) == ""
+    assert "has another plan" in run.mission.reason
+
+
+def test_another_request_ends_a_task_and_tells_it_so() -> None:
+    """A terminal sends robot 2 somewhere; at the page somebody drives it, and lets go."""
+    run = LedRun()
+    run.ask(Order.ARM)
+    run.step(0.2)
+    run.ask(Order.GO, place_m=(0.5, 0.8))
+    sent = run.single.tasks[2]
+    run.step(2.0)
+    assert run.drive() == ""
+    run.step(2.0)
+    assert (sent.progress, sent.reason) == (Progress.FAILED, "DRIVE was asked for instead")
+    driven = run.single.tasks[2]
+    assert (driven.order, driven.progress) == (Order.DRIVE, Progress.DONE)
+    assert run.in_mode(2, Mode.HOLDING)
+
+
+def test_a_drive_that_was_ended_by_a_hold_goes_on_only_after_letting_go() -> None:
+    run = LedRun()
+    run.ask(Order.ARM)
+    run.step(0.2)
+    run.drive()
+    run.step(0.1)
+    assert run.ask(Order.HOLD) == ""
+    for _ in range(10):  # the key is still held down
+        assert run.drive() == "HOLD was asked for instead: let go first"
+        run.step(0.1)
+    assert run.in_mode(2, Mode.HOLDING)
+    assert run.single.tasks[2].progress is Progress.DONE
+    assert run.drive(DriveVelocity()) == ""
+    assert run.drive() == ""
+
+
+def test_a_robot_whose_task_has_failed_in_flight_is_held() -> None:
+    """Its states do not arrive for a moment; then it is heard again, flying, and the mission waits for the fleet."""
+    run = LedRun()
+    run.ask(Order.ARM)
+    run.step(0.2)
+    run.ask(Order.GO, place_m=(0.5, 0.8))
+    run.step(1.5)
+    assert run.in_mode(2, Mode.TRACKING)
+    run.robots[2].silent = True
+    run.step(0.2)
+    run.robots[2].silent = False
+    assert run.single.tasks[2].progress is Progress.FAILED
+    run.step(0.5)
+    assert run.at(MissionState.WAITING)
+    assert run.in_mode(2, Mode.HOLDING)

@@ -179,6 +179,20 @@ def test_a_dense_fleet_without_transfers_is_refused_in_bounded_time(monkeypatch:
     assert len(made) <= 60 * 2 * len(rests)
 
 
+def test_planning_ends_when_nobody_waits_any_longer() -> None:
+    asked: list[int] = []
+
+    def out_of_time() -> bool:
+        asked.append(1)
+        return len(asked) > 3
+
+    experiment = load_experiment("fleet-20")
+    segment = first_segment(experiment)
+    rests, goals = {r: t.eta[400] for r, t in segment.trajectories.items()}, start_poses(experiment, segment.trajectories)
+    with pytest.raises(PlanError, match="in time, in 3 tries"):
+        plan_transfers(experiment, rests, goals, NO_OBSTACLES, out_of_time)
+
+
 def test_a_way_that_leads_out_of_the_camera_s_picture_is_refused() -> None:
     """An island fills the picture from edge to edge, and the way round it leaves it. Who rests beside the picture may go."""
     experiment = load_experiment("pool", ["pool.size_m=[8,8,1]", "islands=[{position_m=[0,0],radius_m=1.2}]"])

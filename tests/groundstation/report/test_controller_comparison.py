@@ -11,7 +11,7 @@ from scipy import stats
 from typer.testing import CliRunner
 
 from groundstation.__main__ import cli
-from groundstation.report.controller_comparison import cells, ratio
+from groundstation.report.controller_comparison import cells, failures, ratio
 from tests.sim_bridge.studies.flight_metrics import GOOD
 from wire.config.controller_benchmark import Comparison, FlightRecord, Traces, Variant
 from wire.figures import mean
@@ -88,3 +88,9 @@ def test_a_folder_without_a_comparison_is_refused_by_name(tmp_path: Path, text: 
     (tmp_path / "comparison.json").write_text(text, encoding="utf-8")
     result = CliRunner().invoke(cli, ["benchmark", "report", str(tmp_path)])
     assert isinstance(result.exception, ConfigError) and str(tmp_path / "comparison.json") in str(result.exception)
+
+
+def test_robots_that_came_too_close_are_a_failure() -> None:
+    compared = dataclasses.replace(comparison(variant("pid", 1.0, 1)), separation_m=0.8)
+    assert failures(compared) == ["pid, seed 1: two robots came to 0.700 m of one another (allowed: 0.8 m)"]
+    assert failures(dataclasses.replace(compared, separation_m=0.6)) == []

@@ -124,6 +124,6 @@ def test_a_cut_log_is_mended_on_request(runs: list[Path], tmp_path: Path) -> Non
     cut.write_bytes(whole[: len(whole) // 2])
     assert not is_complete(cut)
     mended = station("log", "repair", str(cut))
-    assert mended.returncode == 0 and "mended up to the cut" in mended.stdout and is_complete(cut)
+    assert mended.returncode == 0 and "the original is kept beside it" in mended.stdout and is_complete(cut)
     assert "nothing to mend" in station("log", "repair", str(cut)).stdout
     assert station("log", "repair", str(tmp_path / "none.mcap")).returncode == 2

@@ -68,13 +68,13 @@ def test_an_outdated_plan_is_dropped(tmp_path: Path) -> None:
         mission, detour = station.mission, station.mission.segment
         home = replace(detour, is_return=True)
 
-        def slow() -> PlanSegment:
+        def slow(out_of_time: Callable[[], bool]) -> PlanSegment:
             late.wait(PATIENCE_S)
             return detour
 
         mission.state, mission.plans.request = MissionState.HALTING, PlanRequest("another path", slow)
         station.plan(False, 0)
-        mission.plans.request = PlanRequest("a way for everybody from rest", lambda: home)
+        mission.plans.request = PlanRequest("a way for everybody from rest", lambda out_of_time: home)
         late.set()
         deadline = time.monotonic() + PATIENCE_S
         while mission.state is MissionState.HALTING and time.monotonic() < deadline:
@@ -90,7 +90,7 @@ def test_a_planner_that_breaks_leaves_the_fleet_holding_and_the_station_alive(tm
         station.seen = station.fleet()
         mission.state, mission.plans.request = (
             MissionState.HALTING,
-            PlanRequest("another path", lambda: dict[str, PlanSegment]()["robot 3"]),
+            PlanRequest("another path", lambda out_of_time: dict[str, PlanSegment]()["robot 3"]),
         )
         with station.lock:
             station.plan(True, 0)
@@ -105,7 +105,7 @@ def test_in_lockstep_a_stop_is_taken_while_a_plan_is_computed(tmp_path: Path) ->
         station.seen = station.fleet()
         mission, detour = station.mission, station.mission.segment
 
-        def slow() -> PlanSegment:
+        def slow(out_of_time: Callable[[], bool]) -> PlanSegment:
             begun.set()
             late.wait(PATIENCE_S)
             return detour
@@ -123,6 +123,24 @@ def test_in_lockstep_a_stop_is_taken_while_a_plan_is_computed(tmp_path: Path) ->
         late.set()
         planning.join(PATIENCE_S)
         assert mission.state is MissionState.STOPPED
+
+
+def test_in_lockstep_a_plan_that_another_request_replaced_meanwhile_is_dropped(tmp_path: Path) -> None:
+    with a_station(tmp_path) as station:
+        mission, detour = station.mission, station.mission.segment
+        home = PlanRequest("a way for everybody from rest", lambda out_of_time: replace(detour, is_return=True))
+
+        def slow(out_of_time: Callable[[], bool]) -> PlanSegment:
+            with station.lock:  # as a request takes it
+                mission.plans.request = home
+            return replace(detour, is_return=False)
+
+        mission.state, mission.plans.request = MissionState.HALTING, PlanRequest("another path", slow)
+        with station.lock:
+            station.plan(True, 0)
+            assert (mission.state, mission.plan_request) == (MissionState.HALTING, home)
+            station.plan(True, 0)
+        assert (mission.state, mission.segment.is_return) == (MissionState.RELOADING, True)
 
 
 class ObedientFleet:
@@ -155,7 +173,12 @@ class ObedientFleet:
             time.sleep(0.002)
 
 
-LEADS = {Order.STOP: Mode.STOPPED, Order.CLEAR_STOP: Mode.DISARMED, Order.DISARM: Mode.DISARMED}
+def tell_until(fleet: ObedientFleet, over: threading.Event) -> None:
+    while not over.wait(0.02):
+        fleet.tell()
+
+
+LEADS = {Order.HOLD: Mode.HOLDING, Order.STOP: Mode.STOPPED, Order.CLEAR_STOP: Mode.DISARMED, Order.DISARM: Mode.DISARMED}
 
 
 def asked(station: Station, order: Order) -> int:
@@ -267,6 +290,46 @@ def test_a_run_is_ended_once_everybody_is_at_rest(tmp_path: Path, mode: Mode) ->
         assert station.status().ended
 
 
+def test_a_station_that_is_told_to_end_in_flight_holds_and_then_disarms(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level("INFO", "shoal")
+    hub, stop = MemoryHub(), Stop(install=False)
+    with a_station(tmp_path, hub) as station:
+        fleet = ObedientFleet(hub, station.experiment)
+        fleet.modes = dict.fromkeys(fleet.modes, Mode.TRACKING)
+        station.mission.state = MissionState.RUNNING
+        fleet.until(station, lambda: len(station.seen) == 2 and all(seen.heard for seen in station.seen.values()))
+        stop.request(interrupted=True)
+        over, told = threading.Event(), threading.Thread(target=lambda: tell_until(fleet, over))
+        told.start()
+        try:
+            # the loop alone: `cycles` around it needs a network and a page
+            process._wall_loop(station, stop, process.EndOfRun(station, None))
+        finally:
+            over.set()
+            told.join()
+        for robot in fleet.modes:
+            orders = [order for of, order in fleet.got if of == robot]
+            assert orders.index(Order.HOLD) < orders.index(Order.DISARM)
+        assert set(fleet.modes.values()) == {Mode.DISARMED}
+        lines = [record.message for record in caplog.records]
+        told_to_end = next(k for k, line in enumerate(lines) if line.startswith("told to end while robots have power"))
+        assert lines.index(process.INTERRUPTED) < told_to_end  # the report's cause is Ctrl-C, and no request that nobody made
+        assert not [line for line in lines if line.endswith("asked for")]
+
+
+def test_an_end_disarms_the_one_robot_that_is_armed(tmp_path: Path) -> None:
+    hub = MemoryHub()
+    with a_station(tmp_path, hub) as station:
+        fleet = ObedientFleet(hub, station.experiment)
+        fleet.modes = {1: Mode.DISARMED, 2: Mode.HOLDING}
+        fleet.until(station, lambda: len(station.seen) == 2 and all(seen.heard for seen in station.seen.values()))
+        asked(station, Order.END)
+        fleet.until(station, lambda: station.ended)
+        assert fleet.modes == {1: Mode.DISARMED, 2: Mode.DISARMED}
+
+
 def test_an_end_replaced_by_a_start_ends_no_run(tmp_path: Path) -> None:
     hub = MemoryHub()
     with a_station(tmp_path, hub) as station:
@@ -301,9 +364,9 @@ def test_an_automatic_run_that_a_person_took_over_ends_only_when_it_is_left_alon
         fleet.until(station, end.reached)
         assert station.ended
 
-        station.ended, station.mission.state = False, MissionState.DONE  # after a return to the start
+        station.core.ended, station.mission.state = False, MissionState.DONE  # after a return to the start
         assert not process.EndOfRun(station, None).reached()
-        station.by_hand = False  # as a person's START leaves it
+        station.core.by_hand = False  # as a person's START leaves it
         assert process.EndOfRun(station, None).reached()
 
 

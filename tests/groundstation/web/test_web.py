@@ -423,3 +423,8 @@ def test_another_path_pool_and_islands_are_judged_and_kept(tmp_path: Path, monke
     assert saved.hash == experiment_editor.edited(wide, edit).model_copy(update={"name": "around", "title": saved.title}).hash
     in_the_way = experiment_editor.attempt(wide, protocol.Edit(islands_m=[(0.0, 0.225, 0.2)]))
     assert not in_the_way["ok"]
+
+
+def test_an_edit_to_waypoints_without_points_is_answered() -> None:
+    tried = experiment_editor.attempt(POOL, protocol.Edit(kind="waypoints"))
+    assert not tried["ok"] and any("points_m" in problem for problem in tried["problems"])

@@ -366,6 +366,13 @@ def test_a_lag_that_is_taken_back_is_caught_up_with_slowly() -> None:
     assert pose_at(straight(), 3.0)[0] == pytest.approx(-0.2)
 
 
+@pytest.mark.parametrize("time_s", [-5.0, 0.0, 1e6])
+def test_a_pose_before_and_after_a_trajectory_is_its_first_and_last(time_s: float) -> None:
+    """A START that comes late may name an instant at which the trajectory is over."""
+    expected = straight().eta[0 if time_s <= 0.0 else -1]
+    assert pose_at(straight(), time_s) == pytest.approx(expected)
+
+
 def test_the_lag_of_another_station_does_not_count() -> None:
     robot = under_way()
     before_s = robot.reaches()

@@ -127,3 +127,9 @@ def test_settings_of_lists_go_by_entries() -> None:
     for wrong in ("controller.mpc.q=[true]", "controller.mpc.q=high", "controller.mpc.q"):
         with pytest.raises(ConfigError):
             values_of([wrong])
+
+
+@pytest.mark.parametrize("value", ["[9,9,1]", "[1,1,1,1,1]", "2"])
+def test_a_list_is_given_as_a_whole(value: str) -> None:
+    with pytest.raises(ConfigError, match=r"must be 4 numbers, or one of them by its place: controller\.mpc\.q\.0"):
+        values_of([f"controller.mpc.q={value}"])

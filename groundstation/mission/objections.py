@@ -1,0 +1,152 @@
+"""Reasons to refuse an operator's request in a state that allows it: a table by order. Pure."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+from groundstation.mission.roster import Roster
+from groundstation.mission.state_machine import AT_REST, MissionState
+from groundstation.planning.replanning import can_replan
+from groundstation.planning.segment import PlanSegment
+from groundstation.telemetry import Fleet, RobotView, blocking_findings, first_lost_robot, preflight
+from wire.config.experiment import Experiment
+from wire.frames import Array
+from wire.messages.messages import Mode, Order
+
+ARMED = frozenset({Mode.ARMED, Mode.HOLDING})
+MOVING = frozenset({Mode.TRACKING, Mode.DRIVEN})
+LIVE = ARMED | MOVING
+
+
+@dataclass(frozen=True, eq=False)
+class RequestContext:
+    """State of mission and fleet that a request is judged by."""
+
+    experiment: Experiment
+    state: MissionState
+    roster: Roster
+    segment: PlanSegment
+    starts: Mapping[int, Array]
+    fleet: Fleet
+    via: Sequence[tuple[float, float]] = ()  # places of a GO, x and y in m
+
+
+def objection(order: Order, context: RequestContext) -> str:
+    """Reason against a request in a state that allows it; empty if there is none."""
+    return next((reason for check in OBJECTIONS.get(order, ()) if (reason := check(context))), "")
+
+
+def mode_name(robot: RobotView) -> str:
+    """Name of a robot's mode for people."""
+    return robot.mode.name if robot.mode is not None else "never heard"
+
+
+def unfit_to_return(context: RequestContext, robot: int) -> str:
+    """Reason for which a robot cannot take part in a return; empty if it can. A disarmed robot has to be armed for it: all
+    that blocks arming counts, except its distance from the start."""
+    fleet = context.fleet
+    lost = first_lost_robot((robot,), fleet, (robot,))
+    if lost is not None:
+        return lost[1]
+    disarmed = fleet[robot].mode is Mode.DISARMED
+    blocks = blocking_findings(context.experiment, {robot: fleet[robot]}) if disarmed else ()
+    return "; ".join(finding.message for finding in blocks)
+
+
+def fit_to_rejoin(context: RequestContext) -> tuple[int, ...]:
+    """Robots that are out of the formation and could take part again."""
+    return tuple(r for r in context.roster.lost if not _unfit_to_rejoin(context, r))
+
+
+def _unfit_to_rejoin(context: RequestContext, robot: int) -> str:
+    return "; ".join(preflight(context.experiment, {robot: context.fleet[robot]}, exclude=("thrusters",)))
+
+
+def _moves(context: RequestContext) -> str:
+    moving = [r for r, seen in context.fleet.items() if seen.heard and seen.mode in MOVING]
+    if not moving or context.state not in AT_REST:
+        return ""
+    led = moving[0] in context.roster.led_by_people
+    return f"robot {moving[0]} {'is led by a person' if led else 'still moves'}: let it hold first"
+
+
+def _unfit_to_start(context: RequestContext) -> str:
+    return "; ".join(preflight(context.experiment, context.fleet, context.starts))
+
+
+def _unfit_to_test(context: RequestContext) -> str:
+    return "; ".join(preflight(context.experiment, context.fleet, exclude=("thrusters",)))
+
+
+def _not_holding(context: RequestContext) -> str:
+    fleet = context.fleet
+    others = [r for r in context.roster.active if fleet[r].mode is not Mode.HOLDING]
+    return "; ".join(f"robot {r} does not hold yet ({mode_name(fleet[r])})" for r in others)
+
+
+def _not_stopped(context: RequestContext) -> str:
+    fleet = context.fleet
+    live = [r for r in context.roster.all_robots if fleet[r].heard and fleet[r].mode in LIVE]
+    why = "is armed: disarm it first" if context.state in AT_REST else "has not stopped yet"
+    return "; ".join(f"robot {r} {why} ({mode_name(fleet[r])})" for r in live)
+
+
+def _none_armed(context: RequestContext) -> str:
+    disarmed = all(context.fleet[r].mode is Mode.DISARMED for r in context.roster.active)
+    return "no robot is armed" if disarmed else ""
+
+
+def _returns(context: RequestContext) -> str:
+    return "the robots are on their way back to the start, each on its own" if context.segment.is_return else ""
+
+
+def _no_places(context: RequestContext) -> str:
+    return "" if context.via else "where to? (places for the formation's centre, x and y in m)"
+
+
+def _unchangeable(context: RequestContext) -> str:
+    if can_replan(context.experiment):
+        return ""
+    return "the path is a circle, dives, or is not common to all robots: it cannot be changed under way"
+
+
+def _outside(context: RequestContext) -> str:
+    length, width, _ = context.experiment.pool.size_m  # robots accept no path beyond it, in open water neither
+    outside = [(x, y) for x, y in context.via if not (abs(x) <= length / 2.0 and abs(y) <= width / 2.0)]
+    return "; ".join(f"({x:g}, {y:g}) m is outside the pool" for x, y in outside)
+
+
+def _none_lost(context: RequestContext) -> str:
+    return "" if context.roster.lost else "no robot is out"
+
+
+def _no_place_left(context: RequestContext) -> str:
+    reason = "the others are on their way back to the start, where no place is left to take"
+    return reason if context.segment.is_return else ""
+
+
+def _none_can_rejoin(context: RequestContext) -> str:
+    if fit_to_rejoin(context):
+        return ""
+    return "; ".join(_unfit_to_rejoin(context, robot) for robot in context.roster.lost)
+
+
+def _none_can_return(context: RequestContext) -> str:
+    active = context.roster.active
+    stay = [f"robot {r}: {why}" for r in active if (why := unfit_to_return(context, r))]
+    return "" if len(stay) < len(active) else "; ".join(["no robot is fit to move", *stay])
+
+
+Check = Callable[[RequestContext], str]
+
+OBJECTIONS: Mapping[Order, tuple[Check, ...]] = {
+    Order.LOAD: (_moves,),
+    Order.ARM: (_moves, _unfit_to_start),
+    Order.START: (_moves, _unfit_to_start),
+    Order.TEST: (_moves, _unfit_to_test),
+    Order.RESUME: (_not_holding,),
+    Order.CLEAR_STOP: (_not_stopped,),
+    Order.HOLD: (_none_armed,),
+    Order.GO: (_returns, _no_places, _unchangeable, _outside),
+    Order.REJOIN: (_none_lost, _no_place_left, _none_can_rejoin),
+    Order.RETURN: (_none_can_return,),
+}

@@ -1,0 +1,193 @@
+"""People and a script that interrupt one another, and robots that are late, dead, restarted, led away or out of radio.
+
+Any order of requests, over hours of simulated time; tests/groundstation/mission/invariants.py says what must hold throughout.
+"""
+
+import pytest
+from hypothesis import settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, rule, run_state_machine_as_test
+
+from groundstation.mission.state_machine import FLEET_REQUESTS, TERMINAL, MissionState, order_named, rejection_reason
+from tests.groundstation.mission.invariants import Invariants
+from tests.groundstation.mission.judged_run import RunRecord
+from tests.groundstation.mission.simulated_fleet import SimulatedFleet
+from wire.config.experiment import NO_CAMERA, Experiment, load_experiment
+from wire.messages.messages import DriveVelocity, Mode, Order
+
+PEOPLE = ("page A", "page B", "terminal", "script")
+KEY = "controller.mpc.r.2"
+PLACES_M = ((0.0, 1.9), (2.6, 1.6), (-2.6, -1.6), (2.4, -1.2))
+OUTAGES_S = (0.1, 0.4, 1.0, 2.5, 5.0, 20.0)
+ENDS = (Order.DISARM, Order.END, Order.STOP)
+FLEET_ORDERS = [order_named(name) for name in FLEET_REQUESTS]
+TWO = "[{id=1,node_m=[0.5,0.0,0.0],neighbours=[2]},{id=2,node_m=[-0.5,0.0,0.0],neighbours=[1]}]"
+THREE = (
+    "[{id=1,node_m=[0.0,0.0,0.0],neighbours=[2]},{id=2,node_m=[0.9,0.0,0.0],neighbours=[1,3]},"
+    "{id=3,node_m=[-0.9,0.0,0.0],neighbours=[2]}]"
+)
+
+
+def an_experiment(lost: str, robots: str, duration_s: int = 50) -> Experiment:
+    """Robots on a circle in a pool with room to be led away."""
+    return load_experiment(
+        "pool",
+        [
+            f"duration_s={duration_s}", "path.lap_s=20", "path.diameter_m=0.8", "pool.size_m=[7.0,5.0,1.0]",
+            f"robots={robots}", f'mission.lost="{lost}"', "article=[]", NO_CAMERA,
+        ],
+    )  # fmt: skip
+
+
+class Interruptions(RuleBasedStateMachine):
+    """Requests and mishaps, with time between them."""
+
+    pool: SimulatedFleet
+    watched: Invariants
+    record: RunRecord
+
+    @initialize(
+        lost=st.sampled_from(("go-on", "hold", "close-up", "abort")),
+        robots=st.sampled_from((THREE, TWO)),
+        automatic=st.booleans(),
+        flies=st.booleans(),
+    )
+    def begin(self, lost: str, robots: str, automatic: bool, flies: bool) -> None:
+        self.pool = SimulatedFleet(an_experiment(lost, robots), automatic)
+        self.watched = Invariants(self.pool)
+        self.record = RunRecord(self.pool)
+        self.ids = list(self.pool.robots)
+        self.pool.run(1.0)
+        if flies and not automatic:
+            self.ask("script", Order.START, 0)
+            self.pool.run(6.0)
+
+    def ask(self, who: str, order: Order, robot: int, place_m: tuple[float, float] | None = None) -> str:
+        """A request; what is refused is remembered for people alone."""
+        pool = self.pool
+        before = pool.mission.state
+        refused, number = pool.core.request(order, pool.fleet, pool.now_ns, (place_m,) if place_m else (), robot)
+        if number:
+            self.watched.begin(number, robot, place_m)
+        if number and before in TERMINAL | {MissionState.WAITING}:
+            self.watched.begin_run()
+        return refused
+
+    # --- requests
+
+    @rule(who=st.sampled_from(PEOPLE), order=st.sampled_from(FLEET_ORDERS))
+    def request(self, who: str, order: Order) -> None:
+        """Any request, possible or not."""
+        self.ask(who, order, 0)
+
+    @rule(who=st.sampled_from(PEOPLE), k=st.integers(0, 11))
+    def request_as_shown(self, who: str, k: int) -> None:
+        """A request that the page shows as possible, but for those that end everything."""
+        state = self.pool.mission.state
+        possible = [o for o in FLEET_ORDERS if o not in ENDS and not rejection_reason(o, state)]
+        if possible:
+            self.ask(who, possible[k % len(possible)], 0)
+
+    @rule(who=st.sampled_from(PEOPLE), order=st.sampled_from((Order.ARM, Order.HOLD, Order.DISARM)), k=st.integers(0, 2))
+    def request_of_one(self, who: str, order: Order, k: int) -> None:
+        self.ask(who, order, self.ids[k % len(self.ids)])
+
+    @rule(who=st.sampled_from(PEOPLE), place_m=st.sampled_from(PLACES_M), k=st.integers(0, 2))
+    def send_one(self, who: str, place_m: tuple[float, float], k: int) -> None:
+        """Send a robot to a place; one that is disarmed is armed first."""
+        robot = self.ids[k % len(self.ids)]
+        if self.pool.robots[robot].mode is Mode.DISARMED and not self.ask(who, Order.ARM, robot):
+            self.pool.run(0.5)
+        self.ask(who, Order.GO, robot, place_m)
+
+    @rule(surge_mps=st.sampled_from((0.1, -0.1)), seconds=st.sampled_from((0.2, 1.0, 3.0)), k=st.integers(0, 2))
+    def drive(self, surge_mps: float, seconds: float, k: int) -> None:
+        until_ns = self.pool.now_ns + round(seconds * 1e9)
+        self.pool.driving[self.ids[k % len(self.ids)]] = DriveVelocity(surge_mps=surge_mps), until_ns
+
+    @rule(value=st.sampled_from((15.0, 25.0, None)), next_lap=st.booleans())
+    def change_gains(self, value: float | None, next_lap: bool) -> None:
+        pool, values = self.pool, None if value is None else {KEY: value}
+        _, number = pool.core.request_gains(values, next_lap, pool.fleet, pool.now_ns)
+        if number:
+            self.watched.begin(number)
+
+    # --- mishaps
+
+    @rule(seconds=st.sampled_from(OUTAGES_S), k=st.integers(0, 2), way=st.sampled_from(("both", "deaf", "mute")))
+    def lose_radio(self, seconds: float, k: int, way: str) -> None:
+        radio, until_ns = self.pool.robots[self.ids[k % len(self.ids)]].radio, self.pool.now_ns + round(seconds * 1e9)
+        radio.deaf_until_ns = until_ns if way != "mute" else radio.deaf_until_ns
+        radio.mute_until_ns = until_ns if way != "deaf" else radio.mute_until_ns
+
+    @rule(delay_s=st.sampled_from((0.02, 0.1, 0.3)), k=st.integers(0, 2))
+    def be_late(self, delay_s: float, k: int) -> None:
+        self.pool.robots[self.ids[k % len(self.ids)]].radio.delay_ns = round(delay_s * 1e9)
+
+    @rule(k=st.integers(0, 2))
+    def die(self, k: int) -> None:
+        self.pool.robots[self.ids[k % len(self.ids)]].alive = False
+
+    @rule(k=st.integers(0, 2))
+    def restart(self, k: int) -> None:
+        self.pool.robots[self.ids[k % len(self.ids)]].restart(self.pool.now_ns)
+
+    @rule(k=st.integers(0, 2), works=st.booleans())
+    def board(self, k: int, works: bool) -> None:
+        self.pool.robots[self.ids[k % len(self.ids)]].board_works = works
+
+    @rule(k=st.integers(0, 2), seconds=st.sampled_from((0.1, 1.0)))
+    def hide(self, k: int, seconds: float) -> None:
+        """A robot that is not seen holds by itself."""
+        self.pool.robots[self.ids[k % len(self.ids)]].unseen_until_ns = self.pool.now_ns + round(seconds * 1e9)
+
+    # --- time
+
+    @rule(seconds=st.sampled_from((0.05, 0.3, 1.0, 3.0, 12.0, 30.0)))
+    def wait(self, seconds: float) -> None:
+        self.pool.run(seconds)
+
+    def teardown(self) -> None:
+        """All robots are well again: people bring the fleet to rest, and it can start anew."""
+        if not hasattr(self, "pool") or self.watched.violated:
+            return
+        self.pool.driving.clear()
+        for robot in self.pool.robots.values():
+            if not robot.alive:
+                robot.restart(self.pool.now_ns)
+            robot.radio.deaf_until_ns = robot.radio.mute_until_ns = 0
+            robot.radio.delay_ns, robot.board_works = 20_000_000, True
+        self.pool.run(2.0)
+        self.record.judge()
+        self.recover()
+
+    def recover(self) -> None:
+        """Requests that the station itself names lead from any state to a fleet that returns and ends."""
+        pool = self.pool
+        if pool.mission.state is not MissionState.STOPPED:
+            assert self.ask("page A", Order.STOP, 0) == ""
+            pool.run(3.0)
+        refused = self.ask("page A", Order.CLEAR_STOP, 0)
+        assert refused == "", f"RECOVERY: CLEAR_STOP: {refused}"
+        pool.run(3.0)
+        assert {r.mode for r in pool.robots.values()} == {Mode.DISARMED}, "RECOVERY: not all are disarmed"
+        refused = self.ask("page A", Order.RETURN, 0)
+        for _ in range(150):
+            pool.run(1.0)
+            if pool.mission.state in TERMINAL:
+                break
+        assert refused == "" and pool.mission.state is MissionState.DONE, f"RECOVERY: RETURN: {refused} {pool.mission.reason}"
+
+
+@pytest.mark.long
+def test_any_order_of_requests_and_mishaps() -> None:
+    run_state_machine_as_test(
+        Interruptions, settings=settings(max_examples=110, stateful_step_count=40, deadline=None, print_blob=False)
+    )
+
+
+@pytest.mark.slow
+def test_any_order_of_requests_and_mishaps_for_ten_minutes() -> None:
+    run_state_machine_as_test(
+        Interruptions, settings=settings(max_examples=1700, stateful_step_count=50, deadline=None, derandomize=False)
+    )
