@@ -45,9 +45,9 @@ def test_a_pipe_that_nobody_reads_stops_nothing_and_what_was_lost_is_counted() -
         lines += child.stderr.readlines()
         assert child.wait() == 0
     assert lines[-1].endswith("flows again\n")
-    lost = int(lines[-2].removeprefix("[").split()[0])
-    assert "outputs are missing here" in lines[-2]
-    assert len(lines) - 2 + lost == LINES
+    # More than one gap where the writer's thread comes to run between two lines that find no room.
+    gaps = [line for line in lines if "outputs are missing here" in line]
+    assert gaps and sum(int(gap.removeprefix("[").split()[0]) for gap in gaps) + len(lines) - len(gaps) - 1 == LINES
 
 
 def test_a_process_ends_although_nobody_reads_its_output() -> None:
