@@ -467,7 +467,8 @@ class Mission:
         late = [r for r in waiting if now_ns - since_ns[r] > patience_s * 1e9]
         if late:
             robots = ", ".join(map(str, late))
-            self._on_timeout(f"robot {robots} does not follow {stage.order.name}: {self.reason or 'no answer'}", now_ns)
+            text = f"robot {robots} does not follow {stage.order.name}"  # also of a second stage with the same command
+            self._on_timeout(self.reason if self.reason.startswith(text) else f"{text}: {self.reason or 'no answer'}", now_ns)
             return ()
         return self._send(stage.order, waiting, now_ns)
 

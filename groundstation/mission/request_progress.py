@@ -206,7 +206,13 @@ class RequestTracker:
         if request.order is Order.END:  # a robot that is not heard cannot be waited for: it comes to rest by itself
             flying = [robot for robot in waiting if may_move(fleet[robot])]
             return (Progress.UNDER_WAY if flying else Progress.DONE), "", waiting
-        left = "; ".join(f"robot {r} is left out: {why}" for r, why in mission.roster.lost.items() if r in waiting)
+        lost = mission.roster.lost
+        left = "; ".join(
+            f"robot {r} is left out: {lost[r]}"
+            if r in lost
+            else f"robot {r}: {_reason(fleet[r], request.refusals.get(r, ''))}"
+            for r in waiting
+        )
         if not waiting:
             return Progress.DONE, "", []
         return (Progress.UNDER_WAY, "", waiting) if goal.repeats else (Progress.FAILED, left, waiting)

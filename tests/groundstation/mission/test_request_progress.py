@@ -247,3 +247,23 @@ def test_a_return_without_one_robot_fails_and_names_it(fit: bool) -> None:
         return
     assert (found.progress, found.confirmed, found.waiting) == (Progress.FAILED, (1,), (2,))
     assert found.reason.startswith("robot 2 is left out: pose is MARKER, identity not verified")
+
+
+def test_a_disarm_that_a_robot_cannot_confirm_any_more_fails_with_its_reason() -> None:
+    asked = Asked()
+    number = asked.ask(Order.DISARM)
+    asked.run.step(1.0)
+    assert asked.run.at(MissionState.CANCELLED)
+    asked.run.robots[2].silent = True
+    asked.look()
+    assert (asked.progress(number), asked.outcome(number).reason) == (Progress.FAILED, "robot 2: not heard for 9.0 s")
+
+
+def test_a_robot_that_is_not_disarmed_is_named_once() -> None:
+    asked = Asked()
+    asked.run.robots[2].refuses = frozenset({Order.DISARM})
+    asked.fly()
+    asked.ask(Order.DISARM)
+    asked.step(25.0)
+    assert asked.run.at(MissionState.FAILED)
+    assert asked.run.mission.reason.count("robot 2 does not follow DISARM") == 1
