@@ -1,7 +1,7 @@
 """SHELL: `groundstation run`, and `plan`: what it would fly."""
 
 import json
-import time
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -26,7 +26,7 @@ from wire.process.cli_options import (
     WebAddress,
     caution,
 )
-from wire.process.output_files import page_was_open
+from wire.process.output_files import page_was_open, run_folder
 from wire.process.runtime import Stop, run_steps, start_log
 from wire.secret_files import refuse_shared
 from wire.toml_loader import ConfigError, os_errors_as_config_errors
@@ -123,21 +123,18 @@ def run(
             )
             return run_steps(station)
 
-    if no_report:
-        raise typer.Exit(0 if fly(run_dir or _named_by_time(out, loaded), Stop()) else 1)
     again = True
     while again:
-        folder, stop = run_dir or _named_by_time(out, loaded), Stop()
-        succeeded = fly(folder, stop)
+        stop = Stop()
+        with nullcontext(run_dir) if run_dir is not None else run_folder(out, loaded.name) as folder:
+            succeeded = fly(folder, stop)
+        if no_report:
+            raise typer.Exit(0 if succeeded else 1)
         result = write_report(folder)
         typer.echo(f"report: {folder / 'report.html'} ({result.verdict})")
         offers = ("again", "close") if run_dir is None else ("close",)  # a folder that was named holds one run
         again = page is not None and page_was_open(folder) and not stop.terminated and _flies_again(folder, page, offers)
     raise typer.Exit(0 if succeeded and result.passed else 1)
-
-
-def _named_by_time(out: Path, experiment: Experiment) -> Path:
-    return out / f"{experiment.name}-{time.strftime('%Y%m%d-%H%M%S')}"
 
 
 def _flies_again(folder: Path, page: "WebOptions", offers: tuple[str, ...]) -> bool:

@@ -2,7 +2,6 @@
 
 import os
 import sys
-import time
 from collections.abc import Collection
 from pathlib import Path
 from typing import Annotated
@@ -12,7 +11,7 @@ import typer
 from wire.config.experiment import experiment_path, load_experiment
 from wire.process.cli_options import ExperimentName, Settings
 from wire.process.output import background
-from wire.process.output_files import COMPARISON, check_output
+from wire.process.output_files import COMPARISON, check_output, new_run_folder
 from wire.toml_loader import ConfigError
 
 FIRST_OR_RANGE = "N or FIRST-LAST"
@@ -59,7 +58,7 @@ def compare(
     console, chosen, flown = Console(file=background(sys.stdout)), _names(laws, VARIANTS, "--laws"), _range(seeds)
     asked = [*(settings or ()), *([f"duration_s={duration}"] if duration is not None else [])]
     name = load_experiment(experiment, asked).name
-    folder = out or Path("runs") / f"compare-{name}-{time.strftime('%Y%m%d-%H%M%S')}"
+    folder = out or new_run_folder(Path("runs"), f"compare-{name}")
     for file in COMPARISON:
         check_output(folder / file, [experiment_path(experiment)], mine=COMPARISON)
     if (folder / COMPARISON[0]).exists():

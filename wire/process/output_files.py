@@ -15,7 +15,7 @@ import secrets
 import shutil
 import time
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO
 
@@ -142,6 +142,20 @@ def new_run_folder(out: Path, name: str) -> Path:
                     continue
                 raise
     raise RuntimeError(f"cannot make a folder {out / stem}")
+
+
+@contextmanager
+def run_folder(out: Path, name: str) -> Iterator[Path]:
+    """A `new_run_folder`, which is taken away again, and `out` with it if it is new, where nothing was put into it."""
+    is_new = not out.exists()
+    folder = new_run_folder(out, name)
+    try:
+        yield folder
+    finally:
+        with suppress(OSError):  # what holds something stays
+            folder.rmdir()
+            if is_new:
+                out.rmdir()
 
 
 def disk_free(folder: Path) -> int:

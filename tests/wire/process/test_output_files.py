@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from wire.process.output_files import CAMPAIGN, RUN, check_output, replace_text, replacing
+from wire.process.output_files import CAMPAIGN, RUN, check_output, replace_text, replacing, run_folder
 from wire.toml_loader import ConfigError
 
 
@@ -120,3 +120,15 @@ def test_a_campaigns_folder_is_its_own(tmp_path: Path) -> None:
     (tmp_path / "run.mcap").touch()
     with pytest.raises(ConfigError, match="is a file of a run"):
         check_output(tmp_path / "report.html", mine=CAMPAIGN)
+
+
+def test_a_run_folder_stays_where_something_was_put_and_nowhere_else(tmp_path: Path) -> None:
+    out = tmp_path / "runs" / "mine"
+    with run_folder(out, "pool") as first, run_folder(out, "pool") as second:
+        assert first != second and first.parent == out  # within a second
+    assert not out.exists()
+    with run_folder(out, "pool") as folder:
+        (folder / "run.mcap").touch()
+    with pytest.raises(ConfigError), run_folder(out, "pool"):
+        raise ConfigError("refused")
+    assert list(out.iterdir()) == [folder]
