@@ -9,7 +9,17 @@ import numpy as np
 
 from groundstation.analysis.acceptance import checks, went_all_the_way
 from groundstation.analysis.cause import cause, verdict
-from groundstation.analysis.results import Errors, FlightPart, PairResult, Quantiles, Result, RobotResult, Spread, Three
+from groundstation.analysis.results import (
+    Errors,
+    FlightPart,
+    PairResult,
+    Quantiles,
+    Result,
+    RobotEnd,
+    RobotResult,
+    Spread,
+    Three,
+)
 from groundstation.analysis.series import (
     HOPS,
     SETTLED_S,
@@ -26,13 +36,15 @@ from groundstation.logs.reader import RunLog
 from wire.config.experiment import ArticleRow, Experiment
 from wire.frames import Array, pose_error, wrap_angle
 from wire.messages import topics
-from wire.messages.messages import LocalizerStatus
+from wire.messages.messages import LocalizerStatus, Mode, RobotState, StationHeartbeat, Truth
+
+UNARMED = frozenset({Mode.DISARMED, Mode.STOPPED, Mode.FAULT})
 
 
 def evaluate(series: Series, log: RunLog) -> Result:
     """The figures of a run. Works for any part of one; what is missing is None and said in `notes`."""
     experiment, each = series.experiment, series.robots.values()
-    robots = {str(robot): _robot(series, robot) for robot in experiment.robot_ids}
+    robots = {str(robot): dataclasses.replace(_robot(series, robot), end=_end(log, robot)) for robot in experiment.robot_ids}
     pairs = {f"{a}-{b}": _pair(series, a, b) for a, b in combinations(experiment.robot_ids, 2)}
     flying = [r.states.tracking & _within(r.states.time_s, series) for r in each]
     step_us = np.concatenate([r.states.step_us[rows] for r, rows in zip(each, flying, strict=True)])
@@ -137,6 +149,19 @@ def _robot(series: Series, robot: int) -> RobotResult:
         baseline=_still(mine, mine.reference, series.time_s),
         article=_article(series.experiment, str(robot)),
     )
+
+
+def _end(log: RunLog, robot: int) -> RobotEnd:
+    """State of a robot at the last message of the log. A robot that is not heard then may have come to rest since, or not."""
+    states, truths = log.of(topics.STATE, RobotState, robot), log.of(topics.TRUTH, Truth)
+    beats = log.of(topics.HEARTBEAT, StationHeartbeat)
+    true = [e.message.eta[e.message.robots.index(robot)] for e in truths[-1:] if robot in e.message.robots]
+    if not states:
+        return RobotEnd(place_m=_three(true[0]) if true else None)
+    last, over_ns = states[-1], max(e[-1].arrived_ns for e in (states, truths, beats) if e)
+    heard_s = (over_ns - last.arrived_ns) * 1e-9
+    armed = last.message.mode not in UNARMED if heard_s <= topics.STATE.max_age_s else None
+    return RobotEnd(last.message.mode.name, round(heard_s, 6), armed, _three(true[0] if true else last.message.eta))
 
 
 def _pair(series: Series, a: int, b: int) -> PairResult:

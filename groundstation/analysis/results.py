@@ -29,6 +29,16 @@ class Errors:
 
 
 @dataclass(frozen=True)
+class RobotEnd:
+    """State of a robot where the log ends, whichever flight is judged."""
+
+    mode: str | None = None  # as it was last heard; None: never
+    heard_s: float | None = None  # before the end of the log
+    armed: bool | None = None  # None: not heard at the end, so nobody knows
+    place_m: Three | None = None  # in truth where that was recorded, else by the robot's last state
+
+
+@dataclass(frozen=True)
 class RobotResult(Errors):
     """Tracking error of one robot. Yaw counts to the path's tangent, and again to the heading it was commanded, which
     includes the crab angle."""
@@ -43,6 +53,7 @@ class RobotResult(Errors):
     missed_deadlines: int = 0
     baseline: Errors | None = None  # of a robot that never moves, at the middle of its reference
     article: ArticleRow | None = None
+    end: RobotEnd = RobotEnd()
 
 
 @dataclass(frozen=True)

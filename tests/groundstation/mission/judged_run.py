@@ -9,7 +9,7 @@ from groundstation.analysis.metrics import evaluate
 from groundstation.analysis.results import WHOLE_RUN
 from groundstation.logs.reader import DecodedMessage, RunLog
 from groundstation.mission.state_machine import COMMITTED, MissionState
-from tests.groundstation.mission.simulated_fleet import SimulatedFleet
+from tests.groundstation.mission.simulated_fleet import SimulatedFleet, armed
 from wire.messages import topics
 from wire.messages.messages import Mode, RobotState, StationHeartbeat, Trajectory, Truth
 from wire.messages.topics import Topic
@@ -61,6 +61,10 @@ class RunRecord:
         experiment = self._fleet.experiment
         log = RunLog(self._entries, {"mode": "lockstep"}, messages=1, complete=True)
         result = evaluate(align(experiment, log), log)
+        for robot, body in self._fleet.robots.items():
+            end = result.robots[str(robot)].end
+            assert (end.mode, end.armed) == (body.mode.name, armed(body)), f"RESULT: {end}, robot {robot} is {body.mode.name}"
+            assert end.place_m == tuple(body.eta[:3]), f"RESULT: robot {robot} ends at {end.place_m}"
         for robot, true_m in self._largest_m.items():
             largest = result.robots[str(robot)].max_m
             assert largest is None or max(largest) <= true_m + BEYOND_M, (
