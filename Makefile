@@ -56,7 +56,7 @@ test-page:
 test-computing:
 	nice -n 15 $(BIN)/python -m pytest $(IN_PARALLEL) -m "not real_time and not slow"
 
-test-slow: $(INSTALLED) ## the long checks: fault campaigns, deep fuzzing
+test-slow: $(INSTALLED) ## the long checks: fault campaigns, deep fuzzing, people who interrupt one another
 	$(BIN)/python -m pytest -m slow --timeout=1800 $(ARGS)
 
 faults: $(INSTALLED) ## break everything in docs/faults.md, many times, and measure (hours). ARGS="--row agent-killed --times 5"

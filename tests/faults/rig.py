@@ -10,7 +10,7 @@ import threading
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -65,7 +65,7 @@ class Rig(Onlooker):
 
     # --- up and down
 
-    def __enter__(self) -> "Rig":
+    def __enter__(self) -> Self:
         try:
             self._open()
         except BaseException:
@@ -104,13 +104,16 @@ class Rig(Onlooker):
             self._launch("localizer", "localizer", ["run", str(self.file), "--station", self.address])
         for robot in self.robots:
             link = self.wires[robot].link if robot in self.wires else f"udp:127.0.0.1:{ports + robot}"
-            through = f"tcp/127.0.0.1:{self.net.port}" if self.wires and robot == self.robots[0] else self.address
-            arguments = ["run", str(self.file), "--station", through, "--robot", str(robot), "--link", link]
+            arguments = ["run", str(self.file), "--station", self.agent_station(robot), "--robot", str(robot), "--link", link]
             self._launch(f"agent-{robot}", "robot_agent", arguments)
         if not self._own_router:
             self.bus = Bus(ZenohTransport(Endpoint(self.address)))
         for topic in (topics.STATE, topics.EVENT, topics.HEARTBEAT, topics.POSE, topics.TRUTH):
             self.bus.subscribe(topic, None, self.heard)
+
+    def agent_station(self, robot: int) -> str:
+        """Address of the station for a robot's agent."""
+        return f"tcp/127.0.0.1:{self.net.port}" if self.wires and robot == self.robots[0] else self.address
 
     def __exit__(self, *exception: Any) -> None:
         self.children.stop()

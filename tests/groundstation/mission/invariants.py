@@ -12,6 +12,7 @@ import numpy as np
 
 from groundstation.mission.gain_update import GainStage
 from groundstation.mission.objections import MOVING
+from groundstation.mission.request_progress import KEPT
 from groundstation.mission.state_machine import (
     COMMITTED,
     IN_FLIGHT,
@@ -27,6 +28,7 @@ from tests.groundstation.mission.simulated_fleet import STEP_NS, SimulatedFleet,
 from wire.messages.messages import Mode, Order, Outcome, Progress
 
 LED_WITHIN_S = 3.0  # a moving robot in reach without anybody who leads it
+NAMED_WITHIN_S = 3.0  # an armed robot that nobody leads, to the people at the page
 STOPPED_WITHIN_S = 3.0  # of a STOP, or of a robot's return into reach of a stopped station
 RECENT = 40  # cycles: an outcome may be that much older than the truth, by the radio's delay and one patience of an order
 OVER_WITHIN_S = 20.0  # of a request that waits for robots in reach; longer than a stage's patience of 10 s and an abort's
@@ -55,6 +57,7 @@ class Invariants:
     pool: SimulatedFleet
     reach_since_ns: dict[int, int] = field(default_factory=dict)
     unled_s: dict[int, float] = field(default_factory=dict)
+    unnamed_s: dict[int, float] = field(default_factory=dict)
     unstopped_s: dict[int, float] = field(default_factory=dict)
     modes: dict[int, deque[Mode | None]] = field(default_factory=dict)
     followed: dict[int, _Followed] = field(default_factory=dict)
@@ -88,6 +91,7 @@ class Invariants:
             else:
                 self.reach_since_ns.setdefault(robot.id, self.pool.now_ns)
         self.every_moving_robot_is_led()
+        self.every_armed_robot_is_somebodys()
         self.a_stop_reaches_every_robot()
         self.progress_is_the_formations()
         self.laps_are_the_formations()
@@ -115,6 +119,19 @@ class Invariants:
                 f" ({mission.reason}), led by nobody"
             )
 
+    def every_armed_robot_is_somebodys(self) -> None:
+        """An armed robot in reach is the mission's or a person's, or a request is possible that disarms it."""
+        mission, single = self.pool.mission, self.pool.single
+        for robot in self.pool.robots.values():
+            flown = mission.state not in AT_REST and robot.id in mission.roster.active
+            unled = armed(robot) and self.pool.reach(robot.id) and not flown and robot.id not in single.led
+            refused = rejection_reason(Order.DISARM, mission.state) or mission.objection(Order.DISARM, self.pool.fleet)
+            missed = unled and (refused or mission.state is MissionState.STOPPED)
+            self.unnamed_s[robot.id] = self.unnamed_s.get(robot.id, 0.0) + STEP_NS * 1e-9 if missed else 0.0
+            assert self.unnamed_s[robot.id] <= NAMED_WITHIN_S, (
+                f"LED: robot {robot.id} is {robot.mode.name}, the mission {mission.state.name}, and DISARM: {refused}"
+            )
+
     def a_stop_reaches_every_robot(self) -> None:
         """While the station is stopped, every robot that can hear is stopped."""
         for robot in self.pool.robots.values():
@@ -133,7 +150,7 @@ class Invariants:
             self.progress_s = self.flown_s = 0.0
         if mission.state in IN_FLIGHT | {MissionState.PAUSED}:
             leap_s = plans.progress_s - self.progress_s
-            assert leap_s <= JUMP_S, f"PROGRESS: leaps by {leap_s:.2f} s in {mission.state.name}"
+            assert abs(leap_s) <= JUMP_S, f"PROGRESS: leaps by {leap_s:.2f} s in {mission.state.name}"
             assert plans.progress_s <= self.flown_s + 0.1, (
                 f"PROGRESS: {plans.progress_s:.2f} s, and no robot has come farther than {self.flown_s:.2f} s"
             )
@@ -155,12 +172,30 @@ class Invariants:
 
     def outcomes_are_true(self) -> None:
         """A request that is done was done by the robots, and what was left in motion is not called held."""
-        for outcome in self.pool.core.requests.recent:
+        known = self.pool.core.requests.recent
+        kept = {outcome.request for outcome in known}
+        flood = max(kept, default=0) - max(self.over, default=0) >= KEPT  # so many in one cycle push others out
+        for number, progress in self.over.items():
+            forgotten = number not in kept and progress is Progress.UNDER_WAY and not flood
+            assert not forgotten, f"ENDS: request {number} is forgotten under way"
+        if flood:
+            self.over = {number: progress for number, progress in self.over.items() if number in kept}
+        for outcome in known:
+            self.followed.setdefault(outcome.request, _Followed(None, 0))
             before = self.over.get(outcome.request, Progress.UNDER_WAY)
             self.over[outcome.request] = outcome.progress
             if before is Progress.UNDER_WAY and outcome.progress is Progress.DONE:
                 untrue = self._untrue(outcome)
                 assert not untrue, f"OUTCOME: request {outcome.request}, {outcome.order.name}, is DONE, but {untrue}"
+            if before is Progress.UNDER_WAY and outcome.progress is Progress.FAILED:
+                assert outcome.reason, f"OUTCOME: request {outcome.request}, {outcome.order.name}, failed without a reason"
+                wrongly = outcome.order is Order.STOP and self._stopped_for_long()
+                assert not wrongly, f"OUTCOME: STOP failed ({outcome.reason}), but all have stopped"
+
+    def _stopped_for_long(self) -> bool:
+        """True if every robot has been stopped and heard for as long as is remembered."""
+        robots = self.pool.robots.values()
+        return all(self._always(r, Mode.STOPPED) and self.in_reach_s(r.id) > RECENT * STEP_NS * 1e-9 for r in robots)
 
     def _untrue(self, outcome: Outcome) -> str:
         followed = self.followed.get(outcome.request)

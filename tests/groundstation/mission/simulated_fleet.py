@@ -14,6 +14,7 @@ from groundstation.mission.command_dispatcher import CommandResult
 from groundstation.mission.gain_update import GainUpdater
 from groundstation.mission.lap_statistics import LapStatistics
 from groundstation.mission.mission import Mission
+from groundstation.mission.obstacle_monitor import ObstacleSet
 from groundstation.mission.plan_manager import PlanRequest
 from groundstation.mission.state_machine import MissionState
 from groundstation.mission.station_core import StationCore
@@ -74,7 +75,7 @@ class SimulatedRobot:
 
     def __init__(self, experiment: Experiment, robot: int, eta: Array) -> None:
         self.id, self.eta, self.radio = robot, np.array(eta), Radio()
-        self.alive, self.board_works, self.unseen_until_ns = True, True, 0
+        self.alive, self.board_works, self.unseen_until_ns, self.speed_mps = True, True, 0, SPEED_MPS
         self._experiment, self._start_tuning = experiment, tuning(experiment.controller).id
         self.restart(0)
 
@@ -185,7 +186,7 @@ class SimulatedRobot:
         before = self.eta
         away = self._reference[:3] - before[:3]
         far_m = float(np.sqrt(away @ away))
-        share = min(1.0, SPEED_MPS * STEP_S / far_m) if far_m > 0.0 else 0.0
+        share = min(1.0, self.speed_mps * STEP_S / far_m) if far_m > 0.0 else 0.0
         self.eta = np.array([*(before[:3] + share * away), self._reference[3]])
         self._speed_mps = share * far_m / STEP_S
 
@@ -225,6 +226,8 @@ class SimulatedFleet:
 
     experiment: Experiment
     automatic: bool = False
+    give_up_s: float | None = None
+    obstacles: ObstacleSet = field(default_factory=ObstacleSet)  # as the localizer sees them
     now_ns: int = 1_000_000_000
     on_cycle: Callable[[], None] = lambda: None
     on_beat: Callable[[StationHeartbeat], None] = lambda beat: None
@@ -237,7 +240,10 @@ class SimulatedFleet:
         self.robots = {r: SimulatedRobot(experiment, r, self.starts[r]) for r in experiment.robot_ids}
         tuner = GainUpdater(experiment)
         self.core = StationCore(
-            experiment, Mission(experiment, segment, self.starts, self.automatic), tuner, LapStatistics(tuner.lap_s)
+            experiment,
+            Mission(experiment, segment, self.starts, self.automatic, self.give_up_s),
+            tuner,
+            LapStatistics(tuner.lap_s),
         )
         self.mission, self.single = self.core.mission, self.core.single
         self._states: dict[int, deque[tuple[int, int, RobotState]]] = {r: deque() for r in self.robots}
@@ -271,7 +277,7 @@ class SimulatedFleet:
             if now_ns >= until_ns:
                 del self.driving[robot_id]
         self._plan()
-        commands = self.core.step(self.fleet, answers, now_ns)
+        commands = self.core.step(self.fleet, answers, now_ns, self.obstacles)
         self._plan()
         self.core.follow(self.fleet, answers)
         self._send(commands)
