@@ -152,7 +152,8 @@ class LocalizerNode:
     def _handle(self, captured: CapturedFrame, previews: PreviewPublisher) -> None:
         """Localize one frame. An exception costs this frame; FAILURES_IN_A_ROW of them end the process."""
         started_ns = time.perf_counter_ns()
-        captured = replace(captured, stamp_ns=self._stamps.of("", captured.stamp_ns, captured.instant_ns))
+        stamp_ns = self._stamps.of("", captured.stamp_ns, captured.instant_ns, captured.session)
+        captured = replace(captured, stamp_ns=stamp_ns)
         depths_m, known = dict[int, float](), dict[int, Attitude]()
         try:
             states = self._fresh_states(captured.inputs_up_to_ns)
