@@ -448,15 +448,16 @@ def test_a_preview_that_cannot_be_drawn_says_so_and_is_not_the_picture_before() 
             raise ValueError("cannot convert float NaN to integer")
         return np.full((480, 640, 3), 200, np.uint8)
 
-    made = PreviewPublisher(draw, Bus(MemoryTransport(hub)), WallClock(), stop, 5.0)
+    clock = WallClock()
+    made = PreviewPublisher(draw, Bus(MemoryTransport(hub)), clock, stop, 5.0)
     result = LocalizationResult((), LocalizerStatus(), RefractiveCamera(EXPERIMENT.camera))
     shown = []
     for k in range(3):
-        wrong[0], stamp_ns = k == 1, 10**9 * (k + 1)
-        made.offer(CapturedFrame(np.zeros((8, 8), np.uint8), stamp_ns, stamp_ns, stamp_ns), result, Obstacles())
+        wrong[0], stamp_ns, exposed_ns = k == 1, 10**9 * (k + 1), clock.now_ns() - 300 * MS
+        made.offer(CapturedFrame(np.zeros((8, 8), np.uint8), stamp_ns, exposed_ns, exposed_ns), result, Obstacles())
         assert eventually(lambda at=stamp_ns: (h := previews.newest_header()) is not None and h.stamp_ns == at)  # type: ignore[misc]
         received = previews.newest()
-        assert received is not None
+        assert received is not None and 300 * MS <= received.header.age_ns <= clock.now_ns() - exposed_ns
         picture = cv2.imdecode(np.frombuffer(received.message.jpeg, np.uint8), cv2.IMREAD_COLOR)
         assert picture is not None
         shown.append(round(float(picture.mean()), -2))
