@@ -59,7 +59,7 @@ class WallClock:
     def instant_ns(self, received: Received[Any]) -> int:
         """Arrival here, less the age that the sender states and what it was held up on its way. What the sender's clock shows
         plays no part."""
-        return received.arrived_ns + self._offset_ns - received.header.age_ns - received.late_ns
+        return self._offset_ns - received.age_ns(0)
 
 
 def age_s(clock: Clock, received: Received[Any]) -> float:
