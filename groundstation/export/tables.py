@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from groundstation.analysis.alignment import zero_ns
 from groundstation.formation_clock import clock_reading
 from groundstation.logs.reader import LogMessage, read_log, valid_messages
+from groundstation.logs.session_clocks import SessionClocks
 from wire.config.experiment import load_experiment
 from wire.messages import messages, topics
 from wire.messages.codec import DecodeError, decode
@@ -159,29 +160,44 @@ def table(log: Path, topic: Topic, robot: int = 0) -> dict[str, NDArray[Any]]:
     return found
 
 
-CLOCKS = (topics.STATE, topics.TRAJECTORY, topics.HEARTBEAT)  # topics by which time 0 is found
+CLOCKS = (topics.STATE, topics.TRAJECTORY, topics.HEARTBEAT, topics.LOCALIZER)  # topics by which time 0 is found
 
 
-def _zero(log: Path) -> tuple[int, str]:
-    """The instant at which time_s is 0, ns, and what is wrong with the log as a whole. Raises ConfigError for an empty one."""
+@dataclass(frozen=True)
+class _Zero:
+    """The instant at which time_s is 0, on the recorder's clock, and the senders' clocks against that."""
+
+    at_ns: int
+    clocks: SessionClocks
+
+    def since_s(self, line: LogMessage) -> float:
+        header = line.header
+        return (header.stamp_ns + self.clocks.shift_ns(line.topic.name, header.session, header.stamp_ns) - self.at_ns) * 1e-9
+
+
+def _zero(log: Path) -> tuple[_Zero, str]:
+    """Time 0, and what is wrong with the log as a whole. Raises ConfigError for an empty one."""
     states, file = read_log(log, CLOCKS, _clock_of), log.parent / "experiment.toml"
     if not states.messages:
         raise ConfigError(f"{log}: holds no messages")
     robots = load_experiment(str(file)).robot_ids if file.exists() else ()
-    return zero_ns(states, robots or sorted({robot for _, robot in states.entries if robot})), states.trouble
+    at_ns = zero_ns(states, robots or sorted({robot for _, robot in states.entries if robot}))
+    return _Zero(at_ns, states.clocks), states.trouble
 
 
 def _clock_of(message: Any) -> Any:
     """The part of a message that time 0 is counted from: a log of hours does not fit into memory as a whole."""
     if isinstance(message, messages.RobotState):
         return clock_reading(message)
+    if isinstance(message, messages.LocalizerStatus):
+        return None
     return messages.Trajectory(message.id, message.period_s) if isinstance(message, messages.Trajectory) else message
 
 
-def _rows(message: Any, line: LogMessage, zero: int, columns: Sequence[TableColumn]) -> Iterator[list[Any]]:
+def _rows(message: Any, line: LogMessage, zero: _Zero, columns: Sequence[TableColumn]) -> Iterator[list[Any]]:
     """The rows of a message, with the time first."""
     stamp_ns, session = line.header.stamp_ns, f"{line.header.session:x}"
-    when = [(stamp_ns - zero) * 1e-9, stamp_ns, line.arrived_ns, session, line.header.sequence]
+    when = [zero.since_s(line), stamp_ns, line.arrived_ns, session, line.header.sequence]
     for row in range(rows(message)):
         yield [*when, *(column.cell(message, row) for column in columns)]
 
@@ -295,7 +311,7 @@ WHEN = (("time_s", float), ("stamp_ns", int), ("arrived_ns", int), ("session", s
 class _Table:
     """One table, open. Use it with `with`: it is whole, or not there."""
 
-    def __init__(self, topic: Topic, path: Path, zero: int, kind: type[_RowFile]) -> None:
+    def __init__(self, topic: Topic, path: Path, zero: _Zero, kind: type[_RowFile]) -> None:
         self.path, self.rows = path, 0
         self._columns, self._zero, self._kind = columns(topic.type), zero, kind
         self._waiting: list[list[Any]] = []
