@@ -35,9 +35,9 @@ class SessionClocks:
         self._quickest_ns: dict[_Clock, dict[int, int]] = defaultdict(dict)  # by window of the stamps
 
     def note(self, topic: Topic, session: int, stamp_ns: int, arrived_ns: int, message: object) -> None:
-        """Take in a message."""
+        """Take in a message. In lockstep all share one clock, and the arrival is the stamp."""
         held = held_ns(topic, message)
-        if held is not None:
+        if held is not None and arrived_ns != stamp_ns:
             windows, at = self._quickest_ns[session, topic is topics.EVENT], stamp_ns // WINDOW_NS
             ahead_ns = arrived_ns - stamp_ns - held
             windows[at] = min(windows.get(at, ahead_ns), ahead_ns)
