@@ -20,7 +20,7 @@ _Clock = tuple[int, bool]  # session, and whether of the lines of its log: a loc
 
 
 def held_ns(topic: Topic, message: object) -> int | None:
-    """How long the sender had held a message when it published it; None if it does not say so. The log has no ages."""
+    """Age of a message when it was published; None if it does not say so. The log has no ages."""
     if isinstance(message, RobotState):
         return round(message.step_us * 1e3)
     if isinstance(message, LocalizerStatus):
@@ -43,7 +43,7 @@ class SessionClocks:
             windows[at] = min(windows.get(at, ahead_ns), ahead_ns)
 
     def shift_ns(self, topic: str, session: int, stamp_ns: int) -> int:
-        """What is to be added to a stamp in a topic of that name; 0 where the clocks are one, and where nothing is known."""
+        """Shift of a stamp in a topic of that name; 0 where the clocks are one, and where nothing is known."""
         windows, at = self._quickest_ns.get((session, topic == topics.EVENT.name), {}), stamp_ns // WINDOW_NS
         if not windows or abs(median(windows.values())) <= ALIKE_NS:
             return 0

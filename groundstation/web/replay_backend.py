@@ -51,7 +51,7 @@ Said = tuple[list[int], list[bytes], list[Header]]  # arrivals, ascending, paylo
 
 
 @dataclass(frozen=True)
-class Block:
+class LogBlock:
     """A second of the log: its messages by topic and robot, and of each session by how much our clock was ahead of its own."""
 
     said: dict[tuple[str, int], Said] = field(default_factory=dict)
@@ -68,7 +68,7 @@ class LogPlayer:
             self.experiment = load_experiment(str(run / "experiment.toml"))
             self._opened = opened.pop_all()
         self.start_ns, self.end_ns = self._log.start_ns, self._log.end_ns - self._log.start_ns
-        self._blocks: OrderedDict[int, Block] = OrderedDict()
+        self._blocks: OrderedDict[int, LogBlock] = OrderedDict()
         self.segments = self._segments()
         self.trajectories = {robot: told[-1][1] for robot, told in self.segments.items()}
         self.flown_ns = self._first_flown_ns()
@@ -106,9 +106,9 @@ class LogPlayer:
                 return int(at_ns)
         return said_ns or 0
 
-    def _block(self, index: int) -> Block:
+    def _block(self, index: int) -> LogBlock:
         if index not in self._blocks:
-            begin, block = self.start_ns + index * BLOCK_NS, Block()
+            begin, block = self.start_ns + index * BLOCK_NS, LogBlock()
             for line in self._log.messages(lambda topic, robot: True, begin, begin + BLOCK_NS):
                 arrivals, payloads, headers = block.said.setdefault((line.topic.name, line.robot), ([], [], []))
                 arrivals.append(line.arrived_ns - self.start_ns)

@@ -24,7 +24,7 @@ Name = tuple[str, int, int]  # key, session and sequence of a message
 
 
 @dataclass
-class Computer:
+class ClockedComputer:
     """Clocks of one computer: the wall clock is `ahead_s` of true time, both of its clocks go wrong by `drift`."""
 
     ahead_s: float
@@ -45,31 +45,31 @@ class Computer:
         return (wall_ns - UNIX_NS - round(self.ahead_s * 1e9) - started_set_ns) / (1.0 + self.drift)
 
 
-class World:
+class TimedWorld:
     """True time, the computers, and the messages under way."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, seed: int = 1) -> None:
-        self.true_ns, self.computers, self.hub = 0, dict[str, Computer](), MemoryHub()
+        self.true_ns, self.computers, self.hub = 0, dict[str, ClockedComputer](), MemoryHub()
         self.truth: dict[Name, int] = {}  # by message: the true instant that it is about
         self.about_ns: int | None = None  # the instant that what is published now is about; None: now
         self.obstacles_ns: int | None = None  # the same of obstacles, where they are about another one
         self.random = random.Random(seed)
         self.held: dict[str, int] = {}  # by computer: until when nothing reaches it
         self.slow: dict[str, int] = {}  # by computer: how much longer everything takes to it, ns
-        self._here: ContextVar[Computer | None] = ContextVar("computer", default=None)
-        self._under_way: list[tuple[int, int, Computer, Deliver, tuple[str, bytes, bytes]]] = []
+        self._here: ContextVar[ClockedComputer | None] = ContextVar("computer", default=None)
+        self._under_way: list[tuple[int, int, ClockedComputer, Deliver, tuple[str, bytes, bytes]]] = []
         self._due: dict[tuple[str, str, bytes], list[int]] = {}  # by computer, key and header: when a message is there
         self._count = itertools.count()
         for name, read in (
-            ("monotonic_ns", Computer.monotonic_ns),
-            ("perf_counter_ns", Computer.monotonic_ns),
-            ("time_ns", Computer.wall_ns),
+            ("monotonic_ns", ClockedComputer.monotonic_ns),
+            ("perf_counter_ns", ClockedComputer.monotonic_ns),
+            ("time_ns", ClockedComputer.wall_ns),
         ):
             shown = self._clock(getattr(time, name), read)
             monkeypatch.setattr(time, name, shown)
             monkeypatch.setattr(time, name.removesuffix("_ns"), lambda shown=shown: shown() * 1e-9)
 
-    def _clock(self, real: Callable[[], int], read: Callable[[Computer, int], int]) -> Callable[[], int]:
+    def _clock(self, real: Callable[[], int], read: Callable[[ClockedComputer, int], int]) -> Callable[[], int]:
         def now_ns() -> int:
             here = self._here.get()
             return real() if here is None else read(here, self.true_ns)
@@ -77,8 +77,8 @@ class World:
         return now_ns
 
     @contextlib.contextmanager
-    def on(self, name: str) -> Iterator[Computer]:
-        """What runs inside runs on a computer, and sees its clocks."""
+    def on(self, name: str) -> Iterator[ClockedComputer]:
+        """Run what is inside on a computer, by its clocks."""
         token = self._here.set(self.computers[name])
         try:
             yield self.computers[name]
@@ -115,10 +115,10 @@ class World:
         return self.truth[key, header.session, header.sequence]
 
 
-class Line(MemoryTransport):
+class NetworkLine(MemoryTransport):
     """A process's line to the network, on one computer."""
 
-    def __init__(self, world: World, computer: str) -> None:
+    def __init__(self, world: TimedWorld, computer: str) -> None:
         super().__init__(world.hub)
         self._world, self._computer = world, computer
 

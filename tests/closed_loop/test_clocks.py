@@ -8,13 +8,14 @@ import time
 from collections import defaultdict
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from groundstation.logs.reader import key_topic, open_log, read_log, valid_messages
+from groundstation.logs.reader import DecodedMessage, key_topic, open_log, read_log, valid_messages
 from groundstation.logs.recorder import Recorder, run_metadata
 from groundstation.replay.step_replay import own_messages
 from groundstation.station.process import record_everything
@@ -28,7 +29,7 @@ from localizer.node import LocalizerNode
 from localizer.sources import bus as bus_source
 from localizer.tracking.fleet_localizer import LocalizationResult
 from robot_agent.node import AgentNode
-from tests.closed_loop.computers import MS, Computer, Line, S, World
+from tests.closed_loop.computers import MS, ClockedComputer, NetworkLine, S, TimedWorld
 from tests.groundstation.fake_station import FakeStation
 from tests.robot_agent.obedient_board import Board
 from wire.config.experiment import Experiment, dump_experiment, load_experiment
@@ -52,7 +53,9 @@ from wire.process.runtime import Stop, WallClock
 from wire.transport.bus import Bus
 from wire.transport.delay_estimator import WINDOW_NS, WINDOWS
 
-EXPERIMENT = load_experiment("two-cameras", ["localizer.preview_rate_hz=0", "recording.video=none"])
+SETTINGS = ["localizer.preview_rate_hz=0", "recording.video=none", "safety.watch_thrusters=false"]
+EXPERIMENT = load_experiment("two-cameras", SETTINGS)
+pytestmark = pytest.mark.long
 ALLOWED_MS = 5.0
 STEP_NS = 8 * MS  # of a robot's computing
 PERIOD_NS = 50 * MS
@@ -61,7 +64,7 @@ SHOWN = Pose(0.1, 0.0, 0.0, 1e-6 * np.eye(3), Track.MARKER, True)
 SEEN = Obstacles((3,), ROUND[None], np.zeros((1, 2)), unseen_s=np.zeros(1))
 
 
-class Locator:
+class TimelessLocator:
     """In place of the picture's contents, which have no time in them."""
 
     def __init__(self, experiment: Experiment, sees_all: bool) -> None:
@@ -73,7 +76,7 @@ class Locator:
     def finish(self) -> None: ...
 
 
-class Detector:
+class TimelessDetector:
     """In place of the search for obstacles."""
 
     def step(self, *_: Any) -> Obstacles:
@@ -81,7 +84,7 @@ class Detector:
 
 
 @dataclass
-class Errors:
+class AgeErrors:
     """Worst error of an age, in ms, by what shows it; and how many there were."""
 
     worst_ms: dict[str, float] = field(default_factory=lambda: defaultdict(float))
@@ -93,11 +96,11 @@ class Errors:
             self.worst_ms[what] = error_ns * 1e-6
 
 
-class Fleet:
+class ClockedFleet:
     """Two cameras with their localizers, the fusion, a robot, another one, the station with its page and its log."""
 
-    def __init__(self, world: World, run: Path) -> None:
-        self.world, self.run, self.stop, self.errors = world, run, Stop(install=False), Errors()
+    def __init__(self, world: TimedWorld, run: Path) -> None:
+        self.world, self.run, self.stop, self.errors = world, run, Stop(install=False), AgeErrors()
         self.clocks, self.set_ns, self.buses = dict[str, WallClock](), dict[str, int](), dict[str, Bus]()
         self.ended, self.locators = list[Generator[None]](), dict[str, Generator[None]]()
         self.seen = dict[str, Header | None]()
@@ -133,7 +136,7 @@ class Fleet:
         if name in self.buses:
             self.buses[name].close()
         with self.world.on(name) as computer:
-            self.clocks[name], self.buses[name] = WallClock(), Bus(Line(self.world, name))
+            self.clocks[name], self.buses[name] = WallClock(), Bus(NetworkLine(self.world, name))
             self.set_ns[name] = computer.set_ns
         return self.buses[name]
 
@@ -221,9 +224,10 @@ class Fleet:
         with world.on("robot 1") as computer:
             now_ns, started_ns = clock.now_ns(), time.perf_counter_ns()
             record, outputs = robot.step(now_ns, None)
-            world.about_ns, world.true_ns = world.true_ns, world.true_ns + STEP_NS
+            world.about_ns = begun_ns = world.true_ns
+            world.true_ns += STEP_NS
             robot.write(outputs, now_ns, now_ns, started_ns)
-            world.about_ns, world.true_ns = None, world.about_ns
+            world.about_ns, world.true_ns = None, begun_ns
             self.publish(None, "robot 1", topics.INPUTS, record, now_ns, 1)
 
         def check(what: str, key: str, instant_ns: int) -> None:
@@ -259,7 +263,7 @@ class Fleet:
     # --- what is shown
 
     def look(self) -> None:
-        """What station and page show now."""
+        """Compare the ages that station and page show now."""
         world = self.world
         with world.on("station") as computer:
             views = {robot: self.station.heard.view(robot, self.links[robot], self.clocks["station"]) for robot in (1, 2)}
@@ -291,10 +295,12 @@ class Fleet:
     def read_back(self) -> None:
         """The log as reports and reruns read it: on the recorder's clock, in the order in which it was."""
         log, truth = read_log(self.run / "run.mcap"), self.world.truth
-        known = {(*key_topic(key), session, sequence): ns for (key, session, sequence), ns in truth.items() if key_topic(key)}
+        told = ((key_topic(key), session, sequence, ns) for (key, session, sequence), ns in truth.items())
+        known = {(*of, session, sequence): ns for of, session, sequence, ns in told if of is not None}
         station, set_ns = self.world.computers["station"], self.set_ns["station"]
         for topic, robot in ((topics.STATE, 1), (topics.STATE, 2), (topics.POSE, 1), (topics.HEARTBEAT, 0)):
-            for entry in log.of(topic, topic.type, robot):
+            entries: list[DecodedMessage[Any]] = log.of(topic, topic.type, robot)
+            for entry in entries:
                 error_ns = station.true_ns(entry.stamp_ns, set_ns) - known[topic, robot, entry.session, entry.sequence]
                 self.errors.note(f"log: {topic.name}", error_ns)
         with open_log(self.run) as file:
@@ -303,7 +309,7 @@ class Fleet:
         assert instants == sorted(instants) and len({session for _, _, session, _ in own}) == 2
 
     def look_back(self, at_s: Sequence[float]) -> None:
-        """What a replay of the log shows, once all is closed."""
+        """Compare the ages that a replay of the log shows, once all is closed."""
         computer, key_of = self.world.computers["station"], dict[tuple[Topic, int, int, int], str]()
         for key, session, sequence in self.world.truth:
             found = key_topic(key)
@@ -352,30 +358,35 @@ class Fleet:
         ]  # fmt: skip
         for k in range(5):
             done.append((begin_ns + (k * 10 + self.world.random.randrange(10)) * MS, self.record))
-            done += [(begin_ns + k * 10 * MS + 5 * MS, lambda c=c: self.locate(c)) for c in EXPERIMENT.camera_names]
+            done += [(begin_ns + k * 10 * MS + 5 * MS, partial(self.locate, c)) for c in EXPERIMENT.camera_names]
         done += [(begin_ns + k * 5 * MS + 4 * MS, self.fuse) for k in range(10)]
         if begin_ns % (3 * PERIOD_NS) == 0:
             done.append((begin_ns + 44 * MS, self.look))
         return sorted(done, key=lambda entry: entry[0])
 
 
-def computers(drift: float) -> dict[str, Computer]:
+def is_ready(bus: Bus, stop: Stop, ready: Callable[[], bool], timeout_s: float) -> bool:
+    """In place of a wait by real time."""
+    return ready()
+
+
+def computers(drift: float) -> dict[str, ClockedComputer]:
     """Clocks from 20 s behind to 20 s ahead; each drifts against the next."""
     names = [f"{what} {camera}" for camera in EXPERIMENT.camera_names for what in ("camera", "localizer")]
     names += ["fusion", "robot 1", "robot 2", "station", "orders"]
     ahead_s = np.linspace(-20.0, 20.0, len(names))[np.random.default_rng(1).permutation(len(names))]
-    return {name: Computer(ahead_s[k], drift * (-1) ** k, (k + 1) * 1000 * S) for k, name in enumerate(names)}
+    return {name: ClockedComputer(ahead_s[k], drift * (-1) ** k, (k + 1) * 1000 * S) for k, name in enumerate(names)}
 
 
 @pytest.mark.parametrize(("set_s", "drift"), [(5.0, 1e-4), (-5.0, -1e-4)])
 def test_ages(set_s: float, drift: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(node, "FleetLocalizer", Locator)
-    monkeypatch.setattr(node, "_make_obstacle_detector", lambda _: Detector())
+    monkeypatch.setattr(node, "FleetLocalizer", TimelessLocator)
+    monkeypatch.setattr(node, "_make_obstacle_detector", lambda _: TimelessDetector())
     for module in (fusion_node, bus_source):
-        monkeypatch.setattr(module, "wait", lambda bus, stop, ready, timeout_s: ready())
-    world = World(monkeypatch)
+        monkeypatch.setattr(module, "wait", is_ready)
+    world = TimedWorld(monkeypatch)
     world.computers |= computers(drift)
-    fleet = Fleet(world, tmp_path)
+    fleet = ClockedFleet(world, tmp_path)
     fleet.fly(3.0)
     world.held = {"robot 1": world.true_ns + 600 * MS, "station": world.true_ns + 400 * MS, "fusion": world.true_ns + 300 * MS}
     fleet.fly(6.0)
@@ -404,12 +415,12 @@ def test_ages(set_s: float, drift: float, tmp_path: Path, monkeypatch: pytest.Mo
 @pytest.mark.parametrize("set_s", [5.0, -5.0, 20.0, -20.0])
 def test_a_robot_stops_where_it_cannot_know_an_age(set_s: float, monkeypatch: pytest.MonkeyPatch) -> None:
     """Poses of a stranger's program, whose stamps follow its wall clock when that is set. Set back, they look late."""
-    world = World(monkeypatch)
-    world.computers = {name: Computer(0.0, 0.0, S) for name in ("eyes", "robot")}
+    world = TimedWorld(monkeypatch)
+    world.computers = {name: ClockedComputer(0.0, 0.0, S) for name in ("eyes", "robot")}
     with world.on("eyes"):
-        eyes = Bus(Line(world, "eyes"))
+        eyes = Bus(NetworkLine(world, "eyes"))
     with world.on("robot"):
-        robot = AgentNode(EXPERIMENT, 1, Bus(Line(world, "robot")), Board(), False, Stop(install=False))
+        robot = AgentNode(EXPERIMENT, 1, Bus(NetworkLine(world, "robot")), Board(), False, Stop(install=False))
     robot.agent.mode = Mode.HOLDING
     stopped, unknown = False, 0
     for k in range(600):
@@ -421,6 +432,7 @@ def test_a_robot_stops_where_it_cannot_know_an_age(set_s: float, monkeypatch: py
         world.run_until(k * PERIOD_NS + 2 * MS)
         with world.on("robot"):
             record, outputs = robot.step(robot.clock.now_ns(), None)
+            robot.write(outputs, robot.clock.now_ns(), robot.clock.now_ns(), time.perf_counter_ns())
             age_ns = robot.clock.now_ns() - record.pose_instant_ns
         stopped = stopped or "pose" in outputs.state.fault
         if abs(age_ns - 2 * MS) > ALLOWED_MS * MS:

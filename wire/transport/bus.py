@@ -71,7 +71,7 @@ class _Kept(Generic[M]):
 
 @dataclass(slots=True, eq=False)
 class _Sender:
-    """What an inbox knows of a session."""
+    """State of a session in an inbox."""
 
     sequence: int = -1  # of its newest message
     delay: DelayEstimator = field(default_factory=DelayEstimator)

@@ -45,7 +45,7 @@ class DelayEstimator:
         return took_ns - self._least_ns(arrived_ns)
 
     def _least_ns(self, arrived_ns: int) -> int:
-        """What the fastest of late would take now."""
+        """Arrival minus sending of the fastest of late, if it came now."""
         return min((took_ns + round(self._rate * (arrived_ns - at_ns)) for at_ns, took_ns in self._fastest))
 
     def _drift(self) -> float:

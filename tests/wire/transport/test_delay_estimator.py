@@ -64,7 +64,7 @@ def test_a_burst_is_late_however_long_it_was_held_up(held_up_s: float) -> None:
     assert estimator.excess_ns(back_ns, back_ns + MS) == pytest.approx(0, abs=2 * MS)
 
 
-def test_what_is_on_its_way_from_a_session_that_has_ended_is_no_restart(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_late_messages_of_a_session_that_has_ended_are_no_restart(monkeypatch: pytest.MonkeyPatch) -> None:
     """A station is started again; its last heartbeat comes late, then twice, among those of the new one."""
     inbox, now_ns = Bus(MemoryTransport(MemoryHub())).inbox(topics.HEARTBEAT, StationHeartbeat), [0]
     monkeypatch.setattr(time, "monotonic_ns", lambda: now_ns[0])
