@@ -15,6 +15,7 @@ from wire.mavlink.board_port import Link, UdpLink, open_link
 from wire.mavlink.parameters import ParameterClient
 from wire.mavlink.signing_key import Signing
 from wire.process.cli_options import LinkInsecure, LinkKey
+from wire.process.runtime import signals_raise
 from wire.toml_loader import ConfigError
 
 HEARD_WITHIN_S = 5.0
@@ -69,8 +70,8 @@ def board_conformance(
 ) -> None:
     """Try every rule of docs/board.md on a thruster board, and say what was measured. Takes about a minute.
 
-    The robot's own computer must be off the link. Parameters that are changed on the way are put back. Exit code 0 if no
-    rule failed, 1 if one did.
+    The robot's own computer must be off the link. Parameters that are changed on the way are put back, however it ends.
+    Exit code 0 if no rule failed, 1 if one did.
 
     Example:  sim-bridge board-conformance --port /dev/ttyACM0 --dry
     """
@@ -91,7 +92,8 @@ def board_conformance(
                 f"(allowed: after a loss of power, or robot-agent params set HIL_MODE 0 --link {address})"
             )
         probe = BoardProbe(wire, robot) if signing is None else BoardProbe(wire, robot, signing.key, signing.stamps)
-        outcomes = list(_told(examine(probe, dry, RULES), quiet=as_json))
+        with signals_raise():
+            outcomes = list(_told(examine(probe, dry, RULES), quiet=as_json))
     finally:
         wire.close()
         link.close()
