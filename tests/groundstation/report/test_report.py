@@ -6,6 +6,7 @@ import re
 from collections import Counter
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -242,7 +243,7 @@ def test_without_log_and_experiment_it_is_an_error_with_a_name(tmp_path: Path) -
 
 def test_a_log_of_another_system_is_called_that(tmp_path: Path) -> None:
     with (tmp_path / "run.mcap").open("wb") as file:
-        writer = Writer(file)
+        writer: Any = Writer(file)  # Any: mcap is typed in part
         writer.start()
         for topic in ("/mavros/state", "/odom"):
             channel = writer.register_channel(topic, "json", writer.register_schema(topic, "jsonschema", b"{}"))
