@@ -83,9 +83,10 @@ def board_conformance(
     wire = LinkWire(link)
     try:
         client = ParameterClient(robot) if signing is None else ParameterClient(robot, signing.key, signing.stamps)
-        robot = _who_is_there(wire, client)
-        if robot is None:
-            raise ConfigError(f"--port {port}: {client.silence(link.trouble)}")
+        _listen(wire, client)
+        if (reason := client.objection(link.trouble)) or client.robot_id is None:
+            raise ConfigError(f"--port {port}: {reason or 'what is there does not say which board it is'}")
+        robot = client.robot_id
         if _in_hil(wire, client):
             raise ConfigError(
                 f"--port {port}: the board is in HIL mode and measures nothing itself "
@@ -107,15 +108,14 @@ def board_conformance(
     raise typer.Exit(1 if failed else 0)
 
 
-def _who_is_there(wire: BoardWire, client: ParameterClient) -> int | None:
-    """The system id of the board that is heard, None if there is none."""
+def _listen(wire: BoardWire, client: ParameterClient) -> None:
+    """Listen until a heartbeat says what is there, for HEARD_WITHIN_S at most."""
     end_ns, asked_ns = wire.now_ns() + round(HEARD_WITHIN_S * 1e9), 0
-    while not (client.heard and client.robot_id is not None) and wire.now_ns() < end_ns:
+    while client.autopilot is None and wire.now_ns() < end_ns:
         if wire.now_ns() - asked_ns > 1e9:
             asked_ns = wire.now_ns()
             wire.send(client.heartbeat())
         client.receive(wire.receive(wire.now_ns() + 50_000_000), wire.now_ns())
-    return client.robot_id if client.heard else None
 
 
 def _in_hil(wire: BoardWire, client: ParameterClient) -> bool:

@@ -87,6 +87,12 @@ class ParameterClient:
         """True if every parameter has come."""
         return self._count is not None and len(self._by_index) == self._count
 
+    def objection(self, trouble: str = "") -> str:
+        """The reason to send nothing more: an autopilot is there, or nobody is heard; empty for a thruster board."""
+        if self.autopilot:
+            return f"{self.autopilot} is there, no thruster board: it takes pulses for a pilot's sticks"
+        return self.silence(trouble)
+
     def silence(self, trouble: str = "") -> str:
         """The reason why no board is heard, from what has come or else the link's `trouble`; empty if one is heard."""
         if self.heard:
