@@ -11,7 +11,7 @@ import json
 import os
 import re
 import struct
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from heapq import heappop, heappush
@@ -68,6 +68,7 @@ _PATTERNS = tuple(
     )
 )
 _READ: dict[int, Any] = {SCHEMA: Schema, CHANNEL: Channel, ATTACHMENT: Attachment, METADATA: Metadata}
+MOST_NAMED = 5  # topics of another system that a message names
 _CHUNK_HEAD = struct.Struct("<QQQ")  # first and last log time, unpacked size
 
 
@@ -319,6 +320,7 @@ class RunLog:
     pace: tuple[tuple[int, int], ...] = ()  # (log time, wall time) pairs in ns, from the recorder; empty if it was cut off
     undecodable: int = 0
     clocks: SessionClocks = field(default_factory=SessionClocks)
+    foreign: str = ""  # topics of a log that holds none of ours
 
     @property
     def trouble(self) -> str:
@@ -328,6 +330,8 @@ class RunLog:
         if not self.messages:
             why = f" ({self.damage})" if self.damage else ""
             return f"Empty log: run.mcap holds no message that can be read{why}."
+        if self.foreign:
+            return f"Log of another system: none of its topics is recorded here ({self.foreign})."
         if not self.complete and self.ended:
             return f"Damaged log: not all of run.mcap can be read ({self.damage}). What could be read is evaluated."
         if not self.complete:
@@ -347,6 +351,7 @@ def read_log(path: Path, wanted: Collection[Topic] = READ, kept_of: Callable[[An
     """Read the wanted topics of a run into memory (docs/runs.md says how much that takes), of each message what `kept_of`
     returns. Raises OSError if there is no such file; damage inside it only shortens what is found, and is told in `damage`."""
     channels, entries = Channels(), dict[tuple[str, int], list[DecodedMessage[Any]]]()
+    others = dict[str, None]()  # topics that are not ours
     metadata: dict[str, dict[str, str]] = {}
     experiment_toml, messages, undecodable = "", 0, 0
     damage, clocks = list[str](), SessionClocks()
@@ -356,6 +361,8 @@ def read_log(path: Path, wanted: Collection[Topic] = READ, kept_of: Callable[[An
             experiment_toml = record.data.decode(errors="replace")
         elif isinstance(record, Metadata):
             metadata[record.name] = record.metadata
+        if isinstance(record, Channel):
+            others[record.topic] = None
         line = channels.take(record)
         if line is None:
             continue
@@ -389,6 +396,7 @@ def read_log(path: Path, wanted: Collection[Topic] = READ, kept_of: Callable[[An
         pace=_pace(end),
         undecodable=undecodable,
         clocks=clocks,
+        foreign="" if channels or RUN_METADATA in metadata else _named(others),
     )
 
 
@@ -396,6 +404,12 @@ def _carried(entry: DecodedMessage[M], topic: str, clocks: SessionClocks) -> Dec
     """A message with its stamp on the recorder's clock."""
     shift_ns = clocks.shift_ns(topic, entry.session, entry.stamp_ns)
     return replace(entry, stamp_ns=entry.stamp_ns + shift_ns, shift_ns=shift_ns) if shift_ns else entry
+
+
+def _named(names: Iterable[str]) -> str:
+    """The first of some names, for people."""
+    some = list(names)
+    return ", ".join(some[:MOST_NAMED]) + (f" and {len(some) - MOST_NAMED} more" if len(some) > MOST_NAMED else "")
 
 
 def damage_in_words(damage: Sequence[str]) -> str:

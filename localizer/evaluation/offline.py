@@ -30,7 +30,8 @@ from wire.messages.codec import decode, encode
 from wire.messages.messages import Pose
 from wire.process.output_files import replacing
 from wire.process.runtime import Failed
-from wire.toml_loader import ConfigError
+from wire.regular_files import open_regular
+from wire.toml_loader import ConfigError, os_errors_as_config_errors
 
 WARM_UP_FRAMES = 40  # 2 s at 20 Hz: markers are believed, velocities known, appearances learnt
 REPORTED = ("depth_m", "roll_rad", "pitch_rad")  # columns of what robots' boards measured
@@ -131,7 +132,8 @@ def _row(frame: int, robot: int, pose: Pose, stamp_ns: int) -> tuple[object, ...
 
 def _kept(part: Path) -> tuple[str, int]:
     """The lines of a table before its last frame, whose rows may not all be there, and that frame's number."""
-    header, *lines = part.read_text(encoding="utf-8").splitlines(keepends=True) or [""]
+    with os_errors_as_config_errors(part), open_regular(part) as file:
+        header, *lines = file.read().decode().splitlines(keepends=True) or [""]
     if header.strip() != ",".join(FIELDS):
         raise ConfigError(f"{part}: cannot be gone on with: its columns are not {', '.join(FIELDS)}")
     whole = [line for line in lines if line.endswith("\n") and line.count(",") == len(FIELDS) - 1]
