@@ -102,7 +102,7 @@ class FrameRecorder:
             self._waiting.put(frame, block=self._lockstep)
         except queue.Full:
             self._ended = True
-            self._fail("ends: the disk is too slow, or does not answer")
+            self._fail(" ends: the disk is too slow, or does not answer")
 
     def _write_all(self) -> None:
         """Write frames until None comes; after the end of the recording they only leave the queue."""
@@ -139,13 +139,13 @@ class FrameRecorder:
             deadline_s = 0.0
         self._thread.join(max(deadline_s - time.monotonic(), 0.0))
         if self._thread.is_alive():
-            self._fail("has no end, and not its last frames: the disk does not answer")
+            self._fail(": the disk does not answer; its last frames and its end are missing")
         elif not self._failed:
             try:
                 self._writer.finish()
                 self._file.close()
             except OSError as error:
-                self._fail(f"has no end: {error.strerror}")
+                self._fail(f": its end is missing: {error.strerror}")
 
     def _write(self, topic: str, kind: type | None, data: bytes, stamp_ns: int) -> None:
         if topic not in self._channels:
@@ -170,11 +170,12 @@ class FrameRecorder:
         self._ended = self._failed = True
         with suppress(OSError):
             self._file.close()
-        self._fail(f"ends after {self._frames} frames: {reason}")
+        self._fail(f" ends after {self._frames} frames: {reason}")
 
     def _fail(self, what: str) -> None:
-        self.failure = self.failure or f"recording {self._folder} {what}"
-        log.error("recording %s %s", self._folder, what)
+        text = f"recording {self._folder}{what}"
+        self.failure = self.failure or text
+        log.error("%s", text)
 
 
 def frame_estimate(folder: Path, size_px: tuple[int, int]) -> int:
