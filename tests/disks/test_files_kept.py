@@ -4,6 +4,7 @@ the whole new one is there, and the exit code and the last line say which."""
 import os
 import random
 import shutil
+import subprocess
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,6 +18,7 @@ pytestmark = pytest.mark.long
 
 SEED = int(os.environ.get("DISKS_SEED", "0")) or time.time_ns() % 1_000_000  # printed; the variable repeats a run
 QUICK = {"kill": 2, "full": 1, "gone": 1, "read-only": 1}  # calls at which `make test` fails each command
+PAGE_BYTES = 4096
 MANY = 40  # the same in `make test-slow`; all calls where there are fewer
 
 
@@ -92,9 +94,26 @@ class DiskTrial:
 
     def fails(self, fault: str, call: int) -> None:
         """Let the disk fail at a call. Raises AssertionError if a file is lost, or if the command says something else."""
-        case = f"{self.name}: {fault} at call {call}"
         folder = self._copy()
         ended = self._programs.run(list(self.command.arguments), folder, fault, call)
+        case = f"{self.name}: {fault} at call {call}"
+        if fault == "kill":
+            assert ended.code == -9 or (ended.code == 0 and ended.calls < call), f"{case}: {ended}"
+        self._judge(case, ended, folder)
+        self._repeat(case, folder)
+
+    def fills(self, disk: Path, pages: int) -> None:
+        """Run on a file system that has room for so many more pages. Raises AssertionError as `fails`."""
+        folder, filler = Path(shutil.copytree(self._before, disk / "folder")), disk / "filler"
+        room = shutil.disk_usage(disk).free - pages * PAGE_BYTES
+        filler.write_bytes(bytes(room))
+        case = f"{self.name}: {pages} pages free"
+        self._judge(case, self._programs.run(list(self.command.arguments), folder), folder)
+        filler.unlink()
+        self._repeat(case, folder)
+
+    def _judge(self, case: str, ended: EndedCommand, folder: Path) -> None:
+        """Check the files, and what the command says of them."""
         now = self._contents(folder)
         new = {name for name, data in now.items() if data != self._old[name]}
         for name in new:
@@ -103,11 +122,12 @@ class DiskTrial:
             except ValueError as error:
                 raise AssertionError(f"{case}: half of {name}: {error}\n{ended.said}") from error
         self._check(folder, f"{case}: {ended.said}")
-        if fault == "kill":
-            assert ended.code == -9 or (ended.code == 0 and ended.calls < call), f"{case}: {ended}"
-        else:
+        if ended.code != -9:
             self._says_which(case, ended, new, folder)
-        if new != now.keys():
+
+    def _repeat(self, case: str, folder: Path) -> None:
+        """Run again on a good disk, if not all is written, and remove the folder."""
+        if self._contents(folder).items() & self._old.items():
             after = self._programs.run(list(self.command.arguments), folder)
             assert after.code == 0, f"{case}: cannot be done again: {after.said}"
             assert all(self._is_new(name, data) for name, data in self._contents(folder).items()), f"{case}: {after.said}"
@@ -146,6 +166,27 @@ def test_the_old_file_or_the_whole_new_one_is_there(name: str, programs: Program
     for fault, times in QUICK.items():
         for _ in range(times):
             trial.fails(fault, chance.randint(1, trial.undisturbed.calls))
+
+
+@pytest.fixture(scope="module")
+def small_disk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A file system of one megabyte."""
+    folder = tmp_path_factory.mktemp("small")
+    mounting = ["mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", str(folder)]
+    if os.geteuid() != 0 or subprocess.run(mounting, capture_output=True, check=False).returncode != 0:
+        pytest.skip("no small disk may be mounted here")
+    yield folder
+    subprocess.run(["umount", str(folder)], check=True)
+
+
+@pytest.mark.parametrize("name", ["repair", "export", "keys-add"])
+def test_a_full_file_system_keeps_the_old_file(name: str, programs: Programs, small_disk: Path, tmp_path: Path) -> None:
+    """The kernel's own errors, of a disk with room for a part of what is written."""
+    chance = random.Random(f"{SEED} {name}")
+    print(f"DISKS_SEED={SEED}")
+    trial = DiskTrial(name, programs, tmp_path)
+    for pages in (0, chance.randint(1, 12)):
+        trial.fills(small_disk, pages)
 
 
 @pytest.mark.slow

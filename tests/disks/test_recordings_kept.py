@@ -64,7 +64,7 @@ def record(programs: Programs, folder: Path, fault: str, call: int) -> EndedComm
     """Have the station's recorder write a run that another program hands over little by little."""
     folder.mkdir()
     (folder / "experiment.toml").write_text(dump_experiment(load_experiment("pool")))
-    pipe = folder.with_suffix(".pipe")
+    pipe = folder.with_name(f"{folder.name}.pipe")
     os.mkfifo(pipe)
 
     def say() -> None:
