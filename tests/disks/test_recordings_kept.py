@@ -217,7 +217,7 @@ def test_rows_of_a_table_outlive_kills_at_any_call(
 @pytest.mark.parametrize("fault", ["kill", "full", "gone", "read-only"])
 def test_a_campaign_goes_on_with_what_was_flown(fault: str, programs: Programs, tmp_path: Path, chance: random.Random) -> None:
     """A flight whose row is in the journal is not flown again, and the results have every flight once."""
-    campaign = 'name = "short"\nexperiment = "numeric"\nseeds = 3\n[set]\nduration_s = 1.0\n'
+    campaign = 'name = "short"\nexperiment = "numeric"\nseeds = 3\nsettings = ["duration_s=1"]\n'
     command = ["sim-bridge", "campaign", "c.toml", "--out", "out", "--workers", "1"]
 
     def fly(folder: Path, *more: str, fault: str = "count", call: int = 1) -> EndedCommand:
@@ -225,7 +225,9 @@ def test_a_campaign_goes_on_with_what_was_flown(fault: str, programs: Programs, 
         (folder / "c.toml").write_text(campaign)
         return programs.run([*command, *more], folder, fault, call)
 
-    calls = fly(tmp_path / "whole").calls
+    whole = fly(tmp_path / "whole")
+    assert whole.code == 0, whole.said
+    calls = whole.calls
     for k in range(6):
         call, folder = chance.randint(1, calls), tmp_path / str(k)
         ended, case = fly(folder, fault=fault, call=call), f"{fault} at call {call} of {calls}"
