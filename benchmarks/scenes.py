@@ -218,7 +218,12 @@ def _flight_row(scene: str, group: Sequence[FlownScene]) -> str:
 def _spread_mm(values: Sequence[float]) -> str:
     """The largest, and in brackets the median, in mm; empty where nothing is known."""
     known = sorted(1e3 * value for value in values if not math.isnan(value))
-    return f"{known[-1]:.3g} ({known[len(known) // 2]:.3g})" if known else ""
+    return f"{_digits(known[-1])} ({_digits(known[len(known) // 2])})" if known else ""
+
+
+def _digits(value: float) -> str:
+    """Three digits of a number; of a larger one, those before its point."""
+    return f"{value:.0f}" if value >= 100.0 else f"{value:.3g}"
 
 
 def _track_rows(scene: str, group: Sequence[FlownScene]) -> Iterator[str]:

@@ -11,7 +11,7 @@ import json
 import os
 import re
 import struct
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from heapq import heappop, heappush
@@ -67,6 +67,7 @@ _PATTERNS = tuple(
     )
 )
 _READ: dict[int, Any] = {SCHEMA: Schema, CHANNEL: Channel, ATTACHMENT: Attachment, METADATA: Metadata}
+MOST_NAMED = 5  # topics of another system that a message names
 _CHUNK_HEAD = struct.Struct("<QQQ")  # first and last log time, unpacked size
 
 
@@ -314,6 +315,7 @@ class RunLog:
     dropped: int = 0  # messages the recorder could not take
     pace: tuple[tuple[int, int], ...] = ()  # (stamp, wall time) pairs in ns, from the recorder; empty if it was cut off
     undecodable: int = 0
+    foreign: str = ""  # topics of a log that holds none of ours
 
     @property
     def trouble(self) -> str:
@@ -323,6 +325,8 @@ class RunLog:
         if not self.messages:
             why = f" ({self.damage})" if self.damage else ""
             return f"Empty log: run.mcap holds no message that can be read{why}."
+        if self.foreign:
+            return f"Log of another system: none of its topics is recorded here ({self.foreign})."
         if not self.complete and self.ended:
             return f"Damaged log: not all of run.mcap can be read ({self.damage}). What could be read is evaluated."
         if not self.complete:
@@ -342,6 +346,7 @@ def read_log(path: Path, wanted: Collection[Topic] = READ, kept_of: Callable[[An
     """Read the wanted topics of a run into memory (docs/runs.md says how much that takes), of each message what `kept_of`
     returns. Raises OSError if there is no such file; damage inside it only shortens what is found, and is told in `damage`."""
     channels, entries = Channels(), dict[tuple[str, int], list[DecodedMessage[Any]]]()
+    others = dict[str, None]()  # topics that are not ours
     metadata: dict[str, dict[str, str]] = {}
     experiment_toml, messages, undecodable = "", 0, 0
     damage: list[str] = []
@@ -351,6 +356,8 @@ def read_log(path: Path, wanted: Collection[Topic] = READ, kept_of: Callable[[An
             experiment_toml = record.data.decode(errors="replace")
         elif isinstance(record, Metadata):
             metadata[record.name] = record.metadata
+        if isinstance(record, Channel):
+            others[record.topic] = None
         line = channels.take(record)
         if line is None or line.topic not in wanted:
             continue
@@ -377,7 +384,14 @@ def read_log(path: Path, wanted: Collection[Topic] = READ, kept_of: Callable[[An
         dropped=_dropped(end),
         pace=_pace(end),
         undecodable=undecodable,
+        foreign="" if channels or RUN_METADATA in metadata else _named(others),
     )
+
+
+def _named(names: Iterable[str]) -> str:
+    """The first of some names, for people."""
+    some = list(names)
+    return ", ".join(some[:MOST_NAMED]) + (f" and {len(some) - MOST_NAMED} more" if len(some) > MOST_NAMED else "")
 
 
 def damage_in_words(damage: Sequence[str]) -> str:

@@ -160,6 +160,8 @@ def _read(path: Path) -> RunLog:
 def _experiment(run_dir: Path, recorded: RunLog, put_back: bool) -> Experiment:
     """The experiment as run; from the log if the folder has lost it, and then put back there if it is to be."""
     path = run_dir / "experiment.toml"
+    if recorded.foreign and not path.exists():
+        raise ConfigError(f"{run_dir / 'run.mcap'}: {recorded.trouble}")
     if path.exists() or not recorded.experiment_toml:
         return load_experiment(str(path))
     with tempfile.TemporaryDirectory() as folder:

@@ -32,6 +32,7 @@ from wire.messages.codec import decode, encode
 from wire.messages.messages import Pose
 from wire.process.output_files import replacing, sync_folder
 from wire.process.runtime import Failed
+from wire.regular_files import open_regular
 from wire.toml_loader import ConfigError, os_errors_as_config_errors
 
 WARM_UP_FRAMES = 40  # 2 s at 20 Hz: markers are believed, velocities known, appearances learnt
@@ -136,7 +137,8 @@ def _row(frame: int, robot: int, pose: Pose, stamp_ns: int) -> tuple[object, ...
 
 def _kept(part: Path) -> tuple[str, int]:
     """The lines of a table before its last frame, whose rows may not all be there, and that frame's number."""
-    header, *lines = part.read_text(encoding="utf-8").splitlines(keepends=True) or [""]
+    with os_errors_as_config_errors(part), open_regular(part) as file:
+        header, *lines = file.read().decode().splitlines(keepends=True) or [""]
     columns = ",".join(FIELDS)
     if not header.endswith("\n") and columns.startswith(header):
         return "", 0

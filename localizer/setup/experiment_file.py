@@ -52,7 +52,10 @@ class ExperimentFile:
     def reload(self) -> None:
         """Read the file again; changes are then shown against what it holds now. Raises ConfigError."""
         with os_errors_as_config_errors(self._source):
-            self._text = read_regular(self._source, MOST_BYTES).decode("utf-8-sig")
+            self._text = self._read()
+
+    def _read(self) -> str:
+        return read_regular(self._source, MOST_BYTES).decode("utf-8-sig")
 
     @property
     def camera(self) -> Camera:
@@ -99,7 +102,7 @@ class ExperimentFile:
         then written nothing in its place."""
         text, path = self.changed(camera), self.path
         with os_errors_as_config_errors(path):
-            if path == self._source and path.read_text(encoding="utf-8-sig") != self._text:
+            if path == self._source and self._read() != self._text:
                 raise ConfigError(
                     f"{path}: was changed by somebody else since it was read; read it again, and look at the difference"
                 )

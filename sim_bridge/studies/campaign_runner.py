@@ -31,7 +31,8 @@ from wire.config.experiment import NO_CAMERA, Experiment, load_experiment
 from wire.process.output_files import CAMPAIGN, check_output, replacing
 from wire.process.runtime import Stop
 from wire.process.version import UNKNOWN, code
-from wire.toml_loader import ConfigError
+from wire.regular_files import open_regular
+from wire.toml_loader import ConfigError, os_errors_as_config_errors
 
 JOURNAL, RESULTS, REPORT = "journal.jsonl", "results.parquet", "report.html"
 LOOK_EVERY_S = 0.5
@@ -85,7 +86,10 @@ class Journal:
     def __init__(self, path: Path) -> None:
         """Raises ConfigError where another program writes it, or where other code has flown what it holds."""
         self._path = path
-        self._file = path.open("ab", buffering=0)
+        with os_errors_as_config_errors(path):
+            if path.exists():
+                open_regular(path).close()  # a pipe would be waited for
+            self._file = path.open("ab", buffering=0)
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             text = path.read_text(encoding="utf-8", errors="replace")

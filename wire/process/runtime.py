@@ -14,7 +14,8 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Iterator
+from contextlib import contextmanager
 from contextvars import ContextVar
 from types import FrameType
 from typing import Any, NoReturn, Protocol, TextIO, TypeVar, cast
@@ -73,8 +74,10 @@ class Failed(Exception):
 
 
 class Stop:
-    """Set by SIGINT, SIGTERM, SIGHUP or a call; every loop looks at it. A second SIGINT or SIGTERM ends the process at once; a
-    second SIGHUP does not, because a terminal that goes sends it from the kernel and from the shell. `nohup` is respected.
+    """Set by SIGINT, SIGTERM, SIGHUP or a call; every loop looks at it. The second SIGINT or SIGTERM ends the process at once,
+    with files half written. A SIGHUP does not count: a terminal that goes sends it from the kernel and from the shell, and the
+    end of a login sends a SIGTERM as well. Nor does a call: a process that ends by itself has not been signalled yet.
+    `nohup` is respected.
 
     A part of the process that cannot go on calls `fail`; all loops then end as for a signal, within SLICE_S, and who has
     closed everything calls `raise_failure`, so that the process does not end as if all were well."""
@@ -82,6 +85,7 @@ class Stop:
     def __init__(self, install: bool = True) -> None:
         self.requested = False
         self.interrupted = False  # by SIGINT: a person pressed Ctrl-C
+        self._told = False  # by a SIGINT or SIGTERM
         self._wakes: list[Callable[[], None]] = []
         self.failure = ""  # why the process ends itself; empty: nothing has failed
         if install:
@@ -91,8 +95,10 @@ class Stop:
                 signal.signal(signal.SIGHUP, self._on_signal)
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
-        if self.requested and number != signal.SIGHUP:
-            os._exit(128 + number)
+        if number != signal.SIGHUP:
+            if self._told:
+                os._exit(128 + number)
+            self._told = True
         self.request(number == signal.SIGINT)
 
     def __call__(self) -> bool:
@@ -127,6 +133,24 @@ class Stop:
         """Raises Failed if a part of the process has failed."""
         if self.failure:
             raise Failed(self.failure)
+
+
+@contextmanager
+def signals_raise() -> Iterator[None]:
+    """Let SIGTERM and SIGHUP end the block as Ctrl-C does: through its `finally`, which disarms a board or puts back what was
+    changed on it. For programs without a loop that looks at a Stop."""
+
+    def end(number: int, frame: FrameType | None) -> None:
+        for one in before:  # a terminal that goes sends more than one, which would end that as well
+            signal.signal(one, signal.SIG_IGN)
+        raise SystemExit(128 + number)
+
+    before = {number: signal.signal(number, end) for number in (signal.SIGTERM, signal.SIGHUP)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def guarded_thread(stop: Stop, name: str, work: Callable[[], object], daemon: bool = False) -> threading.Thread:
