@@ -32,7 +32,7 @@ from wire.messages.codec import encode
 from wire.messages.messages import CameraHealth, LocalizerStatus, Obstacles, Pose, RobotState, Track
 from wire.messages.topics import Topic
 from wire.process.lockstep import LockstepClock
-from wire.process.runtime import Clock, Stop, WallClock, age_s, log, log_to_bus, run_steps
+from wire.process.runtime import Clock, Failed, Stop, WallClock, age_s, log, log_to_bus, run_steps
 from wire.toml_loader import ConfigError
 from wire.transport.bus import Bus, Received
 from wire.transport.endpoint import Endpoint
@@ -80,6 +80,8 @@ def run(experiment: Experiment, endpoint: Endpoint, fleet: str, stop: Stop, lock
         bus.claim(topics.localizer_name(options.camera), stop)
         LocalizerNode(experiment, bus, stop, clock, own, page, options.publish_frames, recorder, options.camera).run()
     stop.raise_failure()
+    if recorder is not None and recorder.failure:
+        raise Failed(recorder.failure)
 
 
 class LocalizerNode:

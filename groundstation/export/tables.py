@@ -10,13 +10,11 @@ import dataclasses
 import importlib
 import io
 import json
-import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from dataclasses import dataclass, field
 from enum import IntEnum
 from pathlib import Path
-from types import TracebackType
 from typing import IO, Any, Protocol, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -30,7 +28,7 @@ from wire.config.experiment import load_experiment
 from wire.messages import messages, topics
 from wire.messages.codec import DecodeError, decode
 from wire.messages.topics import Topic
-from wire.process.output_files import RUN, check_output, replacing
+from wire.process.output_files import RUN, check_output, replacing_together
 from wire.toml_loader import ConfigError
 
 AT_ONCE = 5_000  # rows that are kept until they are written: a few MB
@@ -116,14 +114,14 @@ def export(run: Path, folder: Path, parquet: bool) -> Exported:
     zero, trouble = _zero(log)
     folder.mkdir(parents=True, exist_ok=True)
     done, open_tables = Exported(trouble=trouble), dict[tuple[Topic, int], _Table]()
-    with ExitStack() as stack:
+    with replacing_together() as opened:
 
         def table(topic: Topic, robot: int) -> _Table:
             if (topic, robot) not in open_tables:
                 name = topic.name.replace("/{robot}", f"-{robot}").replace("/", "-")
                 path = folder / f"{name}{'.parquet' if parquet else '.csv'}"
                 check_output(path, [run / own for own in RUN])
-                open_tables[topic, robot] = stack.enter_context(_Table(topic, path, zero, kind))
+                open_tables[topic, robot] = _Table(topic, path, opened(path), zero, kind)
             return open_tables[topic, robot]
 
         for line in valid_messages(log):
@@ -135,6 +133,8 @@ def export(run: Path, folder: Path, parquet: bool) -> Exported:
                 done.undecodable += 1
                 continue
             table(line.topic, line.robot).add(message, line)
+        for finished in open_tables.values():
+            finished.close()
     done.files = [(t.path, t.rows) for _, t in sorted(open_tables.items(), key=lambda item: (item[0][0].name, item[0][1]))]
     return done
 
@@ -309,28 +309,18 @@ WHEN = (("time_s", float), ("stamp_ns", int), ("arrived_ns", int), ("session", s
 
 
 class _Table:
-    """One table, open. Use it with `with`: it is whole, or not there."""
+    """One table, in an open file."""
 
-    def __init__(self, topic: Topic, path: Path, zero: _Zero, kind: type[_RowFile]) -> None:
+    def __init__(self, topic: Topic, path: Path, file: IO[bytes], zero: _Zero, kind: type[_RowFile]) -> None:
         self.path, self.rows = path, 0
-        self._columns, self._zero, self._kind = columns(topic.type), zero, kind
+        self._columns, self._zero = columns(topic.type), zero
+        self._file = kind(file, [*WHEN, *((c.name, c.kind) for c in self._columns)])
         self._waiting: list[list[Any]] = []
 
-    def __enter__(self) -> "_Table":
-        self._stack = ExitStack()
-        file = self._stack.enter_context(replacing(self.path))
-        self._file = self._kind(file, [*WHEN, *((c.name, c.kind) for c in self._columns)])
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        if kind is None:
-            try:
-                self._write()
-                self._file.close()
-            except BaseException:
-                self._stack.__exit__(*sys.exc_info())
-                raise
-        self._stack.__exit__(kind, error, trace)
+    def close(self) -> None:
+        """Write the last rows, and the table's end."""
+        self._write()
+        self._file.close()
 
     def add(self, message: Any, line: LogMessage) -> None:
         """Add a message's rows."""

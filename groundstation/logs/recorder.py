@@ -24,6 +24,7 @@ import os
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any, cast
 
@@ -35,7 +36,7 @@ from wire.messages.codec import DecodeError, Header, protobuf_class
 from wire.messages.pipe import read_pipe
 from wire.messages.topics import STATE, Qos, Role, Topic
 from wire.process.cli_options import DEFAULT_FLEET
-from wire.process.output_files import disk_free
+from wire.process.output_files import disk_free, sync_folder
 from wire.process.version import code
 from wire.toml_loader import ConfigError
 from wire.transport.bus import Collected
@@ -152,9 +153,12 @@ class Recorder:
         self._writer.add_metadata(RUN_METADATA, dict(metadata))
         try:
             self._flush()
-        except OSError:
+            sync_folder(path.parent)
+        except OSError as error:
             self._output.close()
-            raise
+            with suppress(OSError):  # nothing is in it, and it would keep the next run out of the folder
+                path.unlink()
+            raise OSError(error.errno, error.strerror, str(path)) from None
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
 

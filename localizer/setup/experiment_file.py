@@ -13,7 +13,7 @@ import tomlkit
 
 from wire.config.experiment import EXPERIMENTS, Experiment, checked_experiment
 from wire.config.perception import Camera, CameraFile
-from wire.process.output_files import keep_old, replacing
+from wire.process.output_files import dated, replacing
 from wire.regular_files import read_regular
 from wire.toml_loader import MOST_BYTES, ConfigError, check, os_errors_as_config_errors, read_toml
 
@@ -108,11 +108,9 @@ class ExperimentFile:
                 )
             if path != self._source and path.exists():
                 raise ConfigError(f"{path}: is there already, and was not written by this program")
-            kept = ""
-            if path == self._source:
-                kept = f"; the old file is {keep_old(path)}"
-            with replacing(path, durable=True) as new:
+            with replacing(path, keep=dated) as new:
                 new.write(text.encode())
+        kept = "" if new.kept is None else f"; the old file is {new.kept}"
         if self._camera_file is None:
             self._experiment, self._out = path, None
         self._text = text

@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -92,7 +92,7 @@ class Journal:
             self._file = path.open("ab", buffering=0)
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            text = path.read_text(encoding="utf-8")
+            text = path.read_text(encoding="utf-8", errors="replace")
             self.rows = {row["hash"]: row for row in _rows(text) if row["status"] != "failed"}
             for other in {str(row.get("commit", UNKNOWN)) for row in self.rows.values()} - {code().commit}:
                 raise ConfigError(
@@ -123,7 +123,8 @@ class Journal:
             if self._file.write(data) != len(data):
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         except OSError as error:
-            os.truncate(self._file.fileno(), size)
+            with suppress(OSError):  # where that fails too, the half line is passed over
+                os.truncate(self._file.fileno(), size)
             raise OSError(error.errno, error.strerror, str(self._path)) from None
 
 

@@ -24,11 +24,10 @@ HOW = "make one with `robot-agent link-key FILE` and give the board the same"
 def new_key(path: Path) -> None:
     """Write a new key, readable by its owner only. Raises ConfigError rather than to write over one."""
     try:
-        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+        with replacing(path, mode=0o600, over=False) as file:
+            file.write(f"{secrets.token_hex(KEY_BYTES)}\n".encode("ascii"))
     except OSError as error:
         raise ConfigError(f"{path}: cannot be made: {error.strerror}") from None
-    with os.fdopen(descriptor, "w", encoding="ascii") as file:
-        file.write(secrets.token_hex(KEY_BYTES) + "\n")
 
 
 def write_key(path: Path, key: Key) -> None:

@@ -36,7 +36,8 @@ speaking: ContextVar[str | None] = ContextVar("speaking", default=None)  # whose
 
 SLICE_S = 0.1  # how long a wait may keep a process from noticing that it was told to stop
 
-NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # a write raises these without the file's name
+# Of a disk that is full, gone or read-only. A write raises these without the file's name.
+DISK_TROUBLE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS, errno.ENODEV, errno.ENXIO, errno.ESTALE)
 
 _LEVELS = {logging.DEBUG: 1, logging.INFO: 2, logging.WARNING: 3, logging.ERROR: 4, logging.CRITICAL: 5}
 
@@ -266,7 +267,7 @@ def run_app(app: Callable[[], None]) -> None:
     except ConfigError as error:
         _end(error, 2)
     except OSError as error:
-        if error.filename is None and error.errno not in NO_ROOM:  # no file of a person's: a bug
+        if error.filename is None and error.errno not in DISK_TROUBLE:  # no file of a person's: a bug
             raise
         _end(f"{error.filename2 or error.filename or 'a file that was being written'}: {error.strerror}", 2)
     except (Unreached, Failed) as error:

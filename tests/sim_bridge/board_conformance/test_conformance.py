@@ -127,7 +127,8 @@ def test_a_parameter_that_cannot_be_put_back_is_a_failure_that_names_it() -> Non
 
 
 def test_an_examiner_that_is_ended_puts_everything_back() -> None:
-    bench, ended = LossyWire(range(0)), []
+    bench = LossyWire(range(0))
+    ended: list[bool] = []
 
     def end() -> None:
         if bench.board.armed and not ended:
