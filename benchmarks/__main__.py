@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.harness import Row
+from wire.process.output_files import replace_text
 
 # Name: a module of this package with `run() -> Iterable[Row]`, and what it measures.
 BENCHMARKS = {
@@ -111,7 +112,7 @@ def main(
     console.width = max(console.width, TABLE_WIDTH)  # a pipe has no width; a table that wraps cannot be read
     console.print(_table(rows))
     if json_file is not None:
-        json_file.write_text(json.dumps([row.as_dict() for row in rows], indent=1) + "\n", encoding="utf-8")
+        replace_text(json_file, json.dumps([row.as_dict() for row in rows], indent=1) + "\n")
 
 
 if __name__ == "__main__":

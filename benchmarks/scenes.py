@@ -28,6 +28,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from localizer.evaluation.metrics import PoseRow
 from localizer.evaluation.runner import evaluate_log
 from wire.config.experiment import load_experiment
+from wire.process.output_files import replace_text
 from wire.process.version import code
 from wire.toml_loader import ConfigError
 
@@ -217,7 +218,12 @@ def _flight_row(scene: str, group: Sequence[FlownScene]) -> str:
 def _spread_mm(values: Sequence[float]) -> str:
     """The largest, and in brackets the median, in mm; empty where nothing is known."""
     known = sorted(1e3 * value for value in values if not math.isnan(value))
-    return f"{known[-1]:.3g} ({known[len(known) // 2]:.3g})" if known else ""
+    return f"{_digits(known[-1])} ({_digits(known[len(known) // 2])})" if known else ""
+
+
+def _digits(value: float) -> str:
+    """Three digits of a number; of a larger one, those before its point."""
+    return f"{value:.0f}" if value >= 100.0 else f"{value:.3g}"
 
 
 def _track_rows(scene: str, group: Sequence[FlownScene]) -> Iterator[str]:
@@ -293,9 +299,9 @@ def main(
     console.print(page, markup=False, highlight=False, soft_wrap=True)
     if write:
         EVIDENCE.parent.mkdir(exist_ok=True)
-        EVIDENCE.with_suffix(".md").write_text(page, encoding="utf-8")
+        replace_text(EVIDENCE.with_suffix(".md"), page)
         rows = [_plain(asdict(flight)) for flight in sorted(flights, key=lambda flight: (flight.scene, flight.seed))]
-        EVIDENCE.with_suffix(".json").write_text(json.dumps(rows, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        replace_text(EVIDENCE.with_suffix(".json"), json.dumps(rows, indent=1, allow_nan=False) + "\n")
     raise typer.Exit(0 if all(flight.passed for flight in flights) else 1)
 
 

@@ -156,7 +156,7 @@ class FusionNode:
         camera.taken = status
         instant_ns = self._clock.instant_ns(status)
         self._views[name] = CameraView(instant_ns, status.message, camera.poses_of(status))
-        return instant_ns, self._stamps.of(name, status.header.stamp_ns, instant_ns)
+        return instant_ns, self._stamps.of(name, status.header.stamp_ns, instant_ns, status.header.session)
 
     def _tell_obstacles(self, out: tuple[str, ...]) -> None:
         """Publish the obstacles of all cameras that see and are not `out`, when one of them has told of its own."""
@@ -166,7 +166,8 @@ class FusionNode:
             if found is not None and found is not camera.told:
                 camera.told = found
                 if name not in out:
-                    new.append((self._clock.instant_ns(found), self._stamps.carried(name, found.header.stamp_ns)))
+                    stamp_ns = self._stamps.carried(name, found.header.stamp_ns, found.header.session)
+                    new.append((self._clock.instant_ns(found), stamp_ns))
         if not new:
             return
         newest_ns, stamp_ns = max(new)

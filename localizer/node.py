@@ -32,7 +32,7 @@ from wire.messages.codec import encode
 from wire.messages.messages import CameraHealth, LocalizerStatus, Obstacles, Pose, RobotState, Track
 from wire.messages.topics import Topic
 from wire.process.lockstep import LockstepClock
-from wire.process.runtime import Clock, Stop, WallClock, age_s, log, log_to_bus, run_steps
+from wire.process.runtime import Clock, Failed, Stop, WallClock, age_s, log, log_to_bus, run_steps
 from wire.toml_loader import ConfigError
 from wire.transport.bus import Bus, Received
 from wire.transport.endpoint import Endpoint
@@ -80,6 +80,8 @@ def run(experiment: Experiment, endpoint: Endpoint, fleet: str, stop: Stop, lock
         bus.claim(topics.localizer_name(options.camera), stop)
         LocalizerNode(experiment, bus, stop, clock, own, page, options.publish_frames, recorder, options.camera).run()
     stop.raise_failure()
+    if recorder is not None and recorder.failure:
+        raise Failed(recorder.failure)
 
 
 class LocalizerNode:
@@ -152,7 +154,8 @@ class LocalizerNode:
     def _handle(self, captured: CapturedFrame, previews: PreviewPublisher) -> None:
         """Localize one frame. An exception costs this frame; FAILURES_IN_A_ROW of them end the process."""
         started_ns = time.perf_counter_ns()
-        captured = replace(captured, stamp_ns=self._stamps.of("", captured.stamp_ns, captured.instant_ns))
+        stamp_ns = self._stamps.of("", captured.stamp_ns, captured.instant_ns, captured.session)
+        captured = replace(captured, stamp_ns=stamp_ns)
         depths_m, known = dict[int, float](), dict[int, Attitude]()
         try:
             states = self._fresh_states(captured.inputs_up_to_ns)

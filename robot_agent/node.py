@@ -355,8 +355,9 @@ class AgentNode:
         sent_ns = time.perf_counter_ns() - started_ns
         if not self._lockstep:  # where time waits for the step, nothing is late
             self._pace.put_out((sent_ns + now_ns - due_ns) * 1e-9)
+        age_ns = 0 if self._lockstep else sent_ns
         if outputs.plan is not None:
-            self._bus.publish(topics.PLAN, outputs.plan, now_ns, self._robot, age_ns=0 if self._lockstep else sent_ns)
+            self._bus.publish(topics.PLAN, outputs.plan, now_ns, self._robot, age_ns=age_ns)
         latency_ms = outputs.state.pose_age_ms + (0.0 if self._lockstep else sent_ns * 1e-6)
         telemetry = self._mavlink.telemetry
         state = replace(
@@ -367,7 +368,7 @@ class AgentNode:
             board_round_trip_ms=telemetry.round_trip_ns * 1e-6,
             board_clock_offset_s=telemetry.clock_offset_ns * 1e-9,
         )
-        self._bus.publish(topics.STATE, state, now_ns, self._robot)
+        self._bus.publish(topics.STATE, state, now_ns, self._robot, age_ns=age_ns)
         if (state.mode, state.fault) != self._told:
             self._told = (state.mode, state.fault)
             self._watchdog.mode(state.mode.name, state.fault)

@@ -1,6 +1,7 @@
 """Files that somebody put where ours should be: a pipe without an end, a device, too many bytes. No reader waits for them,
 takes all memory, or loses what lies beside them."""
 
+import ast
 import json
 import os
 import resource
@@ -17,11 +18,17 @@ from typer.testing import CliRunner
 from groundstation.__main__ import cli
 from groundstation.logs import reader, repair, run_folders
 from groundstation.report import compare_report
+from groundstation.web.run_end import run_end
 from localizer.calibration.images import read_picture
+from localizer.evaluation.offline import PoseTable
 from localizer.evaluation.runner import read_frame_table
 from localizer.sources.files import decode_file
 from localizer.sources.recording import FRAMES, recorded_frames
+from localizer.sources.video import VideoReader
+from robot_agent.preflight.identify import thrust
 from shoal.runs import FlownRun
+from sim_bridge.studies.campaign_runner import Journal
+from tests.source_tree import nodes, sources, tree_of
 from wire.config.experiment import load_experiment
 from wire.mavlink.signing_key import TimestampStore, load_key
 from wire.regular_files import open_regular, read_regular
@@ -45,6 +52,13 @@ READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
     "decode_file": ("a.png", decode_file),
     "recorded_frames": (FRAMES, lambda path: list(recorded_frames(path.parent))),
     "frame table": ("a.csv", lambda path: list(read_frame_table(path, load_experiment("pool"), (), ()))),
+    "part of a table": (
+        "poses.csv.key.part",
+        lambda path: list(PoseTable(path.with_name("poses.csv"), "key").write(iter(()), load_experiment("pool"))),
+    ),
+    "video": ("a.avi", VideoReader),
+    "readings of a scale": ("scale.csv", thrust),
+    "journal": ("journal.jsonl", Journal),
 }
 MAKERS: dict[str, Callable[[Path], object]] = {
     "pipe": os.mkfifo,
@@ -77,6 +91,30 @@ def test_a_file_is_read_up_to_its_limit(tmp_path: Path) -> None:
         read_regular(tmp_path / "missing", 5)
 
 
+# Modules that read files in another way: what they read is the installation's, the system's, this user's own cache or keys, a
+# file that the same program has written just now, or may be a pipe (a token).
+READ_THEIR_OWN = {
+    "groundstation/cli/keys.py", "groundstation/cli/run.py", "groundstation/deploy/key_ring.py", "groundstation/deploy/ssh.py",
+    "groundstation/deploy/wheelhouse.py", "groundstation/report/report.py", "robot_agent/commands.py",
+    "robot_agent/host/realtime.py", "robot_agent/preflight/network.py", "localizer/sources/video.py",
+    "sim_bridge/cli/new.py", "sim_bridge/sil/after_run.py", "sim_bridge/sil/clock_shim.py", "sim_bridge/sil/launcher.py",
+    "sim_bridge/sil/processes.py", "sim_bridge/studies/campaign_runner.py", "wire/kernel_build.py", "wire/kernel_cache.py",
+    "wire/key_reference.py", "wire/process/output_files.py", "wire/process/version.py", "wire/security/key_ring.py",
+}  # fmt: skip
+
+
+def test_files_of_others_are_read_in_one_place() -> None:
+    """A module that reads files asks first what they are, or stands in the list above."""
+    reading = set()
+    for source in sources("groundstation", "robot_agent", "localizer", "sim_bridge", "wire", "shoal"):
+        for call in nodes(tree_of(source)):
+            if isinstance(call, ast.Call) and isinstance(call.func, ast.Attribute):
+                mode = [argument.value for argument in call.args if isinstance(argument, ast.Constant)]
+                if call.func.attr in ("read_text", "read_bytes") or (call.func.attr == "open" and mode == ["rb"]):
+                    reading.add(source)
+    assert reading - {"wire/regular_files.py"} == READ_THEIR_OWN
+
+
 def a_run(folder: Path) -> Path:
     folder.mkdir()
     (folder / "run.mcap").write_bytes(bytes(1000))
@@ -106,6 +144,7 @@ def test_a_bad_file_costs_one_row_of_the_list_of_runs(tmp_path: Path, spoil: Cal
     assert (rows["good"].verdict, rows["good"].duration_s) == ("passed", 4.5)
     assert 0.0 <= rows["odd"].duration_s < run_folders.LONGEST_S
     assert len(json.dumps(rows["odd"].__dict__)) < 20_000  # what a page is sent
+    assert run_end(tmp_path / "odd") is None  # nor has the page of that run an end to show
 
 
 def test_texts_of_a_run_do_not_act_on_the_terminal_that_lists_it(tmp_path: Path) -> None:

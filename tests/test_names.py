@@ -48,6 +48,30 @@ def test_a_docstring_begins_with_what_a_thing_is_or_does(package: str) -> None:
     assert not found, "\n".join(found)
 
 
+def test_heads_of_modules_name_functions_and_files_that_exist() -> None:
+    """Shorter names are those of equations."""
+    files = [source for package in PACKAGES for source in sources(package)]
+    code = {source: ast.unparse(_without_docstrings(source)) for source in files}
+    words = {word for text in code.values() for word in re.findall(r"\w+", text)}
+    found = []
+    for source in files:
+        head = ast.get_docstring(tree_of(source)) or ""
+        found += [f"{source}: {name}()" for name in re.findall(r"(\w{4,})\(", head) if name not in words]
+        paths = re.findall(r"\b([a-z_]+(?:/[a-z_]+)*\.py)\b", head)
+        found += [
+            f"{source}: {path}" for path in paths if not any(f"/{file}".endswith(f"/{path}") for file in [*files, "setup.py"])
+        ]
+    assert not found, "\n".join(found)
+
+
+def _without_docstrings(source: str) -> ast.Module:
+    tree = ast.parse((ROOT / source).read_text(encoding="utf-8"))
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef) and ast.get_docstring(node):
+            node.body[0] = ast.Pass()
+    return tree
+
+
 def imported_modules(node: ast.AST) -> list[str]:
     """Names of the modules that a statement may import."""
     if isinstance(node, ast.ImportFrom):

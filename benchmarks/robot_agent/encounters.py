@@ -8,7 +8,6 @@ plant's truth.
 import dataclasses
 import os
 from collections.abc import Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -17,6 +16,7 @@ import numpy as np
 from benchmarks.harness import Row
 from groundstation.planning import planner
 from sim_bridge.in_process.fleet import AgentFleet, DirectPlant
+from sim_bridge.studies.worker_pool import worker_pool
 from wire.config.experiment import Experiment, load_experiment
 from wire.frames import Array
 from wire.messages.messages import Trajectory
@@ -127,7 +127,7 @@ def _flown(task: tuple[str, int]) -> Encounter:
 
 def campaign(scenes: Sequence[str] = SCENES, seeds: Iterable[int] = range(STARTS)) -> Iterator[tuple[str, list[Encounter]]]:
     """All flights of each scene, on all cores."""
-    with ProcessPoolExecutor(max_workers=os.cpu_count()) as pool:
+    with worker_pool(os.cpu_count() or 1) as pool:
         for name in scenes:
             yield name, list(pool.map(_flown, [(name, seed) for seed in seeds]))
 

@@ -389,7 +389,8 @@ def hops_of(state: DecodedMessage[RobotState], inputs: StepInputs | None) -> Arr
     unknown = np.full(len(HOPS), np.nan)
     if inputs is None or inputs.pose is None or state.message.exposure_to_pwm_ms <= 0.0:
         return unknown
-    told_ms, age_ms = inputs.pose_told_age_ns * 1e-6, (state.stamp_ns - inputs.pose_instant_ns) * 1e-6
+    told_ms = inputs.pose_told_age_ns * 1e-6
+    age_ms = (state.stamp_ns - state.shift_ns - inputs.pose_instant_ns) * 1e-6  # both on the robot's own clock
     answered_ms, step_ms = state.message.exposure_to_pwm_ms - state.message.pose_age_ms, state.message.step_us * 1e-3
     hops = np.array([told_ms, age_ms - told_ms, step_ms, max(answered_ms - step_ms, 0.0)])
     return hops if age_ms <= OLD_POSE_MS else unknown

@@ -15,7 +15,7 @@ import tomli_w
 from groundstation.deploy import certificate_authority
 from groundstation.deploy.certificate_authority import KeyPair
 from wire.messages.topics import Role, process_name
-from wire.process.output_files import replacing
+from wire.process.output_files import replacing, replacing_folder
 from wire.security.key_ring import CA, CERTIFICATE, MEMBERS, PRIVATE_KEY, ROLE_NAMES, Issued, MemberList, read_members
 from wire.toml_loader import ConfigError, os_errors_as_config_errors
 
@@ -33,12 +33,20 @@ def init(ring: Path, hosts: Sequence[str], fleet: str, now: datetime) -> list[Is
     with os_errors_as_config_errors(ring):
         if (ring / CA).exists() or (ring / AUTHORITY_KEY).exists():
             raise ConfigError(f"{ring}: has keys already; a new authority would lock every robot out (choose another folder)")
-        ring.mkdir(parents=True, exist_ok=True)
-        ring.chmod(0o700)
-        root = certificate_authority.make_authority(fleet, now)
-        _write(ring / CA, root.certificate, 0o644)
-        _write(ring / AUTHORITY_KEY, root.private_key, 0o600)
-        _write_members(ring, MemberList(hosts=tuple(dict.fromkeys([*hosts, *ALWAYS_HOSTS]))))
+        if ring.is_dir():
+            return _fill(ring, hosts, fleet, now)
+        ring.parent.mkdir(parents=True, exist_ok=True)
+        with replacing_folder(ring) as new:
+            return _fill(new, hosts, fleet, now)
+
+
+def _fill(ring: Path, hosts: Sequence[str], fleet: str, now: datetime) -> list[Issued]:
+    """Put a new authority and its first members into a folder."""
+    ring.chmod(0o700)
+    root = certificate_authority.make_authority(fleet, now)
+    _write(ring / CA, root.certificate, 0o644)
+    _write(ring / AUTHORITY_KEY, root.private_key, 0o600)
+    _write_members(ring, MemberList(hosts=tuple(dict.fromkeys([*hosts, *ALWAYS_HOSTS]))))
     return [add(ring, role, 0, now) for role in ("station", "operator", "localizer", "simulator", "viewer")]
 
 
@@ -66,8 +74,13 @@ def add(ring: Path, role: str, robot: int, now: datetime, days: float = certific
         pair = certificate_authority.issue(root, common_name, members.hosts if role == "station" else (), now, days)
     except ValueError as error:
         raise ConfigError(f"{ring / CA} and {ring / AUTHORITY_KEY}: make no certificate: {error}") from None
-    with os_errors_as_config_errors(ring):
-        _lay_down(ring / process, root.certificate, pair)
+    try:
+        with replacing_folder(ring / process) as folder:
+            _write(folder / CA, root.certificate, 0o644)
+            _write(folder / CERTIFICATE, pair.certificate, 0o644)
+            _write(folder / PRIVATE_KEY, pair.private_key, 0o600)
+    except OSError as error:
+        raise ConfigError(f"{ring / MEMBERS}: not changed: {error.filename}: {error.strerror}") from None
     issued = Issued(
         process=process,
         role=role,
@@ -111,14 +124,6 @@ def _authority(ring: Path) -> KeyPair:
         return KeyPair((ring / CA).read_bytes(), (ring / AUTHORITY_KEY).read_bytes())
 
 
-def _lay_down(folder: Path, ca: bytes, pair: KeyPair) -> None:
-    folder.mkdir(exist_ok=True)
-    folder.chmod(0o700)
-    _write(folder / CA, ca, 0o644)
-    _write(folder / CERTIFICATE, pair.certificate, 0o644)
-    _write(folder / PRIVATE_KEY, pair.private_key, 0o600)
-
-
 def _write_members(ring: Path, members: MemberList) -> None:
     table = members.model_dump(mode="python", exclude_none=True)
     _write(ring / MEMBERS, tomli_w.dumps(table).encode(), 0o600)
@@ -126,7 +131,7 @@ def _write_members(ring: Path, members: MemberList) -> None:
 
 def _write(path: Path, data: bytes, mode: int) -> None:
     """Write all of it or nothing, with these permissions from the beginning."""
-    with replacing(path, durable=True, mode=mode) as file:
+    with replacing(path, mode=mode) as file:
         file.write(data)
 
 

@@ -16,7 +16,7 @@ from groundstation.logs.repair import RecordCopier
 from wire.config.experiment import load_experiment
 from wire.messages.codec import DecodeError, decode
 from wire.messages.topics import Topic
-from wire.process.output_files import RUN, check_output, replace_text, replacing
+from wire.process.output_files import RUN, check_output, replacing_together
 
 LAYOUT_NAME = "foxglove-layout.json"
 COPY_ENDING = "-viewer.mcap"  # never run.mcap: an export is no run
@@ -33,9 +33,10 @@ def export(run: Path, folder: Path) -> list[Path]:
         check_output(path, [run / name for name in RUN])
     with open_log(run) as log:
         folder.mkdir(parents=True, exist_ok=True)
-        with replacing(copy) as file:
-            fleet = _Copy(Writer(file, chunk_size=CHUNK_BYTES), SceneDrawer(experiment)).run(log.path)
-    replace_text(described, json.dumps(layout(experiment, fleet.removesuffix("/")), indent=1) + "\n")
+        with replacing_together() as opened:
+            drawer = _Copy(Writer(opened(copy), chunk_size=CHUNK_BYTES), SceneDrawer(experiment))
+            scene = layout(experiment, drawer.run(log.path).removesuffix("/"))
+            opened(described).write((json.dumps(scene, indent=1) + "\n").encode())
     return [copy, described]
 
 

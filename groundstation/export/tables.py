@@ -10,13 +10,11 @@ import dataclasses
 import importlib
 import io
 import json
-import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from dataclasses import dataclass, field
 from enum import IntEnum
 from pathlib import Path
-from types import TracebackType
 from typing import IO, Any, Protocol, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -25,11 +23,12 @@ from numpy.typing import NDArray
 from groundstation.analysis.alignment import zero_ns
 from groundstation.formation_clock import clock_reading
 from groundstation.logs.reader import LogMessage, read_log, valid_messages
+from groundstation.logs.session_clocks import SessionClocks
 from wire.config.experiment import load_experiment
 from wire.messages import messages, topics
 from wire.messages.codec import DecodeError, decode
 from wire.messages.topics import Topic
-from wire.process.output_files import RUN, check_output, replacing
+from wire.process.output_files import RUN, check_output, replacing_together
 from wire.toml_loader import ConfigError
 
 AT_ONCE = 5_000  # rows that are kept until they are written: a few MB
@@ -115,14 +114,14 @@ def export(run: Path, folder: Path, parquet: bool) -> Exported:
     zero, trouble = _zero(log)
     folder.mkdir(parents=True, exist_ok=True)
     done, open_tables = Exported(trouble=trouble), dict[tuple[Topic, int], _Table]()
-    with ExitStack() as stack:
+    with replacing_together() as opened:
 
         def table(topic: Topic, robot: int) -> _Table:
             if (topic, robot) not in open_tables:
                 name = topic.name.replace("/{robot}", f"-{robot}").replace("/", "-")
                 path = folder / f"{name}{'.parquet' if parquet else '.csv'}"
                 check_output(path, [run / own for own in RUN])
-                open_tables[topic, robot] = stack.enter_context(_Table(topic, path, zero, kind))
+                open_tables[topic, robot] = _Table(topic, path, opened(path), zero, kind)
             return open_tables[topic, robot]
 
         for line in valid_messages(log):
@@ -134,6 +133,8 @@ def export(run: Path, folder: Path, parquet: bool) -> Exported:
                 done.undecodable += 1
                 continue
             table(line.topic, line.robot).add(message, line)
+        for finished in open_tables.values():
+            finished.close()
     done.files = [(t.path, t.rows) for _, t in sorted(open_tables.items(), key=lambda item: (item[0][0].name, item[0][1]))]
     return done
 
@@ -159,29 +160,44 @@ def table(log: Path, topic: Topic, robot: int = 0) -> dict[str, NDArray[Any]]:
     return found
 
 
-CLOCKS = (topics.STATE, topics.TRAJECTORY, topics.HEARTBEAT)  # topics by which time 0 is found
+CLOCKS = (topics.STATE, topics.TRAJECTORY, topics.HEARTBEAT, topics.LOCALIZER)  # topics by which time 0 is found
 
 
-def _zero(log: Path) -> tuple[int, str]:
-    """The instant at which time_s is 0, ns, and what is wrong with the log as a whole. Raises ConfigError for an empty one."""
+@dataclass(frozen=True)
+class _Zero:
+    """The instant at which time_s is 0, on the recorder's clock, and the senders' clocks against that."""
+
+    at_ns: int
+    clocks: SessionClocks
+
+    def since_s(self, line: LogMessage) -> float:
+        header = line.header
+        return (header.stamp_ns + self.clocks.shift_ns(line.topic.name, header.session, header.stamp_ns) - self.at_ns) * 1e-9
+
+
+def _zero(log: Path) -> tuple[_Zero, str]:
+    """Time 0, and what is wrong with the log as a whole. Raises ConfigError for an empty one."""
     states, file = read_log(log, CLOCKS, _clock_of), log.parent / "experiment.toml"
     if not states.messages:
         raise ConfigError(f"{log}: holds no messages")
     robots = load_experiment(str(file)).robot_ids if file.exists() else ()
-    return zero_ns(states, robots or sorted({robot for _, robot in states.entries if robot})), states.trouble
+    at_ns = zero_ns(states, robots or sorted({robot for _, robot in states.entries if robot}))
+    return _Zero(at_ns, states.clocks), states.trouble
 
 
 def _clock_of(message: Any) -> Any:
     """The part of a message that time 0 is counted from: a log of hours does not fit into memory as a whole."""
     if isinstance(message, messages.RobotState):
         return clock_reading(message)
+    if isinstance(message, messages.LocalizerStatus):
+        return None
     return messages.Trajectory(message.id, message.period_s) if isinstance(message, messages.Trajectory) else message
 
 
-def _rows(message: Any, line: LogMessage, zero: int, columns: Sequence[TableColumn]) -> Iterator[list[Any]]:
+def _rows(message: Any, line: LogMessage, zero: _Zero, columns: Sequence[TableColumn]) -> Iterator[list[Any]]:
     """The rows of a message, with the time first."""
     stamp_ns, session = line.header.stamp_ns, f"{line.header.session:x}"
-    when = [(stamp_ns - zero) * 1e-9, stamp_ns, line.arrived_ns, session, line.header.sequence]
+    when = [zero.since_s(line), stamp_ns, line.arrived_ns, session, line.header.sequence]
     for row in range(rows(message)):
         yield [*when, *(column.cell(message, row) for column in columns)]
 
@@ -293,28 +309,18 @@ WHEN = (("time_s", float), ("stamp_ns", int), ("arrived_ns", int), ("session", s
 
 
 class _Table:
-    """One table, open. Use it with `with`: it is whole, or not there."""
+    """One table, in an open file."""
 
-    def __init__(self, topic: Topic, path: Path, zero: int, kind: type[_RowFile]) -> None:
+    def __init__(self, topic: Topic, path: Path, file: IO[bytes], zero: _Zero, kind: type[_RowFile]) -> None:
         self.path, self.rows = path, 0
-        self._columns, self._zero, self._kind = columns(topic.type), zero, kind
+        self._columns, self._zero = columns(topic.type), zero
+        self._file = kind(file, [*WHEN, *((c.name, c.kind) for c in self._columns)])
         self._waiting: list[list[Any]] = []
 
-    def __enter__(self) -> "_Table":
-        self._stack = ExitStack()
-        file = self._stack.enter_context(replacing(self.path))
-        self._file = self._kind(file, [*WHEN, *((c.name, c.kind) for c in self._columns)])
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        if kind is None:
-            try:
-                self._write()
-                self._file.close()
-            except BaseException:
-                self._stack.__exit__(*sys.exc_info())
-                raise
-        self._stack.__exit__(kind, error, trace)
+    def close(self) -> None:
+        """Write the last rows, and the table's end."""
+        self._write()
+        self._file.close()
 
     def add(self, message: Any, line: LogMessage) -> None:
         """Add a message's rows."""

@@ -11,9 +11,9 @@ import json
 import os
 import re
 import struct
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from heapq import heappop, heappush
 from pathlib import Path
 from typing import IO, Any, Generic, TypeVar
@@ -24,6 +24,7 @@ from mcap.records import Attachment, Channel, McapRecord, Message, Metadata, Sch
 from mcap.writer import MCAP0_MAGIC
 
 from groundstation.logs.recorder import END_METADATA, EXPERIMENT_NAME, REPAIR_METADATA, RUN_METADATA
+from groundstation.logs.session_clocks import SessionClocks
 from wire.messages import log_records, topics
 from wire.messages.codec import DecodeError, Header, decode
 from wire.messages.log_records import (
@@ -67,6 +68,7 @@ _PATTERNS = tuple(
     )
 )
 _READ: dict[int, Any] = {SCHEMA: Schema, CHANNEL: Channel, ATTACHMENT: Attachment, METADATA: Metadata}
+MOST_NAMED = 5  # topics of another system that a message names
 _CHUNK_HEAD = struct.Struct("<QQQ")  # first and last log time, unpacked size
 
 
@@ -289,12 +291,15 @@ def open_log(run: Path) -> Iterator[LogFile]:
 
 @dataclass(frozen=True, eq=False)
 class DecodedMessage(Generic[M]):
-    """A recorded message: the instant it is about (sender's clock), its arrival (wall clock), its place in the sequence."""
+    """A recorded message: the instant it is about and its arrival, both on the recorder's clock, and its place in the
+    sequence."""
 
     stamp_ns: int
     arrived_ns: int
     sequence: int
     message: M
+    session: int = 0
+    shift_ns: int = 0  # `stamp_ns` minus the stamp as the sender's own clock has it
 
 
 @dataclass(frozen=True, eq=False)
@@ -312,8 +317,10 @@ class RunLog:
     damage: str = ""  # why reading ended before the file did, or left parts of it out
     ended: bool = False  # the recorder's last word is there
     dropped: int = 0  # messages the recorder could not take
-    pace: tuple[tuple[int, int], ...] = ()  # (stamp, wall time) pairs in ns, from the recorder; empty if it was cut off
+    pace: tuple[tuple[int, int], ...] = ()  # (log time, wall time) pairs in ns, from the recorder; empty if it was cut off
     undecodable: int = 0
+    clocks: SessionClocks = field(default_factory=SessionClocks)
+    foreign: str = ""  # topics of a log that holds none of ours
 
     @property
     def trouble(self) -> str:
@@ -323,6 +330,8 @@ class RunLog:
         if not self.messages:
             why = f" ({self.damage})" if self.damage else ""
             return f"Empty log: run.mcap holds no message that can be read{why}."
+        if self.foreign:
+            return f"Log of another system: none of its topics is recorded here ({self.foreign})."
         if not self.complete and self.ended:
             return f"Damaged log: not all of run.mcap can be read ({self.damage}). What could be read is evaluated."
         if not self.complete:
@@ -342,27 +351,36 @@ def read_log(path: Path, wanted: Collection[Topic] = READ, kept_of: Callable[[An
     """Read the wanted topics of a run into memory (docs/runs.md says how much that takes), of each message what `kept_of`
     returns. Raises OSError if there is no such file; damage inside it only shortens what is found, and is told in `damage`."""
     channels, entries = Channels(), dict[tuple[str, int], list[DecodedMessage[Any]]]()
+    others = dict[str, None]()  # topics that are not ours
     metadata: dict[str, dict[str, str]] = {}
     experiment_toml, messages, undecodable = "", 0, 0
-    damage: list[str] = []
+    damage, clocks = list[str](), SessionClocks()
     for record in valid_records(path, damage):
         messages += isinstance(record, Message)
         if isinstance(record, Attachment) and record.name == EXPERIMENT_NAME:
             experiment_toml = record.data.decode(errors="replace")
         elif isinstance(record, Metadata):
             metadata[record.name] = record.metadata
+        if isinstance(record, Channel):
+            others[record.topic] = None
         line = channels.take(record)
-        if line is None or line.topic not in wanted:
+        if line is None:
+            continue
+        topic, header = line.topic, line.header
+        if topic not in wanted:
+            clocks.note(topic, header.session, header.stamp_ns, line.arrived_ns, None)
             continue
         try:
             message: Any = decode(line.topic.type, line.payload, "log", line.topic.name)
         except DecodeError:
             undecodable += 1
             continue
-        entry = DecodedMessage(line.header.stamp_ns, line.arrived_ns, line.header.sequence, kept_of(message))
+        clocks.note(topic, header.session, header.stamp_ns, line.arrived_ns, message)
+        entry = DecodedMessage(header.stamp_ns, line.arrived_ns, header.sequence, kept_of(message), header.session)
         entries.setdefault((line.topic.name, line.robot), []).append(entry)
     damage += [text for text in [metadata.get(REPAIR_METADATA, {}).get("damage", "")] if text]
-    for found_entries in entries.values():
+    for (name, _), found_entries in entries.items():
+        found_entries[:] = (_carried(entry, name, clocks) for entry in found_entries)
         found_entries.sort(key=lambda entry: entry.stamp_ns)
     end = metadata.get(END_METADATA, {})
     return RunLog(
@@ -377,7 +395,21 @@ def read_log(path: Path, wanted: Collection[Topic] = READ, kept_of: Callable[[An
         dropped=_dropped(end),
         pace=_pace(end),
         undecodable=undecodable,
+        clocks=clocks,
+        foreign="" if channels or RUN_METADATA in metadata else _named(others),
     )
+
+
+def _carried(entry: DecodedMessage[M], topic: str, clocks: SessionClocks) -> DecodedMessage[M]:
+    """A message with its stamp on the recorder's clock."""
+    shift_ns = clocks.shift_ns(topic, entry.session, entry.stamp_ns)
+    return replace(entry, stamp_ns=entry.stamp_ns + shift_ns, shift_ns=shift_ns) if shift_ns else entry
+
+
+def _named(names: Iterable[str]) -> str:
+    """The first of some names, for people."""
+    some = list(names)
+    return ", ".join(some[:MOST_NAMED]) + (f" and {len(some) - MOST_NAMED} more" if len(some) > MOST_NAMED else "")
 
 
 def damage_in_words(damage: Sequence[str]) -> str:
@@ -393,7 +425,7 @@ def _dropped(end: Mapping[str, str]) -> int:
 
 
 def _pace(end: Mapping[str, str]) -> tuple[tuple[int, int], ...]:
-    """Pairs of (stamp, wall clock) in ns, as the recorder wrote them at the end; empty for what is no list of pairs."""
+    """Pairs of (log time, wall clock) in ns, as the recorder wrote them at the end; empty for what is no list of pairs."""
     try:
         return tuple((int(stamp_ns), int(wall_ns)) for stamp_ns, wall_ns in json.loads(end.get("pace", "[]")))
     except (ValueError, TypeError, OverflowError, RecursionError):

@@ -10,9 +10,9 @@ When the disk fills, pictures are given up first: the rest of a log is small, an
 
 The wire's bytes go in unchanged, with protobuf schemas, so the usual viewers open the file. `log_time` is the arrival by the
 caller's clock (in lockstep the simulated one), `publish_time` the header's stamp. How fast the run went by the wall clock is
-told by pairs (stamp, monotonic time) in the closing metadata. The file's index stays in memory until the end: with 25 topics
-some 16 MB an hour. A sender's restart opens a second channel on the same topic:
-its session is in the channel's metadata.
+told by pairs (`log_time`, monotonic time) in the closing metadata. The file's index stays in memory until the end: with 25
+topics some 16 MB an hour. A sender's restart opens a second channel on the same topic: its session is in the channel's
+metadata.
 """
 
 import fcntl
@@ -24,6 +24,7 @@ import os
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any, cast
 
@@ -35,7 +36,7 @@ from wire.messages.codec import DecodeError, Header, protobuf_class
 from wire.messages.pipe import read_pipe
 from wire.messages.topics import STATE, Qos, Role, Topic
 from wire.process.cli_options import DEFAULT_FLEET
-from wire.process.output_files import disk_free
+from wire.process.output_files import disk_free, sync_folder
 from wire.process.version import code
 from wire.toml_loader import ConfigError
 from wire.transport.bus import Collected
@@ -138,7 +139,7 @@ class Recorder:
         self._lock = threading.Lock()
         self._pending: list[tuple[Topic, str, Header, bytes, int, int]] = []
         self._pending_bytes = 0
-        self._pace: list[tuple[int, int]] = []  # (stamp, monotonic time of arrival) of one state message per flush
+        self._pace: list[tuple[int, int]] = []  # (log time, monotonic time of arrival) of one state message per flush
         self._closing = threading.Event()
         self._gathered = threading.Event()  # to be ended: the last messages are fetched before the log is closed
         self._gatherer: threading.Thread | None = None
@@ -152,9 +153,12 @@ class Recorder:
         self._writer.add_metadata(RUN_METADATA, dict(metadata))
         try:
             self._flush()
-        except OSError:
+            sync_folder(path.parent)
+        except OSError as error:
             self._output.close()
-            raise
+            with suppress(OSError):  # nothing is in it, and it would keep the next run out of the folder
+                path.unlink()
+            raise OSError(error.errno, error.strerror, str(path)) from None
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
 
@@ -255,7 +259,7 @@ class Recorder:
             batch = [entry for entry, later in zip(self._pending, waits, strict=True) if not later]
             self._pending = [entry for entry, later in zip(self._pending, waits, strict=True) if later]
             self._pending_bytes = sum(len(payload) for _, _, _, payload, *_ in self._pending)
-        states = [(header.stamp_ns, arrived_ns) for topic, _, header, _, _, arrived_ns in batch if topic is STATE]
+        states = [(log_time_ns, arrived_ns) for topic, _, _, _, log_time_ns, arrived_ns in batch if topic is STATE]
         self._pace += states[-1:]
         for topic, key, header, payload, log_time_ns, _ in batch:
             channel = self._channel(topic, key, header.session)

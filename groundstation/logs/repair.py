@@ -6,9 +6,8 @@ What a mended log has lost stands in its metadata, so that every report tells it
 `run.mcap.original`: nobody can say how much of what follows the damage could still be read.
 """
 
-import errno
 import fcntl
-from contextlib import suppress
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +38,7 @@ def recover(path: Path) -> bool:
     with open_regular(path) as cut:
         claim(cut.fileno(), path, fcntl.LOCK_SH, "its run still goes on")
         damage.clear()
-        with replacing(path, durable=True) as file:
+        with replacing(path, keep=originals) as file:
             writer: Any = Writer(file, chunk_size=CHUNK_BYTES)  # Any: mcap is typed in part
             writer.start(library="shoal, recovered")
             copier = RecordCopier(writer)
@@ -48,17 +47,12 @@ def recover(path: Path) -> bool:
             if damage:
                 writer.add_metadata(REPAIR_METADATA, {"damage": damage_in_words(damage)})
             writer.finish()
-            _keep(path)
     return True
 
 
-def _keep(path: Path) -> None:
-    """Keep a file under another name as well; never over one that is there."""
-    for number in range(1, MOST_KEPT):
-        with suppress(FileExistsError):
-            path.with_name(f"{path.name}{ORIGINAL}{f'-{number}' if number > 1 else ''}").hardlink_to(path)
-            return
-    raise FileExistsError(errno.EEXIST, f"{MOST_KEPT - 1} originals are kept already: delete some", str(path))
+def originals(path: Path) -> Iterator[Path]:
+    """Names under which the original of a mended log is kept."""
+    yield from (path.with_name(f"{path.name}{ORIGINAL}{f'-{number}' if number > 1 else ''}") for number in range(1, MOST_KEPT))
 
 
 class RecordCopier:

@@ -22,11 +22,10 @@ def hand_over(run: Path, at_s: float, robot: int, stream: IO[bytes]) -> None:
     with open_log(run) as log:
         moment_ns = _moment(log, experiment.robot_ids[0], at_s)
         own = own_messages(log, experiment.robot(robot).id, with_states=True)
-        known = [line for line in own if line.topic is topics.STATE and line.arrived_ns <= moment_ns]
+        known = [k for k, line in enumerate(own) if line.topic is topics.STATE and line.arrived_ns <= moment_ns]
         if not known or not any(line.topic is topics.INPUTS for line in own):
             raise ConfigError(f"{log.path}: holds no inputs of robot {robot} before {at_s:g} s")
-        until = [line for line in own if line.header.stamp_ns <= known[-1].header.stamp_ns]
-        for line in in_order_of_use(log, robot, until):
+        for line in in_order_of_use(log, robot, own[: known[-1] + 1]):
             _write(stream, line)
         for line in log.messages(lambda topic, _: topic is topics.TRUTH, max(moment_ns - AROUND_NS, log.start_ns)):
             if line.arrived_ns > moment_ns + AROUND_NS:

@@ -85,7 +85,13 @@ def own_messages(log: LogFile, robot: int, with_states: bool) -> list[LogMessage
     """A robot's inputs and orders in the order in which they came to it; perhaps its states."""
     wanted = _ORDER if with_states else _ORDER[:2]
     lines = log.messages(lambda topic, of: topic in wanted and of == robot)
-    return sorted(lines, key=lambda line: (line.header.stamp_ns, _ORDER.index(line.topic), line.header.sequence))
+    lives, found = dict[int, int](), list(lines)  # sessions in order: one that was started again may have another clock
+    for line in found:
+        lives.setdefault(line.header.session, len(lives))
+    return sorted(
+        found,
+        key=lambda line: (lives[line.header.session], line.header.stamp_ns, _ORDER.index(line.topic), line.header.sequence),
+    )
 
 
 def in_order_of_use(log: LogFile, robot: int, own: Sequence[LogMessage]) -> Iterator[LogMessage]:

@@ -29,7 +29,7 @@ from groundstation.report.report_tables import tables
 from groundstation.report.run_comparison import ComparedRun, differences, metric_rows, plots
 from wire.config.experiment import Experiment, load_experiment
 from wire.figures import three
-from wire.process.output_files import replace_text, replacing
+from wire.process.output_files import replace_text, replacing, replacing_together
 from wire.process.version import code
 from wire.toml_loader import ConfigError
 
@@ -61,8 +61,10 @@ def write_report(run_dir: Path, flight: int | None = None) -> Result:
     experiment = _experiment(run_dir, recorded, put_back=True)
     series = align(experiment, recorded, flight)
     result = replace(evaluate(series, recorded), evaluated_by=code().commit)
-    replace_text(run_dir / "result.json", result.to_json())
-    replace_text(run_dir / "report.html", render(series, recorded, result))
+    page = render(series, recorded, result)
+    with replacing_together() as opened:
+        opened(run_dir / "result.json").write(result.to_json().encode())
+        opened(run_dir / "report.html").write(page.encode())
     return result
 
 
@@ -158,6 +160,8 @@ def _read(path: Path) -> RunLog:
 def _experiment(run_dir: Path, recorded: RunLog, put_back: bool) -> Experiment:
     """The experiment as run; from the log if the folder has lost it, and then put back there if it is to be."""
     path = run_dir / "experiment.toml"
+    if recorded.foreign and not path.exists():
+        raise ConfigError(f"{run_dir / 'run.mcap'}: {recorded.trouble}")
     if path.exists() or not recorded.experiment_toml:
         return load_experiment(str(path))
     with tempfile.TemporaryDirectory() as folder:

@@ -15,6 +15,7 @@ from wire.commented_file import commented
 from wire.config.experiment import Experiment
 from wire.config.formation_shapes import shape_nodes
 from wire.messages.messages import Trajectory
+from wire.process.output_files import replace_text
 from wire.toml_loader import ConfigError, check
 
 EDITED = Path("experiments")  # below where the station was started
@@ -120,8 +121,7 @@ def save(experiment: Experiment, edit: Edit, name: str) -> dict[str, Any]:
     text = commented(changed.model_copy(update={"name": name, "title": f"{name}, edited from {experiment.name}"}))
     try:
         EDITED.mkdir(exist_ok=True)
-        with path.open("x", encoding="utf-8") as file:
-            file.write(text)
+        replace_text(path, text, over=False)
     except FileExistsError:
         return {"ok": False, "problems": [f"{path} is there already; choose another name"]}
     except OSError as error:

@@ -61,7 +61,7 @@ class LiveBackend:
         self._heard = heard
         cameras = experiment.camera_names or ("",)
         self._previews = {name: bus.inbox(topics.PREVIEW.of_camera(name), Preview) for name in cameras}
-        self._events: deque[tuple[Header, bytes]] = deque(maxlen=MOST_EVENTS)
+        self._events: deque[tuple[int, Header, bytes]] = deque(maxlen=MOST_EVENTS)  # with their arrival on our clock
         self._seen: list[Header | None] = []
         self._drawn: Mapping[int, tuple[Trajectory, float]] | None = None
         self._past_every_s = max(PAST_EVERY_S, PAST_S * len(heard.states) / PAST_ROBOTS)
@@ -71,7 +71,8 @@ class LiveBackend:
         bus.subscribe(topics.EVENT, None, self._event)
 
     def _event(self, topic: Topic, key: str, header: Header, payload: bytes) -> None:
-        self._events.append((header, payload))
+        at_ns = header.stamp_ns if isinstance(self._clock, LockstepClock) else self._clock.now_ns()
+        self._events.append((at_ns, header, payload))
 
     def scene(self) -> dict[str, Any]:
         """Constants of the run, and the paths that are flown now."""
@@ -153,9 +154,12 @@ class LiveBackend:
         but where simulated time stands, nothing that has stopped coming may look alive."""
         if received is None:
             return AgedMessage()
-        age_ms = (time.monotonic_ns() - received.arrived_ns + received.header.age_ns) * 1e-6
-        if isinstance(self._clock, LockstepClock) and not self._stands:
-            age_ms = min(age_ms, max(self._clock.now_ns() - received.header.stamp_ns, 0) * 1e-6)
+        now_ns = time.monotonic_ns()
+        if not isinstance(self._clock, LockstepClock):
+            age_ms = received.age_ns(now_ns) * 1e-6
+        else:
+            age_ms = (now_ns - received.arrived_ns) * 1e-6
+            age_ms = age_ms if self._stands else min(age_ms, max(self._clock.now_ns() - received.header.stamp_ns, 0) * 1e-6)
         return AgedMessage(received.message, min(age_ms, NEVER_MS))
 
     def picture(self, camera: str, shown_ns: int) -> ShownPicture | None:
@@ -170,12 +174,12 @@ class LiveBackend:
         """Events since the last call, in order: lines of the log."""
         found = []
         while self._events:
-            header, payload = self._events.popleft()
+            at_ns, header, payload = self._events.popleft()
             try:
                 event = decode(Event, payload, f"session {header.session:x}", topics.EVENT.name)
             except DecodeError:
                 continue
-            found.append(event_note(event, header.stamp_ns))
+            found.append(event_note(event, at_ns))
         return found
 
     def remark(self, text: str) -> None:

@@ -6,7 +6,7 @@ from bisect import bisect_right
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any, TypeVar
@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from groundstation.logs.reader import open_log
+from groundstation.logs.session_clocks import held_ns as held_ns_of
 from groundstation.mission.state_machine import MissionState
 from groundstation.telemetry import LINK_WINDOW, LinkMonitor, RobotView
 from groundstation.web.alarms import alarms
@@ -47,7 +48,14 @@ FRAME_S = 0.05  # a new state this often while it plays
 
 M = TypeVar("M")
 Said = tuple[list[int], list[bytes], list[Header]]  # arrivals, ascending, payloads, headers
-Block = dict[tuple[str, int], Said]
+
+
+@dataclass(frozen=True)
+class LogBlock:
+    """A second of the log: its messages by topic and robot, and of each session by how much our clock was ahead of its own."""
+
+    said: dict[tuple[str, int], Said] = field(default_factory=dict)
+    ahead_ns: dict[int, int] = field(default_factory=dict)
 
 
 class LogPlayer:
@@ -60,7 +68,7 @@ class LogPlayer:
             self.experiment = load_experiment(str(run / "experiment.toml"))
             self._opened = opened.pop_all()
         self.start_ns, self.end_ns = self._log.start_ns, self._log.end_ns - self._log.start_ns
-        self._blocks: OrderedDict[int, Block] = OrderedDict()
+        self._blocks: OrderedDict[int, LogBlock] = OrderedDict()
         self.segments = self._segments()
         self.trajectories = {robot: told[-1][1] for robot, told in self.segments.items()}
         self.flown_ns = self._first_flown_ns()
@@ -98,15 +106,19 @@ class LogPlayer:
                 return int(at_ns)
         return said_ns or 0
 
-    def _block(self, index: int) -> Block:
+    def _block(self, index: int) -> LogBlock:
         if index not in self._blocks:
-            begin = self.start_ns + index * BLOCK_NS
-            block: Block = {}
+            begin, block = self.start_ns + index * BLOCK_NS, LogBlock()
             for line in self._log.messages(lambda topic, robot: True, begin, begin + BLOCK_NS):
-                arrivals, payloads, headers = block.setdefault((line.topic.name, line.robot), ([], [], []))
+                arrivals, payloads, headers = block.said.setdefault((line.topic.name, line.robot), ([], [], []))
                 arrivals.append(line.arrived_ns - self.start_ns)
                 payloads.append(line.payload)
                 headers.append(line.header)
+                says = line.topic.type in (RobotState, LocalizerStatus) and line.arrived_ns != line.header.stamp_ns
+                held_ns = held_ns_of(line.topic, _read(line.topic.type, line.payload)) if says else None
+                if held_ns is not None:
+                    session, ahead_ns = line.header.session, arrivals[-1] - line.header.stamp_ns - held_ns
+                    block.ahead_ns[session] = min(block.ahead_ns.get(session, ahead_ns), ahead_ns)
             self._blocks[index] = block
         self._blocks.move_to_end(index)
         while len(self._blocks) > KEPT_BLOCKS:
@@ -114,14 +126,24 @@ class LogPlayer:
         return self._blocks[index]
 
     def newest(self, topic: Topic, kind: type[M], at_ns: int, robot: int = 0) -> tuple[int, M] | None:
-        """Arrival and message of the newest at a time; None if there is none, or none that can be read."""
+        """The newest message at a time, and the instant that it is about; None if there is none, or none that can be read. One
+        that came twice, or late behind the next, is not the newest again."""
+        last: tuple[Header, int, bytes] | None = None
         for index in range(at_ns // BLOCK_NS, max(at_ns // BLOCK_NS - LOOK_BACK, -1), -1):
-            arrivals, payloads, _ = self._block(index).get((topic.name, robot), ([], [], []))
-            k = bisect_right(arrivals, at_ns)
-            if k > 0:
-                found = _read(kind, payloads[k - 1])
-                return None if found is None else (arrivals[k - 1], found)
-        return None
+            arrivals, payloads, headers = self._block(index).said.get((topic.name, robot), ([], [], []))
+            for k in range(bisect_right(arrivals, at_ns) - 1, -1, -1):
+                if last is None or (headers[k].session == last[0].session and headers[k].sequence > last[0].sequence):
+                    last = headers[k], arrivals[k], payloads[k]
+        found = None if last is None else _read(kind, last[2])
+        return None if last is None or found is None else (self._instant_ns(last[0], last[1], at_ns // BLOCK_NS), found)
+
+    def _instant_ns(self, header: Header, arrived_ns: int, index: int) -> int:
+        """The instant that a message is about, on the recorder's clock: its stamp, carried over by what came quickest of its
+        session in the last blocks. In lockstep, and of a session that tells no ages, the arrival."""
+        blocks = range(index, max(index - LINK_BLOCKS, -1), -1)
+        ahead_ns = [self._block(k).ahead_ns.get(header.session) for k in blocks]
+        known = [ns for ns in ahead_ns if ns is not None]
+        return min(header.stamp_ns + min(known), arrived_ns) if known else arrived_ns
 
     def events(self) -> list[dict[str, Any]]:
         """Lines of the run's log, for the page."""
@@ -157,7 +179,7 @@ class LogPlayer:
             return link
         heard: list[tuple[Header, int]] = []
         for index in range(at_ns // BLOCK_NS, max(at_ns // BLOCK_NS - LINK_BLOCKS, -1), -1):
-            arrivals, _, headers = self._block(index).get((topics.STATE.name, robot), ([], [], []))
+            arrivals, _, headers = self._block(index).said.get((topics.STATE.name, robot), ([], [], []))
             k = bisect_right(arrivals, at_ns)
             heard = [*zip(headers[:k], arrivals[:k], strict=True), *heard]
         for header, arrived in heard[-LINK_WINDOW:]:

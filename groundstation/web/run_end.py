@@ -8,6 +8,8 @@ from typing import Any
 from groundstation.analysis.cause import missed
 from groundstation.analysis.numbers import mm
 from groundstation.analysis.results import WHOLE_RUN, Check
+from groundstation.logs.run_folders import MOST_JSON_BYTES
+from wire.regular_files import read_regular
 
 RESULT = "result.json"
 WHOLE, SETTLED, ARTICLE = "RMS, whole run", "RMS after 20 s", "the article's"
@@ -16,7 +18,7 @@ WHOLE, SETTLED, ARTICLE = "RMS, whole run", "RMS after 20 s", "the article's"
 def run_end(folder: Path) -> dict[str, Any] | None:
     """The end of a run for its page; None where there is no result, or one of another version."""
     try:
-        result = json.loads((folder / RESULT).read_text(encoding="utf-8"))
+        result = json.loads(read_regular(folder / RESULT, MOST_JSON_BYTES))
         checks = [Check(**check) for check in result["checks"]]
         cause = result["cause"]
         return {
@@ -28,7 +30,7 @@ def run_end(folder: Path) -> dict[str, Any] | None:
             "figures": _figures(result, checks),
             "requirements": [{"text": missed(check), "met": _met(check)} for check in checks],
         }
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, ArithmeticError, RecursionError):
         return None
 
 

@@ -20,7 +20,7 @@ from localizer.calibration.survey_points import SurveyFile, seen_pixels
 from localizer.calibration.targets import EXAMPLES, TargetView, parse_target
 from localizer.detection.image_regions import Pixels
 from wire.config.perception import Camera, CameraFile
-from wire.process.output_files import check_output, keep_old, replacing
+from wire.process.output_files import check_output, dated, replacing_together
 from wire.toml_loader import ConfigError, check, os_errors_as_config_errors, read_toml, toml_value
 
 _NO_POSE = "Without --pool-points the camera has no pose yet: --lens {out} --pool-points FILE finds it."
@@ -239,12 +239,9 @@ def _write(out: Path, table: dict[str, Any], summary: str, panels: list[Pixels])
     text += "".join(f"{key} = {toml_value(value)}\n" for key, value in table.items())
     picture = out.with_suffix(".png")
     _, drawn = cv2.imencode(picture.suffix, np.concatenate(panels, axis=1))
-    kept = ""
-    with os_errors_as_config_errors(out):
-        if out.exists():
-            kept = f"; the file before is {keep_old(out)}"
-        with replacing(picture) as image, replacing(out, durable=True) as file:  # both are whole before either is in place
-            image.write(drawn.tobytes())
-            image.flush()
-            file.write(text.encode())
+    with os_errors_as_config_errors(out), replacing_together() as opened:
+        file = opened(out, keep=dated)
+        file.write(text.encode())
+        opened(picture).write(drawn.tobytes())
+    kept = "" if file.kept is None else f"; the file before is {file.kept}"
     return [f"Wrote {out} and {picture}{kept}"]

@@ -49,8 +49,9 @@ def find_hull(
     centre, radius = np.array(expected_m), radius_m
     found = np.empty(5)
     for window_px in (None, *_WINDOWS_PX):
-        rim, across = _silhouette(view, centre, radius), _across(view, centre)
-        pixels = view.pool_to_pixel(np.concatenate([rim, _silhouette(view, centre, _GROWN * radius)]))
+        across = _across(view, centre)
+        rims = [_silhouette(view, centre, across, metres) for metres in (radius, _GROWN * radius)]
+        pixels = view.pool_to_pixel(np.concatenate(rims))
         if not np.all(np.isfinite(pixels)):
             return None
         inner, outer = pixels[:_RAYS], pixels[_RAYS:]
@@ -84,13 +85,18 @@ def _across(view: RefractiveCamera, centre: Array) -> Array:
     down = np.array([*(here - above), 0.01])
     down /= np.linalg.norm(down)
     first = np.array([down[2], 0.0, -down[0]]) / np.hypot(down[0], down[2])
-    return np.array([first, np.cross(down, first)])
+    return np.array([first, _cross(down, first)])
 
 
-def _silhouette(view: RefractiveCamera, centre: Array, radius: float) -> Array:
-    """Points (rays, 3) of a sphere where lines of sight touch it."""
-    across = _across(view, centre)
-    down = np.cross(across[0], across[1])
+def _cross(a: Array, b: Array) -> Array:
+    """The cross product of two vectors (3,), in a fifth of `np.cross`'s time."""
+    (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
+    return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
+
+
+def _silhouette(view: RefractiveCamera, centre: Array, across: Array, radius: float) -> Array:
+    """Points (rays, 3) of a sphere where lines of sight touch it, with the two directions across them."""
+    down = _cross(across[0], across[1])
     away_m = view.apparent_m(centre)
     return np.asarray(centre - radius**2 / away_m * down + radius * np.sqrt(1.0 - (radius / away_m) ** 2) * (_AROUND @ across))
 

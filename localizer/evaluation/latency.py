@@ -9,7 +9,7 @@ USB cameras; only a clock in the picture would show it.
 
 import json
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
@@ -105,7 +105,9 @@ class _TimedSource:
     def frames(self, stop: Stop) -> Iterator[CapturedFrame | None]:
         end_ns = self._clock.now_ns() + round(self._seconds * 1e9)
         for captured in self._source.frames(stop):
-            self.pictures += [captured] if captured is not None else []
+            if captured is not None:  # by our own clock: a stamp of another would be carried over, and not be known again
+                captured = replace(captured, stamp_ns=captured.instant_ns)
+                self.pictures.append(captured)
             yield captured
             if self._clock.now_ns() >= end_ns:
                 return

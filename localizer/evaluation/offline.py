@@ -11,9 +11,11 @@ without a marker may differ from those of one run.
 import csv
 import glob
 import importlib
+import os
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -28,9 +30,10 @@ from localizer.tracking.tilt import Attitude
 from wire.config.experiment import Experiment
 from wire.messages.codec import decode, encode
 from wire.messages.messages import Pose
-from wire.process.output_files import replacing
+from wire.process.output_files import replacing, sync_folder
 from wire.process.runtime import Failed
-from wire.toml_loader import ConfigError
+from wire.regular_files import open_regular
+from wire.toml_loader import ConfigError, os_errors_as_config_errors
 
 WARM_UP_FRAMES = 40  # 2 s at 20 Hz: markers are believed, velocities known, appearances learnt
 REPORTED = ("depth_m", "roll_rad", "pitch_rad")  # columns of what robots' boards measured
@@ -98,8 +101,9 @@ class PoseTable:
         kept, done = _kept(self._part) if self._part.exists() else ("", 0)
         self.rows = max(kept.count("\n") - 1, 0)
         localizer, message = FleetLocalizer(experiment), ""
-        with self._part.open("w", encoding="utf-8", newline="") as file:
-            file.write(kept)
+        # What is there stays there: a run that is killed loses no more than the rows of a frame.
+        with os_errors_as_config_errors(self._part), self._part.open("a", encoding="utf-8", newline="") as file:
+            file.truncate(len(kept.encode()))
             table = csv.writer(file, lineterminator="\n")
             if not kept:
                 table.writerow(FIELDS)
@@ -114,6 +118,8 @@ class PoseTable:
                     self.rows += len(result.poses)
                     self.frames = frame.number + 1
                     yield self.frames
+            file.flush()
+            os.fsync(file.fileno())
         if not self.rows:
             self._part.unlink()
             raise Failed(f"no robot was found in any picture: {message or 'no marker was read'}; no table was written")
@@ -131,16 +137,21 @@ def _row(frame: int, robot: int, pose: Pose, stamp_ns: int) -> tuple[object, ...
 
 def _kept(part: Path) -> tuple[str, int]:
     """The lines of a table before its last frame, whose rows may not all be there, and that frame's number."""
-    header, *lines = part.read_text(encoding="utf-8").splitlines(keepends=True) or [""]
-    if header.strip() != ",".join(FIELDS):
+    with os_errors_as_config_errors(part), open_regular(part) as file:
+        header, *lines = file.read().decode().splitlines(keepends=True) or [""]
+    columns = ",".join(FIELDS)
+    if not header.endswith("\n") and columns.startswith(header):
+        return "", 0
+    if header.strip() != columns:
         raise ConfigError(f"{part}: cannot be gone on with: its columns are not {', '.join(FIELDS)}")
-    whole = [line for line in lines if line.endswith("\n") and line.count(",") == len(FIELDS) - 1]
+    whole = list(takewhile(lambda line: line.endswith("\n") and line.count(",") == len(FIELDS) - 1, lines))
     last = int(whole[-1].split(",")[0]) if whole else 0
     return "".join([header, *(line for line in whole if int(line.split(",")[0]) < last)]), last
 
 
 def _csv(part: Path, out: Path) -> None:
     part.replace(out)
+    sync_folder(out.parent)
 
 
 def _parquet() -> Any:

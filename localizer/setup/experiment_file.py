@@ -13,7 +13,7 @@ import tomlkit
 
 from wire.config.experiment import EXPERIMENTS, Experiment, checked_experiment
 from wire.config.perception import Camera, CameraFile
-from wire.process.output_files import keep_old, replacing
+from wire.process.output_files import dated, replacing
 from wire.regular_files import read_regular
 from wire.toml_loader import MOST_BYTES, ConfigError, check, os_errors_as_config_errors, read_toml
 
@@ -52,7 +52,10 @@ class ExperimentFile:
     def reload(self) -> None:
         """Read the file again; changes are then shown against what it holds now. Raises ConfigError."""
         with os_errors_as_config_errors(self._source):
-            self._text = read_regular(self._source, MOST_BYTES).decode("utf-8-sig")
+            self._text = self._read()
+
+    def _read(self) -> str:
+        return read_regular(self._source, MOST_BYTES).decode("utf-8-sig")
 
     @property
     def camera(self) -> Camera:
@@ -99,17 +102,15 @@ class ExperimentFile:
         then written nothing in its place."""
         text, path = self.changed(camera), self.path
         with os_errors_as_config_errors(path):
-            if path == self._source and path.read_text(encoding="utf-8-sig") != self._text:
+            if path == self._source and self._read() != self._text:
                 raise ConfigError(
                     f"{path}: was changed by somebody else since it was read; read it again, and look at the difference"
                 )
             if path != self._source and path.exists():
                 raise ConfigError(f"{path}: is there already, and was not written by this program")
-            kept = ""
-            if path == self._source:
-                kept = f"; the old file is {keep_old(path)}"
-            with replacing(path, durable=True) as new:
+            with replacing(path, keep=dated) as new:
                 new.write(text.encode())
+        kept = "" if new.kept is None else f"; the old file is {new.kept}"
         if self._camera_file is None:
             self._experiment, self._out = path, None
         self._text = text

@@ -88,7 +88,7 @@ class BusSource:
         header, instant_ns = received.header, self._clock.instant_ns(received)
         return CapturedFrame(
             received.message.pixels, header.stamp_ns, instant_ns, instant_ns + header.age_ns + received.late_ns,
-            dropped=self._sequence.note(received), stamped=header.age_ns > 0,
+            dropped=self._sequence.note(received), stamped=header.age_ns > 0, session=header.session,
         )  # fmt: skip
 
     def close(self) -> None:

@@ -49,7 +49,7 @@ class RecordedFrame:
 
 
 class FrameRecorder:
-    """The writing end. An error of the disk, or too little room on it, ends the recording and is logged."""
+    """The writing end. An error of the disk, or too little room on it, ends the recording; the log and `failure` tell it."""
 
     def __init__(
         self,
@@ -85,6 +85,7 @@ class FrameRecorder:
         self._writer.start(library="shoal")
         self._channels: dict[str, int] = {}
         self._frames = 0
+        self.failure = ""  # why frames are missing; "" while none are
         self._ended = False  # no more frames are taken
         self._failed = False  # none are written any more
         self._waiting: queue.Queue[RecordedFrame | None] = queue.Queue(max(2, _WAITING_BYTES // (width * height)))
@@ -101,7 +102,7 @@ class FrameRecorder:
             self._waiting.put(frame, block=self._lockstep)
         except queue.Full:
             self._ended = True
-            log.error("recording %s ends: the disk is too slow, or does not answer", self._folder)
+            self._fail(" ends: the disk is too slow, or does not answer")
 
     def _write_all(self) -> None:
         """Write frames until None comes; after the end of the recording they only leave the queue."""
@@ -124,6 +125,8 @@ class FrameRecorder:
         for robot, pose in frame.poses.items():
             self._write(topics.POSE.key(robot), Pose, pose, frame.stamp_ns)
         self._write(topics.FRAME.name, Frame, encode(Frame(frame.pixels), frame.stamp_ns), frame.stamp_ns)
+        self._writer.flush()  # a process that is killed loses the frames that waited, and no more
+        self._file.flush()
         self._frames += 1
 
     def close(self) -> None:
@@ -136,13 +139,13 @@ class FrameRecorder:
             deadline_s = 0.0
         self._thread.join(max(deadline_s - time.monotonic(), 0.0))
         if self._thread.is_alive():
-            log.error("recording %s: the disk does not answer; its last frames and its end are missing", self._folder)
+            self._fail(": the disk does not answer; its last frames and its end are missing")
         elif not self._failed:
             try:
                 self._writer.finish()
                 self._file.close()
             except OSError as error:
-                log.error("recording %s: its end is missing: %s", self._folder, error.strerror)
+                self._fail(f": its end is missing: {error.strerror}")
 
     def _write(self, topic: str, kind: type | None, data: bytes, stamp_ns: int) -> None:
         if topic not in self._channels:
@@ -167,7 +170,12 @@ class FrameRecorder:
         self._ended = self._failed = True
         with suppress(OSError):
             self._file.close()
-        log.error("recording %s ends after %d frames: %s", self._folder, self._frames, reason)
+        self._fail(f" ends after {self._frames} frames: {reason}")
+
+    def _fail(self, what: str) -> None:
+        text = f"recording {self._folder}{what}"
+        self.failure = self.failure or text
+        log.error("%s", text)
 
 
 def frame_estimate(folder: Path, size_px: tuple[int, int]) -> int:

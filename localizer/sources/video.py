@@ -17,7 +17,8 @@ import cv2
 import numpy as np
 
 from localizer.detection.image_regions import Pixels
-from wire.toml_loader import ConfigError
+from wire.regular_files import open_regular
+from wire.toml_loader import ConfigError, os_errors_as_config_errors
 
 _MOST_HZ = 1e4  # a larger rate is a file that does not know its own
 _ON_GRID = 0.25  # of a period: stamps so near to multiples of it are those of a constant rate. Matroska rounds to 1 ms
@@ -153,9 +154,13 @@ class VideoReader:
 
 def _open(path: Path, *options: int) -> cv2.VideoCapture:
     """A video file by OpenCV's FFmpeg. Raises ConfigError if it cannot be played."""
+    if not path.exists():
+        raise ConfigError(f"video {path}: no such file")
+    with os_errors_as_config_errors(path):
+        open_regular(path).close()  # a pipe would be waited for
     capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG, list(options))
-    if not path.is_file() or not capture.isOpened():
-        raise ConfigError(f"video {path}: {'cannot be read as a video' if path.is_file() else 'no such file'}")
+    if not capture.isOpened():
+        raise ConfigError(f"video {path}: cannot be read as a video")
     return capture
 
 

@@ -47,6 +47,7 @@ from wire.messages.messages import CameraHealth, LocalizerStatus, Pose, Track
 _STRIPS = 5  # frames in which the whole picture is scanned while a robot is lost, a strip in each (3 ms); more find it later
 _TWINS_EVERY = 5  # frames between strips that are scanned while no robot is lost, for a second marker of one id
 _STRANGE_SCANS = 2  # scans in a row that must show a foreign marker before it is told; a misreading does not repeat
+_CHECK_EVERY = 2  # frames between checks of a board's attitude, 2 ms each, which no pose waits for
 _LEARN_EVERY = 4  # frames between updates (and peaks) of an appearance, robots taking turns: light changes slowly
 _LEARNING_RATE = 0.03  # per update: follows the light in 7 s, and is slow enough for an arm over the robot
 _SURE_PEAK = 0.6  # correlation peak; without markers, only better matches update the appearance
@@ -119,7 +120,8 @@ class FleetLocalizer:
         self._attitudes: list[Attitude | None] = [None] * len(self._ids)  # at the present exposure
         self._leans_before = self._attitudes  # in the frame before
         self._attitude_check = AttitudeCheck(len(self._ids))
-        self._lean_reader = LeanReader(vehicle) if settings.tilt_from_outline and settings.markers else None
+        self._lean_reader = LeanReader(vehicle) if settings.markers else None
+        self._reads_leans = settings.tilt_from_outline and settings.markers
         self._stamp_ns: int | None = None
         self._frames = 0
         self._located: _Located | None = None
@@ -144,7 +146,7 @@ class FleetLocalizer:
         self._located = None
         camera = self._watch.assess(frame)
         depths = depths_of(self._experiment, self._depths.update(depths_m, stamp_ns), attitudes)
-        self._leans_before = self._attitudes if self._lean_reader is not None else [None] * len(self._ids)
+        self._leans_before = self._attitudes if self._reads_leans else [None] * len(self._ids)
         self._attitudes = [attitudes.get(robot) for robot in self._ids]
         self._predict(stamp_ns)
         views: dict[int, PredictedView] = {}
@@ -308,7 +310,7 @@ class FleetLocalizer:
 
     def _read_leans(self, frame: Pixels, views: Mapping[int, PredictedView]) -> None:
         """Read the lean of each robot that was measured and whose board has not told its attitude."""
-        if self._lean_reader is None:
+        if self._lean_reader is None or not self._reads_leans:
             return
         for i, view in views.items():
             measured = self._tracks[i].measured
@@ -321,7 +323,9 @@ class FleetLocalizer:
 
     def _check_attitude(self, located: _Located) -> None:
         """Hold the attitude that one robot's board reports against the lean of its hull; robots take turns."""
-        robot = self._frames % len(self._ids)
+        if self._frames % _CHECK_EVERY:
+            return
+        robot = self._frames // _CHECK_EVERY % len(self._ids)
         view, told = located.views.get(robot), self._attitudes[robot]
         measured = self._tracks[robot].measured
         if self._lean_reader is None or view is None or measured is None or robot not in located.reported or told is None:

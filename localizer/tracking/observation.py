@@ -31,7 +31,7 @@ class MeasurementNoise:
     rim_px: float
     centre_share: float = 0.0
     rim_share: float = 0.0
-    lean_px: float = 0.0  # error, along the way of the hull's top, over that way in radii of the hull
+    lean_px: float = 0.0  # error, along the way of the hull's top and turning its rim, over that way in radii of the hull
 
 
 # Of a robot whose marker is covered: what covers it hides part of the robot, too.
@@ -139,6 +139,7 @@ class PredictedView:
         wave_m = 0.25 * self.slope_rad * max(self.depth.plate_m, 0.0)
         lean_m = noise.lean_px / self.tangent.px_per_m * self.top_m(pose) / self.radius_m
         own = own + np.pad(np.outer(lean_m, lean_m), (0, 1))
+        own[2, 2] += float(lean_m @ lean_m) / self.radius_m**2
         round_m2 = wave_m**2 + (noise.centre_share * self.radius_m) ** 2
         yaw_rad2 = (noise.rim_px / (self.tangent.px_per_m * self.radius_m)) ** 2 + noise.rim_share**2
         covariance = np.empty((3, 3))

@@ -122,8 +122,10 @@ class PreviewPublisher:
     def _publish_raw(self, item: _PreviewItem) -> None:
         captured = item.captured
         if captured is not None and self._publish_frames:
-            age_ns = max(self._clock.now_ns() - captured.instant_ns, 0)
-            self._bus.publish(self._frames, Frame(captured.pixels), captured.stamp_ns, age_ns=age_ns)
+            self._bus.publish(self._frames, Frame(captured.pixels), captured.stamp_ns, age_ns=self._age_ns(item))
+
+    def _age_ns(self, item: _PreviewItem) -> int:
+        return 0 if item.captured is None else max(self._clock.now_ns() - item.captured.instant_ns, 0)
 
     def _draw_and_show(self, item: _PreviewItem) -> None:
         try:
@@ -142,7 +144,7 @@ class PreviewPublisher:
         _, encoded = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
         jpeg = encoded.tobytes()
         if item.on_bus:
-            self._bus.publish(self._previews, Preview(jpeg), item.stamp_ns)
+            self._bus.publish(self._previews, Preview(jpeg), item.stamp_ns, age_ns=self._age_ns(item))
         if item.on_page and self._page is not None:
             self._page.show(jpeg)
 

@@ -70,10 +70,9 @@ def talk(link: str, robot: int | None, key: Path | None, insecure: bool) -> Iter
     wires = open_link(link, secured=signing is not None or insecure)
     try:
         session = ParameterSession(wires, client)
-        if not session.until(lambda: client.autopilot is not None, lambda: b"") and not (client.heard and client.robot_id):
-            raise ConfigError(f"--link {link}: {client.silence(wires.trouble)}")
-        if client.autopilot:
-            raise ConfigError(f"--link {link}: {client.autopilot} is there, no thruster board: its parameters are not changed")
+        session.until(lambda: client.autopilot is not None, lambda: b"")
+        if (reason := client.objection(wires.trouble)) or client.robot_id is None:
+            raise ConfigError(f"--link {link}: {reason or 'what is there does not say which board it is'}")
         yield session
     finally:
         wires.close()

@@ -30,7 +30,7 @@ def apply(wanted: RealtimeConfig) -> list[str]:
     if wanted.cores:
         try:
             _pin(wanted.cores)
-        except (OSError, ValueError) as error:
+        except (OSError, ValueError, OverflowError) as error:
             refused.append(f"cores {list(wanted.cores)}: {error} (there are {_ranges(os.sched_getaffinity(0))})")
     everything = _MCL_CURRENT | _MCL_FUTURE | _MCL_ONFAULT
     if wanted.lock_memory and ctypes.CDLL(None, use_errno=True).mlockall(everything) != 0:

@@ -14,6 +14,8 @@ import os
 import socket
 from pathlib import Path
 
+from wire.process.output_files import replace_text
+
 TIMES_A_WATCH = 4  # per watchdog period: one may be late and one lost
 
 
@@ -41,10 +43,10 @@ class ServiceNotifier:
     def mode(self, mode: str, why: str = "") -> None:
         """Report the robot's mode by name, with a reason."""
         if self._status is not None:
-            new = self._status.with_suffix(".new")
-            with contextlib.suppress(OSError):  # without the file a deployment asks for --force
-                new.write_text(f"{mode} {os.getpid()}\n", encoding="ascii")
-                new.replace(self._status)
+            try:
+                replace_text(self._status, f"{mode} {os.getpid()}\n", durable=False)
+            except OSError:  # without the file a deployment asks for --force; with the mode before it would end a flight
+                self._remove_status()
         self._send(f"STATUS={mode.lower()}{f': {why}' if why else ''}")
 
     def alive(self, now_ns: int) -> None:
@@ -56,6 +58,9 @@ class ServiceNotifier:
     def stopping(self) -> None:
         """Report that the process ends by request."""
         self._send("STOPPING=1")
+        self._remove_status()
+
+    def _remove_status(self) -> None:
         if self._status is not None:
             with contextlib.suppress(OSError):
                 self._status.unlink(missing_ok=True)

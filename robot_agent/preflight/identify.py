@@ -10,7 +10,8 @@ from robot_agent.preflight.thrust_curve import ThrustFit, fit, read_rows
 from wire.config.vehicle import Thruster, load_vehicle
 from wire.mavlink.agent_link import STANDARD_GRAVITY_MPS2
 from wire.process.cli_options import LinkInsecure, LinkKey
-from wire.toml_loader import ConfigError, check, os_errors_as_config_errors
+from wire.regular_files import read_regular
+from wire.toml_loader import MOST_BYTES, ConfigError, check, os_errors_as_config_errors
 
 cli = typer.Typer(help="A vehicle's numbers from measurements on a bench (docs/hil.md).")
 
@@ -40,7 +41,7 @@ def thrust(
     Example:  robot-agent identify thrust scale.csv --lever 0.5 --link serial:/dev/ttyACM0
     """
     with os_errors_as_config_errors(file):
-        lines = file.read_text(encoding="utf-8-sig").splitlines()
+        lines = read_regular(file, MOST_BYTES).decode("utf-8-sig").splitlines()
     readings = read_rows(lines, str(file), lever)
     like = load_vehicle(vehicle).thruster
     found = fit(readings, str(file), len(like.curve), still_g * 1e-3 * STANDARD_GRAVITY_MPS2 * lever)

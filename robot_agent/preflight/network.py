@@ -54,7 +54,7 @@ def check_network(config: AgentConfig) -> Generator[CheckFinding, None, bool]:
             bus.watch_presence()
             bus.wait(lambda: beats.newest_header() is not None, STATION_WITHIN_S)
             received, now_ns = beats.newest(), time.time_ns()
-            since_ns = received.header.age_ns + time.monotonic_ns() - received.arrived_ns if received is not None else 0
+            since_ns = received.age_ns(time.monotonic_ns()) if received is not None else 0
             flying = bus.wait(lambda: process in bus.present, PRESENT_WITHIN_S)
     except Unreached as error:
         yield CheckFinding("station", CheckVerdict.FAIL, str(error))

@@ -5,11 +5,9 @@ ends, also by a signal or a closed terminal, the last things sent are neutral pu
 """
 
 import math
-import signal
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from types import FrameType
 
 from robot_agent.host.config import AgentConfig, open_board_link
 from robot_agent.preflight.findings import CheckFinding, CheckVerdict
@@ -20,6 +18,7 @@ from wire.config.experiment import Experiment
 from wire.mavlink.agent_link import CHANNELS, AgentLink
 from wire.mavlink.board_port import Link
 from wire.mavlink.signing_key import agent_end
+from wire.process.runtime import signals_raise
 
 TURN_S, REST_S = 0.6, 0.4  # long enough for a person to see which one it is
 ARM_WITHIN_S = 2.0
@@ -78,24 +77,22 @@ def turn_thrusters(
     it. The board is disarmed whenever a person is asked. Without `ask` the board's echo alone is judged.
     """
     link, signing = open_board_link(config)
-    before = {number: signal.signal(number, _end) for number in (signal.SIGTERM, signal.SIGHUP)}
     bench = _Bench(experiment, link, agent_end(config.robot, signing))
-    try:
-        for channel in range(CHANNELS):
-            if ask is not None and not ask(
-                f"\n{picture(experiment.vehicle, channel)}\n{_watch(experiment, channel)} Move it now?"
-            ):
-                yield CheckFinding(part(channel), CheckVerdict.SKIPPED, "not moved: not wanted")
-                continue
-            finding = _move(bench, channel)
-            yield finding if ask is None or finding.verdict is not CheckVerdict.OK else _asked(ask, finding)
-            if finding.detail.startswith(NOT_ARMED):
-                return
-    finally:
-        bench.hold(bench.neutral_us, ARM_WITHIN_S, arm=False)
-        link.close()
-        for number, handler in before.items():
-            signal.signal(number, handler)
+    with signals_raise():
+        try:
+            for channel in range(CHANNELS):
+                if ask is not None and not ask(
+                    f"\n{picture(experiment.vehicle, channel)}\n{_watch(experiment, channel)} Move it now?"
+                ):
+                    yield CheckFinding(part(channel), CheckVerdict.SKIPPED, "not moved: not wanted")
+                    continue
+                finding = _move(bench, channel)
+                yield finding if ask is None or finding.verdict is not CheckVerdict.OK else _asked(ask, finding)
+                if finding.detail.startswith(NOT_ARMED):
+                    return
+        finally:
+            bench.hold(bench.neutral_us, ARM_WITHIN_S, arm=False)
+            link.close()
 
 
 def _move(bench: _Bench, channel: int) -> CheckFinding:
@@ -123,11 +120,6 @@ def _asked(ask: Callable[[str], bool], finding: CheckFinding) -> CheckFinding:
     if ask(f"Did {finding.what} move so, and nothing else?"):
         return replace(finding, detail=f"{finding.detail}; seen")
     return CheckFinding(finding.what, CheckVerdict.FAIL, "moved otherwise, as the person says, and the board says as told")
-
-
-def _end(number: int, frame: FrameType | None) -> None:
-    """Signal handler: end as Ctrl-C does, through the `finally` blocks."""
-    raise SystemExit(128 + number)
 
 
 def judge(channel: int, wanted: tuple[int, ...], echoes: list[tuple[int, ...]]) -> CheckFinding:

@@ -15,6 +15,7 @@ from wire.mavlink.board_port import Link, UdpLink, open_link
 from wire.mavlink.parameters import ParameterClient
 from wire.mavlink.signing_key import Signing
 from wire.process.cli_options import LinkInsecure, LinkKey
+from wire.process.runtime import signals_raise
 from wire.toml_loader import ConfigError
 
 HEARD_WITHIN_S = 5.0
@@ -69,8 +70,8 @@ def board_conformance(
 ) -> None:
     """Try every rule of docs/board.md on a thruster board, and say what was measured. Takes about a minute.
 
-    The robot's own computer must be off the link. Parameters that are changed on the way are put back. Exit code 0 if no
-    rule failed, 1 if one did.
+    The robot's own computer must be off the link. Parameters that are changed on the way are put back, however it ends.
+    Exit code 0 if no rule failed, 1 if one did.
 
     Example:  sim-bridge board-conformance --port /dev/ttyACM0 --dry
     """
@@ -82,16 +83,18 @@ def board_conformance(
     wire = LinkWire(link)
     try:
         client = ParameterClient(robot) if signing is None else ParameterClient(robot, signing.key, signing.stamps)
-        robot = _who_is_there(wire, client)
-        if robot is None:
-            raise ConfigError(f"--port {port}: {client.silence(link.trouble)}")
+        _listen(wire, client)
+        if (reason := client.objection(link.trouble)) or client.robot_id is None:
+            raise ConfigError(f"--port {port}: {reason or 'what is there does not say which board it is'}")
+        robot = client.robot_id
         if _in_hil(wire, client):
             raise ConfigError(
                 f"--port {port}: the board is in HIL mode and measures nothing itself "
                 f"(allowed: after a loss of power, or robot-agent params set HIL_MODE 0 --link {address})"
             )
         probe = BoardProbe(wire, robot) if signing is None else BoardProbe(wire, robot, signing.key, signing.stamps)
-        outcomes = list(_told(examine(probe, dry, RULES), quiet=as_json))
+        with signals_raise():
+            outcomes = list(_told(examine(probe, dry, RULES), quiet=as_json))
     finally:
         wire.close()
         link.close()
@@ -105,15 +108,14 @@ def board_conformance(
     raise typer.Exit(1 if failed else 0)
 
 
-def _who_is_there(wire: BoardWire, client: ParameterClient) -> int | None:
-    """The system id of the board that is heard, None if there is none."""
+def _listen(wire: BoardWire, client: ParameterClient) -> None:
+    """Listen until a heartbeat says what is there, for HEARD_WITHIN_S at most."""
     end_ns, asked_ns = wire.now_ns() + round(HEARD_WITHIN_S * 1e9), 0
-    while not (client.heard and client.robot_id is not None) and wire.now_ns() < end_ns:
+    while client.autopilot is None and wire.now_ns() < end_ns:
         if wire.now_ns() - asked_ns > 1e9:
             asked_ns = wire.now_ns()
             wire.send(client.heartbeat())
         client.receive(wire.receive(wire.now_ns() + 50_000_000), wire.now_ns())
-    return client.robot_id if client.heard else None
 
 
 def _in_hil(wire: BoardWire, client: ParameterClient) -> bool:

@@ -6,6 +6,7 @@ It uses only messages of the board, and not its clock: instants are those of the
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Protocol
 
 from pymavlink.dialects.v20 import common as dialect
@@ -21,6 +22,7 @@ PERIOD_NS = 50 * MS  # ns between overrides, as in flight
 STALL_NS = 15 * MS  # ns; if this machine wakes later than that, measurements meanwhile say nothing about the board
 HEADING_RAD, TURN_RADPS, FORCE_MPS2, DEPTH_M = 2.0, -0.5, (1.0, -2.0, -9.0), 3.0  # of simulated measurements
 NUDGE_US = 60.0  # us from neutral, with which a thruster turns slowly
+ASKS = 4  # for another value of a parameter: of frames on a bad wire one in ten is lost, either way
 
 
 class BoardWire(Protocol):
@@ -59,6 +61,7 @@ class BoardProbe:
         self.samples: list[Sample] = []
         self.bytes_heard = 0
         self.stalls = 0  # number of times that this machine was held up
+        self._before: dict[str, float] = {}  # values of the parameters that were asked to change, until they are put back
         self._heartbeat_ns = -S
 
     # --- time goes on
@@ -204,9 +207,29 @@ class BoardProbe:
         came = self.listen(within_s, lambda: self.computer.telemetry.round_trips > before)
         return (self.wire.now_ns() - asked_ns) / S if came else math.inf
 
+    def setting(self, name: str, value: float) -> bytes:
+        """Ask for another value of a parameter, which `put_back` takes back."""
+        if name in self.station.values:
+            self._before.setdefault(name, self.station.values[name])
+        return self.station.set(name, value)
+
     def set(self, name: str, value: float) -> bool:
-        """Set a parameter. Returns True if the board says that it has that value."""
-        before = self.station.told
-        self.wire.send(self.station.set(name, value))
-        self.listen(0.5, lambda: self.station.told > before or self.station.error is not None)
-        return math.isclose(self.station.values.get(name, math.nan), value, rel_tol=1e-6, abs_tol=1e-6)
+        """Set a parameter, and again where no answer comes. Returns True if the board says that it has that value."""
+        for _ in range(ASKS):
+            told = self.station.told
+            self.wire.send(self.setting(name, value))
+            if self.listen(0.5, partial(self._answered_by, name, value, told)):
+                return self.station.error is None
+        return False
+
+    def _answered_by(self, name: str, value: float, told: int) -> bool:
+        """True if the board has refused, or has told more than `told` values and this one for the parameter."""
+        known = self.station.values.get(name, math.nan)
+        is_told = self.station.told > told and math.isclose(known, value, rel_tol=1e-6, abs_tol=1e-6)
+        return is_told or self.station.error is not None
+
+    def put_back(self) -> list[str]:
+        """Give all parameters the values that they had, the last changed first. Returns those that the board does not take."""
+        left = {name: value for name, value in reversed(self._before.items()) if not self.set(name, value)}
+        self._before = dict(reversed(left.items()))
+        return [f"{name} = {value:g}" for name, value in left.items()]

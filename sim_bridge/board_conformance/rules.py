@@ -136,16 +136,11 @@ def stops_from_thrust(probe: BoardProbe) -> Measured:
 
 
 def with_limits(probe: BoardProbe, changes: dict[str, float], check: Callable[[], Measured]) -> Measured:
-    """Run a check with other parameters, and restore them."""
-    before = {name: probe.station.values[name] for name in changes}
-    try:
-        if not all(probe.set(name, value) for name, value in changes.items()):
-            return False, f"{', '.join(changes)} cannot be set"
-        return check()
-    finally:
-        probe.rest()
-        for name, value in before.items():
-            probe.set(name, value)
+    """Run a check with other parameters, of those that the board has."""
+    _ = [probe.station.values[name] for name in changes]
+    if not all(probe.set(name, value) for name, value in changes.items()):
+        return False, f"{', '.join(changes)} cannot be set"
+    return check()
 
 
 def slew(probe: BoardProbe) -> Measured:
@@ -297,15 +292,13 @@ def _disarming(probe: BoardProbe) -> Measured:
 
 def _empty_battery(probe: BoardProbe) -> Measured:
     """Move the thresholds above the battery's voltage."""
-    names, volts = ("BAT_WARN_V", "BAT_NOARM_V"), probe.computer.telemetry.battery_v
-    before = [probe.station.values[name] for name in names]
-    try:
-        moved = probe.set(names[0], volts + 2.0) and probe.set(names[1], volts + 1.0)
+    volts = probe.computer.telemetry.battery_v
+
+    def check() -> Measured:
         probe.stream(probe.pulses, 0.5)
-        good, measured = _refused(probe, probe.ask_arm(frame=probe.pulses))
-    finally:
-        restored = probe.set(names[1], before[1]) and probe.set(names[0], before[0])
-    return good and moved and restored, measured if moved and restored else "the thresholds cannot be moved"
+        return _refused(probe, probe.ask_arm(frame=probe.pulses))
+
+    return with_limits(probe, {"BAT_WARN_V": volts + 2.0, "BAT_NOARM_V": volts + 1.0}, check)
 
 
 # --- the link
@@ -353,7 +346,6 @@ def _bounds(probe: BoardProbe) -> Measured:
         probe.listen(0.2)
         if probe.station.values[name] != before:
             taken.append(f"{name} = {value:g}")
-            probe.set(name, before)
     return not taken, f"taken: {', '.join(taken)}" if taken else "refused"
 
 
@@ -361,14 +353,12 @@ def _set_armed(probe: BoardProbe) -> Measured:
     before = probe.station.values["SLEW_US_S"]
     if not probe.arm():
         return False, "does not arm"
-    probe.wire.send(probe.station.set("SLEW_US_S", before / 2))
+    probe.wire.send(probe.setting("SLEW_US_S", before / 2))
     probe.stream(probe.pulses, 0.4)
     probe.rest()
     probe.wire.send(probe.station.ask("SLEW_US_S"))
     probe.listen(0.3)
     kept = probe.station.values["SLEW_US_S"] == before
-    if not kept:
-        probe.set("SLEW_US_S", before)
     return kept, "refused" if kept else "taken"
 
 
@@ -387,14 +377,9 @@ def in_hil(check: Callable[[BoardProbe], Measured]) -> Callable[[BoardProbe], Me
     """A check of a board in HIL mode."""
 
     def checked(probe: BoardProbe) -> Measured:
-        try:
-            if not probe.set("HIL_MODE", 1.0):
-                return False, "HIL_MODE cannot be set"
-            return check(probe)
-        finally:
-            probe.rest()
-            probe.set("HIL_OUTPUTS", 0.0)
-            probe.set("HIL_MODE", 0.0)
+        if not probe.set("HIL_MODE", 1.0):
+            return False, "HIL_MODE cannot be set"
+        return check(probe)
 
     return checked
 
@@ -445,18 +430,15 @@ def _hil_battery(probe: BoardProbe) -> Measured:
 def _hil_outputs(probe: BoardProbe) -> Measured:
     """Outside HIL mode HIL_OUTPUTS cannot be set."""
     taken = probe.set("HIL_OUTPUTS", 1.0)
-    probe.set("HIL_OUTPUTS", 0.0)
     return not taken, "taken" if taken else "refused"
 
 
 def _hil_armed(probe: BoardProbe) -> Measured:
     if not probe.arm():
         return False, "does not arm"
-    probe.wire.send(probe.station.set("HIL_MODE", 1.0))
+    probe.wire.send(probe.setting("HIL_MODE", 1.0))
     probe.stream(probe.pulses, 0.4)
     entered = probe.computer.telemetry.hil
-    probe.rest()
-    probe.set("HIL_MODE", 0.0)
     return not entered, "entered" if entered else "refused"
 
 

@@ -46,7 +46,8 @@ class Rule:
 
 
 def examine(probe: BoardProbe, dry: bool, rules: Iterable[Rule]) -> Iterator[RuleResult]:
-    """Try the rules one after the other. Between them, and at the end, the board is disarmed."""
+    """Try the rules one after the other. After each, however it ends, the board is disarmed and has its own parameters again;
+    else the rule has failed."""
     for rule in rules:
         if (rule.spins and dry) or (rule.signed and probe.key is None):
             why = "dry run" if rule.spins else "the link is not signed"
@@ -67,7 +68,9 @@ def _try(rule: Rule, probe: BoardProbe) -> Measured:
     except KeyError as missing:
         passed, measured = False, f"needs the parameter {missing}"
     finally:
-        rested = probe.rest()
+        rested, left = probe.rest(), probe.put_back()
+    if left:
+        return False, f"{measured}; {', '.join(left)} has to be put back by hand"
     if passed and not rested:
         return False, f"{measured}; then it did not disarm"
     return passed, measured

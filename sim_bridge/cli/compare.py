@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from wire.config.experiment import experiment_path, load_experiment
+from wire.config.experiment import NO_CAMERA, experiment_path, load_experiment
 from wire.process.cli_options import ExperimentName, Settings
 from wire.process.output import background
 from wire.process.output_files import COMPARISON, check_output, new_run_folder
@@ -30,7 +30,9 @@ def _list(asked: bool) -> None:
 
 def compare(
     experiment: ExperimentName,
-    laws: Annotated[str, typer.Option(metavar="NAMES", help="Whom to compare, with commas; default: all of --list.")] = "",
+    laws: Annotated[
+        str, typer.Option(metavar="NAMES", help="Whom to compare, with commas: of --list (default: all), or MODULE:NAME.")
+    ] = "",
     seeds: Annotated[str, typer.Option(metavar=FIRST_OR_RANGE, help="Seeds; each is flown by everyone.")] = "10",
     scatter: Annotated[float, typer.Option(min=0.0, help="Starts are moved by up to this much per seed, m and rad.")] = 0.1,
     duration: Annotated[float | None, typer.Option(help="Seconds to fly; default: the experiment's.")] = None,
@@ -49,15 +51,17 @@ def compare(
 
     Examples:  sim-bridge compare numeric-disturbed --scatter 0.5
                sim-bridge compare pool --laws eso-mpc,lqr,mpc-leader-follower --seeds 1-5 --set sim.numeric.pose_noise_m=0.0015
+               PYTHONPATH=. sim-bridge compare numeric --laws eso-mpc,ownlaw:Pd --set "controller.own=[2.0, 6.0]"
     """
     from rich.console import Console
 
     from sim_bridge.studies import comparison as comparing
     from sim_bridge.studies.comparison import VARIANTS
 
-    console, chosen, flown = Console(file=background(sys.stdout)), _names(laws, VARIANTS, "--laws"), _range(seeds)
+    console, flown = Console(file=background(sys.stdout)), _range(seeds)
+    chosen = _names(laws, [*VARIANTS, *(law.strip() for law in laws.split(",") if ":" in law)] if laws else VARIANTS, "--laws")
     asked = [*(settings or ()), *([f"duration_s={duration}"] if duration is not None else [])]
-    name = load_experiment(experiment, asked).name
+    name = load_experiment(experiment, [*asked, NO_CAMERA]).name
     folder = out or new_run_folder(Path("runs"), f"compare-{name}")
     for file in COMPARISON:
         check_output(folder / file, [experiment_path(experiment)], mine=COMPARISON)

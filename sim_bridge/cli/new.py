@@ -8,6 +8,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from wire.config.experiment import Name
 from wire.key_reference import schema_line
+from wire.process.output_files import replace_text
 from wire.toml_loader import ConfigError, os_errors_as_config_errors
 
 TEMPLATE = Path(__file__).parent / "templates" / "experiment.toml"
@@ -31,8 +32,7 @@ def new(
     file = out / f"{name}.toml"
     with os_errors_as_config_errors(file):
         try:
-            with file.open("x", encoding="utf-8") as stream:
-                stream.write(text)
+            replace_text(file, text, over=False)
         except FileExistsError:
             raise ConfigError(f"{file}: is there already, and would be lost (choose another NAME)") from None
     typer.echo(f"{file}: try  sim-bridge numeric {file}")

@@ -141,10 +141,10 @@ def connect(robot_id: int, where: str, key: Path | None, insecure: bool) -> tupl
     client = ParameterClient(robot_id) if signing is None else ParameterClient(robot_id, signing.key, signing.stamps)
     try:
         _ask_mode(link, client)
-        mode = client.values.get("HIL_MODE")
-        if mode == 1.0:
+        mode, reason = client.values.get("HIL_MODE"), client.objection(link.trouble)
+        if mode == 1.0 and not reason:
             return link, signing
-        reason = not_in_hil(where) if mode is not None else client.silence(link.trouble) or "the board has no HIL mode"
+        reason = reason or (not_in_hil(where) if mode is not None else "the board has no HIL mode")
         raise ConfigError(f"--board {robot_id}={where}: {reason}")
     except ConfigError:
         link.close()
@@ -152,9 +152,15 @@ def connect(robot_id: int, where: str, key: Path | None, insecure: bool) -> tupl
 
 
 def _ask_mode(link: Link, client: ParameterClient) -> None:
-    """Ask a board for its HIL_MODE until it answers, or HEARD_WITHIN_S are over."""
+    """Ask a board for its HIL_MODE until it has answered and said what it is, or HEARD_WITHIN_S are over."""
     end_s, asked_s = time.monotonic() + HEARD_WITHIN_S, 0.0
-    while "HIL_MODE" not in client.values and client.error is None and time.monotonic() < end_s:
+
+    def is_told() -> bool:
+        return client.autopilot is not None and (
+            bool(client.autopilot) or "HIL_MODE" in client.values or client.error is not None
+        )
+
+    while not is_told() and time.monotonic() < end_s:
         if time.monotonic() - asked_s > ASK_AGAIN_S:
             asked_s = time.monotonic()
             link.send(client.heartbeat() + client.ask("HIL_MODE"))

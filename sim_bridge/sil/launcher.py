@@ -42,6 +42,7 @@ from wire.transport.zenoh_transport import ZenohTransport
 
 START_WITHIN_S = 180.0  # s for the station to listen; on a starved machine a program takes a minute to load
 LOOK_EVERY_S = 0.2
+SECRETS = "shoal-links-"  # begins the names of folders with the keys of a run's links; then the launcher's process
 STALLED_S = 180.0  # s without a new heartbeat of the station after which the run is ended as stuck
 VERDICTS = {"passed": "[green]passed[/]", "failed": "[red]failed[/]", "not judged": "[yellow]not judged[/]"}
 INTERRUPTED_WITHIN_S = 15.0  # s for the station to close its log after a Ctrl-C, also on a starved machine
@@ -59,7 +60,7 @@ def run(experiment: Experiment, run_dir: Path, options: RunOptions, stop: Stop, 
     clocks = frozenset(fault.broken.process for fault in experiment.sim.faults if fault.broken.kind == "clock")
     children = Children(run_dir / "logs", clocks)
     problems: list[str] = []
-    secrets = tempfile.TemporaryDirectory(prefix="shoal-links-") if options.signed else None  # a run's folder all may read
+    secrets = _secret_folder() if options.signed else None  # a run's folder all may read
     boards = _link_keys(Path(secrets.name), experiment.robot_ids) if secrets is not None else None
     try:
         address, ports = f"tcp/127.0.0.1:{free_port()}", free_base_port(experiment.robot_ids)
@@ -186,6 +187,25 @@ def _interrupt(station: Child) -> None:
         station.process.send_signal(signal.SIGINT)
         with contextlib.suppress(subprocess.TimeoutExpired):
             station.process.wait(INTERRUPTED_WITHIN_S)
+
+
+def _secret_folder() -> "tempfile.TemporaryDirectory[str]":
+    """A folder for secrets that goes with this process; those of launchers that were killed go now."""
+    for left in Path(tempfile.gettempdir()).glob(f"{SECRETS}*"):
+        pid = left.name.removeprefix(SECRETS).partition("-")[0]
+        if pid.isdecimal() and not _runs(int(pid)):
+            shutil.rmtree(left, ignore_errors=True)  # of another user: it stays
+    return tempfile.TemporaryDirectory(prefix=f"{SECRETS}{os.getpid()}-")
+
+
+def _runs(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except (PermissionError, OverflowError):
+        pass
+    return True
 
 
 def _link_keys(folder: Path, robots: tuple[int, ...]) -> Path:

@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +31,8 @@ from wire.config.experiment import NO_CAMERA, Experiment, load_experiment
 from wire.process.output_files import CAMPAIGN, check_output, replacing
 from wire.process.runtime import Stop
 from wire.process.version import UNKNOWN, code
-from wire.toml_loader import ConfigError
+from wire.regular_files import open_regular
+from wire.toml_loader import ConfigError, os_errors_as_config_errors
 
 JOURNAL, RESULTS, REPORT = "journal.jsonl", "results.parquet", "report.html"
 LOOK_EVERY_S = 0.5
@@ -85,10 +86,13 @@ class Journal:
     def __init__(self, path: Path) -> None:
         """Raises ConfigError where another program writes it, or where other code has flown what it holds."""
         self._path = path
-        self._file = path.open("ab", buffering=0)
+        with os_errors_as_config_errors(path):
+            if path.exists():
+                open_regular(path).close()  # a pipe would be waited for
+            self._file = path.open("ab", buffering=0)
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            text = path.read_text(encoding="utf-8")
+            text = path.read_text(encoding="utf-8", errors="replace")
             self.rows = {row["hash"]: row for row in _rows(text) if row["status"] != "failed"}
             for other in {str(row.get("commit", UNKNOWN)) for row in self.rows.values()} - {code().commit}:
                 raise ConfigError(
@@ -119,7 +123,8 @@ class Journal:
             if self._file.write(data) != len(data):
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         except OSError as error:
-            os.truncate(self._file.fileno(), size)
+            with suppress(OSError):  # where that fails too, the half line is passed over
+                os.truncate(self._file.fileno(), size)
             raise OSError(error.errno, error.strerror, str(self._path)) from None
 
 

@@ -24,6 +24,7 @@ from wire.frames import Array
 from wire.messages.messages import Trajectory
 from wire.process.output import flush
 from wire.process.output_files import replace_text
+from wire.process.version import code
 from wire.toml_loader import ConfigError
 
 MOST_DRAWS = 1000  # attempts to draw starts that keep robots apart
@@ -102,12 +103,14 @@ def run(
         raise ConfigError(
             f"duration_s = {plain.duration_s:g}: must be more than {SETTLED_S:g} s, after which errors are compared"
         )
-    experiments = _distinct({v: load_experiment(name, [*settings, *VARIANTS[v], NO_CAMERA]) for v in variants}, console)
+    experiments = _distinct({v: load_experiment(name, [*settings, *changes_of(v), NO_CAMERA]) for v in variants}, console)
     planned = tasks_of(plain, seeds, scatter)  # the same for all: variants differ in what flies it
     tasks = [replace(task, experiment=e) for e in experiments.values() for task in planned]
     with worker_pool(jobs) as pool:
         flights = list(_watched(pool.map(fly, tasks), len(tasks), console))
-    found = [Variant(v, list(VARIANTS[v]), flights[i * len(seeds) : (i + 1) * len(seeds)]) for i, v in enumerate(experiments)]
+    found = [
+        Variant(v, list(changes_of(v)), flights[i * len(seeds) : (i + 1) * len(seeds)]) for i, v in enumerate(experiments)
+    ]
     comparison = Comparison(
         scene=plain.name,
         title=plain.title or plain.name,
@@ -118,10 +121,16 @@ def run(
         robots=list(plain.robot_ids),
         variants=found,
         separation_m=2.0 * plain.safety.radius_m,
+        commit=code().commit,
     )
     replace_text(folder / "comparison.json", comparison.to_json())
     flush()
     return programs.start("groundstation", ["benchmark", "report", str(folder)]).wait()
+
+
+def changes_of(variant: str) -> tuple[str, ...]:
+    """The settings of a variant: one of VARIANTS, or a law of one's own, MODULE:NAME (docs/baselines.md)."""
+    return VARIANTS.get(variant, (f"controller.law={variant}",))
 
 
 def tasks_of(experiment: Experiment, seeds: Sequence[int], scatter: float) -> list[FlightTask]:

@@ -7,6 +7,7 @@ from pathlib import Path
 from sim_bridge.thruster_board.board import NonvolatileState, ThrusterBoard
 from wire.config.experiment import Experiment
 from wire.mavlink.signing_key import load_key, write_key
+from wire.process.output_files import replace_text
 from wire.regular_files import read_regular
 from wire.toml_loader import ConfigError, os_errors_as_config_errors
 
@@ -42,9 +43,8 @@ def _read(memory: Path) -> NonvolatileState:
 
 
 def _write(memory: Path, key: Path, stored: NonvolatileState) -> None:
-    new, told = memory.with_suffix(".new"), {"parameters": dict(stored.parameters), "heard": stored.heard, "sent": stored.sent}
+    told = {"parameters": dict(stored.parameters), "heard": stored.heard, "sent": stored.sent}
     with os_errors_as_config_errors(memory):
-        new.write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
-        new.replace(memory)
+        replace_text(memory, json.dumps(told, indent=1) + "\n", durable=False)
         if stored.key is not None and not (key.exists() and load_key(key).secret == stored.key.secret):
             write_key(key, stored.key)

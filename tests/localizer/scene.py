@@ -1,6 +1,6 @@
 """Test pictures with known truth: textured robots with markers under still water, drawn point by point.
 
-Each pixel is traced into the pool with the same geometry that the tests of calibration.py check against Fermat's principle,
+Each pixel is traced into the pool with the same geometry that the tests of camera_model.py check against Fermat's principle,
 so a fault of the tracking shows here and a fault of the mapping there.
 """
 

@@ -20,8 +20,22 @@ from tests.robot_agent.obedient_board import Board
 from wire.config.experiment import load_experiment
 from wire.mavlink.board_port import open_link
 from wire.messages import topics
+from wire.messages.codec import FARTHEST_NS, LATEST_NS, Header, encode
 from wire.messages.live_gains import tuning
-from wire.messages.messages import Command, Mode, Order, Pose, Reply, RobotState, StationHeartbeat, Track, Tuning
+from wire.messages.messages import (
+    Command,
+    Mode,
+    Obstacles,
+    Order,
+    Plan,
+    Pose,
+    Reply,
+    RobotState,
+    StationHeartbeat,
+    Track,
+    Tuning,
+)
+from wire.messages.topics import Qos
 from wire.process.runtime import Stop, wait
 from wire.transport.bus import Bus, Inbox
 from wire.transport.memory_transport import MemoryHub, MemoryTransport
@@ -195,6 +209,30 @@ def test_a_request_to_stop_wakes_a_loop_that_sleeps(monkeypatch: pytest.MonkeyPa
     assert not woken.is_set()
     stop.request()
     assert woken.wait(PATIENCE_S) and stop()
+
+
+@pytest.mark.parametrize("latest_ns", [LATEST_NS, 2**63 - 1])
+def test_wild_times_of_another_process_end_no_robot(latest_ns: int) -> None:
+    """A step's record has the instants of all that the step acts on, in 64 bits."""
+    hub, link = MemoryHub(), open_link(f"udp:127.0.0.1:{free_port(SOCK_DGRAM)}")
+    bus, other = Bus(MemoryTransport(hub)), MemoryTransport(hub)
+    robot, nodes = node.AgentNode(POOL, 1, bus, link, False, Stop(install=False)), np.zeros((51, 4))
+    sent = {
+        topics.PLAN.key(2): Plan(0.05, nodes, nodes),
+        topics.POSE.key(1): Pose(0.0, 0.0, 0.0, np.eye(3), Track.MARKER),
+        topics.HEARTBEAT.key(): StationHeartbeat(),
+        topics.OBSTACLES.key(): Obstacles(watched=1.0),
+    }
+    headers = [(latest_ns, 0), (-FARTHEST_NS, FARTHEST_NS), (-(2**63), 0), (0, 2**63 - 1), (-FARTHEST_NS, 0)]
+    for sequence, (stamp_ns, age_ns) in enumerate(headers, 1):
+        for name, message in sent.items():
+            other.publisher(f"shoal/{name}", Qos.CONTROL)(encode(message), Header(7, sequence, stamp_ns, age_ns).encode())
+        now_ns = robot.clock.now_ns()
+        record, _ = robot.step(now_ns, None)
+        bus.publish(topics.INPUTS, record, now_ns, 1)
+    assert record.plan_sequences == (len(headers),)
+    assert bus.rejected == len(sent) * (2 + (latest_ns > LATEST_NS))
+    link.close()
 
 
 def test_an_autopilot_gets_no_pulses_and_no_requests_to_arm() -> None:

@@ -3,6 +3,7 @@ test, on a bus in memory."""
 
 import asyncio
 import threading
+import time
 from collections.abc import Iterator
 
 import numpy as np
@@ -143,6 +144,16 @@ def test_waiting_ends_with_the_event_the_state_or_the_time(fleet: ConnectedFleet
         fleet.wait_mission("DONE", timeout_s=0.05)
     station.bus.publish(topics.HEARTBEAT, StationHeartbeat(mission="DONE"), 0)
     assert fleet.wait_mission("FAILED", "DONE", timeout_s=1.0) == "DONE"
+
+
+def test_a_mission_that_was_heard_long_ago_is_not_waited_for_with_success(
+    fleet: ConnectedFleet, station: PlayedStation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    station.bus.publish(topics.HEARTBEAT, StationHeartbeat(mission="DONE"), 10**18)  # by the wall clock
+    monkeypatch.setattr("shoal.fleet.FRESH_S", 0.05)
+    time.sleep(0.1)
+    with pytest.raises(NotHeard):
+        fleet.wait_mission("DONE", timeout_s=0.05)
 
 
 def test_a_condition_that_hears_nothing_does_not_hold(fleet: ConnectedFleet, station: PlayedStation) -> None:

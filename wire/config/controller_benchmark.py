@@ -78,6 +78,7 @@ class Comparison:
     robots: list[int]
     variants: list[Variant]
     separation_m: float = 0.0  # the least that robots may come to one another; 0: not told, in older files
+    commit: str = ""  # of the code that flew; empty: not told, in older files
 
     def to_json(self) -> str:
         """The content of comparison.json."""

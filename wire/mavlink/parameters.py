@@ -87,6 +87,12 @@ class ParameterClient:
         """True if every parameter has come."""
         return self._count is not None and len(self._by_index) == self._count
 
+    def objection(self, trouble: str = "") -> str:
+        """The reason to send nothing more: an autopilot is there, or nobody is heard; empty for a thruster board."""
+        if self.autopilot:
+            return f"{self.autopilot} is there, no thruster board: it takes pulses for a pilot's sticks"
+        return self.silence(trouble)
+
     def silence(self, trouble: str = "") -> str:
         """The reason why no board is heard, from what has come or else the link's `trouble`; empty if one is heard."""
         if self.heard:
@@ -115,9 +121,12 @@ class ParameterClient:
         if kind == "HEARTBEAT":
             self.robot_id = message.get_srcSystem()  # the one that is wanted, if one is
             self.autopilot = autopilot_name(message.autopilot)
-        if kind == "PARAM_VALUE" and math.isfinite(message.param_value) and message.param_index < message.param_count:
-            self._count = message.param_count
-            self._by_index[message.param_index] = message.param_id
+        if kind == "PARAM_VALUE" and math.isfinite(message.param_value):
+            if (
+                message.param_index < message.param_count
+            ):  # many a firmware answers a name without its place in the list: 65535
+                self._count = message.param_count
+                self._by_index[message.param_index] = message.param_id
             self.values[message.param_id] = message.param_value
             self.told += 1
         if kind == "PARAM_ERROR" and (message.target_system, message.target_component) == STATION:

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from wire.mavlink.agent_link import AgentLink
-from wire.mavlink.signing import KEY_BYTES, Key, ticks
-from wire.process.output_files import replace_text, replacing
+from wire.mavlink.signing import KEY_BYTES, LATEST, Key, ticks
+from wire.process.output_files import replacing
 from wire.regular_files import read_regular
 from wire.secret_files import refuse_shared
 from wire.toml_loader import ConfigError
@@ -24,11 +24,10 @@ HOW = "make one with `robot-agent link-key FILE` and give the board the same"
 def new_key(path: Path) -> None:
     """Write a new key, readable by its owner only. Raises ConfigError rather than to write over one."""
     try:
-        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+        with replacing(path, mode=0o600, over=False) as file:
+            file.write(f"{secrets.token_hex(KEY_BYTES)}\n".encode("ascii"))
     except OSError as error:
         raise ConfigError(f"{path}: cannot be made: {error.strerror}") from None
-    with os.fdopen(descriptor, "w", encoding="ascii") as file:
-        file.write(secrets.token_hex(KEY_BYTES) + "\n")
 
 
 def write_key(path: Path, key: Key) -> None:
@@ -60,9 +59,9 @@ class TimestampStore:
         """The file at `path` holds how far was counted. Raises ConfigError if it cannot be kept."""
         self._path, self._unix_ns = path, unix_ns
         try:
-            self._least = self._limit = int(read_regular(path, MOST_BYTES)) if path.exists() else 0
-            self._reserve(self())
-        except (OSError, ValueError) as error:
+            self._least = self._limit = _time_in(path) if path.exists() else 0
+            self._reserve(self(), durable=True)
+        except OSError as error:
             raise ConfigError(f"{path}: the times that signatures have used cannot be kept: {error}") from None
 
     def __call__(self) -> int:
@@ -74,9 +73,24 @@ class TimestampStore:
         if used > self._limit - AHEAD_TICKS // 2:
             self._reserve(used)
 
-    def _reserve(self, used: int) -> None:
+    def _reserve(self, used: int, durable: bool = False) -> None:
         self._limit = used + AHEAD_TICKS
-        replace_text(self._path, str(self._limit))
+        with replacing(self._path, durable) as file:
+            file.write(str(self._limit).encode("ascii"))
+
+
+def _time_in(path: Path) -> int:
+    """The time that a file of these holds. Raises OSError, and ConfigError for one that a loss of power has cut."""
+    try:
+        found = int(read_regular(path, MOST_BYTES))
+    except ValueError:
+        found = -1
+    if not 0 <= found <= LATEST:
+        raise ConfigError(
+            f"{path}: the times that signatures have used cannot be kept: it holds none, as after a loss of power "
+            "(remedy: see that this computer's clock is right, then remove the file)"
+        )
+    return found
 
 
 @dataclass(frozen=True)

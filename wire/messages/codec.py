@@ -33,6 +33,10 @@ LONGEST_LINE = 1000  # characters of a line of the log; the rest is cut off
 LONGEST_TEXT = 8000  # characters of any other text, for example every reason that keeps fifty robots from arming
 SHARED = "shared_memory"  # encoding of a picture whose pixels are in a ring of frames (wire/transport/frame_ring.py)
 _SHORT = 32  # numbers
+# Of a header's times: 36 years. Sums and differences of a few of them, and of our clock, stay within the 64 bits that instants
+# have on the wire: one robot's wild stamp must not end those that record when its plan was made.
+FARTHEST_NS = 1 << 60
+LATEST_NS = 4 * FARTHEST_NS  # of a stamp: the year 2116
 LARGEST = 1e12  # no quantity in any message comes near it; squares of it are still finite
 
 M = TypeVar("M")
@@ -67,12 +71,16 @@ class Header:
 
     @classmethod
     def decode(cls, data: bytes, peer: str, topic: str) -> "Header":
-        """Raises DecodeError for a wrong size or a negative age."""
+        """Raises DecodeError for a wrong size, and for times that no clock of ours shows."""
         if len(data) != cls._LAYOUT.size:
             raise DecodeError(peer, topic, "header", f"{len(data)} bytes, must be {cls._LAYOUT.size}")
         header = cls(*cls._LAYOUT.unpack(data))
-        if header.age_ns < 0:
-            raise DecodeError(peer, topic, "header.age_ns", f"{header.age_ns} is negative")
+        for name, low, value, high in (
+            ("age_ns", 0, header.age_ns, FARTHEST_NS),
+            ("stamp_ns", -FARTHEST_NS, header.stamp_ns, LATEST_NS),
+        ):
+            if not low <= value <= high:
+                raise DecodeError(peer, topic, f"header.{name}", f"{value} is not allowed (allowed: {low} to {high})")
         return header
 
 
@@ -160,8 +168,10 @@ def _read_text(value: str, name: str) -> str:
 
 
 def _cut(text: str, longest: int) -> str:
-    """A text, shortened where it is too long to be shown to people."""
-    return text if len(text) <= longest else text[: longest - 1] + "…"
+    """A text as it can be sent and shown: shortened where it is too long, and bytes of a file's name that are no text escaped,
+    as a log shows them."""
+    shown = text if text.isascii() else text.encode("utf-8", errors="backslashreplace").decode()
+    return shown if len(shown) <= longest else shown[: longest - 1] + "…"
 
 
 def _read_enum(value: int, name: str, enum: type[IntEnum]) -> IntEnum:
@@ -224,7 +234,8 @@ def _to_protobuf(message: Any, target: Any) -> Any:
         elif isinstance(value, np.ndarray):
             getattr(target, name).extend(value.ravel().tolist())
         elif isinstance(value, tuple):
-            getattr(target, name).extend(value)
+            texts = value and type(value[0]) is str
+            getattr(target, name).extend([_cut(text, LONGEST_TEXT) for text in value] if texts else value)
         elif not is_message:
             setattr(target, name, value)
         elif value is not None:

@@ -34,9 +34,11 @@ class FleetTime:
         return heard.header.stamp_ns * 1e-9
 
     def age_s(self, received: Received[Any]) -> float:
-        """Age of a message since it came here, in the fleet's time. Where simulated time stands, by the wall clock: nothing
-        that has stopped coming looks alive."""
+        """Age of a message's content, in the fleet's time. Where simulated time stands, by the wall clock: nothing that has
+        stopped coming looks alive."""
         now_s = self.simulated_s()
+        if received.header.stamp_ns >= SIMULATED_BELOW_NS:
+            return received.age_ns(time.monotonic_ns()) * 1e-9
         since_s = _since_s(received)
         return since_s if now_s is None else min(since_s, max(now_s - received.header.stamp_ns * 1e-9, 0.0))
 

@@ -14,7 +14,8 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Iterator
+from contextlib import contextmanager
 from contextvars import ContextVar
 from types import FrameType
 from typing import Any, NoReturn, Protocol, TextIO, TypeVar, cast
@@ -35,7 +36,8 @@ speaking: ContextVar[str | None] = ContextVar("speaking", default=None)  # whose
 
 SLICE_S = 0.1  # how long a wait may keep a process from noticing that it was told to stop
 
-NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # a write raises these without the file's name
+# Of a disk that is full, gone or read-only. A write raises these without the file's name.
+DISK_TROUBLE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS, errno.ENODEV, errno.ENXIO, errno.ESTALE)
 
 _LEVELS = {logging.DEBUG: 1, logging.INFO: 2, logging.WARNING: 3, logging.ERROR: 4, logging.CRITICAL: 5}
 
@@ -59,7 +61,7 @@ class WallClock:
     def instant_ns(self, received: Received[Any]) -> int:
         """Arrival here, less the age that the sender states and what it was held up on its way. What the sender's clock shows
         plays no part."""
-        return received.arrived_ns + self._offset_ns - received.header.age_ns - received.late_ns
+        return self._offset_ns - received.age_ns(0)
 
 
 def age_s(clock: Clock, received: Received[Any]) -> float:
@@ -72,8 +74,10 @@ class Failed(Exception):
 
 
 class Stop:
-    """Set by SIGINT, SIGTERM, SIGHUP or a call; every loop looks at it. A second SIGINT or SIGTERM ends the process at once; a
-    second SIGHUP does not, because a terminal that goes sends it from the kernel and from the shell. `nohup` is respected.
+    """Set by SIGINT, SIGTERM, SIGHUP or a call; every loop looks at it. The second SIGINT or SIGTERM ends the process at once,
+    with files half written. A SIGHUP does not count: a terminal that goes sends it from the kernel and from the shell, and the
+    end of a login sends a SIGTERM as well. Nor does a call: a process that ends by itself has not been signalled yet.
+    `nohup` is respected.
 
     A part of the process that cannot go on calls `fail`; all loops then end as for a signal, within SLICE_S, and who has
     closed everything calls `raise_failure`, so that the process does not end as if all were well."""
@@ -81,6 +85,7 @@ class Stop:
     def __init__(self, install: bool = True) -> None:
         self.requested = False
         self.interrupted = False  # by SIGINT: a person pressed Ctrl-C
+        self._told = False  # by a SIGINT or SIGTERM
         self._wakes: list[Callable[[], None]] = []
         self.failure = ""  # why the process ends itself; empty: nothing has failed
         if install:
@@ -90,8 +95,10 @@ class Stop:
                 signal.signal(signal.SIGHUP, self._on_signal)
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
-        if self.requested and number != signal.SIGHUP:
-            os._exit(128 + number)
+        if number != signal.SIGHUP:
+            if self._told:
+                os._exit(128 + number)
+            self._told = True
         self.request(number == signal.SIGINT)
 
     def __call__(self) -> bool:
@@ -126,6 +133,24 @@ class Stop:
         """Raises Failed if a part of the process has failed."""
         if self.failure:
             raise Failed(self.failure)
+
+
+@contextmanager
+def signals_raise() -> Iterator[None]:
+    """Let SIGTERM and SIGHUP end the block as Ctrl-C does: through its `finally`, which disarms a board or puts back what was
+    changed on it. For programs without a loop that looks at a Stop."""
+
+    def end(number: int, frame: FrameType | None) -> None:
+        for one in before:  # a terminal that goes sends more than one, which would end that as well
+            signal.signal(one, signal.SIG_IGN)
+        raise SystemExit(128 + number)
+
+    before = {number: signal.signal(number, end) for number in (signal.SIGTERM, signal.SIGHUP)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def guarded_thread(stop: Stop, name: str, work: Callable[[], object], daemon: bool = False) -> threading.Thread:
@@ -242,7 +267,7 @@ def run_app(app: Callable[[], None]) -> None:
     except ConfigError as error:
         _end(error, 2)
     except OSError as error:
-        if error.filename is None and error.errno not in NO_ROOM:  # no file of a person's: a bug
+        if error.filename is None and error.errno not in DISK_TROUBLE:  # no file of a person's: a bug
             raise
         _end(f"{error.filename2 or error.filename or 'a file that was being written'}: {error.strerror}", 2)
     except (Unreached, Failed) as error:

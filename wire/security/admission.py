@@ -11,6 +11,7 @@ is a listener of the router, of their own. Within a lane origins take turns, so 
 from collections import OrderedDict
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from enum import Enum
 from ipaddress import ip_address, ip_network
 
 HELLO_S = 2.0  # from accept to a whole ClientHello; a member's comes one round trip after the connection
@@ -303,32 +304,40 @@ class Admission:
         return min(due, default=float("inf"))
 
 
-SAY_AGAIN_S = 10.0  # how often one origin is named
+SAY_AGAIN_S = 10.0  # how often one origin is named, for each reason
 MOST_NAMED = 8  # origins that are named within that time; the others are counted
 
 
+class RefusalReason(Enum):
+    """The reason why a connection was closed; the value ends the sentence about it."""
+
+    NO_TLS = "that does not begin as TLS does"
+    CROWDED = "because too many wait, or are open"
+    NO_CERTIFICATE = "without a valid certificate"
+
+
 class Refusals:
-    """Messages about refused connections: each origin at most once in SAY_AGAIN_S, with the number since."""
+    """Messages about refused connections: each origin and reason at most once in SAY_AGAIN_S, with the number since."""
 
     def __init__(self) -> None:
-        self._counts: dict[str, int] = {}
-        self._said_s: OrderedDict[str, float] = OrderedDict()
+        self._counts: dict[tuple[str, RefusalReason], int] = {}
+        self._said_s: OrderedDict[tuple[str, RefusalReason], float] = OrderedDict()
 
-    def note(self, address: str) -> None:
+    def note(self, address: str, reason: RefusalReason) -> None:
         """Count one more refused connection."""
-        name = origin_of(address)
-        self._counts[name] = self._counts.get(name, 0) + 1
+        key = origin_of(address), reason
+        self._counts[key] = self._counts.get(key, 0) + 1
 
     def told(self, now_s: float) -> list[str]:
         """Sentences about refused connections that are due now."""
         while self._said_s and now_s - next(iter(self._said_s.values())) >= SAY_AGAIN_S:
             self._said_s.popitem(last=False)
         found = []
-        for name in [name for name in self._counts if name not in self._said_s][: MOST_NAMED - len(self._said_s)]:
-            self._said_s[name] = now_s
-            count = self._counts.pop(name)
+        for key in [key for key in self._counts if key not in self._said_s][: MOST_NAMED - len(self._said_s)]:
+            self._said_s[key] = now_s
+            count, (name, reason) = self._counts.pop(key), key
             more = f" ({count} of them since last told)" if count > 1 else ""
-            found.append(f"refused a connection from {name} without a valid certificate{more}")
+            found.append(f"refused a connection from {name} {reason.value}{more}")
         if len(self._counts) > MOST_ORIGINS:
             self._counts.clear()
         return found

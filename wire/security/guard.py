@@ -24,6 +24,7 @@ from wire.security.admission import (
     MOST_WAITING,
     Admission,
     NotTls,
+    RefusalReason,
     Refusals,
     asks_for_another_hello,
     hello_is_whole,
@@ -212,7 +213,7 @@ class Guard:
             self._peers[number], self._hellos[number] = (peer, address), []
             self._want(peer, READ, lambda events, number=number: self._greeted(number))  # type: ignore[misc]
             for other in self._admission.come(number, address, time.monotonic()):
-                self._refuse(other)
+                self._refuse(other, RefusalReason.CROWDED)
             self._look_s = 0.0
 
     def _greeted(self, number: int) -> None:
@@ -236,7 +237,7 @@ class Guard:
             return
         except (OSError, NotTls):
             self._admission.gone(number)
-            self._refuse(number)
+            self._refuse(number, self._waited(number))
         self._look_s = 0.0
 
     def _look(self) -> None:
@@ -246,7 +247,7 @@ class Guard:
             if number in self._links:
                 self._drop(number)
             else:
-                self._refuse(number)
+                self._refuse(number, self._waited(number))
         for number in [number for number, link in self._links.items() if link.until_s <= now_s]:
             self._drop(number)
         for number, lane in self._admission.turns(now_s):
@@ -256,9 +257,17 @@ class Guard:
         ends_s = min((link.until_s for link in self._links.values()), default=float("inf"))
         self._look_s = min(self._admission.next_s(now_s), self._refusals.next_s(), ends_s)
 
-    def _refuse(self, number: int) -> None:
+    def _waited(self, number: int) -> RefusalReason:
+        """The reason to refuse a connection that waits: no turn came, or it has not said what a member says first."""
+        try:
+            waits = hello_is_whole(b"".join(self._hellos[number]))
+        except NotTls:
+            waits = False
+        return RefusalReason.CROWDED if waits else RefusalReason.NO_TLS
+
+    def _refuse(self, number: int, reason: RefusalReason) -> None:
         """Close a connection that was not passed on."""
-        self._refusals.note(self._peers[number][1])
+        self._refusals.note(self._peers[number][1], reason)
         self._close(number)
 
     def _close(self, number: int) -> None:
@@ -346,7 +355,7 @@ class Guard:
         self._at_router.pop(link.port, None)
         self._shut(link.down.source)
         if self._admission.ended(number, link.by_router, time.monotonic()):
-            self._refusals.note(self._peers[number][1])
+            self._refusals.note(self._peers[number][1], RefusalReason.NO_CERTIFICATE)
         self._close(number)
         self._look_s = 0.0
 

@@ -14,7 +14,7 @@ import secrets
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Generic, TypeVar
 
 from wire.messages import topics
@@ -39,6 +39,7 @@ STOP_BYTES = 256  # a STOP has fewer; what is longer is not looked at before its
 SAME_NAME_S = 12.0  # for the router to miss a process that was cut off: its lease is 1 s, on a busy machine it takes longer
 TOLD_WITHIN_S = 0.25  # the router tells within ms that a name is taken; liveliness().get() misses 1 name of 20 under load
 STOPPED_WITHIN_S = 0.2  # between looks at whether this process is to end
+SESSIONS = 4  # per inbox that are remembered: of a sender that was started again, the one before may still be on its way
 KEPT = 3  # per inbox: in lockstep a fast neighbour may already be one step ahead
 
 
@@ -50,6 +51,10 @@ class Received(Generic[M]):
     header: Header
     arrived_ns: int  # receiver's monotonic clock
     late_ns: int = 0  # how much longer it was on its way than the fastest of late
+
+    def age_ns(self, now_ns: int) -> int:
+        """Age of its content at an instant of the receiver's monotonic clock."""
+        return now_ns - self.arrived_ns + self.header.age_ns + self.late_ns
 
 
 @dataclass(slots=True, eq=False)
@@ -64,10 +69,19 @@ class _Kept(Generic[M]):
     received: Received[M] | None = None
 
 
+@dataclass(slots=True, eq=False)
+class _Sender:
+    """State of a session in an inbox."""
+
+    sequence: int = -1  # of its newest message
+    delay: DelayEstimator = field(default_factory=DelayEstimator)
+
+
 class Inbox(Generic[M]):
     """The newest message of one topic. Never a queue: what is older than the newest is gone.
 
-    Repeated and reordered messages of a session are dropped; a restarted sender (a new session) is taken up at once.
+    Repeated and reordered messages of a session are dropped; a restarted sender (a new session) is taken up at once. What is
+    still on its way from the session before is known as such: it is no restart, and as old as it is.
     """
 
     def __init__(self, bus: "Bus", topic: Topic, kind: type[M], robot: int | None, wakes: bool) -> None:
@@ -78,17 +92,19 @@ class Inbox(Generic[M]):
         self.name = topic.key(robot)
         self._bus, self._topic, self._kind, self._wakes = bus, topic, kind, wakes
         self._kept: tuple[_Kept[M], ...] = ()  # replaced, never changed: readers need no lock
-        self._delay = DelayEstimator()
+        self._senders: dict[int, _Sender] = {}  # by session, the newest last
 
     def store(self, header: Header, payload: bytes) -> None:
         """A message has come."""
         with self._bus.arrival:
-            last = self._kept[-1].header if self._kept else None
-            if last is not None and last.session == header.session and header.sequence <= last.sequence:
+            sender = self._senders.setdefault(header.session, _Sender())
+            if header.sequence <= sender.sequence:
                 self.dropped += 1
                 return
-            arrived_ns = time.monotonic_ns()
-            late_ns = self._delay.excess_ns(header.session, header.stamp_ns + header.age_ns, arrived_ns)
+            if len(self._senders) > SESSIONS:
+                del self._senders[next(iter(self._senders))]
+            sender.sequence, arrived_ns = header.sequence, time.monotonic_ns()
+            late_ns = sender.delay.excess_ns(header.stamp_ns + header.age_ns, arrived_ns)
             self._kept = (*self._kept[1 - KEPT :], _Kept(header, payload, arrived_ns, late_ns))
             if self._wakes:
                 self._bus.arrival.notify_all()

@@ -5,33 +5,51 @@ between the sender's clock and ours there is, up to drift, one constant and the 
 than the fastest of the last while is late by the difference. What all messages take alike cannot be seen so.
 
 No length of delay is too long to be one: a process's clock is never set (WallClock), and a new process is a new session. Only
-a computer that slept falls behind; its messages count as late for one to two windows.
+a computer that slept falls behind; its messages count as late for as long as WINDOWS lasts.
+
+Clocks drift: what the fastest of several windows show of it is taken off, for a pose comes by way of three clocks and more.
 """
 
-WINDOW_NS = 10_000_000_000  # the fastest of the last one to two windows counts: clocks drift by at most 1 ms meanwhile
+from collections import deque
+
+WINDOW_NS = 2_000_000_000
+WINDOWS = 8  # the fastest of so many counts; a way that has been slower for longer is the usual one
 DRIFT = 2e-4  # of two clocks against each other: 100 ppm each, twice what a crystal may have
 
 
 class DelayEstimator:
-    """The delay estimate of the messages of one sender."""
+    """The delay estimate of the messages of one session."""
 
     def __init__(self) -> None:
-        self._session: int | None = None
-        self._least_ns = self._least_before_ns = 0  # in this window and in the one before: arrived minus sent
+        self._fastest = deque[tuple[int, int]](maxlen=WINDOWS)  # of each window: arrival, and arrived minus sent
+        self._rate = 0.0  # at which the two clocks drift apart
         self._since_ns = self._arrived_ns = 0
 
-    def excess_ns(self, session: int, sent_ns: int, arrived_ns: int) -> int:
+    def excess_ns(self, sent_ns: int, arrived_ns: int) -> int:
         """The delay of a message beyond the fastest of late. `sent_ns` is on the sender's clock, `arrived_ns` on the
         receiver's."""
         took_ns = arrived_ns - sent_ns
         silent_ns, self._arrived_ns = arrived_ns - self._arrived_ns, arrived_ns
-        beyond_ns = took_ns - min(self._least_ns, self._least_before_ns)
-        drifted = silent_ns > 2 * WINDOW_NS and abs(beyond_ns) <= DRIFT * silent_ns
-        if session != self._session or drifted:
-            self._session, self._since_ns = session, arrived_ns
-            self._least_ns = self._least_before_ns = took_ns
+        long_ago = silent_ns > WINDOWS * WINDOW_NS
+        if not self._fastest or (long_ago and abs(took_ns - self._least_ns(arrived_ns)) <= DRIFT * silent_ns):
+            self._since_ns, self._rate = arrived_ns, 0.0
+            self._fastest.clear()
+            self._fastest.append((arrived_ns, took_ns))
             return 0
         if arrived_ns - self._since_ns > WINDOW_NS:
-            self._least_before_ns, self._least_ns, self._since_ns = self._least_ns, took_ns, arrived_ns
-        self._least_ns = min(self._least_ns, took_ns)
-        return took_ns - min(self._least_ns, self._least_before_ns)
+            self._since_ns, self._rate = arrived_ns, self._drift()
+            self._fastest.append((arrived_ns, took_ns))
+        at_ns, least_ns = self._fastest[-1]
+        if took_ns <= least_ns + self._rate * (arrived_ns - at_ns):
+            self._fastest[-1] = arrived_ns, took_ns
+        return took_ns - self._least_ns(arrived_ns)
+
+    def _least_ns(self, arrived_ns: int) -> int:
+        """Arrival minus sending of the fastest of late, if it came now."""
+        return min((took_ns + round(self._rate * (arrived_ns - at_ns)) for at_ns, took_ns in self._fastest))
+
+    def _drift(self) -> float:
+        """The rate by the first and the last window, if a drift can be so fast; else what was known."""
+        (begin_ns, first_ns), (end_ns, last_ns) = self._fastest[0], self._fastest[-1]
+        rate = (last_ns - first_ns) / (end_ns - begin_ns) if end_ns > begin_ns else 0.0
+        return rate if abs(rate) <= DRIFT else self._rate

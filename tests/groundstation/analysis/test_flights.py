@@ -333,13 +333,15 @@ def test_a_driven_robot_that_holds_far_off_has_no_error_until_it_flies_again(flo
     assert not known[away].any() and known[series.time_s < 1.94].all() and known[series.time_s > 4.06].all()
 
 
-def test_a_separation_that_is_unknown_for_long_fails(flown: tuple[Experiment, RunLog, Path]) -> None:
+def test_a_separation_and_errors_that_are_unknown_for_long_fail(flown: tuple[Experiment, RunLog, Path]) -> None:
     experiment, log, _ = flown
     seen = [e for e in log.entries[topics.TRUTH.name, 0] if not 2.0 < e.stamp_ns / SECOND - START_S < 4.0]
-    found = result_of(experiment, dataclasses.replace(log, entries={**log.entries, (topics.TRUTH.name, 0): seen}))
-    separation = next(check for check in found.checks if check.name == "separation")
+    limited = experiment.model_copy(update={"limits": experiment.limits.model_copy(update={"rms_m": 0.5})})
+    found = result_of(limited, dataclasses.replace(log, entries={**log.entries, (topics.TRUTH.name, 0): seen}))
+    separation, rms = (next(check for check in found.checks if check.name == name) for name in ("separation", "rms_m"))
     assert separation.value is not None and separation.value > separation.limit and not separation.passed
     assert "known for" in separation.where
+    assert rms.value is not None and rms.value < rms.limit and not rms.passed and "known for" in rms.where
 
 
 def test_a_clock_is_not_invented_across_a_gap_of_the_log(flown: tuple[Experiment, RunLog, Path]) -> None:

@@ -317,6 +317,17 @@ def test_an_installed_program_takes_the_checkout_that_one_stands_in(tmp_path: Pa
         wheelhouse.checkout()
 
 
+def test_old_wheels_leave_the_cache(tmp_path: Path) -> None:
+    """The newest stay, and what is not of wheels."""
+    for k in range(wheelhouse.KEPT + 3):
+        (tmp_path / f"aarch64-3.11-{k}").mkdir()
+        os.utime(tmp_path / f"aarch64-3.11-{k}", (k, k))
+    (tmp_path / "notes").mkdir()
+    wheelhouse._clean(tmp_path / "aarch64-3.11-0")  # private: building wheels takes minutes; this one is new
+    left = {folder.name for folder in tmp_path.iterdir()}
+    assert left == {"notes", "aarch64-3.11-0", *(f"aarch64-3.11-{k + 4}" for k in range(wheelhouse.KEPT - 1))}
+
+
 # --- a board's manifest alone, behind a stand-in for ssh
 
 

@@ -3,6 +3,7 @@
 import csv
 import dataclasses
 import re
+import tracemalloc
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from typer.testing import CliRunner
 
 from groundstation.__main__ import cli
 from groundstation.export.tables import columns, export, rows
+from groundstation.export.tables import table as in_memory
 from groundstation.logs.recorder import Recorder
 from wire.config.experiment import dump_experiment, load_experiment
 from wire.messages import messages as m
@@ -67,6 +69,21 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
         recorder.put(topic, key, Header(0xAB, k + 1, stamp_ns), encode(message, stamp_ns), stamp_ns + 3)
     recorder.close()
     return folder
+
+
+def test_time_0_is_found_without_all_states_in_memory(tmp_path: Path) -> None:
+    """A log of hours has millions of states, of 4 kB each."""
+    count, recorder = 1500, Recorder(tmp_path / "run.mcap", "", {})
+    for k in range(count):
+        state = m.RobotState(m.Mode.TRACKING, trajectory_s=0.05 * k, eta=np.arange(4.0), pulse_us=tuple(range(1500, 1508)))
+        recorder.put(topics.STATE, f"shoal/{topics.STATE.key(1)}", Header(1, k, k * SECOND // 20), encode(state), k)
+    recorder.close()
+    tracemalloc.start()
+    try:
+        in_memory(tmp_path / "run.mcap", topics.EVENT)
+        assert tracemalloc.get_traced_memory()[1] < 2000 * count
+    finally:
+        tracemalloc.stop()
 
 
 def table(path: Path) -> list[dict[str, str]]:

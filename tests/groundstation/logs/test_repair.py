@@ -1,6 +1,5 @@
 """Logs that were cut, anywhere: what is good is kept, the rest does no harm, and a cut file is not lost in the mending."""
 
-import os
 import random
 import resource
 import struct
@@ -168,28 +167,6 @@ def test_recover_without_room_keeps_the_cut_file(tmp_path: Path) -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert path.read_bytes() == cut
     assert not list(tmp_path.glob(".*"))
-
-
-def test_a_repaired_log_is_on_the_disk_before_it_replaces_the_cut_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A power cut between the two would else leave a file without its content."""
-    path = tmp_path / "run.mcap"
-    record_poses(path, 20)
-    path.write_bytes(path.read_bytes()[:-100])
-    happened: list[str] = []
-    sync, replace = os.fsync, Path.replace
-
-    def synced(fd: int) -> None:
-        happened.append(str(os.fstat(fd).st_size))
-        sync(fd)
-
-    def replaced(old: Path, new: Path) -> Path:
-        happened.append(new.name)
-        return replace(old, new)
-
-    monkeypatch.setattr(os, "fsync", synced)
-    monkeypatch.setattr(Path, "replace", replaced)
-    assert recover(path)
-    assert happened == [str(path.stat().st_size), "run.mcap"]
 
 
 def test_links_in_a_runs_folder_are_not_followed(tmp_path: Path) -> None:

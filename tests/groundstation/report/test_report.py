@@ -6,12 +6,14 @@ import re
 from collections import Counter
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from matplotlib.figure import Figure
+from mcap.writer import Writer
 
 from groundstation.analysis.alignment import align
 from groundstation.analysis.series import Series
@@ -237,6 +239,21 @@ def test_without_any_log_the_report_says_so(tmp_path: Path) -> None:
 def test_without_log_and_experiment_it_is_an_error_with_a_name(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"experiment\.toml: no such file"):
         write_report(tmp_path)
+
+
+def test_a_log_of_another_system_is_called_that(tmp_path: Path) -> None:
+    with (tmp_path / "run.mcap").open("wb") as file:
+        writer: Any = Writer(file)  # Any: mcap is typed in part
+        writer.start()
+        for topic in ("/mavros/state", "/odom"):
+            channel = writer.register_channel(topic, "json", writer.register_schema(topic, "jsonschema", b"{}"))
+            writer.add_message(channel, 1, b"{}", 1)
+        writer.finish()
+    trouble = "Log of another system: none of its topics is recorded here (/mavros/state, /odom)."
+    with pytest.raises(ConfigError, match=rf"run\.mcap: {re.escape(trouble)}"):
+        write_report(tmp_path)
+    (tmp_path / "experiment.toml").write_text(dump_experiment(load_experiment("pool")))
+    assert write_report(tmp_path).log_trouble == trouble
 
 
 # --- the figures themselves

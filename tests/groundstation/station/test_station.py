@@ -9,21 +9,34 @@ from pathlib import Path
 
 import pytest
 
+from groundstation.formation_clock import named_alone
 from groundstation.logs.recorder import Recorder
 from groundstation.mission.gain_update import GainUpdater
 from groundstation.mission.lap_statistics import LapStatistics
 from groundstation.mission.mission import Mission
 from groundstation.mission.plan_manager import PlanRequest
+from groundstation.mission.roster import Leader
+from groundstation.mission.single_robot import RobotTask
 from groundstation.mission.state_machine import MissionState
 from groundstation.planning import planner
 from groundstation.planning.segment import PlanSegment, first_segment
 from groundstation.station import process
 from groundstation.station.station import COMMAND_KINDS, MAX_UNANSWERED, Station, workers
-from groundstation.telemetry import subscribe_fleet
+from groundstation.telemetry import RobotView, findings, subscribe_fleet
 from wire.config.experiment import Experiment, dump_experiment, load_experiment
 from wire.messages import topics
 from wire.messages.codec import Header
-from wire.messages.messages import Command, Mode, Order, Outcome, Progress, Reply, RobotState, StationHeartbeat
+from wire.messages.messages import (
+    Command,
+    Mode,
+    Order,
+    Outcome,
+    Progress,
+    Reply,
+    RobotState,
+    StationHeartbeat,
+    Trajectory,
+)
 from wire.messages.topics import WHOLE_FLEET
 from wire.process.runtime import Stop, WallClock, run_steps, wait
 from wire.transport.bus import Bus, Inbox
@@ -391,6 +404,49 @@ def test_the_paths_flown_now_are_told_with_their_end(tmp_path: Path) -> None:
         station.mission.roster.mark_lost(2, "silent")
         station.publish_paths(0)
         assert {robot: end_s for robot, (_, end_s) in (station.paths or {}).items()} == {1: 3.0}
+
+
+def test_a_trip_of_one_robot_is_published_and_then_its_path_again(tmp_path: Path) -> None:
+    hub = MemoryHub()
+    told = Bus(MemoryTransport(hub)).inboxes(topics.TRAJECTORY, Trajectory, (1, 2))
+    with a_station(tmp_path, hub) as station:
+        segment = station.mission.segment
+        alone = named_alone(segment.trajectories[2])
+        trip = RobotTask(Order.GO, 0, transfer=replace(segment, trajectories={2: alone}, end_s=4.0))
+        ids = []
+        for leader in (Leader.MISSION, Leader.PERSON, Leader.MISSION):
+            station.single.tasks[2], station.mission.roster.led_by[2] = trip, leader
+            station.publish_paths(0)
+            newest = [told[robot].newest() for robot in (1, 2)]
+            ids.append([received.message.id for received in newest if received is not None])
+            assert (station.paths or {})[2] == (
+                (alone, 4.0) if leader is Leader.PERSON else (segment.trajectories[2], segment.end_s)
+            )
+        path = [segment.trajectories[robot].id for robot in (1, 2)]
+        assert ids == [path, [path[0], alone.id], path]
+
+
+def test_a_station_that_ends_waits_for_no_plan() -> None:
+    """The reason that a plan is given to end is the only way out of this one, within the test's patience."""
+    begun, ended = threading.Event(), []
+
+    def plan(closing: threading.Event) -> None:
+        begun.set()
+        ended.append(closing.wait(PATIENCE_S))
+
+    with workers(2) as threads:
+        threads.plans.submit(plan, threads.closing)
+        assert begun.wait(PATIENCE_S)
+    assert ended == [True]
+
+
+def test_a_robot_with_other_gains_than_the_fleets_is_not_armed(tmp_path: Path) -> None:
+    with a_station(tmp_path) as station:
+        fleets = station.tuner.status().flown.id
+        for own, blocks in (("", False), (fleets, False), ("another", True)):
+            seen = RobotView(state=RobotState(tuning_id=own), state_age_s=0.0)
+            found = findings(station.experiment, 1, station.core.view(1, seen, 0))
+            assert any(finding.key == "gains" and finding.blocks_arming for finding in found) is blocks
 
 
 def test_a_stop_does_not_wait_for_the_next_cycle(tmp_path: Path) -> None:

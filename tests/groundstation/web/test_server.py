@@ -26,7 +26,7 @@ from websockets.typing import Origin
 from groundstation.deploy import key_ring
 from groundstation.planning import planner
 from groundstation.telemetry import RobotView
-from groundstation.web import connection_limits, protocol, server
+from groundstation.web import client_hub, connection_limits, protocol, server
 from groundstation.web.live_backend import PAST_EVERY_S, LiveBackend
 from groundstation.web.send_window import UNACKNOWLEDGED
 from groundstation.web.server import WebServer, bind
@@ -359,6 +359,17 @@ def test_an_unusable_certificate_is_refused_at_start(lab: ServedStation, tmp_pat
     for certificate in (tmp_path / "absent.pem", none):
         with pytest.raises(ConfigError, match=f"--web-certificate {certificate}"):
             WebServer(make_desk(lab), WebOptions(port=free_port(), certificate=certificate, key=none))
+
+
+def test_pages_that_introduce_themselves_at_once_are_no_more_than_allowed(
+    lab: ServedStation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(client_hub, "MOST_WATCHERS", 2)
+    pages = [lab.open() for _ in range(3)]  # all are there before the first has said who it is
+    for page in pages[:2]:
+        page.hello()
+    with pytest.raises(ConnectionClosed, match="2 pages are open already"):
+        pages[2].hello()
 
 
 def test_a_private_key_that_others_can_read_is_refused_at_start(lab: ServedStation, tmp_path: Path) -> None:

@@ -303,7 +303,7 @@ def test_a_full_disk_is_told_and_the_work_is_still_there(file: Path, monkeypatch
     session = masked(file)
 
     @contextmanager
-    def full(path: Path, durable: bool = False) -> Any:
+    def full(path: Path, **options: object) -> Any:
         raise OSError(errno.ENOSPC, "No space left on device", str(path))
         yield
 

@@ -29,6 +29,17 @@ def test_the_second_cameras_clock_is_carried_over_to_the_firsts(ahead_ns: int) -
         assert abs(stamps.carried("east", at_ns - at_ns // 10_000 + ahead_ns + 5 * S * (k > 6_000)) - west) <= 5 * MS
 
 
+@pytest.mark.parametrize("ahead_ns", [-20 * S, -30 * MS, 30 * MS, 5 * S])
+def test_stamps_go_on_whoever_tells_first_and_whoever_takes_over(ahead_ns: int) -> None:
+    """Nothing is seen at first, and said by our own clock; then comes a camera, and later another in its place."""
+    stamps = SessionStamps()
+    assert stamps.now_ns(S) == S
+    for k in range(200):
+        at_ns, session = 2 * S + k * 50 * MS, 7 + (k >= 100)
+        assert abs(stamps.of("", at_ns + ahead_ns * (session - 6), at_ns, session) - at_ns) <= MS
+    assert stamps.now_ns(S) == S
+
+
 def test_a_camera_whose_clock_is_set_moves_no_stamp() -> None:
     """As another computer takes over: the session goes on by the clock that it had. Pictures come late by up to 10 ms."""
     stamps, random, late_ns = SessionStamps(), np.random.default_rng(1), 10 * MS

@@ -119,10 +119,10 @@ def test_leaning_robots_in_motion_are_where_their_centres_are_under_a_rolling_sh
 
 @pytest.mark.parametrize("how", ["right", "sign", "exchanged", "askew"])
 def test_a_board_that_reports_another_lean_than_the_hull_shows_is_told(how: str) -> None:
-    """Robots swing by 6 deg. Robot 2's board has the wrong signs, exchanged axes, or is mounted 3 deg askew."""
-    experiment = load_experiment("pool", ["localizer.tilt_from_outline=true"])
-    renderer, localizer = Renderer(experiment, 1), FleetLocalizer(experiment)
-    for k in range(40):
+    """Robots swing by 6 deg. Robot 2's board has the wrong signs, exchanged axes, or is mounted 3 deg askew. Settings are as
+    shipped."""
+    renderer, localizer = Renderer(POOL, 1), FleetLocalizer(POOL)
+    for k in range(64):
         swing = np.radians(6.0) * np.array([np.sin(0.7 * k), np.cos(0.5 * k)])
         picture = renderer.render(LEANING, np.zeros((2, 4)), 0.05 * k, k, np.array([swing, swing]))
         told = {"right": swing, "sign": -swing, "exchanged": swing[::-1], "askew": swing + np.radians([3.0, 0.0])}[how]

@@ -21,7 +21,8 @@ pytestmark = pytest.mark.long
 
 PERIOD_S = 0.05
 FOCAL_PX = 1005.0
-START = (-0.4, -0.3, 1.2, 0.7)
+MIDDLE = (-0.4, -0.3, 1.2, 0.7)
+EDGE = (6.5, 7.3, 1.0, -2.3)  # of the picture at 48 pixels a metre, heading inwards
 # Seconds, surge [N] and yaw [N m]: the vehicle's limits are 6 N and 0.5 N m.
 MANOEUVRE = ((0.5, 0.0, 0.0), (2.0, 6.0, 0.0), (2.0, -6.0, 0.0), (1.3, 0.0, 0.5), (1.5, 3.0, -0.5), (1.0, 6.0, 0.2))
 HURRIED = ((0.4, 0.0, 0.0), (1.5, 6.0, 0.0), (1.2, -6.0, 0.3))
@@ -43,10 +44,10 @@ class Followed:
         return float(self.error @ np.linalg.solve(self.pose.covariance, self.error))
 
 
-def _experiment(px_per_m: float, seed: int) -> Experiment:
-    """`open-water` with one robot below the camera, which sees the surface at a scale."""
+def _experiment(px_per_m: float, seed: int, start: tuple[float, ...] = MIDDLE) -> Experiment:
+    """`open-water` with one robot, seen by a camera at a scale of the surface."""
     open_water = load_experiment("open-water", [f"seed={seed}", f"camera.position_m=[0, 0, {-FOCAL_PX / px_per_m}]"])
-    robot = open_water.robots[0].model_copy(update={"start": START, "neighbours": ()})
+    robot = open_water.robots[0].model_copy(update={"start": start, "neighbours": ()})
     return open_water.model_copy(update={"robots": (robot,)})
 
 
@@ -59,13 +60,17 @@ def _pulses_us(vehicle: Vehicle, surge_n: float, yaw_nm: float) -> Array:
 
 
 def _follow(
-    px_per_m: float, seed: int, manoeuvre: tuple[tuple[float, float, float], ...], measured: bool
+    px_per_m: float,
+    seed: int,
+    manoeuvre: tuple[tuple[float, float, float], ...],
+    measured: bool = True,
+    start: tuple[float, ...] = MIDDLE,
 ) -> Iterator[Followed]:
     """The robot, flown by its pulses alone, in each picture. Its board measures its attitude, if `measured`."""
-    experiment = _experiment(px_per_m, seed)
+    experiment = _experiment(px_per_m, seed, start)
     plant, sensors = Plant(experiment, seed), BoardSensors(experiment, 1, seed)
     renderer, locator = Renderer(experiment, seed), FleetLocalizer(experiment)
-    state, frame = plant.start(np.array([START])), 0
+    state, frame = plant.start(np.array([start])), 0
     for duration_s, surge_n, yaw_nm in manoeuvre:
         for _ in range(round(duration_s / PERIOD_S)):
             reading = sensors.read(state.eta[0], state.nu[0], np.zeros(4), state.tilt[0])
@@ -80,21 +85,24 @@ def _follow(
             state, frame = plant.step(state, _pulses_us(experiment.vehicle, surge_n, yaw_nm), steps=steps), frame + 1
 
 
-def _check(poses: list[Followed], least_seen: float) -> None:
+def _check(poses: list[Followed], least_seen: float) -> float:
+    """Check that the robot is always known, and as well as is claimed. Returns the mean NEES."""
     seen = [pose for pose in poses[1:] if pose.pose.track is Track.KCF]
     assert len(seen) >= least_seen * (len(poses) - 1)
     assert not [pose for pose in poses if pose.pose.track is Track.LOST]
     assert max(pose.nees for pose in poses) < WRONG
-    assert np.mean([pose.nees for pose in seen]) < 5.0
+    return float(np.mean([pose.nees for pose in seen]))
 
 
-@pytest.mark.parametrize(("px_per_m", "rms_m"), [(48.0, 0.006), (110.0, 0.003)])
-def test_a_robot_keeps_its_pose_through_thrust_braking_and_turns(px_per_m: float, rms_m: float) -> None:
-    poses = list(_follow(px_per_m, 1, MANOEUVRE, measured=True))
+@pytest.mark.parametrize(("px_per_m", "start", "rms_m"), [(48.0, MIDDLE, 0.006), (48.0, EDGE, 0.006), (110.0, MIDDLE, 0.003)])
+def test_a_robot_keeps_its_pose_through_thrust_braking_and_turns(
+    px_per_m: float, start: tuple[float, ...], rms_m: float
+) -> None:
+    poses = list(_follow(px_per_m, 1, MANOEUVRE, start=start))
     assert max(abs(pose.state.nu[0, 0]) for pose in poses) > 0.4
     assert max(abs(pose.state.nu[0, 3]) for pose in poses) > 1.5
     assert max(float(np.hypot(*pose.state.tilt[0, :2])) for pose in poses) > np.deg2rad(10.0)
-    _check(poses, 0.98)
+    assert _check(poses, 0.98) < 5.0
     assert np.sqrt(np.mean([pose.error[:2] ** 2 for pose in poses], axis=0)).max() < rms_m
 
 
@@ -102,7 +110,7 @@ def test_a_robot_keeps_its_pose_through_thrust_braking_and_turns(px_per_m: float
 def test_a_robot_9_or_60_pixels_across_is_followed_too(px_per_m: float) -> None:
     """At full thrust and full braking. Of 9 pixels across the heading is known to some degrees only, and the pose claims no
     more."""
-    _check(list(_follow(px_per_m, 1, HURRIED, measured=True)), 0.9)
+    assert _check(list(_follow(px_per_m, 1, HURRIED)), 0.9) < 5.0
 
 
 def test_without_a_measured_attitude_the_claim_covers_the_lean() -> None:
@@ -112,10 +120,10 @@ def test_without_a_measured_attitude_the_claim_covers_the_lean() -> None:
 
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
-@pytest.mark.parametrize("seed", range(1, 4))
 @pytest.mark.parametrize("px_per_m", [30.0, 36.0, 42.0, 48.0, 60.0, 80.0, 110.0, 150.0, 200.0])
-def test_a_robot_keeps_its_pose_at_every_scale(px_per_m: float, seed: int) -> None:
-    _check(list(_follow(px_per_m, seed, MANOEUVRE, measured=True)), 0.9)
+def test_a_robot_keeps_its_pose_at_every_scale(px_per_m: float) -> None:
+    """The board's attitude has a bias of its own on each seed, so the mean is taken over several."""
+    assert np.mean([_check(list(_follow(px_per_m, seed, MANOEUVRE)), 0.9) for seed in range(1, 5)]) < 5.0
 
 
 def test_bare_water_is_not_followed_as_the_robot_that_was_there() -> None:

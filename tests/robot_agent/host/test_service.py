@@ -4,6 +4,7 @@ import os
 import re
 import resource
 import shutil
+import signal
 import socket
 import subprocess
 import sys
@@ -130,6 +131,26 @@ def test_mode_stands_in_a_file_until_the_agent_ends(tmp_path: Path) -> None:
     lost = ServiceNotifier({"RUNTIME_DIRECTORY": str(tmp_path / "gone")})
     lost.mode("TRACKING")
     lost.stopping()
+
+
+def test_a_mode_that_cannot_be_written_leaves_no_older_one_behind(tmp_path: Path) -> None:
+    """`groundstation deploy` restarts a robot that the file calls disarmed."""
+    watchdog = ServiceNotifier({"RUNTIME_DIRECTORY": str(tmp_path)})
+    watchdog.mode("DISARMED")
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, hard))  # a full disk, but for the error's number
+    try:
+        watchdog.mode("TRACKING")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+        signal.signal(signal.SIGXFSZ, before)
+    assert not (tmp_path / "status").exists()
+
+
+def test_a_core_of_any_number_is_refused_in_words() -> None:
+    (refused,) = realtime.apply(RealtimeConfig(cores=(10**12,)))
+    assert refused.startswith("cores [1000000000000]: CPU number too large (there are")
 
 
 def test_a_real_agent_tells_systemd_when_it_is_ready_and_that_its_loop_goes_round(tmp_path: Path) -> None:

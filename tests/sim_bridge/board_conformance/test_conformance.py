@@ -31,6 +31,7 @@ POOL = load_experiment("pool")
 KEY = Key(hashlib.sha256(b"a link of tests").digest())
 STILL = np.zeros(4)
 STEP_NS = 5_000_000
+PARAM_SET = 23  # a message's number
 
 
 class SteppedWire:
@@ -90,6 +91,62 @@ def test_a_dry_run_turns_nothing_and_says_what_it_left_out() -> None:
     assert bench.worst_us == 0
     skipped = {name for name, outcome in outcomes.items() if outcome.verdict is RuleVerdict.SKIPPED}
     assert skipped == {rule.name for rule in RULES if rule.spins or rule.signed}
+
+
+class LossyWire(SteppedWire):
+    """A wire that loses the n-th PARAM_SET, for each n of `lost`."""
+
+    def __init__(self, lost: range) -> None:
+        super().__init__()
+        self._lost, self._sets = lost, 0
+
+    def send(self, data: bytes) -> None:
+        is_set = int.from_bytes(data[7:10], "little") == PARAM_SET
+        self._sets += is_set
+        if not (is_set and self._sets in self._lost):
+            super().send(data)
+
+
+@pytest.mark.parametrize("rule", ["slew", "arming-battery"])
+@pytest.mark.parametrize("lost", [range(1, 2), range(2, 3), range(3, 4)], ids=["first", "second", "third"])
+def test_a_lost_frame_leaves_no_parameter_changed(rule: str, lost: range) -> None:
+    bench = LossyWire(lost)
+    before = bench.board.rules.parameters
+    rules = [each for each in RULES if each.name in ("parameters", rule)]
+    assert failures({o.rule: o for o in examine(BoardProbe(bench, 1), False, rules)}) == set()
+    assert bench.board.rules.parameters == before
+
+
+def test_a_parameter_that_cannot_be_put_back_is_a_failure_that_names_it() -> None:
+    bench = LossyWire(range(2, 100))  # the first one changes it
+    rules = [each for each in RULES if each.name in ("parameters", "slew")]
+    *_, slew = examine(BoardProbe(bench, 1), False, rules)
+    assert slew.verdict is RuleVerdict.FAILED
+    assert slew.measured.endswith("; SLEW_US_S = 8000 has to be put back by hand")
+    assert bench.board.rules.parameters["SLEW_US_S"] == 600.0
+
+
+def test_an_examiner_that_is_ended_puts_everything_back() -> None:
+    bench = LossyWire(range(0))
+    ended: list[bool] = []
+
+    def end() -> None:
+        if bench.board.armed and not ended:
+            ended.append(True)
+            raise SystemExit(143)
+
+    class Ended(BoardProbe):
+        def pulses(self, *thrusters_off_us: float, ankle: int = IGNORED) -> bytes:
+            end()
+            return super().pulses(*thrusters_off_us, ankle=ankle)
+
+    before = bench.board.rules.parameters
+    rules = [each for each in RULES if each.name in ("parameters", "range")]
+    with pytest.raises(SystemExit):
+        list(examine(Ended(bench, 1), False, rules))
+    assert ended
+    assert not bench.board.armed
+    assert bench.board.rules.parameters == before
 
 
 # --- boards that break one rule each, and by which the run finds them

@@ -1,14 +1,17 @@
 """Comparison of control laws: variants, scattered starts, and figures equal to those of single flights."""
 
 import math
+import os
 import subprocess
 import sys
+import tomllib
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
+import tomli_w
 
 from groundstation.planning import planner
 from sim_bridge.studies.comparison import VARIANTS, FlightTask, fly, scattered
@@ -16,11 +19,19 @@ from tests.closed_loop.numeric import flown
 from tests.planted import executed, installed, plant
 from wire.config.controller_benchmark import Comparison, Variant
 from wire.config.experiment import EXPERIMENTS, Experiment, load_experiment
+from wire.process.version import code
 from wire.toml_loader import ConfigError
 
 pytestmark = pytest.mark.long
 
 SHORT = ("duration_s=22",)
+OWN = """
+class Own:
+    def __init__(self, vehicle, model, config, period_s): ...
+    def wrench(self, now): return tuple(2.0 * e + 6.0 * v + load for e, v, load in zip(now.error, now.speed_error, now.load))
+    def learn(self, now, short, period_s): ...
+    def reset(self): ...
+"""
 
 
 def task(experiment: Experiment, with_traces: bool = True) -> FlightTask:
@@ -94,12 +105,21 @@ def test_the_mpc_wants_nothing_that_is_not_allowed_and_its_flight_is_kept_to_loo
 
 
 def test_the_command_flies_in_processes_what_this_process_flies(tmp_path: Path) -> None:
-    """The same figures to the last bit, whatever the number of processes; a variant that changes nothing is left out."""
-    flights = ["--laws", "eso-mpc,mpc-without-sway,pid", "--seeds", "3-3", "--duration", "21", "--scatter", "0.2"]
+    """The same figures to the last bit, whatever the number of processes; a variant that changes nothing is left out. The
+    experiment wants a camera, which no flight here has; one law is a person's own."""
+    flights = ["--laws", "eso-mpc,mpc-without-sway,pid,ownlaw:Own", "--seeds", "3-3", "--duration", "21", "--scatter", "0.2"]
+    table = tomllib.loads((EXPERIMENTS / "numeric.toml").read_text(encoding="utf-8"))
+    del table["camera"], table["localizer"]["uses_camera"]
+    (tmp_path / "lab.toml").write_text(tomli_w.dumps(table), encoding="utf-8")
+    with pytest.raises(ConfigError, match="camera: missing"):
+        load_experiment(str(tmp_path / "lab.toml"))
+    (tmp_path / "own").mkdir()
+    (tmp_path / "own" / "ownlaw.py").write_text(OWN, encoding="utf-8")
     planted = plant(tmp_path / "planted")  # no process of it imports from the folder it works in
     result = subprocess.run(
-        [installed("sim-bridge"), "compare", "numeric", *flights, "--jobs", "2", "--out", str(tmp_path)],
+        [installed("sim-bridge"), "compare", str(tmp_path / "lab.toml"), *flights, "--jobs", "2", "--out", str(tmp_path)],
         cwd=planted,
+        env={**os.environ, "PYTHONPATH": str(tmp_path / "own")},
         capture_output=True,
         text=True,
         check=False,
@@ -108,7 +128,9 @@ def test_the_command_flies_in_processes_what_this_process_flies(tmp_path: Path) 
     assert not executed(planted)
     assert "mpc-without-sway is the same as eso-mpc here" in result.stdout and "pid" in result.stdout
     found = Comparison.from_json((tmp_path / "comparison.json").read_text(encoding="utf-8"))
-    assert [v.name for v in found.variants] == ["eso-mpc", "pid"] and (tmp_path / "comparison.html").is_file()
+    assert [v.name for v in found.variants] == ["eso-mpc", "pid", "ownlaw:Own"]
+    assert found.variants[2].settings == ["controller.law=ownlaw:Own"] and (tmp_path / "comparison.html").is_file()
+    assert found.commit == code().commit
     here = task(load_experiment("numeric", ["duration_s=21.0", "controller.law=pid"]))
     assert [fly(replace(here, starts=scattered(here.starts, 0.2, 3, 0.6), seed=3))] == found.variants[1].flights
 

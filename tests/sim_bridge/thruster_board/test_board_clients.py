@@ -349,6 +349,16 @@ def test_client_that_hears_no_board_is_told_the_reason(
     assert (client.heard, client.silence("the link's trouble")) == (not says, says)
 
 
+def test_a_value_that_is_answered_without_its_place_in_the_list_counts() -> None:
+    """As ArduPilot's firmware answers a name. Of a list it is no part."""
+    client, board = ParameterClient(1), Sender((1, 1))
+    client.receive(board.pack(dialect.MAVLink_param_value_message(b"SLEW_US_S", 500.0, 9, 40, 65535)), 0)
+    assert (client.values, client.told, client.complete) == ({"SLEW_US_S": 500.0}, 1, False)
+    client.receive(board.pack(dialect.MAVLink_param_value_message(b"SLEW_US_S", 600.0, 9, 1, 0)), 0)
+    client.receive(board.pack(dialect.MAVLink_param_value_message(b"SLEW_US_S", 700.0, 9, 40, 65535)), 0)
+    assert (client.values, client.complete) == ({"SLEW_US_S": 700.0}, True)
+
+
 def test_a_board_whose_memory_is_gone_says_so(tmp_path: Path) -> None:
     folder = tmp_path / "boards"
     board = boards_in(folder)(POOL, 1, 1)

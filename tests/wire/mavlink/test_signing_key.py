@@ -1,5 +1,7 @@
 """Key files that only their owner can read, and times of signatures that never come back."""
 
+import os
+import stat
 from functools import partial
 from pathlib import Path
 
@@ -64,11 +66,28 @@ def test_the_file_is_renewed_long_before_it_is_used_up(tmp_path: Path) -> None:
     assert TICK_NS * AHEAD_TICKS == 60_000_000_000
 
 
-@pytest.mark.parametrize("content", ["", "soon", "1.5"])
+@pytest.mark.parametrize("content", ["", "soon", "1.5", "\0" * 16, "-1", "9" * 20])
 def test_times_that_cannot_be_read_are_explained(tmp_path: Path, content: str) -> None:
     (tmp_path / "stamps").write_text(content)
-    with pytest.raises(ConfigError, match="cannot be kept"):
+    with pytest.raises(ConfigError, match=r"cannot be kept.*loss of power.*remove the file"):
         TimestampStore(tmp_path / "stamps")
+
+
+def test_the_first_times_are_on_the_disk_before_a_frame_is_signed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A file that is new, and renamed before its bytes are on the disk, is empty after a loss of power: the robot would not
+    start again. Later ones are written from the control loop, which does not wait."""
+    synced, fsync = [], os.fsync
+
+    def noted(descriptor: int) -> None:
+        fsync(descriptor)
+        if stat.S_ISREG(os.fstat(descriptor).st_mode):  # the folder follows
+            synced.append(os.fstat(descriptor).st_size)
+
+    monkeypatch.setattr(os, "fsync", noted)
+    stamps = TimestampStore(tmp_path / "stamps", lambda: EPOCH_NS + TICK_NS)
+    assert synced == [len((tmp_path / "stamps").read_text())]
+    stamps.renew(2 * AHEAD_TICKS)
+    assert len(synced) == 1
 
 
 def test_times_that_cannot_be_written_are_explained(tmp_path: Path) -> None:

@@ -60,25 +60,6 @@ def test_rights_of_a_file_stay_as_they_were(tmp_path: Path) -> None:
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
 
 
-def test_durable_is_on_the_disk_before_it_takes_the_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    happened: list[str] = []
-    sync, replace = os.fsync, Path.replace
-
-    def synced(fd: int) -> None:
-        happened.append(f"{os.fstat(fd).st_size} on the disk")
-        sync(fd)
-
-    def replaced(old: Path, new: Path) -> Path:
-        happened.append(f"now {new.name}")
-        return replace(old, new)
-
-    monkeypatch.setattr(os, "fsync", synced)
-    monkeypatch.setattr(Path, "replace", replaced)
-    with replacing(tmp_path / "file", durable=True) as file:
-        file.write(b"12345")
-    assert happened == ["5 on the disk", "now file"]
-
-
 def test_a_pipe_is_written_to(tmp_path: Path) -> None:
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)

@@ -55,16 +55,43 @@ def test_in_lockstep_an_age_is_the_difference_of_stamps() -> None:
     [
         (["SIGHUP", "SIGHUP"], "", 0),
         (["SIGTERM", "SIGHUP"], "", 0),
-        (["SIGHUP", "SIGTERM"], "", 128 + signal.SIGTERM),
+        (["SIGHUP", "SIGTERM", "SIGHUP"], "", 0),
+        (["SIGHUP", "SIGTERM", "SIGTERM"], "", 128 + signal.SIGTERM),
         (["SIGHUP"], "signal.signal(signal.SIGHUP, signal.SIG_IGN)", 3),
     ],
-    ids=["hung up twice", "and then hung up", "and then told", "nohup"],
+    ids=["hung up twice", "and then hung up", "logged out", "and told twice", "nohup"],
 )
 def test_a_hang_up_is_a_request_to_stop(signals: list[str], before: str, code: int) -> None:
     sent = "".join(f"; os.kill(os.getpid(), signal.{name})" for name in signals)
     script = f"import os, signal, sys; {before}\nfrom wire.process.runtime import Stop\nstop = Stop(){sent}\n"
     done = subprocess.run([sys.executable, "-c", f"{script}sys.exit(0 if stop() else 3)"], check=False)
     assert done.returncode == code
+
+
+@pytest.mark.parametrize("ends", ["stop.request()", "stop.fail('the disk has gone')"])
+@pytest.mark.parametrize(("name", "count", "code"), [("SIGINT", 1, 5), ("SIGTERM", 1, 5), ("SIGTERM", 2, 143)])
+def test_the_first_signal_does_not_cut_short_a_process_that_ends_by_itself(
+    ends: str, name: str, count: int, code: int
+) -> None:
+    """It writes its files to their end, and tells why it ends."""
+    told = f"os.kill(os.getpid(), signal.{name}); " * count
+    script = f"import os, signal, sys\nfrom wire.process.runtime import Stop\nstop = Stop(); {ends}; {told}sys.exit(5)"
+    assert subprocess.run([sys.executable, "-c", script], check=False, capture_output=True).returncode == code
+
+
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
+def test_a_signal_goes_through_what_must_be_done_at_the_end(name: str) -> None:
+    script = f"""import os, signal
+from wire.process.runtime import signals_raise
+with signals_raise():
+    try:
+        os.kill(os.getpid(), signal.{name})
+    finally:
+        os.kill(os.getpid(), signal.SIGHUP)
+        print("disarmed")
+"""
+    done = subprocess.run([sys.executable, "-c", script], check=False, capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (128 + getattr(signal, name), "disarmed\n")
 
 
 def test_waiting_ends_on_arrival_on_time_and_on_stop() -> None:

@@ -6,7 +6,17 @@ from collections.abc import Iterator
 import pytest
 
 from wire.security import admission
-from wire.security.admission import KNOWN, NEW, Admission, NotTls, Refusals, asks_for_another_hello, hello_is_whole, origin_of
+from wire.security.admission import (
+    KNOWN,
+    NEW,
+    Admission,
+    NotTls,
+    RefusalReason,
+    Refusals,
+    asks_for_another_hello,
+    hello_is_whole,
+    origin_of,
+)
 
 
 def client_hello(name: str = "station.pool") -> bytes:
@@ -261,23 +271,38 @@ def test_origins_are_forgotten_in_the_end(monkeypatch: pytest.MonkeyPatch) -> No
     assert len(door.admission._origins) <= 11
 
 
+UNPROVEN = RefusalReason.NO_CERTIFICATE
+
+
 def test_an_origin_is_named_once_in_a_while_with_its_count() -> None:
     refusals = Refusals()
     for _ in range(3):
-        refusals.note("10.0.0.1")
+        refusals.note("10.0.0.1", UNPROVEN)
     assert refusals.told(0.0) == ["refused a connection from 10.0.0.1 without a valid certificate (3 of them since last told)"]
-    refusals.note("10.0.0.1")
-    refusals.note("10.0.0.2")
+    refusals.note("10.0.0.1", UNPROVEN)
+    refusals.note("10.0.0.2", UNPROVEN)
     assert refusals.told(0.1) == ["refused a connection from 10.0.0.2 without a valid certificate"]
     assert refusals.told(refusals.next_s() - 0.1) == []
     assert refusals.told(refusals.next_s()) == ["refused a connection from 10.0.0.1 without a valid certificate"]
     assert refusals.next_s() == float("inf")
 
 
+def test_each_reason_of_an_origin_is_told() -> None:
+    """Four of five connections of a member wait for a fifth, which a stranger at the same address has."""
+    refusals = Refusals()
+    for reason in (UNPROVEN, *[RefusalReason.CROWDED] * 4, RefusalReason.NO_TLS):
+        refusals.note("10.0.0.1", reason)
+    assert refusals.told(0.0) == [
+        "refused a connection from 10.0.0.1 without a valid certificate",
+        "refused a connection from 10.0.0.1 because too many wait, or are open (4 of them since last told)",
+        "refused a connection from 10.0.0.1 that does not begin as TLS does",
+    ]
+
+
 def test_of_many_origins_a_few_are_named() -> None:
     refusals = Refusals()
     for host in range(100):
-        refusals.note(f"10.0.0.{host}")
+        refusals.note(f"10.0.0.{host}", UNPROVEN)
     assert len(refusals.told(0.0)) == admission.MOST_NAMED
     assert refusals.told(1.0) == []
 

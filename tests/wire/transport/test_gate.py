@@ -126,7 +126,7 @@ def test_a_rejected_stranger_is_logged_in_one_line(
             assert stranger.recv(1) == b""
     assert eventually(lambda: "127.0.0.3" in caplog.text)
     told = [record.getMessage() for record in caplog.records if "127.0.0.3" in record.getMessage()]
-    assert len(told) == 1 and told[0].startswith("refused a connection from 127.0.0.3 without a valid certificate")
+    assert len(told) == 1 and told[0].startswith("refused a connection from 127.0.0.3 that does not begin as TLS does")
     assert "DEBUG" not in (out := "".join(capfd.readouterr())) and "Hint" not in out
 
 
@@ -379,7 +379,7 @@ def test_a_member_that_is_killed_is_no_stranger(passage: Passage) -> None:
         stranger.sendall(b"hello")
         assert stranger.recv(1) == b""
     assert eventually(lambda: bool(passage.told))
-    assert passage.told == ["refused a connection from 127.0.0.1 without a valid certificate"]  # the stranger alone
+    assert passage.told == ["refused a connection from 127.0.0.1 that does not begin as TLS does"]  # the stranger alone
 
 
 def test_a_request_for_another_hello_ends_a_connection(passage: Passage) -> None:
@@ -410,7 +410,7 @@ def test_a_stranger_gone_before_its_turn_is_skipped(passage: Passage) -> None:
             assert stranger.recv(1) == b""
     client, server = passage.pair(HELLO)
     with client, server:
-        assert passage.told == ["refused a connection from 127.0.0.1 without a valid certificate"]
+        assert passage.told == ["refused a connection from 127.0.0.1 that does not begin as TLS does"]
 
 
 def reset(one: socket.socket) -> None:
@@ -470,6 +470,8 @@ def test_the_oldest_silent_connection_of_an_address_goes_for_one_too_many(passag
             for _ in range(admission.MOST_WAITING_EACH + 1)
         ]
         assert ended(silent[0], admission.HELLO_S / 2)
+        crowded = "refused a connection from 127.0.0.1 because too many wait, or are open"
+        assert eventually(lambda: passage.told == [crowded], admission.HELLO_S / 2)
 
 
 def test_a_connection_that_waits_for_its_turn_keeps_what_it_has_said_since(passage: Passage) -> None:

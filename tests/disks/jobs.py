@@ -1,0 +1,47 @@
+"""Files of pages and boards, and recordings of frames, as commands, without the page, the board or the camera around them."""
+
+from pathlib import Path
+
+import numpy as np
+
+from groundstation.web import experiment_editor
+from groundstation.web.protocol import Edit
+from localizer.setup.experiment_file import ExperimentFile
+from localizer.sources.recording import FrameRecorder, RecordedFrame
+from sim_bridge.thruster_board.board import NonvolatileState
+from sim_bridge.thruster_board.nonvolatile import _write  # a board calls it when it is told to keep its parameters
+from wire.config.experiment import load_experiment
+from wire.mavlink.signing import Key
+from wire.process.runtime import Failed
+from wire.toml_loader import ConfigError
+
+FRAMES, SIZE_PX = 12, (160, 120)
+
+
+def setup() -> None:
+    """Save what a setup of lab.toml's camera has found."""
+    print(ExperimentFile(Path("lab.toml"), None).save({"focal_px": [401.0, 402.0]}))
+
+
+def edit() -> None:
+    """Save an edit of the page as experiments/mine.toml."""
+    saved = experiment_editor.save(load_experiment("pool"), Edit(duration_s=12.0), "mine")
+    if not saved["ok"]:
+        raise ConfigError("\n".join(saved["problems"]))
+
+
+def board() -> None:
+    """Keep a board's parameters and its new key."""
+    state = NonvolatileState({"LIMIT": 2.0}, 30, 40, Key(bytes(range(32))))
+    _write(Path("robot-1.json"), Path("robot-1.key"), state)
+
+
+def record_frames() -> None:
+    """Record frames as `localizer run --record` does. Frame k is grey k."""
+    experiment = load_experiment("pool", [f"camera.size_px={list(SIZE_PX)}", "recording.stop_video_below_gb=0"])
+    recorder = FrameRecorder(Path("recording"), experiment, lockstep=True)
+    for k in range(FRAMES):
+        recorder.put(RecordedFrame(np.full(SIZE_PX[::-1], k, np.uint8), 50_000_000 * k, 50_000_000 * k))
+    recorder.close()
+    if recorder.failure:
+        raise Failed(recorder.failure)

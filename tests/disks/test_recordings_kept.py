@@ -1,0 +1,244 @@
+"""Logs, recordings, tables and campaigns that grow while the disk fails or their command is killed: what was written until
+then can be read, the original of a mended log is kept, and what takes long is gone on with."""
+
+import csv
+import json
+import os
+import random
+import re
+import shutil
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from mcap.records import Message
+from mcap.stream_reader import StreamReader
+
+from localizer.detection.image_regions import BAYER_TO_BGR
+from localizer.sources.recording import recorded_frames
+from tests.disks import jobs
+from tests.disks.forked import EndedCommand, Programs
+from tests.groundstation.small_log import sequences
+from tests.localizer.scene import Scene
+from wire.config.experiment import dump_experiment, load_experiment
+from wire.messages import topics
+from wire.messages.messages import Pose, Track
+from wire.messages.pipe import PipeWriter
+
+pytestmark = pytest.mark.long
+
+SEED = int(os.environ.get("DISKS_SEED", "0")) or time.time_ns() % 1_000_000  # printed; the variable repeats a run
+ROBOTS, SAID_S, SAY_EVERY_S = 8, 1.3, 0.05  # of a run that is handed over: two flushes of the recorder and its end
+
+
+@pytest.fixture(scope="module")
+def programs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Programs]:
+    with Programs(tmp_path_factory.mktemp("disk")) as running:
+        yield running
+
+
+@pytest.fixture
+def chance(request: pytest.FixtureRequest) -> random.Random:
+    print(f"DISKS_SEED={SEED}")
+    return random.Random(f"{SEED} {request.node.name}")
+
+
+def whole_messages(path: Path) -> list[Message]:
+    """The messages of a log up to where another reader finds it cut."""
+    found = list[Message]()
+    with path.open("rb") as file, suppress(Exception):  # whatever the end of the file looks like
+        found.extend(record for record in StreamReader(file, validate_crcs=True).records if isinstance(record, Message))
+    return found
+
+
+# --- a run's log
+
+
+def record(programs: Programs, folder: Path, fault: str, call: int) -> EndedCommand:
+    """Have the station's recorder write a run that another program hands over little by little."""
+    folder.mkdir()
+    (folder / "experiment.toml").write_text(dump_experiment(load_experiment("pool")))
+    pipe = folder.with_name(f"{folder.name}.pipe")
+    os.mkfifo(pipe)
+
+    def say() -> None:
+        try:
+            with pipe.open("wb", buffering=0) as stream:
+                writer = PipeWriter(stream, session=5)
+                for k in range(round(SAID_S / SAY_EVERY_S)):
+                    pose = Pose(0.1 * k, 0.0, 0.0, np.eye(3), Track.MARKER, True, 0.9, 0.3)
+                    for robot in range(1, ROBOTS + 1):
+                        writer.publish(topics.POSE, pose, 50_000_000 * k, robot)
+                    time.sleep(SAY_EVERY_S)
+        except BrokenPipeError:
+            return
+
+    speaker = threading.Thread(target=say)
+    speaker.start()
+    ended = programs.run(["groundstation", "log", "record", "."], folder, fault, call, str(pipe))
+    speaker.join()
+    return ended
+
+
+def check_log(programs: Programs, folder: Path, fault: str, call: int) -> None:
+    ended = record(programs, folder, fault, call)
+    log, case = folder / "run.mcap", f"{fault} at call {call}"
+    if fault == "kill":
+        assert ended.code == -9, f"{case}: {ended}"
+    else:
+        assert ended.code in (1, 2) and "run.mcap" in ended.last_line and "Traceback" not in ended.said, f"{case}: {ended}"
+    if not log.exists():
+        assert record(programs, folder.with_suffix(".again"), "count", 1).code == 0
+        return
+    before, whole = log.read_bytes(), [message.sequence for message in whole_messages(log)]
+    mended = programs.run(["groundstation", "log", "repair", "run.mcap"], folder)
+    if not before:
+        assert mended.code == 2 and log.read_bytes() == before, f"{case}: {mended}"
+        return
+    assert mended.code == 0, f"{case}: {mended}"
+    assert sequences(log) == whole == [1 + k // ROBOTS for k in range(len(whole))], case
+    if "mended" in mended.said:
+        assert (folder / "run.mcap.original").read_bytes() == before, f"{case}: the original is lost"
+
+
+@pytest.mark.parametrize("fault", ["kill", "kill", "full", "gone"])
+def test_a_log_of_a_recorder_that_failed_can_be_mended(
+    fault: str, programs: Programs, tmp_path: Path, chance: random.Random
+) -> None:
+    check_log(programs, tmp_path / "run", fault, chance.randint(1, 9))
+
+
+@pytest.mark.slow
+def test_a_log_of_a_recorder_that_failed_can_be_mended_whatever_call_fails(programs: Programs, tmp_path: Path) -> None:
+    calls = record(programs, tmp_path / "whole", "count", 1).calls
+    assert calls >= 8
+    for fault in ("kill", "full", "gone", "read-only"):
+        for call in range(1, calls - 1):  # a pace that is a flush quicker has fewer
+            check_log(programs, tmp_path / f"{fault}-{call}", fault, call)
+
+
+# --- a recording of frames
+
+
+def check_frames(programs: Programs, folder: Path, fault: str, call: int) -> None:
+    folder.mkdir()
+    ended, case = programs.run(["tests.disks.jobs:record_frames"], folder, fault, call), f"{fault} at call {call}"
+    file = folder / "recording" / "frames.mcap"
+    whole = (
+        sum(len(message.data) > jobs.SIZE_PX[0] * jobs.SIZE_PX[1] for message in whole_messages(file)) if file.exists() else 0
+    )
+    if whole:
+        assert [int(frame.pixels[0, 0]) for frame in recorded_frames(file.parent)] == list(range(whole)), case
+        assert load_experiment(str(file.parent / "experiment.toml")).name == "pool"
+    if fault == "kill":
+        assert ended.code == -9, f"{case}: {ended}"
+    else:
+        assert ended.code in (1, 2) and "recording" in ended.last_line and "Traceback" not in ended.said, f"{case}: {ended}"
+        if said := re.search(r"ends after (\d+) frames", ended.last_line):
+            assert int(said[1]) <= whole <= int(said[1]) + 1, f"{case}: {whole}: {ended}"  # the last one may have no index
+    shutil.rmtree(folder)
+
+
+def test_frames_until_the_kill_can_be_read(programs: Programs, tmp_path: Path, chance: random.Random) -> None:
+    (tmp_path / "whole").mkdir()
+    calls = programs.run(["tests.disks.jobs:record_frames"], tmp_path / "whole").calls
+    assert calls > jobs.FRAMES
+    for k, fault in enumerate(("kill", "kill", "kill", "full", "full", "gone", "read-only")):
+        check_frames(programs, tmp_path / str(k), fault, chance.randint(1, calls))
+
+
+@pytest.mark.slow
+def test_frames_can_be_read_whatever_call_fails(programs: Programs, tmp_path: Path) -> None:
+    (tmp_path / "whole").mkdir()
+    for call in range(1, programs.run(["tests.disks.jobs:record_frames"], tmp_path / "whole").calls + 1):
+        for fault in ("kill", "full", "gone", "read-only"):
+            check_frames(programs, tmp_path / f"{fault}-{call}", fault, call)
+
+
+# --- a table of poses
+
+
+@pytest.fixture(scope="module")
+def video(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    experiment, path = load_experiment("pool"), tmp_path_factory.mktemp("track") / "pool.avi"
+    scene = Scene(experiment)
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"HFYU"), 20.0, experiment.camera.size_px)
+    for k in range(8):
+        writer.write(cv2.cvtColor(scene.frame({1: np.array([0.4 + 0.01 * k, 0.1, 0.3, 0.7])}), BAYER_TO_BGR))
+    writer.release()
+    return path
+
+
+def frames_of(table: Path) -> list[int]:
+    """The frames of a table's whole rows."""
+    lines = table.read_text().splitlines(keepends=True) if table.exists() else []
+    return [int(row["frame"]) for row in csv.DictReader(line for line in lines if line.endswith("\n"))]
+
+
+def check_table(programs: Programs, video: Path, folder: Path, call: int, resumed: int) -> None:
+    """Kill `localizer track` at a call, and what goes on with it at another one."""
+    folder.mkdir()
+    command = ["localizer", "track", str(video), "--experiment", "pool", "--out", "poses.csv"]
+    assert programs.run(command, folder, "kill", call).code == -9
+    known = {frame for part in folder.glob("*.part") for frame in frames_of(part)}
+    ended = programs.run([*command, "--resume"], folder, "kill", resumed)
+    if ended.code == -9:
+        parts = [*folder.glob("*.part"), *folder.glob("poses.csv")]
+        kept = {frame for part in parts for frame in frames_of(part)}
+        assert len(kept) >= len(known) - 1, f"kill at call {call}, then {resumed}: {sorted(kept)} of {sorted(known)} are left"
+        if not (folder / "poses.csv").exists():
+            ended = programs.run([*command, "--resume"], folder)
+    assert ended.code in (0, -9), f"kill at call {call}, then {resumed}: {ended}"
+    assert frames_of(folder / "poses.csv") == list(range(1, 8)), f"kill at call {call}, then {resumed}"
+
+
+def test_rows_of_a_table_outlive_two_kills(programs: Programs, video: Path, tmp_path: Path, chance: random.Random) -> None:
+    check_table(programs, video, tmp_path / "late", 9, chance.randint(1, 3))
+
+
+@pytest.mark.slow
+def test_rows_of_a_table_outlive_kills_at_any_call(
+    programs: Programs, video: Path, tmp_path: Path, chance: random.Random
+) -> None:
+    for call in range(1, 11):
+        check_table(programs, video, tmp_path / str(call), call, chance.randint(1, 5))
+
+
+# --- a campaign
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fault", ["kill", "full", "gone", "read-only"])
+def test_a_campaign_goes_on_with_what_was_flown(fault: str, programs: Programs, tmp_path: Path, chance: random.Random) -> None:
+    """A flight whose row is in the journal is not flown again, and the results have every flight once."""
+    campaign = 'name = "short"\nexperiment = "numeric"\nseeds = 3\nsettings = ["duration_s=1"]\n'
+    command = ["sim-bridge", "campaign", "c.toml", "--out", "out", "--workers", "1"]
+
+    def fly(folder: Path, *more: str, fault: str = "count", call: int = 1) -> EndedCommand:
+        folder.mkdir(exist_ok=True)
+        (folder / "c.toml").write_text(campaign)
+        return programs.run([*command, *more], folder, fault, call)
+
+    whole = fly(tmp_path / "whole")
+    assert whole.code == 0, whole.said
+    calls = whole.calls
+    for k in range(6):
+        call, folder = chance.randint(1, calls), tmp_path / str(k)
+        ended, case = fly(folder, fault=fault, call=call), f"{fault} at call {call} of {calls}"
+        assert "Traceback" not in ended.said, f"{case}: {ended.said}"
+        assert ended.code == -9 if fault == "kill" else ended.code != 0 or ended.calls < call, f"{case}: {ended}"
+        journal = folder / "out" / "journal.jsonl"
+        lines = journal.read_text().splitlines(keepends=True) if journal.exists() else []
+        flown = [line for line in lines if line.endswith("\n")]
+        again = fly(folder, "--resume")
+        assert again.code == 0, f"{case}: {again.said}"
+        assert set(flown) <= set(journal.read_text().splitlines(keepends=True)), f"{case}: a row of the journal is lost"
+        assert len([line for line in journal.read_text().splitlines() if line.endswith("}")]) == 3, f"{case}: flown twice"
+        assert sorted(pq.read_table(folder / "out" / "results.parquet")["seed"].to_pylist()) == [1, 2, 3], case
+        assert all(json.loads(line)["status"] == "flown" for line in flown), case
