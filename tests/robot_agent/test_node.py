@@ -24,6 +24,7 @@ from wire.messages.codec import FARTHEST_NS, LATEST_NS, Header, encode
 from wire.messages.live_gains import tuning
 from wire.messages.messages import (
     Command,
+    Message,
     Mode,
     Obstacles,
     Order,
@@ -217,7 +218,7 @@ def test_wild_times_of_another_process_end_no_robot(latest_ns: int) -> None:
     hub, link = MemoryHub(), open_link(f"udp:127.0.0.1:{free_port(SOCK_DGRAM)}")
     bus, other = Bus(MemoryTransport(hub)), MemoryTransport(hub)
     robot, nodes = node.AgentNode(POOL, 1, bus, link, False, Stop(install=False)), np.zeros((51, 4))
-    sent = {
+    sent: dict[str, Message] = {
         topics.PLAN.key(2): Plan(0.05, nodes, nodes),
         topics.POSE.key(1): Pose(0.0, 0.0, 0.0, np.eye(3), Track.MARKER),
         topics.HEARTBEAT.key(): StationHeartbeat(),
