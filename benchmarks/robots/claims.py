@@ -56,5 +56,5 @@ def nees(claim: ObserverClaim, truth: TrueState, i: int) -> dict[str, float]:
         if set(names) <= set(claim.names):
             rows = [claim.names.index(name) for name in names]
             spread = claim.covariance[np.ix_(rows, rows)]
-            found[group] = float(error[rows] @ np.linalg.pinv(spread, hermitian=True) @ error[rows]) / len(rows)
+            found[group] = float(error[rows] @ np.linalg.solve(spread, error[rows])) / len(rows)
     return found
