@@ -97,8 +97,8 @@ CELLS: dict[str, GridCell] = {
     "gusts": GridCell("gusts of 3 cm/s, 8 s", settings=("sim.plant.gust_mps=0.03", "sim.plant.gust_s=8.0")),
     "waves": GridCell("waves of 5 cm, 2 s", settings=("sim.plant.waves.height_m=0.05", "sim.plant.waves.period_s=2.0")),
     "disturbed": GridCell(
-        "sinusoidal force of a quarter of the thrust, 0.02 Hz",
-        settings=("sim.plant.disturbance_wrench=[1.5,0.5,0.05]", "sim.plant.disturbance_hz=0.02"),
+        "sinusoidal force of a quarter of the thrust, 0.02 Hz, no moment: that would look like a broken thruster",
+        settings=("sim.plant.disturbance_wrench=[1.5,0.5,0.0]", "sim.plant.disturbance_hz=0.02"),
     ),
     "noise-10": GridCell("ten times the pose noise", noise=10.0),
     "gaps": GridCell(
