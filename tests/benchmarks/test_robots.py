@@ -179,7 +179,7 @@ def test_a_run_comes_back_from_its_file_and_stands_beside_another() -> None:
     better = replace(run, law="another", flights=(replace(flights[0], hold_m=0.011), *flights[1:]))
     page = report.markdown(better, run)
     assert "30 (30) → 11 (11)" in page and "| 30 mm; 1 of 1 beyond 20 mm | 11 mm; 0 of 1 beyond 20 mm |" in page
-    assert "`python -m benchmarks robots --cells swept --flight 0 --set a.b=1 --hold-s 60`" in page
+    assert "`python -m benchmarks robots --cells ordinary --flight 1 --set a.b=1 --hold-s 60`" in page
     assert "* swept: 1 x FAULT: off its path" in page
 
 
