@@ -64,8 +64,8 @@ KINDS = (  # of water: intensity m^2/s^3, share of its changes by place, and of 
     (1e-5, 0.0, 1.0),  # with time, 1 cm/s,
     (6e-5, 0.0, 1.0),  # 2.5 cm/s,
     (4e-4, 0.0, 1.0),  # and 6 cm/s within 10 s: gusts, waves
-    (6e-5, 1.0, 1.0),  # from place to place
-    (4e-4, 1.0, 1.0),
+    (3e-5, 1.0, 1.0),  # from place to place
+    (1.2e-4, 1.0, 1.0),
     (1e-7, 0.5, 1000.0),  # forces 30 times as large: a cable, a thruster that is not what it was
 )
 KIND_LASTS_S = 1000.0  # the water changes its kind a few times in an hour. Ten times that makes a change 2 s later known
@@ -75,7 +75,7 @@ SPREAD = 0.06  # standard deviation of a thruster's thrust from its curve: maker
 BEST_M, BEST_RAD = 1e-4, 3e-4  # no camera's pose is better
 WORST_M, WORST_RAD = 0.05, 0.3  # one that is worse has not passed the localizer's gate
 GYRO_RADPS, BIAS_RADPS = 0.003, 0.002  # noise and bias of a MEMS gyroscope's sample
-RATIOS = (0.2, 0.3, 0.3)  # standard deviations of drag, thrust and moment per mass at first, relative to the vehicle file's
+RATIOS = (0.15, 0.3, 0.3)  # standard deviations of drag, thrust and moment per mass at first, relative to the vehicle file's
 MOST_LOG = 1.0  # of drag, thrust, moment per mass: e times the vehicle file's
 AT_REST_MPS, AT_REST_RADPS = 0.03, 0.1  # over ground, when the estimate begins
 HAND_S = 0.1  # for so long a hand that holds a robot pushes one way, with up to the thrusters' force
@@ -480,7 +480,7 @@ class KalmanEstimator(Estimator):
         p[FORCE_U, FORCE_U], p[FORCE_R, FORCE_R] = noise.idle_mps2**2, noise.idle_radps2**2
         p[FORCE_V, FORCE_V] = sway * noise.rounding_mps2**2
         bank.covariance[:], bank.mean[:], bank.mixed[:] = p, 0.0, p
-        bank.weight[:] = 1.0 / len(bank.weight)
+        bank.weight[0], bank.weight[1:] = 0.5, 0.5 / (len(bank.weight) - 1)  # as likely at rest as not
         self._track[:] = 0.0, cos, sin, 0.0
 
 

@@ -22,7 +22,7 @@ pytestmark = pytest.mark.long
 
 STEP_NS, LATE_NS = 50_000_000, 40_000_000
 SETTLED_S = 8.0
-ALONE = ("robots=[{id=1}]", "pool.walls=false", "localizer.uses_camera=false")
+ALONE = ("robots=[{id=1,node_m=[0.0,0.0,0.0]}]", "pool.walls=false", "localizer.uses_camera=false")
 
 
 def asked(t: float) -> Array:
