@@ -68,7 +68,9 @@ KINDS = (  # of water: intensity m^2/s^3, share of its changes by place, and of 
     (1.2e-4, 1.0, 1.0),
     (1e-7, 0.5, 1000.0),  # forces 30 times as large: a cable, a thruster that is not what it was
 )
-KIND_LASTS_S = 1000.0  # the water changes its kind a few times in an hour. Ten times that makes a change 2 s later known
+KIND_LASTS_S = (
+    1000.0  # the water changes its kind a few times in an hour. With 60 s covariances of still water are twice as large
+)
 FACING_S, FACING = 20.0, 0.5  # mean direction of so long, 1 on a straight path: shorter, drag can be told from a current
 CALM = 0.5  # and only if so much of the weight says that water and forces are at rest
 SPREAD = 0.06  # standard deviation of a thruster's thrust from its curve: makers say within 10 %
@@ -106,7 +108,7 @@ class Commands(NamedTuple):
 
     acts_ns: Ints
     wrenches: Table
-    count: int
+    sent: int  # so many of them
 
 
 class Samples(NamedTuple):
@@ -114,7 +116,7 @@ class Samples(NamedTuple):
 
     sensed_ns: Ints
     sensed: Table
-    count: int
+    taken: int  # so many of them
 
 
 class Sighting(NamedTuple):
@@ -255,21 +257,13 @@ def follow(bank: Bank, belief: Belief, sighting: Sighting, step_s: float) -> Non
 
 
 @kernel(part=True)
-def tell(
-    plant: Plant,
-    belief: Belief,
-    here: State11,
-    gamma: tuple[float, float, float, float],
-    water: tuple[float, float],
-) -> None:
-    """Write the rows of `now`: eta; nu over ground; own forces; these with what the current changes of the drag."""
-    now = belief.now
-    for i in range(4):
-        now[0, i], now[1, i], now[2, i], now[3, i] = here[i], here[4 + i], gamma[i], gamma[i]
-    cos, sin = math.cos(here[3]), math.sin(here[3])
-    through_u, through_v = drag(plant.model, here[4], here[5])
-    now[1, 0] += cos * water[0] + sin * water[1]
-    now[1, 1] += cos * water[1] - sin * water[0]
+def tell_ground(plant: Plant, now: Table, water_x: float, water_y: float) -> None:
+    """Change the rows of `now` that a current changes: velocities are over ground, and what a model of still water does not
+    explain is the drag too."""
+    through_u, through_v = drag(plant.model, now[1, 0], now[1, 1])
+    cos, sin = math.cos(now[0, 3]), math.sin(now[0, 3])
+    now[1, 0] += cos * water_x + sin * water_y
+    now[1, 1] += cos * water_y - sin * water_x
     over_u, over_v = drag(plant.model, now[1, 0], now[1, 1])
     now[3, 0] += over_u - through_u
     now[3, 1] += over_v - through_v
@@ -316,7 +310,7 @@ def observe(
     if stamp_ns > at_ns:
         there = propagate(
             plant.model, plant.sway, plant.lag_s, state_of(numbers), (numbers[11], numbers[12], numbers[13], numbers[14]),
-            (numbers[15], numbers[16]), commands.acts_ns, commands.wrenches, commands.count, at_ns, stamp_ns,
+            (numbers[15], numbers[16]), commands.acts_ns, commands.wrenches, commands.sent, at_ns, stamp_ns,
         )  # fmt: skip
         turned = np.fmod(sighting.yaw_rad - there[3], TURN)
         turned = turned - TURN if turned >= math.pi else turned + TURN if turned < -math.pi else turned
@@ -333,13 +327,13 @@ def observe(
             numbers[11] *= math.exp(-step_s / noise.lasts_s)
             numbers[12] *= math.exp(-step_s / noise.lasts_s)
             numbers[14] *= math.exp(-step_s / noise.lasts_s)
-            rate = sensed_at(samples.sensed_ns, samples.sensed, samples.count, 1, stamp_ns)
+            rate = sensed_at(samples.sensed_ns, samples.sensed, samples.taken, 1, stamp_ns)
             rate_error = rate - numbers[7] - numbers[20]
             weigh_pose(bank, (ex, ey, turned), rate_error, sighting, belief.track[LEARNS] > 0.0)
             change = bank.work[3, 3]
             merge(bank, change)
             inject(plant, numbers, change)
-            depth = sensed_at(samples.sensed_ns, samples.sensed, samples.count, 0, stamp_ns)
+            depth = sensed_at(samples.sensed_ns, samples.sensed, samples.taken, 0, stamp_ns)
             if not math.isnan(depth):
                 correct_heave(plant, numbers, depth, step_s)
             follow(bank, belief, sighting, step_s)
@@ -347,13 +341,16 @@ def observe(
     gamma, water = (numbers[11], numbers[12], numbers[13], numbers[14]), (numbers[15], numbers[16])
     here = propagate(
         plant.model, plant.sway, plant.lag_s, state_of(numbers), gamma, water, commands.acts_ns, commands.wrenches,
-        commands.count, at_ns, instants.now_ns,
+        commands.sent, at_ns, instants.now_ns,
     )  # fmt: skip
     then = propagate(
-        plant.model, plant.sway, plant.lag_s, here, gamma, water, commands.acts_ns, commands.wrenches, commands.count,
+        plant.model, plant.sway, plant.lag_s, here, gamma, water, commands.acts_ns, commands.wrenches, commands.sent,
         instants.now_ns, instants.acts_ns,
     )  # fmt: skip
-    tell(plant, belief, here, gamma, water)
+    now = belief.now
+    for i in range(4):
+        now[0, i], now[1, i], now[2, i], now[3, i] = here[i], here[4 + i], gamma[i], gamma[i]
+    tell_ground(plant, now, water[0], water[1])
     tell_deviations(bank.mixed, numbers[3], belief.deviation)
     for i in range(11):
         belief.action[i] = then[i]
@@ -432,14 +429,15 @@ class KalmanEstimator(Estimator):
         numbers, told = self._belief.tolist(), self._deviation.tolist()
         if not math.isfinite(sum(numbers) + sum(told)):
             self._forget()
-            self._belief[:], self._bank.mixed[:] = 0.0, 0.0
+            self._belief[:], self._bank.mixed[:], self._model.coefficients[:] = 0.0, 0.0, self._model.nominal
             return None
         d, t, n = (math.exp(value) for value in numbers[LOGS])
         w = self._track.item(BANDWIDTH)
-        deviations = Deviations(*told[:6], self._deviation[6:9].copy(), Ratios(*told[9:]))
+        place, yaw, velocity, ground, rate, current = told[:6]
+        own_force, ratios = self._deviation[6:9].copy(), Ratios(told[9], told[10], told[11])
         return estimate._replace(
             drag_ratio=d, thrust_ratio=t, moment_ratio=n, bandwidth_radps=w, pace=min(w / self._bandwidth_radps, 1.0),
-            deviations=deviations,
+            deviations=Deviations(place, yaw, velocity, ground, rate, current, own_force, ratios),
         )  # fmt: skip
 
     def _observe(self, pose: PoseMeasurement | None, now_ns: int, now: Array, action: Array) -> bool:
