@@ -65,7 +65,7 @@ class Bank(NamedTuple):
     work: Cube  # (4, ERRORS, ERRORS), overwritten
 
 
-class Measured(NamedTuple):
+class MeasuredNumber(NamedTuple):
     """A measured number: `row` of the errors, and `other` besides (-1: none)."""
 
     row: int
@@ -190,7 +190,7 @@ def predict(bank: Bank, sway: float, yaw: float, dt: float, f: Table, q: Floats)
 
 
 @kernel(part=True)
-def correct(p: Table, mean: Floats, measured: Measured, learns: bool, gain: Floats) -> float:
+def correct(p: Table, mean: Floats, measured: MeasuredNumber, learns: bool, gain: Floats) -> float:
     """Correct one filter by one measured number; returns its log-likelihood. `gain` (ERRORS,) is overwritten."""
     row, other = measured.row, measured.other
     for i in range(ERRORS):

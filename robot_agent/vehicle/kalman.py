@@ -39,7 +39,7 @@ from robot_agent.vehicle.filter_bank import (
     THRUST,
     YAW,
     Bank,
-    Measured,
+    MeasuredNumber,
     Noise,
     R,
     U,
@@ -91,7 +91,7 @@ LOGS = slice(17, 20)  # of the belief: ln of drag, thrust, moment per mass
 State11 = tuple[float, float, float, float, float, float, float, float, float, float, float]
 
 
-class Plant(NamedTuple):
+class LearnedModel(NamedTuple):
     """The model, and what is known of it."""
 
     nominal: Table  # (3, 4) by the vehicle file
@@ -141,7 +141,7 @@ class Instants(NamedTuple):
 
 
 class Belief(NamedTuple):
-    """What the observer believes, and where it writes what it tells."""
+    """Belief of the observer, and the arrays for its results."""
 
     numbers: Floats  # (NUMBERS,)
     track: Floats  # (4,): 1 if drag is learned, mean direction of late x, y, bandwidth rad/s
@@ -175,7 +175,7 @@ def rate_before(samples: Samples, after_ns: int, until_ns: int) -> int:
 
 
 @kernel(part=True)
-def cross(plant: Plant, bank: Bank, noise: Noise, numbers: Floats, there: Floats, step_s: float, steps: int) -> None:
+def cross(plant: LearnedModel, bank: Bank, noise: Noise, numbers: Floats, there: Floats, step_s: float, steps: int) -> None:
     """Move the bank's errors on to the pose, `step_s` later, in equal `steps` between the belief and the state `there`."""
     f, q, dt = bank.work[0], bank.work[1, 0], step_s / steps
     is_held = True
@@ -210,17 +210,17 @@ def weigh_pose(
     likelihood, gain = bank.work[3, 1], bank.work[3, 2]
     for j in range(len(bank.weight)):
         p, mean = bank.covariance[j], bank.mean[j]
-        total = correct(p, mean, Measured(X, -1, ex, sighting.variance_m2 + more_m2), learns, gain)
-        total += correct(p, mean, Measured(Y, -1, ey, sighting.variance_m2 + more_m2), learns, gain)
-        total += correct(p, mean, Measured(YAW, -1, turned, sighting.variance_rad2), learns, gain)
+        total = correct(p, mean, MeasuredNumber(X, -1, ex, sighting.variance_m2 + more_m2), learns, gain)
+        total += correct(p, mean, MeasuredNumber(Y, -1, ey, sighting.variance_m2 + more_m2), learns, gain)
+        total += correct(p, mean, MeasuredNumber(YAW, -1, turned, sighting.variance_rad2), learns, gain)
         if not math.isnan(rate_error):
-            total += correct(p, mean, Measured(R, GYRO, rate_error, rate_variance), learns, gain)
+            total += correct(p, mean, MeasuredNumber(R, GYRO, rate_error, rate_variance), learns, gain)
         likelihood[j] = total
     weigh_filters(bank, likelihood[: len(bank.weight)])
 
 
 @kernel(part=True)
-def inject(plant: Plant, numbers: Floats, change: Floats) -> None:
+def inject(plant: LearnedModel, numbers: Floats, change: Floats) -> None:
     """Add the mean error to the belief, and write what is learned into the model."""
     numbers[0] += change[X]
     numbers[1] += change[Y]
@@ -253,7 +253,7 @@ def inject(plant: Plant, numbers: Floats, change: Floats) -> None:
 
 
 @kernel(part=True)
-def correct_heave(plant: Plant, numbers: Floats, depth_m: float, step_s: float) -> None:
+def correct_heave(plant: LearnedModel, numbers: Floats, depth_m: float, step_s: float) -> None:
     """Correction (31) of heave."""
     b1, b2, b3 = gains(plant.heave_radps, step_s)
     error = depth_m - numbers[2]
@@ -276,7 +276,7 @@ def follow(bank: Bank, belief: Belief, sighting: Sighting, step_s: float) -> Non
 
 
 @kernel(part=True)
-def tell_ground(plant: Plant, now: Table, water_x: float, water_y: float) -> None:
+def tell_ground(plant: LearnedModel, now: Table, water_x: float, water_y: float) -> None:
     """Change the rows of `now` that a current changes: velocities are over ground, and what a model of still water does not
     explain is the drag too."""
     through_u, through_v = drag(plant.model, now[1, 0], now[1, 1])
@@ -314,7 +314,7 @@ def tell_deviations(p: Table, yaw: float, told: Floats) -> None:
 
 @kernel
 def observe(
-    plant: Plant,
+    plant: LearnedModel,
     noise: Noise,
     bank: Bank,
     belief: Belief,
@@ -444,7 +444,7 @@ class KalmanEstimator(Estimator):
         surge_n, _, yaw_nm = self._vehicle.limits.wrench
         model, self._bandwidth_radps = self._model, config.bandwidth_radps
         self._uses_yaw_rate, self._adaptive, self._steady = config.use_imu_yaw_rate, False, np.zeros((6, 6))
-        self._plant = Plant(
+        self._plant = LearnedModel(
             model.nominal, model.coefficients, model.sway, model.lag_s, float(config.enabled), config.bandwidth_radps,
             self._fastest_mps, surge_n, yaw_nm,
         )  # fmt: skip

@@ -7,7 +7,7 @@ import pytest
 
 from robot_agent.vehicle import filter_bank
 from robot_agent.vehicle.dynamics import Model, advance
-from robot_agent.vehicle.filter_bank import DRAG, ERRORS, GYRO, Bank, Measured, R, X, Y
+from robot_agent.vehicle.filter_bank import DRAG, ERRORS, GYRO, Bank, MeasuredNumber, R, X, Y
 from robot_agent.vehicle.kalman import vehicle_noise
 from wire.config.vehicle import load_vehicle
 from wire.frames import Array
@@ -86,7 +86,11 @@ def test_a_filter_of_the_bank_is_the_dense_one(learns: bool) -> None:
     p, mean = f @ p @ f.T + np.diag(q * force) + 1e-4 * dt * g @ g.T, f @ mean
     assert bank.covariance[2] == pytest.approx(p, abs=1e-12)
     likelihood = 0.0
-    for measured in (Measured(X, -1, 0.02, 1e-4), Measured(Y, -1, -0.01, 1e-4), Measured(R, GYRO, 0.03, 1e-5)):
+    for measured in (
+        MeasuredNumber(X, -1, 0.02, 1e-4),
+        MeasuredNumber(Y, -1, -0.01, 1e-4),
+        MeasuredNumber(R, GYRO, 0.03, 1e-5),
+    ):
         h = np.zeros(ERRORS)
         h[measured.row] = 1.0
         if measured.other >= 0:
@@ -99,7 +103,7 @@ def test_a_filter_of_the_bank_is_the_dense_one(learns: bool) -> None:
         p = left @ p @ left.T + measured.variance * np.outer(k, k)
     told = sum(
         filter_bank.correct(bank.covariance[2], bank.mean[2], m, learns, np.empty(ERRORS))
-        for m in (Measured(X, -1, 0.02, 1e-4), Measured(Y, -1, -0.01, 1e-4), Measured(R, GYRO, 0.03, 1e-5))
+        for m in (MeasuredNumber(X, -1, 0.02, 1e-4), MeasuredNumber(Y, -1, -0.01, 1e-4), MeasuredNumber(R, GYRO, 0.03, 1e-5))
     )
     assert bank.covariance[2] == pytest.approx(p, abs=1e-11) and bank.mean[2] == pytest.approx(mean, abs=1e-11)
     assert told == pytest.approx(likelihood)

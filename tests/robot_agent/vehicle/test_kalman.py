@@ -57,6 +57,7 @@ def drift(experiment: Experiment, seed: int, noise: float = 1.0, seconds: float 
             water.advance(now_ns - held_ns - LATE_NS)
         eta, nu, stamp_ns = water.eta[0].copy(), water.nu[0].copy(), now_ns - LATE_NS
         motion = np.empty((1, 6))
+        # private: only the plant knows its water
         water_motion(np.ascontiguousarray(water.eta[:, :3]), water._plant.time_s(water._state), water._plant._flow, motion)
         if now_ns > held_ns:
             water.advance(now_ns - held_ns)
@@ -77,12 +78,14 @@ def drift(experiment: Experiment, seed: int, noise: float = 1.0, seconds: float 
 
 def note(flight: Drift, eta: Array, nu: Array, motion: Array) -> None:
     """Note the belief's error against the truth at the same exposure."""
+    # private: the belief at the exposure, where the truth is known
     b, turn = flight.observer._belief, complex(math.cos(eta[3]), -math.sin(eta[3]))
     carried = complex(motion[0], motion[1]) * turn
     error = np.array([
         b[0] - eta[0], b[1] - eta[1], wrap(b[3] - eta[3]), b[4] - nu[0] + carried.real, b[5] - nu[1] + carried.imag,
         b[7] - nu[3], b[15] - motion[0], b[16] - motion[1],
     ])  # fmt: skip
+    # private: no robot publishes its covariances
     p = flight.observer._bank.mixed
     flight.errors.append(error)
     parts = (([0, 1, 2], [0, 1, 2]), ([3, 4, 5], [3, 4, 5]), ([6, 7], [9, 10]))
@@ -142,7 +145,9 @@ def test_gaps_and_nonsense_leave_a_covariance_that_is_one() -> None:
         assert estimate is not None or k < 20
         if estimate is not None:
             assert np.isfinite(np.concatenate([estimate.eta, estimate.nu, estimate.disturbance, estimate.action])).all()
+            # private: no robot publishes its covariances
             assert np.isfinite(observer._deviation).all() and abs(estimate.current) <= vehicle.limits.speed_mps + 1e-9
+            # private: no robot publishes its covariances
             p = observer._bank.mixed / np.outer(*[np.sqrt(observer._bank.mixed.diagonal())] * 2)
             assert np.linalg.eigvalsh(p)[0] > -1e-6
 
@@ -158,6 +163,7 @@ def test_a_belief_that_is_no_number_is_given_up_for_the_next_pose() -> None:
         return observer.update(StateMeasurement(pose, 0.3, 0.0), k * STEP_NS)
 
     assert all(step(k) is not None for k in range(1, 20))
+    # private: no robot publishes its covariances
     observer._bank.covariance[2, 3, 3] = math.nan
     assert step(20) is None
     after = step(21)
