@@ -166,6 +166,20 @@ class MpcConfig(Section):
         return self
 
 
+class NonlinearMpcConfig(Section):
+    """Nonlinear MPC. All other weights follow from vehicle, control period and noise."""
+
+    heading_m: Annotated[float, Field(ge=0, le=1), LIVE] = 0.01
+    """Error of the place that counts like 1 rad away from the direction of motion through the water."""
+    arm_m: Annotated[float, Field(gt=0, le=1), LIVE] = 0.2
+    """Error of the place that counts like 1 rad of a heading that a person steers; it also sets the smoothness of the yaw
+    moment."""
+    turning_m: Annotated[float, Field(ge=0, le=1), LIVE] = 0.01
+    """Error of the place that counts like turning at 1 rad/s, on a path."""
+    hold_turning_m: Annotated[float, Field(ge=0, le=1), LIVE] = 0.05
+    """The same on HOLD. With 0.01 the heading wanders by 0.29 rad/s, with 0.15 the place by 2 cm."""
+
+
 class ControllerConfig(Section):
     """The control loop of a robot, which runs 1/period_s times a second. `law` computes the wrench from estimate and
     reference."""
@@ -182,6 +196,8 @@ class ControllerConfig(Section):
     """Reference heading."""
     mpc: MpcConfig = MpcConfig()
     """Model predictive control."""
+    nmpc: NonlinearMpcConfig = NonlinearMpcConfig()
+    """Nonlinear MPC."""
     backstepping: BacksteppingConfig = BacksteppingConfig()
     """Backstepping."""
     pid: PidConfig = PidConfig()

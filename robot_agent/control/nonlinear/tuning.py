@@ -1,0 +1,160 @@
+"""Weights, horizon and bandwidths as formulas of vehicle, control period and noise. No number here is a vehicle's own.
+
+A triple integrator that may change its force at a rate F', and has to correct an error e, is as quick as (F' / (m e))^(1/3).
+From this come both bandwidths: `quickness` of the place and `turning` of the heading. They are limited by the delay of the
+loop, by the noise (estimates must not move the inputs by more than ROUGH of their rate limits) and by the observer.
+`FORMULAS` is the table of docs/control.md, and `derive` the same in Python.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from robot_agent.control.nonlinear.prediction import FIRST_S, Hull
+from robot_agent.control.nonlinear.program import InputLimits, Weights
+from wire.config.vehicle import Vehicle
+from wire.frames import Array
+
+REACH_SHARE = 0.4  # of the hull's radius: an error of the place that may use the whole force rate
+REACH_RAD = 0.35  # the same of the heading
+DELAY_SHARE, TURN_DELAY_SHARE = 0.4, 0.6  # bandwidth times delay: phase lost in the loop, rad
+LAG_SHARE = 0.3  # of the thrusters' lag that counts as delay: the plan knows it, and inverts most of it
+ROUGH = 0.05  # of the rate limits that noise alone may use
+TRUST = 2.0  # a thrust that is known to 50 % halves the bandwidth
+SHORTEST_S, LONGEST_S = 6.0, 12.0  # horizon: flown from 5 to 14 s; shorter ones do not find the turn round, longer are coarse
+STEP_S = 0.2  # longest step of the integration; 1/slope of the drag for light robots
+TURNING_M = 0.01  # m s: turning at 1 rad/s for a second costs as much as 1 cm
+SLOW_MPS = 0.02  # through the water: slower, the heading does not matter
+END_SHARE = 2.0  # weight at the end: that of an error which fades at the bandwidth, twice
+MODEL_SHARE = 0.7  # of the bandwidth of an observer that has no covariance
+
+
+class Deviations(NamedTuple):
+    """Standard deviations of the estimate that the weights depend on."""
+
+    place_m: float
+    yaw_rad: float
+    velocity_mps: float  # over ground
+    thrust: float  # of the thrust per mass, relative
+    observer_radps: float  # bandwidth of the observer
+
+
+class Sizes(NamedTuple):
+    """One axis: what moves it, and what it moves."""
+
+    inertia: float  # kg, kg m^2
+    force: float  # N, N m
+    rate: float  # N/s, N m/s
+
+
+class Tuning(NamedTuple):
+    """Bandwidths, rad/s."""
+
+    quickness: float  # of the place
+    calm_quickness: float  # of the place, for an error of REACH_SHARE radius: what counts at the horizon's end
+    turning: float  # of the heading
+    depth: float
+
+
+FORMULAS = (  # quantity, formula
+    ("delay d", "dead time + period / 2 + 0.3 lag"),
+    ("turn t_t", "2 sqrt(pi I / N) + pi / (2 r_max)"),
+    ("stop t_b", "m U / F"),
+    ("horizon", "2 (t_t + t_b), 6 to 12 s"),
+    ("reach e", "20 sd_place, or the distance off the path up to 0.4 R if that is more"),
+    ("quickness w1", "min((F' / (m e))^(1/3), (0.05 F' / (m sd_velocity))^(1/2), 0.4 / d, w_observer / (1 + 2 sd_thrust))"),
+    ("turning w2", "min((N' / (0.35 I))^(1/3), (0.05 N' / (I sd_yaw))^(1/3), 0.6 / d)"),
+    ("weight of force rates", "(1 / (m w1^3))^2"),
+    ("weight of moment rates", "(heading_m / (I w2^3))^2"),
+    ("end", "2 / w1, of the error 1 / w1 later; w1 at most (F' / (0.4 R m))^(1/3)"),
+)
+
+
+def delay_s(vehicle: Vehicle, period_s: float, lag_s: float) -> float:
+    """Delay of the loop that a plan cannot take into account: half a period, dead time, part of the lag."""
+    return vehicle.thruster.dead_time_s + 0.5 * period_s + LAG_SHARE * lag_s
+
+
+def horizon_s(vehicle: Vehicle) -> float:
+    """Twice the time to turn round and to stop from full speed."""
+    mass, _, _, inertia = vehicle.inertia.tolist()
+    force_n, _, moment_nm = vehicle.limits.wrench
+    turn_s = 2.0 * math.sqrt(math.pi * inertia / moment_nm) + math.pi / (2.0 * vehicle.limits.yaw_rate_radps)
+    stop_s = mass * vehicle.limits.speed_mps / force_n
+    return min(max(2.0 * (turn_s + stop_s), SHORTEST_S), LONGEST_S)
+
+
+def cube_root(rate: float, inertia: float, reach: float) -> float:
+    """Bandwidth at which an error `reach` uses the whole rate."""
+    return (rate / (inertia * reach)) ** (1.0 / 3.0)
+
+
+def derive(vehicle: Vehicle, delay: float, deviations: Deviations, off_m: float) -> Tuning:
+    """Bandwidths for a robot that is `off_m` away from its path."""
+    mass, _, mass_w, inertia = vehicle.inertia.tolist()
+    force_rate, lift_rate, moment_rate = vehicle.limits.wrench_rate_per_s
+    reach_m = REACH_SHARE * vehicle.radius_m
+    observer = deviations.observer_radps / (1.0 + TRUST * deviations.thrust)
+    late = DELAY_SHARE / delay
+    error_m = max(deviations.place_m / ROUGH, min(off_m, reach_m), 1e-4)
+    rough = math.sqrt(ROUGH * force_rate / (mass * max(deviations.velocity_mps, 1e-4)))
+    calm = cube_root(force_rate, mass, reach_m)
+    quickness = min(cube_root(force_rate, mass, error_m), rough, late, observer)
+    turning = min(
+        cube_root(moment_rate, inertia, REACH_RAD),
+        cube_root(ROUGH * moment_rate, inertia, max(deviations.yaw_rad, 1e-5)),
+        TURN_DELAY_SHARE / delay,
+    )
+    depth = min(cube_root(lift_rate, mass_w, reach_m), late, observer)
+    return Tuning(quickness, min(quickness, calm), turning, depth)
+
+
+def rate_weight(mass: float, bandwidth_radps: float, arm_m: float = 1.0) -> float:
+    """Weight of a force's squared rate with which errors fade at a bandwidth; `arm_m` is what a radian is worth."""
+    return (arm_m / (mass * bandwidth_radps**3)) ** 2
+
+
+def planar_weights(vehicle: Vehicle, tuning: Tuning, arm_m: float, turning_m: float, entry: float) -> Weights:
+    """Weights of surge and yaw."""
+    mass, _, _, inertia = vehicle.inertia.tolist()
+    rate = np.array([rate_weight(mass, tuning.quickness), rate_weight(inertia, tuning.turning, arm_m)])
+    return Weights(rate, turning_m**2, END_SHARE / tuning.calm_quickness, 1.0 / tuning.calm_quickness, entry)
+
+
+def depth_weights(vehicle: Vehicle, tuning: Tuning) -> Weights:
+    """Weights of heave."""
+    rate = np.array([rate_weight(vehicle.mass.heave_kg, tuning.depth)])
+    return Weights(rate, 0.0, END_SHARE / tuning.depth, 1.0 / tuning.depth, 1.0)
+
+
+def planar_limits(vehicle: Vehicle) -> InputLimits:
+    """Limits of surge and yaw."""
+    size, rate = vehicle.limits.wrench, vehicle.limits.wrench_rate_per_s
+    return InputLimits(np.array([size[0], size[2]]), np.array([rate[0], rate[2]]))
+
+
+def depth_limits(vehicle: Vehicle) -> InputLimits:
+    """Limits of heave."""
+    return InputLimits(np.array([vehicle.limits.wrench[1]]), np.array([vehicle.limits.wrench_rate_per_s[1]]))
+
+
+def planar_hull(coefficients: Array, inertia_ratio: float, sway: float, lag_s: float, longest_s: float) -> Hull:
+    """Mass and drag of surge, sway and yaw from the model's `coefficients` (3, 4)."""
+    (m_u, m_v, _, m_r), (l_u, l_v, _, l_r), (q_u, q_v, _, q_r) = coefficients.tolist()
+    return Hull(m_u, m_v, m_r / inertia_ratio, l_u, l_v, l_r, q_u, q_v, q_r, sway, lag_s, longest_s)
+
+
+def depth_hull(coefficients: Array, lag_s: float, longest_s: float) -> Hull:
+    """Mass and drag of heave, as motion along x."""
+    mass, linear, quadratic = coefficients[:, 2].tolist()
+    return Hull(mass, mass, 1.0, linear, linear, 1.0, quadratic, quadratic, 0.0, 0.0, lag_s, longest_s)
+
+
+def step_s(vehicle: Vehicle) -> float:
+    """Longest step of the integration: no longer than the fastest motion takes to decay."""
+    mass, limits = vehicle.inertia, vehicle.limits
+    slopes = (vehicle.drag_linear + 2.0 * vehicle.drag_quadratic * np.array(
+        [limits.speed_mps, limits.speed_mps, limits.heave_mps, limits.yaw_rate_radps]
+    )) / mass  # fmt: skip
+    return float(min(STEP_S, 1.0 / slopes.max(), 2.0 * FIRST_S))
