@@ -37,7 +37,8 @@ from robot_agent.guidance.reference import Drive, Follow, Goal, Hold, Reference,
 from robot_agent.guidance.velocity_obstacles import CATCH_UP_MPS, NOBODY, GiveWay, obstacle_traffic, robot_traffic
 from robot_agent.vehicle.allocation import Allocator
 from robot_agent.vehicle.dynamics import Model
-from robot_agent.vehicle.eso import Estimate, Estimator, StateMeasurement
+from robot_agent.vehicle.eso import Estimator
+from robot_agent.vehicle.estimate import Estimate, StateMeasurement
 from wire.config.controller import ControllerConfig, Safety
 from wire.config.vehicle import Vehicle
 from wire.frames import Array

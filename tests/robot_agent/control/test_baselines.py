@@ -21,7 +21,7 @@ from robot_agent.control.law import Law, make_law
 from robot_agent.guidance.formation import NOWHERE, Neighbour
 from robot_agent.guidance.reference import Follow, Goal, Hold
 from robot_agent.vehicle.dynamics import Model
-from robot_agent.vehicle.eso import PoseMeasurement, StateMeasurement
+from robot_agent.vehicle.estimate import PoseMeasurement, StateMeasurement
 from tests.robot_agent.control.drawn_inputs import GOAL, STEP_NS, at, check, goals, measurements, neighbours
 from tests.robot_agent.water import integrate
 from wire.config import baseline_controllers
