@@ -25,14 +25,15 @@ from robot_agent.control.nonlinear.neighbour_plans import NO_BODIES, PlanSampler
 from robot_agent.control.nonlinear.obstacle_rows import Bodies, Outlines, Surrounds
 from robot_agent.control.nonlinear.planner import Planner, make_depth_start, make_start, resting_place
 from robot_agent.control.nonlinear.prediction import Dynamics, Start, Surroundings, fly, make_flight, make_grid
-from robot_agent.control.nonlinear.program import Iteration, Problem, make_memory, step_plan
+from robot_agent.control.nonlinear.program import Iteration, Problem, Weights, make_memory, step_plan
 from robot_agent.guidance.formation import Formation, Neighbour, NeighbourPredictions, Priority
 from robot_agent.guidance.obstacles import Obstacle
 from robot_agent.guidance.reference import Drive, Follow, Goal, Hold, Reference, ReferenceSampler, interpolate_rows
 from robot_agent.guidance.velocity_obstacles import CATCH_UP_MPS, NOBODY, GiveWay, obstacle_traffic, robot_traffic
 from robot_agent.vehicle.allocation import Allocator
 from robot_agent.vehicle.dynamics import Model
-from robot_agent.vehicle.eso import POSE_M, Estimate, Estimator, StateMeasurement
+from robot_agent.vehicle.eso import POSE_M, Estimator
+from robot_agent.vehicle.estimate import Estimate, StateMeasurement
 from wire.config.controller import ControllerConfig, Safety
 from wire.config.vehicle import Vehicle
 from wire.frames import Array
@@ -179,22 +180,26 @@ class NonlinearController:
 
     def _dynamics(self, estimate: Estimate) -> Dynamics:
         """The model with what the observer knows by now."""
-        yaw, ahead, aside, turn = estimate.action.item(3), *estimate.disturbance[[0, 1, 3]].tolist()
-        self._forces.step(complex(ahead, aside), yaw)
-        own, pool, current = self._forces.own, self._forces.pool, estimate.current
-        hull = formulas.planar_hull(self._model.coefficients, 1.0, self._model.sway, self._model.lag_s, self._step_s)
+        ahead, aside, turn = estimate.own_force.tolist()
+        own, pool, current = complex(ahead, aside), 0j, estimate.current
+        own_fade_s, yaw_fade_s = OWN_FADE_S, YAW_FADE_S
+        if estimate.deviations is None:
+            own_fade_s = yaw_fade_s = math.inf
+            if self._model.sway:
+                self._forces.step(own, estimate.eta.item(3))
+                own, pool = self._forces.own, self._forces.pool
+        hull = formulas.planar_hull(self._model.coefficients, self._model.sway, self._model.lag_s, self._step_s)
         return Dynamics(hull, Surroundings(
-            current.real, current.imag, own.real, own.imag, turn, pool.real, pool.imag, OWN_FADE_S, YAW_FADE_S
+            current.real, current.imag, own.real, own.imag, turn, pool.real, pool.imag, own_fade_s, yaw_fade_s
         ))  # fmt: skip
 
     def _retune(self, estimate: Estimate) -> None:
         """Follow the bandwidths that noise and error allow."""
-        w = self._config.estimator.bandwidth_radps * estimate.pace
-        noise_m = POSE_M / estimate.pace**3
-        deviations = formulas.Deviations(
-            noise_m, 2.0 * noise_m, 0.7 * w * noise_m, 0.0, formulas.MODEL_SHARE * w
-        )
-        wanted = formulas.derive(self._vehicle, self._delay_s, deviations, self._off_m)
+        deviations, observer_radps = estimate.deviations, estimate.bandwidth_radps
+        if deviations is None:
+            observer_radps = formulas.MODEL_SHARE * self._config.estimator.bandwidth_radps * estimate.pace
+            deviations = formulas.settled_deviations(observer_radps, POSE_M / estimate.pace**3)
+        wanted = formulas.derive(self._vehicle, self._delay_s, deviations, observer_radps, self._off_m)
         if self._tuning is None:
             self._tuning = wanted
         share = -math.expm1(-self._period_s / GAINS_S)
@@ -236,7 +241,7 @@ class NonlinearController:
         pose[0], pose[1] = clear_place(place, surrounds, REST_M)
         return pose
 
-    def _weights(self, turning_m: float) -> formulas.Weights:
+    def _weights(self, turning_m: float) -> Weights:
         assert self._tuning is not None
         return formulas.planar_weights(
             self._vehicle, self._tuning, self._config.nmpc.arm_m, turning_m, self._config.mpc.slack

@@ -50,13 +50,13 @@ class Surrounds(NamedTuple):
 
 
 class HalfPlanes(NamedTuple):
-    """Rows, the first `count[0]` of them in use."""
+    """Rows, the first `used[0]` of them in use."""
 
     node: Ints
     normal: Table  # (rows, 2)
     offset_m: Floats
     give: Floats
-    count: Ints  # (1,)
+    used: Ints  # (1,)
 
 
 def make_half_planes() -> HalfPlanes:
@@ -69,10 +69,10 @@ def make_half_planes() -> HalfPlanes:
 @kernel(part=True)
 def add_row(rows: HalfPlanes, node: int, x: float, y: float, offset_m: float, give: float) -> None:
     """Write one more row, while there is room."""
-    i = rows.count[0]
+    i = rows.used[0]
     if i < len(rows.node):
         rows.node[i], rows.normal[i, 0], rows.normal[i, 1], rows.offset_m[i], rows.give[i] = node, x, y, offset_m, give
-        rows.count[0] = i + 1
+        rows.used[0] = i + 1
 
 
 @kernel(part=True)
@@ -118,7 +118,7 @@ def keep_off_outline(rows: HalfPlanes, node: int, here: Floats, at_s: float, out
 @kernel(part=True)
 def find_rows(surrounds: Surrounds, grid: Grid, state: Table, rows: HalfPlanes) -> None:
     """All rows near a plan's states (nodes, 9)."""
-    bodies, outlines, rows.count[0] = surrounds.bodies, surrounds.outlines, 0
+    bodies, outlines, rows.used[0] = surrounds.bodies, surrounds.outlines, 0
     for k in range(len(state)):
         at_s, here = grid.time_s[k + 1], state[k]
         for i in range(2):

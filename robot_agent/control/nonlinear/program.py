@@ -143,7 +143,7 @@ def end_error(dynamics: Dynamics, problem: Problem, state: Floats) -> tuple[floa
 def deepest_entry(rows: HalfPlanes, state: Table) -> float:
     """Deepest entry of a flight's states (nodes, 9) into a half-space, in units of its give; 0 if there is none."""
     deepest = 0.0
-    for i in range(rows.count[0]):
+    for i in range(rows.used[0]):
         here = state[rows.node[i]]
         inside = rows.offset_m[i] - rows.normal[i, 0] * here[X] - rows.normal[i, 1] * here[Y]
         deepest = max(deepest, inside / rows.give[i])
@@ -241,15 +241,15 @@ def set_bounds(grid: Grid, problem: Problem, memory: Memory) -> int:
             change = now - (problem.start.command[i] if k == 0 else flight.command[k - 1, i])
             lower[j], upper[j] = min(-limit - now, 0.0), max(limit - now, 0.0)
             lower[size + j], upper[size + j] = min(-most - change, 0.0), max(most - change, 0.0)
-    for i in range(rows.count[0]):
+    for i in range(rows.used[0]):
         k, row = rows.node[i], 2 * size + i
         state, slope, x, y = flight.state[k], flight.slope[k], rows.normal[i, 0], rows.normal[i, 1]
         for j in range(size):
             program.matrix[row, j] = x * slope[X, j] + y * slope[Y, j]
         program.matrix[row, size] = rows.give[i]
         lower[row], upper[row] = rows.offset_m[i] - x * state[X] - y * state[Y], NO_BOUND
-    program.held[2 * size + rows.count[0] :] = 0
-    return int(2 * size + rows.count[0])
+    program.held[2 * size + rows.used[0] :] = 0
+    return int(2 * size + rows.used[0])
 
 
 @kernel(part=True)
@@ -267,7 +267,7 @@ def improve(dynamics: Dynamics, grid: Grid, problem: Problem, memory: Memory) ->
     )  # fmt: skip
     if rounds == 0:
         program.held[:] = 0
-        return Iteration(before, before, 0.0, 0, deepest_entry(memory.rows, flight.state), memory.rows.count[0] > 0)
+        return Iteration(before, before, 0.0, 0, deepest_entry(memory.rows, flight.state), memory.rows.used[0] > 0)
     program.old[:] = flight.command
     share, after = 1.0, before
     while share > LEAST_STEP:

@@ -13,6 +13,7 @@ import numpy as np
 
 from robot_agent.control.nonlinear.prediction import FIRST_S, Hull
 from robot_agent.control.nonlinear.program import InputLimits, Weights
+from robot_agent.vehicle.estimate import Deviations, Ratios
 from wire.config.vehicle import Vehicle
 from wire.frames import Array
 
@@ -28,24 +29,6 @@ TURNING_M = 0.01  # m s: turning at 1 rad/s for a second costs as much as 1 cm
 SLOW_MPS = 0.02  # through the water: slower, the heading does not matter
 END_SHARE = 2.0  # weight at the end: that of an error which fades at the bandwidth, twice
 MODEL_SHARE = 0.7  # of the bandwidth of an observer that has no covariance
-
-
-class Deviations(NamedTuple):
-    """Standard deviations of the estimate that the weights depend on."""
-
-    place_m: float
-    yaw_rad: float
-    velocity_mps: float  # over ground
-    thrust: float  # of the thrust per mass, relative
-    observer_radps: float  # bandwidth of the observer
-
-
-class Sizes(NamedTuple):
-    """One axis: what moves it, and what it moves."""
-
-    inertia: float  # kg, kg m^2
-    force: float  # N, N m
-    rate: float  # N/s, N m/s
 
 
 class Tuning(NamedTuple):
@@ -82,23 +65,29 @@ def horizon_s(vehicle: Vehicle) -> float:
     force_n, _, moment_nm = vehicle.limits.wrench
     turn_s = 2.0 * math.sqrt(math.pi * inertia / moment_nm) + math.pi / (2.0 * vehicle.limits.yaw_rate_radps)
     stop_s = mass * vehicle.limits.speed_mps / force_n
-    return min(max(2.0 * (turn_s + stop_s), SHORTEST_S), LONGEST_S)
+    return float(min(max(2.0 * (turn_s + stop_s), SHORTEST_S), LONGEST_S))
+
+
+def settled_deviations(observer_radps: float, noise_m: float) -> Deviations:
+    """Those of an observer without a covariance that has settled on poses with that noise."""
+    velocity_mps = observer_radps * noise_m
+    return Deviations(noise_m, 2.0 * noise_m, velocity_mps, velocity_mps, 0.0, 0.0, np.zeros(3), Ratios(0.0, 0.0, 0.0))
 
 
 def cube_root(rate: float, inertia: float, reach: float) -> float:
     """Bandwidth at which an error `reach` uses the whole rate."""
-    return (rate / (inertia * reach)) ** (1.0 / 3.0)
+    return math.pow(rate / (inertia * reach), 1.0 / 3.0)
 
 
-def derive(vehicle: Vehicle, delay: float, deviations: Deviations, off_m: float) -> Tuning:
-    """Bandwidths for a robot that is `off_m` away from its path."""
+def derive(vehicle: Vehicle, delay: float, deviations: Deviations, observer_radps: float, off_m: float) -> Tuning:
+    """Bandwidths for a robot that is `off_m` away from its path, with an observer of that bandwidth."""
     mass, _, mass_w, inertia = vehicle.inertia.tolist()
     force_rate, lift_rate, moment_rate = vehicle.limits.wrench_rate_per_s
     reach_m = REACH_SHARE * vehicle.radius_m
-    observer = deviations.observer_radps / (1.0 + TRUST * deviations.thrust)
+    observer = observer_radps / (1.0 + TRUST * deviations.ratios.thrust)
     late = DELAY_SHARE / delay
     error_m = max(deviations.place_m / ROUGH, min(off_m, reach_m), 1e-4)
-    rough = math.sqrt(ROUGH * force_rate / (mass * max(deviations.velocity_mps, 1e-4)))
+    rough = math.sqrt(ROUGH * force_rate / (mass * max(deviations.ground_mps, 1e-4)))
     calm = cube_root(force_rate, mass, reach_m)
     quickness = min(cube_root(force_rate, mass, error_m), rough, late, observer)
     turning = min(
@@ -139,10 +128,10 @@ def depth_limits(vehicle: Vehicle) -> InputLimits:
     return InputLimits(np.array([vehicle.limits.wrench[1]]), np.array([vehicle.limits.wrench_rate_per_s[1]]))
 
 
-def planar_hull(coefficients: Array, inertia_ratio: float, sway: float, lag_s: float, longest_s: float) -> Hull:
+def planar_hull(coefficients: Array, sway: float, lag_s: float, longest_s: float) -> Hull:
     """Mass and drag of surge, sway and yaw from the model's `coefficients` (3, 4)."""
     (m_u, m_v, _, m_r), (l_u, l_v, _, l_r), (q_u, q_v, _, q_r) = coefficients.tolist()
-    return Hull(m_u, m_v, m_r / inertia_ratio, l_u, l_v, l_r, q_u, q_v, q_r, sway, lag_s, longest_s)
+    return Hull(m_u, m_v, m_r, l_u, l_v, l_r, q_u, q_v, q_r, sway, lag_s, longest_s)
 
 
 def depth_hull(coefficients: Array, lag_s: float, longest_s: float) -> Hull:
