@@ -24,6 +24,8 @@ LAG_SHARE = 0.3  # of the thrusters' lag that counts as delay: the plan knows it
 ROUGH = 0.05  # of the rate limits that noise alone may use
 TRUST = 2.0  # a thrust that is known to 50 % halves the bandwidth
 SHORTEST_S, LONGEST_S = 6.0, 12.0  # horizon: flown from 5 to 14 s; shorter ones do not find the turn round, longer are coarse
+TILT_RAD = 0.35  # most pitch by thrust alone: at 0.8 rad a hull rose by 0.24 m within 2 s
+GRAVITY_MPS2 = 9.81
 STEP_S = 0.2  # longest step of the integration; 1/slope of the drag for light robots
 TURNING_M = 0.01  # m s: turning at 1 rad/s for a second costs as much as 1 cm
 SLOW_MPS = 0.02  # through the water: slower, the heading does not matter
@@ -48,6 +50,7 @@ FORMULAS = (  # quantity, formula
     ("reach e", "20 sd_place, or the distance off the path up to 0.4 R if that is more"),
     ("quickness w1", "min((F' / (m e))^(1/3), (0.05 F' / (m sd_velocity))^(1/2), 0.4 / d, w_observer / (1 + 2 sd_thrust))"),
     ("turning w2", "min((N' / (0.35 I))^(1/3), (0.05 N' / (I sd_yaw))^(1/3), 0.6 / d)"),
+    ("most surge", "M sin(0.35 rad) / (thrusters' depth below the centre + M / (g m)), within half a swing"),
     ("weight of force rates", "(1 / (m w1^3))^2"),
     ("weight of moment rates", "(heading_m / (I w2^3))^2"),
     ("end", "2 / w1, of the error 1 / w1 later; w1 at most (F' / (0.4 R m))^(1/3)"),
@@ -118,9 +121,15 @@ def depth_weights(vehicle: Vehicle, tuning: Tuning) -> Weights:
 
 
 def planar_limits(vehicle: Vehicle) -> InputLimits:
-    """Limits of surge and yaw."""
-    size, rate = vehicle.limits.wrench, vehicle.limits.wrench_rate_per_s
-    return InputLimits(np.array([size[0], size[2]]), np.array([rate[0], rate[2]]))
+    """Limits of surge and yaw. Surge that would tilt the hull by more than TILT_RAD is not asked for, nor within less than half
+    a swing: a hull that pitches lifts itself off its depth, and no observer of four axes knows why."""
+    (surge_n, _, yaw_nm), (surge_rate, _, yaw_rate) = vehicle.limits.wrench, vehicle.limits.wrench_rate_per_s
+    if vehicle.righting is not None:
+        moment_nm, below_m, swing_s = vehicle.righting.moment_nm, vehicle.righting.thrusters_below_m, vehicle.righting.swing_s
+        lever_m = below_m + moment_nm / (GRAVITY_MPS2 * vehicle.mass.surge_kg)  # of the thrust, and of the mass it speeds up
+        level_n = moment_nm * math.sin(TILT_RAD) / lever_m
+        surge_n, surge_rate = min(surge_n, level_n), min(surge_rate, 2.0 * level_n / swing_s)
+    return InputLimits(np.array([surge_n, yaw_nm]), np.array([surge_rate, yaw_rate]))
 
 
 def depth_limits(vehicle: Vehicle) -> InputLimits:
