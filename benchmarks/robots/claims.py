@@ -1,7 +1,7 @@
 """The observer's own idea of its errors, held against the truth at the same exposure: normalised squared errors (NEES) per
 degree of freedom, 1 where covariances are true.
 
-An observer that has a method `claim() -> ObserverClaim` is asked. Today's has covariances of place and velocity only.
+The Kalman observer claims all of GROUPS, the ESO only place and velocity.
 """
 
 import math
@@ -12,8 +12,12 @@ import numpy as np
 from benchmarks.robots.water import TrueState
 from robot_agent.agent import Agent
 from robot_agent.vehicle.eso import Estimator
+from robot_agent.vehicle.filter_bank import CURRENT_X, CURRENT_Y, YAW, R, U, V, X, Y
+from robot_agent.vehicle.kalman import KalmanEstimator
 from wire.frames import Array, wrap
 
+KALMAN = ("x", "y", "yaw", "u", "v", "r", "current_x", "current_y")  # what the Kalman observer claims
+CLAIMED = [X, Y, YAW, U, V, R, CURRENT_X, CURRENT_Y]
 GROUPS = {"place": ("x", "y"), "turn": ("yaw", "r"), "velocity": ("u", "v"), "current": ("current_x", "current_y")}
 
 
@@ -30,12 +34,13 @@ class ObserverClaim(NamedTuple):
 def claim_of(agent: Agent) -> ObserverClaim | None:
     """The belief of a robot's observer; None if it has none, or claims nothing."""
     estimator: Any = getattr(agent.controller, "_estimator", None)  # no robot publishes its covariances
-    if hasattr(estimator, "claim"):
-        claim: ObserverClaim | None = estimator.claim()
-        return claim
     if not isinstance(estimator, Estimator) or not estimator._begun:
         return None
     belief = estimator._belief
+    if isinstance(estimator, KalmanEstimator):
+        mean, covariance = belief[[0, 1, 3, 4, 5, 7, 15, 16]], estimator._bank.mixed[np.ix_(CLAIMED, CLAIMED)]
+        count = len(KALMAN) if estimator._plant.sway else 3  # without sway there is no current, and v is 0
+        return ObserverClaim(estimator._at_ns, KALMAN[:count], mean[:count], covariance[:count, :count])
     return ObserverClaim(
         estimator._at_ns, ("x", "y", "u", "v"), belief[[0, 1, 4, 5]].copy(), estimator._covariance[:4, :4].copy()
     )
@@ -56,5 +61,5 @@ def nees(claim: ObserverClaim, truth: TrueState, i: int) -> dict[str, float]:
         if set(names) <= set(claim.names):
             rows = [claim.names.index(name) for name in names]
             spread = claim.covariance[np.ix_(rows, rows)]
-            found[group] = float(error[rows] @ np.linalg.pinv(spread, hermitian=True) @ error[rows]) / len(rows)
+            found[group] = float(error[rows] @ np.linalg.solve(spread, error[rows])) / len(rows)
     return found

@@ -14,7 +14,7 @@ from wire.frames import Array
 from wire.messages.messages import Mode, Order, RobotState, Trajectory
 from wire.toml_loader import ConfigError
 
-CLAIMS_EVERY_S, CLAIMS_FROM_S = 0.2, 5.0
+CLAIMS_EVERY_S, CLAIMS_FROM_S = 0.5, 5.0
 STOPPED = frozenset({Mode.FAULT, Mode.STOPPED, Mode.DISARMED})
 AFTER_S = 2.0  # flown on after all robots have stopped
 GAPS_EVERY_S = {"gaps": 3.0, "gaps, resumed": 15.0}

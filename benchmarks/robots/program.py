@@ -3,9 +3,9 @@
 import fnmatch
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import as_completed
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -23,6 +23,7 @@ from wire.config.experiment import load_experiment
 
 EVIDENCE = Path(__file__).parents[2] / "docs" / "evidence" / "robots"
 TEN_MINUTES_S = 600.0
+WRITE_EVERY = 10  # flights
 
 
 def main(
@@ -36,7 +37,12 @@ def main(
     ] = 60.0,
     workers: Annotated[int, typer.Option(min=1, help="Flights at a time.")] = min(2, os.cpu_count() or 1),
     compare: Annotated[Path | None, typer.Option(exists=True, help="JSON of an earlier run, to show beside this one.")] = None,
-    json_file: Annotated[Path | None, typer.Option("--json", help="Write all figures here.")] = None,
+    json_file: Annotated[
+        Path | None, typer.Option("--json", help="Write all figures here, now and then on the way too.")
+    ] = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Fly only what is not in the --json file of an earlier run.")
+    ] = False,
     write: Annotated[bool, typer.Option("--write", help="Write docs/evidence/robots.md and robots.json.")] = False,
     show_list: Annotated[bool, typer.Option("--list", help="Name the cells, and stop.")] = False,
 ) -> None:
@@ -60,12 +66,18 @@ def main(
         for cell in chosen:
             _show(cell, flight, overrides, hold_s, console)
         return
-    wanted = [(cell, number) for number in range(flights) for cell in chosen]
-    flown = _fly_all(wanted, overrides, hold_s, workers, console)
-    if not flown:
+    begun = GridRun(flown_law, overrides, hold_s, evidence.written_by("python -m benchmarks robots"), ())
+    if resume:
+        begun = _begun(begun, json_file)
+    known = {(figure.cell, figure.number) for figure in begun.flights}
+    wanted = [(cell, number) for number in range(flights) for cell in chosen if (cell, number) not in known]
+    run = begun
+    for figure in _fly_all(wanted, overrides, hold_s, workers, console):
+        run = run.with_flight(figure)
+        if json_file is not None and len(run.flights) % WRITE_EVERY == 0:
+            evidence.write_json(json_file, report.as_json(run))
+    if not run.flights:
         raise typer.Exit(130)
-    flown.sort(key=lambda figure: (list(CELLS).index(figure.cell), figure.number))
-    run = GridRun(flown_law, overrides, hold_s, evidence.written_by("python -m benchmarks robots"), tuple(flown))
     before = report.from_json(json.loads(compare.read_text(encoding="utf-8"))) if compare is not None else None
     page = report.markdown(run, before)
     console.print(page, markup=False, highlight=False, soft_wrap=True)
@@ -73,6 +85,18 @@ def main(
         evidence.write(EVIDENCE, page, report.as_json(run))
     if json_file is not None:
         evidence.write_json(json_file, report.as_json(run))
+
+
+def _begun(run: GridRun, file: Path | None) -> GridRun:
+    """The run with the flights of an earlier one. Raises BadParameter if that was flown otherwise."""
+    if file is None or not file.exists():
+        raise typer.BadParameter("--resume needs the --json file of an earlier run")
+    earlier = report.from_json(json.loads(file.read_text(encoding="utf-8")))
+    if (earlier.law, earlier.settings, earlier.hold_s) != (run.law, run.settings, run.hold_s):
+        raise typer.BadParameter(
+            f"--resume: {file} was flown with {earlier.law}, {earlier.settings}, --hold-s {earlier.hold_s:g}"
+        )
+    return replace(run, flights=earlier.flights)
 
 
 def _law(overrides: Sequence[str]) -> str:
@@ -93,27 +117,27 @@ def _flown(cell: str, number: int, overrides: tuple[str, ...], hold_s: float) ->
 
 def _fly_all(
     wanted: Sequence[tuple[str, int]], overrides: tuple[str, ...], hold_s: float, workers: int, console: Console
-) -> list[FlightFigures]:
-    """Fly in worker processes, with progress. After Ctrl-C: those that are done."""
-    flown: list[FlightFigures] = []
+) -> Iterator[FlightFigures]:
+    """Fly in worker processes, with progress. Ctrl-C ends it with the flights that are done."""
+    flown = 0
     with evidence.progress(console) as progress, worker_pool(workers) as pool:
         task = progress.add_task("flights", total=len(wanted))
         pending = [pool.submit(_flown, cell, number, overrides, hold_s) for cell, number in wanted]
         try:
             for done in as_completed(pending):
                 figure = done.result()
-                flown.append(figure)
+                flown += 1
+                yield figure
                 progress.advance(task)
                 trouble = figure.refused or figure.left or ("never settled" if figure.never_settled else "")
                 about = f"{figure.cell} {figure.number} ({figure.scene}, {figure.rate_hz} Hz)"
                 if trouble or not console.is_terminal:
                     console.print(
-                        f"{len(flown)} of {len(wanted)}: {about} {trouble}", highlight=False, markup=False, soft_wrap=True
+                        f"{flown} of {len(wanted)}: {about} {trouble}", highlight=False, markup=False, soft_wrap=True
                     )
         except KeyboardInterrupt:
-            console.print(f"interrupted after {len(flown)} of {len(wanted)} flights")
+            console.print(f"interrupted after {flown} of {len(wanted)} flights")
             pool.shutdown(wait=False, cancel_futures=True)
-    return flown
 
 
 def _show(cell: str, number: int, overrides: tuple[str, ...], hold_s: float, console: Console) -> None:

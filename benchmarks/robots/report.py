@@ -3,7 +3,7 @@
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
 from benchmarks import evidence
@@ -28,6 +28,11 @@ class GridRun:
     hold_s: float
     origin: str  # date, commit, machine
     flights: tuple[FlightFigures, ...]
+
+    def with_flight(self, flight: FlightFigures) -> "GridRun":
+        """The run with one more flight, in the grid's order."""
+        flights = sorted((*self.flights, flight), key=lambda f: (list(CELLS).index(f.cell), f.number))
+        return replace(self, flights=tuple(flights))
 
     def of(self, cell: str) -> list[FlightFigures]:
         """Flights of a cell."""

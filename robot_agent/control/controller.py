@@ -37,8 +37,8 @@ from robot_agent.guidance.reference import Drive, Follow, Goal, Hold, Reference,
 from robot_agent.guidance.velocity_obstacles import CATCH_UP_MPS, NOBODY, GiveWay, obstacle_traffic, robot_traffic
 from robot_agent.vehicle.allocation import Allocator
 from robot_agent.vehicle.dynamics import Model
-from robot_agent.vehicle.eso import Estimator
 from robot_agent.vehicle.estimate import Estimate, StateMeasurement
+from robot_agent.vehicle.kalman import make_estimator
 from wire.config.controller import ControllerConfig, Safety
 from wire.config.vehicle import Vehicle
 from wire.frames import Array
@@ -190,7 +190,7 @@ class Controller:
         )
         self._weight = np.array(config.mpc.q)
         self._model = model = Model(vehicle, config.estimator.sway, config.mpc.model_lag)
-        self._estimator = Estimator(model, config.estimator, vehicle.thruster.dead_time_s, vehicle.limits.speed_mps)
+        self._estimator = make_estimator(vehicle, model, config.estimator)
         steps_s = period_s * np.arange(horizon + 1, dtype=np.float64)
         nodes_s = vehicle.thruster.dead_time_s + steps_s
         self.sampler = ReferenceSampler(nodes_s)
@@ -252,7 +252,7 @@ class Controller:
         if estimate is None or goal is None:
             return self._neutral(estimate, now_ns)
         self._take_up(goal)
-        if self._config.estimator.adaptive:
+        if self._config.estimator.learns:
             self._heading.adapt(self._model.coefficients, estimate.pace)
         reference = self.sampler.sample(goal)
         predictions = self.formation.predict_neighbours(neighbours, now_ns)

@@ -86,6 +86,10 @@ class EstimatorConfig(Section):
     """Extended state observer (31), bandwidth form b1 = 3w, b2 = 3w^2, b3 = w^3 (Gao 2003). The sensing delay is compensated,
     so noise sets the bandwidth, not delay: at 2 rad/s a pose noise of 1.5 mm makes 2 mm/s in velocity."""
 
+    kind: Literal["eso", "kalman"] = "eso"
+    """`eso`: poles at one bandwidth. `kalman`: a bank of Kalman filters that tells a current from a force of the robot and
+    learns drag, thrust and yaw moment per mass; of the keys below it reads `enabled`, `bandwidth_radps` for z, `sway` and
+    `use_imu_yaw_rate`."""
     enabled: bool = True
     """Estimate the disturbance. False: the estimate is zero."""
     bandwidth_radps: Bandwidth = 2.0
@@ -101,6 +105,11 @@ class EstimatorConfig(Section):
     adaptive: bool = False
     """Learn drag and thrust per mass in flight, and count poses by their covariance. For water that stands still: of a
     current, some would be taken for drag."""
+
+    @property
+    def learns(self) -> bool:
+        """True if drag and thrust per mass are learned in flight."""
+        return self.adaptive or self.kind == "kalman"
 
 
 class GuidanceConfig(Section):
