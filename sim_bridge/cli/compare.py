@@ -69,7 +69,9 @@ def compare(
 
 
 def tune(
-    laws: Annotated[str, typer.Option(metavar="NAMES", help="Which laws, with commas; default: all but eso-mpc and nmpc.")] = "",
+    laws: Annotated[
+        str, typer.Option(metavar="NAMES", help="Which laws, with commas; default: all but eso-mpc and nmpc.")
+    ] = "",
     scenes: Annotated[str, typer.Option(metavar="NAMES", help="Flown in each trial; default: all there are.")] = "",
     seeds: Annotated[str, typer.Option(metavar=FIRST_OR_RANGE, help="Other seeds than a comparison's.")] = "101-101",
     budget: Annotated[int, typer.Option(min=4, help="Trials per law.")] = 32,

@@ -87,9 +87,9 @@ class EstimatorConfig(Section):
     so noise sets the bandwidth, not delay: at 2 rad/s a pose noise of 1.5 mm makes 2 mm/s in velocity."""
 
     kind: Literal["eso", "kalman"] = "eso"
-    """`eso`: poles at one bandwidth. `kalman`: a bank of Kalman filters that tells a current from a force of the robot and
-    learns drag, thrust and yaw moment per mass; of the keys below it reads `enabled`, `bandwidth_radps` for z, `sway` and
-    `use_imu_yaw_rate`."""
+    """Not given: `kalman` for the law `nmpc`, `eso` for all others. `eso`: poles at one bandwidth. `kalman`: a bank of Kalman
+    filters that tells a current from a force of the robot and learns drag, thrust and yaw moment per mass; of the keys below
+    it reads `enabled`, `bandwidth_radps` for z, `sway` and `use_imu_yaw_rate`."""
     enabled: bool = True
     """Estimate the disturbance. False: the estimate is zero."""
     bandwidth_radps: Bandwidth = 2.0
@@ -219,6 +219,15 @@ class ControllerConfig(Section):
     """Fuzzy PI."""
     adaptive_nn: AdaptiveNnConfig = AdaptiveNnConfig()
     """Adaptive neural network."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _plans_with_an_observer_that_knows_the_current(cls, given: Any) -> Any:
+        """The nonlinear MPC looks 6 s ahead and more: over that time a current is not a force of the robot."""
+        if not isinstance(given, dict) or given.get("law") != "nmpc":
+            return given
+        estimator = given.get("estimator", {})
+        return {**given, "estimator": {"kind": "kalman", **estimator}} if isinstance(estimator, dict) else given
 
     @model_validator(mode="before")
     @classmethod

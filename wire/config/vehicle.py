@@ -234,9 +234,9 @@ class Vehicle(Section):
     """Battery."""
     marker: Marker
     """Marker."""
-    righting: Annotated[
-        Righting | None, Field(examples=[{"moment_nm": 1.9, "thrusters_below_m": 0.05, "swing_s": 1.6}])
-    ] = None
+    righting: Annotated[Righting | None, Field(examples=[{"moment_nm": 1.9, "thrusters_below_m": 0.05, "swing_s": 1.6}])] = (
+        None
+    )
     """Righting moment. Left out: thrust does not tilt the hull."""
 
     @cached_property

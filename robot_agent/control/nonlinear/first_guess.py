@@ -12,18 +12,18 @@ import numpy as np
 
 from robot_agent.control.nonlinear.prediction import (
     MOMENT,
-    R,
     STATES,
     SURGE,
-    U,
-    V,
-    X,
-    Y,
     YAW,
     Dynamics,
     Flight,
     Grid,
+    R,
     Start,
+    U,
+    V,
+    X,
+    Y,
     lag_shares,
     motion,
 )
@@ -31,7 +31,6 @@ from robot_agent.control.nonlinear.program import Course, InputLimits
 from wire.frames import TURN
 from wire.kernel_types import Floats
 from wire.kernels import kernel
-
 
 STILL = 0.02  # of the fastest speed: slower, the direction of the water means nothing
 TURN_SHARE, TURN_DAMPING = 0.5, 1.4  # of the heading's bandwidth w: r' = w (0.5 w yaw - 1.4 r), no overshoot
@@ -87,7 +86,7 @@ def guess(
         has_sway |= grid.axes[i] == 1
     for k in range(len(flight.state)):
         span_s = grid.time_s[k + 1] - grid.time_s[k]
-        steps = int(math.ceil(2.0 * span_s / dynamics.hull.step_s - 1e-9))
+        steps = math.ceil(2.0 * span_s / dynamics.hull.step_s - 1e-9)
         step_s = span_s / steps
         shares = lag_shares(dynamics.hull.lag_s, step_s)
         x_mps, y_mps = course.velocity[k, 0], course.velocity[k, 1]

@@ -17,8 +17,8 @@ NS = 1e9
 
 @kernel
 def sample_plan(plan: Table, meant: Table, period_s: float, at_s: Floats, place: Table, deviation: Table) -> None:
-    """Places x, y, z of a plan (rows, 4) at instants after its first row, into `place` (instants, 3), and how far they are from
-    where they are `meant` to be. Beyond its ends a plan stands."""
+    """Write the places x, y, z of a plan (rows, 4) at instants after its first row into `place` (instants, 3), and how far
+    they are from where they are `meant` to be. Beyond its ends a plan stands."""
     last = len(plan) - 1
     for k in range(len(at_s)):
         row = min(max(at_s[k] / period_s, 0.0), float(last))

@@ -2,7 +2,7 @@
 
 Data flow of `NonlinearController.step`; its interface is that of `Controller` (controller.py):
 
-    measurement -> Estimator (eso.py)                 state at the instant at which a command acts, current, own force
+    measurement -> KalmanEstimator (kalman.py)        state at the instant at which a command acts, current, own force
     goal        -> ReferenceSampler (reference.py)    reference at the nodes; on HOLD the place where the robot can stop
                 -> GiveWay (velocity_obstacles.py)    the same reference, or one around robots and obstacles in the way
     neighbours  -> PlanSampler (neighbour_plans.py)   formation's pull (35), bodies to keep clear of (36)
@@ -14,12 +14,13 @@ Data flow of `NonlinearController.step`; its interface is that of `Controller` (
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from robot_agent.control.controller import ControlOutput, GainSet
 from robot_agent.control.mpc import bridged_steps
-from robot_agent.control.nonlinear import tuning as formulas
+from robot_agent.control.nonlinear import tuning as tunings
 from robot_agent.control.nonlinear.course import HeadingRule, Turns, make_course, pulled, set_course, set_depth_course
 from robot_agent.control.nonlinear.neighbour_plans import NO_BODIES, PlanSampler, bodies_of, outlines_of
 from robot_agent.control.nonlinear.obstacle_rows import Bodies, Outlines, Surrounds
@@ -32,8 +33,9 @@ from robot_agent.guidance.reference import Drive, Follow, Goal, Hold, Reference,
 from robot_agent.guidance.velocity_obstacles import CATCH_UP_MPS, NOBODY, GiveWay, obstacle_traffic, robot_traffic
 from robot_agent.vehicle.allocation import Allocator
 from robot_agent.vehicle.dynamics import Model
-from robot_agent.vehicle.eso import POSE_M, Estimator
+from robot_agent.vehicle.eso import POSE_M
 from robot_agent.vehicle.estimate import Estimate, StateMeasurement
+from robot_agent.vehicle.kalman import make_estimator
 from wire.config.controller import ControllerConfig, Safety
 from wire.config.vehicle import Vehicle
 from wire.frames import Array
@@ -49,7 +51,7 @@ OWN_FADE_S, YAW_FADE_S = 10.0, 3.0  # of the robot's own forces (vehicle/eso.py)
 TOLERANCE_M = 0.02  # mean error of a plan with which no other is looked for
 CALM = 8.0  # standard deviations: nearer to its place, a resting robot looks for no other plan
 OWN_SHARE = 0.4  # of what a pose corrects in Gamma: a force of the robot. The rest keeps its direction in the pool
-NOT_SOLVED = Iteration(0.0, 0.0, 0.0, 0, 0.0, False)
+DRIVES_ON_S = 2.0  # a person goes on steering: a plan that stops with the order's age follows late
 
 
 class ForceSplit:
@@ -83,11 +85,11 @@ class NonlinearController:
         self._vehicle, self._config, self._safety, self._urgent = vehicle, config, safety, urgent
         self._has_leader, self._islands, self._period_s = has_leader, islands, config.period_s
         self._model = model = Model(vehicle, config.estimator.sway, config.mpc.model_lag)
-        self._estimator = Estimator(model, config.estimator, vehicle.thruster.dead_time_s, vehicle.limits.speed_mps)
-        self._dead_s, horizon_s = vehicle.thruster.dead_time_s, formulas.horizon_s(vehicle)
-        self._delay_s = formulas.delay_s(vehicle, config.period_s, model.lag_s)
+        self._estimator = make_estimator(vehicle, model, config.estimator)
+        self._dead_s, horizon_s = vehicle.thruster.dead_time_s, tunings.horizon_s(vehicle)
+        self._delay_s = tunings.delay_s(vehicle, config.period_s, model.lag_s)
         self._grid, self._depth_grid = make_grid(horizon_s, AXES), make_grid(horizon_s, (0,))
-        self._step_s = formulas.step_s(vehicle)
+        self._step_s = tunings.step_s(vehicle)
         nodes_s = self._dead_s + self._grid.time_s  # the instant of action, then the nodes
         self.sampler = ReferenceSampler(nodes_s)
         self.formation = Formation(config.mpc, safety, config.period_s, self._dead_s, room_m, vehicle.radius_m)
@@ -96,7 +98,7 @@ class NonlinearController:
         self._planner = Planner(self._grid, config.period_s, 2.0 * safety.radius_m, vehicle.limits.speed_mps)
         self._depth, self._drift = make_memory(1), make_flight(len(AXES))
         self._course, self._depth_course, self._turns = make_course(), make_course(), Turns()
-        self._limits, self._depth_limits = formulas.planar_limits(vehicle), formulas.depth_limits(vehicle)
+        self._limits, self._depth_limits = tunings.planar_limits(vehicle), tunings.depth_limits(vehicle)
         hull_m = vehicle.radius_m + WALL_M
         self._room_m = np.array([math.inf, math.inf]) if room_m is None else 0.5 * np.array(room_m) - hull_m
         self._open_water = Surrounds(NO_BODIES, outlines_of((), 0, 0j), np.array([math.inf, math.inf]))
@@ -106,7 +108,7 @@ class NonlinearController:
         self._wrench, self._delivered = np.zeros(3), np.zeros(3)  # asked for in the last step, and what its pulses gave
         self._priority = Priority(urgent, 0.0)
         self._forces = ForceSplit()
-        self._tuning: formulas.Tuning | None = None
+        self._tuning: tunings.Tuning | None = None
         self._place: Array | None = None  # to rest at
         self._shifted = 0  # steps since the last solution
         self._off_m = 0.0
@@ -155,6 +157,8 @@ class NonlinearController:
         surrounds = self._surrounds(predictions, places, obstacles, estimate, now_ns)
         if isinstance(goal, Hold) and self._place is None:
             self._place = self._stop(goal, dynamics, start, surrounds)
+        if isinstance(goal, Drive):
+            goal = replace(goal, lasts_s=max(goal.lasts_s, DRIVES_ON_S))
         reference = self.sampler.sample(goal if self._place is None else Hold(self._place))
         lead = reference
         if isinstance(goal, Follow):
@@ -188,7 +192,7 @@ class NonlinearController:
             if self._model.sway:
                 self._forces.step(own, estimate.eta.item(3))
                 own, pool = self._forces.own, self._forces.pool
-        hull = formulas.planar_hull(self._model.coefficients, self._model.sway, self._model.lag_s, self._step_s)
+        hull = tunings.planar_hull(self._model.coefficients, self._model.sway, self._model.lag_s, self._step_s)
         return Dynamics(hull, Surroundings(
             current.real, current.imag, own.real, own.imag, turn, pool.real, pool.imag, own_fade_s, yaw_fade_s
         ))  # fmt: skip
@@ -196,14 +200,17 @@ class NonlinearController:
     def _retune(self, estimate: Estimate) -> None:
         """Follow the bandwidths that noise and error allow."""
         deviations, observer_radps = estimate.deviations, estimate.bandwidth_radps
+        depth_radps = self._config.estimator.bandwidth_radps
+        if not observer_radps:
+            observer_radps = tunings.MODEL_SHARE * depth_radps
         if deviations is None:
-            observer_radps = formulas.MODEL_SHARE * self._config.estimator.bandwidth_radps * estimate.pace
-            deviations = formulas.settled_deviations(observer_radps, POSE_M / estimate.pace**3)
-        wanted = formulas.derive(self._vehicle, self._delay_s, deviations, observer_radps, self._off_m)
+            observer_radps *= estimate.pace
+            deviations = tunings.settled_deviations(observer_radps, POSE_M / estimate.pace**3)
+        wanted = tunings.derive(self._vehicle, self._delay_s, deviations, (observer_radps, depth_radps), self._off_m)
         if self._tuning is None:
             self._tuning = wanted
         share = -math.expm1(-self._period_s / GAINS_S)
-        self._tuning = formulas.Tuning(*(a + share * (b - a) for a, b in zip(self._tuning, wanted, strict=True)))
+        self._tuning = tunings.Tuning(*(a + share * (b - a) for a, b in zip(self._tuning, wanted, strict=True)))
         self._calm_m = CALM * deviations.place_m
 
     def _surrounds(
@@ -234,18 +241,14 @@ class NonlinearController:
         """The pose (4,) where the robot can come to rest, inside the walls and clear of others."""
         assert self._tuning is not None
         problem = Problem(start, self._course, self._weights(0.0), self._limits, surrounds)
-        place, _ = resting_place(
-            dynamics, self._grid, problem, self._tuning, self._vehicle.limits.speed_mps, self._drift
-        )
+        place, _ = resting_place(dynamics, self._grid, problem, self._tuning, self._vehicle.limits.speed_mps, self._drift)
         pose = goal.eta.copy()
         pose[0], pose[1] = clear_place(place, surrounds, REST_M)
         return pose
 
     def _weights(self, turning_m: float) -> Weights:
         assert self._tuning is not None
-        return formulas.planar_weights(
-            self._vehicle, self._tuning, self._config.nmpc.arm_m, turning_m, self._config.mpc.slack
-        )
+        return tunings.planar_weights(self._vehicle, self._tuning, self._config.nmpc.arm_m, turning_m, self._config.mpc.slack)
 
     def _improve(self, goal: Goal, led: Reference, dynamics: Dynamics, start: Start, surrounds: Surrounds) -> Iteration:
         """One step of the planner."""
@@ -265,11 +268,11 @@ class NonlinearController:
     def _dive(self, estimate: Estimate, led: Reference) -> Iteration:
         """One step of the plan of depth."""
         assert self._tuning is not None
-        hull = formulas.depth_hull(self._model.nominal, self._model.lag_s, formulas.STEP_S)
+        hull = tunings.depth_hull(self._model.nominal, self._model.lag_s, tunings.STEP_S)
         water = Surroundings(0.0, 0.0, estimate.disturbance.item(2), 0.0, 0.0, 0.0, 0.0, math.inf, math.inf)
         set_depth_course(led.eta, led.velocity, self._depth_course)
         start = make_depth_start(estimate.action, self._wrench)
-        weights = formulas.depth_weights(self._vehicle, self._tuning)
+        weights = tunings.depth_weights(self._vehicle, self._tuning)
         problem = Problem(start, self._depth_course, weights, self._depth_limits, self._open_water)
         found = step_plan(Dynamics(hull, water), self._depth_grid, problem, self._depth, self._period_s)
         if not (found.rounds and math.isfinite(found.after)):

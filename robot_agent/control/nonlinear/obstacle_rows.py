@@ -2,8 +2,8 @@
 
     normal . (x, y) >= offset - give slack        at a node
 
-The normal is the line from a body's place to the plan's, both at that node's instant. Each body has a distance to keep. A robot
-that is nearer already is only asked to get away: the row asks for the distance there is now, plus ESCAPE_MPS times the time.
+The normal is the line from a body's place to the plan's, both at that node's instant. Each body has a distance to keep.
+A robot that is nearer already only has to get away: its row asks for the distance there is now, plus ESCAPE_MPS times time.
 (One slack for all rows would let such a robot stay inside: the slack is paid once.)
 """
 
@@ -62,7 +62,11 @@ class HalfPlanes(NamedTuple):
 def make_half_planes() -> HalfPlanes:
     """Memory for the most rows there can be."""
     return HalfPlanes(
-        np.zeros(MOST_ROWS, np.int64), np.zeros((MOST_ROWS, 2)), np.zeros(MOST_ROWS), np.zeros(MOST_ROWS), np.zeros(1, np.int64)
+        np.zeros(MOST_ROWS, np.int64),
+        np.zeros((MOST_ROWS, 2)),
+        np.zeros(MOST_ROWS),
+        np.zeros(MOST_ROWS),
+        np.zeros(1, np.int64),
     )
 
 

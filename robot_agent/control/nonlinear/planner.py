@@ -79,9 +79,7 @@ class Planner:
             self._plan, self._rival = self._rival, self._plan
         self.is_fresh, self._rival_steps = False, 1
 
-    def _guess(
-        self, memory: Memory, dynamics: Dynamics, problem: Problem, tuning: Tuning, way: tuple[float, float]
-    ) -> None:
+    def _guess(self, memory: Memory, dynamics: Dynamics, problem: Problem, tuning: Tuning, way: tuple[float, float]) -> None:
         """Write a pilot's flight."""
         ahead, aside = way
         memory.program.held[:] = 0
@@ -110,7 +108,7 @@ def resting_place(
     still = Course(*(np.zeros_like(part) for part in problem.course))
     best: tuple[float, complex, float] | None = None
     for ahead in (1.0, -1.0):
-        pilot = Pilot(ahead, 0.0, 0.0, tuning.quickness, tuning.turning, fastest_mps)
+        pilot = Pilot(ahead, 0.0, 0.0, tuning.calm_quickness, tuning.turning, fastest_mps)
         guess(dynamics, grid, start, still, problem.limits, pilot, flight)
         place, speed = _end_of(flight.state[-1], dynamics)
         away = abs(place - here) + speed * float(grid.time_s[-1])

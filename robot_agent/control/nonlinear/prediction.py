@@ -145,14 +145,13 @@ def make_grid(horizon_s: float, axes: tuple[int, ...]) -> Grid:
 def make_flight(axes: int) -> Flight:
     """Memory of a flight that stands still."""
     count = NODES * axes
-    return Flight(
-        np.zeros((NODES, axes)), np.zeros((NODES, STATES)), np.zeros((NODES, DERIVED, count)), np.zeros((12, count))
-    )
+    return Flight(np.zeros((NODES, axes)), np.zeros((NODES, STATES)), np.zeros((NODES, DERIVED, count)), np.zeros((12, count)))
 
 
 @kernel(part=True)
 def motion(dynamics: Dynamics, fading: tuple[float, float], pose: tuple[float, float, float, float], force: Floats) -> Rates:
-    """Rates of a state. `fading` is what is left of own_u and own_v, and of own_r; `pose` has yaw, u, v, r; `force` (3,) acts."""
+    """Rates of a state: `fading` is what is left of own_u and own_v, and of own_r; `pose` has yaw, u, v, r; `force` (3,)
+    acts."""
     hull, water = dynamics.hull, dynamics.water
     yaw, u, v, r = pose
     cos, sin, speed, ratio = math.cos(yaw), math.sin(yaw), math.sqrt(u * u + v * v), hull.mass_v / hull.mass_u
@@ -239,7 +238,7 @@ def predict(dynamics: Dynamics, grid: Grid, start: Start, flight: Flight, derive
     flight.tangent[:] = 0.0
     for k in range(len(flight.state)):
         span_s = grid.time_s[k + 1] - grid.time_s[k]
-        steps = int(math.ceil(span_s / dynamics.hull.step_s - 1e-9))
+        steps = math.ceil(span_s / dynamics.hull.step_s - 1e-9)
         step_s = span_s / steps
         shares = lag_shares(dynamics.hull.lag_s, step_s)
         tangent = flight.tangent

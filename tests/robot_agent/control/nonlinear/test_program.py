@@ -45,9 +45,8 @@ def jacobian(grid: Grid, problem: Problem, commands: Array) -> tuple[Array, Arra
 
     columns = []
     for j in range(commands.size):
-        change = np.zeros(commands.size)
-        change[j] = 1e-6
-        change = change.reshape(commands.shape)
+        change = np.zeros(commands.shape)
+        change.flat[j] = 1e-6
         columns.append((at(commands + change) - at(commands - change)) / 2e-6)
     return at(commands), np.column_stack(columns)
 
