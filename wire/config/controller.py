@@ -87,9 +87,8 @@ class EstimatorConfig(Section):
     so noise sets the bandwidth, not delay: at 2 rad/s a pose noise of 1.5 mm makes 2 mm/s in velocity."""
 
     kind: Literal["eso", "kalman"] = "eso"
-    """Not given: `kalman` for the law `nmpc`, `eso` for all others. `eso`: poles at one bandwidth. `kalman`: a bank of Kalman
-    filters that tells a current from a force of the robot and learns drag, thrust and yaw moment per mass; of the keys below
-    it reads `enabled`, `bandwidth_radps` for z, `sway` and `use_imu_yaw_rate`."""
+    """Observer: poles at one bandwidth, or a bank of Kalman filters that knows a current from a force (docs/control.md). Not
+    given: `kalman` for `nmpc`, else `eso`."""
     enabled: bool = True
     """Estimate the disturbance. False: the estimate is zero."""
     bandwidth_radps: Bandwidth = 2.0

@@ -22,7 +22,7 @@ KEEP_TURN = 0.55  # of a turn: a robot that faces backwards does not change its 
 
 
 class HeadingRule(NamedTuple):
-    """How a course gets its heading."""
+    """Rule by which a course gets its heading."""
 
     near_rad: float  # whole turns are those nearest to this
     weight_m2: float  # a^2, m^2/rad^2

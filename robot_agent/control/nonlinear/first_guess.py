@@ -16,8 +16,8 @@ from robot_agent.control.nonlinear.prediction import (
     SURGE,
     YAW,
     Dynamics,
-    Flight,
     Grid,
+    PlannedFlight,
     R,
     Start,
     U,
@@ -36,8 +36,8 @@ STILL = 0.02  # of the fastest speed: slower, the direction of the water means n
 TURN_SHARE, TURN_DAMPING = 0.5, 1.4  # of the heading's bandwidth w: r' = w (0.5 w yaw - 1.4 r), no overshoot
 
 
-class Pilot(NamedTuple):
-    """How the pilot flies."""
+class PilotStyle(NamedTuple):
+    """Manner in which the pilot flies."""
 
     ahead: float  # 1: bow first, -1: stern first
     aside_m: float  # of the course to port, in the middle of the horizon: around what is in the way
@@ -49,7 +49,7 @@ class Pilot(NamedTuple):
 
 @kernel(part=True)
 def wanted_force(
-    dynamics: Dynamics, pilot: Pilot, state: Floats, x_mps: float, y_mps: float, has_sway: bool
+    dynamics: Dynamics, pilot: PilotStyle, state: Floats, x_mps: float, y_mps: float, has_sway: bool
 ) -> tuple[float, float, float]:
     """Forces that bring the robot to a velocity through the water, and its bow or stern into it."""
     hull, water, yaw = dynamics.hull, dynamics.water, state[YAW]
@@ -77,7 +77,7 @@ def wanted_force(
 
 @kernel
 def guess(
-    dynamics: Dynamics, grid: Grid, start: Start, course: Course, limits: InputLimits, pilot: Pilot, flight: Flight
+    dynamics: Dynamics, grid: Grid, start: Start, course: Course, limits: InputLimits, pilot: PilotStyle, flight: PlannedFlight
 ) -> None:
     """Fly, and write commands at the nodes within all limits, and the states there."""
     axes, state, middle = len(grid.axes), start.state.copy(), np.zeros(STATES)

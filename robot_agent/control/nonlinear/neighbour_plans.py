@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from robot_agent.control.nonlinear.obstacle_rows import Bodies, Outlines
+from robot_agent.control.nonlinear.obstacle_rows import MovingBodies, Outlines
 from robot_agent.control.nonlinear.prediction import NODES
 from robot_agent.guidance.formation import Neighbour
 from robot_agent.guidance.obstacles import Obstacle
@@ -60,16 +60,16 @@ class PlanSampler:
         return places, total if self._has_leader else total * (self._weight / (1.0 + members * self._weight))
 
 
-def bodies_of(places: Array, keep_m: Array, until: Array, depth_m: Array, place: complex) -> Bodies:
+def bodies_of(places: Array, keep_m: Array, until: Array, depth_m: Array, place: complex) -> MovingBodies:
     """Robots to keep clear of at their `places` (robots, nodes, 3), each at its distance `keep_m` (robots,) for its first
     `until` (robots,) nodes. One that is as far below or above our planned `depth_m` (nodes,) is out of the way."""
     in_way = (np.abs(places[:, :, 2] - depth_m) < keep_m[:, None]) & (np.arange(NODES) < until[:, None])
     first = places[:, 0]
     apart_m = np.hypot(first[:, 0] - place.real, first[:, 1] - place.imag)
-    return Bodies(np.ascontiguousarray(places[:, :, :2]), np.where(in_way, keep_m[:, None], 0.0), apart_m)
+    return MovingBodies(np.ascontiguousarray(places[:, :, :2]), np.where(in_way, keep_m[:, None], 0.0), apart_m)
 
 
-NO_BODIES = Bodies(np.zeros((0, NODES, 2)), np.zeros((0, NODES)), np.zeros(0))
+NO_BODIES = MovingBodies(np.zeros((0, NODES, 2)), np.zeros((0, NODES)), np.zeros(0))
 
 
 def outlines_of(obstacles: Sequence[Obstacle], at_ns: int, place: complex) -> Outlines:

@@ -23,10 +23,10 @@ from robot_agent.control.mpc import bridged_steps
 from robot_agent.control.nonlinear import tuning as tunings
 from robot_agent.control.nonlinear.course import HeadingRule, Turns, make_course, pulled, set_course, set_depth_course
 from robot_agent.control.nonlinear.neighbour_plans import NO_BODIES, PlanSampler, bodies_of, outlines_of
-from robot_agent.control.nonlinear.obstacle_rows import Bodies, Outlines, Surrounds
+from robot_agent.control.nonlinear.obstacle_rows import MovingBodies, Outlines, Surrounds
 from robot_agent.control.nonlinear.planner import Planner, make_depth_start, make_start, resting_place
 from robot_agent.control.nonlinear.prediction import Dynamics, Start, Surroundings, fly, make_flight, make_grid
-from robot_agent.control.nonlinear.program import Iteration, Problem, Weights, make_memory, step_plan
+from robot_agent.control.nonlinear.program import Iteration, PlanProblem, Weights, make_memory, step_plan
 from robot_agent.guidance.formation import Formation, Neighbour, NeighbourPredictions, Priority
 from robot_agent.guidance.obstacles import Obstacle
 from robot_agent.guidance.reference import Drive, Follow, Goal, Hold, Reference, ReferenceSampler, interpolate_rows
@@ -108,7 +108,7 @@ class NonlinearController:
         self._wrench, self._delivered = np.zeros(3), np.zeros(3)  # asked for in the last step, and what its pulses gave
         self._priority = Priority(urgent, 0.0)
         self._forces = ForceSplit()
-        self._tuning: tunings.Tuning | None = None
+        self._tuning: tunings.Bandwidths | None = None
         self._place: Array | None = None  # to rest at
         self._shifted = 0  # steps since the last solution
         self._off_m = 0.0
@@ -210,7 +210,7 @@ class NonlinearController:
         if self._tuning is None:
             self._tuning = wanted
         share = -math.expm1(-self._period_s / GAINS_S)
-        self._tuning = tunings.Tuning(*(a + share * (b - a) for a, b in zip(self._tuning, wanted, strict=True)))
+        self._tuning = tunings.Bandwidths(*(a + share * (b - a) for a, b in zip(self._tuning, wanted, strict=True)))
         self._calm_m = CALM * deviations.place_m
 
     def _surrounds(
@@ -240,7 +240,7 @@ class NonlinearController:
     def _stop(self, goal: Hold, dynamics: Dynamics, start: Start, surrounds: Surrounds) -> Array:
         """The pose (4,) where the robot can come to rest, inside the walls and clear of others."""
         assert self._tuning is not None
-        problem = Problem(start, self._course, self._weights(0.0), self._limits, surrounds)
+        problem = PlanProblem(start, self._course, self._weights(0.0), self._limits, surrounds)
         place, _ = resting_place(dynamics, self._grid, problem, self._tuning, self._vehicle.limits.speed_mps, self._drift)
         pose = goal.eta.copy()
         pose[0], pose[1] = clear_place(place, surrounds, REST_M)
@@ -260,7 +260,7 @@ class NonlinearController:
         )
         self._turns.note(self._course, near_rad)
         weights = self._weights(gains.hold_turning_m if is_resting else gains.turning_m)
-        problem = Problem(start, self._course, weights, self._limits, surrounds)
+        problem = PlanProblem(start, self._course, weights, self._limits, surrounds)
         calm = is_resting and self._off_m < self._calm_m
         assert self._tuning is not None
         return self._planner.step(dynamics, problem, self._tuning, math.inf if calm else TOLERANCE_M)
@@ -273,7 +273,7 @@ class NonlinearController:
         set_depth_course(led.eta, led.velocity, self._depth_course)
         start = make_depth_start(estimate.action, self._wrench)
         weights = tunings.depth_weights(self._vehicle, self._tuning)
-        problem = Problem(start, self._depth_course, weights, self._depth_limits, self._open_water)
+        problem = PlanProblem(start, self._depth_course, weights, self._depth_limits, self._open_water)
         found = step_plan(Dynamics(hull, water), self._depth_grid, problem, self._depth, self._period_s)
         if not (found.rounds and math.isfinite(found.after)):
             self._depth.flight.command[:] = 0.0
@@ -408,7 +408,7 @@ def clear_place(place: complex, surrounds: Surrounds, margin_m: float) -> tuple[
     return place.real, place.imag
 
 
-def _nearest_points(place: complex, bodies: Bodies, outlines: Outlines) -> list[tuple[complex, float]]:
+def _nearest_points(place: complex, bodies: MovingBodies, outlines: Outlines) -> list[tuple[complex, float]]:
     """The point of each body at the end of its plan, and of each outline, that is nearest to a place, with its distance."""
     found = [(complex(*bodies.place[i, -1]), float(bodies.keep_m[i].max())) for i in range(len(bodies.keep_m))]
     for i, keep_m in enumerate(outlines.keep_m.tolist()):

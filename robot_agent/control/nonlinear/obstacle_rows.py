@@ -23,7 +23,7 @@ TOUCHING_M = 1e-6
 MOST_ROWS = 8 * NODES  # of eight bodies all the way; beyond, the ones given last are left out
 
 
-class Bodies(NamedTuple):
+class MovingBodies(NamedTuple):
     """Robots at the nodes' instants."""
 
     place: Cube  # (bodies, nodes, 2) m
@@ -44,7 +44,7 @@ class Outlines(NamedTuple):
 class Surrounds(NamedTuple):
     """All that a plan has to keep clear of."""
 
-    bodies: Bodies
+    bodies: MovingBodies
     outlines: Outlines
     room_m: Floats  # (2,) half the length and half the width that a robot's centre may use; infinite without walls
 

@@ -9,10 +9,10 @@ import math
 
 import numpy as np
 
-from robot_agent.control.nonlinear.first_guess import Pilot, guess
-from robot_agent.control.nonlinear.prediction import Dynamics, Flight, Grid, Start
-from robot_agent.control.nonlinear.program import Course, Iteration, Memory, Problem, appraise, make_memory, step_plan
-from robot_agent.control.nonlinear.tuning import Tuning
+from robot_agent.control.nonlinear.first_guess import PilotStyle, guess
+from robot_agent.control.nonlinear.prediction import Dynamics, Grid, PlannedFlight, Start
+from robot_agent.control.nonlinear.program import Course, Iteration, Memory, PlanProblem, appraise, make_memory, step_plan
+from robot_agent.control.nonlinear.tuning import Bandwidths
 from wire.frames import Array
 
 RIVAL_STEPS = 4  # iterations of a rival: more bring less than 1 % of its cost
@@ -43,11 +43,11 @@ class Planner:
         self._since_s = 0.0  # the last rival
 
     @property
-    def flight(self) -> Flight:
+    def flight(self) -> PlannedFlight:
         """The plan."""
         return self._plan.flight
 
-    def step(self, dynamics: Dynamics, problem: Problem, tuning: Tuning, tolerance_m: float) -> Iteration:
+    def step(self, dynamics: Dynamics, problem: PlanProblem, tuning: Bandwidths, tolerance_m: float) -> Iteration:
         """Improve the plan, and look for a better one while its mean error is more than `tolerance_m`."""
         if self.is_fresh:
             self._begin(dynamics, problem, tuning)
@@ -69,7 +69,7 @@ class Planner:
             self._next, self._rival_steps, self._since_s = self._next + 1, 1, 0.0
         return found
 
-    def _begin(self, dynamics: Dynamics, problem: Problem, tuning: Tuning) -> None:
+    def _begin(self, dynamics: Dynamics, problem: PlanProblem, tuning: Bandwidths) -> None:
         """The cheaper of the pilot's two flights is the plan, the other one its rival."""
         costs = []
         for memory, way in ((self._plan, AHEAD), (self._rival, ASTERN)):
@@ -79,16 +79,18 @@ class Planner:
             self._plan, self._rival = self._rival, self._plan
         self.is_fresh, self._rival_steps = False, 1
 
-    def _guess(self, memory: Memory, dynamics: Dynamics, problem: Problem, tuning: Tuning, way: tuple[float, float]) -> None:
+    def _guess(
+        self, memory: Memory, dynamics: Dynamics, problem: PlanProblem, tuning: Bandwidths, way: tuple[float, float]
+    ) -> None:
         """Write a pilot's flight."""
         ahead, aside = way
         memory.program.held[:] = 0
-        pilot = Pilot(
+        pilot = PilotStyle(
             ahead, aside * self._aside_m, RETURN_SHARE * tuning.quickness, tuning.quickness, tuning.turning, self._fastest_mps
         )
         guess(dynamics, self._grid, problem.start, problem.course, problem.limits, pilot, memory.flight)
 
-    def _compare(self, dynamics: Dynamics, problem: Problem, found: Iteration) -> Iteration:
+    def _compare(self, dynamics: Dynamics, problem: PlanProblem, found: Iteration) -> Iteration:
         """Improve the rival, and let it take the plan's place if it is cheaper in the end."""
         rival = step_plan(dynamics, self._grid, problem, self._rival, self._period_s if self._rival_steps > 1 else 0.0)
         self._rival_steps = self._rival_steps + 1 if rival.rounds and self._rival_steps < RIVAL_STEPS else 0
@@ -99,16 +101,16 @@ class Planner:
 
 
 def resting_place(
-    dynamics: Dynamics, grid: Grid, problem: Problem, tuning: Tuning, fastest_mps: float, flight: Flight
+    dynamics: Dynamics, grid: Grid, problem: PlanProblem, tuning: Bandwidths, fastest_mps: float, flight: PlannedFlight
 ) -> tuple[complex, float]:
-    """Where a pilot comes to rest who does nothing but stop, and how fast that flight still is at its end: bow or stern into
-    the current, whichever ends nearer."""
+    """Place at which a pilot who only stops comes to rest, and the speed that is left at the flight's end: bow or stern
+    into the current, whichever ends nearer."""
     start = problem.start
     here = complex(start.state[0], start.state[1])
     still = Course(*(np.zeros_like(part) for part in problem.course))
     best: tuple[float, complex, float] | None = None
     for ahead in (1.0, -1.0):
-        pilot = Pilot(ahead, 0.0, 0.0, tuning.calm_quickness, tuning.turning, fastest_mps)
+        pilot = PilotStyle(ahead, 0.0, 0.0, tuning.calm_quickness, tuning.turning, fastest_mps)
         guess(dynamics, grid, start, still, problem.limits, pilot, flight)
         place, speed = _end_of(flight.state[-1], dynamics)
         away = abs(place - here) + speed * float(grid.time_s[-1])

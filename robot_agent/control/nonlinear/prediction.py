@@ -84,7 +84,7 @@ class Start(NamedTuple):
     command: Floats
 
 
-class Flight(NamedTuple):
+class PlannedFlight(NamedTuple):
     """Commands at nodes 1.. and the motion that they give. Commands are in rows of nodes, so that the derivatives by all
     commands up to a node are one piece of memory."""
 
@@ -142,10 +142,12 @@ def make_grid(horizon_s: float, axes: tuple[int, ...]) -> Grid:
     return Grid(np.concatenate([[0.0], np.cumsum(spans_s)]), share_s, np.array(axes, np.int64))
 
 
-def make_flight(axes: int) -> Flight:
+def make_flight(axes: int) -> PlannedFlight:
     """Memory of a flight that stands still."""
     count = NODES * axes
-    return Flight(np.zeros((NODES, axes)), np.zeros((NODES, STATES)), np.zeros((NODES, DERIVED, count)), np.zeros((12, count)))
+    return PlannedFlight(
+        np.zeros((NODES, axes)), np.zeros((NODES, STATES)), np.zeros((NODES, DERIVED, count)), np.zeros((12, count))
+    )
 
 
 @kernel(part=True)
@@ -230,7 +232,7 @@ def spread_tangents(
 
 
 @kernel(part=True)
-def predict(dynamics: Dynamics, grid: Grid, start: Start, flight: Flight, derive: bool) -> None:
+def predict(dynamics: Dynamics, grid: Grid, start: Start, flight: PlannedFlight, derive: bool) -> None:
     """States at the nodes of a flight by its commands, and with `derive` their slopes."""
     water, axes = dynamics.water, len(grid.axes)
     state, middle = start.state.copy(), np.zeros(STATES)
@@ -288,7 +290,7 @@ def predict(dynamics: Dynamics, grid: Grid, start: Start, flight: Flight, derive
 
 
 @kernel(part=True)
-def move_on(grid: Grid, by_s: float, flight: Flight) -> None:
+def move_on(grid: Grid, by_s: float, flight: PlannedFlight) -> None:
     """The same plan `by_s` later, in place: each node takes the command that the plan had for its new instant."""
     nodes, j = len(flight.command), 0
     for k in range(nodes):
@@ -303,6 +305,6 @@ def move_on(grid: Grid, by_s: float, flight: Flight) -> None:
 
 
 @kernel
-def fly(dynamics: Dynamics, grid: Grid, start: Start, flight: Flight) -> None:
+def fly(dynamics: Dynamics, grid: Grid, start: Start, flight: PlannedFlight) -> None:
     """States and slopes of a flight by its commands."""
     predict(dynamics, grid, start, flight, True)

@@ -19,8 +19,8 @@ from robot_agent.control.nonlinear.prediction import (
     NODES,
     YAW,
     Dynamics,
-    Flight,
     Grid,
+    PlannedFlight,
     R,
     Start,
     U,
@@ -66,7 +66,7 @@ class InputLimits(NamedTuple):
     rate: Floats  # (axes,) per second
 
 
-class Problem(NamedTuple):
+class PlanProblem(NamedTuple):
     """Everything that one step's program is made of, beside the model."""
 
     start: Start
@@ -76,7 +76,7 @@ class Problem(NamedTuple):
     surrounds: Surrounds
 
 
-class Program(NamedTuple):
+class QuadraticProgram(NamedTuple):
     """Memory of a quadratic program."""
 
     hessian: Table
@@ -96,8 +96,8 @@ class Program(NamedTuple):
 class Memory(NamedTuple):
     """A flight with its program and half-spaces: what goes on from step to step."""
 
-    flight: Flight
-    program: Program
+    flight: PlannedFlight
+    program: QuadraticProgram
     rows: HalfPlanes
 
 
@@ -118,7 +118,7 @@ def make_memory(axes: int) -> Memory:
     matrix = np.zeros((rows, size + 1))
     matrix[:size, :size] = np.eye(size)
     matrix[size : 2 * size, :size] = np.eye(size) - np.eye(size, k=-axes)
-    program = Program(
+    program = QuadraticProgram(
         np.zeros((size + 1, size + 1)), np.zeros(size + 1), matrix, np.zeros(rows), np.zeros(rows), np.zeros(rows, np.int64),
         np.zeros((4, size + 1, size + 1)), np.zeros(size + 1), np.zeros(size + 1), np.zeros(rows), np.zeros(size),
         np.zeros((NODES, axes)),
@@ -127,7 +127,7 @@ def make_memory(axes: int) -> Memory:
 
 
 @kernel(part=True)
-def end_error(dynamics: Dynamics, problem: Problem, state: Floats) -> tuple[float, float]:
+def end_error(dynamics: Dynamics, problem: PlanProblem, state: Floats) -> tuple[float, float]:
     """The last node's error of place and velocity, p - p_ref + t (p' - p_ref'), m."""
     course, lead_s, last = problem.course, problem.weights.lead_s, len(problem.course.yaw) - 1
     cos, sin = math.cos(state[YAW]), math.sin(state[YAW])
@@ -151,7 +151,7 @@ def deepest_entry(rows: HalfPlanes, state: Table) -> float:
 
 
 @kernel(part=True)
-def cost_of(dynamics: Dynamics, grid: Grid, problem: Problem, memory: Memory) -> float:
+def cost_of(dynamics: Dynamics, grid: Grid, problem: PlanProblem, memory: Memory) -> float:
     """J of a flight."""
     course, weights, flight = problem.course, problem.weights, memory.flight
     total, last = 0.0, len(flight.state) - 1
@@ -170,7 +170,7 @@ def cost_of(dynamics: Dynamics, grid: Grid, problem: Problem, memory: Memory) ->
 
 
 @kernel(part=True)
-def add_square(weight: float, error: float, row: Floats, reached: int, program: Program) -> None:
+def add_square(weight: float, error: float, row: Floats, reached: int, program: QuadraticProgram) -> None:
     """Add the square of one linearised term: weight (error + row . change)^2 / 2, `row` (reached,)."""
     for j in range(reached):
         one = weight * row[j]
@@ -180,7 +180,7 @@ def add_square(weight: float, error: float, row: Floats, reached: int, program: 
 
 
 @kernel(part=True)
-def add_end(dynamics: Dynamics, problem: Problem, flight: Flight, program: Program) -> None:
+def add_end(dynamics: Dynamics, problem: PlanProblem, flight: PlannedFlight, program: QuadraticProgram) -> None:
     """Add the squares of the last node's error of place and velocity."""
     last, lead_s = len(flight.state) - 1, problem.weights.lead_s
     state, slope = flight.state[last], flight.slope[last]
@@ -196,7 +196,7 @@ def add_end(dynamics: Dynamics, problem: Problem, flight: Flight, program: Progr
 
 
 @kernel(part=True)
-def condense(dynamics: Dynamics, grid: Grid, problem: Problem, flight: Flight, program: Program) -> None:
+def condense(dynamics: Dynamics, grid: Grid, problem: PlanProblem, flight: PlannedFlight, program: QuadraticProgram) -> None:
     """Hessian and gradient by changes of the commands, and by the slack."""
     course, weights, axes = problem.course, problem.weights, len(grid.axes)
     size, hessian, gradient = len(program.row), program.hessian, program.gradient
@@ -229,7 +229,7 @@ def condense(dynamics: Dynamics, grid: Grid, problem: Problem, flight: Flight, p
 
 
 @kernel(part=True)
-def set_bounds(grid: Grid, problem: Problem, memory: Memory) -> int:
+def set_bounds(grid: Grid, problem: PlanProblem, memory: Memory) -> int:
     """Bounds of all rows, and the half-spaces' rows; returns how many there are. No change at all is always within the bounds
     of the commands: what is beyond them already may not go farther."""
     flight, program, rows, axes = memory.flight, memory.program, memory.rows, len(grid.axes)
@@ -253,7 +253,7 @@ def set_bounds(grid: Grid, problem: Problem, memory: Memory) -> int:
 
 
 @kernel(part=True)
-def improve(dynamics: Dynamics, grid: Grid, problem: Problem, memory: Memory) -> Iteration:
+def improve(dynamics: Dynamics, grid: Grid, problem: PlanProblem, memory: Memory) -> Iteration:
     """One iteration on a flight, in place."""
     flight, program, axes = memory.flight, memory.program, len(grid.axes)
     predict(dynamics, grid, problem.start, flight, True)
@@ -290,14 +290,14 @@ def improve(dynamics: Dynamics, grid: Grid, problem: Problem, memory: Memory) ->
 
 
 @kernel
-def step_plan(dynamics: Dynamics, grid: Grid, problem: Problem, memory: Memory, by_s: float) -> Iteration:
+def step_plan(dynamics: Dynamics, grid: Grid, problem: PlanProblem, memory: Memory, by_s: float) -> Iteration:
     """The plan of `by_s` ago moved on to now, and one iteration on it."""
     move_on(grid, by_s, memory.flight)
     return improve(dynamics, grid, problem, memory)
 
 
 @kernel
-def appraise(dynamics: Dynamics, grid: Grid, problem: Problem, memory: Memory) -> float:
+def appraise(dynamics: Dynamics, grid: Grid, problem: PlanProblem, memory: Memory) -> float:
     """Cost of a flight as it is; its states are written."""
     predict(dynamics, grid, problem.start, memory.flight, False)
     find_rows(problem.surrounds, grid, memory.flight.state, memory.rows)

@@ -34,7 +34,7 @@ SLOWEST_RADPS = 0.2  # poses that say nothing for a while must not end the loop:
 MODEL_SHARE = 0.7  # of the bandwidth of an observer that has no covariance
 
 
-class Tuning(NamedTuple):
+class Bandwidths(NamedTuple):
     """Bandwidths, rad/s."""
 
     quickness: float  # of the place
@@ -68,7 +68,7 @@ def cube_root(rate: float, inertia: float, reach: float) -> float:
     return math.pow(rate / (inertia * reach), 1.0 / 3.0)
 
 
-def derive(vehicle: Vehicle, delay: float, known: Deviations, observer_radps: tuple[float, float], off_m: float) -> Tuning:
+def derive(vehicle: Vehicle, delay: float, known: Deviations, observer_radps: tuple[float, float], off_m: float) -> Bandwidths:
     """Bandwidths for a robot that is `off_m` away from its path; the observer has one for the place and one for depth."""
     mass, _, mass_w, inertia = vehicle.inertia.tolist()
     force_rate, lift_rate, moment_rate = vehicle.limits.wrench_rate_per_s
@@ -85,7 +85,7 @@ def derive(vehicle: Vehicle, delay: float, known: Deviations, observer_radps: tu
         TURN_DELAY_SHARE / delay,
     )
     depth = max(min(cube_root(lift_rate, mass_w, reach_m), late, MODEL_SHARE * observer_radps[1]), SLOWEST_RADPS)
-    return Tuning(quickness, min(quickness, calm), turning, depth)
+    return Bandwidths(quickness, min(quickness, calm), turning, depth)
 
 
 def rate_weight(mass: float, bandwidth_radps: float, arm_m: float = 1.0) -> float:
@@ -93,14 +93,14 @@ def rate_weight(mass: float, bandwidth_radps: float, arm_m: float = 1.0) -> floa
     return (arm_m / (mass * bandwidth_radps**3)) ** 2
 
 
-def planar_weights(vehicle: Vehicle, tuning: Tuning, arm_m: float, turning_m: float, entry: float) -> Weights:
+def planar_weights(vehicle: Vehicle, tuning: Bandwidths, arm_m: float, turning_m: float, entry: float) -> Weights:
     """Weights of surge and yaw."""
     mass, _, _, inertia = vehicle.inertia.tolist()
     rate = np.array([rate_weight(mass, tuning.quickness), rate_weight(inertia, tuning.turning, arm_m)])
     return Weights(rate, turning_m**2, END_SHARE / tuning.calm_quickness, 1.0 / tuning.calm_quickness, entry)
 
 
-def depth_weights(vehicle: Vehicle, tuning: Tuning) -> Weights:
+def depth_weights(vehicle: Vehicle, tuning: Bandwidths) -> Weights:
     """Weights of heave."""
     rate = np.array([rate_weight(vehicle.mass.heave_kg, tuning.depth)])
     return Weights(rate, 0.0, END_SHARE / tuning.depth, 1.0 / tuning.depth, 1.0)
@@ -157,7 +157,8 @@ def formulas(vehicle: Vehicle, period_s: float) -> list[tuple[str, str, str]]:
         ("horizon", "2 (2 sqrt(pi I / N) + pi / (2 r_max) + m U / F), 6 to 12 s", f"{horizon_s(vehicle):.1f} s"),
         ("reach e", "20 sd_place; the distance off the path if that is more, up to 0.4 R", "2 to 6 cm"),
         (
-            "quickness w1", "min((F' / (m e))^(1/3), (0.05 F' / (m sd_ground))^(1/2), 0.4 / d, w_observer / (1 + 2 sd_thrust))",
+            "quickness w1",
+            "min((F' / (m e))^(1/3), (0.05 F' / (m sd_ground))^(1/2), 0.4 / d, w_observer / (1 + 2 sd_thrust))",
             f"{on_path.quickness:.1f} rad/s; {off_path.quickness:.1f} off the path",
         ),
         (
@@ -167,7 +168,10 @@ def formulas(vehicle: Vehicle, period_s: float) -> list[tuple[str, str, str]]:
         ("depth w3", "min((Z' / (0.4 R m_w))^(1/3), 0.4 / d, 0.7 bandwidth_radps)", f"{on_path.depth:.1f} rad/s"),
         ("weight of a force's rate", "(1 / (m w^3))^2", f"{surge:.1e} m^2 s^2/N^2"),
         ("weight of the moment's rate", "(arm_m / (I w2^3))^2", f"{yaw:.1e} m^2 s^2/(N m)^2"),
-        ("end of the horizon", "2 / w of the error 1 / w later; w = w1, at most that for e = 0.4 R", f"{on_path.calm_quickness:.1f} rad/s"),
+        (
+            "end of the horizon", "2 / w of the error 1 / w later; w = w1, at most that for e = 0.4 R",
+            f"{on_path.calm_quickness:.1f} rad/s",
+        ),
         (
             "most surge, and its rate", "M sin(0.35 rad) / (depth of the thrusters + M / (g m)), within half a swing",
             f"{limits.size[0]:.1f} N, {limits.rate[0]:.1f} N/s",

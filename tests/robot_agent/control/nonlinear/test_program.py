@@ -8,15 +8,15 @@ import pytest
 from scipy import sparse
 
 from robot_agent.control.nonlinear.neighbour_plans import NO_BODIES, outlines_of
-from robot_agent.control.nonlinear.obstacle_rows import Bodies, Surrounds
-from robot_agent.control.nonlinear.prediction import Flight, Grid, Start, fly, make_flight
-from robot_agent.control.nonlinear.program import Memory, Problem, appraise, make_memory, step_plan
+from robot_agent.control.nonlinear.obstacle_rows import MovingBodies, Surrounds
+from robot_agent.control.nonlinear.prediction import Grid, PlannedFlight, Start, fly, make_flight
+from robot_agent.control.nonlinear.program import Memory, PlanProblem, appraise, make_memory, step_plan
 from robot_agent.guidance.obstacles import Obstacle
 from tests.robot_agent.control.nonlinear.plants import ALL_AXES, DYNAMICS, LIMIT, NOTHING, RATE, STILL, grid_of, problem_of
 from wire.frames import Array
 
 
-def residuals(grid: Grid, problem: Problem, flight: Flight) -> Array:
+def residuals(grid: Grid, problem: PlanProblem, flight: PlannedFlight) -> Array:
     """All terms of the cost, so that J is the sum of their squares: the formula of program.py, in NumPy."""
     s, course, w = flight.state, problem.course, problem.weights
     share, span = np.sqrt(grid.share_s), np.diff(grid.time_s)
@@ -34,7 +34,7 @@ def residuals(grid: Grid, problem: Problem, flight: Flight) -> Array:
     return np.concatenate([place.ravel(), yaw, turning, rate.ravel(), end])
 
 
-def jacobian(grid: Grid, problem: Problem, commands: Array) -> tuple[Array, Array]:
+def jacobian(grid: Grid, problem: PlanProblem, commands: Array) -> tuple[Array, Array]:
     """Residuals of commands, and their derivatives by finite differences."""
     flight = make_flight(commands.shape[1])
 
@@ -112,7 +112,7 @@ def flown(surrounds: Surrounds, aside_m: float = 0.3, speed_mps: float = 0.1) ->
 def test_plan_keeps_its_distance_from_a_robot_and_from_an_obstacle_and_stays_in_the_room() -> None:
     """The course leads to within 0.1 m of a robot and of an island, and out of the room."""
     free = flown(NOTHING).flight.state
-    body = Bodies(np.tile([0.75, 0.38], (1, 20, 1)), np.full((1, 20), 0.3), np.array([1.0]))
+    body = MovingBodies(np.tile([0.75, 0.38], (1, 20, 1)), np.full((1, 20), 0.3), np.array([1.0]))
     plan = flown(NOTHING._replace(bodies=body)).flight.state
     nearest = [np.hypot(s[:, 0] - 0.75, s[:, 1] - 0.38).min() for s in (free, plan)]
     assert nearest[0] < 0.2 and nearest[1] > 0.295
@@ -127,7 +127,7 @@ def test_plan_keeps_its_distance_from_a_robot_and_from_an_obstacle_and_stays_in_
 
 def test_a_robot_that_is_too_near_gets_away() -> None:
     """It lies 0.1 m from a body with 0.6 m to keep, and wants to stay there: the rows take it out, at ESCAPE_MPS or more."""
-    body = Bodies(np.tile([0.1, 0.0], (1, 20, 1)), np.full((1, 20), 0.6), np.array([0.1]))
+    body = MovingBodies(np.tile([0.1, 0.0], (1, 20, 1)), np.full((1, 20), 0.6), np.array([0.1]))
     plan = flown(NOTHING._replace(bodies=body), aside_m=0.0, speed_mps=0.0).flight.state
     assert np.hypot(plan[-1, 0] - 0.1, plan[-1, 1]) > 0.5
 
