@@ -24,6 +24,7 @@ BENCHMARKS = {
     "guard": ("wire.guard", "the guard of a router with keys: there and back through it and past it"),
     "control_step": ("robot_agent.control_step", "one complete control step, closed loop, beside peers (3 minutes)"),
     "control_growth": ("robot_agent.control_growth", "a control step with longer horizons and more neighbours"),
+    "observer": ("robot_agent.observer", "a step of the observer that tells a current from a force, beside the ESO's"),
     "agent": ("robot_agent.agent", "a robot's program: start to ready, memory, CPU at 20 Hz (1 minute)"),
     "neighbours": (
         "robot_agent.neighbours",

@@ -103,7 +103,8 @@ class Estimator:
         self._at_ns = 0
         self._other_poses: Contradiction[PoseMeasurement] = Contradiction(_agree)
         self._other_depths: Contradiction[float] = Contradiction(lambda a, b: abs(a - b) <= GATE_DEPTH_M)
-        self._other_rates: Contradiction[float] = Contradiction(lambda a, b: abs(a - b) <= GATE_RADPS)
+        self._other_rates: Contradiction[float] = Contradiction(lambda a, b: abs(a - b) <= self._gate_radps)
+        self._gate_radps = GATE_RADPS
         self._contradicted_ns = 0  # stamp of the last pose that contradicted
         self._depth_ns: int | None = None  # instant of the last depth that was believed
         self._leap = self._depth_leap = ""
@@ -252,7 +253,7 @@ class Estimator:
 
     def _accepts_rate(self, rate_radps: float) -> bool:
         """True if a yaw rate passes the gate. A single outlier is left out, a persistent one replaces the estimate."""
-        if not self._begun or abs(rate_radps - self._belief[7]) <= GATE_RADPS:
+        if not self._begun or abs(rate_radps - self._belief[7]) <= self._gate_radps:
             self._other_rates.reset()
             return True
         if not self._other_rates.persists(rate_radps):

@@ -195,8 +195,8 @@ def correct(p: Table, mean: Floats, measured: Measured, learns: bool, gain: Floa
     row, other = measured.row, measured.other
     for i in range(ERRORS):
         gain[i] = p[i, row] + (p[i, other] if other >= 0 else 0.0)
-    s = gain[row] + (gain[other] if other >= 0 else 0.0) + measured.variance
-    news = measured.error - mean[row] - (mean[other] if other >= 0 else 0.0)
+    s: float = gain[row] + (gain[other] if other >= 0 else 0.0) + measured.variance
+    news: float = measured.error - mean[row] - (mean[other] if other >= 0 else 0.0)
     for i in range(ERRORS):
         if i != DRAG or learns:
             mean[i] += gain[i] / s * news

@@ -15,13 +15,14 @@ from robot_agent.vehicle.dynamics import (
     GATE_RAD,
     LONGEST_STEP_NS,
     OUTLIER,
+    SENSED_LOOKED_AT,
     Model,
     drag,
     gains,
     propagate,
     sensed_at,
 )
-from robot_agent.vehicle.eso import Estimator
+from robot_agent.vehicle.eso import GATE_RADPS, Estimator
 from robot_agent.vehicle.estimate import Deviations, Estimate, PoseMeasurement, Ratios, StateMeasurement
 from robot_agent.vehicle.filter_bank import (
     ACTING,
@@ -68,7 +69,9 @@ KINDS = (  # of water: intensity m^2/s^3, share of its changes by place, and of 
     (1.2e-4, 1.0, 1.0),
     (1e-7, 0.5, 1000.0),  # forces 30 times as large: a cable, a thruster that is not what it was
 )
-KIND_LASTS_S = 1000.0  # the water changes its kind a few times in an hour. Ten times that makes a change 2 s later known
+KIND_LASTS_S = (
+    1000.0  # the water changes its kind a few times in an hour. With 60 s covariances of still water are twice as large
+)
 FACING_S, FACING = 20.0, 0.5  # mean direction of so long, 1 on a straight path: shorter, drag can be told from a current
 CALM = 0.5  # and only if so much of the weight says that water and forces are at rest
 SPREAD = 0.06  # standard deviation of a thruster's thrust from its curve: makers say within 10 %
@@ -79,6 +82,7 @@ RATIOS = (0.15, 0.3, 0.3)  # standard deviations of drag, thrust and moment per 
 MOST_LOG = 1.0  # of drag, thrust, moment per mass: e times the vehicle file's
 AT_REST_MPS, AT_REST_RADPS = 0.03, 0.1  # over ground, when the estimate begins
 HAND_S = 0.1  # for so long a hand that holds a robot pushes one way, with up to the thrusters' force
+GATE_S = 0.24  # no yaw rate changes by more than the thrusters' moment does in 0.2 s, and a fifth
 NEUTRAL = 1e-6  # of the thrusters' force: that much is none
 BANDWIDTH_S = 4.0  # over which the bandwidth is averaged
 
@@ -106,7 +110,7 @@ class Commands(NamedTuple):
 
     acts_ns: Ints
     wrenches: Table
-    count: int
+    sent: int  # so many of them
 
 
 class Samples(NamedTuple):
@@ -114,7 +118,7 @@ class Samples(NamedTuple):
 
     sensed_ns: Ints
     sensed: Table
-    count: int
+    taken: int  # so many of them
 
 
 class Sighting(NamedTuple):
@@ -156,6 +160,21 @@ def state_of(numbers: Floats) -> State11:
 
 
 @kernel(part=True)
+def gamma_of(numbers: Floats) -> tuple[float, float, float, float]:
+    """Own forces of a belief, per mass."""
+    return numbers[11], numbers[12], numbers[13], numbers[14]
+
+
+@kernel(part=True)
+def rate_before(samples: Samples, after_ns: int, until_ns: int) -> int:
+    """Row of the newest yaw rate between two instants; -1 if there is none."""
+    for i in range(samples.taken - 1, max(samples.taken - SENSED_LOOKED_AT, 0) - 1, -1):
+        if after_ns < samples.sensed_ns[i] <= until_ns and not math.isnan(samples.sensed[i, 1]):
+            return i
+    return -1
+
+
+@kernel(part=True)
 def cross(plant: Plant, bank: Bank, noise: Noise, numbers: Floats, there: Floats, step_s: float, steps: int) -> None:
     """Move the bank's errors on to the pose, `step_s` later, in equal `steps` between the belief and the state `there`."""
     f, q, dt = bank.work[0], bank.work[1, 0], step_s / steps
@@ -173,7 +192,9 @@ def cross(plant: Plant, bank: Bank, noise: Noise, numbers: Floats, there: Floats
 
 
 @kernel(part=True)
-def weigh_pose(bank: Bank, error: tuple[float, float, float], rate_error: float, sighting: Sighting, learns: bool) -> None:
+def weigh_pose(
+    bank: Bank, error: tuple[float, float, float], rate_error: float, rate_variance: float, sighting: Sighting, learns: bool
+) -> None:
     """Correct every filter by a pose and a yaw rate (NaN: none), and weigh them by their likelihood. A pose farther off than
     OUTLIER deviations of each filter counts as if it were so much worse."""
     ex, ey, turned = error
@@ -193,7 +214,7 @@ def weigh_pose(bank: Bank, error: tuple[float, float, float], rate_error: float,
         total += correct(p, mean, Measured(Y, -1, ey, sighting.variance_m2 + more_m2), learns, gain)
         total += correct(p, mean, Measured(YAW, -1, turned, sighting.variance_rad2), learns, gain)
         if not math.isnan(rate_error):
-            total += correct(p, mean, Measured(R, GYRO, rate_error, GYRO_RADPS**2), learns, gain)
+            total += correct(p, mean, Measured(R, GYRO, rate_error, rate_variance), learns, gain)
         likelihood[j] = total
     weigh_filters(bank, likelihood[: len(bank.weight)])
 
@@ -256,21 +277,13 @@ def follow(bank: Bank, belief: Belief, sighting: Sighting, step_s: float) -> Non
 
 
 @kernel(part=True)
-def tell(
-    plant: Plant,
-    belief: Belief,
-    here: State11,
-    gamma: tuple[float, float, float, float],
-    water: tuple[float, float],
-) -> None:
-    """Write the rows of `now`: eta; nu over ground; own forces; these with what the current changes of the drag."""
-    now = belief.now
-    for i in range(4):
-        now[0, i], now[1, i], now[2, i], now[3, i] = here[i], here[4 + i], gamma[i], gamma[i]
-    cos, sin = math.cos(here[3]), math.sin(here[3])
-    through_u, through_v = drag(plant.model, here[4], here[5])
-    now[1, 0] += cos * water[0] + sin * water[1]
-    now[1, 1] += cos * water[1] - sin * water[0]
+def tell_ground(plant: Plant, now: Table, water_x: float, water_y: float) -> None:
+    """Change the rows of `now` that a current changes: velocities are over ground, and what a model of still water does not
+    explain is the drag too."""
+    through_u, through_v = drag(plant.model, now[1, 0], now[1, 1])
+    cos, sin = math.cos(now[0, 3]), math.sin(now[0, 3])
+    now[1, 0] += cos * water_x + sin * water_y
+    now[1, 1] += cos * water_y - sin * water_x
     over_u, over_v = drag(plant.model, now[1, 0], now[1, 1])
     now[3, 0] += over_u - through_u
     now[3, 1] += over_v - through_v
@@ -316,8 +329,8 @@ def observe(
     numbers, at_ns, stamp_ns, passes = belief.numbers, instants.at_ns, sighting.stamp_ns, True
     if stamp_ns > at_ns:
         there = propagate(
-            plant.model, plant.sway, plant.lag_s, state_of(numbers), (numbers[11], numbers[12], numbers[13], numbers[14]),
-            (numbers[15], numbers[16]), commands.acts_ns, commands.wrenches, commands.count, at_ns, stamp_ns,
+            plant.model, plant.sway, plant.lag_s, state_of(numbers), gamma_of(numbers),
+            (numbers[15], numbers[16]), commands.acts_ns, commands.wrenches, commands.sent, at_ns, stamp_ns,
         )  # fmt: skip
         turned = np.fmod(sighting.yaw_rad - there[3], TURN)
         turned = turned - TURN if turned >= math.pi else turned + TURN if turned < -math.pi else turned
@@ -327,6 +340,15 @@ def observe(
             step_s = (stamp_ns - at_ns) * 1e-9
             steps = (stamp_ns - at_ns + LONGEST_STEP_NS - 1) // LONGEST_STEP_NS
             arrived = np.array(there)
+            sample, rate_error, late_s = rate_before(samples, at_ns, stamp_ns), math.nan, 0.0
+            if sample >= 0:  # what the model expects at that instant: between two samples a light hull turns as it likes
+                sensed_ns = samples.sensed_ns[sample]
+                then = propagate(
+                    plant.model, plant.sway, plant.lag_s, state_of(numbers), gamma_of(numbers), (numbers[15], numbers[16]),
+                    commands.acts_ns, commands.wrenches, commands.sent, at_ns, sensed_ns,
+                )  # fmt: skip
+                rate_error = samples.sensed[sample, 1] - then[7] - numbers[20]
+                late_s = (stamp_ns - sensed_ns) * 1e-9
             interact(bank, -math.expm1(-step_s / KIND_LASTS_S))
             cross(plant, bank, noise, numbers, arrived, step_s, steps)
             for i in range(11):
@@ -334,27 +356,29 @@ def observe(
             numbers[11] *= math.exp(-step_s / noise.lasts_s)
             numbers[12] *= math.exp(-step_s / noise.lasts_s)
             numbers[14] *= math.exp(-step_s / noise.lasts_s)
-            rate = sensed_at(samples.sensed_ns, samples.sensed, samples.count, 1, stamp_ns)
-            rate_error = rate - numbers[7] - numbers[20]
-            weigh_pose(bank, (ex, ey, turned), rate_error, sighting, belief.track[LEARNS] > 0.0)
+            rate_variance = GYRO_RADPS**2 + bank.work[1, 0, R] * steps / step_s * late_s
+            weigh_pose(bank, (ex, ey, turned), rate_error, rate_variance, sighting, belief.track[LEARNS] > 0.0)
             change = bank.work[3, 3]
             merge(bank, change)
             inject(plant, numbers, change)
-            depth = sensed_at(samples.sensed_ns, samples.sensed, samples.count, 0, stamp_ns)
+            depth = sensed_at(samples.sensed_ns, samples.sensed, samples.taken, 0, stamp_ns)
             if not math.isnan(depth):
                 correct_heave(plant, numbers, depth, step_s)
             follow(bank, belief, sighting, step_s)
             at_ns = stamp_ns
-    gamma, water = (numbers[11], numbers[12], numbers[13], numbers[14]), (numbers[15], numbers[16])
+    gamma, water = gamma_of(numbers), (numbers[15], numbers[16])
     here = propagate(
         plant.model, plant.sway, plant.lag_s, state_of(numbers), gamma, water, commands.acts_ns, commands.wrenches,
-        commands.count, at_ns, instants.now_ns,
+        commands.sent, at_ns, instants.now_ns,
     )  # fmt: skip
     then = propagate(
-        plant.model, plant.sway, plant.lag_s, here, gamma, water, commands.acts_ns, commands.wrenches, commands.count,
+        plant.model, plant.sway, plant.lag_s, here, gamma, water, commands.acts_ns, commands.wrenches, commands.sent,
         instants.now_ns, instants.acts_ns,
     )  # fmt: skip
-    tell(plant, belief, here, gamma, water)
+    now = belief.now
+    for i in range(4):
+        now[0, i], now[1, i], now[2, i], now[3, i] = here[i], here[4 + i], gamma[i], gamma[i]
+    tell_ground(plant, now, water[0], water[1])
     tell_deviations(bank.mixed, numbers[3], belief.deviation)
     for i in range(11):
         belief.action[i] = then[i]
@@ -413,6 +437,7 @@ class KalmanEstimator(Estimator):
         )
         self._track, self._deviation = np.zeros(4), np.zeros(12)
         super().__init__(model, config, dead_time_s, fastest_mps)
+        self._gate_radps = max(GATE_S * vehicle.limits.wrench[2] / float(vehicle.inertia[3]), GATE_RADPS)
         self._belief = np.zeros(NUMBERS)
 
     def tune(self, config: EstimatorConfig) -> None:
@@ -433,14 +458,15 @@ class KalmanEstimator(Estimator):
         numbers, told = self._belief.tolist(), self._deviation.tolist()
         if not math.isfinite(sum(numbers) + sum(told)):
             self._forget()
-            self._belief[:], self._bank.mixed[:] = 0.0, 0.0
+            self._belief[:], self._bank.mixed[:], self._model.coefficients[:] = 0.0, 0.0, self._model.nominal
             return None
         d, t, n = (math.exp(value) for value in numbers[LOGS])
         w = self._track.item(BANDWIDTH)
-        deviations = Deviations(*told[:6], self._deviation[6:9].copy(), Ratios(*told[9:]))
+        place, yaw, velocity, ground, rate, current = told[:6]
+        own_force, ratios = self._deviation[6:9].copy(), Ratios(told[9], told[10], told[11])
         return estimate._replace(
             drag_ratio=d, thrust_ratio=t, moment_ratio=n, bandwidth_radps=w, pace=min(w / self._bandwidth_radps, 1.0),
-            deviations=deviations,
+            deviations=Deviations(place, yaw, velocity, ground, rate, current, own_force, ratios),
         )  # fmt: skip
 
     def _observe(self, pose: PoseMeasurement | None, now_ns: int, now: Array, action: Array) -> bool:

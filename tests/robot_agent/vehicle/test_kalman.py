@@ -7,16 +7,18 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from benchmarks.flights import prepared
 from robot_agent.vehicle.allocation import Allocator
 from robot_agent.vehicle.dynamics import Model
 from robot_agent.vehicle.eso import NS
 from robot_agent.vehicle.estimate import Estimate, PoseMeasurement, StateMeasurement
 from robot_agent.vehicle.kalman import KalmanEstimator, make_estimator
-from sim_bridge.in_process.fleet import DirectPlant
+from sim_bridge.in_process.fleet import DirectPlant, fly
 from sim_bridge.plant.kernels import water_motion
 from wire.config.controller import EstimatorConfig
 from wire.config.experiment import Experiment, load_experiment
 from wire.frames import Array, wrap
+from wire.messages.messages import Mode
 
 pytestmark = pytest.mark.long
 
@@ -119,7 +121,7 @@ def test_a_current_is_told_from_a_force_that_turns_along() -> None:
 def test_a_robot_held_in_a_current_does_not_learn_that_the_water_stands() -> None:
     flight = drift(load_experiment("pool", [*ALONE, "sim.plant.current_mps=[0.0,0.15,0.0]"]), 2, seconds=15.0, held_s=10.0)
     held, last = flight.estimates[180], flight.estimates[-1]
-    assert held.deviations is not None and held.deviations.current_mps > 0.15 and held.deviations.ground_mps < 0.02
+    assert held.deviations is not None and held.deviations.current_mps > 0.15 and held.deviations.ground_mps < 0.08
     assert abs(last.current - 0.15j) < 0.03
 
 
@@ -137,8 +139,38 @@ def test_gaps_and_nonsense_leave_a_covariance_that_is_one() -> None:
         rate = float(random.choice(nonsense)) if kind == 5 else 0.4
         estimate = observer.update(StateMeasurement(pose, 0.3, rate), now_ns)
         observer.note_wrench(random.uniform(-6.0, 6.0, 3), now_ns)
+        assert estimate is not None or k < 20
         if estimate is not None:
             assert np.isfinite(np.concatenate([estimate.eta, estimate.nu, estimate.disturbance, estimate.action])).all()
             assert np.isfinite(observer._deviation).all() and abs(estimate.current) <= vehicle.limits.speed_mps + 1e-9
             p = observer._bank.mixed / np.outer(*[np.sqrt(observer._bank.mixed.diagonal())] * 2)
             assert np.linalg.eigvalsh(p)[0] > -1e-6
+
+
+def test_a_belief_that_is_no_number_is_given_up_for_the_next_pose() -> None:
+    vehicle = load_experiment("pool", ALONE).vehicle
+    model = Model(vehicle)
+    observer = make_estimator(vehicle, model, EstimatorConfig(kind="kalman"))
+    assert isinstance(observer, KalmanEstimator)
+
+    def step(k: int) -> Estimate | None:
+        pose = PoseMeasurement(k * STEP_NS - LATE_NS, 0.2, 0.1, 0.3, 2e-6, 6e-5)
+        return observer.update(StateMeasurement(pose, 0.3, 0.0), k * STEP_NS)
+
+    assert all(step(k) is not None for k in range(1, 20))
+    observer._bank.covariance[2, 3, 3] = math.nan
+    assert step(20) is None
+    after = step(21)
+    assert after is not None and np.isfinite(after.action).all() and np.array_equal(model.coefficients, model.nominal)
+
+
+def test_an_agent_flies_with_it_and_tells_what_it_learns() -> None:
+    settings = ("controller.estimator.kind='kalman'", "duration_s=25", "localizer.uses_camera=false")
+    fleet, water = prepared(load_experiment("figure-eight", settings))
+    fleet.start()
+    for _ in fly(fleet, water):
+        pass
+    last = fleet.robots[0].states[-1]
+    assert last.mode is Mode.TRACKING and not last.fault and 0.8 < last.thrust_ratio < 1.25
+    late = fleet.errors()[round(18.0 / fleet.experiment.controller.period_s) :, :, :2]
+    assert np.sqrt(np.mean(np.sum(late**2, axis=2), axis=0)).max() < 0.015
