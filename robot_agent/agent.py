@@ -15,6 +15,7 @@ import numpy as np
 
 from robot_agent.control.controller import Controller, ControlOutput
 from robot_agent.control.live_tuning import LiveTuning, Prepared
+from robot_agent.control.nonlinear.nonlinear_controller import NonlinearController
 from robot_agent.guidance import driving
 from robot_agent.guidance.driving import Driver
 from robot_agent.guidance.formation import Neighbour
@@ -72,7 +73,8 @@ class Agent:
         self.mode = Mode.DISARMED
         self._experiment, self._me = experiment, experiment.robot(robot)
         leader = experiment.leader_of(robot)
-        self.controller = Controller(
+        law = NonlinearController if experiment.controller.law == "nmpc" else Controller
+        self.controller = law(
             experiment.vehicle,
             experiment.controller,
             experiment.safety,
@@ -324,7 +326,7 @@ class Agent:
 
     def _plan(self, output: ControlOutput, heard: tuple[int, ...]) -> Plan:
         return Plan(
-            self._experiment.controller.period_s,
+            self.controller.told_period_s,
             output.plan_eta,
             output.plan_reference,
             output.tracking_error_m,

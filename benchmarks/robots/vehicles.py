@@ -14,6 +14,7 @@ from wire.config.plant import PlantConfig
 from wire.config.vehicle import Vehicle, load_vehicle
 
 SPHERICAL = load_vehicle("spherical")
+SWING_S = SPHERICAL.righting.swing_s if SPHERICAL.righting is not None else 1.6
 TILT, BUOYANCY_N = PlantConfig().tilt, PlantConfig().buoyancy_n
 
 
@@ -56,6 +57,9 @@ class ScaledVehicle:
             "vehicle.thruster.lag_s": self.lag_s,
             "vehicle.thruster.dead_time_s": self.dead_time_s,
             "vehicle.thruster.curve": [[us, force_n * self.thrust] for us, force_n in thruster.curve],
+            "vehicle.righting.moment_nm": TILT.righting_nm * self.mass * length,
+            "vehicle.righting.thrusters_below_m": TILT.legs_below_m * length,
+            "vehicle.righting.swing_s": SWING_S * math.sqrt(length),
             "sim.plant.buoyancy_n": BUOYANCY_N * self.mass,
             "sim.plant.tilt.righting_nm": TILT.righting_nm * self.mass * length,
             "sim.plant.tilt.inertia_kg_m2": TILT.inertia_kg_m2 * bulk,

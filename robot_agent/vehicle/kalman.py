@@ -272,7 +272,8 @@ def follow(bank: Bank, belief: Belief, sighting: Sighting, step_s: float) -> Non
     turns = math.hypot(track[FACED_X], track[FACED_Y]) < FACING
     track[LEARNS] = 1.0 if turns and bank.weight[0] > CALM else 0.0
     left = max(1.0 - 0.5 * (bank.mixed[X, X] + bank.mixed[Y, Y]) / sighting.variance_m2, 1e-3)
-    track[BANDWIDTH] += -math.expm1(-step_s / BANDWIDTH_S) * (-0.5 * math.log(left) / step_s - track[BANDWIDTH])
+    bandwidth = -0.5 * math.log(left) / step_s
+    track[BANDWIDTH] += -math.expm1(-step_s / BANDWIDTH_S) * (bandwidth - track[BANDWIDTH]) if track[BANDWIDTH] else bandwidth
 
 
 @kernel(part=True)
