@@ -14,6 +14,7 @@ from groundstation.planning.segment import PlanSegment
 from groundstation.telemetry import first_lost_robot, preflight
 from tests.groundstation.mission.mission_run import STEP_NS, MissionRun
 from wire.config.experiment import load_experiment
+from wire.messages import topics
 from wire.messages.messages import Mode, Order, Trajectory
 
 
@@ -110,6 +111,20 @@ def test_a_robot_that_holds_makes_all_hold_and_all_go_on_from_one_place() -> Non
     assert resumes[0].trajectory_s == resumes[1].trajectory_s >= 0.5
     run.step(4.0)
     assert run.at(MissionState.DONE)
+
+
+def test_a_state_that_was_sent_before_the_flight_began_makes_nobody_hold() -> None:
+    """A state may be as old as `topics.STATE.max_age_s`: for so long a hold that a robot reports may be an earlier one. After
+    that it counts."""
+    run = MissionRun()
+    while run.mission.state is not MissionState.RUNNING:
+        run.step()
+    began_ns, robot = run.now_ns, run.robots[2]
+    robot.mode = Mode.HOLDING
+    while run.at(MissionState.RUNNING):
+        run.step()
+    assert 0 <= (run.now_ns - began_ns) * 1e-9 - topics.STATE.max_age_s <= 2 * STEP_NS * 1e-9
+    assert run.at(MissionState.PAUSED) and run.mission.reason.startswith("robot 2 holds")
 
 
 def test_a_hold_by_an_operator_lasts_until_an_operator_resumes() -> None:

@@ -128,6 +128,7 @@ def test_a_robot_seen_by_one_camera_is_where_that_camera_says() -> None:
     result = CameraFusion(EXPERIMENT).step({"west": view(0, {}), "east": view(0, {1: told})}, 0)
     assert fused(result) == pytest.approx([1.0, 0.2, 0.3])
     assert np.array_equal(dict(result.poses)[1].covariance, told.covariance)
+    assert result.status.frames == 1
 
 
 def test_measured_and_verified_poses_come_before_coasting_and_doubtful_ones() -> None:
