@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from localizer.tracking.alignment import align, invert
 from wire.frames import Array
@@ -22,7 +23,7 @@ def moved(places: Array, move: Array, channel: int) -> Array:
     return move[3] * texture((places - move[:2]) @ np.array([[c, -s], [s, c]]), channel)
 
 
-def patch(places: Array, move: Array) -> Array:
+def patch(places: Array, move: Array) -> NDArray[np.float32]:
     return np.array([moved(places, move, k) for k in range(CHANNELS)], np.float32)
 
 

@@ -284,6 +284,17 @@ def test_a_camera_into_whose_picture_a_robot_comes_is_not_blamed_for_the_other_o
     assert error @ np.linalg.solve(covariance, error) < 3.0
 
 
+@pytest.mark.parametrize(("unseen_s", "blamed"), [(0.8, True), (1.2, False)])
+def test_a_camera_that_has_not_seen_a_robot_for_a_second_is_not_blamed_alone(unseen_s: float, blamed: bool) -> None:
+    """It is 50 mm from the other one when it sees the robot again: by then either of them may have been moved."""
+    fusion, again = CameraFusion(EXPERIMENT), 20 + round(unseen_s * 20)
+    for k in range(again + 1):
+        at_ns, east = k * PERIOD_NS, {1: pose(LEAP * (k == again))} if k < 20 or k == again else {}
+        result = fusion.step({"west": view(at_ns, {1: pose(np.zeros(3))}), "east": view(at_ns, east, COVERED)}, at_ns)
+    assert result.distrusted == (("east",) if blamed else ())
+    assert ("cameras west and east disagree by 50 mm" in result.disagreement) == (not blamed)
+
+
 def test_a_camera_whose_check_marks_are_off_is_out_at_once_and_back_when_they_are_well_for_a_while() -> None:
     """No robot is seen by both. A doubt in both, from before the marks had told, is the moved one's alone then."""
     fusion, out = CameraFusion(EXPERIMENT), []
