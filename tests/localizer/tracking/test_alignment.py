@@ -18,7 +18,7 @@ def texture(places: Array, channel: int) -> Array:
 
 
 def moved(places: Array, move: Array, channel: int) -> Array:
-    """What is seen at some places of a texture after a move [ahead, to starboard, rad, gain]."""
+    """Grey levels seen at some places of a texture after a move [ahead, to starboard, rad, gain]."""
     c, s = np.cos(move[2]), np.sin(move[2])
     return float(move[3]) * texture((places - move[:2]) @ np.array([[c, -s], [s, c]]), channel)
 
