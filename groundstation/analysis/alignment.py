@@ -355,7 +355,9 @@ def _reference(r: _Recorded, stamps: Array) -> Array:
     time_s = r.trajectory.period_s * np.arange(len(r.trajectory.eta))
     curve = CubicHermiteSpline(time_s, r.trajectory.eta, r.trajectory.velocity)
     clock_s = np.interp(stamps, r.clock_ns, r.clock_s) if r.flew else np.zeros(len(stamps))
-    reference = np.asarray(curve(np.clip(clock_s, 0.0, time_s[-1])))
+    along_s = clock_s - r.trajectory.begin_s
+    reference = np.asarray(curve(np.clip(along_s, 0.0, time_s[-1])))
+    reference[along_s < -r.trajectory.period_s] = np.nan  # left out: the whole was longer than a message may be
     if len(r.clock_ns) > 1:  # a clock is no more invented across a gap of the log than the truth is
         after = np.clip(np.searchsorted(r.clock_ns, stamps), 1, len(r.clock_ns) - 1)
         gap_ns = r.clock_ns[after] - r.clock_ns[after - 1]

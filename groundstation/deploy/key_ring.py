@@ -3,9 +3,12 @@
 Private files are created with mode 0600 in folders of 0700, before the first byte is in them, and never printed.
 """
 
+import fcntl
+import os
 import re
 import shutil
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from datetime import UTC, datetime, timedelta
 from ipaddress import ip_address
 from pathlib import Path
@@ -67,6 +70,11 @@ def add(ring: Path, role: str, robot: int, now: datetime, days: float = certific
     longest = certificate_authority.AUTHORITY_YEARS * 365
     if not 0.0 < days <= longest:
         raise ConfigError(f"--days {days:g}: no time for a certificate (allowed: up to {longest} days)")
+    with _alone(ring):
+        return _add(ring, role, robot, now, days)
+
+
+def _add(ring: Path, role: str, robot: int, now: datetime, days: float) -> Issued:
     process = process_name(ROLE_NAMES[role], robot)
     members, root = read_members(ring), _authority(ring)
     common_name = certificate_authority.new_common_name(process)
@@ -97,14 +105,29 @@ def add(ring: Path, role: str, robot: int, now: datetime, days: float = certific
 
 def revoke(ring: Path, process: str, now: datetime) -> None:
     """Strike a process off the list. Raises ConfigError where it is not on it."""
-    members = read_members(ring)
-    valid = [m.process for m in members.member if m.revoked is None]
-    if process not in valid:
-        raise ConfigError(f"{process}: has no certificate (there are: {', '.join(valid) or 'none'})")
-    with os_errors_as_config_errors(ring):
+    with _alone(ring), os_errors_as_config_errors(ring):
+        members = read_members(ring)
+        valid = [m.process for m in members.member if m.revoked is None]
+        if process not in valid:
+            raise ConfigError(f"{process}: has no certificate (there are: {', '.join(valid) or 'none'})")
         _write_members(ring, _without(members, process, now))
         if (ring / process).is_dir():
             shutil.rmtree(ring / process)
+
+
+@contextmanager
+def _alone(ring: Path) -> Iterator[None]:
+    """Wait until no other command changes the ring's list: of two that read it at once, one would undo what the other wrote,
+    a revocation for example. A file system that knows no locks lets everybody in."""
+    read_members(ring)  # says what is wrong with a folder that is no ring
+    with os_errors_as_config_errors(ring):
+        folder = os.open(ring, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        with suppress(OSError):
+            fcntl.flock(folder, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(folder)
 
 
 def _without(members: MemberList, process: str, now: datetime) -> MemberList:

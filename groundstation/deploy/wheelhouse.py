@@ -31,7 +31,11 @@ def wheels(probe: Probe) -> Path:
             with tempfile.TemporaryDirectory(dir=folder.parent) as building:
                 fresh = Path(building) / "wheels"
                 _build(probe, fresh)
-                fresh.rename(folder)
+                try:
+                    fresh.rename(folder)
+                except OSError:
+                    if not folder.is_dir():  # else another program has made the same meanwhile
+                        raise
             _clean(folder)
     return folder
 

@@ -5,7 +5,6 @@ failed when the mission went elsewhere, or when another request took its place. 
 same outcomes.
 """
 
-from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
@@ -20,7 +19,7 @@ from groundstation.telemetry import Fleet, RobotView
 from wire.messages.messages import Mode, Order, Outcome, Progress
 from wire.messages.topics import WHOLE_FLEET
 
-KEPT = 16  # outcomes that can be queried; a terminal queries several times a second until its request is over
+KEPT = 16  # outcomes of requests that are over; a terminal queries several times a second until its own is
 
 _FROM_REST = frozenset({MissionState.HALTING, MissionState.RELOADING, MissionState.REARMING, MissionState.RELEASING})
 UNARMED = AT_REST | {MissionState.STOPPED}  # the mission arms no robot
@@ -125,7 +124,7 @@ class RequestTracker:
         self._robots = robot_ids
         self._count = 0
         self._open: list[_Request] = []
-        self._outcomes: deque[Outcome] = deque(maxlen=KEPT)
+        self._outcomes: list[Outcome] = []
         self.recent: tuple[Outcome, ...] = ()  # oldest first; replaced, never changed: other threads read it
 
     def begin(self, order: Order, mission: Mission, tuning_id: str = "") -> int:
@@ -244,8 +243,10 @@ class RequestTracker:
         outcome = Outcome(
             request.number, request.order, progress, reason, mission.state.name, confirmed, tuple(late), tuple(late.values())
         )
-        kept = [known for known in self._outcomes if known.request != request.number]
-        self._outcomes = deque([*kept, outcome], KEPT)
+        kept = [*(known for known in self._outcomes if known.request != request.number), outcome]
+        over = [known.request for known in kept if known.progress is not Progress.UNDER_WAY]
+        forgotten = frozenset(over[:-KEPT])
+        self._outcomes = [known for known in kept if known.request not in forgotten]
         self.recent = tuple(sorted(self._outcomes, key=lambda outcome: outcome.request))
 
 

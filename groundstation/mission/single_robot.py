@@ -238,6 +238,8 @@ class SingleRobotControl:
             rests = seen.speed_mps < AT_REST_MPS or now_ns - task.since_ns > REST_WITHIN_S * 1e9
             if rests and self.plan_request is None:
                 self._plan(robot, task, seen, fleet)
+            elif rests:  # a plan is made, its own or another robot's: that takes as long as the station lets it
+                task.since_ns = now_ns
             return ()
         trajectory = transfer.trajectories[robot]
         if seen.mode is Mode.HOLDING and task.started:

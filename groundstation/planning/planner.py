@@ -31,6 +31,7 @@ from wire.messages.codec import MAX_MESSAGE_BYTES
 from wire.messages.messages import Trajectory
 
 BYTES_PER_SAMPLE = 3 * 4 * 8
+MOST_SAMPLES = (MAX_MESSAGE_BYTES - 1024) // BYTES_PER_SAMPLE  # of a trajectory: more are no message
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,9 +67,9 @@ def draft(experiment: Experiment) -> tuple[FleetPlan, list[str]]:
     period_s = experiment.controller.period_s
     flown = round(experiment.duration_s / period_s) + 1
     samples = flown + horizon(experiment)
-    if samples * BYTES_PER_SAMPLE > MAX_MESSAGE_BYTES - 1024:
-        longest = (MAX_MESSAGE_BYTES - 1024) // BYTES_PER_SAMPLE * period_s
-        raise PlanError(f"duration_s = {experiment.duration_s:g}: a trajectory message holds {longest:.0f} s")
+    if samples > MOST_SAMPLES:
+        longest_s = MOST_SAMPLES * period_s
+        raise PlanError(f"duration_s = {experiment.duration_s:g}: a trajectory message holds {longest_s:.0f} s")
     paths = [experiment.path_of(robot) for robot in experiment.robots]
     motions: dict[int, NodeMotion] = {}
     centre: NodeMotion | None = None

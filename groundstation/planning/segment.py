@@ -57,19 +57,20 @@ def sample(trajectory: Trajectory, time_s: Array) -> NodeMotion:
 
 def concatenate(flown: Trajectory, then: Trajectory) -> Trajectory:
     """Trajectory `flown` up to the beginning of `then`, continued by `then`, under its id; for pages and logs that show a
-    run."""
+    run. Where the two are longer than a message may be, the beginning is left out."""
     kept = min(max(round((then.begin_s - flown.begin_s) / flown.period_s), 0), len(flown.eta))
     waits = max(round((then.begin_s - flown.begin_s) / flown.period_s) - kept, 0)  # a run that is over goes on later
     if waits > LONGEST_WAIT:
         return then
     still = np.tile(flown.eta[-1], (waits, 1)), np.zeros((waits, 4))
+    left_out = max(kept + waits + len(then.eta) - planner.MOST_SAMPLES, 0)
     return Trajectory(
         then.id,
         flown.period_s,
-        np.vstack([flown.eta[:kept], still[0], then.eta]),
-        np.vstack([flown.velocity[:kept], still[1], then.velocity]),
-        np.vstack([flown.acceleration[:kept], still[1], then.acceleration]),
-        flown.begin_s,
+        np.vstack([flown.eta[:kept], still[0], then.eta])[left_out:],
+        np.vstack([flown.velocity[:kept], still[1], then.velocity])[left_out:],
+        np.vstack([flown.acceleration[:kept], still[1], then.acceleration])[left_out:],
+        flown.begin_s + left_out * flown.period_s,
     )
 
 

@@ -221,9 +221,15 @@ class Station:
         self.published = segment, alone
 
     def _answers(self) -> list[CommandResult]:
-        done = [(command, future) for command, future in self.pending if future.done()]
-        self.pending = [entry for entry in self.pending if not entry[1].done()]
-        return [CommandResult(command, future.result()) for command, future in done]
+        """The replies that have come since the last call, each once: a command is asked once whether it is answered."""
+        done, still = list[CommandResult](), list[tuple[Command, Future[Reply]]]()
+        for command, future in self.pending:
+            if future.done():
+                done.append(CommandResult(command, future.result()))
+            else:
+                still.append((command, future))
+        self.pending = still
+        return done
 
     def on_operator_command(self, header: Header, command: Command) -> Reply:
         """Serve a terminal: a request for the whole fleet or for one robot, or a query of its outcome. A TUNE without gains
@@ -276,6 +282,7 @@ class Station:
         number."""
         with self.lock:
             reason, number = self.core.request_gains(values, next_lap, self.fleet(), self.clock.now_ns())
+            self.asked_s = time.monotonic()
         what = "the gains before" if values is None else ", ".join(f"{key} = {value:g}" for key, value in values.items())
         when = " on the next lap" if next_lap else ""
         log.info("gains, %s%s: %s", what, when, f"refused: {reason}" if reason else "asked for")

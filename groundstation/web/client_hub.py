@@ -24,6 +24,7 @@ from groundstation.web.experiment_editor import attempt, save
 from groundstation.web.run_desk import RunDesk
 from groundstation.web.send_window import SendWindow
 from wire.messages.messages import DriveVelocity, Order
+from wire.printable import printable
 from wire.process.runtime import log
 from wire.web_access import WebOptions, origin_allowed, token_allowed
 
@@ -103,7 +104,7 @@ class Client:
     drive: protocol.DriveRequest | None = None  # the newest one that came meanwhile
 
     def note(self, message: dict[str, Any]) -> None:
-        self.window.note(msgspec.msgpack.encode(message))
+        self.window.note(packed(message))
         self.wake.set()
 
 
@@ -168,11 +169,11 @@ class ClientHub:
 
     def _look(self) -> None:
         for note in self._source.notes():
-            self._history.append(msgspec.msgpack.encode(note))
+            self._history.append(packed(note))
             self._each(lambda w: w.window.note(self._history[-1]))
         paths = self._source.paths()
         if paths is not None:
-            body = msgspec.msgpack.encode({"k": "paths", "paths": paths})
+            body = packed({"k": "paths", "paths": paths})
             self._each(lambda w: w.window.offer("paths", body))
         for camera, shown_ns in {(w.camera, w.shown_ns) for w in self._watchers.values()}:
             self._show(camera, shown_ns)
@@ -189,7 +190,7 @@ class ClientHub:
             "age_ms": picture.age_ms,
             "jpeg": picture.jpeg,
         }
-        body = msgspec.msgpack.encode(told)
+        body = packed(told)
         for watcher in self._watchers.values():
             if (watcher.camera, watcher.shown_ns) == (camera, shown_ns):
                 watcher.shown_ns = picture.stamp_ns
@@ -206,7 +207,7 @@ class ClientHub:
             "watchers": len(self._watchers),
         }
         head["clock_ms"] = int(time.monotonic() * 1e3)  # comes back with orders
-        body = msgspec.msgpack.encode(head | self._source.snapshot())
+        body = packed(head | self._source.snapshot())
         self._each(lambda w: w.window.offer("state", body))
 
     def _each(self, do: Callable[[Client], None]) -> None:
@@ -429,6 +430,27 @@ class ClientHub:
         else:
             told = await self._at(self._runs, desk.delete, request.run)
         watcher.note(told)
+
+
+def packed(message: dict[str, Any]) -> bytes:
+    """The wire form of a message for a page. Files may give what MessagePack cannot carry: half a character, a folder's name
+    that is no UTF-8, an integer of more than 64 bits. It is written out, and the rest still comes."""
+    try:
+        return msgspec.msgpack.encode(message)
+    except (UnicodeEncodeError, OverflowError):
+        return msgspec.msgpack.encode(_carried(message))
+
+
+def _carried(value: Any) -> Any:
+    """A value in which every text and every integer can be packed."""
+    if isinstance(value, dict):
+        return {_carried(key): _carried(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_carried(entry) for entry in value]
+    if isinstance(value, str):
+        return printable(value)
+    too_large = isinstance(value, int) and not -(1 << 63) <= value < 1 << 64
+    return f"{value:#x}" if too_large else value
 
 
 async def _close(websocket: WebSocket, code: int, why: str) -> None:

@@ -13,6 +13,7 @@ from urllib.parse import quote
 
 from groundstation.logs import run_folders
 from groundstation.web.run_end import run_end
+from wire.printable import printable
 from wire.toml_loader import ConfigError
 
 REPORT = "report.html"
@@ -36,7 +37,8 @@ class RunDesk:
 
     def _address(self, folder: Path) -> str:
         """Address of a run's report, relative to the page; empty if there is none."""
-        return f"runs/{quote(folder.name, safe='')}/{REPORT}?key={self._key(folder.name)}" if _report(folder) else ""
+        run = printable(folder.name)
+        return f"runs/{quote(run, safe='')}/{REPORT}?key={self._key(run)}" if _report(folder) else ""
 
     @property
     def shown_report(self) -> str:
@@ -58,7 +60,12 @@ class RunDesk:
             if folder.is_symlink():  # of another user, and elsewhere
                 continue
             given = run_folders.label_of(folder)[1]  # the others are of remarks, and stay
-            about = {"run": folder.name, "given": given, "report": self._address(folder), "shown": folder == self._shown}
+            about = {
+                "run": printable(folder.name),
+                "given": given,
+                "report": self._address(folder),
+                "shown": folder == self._shown,
+            }
             found.append(dataclasses.asdict(run) | about)
         return {"k": "runs", "folder": str(self._shown.parent), "runs": found, "problem": problem}
 

@@ -170,6 +170,25 @@ def with_path_until(log: RunLog, experiment: Experiment, end_s: float) -> RunLog
 ARRAYS = ("eta", "velocity", "acceleration")
 
 
+def test_a_reference_whose_beginning_is_left_out_is_unknown_there_and_right_after_it(
+    flown: tuple[Experiment, RunLog, Path],
+) -> None:
+    experiment, log, _ = flown
+    cut, entries = round(2.0 / PERIOD_S), dict(log.entries)
+    for key, found in log.entries.items():
+        if key[0] == topics.TRAJECTORY.name:
+            rest = [{n: getattr(e.message, n)[cut:] for n in ARRAYS} for e in found]
+            entries[key] = [
+                dataclasses.replace(e, message=dataclasses.replace(e.message, begin_s=2.0, **parts))
+                for e, parts in zip(found, rest, strict=True)
+            ]
+    whole, short = align(experiment, log), align(experiment, dataclasses.replace(log, entries=entries))
+    for robot in experiment.robot_ids:
+        known = whole.time_s >= 2.0
+        np.testing.assert_allclose(short.robots[robot].reference[known], whole.robots[robot].reference[known], atol=1e-9)
+        assert np.isnan(short.robots[robot].reference[whole.time_s < 2.0 - 2.0 * PERIOD_S]).all()
+
+
 def test_a_path_that_is_over_is_no_failure(flown: tuple[Experiment, RunLog, Path]) -> None:
     experiment, log, _ = flown
     found = result_of(experiment, with_path_until(log, experiment, 4.0))

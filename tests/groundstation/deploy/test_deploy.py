@@ -264,6 +264,27 @@ def test_boards_of_one_kind_share_the_wheels_that_are_made_for_the_first(
     assert [path.name for path in folders.pop().iterdir()] == ["shoal-1-py3-none-any.whl"]
 
 
+def test_wheels_that_another_program_makes_meanwhile_serve_this_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two people deploy at once. Making wheels takes minutes: here each makes an empty file."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    made: list[Path] = []
+
+    def build(probe: Probe, folder: Path) -> None:
+        there = folder.parent.parent / "theirs"
+        there.mkdir()
+        (there / "a.whl").touch()
+        folder.mkdir()
+        (folder / "b.whl").touch()
+        made.append(there.rename(there.with_name(wheels_of(probe))))
+
+    def wheels_of(probe: Probe) -> str:
+        return f"{probe.machine}-{probe.python}-{wheelhouse._source_digest(wheelhouse.checkout())}"  # as `wheels` names it
+
+    monkeypatch.setattr(wheelhouse, "_build", build)
+    assert [wheelhouse.wheels(Probe("aarch64", "3.11", {}))] == made
+    assert [path.name for path in made[0].iterdir()] == ["a.whl"]
+
+
 def test_an_open_network_must_be_asked_for(wheels: Path) -> None:
     result = CliRunner().invoke(
         cli, ["deploy", "localhost=1", "--station", "tcp/192.168.1.10:7447", "--wheelhouse", str(wheels)]

@@ -6,8 +6,12 @@ import re
 import shutil
 import stat
 import subprocess
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime, timedelta
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import pytest
 import zenoh
@@ -126,6 +130,16 @@ def test_the_station_has_the_hosts_that_were_named(tmp_path: Path) -> None:
     key_ring.init(tmp_path, hosts, "shoal", NOW)
     names = certificate(tmp_path, "groundstation").extensions.get_extension_for_class(x509.SubjectAlternativeName).value
     assert {*hosts} <= {*names.get_values_for_type(x509.DNSName), *map(str, names.get_values_for_type(x509.IPAddress))}
+
+
+def test_people_who_change_the_list_at_once_undo_nothing_of_one_another(ring: Path) -> None:
+    changes: list[Callable[[], Any]] = [partial(key_ring.revoke, ring, "viewer", NOW)]
+    changes += [partial(key_ring.add, ring, "robot", robot, NOW) for robot in range(1, 9)]
+    with ThreadPoolExecutor(len(changes)) as people:
+        for change in [people.submit(change) for change in changes]:
+            change.result()
+    valid = {m.process for m in read_members(ring).member if m.revoked is None}
+    assert valid == {"groundstation", "operator", "localizer", "sim-bridge", *(f"agent-{robot}" for robot in range(1, 9))}
 
 
 def test_a_missing_or_foreign_authority_signs_nothing(ring: Path, tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import pytest
 from groundstation.mission.command_dispatcher import CommandResult
 from groundstation.mission.gain_update import GainStage, GainStatus
 from groundstation.mission.request_progress import GOALS, KEPT, RequestTracker
+from groundstation.mission.single_robot import RobotTask
 from groundstation.mission.state_machine import TRANSITIONS, MissionState
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.segment import PlanSegment
@@ -215,8 +216,22 @@ def test_the_last_outcomes_are_kept_and_no_more() -> None:
     for _ in range(KEPT):
         asked.ask(Order.STOP)
         asked.ask(Order.CLEAR_STOP)
-    assert [o.request for o in asked.requests.recent] == list(range(KEPT + 1, 2 * KEPT + 1))
+    assert [o.request for o in asked.requests.recent] == list(range(KEPT, 2 * KEPT + 1))  # the last is not over
     assert asked.requests.outcome(1) is None
+
+
+def test_requests_that_are_under_way_are_known_however_many_there_are() -> None:
+    """Each robot of a large fleet is sent somewhere by a terminal of its own, and the run is ended meanwhile."""
+    asked = Asked()
+    asked.ask(Order.START)
+    tasks = [RobotTask(Order.GO, 0) for _ in range(3 * KEPT)]
+    numbers = [asked.requests.begin_task(1, task, asked.run.mission) for task in tasks]
+    asked.look()
+    assert all(asked.progress(number) is Progress.UNDER_WAY for number in numbers)
+    for task in tasks:
+        task.progress = Progress.DONE
+    asked.look()
+    assert [o.request for o in asked.requests.recent] == [1, *numbers[-KEPT:]]
 
 
 def test_an_answer_about_gains_is_no_refusal_of_the_mission() -> None:

@@ -1,10 +1,14 @@
 """Requests for one robot, beside a mission of obedient robots."""
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 
 from groundstation.mission.command_dispatcher import CommandResult
 from groundstation.mission.single_robot import VELOCITY_LASTS_S, SingleRobotControl
 from groundstation.mission.state_machine import MissionState
+from groundstation.telemetry import RobotView
 from tests.groundstation.mission.mission_run import MissionRun
 from wire.messages.messages import DriveVelocity, Mode, Order, Progress
 
@@ -20,11 +24,23 @@ class LedRun(MissionRun):
         self.single = SingleRobotControl(self.experiment, self.mission)
         self.robots[1].eta, self.robots[2].eta = (-0.4, 0.0, 0.3, 0.0), (0.4, 0.0, 0.3, 0.0)
         self.for_one: list[CommandResult] = []
+        self.plan_takes_s, self.planning_s = 0.0, 0.0
+        self.nu: dict[int, tuple[float, float, float, float]] = {}  # of robots that do not rest
+
+    def fleet(self) -> dict[int, RobotView]:
+        seen = super().fleet()
+        for robot, nu in self.nu.items():
+            state = seen[robot].state
+            assert state is not None
+            seen[robot] = replace(seen[robot], state=replace(state, nu=np.array(nu)))
+        return seen
 
     def step(self, seconds: float = 0.05) -> None:
         for _ in range(round(seconds / 0.05)):
             super().step()
-            if self.single.plan_request is not None:
+            self.planning_s += 0.05 if self.single.plan_request is not None else -self.planning_s
+            if self.single.plan_request is not None and self.planning_s > self.plan_takes_s:
+                self.planning_s = 0.0
                 self.single.planned(self.single.plan_request.plan(), self.fleet(), self.now_ns)
             commands = self.single.step(self.fleet(), self.for_one, self.now_ns)
             self.for_one = [CommandResult(c, self.robots[c.robot].obey(c, self.now_ns)) for c in commands]
@@ -153,6 +169,23 @@ def test_a_robot_sent_to_a_place_holds_plans_flies_and_holds_there() -> None:
     assert run.in_mode(2, Mode.HOLDING)
     assert run.single.tasks[2].progress is Progress.DONE
     assert run.got(1) == []
+
+
+def test_two_robots_that_are_sent_away_wait_for_plans_longer_than_for_an_answer() -> None:
+    """A robot that rocks in waves counts as resting after 8 s only; the station allows 15 s for a plan, and makes one at a
+    time."""
+    run = LedRun()
+    for robot in (1, 2):
+        run.ask(Order.ARM, robot)
+    run.step(0.2)
+    assert run.ask(Order.GO, 1, (-0.5, -0.8)) == run.ask(Order.GO, 2, (0.5, 0.8)) == ""
+    run.nu[2] = (0.05, 0.0, 0.0, 0.0)
+    run.plan_takes_s = 9.0
+    run.step(18.5)
+    assert run.single.tasks[1].transfer is not None and run.single.plan_request is not None
+    run.step(12.0)
+    assert run.single.tasks[2].transfer is not None, run.single.tasks[2].reason
+    assert Progress.FAILED not in {task.progress for task in run.single.tasks.values()}
 
 
 def test_requests_that_cannot_be_are_refused_with_the_reason() -> None:

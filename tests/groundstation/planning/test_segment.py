@@ -1,11 +1,13 @@
 """Plans for robots under way: joined without a jump, clear of what lies there, and refused with a reason."""
 
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 import pytest
 
 from groundstation.mission.obstacle_monitor import ObstacleMonitor, ObstacleSet
+from groundstation.planning import planner
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.replanning import replan
 from groundstation.planning.rest_to_rest import assign_slots, plan_regroup, plan_return
@@ -15,6 +17,7 @@ from robot_agent.guidance.reference import Follow, ReferenceSampler, splice, spl
 from robot_agent.guidance.trajectory_check import unflyable
 from wire.config.experiment import Experiment, load_experiment
 from wire.frames import Array
+from wire.messages.codec import decode, encode
 from wire.messages.messages import RobotState, Trajectory
 
 PERIOD_S = 0.05
@@ -231,6 +234,20 @@ def test_flown_and_planned_trajectories_join_into_one() -> None:
     assert (whole.begin_s, whole.id) == (0.0, new.id)
     np.testing.assert_array_equal(whole.eta[:seam], segment.trajectories[1].eta[:seam])
     np.testing.assert_array_equal(whole.eta[seam:], new.eta)
+
+
+def test_a_joined_trajectory_is_a_message_however_long_the_run_is() -> None:
+    period_s, samples = 0.05, planner.MOST_SAMPLES
+    line = np.tile(np.arange(samples, dtype=np.float64)[:, None] * period_s, 4)
+    longest = Trajectory("longest", period_s, line, line, line)
+    later = Trajectory("later", period_s, line + 60.0, line + 60.0, line + 60.0, 60.0)  # after a pause, and to the same end
+    joined = longest
+    for _ in range(2):
+        joined = decode(Trajectory, encode(concatenate(joined, later)), "station", "trajectory")
+    assert joined.id == "later" and joined.begin_s == pytest.approx(60.0)
+    np.testing.assert_allclose(sample(joined, np.array([60.0, 100.0])).eta[:, 0], [60.0, 100.0], atol=1e-9)
+    with_start = concatenate(longest, replace(later, eta=line[:2], velocity=line[:2], acceleration=line[:2]))
+    assert with_start.begin_s == 0.0
 
 
 def world(seed: int) -> tuple[Experiment, np.random.Generator]:

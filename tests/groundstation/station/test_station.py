@@ -3,6 +3,7 @@
 import threading
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -288,6 +289,26 @@ def test_an_order_that_is_not_answered_is_on_its_way_twice_at_most(tmp_path: Pat
     assert timeouts_s == {MAX_UNANSWERED * RETRY_S}, "later, a stop would be repeated less often than every RETRY_S"
 
 
+class JustAnswered(Future[Reply]):
+    """A reply that comes right after one has looked whether it is there."""
+
+    def done(self) -> bool:
+        there = super().done()
+        if not there:
+            self.set_result(Reply(2, True))
+        return there
+
+
+def test_a_reply_that_comes_while_replies_are_collected_is_taken_once(tmp_path: Path) -> None:
+    """A lost reply to an ARM would let a robot be armed a second time that was started again meanwhile."""
+    with a_station(tmp_path) as station:
+        station.pending = [(Command(Order.ARM, 2), JustAnswered())]
+        for k in range(3):
+            station.cycle((k + 1) * 1_000_000, lockstep=False)
+        assert station.mission._dispatcher.armed == {2: 2_000_000}  # the mission's own memory: nothing else tells it
+        assert station.pending == []
+
+
 def test_a_request_is_known_by_its_number_and_no_other(tmp_path: Path) -> None:
     with a_station(tmp_path) as station:
         reply = station.on_operator_command(Header(9, 1, 0), Command(Order.STOP, WHOLE_FLEET))
@@ -413,6 +434,9 @@ def test_an_automatic_run_that_a_person_took_over_ends_only_when_it_is_left_alon
         fleet.until(station, lambda: outcome(station, stop).progress is Progress.DONE)
         fleet.until(station, lambda: all(seen.mode is Mode.STOPPED for seen in station.seen.values()))
         assert not end.reached()
+        before_s = station.asked_s
+        assert station.request_gains(None, next_lap=False)[0]  # refused, and asked for all the same
+        assert station.asked_s > before_s
         fleet.until(station, end.reached)
         assert station.ended
 

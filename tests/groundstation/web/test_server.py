@@ -3,6 +3,7 @@
 import contextlib
 import fcntl
 import json
+import os
 import select
 import socket
 import struct
@@ -763,3 +764,25 @@ def test_runs_are_labelled_and_deleted_by_the_page_in_control_but_never_one_that
     told = runs_of(page, kind="delete", run="old")
     assert told["problem"] == "" and set(told["runs"]) == {"now", "bare"}
     assert not (folder / "old").exists() and (folder / "now").is_dir() and (folder / "bare").is_dir()
+
+
+def test_a_run_whose_files_hold_no_proper_text_hides_neither_itself_nor_the_others(shelf: tuple[ServedStation, Path]) -> None:
+    """A folder with a name that is no UTF-8, half a character in a label, a number of 70 bits in the result of this run."""
+    lab, folder = shelf
+    odd = folder / os.fsdecode(b"caf\xe9")
+    odd.mkdir()
+    (odd / "run.mcap").touch()
+    (odd / "report.html").write_text("<h1>odd</h1>")
+    (folder / "bare" / "label.json").write_text('{"name": "\\ud800 dive"}')
+    ended: dict[str, Any] = {"checks": [], "cause": None, "verdict": "\ud800", "notes": [1 << 70], "robots": {}, "pairs": {}}
+    (folder / "now" / "result.json").write_text(json.dumps(ended))
+    page = lab.open()
+    end = page.hello()["scene"]["end"]
+    assert (end["verdict"], end["notes"]) == ("\\ud800", [hex(1 << 70)])
+    told = runs_of(page, kind="runs")
+    shown = r"caf\udce9"
+    assert set(told["runs"]) == {"now", "old", "bare", shown}
+    assert told["runs"]["bare"]["name"] == "\\ud800 dive"
+    assert answer(lab.port, f"/{told['runs'][shown]['report']}")[:2] == (200, "<h1>odd</h1>")
+    page.say(kind="take")
+    assert runs_of(page, kind="delete", run=shown)["problem"] == "" and not odd.exists()
