@@ -287,7 +287,7 @@ def open_log(run: Path) -> Iterator[LogFile]:
 
 
 def metadata_of(path: Path) -> dict[str, str]:
-    """What a log says of its run, at its beginning; empty if it says nothing. Raises OSError."""
+    """Metadata that a log begins with: version, commit, mode and more of its run; empty if there is none. Raises OSError."""
     found = (r.metadata for r in valid_records(path) if isinstance(r, Metadata) and r.name == RUN_METADATA)
     return next(found, {})
 
