@@ -1,4 +1,5 @@
-"""`python -m benchmarks [NAME ...] [--json FILE] [--list]`: measure, print a table, write the rows."""
+"""`python -m benchmarks [NAME ...] [--json FILE] [--list]`: measure, print a table, write the rows. `robots` has options
+and tables of its own: `python -m benchmarks robots --help`."""
 
 import importlib
 import json
@@ -24,6 +25,7 @@ BENCHMARKS = {
     "guard": ("wire.guard", "the guard of a router with keys: there and back through it and past it"),
     "control_step": ("robot_agent.control_step", "one complete control step, closed loop, beside peers (3 minutes)"),
     "control_growth": ("robot_agent.control_growth", "a control step with longer horizons and more neighbours"),
+    "observer": ("robot_agent.observer", "a step of the observer that tells a current from a force, beside the ESO's"),
     "agent": ("robot_agent.agent", "a robot's program: start to ready, memory, CPU at 20 Hz (1 minute)"),
     "neighbours": (
         "robot_agent.neighbours",
@@ -62,6 +64,9 @@ BENCHMARKS = {
     "page": ("groundstation.page", "the operator's page in Chromium: latency, frames, CPU with 2 and 49 robots (3 minutes)"),
 }
 
+# Name: a module of this package with a command line of its own, `main`, and what it measures.
+PROGRAMS = {"robots": ("robots.program", "robots that nobody tuned for: a grid of numeric flights (10 minutes; --help)")}
+
 TABLE_WIDTH = 120
 
 
@@ -90,7 +95,7 @@ def main(
 ) -> None:
     """Measure ours beside its peers, in the same run."""
     if show_list:
-        for name, (_, what) in BENCHMARKS.items():
+        for name, (_, what) in {**BENCHMARKS, **PROGRAMS}.items():
             print(f"{name:12} {what}")
         return
     unknown = [name for name in names or () if name not in BENCHMARKS]
@@ -116,4 +121,10 @@ def main(
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    program = PROGRAMS.get(sys.argv[1]) if len(sys.argv) > 1 else None
+    if program is None:
+        typer.run(main)
+    else:
+        app = typer.Typer(add_completion=False)
+        app.command()(importlib.import_module(f"benchmarks.{program[0]}").main)
+        app(sys.argv[2:], prog_name=f"python -m benchmarks {sys.argv[1]}")

@@ -8,7 +8,6 @@ are against the plant's truth. With all scenes and --write, docs/evidence/scenes
 import json
 import math
 import os
-import platform
 import subprocess
 import sys
 import tempfile
@@ -17,19 +16,16 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, field
-from datetime import date
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from benchmarks import evidence
 from localizer.evaluation.metrics import PoseRow
 from localizer.evaluation.runner import evaluate_log
 from wire.config.experiment import load_experiment
-from wire.process.output_files import replace_text
-from wire.process.version import code
 from wire.toml_loader import ConfigError
 
 ROOT = Path(__file__).parents[1]
@@ -169,11 +165,10 @@ def markdown(flights: Sequence[FlownScene], seeds: int) -> str:
     """The page of evidence."""
     by_scene = {scene: sorted((f for f in flights if f.scene == scene), key=lambda f: f.seed) for scene in SCENES}
     flown = {scene: group for scene, group in by_scene.items() if group}
-    machine = f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
     lines = [
         "# Every shipped scene, flown whole",
         "",
-        f"Written by `make scenes` on {date.today().isoformat()}: commit {code().commit[:12]}, {machine}, seeds 1 to {seeds}.",
+        f"{evidence.written_by('make scenes')}, seeds 1 to {seeds}.",
         "",
         "Each flight is `sim-bridge sil NAME --lockstep --one-process --seed N`: with the camera where the scene uses one.",
         "Errors are in mm, against the simulator's truth, of the worst robot on its worst axis. The first number is the worst",
@@ -183,17 +178,16 @@ def markdown(flights: Sequence[FlownScene], seeds: int) -> str:
         "",
         "## Flights",
         "",
-        f"| {' | '.join(COLUMNS)} |",
-        f"|{'---|' * len(COLUMNS)}",
-        *(_flight_row(scene, group) for scene, group in flown.items()),
+        *evidence.table(COLUMNS, (_flight_row(scene, group) for scene, group in flown.items())),
         "",
         "## Poses by kind of track",
         "",
         "NEES is 3 where the published covariances are right. The targets are 1.5 to 5.",
         "",
-        "| Scene | Track | Poses | RMS, mm | Largest, mm | NEES |",
-        "|---|---|---|---|---|---|",
-        *(row for scene, group in flown.items() for row in _track_rows(scene, group)),
+        *evidence.table(
+            ("Scene", "Track", "Poses", "RMS, mm", "Largest, mm", "NEES"),
+            (row for scene, group in flown.items() for row in _track_rows(scene, group)),
+        ),
         "",
         "## Holds, faults and failures",
         "",
@@ -203,34 +197,22 @@ def markdown(flights: Sequence[FlownScene], seeds: int) -> str:
     return "\n".join(lines)
 
 
-def _flight_row(scene: str, group: Sequence[FlownScene]) -> str:
+def _flight_row(scene: str, group: Sequence[FlownScene]) -> list[str]:
     poses = "" if load_experiment(scene).localizer.uses_camera else " (no camera)"
     worst = worst_of(group)
     columns = [[f.rms_whole_m for f in group], [f.rms_settled_m for f in group], [f.max_m for f in group]]
     columns += [[f.depth_settled_m for f in group], [f.arrival_m for f in group]]
     nearest = [f.separation_m for f in group if not math.isnan(f.separation_m)]
     passed = sum(f.passed for f in group)
-    cells = [f"{scene}{poses}", f"{passed} of {len(group)}", *(_spread_mm(column) for column in columns)]
-    cells += [f"{min(nearest):.3f}" if nearest else "", f"seed {worst.seed}"]
-    return f"| {' | '.join(cells)} |"
+    cells = [f"{scene}{poses}", f"{passed} of {len(group)}", *(evidence.spread(column) for column in columns)]
+    return [*cells, f"{min(nearest):.3f}" if nearest else "", f"seed {worst.seed}"]
 
 
-def _spread_mm(values: Sequence[float]) -> str:
-    """The largest, and in brackets the median, in mm; empty where nothing is known."""
-    known = sorted(1e3 * value for value in values if not math.isnan(value))
-    return f"{_digits(known[-1])} ({_digits(known[len(known) // 2])})" if known else ""
-
-
-def _digits(value: float) -> str:
-    """Three digits of a number; of a larger one, those before its point."""
-    return f"{value:.0f}" if value >= 100.0 else f"{value:.3g}"
-
-
-def _track_rows(scene: str, group: Sequence[FlownScene]) -> Iterator[str]:
+def _track_rows(scene: str, group: Sequence[FlownScene]) -> Iterator[list[str]]:
     for track in TRACKS:
         poses = pooled(group, track)
         if poses is not None:
-            yield f"| {scene} | {track} | {poses.count} | {poses.rms_mm:.2f} | {poses.max_mm:.1f} | {poses.nees:.2f} |"
+            yield [scene, track, str(poses.count), f"{poses.rms_mm:.2f}", f"{poses.max_mm:.1f}", f"{poses.nees:.2f}"]
 
 
 def _faults(flown: dict[str, list[FlownScene]]) -> list[str]:
@@ -250,20 +232,12 @@ def _counted(faults: Sequence[str]) -> list[str]:
     return [first[words] if count == 1 else f"{first[words]} and {count - 1} more" for words, count in counts.items()]
 
 
-def _plain(value: Any) -> Any:
-    """The value with None for every number that is not known, as JSON has no NaN."""
-    if isinstance(value, dict):
-        return {key: _plain(inner) for key, inner in value.items()}
-    return None if isinstance(value, float) and math.isnan(value) else value
-
-
 def fly_all(scenes: Sequence[str], seeds: int, workers: int, console: Console) -> list[FlownScene]:
     """Fly every scene on every seed, longest scenes first, with progress."""
     wanted = [(scene, seed) for seed in range(1, seeds + 1) for scene in scenes]
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
     flights: list[FlownScene] = []
     with (
-        Progress(*columns, console=console, disable=not console.is_terminal) as progress,
+        evidence.progress(console) as progress,
         ThreadPoolExecutor(workers) as pool,  # each thread waits for a process of its own
     ):
         task = progress.add_task("flights", total=len(wanted))
@@ -298,10 +272,8 @@ def main(
     page = markdown(flights, seeds)
     console.print(page, markup=False, highlight=False, soft_wrap=True)
     if write:
-        EVIDENCE.parent.mkdir(exist_ok=True)
-        replace_text(EVIDENCE.with_suffix(".md"), page)
-        rows = [_plain(asdict(flight)) for flight in sorted(flights, key=lambda flight: (flight.scene, flight.seed))]
-        replace_text(EVIDENCE.with_suffix(".json"), json.dumps(rows, indent=1, allow_nan=False) + "\n")
+        rows = [asdict(flight) for flight in sorted(flights, key=lambda flight: (flight.scene, flight.seed))]
+        evidence.write(EVIDENCE, page, rows)
     raise typer.Exit(0 if all(flight.passed for flight in flights) else 1)
 
 

@@ -15,17 +15,18 @@ import numpy as np
 
 from robot_agent.control.controller import Controller, ControlOutput
 from robot_agent.control.live_tuning import LiveTuning, Prepared
+from robot_agent.control.nonlinear.nonlinear_controller import NonlinearController
 from robot_agent.guidance import driving
 from robot_agent.guidance.driving import Driver
 from robot_agent.guidance.formation import Neighbour
 from robot_agent.guidance.obstacles import Obstacle, OwnHullFilter, grown_with_age, island_obstacles, obstacles_from_message
 from robot_agent.guidance.reference import Goal, Hold
 from robot_agent.guidance.trajectory_clock import TrajectoryClock
-from robot_agent.inputs import Inputs, StationView
+from robot_agent.inputs import Inputs, StampedPose, StationView
 from robot_agent.safety.health import HealthMonitor
 from robot_agent.safety.modes import DRIVE_LASTS_S, ORDERS, POWERED, Health, react, refusal
 from robot_agent.safety.thruster_selftest import ThrusterSelftest
-from robot_agent.vehicle.eso import PoseMeasurement, StateMeasurement
+from robot_agent.vehicle.estimate import PoseMeasurement, StateMeasurement
 from wire.camera_coverage import outside_m
 from wire.config.experiment import Experiment
 from wire.mavlink.agent_link import Telemetry
@@ -72,7 +73,8 @@ class Agent:
         self.mode = Mode.DISARMED
         self._experiment, self._me = experiment, experiment.robot(robot)
         leader = experiment.leader_of(robot)
-        self.controller = Controller(
+        law = NonlinearController if experiment.controller.law == "nmpc" else Controller
+        self.controller = law(
             experiment.vehicle,
             experiment.controller,
             experiment.safety,
@@ -324,7 +326,7 @@ class Agent:
 
     def _plan(self, output: ControlOutput, heard: tuple[int, ...]) -> Plan:
         return Plan(
-            self._experiment.controller.period_s,
+            self.controller.told_period_s,
             output.plan_eta,
             output.plan_reference,
             output.tracking_error_m,
@@ -384,18 +386,23 @@ class Agent:
 
 def _measurement(inputs: Inputs) -> StateMeasurement:
     """Convert inputs to the observer's measurement; what is not known is None."""
-    seen, telemetry = inputs.pose, inputs.telemetry
+    telemetry = inputs.telemetry
     known = telemetry.board_ms >= 0
     return StateMeasurement(
-        pose=PoseMeasurement(
-            seen.instant_ns, seen.pose.x_m, seen.pose.y_m, seen.pose.yaw_rad, 0.5 * float(seen.pose.covariance[:2, :2].trace())
-        )
-        if seen is not None and seen.pose.track >= Track.KCF
-        else None,
+        pose=_pose_measurement(inputs.pose),
         depth_m=telemetry.depth_m if known else None,
         yaw_rate_radps=telemetry.yaw_rate_radps if known else None,
         board_ns=telemetry.arrival_ns if known else None,
     )
+
+
+def _pose_measurement(seen: StampedPose | None) -> PoseMeasurement | None:
+    """Convert a pose to the observer's; None if the localizer only guesses."""
+    if seen is None or seen.pose.track < Track.KCF:
+        return None
+    pose, covariance = seen.pose, seen.pose.covariance
+    variance_m2 = 0.5 * float(covariance[:2, :2].trace())
+    return PoseMeasurement(seen.instant_ns, pose.x_m, pose.y_m, pose.yaw_rad, variance_m2, covariance.item(2, 2))
 
 
 def begins_ns(header: Header, command: Command) -> int:

@@ -16,7 +16,7 @@ from robot_agent.control.controller import Controller
 from robot_agent.guidance.formation import Neighbour
 from robot_agent.guidance.reference import Follow
 from robot_agent.vehicle.dynamics import Model, State
-from robot_agent.vehicle.eso import PoseMeasurement, StateMeasurement
+from robot_agent.vehicle.estimate import PoseMeasurement, StateMeasurement
 from wire.config.experiment import Experiment, load_experiment
 from wire.frames import Array, wrap
 from wire.messages.messages import Plan, Solve, Trajectory

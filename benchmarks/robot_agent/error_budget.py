@@ -13,7 +13,8 @@ import numpy as np
 from benchmarks.flights import prepared
 from benchmarks.harness import Row
 from robot_agent.vehicle.dynamics import propagate
-from robot_agent.vehicle.eso import Estimate, Estimator, StateMeasurement
+from robot_agent.vehicle.eso import Estimator
+from robot_agent.vehicle.estimate import Estimate, StateMeasurement
 from sim_bridge.in_process.fleet import AgentFleet, DirectPlant, fly
 from wire.config.experiment import load_experiment
 from wire.frames import wrap

@@ -23,7 +23,7 @@ from robot_agent.control.mpc import WEIGHED_S
 from robot_agent.control.trajectory_optimisation import GOALS, INPUTS, STATES, guess, optimise
 from robot_agent.guidance.reference import Follow, ReferenceSampler
 from robot_agent.vehicle.dynamics import Model
-from robot_agent.vehicle.eso import Estimate
+from robot_agent.vehicle.estimate import Estimate
 from wire.config.controller import ControllerConfig
 from wire.config.vehicle import Vehicle
 from wire.frames import TURN, Array

@@ -37,7 +37,8 @@ from robot_agent.guidance.reference import Drive, Follow, Goal, Hold, Reference,
 from robot_agent.guidance.velocity_obstacles import CATCH_UP_MPS, NOBODY, GiveWay, obstacle_traffic, robot_traffic
 from robot_agent.vehicle.allocation import Allocator
 from robot_agent.vehicle.dynamics import Model
-from robot_agent.vehicle.eso import Estimate, Estimator, StateMeasurement
+from robot_agent.vehicle.estimate import Estimate, StateMeasurement
+from robot_agent.vehicle.kalman import make_estimator
 from wire.config.controller import ControllerConfig, Safety
 from wire.config.vehicle import Vehicle
 from wire.frames import Array
@@ -113,6 +114,38 @@ class ControlOutput(NamedTuple):
     is_free: bool  # the robot follows its path: neither giving way nor half-spaces change its plan
     path_is_blocked: bool  # it avoids what it would meet on its path too
 
+    @classmethod
+    def neutral(cls, pulse_us: tuple[int, ...], wrench_step: Array, estimate: Estimate | None, stay: Array) -> "ControlOutput":
+        """Output with thrusters off; `stay` (rows, 4) is where neighbours are told that the robot will be."""
+        eta = np.zeros(4) if estimate is None else estimate.eta
+        return cls(
+            pulse_us=pulse_us,
+            wrench=np.zeros(3),
+            wrench_step=wrench_step,
+            wrench_wanted=np.zeros(3),
+            wrench_delivered=np.zeros(3),
+            estimated=estimate is not None,
+            eta=eta,
+            nu=np.zeros(4) if estimate is None else estimate.nu,
+            disturbance=np.zeros(4) if estimate is None else estimate.gamma_still_water,
+            drag_ratio=0.0 if estimate is None else estimate.drag_ratio,
+            thrust_ratio=0.0 if estimate is None else estimate.thrust_ratio,
+            eta_reference=eta,
+            eta_command=eta,
+            plan_eta=stay,
+            plan_reference=stay,
+            tracking_error_m=0.0,
+            solve=Solve.NONE,
+            iterations=0,
+            slack_m=0.0,
+            pose_age_s=math.inf if estimate is None else estimate.pose_age_s,
+            depth_age_s=0.0 if estimate is None else estimate.depth_age_s,
+            leap="" if estimate is None else estimate.leap,
+            depth_leap="" if estimate is None else estimate.depth_leap,
+            is_free=False,
+            path_is_blocked=False,
+        )
+
     @property
     def is_finite(self) -> bool:
         """True if all numbers that go to the wire are finite."""
@@ -157,7 +190,7 @@ class Controller:
         )
         self._weight = np.array(config.mpc.q)
         self._model = model = Model(vehicle, config.estimator.sway, config.mpc.model_lag)
-        self._estimator = Estimator(model, config.estimator, vehicle.thruster.dead_time_s, vehicle.limits.speed_mps)
+        self._estimator = make_estimator(vehicle, model, config.estimator)
         steps_s = period_s * np.arange(horizon + 1, dtype=np.float64)
         nodes_s = vehicle.thruster.dead_time_s + steps_s
         self.sampler = ReferenceSampler(nodes_s)
@@ -180,6 +213,11 @@ class Controller:
 
     def _formation_weight(self, config: ControllerConfig) -> tuple[float, float, float, float]:
         return (1.0, 1.0, 1.0, 1.0) if self._has_leader else config.mpc.q_formation
+
+    @property
+    def told_period_s(self) -> float:
+        """Time between two poses of the plan that neighbours get."""
+        return self._config.period_s
 
     def prepare_gains(self, config: ControllerConfig) -> GainSet:
         """Build the solvers for other gains (wire/messages/live_gains.py) beforehand: their scale depends on the weights, and
@@ -214,7 +252,7 @@ class Controller:
         if estimate is None or goal is None:
             return self._neutral(estimate, now_ns)
         self._take_up(goal)
-        if self._config.estimator.adaptive:
+        if self._config.estimator.learns:
             self._heading.adapt(self._model.coefficients, estimate.pace)
         reference = self.sampler.sample(goal)
         predictions = self.formation.predict_neighbours(neighbours, now_ns)
@@ -391,30 +429,4 @@ class Controller:
         self._priority = Priority(self._urgent, 0.0)
         eta = np.zeros(4) if estimate is None else estimate.eta
         stay = np.tile(eta, (self._config.mpc.horizon + 1, 1))
-        return ControlOutput(
-            pulse_us=self.allocator.neutral_us,
-            wrench=np.zeros(3),
-            wrench_step=wrench_step,
-            wrench_wanted=np.zeros(3),
-            wrench_delivered=np.zeros(3),
-            estimated=estimate is not None,
-            eta=eta,
-            nu=np.zeros(4) if estimate is None else estimate.nu,
-            disturbance=np.zeros(4) if estimate is None else estimate.gamma_still_water,
-            drag_ratio=0.0 if estimate is None else estimate.drag_ratio,
-            thrust_ratio=0.0 if estimate is None else estimate.thrust_ratio,
-            eta_reference=eta,
-            eta_command=eta,
-            plan_eta=stay,
-            plan_reference=stay,
-            tracking_error_m=0.0,
-            solve=Solve.NONE,
-            iterations=0,
-            slack_m=0.0,
-            pose_age_s=math.inf if estimate is None else estimate.pose_age_s,
-            depth_age_s=0.0 if estimate is None else estimate.depth_age_s,
-            leap="" if estimate is None else estimate.leap,
-            depth_leap="" if estimate is None else estimate.depth_leap,
-            is_free=False,
-            path_is_blocked=False,
-        )
+        return ControlOutput.neutral(self.allocator.neutral_us, wrench_step, estimate, stay)

@@ -20,7 +20,7 @@ robot's motion over ground.
 
 import math
 from collections.abc import Callable
-from typing import Generic, NamedTuple, TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +38,7 @@ from robot_agent.vehicle.dynamics import (
     spread,
     weigh,
 )
+from robot_agent.vehicle.estimate import Estimate, PoseMeasurement, StateMeasurement
 from wire.config.controller import COAST_S, EstimatorConfig
 from wire.frames import Array, wrap
 
@@ -56,25 +57,6 @@ WORST_M = 0.05  # and so much a pose is worth at least: it passed the localizer'
 RATIO, RATIO_PER_SQRT_S = 0.15, 0.01  # standard deviation of drag and thrust per mass at first, and by how much they wander
 VARIANCE_S = 1.0  # time constant of the mean variance
 STEADY = 400  # poses after which the covariance has settled, for bandwidths from 0.3 rad/s on
-
-
-class PoseMeasurement(NamedTuple):
-    """A pose from the localizer, in the pool frame."""
-
-    stamp_ns: int  # middle of the exposure, on the robot's clock
-    x_m: float
-    y_m: float
-    yaw_rad: float
-    variance_m2: float = 0.0  # of x and of y
-
-
-class StateMeasurement(NamedTuple):
-    """The newest sensor values. Missing ones are None; the same pose may be given more than once."""
-
-    pose: PoseMeasurement | None = None
-    depth_m: float | None = None  # of the robot's centre, from the pressure sensor
-    yaw_rate_radps: float | None = None  # gyroscope
-    board_ns: int | None = None  # instant of depth and yaw rate; None: now
 
 
 class Contradiction(Generic[S]):
@@ -100,24 +82,6 @@ class Contradiction(Generic[S]):
         self._last, self._count = None, 0
 
 
-class Estimate(NamedTuple):
-    """The estimated state. Velocities and `disturbance` are in the body frame, `current` in the pool frame."""
-
-    eta: Array  # (4,) now; yaw continuous, not wrapped
-    nu: Array  # (4,) now, over ground
-    disturbance: Array  # (4,) acceleration that the nominal model does not explain, in water that streams at `current`
-    current: complex  # x + iy of the water's own velocity, m/s
-    gamma_still_water: Array  # (4,) both together: what a model of still water does not explain
-    action: Array  # (11,) state when a command given now begins to act; velocities through the water
-    pose_age_s: float
-    depth_age_s: float  # of the last depth that did not contradict the estimate; infinite before the first
-    leap: str = ""  # what was told and what had been believed, in the step that gave up a believed place for another one
-    depth_leap: str = ""  # the same for the depth
-    drag_ratio: float = 0.0  # drag per mass over the nominal model's, as learned; 0 if it is not adaptive
-    thrust_ratio: float = 0.0  # the same of thrust per mass
-    pace: float = 1.0  # bandwidth over that with ordinary poses: as fast may act what feeds the estimate back
-
-
 class Estimator:
     """One robot's observer. Call `update` once per control step, then `note_wrench` with the wrench that was sent."""
 
@@ -139,7 +103,8 @@ class Estimator:
         self._at_ns = 0
         self._other_poses: Contradiction[PoseMeasurement] = Contradiction(_agree)
         self._other_depths: Contradiction[float] = Contradiction(lambda a, b: abs(a - b) <= GATE_DEPTH_M)
-        self._other_rates: Contradiction[float] = Contradiction(lambda a, b: abs(a - b) <= GATE_RADPS)
+        self._other_rates: Contradiction[float] = Contradiction(lambda a, b: abs(a - b) <= self._gate_radps)
+        self._gate_radps = GATE_RADPS
         self._contradicted_ns = 0  # stamp of the last pose that contradicted
         self._depth_ns: int | None = None  # instant of the last depth that was believed
         self._leap = self._depth_leap = ""
@@ -288,7 +253,7 @@ class Estimator:
 
     def _accepts_rate(self, rate_radps: float) -> bool:
         """True if a yaw rate passes the gate. A single outlier is left out, a persistent one replaces the estimate."""
-        if not self._begun or abs(rate_radps - self._belief[7]) <= GATE_RADPS:
+        if not self._begun or abs(rate_radps - self._belief[7]) <= self._gate_radps:
             self._other_rates.reset()
             return True
         if not self._other_rates.persists(rate_radps):

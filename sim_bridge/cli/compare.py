@@ -72,7 +72,9 @@ def compare(
 
 
 def tune(
-    laws: Annotated[str, typer.Option(metavar="NAMES", help="Which laws, with commas; default: all but eso-mpc.")] = "",
+    laws: Annotated[
+        str, typer.Option(metavar="NAMES", help="Which laws, with commas; default: all but eso-mpc and nmpc.")
+    ] = "",
     scenes: Annotated[str, typer.Option(metavar="NAMES", help="Flown in each trial; default: all there are.")] = "",
     seeds: Annotated[str, typer.Option(metavar=FIRST_OR_RANGE, help="Other seeds than a comparison's.")] = "101-101",
     budget: Annotated[int, typer.Option(min=4, help="Trials per law.")] = 32,
@@ -93,7 +95,7 @@ def tune(
     from sim_bridge.studies import gain_tuning as tuning
     from wire.config.baseline_controllers import LawName
 
-    chosen = _names(laws, [name for name in get_args(LawName) if name != "eso-mpc"], "--laws")
+    chosen = _names(laws, [name for name in get_args(LawName) if name not in ("eso-mpc", "nmpc")], "--laws")
     flown = _names(scenes, tuning.SCENES, "--scenes")
     console = Console(file=background(sys.stderr))
     for tuned in tuning.run(chosen, flown, settings or (), _range(seeds), budget, _cores(jobs), console):

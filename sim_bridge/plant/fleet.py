@@ -106,6 +106,16 @@ class Plant:
         )  # fmt: skip
         return acceleration
 
+    def stream(self, current_mps: Array) -> None:
+        """Let the water stream at another current (3,) at the surface from now on."""
+        self._flow = (False, np.array(current_mps, dtype=np.float64), *self._flow[2:])
+
+    def water_mps(self, state: PlantState) -> Array:
+        """The water's own velocity (n, 3) where the robots are, pool frame."""
+        motion = np.empty((len(state.eta), 6))
+        kernels.water_motion(np.ascontiguousarray(state.eta[:, :3]), self.time_s(state), self._flow, motion)
+        return motion[:, :3].copy()
+
     def rest_v(self, state: PlantState, faults: ActuatorFaults | None = None) -> Array:
         """Voltage (n,) of the batteries without load."""
         return self._supply.rest_v(state.charge) - (faults or self.no_faults).sag_v

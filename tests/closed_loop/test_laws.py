@@ -33,7 +33,7 @@ def test_every_law_flies_the_scene_and_what_is_applied_keeps_its_limits(law: str
     assert np.all(np.abs(wrench) <= limit) and np.all(np.abs(change) <= step + 1e-12)
     assert np.abs(flown_.error[400:, :, :3]).max() < 0.12
     np.testing.assert_allclose(np.diff(wrench, axis=1), change[:, 1:], atol=1e-12)
-    if law == "eso-mpc":
+    if law in ("eso-mpc", "nmpc"):  # they know their limits
         np.testing.assert_array_equal(wanted, wrench)
     else:  # every law without limits breaks them at a start metres away
         assert np.abs(wanted / limit).max() > 1.05

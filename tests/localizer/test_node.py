@@ -475,20 +475,21 @@ def test_a_preview_that_cannot_be_drawn_says_so_and_is_not_the_picture_before() 
 
 def test_a_preview_that_is_due_is_shown_though_newer_frames_come_before_it_is_drawn() -> None:
     hub, stop, drawing, go_on = MemoryHub(), Stop(install=False), threading.Event(), threading.Event()
-    previews = Bus(MemoryTransport(hub)).inbox(topics.PREVIEW, Preview)
+    clock, previews = WallClock(), Bus(MemoryTransport(hub)).inbox(topics.PREVIEW, Preview)
 
     def draw(pixels: Pixels, result: LocalizationResult, obstacles: Obstacles) -> Pixels:
         drawing.set()
         assert go_on.wait(20.0)
         return np.full((480, 640, 3), 200, np.uint8)
 
-    made = PreviewPublisher(draw, Bus(MemoryTransport(hub)), WallClock(), stop, 5.0, publish_frames=True)
+    made = PreviewPublisher(draw, Bus(MemoryTransport(hub)), clock, stop, 5.0, publish_frames=True)
     result = LocalizationResult((), LocalizerStatus(), RefractiveCamera(EXPERIMENT.camera))
-    for stamp_ns in (1000 * MS, 1200 * MS, 1250 * MS):  # drawn at once; due; not due
+    first_ns = clock.now_ns()
+    for stamp_ns in (first_ns, first_ns + 200 * MS, first_ns + 250 * MS):  # drawn at once; due; not due
         made.offer(CapturedFrame(np.zeros((8, 8), np.uint8), stamp_ns, stamp_ns, stamp_ns), result, Obstacles())
         assert drawing.wait(20.0)
     go_on.set()
-    shown = eventually(lambda: (h := previews.newest_header()) is not None and h.stamp_ns == 1250 * MS)
+    shown = eventually(lambda: (h := previews.newest_header()) is not None and h.stamp_ns == first_ns + 250 * MS)
     made.close()
     assert shown
 

@@ -14,7 +14,7 @@ from playwright.sync_api import Browser, Page, WebSocketRoute, expect
 
 from groundstation.mission.state_machine import MissionState
 from sim_bridge.sil.ports import free_port
-from tests.page.elements import button
+from tests.page.elements import button, tile
 from tests.page.flights import PATIENCE_MS, wait_for_port
 from tests.page.lone_station import lone_station
 from wire.config.experiment import load_experiment
@@ -22,6 +22,7 @@ from wire.messages import topics
 from wire.messages.messages import (
     Event,
     Order,
+    RobotState,
 )
 
 pytestmark = [pytest.mark.timeout(600), pytest.mark.real_time]  # what waits for a browser waits for a loaded machine
@@ -96,6 +97,42 @@ def test_a_browser_that_is_cut_off_without_a_close_knows_it(browser: Browser) ->
         assert len(lines) >= 3
         assert desk.orders == [Order.STOP]
         expect(button(page, "You have control")).to_be_visible()
+
+
+def test_what_a_slow_line_delays_is_shown_as_old(browser: Browser) -> None:
+    """The robot speaks all the time; from its second second on, every message takes 0.7 s from the station to the page."""
+    with lone_station(browser, load_experiment("pool")) as desk:
+        page, slow_s = desk.page, [0.0]
+        on_the_way: list[tuple[float, str | bytes]] = []
+
+        def between(line: WebSocketRoute) -> None:
+            station = line.connect_to_server()
+            line.on_message(station.send)
+            station.on_message(lambda said: on_the_way.append((time.monotonic() + slow_s[0], said)))
+            lines.append(line)
+
+        def pass_on(for_s: float) -> list[float]:
+            """Ages that the page shows meanwhile, in s."""
+            shown, end_s = [], time.monotonic() + for_s
+            while time.monotonic() < end_s:
+                desk.robots.publish(topics.STATE, RobotState(), time.time_ns(), 1)
+                page.wait_for_timeout(20)
+                while on_the_way and on_the_way[0][0] <= time.monotonic():
+                    lines[-1].send(on_the_way.pop(0)[1])
+                texts = tile(page, 1).locator(".age").all_text_contents()  # none before the page is ready
+                if found := re.search(r"([0-9.]+) (m?s)", "".join(texts)):
+                    shown.append(float(found[1]) * (1e-3 if found[2] == "ms" else 1.0))
+            return shown
+
+        lines: list[WebSocketRoute] = []
+        page.route_web_socket("**/live", between)
+        page.goto(desk.url)
+        while not pass_on(1.0):
+            pass
+        assert min(pass_on(2.0)) < 0.2
+        slow_s[0] = 0.7
+        pass_on(2.0)
+        assert 0.65 < min(pass_on(3.0)) < 1.0
 
 
 def test_events_of_megabytes_leave_the_page_and_its_stop_alive(browser: Browser) -> None:

@@ -86,6 +86,9 @@ class EstimatorConfig(Section):
     """Extended state observer (31), bandwidth form b1 = 3w, b2 = 3w^2, b3 = w^3 (Gao 2003). The sensing delay is compensated,
     so noise sets the bandwidth, not delay: at 2 rad/s a pose noise of 1.5 mm makes 2 mm/s in velocity."""
 
+    kind: Literal["eso", "kalman"] = "eso"
+    """Observer: poles at one bandwidth, or a bank of Kalman filters that knows a current from a force (docs/control.md). Not
+    given: `kalman` for `nmpc`, else `eso`."""
     enabled: bool = True
     """Estimate the disturbance. False: the estimate is zero."""
     bandwidth_radps: Bandwidth = 2.0
@@ -101,6 +104,11 @@ class EstimatorConfig(Section):
     adaptive: bool = False
     """Learn drag and thrust per mass in flight, and count poses by their covariance. For water that stands still: of a
     current, some would be taken for drag."""
+
+    @property
+    def learns(self) -> bool:
+        """True if drag and thrust per mass are learned in flight."""
+        return self.adaptive or self.kind == "kalman"
 
 
 class GuidanceConfig(Section):
@@ -166,6 +174,20 @@ class MpcConfig(Section):
         return self
 
 
+class NonlinearMpcConfig(Section):
+    """Nonlinear MPC. All other weights follow from vehicle, control period and noise."""
+
+    heading_m: Annotated[float, Field(ge=0, le=1), LIVE] = 0.01
+    """Error of the place that counts like 1 rad away from the direction of motion through the water."""
+    arm_m: Annotated[float, Field(gt=0, le=1), LIVE] = 0.2
+    """Error of the place that counts like 1 rad of a heading that a person steers; it also sets the smoothness of the yaw
+    moment."""
+    turning_m: Annotated[float, Field(ge=0, le=1), LIVE] = 0.01
+    """Error of the place that counts like turning at 1 rad/s, on a path."""
+    hold_turning_m: Annotated[float, Field(ge=0, le=1), LIVE] = 0.05
+    """The same on HOLD. With 0.01 the heading wanders by 0.29 rad/s, with 0.15 the place by 2 cm."""
+
+
 class ControllerConfig(Section):
     """The control loop of a robot, which runs 1/period_s times a second. `law` computes the wrench from estimate and
     reference."""
@@ -182,6 +204,8 @@ class ControllerConfig(Section):
     """Reference heading."""
     mpc: MpcConfig = MpcConfig()
     """Model predictive control."""
+    nmpc: NonlinearMpcConfig = NonlinearMpcConfig()
+    """Nonlinear MPC."""
     backstepping: BacksteppingConfig = BacksteppingConfig()
     """Backstepping."""
     pid: PidConfig = PidConfig()
@@ -194,6 +218,15 @@ class ControllerConfig(Section):
     """Fuzzy PI."""
     adaptive_nn: AdaptiveNnConfig = AdaptiveNnConfig()
     """Adaptive neural network."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _plans_with_an_observer_that_knows_the_current(cls, given: Any) -> Any:
+        """The nonlinear MPC looks 6 s ahead and more: over that time a current is not a force of the robot."""
+        if not isinstance(given, dict) or given.get("law") != "nmpc":
+            return given
+        estimator = given.get("estimator", {})
+        return {**given, "estimator": {"kind": "kalman", **estimator}} if isinstance(estimator, dict) else given
 
     @model_validator(mode="before")
     @classmethod

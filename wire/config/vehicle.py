@@ -202,6 +202,17 @@ class Marker(Section):
     """Height of the plate above the robot's centre."""
 
 
+class Righting(Section):
+    """Weight below buoyancy keeps the hull level while thrusters below its centre push it."""
+
+    moment_nm: Positive
+    """Righting moment per sine of the tilt."""
+    thrusters_below_m: NotNegative
+    """Thrusters' distance below the centre."""
+    swing_s: Positive
+    """Period of a free swing."""
+
+
 class Vehicle(Section):
     """Everything about one kind of robot that the controller, the localizer or the board must know."""
 
@@ -223,6 +234,10 @@ class Vehicle(Section):
     """Battery."""
     marker: Marker
     """Marker."""
+    righting: Annotated[Righting | None, Field(examples=[{"moment_nm": 1.9, "thrusters_below_m": 0.05, "swing_s": 1.6}])] = (
+        None
+    )
+    """Righting moment. Left out: thrust does not tilt the hull."""
 
     @cached_property
     def inertia(self) -> Array:

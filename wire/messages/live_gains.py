@@ -46,8 +46,15 @@ def tunable_parameters(controller: ControllerConfig) -> tuple[TunableParameter, 
 
 
 def _idle(controller: ControllerConfig) -> tuple[str, ...]:
-    """A law other than the ESO-MPC has gains of its own in the place of these: what it has learnt rests on them, they stay."""
-    return () if controller.law == "eso-mpc" else (f"{ROOT}.mpc.", f"{ROOT}.guidance.position_gain_per_s2")
+    """Parameters that another law has. A law other than the ESO-MPC has gains of its own in the place of some: what it has
+    learnt rests on them, they stay."""
+    match controller.law:
+        case "eso-mpc":
+            return (f"{ROOT}.nmpc.",)
+        case "nmpc":
+            return (f"{ROOT}.mpc.q.", f"{ROOT}.mpc.r.", f"{ROOT}.guidance.")
+        case _:
+            return (f"{ROOT}.nmpc.", f"{ROOT}.mpc.", f"{ROOT}.guidance.position_gain_per_s2")
 
 
 def _within(prefix: str, section: Section) -> Iterator[TunableParameter]:

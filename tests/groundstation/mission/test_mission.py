@@ -14,6 +14,7 @@ from groundstation.planning.segment import PlanSegment
 from groundstation.telemetry import first_lost_robot, preflight
 from tests.groundstation.mission.mission_run import STEP_NS, MissionRun
 from wire.config.experiment import load_experiment
+from wire.messages import topics
 from wire.messages.messages import Mode, Order, Trajectory
 
 
@@ -110,6 +111,20 @@ def test_a_robot_that_holds_makes_all_hold_and_all_go_on_from_one_place() -> Non
     assert resumes[0].trajectory_s == resumes[1].trajectory_s >= 0.5
     run.step(4.0)
     assert run.at(MissionState.DONE)
+
+
+def test_a_state_that_was_sent_before_the_flight_began_makes_nobody_hold() -> None:
+    """A state may be as old as `topics.STATE.max_age_s`: for so long a hold that a robot reports may be an earlier one. After
+    that it counts."""
+    run = MissionRun()
+    while run.mission.state is not MissionState.RUNNING:
+        run.step()
+    began_ns, robot = run.now_ns, run.robots[2]
+    robot.mode = Mode.HOLDING
+    while run.at(MissionState.RUNNING):
+        run.step()
+    assert 0 <= (run.now_ns - began_ns) * 1e-9 - topics.STATE.max_age_s <= 2 * STEP_NS * 1e-9
+    assert run.at(MissionState.PAUSED) and run.mission.reason.startswith("robot 2 holds")
 
 
 def test_a_hold_by_an_operator_lasts_until_an_operator_resumes() -> None:
@@ -725,27 +740,34 @@ def test_a_plan_uses_the_fleet_as_known_at_its_request() -> None:
     assert set(wanted.plan().trajectories) == {1, 2, 3}
 
 
-def test_an_obstacle_on_a_transfer_makes_robots_rest_and_replan() -> None:
-    """With policy go-on the one that is lost was to be gone when the other comes by."""
-    run = running([THREE, 'mission.lost="go-on"'], automatic=False)
+@pytest.mark.parametrize("is_return", [True, False])
+def test_an_obstacle_on_a_transfer_makes_robots_rest_and_replan(is_return: bool) -> None:
+    """With policy go-on a robot that is lost was to be gone when the other comes by. The new plan leads where the transfer
+    led, also where the last plan that was asked for was to lead home."""
+    run = running([THREE, 'mission.lost="go-on"', "mission.detours=true"], automatic=False)
     assert run.mission.request(Order.RETURN, run.fleet(), run.now_ns) == ""
     run.step(0.2)
     away = next_leg(run, 3.0)
     eta = np.zeros((200, 4))
     eta[:, 0] = np.linspace(-1.0, 1.0, 200)
     ways = {**away.trajectories, 1: replace(away.trajectories[1], eta=eta), 3: replace(away.trajectories[3], eta=eta + 1.0)}
-    home = replace(away, trajectories=ways, is_return=True, end_s=13.0)
-    run.mission.planned(home, run.fleet(), run.now_ns)
+    transfer = replace(away, trajectories=ways, is_return=is_return, transfer_end_s=13.0, end_s=13.0)
+    run.mission.planned(transfer, run.fleet(), run.now_ns)
     run.step(2.0)
-    assert run.at(MissionState.RETURNING)
-    run.robots[2].mode, run.robots[2].fault = Mode.FAULT, "no pose"
+    assert run.at(MissionState.RETURNING if is_return else MissionState.RUNNING)
+    if is_return:
+        run.robots[2].mode, run.robots[2].fault = Mode.FAULT, "no pose"
+    else:
+        run.mission.plans.monitor.update(ObstacleSet((1,), np.array([[0.0, 0.0, 0.2]])), 0)
     run.step(0.1)
     assert run.at(MissionState.HALTING)
     assert "on the path of robot 1" in run.mission.reason
+    assert run.mission.plans.targets_return == is_return
     run.step(0.3)
     assert run.mission.plan_request is not None
-    plan = run.mission.plan_request.plan()
-    assert plan.is_return and set(plan.trajectories) == {1, 3}
+    if is_return:
+        plan = run.mission.plan_request.plan()
+        assert plan.is_return and set(plan.trajectories) == {1, 3}
 
 
 # --- how a run ends

@@ -12,6 +12,7 @@ import pytest
 
 from groundstation.formation_clock import named_alone
 from groundstation.logs.recorder import Recorder
+from groundstation.mission.command_dispatcher import RETRY_S
 from groundstation.mission.gain_update import GainUpdater
 from groundstation.mission.lap_statistics import LapStatistics
 from groundstation.mission.mission import Mission
@@ -25,6 +26,7 @@ from groundstation.station import process
 from groundstation.station.station import COMMAND_KINDS, MAX_UNANSWERED, Station, workers
 from groundstation.telemetry import DEPLOY, RobotView, findings, subscribe_fleet
 from groundstation.web.alarms import alarms
+from tests.waiting import eventually
 from wire.config.experiment import Experiment, dump_experiment, load_experiment
 from wire.messages import topics
 from wire.messages.codec import Header
@@ -100,6 +102,30 @@ def test_an_outdated_plan_is_dropped(tmp_path: Path) -> None:
             time.sleep(0.001)
         assert mission.state is MissionState.RELOADING
         assert mission.segment is home
+
+
+def test_planning_is_given_up_in_time_and_when_the_station_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In lockstep only when the station ends: there a plan must not depend on the machine."""
+    asked: list[Callable[[], bool]] = []
+
+    def plan(out_of_time: Callable[[], bool]) -> PlanSegment:
+        asked.append(out_of_time)
+        return station.mission.segment
+
+    def taken() -> bool:
+        station.plan(False, 0)
+        return not station.planning
+
+    with a_station(tmp_path) as station:
+        station.seen = station.fleet()
+        for lockstep, limit_s in ((False, 3600.0), (False, 0.0), (True, 0.0)):
+            monkeypatch.setattr("groundstation.station.station.PLANNING_S", limit_s)
+            station.mission.state, station.mission.plans.request = MissionState.HALTING, PlanRequest("another path", plan)
+            with station.lock:
+                station.plan(lockstep, 0)
+            assert eventually(taken)
+        assert [out_of_time() for out_of_time in asked] == [False, True, False]
+    assert all(out_of_time() for out_of_time in asked)
 
 
 def test_a_planner_that_breaks_leaves_the_fleet_holding_and_the_station_alive(tmp_path: Path) -> None:
@@ -212,11 +238,22 @@ def outcome(station: Station, number: int) -> Outcome:
     return reply.outcome
 
 
-def test_a_stop_reaches_the_robots_while_every_other_thread_is_at_work(tmp_path: Path) -> None:
-    """A plan that takes long, and robots that do not answer what they were asked before."""
-    hub, free = MemoryHub(), threading.Event()
+def test_a_stop_reaches_the_robots_while_all_other_threads_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A plan that takes long, and robots that do not answer what they were asked before. The first stops are lost on their
+    way: to send others, the station has to notice that these are not answered."""
+    hub, free, lost = MemoryHub(), threading.Event(), list[int]()
     with a_station(tmp_path, hub) as station:
-        fleet = ObedientFleet(hub, station.experiment)
+        fleet, send = ObedientFleet(hub, station.experiment), station.bus.send_command
+
+        def lossy(command: Command, stamp_ns: int, timeout_s: float, to: int | None = None) -> Callable[[], Reply]:
+            if command.order is Order.STOP and lost.count(command.robot) < MAX_UNANSWERED:
+                lost.append(command.robot)
+                return lambda: Reply(command.robot, False, silent=True)
+            return send(command, stamp_ns, timeout_s, to)
+
+        monkeypatch.setattr(station.bus, "send_command", lossy)
+        safe = (Order.STOP, Order.DISARM, Order.HOLD)
+        assert {station.workers.of(order) for order in Order if order not in safe}.isdisjoint(map(station.workers.of, safe))
         for threads in (station.workers.orders, station.workers.plans):
             for _ in range(2 * MAX_UNANSWERED * COMMAND_KINDS * len(station.experiment.robot_ids)):
                 threads.submit(free.wait, PATIENCE_S)
@@ -231,10 +268,11 @@ def test_a_stop_reaches_the_robots_while_every_other_thread_is_at_work(tmp_path:
 
 def test_an_order_that_is_not_answered_is_on_its_way_twice_at_most(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """However long a robot says nothing: what is asked then, a stop for example, waits for none of them."""
-    free, out = threading.Event(), []
+    free, out, timeouts_s = threading.Event(), [], set()
 
     def silent(command: Command, stamp_ns: int, timeout_s: float, to: int | None = None) -> Callable[[], Reply]:
         out.append(command.order)
+        timeouts_s.add(timeout_s)
 
         def reply() -> Reply:
             free.wait(PATIENCE_S)
@@ -252,6 +290,7 @@ def test_an_order_that_is_not_answered_is_on_its_way_twice_at_most(tmp_path: Pat
         finally:
             free.set()
     assert out == [Order.STOP] * MAX_UNANSWERED * 2
+    assert timeouts_s == {MAX_UNANSWERED * RETRY_S}, "later, a stop would be repeated less often than every RETRY_S"
 
 
 def test_a_request_is_known_by_its_number_and_no_other(tmp_path: Path) -> None:
@@ -397,6 +436,8 @@ def test_status_returns_at_once_while_a_cycle_hangs(tmp_path: Path) -> None:
             hung = station.status()
         assert before.beat_age_s < 5.0 <= hung.beat_age_s
         assert hung.state is before.state
+        station.cycle(station.clock.now_ns(), lockstep=False)
+        assert station.status().beat_age_s < 5.0, "the cycle goes on"
 
 
 def test_the_paths_flown_now_are_told_with_their_end(tmp_path: Path) -> None:

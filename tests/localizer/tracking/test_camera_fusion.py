@@ -128,6 +128,7 @@ def test_a_robot_seen_by_one_camera_is_where_that_camera_says() -> None:
     result = CameraFusion(EXPERIMENT).step({"west": view(0, {}), "east": view(0, {1: told})}, 0)
     assert fused(result) == pytest.approx([1.0, 0.2, 0.3])
     assert np.array_equal(dict(result.poses)[1].covariance, told.covariance)
+    assert result.status.frames == 1
 
 
 def test_measured_and_verified_poses_come_before_coasting_and_doubtful_ones() -> None:
@@ -281,6 +282,17 @@ def test_a_camera_into_whose_picture_a_robot_comes_is_not_blamed_for_the_other_o
     assert result.disagreement == "cameras west and east disagree by 50 mm about robot 1"
     error, covariance = fused(result) - true, dict(result.poses)[1].covariance
     assert error @ np.linalg.solve(covariance, error) < 3.0
+
+
+@pytest.mark.parametrize(("unseen_s", "blamed"), [(0.8, True), (1.2, False)])
+def test_a_camera_that_has_not_seen_a_robot_for_a_second_is_not_blamed_alone(unseen_s: float, blamed: bool) -> None:
+    """It is 50 mm from the other one when it sees the robot again: by then either of them may have been moved."""
+    fusion, again = CameraFusion(EXPERIMENT), 20 + round(unseen_s * 20)
+    for k in range(again + 1):
+        at_ns, east = k * PERIOD_NS, {1: pose(LEAP * (k == again))} if k < 20 or k == again else {}
+        result = fusion.step({"west": view(at_ns, {1: pose(np.zeros(3))}), "east": view(at_ns, east, COVERED)}, at_ns)
+    assert result.distrusted == (("east",) if blamed else ())
+    assert ("cameras west and east disagree by 50 mm" in result.disagreement) == (not blamed)
 
 
 def test_a_camera_whose_check_marks_are_off_is_out_at_once_and_back_when_they_are_well_for_a_while() -> None:

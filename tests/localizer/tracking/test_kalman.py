@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.stats import chi2
 
 from localizer.tracking.kalman import GATE, initial_state, predict, stopped, update
 from wire.frames import wrap
@@ -54,6 +55,7 @@ def test_gate_lets_through_what_the_covariance_promises() -> None:
     assert distances.mean() == pytest.approx(3.0, rel=0.05)  # chi-square with 3 degrees of freedom
     assert np.quantile(distances, 0.95) == pytest.approx(7.81, rel=0.05)
     assert distances.max() < GATE
+    assert chi2.sf(GATE, 3) == pytest.approx(1.5e-5, rel=0.05)  # a wider gate lets misread markers through
 
 
 @given(yaw=st.floats(-10, 10), turn=st.floats(-0.3, 0.3))

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from robot_agent.control.controller import ControlOutput
 from robot_agent.guidance.formation import Neighbour
 from robot_agent.guidance.reference import Follow
-from robot_agent.vehicle.eso import PoseMeasurement, StateMeasurement
+from robot_agent.vehicle.estimate import PoseMeasurement, StateMeasurement
 from tests.robot_agent.paths import circle
 from wire.config.experiment import load_experiment
 from wire.messages.messages import Plan, Solve, Trajectory

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from robot_agent.control.controller import Controller, ControlOutput
 from robot_agent.guidance.formation import Neighbour
 from robot_agent.guidance.reference import Follow, Goal, Hold
-from robot_agent.vehicle.eso import PoseMeasurement, StateMeasurement
+from robot_agent.vehicle.estimate import PoseMeasurement, StateMeasurement
 from sim_bridge.plant.fleet import Plant
 from tests.robot_agent.control.drawn_inputs import (
     GOAL,

@@ -8,7 +8,7 @@ import pytest
 from robot_agent.control.controller import Controller, ControlOutput
 from robot_agent.inputs import Inputs, StampedPose, StationView
 from robot_agent.safety.health import ARM_AGAIN_S, DISARM_S, HealthMonitor
-from robot_agent.vehicle.eso import StateMeasurement
+from robot_agent.vehicle.estimate import StateMeasurement
 from wire.config.experiment import load_experiment
 from wire.mavlink.agent_link import Telemetry
 from wire.messages.messages import Mode, Pose, Track

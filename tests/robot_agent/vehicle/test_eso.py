@@ -24,7 +24,8 @@ from robot_agent.vehicle.dynamics import (
     sway_slope,
     weigh,
 )
-from robot_agent.vehicle.eso import COAST_NS, POSE_M, POSE_S, Estimate, Estimator, PoseMeasurement, StateMeasurement
+from robot_agent.vehicle.eso import COAST_NS, POSE_M, POSE_S, Estimator
+from robot_agent.vehicle.estimate import Estimate, PoseMeasurement, StateMeasurement
 from tests.robot_agent.water import integrate
 from wire.config.controller import EstimatorConfig
 from wire.config.vehicle import Vehicle, load_vehicle

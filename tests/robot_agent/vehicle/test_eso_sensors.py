@@ -11,7 +11,8 @@ from robot_agent.inputs import Inputs, StationView
 from robot_agent.preflight.rehearsal import ARM_AFTER, DEPTH_M, STATION, rehearse
 from robot_agent.safety.thruster_selftest import ThrusterSelftest
 from robot_agent.vehicle.dynamics import Model
-from robot_agent.vehicle.eso import Estimator, PoseMeasurement, StateMeasurement
+from robot_agent.vehicle.eso import Estimator
+from robot_agent.vehicle.estimate import PoseMeasurement, StateMeasurement
 from wire.config.experiment import load_experiment
 from wire.messages.codec import Header
 from wire.messages.messages import Command, Mode, Order

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from wire.security import admission
+from wire.security import admission, guard
 from wire.security.admission import (
     KNOWN,
     NEW,
@@ -17,6 +17,7 @@ from wire.security.admission import (
     hello_is_whole,
     origin_of,
 )
+from wire.transport import endpoint, gate
 
 
 def client_hello(name: str = "station.pool") -> bytes:
@@ -381,3 +382,11 @@ def test_so_many_origins_are_known_and_the_longest_unproven_is_forgotten_first()
     assert lane(addresses[0], now_s) == KNOWN  # all of them are; this one is now the last to go
     assert lane(addresses[-1], now_s) == NEW
     assert [lane(addresses[i], now_s) for i in (0, 2, 1)] == [KNOWN, KNOWN, NEW]
+
+
+def test_limits_that_depend_on_one_another_fit_together() -> None:
+    """They stand in several modules, each with its reason."""
+    assert gate.INNER_HANDSHAKE_MS == admission.PROOF_S * 1e3  # the router and the guard give up together
+    assert endpoint.ACCEPT_MS < admission.YOUNG_S * 1e3  # or a stranger's session would count as a member's
+    assert endpoint.TRY_MS < admission.TURN_S * 1e3  # or a connection would be closed that its client waits for
+    assert admission.MOST_LINKS_EACH < guard.MOST_LINKS < endpoint.MOST_SESSIONS  # neither an origin nor all fill the router

@@ -237,6 +237,19 @@ def test_a_station_without_a_door_says_so_and_runs(
     assert "no door for this machine" in caplog.text
 
 
+def test_a_closed_station_gives_its_port_back(ring: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """At once, though the program goes on: a member that calls must not wait for an answer that never comes."""
+    monkeypatch.setenv(user_folders.ONLY, str(tmp_path))
+    port = free_port()
+    transport = ZenohTransport(endpoint(f"tls/127.0.0.1:{port}", "groundstation", ring, router=True))
+    socket.create_connection(("127.0.0.1", port), timeout=SOON_S).close()
+    kept = transport._gate  # private: a socket that nothing refers to would be closed by Python
+    transport.close()
+    assert kept is not None
+    with pytest.raises(ConnectionRefusedError):
+        socket.create_connection(("127.0.0.1", port), timeout=SOON_S)
+
+
 # --- what the guard passes on
 
 

@@ -10,6 +10,7 @@ const SHOW_MANY_EVERY_MS = 400; // nor so many
 const MANY = 16;
 const TICK_MS = 300;
 const GONE_AFTER_MS = 90_000; // of silence after a run's end: a report of an hour's run takes a minute on a slow machine
+const MOST_DRIFT = 2e-4; // of two computers' clocks from one another
 const ANSWER_WITHIN_MS = 1000; // then nobody seems to have heard
 
 /** One robot, unpacked for drawing. */
@@ -21,7 +22,7 @@ export interface Robot {
   disturbance: Float32Array;
   wrench: Float32Array;
   horizon: Float32Array; // rows of x, y, z
-  arrivedMs: number;
+  sentMs: number; // by the page's clock
 }
 
 /** What plots and trails are made of: a state as it came, or a row of the past. */
@@ -98,10 +99,11 @@ export function unanswered(g: Given): boolean {
   return !g.heard && (!connected.value || now.value - g.atMs > ANSWER_WITHIN_MS);
 }
 
-/** The newest state as it is drawn, and when it came. */
+/** The newest state as it is drawn, when it came, and when the station sent it, both by the page's clock. */
 export const live = {
   snapshot: null as Snapshot | null,
   arrivedMs: 0,
+  sentMs: 0,
   robots: new Map<number, Robot>(),
   paths: [] as PathSamples[], // what is flown now
   pathSerial: 0,
@@ -137,15 +139,25 @@ function unpack(news: PastState["robots"][number]) {
 
 const NONE = new Float32Array(4);
 
+let leastLateMs = Infinity; // least that the page's clock was past the station's when a state came
+
+/** When the station sent what came now, by the page's clock: the line's least delay cannot be known, what it adds to that can. */
+function sentMs(arrivedMs: number, clockMs: number): number {
+  const drift = MOST_DRIFT * (arrivedMs - live.arrivedMs);
+  leastLateMs = Math.min(leastLateMs + drift, arrivedMs - clockMs);
+  return clockMs + leastLateMs;
+}
+
 function takeState(state: Snapshot): void {
   const at = performance.now();
   live.snapshot = state;
+  live.sentMs = sentMs(at, state.clock_ms);
   live.arrivedMs = at;
   for (const news of state.robots) {
     const s = news.state;
     live.robots.set(news.id, {
       news,
-      arrivedMs: at,
+      sentMs: live.sentMs,
       eta: s ? floats(s.eta) : NONE,
       nu: s ? floats(s.nu) : NONE,
       reference: s ? floats(s.reference) : NONE,
@@ -199,6 +211,7 @@ export function take(frame: Frame): void {
         if (scene.peek() !== null && frame.scene.mode !== "replay") editing.value = false; // what was edited flies now
       }
       if (scene.peek()?.life !== frame.scene.life) given.value = given.value.filter((g) => !g.heard);
+      leastLateMs = Infinity; // another connection, and another station's clock perhaps
       me.value = frame.you;
       scene.value = frame.scene;
       takePaths(frame.scene.paths);
@@ -264,15 +277,15 @@ function takeOutcomes(outcomes: Outcome[]): void {
 }
 
 /** Age of a robot's state now, in ms. */
-export function ageMs(robot: RobotNews, arrivedMs: number): number {
-  return robot.age_ms + performance.now() - arrivedMs;
+export function ageMs(robot: RobotNews, sentMs: number): number {
+  return robot.age_ms + performance.now() - sentMs;
 }
 
 /** Whether what a robot last said is too old to be shown as if it were now. */
-export function isStale(robot: RobotNews | undefined, arrivedMs: number): boolean {
+export function isStale(robot: RobotNews | undefined, sentMs: number): boolean {
   if (ended.peek()) return false; // nothing is now: what is shown is how it ended
   const limit = scene.peek()?.stale_s ?? 0;
-  return robot?.state === undefined || ageMs(robot, arrivedMs) > limit * 1e3;
+  return robot?.state === undefined || ageMs(robot, sentMs) > limit * 1e3;
 }
 
 let draw: () => void = () => undefined;

@@ -126,7 +126,7 @@ function Unheard() {
 function Stopped({ state }: { state: Snapshot }) {
   now.value; // who is no longer heard confirms nothing
   if (!state.stop) return null;
-  const stopped = (robot: RobotNews) => robot.state?.mode === "STOPPED" && connected.value && !isStale(robot, live.arrivedMs);
+  const stopped = (robot: RobotNews) => robot.state?.mode === "STOPPED" && connected.value && !isStale(robot, live.sentMs);
   const waiting = state.robots.filter((robot) => !stopped(robot));
   return (
     <div class="stopped" role="alert">

@@ -9,7 +9,7 @@ const MANY = 6; // from here on a tile tells the mode, the error, the pose, and 
 const WEIGHT = { critical: 100, warning: 10, notice: 1 };
 
 function badness(robot: RobotNews): number {
-  const stale = isStale(robot, live.arrivedMs) ? 1000 : 0;
+  const stale = isStale(robot, live.sentMs) ? 1000 : 0;
   const own = alarms.value.filter((alarm) => alarm.robot === robot.id);
   return stale + own.reduce((sum, alarm) => sum + WEIGHT[alarm.level], 0);
 }
@@ -47,7 +47,7 @@ function Fact({ name, value, bad }: { name: string; value: string; bad?: boolean
 function Tile({ robot, place, s }: { robot: RobotNews; place: number; s: Scene }) {
   now.value; // ages go on, also when nothing comes
   const state = robot.state;
-  const stale = isStale(robot, live.arrivedMs);
+  const stale = isStale(robot, live.sentMs);
   const mm = errorMm(robot.id);
   const chosen = selected.value === robot.id;
   const battery = s.limits.battery_v;
@@ -74,7 +74,7 @@ function Tile({ robot, place, s }: { robot: RobotNews; place: number; s: Scene }
           {state ? `${MARK[state.mode]} ${state.mode.toLowerCase()}` : "not heard"}
           {state?.armed && <small>, board armed</small>}
         </span>
-        <span class="age">{stale ? `${state ? "last heard " : ""}${state ? age(ageMs(robot, live.arrivedMs)) + " ago" : ""}` : age(ageMs(robot, live.arrivedMs))}</span>
+        <span class="age">{stale ? `${state ? "last heard " : ""}${state ? age(ageMs(robot, live.sentMs)) + " ago" : ""}` : age(ageMs(robot, live.sentMs))}</span>
       </button>
       {state && (
         <dl>

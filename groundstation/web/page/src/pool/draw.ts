@@ -48,7 +48,7 @@ function drawGhost(pen: Pen, view: View, s: Scene, id: number, eta: Float32Array
 
 function drawObstacles(pen: Pen, view: View): void {
   const found = live.snapshot?.obstacles;
-  if (!found || found.age_ms + performance.now() - live.arrivedMs > 1500) return;
+  if (!found || found.age_ms + performance.now() - live.sentMs > 1500) return;
   const outline = floats(found.outline);
   pen.save();
   pen.fillStyle = css("--obstacle");
@@ -70,7 +70,7 @@ function drawObstacles(pen: Pen, view: View): void {
 
 function fresh(id: number): Robot | null {
   const robot = live.robots.get(id);
-  return robot !== undefined && !isStale(robot.news, robot.arrivedMs) ? robot : null;
+  return robot !== undefined && !isStale(robot.news, robot.sentMs) ? robot : null;
 }
 
 function drawLinks(pen: Pen, view: View, s: Scene): void {

@@ -200,7 +200,7 @@ function drawTrail(pen: Pen, view: View, id: number, place: number): void {
   const robot = live.robots.get(id);
   if (trail === undefined || robot === undefined || trail.t.length < 2) return;
   pen.save();
-  pen.strokeStyle = isStale(robot.news, robot.arrivedMs) ? css("--stale") : robotColour(place);
+  pen.strokeStyle = isStale(robot.news, robot.sentMs) ? css("--stale") : robotColour(place);
   pen.lineWidth = 2.5;
   pen.lineJoin = "round";
   const bands = 4;

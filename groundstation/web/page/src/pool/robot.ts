@@ -17,7 +17,7 @@ const BARS_FROM_PX = 15; // of a hull's radius: on smaller ones nobody can read 
 const ELLIPSE_FROM_PX = 1.5; // and no smaller uncertainty
 
 export function drawRobot(pen: Pen, view: View, s: Scene, robot: Robot, place: number): void {
-  const stale = isStale(robot.news, robot.arrivedMs);
+  const stale = isStale(robot.news, robot.sentMs);
   const colour = stale ? css("--stale") : robotColour(place);
   const on = layers.peek();
   pen.save();
@@ -36,7 +36,7 @@ export function drawRobot(pen: Pen, view: View, s: Scene, robot: Robot, place: n
   if (on.covariance && robot.news.pose !== undefined && !stale) drawEllipse(pen, view, robot.news.pose);
   if (on.disturbance && !stale) drawDisturbance(pen, view, robot, px, py);
   const below = py + s.hull_m * view.scale + 13; // above it the localizer writes into the picture
-  const text = stale && s.hull_m * view.scale >= BARS_FROM_PX ? `${robot.news.id}  ${(ageMs(robot.news, robot.arrivedMs) / 1e3).toFixed(1)} s old` : `${robot.news.id}`;
+  const text = stale && s.hull_m * view.scale >= BARS_FROM_PX ? `${robot.news.id}  ${(ageMs(robot.news, robot.sentMs) / 1e3).toFixed(1)} s old` : `${robot.news.id}`;
   if (stale) label(pen, text, px, below, colour);
   else drawName(pen, text, px, below, colour);
   if (selected.peek() === robot.news.id) {

@@ -1,0 +1,69 @@
+"""Pages of evidence: Markdown tables, JSON beside them, and the progress of the flights that they are made of."""
+
+import json
+import math
+import os
+import platform
+from collections.abc import Iterable, Sequence
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from wire.process.output_files import replace_text
+from wire.process.version import code
+
+NEVER = "never"  # infinity, as JSON has none
+
+
+def written_by(command: str) -> str:
+    """The sentence that says when, from which commit, and on which machine a page was written."""
+    machine = f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
+    return f"Written by `{command}` on {date.today().isoformat()}: commit {code().commit[:12]}, {machine}"
+
+
+def table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
+    """Lines of a Markdown table."""
+    return [f"| {' | '.join(columns)} |", f"|{'---|' * len(columns)}", *(f"| {' | '.join(row)} |" for row in rows)]
+
+
+def spread(values: Iterable[float], scale: float = 1e3) -> str:
+    """The largest, and in brackets the median, times a scale; empty where nothing is known."""
+    known = sorted(scale * value for value in values if not math.isnan(value))
+    return f"{_short(known[-1])} ({_short(known[len(known) // 2])})" if known else ""
+
+
+def _short(value: float) -> str:
+    """Three digits; of a larger number those before its point."""
+    return NEVER if math.isinf(value) else f"{value:.0f}" if abs(value) >= 100.0 else f"{value:.3g}"
+
+
+def plain(value: Any) -> Any:
+    """The value for JSON: None for every number that is not known, NEVER for infinity."""
+    if isinstance(value, dict):
+        return {key: plain(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(inner) for inner in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None if math.isnan(value) else NEVER
+    return value
+
+
+def write(stem: Path, page: str, content: Any) -> None:
+    """Write a page, and its content as JSON beside it."""
+    stem.parent.mkdir(exist_ok=True)
+    replace_text(stem.with_suffix(".md"), page)
+    write_json(stem.with_suffix(".json"), content)
+
+
+def write_json(file: Path, content: Any) -> None:
+    """Write values of any kind that `plain` knows."""
+    replace_text(file, json.dumps(plain(content), indent=1, allow_nan=False) + "\n")
+
+
+def progress(console: Console) -> Progress:
+    """A bar with numbers and times, if the console is a terminal."""
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    return Progress(*columns, console=console, disable=not console.is_terminal)

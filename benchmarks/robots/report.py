@@ -1,0 +1,296 @@
+"""Tables of the grid: targets, cells, encounters, traps, worst flights; the same beside those of an earlier run."""
+
+import math
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from typing import Any
+
+from benchmarks import evidence
+from benchmarks.robots.cells import CELLS
+from benchmarks.robots.claims import GROUPS
+from benchmarks.robots.figures import FlightFigures
+
+NEAREST_M = 0.6  # 2 R of every flight of the grid
+SETTLED_S, HELD_M, STOPPED_S, EIGHT_M = 15.0, 0.02, 3.0, 0.005  # targets
+BACK_S = {"meet-2": 20.0, "meet-8": 45.0}
+CALIBRATED = (0.5, 1.5)  # NEES of a group of states, mean of a cell
+REPEAT = "python -m benchmarks robots --cells {} --flight {}"
+NOTHING = "0 of 0"
+MODELS = ("model-30", "model+30", "model+100", "model-50")
+
+
+@dataclass(frozen=True)
+class GridRun:
+    """All flights of a run, and what they were flown with."""
+
+    law: str  # control law and observer
+    settings: tuple[str, ...]  # laid over those of the flights
+    hold_s: float
+    origin: str  # date, commit, machine
+    flights: tuple[FlightFigures, ...]
+
+    def with_flight(self, flight: FlightFigures) -> "GridRun":
+        """The run with one more flight, in the grid's order."""
+        flights = sorted((*self.flights, flight), key=lambda f: (list(CELLS).index(f.cell), f.number))
+        return replace(self, flights=tuple(flights))
+
+    def of(self, cell: str) -> list[FlightFigures]:
+        """Flights of a cell."""
+        return [flight for flight in self.flights if flight.cell == cell]
+
+    @property
+    def cells(self) -> list[str]:
+        """Cells that were flown, in the grid's order."""
+        return [cell for cell in CELLS if self.of(cell)]
+
+    @property
+    def command(self) -> str:
+        """The command that flies a flight again, with {} for cell and number."""
+        return " ".join([REPEAT, *(f"--set {setting}" for setting in self.settings), f"--hold-s {self.hold_s:g}"])
+
+
+def as_json(run: GridRun) -> dict[str, Any]:
+    """A run as a dictionary."""
+    return asdict(run)
+
+
+def from_json(content: dict[str, Any]) -> GridRun:
+    """The run of `as_json`, after it was in a file."""
+    kinds = {field.name: field.type for field in fields(FlightFigures)}
+    flights = [
+        FlightFigures(**{key: _value(value, kinds[key]) for key, value in flight.items()}) for flight in content["flights"]
+    ]
+    return GridRun(content["law"], tuple(content["settings"]), content["hold_s"], content["origin"], tuple(flights))
+
+
+def _value(value: Any, kind: Any) -> Any:
+    """A value of a file: numbers may be unknown or infinite."""
+    if kind not in (float, "float"):
+        return value
+    return math.nan if value is None else math.inf if value == evidence.NEVER else float(value)
+
+
+def severity(flight: FlightFigures) -> tuple[float, ...]:
+    """Order of flights of a cell, the worst last."""
+    cell = CELLS[flight.cell]
+    if cell.is_trap:
+        return _known(flight.stop_s), -float(flight.is_named)
+    if flight.robots > 1:
+        return float(bool(flight.refused)), float(flight.is_stop), NEAREST_M - _known(flight.nearest_m), _known(flight.back_s)
+    shares = (flight.settled_s / SETTLED_S, flight.hold_m / HELD_M, flight.rms_m / EIGHT_M)
+    return float(bool(flight.refused)), float(flight.is_stop), float(flight.never_settled), max(map(_known, shares))
+
+
+def _known(value: float) -> float:
+    return 0.0 if math.isnan(value) else value
+
+
+def worst_of(flights: Sequence[FlightFigures]) -> FlightFigures:
+    """The flight that says most against a cell."""
+    return max(flights, key=severity)
+
+
+def targets(run: GridRun) -> list[tuple[str, str, str]]:
+    """Figure, target, and what was found."""
+    fair = [flight for flight in run.flights if not CELLS[flight.cell].is_trap]
+    calm = [flight for flight in fair if CELLS[flight.cell].is_calm]
+    held = [flight.hold_m for flight in calm if not math.isnan(flight.hold_m)]
+    strong = [flight for flight in run.of("start-current-0.8") if not flight.refused]
+    traps = [flight for flight in run.flights if CELLS[flight.cell].is_trap]
+    stopped = sorted(flight.stop_s for flight in traps)
+    settled = sum(flight.settled_s <= SETTLED_S and not flight.is_stop for flight in strong)
+    rows = [
+        (
+            "HOLD in still water: largest distance from the place after 10 s, worst of the grid",
+            "20 mm",
+            f"{1e3 * max(held):.0f} mm; {sum(h > HELD_M for h in held)} of {len(held)} beyond 20 mm" if held else "",
+        ),
+        (
+            "stopped in HOLD in still water",
+            "0",
+            _share(sum(f.is_stop and f.holds for f in calm), calm),
+        ),
+        ("never settle, orbit, or are led for ever", "0 of 2,000", _share(sum(_is_lost(f) for f in fair), fair)),
+        (
+            f"eight, {', '.join(CELLS[m].about for m in MODELS)}: RMS after 20 s, worst",
+            "5 mm each",
+            ", ".join(f"{1e3 * worst:.1f} mm" for m in MODELS if (worst := _worst_eight(run.of(m))) > 0.0),
+        ),
+        ("starts 0.5 to 2 m off in a current of 0.6 to 0.8: within 5 cm after 15 s", "all", _share(settled, strong)),
+        ("false stops", "<= 1 of 2,000", _share(sum(f.is_stop for f in fair), fair)),
+        (
+            "held fast, marker turned, swept away: time until it stops",
+            "<= 3 s, cause named",
+            f"{_times(stopped)}; {_share(sum(s <= STOPPED_S for s in stopped), stopped)} in time; "
+            f"{sum(f.is_named for f in traps)} named"
+            if stopped
+            else "",
+        ),
+    ]
+    for cell, limit_s in BACK_S.items():
+        met = run.of(cell)
+        if met:
+            near = min(_nearest(met), default=math.nan)
+            rows.append(
+                (
+                    CELLS[cell].about,
+                    f"2R = {NEAREST_M:g} m; back within {limit_s:g} s",
+                    f"{near:.3f} m; {_times(f.back_s for f in met)}",
+                )
+            )
+    means = [mean for cell in run.cells if not CELLS[cell].is_trap for mean in _nees(run.of(cell)).values()]
+    off = [mean for mean in means if not CALIBRATED[0] <= mean <= CALIBRATED[1]]
+    what = "NEES per degree of freedom, mean of each cell and group of states, traps aside"
+    found = f"{len(off)} of {len(means)} outside; {min(off):.2g} to {max(off):.2g}" if off else _share(0, means)
+    return [row for row in (*rows, (what, "0.5 to 1.5", found)) if row[2] not in ("", NOTHING)]
+
+
+def _is_lost(flight: FlightFigures) -> bool:
+    return not flight.is_stop and (flight.never_settled or flight.back_s == math.inf)
+
+
+def _share(count: int, of: Sequence[object]) -> str:
+    return f"{count} of {len(of)}"
+
+
+def _worst_eight(flights: Sequence[FlightFigures]) -> float:
+    """The worst RMS of figures of eight; infinity if one stopped on its path."""
+    eights = [f for f in flights if f.scene == "eight"]
+    return max((math.inf if math.isnan(f.rms_m) else f.rms_m for f in eights), default=0.0)
+
+
+def _times(values: Iterable[float]) -> str:
+    found = evidence.spread(values, 1.0)
+    return f"{found} s" if found else "none"
+
+
+def _nearest(flights: Sequence[FlightFigures]) -> list[float]:
+    return [f.nearest_m for f in flights if not math.isnan(f.nearest_m)]
+
+
+def _nees(flights: Sequence[FlightFigures]) -> dict[str, float]:
+    """Mean over the flights of each group of states that is claimed."""
+    seen = {group: [f.nees[group] for f in flights if group in f.nees] for group in GROUPS}
+    return {group: sum(values) / len(values) for group, values in seen.items() if values}
+
+
+Column = tuple[str, Callable[[Sequence[FlightFigures]], str]]
+
+COUNTS: tuple[Column, ...] = (
+    ("Flights", lambda group: str(len(group))),
+    ("Refused", lambda group: str(sum(bool(f.refused) for f in group))),
+    ("Stopped", lambda group: str(sum(f.is_stop for f in group))),
+)
+INPUTS: tuple[Column, ...] = (
+    (
+        "NEES place, turn, velocity, current",
+        lambda group: ", ".join(f"{n:.2g}" if (n := _nees(group).get(g)) is not None else "-" for g in GROUPS),
+    ),
+    ("Duty, %", lambda group: evidence.spread((f.duty for f in group), 100.0)),
+    ("Steps, %", lambda group: evidence.spread((f.steps for f in group), 100.0)),
+)
+PATH_COLUMNS: tuple[Column, ...] = (
+    *COUNTS,
+    ("Never settled", lambda group: str(sum(f.never_settled for f in group))),
+    ("Within 5 cm after, s", lambda group: evidence.spread((f.settled_s for f in group), 1.0)),
+    ("RMS after 20 s, mm", lambda group: evidence.spread(f.rms_m for f in group)),
+    ("Largest after 20 s, mm", lambda group: evidence.spread(f.max_m for f in group)),
+    ("HOLD, mm", lambda group: evidence.spread(f.hold_m for f in group)),
+    *INPUTS,
+)
+MEETING_COLUMNS: tuple[Column, ...] = (
+    *COUNTS,
+    ("Nearest, m", lambda group: f"{min(_nearest(group)):.3f}" if _nearest(group) else ""),
+    ("Below 2R", lambda group: str(sum(near < NEAREST_M for near in _nearest(group)))),
+    ("Never back", lambda group: str(sum(_is_lost(f) for f in group))),
+    ("Back after, s", lambda group: evidence.spread((f.back_s for f in group), 1.0)),
+    *INPUTS,
+)
+TRAP_COLUMNS: tuple[Column, ...] = (
+    ("Flights", lambda group: str(len(group))),
+    ("Refused at the start", lambda group: str(sum(bool(f.refused) for f in group))),
+    ("Never stops", lambda group: str(sum(f.stop_s == math.inf for f in group))),
+    ("Stops after, s", lambda group: evidence.spread((f.stop_s for f in group), 1.0)),
+    ("Cause named", lambda group: str(sum(f.is_named for f in group))),
+)
+
+
+def _sections(run: GridRun) -> list[tuple[str, tuple[Column, ...], list[str]]]:
+    """Heading, columns and cells of each table."""
+    traps = [cell for cell in run.cells if CELLS[cell].is_trap]
+    meetings = [cell for cell in run.cells if cell not in traps and CELLS[cell].scenes[0].startswith("cross")]
+    paths = [cell for cell in run.cells if cell not in traps and cell not in meetings]
+    return [("Paths and HOLD", PATH_COLUMNS, paths), ("Encounters", MEETING_COLUMNS, meetings), ("Traps", TRAP_COLUMNS, traps)]
+
+
+def markdown(run: GridRun, before: GridRun | None = None) -> str:
+    """The page of evidence, each figure beside that of another run if there is one."""
+    worst = worst_of([flight for flight in run.flights if not CELLS[flight.cell].is_trap] or run.flights)
+    lines = [
+        "# Robots that nobody tuned for: a grid of numeric flights",
+        "",
+        f"{run.origin}.",
+        f"Flown: **{run.law}**{_with(run.settings)}.",
+        *(
+            [f"Before it, in the same cell of a table: **{before.law}**{_with(before.settings)}, {before.origin}."]
+            if before
+            else []
+        ),
+        "",
+        "Poses are the simulation's with noise, without a camera; figures are against the plant's truth. The first number is",
+        "the worst flight's, the one in brackets the median. Flights differ in path, control rate (10, 20, 50 Hz), speed,",
+        f"start and sensors within a cell. HOLD lasts {run.hold_s:g} s and counts from 10 s on. NEES is 1 where the",
+        "observer's covariances are true; - stands for states that it gives no covariance for. Duty and steps are those of",
+        "the worst input, in percent of its limit. No vehicle with side thrust is flown: vehicle files know four legs that",
+        "push along the hull and down.",
+        "",
+        f"Any flight again: `{run.command.format('CELL', 'N')}`. The worst one of all:",
+        f"`{run.command.format(worst.cell, worst.number)}`.",
+        "",
+        "## Targets",
+        "",
+        *evidence.table(*_target_table(run, before)),
+    ]
+    for heading, columns, cells in _sections(run):
+        if cells:
+            names = ("Cell", *(name for name, _ in columns), "Worst")
+            lines += ["", f"## {heading}", "", *evidence.table(names, (_row(cell, columns, run, before) for cell in cells))]
+    lines += ["", "## Cells", "", *(f"* {cell}: {CELLS[cell].about}" for cell in run.cells)]
+    return "\n".join([*lines, "", "## Stops and refusals", "", *(_reasons(run) or ["None in any flight."]), ""])
+
+
+def _with(settings: Sequence[str]) -> str:
+    return f", with `{' '.join(settings)}`" if settings else ""
+
+
+def _target_table(run: GridRun, before: GridRun | None) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    now = targets(run)
+    if before is None:
+        return ("Figure", "Target", "Found"), list(now)
+    then = {figure: found for figure, _, found in targets(before)}
+    return ("Figure", "Target", "Before", "Now"), [
+        (figure, target, then.get(figure, ""), found) for figure, target, found in now
+    ]
+
+
+def _row(cell: str, columns: Sequence[Column], run: GridRun, before: GridRun | None) -> list[str]:
+    group, earlier = run.of(cell), before.of(cell) if before is not None else []
+    found = [f"{show(earlier)} → {show(group)}" if earlier else show(group) for _, show in columns]
+    return [cell, *found, str(worst_of(group).number)]
+
+
+def _reasons(run: GridRun) -> list[str]:
+    """Reasons of stops and refusals of each cell, the most frequent first."""
+    lines = []
+    for cell in run.cells:
+        counts = Counter(reason for f in run.of(cell) if (reason := f.refused or _reason(f.left)))
+        if counts:
+            lines.append(f"* {cell}: {'; '.join(f'{count} x {reason}' for reason, count in counts.most_common())}")
+    return lines
+
+
+def _reason(left: str) -> str:
+    """Mode and reason without the time."""
+    before, _, reason = left.partition(" s: ")
+    return f"{before.partition(' after ')[0].rpartition(' ')[2]}: {reason}" if left else ""

@@ -1,0 +1,418 @@
+"""READ FIRST (nonlinear): one control step of the nonlinear MPC, from sensor values to pulse widths. Pure.
+
+Data flow of `NonlinearController.step`; its interface is that of `Controller` (controller.py):
+
+    measurement -> KalmanEstimator (kalman.py)        state at the instant at which a command acts, current, own force
+    goal        -> ReferenceSampler (reference.py)    reference at the nodes; on HOLD the place where the robot can stop
+                -> GiveWay (velocity_obstacles.py)    the same reference, or one around robots and obstacles in the way
+    neighbours  -> PlanSampler (neighbour_plans.py)   formation's pull (35), bodies to keep clear of (36)
+                -> set_course (course.py)             places, velocities, headings at the nodes
+    estimate    -> derive (tuning.py)                 weights
+                -> Planner (planner.py)               one iteration on the plan: surge and yaw; and on that of depth
+                -> Allocator (allocation.py)          pulse widths
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from robot_agent.control.controller import ControlOutput, GainSet
+from robot_agent.control.mpc import bridged_steps
+from robot_agent.control.nonlinear import tuning as tunings
+from robot_agent.control.nonlinear.course import HeadingRule, Turns, make_course, pulled, set_course, set_depth_course
+from robot_agent.control.nonlinear.neighbour_plans import NO_BODIES, PlanSampler, bodies_of, outlines_of
+from robot_agent.control.nonlinear.obstacle_rows import MovingBodies, Outlines, Surrounds
+from robot_agent.control.nonlinear.planner import Planner, make_depth_start, make_start, resting_place
+from robot_agent.control.nonlinear.prediction import Dynamics, Start, Surroundings, fly, make_flight, make_grid
+from robot_agent.control.nonlinear.program import Iteration, PlanProblem, Weights, make_memory, step_plan
+from robot_agent.guidance.formation import Formation, Neighbour, NeighbourPredictions, Priority
+from robot_agent.guidance.obstacles import Obstacle
+from robot_agent.guidance.reference import Drive, Follow, Goal, Hold, Reference, ReferenceSampler, interpolate_rows
+from robot_agent.guidance.velocity_obstacles import CATCH_UP_MPS, NOBODY, GiveWay, obstacle_traffic, robot_traffic
+from robot_agent.vehicle.allocation import Allocator
+from robot_agent.vehicle.dynamics import Model
+from robot_agent.vehicle.eso import POSE_M
+from robot_agent.vehicle.estimate import Estimate, StateMeasurement
+from robot_agent.vehicle.kalman import make_estimator
+from wire.config.controller import ControllerConfig, Safety
+from wire.config.vehicle import Vehicle
+from wire.frames import Array
+from wire.messages.messages import Solve
+
+AXES = (0, 2)  # surge and yaw have thrusters
+TOLD_S = 0.2  # between two poses of the plan that neighbours get, whatever the control period
+GAINS_S = 1.0  # time constant of the weights
+GOES_FIRST_S = 2.5  # a robot that goes first still keeps 2R from the others for so long: they may be unable to give way
+WALL_M = 0.02  # between a hull and a wall, in the plan
+REST_M = 0.05  # and at a place to rest
+OWN_FADE_S, YAW_FADE_S = 10.0, 3.0  # of the robot's own forces (vehicle/eso.py): thrusters that differ, ankles that settle
+TOLERANCE_M = 0.02  # mean error of a plan with which no other is looked for
+CALM = 8.0  # standard deviations: nearer to its place, a resting robot looks for no other plan
+OWN_SHARE = 0.4  # of what a pose corrects in Gamma: a force of the robot. The rest keeps its direction in the pool
+DRIVES_ON_S = 2.0  # a person goes on steering: a plan that stops with the order's age follows late
+
+
+class ForceSplit:
+    """Division of the observer's disturbance: what turns along with the robot, and what keeps its direction in the pool."""
+
+    def __init__(self) -> None:
+        self.own, self.pool = 0j, 0j
+
+    def step(self, disturbance: complex, yaw_rad: float) -> None:
+        """Take in a disturbance (body frame, m/s^2): the part of its change that no turn explains is shared out."""
+        turn = complex(math.cos(yaw_rad), math.sin(yaw_rad))
+        change = disturbance - self.own - self.pool * turn.conjugate()
+        self.own += OWN_SHARE * change
+        self.pool += (1.0 - OWN_SHARE) * change * turn
+
+
+class NonlinearController:
+    """One robot's controller with its memory and workspaces."""
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        config: ControllerConfig,
+        safety: Safety,
+        urgent: bool = False,
+        has_leader: bool = False,
+        room_m: tuple[float, float] | None = None,
+        islands: tuple[Obstacle, ...] = (),
+    ) -> None:
+        """See `Controller`."""
+        self._vehicle, self._config, self._safety, self._urgent = vehicle, config, safety, urgent
+        self._has_leader, self._islands, self._period_s = has_leader, islands, config.period_s
+        self._model = model = Model(vehicle, config.estimator.sway, config.mpc.model_lag)
+        self._estimator = make_estimator(vehicle, model, config.estimator)
+        self._dead_s, horizon_s = vehicle.thruster.dead_time_s, tunings.horizon_s(vehicle)
+        self._delay_s = tunings.delay_s(vehicle, config.period_s, model.lag_s)
+        self._grid, self._depth_grid = make_grid(horizon_s, AXES), make_grid(horizon_s, (0,))
+        self._step_s = tunings.step_s(vehicle)
+        nodes_s = self._dead_s + self._grid.time_s  # the instant of action, then the nodes
+        self.sampler = ReferenceSampler(nodes_s)
+        self.formation = Formation(config.mpc, safety, config.period_s, self._dead_s, room_m, vehicle.radius_m)
+        self._plans = PlanSampler(nodes_s[1:], config.mpc.q_formation, has_leader)
+        self._give_way = GiveWay(vehicle, np.concatenate([[0.0], nodes_s]), config.period_s, room_m, islands)
+        self._planner = Planner(self._grid, config.period_s, 2.0 * safety.radius_m, vehicle.limits.speed_mps)
+        self._depth, self._drift = make_memory(1), make_flight(len(AXES))
+        self._course, self._depth_course, self._turns = make_course(), make_course(), Turns()
+        self._limits, self._depth_limits = tunings.planar_limits(vehicle), tunings.depth_limits(vehicle)
+        hull_m = vehicle.radius_m + WALL_M
+        self._room_m = np.array([math.inf, math.inf]) if room_m is None else 0.5 * np.array(room_m) - hull_m
+        self._open_water = Surrounds(NO_BODIES, outlines_of((), 0, 0j), np.array([math.inf, math.inf]))
+        self.allocator = Allocator(vehicle)
+        told_s = TOLD_S * np.arange(int((horizon_s + self._dead_s) / TOLD_S) + 1)
+        self._told_rows = np.interp(told_s, np.concatenate([[0.0], nodes_s]), np.arange(len(nodes_s) + 1.0))
+        self._wrench, self._delivered = np.zeros(3), np.zeros(3)  # asked for in the last step, and what its pulses gave
+        self._priority = Priority(urgent, 0.0)
+        self._forces = ForceSplit()
+        self._tuning: tunings.Bandwidths | None = None
+        self._place: Array | None = None  # to rest at
+        self._shifted = 0  # steps since the last solution
+        self._off_m = 0.0
+        self.goal: Goal | None = None  # of the last step
+
+    @property
+    def told_period_s(self) -> float:
+        """Time between two poses of the plan that neighbours get."""
+        return TOLD_S
+
+    def prepare_gains(self, config: ControllerConfig) -> GainSet:
+        """See `Controller`: nothing has to be built."""
+        return GainSet(config, None)
+
+    def adopt_gains(self, tuned: GainSet) -> None:
+        """Use other gains from the next step on. Estimate and plan are kept."""
+        self._config = tuned.config
+        self._estimator.tune(tuned.config.estimator)
+        self._plans.set_weight(tuned.config.mpc.q_formation)
+
+    def note_command(self, wrench: Array, delivered: Array, now_ns: int) -> None:
+        """Take note of the wrench asked for and delivered, (3,) each, that really went out at `now_ns` instead of the last
+        step's."""
+        self._estimator.note_wrench(delivered, now_ns)
+        self._wrench, self._delivered = wrench, delivered
+
+    # --- one step
+
+    def step(
+        self,
+        measurement: StateMeasurement,
+        goal: Goal | None,
+        neighbours: Sequence[Neighbour],
+        now_ns: int,
+        obstacles: Sequence[Obstacle] = (),
+    ) -> ControlOutput:
+        """Run one control step at `now_ns`; its pulses are assumed to go out at once. See the module's docstring."""
+        estimate = self._estimator.update(measurement, now_ns)
+        if estimate is None or goal is None:
+            return self._neutral(estimate, now_ns)
+        dynamics, start = self._dynamics(estimate), make_start(estimate.action, self._wrench, AXES)
+        self._take_up(goal, estimate)
+        self._retune(estimate)
+        predictions = self.formation.predict_neighbours(neighbours, now_ns)
+        places, pull = self._plans.sample(predictions.neighbours, now_ns)
+        surrounds = self._surrounds(predictions, places, obstacles, estimate, now_ns)
+        if isinstance(goal, Hold) and self._place is None:
+            self._place = self._stop(goal, dynamics, start, surrounds)
+        if isinstance(goal, Drive):
+            goal = replace(goal, lasts_s=max(goal.lasts_s, DRIVES_ON_S))
+        reference = self.sampler.sample(goal if self._place is None else Hold(self._place))
+        lead = reference
+        if isinstance(goal, Follow):
+            lead = self._avoidance_path(reference, predictions, obstacles, estimate, now_ns)
+        led = lead
+        if pull is not None and isinstance(goal, Follow):
+            led = pulled(lead, np.concatenate([np.repeat(pull[:1], 2, axis=0), pull]))
+        found = self._improve(goal, led, dynamics, start, surrounds)
+        dive = self._dive(estimate, led)
+        self._off_m = math.hypot(*(reference.eta[0, :2] - estimate.eta[:2]).tolist())
+        return self._put_out(estimate, reference, lead, found, dive, now_ns)
+
+    def _take_up(self, goal: Goal, estimate: Estimate) -> None:
+        """Begin a plan anew at a goal of another kind, and when the estimate has leapt."""
+        before, self.goal = self.goal, goal
+        is_other = type(before) is not type(goal) or (isinstance(goal, Hold) and before is not goal)
+        if is_other:
+            self._place = None
+            self._give_way.reset()
+        if before is None or estimate.leap:
+            self._planner.forget()
+            self._turns.reset()
+
+    def _dynamics(self, estimate: Estimate) -> Dynamics:
+        """The model with what the observer knows by now."""
+        ahead, aside, turn = estimate.own_force.tolist()
+        own, pool, current = complex(ahead, aside), 0j, estimate.current
+        own_fade_s, yaw_fade_s = OWN_FADE_S, YAW_FADE_S
+        if estimate.deviations is None:
+            own_fade_s = yaw_fade_s = math.inf
+            if self._model.sway:
+                self._forces.step(own, estimate.eta.item(3))
+                own, pool = self._forces.own, self._forces.pool
+        hull = tunings.planar_hull(self._model.coefficients, self._model.sway, self._model.lag_s, self._step_s)
+        return Dynamics(hull, Surroundings(
+            current.real, current.imag, own.real, own.imag, turn, pool.real, pool.imag, own_fade_s, yaw_fade_s
+        ))  # fmt: skip
+
+    def _retune(self, estimate: Estimate) -> None:
+        """Follow the bandwidths that noise and error allow."""
+        deviations, observer_radps = estimate.deviations, estimate.bandwidth_radps
+        depth_radps = self._config.estimator.bandwidth_radps
+        if not observer_radps:
+            observer_radps = tunings.MODEL_SHARE * depth_radps
+        if deviations is None:
+            observer_radps *= estimate.pace
+            deviations = tunings.settled_deviations(observer_radps, POSE_M / estimate.pace**3)
+        wanted = tunings.derive(self._vehicle, self._delay_s, deviations, (observer_radps, depth_radps), self._off_m)
+        if self._tuning is None:
+            self._tuning = wanted
+        share = -math.expm1(-self._period_s / GAINS_S)
+        self._tuning = tunings.Bandwidths(*(a + share * (b - a) for a, b in zip(self._tuning, wanted, strict=True)))
+        self._calm_m = CALM * deviations.place_m
+
+    def _surrounds(
+        self,
+        predictions: NeighbourPredictions,
+        places: Array,
+        obstacles: Sequence[Obstacle],
+        estimate: Estimate,
+        now_ns: int,
+    ) -> Surrounds:
+        """All that the plan keeps clear of."""
+        here, bodies = complex(*estimate.action[:2].tolist()), NO_BODIES
+        if len(places):
+            keep, until = zip(*(self._distance(other, now_ns) for other in predictions.neighbours), strict=True)
+            bodies = bodies_of(places, np.array(keep), np.array(until), self._depth.flight.state[:, 0], here)
+        near = (*self._islands, *obstacles)
+        outlines = outlines_of(near, now_ns + round(self._dead_s * 1e9), here) if near else self._open_water.outlines
+        return Surrounds(bodies, outlines, self._room_m)
+
+    def _distance(self, other: Neighbour, now_ns: int) -> tuple[float, int]:
+        """Distance to keep from a neighbour, and for how many nodes."""
+        keep_m = self.formation.required_clearance_m(other, self._priority, now_ns)
+        if keep_m is None:
+            return self.formation.clearance_m(other, now_ns), int(np.searchsorted(self._grid.time_s[1:], GOES_FIRST_S))
+        return keep_m + self._safety.margin_m, len(self._grid.share_s)
+
+    def _stop(self, goal: Hold, dynamics: Dynamics, start: Start, surrounds: Surrounds) -> Array:
+        """The pose (4,) where the robot can come to rest, inside the walls and clear of others."""
+        assert self._tuning is not None
+        problem = PlanProblem(start, self._course, self._weights(0.0), self._limits, surrounds)
+        place, _ = resting_place(dynamics, self._grid, problem, self._tuning, self._vehicle.limits.speed_mps, self._drift)
+        pose = goal.eta.copy()
+        pose[0], pose[1] = clear_place(place, surrounds, REST_M)
+        return pose
+
+    def _weights(self, turning_m: float) -> Weights:
+        assert self._tuning is not None
+        return tunings.planar_weights(self._vehicle, self._tuning, self._config.nmpc.arm_m, turning_m, self._config.mpc.slack)
+
+    def _improve(self, goal: Goal, led: Reference, dynamics: Dynamics, start: Start, surrounds: Surrounds) -> Iteration:
+        """One step of the planner."""
+        gains, is_resting, is_steered = self._config.nmpc, isinstance(goal, Hold), isinstance(goal, Drive)
+        near_rad = self._turns.near_rad(start.state.item(2))
+        heading_m = gains.arm_m if is_steered else gains.heading_m
+        set_course(
+            led.eta, led.velocity, dynamics.water, HeadingRule(near_rad, heading_m**2, is_steered, is_resting), self._course
+        )
+        self._turns.note(self._course, near_rad)
+        weights = self._weights(gains.hold_turning_m if is_resting else gains.turning_m)
+        problem = PlanProblem(start, self._course, weights, self._limits, surrounds)
+        calm = is_resting and self._off_m < self._calm_m
+        assert self._tuning is not None
+        return self._planner.step(dynamics, problem, self._tuning, math.inf if calm else TOLERANCE_M)
+
+    def _dive(self, estimate: Estimate, led: Reference) -> Iteration:
+        """One step of the plan of depth."""
+        assert self._tuning is not None
+        hull = tunings.depth_hull(self._model.nominal, self._model.lag_s, tunings.STEP_S)
+        water = Surroundings(0.0, 0.0, estimate.disturbance.item(2), 0.0, 0.0, 0.0, 0.0, math.inf, math.inf)
+        set_depth_course(led.eta, led.velocity, self._depth_course)
+        start = make_depth_start(estimate.action, self._wrench)
+        weights = tunings.depth_weights(self._vehicle, self._tuning)
+        problem = PlanProblem(start, self._depth_course, weights, self._depth_limits, self._open_water)
+        found = step_plan(Dynamics(hull, water), self._depth_grid, problem, self._depth, self._period_s)
+        if not (found.rounds and math.isfinite(found.after)):
+            self._depth.flight.command[:] = 0.0
+            return found._replace(rounds=0)
+        return found
+
+    def _avoidance_path(
+        self,
+        reference: Reference,
+        predictions: NeighbourPredictions,
+        obstacles: Sequence[Obstacle],
+        estimate: Estimate,
+        now_ns: int,
+    ) -> Reference:
+        """Return the reference itself, or one that avoids the other robots and the obstacles."""
+        x, y, z, _ = estimate.eta.tolist()
+        traffic = NOBODY
+        if predictions.neighbours:
+            traffic = robot_traffic(predictions, self.formation.clearances_m(predictions, now_ns), z, self._urgent)
+        for obstacle in obstacles:
+            speed_mps = math.hypot(*reference.velocity[0, :2].tolist()) + CATCH_UP_MPS
+            traffic = traffic.joined(obstacle_traffic(obstacle, complex(x, y), speed_mps, now_ns))
+        return self._give_way.avoidance_path(reference, complex(x, y), traffic)
+
+    # --- results
+
+    def _put_out(
+        self, estimate: Estimate, reference: Reference, lead: Reference, found: Iteration, dive: Iteration, now_ns: int
+    ) -> ControlOutput:
+        """Convert the plans to pulses and output."""
+        solved = found.rounds > 0 and dive.rounds > 0
+        self._shifted = 0 if solved else self._shifted + 1
+        failed = self._shifted > bridged_steps(self._period_s)
+        wrench = np.zeros(3) if failed else self._first_wrench(found.rounds > 0, dive.rounds > 0)
+        pulses, delivered = self.allocator.neutral() if failed else self.allocator.allocate(wrench)
+        wrench_step, self._wrench, self._delivered = wrench - self._wrench, wrench, delivered
+        self._estimator.note_wrench(delivered, now_ns)
+        told, told_reference = self._told(estimate, lead)
+        error_m = float(np.linalg.norm(reference.eta[0, :3] - estimate.eta[:3]))
+        self._priority = Priority(self._urgent, error_m)
+        command = lead.eta[0].copy()
+        command[3] = self._course.yaw[0]
+        return ControlOutput(
+            pulse_us=pulses,
+            wrench=wrench,
+            wrench_step=wrench_step,
+            wrench_wanted=wrench,
+            wrench_delivered=delivered,
+            estimated=True,
+            eta=estimate.eta,
+            nu=estimate.nu,
+            disturbance=estimate.gamma_still_water,
+            drag_ratio=estimate.drag_ratio,
+            thrust_ratio=estimate.thrust_ratio,
+            eta_reference=reference.eta[0].copy(),
+            eta_command=command,
+            plan_eta=told,
+            plan_reference=told_reference,
+            tracking_error_m=error_m,
+            solve=Solve.FAILED if failed else Solve.SOLVED if solved else Solve.SHIFTED,
+            iterations=found.rounds,
+            slack_m=found.entry_m,
+            pose_age_s=estimate.pose_age_s,
+            depth_age_s=estimate.depth_age_s,
+            leap=estimate.leap,
+            depth_leap=estimate.depth_leap,
+            is_free=lead is reference and not found.binds,
+            path_is_blocked=self._give_way.path_is_blocked,
+        )
+
+    def _first_wrench(self, has_plan: bool, has_depth_plan: bool) -> Array:
+        """The wrench (3,) for the coming period: as far on the way to the first node's as the period goes. An axis without a
+        plan keeps its wrench."""
+        share, limits = min(self._period_s / float(self._grid.time_s[1]), 1.0), self._vehicle.limits
+        wanted = self._wrench.copy()
+        if has_plan:
+            wanted[0], wanted[2] = self._planner.flight.command[0]
+        if has_depth_plan:
+            wanted[1] = self._depth.flight.command[0, 0]
+        most = np.array(limits.wrench_step(self._period_s))
+        change = np.clip(share * (wanted - self._wrench), -most, most)
+        return np.clip(self._wrench + change, -np.array(limits.wrench), limits.wrench)
+
+    def _told(self, estimate: Estimate, lead: Reference) -> tuple[Array, Array]:
+        """The plan that is flown, from now on, and where it is meant to be; the reference has the plan's heading."""
+        state, count = self._planner.flight.state, len(self._told_rows)
+        rows = np.empty((len(state) + 2, 4))
+        rows[0], rows[1] = estimate.eta, estimate.action[:4]
+        rows[2:, :2], rows[2:, 3], rows[2:, 2] = state[:, :2], state[:, 2], self._depth.flight.state[:, 0]
+        told, reference = np.empty((count, 4)), np.empty((count, 4))
+        interpolate_rows(rows, self._told_rows, told)
+        interpolate_rows(lead.eta, self._told_rows, reference)
+        reference[:, 3] = told[:, 3]
+        return told, reference
+
+    def _neutral(self, estimate: Estimate | None, now_ns: int) -> ControlOutput:
+        """Output with thrusters off. The plan is forgotten; neighbours are told where the robot drifts."""
+        self._planner.forget()
+        self._turns.reset()
+        self._give_way.reset()
+        self._depth.flight.command[:] = 0.0
+        self.goal, self._place, self._off_m, self._shifted = None, None, 0.0, 0
+        wrench_step, self._wrench, self._delivered = -self._wrench, np.zeros(3), np.zeros(3)
+        self._estimator.note_wrench(np.zeros(3), now_ns)
+        self._priority = Priority(self._urgent, 0.0)
+        if estimate is None:
+            return ControlOutput.neutral(self.allocator.neutral_us, wrench_step, None, np.zeros((len(self._told_rows), 4)))
+        return ControlOutput.neutral(self.allocator.neutral_us, wrench_step, estimate, self._drift_from(estimate))
+
+    def _drift_from(self, estimate: Estimate) -> Array:
+        """Poses of a robot without thrust, as they are told."""
+        dynamics, start = self._dynamics(estimate), make_start(estimate.action, np.zeros(3), AXES)
+        fly(dynamics, self._grid, start, self._drift)
+        state = self._drift.state
+        rows = np.empty((len(state) + 2, 4))
+        rows[:], rows[1] = estimate.eta, estimate.action[:4]
+        rows[2:, :2], rows[2:, 3] = state[:, :2], state[:, 2]
+        told = np.empty((len(self._told_rows), 4))
+        interpolate_rows(rows, self._told_rows, told)
+        return told
+
+
+def clear_place(place: complex, surrounds: Surrounds, margin_m: float) -> tuple[float, float]:
+    """The place, moved inside the room and away from bodies and outlines, by a margin more than they need."""
+    most_x, most_y = np.maximum(surrounds.room_m - margin_m, 0.0).tolist()
+    for _ in range(4):  # two bodies that push against one another are left to the optimisation
+        for there, keep_m in _nearest_points(place, surrounds.bodies, surrounds.outlines):
+            away = place - there
+            if abs(away) < keep_m + margin_m:
+                place = there + (away / abs(away) if away else 1.0) * (keep_m + margin_m)
+        place = complex(min(max(place.real, -most_x), most_x), min(max(place.imag, -most_y), most_y))
+    return place.real, place.imag
+
+
+def _nearest_points(place: complex, bodies: MovingBodies, outlines: Outlines) -> list[tuple[complex, float]]:
+    """The point of each body at the end of its plan, and of each outline, that is nearest to a place, with its distance."""
+    found = [(complex(*bodies.place[i, -1]), float(bodies.keep_m[i].max())) for i in range(len(bodies.keep_m))]
+    for i, keep_m in enumerate(outlines.keep_m.tolist()):
+        points = outlines.point[outlines.first[i] : outlines.first[i + 1]]
+        points = points[:, 0] + 1j * points[:, 1]
+        found.append((complex(points[np.abs(points - place).argmin()]), keep_m))
+    return found

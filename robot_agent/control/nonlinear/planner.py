@@ -1,0 +1,148 @@
+"""The plan of one robot from step to step: one iteration on it, and now and then a rival from another first guess.
+
+A rival is a pilot's flight (first_guess.py) that gets one iteration a step beside the plan. After RIVAL_STEPS it takes the
+plan's place if it is clearly cheaper. So no step has more than two iterations. At a beginning the cheaper pilot is the plan,
+and the other one its first rival.
+"""
+
+import math
+
+import numpy as np
+
+from robot_agent.control.nonlinear.first_guess import PilotStyle, guess
+from robot_agent.control.nonlinear.prediction import Dynamics, Grid, PlannedFlight, Start
+from robot_agent.control.nonlinear.program import Course, Iteration, Memory, PlanProblem, appraise, make_memory, step_plan
+from robot_agent.control.nonlinear.tuning import Bandwidths
+from wire.frames import Array
+
+RIVAL_STEPS = 4  # iterations of a rival: more bring less than 1 % of its cost
+CHEAPER = 0.9  # a rival must be so much cheaper: plans of like cost would take turns
+REVIEW_S, URGENT_S = 0.4, 0.1  # between two rivals, and between them in a conflict
+ENTRY_M = 0.01  # deeper in a half-space, a plan is in conflict
+RETURN_SHARE = 0.4  # of the place's bandwidth: the pilot's way back, no overshoot
+
+AHEAD, ASTERN = (1.0, 0.0), (-1.0, 0.0)  # bow or stern first; how far to port of the course, in distances to keep
+FREE = (AHEAD, ASTERN)
+BLOCKED = (AHEAD, ASTERN, (1.0, 1.0), (1.0, -1.0), (1.0, 2.0), (1.0, -2.0))
+
+
+class Planner:
+    """Plan of the place and heading, its rival, and what they learn from step to step."""
+
+    def __init__(self, grid: Grid, period_s: float, aside_m: float, fastest_mps: float) -> None:
+        """`aside_m` is the distance to keep from other robots."""
+        self._grid, self._period_s, self._aside_m, self._fastest_mps = grid, period_s, aside_m, fastest_mps
+        self._plan, self._rival = make_memory(len(grid.axes)), make_memory(len(grid.axes))
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin anew at the next step."""
+        self.is_fresh = True
+        self._rival_steps = 0  # iterations of the rival; 0: there is none
+        self._next = 0  # of the first guesses
+        self._since_s = 0.0  # the last rival
+
+    @property
+    def flight(self) -> PlannedFlight:
+        """The plan."""
+        return self._plan.flight
+
+    def step(self, dynamics: Dynamics, problem: PlanProblem, tuning: Bandwidths, tolerance_m: float) -> Iteration:
+        """Improve the plan, and look for a better one while its mean error is more than `tolerance_m`."""
+        if self.is_fresh:
+            self._begin(dynamics, problem, tuning)
+            found = step_plan(dynamics, self._grid, problem, self._plan, 0.0)
+        else:
+            found = step_plan(dynamics, self._grid, problem, self._plan, self._period_s)
+        if not (found.rounds and math.isfinite(found.after)):
+            self.forget()
+            return found._replace(rounds=0)
+        self._since_s += self._period_s
+        if self._rival_steps:
+            return self._compare(dynamics, problem, found)
+        whole_s = float(self._grid.time_s[-1]) + problem.weights.end_s
+        is_blocked = found.entry_m > ENTRY_M
+        is_due = self._since_s > (URGENT_S if is_blocked else REVIEW_S) - 1e-9
+        if is_due and (is_blocked or found.after > whole_s * tolerance_m**2):
+            guesses = BLOCKED if is_blocked else FREE
+            self._guess(self._rival, dynamics, problem, tuning, guesses[self._next % len(guesses)])
+            self._next, self._rival_steps, self._since_s = self._next + 1, 1, 0.0
+        return found
+
+    def _begin(self, dynamics: Dynamics, problem: PlanProblem, tuning: Bandwidths) -> None:
+        """The cheaper of the pilot's two flights is the plan, the other one its rival."""
+        costs = []
+        for memory, way in ((self._plan, AHEAD), (self._rival, ASTERN)):
+            self._guess(memory, dynamics, problem, tuning, way)
+            costs.append(appraise(dynamics, self._grid, problem, memory))
+        if costs[1] < costs[0]:
+            self._plan, self._rival = self._rival, self._plan
+        self.is_fresh, self._rival_steps = False, 1
+
+    def _guess(
+        self, memory: Memory, dynamics: Dynamics, problem: PlanProblem, tuning: Bandwidths, way: tuple[float, float]
+    ) -> None:
+        """Write a pilot's flight."""
+        ahead, aside = way
+        memory.program.held[:] = 0
+        pilot = PilotStyle(
+            ahead, aside * self._aside_m, RETURN_SHARE * tuning.quickness, tuning.quickness, tuning.turning, self._fastest_mps
+        )
+        guess(dynamics, self._grid, problem.start, problem.course, problem.limits, pilot, memory.flight)
+
+    def _compare(self, dynamics: Dynamics, problem: PlanProblem, found: Iteration) -> Iteration:
+        """Improve the rival, and let it take the plan's place if it is cheaper in the end."""
+        rival = step_plan(dynamics, self._grid, problem, self._rival, self._period_s if self._rival_steps > 1 else 0.0)
+        self._rival_steps = self._rival_steps + 1 if rival.rounds and self._rival_steps < RIVAL_STEPS else 0
+        if self._rival_steps == 0 and rival.rounds and rival.after < CHEAPER * found.after:
+            self._plan, self._rival = self._rival, self._plan
+            return rival
+        return found
+
+
+def resting_place(
+    dynamics: Dynamics, grid: Grid, problem: PlanProblem, tuning: Bandwidths, fastest_mps: float, flight: PlannedFlight
+) -> tuple[complex, float]:
+    """Place at which a pilot who only stops comes to rest, and the speed that is left at the flight's end: bow or stern
+    into the current, whichever ends nearer."""
+    start = problem.start
+    here = complex(start.state[0], start.state[1])
+    still = Course(*(np.zeros_like(part) for part in problem.course))
+    best: tuple[float, complex, float] | None = None
+    for ahead in (1.0, -1.0):
+        pilot = PilotStyle(ahead, 0.0, 0.0, tuning.calm_quickness, tuning.turning, fastest_mps)
+        guess(dynamics, grid, start, still, problem.limits, pilot, flight)
+        place, speed = _end_of(flight.state[-1], dynamics)
+        away = abs(place - here) + speed * float(grid.time_s[-1])
+        if best is None or away < best[0]:
+            best = away, place, speed
+    assert best is not None
+    return best[1], best[2]
+
+
+def _end_of(state: Array, dynamics: Dynamics) -> tuple[complex, float]:
+    """Place at which a flight's last state glides to rest, and its speed over ground."""
+    hull, water = dynamics.hull, dynamics.water
+    x, y, yaw, u, v = state[:5].tolist()
+    turn = complex(math.cos(yaw), math.sin(yaw))
+    sideways = 1j * turn * v  # nothing stops it but drag
+    over_ground = turn * u + sideways + complex(water.current_x_mps, water.current_y_mps)
+    is_still = water.current_x_mps == water.current_y_mps == 0.0
+    glide = sideways * (hull.mass_v / hull.linear_v) if is_still else 0j
+    return complex(x, y) + glide, abs(over_ground)
+
+
+def make_start(action: Array, wrench: Array, axes: tuple[int, ...]) -> Start:
+    """Start of the plan: the observer's state (11,) at the instant of action, and the `wrench` (3,) asked for last (surge,
+    heave, yaw)."""
+    x, y, _, yaw, u, v, _, r, surge, _, moment = action.tolist()
+    state = np.array([x, y, yaw, u, v, r, surge, 0.0, moment])
+    command = {0: wrench.item(0), 1: 0.0, 2: wrench.item(2)}
+    return Start(state, np.array([command[axis] for axis in axes]))
+
+
+def make_depth_start(action: Array, wrench: Array) -> Start:
+    """The same of depth, as motion along x."""
+    state = np.zeros(9)
+    state[0], state[3], state[6] = action[2], action[6], action[9]
+    return Start(state, np.array([wrench.item(1)]))

@@ -1,0 +1,304 @@
+"""The optimisation: the cost of a flight, its quadratic program, and one iteration of it. Pure.
+
+    J = integral |p - p_ref|^2 + a^2 w (yaw - yaw_ref)^2 + s^2 r^2 + sum rho_i (dF_i/dt)^2 dt          m^2 s
+        + T |p - p_ref + t (p' - p_ref')|^2 at the end, + sigma (deepest entry into a half-space)^2
+
+Gauss-Newton about the flight there is: the Hessian is that of the squares of the linearised terms. The program is condensed:
+its unknowns are changes of the commands at the nodes, and one slack. `active_set.solve_from` solves it, from the rows that
+were active last. Along its step the flight is tried on the nonlinear cost, and the step shortened while that is no better.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from robot_agent.control.active_set import NO_BOUND, solve_from
+from robot_agent.control.nonlinear.obstacle_rows import MOST_ROWS, HalfPlanes, Surrounds, find_rows, make_half_planes
+from robot_agent.control.nonlinear.prediction import (
+    NODES,
+    YAW,
+    Dynamics,
+    Grid,
+    PlannedFlight,
+    R,
+    Start,
+    U,
+    V,
+    X,
+    Y,
+    make_flight,
+    move_on,
+    predict,
+)
+from wire.kernel_types import Cube, Floats, Ints, Table
+from wire.kernels import kernel
+
+SHORTER = 0.4  # factor of a step that made the flight worse
+LEAST_STEP = 0.1  # below, the flight stays as it is: at most four are tried
+LEVEL = 1e-9  # of the cost: at its minimum, rounding makes a step look worse
+DAMPING = 1e-9  # of the Hessian's diagonal: directions that cost nothing stay defined
+
+
+class Course(NamedTuple):
+    """Reference at nodes 1.."""
+
+    place: Table  # (nodes, 2) m
+    velocity: Table  # (nodes, 2) over ground, m/s
+    yaw: Floats  # (nodes,) with whole turns, rad
+    yaw_weight: Floats  # (nodes,) a^2 w, m^2/rad^2
+
+
+class Weights(NamedTuple):
+    """Weights of the cost. That of the place is 1."""
+
+    rate: Floats  # (axes,) rho, m^2 s^2/N^2 and m^2 s^2/(N m)^2
+    turning_m2: float  # s^2, m^2 s^2/rad^2
+    end_s: float  # T
+    lead_s: float  # t
+    entry: float  # sigma, s
+
+
+class InputLimits(NamedTuple):
+    """Limits of the commands."""
+
+    size: Floats  # (axes,) N or N m
+    rate: Floats  # (axes,) per second
+
+
+class PlanProblem(NamedTuple):
+    """Everything that one step's program is made of, beside the model."""
+
+    start: Start
+    course: Course
+    weights: Weights
+    limits: InputLimits
+    surrounds: Surrounds
+
+
+class QuadraticProgram(NamedTuple):
+    """Memory of a quadratic program."""
+
+    hessian: Table
+    gradient: Floats
+    matrix: Table  # rows: sizes of commands, their changes, half-spaces
+    lower: Floats
+    upper: Floats
+    held: Ints
+    work: Cube
+    multiplier: Floats
+    change: Floats
+    dual: Floats
+    row: Floats
+    old: Table  # (nodes, axes)
+
+
+class Memory(NamedTuple):
+    """A flight with its program and half-spaces: what goes on from step to step."""
+
+    flight: PlannedFlight
+    program: QuadraticProgram
+    rows: HalfPlanes
+
+
+class Iteration(NamedTuple):
+    """Result of one iteration."""
+
+    before: float  # cost, m^2 s
+    after: float
+    share: float  # of the program's step
+    rounds: int  # of the solver; 0: no solution, the flight is the one before
+    entry_m: float  # deepest entry into a half-space, in units of its give
+    binds: bool  # a half-space shapes the flight
+
+
+def make_memory(axes: int) -> Memory:
+    """Memory for so many axes."""
+    size, rows = NODES * axes, 2 * NODES * axes + MOST_ROWS
+    matrix = np.zeros((rows, size + 1))
+    matrix[:size, :size] = np.eye(size)
+    matrix[size : 2 * size, :size] = np.eye(size) - np.eye(size, k=-axes)
+    program = QuadraticProgram(
+        np.zeros((size + 1, size + 1)), np.zeros(size + 1), matrix, np.zeros(rows), np.zeros(rows), np.zeros(rows, np.int64),
+        np.zeros((4, size + 1, size + 1)), np.zeros(size + 1), np.zeros(size + 1), np.zeros(rows), np.zeros(size),
+        np.zeros((NODES, axes)),
+    )  # fmt: skip
+    return Memory(make_flight(axes), program, make_half_planes())
+
+
+@kernel(part=True)
+def end_error(dynamics: Dynamics, problem: PlanProblem, state: Floats) -> tuple[float, float]:
+    """The last node's error of place and velocity, p - p_ref + t (p' - p_ref'), m."""
+    course, lead_s, last = problem.course, problem.weights.lead_s, len(problem.course.yaw) - 1
+    cos, sin = math.cos(state[YAW]), math.sin(state[YAW])
+    x_mps = cos * state[U] - sin * state[V] + dynamics.water.current_x_mps
+    y_mps = sin * state[U] + cos * state[V] + dynamics.water.current_y_mps
+    return (
+        state[X] - course.place[last, 0] + lead_s * (x_mps - course.velocity[last, 0]),
+        state[Y] - course.place[last, 1] + lead_s * (y_mps - course.velocity[last, 1]),
+    )
+
+
+@kernel(part=True)
+def deepest_entry(rows: HalfPlanes, state: Table) -> float:
+    """Deepest entry of a flight's states (nodes, 9) into a half-space, in units of its give; 0 if there is none."""
+    deepest = 0.0
+    for i in range(rows.used[0]):
+        here = state[rows.node[i]]
+        inside = rows.offset_m[i] - rows.normal[i, 0] * here[X] - rows.normal[i, 1] * here[Y]
+        deepest = max(deepest, inside / rows.give[i])
+    return deepest
+
+
+@kernel(part=True)
+def cost_of(dynamics: Dynamics, grid: Grid, problem: PlanProblem, memory: Memory) -> float:
+    """J of a flight."""
+    course, weights, flight = problem.course, problem.weights, memory.flight
+    total, last = 0.0, len(flight.state) - 1
+    for k in range(last + 1):
+        s = flight.state[k]
+        ex, ey, turned = s[X] - course.place[k, 0], s[Y] - course.place[k, 1], s[YAW] - course.yaw[k]
+        total += grid.share_s[k] * (
+            ex * ex + ey * ey + course.yaw_weight[k] * turned * turned + weights.turning_m2 * s[R] * s[R]
+        )
+        span_s = grid.time_s[k + 1] - grid.time_s[k]
+        for i in range(len(grid.axes)):
+            before = problem.start.command[i] if k == 0 else flight.command[k - 1, i]
+            total += weights.rate[i] * (flight.command[k, i] - before) ** 2 / span_s
+    ex, ey = end_error(dynamics, problem, flight.state[last])
+    return total + weights.end_s * (ex * ex + ey * ey) + weights.entry * deepest_entry(memory.rows, flight.state) ** 2
+
+
+@kernel(part=True)
+def add_square(weight: float, error: float, row: Floats, reached: int, program: QuadraticProgram) -> None:
+    """Add the square of one linearised term: weight (error + row . change)^2 / 2, `row` (reached,)."""
+    for j in range(reached):
+        one = weight * row[j]
+        program.gradient[j] += one * error
+        for i in range(j + 1):
+            program.hessian[j, i] += one * row[i]
+
+
+@kernel(part=True)
+def add_end(dynamics: Dynamics, problem: PlanProblem, flight: PlannedFlight, program: QuadraticProgram) -> None:
+    """Add the squares of the last node's error of place and velocity."""
+    last, lead_s = len(flight.state) - 1, problem.weights.lead_s
+    state, slope = flight.state[last], flight.slope[last]
+    cos, sin, row = math.cos(state[YAW]), math.sin(state[YAW]), program.row
+    ahead, aside = cos * state[U] - sin * state[V], sin * state[U] + cos * state[V]
+    ex, ey = end_error(dynamics, problem, state)
+    for j in range(len(row)):
+        row[j] = slope[X, j] + lead_s * (cos * slope[U, j] - sin * slope[V, j] - aside * slope[YAW, j])
+    add_square(problem.weights.end_s, ex, row, len(row), program)
+    for j in range(len(row)):
+        row[j] = slope[Y, j] + lead_s * (sin * slope[U, j] + cos * slope[V, j] + ahead * slope[YAW, j])
+    add_square(problem.weights.end_s, ey, row, len(row), program)
+
+
+@kernel(part=True)
+def condense(dynamics: Dynamics, grid: Grid, problem: PlanProblem, flight: PlannedFlight, program: QuadraticProgram) -> None:
+    """Hessian and gradient by changes of the commands, and by the slack."""
+    course, weights, axes = problem.course, problem.weights, len(grid.axes)
+    size, hessian, gradient = len(program.row), program.hessian, program.gradient
+    hessian[:] = 0.0
+    gradient[:] = 0.0
+    for k in range(len(flight.state)):
+        s, slope, share_s, reached = flight.state[k], flight.slope[k], grid.share_s[k], axes * (k + 1)
+        add_square(share_s, s[X] - course.place[k, 0], slope[X], reached, program)
+        add_square(share_s, s[Y] - course.place[k, 1], slope[Y], reached, program)
+        if course.yaw_weight[k] > 0.0:
+            add_square(share_s * course.yaw_weight[k], s[YAW] - course.yaw[k], slope[YAW], reached, program)
+        if weights.turning_m2 > 0.0:
+            add_square(share_s * weights.turning_m2, s[R], slope[R], reached, program)
+        span_s = grid.time_s[k + 1] - grid.time_s[k]
+        for i in range(axes):
+            weight, j = weights.rate[i] / span_s, axes * k + i
+            change = flight.command[k, i] - (problem.start.command[i] if k == 0 else flight.command[k - 1, i])
+            hessian[j, j] += weight
+            gradient[j] += weight * change
+            if k > 0:
+                hessian[j - axes, j - axes] += weight
+                hessian[j, j - axes] -= weight
+                gradient[j - axes] -= weight * change
+    add_end(dynamics, problem, flight, program)
+    for j in range(size):
+        hessian[j, j] *= 1.0 + DAMPING
+        for i in range(j):
+            hessian[i, j] = hessian[j, i]
+    hessian[size, size] = weights.entry
+
+
+@kernel(part=True)
+def set_bounds(grid: Grid, problem: PlanProblem, memory: Memory) -> int:
+    """Bounds of all rows, and the half-spaces' rows; returns how many there are. No change at all is always within the bounds
+    of the commands: what is beyond them already may not go farther."""
+    flight, program, rows, axes = memory.flight, memory.program, memory.rows, len(grid.axes)
+    size, lower, upper = len(program.row), program.lower, program.upper
+    for k in range(len(flight.state)):
+        for i in range(axes):
+            j, most = axes * k + i, problem.limits.rate[i] * (grid.time_s[k + 1] - grid.time_s[k])
+            now, limit = flight.command[k, i], problem.limits.size[i]
+            change = now - (problem.start.command[i] if k == 0 else flight.command[k - 1, i])
+            lower[j], upper[j] = min(-limit - now, 0.0), max(limit - now, 0.0)
+            lower[size + j], upper[size + j] = min(-most - change, 0.0), max(most - change, 0.0)
+    for i in range(rows.used[0]):
+        k, row = rows.node[i], 2 * size + i
+        state, slope, x, y = flight.state[k], flight.slope[k], rows.normal[i, 0], rows.normal[i, 1]
+        for j in range(size):
+            program.matrix[row, j] = x * slope[X, j] + y * slope[Y, j]
+        program.matrix[row, size] = rows.give[i]
+        lower[row], upper[row] = rows.offset_m[i] - x * state[X] - y * state[Y], NO_BOUND
+    program.held[2 * size + rows.used[0] :] = 0
+    return int(2 * size + rows.used[0])
+
+
+@kernel(part=True)
+def improve(dynamics: Dynamics, grid: Grid, problem: PlanProblem, memory: Memory) -> Iteration:
+    """One iteration on a flight, in place."""
+    flight, program, axes = memory.flight, memory.program, len(grid.axes)
+    predict(dynamics, grid, problem.start, flight, True)
+    find_rows(problem.surrounds, grid, flight.state, memory.rows)
+    before = cost_of(dynamics, grid, problem, memory)
+    condense(dynamics, grid, problem, flight, program)
+    count = set_bounds(grid, problem, memory)
+    rounds = solve_from(
+        program.hessian, program.gradient, program.matrix[:count], program.lower[:count], program.upper[:count],
+        program.held[:count], program.work, program.multiplier, program.change, program.dual[:count],
+    )  # fmt: skip
+    if rounds == 0:
+        program.held[:] = 0
+        return Iteration(before, before, 0.0, 0, deepest_entry(memory.rows, flight.state), memory.rows.used[0] > 0)
+    program.old[:] = flight.command
+    share, after = 1.0, before
+    while share > LEAST_STEP:
+        for k in range(len(flight.state)):
+            for i in range(axes):
+                flight.command[k, i] = program.old[k, i] + share * program.change[axes * k + i]
+        predict(dynamics, grid, problem.start, flight, False)
+        after = cost_of(dynamics, grid, problem, memory)
+        if after <= before * (1.0 + LEVEL):  # false for NaN
+            break
+        share *= SHORTER
+    if not after <= before * (1.0 + LEVEL):
+        flight.command[:] = program.old
+        predict(dynamics, grid, problem.start, flight, False)
+        share, after = 0.0, before
+    entry_m, binds = deepest_entry(memory.rows, flight.state), False
+    for i in range(2 * len(program.row), count):
+        binds |= program.held[i] != 0
+    return Iteration(before, after, share, rounds, entry_m, binds)
+
+
+@kernel
+def step_plan(dynamics: Dynamics, grid: Grid, problem: PlanProblem, memory: Memory, by_s: float) -> Iteration:
+    """The plan of `by_s` ago moved on to now, and one iteration on it."""
+    move_on(grid, by_s, memory.flight)
+    return improve(dynamics, grid, problem, memory)
+
+
+@kernel
+def appraise(dynamics: Dynamics, grid: Grid, problem: PlanProblem, memory: Memory) -> float:
+    """Cost of a flight as it is; its states are written."""
+    predict(dynamics, grid, problem.start, memory.flight, False)
+    find_rows(problem.surrounds, grid, memory.flight.state, memory.rows)
+    return cost_of(dynamics, grid, problem, memory)

@@ -1,0 +1,179 @@
+"""Weights, horizon and bandwidths as formulas of vehicle, control period and noise. No number here is a vehicle's own.
+
+A triple integrator that may change its force at a rate F', and has to correct an error e, is as quick as (F' / (m e))^(1/3).
+From this come both bandwidths: `quickness` of the place and `turning` of the heading. They are limited by the delay of the
+loop, by the noise (estimates must not move the inputs by more than ROUGH of their rate limits) and by the observer.
+`formulas` is the table of docs/control.md.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from robot_agent.control.nonlinear.prediction import FIRST_S, Hull
+from robot_agent.control.nonlinear.program import InputLimits, Weights
+from robot_agent.vehicle.estimate import Deviations, Ratios
+from wire.config.vehicle import Vehicle
+from wire.frames import Array
+
+REACH_SHARE = 0.4  # of the hull's radius: an error of the place that may use the whole force rate
+REACH_RAD = 0.35  # the same of the heading
+DELAY_SHARE, TURN_DELAY_SHARE = 0.4, 0.6  # bandwidth times delay: phase lost in the loop, rad
+LAG_SHARE = 0.3  # of the thrusters' lag that counts as delay: the plan knows it, and inverts most of it
+ROUGH = 0.05  # of the rate limits that noise alone may use
+TRUST = 2.0  # a thrust that is known to 50 % halves the bandwidth
+SHORTEST_S, LONGEST_S = 6.0, 12.0  # horizon: flown from 5 to 14 s; shorter ones do not find the turn round, longer are coarse
+TILT_RAD = 0.35  # most pitch by thrust alone: at 0.8 rad a hull rose by 0.24 m within 2 s
+GRAVITY_MPS2 = 9.81
+STEP_S = 0.2  # longest step of the integration; 1/slope of the drag for light robots
+TURNING_M = 0.01  # m s: turning at 1 rad/s for a second costs as much as 1 cm
+SLOW_MPS = 0.02  # through the water: slower, the heading does not matter
+END_SHARE = 2.0  # weight at the end: that of an error which fades at the bandwidth, twice
+SLOWEST_RADPS = 0.2  # poses that say nothing for a while must not end the loop: an error then lasts 10 s
+MODEL_SHARE = 0.7  # of the bandwidth of an observer that has no covariance
+
+
+class Bandwidths(NamedTuple):
+    """Bandwidths, rad/s."""
+
+    quickness: float  # of the place
+    calm_quickness: float  # of the place, for an error of REACH_SHARE radius: what counts at the horizon's end
+    turning: float  # of the heading
+    depth: float
+
+
+def delay_s(vehicle: Vehicle, period_s: float, lag_s: float) -> float:
+    """Delay of the loop that a plan cannot take into account: half a period, dead time, part of the lag."""
+    return vehicle.thruster.dead_time_s + 0.5 * period_s + LAG_SHARE * lag_s
+
+
+def horizon_s(vehicle: Vehicle) -> float:
+    """Twice the time to turn round and to stop from full speed."""
+    mass, _, _, inertia = vehicle.inertia.tolist()
+    force_n, _, moment_nm = vehicle.limits.wrench
+    turn_s = 2.0 * math.sqrt(math.pi * inertia / moment_nm) + math.pi / (2.0 * vehicle.limits.yaw_rate_radps)
+    stop_s = mass * vehicle.limits.speed_mps / force_n
+    return float(min(max(2.0 * (turn_s + stop_s), SHORTEST_S), LONGEST_S))
+
+
+def settled_deviations(observer_radps: float, noise_m: float) -> Deviations:
+    """Those of an observer without a covariance that has settled on poses with that noise."""
+    velocity_mps = observer_radps * noise_m
+    return Deviations(noise_m, 2.0 * noise_m, velocity_mps, velocity_mps, 0.0, 0.0, np.zeros(3), Ratios(0.0, 0.0, 0.0))
+
+
+def cube_root(rate: float, inertia: float, reach: float) -> float:
+    """Bandwidth at which an error `reach` uses the whole rate."""
+    return math.pow(rate / (inertia * reach), 1.0 / 3.0)
+
+
+def derive(vehicle: Vehicle, delay: float, known: Deviations, observer_radps: tuple[float, float], off_m: float) -> Bandwidths:
+    """Bandwidths for a robot that is `off_m` away from its path; the observer has one for the place and one for depth."""
+    mass, _, mass_w, inertia = vehicle.inertia.tolist()
+    force_rate, lift_rate, moment_rate = vehicle.limits.wrench_rate_per_s
+    reach_m = REACH_SHARE * vehicle.radius_m
+    observer = observer_radps[0] / (1.0 + TRUST * known.ratios.thrust)
+    late = DELAY_SHARE / delay
+    error_m = max(known.place_m / ROUGH, min(off_m, reach_m), 1e-4)
+    rough = math.sqrt(ROUGH * force_rate / (mass * max(known.ground_mps, 1e-4)))
+    calm = cube_root(force_rate, mass, reach_m)
+    quickness = max(min(cube_root(force_rate, mass, error_m), rough, late, observer), SLOWEST_RADPS)
+    turning = min(
+        cube_root(moment_rate, inertia, REACH_RAD),
+        cube_root(ROUGH * moment_rate, inertia, max(known.yaw_rad, 1e-5)),
+        TURN_DELAY_SHARE / delay,
+    )
+    depth = max(min(cube_root(lift_rate, mass_w, reach_m), late, MODEL_SHARE * observer_radps[1]), SLOWEST_RADPS)
+    return Bandwidths(quickness, min(quickness, calm), turning, depth)
+
+
+def rate_weight(mass: float, bandwidth_radps: float, arm_m: float = 1.0) -> float:
+    """Weight of a force's squared rate with which errors fade at a bandwidth; `arm_m` is what a radian is worth."""
+    return (arm_m / (mass * bandwidth_radps**3)) ** 2
+
+
+def planar_weights(vehicle: Vehicle, tuning: Bandwidths, arm_m: float, turning_m: float, entry: float) -> Weights:
+    """Weights of surge and yaw."""
+    mass, _, _, inertia = vehicle.inertia.tolist()
+    rate = np.array([rate_weight(mass, tuning.quickness), rate_weight(inertia, tuning.turning, arm_m)])
+    return Weights(rate, turning_m**2, END_SHARE / tuning.calm_quickness, 1.0 / tuning.calm_quickness, entry)
+
+
+def depth_weights(vehicle: Vehicle, tuning: Bandwidths) -> Weights:
+    """Weights of heave."""
+    rate = np.array([rate_weight(vehicle.mass.heave_kg, tuning.depth)])
+    return Weights(rate, 0.0, END_SHARE / tuning.depth, 1.0 / tuning.depth, 1.0)
+
+
+def planar_limits(vehicle: Vehicle) -> InputLimits:
+    """Limits of surge and yaw. Surge that would tilt the hull by more than TILT_RAD is not asked for, nor within less than
+    half a swing: a hull that pitches lifts itself off its depth, and no observer of four axes knows why."""
+    (surge_n, _, yaw_nm), (surge_rate, _, yaw_rate) = vehicle.limits.wrench, vehicle.limits.wrench_rate_per_s
+    if vehicle.righting is not None:
+        moment_nm, below_m, swing_s = vehicle.righting.moment_nm, vehicle.righting.thrusters_below_m, vehicle.righting.swing_s
+        lever_m = below_m + moment_nm / (GRAVITY_MPS2 * vehicle.mass.surge_kg)  # of the thrust, and of the mass it speeds up
+        level_n = moment_nm * math.sin(TILT_RAD) / lever_m
+        surge_n, surge_rate = min(surge_n, level_n), min(surge_rate, 2.0 * level_n / swing_s)
+    return InputLimits(np.array([surge_n, yaw_nm]), np.array([surge_rate, yaw_rate]))
+
+
+def depth_limits(vehicle: Vehicle) -> InputLimits:
+    """Limits of heave."""
+    return InputLimits(np.array([vehicle.limits.wrench[1]]), np.array([vehicle.limits.wrench_rate_per_s[1]]))
+
+
+def planar_hull(coefficients: Array, sway: float, lag_s: float, longest_s: float) -> Hull:
+    """Mass and drag of surge, sway and yaw from the model's `coefficients` (3, 4)."""
+    (m_u, m_v, _, m_r), (l_u, l_v, _, l_r), (q_u, q_v, _, q_r) = coefficients.tolist()
+    return Hull(m_u, m_v, m_r, l_u, l_v, l_r, q_u, q_v, q_r, sway, lag_s, longest_s)
+
+
+def depth_hull(coefficients: Array, lag_s: float, longest_s: float) -> Hull:
+    """Mass and drag of heave, as motion along x."""
+    mass, linear, quadratic = coefficients[:, 2].tolist()
+    return Hull(mass, mass, 1.0, linear, linear, 1.0, quadratic, quadratic, 0.0, 0.0, lag_s, longest_s)
+
+
+def step_s(vehicle: Vehicle) -> float:
+    """Longest step of the integration: no longer than the fastest motion takes to decay."""
+    mass, limits = vehicle.inertia, vehicle.limits
+    slopes = (vehicle.drag_linear + 2.0 * vehicle.drag_quadratic * np.array(
+        [limits.speed_mps, limits.speed_mps, limits.heave_mps, limits.yaw_rate_radps]
+    )) / mass  # fmt: skip
+    return float(min(STEP_S, 1.0 / slopes.max(), 2.0 * FIRST_S))
+
+
+def formulas(vehicle: Vehicle, period_s: float) -> list[tuple[str, str, str]]:
+    """Quantity, formula and value of everything above, for poses with a noise of 1.5 mm: the table of docs/control.md."""
+    delay = delay_s(vehicle, period_s, vehicle.thruster.lag_s)
+    on_path = derive(vehicle, delay, settled_deviations(2.0, 0.001), (4.0, 2.0), 0.0)
+    off_path = derive(vehicle, delay, settled_deviations(2.0, 0.001), (4.0, 2.0), vehicle.radius_m)
+    surge, yaw = planar_weights(vehicle, on_path, 0.2, TURNING_M, 1.0).rate.tolist()
+    limits = planar_limits(vehicle)
+    return [
+        ("delay d", "dead time + period / 2 + 0.3 lag", f"{delay:.3f} s at {1.0 / period_s:.0f} Hz"),
+        ("longest step of the integration", "min(0.2 s, 1 / slope of the drag at full speed)", f"{step_s(vehicle):.2f} s"),
+        ("horizon", "2 (2 sqrt(pi I / N) + pi / (2 r_max) + m U / F), 6 to 12 s", f"{horizon_s(vehicle):.1f} s"),
+        ("reach e", "20 sd_place; the distance off the path if that is more, up to 0.4 R", "2 to 6 cm"),
+        (
+            "quickness w1",
+            "min((F' / (m e))^(1/3), (0.05 F' / (m sd_ground))^(1/2), 0.4 / d, w_observer / (1 + 2 sd_thrust))",
+            f"{on_path.quickness:.1f} rad/s; {off_path.quickness:.1f} off the path",
+        ),
+        (
+            "turning w2", "min((N' / (0.35 rad I))^(1/3), (0.05 N' / (I sd_yaw))^(1/3), 0.6 / d)",
+            f"{on_path.turning:.1f} rad/s",
+        ),
+        ("depth w3", "min((Z' / (0.4 R m_w))^(1/3), 0.4 / d, 0.7 bandwidth_radps)", f"{on_path.depth:.1f} rad/s"),
+        ("weight of a force's rate", "(1 / (m w^3))^2", f"{surge:.1e} m^2 s^2/N^2"),
+        ("weight of the moment's rate", "(arm_m / (I w2^3))^2", f"{yaw:.1e} m^2 s^2/(N m)^2"),
+        (
+            "end of the horizon", "2 / w of the error 1 / w later; w = w1, at most that for e = 0.4 R",
+            f"{on_path.calm_quickness:.1f} rad/s",
+        ),
+        (
+            "most surge, and its rate", "M sin(0.35 rad) / (depth of the thrusters + M / (g m)), within half a swing",
+            f"{limits.size[0]:.1f} N, {limits.rate[0]:.1f} N/s",
+        ),
+    ]  # fmt: skip

@@ -1,0 +1,81 @@
+"""Records between sensors, observer and control law: what is measured, and what is believed of the robot and its water.
+
+A current keeps its direction in the pool; a force of the robot (unlike thrusters, a trailing cable) turns along with it. A
+plan over several seconds has to know which is which, so the estimate keeps them apart: `current`, and `own_force` per mass.
+"""
+
+from typing import NamedTuple
+
+from wire.frames import Array
+
+
+class PoseMeasurement(NamedTuple):
+    """A pose from the localizer, in the pool frame."""
+
+    stamp_ns: int  # middle of the exposure, on the robot's clock
+    x_m: float
+    y_m: float
+    yaw_rad: float
+    variance_m2: float = 0.0  # of x and of y
+    variance_rad2: float = 0.0  # of yaw
+
+
+class StateMeasurement(NamedTuple):
+    """The newest sensor values. Missing ones are None; the same pose may be given more than once."""
+
+    pose: PoseMeasurement | None = None
+    depth_m: float | None = None  # of the robot's centre, from the pressure sensor
+    yaw_rate_radps: float | None = None  # gyroscope
+    board_ns: int | None = None  # instant of depth and yaw rate; None: now
+
+
+class Ratios(NamedTuple):
+    """Drag, thrust and yaw moment per mass (yaw: per inertia) over the vehicle file's, as learned in flight."""
+
+    drag: float = 1.0
+    thrust: float = 1.0
+    moment: float = 1.0
+
+
+class Deviations(NamedTuple):
+    """Standard deviations of an estimate, those of two axes along the worse of them."""
+
+    place_m: float  # of x, y
+    yaw_rad: float
+    velocity_mps: float  # of u, v through the water
+    ground_mps: float  # of the velocity over ground
+    yaw_rate_radps: float
+    current_mps: float
+    own_force: Array  # (3,) m/s^2, m/s^2, rad/s^2
+    ratios: Ratios  # relative
+
+
+class Estimate(NamedTuple):
+    """The estimated state. Velocities and `disturbance` are in the body frame, `current` in the pool frame."""
+
+    eta: Array  # (4,) now; yaw continuous, not wrapped
+    nu: Array  # (4,) now, over ground
+    disturbance: Array  # (4,) acceleration that the model does not explain, in water that streams at `current`
+    current: complex  # x + iy of the water's own velocity, m/s
+    gamma_still_water: Array  # (4,) both together: what a model of still water does not explain
+    action: Array  # (11,) state when a command given now begins to act; velocities through the water
+    pose_age_s: float
+    depth_age_s: float  # of the last depth that did not contradict the estimate; infinite before the first
+    leap: str = ""  # what was told and what had been believed, in the step that gave up a believed place for another one
+    depth_leap: str = ""  # the same for the depth
+    drag_ratio: float = 0.0  # drag per mass over the nominal model's, as learned; 0 if it is not adaptive
+    thrust_ratio: float = 0.0  # the same of thrust per mass
+    pace: float = 1.0  # bandwidth over that with ordinary poses: as fast may act what feeds the estimate back
+    moment_ratio: float = 0.0  # of yaw moment per inertia; 0 if it is not learned
+    bandwidth_radps: float = 0.0  # with which the observer follows the poses now; 0: not known
+    deviations: Deviations | None = None  # None: the observer has no covariance
+
+    @property
+    def through_water(self) -> Array:
+        """Velocity u, v, w, r through the water when a command given now begins to act, (4,)."""
+        return self.action[4:8]
+
+    @property
+    def own_force(self) -> Array:
+        """Acceleration (3,) by forces of the robot that turn along with it: surge, sway m/s^2, yaw rad/s^2."""
+        return self.disturbance[[0, 1, 3]]

@@ -1,0 +1,529 @@
+"""Observer that tells a current from a force of the robot, and learns drag, thrust and yaw moment per mass: a bank of Kalman
+filters (filter_bank.py) at the exposure of the newest pose.
+
+Inputs, delays, gates and leaps are those of every observer (eso.py); heave keeps its poles at one bandwidth. All noise comes
+from the vehicle file and from what poses report (docs/control.md has the table).
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from robot_agent.vehicle.dynamics import (
+    GATE_M,
+    GATE_RAD,
+    LONGEST_STEP_NS,
+    OUTLIER,
+    SENSED_LOOKED_AT,
+    Model,
+    drag,
+    gains,
+    propagate,
+    sensed_at,
+)
+from robot_agent.vehicle.eso import GATE_RADPS, Estimator
+from robot_agent.vehicle.estimate import Deviations, Estimate, PoseMeasurement, Ratios, StateMeasurement
+from robot_agent.vehicle.filter_bank import (
+    ACTING,
+    CURRENT_X,
+    CURRENT_Y,
+    DRAG,
+    ERRORS,
+    FORCE_R,
+    FORCE_U,
+    FORCE_V,
+    GYRO,
+    MOMENT,
+    NUMBERS,
+    THRUST,
+    YAW,
+    Bank,
+    MeasuredNumber,
+    Noise,
+    R,
+    U,
+    V,
+    X,
+    Y,
+    correct,
+    diffuse,
+    interact,
+    linearise,
+    merge,
+    predict,
+    weigh_filters,
+)
+from wire.config.controller import EstimatorConfig
+from wire.config.vehicle import Vehicle
+from wire.frames import TURN, Array
+from wire.kernel_types import Floats, Ints, Table
+from wire.kernels import kernel
+
+KINDS = (  # of water: intensity m^2/s^3, share of its changes by place, and of forces by how much more they change
+    (1e-7, 0.5, 1.0),  # a basin at rest: 1 mm/s within 10 s
+    (1e-5, 0.0, 1.0),  # with time, 1 cm/s,
+    (6e-5, 0.0, 1.0),  # 2.5 cm/s,
+    (4e-4, 0.0, 1.0),  # and 6 cm/s within 10 s: gusts, waves
+    (3e-5, 1.0, 1.0),  # from place to place
+    (1.2e-4, 1.0, 1.0),
+    (1e-7, 0.5, 1000.0),  # forces 30 times as large: a cable, a thruster that is not what it was
+)
+KIND_LASTS_S = (
+    1000.0  # the water changes its kind a few times in an hour. With 60 s covariances of still water are twice as large
+)
+FACING_S, FACING = 20.0, 0.5  # mean direction of so long, 1 on a straight path: shorter, drag can be told from a current
+CALM = 0.5  # and only if so much of the weight says that water and forces are at rest
+SPREAD = 0.06  # standard deviation of a thruster's thrust from its curve: makers say within 10 %
+BEST_M, BEST_RAD = 1e-4, 3e-4  # no camera's pose is better
+WORST_M, WORST_RAD = 0.05, 0.3  # one that is worse has not passed the localizer's gate
+GYRO_RADPS, BIAS_RADPS = 0.003, 0.002  # noise and bias of a MEMS gyroscope's sample
+RATIOS = (0.15, 0.3, 0.3)  # standard deviations of drag, thrust and moment per mass at first, relative to the vehicle file's
+MOST_LOG = 1.0  # of drag, thrust, moment per mass: e times the vehicle file's
+AT_REST_MPS, AT_REST_RADPS = 0.03, 0.1  # over ground, when the estimate begins
+HAND_S = 0.1  # for so long a hand that holds a robot pushes one way, with up to the thrusters' force
+GATE_S = 0.24  # no yaw rate changes by more than the thrusters' moment does in 0.2 s, and a fifth
+NEUTRAL = 1e-6  # of the thrusters' force: that much is none
+BANDWIDTH_S = 4.0  # over which the bandwidth is averaged
+
+LEARNS, FACED_X, FACED_Y, BANDWIDTH = range(4)  # of `track`
+LOGS = slice(17, 20)  # of the belief: ln of drag, thrust, moment per mass
+State11 = tuple[float, float, float, float, float, float, float, float, float, float, float]
+
+
+class LearnedModel(NamedTuple):
+    """The model, and what is known of it."""
+
+    nominal: Table  # (3, 4) by the vehicle file
+    model: Table  # (3, 4) as learned: written
+    sway: float
+    lag_s: float
+    estimates: float  # 1; 0: no disturbance, no current
+    heave_radps: float  # bandwidth of the heave observer
+    fastest_mps: float  # no current is faster
+    most_n: float  # surge force and
+    most_nm: float  # yaw moment of the thrusters
+
+
+class Commands(NamedTuple):
+    """Wrenches sent, as in `dynamics.propagate`."""
+
+    acts_ns: Ints
+    wrenches: Table
+    sent: int  # so many of them
+
+
+class Samples(NamedTuple):
+    """Depths and yaw rates, as in `dynamics.sensed_at`."""
+
+    sensed_ns: Ints
+    sensed: Table
+    taken: int  # so many of them
+
+
+class Sighting(NamedTuple):
+    """A pose with its variances."""
+
+    x_m: float
+    y_m: float
+    yaw_rad: float
+    variance_m2: float
+    variance_rad2: float
+    stamp_ns: int  # not later than `Instants.at_ns`: there is none
+
+
+class Instants(NamedTuple):
+    """Instants of a step: of the belief, now, and when a command given now acts."""
+
+    at_ns: int
+    now_ns: int
+    acts_ns: int
+
+
+class Belief(NamedTuple):
+    """Belief of the observer, and the arrays for its results."""
+
+    numbers: Floats  # (NUMBERS,)
+    track: Floats  # (4,): 1 if drag is learned, mean direction of late x, y, bandwidth rad/s
+    deviation: Floats  # (12,) as `Deviations`
+    now: Table  # (4, 4) as `dynamics.observe`
+    action: Floats  # (11,)
+
+
+@kernel(part=True)
+def state_of(numbers: Floats) -> State11:
+    """State of a belief."""
+    return (
+        numbers[0], numbers[1], numbers[2], numbers[3], numbers[4], numbers[5], numbers[6], numbers[7], numbers[8], numbers[9],
+        numbers[10],
+    )  # fmt: skip
+
+
+@kernel(part=True)
+def gamma_of(numbers: Floats) -> tuple[float, float, float, float]:
+    """Own forces of a belief, per mass."""
+    return numbers[11], numbers[12], numbers[13], numbers[14]
+
+
+@kernel(part=True)
+def rate_before(samples: Samples, after_ns: int, until_ns: int) -> int:
+    """Row of the newest yaw rate between two instants; -1 if there is none."""
+    for i in range(samples.taken - 1, max(samples.taken - SENSED_LOOKED_AT, 0) - 1, -1):
+        if after_ns < samples.sensed_ns[i] <= until_ns and not math.isnan(samples.sensed[i, 1]):
+            return i
+    return -1
+
+
+@kernel(part=True)
+def cross(plant: LearnedModel, bank: Bank, noise: Noise, numbers: Floats, there: Floats, step_s: float, steps: int) -> None:
+    """Move the bank's errors on to the pose, `step_s` later, in equal `steps` between the belief and the state `there`."""
+    f, q, dt = bank.work[0], bank.work[1, 0], step_s / steps
+    is_held = True
+    for k, most in ((ACTING, plant.most_n), (ACTING + 1, plant.most_n), (ACTING + 2, plant.most_nm)):
+        is_held &= max(abs(numbers[k]), abs(there[k])) < NEUTRAL * most
+    between = np.empty(NUMBERS)
+    for i in range(steps):
+        share = (i + 0.5) / steps
+        for k in range(11):
+            between[k] = numbers[k] + share * (there[k] - numbers[k])
+        linearise(plant.model, plant.sway, between, dt, noise, f)
+        diffuse(plant.model, plant.sway, between, dt, noise, is_held, q)
+        predict(bank, plant.sway, between[3], dt, f, q)
+
+
+@kernel(part=True)
+def weigh_pose(
+    bank: Bank, error: tuple[float, float, float], rate_error: float, rate_variance: float, sighting: Sighting, learns: bool
+) -> None:
+    """Correct every filter by a pose and a yaw rate (NaN: none), and weigh them by their likelihood. A pose farther off than
+    OUTLIER deviations of each filter counts as if it were so much worse."""
+    ex, ey, turned = error
+    nearest2, spread = math.inf, 0.0
+    for j in range(len(bank.weight)):
+        p, mean = bank.covariance[j], bank.mean[j]
+        dx, dy = ex - mean[X], ey - mean[Y]
+        sxx, sxy, syy = p[X, X] + sighting.variance_m2, p[X, Y], p[Y, Y] + sighting.variance_m2
+        far2 = (syy * dx * dx - 2.0 * sxy * dx * dy + sxx * dy * dy) / (sxx * syy - sxy * sxy)
+        if far2 < nearest2:
+            nearest2, spread = far2, max(sxx, syy)
+    more_m2 = max(nearest2 / OUTLIER**2 - 1.0, 0.0) * spread
+    likelihood, gain = bank.work[3, 1], bank.work[3, 2]
+    for j in range(len(bank.weight)):
+        p, mean = bank.covariance[j], bank.mean[j]
+        total = correct(p, mean, MeasuredNumber(X, -1, ex, sighting.variance_m2 + more_m2), learns, gain)
+        total += correct(p, mean, MeasuredNumber(Y, -1, ey, sighting.variance_m2 + more_m2), learns, gain)
+        total += correct(p, mean, MeasuredNumber(YAW, -1, turned, sighting.variance_rad2), learns, gain)
+        if not math.isnan(rate_error):
+            total += correct(p, mean, MeasuredNumber(R, GYRO, rate_error, rate_variance), learns, gain)
+        likelihood[j] = total
+    weigh_filters(bank, likelihood[: len(bank.weight)])
+
+
+@kernel(part=True)
+def inject(plant: LearnedModel, numbers: Floats, change: Floats) -> None:
+    """Add the mean error to the belief, and write what is learned into the model."""
+    numbers[0] += change[X]
+    numbers[1] += change[Y]
+    numbers[3] += change[YAW]
+    numbers[4] += change[U]
+    numbers[5] += plant.sway * change[V]
+    numbers[7] += change[R]
+    numbers[11] += plant.estimates * change[FORCE_U]
+    numbers[12] += plant.estimates * plant.sway * change[FORCE_V]
+    numbers[14] += plant.estimates * change[FORCE_R]
+    numbers[15] += plant.sway * change[CURRENT_X]
+    numbers[16] += plant.sway * change[CURRENT_Y]
+    for i in range(3):
+        numbers[17 + i] = min(max(numbers[17 + i] + change[DRAG + i], -MOST_LOG), MOST_LOG)
+    numbers[20] += change[GYRO]
+    fast = math.hypot(numbers[15], numbers[16])
+    if fast > plant.fastest_mps:  # what is beyond is the robot's motion through the water
+        beyond = 1.0 - plant.fastest_mps / fast
+        bx, by, cos, sin = beyond * numbers[15], beyond * numbers[16], math.cos(numbers[3]), math.sin(numbers[3])
+        numbers[15] -= bx
+        numbers[16] -= by
+        numbers[4] += cos * bx + sin * by
+        numbers[5] += plant.sway * (cos * by - sin * bx)
+    d, t, n = math.exp(numbers[17]), math.exp(numbers[18]), math.exp(numbers[19])
+    for i in range(2):
+        plant.model[0, i] = plant.nominal[0, i] / t
+        plant.model[1, i], plant.model[2, i] = plant.nominal[1, i] * d / t, plant.nominal[2, i] * d / t
+    for k in range(3):
+        plant.model[k, 3] = plant.nominal[k, 3] / n
+
+
+@kernel(part=True)
+def correct_heave(plant: LearnedModel, numbers: Floats, depth_m: float, step_s: float) -> None:
+    """Correction (31) of heave."""
+    b1, b2, b3 = gains(plant.heave_radps, step_s)
+    error = depth_m - numbers[2]
+    numbers[2] += b1 * error
+    numbers[6] += b2 * error
+    numbers[13] += plant.estimates * b3 * error
+
+
+@kernel(part=True)
+def follow(bank: Bank, belief: Belief, sighting: Sighting, step_s: float) -> None:
+    """Keep `track`: whether drag can be told from a current, and the bandwidth."""
+    numbers, track = belief.numbers, belief.track
+    share = -math.expm1(-step_s / FACING_S)
+    track[FACED_X] += share * (math.cos(numbers[3]) - track[FACED_X])
+    track[FACED_Y] += share * (math.sin(numbers[3]) - track[FACED_Y])
+    turns = math.hypot(track[FACED_X], track[FACED_Y]) < FACING
+    track[LEARNS] = 1.0 if turns and bank.weight[0] > CALM else 0.0
+    left = max(1.0 - 0.5 * (bank.mixed[X, X] + bank.mixed[Y, Y]) / sighting.variance_m2, 1e-3)
+    bandwidth = -0.5 * math.log(left) / step_s
+    track[BANDWIDTH] += -math.expm1(-step_s / BANDWIDTH_S) * (bandwidth - track[BANDWIDTH]) if track[BANDWIDTH] else bandwidth
+
+
+@kernel(part=True)
+def tell_ground(plant: LearnedModel, now: Table, water_x: float, water_y: float) -> None:
+    """Change the rows of `now` that a current changes: velocities are over ground, and what a model of still water does not
+    explain is the drag too."""
+    through_u, through_v = drag(plant.model, now[1, 0], now[1, 1])
+    cos, sin = math.cos(now[0, 3]), math.sin(now[0, 3])
+    now[1, 0] += cos * water_x + sin * water_y
+    now[1, 1] += cos * water_y - sin * water_x
+    over_u, over_v = drag(plant.model, now[1, 0], now[1, 1])
+    now[3, 0] += over_u - through_u
+    now[3, 1] += over_v - through_v
+
+
+@kernel(part=True)
+def longer_axis(xx: float, xy: float, yy: float) -> float:
+    """Longer half axis of the ellipse of a covariance."""
+    return math.sqrt(max(0.5 * (xx + yy) + math.hypot(0.5 * (xx - yy), xy), 0.0))
+
+
+@kernel(part=True)
+def tell_deviations(p: Table, yaw: float, told: Floats) -> None:
+    """Write the standard deviations of `Deviations`, own forces and ratios one by one."""
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    ux, uy = cos * p[U, CURRENT_X] + sin * p[U, CURRENT_Y], cos * p[U, CURRENT_Y] - sin * p[U, CURRENT_X]  # u with the current
+    vx, vy = cos * p[V, CURRENT_X] + sin * p[V, CURRENT_Y], cos * p[V, CURRENT_Y] - sin * p[V, CURRENT_X]  # on body axes
+    xx, xy, yy = p[CURRENT_X, CURRENT_X], p[CURRENT_X, CURRENT_Y], p[CURRENT_Y, CURRENT_Y]
+    ahead = cos * cos * xx + 2.0 * cos * sin * xy + sin * sin * yy
+    aside = sin * sin * xx - 2.0 * cos * sin * xy + cos * cos * yy
+    both = cos * sin * (yy - xx) + (cos * cos - sin * sin) * xy
+    told[0], told[1] = longer_axis(p[X, X], p[X, Y], p[Y, Y]), math.sqrt(p[YAW, YAW])
+    told[2] = longer_axis(p[U, U], p[U, V], p[V, V])
+    told[3] = longer_axis(p[U, U] + 2.0 * ux + ahead, p[U, V] + uy + vx + both, p[V, V] + 2.0 * vy + aside)
+    told[4], told[5] = math.sqrt(p[R, R]), longer_axis(xx, xy, yy)
+    for i in range(3):
+        told[6 + i], told[9 + i] = math.sqrt(max(p[FORCE_U + i, FORCE_U + i], 0.0)), math.sqrt(max(p[DRAG + i, DRAG + i], 0.0))
+
+
+@kernel
+def observe(
+    plant: LearnedModel,
+    noise: Noise,
+    bank: Bank,
+    belief: Belief,
+    commands: Commands,
+    samples: Samples,
+    sighting: Sighting,
+    instants: Instants,
+) -> bool:
+    """One step of the observer: the belief, corrected by a pose if there is a later one, and predicted to now and on to when a
+    command given now acts. False, and the belief stays, if the pose is farther off than GATE_M or GATE_RAD."""
+    numbers, at_ns, stamp_ns, passes = belief.numbers, instants.at_ns, sighting.stamp_ns, True
+    if stamp_ns > at_ns:
+        there = propagate(
+            plant.model, plant.sway, plant.lag_s, state_of(numbers), gamma_of(numbers),
+            (numbers[15], numbers[16]), commands.acts_ns, commands.wrenches, commands.sent, at_ns, stamp_ns,
+        )  # fmt: skip
+        turned = np.fmod(sighting.yaw_rad - there[3], TURN)
+        turned = turned - TURN if turned >= math.pi else turned + TURN if turned < -math.pi else turned
+        ex, ey = sighting.x_m - there[0], sighting.y_m - there[1]
+        passes = math.hypot(ex, ey) <= GATE_M and abs(turned) <= GATE_RAD
+        if passes:
+            step_s = (stamp_ns - at_ns) * 1e-9
+            steps = (stamp_ns - at_ns + LONGEST_STEP_NS - 1) // LONGEST_STEP_NS
+            arrived = np.array(there)
+            sample, rate_error, late_s = rate_before(samples, at_ns, stamp_ns), math.nan, 0.0
+            if sample >= 0:  # what the model expects at that instant: between two samples a light hull turns as it likes
+                sensed_ns = samples.sensed_ns[sample]
+                then = propagate(
+                    plant.model, plant.sway, plant.lag_s, state_of(numbers), gamma_of(numbers), (numbers[15], numbers[16]),
+                    commands.acts_ns, commands.wrenches, commands.sent, at_ns, sensed_ns,
+                )  # fmt: skip
+                rate_error = samples.sensed[sample, 1] - then[7] - numbers[20]
+                late_s = (stamp_ns - sensed_ns) * 1e-9
+            interact(bank, -math.expm1(-step_s / KIND_LASTS_S))
+            cross(plant, bank, noise, numbers, arrived, step_s, steps)
+            for i in range(11):
+                numbers[i] = arrived[i]
+            numbers[11] *= math.exp(-step_s / noise.lasts_s)
+            numbers[12] *= math.exp(-step_s / noise.lasts_s)
+            numbers[14] *= math.exp(-step_s / noise.lasts_s)
+            rate_variance = GYRO_RADPS**2 + bank.work[1, 0, R] * steps / step_s * late_s
+            weigh_pose(bank, (ex, ey, turned), rate_error, rate_variance, sighting, belief.track[LEARNS] > 0.0)
+            change = bank.work[3, 3]
+            merge(bank, change)
+            inject(plant, numbers, change)
+            depth = sensed_at(samples.sensed_ns, samples.sensed, samples.taken, 0, stamp_ns)
+            if not math.isnan(depth):
+                correct_heave(plant, numbers, depth, step_s)
+            follow(bank, belief, sighting, step_s)
+            at_ns = stamp_ns
+    gamma, water = gamma_of(numbers), (numbers[15], numbers[16])
+    here = propagate(
+        plant.model, plant.sway, plant.lag_s, state_of(numbers), gamma, water, commands.acts_ns, commands.wrenches,
+        commands.sent, at_ns, instants.now_ns,
+    )  # fmt: skip
+    then = propagate(
+        plant.model, plant.sway, plant.lag_s, here, gamma, water, commands.acts_ns, commands.wrenches, commands.sent,
+        instants.now_ns, instants.acts_ns,
+    )  # fmt: skip
+    now = belief.now
+    for i in range(4):
+        now[0, i], now[1, i], now[2, i], now[3, i] = here[i], here[4 + i], gamma[i], gamma[i]
+    tell_ground(plant, now, water[0], water[1])
+    tell_deviations(bank.mixed, numbers[3], belief.deviation)
+    for i in range(11):
+        belief.action[i] = then[i]
+    return passes
+
+
+def vehicle_noise(vehicle: Vehicle) -> Noise:
+    """Process noise of a vehicle."""
+    mass_kg, inertia_kg_m2 = float(vehicle.inertia[0]), float(vehicle.inertia[3])
+    surge_n, _, yaw_nm = vehicle.limits.wrench
+    arm_m = float(np.abs(np.array(vehicle.legs.position_m)[:, 1]).mean())
+    idle_n = 2.0 * SPREAD * vehicle.legs.idle_thrust_n  # of four thrusters that work against each other
+    rounding_n = 2.0 * _step_n(vehicle) / math.sqrt(12.0)
+    hand_mps2, hand_radps2 = surge_n / mass_kg, yaw_nm / inertia_kg_m2
+    return Noise(
+        share=0.03,
+        passes_s=0.1,
+        lasting_share=0.03,
+        lasts_s=10.0,
+        rounding_mps2=rounding_n / mass_kg,
+        rounding_radps2=rounding_n * arm_m / inertia_kg_m2,
+        idle_mps2=math.hypot(idle_n, rounding_n) / mass_kg,
+        idle_radps2=math.hypot(idle_n, rounding_n) * arm_m / inertia_kg_m2,
+        arm_m=arm_m,
+        ratio_per_s=0.005**2,
+        bias_per_s=1e-5**2,
+        hand_m2ps3=2.0 * HAND_S * hand_mps2**2,
+        hand_rad2ps3=2.0 * HAND_S * hand_radps2**2,
+    )
+
+
+def _step_n(vehicle: Vehicle) -> float:
+    """By how much a thruster's force changes with a microsecond of its pulse at idle thrust."""
+    pulse_us = vehicle.thruster.pulse_us(np.array(vehicle.legs.idle_thrust_n))
+    return float(vehicle.thruster.force_n(pulse_us + 0.5) - vehicle.thruster.force_n(pulse_us - 0.5))
+
+
+class KalmanEstimator(Estimator):
+    """One robot's observer; see `Estimator` for its use."""
+
+    def __init__(
+        self, vehicle: Vehicle, model: Model, config: EstimatorConfig, dead_time_s: float, fastest_mps: float = math.inf
+    ) -> None:
+        """`fastest_mps` limits the estimated current."""
+        kinds, count = np.array(KINDS).T.copy(), len(KINDS)
+        self._vehicle, self._process = vehicle, vehicle_noise(vehicle)
+        self._bank = Bank(
+            water_m2ps3=kinds[0],
+            place=kinds[1],
+            force=kinds[2],
+            weight=np.full(count, 1.0 / count),
+            mean=np.zeros((count, ERRORS)),
+            covariance=np.zeros((count, ERRORS, ERRORS)),
+            mixed=np.zeros((ERRORS, ERRORS)),
+            work=np.empty((4, ERRORS, ERRORS)),
+        )
+        self._track, self._deviation = np.zeros(4), np.zeros(12)
+        super().__init__(model, config, dead_time_s, fastest_mps)
+        self._gate_radps = max(GATE_S * vehicle.limits.wrench[2] / float(vehicle.inertia[3]), GATE_RADPS)
+        self._belief = np.zeros(NUMBERS)
+
+    def tune(self, config: EstimatorConfig) -> None:
+        """Use other settings from the next pose on; the estimate stays."""
+        surge_n, _, yaw_nm = self._vehicle.limits.wrench
+        model, self._bandwidth_radps = self._model, config.bandwidth_radps
+        self._uses_yaw_rate, self._adaptive, self._steady = config.use_imu_yaw_rate, False, np.zeros((6, 6))
+        self._plant = LearnedModel(
+            model.nominal, model.coefficients, model.sway, model.lag_s, float(config.enabled), config.bandwidth_radps,
+            self._fastest_mps, surge_n, yaw_nm,
+        )  # fmt: skip
+
+    def update(self, measurement: StateMeasurement, now_ns: int) -> Estimate | None:
+        """See `Estimator.update`. A belief that is no number any more is given up."""
+        estimate = super().update(measurement, now_ns)
+        if estimate is None:
+            return None
+        numbers, told = self._belief.tolist(), self._deviation.tolist()
+        if not math.isfinite(sum(numbers) + sum(told)):
+            self._forget()
+            self._belief[:], self._bank.mixed[:], self._model.coefficients[:] = 0.0, 0.0, self._model.nominal
+            return None
+        d, t, n = (math.exp(value) for value in numbers[LOGS])
+        w = self._track.item(BANDWIDTH)
+        place, yaw, velocity, ground, rate, current = told[:6]
+        own_force, ratios = self._deviation[6:9].copy(), Ratios(told[9], told[10], told[11])
+        return estimate._replace(
+            drag_ratio=d, thrust_ratio=t, moment_ratio=n, bandwidth_radps=w, pace=min(w / self._bandwidth_radps, 1.0),
+            deviations=Deviations(place, yaw, velocity, ground, rate, current, own_force, ratios),
+        )  # fmt: skip
+
+    def _observe(self, pose: PoseMeasurement | None, now_ns: int, now: Array, action: Array) -> bool:
+        at_ns = self._at_ns
+        sighting = Sighting(0.0, 0.0, 0.0, 1.0, 1.0, at_ns) if pose is None else _sighting(pose)
+        return observe(
+            self._plant,
+            self._process,
+            self._bank,
+            Belief(self._belief, self._track, self._deviation, now, action),
+            Commands(self._acts_ns, self._wrenches, self._inputs),
+            Samples(self._sensed_ns, self._sensed, self._samples),
+            sighting,
+            Instants(at_ns, now_ns, now_ns + self._dead_ns),
+        )
+
+    def _begin(self, pose: PoseMeasurement) -> None:
+        super()._begin(pose)
+        bank, noise, sway = self._bank, self._process, self._plant.sway
+        learned = np.array(bank.mixed[DRAG:, DRAG:])
+        p = np.zeros((ERRORS, ERRORS))
+        if learned.any():
+            p[DRAG:, DRAG:] = learned
+        else:
+            p[[DRAG, THRUST, MOMENT], [DRAG, THRUST, MOMENT]] = sway * self._plant.estimates * np.square(RATIOS)
+            p[GYRO, GYRO] = BIAS_RADPS**2
+        sighting = _sighting(pose)
+        p[X, X] = p[Y, Y] = sighting.variance_m2
+        p[YAW, YAW] = sighting.variance_rad2
+        current2 = sway * (0.5 * min(self._fastest_mps, 1.0)) ** 2
+        p[CURRENT_X, CURRENT_X] = p[CURRENT_Y, CURRENT_Y] = current2
+        p[U, U], p[V, V] = AT_REST_MPS**2 + current2, sway * (AT_REST_MPS**2 + current2)
+        cos, sin = math.cos(pose.yaw_rad), math.sin(pose.yaw_rad)
+        for row, x, y in ((U, cos, sin), (V, -sin, cos)):  # at rest over ground: the water passes by as it streams
+            p[row, CURRENT_X] = p[CURRENT_X, row] = -x * current2
+            p[row, CURRENT_Y] = p[CURRENT_Y, row] = -y * current2
+        p[R, R] = AT_REST_RADPS**2
+        p[FORCE_U, FORCE_U], p[FORCE_R, FORCE_R] = noise.idle_mps2**2, noise.idle_radps2**2
+        p[FORCE_V, FORCE_V] = sway * noise.rounding_mps2**2
+        bank.covariance[:], bank.mean[:], bank.mixed[:] = p, 0.0, p
+        bank.weight[0], bank.weight[1:] = 0.5, 0.5 / (len(bank.weight) - 1)  # as likely at rest as not
+        self._track[:] = 0.0, cos, sin, 0.0
+
+
+def _sighting(pose: PoseMeasurement) -> Sighting:
+    """A pose with variances that can be: one that is no number says nothing good."""
+    variance_m2, variance_rad2 = _within(pose.variance_m2, BEST_M, WORST_M), _within(pose.variance_rad2, BEST_RAD, WORST_RAD)
+    return Sighting(pose.x_m, pose.y_m, pose.yaw_rad, variance_m2, variance_rad2, pose.stamp_ns)
+
+
+def _within(variance: float, best: float, worst: float) -> float:
+    return min(max(variance, best**2), worst**2) if math.isfinite(variance) else worst**2
+
+
+def make_estimator(vehicle: Vehicle, model: Model, config: EstimatorConfig) -> Estimator:
+    """The observer that a configuration asks for."""
+    dead_time_s, fastest_mps = vehicle.thruster.dead_time_s, vehicle.limits.speed_mps
+    if config.kind == "kalman":
+        return KalmanEstimator(vehicle, model, config, dead_time_s, fastest_mps)
+    return Estimator(model, config, dead_time_s, fastest_mps)

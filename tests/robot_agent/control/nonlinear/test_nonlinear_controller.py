@@ -1,0 +1,221 @@
+"""Flights of the nonlinear MPC on its own model: paths, stops, driving, neighbours, and inputs that are none."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from robot_agent.control.controller import ControlOutput
+from robot_agent.control.nonlinear.nonlinear_controller import TOLD_S, NonlinearController
+from robot_agent.guidance.formation import Neighbour
+from robot_agent.guidance.obstacles import Obstacle
+from robot_agent.guidance.reference import Drive, Follow, Goal, Hold
+from robot_agent.vehicle.dynamics import Model
+from robot_agent.vehicle.estimate import PoseMeasurement, StateMeasurement
+from tests.robot_agent.control.drawn_inputs import (
+    GOAL,
+    POOL,
+    STEP_NS,
+    VEHICLE,
+    check,
+    goals,
+    measurements,
+    neighbours,
+)
+from tests.robot_agent.control.drawn_inputs import at as pose_at
+from wire.config.experiment import load_experiment
+from wire.frames import Array
+from wire.messages.live_gains import tunable_parameters, tuned
+from wire.messages.messages import Plan, Solve, Trajectory
+
+pytestmark = pytest.mark.long
+
+NMPC = load_experiment("pool", ["controller.law=nmpc"])
+DEAD_STEPS = round(VEHICLE.thruster.dead_time_s / 0.05)
+
+
+class Swimmer:
+    """A robot that is just as its model says, in water at rest or in a current, seen without noise."""
+
+    def __init__(self, pose: Sequence[float], surge_mps: float = 0.0, current: complex = 0j, **more: Any) -> None:
+        self.controller = NonlinearController(VEHICLE, NMPC.controller, NMPC.safety, **more)
+        self.model, self.current, self.k = Model(VEHICLE), current, 0
+        self.state = (*pose, surge_mps, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        self.wrenches = [np.zeros(3)] * (DEAD_STEPS + 1)
+        self.track = [np.array(self.state)]
+
+    def step(self, goal: Goal | None, others: Sequence[Neighbour] = (), obstacles: Sequence[Obstacle] = ()) -> ControlOutput:
+        x, y, z, yaw, _, _, _, r, *_ = self.state
+        seen = StateMeasurement(PoseMeasurement(self.k * STEP_NS, x, y, yaw), z, r)
+        output = self.controller.step(seen, goal, others, self.k * STEP_NS, obstacles)
+        check(output)
+        self.wrenches.append(output.wrench_delivered)
+        wrench = self.wrenches[-1 - DEAD_STEPS]
+        for _ in range(5):
+            state = self.model.advance(self.state, (0.0,) * 4, tuple(wrench), 0.01)
+            self.state = (state[0] + 0.01 * self.current.real, state[1] + 0.01 * self.current.imag, *state[2:])
+        self.track.append(np.array(self.state))
+        self.k += 1
+        return output
+
+    @property
+    def places(self) -> Array:
+        return np.array(self.track)[:, :2]
+
+
+def test_a_robot_that_starts_beside_its_path_facing_away_comes_onto_it() -> None:
+    robot = Swimmer((0.95, 0.2, 0.3, -math.pi / 2))
+    path = GOAL.trajectory
+    for k in range(400):
+        output = robot.step(Follow(path, 0.05 * k))
+        assert output.solve is Solve.SOLVED
+        if k >= 240:
+            assert output.tracking_error_m < 0.02
+
+
+def straight(speed_mps: float) -> Trajectory:
+    """A line along x from the origin on."""
+    eta, velocity = np.zeros((400, 4)), np.zeros((400, 4))
+    eta[:, 0], eta[:, 2], velocity[:, 0] = 0.05 * speed_mps * np.arange(400), 0.3, speed_mps
+    return Trajectory("straight", 0.05, eta, velocity, np.zeros((400, 4)))
+
+
+def on_the_move(speed_mps: float, ends_at_m: float, **more: Any) -> Swimmer:
+    """A robot that flies along x, and is at its speed."""
+    robot = Swimmer((-8.0 * speed_mps + ends_at_m, 0.0, 0.3, 0.0), speed_mps, **more)
+    path = straight(speed_mps)
+    path = replace(path, eta=path.eta + np.array([-8.0 * speed_mps + ends_at_m, 0.0, 0.0, 0.0]))
+    for k in range(160):
+        robot.step(Follow(path, 0.05 * k))
+    return robot
+
+
+def shortest_stop(surge_mps: float) -> float:
+    """Distance in which full reverse brings the robot to rest, as its limits allow: found by trying."""
+    model, wrench = Model(VEHICLE), 0.0
+    state: tuple[float, ...] = (*[0.0] * 4, surge_mps, *[0.0] * 6)
+    wrenches = [0.0] * (5 * DEAD_STEPS)
+    while state[4] > 0.0:
+        wrench = max(wrench - 0.01 * VEHICLE.limits.wrench_rate_per_s[0], -VEHICLE.limits.wrench[0])
+        wrenches.append(wrench)
+        state = model.advance(state, (0.0,) * 4, (wrenches[-1 - 5 * DEAD_STEPS], 0.0, 0.0), 0.01)
+    return state[0]
+
+
+@pytest.mark.parametrize("speed_mps", [0.05, 0.2, 0.35])
+def test_hold_rests_where_the_robot_can_stop_without_overshoot(speed_mps: float) -> None:
+    robot = on_the_move(speed_mps, 0.0)
+    begin, speed = robot.state[0], robot.state[4]
+    assert speed == pytest.approx(speed_mps, rel=0.1)
+    goal = Hold(np.array([begin, 0.0, 0.3, 0.0]))
+    place = robot.step(goal).eta_reference[0]
+    least = shortest_stop(speed)
+    assert least - 0.02 <= place - begin <= 2.0 * least + 0.10
+    for _ in range(300):
+        robot.step(goal)
+    assert robot.places[:, 0].max() - place < 0.02
+    assert np.hypot(robot.places[-150:, 0] - place, robot.places[-150:, 1]).max() < 0.01
+
+
+def test_hold_rests_inside_the_walls_and_clear_of_an_island() -> None:
+    robot = on_the_move(0.3, 1.1, room_m=(3.0, 9.0))
+    goal = Hold(robot.track[-1][:4])
+    place = [robot.step(goal).eta_reference for _ in range(200)][-1]
+    assert place[0] <= 1.5 - VEHICLE.radius_m - 0.06
+    assert robot.places[:, 0].max() < 1.5 - VEHICLE.radius_m
+
+    island = Obstacle(0, np.array([0.5 + 0.0j]), 0.3, 0j, 0, 0.5 + 0j, 0.0)
+    robot = on_the_move(0.3, 0.1, islands=(island,))
+    goal = Hold(robot.track[-1][:4])
+    place = [robot.step(goal).eta_reference for _ in range(200)][-1]
+    assert np.hypot(place[0] - 0.5, place[1]) >= 0.3
+    assert np.hypot(*(robot.places[-1] - place[:2])) < 0.02
+
+
+def test_a_driven_robot_follows_the_arc_and_turns_on_the_spot() -> None:
+    for surge, turn in ((0.2, 0.3), (-0.15, 0.0), (0.0, 0.8)):
+        robot = Swimmer((0.0, 0.0, 0.3, 0.0))
+        pose = np.array([0.0, 0.0, 0.3, 0.0])
+        for _ in range(160):
+            robot.step(Drive(pose.copy(), surge, 0.0, turn, 0.5))
+            pose += 0.05 * np.array([surge * math.cos(pose[3]), surge * math.sin(pose[3]), 0.0, turn])
+        off = np.array(robot.state[:4]) - pose
+        assert np.hypot(off[0], off[1]) < 0.08
+        assert abs(off[3]) < (0.6 if surge * turn else 0.2)  # in a bend it faces inwards: nothing else pushes it sideways
+
+
+def test_the_plan_that_is_told_is_the_one_that_is_flown() -> None:
+    """A start with a turn: after two seconds the robot is where it has told that it would be."""
+    robot = Swimmer((0.7, 0.1, 0.3, 0.0))
+    told = [robot.step(Follow(GOAL.trajectory, 0.05 * k)).plan_eta for k in range(160)]
+    ahead = round(2.0 / TOLD_S)
+    errors = [np.hypot(*(told[k][ahead, :2] - robot.places[k + 40])) for k in range(20, 120)]
+    assert max(errors) < 0.05 and np.median(errors) < 0.015
+    assert np.allclose(told[30][0, :2], robot.places[30], atol=0.01)
+
+
+def test_a_robot_without_thrust_tells_its_drift() -> None:
+    robot = Swimmer((0.0, 0.0, 0.3, 0.0), 0.3)
+    outputs = [robot.step(None) for _ in range(50)]
+    told = outputs[30].plan_eta  # by then the observer knows how fast it is
+    assert np.all(outputs[30].wrench == 0.0)
+    assert told[5, 0] == pytest.approx(robot.places[50, 0], abs=0.02) and robot.places[50, 0] - robot.places[30, 0] > 0.08
+
+
+def test_a_robot_in_the_way_is_kept_at_its_distance() -> None:
+    robot, near = Swimmer((0.625, 0.0, 0.3, math.pi / 2)), []
+    stay = np.tile([0.0, 0.62, 0.3, 0.0], (40, 1))  # the circle leads to within 0.4 m of it
+    for k in range(500):
+        other = Neighbour(2, k * STEP_NS, Plan(TOLD_S, stay, stay), True)
+        robot.step(Follow(GOAL.trajectory, 0.05 * k), [other])
+        near.append(np.hypot(robot.places[-1, 0], robot.places[-1, 1] - 0.62))
+    assert min(near) > 0.6
+
+
+def test_the_formation_moves_the_course_by_its_share() -> None:
+    """A neighbour that is 0.1 m off makes a robot of weight q move by q / (1 + q) of that; one with a leader moves by all."""
+    for has_leader, share in ((False, 0.15 / 1.15), (True, 1.0)):
+        robot = Swimmer((0.625, 0.0, 0.3, math.pi / 2), has_leader=has_leader)
+        meant = np.tile([3.0, 3.0, 0.3, 0.0], (40, 1))
+        for k in range(300):
+            other = Neighbour(2, k * STEP_NS, Plan(TOLD_S, meant + np.array([0.0, 0.1, 0.0, 0.0]), meant), True, True, True)
+            robot.step(Follow(GOAL.trajectory, 0.0, 0.0), [other])
+        assert robot.places[-1, 1] == pytest.approx(0.1 * share, abs=0.006)
+
+
+def test_gains_change_in_flight_without_a_leap() -> None:
+    robot = Swimmer((0.625, 0.0, 0.3, math.pi / 2))
+    keys = {p.key: p.value for p in tunable_parameters(NMPC.controller)}
+    assert "controller.nmpc.heading_m" in keys and "controller.mpc.q.0" not in keys
+    other = tuned(NMPC.controller, {"controller.nmpc.turning_m": 0.3, "controller.mpc.q_formation.0": 0.5})
+    before = None
+    for k in range(80):
+        if k == 40:
+            robot.controller.adopt_gains(robot.controller.prepare_gains(other))
+        output = robot.step(Follow(GOAL.trajectory, 0.05 * k))
+        if before is not None and k == 40:
+            assert np.abs(output.wrench - before).max() < 0.2
+        before = output.wrench
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.lists(st.tuples(measurements, goals, neighbours, st.integers(0, 3)), min_size=1, max_size=12))
+def test_no_input_makes_it_put_out_nonsense(rows: list[tuple[StateMeasurement, Goal | None, list[Neighbour], int]]) -> None:
+    """NaN, gaps, duplicates, reordering, plans of other sizes: finite, within limits, neutral when not solved."""
+    one, k = NonlinearController(VEHICLE, NMPC.controller, POOL.safety), 0
+    for measurement, goal, others, gap in rows:
+        k += gap
+        check(one.step(measurement, goal, others, k * STEP_NS))
+        check(one.step(pose_at(k), goal, others, k * STEP_NS + 1))
+
+
+def test_two_flights_are_the_same_bit_for_bit() -> None:
+    first, again = (Swimmer((0.9, 0.2, 0.3, -1.0)) for _ in range(2))
+    for k in range(60):
+        goal = Follow(GOAL.trajectory, 0.05 * k)
+        assert np.array_equal(first.step(goal).plan_eta, again.step(goal).plan_eta)

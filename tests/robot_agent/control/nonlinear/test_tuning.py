@@ -1,0 +1,71 @@
+"""Bandwidths and limits of vehicles that nobody tuned for, and the table in the docs."""
+
+import math
+from pathlib import Path
+
+import pytest
+
+from robot_agent.control.nonlinear.tuning import (
+    TILT_RAD,
+    delay_s,
+    derive,
+    formulas,
+    horizon_s,
+    planar_limits,
+    settled_deviations,
+    step_s,
+)
+from wire.config.experiment import load_experiment
+from wire.config.vehicle import Vehicle
+
+DOCS = Path(__file__).parents[4] / "docs" / "control.md"
+SPHERICAL = load_experiment("pool").vehicle
+
+
+def vehicle(*settings: str) -> Vehicle:
+    return load_experiment("pool", [f"vehicle.{setting}" for setting in settings]).vehicle
+
+
+def test_the_docs_have_the_table_of_the_formulas() -> None:
+    rows = "\n".join(f"| {' | '.join(row)} |" for row in formulas(SPHERICAL, 0.05))
+    assert rows in DOCS.read_text(encoding="utf-8"), rows
+
+
+def test_a_heavier_robot_is_slower_and_looks_farther_ahead() -> None:
+    heavy = vehicle("mass.surge_kg=40", "mass.sway_kg=40", "mass.yaw_kg_m2=1.0")
+    known = settled_deviations(2.0, 0.001)
+    light, slow = (derive(v, 0.1, known, (4.0, 2.0), 0.2) for v in (SPHERICAL, heavy))
+    assert slow.quickness == pytest.approx(light.quickness * (12.0 / 40.0) ** (1.0 / 3.0), rel=1e-6)
+    assert slow.turning < 0.6 * light.turning
+    assert horizon_s(SPHERICAL) < horizon_s(heavy) <= 12.0
+
+
+@pytest.mark.parametrize("worse", ["noise", "delay", "observer", "thrust"])
+def test_less_knowledge_makes_it_slower(worse: str) -> None:
+    good = settled_deviations(2.0, 0.001)
+    known = settled_deviations(2.0, 0.010) if worse == "noise" else good
+    if worse == "thrust":
+        known = good._replace(ratios=good.ratios._replace(thrust=0.5))
+    delay, observer = (0.4 if worse == "delay" else 0.1), (1.0 if worse == "observer" else 4.0)
+    assert (
+        derive(SPHERICAL, delay, known, (observer, 2.0), 0.0).quickness
+        < 0.7 * derive(SPHERICAL, 0.1, good, (4.0, 2.0), 0.0).quickness
+    )
+
+
+def test_surge_does_not_tilt_the_hull_too_far() -> None:
+    """Balance of moments at the limit: the thrust's and that of the mass it speeds up, against the righting moment."""
+    strong = vehicle("limits.wrench=[18,9,1.5]", "limits.wrench_rate_per_s=[18,18,6]", "thruster.max_thrust_n=2.9")
+    limits = planar_limits(strong)
+    assert strong.righting is not None
+    tilting = limits.size[0] * (strong.righting.thrusters_below_m + strong.righting.moment_nm / 9.81 / 12.0)
+    assert math.asin(tilting / strong.righting.moment_nm) == pytest.approx(TILT_RAD)
+    assert limits.rate[0] * 0.5 * strong.righting.swing_s == pytest.approx(limits.size[0])
+    assert planar_limits(SPHERICAL).size[0] == 6.0 and planar_limits(SPHERICAL).rate[0] == 6.0
+
+
+def test_light_robots_are_integrated_in_shorter_steps() -> None:
+    light = vehicle("mass.yaw_kg_m2=0.02")
+    slope = (0.08 + 2.0 * 0.10 * 1.9) / 0.02
+    assert step_s(light) == pytest.approx(1.0 / slope) and step_s(SPHERICAL) == 0.2
+    assert delay_s(SPHERICAL, 0.05, 0.1) == pytest.approx(0.05 + 0.025 + 0.03)

@@ -1,0 +1,137 @@
+"""The bank's equations against others: differences for F, a dense filter in Joseph's form, moments of a mixture."""
+
+import math
+
+import numpy as np
+import pytest
+
+from robot_agent.vehicle import filter_bank
+from robot_agent.vehicle.dynamics import Model, advance
+from robot_agent.vehicle.filter_bank import DRAG, ERRORS, GYRO, Bank, MeasuredNumber, R, X, Y
+from robot_agent.vehicle.kalman import vehicle_noise
+from wire.config.vehicle import load_vehicle
+from wire.frames import Array
+
+pytestmark = pytest.mark.long
+
+VEHICLE = load_vehicle("spherical")
+NOISE = vehicle_noise(VEHICLE)
+
+
+def random_bank(seed: int, filters: int = 3) -> Bank:
+    random = np.random.default_rng(seed)
+    root = random.standard_normal((filters, ERRORS, ERRORS)) * 0.1
+    bank = Bank(
+        water_m2ps3=np.array([1e-7, 1e-5, 1e-4])[:filters],
+        place=np.array([0.5, 0.0, 1.0])[:filters],
+        force=np.array([1.0, 1.0, 100.0])[:filters],
+        weight=random.dirichlet(np.ones(filters)),
+        mean=random.standard_normal((filters, ERRORS)) * 0.01,
+        covariance=root @ root.swapaxes(1, 2),
+        mixed=np.zeros((ERRORS, ERRORS)),
+        work=np.empty((4, ERRORS, ERRORS)),
+    )
+    bank.mean[:] -= bank.weight @ bank.mean
+    return bank
+
+
+def moved(numbers: Array, dt: float, thrust: tuple[float, float, float]) -> Array:
+    """One step of the model: x, y, yaw, u, v, r after it, for the ERRORS' own values `numbers`."""
+    model = Model(VEHICLE)
+    x, y, yaw, u, v, r, b_u, b_v, b_r, c_x, c_y, d, t, n, _ = numbers.tolist()
+    m = model.nominal.copy()
+    m[0, :2] /= math.exp(t)
+    m[1:, :2] *= math.exp(d - t)
+    m[:, 3] /= math.exp(n)
+    state = (x, y, 0.3, yaw, u, v, 0.0, r, *thrust)
+    after = advance(m, 1.0, model.lag_s, state, (b_u, b_v, 0.0, b_r), thrust, dt)
+    return np.array([after[0] + c_x * dt, after[1] + c_y * dt, after[3], after[4], after[5], after[7]])
+
+
+def test_f_is_the_derivative_of_the_step() -> None:
+    random, dt, h = np.random.default_rng(1), 1e-4, 1e-5
+    for _ in range(20):
+        numbers = random.uniform(-1.0, 1.0, ERRORS) * [1, 1, 3, 0.4, 0.3, 1, 0.05, 0.05, 0.2, 0.2, 0.2, 0.5, 0.5, 0.5, 0.01]
+        thrust = tuple(random.uniform(-1.0, 1.0, 3) * VEHICLE.limits.wrench)
+        belief, model, f = np.zeros(filter_bank.NUMBERS), Model(VEHICLE), np.empty((ERRORS, ERRORS))
+        belief[[0, 1, 3, 4, 5, 7]], belief[8:11] = numbers[:6], thrust
+        d, t, n = np.exp(numbers[DRAG:GYRO])
+        model.coefficients[0, :2] /= t
+        model.coefficients[1:, :2] *= d / t
+        model.coefficients[:, 3] /= n
+        filter_bank.linearise(model.coefficients, 1.0, belief, dt, NOISE, f)
+        differences = np.empty((6, ERRORS))
+        for j in range(ERRORS):
+            change = np.zeros(ERRORS)
+            change[j] = h
+            differences[:, j] = (moved(numbers + change, dt, thrust) - moved(numbers - change, dt, thrust)) / (2.0 * h)
+        rate, expected = (f[:6] - np.eye(6, ERRORS)) / dt, (differences - np.eye(6, ERRORS)) / dt
+        assert rate == pytest.approx(expected, abs=2e-3 * (1.0 + np.abs(expected).max()))
+
+
+@pytest.mark.parametrize("learns", [True, False])
+def test_a_filter_of_the_bank_is_the_dense_one(learns: bool) -> None:
+    """Prediction, and a pose with a yaw rate, against Joseph's form, which holds for any gain; drag's row of it is zero where
+    drag is only considered."""
+    random, bank, dt, yaw = np.random.default_rng(2), random_bank(2), 0.05, 0.7
+    f = np.eye(ERRORS) + 0.05 * random.standard_normal((ERRORS, ERRORS)) * (random.random((ERRORS, ERRORS)) < 0.2)
+    q = random.uniform(0.0, 1e-3, ERRORS)
+    p, mean = bank.covariance[2].copy(), bank.mean[2].copy()
+    filter_bank.predict(bank, 1.0, yaw, dt, f, q)
+    # water of another place: the current has grown by dc, u and v have lost it
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    g = np.zeros((ERRORS, 2))
+    g[9], g[10], g[3], g[4] = (1.0, 0.0), (0.0, 1.0), (-cos, -sin), (sin, -cos)
+    force = np.where((np.arange(ERRORS) >= 6) & (np.arange(ERRORS) < 9), 100.0, 1.0)
+    p, mean = f @ p @ f.T + np.diag(q * force) + 1e-4 * dt * g @ g.T, f @ mean
+    assert bank.covariance[2] == pytest.approx(p, abs=1e-12)
+    likelihood = 0.0
+    for measured in (
+        MeasuredNumber(X, -1, 0.02, 1e-4),
+        MeasuredNumber(Y, -1, -0.01, 1e-4),
+        MeasuredNumber(R, GYRO, 0.03, 1e-5),
+    ):
+        h = np.zeros(ERRORS)
+        h[measured.row] = 1.0
+        if measured.other >= 0:
+            h[measured.other] = 1.0
+        s, news = h @ p @ h + measured.variance, measured.error - h @ mean
+        likelihood -= 0.5 * (news**2 / s + math.log(s))
+        k = p @ h / s
+        k[DRAG] *= learns
+        mean, left = mean + k * news, np.eye(ERRORS) - np.outer(k, h)
+        p = left @ p @ left.T + measured.variance * np.outer(k, k)
+    told = sum(
+        filter_bank.correct(bank.covariance[2], bank.mean[2], m, learns, np.empty(ERRORS))
+        for m in (MeasuredNumber(X, -1, 0.02, 1e-4), MeasuredNumber(Y, -1, -0.01, 1e-4), MeasuredNumber(R, GYRO, 0.03, 1e-5))
+    )
+    assert bank.covariance[2] == pytest.approx(p, abs=1e-11) and bank.mean[2] == pytest.approx(mean, abs=1e-11)
+    assert told == pytest.approx(likelihood)
+
+
+def moments(bank: Bank) -> tuple[Array, Array]:
+    mean = bank.weight @ bank.mean
+    away = bank.mean - mean
+    return mean, np.einsum("j,jab->ab", bank.weight, bank.covariance + away[:, :, None] * away[:, None, :])
+
+
+def test_mixing_keeps_mean_and_covariance_of_the_whole() -> None:
+    bank, change = random_bank(3), np.empty(ERRORS)
+    bank.mean[:] += 0.05
+    mean, covariance = moments(bank)
+    filter_bank.merge(bank, change)
+    assert change == pytest.approx(mean) and bank.mixed == pytest.approx(covariance, abs=1e-14)
+    weight = bank.weight.copy()
+    filter_bank.interact(bank, 0.3)
+    mean, mixed = moments(bank)
+    assert mean == pytest.approx(0.0, abs=1e-14) and mixed == pytest.approx(covariance, abs=1e-14)
+    assert bank.weight == pytest.approx(0.7 * weight + 0.1)
+
+
+def test_weights_follow_the_likelihood_and_none_dies() -> None:
+    bank = random_bank(4)
+    expected = bank.weight * np.exp([0.0, -2.0, 1.0])
+    filter_bank.weigh_filters(bank, np.array([-700.0, -702.0, -699.0]))
+    assert bank.weight == pytest.approx(expected / expected.sum())
+    filter_bank.weigh_filters(bank, np.array([0.0, -1e4, 0.0]))
+    assert bank.weight[1] >= 0.9 * filter_bank.LEAST_WEIGHT and bank.weight.sum() == pytest.approx(1.0)
