@@ -24,6 +24,7 @@ LATE_SHARE = 0.5  # of the control period: the budget of a step
 DEPTH_SLACK_M = 0.3  # a pressure sensor that reads further than this outside the basin is wrong
 OUT_OF_STEP_S = 0.5  # from the fleet's timetable: at 0.25 m/s a robot is then 0.13 m from its place among the others
 CLOSE_M = 0.01  # of slack: plans that enter another robot's space by less are not reported
+DEPLOY = "give both the same code: groundstation deploy"
 LINK_WINDOW = 100  # messages: 5 s at 20 Hz
 
 
@@ -40,6 +41,7 @@ class RobotView:
     loss: float = 0.0  # share of its last messages that did not arrive
     behind_s: float = 0.0  # lag behind the fleet's timetable (groundstation/mission/timetable.py)
     other_gains: bool = False  # it has other gains than the fleet
+    other_code: str = ""  # it runs other code than the station: which, in words
 
     @property
     def mode(self) -> Mode | None:
@@ -86,6 +88,12 @@ class RobotView:
 
 
 Fleet = Mapping[int, RobotView]
+
+
+def other_code(found: str, own: str) -> str:
+    """Text about a program that runs other code than the station, `own`; empty if it runs the same. `found` is what its
+    messages say, "" of an earlier version."""
+    return f"runs {found or 'an earlier version'}, the station {own}" if found != own else ""
 
 
 @dataclass
@@ -192,11 +200,10 @@ FindingFields = Iterator[tuple[str, str, bool, str, str]]  # key, level, blocks_
 def _experiment(experiment: Experiment, seen: RobotView, state: RobotState) -> FindingFields:
     if state.experiment_hash != experiment.hash:
         text = f"has another experiment ({state.experiment_hash[:8]}, here {experiment.hash[:8]})"
-        remedy = (
-            "start its agent with this run's experiment.toml; if it has that, its code is another version, as the first lines "
-            "of both logs say (groundstation deploy)"
-        )
-        yield "experiment", "critical", True, text, remedy
+        same = "start its agent with this run's experiment.toml"
+        yield "experiment", "critical", True, text, DEPLOY if seen.other_code else same
+    if seen.other_code:
+        yield "code", "warning", False, seen.other_code, DEPLOY
 
 
 def _pose(experiment: Experiment, seen: RobotView, state: RobotState) -> FindingFields:

@@ -18,6 +18,7 @@ from wire.messages.codec import Header
 from wire.messages.messages import LocalizerStatus, Obstacles, Pose
 from wire.process.lockstep import Lockstep, LockstepClock
 from wire.process.runtime import Clock, Stop, WallClock, age_s, log, log_to_bus, run_steps, wait
+from wire.process.version import code
 from wire.toml_loader import ConfigError
 from wire.transport.bus import Bus, Received
 from wire.transport.endpoint import Endpoint
@@ -96,6 +97,7 @@ class FusionNode:
         already."""
         log_to_bus(self._bus, self._clock, topics.localizer_name(""))
         self._bus.announce(topics.localizer_name(""))
+        log.info("%s", code())
         log.info("ready, experiment %s, cameras %s", self._hash[:8], ", ".join(self._cameras))
         yield
         for _ in self._lockstep_pace(self._lockstep) if self._lockstep else self._wall_pace():
@@ -143,9 +145,14 @@ class FusionNode:
         for robot, pose in result.poses:
             self._bus.publish(topics.POSE, pose, stamp_ns, robot, age_ns=age_ns)
         self._tell_obstacles(result.distrusted)
-        status = replace(result.status, frame_age_ms=age_ns * 1e-6, obstacles_ns=self._obstacles_ns)
+        status = replace(result.status, frame_age_ms=age_ns * 1e-6, obstacles_ns=self._obstacles_ns, code=self._code())
         self._bus.publish(topics.LOCALIZER, status, stamp_ns, age_ns=age_ns)
         self._log(status, result.disagreement)
+
+    def _code(self) -> str:
+        """The code of this program, or of the first camera's localizer that runs other code."""
+        told = (view.status.code for view in self._views.values())
+        return next((found for found in told if found != code().short), code().short)
 
     def _take(self, name: str, camera: _Camera) -> tuple[int, int] | None:
         """Take a camera's newest picture. Returns its instant and stamp, None if there is no new one."""

@@ -33,6 +33,7 @@ from wire.messages.messages import CameraHealth, LocalizerStatus, Obstacles, Pos
 from wire.messages.topics import Topic
 from wire.process.lockstep import LockstepClock
 from wire.process.runtime import Clock, Failed, Stop, WallClock, age_s, log, log_to_bus, run_steps
+from wire.process.version import code
 from wire.toml_loader import ConfigError
 from wire.transport.bus import Bus, Received
 from wire.transport.endpoint import Endpoint
@@ -112,7 +113,7 @@ class LocalizerNode:
         self._localizer = FleetLocalizer(experiment, sees_all=camera == "")
         self._obstacle_detector = _make_obstacle_detector(experiment)
         self._obstacles, self._obstacles_ns = Obstacles(), -1  # the newest, and the stamp of the newest that was told
-        self._status = LocalizerStatus()
+        self._status = LocalizerStatus(code=code().short)
         self._told = dict[int, Array]()  # where robots say that they are, (3,)
         self._last_health = CameraHealth.OK
         self._failed, self._failed_in_a_row = 0, 0  # pictures
@@ -137,6 +138,7 @@ class LocalizerNode:
             stack.enter_context(closing(previews))
             log_to_bus(self._bus, self._clock, self._name)
             self._bus.announce(self._name)
+            log.info("%s", code())
             log.info("ready, experiment %s", self._hash[:8])
             if not (self._experiment.check_marks or self._experiment.landmarks):
                 say = log.warning if self._has_own_source else log.info
@@ -176,7 +178,7 @@ class LocalizerNode:
         told = tuple(robot for robot, _ in result.poses)
         status = replace(
             found, dropped=captured.dropped, frame_ms=frame_ms, frame_age_ms=age_ns * 1e-6, robots=told,
-            obstacles_ns=self._obstacles_ns, failed=self._failed,
+            obstacles_ns=self._obstacles_ns, failed=self._failed, code=code().short,
         )  # fmt: skip
         self._publish_status(status, captured.stamp_ns, age_ns)
         self._detect_obstacles(captured, result)

@@ -365,6 +365,7 @@ class AgentNode:
             step_us=step_ns * 1e-3,
             exposure_to_pwm_ms=latency_ms,
             missed_deadlines=self._pace.missed,
+            code=code().short,
             board_round_trip_ms=telemetry.round_trip_ns * 1e-6,
             board_clock_offset_s=telemetry.clock_offset_ns * 1e-9,
         )

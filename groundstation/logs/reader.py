@@ -286,6 +286,12 @@ def open_log(run: Path) -> Iterator[LogFile]:
         yield LogFile(file, path)
 
 
+def metadata_of(path: Path) -> dict[str, str]:
+    """Metadata that a log begins with: version, commit, mode and more of its run; empty if there is none. Raises OSError."""
+    found = (r.metadata for r in valid_records(path) if isinstance(r, Metadata) and r.name == RUN_METADATA)
+    return next(found, {})
+
+
 # --- the whole run in memory
 
 

@@ -20,7 +20,7 @@ from wire.messages.messages import Event, Plan, RobotState
 from wire.messages.topics import Topic
 
 # By the robot's program, not by its agent.
-MEASURED = ("step_us", "exposure_to_pwm_ms", "missed_deadlines", "board_round_trip_ms", "board_clock_offset_s")
+MEASURED = ("step_us", "exposure_to_pwm_ms", "missed_deadlines", "board_round_trip_ms", "board_clock_offset_s", "code")
 NAMED_SO = ("experiment_hash",)  # differs with any other experiment
 ANGLES = {"eta": 3, "eta_reference": 3, "eta_command": 3}  # columns that are angles
 MOST_GAPS = 5  # told one by one

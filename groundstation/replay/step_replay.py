@@ -7,12 +7,12 @@ each step names just before the step (robot_agent/rerun.py).
 import subprocess
 import threading
 from collections import OrderedDict
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import zip_longest
 from pathlib import Path
 from typing import IO
 
-from groundstation.logs.reader import LogFile, LogMessage, open_log
+from groundstation.logs.reader import LogFile, LogMessage, metadata_of, open_log
 from groundstation.replay.step_diff import StepComparison, StepOutputs, compare
 from wire import programs
 from wire.config.experiment import load_experiment
@@ -21,6 +21,8 @@ from wire.messages.codec import DecodeError, decode
 from wire.messages.messages import StepInputs
 from wire.messages.pipe import read_pipe, write_raw
 from wire.messages.topics import Topic
+from wire.process import runtime
+from wire.process.version import UNKNOWN, Code, code
 from wire.toml_loader import ConfigError
 
 KEPT = 400  # messages of one sender, 20 s: a step names one of the last few, or the last one there ever was
@@ -37,7 +39,17 @@ def rerun(run: Path, robots: Sequence[int] = (), settings: Sequence[str] = ()) -
     chosen = [experiment.robot(robot).id for robot in robots] or list(experiment.robot_ids)
     same = experiment.hash == load_experiment(str(file)).hash
     with open_log(run) as log:
-        return [_rerun_one(log, file, robot, settings, same) for robot in chosen]
+        found = [_rerun_one(log, file, robot, settings, same) for robot in chosen]
+        differ = same and any(again.differing for again in found)
+        if differ and (recorded := recorded_by_other_code(metadata_of(log.path))):
+            runtime.log.warning("%s", recorded)
+        return found
+
+
+def recorded_by_other_code(metadata: Mapping[str, str]) -> str:
+    """Text about a log that other code than this has recorded, by its metadata; empty if this has."""
+    own, recorded = code(), Code(metadata.get("version", UNKNOWN), metadata.get("commit", UNKNOWN))
+    return f"the run was recorded by {recorded.short}, this is {own.short}: steps may differ" if recorded != own else ""
 
 
 def _rerun_one(log: LogFile, experiment: Path, robot: int, settings: Sequence[str], same: bool) -> StepComparison:

@@ -25,7 +25,7 @@ from groundstation.mission.station_core import StationCore
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.prioritized_planning import OutOfTime
 from groundstation.planning.segment import PlanSegment
-from groundstation.telemetry import Fleet, FleetInboxes, LinkMonitor, blocking_findings
+from groundstation.telemetry import DEPLOY, Fleet, FleetInboxes, LinkMonitor, blocking_findings, other_code
 from groundstation.web.backend import Status
 from wire.config.experiment import Experiment
 from wire.frames import Array
@@ -34,6 +34,8 @@ from wire.messages.codec import Header
 from wire.messages.messages import Command, DriveVelocity, Order, Reply, StationHeartbeat, Trajectory
 from wire.messages.topics import WHOLE_FLEET
 from wire.process.runtime import Clock, age_s, log
+from wire.process.version import code
+from wire.security.access_control import INSECURE
 from wire.transport.bus import Bus
 from wire.transport.endpoint import PATIENT_MS
 
@@ -105,6 +107,8 @@ class Station:
     asked_s: float = 0.0  # instant of the last request (s, monotonic)
     told: str = ""
     insecure: bool = False
+    code: str = field(default_factory=lambda: code().short)  # of the station's program
+    codes_told: set[str] = field(default_factory=set)
     recorder_told: bool = False
     pictures_told: bool = False
     lock: threading.Lock = field(default_factory=threading.Lock)  # requests come from network threads
@@ -168,8 +172,20 @@ class Station:
         found = {}
         for robot in self.experiment.robot_ids:
             seen = self.heard.view(robot, self.links.setdefault(robot, LinkMonitor()), self.clock)
-            found[robot] = self.core.view(robot, seen, self.clock.now_ns())
+            other = other_code(seen.state.code, self.code) if seen.state is not None else ""
+            found[robot] = replace(self.core.view(robot, seen, self.clock.now_ns()), other_code=other)
         return found
+
+    def _lasting(self) -> dict[str, str]:
+        """Warnings by key about what is so from a program's start: an open network, a localizer with other code."""
+        texts = {"insecure": INSECURE if self.insecure else "", "localizer code": self._localizers_code()}
+        return {key: text for key, text in texts.items() if text}
+
+    def _localizers_code(self) -> str:
+        """Text about a localizer with other code than the station's; empty if there is none."""
+        localizer = self.heard.localizer.newest()
+        text = other_code(localizer.message.code, self.code) if localizer is not None else ""
+        return f"the localizer {text}" if text else ""
 
     def _around(self) -> ObstacleSet:
         """Obstacles that the localizer sees at rest; drifting ones are left to the robots, which see them too."""
@@ -305,7 +321,7 @@ class Station:
             mission.state,
             mission.reason,
             self.recorder.error,
-            self.insecure,
+            self._lasting(),
             self.tuner.status(),
             self.laps.laps(),
             blocking_findings(self.experiment, self.seen, self.starts),
@@ -316,6 +332,11 @@ class Station:
         )
 
     def _tell(self) -> None:
+        codes = {f"robot {robot} {seen.other_code}" for robot, seen in self.seen.items() if seen.other_code}
+        codes |= {self._localizers_code()} - {""}
+        for text in sorted(codes - self.codes_told):
+            log.warning("%s (%s)", text, DEPLOY)
+        self.codes_told |= codes
         if self.recorder.warning and not self.pictures_told:
             self.pictures_told = True
             log.warning("recorder: %s", self.recorder.warning)

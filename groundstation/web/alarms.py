@@ -4,14 +4,14 @@ What is amiss with a robot is decided in groundstation/telemetry.py, for preflig
 must be stopped; `warning` the run is at risk; `notice` worth a look.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 from groundstation.telemetry import Fleet, findings
 from wire.config.experiment import Experiment
 from wire.messages import topics
 from wire.messages.messages import CameraHealth, LocalizerStatus
-from wire.security.access_control import INSECURE
 
 LEVELS = ("critical", "warning", "notice")
 
@@ -37,19 +37,19 @@ def alarms(
     localizer: LocalizerStatus | None,
     localizer_age_s: float,
     recorder_error: str,
-    insecure: bool = False,
+    lasting: Mapping[str, str] = MappingProxyType({}),
     stuck_s: float = 0.0,
     simulated: bool = False,
 ) -> list[Alarm]:
     """All that is amiss, critical first. `stuck_s`: for how long the station's cycle has not run, if that is too long.
-    `simulated`: time waits for every process, so that a slow one is not late."""
+    `simulated`: time waits for every process, so that a slow one is not late. `lasting`: warnings, by key, that the station
+    itself gives."""
     found = [*_system(experiment, fleet, localizer, localizer_age_s, recorder_error)]
     if stuck_s > 0.0 and simulated:
         found.append(Alarm("notice", "stands", f"simulated time stands since {stuck_s:.0f} s: the machine is busy"))
     elif stuck_s > 0.0:
         found.append(Alarm("critical", "stuck", f"the station has sent no heartbeat for {stuck_s:.0f} s: robots hold"))
-    if insecure:
-        found.append(Alarm("warning", "insecure", INSECURE))
+    found += [Alarm("warning", key, text) for key, text in lasting.items()]
     for robot in experiment.robot_ids:
         found += [
             Alarm(finding.level, f"{robot}:{finding.key}", finding.text, robot)

@@ -22,7 +22,7 @@ class Status:
     state: MissionState
     reason: str
     recorder_error: str = ""
-    insecure: bool = False  # the network is open, as was asked for
+    lasting: Mapping[str, str] = field(default_factory=dict)  # warnings, by key, about what is so from a program's start
     tuning: GainStatus | None = None
     laps: Sequence[Lap] = ()
     preflight: tuple[Finding, ...] = ()  # why not to arm

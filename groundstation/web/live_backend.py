@@ -131,7 +131,7 @@ class LiveBackend:
                     localizer.message,
                     self._localizer_age_s(localizer),
                     status.recorder_error,
-                    status.insecure,
+                    status.lasting,
                     status.beat_age_s if status.beat_age_s > STUCK_S else 0.0,
                     self._mode == "lockstep",
                 ),

@@ -13,6 +13,7 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
+from localizer.detection.image_regions import Pixels
 from localizer.node import LocalizerNode
 from localizer.sources.base import CapturedFrame, FrameSource
 from wire.config.experiment import Experiment
@@ -30,6 +31,7 @@ _LARGEST_JITTER = 0.25  # of a period, p99; with more, the motion between frames
 _LARGEST_AGE_PERIODS = 1.5  # periods, p99: one to expose, send and decode a frame, half of one to localize in it
 _LARGEST_LOSS = 0.01  # share of frames
 _LARGEST_DRIFT = 0.1  # of the period, median
+_NO_PIXELS: Pixels = np.empty((0, 0), np.uint8)
 
 
 @dataclass(frozen=True)
@@ -107,7 +109,7 @@ class _TimedSource:
         for captured in self._source.frames(stop):
             if captured is not None:  # by our own clock: a stamp of another would be carried over, and not be known again
                 captured = replace(captured, stamp_ns=captured.instant_ns)
-                self.pictures.append(captured)
+                self.pictures.append(replace(captured, pixels=_NO_PIXELS))  # a minute of them would fill the memory
             yield captured
             if self._clock.now_ns() >= end_ns:
                 return

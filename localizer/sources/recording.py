@@ -146,6 +146,16 @@ class FrameRecorder:
                 self._file.close()
             except OSError as error:
                 self._fail(f": its end is missing: {error.strerror}")
+            if not self._frames:
+                self._remove()
+
+    def _remove(self) -> None:
+        """Remove a recording without frames: the next start, with the same folder, would be refused for it."""
+        with suppress(OSError):
+            for name in (FRAMES, EXPERIMENT):
+                (self._folder / name).unlink(missing_ok=True)
+            self._folder.rmdir()
+        log.warning("recording %s: there was no frame: removed", self._folder)
 
     def _write(self, topic: str, kind: type | None, data: bytes, stamp_ns: int) -> None:
         if topic not in self._channels:

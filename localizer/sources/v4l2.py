@@ -4,12 +4,15 @@ A thread grabs every frame, so the driver's queue never ages; the newest one win
 the buffer (V4L2's `timestamp`, seconds and microseconds of CLOCK_MONOTONIC) to CAP_PROP_POS_MSEC, valid from `grab` to the
 next `grab`; time.monotonic is the same clock. Drivers stamp the end of the frame's exposure or its start
 (`camera.stamp_marks`); with UVC cameras it is the arrival of the first data, after the exposure. OpenCV does not tell which
-clock a driver used. An impossible stamp is rejected: the arrival counts, and `localizer latency` reports it.
+clock a driver used. An impossible stamp is rejected: the arrival counts, and `localizer latency` reports it. A driver whose
+stamps have been possible once is believed however old they are: after a standstill of this process its buffers hold pictures
+from before, which no arrival may make new.
 
 Two buffers rather than one: with a single buffer the driver has none to fill while a frame is being decoded, and USB
 cameras deliver every other frame only.
 """
 
+import math
 import os
 import threading
 import time
@@ -29,7 +32,7 @@ from wire.toml_loader import ConfigError
 
 DEVICES = Path("/dev")
 RETRY_S = 1.0  # s between attempts to open a camera that is gone
-OLDEST_STAMP_NS = 1_000_000_000  # ns, largest age of a stamp; an older one is of another clock
+OLDEST_STAMP_NS = 1_000_000_000  # ns, largest age of a stamp of a clock that is not known; an older one is of another
 LONGEST_EXPOSURE_S = 0.010  # s, for a warning: a robot at 0.3 m/s smears over 3 mm in that time
 JOIN_S = 3.0
 _SELECT_TIMEOUT_S = 2  # s that a hanging camera may block the grabbing thread; OpenCV's default is 10 s
@@ -70,10 +73,10 @@ def check_device(device: str, open_device: Callable[[str], Capture] = open_captu
 
 
 def middle_of_exposure_ns(
-    driver_ns: int, arrived_ns: int, exposure_ns: int, marks: Literal["start", "end"]
+    driver_ns: int, arrived_ns: int, exposure_ns: int, marks: Literal["start", "end"], oldest_ns: float = OLDEST_STAMP_NS
 ) -> tuple[int, bool]:
     """The middle of an exposure by the monotonic clock, and True if the driver's stamp could be used."""
-    if not 0 < driver_ns <= arrived_ns <= driver_ns + OLDEST_STAMP_NS:
+    if not 0 < driver_ns <= arrived_ns <= driver_ns + oldest_ns:
         return arrived_ns - exposure_ns // 2, False
     return (driver_ns + exposure_ns // 2 if marks == "start" else driver_ns - exposure_ns // 2), True
 
@@ -127,6 +130,7 @@ class V4l2Source:
         self._device, self._camera, self._clock = device, camera, clock
         self._open, self._monotonic_ns = open_device, monotonic_ns
         self._exposure_ns = round(camera.exposure_s * 1e9)
+        self._oldest_ns: float = OLDEST_STAMP_NS
         self._newest: LatestValue[CapturedFrame] = LatestValue()
         self._closing = threading.Event()
         self._thread: threading.Thread | None = None
@@ -169,6 +173,7 @@ class V4l2Source:
     def _attempt(self) -> None:
         """Open the device and take its frames until it fails, or is closed."""
         capture = self._open(self._device)
+        self._oldest_ns = OLDEST_STAMP_NS  # it may be another camera
         try:
             if capture.isOpened():
                 self._configure(capture)
@@ -197,7 +202,10 @@ class V4l2Source:
             self._newest.put(self._captured(pixels, driver_ns, arrived_ns))
 
     def _captured(self, pixels: Any, driver_ns: int, arrived_ns: int) -> CapturedFrame:
-        middle_ns, stamped = middle_of_exposure_ns(driver_ns, arrived_ns, self._exposure_ns, self._camera.stamp_marks)
+        marks, oldest_ns = self._camera.stamp_marks, self._oldest_ns
+        middle_ns, stamped = middle_of_exposure_ns(driver_ns, arrived_ns, self._exposure_ns, marks, oldest_ns)
+        if stamped:
+            self._oldest_ns = math.inf  # its clock is ours
         now_ns, now_monotonic_ns = self._clock.now_ns(), self._monotonic_ns()
         first_row_ns = now_ns - (now_monotonic_ns - middle_ns)
         instant_ns = min(first_row_ns + round(0.5e9 * self._camera.readout_s), now_ns)

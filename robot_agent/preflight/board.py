@@ -5,7 +5,6 @@ import itertools
 import platform
 import time
 from collections.abc import Callable, Generator, Iterator
-from importlib import metadata
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +20,7 @@ from wire.mavlink.agent_link import Telemetry
 from wire.mavlink.board_port import parse_link, serial_trouble
 from wire.mavlink.signing_key import agent_end
 from wire.messages.messages import Mode
+from wire.process.version import code
 from wire.toml_loader import ConfigError
 
 REHEARSED, WARM_UP = 400, 60  # control steps: 20 s of flight
@@ -32,7 +32,7 @@ def run_preflight(
     config: AgentConfig, thrusters: Callable[[Experiment], Iterator[CheckFinding]] | None
 ) -> Iterator[CheckFinding]:
     """Run all checks, in the order of their dependence; `thrusters` turns them, None if not asked for."""
-    machine = f"shoal {metadata.version('shoal')}, Python {platform.python_version()}, {platform.machine()}"
+    machine = f"shoal {code().short}, Python {platform.python_version()}, {platform.machine()}"
     yield CheckFinding("software", CheckVerdict.OK, machine)
     experiment = None
     try:

@@ -14,6 +14,7 @@ from wire.config.experiment import load_experiment
 from wire.messages import topics
 from wire.messages.messages import CameraHealth, LocalizerStatus, Obstacles, Pose, Track
 from wire.process.runtime import Stop, WallClock
+from wire.process.version import code
 from wire.transport.bus import Bus
 from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
@@ -66,11 +67,13 @@ def test_obstacles_of_a_camera_that_is_out_are_not_told_and_renew_no_list(monkey
             if seen is not None:
                 bus.publish(topics.OBSTACLES.of_camera(camera), seen, stamp_ns)
             bus.publish(topics.POSE.of_camera(camera), POSE, stamp_ns, 1)
-            status = LocalizerStatus(CameraHealth.OK, message="moved" if moved else "", robots=(1,), moved=moved)
+            its = "0.1.0 another" if moved else code().short
+            status = LocalizerStatus(CameraHealth.OK, message="moved" if moved else "", robots=(1,), moved=moved, code=its)
             bus.publish(topics.LOCALIZER.of_camera(camera), status, stamp_ns)
         next(steps)
         fused, said = obstacles.newest(), statuses.newest()
-        assert fused is not None and said is not None and said.message.obstacles_ns == fused.header.stamp_ns
+        assert fused is not None and said is not None and said.message.code == "0.1.0 another"
+        assert said.message.obstacles_ns == fused.header.stamp_ns
         return stamp_ns - fused.header.stamp_ns, fused.message.ids, said.message
 
     later_ns, ids, status = told(SEEN)

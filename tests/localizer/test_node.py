@@ -35,6 +35,7 @@ from wire.messages.messages import CameraHealth, Frame, LocalizerStatus, Obstacl
 from wire.messages.topics import Topic
 from wire.process.lockstep import LockstepClock
 from wire.process.runtime import Clock, Failed, Stop, WallClock, log
+from wire.process.version import code
 from wire.toml_loader import ConfigError
 from wire.transport.bus import Bus, Inbox, Received
 from wire.transport.endpoint import Endpoint
@@ -270,7 +271,8 @@ def test_a_pose_carries_the_cameras_stamp_and_a_true_age(hub: tuple[Bus, Callabl
         bus.publish(topics.FRAME, Frame(pixels), stamp_ns, age_ns=40 * MS)
         assert eventually(lambda k=frames: (s := statuses.newest()) is not None and s.message.frames == k)  # type: ignore[misc]
     elapsed_ns = time.monotonic_ns() - before_ns
-    received = poses.newest()
+    received, newest = poses.newest(), statuses.newest()
+    assert newest is not None
     hour_ns = 3_600_000_000_000
     assert received is not None
     ahead_ns = hour_ns if received.header.stamp_ns == stamp_ns else 0
@@ -279,6 +281,7 @@ def test_a_pose_carries_the_cameras_stamp_and_a_true_age(hub: tuple[Bus, Callabl
     assert eventually(lambda: bool(_absent(statuses)), PATIENCE_S)
     absent = _absent(statuses)
     assert abs(absent[0].header.stamp_ns - time.time_ns() - ahead_ns) < 10_000 * MS, "by the same clock"
+    assert absent[0].message.code == newest.message.code == code().short
     assert absent[0].late_ns < 2_000 * MS, "a jump of the clock would look like a delay of an hour"
 
 

@@ -38,6 +38,7 @@ from wire.messages.messages import (
 )
 from wire.messages.topics import Qos
 from wire.process.runtime import Stop, wait
+from wire.process.version import code
 from wire.transport.bus import Bus, Inbox
 from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
@@ -72,6 +73,7 @@ def test_an_order_that_takes_the_power_away_does_not_wait_for_the_next_step(
     assert told is not None
     assert told.message.mode is {Order.STOP: Mode.STOPPED, Order.DISARM: Mode.DISARMED}[order]
     assert set(told.message.pulse_us) == {1500}
+    assert told.message.code == code().short
 
 
 def test_a_board_that_is_not_there_is_named_and_once_is_enough(

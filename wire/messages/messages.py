@@ -160,6 +160,7 @@ class LocalizerStatus:
     out: tuple[str, ...] = ()  # Of several cameras, the names of those that give no poses now.
     moved: bool = False  # Whether check marks show that the camera was moved.
     marks_seen: bool = False  # Whether most check marks are seen. Only then is a camera that was moved known to be back.
+    code: str = ""  # Version and commit of the localizer's program; empty in messages of earlier versions.
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,6 +235,7 @@ class RobotState:
     blind: str = ""  # Reason why obstacles are unknown although they should be watched for; empty if they are known.
     drag_ratio: float = 0.0  # Learned drag per mass of surge and sway, over the vehicle file's; 0 if it is not learned.
     thrust_ratio: float = 0.0  # The same of thrust per mass.
+    code: str = ""  # Version and commit of the robot's program; empty in messages of earlier versions.
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,6 +30,12 @@ class Code:
     def __str__(self) -> str:
         return f"shoal {self.version}, commit {self.commit}"
 
+    @property
+    def short(self) -> str:
+        """Version and commit in few characters, for messages."""
+        head, mark, changes = self.commit.partition("+")
+        return f"{self.version} {head[:8]}{mark}{changes}"
+
 
 @cache
 def code() -> Code:

@@ -1,8 +1,14 @@
 """Comparison by `groundstation log rerun` of a robot's steps: the log's beside the program's."""
 
+from pathlib import Path
+
 import numpy as np
 
+from groundstation.logs.reader import metadata_of
+from groundstation.logs.recorder import Recorder, run_metadata
 from groundstation.replay.step_diff import StepOutputs, compare
+from groundstation.replay.step_replay import recorded_by_other_code
+from wire.config.experiment import load_experiment
 from wire.messages import topics
 from wire.messages.codec import encode
 from wire.messages.messages import Event, Plan, RobotState
@@ -40,3 +46,11 @@ def test_a_plan_that_the_log_lost_is_named_and_is_no_difference() -> None:
     assert (again.compared, again.differing) == (6, 0)
     assert again.left_out == ("the plan of robot 1 at 0.05 s is not in the log",)
     assert not again.exact
+
+
+def test_a_log_of_other_code_is_told_of(tmp_path: Path) -> None:
+    Recorder(tmp_path / "run.mcap", "", run_metadata(load_experiment("pool"), "lockstep")).close()
+    assert recorded_by_other_code(metadata_of(tmp_path / "run.mcap")) == ""
+    told = recorded_by_other_code({"version": "0.1.0", "commit": 5 * "8289d898" + "+changed.01234567"})
+    assert told.startswith("the run was recorded by 0.1.0 8289d898+changed.01234567, this is ")
+    assert recorded_by_other_code({}).startswith("the run was recorded by unknown unknown, ")

@@ -1,5 +1,6 @@
 """The station's loop: when it acts."""
 
+import logging
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -24,13 +25,16 @@ from groundstation.planning import planner
 from groundstation.planning.segment import PlanSegment, first_segment
 from groundstation.station import process
 from groundstation.station.station import COMMAND_KINDS, MAX_UNANSWERED, Station, workers
-from groundstation.telemetry import RobotView, findings, subscribe_fleet
+from groundstation.telemetry import DEPLOY, RobotView, findings, subscribe_fleet
+from groundstation.web.alarms import alarms
 from tests.waiting import eventually
 from wire.config.experiment import Experiment, dump_experiment, load_experiment
 from wire.messages import topics
 from wire.messages.codec import Header
 from wire.messages.messages import (
+    CameraHealth,
     Command,
+    LocalizerStatus,
     Mode,
     Order,
     Outcome,
@@ -42,6 +46,7 @@ from wire.messages.messages import (
 )
 from wire.messages.topics import WHOLE_FLEET
 from wire.process.runtime import Stop, WallClock, run_steps, wait
+from wire.process.version import code
 from wire.transport.bus import Bus, Inbox
 from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
@@ -512,6 +517,32 @@ def test_a_robot_with_other_gains_than_the_fleets_is_not_armed(tmp_path: Path) -
             seen = RobotView(state=RobotState(tuning_id=own), state_age_s=0.0)
             found = findings(station.experiment, 1, station.core.view(1, seen, 0))
             assert any(finding.key == "gains" and finding.blocks_arming for finding in found) is blocks
+
+
+def test_programs_of_other_code_than_the_stations_are_named_on_the_page_and_in_the_log(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A robot of the same code, one of another, one of a version that did not say it, and a localizer of another."""
+    hub = MemoryHub()
+    with a_station(tmp_path, hub) as station, caplog.at_level(logging.WARNING, "shoal"):
+        fleet, own, told = Bus(MemoryTransport(hub)), code().short, LocalizerStatus(CameraHealth.OK, code="0.1.0 8289d898")
+        for robot, its, hash_ in ((1, own, station.experiment.hash), (2, "", "0" * 64)):
+            state = RobotState(experiment_hash=hash_, battery_v=12.0, code=its)
+            fleet.publish(topics.STATE, state, time.time_ns(), robot)
+        fleet.publish(topics.LOCALIZER, told, time.time_ns())
+        for _ in range(2):
+            station.cycle(station.clock.now_ns(), lockstep=False)
+        status = station.status()
+        seen = {robot: replace(view, state_age_s=0.0) for robot, view in status.seen.items()}  # however slow the machine is
+        found = alarms(station.experiment, seen, told, 0.0, "", status.lasting)
+        ours = [alarm.told for alarm in found if alarm.key.endswith("code")]
+        assert ours == [
+            f"the localizer runs 0.1.0 8289d898, the station {own}", f"robot 2: runs an earlier version, the station {own}",
+        ]  # fmt: skip
+        remedies = {f.key: f.remedy for f in findings(station.experiment, 2, seen[2])}
+        assert remedies["experiment"] == remedies["code"] == DEPLOY
+        said = [record.getMessage() for record in caplog.records if "runs" in record.getMessage()]
+        assert said == [f"robot 2 runs an earlier version, the station {own} ({DEPLOY})", f"{ours[0]} ({DEPLOY})"]
 
 
 def test_a_stop_does_not_wait_for_the_next_cycle(tmp_path: Path) -> None:

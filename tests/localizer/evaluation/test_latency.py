@@ -1,6 +1,7 @@
 """The latency test: its arithmetic on made-up times, and the whole command on a video."""
 
 import json
+import weakref
 from collections.abc import Iterator, Mapping
 from functools import partial
 from pathlib import Path
@@ -93,12 +94,15 @@ def test_one_picture_is_no_measurement() -> None:
 
 
 def test_the_first_pictures_and_what_was_lost_among_them_do_not_count() -> None:
-    clock, stop = HandClock(), Stop(install=False)
+    """And no picture is kept: an hour of them is 86 GB."""
+    clock, stop, kept = HandClock(), Stop(install=False), list[weakref.ref[Pixels]]()
 
     def frames() -> Iterator[CapturedFrame | None]:
         for k in range(100):
             clock.sleep(0.05)
-            yield None if k == 7 else CapturedFrame(np.zeros((4, 4), np.uint8), k, clock.ns - 9 * MS, clock.ns, 10 + k)
+            pixels = np.zeros((4, 4), np.uint8)
+            kept.append(weakref.ref(pixels))
+            yield None if k == 7 else CapturedFrame(pixels, k, clock.ns - 9 * MS, clock.ns, 10 + k)
 
     def localize(source: FrameSource, told: OnLocalized) -> None:
         """Poses are out after 2 ms, previews after 3 more."""
@@ -107,6 +111,7 @@ def test_the_first_pictures_and_what_was_lost_among_them_do_not_count() -> None:
             if captured is not None:
                 told(captured.stamp_ns, "")
                 clock.sleep(0.003)
+                assert sum(pixels() is not None for pixels in kept) <= 2
 
     found, dropped = measure(GeneratedCamera(frames()), localize, clock, 1.0)
     assert len(found) == 19 - WARM_UP - 1

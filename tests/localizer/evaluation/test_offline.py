@@ -330,8 +330,14 @@ def test_frames_that_could_not_be_read_again_are_not_recorded(tmp_path: Path) ->
     assert not list(tmp_path.iterdir())
 
 
-def test_a_recording_without_frames_is_not_the_same(tmp_path: Path) -> None:
-    FrameRecorder(tmp_path / "empty", EXPERIMENT).close()
+def test_a_recording_without_frames_is_not_kept_and_not_the_same(tmp_path: Path) -> None:
+    """A station that was not there must not cost the name of the folder. A killed process leaves one without frames."""
+    for _ in range(2):
+        FrameRecorder(tmp_path / "empty", EXPERIMENT).close()
+        assert not list(tmp_path.iterdir())
+    killed = FrameRecorder(tmp_path / "killed", EXPERIMENT)
+    (tmp_path / "killed").rename(tmp_path / "empty")
+    killed.close()
     assert "holds no frame" in str(CliRunner().invoke(cli, ["rerun", str(tmp_path / "empty")]).exception)
 
 

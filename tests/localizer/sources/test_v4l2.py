@@ -125,6 +125,31 @@ def test_the_drivers_stamp_becomes_an_instant_of_our_clock(plug: Plug) -> None:
     assert captured.arrived_ns == ours.ns
 
 
+def test_a_picture_from_before_a_standstill_is_not_new(plug: Plug) -> None:
+    """The process sleeps for 30 s; the driver's buffer holds a picture from the beginning. Another device's stamps may be of
+    another clock again."""
+    ours, clock_ns, exposed_ms = HandClock(), [3_000_020 * MS], 3_000_000.0
+    source = V4l2Source("/dev/video7", CAMERA, ours, plug.open, lambda: clock_ns[-1])
+    plug.stamp_ms = lambda: exposed_ms
+    shots, ages_ms = source.frames(Stop(install=False)), []
+    for slept_ms in (0, 30_000):
+        clock_ns.append(clock_ns[0] + slept_ms * MS)
+        plug.expose(1)
+        captured = next(shots)
+        while captured is None:
+            captured = next(shots)
+        ages_ms.append((captured.stamped, (ours.ns - captured.instant_ns) // MS))
+    assert ages_ms == [(True, 24), (True, 30_024)]
+    plug.unplug()
+    assert eventually(lambda: next(shots) is None and bool(source.trouble))
+    plug.plugged = True
+    plug.expose(1)
+    while (captured := next(shots)) is None:
+        pass
+    source.close()
+    assert not captured.stamped
+
+
 def test_the_newest_picture_of_a_camera_wins_and_the_overtaken_are_counted(plug: Plug) -> None:
     source = V4l2Source("/dev/video7", CAMERA, WallClock(), plug.open)
     shots = source.frames(Stop(install=False))
