@@ -413,9 +413,11 @@ def _hil_silence(probe: BoardProbe) -> Measured:
 
 
 def _hil_stranger(probe: BoardProbe) -> Measured:
-    """Send simulated measurements as another system."""
+    """Send simulated measurements as another system. Those of a rule before may be the last that were told."""
+    before_ms = probe.computer.telemetry.board_ms
     probe.stream(lambda: probe.motion(probe.other_simulator), 0.4)
-    return not _simulated(probe), "taken" if _simulated(probe) else "ignored"
+    taken = probe.computer.telemetry.board_ms != before_ms and _simulated(probe)
+    return not taken, "taken" if taken else "ignored"
 
 
 def _hil_battery(probe: BoardProbe) -> Measured:

@@ -99,7 +99,7 @@ def test_a_browser_that_is_cut_off_without_a_close_knows_it(browser: Browser) ->
         expect(button(page, "You have control")).to_be_visible()
 
 
-def test_what_a_slow_line_delays_is_shown_as_old(browser: Browser) -> None:
+def test_a_delay_of_the_line_counts_as_age(browser: Browser) -> None:
     """The robot speaks all the time; from its second second on, every message takes 0.7 s from the station to the page."""
     with lone_station(browser, load_experiment("pool")) as desk:
         page, slow_s = desk.page, [0.0]

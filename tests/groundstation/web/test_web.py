@@ -390,7 +390,7 @@ def test_an_edit_is_kept_under_a_new_name_only(tmp_path: Path, monkeypatch: pyte
     assert [p.name for p in (tmp_path / "experiments").iterdir()] == ["wider.toml"]
 
 
-def test_what_the_station_warns_of_is_an_alarm() -> None:
+def test_a_warning_of_the_station_is_an_alarm() -> None:
     views = {robot: RobotView() for robot in (1, 2)}
     texts = [[a.text for a in alarms(POOL, views, None, math.inf, "", lasting)] for lasting in ({}, {"insecure": INSECURE})]
     assert set(texts[1]) - set(texts[0]) == {INSECURE}

@@ -135,7 +135,7 @@ def test_an_examiner_that_is_ended_puts_everything_back() -> None:
             ended.append(True)
             raise SystemExit(143)
 
-    class Ended(BoardProbe):
+    class EndedProbe(BoardProbe):
         def pulses(self, *thrusters_off_us: float, ankle: int = IGNORED) -> bytes:
             end()
             return super().pulses(*thrusters_off_us, ankle=ankle)
@@ -143,7 +143,7 @@ def test_an_examiner_that_is_ended_puts_everything_back() -> None:
     before = bench.board.rules.parameters
     rules = [each for each in RULES if each.name in ("parameters", "range")]
     with pytest.raises(SystemExit):
-        list(examine(Ended(bench, 1), False, rules))
+        list(examine(EndedProbe(bench, 1), False, rules))
     assert ended
     assert not bench.board.armed
     assert bench.board.rules.parameters == before

@@ -364,5 +364,5 @@ def test_a_board_whose_memory_is_gone_says_so(tmp_path: Path) -> None:
     board = boards_in(folder)(POOL, 1, 1)
     folder.rmdir()
     station = Sender(STATION)
-    with pytest.raises(ConfigError, match=r"boards/robot-1\.new: No such file or directory"):
+    with pytest.raises(ConfigError, match=r"boards/robot-1\.json: No such file or directory"):
         board.receive(station.pack(dialect.MAVLink_param_set_message(1, 1, b"SLEW_US_S", 500.0, 9)), 0)

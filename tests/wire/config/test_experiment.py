@@ -260,7 +260,7 @@ def _mutants(value: object) -> Iterator[object]:
         yield from (value + 1e-6, value - 1e-6, value * 1.001)
     else:
         yield from ("rotate", "translate", "leader-follower", "virtual-structure", "daqp", "osqp", "pid", "eso-mpc")
-        yield from ("point", "trajectory", "start", "end", "h264", "2-1", "go-on", "warn", "apriltag_36h11", "other")
+        yield from ("point", "trajectory", "start", "end", "h264", "2-1", "go-on", "warn", "apriltag_36h11", "kalman", "other")
 
 
 def _hash(table: dict[str, Any]) -> str:
