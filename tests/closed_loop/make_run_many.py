@@ -65,10 +65,10 @@ def watch(browser: Browser, port: int, run: subprocess.Popen[bytes]) -> bool:
     page.set_default_timeout(PATIENCE_MS)
     clocks: set[str] = set()
     page.goto(f"http://127.0.0.1:{port}/")
-    while run.poll() is None:
+    while run.poll() is None and not page.get_by_label("End of the run").count():
         fresh = page.locator("[data-robot='1']:not(.stale)")
-        if fresh.count() and page.locator(".clock").count():
-            clocks.add(page.locator(".clock").inner_text())
+        if fresh.count() and page.locator("header .clock").count():
+            clocks.add(page.locator("header .clock").inner_text())
         page.wait_for_timeout(1000.0)
     page.context.close()
     return len(clocks) > 2
