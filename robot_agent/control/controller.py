@@ -34,7 +34,7 @@ from robot_agent.control.short_horizon import let_error_fade
 from robot_agent.guidance.formation import Formation, Neighbour, NeighbourPredictions, Priority, formation_reference
 from robot_agent.guidance.obstacles import Obstacle
 from robot_agent.guidance.reference import Drive, Follow, Goal, Hold, Reference, ReferenceSampler
-from robot_agent.guidance.velocity_obstacles import CATCH_UP_MPS, NOBODY, GiveWay, obstacle_traffic, robot_traffic
+from robot_agent.guidance.velocity_obstacles import GiveWay, traffic_near
 from robot_agent.vehicle.allocation import Allocator
 from robot_agent.vehicle.dynamics import Model
 from robot_agent.vehicle.estimate import Estimate, StateMeasurement
@@ -258,7 +258,9 @@ class Controller:
         predictions = self.formation.predict_neighbours(neighbours, now_ns)
         lead = reference
         if isinstance(goal, Follow):
-            lead = self._avoidance_path(reference, predictions, obstacles, estimate, now_ns)
+            keep_m = self.formation.clearances_m(predictions, now_ns)
+            traffic = traffic_near(estimate.eta, reference, predictions, keep_m, obstacles, self._urgent, now_ns)
+            lead = self._give_way.avoidance_path(reference, complex(*estimate.eta[:2].tolist()), traffic)
         approaching = self._approaching(goal, reference, lead, estimate, now_ns)
         if approaching is None:
             weight, command = self._command(goal, lead, predictions, estimate)
@@ -315,24 +317,6 @@ class Controller:
             wrench[axis] = min(max(min(max(asked, least), most), -limit[axis]), limit[axis])
         eta[:, 2] = plan.eta[:, 2]
         return plan._replace(wrench=wrench, eta=eta)
-
-    def _avoidance_path(
-        self,
-        reference: Reference,
-        predictions: NeighbourPredictions,
-        obstacles: Sequence[Obstacle],
-        estimate: Estimate,
-        now_ns: int,
-    ) -> Reference:
-        """Return the reference itself, or one that avoids the other robots and the obstacles."""
-        x, y, z, _ = estimate.eta.tolist()
-        traffic = NOBODY
-        if predictions.neighbours:
-            traffic = robot_traffic(predictions, self.formation.clearances_m(predictions, now_ns), z, self._urgent)
-        for obstacle in obstacles:
-            speed_mps = math.hypot(*reference.velocity[0, :2].tolist()) + CATCH_UP_MPS
-            traffic = traffic.joined(obstacle_traffic(obstacle, complex(x, y), speed_mps, now_ns))
-        return self._give_way.avoidance_path(reference, complex(x, y), traffic)
 
     def _command(
         self, goal: Goal, reference: Reference, predictions: NeighbourPredictions, estimate: Estimate

@@ -290,6 +290,24 @@ def obstacle_traffic(obstacle: Obstacle, place: complex, speed_mps: float, now_n
     )
 
 
+def traffic_near(
+    eta: Array,
+    reference: Reference,
+    predictions: NeighbourPredictions,
+    keep_m: Array,
+    obstacles: Sequence[Obstacle],
+    urgent: bool,
+    now_ns: int,
+) -> Traffic:
+    """All that a robot at `eta` (4,) may meet: the other robots, at distances (k,), and obstacles."""
+    x, y, depth_m, _ = eta.tolist()
+    traffic = robot_traffic(predictions, keep_m, depth_m, urgent) if predictions.neighbours else NOBODY
+    for obstacle in obstacles:
+        speed_mps = math.hypot(*reference.velocity[0, :2].tolist()) + CATCH_UP_MPS
+        traffic = traffic.joined(obstacle_traffic(obstacle, complex(x, y), speed_mps, now_ns))
+    return traffic
+
+
 class GiveWay:
     """The point that one robot follows, with its memory."""
 

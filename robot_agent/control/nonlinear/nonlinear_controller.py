@@ -30,7 +30,7 @@ from robot_agent.control.nonlinear.program import Iteration, PlanProblem, Weight
 from robot_agent.guidance.formation import Formation, Neighbour, NeighbourPredictions, Priority
 from robot_agent.guidance.obstacles import Obstacle
 from robot_agent.guidance.reference import Drive, Follow, Goal, Hold, Reference, ReferenceSampler, interpolate_rows
-from robot_agent.guidance.velocity_obstacles import CATCH_UP_MPS, NOBODY, GiveWay, obstacle_traffic, robot_traffic
+from robot_agent.guidance.velocity_obstacles import GiveWay, traffic_near
 from robot_agent.vehicle.allocation import Allocator
 from robot_agent.vehicle.dynamics import Model
 from robot_agent.vehicle.eso import POSE_M
@@ -162,7 +162,9 @@ class NonlinearController:
         reference = self.sampler.sample(goal if self._place is None else Hold(self._place))
         lead = reference
         if isinstance(goal, Follow):
-            lead = self._avoidance_path(reference, predictions, obstacles, estimate, now_ns)
+            keep_m = self.formation.clearances_m(predictions, now_ns)
+            traffic = traffic_near(estimate.eta, reference, predictions, keep_m, obstacles, self._urgent, now_ns)
+            lead = self._give_way.avoidance_path(reference, complex(*estimate.eta[:2].tolist()), traffic)
         led = lead
         if pull is not None and isinstance(goal, Follow):
             led = pulled(lead, np.concatenate([np.repeat(pull[:1], 2, axis=0), pull]))
@@ -279,24 +281,6 @@ class NonlinearController:
             self._depth.flight.command[:] = 0.0
             return found._replace(rounds=0)
         return found
-
-    def _avoidance_path(
-        self,
-        reference: Reference,
-        predictions: NeighbourPredictions,
-        obstacles: Sequence[Obstacle],
-        estimate: Estimate,
-        now_ns: int,
-    ) -> Reference:
-        """Return the reference itself, or one that avoids the other robots and the obstacles."""
-        x, y, z, _ = estimate.eta.tolist()
-        traffic = NOBODY
-        if predictions.neighbours:
-            traffic = robot_traffic(predictions, self.formation.clearances_m(predictions, now_ns), z, self._urgent)
-        for obstacle in obstacles:
-            speed_mps = math.hypot(*reference.velocity[0, :2].tolist()) + CATCH_UP_MPS
-            traffic = traffic.joined(obstacle_traffic(obstacle, complex(x, y), speed_mps, now_ns))
-        return self._give_way.avoidance_path(reference, complex(x, y), traffic)
 
     # --- results
 
