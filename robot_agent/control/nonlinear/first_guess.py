@@ -26,6 +26,7 @@ from robot_agent.control.nonlinear.prediction import (
     Y,
     lag_shares,
     motion,
+    step_from,
 )
 from robot_agent.control.nonlinear.program import Course, InputLimits
 from wire.frames import TURN
@@ -111,18 +112,11 @@ def guess(
             at_s = grid.time_s[k] + (j + 0.5) * step_s
             fading = (math.exp(-at_s / dynamics.water.own_fade_s), math.exp(-at_s / dynamics.water.yaw_fade_s))
             first = motion(dynamics, fading, (state[YAW], state[U], state[V], state[R]), state[SURGE:])
-            half = 0.5 * step_s
-            middle[YAW], middle[U] = state[YAW] + half * first.yaw, state[U] + half * first.u
-            middle[V], middle[R] = state[V] + half * first.v, state[R] + half * first.r
+            step_from(state, first, 0.5 * step_s, middle)
             for i in range(3):
                 middle[SURGE + i] = asked[i] + shares.half_acting * (state[SURGE + i] - asked[i])
             rates = motion(dynamics, fading, (middle[YAW], middle[U], middle[V], middle[R]), middle[SURGE:])
-            state[X] += step_s * rates.x
-            state[Y] += step_s * rates.y
-            state[YAW] += step_s * rates.yaw
-            state[U] += step_s * rates.u
-            state[V] += step_s * rates.v
-            state[R] += step_s * rates.r
+            step_from(state, rates, step_s, state)
             for i in range(SURGE, MOMENT + 1):
                 state[i] = asked[i - SURGE] + shares.acting * (state[i] - asked[i - SURGE])
         flight.command[k] = command

@@ -200,6 +200,17 @@ def lag_shares(lag_s: float, step_s: float) -> LagShares:
 
 
 @kernel(part=True)
+def step_from(state: Floats, rates: Rates, step_s: float, there: Floats) -> None:
+    """Place and velocities of a state (9,) after a step at some rates, into `there` (9,), which may be the same."""
+    there[X] = state[X] + step_s * rates.x
+    there[Y] = state[Y] + step_s * rates.y
+    there[YAW] = state[YAW] + step_s * rates.yaw
+    there[U] = state[U] + step_s * rates.u
+    there[V] = state[V] + step_s * rates.v
+    there[R] = state[R] + step_s * rates.r
+
+
+@kernel(part=True)
 def spread_tangents(
     dynamics: Dynamics, state: Floats, middle: Floats, shares: LagShares, step_s: float, reached: int, tangent: Table
 ) -> None:
@@ -254,9 +265,7 @@ def predict(dynamics: Dynamics, grid: Grid, start: Start, flight: PlannedFlight,
             fading = (math.exp(-at_s / water.own_fade_s), math.exp(-at_s / water.yaw_fade_s))
             now = (state[YAW], state[U], state[V], state[R])
             first = motion(dynamics, fading, now, state[SURGE:])
-            half = 0.5 * step_s
-            middle[YAW], middle[U] = state[YAW] + half * first.yaw, state[U] + half * first.u
-            middle[V], middle[R] = state[V] + half * first.v, state[R] + half * first.r
+            step_from(state, first, 0.5 * step_s, middle)
             for i in range(3):
                 force[i] = shares.half_acting * state[SURGE + i] + shares.half_begin * begin[i] + shares.half_end * end[i]
             rates = motion(dynamics, fading, (middle[YAW], middle[U], middle[V], middle[R]), force)
@@ -276,12 +285,7 @@ def predict(dynamics: Dynamics, grid: Grid, start: Start, flight: PlannedFlight,
                     if k > 0:
                         tangent[SURGE + axis, here - axes] += shares.begin * (1.0 - w0) + shares.end * (1.0 - w1)
                     tangent[SURGE + axis, here] += shares.begin * w0 + shares.end * w1
-            state[X] += step_s * rates.x
-            state[Y] += step_s * rates.y
-            state[YAW] += step_s * rates.yaw
-            state[U] += step_s * rates.u
-            state[V] += step_s * rates.v
-            state[R] += step_s * rates.r
+            step_from(state, rates, step_s, state)
             for i in range(3):
                 state[SURGE + i] = shares.acting * state[SURGE + i] + shares.begin * begin[i] + shares.end * end[i]
         flight.state[k] = state
