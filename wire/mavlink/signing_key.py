@@ -9,7 +9,7 @@ from pathlib import Path
 
 from wire.mavlink.agent_link import AgentLink
 from wire.mavlink.signing import KEY_BYTES, LATEST, Key, ticks
-from wire.process.output_files import replacing
+from wire.process.output_files import replace_text, replacing
 from wire.regular_files import read_regular
 from wire.secret_files import refuse_shared
 from wire.toml_loader import ConfigError
@@ -75,8 +75,7 @@ class TimestampStore:
 
     def _reserve(self, used: int, durable: bool = False) -> None:
         self._limit = used + AHEAD_TICKS
-        with replacing(self._path, durable) as file:
-            file.write(str(self._limit).encode("ascii"))
+        replace_text(self._path, str(self._limit), durable)
 
 
 def _time_in(path: Path) -> int:

@@ -97,7 +97,9 @@ class Inbox(Generic[M]):
     def store(self, header: Header, payload: bytes) -> None:
         """A message has come."""
         with self._bus.arrival:
-            sender = self._senders.setdefault(header.session, _Sender())
+            sender = self._senders.get(header.session)
+            if sender is None:
+                sender = self._senders[header.session] = _Sender()
             if header.sequence <= sender.sequence:
                 self.dropped += 1
                 return
