@@ -43,7 +43,8 @@ from wire.messages.messages import Solve
 
 AXES = (0, 2)  # surge and yaw have thrusters
 TOLD_S = 0.2  # between two poses of the plan that neighbours get, whatever the control period
-GAINS_S = 1.0  # time constant of the weights
+GAINS_S = 1.0  # time constant of the weights,
+NOISE_S = 4.0  # and of the noise that they heed: what is not known yet at a start is no noise, and ends within a second
 GOES_FIRST_S = 2.5  # a robot that goes first still keeps 2R from the others for so long: they may be unable to give way
 WALL_M = 0.02  # between a hull and a wall, in the plan
 REST_M = 0.05  # and at a place to rest
@@ -111,7 +112,7 @@ class NonlinearController:
         self._tuning: tunings.Bandwidths | None = None
         self._place: Array | None = None  # to rest at
         self._shifted = 0  # steps since the last solution
-        self._off_m = 0.0
+        self._off_m, self._noise_mps = 0.0, 0.0
         self.goal: Goal | None = None  # of the last step
 
     @property
@@ -208,6 +209,8 @@ class NonlinearController:
         if deviations is None:
             observer_radps *= estimate.pace
             deviations = tunings.settled_deviations(observer_radps, POSE_M / estimate.pace**3)
+        self._noise_mps += -math.expm1(-self._period_s / NOISE_S) * (deviations.ground_mps - self._noise_mps)
+        deviations = deviations._replace(ground_mps=self._noise_mps)
         wanted = tunings.derive(self._vehicle, self._delay_s, deviations, (observer_radps, depth_radps), self._off_m)
         if self._tuning is None:
             self._tuning = wanted
@@ -242,15 +245,15 @@ class NonlinearController:
     def _stop(self, goal: Hold, dynamics: Dynamics, start: Start, surrounds: Surrounds) -> Array:
         """The pose (4,) where the robot can come to rest, inside the walls and clear of others."""
         assert self._tuning is not None
-        problem = PlanProblem(start, self._course, self._weights(0.0), self._limits, surrounds)
+        problem = PlanProblem(start, self._course, self._weights(tunings.Manner(0.0, 0.0)), self._limits, surrounds)
         place, _ = resting_place(dynamics, self._grid, problem, self._tuning, self._vehicle.limits.speed_mps, self._drift)
         pose = goal.eta.copy()
         pose[0], pose[1] = clear_place(place, surrounds, REST_M)
         return pose
 
-    def _weights(self, turning_m: float) -> Weights:
+    def _weights(self, manner: tunings.Manner) -> Weights:
         assert self._tuning is not None
-        return tunings.planar_weights(self._vehicle, self._tuning, self._config.nmpc.arm_m, turning_m, self._config.mpc.slack)
+        return tunings.planar_weights(self._vehicle, self._tuning, self._config.nmpc.arm_m, manner, self._config.mpc.slack)
 
     def _improve(self, goal: Goal, led: Reference, dynamics: Dynamics, start: Start, surrounds: Surrounds) -> Iteration:
         """One step of the planner."""
@@ -261,7 +264,8 @@ class NonlinearController:
             led.eta, led.velocity, dynamics.water, HeadingRule(near_rad, heading_m**2, is_steered, is_resting), self._course
         )
         self._turns.note(self._course, near_rad)
-        weights = self._weights(gains.hold_turning_m if is_resting else gains.turning_m)
+        turning_m = gains.hold_turning_m if is_resting else gains.turning_m
+        weights = self._weights(tunings.Manner(turning_m, 0.0 if is_resting or is_steered else tunings.FACING_S))
         problem = PlanProblem(start, self._course, weights, self._limits, surrounds)
         calm = is_resting and self._off_m < self._calm_m
         assert self._tuning is not None

@@ -1,7 +1,7 @@
 """The optimisation: the cost of a flight, its quadratic program, and one iteration of it. Pure.
 
     J = integral |p - p_ref|^2 + a^2 w (yaw - yaw_ref)^2 + s^2 r^2 + sum rho_i (dF_i/dt)^2 dt          m^2 s
-        + T |p - p_ref + t (p' - p_ref')|^2 at the end, + sigma (deepest entry into a half-space)^2
+        + T |p - p_ref + t (p' - p_ref')|^2 + a^2 w b (yaw - yaw_ref)^2 at the end, + sigma (deepest entry into a half-space)^2
 
 Gauss-Newton about the flight there is: the Hessian is that of the squares of the linearised terms. The program is condensed:
 its unknowns are changes of the commands at the nodes, and one slack. `active_set.solve_from` solves it, from the rows that
@@ -56,6 +56,7 @@ class Weights(NamedTuple):
     turning_m2: float  # s^2, m^2 s^2/rad^2
     end_s: float  # T
     lead_s: float  # t
+    facing_s: float  # b
     entry: float  # sigma, s
 
 
@@ -165,6 +166,8 @@ def cost_of(dynamics: Dynamics, grid: Grid, problem: PlanProblem, memory: Memory
         for i in range(len(grid.axes)):
             before = problem.start.command[i] if k == 0 else flight.command[k - 1, i]
             total += weights.rate[i] * (flight.command[k, i] - before) ** 2 / span_s
+    turned = flight.state[last, YAW] - course.yaw[last]
+    total += weights.facing_s * course.yaw_weight[last] * turned * turned
     ex, ey = end_error(dynamics, problem, flight.state[last])
     return total + weights.end_s * (ex * ex + ey * ey) + weights.entry * deepest_entry(memory.rows, flight.state) ** 2
 
@@ -181,7 +184,7 @@ def add_square(weight: float, error: float, row: Floats, reached: int, program: 
 
 @kernel(part=True)
 def add_end(dynamics: Dynamics, problem: PlanProblem, flight: PlannedFlight, program: QuadraticProgram) -> None:
-    """Add the squares of the last node's error of place and velocity."""
+    """Add the squares of the last node's error of place and velocity, and of its heading."""
     last, lead_s = len(flight.state) - 1, problem.weights.lead_s
     state, slope = flight.state[last], flight.slope[last]
     cos, sin, row = math.cos(state[YAW]), math.sin(state[YAW]), program.row
@@ -193,6 +196,9 @@ def add_end(dynamics: Dynamics, problem: PlanProblem, flight: PlannedFlight, pro
     for j in range(len(row)):
         row[j] = slope[Y, j] + lead_s * (sin * slope[U, j] + cos * slope[V, j] + ahead * slope[YAW, j])
     add_square(problem.weights.end_s, ey, row, len(row), program)
+    facing = problem.weights.facing_s * problem.course.yaw_weight[last]
+    if facing > 0.0:
+        add_square(facing, state[YAW] - problem.course.yaw[last], slope[YAW], len(row), program)
 
 
 @kernel(part=True)
