@@ -33,7 +33,6 @@ from robot_agent.guidance.reference import Drive, Follow, Goal, Hold, Reference,
 from robot_agent.guidance.velocity_obstacles import GiveWay, traffic_near
 from robot_agent.vehicle.allocation import Allocator
 from robot_agent.vehicle.dynamics import Model
-from robot_agent.vehicle.eso import POSE_M
 from robot_agent.vehicle.estimate import Estimate, StateMeasurement
 from robot_agent.vehicle.kalman import make_estimator
 from wire.config.controller import ControllerConfig, Safety
@@ -48,25 +47,9 @@ NOISE_S = 4.0  # and of the noise that they heed: what is not known yet at a sta
 GOES_FIRST_S = 2.5  # a robot that goes first still keeps 2R from the others for so long: they may be unable to give way
 WALL_M = 0.02  # between a hull and a wall, in the plan
 REST_M = 0.05  # and at a place to rest
-OWN_FADE_S, YAW_FADE_S = 10.0, 3.0  # of the robot's own forces (vehicle/eso.py): thrusters that differ, ankles that settle
 TOLERANCE_M = 0.02  # mean error of a plan with which no other is looked for
 CALM = 8.0  # standard deviations: nearer to its place, a resting robot looks for no other plan
-OWN_SHARE = 0.4  # of what a pose corrects in Gamma: a force of the robot. The rest keeps its direction in the pool
 DRIVES_ON_S = 2.0  # a person goes on steering: a plan that stops with the order's age follows late
-
-
-class ForceSplit:
-    """Division of the observer's disturbance: what turns along with the robot, and what keeps its direction in the pool."""
-
-    def __init__(self) -> None:
-        self.own, self.pool = 0j, 0j
-
-    def step(self, disturbance: complex, yaw_rad: float) -> None:
-        """Take in a disturbance (body frame, m/s^2): the part of its change that no turn explains is shared out."""
-        turn = complex(math.cos(yaw_rad), math.sin(yaw_rad))
-        change = disturbance - self.own - self.pool * turn.conjugate()
-        self.own += OWN_SHARE * change
-        self.pool += (1.0 - OWN_SHARE) * change * turn
 
 
 class NonlinearController:
@@ -108,7 +91,6 @@ class NonlinearController:
         self._told_rows = np.interp(told_s, np.concatenate([[0.0], nodes_s]), np.arange(len(nodes_s) + 1.0))
         self._wrench, self._delivered = np.zeros(3), np.zeros(3)  # asked for in the last step, and what its pulses gave
         self._priority = Priority(urgent, 0.0)
-        self._forces = ForceSplit()
         self._tuning: tunings.Bandwidths | None = None
         self._place: Array | None = None  # to rest at
         self._shifted = 0  # steps since the last solution
@@ -187,30 +169,17 @@ class NonlinearController:
 
     def _dynamics(self, estimate: Estimate) -> Dynamics:
         """The model with what the observer knows by now."""
-        ahead, aside, turn = estimate.own_force.tolist()
-        own, pool, current = complex(ahead, aside), 0j, estimate.current
-        own_fade_s, yaw_fade_s = OWN_FADE_S, YAW_FADE_S
-        if estimate.deviations is None:
-            own_fade_s = yaw_fade_s = math.inf
-            if self._model.sway:
-                self._forces.step(own, estimate.eta.item(3))
-                own, pool = self._forces.own, self._forces.pool
+        current, own = estimate.current, estimate.own_force.tolist()
         hull = tunings.planar_hull(self._model.coefficients, self._model.sway, self._model.lag_s, self._step_s)
-        return Dynamics(hull, Surroundings(
-            current.real, current.imag, own.real, own.imag, turn, pool.real, pool.imag, own_fade_s, yaw_fade_s
-        ))  # fmt: skip
+        return Dynamics(hull, Surroundings(current.real, current.imag, *own))
 
     def _retune(self, estimate: Estimate) -> None:
         """Follow the bandwidths that noise and error allow."""
-        deviations, observer_radps = estimate.deviations, estimate.bandwidth_radps
+        assert estimate.deviations is not None  # the configuration allows no observer without
         depth_radps = self._config.estimator.bandwidth_radps
-        if not observer_radps:
-            observer_radps = tunings.MODEL_SHARE * depth_radps
-        if deviations is None:
-            observer_radps *= estimate.pace
-            deviations = tunings.settled_deviations(observer_radps, POSE_M / estimate.pace**3)
-        self._noise_mps += -math.expm1(-self._period_s / NOISE_S) * (deviations.ground_mps - self._noise_mps)
-        deviations = deviations._replace(ground_mps=self._noise_mps)
+        observer_radps = estimate.bandwidth_radps or tunings.MODEL_SHARE * depth_radps
+        self._noise_mps += -math.expm1(-self._period_s / NOISE_S) * (estimate.deviations.ground_mps - self._noise_mps)
+        deviations = estimate.deviations._replace(ground_mps=self._noise_mps)
         wanted = tunings.derive(self._vehicle, self._delay_s, deviations, (observer_radps, depth_radps), self._off_m)
         if self._tuning is None:
             self._tuning = wanted
@@ -275,7 +244,7 @@ class NonlinearController:
         """One step of the plan of depth."""
         assert self._tuning is not None
         hull = tunings.depth_hull(self._model.nominal, self._model.lag_s, tunings.STEP_S)
-        water = Surroundings(0.0, 0.0, estimate.disturbance.item(2), 0.0, 0.0, 0.0, 0.0, math.inf, math.inf)
+        water = Surroundings(0.0, 0.0, estimate.disturbance.item(2), 0.0, 0.0)
         set_depth_course(led.eta, led.velocity, self._depth_course)
         start = make_depth_start(estimate.action, self._wrench)
         weights = tunings.depth_weights(self._vehicle, self._tuning)

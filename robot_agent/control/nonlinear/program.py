@@ -128,8 +128,8 @@ def make_memory(axes: int) -> Memory:
 
 
 @kernel(part=True)
-def end_error(dynamics: Dynamics, problem: PlanProblem, state: Floats) -> tuple[float, float]:
-    """The last node's error of place and velocity, p - p_ref + t (p' - p_ref'), m."""
+def end_error(dynamics: Dynamics, problem: PlanProblem, state: Floats) -> tuple[float, float, float]:
+    """The last node's error of place and velocity, p - p_ref + t (p' - p_ref'), m, and that of its heading."""
     course, lead_s, last = problem.course, problem.weights.lead_s, len(problem.course.yaw) - 1
     cos, sin = math.cos(state[YAW]), math.sin(state[YAW])
     x_mps = cos * state[U] - sin * state[V] + dynamics.water.current_x_mps
@@ -137,6 +137,7 @@ def end_error(dynamics: Dynamics, problem: PlanProblem, state: Floats) -> tuple[
     return (
         state[X] - course.place[last, 0] + lead_s * (x_mps - course.velocity[last, 0]),
         state[Y] - course.place[last, 1] + lead_s * (y_mps - course.velocity[last, 1]),
+        state[YAW] - course.yaw[last],
     )
 
 
@@ -166,10 +167,9 @@ def cost_of(dynamics: Dynamics, grid: Grid, problem: PlanProblem, memory: Memory
         for i in range(len(grid.axes)):
             before = problem.start.command[i] if k == 0 else flight.command[k - 1, i]
             total += weights.rate[i] * (flight.command[k, i] - before) ** 2 / span_s
-    turned = flight.state[last, YAW] - course.yaw[last]
-    total += weights.facing_s * course.yaw_weight[last] * turned * turned
-    ex, ey = end_error(dynamics, problem, flight.state[last])
-    return total + weights.end_s * (ex * ex + ey * ey) + weights.entry * deepest_entry(memory.rows, flight.state) ** 2
+    ex, ey, turned = end_error(dynamics, problem, flight.state[last])
+    total += weights.end_s * (ex * ex + ey * ey) + weights.facing_s * course.yaw_weight[last] * turned * turned
+    return total + weights.entry * deepest_entry(memory.rows, flight.state) ** 2
 
 
 @kernel(part=True)
@@ -189,7 +189,7 @@ def add_end(dynamics: Dynamics, problem: PlanProblem, flight: PlannedFlight, pro
     state, slope = flight.state[last], flight.slope[last]
     cos, sin, row = math.cos(state[YAW]), math.sin(state[YAW]), program.row
     ahead, aside = cos * state[U] - sin * state[V], sin * state[U] + cos * state[V]
-    ex, ey = end_error(dynamics, problem, state)
+    ex, ey, turned = end_error(dynamics, problem, state)
     for j in range(len(row)):
         row[j] = slope[X, j] + lead_s * (cos * slope[U, j] - sin * slope[V, j] - aside * slope[YAW, j])
     add_square(problem.weights.end_s, ex, row, len(row), program)
@@ -198,7 +198,7 @@ def add_end(dynamics: Dynamics, problem: PlanProblem, flight: PlannedFlight, pro
     add_square(problem.weights.end_s, ey, row, len(row), program)
     facing = problem.weights.facing_s * problem.course.yaw_weight[last]
     if facing > 0.0:
-        add_square(facing, state[YAW] - problem.course.yaw[last], slope[YAW], len(row), program)
+        add_square(facing, turned, slope[YAW], len(row), program)
 
 
 @kernel(part=True)

@@ -29,10 +29,10 @@ GRAVITY_MPS2 = 9.81
 STEP_S = 0.2  # longest step of the integration; 1/slope of the drag for light robots
 TURNING_M = 0.01  # m s: turning at 1 rad/s for a second costs as much as 1 cm
 SLOW_MPS = 0.02  # through the water: slower, the heading does not matter
-FACING_S = 1000.0  # for so long and more flies stern first who does so at the horizon's end
+FACING_S = 1000.0  # for so long and longer flies stern first who does so at the horizon's end: to the path's end
 END_SHARE = 2.0  # weight at the end: that of an error which fades at the bandwidth, twice
 SLOWEST_RADPS = 0.2  # poses that say nothing for a while must not end the loop: an error then lasts 10 s
-MODEL_SHARE = 0.7  # of the bandwidth of an observer that has no covariance
+MODEL_SHARE = 0.7  # of the observer's bandwidth of depth
 
 
 class Bandwidths(NamedTuple):
@@ -63,12 +63,6 @@ def horizon_s(vehicle: Vehicle) -> float:
     turn_s = 2.0 * math.sqrt(math.pi * inertia / moment_nm) + math.pi / (2.0 * vehicle.limits.yaw_rate_radps)
     stop_s = mass * vehicle.limits.speed_mps / force_n
     return float(min(max(2.0 * (turn_s + stop_s), SHORTEST_S), LONGEST_S))
-
-
-def settled_deviations(observer_radps: float, noise_m: float) -> Deviations:
-    """Those of an observer without a covariance that has settled on poses with that noise."""
-    velocity_mps = observer_radps * noise_m
-    return Deviations(noise_m, 2.0 * noise_m, velocity_mps, velocity_mps, 0.0, 0.0, np.zeros(3), Ratios(0.0, 0.0, 0.0))
 
 
 def cube_root(rate: float, inertia: float, reach: float) -> float:
@@ -156,8 +150,9 @@ def step_s(vehicle: Vehicle) -> float:
 def formulas(vehicle: Vehicle, period_s: float) -> list[tuple[str, str, str]]:
     """Quantity, formula and value of everything above, for poses with a noise of 1.5 mm: the table of docs/control.md."""
     delay = delay_s(vehicle, period_s, vehicle.thruster.lag_s)
-    on_path = derive(vehicle, delay, settled_deviations(2.0, 0.001), (4.0, 2.0), 0.0)
-    off_path = derive(vehicle, delay, settled_deviations(2.0, 0.001), (4.0, 2.0), vehicle.radius_m)
+    usual = Deviations(0.001, 0.002, 0.002, 0.002, 0.0, 0.0, np.zeros(3), Ratios(0.0, 0.0, 0.0))
+    on_path = derive(vehicle, delay, usual, (4.0, 2.0), 0.0)
+    off_path = derive(vehicle, delay, usual, (4.0, 2.0), vehicle.radius_m)
     surge, yaw = planar_weights(vehicle, on_path, 0.2, Manner(TURNING_M, FACING_S), 1.0).rate.tolist()
     limits = planar_limits(vehicle)
     return [
