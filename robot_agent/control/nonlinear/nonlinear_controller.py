@@ -49,6 +49,7 @@ WALL_M = 0.02  # between a hull and a wall, in the plan
 REST_M = 0.05  # and at a place to rest
 TOLERANCE_M = 0.02  # mean error of a plan with which no other is looked for
 CALM = 8.0  # standard deviations: nearer to its place, a resting robot looks for no other plan
+STEEPEST_RAD = 0.5  # a hull that rights itself is not pitched farther by its thrusters: a board that says so is wrong
 DRIVES_ON_S = 2.0  # a person goes on steering: a plan that stops with the order's age follows late
 
 
@@ -95,6 +96,7 @@ class NonlinearController:
         self._place: Array | None = None  # to rest at
         self._shifted = 0  # steps since the last solution
         self._off_m, self._noise_mps = 0.0, 0.0
+        self._lift_n = 0.0  # thrust's part upwards of a hull that it pitches: 1 N at full thrust
         self.goal: Goal | None = None  # of the last step
 
     @property
@@ -115,8 +117,12 @@ class NonlinearController:
     def note_command(self, wrench: Array, delivered: Array, now_ns: int) -> None:
         """Take note of the wrench asked for and delivered, (3,) each, that really went out at `now_ns` instead of the last
         step's."""
-        self._estimator.note_wrench(delivered, now_ns)
+        self._note(wrench, delivered, now_ns)
+
+    def _note(self, wrench: Array, delivered: Array, now_ns: int) -> None:
+        """Take note of a wrench. What lifts a pitched hull takes part of its heave: observer and plan know the rest."""
         self._wrench, self._delivered = wrench, delivered
+        self._estimator.note_wrench(delivered - (0.0, self._lift_n, 0.0), now_ns)
 
     # --- one step
 
@@ -132,6 +138,9 @@ class NonlinearController:
         estimate = self._estimator.update(measurement, now_ns)
         if estimate is None or goal is None:
             return self._neutral(estimate, now_ns)
+        if self._model.sway:  # the article's model knows no tilt
+            pitch_rad = min(max(measurement.pitch_rad, -STEEPEST_RAD), STEEPEST_RAD)
+            self._lift_n = estimate.action.item(8) * math.sin(pitch_rad)
         dynamics, start = self._dynamics(estimate), make_start(estimate.action, self._wrench, AXES)
         self._take_up(goal, estimate)
         self._retune(estimate)
@@ -246,7 +255,7 @@ class NonlinearController:
         hull = tunings.depth_hull(self._model.nominal, self._model.lag_s, tunings.STEP_S)
         water = Surroundings(0.0, 0.0, estimate.disturbance.item(2), 0.0, 0.0)
         set_depth_course(led.eta, led.velocity, self._depth_course)
-        start = make_depth_start(estimate.action, self._wrench)
+        start = make_depth_start(estimate.action, self._wrench.item(1) - self._lift_n)
         weights = tunings.depth_weights(self._vehicle, self._tuning)
         problem = PlanProblem(start, self._depth_course, weights, self._depth_limits, self._open_water)
         found = step_plan(Dynamics(hull, water), self._depth_grid, problem, self._depth, self._period_s)
@@ -266,8 +275,8 @@ class NonlinearController:
         failed = self._shifted > bridged_steps(self._period_s)
         wrench = np.zeros(3) if failed else self._first_wrench(found.rounds > 0, dive.rounds > 0)
         pulses, delivered = self.allocator.neutral() if failed else self.allocator.allocate(wrench)
-        wrench_step, self._wrench, self._delivered = wrench - self._wrench, wrench, delivered
-        self._estimator.note_wrench(delivered, now_ns)
+        wrench_step = wrench - self._wrench
+        self._note(wrench, delivered, now_ns)
         told, told_reference = self._told(estimate, lead)
         error_m = float(np.linalg.norm(reference.eta[0, :3] - estimate.eta[:3]))
         self._priority = Priority(self._urgent, error_m)
@@ -309,7 +318,7 @@ class NonlinearController:
         if has_plan:
             wanted[0], wanted[2] = self._planner.flight.command[0]
         if has_depth_plan:
-            wanted[1] = self._depth.flight.command[0, 0]
+            wanted[1] = self._depth.flight.command[0, 0] + self._lift_n
         most = np.array(limits.wrench_step(self._period_s))
         change = np.clip(share * (wanted - self._wrench), -most, most)
         return np.clip(self._wrench + change, -np.array(limits.wrench), limits.wrench)
@@ -333,8 +342,8 @@ class NonlinearController:
         self._give_way.reset()
         self._depth.flight.command[:] = 0.0
         self.goal, self._place, self._off_m, self._shifted = None, None, 0.0, 0
-        wrench_step, self._wrench, self._delivered = -self._wrench, np.zeros(3), np.zeros(3)
-        self._estimator.note_wrench(np.zeros(3), now_ns)
+        wrench_step, self._lift_n = -self._wrench, 0.0
+        self._note(np.zeros(3), np.zeros(3), now_ns)
         self._priority = Priority(self._urgent, 0.0)
         if estimate is None:
             return ControlOutput.neutral(self.allocator.neutral_us, wrench_step, None, np.zeros((len(self._told_rows), 4)))

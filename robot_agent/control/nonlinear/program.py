@@ -169,7 +169,8 @@ def cost_of(dynamics: Dynamics, grid: Grid, problem: PlanProblem, memory: Memory
             total += weights.rate[i] * (flight.command[k, i] - before) ** 2 / span_s
     ex, ey, turned = end_error(dynamics, problem, flight.state[last])
     total += weights.end_s * (ex * ex + ey * ey) + weights.facing_s * course.yaw_weight[last] * turned * turned
-    return total + weights.entry * deepest_entry(memory.rows, flight.state) ** 2
+    total += weights.entry * deepest_entry(memory.rows, flight.state) ** 2
+    return total
 
 
 @kernel(part=True)
