@@ -156,7 +156,8 @@ def deepest_entry(rows: HalfPlanes, state: Table) -> float:
 def cost_of(dynamics: Dynamics, grid: Grid, problem: PlanProblem, memory: Memory) -> float:
     """J of a flight."""
     course, weights, flight = problem.course, problem.weights, memory.flight
-    total, last = 0.0, len(flight.state) - 1
+    last = len(flight.state) - 1
+    total: float = 0.0
     for k in range(last + 1):
         s = flight.state[k]
         ex, ey, turned = s[X] - course.place[k, 0], s[Y] - course.place[k, 1], s[YAW] - course.yaw[k]
