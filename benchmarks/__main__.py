@@ -24,7 +24,7 @@ BENCHMARKS = {
     "frames": ("wire.frames", "camera frames between processes of one host: network and shared memory (2 minutes)"),
     "guard": ("wire.guard", "the guard of a router with keys: there and back through it and past it"),
     "control_step": ("robot_agent.control_step", "one complete control step, closed loop, beside peers (3 minutes)"),
-    "control_growth": ("robot_agent.control_growth", "a control step with longer horizons and more neighbours"),
+    "control_growth": ("robot_agent.control_growth", "a control step with more neighbours"),
     "observer": ("robot_agent.observer", "a step of the observer that tells a current from a force, beside the ESO's"),
     "agent": ("robot_agent.agent", "a robot's program: start to ready, memory, CPU at 20 Hz (1 minute)"),
     "neighbours": (
@@ -38,10 +38,6 @@ BENCHMARKS = {
     "thrusters": (
         "robot_agent.thrusters",
         "how soon a broken thruster is noticed, and how often one that is not (10 minutes)",
-    ),
-    "horizons": (
-        "robot_agent.horizons",
-        "slow robots that begin 0.3 m off, under horizons of 10 to 100 steps, other rates and observers (10 minutes)",
     ),
     "error_budget": (
         "robot_agent.error_budget",

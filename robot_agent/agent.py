@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from robot_agent.control.controller import Controller, ControlOutput
+from robot_agent.control.any_controller import make_controller
+from robot_agent.control.controller import ControlOutput
 from robot_agent.control.live_tuning import LiveTuning, Prepared
-from robot_agent.control.nonlinear.nonlinear_controller import NonlinearController
 from robot_agent.guidance import driving
 from robot_agent.guidance.driving import Driver
 from robot_agent.guidance.formation import Neighbour
@@ -73,8 +73,7 @@ class Agent:
         self.mode = Mode.DISARMED
         self._experiment, self._me = experiment, experiment.robot(robot)
         leader = experiment.leader_of(robot)
-        law = NonlinearController if experiment.controller.law == "nmpc" else Controller
-        self.controller = law(
+        self.controller = make_controller(
             experiment.vehicle,
             experiment.controller,
             experiment.safety,

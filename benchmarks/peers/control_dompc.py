@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.robot_agent.control_peer import print_rows
+from robot_agent.control.any_controller import AnyController
 from robot_agent.control.controller import Controller
 from robot_agent.control.mpc import MpcPlan
 from robot_agent.vehicle.dynamics import State
@@ -48,7 +49,7 @@ class DoMpc:
 
     def _model(self, experiment: Experiment) -> Any:
         vehicle, estimator = experiment.vehicle, experiment.controller.estimator
-        lag_s = vehicle.thruster.lag_s if experiment.controller.mpc.model_lag else 0.0
+        lag_s = vehicle.thruster.lag_s
         model = do_mpc.model.Model("continuous")
         eta, nu = model.set_variable("_x", "eta", (4, 1)), model.set_variable("_x", "nu", (4, 1))
         acts, wrench = model.set_variable("_x", "acts", (3, 1)), model.set_variable("_x", "wrench", (3, 1))
@@ -117,8 +118,9 @@ class DoMpc:
         """Do nothing: nothing is kept."""
 
 
-def tamper(controller: Controller, experiment: Experiment) -> None:
+def tamper(controller: AnyController, experiment: Experiment) -> None:
     """do-mpc in the place of the whole optimisation."""
+    assert isinstance(controller, Controller)
     controller._law = DoMpc(experiment)
 
 

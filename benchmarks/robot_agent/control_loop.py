@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.harness import Row
-from robot_agent.control.controller import Controller
+from robot_agent.control.any_controller import AnyController, make_controller
 from robot_agent.guidance.formation import Neighbour
 from robot_agent.guidance.reference import Follow
 from robot_agent.vehicle.dynamics import Model, State
@@ -27,20 +27,9 @@ RADIUS_M, SPEED_MPS, DEPTH_M = 0.5, 0.1, 0.3
 APART_M, TOO_NEAR_M = 1.2, 0.58  # 2R is 0.6
 NOISE = (0.0015, 0.0015, 0.009, 0.002, 0.003)  # x, y, yaw, depth, yaw rate: what localizer and board have
 
-# The article's controller: one working point, no sway, no lag, the path's tangent for heading.
-ARTICLE = (
-    "controller.mpc.horizon=25",
-    f"controller.mpc.blocks={[1] * 15}",
-    "controller.mpc.r=[0.01,0.01,0.01]",
-    "controller.mpc.terminal_cost=false",
-    'controller.mpc.linearise="point"',
-    "controller.mpc.model_lag=false",
-    "controller.estimator.sway=false",
-    "controller.guidance.enabled=false",
-)
-SETTINGS = {"default": (), "article's": ARTICLE}
+SETTINGS = {"default": (), "article's": ("controller.law=eso-mpc-article",)}
 
-Tamper = Callable[[Controller, Experiment], None]
+Tamper = Callable[[AnyController, Experiment], None]
 
 
 @dataclass(frozen=True)
@@ -117,9 +106,9 @@ def fly(case: Case, steps: int, tamper: Tamper | None = None, clock: Callable[[]
     """Fly a case and time its first robot. `tamper` may change that robot's controller first."""
     experiment = case.experiment()
     vehicle, count = experiment.vehicle, case.neighbours + 1
-    model = Model(vehicle, experiment.controller.estimator.sway, experiment.controller.mpc.model_lag)
+    model = Model(vehicle, experiment.controller.estimator.sway, experiment.controller.law == "nmpc")
     paths = [circle(place, steps * STEP_S) for place in places(count, case.beside)]
-    robots = [Controller(vehicle, experiment.controller, experiment.safety) for _ in range(count)]
+    robots = [make_controller(vehicle, experiment.controller, experiment.safety) for _ in range(count)]
     if tamper is not None:
         tamper(robots[0], experiment)
     states: list[State] = [(*map(float, path.eta[0]), *(0.0,) * 7) for path in paths]

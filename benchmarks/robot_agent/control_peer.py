@@ -7,6 +7,7 @@ from dataclasses import asdict
 from typing import Any
 
 from benchmarks.robot_agent.control_loop import Case, fly
+from robot_agent.control.any_controller import AnyController
 from robot_agent.control.controller import Controller
 from robot_agent.control.qp import Solver
 from wire.config.experiment import Experiment
@@ -21,7 +22,7 @@ def case_from_stdin() -> tuple[Case, int]:
     return Case(case["setting"], case["neighbours"], case["beside"], tuple(case["more"])), task["steps"]
 
 
-def print_rows(name: str, tamper: Callable[[Controller, Experiment], None]) -> None:
+def print_rows(name: str, tamper: Callable[[AnyController, Experiment], None]) -> None:
     """Fly, and print the rows as JSON."""
     case, steps = case_from_stdin()
     flown = fly(case, steps, tamper)
@@ -29,11 +30,12 @@ def print_rows(name: str, tamper: Callable[[Controller, Experiment], None]) -> N
     print("\n" + json.dumps([asdict(row) for row in flown.rows("control_step", str(case), name)]))
 
 
-def in_place_of_ours(make: MakeSolver) -> Callable[[Controller, Experiment], None]:
+def in_place_of_ours(make: MakeSolver) -> Callable[[AnyController, Experiment], None]:
     """A tamper that solves the controller's quadratic programs with `make`'s solver."""
 
-    def tamper(controller: Controller, experiment: Experiment) -> None:
+    def tamper(controller: AnyController, experiment: Experiment) -> None:
         size = 3 * len(experiment.controller.mpc.blocks)
+        assert isinstance(controller, Controller)
         mpc: Any = controller._law
         mpc._plain_solver = make(size, 2 * size)  # it has A from the first solve on
         mpc._plain_solver.solve(mpc._p, mpc._q[:size], mpc._a, mpc._lower[: 2 * size], mpc._upper[: 2 * size])

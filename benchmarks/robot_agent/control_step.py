@@ -1,7 +1,8 @@
-"""One complete control step, closed loop, with our solvers and with peers' in their place.
+"""One complete control step, closed loop: the nonlinear MPC, and the article's linear one with our solvers and with peers'.
 
-Peers solve the very same quadratic programs (do-mpc: the same task as a nonlinear program), each in an environment of its
-own. Ours are mostly solved from the last active set; with `OSQP each step` all go to the backend, as with a peer. `first move`
+Peers solve the very same quadratic programs (do-mpc: the same task as a nonlinear program, beside which stands ours), each in
+an environment of its own. Ours of the article's setting are mostly solved
+from the last active set; with `OSQP each step` all go to the backend, as with a peer. `first move`
 is how far a solver's first move is from the exact solution of the same problem, by DAQP, in percent of the largest wrench.
 """
 
@@ -13,6 +14,7 @@ import numpy as np
 
 from benchmarks.harness import Row, run_peer
 from benchmarks.robot_agent.control_loop import Case, Flown, fly
+from robot_agent.control.any_controller import AnyController
 from robot_agent.control.controller import Controller
 from robot_agent.control.qp import Solution, Solver, make_solver
 from wire.config.experiment import Experiment
@@ -22,7 +24,7 @@ BENCHMARK = "control_step"
 STEPS, PEER_STEPS = 3000, 300
 CASES = [
     Case(setting, neighbours, beside)
-    for setting in ("article's", "default")
+    for setting in ("article's", "default")  # the linear program, and the nonlinear one
     for neighbours, beside in ((0, False), (2, False), (5, False), (2, True))
 ]
 PEER_CASES = [case for case in CASES if case.neighbours == 2 and not case.beside]
@@ -64,7 +66,8 @@ def first_moves(case: Case) -> list[float]:
     """Distance from the exact first move, percent of the largest wrench, at every control step of a flight."""
     found: list[Witness] = []
 
-    def watch(controller: Controller, experiment: Experiment) -> None:
+    def watch(controller: AnyController, experiment: Experiment) -> None:
+        assert isinstance(controller, Controller)
         mpc: Any = controller._law
         blocks, size = len(experiment.controller.mpc.blocks), 3 * len(experiment.controller.mpc.blocks)
         p_mask, a_mask = np.ones((size, size), dtype=bool), mpc._a != 0.0
@@ -77,8 +80,9 @@ def first_moves(case: Case) -> list[float]:
     return found[0].apart
 
 
-def backend_alone(controller: Controller, experiment: Experiment) -> None:
+def backend_alone(controller: AnyController, experiment: Experiment) -> None:
     """Give every problem to the backend."""
+    assert isinstance(controller, Controller)
     mpc: Any = controller._law
     mpc._plain_solver, mpc._half_space_solver = mpc._plain_solver._backend, mpc._half_space_solver._backend
     q, lower, upper = mpc._plain
@@ -88,6 +92,9 @@ def backend_alone(controller: Controller, experiment: Experiment) -> None:
 def run() -> Iterator[Row]:
     """Ours in every case, peers with two neighbours."""
     for case in CASES:
+        if case.setting == "default":
+            yield from fly(case, STEPS).rows(BENCHMARK, str(case), "ours")
+            continue
         for solver in ("osqp", "daqp"):
             flown: Flown = fly(Case(case.setting, case.neighbours, case.beside, (f'controller.mpc.solver="{solver}"',)), STEPS)
             yield from flown.rows(BENCHMARK, str(case), f"ours, {solver}")

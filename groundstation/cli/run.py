@@ -24,7 +24,6 @@ from wire.process.cli_options import (
     Settings,
     Verbose,
     WebAddress,
-    caution,
 )
 from wire.process.output_files import page_was_open, run_folder
 from wire.process.runtime import Stop, run_steps, start_log
@@ -81,7 +80,6 @@ def run(
                groundstation run pool --auto --dry-run
     """
     loaded = load_experiment(experiment, settings or ())  # before what takes a second to import: a bad one is told at once
-    caution(loaded)
 
     from groundstation.report.report import write_report
     from groundstation.station import process
@@ -181,7 +179,6 @@ def plan(experiment: ExperimentName, settings: Settings = None) -> None:
     from groundstation.planning import planner
 
     loaded = load_experiment(experiment, settings or ())
-    caution(loaded)
     trajectories = planner.plan(loaded)
     starts = planner.start_poses(loaded, trajectories)
     robots = {

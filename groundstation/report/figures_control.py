@@ -16,7 +16,7 @@ MOST_PULSE_PANELS = 6
 def inputs(series: Series) -> TimePlot:
     """Inputs that the controllers commanded; for a law without limits, dotted the input before saturation."""
     bounds = series.experiment.vehicle.limits.wrench
-    wanted = None if series.experiment.controller.law == "eso-mpc" else lambda r: r.states.wrench_wanted
+    wanted = None if series.experiment.controller.law in ("nmpc", "eso-mpc-article") else lambda r: r.states.wrench_wanted
     return _wrench(series, lambda r: r.states.wrench, bounds, "", wanted)
 
 

@@ -26,11 +26,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from robot_agent.control.approach import Approach, Approaching
 from robot_agent.control.heading import HeadingReference
 from robot_agent.control.law import Law, guidance_config, make_law
 from robot_agent.control.mpc import Mpc, MpcPlan
-from robot_agent.control.short_horizon import let_error_fade
 from robot_agent.guidance.formation import Formation, Neighbour, NeighbourPredictions, Priority, formation_reference
 from robot_agent.guidance.obstacles import Obstacle
 from robot_agent.guidance.reference import Drive, Follow, Goal, Hold, Reference, ReferenceSampler
@@ -189,7 +187,7 @@ class Controller:
             islands,
         )
         self._weight = np.array(config.mpc.q)
-        self._model = model = Model(vehicle, config.estimator.sway, config.mpc.model_lag)
+        self._model = model = Model(vehicle, config.estimator.sway, config.law != "eso-mpc-article")
         self._estimator = make_estimator(vehicle, model, config.estimator)
         steps_s = period_s * np.arange(horizon + 1, dtype=np.float64)
         nodes_s = vehicle.thruster.dead_time_s + steps_s
@@ -198,10 +196,8 @@ class Controller:
         self.formation.set_weight(self._formation_weight(config))
         self._give_way = GiveWay(vehicle, np.concatenate([[0.0], nodes_s]), period_s, room_m, islands)
         self._law: Law = make_law(vehicle, model, config, period_s, self.formation.rows)
-        self._shortness = self._law.shortness if isinstance(self._law, Mpc) else 0.0
-        self._heading = HeadingReference(vehicle, guidance_config(config), period_s, config.estimator.sway, self._shortness)
-        plans = config.guidance.enabled and config.guidance.plan_start and config.estimator.sway and not has_leader
-        self.approach = Approach(vehicle, model, config, room_m) if plans and isinstance(self._law, Mpc) else None
+        self._guided = guidance_config(config).enabled
+        self._heading = HeadingReference(vehicle, guidance_config(config), period_s, config.estimator.sway)
         self.allocator = Allocator(vehicle)
         # Plans begin at the instant of action and are told from now on: rows of the one for the other
         self._told_rows = np.interp(steps_s, np.concatenate([[0.0], nodes_s]), np.arange(horizon + 2.0))
@@ -232,8 +228,6 @@ class Controller:
         self._config, self._weight = tuned.config, np.array(tuned.config.mpc.q)
         self._estimator.tune(tuned.config.estimator)
         self._heading.tune(guidance_config(tuned.config))
-        if self.approach is not None:
-            self.approach.tune(tuned.config)
         self.formation.set_weight(self._formation_weight(tuned.config))
         if tuned.mpc is not None and isinstance(self._law, Mpc):
             tuned.mpc.take_over_plan(self._law)
@@ -261,12 +255,8 @@ class Controller:
             keep_m = self.formation.clearances_m(predictions, now_ns)
             traffic = traffic_near(estimate.eta, reference, predictions, keep_m, obstacles, self._urgent, now_ns)
             lead = self._give_way.avoidance_path(reference, complex(*estimate.eta[:2].tolist()), traffic)
-        approaching = self._approaching(goal, reference, lead, estimate, now_ns)
-        if approaching is None:
-            weight, command = self._command(goal, lead, predictions, estimate)
-            predicted_path = self._law.predicted_path(estimate.action)
-        else:
-            weight, command, predicted_path = self._weight, approaching.command, approaching.command[1:]
+        weight, command = self._command(goal, lead, predictions, estimate)
+        predicted_path = self._law.predicted_path(estimate.action)
         keep_clear = self.formation.half_spaces(
             predictions, predicted_path, self._priority, now_ns, (*self._islands, *obstacles)
         )
@@ -274,8 +264,6 @@ class Controller:
             estimate.action, estimate.disturbance, self._wrench, command[1:], weight, keep_clear, estimate.current,
             self._delivered,
         )  # fmt: skip
-        if approaching is not None and not keep_clear.binds(predicted_path):
-            plan = self._as_planned(plan, approaching)
         is_free = lead is reference and not keep_clear.binds(plan.eta)
         return self._put_out(plan, estimate, reference, lead, command, is_free, now_ns)
 
@@ -292,31 +280,6 @@ class Controller:
             self._heading.reset()
             self._give_way.reset()
             self._turns = None
-            if self.approach is not None and isinstance(goal, Follow):
-                self.approach.begin()
-
-    def _approaching(
-        self, goal: Goal, reference: Reference, lead: Reference, estimate: Estimate, now_ns: int
-    ) -> Approaching | None:
-        """Return the approach to the path, if there is one. A robot that leaves its path for others has none."""
-        if self.approach is None or not isinstance(goal, Follow):
-            return None
-        if lead is not reference:
-            self.approach.drop()
-            return None
-        return self.approach.step(goal, reference.eta, estimate, self._wrench, self._heading, now_ns)
-
-    def _as_planned(self, plan: MpcPlan, approaching: Approaching) -> MpcPlan:
-        """The approach's surge, yaw and places in the plan, within the limits."""
-        if plan.solve is not Solve.SOLVED:
-            return plan
-        limit, step = self._vehicle.limits.wrench, self._vehicle.limits.wrench_step(self._config.period_s)
-        wrench, eta = plan.wrench.copy(), approaching.command[1:].copy()
-        for axis, asked in ((0, approaching.surge_n), (2, approaching.yaw_nm)):
-            least, most = self._wrench.item(axis) - step[axis], self._wrench.item(axis) + step[axis]
-            wrench[axis] = min(max(min(max(asked, least), most), -limit[axis]), limit[axis])
-        eta[:, 2] = plan.eta[:, 2]
-        return plan._replace(wrench=wrench, eta=eta)
 
     def _command(
         self, goal: Goal, reference: Reference, predictions: NeighbourPredictions, estimate: Estimate
@@ -338,13 +301,8 @@ class Controller:
                 reference.eta, predictions.weighted_deviation, self._weight, predictions.weight, self._has_leader, command,
                 weight,
             )  # fmt: skip
-        if self._config.guidance.enabled:
+        if self._guided:
             self._heading.turn_along(command, reference, estimate.eta, estimate.nu, estimate.disturbance, estimate.current)
-            if self._shortness:
-                rate = estimate.pace * math.sqrt(self._config.guidance.position_gain_per_s2)
-                let_error_fade(
-                    reference.eta, reference.velocity, estimate.eta, rate, self._config.period_s, self._shortness, command
-                )
         return weight, self._unwound(command, estimate)
 
     def _unwound(self, command: Array, estimate: Estimate) -> Array:

@@ -40,7 +40,7 @@ def off_tangent(force: complex, direction: float, worth: float, limit_rad: float
     return min(max(angle, -limit_rad), limit_rad)
 
 
-@kernel("UniTuple(f8,2)(f8[:,::1], f8[:,::1], f8[:,::1], c16, b1, f8, f8, f8, c16, f8, f8, f8, f8, f8, f8)", part=True)
+@kernel("UniTuple(f8,2)(f8[:,::1], f8[:,::1], f8[:,::1], c16, b1, f8, f8, f8, c16, f8, f8, f8, f8, f8)", part=True)
 def headings(
     eta: Array,
     velocity: Array,
@@ -53,7 +53,6 @@ def headings(
     feedback: complex,
     worth: float,
     limit_rad: float,
-    left: float,
     keep: float,
     direction: float,
     jump: float,
@@ -63,7 +62,6 @@ def headings(
         F = m a + d(|V|) V + feedback      V = velocity - current      d = linear + quadratic |V|
 
     turned into the tangent's frame, in which `feedback` is given; without `sway` in the model F is the velocity along it.
-    Along the tangent feedback leaves half of the rest, or `left` if that is less: with it the force never reverses.
     Returns the direction of thrust and what is left of a jump: where the force reverses, so does thrust.
     """
     for k in range(len(eta)):
@@ -74,11 +72,7 @@ def headings(
             force = back * (mass * complex(acceleration[k, 0], acceleration[k, 1]) + (linear + quadratic * abs(v)) * v)
         else:
             force = complex((back * v).real, 0.0)
-        along = force.real
         force += feedback
-        least = min(0.5 * abs(along), left)
-        if least > 0.0 and math.copysign(1.0, along) * force.real < least:
-            force = complex(math.copysign(least, along), force.imag)
         if k == 0:
             if direction * force.real < -worth:
                 jump += off_tangent(force, direction, worth, limit_rad) - off_tangent(force, -direction, worth, limit_rad)
@@ -118,9 +112,8 @@ def headings_along(
     """Headings of a reference (rows, 4 each), written into `eta`, for a robot `at` (4,): `headings`, with the `correction`
     filtered.
 
-    `settings` (9,): mass, linear and quadratic drag, kp, kd, the filter's share that stays, force worth a turn, largest angle,
-    force along the path that feedback leaves. kp, kd and the filter are those of a robot at rest: a fast one has them QUICKER,
-    if there is sway in the model.
+    `settings` (8,): mass, linear and quadratic drag, kp, kd, the filter's share that stays, force worth a turn, largest angle.
+    kp, kd and the filter are those of a robot at rest: a fast one has them QUICKER, if there is sway in the model.
     `memory` (5,) is written: the filtered correction x, y; direction of thrust; rest of a jump; 1 until the first call, which
     takes what is not slight as it is: from zero on, a robot 0.15 m off first turned away. The correction is filtered in the
     tangent's frame: what feeds back in a bend, model errors above all, turns with it. Slight news is mostly noise, and where
@@ -149,16 +142,15 @@ def headings_along(
     memory[0], memory[1], memory[4] = asked.real, asked.imag, 0.0
     memory[2], memory[3] = headings(
         eta, velocity, acceleration, current, sway, mass, settings[1], settings[2], asked, settings[6], settings[7],
-        settings[8], keep, memory[2], memory[3],
+        keep, memory[2], memory[3],
     )  # fmt: skip
 
 
 class HeadingReference:
     """One robot's reference heading, with its memory: filtered request, direction of thrust, rest of a jump."""
 
-    def __init__(self, vehicle: Vehicle, config: GuidanceConfig, period_s: float, sway: bool, shortness: float = 0.0) -> None:
-        """`shortness`: of the horizon that follows the heading (short_horizon.py)."""
-        self._sway, self._period_s, self._shortness = sway, period_s, shortness
+    def __init__(self, vehicle: Vehicle, config: GuidanceConfig, period_s: float, sway: bool) -> None:
+        self._sway, self._period_s = sway, period_s
         self._mass = vehicle.mass.surge_kg
         self._linear, self._quadratic = vehicle.drag.linear[1], vehicle.drag.quadratic[1]
         self._per_force = 1.0 if sway else 1.0 / vehicle.drag.linear[0]
@@ -172,7 +164,7 @@ class HeadingReference:
         worth = config.turning_force_n * self._per_force
         self._settings = np.array((
             self._mass, self._linear, self._quadratic, config.position_gain_per_s2, config.velocity_gain_per_s, self._keep,
-            worth, config.max_correction_rad, self._shortness * worth,
+            worth, config.max_correction_rad,
         ))  # fmt: skip
 
     def adapt(self, model: Array, pace: float) -> None:
@@ -184,10 +176,10 @@ class HeadingReference:
         self._settings[3], self._settings[4] = config.position_gain_per_s2 * pace**2, config.velocity_gain_per_s * pace
         self._keep = self._settings[5] = math.exp(-pace * self._period_s / config.filter_s)
 
-    def reset(self, on_path: bool = False) -> None:
-        """Start anew, from the goal's own heading. `on_path`: the first request is filtered as all later ones are."""
+    def reset(self) -> None:
+        """Start anew, from the goal's own heading."""
         # filtered request x, y; thrust ahead 1, astern -1; rest of a jump; 1: nothing yet
-        self._memory = np.array((0.0, 0.0, 1.0, 0.0, 0.0 if on_path else 1.0))
+        self._memory = np.array((0.0, 0.0, 1.0, 0.0, 1.0))
         self._hold_yaw: float | None = None
 
     def turn_along(
@@ -198,16 +190,6 @@ class HeadingReference:
         headings_along(
             command, reference.velocity, reference.acceleration, eta, nu, disturbance[1], current, self._sway, self._settings,
             self._memory,
-        )  # fmt: skip
-
-    def turn_along_path(
-        self, eta: Array, velocity: Array, acceleration: Array, disturbance: Array, current: complex = 0j
-    ) -> None:
-        """Turn poses on a path (rows, 4), with its motion (rows, 4 each), as for a robot that is on it. The memory stays."""
-        ahead = complex(math.cos(eta[0, 3]), -math.sin(eta[0, 3])) * complex(velocity[0, 0], velocity[0, 1])
-        headings_along(
-            eta, velocity, acceleration, eta[0].copy(), np.array((ahead.real, ahead.imag, 0.0, 0.0)), disturbance[1], current,
-            self._sway, self._settings, np.array((0.0, 0.0, 1.0, 0.0, 1.0)),
         )  # fmt: skip
 
     def heading_on_hold(self, reference: Reference, eta: Array, nu: Array, disturbance: Array, current: complex = 0j) -> Array:

@@ -1,4 +1,4 @@
-"""Control laws: from estimate and reference to a wrench and a plan. One of them is the ESO-MPC."""
+"""Control laws with which the nonlinear MPC is compared: from estimate and reference to a wrench and a plan."""
 
 import importlib
 from collections.abc import Callable
@@ -49,7 +49,9 @@ class Law(Protocol):
 
 def guidance_config(config: ControllerConfig) -> GuidanceConfig:
     """Settings of the heading for a law: the correction gain depends on the heading loop."""
-    if config.law == "eso-mpc" or ":" in config.law:
+    if config.law == "eso-mpc-article":  # its heading is the path's tangent
+        return config.guidance.model_copy(update={"enabled": False})
+    if ":" in config.law:
         return config.guidance
     gain = getattr(config, config.law.replace("-", "_")).guidance_per_s2
     return config.guidance.model_copy(update={"position_gain_per_s2": gain})
@@ -57,7 +59,7 @@ def guidance_config(config: ControllerConfig) -> GuidanceConfig:
 
 def make_law(vehicle: Vehicle, model: Model, config: ControllerConfig, period_s: float, rows: int) -> Law:
     """Build the law named in the settings. `rows` is the largest number of half-spaces."""
-    if config.law == "eso-mpc":
+    if config.law == "eso-mpc-article":
         return Mpc(vehicle, model, config.mpc, period_s, rows)
     if ":" in config.law:
         law = _own(config.law)(vehicle, model, config, period_s)

@@ -1,6 +1,6 @@
 """Linearised model over the horizon: poses at all nodes as an affine function of the wrenches to come (17-25, 33, condensed).
 
-The model of dynamics.py, linearised along a nominal trajectory (eta0, nu0), each node around its own point. Every quantity is
+The model of dynamics.py, linearised around the present state (eta0, nu0) at every node: the article's. Every quantity is
 
     free response + sum over blocks j of (response to a unit of block j) x (wrench of block j)
 
@@ -17,12 +17,12 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_agent.control.short_horizon import HEAVE, YAW, add_terminal_cost
 from robot_agent.guidance.formation import HalfSpaces, Places
 from robot_agent.vehicle.dynamics import Model, State
 from wire.frames import Array
 from wire.kernels import kernel
 
+HEAVE, YAW = 2, 3  # axes in eta and nu
 TINY_MPS = 1e-12  # keeps 0/0 out
 
 
@@ -285,23 +285,10 @@ def superpose(b: Array, x: Array, y: Array, z: Array, yaw: Array, out: Array) ->
         out[k, 0], out[k, 1], out[k, 2], out[k, 3] = at_x, at_y, at_z, at_yaw
 
 
-@kernel("void(f8[:,:,::1])")
-def shift(nominal: Array) -> None:
-    """Move the nominal trajectory on by one step; its last node stands twice."""
-    for rows in nominal:
-        for k in range(len(rows) - 1):
-            for c in range(4):
-                rows[k, c] = rows[k + 1, c]
-
-
-@kernel("void(f8[::1], f8[:,:,::1], f8[:,:,::1], f8[:,:,::1], f8[:,::1])")
-def follow_plan(b: Array, planar: Array, axial: Array, nominal: Array, eta: Array) -> None:
-    """Poses `eta` (nodes, 4) under the blocks `b` (3 blocks,). Moved on by one step they are the nominal trajectory of the
-    next linearisation."""
+@kernel("void(f8[::1], f8[:,:,::1], f8[:,:,::1], f8[:,::1])")
+def follow_plan(b: Array, planar: Array, axial: Array, eta: Array) -> None:
+    """Poses `eta` (nodes, 4) under the blocks `b` (3 blocks,)."""
     superpose(b, planar[0], planar[1], axial[0], axial[1], eta)
-    superpose(b, planar[2], planar[3], axial[2], axial[3], nominal[1])
-    nominal[0, :, :] = eta
-    shift(nominal)
 
 
 class Prediction:
@@ -315,7 +302,6 @@ class Prediction:
             np.zeros((2, nodes, 4)), np.zeros((4, nodes, 2 * n + 1)), np.zeros((4, nodes, n + 1))
         )  # fmt: skip
         self.eta, self.nu = self._nominal  # the nominal trajectory
-        self._along = np.zeros(2 * n + 1)
         self.x, self.y, self.z, self.yaw = (*self._planar[:2], *self._axial[:2])
         left, mean = model.lag(period_s)
         self._fading: Array = mean * np.power(
@@ -329,12 +315,8 @@ class Prediction:
             thrust = commanded + (thrust - commanded) * left
 
     def restart(self, state: State | Array) -> None:
-        """Forget the nominal trajectory: linearise around this state at every node."""
+        """Linearise around this state at every node."""
         self.eta[:], self.nu[:] = state[:4], state[4:8]
-
-    def shift(self) -> None:
-        """Move the nominal trajectory on by one step."""
-        shift(self._nominal)
 
     def linearise_and_condense(
         self,
@@ -357,25 +339,6 @@ class Prediction:
             self._fading, self._planar, self._axial, reference, weight, smooth, r, p, q,
         )  # fmt: skip
 
-    def add_terminal_cost(
-        self,
-        asked: Array,
-        delivered: Array,
-        disturbance: Array,
-        current: complex,
-        reference: Array,
-        weight: Array,
-        r: Array,
-        share: float,
-        p: Array,
-        q: Array,
-    ) -> None:
-        """Add to the cost that was written what the errors at the last node go on to cost: see the kernel."""
-        add_terminal_cost(
-            self._model, self._dt, asked, delivered, disturbance, current, self._nominal, self._planar, self._axial, reference,
-            weight, r, share, self._along, p, q,
-        )  # fmt: skip
-
     def half_space_rows(self, keep_clear: HalfSpaces, a: Array, lower: Array) -> None:
         """Write the rows (36) over all blocks and the slack into `a` (most, 3 blocks + 1) and their bounds into `lower`
         (most,)."""
@@ -383,8 +346,7 @@ class Prediction:
         half_space_rows(self._planar, keep_clear.node, keep_clear.normal, keep_clear.offset, give, a, lower)
 
     def follow_plan(self, blocks: Array) -> Array:
-        """Poses (nodes, 4) under the blocks (3 blocks,), surge, yaw, heave. The next linearisation is along them, moved on by
-        one step."""
+        """Poses (nodes, 4) under the blocks (3 blocks,), surge, yaw, heave."""
         eta = np.empty(self.eta.shape)
-        follow_plan(blocks, self._planar, self._axial, self._nominal, eta)
+        follow_plan(blocks, self._planar, self._axial, eta)
         return eta

@@ -6,8 +6,8 @@ steps, never within one. Pure: time is an argument.
 
 from dataclasses import dataclass
 
-from robot_agent.control.controller import Controller, GainSet
-from robot_agent.control.nonlinear.nonlinear_controller import NonlinearController
+from robot_agent.control.any_controller import AnyController
+from robot_agent.control.controller import GainSet
 from wire.config.controller import ControllerConfig
 from wire.messages.live_gains import of_message, tuning
 from wire.messages.messages import Command, Order
@@ -29,7 +29,7 @@ class Adoption:
 class LiveTuning:
     """The controller's present gains, and the set that is prepared."""
 
-    def __init__(self, controller: Controller | NonlinearController, config: ControllerConfig) -> None:
+    def __init__(self, controller: AnyController, config: ControllerConfig) -> None:
         self.id = tuning(config).id
         self._controller, self._config = controller, config
         self._ready: tuple[str, GainSet] | None = None

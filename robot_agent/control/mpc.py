@@ -4,8 +4,7 @@ Unknowns, channel by channel, planar ones first: surge blocks, yaw blocks, heave
 halved: ||eta - reference||^2_W over the nodes, ||change between blocks||^2_R, slack. Rows: bounds (39) on every block, bounds
 (40) on every change, half-spaces that keep other robots away (36).
 
-Each plan is the trajectory the next step linearises along (`linearise = "trajectory"`), so that one solve per control step
-suffices; `"point"` is the article's single working point.
+The article's law, for comparison: the model is linearised around the present state, once a control step.
 """
 
 from typing import NamedTuple
@@ -17,7 +16,6 @@ from scipy.linalg import block_diag
 from robot_agent.control.active_set import NO_BOUND
 from robot_agent.control.linearisation import Prediction
 from robot_agent.control.qp import Solution, Solver, make_solver
-from robot_agent.control.short_horizon import shortness
 from robot_agent.guidance.formation import HalfSpaces
 from robot_agent.vehicle.dynamics import Model, State
 from wire.config.controller import MpcConfig
@@ -75,12 +73,9 @@ class Mpc:
         self._config, self._n = config, len(config.blocks)
         self._limit, self._step_limit = np.array(vehicle.limits.wrench), np.array(vehicle.limits.wrench_step(period_s))
         self._prediction = Prediction(model, period_s, config.horizon, config.blocks)
-        # share of what a short horizon does not see (short_horizon.py)
-        self.shortness = shortness(period_s * config.horizon) if config.terminal_cost else 0.0
         n, size = self._n, 3 * self._n
         self._blocks = np.zeros(size)  # of the last good plan
         self._shifted, self._most_shifted = 0, bridged_steps(period_s)
-        self._fresh = True
         ends = np.cumsum(config.blocks)
         block = np.minimum(np.searchsorted(ends, np.arange(self._most_shifted + 1), side="right"), n - 1)
         self._unknowns = block[:, None] + n * np.array([0, 2, 1])  # (steps, 3) where each step's wrench is among the unknowns
@@ -126,21 +121,18 @@ class Mpc:
 
     def reset(self) -> None:
         """Forget the last plan: until the next solution, for a few steps at most, the thrusters stay off."""
-        self._fresh, self._shifted = True, 0
+        self._shifted = 0
         self._blocks = np.zeros(3 * self._n)
 
     def take_over_plan(self, other: "Mpc") -> None:
         """Take over the plan of an MPC with other weights, and nothing else of it."""
-        self._prediction, self._fresh, self._shifted = other._prediction, other._fresh, other._shifted
+        self._prediction, self._shifted = other._prediction, other._shifted
         self._blocks, self._multipliers = other._blocks, other._multipliers
         self._plain_solver.warm_start(self._blocks, self._multipliers)
 
     def predicted_path(self, state: State | Array) -> Array:
-        """Return the poses (horizon + 1, 4) around which the coming plan is linearised: the last plan moved on by one step, or
-        `state`."""
-        if self._fresh or self._config.linearise == "point":
-            self._prediction.restart(state)
-            self._fresh = False
+        """Return the poses (horizon + 1, 4) around which the coming plan is linearised: those of `state`."""
+        self._prediction.restart(state)
         return self._prediction.eta
 
     def plan(
@@ -184,11 +176,6 @@ class Mpc:
         self._prediction.linearise_and_condense(
             state, asked, delivered, disturbance, current, reference, weight, self._smooth, self._r, self._p, self._plain[0]
         )
-        if self.shortness:
-            r = self._r + RIDGE
-            self._prediction.add_terminal_cost(
-                asked, delivered, disturbance, current, reference, weight, r, self.shortness, self._p, self._plain[0]
-            )
 
     def _qp_plain(self) -> Solution:
         """Solve without half-spaces."""
@@ -221,5 +208,4 @@ class Mpc:
             self._shifted = self._most_shifted
             return MpcPlan(np.zeros(3), eta, Solve.FAILED, iterations, 0.0)
         self._shifted += 1
-        self._prediction.shift()
         return MpcPlan(self._step_of_plan(self._shifted, wrench), eta, Solve.SHIFTED, iterations, 0.0)

@@ -50,8 +50,8 @@ def compare(
     --jobs. Exit code 0 if everything was flown, 1 if not, 2 for a configuration that cannot be.
 
     Examples:  sim-bridge compare numeric-disturbed --scatter 0.5
-               sim-bridge compare pool --laws eso-mpc,lqr,mpc-leader-follower --seeds 1-5 --set sim.numeric.pose_noise_m=0.0015
-               PYTHONPATH=. sim-bridge compare numeric --laws eso-mpc,ownlaw:Pd --set "controller.own=[2.0, 6.0]"
+               sim-bridge compare pool --laws nmpc,lqr,nmpc-leader-follower --seeds 1-5 --set sim.numeric.pose_noise_m=0.0015
+               PYTHONPATH=. sim-bridge compare numeric --laws nmpc,ownlaw:Pd --set "controller.own=[2.0, 6.0]"
     """
     from rich.console import Console
 
@@ -72,9 +72,7 @@ def compare(
 
 
 def tune(
-    laws: Annotated[
-        str, typer.Option(metavar="NAMES", help="Which laws, with commas; default: all but eso-mpc and nmpc.")
-    ] = "",
+    laws: Annotated[str, typer.Option(metavar="NAMES", help="Which laws, with commas; default: all feedback laws.")] = "",
     scenes: Annotated[str, typer.Option(metavar="NAMES", help="Flown in each trial; default: all there are.")] = "",
     seeds: Annotated[str, typer.Option(metavar=FIRST_OR_RANGE, help="Other seeds than a comparison's.")] = "101-101",
     budget: Annotated[int, typer.Option(min=4, help="Trials per law.")] = 32,
@@ -95,7 +93,7 @@ def tune(
     from sim_bridge.studies import gain_tuning as tuning
     from wire.config.baseline_controllers import LawName
 
-    chosen = _names(laws, [name for name in get_args(LawName) if name not in ("eso-mpc", "nmpc")], "--laws")
+    chosen = _names(laws, [name for name in get_args(LawName) if name not in ("eso-mpc-article", "nmpc")], "--laws")
     flown = _names(scenes, tuning.SCENES, "--scenes")
     console = Console(file=background(sys.stderr))
     for tuned in tuning.run(chosen, flown, settings or (), _range(seeds), budget, _cores(jobs), console):

@@ -250,7 +250,7 @@ def _cautioned(experiment: Experiment) -> Experiment:
     """Print the warnings that the experiment deserves, and return it."""
     from sim_bridge.fault_schedule import faults_after_the_end
 
-    caution(experiment, *faults_after_the_end(experiment))
+    caution(*faults_after_the_end(experiment))
     return experiment
 
 

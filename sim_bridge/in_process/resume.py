@@ -26,7 +26,6 @@ from wire.messages import topics
 from wire.messages.codec import decode
 from wire.messages.messages import Mode, Plan, RobotState, Truth
 from wire.messages.pipe import read_pipe
-from wire.process.cli_options import caution
 from wire.process.fleet_time import SIMULATED_BELOW_NS
 from wire.toml_loader import ConfigError
 
@@ -133,7 +132,6 @@ def _pulses(experiment: Experiment, memories: Sequence[RobotHistory]) -> list[Ar
 def load_changed(run: Path, settings: Sequence[str], more_faults: Sequence[str]) -> Experiment:
     """The experiment that was flown, with changes. Raises ConfigError."""
     experiment = load_experiment(str(run / "experiment.toml"), settings, more_faults)
-    caution(experiment)
     fault_schedule.require_kinds(experiment, fault_schedule.NUMERIC, "from a logged moment on there is none")
     return experiment
 

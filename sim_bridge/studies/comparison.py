@@ -29,22 +29,13 @@ from wire.toml_loader import ConfigError
 
 MOST_DRAWS = 1000  # attempts to draw starts that keep robots apart
 
-ARTICLE = (  # as printed: one working point, no sway, no lag, heading along the path
-    "controller.estimator.sway=false",
-    "controller.guidance.enabled=false",
-    "controller.mpc.horizon=25",
-    "controller.mpc.blocks=[1,1,1,1,1,1,1,1,1,1,1,1,1,1,1]",
-    "controller.mpc.terminal_cost=false",
-    "controller.mpc.linearise=point",
-    "controller.mpc.model_lag=false",
-)
 VARIANTS: dict[str, tuple[str, ...]] = {
     **{law: (f"controller.law={law}",) for law in get_args(LawName)},
     "backstepping-without-eso": ("controller.law=backstepping", "controller.estimator.enabled=false"),
-    "mpc-without-eso": ("controller.estimator.enabled=false",),
-    "mpc-without-sway": ("controller.estimator.sway=false",),
-    "mpc-leader-follower": ("formation.kind=leader-follower",),
-    "mpc-as-printed": ARTICLE,
+    "article-without-eso": ("controller.law=eso-mpc-article", "controller.estimator.enabled=false"),
+    "nmpc-without-sway": ("controller.estimator.sway=false",),
+    "nmpc-without-disturbance": ("controller.estimator.enabled=false",),
+    "nmpc-leader-follower": ("formation.kind=leader-follower",),
 }
 
 

@@ -1,4 +1,4 @@
-"""The laws that the ESO-MPC is compared with, and leader-follower, flown in the article's scene with the robots' own code."""
+"""The laws that the nonlinear MPC is compared with, and leader-follower, flown in the article's scene."""
 
 from typing import get_args
 
@@ -33,7 +33,7 @@ def test_every_law_flies_the_scene_and_what_is_applied_keeps_its_limits(law: str
     assert np.all(np.abs(wrench) <= limit) and np.all(np.abs(change) <= step + 1e-12)
     assert np.abs(flown_.error[400:, :, :3]).max() < 0.12
     np.testing.assert_allclose(np.diff(wrench, axis=1), change[:, 1:], atol=1e-12)
-    if law in ("eso-mpc", "nmpc"):  # they know their limits
+    if law in ("eso-mpc-article", "nmpc"):  # they know their limits
         np.testing.assert_array_equal(wanted, wrench)
     else:  # every law without limits breaks them at a start metres away
         assert np.abs(wanted / limit).max() > 1.05
@@ -49,10 +49,10 @@ def _of(flight: SceneFlight, key: str) -> Array:
 
 def test_followers_keep_their_offsets_from_a_leader_that_is_lost() -> None:
     """The leader is pushed off its path; followers, whose own nodes are elsewhere, stay with it."""
-    push = ("controller.estimator.enabled=false", "sim.plant.disturbance_wrench=[3, 0, 0]", "sim.plant.disturbance_hz=0.01")
-    together = flight("eso-mpc", *push, FOLLOWING)
-    alone = flight("eso-mpc", *push, "controller.mpc.q_formation=[0, 0, 0, 0]", "sim.plant.disturbance_hz=[0.01, 0, 0]")
-    led = flight("eso-mpc", *push, FOLLOWING, "sim.plant.disturbance_hz=[0.01, 0, 0]")
+    push = ("controller.estimator.enabled=false", "sim.plant.disturbance_wrench=[4, 0, 0]", "sim.plant.disturbance_hz=0.01")
+    together = flight("nmpc", *push, FOLLOWING)
+    alone = flight("nmpc", *push, "controller.mpc.q_formation=[0, 0, 0, 0]", "sim.plant.disturbance_hz=[0.01, 0, 0]")
+    led = flight("nmpc", *push, FOLLOWING, "sim.plant.disturbance_hz=[0.01, 0, 0]")
 
     def apart(flight_: SceneFlight) -> float:
         return float(np.sqrt(np.mean(np.sum((flight_.error[300:, 0, :3] - flight_.error[300:, 1, :3]) ** 2, axis=1))))
@@ -66,7 +66,7 @@ def test_followers_keep_their_offsets_from_a_leader_that_is_lost() -> None:
 def test_a_leader_flies_the_same_whatever_its_followers_do(kind: str, notices: bool) -> None:
     """The article's complaint about leader-follower; under the virtual structure robots wait for one another."""
     one, other = (
-        flight("eso-mpc", f"formation.kind={kind}", f"robots.1.start=[{x}, 1.0, -1.0, 0.0]").error[:, 0] for x in (0.8, 0.2)
+        flight("nmpc", f"formation.kind={kind}", f"robots.1.start=[{x}, 1.0, -1.0, 0.0]").error[:, 0] for x in (0.8, 0.2)
     )
     assert np.array_equal(one, other) != notices
 

@@ -31,7 +31,7 @@ def test_the_example_of_the_docs_flies_by_its_own_numbers() -> None:
     for numbers in ("[2.0,6.0]", "[0.5,6.0]"):
         flight = flown(own("ownlaw:Pd", f"controller.own={numbers}"))
         worst_m.append(float(np.abs(flight.error[400:, :, :2]).max()))
-    assert worst_m[0] < 0.05 and worst_m[1] > 0.1, worst_m
+    assert worst_m[0] < 0.09 and worst_m[1] > 0.2, worst_m
 
 
 @pytest.mark.usefixtures("ownlaw")
@@ -41,7 +41,7 @@ def test_the_example_of_the_docs_flies_by_its_own_numbers() -> None:
         ("nowhere:Pd", "controller.law = 'nowhere:Pd': No module named 'nowhere' .install its package where the agent runs"),
         ("ownlaw:Pid", "controller.law = 'ownlaw:Pid': module 'ownlaw' has no attribute 'Pid'"),
         ("ownlaw:number", "controller.law = 'ownlaw:number': must name a class or a function"),
-        ("own law", "controller.law = 'own law': must be one of 'eso-mpc', .*or a law of your own: MODULE:NAME"),
+        ("own law", "controller.law = 'own law': must be one of 'nmpc', .*or a law of your own: MODULE:NAME"),
     ],
 )
 def test_a_law_that_is_not_there_is_refused_by_name(law: str, complaint: str) -> None:

@@ -23,33 +23,20 @@ pytestmark = pytest.mark.long
 SHORT_LAPS = ("path.lap_s=25", "duration_s=100")
 B = {  # of every part of the controller one
     "controller.estimator.bandwidth_radps": 3.0,
-    "controller.estimator.yaw_bandwidth_radps": 6.0,
-    "controller.estimator.current_rate_radps": 0.3,
-    "controller.guidance.position_gain_per_s2": 0.05,
-    "controller.guidance.velocity_gain_per_s": 0.4,
-    "controller.guidance.max_correction_rad": 1.0,
-    "controller.guidance.turning_force_n": 0.05,
-    "controller.guidance.filter_s": 1.5,
-    "controller.guidance.hold_radius_m": 0.1,
-    "controller.mpc.q.0": 3.0,
-    "controller.mpc.q.1": 2.0,
-    "controller.mpc.q.2": 1.5,
-    "controller.mpc.q.3": 0.5,
     "controller.mpc.q_formation.0": 0.5,
     "controller.mpc.q_formation.1": 0.4,
     "controller.mpc.q_formation.2": 0.3,
     "controller.mpc.q_formation.3": 0.2,
-    "controller.mpc.r.0": 0.2,
-    "controller.mpc.r.1": 0.3,
-    "controller.mpc.r.2": 20.0,
+    "controller.nmpc.heading_m": 0.02,
+    "controller.nmpc.arm_m": 0.3,
+    "controller.nmpc.turning_m": 0.02,
+    "controller.nmpc.hold_turning_m": 0.06,
 }
 
 
 FILED = (
-    *(f"{key}={value}" for key, value in B.items() if not key[-1].isdecimal() or key.endswith("s2")),
-    "controller.mpc.q=[3.0, 2.0, 1.5, 0.5]",
+    *(f"{key}={value}" for key, value in B.items() if not key[-1].isdecimal()),
     "controller.mpc.q_formation=[0.5, 0.4, 0.3, 0.2]",
-    "controller.mpc.r=[0.2, 0.3, 20.0]",
 )
 
 
@@ -180,19 +167,19 @@ def test_a_change_in_flight_takes_effect_at_one_instant_and_leads_to_the_other_f
         np.testing.assert_array_equal(c[: at[0]], b[: at[0]])
         assert np.abs(c[at[0] + 5] - b[at[0] + 5]).max() > 1e-3
         late = slice(-100, None)  # the same noise: what is left is what a current's estimate forgets slowly
-        assert np.abs(c[late] - a[late]).mean() < 0.3 * np.abs(b[late] - a[late]).mean()
+        assert np.abs(c[late] - a[late]).mean() < 0.4 * np.abs(b[late] - a[late]).mean()
 
 
 def test_gains_stay_when_a_value_is_bad_or_one_robot_refuses() -> None:
     lab = TuningLab(pool())
     flown = tuning(pool().controller).id
     lab.run(1.0)
-    assert "controller.mpc.q.0 = -1.0" in lab.wish({"controller.mpc.q.0": -1.0})
+    assert "controller.mpc.q_formation.0 = -1.0" in lab.wish({"controller.mpc.q_formation.0": -1.0})
     assert "cannot be changed in flight" in lab.wish({"controller.period_s": 0.1})
-    assert lab.wish({"controller.mpc.q.0": 1.0}) == "this is what is flown already"
+    assert lab.wish({"controller.mpc.q_formation.0": 0.15}) == "this is what is flown already"
     lab.mute = {2}
-    assert lab.wish({"controller.mpc.q.0": 2.0}) == ""
-    assert "under way" in lab.wish({"controller.mpc.q.0": 3.0})
+    assert lab.wish({"controller.mpc.q_formation.0": 2.0}) == ""
+    assert "under way" in lab.wish({"controller.mpc.q_formation.0": 3.0})
     until(lab, lambda: lab.tuner.status().stage is GainStage.IDLE, 5.0)
     assert lab.tuner.status().reason == "robot 2 does not answer; nothing was changed"
     lab.run(1.0)
@@ -203,7 +190,7 @@ def test_a_robot_that_changed_its_gains_changes_back_when_another_does_not_follo
     lab = TuningLab(pool())
     flown = tuning(pool().controller).id
     lab.run(1.0)
-    assert lab.wish({"controller.mpc.q.0": 2.0}) == ""
+    assert lab.wish({"controller.mpc.q_formation.0": 2.0}) == ""
     until(lab, lambda: lab.tuner.status().stage is GainStage.ADOPTING, 1.0)
     lab.mute = {2}
     until(lab, lambda: lab.states(0)[-1].tuning_id != flown, 2.0)
@@ -217,15 +204,15 @@ def test_a_set_for_the_next_lap_waits_for_it_and_its_laps_are_told_apart() -> No
     lab = TuningLab(pool())
     lab.run(1.0)
     a = lab.tuner.status().flown.id
-    assert "not every robot is on its trajectory" in lab.wish({"controller.mpc.q.0": 2.0}, next_lap=True)
+    assert "not every robot is on its trajectory" in lab.wish({"controller.mpc.q_formation.0": 2.0}, next_lap=True)
     lab.take_off()
     lab.run(20.0)
-    assert lab.wish({"controller.mpc.q.0": 2.0}, next_lap=True) == ""
+    assert lab.wish({"controller.mpc.q_formation.0": 2.0}, next_lap=True) == ""
     until(lab, lambda: lab.tuner.status().stage is GainStage.WAITING, 1.0)
     lab.run(2.0)
     assert lab.tuner.undo(lab.fleet(), lab.pool.now_ns) == ""  # another thought
     until(lab, lambda: lab.tuner.status().stage is GainStage.IDLE, 2.0)
-    assert lab.wish({"controller.mpc.q.0": 4.0}, next_lap=True) == ""
+    assert lab.wish({"controller.mpc.q_formation.0": 4.0}, next_lap=True) == ""
     lab.run(20.0)
     b = lab.tuner.status().flown.id
     for robot in (0, 1):
@@ -254,7 +241,7 @@ def waiting_for_a_lap() -> TuningLab:
     lab.run(1.0)
     lab.take_off()
     lab.run(5.0)
-    assert lab.wish({"controller.mpc.q.0": 2.0}, next_lap=True) == ""
+    assert lab.wish({"controller.mpc.q_formation.0": 2.0}, next_lap=True) == ""
     until(lab, lambda: lab.tuner.status().stage is GainStage.WAITING, 1.0)
     return lab
 
@@ -283,7 +270,7 @@ def test_the_remaining_robots_drop_gains_that_wait_for_a_lap() -> None:
 def test_a_robot_that_was_restarted_gets_the_fleets_gains() -> None:
     lab = TuningLab(pool())
     lab.run(1.0)
-    assert lab.wish({"controller.mpc.q.0": 2.0}) == ""
+    assert lab.wish({"controller.mpc.q_formation.0": 2.0}) == ""
     lab.run(2.0)
     wanted = lab.tuner.status().flown.id
     fresh = DryPool(pool())

@@ -10,7 +10,7 @@ import pytest
 from numba import njit
 from numba.core.event import install_recorder
 
-from robot_agent.control.controller import Controller
+from robot_agent.control.any_controller import make_controller
 from robot_agent.guidance.formation import Neighbour
 from robot_agent.guidance.obstacles import obstacles_from_message
 from robot_agent.guidance.reference import Hold
@@ -22,8 +22,6 @@ pytestmark = pytest.mark.long
 ROOT = Path(__file__).parents[2]
 KERNEL_TESTS = [
     "tests/robot_agent/control/test_linearisation.py",
-    "tests/robot_agent/control/test_short_horizon.py",
-    "tests/robot_agent/control/test_trajectory_optimisation.py",
     "tests/robot_agent/guidance/test_guidance_kernels.py",
     "tests/robot_agent/guidance/test_reference.py::test_headings_are_those_of_the_force_in_vectors",
     "tests/robot_agent/safety/test_safety_kernels.py",
@@ -44,7 +42,7 @@ def test_kernels_pass_their_tests_without_the_compiler() -> None:
 
 def test_nothing_is_compiled_in_flight() -> None:
     """Alone, past a neighbour and a thing in the way, on hold, and in neutral."""
-    one, other = Controller(POOL.vehicle, POOL.controller, POOL.safety), np.tile([1.0, 0.0, 0.3, 0.0], (51, 1))
+    one, other = make_controller(POOL.vehicle, POOL.controller, POOL.safety), np.tile([1.0, 0.0, 0.3, 0.0], (51, 1))
     box = np.array([[0.7, 0.4], [0.8, 0.4], [0.8, 0.5], [0.7, 0.5]])
     things = obstacles_from_message(Obstacles(ids=(1,), outline=box[None], velocity=np.zeros((1, 2))), 0, 0.3)
     hold = Hold(GOAL.trajectory.eta[0])

@@ -12,7 +12,7 @@ import pytest
 
 from robot_agent import node
 from robot_agent.agent import Agent
-from robot_agent.control.controller import Controller
+from robot_agent.control.nonlinear.nonlinear_controller import NonlinearController
 from robot_agent.host.step_clock import StepClock
 from sim_bridge.sil.ports import free_port
 from tests.robot_agent.autopilot import Autopilot
@@ -154,27 +154,27 @@ def running() -> Iterator[Running]:
 
 def test_a_step_that_waits_is_as_late_as_one_that_computes(running: Running, monkeypatch: pytest.MonkeyPatch) -> None:
     """For a lock, a page of memory, another program: the robot does not fly on with a loop that takes thrice its period."""
-    real = Controller.step
+    real = NonlinearController.step
 
     def waiting(*arguments: Any) -> Any:
         time.sleep(0.1)
         return real(*arguments)
 
-    monkeypatch.setattr(Controller, "step", waiting)
+    monkeypatch.setattr(NonlinearController, "step", waiting)
     assert running.until(lambda: running.state.mode is Mode.FAULT)
     assert running.state.fault == "control too slow"
     assert running.state.missed_deadlines >= 3
 
 
 def test_gains_are_made_ready_beside_the_steps(running: Running, monkeypatch: pytest.MonkeyPatch) -> None:
-    real, building, built = Controller.prepare_gains, threading.Event(), threading.Event()
+    real, building, built = NonlinearController.prepare_gains, threading.Event(), threading.Event()
 
     def slowly(*arguments: Any) -> Any:
         building.set()
         assert built.wait(PATIENCE_S)
         return real(*arguments)
 
-    monkeypatch.setattr(Controller, "prepare_gains", slowly)
+    monkeypatch.setattr(NonlinearController, "prepare_gains", slowly)
     replies: list[Reply] = []
     asked = threading.Thread(target=lambda: replies.append(running.order(Order.TUNE, tuning(POOL.controller))))
     asked.start()

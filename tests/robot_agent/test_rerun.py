@@ -171,7 +171,7 @@ def with_states(flown: Pond) -> list[Line]:
 
 
 def test_another_tuning_comes_out_otherwise_and_is_not_refused(flown: Pond) -> None:
-    changed = load_experiment("pool", [*UNMOVED, "controller.mpc.horizon=25"])
+    changed = load_experiment("pool", [*UNMOVED, "controller.nmpc.turning_m=0.1"])
     states, _, said = again(with_states(flown), changed)
     assert said == []
     assert [state.mode for state in states] == [state.mode for state in flown.states]  # its orders are obeyed
@@ -181,7 +181,7 @@ def test_another_tuning_comes_out_otherwise_and_is_not_refused(flown: Pond) -> N
 
 def test_observer_uses_the_pulses_that_really_went_out(flown: Pond) -> None:
     """With the log's states behind its steps a changed agent sees no disturbance in thrust that it never gave."""
-    changed, corrected = load_experiment("pool", [*UNMOVED, "controller.mpc.horizon=25"]), with_states(flown)
+    changed, corrected = load_experiment("pool", [*UNMOVED, "controller.nmpc.turning_m=0.1"]), with_states(flown)
     found, _, _ = again(corrected, changed)
     assert all(a.eta.tobytes() == b.eta.tobytes() for a, b in zip(found, flown.states, strict=True))
     assert any(a.wrench.tobytes() != b.wrench.tobytes() for a, b in zip(found, flown.states, strict=True))

@@ -15,7 +15,7 @@ from wire.toml_loader import Section
 Gains = tuple[NotNegative, NotNegative, NotNegative]
 Scales = tuple[Positive, Positive, Positive]
 
-LawName = Literal["eso-mpc", "backstepping", "pid", "lqr", "sliding-mode", "fuzzy", "adaptive-nn", "nmpc"]
+LawName = Literal["nmpc", "eso-mpc-article", "backstepping", "pid", "lqr", "sliding-mode", "fuzzy", "adaptive-nn"]
 OWN_LAW = r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*"
 
 

@@ -86,7 +86,7 @@ class EstimatorConfig(Section):
     """Extended state observer (31), bandwidth form b1 = 3w, b2 = 3w^2, b3 = w^3 (Gao 2003). The sensing delay is compensated,
     so noise sets the bandwidth, not delay: at 2 rad/s a pose noise of 1.5 mm makes 2 mm/s in velocity."""
 
-    kind: Literal["eso", "kalman"] = "eso"
+    kind: Literal["eso", "kalman"] = "kalman"
     """Observer: poles at one bandwidth, or a bank of Kalman filters that knows a current from a force (docs/control.md). Not
     given: `kalman` for `nmpc`, else `eso`."""
     enabled: bool = True
@@ -128,9 +128,6 @@ class GuidanceConfig(Section):
     filter_s: Annotated[float, Field(gt=0, le=30), LIVE] = 1.0
     """Time constant of the force that feeds back; on slow paths slight forces, mostly noise, take three times as long. 2.0
     overshoots by 4 cm."""
-    plan_start: bool = True
-    """Plan the whole flight onto a path from up to 0.6 m off it: turn and thrust together. Only `eso-mpc` with `sway`,
-    without a leader."""
     hold_radius_m: Annotated[float, Field(gt=0, le=5), LIVE] = 0.06
     """Station keeping: nearer to the place than this, the heading stays as it is."""
 
@@ -139,21 +136,16 @@ MOST_STEPS = 200  # of a horizon
 
 
 class MpcConfig(Section):
-    """Model predictive control (35-40). The article's own setting: horizon 25, blocks of fifteen ones, r = 0.01,
-    `linearise = "point"`, no terminal cost, no lag."""
+    """How far plans and trajectories look ahead, and the article's linear model predictive control (35-40). What is not given
+    is the article's under `eso-mpc-article`: horizon 25, blocks of fifteen ones, r = 0.01."""
 
     solver: Literal["osqp", "daqp"] = "osqp"
     """QP solver. `daqp` needs the package of that name."""
     horizon: Annotated[int, Field(ge=2, le=MOST_STEPS)] = 50
-    """Prediction steps of controller.period_s. Not given: as many as reach 2.5 s ahead, 200 at most. Below 0.75 s ahead, slow
-    robots have left their paths."""
+    """Prediction steps of controller.period_s. Not given: as many as reach 2.5 s ahead, 200 at most."""
     blocks: Annotated[tuple[Annotated[int, Field(ge=1)], ...], Field(min_length=1)] = (1, 1, 2, 3, 4, 4)
     """Steps for which each input is kept, the last one to the horizon's end (move blocking). Not given: the same times at
     every period, within the horizon."""
-    terminal_cost: bool = True
-    """Under a horizon below 2.5 s, count what errors at its end go on to cost. False: nothing comes after it (the article)."""
-    linearise: Literal["trajectory", "point"] = "trajectory"
-    """Linearise along the predicted trajectory, or at the present state alone (the article)."""
     q: Annotated[tuple[Weight, Weight, Weight, Weight], LIVE] = (1.0, 1.0, 1.0, 1.0)
     """Weight of squared tracking errors in x, y, z (per m^2) and yaw (per rad^2)."""
     q_formation: Annotated[tuple[Weight, Weight, Weight, Weight], LIVE] = (0.15, 0.15, 0.15, 0.15)
@@ -164,8 +156,6 @@ class MpcConfig(Section):
     slack: Positive = 1e4
     """Penalty of entering another robot's space, per unit of the largest position weight above 1: no weight buys a way
     through another robot."""
-    model_lag: bool = True
-    """Include the thrusters' lag in the prediction."""
 
     @model_validator(mode="after")
     def _blocks_fit(self) -> Self:
@@ -194,7 +184,7 @@ class ControllerConfig(Section):
 
     period_s: Annotated[float, Field(ge=0.01, le=COMMAND_AGE_S / 2)] = 0.05
     """Control period. At most half of the age at which a board disarms, so that one step may be lost."""
-    law: Law = "eso-mpc"
+    law: Law = "nmpc"
     """Control law: the ESO-MPC, one that it is compared with, or MODULE:NAME of your own (docs/baselines.md)."""
     own: Annotated[tuple[float, ...], Field(max_length=100, examples=[[0.3, 0.2]])] = ()
     """Numbers for a law of your own, in the order that it wants."""
@@ -219,15 +209,6 @@ class ControllerConfig(Section):
     adaptive_nn: AdaptiveNnConfig = AdaptiveNnConfig()
     """Adaptive neural network."""
 
-    @model_validator(mode="before")
-    @classmethod
-    def _plans_with_an_observer_that_knows_the_current(cls, given: Any) -> Any:
-        """The nonlinear MPC looks 6 s ahead and more: over that time a current is not a force of the robot."""
-        if not isinstance(given, dict) or given.get("law") != "nmpc":
-            return given
-        estimator = given.get("estimator", {})
-        return {**given, "estimator": {"kind": "kalman", **estimator}} if isinstance(estimator, dict) else given
-
     @model_validator(mode="after")
     def _knows_what_it_knows(self) -> "ControllerConfig":
         if self.law == "nmpc" and self.estimator.kind != "kalman":
@@ -249,3 +230,17 @@ class ControllerConfig(Section):
         ends = sorted({min(max(round(end * per_step), 1), latest) for end in accumulate(mpc_fields["blocks"].default)})
         blocks = tuple(end - begin for begin, end in pairwise((0, *ends)))
         return {**given, "mpc": {"horizon": horizon, "blocks": blocks, **mpc}}
+
+    @model_validator(mode="before")
+    @classmethod
+    def _has_what_goes_with_its_law(cls, given: Any) -> Any:
+        """Runs first. The nonlinear MPC looks 6 s ahead and more: over that time a current is not a force of the robot. The
+        article's model does not slide sideways."""
+        if not isinstance(given, dict) or (law := given.get("law", "nmpc")) == "nmpc":
+            return given
+        usual: dict[str, dict[str, Any]] = {"estimator": {"kind": "eso"}}
+        if law == "eso-mpc-article":
+            usual["estimator"]["sway"] = False
+            usual["mpc"] = {"horizon": 25, "blocks": (1,) * 15, "r": (0.01, 0.01, 0.01)}
+        sections = {name: given.get(name, {}) for name in usual}  # a section that is no table is refused for itself
+        return {**given, **{name: {**usual[name], **s} for name, s in sections.items() if isinstance(s, dict)}}

@@ -30,7 +30,6 @@ from wire.frames import Array
 from wire.toml_loader import ConfigError, Section, apply_setting, check, read_toml
 
 EXPERIMENTS = Path(__file__).parents[1] / "experiments"
-SHORTEST_HORIZON_S = 0.75  # that kept slow robots on their paths in every flight (docs/control.md, Optimisation)
 SHORT_PLAN_AGE_S = float(Safety.model_fields["plan_max_age_s"].default)  # in which no robot gets far, whatever plans reach
 NO_CAMERA = "localizer.uses_camera=false"  # the setting of runs in which poses are the simulation's truth
 MOVED = {"sim.plant.walls": "pool.walls"}  # keys of earlier versions, and where they stand now
@@ -196,13 +195,13 @@ class Experiment(Section):
 
     @model_validator(mode="after")
     def _plans_count_no_longer_than_they_reach(self) -> Self:
-        age_s, mpc, period_s = self.safety.plan_max_age_s, self.controller.mpc, self.controller.period_s
-        allowed_s = max(mpc.horizon * period_s, SHORT_PLAN_AGE_S)
+        age_s, period_s = self.safety.plan_max_age_s, self.controller.period_s
+        ahead_s = self.controller.mpc.horizon * period_s
+        allowed_s = max(ahead_s, SHORT_PLAN_AGE_S)
         if age_s > allowed_s + 1e-9:
             raise ValueError(
-                f"safety.plan_max_age_s = {age_s:g}: a plan reaches controller.mpc.horizon = {mpc.horizon} steps of "
-                f"controller.period_s = {period_s:g} s ahead, and when it is older it tells of nothing that is to come "
-                f"(allowed: up to {allowed_s:g})"
+                f"safety.plan_max_age_s = {age_s:g}: a plan reaches {ahead_s:g} s ahead, and when it is older it tells of "
+                f"nothing that is to come (allowed: up to {allowed_s:g})"
             )
         return self
 
@@ -295,19 +294,6 @@ class Experiment(Section):
     def wrench_step(self) -> tuple[float, float, float]:
         """The largest change of the wrench per control step: N, N, N m."""
         return self.vehicle.limits.wrench_step(self.controller.period_s)
-
-    @property
-    def cautions(self) -> tuple[str, ...]:
-        """Settings that may be flown, and are known to go wrong somewhere: sentences for people."""
-        mpc, period_s = self.controller.mpc, self.controller.period_s
-        ahead_s = mpc.horizon * period_s
-        if self.controller.law != "eso-mpc" or ahead_s >= SHORTEST_HORIZON_S - 1e-9:
-            return ()
-        steps = math.ceil(SHORTEST_HORIZON_S / period_s - 1e-9)
-        return (
-            f"controller.mpc.horizon = {mpc.horizon} looks {ahead_s:.2f} s ahead: below {SHORTEST_HORIZON_S:g} s slow robots "
-            f"have left their paths (docs/control.md); use {steps} or more, or see it fly in simulation first",
-        )
 
     @property
     def robot_ids(self) -> tuple[int, ...]:

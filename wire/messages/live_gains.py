@@ -46,13 +46,16 @@ def tunable_parameters(controller: ControllerConfig) -> tuple[TunableParameter, 
 
 
 def _idle(controller: ControllerConfig) -> tuple[str, ...]:
-    """Parameters that another law has. A law other than the ESO-MPC has gains of its own in the place of some: what it has
+    """Parameters that another law has. A feedback law has gains of its own in the place of some: what it has
     learnt rests on them, they stay."""
     match controller.law:
-        case "eso-mpc":
-            return (f"{ROOT}.nmpc.",)
+        case "eso-mpc-article":
+            return (f"{ROOT}.nmpc.", f"{ROOT}.guidance.")
         case "nmpc":
-            return (f"{ROOT}.mpc.q.", f"{ROOT}.mpc.r.", f"{ROOT}.guidance.")
+            return (
+                f"{ROOT}.mpc.q.", f"{ROOT}.mpc.r.", f"{ROOT}.guidance.", f"{ROOT}.estimator.yaw_bandwidth_radps",
+                f"{ROOT}.estimator.current_rate_radps",
+            )  # fmt: skip
         case _:
             return (f"{ROOT}.nmpc.", f"{ROOT}.mpc.", f"{ROOT}.guidance.position_gain_per_s2")
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from wire.config.experiment import EXPERIMENTS, Experiment
+from wire.config.experiment import EXPERIMENTS
 from wire.process.version import code
 
 DEFAULT_STATION = "tcp/127.0.0.1:7447"
@@ -16,9 +16,9 @@ DEFAULT_WEB = "127.0.0.1:8000"
 REPLAY_PREFIX = "replay/"  # of the fleet that a recorded run is put on the bus as: no program of ours can join it
 
 
-def caution(experiment: Experiment, *more: str) -> None:
-    """Say on the standard error what of an experiment's settings is known to go wrong, and what else the program knows."""
-    for text in (*experiment.cautions, *more):
+def caution(*texts: str) -> None:
+    """Say on the standard error what is known to go wrong."""
+    for text in texts:
         typer.echo(f"warning: {text}", err=True)
 
 

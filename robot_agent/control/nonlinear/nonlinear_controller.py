@@ -69,7 +69,7 @@ class NonlinearController:
         """See `Controller`."""
         self._vehicle, self._config, self._safety, self._urgent = vehicle, config, safety, urgent
         self._has_leader, self._islands, self._period_s = has_leader, islands, config.period_s
-        self._model = model = Model(vehicle, config.estimator.sway, config.mpc.model_lag)
+        self._model = model = Model(vehicle, config.estimator.sway)
         self._estimator = make_estimator(vehicle, model, config.estimator)
         self._dead_s, horizon_s = vehicle.thruster.dead_time_s, tunings.horizon_s(vehicle)
         self._delay_s = tunings.delay_s(vehicle, config.period_s, model.lag_s)

@@ -15,6 +15,7 @@ from wire.config.experiment import load_experiment
 from wire.messages.messages import Plan, Solve, Trajectory
 
 POOL = load_experiment("pool")
+ARTICLE = load_experiment("pool", ["controller.law=eso-mpc-article"])
 VEHICLE = POOL.vehicle
 STEP_NS = 50_000_000
 LIMIT, STEP = np.array(VEHICLE.limits.wrench), np.array(VEHICLE.limits.wrench_step(0.05))

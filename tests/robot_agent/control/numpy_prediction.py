@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dtbtrs
 
-from robot_agent.control.linearisation import Prediction
+from robot_agent.control.linearisation import Prediction, superpose
 from robot_agent.vehicle.dynamics import Model, State
 from wire.frames import Array
 
@@ -217,9 +217,9 @@ def linearise(
 
 
 def follow_without_moving_on(prediction: Prediction, blocks: Array) -> Array:
-    """Make the response to the blocks the nominal trajectory from the same instant on; row 0 is the next state. Returns its
-    poses."""
+    """Make the response to the blocks the nominal trajectory from the same instant on. Returns its poses."""
     eta = prediction.follow_plan(blocks)
-    for nominal in (prediction.eta, prediction.nu):
-        nominal[1:] = nominal[:-1].copy()
+    u, v, w, r = (*prediction._planar[2:], *prediction._axial[2:])
+    superpose(blocks, u, v, w, r, prediction.nu)
+    prediction.eta[:] = eta
     return eta

@@ -38,7 +38,7 @@ LIMIT, STEP = np.array(VEHICLE.limits.wrench), np.array(VEHICLE.limits.wrench_st
 MODEL = Model(VEHICLE, sway=False, lag=False)
 AXES = Axes(MODEL, VEHICLE.limits.wrench)
 LAWS = [name for name in get_args(baseline_controllers.LawName) if name != "nmpc"]  # that has its own controller and tests
-FEEDBACK = [name for name in LAWS if name != "eso-mpc"]
+FEEDBACK = [name for name in LAWS if name != "eso-mpc-article"]
 SPEED = np.array([0.2, 0.0, 0.03, 0.0])  # of the straight reference, heading along x
 STILL = (0.0, 0.0, 0.0, 0.0)
 DT = 0.001  # s, in place of continuous time
@@ -376,7 +376,7 @@ def wander(name: str, steps: int) -> float:
 @pytest.mark.parametrize("name", LAWS)
 def test_random_steps_stay_within_limits(name: str) -> None:
     beyond = wander(name, 300)
-    assert beyond == 0.0 if name == "eso-mpc" else beyond > 0.2  # else nothing was to be limited
+    assert beyond == 0.0 if name == "eso-mpc-article" else beyond > 0.2  # else nothing was to be limited
 
 
 @pytest.mark.slow

@@ -239,32 +239,6 @@ def test_a_neighbour_does_not_push_a_robot_into_a_wall() -> None:
     assert pushed[None] > -0.01 and pushed[3.5, 2.5] < -0.03  # m beyond the wall
 
 
-def surge_damping(horizon: int, terminal_cost: bool) -> float:
-    """Damping ratio of surge at rest under a robot's own plans, far from every limit: by finite differences of one step."""
-    model, small = Model(VEHICLE), 1e-3
-    controller = mpc(horizon=horizon, solver="daqp", terminal_cost=terminal_cost)
-
-    def step(x: float, u: float, thrust: float, asked: float) -> list[float]:
-        state: State = (x, *START[1:4], u, 0.0, 0.0, 0.0, thrust, 0.0, 0.0)
-        controller.reset()
-        goal = np.zeros((horizon + 1, 4))
-        wrench = controller.plan(state, np.zeros(4), np.array([asked, 0.0, 0.0]), goal, WEIGHT, NOWHERE).wrench
-        after = model.advance(state, (0.0,) * 4, tuple(wrench), PERIOD_S)
-        return [after[0], after[4], after[8], wrench[0]]
-
-    poles = np.linalg.eigvals(np.array([step(*row) for row in small * np.eye(4)]).T / small)
-    rates = np.log(poles[np.abs(poles) > 1e-4].astype(complex)) / PERIOD_S
-    return float((-rates.real / np.abs(rates)).min())
-
-
-def test_the_terminal_cost_damps_surge_under_a_short_horizon() -> None:
-    """Without it, surge swings: the figures of docs/control.md. A long horizon is left as it is."""
-    assert min(surge_damping(horizon, True) for horizon in (15, 20, 25, 40)) > 0.65
-    found = [surge_damping(horizon, False) for horizon in (20, 25, 30, 50)]
-    assert found == pytest.approx([0.04, 0.36, 0.59, 0.65], abs=0.01)
-    assert surge_damping(50, True) == found[-1]
-
-
 def test_the_plan_hardly_depends_on_the_control_period() -> None:
     """`r` is scaled with the period; unscaled it would weigh half as much against errors at 0.025 s."""
     poses = {}

@@ -45,8 +45,8 @@ def task(experiment: Experiment, with_traces: bool = True) -> FlightTask:
 @pytest.mark.parametrize("name", sorted(path.stem for path in EXPERIMENTS.glob("*.toml")))
 def test_every_variant_of_every_shipped_experiment_can_be_flown(name: str) -> None:
     hashes = {variant: load_experiment(name, changes).hash for variant, changes in VARIANTS.items()}
-    same = {v for v, h in hashes.items() if v != "eso-mpc" and h == hashes["eso-mpc"]}
-    assert same <= {"mpc-without-sway"} and hashes["eso-mpc"] == load_experiment(name).hash
+    same = {v for v, h in hashes.items() if v != "nmpc" and h == hashes["nmpc"]}
+    assert same <= {"nmpc-without-sway"} and hashes["nmpc"] == load_experiment(name).hash
 
 
 def test_a_seed_moves_the_starts_and_nothing_else_does() -> None:
@@ -100,14 +100,14 @@ def test_the_mpc_wants_nothing_that_is_not_allowed_and_its_flight_is_kept_to_loo
     assert len(traces.applied_n[0]) == 400 and traces.input_period_s == 0.05 and traces.error_period_s == 0.5
     again = fly(task(load_experiment("numeric", SHORT), with_traces=False))
     assert again.figures == figures and again.traces is None
-    comparison = Comparison("numeric", "", 22.0, 0.0, [], 6.0, [1, 2, 3], [Variant("eso-mpc", [], [flight, again])])
+    comparison = Comparison("numeric", "", 22.0, 0.0, [], 6.0, [1, 2, 3], [Variant("nmpc", [], [flight, again])])
     assert Comparison.from_json(comparison.to_json()) == comparison
 
 
 def test_the_command_flies_in_processes_what_this_process_flies(tmp_path: Path) -> None:
     """The same figures to the last bit, whatever the number of processes; a variant that changes nothing is left out. The
     experiment wants a camera, which no flight here has; one law is a person's own."""
-    flights = ["--laws", "eso-mpc,mpc-without-sway,pid,ownlaw:Own", "--seeds", "3-3", "--duration", "21", "--scatter", "0.2"]
+    flights = ["--laws", "nmpc,nmpc-without-sway,pid,ownlaw:Own", "--seeds", "3-3", "--duration", "21", "--scatter", "0.2"]
     table = tomllib.loads((EXPERIMENTS / "numeric.toml").read_text(encoding="utf-8"))
     del table["camera"], table["localizer"]["uses_camera"]
     (tmp_path / "lab.toml").write_text(tomli_w.dumps(table), encoding="utf-8")
@@ -126,9 +126,9 @@ def test_the_command_flies_in_processes_what_this_process_flies(tmp_path: Path) 
     )
     assert result.returncode == 0, result.stderr
     assert not executed(planted)
-    assert "mpc-without-sway is the same as eso-mpc here" in result.stdout and "pid" in result.stdout
+    assert "nmpc-without-sway is the same as nmpc here" in result.stdout and "pid" in result.stdout
     found = Comparison.from_json((tmp_path / "comparison.json").read_text(encoding="utf-8"))
-    assert [v.name for v in found.variants] == ["eso-mpc", "pid", "ownlaw:Own"]
+    assert [v.name for v in found.variants] == ["nmpc", "pid", "ownlaw:Own"]
     assert found.variants[2].settings == ["controller.law=ownlaw:Own"] and (tmp_path / "comparison.html").is_file()
     assert found.commit == code().commit
     here = task(load_experiment("numeric", ["duration_s=21.0", "controller.law=pid"]))
@@ -138,7 +138,7 @@ def test_the_command_flies_in_processes_what_this_process_flies(tmp_path: Path) 
 @pytest.mark.parametrize(
     "arguments,complaint",
     [
-        (["numeric", "--laws", "pdi"], "'pdi' (allowed, once each: eso-mpc, backstepping"),
+        (["numeric", "--laws", "pdi"], "'pdi' (allowed, once each: nmpc, eso-mpc-article"),
         (["numeric", "--seeds", "4-2"], "--seeds 4-2: must be a number of seeds or a range"),
         (["numeric", "--duration", "20"], "duration_s = 20: must be more than 20 s"),
         (["nowhere"], "no such experiment"),

@@ -14,7 +14,7 @@ from wire.config.controller_benchmark import FlightMetrics
 from wire.config.experiment import load_experiment
 from wire.frames import Array
 
-FEEDBACK = [law.replace("-", "_") for law in get_args(LawName) if law not in ("eso-mpc", "nmpc")]
+FEEDBACK = [law.replace("-", "_") for law in get_args(LawName) if law not in ("eso-mpc-article", "nmpc")]
 CONTROLLER = load_experiment("pool").controller
 
 

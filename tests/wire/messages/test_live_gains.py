@@ -59,11 +59,15 @@ def test_a_change_is_what_the_file_would_have_given(parameter: TunableParameter)
 @pytest.mark.parametrize(
     ("key", "value", "says"),
     [
-        ("controller.mpc.q.0", -1.0, "controller.mpc.q.0 = -1.0: Input should be greater than or equal to 0"),
+        (
+            "controller.mpc.q_formation.0",
+            -1.0,
+            "controller.mpc.q_formation.0 = -1.0: Input should be greater than or equal to 0",
+        ),
         ("controller.estimator.bandwidth_radps", 0.0, "greater than 0"),
-        ("controller.mpc.r.1", math.nan, "finite"),
+        ("controller.nmpc.arm_m", math.nan, "finite"),
         ("controller.period_s", 0.1, "controller.period_s: cannot be changed in flight (allowed: controller.estimator.band"),
-        ("controller.mpc.q.4", 1.0, "cannot be changed in flight"),
+        ("controller.mpc.q_formation.4", 1.0, "cannot be changed in flight"),
         ("vehicle.radius_m", 1.0, "cannot be changed in flight"),
     ],
 )
@@ -74,7 +78,7 @@ def test_a_gain_out_of_bounds_is_refused_with_the_reason(key: str, value: float,
 
 
 def test_a_message_stands_for_exactly_its_values() -> None:
-    wanted = tuned(POOL.controller, {"controller.mpc.q.0": 3.0})
+    wanted = tuned(POOL.controller, {"controller.nmpc.turning_m": 0.3})
     message = tuning(wanted)
     assert of_message(POOL.controller, message) == wanted
     count = len(message.keys)
@@ -92,10 +96,10 @@ def test_a_message_stands_for_exactly_its_values() -> None:
 @pytest.mark.parametrize(
     ("setting", "says"),
     [
-        ("controller.guidance.filter_s=slow", "controller.guidance.filter_s = 'slow': must be a number"),
-        ("controller.guidance.filter_s=true", "controller.guidance.filter_s = True: must be a number"),
-        ("controller.mpc.q=[1, 'x']", "controller.mpc.q.1 = 'x': must be a number"),
-        ("controller.mpc.q", "write it as key=value"),
+        ("controller.nmpc.arm_m=slow", "controller.nmpc.arm_m = 'slow': must be a number"),
+        ("controller.nmpc.arm_m=true", "controller.nmpc.arm_m = True: must be a number"),
+        ("controller.mpc.q_formation=[1, 'x']", "controller.mpc.q_formation.1 = 'x': must be a number"),
+        ("controller.mpc.q_formation", "write it as key=value"),
     ],
 )
 def test_a_change_that_is_no_number_is_refused_with_its_key(setting: str, says: str) -> None:
@@ -113,23 +117,23 @@ def test_another_law_keeps_the_gains_that_stand_in_its_place() -> None:
     pid = load_experiment("pool", ["controller.law=pid"]).controller
     keys = {parameter.key for parameter in tunable_parameters(pid)}
     assert "controller.estimator.bandwidth_radps" in keys
-    assert not keys & {"controller.mpc.q.0", "controller.guidance.position_gain_per_s2"}
+    assert not keys & {"controller.mpc.q.0", "controller.nmpc.arm_m", "controller.guidance.position_gain_per_s2"}
 
 
 def test_settings_of_lists_go_by_entries() -> None:
-    assert values_of(["controller.mpc.q=[2,2,1,1.5]", "controller.guidance.filter_s=2"]) == {
-        "controller.mpc.q.0": 2.0,
-        "controller.mpc.q.1": 2.0,
-        "controller.mpc.q.2": 1.0,
-        "controller.mpc.q.3": 1.5,
-        "controller.guidance.filter_s": 2.0,
+    assert values_of(["controller.mpc.q_formation=[2,2,1,1.5]", "controller.nmpc.arm_m=2"]) == {
+        "controller.mpc.q_formation.0": 2.0,
+        "controller.mpc.q_formation.1": 2.0,
+        "controller.mpc.q_formation.2": 1.0,
+        "controller.mpc.q_formation.3": 1.5,
+        "controller.nmpc.arm_m": 2.0,
     }
-    for wrong in ("controller.mpc.q=[true]", "controller.mpc.q=high", "controller.mpc.q"):
+    for wrong in ("controller.mpc.q_formation=[true]", "controller.mpc.q_formation=high", "controller.mpc.q_formation"):
         with pytest.raises(ConfigError):
             values_of([wrong])
 
 
 @pytest.mark.parametrize("value", ["[9,9,1]", "[1,1,1,1,1]", "2"])
 def test_a_list_is_given_as_a_whole(value: str) -> None:
-    with pytest.raises(ConfigError, match=r"must be 4 numbers, or one of them by its place: controller\.mpc\.q\.0"):
-        values_of([f"controller.mpc.q={value}"])
+    with pytest.raises(ConfigError, match=r"must be 4 numbers, or one of them by its place: controller\.mpc\.q_formation\.0"):
+        values_of([f"controller.mpc.q_formation={value}"])
