@@ -155,13 +155,15 @@ def order(
 @gains_cli.command("set")
 @request
 def set_gains(
-    changes: Annotated[list[str], typer.Argument(metavar="KEY=VALUE", help="For example controller.mpc.q=[2,2,1,1].")],
+    changes: Annotated[
+        list[str], typer.Argument(metavar="KEY=VALUE", help="For example controller.mpc.q_formation=[0.3,0.3,0.3,0.3].")
+    ],
 ) -> tuple[str, Command]:
     """Change weights and gains while the fleet flies: all robots at the same instant, or none.
 
     Exit code 0 when all fly with them, 1 and the reason if not.
 
-    Example:  groundstation gains set 'controller.mpc.q=[2,2,1,1]'
+    Example:  groundstation gains set 'controller.mpc.q_formation=[0.3,0.3,0.3,0.3]'
     """
     return _gains(changes)
 

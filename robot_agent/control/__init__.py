@@ -1,6 +1,6 @@
-"""From estimate and reference to the wrench: the ESO-MPC, and the laws that it is compared with.
+"""From estimate and reference to the wrench: the nonlinear MPC, and the laws that it is compared with.
 
-controller.py runs a step: heading (heading.py), linear model over the horizon (linearisation.py), quadratic program (mpc.py;
-solved by active_set.py or qp.py). law.py builds the control law that the experiment names; live_tuning.py changes gains in
-flight.
+nonlinear/ is the controller that robots fly with. controller.py runs a step of the others: heading (heading.py) and a law that
+law.py builds: the article's MPC (mpc.py on linearisation.py, solved by active_set.py or qp.py), or one of baselines/.
+any_controller.py makes the one that the experiment names; live_tuning.py changes gains in flight.
 """

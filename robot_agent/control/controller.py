@@ -1,4 +1,5 @@
-"""READ FIRST (control): one control step, from sensor values to pulse widths. Pure: time is an argument, nothing blocks.
+"""One control step of the laws with which the nonlinear MPC is compared, from sensor values to pulse widths. Pure: time is an
+argument, nothing blocks.
 
     controller = Controller(vehicle, config, safety)
     output = controller.step(measurement, goal, neighbours, now_ns)     # once per config.period_s
@@ -10,8 +11,7 @@ Data flow of `Controller.step`:
                 -> GiveWay (velocity_obstacles.py)   the same reference, or one around robots and obstacles in the way
     neighbours  -> Formation (formation.py)          weighted reference (35), half-spaces (36)
                 -> HeadingReference (heading.py)     heading in which surge thrust corrects lateral errors
-                -> Approach (approach.py)            at a path's beginning, surge and yaw onto it, planned together
-                -> Mpc (mpc.py, active_set.py)       wrench over the horizon (35 to 40), or another law (law.py)
+                -> Law (law.py)                      wrench: the article's MPC (35 to 40), or another law
                 -> Allocator (allocation.py)         pulse widths of 4 thrusters and 4 ankles
 
 The estimator is told that `output.pulse_us` went out at `now_ns`. `goal = None` means neutral: the controller goes on

@@ -82,7 +82,7 @@ def sil(
                sim-bridge sil pool --lockstep --seed 3 --set 'sim.plant.current_mps=[0.014,0,0]'
                sim-bridge sil pool --fault "t=20 thruster 2/3 dead" --fault "t=40 for=3 camera frozen"
                sim-bridge sil pool --set path.lap_s=30 --dry-run
-               sim-bridge sil --from runs/pool-20260101-120000 --at 35 --set controller.mpc.horizon=60
+               sim-bridge sil --from runs/pool-20260101-120000 --at 35 --set controller.nmpc.turning_m=0.1
     """
     from rich.console import Console
 

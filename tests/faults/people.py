@@ -46,7 +46,7 @@ MISHAPS = ("killed", "stopped", "cut", "deaf", "mute")
 LASTS_S = 28.0  # of the requests, after the start of the first flight
 AS_SHOWN = 0.5  # share of the requests that are possible when they are made
 ENDS = frozenset({Order.STOP, Order.DISARM, Order.END})  # always possible, and soon all that ever happened
-GAIN = "controller.mpc.r.2"
+GAIN = "controller.nmpc.turning_m"
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ def plan(seed: int, robots: tuple[int, ...]) -> list[ScriptLine]:
 def _command(random: np.random.Generator, robots: tuple[int, ...]) -> Command:
     kind, robot = random.random(), int(random.choice(robots))
     if kind < 0.15:
-        return client.gains_command([f"{GAIN}={random.choice([15.0, 25.0]):g}"])
+        return client.gains_command([f"{GAIN}={random.choice([0.02, 0.04]):g}"])
     if kind < 0.5:
         order = ONE_ROBOT[int(random.integers(len(ONE_ROBOT)))]
         place = (round(float(random.uniform(-2.5, 2.5)), 2), round(float(random.uniform(-1.6, 1.6)), 2))

@@ -29,7 +29,7 @@ from wire.messages.messages import (
 
 pytestmark = [pytest.mark.timeout(600), pytest.mark.real_time]  # what waits for a browser waits for a loaded machine
 
-YAW_WEIGHT = "800"  # a hundred times that of the file
+TURNING = "0.5"  # fifty times that of the file
 
 
 def fly_on(page: Page, seconds: int) -> None:
@@ -110,13 +110,13 @@ def test_gains_are_changed_in_flight_and_changed_back(page: Page) -> None:
     gains = page.locator(".tuning")
     gains.locator("summary").click()
     expect(gains.locator("h2")).to_contain_text("set A")
-    field, apply = gains.get_by_label("Inputs R yaw"), button(page, "Apply")
+    field, apply = gains.get_by_label("turning", exact=True), button(page, "Apply")
     expect(apply).to_be_disabled()
     field.fill("-1")
-    expect(gains).to_contain_text("controller.mpc.r.2: from 0 to 10000")
+    expect(gains).to_contain_text("controller.nmpc.turning_m: from 0 to 1")
     expect(apply).to_be_disabled()
     fly_on(page, 2)  # with the gains of the file
-    field.fill(YAW_WEIGHT)
+    field.fill(TURNING)
     apply.click()
     expect(gains.locator("h2")).to_contain_text("set B")
     answers = page.get_by_label("Orders given from here")
@@ -270,7 +270,7 @@ def test_the_log_holds_the_gains_and_the_solver_had_them(flight: OperatorFlight)
     log = read_log(recorded / "run.mcap")
     a, b = (entry.message for entry in log.of(topics.TUNING, Tuning))
     assert dict(zip(b.keys, b.values, strict=True)) == dict(zip(a.keys, a.values, strict=True)) | {
-        "controller.mpc.r.2": float(YAW_WEIGHT)
+        "controller.nmpc.turning_m": float(TURNING)
     }
     flown = [[(s.stamp_ns, s.message.tuning_id) for s in log.of(topics.STATE, RobotState, robot)] for robot in (1, 2)]
     assert flown[0] == flown[1], "all robots change over at one instant"
@@ -278,7 +278,7 @@ def test_the_log_holds_the_gains_and_the_solver_had_them(flight: OperatorFlight)
 
     (same,) = rerun(recorded, [1])
     assert same.exact  # the change is among what the log says was done to the robot
-    (other,) = rerun(recorded, [1], [f"controller.mpc.r=[0.05,0.05,{YAW_WEIGHT}]"])
+    (other,) = rerun(recorded, [1], [f"controller.nmpc.turning_m={TURNING}"])
     assert other.compared == len(flown[0])
     since = next(k for k, (_, name) in enumerate(flown[0]) if name == b.id)
     apart_n = np.abs(other.before["wrench"] - other.after["wrench"]).max(axis=1)

@@ -80,7 +80,7 @@ def test_one_robot_is_sent_to_a_place(fleet: ConnectedFleet, station: PlayedStat
 
 def test_places_and_gains_travel_with_the_request(fleet: ConnectedFleet, station: PlayedStation) -> None:
     fleet.go((1.0, -0.5), (2.0, 0.0))
-    fleet.set_gains({"controller.mpc.q": [2, 2, 1, 1]})
+    fleet.set_gains({"controller.mpc.q_formation": [0.3, 0.3, 0.3, 0.3]})
     go, tune = station.commands
     assert go.via.tolist() == [[1.0, -0.5], [2.0, 0.0]]
     assert tune.tuning is not None and tune.tuning.values.tolist() == [2.0, 2.0, 1.0, 1.0]
@@ -91,7 +91,7 @@ def test_a_request_without_numbers_never_reaches_the_station(fleet: ConnectedFle
         with pytest.raises(ValueError, match="no places"):
             fleet.go(*places)
     with pytest.raises(ConfigError):
-        fleet.set_gains({"controller.mpc.q": "much"})
+        fleet.set_gains({"controller.mpc.q_formation": "much"})
     assert station.commands == []
 
 

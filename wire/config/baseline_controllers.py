@@ -1,4 +1,4 @@
-"""Settings of the control laws that the ESO-MPC is compared with. Lists are [surge, heave, yaw]: m, m and rad; N, N and N m.
+"""Settings of the control laws that the MPC is compared with. Lists are [surge, heave, yaw]: m, m and rad; N, N and N m.
 
 All gains are the outcome of one search with the same budget for each law, for the shipped vehicle (docs/baselines.md);
 `sim-bridge tune` repeats it for another.
@@ -39,8 +39,7 @@ class FeedbackLawConfig(Section):
     """Settings that all feedback laws have."""
 
     guidance_per_s2: NotNegative = 0.1
-    """Reference correction of this law, in the place of controller.guidance.position_gain_per_s2, which is set for the ESO-
-    MPC."""
+    """Reference correction of this law, in the place of controller.guidance.position_gain_per_s2."""
 
 
 class BacksteppingConfig(FeedbackLawConfig):

@@ -112,8 +112,8 @@ class EstimatorConfig(Section):
 
 
 class GuidanceConfig(Section):
-    """Reference heading from the force the path asks for: without it a robot that cannot
-    push sideways never corrects a lateral error at walking pace."""
+    """Reference heading of the feedback laws, from the force the path asks for: without it a robot that cannot push sideways
+    never corrects a lateral error at walking pace."""
 
     enabled: bool = True
     """Correct lateral errors by the heading. False: the heading is the path's tangent."""
@@ -185,13 +185,13 @@ class ControllerConfig(Section):
     period_s: Annotated[float, Field(ge=0.01, le=COMMAND_AGE_S / 2)] = 0.05
     """Control period. At most half of the age at which a board disarms, so that one step may be lost."""
     law: Law = "nmpc"
-    """Control law: the ESO-MPC, one that it is compared with, or MODULE:NAME of your own (docs/baselines.md)."""
+    """Control law: the nonlinear MPC, one that it is compared with, or MODULE:NAME of your own (docs/baselines.md)."""
     own: Annotated[tuple[float, ...], Field(max_length=100, examples=[[0.3, 0.2]])] = ()
     """Numbers for a law of your own, in the order that it wants."""
     estimator: EstimatorConfig = EstimatorConfig()
     """Extended state observer."""
     guidance: GuidanceConfig = GuidanceConfig()
-    """Reference heading."""
+    """Reference heading of the feedback laws."""
     mpc: MpcConfig = MpcConfig()
     """Model predictive control."""
     nmpc: NonlinearMpcConfig = NonlinearMpcConfig()

@@ -1,4 +1,4 @@
-"""READ FIRST (nonlinear): one control step of the nonlinear MPC, from sensor values to pulse widths. Pure.
+"""READ FIRST (control): one control step of the nonlinear MPC, from sensor values to pulse widths. Pure.
 
 Data flow of `NonlinearController.step`; its interface is that of `Controller` (controller.py):
 

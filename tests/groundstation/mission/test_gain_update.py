@@ -14,7 +14,7 @@ from wire.config.experiment import load_experiment
 from wire.messages.messages import Command, Mode, Order, Reply, RobotState
 
 EXPERIMENT = load_experiment("pool", ["path.lap_s=25", "duration_s=100"])
-KEY, VALUE = "controller.mpc.r.2", 20.0
+KEY, VALUE = "controller.nmpc.turning_m", 0.2
 STEP_S = 0.05
 
 
@@ -220,17 +220,17 @@ def test_wishes_that_cannot_be() -> None:
     fleet = TunedFleet()
     assert fleet.undo() == "there is nothing to undo"
     assert KEY in fleet.request(-1.0)
-    assert fleet.request(EXPERIMENT.controller.mpc.r[2]) == "this is what is flown already"
+    assert fleet.request(EXPERIMENT.controller.nmpc.turning_m) == "this is what is flown already"
     assert fleet.request() == ""
-    assert fleet.request(30.0) == fleet.undo() == "another change is under way: robots check the gains"
+    assert fleet.request(0.3) == fleet.undo() == "another change is under way: robots check the gains"
     fleet.step(1.0)
     fleet.robots[2].heard = False
-    assert fleet.request(30.0) == "robot 2 is not heard"
+    assert fleet.request(0.3) == "robot 2 is not heard"
 
 
 def test_undo_goes_back_a_set_at_a_time() -> None:
     fleet, ids = TunedFleet(), []
-    for value in (20.0, 30.0):
+    for value in (0.2, 0.3):
         fleet.request(value)
         fleet.step(1.0)
         ids.append(fleet.tuner.status().flown.id)

@@ -24,7 +24,7 @@ from wire.config.experiment import NO_CAMERA, Experiment, load_experiment
 from wire.messages.messages import DriveVelocity, Mode, Order
 
 PEOPLE = ("page A", "page B", "terminal", "script")
-KEY = "controller.mpc.r.2"
+KEY = "controller.nmpc.turning_m"
 PLACES_M = ((0.0, 1.9), (2.6, 1.6), (-2.6, -1.6), (2.4, -1.2))
 MIDDLES_M = ((0.8, 0.4), (-0.8, 0.4), (1.4, -0.6), (-1.2, -0.8))  # for the formation's centre
 OUTAGES_S = (0.1, 0.4, 1.0, 2.5, 5.0, 20.0)
@@ -165,7 +165,7 @@ class Interruptions(RuleBasedStateMachine):
         until_ns = self.pool.now_ns + round(seconds * 1e9)
         self.pool.driving[self.ids[k % len(self.ids)]] = DriveVelocity(surge_mps=surge_mps), until_ns
 
-    @rule(value=st.sampled_from((15.0, 25.0, None)), next_lap=st.booleans())
+    @rule(value=st.sampled_from((0.02, 0.04, None)), next_lap=st.booleans())
     def change_gains(self, value: float | None, next_lap: bool) -> None:
         pool, values = self.pool, None if value is None else {KEY: value}
         _, number = pool.core.request_gains(values, next_lap, pool.fleet, pool.now_ns)

@@ -1,4 +1,4 @@
-"""The laws that the ESO-MPC is compared with: each against its own theory, then all of them flown, fuzzed and limited."""
+"""The laws that the MPC is compared with: each against its own theory, then all of them flown, fuzzed and limited."""
 
 import math
 from typing import get_args
