@@ -40,7 +40,7 @@ def simulate(
     """Fly an experiment in this process, as fast as it goes, and write log and report.
 
     Without `camera` as `sim-bridge numeric` flies, with it as `sim-bridge sil --lockstep --one-process`; its bits are the same
-    under OMP_NUM_THREADS=1. `settings` are keys of the experiment: {"controller.nmpc.turning_m": 0.1}. Raises ConfigError for an
+    under OMP_NUM_THREADS=1. `settings` are keys of the experiment: {"controller.nmpc.arm_m": 0.1}. Raises ConfigError for an
     experiment that cannot be flown."""
     from rich.console import Console  # the simulator's packages: a station's laptop has none of them
 

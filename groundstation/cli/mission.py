@@ -155,9 +155,7 @@ def order(
 @gains_cli.command("set")
 @request
 def set_gains(
-    changes: Annotated[
-        list[str], typer.Argument(metavar="KEY=VALUE", help="For example controller.mpc.q_formation=[0.3,0.3,0.3,0.3].")
-    ],
+    changes: Annotated[list[str], typer.Argument(metavar="KEY=VALUE", help="For example controller.nmpc.turning_m=0.02.")],
 ) -> tuple[str, Command]:
     """Change weights and gains while the fleet flies: all robots at the same instant, or none.
 

@@ -27,7 +27,7 @@ def rerun(
     Exit code 1 if nothing was changed and something differs, or the log does not hold all that it takes.
 
     Examples:  groundstation log rerun runs/pool-20260101-120000
-               groundstation log rerun runs/pool-20260101-120000 --robot 1 --set controller.nmpc.turning_m=0.1 --figures figures
+               groundstation log rerun runs/pool-20260101-120000 --robot 1 --set controller.nmpc.turning_m=0.1 --figures out
     """
     from groundstation.replay.step_diff import draw
     from groundstation.replay.step_replay import rerun as do_again

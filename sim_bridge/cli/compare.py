@@ -79,7 +79,7 @@ def tune(
     jobs: Jobs = None,
     settings: Settings = None,
 ) -> None:
-    """Tune the laws that the nonlinear MPC is compared with: the same search, budget and flights for each; print sections for an
+    """Tune the laws that the MPC is compared with: the same search, budget and flights for each; print sections for an
     experiment file.
 
     With --set vehicle=FILE.toml for another vehicle.
