@@ -1,7 +1,5 @@
 """Health of a robot: ages of its inputs and results of its checks, from which the mode is decided. Pure."""
 
-import cmath
-
 from robot_agent.control.controller import ControlOutput
 from robot_agent.inputs import Inputs, StationView
 from robot_agent.safety.modes import LIVE, POWERED, UNDER_WAY, Health
@@ -18,7 +16,6 @@ from wire.messages.messages import Mode, Track
 ARM_AGAIN_S = 0.2  # how often the board is asked to arm, or later to disarm, when it has not done as told
 DISARM_S = 0.5  # so long after the power is taken away every step disarms, whatever the board says: frames get lost
 NEVER_S = float("inf")
-FOLLOWS_S = 1.0  # so far a driven robot is behind its reference (guidance/driving.py)
 RESTART_DEPTH_M = 0.05  # a board that restarted deeper has a wrong zero; noise and drift of a sensor are some cm at most
 DEPTH_SLACK_M = 0.3  # a pressure sensor that says more than this beyond the pool is wrong; the station warns from there on
 
@@ -98,10 +95,6 @@ class HealthMonitor:
         x_m, y_m, depth_m, _ = output.eta.tolist()
         path_x_m, path_y_m, path_depth_m, _ = output.eta_reference.tolist()
         place, path, is_free = complex(x_m, y_m), complex(path_x_m, path_y_m), output.is_free
-        if mode is Mode.DRIVEN:  # its reference leads: what counts is where it would be by then
-            surge_mps, sway_mps, heave_mps, _ = output.nu.tolist()
-            place += cmath.rect(FOLLOWS_S, output.eta.item(3)) * complex(surge_mps, sway_mps)
-            depth_m += FOLLOWS_S * heave_mps
         self._path.step(place, path, is_free, output.path_is_blocked, now_ns)
         self._depth.step(complex(depth_m), complex(path_depth_m), True, False, now_ns)  # no robot gives way by depth
         self._output = output

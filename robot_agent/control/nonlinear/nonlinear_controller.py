@@ -50,7 +50,7 @@ REST_M = 0.05  # and at a place to rest
 TOLERANCE_M = 0.02  # mean error of a plan with which no other is looked for
 CALM = 8.0  # standard deviations: nearer to its place, a resting robot looks for no other plan
 STEEPEST_RAD = 0.5  # a hull that rights itself is not pitched farther by its thrusters: a board that says so is wrong
-DRIVES_ON_S = 2.0  # a person goes on steering: a plan that stops with the order's age follows late
+DRIVES_ON_S = 2.0  # a person goes on steering: a plan that stops with the order's age swings and follows late
 
 
 class NonlinearController:
@@ -243,7 +243,8 @@ class NonlinearController:
         )
         self._turns.note(self._course, near_rad)
         turning_m = gains.hold_turning_m if is_resting else gains.turning_m
-        weights = self._weights(tunings.Manner(turning_m, 0.0 if is_resting or is_steered else tunings.FACING_S))
+        facing_s = 0.0 if is_resting or is_steered else tunings.FACING_S
+        weights = self._weights(tunings.Manner(turning_m, facing_s, is_steered))
         problem = PlanProblem(start, self._course, weights, self._limits, surrounds)
         calm = is_resting and self._off_m < self._calm_m
         assert self._tuning is not None

@@ -3,6 +3,8 @@
     J = integral |p - p_ref|^2 + a^2 w (yaw - yaw_ref)^2 + s^2 r^2 + sum rho_i (dF_i/dt)^2 dt          m^2 s
         + T |p - p_ref + t (p' - p_ref')|^2 + a^2 w b (yaw - yaw_ref)^2 at the end, + sigma (deepest entry into a half-space)^2
 
+While a person steers, |e|^2 is the square of the part along yaw_ref alone: nobody asks for a line.
+
 Gauss-Newton about the flight there is: the Hessian is that of the squares of the linearised terms. The program is condensed:
 its unknowns are changes of the commands at the nodes, and one slack. `active_set.solve_from` solves it, from the rows that
 were active last. Along its step the flight is tried on the nonlinear cost, and the step shortened while that is no better.
@@ -58,6 +60,7 @@ class Weights(NamedTuple):
     lead_s: float  # t
     facing_s: float  # b
     entry: float  # sigma, s
+    is_steered: bool  # errors of the place count along the heading alone
 
 
 class InputLimits(NamedTuple):
@@ -142,6 +145,12 @@ def end_error(dynamics: Dynamics, problem: PlanProblem, state: Floats) -> tuple[
 
 
 @kernel(part=True)
+def counted(weights: Weights, yaw: float, ex: float, ey: float) -> tuple[float, float]:
+    """The part of an error of the place that counts, as two numbers whose squares are summed."""
+    return (math.cos(yaw) * ex + math.sin(yaw) * ey, 0.0) if weights.is_steered else (ex, ey)
+
+
+@kernel(part=True)
 def deepest_entry(rows: HalfPlanes, state: Table) -> float:
     """Deepest entry of a flight's states (nodes, 9) into a half-space, in units of its give; 0 if there is none."""
     deepest = 0.0
@@ -160,7 +169,8 @@ def cost_of(dynamics: Dynamics, grid: Grid, problem: PlanProblem, memory: Memory
     total: float = 0.0
     for k in range(last + 1):
         s = flight.state[k]
-        ex, ey, turned = s[X] - course.place[k, 0], s[Y] - course.place[k, 1], s[YAW] - course.yaw[k]
+        ex, ey = counted(weights, course.yaw[k], s[X] - course.place[k, 0], s[Y] - course.place[k, 1])
+        turned = s[YAW] - course.yaw[k]
         total += grid.share_s[k] * (
             ex * ex + ey * ey + course.yaw_weight[k] * turned * turned + weights.turning_m2 * s[R] * s[R]
         )
@@ -169,6 +179,7 @@ def cost_of(dynamics: Dynamics, grid: Grid, problem: PlanProblem, memory: Memory
             before = problem.start.command[i] if k == 0 else flight.command[k - 1, i]
             total += weights.rate[i] * (flight.command[k, i] - before) ** 2 / span_s
     ex, ey, turned = end_error(dynamics, problem, flight.state[last])
+    ex, ey = counted(weights, course.yaw[last], ex, ey)
     total += weights.end_s * (ex * ex + ey * ey) + weights.facing_s * course.yaw_weight[last] * turned * turned
     total += weights.entry * deepest_entry(memory.rows, flight.state) ** 2
     return total
@@ -185,19 +196,35 @@ def add_square(weight: float, error: float, row: Floats, reached: int, program: 
 
 
 @kernel(part=True)
+def add_place(
+    weights: Weights, weight: float, yaw: float, error: tuple[float, float], row_x: Floats, row_y: Floats, reached: int,
+    program: QuadraticProgram,
+) -> None:  # fmt: skip
+    """Add the squares of an error of the place with its derivatives `row_x`, `row_y` (reached,): of all of it, or of what
+    counts. `row_x` is overwritten then."""
+    if weights.is_steered:
+        cos, sin = math.cos(yaw), math.sin(yaw)
+        for j in range(reached):
+            row_x[j] = cos * row_x[j] + sin * row_y[j]
+        add_square(weight, cos * error[0] + sin * error[1], row_x, reached, program)
+        return
+    add_square(weight, error[0], row_x, reached, program)
+    add_square(weight, error[1], row_y, reached, program)
+
+
+@kernel(part=True)
 def add_end(dynamics: Dynamics, problem: PlanProblem, flight: PlannedFlight, program: QuadraticProgram) -> None:
     """Add the squares of the last node's error of place and velocity, and of its heading."""
     last, lead_s = len(flight.state) - 1, problem.weights.lead_s
     state, slope = flight.state[last], flight.slope[last]
-    cos, sin, row = math.cos(state[YAW]), math.sin(state[YAW]), program.row
+    cos, sin, row, aside_row = math.cos(state[YAW]), math.sin(state[YAW]), program.row, program.change
     ahead, aside = cos * state[U] - sin * state[V], sin * state[U] + cos * state[V]
     ex, ey, turned = end_error(dynamics, problem, state)
     for j in range(len(row)):
         row[j] = slope[X, j] + lead_s * (cos * slope[U, j] - sin * slope[V, j] - aside * slope[YAW, j])
-    add_square(problem.weights.end_s, ex, row, len(row), program)
-    for j in range(len(row)):
-        row[j] = slope[Y, j] + lead_s * (sin * slope[U, j] + cos * slope[V, j] + ahead * slope[YAW, j])
-    add_square(problem.weights.end_s, ey, row, len(row), program)
+        aside_row[j] = slope[Y, j] + lead_s * (sin * slope[U, j] + cos * slope[V, j] + ahead * slope[YAW, j])
+    weights, yaw = problem.weights, problem.course.yaw[last]
+    add_place(weights, weights.end_s, yaw, (ex, ey), row, aside_row, len(row), program)
     facing = problem.weights.facing_s * problem.course.yaw_weight[last]
     if facing > 0.0:
         add_square(facing, turned, slope[YAW], len(row), program)
@@ -212,8 +239,10 @@ def condense(dynamics: Dynamics, grid: Grid, problem: PlanProblem, flight: Plann
     gradient[:] = 0.0
     for k in range(len(flight.state)):
         s, slope, share_s, reached = flight.state[k], flight.slope[k], grid.share_s[k], axes * (k + 1)
-        add_square(share_s, s[X] - course.place[k, 0], slope[X], reached, program)
-        add_square(share_s, s[Y] - course.place[k, 1], slope[Y], reached, program)
+        error = (s[X] - course.place[k, 0], s[Y] - course.place[k, 1])
+        for j in range(reached):
+            program.row[j], program.change[j] = slope[X, j], slope[Y, j]
+        add_place(weights, share_s, course.yaw[k], error, program.row, program.change, reached, program)
         if course.yaw_weight[k] > 0.0:
             add_square(share_s * course.yaw_weight[k], s[YAW] - course.yaw[k], slope[YAW], reached, program)
         if weights.turning_m2 > 0.0:

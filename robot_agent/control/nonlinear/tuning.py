@@ -49,6 +49,7 @@ class Manner(NamedTuple):
 
     turning_m: float  # m s: what turning at 1 rad/s for a second costs
     facing_s: float  # for so long counts the heading at the horizon's end
+    is_steered: bool = False  # a person asks for a heading and a speed, and for no line
 
 
 def delay_s(vehicle: Vehicle, period_s: float, lag_s: float) -> float:
@@ -100,13 +101,13 @@ def planar_weights(vehicle: Vehicle, tuning: Bandwidths, arm_m: float, manner: M
     mass, _, _, inertia = vehicle.inertia.tolist()
     rate = np.array([rate_weight(mass, tuning.quickness), rate_weight(inertia, tuning.turning, arm_m)])
     end_s, lead_s = END_SHARE / tuning.calm_quickness, 1.0 / tuning.calm_quickness
-    return Weights(rate, manner.turning_m**2, end_s, lead_s, manner.facing_s, entry)
+    return Weights(rate, manner.turning_m**2, end_s, lead_s, manner.facing_s, entry, manner.is_steered)
 
 
 def depth_weights(vehicle: Vehicle, tuning: Bandwidths) -> Weights:
     """Weights of heave."""
     rate = np.array([rate_weight(vehicle.mass.heave_kg, tuning.depth)])
-    return Weights(rate, 0.0, END_SHARE / tuning.depth, 1.0 / tuning.depth, 0.0, 1.0)
+    return Weights(rate, 0.0, END_SHARE / tuning.depth, 1.0 / tuning.depth, 0.0, 1.0, False)
 
 
 def planar_limits(vehicle: Vehicle) -> InputLimits:

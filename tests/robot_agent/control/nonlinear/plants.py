@@ -23,15 +23,20 @@ def grid_of(axes: tuple[int, ...]) -> Grid:
 
 
 def problem_of(
-    grid: Grid, start: Start, surrounds: Surrounds = NOTHING, speed_mps: float = 0.1, aside_m: float = 0.3
+    grid: Grid,
+    start: Start,
+    surrounds: Surrounds = NOTHING,
+    speed_mps: float = 0.1,
+    aside_m: float = 0.3,
+    is_steered: bool = False,
 ) -> PlanProblem:
     """A straight course, beside and ahead of the robot's place; a robot that cannot leave its line stays on it."""
     axes, nodes = grid.axes, len(grid.share_s)
     place, velocity = np.zeros((nodes, 2)), np.zeros((nodes, 2))
     place[:, 0], velocity[:, 0] = 0.2 + speed_mps * grid.time_s[1:], speed_mps
     place[:, 1] = aside_m if len(axes) > 1 else 0.0
-    course = Course(place, velocity, np.zeros(nodes), np.full(nodes, 1e-4))
+    heading = np.linspace(0.2, 0.6, nodes) if is_steered else np.zeros(nodes)
+    course = Course(place, velocity, heading, np.full(nodes, 1e-4))
     rate = np.array([1e-4, 1e-4, 6e-4])
-    return PlanProblem(
-        start, course, Weights(rate[axes], 1e-4, 1.0, 0.5, 3.0, 1e4), InputLimits(LIMIT[axes], RATE[axes]), surrounds
-    )
+    weights = Weights(rate[axes], 1e-4, 1.0, 0.5, 3.0, 1e4, is_steered)
+    return PlanProblem(start, course, weights, InputLimits(LIMIT[axes], RATE[axes]), surrounds)

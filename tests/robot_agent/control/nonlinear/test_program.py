@@ -16,11 +16,19 @@ from tests.robot_agent.control.nonlinear.plants import ALL_AXES, DYNAMICS, LIMIT
 from wire.frames import Array
 
 
+def counted(problem: PlanProblem, error: Array, yaw: Array) -> Array:
+    """Errors of the place (rows, 2): all of them, or the part along the heading of the course."""
+    if not problem.weights.is_steered:
+        return error
+    along = np.sum(error * np.column_stack([np.cos(yaw), np.sin(yaw)]), axis=1)
+    return np.column_stack([along, np.zeros_like(along)])
+
+
 def residuals(grid: Grid, problem: PlanProblem, flight: PlannedFlight) -> Array:
     """All terms of the cost, so that J is the sum of their squares: the formula of program.py, in NumPy."""
     s, course, w = flight.state, problem.course, problem.weights
     share, span = np.sqrt(grid.share_s), np.diff(grid.time_s)
-    place = share[:, None] * (s[:, :2] - course.place)
+    place = share[:, None] * counted(problem, s[:, :2] - course.place, course.yaw)
     yaw = share * np.sqrt(course.yaw_weight) * (s[:, 2] - course.yaw)
     turning = share * math.sqrt(w.turning_m2) * s[:, 5]
     change = np.diff(np.vstack([problem.start.command, flight.command]), axis=0)
@@ -30,7 +38,8 @@ def residuals(grid: Grid, problem: PlanProblem, flight: PlannedFlight) -> Array:
         math.cos(heading) * u - math.sin(heading) * v + DYNAMICS.water.current_x_mps,
         math.sin(heading) * u + math.cos(heading) * v + DYNAMICS.water.current_y_mps,
     ])  # fmt: skip
-    end = math.sqrt(w.end_s) * ([x, y] - course.place[-1] + w.lead_s * (over_ground - course.velocity[-1]))
+    missed = [x, y] - course.place[-1] + w.lead_s * (over_ground - course.velocity[-1])
+    end = math.sqrt(w.end_s) * counted(problem, missed[None], course.yaw[-1:])[0]
     facing = math.sqrt(w.facing_s * course.yaw_weight[-1]) * (heading - course.yaw[-1])
     return np.concatenate([place.ravel(), yaw, turning, rate.ravel(), end, [facing]])
 
@@ -52,13 +61,14 @@ def jacobian(grid: Grid, problem: PlanProblem, commands: Array) -> tuple[Array, 
     return at(commands), np.column_stack(columns)
 
 
+@pytest.mark.parametrize("is_steered", [False, True])
 @pytest.mark.parametrize("axes", ALL_AXES)
-def test_iteration_is_the_gauss_newton_step_within_the_limits(axes: tuple[int, ...]) -> None:
+def test_iteration_is_the_gauss_newton_step_within_the_limits(axes: tuple[int, ...], is_steered: bool) -> None:
     """The change of the commands is what OSQP finds for J'J, made from finite differences of the cost's own terms."""
     grid, count = grid_of(axes), len(axes)
     random = np.random.default_rng(5)
     start = Start(np.array([0.0, 0.0, 0.1, 0.05, 0.0, 0.1, 0.2, 0.0, 0.0]), np.zeros(count))
-    problem, memory = problem_of(grid, start), make_memory(count)
+    problem, memory = problem_of(grid, start, is_steered=is_steered), make_memory(count)
     before = 0.02 * random.normal(size=(20, count)) * LIMIT[list(axes)]
     memory.flight.command[:] = before
     r, slope = jacobian(grid, problem, before)
