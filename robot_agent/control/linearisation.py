@@ -298,11 +298,11 @@ class Prediction:
     def __init__(self, model: Model, period_s: float, horizon: int, blocks: tuple[int, ...]) -> None:
         n, nodes = len(blocks), horizon + 1
         self._dt, self._sway, self._model = period_s, model.sway, model.coefficients
-        self._nominal, self._planar, self._axial = (
+        self._nominal, self.planar, self.axial = (
             np.zeros((2, nodes, 4)), np.zeros((4, nodes, 2 * n + 1)), np.zeros((4, nodes, n + 1))
         )  # fmt: skip
         self.eta, self.nu = self._nominal  # the nominal trajectory
-        self.x, self.y, self.z, self.yaw = (*self._planar[:2], *self._axial[:2])
+        self.x, self.y, self.z, self.yaw = (*self.planar[:2], *self.axial[:2])
         left, mean = model.lag(period_s)
         self._fading: Array = mean * np.power(
             left, np.arange(horizon), dtype=np.float64
@@ -336,17 +336,17 @@ class Prediction:
         write the cost of a reference (nodes, 4): see the kernel. Velocities are through the water."""
         linearise_and_condense(
             self._model, self._sway, self._dt, state, asked, delivered, disturbance, current, self._nominal, self._response,
-            self._fading, self._planar, self._axial, reference, weight, smooth, r, p, q,
+            self._fading, self.planar, self.axial, reference, weight, smooth, r, p, q,
         )  # fmt: skip
 
     def half_space_rows(self, keep_clear: HalfSpaces, a: Array, lower: Array) -> None:
         """Write the rows (36) over all blocks and the slack into `a` (most, 3 blocks + 1) and their bounds into `lower`
         (most,)."""
         give = np.ones(len(keep_clear.node)) if keep_clear.give is None else keep_clear.give
-        half_space_rows(self._planar, keep_clear.node, keep_clear.normal, keep_clear.offset, give, a, lower)
+        half_space_rows(self.planar, keep_clear.node, keep_clear.normal, keep_clear.offset, give, a, lower)
 
     def follow_plan(self, blocks: Array) -> Array:
         """Poses (nodes, 4) under the blocks (3 blocks,), surge, yaw, heave."""
         eta = np.empty(self.eta.shape)
-        follow_plan(blocks, self._planar, self._axial, eta)
+        follow_plan(blocks, self.planar, self.axial, eta)
         return eta

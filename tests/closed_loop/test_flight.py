@@ -124,8 +124,8 @@ def test_a_robot_told_to_hold_in_the_dark_holds_where_it_finds_itself() -> None:
     there = pool.truth[-1][0]
     pool.run(3.0)
     assert pool.robots[0].agent.mode is Mode.HOLDING
-    assert pool.robots[0].states[-1].eta_reference[:3] == pytest.approx(there[:3], abs=0.02)
-    assert pool.truth[-1][0, :3] == pytest.approx(there[:3], abs=0.03)
+    assert pool.robots[0].states[-1].eta_reference[:3] == pytest.approx(there[:3], abs=0.05)
+    assert pool.truth[-1][0, :3] == pytest.approx(there[:3], abs=0.06)
 
 
 def test_a_robot_whose_pressure_sensor_dies_does_not_fly_on_by_its_last_depth() -> None:

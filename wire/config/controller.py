@@ -136,7 +136,7 @@ MOST_STEPS = 200  # of a horizon
 
 
 class MpcConfig(Section):
-    """How far plans and trajectories look ahead, and the article's linear model predictive control (35-40). What is not given
+    """Reach of plans and trajectories, and settings of the article's linear model predictive control (35-40). What is not given
     is the article's under `eso-mpc-article`: horizon 25, blocks of fifteen ones, r = 0.01."""
 
     solver: Literal["osqp", "daqp"] = "osqp"

@@ -219,7 +219,7 @@ def linearise(
 def follow_without_moving_on(prediction: Prediction, blocks: Array) -> Array:
     """Make the response to the blocks the nominal trajectory from the same instant on. Returns its poses."""
     eta = prediction.follow_plan(blocks)
-    u, v, w, r = (*prediction._planar[2:], *prediction._axial[2:])
+    u, v, w, r = (*prediction.planar[2:], *prediction.axial[2:])
     superpose(blocks, u, v, w, r, prediction.nu)
     prediction.eta[:] = eta
     return eta

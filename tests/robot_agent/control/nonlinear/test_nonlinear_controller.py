@@ -13,9 +13,10 @@ from hypothesis import strategies as st
 from benchmarks.flights import flown
 from robot_agent.control.controller import ControlOutput
 from robot_agent.control.nonlinear.nonlinear_controller import TOLD_S, NonlinearController
+from robot_agent.guidance.driving import Driver
 from robot_agent.guidance.formation import Neighbour
 from robot_agent.guidance.obstacles import Obstacle
-from robot_agent.guidance.reference import Drive, Follow, Goal, Hold
+from robot_agent.guidance.reference import Follow, Goal, Hold
 from robot_agent.vehicle.dynamics import Model
 from robot_agent.vehicle.estimate import PoseMeasurement, StateMeasurement
 from tests.robot_agent.control.drawn_inputs import (
@@ -32,7 +33,7 @@ from tests.robot_agent.control.drawn_inputs import at as pose_at
 from wire.config.experiment import load_experiment
 from wire.frames import Array
 from wire.messages.live_gains import tunable_parameters, tuned
-from wire.messages.messages import Plan, Solve, Trajectory
+from wire.messages.messages import DriveVelocity, Plan, Solve, Trajectory
 
 pytestmark = pytest.mark.long
 
@@ -140,17 +141,14 @@ def test_hold_rests_inside_the_walls_and_clear_of_an_island() -> None:
 
 def test_a_driven_robot_has_the_speed_and_the_heading_asked_and_turns_on_the_spot() -> None:
     for surge, turn in ((0.2, 0.3), (-0.15, 0.0), (0.0, 0.8)):
-        robot = Swimmer((0.0, 0.0, 0.3, 0.0))
-        pose = np.array([0.0, 0.0, 0.3, 0.0])
-        for _ in range(160):
-            robot.step(Drive(pose.copy(), surge, 0.0, turn, 0.5))
-            pose += 0.05 * np.array([surge * math.cos(pose[3]), surge * math.sin(pose[3]), 0.0, turn])
-        x, y, _, yaw, u, _, _, r, *_ = robot.state
-        assert abs(yaw - pose[3]) < 0.05 and r == pytest.approx(turn, abs=0.03)
-        if turn:  # a bend carries it outwards: nothing pushes it sideways, and nobody asks for a line
-            assert u == pytest.approx(surge, abs=0.04)
-        if surge * turn == 0.0:
-            assert math.hypot(x - pose[0], y - pose[1]) < 0.08
+        robot, driver, led = Swimmer((0.0, 0.0, 0.3, 0.0)), Driver(NMPC), 0.0
+        for _ in range(120):
+            eta = np.array(robot.state[:4])
+            robot.step(driver.goal(DriveVelocity(surge, 0.0, turn), 0.5, eta, ()))
+            led += 0.05 * turn
+        _, _, _, yaw, u, _, _, r, *_ = robot.state
+        assert u == pytest.approx(surge, abs=0.05) and r == pytest.approx(turn, abs=0.03)
+        assert abs(yaw - led) < 0.05
 
 
 def test_the_plan_that_is_told_is_the_one_that_is_flown() -> None:
