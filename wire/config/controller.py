@@ -136,8 +136,8 @@ MOST_STEPS = 200  # of a horizon
 
 
 class MpcConfig(Section):
-    """Reach of plans and trajectories, and settings of the article's linear model predictive control (35-40). What is not given
-    is the article's under `eso-mpc-article`: horizon 25, blocks of fifteen ones, r = 0.01."""
+    """Reach of plans and trajectories, and the article's linear model predictive control (35-40). What is not given is the
+    article's under `eso-mpc-article`: horizon 25, blocks of fifteen ones, r = 0.01."""
 
     solver: Literal["osqp", "daqp"] = "osqp"
     """QP solver. `daqp` needs the package of that name."""
