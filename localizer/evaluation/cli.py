@@ -189,8 +189,9 @@ def track(
                 bar.update(done - bar.pos)
         damage = "" if video is None else video.damage()
     typer.echo(f"Wrote {out}: {table.rows} poses from {table.frames} pictures.")
-    if damage:
-        typer.echo(damage, err=True)
+    for trouble in filter(None, (table.failures, damage)):
+        typer.echo(trouble, err=True)
+    if table.failures or damage:
         raise typer.Exit(1)
 
 
@@ -223,6 +224,8 @@ def rerun(
 
     start_log("localizer")
     cv2.setNumThreads(1)  # as `run`
-    rows = compare_again(recording, load_experiment(str(recording / EXPERIMENT), settings or ()))
+    rows, failures = compare_again(recording, load_experiment(str(recording / EXPERIMENT), settings or ()))
     typer.echo(to_json(rows) if as_json else table(rows))
+    if failures:
+        typer.echo(failures, err=True)
     raise typer.Exit(1 if not settings and any(row.differing for row in rows) else 0)
