@@ -1,4 +1,4 @@
-"""SHELL: where a thruster board took its depth zero, in a file that outlives the robot's computer.
+"""SHELL: the file that says at which depth a thruster board took its zero; it outlives the robot's computer.
 
 A board takes the pressure at which it is switched on for that at the surface (docs/board.md). While the agent runs, it sees a
 restart of its board under water (wire/mavlink/power_on_depth.py). This file is for what no program sees: board and computer
