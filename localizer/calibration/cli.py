@@ -130,7 +130,7 @@ def _numbers(text: str) -> list[int]:
     found = re.fullmatch(r"\s*\d{1,4}(\s*-\s*\d{1,4})?(\s*,\s*\d{1,4}(\s*-\s*\d{1,4})?)*\s*", text)
     ends = [[int(end) for end in part.split("-")] for part in text.split(",")] if found else []
     numbers = [number for first, *last in ends for number in range(first, (last or [first])[0] + 1)]
-    if not numbers:
+    if not numbers or any(last < [first] for first, *last in ends if last):
         raise ConfigError(f"--ids {text}: must be a list of ids and ranges, for example 1-6 or 0,3,7-9")
     return list(dict.fromkeys(numbers))
 
