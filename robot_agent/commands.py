@@ -86,7 +86,9 @@ def unit_text(home: str, user: str) -> str:
     return template.read_text(encoding="utf-8").replace("@HOME@", home.rstrip("/")).replace("@USER@", user)
 
 
-def compile_kernels() -> None:
+def compile_kernels(
+    clear: Annotated[bool, typer.Option("--clear", help="Remove all that was compiled, as before `pip uninstall`.")] = False,
+) -> None:
     """Compile the numeric kernels that are not in the cache yet, so that no start of the agent has to.
 
     Half a minute on a quick machine, some minutes on a small board, where 250 MB of memory are enough; nothing if all are
@@ -95,8 +97,13 @@ def compile_kernels() -> None:
 
     Example:  NUMBA_CACHE_DIR=/var/lib/shoal-agent/kernels robot-agent compile
     """
+    from wire import kernel_cache
     from wire.kernel_build import ensure_compiled
 
+    if clear:
+        for folder in kernel_cache.clear():
+            typer.echo(f"{folder}: {'cannot be removed' if folder.exists() else 'removed'}")
+        return
     start_log("compile")
     outcome = ensure_compiled(("robot_agent",))
     if not outcome.is_complete:
