@@ -49,7 +49,7 @@ def state_folder(environment: Mapping[str, str] = os.environ) -> Path | None:
 
 
 def read_record(folder: Path) -> ZeroRecord | None:
-    """What the file in a folder holds; None if there is none, or none of these. Raises OSError."""
+    """Content of the file in a folder; None if there is none, or none of these. Raises OSError."""
     try:
         found = json.loads(read_regular(folder / FILE, MOST_BYTES))
         record = ZeroRecord(str(found.pop("boot")), **{name: float(value) for name, value in found.items()})
