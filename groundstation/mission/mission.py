@@ -484,7 +484,7 @@ class Mission:
         seen = fleet[robot]
         sent_since = seen.state_age_s * 1e9 <= now_ns - self._data.since_ns
         counts = sent_since or (seen.heard and stage.order not in (Order.DISARM, Order.CLEAR_STOP))
-        return counts and stage.confirmed(seen.mode, self.roster.has_segment(self.segment, fleet, robot))
+        return counts and stage.confirmed(seen.mode, self.roster.has_loaded(self.segment, fleet, robot))
 
     def _addressed(self, fleet: Fleet) -> Sequence[int]:
         """Robots that get a stage's command. DISARM also goes to lost robots that are heard, or were until just now."""

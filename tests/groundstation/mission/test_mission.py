@@ -139,6 +139,24 @@ def test_a_hold_by_an_operator_lasts_until_an_operator_resumes() -> None:
     assert run.at(MissionState.DONE)
 
 
+def test_a_start_that_is_held_begins_at_the_beginning_after_an_earlier_flight_of_the_same_path() -> None:
+    """Robots still have the trajectory, and their clocks stand where the earlier flight ended."""
+    run = running(automatic=False)
+    while run.robots[1].trajectory_s < 1.0:
+        run.step()
+    assert run.mission.request(Order.DISARM, run.fleet(), run.now_ns) == ""
+    run.step(1.0)
+    assert run.mission.request(Order.START, run.fleet(), run.now_ns) == ""
+    while not run.at(MissionState.STARTING):
+        run.step()
+    assert run.mission.request(Order.HOLD, run.fleet(), run.now_ns) == ""
+    run.step(1.0)
+    assert run.at(MissionState.PAUSED) and run.mission.plans.progress_s == 0.0
+    assert run.mission.request(Order.RESUME, run.fleet(), run.now_ns) == ""
+    run.step(0.5)
+    assert [robot.got[-1].trajectory_s for robot in run.robots.values()] == [0.0, 0.0]
+
+
 def test_a_mission_that_never_gets_ready_fails_with_its_reason_where_nobody_attends() -> None:
     run = MissionRun(give_up_s=5.0)
     run.robots[2].battery_v = 10.0
