@@ -37,7 +37,7 @@ OVER_WITHIN_S = 20.0  # of a request that waits for robots in reach; longer than
 TRAVEL_WITHIN_S = 400.0  # of a request that is done when robots have arrived somewhere
 PAUSE_WITHIN_S = 15.0  # in which RESUME becomes possible, when every robot is fit
 JUMP_S = 2.0  # of progress from one cycle to the next: a robot that drops out may have been the slowest
-NEAR_M = 0.15  # of the place that a robot was sent to
+NEAR_M = 0.15  # of its start
 AT_REST = TERMINAL | {MissionState.WAITING, MissionState.STOPPED}
 ARMS = frozenset({Order.ARM, Order.START, Order.TEST, Order.RETURN, Order.REJOIN})  # requests for which robots are armed
 RESTS = frozenset({Order.STOP, Order.CLEAR_STOP, Order.DISARM})  # after these none is armed, until another request
@@ -321,7 +321,8 @@ class Invariants:
             return "; ".join(f"robot {r.id} is STOPPED" for r in heard if self._stays(r, Mode.STOPPED))
         if order is Order.GO and followed.place_m is not None and followed.only:
             away_m = float(np.hypot(*(robots[0].eta[:2] - followed.place_m)))
-            return "" if away_m <= NEAR_M else f"robot {robots[0].id} is {away_m:.2f} m from where it was sent"
+            there = away_m <= self.pool.experiment.safety.off_path_m
+            return "" if there else f"robot {robots[0].id} is {away_m:.2f} m from where it was sent"
         if order is Order.TEST:
             return "; ".join(f"robot {r.id} has passed none" for r in active if r.passed_ns <= followed.since_ns)
         if order in (Order.START, Order.RESUME):
