@@ -963,7 +963,9 @@ def test_clear_stop_waits_for_robots_that_the_stop_has_not_reached() -> None:
     assert run.at(MissionState.WAITING) and {r.mode for r in run.robots.values()} == {Mode.DISARMED}
 
 
-def test_a_robot_that_is_heard_again_and_flies_while_a_stop_is_cleared_is_disarmed() -> None:
+@pytest.mark.parametrize("age_s", [0.02, 0.6])
+def test_a_robot_that_is_heard_again_and_flies_while_a_stop_is_cleared_is_disarmed(age_s: float) -> None:
+    """Also one whose states come late: they were sent since."""
     run = running(automatic=False)
     run.robots[2].silent = True
     assert run.mission.request(Order.STOP, run.fleet(), run.now_ns) == ""
@@ -971,8 +973,8 @@ def test_a_robot_that_is_heard_again_and_flies_while_a_stop_is_cleared_is_disarm
     assert run.mission.request(Order.CLEAR_STOP, run.fleet(), run.now_ns) == ""
     run.step(0.2)
     assert run.at(MissionState.CLEARING)
-    run.robots[2].silent = False
-    run.step(0.5)
+    run.robots[2].silent, run.robots[2].age_s = False, age_s
+    run.step(0.5 + 2.0 * age_s)
     assert run.at(MissionState.FAILED) and run.mission.reason == "robot 2 has not stopped: it is TRACKING"
     assert {r.mode for r in run.robots.values()} == {Mode.DISARMED}
 
