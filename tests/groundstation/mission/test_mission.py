@@ -974,6 +974,7 @@ def test_a_robot_that_is_heard_again_and_flies_while_a_stop_is_cleared_is_disarm
     run.step(0.2)
     assert run.at(MissionState.CLEARING)
     run.robots[2].silent, run.robots[2].age_s = False, age_s
+    run.robots[2].refuses = frozenset({Order.CLEAR_STOP})  # as a robot that is not stopped does
     run.step(0.5 + 2.0 * age_s)
     assert run.at(MissionState.FAILED) and run.mission.reason == "robot 2 has not stopped: it is TRACKING"
     assert {r.mode for r in run.robots.values()} == {Mode.DISARMED}
