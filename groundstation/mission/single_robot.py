@@ -243,9 +243,8 @@ class SingleRobotControl:
             return ()
         trajectory, flown = transfer.trajectories[robot], state.trajectory_s >= transfer.end_s - SETTLE_S
         if seen.mode is Mode.HOLDING and task.started:
-            self._end(
-                robot, self._not_there(robot, task, seen) if flown else f"robot {robot} holds: {state.fault or 'on the way'}"
-            )
+            on_the_way = f"robot {robot} holds: {state.fault or 'on the way'}"
+            self._end(robot, self._not_there(robot, task, seen) if flown else on_the_way)
             return ()
         if seen.mode is Mode.TRACKING and state.trajectory_id == trajectory.id:
             task.started = True  # at the path's end a robot that lags has SETTLE_S to come up
