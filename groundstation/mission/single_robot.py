@@ -207,7 +207,7 @@ class SingleRobotControl:
         if task.order is Order.GO:
             return self._go(robot, task, seen, fleet, now_ns)
         order = Order.HOLD if task.order is Order.DRIVE else task.order
-        if seen.heard and seen.state_age_s * 1e9 < now_ns - task.since_ns and seen.mode in CONFIRMS[order]:
+        if seen.state_age_s * 1e9 < now_ns - task.since_ns and seen.mode in CONFIRMS[order]:  # however late it came
             self._end(robot)
             return ()
         return self._send(order, robot, None, now_ns)

@@ -87,6 +87,16 @@ def test_one_robot_is_armed_held_driven_and_disarmed_while_the_mission_waits() -
     assert run.at(MissionState.WAITING)
 
 
+def test_a_state_that_comes_late_confirms_a_request_that_was_made_before_it_was_sent() -> None:
+    run = LedRun()
+    assert run.ask(Order.ARM) == ""
+    run.robots[2].age_s = 0.4  # too old to count as heard
+    run.step(0.3)
+    assert run.single.tasks[2].progress is Progress.UNDER_WAY
+    run.step(0.3)
+    assert run.single.tasks[2].progress is Progress.DONE
+
+
 def test_a_velocity_that_is_not_repeated_ends_in_a_hold() -> None:
     run = LedRun()
     run.ask(Order.ARM)
