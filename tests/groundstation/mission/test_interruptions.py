@@ -172,6 +172,14 @@ class Interruptions(RuleBasedStateMachine):
         """Send a robot to a place; one that is disarmed is armed first."""
         self.ask(who, Order.GO, self.arm_one(who, k), place_m)
 
+    @rule(who=st.sampled_from(PEOPLE), place_m=st.sampled_from(PLACES_M), k=st.integers(0, 2))
+    def send_one_unseen(self, who: str, place_m: tuple[float, float], k: int) -> None:
+        """Send a robot that the camera loses on its way: it holds there by itself."""
+        self.send_one(who, place_m, k)
+        self.pool.run(4.0)
+        self.hide(k, 0.1)
+        self.pool.run(1.0)
+
     def arm_one(self, who: str, k: int) -> int:
         """Arm a robot that is disarmed. Returns its id."""
         robot = self.ids[k % len(self.ids)]
