@@ -213,6 +213,27 @@ def test_a_camera_is_set_up_from_the_first_look_to_the_saved_file(
     page.context.close()
 
 
+def test_the_difference_to_be_saved_is_what_all_pages_have_made_of_it(
+    browser: Browser, program: tuple[psutil.Popen, str], asked: PageTraffic
+) -> None:
+    """Another page moves a corner of a mask while this one looks at the difference."""
+    address, key = program[1].split("#key=")
+    page = _open(browser, program[1], asked)
+
+    def mask(*corner: float) -> None:
+        told = {"do": "mask", "id": 1, "corners_px": [list(corner), [20.0, 10.0], [10.0, 20.0]]}
+        assert page.request.post(f"{address}do", data=told, headers={"x-key": key}).json()["problem"] == ""
+
+    mask(11.5, 12.5)
+    _step(page, "Save")
+    difference = page.locator(".difference")
+    expect(difference).to_contain_text("11.5")
+    mask(33.5, 12.5)
+    expect(difference).to_contain_text("33.5")
+    expect(difference).not_to_contain_text("11.5")
+    page.context.close()
+
+
 def test_a_page_without_the_key_sees_nothing_and_a_program_that_is_gone_is_told(
     browser: Browser, program: tuple[psutil.Popen, str], asked: PageTraffic
 ) -> None:
