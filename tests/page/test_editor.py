@@ -42,6 +42,11 @@ def test_a_route_is_edited_too_and_what_cannot_be_typed_is_answered(browser: Bro
         expect(button(page, "Add waypoints")).to_be_visible()
         page.get_by_label("duration").fill("0")
         expect(page.locator(".verdict")).to_contain_text("duration_s")
+        page.get_by_label("speed").fill("")
+        page.get_by_label("speed").press_sequentially("0.105", delay=50)  # key by key: "0." and "0.10" are numbers too
+        expect(page.get_by_label("speed")).to_have_value("0.105")
+        button(page, "Reset").click()
+        expect(page.get_by_label("speed")).to_have_value("0.15")
         page.get_by_label("speed").fill("1000000")
         page.get_by_label("duration").fill("100")
         expect(page.locator(".verdict")).to_contain_text("cannot be flown")

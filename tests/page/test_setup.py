@@ -158,7 +158,8 @@ def test_a_camera_is_set_up_from_the_first_look_to_the_saved_file(
     for name, place in POINTS.items():
         page.get_by_label("Name").fill(name)
         for axis, value in zip("xyz", place, strict=True):
-            page.get_by_label(f"{axis}, m", exact=True).fill(f"{value}")
+            page.get_by_label(f"{axis}, m", exact=True).fill("")
+            page.get_by_label(f"{axis}, m", exact=True).press_sequentially(f"{value}")  # as a person types
         x, y = _at(page, project(TRUTH, np.array([place]))[0])
         page.mouse.move(x - 30, y)
         page.mouse.click(x + 1.0, y - 1.0)

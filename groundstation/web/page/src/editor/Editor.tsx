@@ -2,6 +2,7 @@
 
 import { signal } from "@preact/signals";
 import { nextSerial, say } from "../link";
+import { NumberInput } from "../NumberInput";
 import { after } from "../panels/End";
 import { chosen, inControl, saved, scene, tried } from "../store";
 import { adding, pickedName, removePicked } from "./canvas";
@@ -27,13 +28,7 @@ function Number_({ text, of, unit, value, step, min, onChange }: Field) {
   return (
     <label class="number" title={hint(of)}>
       <span>{text}</span>
-      <input
-        type="number"
-        value={Number(value.toFixed(4))}
-        step={step}
-        {...(min === undefined ? {} : { min })}
-        onInput={(event) => Number.isFinite(event.currentTarget.valueAsNumber) && onChange(event.currentTarget.valueAsNumber)}
-      />
+      <NumberInput value={value} step={step} {...(min === undefined ? {} : { min })} onNumber={onChange} />
       <span class="unit">{unit}</span>
     </label>
   );
