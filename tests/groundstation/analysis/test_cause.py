@@ -91,7 +91,7 @@ def test_a_process_that_stood_still_is_the_cause_of_what_others_and_it_itself_no
         return (Mode.FAULT, fault) if robot == 1 and at_s >= noticed_s else (Mode.TRACKING, "")
 
     times = tuple((process, 2.0, 5.0) for process in processes)
-    script = Script(duration_s=FLOWN_S, mode=mode, **{"still" if still else "lost": times})
+    script = Script(duration_s=FLOWN_S, mode=mode, still=times if still else (), lost=() if still else times)
     cause = judged(tmp_path, script).cause
     assert cause is not None
     if still:
