@@ -24,6 +24,7 @@ from wire.process.cli_options import (
     Settings,
     Verbose,
     WebAddress,
+    finite,
 )
 from wire.process.output_files import page_was_open, run_folder
 from wire.process.runtime import Stop, run_steps, start_log
@@ -48,7 +49,10 @@ def run(
     give_up: Annotated[
         float | None,
         typer.Option(
-            min=1.0, metavar="SECONDS", help="With --auto: fail after so long without progress. Default: wait for ever."
+            min=1.0,
+            metavar="SECONDS",
+            help="With --auto: fail after so long without progress. Default: wait for ever.",
+            callback=finite,
         ),
     ] = None,
     listen: ListenAddress = DEFAULT_STATION,
