@@ -180,7 +180,7 @@ def test_a_recorded_run_shows_the_lines_and_the_picture_of_its_time(browser: Bro
         page.context.close()
 
 
-def test_what_was_chosen_is_shown_and_what_was_not_heard_is_asked_for_again(browser: Browser, run: Path) -> None:
+def test_a_choice_is_shown_and_one_that_was_not_heard_can_be_made_again(browser: Browser, run: Path) -> None:
     port, lines = free_port(), list[WebSocketRoute]()
 
     def between(line: WebSocketRoute) -> None:

@@ -152,9 +152,9 @@ def test_the_way_home_is_no_flight_to_judge(flown: tuple[Experiment, RunLog, Pat
                 later(e, 0.0, mode=Mode.ARMED, trajectory_s=begin_s) if s else e for e, s in zip(found, stands, strict=True)
             ]
     both = beats(with_aborted_flight(dataclasses.replace(log, entries=entries), 4.0), 0.1, HOMEWARD)
-    found = align(experiment, both)
-    assert [flight.home for flight in found.flights] == [False, True]
-    assert found.flight == 1
+    series = align(experiment, both)
+    assert [flight.home for flight in series.flights] == [False, True]
+    assert series.flight == 1
 
 
 def with_path_until(log: RunLog, experiment: Experiment, end_s: float) -> RunLog:

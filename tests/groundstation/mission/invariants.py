@@ -300,7 +300,7 @@ class Invariants:
         return f"robot {robot.id} is {robot.mode.name}" if any(self._stays(robot, mode) for mode in modes) else ""
 
     def _untrue(self, outcome: Outcome) -> str:
-        """What a request that is told to be done has not done; empty if it has."""
+        """Part of a request that is told to be done and is not; empty if all is."""
         followed = self.followed[outcome.request]
         robots = [self.pool.robots[followed.only]] if followed.only else list(self.pool.robots.values())
         heard = [r for r in robots if self.in_reach_s(r.id) > 1.0]

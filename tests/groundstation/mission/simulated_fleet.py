@@ -223,7 +223,7 @@ class _OnTheWay:
 
 
 @dataclass(frozen=True)
-class Drive:
+class Driving:
     """A person who drives a robot; without `lets_go` the velocities just end, as those of a page that is gone."""
 
     velocity: DriveVelocity
@@ -243,7 +243,7 @@ class SimulatedFleet:
     on_cycle: Callable[[], None] = lambda: None
     on_beat: Callable[[StationHeartbeat], None] = lambda beat: None
     on_state: Callable[[int, RobotState, bool], None] = lambda robot, state, arrives: None
-    driving: dict[int, Drive] = field(default_factory=dict)  # by robot: what a person gives it now
+    driving: dict[int, Driving] = field(default_factory=dict)  # by robot: what a person gives it now
 
     def __post_init__(self) -> None:
         experiment, segment = self.experiment, first_segment(self.experiment)

@@ -27,7 +27,7 @@ from groundstation.mission.state_machine import (
 )
 from tests.groundstation.mission.invariants import STOPPED_WITHIN_S, Invariants
 from tests.groundstation.mission.judged_run import RunRecord
-from tests.groundstation.mission.simulated_fleet import SPEED_MPS, Drive, SimulatedFleet, armed
+from tests.groundstation.mission.simulated_fleet import SPEED_MPS, Driving, SimulatedFleet, armed
 from wire.config.experiment import NO_CAMERA, Experiment, load_experiment
 from wire.messages.messages import DriveVelocity, Mode, Order
 
@@ -198,7 +198,7 @@ class Interruptions(RuleBasedStateMachine):
         """Drive a robot; then let go, or be gone. One that is disarmed is armed first."""
         robot = self.arm_one(who, k)
         until_ns = self.pool.now_ns + round(seconds * 1e9)
-        self.pool.driving[robot] = Drive(DriveVelocity(surge_mps=surge_mps), until_ns, lets_go)
+        self.pool.driving[robot] = Driving(DriveVelocity(surge_mps=surge_mps), until_ns, lets_go)
 
     @rule(value=st.sampled_from((0.02, 0.04, None)), next_lap=st.booleans())
     def change_gains(self, value: float | None, next_lap: bool) -> None:

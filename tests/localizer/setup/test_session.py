@@ -365,6 +365,7 @@ def test_a_lens_that_is_found_after_the_pose_takes_the_pose_and_its_residuals_aw
     do(session, "fit-pose")
     assert session.state(1)["survey"]["residuals"]
     # private: the views as the board's thread gathers them from a board that is waved
+    # no page can give views as quickly
     session._work.lens.views = BENCH.views(12, chessboard(9, 6, 0.03)[2], seed=2, noise_px=0.05)
     do(session, "fit-lens")
     state = session.state(1)
@@ -383,6 +384,7 @@ def test_the_page_lives_while_a_lens_is_judged_and_has_all_of_it_or_nothing(
     """To judge sixty views takes minutes. A judgement that fails leaves the lens of before."""
     session, judged = begin(file), intrinsics_lines
     begun, told = threading.Event(), threading.Event()
+    # no page can give views as quickly
     session._work.lens.views = BENCH.views(12, chessboard(9, 6, 0.03)[2], seed=2, noise_px=0.05)  # private: as above
 
     def slow(*arguments: Any) -> list[str]:
@@ -402,6 +404,7 @@ def test_the_page_lives_while_a_lens_is_judged_and_has_all_of_it_or_nothing(
     found = session.state(1)
     assert found["lens"]["report"] and "focal_px" in found["changed"]
     assert found["changed"]["focal_px"] == pytest.approx(TRUTH.focal_px, rel=0.01)
+    # no page can give views as quickly
     session._work.lens.views = BENCH.views(12, chessboard(9, 6, 0.03)[2], seed=3, noise_px=0.05)
 
     def fails(*arguments: Any) -> list[str]:
@@ -418,6 +421,7 @@ def test_a_pose_by_the_lens_of_before_is_not_taken(file: Path, monkeypatch: pyte
     session, fitted = begin(file), fit_pose
     show(session, pool_picture())
     survey(session)
+    # no page can give views as quickly
     session._work.lens.views = BENCH.views(12, chessboard(9, 6, 0.03)[2], seed=2, noise_px=0.05)  # private: as above
 
     def late(*arguments: Any) -> Any:
