@@ -259,7 +259,7 @@ class Controller:
         lead = reference
         if isinstance(goal, Follow):
             keep_m = self.formation.clearances_m(predictions, now_ns)
-            traffic = traffic_near(estimate.eta, reference, predictions, keep_m, obstacles, self._urgent, now_ns)
+            traffic = traffic_near(estimate.eta, self._give_way.agility, predictions, keep_m, obstacles, self._urgent, now_ns)
             lead = self._give_way.avoidance_path(reference, complex(*estimate.eta[:2].tolist()), traffic)
         approaching = self._approaching(goal, reference, lead, estimate, now_ns)
         if approaching is None:

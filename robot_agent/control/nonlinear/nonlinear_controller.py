@@ -94,7 +94,9 @@ class NonlinearController:
         self.sampler = ReferenceSampler(nodes_s)
         self.formation = Formation(config.mpc, safety, config.period_s, self._dead_s, room_m, vehicle.radius_m)
         self._plans = PlanSampler(nodes_s[1:], config.mpc.q_formation, has_leader)
-        self._give_way = GiveWay(vehicle, np.concatenate([[0.0], nodes_s]), config.period_s, room_m, islands)
+        self._give_way = GiveWay(
+            vehicle, np.concatenate([[0.0], nodes_s]), config.period_s, room_m, islands, tunings.agility(vehicle)
+        )
         self._planner = Planner(self._grid, config.period_s, 2.0 * safety.radius_m, vehicle.limits.speed_mps)
         self._depth, self._drift = make_memory(1), make_flight(len(AXES))
         self._course, self._depth_course, self._turns = make_course(), make_course(), Turns()
@@ -163,7 +165,7 @@ class NonlinearController:
         lead = reference
         if isinstance(goal, Follow):
             keep_m = self.formation.clearances_m(predictions, now_ns)
-            traffic = traffic_near(estimate.eta, reference, predictions, keep_m, obstacles, self._urgent, now_ns)
+            traffic = traffic_near(estimate.eta, self._give_way.agility, predictions, keep_m, obstacles, self._urgent, now_ns)
             lead = self._give_way.avoidance_path(reference, complex(*estimate.eta[:2].tolist()), traffic)
         led = lead
         if pull is not None and isinstance(goal, Follow):
