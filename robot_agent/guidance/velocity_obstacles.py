@@ -1,4 +1,4 @@
-"""Giving way by velocity obstacles: the reference leaves the path where it would lead into a robot or an obstacle.
+"""Right of way by velocity obstacles: the reference leaves the path where it would lead into a robot or an obstacle.
 
 Half-spaces (36) keep robots apart but cannot part two that want to run through one another. Head on they stop 2R apart and
 push for ever, and no plan shows a way out (to first order, a robot at rest does not move sideways by turning). So the robot
@@ -6,13 +6,17 @@ follows a point. The point is on the reference while that is free, and takes ano
 obstacles, Fiorini and Shiller 1998, with a side rule as in COLREG):
 
 * A velocity is free if it passes every robot and obstacle by 2R + `room_m` within `look_ahead_s`, if they move on as told.
+* Of two robots that cross, the one that has the other to starboard gives way, and the other counts on it for half of that
+  time. A robot that is overtaken goes on as before; so does one with an urgent task, among robots without one.
 * Two robots that meet leave one another to port (they keep to starboard), unless they are already well on the other side.
   The side is that of the relative motion, which both see alike whichever turns first. At obstacles the shorter way counts.
-* A robot that is overtaken goes on as before; so does one with an urgent task, among robots without one.
-* Of the free velocities the nearest to the wanted one is taken, changing steadily.
+* A robot that cannot give way, without thrust for example, is an obstacle that moves.
+* Of the free velocities the nearest to the wanted one is taken, changing steadily, without hurry.
 
-Then the point returns to the reference, at a rate that falls with the distance: no overshoot. Robots in formation have the
-same velocity, never meet, and get back the very reference they came with.
+Then the point returns to the reference, as fast as its `Agility` allows, braking before it: no overshoot. Robots in formation
+have the same velocity, never meet, and get back the very reference they came with.
+
+`plain_agility` and the point's heading (`_steers`, `_steer`, `_turn`) serve the linear laws only.
 """
 
 import cmath

@@ -163,7 +163,7 @@ def formulas(vehicle: Vehicle, period_s: float) -> list[tuple[str, str, str]]:
     on_path = derive(vehicle, delay, settled_deviations(2.0, 0.001), (4.0, 2.0), 0.0)
     off_path = derive(vehicle, delay, settled_deviations(2.0, 0.001), (4.0, 2.0), vehicle.radius_m)
     surge, yaw = planar_weights(vehicle, on_path, 0.2, TURNING_M, 1.0).rate.tolist()
-    limits = planar_limits(vehicle)
+    limits, way = planar_limits(vehicle), agility(vehicle)
     return [
         ("delay d", "dead time + period / 2 + 0.3 lag", f"{delay:.3f} s at {1.0 / period_s:.0f} Hz"),
         ("longest step of the integration", "min(0.2 s, 1 / slope of the drag at full speed)", f"{step_s(vehicle):.2f} s"),
@@ -184,6 +184,10 @@ def formulas(vehicle: Vehicle, period_s: float) -> list[tuple[str, str, str]]:
         (
             "end of the horizon", "2 / w of the error 1 / w later; w = w1, at most that for e = 0.4 R",
             f"{on_path.calm_quickness:.1f} rad/s",
+        ),
+        (
+            "way around others", "speed 0.8 U, change 0.3 F / m, return at 0.4 w, at most sqrt(change distance)",
+            f"{way.fastest_mps:.2f} m/s, {way.change_mps2:.2f} m/s^2, {way.return_per_s:.2f} per s",
         ),
         (
             "most surge, and its rate", "M sin(0.35 rad) / (depth of the thrusters + M / (g m)), within half a swing",
