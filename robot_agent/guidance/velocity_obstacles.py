@@ -55,7 +55,7 @@ STILL = 1e-12  # (m/s)^2: keeps 0/0 out
 
 
 class Agility(NamedTuple):
-    """How a point moves that a robot follows, and how far it looks ahead."""
+    """Motion that is allowed to a point that a robot follows, and how far it looks ahead."""
 
     room_m: float  # beyond what the half-spaces keep, so that these need not act
     look_ahead_s: float  # with 8 s, two robots at 0.1 m/s begin to turn 1.6 m before they would touch
@@ -230,8 +230,8 @@ class Motion(NamedTuple):
 
 @kernel(part=True)
 def worst_pass(motion: Motion, way: complex, traffic: Traffic, within_s: Floats, sided: Bools) -> float:
-    """How badly the velocity `way` passes the traffic (k,): 0 all at their distances and `sided` robots on the right side, 1
-    through the middle of one, or on the wrong side."""
+    """Badness of the velocity `way` among the traffic (k,): 0 if it passes all at their distances and `sided` robots on the
+    right side, 1 through the middle of one, or on the wrong side."""
     worst = 0.0
     for i in range(len(within_s)):
         if within_s[i] == 0.0:
@@ -410,7 +410,7 @@ class GiveWay:
         return bool(closes_in(place, velocity, traffic, self._horizons(place, velocity, traffic)))
 
     def _horizons(self, place: complex, wanted: complex, traffic: Traffic) -> Array:
-        """How far ahead each of the traffic counts (k,), s."""
+        """Time ahead for which each of the traffic counts (k,), s."""
         within_s = np.empty(len(traffic.place))
         set_horizons(place, wanted, self.agility.look_ahead_s, traffic, within_s)
         return within_s

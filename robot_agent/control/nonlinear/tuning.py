@@ -63,7 +63,7 @@ def horizon_s(vehicle: Vehicle) -> float:
 
 
 def agility(vehicle: Vehicle) -> Agility:
-    """How the point moves that goes around others. It returns as fast as it may, and slower near the path: no overshoot."""
+    """Agility of the point that goes around others. It returns as fast as it may, and slower near the path: no overshoot."""
     mass, fastest_mps = vehicle.mass.surge_kg, FASTEST_SHARE * vehicle.limits.speed_mps
     change_mps2 = CHANGE_SHARE * vehicle.limits.wrench[0] / mass
     quickness = cube_root(vehicle.limits.wrench_rate_per_s[0], mass, REACH_SHARE * vehicle.radius_m)
