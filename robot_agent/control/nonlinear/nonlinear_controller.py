@@ -44,7 +44,7 @@ AXES = (0, 2)  # surge and yaw have thrusters
 TOLD_S = 0.2  # between two poses of the plan that neighbours get, whatever the control period
 GAINS_S = 1.0  # time constant of the weights,
 NOISE_S = 4.0  # and of the noise that they heed: what is not known yet at a start is no noise, and ends within a second
-GOES_FIRST_S = 2.5  # a robot that goes first still keeps 2R from the others for so long: they may be unable to give way
+GOES_FIRST_S = 2.5  # a robot that goes first still keeps clear of the others for so long: they may be unable to give way
 WALL_M = 0.02  # between a hull and a wall, in the plan
 REST_M = 0.05  # and at a place to rest
 TOLERANCE_M = 0.02  # mean error of a plan with which no other is looked for
@@ -217,10 +217,10 @@ class NonlinearController:
 
     def _distance(self, other: Neighbour, now_ns: int) -> tuple[float, int]:
         """Distance to keep from a neighbour, and for how many nodes."""
-        keep_m = self.formation.required_clearance_m(other, self._priority, now_ns)
-        if keep_m is None:
-            return self.formation.clearance_m(other, now_ns), int(np.searchsorted(self._grid.time_s[1:], GOES_FIRST_S))
-        return keep_m + self._safety.margin_m, len(self._grid.share_s)
+        keep_m, nodes = self.formation.clearance_m(other, now_ns) + self._safety.margin_m, len(self._grid.share_s)
+        if self.formation.required_clearance_m(other, self._priority, now_ns) is None:
+            nodes = int(np.searchsorted(self._grid.time_s[1:], GOES_FIRST_S))
+        return keep_m, nodes
 
     def _stop(self, goal: Hold, dynamics: Dynamics, start: Start, surrounds: Surrounds) -> Array:
         """The pose (4,) where the robot can come to rest, inside the walls and clear of others."""
