@@ -42,6 +42,7 @@ class RobotView:
     behind_s: float = 0.0  # lag behind the fleet's timetable (groundstation/mission/timetable.py)
     other_gains: bool = False  # it has other gains than the fleet
     other_code: str = ""  # it runs other code than the station: which, in words
+    out: bool = False  # a person took it out of the water
 
     @property
     def mode(self) -> Mode | None:
@@ -183,6 +184,8 @@ class Finding:
 def findings(experiment: Experiment, robot: int, seen: RobotView, start: Array | None = None) -> tuple[Finding, ...]:
     """Failed checks of one robot. `start`: the pose (4,) in which it should begin; None once it has begun."""
     state = seen.state
+    if seen.out:
+        return (Finding(robot, "out", "notice", False, "out of the water", f"groundstation mission back-in --robot {robot}"),)
     if state is None or not seen.heard:
         known = state is not None
         text = f"not heard for {seen.state_age_s:.1f} s" if known else "not heard"

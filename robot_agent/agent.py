@@ -206,7 +206,8 @@ class Agent:
         self._health.note_pulses(pulses, now_ns)
         self._health.note_output(output, self.mode, now_ns)
         heard = tuple(n.robot for n in neighbours if n.fresh)
-        plan = self._plan(output, heard) if output.estimated else None
+        adrift = goal is None or output.solve is Solve.FAILED
+        plan = self._plan(output, heard, adrift) if output.estimated else None
         return Outputs(
             pulses,
             self._health.arming_command(inputs.telemetry.armed, self.mode, now_ns),
@@ -291,7 +292,7 @@ class Agent:
         return None
 
     def _neighbours(self, inputs: Inputs, now_ns: int) -> tuple[Neighbour, ...]:
-        """Return the other robots' last plans, with their freshness and their part in the formation."""
+        """Return the last plans of the other robots in the water, with their freshness and their part in the formation."""
         limit_ns, formation = self._experiment.safety.plan_max_age_s * 1e9, self._in_formation_with
         return tuple(
             Neighbour(
@@ -299,6 +300,7 @@ class Agent:
                 self._me.id in heard.plan.heard,
             )
             for robot, heard in sorted(inputs.plans.items())
+            if robot not in inputs.station.out
         )  # fmt: skip
 
     def obstacles(self, inputs: Inputs, now_ns: int) -> Sequence[Obstacle]:
@@ -323,7 +325,7 @@ class Agent:
             return blindness(None, 0.0)
         return blindness(watched.obstacles, (now_ns - watched.instant_ns) * 1e-9)
 
-    def _plan(self, output: ControlOutput, heard: tuple[int, ...]) -> Plan:
+    def _plan(self, output: ControlOutput, heard: tuple[int, ...], adrift: bool) -> Plan:
         return Plan(
             self.controller.told_period_s,
             output.plan_eta,
@@ -331,6 +333,7 @@ class Agent:
             output.tracking_error_m,
             self._me.urgent,
             heard,
+            adrift,
         )
 
     def _state(

@@ -33,14 +33,15 @@ class StampedObstacles:
 
 @dataclass(frozen=True)
 class StationView:
-    """The station as last heard: its session, its clock now, the age of its heartbeat, and the formation's lag and slowing in
-    that heartbeat (wire.messages.messages.StationHeartbeat)."""
+    """The station as last heard: its session, its clock now, the age of its heartbeat, and from that heartbeat the formation's
+    lag and slowing, and the robots that are out of the water (wire.messages.messages.StationHeartbeat)."""
 
     session: int = 0
     clock_ns: int = 0
     age_s: float = float("inf")
     lag_s: float = 0.0
     slowing: float = 0.0
+    out: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -89,7 +89,7 @@ def station_view(record: StepInputs | OrderTaken, now_ns: int) -> StationView:
     age_ns = now_ns - record.station_instant_ns
     view = StationView(record.station_session, record.station_stamp_ns + age_ns, age_ns * 1e-9)
     beat = record.heartbeat if isinstance(record, StepInputs) else None
-    return view if beat is None else replace(view, lag_s=beat.lag_s, slowing=beat.slowing)
+    return view if beat is None else replace(view, lag_s=beat.lag_s, slowing=beat.slowing, out=beat.out)
 
 
 def with_reply(record: OrderTaken, reply: Reply) -> OrderTaken:

@@ -53,6 +53,12 @@ class AsyncFleet:
     async def rejoin(self, wait_s: float | None = None) -> Outcome:
         return await asyncio.to_thread(self.blocking.rejoin, wait_s)
 
+    async def out(self, robot: int, wait_s: float | None = None) -> Outcome:
+        return await asyncio.to_thread(self.blocking.out, robot, wait_s)
+
+    async def back_in(self, robot: int, wait_s: float | None = None) -> Outcome:
+        return await asyncio.to_thread(self.blocking.back_in, robot, wait_s)
+
     async def test_thrusters(self, wait_s: float | None = None) -> Outcome:
         return await asyncio.to_thread(self.blocking.test_thrusters, wait_s)
 

@@ -105,6 +105,14 @@ class ConnectedFleet:
         """Let lost robots that are heard and fit again take part."""
         return self._fleet("rejoin", wait_s)
 
+    def out(self, robot: int, wait_s: float | None = None) -> Outcome:
+        """Say that a person has taken a robot out of the water: nobody keeps clear of it, and no run counts on it."""
+        return self._ask("out", request_named("out", robot), wait_s)
+
+    def back_in(self, robot: int, wait_s: float | None = None) -> Outcome:
+        """Say that a robot is in the water again: at rest it takes part in the next run, in flight it may `rejoin`."""
+        return self._ask("back-in", request_named("back-in", robot), wait_s)
+
     def test_thrusters(self, wait_s: float | None = None) -> Outcome:
         """Test every thruster of every robot, briefly and with little thrust."""
         return self._fleet("test", wait_s)

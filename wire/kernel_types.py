@@ -23,6 +23,8 @@ Floats = Annotated[NDArray[np.float64], 1]
 Table = Annotated[NDArray[np.float64], 2]
 Cube = Annotated[NDArray[np.float64], 3]
 Ints = Annotated[NDArray[np.int64], 1]
+Bools = Annotated[NDArray[np.bool_], 1]
+Complexes = Annotated[NDArray[np.complex128], 1]  # x + iy
 
 MOST_PARAMETERS = 8  # more have to be grouped in records, or nobody knows which number is which
 SCALARS = {float: types.float64, int: types.int64, bool: types.boolean, complex: types.complex128, type(None): types.void}

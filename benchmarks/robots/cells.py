@@ -117,10 +117,14 @@ CELLS: dict[str, GridCell] = {
         vehicle=ANY_VEHICLE, current=(0.0, 0.8), start_m=(0.0, 2.0), start_turn_rad=math.pi, path_s=70.0,
     ),
     "meet-2": _meeting("two robots through one point", "crossing-2"),
+    "meet-4": _meeting("four robots through one point", "crossing-4"),
     "meet-8": _meeting("eight robots through one point", "crossing-8", path_s=100.0),
+    "meet-overtake": _meeting("a robot overtakes one at 0.3 to 0.5 of its speed", "overtake"),
     "meet-circle": _meeting("a robot crosses another one's circle", "crossed circle"),
     "meet-4-lost": _meeting("four through one point, 30 % of the plans lost", "crossing-4", "plans lost", (0.3, 0.3)),
+    "meet-8-lost": _meeting("eight, 30 % of the plans lost", "crossing-8", "plans lost", (0.3, 0.3), path_s=100.0),
     "meet-2-adrift": _meeting("two through one point, one without thrust before it", "crossing-2", "thrustless", (1.0, 1.6)),
+    "meet-4-adrift": _meeting("four through one point, one without thrust before it", "crossing-4", "thrustless", (1.0, 1.6)),
     "held-start": _trap("held fast from the start, up to 0.4 m off", "held at the start", start_m=(0.0, 0.4)),
     "held-path": _trap("held fast after 10 to 15 s", "held", (10.0, 15.0)),
     "held-meet": _meeting("held fast while two meet", "crossing-2", "held in an encounter", (1.0, 1.3)),
@@ -191,6 +195,12 @@ def _scene(cell: GridCell, scene: str, speed_mps: float, random: np.random.Gener
     """Settings: paths and robots of a scene, with the robots' starts."""
     if scene.startswith("crossing-"):
         paths = _through_one_point(int(scene.removeprefix("crossing-")), speed_mps, random)
+    elif scene == "overtake":
+        slow_mps = speed_mps * random.uniform(0.3, 0.5)
+        aside_m = random.uniform(-0.2, 0.2)
+        paths = [
+            _line([(-3.0, aside_m), (3.0, aside_m)], speed_mps, "true"), _line([(-1.6, 0.0), (3.0, 0.0)], slow_mps, "true")
+        ]  # fmt: skip
     elif scene == "crossed circle":
         aside_m = random.uniform(-1.0, 1.0)
         paths = [_line([(-4.0, aside_m), (4.0, aside_m)], speed_mps, "true"), _circle(2.4, speed_mps)]

@@ -219,7 +219,7 @@ TRAP_COLUMNS: tuple[Column, ...] = (
 def _sections(run: GridRun) -> list[tuple[str, tuple[Column, ...], list[str]]]:
     """Heading, columns and cells of each table."""
     traps = [cell for cell in run.cells if CELLS[cell].is_trap]
-    meetings = [cell for cell in run.cells if cell not in traps and CELLS[cell].scenes[0].startswith("cross")]
+    meetings = [cell for cell in run.cells if cell not in traps and cell.startswith("meet-")]
     paths = [cell for cell in run.cells if cell not in traps and cell not in meetings]
     return [("Paths and HOLD", PATH_COLUMNS, paths), ("Encounters", MEETING_COLUMNS, meetings), ("Traps", TRAP_COLUMNS, traps)]
 

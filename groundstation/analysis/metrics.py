@@ -156,12 +156,13 @@ def _end(log: RunLog, robot: int) -> RobotEnd:
     states, truths = log.of(topics.STATE, RobotState, robot), log.of(topics.TRUTH, Truth)
     beats = log.of(topics.HEARTBEAT, StationHeartbeat)
     true = [e.message.eta[e.message.robots.index(robot)] for e in truths[-1:] if robot in e.message.robots]
+    out = any(robot in e.message.out for e in beats[-1:])
     if not states:
-        return RobotEnd(place_m=_three(true[0]) if true else None)
+        return RobotEnd(place_m=_three(true[0]) if true else None, out_of_water=out)
     last, over_ns = states[-1], max(e[-1].arrived_ns for e in (states, truths, beats) if e)
     heard_s = (over_ns - last.arrived_ns) * 1e-9
     armed = last.message.mode not in UNARMED if heard_s <= topics.STATE.max_age_s else None
-    return RobotEnd(last.message.mode.name, round(heard_s, 6), armed, _three(true[0] if true else last.message.eta))
+    return RobotEnd(last.message.mode.name, round(heard_s, 6), armed, _three(true[0] if true else last.message.eta), out)
 
 
 def _pair(series: Series, a: int, b: int) -> PairResult:

@@ -36,6 +36,7 @@ class RobotEnd:
     heard_s: float | None = None  # before the end of the log
     armed: bool | None = None  # None: not heard at the end, so nobody knows
     place_m: Three | None = None  # in truth where that was recorded, else by the robot's last state
+    out_of_water: bool = False  # a person had taken it out
 
 
 @dataclass(frozen=True)

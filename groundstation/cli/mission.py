@@ -11,7 +11,15 @@ from typing import Annotated, Any, ParamSpec
 
 import typer
 
-from groundstation.mission.state_machine import FLEET_REQUESTS, ONE_ROBOT, markdown, order_named, request_named
+from groundstation.mission.state_machine import (
+    FLEET_REQUESTS,
+    ONE_ROBOT,
+    WATER,
+    markdown,
+    order_name,
+    order_named,
+    request_named,
+)
 from wire.messages.messages import Command, Outcome, Reply
 from wire.messages.topics import WHOLE_FLEET
 from wire.printable import printable
@@ -64,6 +72,11 @@ HELP = {
     "test": "Test every thruster of every robot, briefly and with little thrust.",
     "disarm": "Disarm all robots: neutral, and no pulses until they are armed again.",
     "clear-stop": "Clear an emergency stop. Robots stay disarmed until they are armed again.",
+    "out": """Say that a person has taken a robot out of the water.
+
+    The others keep clear of its last place no longer, it stops no mission, and no run counts on it or has it flown, until
+    `groundstation mission back-in`.""",
+    "back-in": """Say that a robot is in the water again: at rest it takes part in the next run, in flight it may rejoin.""",
     "stop": """Emergency stop: every robot of every station here to neutral, latched until `groundstation mission clear-stop`.
 
     On the station's machine it needs no keys. It stops first, and names afterwards what it could not use of its command line.
@@ -133,13 +146,25 @@ def fleet_request(name: str) -> Callable[..., None]:
     return request(for_one if order_named(name) in ONE_ROBOT else lambda: (name, request_named(name)))
 
 
+def robot_request(name: str) -> Callable[..., None]:
+    """Command that makes one request of one robot."""
+
+    def for_one(
+        robot: Annotated[int, typer.Option("--robot", min=1, max=49, metavar="ID", help="The robot.", show_default=False)],
+    ) -> tuple[str, Command]:
+        return name, request_named(name, robot)
+
+    return request(for_one)
+
+
 def register(cli: typer.Typer, name: str, group: str = "") -> None:
     """Add the request `name` to a group of commands."""
-    help_text = f"{HELP[name]}\n\n    Example:  groundstation {group}{name}"
-    cli.command(name, help=help_text)(fleet_request(name))
+    of_one = order_named(name) in WATER
+    help_text = f"{HELP[name]}\n\n    Example:  groundstation {group}{name}{' --robot 2' if of_one else ''}"
+    cli.command(name, help=help_text)(robot_request(name) if of_one else fleet_request(name))
 
 
-for _name in FLEET_REQUESTS:
+for _name in (*FLEET_REQUESTS, *map(order_name, WATER)):
     if _name not in ("stop", "end"):  # words of their own
         register(mission_cli, _name, "mission ")
 

@@ -202,10 +202,18 @@ class Mission:
         if self.takes_out(order) and robot not in self.roster.lost:
             self.roster.mark_lost(robot, "led by a person")
 
+    def note_water(self, robot: int, is_out: bool) -> None:
+        """Take note that a robot is out of the water, or back in it."""
+        self._give_up_s = None
+        if is_out:
+            self.roster.take_out(robot)
+        else:
+            self.roster.put_back(robot, self.state in AT_REST)
+
     def objection(self, order: Order, fleet: Fleet, via: Sequence[tuple[float, float]] = ()) -> str:
         """Reason against a request in a state that allows it; empty if there is none."""
         from_rest = order is Order.RETURN and self.state in AT_REST  # takes in robots that the last run had lost
-        roster = Roster(self._experiment.robot_ids, self.segment) if from_rest else self.roster
+        roster = Roster(self._experiment.robot_ids, self.segment, self.roster.out) if from_rest else self.roster
         return objection(order, self._context(fleet, roster, via))
 
     def _context(self, fleet: Fleet, roster: Roster | None = None, via: Sequence[tuple[float, float]] = ()) -> RequestContext:
@@ -493,7 +501,7 @@ class Mission:
         """Robots that get a stage's command. DISARM also goes to lost robots that are heard, or were until just now."""
         all_robots = self.roster.all_robots
         if self.state in (MissionState.ABORTING, MissionState.CLEARING):
-            return all_robots
+            return [r for r in all_robots if r not in self.roster.out or fleet[r].heard]
         if self.state is MissionState.ENDING:
             lost = self.roster.lost
             return [r for r in all_robots if r not in lost or (fleet[r].mode is not Mode.STOPPED and may_move(fleet[r]))]

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from groundstation.mission.roster import Roster
+from groundstation.mission.roster import TAKEN_OUT, Roster
 from groundstation.mission.state_machine import AT_REST, MissionState
 from groundstation.planning.replanning import can_replan
 from groundstation.planning.segment import PlanSegment
@@ -58,6 +58,8 @@ def fit_to_rejoin(context: RequestContext) -> tuple[int, ...]:
 
 
 def _unfit_to_rejoin(context: RequestContext, robot: int) -> str:
+    if robot in context.roster.out:
+        return f"robot {robot} is {TAKEN_OUT} (groundstation mission back-in --robot {robot})"
     return "; ".join(preflight(context.experiment, {robot: context.fleet[robot]}, exclude=("thrusters",)))
 
 

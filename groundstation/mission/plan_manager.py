@@ -122,4 +122,4 @@ class PlanManager:
         return self.monitor.first_contact(segment, self.progress_s, self._lost(fleet), now_ns)
 
     def _lost(self, fleet: Fleet) -> list[RobotView]:
-        return [fleet[r] for r in self._roster.lost]
+        return [fleet[r] for r in self._roster.lost if r not in self._roster.out]

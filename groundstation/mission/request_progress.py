@@ -190,7 +190,7 @@ class RequestTracker:
         if request.order in TUNING:
             return mission.roster.active
         if GOALS[request.order].all_robots:
-            return self._robots
+            return tuple(r for r in self._robots if r not in mission.roster.out)
         lost = [r for r in mission.roster.lost if GOALS[request.order].moving and _moves_or_holds(fleet[r])]
         return tuple(r for r in self._robots if r in lost or r in mission.roster.active)
 

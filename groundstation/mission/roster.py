@@ -18,17 +18,23 @@ class Leader(Enum):
     PERSON = "a person"
 
 
-class Roster:
-    """Robots of an experiment with their slots. A slot is a node of the formation; a robot has its own until gaps close."""
+TAKEN_OUT = "out of the water"
 
-    def __init__(self, robot_ids: tuple[int, ...], segment: PlanSegment) -> None:
+
+class Roster:
+    """Robots of an experiment with their slots. A slot is a node of the formation; a robot has its own until gaps close.
+
+    A robot that is out of the water stays lost, also to later runs, until it is back in."""
+
+    def __init__(self, robot_ids: tuple[int, ...], segment: PlanSegment, out: Iterable[int] = ()) -> None:
         self.all_robots = robot_ids
+        self.out = frozenset(out)
         self.led_by = dict.fromkeys(robot_ids, Leader.MISSION)
         self.reset(segment)
 
     def reset(self, segment: PlanSegment) -> None:
-        """Take all robots in, each in its own slot, to fly `segment` from its beginning."""
-        self.lost: dict[int, str] = {}  # robots that the run goes on without, and the reason
+        """Take all robots in the water in, each in its own slot, to fly `segment` from its beginning."""
+        self.lost = dict.fromkeys(sorted(self.out), TAKEN_OUT)  # robots that the run goes on without, and the reason
         self.slots = {robot: robot for robot in self.all_robots}
         self.history: dict[int, Trajectory] = dict(segment.trajectories)  # by robot, from the beginning of the run
 
@@ -54,6 +60,18 @@ class Roster:
     def mark_lost(self, robot: int, why: str) -> None:
         """Go on without a robot."""
         self.lost[robot] = why
+
+    def take_out(self, robot: int) -> None:
+        """Go on without a robot that is out of the water."""
+        self.out |= {robot}
+        self.mark_lost(robot, TAKEN_OUT)
+
+    def put_back(self, robot: int, at_rest: bool) -> None:
+        """Count on a robot that is in the water again: at once while all are at rest; else it may rejoin."""
+        self.out -= {robot}
+        self.lost[robot] = "was out of the water"
+        if at_rest:
+            del self.lost[robot]
 
     def reinstate(self, robots: Iterable[int]) -> None:
         """Take lost robots in again, in free slots."""

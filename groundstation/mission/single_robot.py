@@ -1,4 +1,4 @@
-"""Requests for one robot: arm, hold, disarm, drive, go to a place, while the others hold or fly. Pure.
+"""Requests for one robot: arm, hold, disarm, drive, go to a place, out of the water and back. Pure.
 
 A robot that is led like this in flight is out of the formation until REJOIN; the others see its plans and stay clear. While
 the mission is paused it keeps its place in the formation. Where the mission arms, starts, ends or plans for all, it leads all
@@ -12,11 +12,11 @@ import numpy as np
 
 from groundstation.formation_clock import named_alone
 from groundstation.mission.command_dispatcher import CommandDispatcher, CommandResult
-from groundstation.mission.mission import AT_REST_MPS, PATIENCE_S, REST_WITHIN_S, Mission
+from groundstation.mission.mission import AT_REST_MPS, PATIENCE_S, REST_WITHIN_S, Mission, may_move
 from groundstation.mission.objections import ARMED, LIVE, mode_name
 from groundstation.mission.plan_manager import PlanRequest
-from groundstation.mission.roster import Leader
-from groundstation.mission.state_machine import AT_REST, NOMINAL, ONE_ROBOT, MissionState
+from groundstation.mission.roster import TAKEN_OUT, Leader
+from groundstation.mission.state_machine import AT_REST, NOMINAL, ONE_ROBOT, WATER, MissionState
 from groundstation.mission.timetable import START_IN_S, Timetable
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.rest_to_rest import SETTLE_S, plan_return
@@ -83,9 +83,18 @@ class SingleRobotControl:
         if order not in ONE_ROBOT:
             return f"{order.name} is not for one robot (allowed: {', '.join(o.name for o in ONE_ROBOT)})"
         reason = self._objection(order, robot, fleet, place_m)
-        if not reason:
+        if not reason and order in WATER:
+            self._note_water(order, robot, now_ns)
+        elif not reason:
             self._begin(robot, RobotTask(order, now_ns, place_m=place_m))
         return reason
+
+    def _note_water(self, order: Order, robot: int, now_ns: int) -> None:
+        """Take note that a person took a robot out of the water, or put it back: done at once."""
+        if self._under_way(robot) is not None:
+            self._end(robot, f"{order.name} was asked for instead")
+        self.tasks[robot] = RobotTask(order, now_ns, Progress.DONE)
+        self._mission.note_water(robot, order is Order.OUT)
 
     def drive(self, robot: int, velocity: DriveVelocity, fleet: Fleet, now_ns: int) -> str:
         """Take a person's newest velocity for a robot; all zeros let go. Returns the reason of a refusal, or nothing. A drive
@@ -153,6 +162,10 @@ class SingleRobotControl:
         if mission.takes_out(order) and set(mission.roster.active) == {robot}:
             return f"robot {robot} is the only one that flies: hold or disarm the fleet instead"
         seen = fleet[robot]
+        if order in WATER:
+            return self._wrong_water(order, robot, seen)
+        if robot in mission.roster.out:
+            return f"robot {robot} is {TAKEN_OUT} (groundstation mission back-in --robot {robot})"
         if not seen.heard:
             return f"robot {robot} is not heard"
         if order is Order.ARM:
@@ -164,6 +177,17 @@ class SingleRobotControl:
         if seen.mode not in LIVE:
             return f"robot {robot} is {mode_name(seen)}: arm it first"
         return self._no_place(robot, fleet, place_m) if order is Order.GO else ""
+
+    def _wrong_water(self, order: Order, robot: int, seen: RobotView) -> str:
+        """Reason against OUT or BACK_IN for a robot; empty if there is none. One that may have power is not taken out."""
+        roster = self._mission.roster
+        if (robot in roster.out) is (order is Order.OUT):
+            return f"robot {robot} is {'' if order is Order.OUT else 'not '}{TAKEN_OUT}"
+        if order is Order.OUT and may_move(seen) and seen.mode in LIVE:
+            return f"robot {robot} is {mode_name(seen)}: disarm it first"
+        if order is Order.OUT and set(roster.all_robots) - roster.out == {robot}:
+            return f"robot {robot} is the last one in the water"
+        return ""
 
     def _no_place(self, robot: int, fleet: Fleet, place_m: tuple[float, float] | None) -> str:
         if place_m is None:

@@ -236,7 +236,8 @@ def rejection_reason(order: Order, state: MissionState) -> str:
     return f"{order.name} is not possible when {state.name} (only when {names})"
 
 
-ONE_ROBOT = (Order.ARM, Order.HOLD, Order.DISARM, Order.GO)  # requests that may be for one robot alone
+WATER = (Order.OUT, Order.BACK_IN)  # requests that are always for one robot
+ONE_ROBOT = (Order.ARM, Order.HOLD, Order.DISARM, Order.GO, *WATER)  # requests that may be for one robot alone
 # requests without arguments; END is the station's own, and GO has places
 FLEET_REQUESTS = tuple(
     order_name(order) for order in Order if order is Order.END or (order is not Order.GO and states_allowing(order))

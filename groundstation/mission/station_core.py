@@ -57,7 +57,8 @@ class StationCore:
         """A robot as it is seen, compared with what the fleet does: its lag, and whether it has the fleet's gains."""
         state = seen.state
         other_gains = state is not None and state.tuning_id not in ("", self.tuner.status().flown.id)
-        return replace(seen, behind_s=self.mission.behind_s(robot, seen, now_ns), other_gains=other_gains)
+        out = robot in self.mission.roster.out
+        return replace(seen, behind_s=self.mission.behind_s(robot, seen, now_ns), other_gains=other_gains, out=out)
 
     def follow(self, fleet: Fleet, answers: Sequence[CommandResult]) -> tuple[Outcome, ...]:
         """Update the outcomes of requests; returns those that have ended. The run ends if one of them asks for it and is

@@ -145,7 +145,8 @@ class Station:
         pace = self.mission.governor
         planned = tuple(robot for robot, seen in self.seen.items() if seen.state is not None and seen.state.planned)
         state = self.mission.state.name
-        beat = StationHeartbeat(self.experiment.hash, stopped, state, pace.lag_s, 1.0 - pace.rate, planned, self.code)
+        out = tuple(sorted(self.mission.roster.out))
+        beat = StationHeartbeat(self.experiment.hash, stopped, state, pace.lag_s, 1.0 - pace.rate, planned, self.code, out)
         self.bus.publish(topics.HEARTBEAT, beat, now_ns)
         self.beat_s = time.monotonic()
         self._tell()

@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from groundstation.mission.state_machine import FLEET_REQUESTS, order_name
+from groundstation.mission.state_machine import FLEET_REQUESTS, WATER, order_name
 from wire.config.formation_shapes import Shape
 from wire.messages.messages import Order
 
@@ -20,7 +20,7 @@ Velocity = Annotated[float, msgspec.Meta(ge=-10, le=10)]  # m/s or rad/s; the ro
 EditedId = Annotated[int, msgspec.Meta(ge=1, le=49)]
 Vec2 = tuple[Metres, Metres]
 Vec3 = tuple[Metres, Metres, Metres]
-ORDERS = (*FLEET_REQUESTS, order_name(Order.GO))
+ORDERS = (*FLEET_REQUESTS, *map(order_name, (Order.GO, *WATER)))
 CameraName = Annotated[str, msgspec.Meta(max_length=64)]
 RunName = Annotated[str, msgspec.Meta(min_length=1, max_length=255)]  # of its folder
 OrderName = Annotated[str, msgspec.Meta(pattern=rf"\A(?:{'|'.join(ORDERS)})\Z")]

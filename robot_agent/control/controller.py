@@ -253,7 +253,7 @@ class Controller:
         lead = reference
         if isinstance(goal, Follow):
             keep_m = self.formation.clearances_m(predictions, now_ns)
-            traffic = traffic_near(estimate.eta, reference, predictions, keep_m, obstacles, self._urgent, now_ns)
+            traffic = traffic_near(estimate.eta, self._give_way.agility, predictions, keep_m, obstacles, self._urgent, now_ns)
             lead = self._give_way.avoidance_path(reference, complex(*estimate.eta[:2].tolist()), traffic)
         weight, command = self._command(goal, lead, predictions, estimate)
         predicted_path = self._law.predicted_path(estimate.action)

@@ -31,6 +31,7 @@ WALL_GIVES = 0.1  # of what a robot's lines give: 2R hold room enough that hulls
 LEANS_M = 0.02  # a plan so near a half-space's border would be another one without it
 SHORTEST_S, ABSURD = 1e-3, 1e4  # limits of what can be a plan: s; m and rad
 MOST_TURNED_RAD = 1e8  # a heading counts its turns: days of laps
+SILENT_S = 60.0  # of silence: a robot without a station is neutral after 3 s, and has drifted to rest long before
 MEANT_S = 1.0  # over which a robot's velocity is taken from its planned reference
 SAME_ERROR_M = 0.02  # tracking errors closer than this give equal priority,
 ERROR_RATE_MPS = 0.5  # plus this per second of the message's age: no robot moves faster
@@ -215,12 +216,17 @@ class Neighbour(NamedTuple):
     plan: Plan
     fresh: bool
     formation: bool = True  # False: only stay clear of it
-    hears_us: bool = False  # its plan says so; a robot that does not hear us cannot give way to us
+    hears_us: bool = False  # its plan says so
+
+    @property
+    def can_yield(self) -> bool:
+        """True if the robot can be expected to give way to us: it has thrust, and each of us hears the other."""
+        return self.fresh and self.hears_us and not self.plan.adrift
 
 
 class Priority(NamedTuple):
     """Priority of a robot (article, section 3.3): urgent task first, then small tracking error. The article's third criterion,
-    which robot hears others, comes before both here, and the other way round: see `Neighbour.hears_us`."""
+    which robot hears others, comes before both here, and the other way round: see `Neighbour.can_yield`."""
 
     urgent: bool
     tracking_error_m: float
@@ -336,12 +342,14 @@ class Formation:
         return NeighbourPredictions(deviation, weight, any(told[4::5]), fresh_count, neighbours, *sampled)
 
     def clearance_m(self, neighbour: Neighbour, now_ns: int) -> float:
-        """Distance to keep from a neighbour: it grows with the neighbour's silence."""
-        keep = 2.0 * self._safety.radius_m
+        """Distance to keep from a neighbour: 2R, and more from one that is silent. What is more grows with the silence, up to
+        a limit, and is gone again SILENT_S after the last word: by then the robot has stopped, and only the station can say
+        that it is out of the water."""
+        keep, safety = 2.0 * self._safety.radius_m, self._safety
         if neighbour.fresh:
             return keep
         silent_s = max(0.0, (now_ns - neighbour.stamp_ns) / NS)
-        return keep + min(self._safety.bubble_mps * silent_s, self._safety.bubble_max_m)
+        return keep + min(safety.bubble_mps * min(silent_s, max(SILENT_S - silent_s, 0.0)), safety.bubble_max_m)
 
     def clearances_m(self, predictions: NeighbourPredictions, now_ns: int) -> Array:
         """Distances to keep from all neighbours, (neighbours,)."""
@@ -351,11 +359,9 @@ class Formation:
         return np.array([self.clearance_m(neighbour, now_ns) for neighbour in predictions.neighbours])
 
     def required_clearance_m(self, neighbour: Neighbour, own: Priority, now_ns: int) -> float | None:
-        """Distance to keep from a neighbour, or None if that robot gives way. Only a robot that we hear and that hears us is
-        expected to give way."""
+        """Distance to keep from a neighbour, or None if that robot gives way."""
         plan, age_s = neighbour.plan, (now_ns - neighbour.stamp_ns) / NS
-        heard_both_ways = neighbour.fresh and neighbour.hears_us
-        if heard_both_ways and own.goes_before(Priority(plan.urgent, plan.tracking_error_m), age_s):
+        if neighbour.can_yield and own.goes_before(Priority(plan.urgent, plan.tracking_error_m), age_s):
             return None
         return self.clearance_m(neighbour, now_ns)
 

@@ -1,64 +1,73 @@
-"""Giving way by velocity obstacles: the reference leaves the path where it would lead into a robot or an obstacle.
+"""Right of way by velocity obstacles: the reference leaves the path where it would lead into a robot or an obstacle.
 
 Half-spaces (36) keep robots apart but cannot part two that want to run through one another. Head on they stop 2R apart and
 push for ever, and no plan shows a way out (to first order, a robot at rest does not move sideways by turning). So the robot
 follows a point. The point is on the reference while that is free, and takes another velocity while it is not (sampled velocity
 obstacles, Fiorini and Shiller 1998, with a side rule as in COLREG):
 
-* A velocity is free if it passes every robot and obstacle by 2R + ROOM_M within LOOK_AHEAD_S, if they move on as told.
+* A velocity is free if it passes every robot and obstacle by 2R + `room_m` within `look_ahead_s`, if they move on as told.
+* Of two robots that cross, the one that has the other to starboard gives way, and the other counts on it for half of that
+  time. A robot that is overtaken goes on as before; so does one with an urgent task, among robots without one.
 * Two robots that meet leave one another to port (they keep to starboard), unless they are already well on the other side.
   The side is that of the relative motion, which both see alike whichever turns first. At obstacles the shorter way counts.
-* A robot that is overtaken goes on as before; so does one with an urgent task, among robots without one.
-* Of the free velocities the nearest to the wanted one is taken, changing steadily.
+* A robot that cannot give way, without thrust for example, is an obstacle that moves.
+* Of the free velocities the nearest to the wanted one is taken, changing steadily, without hurry.
 
-Then the point returns to the reference, at a rate that falls with the distance: no overshoot. Robots in formation have the
-same velocity, never meet, and get back the very reference they came with.
+Then the point returns to the reference, as fast as its `Agility` allows, braking before it: no overshoot. Robots in formation
+have the same velocity, never meet, and get back the very reference they came with.
+
+`plain_agility` and the point's heading (`_steers`, `_steer`, `_turn`) serve the linear laws only.
 """
 
 import cmath
 import math
 from collections.abc import Sequence
-from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from robot_agent.guidance.formation import MEANT_S, WALL_M, NeighbourPredictions, Places
+from robot_agent.guidance.formation import MEANT_S, WALL_M, NeighbourPredictions
 from robot_agent.guidance.obstacles import Obstacle
 from robot_agent.guidance.reference import Reference
 from wire.config.vehicle import Vehicle
 from wire.frames import Array, wrap
+from wire.kernel_types import Bools, Complexes, Floats, Table
 from wire.kernels import kernel
 
-LOOK_AHEAD_S = 8.0  # two robots at 0.1 m/s begin to turn 1.6 m before they would touch
 LOOK_STEP_S = 0.5
 SURE_S = 0.2  # a conflict lasts so long before the reference is left,
 SURE_STEPS = 2  # and so many steps at least: neighbours that start a step before their plan says so are no conflict
-ROOM_M = 0.15  # beyond what the half-spaces keep, so that these need not act: four robots in a bend lose 13 cm on each other
 SLIGHTEST_MPS = 0.01  # a slower approach is no conflict: robots in formation sway that fast
 PARTING = 0.999  # of the present distance: robots closer than allowed may take any velocity that leads no closer
 WELL_CLEAR = 0.5  # of the distance to keep: a robot that passes so far on the other side stays on it
 ABAFT = -0.38  # cosine of 112.5 degrees from ahead: a robot from there overtakes, and has to keep clear
-RETURN_PER_S = 0.3
-CATCH_UP = 0.5  # of the reference's speed, on top of it, to return with; at least
-CATCH_UP_MPS = 0.06
-CHANGE_MPS2 = 0.1  # of the point's velocity: a robot at 0.1 m/s turns by 60 degrees in a second
+HEAD_ON = -0.9  # cosine between courses that are so opposite that both give way
+STANDS_ON = 0.5  # of the time to look ahead: for a robot that should have given way
+CATCH_UP = 0.5  # of the reference's speed, on top of it, to return with, if `Agility.catch_up_mps` is less
+UNHURRIED_MPS = 0.06  # likewise while something is in the way: a robot that hurries then takes a long way round
+FASTEST_SHARE = 0.8  # of the vehicle's speed: the rest is for what the robot has to correct
 LEASH_M = 0.25  # the point waits for a robot that is held up
 HOLD_COURSE_MPS = 0.02  # slower, a direction of motion means nothing
 TURN_RADPS = 0.8
-ARRIVED_M, ARRIVED_MPS, ARRIVED_RAD = 0.002, 0.004, 0.02
+ARRIVED_M, ARRIVED_MPS, ARRIVED_RAD = 0.02, 0.02, 0.02  # the controller corrects as much by itself
 WALL_S = 3.0  # a velocity is not taken if in this time it leads closer to a wall than WALL_M beyond the hull
 STILL = 1e-12  # (m/s)^2: keeps 0/0 out
 
-LOOK_STEPS = round(LOOK_AHEAD_S / LOOK_STEP_S)
-_ANGLES = np.radians(np.arange(-150.0, 151.0, 7.5))
-_PACES = np.array([1.0, 0.7, 0.4])
-# The fan of velocities to choose from, as multiples of the wanted one, and the price of each. Standing still is as bad as a
-# turn by 115 degrees: if robots would rather wait than turn, four of them wait for one another. Of two ways equally long, the
-# one to starboard.
-FAN = np.append(np.outer(_PACES, np.exp(1j * _ANGLES)), 0.0)
-FAN_PRICE = np.append(2.0 * (1.0 - _PACES)[:, None] + np.abs(_ANGLES) + 1e-3 * (_ANGLES < 0.0), 2.0)
+
+class Agility(NamedTuple):
+    """Motion that is allowed to a point that a robot follows, and how far it looks ahead."""
+
+    room_m: float  # beyond what the half-spaces keep, so that these need not act
+    look_ahead_s: float  # with 8 s, two robots at 0.1 m/s begin to turn 1.6 m before they would touch
+    fastest_mps: float
+    change_mps2: float  # of its velocity
+    return_per_s: float  # velocity towards the reference, per distance from it,
+    catch_up_mps: float  # and the most of it, on top of the reference's own
+
+
+def plain_agility(vehicle: Vehicle) -> Agility:
+    """That of the linear laws, which follow a leisurely point only."""
+    return Agility(0.15, 8.0, FASTEST_SHARE * vehicle.limits.speed_mps, 0.1, 0.3, 0.06)
 
 
 @kernel("f8(c16, c16)", part=True)
@@ -73,40 +82,62 @@ def cross(a: complex, b: complex) -> float:
     return a.real * b.imag - a.imag * b.real
 
 
-@kernel("b1(c16, c16, c16[::1], c16[::1], f8[::1])", part=True)
-def closes_in(place: complex, velocity: complex, there: Places, going: Places, keep_m: Array) -> bool:
-    """True if straight lines at these velocities lead nearer to any traffic (k,) than allowed within LOOK_AHEAD_S."""
-    for i in range(len(there)):
-        apart, closing = there[i] - place, velocity - going[i]
+class Traffic(NamedTuple):
+    """Robots and obstacle points to be avoided, k in number, at this instant, as complex numbers x + iy."""
+
+    place: Complexes  # (k,) m
+    velocity: Complexes  # (k,) m/s, that they mean to have
+    keep_m: Floats  # (k,) distances to stay away; 0: it is not in the way
+    yields: Bools  # (k,) robots that follow this rule too, and of which each hears the other
+
+    def joined(self, other: "Traffic") -> "Traffic":
+        """Return both together."""
+        return Traffic(*(np.concatenate(both) for both in zip(self, other, strict=True)))
+
+
+NOBODY = Traffic(np.zeros(0, np.complex128), np.zeros(0, np.complex128), np.zeros(0), np.zeros(0, bool))
+
+
+@kernel
+def set_horizons(place: complex, wanted: complex, look_ahead_s: float, traffic: Traffic, within_s: Floats) -> None:
+    """Write for how long ahead traffic (k,) counts for a robot that wants to go at a velocity; 0: not at all.
+
+    A robot that comes from behind on its own way forward overtakes, and keeps clear of us. One that crosses from port gives
+    way too, and counts only when it should have done so by now. What is to be passed at no distance is not in the way.
+    """
+    for i in range(len(within_s)):
+        away, going = traffic.place[i] - place, traffic.velocity[i]
+        astern = dot(away, wanted) < ABAFT * abs(away) * abs(wanted)
+        overtaken = -dot(away, going) < ABAFT * abs(away) * abs(going)
+        head_on = dot(wanted, going) < HEAD_ON * abs(wanted) * abs(going)
+        from_port = cross(wanted, going) > 0.0 and not head_on and not overtaken
+        within_s[i] = look_ahead_s if traffic.keep_m[i] > 0.0 else 0.0
+        if traffic.yields[i] and astern and dot(going, wanted) > 0.0:
+            within_s[i] = 0.0
+        elif traffic.yields[i] and from_port:
+            within_s[i] *= STANDS_ON
+
+
+@kernel
+def closes_in(place: complex, velocity: complex, traffic: Traffic, within_s: Floats) -> bool:
+    """True if straight lines at these velocities lead nearer to any traffic (k,) than allowed, each within its time (k,)."""
+    for i in range(len(within_s)):
+        apart, closing = traffic.place[i] - place, velocity - traffic.velocity[i]
         square, towards = dot(closing, closing), dot(apart, closing)
-        if square >= SLIGHTEST_MPS**2 and towards > 0.0:
-            time_s = min(towards / square, LOOK_AHEAD_S)
-            if abs(apart - closing * time_s) < min(keep_m[i], PARTING * abs(apart)):
+        if within_s[i] > 0.0 and square >= SLIGHTEST_MPS**2 and towards > 0.0:
+            time_s = min(towards / square, within_s[i])
+            if abs(apart - closing * time_s) < min(traffic.keep_m[i], PARTING * abs(apart)):
                 return True
     return False
 
 
-@kernel("b1(f8[:,::1], i8, f8, c16, c16[::1], c16[::1], f8[::1])")
-def leads_too_close(eta: Array, row: int, row_s: float, place: complex, there: Places, going: Places, keep_m: Array) -> bool:
-    """True if the straight line of a reference (rows, 4) to its `row`, `row_s` from now, closes in on any traffic."""
-    velocity = complex((eta[row, 0] - eta[0, 0]) / row_s, (eta[row, 1] - eta[0, 1]) / row_s)
-    return abs(velocity) >= SLIGHTEST_MPS and closes_in(place, velocity, there, going, keep_m)
-
-
-@kernel("void(f8[::1], f8[::1], f8, f8[::1])")
-def distances_when_level(depth: Array, keep_m: Array, depth_m: float, level_m: Array) -> None:
-    """Distances to keep from robots (k,), ROOM_M beyond `keep_m`; 0 from those as far below or above `depth_m`."""
-    for i in range(len(depth)):
-        level_m[i] = keep_m[i] + ROOM_M if abs(depth[i] - depth_m) < keep_m[i] else 0.0
-
-
-@kernel("c16(c16, c16, c16, f8)")
-def homing_velocity(goal: complex, speed: complex, point: complex, fastest_mps: float) -> complex:
+@kernel
+def homing_velocity(goal: complex, speed: complex, point: complex, agility: Agility) -> complex:
     """Velocity that leads a point back to its goal, which moves at `speed`."""
-    back = RETURN_PER_S * (goal - point)
-    limit = max(CATCH_UP * abs(speed), CATCH_UP_MPS)
-    velocity = speed + back * min(1.0, limit / max(abs(back), limit))
-    return velocity * min(1.0, fastest_mps / max(abs(velocity), fastest_mps))
+    back = agility.return_per_s * (goal - point)
+    limit = min(max(CATCH_UP * abs(speed), agility.catch_up_mps), math.sqrt(agility.change_mps2 * abs(goal - point)))
+    velocity = speed + back * min(1.0, limit / max(abs(back), limit, STILL))
+    return velocity * min(1.0, agility.fastest_mps / max(abs(velocity), agility.fastest_mps))
 
 
 @kernel("c16(c16, c16, f8)")
@@ -116,8 +147,8 @@ def changed(velocity: complex, to: complex, most: float) -> complex:
     return to if abs(difference) <= most else velocity + difference * (most / abs(difference))
 
 
-@kernel("void(f8[:,::1], f8[:,::1], f8[::1], c16, f8, c16[::1])")
-def look_ahead(eta: Array, velocity: Array, times_s: Array, point: complex, fastest_mps: float, ahead: Places) -> None:
+@kernel
+def look_ahead(eta: Table, velocity: Table, times_s: Floats, point: complex, agility: Agility, ahead: Complexes) -> None:
     """Displacements of a point on its return to a reference, LOOK_STEP_S apart, into `ahead`. The reference (rows, 4) at
     `times_s` (rows,) goes straight on after its end."""
     last, start, row = len(times_s) - 1, point, 0
@@ -134,154 +165,146 @@ def look_ahead(eta: Array, velocity: Array, times_s: Array, point: complex, fast
             eta[row, 0] + share * (eta[after, 0] - eta[row, 0]) + beyond_s * velocity[last, 0],
             eta[row, 1] + share * (eta[after, 1] - eta[row, 1]) + beyond_s * velocity[last, 1],
         )
-        point += LOOK_STEP_S * homing_velocity(before, (goal - before) / LOOK_STEP_S, point, fastest_mps)
+        point += LOOK_STEP_S * homing_velocity(before, (goal - before) / LOOK_STEP_S, point, agility)
         before = goal
         ahead[i] = point - start
 
 
-@kernel("b1(c16, c16, c16[::1], c16[::1], c16[::1], f8[::1], b1[::1], b1[::1], b1[::1])")
-def find_meetings(
-    place: complex,
-    wanted: complex,
-    ahead: Places,
-    there: Places,
-    going: Places,
-    keep_m: Array,
-    sided: NDArray[np.bool_],
-    heeded: NDArray[np.bool_],
-    meets: NDArray[np.bool_],
-) -> bool:
-    """Find the traffic (k,) that is to be `heeded`, and the part of it that the way `ahead` (steps,) `meets`. True if any.
-
-    Robots that come from behind on their own way forward overtake: they keep clear of us. What is to be passed at no distance
-    is not in the way.
-    """
+@kernel
+def find_meetings(place: complex, ahead: Complexes, traffic: Traffic, within_s: Floats, meets: Bools) -> bool:
+    """Find the traffic (k,) that the way `ahead` (steps,) `meets`, each within its time (k,). True if any."""
     found = False
-    for i in range(len(there)):
-        away = there[i] - place
-        astern = dot(away, wanted) < ABAFT * abs(away) * abs(wanted)
-        heeded[i] = keep_m[i] > 0.0 and not (sided[i] and astern and dot(going[i], wanted) > 0.0)
-        meets[i] = False
-        nearest_m = min(keep_m[i], PARTING * abs(away))
-        for k in range(len(ahead) if heeded[i] else 0):
-            meets[i] |= abs(away + going[i] * ((k + 1) * LOOK_STEP_S) - ahead[k]) < nearest_m
+    for i in range(len(within_s)):
+        away, meets[i] = traffic.place[i] - place, False
+        nearest_m = min(traffic.keep_m[i], PARTING * abs(away))
+        for k in range(min(len(ahead), round(within_s[i] / LOOK_STEP_S))):
+            meets[i] |= abs(away + traffic.velocity[i] * ((k + 1) * LOOK_STEP_S) - ahead[k]) < nearest_m
         found |= meets[i]
     return found
 
 
-@kernel("b1(c16, c16, f8, f8, c16[::1], f8[::1])", part=True)
-def leads_into_wall(place: complex, way: complex, room_x_m: float, room_y_m: float, islands: Places, keep_m: Array) -> bool:
-    """True if the velocity `way` leads within WALL_S beyond the room (half its sides), or too close to an island (k,). A robot
-    that is there already may go no further in."""
+class Basin(NamedTuple):
+    """Walls and islands, for a robot's centre."""
+
+    half_x_m: float
+    half_y_m: float
+    islands: Complexes  # (k,)
+    keep_m: Floats  # (k,) distances to stay away from them
+
+
+@kernel(part=True)
+def leads_into_wall(place: complex, way: complex, basin: Basin) -> bool:
+    """True if the velocity `way` leads within WALL_S beyond the walls, or too close to an island. A robot that is there
+    already may go no further in."""
     ahead = place + way * WALL_S
-    into = abs(ahead.real) > max(room_x_m, abs(place.real)) or abs(ahead.imag) > max(room_y_m, abs(place.imag))
-    for i in range(len(islands)):
-        away = islands[i] - place
+    into = abs(ahead.real) > max(basin.half_x_m, abs(place.real)) or abs(ahead.imag) > max(basin.half_y_m, abs(place.imag))
+    for i in range(len(basin.keep_m)):
+        away = basin.islands[i] - place
         time_s = min(max(dot(away, way) / max(dot(way, way), STILL), 0.0), WALL_S)
-        into |= abs(away - way * time_s) < min(keep_m[i], PARTING * abs(away))
+        into |= abs(away - way * time_s) < min(basin.keep_m[i], PARTING * abs(away))
     return into
 
 
-@kernel("c16(c16, c16, c16, c16[::1], c16[::1], f8[::1], b1[::1], b1[::1], c16[::1], f8[::1], f8, f8, c16[::1], f8[::1])")
-def nearest_free(
-    place: complex,
-    wanted: complex,
-    velocity: complex,
-    there: Places,
-    going: Places,
-    keep_m: Array,
-    heeded: NDArray[np.bool_],
-    sided: NDArray[np.bool_],
-    turns: Places,
-    price: Array,
-    room_x_m: float,
-    room_y_m: float,
-    islands: Places,
-    islands_keep_m: Array,
-) -> complex:
-    """The cheapest of the velocities wanted x turns (n,) that passes all traffic (k,) at its distance, and `sided` robots on
-    the right side; if none does, the one that keeps farthest away. `velocity` is the present one: a change from it costs."""
-    least, best = np.inf, wanted
-    for n in range(len(turns)):
-        way, worst = wanted * turns[n], 0.0
-        for i in range(len(there)):
-            if not heeded[i]:
-                continue
-            away, closing, now = there[i] - place, way - going[i], velocity - going[i]
-            nearest_m = min(keep_m[i], PARTING * abs(away))
-            # a robot that is left well to starboard may stay there; all others are left to port
-            starboard = cross(now, away) > WELL_CLEAR * nearest_m * abs(now)
-            if sided[i] and (cross(closing, away) < 0.0 if starboard else cross(closing, away) > 0.0):
-                worst = 1.0
-            elif dot(away, closing) > 0.0:
-                time_s = min(dot(away, closing) / max(dot(closing, closing), STILL), LOOK_AHEAD_S)
-                worst = max(worst, 1.0 - abs(away - closing * time_s) / nearest_m)
-        if leads_into_wall(place, way, room_x_m, room_y_m, islands, islands_keep_m):
+class Fan(NamedTuple):
+    """Velocities to choose from, as multiples of the wanted one, and the price of each."""
+
+    turn: Complexes
+    price: Floats
+
+
+def make_fan() -> Fan:
+    """Turns to both sides at three paces, and standing still. That is as bad as a turn by 115 degrees: if robots would rather
+    wait than turn, four of them wait for one another. Of two ways equally long, the one to starboard."""
+    angles, paces = np.radians(np.arange(-150.0, 151.0, 7.5)), np.array([1.0, 0.7, 0.4])
+    price = 2.0 * (1.0 - paces)[:, None] + np.abs(angles) + 1e-3 * (angles < 0.0)
+    return Fan(np.append(np.outer(paces, np.exp(1j * angles)), 0.0), np.append(price, 2.0))
+
+
+class Motion(NamedTuple):
+    """Place of a robot, the velocity that it wants, and the one that it has."""
+
+    place: complex
+    wanted: complex
+    velocity: complex
+
+
+@kernel(part=True)
+def worst_pass(motion: Motion, way: complex, traffic: Traffic, within_s: Floats, sided: Bools) -> float:
+    """Badness of the velocity `way` among the traffic (k,): 0 if it passes all at their distances and `sided` robots on the
+    right side, 1 through the middle of one, or on the wrong side."""
+    worst = 0.0
+    for i in range(len(within_s)):
+        if within_s[i] == 0.0:
+            continue
+        going = traffic.velocity[i]
+        away, closing, now = traffic.place[i] - motion.place, way - going, motion.velocity - going
+        nearest_m = min(traffic.keep_m[i], PARTING * abs(away))
+        # a robot that is left well to starboard may stay there; all others are left to port
+        starboard = cross(now, away) > WELL_CLEAR * nearest_m * abs(now)
+        if sided[i] and (cross(closing, away) < 0.0 if starboard else cross(closing, away) > 0.0):
             worst = 1.0
-        cost = 100.0 * worst + price[n] + 0.3 * abs(way - velocity) / abs(wanted)
+        elif dot(away, closing) > 0.0:
+            time_s = min(dot(away, closing) / max(dot(closing, closing), STILL), within_s[i])
+            worst = max(worst, 1.0 - abs(away - closing * time_s) / nearest_m)
+    return worst
+
+
+@kernel
+def nearest_free(motion: Motion, traffic: Traffic, within_s: Floats, sided: Bools, fan: Fan, basin: Basin) -> complex:
+    """The cheapest velocity of a fan that passes all traffic; if none does, the one that keeps farthest away. A change from
+    the present velocity costs."""
+    least, best = np.inf, motion.wanted
+    for n in range(len(fan.price)):
+        way = motion.wanted * fan.turn[n]
+        worst = worst_pass(motion, way, traffic, within_s, sided)
+        if leads_into_wall(motion.place, way, basin):
+            worst = 1.0
+        cost = 100.0 * worst + fan.price[n] + 0.3 * abs(way - motion.velocity) / abs(motion.wanted)
         if cost < least:
             least, best = cost, way
     return best
 
 
-@kernel("void(c16, c16, c16, f8[::1], f8[:,::1], f8[:,::1])")
-def path_out(point: complex, velocity: complex, course: complex, times_s: Array, eta: Array, rate: Array) -> None:
+@kernel
+def path_out(
+    point: complex, velocity: complex, course: complex, change_mps2: float, times_s: Floats, eta: Table, rate: Table
+) -> None:
     """Places into `eta` (rows, 4) and velocities into `rate` (rows, 4) of a point that changes to the velocity `course`."""
     for k in range(len(times_s)):
-        going = changed(velocity, course, CHANGE_MPS2 * times_s[k])
+        going = changed(velocity, course, change_mps2 * times_s[k])
         if k > 0:
             point += going * (times_s[k] - times_s[k - 1])
         eta[k, 0], eta[k, 1], rate[k, 0], rate[k, 1] = point.real, point.imag, going.real, going.imag
 
 
-@kernel("void(c16, c16, f8, f8[::1], f8[:,::1], f8[:,::1])")
-def path_back(point: complex, velocity: complex, fastest_mps: float, times_s: Array, eta: Array, rate: Array) -> None:
+@kernel
+def path_back(point: complex, velocity: complex, agility: Agility, times_s: Floats, eta: Table, rate: Table) -> None:
     """The same of a point that returns to the reference, which `eta` and `rate` hold before."""
     for k in range(len(times_s)):
         goal, speed = complex(eta[k, 0], eta[k, 1]), complex(rate[k, 0], rate[k, 1])
         eta[k, 0], eta[k, 1], rate[k, 0], rate[k, 1] = point.real, point.imag, velocity.real, velocity.imag
         if k < len(times_s) - 1:
             step_s = times_s[k + 1] - times_s[k]
-            velocity = changed(velocity, homing_velocity(goal, speed, point, fastest_mps), CHANGE_MPS2 * step_s)
+            velocity = changed(velocity, homing_velocity(goal, speed, point, agility), agility.change_mps2 * step_s)
             point += velocity * step_s
 
 
-class Traffic(NamedTuple):
-    """Robots and obstacle points to be avoided, k in number, at this instant, as complex numbers x + iy."""
+def robot_traffic(predictions: NeighbourPredictions, keep_m: Array, room_m: float, depth_m: float, urgent: bool) -> Traffic:
+    """The other robots from their plans, each at a distance (k,) and room. Not in the way are robots as far below or above
+    `depth_m`, and, if `urgent`, robots that must give way to us: those that can, and have no urgent task.
 
-    place: NDArray[np.complex128]  # (k,) m
-    velocity: NDArray[np.complex128]  # (k,) m/s, that they mean to have
-    keep_m: Array  # (k,) distances to stay away; 0: it is not in the way
-    sided: NDArray[np.bool_]  # (k,) robots, that keep to starboard too
-
-    def joined(self, other: "Traffic") -> "Traffic":
-        """Return both together."""
-        return Traffic(*(np.concatenate(both) for both in zip(self, other, strict=True)))
-
-
-NOBODY = Traffic(np.zeros(0, np.complex128), np.zeros(0, np.complex128), np.zeros(0), np.zeros(0, bool))
+    A robot that cannot give way is an obstacle that moves: either side of it will do, and whoever it overtakes makes room."""
+    yields = np.array([other.can_yield for other in predictions.neighbours], bool)
+    is_urgent = np.array([other.plan.urgent for other in predictions.neighbours], bool)
+    in_way = (np.abs(predictions.depth_now - depth_m) < keep_m) & ~(urgent & yields & ~is_urgent)
+    distance_m = np.where(in_way, keep_m + room_m, 0.0)
+    return Traffic(predictions.place_now, predictions.intended_velocity, distance_m, yields)
 
 
-def robot_traffic(predictions: NeighbourPredictions, keep_m: Array, depth_m: float, urgent: bool) -> Traffic:
-    """The other robots from their plans, each at a distance (k,). Not in the way are robots as far below or above `depth_m`,
-    and, if `urgent`, robots that must give way to us: without an urgent task, and hearing us."""
-    if urgent:
-        gives_way = [other.fresh and other.hears_us and not other.plan.urgent for other in predictions.neighbours]
-        keep_m = np.where(gives_way, 0.0, keep_m)
-    level_m = np.empty(len(keep_m))
-    distances_when_level(predictions.depth_now, keep_m, depth_m, level_m)
-    return Traffic(predictions.place_now, predictions.intended_velocity, level_m, _all_sided(len(keep_m)))
-
-
-@cache
-def _all_sided(count: int) -> NDArray[np.bool_]:
-    return np.ones(count, bool)
-
-
-def obstacle_traffic(obstacle: Obstacle, place: complex, speed_mps: float, now_ns: int) -> Traffic:
-    """Edge points of an obstacle; none if it is too far away to be met by a robot at that speed."""
-    moved, keep_m = obstacle.displacement(now_ns), obstacle.clearance_m + ROOM_M
-    reach_m = obstacle.reach_m + keep_m + LOOK_AHEAD_S * (abs(obstacle.velocity) + speed_mps)
+def obstacle_traffic(obstacle: Obstacle, place: complex, agility: Agility, now_ns: int) -> Traffic:
+    """Edge points of an obstacle; none if it is too far away to be met."""
+    moved, keep_m = obstacle.displacement(now_ns), obstacle.clearance_m + agility.room_m
+    reach_m = obstacle.reach_m + keep_m + agility.look_ahead_s * (abs(obstacle.velocity) + agility.fastest_mps)
     if abs(obstacle.centre + moved - place) > reach_m:
         return NOBODY
     count = len(obstacle.edge_points)
@@ -292,19 +315,18 @@ def obstacle_traffic(obstacle: Obstacle, place: complex, speed_mps: float, now_n
 
 def traffic_near(
     eta: Array,
-    reference: Reference,
+    agility: Agility,
     predictions: NeighbourPredictions,
     keep_m: Array,
     obstacles: Sequence[Obstacle],
     urgent: bool,
     now_ns: int,
 ) -> Traffic:
-    """All that a robot at `eta` (4,) may meet: the other robots, at distances (k,), and obstacles."""
+    """All that a robot at `eta` (4,) may meet: the other robots, at distances (k,), and obstacles in its reach."""
     x, y, depth_m, _ = eta.tolist()
-    traffic = robot_traffic(predictions, keep_m, depth_m, urgent) if predictions.neighbours else NOBODY
+    traffic = robot_traffic(predictions, keep_m, agility.room_m, depth_m, urgent) if predictions.neighbours else NOBODY
     for obstacle in obstacles:
-        speed_mps = math.hypot(*reference.velocity[0, :2].tolist()) + CATCH_UP_MPS
-        traffic = traffic.joined(obstacle_traffic(obstacle, complex(x, y), speed_mps, now_ns))
+        traffic = traffic.joined(obstacle_traffic(obstacle, complex(x, y), agility, now_ns))
     return traffic
 
 
@@ -318,15 +340,23 @@ class GiveWay:
         period_s: float,
         room_m: tuple[float, float] | None = None,
         islands: Sequence[Obstacle] = (),
+        agility: Agility | None = None,
     ) -> None:
-        """`times_s` (rows,) are the instants of a reference's rows from now, `room_m` the pool's length and width."""
+        """`times_s` (rows,) are the instants of a reference's rows from now, `room_m` the pool's length and width. Without
+        an `agility` the point is a linear law's, and has a heading too."""
         self._times_s, self._period_s = times_s, period_s
         self._sure_steps = max(SURE_STEPS, round(SURE_S / period_s))
-        self._fastest_mps = 0.8 * vehicle.limits.speed_mps
+        self.agility, self._steers = agility or plain_agility(vehicle), agility is None
+        self._look_steps = round(self.agility.look_ahead_s / LOOK_STEP_S)
         half = np.array(room_m if room_m is not None else (math.inf, math.inf)) / 2.0
-        self._room_x, self._room_y = (half - vehicle.radius_m - WALL_M).tolist()
-        self._islands = np.array([island.centre for island in islands], np.complex128)
-        self._islands_keep_m = np.array([island.clearance_m + WALL_M for island in islands])
+        half_x_m, half_y_m = (half - vehicle.radius_m - WALL_M).tolist()
+        self._basin = Basin(
+            half_x_m,
+            half_y_m,
+            np.array([island.centre for island in islands], np.complex128),
+            np.array([island.clearance_m + WALL_M for island in islands]),
+        )
+        self._fan = make_fan()
         self._second = min(int(np.searchsorted(times_s, MEANT_S - 1e-9)), len(times_s) - 1)  # a horizon may be shorter
         self._second_s = float(times_s[self._second])
         self.reset()
@@ -354,7 +384,7 @@ class GiveWay:
         on_path = self._point is None
         if self._point is None:
             self._point, self._velocity, self._turn = begin, speed, 0.0
-        wanted = homing_velocity(begin, speed, self._point, self._fastest_mps)
+        wanted = homing_velocity(begin, speed, self._point, self.agility)
         course = self._avoiding_velocity(reference, place, wanted, traffic)
         if on_path and course is None:  # the path itself bends away
             self.reset()
@@ -373,26 +403,33 @@ class GiveWay:
         """True if the straight line of the coming second, extended, leads too close to any traffic."""
         if not len(traffic.place):
             return False
-        return leads_too_close(
-            reference.eta, self._second, self._second_s, place, traffic.place, traffic.velocity, traffic.keep_m
-        )
+        x_m, y_m = (reference.eta[self._second, :2] - reference.eta[0, :2]).tolist()
+        velocity = complex(x_m, y_m) / self._second_s
+        if abs(velocity) < SLIGHTEST_MPS:
+            return False
+        return bool(closes_in(place, velocity, traffic, self._horizons(place, velocity, traffic)))
+
+    def _horizons(self, place: complex, wanted: complex, traffic: Traffic) -> Array:
+        """Time ahead for which each of the traffic counts (k,), s."""
+        within_s = np.empty(len(traffic.place))
+        set_horizons(place, wanted, self.agility.look_ahead_s, traffic, within_s)
+        return within_s
 
     def _avoiding_velocity(self, reference: Reference, place: complex, wanted: complex, traffic: Traffic) -> complex | None:
         """Velocity that avoids the traffic in the way; None if none is."""
         if abs(wanted) < SLIGHTEST_MPS or not len(traffic.place):
             return None
         assert self._point is not None
-        there, going, keep_m, sided = traffic.place, traffic.velocity, traffic.keep_m, traffic.sided
-        ahead, heeded, meets = np.empty(LOOK_STEPS, np.complex128), np.empty(len(there), bool), np.empty(len(there), bool)
-        look_ahead(reference.eta, reference.velocity, self._times_s, self._point, self._fastest_mps, ahead)
-        if not find_meetings(place, wanted, ahead, there, going, keep_m, sided, heeded, meets):
+        within_s = self._horizons(place, wanted, traffic)
+        ahead, meets = np.empty(self._look_steps, np.complex128), np.empty(len(within_s), bool)
+        look_ahead(reference.eta, reference.velocity, self._times_s, self._point, self.agility, ahead)
+        if not find_meetings(place, ahead, traffic, within_s, meets):
             return None
-        return complex(
-            nearest_free(
-                place, wanted, self._velocity, there, going, keep_m, heeded, meets & sided, FAN, FAN_PRICE, self._room_x,
-                self._room_y, self._islands, self._islands_keep_m,
-            )
-        )  # fmt: skip
+        own_mps = math.hypot(*reference.velocity[0, :2].tolist())
+        unhurried_mps = own_mps + max(CATCH_UP * own_mps, UNHURRIED_MPS)
+        wanted *= min(1.0, unhurried_mps / abs(wanted))
+        motion = Motion(place, wanted, self._velocity)
+        return complex(nearest_free(motion, traffic, within_s, meets & traffic.yields, self._fan, self._basin))
 
     # --- the path of the point
 
@@ -401,14 +438,16 @@ class GiveWay:
         as `wanted`."""
         assert self._point is not None
         eta, rate, acceleration = reference.eta.copy(), reference.velocity.copy(), reference.acceleration.copy()
+        change_mps2 = self.agility.change_mps2
         if course is None:
-            path_back(self._point, self._velocity, self._fastest_mps, self._times_s, eta, rate)
+            path_back(self._point, self._velocity, self.agility, self._times_s, eta, rate)
         else:
-            path_out(self._point, self._velocity, course, self._times_s, eta, rate)
-        self._velocity = changed(self._velocity, wanted if course is None else course, CHANGE_MPS2 * self._period_s)
+            path_out(self._point, self._velocity, course, change_mps2, self._times_s, eta, rate)
+        self._velocity = changed(self._velocity, wanted if course is None else course, change_mps2 * self._period_s)
         self._point += self._velocity * self._period_s
-        self._steer(float(reference.eta[0, 3]))
-        eta[:, 3] += self._turn
+        if self._steers:
+            self._steer(float(reference.eta[0, 3]))
+            eta[:, 3] += self._turn
         acceleration[:, :2] = 0.0
         return Reference(eta, rate, acceleration)
 
@@ -422,8 +461,8 @@ class GiveWay:
         self._turn += min(max(turn - self._turn, -most), most)
 
     def _is_back(self, reference: Reference) -> bool:
-        """True if the point has returned to the reference in place, velocity and heading."""
+        """True if the point, a period from now, has returned to the reference in place, velocity and heading."""
         assert self._point is not None
-        off = abs(self._point - complex(reference.eta[1, 0], reference.eta[1, 1]))
-        drift = abs(self._velocity - complex(reference.velocity[1, 0], reference.velocity[1, 1]))
-        return off < ARRIVED_M + drift * self._period_s and drift < ARRIVED_MPS and abs(self._turn) < ARRIVED_RAD
+        speed = complex(reference.velocity[0, 0], reference.velocity[0, 1])
+        off = abs(self._point - complex(reference.eta[0, 0], reference.eta[0, 1]) - speed * self._period_s)
+        return off < ARRIVED_M and abs(self._velocity - speed) < ARRIVED_MPS and abs(self._turn) < ARRIVED_RAD

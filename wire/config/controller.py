@@ -46,7 +46,8 @@ class Safety(Section):
     bubble_mps: NotNegative = 0.1
     """Rate at which the space around a silent neighbour grows."""
     bubble_max_m: NotNegative = 0.5
-    """Largest growth of that space: a robot that is gone must not push the others against the walls."""
+    """Largest growth of that space: a robot that is gone must not push the others against the walls. After a minute of silence
+    the growth is gone again."""
     pose_hold_s: Positive = 0.19
     """Age of the last pose at which a robot holds. Its reaction comes within 0.2 s, one control step included."""
     pose_neutral_s: Annotated[float, Field(gt=0, lt=COAST_S)] = 0.45

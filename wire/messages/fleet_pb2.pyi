@@ -51,6 +51,8 @@ class Order(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     ORDER_TEST: _ClassVar[Order]
     ORDER_END: _ClassVar[Order]
     ORDER_DRIVE: _ClassVar[Order]
+    ORDER_OUT: _ClassVar[Order]
+    ORDER_BACK_IN: _ClassVar[Order]
 
 class Progress(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
@@ -98,6 +100,8 @@ ORDER_SWITCH: Order
 ORDER_TEST: Order
 ORDER_END: Order
 ORDER_DRIVE: Order
+ORDER_OUT: Order
+ORDER_BACK_IN: Order
 PROGRESS_UNDER_WAY: Progress
 PROGRESS_DONE: Progress
 PROGRESS_FAILED: Progress
@@ -206,20 +210,22 @@ class Obstacles(_message.Message):
     def __init__(self, ids: _Optional[_Iterable[int]] = ..., outline: _Optional[_Iterable[float]] = ..., velocity: _Optional[_Iterable[float]] = ..., depth_m: _Optional[float] = ..., watched: _Optional[float] = ..., blind: _Optional[str] = ..., unseen_s: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class Plan(_message.Message):
-    __slots__ = ("period_s", "eta", "eta_reference", "tracking_error_m", "urgent", "heard")
+    __slots__ = ("period_s", "eta", "eta_reference", "tracking_error_m", "urgent", "heard", "adrift")
     PERIOD_S_FIELD_NUMBER: _ClassVar[int]
     ETA_FIELD_NUMBER: _ClassVar[int]
     ETA_REFERENCE_FIELD_NUMBER: _ClassVar[int]
     TRACKING_ERROR_M_FIELD_NUMBER: _ClassVar[int]
     URGENT_FIELD_NUMBER: _ClassVar[int]
     HEARD_FIELD_NUMBER: _ClassVar[int]
+    ADRIFT_FIELD_NUMBER: _ClassVar[int]
     period_s: float
     eta: _containers.RepeatedScalarFieldContainer[float]
     eta_reference: _containers.RepeatedScalarFieldContainer[float]
     tracking_error_m: float
     urgent: bool
     heard: _containers.RepeatedScalarFieldContainer[int]
-    def __init__(self, period_s: _Optional[float] = ..., eta: _Optional[_Iterable[float]] = ..., eta_reference: _Optional[_Iterable[float]] = ..., tracking_error_m: _Optional[float] = ..., urgent: _Optional[bool] = ..., heard: _Optional[_Iterable[int]] = ...) -> None: ...
+    adrift: bool
+    def __init__(self, period_s: _Optional[float] = ..., eta: _Optional[_Iterable[float]] = ..., eta_reference: _Optional[_Iterable[float]] = ..., tracking_error_m: _Optional[float] = ..., urgent: _Optional[bool] = ..., heard: _Optional[_Iterable[int]] = ..., adrift: _Optional[bool] = ...) -> None: ...
 
 class RobotState(_message.Message):
     __slots__ = ("mode", "fault", "experiment_hash", "trajectory_s", "trajectory_id", "eta", "nu", "disturbance", "eta_reference", "eta_command", "wrench", "wrench_step", "wrench_delivered", "wrench_wanted", "pulse_us", "echo_us", "track", "pose_age_ms", "exposure_to_pwm_ms", "depth_m", "battery_v", "board_armed", "board_age_ms", "board_loss", "solve", "iterations", "step_us", "missed_deadlines", "slack_m", "heard", "tuning_id", "board_round_trip_ms", "board_clock_offset_s", "thruster_test", "planned", "blind", "tilt", "drag_ratio", "thrust_ratio", "code")
@@ -306,7 +312,7 @@ class RobotState(_message.Message):
     def __init__(self, mode: _Optional[_Union[Mode, str]] = ..., fault: _Optional[str] = ..., experiment_hash: _Optional[str] = ..., trajectory_s: _Optional[float] = ..., trajectory_id: _Optional[str] = ..., eta: _Optional[_Iterable[float]] = ..., nu: _Optional[_Iterable[float]] = ..., disturbance: _Optional[_Iterable[float]] = ..., eta_reference: _Optional[_Iterable[float]] = ..., eta_command: _Optional[_Iterable[float]] = ..., wrench: _Optional[_Iterable[float]] = ..., wrench_step: _Optional[_Iterable[float]] = ..., wrench_delivered: _Optional[_Iterable[float]] = ..., wrench_wanted: _Optional[_Iterable[float]] = ..., pulse_us: _Optional[_Iterable[int]] = ..., echo_us: _Optional[_Iterable[int]] = ..., track: _Optional[_Union[Track, str]] = ..., pose_age_ms: _Optional[float] = ..., exposure_to_pwm_ms: _Optional[float] = ..., depth_m: _Optional[float] = ..., battery_v: _Optional[float] = ..., board_armed: _Optional[bool] = ..., board_age_ms: _Optional[float] = ..., board_loss: _Optional[float] = ..., solve: _Optional[_Union[Solve, str]] = ..., iterations: _Optional[int] = ..., step_us: _Optional[float] = ..., missed_deadlines: _Optional[int] = ..., slack_m: _Optional[float] = ..., heard: _Optional[_Iterable[int]] = ..., tuning_id: _Optional[str] = ..., board_round_trip_ms: _Optional[float] = ..., board_clock_offset_s: _Optional[float] = ..., thruster_test: _Optional[str] = ..., planned: _Optional[bool] = ..., blind: _Optional[str] = ..., tilt: _Optional[_Iterable[float]] = ..., drag_ratio: _Optional[float] = ..., thrust_ratio: _Optional[float] = ..., code: _Optional[str] = ...) -> None: ...
 
 class StationHeartbeat(_message.Message):
-    __slots__ = ("experiment_hash", "emergency_stop", "mission", "lag_s", "slowing", "planned", "code")
+    __slots__ = ("experiment_hash", "emergency_stop", "mission", "lag_s", "slowing", "planned", "code", "out")
     EXPERIMENT_HASH_FIELD_NUMBER: _ClassVar[int]
     EMERGENCY_STOP_FIELD_NUMBER: _ClassVar[int]
     MISSION_FIELD_NUMBER: _ClassVar[int]
@@ -314,6 +320,7 @@ class StationHeartbeat(_message.Message):
     SLOWING_FIELD_NUMBER: _ClassVar[int]
     PLANNED_FIELD_NUMBER: _ClassVar[int]
     CODE_FIELD_NUMBER: _ClassVar[int]
+    OUT_FIELD_NUMBER: _ClassVar[int]
     experiment_hash: str
     emergency_stop: bool
     mission: str
@@ -321,7 +328,8 @@ class StationHeartbeat(_message.Message):
     slowing: float
     planned: _containers.RepeatedScalarFieldContainer[int]
     code: str
-    def __init__(self, experiment_hash: _Optional[str] = ..., emergency_stop: _Optional[bool] = ..., mission: _Optional[str] = ..., lag_s: _Optional[float] = ..., slowing: _Optional[float] = ..., planned: _Optional[_Iterable[int]] = ..., code: _Optional[str] = ...) -> None: ...
+    out: _containers.RepeatedScalarFieldContainer[int]
+    def __init__(self, experiment_hash: _Optional[str] = ..., emergency_stop: _Optional[bool] = ..., mission: _Optional[str] = ..., lag_s: _Optional[float] = ..., slowing: _Optional[float] = ..., planned: _Optional[_Iterable[int]] = ..., code: _Optional[str] = ..., out: _Optional[_Iterable[int]] = ...) -> None: ...
 
 class Trajectory(_message.Message):
     __slots__ = ("id", "period_s", "eta", "velocity", "acceleration", "begin_s")

@@ -87,6 +87,8 @@ class Order(IntEnum):
     TEST = 15  # Pulse each thruster and compare the board's echo.
     END = 20  # To the station only: disarm all robots, then end the run.
     DRIVE = 21  # Move at this velocity, for a short time.
+    OUT = 22  # To the station only: this robot has been taken out of the water.
+    BACK_IN = 23  # To the station only: it is in the water again.
 
 
 class Progress(IntEnum):
@@ -190,6 +192,7 @@ class Plan:
     tracking_error_m: float = 0.0  # Distance from the reference at node 0.
     urgent: bool = False  # The robot has priority: others give way to it.
     heard: tuple[int, ...] = ()  # Robots whose plans it receives. Only they may rely on it to give way.
+    adrift: bool = False  # It has no thrust and drifts as predicted: nobody may rely on it to give way.
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,6 +253,7 @@ class StationHeartbeat:
     slowing: float = 0.0  # Rate at which lag_s grows, s/s: 0 at full speed, 1 at standstill.
     planned: tuple[int, ...] = ()  # Robots that published a plan in their last step, as far as the station received it.
     code: str = ""  # Version and commit of the station's program; empty in messages of earlier versions.
+    out: tuple[int, ...] = ()  # Robots that have been taken out of the water: nobody keeps clear of them.
 
 
 @dataclass(frozen=True, eq=False)

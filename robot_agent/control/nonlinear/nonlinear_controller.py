@@ -44,7 +44,7 @@ AXES = (0, 2)  # surge and yaw have thrusters
 TOLD_S = 0.2  # between two poses of the plan that neighbours get, whatever the control period
 GAINS_S = 1.0  # time constant of the weights,
 NOISE_S = 4.0  # and of the noise that they heed: what is not known yet at a start is no noise, and ends within a second
-GOES_FIRST_S = 2.5  # a robot that goes first still keeps 2R from the others for so long: they may be unable to give way
+GOES_FIRST_S = 2.5  # a robot that goes first still keeps clear of the others for so long: they may be unable to give way
 WALL_M = 0.02  # between a hull and a wall, in the plan
 REST_M = 0.05  # and at a place to rest
 TOLERANCE_M = 0.02  # mean error of a plan with which no other is looked for
@@ -79,7 +79,9 @@ class NonlinearController:
         self.sampler = ReferenceSampler(nodes_s)
         self.formation = Formation(config.mpc, safety, config.period_s, self._dead_s, room_m, vehicle.radius_m)
         self._plans = PlanSampler(nodes_s[1:], config.mpc.q_formation, has_leader)
-        self._give_way = GiveWay(vehicle, np.concatenate([[0.0], nodes_s]), config.period_s, room_m, islands)
+        self._give_way = GiveWay(
+            vehicle, np.concatenate([[0.0], nodes_s]), config.period_s, room_m, islands, tunings.agility(vehicle)
+        )
         self._planner = Planner(self._grid, config.period_s, 2.0 * safety.radius_m, vehicle.limits.speed_mps)
         self._depth, self._drift = make_memory(1), make_flight(len(AXES))
         self._course, self._depth_course, self._turns = make_course(), make_course(), Turns()
@@ -155,7 +157,7 @@ class NonlinearController:
         lead = reference
         if isinstance(goal, Follow):
             keep_m = self.formation.clearances_m(predictions, now_ns)
-            traffic = traffic_near(estimate.eta, reference, predictions, keep_m, obstacles, self._urgent, now_ns)
+            traffic = traffic_near(estimate.eta, self._give_way.agility, predictions, keep_m, obstacles, self._urgent, now_ns)
             lead = self._give_way.avoidance_path(reference, complex(*estimate.eta[:2].tolist()), traffic)
         led = lead
         if pull is not None and isinstance(goal, Follow):
@@ -215,10 +217,10 @@ class NonlinearController:
 
     def _distance(self, other: Neighbour, now_ns: int) -> tuple[float, int]:
         """Distance to keep from a neighbour, and for how many nodes."""
-        keep_m = self.formation.required_clearance_m(other, self._priority, now_ns)
-        if keep_m is None:
-            return self.formation.clearance_m(other, now_ns), int(np.searchsorted(self._grid.time_s[1:], GOES_FIRST_S))
-        return keep_m + self._safety.margin_m, len(self._grid.share_s)
+        keep_m, nodes = self.formation.clearance_m(other, now_ns) + self._safety.margin_m, len(self._grid.share_s)
+        if self.formation.required_clearance_m(other, self._priority, now_ns) is None:
+            nodes = int(np.searchsorted(self._grid.time_s[1:], GOES_FIRST_S))
+        return keep_m, nodes
 
     def _stop(self, goal: Hold, dynamics: Dynamics, start: Start, surrounds: Surrounds) -> Array:
         """The pose (4,) where the robot can come to rest, inside the walls and clear of others."""

@@ -12,14 +12,13 @@ import numpy as np
 from robot_agent.control.nonlinear.first_guess import PilotStyle, guess
 from robot_agent.control.nonlinear.prediction import Dynamics, Grid, PlannedFlight, Start
 from robot_agent.control.nonlinear.program import Course, Iteration, Memory, PlanProblem, appraise, make_memory, step_plan
-from robot_agent.control.nonlinear.tuning import Bandwidths
+from robot_agent.control.nonlinear.tuning import RETURN_SHARE, Bandwidths
 from wire.frames import Array
 
 RIVAL_STEPS = 4  # iterations of a rival: more bring less than 1 % of its cost
 CHEAPER = 0.9  # a rival must be so much cheaper: plans of like cost would take turns
 REVIEW_S, URGENT_S = 0.4, 0.1  # between two rivals, and between them in a conflict
 ENTRY_M = 0.01  # deeper in a half-space, a plan is in conflict
-RETURN_SHARE = 0.4  # of the place's bandwidth: the pilot's way back, no overshoot
 
 AHEAD, ASTERN = (1.0, 0.0), (-1.0, 0.0)  # bow or stern first; how far to port of the course, in distances to keep
 FREE = (AHEAD, ASTERN)

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from groundstation.__main__ import cli
 from groundstation.analysis.alignment import HOMEWARD, align, zero_ns
 from groundstation.analysis.metrics import evaluate
-from groundstation.analysis.results import Result
+from groundstation.analysis.results import WHOLE_RUN, Result
 from groundstation.logs.reader import DecodedMessage, RunLog, read_log
 from groundstation.mission.state_machine import MissionState
 from groundstation.report.report import write_report
@@ -129,6 +129,17 @@ def beats(log: RunLog, from_s: float, mission: str) -> RunLog:
     stamps = [round((START_S + from_s + k * PERIOD_S) * SECOND) for k in range(200)]
     found = [DecodedMessage(ns, ns, k, StationHeartbeat(mission=mission)) for k, ns in enumerate(stamps)]
     return dataclasses.replace(log, entries={**log.entries, (topics.HEARTBEAT.name, 0): found})
+
+
+def test_a_robot_that_was_out_of_the_water_is_not_reported_as_flown(flown: tuple[Experiment, RunLog, Path]) -> None:
+    experiment, log, _ = flown
+    stamps = [round((START_S + k * PERIOD_S) * SECOND) for k in range(200)]
+    told = [DecodedMessage(ns, ns, k, StationHeartbeat(mission="DEGRADED", out=(2,))) for k, ns in enumerate(stamps)]
+    entries = {**log.entries, (topics.HEARTBEAT.name, 0): told, (topics.STATE.name, 2): []}
+    found = result_of(experiment, dataclasses.replace(log, entries=entries))
+    whole = next(check for check in found.checks if check.name == WHOLE_RUN)
+    assert found.robots["2"].end.out_of_water and not found.robots["1"].end.out_of_water
+    assert whole.failed and whole.where == "robot 2 out of the water" and not found.passed
 
 
 def test_a_fleet_that_is_sent_home_has_not_flown_the_run(flown: tuple[Experiment, RunLog, Path]) -> None:

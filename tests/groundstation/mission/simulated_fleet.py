@@ -296,8 +296,9 @@ class SimulatedFleet:
         self._send(commands)
         pace = self.mission.governor
         stopped = self.mission.state is MissionState.STOPPED
+        out = tuple(sorted(self.mission.roster.out))
         beat = StationHeartbeat(
-            self.experiment.hash, stopped, self.mission.state.name, pace.lag_s, 1.0 - pace.rate, tuple(self.robots)
+            self.experiment.hash, stopped, self.mission.state.name, pace.lag_s, 1.0 - pace.rate, tuple(self.robots), "", out
         )
         self._beats.append((now_ns, beat))
         self.on_beat(beat)
@@ -358,7 +359,7 @@ class SimulatedFleet:
                 seen = RobotView(state, (self.now_ns - stamp_ns) * 1e-9, POSE, 0.02, 0.02)
                 views[robot] = self.core.view(robot, seen, self.now_ns)
             else:
-                views[robot] = RobotView()
+                views[robot] = self.core.view(robot, RobotView(), self.now_ns)
         return views
 
     def _plan(self) -> None:

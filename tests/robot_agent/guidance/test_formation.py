@@ -65,8 +65,8 @@ def test_yaw_deviation_is_wrapped() -> None:
 
 def test_a_silent_neighbour_leaves_the_formation_and_keeps_a_growing_bubble() -> None:
     silent = neighbour(plan((1, 0), off=(0.1, 0, 0, 0)), fresh=False)
-    sizes = [formation().required_clearance_m(silent, EQUAL, now) for now in (NS, 3 * NS, 60 * NS)]
-    assert sizes == pytest.approx([0.7, 0.9, 1.1])  # 2R + 0.1 m/s, at most 0.5 m more
+    sizes = [formation().required_clearance_m(silent, EQUAL, s * NS) for s in (1, 3, 30, 58, 3600)]
+    assert sizes == pytest.approx([0.7, 0.9, 1.1, 0.8, 0.6])  # 2R + 0.1 m/s, at most 0.5 m more, and 2R again after a minute
     predictions = formation().predict_neighbours([silent], NS)
     assert not predictions.weighted_deviation.any() and not predictions.weight.any() and predictions.fresh_count == 0
 

@@ -8,33 +8,34 @@ from robot_agent.guidance.reference import sample_trajectory
 from robot_agent.guidance.velocity_obstacles import (
     ABAFT,
     CATCH_UP,
-    CATCH_UP_MPS,
-    CHANGE_MPS2,
-    FAN,
-    FAN_PRICE,
-    LOOK_AHEAD_S,
+    HEAD_ON,
     LOOK_STEP_S,
-    LOOK_STEPS,
     PARTING,
-    RETURN_PER_S,
     SLIGHTEST_MPS,
+    STANDS_ON,
     WALL_S,
     WELL_CLEAR,
+    Agility,
+    Basin,
+    Motion,
+    Traffic,
     closes_in,
     find_meetings,
     look_ahead,
+    make_fan,
     nearest_free,
     path_back,
     path_out,
+    set_horizons,
 )
 from tests.robot_agent.guidance.expectations import CONFIG, NS, PERIOD_S, SAFETY, STEPS
 from wire.frames import Array
 from wire.messages.messages import Plan
 
 SEEDS = range(8)
-FASTEST_MPS = 0.4
+LOOK_AHEAD_S, AGILITY = 8.0, Agility(0.15, 8.0, 0.4, 0.12, 0.5, 0.25)
 TIMES_S = np.concatenate([[0.0], 0.05 + PERIOD_S * np.arange(STEPS)])
-LOOKS_S = LOOK_STEP_S * np.arange(1, LOOK_STEPS + 1)
+LOOKS_S = LOOK_STEP_S * np.arange(1, 17)
 
 
 def places(random: np.random.Generator, size: float, *shape: int) -> Places:
@@ -116,44 +117,73 @@ def test_a_trajectory_is_sampled_as_by_interpolation(seed: int) -> None:
 # --- velocity obstacles
 
 
-def scene(seed: int) -> tuple[np.random.Generator, complex, complex, Places, Places, Array]:
-    """A place, a velocity, and seven that may be in its way: places, velocities, distances."""
+def scene(seed: int) -> tuple[np.random.Generator, complex, complex, Traffic, Array]:
+    """A place, a velocity, and seven that may be in its way, each for a time."""
     random = np.random.default_rng(seed)
     place, velocity = places(random, 0.2, 2).tolist()
-    return random, place, velocity, places(random, 1.0, 7), places(random, 0.1, 7), random.uniform(0.1, 0.9, 7)
+    keep_m, yields = random.uniform(0.1, 0.9, 7) * (random.random(7) < 0.9), random.random(7) < 0.6
+    traffic = Traffic(places(random, 1.0, 7), places(random, 0.1, 7), keep_m, yields)
+    return random, place, velocity, traffic, random.uniform(2.0, 8.0, 7) * (random.random(7) < 0.8)
+
+
+def dot(a: Places | complex, b: Places | complex) -> Array:
+    return np.asarray((np.conj(a) * b).real)
+
+
+def cross(a: Places | complex, b: Places | complex) -> Array:
+    return np.asarray((np.conj(a) * b).imag)
 
 
 @pytest.mark.parametrize("seed", range(40))
 def test_closing_in_is_that_of_straight_lines(seed: int) -> None:
-    _, place, velocity, there, going, keep_m = scene(seed)
-    apart, closing = there - place, velocity - going
-    square, towards = np.abs(closing) ** 2, (apart * closing.conj()).real
-    nearest_m = np.abs(apart - closing * np.minimum(towards / square, LOOK_AHEAD_S))
-    too_near = nearest_m < np.minimum(keep_m, PARTING * np.abs(apart))
+    _, place, velocity, traffic, within_s = scene(seed)
+    apart, closing = traffic.place - place, velocity - traffic.velocity
+    square, towards = np.abs(closing) ** 2, dot(apart, closing)
+    nearest_m = np.abs(apart - closing * np.minimum(towards / square, within_s))
+    too_near = (within_s > 0.0) & (nearest_m < np.minimum(traffic.keep_m, PARTING * np.abs(apart)))
     expected = bool(((square >= SLIGHTEST_MPS**2) & (towards > 0.0) & too_near).any())
-    assert closes_in(place, velocity, there, going, keep_m) == expected
+    assert closes_in(place, velocity, traffic, within_s) == expected
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_of_two_that_cross_one_gives_way_and_the_other_counts_on_it(seed: int) -> None:
+    """By angles: a robot on whose starboard bow the other crosses gives way, head on both do, and whoever overtakes."""
+    _, place, velocity, traffic, _ = scene(seed)
+    within_s = np.empty(7)
+    set_horizons(place, velocity, LOOK_AHEAD_S, traffic, within_s)
+    away = traffic.place - place
+    bearing, course = np.angle(away / velocity), np.angle(traffic.velocity / velocity)
+    seen_at = np.angle(-away / traffic.velocity)  # by the other
+    abaft = np.arccos(ABAFT)
+    overtakes_us = (np.abs(bearing) > abaft) & (np.abs(course) < np.pi / 2.0)
+    head_on, overtaken = np.abs(course) > np.arccos(HEAD_ON), np.abs(seen_at) > abaft
+    from_port = (course > 0.0) & ~head_on & ~overtaken
+    expected = np.where(overtakes_us, 0.0, np.where(from_port, STANDS_ON, 1.0))
+    expected = LOOK_AHEAD_S * np.where(traffic.yields, expected, 1.0) * (traffic.keep_m > 0.0)
+    assert within_s == pytest.approx(expected)
 
 
 def homing(goal: complex, speed: complex, point: complex) -> complex:
-    back = RETURN_PER_S * (goal - point)
-    limit = max(CATCH_UP * abs(speed), CATCH_UP_MPS)
+    """At most as fast as half the greatest change can still stop."""
+    back, braking = AGILITY.return_per_s * (goal - point), np.sqrt(AGILITY.change_mps2 * abs(goal - point))
+    limit = min(max(CATCH_UP * abs(speed), AGILITY.catch_up_mps), braking)
     velocity = speed + back * min(1.0, limit / max(abs(back), limit))
-    return velocity * min(1.0, FASTEST_MPS / max(abs(velocity), FASTEST_MPS))
+    return complex(velocity * min(1.0, AGILITY.fastest_mps / max(abs(velocity), AGILITY.fastest_mps)))
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_the_way_back_is_that_of_a_point_that_homes(seed: int) -> None:
     random, point, velocity, *_ = scene(seed)
     eta, rate = 0.02 * random.normal(size=(2, len(TIMES_S), 4)).cumsum(axis=1)
-    way, going, ahead = eta.copy(), rate.copy(), np.empty(LOOK_STEPS, complex)
-    path_back(point, velocity, FASTEST_MPS, TIMES_S, way, going)
-    look_ahead(eta, rate, TIMES_S, point, FASTEST_MPS, ahead)
+    way, going, ahead = eta.copy(), rate.copy(), np.empty(16, complex)
+    path_back(point, velocity, AGILITY, TIMES_S, way, going)
+    look_ahead(eta, rate, TIMES_S, point, AGILITY, ahead)
     at, moving = point, velocity
     for k, step_s in enumerate(np.diff(TIMES_S)):
         assert way[k, 0] + 1j * way[k, 1] == pytest.approx(at, abs=1e-9)
         assert going[k, 0] + 1j * going[k, 1] == pytest.approx(moving, abs=1e-9)
         change = homing(complex(*eta[k, :2]), complex(*rate[k, :2]), at) - moving
-        moving += change * min(1.0, CHANGE_MPS2 * step_s / abs(change))
+        moving += change * min(1.0, AGILITY.change_mps2 * step_s / abs(change))
         at += moving * step_s
     beyond_s, at, before = np.maximum(LOOKS_S - TIMES_S[-1], 0.0), point, complex(*eta[0, :2])
     goals = [np.interp(LOOKS_S, TIMES_S, eta[:, c]) + beyond_s * rate[-1, c] for c in (0, 1)]
@@ -168,39 +198,39 @@ def test_the_way_out_changes_to_its_course_steadily(seed: int) -> None:
     random, point, velocity, *_ = scene(seed)
     course = velocity + places(random, 0.1, 1)[0]
     way, rate = np.zeros((2, len(TIMES_S), 4))
-    path_out(point, velocity, course, TIMES_S, way, rate)
+    path_out(point, velocity, course, AGILITY.change_mps2, TIMES_S, way, rate)
     change = course - velocity
-    going = velocity + change * np.minimum(1.0, TIMES_S * CHANGE_MPS2 / abs(change))
+    going = velocity + change * np.minimum(1.0, TIMES_S * AGILITY.change_mps2 / abs(change))
     at = point + np.append(0.0, np.cumsum(going[1:] * np.diff(TIMES_S)))
     assert rate[:, :2] @ (1.0, 1j) == pytest.approx(going, abs=1e-9) and way[:, :2] @ (1.0, 1j) == pytest.approx(at, abs=1e-9)
 
 
 @pytest.mark.parametrize("seed", range(40))
 def test_the_velocity_chosen_is_the_cheapest_of_the_fan(seed: int) -> None:
-    random, place, velocity, there, going, keep_m = scene(seed)
-    wanted, sided = 0.1 + 0.02j, random.random(7) < 0.5
+    random, place, velocity, traffic, within_s = scene(seed)
+    wanted, (there, going, keep_m, sided) = 0.1 + 0.02j, traffic
     ahead = np.asarray(wanted * LOOKS_S, np.complex128)
     room, islands, islands_keep_m = (1.0, 0.6), places(random, 1.0, 2), np.array([0.3, 0.2])
-    heeded, meets = np.empty(7, bool), np.empty(7, bool)
-    found = find_meetings(place, wanted, ahead, there, going, keep_m, sided, heeded, meets)
+    meets = np.empty(7, bool)
+    found = find_meetings(place, ahead, traffic, within_s, meets)
     away = there - place
-    astern = (away * np.conj(wanted)).real < ABAFT * np.abs(away) * abs(wanted)
-    overtakes = sided & astern & ((going * np.conj(wanted)).real > 0.0)
     keep = np.minimum(keep_m, PARTING * np.abs(away))
     passes = np.abs(away - ahead[:, None] + going * LOOKS_S[:, None]) < keep
-    assert np.array_equal(heeded, ~overtakes) and np.array_equal(meets, passes.any(axis=0) & heeded) and found == meets.any()
+    passes &= np.arange(1, 17)[:, None] <= np.round(within_s / LOOK_STEP_S)
+    assert np.array_equal(meets, passes.any(axis=0)) and found == meets.any()
 
+    fan, counts = make_fan(), within_s > 0.0
     chosen = nearest_free(
-        place, wanted, velocity, there, going, keep_m, heeded, sided, FAN, FAN_PRICE, *room, islands, islands_keep_m
+        Motion(place, wanted, velocity), traffic, within_s, sided, fan, Basin(*room, islands, islands_keep_m)
     )
-    ways, now = wanted * FAN, velocity - going
+    ways, now = wanted * fan.turn, velocity - going
     closing = ways[:, None] - going
-    side = np.where((now.conj() * away).imag > WELL_CLEAR * keep * np.abs(now), 1.0, -1.0)
-    wrong = sided & ((closing.conj() * away).imag * side < 0.0)
-    towards = (away * closing.conj()).real
-    time_s = np.clip(towards / np.maximum(np.abs(closing) ** 2, 1e-12), 0.0, LOOK_AHEAD_S)
-    short = 1.0 - np.abs(away - closing * time_s) / keep
-    bad = np.where(wrong, 1.0, np.where(towards > 0.0, np.maximum(short, 0.0), 0.0))[:, heeded].max(axis=1, initial=0.0)
+    side = np.where(cross(now, away) > WELL_CLEAR * keep * np.abs(now), 1.0, -1.0)
+    wrong = sided & (cross(closing, away) * side < 0.0)
+    towards = dot(away, closing)
+    time_s = np.clip(towards / np.maximum(np.abs(closing) ** 2, 1e-12), 0.0, within_s)
+    short = 1.0 - np.abs(away - closing * time_s) / np.maximum(keep, 1e-12)
+    bad = np.where(wrong, 1.0, np.where(towards > 0.0, np.maximum(short, 0.0), 0.0))[:, counts].max(axis=1, initial=0.0)
     ahead_of_us = place + ways * WALL_S
     into = (np.abs(ahead_of_us.real) > max(room[0], abs(place.real))) | (
         np.abs(ahead_of_us.imag) > max(room[1], abs(place.imag))
@@ -209,5 +239,5 @@ def test_the_velocity_chosen_is_the_cheapest_of_the_fan(seed: int) -> None:
         off = island - place
         at_s = np.clip((off * ways.conj()).real / np.maximum(np.abs(ways) ** 2, 1e-12), 0.0, WALL_S)
         into |= np.abs(off - ways * at_s) < min(clear_m, PARTING * abs(off))
-    price = 100.0 * np.maximum(bad, into) + FAN_PRICE + 0.3 * np.abs(ways - velocity) / abs(wanted)
+    price = 100.0 * np.maximum(bad, into) + fan.price + 0.3 * np.abs(ways - velocity) / abs(wanted)
     assert chosen == pytest.approx(complex(ways[np.argmin(price)]), abs=1e-9)

@@ -2,6 +2,7 @@
 
 import functools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,12 +11,13 @@ from hypothesis import strategies as st
 
 from robot_agent.guidance.formation import Formation, Neighbour
 from robot_agent.guidance.reference import Reference
-from robot_agent.guidance.velocity_obstacles import NOBODY, ROOM_M, SURE_S, GiveWay, Traffic, robot_traffic
+from robot_agent.guidance.velocity_obstacles import NOBODY, SURE_S, GiveWay, Traffic, plain_agility, robot_traffic
 from wire.config.experiment import load_experiment
 from wire.messages.messages import Plan
 
 EXPERIMENT = load_experiment("pool")
 VEHICLE = EXPERIMENT.vehicle
+ROOM_M = plain_agility(VEHICLE).room_m
 PERIOD_S, KEEP_M = 0.1, 0.6 + ROOM_M
 TIMES_S = np.concatenate([[0.0], 0.05 + PERIOD_S * np.arange(26)])
 
@@ -192,7 +194,7 @@ def met(neighbour: Neighbour, now_ns: int = 0, urgent: bool = False) -> Traffic:
     """Seen by a robot at 0.3 m."""
     formation = Formation(EXPERIMENT.controller.mpc, EXPERIMENT.safety, 0.05, 0.05)
     predictions = formation.predict_neighbours([neighbour], now_ns)
-    return robot_traffic(predictions, formation.clearances_m(predictions, now_ns), 0.3, urgent)
+    return robot_traffic(predictions, formation.clearances_m(predictions, now_ns), ROOM_M, 0.3, urgent)
 
 
 def test_a_robot_is_where_its_plan_says_it_is_now_and_goes_where_it_means_to() -> None:
@@ -201,10 +203,27 @@ def test_a_robot_is_where_its_plan_says_it_is_now_and_goes_where_it_means_to() -
     assert found.keep_m == pytest.approx([2.0 * EXPERIMENT.safety.radius_m + ROOM_M])
 
 
-def test_a_plan_that_is_used_up_means_standing() -> None:
-    found = met(Neighbour(2, 0, plan(), False), 60_000_000_000)
-    assert found.place == pytest.approx([0.75]) and found.velocity == pytest.approx([0.0])
-    assert found.keep_m[0] > 2.0 * EXPERIMENT.safety.radius_m + ROOM_M + 0.01  # nobody knows where it may be
+@pytest.mark.parametrize(("silent_s", "more_m"), [(0.0, 0.0), (3.0, 0.3), (30.0, 0.5), (57.0, 0.3), (60.0, 0.0), (1e5, 0.0)])
+def test_space_around_a_silent_robot_grows_and_goes_again_but_the_robot_stays(silent_s: float, more_m: float) -> None:
+    found = met(Neighbour(2, 0, plan(), False), round(silent_s * 1e9))
+    assert found.keep_m == pytest.approx([2.0 * EXPERIMENT.safety.radius_m + ROOM_M + more_m])
+    if silent_s >= 3.0:  # its plan is used up
+        assert found.place == pytest.approx([0.75]) and found.velocity == pytest.approx([0.0])
+    assert not found.yields[0]
+
+
+def test_robot_adrift_gives_way_to_nobody_and_goes_where_it_drifts() -> None:
+    """Seen by an urgent robot; and it comes from astern, where a robot with thrust would keep clear."""
+    told = plan()
+    adrift = replace(told, eta_reference=told.eta, adrift=True)
+    neighbour = Neighbour(2, 0, adrift, True, hears_us=True)
+    assert met(neighbour, urgent=True).keep_m[0] > 0.0 and not met(neighbour, urgent=True).yields[0]
+    left = []
+    for yields in (True, False):
+        point = Point(-1.8, 1.8, 0.1)
+        astern = one(-2.8 + 0.1j, 0.25 + 0j, KEEP_M, yields)
+        left.append([point.step(k * PERIOD_S, astern) for k in range(5)][-1])
+    assert left == [False, True]
 
 
 def test_only_who_is_deep_below_is_out_of_the_way() -> None:

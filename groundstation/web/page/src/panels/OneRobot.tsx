@@ -1,4 +1,5 @@
-/** The chosen robot alone: arm, hold, disarm, drive it, or send it to a place, while the others hold or fly. */
+/** The chosen robot alone: arm, hold, disarm, drive it, send it to a place, or take it out of the water, while the others hold or
+ * fly. */
 
 import { order } from "../link";
 import { choosePlaces, flyThere, places, placesFor } from "../pool/places";
@@ -85,6 +86,7 @@ export function OneRobot() {
   const flies = possible && FLIES.includes(mode);
   const led = state.led.find((found) => found.robot === robot.id);
   const drives = driven.value === robot.id;
+  const out = state.alarms.some(({ key }) => key === `${robot.id}:out`);
   return (
     <section class="one-robot" aria-label={`Robot ${robot.id} alone`}>
       <h2>Robot {robot.id} alone</h2>
@@ -105,6 +107,15 @@ export function OneRobot() {
           Drive {robot.id}
         </button>
         <Way robot={robot.id} possible={flies} />
+        <button
+          type="button"
+          class="order"
+          disabled={!possible}
+          onClick={() => order(out ? "back-in" : "out", [], robot.id)}
+          title="Say whether a person has taken it out of the water: nobody keeps clear of it then, and no run counts on it"
+        >
+          {robot.id} is {out ? "back in" : "out of"} the water
+        </button>
       </div>
       <Pad robot={robot.id} />
       {undriven.value !== "" && drives && <p class="reason" role="status">{undriven.value}</p>}
