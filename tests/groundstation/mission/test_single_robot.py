@@ -228,7 +228,7 @@ def test_requests_that_cannot_be_are_refused_with_the_reason() -> None:
     run = LedRun()
     assert "robot 2 is DISARMED: arm it first" in run.drive()
     assert "no robot 7" in run.ask(Order.ARM, robot=7)
-    assert "START is not for one robot (allowed: ARM, HOLD, DISARM, GO)" in run.ask(Order.START)
+    assert "START is not for one robot (allowed: ARM, HOLD, DISARM, GO, OUT, BACK_IN)" in run.ask(Order.START)
     run.robots[2].battery_v = 10.0
     assert "battery 10.0 V" in run.ask(Order.ARM)
     run.robots[2].battery_v = 12.0
