@@ -199,7 +199,7 @@ def _scene(cell: GridCell, scene: str, speed_mps: float, random: np.random.Gener
         slow_mps = speed_mps * random.uniform(0.3, 0.5)
         aside_m = random.uniform(-0.2, 0.2)
         paths = [
-            _line([(-3.0, aside_m), (3.0, aside_m)], speed_mps, "true"), _line([(-1.6, 0.0), (3.0, 0.0)], slow_mps, "true")
+            _line([(-3.0, aside_m), (9.0, aside_m)], speed_mps, "true"), _line([(-1.6, 0.0), (6.0, 0.0)], slow_mps, "true")
         ]  # fmt: skip
     elif scene == "crossed circle":
         aside_m = random.uniform(-1.0, 1.0)
