@@ -1,8 +1,7 @@
 """Vehicles of the grid: the shipped robot made heavier or lighter, stronger or weaker, slower to turn or to push.
 
 Heavier means larger, of the same shape and density: lengths go with the cube root of the mass, and all limits of speed are
-those at which drag balances full thrust, as in the shipped file. All have the shipped one's four legs, so none pushes
-sideways: no vehicle file can say that yet.
+those at which drag balances full thrust, as in the shipped file. One vehicle is of another kind: it pushes sideways too.
 """
 
 import math
@@ -93,7 +92,32 @@ def fastest_mps(vehicle: Vehicle, drag_error: float) -> float:
     return min(vehicle.limits.speed_mps, steady_mps)
 
 
-VEHICLES = {
+@dataclass(frozen=True)
+class FileVehicle:
+    """A vehicle with a file of its own, and what the simulator has to know besides: weight, and how it swings."""
+
+    name: str
+    buoyancy_n: float
+    swing_inertia_kg_m2: float  # of roll and pitch, added mass included
+    swing_drag: tuple[float, float]  # N m s, and N m s^2
+
+    def settings(self) -> list[str]:
+        """The vehicle, and its righting moment in the simulator, as settings of an experiment."""
+        righting = load_vehicle(self.name).righting
+        assert righting is not None
+        linear, quadratic = self.swing_drag
+        return [
+            f"vehicle={self.name}",
+            "controller.law=nmpc",
+            f"sim.plant.buoyancy_n={self.buoyancy_n:g}",
+            f"sim.plant.tilt.righting_nm={righting.moment_nm:g}",
+            f"sim.plant.tilt.inertia_kg_m2={self.swing_inertia_kg_m2:g}",
+            f"sim.plant.tilt.drag_linear={linear:g}",
+            f"sim.plant.tilt.drag_quadratic={quadratic:g}",
+        ]
+
+
+VEHICLES: dict[str, ScaledVehicle | FileVehicle] = {
     "2.3kg": ScaledVehicle(mass=2.3 / 12.0, thrust=0.5),
     "24kg": ScaledVehicle(mass=2.0),
     "40kg": ScaledVehicle(mass=40.0 / 12.0),
@@ -103,6 +127,7 @@ VEHICLES = {
     "inertia-8": ScaledVehicle(inertia=8.0),
     "slow-thrusters": ScaledVehicle(lag_s=0.5, dead_time_s=0.15),
     "quick-thrusters": ScaledVehicle(lag_s=0.05, dead_time_s=0.0),
+    "vectored": FileVehicle("vectored", -1.0, 0.40, (0.07, 1.55)),  # sources: the file's A, and for the drag B
 }
 
 

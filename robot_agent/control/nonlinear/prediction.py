@@ -3,7 +3,7 @@
     x' = R(yaw) (u, v) + current            yaw' = r
     u' = (X - d_u(u, v) u) / m_u + (m_v / m_u) v r + b_u + (R' g)_u
     v' = (Y - d_v(u, v) v) / m_v - (m_u / m_v) u r + b_v + (R' g)_v
-    r' = (N - d_r(r) r) / I + b_r           lag F' = F_commanded - F, for X, Y and N
+    r' = (N - d_r(r) r + (m_u - m_v) u v) / I + b_r           lag F' = F_commanded - F, for X, Y and N
 
 u, v, r are velocities through the water. b is the acceleration by forces that turn along with the robot; it fades as the
 observer says. g is one that keeps its direction in the pool.
@@ -116,6 +116,8 @@ class Jacobian(NamedTuple):
     v_u: float
     v_v: float
     v_r: float
+    r_u: float
+    r_v: float
     r_r: float
 
 
@@ -165,7 +167,8 @@ def motion(dynamics: Dynamics, fading: tuple[float, float], pose: tuple[float, f
         r,
         (force[0] - (hull.linear_u + hull.quadratic_u * speed) * u) / hull.mass_u + ratio * v * r + ahead,
         hull.sway * ((force[1] - (hull.linear_v + hull.quadratic_v * speed) * v) / hull.mass_v - u * r / ratio + aside),
-        (force[2] - (hull.linear_r + hull.quadratic_r * abs(r)) * r) / hull.inertia + fading[1] * water.own_r,
+        (force[2] - (hull.linear_r + hull.quadratic_r * abs(r)) * r + (hull.mass_u - hull.mass_v) * u * v) / hull.inertia
+        + fading[1] * water.own_r,
     )
 
 
@@ -185,6 +188,8 @@ def jacobian(dynamics: Dynamics, yaw: float, u: float, v: float, r: float) -> Ja
         -hull.sway * (hull.quadratic_v * u * v * bend / hull.mass_v + r / ratio),
         -hull.sway * (hull.linear_v + hull.quadratic_v * (speed + v * v * bend)) / hull.mass_v,
         -hull.sway * u / ratio,
+        (hull.mass_u - hull.mass_v) * v / hull.inertia,
+        (hull.mass_u - hull.mass_v) * u / hull.inertia,
         -(hull.linear_r + 2.0 * hull.quadratic_r * abs(r)) / hull.inertia,
     )
 
@@ -227,7 +232,7 @@ def spread_tangents(
         yaw_half = yaw + half * r
         u_half = u + half * (a.u_yaw * yaw + a.u_u * u + a.u_v * v + a.u_r * r + per_u * tangent[SURGE, c])
         v_half = v + half * (a.v_yaw * yaw + a.v_u * u + a.v_v * v + a.v_r * r + per_v * tangent[SWAY, c])
-        r_half = r + half * (a.r_r * r + per_r * tangent[MOMENT, c])
+        r_half = r + half * (a.r_u * u + a.r_v * v + a.r_r * r + per_r * tangent[MOMENT, c])
         tangent[X, c] += step_s * (x_yaw * yaw_half + cos * u_half - sin * v_half)
         tangent[Y, c] += step_s * (y_yaw * yaw_half + sin * u_half + cos * v_half)
         tangent[YAW, c] = yaw + step_s * r_half
@@ -237,7 +242,7 @@ def spread_tangents(
         tangent[V, c] = v + step_s * (
             b.v_yaw * yaw_half + b.v_u * u_half + b.v_v * v_half + b.v_r * r_half + per_v * tangent[10, c]
         )
-        tangent[R, c] = r + step_s * (b.r_r * r_half + per_r * tangent[11, c])
+        tangent[R, c] = r + step_s * (b.r_u * u_half + b.r_v * v_half + b.r_r * r_half + per_r * tangent[11, c])
         for i in range(SURGE, STATES):
             tangent[i, c] *= shares.acting
 

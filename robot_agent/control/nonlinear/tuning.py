@@ -34,6 +34,10 @@ SLOWEST_RADPS = 0.2  # poses that say nothing for a while must not end the loop:
 MODEL_SHARE = 0.7  # of the bandwidth of an observer that has no covariance
 
 
+SURGE, SWAY, YAW = range(3)  # of the plan's axes
+WRENCH_AXIS = {SURGE: 0, SWAY: 3, YAW: 2}  # of a wrench: number of the plan's axis
+
+
 class Bandwidths(NamedTuple):
     """Bandwidths, rad/s."""
 
@@ -41,6 +45,11 @@ class Bandwidths(NamedTuple):
     calm_quickness: float  # of the place, for an error of REACH_SHARE radius: what counts at the horizon's end
     turning: float  # of the heading
     depth: float
+
+
+def planar_axes(vehicle: Vehicle) -> tuple[int, ...]:
+    """The plan's axes that have thrusters."""
+    return (SURGE, SWAY, YAW) if vehicle.limits.has_sway else (SURGE, YAW)
 
 
 def delay_s(vehicle: Vehicle, period_s: float, lag_s: float) -> float:
@@ -51,7 +60,7 @@ def delay_s(vehicle: Vehicle, period_s: float, lag_s: float) -> float:
 def horizon_s(vehicle: Vehicle) -> float:
     """Twice the time to turn round and to stop from full speed."""
     mass, _, _, inertia = vehicle.inertia.tolist()
-    force_n, _, moment_nm = vehicle.limits.wrench
+    force_n, _, moment_nm = vehicle.limits.wrench[:3]
     turn_s = 2.0 * math.sqrt(math.pi * inertia / moment_nm) + math.pi / (2.0 * vehicle.limits.yaw_rate_radps)
     stop_s = mass * vehicle.limits.speed_mps / force_n
     return float(min(max(2.0 * (turn_s + stop_s), SHORTEST_S), LONGEST_S))
@@ -70,8 +79,10 @@ def cube_root(rate: float, inertia: float, reach: float) -> float:
 
 def derive(vehicle: Vehicle, delay: float, known: Deviations, observer_radps: tuple[float, float], off_m: float) -> Bandwidths:
     """Bandwidths for a robot that is `off_m` away from its path; the observer has one for the place and one for depth."""
-    mass, _, mass_w, inertia = vehicle.inertia.tolist()
-    force_rate, lift_rate, moment_rate = vehicle.limits.wrench_rate_per_s
+    mass, mass_v, mass_w, inertia = vehicle.inertia.tolist()
+    force_rate, lift_rate, moment_rate, *side_rate = vehicle.limits.wrench_rate_per_s
+    for rate in side_rate:  # the slower of both axes moves the place
+        mass, force_rate = max((mass, force_rate), (mass_v, rate), key=lambda axis: axis[0] / axis[1])
     reach_m = REACH_SHARE * vehicle.radius_m
     observer = observer_radps[0] / (1.0 + TRUST * known.ratios.thrust)
     late = DELAY_SHARE / delay
@@ -94,9 +105,14 @@ def rate_weight(mass: float, bandwidth_radps: float, arm_m: float = 1.0) -> floa
 
 
 def planar_weights(vehicle: Vehicle, tuning: Bandwidths, arm_m: float, turning_m: float, entry: float) -> Weights:
-    """Weights of surge and yaw."""
-    mass, _, _, inertia = vehicle.inertia.tolist()
-    rate = np.array([rate_weight(mass, tuning.quickness), rate_weight(inertia, tuning.turning, arm_m)])
+    """Weights of surge, sway if the vehicle has it, and yaw."""
+    mass, mass_v, _, inertia = vehicle.inertia.tolist()
+    of = {
+        SURGE: rate_weight(mass, tuning.quickness),
+        SWAY: rate_weight(mass_v, tuning.quickness),
+        YAW: rate_weight(inertia, tuning.turning, arm_m),
+    }
+    rate = np.array([of[axis] for axis in planar_axes(vehicle)])
     return Weights(rate, turning_m**2, END_SHARE / tuning.calm_quickness, 1.0 / tuning.calm_quickness, entry)
 
 
@@ -107,15 +123,18 @@ def depth_weights(vehicle: Vehicle, tuning: Bandwidths) -> Weights:
 
 
 def planar_limits(vehicle: Vehicle) -> InputLimits:
-    """Limits of surge and yaw. Surge that would tilt the hull by more than TILT_RAD is not asked for, nor within less than
-    half a swing: a hull that pitches lifts itself off its depth, and no observer of four axes knows why."""
-    (surge_n, _, yaw_nm), (surge_rate, _, yaw_rate) = vehicle.limits.wrench, vehicle.limits.wrench_rate_per_s
+    """Limits of surge, sway and yaw. A force that would tilt the hull by more than TILT_RAD is not asked for, nor within less
+    than half a swing: a hull that pitches lifts itself off its depth, and no observer of four axes knows why."""
+    axes = planar_axes(vehicle)
+    size = np.array([vehicle.limits.wrench[WRENCH_AXIS[axis]] for axis in axes])
+    rate = np.array([vehicle.limits.wrench_rate_per_s[WRENCH_AXIS[axis]] for axis in axes])
     if vehicle.righting is not None:
         moment_nm, below_m, swing_s = vehicle.righting.moment_nm, vehicle.righting.thrusters_below_m, vehicle.righting.swing_s
-        lever_m = below_m + moment_nm / (GRAVITY_MPS2 * vehicle.mass.surge_kg)  # of the thrust, and of the mass it speeds up
-        level_n = moment_nm * math.sin(TILT_RAD) / lever_m
-        surge_n, surge_rate = min(surge_n, level_n), min(surge_rate, 2.0 * level_n / swing_s)
-    return InputLimits(np.array([surge_n, yaw_nm]), np.array([surge_rate, yaw_rate]))
+        for i, axis in enumerate(axes[:-1]):  # of the thrust, and of the mass it speeds up
+            lever_m = below_m + moment_nm / (GRAVITY_MPS2 * float(vehicle.inertia[axis]))
+            level_n = moment_nm * math.sin(TILT_RAD) / lever_m
+            size[i], rate[i] = min(size[i], level_n), min(rate[i], 2.0 * level_n / swing_s)
+    return InputLimits(size, rate)
 
 
 def depth_limits(vehicle: Vehicle) -> InputLimits:

@@ -50,7 +50,7 @@ export function charts(s: Scene, chosen: number): Chart[] {
   const pairs = s.robots.flatMap(({ id, neighbours }) =>
     neighbours.filter((other) => id < other || !s.robots.find((r) => r.id === other)?.neighbours.includes(id)).map((other) => [id, other] as const),
   );
-  const share = (k: number) => (sample: Sample) => ((sample.robots.get(chosen)?.wrench[k] ?? 0) / s.limits.wrench[k as 0 | 1 | 2]) * 100;
+  const share = (k: number) => (sample: Sample) => ((sample.robots.get(chosen)?.wrench[k] ?? 0) / s.limits.wrench[k]!) * 100;
   const gamma = (k: number) => (sample: Sample) => (sample.robots.get(chosen)?.disturbance[k] ?? 0) * 1e3;
   return [
     { id: "tracking", title: "Tracking error", unit: "mm", curves: each(tracking) },
@@ -66,7 +66,7 @@ export function charts(s: Scene, chosen: number): Chart[] {
       unit: "% of limit",
       limit: 100,
       both: true,
-      curves: ["surge", "heave", "yaw"].map((name, k) => ({ name, value: share(k) })),
+      curves: ["surge", "heave", "yaw", "sway"].slice(0, s.limits.wrench.length).map((name, k) => ({ name, value: share(k) })),
     },
     {
       id: "disturbance",
