@@ -76,6 +76,13 @@ KIND_LASTS_S = (
 )
 FACING_S, FACING = 20.0, 0.5  # mean direction of so long, 1 on a straight path: shorter, drag can be told from a current
 CALM = 0.5  # and only if so much of the weight says that water and forces are at rest
+SHARE, PASSES_S = (
+    0.03,
+    0.1,
+)  # of thrust and drag: what comes and goes within the thrusters' lag. NEES of the grid is near 1 with it
+LASTING_SHARE, LASTS_S = 0.03, 10.0  # of thrust and drag: what lasts, as a cable or unlike thrusters do
+RATIO_PER_SQRT_S = 0.005  # by which drag, thrust and moment per mass wander in a second: 4 % in a minute
+BIAS_RADPS_PER_SQRT_S = 1e-5  # the same of the gyroscope's bias: its sensor warms up within minutes
 SPREAD = 0.06  # standard deviation of a thruster's thrust from its curve: makers say within 10 %
 BEST_M, BEST_RAD = 1e-4, 3e-4  # no camera's pose is better
 WORST_M, WORST_RAD = 0.05, 0.3  # one that is worse has not passed the localizer's gate
@@ -401,17 +408,17 @@ def vehicle_noise(vehicle: Vehicle) -> Noise:
     rounding_n = math.sqrt(turning) * _step_n(vehicle) / math.sqrt(12.0)
     hand_mps2, hand_radps2 = surge_n / mass_kg, yaw_nm / inertia_kg_m2
     return Noise(
-        share=0.03,
-        passes_s=0.1,
-        lasting_share=0.03,
-        lasts_s=10.0,
+        share=SHARE,
+        passes_s=PASSES_S,
+        lasting_share=LASTING_SHARE,
+        lasts_s=LASTS_S,
         rounding_mps2=rounding_n / mass_kg,
         rounding_radps2=rounding_n * arm_m / inertia_kg_m2,
         idle_mps2=math.hypot(idle_n, rounding_n) / mass_kg,
         idle_radps2=math.hypot(idle_n, rounding_n) * arm_m / inertia_kg_m2,
         arm_m=arm_m,
-        ratio_per_s=0.005**2,
-        bias_per_s=1e-5**2,
+        ratio_per_s=RATIO_PER_SQRT_S**2,
+        bias_per_s=BIAS_RADPS_PER_SQRT_S**2,
         hand_m2ps3=2.0 * HAND_S * hand_mps2**2,
         hand_rad2ps3=2.0 * HAND_S * hand_radps2**2,
     )

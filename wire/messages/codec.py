@@ -241,7 +241,9 @@ def _shape_wrenches(values: dict[str, Any], names: tuple[str, ...], rows: int | 
         count = size if rows is None else size // rows if rows else 3 if size == 0 else 0
         if count not in WRENCH_AXES or (rows and count * rows != size) or (axes and count != axes):
             per = "" if rows is None else f" for {rows} rows"
-            raise _Invalid(prefix + name, f"{size} values{per} do not fill the shape of a wrench (3 each, or 4 with sway, all alike)")
+            raise _Invalid(
+                prefix + name, f"{size} values{per} do not fill the shape of a wrench (3 each, or 4 with sway, all alike)"
+            )
         axes = count
         if rows is not None:
             values[name] = values[name].reshape(rows, count)

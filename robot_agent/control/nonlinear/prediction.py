@@ -24,7 +24,7 @@ import numpy as np
 from wire.kernel_types import Cube, Floats, Ints, Table
 from wire.kernels import kernel
 
-NODES = 20
+NODES = 20  # of the horizon: the last two are 0.8 s apart for 7 s, 1.8 s for 12 s
 FIRST_S = 0.1  # to the first node: of the order of the thrusters' lag and dead time, whatever the control period
 X, Y, YAW, U, V, R, SURGE, SWAY, MOMENT = range(9)  # of a state
 STATES, DERIVED = 9, 6  # numbers of a state, and those whose derivatives are kept

@@ -35,6 +35,7 @@ MODEL_SHARE = 0.7  # of the bandwidth of an observer that has no covariance
 
 
 SURGE, SWAY, YAW = range(3)  # of the plan's axes
+NAMES = ("surge", "sway", "yaw")
 WRENCH_AXIS = {SURGE: 0, SWAY: 3, YAW: 2}  # of a wrench: number of the plan's axis
 
 
@@ -168,13 +169,15 @@ def formulas(vehicle: Vehicle, period_s: float) -> list[tuple[str, str, str]]:
     delay = delay_s(vehicle, period_s, vehicle.thruster.lag_s)
     on_path = derive(vehicle, delay, settled_deviations(2.0, 0.001), (4.0, 2.0), 0.0)
     off_path = derive(vehicle, delay, settled_deviations(2.0, 0.001), (4.0, 2.0), vehicle.radius_m)
-    surge, yaw = planar_weights(vehicle, on_path, 0.2, TURNING_M, 1.0).rate.tolist()
-    limits = planar_limits(vehicle)
+    *pushes, yaw = planar_weights(vehicle, on_path, 0.2, TURNING_M, 1.0).rate.tolist()
+    limits, axes = planar_limits(vehicle), planar_axes(vehicle)[:-1]
+    forces = zip(axes, limits.size.tolist(), limits.rate.tolist(), strict=False)
+    reach_cm = 2.0, 100.0 * REACH_SHARE * vehicle.radius_m
     return [
         ("delay d", "dead time + period / 2 + 0.3 lag", f"{delay:.3f} s at {1.0 / period_s:.0f} Hz"),
         ("longest step of the integration", "min(0.2 s, 1 / slope of the drag at full speed)", f"{step_s(vehicle):.2f} s"),
         ("horizon", "2 (2 sqrt(pi I / N) + pi / (2 r_max) + m U / F), 6 to 12 s", f"{horizon_s(vehicle):.1f} s"),
-        ("reach e", "20 sd_place; the distance off the path if that is more, up to 0.4 R", "2 to 6 cm"),
+        ("reach e", "20 sd_place; the distance off the path if that is more, up to 0.4 R", "{:.0f} to {:.0f} cm".format(*reach_cm)),
         (
             "quickness w1",
             "min((F' / (m e))^(1/3), (0.05 F' / (m sd_ground))^(1/2), 0.4 / d, w_observer / (1 + 2 sd_thrust))",
@@ -185,14 +188,14 @@ def formulas(vehicle: Vehicle, period_s: float) -> list[tuple[str, str, str]]:
             f"{on_path.turning:.1f} rad/s",
         ),
         ("depth w3", "min((Z' / (0.4 R m_w))^(1/3), 0.4 / d, 0.7 bandwidth_radps)", f"{on_path.depth:.1f} rad/s"),
-        ("weight of a force's rate", "(1 / (m w^3))^2", f"{surge:.1e} m^2 s^2/N^2"),
+        ("weight of a force's rate", "(1 / (m w^3))^2", f"{'; '.join(f'{push:.1e}' for push in pushes)} m^2 s^2/N^2"),
         ("weight of the moment's rate", "(arm_m / (I w2^3))^2", f"{yaw:.1e} m^2 s^2/(N m)^2"),
         (
             "end of the horizon", "2 / w of the error 1 / w later; w = w1, at most that for e = 0.4 R",
             f"{on_path.calm_quickness:.1f} rad/s",
         ),
         (
-            "most surge, and its rate", "M sin(0.35 rad) / (depth of the thrusters + M / (g m)), within half a swing",
-            f"{limits.size[0]:.1f} N, {limits.rate[0]:.1f} N/s",
+            "most surge (and sway), and its rate", "M sin(0.35 rad) / (depth of the thrusters + M / (g m)), within half a swing",
+            "; ".join(f"{NAMES[axis]} {size:.1f} N, {rate:.1f} N/s" for axis, size, rate in forces),
         ),
     ]  # fmt: skip

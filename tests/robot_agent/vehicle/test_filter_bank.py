@@ -65,7 +65,9 @@ def test_f_is_the_derivative_of_the_step(vehicle: Vehicle) -> None:
         for j in range(ERRORS):
             change = np.zeros(ERRORS)
             change[j] = h
-            differences[:, j] = (moved(vehicle, numbers + change, dt, thrust) - moved(vehicle, numbers - change, dt, thrust)) / (2.0 * h)
+            differences[:, j] = (
+                moved(vehicle, numbers + change, dt, thrust) - moved(vehicle, numbers - change, dt, thrust)
+            ) / (2.0 * h)
         rate, expected = (f[:6] - np.eye(6, ERRORS)) / dt, (differences - np.eye(6, ERRORS)) / dt
         assert rate == pytest.approx(expected, abs=2e-3 * (1.0 + np.abs(expected).max()))
 

@@ -55,7 +55,10 @@ def test_what_does_not_fit_keeps_its_direction(wrench: Array) -> None:
     share = float(got @ wrench / (wrench @ wrench))
     assert np.abs(force).max() <= MOST_N + 1e-9 and got == pytest.approx(share * wrench, abs=1e-9)
     best = linprog(
-        [0.0] * 8 + [-1.0], A_eq=np.column_stack([MATRIX, -wrench]), b_eq=np.zeros(4), bounds=[(-MOST_N, MOST_N)] * 8 + [(0.0, 1.0)]
+        [0.0] * 8 + [-1.0],
+        A_eq=np.column_stack([MATRIX, -wrench]),
+        b_eq=np.zeros(4),
+        bounds=[(-MOST_N, MOST_N)] * 8 + [(0.0, 1.0)],
     ).x[-1]
     assert 0.6 * best - 1e-9 <= share <= best + 1e-9
 
