@@ -223,11 +223,10 @@ class Experiment(Section):
 
     @model_validator(mode="after")
     def _law_knows_the_axes(self) -> Self:
-        law, kind = self.controller.law, self.controller.estimator.kind
-        if self.vehicle.limits.has_sway and (law != "nmpc" or kind != "kalman"):
+        if self.vehicle.limits.has_sway and self.controller.law != "nmpc":
             raise ValueError(
-                f"vehicle: {self.vehicle.name!r} has side thrust, which law = {law!r} with estimator.kind = {kind!r} "
-                "does not know (allowed: law 'nmpc' with kind 'kalman', or a vehicle whose limits.wrench has 3 numbers)"
+                f"vehicle: {self.vehicle.name!r} has side thrust, which controller.law = {self.controller.law!r} does not know "
+                "(allowed: law 'nmpc', or a vehicle whose limits.wrench has 3 numbers)"
             )
         return self
 

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmarks.flights import flown
 from robot_agent.control.controller import ControlOutput
 from robot_agent.control.nonlinear.nonlinear_controller import TOLD_S, NonlinearController
 from robot_agent.guidance.formation import Neighbour
@@ -242,3 +243,19 @@ def test_a_robot_with_side_thrust_goes_sideways_and_holds_without_turning() -> N
         robot.step(goal)
         assert abs(robot.state[3]) < 0.06
     assert abs(complex(*robot.state[:2]) - place) < 0.005
+
+
+@pytest.mark.parametrize("rate_hz", [10, 20, 50])
+def test_a_hull_pitched_by_its_thrust_keeps_its_depth(rate_hz: int) -> None:
+    """At full thrust the plant's hull pitches by 0.35 rad. 80 mm without the board's attitude."""
+    fast = ("path.speed_mps=0.4", "duration_s=8", "sim.plant.current_mps=[0.0,0.0,0.0]")
+    flight = flown(load_experiment("straight", [*fast, "controller.law=nmpc", f"controller.period_s={1.0 / rate_hz}"]))
+    assert max(state.tilt[1] for state in flight.states[0]) > 0.3
+    assert np.abs(flight.error[:, 0, 2]).max() < 0.06
+
+
+@pytest.mark.parametrize("name", ["numeric", "numeric-disturbed"])
+def test_a_robot_that_came_back_astern_goes_on_bow_first(name: str) -> None:
+    """A robot that begins half a metre ahead of its place may come back stern first; it then turns round."""
+    flight = flown(load_experiment(name, ["controller.law=nmpc", "duration_s=12"]))
+    assert np.abs(flight.error[round(8.0 / 0.05) :, :, 3]).max() < 0.1

@@ -3,24 +3,27 @@
 import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from robot_agent.control.nonlinear.tuning import (
     TILT_RAD,
+    Manner,
     delay_s,
     derive,
     formulas,
     horizon_s,
     planar_limits,
     planar_weights,
-    settled_deviations,
     step_s,
 )
+from robot_agent.vehicle.estimate import Deviations, Ratios
 from wire.config.experiment import load_experiment
 from wire.config.vehicle import Vehicle, load_vehicle
 
 DOCS = Path(__file__).parents[4] / "docs" / "control.md"
 SPHERICAL = load_experiment("pool").vehicle
+USUAL = Deviations(0.001, 0.002, 0.002, 0.002, 0.0, 0.0, np.zeros(3), Ratios(0.0, 0.0, 0.0))
 
 
 def vehicle(*settings: str) -> Vehicle:
@@ -36,18 +39,17 @@ def test_the_docs_have_the_table_of_the_formulas() -> None:
 
 def test_the_weaker_side_thrust_limits_a_robot_that_has_it() -> None:
     """Surge 20 N/s on 19 kg, sway 15 N/s on 26.2 kg: the place follows as quickly as sideways, and both have their weights."""
-    vectored, known = load_vehicle("vectored"), settled_deviations(2.0, 1e-6)
+    vectored, known = load_vehicle("vectored"), USUAL._replace(place_m=1e-6, ground_mps=1e-6)
     found = derive(vectored, 1e-3, known, (100.0, 2.0), 1.0)
     assert found.quickness == pytest.approx((15.0 / (26.2 * 0.4 * 0.30)) ** (1.0 / 3.0))
-    surge, sway, yaw = planar_weights(vectored, found, 0.2, 0.01, 1.0).rate
+    surge, sway, yaw = planar_weights(vectored, found, 0.2, Manner(0.01, 0.0), 1.0).rate
     assert (surge / sway) ** 0.5 == pytest.approx(26.2 / 19.0) and yaw > 0.0
     assert planar_limits(vectored).size.tolist() == pytest.approx([20.0, 15.0, 5.0])
 
 
 def test_a_heavier_robot_is_slower_and_looks_farther_ahead() -> None:
     heavy = vehicle("mass.surge_kg=40", "mass.sway_kg=40", "mass.yaw_kg_m2=1.0")
-    known = settled_deviations(2.0, 0.001)
-    light, slow = (derive(v, 0.1, known, (4.0, 2.0), 0.2) for v in (SPHERICAL, heavy))
+    light, slow = (derive(v, 0.1, USUAL, (4.0, 2.0), 0.2) for v in (SPHERICAL, heavy))
     assert slow.quickness == pytest.approx(light.quickness * (12.0 / 40.0) ** (1.0 / 3.0), rel=1e-6)
     assert slow.turning < 0.6 * light.turning
     assert horizon_s(SPHERICAL) < horizon_s(heavy) <= 12.0
@@ -55,14 +57,13 @@ def test_a_heavier_robot_is_slower_and_looks_farther_ahead() -> None:
 
 @pytest.mark.parametrize("worse", ["noise", "delay", "observer", "thrust"])
 def test_less_knowledge_makes_it_slower(worse: str) -> None:
-    good = settled_deviations(2.0, 0.001)
-    known = settled_deviations(2.0, 0.010) if worse == "noise" else good
+    known = USUAL._replace(place_m=0.01, ground_mps=0.02) if worse == "noise" else USUAL
     if worse == "thrust":
-        known = good._replace(ratios=good.ratios._replace(thrust=0.5))
+        known = USUAL._replace(ratios=Ratios(0.0, 0.5, 0.0))
     delay, observer = (0.4 if worse == "delay" else 0.1), (1.0 if worse == "observer" else 4.0)
     assert (
         derive(SPHERICAL, delay, known, (observer, 2.0), 0.0).quickness
-        < 0.7 * derive(SPHERICAL, 0.1, good, (4.0, 2.0), 0.0).quickness
+        < 0.7 * derive(SPHERICAL, 0.1, USUAL, (4.0, 2.0), 0.0).quickness
     )
 
 
