@@ -74,10 +74,9 @@ def _gains() -> str:
 def _constants() -> Iterator[str]:
     yield f"# Constants of controller and observer\n\n{LAID.replace('the models in `wire/config/`', 'the sources')}"
     yield "Everything else follows from the vehicle file, the control period and the reported noise"
-    yield "([control.md](../control.md#nonlinear-mpc) has the formulas). A name ends with its unit; one without a unit is a ratio. Each"
-    yield "was flown on all cells of the grid ([evidence](../evidence/robots.md)): 2.3 to 40 kg, thrust x 0.5 to 3, inertia x 0.25"
-    yield "to 8, lag 0.05 to 0.5 s, dead time up to 0.15 s, 10 to 50 Hz, noise x 1 to 10, currents up to 0.8 of the speed. Where a"
-    yield "constant holds in a smaller range, its row says so."
+    yield "([control.md](../control.md#nonlinear-mpc) has the formulas). A name ends with its unit; one without a unit is a ratio."
+    yield "Each was flown on all cells of the grid ([evidence](../evidence/robots.md)): 2.3 to 40 kg, thrust x 0.5 to 3, inertia"
+    yield "x 0.25 to 8, lag 0.05 to 0.5 s, dead time up to 0.15 s, 10 to 50 Hz, noise x 1 to 10, currents up to 0.8 of the speed."
     for path in CONSTANTS:
         yield f"\n## {path}\n\n| Constant | Value | Reason |\n|---|---|---|"
         lines = (ROOT / path).read_text(encoding="utf-8").splitlines()

@@ -176,12 +176,12 @@ def formulas(vehicle: Vehicle, period_s: float) -> list[tuple[str, str, str]]:
     *pushes, yaw = planar_weights(vehicle, on_path, 0.2, Manner(TURNING_M, FACING_S), 1.0).rate.tolist()
     limits, axes = planar_limits(vehicle), planar_axes(vehicle)[:-1]
     forces = zip(axes, limits.size.tolist(), limits.rate.tolist(), strict=False)
-    reach_cm = 2.0, 100.0 * REACH_SHARE * vehicle.radius_m
+    reach = f"2 to {100.0 * REACH_SHARE * vehicle.radius_m:.0f} cm"
     return [
         ("delay d", "dead time + period / 2 + 0.3 lag", f"{delay:.3f} s at {1.0 / period_s:.0f} Hz"),
         ("longest step of the integration", "min(0.2 s, 1 / slope of the drag at full speed)", f"{step_s(vehicle):.2f} s"),
         ("horizon", "2 (2 sqrt(pi I / N) + pi / (2 r_max) + m U / F), 6 to 12 s", f"{horizon_s(vehicle):.1f} s"),
-        ("reach e", "20 sd_place; the distance off the path if that is more, up to 0.4 R", "{:.0f} to {:.0f} cm".format(*reach_cm)),
+        ("reach e", "20 sd_place; the distance off the path if that is more, up to 0.4 R", reach),
         (
             "quickness w1",
             "min((F' / (m e))^(1/3), (0.05 F' / (m sd_ground))^(1/2), 0.4 / d, w_observer / (1 + 2 sd_thrust))",
@@ -199,7 +199,7 @@ def formulas(vehicle: Vehicle, period_s: float) -> list[tuple[str, str, str]]:
             f"{on_path.calm_quickness:.1f} rad/s",
         ),
         (
-            "most surge (and sway), and its rate", "M sin(0.35 rad) / (depth of the thrusters + M / (g m)), within half a swing",
+            "most surge, sway, and their rates", "M sin(0.35 rad) / (depth of the thrusters + M / (g m)), within half a swing",
             "; ".join(f"{NAMES[axis]} {size:.1f} N, {rate:.1f} N/s" for axis, size, rate in forces),
         ),
     ]  # fmt: skip

@@ -50,7 +50,7 @@ def flying(pulses: tuple[int, ...] = AHEAD) -> BoardStateMachine:
 
 
 def test_a_board_of_eight_thrusters_stops_all_of_them() -> None:
-    """Outputs 5 to 8 are no ankles: they have the thrusters' range and slew, none may be left alone, and all end at neutral."""
+    """Outputs 5 to 8 are no ankles: they have the thrusters' range and slew, none may be left alone, all end at neutral."""
     rules, ahead = armed(THR_COUNT=8), (1700,) * 8
     for refused in ((*LEVEL, 1901, *LEVEL[:3]), (*LEVEL, *LEVEL[:3], IGNORED)):
         rules.override(COMPUTER, refused, 0)
