@@ -74,15 +74,16 @@ def _gains() -> str:
 def _constants() -> Iterator[str]:
     yield f"# Constants of controller and observer\n\n{LAID.replace('the models in `wire/config/`', 'the sources')}"
     yield "Everything else follows from the vehicle file, the control period and the reported noise"
-    yield "([control.md](../control.md#nonlinear-mpc) has the formulas). A name ends with its unit; one without a unit is a ratio."
-    yield "Each was flown on all cells of the grid ([evidence](../evidence/robots.md)): 2.3 to 40 kg, thrust x 0.5 to 3, inertia"
-    yield "x 0.25 to 8, lag 0.05 to 0.5 s, dead time up to 0.15 s, 10 to 50 Hz, noise x 1 to 10, currents up to 0.8 of the speed."
+    yield "([control.md](../control.md#nonlinear-mpc) has the formulas). A name ends with its unit; one without is a ratio."
+    yield "Each was flown on all cells of the grid ([evidence](../evidence/robots.md)): 2.3 to 40 kg, thrust x 0.5 to 3,"
+    yield "inertia x 0.25 to 8, lag 0.05 to 0.5 s, dead time up to 0.15 s, 10 to 50 Hz, noise x 1 to 10, currents up to 0.8 of"
+    yield "the speed."
     for path in CONSTANTS:
         yield f"\n## {path}\n\n| Constant | Value | Reason |\n|---|---|---|"
         lines = (ROOT / path).read_text(encoding="utf-8").splitlines()
         for line in lines:
             found = re.match(r"([A-Z][A-Z0-9_, ]*) = ([^#]+?)  # (.+)", line)
-            if found and re.search(r"\d", found[2]) and "range(" not in found[2] and "slice(" not in found[2]:
+            if found and re.search(r"\d", found[2]) and not re.search(r"range\(|slice\(|{", found[2]):
                 name, value, reason = found.groups()
                 yield f"| `{name}` | `{value}` | {reason.replace('|', chr(92) + '|')} |"
 

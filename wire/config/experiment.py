@@ -225,8 +225,8 @@ class Experiment(Section):
     def _law_knows_the_axes(self) -> Self:
         if self.vehicle.limits.has_sway and self.controller.law != "nmpc":
             raise ValueError(
-                f"vehicle: {self.vehicle.name!r} has side thrust, which controller.law = {self.controller.law!r} does not know "
-                "(allowed: law 'nmpc', or a vehicle whose limits.wrench has 3 numbers)"
+                f"vehicle: {self.vehicle.name!r} has side thrust, which controller.law = {self.controller.law!r} does not "
+                "know (allowed: law 'nmpc', or a vehicle whose limits.wrench has 3 numbers)"
             )
         return self
 
