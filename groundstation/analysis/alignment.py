@@ -40,7 +40,8 @@ LONGEST_GAP_S = 0.5  # truth is not invented across a longer gap
 OLD_POSE_MS = 150.0  # a step that goes by an older one came without a pose: its age is no latency
 WARNING = 3  # level of an Event from which on something is wrong
 BACK_S = 5.0  # who held goes on from where the slowest was, a little further back; who goes back further begins again
-FRESH_S = 2.0  # a clock that begins anew after 0 and is below this has been started; a robot that rejoins is further on
+BEGIN_S = 0.5  # a flight's path begins at 0, one that begins with the return a control period later: before that a clock stands
+FRESH_S = 2.0  # a clock that begins anew there and is below this has been started; a robot that rejoins is further on
 TURNED_S = 1.0  # a flight that is on its way home so soon was nothing else
 HOMEWARD = "RETURNING"  # the mission's state in the station's heartbeat (groundstation/mission/state_machine.py)
 SPARE_S = 3600.0  # a flight may take twice its duration and this: longer is a clock that leaps, and would fill the memory
@@ -164,18 +165,18 @@ def _flights(log: RunLog, robots: Sequence[int]) -> list[Flight]:
 def _robot_flights(states: Sequence[DecodedMessage[RobotState]], robot: int) -> list[tuple[int, int, float, int]]:
     """One robot's flights: stamps of the first and the last step under way, the trajectory time reached, and its number."""
     found: list[tuple[int, int, float, int]] = []
-    last_s, stood_at_zero = 0.0, False
+    last_s, stood_at_begin = 0.0, False
     for e in states:
-        clock_s = e.message.trajectory_s
-        if clock_s <= 0.0:
-            stood_at_zero = True
-        elif e.message.mode is Mode.TRACKING:
-            again = clock_s < last_s - BACK_S or (stood_at_zero and clock_s < min(last_s, FRESH_S))
+        clock_s, tracks = e.message.trajectory_s, e.message.mode is Mode.TRACKING
+        if clock_s <= 0.0 or (clock_s <= BEGIN_S and not tracks):
+            stood_at_begin = True
+        elif tracks:
+            again = clock_s < last_s - BACK_S or (stood_at_begin and clock_s < min(last_s, FRESH_S))
             if not found or again:
                 found.append((e.stamp_ns, e.stamp_ns, clock_s, robot))
             begin_ns, _, reached_s, _ = found[-1]
             found[-1] = (begin_ns, e.stamp_ns, max(reached_s, clock_s), robot)
-            last_s, stood_at_zero = clock_s, False
+            last_s, stood_at_begin = clock_s, False
     return found
 
 
