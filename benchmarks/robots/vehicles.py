@@ -100,6 +100,8 @@ class FileVehicle:
     buoyancy_n: float
     swing_inertia_kg_m2: float  # of roll and pitch, added mass included
     swing_drag: tuple[float, float]  # N m s, and N m s^2
+    battery_v: float
+    curve_v: float  # at which the thrust curve was measured
 
     def settings(self) -> list[str]:
         """The vehicle, and its righting moment in the simulator, as settings of an experiment."""
@@ -114,6 +116,8 @@ class FileVehicle:
             f"sim.plant.tilt.inertia_kg_m2={self.swing_inertia_kg_m2:g}",
             f"sim.plant.tilt.drag_linear={linear:g}",
             f"sim.plant.tilt.drag_quadratic={quadratic:g}",
+            f"sim.sensors.battery_v={self.battery_v:g}",
+            f"sim.plant.battery.curve_v={self.curve_v:g}",
         ]
 
 
@@ -127,7 +131,7 @@ VEHICLES: dict[str, ScaledVehicle | FileVehicle] = {
     "inertia-8": ScaledVehicle(inertia=8.0),
     "slow-thrusters": ScaledVehicle(lag_s=0.5, dead_time_s=0.15),
     "quick-thrusters": ScaledVehicle(lag_s=0.05, dead_time_s=0.0),
-    "vectored": FileVehicle("vectored", -1.0, 0.40, (0.07, 1.55)),  # sources: the file's A, and for the drag B
+    "vectored": FileVehicle("vectored", -1.0, 0.40, (0.07, 1.55), 14.8, 14.0),  # sources: the file's A, and for the drag B
 }
 
 
