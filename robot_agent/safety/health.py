@@ -12,7 +12,6 @@ from robot_agent.safety.thruster_fault_detection import ThrusterFaultDetector
 from robot_agent.vehicle.battery import BatteryMonitor
 from robot_agent.vehicle.fixed_thrusters import make_allocator
 from wire.config.experiment import Experiment
-from wire.mavlink.power_on_depth import PowerOnDepth
 from wire.messages.messages import Mode, Track
 
 ARM_AGAIN_S = 0.2  # how often the board is asked to arm, or later to disarm, when it has not done as told
@@ -30,11 +29,9 @@ class HealthMonitor:
         self._safety, self._markers = experiment.safety, experiment.localizer.markers
         self._period_s = experiment.controller.period_s
         self._battery = BatteryMonitor(experiment.vehicle.battery)
-        self._outputs, self._thrusters = (
-            OutputCheck(experiment.vehicle.thruster_count),
-            ThrusterFaultDetector(experiment.vehicle),
-        )
-        self._gyroscope, self._pressure, self._power_on = GyroscopeCheck(), StuckSensorCheck(), PowerOnDepth()
+        self._outputs = OutputCheck(experiment.vehicle.thruster_count)
+        self._thrusters = ThrusterFaultDetector(experiment.vehicle)
+        self._gyroscope, self._pressure = GyroscopeCheck(), StuckSensorCheck()
         self._uses_gyroscope = experiment.controller.estimator.use_imu_yaw_rate
         self._allocator, self._path = make_allocator(experiment.vehicle), PathDeviationMonitor(experiment.safety.off_path_m)
         self._depth, self._pool = PathDeviationMonitor(experiment.safety.off_depth_m), experiment.pool
@@ -81,7 +78,6 @@ class HealthMonitor:
         seen, telemetry = inputs.pose, inputs.telemetry
         if telemetry.board_ms < 0:
             return
-        self._power_on.note_burst(telemetry.board_ms, telemetry.depth_m)
         self._pressure.note_sample(telemetry.depth_m, telemetry.arrival_ns)
         if self._uses_gyroscope:
             self._gyroscope.note_rate(telemetry.yaw_rate_radps, telemetry.arrival_ns)
@@ -159,12 +155,10 @@ class HealthMonitor:
             return f"{health.autopilot} is on the link, no thruster board: it takes pulses for a pilot's sticks"
         if inputs.telemetry.armed:
             return "the thruster board is still armed"
-        # By the link, which is older than this agent, or, where an old log has no such depth, by what the agent has seen.
-        power_on_depth_m = max(inputs.telemetry.power_on_depth_m, self._power_on.depth_m)
-        if power_on_depth_m > RESTART_DEPTH_M:
+        if inputs.telemetry.power_on_depth_m > RESTART_DEPTH_M:
             return (
-                f"the thruster board restarted at {power_on_depth_m:.2f} m and took its depth zero there: "
-                "restart it in air; or, if it was in air, confirm that by a restart of robot-agent"
+                f"the thruster board restarted at {inputs.telemetry.power_on_depth_m:.2f} m and took its depth zero there: "
+                "restart it in air; or, if it was in air, confirm that on the robot with `robot-agent confirm-zero`"
             )
         if health.pose_age_s > limit_s:
             return f"the last pose is {health.pose_age_s:.2f} s old"
