@@ -30,7 +30,7 @@ class ScaledVehicle:
     def settings(self) -> list[str]:
         """The vehicle, and its righting moment in the simulator, as settings of an experiment."""
         length, surface, bulk = self.mass ** (1.0 / 3.0), self.mass ** (2.0 / 3.0), self.mass ** (5.0 / 3.0)
-        mass, legs, thruster = SPHERICAL.mass, SPHERICAL.legs, SPHERICAL.thruster
+        mass, legs, thruster = SPHERICAL.mass, SPHERICAL.four_legs, SPHERICAL.thruster
         turning = surface * length**2
         linear = np.array(SPHERICAL.drag.linear) * [surface, surface, surface, turning]
         quadratic = np.array(SPHERICAL.drag.quadratic) * [surface, surface, surface, bulk]
