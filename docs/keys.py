@@ -1,13 +1,16 @@
-"""Write docs/reference/ and wire/schemas/ from the models that check the files: `make docs`.
+"""Write docs/reference/, wire/schemas/ and the table of gains in docs/control.md from the sources: `make docs`.
 
 A test fails when they are behind."""
 
 import json
+import re
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
+from robot_agent.control.nonlinear.tuning import formulas
 from wire import key_reference
 from wire.config.fault_injection import KINDS, OF_PROCESSES
+from wire.config.vehicle import load_vehicle
 from wire.key_reference import KeyEntry, KeyTable
 
 ROOT = Path(__file__).parents[1]
@@ -55,6 +58,45 @@ def _faults() -> Iterator[str]:
             yield f"| `{words}` | {effect.meaning} | {value} | {allowed} | {real_time} | `{line}` |"
 
 
+GAINS = "<!-- gains of the nonlinear MPC: written by `make docs` -->\n"
+SHIPPED = ("spherical", "vectored")
+PERIOD_S = 0.05
+
+
+def _gains() -> str:
+    """The table of gains: quantity, formula, and the value for each shipped vehicle."""
+    of_each = [formulas(load_vehicle(name), PERIOD_S) for name in SHIPPED]
+    rows = [(name, how, *(column[i][2] for column in of_each)) for i, (name, how, _) in enumerate(of_each[0])]
+    head = "| Quantity | Formula | " + " | ".join(f"`{name}`" for name in SHIPPED) + " |\n|---|---|" + "---|" * len(SHIPPED)
+    return "\n".join([head, *(f"| {' | '.join(row)} |" for row in rows)]) + "\n"
+
+
+def _constants() -> Iterator[str]:
+    yield f"# Constants of controller and observer\n\n{LAID.replace('the models in `wire/config/`', 'the sources')}"
+    yield "Everything else follows from the vehicle file, the control period and the reported noise"
+    yield "([control.md](../control.md#weights) has the formulas). A name ends with its unit; one without is a ratio."
+    yield "Each was flown on all cells of the grid ([evidence](../evidence/robots.md)): 2.3 to 40 kg, thrust x 0.5 to 3,"
+    yield "inertia x 0.25 to 8, lag 0.05 to 0.5 s, dead time up to 0.15 s, 10 to 50 Hz, noise x 1 to 10, currents up to 0.8 of"
+    yield "the speed."
+    for path in CONSTANTS:
+        yield f"\n## {path}\n\n| Constant | Value | Reason |\n|---|---|---|"
+        lines = (ROOT / path).read_text(encoding="utf-8").splitlines()
+        for line in lines:
+            found = re.match(r"([A-Z][A-Z0-9_, ]*) = ([^#]+?)  # (.+)", line)
+            if found and re.search(r"\d", found[2]) and not re.search(r"range\(|slice\(|{", found[2]):
+                name, value, reason = found.groups()
+                yield f"| `{name}` | `{value}` | {reason.replace('|', chr(92) + '|')} |"
+
+
+CONSTANTS = (
+    *(f"robot_agent/control/nonlinear/{name}.py" for name in (
+        "tuning", "prediction", "program", "planner", "first_guess", "course", "obstacle_rows", "nonlinear_controller",
+    )),
+    "robot_agent/vehicle/kalman.py",
+    "robot_agent/vehicle/filter_bank.py",
+)  # fmt: skip
+
+
 def files() -> dict[Path, str]:
     """Every generated file and its text."""
     everything = key_reference.tables("experiment")
@@ -62,8 +104,11 @@ def files() -> dict[Path, str]:
     in_sim = [t for t in everything if t.name.partition(".")[0] == "sim"]
     others = [t for t in everything if t not in in_controller and t not in in_sim]
     vehicle = key_reference.tables("vehicle")
-    folder = ROOT / "docs" / "reference"
+    folder, control = ROOT / "docs" / "reference", ROOT / "docs" / "control.md"
+    before, _, after = control.read_text(encoding="utf-8").split(GAINS)
     return {
+        control: f"{before}{GAINS}{_gains()}{GAINS}{after}",
+        folder / "gains.md": "\n".join(_constants()) + "\n",
         folder / "experiment.md": _page(
             "Keys of an experiment",
             "Every key but those of [controller.md](controller.md) and [simulation.md](simulation.md).\n"

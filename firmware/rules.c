@@ -7,10 +7,12 @@
 
 #define BATTERY_FILTER_S 1.0f /* time constant of the voltage filter: thrust lowers the voltage for moments */
 
+static bool is_thruster(const struct rules *rules, uint8_t channel) { return channel < rules->parameters.value[THR_COUNT]; }
+
 /* Pulse without trim at power-on, and on the pin in HIL mode. */
 static uint16_t rest_us(const struct rules *rules, uint8_t channel) {
     const float *value = rules->parameters.value;
-    if (channel < THRUSTERS)
+    if (is_thruster(rules, channel))
         return (uint16_t)value[THR_NEUTRAL_US];
     return (uint16_t)((uint16_t)(value[ANK_MIN_US] + value[ANK_MAX_US]) / 2);
 }
@@ -19,16 +21,14 @@ void rules_begin(struct rules *rules, const struct parameters *parameters, struc
     memset(rules, 0, sizeof *rules);
     rules->parameters = *parameters;
     rules->computer = computer;
-    for (uint8_t i = 0; i < THRUSTERS; i++) {
-        rules->thruster_us[i] = parameters->value[THR_NEUTRAL_US];
-        rules->ankle_us[i] = rest_us(rules, THRUSTERS);
-    }
+    for (uint8_t i = 0; i < CHANNELS; i++)
+        rules->echo_us[i] = rest_us(rules, i);
 }
 
 bool rules_hil(const struct rules *rules) { return rules->parameters.value[HIL_MODE] != 0.0f; }
 
 uint16_t rules_echo_us(const struct rules *rules, uint8_t channel) {
-    return channel < THRUSTERS ? (uint16_t)lrintf(rules->thruster_us[channel]) : rules->ankle_us[channel - THRUSTERS];
+    return (uint16_t)lrintf(rules->echo_us[channel]);
 }
 
 uint16_t rules_output_us(const struct rules *rules, uint8_t channel) {
@@ -56,11 +56,11 @@ static void disarm(struct rules *rules, enum severity severity, const char *reas
 
 static bool is_allowed(const struct rules *rules, const uint16_t pulses_us[CHANNELS]) {
     const float *value = rules->parameters.value;
-    for (uint8_t i = 0; i < THRUSTERS; i++) {
-        const uint16_t thruster_us = pulses_us[i], ankle_us = pulses_us[THRUSTERS + i];
-        if (!(value[THR_MIN_US] <= thruster_us && thruster_us <= value[THR_MAX_US]))
+    for (uint8_t i = 0; i < CHANNELS; i++) {
+        const uint16_t pulse_us = pulses_us[i];
+        if (is_thruster(rules, i) && !(value[THR_MIN_US] <= pulse_us && pulse_us <= value[THR_MAX_US]))
             return false;
-        if (ankle_us != IGNORED && !(value[ANK_MIN_US] <= ankle_us && ankle_us <= value[ANK_MAX_US]))
+        if (!is_thruster(rules, i) && pulse_us != IGNORED && !(value[ANK_MIN_US] <= pulse_us && pulse_us <= value[ANK_MAX_US]))
             return false;
     }
     return true;
@@ -82,8 +82,8 @@ static bool is_stale(const struct rules *rules, uint64_t now_us) {
 }
 
 static bool is_neutral_command(const struct rules *rules) {
-    for (uint8_t i = 0; i < THRUSTERS; i++)
-        if (!is_neutral_pulse(&rules->parameters, rules->command_us[i]))
+    for (uint8_t i = 0; i < CHANNELS; i++)
+        if (is_thruster(rules, i) && !is_neutral_pulse(&rules->parameters, rules->command_us[i]))
             return false;
     return true;
 }
@@ -179,11 +179,12 @@ void rules_battery(struct rules *rules, float voltage_v, float elapsed_s) {
 
 /* Move towards the command, thrusters no faster than the slew rate. */
 static void move(struct rules *rules, float reach_us) {
-    for (uint8_t i = 0; i < THRUSTERS; i++) {
-        const float way_us = rules->command_us[i] - rules->thruster_us[i];
-        rules->thruster_us[i] += fminf(fmaxf(way_us, -reach_us), reach_us);
-        if (rules->command_us[THRUSTERS + i] != IGNORED)
-            rules->ankle_us[i] = rules->command_us[THRUSTERS + i];
+    for (uint8_t i = 0; i < CHANNELS; i++) {
+        const float way_us = rules->command_us[i] - rules->echo_us[i];
+        if (is_thruster(rules, i))
+            rules->echo_us[i] += fminf(fmaxf(way_us, -reach_us), reach_us);
+        else if (rules->command_us[i] != IGNORED)
+            rules->echo_us[i] = rules->command_us[i];
     }
 }
 
@@ -203,6 +204,7 @@ void rules_step(struct rules *rules, uint64_t now_us) {
         move(rules, value[SLEW_US_S] * elapsed_s);
         return;
     }
-    for (uint8_t i = 0; i < THRUSTERS; i++)
-        rules->thruster_us[i] = value[THR_NEUTRAL_US];
+    for (uint8_t i = 0; i < CHANNELS; i++)
+        if (is_thruster(rules, i))
+            rules->echo_us[i] = value[THR_NEUTRAL_US];
 }

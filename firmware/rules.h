@@ -13,7 +13,7 @@ Times are microseconds of the board's own clock, since power-on. */
 #include "signing.h"
 #include "text.h"
 
-enum { THRUSTERS = 4, CHANNELS = 8, IGNORED = 65535, TEXTS = 4 };
+enum { CHANNELS = 8, IGNORED = 65535, TEXTS = 4 };
 enum charge { CHARGE_GOOD, CHARGE_WARN, CHARGE_NO_ARM, CHARGE_NEUTRAL };
 enum result { ACCEPTED = 0, REJECTED = 1, UNSUPPORTED = 3 }; /* MAV_RESULT; rejected: for now */
 
@@ -26,8 +26,7 @@ struct rules {
     uint16_t command_us[CHANNELS];
     uint64_t command_at_us, stepped_at_us;
     float voltage_v; /* filtered */
-    float thruster_us[THRUSTERS];
-    uint16_t ankle_us[THRUSTERS];
+    float echo_us[CHANNELS]; /* pulses without trims: thrusters first, then ankles */
     uint32_t overrides_refused;
     uint8_t texts;
     struct text text[TEXTS]; /* to send; the sender sets `texts` to 0 */

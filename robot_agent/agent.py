@@ -47,7 +47,6 @@ from wire.messages.messages import (
 from wire.obstacle_memory import blindness, is_old
 from wire.transport.command_deduplication import ALWAYS_TAKEN
 
-THRUSTERS = 4
 UNSEEN = frozenset({"pose late", "no pose"})  # reasons of modes.py
 SUSPECT = frozenset({"thruster board disobeys", "thrusters do not do as told"})  # after these no earlier test counts
 LEFT = ": it has left the camera's picture"
@@ -82,8 +81,7 @@ class Agent:
             room_m=experiment.pool.size_m[:2] if experiment.pool.walls else None,
             islands=island_obstacles(experiment.islands, experiment.vehicle.radius_m),
         )
-        curve = experiment.vehicle.thruster.curve
-        self._thruster_us = curve[0][0], curve[-1][0]
+        self._ranges_us = experiment.vehicle.ranges_us
         self._driver = Driver(experiment)
         self._driven: tuple[DriveVelocity, int] | None = None  # the last DRIVE's velocity, and its instant on our clock
         self._tuning = LiveTuning(self.controller, experiment.controller)
@@ -218,13 +216,8 @@ class Agent:
     def _sound(self, output: ControlOutput) -> ControlOutput:
         """Return a control step's output, or neutral pulses and FAILED in its place if a number is not finite or a pulse is
         outside the vehicle's range: the last guard before the wire."""
-        (low_us, high_us), (least_us, most_us) = self._thruster_us, self._experiment.vehicle.legs.ankle_us
-        thrusters, ankles = output.pulse_us[:THRUSTERS], output.pulse_us[THRUSTERS:]
-        if (
-            low_us <= min(thrusters) <= max(thrusters) <= high_us
-            and least_us <= min(ankles) <= max(ankles) <= most_us
-            and output.is_finite
-        ):
+        ranges = zip(output.pulse_us, self._ranges_us, strict=True)
+        if all(low <= pulse <= high for pulse, (low, high) in ranges) and output.is_finite:
             return output
         nothing = [np.zeros_like(value) if isinstance(value, np.ndarray) else value for value in output]
         return ControlOutput._make(nothing)._replace(
@@ -396,6 +389,7 @@ def _measurement(inputs: Inputs) -> StateMeasurement:
         yaw_rate_radps=telemetry.yaw_rate_radps if known else None,
         board_ns=telemetry.arrival_ns if known else None,
         pitch_rad=telemetry.tilt[1] if known and telemetry.tilt else 0.0,
+        roll_rad=telemetry.tilt[0] if known and telemetry.tilt else 0.0,
     )
 
 

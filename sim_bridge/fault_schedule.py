@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from wire.config.experiment import Experiment
-from wire.config.fault_injection import THRUSTERS, Break, Fault
+from wire.config.fault_injection import Break, Fault
+from wire.config.vehicle import OUTPUTS
 from wire.frames import Array
 from wire.toml_loader import ConfigError
 
@@ -23,7 +24,7 @@ BEFORE_S = -1.0  # a time before the robots' start
 class ActuatorFaults:
     """Effects of the faults on thrusters and batteries."""
 
-    thrust: Array  # (n, 4): each thruster's force as a fraction of the healthy one's
+    thrust: Array  # (n, 8): each thruster's force as a fraction of the healthy one's
     sag_v: Array  # (n,): voltage that each battery has lost
 
 
@@ -88,7 +89,7 @@ class FaultSchedule:
     def _derive(self) -> None:
         """Derive the effects of the faults that hold now."""
         n = len(self._robots)
-        thrust, sag_v = np.ones((n, THRUSTERS)), np.zeros(n)
+        thrust, sag_v = np.ones((n, OUTPUTS)), np.zeros(n)
         factors = {"dead": 0.0, "reversed": -1.0, "stuck": 1.0}
         for i, b in self._of("thruster"):
             thrust[i, b.thruster - 1] *= factors.get(b.effect, b.value)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.robots.vehicles import VEHICLES, ScaledVehicle, any_build, fastest_mps
+from benchmarks.robots.vehicles import VEHICLES, FileVehicle, ScaledVehicle, any_build, fastest_mps
 from wire.config.experiment import load_experiment
 
 PATHS = ("circle", "eight", "straight", "square")
@@ -187,7 +187,7 @@ def draw(name: str, number: int, overrides: Sequence[str] = ()) -> FlightPlan:
     return FlightPlan(name, number, scene, rate_hz, (*settings, *overrides), fastest, speed, current, amount)
 
 
-def _build(build: ScaledVehicle | None) -> list[str]:
+def _build(build: ScaledVehicle | FileVehicle | None) -> list[str]:
     return build.settings() if build is not None else []
 
 

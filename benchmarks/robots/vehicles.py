@@ -1,8 +1,7 @@
 """Vehicles of the grid: the shipped robot made heavier or lighter, stronger or weaker, slower to turn or to push.
 
 Heavier means larger, of the same shape and density: lengths go with the cube root of the mass, and all limits of speed are
-those at which drag balances full thrust, as in the shipped file. All have the shipped one's four legs, so none pushes
-sideways: no vehicle file can say that yet.
+those at which drag balances full thrust, as in the shipped file. One vehicle is of another kind: it pushes sideways too.
 """
 
 import math
@@ -31,7 +30,7 @@ class ScaledVehicle:
     def settings(self) -> list[str]:
         """The vehicle, and its righting moment in the simulator, as settings of an experiment."""
         length, surface, bulk = self.mass ** (1.0 / 3.0), self.mass ** (2.0 / 3.0), self.mass ** (5.0 / 3.0)
-        mass, legs, thruster = SPHERICAL.mass, SPHERICAL.legs, SPHERICAL.thruster
+        mass, legs, thruster = SPHERICAL.mass, SPHERICAL.four_legs, SPHERICAL.thruster
         turning = surface * length**2
         linear = np.array(SPHERICAL.drag.linear) * [surface, surface, surface, turning]
         quadratic = np.array(SPHERICAL.drag.quadratic) * [surface, surface, surface, bulk]
@@ -93,7 +92,36 @@ def fastest_mps(vehicle: Vehicle, drag_error: float) -> float:
     return min(vehicle.limits.speed_mps, steady_mps)
 
 
-VEHICLES = {
+@dataclass(frozen=True)
+class FileVehicle:
+    """A vehicle with a file of its own, and what the simulator has to know besides: weight, and how it swings."""
+
+    name: str
+    buoyancy_n: float
+    swing_inertia_kg_m2: float  # of roll and pitch, added mass included
+    swing_drag: tuple[float, float]  # N m s, and N m s^2
+    battery_v: float
+    curve_v: float  # at which the thrust curve was measured
+
+    def settings(self) -> list[str]:
+        """The vehicle, and its righting moment in the simulator, as settings of an experiment."""
+        righting = load_vehicle(self.name).righting
+        assert righting is not None
+        linear, quadratic = self.swing_drag
+        return [
+            f"vehicle={self.name}",
+            "controller.law=nmpc",
+            f"sim.plant.buoyancy_n={self.buoyancy_n:g}",
+            f"sim.plant.tilt.righting_nm={righting.moment_nm:g}",
+            f"sim.plant.tilt.inertia_kg_m2={self.swing_inertia_kg_m2:g}",
+            f"sim.plant.tilt.drag_linear={linear:g}",
+            f"sim.plant.tilt.drag_quadratic={quadratic:g}",
+            f"sim.sensors.battery_v={self.battery_v:g}",
+            f"sim.plant.battery.curve_v={self.curve_v:g}",
+        ]
+
+
+VEHICLES: dict[str, ScaledVehicle | FileVehicle] = {
     "2.3kg": ScaledVehicle(mass=2.3 / 12.0, thrust=0.5),
     "24kg": ScaledVehicle(mass=2.0),
     "40kg": ScaledVehicle(mass=40.0 / 12.0),
@@ -103,6 +131,7 @@ VEHICLES = {
     "inertia-8": ScaledVehicle(inertia=8.0),
     "slow-thrusters": ScaledVehicle(lag_s=0.5, dead_time_s=0.15),
     "quick-thrusters": ScaledVehicle(lag_s=0.05, dead_time_s=0.0),
+    "vectored": FileVehicle("vectored", -1.0, 0.40, (0.07, 1.55), 14.8, 14.0),  # sources: the file's A, and for the drag B
 }
 
 

@@ -151,7 +151,7 @@ static void look(void) {
     const bool held = value[HIL_MODE] != 0.0f && value[HIL_OUTPUTS] == 0.0f;
     if (rules->armed && !(rules->has_command && now_us - rules->command_at_us <= (uint64_t)value[CMD_AGE_MS] * 1000u))
         abort();
-    for (uint8_t i = 0; i < THRUSTERS; i++) {
+    for (uint8_t i = 0; i < value[THR_COUNT]; i++) {
         const float echo_us = rules_echo_us(rules, i);
         if ((float)rules_output_us(rules, i) != (held ? value[THR_NEUTRAL_US] : echo_us) + value[THR1_TRIM_US + i])
             abort();

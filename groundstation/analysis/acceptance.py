@@ -8,6 +8,7 @@ import numpy as np
 from groundstation.analysis.results import WHOLE_RUN, Check, Errors, Result
 from groundstation.analysis.series import Series
 from wire.config.controller_benchmark import settled
+from wire.config.vehicle import AXES as WRENCH_AXES
 
 MISSED_FRACTION = 0.001  # of all control steps; more is a run that did not keep time
 KNOWN_SHARE = 0.9  # of the flight in which distances and errors must be known: what nobody saw has not been good
@@ -92,7 +93,7 @@ def _of_the_means(result: Result, series: Series) -> Iterator[Check]:
         yield _too_short("input steps after 20 s, RMS of the bound", limits.wrench_step_rms, "fraction")
     elif limits.wrench_step_rms is not None:
         share = _shares(result.dtau_rms_after_20s, experiment.wrench_step)
-        where = ("surge", "heave", "yaw")[int(np.argmax(share))] if share else ""
+        where = WRENCH_AXES[int(np.argmax(share))] if share else ""
         most = max(share, default=None)
         yield _at_most("input steps after 20 s, RMS of the bound", where, most, limits.wrench_step_rms, "fraction")
     if limits.exposure_to_pwm_p99_ms is not None and result.mode != "numeric":  # where nothing is exposed, nor sent

@@ -412,6 +412,7 @@ def _states(
 ) -> States:
     """A robot's states as arrays, one row a control step."""
     messages = [e.message for e in entries]
+    axes = len(messages[0].wrench) if messages else 3
 
     def column(values: Sequence[float]) -> Array:
         return np.array(values, dtype=np.float64)
@@ -432,9 +433,9 @@ def _states(
         eta_reference=rows([m.eta_reference for m in messages], 4),
         eta_command=rows([m.eta_command for m in messages], 4),
         disturbance=rows([m.disturbance for m in messages], 4),
-        wrench=rows([m.wrench for m in messages], 3),
-        wrench_step=rows([m.wrench_step for m in messages], 3),
-        wrench_wanted=rows([m.wrench_wanted for m in messages], 3),
+        wrench=rows([m.wrench for m in messages], axes),
+        wrench_step=rows([m.wrench_step for m in messages], axes),
+        wrench_wanted=rows([m.wrench_wanted for m in messages], axes),
         pulse_us=channels([m.pulse_us for m in messages]),
         echo_us=channels([m.echo_us for m in messages]),
         exposure_to_pwm_ms=column([m.exposure_to_pwm_ms for m in messages]),

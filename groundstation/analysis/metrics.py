@@ -23,7 +23,6 @@ from groundstation.analysis.results import (
 from groundstation.analysis.series import (
     HOPS,
     SETTLED_S,
-    THRUSTERS,
     Flight,
     Mask,
     RobotSeries,
@@ -69,8 +68,8 @@ def evaluate(series: Series, log: RunLog) -> Result:
         pose_error_m=_spread(np.hypot(located[:, 0], located[:, 1])),
         pose_error_rad=_spread(np.abs(located[:, 2])),
         exposure_to_pwm_ms=_quantiles(latency_ms[latency_ms > 0.0]),
-        dtau_rms=_three(np.max(wear, axis=0)) if wear else None,
-        dtau_rms_after_20s=_three(np.max(settled_wear, axis=0)) if settled_wear else None,
+        dtau_rms=tuple(np.max(wear, axis=0).tolist()) if wear else None,
+        dtau_rms_after_20s=tuple(np.max(settled_wear, axis=0).tolist()) if settled_wear else None,
         pulse_step_rms_us=max((r.pulse_step_rms_us or 0.0 for r in robots.values()), default=None) if wear else None,
         missed_deadlines=missed,
         missed_deadlines_fraction=missed / steps if steps else None,
@@ -135,13 +134,13 @@ def _robot(series: Series, robot: int) -> RobotResult:
     unexplained = states.disturbance[tracking] - mine.disturbance_at_states[tracking]
     missed = np.diff(states.missed_deadlines[window])
     steps = states.wrench_step[tracking]
-    pulses = np.diff(states.pulse_us[tracking][:, :THRUSTERS], axis=0)
+    pulses = np.diff(states.pulse_us[tracking][:, : series.experiment.vehicle.thruster_count], axis=0)
     return RobotResult(
         **_fields(_errors(mine.error, series.time_s)),
         rms_yaw_command_rad=_rms(yaw),
         rms_yaw_command_after_20s_rad=_rms(yaw[settled]),
-        dtau_rms=_three(np.sqrt(np.mean(steps**2, axis=0))) if tracking.any() else None,
-        dtau_rms_after_20s=_three(np.sqrt(np.mean(steps[settled] ** 2, axis=0))) if settled.any() else None,
+        dtau_rms=tuple(np.sqrt(np.mean(steps**2, axis=0)).tolist()) if tracking.any() else None,
+        dtau_rms_after_20s=tuple(np.sqrt(np.mean(steps[settled] ** 2, axis=0)).tolist()) if settled.any() else None,
         pulse_step_rms_us=_rms(pulses),
         disturbance_error_rms=_column_rms(unexplained),
         control_steps=int(window.sum()),

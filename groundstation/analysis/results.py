@@ -1,6 +1,7 @@
 """Content of result.json: errors against the truth, timing, wear, faults, and what passed. Pure; metrics.py fills it.
 
-Lengths in m, angles in rad. Lists of three are x, y, z of the pool, or surge, heave, yaw of a wrench. None (null in JSON) is
+Lengths in m, angles in rad. Lists of three are x, y, z of the pool, or surge, heave, yaw of a wrench (and sway, of a vehicle
+with side thrust). None (null in JSON) is
 a figure that this run cannot give.
 """
 
@@ -46,8 +47,8 @@ class RobotResult(Errors):
 
     rms_yaw_command_rad: float | None = None
     rms_yaw_command_after_20s_rad: float | None = None
-    dtau_rms: Three | None = None  # change of the wrench per step [N, N, N m]
-    dtau_rms_after_20s: Three | None = None
+    dtau_rms: tuple[float, ...] | None = None  # change of the wrench per step [N, N, N m, N]
+    dtau_rms_after_20s: tuple[float, ...] | None = None
     pulse_step_rms_us: float | None = None  # change of the thruster pulses per step
     disturbance_error_rms: tuple[float, ...] | None = None  # estimated minus true [m/s^2 x 3, rad/s^2]
     control_steps: int = 0
@@ -149,8 +150,8 @@ class Result:
     pose_error_m: Spread | None
     pose_error_rad: Spread | None
     exposure_to_pwm_ms: Quantiles | None
-    dtau_rms: Three | None  # of the robot that is worst, per axis
-    dtau_rms_after_20s: Three | None
+    dtau_rms: tuple[float, ...] | None  # of the robot that is worst, per axis
+    dtau_rms_after_20s: tuple[float, ...] | None
     pulse_step_rms_us: float | None
     missed_deadlines: int
     missed_deadlines_fraction: float | None

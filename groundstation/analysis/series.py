@@ -13,10 +13,11 @@ from wire.config.controller_benchmark import (
     SETTLED_S as SETTLED_S,  # ambiguity A14: errors are given for the whole run and from here on
 )
 from wire.config.experiment import Experiment
+from wire.config.vehicle import AXES
 from wire.frames import Array, pose_error
 from wire.messages.messages import Mode
 
-THRUSTERS, CHANNELS = 4, 8
+CHANNELS = 8
 HOPS = ("localizer", "network, waiting", "control step", "to the board")  # of a pose, from the exposure to the PWM
 SLACK_M = 0.001  # less is the solver's own tolerance
 AT_LIMIT = 0.999  # of a bound: the solver stops that close to it
@@ -36,9 +37,9 @@ class States:
     eta_reference: Array  # (m, 4)
     eta_command: Array  # (m, 4)
     disturbance: Array  # (m, 4) estimated
-    wrench: Array  # (m, 3)
-    wrench_step: Array  # (m, 3)
-    wrench_wanted: Array  # (m, 3) before it was limited
+    wrench: Array  # (m, 3), (m, 4) of a vehicle with side thrust
+    wrench_step: Array  # the same
+    wrench_wanted: Array  # the same, before it was limited
     pulse_us: Array  # (m, 8), NaN where none was sent
     echo_us: Array  # (m, 8), what the board said by then; NaN where it has not
     exposure_to_pwm_ms: Array
@@ -157,7 +158,7 @@ def active_limits(series: Series, robot: RobotSeries) -> dict[str, Mask]:
     """Which limits held a robot's inputs back, (m,) each, by name; and where its plan entered another's space."""
     experiment, states = series.experiment, robot.states
     found = {}
-    for k, axis in enumerate(("surge", "heave", "yaw")):
+    for k, axis in enumerate(AXES[: states.wrench.shape[1]]):
         found[axis] = np.asarray(np.abs(states.wrench[:, k]) >= AT_LIMIT * experiment.vehicle.limits.wrench[k])
         found[f"step of {axis}"] = np.asarray(np.abs(states.wrench_step[:, k]) >= AT_LIMIT * experiment.wrench_step[k])
     return found | {"others' space": np.asarray(states.slack_m > SLACK_M)}

@@ -31,13 +31,14 @@ from wire.messages.topics import Topic
 from wire.process.output_files import RUN, check_output, replacing_together
 from wire.toml_loader import ConfigError
 
+NOTHING = np.zeros(0)
 AT_ONCE = 5_000  # rows that are kept until they are written: a few MB
 
 POSE = ("x_m", "y_m", "z_m", "yaw_rad")  # pool frame
 VELOCITY = ("surge_mps", "sway_mps", "heave_mps", "yaw_radps")  # body frame
 ACCELERATION = ("surge_mps2", "sway_mps2", "heave_mps2", "yaw_radps2")  # body frame
-WRENCH = ("surge_n", "heave_n", "yaw_nm")
-CHANNELS = (*(f"thruster_{k}_us" for k in range(1, 5)), *(f"ankle_{k}_us" for k in range(1, 5)))
+WRENCH = ("surge_n", "heave_n", "yaw_nm", "sway_n")  # the last one of vehicles with side thrust alone
+CHANNELS = (*(f"thruster_{k}_us" for k in range(1, 5)), *(f"ankle_{k}_us" for k in range(1, 5)))  # or thrusters 5 to 8
 
 
 def _named(prefix: str, names: Sequence[str]) -> tuple[str, ...]:
@@ -239,7 +240,7 @@ def _of_field(cls: type, name: str, hint: Any, shape: Any, prefix: str, listed: 
             return [TableColumn(f"{prefix}{name}_samples", int, lambda m, row: len(getattr(m, name)))]
         return [TableColumn(f"{prefix}{name}", str, lambda m, row: json.dumps(getattr(m, name).tolist()))]
     if shape is not None:
-        size = int(np.prod([n for n in shape if n != -1]))
+        size = len(names) if names is not None else int(np.prod([n for n in shape if n != -1]))
         of_row = -1 in shape
         named = names or tuple(f"{name}_{k}" for k in range(size))
         return [TableColumn(prefix + named[k], float, _number(name, k, of_row)) for k in range(size)]
@@ -263,8 +264,8 @@ def _number(name: str, k: int, of_row: bool) -> Callable[[Any, int], Any]:
     def cell(message: Any, row: int) -> Any:
         values = getattr(message, name)
         if of_row:
-            return float(values[row].flat[k]) if row < len(values) else None
-        return float(values.flat[k])
+            values = values[row] if row < len(values) else NOTHING
+        return float(values.flat[k]) if k < values.size else None
 
     return cell
 

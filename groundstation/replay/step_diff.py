@@ -126,6 +126,7 @@ def draw(again: StepComparison) -> Figure | None:
         Panel("surge [N]", lines("wrench", 0)),
         Panel("heave [N]", lines("wrench", 1)),
         Panel("yaw [N m]", lines("wrench", 2)),
+        *([Panel("sway [N]", lines("wrench", 3))] if again.before["wrench"].shape[1] > 3 else []),
         Panel("heading command [rad]", lines("eta_command", 3)),
         Panel("surge est. [m/s]", lines("nu", 0)),
         Panel("disturbance, surge [m/s²]", lines("disturbance", 0)),

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from groundstation.analysis.series import THRUSTERS, RobotSeries, Series
+from groundstation.analysis.series import RobotSeries, Series
 from groundstation.palette import colour
 from groundstation.report.drawing import Curve, Panel, TimePlot
 from wire.frames import Array
@@ -51,7 +51,7 @@ def _wrench(
             limit=bounds[axis],
             unit=unit,
         )
-        for axis, (name, unit) in enumerate((("surge", "N"), ("heave", "N"), ("yaw", "N m")))
+        for axis, (name, unit) in enumerate((("surge", "N"), ("heave", "N"), ("yaw", "N m"), ("sway", "N"))[: len(bounds)])
     ]
     return TimePlot(panels)
 
@@ -67,14 +67,14 @@ def pulses(series: Series) -> TimePlot:
     """Pulses to the thrusters, one plot per robot, under them what the boards echoed; the grey band is the dead zone."""
     curve = np.array(series.experiment.vehicle.thruster.curve)
     dead = curve[curve[:, 1] == 0.0, 0]
-    legs = series.experiment.vehicle.legs.position_m
-    names = [f"{'front' if ahead > 0 else 'rear'} {'right' if starboard > 0 else 'left'}" for ahead, starboard in legs]
+    vehicle = series.experiment.vehicle
+    names = [vehicle.thruster_name(k) for k in range(vehicle.thruster_count)]
     panels = [
         Panel(
             f"robot {robot} [µs]",
             [
-                *(flown(series, r, f"{names[k]}, echo", r.states.echo_us[:, k], k, ":") for k in range(THRUSTERS)),
-                *(flown(series, r, names[k], r.states.pulse_us[:, k], k) for k in range(THRUSTERS)),
+                *(flown(series, r, f"{names[k]}, echo", r.states.echo_us[:, k], k, ":") for k in range(len(names))),
+                *(flown(series, r, names[k], r.states.pulse_us[:, k], k) for k in range(len(names))),
             ],
             least=100.0,
             band=(float(dead.min()), float(dead.max())),

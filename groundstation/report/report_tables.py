@@ -54,7 +54,8 @@ def tables(result: Result) -> list[ReportTable]:
         note = "✓ below, ✗ not below the article's figure. “Never moving” is a robot that sits at the middle of its reference."
         made.append(_table("Beside the article", _article(), rows, note))
     made.append(_table("Robots", _robots(), robots, "Yaw to the heading commanded; disturbance: estimated minus true, RMS."))
-    made.append(_table("Wear", _wear(), robots, "RMS of the change per control step: chatter wears thrusters out."))
+    axes = max((len(row.dtau_rms or ()) for row in result.robots.values()), default=0) or 3
+    made.append(_table("Wear", _wear(axes), robots, "RMS of the change per control step: chatter wears thrusters out."))
     return [table for table in made if table.groups]
 
 
@@ -101,10 +102,10 @@ def _robots() -> Iterator[_Part]:
     yield _Part(Group("control steps", ("all", "late")), lambda r: [Cell(str(r.control_steps)), Cell(str(r.missed_deadlines))])
 
 
-def _wear() -> Iterator[_Part]:
-    axes = ("surge [N]", "heave [N]", "yaw [N m]")
-    yield _Part(Group("input steps, whole run", axes), lambda r: _numbers(r.dtau_rms, 3))
-    yield _Part(Group("input steps after 20 s", axes), lambda r: _numbers(r.dtau_rms_after_20s, 3))
+def _wear(count: int) -> Iterator[_Part]:
+    axes = ("surge [N]", "heave [N]", "yaw [N m]", "sway [N]")[:count]
+    yield _Part(Group("input steps, whole run", axes), lambda r: _numbers(r.dtau_rms, len(axes)))
+    yield _Part(Group("input steps after 20 s", axes), lambda r: _numbers(r.dtau_rms_after_20s, len(axes)))
     yield _Part(Group("pulse steps", ("whole run [µs]",)), lambda r: [Cell(three(r.pulse_step_rms_us))])
 
 
@@ -120,4 +121,4 @@ def _against(value: float | None, other: float | None, shown: Callable[[float | 
 
 
 def _numbers(values: Sequence[float] | None, count: int) -> list[Cell]:
-    return [Cell(three(value)) for value in values or (None,) * count]
+    return [Cell(three(value)) for value in (*(values or ()), *(None,) * count)[:count]]

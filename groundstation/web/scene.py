@@ -79,7 +79,7 @@ def scene(experiment: Experiment, trajectories: Mapping[int, Trajectory], mode: 
             "pulse_us": [vehicle.thruster.curve[0][0], vehicle.thruster.neutral_us, vehicle.thruster.curve[-1][0]],
             "battery_v": [vehicle.battery.neutral_v, vehicle.battery.no_arm_v, vehicle.battery.warn_v, vehicle.battery.full_v],
         },
-        "legs_m": [list(leg) for leg in vehicle.legs.position_m],
+        "thrusters": [[*place[:2], *place[3:5]] for place in vehicle.thruster_places],
         "islands": [[*island.position_m, island.radius_m] for island in experiment.islands],
         "robots": [{"id": r.id, "node_m": list(r.node_m), "neighbours": list(r.neighbours)} for r in experiment.robots],
         "path": experiment.path.model_dump(mode="json"),

@@ -33,9 +33,9 @@ from robot_agent.guidance.formation import Formation, Neighbour, NeighbourPredic
 from robot_agent.guidance.obstacles import Obstacle
 from robot_agent.guidance.reference import Drive, Follow, Goal, Hold, Reference, ReferenceSampler
 from robot_agent.guidance.velocity_obstacles import GiveWay, traffic_near
-from robot_agent.vehicle.allocation import Allocator
 from robot_agent.vehicle.dynamics import Model
 from robot_agent.vehicle.estimate import Estimate, StateMeasurement
+from robot_agent.vehicle.fixed_thrusters import make_allocator
 from robot_agent.vehicle.kalman import make_estimator
 from wire.config.controller import ControllerConfig, Safety
 from wire.config.vehicle import Vehicle
@@ -87,10 +87,10 @@ class ControlOutput(NamedTuple):
     """Results of one control step. Its arrays belong to the caller: they are never written again."""
 
     pulse_us: tuple[int, ...]  # 4 thrusters, 4 ankles; neutral unless `solve` is SOLVED or SHIFTED
-    wrench: Array  # (3,) asked for: surge N, heave N, yaw N m
-    wrench_step: Array  # (3,) its change in this step
-    wrench_wanted: Array  # (3,) what the law came to before it was limited; the MPC knows its limits
-    wrench_delivered: Array  # (3,) what the pulses give by the nominal thrust curve
+    wrench: Array  # (3,) or (4,) asked for: surge N, heave N, yaw N m, sway N
+    wrench_step: Array  # its change in this step
+    wrench_wanted: Array  # what the law came to before it was limited; the MPC knows its limits
+    wrench_delivered: Array  # what the pulses give by the nominal thrust curve
     estimated: bool  # False until the first pose, and after coasting too long: eta, nu, disturbance mean nothing
     eta: Array  # (4,) estimated pose now
     nu: Array  # (4,) estimated velocity now, body frame
@@ -111,6 +111,7 @@ class ControlOutput(NamedTuple):
     depth_leap: str  # the same for the depth
     is_free: bool  # the robot follows its path: neither giving way nor half-spaces change its plan
     path_is_blocked: bool  # it avoids what it would meet on its path too
+    flow_moment_nm: float = 0.0  # yaw moment of the water past the hull, (m_u - m_v) u v
 
     @classmethod
     def neutral(cls, pulse_us: tuple[int, ...], wrench_step: Array, estimate: Estimate | None, stay: Array) -> "ControlOutput":
@@ -118,10 +119,10 @@ class ControlOutput(NamedTuple):
         eta = np.zeros(4) if estimate is None else estimate.eta
         return cls(
             pulse_us=pulse_us,
-            wrench=np.zeros(3),
+            wrench=np.zeros_like(wrench_step),
             wrench_step=wrench_step,
-            wrench_wanted=np.zeros(3),
-            wrench_delivered=np.zeros(3),
+            wrench_wanted=np.zeros_like(wrench_step),
+            wrench_delivered=np.zeros_like(wrench_step),
             estimated=estimate is not None,
             eta=eta,
             nu=np.zeros(4) if estimate is None else estimate.nu,
@@ -151,7 +152,7 @@ class ControlOutput(NamedTuple):
             self.wrench, self.wrench_step, self.wrench_wanted, self.wrench_delivered, self.eta, self.nu, self.disturbance,
             self.eta_reference, self.eta_command,
         )  # fmt: skip
-        numbers = self.tracking_error_m + self.slack_m + self.drag_ratio + self.thrust_ratio
+        numbers = self.tracking_error_m + self.slack_m + self.drag_ratio + self.thrust_ratio + self.flow_moment_nm
         return math.isfinite(numbers) and all_finite(vectors, self.plan_eta, self.plan_reference)
 
 
@@ -198,7 +199,7 @@ class Controller:
         self._law: Law = make_law(vehicle, model, config, period_s, self.formation.rows)
         self._guided = guidance_config(config).enabled
         self._heading = HeadingReference(vehicle, guidance_config(config), period_s, config.estimator.sway)
-        self.allocator = Allocator(vehicle)
+        self.allocator = make_allocator(vehicle)
         # Plans begin at the instant of action and are told from now on: rows of the one for the other
         self._told_rows = np.interp(steps_s, np.concatenate([[0.0], nodes_s]), np.arange(horizon + 2.0))
         self._wrench = np.zeros(3)  # asked for in the last step,

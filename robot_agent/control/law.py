@@ -81,7 +81,9 @@ def _own(name: str) -> Callable[[Vehicle, Model, ControllerConfig, float], Any]:
 
 def _feedback(vehicle: Vehicle, model: Model, config: ControllerConfig, period_s: float) -> FeedbackLaw:
     """The feedback law that `controller.law` names."""
-    limits, axes = vehicle.limits, Axes(model, vehicle.limits.wrench)
+    limits = vehicle.limits
+    surge_n, heave_n, yaw_nm = limits.wrench[:3]  # these laws know no other axis
+    axes = Axes(model, (surge_n, heave_n, yaw_nm))
     match config.law:
         case "backstepping":
             return Backstepping(axes, config.backstepping)

@@ -44,7 +44,8 @@ def run_preflight(
         vehicle, experiment = loaded.vehicle, loaded
         detail = f"{loaded.name} ({loaded.hash[:8]}), robot {config.robot} of {len(loaded.robot_ids)}"
         yield CheckFinding("experiment", CheckVerdict.OK, detail)
-        detail = f"{vehicle.name}: {len(vehicle.legs.position_m)} legs, {vehicle.mass.surge_kg:g} kg with what it drags along"
+        parts = f"{len(vehicle.thrusters)} thrusters" if vehicle.legs is None else f"{len(vehicle.legs.position_m)} legs"
+        detail = f"{vehicle.name}: {parts}, {vehicle.mass.surge_kg:g} kg with what it drags along"
         yield CheckFinding("vehicle", CheckVerdict.OK, detail)
     except ConfigError as error:
         yield CheckFinding("experiment", CheckVerdict.FAIL, str(error))

@@ -1,26 +1,28 @@
 """The robot from above, drawn in characters, with the part of it that is about to move. Pure."""
 
-from robot_agent.safety.thruster_selftest import THRUSTERS
-from wire.config.vehicle import Vehicle
+from wire.config.vehicle import LEGS, Vehicle
 
 CORNERS = ((True, False), (True, True), (False, False), (False, True))  # ahead, to starboard: as they are drawn
 
 
-def part(channel: int) -> str:
-    """Name of what an output (from 0) moves: thruster 1 to 4, ankle 1 to 4."""
-    return f"{'thruster' if channel < THRUSTERS else 'ankle'} {channel % THRUSTERS + 1}"
+def part(vehicle: Vehicle, channel: int) -> str:
+    """Name of what an output (from 0) moves: thruster 1 to 4, ankle 1 to 4; or thruster 1 to 8."""
+    thrusters = vehicle.thruster_count
+    return f"thruster {channel + 1}" if channel < thrusters else f"ankle {channel - thrusters + 1}"
 
 
 def place(vehicle: Vehicle, channel: int) -> str:
-    """Place of an output's leg: front left, and so on."""
-    x, y = vehicle.legs.position_m[channel % THRUSTERS]
-    return f"{'front' if x > 0.0 else 'rear'} {'right' if y > 0.0 else 'left'}"
+    """Place of an output's leg or thruster: front left, and so on."""
+    return vehicle.thruster_name(channel % vehicle.thruster_count)
 
 
 def picture(vehicle: Vehicle, channel: int) -> str:
-    """The robot from above, ahead is up. `[*]` is the leg of the output; the numbers are those of the legs."""
+    """The robot from above, ahead is up. `[*]` is the leg of the output; the numbers are those of the legs. Nothing for a
+    vehicle without legs."""
+    if vehicle.legs is None:
+        return ""
     leg_at = {(x > 0.0, y > 0.0): leg for leg, (x, y) in enumerate(vehicle.legs.position_m)}
-    marks = {leg: "[*]" if leg == channel % THRUSTERS else "[ ]" for leg in range(THRUSTERS)}
+    marks = {leg: "[*]" if leg == channel % LEGS else "[ ]" for leg in range(LEGS)}
     front_left, front_right, rear_left, rear_right = (leg_at[corner] for corner in CORNERS)
     return "\n".join(
         (

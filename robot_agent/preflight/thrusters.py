@@ -12,9 +12,9 @@ from dataclasses import replace
 from robot_agent.host.config import AgentConfig, open_board_link
 from robot_agent.preflight.findings import CheckFinding, CheckVerdict
 from robot_agent.preflight.robot_picture import part, picture, place
-from robot_agent.safety.thruster_selftest import THRUSTERS, TOLERANCE_US, one_pushed, push_pulse_us
-from robot_agent.vehicle.allocation import Allocator
+from robot_agent.safety.thruster_selftest import TOLERANCE_US, one_pushed, push_pulse_us
 from wire.config.experiment import Experiment
+from wire.config.vehicle import LEGS, Vehicle
 from wire.mavlink.agent_link import CHANNELS, AgentLink
 from wire.mavlink.board_port import Link
 from wire.mavlink.signing_key import agent_end
@@ -34,10 +34,11 @@ class _Bench:
     def __init__(self, experiment: Experiment, link: Link, mavlink: AgentLink) -> None:
         self._link, self._mavlink = link, mavlink
         self._period_s = experiment.controller.period_s
-        self.neutral_us = Allocator(experiment.vehicle).neutral_us
+        self.vehicle, self.neutral_us = experiment.vehicle, experiment.vehicle.neutral_us
         legs = experiment.vehicle.legs
-        share = min(math.radians(ANKLE_DEG) / legs.ankle_range_rad, 1.0)
-        self.ankle_us = round(self.neutral_us[THRUSTERS] + share * (legs.ankle_us[1] - self.neutral_us[THRUSTERS]))
+        if legs is not None:
+            share = min(math.radians(ANKLE_DEG) / legs.ankle_range_rad, 1.0)
+            self.ankle_us = round(self.neutral_us[LEGS] + share * (legs.ankle_us[1] - self.neutral_us[LEGS]))
         self.turn_us = push_pulse_us(experiment.vehicle, THRUST_SHARE * experiment.vehicle.thruster.max_thrust_n)
 
     @property
@@ -81,10 +82,12 @@ def turn_thrusters(
     with signals_raise():
         try:
             for channel in range(CHANNELS):
+                if not can_move(experiment.vehicle, channel):
+                    continue
                 if ask is not None and not ask(
                     f"\n{picture(experiment.vehicle, channel)}\n{_watch(experiment, channel)} Move it now?"
                 ):
-                    yield CheckFinding(part(channel), CheckVerdict.SKIPPED, "not moved: not wanted")
+                    yield CheckFinding(part(experiment.vehicle, channel), CheckVerdict.SKIPPED, "not moved: not wanted")
                     continue
                 finding = _move(bench, channel)
                 yield finding if ask is None or finding.verdict is not CheckVerdict.OK else _asked(ask, finding)
@@ -95,24 +98,33 @@ def turn_thrusters(
             link.close()
 
 
+def can_move(vehicle: Vehicle, channel: int) -> bool:
+    """True if there is a thruster or an ankle on the output."""
+    return vehicle.legs is not None or any(thruster.channel == channel + 1 for thruster in vehicle.thrusters)
+
+
 def _move(bench: _Bench, channel: int) -> CheckFinding:
     """Move one output there and back on a board that is armed for it."""
     bench.hold(bench.neutral_us, ARM_WITHIN_S, arm=True)
     if not bench.armed:
-        return CheckFinding(part(channel), CheckVerdict.FAIL, f"{NOT_ARMED}: {bench.said}")
-    wanted = one_pushed(bench.neutral_us, channel, bench.turn_us if channel < THRUSTERS else bench.ankle_us)
+        return CheckFinding(part(bench.vehicle, channel), CheckVerdict.FAIL, f"{NOT_ARMED}: {bench.said}")
+    wanted = one_pushed(bench.neutral_us, channel, bench.turn_us if channel < bench.vehicle.thruster_count else bench.ankle_us)
     echoes = bench.hold(wanted, TURN_S)
     bench.hold(bench.neutral_us, REST_S)
     bench.hold(bench.neutral_us, ARM_WITHIN_S, arm=False)
-    return judge(channel, wanted, echoes)
+    return judge(bench.vehicle, channel, wanted, echoes)
 
 
 def _watch(experiment: Experiment, channel: int) -> str:
     """The text about what a person should see."""
-    where = place(experiment.vehicle, channel)
-    if channel < THRUSTERS:
-        return f"{part(channel)}, {where}, turns slowly and pushes ahead: its jet goes astern."
-    return f"{part(channel)}, {where}, turns by {ANKLE_DEG} degrees and back: its jet goes up, thrust would point down."
+    vehicle, where = experiment.vehicle, place(experiment.vehicle, channel)
+    what = part(vehicle, channel)
+    if vehicle.legs is None:
+        way = ", ".join(f"{number:.2g}" for number in vehicle.thruster_places[channel][3:])
+        return f"{what}, {where}, turns slowly and pushes the robot towards ({way}): ahead, to starboard, down."
+    if channel < LEGS:
+        return f"{what}, {where}, turns slowly and pushes ahead: its jet goes astern."
+    return f"{what}, {where}, turns by {ANKLE_DEG} degrees and back: its jet goes up, thrust would point down."
 
 
 def _asked(ask: Callable[[str], bool], finding: CheckFinding) -> CheckFinding:
@@ -122,9 +134,9 @@ def _asked(ask: Callable[[str], bool], finding: CheckFinding) -> CheckFinding:
     return CheckFinding(finding.what, CheckVerdict.FAIL, "moved otherwise, as the person says, and the board says as told")
 
 
-def judge(channel: int, wanted: tuple[int, ...], echoes: list[tuple[int, ...]]) -> CheckFinding:
+def judge(vehicle: Vehicle, channel: int, wanted: tuple[int, ...], echoes: list[tuple[int, ...]]) -> CheckFinding:
     """Compare echoes with the pulses for one output (from 0); no other one may move."""
-    what, outputs = part(channel), range(len(wanted))
+    what, outputs = part(vehicle, channel), range(len(wanted))
     full = [echo for echo in echoes if len(echo) >= len(wanted)]
     if not full:
         return CheckFinding(what, CheckVerdict.FAIL, "the board does not say what it puts out")
@@ -134,5 +146,5 @@ def judge(channel: int, wanted: tuple[int, ...], echoes: list[tuple[int, ...]]) 
     strayed = [sum(abs(echo[k] - wanted[k]) > TOLERANCE_US for echo in full) for k in outputs]
     others = [k for k in outputs if k != channel and strayed[k] >= min(STRAYS, len(full))]
     if others:
-        return CheckFinding(what, CheckVerdict.FAIL, f"{part(others[0])} moved as well")
+        return CheckFinding(what, CheckVerdict.FAIL, f"{part(vehicle, others[0])} moved as well")
     return CheckFinding(what, CheckVerdict.OK, f"{wanted[channel]} us, as the board says too")

@@ -7,8 +7,8 @@ from robot_agent.safety.output_check import OutputCheck
 from robot_agent.safety.path_deviation import PathDeviationMonitor
 from robot_agent.safety.sensor_checks import GyroscopeCheck, StuckSensorCheck
 from robot_agent.safety.thruster_fault_detection import ThrusterFaultDetector
-from robot_agent.vehicle.allocation import Allocator
 from robot_agent.vehicle.battery import BatteryMonitor
+from robot_agent.vehicle.fixed_thrusters import make_allocator
 from wire.config.experiment import Experiment
 from wire.messages.messages import Mode, Track
 
@@ -26,10 +26,11 @@ class HealthMonitor:
         self._safety, self._markers = experiment.safety, experiment.localizer.markers
         self._period_s = experiment.controller.period_s
         self._battery = BatteryMonitor(experiment.vehicle.battery)
-        self._outputs, self._thrusters = OutputCheck(), ThrusterFaultDetector(experiment.vehicle)
+        self._outputs = OutputCheck(experiment.vehicle.thruster_count)
+        self._thrusters = ThrusterFaultDetector(experiment.vehicle)
         self._gyroscope, self._pressure = GyroscopeCheck(), StuckSensorCheck()
         self._uses_gyroscope = experiment.controller.estimator.use_imu_yaw_rate
-        self._allocator, self._path = Allocator(experiment.vehicle), PathDeviationMonitor(experiment.safety.off_path_m)
+        self._allocator, self._path = make_allocator(experiment.vehicle), PathDeviationMonitor(experiment.safety.off_path_m)
         self._depth, self._pool = PathDeviationMonitor(experiment.safety.off_depth_m), experiment.pool
         self._output: ControlOutput | None = None  # of the last control step
         self._mode = Mode.DISARMED
@@ -95,6 +96,7 @@ class HealthMonitor:
         place, path, is_free = complex(x_m, y_m), complex(path_x_m, path_y_m), output.is_free
         self._path.step(place, path, is_free, output.path_is_blocked, now_ns)
         self._depth.step(complex(depth_m), complex(path_depth_m), True, False, now_ns)  # no robot gives way by depth
+        self._thrusters.note_flow(output.flow_moment_nm)
         self._output = output
 
     @property

@@ -23,7 +23,6 @@ JUDGED_NS = 1_000_000_000  # an echo that happens to look right is no proof: wha
 LONGEST_NS = 100_000_000  # that one echo speaks for
 KEPT = 512  # commands: half of them are more than that of the fastest loop
 
-THRUSTERS = 4  # the first of the outputs; ankles follow
 
 Integers = NDArray[np.int64]
 
@@ -40,11 +39,11 @@ def lies_between(echo_us: Integers, told_us: Integers, first: int, last: int) ->
     return True
 
 
-@kernel("b1(i8[::1], i8[::1], i8[:,::1], i8, i8)")
-def is_explained(echo_us: Integers, sent_ns: Integers, told_us: Integers, count: int, arrival_ns: int) -> bool:
+@kernel("b1(i8[::1], i8[::1], i8[:,::1], i8, i8, i8)")
+def is_explained(echo_us: Integers, sent_ns: Integers, told_us: Integers, count: int, arrival_ns: int, thrusters: int) -> bool:
     """True if an echo (n,) that came at `arrival_ns` is one of the first `count` commands, (commands, n) from the instants
-    `sent_ns` on, that was in force within LATELY_NS, or lies between two that followed each other. Where a thruster leapt, it
-    may lie anywhere between all of them."""
+    `sent_ns` on, that was in force within LATELY_NS, or lies between two that followed each other. Where one of the first
+    `thrusters` outputs leapt, it may lie anywhere between all of them."""
     last = count - 1
     while last >= 0 and sent_ns[last] > arrival_ns:
         last -= 1
@@ -54,7 +53,7 @@ def is_explained(echo_us: Integers, sent_ns: Integers, told_us: Integers, count:
     while first > 0 and sent_ns[first] > arrival_ns - LATELY_NS:
         first -= 1
     for k in range(first, last):
-        for i in range(THRUSTERS):
+        for i in range(thrusters):
             if abs(told_us[k + 1, i] - told_us[k, i]) > LEAP_US:
                 return lies_between(echo_us, told_us, first, last)
     found = False
@@ -66,7 +65,9 @@ def is_explained(echo_us: Integers, sent_ns: Integers, told_us: Integers, count:
 class OutputCheck:
     """Commands to one board, compared with its echoes."""
 
-    def __init__(self) -> None:
+    def __init__(self, thrusters: int) -> None:
+        """`thrusters` is how many of the outputs, from the first on, are thrusters'."""
+        self._thrusters = thrusters
         self._sent_ns, self._told_us, self._count = np.zeros(KEPT, np.int64), np.zeros((KEPT, CHANNELS), np.int64), 0
         self.wrong_s = 0.0  # for how much of the last second the board, armed all the time, has put out something else
         self._wrong: deque[tuple[int, int]] = deque()  # instant, ns that it speaks for
@@ -92,7 +93,7 @@ class OutputCheck:
         while self._wrong and self._wrong[0][0] <= now_ns - JUDGED_NS:
             self._wrong.popleft()
         if since_ns > 0 and not is_explained(
-            np.array(telemetry.echo_us), self._sent_ns, self._told_us, self._count, telemetry.arrival_ns
+            np.array(telemetry.echo_us), self._sent_ns, self._told_us, self._count, telemetry.arrival_ns, self._thrusters
         ):
             self._wrong.append((now_ns, min(since_ns, LONGEST_NS)))
         self.wrong_s = sum(ns for _, ns in self._wrong) * 1e-9

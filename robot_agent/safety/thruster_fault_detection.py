@@ -2,7 +2,7 @@
 
 Each leg turns the robot as it pushes, and the gyroscope senses that at once. A first-order observer of the yaw rate r,
 
-    r^' = (sum N_k - d(r^)) / m_r + (r - r^) / T        residual = m_r (r - r^) / T
+    r^' = (sum N_k + (m_u - m_v) u v - d(r^)) / m_r + (r - r^) / T        residual = m_r (r - r^) / T
 
 gives the unexplained moment, smoothed over T, without differences of a noisy rate. N_k is the commanded moment of leg k after
 the thruster's dead time and lag. Mass, voltage, drag and curve are never known exactly, thrusters differ, a gyroscope has a
@@ -28,8 +28,7 @@ from wire.kernels import kernel
 
 NS = 1_000_000_000
 SMOOTH_S = 0.3  # T: noise of the gyroscope, 3 mrad/s, is then 1.2 mN m; one idle thruster of the article's robot turns with 12
-LEGS = 4
-DRAG, RISING, ALWAYS = 4, 5, 6  # among the causes of the residual, after the legs
+DRAG, RISING, ALWAYS = -3, -2, -1  # among the causes of the residual, after the thrusters
 OF_ALL, OF_ONE = 0.3, 0.1  # how far the residual may go with every N_k alike (mass, voltage), and with each (curve, spread),
 OF_DRAG, OF_NOTHING_NM = 0.3, 0.004  # with d(r), and with nothing,
 LATE_S = 0.02  # and for how late the moment comes, before any of it is known
@@ -43,11 +42,6 @@ SURE = 8.0  # evidence: e^8 to one,
 SURE_AGAIN = 2  # looks that have to be sure one after the other: a hull that pitches back from full thrust gave 9 at one
 LONGEST_NS = NS // 5  # between two steps; after a longer gap the observer begins anew,
 APART_NS = NS // 20  # as it does if the board's clock tells otherwise how long it was: what is heard late says nothing of now
-# Covariance of how far the residual goes with the legs' moments, drag, the moment's change, and nothing.
-PRIOR = np.diag(np.square([OF_ONE] * LEGS + [OF_DRAG, LATE_S, OF_NOTHING_NM]))
-PRIOR[:LEGS, :LEGS] += OF_ALL**2
-ALIKE = np.diag([1.0] * LEGS + [0.0] * 3)  # covariance of how far all legs' moments go together, one for one
-ALIKE[:LEGS, :LEGS] = 1.0
 EXPONENT = 1.2  # of thrust over voltage (OpenThruster's A2212 data at 10 to 12.6 V)
 CHANGED = 0.05  # of the thrust: half a volt of 12. Less is within what a leg may be off, and full load alone is as much
 MOST_CHANGED = 0.3  # of the thrust: from a full battery to one at which robots go to neutral
@@ -67,8 +61,8 @@ def follow_commands(
     acting: Array,
     impulse: Array,
 ) -> None:
-    """Let the legs' moments `acting` (4,) follow the first `count` of the commands `moments` (n, 4), each from its instant
-    `acts_ns` on and zero before the first, with the thrusters' lag. `impulse` (4,) is their integral meanwhile, N m s."""
+    """Let the moments `acting` (thrusters,) follow the first `count` of the commands `moments` (n, thrusters), each from its
+    instant `acts_ns` on and zero before the first, with the thrusters' lag. `impulse` (thrusters,) is its integral, N m s."""
     impulse[:] = 0.0
     for i in range(-1, count):
         begin_ns = max(acts_ns[i], from_ns) if i >= 0 else from_ns
@@ -76,14 +70,14 @@ def follow_commands(
         if end_ns > begin_ns:
             span_s = (end_ns - begin_ns) / NS
             left = math.exp(-span_s / lag_s) if lag_s > 0.0 else 0.0
-            for leg in range(LEGS):
+            for leg in range(len(acting)):
                 wanted = moments[i, leg] if i >= 0 else 0.0
                 behind = acting[leg] - wanted
                 impulse[leg] += wanted * span_s + behind * lag_s * (1.0 - left)
                 acting[leg] = wanted + behind * left
 
 
-@kernel("UniTuple(f8,2)(i8[::1], f8[:,::1], i8, f8, i8, i8, f8[::1], f8[::1], f8[::1], f8, f8, f8, f8, f8)")
+@kernel("UniTuple(f8,2)(i8[::1], f8[:,::1], i8, f8, i8, i8, f8[::1], f8[::1], f8[::1], f8, f8, f8, f8, f8, f8)")
 def observe_turn(
     acts_ns: NDArray[np.int64],
     moments: Array,
@@ -99,28 +93,40 @@ def observe_turn(
     mass: float,
     linear: float,
     quadratic: float,
+    flow: float,
 ) -> tuple[float, float]:
     """Advance the observer of the module by one sample of the gyroscope: returns the estimated yaw `rate` r^ and the residual
-    moment, N m. See `follow_commands` for the commands.
+    moment, N m. See `follow_commands` for the commands; `flow` is the moment of the water past the hull, N m.
 
-    `causes` (7,), each smoothed over T, are the moments of the legs (4), drag, the moment's rate of change, and 1.
+    `causes` (thrusters + 3,), each smoothed over T, are the thrusters' moments, drag, the moment's rate of change, and 1.
     """
     follow_commands(acts_ns, moments, count, lag_s, from_ns, to_ns, acting, impulse)
     elapsed_s = (to_ns - from_ns) / NS
     drag = (linear + quadratic * abs(rate)) * rate
     smooth, moment, rising = -math.expm1(-elapsed_s / SMOOTH_S), 0.0, 0.0
-    for leg in range(LEGS):
+    for leg in range(len(acting)):
         push = impulse[leg] / elapsed_s
         change = smooth * (push - causes[leg])
         causes[leg] += change
         moment += push
         rising += change
-    predicted = rate + elapsed_s * (moment - drag) / mass
+    predicted = rate + elapsed_s * (moment + flow - drag) / mass
     rate = predicted + smooth * (measured - predicted)
-    causes[DRAG] += smooth * (drag - causes[DRAG])
-    causes[RISING] = rising / elapsed_s
-    causes[ALWAYS] += smooth * (1.0 - causes[ALWAYS])
+    others = len(acting) + 3  # a kernel counts from the front
+    causes[others + DRAG] += smooth * (drag - causes[others + DRAG])
+    causes[others + RISING] = rising / elapsed_s
+    causes[others + ALWAYS] += smooth * (1.0 - causes[others + ALWAYS])
     return rate, mass * (measured - rate) / SMOOTH_S
+
+
+def covariances(thrusters: int) -> tuple[Array, Array]:
+    """Covariance of how far the residual goes with the thrusters' moments, drag, the moment's change, and nothing; and of how
+    far all thrusters' moments go together, one for one."""
+    prior = np.diag(np.square([OF_ONE] * thrusters + [OF_DRAG, LATE_S, OF_NOTHING_NM]))
+    prior[:thrusters, :thrusters] += OF_ALL**2
+    alike = np.diag([1.0] * thrusters + [0.0] * 3)
+    alike[:thrusters, :thrusters] = 1.0
+    return prior, alike
 
 
 class ThrusterFaultDetector:
@@ -130,28 +136,32 @@ class ThrusterFaultDetector:
         self._mass, self._lag_s = vehicle.mass.yaw_kg_m2, vehicle.thruster.lag_s
         self._linear, self._quadratic = vehicle.drag.linear[3], vehicle.drag.quadratic[3]
         self._dead_ns = round(vehicle.thruster.dead_time_s * NS)
+        self._thrusters = vehicle.thruster_count
+        self._prior, self._alike = covariances(self._thrusters)
         self.reset()
 
     def reset(self) -> None:
         """Start anew: thrusters at rest, nothing learned."""
+        self._flow_nm = 0.0  # moment of the water past the hull
         self.broken = False  # stays so until the next reset
-        self._acts_ns, self._told, self._count = np.zeros(KEPT, np.int64), np.zeros((KEPT, LEGS)), 0  # from when on each acts
-        self._acting, self._impulse = np.zeros(LEGS), np.zeros(LEGS)
+        self._acts_ns, self._count = np.zeros(KEPT, np.int64), 0  # from when on each command acts
+        self._told = np.zeros((KEPT, self._thrusters))
+        self._acting, self._impulse = np.zeros(self._thrusters), np.zeros(self._thrusters)
         self._rate: float | None = None
         self._at_ns = self._board_ns = 0
         self._outlier_ns: int | None = None  # on the board's clock: the sample that was left out last
         self._known_v: float | None = None  # battery's voltage at which legs were as they are known
         self._changed, self._changed_v, self._changed_ns = 0.0, 0.0, 0  # the largest change from there, already doubted
         self._forget_causes()
-        self._test = LikelihoodRatioTest(PRIOR, *NOISE_NM, SAME_S, LEGS, MISSING)
+        self._test = LikelihoodRatioTest(self._prior, *NOISE_NM, SAME_S, self._thrusters, MISSING)
 
     def _forget_causes(self) -> None:
         """Clear the smoothed causes of the residual."""
-        self._causes = np.zeros(LEGS + 3)
+        self._causes = np.zeros(self._thrusters + 3)
         self._unnoted_s, self._sure = 0.0, 0
 
     def note_moments(self, moments_nm: Array, now_ns: int) -> None:
-        """Take note of the yaw moments (4,) of pulses that went out. Of two at one instant the last counts."""
+        """Take note of the yaw moments (thrusters,) of pulses that went out. Of two at one instant the last counts."""
         acts_ns = now_ns + self._dead_ns
         if not self._count or self._acts_ns[self._count - 1] != acts_ns:
             if self._count == KEPT:
@@ -160,6 +170,10 @@ class ThrusterFaultDetector:
                     column[: self._count] = column[-self._count :]
             self._count += 1
         self._acts_ns[self._count - 1], self._told[self._count - 1] = acts_ns, moments_nm
+
+    def note_flow(self, moment_nm: float) -> None:
+        """Take note of the moment by which the water past the hull turns it."""
+        self._flow_nm = moment_nm
 
     def note_voltage(self, voltage_v: float, at_ns: int) -> None:
         """Take note of the battery's voltage, however raw, with its instant. 0: not known.
@@ -176,7 +190,7 @@ class ThrusterFaultDetector:
             self._known_v, self._changed = self._changed_v, 0.0
         changed = min(EXPONENT * abs(math.log(voltage_v) - math.log(self._known_v)), MOST_CHANGED)
         if changed > self._changed + CHANGED:
-            self._test.note_change((changed**2 - self._changed**2) * ALIKE, at_ns)
+            self._test.note_change((changed**2 - self._changed**2) * self._alike, at_ns)
             self._changed, self._changed_v, self._changed_ns = changed, voltage_v, at_ns
 
     def step(self, yaw_rate_radps: float, at_ns: int, board_ns: int) -> None:
@@ -188,12 +202,12 @@ class ThrusterFaultDetector:
         elif elapsed_ns and not self._leaves_out(yaw_rate_radps - self._rate, board_ns):
             self._rate, residual = observe_turn(
                 self._acts_ns, self._told, self._count, self._lag_s, self._at_ns, at_ns, self._acting, self._impulse,
-                self._causes, self._rate, yaw_rate_radps, self._mass, self._linear, self._quadratic,
+                self._causes, self._rate, yaw_rate_radps, self._mass, self._linear, self._quadratic, self._flow_nm,
             )  # fmt: skip
             self._at_ns, self._board_ns = at_ns, board_ns
             self._unnoted_s += elapsed_ns / NS
             if self._unnoted_s > NOTED_S:
-                moment, rising = float(self._causes[:LEGS].sum()), float(self._causes[RISING])
+                moment, rising = float(self._causes[: self._thrusters].sum()), float(self._causes[RISING])
                 rough = math.hypot(SHARE * moment, UNEVEN_S * rising)
                 self._test.note_sample(self._causes, residual, rough, self._unnoted_s, at_ns)
                 self._unnoted_s = 0.0

@@ -10,7 +10,6 @@ import numpy as np
 
 from wire.config.vehicle import Vehicle
 
-THRUSTERS = 4
 PUSH_N = 0.15  # 5 % of what a thruster can: seen and heard, and the robot moves a centimetre
 PUSH_S, REST_S = 0.5, 0.25
 SETTLED_S = 0.25  # after a pulse begins: the echo is a burst old, and boards limit the rate
@@ -23,7 +22,7 @@ class ThrusterSelftest:
 
     def __init__(self, vehicle: Vehicle, neutral_us: Sequence[int]) -> None:
         self.result = "running"
-        self._neutral_us = tuple(neutral_us)
+        self._neutral_us, self._thrusters = tuple(neutral_us), vehicle.thruster_count
         self._push_us = push_pulse_us(vehicle, PUSH_N)
         self._begin_ns: int | None = None
         self._confirmed: set[int] = set()
@@ -37,19 +36,19 @@ class ThrusterSelftest:
             return self._neutral_us
         turn, since_s = divmod((now_ns - self._begin_ns) / NS, PUSH_S + REST_S)
         thruster = int(turn)
-        if thruster >= THRUSTERS:
+        if thruster >= self._thrusters:
             self.result = self._verdict()
             return self._neutral_us
         if since_s >= PUSH_S:
             return self._neutral_us
         asked = one_pushed(self._neutral_us, thruster, self._push_us)
-        if since_s >= SETTLED_S and len(echo_us) >= THRUSTERS:
+        if since_s >= SETTLED_S and len(echo_us) >= self._thrusters:
             wild = self._wild(asked, echo_us)
             if wild:  # it may run at full thrust: the sooner the board is disarmed the better
                 self.result = wild
                 return self._neutral_us
             self._seen[thruster] = echo_us[thruster]
-            if all(abs(echo_us[k] - asked[k]) <= TOLERANCE_US for k in range(THRUSTERS)):
+            if all(abs(echo_us[k] - asked[k]) <= TOLERANCE_US for k in range(self._thrusters)):
                 self._confirmed.add(thruster)
         return asked
 
@@ -58,14 +57,14 @@ class ThrusterSelftest:
         told = zip(asked_us, self._neutral_us, echo_us, strict=False)
         return "; ".join(
             f"thruster {k + 1} was asked for {asked} us, the board says {echo}"
-            for k, (asked, neutral, echo) in enumerate(list(told)[:THRUSTERS])
+            for k, (asked, neutral, echo) in enumerate(list(told)[: self._thrusters])
             if not min(asked, neutral) - TOLERANCE_US <= echo <= max(asked, neutral) + TOLERANCE_US
         )
 
     def _verdict(self) -> str:
         wrong = [
             f"thruster {k + 1} was asked for {self._push_us} us, the board says {self._seen.get(k, 'nothing')}"
-            for k in range(THRUSTERS)
+            for k in range(self._thrusters)
             if k not in self._confirmed
         ]
         return "; ".join(wrong) or "passed"

@@ -132,14 +132,31 @@ def allocate_and_deliver(
     deliver(pulse, legs, curve, delivered, work[2])
 
 
+def pulse_curve(vehicle: Vehicle, level_us: float, us_per_rad: float) -> PulseCurve:
+    """The curve of a vehicle's thrusters and ankles. Pulses are whole microseconds: the thrust of each there is, and between
+    them where one is nearer than the other."""
+    curve = vehicle.thruster.curve
+    slowest_us = int(curve[0][0])
+    pulses_us = np.arange(slowest_us, int(curve[-1][0]) + 1, dtype=np.float64)
+    return PulseCurve(
+        thrust_n=np.asarray(vehicle.thruster.force_n(pulses_us)),
+        between_n=np.asarray(vehicle.thruster.force_n(pulses_us[:-1] + 0.5)),
+        slowest_us=slowest_us,
+        neutral_us=vehicle.thruster.neutral_us,
+        level_us=level_us,
+        us_per_rad=us_per_rad,
+    )
+
+
 class Allocator:
-    """Allocation for one vehicle. Wrenches are [surge N, heave N, yaw N m]; pulses are 4 thrusters, then 4 ankles."""
+    """Allocation for one vehicle with legs. Wrenches are [surge N, heave N, yaw N m]; pulses: 4 thrusters, then 4 ankles."""
 
     def __init__(self, vehicle: Vehicle) -> None:
         legs, curve = vehicle.legs, vehicle.thruster.curve
+        assert legs is not None
         low, high = legs.ankle_us
         level_us = 0.5 * (low + high)
-        self.neutral_us = (vehicle.thruster.neutral_us,) * 4 + (round(level_us),) * 4
+        self.neutral_us = vehicle.neutral_us
         self._legs = ThrusterLegs(
             place=np.array([(1.0 if along > 0.0 else -1.0, across) for along, across in legs.position_m]),
             idle_n=legs.idle_thrust_n,
@@ -147,17 +164,7 @@ class Allocator:
             astern_n=min(vehicle.thruster.max_thrust_n, -curve[0][1]),
             steepest_tan=math.tan(min(STEEPEST_RAD, legs.ankle_range_rad)),
         )
-        # Pulses are whole microseconds: the thrust of each there is, and between them where one is nearer than the other.
-        slowest_us = int(curve[0][0])
-        pulses_us = np.arange(slowest_us, int(curve[-1][0]) + 1, dtype=np.float64)
-        self._curve = PulseCurve(
-            thrust_n=np.asarray(vehicle.thruster.force_n(pulses_us)),
-            between_n=np.asarray(vehicle.thruster.force_n(pulses_us[:-1] + 0.5)),
-            slowest_us=slowest_us,
-            neutral_us=vehicle.thruster.neutral_us,
-            level_us=level_us,
-            us_per_rad=0.5 * (high - low) / legs.ankle_range_rad,
-        )
+        self._curve = pulse_curve(vehicle, level_us, 0.5 * (high - low) / legs.ankle_range_rad)
         self._work, self._pulse = np.empty((3, 4)), np.empty(8, np.int64)
 
     def pulses(self, wrench: Array) -> tuple[int, ...]:

@@ -4,13 +4,15 @@ drag and lagging thrusters.
 Equations (3-11) with the sway that the article leaves out (it is what pushes a slow robot off a circle):
 
     u' = (X - d(u) u) / m_u + (m_v / m_u) v r + Gamma_u        eta' = J(yaw) [u, v, w, r]
-    v' = (    - d(v) v) / m_v - (m_u / m_v) u r + Gamma_v      d = linear + quadratic speed
-    w' = (Z - d(w) w) / m_w + Gamma_w                          lag X' = X_commanded - X, Z and N alike
-    r' = (N - d(r) r) / m_r + Gamma_r
+    v' = (Y - d(v) v) / m_v - (m_u / m_v) u r + Gamma_v        d = linear + quadratic speed
+    w' = (Z - d(w) w) / m_w + Gamma_w                          lag X' = X_commanded - X, Y, Z and N alike
+    r' = (N - d(r) r + (m_u - m_v) u v) / m_r + Gamma_r
+
+The side force Y is zero unless the vehicle has thrusters for it (`limits.wrench` with a fourth number).
 
 The speed in d is |w|, |r|, and for surge and sway that of both: water presses against a sphere along its path. (Each axis with
 its own speed, as in the article, makes a sliding robot's side drag three times too small at 0.3 m/s: 4 cm in a bend.)
-The Munk moment (m_u - m_v) u v is left out: it is zero for a sphere, and Gamma_r carries it otherwise.
+(m_u - m_v) u v is the Munk moment, which turns a hull across the flow; it is zero for a sphere.
 
 A vehicle file says mass and drag as well as they are known. The observer can learn the ratios of drag and of thrust to mass
 for surge and sway in flight; everything that predicts uses them (`Model.coefficients`).
@@ -25,13 +27,14 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from wire.config.vehicle import Vehicle
+from wire.config.vehicle import AXES, Vehicle
 from wire.frames import TURN, Array
 from wire.kernels import kernel
 
-Wrench = tuple[float, float, float]  # surge N, heave N, yaw N m
-State = tuple[float, ...]  # 11 numbers: eta (4), nu (4), thrust that acts now [X N, Z N, N N m]
+Wrench = tuple[float, ...]  # surge N, heave N, yaw N m, and sway N of a vehicle with side thrust
+State = tuple[float, ...]  # 12 numbers: eta (4), nu (4), thrust that acts now [X N, Z N, N N m, Y N]
 
+STATES = 12
 LONGEST_STEP_NS = 50_000_000  # the model's step is first order in the Coriolis terms
 GATE_M, GATE_RAD = 0.3, 1.0  # between two poses nothing moves this far: 0.5 m/s x 0.2 s, 1.9 rad/s x 0.2 s, and doubled
 OUTLIER = 5.0  # standard deviations: a pose that is farther off counts less
@@ -58,7 +61,7 @@ def phi_dt(slope: float, dt: float) -> float:
     return -math.expm1(-slope * dt) / slope
 
 
-@kernel("UniTuple(f8,11)(f8[:,::1], f8, f8, UniTuple(f8,11), UniTuple(f8,4), UniTuple(f8,3), f8)")
+@kernel("UniTuple(f8,12)(f8[:,::1], f8, f8, UniTuple(f8,12), UniTuple(f8,4), UniTuple(f8,4), f8)")
 def advance(
     model: Array, sway: float, lag_s: float, state: State, gamma: tuple[float, ...], wrench: tuple[float, ...], dt: float
 ) -> State:
@@ -66,7 +69,7 @@ def advance(
 
     `model` (3, 4): m, linear and quadratic drag of the four axes. `sway` 0: v stays zero.
     """
-    x, y, z, yaw, u, v, w, r, acting_x, acting_z, acting_n = state
+    x, y, z, yaw, u, v, w, r, acting_x, acting_z, acting_n, acting_y = state
     m_u, m_v, m_w, m_r = model[0]
     linear_u, linear_v, linear_w, linear_r = model[1]
     quadratic_u, quadratic_v, quadratic_w, quadratic_r = model[2]
@@ -75,6 +78,7 @@ def advance(
     surge_n = wrench[0] + (acting_x - wrench[0]) * mean
     heave_n = wrench[1] + (acting_z - wrench[1]) * mean
     yaw_nm = wrench[2] + (acting_n - wrench[2]) * mean
+    sway_n = wrench[3] + (acting_y - wrench[3]) * mean
     speed = math.sqrt(u * u + v * v)
     bend = 1.0 / speed if speed > 0.0 else 0.0
     slope_u = (linear_u + quadratic_u * (speed + u * u * bend)) / m_u
@@ -82,9 +86,9 @@ def advance(
     slope_w = (linear_w + 2.0 * quadratic_w * abs(w)) / m_w
     slope_r = (linear_r + 2.0 * quadratic_r * abs(r)) / m_r
     u_dot = (surge_n - (linear_u + quadratic_u * speed) * u) / m_u + c * v * r + gamma[0]
-    v_dot = -(linear_v + quadratic_v * speed) * v / m_v - u * r / c + gamma[1]
+    v_dot = (sway_n - (linear_v + quadratic_v * speed) * v) / m_v - u * r / c + gamma[1]
     w_dot = (heave_n - (linear_w + quadratic_w * abs(w)) * w) / m_w + gamma[2]
-    r_dot = (yaw_nm - (linear_r + quadratic_r * abs(r)) * r) / m_r + gamma[3]
+    r_dot = (yaw_nm - (linear_r + quadratic_r * abs(r)) * r + (m_u - m_v) * u * v) / m_r + gamma[3]
     u1 = u + phi_dt(slope_u, dt) * u_dot
     v1 = sway * (v + phi_dt(slope_v, dt) * v_dot)
     w1 = w + phi_dt(slope_w, dt) * w_dot
@@ -97,10 +101,11 @@ def advance(
     acting_x = wrench[0] + (acting_x - wrench[0]) * left
     acting_z = wrench[1] + (acting_z - wrench[1]) * left
     acting_n = wrench[2] + (acting_n - wrench[2]) * left
-    return x1, y1, z1, yaw1, u1, v1, w1, r1, acting_x, acting_z, acting_n
+    acting_y = wrench[3] + (acting_y - wrench[3]) * left
+    return x1, y1, z1, yaw1, u1, v1, w1, r1, acting_x, acting_z, acting_n, acting_y
 
 
-@kernel("UniTuple(f8,11)(f8[:,::1], f8, f8, UniTuple(f8,11), UniTuple(f8,4), UniTuple(f8,2), i8[::1], f8[:,::1], i8, i8, i8)")
+@kernel("UniTuple(f8,12)(f8[:,::1], f8, f8, UniTuple(f8,12), UniTuple(f8,4), UniTuple(f8,2), i8[::1], f8[:,::1], i8, i8, i8)")
 def propagate(
     model: Array,
     sway: float,
@@ -114,9 +119,9 @@ def propagate(
     from_ns: int,
     to_ns: int,
 ) -> State:
-    """State at `to_ns`, from that at `from_ns`, under the first `count` of `wrenches` (inputs, 3), each from its instant
+    """State at `to_ns`, from that at `from_ns`, under the first `count` of `wrenches` (inputs, 4), each from its instant
     `acts_ns` on and none before, in water that streams at `current` (x, y, m/s), in steps of at most LONGEST_STEP_NS."""
-    wrench = (0.0, 0.0, 0.0)
+    wrench = (0.0, 0.0, 0.0, 0.0)
     for i in range(count + 1):
         until_ns = min(acts_ns[i], to_ns) if i < count else to_ns
         if until_ns > from_ns:
@@ -125,12 +130,12 @@ def propagate(
             for _ in range(steps):
                 state = advance(model, sway, lag_s, state, gamma, wrench, dt)
             from_ns = until_ns
-            x, y, z, yaw, u, v, w, r, acting_x, acting_z, acting_n = state
+            x, y, z, yaw, u, v, w, r, acting_x, acting_z, acting_n, acting_y = state
             x += current[0] * dt * steps
             y += current[1] * dt * steps
-            state = (x, y, z, yaw, u, v, w, r, acting_x, acting_z, acting_n)
+            state = (x, y, z, yaw, u, v, w, r, acting_x, acting_z, acting_n, acting_y)
         if i < count:
-            wrench = (wrenches[i, 0], wrenches[i, 1], wrenches[i, 2])
+            wrench = (wrenches[i, 0], wrenches[i, 1], wrenches[i, 2], wrenches[i, 3])
     return state
 
 
@@ -373,7 +378,7 @@ def observe(
     """
     state: State = (
         belief[0], belief[1], belief[2], belief[3], belief[4], belief[5], belief[6], belief[7],
-        belief[8], belief[9], belief[10],
+        belief[8], belief[9], belief[10], 0.0,
     )  # fmt: skip
     gamma: tuple[float, ...] = (belief[11], belief[12], belief[13], belief[14])
     water, passes = (belief[15], belief[16]), True
@@ -399,7 +404,7 @@ def observe(
             at_ns = stamp_ns
             state = (
                 belief[0], belief[1], belief[2], belief[3], belief[4], belief[5], belief[6], belief[7],
-                belief[8], belief[9], belief[10],
+                belief[8], belief[9], belief[10], 0.0,
             )  # fmt: skip
             gamma = (belief[11], belief[12], belief[13], belief[14])
             water = (belief[15], belief[16])
@@ -416,6 +421,12 @@ def observe(
         over_u, over_v = drag(model, now[1, 0], now[1, 1])
         now[3, 0], now[3, 1] = gamma[0] + over_u - through_u, gamma[1] + over_v - through_v
     return passes
+
+
+def flow_moment_nm(model: Array, velocity: Array) -> float:
+    """Munk moment of a model (3, 4) at a velocity (4,) through the water, N m."""
+    u, v = velocity[:2].tolist()
+    return float((model.item(0) - model.item(1)) * u * v)
 
 
 class Model:
@@ -440,5 +451,8 @@ class Model:
         return drag(self.coefficients, u, v)
 
     def advance(self, state: State, disturbance: Sequence[float], wrench: Sequence[float], dt_s: float) -> State:
-        """Return the state after `dt_s` (one control step or less) of a constant commanded wrench and disturbance (4,)."""
-        return advance(self.coefficients, self.sway, self.lag_s, state, tuple(disturbance), tuple(wrench), dt_s)
+        """Return the state after `dt_s` (one control step or less) of a constant commanded wrench and disturbance (4,).
+        Without side thrust `state` may have 11 numbers, and `wrench` 3."""
+        whole, pushed = (*state, 0.0)[:STATES], (*wrench, 0.0)[: len(AXES)]
+        after = advance(self.coefficients, self.sway, self.lag_s, whole, tuple(disturbance), pushed, dt_s)
+        return after[: len(state)]

@@ -29,6 +29,7 @@ from robot_agent.vehicle.dynamics import (
     GATE_M,
     GATE_RAD,
     SENSED_LOOKED_AT,
+    STATES,
     Model,
     State,
     Wrench,
@@ -40,6 +41,7 @@ from robot_agent.vehicle.dynamics import (
 )
 from robot_agent.vehicle.estimate import Estimate, PoseMeasurement, StateMeasurement
 from wire.config.controller import COAST_S, EstimatorConfig
+from wire.config.vehicle import AXES
 from wire.frames import Array, wrap
 
 S = TypeVar("S")
@@ -52,6 +54,7 @@ GATE_PATIENCE = 5  # samples in a row that contradict the estimate and agree wit
 ABSURD = 1e3  # m, rad, rad/s: nothing in a pool measures that much
 KEPT = 256  # wrenches, and board samples: more wrenches than COAST_NS of the fastest loop
 STATE, GAMMA, CURRENT, RATIOS = slice(0, 11), slice(11, 15), slice(15, 17), slice(17, 19)  # of the belief
+SWAY_THRUST = -1  # of the belief, N: the state's last number
 POSE_M, POSE_S = 0.0015, 0.05  # ordinary poses: standard deviation of x and of y, and period. The bandwidth is for these
 WORST_M = 0.05  # and so much a pose is worth at least: it passed the localizer's gate
 RATIO, RATIO_PER_SQRT_S = 0.15, 0.01  # standard deviation of drag and thrust per mass at first, and by how much they wander
@@ -89,12 +92,13 @@ class Estimator:
         """`fastest_mps` limits the estimated current: a robot cannot hold its place in a stronger one."""
         self._model, self._fastest_mps = model, fastest_mps
         self._dead_ns = round(dead_time_s * NS)
-        self._acts_ns, self._wrenches = np.zeros(KEPT, dtype=np.int64), np.zeros((KEPT, 3))
+        self._acts_ns, self._wrenches = np.zeros(KEPT, dtype=np.int64), np.zeros((KEPT, len(AXES)))
         self._inputs = 0  # wrenches, each with the instant from which it acts, in order
         self._sensed_ns, self._sensed = np.zeros(KEPT, dtype=np.int64), np.zeros((KEPT, 2))
         self._samples = 0  # depths and yaw rates, each with its instant, in order; NaN where there was none
         self._board_ns = -1  # instant of the last measurement of the board, accepted or not
-        self._belief = np.zeros(19)  # state, Gamma, current, drag and thrust per mass at the exposure _at_ns
+        # state, Gamma, current, drag and thrust per mass, and last the side thrust that acts, at the exposure _at_ns
+        self._belief = np.zeros(20)
         self._belief[RATIOS] = 1.0
         self._covariance, self._work = np.zeros((8, 8)), np.empty((2, 8, 8))
         self._pose = np.zeros(5)  # that was weighed last, with its variance, believed and told
@@ -145,7 +149,7 @@ class Estimator:
                 acted = int(np.searchsorted(self._acts_ns, self._at_ns, side="right"))
                 self._inputs = _drop(max(acted - 1, 1), self._acts_ns, self._wrenches)
             self._inputs += 1
-        self._acts_ns[self._inputs - 1], self._wrenches[self._inputs - 1] = acts_ns, wrench
+        self._acts_ns[self._inputs - 1], self._wrenches[self._inputs - 1, : len(wrench)] = acts_ns, wrench
 
     def update(self, measurement: StateMeasurement, now_ns: int) -> Estimate | None:
         """Take in new measurements and return the estimate; None before the first pose and after coasting longer than
@@ -162,7 +166,7 @@ class Estimator:
         if not self._begun or (pose is None and self._has_coasted(now_ns)):
             self._forget()
             return None
-        now, action = np.empty((4, 4)), np.empty(11)
+        now, action = np.empty((4, 4)), np.zeros(STATES)
         passes = self._observe(pose, now_ns, now, action)
         if pose is not None and passes:
             share = -math.expm1((self._at_ns - pose.stamp_ns) / (VARIANCE_S * NS))
@@ -278,11 +282,12 @@ class Estimator:
         if not self._begun:
             depth = sensed_at(self._sensed_ns, self._sensed, self._samples, 0, pose.stamp_ns)
             z, yaw, w = 0.0 if math.isnan(depth) else depth, pose.yaw_rad, 0.0
-            thrust: State = (0.0, 0.0, 0.0)
+            thrust: State = (0.0, 0.0, 0.0, 0.0)
         else:
             _, _, z, yaw, _, _, w, _, *rest = self._predicted(pose.stamp_ns)
             yaw, thrust = yaw + wrap(pose.yaw_rad - yaw), tuple(rest)
-        self._belief[STATE] = (pose.x_m, pose.y_m, z, yaw, 0.0, 0.0, w, 0.0, *thrust)
+        self._belief[STATE] = (pose.x_m, pose.y_m, z, yaw, 0.0, 0.0, w, 0.0, *thrust[:3])
+        self._belief[SWAY_THRUST] = thrust[3]
         self._belief[GAMMA] = (0.0, 0.0, self._belief[GAMMA][2], 0.0)
         self._belief[CURRENT] = 0.0
         self._covariance[:6] = self._covariance[:, :6] = 0.0  # what is known of drag and thrust stays
@@ -295,8 +300,8 @@ class Estimator:
         """State at an instant after the belief's, without correction."""
         model, (state, gamma, current) = self._model, (self._belief[part].tolist() for part in (STATE, GAMMA, CURRENT))
         return propagate(
-            model.coefficients, model.sway, model.lag_s, tuple(state), tuple(gamma), tuple(current), self._acts_ns,
-            self._wrenches, self._inputs, self._at_ns, to_ns,
+            model.coefficients, model.sway, model.lag_s, (*state, self._belief.item(SWAY_THRUST)), tuple(gamma),
+            tuple(current), self._acts_ns, self._wrenches, self._inputs, self._at_ns, to_ns,
         )  # fmt: skip
 
 

@@ -28,6 +28,7 @@ class StateMeasurement(NamedTuple):
     yaw_rate_radps: float | None = None  # gyroscope
     board_ns: int | None = None  # instant of depth and yaw rate; None: now
     pitch_rad: float = 0.0  # bow up is positive; 0 where it is not measured
+    roll_rad: float = 0.0  # starboard down is positive; likewise
 
 
 class Ratios(NamedTuple):
@@ -59,7 +60,7 @@ class Estimate(NamedTuple):
     disturbance: Array  # (4,) acceleration that the model does not explain, in water that streams at `current`
     current: complex  # x + iy of the water's own velocity, m/s
     gamma_still_water: Array  # (4,) both together: what a model of still water does not explain
-    action: Array  # (11,) state when a command given now begins to act; velocities through the water
+    action: Array  # (12,) state when a command given now begins to act; velocities through the water
     pose_age_s: float
     depth_age_s: float  # of the last depth that did not contradict the estimate; infinite before the first
     leap: str = ""  # what was told and what had been believed, in the step that gave up a believed place for another one

@@ -29,8 +29,8 @@ from wire.kernels import kernel
 
 ERRORS = 15
 X, Y, YAW, U, V, R, FORCE_U, FORCE_V, FORCE_R, CURRENT_X, CURRENT_Y, DRAG, THRUST, MOMENT, GYRO = range(ERRORS)
-NUMBERS = 21  # of the belief: state 11, own forces 4, current 2, ln of drag, thrust and moment, gyroscope's bias
-ACTING = 8  # of the belief: thrust that acts now: surge, heave, yaw
+NUMBERS = 22  # of the belief: state 11, own forces 4, current 2, ln of drag, thrust, moment, gyroscope's bias, side thrust
+ACTING, SIDE = 8, 21  # of the belief: thrust that acts now: surge, heave, yaw; and sway
 LEAST_WEIGHT = 1e-6  # of a filter: it comes back within a second when the water turns out to be as it says
 
 
@@ -94,8 +94,10 @@ def linearise(model: Table, sway: float, belief: Floats, dt: float, noise: Noise
     f[U, FORCE_U], f[U, DRAG], f[U, THRUST] = phi_u, -phi_u * along * u, phi_u * belief[ACTING] / m_u
     f[V, V] = 1.0 - phi_v * slope_v if sway > 0.0 else 0.0
     f[V, U], f[V, R] = -phi_v * (r / c + model[2, 1] * u * v * bend / m_v), -phi_v * u / c
-    f[V, FORCE_V], f[V, DRAG] = phi_v, -phi_v * aside * v
-    f[R, R], f[R, FORCE_R], f[R, MOMENT] = 1.0 - phi_r * slope_r, phi_r, phi_r * belief[ACTING + 2] / m_r
+    f[V, FORCE_V], f[V, DRAG], f[V, THRUST] = phi_v, -phi_v * aside * v, phi_v * belief[SIDE] / m_v
+    munk = (m_u - m_v) * u * v  # grows with the masses that are learned, 1 / t
+    f[R, R], f[R, FORCE_R], f[R, MOMENT] = 1.0 - phi_r * slope_r, phi_r, phi_r * (belief[ACTING + 2] + munk) / m_r
+    f[R, U], f[R, V], f[R, THRUST] = phi_r * (m_u - m_v) * v / m_r, phi_r * (m_u - m_v) * u / m_r, -phi_r * munk / m_r
     f[FORCE_U, FORCE_U] = f[FORCE_V, FORCE_V] = f[FORCE_R, FORCE_R] = math.exp(-dt / noise.lasts_s)
     cos, sin = math.cos(yaw), math.sin(yaw)
     for j in range(U, ERRORS):  # half of the way by the velocity before, half by that after
@@ -118,8 +120,10 @@ def diffuse(model: Table, sway: float, belief: Floats, dt: float, noise: Noise, 
     )
     drag_r = (model[1, 3] + model[2, 3] * abs(r)) * r / model[0, 3]
     thrust, moment = belief[ACTING] / model[0, 0], belief[ACTING + 2] / model[0, 3]
-    unlike = noise.arm_m * belief[ACTING] / model[0, 3]
+    push = belief[SIDE] / model[0, 1]
+    unlike = noise.arm_m * math.hypot(belief[ACTING], belief[SIDE]) / model[0, 3]
     along2, aside2 = thrust * thrust + drag_u * drag_u + drag_v * drag_v, drag_u * drag_u + drag_v * drag_v
+    along2, aside2 = along2 + push * push, aside2 + push * push
     around2 = moment * moment + drag_r * drag_r + unlike * unlike
     passing, lasting2 = 2.0 * noise.passes_s * dt, noise.lasting_share**2
     q[:] = 0.0

@@ -16,6 +16,7 @@ from robot_agent.vehicle.dynamics import (
     LONGEST_STEP_NS,
     OUTLIER,
     SENSED_LOOKED_AT,
+    STATES,
     Model,
     drag,
     gains,
@@ -36,6 +37,7 @@ from robot_agent.vehicle.filter_bank import (
     GYRO,
     MOMENT,
     NUMBERS,
+    SIDE,
     THRUST,
     YAW,
     Bank,
@@ -74,6 +76,13 @@ KIND_LASTS_S = (
 )
 FACING_S, FACING = 20.0, 0.5  # mean direction of so long, 1 on a straight path: shorter, drag can be told from a current
 CALM = 0.5  # and only if so much of the weight says that water and forces are at rest
+SHARE, PASSES_S = (
+    0.03,
+    0.1,
+)  # of thrust and drag: what comes and goes within the thrusters' lag. NEES of the grid is near 1 with it
+LASTING_SHARE, LASTS_S = 0.03, 10.0  # of thrust and drag: what lasts, as a cable or unlike thrusters do
+RATIO_PER_SQRT_S = 0.005  # by which drag, thrust and moment per mass wander in a second: 4 % in a minute
+BIAS_RADPS_PER_SQRT_S = 1e-5  # the same of the gyroscope's bias: its sensor warms up within minutes
 SPREAD = 0.06  # standard deviation of a thruster's thrust from its curve: makers say within 10 %
 BEST_M, BEST_RAD = 1e-4, 3e-4  # no camera's pose is better
 WORST_M, WORST_RAD = 0.05, 0.3  # one that is worse has not passed the localizer's gate
@@ -83,12 +92,14 @@ MOST_LOG = 1.0  # of drag, thrust, moment per mass: e times the vehicle file's
 AT_REST_MPS, AT_REST_RADPS = 0.03, 0.1  # over ground, when the estimate begins
 HAND_S = 0.1  # for so long a hand that holds a robot pushes one way, with up to the thrusters' force
 GATE_S = 0.24  # no yaw rate changes by more than the thrusters' moment does in 0.2 s, and a fifth
+SMALL_M = 1e-6  # lever: a thruster with a smaller one turns no robot
+IDLE_SHARE = 0.05  # of the largest thrust: the curve's slope is taken there where thrusters do not idle. Legs idle at it
 NEUTRAL = 1e-6  # of the thrusters' force: that much is none
 BANDWIDTH_S = 4.0  # over which the bandwidth is averaged
 
 LEARNS, FACED_X, FACED_Y, BANDWIDTH = range(4)  # of `track`
 LOGS = slice(17, 20)  # of the belief: ln of drag, thrust, moment per mass
-State11 = tuple[float, float, float, float, float, float, float, float, float, float, float]
+State12 = tuple[float, float, float, float, float, float, float, float, float, float, float, float]
 
 
 class LearnedModel(NamedTuple):
@@ -147,15 +158,15 @@ class Belief(NamedTuple):
     track: Floats  # (4,): 1 if drag is learned, mean direction of late x, y, bandwidth rad/s
     deviation: Floats  # (12,) as `Deviations`
     now: Table  # (4, 4) as `dynamics.observe`
-    action: Floats  # (11,)
+    action: Floats  # (12,)
 
 
 @kernel(part=True)
-def state_of(numbers: Floats) -> State11:
+def state_of(numbers: Floats) -> State12:
     """State of a belief."""
     return (
         numbers[0], numbers[1], numbers[2], numbers[3], numbers[4], numbers[5], numbers[6], numbers[7], numbers[8], numbers[9],
-        numbers[10],
+        numbers[10], numbers[SIDE],
     )  # fmt: skip
 
 
@@ -181,11 +192,13 @@ def cross(plant: LearnedModel, bank: Bank, noise: Noise, numbers: Floats, there:
     is_held = True
     for k, most in ((ACTING, plant.most_n), (ACTING + 1, plant.most_n), (ACTING + 2, plant.most_nm)):
         is_held &= max(abs(numbers[k]), abs(there[k])) < NEUTRAL * most
+    is_held &= max(abs(numbers[SIDE]), abs(there[STATES - 1])) < NEUTRAL * plant.most_n
     between = np.empty(NUMBERS)
     for i in range(steps):
         share = (i + 0.5) / steps
         for k in range(11):
             between[k] = numbers[k] + share * (there[k] - numbers[k])
+        between[SIDE] = numbers[SIDE] + share * (there[STATES - 1] - numbers[SIDE])
         linearise(plant.model, plant.sway, between, dt, noise, f)
         diffuse(plant.model, plant.sway, between, dt, noise, is_held, q)
         predict(bank, plant.sway, between[3], dt, f, q)
@@ -353,6 +366,7 @@ def observe(
             cross(plant, bank, noise, numbers, arrived, step_s, steps)
             for i in range(11):
                 numbers[i] = arrived[i]
+            numbers[SIDE] = arrived[STATES - 1]
             numbers[11] *= math.exp(-step_s / noise.lasts_s)
             numbers[12] *= math.exp(-step_s / noise.lasts_s)
             numbers[14] *= math.exp(-step_s / noise.lasts_s)
@@ -380,7 +394,7 @@ def observe(
         now[0, i], now[1, i], now[2, i], now[3, i] = here[i], here[4 + i], gamma[i], gamma[i]
     tell_ground(plant, now, water[0], water[1])
     tell_deviations(bank.mixed, numbers[3], belief.deviation)
-    for i in range(11):
+    for i in range(STATES):
         belief.action[i] = then[i]
     return passes
 
@@ -388,31 +402,42 @@ def observe(
 def vehicle_noise(vehicle: Vehicle) -> Noise:
     """Process noise of a vehicle."""
     mass_kg, inertia_kg_m2 = float(vehicle.inertia[0]), float(vehicle.inertia[3])
-    surge_n, _, yaw_nm = vehicle.limits.wrench
-    arm_m = float(np.abs(np.array(vehicle.legs.position_m)[:, 1]).mean())
-    idle_n = 2.0 * SPREAD * vehicle.legs.idle_thrust_n  # of four thrusters that work against each other
-    rounding_n = 2.0 * _step_n(vehicle) / math.sqrt(12.0)
+    surge_n, _, yaw_nm = vehicle.limits.wrench[:3]
+    arm_m, turning = _lever_of(vehicle)
+    idle_n = 2.0 * SPREAD * (0.0 if vehicle.legs is None else vehicle.legs.idle_thrust_n)  # of four against each other
+    rounding_n = math.sqrt(turning) * _step_n(vehicle) / math.sqrt(12.0)
     hand_mps2, hand_radps2 = surge_n / mass_kg, yaw_nm / inertia_kg_m2
     return Noise(
-        share=0.03,
-        passes_s=0.1,
-        lasting_share=0.03,
-        lasts_s=10.0,
+        share=SHARE,
+        passes_s=PASSES_S,
+        lasting_share=LASTING_SHARE,
+        lasts_s=LASTS_S,
         rounding_mps2=rounding_n / mass_kg,
         rounding_radps2=rounding_n * arm_m / inertia_kg_m2,
         idle_mps2=math.hypot(idle_n, rounding_n) / mass_kg,
         idle_radps2=math.hypot(idle_n, rounding_n) * arm_m / inertia_kg_m2,
         arm_m=arm_m,
-        ratio_per_s=0.005**2,
-        bias_per_s=1e-5**2,
+        ratio_per_s=RATIO_PER_SQRT_S**2,
+        bias_per_s=BIAS_RADPS_PER_SQRT_S**2,
         hand_m2ps3=2.0 * HAND_S * hand_mps2**2,
         hand_rad2ps3=2.0 * HAND_S * hand_radps2**2,
     )
 
 
+def _lever_of(vehicle: Vehicle) -> tuple[float, int]:
+    """Mean lever in m by which thrusters turn the robot, and how many do."""
+    if vehicle.legs is not None:
+        levers = np.abs(np.array(vehicle.legs.position_m)[:, 1])
+    else:
+        levers = np.abs(vehicle.mixing[2])
+        levers = levers[levers > SMALL_M]
+    return float(levers.mean()), len(levers)
+
+
 def _step_n(vehicle: Vehicle) -> float:
     """By how much a thruster's force changes with a microsecond of its pulse at idle thrust."""
-    pulse_us = vehicle.thruster.pulse_us(np.array(vehicle.legs.idle_thrust_n))
+    idle_n = IDLE_SHARE * vehicle.thruster.max_thrust_n if vehicle.legs is None else vehicle.legs.idle_thrust_n
+    pulse_us = vehicle.thruster.pulse_us(np.array(idle_n))
     return float(vehicle.thruster.force_n(pulse_us + 0.5) - vehicle.thruster.force_n(pulse_us - 0.5))
 
 
@@ -442,7 +467,7 @@ class KalmanEstimator(Estimator):
 
     def tune(self, config: EstimatorConfig) -> None:
         """Use other settings from the next pose on; the estimate stays."""
-        surge_n, _, yaw_nm = self._vehicle.limits.wrench
+        surge_n, _, yaw_nm = self._vehicle.limits.wrench[:3]
         model, self._bandwidth_radps = self._model, config.bandwidth_radps
         self._uses_yaw_rate, self._adaptive, self._steady = config.use_imu_yaw_rate, False, np.zeros((6, 6))
         self._plant = LearnedModel(

@@ -120,8 +120,7 @@ def _pose_at_moment(memory: RobotHistory, row: int, robots: Sequence[int]) -> tu
 def _pulses(experiment: Experiment, memories: Sequence[RobotHistory]) -> list[Array]:
     """Pulses of all robots (n, 8) in their last control steps, the newest last; neutral for a board that was not armed."""
     count = round(THRUST_MEMORY_S / experiment.controller.period_s)
-    thruster, legs = experiment.vehicle.thruster, experiment.vehicle.legs
-    neutral = (*[float(thruster.neutral_us)] * 4, *[sum(legs.ankle_us) / 2.0] * 4)
+    neutral = tuple(map(float, experiment.vehicle.neutral_us))
 
     def of(memory: RobotHistory) -> list[tuple[float, ...]]:
         told = [tuple(map(float, s.pulse_us)) if s.board_armed else neutral for _, s in memory.states[-count:]]

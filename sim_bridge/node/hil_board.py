@@ -45,12 +45,12 @@ class HilBoard:
         key, now = (None, lambda: 0) if signing is None else (signing.key, signing.stamps)
         self.sensors = BoardSensors(experiment, robot_id, seed)
         thruster, self._where, self._robot_id = experiment.vehicle.thruster, where, robot_id
-        self._load = DemandedLoad(thruster)
+        self._load = DemandedLoad(thruster, experiment.vehicle.thruster_count)
         self._link, self._signing = link, signing
         self._judge = BoardLink(robot_id, SignatureVerifier(key))  # frames are judged as the board does
         self._board = SimulatorLink(robot_id, key, now)
         self._burst_ns = round(1e9 / experiment.sim.sensors.rate_hz)
-        self._rest_us = (round(thruster.neutral_us),) * 4 + (round(sum(experiment.vehicle.legs.ankle_us) / 2),) * 4
+        self._rest_us, self._thrusters = experiment.vehicle.neutral_us, experiment.vehicle.thruster_count
         self._begin_ns = self._mode_ns = 0  # of the first step; of the last at which the mode was known
         self._last_step_ns: int | None = None
 
@@ -67,7 +67,7 @@ class HilBoard:
     @property
     def neutral(self) -> bool:
         """True if all thrusters stand still."""
-        return self.pulses[:4] == self._rest_us[:4]
+        return self.pulses[: self._thrusters] == self._rest_us[: self._thrusters]
 
     def receive(self, data: bytes, now_ns: int) -> bool:
         """Pass an agent's frames on to the board, if it is in HIL mode. Returns True if one of them is one that the board

@@ -34,6 +34,7 @@ class BatteryModel:
             battery.thruster_w,
             battery.electronics_w,
             battery.capacity_wh * J_PER_WH,
+            vehicle.thruster_count,
         )
 
     def start(self, robots: int) -> Array:

@@ -14,14 +14,14 @@ from sim_bridge.plant.actuators import ActuatorModel, ActuatorState
 from sim_bridge.plant.battery import BatteryModel
 from sim_bridge.plant.contact import ContactModel
 from sim_bridge.plant.currents_waves import WaterFlow
-from sim_bridge.plant.kernels import THRUSTERS
 from sim_bridge.plant.rigid_body import RigidBody
 from wire.config.experiment import Experiment
+from wire.config.vehicle import OUTPUTS
 from wire.frames import Array
 from wire.messages.messages import Truth
 from wire.toml_loader import ConfigError
 
-LEGS_PUSH = [0, 2, 5]  # surge, heave and yaw of the legs' six forces and moments
+THRUSTERS_PUSH = (0, 2, 5, 1)  # surge, heave, yaw and sway of the thrusters' six forces and moments
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +53,8 @@ class Plant:
         body = RigidBody(experiment)
         self._body = body.constants
         n = len(self._robots)
-        self.no_faults = ActuatorFaults(np.ones((n, THRUSTERS)), np.zeros(n))
+        self.no_faults = ActuatorFaults(np.ones((n, OUTPUTS)), np.zeros(n))
+        self._axes = list(THRUSTERS_PUSH[: len(experiment.vehicle.limits.wrench)])
         memory = kernels.memory(n)
         kernels.to_fleet(body.wave_radps, memory, kernels.WAVE)
         # the robots' order along x, the memory, what contact takes and gives in rows, the water's motion, places in order, and
@@ -91,7 +92,8 @@ class Plant:
         motors = ActuatorState(state.motors.force_n.copy(), state.motors.ankle_rad.copy(), history)
         kernels.advance(
             eta, nu, tilt, motors.force_n, motors.ankle_rad, charge[:, None],
-            state.motors.pulses_us, pulses_us, faults.thrust * self._thrusters.gain, faults.sag_v[:, None],
+            state.motors.pulses_us, pulses_us, self._thrusters.gain * faults.thrust[:, : self._thrusters.count],
+            faults.sag_v[:, None],
             state.steps, steps, self._step_s,
             self._thrusters.constants, self._supply.constants, self._flow, self._basin.constants, self._body, self._work,
         )  # fmt: skip
@@ -125,7 +127,7 @@ class Plant:
         n = len(self._robots)
         acceleration, six, expected = self.acceleration(state), np.empty((n, 6)), np.empty((n, 4))
         kernels.from_fleet(self._work[1], kernels.WRENCH, six)
-        wrench = np.ascontiguousarray(six[:, LEGS_PUSH])
+        wrench = np.ascontiguousarray(six[:, self._axes])
         nominal = self._nominal
         kernels.nominal_acceleration(
             state.nu, wrench, nominal.inertia, nominal.drag_linear, nominal.drag_quadratic, self._sway, expected

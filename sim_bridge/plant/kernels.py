@@ -26,16 +26,17 @@ from wire.frames import Array
 from wire.kernels import kernel
 
 STATES = 12  # numbers of a state
-THRUSTERS = 4
+THRUSTERS, ANKLES = 8, 4  # at most; ACTUATORS say how many there are
+OUTPUTS = 8  # of a board
 LANES = 8  # float64 numbers in a vector register of 512 bits, or in two of 256
 POSE, SPEED, TILT = 0, 4 * LANES, 8 * LANES  # eta, nu on level axes, and [roll, pitch and their rates]: 4 each
-FORCE, ANKLE = 12 * LANES, 16 * LANES  # N and rad, 4 each, at a step's start
-GAIN, CHARGE, LOST_V, FACTOR, WAVE = 20 * LANES, 24 * LANES, 25 * LANES, 26 * LANES, 27 * LANES  # of thrusters 4, else 1
-PULSE, CURVE_N, TARGET_RAD, TARGET_N = 28 * LANES, 36 * LANES, 40 * LANES, 44 * LANES  # us 8, the others 4
-FORCE_THEN, ANKLE_THEN, WRENCH = 48 * LANES, 52 * LANES, 56 * LANES  # within a step: 4, 4 and 6
-START, STATE, RATE, SUM = 62 * LANES, 74 * LANES, 86 * LANES, 98 * LANES  # 12 each: SUM of the weighted rates of a step
-TURN, MOTION, CONTACT = 110 * LANES, 119 * LANES, 125 * LANES  # attitude 9; the water's motion 6; contact force 3
-NUMBERS = 130  # with 128 all blocks would begin 8192 bytes apart, and share a few lines of the processor's cache
+FORCE, ANKLE = 12 * LANES, 20 * LANES  # N 8 and rad 4, at a step's start
+GAIN, CHARGE, LOST_V, FACTOR, WAVE = 24 * LANES, 32 * LANES, 33 * LANES, 34 * LANES, 35 * LANES  # of thrusters 8, else 1
+PULSE, CURVE_N, TARGET_RAD, TARGET_N = 36 * LANES, 44 * LANES, 52 * LANES, 56 * LANES  # us 8, N 8, rad 4, N 8
+FORCE_THEN, ANKLE_THEN, WRENCH = 64 * LANES, 72 * LANES, 76 * LANES  # within a step: 8, 4 and 6
+START, STATE, RATE, SUM = 82 * LANES, 94 * LANES, 106 * LANES, 118 * LANES  # 12 each: SUM of the weighted rates of a step
+TURN, MOTION, CONTACT = 130 * LANES, 139 * LANES, 145 * LANES  # attitude 9; the water's motion 6; contact force 3
+NUMBERS = 149  # odd: with 128 all blocks would begin 8192 bytes apart, and share a few lines of the processor's cache
 X, Y, Z, ROLL, PITCH, YAW = STATE, STATE + LANES, STATE + 2 * LANES, STATE + 3 * LANES, STATE + 4 * LANES, STATE + 5 * LANES
 U, V, W = STATE + 6 * LANES, STATE + 7 * LANES, STATE + 8 * LANES
 P, Q, R = STATE + 9 * LANES, STATE + 10 * LANES, STATE + 11 * LANES
@@ -54,8 +55,8 @@ CONTACT_DAMPING_S_PER_M = 10.0
 COINCIDENT_M = 1e-9  # m, least distance of two centres, against division by zero
 
 VECTOR, MATRIX, CUBE = "f8[::1]", "f8[:,::1]", "f8[:,:,::1]"
-ACTUATORS = f"Tuple(({VECTOR}, {VECTOR}, {VECTOR}, {VECTOR}, {MATRIX}, f8, f8, f8, i8, i8))"
-BATTERY = f"Tuple((b1, {VECTOR}, {VECTOR}, f8, f8, f8, f8, f8, f8, f8, f8))"
+ACTUATORS = f"Tuple(({VECTOR}, {VECTOR}, {VECTOR}, {VECTOR}, {MATRIX}, i8, f8, f8, i8, i8))"
+BATTERY = f"Tuple((b1, {VECTOR}, {VECTOR}, f8, f8, f8, f8, f8, f8, f8, f8, i8))"
 FLOW = f"Tuple((b1, {VECTOR}, {VECTOR}, f8, {MATRIX}, {MATRIX}, f8, {VECTOR}, f8, f8, f8))"
 BASIN = f"Tuple(({VECTOR}, {MATRIX}, f8, f8))"
 BODY = f"Tuple((b1, {VECTOR}, f8, {MATRIX}, {VECTOR}, {VECTOR}, f8, f8, f8, b1, {VECTOR}))"
@@ -143,14 +144,16 @@ def thrust_factor(fleet: Array, first: int, end: int, battery: Constants) -> Non
 
     The voltage falls with the mean load, and by LOST_V besides. An ideal battery falls by LOST_V alone.
     """
-    ideal, curve_charge, curve_v, cells, beyond_v, full_v, load_v, max_thrust_n, _, _, _ = battery
-    per_load_v = load_v / (THRUSTERS * max_thrust_n)
+    ideal, curve_charge, curve_v, cells, beyond_v, full_v, load_v, max_thrust_n, _, _, _, thrusters = battery
+    per_load_v = load_v / (thrusters * max_thrust_n)
     lanes = fleet.shape[1] // NUMBERS
     for b in range(first, end):
         interpolate(fleet, b, CHARGE, FACTOR, lanes, curve_charge, curve_v)
         for lane in range(lanes):
             load_n = abs(fleet[b, FORCE + lane]) + abs(fleet[b, FORCE + LANES + lane])
             load_n += abs(fleet[b, FORCE + 2 * LANES + lane]) + abs(fleet[b, FORCE + 3 * LANES + lane])
+            for k in range(4, thrusters):
+                load_n += abs(fleet[b, FORCE + k * LANES + lane])
             voltage = full_v if ideal else fleet[b, FACTOR + lane] * cells + beyond_v - per_load_v * load_n
             fleet[b, FACTOR + lane] = max((voltage - fleet[b, LOST_V + lane]) / full_v, 0.0)
         for lane in range(lanes):
@@ -160,14 +163,14 @@ def thrust_factor(fleet: Array, first: int, end: int, battery: Constants) -> Non
 @kernel(f"void({MATRIX}, i8, i8, f8, {BATTERY})", part=True)
 def discharge(fleet: Array, first: int, end: int, seconds: float, battery: Constants) -> None:
     """Take from CHARGE the energy of thrusters at FORCE: power ~ |thrust|^1.5 (momentum theory), and the electronics'."""
-    ideal, _, _, _, _, _, _, max_thrust_n, thruster_w, electronics_w, capacity_j = battery
+    ideal, _, _, _, _, _, _, max_thrust_n, thruster_w, electronics_w, capacity_j, thrusters = battery
     if ideal:
         return
     lanes = fleet.shape[1] // NUMBERS
     for b in range(first, end):
         for lane in range(lanes):
             power_w = electronics_w
-            for leg in range(THRUSTERS):
+            for leg in range(thrusters):
                 load = abs(fleet[b, FORCE + leg * LANES + lane]) / max_thrust_n
                 power_w += thruster_w * load * math.sqrt(load)
             fleet[b, CHARGE + lane] = max(fleet[b, CHARGE + lane] - power_w * seconds / capacity_j, 0.0)
@@ -185,23 +188,23 @@ def actuator_targets(
     `history_us` (k, n, 8) are the commands of the k steps before step 0, newest first; `pulses_us` (n, 8) hold from step 0
     on. GAIN and FACTOR scale the static curve, which is looked up where a PULSE has changed.
     """
-    curve_us, curve_n, ankle_us, ankle_rad = actuators[:4]
+    curve_us, curve_n, ankle_us, ankle_rad, place, legs = actuators[:6]
     thruster_delay, ankle_delay = actuators[8:]
     thruster_us = history_us[thruster_delay - step - 1] if step < thruster_delay else pulses_us
     turned_us = history_us[ankle_delay - step - 1] if step < ankle_delay else pulses_us
-    lanes, last, ankles = fleet.shape[1] // NUMBERS, len(pulses_us) - 1, PULSE + THRUSTERS * LANES
+    lanes, last, ankles = fleet.shape[1] // NUMBERS, len(pulses_us) - 1, PULSE + legs * LANES
     for b in range(first, end):
         is_new = False
         for lane in range(LANES):
             i = min(b * LANES + lane, last)
-            for leg in range(THRUSTERS):
-                k, force_us, ankle = leg * LANES + lane, thruster_us[i, leg], turned_us[i, THRUSTERS + leg]
-                is_new = is_new or fleet[b, PULSE + k] != force_us or fleet[b, ankles + k] != ankle
-                fleet[b, PULSE + k], fleet[b, ankles + k] = force_us, ankle
+            for k in range(OUTPUTS):
+                pulse_us = thruster_us[i, k] if k < len(place) else turned_us[i, k]
+                is_new = is_new or fleet[b, PULSE + k * LANES + lane] != pulse_us
+                fleet[b, PULSE + k * LANES + lane] = pulse_us
         if is_new:
-            interpolate(fleet, b, PULSE, CURVE_N, THRUSTERS * lanes, curve_us, curve_n)
-            interpolate(fleet, b, ankles, TARGET_RAD, THRUSTERS * lanes, ankle_us, ankle_rad)
-        for leg in range(THRUSTERS):
+            interpolate(fleet, b, PULSE, CURVE_N, len(place) * lanes, curve_us, curve_n)
+            interpolate(fleet, b, ankles, TARGET_RAD, legs * lanes, ankle_us, ankle_rad)
+        for leg in range(len(place)):
             for lane in range(lanes):
                 k = leg * LANES + lane
                 fleet[b, TARGET_N + k] = fleet[b, FACTOR + lane] * fleet[b, GAIN + k] * fleet[b, CURVE_N + k]
@@ -211,31 +214,34 @@ def actuator_targets(
 def move_actuators(fleet: Array, first: int, end: int, since_s: float, actuators: Constants) -> None:
     """FORCE_THEN and ANKLE_THEN, `since_s` after they were FORCE and ANKLE: a first-order lag, and a limited rate. Targets are
     constant meanwhile, so both are exact."""
-    _, _, _, _, _, _, lag_s, rate_radps, _, _ = actuators
+    place, legs, lag_s, rate_radps = actuators[4:8]
     left = math.exp(-since_s / lag_s) if lag_s > 0.0 else 0.0
     reach_rad = rate_radps * since_s
     lanes = fleet.shape[1] // NUMBERS
     for b in range(first, end):
-        for k in range(THRUSTERS * lanes):
-            target_n, target_rad = fleet[b, TARGET_N + k], fleet[b, TARGET_RAD + k]
+        for k in range(len(place) * lanes):
+            target_n = fleet[b, TARGET_N + k]
             fleet[b, FORCE_THEN + k] = target_n + left * (fleet[b, FORCE + k] - target_n)
+        for k in range(legs * lanes):
+            target_rad = fleet[b, TARGET_RAD + k]
             to_go = target_rad - fleet[b, ANKLE + k]
             fleet[b, ANKLE_THEN + k] = fleet[b, ANKLE + k] + min(max(to_go, -reach_rad), reach_rad)
 
 
 @kernel(f"void({MATRIX}, i8, i8, {ACTUATORS})", part=True)
-def legs_wrench(fleet: Array, first: int, end: int, actuators: Constants) -> None:
-    """WRENCH of the legs at FORCE_THEN and ANKLE_THEN on surge, sway, heave, roll, pitch, yaw: the sum of (F, r x F).
+def thrusters_wrench(fleet: Array, first: int, end: int, actuators: Constants) -> None:
+    """WRENCH of the thrusters at FORCE_THEN and ANKLE_THEN on surge, sway, heave, roll, pitch, yaw: the sum of (F, r x F).
 
-    A leg at r = (ahead, side, below) thrusts with F = force (cos a, 0, sin a); an ankle at +90 degrees thrusts down.
+    A leg at r = (ahead, side, below) thrusts with F = force (cos a, 0, sin a); an ankle at +90 degrees thrusts down. A
+    thruster that does not turn has its direction in the last three numbers of its place.
     """
-    position_m, below_m = actuators[4], actuators[5]
+    place, legs = actuators[4], actuators[5]
     lanes = fleet.shape[1] // NUMBERS
     for b in range(first, end):
         for k in range(6 * lanes):
             fleet[b, WRENCH + k] = 0.0
-        for leg in range(THRUSTERS):
-            ahead_m, side_m, k = position_m[leg, 0], position_m[leg, 1], leg * LANES
+        for leg in range(legs):
+            ahead_m, side_m, below_m, k = place[leg, 0], place[leg, 1], place[leg, 2], leg * LANES
             for lane in range(lanes):
                 sine, cosine = sine_cosine(fleet[b, ANKLE_THEN + k + lane])
                 ahead, down = fleet[b, FORCE_THEN + k + lane] * cosine, fleet[b, FORCE_THEN + k + lane] * sine
@@ -244,6 +250,16 @@ def legs_wrench(fleet: Array, first: int, end: int, actuators: Constants) -> Non
                 fleet[b, WRENCH + 3 * LANES + lane] += side_m * down
                 fleet[b, WRENCH + 4 * LANES + lane] += below_m * ahead - ahead_m * down
                 fleet[b, WRENCH + 5 * LANES + lane] -= side_m * ahead
+        for i in range(legs, len(place)):
+            x, y, z, dx, dy, dz = place[i, 0], place[i, 1], place[i, 2], place[i, 3], place[i, 4], place[i, 5]
+            for lane in range(lanes):
+                force = fleet[b, FORCE_THEN + i * LANES + lane]
+                fleet[b, WRENCH + lane] += dx * force
+                fleet[b, WRENCH + LANES + lane] += dy * force
+                fleet[b, WRENCH + 2 * LANES + lane] += dz * force
+                fleet[b, WRENCH + 3 * LANES + lane] += (y * dz - z * dy) * force
+                fleet[b, WRENCH + 4 * LANES + lane] += (z * dx - x * dz) * force
+                fleet[b, WRENCH + 5 * LANES + lane] += (x * dy - y * dx) * force
 
 
 # --- water
@@ -652,7 +668,7 @@ def add_step(fleet: Array, first: int, end: int, step_s: float) -> None:
     for b in range(first, end):
         for k in range(STATES * lanes):
             fleet[b, STATE + k] = fleet[b, START + k] + step_s / 6.0 * fleet[b, SUM + k]
-        for k in range(2 * THRUSTERS * lanes):
+        for k in range((THRUSTERS + ANKLES) * lanes):
             fleet[b, FORCE + k] = fleet[b, FORCE_THEN + k]
 
 
@@ -683,8 +699,8 @@ def advance(
 ) -> None:
     """Move a fleet on by `steps` steps from step `first_step` of the plant's time, with constant pulses (n, 8) on the outputs.
 
-    In place: poses, level velocities and tilts (n, 4), thrusters' forces and ankles' angles (n, 4), and charges (n, 1).
-    `history_us` (k, n, 8) as in `actuator_targets`, `gain` (n, 4) of the thrusters and `sag_v` (n, 1) of the batteries.
+    In place: poses, level velocities and tilts (n, 4), thrusters' forces (n, 4 or 8), ankles' angles (n, 4), charges (n, 1).
+    `history_us` (k, n, 8) as in `actuator_targets`, `gain` of the thrusters and `sag_v` (n, 1) of the batteries.
     """
     fleet, half_s = work[1], step_s / 2.0
     to_fleet(eta, fleet, POSE)
@@ -705,17 +721,17 @@ def advance(
             thrust_factor(fleet, first, end, battery)
             actuator_targets(fleet, first, end, history_us, pulses_us, step, actuators)
             move_actuators(fleet, first, end, AT_ONCE_S, actuators)
-            legs_wrench(fleet, first, end, actuators)
+            thrusters_wrench(fleet, first, end, actuators)
             state_rate(fleet, first, end, time_s, touches, flow, basin, body, work)
             add_stage(fleet, first, end, 1.0, half_s)
             move_actuators(fleet, first, end, half_s, actuators)
-            legs_wrench(fleet, first, end, actuators)
+            thrusters_wrench(fleet, first, end, actuators)
             state_rate(fleet, first, end, time_s + half_s, touches, flow, basin, body, work)
             add_stage(fleet, first, end, 2.0, half_s)
             state_rate(fleet, first, end, time_s + half_s, touches, flow, basin, body, work)
             add_stage(fleet, first, end, 2.0, step_s)
             move_actuators(fleet, first, end, step_s, actuators)
-            legs_wrench(fleet, first, end, actuators)
+            thrusters_wrench(fleet, first, end, actuators)
             state_rate(fleet, first, end, time_s + step_s, touches, flow, basin, body, work)
             add_stage(fleet, first, end, 1.0, 0.0)
             add_step(fleet, first, end, step_s)
@@ -744,7 +760,7 @@ def fleet_acceleration(
     work: Constants,
     acceleration: Array,
 ) -> None:
-    """d/dt (n, 4) of the level velocities nu of a fleet with forces and angles (n, 4) of its legs.
+    """d/dt (n, 4) of the level velocities nu of a fleet with forces of its thrusters and angles (n, 4) of its legs.
 
     With Q = Ry Rx and v the body's velocity: d/dt (Q v) = Q (v' + omega x v) - yaw' z x Q v. The fourth is yaw''.
     """
@@ -755,7 +771,7 @@ def fleet_acceleration(
     to_fleet(force_n, fleet, FORCE_THEN)
     to_fleet(ankle_rad, fleet, ANKLE_THEN)
     pack(fleet, 0, end)
-    legs_wrench(fleet, 0, end, actuators)
+    thrusters_wrench(fleet, 0, end, actuators)
     state_rate(fleet, 0, end, time_s, begins_near(fleet, basin, work), flow, basin, body, work)
     for b in range(end):
         for lane in range(LANES):
@@ -784,7 +800,7 @@ def nominal_acceleration(
     nu: Array, wrench: Array, inertia: Array, linear: Array, quadratic: Array, sway: bool, acceleration: Array
 ) -> None:
     """d/dt (n, 4) of the velocities nu by the vehicle file's numbers, diagonals (4,), in still water: each axis has its own
-    drag, and of Coriolis terms m_v v r on surge and -m_u u r on sway. `wrench` (n, 3) is surge, heave, yaw.
+    drag, and of Coriolis terms m_v v r on surge and -m_u u r on sway. `wrench` (n, 3) is surge, heave, yaw; (n, 4) with sway.
     """
     for i in range(len(nu)):
         for axis in range(4):
@@ -796,6 +812,8 @@ def nominal_acceleration(
         if sway:
             acceleration[i, 0] += inertia[1] * nu[i, 1] * nu[i, 3]
             acceleration[i, 1] -= inertia[0] * nu[i, 0] * nu[i, 3]
+            if wrench.shape[1] > 3:
+                acceleration[i, 1] += wrench[i, 3]
         else:
             acceleration[i, 1] = 0.0
         for axis in range(4):

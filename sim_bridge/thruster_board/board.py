@@ -10,7 +10,7 @@ import numpy as np
 
 from sim_bridge.plant.sensors import LEVEL, BoardSensors, Reading
 from sim_bridge.thruster_board.parameters import Parameters, Refusal
-from sim_bridge.thruster_board.state_machine import INFO, S_NS, THRUSTERS, WARNING, BoardStateMachine, Charge
+from sim_bridge.thruster_board.state_machine import INFO, S_NS, WARNING, BoardStateMachine, Charge
 from wire.config.experiment import Experiment
 from wire.config.vehicle import Thruster
 from wire.frames import Array
@@ -82,14 +82,15 @@ class SimulatedSensors:
 class DemandedLoad:
     """Thrust demanded from the battery by the outputs, as a fraction of all thrusters at full."""
 
-    def __init__(self, thruster: Thruster) -> None:
-        self._thruster, self._full_n = thruster, THRUSTERS * thruster.max_thrust_n
+    def __init__(self, thruster: Thruster, thrusters: int) -> None:
+        """`thrusters` is how many of the outputs, from the first on, are thrusters'."""
+        self._thruster, self._count, self._full_n = thruster, thrusters, thrusters * thruster.max_thrust_n
         self._force_n: dict[int, float] = {}  # by pulse, either way: there are some hundreds, and each comes again and again
 
     def of(self, pulses_us: Sequence[int]) -> float:
-        """The load of these pulses, of which the first four are the thrusters'."""
+        """The load of these pulses."""
         total_n = 0.0
-        for pulse in pulses_us[:THRUSTERS]:
+        for pulse in pulses_us[: self._count]:
             force_n = self._force_n.get(pulse)
             if force_n is None:
                 force_n = self._force_n[pulse] = abs(float(self._thruster.force_n(np.array(pulse, dtype=np.float64))))
@@ -113,7 +114,8 @@ class ThrusterBoard:
         With a `key` it signs its frames, and takes signed ones alone."""
         sensors, stored = experiment.sim.sensors, stored or NonvolatileState()
         self._key, self._robot_id = key, robot_id
-        self._load, self._supply_v = DemandedLoad(experiment.vehicle.thruster), sensors.battery_v
+        self._load = DemandedLoad(experiment.vehicle.thruster, experiment.vehicle.thruster_count)
+        self._supply_v = sensors.battery_v
         self._store_callback = store
         computer = (robot_id, agent_link.AGENT_COMPONENT)
         self.rules = BoardStateMachine(Parameters.of(experiment).restored(stored.parameters), computer, key, stored.heard)
@@ -131,7 +133,7 @@ class ThrusterBoard:
 
     @property
     def pulses(self) -> tuple[int, ...]:
-        """Pulses on the outputs, us: 4 thrusters, 4 ankles."""
+        """Pulses on the outputs, us: 4 thrusters, 4 ankles; or 8 thrusters."""
         return self.rules.outputs_us
 
     @property
@@ -142,7 +144,8 @@ class ThrusterBoard:
     @property
     def neutral(self) -> bool:
         """True if all thrusters stand still."""
-        return all(pulse == self.rules.parameters.neutral_us for pulse in self.rules.echo_us[:THRUSTERS])
+        parameters = self.rules.parameters
+        return all(pulse == parameters.neutral_us for pulse in self.rules.echo_us[: parameters.thrusters])
 
     @property
     def signed(self) -> bool:

@@ -17,6 +17,7 @@ from wire.mavlink.agent_link import PULSE_RANGE_US
 
 TRIM_US = 100.0  # us, largest trim; a larger one hides a fault of the linkage
 MOST_VOLTS = 60.0
+NO_ANKLE_US = 1000, 2000  # range of pulses for ankles that are not there
 
 
 @dataclass(frozen=True)
@@ -46,13 +47,14 @@ def _us(name: str, meaning: str, low: float = PULSE_RANGE_US[0], high: float = P
 FIXED = (
     Parameter("CMD_AGE_MS", 50, 300, True, "age of the last override at which the board disarms itself, ms"),
     Parameter("SLEW_US_S", 100, 100_000, False, "how fast a thruster's pulse may move, us/s"),
+    Parameter("THR_COUNT", 4, 8, True, "outputs, from the first on, that are thrusters'; the others are ankles'"),
     _us("THR_NEUTRAL_US", "pulse at which a thruster stands still; in the dead zone of the curve"),
     _us("THR_MIN_US", "lowest pulse taken for a thruster; within the curve"),
     _us("THR_MAX_US", "highest pulse taken for a thruster; within the curve"),
     _us("ANK_MIN_US", "lowest pulse taken for an ankle"),
     _us("ANK_MAX_US", "highest pulse taken for an ankle"),
-    *(_us(f"THR{i}_TRIM_US", f"added to the output of thruster {i}, last of all", -TRIM_US, TRIM_US) for i in (1, 2, 3, 4)),
-    *(_us(f"ANK{i}_TRIM_US", f"added to the output of ankle {i}, last of all", -TRIM_US, TRIM_US) for i in (1, 2, 3, 4)),
+    *(_us(f"THR{i}_TRIM_US", f"added to output {i}, last of all", -TRIM_US, TRIM_US) for i in (1, 2, 3, 4)),
+    *(_us(f"ANK{i}_TRIM_US", f"added to output {i + 4}, last of all", -TRIM_US, TRIM_US) for i in (1, 2, 3, 4)),
     Parameter("BAT_WARN_V", 0, MOST_VOLTS, False, "battery: warn below, V"),
     Parameter("BAT_NOARM_V", 0, MOST_VOLTS, False, "battery: do not arm below, V; under BAT_WARN_V"),
     Parameter("BAT_NEUTRAL_V", 0, MOST_VOLTS, False, "battery: disarm below, V; under BAT_NOARM_V"),
@@ -104,11 +106,12 @@ class Parameters:
     @classmethod
     def of(cls, experiment: Experiment) -> "Parameters":
         """The parameters of the experiment's vehicle and board."""
-        thruster, legs, battery = experiment.vehicle.thruster, experiment.vehicle.legs, experiment.vehicle.battery
+        vehicle, thruster, battery = experiment.vehicle, experiment.vehicle.thruster, experiment.vehicle.battery
+        ankle_us = NO_ANKLE_US if vehicle.legs is None else vehicle.legs.ankle_us
         rules = experiment.sim.board
         values = [
             round(rules.neutral_after_s * 1000.0), rules.slew_us_per_s,
-            thruster.neutral_us, thruster.curve[0][0], thruster.curve[-1][0], *legs.ankle_us, *[0] * 8,
+            vehicle.thruster_count, thruster.neutral_us, thruster.curve[0][0], thruster.curve[-1][0], *ankle_us, *[0] * 8,
             battery.warn_v, battery.no_arm_v, battery.neutral_v, battery.hysteresis_v, *[0] * len(VOLATILE),
             *(value for point in thruster.curve for value in point),
         ]  # fmt: skip
@@ -161,6 +164,11 @@ class Parameters:
         """Lowest and highest pulse at which the curve is 0 N; an empty range if it never is."""
         still = [us for us, force in self.curve if force == 0.0]
         return (min(still), max(still)) if still else (math.inf, -math.inf)
+
+    @cached_property
+    def thrusters(self) -> int:
+        """How many of the outputs, from the first on, are thrusters'."""
+        return int(self["THR_COUNT"])
 
     @property
     def neutral_us(self) -> float:

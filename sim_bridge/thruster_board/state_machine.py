@@ -14,7 +14,6 @@ from wire.mavlink.agent_link import ACCEPTED, CHANNELS, IGNORED, REJECTED
 from wire.mavlink.frame_codec import Peer
 from wire.mavlink.signing import Key, SignatureVerifier
 
-THRUSTERS = 4
 S_NS = 1_000_000_000
 NEVER_NS, EVER_NS = -(2**62), 2**62  # before and after all times
 BATTERY_FILTER_S = 1.0  # s, time constant of the voltage filter: thrust lowers the voltage for moments
@@ -55,22 +54,24 @@ class BoardStateMachine:
         self._command_ns = NEVER_NS
         self._voltage: float | None = None
         self._stepped_ns: int | None = None
-        self._thrusters_us, self._ankles_us = self._rest_us()
+        self._echo_us = self._rest_us()  # pulses on the outputs without trims, not rounded
 
     @property
     def echo_us(self) -> tuple[int, ...]:
-        """Pulses on the outputs without trims: 4 thrusters, 4 ankles. In HIL mode what they would be."""
-        return _rounded(self._thrusters_us, self._ankles_us)
+        """Pulses on the outputs without trims: thrusters, then ankles. In HIL mode what they would be."""
+        return tuple(map(round, self._echo_us))
 
     @property
     def outputs_us(self) -> tuple[int, ...]:
         """Pulses on the pins, trims included."""
-        pulses, trims = _rounded(*self._rest_us()) if self.parameters.pins_held else self.echo_us, self.parameters.trims_us
+        pulses = tuple(map(round, self._rest_us())) if self.parameters.pins_held else self.echo_us
+        trims = self.parameters.trims_us
         return tuple(pulse + int(trim) for pulse, trim in zip(pulses, trims, strict=True))
 
-    def _rest_us(self) -> tuple[list[float], list[float]]:
+    def _rest_us(self) -> list[float]:
         """Pulses of thrusters and ankles at power-on, and on the pins in HIL mode."""
-        return [self.parameters.neutral_us] * THRUSTERS, [sum(self.parameters.ankle_us) // 2] * THRUSTERS
+        thrusters = self.parameters.thrusters
+        return [self.parameters.neutral_us] * thrusters + [sum(self.parameters.ankle_us) // 2] * (CHANNELS - thrusters)
 
     # --- what arrives
 
@@ -84,10 +85,11 @@ class BoardStateMachine:
 
     def _is_allowed(self, pulses_us: tuple[int, ...]) -> bool:
         (slowest, fastest), (lowest, highest) = self.parameters.thruster_us, self.parameters.ankle_us
+        thrusters = self.parameters.thrusters
         return (
             len(pulses_us) == CHANNELS
-            and all(slowest <= pulse <= fastest for pulse in pulses_us[:THRUSTERS])
-            and all(lowest <= pulse <= highest or pulse == IGNORED for pulse in pulses_us[THRUSTERS:])
+            and all(slowest <= pulse <= fastest for pulse in pulses_us[:thrusters])
+            and all(lowest <= pulse <= highest or pulse == IGNORED for pulse in pulses_us[thrusters:])
         )
 
     def arm(self, wanted: bool, now_ns: int) -> int:
@@ -110,7 +112,7 @@ class BoardStateMachine:
         still_low, still_high = self.parameters.dead_zone_us
         if self._is_stale(now_ns):
             return "no override is arriving"
-        if not all(still_low <= pulse <= still_high for pulse in self._command[:THRUSTERS]):
+        if not all(still_low <= pulse <= still_high for pulse in self._command[: self.parameters.thrusters]):
             return "thruster pulses are not neutral"
         if self.charge >= Charge.NO_ARM:
             return "battery low"
@@ -165,16 +167,16 @@ class BoardStateMachine:
         if self.armed:
             self._move(self.parameters["SLEW_US_S"] * elapsed_s)
         else:
-            self._thrusters_us = [self.parameters.neutral_us] * THRUSTERS
+            thrusters = self.parameters.thrusters
+            self._echo_us[:thrusters] = [self.parameters.neutral_us] * thrusters
 
     @property
     def next_event_ns(self) -> int:
         """Earliest instant at which a step changes anything, unless a call of another method does before."""
         if not self.armed:
-            still = self._thrusters_us == [self.parameters.neutral_us] * THRUSTERS
+            still = all(pulse == self.parameters.neutral_us for pulse in self._echo_us[: self.parameters.thrusters])
             return EVER_NS if still and not self.said else NEVER_NS
-        outputs_us = (*self._thrusters_us, *self._ankles_us)
-        if any(goal not in (now, IGNORED) for goal, now in zip(self._command, outputs_us, strict=True)):
+        if any(goal not in (now, IGNORED) for goal, now in zip(self._command, self._echo_us, strict=True)):
             return NEVER_NS
         return self._command_ns + self.parameters.age_ns + 1
 
@@ -183,16 +185,12 @@ class BoardStateMachine:
 
     def _move(self, reach_us: float) -> None:
         """Move towards the command, thrusters no faster than the slew rate."""
-        for i in range(THRUSTERS):
-            thruster, ankle = self._command[i], self._command[THRUSTERS + i]
-            self._thrusters_us[i] += min(max(thruster - self._thrusters_us[i], -reach_us), reach_us)
-            if ankle != IGNORED:
-                self._ankles_us[i] = ankle
+        for i, pulse in enumerate(self._command):
+            if i < self.parameters.thrusters:
+                self._echo_us[i] += min(max(pulse - self._echo_us[i], -reach_us), reach_us)
+            elif pulse != IGNORED:
+                self._echo_us[i] = pulse
 
     def _disarm(self, severity: int, reason: str) -> None:
         self.armed = False
         self.said.append(StatusText(severity, reason))
-
-
-def _rounded(thrusters_us: list[float], ankles_us: list[float]) -> tuple[int, ...]:
-    return tuple(round(pulse) for pulse in (*thrusters_us, *ankles_us))

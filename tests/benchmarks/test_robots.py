@@ -135,7 +135,7 @@ def test_vehicles_are_the_shipped_one_at_its_own_size_and_their_limits_are_stead
     assert same.model_dump(exclude={"limits"}) == SPHERICAL.model_dump(exclude={"limits"})
     for limit in ("speed_mps", "heave_mps", "yaw_rate_radps"):
         assert getattr(same.limits, limit) == pytest.approx(getattr(SPHERICAL.limits, limit), rel=0.02)
-    for build in VEHICLES.values():
+    for build in (build for build in VEHICLES.values() if isinstance(build, ScaledVehicle)):
         vehicle = load_experiment("straight", build.settings()).vehicle
         u = vehicle.limits.speed_mps
         assert vehicle.drag.linear[0] * u + vehicle.drag.quadratic[0] * u**2 == pytest.approx(

@@ -86,7 +86,9 @@ def is_near_an_edge(machine: BoardStateMachine) -> bool:
     voltage = machine._voltage  # private: the filtered voltage is to be seen nowhere else
     if voltage is not None and any(abs(voltage - threshold) < EDGE_V for threshold in thresholds):
         return True
-    return any(abs(pulse % 1.0 - 0.5) < TIE_US for pulse in machine._thrusters_us)  # private: unrounded pulses
+    return any(
+        abs(pulse % 1.0 - 0.5) < TIE_US for pulse in machine._echo_us[: machine.parameters.thrusters]
+    )  # private: unrounded pulses
 
 
 def seen(machine: BoardStateMachine) -> tuple[object, ...]:

@@ -18,7 +18,8 @@ def integrate(
     lag: bool = True,
     steps_per_s: int = 1000,
 ) -> Array:
-    """The state [eta, nu, thrust] (11,) after `seconds` of a commanded wrench(t); classical Runge-Kutta."""
+    """The state [eta, nu, thrust] (11,), (12,) with side thrust, after `seconds` of a commanded wrench(t); classical
+    Runge-Kutta."""
     m_u, m_v, m_w, m_r = vehicle.inertia
     linear, quadratic = vehicle.drag_linear, vehicle.drag_quadratic
 
@@ -28,14 +29,14 @@ def integrate(
         thrust = s[8:] if lag else asked
         horizontal = float(np.hypot(u, v))
         drag = (linear + quadratic * np.array([horizontal, horizontal, abs(w), abs(r)])) * s[4:8]
-        out = np.zeros(11)
+        out, side = np.zeros(len(s)), thrust[3] if len(thrust) > 3 else 0.0
         out[0] = u * np.cos(yaw) - v * np.sin(yaw)
         out[1] = u * np.sin(yaw) + v * np.cos(yaw)
         out[2], out[3] = w, r
         out[4] = (thrust[0] - drag[0] + m_v * v * r) / m_u + disturbance[0]
-        out[5] = (-drag[1] - m_u * u * r) / m_v + disturbance[1]
+        out[5] = (side - drag[1] - m_u * u * r) / m_v + disturbance[1]
         out[6] = (thrust[1] - drag[2]) / m_w + disturbance[2]
-        out[7] = (thrust[2] - drag[3]) / m_r + disturbance[3]
+        out[7] = (thrust[2] - drag[3] + (m_u - m_v) * u * v) / m_r + disturbance[3]
         out[8:] = (asked - s[8:]) / vehicle.thruster.lag_s
         return out
 

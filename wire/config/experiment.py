@@ -221,6 +221,15 @@ class Experiment(Section):
         return self
 
     @model_validator(mode="after")
+    def _law_knows_the_axes(self) -> Self:
+        if self.vehicle.limits.has_sway and self.controller.law != "nmpc":
+            raise ValueError(
+                f"vehicle: {self.vehicle.name!r} has side thrust, which controller.law = {self.controller.law!r} does not "
+                "know (allowed: law 'nmpc', or a vehicle whose limits.wrench has 3 numbers)"
+            )
+        return self
+
+    @model_validator(mode="after")
     def _landmarks_can_be_told_apart(self) -> Self:
         if 0 < len(self.landmarks) < LANDMARKS_NEEDED:
             raise ValueError(
@@ -291,8 +300,8 @@ class Experiment(Section):
         return period_ns // step_ns
 
     @property
-    def wrench_step(self) -> tuple[float, float, float]:
-        """The largest change of the wrench per control step: N, N, N m."""
+    def wrench_step(self) -> tuple[float, ...]:
+        """The largest change of the wrench per control step: N, N, N m, and N of sway."""
         return self.vehicle.limits.wrench_step(self.controller.period_s)
 
     @property

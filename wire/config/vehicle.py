@@ -1,4 +1,4 @@
-"""SHELL: a vehicle: inertia, drag, limits, legs, thrust curve. Loaded from a TOML file that is checked key by key."""
+"""SHELL: a vehicle: inertia, drag, limits, legs or thrusters, thrust curve. Loaded from a TOML file, checked key by key."""
 
 from collections.abc import Iterator
 from functools import cached_property
@@ -13,8 +13,11 @@ from wire.toml_loader import ConfigError, Section, check, read_toml
 
 VEHICLES = Path(__file__).parents[1] / "vehicles"
 
-LEGS = 4  # of every vehicle: allocation, boards and simulator know no other
+LEGS = 4  # of every vehicle that has legs: allocation, boards and simulator know no other number
+OUTPUTS = 8  # of a board: thrusters and ankles of four legs, or up to eight thrusters that do not turn
+AXES = ("surge", "heave", "yaw", "sway")  # order of a wrench. A vehicle without side thrust has the first three
 SAME_M = 1e-5  # of legs: nearer than any vehicle is built
+REACHED = 1e-6  # of an axis: thrusters that come nearer to giving it alone do give it
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
@@ -44,12 +47,17 @@ class Drag(Section):
     """kg/m, and N m s^2 for yaw."""
 
 
-class Limits(Section):
-    """The limits of the controller. Wrenches are [surge N, heave N, yaw N m], their rates the same per second."""
+Wrench3 = tuple[Positive, Positive, Positive]
+Wrench4 = tuple[Positive, Positive, Positive, Positive]
 
-    wrench: tuple[Positive, Positive, Positive]
-    """Largest wrench, N, N and N m (39)."""
-    wrench_rate_per_s: tuple[Positive, Positive, Positive]
+
+class Limits(Section):
+    """The limits of the controller. Wrenches are [surge N, heave N, yaw N m], and sway N if thrusters push sideways too. Their
+    rates are the same per second."""
+
+    wrench: Wrench3 | Wrench4
+    """Largest wrench, N, N and N m (39); a fourth number is the largest side force, N."""
+    wrench_rate_per_s: Wrench3 | Wrench4
     """Largest change of the wrench per second (40)."""
     speed_mps: Positive
     """Largest horizontal speed."""
@@ -68,11 +76,24 @@ class Limits(Section):
             )
         return table
 
-    def wrench_step(self, period_s: float) -> tuple[float, float, float]:
-        """The largest change per control step, (40): N, N, N m."""
+    @model_validator(mode="after")
+    def _same_axes(self) -> Self:
+        if len(self.wrench) != len(self.wrench_rate_per_s):
+            raise ValueError(
+                f"wrench_rate_per_s: has {len(self.wrench_rate_per_s)} numbers, wrench has {len(self.wrench)} (both: surge, "
+                "heave, yaw, and sway where thrusters push sideways)"
+            )
+        return self
+
+    @property
+    def has_sway(self) -> bool:
+        """True if thrusters push sideways."""
+        return len(self.wrench) == len(AXES)
+
+    def wrench_step(self, period_s: float) -> tuple[float, ...]:
+        """The largest change per control step, (40): N, N, N m, and N."""
         per_s = 1.0 / period_s  # 6 N/s over 20 Hz is 0.3 N to the last bit; 6 N/s times 0.05 s is not
-        surge, heave, yaw = self.wrench_rate_per_s
-        return surge / per_s, heave / per_s, yaw / per_s
+        return tuple(rate / per_s for rate in self.wrench_rate_per_s)
 
 
 class Legs(Section):
@@ -108,6 +129,23 @@ class Legs(Section):
         if np.ptp(x) > SAME_M or np.ptp(y) > SAME_M or len(set(self.position_m)) != 4:
             given = [list(position) for position in self.position_m]
             raise ValueError(f"position_m = {given}: must be the corners of a rectangle around the centre")
+        return self
+
+
+class FixedThruster(Section):
+    """A thruster that does not turn. Its curve is that of all thrusters."""
+
+    position_m: tuple[float, float, float]
+    """Place in the body frame: x ahead, y to starboard, z down from the hull's centre."""
+    direction: tuple[float, float, float]
+    """Direction of the force on the robot by positive thrust, in the body frame; of any length."""
+    channel: Annotated[int, Field(ge=1, le=OUTPUTS)]
+    """The board's output, from 1, that its speed controller is connected to."""
+
+    @model_validator(mode="after")
+    def _pushes_somewhere(self) -> Self:
+        if not np.isfinite([*self.position_m, *self.direction]).all() or np.linalg.norm(self.direction) < SAME_M:
+            raise ValueError(f"direction = {list(self.direction)}: must be a vector with a length")
         return self
 
 
@@ -213,6 +251,9 @@ class Righting(Section):
     """Period of a free swing."""
 
 
+THRUSTERS_EXAMPLE = [{"position_m": [0.1, -0.1, 0.0], "direction": [1.0, 1.0, 0.0], "channel": 1}]
+
+
 class Vehicle(Section):
     """Everything about one kind of robot that the controller, the localizer or the board must know."""
 
@@ -226,8 +267,10 @@ class Vehicle(Section):
     """Drag."""
     limits: Limits
     """Limits."""
-    legs: Legs
-    """Legs."""
+    legs: Legs | None = None
+    """Legs whose ankles turn the thrusters; a vehicle has these, or `thrusters`."""
+    thrusters: Annotated[tuple[FixedThruster, ...], Field(examples=[THRUSTERS_EXAMPLE])] = ()
+    """Thrusters that do not turn."""
     thruster: Thruster
     """Thrusters."""
     battery: Battery
@@ -238,6 +281,86 @@ class Vehicle(Section):
         None
     )
     """Righting moment. Left out: thrust does not tilt the hull."""
+
+    @model_validator(mode="after")
+    def _has_thrusters(self) -> Self:
+        if (self.legs is None) == (not self.thrusters):
+            found = "neither" if self.legs is None else "both"
+            raise ValueError(f"thrusters: has {found} (allowed: a table [legs], or tables [[thrusters]])")
+        if self.legs is not None:
+            if self.limits.has_sway:
+                raise ValueError("limits.wrench: has a fourth number, but legs do not push sideways (allowed: 3 numbers)")
+            return self
+        channels = [thruster.channel for thruster in self.thrusters]
+        if len(set(channels)) != len(channels):
+            twice = next(channel for channel in channels if channels.count(channel) > 1)
+            raise ValueError(f"thrusters: channel {twice} is given twice")
+        forces = np.linalg.pinv(self.mixing)  # (outputs, 4) for one newton, or one newton metre, of each axis
+        reached = self.mixing @ forces
+        least_n = min(self.thruster.max_thrust_n, -self.thruster.curve[0][1])  # that a thruster gives both ways
+        for axis, limit in enumerate(self.limits.wrench):
+            if abs(reached[axis, axis] - 1.0) > REACHED or np.abs(np.delete(reached[:, axis], axis)).max() > REACHED:
+                raise ValueError(f"thrusters: cannot give {AXES[axis]} without another axis (limits.wrench claims it)")
+            most = least_n / np.abs(forces[:, axis]).max()
+            if limit > most * (1.0 + REACHED):
+                raise ValueError(
+                    f"limits.wrench: {limit:g} of {AXES[axis]} is more than the thrusters give alone, {most:.3g} (of "
+                    f"{least_n:g} N each, both ways)"
+                )
+        return self
+
+    @cached_property
+    def thruster_table(self) -> Array:
+        """Place m and direction, of length 1, of the fixed thruster on each output (8, 6); zero for an output without one."""
+        table = np.zeros((OUTPUTS, 6))
+        for thruster in self.thrusters:
+            direction = np.array(thruster.direction)
+            table[thruster.channel - 1] = *thruster.position_m, *(direction / np.linalg.norm(direction))
+        return table
+
+    @cached_property
+    def mixing(self) -> Array:
+        """Wrench (4,) in the order of AXES by a newton of the fixed thruster on each output, (4, 8)."""
+        place, way = self.thruster_table[:, :3], self.thruster_table[:, 3:]
+        return np.stack([way[:, 0], way[:, 2], place[:, 0] * way[:, 1] - place[:, 1] * way[:, 0], way[:, 1]])
+
+    @property
+    def four_legs(self) -> Legs:
+        """The legs of a vehicle that has them."""
+        assert self.legs is not None
+        return self.legs
+
+    @property
+    def thruster_count(self) -> int:
+        """Number of the outputs, from the first on, that are thrusters'; the others are ankles'."""
+        return LEGS if self.legs is not None else OUTPUTS
+
+    @property
+    def thruster_places(self) -> list[list[float]]:
+        """Place m and direction of each thruster by output, as in `thruster_table`; a leg's is ahead, with its ankle level."""
+        if self.legs is None:
+            return [list(map(float, row)) for row in self.thruster_table]
+        return [[x, y, 0.0, 1.0, 0.0, 0.0] for x, y in self.legs.position_m]
+
+    def thruster_name(self, output: int) -> str:
+        """Name of the thruster on an output (from 0) by its place: front left, and so on."""
+        ahead, starboard, _, along, across, down = self.thruster_places[output]
+        if not (along or across or down):
+            return f"output {output + 1}"
+        upright = ", vertical" if abs(down) > max(abs(along), abs(across)) else ""
+        return f"{'front' if ahead > 0 else 'rear'} {'right' if starboard > 0 else 'left'}{upright}"
+
+    @property
+    def ranges_us(self) -> tuple[tuple[int, int], ...]:
+        """Least and most pulse of each output: a thruster's curve, an ankle's range."""
+        curve, ankles = self.thruster.curve, () if self.legs is None else (self.legs.ankle_us,) * LEGS
+        return ((curve[0][0], curve[-1][0]),) * self.thruster_count + ankles
+
+    @property
+    def neutral_us(self) -> tuple[int, ...]:
+        """Pulses of all outputs with which no thruster turns and every ankle is level."""
+        still = (self.thruster.neutral_us,)
+        return still * OUTPUTS if self.legs is None else still * LEGS + (round(0.5 * sum(self.legs.ankle_us)),) * LEGS
 
     @cached_property
     def inertia(self) -> Array:
@@ -266,9 +389,9 @@ class Vehicle(Section):
         yield "yaw rate", "rad/s", 1, self.limits.yaw_rate_radps, np.abs(velocity[:, 3])
         flow = np.column_stack([speed, speed, np.abs(velocity[:, 2]), np.abs(velocity[:, 3])])
         force = self.inertia * acceleration + (self.drag_linear + self.drag_quadratic * flow) * velocity
-        surge_n, heave_n, yaw_nm = self.limits.wrench
-        # no side thruster: in a bend the robot turns inwards until surge gives the side force too
-        yield "thrust", "N", 2, surge_n, np.hypot(force[:, 0], force[:, 1])
+        surge_n, heave_n, yaw_nm, *sway_n = self.limits.wrench
+        # no side thruster: in a bend the robot turns inwards until surge gives the side force too. With one, the weaker counts
+        yield "thrust", "N", 2, min(surge_n, *sway_n, surge_n), np.hypot(force[:, 0], force[:, 1])
         yield "heave thrust", "N", 2, heave_n, np.abs(force[:, 2])
         yield "yaw moment", "N m", 2, yaw_nm, np.abs(force[:, 3])
 

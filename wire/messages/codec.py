@@ -28,6 +28,7 @@ from wire.messages.messages import Command, Event, Frame, Message, OrderTaken, P
 MAX_FRAME_BYTES = 64 * 1024 * 1024
 MAX_MESSAGE_BYTES = 4 * 1024 * 1024  # half an hour of trajectory at 20 Hz; anything larger is no message of ours
 MAX_SMALL_BYTES = 64 * 1024  # without path or picture: a plan of 200 nodes has 13 kB, 290 obstacles fill it
+WRENCH_AXES = (3, 4)  # numbers of a wrench, without and with sway
 MAX_EVENT_BYTES = 16 * 1024  # of a line of the log: logs of earlier versions hold lines of 5 kB
 LONGEST_LINE = 1000  # characters of a line of the log; the rest is cut off
 LONGEST_TEXT = 8000  # characters of any other text, for example every reason that keeps fifty robots from arming
@@ -112,6 +113,12 @@ def _growing(cls: Any) -> tuple[str, ...]:
 
 
 @cache
+def _wrenches(cls: Any) -> tuple[str, ...]:
+    """Names of the wrenches."""
+    return tuple(f.name for f in dataclasses.fields(cls) if f.metadata.get("wrench"))
+
+
+@cache
 def _numbers(cls: Any) -> tuple[str, ...]:
     """Names of the integers that say whose each row of the arrays is."""
     return tuple(f.name for f in dataclasses.fields(cls) if f.metadata.get("each_row"))
@@ -125,6 +132,8 @@ def _later(cls: Any) -> frozenset[str]:
 
 def _reader(hint: Any, metadata: Any) -> Callable[[Any, str], Any]:
     """The function that reads and checks a field of such a type from protobuf."""
+    if metadata.get("wrench"):
+        return _array_reader((-1,))  # `_shape_wrenches` gives it its rows
     if "shape" in metadata:
         return _array_reader(metadata["shape"])
     if hint is float:
@@ -209,6 +218,8 @@ def _from_protobuf(cls: type[M], message: Any, prefix: str = "") -> M:
         absent = may_be_absent and not message.HasField(name)
         values[name] = None if absent else read(getattr(message, name), prefix + name)
     first, *others = _growing(cast(Any, cls)) or ("",)
+    if _wrenches(cast(Any, cls)):
+        _shape_wrenches(values, _wrenches(cast(Any, cls)), len(values[first]) if first else None, prefix)
     for name in others:
         if len(values[name]) == 0 and name in _later(cast(Any, cls)):
             values[name] = np.zeros((len(values[first]), *values[name].shape[1:]))
@@ -220,6 +231,22 @@ def _from_protobuf(cls: type[M], message: Any, prefix: str = "") -> M:
     built = object.__new__(cls)
     built.__dict__.update(values)  # what cls(**values) does, but for a frozen class that sets one field after the other
     return built
+
+
+def _shape_wrenches(values: dict[str, Any], names: tuple[str, ...], rows: int | None, prefix: str) -> None:
+    """Give the wrenches of a message their shape: so many rows, or none, of 3 numbers each, or of 4."""
+    axes = 0
+    for name in names:
+        size = values[name].size
+        count = size if rows is None else size // rows if rows else 3 if size == 0 else 0
+        if count not in WRENCH_AXES or (rows and count * rows != size) or (axes and count != axes):
+            per = "" if rows is None else f" for {rows} rows"
+            raise _Invalid(
+                prefix + name, f"{size} values{per} do not fill the shape of a wrench (3 each, or 4 with sway, all alike)"
+            )
+        axes = count
+        if rows is not None:
+            values[name] = values[name].reshape(rows, count)
 
 
 def _to_protobuf(message: Any, target: Any) -> Any:

@@ -2,7 +2,8 @@
 the two by name.
 
 `eta` is a pose [x_m, y_m, z_m, yaw_rad] in the pool frame, `nu` a velocity [surge, sway, heave m/s, yaw rad/s] in the body
-frame, a wrench [surge N, heave N, yaw N m]; see wire/frames.py. Array fields state their shape; -1 is any length, but one
+frame, a wrench [surge N, heave N, yaw N m], with sway N as its fourth number where the vehicle has side thrust; see
+wire/frames.py. Array fields state their shape; -1 is any length, but one
 length for all of a message.
 """
 
@@ -20,6 +21,12 @@ def array(*shape: int) -> Any:
     """An array field: float64, finite, of this shape. Empty by default."""
     empty = tuple(0 if n == -1 else n for n in shape)
     return field(default_factory=lambda: np.zeros(empty), metadata={"shape": shape})
+
+
+def wrench_array(*rows: int) -> Any:
+    """An array field of wrenches: 3 numbers each, or 4 with sway. All of a message have the same."""
+    empty = (*(0 for _ in rows), 3)
+    return field(default_factory=lambda: np.zeros(empty), metadata={"shape": (*rows, 3), "wrench": True})
 
 
 def later_array(*shape: int) -> Any:
@@ -128,7 +135,7 @@ class Truth:
     robots: tuple[int, ...] = row_numbers()
     eta: Array = array(-1, 4)
     nu: Array = array(-1, 4)
-    wrench: Array = array(-1, 3)  # Wrench that the thrusters deliver.
+    wrench: Array = wrench_array(-1)  # Wrench that the thrusters deliver.
     disturbance: Array = array(-1, 4)  # Acceleration that the nominal model does not explain, in the body frame.
 
 
@@ -210,11 +217,11 @@ class RobotState:
     disturbance: Array = array(4)  # Estimated acceleration, in the body frame [m/s^2, rad/s^2].
     eta_reference: Array = array(4)  # Pose on the trajectory: yaw is the tangent of the path.
     eta_command: Array = array(4)  # Pose given to the controller: yaw includes crab angle and correction.
-    wrench: Array = array(3)  # Commanded wrench, within the limits.
-    wrench_step: Array = array(3)  # Change of the commanded wrench in this step.
-    wrench_wanted: Array = array(3)  # Result of the control law before magnitude and rate were limited.
-    wrench_delivered: Array = array(3)  # Wrench after allocation and limits, by the nominal thrust curve.
-    pulse_us: tuple[int, ...] = ()  # Pulse widths sent to 4 thrusters and 4 ankles.
+    wrench: Array = wrench_array()  # Commanded wrench, within the limits.
+    wrench_step: Array = wrench_array()  # Change of the commanded wrench in this step.
+    wrench_wanted: Array = wrench_array()  # Result of the control law before magnitude and rate were limited.
+    wrench_delivered: Array = wrench_array()  # Wrench after allocation and limits, by the nominal thrust curve.
+    pulse_us: tuple[int, ...] = ()  # Pulse widths sent to the board's outputs: 4 thrusters and 4 ankles, or 8 thrusters.
     echo_us: tuple[int, ...] = ()  # Pulse widths that the board reports as its output.
     track: Track = Track.LOST
     pose_age_ms: float = 0.0

@@ -2,7 +2,8 @@
 
 The optimisation improves the flight it is given. Turning round, or coming back astern, is another flight that no small step
 leads to; the pilot is such a step. It asks for a velocity through the water that leads back to the course, turns bow or stern
-into it, and pushes as fast as it wants to go. Where thrusters push sideways too, it pushes along both axes.
+into it, and pushes as fast as it wants to go. Where thrusters push sideways too, it pushes along both axes, and its heading is
+the course's.
 """
 
 import math
@@ -50,15 +51,18 @@ class PilotStyle(NamedTuple):
 
 @kernel(part=True)
 def wanted_force(
-    dynamics: Dynamics, pilot: PilotStyle, state: Floats, x_mps: float, y_mps: float, has_sway: bool
+    dynamics: Dynamics, pilot: PilotStyle, state: Floats, x_mps: float, y_mps: float, yaw_rad: float
 ) -> tuple[float, float, float]:
-    """Forces that bring the robot to a velocity through the water, and its bow or stern into it."""
+    """Forces that bring the robot to a velocity through the water, and its bow or stern into it; or, if `yaw_rad` is a number,
+    to that heading, which needs side thrust."""
     hull, water, yaw = dynamics.hull, dynamics.water, state[YAW]
     speed = math.sqrt(x_mps * x_mps + y_mps * y_mps)
     if speed > pilot.fastest_mps:
         x_mps, y_mps = x_mps * pilot.fastest_mps / speed, y_mps * pilot.fastest_mps / speed
-    away = 0.0
-    if speed > STILL * pilot.fastest_mps:
+    away, has_sway = 0.0, not math.isnan(yaw_rad)
+    if has_sway:
+        away = yaw_rad - yaw
+    elif speed > STILL * pilot.fastest_mps:
         away = math.atan2(pilot.ahead * y_mps, pilot.ahead * x_mps) - yaw
         away -= TURN * math.floor(away / TURN + 0.5)
     cos, sin = math.cos(yaw), math.sin(yaw)
@@ -90,6 +94,9 @@ def guess(
         step_s = span_s / steps
         shares = lag_shares(dynamics.hull.lag_s, step_s)
         x_mps, y_mps = course.velocity[k, 0], course.velocity[k, 1]
+        yaw_rad = math.nan
+        if has_sway:
+            yaw_rad = course.yaw[k] if course.yaw_weight[k] > 0.0 else start.state[YAW]
         speed, bump = math.sqrt(x_mps * x_mps + y_mps * y_mps), 0.0
         if speed > STILL * pilot.fastest_mps:
             middle_s = 0.5 * grid.time_s[len(grid.time_s) - 1]
@@ -101,7 +108,7 @@ def guess(
             back_y = pilot.return_per_s * (goal_y - y_mps * left_s - state[Y])
             wanted = wanted_force(
                 dynamics, pilot, state, x_mps + back_x - dynamics.water.current_x_mps,
-                y_mps + back_y - dynamics.water.current_y_mps, has_sway,
+                y_mps + back_y - dynamics.water.current_y_mps, yaw_rad,
             )  # fmt: skip
             for i in range(axes):
                 most, want = limits.rate[i] * step_s, wanted[grid.axes[i]]

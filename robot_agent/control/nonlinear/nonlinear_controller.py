@@ -8,7 +8,7 @@ Data flow of `NonlinearController.step`; its interface is that of `Controller` (
     neighbours  -> PlanSampler (neighbour_plans.py)   formation's pull (35), bodies to keep clear of (36)
                 -> set_course (course.py)             places, velocities, headings at the nodes
     estimate    -> derive (tuning.py)                 weights
-                -> Planner (planner.py)               one iteration on the plan: surge and yaw; and on that of depth
+                -> Planner (planner.py)               one iteration on the plan: surge, sway, yaw; and on that of depth
                 -> Allocator (allocation.py)          pulse widths
 """
 
@@ -31,16 +31,15 @@ from robot_agent.guidance.formation import Formation, Neighbour, NeighbourPredic
 from robot_agent.guidance.obstacles import Obstacle
 from robot_agent.guidance.reference import Drive, Follow, Goal, Hold, Reference, ReferenceSampler, interpolate_rows
 from robot_agent.guidance.velocity_obstacles import GiveWay, traffic_near
-from robot_agent.vehicle.allocation import Allocator
-from robot_agent.vehicle.dynamics import Model
+from robot_agent.vehicle.dynamics import Model, flow_moment_nm
 from robot_agent.vehicle.estimate import Estimate, StateMeasurement
+from robot_agent.vehicle.fixed_thrusters import make_allocator
 from robot_agent.vehicle.kalman import make_estimator
 from wire.config.controller import ControllerConfig, Safety
 from wire.config.vehicle import Vehicle
 from wire.frames import Array
 from wire.messages.messages import Solve
 
-AXES = (0, 2)  # surge and yaw have thrusters
 TOLD_S = 0.2  # between two poses of the plan that neighbours get, whatever the control period
 GAINS_S = 1.0  # time constant of the weights,
 NOISE_S = 4.0  # and of the noise that they heed: what is not known yet at a start is no noise, and ends within a second
@@ -73,7 +72,8 @@ class NonlinearController:
         self._estimator = make_estimator(vehicle, model, config.estimator)
         self._dead_s, horizon_s = vehicle.thruster.dead_time_s, tunings.horizon_s(vehicle)
         self._delay_s = tunings.delay_s(vehicle, config.period_s, model.lag_s)
-        self._grid, self._depth_grid = make_grid(horizon_s, AXES), make_grid(horizon_s, (0,))
+        self._axes = tunings.planar_axes(vehicle)
+        self._grid, self._depth_grid = make_grid(horizon_s, self._axes), make_grid(horizon_s, (0,))
         self._step_s = tunings.step_s(vehicle)
         nodes_s = self._dead_s + self._grid.time_s  # the instant of action, then the nodes
         self.sampler = ReferenceSampler(nodes_s)
@@ -83,16 +83,17 @@ class NonlinearController:
             vehicle, np.concatenate([[0.0], nodes_s]), config.period_s, room_m, islands, tunings.agility(vehicle)
         )
         self._planner = Planner(self._grid, config.period_s, 2.0 * safety.radius_m, vehicle.limits.speed_mps)
-        self._depth, self._drift = make_memory(1), make_flight(len(AXES))
+        self._depth, self._drift = make_memory(1), make_flight(len(self._axes))
         self._course, self._depth_course, self._turns = make_course(), make_course(), Turns()
         self._limits, self._depth_limits = tunings.planar_limits(vehicle), tunings.depth_limits(vehicle)
         hull_m = vehicle.radius_m + WALL_M
         self._room_m = np.array([math.inf, math.inf]) if room_m is None else 0.5 * np.array(room_m) - hull_m
         self._open_water = Surrounds(NO_BODIES, outlines_of((), 0, 0j), np.array([math.inf, math.inf]))
-        self.allocator = Allocator(vehicle)
+        self.allocator = make_allocator(vehicle)
         told_s = TOLD_S * np.arange(int((horizon_s + self._dead_s) / TOLD_S) + 1)
         self._told_rows = np.interp(told_s, np.concatenate([[0.0], nodes_s]), np.arange(len(nodes_s) + 1.0))
-        self._wrench, self._delivered = np.zeros(3), np.zeros(3)  # asked for in the last step, and what its pulses gave
+        self._still, self._heave = np.zeros(len(vehicle.limits.wrench)), np.eye(len(vehicle.limits.wrench))[1]  # none, and 1 N
+        self._wrench, self._delivered = self._still, self._still  # asked for in the last step, and what its pulses gave
         self._priority = Priority(urgent, 0.0)
         self._tuning: tunings.Bandwidths | None = None
         self._place: Array | None = None  # to rest at
@@ -117,14 +118,14 @@ class NonlinearController:
         self._plans.set_weight(tuned.config.mpc.q_formation)
 
     def note_command(self, wrench: Array, delivered: Array, now_ns: int) -> None:
-        """Take note of the wrench asked for and delivered, (3,) each, that really went out at `now_ns` instead of the last
+        """Take note of the wrench asked for and delivered that really went out at `now_ns` instead of the last
         step's."""
         self._note(wrench, delivered, now_ns)
 
     def _note(self, wrench: Array, delivered: Array, now_ns: int) -> None:
         """Take note of a wrench. What lifts a pitched hull takes part of its heave: observer and plan know the rest."""
         self._wrench, self._delivered = wrench, delivered
-        self._estimator.note_wrench(delivered - (0.0, self._lift_n, 0.0), now_ns)
+        self._estimator.note_wrench(delivered - self._lift_n * self._heave, now_ns)
 
     # --- one step
 
@@ -141,9 +142,8 @@ class NonlinearController:
         if estimate is None or goal is None:
             return self._neutral(estimate, now_ns)
         if self._model.sway:  # the article's model knows no tilt
-            pitch_rad = min(max(measurement.pitch_rad, -STEEPEST_RAD), STEEPEST_RAD)
-            self._lift_n = estimate.action.item(8) * math.sin(pitch_rad)
-        dynamics, start = self._dynamics(estimate), make_start(estimate.action, self._wrench, AXES)
+            self._lift_n = self._lift(measurement, estimate)
+        dynamics, start = self._dynamics(estimate), make_start(estimate.action, self._wrench, self._axes)
         self._take_up(goal, estimate)
         self._retune(estimate)
         predictions = self.formation.predict_neighbours(neighbours, now_ns)
@@ -166,6 +166,11 @@ class NonlinearController:
         dive = self._dive(estimate, led)
         self._off_m = math.hypot(*(reference.eta[0, :2] - estimate.eta[:2]).tolist())
         return self._put_out(estimate, reference, lead, found, dive, now_ns)
+
+    def _lift(self, measurement: StateMeasurement, estimate: Estimate) -> float:
+        """Force upwards of the thrust of a tilted hull, N: ahead on a bow that points up, sideways on a side that does."""
+        pitch, roll = (min(max(rad, -STEEPEST_RAD), STEEPEST_RAD) for rad in (measurement.pitch_rad, measurement.roll_rad))
+        return float(estimate.action.item(8) * math.sin(pitch) - estimate.action.item(11) * math.sin(roll))
 
     def _take_up(self, goal: Goal, estimate: Estimate) -> None:
         """Begin a plan anew at a goal of another kind, and when the estimate has leapt."""
@@ -239,14 +244,16 @@ class NonlinearController:
         """One step of the planner."""
         gains, is_resting, is_steered = self._config.nmpc, isinstance(goal, Hold), isinstance(goal, Drive)
         near_rad = self._turns.near_rad(start.state.item(2))
-        heading_m = gains.arm_m if is_steered else gains.heading_m
+        keeps_heading = is_steered or tunings.SWAY in self._axes  # the reference's: no bow has to point where it goes
+        heading_m = gains.arm_m if keeps_heading else gains.heading_m
         set_course(
-            led.eta, led.velocity, dynamics.water, HeadingRule(near_rad, heading_m**2, is_steered, is_resting), self._course
+            led.eta, led.velocity, dynamics.water, HeadingRule(near_rad, heading_m**2, keeps_heading, is_resting), self._course
         )
         self._turns.note(self._course, near_rad)
         turning_m = gains.hold_turning_m if is_resting else gains.turning_m
-        facing_s = 0.0 if is_resting or is_steered else tunings.FACING_S
-        weights = self._weights(tunings.Manner(turning_m, facing_s, is_steered))
+        facing_s = 0.0 if is_resting or keeps_heading else tunings.FACING_S
+        asks_no_line = is_steered and tunings.SWAY not in self._axes
+        weights = self._weights(tunings.Manner(turning_m, facing_s, asks_no_line))
         problem = PlanProblem(start, self._course, weights, self._limits, surrounds)
         calm = is_resting and self._off_m < self._calm_m
         assert self._tuning is not None
@@ -276,7 +283,7 @@ class NonlinearController:
         solved = found.rounds > 0 and dive.rounds > 0
         self._shifted = 0 if solved else self._shifted + 1
         failed = self._shifted > bridged_steps(self._period_s)
-        wrench = np.zeros(3) if failed else self._first_wrench(found.rounds > 0, dive.rounds > 0)
+        wrench = self._still if failed else self._first_wrench(found.rounds > 0, dive.rounds > 0)
         pulses, delivered = self.allocator.neutral() if failed else self.allocator.allocate(wrench)
         wrench_step = wrench - self._wrench
         self._note(wrench, delivered, now_ns)
@@ -311,15 +318,17 @@ class NonlinearController:
             depth_leap=estimate.depth_leap,
             is_free=lead is reference and not found.binds,
             path_is_blocked=self._give_way.path_is_blocked,
+            flow_moment_nm=flow_moment_nm(self._model.coefficients, estimate.through_water),
         )
 
     def _first_wrench(self, has_plan: bool, has_depth_plan: bool) -> Array:
-        """The wrench (3,) for the coming period: as far on the way to the first node's as the period goes. An axis without a
+        """The wrench for the coming period: as far on the way to the first node's as the period goes. An axis without a
         plan keeps its wrench."""
         share, limits = min(self._period_s / float(self._grid.time_s[1]), 1.0), self._vehicle.limits
         wanted = self._wrench.copy()
         if has_plan:
-            wanted[0], wanted[2] = self._planner.flight.command[0]
+            for axis, force in zip(self._axes, self._planner.flight.command[0], strict=True):
+                wanted[tunings.WRENCH_AXIS[axis]] = force
         if has_depth_plan:
             wanted[1] = self._depth.flight.command[0, 0] + self._lift_n
         most = np.array(limits.wrench_step(self._period_s))
@@ -346,7 +355,7 @@ class NonlinearController:
         self._depth.flight.command[:] = 0.0
         self.goal, self._place, self._off_m, self._shifted = None, None, 0.0, 0
         wrench_step, self._lift_n = -self._wrench, 0.0
-        self._note(np.zeros(3), np.zeros(3), now_ns)
+        self._note(self._still, self._still, now_ns)
         self._priority = Priority(self._urgent, 0.0)
         if estimate is None:
             return ControlOutput.neutral(self.allocator.neutral_us, wrench_step, None, np.zeros((len(self._told_rows), 4)))
@@ -354,7 +363,7 @@ class NonlinearController:
 
     def _drift_from(self, estimate: Estimate) -> Array:
         """Poses of a robot without thrust, as they are told."""
-        dynamics, start = self._dynamics(estimate), make_start(estimate.action, np.zeros(3), AXES)
+        dynamics, start = self._dynamics(estimate), make_start(estimate.action, self._still, self._axes)
         fly(dynamics, self._grid, start, self._drift)
         state = self._drift.state
         rows = np.empty((len(state) + 2, 4))

@@ -19,7 +19,7 @@ from wire.kernels import kernel
 ESCAPE_MPS = 0.1  # of a robot that is too near: a fifth of the shipped vehicle's speed
 NEAR_M = 0.4  # farther from its border, a half-space is left out: a plan changes by less in one iteration
 WALL_GIVES = 0.1  # of what a body's rows give: 2R hold room enough that hulls do not touch, a wall holds none
-TOUCHING_M = 1e-6
+TOUCHING_M = 1e-6  # nearer, the direction away means nothing: any is taken
 MOST_ROWS = 8 * NODES  # of eight bodies all the way; beyond, the ones given last are left out
 
 

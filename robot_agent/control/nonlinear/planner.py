@@ -12,7 +12,7 @@ import numpy as np
 from robot_agent.control.nonlinear.first_guess import PilotStyle, guess
 from robot_agent.control.nonlinear.prediction import Dynamics, Grid, PlannedFlight, Start
 from robot_agent.control.nonlinear.program import Course, Iteration, Memory, PlanProblem, appraise, make_memory, step_plan
-from robot_agent.control.nonlinear.tuning import RETURN_SHARE, Bandwidths
+from robot_agent.control.nonlinear.tuning import RETURN_SHARE, SWAY, WRENCH_AXIS, Bandwidths
 from wire.frames import Array
 
 RIVAL_STEPS = 4  # iterations of a rival: more bring less than 1 % of its cost
@@ -22,6 +22,9 @@ ENTRY_M = 0.01  # deeper in a half-space, a plan is in conflict
 
 AHEAD, ASTERN = (1.0, 0.0), (-1.0, 0.0)  # bow or stern first; how far to port of the course, in distances to keep
 FREE = (AHEAD, ASTERN)
+AT_HEADING = (0.0, 0.0)  # at the course's heading: with side thrust there is no bow to turn
+FREE_WITH_SWAY = (AT_HEADING,)
+BLOCKED_WITH_SWAY = (AT_HEADING, (0.0, 1.0), (0.0, -1.0), (0.0, 2.0), (0.0, -2.0))
 BLOCKED = (AHEAD, ASTERN, (1.0, 1.0), (1.0, -1.0), (1.0, 2.0), (1.0, -2.0))
 
 
@@ -32,6 +35,9 @@ class Planner:
         """`aside_m` is the distance to keep from other robots."""
         self._grid, self._period_s, self._aside_m, self._fastest_mps = grid, period_s, aside_m, fastest_mps
         self._plan, self._rival = make_memory(len(grid.axes)), make_memory(len(grid.axes))
+        has_sway = SWAY in grid.axes
+        self._free: tuple[tuple[float, float], ...] = FREE_WITH_SWAY if has_sway else FREE
+        self._blocked: tuple[tuple[float, float], ...] = BLOCKED_WITH_SWAY if has_sway else BLOCKED
         self.forget()
 
     def forget(self) -> None:
@@ -63,20 +69,20 @@ class Planner:
         is_blocked = found.entry_m > ENTRY_M
         is_due = self._since_s > (URGENT_S if is_blocked else REVIEW_S) - 1e-9
         if is_due and (is_blocked or found.after > whole_s * tolerance_m**2):
-            guesses = BLOCKED if is_blocked else FREE
+            guesses = self._blocked if is_blocked else self._free
             self._guess(self._rival, dynamics, problem, tuning, guesses[self._next % len(guesses)])
             self._next, self._rival_steps, self._since_s = self._next + 1, 1, 0.0
         return found
 
     def _begin(self, dynamics: Dynamics, problem: PlanProblem, tuning: Bandwidths) -> None:
-        """The cheaper of the pilot's two flights is the plan, the other one its rival."""
+        """The cheaper of the pilot's two flights is the plan, the other one its rival. With side thrust there is one."""
         costs = []
-        for memory, way in ((self._plan, AHEAD), (self._rival, ASTERN)):
+        for memory, way in zip((self._plan, self._rival), self._free, strict=False):
             self._guess(memory, dynamics, problem, tuning, way)
             costs.append(appraise(dynamics, self._grid, problem, memory))
-        if costs[1] < costs[0]:
+        if costs[-1] < costs[0]:
             self._plan, self._rival = self._rival, self._plan
-        self.is_fresh, self._rival_steps = False, 1
+        self.is_fresh, self._rival_steps = False, len(costs) - 1
 
     def _guess(
         self, memory: Memory, dynamics: Dynamics, problem: PlanProblem, tuning: Bandwidths, way: tuple[float, float]
@@ -108,7 +114,7 @@ def resting_place(
     here = complex(start.state[0], start.state[1])
     still = Course(*(np.zeros_like(part) for part in problem.course))
     best: tuple[float, complex, float] | None = None
-    for ahead in (1.0, -1.0):
+    for ahead in (0.0,) if SWAY in grid.axes else (1.0, -1.0):
         pilot = PilotStyle(ahead, 0.0, 0.0, tuning.calm_quickness, tuning.turning, fastest_mps)
         guess(dynamics, grid, start, still, problem.limits, pilot, flight)
         place, speed = _end_of(flight.state[-1], dynamics)
@@ -132,12 +138,10 @@ def _end_of(state: Array, dynamics: Dynamics) -> tuple[complex, float]:
 
 
 def make_start(action: Array, wrench: Array, axes: tuple[int, ...]) -> Start:
-    """Start of the plan: the observer's state (11,) at the instant of action, and the `wrench` (3,) asked for last (surge,
-    heave, yaw)."""
-    x, y, _, yaw, u, v, _, r, surge, _, moment = action.tolist()
-    state = np.array([x, y, yaw, u, v, r, surge, 0.0, moment])
-    command = {0: wrench.item(0), 1: 0.0, 2: wrench.item(2)}
-    return Start(state, np.array([command[axis] for axis in axes]))
+    """Start of the plan: the observer's state (12,) at the instant of action, and the `wrench` asked for last."""
+    x, y, _, yaw, u, v, _, r, surge, _, moment, sway = action.tolist()
+    state = np.array([x, y, yaw, u, v, r, surge, sway, moment])
+    return Start(state, np.array([wrench.item(WRENCH_AXIS[axis]) for axis in axes]))
 
 
 def make_depth_start(action: Array, heave_n: float) -> Start:

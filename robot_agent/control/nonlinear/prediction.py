@@ -3,7 +3,7 @@
     x' = R(yaw) (u, v) + current            yaw' = r
     u' = (X - d_u(u, v) u) / m_u + (m_v / m_u) v r + b_u
     v' = (Y - d_v(u, v) v) / m_v - (m_u / m_v) u r + b_v
-    r' = (N - d_r(r) r) / I + b_r           lag F' = F_commanded - F, for X, Y and N
+    r' = (N - d_r(r) r + (m_u - m_v) u v) / I + b_r           lag F' = F_commanded - F, for X, Y and N
 
 u, v, r are velocities through the water. b is the acceleration by forces that turn along with the robot. What keeps
 its direction in the pool is the current.
@@ -24,7 +24,7 @@ import numpy as np
 from wire.kernel_types import Cube, Floats, Ints, Table
 from wire.kernels import kernel
 
-NODES = 20
+NODES = 20  # of the horizon: the last two are 0.8 s apart for 7 s, 1.8 s for 12 s
 FIRST_S = 0.1  # to the first node: of the order of the thrusters' lag and dead time, whatever the control period
 X, Y, YAW, U, V, R, SURGE, SWAY, MOMENT = range(9)  # of a state
 STATES, DERIVED = 9, 6  # numbers of a state, and those whose derivatives are kept
@@ -110,6 +110,8 @@ class Jacobian(NamedTuple):
     v_u: float
     v_v: float
     v_r: float
+    r_u: float
+    r_v: float
     r_r: float
 
 
@@ -156,7 +158,8 @@ def motion(dynamics: Dynamics, pose: tuple[float, float, float, float], force: F
         r,
         (force[0] - (hull.linear_u + hull.quadratic_u * speed) * u) / hull.mass_u + ratio * v * r + water.own_u,
         hull.sway * ((force[1] - (hull.linear_v + hull.quadratic_v * speed) * v) / hull.mass_v - u * r / ratio + water.own_v),
-        (force[2] - (hull.linear_r + hull.quadratic_r * abs(r)) * r) / hull.inertia + water.own_r,
+        (force[2] - (hull.linear_r + hull.quadratic_r * abs(r)) * r + (hull.mass_u - hull.mass_v) * u * v) / hull.inertia
+        + water.own_r,
     )
 
 
@@ -172,6 +175,8 @@ def jacobian(hull: Hull, u: float, v: float, r: float) -> Jacobian:
         -hull.sway * (hull.quadratic_v * u * v * bend / hull.mass_v + r / ratio),
         -hull.sway * (hull.linear_v + hull.quadratic_v * (speed + v * v * bend)) / hull.mass_v,
         -hull.sway * u / ratio,
+        (hull.mass_u - hull.mass_v) * v / hull.inertia,
+        (hull.mass_u - hull.mass_v) * u / hull.inertia,
         -(hull.linear_r + 2.0 * hull.quadratic_r * abs(r)) / hull.inertia,
     )
 
@@ -214,13 +219,13 @@ def spread_tangents(
         yaw_half = yaw + half * r
         u_half = u + half * (a.u_u * u + a.u_v * v + a.u_r * r + per_u * tangent[SURGE, c])
         v_half = v + half * (a.v_u * u + a.v_v * v + a.v_r * r + per_v * tangent[SWAY, c])
-        r_half = r + half * (a.r_r * r + per_r * tangent[MOMENT, c])
+        r_half = r + half * (a.r_u * u + a.r_v * v + a.r_r * r + per_r * tangent[MOMENT, c])
         tangent[X, c] += step_s * (x_yaw * yaw_half + cos * u_half - sin * v_half)
         tangent[Y, c] += step_s * (y_yaw * yaw_half + sin * u_half + cos * v_half)
         tangent[YAW, c] = yaw + step_s * r_half
         tangent[U, c] = u + step_s * (b.u_u * u_half + b.u_v * v_half + b.u_r * r_half + per_u * tangent[9, c])
         tangent[V, c] = v + step_s * (b.v_u * u_half + b.v_v * v_half + b.v_r * r_half + per_v * tangent[10, c])
-        tangent[R, c] = r + step_s * (b.r_r * r_half + per_r * tangent[11, c])
+        tangent[R, c] = r + step_s * (b.r_u * u_half + b.r_v * v_half + b.r_r * r_half + per_r * tangent[11, c])
         for i in range(SURGE, STATES):
             tangent[i, c] *= shares.acting
 

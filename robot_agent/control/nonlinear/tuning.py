@@ -40,6 +40,11 @@ SLOWEST_RADPS = 0.2  # poses that say nothing for a while must not end the loop:
 MODEL_SHARE = 0.7  # of the observer's bandwidth of depth
 
 
+SURGE, SWAY, YAW = range(3)  # of the plan's axes
+NAMES = ("surge", "sway", "yaw")
+WRENCH_AXIS = {SURGE: 0, SWAY: 3, YAW: 2}  # of a wrench: number of the plan's axis
+
+
 class Bandwidths(NamedTuple):
     """Bandwidths, rad/s."""
 
@@ -57,6 +62,11 @@ class Manner(NamedTuple):
     is_steered: bool = False  # a person asks for a heading and a speed, and for no line
 
 
+def planar_axes(vehicle: Vehicle) -> tuple[int, ...]:
+    """The plan's axes that have thrusters."""
+    return (SURGE, SWAY, YAW) if vehicle.limits.has_sway else (SURGE, YAW)
+
+
 def delay_s(vehicle: Vehicle, period_s: float, lag_s: float) -> float:
     """Delay of the loop that a plan cannot take into account: half a period, dead time, part of the lag."""
     return vehicle.thruster.dead_time_s + 0.5 * period_s + LAG_SHARE * lag_s
@@ -65,7 +75,7 @@ def delay_s(vehicle: Vehicle, period_s: float, lag_s: float) -> float:
 def horizon_s(vehicle: Vehicle) -> float:
     """Twice the time to turn round and to stop from full speed."""
     mass, _, _, inertia = vehicle.inertia.tolist()
-    force_n, _, moment_nm = vehicle.limits.wrench
+    force_n, _, moment_nm = vehicle.limits.wrench[:3]
     turn_s = 2.0 * math.sqrt(math.pi * inertia / moment_nm) + math.pi / (2.0 * vehicle.limits.yaw_rate_radps)
     stop_s = mass * vehicle.limits.speed_mps / force_n
     return float(min(max(2.0 * (turn_s + stop_s), SHORTEST_S), LONGEST_S))
@@ -86,8 +96,10 @@ def cube_root(rate: float, inertia: float, reach: float) -> float:
 
 def derive(vehicle: Vehicle, delay: float, known: Deviations, observer_radps: tuple[float, float], off_m: float) -> Bandwidths:
     """Bandwidths for a robot that is `off_m` away from its path; the observer has one for the place and one for depth."""
-    mass, _, mass_w, inertia = vehicle.inertia.tolist()
-    force_rate, lift_rate, moment_rate = vehicle.limits.wrench_rate_per_s
+    mass, mass_v, mass_w, inertia = vehicle.inertia.tolist()
+    force_rate, lift_rate, moment_rate, *side_rate = vehicle.limits.wrench_rate_per_s
+    for rate in side_rate:  # the slower of both axes moves the place
+        mass, force_rate = max((mass, force_rate), (mass_v, rate), key=lambda axis: axis[0] / axis[1])
     reach_m = REACH_SHARE * vehicle.radius_m
     observer = observer_radps[0] / (1.0 + TRUST * known.ratios.thrust)
     late = DELAY_SHARE / delay
@@ -110,9 +122,14 @@ def rate_weight(mass: float, bandwidth_radps: float, arm_m: float = 1.0) -> floa
 
 
 def planar_weights(vehicle: Vehicle, tuning: Bandwidths, arm_m: float, manner: Manner, entry: float) -> Weights:
-    """Weights of surge and yaw."""
-    mass, _, _, inertia = vehicle.inertia.tolist()
-    rate = np.array([rate_weight(mass, tuning.quickness), rate_weight(inertia, tuning.turning, arm_m)])
+    """Weights of surge, sway if the vehicle has it, and yaw."""
+    mass, mass_v, _, inertia = vehicle.inertia.tolist()
+    of = {
+        SURGE: rate_weight(mass, tuning.quickness),
+        SWAY: rate_weight(mass_v, tuning.quickness),
+        YAW: rate_weight(inertia, tuning.turning, arm_m),
+    }
+    rate = np.array([of[axis] for axis in planar_axes(vehicle)])
     end_s, lead_s = END_SHARE / tuning.calm_quickness, 1.0 / tuning.calm_quickness
     return Weights(rate, manner.turning_m**2, end_s, lead_s, manner.facing_s, entry, manner.is_steered)
 
@@ -124,15 +141,18 @@ def depth_weights(vehicle: Vehicle, tuning: Bandwidths) -> Weights:
 
 
 def planar_limits(vehicle: Vehicle) -> InputLimits:
-    """Limits of surge and yaw. Surge that would tilt the hull by more than TILT_RAD is not asked for, nor within less than
-    half a swing: a hull that pitches lifts itself off its depth, and no observer of four axes knows why."""
-    (surge_n, _, yaw_nm), (surge_rate, _, yaw_rate) = vehicle.limits.wrench, vehicle.limits.wrench_rate_per_s
+    """Limits of surge, sway and yaw. A force that would tilt the hull by more than TILT_RAD is not asked for, nor within less
+    than half a swing: a hull that pitches lifts itself off its depth, and no observer of four axes knows why."""
+    axes = planar_axes(vehicle)
+    size = np.array([vehicle.limits.wrench[WRENCH_AXIS[axis]] for axis in axes])
+    rate = np.array([vehicle.limits.wrench_rate_per_s[WRENCH_AXIS[axis]] for axis in axes])
     if vehicle.righting is not None:
         moment_nm, below_m, swing_s = vehicle.righting.moment_nm, vehicle.righting.thrusters_below_m, vehicle.righting.swing_s
-        lever_m = below_m + moment_nm / (GRAVITY_MPS2 * vehicle.mass.surge_kg)  # of the thrust, and of the mass it speeds up
-        level_n = moment_nm * math.sin(TILT_RAD) / lever_m
-        surge_n, surge_rate = min(surge_n, level_n), min(surge_rate, 2.0 * level_n / swing_s)
-    return InputLimits(np.array([surge_n, yaw_nm]), np.array([surge_rate, yaw_rate]))
+        for i, axis in enumerate(axes[:-1]):  # of the thrust, and of the mass it speeds up
+            lever_m = below_m + moment_nm / (GRAVITY_MPS2 * float(vehicle.inertia[axis]))
+            level_n = moment_nm * math.sin(TILT_RAD) / lever_m
+            size[i], rate[i] = min(size[i], level_n), min(rate[i], 2.0 * level_n / swing_s)
+    return InputLimits(size, rate)
 
 
 def depth_limits(vehicle: Vehicle) -> InputLimits:
@@ -167,13 +187,15 @@ def formulas(vehicle: Vehicle, period_s: float) -> list[tuple[str, str, str]]:
     usual = Deviations(0.001, 0.002, 0.002, 0.002, 0.0, 0.0, np.zeros(3), Ratios(0.0, 0.0, 0.0))
     on_path = derive(vehicle, delay, usual, (4.0, 2.0), 0.0)
     off_path = derive(vehicle, delay, usual, (4.0, 2.0), vehicle.radius_m)
-    surge, yaw = planar_weights(vehicle, on_path, 0.2, Manner(TURNING_M, FACING_S), 1.0).rate.tolist()
-    limits, way = planar_limits(vehicle), agility(vehicle)
+    *pushes, yaw = planar_weights(vehicle, on_path, 0.2, Manner(TURNING_M, FACING_S), 1.0).rate.tolist()
+    limits, axes, way = planar_limits(vehicle), planar_axes(vehicle)[:-1], agility(vehicle)
+    forces = zip(axes, limits.size.tolist(), limits.rate.tolist(), strict=False)
+    reach = f"2 to {100.0 * REACH_SHARE * vehicle.radius_m:.0f} cm"
     return [
         ("delay d", "dead time + period / 2 + 0.3 lag", f"{delay:.3f} s at {1.0 / period_s:.0f} Hz"),
         ("longest step of the integration", "min(0.2 s, 1 / slope of the drag at full speed)", f"{step_s(vehicle):.2f} s"),
         ("horizon", "2 (2 sqrt(pi I / N) + pi / (2 r_max) + m U / F), 6 to 12 s", f"{horizon_s(vehicle):.1f} s"),
-        ("reach e", "20 sd_place; the distance off the path if that is more, up to 0.4 R", "2 to 6 cm"),
+        ("reach e", "20 sd_place; the distance off the path if that is more, up to 0.4 R", reach),
         (
             "quickness w1",
             "min((F' / (m e))^(1/3), (0.05 F' / (m sd_ground))^(1/2), 0.4 / d, w_observer / (1 + 2 sd_thrust))",
@@ -184,7 +206,7 @@ def formulas(vehicle: Vehicle, period_s: float) -> list[tuple[str, str, str]]:
             f"{on_path.turning:.1f} rad/s",
         ),
         ("depth w3", "min((Z' / (0.4 R m_w))^(1/3), 0.4 / d, 0.7 bandwidth_radps)", f"{on_path.depth:.1f} rad/s"),
-        ("weight of a force's rate", "(1 / (m w^3))^2", f"{surge:.1e} m^2 s^2/N^2"),
+        ("weight of a force's rate", "(1 / (m w^3))^2", f"{'; '.join(f'{push:.1e}' for push in pushes)} m^2 s^2/N^2"),
         ("weight of the moment's rate", "(arm_m / (I w2^3))^2", f"{yaw:.1e} m^2 s^2/(N m)^2"),
         (
             "end of the horizon", "2 / w of the error 1 / w later; w = w1, at most that for e = 0.4 R",
@@ -195,7 +217,7 @@ def formulas(vehicle: Vehicle, period_s: float) -> list[tuple[str, str, str]]:
             f"{way.fastest_mps:.2f} m/s, {way.change_mps2:.2f} m/s^2, {way.return_per_s:.2f} per s",
         ),
         (
-            "most surge, and its rate", "M sin(0.35 rad) / (depth of the thrusters + M / (g m)), within half a swing",
-            f"{limits.size[0]:.1f} N, {limits.rate[0]:.1f} N/s",
+            "most surge, sway, and their rates", "M sin(0.35 rad) / (depth of the thrusters + M / (g m)), within half a swing",
+            "; ".join(f"{NAMES[axis]} {size:.1f} N, {rate:.1f} N/s" for axis, size, rate in forces),
         ),
     ]  # fmt: skip

@@ -12,26 +12,30 @@ from robot_agent.guidance.reference import Follow
 from robot_agent.vehicle.estimate import PoseMeasurement, StateMeasurement
 from tests.robot_agent.paths import circle
 from wire.config.experiment import load_experiment
+from wire.config.vehicle import Vehicle
 from wire.messages.messages import Plan, Solve, Trajectory
 
 POOL = load_experiment("pool")
 ARTICLE = load_experiment("pool", ["controller.law=eso-mpc-article"])
 VEHICLE = POOL.vehicle
 STEP_NS = 50_000_000
-LIMIT, STEP = np.array(VEHICLE.limits.wrench), np.array(VEHICLE.limits.wrench_step(0.05))
 
 
-def check(output: ControlOutput) -> None:
+def check(output: ControlOutput, vehicle: Vehicle = VEHICLE) -> None:
     """Assert the properties of every output, for any input."""
+    limits = vehicle.limits
     arrays = [value for value in output if isinstance(value, np.ndarray)]
     assert all(np.isfinite(array).all() for array in arrays)
-    assert np.all(np.abs(output.wrench) <= LIMIT + 1e-9)
+    assert np.all(np.abs(output.wrench) <= np.array(limits.wrench) + 1e-9)
     assert len(output.pulse_us) == 8
-    assert all(1100 <= p <= 1900 for p in output.pulse_us[:4]) and all(1000 <= p <= 2000 for p in output.pulse_us[4:])
+    if vehicle.legs is not None:
+        assert all(1100 <= p <= 1900 for p in output.pulse_us[:4]) and all(1000 <= p <= 2000 for p in output.pulse_us[4:])
+    else:
+        assert all(1112 <= p <= 1888 for p in output.pulse_us)
     if output.solve in (Solve.NONE, Solve.FAILED):
         assert output.pulse_us == (1500,) * 8
     else:
-        assert np.all(np.abs(output.wrench_step) <= STEP + 1e-9)
+        assert np.all(np.abs(output.wrench_step) <= np.array(limits.wrench_step(0.05)) + 1e-9)
 
 
 def pool_circle(x: float) -> Trajectory:

@@ -36,7 +36,7 @@ POOL = load_experiment("pool")
 VEHICLE = POOL.vehicle
 LIMIT, STEP = np.array(VEHICLE.limits.wrench), np.array(VEHICLE.limits.wrench_step(0.05))
 MODEL = Model(VEHICLE, sway=False, lag=False)
-AXES = Axes(MODEL, VEHICLE.limits.wrench)
+AXES = Axes(MODEL, (6.0, 3.0, 0.5))
 LAWS = [name for name in get_args(baseline_controllers.LawName) if name != "nmpc"]  # that has its own controller and tests
 FEEDBACK = [name for name in LAWS if name != "eso-mpc-article"]
 SPEED = np.array([0.2, 0.0, 0.03, 0.0])  # of the straight reference, heading along x

@@ -159,15 +159,15 @@ def test_an_echo_tells_which_thruster_turned() -> None:
     def pulses(**moved: int) -> tuple[int, ...]:
         return tuple(moved.get(f"c{k}", 1500) for k in range(8))
 
-    wanted = pulses(c1=1540)
-    assert judge(1, wanted, [pulses(), pulses(c1=1520), wanted]).verdict is CheckVerdict.OK
-    assert judge(1, wanted, [pulses()]).verdict is CheckVerdict.FAIL
-    assert judge(1, wanted, [()]).verdict is CheckVerdict.FAIL
-    assert "thruster 3 moved as well" in judge(1, wanted, [pulses(c1=1540, c2=1540)]).detail
-    assert "ankle 4 moved as well" in judge(4, pulses(c4=1600), [pulses(c4=1600, c7=1600)]).detail
+    vehicle, wanted = load_experiment("pool").vehicle, pulses(c1=1540)
+    assert judge(vehicle, 1, wanted, [pulses(), pulses(c1=1520), wanted]).verdict is CheckVerdict.OK
+    assert judge(vehicle, 1, wanted, [pulses()]).verdict is CheckVerdict.FAIL
+    assert judge(vehicle, 1, wanted, [()]).verdict is CheckVerdict.FAIL
+    assert "thruster 3 moved as well" in judge(vehicle, 1, wanted, [pulses(c1=1540, c2=1540)]).detail
+    assert "ankle 4 moved as well" in judge(vehicle, 4, pulses(c4=1600), [pulses(c4=1600, c7=1600)]).detail
     strays = [wanted, pulses(c1=1530, c2=1540), pulses(c1=1530, c2=1600), wanted]  # not in the echo that is nearest
-    assert "thruster 3 moved as well" in judge(1, wanted, strays).detail
-    assert judge(1, wanted, strays[:2] + strays[3:]).verdict is CheckVerdict.OK  # one echo may be wrong
+    assert "thruster 3 moved as well" in judge(vehicle, 1, wanted, strays).detail
+    assert judge(vehicle, 1, wanted, strays[:2] + strays[3:]).verdict is CheckVerdict.OK  # one echo may be wrong
 
 
 def test_the_rehearsal_flies_with_every_neighbour() -> None:

@@ -26,7 +26,7 @@ def said(echo_us: tuple[int, ...], at_ns: int, armed: bool = True) -> Telemetry:
 
 
 def test_an_echo_between_two_commands_is_on_its_way() -> None:
-    check = OutputCheck()
+    check = OutputCheck(4)
     check.note_pulses(STILL, 0)
     check.note_pulses(AHEAD, 1000 * MS)
     for at_ms, thruster_us, is_right in ((1020, 1540, True), (1300, 1500, True), (1360, 1500, False), (1360, 1604, True)):
@@ -38,7 +38,7 @@ def test_an_echo_between_two_commands_is_on_its_way() -> None:
 
 @pytest.mark.parametrize("output", range(8))
 def test_one_output_that_is_wrong_is_enough_and_a_right_echo_now_and_then_excuses_nothing(output: int) -> None:
-    check = OutputCheck()
+    check = OutputCheck(4)
     check.note_pulses(STILL, 0)
     wrong = (*STILL[:output], 1506, *STILL[output + 1 :])
     found = []
@@ -50,7 +50,7 @@ def test_one_output_that_is_wrong_is_enough_and_a_right_echo_now_and_then_excuse
 
 
 def test_a_pause_of_the_robots_computer_is_no_long_disobedience() -> None:
-    check = OutputCheck()
+    check = OutputCheck(4)
     check.note_pulses(STILL, 0)
     assert wrong_s(check, said(AHEAD, 5000 * MS), 5000 * MS) <= 0.1
 
@@ -58,7 +58,7 @@ def test_a_pause_of_the_robots_computer_is_no_long_disobedience() -> None:
 def test_outputs_that_change_places_are_found_though_each_was_told_the_others_pulse_a_moment_ago() -> None:
     """As the front legs' pulses swing against one another, each stays where it has been; the rear legs' give it away."""
     for is_crossed in (False, True):
-        check, told = OutputCheck(), [STILL]
+        check, told = OutputCheck(4), [STILL]
         for k in range(1, 60):
             swing = round(30.0 * np.sin(0.5 * k))
             told.append((1550 + swing, 1550 - swing, 1450 + swing, 1450 - swing, *STILL[4:]))
@@ -69,7 +69,7 @@ def test_outputs_that_change_places_are_found_though_each_was_told_the_others_pu
 
 
 def test_a_board_that_is_disarmed_or_silent_about_it_is_not_wrong() -> None:
-    check = OutputCheck()
+    check = OutputCheck(4)
     check.note_pulses(AHEAD, 0)
     for telemetry in (said(STILL, 900 * MS, armed=False), said((), 900 * MS)):
         assert wrong_s(check, telemetry, 900 * MS) == wrong_s(check, telemetry, 2000 * MS) == 0.0
@@ -78,7 +78,7 @@ def test_a_board_that_is_disarmed_or_silent_about_it_is_not_wrong() -> None:
 @pytest.mark.parametrize(("swapped", "every_ms"), [(False, 50), (False, 1000), (True, 1000)])
 def test_a_real_board_is_right_whatever_it_is_told_and_wrong_with_crossed_outputs(swapped: bool, every_ms: int) -> None:
     experiment = load_experiment("pool")
-    board, link, check, random = ThrusterBoard(experiment, 1, 1), AgentLink(1), OutputCheck(), np.random.default_rng(1)
+    board, link, check, random = ThrusterBoard(experiment, 1, 1), AgentLink(1), OutputCheck(4), np.random.default_rng(1)
     worst_s, pulse_us = 0.0, STILL
     for step_ms in range(5, 10_000, 5):
         now_ns = step_ms * MS

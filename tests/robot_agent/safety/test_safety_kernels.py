@@ -63,4 +63,4 @@ def test_an_echo_is_explained_by_the_commands_of_its_time(seed: int) -> None:
         ((group.min(axis=0) - TOLERANCE_US <= echo_us) & (echo_us <= group.max(axis=0) + TOLERANCE_US)).all()
         for group in groups
     )
-    assert is_explained(echo_us, sent_ns, told_us, count, arrival_ns) == expected
+    assert is_explained(echo_us, sent_ns, told_us, count, arrival_ns, 4) == expected

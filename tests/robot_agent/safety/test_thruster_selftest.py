@@ -2,7 +2,7 @@
 
 import pytest
 
-from robot_agent.safety.thruster_selftest import PUSH_S, REST_S, THRUSTERS, ThrusterSelftest
+from robot_agent.safety.thruster_selftest import PUSH_S, REST_S, ThrusterSelftest
 from wire.config.experiment import load_experiment
 
 VEHICLE = load_experiment("pool").vehicle
@@ -15,7 +15,7 @@ def run(
 ) -> tuple[str, list[tuple[int, ...]]]:
     """Result and all pulses; the board echoes the last pulses, with `echo` {thruster: what it puts out instead}."""
     test, sent = ThrusterSelftest(VEHICLE, NEUTRAL), [NEUTRAL]
-    for step in range(round(THRUSTERS * (PUSH_S + REST_S) / 0.05) + 20):
+    for step in range(round(4 * (PUSH_S + REST_S) / 0.05) + 20):
         said = list(sent[-1])
         for thruster, pulse in (echo or {}).items():
             said[thruster] = pulse

@@ -197,8 +197,8 @@ def test_effect_of_a_current_is_told_as_the_disturbance_in_still_water() -> None
 
 def predicted(v: float, side: float, current: complex) -> Array:
     """Place (2,) 0.1 s on of a robot with the yaw YAW_RAD and a surge of 0.15 m/s, without thrust."""
-    model, state = Model(VEHICLE), (0.0, 0.0, 0.3, YAW_RAD, 0.15, v, 0.0, 0.0, 0.0, 0.0, 0.0)
-    never, nothing = np.zeros(1, dtype=np.int64), np.zeros((1, 3))
+    model, state = Model(VEHICLE), (0.0, 0.0, 0.3, YAW_RAD, 0.15, v, *[0.0] * 6)
+    never, nothing = np.zeros(1, dtype=np.int64), np.zeros((1, 4))
     water = (current.real, current.imag)
     gamma = (0.0, side, 0.0, 0.0)
     return np.array(

@@ -7,15 +7,14 @@ import pytest
 
 from robot_agent.vehicle import filter_bank
 from robot_agent.vehicle.dynamics import Model, advance
-from robot_agent.vehicle.filter_bank import DRAG, ERRORS, GYRO, Bank, MeasuredNumber, R, X, Y
+from robot_agent.vehicle.filter_bank import DRAG, ERRORS, GYRO, SIDE, Bank, MeasuredNumber, R, X, Y
 from robot_agent.vehicle.kalman import vehicle_noise
-from wire.config.vehicle import load_vehicle
+from wire.config.vehicle import Vehicle, load_vehicle
 from wire.frames import Array
 
 pytestmark = pytest.mark.long
 
-VEHICLE = load_vehicle("spherical")
-NOISE = vehicle_noise(VEHICLE)
+VEHICLES = tuple(map(load_vehicle, ("spherical", "vectored")))
 
 
 def random_bank(seed: int, filters: int = 3) -> Bank:
@@ -35,9 +34,9 @@ def random_bank(seed: int, filters: int = 3) -> Bank:
     return bank
 
 
-def moved(numbers: Array, dt: float, thrust: tuple[float, float, float]) -> Array:
+def moved(vehicle: Vehicle, numbers: Array, dt: float, thrust: tuple[float, ...]) -> Array:
     """One step of the model: x, y, yaw, u, v, r after it, for the ERRORS' own values `numbers`."""
-    model = Model(VEHICLE)
+    model = Model(vehicle)
     x, y, yaw, u, v, r, b_u, b_v, b_r, c_x, c_y, d, t, n, _ = numbers.tolist()
     m = model.nominal.copy()
     m[0, :2] /= math.exp(t)
@@ -48,23 +47,27 @@ def moved(numbers: Array, dt: float, thrust: tuple[float, float, float]) -> Arra
     return np.array([after[0] + c_x * dt, after[1] + c_y * dt, after[3], after[4], after[5], after[7]])
 
 
-def test_f_is_the_derivative_of_the_step() -> None:
+@pytest.mark.parametrize("vehicle", VEHICLES, ids=lambda vehicle: vehicle.name)
+def test_f_is_the_derivative_of_the_step(vehicle: Vehicle) -> None:
     random, dt, h = np.random.default_rng(1), 1e-4, 1e-5
     for _ in range(20):
         numbers = random.uniform(-1.0, 1.0, ERRORS) * [1, 1, 3, 0.4, 0.3, 1, 0.05, 0.05, 0.2, 0.2, 0.2, 0.5, 0.5, 0.5, 0.01]
-        thrust = tuple(random.uniform(-1.0, 1.0, 3) * VEHICLE.limits.wrench)
-        belief, model, f = np.zeros(filter_bank.NUMBERS), Model(VEHICLE), np.empty((ERRORS, ERRORS))
-        belief[[0, 1, 3, 4, 5, 7]], belief[8:11] = numbers[:6], thrust
+        limits = (*vehicle.limits.wrench, 0.0)[:4]  # surge, heave, yaw, sway
+        thrust = tuple(random.uniform(-1.0, 1.0, 4) * limits)
+        belief, model, f = np.zeros(filter_bank.NUMBERS), Model(vehicle), np.empty((ERRORS, ERRORS))
+        belief[[0, 1, 3, 4, 5, 7]], belief[8:11], belief[SIDE] = numbers[:6], thrust[:3], thrust[3]
         d, t, n = np.exp(numbers[DRAG:GYRO])
         model.coefficients[0, :2] /= t
         model.coefficients[1:, :2] *= d / t
         model.coefficients[:, 3] /= n
-        filter_bank.linearise(model.coefficients, 1.0, belief, dt, NOISE, f)
+        filter_bank.linearise(model.coefficients, 1.0, belief, dt, vehicle_noise(vehicle), f)
         differences = np.empty((6, ERRORS))
         for j in range(ERRORS):
             change = np.zeros(ERRORS)
             change[j] = h
-            differences[:, j] = (moved(numbers + change, dt, thrust) - moved(numbers - change, dt, thrust)) / (2.0 * h)
+            differences[:, j] = (
+                moved(vehicle, numbers + change, dt, thrust) - moved(vehicle, numbers - change, dt, thrust)
+            ) / (2.0 * h)
         rate, expected = (f[:6] - np.eye(6, ERRORS)) / dt, (differences - np.eye(6, ERRORS)) / dt
         assert rate == pytest.approx(expected, abs=2e-3 * (1.0 + np.abs(expected).max()))
 

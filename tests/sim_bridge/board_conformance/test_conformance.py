@@ -16,7 +16,7 @@ from sim_bridge.board_conformance.rules import RULES
 from sim_bridge.board_conformance.runner import RuleResult, RuleVerdict, examine
 from sim_bridge.thruster_board.board import SimulatedSensors, ThrusterBoard
 from sim_bridge.thruster_board.parameters import Parameters, Refusal
-from sim_bridge.thruster_board.state_machine import THRUSTERS, BoardStateMachine
+from sim_bridge.thruster_board.state_machine import BoardStateMachine
 from wire.config.experiment import load_experiment
 from wire.mavlink import framing
 from wire.mavlink.agent_link import ACCEPTED, IGNORED
@@ -51,7 +51,7 @@ class SteppedWire:
         while True:
             self._now_ns += STEP_NS
             data = self.board.step(self._now_ns, STILL, STILL, STILL)
-            self.worst_us = max(self.worst_us, *(abs(pulse - 1500) for pulse in self.board.pulses[:THRUSTERS]))
+            self.worst_us = max(self.worst_us, *(abs(pulse - 1500) for pulse in self.board.pulses[:4]))
             if data or self._now_ns >= until_ns:
                 return data
 
@@ -199,17 +199,17 @@ def _never_disarm(self: BoardStateMachine, wanted: bool, now_ns: int) -> int:
 
 
 def _keep_thrust(self: BoardStateMachine, now_ns: int) -> None:
-    held = list(self._thrusters_us)
+    held = self._echo_us[:4]
     Rules_step(self, now_ns)
     if not self.armed:
-        self._thrusters_us = held
+        self._echo_us[:4] = held
 
 
 def _slewed_to_neutral(self: BoardStateMachine, now_ns: int) -> None:
-    held = list(self._thrusters_us)
+    held = self._echo_us[:4]
     Rules_step(self, now_ns)
     if not self.armed:
-        self._thrusters_us = [pulse + min(max(1500 - pulse, -1.0), 1.0) for pulse in held]
+        self._echo_us[:4] = [pulse + min(max(1500 - pulse, -1.0), 1.0) for pulse in held]
 
 
 def _follow_while_disarmed(self: BoardStateMachine, now_ns: int) -> None:
@@ -225,12 +225,12 @@ def _jump(self: BoardStateMachine, reach_us: float) -> None:
 
 def _ankle_to_zero(self: BoardStateMachine, reach_us: float) -> None:
     Rules_move(self, reach_us)
-    self._ankles_us = [1500 if goal != IGNORED else 1000 for goal in self._command[4:]]
+    self._echo_us[4:] = [1500 if goal != IGNORED else 1000 for goal in self._command[4:]]
 
 
 def _swap(self: BoardStateMachine, reach_us: float) -> None:
     Rules_move(self, reach_us)
-    self._thrusters_us[:2] = self._thrusters_us[1::-1]
+    self._echo_us[:2] = self._echo_us[1::-1]
 
 
 def _slow_age(self: BoardStateMachine, now_ns: int) -> bool:
@@ -308,13 +308,13 @@ def _never_arm(self: BoardStateMachine, now_ns: int) -> str:
 
 def _never_thrust(self: BoardStateMachine, now_ns: int) -> None:
     Rules_step(self, now_ns)
-    self._thrusters_us = [self.parameters.neutral_us] * THRUSTERS
+    self._echo_us[:4] = [self.parameters.neutral_us] * 4
 
 
 def _still_in_hil(self: BoardStateMachine, now_ns: int) -> None:
     Rules_step(self, now_ns)
     if self.parameters.hil:
-        self._thrusters_us = [self.parameters.neutral_us] * THRUSTERS
+        self._echo_us[:4] = [self.parameters.neutral_us] * 4
 
 
 # the wrong boards change one rule each and call the right one for the rest

@@ -36,12 +36,12 @@ class NumpyActuators:
 
     def __init__(self, experiment: Experiment, seed: int) -> None:
         plant, vehicle = experiment.sim.plant, experiment.vehicle
-        self._curve, self._legs = vehicle.thruster, vehicle.legs
+        self._curve, self._legs = vehicle.thruster, vehicle.four_legs
         self._lag_s = vehicle.thruster.lag_s if plant.thruster_lag_s is None else plant.thruster_lag_s
         self._thruster_delay = round(vehicle.thruster.dead_time_s / plant.step_s)
-        self._ankle_delay = round(vehicle.legs.ankle_dead_time_s / plant.step_s)
+        self._ankle_delay = round(vehicle.four_legs.ankle_dead_time_s / plant.step_s)
         self.dead_steps = min(self._thruster_delay, self._ankle_delay)  # steps before pulses that are sent now take effect
-        ahead_m, side_m = np.array(vehicle.legs.position_m).T
+        ahead_m, side_m = np.array(vehicle.four_legs.position_m).T
         below_m = np.full(THRUSTERS, plant.tilt.legs_below_m)
         one, none = np.ones(THRUSTERS), np.zeros(THRUSTERS)
         # from forces ahead and down to surge, sway, heave, roll, pitch, yaw: r x F of a force (X, 0, Z) at (x, y, z)

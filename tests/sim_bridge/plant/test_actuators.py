@@ -41,7 +41,7 @@ def legs_wrench(force: Array, ankle: Array) -> Array:
     wrench, fleet = np.empty((2, 6)), kernels.memory(2)
     kernels.to_fleet(force, fleet, kernels.FORCE_THEN)
     kernels.to_fleet(ankle, fleet, kernels.ANKLE_THEN)
-    kernels.legs_wrench(fleet, 0, len(fleet), ActuatorModel(pool(), seed=0).constants)
+    kernels.thrusters_wrench(fleet, 0, len(fleet), ActuatorModel(pool(), seed=0).constants)
     kernels.from_fleet(fleet, kernels.WRENCH, wrench)
     return wrench
 
@@ -132,7 +132,7 @@ def test_wrench_is_the_sum_of_moments() -> None:
     found = legs_wrench(force, ankle)
     for robot in range(2):
         vectors = np.array([[f * np.cos(a), 0.0, f * np.sin(a)] for f, a in zip(force[robot], ankle[robot], strict=True)])
-        arms = np.column_stack([np.array(pool().vehicle.legs.position_m), np.full(4, pool().sim.plant.tilt.legs_below_m)])
+        arms = np.column_stack([np.array(pool().vehicle.four_legs.position_m), np.full(4, pool().sim.plant.tilt.legs_below_m)])
         assert found[robot] == pytest.approx([*vectors.sum(axis=0), *np.cross(arms, vectors).sum(axis=0)])
 
 

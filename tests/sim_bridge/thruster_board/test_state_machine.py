@@ -49,6 +49,25 @@ def flying(pulses: tuple[int, ...] = AHEAD) -> BoardStateMachine:
     return rules
 
 
+def test_a_board_of_eight_thrusters_stops_all_of_them() -> None:
+    """Outputs 5 to 8 are no ankles: they have the thrusters' range and slew, none may be left alone, all end at neutral."""
+    rules, ahead = armed(THR_COUNT=8), (1700,) * 8
+    for refused in ((*LEVEL, 1901, *LEVEL[:3]), (*LEVEL, *LEVEL[:3], IGNORED)):
+        rules.override(COMPUTER, refused, 0)
+    assert rules.overrides_refused == 2
+    rules.override(COMPUTER, ahead, 10 * MS)
+    rules.step(10 * MS)
+    assert rules.echo_us == (1580,) * 8  # 8000 us/s for 10 ms
+    rules.step(200 * MS)
+    assert rules.echo_us == ahead
+    rules.arm(False, 200 * MS)
+    rules.step(201 * MS)
+    assert rules.echo_us == rules.outputs_us == NEUTRAL
+    rules = fresh(THR_COUNT=8)
+    rules.override(COMPUTER, (*LEVEL, *LEVEL[:3], 1600), 0)
+    assert rules.arm(True, 0) == REJECTED  # the eighth would turn at once
+
+
 # --- arming
 
 

@@ -392,8 +392,12 @@ def test_a_vehicle_may_be_like_another() -> None:
     """As in numeric.toml: the file's vehicle with what stands in the table; everything else as it is, settings on top."""
     like = load_experiment("numeric").vehicle
     base = load_experiment("pool").vehicle
-    assert (like.thruster.lag_s, like.thruster.dead_time_s, like.legs.ankle_dead_time_s) == (0.0, 0.0, 0.0)
-    assert (like.thruster.curve, like.mass, like.legs.position_m) == (base.thruster.curve, base.mass, base.legs.position_m)
+    assert (like.thruster.lag_s, like.thruster.dead_time_s, like.four_legs.ankle_dead_time_s) == (0.0, 0.0, 0.0)
+    assert (like.thruster.curve, like.mass, like.four_legs.position_m) == (
+        base.thruster.curve,
+        base.mass,
+        base.four_legs.position_m,
+    )
     assert load_experiment("numeric", ["vehicle.mass.surge_kg=13"]).vehicle.mass.surge_kg == 13.0
     assert load_experiment("numeric", ["vehicle=spherical"]).vehicle.model_dump() == base.model_dump()
     heavy = load_experiment("pool", ['vehicle={like="spherical", mass={surge_kg=13.0}}']).vehicle

@@ -154,7 +154,7 @@ def test_the_stated_limits_are_where_drag_balances_full_thrust() -> None:
 
 def test_one_side_full_ahead_gives_the_articles_surge_and_yaw() -> None:
     """Two thrusters of 3 N at 0.0833 m: 6 N and 0.5 N m (article, Table 2 and equation 39)."""
-    starboard_y = [y for _, y in SPHERICAL.legs.position_m if y > 0]
+    starboard_y = [y for _, y in SPHERICAL.four_legs.position_m if y > 0]
     assert SPHERICAL.thruster.max_thrust_n * len(starboard_y) == SPHERICAL.limits.wrench[0]
     assert SPHERICAL.thruster.max_thrust_n * sum(starboard_y) == pytest.approx(SPHERICAL.limits.wrench[2], rel=1e-3)
 
@@ -191,3 +191,63 @@ def test_a_vehicle_with_another_number_of_legs_is_refused(legs: int) -> None:
     given = [[0.2, 0.1], [0.2, -0.1], [-0.2, 0.1], [-0.2, -0.1], [0.0, 0.1], [0.0, -0.1]][:legs]
     with pytest.raises(ConfigError, match=rf"has {legs} legs .*exactly 4; this version models four steerable legs"):
         load_experiment("pool", [f"vehicle.legs.position_m={given}"])
+
+
+# --- thrusters that do not turn
+
+VECTORED = load_vehicle("vectored").model_dump(mode="json")
+
+
+def changed(**changes: Any) -> dict[str, Any]:
+    """The vectored vehicle's table with other values; a dotted name as `limits__wrench`."""
+    table = copy.deepcopy(VECTORED)
+    for name, value in changes.items():
+        node, *rest = name.split("__")
+        if rest:
+            table[node][rest[0]] = value
+        else:
+            table[node] = value
+    return table
+
+
+def test_thrusters_give_the_wrench_of_their_places_and_directions() -> None:
+    """Forces at 45 degrees: by hand, the vectored thrusters' levers, and the vertical ones' heave."""
+    vehicle = check(Vehicle, VECTORED, "mine.toml")
+    half = 0.5**0.5
+    np.testing.assert_allclose(vehicle.mixing[:, 0], [half, 0.0, -half * (0.14 + 0.092), -half], atol=1e-12)
+    np.testing.assert_allclose(vehicle.mixing[:, 4], [0.0, 1.0, 0.0, 0.0], atol=1e-12)
+    assert vehicle.limits.has_sway and vehicle.neutral_us == (1500,) * 8
+    turned = [{**one, "direction": [-3.0 * d for d in one["direction"]]} for one in VECTORED["thrusters"]]
+    np.testing.assert_allclose(check(Vehicle, changed(thrusters=turned), "mine.toml").mixing, -vehicle.mixing, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"thrusters": []}, "has neither .allowed: a table .legs., or tables ..thrusters"),
+        ({"legs": SPHERICAL.model_dump(mode="json")["legs"]}, "has both"),
+        ({"thrusters": VECTORED["thrusters"][:4]}, "cannot give heave without another axis"),
+        ({"thrusters": VECTORED["thrusters"][2:]}, "cannot give (surge|yaw|sway) without another axis"),
+        ({"thrusters": [{**one, "channel": 3} for one in VECTORED["thrusters"][:2]]}, "channel 3 is given twice"),
+        ({"thrusters": [{**VECTORED["thrusters"][0], "channel": 9}]}, "channel"),
+        ({"thrusters": [{**VECTORED["thrusters"][0], "direction": [0.0, 0.0, 0.0]}]}, "must be a vector with a length"),
+        ({"limits__wrench": [60.0, 20.0, 5.0, 15.0]}, "60 of surge is more than the thrusters give alone, 56.6"),
+        ({"limits__wrench": [20.0, 20.0, 5.0, 65.0]}, "65 of sway is more than the thrusters give alone"),
+        ({"limits__wrench_rate_per_s": [20.0, 20.0, 20.0]}, "has 3 numbers, wrench has 4"),
+    ],
+)
+def test_thrusters_that_cannot_do_what_the_file_claims_are_refused(changes: dict[str, Any], reason: str) -> None:
+    with pytest.raises(ConfigError, match=reason):
+        check(Vehicle, changed(**changes), "mine.toml")
+
+
+def test_legs_push_no_robot_sideways_and_laws_of_three_axes_refuse_one_that_is_pushed() -> None:
+    table = SPHERICAL.model_dump(mode="json")
+    table["limits"] |= {"wrench": [6.0, 3.0, 0.5, 1.0], "wrench_rate_per_s": [6.0, 6.0, 2.0, 6.0]}
+    with pytest.raises(ConfigError, match="legs do not push sideways"):
+        check(Vehicle, table, "mine.toml")
+    for law in ("eso-mpc", "pid"):
+        with pytest.raises(ConfigError, match=f"'vectored' has side thrust, which controller.law = '{law}' does not know"):
+            load_experiment("pool", ["vehicle=vectored", f"controller.law={law}"])
+    steps = load_experiment("pool", ["vehicle=vectored", "controller.law=nmpc"]).wrench_step
+    assert steps == pytest.approx((1.0, 1.0, 1.0, 0.75))

@@ -11,7 +11,7 @@ export interface Field {
 const POSE: [string, string][] = [["x", "m"], ["y", "m"], ["depth", "m"], ["yaw", "rad"]]; // prettier-ignore
 const VELOCITY: [string, string][] = [["surge", "m/s"], ["sway", "m/s"], ["heave", "m/s"], ["yaw rate", "rad/s"]]; // prettier-ignore
 const ACCELERATION: [string, string][] = [["surge", "m/s²"], ["sway", "m/s²"], ["heave", "m/s²"], ["yaw", "rad/s²"]]; // prettier-ignore
-const WRENCH: [string, string][] = [["surge", "N"], ["heave", "N"], ["yaw", "N m"]]; // prettier-ignore
+const WRENCH: [string, string][] = [["surge", "N"], ["heave", "N"], ["yaw", "N m"], ["sway", "N"]]; // prettier-ignore
 const PULSES: [string, string][] = Array.from({ length: 8 }, (_, k) => [k < 4 ? `thruster ${k + 1}` : `ankle ${k - 3}`, "us"]);
 
 type PackedKey = { [K in keyof RobotState]: RobotState[K] extends Packed ? K : never }[keyof RobotState];

@@ -58,7 +58,7 @@ export function charts(s: Scene, chosen: number): Chart[] {
     neighbours.filter((other) => id < other || !s.robots.find((r) => r.id === other)?.neighbours.includes(id)).map((other) => [id, other] as const),
   );
   const scaled = (value: number | undefined, by: number) => (value === undefined ? null : value * by);
-  const share = (k: number) => (sample: Sample) => scaled(heard(sample, chosen)?.wrench[k], 100 / s.limits.wrench[k as 0 | 1 | 2]);
+  const share = (k: number) => (sample: Sample) => scaled(heard(sample, chosen)?.wrench[k], 100 / s.limits.wrench[k]!);
   const gamma = (k: number) => (sample: Sample) => scaled(heard(sample, chosen)?.disturbance[k], 1e3);
   return [
     { id: "tracking", title: "Tracking error", unit: "mm", curves: each(tracking) },
@@ -74,7 +74,7 @@ export function charts(s: Scene, chosen: number): Chart[] {
       unit: "% of limit",
       limit: 100,
       both: true,
-      curves: ["surge", "heave", "yaw"].map((name, k) => ({ name, value: share(k) })),
+      curves: ["surge", "heave", "yaw", "sway"].slice(0, s.limits.wrench.length).map((name, k) => ({ name, value: share(k) })),
     },
     {
       id: "disturbance",

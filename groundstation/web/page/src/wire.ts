@@ -49,7 +49,7 @@ export interface Scene {
   safety_m: number;
   margin_m: number;
   limits: {
-    wrench: [number, number, number];
+    wrench: number[]; // surge, heave, yaw, and sway where thrusters push sideways
     speed_mps: number;
     heave_mps: number;
     yaw_rate_radps: number;
@@ -57,7 +57,7 @@ export interface Scene {
     pulse_us: [number, number, number]; // full reverse, neutral, full ahead
     battery_v: [number, number, number, number]; // neutral, no arming, warning, full
   };
-  legs_m: [number, number][];
+  thrusters: [number, number, number, number][]; // by output: place ahead, to starboard, m; direction of positive thrust
   islands: [number, number, number][]; // x, y, radius
   robots: { id: number; node_m: [number, number, number]; neighbours: number[] }[];
   path: CirclePath | WaypointPath | RoutePath;

@@ -31,6 +31,7 @@ from tests.robot_agent.control.drawn_inputs import (
 )
 from tests.robot_agent.control.drawn_inputs import at as pose_at
 from wire.config.experiment import load_experiment
+from wire.config.vehicle import Vehicle, load_vehicle
 from wire.frames import Array
 from wire.messages.live_gains import tunable_parameters, tuned
 from wire.messages.messages import DriveVelocity, Plan, Solve, Trajectory
@@ -44,18 +45,20 @@ DEAD_STEPS = round(VEHICLE.thruster.dead_time_s / 0.05)
 class Swimmer:
     """A robot that is just as its model says, in water at rest or in a current, seen without noise."""
 
-    def __init__(self, pose: Sequence[float], surge_mps: float = 0.0, current: complex = 0j, **more: Any) -> None:
-        self.controller = NonlinearController(VEHICLE, NMPC.controller, NMPC.safety, **more)
-        self.model, self.current, self.k = Model(VEHICLE), current, 0
-        self.state = (*pose, surge_mps, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-        self.wrenches = [np.zeros(3)] * (DEAD_STEPS + 1)
+    def __init__(
+        self, pose: Sequence[float], surge_mps: float = 0.0, current: complex = 0j, vehicle: Vehicle = VEHICLE, **more: Any
+    ) -> None:
+        self.controller, axes = NonlinearController(vehicle, NMPC.controller, NMPC.safety, **more), len(vehicle.limits.wrench)
+        self.vehicle, self.model, self.current, self.k = vehicle, Model(vehicle), current, 0
+        self.state = (*pose, surge_mps, 0.0, 0.0, 0.0, *[0.0] * axes)
+        self.wrenches = [np.zeros(axes)] * (DEAD_STEPS + 1)
         self.track = [np.array(self.state)]
 
     def step(self, goal: Goal | None, others: Sequence[Neighbour] = (), obstacles: Sequence[Obstacle] = ()) -> ControlOutput:
         x, y, z, yaw, _, _, _, r, *_ = self.state
         seen = StateMeasurement(PoseMeasurement(self.k * STEP_NS, x, y, yaw), z, r)
         output = self.controller.step(seen, goal, others, self.k * STEP_NS, obstacles)
-        check(output)
+        check(output, self.vehicle)
         self.wrenches.append(output.wrench_delivered)
         wrench = self.wrenches[-1 - DEAD_STEPS]
         for _ in range(5):
@@ -221,6 +224,26 @@ def test_two_flights_are_the_same_bit_for_bit() -> None:
     for k in range(60):
         goal = Follow(GOAL.trajectory, 0.05 * k)
         assert np.array_equal(first.step(goal).plan_eta, again.step(goal).plan_eta)
+
+
+def test_a_robot_with_side_thrust_goes_sideways_and_holds_without_turning() -> None:
+    """The path's heading stays 0 while the path goes to starboard; HOLD then rests ahead of where it was, at that heading."""
+    robot = Swimmer((0.0, 0.1, 0.3, 0.4), vehicle=load_vehicle("vectored"))
+    eta, velocity = np.zeros((400, 4)), np.zeros((400, 4))
+    eta[:, 1], eta[:, 2], velocity[:, 1] = 0.05 * 0.15 * np.arange(400), 0.3, 0.15
+    path = Trajectory("aside", 0.05, eta, velocity, np.zeros((400, 4)))
+    for k in range(240):
+        output = robot.step(Follow(path, 0.05 * k))
+        if k >= 120:
+            assert output.tracking_error_m < 0.02 and abs(robot.state[3]) < 0.05
+    assert robot.state[5] == pytest.approx(0.15, abs=0.02) and abs(output.wrench[3]) > 0.5
+    begin, goal = complex(*robot.state[:2]), Hold(np.array([*robot.state[:4]]))
+    place = complex(*robot.step(goal).eta_reference[:2])
+    assert 0.0 < (place - begin).imag < 0.5 and abs((place - begin).real) < 0.03
+    for _ in range(300):
+        robot.step(goal)
+        assert abs(robot.state[3]) < 0.06
+    assert abs(complex(*robot.state[:2]) - place) < 0.005
 
 
 @pytest.mark.parametrize("rate_hz", [10, 20, 50])

@@ -40,7 +40,7 @@ def exact(dynamics: Dynamics, start: Start, commands: Array, time_s: Array, axes
         speed = math.hypot(u, v)
         u_dot = (x_n - (h.linear_u + h.quadratic_u * speed) * u + h.mass_v * v * r) / h.mass_u
         v_dot = (y_n - (h.linear_v + h.quadratic_v * speed) * v - h.mass_u * u * r) / h.mass_v
-        r_dot = (n_nm - (h.linear_r + h.quadratic_r * abs(r)) * r) / h.inertia
+        r_dot = (n_nm - (h.linear_r + h.quadratic_r * abs(r)) * r + (h.mass_u - h.mass_v) * u * v) / h.inertia
         lagging = (asked - [x_n, y_n, n_nm]) / h.lag_s
         return [*over_ground, r, u_dot + w.own_u, h.sway * (v_dot + w.own_v), r_dot + w.own_r, *lagging]
 

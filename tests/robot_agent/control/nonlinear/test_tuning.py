@@ -8,16 +8,18 @@ import pytest
 
 from robot_agent.control.nonlinear.tuning import (
     TILT_RAD,
+    Manner,
     delay_s,
     derive,
     formulas,
     horizon_s,
     planar_limits,
+    planar_weights,
     step_s,
 )
 from robot_agent.vehicle.estimate import Deviations, Ratios
 from wire.config.experiment import load_experiment
-from wire.config.vehicle import Vehicle
+from wire.config.vehicle import Vehicle, load_vehicle
 
 DOCS = Path(__file__).parents[4] / "docs" / "control.md"
 SPHERICAL = load_experiment("pool").vehicle
@@ -29,8 +31,20 @@ def vehicle(*settings: str) -> Vehicle:
 
 
 def test_the_docs_have_the_table_of_the_formulas() -> None:
-    rows = "\n".join(f"| {' | '.join(row)} |" for row in formulas(SPHERICAL, 0.05))
-    assert rows in DOCS.read_text(encoding="utf-8"), rows
+    """Both vehicles' columns: `make docs` writes them."""
+    page = DOCS.read_text(encoding="utf-8")
+    for ours, theirs in zip(formulas(SPHERICAL, 0.05), formulas(load_vehicle("vectored"), 0.05), strict=True):
+        assert f"| {' | '.join((*ours, theirs[2]))} |" in page
+
+
+def test_the_weaker_side_thrust_limits_a_robot_that_has_it() -> None:
+    """Surge 20 N/s on 19 kg, sway 15 N/s on 26.2 kg: the place follows as quickly as sideways, and both have their weights."""
+    vectored, known = load_vehicle("vectored"), USUAL._replace(place_m=1e-6, ground_mps=1e-6)
+    found = derive(vectored, 1e-3, known, (100.0, 2.0), 1.0)
+    assert found.quickness == pytest.approx((15.0 / (26.2 * 0.4 * 0.30)) ** (1.0 / 3.0))
+    surge, sway, yaw = planar_weights(vectored, found, 0.2, Manner(0.01, 0.0), 1.0).rate
+    assert (surge / sway) ** 0.5 == pytest.approx(26.2 / 19.0) and yaw > 0.0
+    assert planar_limits(vectored).size.tolist() == pytest.approx([20.0, 15.0, 5.0])
 
 
 def test_a_heavier_robot_is_slower_and_looks_farther_ahead() -> None:

@@ -140,22 +140,26 @@ function drawHull(pen: Pen, view: View, s: Scene, robot: Robot, colour: string, 
   pen.restore();
 }
 
-/** One bar a thruster, ahead or astern from its place, as long as its pulse is far from neutral. In the robot's own axes. */
+/** One bar a thruster, along its thrust or against it, as long as its pulse is far from neutral. In the robot's own axes. */
 function drawThrusters(pen: Pen, view: View, s: Scene, robot: Robot): void {
   const state = robot.news.state!;
   const pulses = state.echo_us.length >= 4 ? state.echo_us : state.pulse_us;
   const [reverse, neutral, ahead] = s.limits.pulse_us;
   const full = 0.45 * s.hull_m * view.scale;
   const width = Math.max(2, 0.07 * s.hull_m * view.scale);
-  s.legs_m.forEach(([x, y], leg) => {
-    const pulse = pulses[leg];
-    if (pulse === undefined) return;
+  s.thrusters.forEach(([x, y, along, across], output) => {
+    const pulse = pulses[output];
+    if (pulse === undefined || Math.hypot(along, across) < 0.1) return; // upright: a bar would say nothing
     const share = pulse >= neutral ? (pulse - neutral) / (ahead - neutral) : (pulse - neutral) / (neutral - reverse);
     const [cx, cy] = [x * view.scale, y * view.scale];
+    pen.save();
+    pen.translate(cx, cy);
+    pen.rotate(Math.atan2(across, along));
     pen.fillStyle = css("--track");
-    pen.fillRect(cx - full, cy - width / 2, 2 * full, width);
+    pen.fillRect(-full, -width / 2, 2 * full, width);
     pen.fillStyle = share >= 0 ? css("--ahead") : css("--astern");
-    pen.fillRect(Math.min(cx, cx + share * full), cy - width, Math.abs(share) * full, 2 * width);
+    pen.fillRect(Math.min(0, share * full), -width, Math.abs(share) * full, 2 * width);
+    pen.restore();
   });
 }
 
