@@ -37,7 +37,7 @@ from robot_agent.guidance.reference import Drive, Follow, Goal, Hold, Reference,
 from robot_agent.guidance.velocity_obstacles import GiveWay, traffic_near
 from robot_agent.vehicle.allocation import Allocator
 from robot_agent.vehicle.dynamics import Model
-from robot_agent.vehicle.estimate import Estimate, StateMeasurement
+from robot_agent.vehicle.estimate import Deviations, Estimate, StateMeasurement
 from robot_agent.vehicle.kalman import make_estimator
 from wire.config.controller import ControllerConfig, Safety
 from wire.config.vehicle import Vehicle
@@ -113,6 +113,9 @@ class ControlOutput(NamedTuple):
     depth_leap: str  # the same for the depth
     is_free: bool  # the robot follows its path: neither giving way nor half-spaces change its plan
     path_is_blocked: bool  # it avoids what it would meet on its path too
+    avoids: bool = False  # something is in its way; False on the way back to its path
+    current: complex = 0j  # x + iy of the water's own velocity in the pool, m/s
+    deviations: Deviations | None = None  # standard deviations of the estimate; None if they are not known
 
     @classmethod
     def neutral(cls, pulse_us: tuple[int, ...], wrench_step: Array, estimate: Estimate | None, stay: Array) -> "ControlOutput":
@@ -400,6 +403,7 @@ class Controller:
             depth_leap=estimate.depth_leap,
             is_free=is_free,
             path_is_blocked=self._give_way.path_is_blocked,
+            avoids=not is_free,
         )
 
     def _neutral(self, estimate: Estimate | None, now_ns: int) -> ControlOutput:

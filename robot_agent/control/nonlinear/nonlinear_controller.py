@@ -326,6 +326,9 @@ class NonlinearController:
             depth_leap=estimate.depth_leap,
             is_free=lead is reference and not found.binds,
             path_is_blocked=self._give_way.path_is_blocked,
+            avoids=self._give_way.avoids or found.binds,
+            current=estimate.current,
+            deviations=estimate.deviations,
         )
 
     def _first_wrench(self, has_plan: bool, has_depth_plan: bool) -> Array:
