@@ -75,13 +75,14 @@ class Poses:
     nees: float  # 3 where the published covariances are right
 
 
-def fly(scene: str, seed: int) -> FlownScene:
-    """Fly a scene as a user does, and read what it left. Raises RuntimeError where exit code and result disagree."""
+def fly(scene: str, seed: int, changes: Sequence[str] = ()) -> FlownScene:
+    """Fly a scene as a user does, with `changes` to it, and read what it left. Raises RuntimeError where exit code and result
+    disagree."""
     with tempfile.TemporaryDirectory(prefix="shoal-scene-") as folder:
         command = [sys.executable, "-P", "-m", "sim_bridge", "sil", scene, "--lockstep", "--one-process", "--no-web"]
         begin_s = time.monotonic()
         done = subprocess.run(
-            [*command, "--seed", str(seed), "--out", folder],
+            [*command, "--seed", str(seed), "--out", folder, *(word for change in changes for word in ("--set", change))],
             capture_output=True,
             encoding="utf-8",
             errors="replace",
@@ -232,8 +233,10 @@ def _counted(faults: Sequence[str]) -> list[str]:
     return [first[words] if count == 1 else f"{first[words]} and {count - 1} more" for words, count in counts.items()]
 
 
-def fly_all(scenes: Sequence[str], seeds: int, workers: int, console: Console) -> list[FlownScene]:
-    """Fly every scene on every seed, longest scenes first, with progress."""
+def fly_all(
+    scenes: Sequence[str], seeds: int, workers: int, console: Console, changes: Sequence[str] = ()
+) -> list[FlownScene]:
+    """Fly every scene on every seed, with `changes` to it and with progress."""
     wanted = [(scene, seed) for seed in range(1, seeds + 1) for scene in scenes]
     flights: list[FlownScene] = []
     with (
@@ -241,7 +244,7 @@ def fly_all(scenes: Sequence[str], seeds: int, workers: int, console: Console) -
         ThreadPoolExecutor(workers) as pool,  # each thread waits for a process of its own
     ):
         task = progress.add_task("flights", total=len(wanted))
-        for done in as_completed([pool.submit(fly, scene, seed) for scene, seed in wanted]):
+        for done in as_completed([pool.submit(fly, scene, seed, changes) for scene, seed in wanted]):
             flight = done.result()
             flights.append(flight)
             progress.advance(task)
@@ -259,16 +262,19 @@ def main(
     names: Annotated[list[str] | None, typer.Argument(help="Scenes; all shipped ones if none is named.")] = None,
     seeds: Annotated[int, typer.Option(min=1, help="Fly seeds 1 to this.")] = 10,
     workers: Annotated[int | None, typer.Option(min=1, help="Flights at a time; default: one a core.")] = None,
+    changes: Annotated[
+        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Any key of an experiment, for all scenes.")
+    ] = None,
     write: Annotated[bool, typer.Option("--write", help="Write docs/evidence/scenes.md and scenes.json.")] = False,
 ) -> None:
     """Fly shipped scenes whole, as users fly them; print the tables. Exit code 0 if every flight passed."""
     unknown = sorted(set(names or ()) - set(SCENES))
     if unknown:
         raise typer.BadParameter(f"{', '.join(unknown)}: no such scene (allowed: {', '.join(SCENES)})")
-    if write and names:
-        raise typer.BadParameter("--write needs all scenes: leave the names out")
+    if write and (names or changes):
+        raise typer.BadParameter("--write needs all scenes as they are: leave names and --set out")
     console = Console()
-    flights = fly_all(names or SCENES, seeds, workers or os.cpu_count() or 1, console)
+    flights = fly_all(names or SCENES, seeds, workers or os.cpu_count() or 1, console, changes or ())
     page = markdown(flights, seeds)
     console.print(page, markup=False, highlight=False, soft_wrap=True)
     if write:

@@ -395,6 +395,7 @@ def _measurement(inputs: Inputs) -> StateMeasurement:
         depth_m=telemetry.depth_m if known else None,
         yaw_rate_radps=telemetry.yaw_rate_radps if known else None,
         board_ns=telemetry.arrival_ns if known else None,
+        pitch_rad=telemetry.tilt[1] if known and telemetry.tilt else 0.0,
     )
 
 

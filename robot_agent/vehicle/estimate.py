@@ -27,6 +27,7 @@ class StateMeasurement(NamedTuple):
     depth_m: float | None = None  # of the robot's centre, from the pressure sensor
     yaw_rate_radps: float | None = None  # gyroscope
     board_ns: int | None = None  # instant of depth and yaw rate; None: now
+    pitch_rad: float = 0.0  # bow up is positive; 0 where it is not measured
 
 
 class Ratios(NamedTuple):

@@ -228,6 +228,12 @@ class ControllerConfig(Section):
         estimator = given.get("estimator", {})
         return {**given, "estimator": {"kind": "kalman", **estimator}} if isinstance(estimator, dict) else given
 
+    @model_validator(mode="after")
+    def _knows_what_it_knows(self) -> "ControllerConfig":
+        if self.law == "nmpc" and self.estimator.kind != "kalman":
+            raise ValueError(f'estimator.kind = {self.estimator.kind!r}: the law nmpc needs "kalman"')
+        return self
+
     @model_validator(mode="before")
     @classmethod
     def _looks_as_far_ahead_at_every_rate(cls, given: Any) -> Any:

@@ -65,12 +65,11 @@ def wanted_force(
     along, aside = cos * x_mps + sin * y_mps, cos * y_mps - sin * x_mps
     if not has_sway and away != 0.0 and along * pilot.ahead < 0.0:
         along = 0.0  # first turn
-    pool_u, pool_v = cos * water.pool_x + sin * water.pool_y, cos * water.pool_y - sin * water.pool_x
     surge = (hull.linear_u + hull.quadratic_u * abs(along)) * along + hull.mass_u * (
-        pilot.quickness * (along - state[U]) - water.own_u - pool_u
+        pilot.quickness * (along - state[U]) - water.own_u
     )
     sway = (hull.linear_v + hull.quadratic_v * abs(aside)) * aside + hull.mass_v * (
-        pilot.quickness * (aside - state[V]) - water.own_v - pool_v
+        pilot.quickness * (aside - state[V]) - water.own_v
     )
     turn = pilot.turning * (TURN_SHARE * pilot.turning * away - TURN_DAMPING * state[R]) - water.own_r
     return surge, sway, hull.inertia * turn
@@ -109,13 +108,11 @@ def guess(
                 change = min(max(min(max(want, -limits.size[i]), limits.size[i]) - command[i], -most), most)
                 command[i] += change
                 asked[grid.axes[i]] = command[i]
-            at_s = grid.time_s[k] + (j + 0.5) * step_s
-            fading = (math.exp(-at_s / dynamics.water.own_fade_s), math.exp(-at_s / dynamics.water.yaw_fade_s))
-            first = motion(dynamics, fading, (state[YAW], state[U], state[V], state[R]), state[SURGE:])
+            first = motion(dynamics, (state[YAW], state[U], state[V], state[R]), state[SURGE:])
             step_from(state, first, 0.5 * step_s, middle)
             for i in range(3):
                 middle[SURGE + i] = asked[i] + shares.half_acting * (state[SURGE + i] - asked[i])
-            rates = motion(dynamics, fading, (middle[YAW], middle[U], middle[V], middle[R]), middle[SURGE:])
+            rates = motion(dynamics, (middle[YAW], middle[U], middle[V], middle[R]), middle[SURGE:])
             step_from(state, rates, step_s, state)
             for i in range(SURGE, MOMENT + 1):
                 state[i] = asked[i - SURGE] + shares.acting * (state[i] - asked[i - SURGE])

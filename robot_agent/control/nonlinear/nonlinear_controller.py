@@ -33,7 +33,6 @@ from robot_agent.guidance.reference import Drive, Follow, Goal, Hold, Reference,
 from robot_agent.guidance.velocity_obstacles import GiveWay, traffic_near
 from robot_agent.vehicle.allocation import Allocator
 from robot_agent.vehicle.dynamics import Model
-from robot_agent.vehicle.eso import POSE_M
 from robot_agent.vehicle.estimate import Estimate, StateMeasurement
 from robot_agent.vehicle.kalman import make_estimator
 from wire.config.controller import ControllerConfig, Safety
@@ -43,29 +42,15 @@ from wire.messages.messages import Solve
 
 AXES = (0, 2)  # surge and yaw have thrusters
 TOLD_S = 0.2  # between two poses of the plan that neighbours get, whatever the control period
-GAINS_S = 1.0  # time constant of the weights
+GAINS_S = 1.0  # time constant of the weights,
+NOISE_S = 4.0  # and of the noise that they heed: what is not known yet at a start is no noise, and ends within a second
 GOES_FIRST_S = 2.5  # a robot that goes first still keeps 2R from the others for so long: they may be unable to give way
 WALL_M = 0.02  # between a hull and a wall, in the plan
 REST_M = 0.05  # and at a place to rest
-OWN_FADE_S, YAW_FADE_S = 10.0, 3.0  # of the robot's own forces (vehicle/eso.py): thrusters that differ, ankles that settle
 TOLERANCE_M = 0.02  # mean error of a plan with which no other is looked for
 CALM = 8.0  # standard deviations: nearer to its place, a resting robot looks for no other plan
-OWN_SHARE = 0.4  # of what a pose corrects in Gamma: a force of the robot. The rest keeps its direction in the pool
+STEEPEST_RAD = 0.5  # a hull that rights itself is not pitched farther by its thrusters: a board that says so is wrong
 DRIVES_ON_S = 2.0  # a person goes on steering: a plan that stops with the order's age follows late
-
-
-class ForceSplit:
-    """Division of the observer's disturbance: what turns along with the robot, and what keeps its direction in the pool."""
-
-    def __init__(self) -> None:
-        self.own, self.pool = 0j, 0j
-
-    def step(self, disturbance: complex, yaw_rad: float) -> None:
-        """Take in a disturbance (body frame, m/s^2): the part of its change that no turn explains is shared out."""
-        turn = complex(math.cos(yaw_rad), math.sin(yaw_rad))
-        change = disturbance - self.own - self.pool * turn.conjugate()
-        self.own += OWN_SHARE * change
-        self.pool += (1.0 - OWN_SHARE) * change * turn
 
 
 class NonlinearController:
@@ -107,11 +92,11 @@ class NonlinearController:
         self._told_rows = np.interp(told_s, np.concatenate([[0.0], nodes_s]), np.arange(len(nodes_s) + 1.0))
         self._wrench, self._delivered = np.zeros(3), np.zeros(3)  # asked for in the last step, and what its pulses gave
         self._priority = Priority(urgent, 0.0)
-        self._forces = ForceSplit()
         self._tuning: tunings.Bandwidths | None = None
         self._place: Array | None = None  # to rest at
         self._shifted = 0  # steps since the last solution
-        self._off_m = 0.0
+        self._off_m, self._noise_mps = 0.0, 0.0
+        self._lift_n = 0.0  # thrust's part upwards of a hull that it pitches: 1 N at full thrust
         self.goal: Goal | None = None  # of the last step
 
     @property
@@ -132,8 +117,12 @@ class NonlinearController:
     def note_command(self, wrench: Array, delivered: Array, now_ns: int) -> None:
         """Take note of the wrench asked for and delivered, (3,) each, that really went out at `now_ns` instead of the last
         step's."""
-        self._estimator.note_wrench(delivered, now_ns)
+        self._note(wrench, delivered, now_ns)
+
+    def _note(self, wrench: Array, delivered: Array, now_ns: int) -> None:
+        """Take note of a wrench. What lifts a pitched hull takes part of its heave: observer and plan know the rest."""
         self._wrench, self._delivered = wrench, delivered
+        self._estimator.note_wrench(delivered - (0.0, self._lift_n, 0.0), now_ns)
 
     # --- one step
 
@@ -149,6 +138,9 @@ class NonlinearController:
         estimate = self._estimator.update(measurement, now_ns)
         if estimate is None or goal is None:
             return self._neutral(estimate, now_ns)
+        if self._model.sway:  # the article's model knows no tilt
+            pitch_rad = min(max(measurement.pitch_rad, -STEEPEST_RAD), STEEPEST_RAD)
+            self._lift_n = estimate.action.item(8) * math.sin(pitch_rad)
         dynamics, start = self._dynamics(estimate), make_start(estimate.action, self._wrench, AXES)
         self._take_up(goal, estimate)
         self._retune(estimate)
@@ -186,28 +178,17 @@ class NonlinearController:
 
     def _dynamics(self, estimate: Estimate) -> Dynamics:
         """The model with what the observer knows by now."""
-        ahead, aside, turn = estimate.own_force.tolist()
-        own, pool, current = complex(ahead, aside), 0j, estimate.current
-        own_fade_s, yaw_fade_s = OWN_FADE_S, YAW_FADE_S
-        if estimate.deviations is None:
-            own_fade_s = yaw_fade_s = math.inf
-            if self._model.sway:
-                self._forces.step(own, estimate.eta.item(3))
-                own, pool = self._forces.own, self._forces.pool
+        current, own = estimate.current, estimate.own_force.tolist()
         hull = tunings.planar_hull(self._model.coefficients, self._model.sway, self._model.lag_s, self._step_s)
-        return Dynamics(hull, Surroundings(
-            current.real, current.imag, own.real, own.imag, turn, pool.real, pool.imag, own_fade_s, yaw_fade_s
-        ))  # fmt: skip
+        return Dynamics(hull, Surroundings(current.real, current.imag, *own))
 
     def _retune(self, estimate: Estimate) -> None:
         """Follow the bandwidths that noise and error allow."""
-        deviations, observer_radps = estimate.deviations, estimate.bandwidth_radps
+        assert estimate.deviations is not None  # the configuration allows no observer without
         depth_radps = self._config.estimator.bandwidth_radps
-        if not observer_radps:
-            observer_radps = tunings.MODEL_SHARE * depth_radps
-        if deviations is None:
-            observer_radps *= estimate.pace
-            deviations = tunings.settled_deviations(observer_radps, POSE_M / estimate.pace**3)
+        observer_radps = estimate.bandwidth_radps or tunings.MODEL_SHARE * depth_radps
+        self._noise_mps += -math.expm1(-self._period_s / NOISE_S) * (estimate.deviations.ground_mps - self._noise_mps)
+        deviations = estimate.deviations._replace(ground_mps=self._noise_mps)
         wanted = tunings.derive(self._vehicle, self._delay_s, deviations, (observer_radps, depth_radps), self._off_m)
         if self._tuning is None:
             self._tuning = wanted
@@ -242,15 +223,15 @@ class NonlinearController:
     def _stop(self, goal: Hold, dynamics: Dynamics, start: Start, surrounds: Surrounds) -> Array:
         """The pose (4,) where the robot can come to rest, inside the walls and clear of others."""
         assert self._tuning is not None
-        problem = PlanProblem(start, self._course, self._weights(0.0), self._limits, surrounds)
+        problem = PlanProblem(start, self._course, self._weights(tunings.Manner(0.0, 0.0)), self._limits, surrounds)
         place, _ = resting_place(dynamics, self._grid, problem, self._tuning, self._vehicle.limits.speed_mps, self._drift)
         pose = goal.eta.copy()
         pose[0], pose[1] = clear_place(place, surrounds, REST_M)
         return pose
 
-    def _weights(self, turning_m: float) -> Weights:
+    def _weights(self, manner: tunings.Manner) -> Weights:
         assert self._tuning is not None
-        return tunings.planar_weights(self._vehicle, self._tuning, self._config.nmpc.arm_m, turning_m, self._config.mpc.slack)
+        return tunings.planar_weights(self._vehicle, self._tuning, self._config.nmpc.arm_m, manner, self._config.mpc.slack)
 
     def _improve(self, goal: Goal, led: Reference, dynamics: Dynamics, start: Start, surrounds: Surrounds) -> Iteration:
         """One step of the planner."""
@@ -261,7 +242,8 @@ class NonlinearController:
             led.eta, led.velocity, dynamics.water, HeadingRule(near_rad, heading_m**2, is_steered, is_resting), self._course
         )
         self._turns.note(self._course, near_rad)
-        weights = self._weights(gains.hold_turning_m if is_resting else gains.turning_m)
+        turning_m = gains.hold_turning_m if is_resting else gains.turning_m
+        weights = self._weights(tunings.Manner(turning_m, 0.0 if is_resting or is_steered else tunings.FACING_S))
         problem = PlanProblem(start, self._course, weights, self._limits, surrounds)
         calm = is_resting and self._off_m < self._calm_m
         assert self._tuning is not None
@@ -271,9 +253,9 @@ class NonlinearController:
         """One step of the plan of depth."""
         assert self._tuning is not None
         hull = tunings.depth_hull(self._model.nominal, self._model.lag_s, tunings.STEP_S)
-        water = Surroundings(0.0, 0.0, estimate.disturbance.item(2), 0.0, 0.0, 0.0, 0.0, math.inf, math.inf)
+        water = Surroundings(0.0, 0.0, estimate.disturbance.item(2), 0.0, 0.0)
         set_depth_course(led.eta, led.velocity, self._depth_course)
-        start = make_depth_start(estimate.action, self._wrench)
+        start = make_depth_start(estimate.action, self._wrench.item(1) - self._lift_n)
         weights = tunings.depth_weights(self._vehicle, self._tuning)
         problem = PlanProblem(start, self._depth_course, weights, self._depth_limits, self._open_water)
         found = step_plan(Dynamics(hull, water), self._depth_grid, problem, self._depth, self._period_s)
@@ -293,8 +275,8 @@ class NonlinearController:
         failed = self._shifted > bridged_steps(self._period_s)
         wrench = np.zeros(3) if failed else self._first_wrench(found.rounds > 0, dive.rounds > 0)
         pulses, delivered = self.allocator.neutral() if failed else self.allocator.allocate(wrench)
-        wrench_step, self._wrench, self._delivered = wrench - self._wrench, wrench, delivered
-        self._estimator.note_wrench(delivered, now_ns)
+        wrench_step = wrench - self._wrench
+        self._note(wrench, delivered, now_ns)
         told, told_reference = self._told(estimate, lead)
         error_m = float(np.linalg.norm(reference.eta[0, :3] - estimate.eta[:3]))
         self._priority = Priority(self._urgent, error_m)
@@ -339,7 +321,7 @@ class NonlinearController:
         if has_plan:
             wanted[0], wanted[2] = self._planner.flight.command[0]
         if has_depth_plan:
-            wanted[1] = self._depth.flight.command[0, 0]
+            wanted[1] = self._depth.flight.command[0, 0] + self._lift_n
         most = np.array(limits.wrench_step(self._period_s))
         change = np.clip(share * (wanted - self._wrench), -most, most)
         return np.clip(self._wrench + change, -np.array(limits.wrench), limits.wrench)
@@ -363,8 +345,8 @@ class NonlinearController:
         self._give_way.reset()
         self._depth.flight.command[:] = 0.0
         self.goal, self._place, self._off_m, self._shifted = None, None, 0.0, 0
-        wrench_step, self._wrench, self._delivered = -self._wrench, np.zeros(3), np.zeros(3)
-        self._estimator.note_wrench(np.zeros(3), now_ns)
+        wrench_step, self._lift_n = -self._wrench, 0.0
+        self._note(np.zeros(3), np.zeros(3), now_ns)
         self._priority = Priority(self._urgent, 0.0)
         if estimate is None:
             return ControlOutput.neutral(self.allocator.neutral_us, wrench_step, None, np.zeros((len(self._told_rows), 4)))

@@ -141,8 +141,8 @@ def make_start(action: Array, wrench: Array, axes: tuple[int, ...]) -> Start:
     return Start(state, np.array([command[axis] for axis in axes]))
 
 
-def make_depth_start(action: Array, wrench: Array) -> Start:
+def make_depth_start(action: Array, heave_n: float) -> Start:
     """The same of depth, as motion along x."""
     state = np.zeros(9)
     state[0], state[3], state[6] = action[2], action[6], action[9]
-    return Start(state, np.array([wrench.item(1)]))
+    return Start(state, np.array([heave_n]))

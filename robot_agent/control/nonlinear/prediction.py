@@ -1,12 +1,12 @@
 """Motion over the horizon, and its derivatives by the commands: the model of dynamics.py on a grid of nodes.
 
     x' = R(yaw) (u, v) + current            yaw' = r
-    u' = (X - d_u(u, v) u) / m_u + (m_v / m_u) v r + b_u + (R' g)_u
-    v' = (Y - d_v(u, v) v) / m_v - (m_u / m_v) u r + b_v + (R' g)_v
+    u' = (X - d_u(u, v) u) / m_u + (m_v / m_u) v r + b_u
+    v' = (Y - d_v(u, v) v) / m_v - (m_u / m_v) u r + b_v
     r' = (N - d_r(r) r) / I + b_r           lag F' = F_commanded - F, for X, Y and N
 
-u, v, r are velocities through the water. b is the acceleration by forces that turn along with the robot; it fades as the
-observer says. g is one that keeps its direction in the pool.
+u, v, r are velocities through the water. b is the acceleration by forces that turn along with the robot. What keeps
+its direction in the pool is the current.
 
 Actuated axes are a property of the vehicle: `Grid.axes` lists those of X (0), Y (1), N (2) that have thrusters; the others
 stay zero. Commands are given at the nodes, linear in between, from the command that acts now on. Depth is the same motion
@@ -53,13 +53,9 @@ class Surroundings(NamedTuple):
 
     current_x_mps: float
     current_y_mps: float
-    own_u: float  # by forces that turn along with the robot, m/s^2 and rad/s^2,
+    own_u: float  # by forces that turn along with the robot, m/s^2 and rad/s^2
     own_v: float
     own_r: float
-    pool_x: float  # and by forces that keep their direction in the pool, m/s^2
-    pool_y: float
-    own_fade_s: float  # so fast fade own_u and own_v,
-    yaw_fade_s: float  # and own_r
 
 
 class Dynamics(NamedTuple):
@@ -106,13 +102,11 @@ class Rates(NamedTuple):
 
 
 class Jacobian(NamedTuple):
-    """Derivatives of u', v', r' by yaw, u, v, r."""
+    """Derivatives of u', v', r' by u, v, r."""
 
-    u_yaw: float
     u_u: float
     u_v: float
     u_r: float
-    v_yaw: float
     v_u: float
     v_v: float
     v_r: float
@@ -151,37 +145,30 @@ def make_flight(axes: int) -> PlannedFlight:
 
 
 @kernel(part=True)
-def motion(dynamics: Dynamics, fading: tuple[float, float], pose: tuple[float, float, float, float], force: Floats) -> Rates:
-    """Rates of a state: `fading` is what is left of own_u and own_v, and of own_r; `pose` has yaw, u, v, r; `force` (3,)
-    acts."""
+def motion(dynamics: Dynamics, pose: tuple[float, float, float, float], force: Floats) -> Rates:
+    """Rates of a state: `pose` has yaw, u, v, r; `force` (3,) acts."""
     hull, water = dynamics.hull, dynamics.water
     yaw, u, v, r = pose
     cos, sin, speed, ratio = math.cos(yaw), math.sin(yaw), math.sqrt(u * u + v * v), hull.mass_v / hull.mass_u
-    ahead = fading[0] * water.own_u + cos * water.pool_x + sin * water.pool_y
-    aside = fading[0] * water.own_v - sin * water.pool_x + cos * water.pool_y
     return Rates(
         cos * u - sin * v + water.current_x_mps,
         sin * u + cos * v + water.current_y_mps,
         r,
-        (force[0] - (hull.linear_u + hull.quadratic_u * speed) * u) / hull.mass_u + ratio * v * r + ahead,
-        hull.sway * ((force[1] - (hull.linear_v + hull.quadratic_v * speed) * v) / hull.mass_v - u * r / ratio + aside),
-        (force[2] - (hull.linear_r + hull.quadratic_r * abs(r)) * r) / hull.inertia + fading[1] * water.own_r,
+        (force[0] - (hull.linear_u + hull.quadratic_u * speed) * u) / hull.mass_u + ratio * v * r + water.own_u,
+        hull.sway * ((force[1] - (hull.linear_v + hull.quadratic_v * speed) * v) / hull.mass_v - u * r / ratio + water.own_v),
+        (force[2] - (hull.linear_r + hull.quadratic_r * abs(r)) * r) / hull.inertia + water.own_r,
     )
 
 
 @kernel(part=True)
-def jacobian(dynamics: Dynamics, yaw: float, u: float, v: float, r: float) -> Jacobian:
+def jacobian(hull: Hull, u: float, v: float, r: float) -> Jacobian:
     """Derivatives of the accelerations."""
-    hull, water = dynamics.hull, dynamics.water
     speed, ratio = math.sqrt(u * u + v * v), hull.mass_v / hull.mass_u
     bend = 1.0 / speed if speed > 1e-9 else 0.0
-    cos, sin = math.cos(yaw), math.sin(yaw)
     return Jacobian(
-        cos * water.pool_y - sin * water.pool_x,
         -(hull.linear_u + hull.quadratic_u * (speed + u * u * bend)) / hull.mass_u,
         ratio * r - hull.quadratic_u * u * v * bend / hull.mass_u,
         ratio * v,
-        -hull.sway * (cos * water.pool_x + sin * water.pool_y),
         -hull.sway * (hull.quadratic_v * u * v * bend / hull.mass_v + r / ratio),
         -hull.sway * (hull.linear_v + hull.quadratic_v * (speed + v * v * bend)) / hull.mass_v,
         -hull.sway * u / ratio,
@@ -217,26 +204,22 @@ def spread_tangents(
     """Carry the first `reached` columns of the derivatives `tangent` (12, columns) on by a step: rows 0 to 8 are those of the
     state, the last three those of the thrust halfway. `middle` (9,) is the state halfway."""
     hull, half = dynamics.hull, 0.5 * step_s
-    a = jacobian(dynamics, state[YAW], state[U], state[V], state[R])
-    b = jacobian(dynamics, middle[YAW], middle[U], middle[V], middle[R])
+    a = jacobian(hull, state[U], state[V], state[R])
+    b = jacobian(hull, middle[U], middle[V], middle[R])
     cos, sin = math.cos(middle[YAW]), math.sin(middle[YAW])
     x_yaw, y_yaw = -sin * middle[U] - cos * middle[V], cos * middle[U] - sin * middle[V]
     per_u, per_v, per_r = 1.0 / hull.mass_u, hull.sway / hull.mass_v, 1.0 / hull.inertia
     for c in range(reached):
         yaw, u, v, r = tangent[YAW, c], tangent[U, c], tangent[V, c], tangent[R, c]
         yaw_half = yaw + half * r
-        u_half = u + half * (a.u_yaw * yaw + a.u_u * u + a.u_v * v + a.u_r * r + per_u * tangent[SURGE, c])
-        v_half = v + half * (a.v_yaw * yaw + a.v_u * u + a.v_v * v + a.v_r * r + per_v * tangent[SWAY, c])
+        u_half = u + half * (a.u_u * u + a.u_v * v + a.u_r * r + per_u * tangent[SURGE, c])
+        v_half = v + half * (a.v_u * u + a.v_v * v + a.v_r * r + per_v * tangent[SWAY, c])
         r_half = r + half * (a.r_r * r + per_r * tangent[MOMENT, c])
         tangent[X, c] += step_s * (x_yaw * yaw_half + cos * u_half - sin * v_half)
         tangent[Y, c] += step_s * (y_yaw * yaw_half + sin * u_half + cos * v_half)
         tangent[YAW, c] = yaw + step_s * r_half
-        tangent[U, c] = u + step_s * (
-            b.u_yaw * yaw_half + b.u_u * u_half + b.u_v * v_half + b.u_r * r_half + per_u * tangent[9, c]
-        )
-        tangent[V, c] = v + step_s * (
-            b.v_yaw * yaw_half + b.v_u * u_half + b.v_v * v_half + b.v_r * r_half + per_v * tangent[10, c]
-        )
+        tangent[U, c] = u + step_s * (b.u_u * u_half + b.u_v * v_half + b.u_r * r_half + per_u * tangent[9, c])
+        tangent[V, c] = v + step_s * (b.v_u * u_half + b.v_v * v_half + b.v_r * r_half + per_v * tangent[10, c])
         tangent[R, c] = r + step_s * (b.r_r * r_half + per_r * tangent[11, c])
         for i in range(SURGE, STATES):
             tangent[i, c] *= shares.acting
@@ -245,7 +228,7 @@ def spread_tangents(
 @kernel(part=True)
 def predict(dynamics: Dynamics, grid: Grid, start: Start, flight: PlannedFlight, derive: bool) -> None:
     """States at the nodes of a flight by its commands, and with `derive` their slopes."""
-    water, axes = dynamics.water, len(grid.axes)
+    axes = len(grid.axes)
     state, middle = start.state.copy(), np.zeros(STATES)
     begin, end, force = np.zeros(3), np.zeros(3), np.zeros(3)
     flight.tangent[:] = 0.0
@@ -261,14 +244,12 @@ def predict(dynamics: Dynamics, grid: Grid, start: Start, flight: PlannedFlight,
                 before, after = start.command[i] if k == 0 else flight.command[k - 1, i], flight.command[k, i]
                 axis = grid.axes[i]
                 begin[axis], end[axis] = before + w0 * (after - before), before + w1 * (after - before)
-            at_s = grid.time_s[k] + (j + 0.5) * step_s
-            fading = (math.exp(-at_s / water.own_fade_s), math.exp(-at_s / water.yaw_fade_s))
             now = (state[YAW], state[U], state[V], state[R])
-            first = motion(dynamics, fading, now, state[SURGE:])
+            first = motion(dynamics, now, state[SURGE:])
             step_from(state, first, 0.5 * step_s, middle)
             for i in range(3):
                 force[i] = shares.half_acting * state[SURGE + i] + shares.half_begin * begin[i] + shares.half_end * end[i]
-            rates = motion(dynamics, fading, (middle[YAW], middle[U], middle[V], middle[R]), force)
+            rates = motion(dynamics, (middle[YAW], middle[U], middle[V], middle[R]), force)
             if derive:
                 reached = axes * (k + 1)  # later commands have not acted
                 for c in range(reached):

@@ -1,7 +1,7 @@
 """The optimisation: the cost of a flight, its quadratic program, and one iteration of it. Pure.
 
     J = integral |p - p_ref|^2 + a^2 w (yaw - yaw_ref)^2 + s^2 r^2 + sum rho_i (dF_i/dt)^2 dt          m^2 s
-        + T |p - p_ref + t (p' - p_ref')|^2 at the end, + sigma (deepest entry into a half-space)^2
+        + T |p - p_ref + t (p' - p_ref')|^2 + a^2 w b (yaw - yaw_ref)^2 at the end, + sigma (deepest entry into a half-space)^2
 
 Gauss-Newton about the flight there is: the Hessian is that of the squares of the linearised terms. The program is condensed:
 its unknowns are changes of the commands at the nodes, and one slack. `active_set.solve_from` solves it, from the rows that
@@ -56,6 +56,7 @@ class Weights(NamedTuple):
     turning_m2: float  # s^2, m^2 s^2/rad^2
     end_s: float  # T
     lead_s: float  # t
+    facing_s: float  # b
     entry: float  # sigma, s
 
 
@@ -127,8 +128,8 @@ def make_memory(axes: int) -> Memory:
 
 
 @kernel(part=True)
-def end_error(dynamics: Dynamics, problem: PlanProblem, state: Floats) -> tuple[float, float]:
-    """The last node's error of place and velocity, p - p_ref + t (p' - p_ref'), m."""
+def end_error(dynamics: Dynamics, problem: PlanProblem, state: Floats) -> tuple[float, float, float]:
+    """The last node's error of place and velocity, p - p_ref + t (p' - p_ref'), m, and that of its heading."""
     course, lead_s, last = problem.course, problem.weights.lead_s, len(problem.course.yaw) - 1
     cos, sin = math.cos(state[YAW]), math.sin(state[YAW])
     x_mps = cos * state[U] - sin * state[V] + dynamics.water.current_x_mps
@@ -136,6 +137,7 @@ def end_error(dynamics: Dynamics, problem: PlanProblem, state: Floats) -> tuple[
     return (
         state[X] - course.place[last, 0] + lead_s * (x_mps - course.velocity[last, 0]),
         state[Y] - course.place[last, 1] + lead_s * (y_mps - course.velocity[last, 1]),
+        state[YAW] - course.yaw[last],
     )
 
 
@@ -154,7 +156,8 @@ def deepest_entry(rows: HalfPlanes, state: Table) -> float:
 def cost_of(dynamics: Dynamics, grid: Grid, problem: PlanProblem, memory: Memory) -> float:
     """J of a flight."""
     course, weights, flight = problem.course, problem.weights, memory.flight
-    total, last = 0.0, len(flight.state) - 1
+    last = len(flight.state) - 1
+    total: float = 0.0
     for k in range(last + 1):
         s = flight.state[k]
         ex, ey, turned = s[X] - course.place[k, 0], s[Y] - course.place[k, 1], s[YAW] - course.yaw[k]
@@ -165,8 +168,10 @@ def cost_of(dynamics: Dynamics, grid: Grid, problem: PlanProblem, memory: Memory
         for i in range(len(grid.axes)):
             before = problem.start.command[i] if k == 0 else flight.command[k - 1, i]
             total += weights.rate[i] * (flight.command[k, i] - before) ** 2 / span_s
-    ex, ey = end_error(dynamics, problem, flight.state[last])
-    return total + weights.end_s * (ex * ex + ey * ey) + weights.entry * deepest_entry(memory.rows, flight.state) ** 2
+    ex, ey, turned = end_error(dynamics, problem, flight.state[last])
+    total += weights.end_s * (ex * ex + ey * ey) + weights.facing_s * course.yaw_weight[last] * turned * turned
+    total += weights.entry * deepest_entry(memory.rows, flight.state) ** 2
+    return total
 
 
 @kernel(part=True)
@@ -181,18 +186,21 @@ def add_square(weight: float, error: float, row: Floats, reached: int, program: 
 
 @kernel(part=True)
 def add_end(dynamics: Dynamics, problem: PlanProblem, flight: PlannedFlight, program: QuadraticProgram) -> None:
-    """Add the squares of the last node's error of place and velocity."""
+    """Add the squares of the last node's error of place and velocity, and of its heading."""
     last, lead_s = len(flight.state) - 1, problem.weights.lead_s
     state, slope = flight.state[last], flight.slope[last]
     cos, sin, row = math.cos(state[YAW]), math.sin(state[YAW]), program.row
     ahead, aside = cos * state[U] - sin * state[V], sin * state[U] + cos * state[V]
-    ex, ey = end_error(dynamics, problem, state)
+    ex, ey, turned = end_error(dynamics, problem, state)
     for j in range(len(row)):
         row[j] = slope[X, j] + lead_s * (cos * slope[U, j] - sin * slope[V, j] - aside * slope[YAW, j])
     add_square(problem.weights.end_s, ex, row, len(row), program)
     for j in range(len(row)):
         row[j] = slope[Y, j] + lead_s * (sin * slope[U, j] + cos * slope[V, j] + ahead * slope[YAW, j])
     add_square(problem.weights.end_s, ey, row, len(row), program)
+    facing = problem.weights.facing_s * problem.course.yaw_weight[last]
+    if facing > 0.0:
+        add_square(facing, turned, slope[YAW], len(row), program)
 
 
 @kernel(part=True)

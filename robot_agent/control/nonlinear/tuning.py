@@ -29,9 +29,10 @@ GRAVITY_MPS2 = 9.81
 STEP_S = 0.2  # longest step of the integration; 1/slope of the drag for light robots
 TURNING_M = 0.01  # m s: turning at 1 rad/s for a second costs as much as 1 cm
 SLOW_MPS = 0.02  # through the water: slower, the heading does not matter
+FACING_S = 1000.0  # for so long and longer flies stern first who does so at the horizon's end: to the path's end
 END_SHARE = 2.0  # weight at the end: that of an error which fades at the bandwidth, twice
 SLOWEST_RADPS = 0.2  # poses that say nothing for a while must not end the loop: an error then lasts 10 s
-MODEL_SHARE = 0.7  # of the bandwidth of an observer that has no covariance
+MODEL_SHARE = 0.7  # of the observer's bandwidth of depth
 
 
 class Bandwidths(NamedTuple):
@@ -41,6 +42,13 @@ class Bandwidths(NamedTuple):
     calm_quickness: float  # of the place, for an error of REACH_SHARE radius: what counts at the horizon's end
     turning: float  # of the heading
     depth: float
+
+
+class Manner(NamedTuple):
+    """Manner in which a kind of goal is flown."""
+
+    turning_m: float  # m s: what turning at 1 rad/s for a second costs
+    facing_s: float  # for so long counts the heading at the horizon's end
 
 
 def delay_s(vehicle: Vehicle, period_s: float, lag_s: float) -> float:
@@ -55,12 +63,6 @@ def horizon_s(vehicle: Vehicle) -> float:
     turn_s = 2.0 * math.sqrt(math.pi * inertia / moment_nm) + math.pi / (2.0 * vehicle.limits.yaw_rate_radps)
     stop_s = mass * vehicle.limits.speed_mps / force_n
     return float(min(max(2.0 * (turn_s + stop_s), SHORTEST_S), LONGEST_S))
-
-
-def settled_deviations(observer_radps: float, noise_m: float) -> Deviations:
-    """Those of an observer without a covariance that has settled on poses with that noise."""
-    velocity_mps = observer_radps * noise_m
-    return Deviations(noise_m, 2.0 * noise_m, velocity_mps, velocity_mps, 0.0, 0.0, np.zeros(3), Ratios(0.0, 0.0, 0.0))
 
 
 def cube_root(rate: float, inertia: float, reach: float) -> float:
@@ -93,17 +95,18 @@ def rate_weight(mass: float, bandwidth_radps: float, arm_m: float = 1.0) -> floa
     return (arm_m / (mass * bandwidth_radps**3)) ** 2
 
 
-def planar_weights(vehicle: Vehicle, tuning: Bandwidths, arm_m: float, turning_m: float, entry: float) -> Weights:
+def planar_weights(vehicle: Vehicle, tuning: Bandwidths, arm_m: float, manner: Manner, entry: float) -> Weights:
     """Weights of surge and yaw."""
     mass, _, _, inertia = vehicle.inertia.tolist()
     rate = np.array([rate_weight(mass, tuning.quickness), rate_weight(inertia, tuning.turning, arm_m)])
-    return Weights(rate, turning_m**2, END_SHARE / tuning.calm_quickness, 1.0 / tuning.calm_quickness, entry)
+    end_s, lead_s = END_SHARE / tuning.calm_quickness, 1.0 / tuning.calm_quickness
+    return Weights(rate, manner.turning_m**2, end_s, lead_s, manner.facing_s, entry)
 
 
 def depth_weights(vehicle: Vehicle, tuning: Bandwidths) -> Weights:
     """Weights of heave."""
     rate = np.array([rate_weight(vehicle.mass.heave_kg, tuning.depth)])
-    return Weights(rate, 0.0, END_SHARE / tuning.depth, 1.0 / tuning.depth, 1.0)
+    return Weights(rate, 0.0, END_SHARE / tuning.depth, 1.0 / tuning.depth, 0.0, 1.0)
 
 
 def planar_limits(vehicle: Vehicle) -> InputLimits:
@@ -147,9 +150,10 @@ def step_s(vehicle: Vehicle) -> float:
 def formulas(vehicle: Vehicle, period_s: float) -> list[tuple[str, str, str]]:
     """Quantity, formula and value of everything above, for poses with a noise of 1.5 mm: the table of docs/control.md."""
     delay = delay_s(vehicle, period_s, vehicle.thruster.lag_s)
-    on_path = derive(vehicle, delay, settled_deviations(2.0, 0.001), (4.0, 2.0), 0.0)
-    off_path = derive(vehicle, delay, settled_deviations(2.0, 0.001), (4.0, 2.0), vehicle.radius_m)
-    surge, yaw = planar_weights(vehicle, on_path, 0.2, TURNING_M, 1.0).rate.tolist()
+    usual = Deviations(0.001, 0.002, 0.002, 0.002, 0.0, 0.0, np.zeros(3), Ratios(0.0, 0.0, 0.0))
+    on_path = derive(vehicle, delay, usual, (4.0, 2.0), 0.0)
+    off_path = derive(vehicle, delay, usual, (4.0, 2.0), vehicle.radius_m)
+    surge, yaw = planar_weights(vehicle, on_path, 0.2, Manner(TURNING_M, FACING_S), 1.0).rate.tolist()
     limits = planar_limits(vehicle)
     return [
         ("delay d", "dead time + period / 2 + 0.3 lag", f"{delay:.3f} s at {1.0 / period_s:.0f} Hz"),

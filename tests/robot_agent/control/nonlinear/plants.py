@@ -10,9 +10,9 @@ from robot_agent.control.nonlinear.prediction import Dynamics, Grid, Hull, Start
 from robot_agent.control.nonlinear.program import Course, InputLimits, PlanProblem, Weights
 
 HULL = Hull(12.0, 14.0, 0.12, 3.0, 4.0, 0.08, 20.0, 25.0, 0.10, 1.0, 0.1, 0.2)
-WATER = Surroundings(0.05, -0.10, 0.01, 0.02, 0.03, 0.01, -0.02, 10.0, 3.0)
+WATER = Surroundings(0.05, -0.10, 0.01, 0.02, 0.03)
 DYNAMICS = Dynamics(HULL, WATER)
-STILL = Dynamics(HULL, Surroundings(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, math.inf, math.inf))
+STILL = Dynamics(HULL, Surroundings(0.0, 0.0, 0.0, 0.0, 0.0))
 NOTHING = Surrounds(NO_BODIES, outlines_of((), 0, 0j), np.array([math.inf, math.inf]))
 ALL_AXES = [(0, 2), (0, 1, 2), (0,)]
 LIMIT, RATE = np.array([6.0, 6.0, 0.5]), np.array([6.0, 6.0, 2.0])  # X, Y, N
@@ -33,5 +33,5 @@ def problem_of(
     course = Course(place, velocity, np.zeros(nodes), np.full(nodes, 1e-4))
     rate = np.array([1e-4, 1e-4, 6e-4])
     return PlanProblem(
-        start, course, Weights(rate[axes], 1e-4, 1.0, 0.5, 1e4), InputLimits(LIMIT[axes], RATE[axes]), surrounds
+        start, course, Weights(rate[axes], 1e-4, 1.0, 0.5, 3.0, 1e4), InputLimits(LIMIT[axes], RATE[axes]), surrounds
     )

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmarks.flights import flown
 from robot_agent.control.controller import ControlOutput
 from robot_agent.control.nonlinear.nonlinear_controller import TOLD_S, NonlinearController
 from robot_agent.guidance.formation import Neighbour
@@ -219,3 +220,19 @@ def test_two_flights_are_the_same_bit_for_bit() -> None:
     for k in range(60):
         goal = Follow(GOAL.trajectory, 0.05 * k)
         assert np.array_equal(first.step(goal).plan_eta, again.step(goal).plan_eta)
+
+
+@pytest.mark.parametrize("rate_hz", [10, 20, 50])
+def test_a_hull_pitched_by_its_thrust_keeps_its_depth(rate_hz: int) -> None:
+    """At full thrust the plant's hull pitches by 0.35 rad. 80 mm without the board's attitude."""
+    fast = ("path.speed_mps=0.4", "duration_s=8", "sim.plant.current_mps=[0.0,0.0,0.0]")
+    flight = flown(load_experiment("straight", [*fast, "controller.law=nmpc", f"controller.period_s={1.0 / rate_hz}"]))
+    assert max(state.tilt[1] for state in flight.states[0]) > 0.3
+    assert np.abs(flight.error[:, 0, 2]).max() < 0.06
+
+
+@pytest.mark.parametrize("name", ["numeric", "numeric-disturbed"])
+def test_a_robot_that_came_back_astern_goes_on_bow_first(name: str) -> None:
+    """A robot that begins half a metre ahead of its place may come back stern first; it then turns round."""
+    flight = flown(load_experiment(name, ["controller.law=nmpc", "duration_s=12"]))
+    assert np.abs(flight.error[round(8.0 / 0.05) :, :, 3]).max() < 0.1

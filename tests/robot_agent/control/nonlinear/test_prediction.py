@@ -37,16 +37,12 @@ def exact(dynamics: Dynamics, start: Start, commands: Array, time_s: Array, axes
             asked[axis] = np.interp(t, time_s, table[:, i])
         rotation = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
         over_ground = rotation @ [u, v] + [w.current_x_mps, w.current_y_mps]
-        pool, speed = rotation.T @ [w.pool_x, w.pool_y], math.hypot(u, v)
-        own, own_r = math.exp(-t / w.own_fade_s), math.exp(-t / w.yaw_fade_s)
+        speed = math.hypot(u, v)
         u_dot = (x_n - (h.linear_u + h.quadratic_u * speed) * u + h.mass_v * v * r) / h.mass_u
         v_dot = (y_n - (h.linear_v + h.quadratic_v * speed) * v - h.mass_u * u * r) / h.mass_v
         r_dot = (n_nm - (h.linear_r + h.quadratic_r * abs(r)) * r) / h.inertia
         lagging = (asked - [x_n, y_n, n_nm]) / h.lag_s
-        return [
-            *over_ground, r, u_dot + own * w.own_u + pool[0], h.sway * (v_dot + own * w.own_v + pool[1]),
-            r_dot + own_r * w.own_r, *lagging,
-        ]  # fmt: skip
+        return [*over_ground, r, u_dot + w.own_u, h.sway * (v_dot + w.own_v), r_dot + w.own_r, *lagging]
 
     found = solve_ivp(rates, (0.0, time_s[-1]), start.state, t_eval=time_s[1:], rtol=1e-9, atol=1e-10, max_step=0.05)
     return np.asarray(found.y.T)
@@ -108,6 +104,6 @@ def test_a_robot_without_sway_never_slides() -> None:
     start.state[4] = 0.0
     flight = make_flight(2)
     flight.command[:] = commands
-    water = Surroundings(0.0, 0.0, 0.0, 0.5, 0.0, 0.1, 0.1, math.inf, math.inf)
+    water = Surroundings(0.0, 0.0, 0.0, 0.5, 0.0)
     fly(Dynamics(HULL._replace(sway=0.0), water), grid, start, flight)
     assert np.all(flight.state[:, 4] == 0.0)

@@ -31,7 +31,8 @@ def residuals(grid: Grid, problem: PlanProblem, flight: PlannedFlight) -> Array:
         math.sin(heading) * u + math.cos(heading) * v + DYNAMICS.water.current_y_mps,
     ])  # fmt: skip
     end = math.sqrt(w.end_s) * ([x, y] - course.place[-1] + w.lead_s * (over_ground - course.velocity[-1]))
-    return np.concatenate([place.ravel(), yaw, turning, rate.ravel(), end])
+    facing = math.sqrt(w.facing_s * course.yaw_weight[-1]) * (heading - course.yaw[-1])
+    return np.concatenate([place.ravel(), yaw, turning, rate.ravel(), end, [facing]])
 
 
 def jacobian(grid: Grid, problem: PlanProblem, commands: Array) -> tuple[Array, Array]:

@@ -3,6 +3,7 @@
 import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from robot_agent.control.nonlinear.tuning import (
@@ -12,14 +13,15 @@ from robot_agent.control.nonlinear.tuning import (
     formulas,
     horizon_s,
     planar_limits,
-    settled_deviations,
     step_s,
 )
+from robot_agent.vehicle.estimate import Deviations, Ratios
 from wire.config.experiment import load_experiment
 from wire.config.vehicle import Vehicle
 
 DOCS = Path(__file__).parents[4] / "docs" / "control.md"
 SPHERICAL = load_experiment("pool").vehicle
+USUAL = Deviations(0.001, 0.002, 0.002, 0.002, 0.0, 0.0, np.zeros(3), Ratios(0.0, 0.0, 0.0))
 
 
 def vehicle(*settings: str) -> Vehicle:
@@ -33,8 +35,7 @@ def test_the_docs_have_the_table_of_the_formulas() -> None:
 
 def test_a_heavier_robot_is_slower_and_looks_farther_ahead() -> None:
     heavy = vehicle("mass.surge_kg=40", "mass.sway_kg=40", "mass.yaw_kg_m2=1.0")
-    known = settled_deviations(2.0, 0.001)
-    light, slow = (derive(v, 0.1, known, (4.0, 2.0), 0.2) for v in (SPHERICAL, heavy))
+    light, slow = (derive(v, 0.1, USUAL, (4.0, 2.0), 0.2) for v in (SPHERICAL, heavy))
     assert slow.quickness == pytest.approx(light.quickness * (12.0 / 40.0) ** (1.0 / 3.0), rel=1e-6)
     assert slow.turning < 0.6 * light.turning
     assert horizon_s(SPHERICAL) < horizon_s(heavy) <= 12.0
@@ -42,14 +43,13 @@ def test_a_heavier_robot_is_slower_and_looks_farther_ahead() -> None:
 
 @pytest.mark.parametrize("worse", ["noise", "delay", "observer", "thrust"])
 def test_less_knowledge_makes_it_slower(worse: str) -> None:
-    good = settled_deviations(2.0, 0.001)
-    known = settled_deviations(2.0, 0.010) if worse == "noise" else good
+    known = USUAL._replace(place_m=0.01, ground_mps=0.02) if worse == "noise" else USUAL
     if worse == "thrust":
-        known = good._replace(ratios=good.ratios._replace(thrust=0.5))
+        known = USUAL._replace(ratios=Ratios(0.0, 0.5, 0.0))
     delay, observer = (0.4 if worse == "delay" else 0.1), (1.0 if worse == "observer" else 4.0)
     assert (
         derive(SPHERICAL, delay, known, (observer, 2.0), 0.0).quickness
-        < 0.7 * derive(SPHERICAL, 0.1, good, (4.0, 2.0), 0.0).quickness
+        < 0.7 * derive(SPHERICAL, 0.1, USUAL, (4.0, 2.0), 0.0).quickness
     )
 
 
