@@ -21,6 +21,7 @@ from robot_agent.safety.modes import POWERED
 from robot_agent.safety.path_deviation import ARRIVED, PathDeviationMonitor
 from robot_agent.safety.thrust_response import ThrustResponse
 from wire.config.experiment import Experiment
+from wire.frames import Array
 from wire.messages.messages import Guidance, Mode
 
 NS = 1_000_000_000
@@ -28,6 +29,7 @@ FOLLOWS_S = 1.0  # so far a driven robot is behind its reference (guidance/drivi
 LOOK_S = 1.0  # between a prediction and its test: thrust has acted, and little has been learned since
 MODEL_SHARE = 0.35  # of the way by full thrust in LOOK_S: mass wrong by +100 % is 0.25 at most, gusts and reversals 0.15
 DEVIATIONS = 4.0  # of the estimate's own uncertainty
+SAME = 0.25  # of the margin: by how much what is flown may change meanwhile
 LASTS_S = 0.5
 GROWS_S = 1.0  # an error beyond its bound on the way to the path
 STRONGER_S = 1.0
@@ -46,6 +48,14 @@ class WatchFinding(NamedTuple):
 
 
 NO_FINDING = WatchFinding()
+
+
+class _Foreseen(NamedTuple):
+    """Where the robot should be at an instant, and where it should be meant to be."""
+
+    due_ns: int
+    place: complex
+    reference: complex
 
 
 class _Moment(NamedTuple):
@@ -76,7 +86,7 @@ class PathWatch:
         """Start anew, in another mode."""
         self._deviation.reset()
         self.finding = NO_FINDING  # stays until the next reset
-        self._foreseen: deque[tuple[int, complex]] = deque()  # places, and when the robot should be there
+        self._foreseen: deque[_Foreseen] = deque()
         self._moments: deque[_Moment] = deque()
         self._surprised_s = self._growing_s = 0.0
         self._stayed_s, self._join_s, self._entry_m = 0.0, 0.0, 0.0
@@ -148,21 +158,28 @@ class PathWatch:
         return f"it takes {100.0 * self.force:.0f} % of full thrust and carries the robot off; {100.0 * thrust:.0f} % is given"
 
     def _is_surprised(self, output: ControlOutput, place: complex, elapsed_s: float, now_ns: int) -> bool:
-        """True if the robot is not where its plan said, for LASTS_S."""
-        after = min(int(self._row), len(output.plan_eta) - 2)
-        share = self._row - after
-        x, y = (1.0 - share) * output.plan_eta[after, :2] + share * output.plan_eta[after + 1, :2]
-        self._foreseen.append((now_ns + round(LOOK_S * NS), complex(x, y)))
+        """True if the robot is not where its plan said, for LASTS_S, though what it was to fly has stayed the same."""
+        due_ns = now_ns + round(LOOK_S * NS)
+        self._foreseen.append(_Foreseen(due_ns, self._ahead(output.plan_eta), self._ahead(output.plan_reference)))
         due = None
-        while self._foreseen[0][0] <= now_ns:
-            due = self._foreseen.popleft()[1]
+        while self._foreseen[0].due_ns <= now_ns:
+            due = self._foreseen.popleft()
         if due is None:
             return False
         known = output.deviations
         unsure_m = DEVIATIONS * (known.place_m + known.ground_mps * LOOK_S) if known is not None else 0.0
         margin_m = MODEL_SHARE * 0.5 * self._thrust_mps2 * LOOK_S**2 + unsure_m
-        self._surprised_s = self._surprised_s + elapsed_s if abs(place - due) > margin_m else 0.0
+        asked = complex(output.eta_command[0], output.eta_command[1])
+        is_same = abs(asked - due.reference) < SAME * margin_m  # no other order, path or way around others meanwhile
+        self._surprised_s = self._surprised_s + elapsed_s if is_same and abs(place - due.place) > margin_m else 0.0
         return self._surprised_s >= LASTS_S
+
+    def _ahead(self, poses: Array) -> complex:
+        """Place LOOK_S ahead in a plan (rows, 4)."""
+        after = min(int(self._row), len(poses) - 2)
+        share = self._row - after
+        x, y = ((1.0 - share) * poses[after, :2] + share * poses[after + 1, :2]).tolist()
+        return complex(x, y)
 
     def _overdue(self, output: ControlOutput, off_m: float, elapsed_s: float) -> WatchFinding:
         """A stay that is too long, or an error that grows on the way to the path."""
