@@ -137,14 +137,14 @@ What a robot cannot do, it stops for (`controller.law = "nmpc"`). These are nume
 
 | What | What happens | Time until neutral, s |
 |---|---|---|
-| a net holds the robot at the start | FAULT "held fast" | 1.9 to 6.4, median 2.8, of 6: thrust has to change by a tenth first |
-| a net holds it in flight, after 10 to 15 s | FAULT "thrusters do not do as told", with "may be held fast" | 0.2 to 0.6, of 5 |
+| a net holds the robot at the start | FAULT "held fast" | 1.9 to 6.4, median 2.8, of 6: it pushes little at first |
+| a net holds it in flight | FAULT "thrusters do not do as told: ... may be held fast" | 0.2 to 0.6, of 5 |
 | a net holds it while it gives way | the same | 0.2 to 1.2, of 5 |
 | its marker is turned by 20 degrees | FAULT "marker turned by about 20 degrees" | 4.3 to 5.7, of 6; one flew on to the end |
 | by 57 degrees | the same, "by about 54" | 1.6 to 3.0, of 6 |
 | by 90 degrees | the same | 2.1 to 2.3, of 6 |
 | by 180 degrees | the same | 1.7 to 2.3, of 6 |
-| a current of 1.3 to 1.8 of its speed | FAULT "current too strong", or "does not follow its plan", with the current as the cause | 0.9 to 1.5 after it exceeds the speed, of 5 |
+| a current of 1.3 to 1.8 of its speed | FAULT "current too strong", or "does not follow its plan" | 0.9 to 1.5, of 5 |
 | the gyroscope measures 0 from power-on | FAULT "gyroscope in doubt" | 1.3 to 2.0, of 3 |
 | a fifth of the rate | the same | 1.3 to 2.0, of 3 |
 | twice the rate | the same | 1.2 to 1.3, of 3 |
