@@ -15,6 +15,7 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.harness import Row
+from wire.process.cli_options import finite
 from wire.process.output_files import replace_text
 
 # Name: a module of this package with `run() -> Iterable[Row]`, and what it measures.
@@ -89,7 +90,7 @@ def main(
     names: Annotated[list[str] | None, typer.Argument(help="which to run; all of them if none is named")] = None,
     json_file: Annotated[Path | None, typer.Option("--json", help="write the rows here as well")] = None,
     minutes: Annotated[
-        float | None, typer.Option(help="with `page` alone: watch it for so long instead, whether it grows")
+        float | None, typer.Option(help="with `page` alone: watch it for so long instead, whether it grows", callback=finite)
     ] = None,
     show_list: Annotated[bool, typer.Option("--list", help="say which there are, and stop")] = False,
 ) -> None:

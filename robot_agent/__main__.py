@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from robot_agent.commands import check, compile_kernels, init, unit
+from robot_agent.commands import check, compile_kernels, confirm_zero, init, unit
 from robot_agent.host.config import DEFAULT_LINK, merge_config, open_board_link
 from robot_agent.host.params import cli as params
 from robot_agent.preflight.identify import cli as identify
@@ -43,6 +43,7 @@ cli.command()(init)
 cli.command()(unit)
 cli.command("compile")(compile_kernels)
 cli.command()(check)
+cli.command()(confirm_zero)
 
 
 cli.add_typer(params, name="params")

@@ -2,12 +2,14 @@
 
 import re
 from collections.abc import Iterator
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from robot_agent.host.board_zero import FILE, SERVICE_FOLDER, read_record, state_folder, write_record
 from robot_agent.host.config import DEFAULT_LINK, load_agent_config, merge_config, template
 from robot_agent.preflight.findings import CheckFinding, CheckVerdict, exit_code, to_json
 from wire.config.experiment import Experiment, load_experiment
@@ -84,7 +86,9 @@ def unit_text(home: str, user: str) -> str:
     return template.read_text(encoding="utf-8").replace("@HOME@", home.rstrip("/")).replace("@USER@", user)
 
 
-def compile_kernels() -> None:
+def compile_kernels(
+    clear: Annotated[bool, typer.Option("--clear", help="Remove all that was compiled, as before `pip uninstall`.")] = False,
+) -> None:
     """Compile the numeric kernels that are not in the cache yet, so that no start of the agent has to.
 
     Half a minute on a quick machine, some minutes on a small board, where 250 MB of memory are enough; nothing if all are
@@ -93,13 +97,39 @@ def compile_kernels() -> None:
 
     Example:  NUMBA_CACHE_DIR=/var/lib/shoal-agent/kernels robot-agent compile
     """
+    from wire import kernel_cache
     from wire.kernel_build import ensure_compiled
 
+    if clear:
+        for folder in kernel_cache.clear():
+            typer.echo(f"{folder}: {'cannot be removed' if folder.exists() else 'removed'}")
+        return
     start_log("compile")
     outcome = ensure_compiled(("robot_agent",))
     if not outcome.is_complete:
         raise typer.Exit(1)
     typer.echo(f"{outcome.compiled} kernels compiled")
+
+
+def confirm_zero(
+    folder: Annotated[
+        Path | None, typer.Option("--state", metavar="FOLDER", help=f"The service's state; default: {SERVICE_FOLDER}.")
+    ] = None,
+) -> None:
+    """Confirm that the thruster board was in air when it was switched on: then its depths are right, and the robot may arm.
+
+    For a robot that refuses to arm because its board restarted where it was last known to be under water. The agent takes the
+    confirmation up within a second. An agent that is no service keeps no such file: restart it.
+
+    Example:  sudo robot-agent confirm-zero
+    """
+    where = folder or state_folder() or SERVICE_FOLDER
+    with os_errors_as_config_errors(where / FILE):
+        record = read_record(where)
+        if record is None:
+            raise ConfigError(f"{where / FILE}: holds no depth (an agent that is no service is restarted instead)")
+        write_record(where, replace(record, zero_m=0.0, depth_m=0.0), durable=True)
+    typer.echo("confirmed: the thruster board took its depth zero in air")
 
 
 def check(

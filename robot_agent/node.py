@@ -16,6 +16,7 @@ from dataclasses import replace
 
 from robot_agent.agent import Agent, Outputs
 from robot_agent.control.live_tuning import Prepared
+from robot_agent.host.board_zero import BoardZero, state_folder
 from robot_agent.host.sd_notify import ServiceNotifier
 from robot_agent.host.step_clock import StepClock
 from robot_agent.safety.modes import LIVE
@@ -76,6 +77,7 @@ class AgentNode:
         self._lockstep = Lockstep(bus, stop, self.clock) if isinstance(self.clock, LockstepClock) else None
         self._signing = signing
         self._mavlink = agent_end(robot, signing)
+        self._zero = BoardZero(None if lockstep else state_folder())
         self._poses = bus.inbox(topics.POSE, Pose, robot)
         self._localizer = bus.inbox(topics.LOCALIZER, LocalizerStatus) if lockstep else None
         self._heartbeats = bus.inbox(topics.HEARTBEAT, StationHeartbeat)
@@ -244,6 +246,9 @@ class AgentNode:
         heartbeat, obstacles = self._station(), self._obstacles.newest(self._obstacles_up_to_ns)
         heard = {robot: inbox.newest(up_to_ns) for robot, inbox in self._plans.items()}
         plans = {robot: plan for robot, plan in heard.items() if plan is not None}
+        zero_m = self._zero.note(self._mavlink.telemetry)
+        if zero_m is not None:
+            self._mavlink.set_zero(zero_m)
         telemetry = self._mavlink.telemetry
         pose = self._poses.newest()
         record = record_step(self._steps, self._pace.late_steps, self.clock, pose, heartbeat, telemetry, plans, obstacles)

@@ -93,6 +93,28 @@ def test_every_option_says_what_it_is_for(path: tuple[str, ...], command: Any) -
     assert not unexplained
 
 
+def numbers_of(command: Any) -> list[Any]:
+    return [p for p in command.params if p.type_descriptor.annotation in (float, list[float])]
+
+
+@pytest.mark.parametrize(
+    ("command", "number"),
+    [
+        pytest.param(command, p, id=" ".join([*path, p.name]))
+        for path, command in all_commands(hidden=True)
+        for p in numbers_of(command)
+    ],
+)
+@pytest.mark.parametrize("value", ["nan", "inf", "-inf"])
+def test_no_number_of_a_command_is_infinite_or_none(command: Any, number: Any, value: str) -> None:
+    """With NaN each comparison is false: a limit that is checked so lets it pass, and a loop waits for ever."""
+    context = command.make_context("it", [], resilient_parsing=True)
+    context.resilient_parsing = False
+    with pytest.raises(typer.BadParameter) as refused:
+        number.process_value(context, [value] if number.nargs == -1 or number.multiple else value)
+    assert value.lstrip("-") in str(refused.value) or "input" in str(refused.value).lower()
+
+
 @each
 def test_the_page_of_commands_names_it(path: tuple[str, ...], command: Any) -> None:
     page = (ROOT / "docs" / "commands.md").read_text()

@@ -21,7 +21,7 @@ from groundstation.report import compare_report
 from groundstation.web.run_end import run_end
 from localizer.calibration.images import read_picture
 from localizer.evaluation.offline import PoseTable
-from localizer.evaluation.runner import read_frame_table
+from localizer.evaluation.runner import read_frame_table, read_idtracker
 from localizer.sources.files import decode_file
 from localizer.sources.recording import FRAMES, recorded_frames
 from localizer.sources.video import VideoReader
@@ -52,6 +52,7 @@ READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
     "decode_file": ("a.png", decode_file),
     "recorded_frames": (FRAMES, lambda path: list(recorded_frames(path.parent))),
     "frame table": ("a.csv", lambda path: list(read_frame_table(path, load_experiment("pool"), (), ()))),
+    "idTracker's places": ("a.txt", read_idtracker),
     "part of a table": (
         "poses.csv.key.part",
         lambda path: list(PoseTable(path.with_name("poses.csv"), "key").write(iter(()), load_experiment("pool"))),
@@ -96,6 +97,7 @@ def test_a_file_is_read_up_to_its_limit(tmp_path: Path) -> None:
 READ_THEIR_OWN = {
     "groundstation/cli/keys.py", "groundstation/cli/run.py", "groundstation/deploy/key_ring.py", "groundstation/deploy/ssh.py",
     "groundstation/deploy/wheelhouse.py", "groundstation/report/report.py", "robot_agent/commands.py",
+    "robot_agent/host/board_zero.py",
     "robot_agent/host/realtime.py", "robot_agent/preflight/network.py", "localizer/sources/video.py",
     "sim_bridge/cli/new.py", "sim_bridge/sil/after_run.py", "sim_bridge/sil/clock_shim.py", "sim_bridge/sil/launcher.py",
     "sim_bridge/sil/processes.py", "sim_bridge/studies/campaign_runner.py", "wire/kernel_build.py", "wire/kernel_cache.py",

@@ -297,7 +297,7 @@ def free_memory_mb() -> float:
         else:
             continue
         values = [value for name in (limit, usage) for value in _lines(f"{folder}/{name}")]
-        if len(values) == 2 and values[0].strip().isdigit():
+        if len(values) == 2 and values[0].strip().isdecimal():
             limits.append((int(values[0]) - int(values[1])) / 2**20)
     return min(limits, default=4.0 * WORKER_MB)
 

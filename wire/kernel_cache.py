@@ -100,6 +100,14 @@ def write(name: str, content: bytes) -> None:
         _log.warning("%s: a compiled kernel cannot be kept: %s", target, error.strerror)
 
 
+def clear() -> list[Path]:
+    """Remove the folders of kernels, as far as this user may. Returns those that were there."""
+    found = [place for place in dict.fromkeys(_named_folders()) if place.is_dir()]
+    for place in found:
+        shutil.rmtree(place, ignore_errors=True)
+    return found
+
+
 def discard(name: str, reason: str) -> None:
     """Remove a kernel's file that is of no use, and say so in the log."""
     for place in readable_folders():

@@ -7,15 +7,16 @@ it has no reference of the formation (groundstation/formation_clock.py), and its
 A log may hold several flights. One of them is looked at: the last that was more than the way home, or the one asked for.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from groundstation.analysis.series import CHANNELS, HOPS, Flight, Mask, RobotSeries, Series, States, TimelineEvent
-from groundstation.analysis.timeline import once
+from groundstation.analysis.timeline import STOOD_STILL, once
 from groundstation.formation_clock import FormationPlans
 from groundstation.logs.reader import DecodedMessage, RunLog
 from wire.config.experiment import Experiment
@@ -40,7 +41,9 @@ LONGEST_GAP_S = 0.5  # truth is not invented across a longer gap
 OLD_POSE_MS = 150.0  # a step that goes by an older one came without a pose: its age is no latency
 WARNING = 3  # level of an Event from which on something is wrong
 BACK_S = 5.0  # who held goes on from where the slowest was, a little further back; who goes back further begins again
-FRESH_S = 2.0  # a clock that begins anew after 0 and is below this has been started; a robot that rejoins is further on
+STOOD_STILL_S = 1.0  # of a process that says something 20 times a second, or 10 times; a late step is no standstill
+BEGIN_S = 0.5  # a flight's path begins at 0, one that begins with the return a control period later: a clock stands before it
+FRESH_S = 2.0  # a clock that begins anew there and is below this has been started; a robot that rejoins is further on
 TURNED_S = 1.0  # a flight that is on its way home so soon was nothing else
 HOMEWARD = "RETURNING"  # the mission's state in the station's heartbeat (groundstation/mission/state_machine.py)
 SPARE_S = 3600.0  # a flight may take twice its duration and this: longer is a clock that leaps, and would fill the memory
@@ -164,18 +167,18 @@ def _flights(log: RunLog, robots: Sequence[int]) -> list[Flight]:
 def _robot_flights(states: Sequence[DecodedMessage[RobotState]], robot: int) -> list[tuple[int, int, float, int]]:
     """One robot's flights: stamps of the first and the last step under way, the trajectory time reached, and its number."""
     found: list[tuple[int, int, float, int]] = []
-    last_s, stood_at_zero = 0.0, False
+    last_s, stood_at_begin = 0.0, False
     for e in states:
-        clock_s = e.message.trajectory_s
-        if clock_s <= 0.0:
-            stood_at_zero = True
-        elif e.message.mode is Mode.TRACKING:
-            again = clock_s < last_s - BACK_S or (stood_at_zero and clock_s < min(last_s, FRESH_S))
+        clock_s, tracks = e.message.trajectory_s, e.message.mode is Mode.TRACKING
+        if clock_s <= 0.0 or (clock_s <= BEGIN_S and not tracks):
+            stood_at_begin = True
+        elif tracks:
+            again = clock_s < last_s - BACK_S or (stood_at_begin and clock_s < min(last_s, FRESH_S))
             if not found or again:
                 found.append((e.stamp_ns, e.stamp_ns, clock_s, robot))
             begin_ns, _, reached_s, _ = found[-1]
             found[-1] = (begin_ns, e.stamp_ns, max(reached_s, clock_s), robot)
-            last_s, stood_at_zero = clock_s, False
+            last_s, stood_at_begin = clock_s, False
     return found
 
 
@@ -465,4 +468,19 @@ def _happenings(log: RunLog, recorded: dict[int, _Recorded], start_ns: int) -> t
     for event in log.of(topics.EVENT, Event):
         m = event.message
         found.append(TimelineEvent((event.stamp_ns - start_ns) * 1e-9, m.source, m.message, m.level >= WARNING))
+    senders: dict[str, Sequence[DecodedMessage[Any]]] = {f"robot {robot}": r.states for robot, r in recorded.items()}
+    senders["groundstation"] = log.of(topics.HEARTBEAT, StationHeartbeat)
+    senders["localizer"] = log.of(topics.LOCALIZER, LocalizerStatus)
+    for source, entries in senders.items():
+        found.extend(_standstills(source, entries, start_ns))
     return once(found)
+
+
+def _standstills(source: str, entries: Sequence[DecodedMessage[Any]], start_ns: int) -> Iterator[TimelineEvent]:
+    """Times at which a process that says something every period did nothing at all: the next number, long after. Of messages
+    that were lost the numbers are missing."""
+    for before, after in pairwise(entries):
+        still_s = (after.stamp_ns - before.stamp_ns) * 1e-9
+        if after.sequence == before.sequence + 1 and still_s > STOOD_STILL_S:
+            begin_s = (before.stamp_ns - start_ns) * 1e-9
+            yield TimelineEvent(begin_s, source, f"{STOOD_STILL}{still_s:.1f} s", False, until_s=begin_s + still_s)

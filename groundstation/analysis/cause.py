@@ -12,7 +12,7 @@ from groundstation.analysis.acceptance import went_all_the_way
 from groundstation.analysis.numbers import with_unit
 from groundstation.analysis.results import Cause, Check, Result
 from groundstation.analysis.series import Series, TimelineEvent
-from groundstation.analysis.timeline import INJECTED, faults, is_injection
+from groundstation.analysis.timeline import INJECTED, STOOD_STILL, faults, is_injection
 from wire.messages.messages import Mode
 
 PASSED, FAILED, NOT_JUDGED = "passed", "failed", "not judged"
@@ -28,6 +28,7 @@ ACTS = {  # the station's lines for what a person does to end a flight (groundst
 OVER = ("mission: aborting", "mission: failed")  # the station's lines for the end of a mission that failed
 STANDING = frozenset(mode.name.lower() for mode in Mode if mode is not Mode.TRACKING)  # modes in which a robot does not go on
 BEFORE_S = 0.2  # a fault may be noticed in the cycle before its injection is told
+WAKES_S = 1.0  # a process that has stood still notices so long after what happened meanwhile
 TITLES = {
     "rms_m": "RMS error, whole run",
     "rms_after_20s_m": "RMS error after 20 s",
@@ -56,7 +57,12 @@ def cause(result: Result, series: Series) -> Cause | None:
     act = _persons_act(series)
     lasting = [f for f in noticed if (_explains(f, act, series) if act is not None else not _healed(f, series))]
     if lasting:
-        return _cause(lasting[0], lasting[0].source, lasting[0].text, result, series, _injected_before(lasting[0], series))
+        first, injected = lasting[0], _injected_before(lasting[0], series)
+        still = _standstills_before(first, series)
+        if still:
+            sources = ", ".join(event.source for event in still)
+            return _cause(still[0], sources, f"{still[0].text} ({first.source}: {first.text})", result, series, injected)
+        return _cause(first, first.source, first.text, result, series, injected)
     if act is not None:
         return _cause(act, PERSON, ACTS[act.text], result, series)
     ended = _ended_by(series)
@@ -126,6 +132,13 @@ def _explains(fault: TimelineEvent, act: TimelineEvent, series: Series) -> bool:
     """True for a fault that lasted when a person ended the flight: of a robot's mode, or the end of the mission."""
     over = fault.source == "groundstation" and fault.text.startswith(OVER)
     return (over or _of_a_mode(fault)) and fault.time_s < act.time_s and not _healed(fault, series, act.time_s)
+
+
+def _standstills_before(fault: TimelineEvent, series: Series) -> list[TimelineEvent]:
+    """Processes that stood still when a fault began, or until shortly before: all that others noticed of it is their silence,
+    and what they noticed themselves they noticed when they woke."""
+    still = (event for event in series.timeline_events if event.text.startswith(STOOD_STILL))
+    return [event for event in still if event.time_s - BEFORE_S <= fault.time_s <= event.last_s + WAKES_S]
 
 
 def _of_a_mode(fault: TimelineEvent) -> bool:

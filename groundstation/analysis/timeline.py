@@ -10,6 +10,7 @@ SAME_S = 1.0  # a robot's state and its agent's words about it come within this 
 REPEATED_S = 5.0  # a line that comes again within this time goes on
 CONFIRMED_BY = {"ARM": "armed", "START": "tracking", "HOLD": "holding", "STOP": "stopped", "DISARM": "disarmed"}
 REMARK, TAG = "remark: ", re.compile(r"(?<!\S)#([\w-]+)")  # how the station tells a person's line
+STOOD_STILL = "process stood still for "  # what a log shows of a computer that sleeps, or has no memory left
 INJECTED, ENDED = "fault: ", "fault over: "  # how the simulator tells what it breaks (sim_bridge/fault_schedule.py)
 
 

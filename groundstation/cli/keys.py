@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from wire.process.cli_options import DEFAULT_FLEET, DEFAULT_STATION, FleetName, ListenAddress
+from wire.process.cli_options import DEFAULT_FLEET, DEFAULT_STATION, FleetName, ListenAddress, finite
 
 keys_cli = typer.Typer(
     help="Certificates: who belongs to the fleet, and as what (docs/security.md).",
@@ -44,7 +44,7 @@ def init(
 def add(
     role: Annotated[str, typer.Argument(metavar="ROLE", help="station, operator, robot, localizer, simulator or viewer.")],
     robot: Annotated[int, typer.Argument(metavar="ROBOT", help="A robot's number.")] = 0,
-    days: Annotated[float, typer.Option(min=0.01, max=3650, help="How long it is valid.")] = 397.0,
+    days: Annotated[float, typer.Option(min=0.01, max=3650, help="How long it is valid.", callback=finite)] = 397.0,
     ring: Ring = DEFAULT_RING,
 ) -> None:
     """Make a certificate; an earlier one of the same process no longer counts once the station has been restarted.

@@ -15,7 +15,7 @@ from groundstation.mission.state_machine import FLEET_REQUESTS, ONE_ROBOT, markd
 from wire.messages.messages import Command, Outcome, Reply
 from wire.messages.topics import WHOLE_FLEET
 from wire.printable import printable
-from wire.process.cli_options import DEFAULT_FLEET, AsJson, FleetName, Insecure, KeyRing
+from wire.process.cli_options import DEFAULT_FLEET, AsJson, FleetName, Insecure, KeyRing, finite
 
 P = ParamSpec("P")
 
@@ -33,9 +33,11 @@ Wait = Annotated[
     typer.Option(
         "--wait",
         min=0.0,
+        max=86_400.0,
         metavar="SECONDS",
         help="How long to wait for the outcome; 0: only until the station has taken the request.",
         show_default=False,
+        callback=finite,
     ),
 ]
 Robot = Annotated[
@@ -199,7 +201,9 @@ def _gains(changes: Sequence[str]) -> tuple[str, Command]:
 def go(
     places: Annotated[
         list[float],
-        typer.Argument(metavar="X Y", help="Places for the formation's centre, x and y in m; as many as you like."),
+        typer.Argument(
+            metavar="X Y", help="Places for the formation's centre, x and y in m; as many as you like.", callback=finite
+        ),
     ],
     robot: Robot = None,
 ) -> tuple[str, Command]:

@@ -1,6 +1,7 @@
 """SHELL: `groundstation log replay`: a run on the page again, or on the bus. `ended` shows one that has just ended."""
 
 import json
+import math
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,6 +19,7 @@ from wire.process.cli_options import (
     Insecure,
     KeyRing,
     WebAddress,
+    finite,
 )
 from wire.process.runtime import SLICE_S, Stop, start_log
 
@@ -39,9 +41,11 @@ def replay(
         bool, typer.Option("--until-closed", help=f"End when no page has been open for {CLOSED_S:g} s.")
     ] = False,
     on_bus: Annotated[bool, typer.Option("--bus", help="No page: put it back on the bus, as fleet replay/FLEET.")] = False,
-    rate: Annotated[float, typer.Option(min=0.01, help="With --bus: times as fast.")] = 1.0,
-    begin: Annotated[float, typer.Option(min=0.0, help="With --bus: from this second of the log on.")] = 0.0,
-    end: Annotated[float, typer.Option(min=0.0, help="With --bus: up to this second.")] = float("inf"),
+    rate: Annotated[float, typer.Option(min=0.01, help="With --bus: times as fast.", callback=finite)] = 1.0,
+    begin: Annotated[float, typer.Option(min=0.0, help="With --bus: from this second of the log on.", callback=finite)] = 0.0,
+    end: Annotated[
+        float | None, typer.Option(min=0.0, help="With --bus: up to this second; default: its end.", callback=finite)
+    ] = None,
     listen: Annotated[str, typer.Option(metavar="ENDPOINT", help="With --bus: where its router listens.")] = DEFAULT_STATION,
     external_router: ExternalRouter = False,
     fleet: FleetName = DEFAULT_FLEET,
@@ -71,7 +75,7 @@ def replay(
         where = endpoint(listen, me, keys, insecure=insecure, router=not external_router, fleet=name)
         with open_log(run_folder) as log, Bus(ZenohTransport(where, stop), name) as bus:
             typer.echo(f"{run_folder}: on {listen} as fleet {name}")
-            typer.echo(f"{send(bus, chosen(log, begin, end), rate, stop)} messages")
+            typer.echo(f"{send(bus, chosen(log, begin, math.inf if end is None else end), rate, stop)} messages")
         return
     show(run_folder, web_options(web), stop, against, until_closed)
 

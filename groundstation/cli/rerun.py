@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from wire.process.cli_options import AsJson, Settings
+from wire.process.cli_options import AsJson, Settings, finite
 
 if TYPE_CHECKING:
     from groundstation.replay.step_diff import StepComparison
@@ -49,7 +49,7 @@ def rerun(
 
 def moment(
     run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run.")],
-    at: Annotated[float, typer.Option(help="Seconds along the trajectories.")],
+    at: Annotated[float, typer.Option(help="Seconds along the trajectories.", callback=finite)],
     robot: Annotated[int, typer.Option(help="Which robot.")],
 ) -> None:
     """Hand over to stdout what a robot had been through up to a moment, for `sim-bridge sil --from`."""

@@ -25,6 +25,7 @@ from wire.process.cli_options import (
     Verbose,
     WebAddress,
     caution,
+    finite,
 )
 from wire.process.output_files import page_was_open, run_folder
 from wire.process.runtime import Stop, run_steps, start_log
@@ -49,7 +50,10 @@ def run(
     give_up: Annotated[
         float | None,
         typer.Option(
-            min=1.0, metavar="SECONDS", help="With --auto: fail after so long without progress. Default: wait for ever."
+            min=1.0,
+            metavar="SECONDS",
+            help="With --auto: fail after so long without progress. Default: wait for ever.",
+            callback=finite,
         ),
     ] = None,
     listen: ListenAddress = DEFAULT_STATION,

@@ -59,9 +59,7 @@ def label(
     """
     from groundstation.logs import run_folders
 
-    named, tags = run_folders.label_of(run_folder)
-    kept = [known for known in (*tags, *(tag or ())) if known not in (untag or ())]
-    run_folders.give_label(run_folder, named if name is None else name, kept)
+    run_folders.change_label(run_folder, name, tag or (), untag or ())
 
 
 def delete(
@@ -76,6 +74,7 @@ def delete(
 
     for folder in runs:
         run_folders.check_run(folder)
+    runs = list({folder.resolve(): folder for folder in runs}.values())  # one that is named twice is deleted once
     size_mb = sum(map(run_folders.size_mb, runs))
     if not yes and not typer.confirm(f"delete {', '.join(map(str, runs))} ({size_mb:.1f} MB)?"):
         raise typer.Exit(1)

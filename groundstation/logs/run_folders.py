@@ -6,9 +6,11 @@ give_label(Path("runs/pool-20260101-120000"), name="first dive", tags=["lamp"])
 
 import fcntl
 import json
+import os
 import re
 import shutil
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -90,6 +92,22 @@ def give_label(folder: Path, name: str, tags: Iterable[str]) -> None:
         replace_text(folder / LABEL, json.dumps({"name": name, "tags": kept}) + "\n")
 
 
+def change_label(folder: Path, name: str | None, add: Iterable[str], remove: Iterable[str]) -> None:
+    """Give a run another name (None: the same), more tags and fewer. One change waits for another to end, so that none is
+    lost. Raises ConfigError."""
+    check_run(folder)
+    with os_errors_as_config_errors(folder):
+        lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        try:
+            with suppress(OSError):  # a file system that knows no locks
+                fcntl.flock(lock, fcntl.LOCK_EX)
+            named, tags = label_of(folder)
+            taken = set(remove)
+            give_label(folder, named if name is None else name, (tag for tag in (*tags, *add) if tag not in taken))
+        finally:
+            os.close(lock)
+
+
 def delete_run(folder: Path) -> None:
     """Delete a run with everything in its folder. Raises ConfigError for a run that is being flown: its recorder has the
     log."""
@@ -118,7 +136,9 @@ def _listed(log: Path) -> ListedRun:
         mode=_text(result.get("mode")),
         duration_s=_seconds(result.get("duration_s")),
         size_mb=size_mb(log.parent),
-        verdict=NO_RESULT if passed is None else _text(result.get("verdict")) or ("passed" if passed else "failed"),
+        verdict=NO_RESULT
+        if not isinstance(passed, bool)
+        else _text(result.get("verdict")) or ("passed" if passed else "failed"),
         commit=_text(result.get("commit")),
     )
 

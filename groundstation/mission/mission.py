@@ -457,7 +457,7 @@ class Mission:
         if lost is not None and self.state in PRESTART:  # it would accept no command but DISARM
             self._on_timeout(f"robot {lost[0]}: {lost[1]}", now_ns)
             return ()
-        flying = [r for r in waiting if fleet[r].heard and fleet[r].mode in LIVE]
+        flying = [r for r in waiting if self._spoke(fleet[r], now_ns) and fleet[r].mode in LIVE]
         if flying and self.state is MissionState.CLEARING:  # the stop has not reached it: cleared, it would fly on
             self._on_timeout(f"robot {flying[0]} has not stopped: it is {mode_name(fleet[flying[0]])}", now_ns)
             return ()
@@ -482,9 +482,12 @@ class Mission:
         """True if a fresh state shows that the robot has done the stage's command. For DISARM and CLEAR_STOP only a state
         that was sent since the stage began counts: an ARM or a STOP may have been on its way."""
         seen = fleet[robot]
-        sent_since = seen.state_age_s * 1e9 <= now_ns - self._data.since_ns
-        counts = sent_since or (seen.heard and stage.order not in (Order.DISARM, Order.CLEAR_STOP))
-        return counts and stage.confirmed(seen.mode, self.roster.has_segment(self.segment, fleet, robot))
+        counts = self._spoke(seen, now_ns) or (seen.heard and stage.order not in (Order.DISARM, Order.CLEAR_STOP))
+        return counts and stage.confirmed(seen.mode, self.roster.has_loaded(self.segment, fleet, robot))
+
+    def _spoke(self, seen: RobotView, now_ns: int) -> bool:
+        """True if a robot's newest state was sent since the mission's state began, however late it came."""
+        return seen.state_age_s * 1e9 <= now_ns - self._data.since_ns
 
     def _addressed(self, fleet: Fleet) -> Sequence[int]:
         """Robots that get a stage's command. DISARM also goes to lost robots that are heard, or were until just now."""

@@ -19,7 +19,9 @@ from groundstation.telemetry import Fleet, RobotView
 from wire.messages.messages import Mode, Order, Outcome, Progress
 from wire.messages.topics import WHOLE_FLEET
 
-KEPT = 16  # outcomes of requests that are over; a terminal queries several times a second until its own is
+# Outcomes of requests that are over, besides one of each robot: a STOP ends the requests of all robots at once. A terminal
+# queries several times a second until its own is over.
+KEPT = 16
 
 _FROM_REST = frozenset({MissionState.HALTING, MissionState.RELOADING, MissionState.REARMING, MissionState.RELEASING})
 UNARMED = AT_REST | {MissionState.STOPPED}  # the mission arms no robot
@@ -37,7 +39,7 @@ def _not_in(modes: frozenset[Mode]) -> Confirms:
 
 
 def _loaded(mission: Mission, seen: RobotView, robot: int) -> bool:
-    return seen.heard and mission.roster.has_segment(mission.segment, {robot: seen}, robot)
+    return seen.heard and mission.roster.has_loaded(mission.segment, {robot: seen}, robot)
 
 
 def _tested(mission: Mission, seen: RobotView, robot: int) -> bool:
@@ -245,7 +247,7 @@ class RequestTracker:
         )
         kept = [*(known for known in self._outcomes if known.request != request.number), outcome]
         over = [known.request for known in kept if known.progress is not Progress.UNDER_WAY]
-        forgotten = frozenset(over[:-KEPT])
+        forgotten = frozenset(over[: -(KEPT + len(self._robots))])
         self._outcomes = [known for known in kept if known.request not in forgotten]
         self.recent = tuple(sorted(self._outcomes, key=lambda outcome: outcome.request))
 

@@ -89,6 +89,12 @@ class Roster:
         """True if a robot's state names its trajectory of the segment."""
         return self.plans(robot, segment).clock_s(fleet[robot].state) is not None
 
+    def has_loaded(self, segment: PlanSegment, fleet: Fleet, robot: int) -> bool:
+        """True if a robot has its trajectory of the segment, and its clock stands at the beginning. After an earlier flight of
+        the same trajectory the clock stands where that flight ended."""
+        clock_s = self.plans(robot, segment).clock_s(fleet[robot].state)
+        return clock_s is not None and clock_s == segment.centre.begin_s
+
     def trajectories(self, segment: PlanSegment) -> Mapping[int, Trajectory]:
         """Trajectory of each active robot on a segment."""
         slots = self.slots_in_use().items()

@@ -207,7 +207,7 @@ class SingleRobotControl:
         if task.order is Order.GO:
             return self._go(robot, task, seen, fleet, now_ns)
         order = Order.HOLD if task.order is Order.DRIVE else task.order
-        if seen.heard and seen.state_age_s * 1e9 < now_ns - task.since_ns and seen.mode in CONFIRMS[order]:
+        if seen.state_age_s * 1e9 < now_ns - task.since_ns and seen.mode in CONFIRMS[order]:  # however late it came
             self._end(robot)
             return ()
         return self._send(order, robot, None, now_ns)
@@ -241,20 +241,27 @@ class SingleRobotControl:
             elif rests:  # a plan is made, its own or another robot's: that takes as long as the station lets it
                 task.since_ns = now_ns
             return ()
-        trajectory = transfer.trajectories[robot]
+        trajectory, flown = transfer.trajectories[robot], state.trajectory_s >= transfer.end_s - SETTLE_S
         if seen.mode is Mode.HOLDING and task.started:
-            arrived = state.trajectory_s >= transfer.end_s - SETTLE_S
-            self._end(robot, "" if arrived else f"robot {robot} holds: {state.fault or 'on the way'}")
+            on_the_way = f"robot {robot} holds: {state.fault or 'on the way'}"
+            self._end(robot, self._not_there(robot, task, seen) if flown else on_the_way)
             return ()
         if seen.mode is Mode.TRACKING and state.trajectory_id == trajectory.id:
-            task.started = True
-            return self._send(Order.HOLD, robot, None, now_ns) if state.trajectory_s >= transfer.end_s - SETTLE_S else ()
+            task.started = True  # at the path's end a robot that lags has SETTLE_S to come up
+            settled = flown and (seen.speed_mps < AT_REST_MPS or state.trajectory_s >= transfer.end_s)
+            return self._send(Order.HOLD, robot, None, now_ns) if settled else ()
         if state.trajectory_id != trajectory.id:
             return self._send(Order.LOAD, robot, trajectory, now_ns)
         if task.timetable is None:
             task.timetable = Timetable(now_ns + round(START_IN_S * 1e9), trajectory.begin_s + self._mission.governor.lag_s)
             self._dispatchers[robot].reset()
         return self._send(Order.START, robot, trajectory, now_ns, task.timetable)
+
+    def _not_there(self, robot: int, task: RobotTask, seen: RobotView) -> str:
+        """Distance from a GO's place of a robot that may have lagged, or had something in its way; empty if it is there."""
+        assert task.place_m is not None
+        away_m = float(np.hypot(*(seen.eta[:2] - task.place_m)))
+        return f"robot {robot} holds {away_m:.2f} m from there" if away_m > self._experiment.safety.off_path_m else ""
 
     def _plan(self, robot: int, task: RobotTask, seen: RobotView, fleet: Fleet) -> None:
         """Request a way to the task's place, clear of islands, obstacles and of where the other robots are now."""

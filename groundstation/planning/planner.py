@@ -175,7 +175,11 @@ def node_motions(
 
 
 def trajectory(motion: NodeMotion, period_s: float, begin_s: float = 0.0) -> Trajectory:
-    """Trajectory message of a motion; its id is a digest of its numbers."""
+    """Trajectory message of a motion; its id is a digest of its numbers. Raises PlanError for one that no message holds: a
+    plan from a pause near the beginning of the longest run is longer than that run."""
+    if len(motion.eta) > MOST_SAMPLES:
+        longest_s = MOST_SAMPLES * period_s
+        raise PlanError(f"it lasts {len(motion.eta) * period_s:.0f} s: a trajectory message holds {longest_s:.0f} s")
     digest = hashlib.sha256(np.array([period_s, begin_s]).tobytes())
     for array in (motion.eta, motion.velocity, motion.acceleration):
         digest.update(np.ascontiguousarray(array).tobytes())

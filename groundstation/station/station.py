@@ -145,7 +145,7 @@ class Station:
         pace = self.mission.governor
         planned = tuple(robot for robot, seen in self.seen.items() if seen.state is not None and seen.state.planned)
         state = self.mission.state.name
-        beat = StationHeartbeat(self.experiment.hash, stopped, state, pace.lag_s, 1.0 - pace.rate, planned)
+        beat = StationHeartbeat(self.experiment.hash, stopped, state, pace.lag_s, 1.0 - pace.rate, planned, self.code)
         self.bus.publish(topics.HEARTBEAT, beat, now_ns)
         self.beat_s = time.monotonic()
         self._tell()

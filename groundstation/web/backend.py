@@ -35,11 +35,12 @@ class Status:
 
 @dataclass(frozen=True)
 class ShownPicture:
-    """A camera's picture for the page, and its age when it was asked for."""
+    """A camera's picture for the page, and its age when it was asked for. `time_s`: of a recorded run, when it was."""
 
     stamp_ns: int
     age_ms: float
     jpeg: bytes
+    time_s: float | None = None
 
 
 class OperatorRequests(Protocol):
@@ -76,6 +77,10 @@ class Backend(Protocol):
 
     @property
     def station(self) -> OperatorRequests: ...
+    @property
+    def kept_events(self) -> int:
+        """Lines of the log, the newest, that a page gets when it connects."""
+
     def scene(self) -> dict[str, Any]: ...
     def changed(self) -> bool: ...
     def snapshot(self) -> dict[str, Any]: ...

@@ -35,7 +35,6 @@ MOST_WATCHERS = 16
 HELLO_WITHIN_S = 5.0
 MOST_STRANGERS = 32  # connections that have not said who they are: one more ends the oldest
 SILENT_S = 5.0  # without a sign of life, then control is free
-KEPT_EVENTS = 500  # of the log, for a watcher who comes late: as many as the page shows
 ORDER_VALID_S = 3.0  # from the newest state that the page had, to the order's arrival: what was meant for then is void now
 DRIVE_VALID_S = 1.0  # the same for a velocity: a person steers by what the page shows
 COMPLAIN_EVERY_S = 10.0  # when looking or telling fails again and again
@@ -115,14 +114,14 @@ class ClientHub:
         self._source, self._options, self._desk = source, options, desk
         self._watchers: dict[int, Client] = {}
         self._lease = ControlLease()
-        self._history: deque[bytes] = deque(maxlen=KEPT_EVENTS)
+        self._history: deque[bytes] = deque(maxlen=source.kept_events)
         self._count = 0
         self._tasks: set[asyncio.Task[None]] = set()
         self._strangers: deque[asyncio.Task[protocol.Request]] = deque()
         self._complained_s = -COMPLAIN_EVERY_S
         # The emergency stop has a thread of its own: nothing else that a page may ask for ever keeps it waiting.
         self._stops = ThreadPoolExecutor(1, "page-stop")
-        self._orders = ThreadPoolExecutor(2, "page-order")
+        self._orders = ThreadPoolExecutor(1, "page-order")  # one: what was asked for first is done first
         self._plans = ThreadPoolExecutor(2, "page-plan")
         self._runs = ThreadPoolExecutor(1, "page-runs")
 
@@ -149,7 +148,6 @@ class ClientHub:
         tried again at the next look: pages that hear nothing say so."""
         told_s, took_s = 0.0, 0.0
         while True:
-            await asyncio.sleep(LOOK_S if self._watchers else AT_LEAST_S)
             try:
                 self._look()
                 now_s = time.monotonic()
@@ -160,6 +158,7 @@ class ClientHub:
                     took_s = time.monotonic() - now_s
             except Exception as error:
                 self._complain(error)
+            await asyncio.sleep(LOOK_S if self._watchers else AT_LEAST_S)
 
     def _complain(self, error: Exception) -> None:
         now_s = time.monotonic()
@@ -188,6 +187,7 @@ class ClientHub:
             "stamp_ms": time.time() * 1e3,
             "camera": camera,
             "age_ms": picture.age_ms,
+            "time_s": picture.time_s,
             "jpeg": picture.jpeg,
         }
         body = packed(told)

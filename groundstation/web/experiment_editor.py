@@ -21,7 +21,7 @@ from wire.toml_loader import ConfigError, check
 EDITED = Path("experiments")  # below where the station was started
 # The path's keys by the edit's, for each kind of path
 _PATH_KEYS = {
-    "waypoints": {"points_m": "points_m", "speed_mps": "speed_mps", "depth_m": "depth_m"},
+    "waypoints": {"points_m": "points_m", "start_index": "start_index", "speed_mps": "speed_mps", "depth_m": "depth_m"},
     "circle": {"diameter_m": "diameter_m", "lap_s": "lap_s", "depth_m": "depth_m"},
     "route": {"points_m": "via_m", "speed_mps": "speed_mps", "depth_m": "depth_m"},
 }
@@ -34,7 +34,9 @@ def edited(experiment: Experiment, edit: Edit) -> Experiment:
     if "kind" in given and given["kind"] != table["path"]["kind"]:
         table["path"] = {"kind": given["kind"]}
     kind = table["path"]["kind"]
-    foreign = [k for k in ("points_m", "speed_mps", "diameter_m", "lap_s") if k in given and k not in _PATH_KEYS[kind]]
+    foreign = [
+        k for k in ("points_m", "start_index", "speed_mps", "diameter_m", "lap_s") if k in given and k not in _PATH_KEYS[kind]
+    ]
     if foreign:
         raise ConfigError(f"path.{foreign[0]}: a path of kind {kind} has none (allowed: {', '.join(_PATH_KEYS[kind])})")
     table["path"] |= {key: given[name] for name, key in _PATH_KEYS[kind].items() if name in given}

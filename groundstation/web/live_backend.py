@@ -36,6 +36,7 @@ from wire.process.runtime import Clock, log
 from wire.transport.bus import Bus, Received
 
 MOST_EVENTS = 256  # between two looks
+KEPT_EVENTS = 500  # for a page that connects later: as many as it shows
 PAST_S = 600.0  # kept for pages that connect later
 PAST_EVERY_S = 0.5  # a row of the past, in fleets of up to three
 STANDS_S = 5.0  # without a cycle in lockstep, where a step that plans takes some: what is shown may be a process that hangs
@@ -44,6 +45,8 @@ STUCK_S = 1.0  # without a cycle of the station: robots hold by themselves then
 
 class LiveBackend:
     """Backend of the live fleet."""
+
+    kept_events = KEPT_EVENTS
 
     def __init__(
         self,

@@ -86,6 +86,7 @@ class Edit(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     islands_m: Annotated[list[Vec3], msgspec.Meta(max_length=MOST_ISLANDS)] | None = None  # x, y, radius of each
     kind: Literal["circle", "waypoints", "route"] | None = None  # another path: it has only the keys that are given here
     points_m: Annotated[list[Vec2], msgspec.Meta(min_length=2, max_length=200)] | None = None  # waypoints, or a route's places
+    start_index: Annotated[int, msgspec.Meta(ge=0, le=199)] | None = None  # of the waypoint at which the run begins
     speed_mps: Typed | None = None
     diameter_m: Typed | None = None
     lap_s: Typed | None = None

@@ -237,6 +237,7 @@ class ReplayBackend:
         self._changed = True
         self._shown_s = 0.0
         self._past, self._events = self._log.past(), self._log.events()
+        self.kept_events = len(self._events)  # all: they are shown up to the present time, however early that is
         self._drawn: list[int] = []
 
     def __enter__(self) -> "ReplayBackend":
@@ -260,6 +261,7 @@ class ReplayBackend:
         """The recorded scene, and how long it is."""
         replay = {"begin_s": self._log.flown_ns * 1e-9, "end_s": self._log.end_ns * 1e-9}
         found = scene(self.experiment, self._log.trajectories, "replay")
+        found |= {"paths": self._paths_of(self._flown_segments())}
         return found | {"replay": replay, "run": str(self.run_dir), "offers": self._offers, "problem": self._problem}
 
     def changed(self) -> bool:
@@ -281,6 +283,8 @@ class ReplayBackend:
         """Take what a person wants next, if it is offered and can be flown. Returns every reason against it."""
         if what not in self._offers:
             return ["this is not possible here"]
+        if self.choice is not None:
+            return [f"{self.choice.what} was chosen before"]
         if what == "edited":
             tried = attempt(self.experiment, edit or Edit())
             if not tried["ok"]:
@@ -330,12 +334,19 @@ class ReplayBackend:
 
     def paths(self) -> list[dict[str, Any]] | None:
         """Paths flown at that time, returned once after each change: of a later segment only the part that is new."""
-        now, segments = self._now_ns(), self._log.segments
-        flown = {robot: max(bisect_right([at for at, _ in told], now) - 1, 0) for robot, told in segments.items()}
+        flown = self._flown_segments()
         if list(flown.values()) == self._drawn:
             return None
         self._drawn = list(flown.values())
-        found = []
+        return self._paths_of(flown)
+
+    def _flown_segments(self) -> dict[int, int]:
+        """Number of the trajectory that each robot has at the present time of the replay."""
+        now, segments = self._now_ns(), self._log.segments
+        return {robot: max(bisect_right([at for at, _ in told], now) - 1, 0) for robot, told in segments.items()}
+
+    def _paths_of(self, flown: Mapping[int, int]) -> list[dict[str, Any]]:
+        found, segments = [], self._log.segments
         for robot, k in flown.items():
             trajectory = segments[robot][k][1]
             begin = _differ(segments[robot][k - 1][1], trajectory) if k > 0 else 0
@@ -356,7 +367,7 @@ class ReplayBackend:
         found = self._log.newest(topics.PREVIEW.of_camera(camera), Preview, self._now_ns())
         if found is None or found[0] == shown_ns:
             return None
-        return ShownPicture(found[0], (self._now_ns() - found[0]) * 1e-6, found[1].jpeg)
+        return ShownPicture(found[0], (self._now_ns() - found[0]) * 1e-6, found[1].jpeg, found[0] * 1e-9)
 
     def past(self) -> list[dict[str, Any]]:
         """The whole run."""

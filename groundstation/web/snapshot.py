@@ -102,7 +102,7 @@ def past_row(told: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "time_s": told["time_s"],
         "robots": robots,
-        "localizer": None if localizer is None else {"to_pose_ms": localizer["to_pose_ms"]},
+        "localizer": None if localizer is None else {key: localizer[key] for key in ("age_ms", "to_pose_ms")},
     }
 
 

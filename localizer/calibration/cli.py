@@ -19,6 +19,7 @@ from wire.process.cli_options import (
     KeyRing,
     Settings,
     StationAddress,
+    finite,
 )
 from wire.process.output_files import check_output
 from wire.toml_loader import ConfigError
@@ -44,13 +45,17 @@ def calibrate(
         Path | None, typer.Option(metavar="FILE", help="The picture that they are seen in, if the file names no other.")
     ] = None,
     rate: Annotated[
-        float | None, typer.Option(min=1, max=240, help="Written down: pictures per second; 20 if not known.")
+        float | None, typer.Option(min=1, max=240, help="Written down: pictures per second; 20 if not known.", callback=finite)
     ] = None,
     exposure: Annotated[
-        float | None, typer.Option(min=1e-5, max=0.05, help="Written down: exposure in s; 0.008 if not known.")
+        float | None,
+        typer.Option(min=1e-5, max=0.05, help="Written down: exposure in s; 0.008 if not known.", callback=finite),
     ] = None,
     water_index: Annotated[
-        float | None, typer.Option(min=1, max=2, help="Refractive index: 1.333 in fresh water (default), 1.34 in sea water.")
+        float | None,
+        typer.Option(
+            min=1, max=2, help="Refractive index: 1.333 in fresh water (default), 1.34 in sea water.", callback=finite
+        ),
     ] = None,
     grey: Grey = False,
     out: Annotated[
@@ -81,7 +86,7 @@ def calibrate(
 
 def print_markers(
     ids: Annotated[str, typer.Option(metavar="LIST", help="Their ids: 1-6, or 0,3,7-9.")],
-    size: Annotated[float, typer.Option(help="Side of the black square, mm.")] = 60.0,
+    size: Annotated[float, typer.Option(help="Side of the black square, mm.", callback=finite)] = 60.0,
     dictionary: Annotated[str, typer.Option(help="4x4_50 or apriltag_36h11, as localizer.marker_family.")] = "4x4_50",
     paper: Annotated[str, typer.Option(help="A4 or A3.")] = "A4",
     out: Annotated[
@@ -125,7 +130,7 @@ def _numbers(text: str) -> list[int]:
     found = re.fullmatch(r"\s*\d{1,4}(\s*-\s*\d{1,4})?(\s*,\s*\d{1,4}(\s*-\s*\d{1,4})?)*\s*", text)
     ends = [[int(end) for end in part.split("-")] for part in text.split(",")] if found else []
     numbers = [number for first, *last in ends for number in range(first, (last or [first])[0] + 1)]
-    if not numbers:
+    if not numbers or any(last < [first] for first, *last in ends if last):
         raise ConfigError(f"--ids {text}: must be a list of ids and ranges, for example 1-6 or 0,3,7-9")
     return list(dict.fromkeys(numbers))
 
@@ -137,7 +142,7 @@ def check(
     live: Annotated[bool, typer.Option("--live", help="Take the newest frame from the bus instead.")] = False,
     show: Annotated[bool, typer.Option("--show", help="Every new frame, in a browser of this machine, until Ctrl-C.")] = False,
     show_port: Annotated[int, typer.Option(help="Where --show serves them, on 127.0.0.1.")] = 8091,
-    depth: Annotated[float, typer.Option(min=-1, max=20, help="Depth of the grid, m.")] = 0.3,
+    depth: Annotated[float, typer.Option(min=-1, max=20, help="Depth of the grid, m.", callback=finite)] = 0.3,
     out: Annotated[Path, typer.Option(help="The picture to write.")] = Path("check.png"),
     station: StationAddress = DEFAULT_STATION,
     fleet: FleetName = DEFAULT_FLEET,

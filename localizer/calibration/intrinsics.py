@@ -7,6 +7,7 @@ Zhang (2000) by OpenCV. The pose over the pool comes after, from points of the p
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -54,6 +55,12 @@ class IntrinsicsFit:
     def corners_px(self) -> Array:
         """All corners of the views that were kept, (n, 2)."""
         return np.concatenate([view.pixels for view in self.views])
+
+    @cached_property
+    def held_out_rms_px(self) -> float | None:
+        """RMS error in px of views that the lens did not see: a third of them at a time, their poses fitted to the lens of the
+        rest. None where too few views are left. The fit's own RMS is lower, as it was made to be. Takes as long as a fit."""
+        return _held_out_rms_px(self)
 
     @property
     def coverage(self) -> Array:
@@ -161,9 +168,7 @@ def _deviations(jacobians: Sequence[Array], residuals: Sequence[Array], without_
     return np.append(deviations, 0.0) if without_k3 else deviations
 
 
-def held_out_rms_px(fit: IntrinsicsFit) -> float | None:
-    """RMS error in px of views that the lens did not see: a third of them at a time, their poses fitted to the lens of the
-    rest. None where too few views are left. The fit's own RMS is lower, as it was made to be."""
+def _held_out_rms_px(fit: IntrinsicsFit) -> float | None:
     views, flags = fit.views, 0 if fit.lens.distortion[4] else cv2.CALIB_FIX_K3
     if len(views) - len(views) // _FOLDS - 1 < FEWEST_VIEWS:
         return None

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from localizer.calibration.extrinsics import PoseFit, place_errors_m
-from localizer.calibration.intrinsics import IntrinsicsFit, held_out_rms_px, intrinsics_warnings
+from localizer.calibration.intrinsics import IntrinsicsFit, intrinsics_warnings
 from localizer.calibration.pool_grid import ViewFigures, draw_grid
 from localizer.calibration.survey_points import FEWEST_POINTS, SurveyPoint
 from localizer.detection.image_regions import Pixels
@@ -34,7 +34,7 @@ def intrinsics_lines(fit: IntrinsicsFit, left_out: Mapping[str, str]) -> list[st
     lines += [f"  {_short(view.name):30} {len(view.pixels):7d} {rms:8.3f}   left out: bad" for view, rms in fit.rejected]
     lines += [f"  {_short(name):30}       -        -   left out: {reason}" for name, reason in left_out.items()]
     lines += [f"  {'all that were kept':30} {len(fit.corners_px):7d} {fit.rms_px:8.3f}"]
-    held_out_px = held_out_rms_px(fit)
+    held_out_px = fit.held_out_rms_px
     lines += [] if held_out_px is None else [f"  {'each third by the lens of the rest':38} {held_out_px:8.3f}"]
     lines += [""]
     lines += [f"  size_px    {lens.size_px[0]} x {lens.size_px[1]}"]

@@ -242,6 +242,7 @@ def _write(out: Path, table: dict[str, Any], summary: str, panels: list[Pixels])
     with os_errors_as_config_errors(out), replacing_together() as opened:
         file = opened(out, keep=dated)
         file.write(text.encode())
-        opened(picture).write(drawn.tobytes())
-    kept = "" if file.kept is None else f"; the file before is {file.kept}"
-    return [f"Wrote {out} and {picture}{kept}"]
+        beside = opened(picture, keep=dated)
+        beside.write(drawn.tobytes())
+    kept = [str(new.kept) for new in (file, beside) if new.kept is not None]
+    return [f"Wrote {out} and {picture}{'; kept of before: ' if kept else ''}{', '.join(kept)}"]

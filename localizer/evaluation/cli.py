@@ -21,6 +21,7 @@ from wire.process.cli_options import (
     KeyRing,
     Settings,
     StationAddress,
+    finite,
 )
 from wire.process.output_files import check_output, replace_text
 from wire.toml_loader import ConfigError
@@ -39,7 +40,7 @@ JsonFile = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="W
 def latency(
     experiment: ExperimentName,
     source: SourceName = "bus",
-    seconds: Annotated[float, typer.Option(min=0.5, help="How long to measure.")] = 5.0,
+    seconds: Annotated[float, typer.Option(min=0.5, help="How long to measure.", callback=finite)] = 5.0,
     json: JsonFile = None,
     station: StationAddress = DEFAULT_STATION,
     fleet: FleetName = DEFAULT_FLEET,
@@ -99,7 +100,7 @@ def evaluate(
         str | None, typer.Option(metavar="EXPERIMENT", help="The video shows this experiment's pool: localize in metres.")
     ] = None,
     marker: Annotated[bool, typer.Option(help="Read markers (with --experiment).")] = True,
-    box: Annotated[float, typer.Option(min=8, help="Side of a plain video's target, pixels.")] = 64.0,
+    box: Annotated[float, typer.Option(min=8, help="Side of a plain video's target, pixels.", callback=finite)] = 64.0,
     frames: Annotated[int | None, typer.Option(min=2, help="Look at the first so many only.")] = None,
     json: JsonFile = None,
     camera: CameraName = "",
@@ -189,8 +190,9 @@ def track(
                 bar.update(done - bar.pos)
         damage = "" if video is None else video.damage()
     typer.echo(f"Wrote {out}: {table.rows} poses from {table.frames} pictures.")
-    if damage:
-        typer.echo(damage, err=True)
+    for trouble in filter(None, (table.failures, damage)):
+        typer.echo(trouble, err=True)
+    if table.failures or damage:
         raise typer.Exit(1)
 
 
@@ -223,6 +225,8 @@ def rerun(
 
     start_log("localizer")
     cv2.setNumThreads(1)  # as `run`
-    rows = compare_again(recording, load_experiment(str(recording / EXPERIMENT), settings or ()))
+    rows, failures = compare_again(recording, load_experiment(str(recording / EXPERIMENT), settings or ()))
     typer.echo(to_json(rows) if as_json else table(rows))
+    if failures:
+        typer.echo(failures, err=True)
     raise typer.Exit(1 if not settings and any(row.differing for row in rows) else 0)

@@ -31,7 +31,7 @@ from wire.config.experiment import Experiment
 from wire.messages.codec import decode, encode
 from wire.messages.messages import Pose
 from wire.process.output_files import replacing, sync_folder
-from wire.process.runtime import Failed
+from wire.process.runtime import Failed, log
 from wire.regular_files import open_regular
 from wire.toml_loader import ConfigError, os_errors_as_config_errors
 
@@ -64,9 +64,30 @@ def frames_of_video(video: VideoReader, path: Path, experiment: Experiment, repo
     return frames()
 
 
-def _localize(localizer: FleetLocalizer, frame: RecordedFrame) -> LocalizationResult:
-    attitudes = {robot: Attitude(*told) for robot, told in frame.attitudes.items()}
-    return localizer.step(frame.pixels, frame.instant_ns, frame.depths_m, attitudes)
+class FrameLocalizer:
+    """A localizer of recorded frames. As in flight, an exception costs one frame's poses and is counted."""
+
+    def __init__(self, experiment: Experiment) -> None:
+        self.failed, self.first_failure = 0, ""
+        self._localizer = FleetLocalizer(experiment)
+
+    def poses(self, frame: RecordedFrame) -> LocalizationResult | None:
+        """The poses in a frame; None for one that was skipped."""
+        attitudes = {robot: Attitude(*told) for robot, told in frame.attitudes.items()}
+        result = None
+        try:
+            result = self._localizer.locate(frame.pixels, frame.instant_ns, frame.depths_m, attitudes)
+            self._localizer.finish()
+        except Exception as error:
+            self.failed += 1
+            self.first_failure = self.first_failure or f"{type(error).__name__}: {error}"
+            if self.failed == 1:
+                log.error("picture %d: %s", frame.number, self.first_failure, exc_info=error)
+        return result
+
+    def failures(self) -> str:
+        """Text about the pictures that failed; empty if there are none."""
+        return f"{self.failed} pictures could not be localized in, the first: {self.first_failure}" if self.failed else ""
 
 
 # --- track
@@ -78,7 +99,7 @@ class PoseTable:
     def __init__(self, out: Path, key: str) -> None:
         """`key` stands for all that the poses come from: rows of another camera, recording or setting are never gone on with.
         Raises ConfigError if Parquet cannot be written."""
-        self.rows, self.frames = 0, 0
+        self.rows, self.frames, self.failures = 0, 0, ""
         self._out = out
         self._part = out.with_name(f"{out.name}.{key}.part")
         self._write = _parquet() if out.suffix == ".parquet" else _csv
@@ -100,7 +121,7 @@ class PoseTable:
         ConfigError for a part of other columns, and Failed if no robot is ever found: then there is no table."""
         kept, done = _kept(self._part) if self._part.exists() else ("", 0)
         self.rows = max(kept.count("\n") - 1, 0)
-        localizer, message = FleetLocalizer(experiment), ""
+        localizer, message = FrameLocalizer(experiment), ""
         # What is there stays there: a run that is killed loses no more than the rows of a frame.
         with os_errors_as_config_errors(self._part), self._part.open("a", encoding="utf-8", newline="") as file:
             file.truncate(len(kept.encode()))
@@ -110,19 +131,22 @@ class PoseTable:
             for frame in frames:
                 if frame.number < done - WARM_UP_FRAMES:
                     continue
-                result = _localize(localizer, frame)
-                message = result.status.message or message
+                result = localizer.poses(frame)
+                message = result.status.message or message if result is not None else message
                 if frame.number >= done:
-                    table.writerows(_row(frame.number, robot, pose, frame.stamp_ns) for robot, pose in result.poses)
+                    poses = result.poses if result is not None else ()
+                    table.writerows(_row(frame.number, robot, pose, frame.stamp_ns) for robot, pose in poses)
                     file.flush()
-                    self.rows += len(result.poses)
+                    self.rows += len(poses)
                     self.frames = frame.number + 1
                     yield self.frames
             file.flush()
             os.fsync(file.fileno())
+        self.failures = localizer.failures()
         if not self.rows:
             self._part.unlink()
-            raise Failed(f"no robot was found in any picture: {message or 'no marker was read'}; no table was written")
+            why = self.failures or message or "no marker was read"
+            raise Failed(f"no robot was found in any picture: {why}; no table was written")
         self._write(self._part, self._out)
 
 
@@ -186,17 +210,18 @@ class PoseComparison:
     largest_mm: float
 
 
-def compare_again(folder: Path, experiment: Experiment) -> list[PoseComparison]:
-    """Localize in the frames of a recording again. Raises ConfigError for what is no recording, and Failed
-    for one without frames."""
-    localizer = FleetLocalizer(experiment)
+def compare_again(folder: Path, experiment: Experiment) -> tuple[list[PoseComparison], str]:
+    """Localize in the frames of a recording again. Returns the comparisons, and a text about the pictures that failed. Raises
+    ConfigError for what is no recording, and Failed for one in whose frames nothing could be done."""
+    localizer = FrameLocalizer(experiment)
     poses, differing = Counter[int](), Counter[int]()
     first: dict[int, int] = {}
     largest_m = dict.fromkeys(experiment.robot_ids, 0.0)
     frames = 0
     for number, frame in enumerate(recorded_frames(folder)):
         frames += 1
-        again = dict(_localize(localizer, frame).poses)
+        result = localizer.poses(frame)
+        again = dict(result.poses) if result is not None else {}
         for robot in sorted(again.keys() | frame.poses.keys()):
             poses[robot] += 1
             if robot in again and encode(again[robot]) == frame.poses.get(robot):
@@ -209,4 +234,7 @@ def compare_again(folder: Path, experiment: Experiment) -> list[PoseComparison]:
                 largest_m[robot] = max(largest_m[robot], apart_m)
     if not frames:
         raise Failed(f"{folder}: holds no frame, so nothing was compared")
-    return [PoseComparison(i, poses[i], differing[i], first.get(i), 1e3 * largest_m[i]) for i in experiment.robot_ids]
+    if localizer.failed == frames:
+        raise Failed(f"{folder}: nothing was compared: {localizer.failures()}")
+    found = [PoseComparison(i, poses[i], differing[i], first.get(i), 1e3 * largest_m[i]) for i in experiment.robot_ids]
+    return found, localizer.failures()

@@ -75,7 +75,8 @@ def read_idtracker(path: Path) -> list[Array]:
     """Places (frames, 2) in pixels of each target of idTracker's text: a line of names, then X, Y and a probability per
     target and frame. Its first pixel is 1; ours is 0. Unknown places are NaN."""
     try:
-        columns = np.loadtxt(path, skiprows=1, ndmin=2)
+        with open_regular(path) as file:
+            columns = np.loadtxt(file, skiprows=1, ndmin=2)
     except (OSError, ValueError) as error:
         raise ConfigError(f"{path}: {error}") from None
     if columns.shape[1] < 2:

@@ -11,7 +11,7 @@ from typing import Any
 
 import tomlkit
 
-from wire.config.experiment import EXPERIMENTS, Experiment, checked_experiment
+from wire.config.experiment import EXPERIMENTS, Experiment, checked_experiment, load_experiment
 from wire.config.perception import Camera, CameraFile
 from wire.process.output_files import dated, replacing
 from wire.regular_files import read_regular
@@ -41,6 +41,8 @@ class ExperimentFile:
                 "then [[cameras]] takes the saved files: docs/calibration.md)"
             )
         camera = table.get("camera")
+        if out is not None:  # files that the experiment names have to be there from its new place too
+            checked_experiment(table | {"camera": load_experiment(str(experiment)).camera.model_dump(mode="json")}, out)
         self._camera_file = experiment.parent / camera if isinstance(camera, str) and out is None else None
         self.reload()
 

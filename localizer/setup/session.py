@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from localizer.calibration.extrinsics import PoseFit
-from localizer.calibration.intrinsics import IntrinsicsFit, held_out_rms_px, intrinsics_warnings
+from localizer.calibration.intrinsics import IntrinsicsFit, intrinsics_warnings
 from localizer.calibration.pool_grid import draw_grid
 from localizer.calibration.report import intrinsics_lines, pose_lines
 from localizer.calibration.workflow import significant
@@ -186,7 +186,7 @@ class SetupSession:
                 "outline_m": outline_corners(self._experiment.pool),
                 "masks": [{"id": number, "corners_px": corners} for number, corners in work.masks.items()],
                 "path": str(self._file.path),
-                "changed": sorted(self._changes()),
+                "changed": dict(sorted(self._changes().items())),
             }
 
     def _lens_state(self, work: CameraWork) -> dict[str, Any]:
@@ -271,16 +271,15 @@ class SetupSession:
         with self._lock:
             work = self._work
         fit = work.lens.fit()
+        lines, warnings, held_out_px = intrinsics_lines(fit, {}), intrinsics_warnings(fit), fit.held_out_rms_px
+        said = f"lens: {len(fit.views)} views, RMS {fit.rms_px:.2f} px"
+        said += "" if held_out_px is None else f", {held_out_px:.2f} px in views held out"
+        said += f"; look at: {'; '.join(warnings)}" if warnings else ""
         with self._lock:
             work.lens_fit, work.pose_fit, work.pose_said = fit, None, []
             work.survey.residuals.clear()
             work.camera = self._experiment.camera.model_copy(update=fit.lens.model_dump())
-            held_out_px = held_out_rms_px(fit)
-            work.lens_said = intrinsics_lines(fit, {})
-            self._said = f"lens: {len(fit.views)} views, RMS {fit.rms_px:.2f} px"
-            self._said += "" if held_out_px is None else f", {held_out_px:.2f} px in views held out"
-            warnings = intrinsics_warnings(fit)
-            self._said += f"; look at: {'; '.join(warnings)}" if warnings else ""
+            work.lens_said, self._said = lines, said
 
     def _put_point(self, given: Mapping[str, Any]) -> None:
         x, y, z = (float(value) for value in given["pool_m"])
@@ -301,11 +300,14 @@ class SetupSession:
 
     def _fit_pose(self, given: Mapping[str, Any]) -> None:
         with self._lock:
-            work, grey = self._work, self._grey
+            work, grey, lens_fit = self._work, self._grey, self._work.lens_fit
         if work.camera is None:
             raise ConfigError(_no_lens(work.size_px, self._experiment.camera.size_px))
         fit = work.survey.fit(work.camera, grey)
         with self._lock:
+            if work.lens_fit is not lens_fit:
+                work.survey.residuals.clear()
+                raise ConfigError("another lens was found meanwhile: find the pose again")
             points = tuple(work.survey.points.values())
             work.pose_fit, work.camera = fit, fit.camera
             work.pose_said = pose_lines(fit, points, self._experiment.pool)

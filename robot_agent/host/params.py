@@ -15,7 +15,7 @@ from wire.config.scene import LARGEST_ROBOT
 from wire.mavlink.board_port import Link, open_link
 from wire.mavlink.parameters import DOES_NOT_EXIST, LINK_ID, ParameterClient
 from wire.mavlink.signing_key import Signing
-from wire.process.cli_options import LinkInsecure, LinkKey
+from wire.process.cli_options import LinkInsecure, LinkKey, finite
 from wire.toml_loader import ConfigError
 
 AGAIN_S = 0.3  # between one question and its repetition
@@ -111,7 +111,7 @@ def get(
 @cli.command("set")
 def set_one(
     name: Name,
-    value: Annotated[float, typer.Argument(metavar="VALUE", help="Its new value.")],
+    value: Annotated[float, typer.Argument(metavar="VALUE", help="Its new value.", callback=finite)],
     link: LinkAddress = DEFAULT_LINK,
     robot: WhichRobot = None,
     key: LinkKey = None,

@@ -5,16 +5,19 @@ import itertools
 import platform
 import time
 from collections.abc import Callable, Generator, Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 
 from robot_agent.host import realtime
+from robot_agent.host.board_zero import SERVICE_FOLDER, read_record, state_folder
 from robot_agent.host.config import AgentConfig, open_board_link
 from robot_agent.preflight import findings
 from robot_agent.preflight.findings import CheckFinding, CheckVerdict
 from robot_agent.preflight.network import check_network
 from robot_agent.preflight.rehearsal import RehearsalFailed, rehearse
+from robot_agent.safety.health import RESTART_DEPTH_M
 from wire.config.experiment import Experiment, load_experiment
 from wire.mavlink.agent_link import Telemetry
 from wire.mavlink.board_port import parse_link, serial_trouble
@@ -50,6 +53,7 @@ def run_preflight(
     if experiment is not None:
         yield step_timing(experiment, config.robot)
     yield from _device(config)
+    yield from _depth_zero()
     idle = False
     if flying:  # two programs on one thruster board: what one sends the other would spoil
         yield CheckFinding("thruster board", CheckVerdict.SKIPPED, "this robot's agent has it (systemctl stop shoal-agent)")
@@ -71,6 +75,17 @@ def _device(config: AgentConfig) -> Iterator[CheckFinding]:
         trouble = serial_trouble(Path(address.where))
         verdict = CheckVerdict.FAIL if trouble else CheckVerdict.OK
         yield CheckFinding("device", verdict, trouble or f"{address.where}: can be read and written")
+
+
+def _depth_zero() -> Iterator[CheckFinding]:
+    """Say of a board whose zero is in doubt how to get out of it; nothing otherwise."""
+    record = None
+    with suppress(OSError):  # only the service's user, and root, may read it
+        record = read_record(state_folder() or SERVICE_FOLDER)
+    if record is not None and record.zero_m > RESTART_DEPTH_M:
+        why = f"the board restarted where the robot was last known to be, at {record.zero_m:.2f} m: it will not arm"
+        remedy = "restart the board in air; or, if it was in air, `robot-agent confirm-zero`"
+        yield CheckFinding("depth zero", CheckVerdict.WARN, f"{why} ({remedy})")
 
 
 def _board(config: AgentConfig) -> Generator[CheckFinding, None, bool]:

@@ -56,6 +56,14 @@ def certificate(common_name: str, starts: datetime, expires: datetime, now: date
     return CheckFinding("certificate", verdict, f"{common_name}, valid for {days} days more")
 
 
+def same_code(stations: str, own: str) -> CheckFinding:
+    """Compare version and commit of the station's program, "" of an earlier one, with this computer's."""
+    if stations == own:
+        return CheckFinding("code", CheckVerdict.OK, f"{own}, as the station's")
+    text = f"{own}, the station's {stations or 'an earlier version'} (`groundstation deploy` brings it here)"
+    return CheckFinding("code", CheckVerdict.WARN, text)
+
+
 def clock(offset_s: float) -> CheckFinding:
     """Judge this computer's clock against the station's heartbeat."""
     verdict = CheckVerdict.OK if abs(offset_s) <= CLOCK_APART_S else CheckVerdict.WARN

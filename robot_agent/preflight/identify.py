@@ -9,7 +9,7 @@ from robot_agent.host.params import ParameterSession, WhichRobot, talk
 from robot_agent.preflight.thrust_curve import ThrustFit, fit, read_rows
 from wire.config.vehicle import Thruster, load_vehicle
 from wire.mavlink.agent_link import STANDARD_GRAVITY_MPS2
-from wire.process.cli_options import LinkInsecure, LinkKey
+from wire.process.cli_options import LinkInsecure, LinkKey, finite
 from wire.regular_files import read_regular
 from wire.toml_loader import MOST_BYTES, ConfigError, check, os_errors_as_config_errors
 
@@ -27,8 +27,12 @@ def thrust(
     vehicle: Annotated[
         str, typer.Option(help="The vehicle that has the thruster: a shipped one, or a path ending in .toml.")
     ] = ("spherical"),
-    lever: Annotated[float, typer.Option(min=0.01, max=100.0, help="Thrust divided by the force on the scale.")] = 1.0,
-    still_g: Annotated[float, typer.Option(min=0.0, max=1000.0, help="Readings up to this count as no thrust.")] = 3.0,
+    lever: Annotated[
+        float, typer.Option(min=0.01, max=100.0, help="Thrust divided by the force on the scale.", callback=finite)
+    ] = 1.0,
+    still_g: Annotated[
+        float, typer.Option(min=0.0, max=1000.0, help="Readings up to this count as no thrust.", callback=finite)
+    ] = 3.0,
     link: Annotated[str | None, typer.Option("--link", help="Also write it to the thruster board at this address.")] = None,
     robot: WhichRobot = None,
     key: LinkKey = None,

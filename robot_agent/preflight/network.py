@@ -11,6 +11,7 @@ from robot_agent.preflight.findings import CheckFinding, CheckVerdict
 from wire.messages import topics
 from wire.messages.messages import StationHeartbeat
 from wire.messages.topics import Role, process_name
+from wire.process.version import code
 from wire.security.key_ring import Keys, common_name, open_keys
 from wire.toml_loader import ConfigError
 from wire.transport.bus import Bus
@@ -64,6 +65,7 @@ def check_network(config: AgentConfig) -> Generator[CheckFinding, None, bool]:
         yield CheckFinding("station", CheckVerdict.FAIL, f"{where.address}: {why}")
         return flying
     yield CheckFinding("station", CheckVerdict.OK, f"{where.address}: heard, its mission is {received.message.mission}")
+    yield findings.same_code(received.message.code, code().short)
     yield findings.clock((now_ns - received.header.stamp_ns - since_ns) * 1e-9)
     return flying
 

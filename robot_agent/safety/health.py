@@ -13,7 +13,6 @@ from robot_agent.vehicle.battery import BatteryMonitor
 from robot_agent.vehicle.dynamics import GATE_RAD
 from wire.config.experiment import Experiment
 from wire.frames import wrap
-from wire.mavlink.power_on_depth import PowerOnDepth
 from wire.messages.messages import Guidance, Mode, Track
 
 ARM_AGAIN_S = 0.2  # how often the board is asked to arm, or later to disarm, when it has not done as told
@@ -32,7 +31,7 @@ class HealthMonitor:
         self._period_s = experiment.controller.period_s
         self._battery = BatteryMonitor(experiment.vehicle.battery)
         self._outputs, self._thrusters = OutputCheck(), ThrusterFaultDetector(experiment.vehicle)
-        self._gyroscope, self._pressure, self._power_on = GyroscopeCheck(), StuckSensorCheck(), PowerOnDepth()
+        self._gyroscope, self._pressure = GyroscopeCheck(), StuckSensorCheck()
         self._uses_gyroscope = experiment.controller.estimator.use_imu_yaw_rate
         self._allocator, self._watch = Allocator(experiment.vehicle), PathWatch(experiment, told_period_s)
         self._depth, self._pool = PathDeviationMonitor(experiment.safety.off_depth_m), experiment.pool
@@ -89,7 +88,6 @@ class HealthMonitor:
         seen, telemetry = inputs.pose, inputs.telemetry
         if telemetry.board_ms < 0:
             return
-        self._power_on.note_burst(telemetry.board_ms, telemetry.depth_m)
         self._pressure.note_sample(telemetry.depth_m, telemetry.arrival_ns)
         if self._uses_gyroscope:
             self._gyroscope.note_rate(telemetry.yaw_rate_radps, telemetry.arrival_ns)
@@ -171,12 +169,10 @@ class HealthMonitor:
             return f"{health.autopilot} is on the link, no thruster board: it takes pulses for a pilot's sticks"
         if inputs.telemetry.armed:
             return "the thruster board is still armed"
-        # By the link, which is older than this agent, or, where an old log has no such depth, by what the agent has seen.
-        power_on_depth_m = max(inputs.telemetry.power_on_depth_m, self._power_on.depth_m)
-        if power_on_depth_m > RESTART_DEPTH_M:
+        if inputs.telemetry.power_on_depth_m > RESTART_DEPTH_M:
             return (
-                f"the thruster board restarted at {power_on_depth_m:.2f} m and took its depth zero there: "
-                "restart it in air; or, if it was in air, confirm that by a restart of robot-agent"
+                f"the thruster board restarted at {inputs.telemetry.power_on_depth_m:.2f} m and took its depth zero there: "
+                "restart it in air; or, if it was in air, confirm that on the robot with `robot-agent confirm-zero`"
             )
         if health.pose_age_s > limit_s:
             return f"the last pose is {health.pose_age_s:.2f} s old"

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from wire.config.experiment import NO_CAMERA, experiment_path, load_experiment
-from wire.process.cli_options import ExperimentName, Settings
+from wire.process.cli_options import ExperimentName, Settings, finite
 from wire.process.output import background
 from wire.process.output_files import COMPARISON, check_output, new_run_folder
 from wire.toml_loader import ConfigError
@@ -34,8 +34,10 @@ def compare(
         str, typer.Option(metavar="NAMES", help="Whom to compare, with commas: of --list (default: all), or MODULE:NAME.")
     ] = "",
     seeds: Annotated[str, typer.Option(metavar=FIRST_OR_RANGE, help="Seeds; each is flown by everyone.")] = "10",
-    scatter: Annotated[float, typer.Option(min=0.0, help="Starts are moved by up to this much per seed, m and rad.")] = 0.1,
-    duration: Annotated[float | None, typer.Option(help="Seconds to fly; default: the experiment's.")] = None,
+    scatter: Annotated[
+        float, typer.Option(min=0.0, help="Starts are moved by up to this much per seed, m and rad.", callback=finite)
+    ] = 0.1,
+    duration: Annotated[float | None, typer.Option(help="Seconds to fly; default: the experiment's.", callback=finite)] = None,
     jobs: Jobs = None,
     out: Annotated[Path | None, typer.Option(help="Folder for the results; default: runs/compare-EXPERIMENT-TIME.")] = None,
     _: Annotated[

@@ -19,6 +19,7 @@ from wire.process.cli_options import (
     Settings,
     StationAddress,
     Verbose,
+    finite,
 )
 from wire.process.runtime import Stop, log, start_log
 
@@ -28,7 +29,10 @@ Poses = Annotated[
 Pace = Annotated[
     float | None,
     typer.Option(
-        min=0.01, metavar="TIMES", help="No faster than this many times real time. Default: 1; with --lockstep no limit."
+        min=0.01,
+        metavar="TIMES",
+        help="No faster than this many times real time. Default: 1; with --lockstep no limit.",
+        callback=finite,
     ),
 ]
 BoardFolder = Annotated[
@@ -64,7 +68,9 @@ def pool(
     lockstep: LockstepMode = False,
     pace: Annotated[
         float | None,
-        typer.Option(min=0.01, metavar="TIMES", help="With --lockstep: no faster than this many times real time."),
+        typer.Option(
+            min=0.01, metavar="TIMES", help="With --lockstep: no faster than this many times real time.", callback=finite
+        ),
     ] = None,
     poses: Poses = False,
     frame_ring: FrameRingOption = None,

@@ -11,7 +11,7 @@ from sim_bridge.cli.pool import Pace, Poses
 from wire import programs
 from wire.config.experiment import NO_CAMERA, Experiment, load_experiment
 from wire.kernel_build import ensure_compiled
-from wire.process.cli_options import ExperimentName, FaultLines, KeyRing, Settings, caution, experiments
+from wire.process.cli_options import ExperimentName, FaultLines, KeyRing, Settings, caution, experiments, finite
 from wire.process.output import background
 from wire.process.output_files import new_run_folder
 from wire.process.runtime import Stop
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from sim_bridge.sil.commands import RunOptions
 
 Seed = Annotated[int | None, typer.Option(help="Seed of everything random; default: the experiment's.")]
-Duration = Annotated[float | None, typer.Option(help="Seconds to fly; default: the experiment's.")]
+Duration = Annotated[float | None, typer.Option(help="Seconds to fly; default: the experiment's.", callback=finite)]
 OutFolder = Annotated[Path, typer.Option(help="Folder for the run's own folder.")]
 
 
@@ -66,7 +66,9 @@ def sil(
     source: Annotated[
         Path | None, typer.Option("--from", metavar="RUN", help="Go on from a moment of this run, instead of an EXPERIMENT.")
     ] = None,
-    at: Annotated[float, typer.Option(min=0.0, help="With --from: the moment, in seconds along the trajectories.")] = 0.0,
+    at: Annotated[
+        float, typer.Option(min=0.0, help="With --from: the moment, in seconds along the trajectories.", callback=finite)
+    ] = 0.0,
 ) -> None:
     """Fly an experiment with all its processes on this machine, the pool simulated; write log and report.
 

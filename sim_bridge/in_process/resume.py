@@ -7,6 +7,7 @@ their own estimates were.
 """
 
 import subprocess
+import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -147,10 +148,12 @@ def prepared(experiment: Experiment, source: Path, at_s: float) -> tuple[AgentFl
 
 def _read_history(experiment: Experiment, source: Path, at_s: float, robot: int) -> RobotHistory:
     words = ["moment", str(source), "--at", str(at_s), "--robot", str(robot)]
-    with programs.start("groundstation", words, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as telling:
-        assert telling.stdout is not None and telling.stderr is not None
-        lines = list(read_pipe(telling.stdout))
-        said = telling.stderr.read().decode(errors="replace").strip()
+    with tempfile.TemporaryFile() as complaints:  # not a pipe: nobody reads it meanwhile
+        with programs.start("groundstation", words, stdout=subprocess.PIPE, stderr=complaints) as telling:
+            assert telling.stdout is not None
+            lines = list(read_pipe(telling.stdout))
+        complaints.seek(0)
+        said = complaints.read().decode(errors="replace").strip()
     if telling.returncode != 0:
         raise ConfigError(said or f"groundstation moment ended with exit code {telling.returncode}")
     return replay_history(experiment, robot, lines)

@@ -77,7 +77,7 @@ def open_socket(address: str, signed: bool) -> BoardSocket:
     try:
         if kind == "pty" and rest:
             return PseudoTerminal(Path(rest))
-        if kind == "udp" and host and port.isdigit() and int(port) < 65536:
+        if kind == "udp" and host and port.isdecimal() and int(port) < 65536:
             if not (signed or is_local(host)):
                 raise ConfigError(f"--port {address!r}: off this machine the board needs a key (--boards, robot-N.key in it)")
             return UdpPort(host, int(port))

@@ -110,9 +110,17 @@ class HilBoard:
                 load = self._load.of(self.pulses)
                 self._link.send(self._board.battery(self.sensors.battery_v(supply_v, load)))
                 if self._signing is not None:
-                    self._signing.stamps.renew(self._board.stamp)
+                    self._renew(self._signing)
         self._last_step_ns = now_ns
         return data
+
+    def _renew(self, signing: Signing) -> None:
+        """Keep the times of signatures. A full disk is no reason to stop, as on a robot: only a restart would come too early
+        for the board."""
+        try:
+            signing.stamps.renew(self._board.stamp)
+        except OSError as error:
+            log.warning("robot %d: the times of signatures cannot be kept: %s", self._robot_id, error)
 
     def _check(self, now_ns: int) -> None:
         board = self._board

@@ -1,6 +1,7 @@
 """SHELL: nonvolatile memory of simulated boards: a folder with robot-N.json, and robot-N.key for a signed link."""
 
 import json
+import math
 from collections.abc import Callable
 from pathlib import Path
 
@@ -37,6 +38,8 @@ def _read(memory: Path) -> NonvolatileState:
     try:
         found = json.loads(read_regular(memory, MOST_BYTES))
         parameters = {str(name): float(value) for name, value in found["parameters"].items()}
+        if not all(map(math.isfinite, parameters.values())):
+            raise ValueError("a parameter is no finite number")
         return NonvolatileState(parameters, int(found["heard"]), int(found["sent"]))
     except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
         raise ConfigError(f"{memory}: not what a board keeps: {error} (delete it for a board as new)") from None
@@ -45,6 +48,6 @@ def _read(memory: Path) -> NonvolatileState:
 def _write(memory: Path, key: Path, stored: NonvolatileState) -> None:
     told = {"parameters": dict(stored.parameters), "heard": stored.heard, "sent": stored.sent}
     with os_errors_as_config_errors(memory):
-        replace_text(memory, json.dumps(told, indent=1) + "\n", durable=False)
+        replace_text(memory, json.dumps(told, indent=1, allow_nan=False) + "\n", durable=False)
         if stored.key is not None and not (key.exists() and load_key(key).secret == stored.key.secret):
             write_key(key, stored.key)

@@ -32,7 +32,10 @@ READY_WITHIN_S = 180.0
 REST_WITHIN_S = 12.0  # of a STOP: a robot that does not hear it comes to rest by itself, and this machine may be busy
 ENDS_WITHIN_S = 60.0
 THERE_M = 0.35  # from where a robot was sent, in water that moves
-MOVED_M = 0.05  # between the last truth of the log and the last that was heard here
+# The log ends with the station's cycles, and the pool goes on: robots that were just disarmed coast and drift. So the result's
+# place is one of those where the robot was about the station's last heartbeat, to within its way between two truths.
+LOG_ENDS_WITHIN_S = 1.0
+BETWEEN_M = 0.02  # at 0.4 m/s and 20 Hz
 TERMINAL, AT_REST = {"DONE", "CANCELLED", "FAILED"}, {"WAITING", "DONE", "CANCELLED", "FAILED"}
 POLICIES = ("go-on", "hold", "close-up", "abort")
 ROOM = (
@@ -182,9 +185,12 @@ def judge_result(lab: CrowdedLab, exit_code: int | None) -> list[str]:
         wrong.append(f"the log: {result['log_trouble']}")
     for robot in lab.robots:
         end, board = result["robots"][str(robot)]["end"], lab.boards[robot].changes[-1]
-        away_m = float(np.linalg.norm(np.array(end["place_m"]) - lab.places[robot][-1][1]))
-        if away_m > MOVED_M:
-            wrong.append(f"robot {robot} is {away_m:.2f} m from where its result says")
+        away_m = [
+            (float(np.linalg.norm(at - end["place_m"])), (ns - lab.beats[-1]) * 1e-9) for ns, at in list(lab.places[robot])
+        ]
+        nearest_m = min((m for m, s in away_m if abs(s) <= LOG_ENDS_WITHIN_S), default=float("inf"))
+        if nearest_m > BETWEEN_M:
+            wrong.append(f"robot {robot} was {nearest_m:.2f} m from where its result says, when the station ended")
         if end["armed"] is not None and end["armed"] is not board[2]:
             wrong.append(f"robot {robot}: its board is {'armed' if board[2] else 'disarmed'}, its result says {end}")
         if end["armed"] is None and lab.process(f"agent-{robot}").exit_code is None:

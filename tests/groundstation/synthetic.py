@@ -13,7 +13,18 @@ from wire.config.experiment import Experiment, dump_experiment, load_experiment
 from wire.frames import Array, wrap
 from wire.messages import topics
 from wire.messages.codec import Header, encode
-from wire.messages.messages import Event, LocalizerStatus, Message, Mode, Pose, RobotState, Solve, Track, Truth
+from wire.messages.messages import (
+    Event,
+    LocalizerStatus,
+    Message,
+    Mode,
+    Pose,
+    RobotState,
+    Solve,
+    StationHeartbeat,
+    Track,
+    Truth,
+)
 from wire.messages.topics import Topic
 
 PERIOD_S = 0.05
@@ -50,6 +61,8 @@ class Script:
     clock: Callable[[float], float] = lambda since_s: since_s  # where the robots are on their trajectories
     mode: Callable[[int, float], tuple[Mode, str]] = lambda robot, time_s: (Mode.TRACKING, "")
     missed: Callable[[int, float], int] = lambda robot, time_s: 0
+    still: tuple[tuple[int, float, float], ...] = ()  # processes that did nothing for a while: robot (0: the station), times
+    lost: tuple[tuple[int, float, float], ...] = ()  # messages that never came, likewise
     lines: tuple[tuple[float, str], ...] = ()  # the station's, with their times
     metadata: dict[str, str] = field(default_factory=lambda: {"mode": "lockstep", "version": "0.1.0", "zenoh": "1.10.0"})
 
@@ -62,10 +75,12 @@ class _Log:
         self._recorder, self._prefix = recorder, prefix
         self._sequences: dict[str, int] = {}
 
-    def put(self, topic: Topic, message: Message, time_s: float, robot: int | None = None) -> None:
+    def put(self, topic: Topic, message: Message, time_s: float, robot: int | None = None, lost: bool = False) -> None:
         key = self._prefix + topic.key(robot)
         self._sequences[key] = self._sequences.get(key, 0) + 1
         stamp_ns = round(time_s * SECOND)
+        if lost:
+            return
         header = Header(1, self._sequences[key], stamp_ns)
         self._recorder.put(topic, key, header, encode(message, stamp_ns), stamp_ns + 2_000_000)
 
@@ -124,7 +139,15 @@ def _step(script: Script, log: _Log, trajectories: dict[int, Any], k: int, since
         log.put(
             topics.POSE, Pose(seen[0], seen[1], wrap(seen[3]), 1e-6 * np.eye(3), Track.MARKER, True, 0.9, 0.3), at_s, robot
         )
-        log.put(topics.STATE, _state(script, robot, k, since_s, true, trajectories[robot]), at_s, robot)
+        if not _within(script.still, robot, since_s):
+            state = _state(script, robot, k, since_s, true, trajectories[robot])
+            log.put(topics.STATE, state, at_s, robot, lost=_within(script.lost, robot, since_s))
+    if (script.still or script.lost) and not _within(script.still, 0, since_s):
+        log.put(topics.HEARTBEAT, StationHeartbeat(mission="RUNNING"), at_s, lost=_within(script.lost, 0, since_s))
+
+
+def _within(times: tuple[tuple[int, float, float], ...], process: int, at_s: float) -> bool:
+    return any(which == process and begin_s < at_s < end_s for which, begin_s, end_s in times)
 
 
 def _state(script: Script, robot: int, k: int, since_s: float, true: Array, trajectory: Any) -> RobotState:

@@ -11,16 +11,17 @@ from playwright.sync_api import Browser, Page, expect
 from tests.page.elements import button, map_of
 from tests.page.lone_station import lone_station
 from wire.config.experiment import load_experiment
+from wire.config.scene import Waypoints
 
 pytestmark = [pytest.mark.timeout(600), pytest.mark.real_time]  # what waits for a browser waits for a loaded machine
 
 
 @contextmanager
-def editor(browser: Browser) -> Iterator[Page]:
+def editor(browser: Browser, *settings: str) -> Iterator[Page]:
     """The editor open on a path of waypoints: the planner needs no robots for that."""
     curve = load_experiment(
         "figure-eight",
-        ["path.points_m=[[-0.8,0.0],[0.0,0.3],[0.8,0.0]]", "path.laps=1", "path.start_index=0", "duration_s=15"],
+        ["path.points_m=[[-0.8,0.0],[0.0,0.3],[0.8,0.0]]", "path.laps=1", "path.start_index=0", "duration_s=15", *settings],
     )
     with lone_station(browser, curve) as desk:
         desk.page.goto(desk.url)
@@ -41,6 +42,11 @@ def test_a_route_is_edited_too_and_what_cannot_be_typed_is_answered(browser: Bro
         expect(button(page, "Add waypoints")).to_be_visible()
         page.get_by_label("duration").fill("0")
         expect(page.locator(".verdict")).to_contain_text("duration_s")
+        page.get_by_label("speed").fill("")
+        page.get_by_label("speed").press_sequentially("0.105", delay=50)  # key by key: "0." and "0.10" are numbers too
+        expect(page.get_by_label("speed")).to_have_value("0.105")
+        button(page, "Reset").click()
+        expect(page.get_by_label("speed")).to_have_value("0.15")
         page.get_by_label("speed").fill("1000000")
         page.get_by_label("duration").fill("100")
         expect(page.locator(".verdict")).to_contain_text("cannot be flown")
@@ -58,6 +64,23 @@ def test_a_waypoint_is_dragged_and_judged(browser: Browser) -> None:
         page.mouse.move(middle[0], middle[1], steps=5)  # straight: nothing in the way
         page.mouse.up()
         expect(verdict).to_contain_text("can be flown")
+
+
+def test_a_waypoint_more_moves_the_begin_of_no_run(browser: Browser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The robots' places are drawn around the waypoint at which the run begins; the file begins there too."""
+    monkeypatch.chdir(tmp_path)
+    with editor(browser, "path.start_index=1", "duration_s=5") as page:
+        middle, scale = map_of(page, 3.5, 2.5)
+        button(page, "Add waypoints").click()
+        page.mouse.click(middle[0] - 0.5 * scale, middle[1] + 0.15 * scale)
+        expect(button(page, "Remove waypoint 2")).to_be_enabled()
+        expect(page.locator(".verdict")).to_contain_text("can be flown")
+        page.get_by_label("Name of the new experiment").fill("mine")
+        button(page, "Save").click()
+        expect(page.get_by_text("saved: experiments/mine.toml")).to_be_visible()
+    path = load_experiment(str(tmp_path / "experiments" / "mine.toml")).path
+    assert isinstance(path, Waypoints) and len(path.points_m) == 4
+    assert path.points_m[path.start_index] == (0.0, 0.3)
 
 
 def test_a_preview_plays_in_time(browser: Browser) -> None:

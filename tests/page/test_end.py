@@ -8,12 +8,23 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
-from playwright.sync_api import Browser, Locator, Page, expect
+from playwright.sync_api import Browser, Locator, Page, WebSocketRoute, expect
 
+from groundstation.logs.recorder import Recorder
+from groundstation.web.replay_backend import ReplayBackend
+from groundstation.web.server import WebServer
 from sim_bridge.sil.ports import free_port
 from tests.page.elements import button, in_mode
 from tests.page.flights import PATIENCE_MS, OperatorFlight, PageTraffic, open_page, serious
+from tests.waiting import eventually
+from wire.config.experiment import dump_experiment, load_experiment
+from wire.messages import topics
+from wire.messages.codec import Header, encode
+from wire.messages.messages import Event, Preview, RobotState
+from wire.web_access import WebOptions
 
 pytestmark = [pytest.mark.timeout(600), pytest.mark.real_time]  # what waits for a browser waits for a loaded machine
 
@@ -130,3 +141,69 @@ def test_a_run_that_nobody_watches_ends_by_itself(tmp_path: Path) -> None:
     assert flight.process is not None
     assert flight.process.wait(PATIENCE_MS * 1e-3) == 0
     assert "the page shows" not in flight.told
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    """A log of 20 s whose pictures end after 2 s; seven hundred lines in seven seconds."""
+    (tmp_path / "experiment.toml").write_text(dump_experiment(load_experiment("pool")))
+    recorder = Recorder(tmp_path / "run.mcap", "", {})
+    jpeg = cv2.imencode(".jpg", np.full((480, 640, 3), 200, np.uint8))[1].tobytes()
+    for k in range(2000):
+        at_ns = k * 10_000_000
+        if k % 10 == 0:
+            recorder.put(topics.STATE, "shoal/robot/1/state", Header(1, k + 1, at_ns), encode(RobotState()), at_ns)
+        if k % 20 == 0 and k <= 200:
+            recorder.put(topics.PREVIEW, "shoal/camera/preview", Header(2, k + 1, at_ns), encode(Preview(jpeg)), at_ns)
+        if k < 700:
+            recorder.put(
+                topics.EVENT, "shoal/event", Header(3, k + 1, at_ns), encode(Event(2, "agent-1", f"line {k}.")), at_ns
+            )
+    recorder.close()
+    return tmp_path
+
+
+def test_a_recorded_run_shows_the_lines_and_the_picture_of_its_time(browser: Browser, run: Path) -> None:
+    port = free_port()
+    with ReplayBackend(run) as source, WebServer(source, WebOptions(port=port)):
+        page = browser.new_page()
+        source.seek(1.02, 0.0)
+        page.goto(f"http://127.0.0.1:{port}/")
+        age, lines = page.locator(".picture-age"), page.locator(".log li")
+        expect(age).to_have_text("picture 0.0 s")
+        expect(lines.first).to_contain_text("line 102.")
+        for time_s in (2.9, 15.0):  # still in sight of the log's reader; and long gone
+            source.seek(time_s, 0.0)
+            expect(age).to_have_text(f"picture {time_s - 2.0:.1f} s old")
+        source.seek(1.82, 0.0)
+        expect(age).to_have_text("picture 0.0 s")
+        page.context.close()
+
+
+def test_what_was_chosen_is_shown_and_what_was_not_heard_is_asked_for_again(browser: Browser, run: Path) -> None:
+    port, lines = free_port(), list[WebSocketRoute]()
+
+    def between(line: WebSocketRoute) -> None:
+        """The first connection loses the choice."""
+        lines.append(line)
+        station, first = line.connect_to_server(), len(lines) == 1
+        line.on_message(lambda said: None if first and '"after"' in str(said) else station.send(said))
+
+    page, fly = browser.new_page(), "Fly again"
+    page.route_web_socket("**/live", between)
+    with ReplayBackend(run, offers=("again", "close")) as source:
+        with WebServer(source, WebOptions(port=port)):
+            page.goto(f"http://127.0.0.1:{port}/")
+            other = browser.new_page()
+            other.goto(f"http://127.0.0.1:{port}/")
+            button(page, fly).click()
+            expect(button(page, fly)).to_be_disabled()  # it waits for an answer
+            lines[0].close()
+            expect(button(page, fly)).to_be_enabled()
+            assert source.choice is None
+            button(page, fly).click()
+            assert eventually(lambda: source.choice is not None, PATIENCE_MS * 1e-3)
+        for found in (page, other):
+            expect(found.locator("header .mission-state")).to_have_text("the next run is being started")
+            expect(button(found, "Close")).to_be_disabled()
+            found.context.close()

@@ -3,6 +3,7 @@
 import json
 import re
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -206,6 +207,38 @@ def test_any_field_is_plotted_and_a_layout_is_an_address(browser: Browser) -> No
         desk.robots.publish(topics.STATE, RobotState(board_loss=0.25), time.time_ns(), 1)
         expect(tile(page, 1)).to_contain_text("25 %")
         expect(tile(page, 1)).not_to_contain_text("thrust")  # it learns nothing
+
+
+def test_a_curve_ends_where_its_robot_or_the_localizer_falls_silent(browser: Browser) -> None:
+    """And goes on with the others: a line that goes on would look like a robot that tracks."""
+    off, here = np.array([0.1, 0.0, 0.0, 0.0]), np.zeros(4)
+    with lone_station(browser, load_experiment("pool")) as desk:
+        page = desk.page
+        page.goto(f"{desk.url}?plots=tracking,formation,disturbance,latency&robot=1")
+        expect(tile(page, 1)).to_be_visible()
+
+        def say(robot: int) -> None:
+            told = RobotState(mode=Mode.TRACKING, eta=off, eta_reference=here, disturbance=off, exposure_to_pwm_ms=40.0)
+            desk.robots.publish(topics.STATE, told, time.time_ns(), robot)
+
+        def read(plot: int, curve: str) -> str:
+            row = page.locator(".plot").nth(plot).locator(".u-series").filter(has_text=curve)
+            return row.locator(".u-value").inner_text()
+
+        def told(*robots: int, until: Callable[[], bool]) -> None:
+            deadline = time.monotonic() + PATIENCE_MS * 1e-3
+            while not until():
+                assert time.monotonic() < deadline
+                for robot in robots:
+                    say(robot)
+                if 1 in robots:
+                    desk.robots.publish(topics.LOCALIZER, LocalizerStatus(CameraHealth.OK, frame_age_ms=30.0), time.time_ns())
+                page.wait_for_timeout(100)
+
+        values = (0, "robot 1"), (1, "1-2"), (2, "surge"), (3, "→ pose")
+        told(1, 2, until=lambda: [read(*value) for value in values] == ["100", "0.00", "100", "30"])
+        told(2, until=lambda: [read(*value) for value in values] == ["-"] * 4)
+        assert read(0, "robot 2") == "100"
 
 
 def test_on_a_phone_the_map_is_second_and_everything_is_large_enough(browser: Browser, tmp_path: Path) -> None:

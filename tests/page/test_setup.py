@@ -158,7 +158,8 @@ def test_a_camera_is_set_up_from_the_first_look_to_the_saved_file(
     for name, place in POINTS.items():
         page.get_by_label("Name").fill(name)
         for axis, value in zip("xyz", place, strict=True):
-            page.get_by_label(f"{axis}, m", exact=True).fill(f"{value}")
+            page.get_by_label(f"{axis}, m", exact=True).fill("")
+            page.get_by_label(f"{axis}, m", exact=True).press_sequentially(f"{value}")  # as a person types
         x, y = _at(page, project(TRUTH, np.array([place]))[0])
         page.mouse.move(x - 30, y)
         page.mouse.click(x + 1.0, y - 1.0)
@@ -210,6 +211,27 @@ def test_a_camera_is_set_up_from_the_first_look_to_the_saved_file(
     assert len(found.masks_px) == 1
     assert asked.errors == []
     assert {url.split("/")[2] for url in asked.urls} == {address.split("/")[2]}, "the page works without any other host"
+    page.context.close()
+
+
+def test_the_difference_to_be_saved_is_what_all_pages_have_made_of_it(
+    browser: Browser, program: tuple[psutil.Popen, str], asked: PageTraffic
+) -> None:
+    """Another page moves a corner of a mask while this one looks at the difference."""
+    address, key = program[1].split("#key=")
+    page = _open(browser, program[1], asked)
+
+    def mask(*corner: float) -> None:
+        told = {"do": "mask", "id": 1, "corners_px": [list(corner), [20.0, 10.0], [10.0, 20.0]]}
+        assert page.request.post(f"{address}do", data=told, headers={"x-key": key}).json()["problem"] == ""
+
+    mask(11.5, 12.5)
+    _step(page, "Save")
+    difference = page.locator(".difference")
+    expect(difference).to_contain_text("11.5")
+    mask(33.5, 12.5)
+    expect(difference).to_contain_text("33.5")
+    expect(difference).not_to_contain_text("11.5")
     page.context.close()
 
 

@@ -89,6 +89,8 @@ def test_programs_that_start_together_compile_once_and_the_next_one_nothing(inst
     assert _run(installation) == (RIGHT, "")
     # the next program is told at once, without the compiler
     assert _run(installation, ENSURE)[0] == "0 True False"
+    _run(installation, "from wire import kernel_cache; kernel_cache.clear()")
+    assert _files(installation) == [], "as before the package is removed"
 
 
 def test_changed_constant_of_another_module_is_noticed(installation: Path) -> None:

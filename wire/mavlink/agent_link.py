@@ -8,7 +8,7 @@ docs/board.md; how frames are found in the stream, in wire/mavlink/framing.py.
 import math
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from operator import attrgetter
 from typing import Any
 
@@ -227,6 +227,11 @@ class AgentLink:
         """Ask for the board's time."""
         self._asked_ns = now_ns
         return self._sender.pack(dialect.MAVLink_timesync_message(0, now_ns))
+
+    def set_zero(self, depth_m: float) -> None:
+        """Take the board's depth zero to be at this depth, whatever was seen of its restarts."""
+        self._power_on.depth_m = depth_m
+        self.telemetry = replace(self.telemetry, power_on_depth_m=depth_m)
 
     def receive(self, data: bytes, now_ns: int) -> None:
         """Take in bytes that arrived at `now_ns`. Never raises, whatever they are."""

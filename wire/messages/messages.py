@@ -268,6 +268,7 @@ class StationHeartbeat:
     lag_s: float = 0.0  # Delay of the virtual structure behind its timetable at the header's stamp.
     slowing: float = 0.0  # Rate at which lag_s grows, s/s: 0 at full speed, 1 at standstill.
     planned: tuple[int, ...] = ()  # Robots that published a plan in their last step, as far as the station received it.
+    code: str = ""  # Version and commit of the station's program; empty in messages of earlier versions.
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,9 +1,10 @@
 """SHELL: command line options that all four programs share, so that they read the same everywhere, and how a shell completes
 them."""
 
+import math
 import re
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -37,6 +38,15 @@ def live_fleet(fleet: str | None) -> str | None:
         return fleet if fleet is None else fleet_name(fleet)
     except ValueError as error:
         raise typer.BadParameter(str(error)) from None
+
+
+def finite(value: Any) -> Any:
+    """Refuse a number, or one of several, that is none: with NaN every limit holds. The callback of each option for a
+    number."""
+    for number in value if isinstance(value, list | tuple) else (value,):
+        if number is not None and not math.isfinite(number):
+            raise typer.BadParameter(f"{number:g} (allowed: finite numbers)")
+    return value
 
 
 def experiments(begun: str) -> list[str]:

@@ -10,6 +10,7 @@ station. It tells on its standard output of whom it refused, a line each.
 """
 
 import contextlib
+import errno
 import os
 import resource
 import selectors
@@ -39,6 +40,8 @@ STALLED_S = 10.0  # s for which bytes wait for a peer that reads none: the route
 MOST_PIECES = 64  # that a ClientHello comes in; each costs a look at all that has come
 ACCEPTS = 32  # in one go, between which bytes are passed on
 FILES_APART = 64  # file descriptors for everything but connections
+NO_FILES = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)  # nothing to accept a connection with
+REST_S = 0.1
 MOST_LINKS = 2048  # 49 robots take some 150
 
 READ, WRITE = selectors.EVENT_READ, selectors.EVENT_WRITE
@@ -140,7 +143,12 @@ class Guard:
         self._look_s = float("inf")  # when the admission is to be asked again
         self._ending = False
         listener.setblocking(False)
-        self._selector.register(listener, READ, lambda events: self._accept(listener))
+        self._listener = listener
+        self._listen_again()
+
+    def _listen_again(self) -> None:
+        self._listens_s = float("inf")  # when a listener that rests is listened to again
+        self._selector.register(self._listener, READ, lambda events: self._accept(self._listener))
 
     def watch(self, descriptor: int) -> None:
         """Expel the links whose ports come here, a line each; end when it ends."""
@@ -167,9 +175,12 @@ class Guard:
     def run(self) -> None:
         """Carry bytes until the watched process ends."""
         while not self._ending:
-            wait_s = None if self._look_s == float("inf") else max(self._look_s - time.monotonic(), 0.0)
+            next_s = min(self._look_s, self._listens_s)
+            wait_s = None if next_s == float("inf") else max(next_s - time.monotonic(), 0.0)
             for key, events in self._selector.select(wait_s):
                 key.data(events)
+            if time.monotonic() >= self._listens_s:
+                self._listen_again()
             if self._look_s != float("inf") and time.monotonic() >= self._look_s:
                 self._look()
 
@@ -205,7 +216,10 @@ class Guard:
         for _ in range(ACCEPTS):
             try:
                 peer, where = listener.accept()
-            except OSError:  # none left, or gone already
+            except OSError as error:  # none left, or gone already
+                if error.errno in NO_FILES:  # a connection waits all the same, and would wake this loop without end
+                    self._selector.unregister(listener)
+                    self._listens_s = time.monotonic() + REST_S
                 return
             peer.setblocking(False)
             self._number += 1

@@ -14,8 +14,9 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from socketserver import StreamRequestHandler, ThreadingUnixStreamServer
-from typing import NoReturn
+from typing import Any, NoReturn
 
+from wire.security.guard import NO_FILES, REST_S
 from wire.transport.transport import Await
 
 LocalAnswer = Callable[[str, bytes, bytes], bytes | None]  # arguments: key, payload, header; None: nobody answers to this key
@@ -35,6 +36,15 @@ class _Server(ThreadingUnixStreamServer):
     def __init__(self, path: Path, answer: LocalAnswer) -> None:
         self.answer = answer
         super().__init__(os.fspath(path), _Handler)
+
+    def get_request(self) -> tuple[Any, Any]:
+        """Accept a terminal. Where there is nothing to accept it with, it waits, and so does the loop that would spin."""
+        try:
+            return super().get_request()
+        except OSError as error:
+            if error.errno in NO_FILES:
+                time.sleep(REST_S)
+            raise
 
 
 class _Handler(StreamRequestHandler):

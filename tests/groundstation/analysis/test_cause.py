@@ -73,6 +73,34 @@ def test_a_fault_that_lasts_is_the_cause_also_if_a_person_stops_the_fleet_then(t
     assert result.cause.place.startswith("at x ")
 
 
+@pytest.mark.parametrize("still", [True, False], ids=["stood still", "messages lost"])
+@pytest.mark.parametrize(
+    ("processes", "fault", "sources"),
+    [
+        ((0,), "station silent", "groundstation"),
+        ((0, 1, 2), "thruster board silent", "robot 1, robot 2, groundstation"),
+    ],
+)
+def test_a_process_that_stood_still_is_the_cause_of_what_others_and_it_itself_noticed(
+    tmp_path: Path, processes: tuple[int, ...], fault: str, sources: str, still: bool
+) -> None:
+    """A computer that slept for 3 s: its messages go on with the next number. Of lost ones the numbers are missing."""
+
+    def mode(robot: int, at_s: float) -> tuple[Mode, str]:
+        noticed_s = 2.5 if processes == (0,) else 5.0
+        return (Mode.FAULT, fault) if robot == 1 and at_s >= noticed_s else (Mode.TRACKING, "")
+
+    times = tuple((process, 2.0, 5.0) for process in processes)
+    script = Script(duration_s=FLOWN_S, mode=mode, still=times if still else (), lost=() if still else times)
+    cause = judged(tmp_path, script).cause
+    assert cause is not None
+    if still:
+        assert (cause.noticed_by, cause.text) == (sources, f"process stood still for 3.0 s (robot 1: fault: {fault})")
+        assert cause.time_s == pytest.approx(2.0, abs=0.06)
+    else:
+        assert (cause.noticed_by, cause.text) == ("robot 1", f"fault: {fault}")
+
+
 def test_faults_after_a_stop_are_not_its_cause(tmp_path: Path) -> None:
     script = holds(5.5)
     script.lines, script.until_s = ((5.0, "STOP asked for"),), 6.0

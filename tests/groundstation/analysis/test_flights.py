@@ -140,10 +140,18 @@ def test_a_fleet_that_is_sent_home_has_not_flown_the_run(flown: tuple[Experiment
     assert result_of(experiment, beats(log, 2.0, MissionState.RUNNING.name)).passed
 
 
-def test_the_way_home_is_no_flight_to_judge(flown: tuple[Experiment, RunLog, Path]) -> None:
-    """Flown, and then, from where everybody lay, home."""
+@pytest.mark.parametrize("begin_s", [0.0, PERIOD_S])
+def test_the_way_home_is_no_flight_to_judge(flown: tuple[Experiment, RunLog, Path], begin_s: float) -> None:
+    """Flown, and then, from where everybody lay, home, along a path that begins at 0, or a control period later."""
     experiment, log, _ = flown
-    both = beats(with_aborted_flight(log, 4.0), 0.1, HOMEWARD)
+    entries = dict(log.entries)
+    for (name, robot), found in log.entries.items():
+        if name == topics.STATE.name:
+            stands = [e.message.trajectory_s <= begin_s for e in found]
+            entries[name, robot] = [
+                later(e, 0.0, mode=Mode.ARMED, trajectory_s=begin_s) if s else e for e, s in zip(found, stands, strict=True)
+            ]
+    both = beats(with_aborted_flight(dataclasses.replace(log, entries=entries), 4.0), 0.1, HOMEWARD)
     found = align(experiment, both)
     assert [flight.home for flight in found.flights] == [False, True]
     assert found.flight == 1

@@ -2,6 +2,7 @@
 
 import json
 import os
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ from typer.testing import CliRunner
 from groundstation.__main__ import cli
 from groundstation.analysis.series import TimelineEvent
 from groundstation.analysis.timeline import tags
+from groundstation.logs.run_folders import NO_RESULT, change_label, label_of, list_runs
 from wire.toml_loader import ConfigError
 
 RESULT = {"scene": "pool", "mode": "lockstep", "duration_s": 40.0, "passed": True, "commit": "a" * 40}
@@ -58,7 +60,7 @@ def test_runs_come_in_the_order_of_their_beginning_with_size_and_verdict(runs: P
 def test_a_result_with_other_types_is_listed_as_far_as_it_can_be_read(tmp_path: Path) -> None:
     a_run(tmp_path, "odd", json.dumps({"scene": 3, "duration_s": "long", "tags": "lamp", "passed": 1}), 1)
     (found,) = listed(tmp_path)
-    assert (found["experiment"], found["duration_s"], found["tags"], found["verdict"]) == ("3", 0.0, [], "passed")
+    assert (found["experiment"], found["duration_s"], found["tags"], found["verdict"]) == ("3", 0.0, [], "no result")
 
 
 def test_every_word_narrows_the_list(runs: Path) -> None:
@@ -87,6 +89,26 @@ def test_a_run_is_found_by_its_name_and_tags_until_it_is_deleted(runs: Path) -> 
     for words in (["delete", str(runs / "notes"), "--yes"], ["label", str(runs), "--tag", "x"]):
         assert isinstance(CliRunner().invoke(cli, ["log", *words]).exception, ConfigError)
     assert (runs / "notes").is_dir()
+
+
+def test_a_run_that_is_named_twice_is_deleted_once(runs: Path) -> None:
+    twice = [str(runs / "second"), str(runs / "first" / ".." / "second")]
+    assert CliRunner().invoke(cli, ["log", "delete", *twice, "--yes"]).exit_code == 0
+    assert not (runs / "second").exists() and (runs / "first").exists()
+
+
+def test_tags_that_are_given_at_once_are_all_kept(runs: Path) -> None:
+    words = [f"word-{k}" for k in range(24)]
+    with ThreadPoolExecutor(8) as people:
+        list(people.map(lambda word: change_label(runs / "second", None, [word], ()), words))
+    assert set(label_of(runs / "second")[1]) == set(words)
+
+
+@pytest.mark.parametrize("passed", ['"no"', "0", "[]", "1e3"])
+def test_a_verdict_that_is_neither_true_nor_false_is_none(runs: Path, passed: str) -> None:
+    (runs / "second" / "result.json").write_text(f'{{"passed": {passed}}}')
+    (found,) = [run for run in list_runs(runs) if Path(run.run).name == "second"]
+    assert found.verdict == NO_RESULT
 
 
 def test_hash_words_of_remarks_are_tags() -> None:

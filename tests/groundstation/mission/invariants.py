@@ -1,7 +1,7 @@
 """Invariants of the station and its robots, whatever people ask for, looked at in every cycle of a simulated fleet.
 
 Each violation is an AssertionError that begins with the name of the invariant. What a robot did is read from the robot itself,
-never from the station's view of it.
+and what people asked for from the people, never from the station's view of either.
 """
 
 from collections import deque
@@ -10,9 +10,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from groundstation.formation_clock import ALONE
 from groundstation.mission.gain_update import GainStage
 from groundstation.mission.objections import MOVING
 from groundstation.mission.request_progress import KEPT
+from groundstation.mission.single_robot import CONFIRMS
 from groundstation.mission.state_machine import (
     COMMITTED,
     IN_FLIGHT,
@@ -35,8 +37,12 @@ OVER_WITHIN_S = 20.0  # of a request that waits for robots in reach; longer than
 TRAVEL_WITHIN_S = 400.0  # of a request that is done when robots have arrived somewhere
 PAUSE_WITHIN_S = 15.0  # in which RESUME becomes possible, when every robot is fit
 JUMP_S = 2.0  # of progress from one cycle to the next: a robot that drops out may have been the slowest
-NEAR_M = 0.15  # of the place that a robot was sent to
+NEAR_M = 0.15  # of its start
 AT_REST = TERMINAL | {MissionState.WAITING, MissionState.STOPPED}
+ARMS = frozenset({Order.ARM, Order.START, Order.TEST, Order.RETURN, Order.REJOIN})  # requests for which robots are armed
+RESTS = frozenset({Order.STOP, Order.CLEAR_STOP, Order.DISARM})  # after these none is armed, until another request
+ON_ITS_WAY_S = 1.5  # a command to a robot that has been restarted since it was sent
+BEHIND_S = 1.0  # of the progress, after the slowest robot
 TRAVELS = frozenset({Order.GO, Order.RETURN, Order.REJOIN, Order.START})
 WAITS_FOR_FLIGHT = frozenset({Order.TUNE})
 
@@ -45,8 +51,12 @@ WAITS_FOR_FLIGHT = frozenset({Order.TUNE})
 class _Followed:
     """A request under way: since when in cycles, and for how long it has waited for robots in reach alone."""
 
+    order: Order
     place_m: tuple[float, float] | None
     only: int
+    since_ns: int
+    flown: dict[int, str]  # by robot: the trajectory that it had
+    alone: bool = True  # nobody has asked for anything since
     waited_s: float = 0.0
 
 
@@ -59,10 +69,18 @@ class Invariants:
     unled_s: dict[int, float] = field(default_factory=dict)
     unnamed_s: dict[int, float] = field(default_factory=dict)
     unstopped_s: dict[int, float] = field(default_factory=dict)
+    unrested_s: dict[int, float] = field(default_factory=dict)
+    driven_ns: dict[int, int] = field(default_factory=dict)  # by robot: the last velocity that a person gave
+    arms_ns: dict[int, int] = field(default_factory=dict)  # by robot: the last request for which it may be armed
+    rests: set[int] = field(default_factory=set)  # robots that a STOP or DISARM is the last request of
+    unarmed_ns: dict[int, int] = field(default_factory=dict)  # by robot: when it was last seen without power
     modes: dict[int, deque[Mode | None]] = field(default_factory=dict)
+    ids: dict[int, deque[str]] = field(default_factory=dict)  # of the trajectories that robots had
+    state: MissionState = MissionState.WAITING
     followed: dict[int, _Followed] = field(default_factory=dict)
     over: dict[int, Progress] = field(default_factory=dict)
     progress_s: float = 0.0
+    apart_s: float = 0.0
     flown_s: float = 0.0  # the farthest that any robot has truly come along the roster's trajectory
     lap_s: float = 0.0
     paused_s: float = 0.0
@@ -71,11 +89,22 @@ class Invariants:
 
     def __post_init__(self) -> None:
         self.modes = {r: deque(maxlen=RECENT) for r in self.pool.robots}
+        self.ids = {r: deque(maxlen=RECENT) for r in self.pool.robots}
         self.pool.on_cycle = self.check
 
-    def begin(self, number: int, only: int = 0, place_m: tuple[float, float] | None = None) -> None:
+    def begin(self, number: int, order: Order, only: int = 0, place_m: tuple[float, float] | None = None) -> None:
         """Follow a request that was taken."""
-        self.followed.setdefault(number, _Followed(place_m, only))
+        for other in self.followed.values():
+            other.alone = other.alone and bool(only and other.only and only != other.only)
+        flown = {robot.id: robot.clock.id for robot in self.pool.robots.values()}
+        self.followed.setdefault(number, _Followed(order, place_m, only, self.pool.now_ns, flown))
+        ends_a_run = self.pool.mission.state is MissionState.ENDING
+        if order is Order.TUNE or (order is Order.END and not ends_a_run):
+            return
+        concerned = {only} if only else set(self.pool.robots)
+        self.rests = self.rests | concerned if order in RESTS or ends_a_run else self.rests - concerned
+        if order in ARMS:
+            self.arms_ns |= dict.fromkeys(concerned, self.pool.now_ns)
 
     def begin_run(self) -> None:
         """Count progress and laps anew: a request began a run."""
@@ -84,14 +113,19 @@ class Invariants:
     def check(self) -> None:
         """All invariants, once a cycle."""
         self.violated = True  # until all have been looked at
+        self._follow_people()
         for robot in self.pool.robots.values():
             self.modes[robot.id].append(robot.mode if robot.alive else None)
+            self.ids[robot.id].append(robot.clock.id)
             if not self.pool.reach(robot.id):
                 self.reach_since_ns[robot.id] = self.pool.now_ns
             else:
                 self.reach_since_ns.setdefault(robot.id, self.pool.now_ns)
         self.every_moving_robot_is_led()
+        self.every_leader_has_a_request()
         self.every_armed_robot_is_somebodys()
+        self.robots_are_armed_by_request_alone()
+        self.robots_rest_when_told()
         self.a_stop_reaches_every_robot()
         self.progress_is_the_formations()
         self.laps_are_the_formations()
@@ -99,6 +133,30 @@ class Invariants:
         self.requests_end()
         self.every_state_has_a_way_out()
         self.violated = False
+
+    def _follow_people(self) -> None:
+        """Take in what people ask for without a request: they drive, and an automatic mission starts when all are fit."""
+        pool, now_ns = self.pool, self.pool.now_ns
+        for robot in pool.driving:
+            self.driven_ns[robot] = now_ns
+            self.rests.discard(robot)
+            for followed in self.followed.values():
+                followed.alone = followed.alone and (followed.order is Order.DRIVE or followed.only not in (0, robot))
+        if pool.automatic and self.state is MissionState.WAITING and pool.mission.state is MissionState.LOADING:
+            self.arms_ns = dict.fromkeys(pool.robots, now_ns)
+        self.state = pool.mission.state
+        for outcome in pool.core.requests.recent:
+            if outcome.request in self.followed:
+                continue
+            asked = outcome.order in (Order.DRIVE, Order.HOLD)  # HOLD: the station leaves
+            assert asked, f"ENDS: nobody asked for {outcome.order.name}"
+            only = [*outcome.waiting, *outcome.confirmed][0] if outcome.order is Order.DRIVE else 0
+            self.followed[outcome.request] = _Followed(outcome.order, None, only, now_ns, {})
+
+    def _asked_of(self, robot: int) -> set[Order]:
+        """Requests of one robot alone that are under way, for all that people know."""
+        under_way = [o.request for o in self.pool.core.requests.recent if o.progress is Progress.UNDER_WAY]
+        return {self.followed[number].order for number in under_way if self.followed[number].only == robot}
 
     def in_reach_s(self, robot: int) -> float:
         """Time for which station and robot have heard one another."""
@@ -108,16 +166,25 @@ class Invariants:
 
     def every_moving_robot_is_led(self) -> None:
         """No robot in reach moves for long without a mission or a person that leads it."""
-        mission, single = self.pool.mission, self.pool.single
+        mission = self.pool.mission
         for robot in self.pool.robots.values():
-            flown = mission.state in COMMITTED | JOINING and robot.id in mission.roster.active
+            if robot.mode is Mode.DRIVEN:
+                led = self.driven_ns.get(robot.id) == self.pool.now_ns
+            elif robot.clock.id.startswith(ALONE):
+                led = Order.GO in self._asked_of(robot.id)
+            else:
+                led = mission.state in COMMITTED | JOINING and robot.id in mission.roster.active
             moves = robot.alive and robot.mode in MOVING and self.pool.reach(robot.id)
-            led = flown or robot.id in single.led
             self.unled_s[robot.id] = self.unled_s.get(robot.id, 0.0) + STEP_NS * 1e-9 if moves and not led else 0.0
             assert self.unled_s[robot.id] <= LED_WITHIN_S, (
                 f"LED: robot {robot.id} is {robot.mode.name} for {LED_WITHIN_S:g} s, the mission {mission.state.name}"
                 f" ({mission.reason}), led by nobody"
             )
+
+    def every_leader_has_a_request(self) -> None:
+        """A robot is a person's while a request for it alone is under way, and no longer."""
+        asked = {robot for robot in self.pool.robots if self._asked_of(robot)}
+        assert self.pool.single.led == asked, f"LED: people lead {set(self.pool.single.led)}, and asked for {asked}"
 
     def every_armed_robot_is_somebodys(self) -> None:
         """An armed robot in reach is the mission's or a person's, or a request is possible that disarms it."""
@@ -130,6 +197,28 @@ class Invariants:
             self.unnamed_s[robot.id] = self.unnamed_s.get(robot.id, 0.0) + STEP_NS * 1e-9 if missed else 0.0
             assert self.unnamed_s[robot.id] <= NAMED_WITHIN_S, (
                 f"LED: robot {robot.id} is {robot.mode.name}, the mission {mission.state.name}, and DISARM: {refused}"
+            )
+
+    def robots_are_armed_by_request_alone(self) -> None:
+        """A robot that lost its power is armed again only when somebody has asked for that since."""
+        for robot in self.pool.robots.values():
+            if not armed(robot):
+                self.unarmed_ns.setdefault(robot.id, self.pool.now_ns)
+                continue
+            since_ns = self.unarmed_ns.pop(robot.id, None)
+            asked_ns = self.arms_ns.get(robot.id, 0)
+            late_s = (since_ns - asked_ns) * 1e-9 if since_ns is not None else 0.0
+            assert late_s <= ON_ITS_WAY_S, (
+                f"ARMS: robot {robot.id} is {robot.mode.name}; it was disarmed {late_s:.2f} s after anybody asked for that"
+            )
+
+    def robots_rest_when_told(self) -> None:
+        """After STOP and DISARM no robot in reach is armed, until somebody asks for something else."""
+        for robot in self.pool.robots.values():
+            missed = robot.id in self.rests and armed(robot) and self.pool.reach(robot.id)
+            self.unrested_s[robot.id] = self.unrested_s.get(robot.id, 0.0) + STEP_NS * 1e-9 if missed else 0.0
+            assert self.unrested_s[robot.id] <= STOPPED_WITHIN_S, (
+                f"RESTS: robot {robot.id} is {robot.mode.name}, the mission {self.pool.mission.state.name}"
             )
 
     def a_stop_reaches_every_robot(self) -> None:
@@ -155,6 +244,15 @@ class Invariants:
                 f"PROGRESS: {plans.progress_s:.2f} s, and no robot has come farther than {self.flown_s:.2f} s"
             )
         self.progress_s = plans.progress_s
+        active = [self.pool.robots[r] for r in mission.roster.active]
+        whole = all(r.mode is Mode.TRACKING and self.flies(r, mission.segment) and self.in_reach_s(r.id) > 1.0 for r in active)
+        if active and whole and mission.state in IN_FLIGHT:
+            slowest_s = min(r.clock.reached_s for r in active)
+            apart = abs(plans.progress_s - slowest_s) > BEHIND_S
+            self.apart_s = self.apart_s + STEP_NS * 1e-9 if apart else 0.0
+            assert self.apart_s <= BEHIND_S, f"PROGRESS: {plans.progress_s:.2f} s, and the slowest is at {slowest_s:.2f} s"
+        else:
+            self.apart_s = 0.0
 
     def flies(self, robot: SimulatedRobot, segment: PlanSegment) -> bool:
         """True if a robot has loaded its trajectory of the mission's plan."""
@@ -174,14 +272,12 @@ class Invariants:
         """A request that is done was done by the robots, and what was left in motion is not called held."""
         known = self.pool.core.requests.recent
         kept = {outcome.request for outcome in known}
-        flood = max(kept, default=0) - max(self.over, default=0) >= KEPT  # so many in one cycle push others out
-        for number, progress in self.over.items():
-            forgotten = number not in kept and progress is Progress.UNDER_WAY and not flood
-            assert not forgotten, f"ENDS: request {number} is forgotten under way"
-        if flood:
-            self.over = {number: progress for number, progress in self.over.items() if number in kept}
+        forgotten = [n for n, progress in self.over.items() if progress is Progress.UNDER_WAY and n not in kept]
+        ended = [o for o in known if o.progress is not self.over.get(o.request, Progress.UNDER_WAY)]
+        # a script that makes so many requests in one cycle pushes out those that it has replaced
+        assert not forgotten or len(ended) >= KEPT, f"ENDS: requests {forgotten} are forgotten, and their ends were never told"
+        self.over = {n: progress for n, progress in self.over.items() if n in kept}
         for outcome in known:
-            self.followed.setdefault(outcome.request, _Followed(None, 0))
             before = self.over.get(outcome.request, Progress.UNDER_WAY)
             self.over[outcome.request] = outcome.progress
             if before is Progress.UNDER_WAY and outcome.progress is Progress.DONE:
@@ -189,48 +285,70 @@ class Invariants:
                 assert not untrue, f"OUTCOME: request {outcome.request}, {outcome.order.name}, is DONE, but {untrue}"
             if before is Progress.UNDER_WAY and outcome.progress is Progress.FAILED:
                 assert outcome.reason, f"OUTCOME: request {outcome.request}, {outcome.order.name}, failed without a reason"
-                wrongly = outcome.order is Order.STOP and self._stopped_for_long()
-                assert not wrongly, f"OUTCOME: STOP failed ({outcome.reason}), but all have stopped"
+                wrongly = self._wrongly_failed(outcome)
+                assert not wrongly, f"OUTCOME: {outcome.order.name} failed ({outcome.reason}), but {wrongly}"
 
-    def _stopped_for_long(self) -> bool:
-        """True if every robot has been stopped and heard for as long as is remembered."""
-        robots = self.pool.robots.values()
-        return all(self._always(r, Mode.STOPPED) and self.in_reach_s(r.id) > RECENT * STEP_NS * 1e-9 for r in robots)
+    def _wrongly_failed(self, outcome: Outcome) -> str:
+        """Evidence that a request was done though it is told that it failed; empty if there is none."""
+        followed, robots = self.followed[outcome.request], list(self.pool.robots.values())
+        if outcome.order is Order.STOP:
+            return "all have stopped" if all(self._stays(r, Mode.STOPPED) for r in robots) else ""
+        modes = CONFIRMS.get(Order.HOLD if outcome.order is Order.DRIVE else outcome.order)
+        if not followed.only or not followed.alone or modes is None:
+            return ""
+        robot = self.pool.robots[followed.only]
+        return f"robot {robot.id} is {robot.mode.name}" if any(self._stays(robot, mode) for mode in modes) else ""
 
     def _untrue(self, outcome: Outcome) -> str:
-        followed = self.followed.get(outcome.request)
-        if followed is None:
-            return ""
+        """What a request that is told to be done has not done; empty if it has."""
+        followed = self.followed[outcome.request]
         robots = [self.pool.robots[followed.only]] if followed.only else list(self.pool.robots.values())
         heard = [r for r in robots if self.in_reach_s(r.id) > 1.0]
-        order, active = outcome.order, self.pool.mission.roster.active
+        order, active = outcome.order, [r for r in heard if r.id in self.pool.mission.roster.active]
         if order is Order.HOLD:
-            return self._never(Mode.HOLDING, [r for r in heard if armed(r)])
+            return self._never([r for r in heard if armed(r)], Mode.HOLDING)
+        if order is Order.DRIVE:
+            return self._never(heard, Mode.HOLDING)
+        if order is Order.ARM:
+            return self._never(heard if followed.only else active, Mode.ARMED, Mode.HOLDING)
+        if order is Order.LOAD:
+            return "; ".join(f"robot {r.id} has no plan" for r in active if not self._had_plan(r))
         if order is Order.STOP:
-            return self._never(Mode.STOPPED, heard)
+            return self._never(heard, Mode.STOPPED)
         if order is Order.DISARM or order is Order.END:
             return "; ".join(f"robot {r.id} is {r.mode.name}" for r in heard if armed(r) and not self._was_rest(r))
         if order is Order.CLEAR_STOP:
-            return "; ".join(f"robot {r.id} is STOPPED" for r in heard if self._always(r, Mode.STOPPED))
+            return "; ".join(f"robot {r.id} is STOPPED" for r in heard if self._stays(r, Mode.STOPPED))
         if order is Order.GO and followed.place_m is not None and followed.only:
             away_m = float(np.hypot(*(robots[0].eta[:2] - followed.place_m)))
-            return "" if away_m <= NEAR_M else f"robot {robots[0].id} is {away_m:.2f} m from where it was sent"
+            there = away_m <= self.pool.experiment.safety.off_path_m
+            return "" if there else f"robot {robots[0].id} is {away_m:.2f} m from where it was sent"
+        if order is Order.TEST:
+            return "; ".join(f"robot {r.id} has passed none" for r in active if r.passed_ns <= followed.since_ns)
         if order in (Order.START, Order.RESUME):
-            return self._never(Mode.TRACKING, [r for r in heard if r.id in active])
+            return self._never(active, Mode.TRACKING)
+        if order in (Order.GO, Order.REJOIN):
+            same = [r for r in active if all(flown == followed.flown[r.id] for flown in self.ids[r.id])]
+            return self._never(active, Mode.TRACKING) or "; ".join(f"robot {r.id} has its old path" for r in same)
         if order is Order.RETURN:
             starts = self.pool.starts
-            away = [r for r in heard if np.hypot(*(r.eta[:2] - starts[r.id][:2])) > NEAR_M]
-            return "; ".join(f"robot {r.id} is not at its start" for r in away)
+            away = [r for r in heard if np.hypot(*(r.eta[:2] - starts[r.id][:2])) > NEAR_M or not self._was_rest(r)]
+            return "; ".join(f"robot {r.id} is not at its start, or is {r.mode.name}" for r in away)
         if order is Order.TUNE:
-            ids = {r.tuning_id for r in heard if r.id in active}
+            ids = {r.tuning_id for r in active}
             return f"gains differ: {sorted(ids)}" if len(ids) > 1 else ""
-        return ""
+        raise AssertionError(f"{order.name}: no truth is known of it")
 
-    def _never(self, mode: Mode, robots: Sequence[SimulatedRobot]) -> str:
-        return "; ".join(f"robot {r.id} is {r.mode.name}" for r in robots if mode not in self.modes[r.id])
+    def _never(self, robots: Sequence[SimulatedRobot], *modes: Mode) -> str:
+        return "; ".join(f"robot {r.id} is {r.mode.name}" for r in robots if not any(m in modes for m in self.modes[r.id]))
 
-    def _always(self, robot: SimulatedRobot, mode: Mode) -> bool:
-        return all(m is mode for m in self.modes[robot.id])
+    def _stays(self, robot: SimulatedRobot, mode: Mode) -> bool:
+        """True if a robot has been in reach and in a mode for as long as is remembered."""
+        return all(m is mode for m in self.modes[robot.id]) and self.in_reach_s(robot.id) > RECENT * STEP_NS * 1e-9
+
+    def _had_plan(self, robot: SimulatedRobot) -> bool:
+        trajectory = self.pool.mission.roster.trajectory(self.pool.mission.segment, robot.id)
+        return trajectory is not None and trajectory.id in self.ids[robot.id]
 
     def _was_rest(self, robot: SimulatedRobot) -> bool:
         return any(m in (Mode.DISARMED, Mode.STOPPED, Mode.FAULT) for m in self.modes[robot.id])
@@ -238,9 +356,9 @@ class Invariants:
     def requests_end(self) -> None:
         """No request is under way for long, but for robots that nobody can reach."""
         for outcome in self.pool.core.requests.recent:
-            followed = self.followed.get(outcome.request)
-            if followed is None or outcome.progress is not Progress.UNDER_WAY:
+            if outcome.progress is not Progress.UNDER_WAY:
                 continue
+            followed = self.followed[outcome.request]
             lost = any(self.in_reach_s(robot) < OVER_WITHIN_S for robot in outcome.waiting)
             if outcome.order is Order.TUNE:
                 # a change for the next lap waits while the formation holds; a robot that nobody hears must end it

@@ -55,7 +55,7 @@ class ObedientRobot:
             if self.mode is Mode.TRACKING:
                 self.loaded_next = command.trajectory.id
             else:
-                self.loaded = command.trajectory.id
+                self.loaded, self.trajectory_s = command.trajectory.id, command.trajectory.begin_s
         if command.order is Order.SWITCH and self.loaded_next == command.trajectory_id:
             self.loaded = command.trajectory_id
         self.mode = leads.get(command.order, self.mode)

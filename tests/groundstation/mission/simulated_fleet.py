@@ -76,6 +76,7 @@ class SimulatedRobot:
     def __init__(self, experiment: Experiment, robot: int, eta: Array) -> None:
         self.id, self.eta, self.radio = robot, np.array(eta), Radio()
         self.alive, self.board_works, self.unseen_until_ns, self.speed_mps = True, True, 0, SPEED_MPS
+        self.passed_ns = 0  # when it last passed a thruster test
         self._experiment, self._start_tuning = experiment, tuning(experiment.controller).id
         self.restart(0)
 
@@ -163,6 +164,7 @@ class SimulatedRobot:
         self._move()
         if self.test == "running" and now_ns >= self._test_until_ns:
             self.test = "passed" if self.mode is Mode.ARMED else ""
+            self.passed_ns = now_ns if self.test else self.passed_ns
         adoption = self._adoption
         if adoption is not None and now_ns >= adoption.at_ns and self.clock.reached_s >= adoption.trajectory_s:
             self.tuning_id, self._ready, self._adoption = adoption.id, "", None
@@ -220,6 +222,15 @@ class _OnTheWay:
     replied_ns: int = 0
 
 
+@dataclass(frozen=True)
+class Drive:
+    """A person who drives a robot; without `lets_go` the velocities just end, as those of a page that is gone."""
+
+    velocity: DriveVelocity
+    until_ns: int
+    lets_go: bool
+
+
 @dataclass
 class SimulatedFleet:
     """Station and robots, stepped together."""
@@ -232,7 +243,7 @@ class SimulatedFleet:
     on_cycle: Callable[[], None] = lambda: None
     on_beat: Callable[[StationHeartbeat], None] = lambda beat: None
     on_state: Callable[[int, RobotState, bool], None] = lambda robot, state, arrives: None
-    driving: dict[int, tuple[DriveVelocity, int]] = field(default_factory=dict)  # by robot: velocity, until when [ns]
+    driving: dict[int, Drive] = field(default_factory=dict)  # by robot: what a person gives it now
 
     def __post_init__(self) -> None:
         experiment, segment = self.experiment, first_segment(self.experiment)
@@ -272,9 +283,11 @@ class SimulatedFleet:
                     self._states[robot.id].append((now_ns + robot.radio.delay_ns, now_ns, state))
                 self.on_state(robot.id, state, arrives)
         self.fleet, answers = self._views(), self._answers()
-        for robot_id, (velocity, until_ns) in list(self.driving.items()):
-            self.core.drive(robot_id, velocity if now_ns < until_ns else DriveVelocity(), self.fleet, now_ns)
-            if now_ns >= until_ns:
+        for robot_id, drive in list(self.driving.items()):
+            if now_ns < drive.until_ns or drive.lets_go:
+                velocity = drive.velocity if now_ns < drive.until_ns else DriveVelocity()
+                self.core.drive(robot_id, velocity, self.fleet, now_ns)
+            if now_ns >= drive.until_ns:
                 del self.driving[robot_id]
         self._plan()
         commands = self.core.step(self.fleet, answers, now_ns, self.obstacles)

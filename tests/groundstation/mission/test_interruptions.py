@@ -7,19 +7,27 @@ tests/faults/test_interruptions.py does the same to real processes.
 import copy
 import secrets
 import time
+from collections import Counter
 from typing import ClassVar
 
 import numpy as np
 import pytest
 from hypothesis import seed, settings
 from hypothesis import strategies as st
-from hypothesis.stateful import RuleBasedStateMachine, initialize, rule, run_state_machine_as_test
+from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule, run_state_machine_as_test
 
 from groundstation.mission.obstacle_monitor import ObstacleSet
-from groundstation.mission.state_machine import FLEET_REQUESTS, TERMINAL, MissionState, order_named, rejection_reason
+from groundstation.mission.state_machine import (
+    FLEET_REQUESTS,
+    IN_FLIGHT,
+    TERMINAL,
+    MissionState,
+    order_named,
+    rejection_reason,
+)
 from tests.groundstation.mission.invariants import STOPPED_WITHIN_S, Invariants
 from tests.groundstation.mission.judged_run import RunRecord
-from tests.groundstation.mission.simulated_fleet import SPEED_MPS, SimulatedFleet, armed
+from tests.groundstation.mission.simulated_fleet import SPEED_MPS, Drive, SimulatedFleet, armed
 from wire.config.experiment import NO_CAMERA, Experiment, load_experiment
 from wire.messages.messages import DriveVelocity, Mode, Order
 
@@ -56,6 +64,7 @@ class Interruptions(RuleBasedStateMachine):
     """Requests and mishaps, with time between them."""
 
     arrivals: ClassVar[dict[MissionState, int]] = {}  # of all examples
+    figures: ClassVar[Counter[str]] = Counter()  # the same: how much was tried
 
     pool: SimulatedFleet
     watched: Invariants
@@ -79,10 +88,16 @@ class Interruptions(RuleBasedStateMachine):
         self.leaves = leaves  # the station itself ends the run, by Ctrl-C
         self.ids = list(self.pool.robots)
         self.pool.robots[1].speed_mps = speed_mps
+        self.figures["examples"] += 1
         self.pool.run(1.0)
         if begins is not Order.NONE and not automatic:
             self.ask("script", begins, 0)
             self.pool.run(6.0)
+
+    @invariant()
+    def count(self) -> None:
+        """Count a request, a mishap or a wait."""
+        self.figures["steps"] += 1
 
     def ask(self, who: str, order: Order, robot: int, place_m: tuple[float, float] | None = None) -> str:
         """A request of `who`. Returns the reason of a refusal."""
@@ -92,7 +107,7 @@ class Interruptions(RuleBasedStateMachine):
         assert bool(number) is not bool(refused), f"ANSWER: {order.name} of {who}: number {number}, {refused!r}"
         assert not refused or order is not Order.STOP, f"STOP: refused in {before.name}: {refused}"
         if number:
-            self.watched.begin(number, robot, place_m)
+            self.watched.begin(number, order, robot, place_m)
         if number and before in TERMINAL | {MissionState.WAITING}:
             self.watched.begin_run()
         return refused
@@ -155,22 +170,56 @@ class Interruptions(RuleBasedStateMachine):
     @rule(who=st.sampled_from(PEOPLE), place_m=st.sampled_from(PLACES_M), k=st.integers(0, 2))
     def send_one(self, who: str, place_m: tuple[float, float], k: int) -> None:
         """Send a robot to a place; one that is disarmed is armed first."""
+        self.ask(who, Order.GO, self.arm_one(who, k), place_m)
+
+    @rule(who=st.sampled_from(PEOPLE), place_m=st.sampled_from(PLACES_M), k=st.integers(0, 2))
+    def send_one_unseen(self, who: str, place_m: tuple[float, float], k: int) -> None:
+        """Send a robot that the camera loses on its way: it holds there by itself."""
+        self.send_one(who, place_m, k)
+        self.pool.run(4.0)
+        self.hide(k, 0.1)
+        self.pool.run(1.0)
+
+    def arm_one(self, who: str, k: int) -> int:
+        """Arm a robot that is disarmed. Returns its id."""
         robot = self.ids[k % len(self.ids)]
         if self.pool.robots[robot].mode is Mode.DISARMED and not self.ask(who, Order.ARM, robot):
             self.pool.run(0.5)
-        self.ask(who, Order.GO, robot, place_m)
+        return robot
 
-    @rule(surge_mps=st.sampled_from((0.1, -0.1)), seconds=st.sampled_from((0.2, 1.0, 3.0)), k=st.integers(0, 2))
-    def drive(self, surge_mps: float, seconds: float, k: int) -> None:
+    @rule(
+        who=st.sampled_from(PEOPLE),
+        surge_mps=st.sampled_from((0.1, -0.1)),
+        seconds=st.sampled_from((0.2, 1.0, 3.0)),
+        k=st.integers(0, 2),
+        lets_go=st.booleans(),
+    )
+    def drive(self, who: str, surge_mps: float, seconds: float, k: int, lets_go: bool) -> None:
+        """Drive a robot; then let go, or be gone. One that is disarmed is armed first."""
+        robot = self.arm_one(who, k)
         until_ns = self.pool.now_ns + round(seconds * 1e9)
-        self.pool.driving[self.ids[k % len(self.ids)]] = DriveVelocity(surge_mps=surge_mps), until_ns
+        self.pool.driving[robot] = Drive(DriveVelocity(surge_mps=surge_mps), until_ns, lets_go)
 
     @rule(value=st.sampled_from((15.0, 25.0, None)), next_lap=st.booleans())
     def change_gains(self, value: float | None, next_lap: bool) -> None:
         pool, values = self.pool, None if value is None else {KEY: value}
         _, number = pool.core.request_gains(values, next_lap, pool.fleet, pool.now_ns)
         if number:
-            self.watched.begin(number)
+            self.watched.begin(number, Order.TUNE)
+
+    @rule(who=st.sampled_from(PEOPLE))
+    def fly(self, who: str) -> None:
+        """Mend all robots, and fly, where the fleet does not."""
+        if self.pool.mission.state in IN_FLIGHT:
+            return
+        self.mend()
+        self.pool.run(1.0)
+        if self.pool.mission.state is MissionState.STOPPED and not self.ask(who, Order.CLEAR_STOP, 0):
+            self.pool.run(1.0)
+        for order in (Order.RESUME, Order.START, Order.RETURN):
+            if not self.ask(who, order, 0):
+                self.pool.run(5.0)
+                break
 
     # --- mishaps
 
@@ -179,6 +228,15 @@ class Interruptions(RuleBasedStateMachine):
         radio, until_ns = self.pool.robots[self.ids[k % len(self.ids)]].radio, self.pool.now_ns + round(seconds * 1e9)
         radio.deaf_until_ns = until_ns if way != "mute" else radio.deaf_until_ns
         radio.mute_until_ns = until_ns if way != "deaf" else radio.mute_until_ns
+
+    @rule(who=st.sampled_from(PEOPLE), seconds=st.sampled_from((1.0, 2.5)), k=st.integers(0, 2))
+    def stop_beside(self, who: str, seconds: float, k: int) -> None:
+        """STOP, and clear the stop, while a robot is out of radio: it comes back as it was."""
+        self.lose_radio(seconds, k, "both")
+        self.pool.run(0.5 * seconds)
+        self.ask(who, Order.STOP, 0)
+        self.pool.run(0.3 * seconds)
+        self.ask(who, Order.CLEAR_STOP, 0)
 
     @rule(delay_s=st.sampled_from((0.02, 0.1, 0.3)), k=st.integers(0, 2))
     def be_late(self, delay_s: float, k: int) -> None:
@@ -222,22 +280,33 @@ class Interruptions(RuleBasedStateMachine):
         self.pool.run(seconds)
 
     def teardown(self) -> None:
+        if hasattr(self, "pool"):
+            try:
+                self.end_well()
+            finally:
+                self.figures["seconds"] += round(self.pool.now_ns * 1e-9)
+
+    def end_well(self) -> None:
         """All robots are well again: people bring the fleet to rest, and it can start anew."""
-        if not hasattr(self, "pool") or self.watched.violated:
+        if self.watched.violated:
             return
         self.pool.driving.clear()
-        self.pool.obstacles = ObstacleSet()
-        for robot in self.pool.robots.values():
-            if not robot.alive:
-                robot.restart(self.pool.now_ns)
-            robot.radio.deaf_until_ns = robot.radio.mute_until_ns = 0
-            robot.radio.delay_ns, robot.board_works, robot.speed_mps = 20_000_000, True, SPEED_MPS
+        self.mend()
         self.pool.run(2.0)
         self.record.judge()
         if self.leaves and self.pool.mission.state is not MissionState.STOPPED:
             self.leave()
         else:
             self.recover()
+
+    def mend(self) -> None:
+        """Let every robot be well and in reach, and the pool free."""
+        self.pool.obstacles = ObstacleSet()
+        for robot in self.pool.robots.values():
+            if not robot.alive:
+                robot.restart(self.pool.now_ns)
+            robot.radio.deaf_until_ns = robot.radio.mute_until_ns = 0
+            robot.radio.delay_ns, robot.board_works, robot.speed_mps = 20_000_000, True, SPEED_MPS
 
     def leave(self) -> None:
         """A station that ends leaves no robot armed."""
@@ -288,6 +357,7 @@ def test_any_order_of_requests_and_mishaps() -> None:
 @pytest.mark.slow
 def test_any_order_of_requests_and_mishaps_for_ten_minutes() -> None:
     """New examples in every run. The seed of a failure is printed: `seed(...)(Interruptions)` finds it again."""
+    Interruptions.figures.clear()
     end_s = time.monotonic() + 600.0
     while time.monotonic() < end_s:
         number = secrets.randbits(32)
@@ -296,3 +366,6 @@ def test_any_order_of_requests_and_mishaps_for_ten_minutes() -> None:
             seed(number)(Interruptions),
             settings=settings(max_examples=25, stateful_step_count=50, deadline=None, derandomize=False, database=None),
         )
+    figures = Interruptions.figures
+    hours = figures["seconds"] / 3600.0
+    print(f"{figures['examples']} examples, {figures['steps']} steps, {hours:.1f} hours of simulated time")

@@ -139,6 +139,24 @@ def test_a_hold_by_an_operator_lasts_until_an_operator_resumes() -> None:
     assert run.at(MissionState.DONE)
 
 
+def test_a_start_that_is_held_begins_at_the_beginning_after_an_earlier_flight_of_the_same_path() -> None:
+    """Robots still have the trajectory, and their clocks stand where the earlier flight ended."""
+    run = running(automatic=False)
+    while run.robots[1].trajectory_s < 1.0:
+        run.step()
+    assert run.mission.request(Order.DISARM, run.fleet(), run.now_ns) == ""
+    run.step(1.0)
+    assert run.mission.request(Order.START, run.fleet(), run.now_ns) == ""
+    while not run.at(MissionState.STARTING):
+        run.step()
+    assert run.mission.request(Order.HOLD, run.fleet(), run.now_ns) == ""
+    run.step(1.0)
+    assert run.at(MissionState.PAUSED) and run.mission.plans.progress_s == 0.0
+    assert run.mission.request(Order.RESUME, run.fleet(), run.now_ns) == ""
+    run.step(0.5)
+    assert [robot.got[-1].trajectory_s for robot in run.robots.values()] == [0.0, 0.0]
+
+
 def test_a_mission_that_never_gets_ready_fails_with_its_reason_where_nobody_attends() -> None:
     run = MissionRun(give_up_s=5.0)
     run.robots[2].battery_v = 10.0
@@ -945,7 +963,9 @@ def test_clear_stop_waits_for_robots_that_the_stop_has_not_reached() -> None:
     assert run.at(MissionState.WAITING) and {r.mode for r in run.robots.values()} == {Mode.DISARMED}
 
 
-def test_a_robot_that_is_heard_again_and_flies_while_a_stop_is_cleared_is_disarmed() -> None:
+@pytest.mark.parametrize("age_s", [0.02, 0.6])
+def test_a_robot_that_is_heard_again_and_flies_while_a_stop_is_cleared_is_disarmed(age_s: float) -> None:
+    """Also one whose states come late: they were sent since."""
     run = running(automatic=False)
     run.robots[2].silent = True
     assert run.mission.request(Order.STOP, run.fleet(), run.now_ns) == ""
@@ -953,8 +973,9 @@ def test_a_robot_that_is_heard_again_and_flies_while_a_stop_is_cleared_is_disarm
     assert run.mission.request(Order.CLEAR_STOP, run.fleet(), run.now_ns) == ""
     run.step(0.2)
     assert run.at(MissionState.CLEARING)
-    run.robots[2].silent = False
-    run.step(0.5)
+    run.robots[2].silent, run.robots[2].age_s = False, age_s
+    run.robots[2].refuses = frozenset({Order.CLEAR_STOP})  # as a robot that is not stopped does
+    run.step(0.5 + 2.0 * age_s)
     assert run.at(MissionState.FAILED) and run.mission.reason == "robot 2 has not stopped: it is TRACKING"
     assert {r.mode for r in run.robots.values()} == {Mode.DISARMED}
 

@@ -1,5 +1,6 @@
 """Requests for one robot, beside a mission of obedient robots."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -26,6 +27,7 @@ class LedRun(MissionRun):
         self.for_one: list[CommandResult] = []
         self.plan_takes_s, self.planning_s = 0.0, 0.0
         self.nu: dict[int, tuple[float, float, float, float]] = {}  # of robots that do not rest
+        self.stuck: set[int] = set()  # robots that something keeps from following their trajectories
 
     def fleet(self) -> dict[int, RobotView]:
         seen = super().fleet()
@@ -38,6 +40,11 @@ class LedRun(MissionRun):
     def step(self, seconds: float = 0.05) -> None:
         for _ in range(round(seconds / 0.05)):
             super().step()
+            for robot, (trajectory, _) in self.single.trips.items():
+                if self.in_mode(robot, Mode.TRACKING) and robot not in self.stuck:
+                    k = round((self.robots[robot].trajectory_s - trajectory.begin_s) / trajectory.period_s)
+                    x_m, y_m, depth_m, yaw_rad = trajectory.eta[min(max(k, 0), len(trajectory.eta) - 1)].tolist()
+                    self.robots[robot].eta = (x_m, y_m, depth_m, yaw_rad)
             self.planning_s += 0.05 if self.single.plan_request is not None else -self.planning_s
             if self.single.plan_request is not None and self.planning_s > self.plan_takes_s:
                 self.planning_s = 0.0
@@ -78,6 +85,16 @@ def test_one_robot_is_armed_held_driven_and_disarmed_while_the_mission_waits() -
     assert run.in_mode(2, Mode.DISARMED)
     assert run.got(1) == []
     assert run.at(MissionState.WAITING)
+
+
+def test_a_state_that_comes_late_confirms_a_request_that_was_made_before_it_was_sent() -> None:
+    run = LedRun()
+    assert run.ask(Order.ARM) == ""
+    run.robots[2].age_s = 0.4  # too old to count as heard
+    run.step(0.3)
+    assert run.single.tasks[2].progress is Progress.UNDER_WAY
+    run.step(0.3)
+    assert run.single.tasks[2].progress is Progress.DONE
 
 
 def test_a_velocity_that_is_not_repeated_ends_in_a_hold() -> None:
@@ -169,6 +186,25 @@ def test_a_robot_sent_to_a_place_holds_plans_flies_and_holds_there() -> None:
     assert run.in_mode(2, Mode.HOLDING)
     assert run.single.tasks[2].progress is Progress.DONE
     assert run.got(1) == []
+
+
+def test_a_robot_that_lags_may_come_up_and_one_that_something_keeps_away_has_not_arrived() -> None:
+    """A robot that yields to another has no fault, and its clock goes on."""
+    run = LedRun()
+    run.ask(Order.ARM)
+    run.step(0.2)
+    assert run.ask(Order.GO, place_m=(0.5, 0.8)) == ""
+    run.step(1.0)
+    run.stuck, run.nu[2] = {2}, (0.05, 0.0, 0.0, 0.0)
+    _, end_s = run.single.trips[2]
+    run.robots[2].trajectory_s = end_s - 4.0
+    run.step(3.5)
+    assert run.in_mode(2, Mode.TRACKING)
+    run.step(1.0)
+    assert run.in_mode(2, Mode.HOLDING)
+    assert run.single.tasks[2].progress is Progress.FAILED
+    away_m = math.dist(run.robots[2].eta[:2], (0.5, 0.8))
+    assert run.single.tasks[2].reason == f"robot 2 holds {away_m:.2f} m from there"
 
 
 def test_two_robots_that_are_sent_away_wait_for_plans_longer_than_for_an_answer() -> None:

@@ -18,7 +18,7 @@ from robot_agent.guidance.trajectory_check import unflyable
 from wire.config.experiment import Experiment, load_experiment
 from wire.frames import Array
 from wire.messages.codec import decode, encode
-from wire.messages.messages import RobotState, Trajectory
+from wire.messages.messages import Command, Order, RobotState, Trajectory
 
 PERIOD_S = 0.05
 BLOCKED = load_experiment("blocked-path")
@@ -234,6 +234,29 @@ def test_flown_and_planned_trajectories_join_into_one() -> None:
     assert (whole.begin_s, whole.id) == (0.0, new.id)
     np.testing.assert_array_equal(whole.eta[:seam], segment.trajectories[1].eta[:seam])
     np.testing.assert_array_equal(whole.eta[seam:], new.eta)
+
+
+@pytest.mark.parametrize(("progress_s", "fits"), [(2.0, False), (120.0, True)])
+def test_a_plan_from_rest_in_the_longest_run_is_a_message_or_refused(progress_s: float, fits: bool) -> None:
+    """Its transfers come on top of what is left of the run."""
+    rows = planner.MOST_SAMPLES
+    places = {r: trajectory.eta[0] for r, trajectory in first_segment(BLOCKED).trajectories.items()}
+    still = {
+        r: Trajectory(f"still {r}", PERIOD_S, np.tile(at, (rows, 1)), np.zeros((rows, 4)), np.zeros((rows, 4)))
+        for r, at in places.items()
+    }
+    longest = PlanSegment(still, still[1], (rows - 1) * PERIOD_S - planner.horizon(BLOCKED) * PERIOD_S)
+    rests = {r: at + np.array([0.3, 0.0, 0.0, 0.0]) for r, at in places.items()}
+    try:
+        segment = plan_regroup(BLOCKED, longest, progress_s, progress_s, rests, {r: r for r in rests})
+    except PlanError as error:
+        assert not fits
+        assert "a trajectory message holds 2184 s" in str(error)
+        return
+    assert fits
+    for trajectory in segment.trajectories.values():
+        load = Command(Order.LOAD, robot=1, trajectory=trajectory)
+        assert decode(Command, encode(load), "station", "command").trajectory is not None
 
 
 def test_a_joined_trajectory_is_a_message_however_long_the_run_is() -> None:

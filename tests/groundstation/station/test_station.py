@@ -562,6 +562,7 @@ def test_a_stop_does_not_wait_for_the_next_cycle(tmp_path: Path) -> None:
             gaps_s.append((next_beat_ns(person, stop, beats) - before_ns) * 1e-9)
             beat = beats.newest()
             assert beat is not None and beat.message.emergency_stop
+            assert beat.message.code == code().short  # what `robot-agent check` compares its own with
     finally:
         stop.request()
         thread.join()

@@ -122,7 +122,7 @@ def test_each_camera_has_its_recorded_picture(tmp_path: Path) -> None:
         shown = {name: found.picture(name, -1) for name in ("west", "east")}
         assert {name: picture and picture.jpeg for name, picture in shown.items()} == {"west": b"west 5", "east": b"east 5"}
         east = shown["east"]
-        assert east is not None and east.age_ms == pytest.approx(100.0)
+        assert east is not None and east.age_ms == pytest.approx(100.0) and east.time_s == pytest.approx(1.0)
         assert found.picture("east", east.stamp_ns) is None  # it is shown already
         found.seek(7.9, 0.0)
         assert found.picture("east", east.stamp_ns) is None
@@ -137,6 +137,7 @@ def test_an_ended_run_is_followed_by_what_is_offered_and_can_be_flown(run: Path,
         assert ended.choose("edited", Edit(duration_s=3.0)) == []
         assert ended.choice is not None and ended.choice.experiment is not None
         assert ended.choice.experiment.duration_s == 3.0
+        assert ended.choose("again", None) == ["edited was chosen before"]  # another page's
 
 
 def test_a_recorded_run_takes_no_orders(replay: ReplayBackend) -> None:
@@ -220,6 +221,7 @@ def test_the_map_shows_what_was_flown_at_the_time(run: Path, tmp_path: Path) -> 
             assert paths is not None
             shown[time_s] = {path["robot"]: path for path in paths}
             assert found.paths() is None  # once
+            assert found.scene()["paths"] == paths  # also for a page that comes now
         assert [shown[5.0][r]["id"] for r in (1, 2)] == [planned[r].id for r in (1, 2)]
         assert (shown[15.0][1]["id"], shown[15.0][2]["id"]) == ("home", planned[2].id)
         home = np.frombuffer(shown[15.0][1]["eta"], "<f4").reshape(-1, 4)

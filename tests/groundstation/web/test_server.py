@@ -269,6 +269,24 @@ def test_only_the_page_in_control_commands_and_all_may_stop(lab: ServedStation) 
     assert second.until(lambda f: state(f) and f["holder"] == yours)
 
 
+def test_orders_are_done_in_the_order_in_which_they_were_given(lab: ServedStation, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also where the first has to wait for the station's cycle: what was said last counts."""
+    page, request = lab.open(), lab.request
+
+    def waits(order: Order, via: Sequence[tuple[float, float]] = (), only: int = 0) -> tuple[str, int]:
+        time.sleep(0.3 if order is Order.RESUME else 0.0)
+        return request(order, via, only)
+
+    monkeypatch.setattr(lab, "request", waits)
+    page.hello()
+    page.say(kind="take")
+    page.until(lambda f: state(f) and f["holder"] != 0)
+    page.order(1, "resume")
+    page.order(2, "disarm")
+    assert [page.until(lambda f: f["k"] == "reply")["n"] for _ in range(2)] == [1, 2]
+    assert lab.orders == [Order.RESUME, Order.DISARM]
+
+
 def test_a_run_that_still_goes_on_is_followed_by_no_other_whoever_asks(lab: ServedStation) -> None:
     page = lab.open()
     page.hello()

@@ -25,6 +25,7 @@ from groundstation.web.snapshot import ellipse
 from sim_bridge.camera import optics
 from wire.camera_coverage import project
 from wire.config.experiment import load_experiment
+from wire.config.scene import Waypoints
 from wire.messages.messages import CameraHealth, LocalizerStatus, Mode, Pose, RobotState, Track
 from wire.security.access_control import INSECURE
 from wire.toml_loader import ConfigError
@@ -109,6 +110,20 @@ def test_an_unknown_acknowledgement_is_ignored() -> None:
     window.offer("picture", b"c")
     assert window.next(0.0) is not None
     assert window.next(0.0) is None
+
+
+# --- the editor
+
+
+def test_an_edit_begins_at_the_waypoint_that_the_editor_says() -> None:
+    """A waypoint more before it moves its number on."""
+    eight = load_experiment("figure-eight")
+    assert isinstance(eight.path, Waypoints)
+    begin, points = eight.path.start_index, list(eight.path.points_m)
+    points.insert(1, (0.5 * (points[0][0] + points[1][0]), 0.5 * (points[0][1] + points[1][1])))
+    found = experiment_editor.edited(eight, protocol.Edit(points_m=points, start_index=begin + 1)).path
+    assert isinstance(found, Waypoints)
+    assert found.points_m[found.start_index] == eight.path.points_m[begin]
 
 
 # --- the lease

@@ -90,9 +90,9 @@ def test_markers_that_are_read_in_a_mirror_are_left_out(tmp_path: Path) -> None:
     ("options", "why"),
     [
         (["--ids", "6-1"], "--ids 6-1: must be a list of ids and ranges"),
+        (["--ids", "1-3,9-5"], "--ids 1-3,9-5: must be a list of ids and ranges"),
         (["--ids", "50"], "--ids 50: 4x4_50 has no such marker (allowed: 0 to 49)"),
         (["--ids", "1", "--size", "300"], "--size 300: does not fit on a sheet of A4 (allowed: above 0 to 142 mm)"),
-        (["--ids", "1", "--size", "nan"], "--size nan: does not fit on a sheet of A4"),
         (["--ids", "1", "--dictionary", "5x5"], "--dictionary 5x5: not known (allowed: 4x4_50, apriltag_36h11)"),
         (["--ids", "1-10", "-o", "m.svg"], "they need 2 sheets"),
         (["--ids", "1", "--paper", "B5"], "--paper B5: not known (allowed: A4, A3)"),

@@ -286,14 +286,16 @@ def test_a_new_lens_keeps_what_the_file_holds(
     table = TRUTH.model_dump(mode="json") | {"masks_px": masks, "controls": [["gain", 20]], "rate_hz": 33.0, "readout_s": 0.01}
     before = "# hung up in May\n" + tomli_w.dumps({"camera": table | {"focal_px": [1.0, 1.0]}})
     out.write_text(before, encoding="utf-8")
+    out.with_suffix(".png").write_bytes(b"a photograph of the pool")  # nobody asked for this name
     assert _calibrate(monkeypatch, lab, out) == 0
     found = tomllib.loads(out.read_text(encoding="utf-8"))["camera"]
     assert found["focal_px"] == pytest.approx(TRUTH.focal_px, rel=0.005)
     for key in ("masks_px", "controls", "rate_hz", "readout_s", "position_m", "rotation_rad"):
         assert found[key] == table[key], key
     assert "WARNING: the pose in it is the earlier one" in capsys.readouterr().out
-    (kept,) = tmp_path.glob("camera.toml.2*")
+    (kept,), (photograph,) = tmp_path.glob("camera.toml.2*"), tmp_path.glob("camera.png.2*")
     assert kept.read_text(encoding="utf-8") == before
+    assert photograph.read_bytes() == b"a photograph of the pool"
 
 
 def test_file_that_would_be_lost_is_not_written_over(

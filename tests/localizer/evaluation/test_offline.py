@@ -24,6 +24,7 @@ from localizer.detection.image_regions import BAYER_TO_BGR
 from localizer.node import LocalizerNode
 from localizer.sources.base import CapturedFrame
 from localizer.sources.recording import FRAMES, FrameRecorder, RecordedFrame, recorded_frames
+from localizer.tracking.fleet_localizer import FleetLocalizer, LocalizationResult
 from tests.localizer.scene import Scene
 from tests.localizer.stand_ins import MS
 from wire.config.experiment import load_experiment
@@ -201,6 +202,38 @@ def test_a_video_that_was_cut_makes_a_table_and_exit_code_1(tmp_path: Path) -> N
     assert {int(row["frame"]) for row in rows} >= {1, 2, 3, 8, 9} and len(rows) < 2 * (FILMED - 1)
     for row in rows[::2]:
         assert float(row["x_m"]) == pytest.approx(_place(int(row["frame"]))[0], abs=4e-3)
+
+
+def test_pictures_whose_processing_fails_are_skipped_and_counted(
+    video: Path, recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As in flight: the pictures after them have their poses; where nothing came out there is no table, and exit code 1."""
+    locate, seen, failing = FleetLocalizer.locate, [0], [range(4, 6)]
+
+    def failing_at_times(self: FleetLocalizer, *told: Any) -> LocalizationResult:
+        seen[0] += 1
+        if seen[0] - 1 in failing[0]:
+            raise cv2.error("assertion failed")
+        return locate(self, *told)
+
+    monkeypatch.setattr(FleetLocalizer, "locate", failing_at_times)
+    out = tmp_path / "poses.csv"
+    done = CliRunner().invoke(cli, ["track", str(video), "--experiment", "pool", "--out", str(out)])
+    assert done.exit_code == 1
+    assert "2 pictures could not be localized in, the first: error: assertion failed" in done.stderr
+    assert {int(row["frame"]) for row in _rows(out)} == {1, 2, 3, 6, 7, 8, 9}
+    seen[0] = 0
+    done = CliRunner().invoke(cli, ["rerun", str(recording), "--json"])
+    assert done.exit_code == 1 and "2 pictures could not be localized in" in done.stderr
+    assert [(row["first_frame"], row["poses"]) for row in json.loads(done.stdout)] == [(4, RECORDED - 1)] * 2
+    failing[0] = range(1000)
+    for command in (
+        ["track", str(video), "--experiment", "pool", "--out", str(tmp_path / "none.csv")],
+        ["rerun", str(recording)],
+    ):
+        done = CliRunner().invoke(cli, command)
+        assert done.exit_code == 1 and "assertion failed" in str(done.exception)
+    assert not list(tmp_path.glob("none*"))
 
 
 # --- a recording

@@ -4,6 +4,7 @@ import errno
 import threading
 import tomllib
 from collections.abc import Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,8 @@ import numpy as np
 import pytest
 import tomli_w
 
+from localizer.calibration.extrinsics import fit_pose
+from localizer.calibration.report import intrinsics_lines
 from localizer.detection.image_regions import Pixels
 from localizer.setup import experiment_file
 from localizer.setup.camera_feed import CameraFeed
@@ -31,6 +34,7 @@ from wire.toml_loader import ConfigError
 pytestmark = pytest.mark.long
 
 BENCH = CameraBench(TRUTH)
+PATIENCE_S = 20.0
 LAB = f"""# our lab
 name = "lab"
 duration_s = 10.0
@@ -347,9 +351,9 @@ def test_a_saved_mask_can_be_deleted(file: Path) -> None:
     session = begin(file)
     do(session, "mask", corners_px=MASK)
     do(session, "save")
-    assert len(load_experiment(str(file)).camera.masks_px) == 1 and session.state(1)["changed"] == []
+    assert len(load_experiment(str(file)).camera.masks_px) == 1 and session.state(1)["changed"] == {}
     do(session, "mask", id=1, corners_px=[])
-    assert session.state(1)["changed"] == ["masks_px"]
+    assert list(session.state(1)["changed"]) == ["masks_px"]
     do(session, "save")
     assert load_experiment(str(file)).camera.masks_px == ()
 
@@ -369,8 +373,62 @@ def test_a_lens_that_is_found_after_the_pose_takes_the_pose_and_its_residuals_aw
     do(session, "fit-pose")
     assert "older" not in said(session) and {"focal_px", "position_m"} <= set(session.state(1)["changed"])
     do(session, "save")
-    assert session.state(1)["changed"] == [], "what was saved is the base of the next changes"
+    assert session.state(1)["changed"] == {}, "what was saved is the base of the next changes"
     assert load_experiment(str(file)).camera.position_m == pytest.approx(TRUTH.position_m, abs=0.02)
+
+
+def test_the_page_lives_while_a_lens_is_judged_and_has_all_of_it_or_nothing(
+    file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """To judge sixty views takes minutes. A judgement that fails leaves the lens of before."""
+    session, judged = begin(file), intrinsics_lines
+    begun, told = threading.Event(), threading.Event()
+    session._work.lens.views = BENCH.views(12, chessboard(9, 6, 0.03)[2], seed=2, noise_px=0.05)  # private: as above
+
+    def slow(*arguments: Any) -> list[str]:
+        begun.set()
+        if not told.wait(PATIENCE_S):
+            raise ConfigError("nobody could look meanwhile")
+        return judged(*arguments)
+
+    monkeypatch.setattr("localizer.setup.session.intrinsics_lines", slow)
+    with ThreadPoolExecutor(2) as threads:
+        fit = threads.submit(do, session, "fit-lens")
+        assert begun.wait(PATIENCE_S)
+        before = threads.submit(session.state, 1).result(PATIENCE_S / 2)
+        assert before["lens"]["report"] == [] and before["changed"] == {}
+        told.set()
+        fit.result(PATIENCE_S)
+    found = session.state(1)
+    assert found["lens"]["report"] and "focal_px" in found["changed"]
+    assert found["changed"]["focal_px"] == pytest.approx(TRUTH.focal_px, rel=0.01)
+    session._work.lens.views = BENCH.views(12, chessboard(9, 6, 0.03)[2], seed=3, noise_px=0.05)
+
+    def fails(*arguments: Any) -> list[str]:
+        raise ConfigError("no lens explains the 8 views of the board")
+
+    monkeypatch.setattr("localizer.setup.session.intrinsics_lines", fails)
+    with pytest.raises(ConfigError, match="explains"):
+        do(session, "fit-lens")
+    assert session.state(1)["changed"] == found["changed"]
+
+
+def test_a_pose_by_the_lens_of_before_is_not_taken(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Another page finds a lens while the pose is being found."""
+    session, fitted = begin(file), fit_pose
+    show(session, pool_picture())
+    survey(session)
+    session._work.lens.views = BENCH.views(12, chessboard(9, 6, 0.03)[2], seed=2, noise_px=0.05)  # private: as above
+
+    def late(*arguments: Any) -> Any:
+        found = fitted(*arguments)
+        do(session, "fit-lens")
+        return found
+
+    monkeypatch.setattr("localizer.setup.survey_step.fit_pose", late)
+    with pytest.raises(ConfigError, match="another lens was found meanwhile"):
+        do(session, "fit-pose")
+    assert "focal_px" in session.state(1)["changed"] and "position_m" not in session.state(1)["changed"]
 
 
 def test_no_number_is_no_request(file: Path) -> None:
@@ -383,7 +441,7 @@ def test_no_number_is_no_request(file: Path) -> None:
     ):
         with pytest.raises(ConfigError, match=f"{name}: NaN or an infinity"):
             session.do(name, given)
-    assert session.jpeg() and session.state(1)["changed"] == []
+    assert session.jpeg() and session.state(1)["changed"] == {}
 
 
 def test_an_experiment_with_several_cameras_is_refused_before_any_work(tmp_path: Path) -> None:
@@ -407,6 +465,21 @@ def test_a_shipped_experiment_is_saved_as_a_new_file(tmp_path: Path) -> None:
     assert len(load_experiment(str(new)).camera.masks_px) == 2
     with pytest.raises(ConfigError, match="is there already"):
         ExperimentFile(shipped, new)
+
+
+def test_a_place_from_which_the_experiment_could_not_be_loaded_is_refused_before_any_work(tmp_path: Path) -> None:
+    """It names its vehicle's file, which is sought beside it."""
+    for folder in ("here", "there"):
+        (tmp_path / folder).mkdir()
+    vehicle = (EXPERIMENTS.parent / "vehicles" / "spherical.toml").read_bytes()
+    (tmp_path / "here" / "ours.toml").write_bytes(vehicle)
+    lab, new = tmp_path / "here" / "lab.toml", tmp_path / "there" / "new.toml"
+    lab.write_text(LAB.replace('"spherical"', '"ours.toml"'), encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"there.new\.toml: .*ours\.toml: no such file"):
+        ExperimentFile(lab, new)
+    (tmp_path / "there" / "ours.toml").write_bytes(vehicle)
+    ExperimentFile(lab, new).save({"exposure_s": 0.005})
+    assert load_experiment(str(new)).camera.exposure_s == 0.005
 
 
 @pytest.mark.parametrize(

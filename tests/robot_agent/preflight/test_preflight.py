@@ -146,6 +146,9 @@ def test_a_certificate_must_be_valid(starts: int, expires: int, verdict: CheckVe
 
 def test_clocks_and_times_are_judged_by_their_limits() -> None:
     assert [findings.clock(s).verdict for s in (0.9, -0.9, 1.1, -3600)] == [CheckVerdict.OK] * 2 + [CheckVerdict.WARN] * 2
+    codes = [findings.same_code(stations, "1.0 abc") for stations in ("1.0 abc", "1.0 abd", "")]
+    assert [found.verdict for found in codes] == [CheckVerdict.OK, CheckVerdict.WARN, CheckVerdict.WARN]
+    assert "1.0 abc" in codes[1].detail and "1.0 abd" in codes[1].detail
     verdicts = [findings.timing(p50, p99, 0.05, 1).verdict for p50, p99 in ((1, 24), (1, 26), (26, 30))]
     assert verdicts == [CheckVerdict.OK, CheckVerdict.WARN, CheckVerdict.FAIL]
     assert findings.exit_code([CheckFinding("a", CheckVerdict.WARN, ""), CheckFinding("b", CheckVerdict.SKIPPED, "")]) == 0
@@ -340,6 +343,7 @@ def test_a_board_where_all_is_well_passes_and_its_thrusters_turn(site: Path) -> 
     assert "disarmed" in found["thruster board"][1]
     assert "its mission is WAITING" in found["station"][1]
     assert found["clock"][0] == "ok"
+    assert found["code"][0] == "warn" and "an earlier version" in found["code"][1], "this one's heartbeat says no code"
     assert [found[f"{part} {i}"][0] for part in ("thruster", "ankle") for i in (1, 2, 3, 4)] == ["ok"] * 8
     answers = "y\n" + "y\ny\n" * 4 + "y\nn\n" + "n\n" + "y\ny\n" * 2  # ankle 1 is seen to move wrongly, 2 is left out
     person = CliRunner().invoke(cli, ["check", "--config", str(site / "agent.toml"), "--thrusters", "--json"], input=answers)

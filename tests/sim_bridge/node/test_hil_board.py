@@ -182,7 +182,7 @@ def test_a_board_outside_hil_mode_is_refused_and_never_gets_an_arm(kind: str, tm
         assert " armed," not in process.stderr.read()
 
 
-def test_a_signed_board_flies_with_its_key_and_says_why_without(tmp_path: Path) -> None:
+def test_a_signed_board_flies_with_its_key_and_says_why_without(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     folder = tmp_path / "boards"
     folder.mkdir()
     key, (ours, theirs) = folder / "robot-1.key", address("pty", tmp_path)
@@ -195,6 +195,12 @@ def test_a_signed_board_flies_with_its_key_and_says_why_without(tmp_path: Path) 
         try:
             pool = HilPool(theirs, link, signing, agent_end(1, Signing.of(key, "agent")))
             assert pool.run(15.0, lambda: pool.hil.armed and abs(pool.agent.telemetry.depth_m - 2.0) < 0.1)
+            assert signing is not None
+            # private: half a minute of flight later, when the disk has gone
+            signing.stamps._path, signing.stamps._limit = tmp_path / "gone" / "stamps", 0
+            assert pool.run(15.0, lambda: "the times of signatures cannot be kept" in caplog.text)
+            pool.run(0.3)
+            assert pool.hil.armed
         finally:
             link.close()
 

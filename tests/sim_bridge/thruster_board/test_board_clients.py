@@ -266,7 +266,15 @@ def test_a_folder_keeps_what_boards_must_not_forget(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "content", ["", "[]", "{}", '{"parameters": 3, "heard": 0, "sent": 0}', '{"parameters": {}, "heard": "x"}']
+    "content",
+    [
+        "",
+        "[]",
+        "{}",
+        '{"parameters": 3, "heard": 0, "sent": 0}',
+        '{"parameters": {}, "heard": "x"}',
+        '{"parameters": {"THR1_TRIM_US": Infinity}, "heard": 0, "sent": 0}',
+    ],
 )
 def test_a_memory_that_is_none_is_explained(tmp_path: Path, content: str) -> None:
     (tmp_path / "robot-1.json").write_text(content)

@@ -9,6 +9,7 @@ const ROW_S = 0.1;
 const MOST_ROWS = 6000; // ten minutes
 const COARSE_S = 0.5; // between the whole states that are kept, for a field that somebody asks for later: in fleets of up to three
 const COARSE_ROBOTS = 3600;
+const OLD_MS = 1000; // of silence: what was said before draws nothing, or a curve would go on as if it were heard
 const SPARE_ROWS = 300; // dropped at a time: shifting arrays for every row would cost more than drawing them
 
 interface Curve {
@@ -27,20 +28,26 @@ export interface Chart {
   both?: boolean;
 }
 
-function tracking(sample: Sample, id: number): number | null {
+/** A robot of a sample, if it was heard then. */
+function heard(sample: Sample, id: number) {
   const robot = sample.robots.get(id);
+  return robot?.news.state !== undefined && robot.news.age_ms <= OLD_MS ? robot : undefined;
+}
+
+function tracking(sample: Sample, id: number): number | null {
+  const robot = heard(sample, id);
   if (robot?.news.state?.mode !== "TRACKING") return null;
   return 1e3 * Math.hypot(robot.eta[0]! - robot.reference[0]!, robot.eta[1]! - robot.reference[1]!, robot.eta[2]! - robot.reference[2]!);
 }
 
 function formation(sample: Sample, a: number, b: number): number | null {
-  const [p, q] = [sample.robots.get(a), sample.robots.get(b)];
+  const [p, q] = [heard(sample, a), heard(sample, b)];
   if (p?.news.state?.mode !== "TRACKING" || q?.news.state?.mode !== "TRACKING") return null;
   const off = [0, 1, 2].map((k) => p.eta[k]! - q.eta[k]! - p.reference[k]! + q.reference[k]!);
   return 1e3 * Math.hypot(off[0]!, off[1]!, off[2]!);
 }
 
-const state = (sample: Sample, id: number) => sample.robots.get(id)?.news.state;
+const state = (sample: Sample, id: number) => heard(sample, id)?.news.state;
 const never = (ms: number | undefined) => (ms === undefined || ms <= 0 || ms >= 1e6 ? null : ms);
 
 /** Every chart of a scene; `chosen` is the robot whose inputs and disturbance are shown. */
@@ -50,8 +57,9 @@ export function charts(s: Scene, chosen: number): Chart[] {
   const pairs = s.robots.flatMap(({ id, neighbours }) =>
     neighbours.filter((other) => id < other || !s.robots.find((r) => r.id === other)?.neighbours.includes(id)).map((other) => [id, other] as const),
   );
-  const share = (k: number) => (sample: Sample) => ((sample.robots.get(chosen)?.wrench[k] ?? 0) / s.limits.wrench[k as 0 | 1 | 2]) * 100;
-  const gamma = (k: number) => (sample: Sample) => (sample.robots.get(chosen)?.disturbance[k] ?? 0) * 1e3;
+  const scaled = (value: number | undefined, by: number) => (value === undefined ? null : value * by);
+  const share = (k: number) => (sample: Sample) => scaled(heard(sample, chosen)?.wrench[k], 100 / s.limits.wrench[k as 0 | 1 | 2]);
+  const gamma = (k: number) => (sample: Sample) => scaled(heard(sample, chosen)?.disturbance[k], 1e3);
   return [
     { id: "tracking", title: "Tracking error", unit: "mm", curves: each(tracking) },
     {
@@ -86,7 +94,7 @@ export function charts(s: Scene, chosen: number): Chart[] {
       title: "Latency per hop",
       unit: "ms",
       curves: [
-        { name: "→ pose", value: (sample) => never(sample.localizer?.to_pose_ms) },
+        { name: "→ pose", value: ({ localizer }) => never(localizer && localizer.age_ms <= OLD_MS ? localizer.to_pose_ms : undefined) },
         { name: "→ PWM", value: (sample) => never(Math.max(0, ...s.robots.map(({ id }) => state(sample, id)?.to_pwm_ms ?? 0))) },
         { name: "→ station", value: ({ robots }) => never(Math.max(0, ...[...robots.values()].filter((r) => r.news.state).map((r) => r.news.age_ms))) },
         { name: "↔ page", value: (sample) => sample.roundTripMs },

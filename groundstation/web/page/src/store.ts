@@ -29,7 +29,7 @@ export interface Robot {
 export interface Sample {
   time_s: number;
   robots: Map<number, Pick<Robot, "eta" | "reference" | "disturbance" | "wrench"> & { news: { age_ms: number; state?: RobotState } }>;
-  localizer: { to_pose_ms: number } | null;
+  localizer: PastState["localizer"];
   roundTripMs: number | null; // of the page itself: not known of the past
 }
 
@@ -69,6 +69,8 @@ export const camera = computed(() => {
 });
 /** What was chosen after this run; no problems: it is under way, null: not answered. */
 export const choice = signal<{ n: number; what: string; problems: string[] | null } | null>(null);
+/** Whether something was chosen, from here or from another page. */
+export const chosen = computed(() => (choice.value !== null && choice.value.problems === null) || Boolean(shown.value?.next));
 export const undriven = signal(""); // why a velocity is not driven
 
 export const inControl = computed(() => connected.value && shown.value !== null && me.value !== 0 && shown.value.holder === me.value);
@@ -111,6 +113,7 @@ export const live = {
   pictureStampMs: 0,
   pictureAgeMs: 0,
   pictureArrivedMs: 0,
+  pictureTime_s: null as number | null, // of a recorded run, when it was
   pictureSerial: 0,
   drawnStampMs: 0,
 };
@@ -178,18 +181,25 @@ function takeState(state: Snapshot): void {
   }
 }
 
-function takePicture(of: string, jpeg: Uint8Array<ArrayBuffer>, ageMs: number, stampMs: number): void {
+function takePicture({ camera: of, jpeg, age_ms, stamp_ms, time_s }: Frame & { k: "picture" }): void {
   const arrived = performance.now();
   createImageBitmap(new Blob([jpeg], { type: "image/jpeg" })).then(
     (bitmap) => {
       if (camera.peek()?.name !== of) return bitmap.close(); // another one was chosen meanwhile
       live.picture?.close();
-      Object.assign(live, { picture: bitmap, pictureAgeMs: ageMs, pictureArrivedMs: arrived, pictureStampMs: stampMs });
+      Object.assign(live, { picture: bitmap, pictureAgeMs: age_ms, pictureArrivedMs: arrived, pictureTime_s: time_s, pictureStampMs: stamp_ms });
       live.pictureSerial += 1;
       drawSoon();
     },
     () => undefined, // a broken picture: the age of the last one tells
   );
+}
+
+/** Age of the picture now, in ms; of a recorded run, how far it is from the time at which the run stands. */
+export function pictureAgeMs(): number {
+  const at = live.snapshot?.replay?.time_s;
+  if (at !== undefined && live.pictureTime_s !== null) return 1e3 * Math.abs(at - live.pictureTime_s);
+  return live.pictureAgeMs + performance.now() - live.pictureArrivedMs;
 }
 
 /** Show no picture until one of the chosen camera comes. */
@@ -210,6 +220,7 @@ export function take(frame: Frame): void {
         choice.value = null;
         if (scene.peek() !== null && frame.scene.mode !== "replay") editing.value = false; // what was edited flies now
       }
+      if (choice.peek()?.problems === null) choice.value = null; // its answer went with the connection; `next` says whether it was taken
       if (scene.peek()?.life !== frame.scene.life) given.value = given.value.filter((g) => !g.heard);
       leastLateMs = Infinity; // another connection, and another station's clock perhaps
       me.value = frame.you;
@@ -230,7 +241,7 @@ export function take(frame: Frame): void {
       drawSoon();
       break;
     case "picture":
-      takePicture(frame.camera, frame.jpeg, frame.age_ms, frame.stamp_ms);
+      takePicture(frame);
       break;
     case "event":
       lines.value = [...lines.value, frame].slice(-MOST_LINES);
@@ -310,6 +321,7 @@ export function drawSoon(): void {
 
 setInterval(() => {
   if (performance.now() - live.arrivedMs < TICK_MS) return;
+  shown.value = live.snapshot; // the last one may have come too soon after the one before
   now.value = performance.now(); // ages go on when nothing comes: that is when they matter
   drawSoon();
 }, TICK_MS);

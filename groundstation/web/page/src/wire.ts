@@ -248,7 +248,7 @@ export interface LogLine {
 export interface PastState {
   time_s: number;
   robots: (Pick<RobotNews, "id" | "age_ms"> & { state?: RobotState })[];
-  localizer: { to_pose_ms: number } | null;
+  localizer: { age_ms: number; to_pose_ms: number } | null;
 }
 
 /** A run's folder, as its files tell it. */
@@ -278,7 +278,7 @@ export type Frame =
   | { k: "hello"; you: number; scene: Scene; events: LogLine[] }
   | Snapshot
   | { k: "past"; states: PastState[] }
-  | { k: "picture"; stamp_ms: number; camera: string; age_ms: number; jpeg: Uint8Array<ArrayBuffer> }
+  | { k: "picture"; stamp_ms: number; camera: string; age_ms: number; time_s: number | null; jpeg: Uint8Array<ArrayBuffer> }
   | { k: "paths"; paths: PathSamples[] }
   | ({ k: "event" } & LogLine)
   | { k: "reply"; n: number; order: string; ok: boolean; reason: string; request: number }
@@ -293,6 +293,7 @@ export interface Edit {
   islands_m?: [number, number, number][];
   kind?: "circle" | "waypoints" | "route";
   points_m?: [number, number][];
+  start_index?: number;
   speed_mps?: number;
   diameter_m?: number;
   lap_s?: number;

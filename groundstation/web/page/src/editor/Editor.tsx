@@ -2,8 +2,9 @@
 
 import { signal } from "@preact/signals";
 import { nextSerial, say } from "../link";
+import { NumberInput } from "../NumberInput";
 import { after } from "../panels/End";
-import { choice, inControl, saved, scene, tried } from "../store";
+import { chosen, inControl, saved, scene, tried } from "../store";
 import { adding, pickedName, removePicked } from "./canvas";
 import type { Draft, PathKind } from "./model";
 import { change, draft, freed, ofKind, play, playhead, redo, redoable, reset, rotate, SHAPES, toEdit, undo, undoable, withRobot } from "./model";
@@ -27,13 +28,7 @@ function Number_({ text, of, unit, value, step, min, onChange }: Field) {
   return (
     <label class="number" title={hint(of)}>
       <span>{text}</span>
-      <input
-        type="number"
-        value={Number(value.toFixed(4))}
-        step={step}
-        {...(min === undefined ? {} : { min })}
-        onInput={(event) => Number.isFinite(event.currentTarget.valueAsNumber) && onChange(event.currentTarget.valueAsNumber)}
-      />
+      <NumberInput value={value} step={step} {...(min === undefined ? {} : { min })} onNumber={onChange} />
       <span class="unit">{unit}</span>
     </label>
   );
@@ -96,9 +91,8 @@ function SaveForm() {
 /** After a run: fly the edit, without a file of its own. */
 function FlyNow({ d }: { d: Draft }) {
   if (!scene.value?.offers?.includes("edited")) return null;
-  const waits = choice.value !== null && choice.value.problems === null;
   return (
-    <button type="button" class="order start" disabled={!tried.value?.ok || !inControl.value || waits} title={inControl.value ? "" : "take control first"} onClick={() => after("edited", toEdit(d))}>
+    <button type="button" class="order start" disabled={!tried.value?.ok || !inControl.value || chosen.value} title={inControl.value ? "" : "take control first"} onClick={() => after("edited", toEdit(d))}>
       Fly this
     </button>
   );

@@ -79,7 +79,7 @@ editing.subscribe((on) => {
 });
 
 export function toEdit(d: Draft): Edit {
-  const path: Edit = d.kind === "circle" ? { diameter_m: d.diameter, lap_s: d.lap } : { points_m: d.points, speed_mps: d.speed };
+  const path: Edit = d.kind === "circle" ? { diameter_m: d.diameter, lap_s: d.lap } : { points_m: d.points, speed_mps: d.speed, ...(d.kind === "waypoints" ? { start_index: d.start } : {}) };
   const nodes: Edit = d.shape === "" ? { nodes_m: Object.fromEntries(d.nodes) } : { shape: d.shape, spacing_m: d.spacing };
   const formation: Edit = { mode: d.mode, scale: d.scale, robots: [...d.nodes.keys()], ...nodes };
   return { pool_m: d.pool, islands_m: d.islands, kind: d.kind, ...path, depth_m: d.depth, duration_s: d.duration, ...formation };

@@ -1,7 +1,7 @@
 /** The end of a run: verdict, cause, figures, requirements, and what may follow. Shown as soon as the run is recorded. */
 
 import { nextSerial, say } from "../link";
-import { choice, connected, drawSoon, editing, inControl, scene, shown } from "../store";
+import { choice, chosen, connected, drawSoon, editing, inControl, scene, shown } from "../store";
 import type { RunEnd } from "../wire";
 
 const LOOKS: Record<string, [mark: string, look: string]> = { passed: ["✓", "ok"], failed: ["✕", "bad"] };
@@ -79,9 +79,8 @@ function Requirements({ end }: { end: RunEnd }) {
 /** A button for what may follow; only the page in control may choose. */
 function Choice({ what, text, title }: { what: "again" | "close"; text: string; title: string }) {
   if (!scene.value?.offers?.includes(what)) return null;
-  const waits = choice.value !== null && choice.value.problems === null;
   return (
-    <button type="button" class={`order ${what === "again" ? "start" : ""}`} disabled={!inControl.value || waits} title={inControl.value ? title : "take control first"} onClick={() => after(what)}>
+    <button type="button" class={`order ${what === "again" ? "start" : ""}`} disabled={!inControl.value || chosen.value} title={inControl.value ? title : "take control first"} onClick={() => after(what)}>
       {text}
     </button>
   );

@@ -5,7 +5,7 @@ import { useEffect, useRef } from "preact/hooks";
 import { css } from "../colours";
 import { drawEdit, editDrag, editDrop, editGrab } from "../editor/canvas";
 import { chooseCamera } from "../link";
-import { camera, drawSoon, drawWith, editing, live, now, scene, selected, shown } from "../store";
+import { camera, drawSoon, drawWith, editing, live, now, pictureAgeMs, scene, selected, shown } from "../store";
 import { drawPool } from "./draw";
 import { follow, LAYERS, type Layer, layers, toggle } from "./layers";
 import { addPlace, drawPlaces, places } from "./places";
@@ -206,8 +206,7 @@ function PictureAge() {
   if (from?.underlay === null) return <span class="picture-age old">picture not shown: the camera moves</span>;
   const of = from?.name ? ` of ${from.name}` : "";
   if (s === null || live.picture === null) return <span class="picture-age old">no camera picture{of}</span>;
-  const waited = s.replay === undefined ? performance.now() - live.pictureArrivedMs : 0; // a recorded run stands still when it pauses
-  const age = live.pictureAgeMs + waited;
+  const age = pictureAgeMs();
   const old = age > s.picture_stale_s * 1e3;
   return <span class={old ? "picture-age old" : "picture-age"}>picture{of} {(age / 1e3).toFixed(1)} s{old ? " old" : ""}</span>;
 }

@@ -2,7 +2,7 @@
  * when it changes: without a graphics card a line that is drawn costs more than the robot it is for. */
 
 import { css, isLight, robotColour } from "../colours";
-import { isStale, live } from "../store";
+import { isStale, live, pictureAgeMs } from "../store";
 import type { Scene } from "../wire";
 import { layers } from "./layers";
 import { drawPath, type Pen, placeOf } from "./path";
@@ -73,7 +73,7 @@ function fresh(canvas: HTMLCanvasElement, view: View, alpha: boolean): Pen {
 }
 
 function pictureIsOld(s: Scene): boolean {
-  return live.pictureAgeMs + performance.now() - live.pictureArrivedMs > s.picture_stale_s * 1e3;
+  return pictureAgeMs() > s.picture_stale_s * 1e3;
 }
 
 function drawBasin(pen: Pen, view: View, s: Scene): void {

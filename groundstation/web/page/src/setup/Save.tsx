@@ -14,8 +14,8 @@ const kind = (line: string) => (line.startsWith("@@") ? "at" : line.startsWith("
 
 export function Save() {
   const s = state.value!;
-  const changed = s.changed.join(" ");
-  useEffect(() => void look(), [changed]);
+  const keys = Object.keys(s.changed);
+  useEffect(() => void look(), [JSON.stringify(s.changed)]); // other pages change the same setup
   return (
     <section>
       <h2>
@@ -25,7 +25,7 @@ export function Save() {
         </button>
       </h2>
       <p>
-        {s.changed.length === 0 ? "Nothing was changed yet in " : `Changes of ${s.changed.join(", ")} in `}
+        {keys.length === 0 ? "Nothing was changed yet in " : `Changes of ${keys.join(", ")} in `}
         <code>{s.path}</code>
       </p>
       {lines.value.length > 0 && (
@@ -37,7 +37,7 @@ export function Save() {
           ))}
         </pre>
       )}
-      <button type="button" class="main" disabled={s.changed.length === 0} onClick={() => void ask("save").then(look)}>
+      <button type="button" class="main" disabled={keys.length === 0} onClick={() => void ask("save").then(look)}>
         Save
       </button>
       <p class="dim">The old file is kept beside it, with the time in its name.</p>

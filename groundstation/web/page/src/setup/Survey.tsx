@@ -2,6 +2,7 @@
 
 import { signal } from "@preact/signals";
 import { useEffect } from "preact/hooks";
+import { NumberInput } from "../NumberInput";
 import { ask, state, type Pixel, type Place, type Point, type State } from "./api";
 import { draggedCorner } from "./Masks";
 import { handles } from "./Picture";
@@ -130,15 +131,11 @@ function PointForm({ s }: { s: State }) {
         {(["x", "y", "z"] as const).map((axis, i) => (
           <label key={axis} class="axis">
             {axis}
-            <input
-              type="number"
+            <NumberInput
               aria-label={`${axis}, m`}
               step={0.001}
-              value={place.value[i]}
-              onInput={(event) => {
-                const value = event.currentTarget.valueAsNumber;
-                if (Number.isFinite(value)) place.value = place.value.map((old, k) => (k === i ? value : old)) as Place;
-              }}
+              value={place.value[i]!}
+              onNumber={(value) => (place.value = place.value.map((old, k) => (k === i ? value : old)) as Place)}
             />
             m
           </label>

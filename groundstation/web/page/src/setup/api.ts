@@ -79,7 +79,7 @@ export interface State {
   outline_m: Record<string, Place>;
   masks: Mask[];
   path: string;
-  changed: string[];
+  changed: Record<string, unknown>; // what would be saved, by key
 }
 
 const PERIOD_MS = 300;

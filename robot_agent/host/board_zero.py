@@ -1,0 +1,141 @@
+"""SHELL: the file that says at which depth a thruster board took its zero; it outlives the robot's computer.
+
+A board takes the pressure at which it is switched on for that at the surface (docs/board.md). While the agent runs, it sees a
+restart of its board under water (wire/mavlink/power_on_depth.py). This file is for what no program sees: board and computer
+lose their power together, or the agent ends between. It holds the robot's last depth and which life of the board that was: the
+computer's boot, and the instant in it at which the board was switched on. A board of another life took its zero at that depth,
+as far as anybody knows, until a person confirms it (`robot-agent confirm-zero`).
+"""
+
+import json
+import math
+import os
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from wire.mavlink.agent_link import Telemetry
+from wire.process.output_files import replace_text
+from wire.process.runtime import log
+from wire.regular_files import read_regular
+
+SERVICE_FOLDER = Path("/var/lib/shoal-agent")  # StateDirectory of the service
+FILE = "depth-zero.json"
+MOST_BYTES = 1000
+STEP_M = 0.05  # the file follows the depth in such steps
+LOOK_S, WRITE_S = (
+    1.0,
+    10.0,
+)  # how often a confirmation is looked for; how often the depth is written, without waiting for the disk
+SLACK_S, DRIFT = 5.0, 0.01  # of the instant at which a board was switched on: what a burst waits, and how wrong its clock goes
+MS_WRAPS = 2**32  # `time_boot_ms` begins at 0 again after 49.7 days
+
+
+@dataclass(frozen=True)
+class ZeroRecord:
+    """The file's content."""
+
+    boot: str  # the computer's, as Linux names it
+    at_s: float  # when this was written, from that boot on
+    board_on_s: float  # when the board was switched on, from that boot on; negative: before it
+    zero_m: float  # depth at which the board took its zero
+    depth_m: float  # of the robot, counted from the surface
+
+
+def state_folder(environment: Mapping[str, str] = os.environ) -> Path | None:
+    """The folder in which systemd has the service keep its state; None for a program that is no service."""
+    return Path(environment["STATE_DIRECTORY"]) if environment.get("STATE_DIRECTORY") else None
+
+
+def read_record(folder: Path) -> ZeroRecord | None:
+    """Content of the file in a folder; None if there is none, or none of these. Raises OSError."""
+    try:
+        found = json.loads(read_regular(folder / FILE, MOST_BYTES))
+        record = ZeroRecord(str(found.pop("boot")), **{name: float(value) for name, value in found.items()})
+    except FileNotFoundError:
+        return None
+    except (ValueError, TypeError, AttributeError, KeyError) as error:
+        log.warning("%s: holds no depth of a robot: %s", folder / FILE, error)
+        return None
+    return record if all(map(math.isfinite, (record.at_s, record.board_on_s, record.zero_m, record.depth_m))) else None
+
+
+def write_record(folder: Path, record: ZeroRecord, durable: bool) -> None:
+    """Put the file in its place. Raises OSError."""
+    replace_text(folder / FILE, json.dumps(asdict(record)), durable)
+
+
+def boot_id() -> str:
+    """Name of this computer's boot; empty where it has none."""
+    path = Path("/proc/sys/kernel/random/boot_id")
+    return path.read_text(encoding="ascii").strip() if path.exists() else ""
+
+
+def boot_time_s() -> float:
+    """Time since this computer's boot, sleep included."""
+    return time.clock_gettime(time.CLOCK_BOOTTIME) if hasattr(time, "CLOCK_BOOTTIME") else time.monotonic()
+
+
+class BoardZero:
+    """The file of one robot's program, and what it says about the board that is heard."""
+
+    def __init__(self, folder: Path | None, boot: str = "", now_s: Callable[[], float] = boot_time_s) -> None:
+        """Without a `folder` nothing is kept."""
+        self._folder, self._boot, self._now_s = folder, boot or boot_id(), now_s
+        self._written: ZeroRecord | None = None
+        self._looked_s = -math.inf
+        self._failed = False
+
+    def note(self, telemetry: Telemetry) -> float | None:
+        """Take in the board's telemetry. Returns the depth of its zero if that is another one than `telemetry` has."""
+        now_s = self._now_s()
+        if self._folder is None or telemetry.board_ms < 0 or now_s - self._looked_s < LOOK_S:
+            return None
+        first, self._looked_s = self._looked_s == -math.inf, now_s
+        zero_m = telemetry.power_on_depth_m
+        board_on_s = now_s - 1e-3 * telemetry.board_ms
+        found = self._read() if first or zero_m > STEP_M else None
+        if found is not None and first:
+            zero_m = found.zero_m if self._same_life(found, now_s, board_on_s) else found.depth_m
+            if zero_m > STEP_M:
+                log.warning("the thruster board's depth zero is taken to be at %.2f m, the robot's last known depth", zero_m)
+        elif found is not None and self._written is not None and found.zero_m == 0.0 < self._written.zero_m:
+            zero_m = 0.0
+            log.info("the thruster board's depth zero is confirmed")
+        depth_m = telemetry.depth_m + zero_m
+        self._keep(ZeroRecord(self._boot, now_s, board_on_s, zero_m, depth_m))
+        return zero_m if zero_m != telemetry.power_on_depth_m else None
+
+    def _read(self) -> ZeroRecord | None:
+        try:
+            return read_record(self._folder) if self._folder is not None else None
+        except OSError as error:
+            self._tell(error)
+            return None
+
+    def _same_life(self, found: ZeroRecord, now_s: float, board_on_s: float) -> bool:
+        """True if the board has not been switched on since the file was written."""
+        if found.boot != self._boot:  # the computer was: a board that was on before that has its own supply
+            return board_on_s < -SLACK_S - DRIFT * now_s
+        apart_s = (board_on_s - found.board_on_s) % (1e-3 * MS_WRAPS)
+        return min(apart_s, 1e-3 * MS_WRAPS - apart_s) <= SLACK_S + DRIFT * (now_s - found.at_s)
+
+    def _keep(self, record: ZeroRecord) -> None:
+        """Write a record that says something new."""
+        before = self._written
+        if before is not None and before.zero_m == record.zero_m and self._same_life(before, record.at_s, record.board_on_s):
+            moved_m = abs(record.depth_m - before.depth_m)
+            if moved_m < STEP_M or record.at_s - before.at_s < WRITE_S:
+                return
+        self._written = record
+        try:
+            assert self._folder is not None
+            write_record(self._folder, record, durable=False)
+        except OSError as error:  # a full disk is no reason to stop
+            self._tell(error)
+
+    def _tell(self, error: OSError) -> None:
+        if not self._failed:
+            log.warning("the robot's depth cannot be kept: %s", error)
+        self._failed = True

@@ -1,0 +1,103 @@
+"""A board and its computer that restart together: where the board took its depth zero, and who confirms it."""
+
+import math
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from robot_agent.__main__ import cli
+from robot_agent.host import board_zero
+from robot_agent.host.board_zero import FILE, MS_WRAPS, BoardZero, read_record
+from robot_agent.node import AgentNode
+from robot_agent.safety.health import RESTART_DEPTH_M
+from tests.robot_agent.obedient_board import Board
+from wire.config.experiment import load_experiment
+from wire.mavlink.agent_link import Telemetry
+from wire.process.runtime import Stop
+from wire.transport.bus import Bus
+from wire.transport.memory_transport import MemoryHub, MemoryTransport
+
+CONFIRM = "confirm that on the robot with `robot-agent confirm-zero`"
+
+
+class Switched(Board):
+    """A board that took its zero `zero_m` deep."""
+
+    def __init__(self, zero_m: float) -> None:
+        super().__init__()
+        self._zero_m = zero_m
+
+    def read(self) -> bytes:
+        burst = super().read()
+        deep = self._link.pressure(self._ms, 0.3 - self._zero_m) + self._link.attitude(self._ms, 0.2, 0.01)
+        return burst + deep
+
+
+def refusals(folder: Path, boot: str, zero_m: float, monkeypatch: pytest.MonkeyPatch, steps: int = 3) -> list[str]:
+    """Reasons of one life of a robot's program and its board against arming, after each step."""
+    monkeypatch.setenv("STATE_DIRECTORY", str(folder))
+    monkeypatch.setattr(board_zero, "boot_id", lambda: boot)
+    monkeypatch.setattr(board_zero, "LOOK_S", 0.0)
+    bus, found = Bus(MemoryTransport(MemoryHub())), []
+    node = AgentNode(load_experiment("pool"), 1, bus, Switched(zero_m), False, Stop(install=False))
+    for step in range(steps):
+        now_ns = (step + 1) * 50_000_000
+        node.step(now_ns, None)
+        inputs = node.agent.inputs
+        station = inputs.station.__class__(7, now_ns, 0.03)
+        found.append(node.agent._health.arming_refusal(inputs, station, now_ns))  # what ARM is answered, without a station
+        if step == 0 and steps > 3:
+            assert CliRunner().invoke(cli, ["confirm-zero", "--state", str(folder)]).exit_code == 0
+    return found
+
+
+def test_a_board_and_its_computer_that_restart_under_water_do_not_arm_until_a_person_confirms(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In water at 0.3 m: the board says so, and after both have restarted that it is at the surface."""
+    assert not any(CONFIRM in why for why in refusals(tmp_path, "first", 0.0, monkeypatch))
+    again = refusals(tmp_path, "second", 0.3, monkeypatch)
+    assert all("restarted at 0.30 m" in why and CONFIRM in why for why in again), again
+    record = read_record(tmp_path)
+    assert record is not None
+    assert record.zero_m == pytest.approx(0.3, abs=0.01)
+    assert record.depth_m == pytest.approx(0.3, abs=0.01), "counted from the surface"
+    confirmed = refusals(tmp_path, "second", 0.3, monkeypatch, steps=5)
+    assert CONFIRM in confirmed[0], "a restart of the program alone confirms nothing"
+    assert not any(CONFIRM in why for why in confirmed[2:])
+    assert not any(CONFIRM in why for why in refusals(tmp_path, "third", 0.3, monkeypatch)), "nor does it come back"
+
+
+def life(folder: Path, boot: str, at_s: float, on_for_s: float, depth_m: float) -> float | None:
+    told = Telemetry(board_ms=round(1e3 * on_for_s) % MS_WRAPS, depth_m=depth_m)
+    return BoardZero(folder, boot, lambda: at_s).note(told)
+
+
+@pytest.mark.parametrize(
+    ("boot", "at_s", "on_for_s", "zero_m"),
+    [
+        ("one", 1000.0, 900.0, None),  # the same life: switched on at 100 s
+        ("one", 5000.0, 4930.0, None),  # its clock is wrong by 1 %
+        ("one", 1000.0, 30.0, 0.8),  # the board alone, while no program ran
+        ("two", 40.0, 38.0, 0.8),  # both
+        ("two", 40.0, 900.0, None),  # the computer alone
+        ("one", 1000.0 + MS_WRAPS * 1e-3, 900.0 + MS_WRAPS * 1e-3, None),  # 49.7 days
+    ],
+)
+def test_the_zero_is_in_doubt_where_the_board_alone_or_both_were_switched_on_again(
+    boot: str, at_s: float, on_for_s: float, zero_m: float | None, tmp_path: Path
+) -> None:
+    assert life(tmp_path, "one", 200.0, 100.0, 0.8) is None
+    assert life(tmp_path, boot, at_s, on_for_s, 0.0) == zero_m
+
+
+def test_a_robot_that_was_in_air_and_a_file_that_holds_nothing_raise_no_doubt(tmp_path: Path) -> None:
+    assert life(tmp_path, "one", 200.0, 100.0, 0.01) is None
+    zero_m = life(tmp_path, "two", 40.0, 38.0, 0.0)
+    assert zero_m is None or abs(zero_m) < RESTART_DEPTH_M
+    for text in ("", "[]", "{}", '{"boot": "one", "at_s": 1e999}', '{"boot": 1, "at_s": "x"}'):
+        (tmp_path / FILE).write_text(text)
+        assert life(tmp_path, "three", 40.0, 38.0, 0.0) is None
+    assert BoardZero(None).note(Telemetry(board_ms=5)) is None
+    assert life(tmp_path / "gone", "one", 40.0, 38.0, math.pi) is None
