@@ -158,13 +158,14 @@ def link_key(file: Annotated[Path, typer.Argument(metavar="FILE", help="Where to
 
 @cli.command()
 def modes() -> None:
-    """Print the tables of modes: which order is accepted when, and what a robot does by itself.
+    """Print the tables of modes and guidance states: which order is accepted when, and what a robot does by itself.
 
     Example:  robot-agent modes
     """
+    from robot_agent.safety import guidance_states
     from robot_agent.safety.modes import table
 
-    typer.echo(table(), nl=False)
+    typer.echo(table() + "\n" + guidance_states.table(), nl=False)
 
 
 def app() -> None:

@@ -90,7 +90,8 @@ class Agent:
         self._fault = ""
         self._clock = TrajectoryClock(experiment, robot)
         self._selftest: ThrusterSelftest | None = None
-        self._health = HealthMonitor(experiment)
+        foresees = experiment.controller.law == "nmpc"  # its plan is the motion that it flies
+        self._health = HealthMonitor(experiment, self.controller.told_period_s if foresees else 0.0)
         self._own_hull = OwnHullFilter(experiment.vehicle.radius_m)
         self._hold: Hold | None = None
         self._last: ControlOutput | None = None
@@ -188,7 +189,7 @@ class Agent:
         drive_age_s = (now_ns - self._driven[1]) * 1e-9 if self._driven is not None else 0.0
         health = self._health.health(inputs, solver_failed, now_ns, drive_age_s)
         mode, reason = react(self.mode, health, self._experiment.safety)
-        if reason in SUSPECT and self._selftest is not None and self._selftest.result == "passed":
+        if reason.partition(":")[0] in SUSPECT and self._selftest is not None and self._selftest.result == "passed":
             self._selftest = None
         if mode is not self.mode:
             self._enter(mode, reason + (LEFT if reason in UNSEEN and self._left_the_picture() else ""))
@@ -344,6 +345,7 @@ class Agent:
         return RobotState(
             mode=self.mode,
             fault=self._fault,
+            guidance=self._health.guidance,
             experiment_hash=self._experiment.hash,
             tuning_id=self._tuning.id,
             trajectory_s=self._clock.reached_s,

@@ -95,7 +95,7 @@ class AgentNode:
         self._leaving = False
         self._steps = self._orders = 0  # of this agent, as the log counts them
         self._station_session = 0
-        self._told = (Mode.DISARMED, "")
+        self._told = ("disarmed", "")
 
     def run(self) -> None:
         """Run the control loop until told to stop. Raises the exception that ended it otherwise. Either way the board is
@@ -375,11 +375,11 @@ class AgentNode:
             board_clock_offset_s=telemetry.clock_offset_ns * 1e-9,
         )
         self._bus.publish(topics.STATE, state, now_ns, self._robot, age_ns=age_ns)
-        if (state.mode, state.fault) != self._told:
-            self._told = (state.mode, state.fault)
+        if (state.doing, state.fault) != self._told:
+            self._told = (state.doing, state.fault)
             self._watchdog.mode(state.mode.name, state.fault)
             say = log.warning if state.fault else log.info
-            say("%s%s", state.mode.name.lower(), f": {state.fault}" if state.fault else "")
+            say("%s%s", state.doing, f": {state.fault}" if state.fault else "")
 
 
 def _arrived_s(pose: Received[Pose] | None, taken: Received[Pose] | None) -> float | None:

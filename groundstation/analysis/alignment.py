@@ -426,6 +426,7 @@ def _states(
     return States(
         time_s=column([(e.stamp_ns - start_ns) * 1e-9 for e in entries]),
         mode=column([m.mode for m in messages]),
+        guidance=column([m.guidance for m in messages]),
         with_formation=with_formation,
         faulty=np.array([bool(m.fault) for m in messages], dtype=np.bool_),
         trajectory_s=column([m.trajectory_s for m in messages]),
@@ -455,14 +456,14 @@ def _frame_times(log: RunLog, start_ns: int) -> Array:
 
 
 def _happenings(log: RunLog, recorded: dict[int, _Recorded], start_ns: int) -> tuple[TimelineEvent, ...]:
-    """Every change of a robot's mode or fault, and every event, each once and in order."""
+    """Every change of a robot's mode, guidance or fault, and every event, each once and in order."""
     found = []
     for robot, r in recorded.items():
-        before: tuple[Mode, str] | None = None
+        before: tuple[str, str] | None = None
         for e in r.states:
-            now = (e.message.mode, e.message.fault)
+            now = (e.message.doing, e.message.fault)
             if now != before:
-                text = now[0].name.lower() + (f": {now[1]}" if now[1] else "")
+                text = now[0] + (f": {now[1]}" if now[1] else "")
                 found.append(TimelineEvent((e.stamp_ns - start_ns) * 1e-9, f"robot {robot}", text, bool(now[1])))
             before = now
     for event in log.of(topics.EVENT, Event):

@@ -30,6 +30,7 @@ class States:
 
     time_s: Array
     mode: Array  # Mode as a number
+    guidance: Array  # Guidance as a number
     with_formation: Mask  # (m,) False while a person leads the robot elsewhere
     faulty: Mask  # the robot reports a fault
     trajectory_s: Array

@@ -47,11 +47,12 @@ def layout(experiment: Experiment, fleet: str) -> Layout:
         "StateTransitions!mode": {
             "paths": [
                 {
-                    "value": f"{fleet}/{topics.STATE.key(robot)}.mode",
-                    "label": f"robot {robot}",
+                    "value": f"{fleet}/{topics.STATE.key(robot)}.{field}",
+                    "label": f"robot {robot}: {field}",
                     "timestampMethod": "receiveTime",
                 }
                 for robot in experiment.robot_ids
+                for field in ("mode", "guidance")
             ],
             "isSynced": True,
         },

@@ -7,7 +7,7 @@ from groundstation.analysis.timeline import is_injection
 from groundstation.palette import COLOURS, colour
 from groundstation.report.drawing import Bar, BarPlot, Curve, Panel, TimePlot
 from wire.frames import Array
-from wire.messages.messages import Mode
+from wire.messages.messages import Guidance, Mode
 
 MOST_ROWS = 24
 WINDOW_S = 1.0  # of the medians that show where time goes
@@ -15,10 +15,11 @@ TONES = {
     Mode.DISARMED: "#D9D9D9", Mode.ARMED: "#E69F00", Mode.TRACKING: "#009E73", Mode.HOLDING: "#56B4E9", Mode.DRIVEN: "#CC79A7",
     Mode.STOPPED: "#000000", Mode.FAULT: "#D55E00",
 }  # fmt: skip
+ALONG_PATH = {Guidance.JOINING: "#8FD6BF", Guidance.GIVING_WAY: "#F0E442", Guidance.RETURNING: "#C3DB5E"}  # while TRACKING
 
 
 def timeline(series: Series) -> BarPlot | None:
-    """Each robot's mode over time, and faults as they were noticed and, in simulation, made."""
+    """Each robot's mode and guidance state over time, and faults as they were noticed and, in simulation, made."""
     known = [(robot, r.states) for robot, r in series.robots.items() if len(r.states.time_s)][:MOST_ROWS]
     if not known:
         return None
@@ -30,6 +31,13 @@ def timeline(series: Series) -> BarPlot | None:
             Bar(from_s, length_s, tone, mode.name.lower())
             for mode, tone in TONES.items()
             for from_s, length_s in spans_of(states.time_s, np.asarray(states.mode == mode))
+        ]
+        bars += [
+            Bar(from_s, length_s, tone, guidance.name.lower().replace("_", " "))
+            for guidance, tone in ALONG_PATH.items()
+            for from_s, length_s in spans_of(
+                states.time_s, np.asarray((states.mode == Mode.TRACKING) & (states.guidance == guidance))
+            )
         ]
         rows.append((f"robot {robot}", bars))
     within = [h for h in series.timeline_events if begin_s <= h.time_s <= end_s]

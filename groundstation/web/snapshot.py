@@ -139,6 +139,7 @@ def _state(state: RobotState) -> dict[str, Any]:
     return {
         "mode": state.mode.name,
         "fault": state.fault,
+        "guidance": state.guidance.name,
         "tuning": state.tuning_id,
         "t_s": state.trajectory_s,
         "loaded": state.trajectory_id,

@@ -34,7 +34,7 @@ from robot_agent.guidance.obstacles import Obstacle
 from robot_agent.guidance.reference import Drive, Follow, Goal, Hold, Reference, ReferenceSampler
 from robot_agent.guidance.velocity_obstacles import GiveWay, traffic_near
 from robot_agent.vehicle.dynamics import Model
-from robot_agent.vehicle.estimate import Estimate, StateMeasurement
+from robot_agent.vehicle.estimate import Deviations, Estimate, StateMeasurement
 from robot_agent.vehicle.fixed_thrusters import make_allocator
 from robot_agent.vehicle.kalman import make_estimator
 from wire.config.controller import ControllerConfig, Safety
@@ -112,6 +112,9 @@ class ControlOutput(NamedTuple):
     is_free: bool  # the robot follows its path: neither giving way nor half-spaces change its plan
     path_is_blocked: bool  # it avoids what it would meet on its path too
     flow_moment_nm: float = 0.0  # yaw moment of the water past the hull, (m_u - m_v) u v
+    avoids: bool = False  # something is in its way; False on the way back to its path
+    current: complex = 0j  # x + iy of the water's own velocity in the pool, m/s
+    deviations: Deviations | None = None  # standard deviations of the estimate; None if they are not known
 
     @classmethod
     def neutral(cls, pulse_us: tuple[int, ...], wrench_step: Array, estimate: Estimate | None, stay: Array) -> "ControlOutput":
@@ -359,6 +362,7 @@ class Controller:
             depth_leap=estimate.depth_leap,
             is_free=is_free,
             path_is_blocked=self._give_way.path_is_blocked,
+            avoids=not is_free,
         )
 
     def _neutral(self, estimate: Estimate | None, now_ns: int) -> ControlOutput:

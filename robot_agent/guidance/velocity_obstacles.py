@@ -368,10 +368,11 @@ class GiveWay:
         self._turn = 0.0  # of the heading, away from the reference's
         self._met = 0  # consecutive steps with a conflict
         self.path_is_blocked = False  # it avoids what it would meet on its path too
+        self.avoids = False  # something is in its way; False on the way back
 
     def avoidance_path(self, reference: Reference, place: complex, traffic: Traffic) -> Reference:
         """Return the reference to follow instead, for a robot at `place`; `reference` itself if it is free."""
-        self.path_is_blocked = False
+        self.path_is_blocked = self.avoids = False
         if self._point is None:
             self._met = self._met + 1 if self._conflicts(reference, place, traffic) else 0
             if self._met < self._sure_steps:
@@ -389,6 +390,7 @@ class GiveWay:
         if on_path and course is None:  # the path itself bends away
             self.reset()
             return reference
+        self.avoids = course is not None
         if course is not None:  # do not run away from a robot that cannot follow
             away = self._point - place
             self._point = place + away * min(1.0, LEASH_M / max(abs(away), LEASH_M))

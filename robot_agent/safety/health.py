@@ -5,12 +5,15 @@ from robot_agent.inputs import Inputs, StationView
 from robot_agent.safety.modes import LIVE, POWERED, UNDER_WAY, Health
 from robot_agent.safety.output_check import OutputCheck
 from robot_agent.safety.path_deviation import PathDeviationMonitor
+from robot_agent.safety.path_watch import PathWatch
 from robot_agent.safety.sensor_checks import GyroscopeCheck, StuckSensorCheck
 from robot_agent.safety.thruster_fault_detection import ThrusterFaultDetector
 from robot_agent.vehicle.battery import BatteryMonitor
+from robot_agent.vehicle.dynamics import GATE_RAD
 from robot_agent.vehicle.fixed_thrusters import make_allocator
 from wire.config.experiment import Experiment
-from wire.messages.messages import Mode, Track
+from wire.frames import wrap
+from wire.messages.messages import Guidance, Mode, Track
 
 ARM_AGAIN_S = 0.2  # how often the board is asked to arm, or later to disarm, when it has not done as told
 DISARM_S = 0.5  # so long after the power is taken away every step disarms, whatever the board says: frames get lost
@@ -22,7 +25,8 @@ DEPTH_SLACK_M = 0.3  # a pressure sensor that says more than this beyond the poo
 class HealthMonitor:
     """Memory of one robot's inputs and outputs from step to step."""
 
-    def __init__(self, experiment: Experiment) -> None:
+    def __init__(self, experiment: Experiment, told_period_s: float = 0.0) -> None:
+        """`told_period_s`: see `PathWatch`."""
         self._safety, self._markers = experiment.safety, experiment.localizer.markers
         self._period_s = experiment.controller.period_s
         self._battery = BatteryMonitor(experiment.vehicle.battery)
@@ -30,7 +34,7 @@ class HealthMonitor:
         self._thrusters = ThrusterFaultDetector(experiment.vehicle)
         self._gyroscope, self._pressure = GyroscopeCheck(), StuckSensorCheck()
         self._uses_gyroscope = experiment.controller.estimator.use_imu_yaw_rate
-        self._allocator, self._path = make_allocator(experiment.vehicle), PathDeviationMonitor(experiment.safety.off_path_m)
+        self._allocator, self._watch = make_allocator(experiment.vehicle), PathWatch(experiment, told_period_s)
         self._depth, self._pool = PathDeviationMonitor(experiment.safety.off_depth_m), experiment.pool
         self._output: ControlOutput | None = None  # of the last control step
         self._mode = Mode.DISARMED
@@ -53,8 +57,13 @@ class HealthMonitor:
                 self._verified_ns = seen.instant_ns
         self._check_sensors(inputs)
         if mode is not self._mode:
-            self._path.reset()
+            self._watch.reset()
             self._depth.reset()
+        if mode not in LIVE:  # somebody may hold it
+            self._watch.response.reset()
+        elif seen is not None and seen.pose.track >= Track.KCF and self._fits(seen.pose.yaw_rad):
+            pose, variance_m2 = seen.pose, 0.5 * float(seen.pose.covariance[:2, :2].trace())
+            self._watch.response.note_pose(seen.instant_ns, complex(pose.x_m, pose.y_m), pose.yaw_rad, variance_m2)
         self._mode = mode
         self._battery.note_telemetry(telemetry, now_ns)
         if telemetry.armed or not self._board_armed:
@@ -70,6 +79,11 @@ class HealthMonitor:
             self._thrusters.note_voltage(telemetry.battery_v, telemetry.arrival_ns)
             self._thrusters.step(telemetry.yaw_rate_radps, telemetry.arrival_ns, telemetry.board_ms * 1_000_000)
 
+    def _fits(self, yaw_rad: float) -> bool:
+        """True unless a pose's heading is far from the estimate's: a marker that is read the wrong way round."""
+        output = self._output
+        return output is None or not output.estimated or abs(wrap(yaw_rad - output.eta.item(3))) < GATE_RAD
+
     def _check_sensors(self, inputs: Inputs) -> None:
         """Compare the board's sensors with themselves and with the poses."""
         seen, telemetry = inputs.pose, inputs.telemetry
@@ -84,17 +98,16 @@ class HealthMonitor:
     def note_pulses(self, pulse_us: tuple[int, ...], now_ns: int) -> None:
         """Take note of pulses that went out; the board's echo and the gyroscope are compared with them."""
         self._outputs.note_pulses(pulse_us, now_ns)
-        _, moments_nm = self._allocator.delivered(pulse_us)
+        wrench, moments_nm = self._allocator.delivered(pulse_us)
         self._thrusters.note_moments(moments_nm, now_ns)
+        self._watch.response.note_thrust(wrench.item(0), now_ns)
 
     def note_output(self, output: ControlOutput, mode: Mode, now_ns: int) -> None:
         """Take in a control step's estimate and reference, in the mode from now on."""
         self._estimate_ended |= mode in POWERED and self._estimated and not output.estimated
         self._estimated = output.estimated
-        x_m, y_m, depth_m, _ = output.eta.tolist()
-        path_x_m, path_y_m, path_depth_m, _ = output.eta_reference.tolist()
-        place, path, is_free = complex(x_m, y_m), complex(path_x_m, path_y_m), output.is_free
-        self._path.step(place, path, is_free, output.path_is_blocked, now_ns)
+        self._watch.step(output, mode, now_ns)
+        depth_m, path_depth_m = output.eta.item(2), output.eta_reference.item(2)
         self._depth.step(complex(depth_m), complex(path_depth_m), True, False, now_ns)  # no robot gives way by depth
         self._thrusters.note_flow(output.flow_moment_nm)
         self._output = output
@@ -125,7 +138,10 @@ class HealthMonitor:
             late_s=round(inputs.late_steps * self._period_s, 9),
             echo_wrong_s=self._outputs.wrong_s,
             thrusters_broken=self._thrusters.broken,
-            off_path=self._path.left,
+            off_path=self._watch.has_left,
+            likely_cause=self._watch.likely_cause,
+            watch_reason=self._watch.finding.reason,
+            watch_detail=self._watch.finding.detail,
             estimate_ended=self._estimate_ended,
             off_depth=self._depth.left,
             depth_age_s=self._output.depth_age_s if self._output is not None else 0.0,
@@ -134,6 +150,11 @@ class HealthMonitor:
             place_age_s=self._output.pose_age_s if self._output is not None and self._output.estimated else 0.0,
             drive_age_s=drive_age_s,
         )
+
+    @property
+    def guidance(self) -> Guidance:
+        """What decides the robot's motion."""
+        return self._watch.state
 
     def arming_refusal(self, inputs: Inputs, station: StationView, now_ns: int) -> str:
         """Return the reason not to arm now; empty if there is none."""

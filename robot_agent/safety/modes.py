@@ -66,6 +66,9 @@ class Health(NamedTuple):
     echo_wrong_s: float = 0.0  # for how much of the last second the board has put out other pulses than it was told
     thrusters_broken: bool = False  # they do not turn and push the robot as they should
     off_path: bool = False  # farther than it may be, and for no reason
+    likely_cause: str = ""  # of either
+    watch_reason: str = ""  # what else the path watch found, a reason of REACTIONS,
+    watch_detail: str = ""  # and what there is to say besides
     estimate_ended: bool = False  # while it had power: where it is was not known at a step since
     off_depth: bool = False  # the same for its depth
     depth_age_s: float = 0.0  # of the last depth that did not contradict the estimate
@@ -89,14 +92,27 @@ class Reaction:
     detail: Callable[[Health], str] = lambda h: ""  # that belongs to the reason, if there is more to say
 
 
+def _watched(reason: str, modes: frozenset[Mode], to: Mode) -> Reaction:
+    """Reaction to a finding of the path watch (path_watch.py)."""
+    return Reaction(reason, modes, lambda h, s: h.watch_reason == reason, to, lambda h: h.watch_detail)
+
+
 REACTIONS: tuple[Reaction, ...] = (
     Reaction("emergency stop", ANY - {Mode.STOPPED}, lambda h, s: h.emergency_stop, Mode.STOPPED),
     Reaction("thruster board silent", LIVE, lambda h, s: h.board_age_s > BOARD_LOST_S, Mode.FAULT),
     Reaction("no thruster board", LIVE, lambda h, s: h.autopilot != "", Mode.FAULT, lambda h: f"{h.autopilot} is on the link"),
     Reaction("thruster board disarmed", LIVE, lambda h, s: h.board_disarmed_s > BOARD_ARMS_WITHIN_S, Mode.FAULT),
     Reaction("thruster board disobeys", LIVE, lambda h, s: h.echo_wrong_s > BOARD_DISOBEYS_S, Mode.FAULT),
-    Reaction("thrusters do not do as told", POWERED, lambda h, s: h.thrusters_broken and s.watch_thrusters, Mode.FAULT),
-    Reaction("off its path", POWERED, lambda h, s: h.off_path, Mode.FAULT),
+    _watched("held fast", POWERED, Mode.FAULT),
+    _watched("marker turned", POWERED, Mode.FAULT),
+    _watched("current too strong", POWERED, Mode.FAULT),
+    Reaction(
+        "thrusters do not do as told", POWERED, lambda h, s: h.thrusters_broken and s.watch_thrusters, Mode.FAULT,
+        lambda h: h.likely_cause or "one is broken, or something holds the robot fast",
+    ),
+    Reaction("off its path", POWERED, lambda h, s: h.off_path, Mode.FAULT, lambda h: h.likely_cause),
+    _watched("not in time on its path", POWERED, Mode.FAULT),
+    _watched("does not follow its plan", POWERED, Mode.FAULT),
     Reaction("off its depth", POWERED, lambda h, s: h.off_depth, Mode.FAULT),
     Reaction("depth in doubt", POWERED, lambda h, s: h.depth_leap != "", Mode.FAULT, lambda h: h.depth_leap),
     Reaction(
@@ -126,6 +142,7 @@ REACTIONS: tuple[Reaction, ...] = (
     Reaction("pose late", UNDER_WAY, lambda h, s: h.pose_age_s > s.pose_hold_s, Mode.HOLDING),
     Reaction("identity in doubt", UNDER_WAY, lambda h, s: h.identity_age_s > DOUBT_S, Mode.HOLDING),
     Reaction("position leapt", UNDER_WAY, lambda h, s: h.leap != "", Mode.HOLDING, lambda h: h.leap),
+    _watched("gives way for too long", frozenset({Mode.TRACKING}), Mode.HOLDING),
     Reaction("no drive command", frozenset({Mode.DRIVEN}), lambda h, s: h.drive_age_s > DRIVE_LASTS_S, Mode.HOLDING),
 )  # fmt: skip
 

@@ -1,5 +1,5 @@
-"""Detection of a robot that has left its path without a known reason. Pure. It is the last line of defence, for causes that no
-other check covers.
+"""Detection of a robot that has left its path without a known reason. Pure. What covers the ways there and back is in
+path_watch.py.
 
 Known reasons are avoidance of a robot or obstacle, or room made for one, that began while the robot was on its path, or to
 which the path itself would have led (a robot that drifts off comes near to others as well, but its path does not), and a robot
@@ -23,7 +23,7 @@ class PathDeviationMonitor:
     def reset(self) -> None:
         """Start anew, with another goal or none."""
         self.left = False  # stays so until the next reset
-        self._has_arrived = False
+        self.has_arrived = False  # near the path, as fast, and free
         self._since_ns: int | None = None
         self._before: tuple[complex, complex, int] | None = None
         self._path_mps: complex | None = None
@@ -34,12 +34,12 @@ class PathDeviationMonitor:
         off_m = abs(place_m - path_m)
         drift_mps, at_once = self._motion(place_m, path_m, now_ns)
         if at_once:
-            self._has_arrived = False
+            self.has_arrived = False
         if off_m + drift_mps * FORESEEN_S < ARRIVED * self._limit_m:
-            self._has_arrived = is_free
+            self.has_arrived = is_free
         if path_is_blocked:
-            self._has_arrived = False
-        if not (self._has_arrived and off_m > self._limit_m):
+            self.has_arrived = False
+        if not (self.has_arrived and off_m > self._limit_m):
             self._since_ns = None
         elif self._since_ns is None:
             self._since_ns = now_ns

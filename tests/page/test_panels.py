@@ -21,6 +21,7 @@ from wire.messages import topics
 from wire.messages.messages import (
     CameraHealth,
     Event,
+    Guidance,
     LocalizerStatus,
     Mode,
     Order,
@@ -186,10 +187,14 @@ def test_any_field_is_plotted_and_a_layout_is_an_address(browser: Browser) -> No
         expect(page.get_by_label("What plot 2 shows")).to_have_value("state.nu.0")
         expect(tile(page, 2)).to_have_class(re.compile("chosen"))
         for _ in range(8):
-            told = RobotState(nu=np.array([0.25, 0.0, 0.0, 0.0]), board_loss=0.5, drag_ratio=1.32, thrust_ratio=0.75)
+            told = RobotState(
+                mode=Mode.TRACKING, guidance=Guidance.GIVING_WAY, nu=np.array([0.25, 0.0, 0.0, 0.0]), board_loss=0.5,
+                drag_ratio=1.32, thrust_ratio=0.75,
+            )  # fmt: skip
             desk.robots.publish(topics.STATE, told, time.time_ns(), 1)
             page.wait_for_timeout(120)
         expect(tile(page, 1)).to_contain_text("× 1.32, 0.75")
+        expect(tile(page, 1)).to_contain_text("tracking, giving way")
         figures = page.locator(".plot")
         expect(figures.nth(1).locator(".u-legend")).to_contain_text("0.25")
         page.get_by_label("What plot 3 shows").select_option("state.loss")  # of before it was asked for, too

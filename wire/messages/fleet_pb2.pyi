@@ -24,6 +24,16 @@ class Mode(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     MODE_FAULT: _ClassVar[Mode]
     MODE_DRIVEN: _ClassVar[Mode]
 
+class Guidance(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    GUIDANCE_NONE: _ClassVar[Guidance]
+    GUIDANCE_JOINING: _ClassVar[Guidance]
+    GUIDANCE_ON_PATH: _ClassVar[Guidance]
+    GUIDANCE_GIVING_WAY: _ClassVar[Guidance]
+    GUIDANCE_RETURNING: _ClassVar[Guidance]
+    GUIDANCE_HOLDING: _ClassVar[Guidance]
+    GUIDANCE_DRIVEN: _ClassVar[Guidance]
+
 class Solve(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
     SOLVE_NONE: _ClassVar[Solve]
@@ -78,6 +88,13 @@ MODE_HOLDING: Mode
 MODE_STOPPED: Mode
 MODE_FAULT: Mode
 MODE_DRIVEN: Mode
+GUIDANCE_NONE: Guidance
+GUIDANCE_JOINING: Guidance
+GUIDANCE_ON_PATH: Guidance
+GUIDANCE_GIVING_WAY: Guidance
+GUIDANCE_RETURNING: Guidance
+GUIDANCE_HOLDING: Guidance
+GUIDANCE_DRIVEN: Guidance
 SOLVE_NONE: Solve
 SOLVE_SOLVED: Solve
 SOLVE_SHIFTED: Solve
@@ -228,7 +245,7 @@ class Plan(_message.Message):
     def __init__(self, period_s: _Optional[float] = ..., eta: _Optional[_Iterable[float]] = ..., eta_reference: _Optional[_Iterable[float]] = ..., tracking_error_m: _Optional[float] = ..., urgent: _Optional[bool] = ..., heard: _Optional[_Iterable[int]] = ..., adrift: _Optional[bool] = ...) -> None: ...
 
 class RobotState(_message.Message):
-    __slots__ = ("mode", "fault", "experiment_hash", "trajectory_s", "trajectory_id", "eta", "nu", "disturbance", "eta_reference", "eta_command", "wrench", "wrench_step", "wrench_delivered", "wrench_wanted", "pulse_us", "echo_us", "track", "pose_age_ms", "exposure_to_pwm_ms", "depth_m", "battery_v", "board_armed", "board_age_ms", "board_loss", "solve", "iterations", "step_us", "missed_deadlines", "slack_m", "heard", "tuning_id", "board_round_trip_ms", "board_clock_offset_s", "thruster_test", "planned", "blind", "tilt", "drag_ratio", "thrust_ratio", "code")
+    __slots__ = ("mode", "fault", "experiment_hash", "trajectory_s", "trajectory_id", "eta", "nu", "disturbance", "eta_reference", "eta_command", "wrench", "wrench_step", "wrench_delivered", "wrench_wanted", "pulse_us", "echo_us", "track", "pose_age_ms", "exposure_to_pwm_ms", "depth_m", "battery_v", "board_armed", "board_age_ms", "board_loss", "solve", "iterations", "step_us", "missed_deadlines", "slack_m", "heard", "tuning_id", "board_round_trip_ms", "board_clock_offset_s", "thruster_test", "planned", "blind", "tilt", "drag_ratio", "thrust_ratio", "code", "guidance")
     MODE_FIELD_NUMBER: _ClassVar[int]
     FAULT_FIELD_NUMBER: _ClassVar[int]
     EXPERIMENT_HASH_FIELD_NUMBER: _ClassVar[int]
@@ -269,6 +286,7 @@ class RobotState(_message.Message):
     DRAG_RATIO_FIELD_NUMBER: _ClassVar[int]
     THRUST_RATIO_FIELD_NUMBER: _ClassVar[int]
     CODE_FIELD_NUMBER: _ClassVar[int]
+    GUIDANCE_FIELD_NUMBER: _ClassVar[int]
     mode: Mode
     fault: str
     experiment_hash: str
@@ -309,7 +327,8 @@ class RobotState(_message.Message):
     drag_ratio: float
     thrust_ratio: float
     code: str
-    def __init__(self, mode: _Optional[_Union[Mode, str]] = ..., fault: _Optional[str] = ..., experiment_hash: _Optional[str] = ..., trajectory_s: _Optional[float] = ..., trajectory_id: _Optional[str] = ..., eta: _Optional[_Iterable[float]] = ..., nu: _Optional[_Iterable[float]] = ..., disturbance: _Optional[_Iterable[float]] = ..., eta_reference: _Optional[_Iterable[float]] = ..., eta_command: _Optional[_Iterable[float]] = ..., wrench: _Optional[_Iterable[float]] = ..., wrench_step: _Optional[_Iterable[float]] = ..., wrench_delivered: _Optional[_Iterable[float]] = ..., wrench_wanted: _Optional[_Iterable[float]] = ..., pulse_us: _Optional[_Iterable[int]] = ..., echo_us: _Optional[_Iterable[int]] = ..., track: _Optional[_Union[Track, str]] = ..., pose_age_ms: _Optional[float] = ..., exposure_to_pwm_ms: _Optional[float] = ..., depth_m: _Optional[float] = ..., battery_v: _Optional[float] = ..., board_armed: _Optional[bool] = ..., board_age_ms: _Optional[float] = ..., board_loss: _Optional[float] = ..., solve: _Optional[_Union[Solve, str]] = ..., iterations: _Optional[int] = ..., step_us: _Optional[float] = ..., missed_deadlines: _Optional[int] = ..., slack_m: _Optional[float] = ..., heard: _Optional[_Iterable[int]] = ..., tuning_id: _Optional[str] = ..., board_round_trip_ms: _Optional[float] = ..., board_clock_offset_s: _Optional[float] = ..., thruster_test: _Optional[str] = ..., planned: _Optional[bool] = ..., blind: _Optional[str] = ..., tilt: _Optional[_Iterable[float]] = ..., drag_ratio: _Optional[float] = ..., thrust_ratio: _Optional[float] = ..., code: _Optional[str] = ...) -> None: ...
+    guidance: Guidance
+    def __init__(self, mode: _Optional[_Union[Mode, str]] = ..., fault: _Optional[str] = ..., experiment_hash: _Optional[str] = ..., trajectory_s: _Optional[float] = ..., trajectory_id: _Optional[str] = ..., eta: _Optional[_Iterable[float]] = ..., nu: _Optional[_Iterable[float]] = ..., disturbance: _Optional[_Iterable[float]] = ..., eta_reference: _Optional[_Iterable[float]] = ..., eta_command: _Optional[_Iterable[float]] = ..., wrench: _Optional[_Iterable[float]] = ..., wrench_step: _Optional[_Iterable[float]] = ..., wrench_delivered: _Optional[_Iterable[float]] = ..., wrench_wanted: _Optional[_Iterable[float]] = ..., pulse_us: _Optional[_Iterable[int]] = ..., echo_us: _Optional[_Iterable[int]] = ..., track: _Optional[_Union[Track, str]] = ..., pose_age_ms: _Optional[float] = ..., exposure_to_pwm_ms: _Optional[float] = ..., depth_m: _Optional[float] = ..., battery_v: _Optional[float] = ..., board_armed: _Optional[bool] = ..., board_age_ms: _Optional[float] = ..., board_loss: _Optional[float] = ..., solve: _Optional[_Union[Solve, str]] = ..., iterations: _Optional[int] = ..., step_us: _Optional[float] = ..., missed_deadlines: _Optional[int] = ..., slack_m: _Optional[float] = ..., heard: _Optional[_Iterable[int]] = ..., tuning_id: _Optional[str] = ..., board_round_trip_ms: _Optional[float] = ..., board_clock_offset_s: _Optional[float] = ..., thruster_test: _Optional[str] = ..., planned: _Optional[bool] = ..., blind: _Optional[str] = ..., tilt: _Optional[_Iterable[float]] = ..., drag_ratio: _Optional[float] = ..., thrust_ratio: _Optional[float] = ..., code: _Optional[str] = ..., guidance: _Optional[_Union[Guidance, str]] = ...) -> None: ...
 
 class StationHeartbeat(_message.Message):
     __slots__ = ("experiment_hash", "emergency_stop", "mission", "lag_s", "slowing", "planned", "code", "out")

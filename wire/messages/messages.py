@@ -64,6 +64,18 @@ class Mode(IntEnum):
     DRIVEN = 6  # A person drives the robot; it stops by itself when no DRIVE comes.
 
 
+class Guidance(IntEnum):
+    """What decides a robot's motion. The table of transitions is in robot_agent/safety/guidance_states.py."""
+
+    NONE = 0  # Nothing: the thrusters are at neutral.
+    JOINING = 1  # The robot is on its way to its path, after START, RESUME, or a leap of the path.
+    ON_PATH = 2
+    GIVING_WAY = 3  # The robot leaves its path for another robot or an obstacle.
+    RETURNING = 4  # The robot is on its way back to its path after giving way.
+    HOLDING = 5
+    DRIVEN = 6
+
+
 class Solve(IntEnum):
     """The result of a control step's optimisation."""
 
@@ -208,6 +220,7 @@ class RobotState:
 
     mode: Mode = Mode.DISARMED
     fault: str = ""  # Reason why the robot holds, stopped or failed; empty if there is none.
+    guidance: Guidance = Guidance.NONE  # What decides the robot's motion; NONE in messages of earlier versions.
     experiment_hash: str = ""
     tuning_id: str = ""  # Id of the gains in use.
     trajectory_s: float = 0.0  # Time along the trajectory; 0 until it is started.
@@ -246,6 +259,12 @@ class RobotState:
     drag_ratio: float = 0.0  # Learned drag per mass of surge and sway, over the vehicle file's; 0 if it is not learned.
     thrust_ratio: float = 0.0  # The same of thrust per mass.
     code: str = ""  # Version and commit of the robot's program; empty in messages of earlier versions.
+
+    @property
+    def doing(self) -> str:
+        """The mode, and along a path what decides the motion: "tracking, giving way"."""
+        along = self.mode is Mode.TRACKING and self.guidance is not Guidance.NONE
+        return self.mode.name.lower() + (f", {self.guidance.name.lower().replace('_', ' ')}" if along else "")
 
 
 @dataclass(frozen=True, eq=False)

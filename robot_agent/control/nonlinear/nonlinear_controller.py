@@ -319,6 +319,9 @@ class NonlinearController:
             is_free=lead is reference and not found.binds,
             path_is_blocked=self._give_way.path_is_blocked,
             flow_moment_nm=flow_moment_nm(self._model.coefficients, estimate.through_water),
+            avoids=self._give_way.avoids or found.binds,
+            current=estimate.current,
+            deviations=estimate.deviations,
         )
 
     def _first_wrench(self, has_plan: bool, has_depth_plan: bool) -> Array:

@@ -15,7 +15,7 @@ from groundstation.report.drawing import BarPlot, TimePlot
 from groundstation.report.plotting import picture
 from tests.groundstation.synthetic import Script, write_run
 from wire.frames import Array
-from wire.messages.messages import Mode, Pose, RobotState, StepInputs
+from wire.messages.messages import Guidance, Mode, Pose, RobotState, StepInputs
 
 MS = 1_000_000
 
@@ -66,6 +66,24 @@ def test_a_limit_counts_where_it_is_reached_and_only_while_under_way(flown: tupl
     assert curve(drawn.slack(changed), "robot 1").max() == pytest.approx(13.0)  # mm
     assert curve(drawn.links(changed), "robot 1").max() == pytest.approx(2.6)  # %
     assert not curve(drawn.links(changed), "robot 2").any()
+
+
+def test_the_timeline_and_the_events_say_what_decides_the_motion(flown: tuple[Series, Path]) -> None:
+    series, _ = flown
+    states = series.robots[1].states
+    rows = np.flatnonzero(states.tracking)
+    guidance = np.zeros(len(states.time_s))
+    guidance[rows] = Guidance.ON_PATH
+    guidance[rows[10:30]], guidance[rows[30:35]] = Guidance.GIVING_WAY, Guidance.RETURNING
+    plot = drawn.timeline(with_states(series, 1, guidance=guidance))
+    assert plot is not None
+    found = {bar.label: (bar.begin_s, bar.length_s) for bar in plot.rows[0][1]}
+    assert found["giving way"] == pytest.approx((states.time_s[rows[10]], 1.0))
+    assert found["returning"] == pytest.approx((states.time_s[rows[30]], 0.25))
+    assert "joining" not in found and "giving way" not in {bar.label for bar in plot.rows[1][1]}
+    led = RobotState(mode=Mode.TRACKING, guidance=Guidance.GIVING_WAY)
+    assert led.doing == "tracking, giving way" and replace(led, mode=Mode.HOLDING).doing == "holding"
+    assert replace(led, guidance=Guidance.NONE).doing == "tracking"  # a message of an earlier version
 
 
 def entry(state: RobotState, stamp_ns: int) -> DecodedMessage[RobotState]:

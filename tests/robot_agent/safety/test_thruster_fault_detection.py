@@ -26,7 +26,7 @@ def flagged(settings: Sequence[str], duration_s: float, faults: Sequence[str] = 
     found: dict[int, float] = {}
     for number, robot in zip(fleet.experiment.robot_ids, fleet.robots, strict=True):
         begin = next(k for k, state in enumerate(robot.states) if state.trajectory_s > 0.0)
-        times = [(k - begin) * 0.05 for k, s in enumerate(robot.states) if s.fault == "thrusters do not do as told"]
+        times = [(k - begin) * 0.05 for k, s in enumerate(robot.states) if s.fault.startswith("thrusters do not do as told")]
         found |= {number: times[0]} if times else {}
         assert all(s.mode is Mode.FAULT and s.pulse_us[:4] == (1500,) * 4 for s in robot.states[-1:] if times)
     return found

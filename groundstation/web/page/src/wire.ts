@@ -110,11 +110,13 @@ export interface Tuning {
 }
 
 type Mode = "DISARMED" | "ARMED" | "TRACKING" | "HOLDING" | "STOPPED" | "FAULT" | "DRIVEN";
+type Guidance = "NONE" | "JOINING" | "ON_PATH" | "GIVING_WAY" | "RETURNING" | "HOLDING" | "DRIVEN";
 type Track = "LOST" | "COAST" | "KCF" | "MARKER";
 
 export interface RobotState {
   mode: Mode;
   fault: string;
+  guidance: Guidance; // what decides its motion
   tuning: string;
   t_s: number;
   loaded: string;

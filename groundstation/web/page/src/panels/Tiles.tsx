@@ -2,7 +2,7 @@
 
 import { robotColour } from "../colours";
 import { ageMs, alarms, drawSoon, isStale, live, now, scene, selected, shown } from "../store";
-import type { RobotNews, Scene } from "../wire";
+import type { RobotNews, RobotState, Scene } from "../wire";
 
 const MARK: Record<string, string> = { DISARMED: "○", ARMED: "◐", TRACKING: "▶", HOLDING: "❚❚", STOPPED: "■", FAULT: "✕", DRIVEN: "✥" };
 const MANY = 6; // from here on a tile tells the mode, the error, the pose, and what is wrong
@@ -33,6 +33,12 @@ function degrees(radians: number | undefined): string {
 function speed(id: number): string {
   const nu = live.robots.get(id)?.nu;
   return nu === undefined ? "-" : Math.hypot(nu[0]!, nu[1]!).toFixed(3);
+}
+
+/** The mode, and along a path what decides the motion: "tracking, giving way". */
+function doing(state: RobotState): string {
+  const along = state.mode === "TRACKING" && state.guidance !== "NONE" ? `, ${state.guidance.toLowerCase().replace("_", " ")}` : "";
+  return `${MARK[state.mode]} ${state.mode.toLowerCase()}${along}`;
 }
 
 function Fact({ name, value, bad }: { name: string; value: string; bad?: boolean | undefined }) {
@@ -71,7 +77,7 @@ function Tile({ robot, place, s }: { robot: RobotNews; place: number; s: Scene }
       >
         <span class="id">{robot.id}</span>
         <span class="mode">
-          {state ? `${MARK[state.mode]} ${state.mode.toLowerCase()}` : "not heard"}
+          {state ? doing(state) : "not heard"}
           {state?.armed && <small>, board armed</small>}
         </span>
         <span class="age">{stale ? `${state ? "last heard " : ""}${state ? age(ageMs(robot, live.sentMs)) + " ago" : ""}` : age(ageMs(robot, live.sentMs))}</span>

@@ -1,0 +1,114 @@
+"""Guidance states: what decides a robot's motion while it has power. A table of transitions, and one of bounds.
+
+In each state exactly one thing is flown (STATES.flown). TRANSITIONS lists the changes, first match first; a state may be left
+at every step. STATES has the bounds too: the longest stay, and what happens after it. path_watch.py holds the robot to them.
+`robot-agent modes` prints both tables for docs/modes.md.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from robot_agent.safety.modes import DRIVE_LASTS_S, POWERED
+from wire.messages.messages import Guidance, Mode
+
+LONGEST_AWAY_S = 120.0  # eight robots through one point were back after 76 s; two that wait for one another never are
+
+ANY = frozenset(Guidance)
+ALONG_PATH = frozenset({Guidance.JOINING, Guidance.ON_PATH, Guidance.GIVING_WAY, Guidance.RETURNING})
+AWAY = frozenset({Guidance.GIVING_WAY, Guidance.RETURNING})  # their stays count as one
+
+
+class GuidanceFacts(NamedTuple):
+    """Facts that the transitions are decided by."""
+
+    mode: Mode
+    avoids: bool  # its plan leads around a robot or an obstacle
+    has_arrived: bool  # it is near its path and as fast, and has been since: the path has not leapt
+
+
+@dataclass(frozen=True)
+class GuidanceTransition:
+    """Change from one of `states` to `to` if `when` holds; `condition` says it in words."""
+
+    states: frozenset[Guidance]
+    to: Guidance
+    condition: str
+    when: Callable[[GuidanceFacts], bool]
+
+
+TRANSITIONS: tuple[GuidanceTransition, ...] = (
+    GuidanceTransition(ANY, Guidance.NONE, "the mode puts out no thrust", lambda f: f.mode not in POWERED),
+    GuidanceTransition(ANY, Guidance.HOLDING, "mode HOLDING", lambda f: f.mode is Mode.HOLDING),
+    GuidanceTransition(ANY, Guidance.DRIVEN, "mode DRIVEN", lambda f: f.mode is Mode.DRIVEN),
+    GuidanceTransition(ANY, Guidance.GIVING_WAY, "it avoids a robot or an obstacle", lambda f: f.avoids),
+    GuidanceTransition(ANY, Guidance.ON_PATH, "near its path, and as fast", lambda f: f.has_arrived),
+    GuidanceTransition(AWAY, Guidance.RETURNING, "nothing is in its way any more", lambda f: True),
+    GuidanceTransition(ANY, Guidance.JOINING, "mode TRACKING; or the path's velocity leaps", lambda f: True),
+)
+
+
+def next_state(state: Guidance, facts: GuidanceFacts) -> Guidance:
+    """The state after a step."""
+    return next(t.to for t in TRANSITIONS if state in t.states and t.when(facts))
+
+
+class StayLimits(NamedTuple):
+    """Longest stays that depend on the flight, s."""
+
+    join_s: float  # twice the time that the way to the path takes, and two horizons (path_watch.py)
+    path_s: float = float("inf")  # what is left of the path
+
+
+@dataclass(frozen=True)
+class GuidanceState:
+    """What is flown in a state, for how long, and what happens then."""
+
+    flown: str
+    bounds: str
+    longest: str
+    longest_s: Callable[[StayLimits], float]
+    then: str
+
+
+FORESEEN = "place against the plan's prediction"
+
+STATES: dict[Guidance, GuidanceState] = {
+    Guidance.NONE: GuidanceState("nothing: neutral", "none: it has no thrust", "until an order", lambda s: float("inf"), "-"),
+    Guidance.JOINING: GuidanceState(
+        "the path", f"{FORESEEN}; the error it began with and `safety.off_path_m`",
+        "twice the time of the way to the path, and two horizons", lambda s: s.join_s,
+        "FAULT: not in time on its path",
+    ),
+    Guidance.ON_PATH: GuidanceState(
+        "the path", f"{FORESEEN}; `safety.off_path_m`", "to the path's end", lambda s: s.path_s,
+        "the path's last pose is held",
+    ),
+    Guidance.GIVING_WAY: GuidanceState(
+        "a way around what is in the way, chosen by the rule for right of way", FORESEEN,
+        f"{LONGEST_AWAY_S:g} s, RETURNING included", lambda s: LONGEST_AWAY_S, "HOLDING: gives way for too long",
+    ),
+    Guidance.RETURNING: GuidanceState(
+        "the way back to the path", f"{FORESEEN}; the error it began with and `safety.off_path_m`",
+        f"{LONGEST_AWAY_S:g} s, GIVING_WAY included", lambda s: LONGEST_AWAY_S, "HOLDING: gives way for too long",
+    ),
+    Guidance.HOLDING: GuidanceState(
+        "the place where it can stop", f"{FORESEEN}; `safety.off_path_m` from the place, once it was there",
+        "until an order; without a station `safety.station_neutral_s`", lambda s: float("inf"), "FAULT: station silent",
+    ),
+    Guidance.DRIVEN: GuidanceState(
+        "the arc of the last DRIVE", f"{FORESEEN}; a lead of `safety.off_path_m`",
+        f"{DRIVE_LASTS_S:g} s after the last DRIVE", lambda s: DRIVE_LASTS_S, "HOLDING: no drive command",
+    ),
+}  # fmt: skip
+
+
+def table() -> str:
+    """Both tables as Markdown, for docs/modes.md."""
+    lines = ["| Guidance state | what is flown | bounds | longest stay | then |", "| --- | --- | --- | --- | --- |"]
+    lines += [f"| {name.name} | {s.flown} | {s.bounds} | {s.longest} | {s.then} |" for name, s in STATES.items()]
+    lines += ["", "| From, first match first | when | to |", "| --- | --- | --- |"]
+    for t in TRANSITIONS:
+        states = "any" if t.states == ANY else ", ".join(s.name for s in Guidance if s in t.states)
+        lines.append(f"| {states} | {t.condition} | {t.to.name} |")
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,221 @@
+"""The path watch: holds a robot with power to the bounds of its guidance state, and names what is wrong. Pure. Never off.
+
+In every state the robot has to be where its plan, told LOOK_S ago, said that it would be now. The margin is what unknown
+forces and errors of the model may do in that time: a share of the way that full thrust makes, and the estimate's own
+uncertainty. On its path it has to stay within `safety.off_path_m` (path_deviation.py), on the way there its error may not
+grow beyond that, and every way there has its time (guidance_states.py).
+
+Three causes are found by themselves, earlier than their effect on the path: a robot that is held fast, a marker that is turned
+(both thrust_response.py), and a current or another force that is stronger than the robot: for a second it takes as much as
+full thrust, the thrust is near its limit, and the error grows.
+"""
+
+import cmath
+import math
+from collections import deque
+from typing import NamedTuple
+
+from robot_agent.control.controller import ControlOutput
+from robot_agent.safety.guidance_states import AWAY, STATES, GuidanceFacts, StayLimits, next_state
+from robot_agent.safety.modes import POWERED
+from robot_agent.safety.path_deviation import ARRIVED, PathDeviationMonitor
+from robot_agent.safety.thrust_response import ThrustResponse
+from wire.config.experiment import Experiment
+from wire.frames import Array
+from wire.messages.messages import Guidance, Mode
+
+NS = 1_000_000_000
+FOLLOWS_S = 1.0  # so far a robot that a law without foresight drives is behind its reference (guidance/driving.py)
+LOOK_S = 1.0  # between a prediction and its test: thrust has acted, and little has been learned since
+MODEL_SHARE = 0.35  # of the way by full thrust in LOOK_S: mass wrong by +100 % is 0.25 at most, gusts and reversals 0.15
+DEVIATIONS = 4.0  # of the estimate's own uncertainty
+SAME = 0.25  # of the margin: by how much what is flown may change meanwhile
+LASTS_S = 0.5
+GROWS_S = 1.0  # an error beyond its bound on the way to the path
+STRONGER_S = 1.0
+STRONGER = 0.95  # of full thrust: what a current takes. At 0.8 of the robot's speed it takes 0.64
+NEAR_FULL = 0.8  # of full thrust: what is given meanwhile
+GROWING = 0.05  # of the robot's speed: growth of the error
+SLOWEST = 0.05  # of the robot's speed: with less to spare no path can be joined (benchmarks/robots: 0.95 at most)
+LEANING = 0.5  # of the evidence that stops a robot: enough to name a likely cause
+
+
+class WatchFinding(NamedTuple):
+    """Reason to stop, a key of `modes.REACTIONS`, and what there is to say besides. Both empty: there is none."""
+
+    reason: str = ""
+    detail: str = ""
+
+
+NO_FINDING = WatchFinding()
+
+
+class _Foreseen(NamedTuple):
+    """Where the robot should be at an instant, and where it should be meant to be."""
+
+    due_ns: int
+    place: complex
+    reference: complex
+
+
+class _Moment(NamedTuple):
+    """What the test for a stronger current looks at."""
+
+    at_ns: int
+    force: float  # that the model does not explain, of full thrust
+    thrust: float  # of full thrust
+    off_m: float
+
+
+class PathWatch:
+    """Watch over one robot. Without `told_period_s`, the period of its plans, it foresees nothing: only leaving the path and
+    the guidance state are told."""
+
+    def __init__(self, experiment: Experiment, told_period_s: float = 0.0) -> None:
+        vehicle, self._limit_m = experiment.vehicle, experiment.safety.off_path_m
+        self._row = LOOK_S / told_period_s if told_period_s else 0.0
+        self._thrust_mps2 = vehicle.limits.wrench[0] / vehicle.mass.surge_kg
+        self._thrust_n, self._fastest_mps = vehicle.limits.wrench[0], vehicle.limits.speed_mps
+        self._told_period_s = told_period_s
+        self._deviation = PathDeviationMonitor(self._limit_m)
+        self.response = ThrustResponse(vehicle)
+        self.state = Guidance.NONE
+        self.reset()
+
+    def reset(self) -> None:
+        """Start anew, in another mode."""
+        self._deviation.reset()
+        self.finding = NO_FINDING  # stays until the next reset
+        self._foreseen: deque[_Foreseen] = deque()
+        self._moments: deque[_Moment] = deque()
+        self._surprised_s = self._growing_s = 0.0
+        self._stayed_s, self._join_s, self._entry_m = 0.0, 0.0, 0.0
+        self._at_ns: int | None = None
+        self.force = self._now = 0.0  # that the model does not explain, of full thrust: in the last second, and now at most
+
+    @property
+    def has_left(self) -> bool:
+        """True if the robot has left its path."""
+        return self._deviation.left
+
+    def step(self, output: ControlOutput, mode: Mode, now_ns: int) -> None:
+        """Take in a control step's result, in the mode from now on."""
+        elapsed_s = 0.0 if self._at_ns is None else (now_ns - self._at_ns) / NS
+        self._at_ns = now_ns
+        place, path = complex(output.eta[0], output.eta[1]), complex(output.eta_reference[0], output.eta_reference[1])
+        led = place
+        if mode is Mode.DRIVEN and not self._row:  # the reference leads: what counts is where the robot would be by then
+            led += cmath.rect(FOLLOWS_S, output.eta.item(3)) * complex(output.nu[0], output.nu[1])
+        self._deviation.step(led, path, output.is_free, output.path_is_blocked, now_ns)
+        off_m = abs(place - path)
+        self._change_state(output, mode, off_m, elapsed_s)
+        if output.leap:
+            self.response.reset()
+            self._foreseen.clear()
+        if self._row and mode in POWERED and not self.finding.reason:
+            self.finding = self._find(output, place, off_m, elapsed_s, now_ns)
+
+    def _change_state(self, output: ControlOutput, mode: Mode, off_m: float, elapsed_s: float) -> None:
+        avoids = output.path_is_blocked or (output.avoids and off_m > ARRIVED * self._limit_m)
+        before = self.state
+        self.state = next_state(before, GuidanceFacts(mode, avoids, self._deviation.has_arrived))
+        self._stayed_s += elapsed_s
+        if self.state is not before:
+            if not {self.state, before} <= AWAY:
+                self._stayed_s = 0.0
+            self._join_s, self._entry_m, self._growing_s = 0.0, off_m, 0.0
+
+    def _find(self, output: ControlOutput, place: complex, off_m: float, elapsed_s: float, now_ns: int) -> WatchFinding:
+        """The first bound that is passed."""
+        strong = self._stronger_force(output, off_m, now_ns)
+        held, turned_rad = self.response.held_fast, self.response.marker_turned_rad
+        if held:
+            return WatchFinding("held fast", held)
+        if turned_rad:
+            about = f"by about {abs(math.degrees(turned_rad)):.0f} degrees: its thrust acts in another direction"
+            return WatchFinding("marker turned", about)
+        if strong:
+            return WatchFinding("current too strong", strong)
+        if self._is_surprised(output, place, elapsed_s, now_ns):
+            return WatchFinding("does not follow its plan", self.likely_cause)
+        return self._overdue(output, off_m, elapsed_s)
+
+    def _stronger_force(self, output: ControlOutput, off_m: float, now_ns: int) -> str:
+        """What shows that a force is stronger than the robot; empty if none is."""
+        learned = output.thrust_ratio or 1.0
+        force = math.hypot(output.disturbance[0], output.disturbance[1]) / (self._thrust_mps2 * learned)
+        self._moments.append(_Moment(now_ns, force, abs(output.wrench_delivered[0]) / self._thrust_n, off_m))
+        while len(self._moments) > 2 and self._moments[1].at_ns <= now_ns - STRONGER_S * NS:
+            self._moments.popleft()
+        first, count = self._moments[0], len(self._moments)
+        lasted_s = (now_ns - first.at_ns) / NS
+        self.force = sum(m.force for m in self._moments) / count
+        self._now = max(self.force, force, (abs(output.current) / self._fastest_mps) ** 2)
+        thrust = sum(m.thrust for m in self._moments) / count
+        grows = off_m - first.off_m > GROWING * self._fastest_mps * lasted_s
+        if lasted_s < STRONGER_S or self.force < STRONGER or thrust < NEAR_FULL or not grows:
+            return ""
+        return f"it takes {100.0 * self.force:.0f} % of full thrust and carries the robot off; {100.0 * thrust:.0f} % is given"
+
+    def _is_surprised(self, output: ControlOutput, place: complex, elapsed_s: float, now_ns: int) -> bool:
+        """True if the robot is not where its plan said, for LASTS_S, though what it was to fly has stayed the same."""
+        due_ns = now_ns + round(LOOK_S * NS)
+        self._foreseen.append(_Foreseen(due_ns, self._ahead(output.plan_eta), self._ahead(output.plan_reference)))
+        due = None
+        while self._foreseen[0].due_ns <= now_ns:
+            due = self._foreseen.popleft()
+        if due is None:
+            return False
+        known = output.deviations
+        unsure_m = DEVIATIONS * (known.place_m + known.ground_mps * LOOK_S) if known is not None else 0.0
+        margin_m = MODEL_SHARE * 0.5 * self._thrust_mps2 * LOOK_S**2 + unsure_m
+        asked = complex(output.eta_command[0], output.eta_command[1])
+        is_same = abs(asked - due.reference) < SAME * margin_m  # no other order, path or way around others meanwhile
+        self._surprised_s = self._surprised_s + elapsed_s if is_same and abs(place - due.place) > margin_m else 0.0
+        return self._surprised_s >= LASTS_S
+
+    def _ahead(self, poses: Array) -> complex:
+        """Place LOOK_S ahead in a plan (rows, 4)."""
+        after = min(int(self._row), len(poses) - 2)
+        share = self._row - after
+        x, y = ((1.0 - share) * poses[after, :2] + share * poses[after + 1, :2]).tolist()
+        return complex(x, y)
+
+    def _overdue(self, output: ControlOutput, off_m: float, elapsed_s: float) -> WatchFinding:
+        """A stay that is too long, or an error that grows on the way to the path."""
+        path_mps = math.hypot(*(output.plan_reference[1, :2] - output.plan_reference[0, :2]).tolist()) / self._told_period_s
+        horizon_s = self._told_period_s * (len(output.plan_eta) - 1)
+        spare_mps = max(self._fastest_mps - path_mps - abs(output.current), SLOWEST * self._fastest_mps)
+        self._join_s = max(self._join_s, 2.0 * self._entry_m / spare_mps + 2.0 * horizon_s)
+        is_away = off_m > ARRIVED * self._limit_m
+        if self._stayed_s > STATES[self.state].longest_s(StayLimits(self._join_s)) and is_away:
+            if self.state in AWAY:
+                return WatchFinding("gives way for too long", f"{self._stayed_s:.0f} s")
+            if self.state is Guidance.JOINING:
+                return WatchFinding("not in time on its path", f"not on it after {self._stayed_s:.0f} s{self._because}")
+        if self.state in (Guidance.JOINING, Guidance.RETURNING):
+            most_m = self._entry_m + self._limit_m + horizon_s * (path_mps + abs(output.current))
+            self._growing_s = self._growing_s + elapsed_s if off_m > most_m else 0.0
+            if self._growing_s >= GROWS_S:
+                grown = f"off it by {off_m:.2f} m, {self._entry_m:.2f} m when it set out"
+                return WatchFinding("not in time on its path", grown + self._because)
+        return NO_FINDING
+
+    @property
+    def _because(self) -> str:
+        return f": {self.likely_cause}" if self.likely_cause else ""
+
+    @property
+    def likely_cause(self) -> str:
+        """What the evidence so far points to; empty if to nothing."""
+        if not self._row:
+            return ""
+        response = self.response
+        if response.stands_still or response.standstill.pushed_m > response.standstill.room_m:
+            return "it does not move: it may be held fast, or its thrusters do not push"
+        if response.turn_evidence > LEANING:
+            turned = abs(math.degrees(cmath.phase(response.response.gain)))
+            return f"thrust acts in another direction: its marker may be turned by about {turned:.0f} degrees"
+        if self._now > LEANING:
+            return "the current, or another force, takes more than half of its thrust"
+        return ""

@@ -1,0 +1,307 @@
+"""Response of a robot's place to its thrust: is it held fast, or is its marker turned? Pure.
+
+The push of the thrusters, X / m along the heading of the poses, is known from what was sent. What the poses show of it is a
+complex gain g: in the pool, with places and velocities as x + iy,
+
+    p' = v    v' = a + g f - d D(v)    f = (X / m) e^(i yaw)    D: the hull's drag at the speed over ground, per mass
+
+a is what else accelerates the robot (a current, a cable), d the drag over the vehicle file's. A Kalman filter with the states
+p, v, a, g, d learns all of them from the poses alone, so no belief of the controller's observer enters. |g| is thrust per mass
+over the file's. Its angle is 0, unless the robot looks another way than its marker says: a marker turned by phi turns the push
+by -phi. As in the observer (vehicle/filter_bank.py) nobody knows how restless the water is, so there are several filters, and
+the poses tell which is right.
+
+A robot that is held fast stands, whatever its thrusters do. One that holds its place against a current stands as well, but its
+thrust is the same, or changes slowly. So the test is by the change of thrust: the way that it should have moved the robot by
+since it stands, against the way by which it moved. Thrust that lasts is forgotten in BALANCED_S: it may be balanced.
+"""
+
+import cmath
+import math
+from collections import deque
+from typing import Annotated, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wire.config.vehicle import Vehicle
+from wire.frames import wrap
+from wire.kernel_types import Floats
+from wire.kernels import kernel
+
+NS = 1_000_000_000
+Complexes = Annotated[NDArray[np.complex128], 2]
+ComplexCube = Annotated[NDArray[np.complex128], 3]
+
+STATES = 5
+P, V, A, G, D = range(STATES)
+RESTLESS = (1e-5, 2e-4, 4e-3, 4e-2)  # m^2/s^3: by how much v changes by itself: 3 mm/s in a second at rest, 20 cm/s in waves
+KIND_LASTS = 0.005  # share of the weights that is dealt out anew at each pose
+LEAST_WEIGHT = 1e-6
+AT_REST_MPS = 0.05  # standard deviation of v at first, and
+FIRST_GAIN, FIRST_DRAG = 0.7, 0.5  # of g and d: vehicle files are -50 to +100 % off. Of a it is full thrust
+THRUST_SHARE, PASSES_S = 0.03, 0.1  # as in vehicle/kalman.py: of thrust, what comes and goes, and for how long it stays
+FORCE_SHARE = 0.02  # of full thrust: by how much a changes in a second
+GAIN_LASTS_S = 300.0  # a marker may be knocked in flight
+DRAG_PER_S = 0.001  # variance
+OUTLIER = 5.0  # deviations: a pose farther off counts as if it were so much worse
+LONGEST_NS = NS  # between two poses; after a longer gap all begins anew
+
+TURNED_RAD = 0.07  # 4 degrees: no marker is glued on worse: less is no finding
+SURE = 3.0  # standard deviations beyond that,
+SURE_S = 0.3  # for so long
+PUSHES = 0.3  # of the thrust that should act: with less, its direction means nothing
+
+STANDS = 5.0  # standard deviations of a pose: a robot that stands stays within, and within
+STANDS_M = 0.002
+STANDS_STILL_S, STANDS_RAD = 0.25, 0.1  # and does not turn: what a robot with a broken thruster does
+WEAK = 0.5  # of the push: the file may be wrong about mass by +100 %
+HELD = 2.5  # the way that thrust should have moved it, over the way that counts as none
+BALANCED_S = 1.4  # time constant
+RAMP_PER_S = 0.04  # of full thrust: by how much a force may change that the robot holds its place against
+KEPT = 128  # commands: more than act between two poses
+
+
+class Push(NamedTuple):
+    """What moves the robot between two poses."""
+
+    acceleration: complex  # f
+    thrust_mps2: float  # full thrust
+    linear_per_s: float  # drag: linear v + quadratic |v| v
+    quadratic_per_m: float
+    elapsed_s: float
+
+
+class ResponseFilters(NamedTuple):
+    """The filters with their memory, changed in place."""
+
+    restless: Floats  # (filters,)
+    weight: Floats  # (filters,) their sum is 1
+    mean: Complexes  # (filters, STATES)
+    covariance: ComplexCube  # (filters, STATES, STATES), E[e e^H]
+    work: ComplexCube  # (2, STATES, STATES), overwritten
+
+
+class Response(NamedTuple):
+    """The gain g of all filters together, its standard deviation along one axis, and the velocity over ground."""
+
+    gain: complex
+    deviation: float
+    velocity: complex
+
+
+@kernel(part=True)
+def advance_filter(x: Complexes, p: ComplexCube, j: int, restless: float, push: Push, work: ComplexCube) -> None:
+    """Move the j-th filter on by `push.elapsed_s`."""
+    f, half, dt, a = work[0], work[1], push.elapsed_s, push.acceleration
+    v, d = x[j, V], x[j, D]
+    slope = push.linear_per_s + push.quadratic_per_m * abs(v)
+    kept = math.exp(-dt / GAIN_LASTS_S)
+    f[:] = 0.0
+    for i in range(STATES):
+        f[i, i] = 1.0
+    f[V, V], f[V, A], f[V, G], f[V, D] = 1.0 - dt * d * slope, dt, dt * a, -dt * slope * v
+    f[P, V], f[P, A] = dt - 0.5 * dt * dt * d * slope, 0.5 * dt * dt
+    f[P, G], f[P, D] = 0.5 * dt * dt * a, -0.5 * dt * dt * slope * v
+    f[G, G] = kept
+    change = dt * (x[j, A] + x[j, G] * a - d * slope * v)
+    x[j, P] += dt * v + 0.5 * dt * change
+    x[j, V] = v + change
+    x[j, G] = 1.0 + kept * (x[j, G] - 1.0)
+    for i in range(STATES):
+        for k in range(STATES):
+            total = 0.0j
+            for m in range(STATES):
+                total += f[i, m] * p[j, m, k]
+            half[i, k] = total
+    for i in range(STATES):
+        for k in range(STATES):
+            total = 0.0j
+            for m in range(STATES):
+                total += half[i, m] * f[k, m].conjugate()
+            p[j, i, k] = total
+    rough = THRUST_SHARE * abs(a)
+    noise = 2.0 * dt * (restless + 2.0 * PASSES_S * rough * rough)  # of two axes
+    p[j, V, V] += noise
+    p[j, P, V] += 0.5 * dt * noise
+    p[j, V, P] += 0.5 * dt * noise
+    p[j, P, P] += dt * dt / 3.0 * noise
+    p[j, A, A] += 2.0 * dt * (FORCE_SHARE * push.thrust_mps2) ** 2
+    p[j, G, G] += 2.0 * FIRST_GAIN**2 * (1.0 - kept * kept)
+    p[j, D, D] += 2.0 * DRAG_PER_S * dt
+
+
+@kernel
+def follow_response(filters: ResponseFilters, push: Push, place: complex, variance_m2: float) -> Response:
+    """Move all filters on to a pose, correct and weigh them."""
+    x, p, weight, gain = filters.mean, filters.covariance, filters.weight, filters.work[0, 0]
+    best, count = -math.inf, len(filters.weight)
+    likelihood = np.empty(count)
+    for j in range(count):
+        advance_filter(x, p, j, filters.restless[j], push, filters.work)
+        news = place - x[j, P]
+        s = max(p[j, P, P].real + 2.0 * variance_m2, abs(news) ** 2 / OUTLIER**2)
+        for i in range(STATES):
+            gain[i] = p[j, i, P] / s
+        for i in range(STATES):
+            x[j, i] += gain[i] * news
+            for k in range(STATES):
+                p[j, i, k] -= gain[i] * gain[k].conjugate() * s
+        likelihood[j] = -(abs(news) ** 2) / s - math.log(s)
+        best = max(best, likelihood[j])
+    total = 0.0
+    for j in range(count):
+        known = (1.0 - KIND_LASTS) * weight[j] + KIND_LASTS / count
+        weight[j] = max(known * math.exp(likelihood[j] - best), LEAST_WEIGHT)
+        total += weight[j]
+    mean, velocity, spread = 0j, 0j, 0.0
+    for j in range(count):
+        weight[j] /= total
+        mean += weight[j] * x[j, G]
+        velocity += weight[j] * x[j, V]
+    for j in range(count):
+        spread += weight[j] * (p[j, G, G].real + abs(x[j, G] - mean) ** 2)
+    return Response(mean, math.sqrt(max(0.5 * spread, 0.0)), velocity)
+
+
+class Standstill:
+    """For how long a robot has stood, and the way that its thrust should have moved it by since."""
+
+    def __init__(self, thrust_mps2: float) -> None:
+        self._balanced_m = WEAK * RAMP_PER_S * thrust_mps2 * BALANCED_S**3
+        self.stands_s = 0.0
+        self.room_m = STANDS_M  # less is no motion
+        self.pushed_m = 0.0
+        self._begin(0j, 0.0, 0j)
+
+    def _begin(self, place: complex, yaw_rad: float, acceleration: complex) -> None:
+        self._place, self._yaw_rad, self._balanced = place, yaw_rad, acceleration
+        self._speed, self._way, self.stands_s, self.pushed_m = 0j, 0j, 0.0, 0.0
+
+    def step(self, place: complex, yaw_rad: float, deviation_m: float, acceleration: complex, elapsed_s: float) -> None:
+        """Take in a pose and the push f since the last one."""
+        self.room_m = STANDS_M + STANDS * deviation_m
+        if abs(place - self._place) > self.room_m:
+            self._begin(place, yaw_rad, acceleration)
+        share = min(elapsed_s / BALANCED_S, 1.0)
+        self._balanced += share * (acceleration - self._balanced)
+        change = (acceleration - self._balanced) * elapsed_s
+        self._way += (self._speed + 0.5 * change) * elapsed_s - share * self._way
+        self._speed += change - share * self._speed
+        self.stands_s += elapsed_s
+        self.pushed_m = WEAK * abs(self._way)
+
+    def turned_rad(self, yaw_rad: float) -> float:
+        """The turn since the robot stands."""
+        return abs(wrap(yaw_rad - self._yaw_rad))
+
+    @property
+    def is_held(self) -> bool:
+        """True if it stands although its thrust should have moved it."""
+        return self.pushed_m > HELD * self.room_m + self._balanced_m
+
+
+class ThrustResponse:
+    """Response of one robot to its thrust."""
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        self._mass_kg, self._lag_s = vehicle.mass.surge_kg, vehicle.thruster.lag_s
+        self._dead_ns = round(vehicle.thruster.dead_time_s * NS)
+        self._push = Push(
+            0j, vehicle.limits.wrench[0] / self._mass_kg, vehicle.drag.linear[0] / self._mass_kg,
+            vehicle.drag.quadratic[0] / self._mass_kg, 0.0,
+        )  # fmt: skip
+        count = len(RESTLESS)
+        self._filters = ResponseFilters(
+            np.array(RESTLESS), np.empty(count), np.empty((count, STATES), np.complex128),
+            np.empty((count, STATES, STATES), np.complex128), np.empty((2, STATES, STATES), np.complex128),
+        )  # fmt: skip
+        self._sent: deque[tuple[int, float]] = deque([(-(1 << 62), 0.0)], KEPT)  # from when on which surge force acts
+        self._acting_n = 0.0
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin anew at the next pose. What was sent is known on."""
+        self._at_ns: int | None = None
+        self._yaw_rad, self._sure_s = 0.0, 0.0
+        self.response = Response(1.0 + 0j, FIRST_GAIN, 0j)
+        self.standstill = Standstill(self._push.thrust_mps2)
+
+    def note_thrust(self, surge_n: float, now_ns: int) -> None:
+        """Take note of the surge force of pulses that went out. Of two at one instant the last counts."""
+        acts_ns = now_ns + self._dead_ns
+        if self._sent[-1][0] == acts_ns:
+            self._sent.pop()
+        self._sent.append((acts_ns, surge_n))
+
+    def note_pose(self, stamp_ns: int, place: complex, yaw_rad: float, variance_m2: float) -> None:
+        """Take in a pose. One that was given before is ignored."""
+        at_ns, self._at_ns = self._at_ns, max(stamp_ns, self._at_ns or stamp_ns)
+        if at_ns is not None and stamp_ns <= at_ns:
+            return
+        if at_ns is None or stamp_ns - at_ns > LONGEST_NS:
+            self._impulse(stamp_ns - LONGEST_NS, stamp_ns)
+            self.reset()
+            self._begin(stamp_ns, place, yaw_rad, variance_m2)
+            return
+        elapsed_s = (stamp_ns - at_ns) / NS
+        middle_rad = self._yaw_rad + 0.5 * wrap(yaw_rad - self._yaw_rad)
+        acceleration = self._impulse(at_ns, stamp_ns) / (elapsed_s * self._mass_kg) * cmath.exp(1j * middle_rad)
+        self._yaw_rad = yaw_rad
+        push = self._push._replace(acceleration=acceleration, elapsed_s=elapsed_s)
+        self.response = follow_response(self._filters, push, place, variance_m2)
+        self.standstill.step(place, yaw_rad, math.sqrt(variance_m2), acceleration, elapsed_s)
+        self._sure_s = self._sure_s + elapsed_s if self.turn_evidence > 1.0 else 0.0
+
+    def _begin(self, stamp_ns: int, place: complex, yaw_rad: float, variance_m2: float) -> None:
+        self._at_ns, self._yaw_rad = stamp_ns, yaw_rad
+        x, p, count = self._filters.mean, self._filters.covariance, len(RESTLESS)
+        self._filters.weight[:] = 1.0 / count
+        x[:] = np.array([place, 0.0, 0.0, 1.0, 1.0])
+        deviations = [math.sqrt(variance_m2), AT_REST_MPS, self._push.thrust_mps2, FIRST_GAIN, FIRST_DRAG]
+        p[:] = 2.0 * np.diag(np.square(deviations))
+        self.standstill.step(place, yaw_rad, math.sqrt(variance_m2), 0j, 0.0)
+
+    def _impulse(self, from_ns: int, to_ns: int) -> float:
+        """Integral of the acting surge force, N s; it follows what was sent with the thrusters' lag."""
+        while len(self._sent) > 1 and self._sent[1][0] <= from_ns:
+            self._sent.popleft()
+        total, lag_s = 0.0, self._lag_s
+        ends = [*(acts_ns for acts_ns, _ in list(self._sent)[1:]), to_ns]
+        for (acts_ns, wanted_n), end_ns in zip(self._sent, ends, strict=True):
+            span_s = (min(end_ns, to_ns) - max(acts_ns, from_ns)) / NS
+            if span_s > 0.0:
+                left, behind = math.exp(-span_s / lag_s) if lag_s > 0.0 else 0.0, self._acting_n - wanted_n
+                total += wanted_n * span_s + behind * lag_s * (1.0 - left)
+                self._acting_n = wanted_n + behind * left
+        return total
+
+    @property
+    def turn_evidence(self) -> float:
+        """How far the direction of the push is beyond what a marker may be turned by, 1 where that is sure."""
+        size, deviation = abs(self.response.gain), self.response.deviation
+        if size < PUSHES + SURE * deviation:
+            return 0.0
+        gains = self._filters.mean[:-1, G].tolist()  # waves that go with the thrust by chance look otherwise in each
+        return (min(abs(cmath.phase(gain)) for gain in gains) - TURNED_RAD) * size / (SURE * deviation)
+
+    @property
+    def stands_still(self) -> bool:
+        """True if it has neither moved nor turned for STANDS_STILL_S."""
+        return self.standstill.stands_s > STANDS_STILL_S and self.standstill.turned_rad(self._yaw_rad) < STANDS_RAD
+
+    @property
+    def marker_turned_rad(self) -> float:
+        """By how much the marker is turned, once that is sure; else 0."""
+        return -cmath.phase(self.response.gain) if self._sure_s >= SURE_S else 0.0
+
+    @property
+    def held_fast(self) -> str:
+        """What shows that the robot is held fast; empty if it is not."""
+        found = self.standstill
+        if not found.is_held:
+            return ""
+        return (
+            f"it has moved by less than {1e3 * found.room_m:.0f} mm in {found.stands_s:.1f} s, "
+            f"though its thrust should have moved it by {1e3 * found.pushed_m:.0f} mm"
+        )

@@ -1,0 +1,56 @@
+"""The tables of guidance states: complete, with a way out of every state, and as documented."""
+
+import itertools
+import math
+from pathlib import Path
+
+from robot_agent.safety.guidance_states import STATES, TRANSITIONS, GuidanceFacts, StayLimits, next_state, table
+from robot_agent.safety.modes import POWERED, REACTIONS
+from wire.messages.messages import Guidance, Mode
+
+FACTS = [GuidanceFacts(*facts) for facts in itertools.product(Mode, (False, True), (False, True))]
+FLOWN = [state for state in Guidance if state is not Guidance.NONE]
+
+
+def test_every_state_has_a_way_out_a_longest_stay_and_what_happens_then() -> None:
+    assert set(STATES) == set(Guidance)
+    reactions = {(reaction.to.name, reaction.reason) for reaction in REACTIONS}
+    for state in FLOWN:
+        assert {next_state(state, facts) for facts in FACTS} - {state}, state
+        described = STATES[state]
+        assert described.flown and described.bounds and described.longest
+        if state is not Guidance.ON_PATH:  # it ends with its path
+            assert tuple(described.then.split(": ")) in reactions, state
+    limited = {state for state in FLOWN if math.isfinite(STATES[state].longest_s(StayLimits(join_s=9.0, path_s=60.0)))}
+    assert limited == set(FLOWN) - {Guidance.HOLDING}  # which a person ends, or the loss of the station
+
+
+def test_the_state_follows_from_the_facts_alone_within_a_step() -> None:
+    for state, facts in itertools.product(Guidance, FACTS):
+        found = next_state(state, facts)
+        assert next_state(found, facts) is found
+        assert (found is Guidance.NONE) is (facts.mode not in POWERED)
+        assert (found in (Guidance.HOLDING, Guidance.DRIVEN)) is (facts.mode in (Mode.HOLDING, Mode.DRIVEN))
+
+
+def test_an_encounter_is_joined_left_and_returned_from() -> None:
+    tracking = Mode.TRACKING
+    facts = [
+        (Mode.ARMED, False, False), (tracking, False, False), (tracking, False, True), (tracking, True, False),
+        (tracking, False, False), (tracking, True, False), (tracking, False, False), (tracking, False, True),
+        (tracking, False, False), (Mode.HOLDING, True, True), (tracking, False, False), (Mode.FAULT, False, True),
+    ]  # fmt: skip
+    state, seen = Guidance.NONE, []
+    for fact in facts:
+        state = next_state(state, GuidanceFacts(*fact))
+        seen.append(state.name)
+    assert seen == [
+        "NONE", "JOINING", "ON_PATH", "GIVING_WAY", "RETURNING", "GIVING_WAY", "RETURNING", "ON_PATH", "JOINING", "HOLDING",
+        "JOINING", "NONE",
+    ]  # fmt: skip
+
+
+def test_both_tables_are_in_the_documentation() -> None:
+    page = (Path(__file__).parents[3] / "docs" / "modes.md").read_text(encoding="utf-8")
+    assert table() in page, "docs/modes.md is old: robot-agent modes shows the tables as they are"
+    assert all(transition.condition in table() for transition in TRANSITIONS)

@@ -1,0 +1,63 @@
+"""The path watch in numeric flights: what a robot cannot do stops it with its cause, and nothing else does."""
+
+import re
+from dataclasses import replace
+
+import pytest
+
+from benchmarks.robots import cells
+from benchmarks.robots.figures import CAUSES
+from benchmarks.robots.flights import STOPPED, FlightLog, fly
+from wire.messages.messages import Guidance, Mode
+
+NEW_LAW = ("controller.law=nmpc", "controller.estimator.kind=kalman")
+
+
+def flown(monkeypatch: pytest.MonkeyPatch, cell: str, number: int, path_s: float) -> FlightLog:
+    """A flight of the grid (benchmarks/robots), cut to `path_s`."""
+    monkeypatch.setitem(cells.CELLS, cell, replace(cells.CELLS[cell], path_s=path_s, holds=False))
+    return fly(cells.draw(cell, number, NEW_LAW), 20.0)
+
+
+SLOW = pytest.mark.slow
+TRAPS = [
+    ("held-start", 2, 3.0, 6.0), ("held-start", 1, 5.0, 7.0), ("turned-57", 0, 3.0, 6.0), ("turned-180", 1, 3.0, 6.0),
+    pytest.param("held-path", 0, 3.0, 20.0, marks=SLOW), pytest.param("swept", 0, 3.0, 18.0, marks=SLOW),
+    pytest.param("held-meet", 1, 3.0, 20.0, marks=SLOW), pytest.param("turned-20", 2, 7.0, 12.0, marks=SLOW),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("cell", "number", "within_s", "path_s"), TRAPS)
+def test_trap_stops_the_robot_and_names_the_cause(
+    monkeypatch: pytest.MonkeyPatch, cell: str, number: int, within_s: float, path_s: float
+) -> None:
+    log = flown(monkeypatch, cell, number, path_s)
+    assert log.trouble_row is not None
+    stopped = next(k for k, s in enumerate(log.states[0][log.trouble_row :]) if s.mode in STOPPED)
+    assert (stopped + 1) * log.period_s <= within_s
+    assert re.search(CAUSES[log.plan.of.trouble], log.states[0][-1].fault), log.states[0][-1].fault
+    assert log.states[0][-1].guidance is Guidance.NONE
+
+
+FREE = [
+    ("start-current-0.8", 1, 8.0), ("start-model+100", 0, 8.0), ("model-50", 0, 6.0),
+    pytest.param("current-0.8", 0, 30.0, marks=SLOW), pytest.param("waves", 1, 30.0, marks=SLOW),
+    pytest.param("gusts", 0, 30.0, marks=SLOW), pytest.param("mixed", 0, 30.0, marks=SLOW),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("cell", "number", "path_s"), FREE)
+def test_robot_that_can_do_what_is_asked_is_not_stopped(
+    monkeypatch: pytest.MonkeyPatch, cell: str, number: int, path_s: float
+) -> None:
+    log = flown(monkeypatch, cell, number, path_s)
+    assert {(s.mode, s.fault) for s in log.states[0][1:]} == {(Mode.TRACKING, "")}
+    assert {s.guidance for s in log.states[0][1:]} <= {Guidance.JOINING, Guidance.ON_PATH}
+
+
+@pytest.mark.slow
+def test_two_that_meet_give_way_return_and_are_on_their_paths(monkeypatch: pytest.MonkeyPatch) -> None:
+    log = flown(monkeypatch, "meet-2", 1, 60.0)
+    for states in log.states:
+        seen = [s.guidance for k, s in enumerate(states[1:]) if s.guidance is not states[k].guidance]
+        assert Guidance.GIVING_WAY in seen and Guidance.RETURNING in seen and seen[-1] is Guidance.ON_PATH
