@@ -79,6 +79,8 @@ class PathWatch:
         self._told_period_s = told_period_s
         self._deviation = PathDeviationMonitor(self._limit_m)
         self.response = ThrustResponse(vehicle)
+        # It knows hulls that slide aside when they turn, and push along one axis
+        self._responds = experiment.controller.estimator.sway and not vehicle.limits.has_sway
         self.state = Guidance.NONE
         self.reset()
 
@@ -129,9 +131,9 @@ class PathWatch:
         """The first bound that is passed."""
         strong = self._stronger_force(output, off_m, now_ns)
         held, turned_rad = self.response.held_fast, self.response.marker_turned_rad
-        if held:
+        if held and self._responds:
             return WatchFinding("held fast", held)
-        if turned_rad:
+        if turned_rad and self._responds:
             about = f"by about {abs(math.degrees(turned_rad)):.0f} degrees: its thrust acts in another direction"
             return WatchFinding("marker turned", about)
         if strong:
@@ -211,9 +213,9 @@ class PathWatch:
         if not self._row:
             return ""
         response = self.response
-        if response.stands_still or response.standstill.pushed_m > response.standstill.room_m:
+        if self._responds and (response.stands_still or response.standstill.pushed_m > response.standstill.room_m):
             return "it does not move: it may be held fast, or its thrusters do not push"
-        if response.turn_evidence > LEANING:
+        if self._responds and response.turn_evidence > LEANING:
             turned = abs(math.degrees(cmath.phase(response.response.gain)))
             return f"thrust acts in another direction: its marker may be turned by about {turned:.0f} degrees"
         if self._now > LEANING:
