@@ -218,8 +218,9 @@ def _from_protobuf(cls: type[M], message: Any, prefix: str = "") -> M:
         absent = may_be_absent and not message.HasField(name)
         values[name] = None if absent else read(getattr(message, name), prefix + name)
     first, *others = _growing(cast(Any, cls)) or ("",)
-    if _wrenches(cast(Any, cls)):
-        _shape_wrenches(values, _wrenches(cast(Any, cls)), len(values[first]) if first else None, prefix)
+    if wrenches := _wrenches(cast(Any, cls)):
+        in_rows = not set(wrenches).isdisjoint((first, *others))  # one for each row of the message's arrays, or one in all
+        _shape_wrenches(values, wrenches, len(values[first]) if in_rows else None, prefix)
     for name in others:
         if len(values[name]) == 0 and name in _later(cast(Any, cls)):
             values[name] = np.zeros((len(values[first]), *values[name].shape[1:]))
