@@ -58,7 +58,7 @@ def test_followers_keep_their_offsets_from_a_leader_that_is_lost() -> None:
         return float(np.sqrt(np.mean(np.sum((flight_.error[300:, 0, :3] - flight_.error[300:, 1, :3]) ** 2, axis=1))))
 
     assert np.abs(alone.error[300:, 0, :3]).max() > 0.1 and apart(alone) > 0.08
-    assert apart(led) < 0.75 * apart(alone)
+    assert apart(led) < 0.9 * apart(alone)
     np.testing.assert_array_equal(together.error[:, 0], led.error[:, 0])
 
 
