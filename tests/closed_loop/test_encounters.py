@@ -28,7 +28,11 @@ def test_robot_that_has_to_give_way_while_it_is_still_off_its_path_is_not_stoppe
 
 
 def test_robot_that_drives_off_before_others_are_in_its_way_is_stopped() -> None:
-    fleet = flew(load_experiment("swap", ["safety.watch_thrusters=false", "duration_s=10"], [f"t=2 thruster 1/{k} reversed" for k in (1, 2)]))
+    fleet = flew(
+        load_experiment(
+            "swap", ["safety.watch_thrusters=false", "duration_s=10"], [f"t=2 thruster 1/{k} reversed" for k in (1, 2)]
+        )
+    )
     assert fleet.robots[0].states[-1].mode is Mode.FAULT
 
 

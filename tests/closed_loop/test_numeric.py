@@ -62,7 +62,9 @@ def test_the_whole_run_is_near_the_best_that_the_start_allows(name: str) -> None
 
 def test_a_robot_that_has_given_up_is_as_wrong_as_it_is() -> None:
     """Held against the trajectory's own spline: the robot says of itself that it is where it should be."""
-    fleet, water = prepared(load_experiment("numeric", ["duration_s=8"], [f"t=2 thruster 2/{k} reversed" for k in (1, 2, 3, 4)]))
+    fleet, water = prepared(
+        load_experiment("numeric", ["duration_s=8"], [f"t=2 thruster 2/{k} reversed" for k in (1, 2, 3, 4)])
+    )
     fleet.start()
     for _ in fly(fleet, water):
         pass
