@@ -38,7 +38,7 @@ print(list(turn_thrusters(load_experiment("pool"), AgentConfig(robot=1, experime
 """
 BROKEN_ON_PURPOSE = """
 import runpy, signal, sys
-from robot_agent.control.controller import Controller
+from robot_agent.control.nonlinear.nonlinear_controller import NonlinearController as Controller
 step, broken = Controller.step, []
 signal.signal(signal.SIGUSR1, lambda *_: broken.append(True))
 def stumble(*arguments):

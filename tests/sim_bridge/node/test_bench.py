@@ -58,7 +58,7 @@ def test_parameters_over_a_serial_port_and_across_a_restart(tmp_path: Path) -> N
     link = f"serial:{tmp_path}/plug"
     with board(f"pty:{tmp_path}/plug", tmp_path / "boards"):
         code, listed = say("list", "--link", link)
-        assert (code, len(listed.splitlines())) == (0, 45)
+        assert (code, len(listed.splitlines())) == (0, 46)
         assert "SLEW_US_S        8000\n" in listed
         assert say("set", "--link", link, "THR1_TRIM_US", "--", "-12") == (0, "THR1_TRIM_US = -12\n")
         code, said = say("set", "--link", link, "CMD_AGE_MS", "5000")

@@ -98,7 +98,7 @@ def test_mavsdk_discovers_reads_sets_and_arms_as_the_rules_allow(tmp_path: Path)
         "client system 1",
         "client yaw True",
         "client volts True",
-        "client parameters 45",
+        "client parameters 46",
         "client set 7000",
         "client refused VALUE_OUT_OF_RANGE",
         "client alone COMMAND_DENIED",
@@ -147,7 +147,7 @@ def test_mavproxy_discovers_reads_sets_and_arms_as_the_rules_allow(tmp_path: Pat
 
         try:
             assert wait_for(lambda: "Detected vehicle 1:1" in log.read_text()), log.read_text()
-            ask("param fetch", "Received 45 parameters")
+            ask("param fetch", "Received 46 parameters")
             ask("param show SLEW_US_S", "8000.0")
             ask("status ATTITUDE", "yaw :")
             ask("arm throttle", "not armed: no override is arriving")
