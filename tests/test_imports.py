@@ -78,7 +78,7 @@ PARTS: dict[str, dict[str, set[str]]] = {
         "control": {"guidance", "vehicle"},
         "safety": {"control", "inputs", "vehicle"},
         "agent": {"control", "guidance", "inputs", "safety", "vehicle"},
-        "preflight": {"agent", "host", "inputs", "safety", "vehicle"},
+        "preflight": {"agent", "host", "inputs", "safety"},
         "commands": {"host", "preflight"},
         "node": {"agent", "control", "host", "safety", "step_record"},
         "rerun": {"agent", "step_record"},

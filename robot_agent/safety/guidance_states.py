@@ -62,7 +62,7 @@ class StayLimits(NamedTuple):
 
 @dataclass(frozen=True)
 class GuidanceState:
-    """What is flown in a state, for how long, and what happens then."""
+    """A state: its flight, its longest stay, and what happens then."""
 
     flown: str
     bounds: str

@@ -153,7 +153,7 @@ class HealthMonitor:
 
     @property
     def guidance(self) -> Guidance:
-        """What decides the robot's motion."""
+        """State of the guidance: it decides the robot's motion."""
         return self._watch.state
 
     def arming_refusal(self, inputs: Inputs, station: StationView, now_ns: int) -> str:

@@ -51,7 +51,7 @@ NO_FINDING = WatchFinding()
 
 
 class _Foreseen(NamedTuple):
-    """Where the robot should be at an instant, and where it should be meant to be."""
+    """Place of the robot at an instant, and its reference, as the plan foresaw them."""
 
     due_ns: int
     place: complex
@@ -59,7 +59,7 @@ class _Foreseen(NamedTuple):
 
 
 class _Moment(NamedTuple):
-    """What the test for a stronger current looks at."""
+    """Moment at which the test for a stronger current looks."""
 
     at_ns: int
     force: float  # that the model does not explain, of full thrust
@@ -143,7 +143,7 @@ class PathWatch:
         return self._overdue(output, off_m, elapsed_s)
 
     def _stronger_force(self, output: ControlOutput, off_m: float, now_ns: int) -> str:
-        """What shows that a force is stronger than the robot; empty if none is."""
+        """Evidence that a force is stronger than the robot; empty if none is."""
         learned = output.thrust_ratio or 1.0
         force = math.hypot(output.disturbance[0], output.disturbance[1]) / (self._thrust_mps2 * learned)
         self._moments.append(_Moment(now_ns, force, abs(output.wrench_delivered[0]) / self._thrust_n, off_m))
@@ -209,7 +209,7 @@ class PathWatch:
 
     @property
     def likely_cause(self) -> str:
-        """What the evidence so far points to; empty if to nothing."""
+        """The cause to which the evidence so far points; empty if to none."""
         if not self._row:
             return ""
         response = self.response

@@ -63,7 +63,7 @@ KEPT = 128  # commands: more than act between two poses
 
 
 class Push(NamedTuple):
-    """What moves the robot between two poses."""
+    """Causes of a robot's motion between two poses."""
 
     acceleration: complex  # f
     thrust_mps2: float  # full thrust
@@ -278,7 +278,7 @@ class ThrustResponse:
 
     @property
     def turn_evidence(self) -> float:
-        """How far the direction of the push is beyond what a marker may be turned by, 1 where that is sure."""
+        """Distance by which the direction of the push is beyond what a marker may be turned by, 1 where that is sure."""
         size, deviation = abs(self.response.gain), self.response.deviation
         if size < PUSHES + SURE * deviation:
             return 0.0
@@ -297,7 +297,7 @@ class ThrustResponse:
 
     @property
     def held_fast(self) -> str:
-        """What shows that the robot is held fast; empty if it is not."""
+        """Evidence that the robot is held fast; empty if it is not."""
         found = self.standstill
         if not found.is_held:
             return ""

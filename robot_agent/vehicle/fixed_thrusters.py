@@ -55,7 +55,7 @@ def nearest_pulses(force: Floats, curve: PulseCurve, pulse: Ints) -> None:
 
 @kernel
 def add_thrusts(pulse: Ints, thrusters: FixedThrusters, curve: PulseCurve, wrench: Floats, moment: Floats) -> None:
-    """What pulses (8,) give: wrench (4,), and the yaw moment of each thruster (8,) in N m."""
+    """Effect of pulses (8,): wrench (4,), and the yaw moment of each thruster (8,) in N m."""
     wrench[:] = 0.0
     for i in range(len(pulse)):
         force = curve.thrust_n[pulse[i] - curve.slowest_us]

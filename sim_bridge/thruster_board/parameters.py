@@ -167,7 +167,7 @@ class Parameters:
 
     @cached_property
     def thrusters(self) -> int:
-        """How many of the outputs, from the first on, are thrusters'."""
+        """Number of the outputs, from the first on, that are thrusters'."""
         return int(self["THR_COUNT"])
 
     @property

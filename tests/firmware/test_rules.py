@@ -86,9 +86,8 @@ def is_near_an_edge(machine: BoardStateMachine) -> bool:
     voltage = machine._voltage  # private: the filtered voltage is to be seen nowhere else
     if voltage is not None and any(abs(voltage - threshold) < EDGE_V for threshold in thresholds):
         return True
-    return any(
-        abs(pulse % 1.0 - 0.5) < TIE_US for pulse in machine._echo_us[: machine.parameters.thrusters]
-    )  # private: unrounded pulses
+    unrounded = machine._echo_us[: machine.parameters.thrusters]  # private: messages hold them rounded
+    return any(abs(pulse % 1.0 - 0.5) < TIE_US for pulse in unrounded)
 
 
 def seen(machine: BoardStateMachine) -> tuple[object, ...]:

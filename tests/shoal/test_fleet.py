@@ -83,7 +83,7 @@ def test_places_and_gains_travel_with_the_request(fleet: ConnectedFleet, station
     fleet.set_gains({"controller.mpc.q_formation": [0.3, 0.3, 0.3, 0.3]})
     go, tune = station.commands
     assert go.via.tolist() == [[1.0, -0.5], [2.0, 0.0]]
-    assert tune.tuning is not None and tune.tuning.values.tolist() == [2.0, 2.0, 1.0, 1.0]
+    assert tune.tuning is not None and tune.tuning.values.tolist() == [0.3, 0.3, 0.3, 0.3]
 
 
 def test_a_request_without_numbers_never_reaches_the_station(fleet: ConnectedFleet, station: PlayedStation) -> None:

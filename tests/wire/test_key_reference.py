@@ -27,6 +27,7 @@ TABLES = {  # tables of lists that the pool has none of
     " {id=43, position_m=[0, 0, 0]}]",
     "check_marks": "check_marks=[{id=40, position_m=[1, 1, 0]}]",
     "formation": "formation.changes=[{at_s=1.0}]",
+    "thrusters": "vehicle=vectored",
     "sim": 'sim={faults=[{at_s=1.0, what="camera dark"}], drifters=[{start_m=[0, 0, 0]}]}',
 }
 
@@ -68,7 +69,17 @@ def test_the_reference_knows_every_key_of_a_loaded_experiment(name: str) -> None
     known = {e.name for e in ENTRIES["experiment"]} | {f"vehicle.{e.name}" for e in ENTRIES["vehicle"]}
     whole = {key for key in known if f"{key}.N" not in known}
     own_path = {key for key in leaves(loaded) if key.startswith("robots.N.path.")}  # the same section as [path]
-    empty = {"cameras", "islands", "landmarks", "check_marks", "article", "formation.changes", "sim.faults", "sim.drifters"}
+    empty = {
+        "vehicle.thrusters",
+        "cameras",
+        "islands",
+        "landmarks",
+        "check_marks",
+        "article",
+        "formation.changes",
+        "sim.faults",
+        "sim.drifters",
+    }
     assert leaves(loaded) - own_path - empty <= whole
 
 
@@ -113,8 +124,10 @@ def test_the_schemas_describe_every_key_for_an_editor() -> None:
 
 
 def test_loaded_vehicle_keys_are_those_of_the_reference() -> None:
-    loaded = load_vehicle("spherical").model_dump(mode="json")
-    assert leaves(loaded) == {entry.name for entry in ENTRIES["vehicle"]}
+    """Of both kinds: with legs, and with thrusters that do not turn."""
+    kinds = [load_vehicle(name).model_dump(mode="json", exclude_none=True) for name in ("spherical", "vectored")]
+    loaded = {key for kind in kinds for key in leaves(kind)}
+    assert loaded - {"thrusters"} == {entry.name for entry in ENTRIES["vehicle"]}
 
 
 def test_no_camera_is_needed_where_nothing_looks(tmp_path: Path) -> None:

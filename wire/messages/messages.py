@@ -65,7 +65,8 @@ class Mode(IntEnum):
 
 
 class Guidance(IntEnum):
-    """What decides a robot's motion. The table of transitions is in robot_agent/safety/guidance_states.py."""
+    """State of a robot's guidance: it decides the robot's motion. robot_agent/safety/guidance_states.py has the table of
+    transitions."""
 
     NONE = 0  # Nothing: the thrusters are at neutral.
     JOINING = 1  # The robot is on its way to its path, after START, RESUME, or a leap of the path.

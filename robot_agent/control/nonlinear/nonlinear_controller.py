@@ -169,7 +169,8 @@ class NonlinearController:
 
     def _lift(self, measurement: StateMeasurement, estimate: Estimate) -> float:
         """Force upwards of the thrust of a tilted hull, N: ahead on a bow that points up, sideways on a side that does."""
-        pitch, roll = (min(max(rad, -STEEPEST_RAD), STEEPEST_RAD) for rad in (measurement.pitch_rad, measurement.roll_rad))
+        told = (measurement.pitch_rad, measurement.roll_rad)
+        pitch, roll = (min(max(rad, -STEEPEST_RAD), STEEPEST_RAD) if math.isfinite(rad) else 0.0 for rad in told)
         return float(estimate.action.item(8) * math.sin(pitch) - estimate.action.item(11) * math.sin(roll))
 
     def _take_up(self, goal: Goal, estimate: Estimate) -> None:

@@ -19,10 +19,10 @@ HORIZON = 50
 
 
 def uneven_vehicle() -> Vehicle:
-    """A vehicle whose surge and sway differ in mass and drag, so that mixing them up shows."""
+    """A vehicle whose surge and sway differ in drag, so that mixing them up shows. The article's law knows no Munk moment."""
     vehicle = load_vehicle("spherical")
     table = vehicle.model_dump()
-    table["mass"].update(surge_kg=12.0, sway_kg=15.0)
+    table["mass"].update(surge_kg=12.0, sway_kg=12.0)
     table["drag"].update(linear=(3.0, 5.0, 4.0, 0.08), quadratic=(20.0, 28.0, 30.0, 0.10))
     return Vehicle.model_validate(table)
 

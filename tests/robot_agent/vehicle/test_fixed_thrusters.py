@@ -35,7 +35,7 @@ shares = st.tuples(*[st.floats(-3.0, 3.0)] * 4).map(lambda values: np.array(valu
 
 @settings(max_examples=200, deadline=None)
 @given(shares)
-def test_what_fits_is_given_whole_by_the_least_forces(wrench: Array) -> None:
+def test_a_wrench_that_fits_is_given_whole_by_the_least_forces(wrench: Array) -> None:
     """The same as least squares with bounds, where that reaches the wrench with forces of least norm."""
     least = np.linalg.lstsq(MATRIX, wrench, rcond=None)[0]
     assume(np.abs(least).max() < MOST_N)
@@ -47,7 +47,7 @@ def test_what_fits_is_given_whole_by_the_least_forces(wrench: Array) -> None:
 
 @settings(max_examples=200, deadline=None)
 @given(shares)
-def test_what_does_not_fit_keeps_its_direction(wrench: Array) -> None:
+def test_a_wrench_that_does_not_fit_keeps_its_direction(wrench: Array) -> None:
     """At least 0.6 of the largest share that any forces within the limits give of this wrench, a linear program says."""
     assume(np.linalg.norm(wrench / LIMITS) > 0.1)
     force, _ = ALLOCATOR.forces(wrench)

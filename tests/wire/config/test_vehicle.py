@@ -246,7 +246,7 @@ def test_legs_push_no_robot_sideways_and_laws_of_three_axes_refuse_one_that_is_p
     table["limits"] |= {"wrench": [6.0, 3.0, 0.5, 1.0], "wrench_rate_per_s": [6.0, 6.0, 2.0, 6.0]}
     with pytest.raises(ConfigError, match="legs do not push sideways"):
         check(Vehicle, table, "mine.toml")
-    for law in ("eso-mpc", "pid"):
+    for law in ("eso-mpc-article", "pid"):
         with pytest.raises(ConfigError, match=f"'vectored' has side thrust, which controller.law = '{law}' does not know"):
             load_experiment("pool", ["vehicle=vectored", f"controller.law={law}"])
     steps = load_experiment("pool", ["vehicle=vectored", "controller.law=nmpc"]).wrench_step

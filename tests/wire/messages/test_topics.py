@@ -39,6 +39,7 @@ ROOT = Path(__file__).parents[3]
 ENUMS = {
     messages.Track: "TRACK",
     messages.Mode: "MODE",
+    messages.Guidance: "GUIDANCE",
     messages.Solve: "SOLVE",
     messages.Order: "ORDER",
     messages.Progress: "PROGRESS",
