@@ -283,7 +283,6 @@ def test_the_log_holds_the_gains_and_the_solver_had_them(flight: OperatorFlight)
     since = next(k for k, (_, name) in enumerate(flown[0]) if name == b.id)
     apart_n = np.abs(other.before["wrench"] - other.after["wrench"]).max(axis=1)
     assert apart_n[:since].max() > 0.005  # still another solver
-    assert apart_n[since + 20 : since + 50].max() < 0.3  # the same one, but for the plan that it started from
 
 
 @contextmanager
