@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from robot_agent.control.any_controller import make_controller
+from robot_agent.control.any_controller import controller_class
 from robot_agent.control.controller import ControlOutput
 from robot_agent.control.live_tuning import LiveTuning, Prepared
 from robot_agent.guidance import driving
@@ -72,7 +72,7 @@ class Agent:
         self.mode = Mode.DISARMED
         self._experiment, self._me = experiment, experiment.robot(robot)
         leader = experiment.leader_of(robot)
-        self.controller = make_controller(
+        self.controller = controller_class(experiment.controller)(
             experiment.vehicle,
             experiment.controller,
             experiment.safety,
@@ -90,8 +90,7 @@ class Agent:
         self._fault = ""
         self._clock = TrajectoryClock(experiment, robot)
         self._selftest: ThrusterSelftest | None = None
-        foresees = experiment.controller.law == "nmpc"  # its plan is the motion that it flies
-        self._health = HealthMonitor(experiment, self.controller.told_period_s if foresees else 0.0)
+        self._health = HealthMonitor(experiment, self.controller.told_period_s if self.controller.foresees else 0.0)
         self._own_hull = OwnHullFilter(experiment.vehicle.radius_m)
         self._hold: Hold | None = None
         self._last: ControlOutput | None = None

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.harness import Row
-from robot_agent.control.any_controller import AnyController, make_controller
+from robot_agent.control.any_controller import AnyController, controller_class
 from robot_agent.guidance.formation import Neighbour
 from robot_agent.guidance.reference import Follow
 from robot_agent.vehicle.dynamics import Model, State
@@ -108,7 +108,8 @@ def fly(case: Case, steps: int, tamper: Tamper | None = None, clock: Callable[[]
     vehicle, count = experiment.vehicle, case.neighbours + 1
     model = Model(vehicle, experiment.controller.estimator.sway, experiment.controller.law == "nmpc")
     paths = [circle(place, steps * STEP_S) for place in places(count, case.beside)]
-    robots = [make_controller(vehicle, experiment.controller, experiment.safety) for _ in range(count)]
+    make = controller_class(experiment.controller)
+    robots = [make(vehicle, experiment.controller, experiment.safety) for _ in range(count)]
     if tamper is not None:
         tamper(robots[0], experiment)
     states: list[State] = [(*map(float, path.eta[0]), *(0.0,) * 7) for path in paths]

@@ -2,5 +2,5 @@
 
 nonlinear/ is the controller that robots fly with. controller.py runs a step of the others: heading (heading.py) and a law that
 law.py builds: the article's MPC (mpc.py on linearisation.py, solved by active_set.py or qp.py), or one of baselines/.
-any_controller.py makes the one that the experiment names; live_tuning.py changes gains in flight.
+any_controller.py names the one for the experiment; live_tuning.py changes gains in flight.
 """

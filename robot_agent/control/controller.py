@@ -32,7 +32,7 @@ from robot_agent.control.mpc import Mpc, MpcPlan
 from robot_agent.guidance.formation import Formation, Neighbour, NeighbourPredictions, Priority, formation_reference
 from robot_agent.guidance.obstacles import Obstacle
 from robot_agent.guidance.reference import Drive, Follow, Goal, Hold, Reference, ReferenceSampler
-from robot_agent.guidance.velocity_obstacles import GiveWay, traffic_near
+from robot_agent.guidance.velocity_obstacles import GiveWay
 from robot_agent.vehicle.dynamics import Model
 from robot_agent.vehicle.estimate import Deviations, Estimate, StateMeasurement
 from robot_agent.vehicle.fixed_thrusters import make_allocator
@@ -170,6 +170,8 @@ class GainSet:
 class Controller:
     """One robot's controller with its memory and workspaces."""
 
+    foresees = False  # its plan is not the very motion that the robot flies
+
     def __init__(
         self,
         vehicle: Vehicle,
@@ -198,10 +200,10 @@ class Controller:
         self.sampler = ReferenceSampler(nodes_s)
         self.formation = Formation(config.mpc, safety, period_s, vehicle.thruster.dead_time_s, room_m, vehicle.radius_m)
         self.formation.set_weight(self._formation_weight(config))
-        self._give_way = GiveWay(vehicle, np.concatenate([[0.0], nodes_s]), period_s, room_m, islands)
+        self._give_way = GiveWay(vehicle, np.concatenate([[0.0], nodes_s]), period_s, room_m, islands, urgent=urgent)
         self._law: Law = make_law(vehicle, model, config, period_s, self.formation.rows)
-        self._guided = guidance_config(config).enabled
-        self._heading = HeadingReference(vehicle, guidance_config(config), period_s, config.estimator.sway)
+        guidance = guidance_config(config)
+        self._guided, self._heading = guidance.enabled, HeadingReference(vehicle, guidance, period_s, config.estimator.sway)
         self.allocator = make_allocator(vehicle)
         # Plans begin at the instant of action and are told from now on: rows of the one for the other
         self._told_rows = np.interp(steps_s, np.concatenate([[0.0], nodes_s]), np.arange(horizon + 2.0))
@@ -257,8 +259,7 @@ class Controller:
         lead = reference
         if isinstance(goal, Follow):
             keep_m = self.formation.clearances_m(predictions, now_ns)
-            traffic = traffic_near(estimate.eta, self._give_way.agility, predictions, keep_m, obstacles, self._urgent, now_ns)
-            lead = self._give_way.avoidance_path(reference, complex(*estimate.eta[:2].tolist()), traffic)
+            lead = self._give_way.way_around(reference, estimate.eta, predictions, keep_m, obstacles, now_ns)
         weight, command = self._command(goal, lead, predictions, estimate)
         predicted_path = self._law.predicted_path(estimate.action)
         keep_clear = self.formation.half_spaces(

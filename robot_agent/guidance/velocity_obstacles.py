@@ -118,6 +118,12 @@ def set_horizons(place: complex, wanted: complex, look_ahead_s: float, traffic: 
             within_s[i] *= STANDS_ON
 
 
+@kernel(part=True)
+def nearest_allowed_m(keep_m: float, apart_m: float) -> float:
+    """How near something may come that is `apart_m` away now, and has to stay `keep_m` away."""
+    return min(keep_m, PARTING * apart_m)
+
+
 @kernel
 def closes_in(place: complex, velocity: complex, traffic: Traffic, within_s: Floats) -> bool:
     """True if straight lines at these velocities lead nearer to any traffic (k,) than allowed, each within its time (k,)."""
@@ -126,7 +132,7 @@ def closes_in(place: complex, velocity: complex, traffic: Traffic, within_s: Flo
         square, towards = dot(closing, closing), dot(apart, closing)
         if within_s[i] > 0.0 and square >= SLIGHTEST_MPS**2 and towards > 0.0:
             time_s = min(towards / square, within_s[i])
-            if abs(apart - closing * time_s) < min(traffic.keep_m[i], PARTING * abs(apart)):
+            if abs(apart - closing * time_s) < nearest_allowed_m(traffic.keep_m[i], abs(apart)):
                 return True
     return False
 
@@ -176,7 +182,7 @@ def find_meetings(place: complex, ahead: Complexes, traffic: Traffic, within_s: 
     found = False
     for i in range(len(within_s)):
         away, meets[i] = traffic.place[i] - place, False
-        nearest_m = min(traffic.keep_m[i], PARTING * abs(away))
+        nearest_m = nearest_allowed_m(traffic.keep_m[i], abs(away))
         for k in range(min(len(ahead), round(within_s[i] / LOOK_STEP_S))):
             meets[i] |= abs(away + traffic.velocity[i] * ((k + 1) * LOOK_STEP_S) - ahead[k]) < nearest_m
         found |= meets[i]
@@ -201,7 +207,7 @@ def leads_into_wall(place: complex, way: complex, basin: Basin) -> bool:
     for i in range(len(basin.keep_m)):
         away = basin.islands[i] - place
         time_s = min(max(dot(away, way) / max(dot(way, way), STILL), 0.0), WALL_S)
-        into |= abs(away - way * time_s) < min(basin.keep_m[i], PARTING * abs(away))
+        into |= abs(away - way * time_s) < nearest_allowed_m(basin.keep_m[i], abs(away))
     return into
 
 
@@ -238,7 +244,7 @@ def worst_pass(motion: Motion, way: complex, traffic: Traffic, within_s: Floats,
             continue
         going = traffic.velocity[i]
         away, closing, now = traffic.place[i] - motion.place, way - going, motion.velocity - going
-        nearest_m = min(traffic.keep_m[i], PARTING * abs(away))
+        nearest_m = nearest_allowed_m(traffic.keep_m[i], abs(away))
         # a robot that is left well to starboard may stay there; all others are left to port
         starboard = cross(now, away) > WELL_CLEAR * nearest_m * abs(now)
         if sided[i] and (cross(closing, away) < 0.0 if starboard else cross(closing, away) > 0.0):
@@ -313,23 +319,6 @@ def obstacle_traffic(obstacle: Obstacle, place: complex, agility: Agility, now_n
     )
 
 
-def traffic_near(
-    eta: Array,
-    agility: Agility,
-    predictions: NeighbourPredictions,
-    keep_m: Array,
-    obstacles: Sequence[Obstacle],
-    urgent: bool,
-    now_ns: int,
-) -> Traffic:
-    """All that a robot at `eta` (4,) may meet: the other robots, at distances (k,), and obstacles in its reach."""
-    x, y, depth_m, _ = eta.tolist()
-    traffic = robot_traffic(predictions, keep_m, agility.room_m, depth_m, urgent) if predictions.neighbours else NOBODY
-    for obstacle in obstacles:
-        traffic = traffic.joined(obstacle_traffic(obstacle, complex(x, y), agility, now_ns))
-    return traffic
-
-
 class GiveWay:
     """The point that one robot follows, with its memory."""
 
@@ -341,10 +330,11 @@ class GiveWay:
         room_m: tuple[float, float] | None = None,
         islands: Sequence[Obstacle] = (),
         agility: Agility | None = None,
+        urgent: bool = False,
     ) -> None:
         """`times_s` (rows,) are the instants of a reference's rows from now, `room_m` the pool's length and width. Without
-        an `agility` the point is a linear law's, and has a heading too."""
-        self._times_s, self._period_s = times_s, period_s
+        an `agility` the point is a linear law's, and has a heading too. `urgent`: others give way to this robot."""
+        self._times_s, self._period_s, self._urgent = times_s, period_s, urgent
         self._sure_steps = max(SURE_STEPS, round(SURE_S / period_s))
         self.agility, self._steers = agility or plain_agility(vehicle), agility is None
         self._look_steps = round(self.agility.look_ahead_s / LOOK_STEP_S)
@@ -369,6 +359,25 @@ class GiveWay:
         self._met = 0  # consecutive steps with a conflict
         self.path_is_blocked = False  # it avoids what it would meet on its path too
         self.avoids = False  # something is in its way; False on the way back
+
+    def way_around(
+        self,
+        reference: Reference,
+        eta: Array,
+        predictions: NeighbourPredictions,
+        keep_m: Array,
+        obstacles: Sequence[Obstacle],
+        now_ns: int,
+    ) -> Reference:
+        """Return the reference to follow instead, for a robot at `eta` (4,) among obstacles and the other robots, each at a
+        distance (k,) to keep; `reference` itself if nothing is in its way."""
+        x, y, depth_m, _ = eta.tolist()
+        place, room_m, traffic = complex(x, y), self.agility.room_m, NOBODY
+        if predictions.neighbours:
+            traffic = robot_traffic(predictions, keep_m, room_m, depth_m, self._urgent)
+        for obstacle in obstacles:
+            traffic = traffic.joined(obstacle_traffic(obstacle, place, self.agility, now_ns))
+        return self.avoidance_path(reference, place, traffic)
 
     def avoidance_path(self, reference: Reference, place: complex, traffic: Traffic) -> Reference:
         """Return the reference to follow instead, for a robot at `place`; `reference` itself if it is free."""

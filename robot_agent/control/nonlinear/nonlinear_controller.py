@@ -30,7 +30,7 @@ from robot_agent.control.nonlinear.program import Iteration, PlanProblem, Weight
 from robot_agent.guidance.formation import Formation, Neighbour, NeighbourPredictions, Priority
 from robot_agent.guidance.obstacles import Obstacle
 from robot_agent.guidance.reference import Drive, Follow, Goal, Hold, Reference, ReferenceSampler, interpolate_rows
-from robot_agent.guidance.velocity_obstacles import GiveWay, traffic_near
+from robot_agent.guidance.velocity_obstacles import GiveWay
 from robot_agent.vehicle.dynamics import Model, flow_moment_nm
 from robot_agent.vehicle.estimate import Estimate, StateMeasurement
 from robot_agent.vehicle.fixed_thrusters import make_allocator
@@ -54,6 +54,8 @@ DRIVES_ON_S = 2.0  # a person goes on steering: a plan that stops with the order
 
 class NonlinearController:
     """One robot's controller with its memory and workspaces."""
+
+    foresees = True  # its plan is the motion that the robot flies
 
     def __init__(
         self,
@@ -80,7 +82,7 @@ class NonlinearController:
         self.formation = Formation(config.mpc, safety, config.period_s, self._dead_s, room_m, vehicle.radius_m)
         self._plans = PlanSampler(nodes_s[1:], config.mpc.q_formation, has_leader)
         self._give_way = GiveWay(
-            vehicle, np.concatenate([[0.0], nodes_s]), config.period_s, room_m, islands, tunings.agility(vehicle)
+            vehicle, np.concatenate([[0.0], nodes_s]), config.period_s, room_m, islands, tunings.agility(vehicle), urgent
         )
         self._planner = Planner(self._grid, config.period_s, 2.0 * safety.radius_m, vehicle.limits.speed_mps)
         self._depth, self._drift = make_memory(1), make_flight(len(self._axes))
@@ -118,12 +120,8 @@ class NonlinearController:
         self._plans.set_weight(tuned.config.mpc.q_formation)
 
     def note_command(self, wrench: Array, delivered: Array, now_ns: int) -> None:
-        """Take note of the wrench asked for and delivered that really went out at `now_ns` instead of the last
-        step's."""
-        self._note(wrench, delivered, now_ns)
-
-    def _note(self, wrench: Array, delivered: Array, now_ns: int) -> None:
-        """Take note of a wrench. What lifts a pitched hull takes part of its heave: observer and plan know the rest."""
+        """Take note of the wrench asked for and delivered that really went out at `now_ns` instead of the last step's. What
+        lifts a pitched hull takes part of its heave: observer and plan know the rest."""
         self._wrench, self._delivered = wrench, delivered
         self._estimator.note_wrench(delivered - self._lift_n * self._heave, now_ns)
 
@@ -157,8 +155,7 @@ class NonlinearController:
         lead = reference
         if isinstance(goal, Follow):
             keep_m = self.formation.clearances_m(predictions, now_ns)
-            traffic = traffic_near(estimate.eta, self._give_way.agility, predictions, keep_m, obstacles, self._urgent, now_ns)
-            lead = self._give_way.avoidance_path(reference, complex(*estimate.eta[:2].tolist()), traffic)
+            lead = self._give_way.way_around(reference, estimate.eta, predictions, keep_m, obstacles, now_ns)
         led = lead
         if pull is not None and isinstance(goal, Follow):
             led = pulled(lead, np.concatenate([np.repeat(pull[:1], 2, axis=0), pull]))
@@ -287,7 +284,7 @@ class NonlinearController:
         wrench = self._still if failed else self._first_wrench(found.rounds > 0, dive.rounds > 0)
         pulses, delivered = self.allocator.neutral() if failed else self.allocator.allocate(wrench)
         wrench_step = wrench - self._wrench
-        self._note(wrench, delivered, now_ns)
+        self.note_command(wrench, delivered, now_ns)
         told, told_reference = self._told(estimate, lead)
         error_m = float(np.linalg.norm(reference.eta[0, :3] - estimate.eta[:3]))
         self._priority = Priority(self._urgent, error_m)
@@ -359,7 +356,7 @@ class NonlinearController:
         self._depth.flight.command[:] = 0.0
         self.goal, self._place, self._off_m, self._shifted = None, None, 0.0, 0
         wrench_step, self._lift_n = -self._wrench, 0.0
-        self._note(self._still, self._still, now_ns)
+        self.note_command(self._still, self._still, now_ns)
         self._priority = Priority(self._urgent, 0.0)
         if estimate is None:
             return ControlOutput.neutral(self.allocator.neutral_us, wrench_step, None, np.zeros((len(self._told_rows), 4)))

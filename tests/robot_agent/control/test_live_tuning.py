@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from robot_agent.control.any_controller import make_controller
+from robot_agent.control.any_controller import controller_class
 from robot_agent.control.live_tuning import LiveTuning
 from wire.config.controller import ControllerConfig
 from wire.config.experiment import load_experiment
@@ -30,7 +30,7 @@ def adopt(factor: float, start_in_s: float = 0.0) -> Command:
 
 @pytest.fixture
 def gains() -> LiveTuning:
-    return LiveTuning(make_controller(POOL.vehicle, POOL.controller, POOL.safety), POOL.controller)
+    return LiveTuning(controller_class(POOL.controller)(POOL.vehicle, POOL.controller, POOL.safety), POOL.controller)
 
 
 def give(gains: LiveTuning, command: Command) -> str:

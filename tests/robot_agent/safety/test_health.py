@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from robot_agent.control.any_controller import make_controller
+from robot_agent.control.any_controller import controller_class
 from robot_agent.control.controller import ControlOutput
 from robot_agent.inputs import Inputs, StampedPose, StationView
 from robot_agent.safety.health import ARM_AGAIN_S, DISARM_S, HealthMonitor
@@ -20,7 +20,8 @@ POSE = Pose(0.0, 0.0, 0.0, 1e-6 * np.eye(3), Track.MARKER, True, 0.9, 0.3)
 BOARD = Telemetry(board_ms=10_000, arrival_ns=NOW_NS - 20 * MS, battery_v=12.4, battery_reports=1, echo_us=(1500,) * 8)
 STATION = StationView(7, NOW_NS, 0.03)
 WELL = Inputs(StampedPose(POSE, NOW_NS - 40 * MS), BOARD, STATION)
-OUTPUT = make_controller(POOL.vehicle, POOL.controller, POOL.safety).step(StateMeasurement(), None, (), NOW_NS)
+CONTROLLER = controller_class(POOL.controller)(POOL.vehicle, POOL.controller, POOL.safety)
+OUTPUT = CONTROLLER.step(StateMeasurement(), None, (), NOW_NS)
 
 
 def unfit(inputs: Inputs, station: StationView = STATION) -> str:
