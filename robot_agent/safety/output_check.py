@@ -13,6 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from robot_agent.safety.sent_commands import SentCommands
 from wire.kernels import kernel
 from wire.mavlink.agent_link import CHANNELS, Telemetry
 
@@ -68,20 +69,14 @@ class OutputCheck:
     def __init__(self, thrusters: int) -> None:
         """`thrusters` is how many of the outputs, from the first on, are thrusters'."""
         self._thrusters = thrusters
-        self._sent_ns, self._told_us, self._count = np.zeros(KEPT, np.int64), np.zeros((KEPT, CHANNELS), np.int64), 0
+        self._sent = SentCommands(CHANNELS, KEPT, np.int64)
         self.wrong_s = 0.0  # for how much of the last second the board, armed all the time, has put out something else
         self._wrong: deque[tuple[int, int]] = deque()  # instant, ns that it speaks for
         self._judged_ns = 0
 
     def note_pulses(self, pulse_us: Sequence[int], now_ns: int) -> None:
         """Take note of pulses that went out. Of two at one instant the last counts."""
-        if not self._count or self._sent_ns[self._count - 1] != now_ns:
-            if self._count == KEPT:
-                self._count = KEPT // 2
-                for column in (self._sent_ns, self._told_us):
-                    column[: self._count] = column[-self._count :]
-            self._count += 1
-        self._sent_ns[self._count - 1], self._told_us[self._count - 1] = now_ns, pulse_us
+        self._sent.note(pulse_us, now_ns)
 
     def note_telemetry(self, telemetry: Telemetry, now_ns: int) -> None:
         """Judge the newest echo. Call it once a step."""
@@ -92,8 +87,9 @@ class OutputCheck:
             return
         while self._wrong and self._wrong[0][0] <= now_ns - JUDGED_NS:
             self._wrong.popleft()
+        sent, echo_us = self._sent, np.array(telemetry.echo_us)
         if since_ns > 0 and not is_explained(
-            np.array(telemetry.echo_us), self._sent_ns, self._told_us, self._count, telemetry.arrival_ns, self._thrusters
+            echo_us, sent.at_ns, sent.told, sent.count, telemetry.arrival_ns, self._thrusters
         ):
             self._wrong.append((now_ns, min(since_ns, LONGEST_NS)))
         self.wrong_s = sum(ns for _, ns in self._wrong) * 1e-9

@@ -18,18 +18,17 @@ since it stands, against the way by which it moved. Thrust that lasts is forgott
 
 import cmath
 import math
-from collections import deque
 from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from robot_agent.safety.sent_commands import NS, ActingThrust
 from wire.config.vehicle import Vehicle
 from wire.frames import wrap
 from wire.kernel_types import Floats
 from wire.kernels import kernel
 
-NS = 1_000_000_000
 Complexes = Annotated[NDArray[np.complex128], 2]
 ComplexCube = Annotated[NDArray[np.complex128], 3]
 
@@ -59,7 +58,7 @@ WEAK = 0.5  # of the push: the file may be wrong about mass by +100 %
 HELD = 2.5  # the way that thrust should have moved it, over the way that counts as none
 BALANCED_S = 1.4  # time constant
 RAMP_PER_S = 0.04  # of full thrust: by how much a force may change that the robot holds its place against
-KEPT = 128  # commands: more than act between two poses
+KEPT = 256  # commands: half of them are more than act between two poses
 
 
 class Push(NamedTuple):
@@ -205,8 +204,7 @@ class ThrustResponse:
     """Response of one robot to its thrust."""
 
     def __init__(self, vehicle: Vehicle) -> None:
-        self._mass_kg, self._lag_s = vehicle.mass.surge_kg, vehicle.thruster.lag_s
-        self._dead_ns = round(vehicle.thruster.dead_time_s * NS)
+        self._mass_kg = vehicle.mass.surge_kg
         self._push = Push(
             0j, vehicle.limits.wrench[0] / self._mass_kg, vehicle.drag.linear[0] / self._mass_kg,
             vehicle.drag.quadratic[0] / self._mass_kg, 0.0,
@@ -216,8 +214,7 @@ class ThrustResponse:
             np.array(RESTLESS), np.empty(count), np.empty((count, STATES), np.complex128),
             np.empty((count, STATES, STATES), np.complex128), np.empty((2, STATES, STATES), np.complex128),
         )  # fmt: skip
-        self._sent: deque[tuple[int, float]] = deque([(-(1 << 62), 0.0)], KEPT)  # from when on which surge force acts
-        self._acting_n = 0.0
+        self._surge = ActingThrust(1, KEPT, vehicle.thruster)
         self.reset()
 
     def reset(self) -> None:
@@ -229,10 +226,7 @@ class ThrustResponse:
 
     def note_thrust(self, surge_n: float, now_ns: int) -> None:
         """Take note of the surge force of pulses that went out. Of two at one instant the last counts."""
-        acts_ns = now_ns + self._dead_ns
-        if self._sent[-1][0] == acts_ns:
-            self._sent.pop()
-        self._sent.append((acts_ns, surge_n))
+        self._surge.note((surge_n,), now_ns)
 
     def note_pose(self, stamp_ns: int, place: complex, yaw_rad: float, variance_m2: float) -> None:
         """Take in a pose. One that was given before is ignored."""
@@ -240,13 +234,13 @@ class ThrustResponse:
         if at_ns is not None and stamp_ns <= at_ns:
             return
         if at_ns is None or stamp_ns - at_ns > LONGEST_NS:
-            self._impulse(stamp_ns - LONGEST_NS, stamp_ns)
+            self._surge.impulse(stamp_ns - LONGEST_NS, stamp_ns)
             self.reset()
             self._begin(stamp_ns, place, yaw_rad, variance_m2)
             return
         elapsed_s = (stamp_ns - at_ns) / NS
         middle_rad = self._yaw_rad + 0.5 * wrap(yaw_rad - self._yaw_rad)
-        acceleration = self._impulse(at_ns, stamp_ns) / (elapsed_s * self._mass_kg) * cmath.exp(1j * middle_rad)
+        acceleration = self._surge.impulse(at_ns, stamp_ns).item() / (elapsed_s * self._mass_kg) * cmath.exp(1j * middle_rad)
         self._yaw_rad = yaw_rad
         push = self._push._replace(acceleration=acceleration, elapsed_s=elapsed_s)
         self.response = follow_response(self._filters, push, place, variance_m2)
@@ -261,20 +255,6 @@ class ThrustResponse:
         deviations = [math.sqrt(variance_m2), AT_REST_MPS, self._push.thrust_mps2, FIRST_GAIN, FIRST_DRAG]
         p[:] = 2.0 * np.diag(np.square(deviations))
         self.standstill.step(place, yaw_rad, math.sqrt(variance_m2), 0j, 0.0)
-
-    def _impulse(self, from_ns: int, to_ns: int) -> float:
-        """Integral of the acting surge force, N s; it follows what was sent with the thrusters' lag."""
-        while len(self._sent) > 1 and self._sent[1][0] <= from_ns:
-            self._sent.popleft()
-        total, lag_s = 0.0, self._lag_s
-        ends = [*(acts_ns for acts_ns, _ in list(self._sent)[1:]), to_ns]
-        for (acts_ns, wanted_n), end_ns in zip(self._sent, ends, strict=True):
-            span_s = (min(end_ns, to_ns) - max(acts_ns, from_ns)) / NS
-            if span_s > 0.0:
-                left, behind = math.exp(-span_s / lag_s) if lag_s > 0.0 else 0.0, self._acting_n - wanted_n
-                total += wanted_n * span_s + behind * lag_s * (1.0 - left)
-                self._acting_n = wanted_n + behind * left
-        return total
 
     @property
     def turn_evidence(self) -> float:

@@ -19,14 +19,13 @@ measured on flights of the article's robot with masses and thrusters off by 30 %
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_agent.safety.likelihood_ratio import SPANS_S, LikelihoodRatioTest
+from robot_agent.safety.sent_commands import NS, ActingThrust
 from wire.config.vehicle import Vehicle
 from wire.frames import Array
 from wire.kernels import kernel
 
-NS = 1_000_000_000
 SMOOTH_S = 0.3  # T: noise of the gyroscope, 3 mrad/s, is then 1.2 mN m; one idle thruster of the article's robot turns with 12
 DRAG, RISING, ALWAYS = -3, -2, -1  # among the causes of the residual, after the thrusters
 OF_ALL, OF_ONE = 0.3, 0.1  # how far the residual may go with every N_k alike (mass, voltage), and with each (curve, spread),
@@ -50,43 +49,10 @@ OUTLIER_RADPS = 1.0  # from the estimated yaw rate; 0.5 N m turn 0.12 kg m^2 by 
 KEPT = 128  # commands: half of them are more than act within LONGEST_NS of the fastest loop
 
 
-@kernel("void(i8[::1], f8[:,::1], i8, f8, i8, i8, f8[::1], f8[::1])")
-def follow_commands(
-    acts_ns: NDArray[np.int64],
-    moments: Array,
-    count: int,
-    lag_s: float,
-    from_ns: int,
-    to_ns: int,
-    acting: Array,
-    impulse: Array,
-) -> None:
-    """Let the moments `acting` (thrusters,) follow the first `count` of the commands `moments` (n, thrusters), each from its
-    instant `acts_ns` on and zero before the first, with the thrusters' lag. `impulse` (thrusters,) is its integral, N m s."""
-    impulse[:] = 0.0
-    for i in range(-1, count):
-        begin_ns = max(acts_ns[i], from_ns) if i >= 0 else from_ns
-        end_ns = min(acts_ns[i + 1], to_ns) if i + 1 < count else to_ns
-        if end_ns > begin_ns:
-            span_s = (end_ns - begin_ns) / NS
-            left = math.exp(-span_s / lag_s) if lag_s > 0.0 else 0.0
-            for leg in range(len(acting)):
-                wanted = moments[i, leg] if i >= 0 else 0.0
-                behind = acting[leg] - wanted
-                impulse[leg] += wanted * span_s + behind * lag_s * (1.0 - left)
-                acting[leg] = wanted + behind * left
-
-
-@kernel("UniTuple(f8,2)(i8[::1], f8[:,::1], i8, f8, i8, i8, f8[::1], f8[::1], f8[::1], f8, f8, f8, f8, f8, f8)")
+@kernel("UniTuple(f8,2)(f8[::1], f8, f8[::1], f8, f8, f8, f8, f8, f8)")
 def observe_turn(
-    acts_ns: NDArray[np.int64],
-    moments: Array,
-    count: int,
-    lag_s: float,
-    from_ns: int,
-    to_ns: int,
-    acting: Array,
     impulse: Array,
+    elapsed_s: float,
     causes: Array,
     rate: float,
     measured: float,
@@ -96,15 +62,14 @@ def observe_turn(
     flow: float,
 ) -> tuple[float, float]:
     """Advance the observer of the module by one sample of the gyroscope: returns the estimated yaw `rate` r^ and the residual
-    moment, N m. See `follow_commands` for the commands; `flow` is the moment of the water past the hull, N m.
+    moment, N m. `impulse` (thrusters,) is what the moments gave meanwhile, N m s; `flow` the moment of the water past the
+    hull, N m.
 
     `causes` (thrusters + 3,), each smoothed over T, are the thrusters' moments, drag, the moment's rate of change, and 1.
     """
-    follow_commands(acts_ns, moments, count, lag_s, from_ns, to_ns, acting, impulse)
-    elapsed_s = (to_ns - from_ns) / NS
     drag = (linear + quadratic * abs(rate)) * rate
     smooth, moment, rising = -math.expm1(-elapsed_s / SMOOTH_S), 0.0, 0.0
-    for leg in range(len(acting)):
+    for leg in range(len(impulse)):
         push = impulse[leg] / elapsed_s
         change = smooth * (push - causes[leg])
         causes[leg] += change
@@ -112,7 +77,7 @@ def observe_turn(
         rising += change
     predicted = rate + elapsed_s * (moment + flow - drag) / mass
     rate = predicted + smooth * (measured - predicted)
-    others = len(acting) + 3  # a kernel counts from the front
+    others = len(impulse) + 3  # a kernel counts from the front
     causes[others + DRAG] += smooth * (drag - causes[others + DRAG])
     causes[others + RISING] = rising / elapsed_s
     causes[others + ALWAYS] += smooth * (1.0 - causes[others + ALWAYS])
@@ -133,9 +98,8 @@ class ThrusterFaultDetector:
     """Fault detection for one robot's thrusters."""
 
     def __init__(self, vehicle: Vehicle) -> None:
-        self._mass, self._lag_s = vehicle.mass.yaw_kg_m2, vehicle.thruster.lag_s
+        self._mass, self._thruster = vehicle.mass.yaw_kg_m2, vehicle.thruster
         self._linear, self._quadratic = vehicle.drag.linear[3], vehicle.drag.quadratic[3]
-        self._dead_ns = round(vehicle.thruster.dead_time_s * NS)
         self._thrusters = vehicle.thruster_count
         self._prior, self._alike = covariances(self._thrusters)
         self.reset()
@@ -144,9 +108,7 @@ class ThrusterFaultDetector:
         """Start anew: thrusters at rest, nothing learned."""
         self._flow_nm = 0.0  # moment of the water past the hull
         self.broken = False  # stays so until the next reset
-        self._acts_ns, self._count = np.zeros(KEPT, np.int64), 0  # from when on each command acts
-        self._told = np.zeros((KEPT, self._thrusters))
-        self._acting, self._impulse = np.zeros(self._thrusters), np.zeros(self._thrusters)
+        self._moments = ActingThrust(self._thrusters, KEPT, self._thruster)
         self._rate: float | None = None
         self._at_ns = self._board_ns = 0
         self._outlier_ns: int | None = None  # on the board's clock: the sample that was left out last
@@ -162,14 +124,7 @@ class ThrusterFaultDetector:
 
     def note_moments(self, moments_nm: Array, now_ns: int) -> None:
         """Take note of the yaw moments (thrusters,) of pulses that went out. Of two at one instant the last counts."""
-        acts_ns = now_ns + self._dead_ns
-        if not self._count or self._acts_ns[self._count - 1] != acts_ns:
-            if self._count == KEPT:
-                self._count = KEPT // 2
-                for column in (self._acts_ns, self._told):
-                    column[: self._count] = column[-self._count :]
-            self._count += 1
-        self._acts_ns[self._count - 1], self._told[self._count - 1] = acts_ns, moments_nm
+        self._moments.note(moments_nm, now_ns)
 
     def note_flow(self, moment_nm: float) -> None:
         """Take note of the moment by which the water past the hull turns it."""
@@ -201,8 +156,8 @@ class ThrusterFaultDetector:
             self._begin(yaw_rate_radps, at_ns, board_ns)
         elif elapsed_ns and not self._leaves_out(yaw_rate_radps - self._rate, board_ns):
             self._rate, residual = observe_turn(
-                self._acts_ns, self._told, self._count, self._lag_s, self._at_ns, at_ns, self._acting, self._impulse,
-                self._causes, self._rate, yaw_rate_radps, self._mass, self._linear, self._quadratic, self._flow_nm,
+                self._moments.impulse(self._at_ns, at_ns), elapsed_ns / NS, self._causes, self._rate, yaw_rate_radps,
+                self._mass, self._linear, self._quadratic, self._flow_nm,
             )  # fmt: skip
             self._at_ns, self._board_ns = at_ns, board_ns
             self._unnoted_s += elapsed_ns / NS
@@ -226,8 +181,6 @@ class ThrusterFaultDetector:
     def _begin(self, yaw_rate_radps: float, at_ns: int, board_ns: int) -> None:
         """Start the observer at this sample. Learned parameters are kept across a gap."""
         if self._rate is not None and at_ns > self._at_ns:
-            follow_commands(
-                self._acts_ns, self._told, self._count, self._lag_s, self._at_ns, at_ns, self._acting, self._impulse
-            )
+            self._moments.impulse(self._at_ns, at_ns)
         self._rate, self._at_ns, self._board_ns = yaw_rate_radps, at_ns, board_ns
         self._forget_causes()

@@ -5,7 +5,7 @@ import pytest
 
 from robot_agent.safety.likelihood_ratio import largest_evidence
 from robot_agent.safety.output_check import LATELY_NS, LEAP_US, TOLERANCE_US, is_explained
-from robot_agent.safety.thruster_fault_detection import follow_commands
+from robot_agent.safety.sent_commands import follow_commands
 
 NS = 1_000_000_000
 STEP_NS = NS // 20
