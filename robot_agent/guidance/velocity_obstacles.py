@@ -120,7 +120,7 @@ def set_horizons(place: complex, wanted: complex, look_ahead_s: float, traffic: 
 
 @kernel(part=True)
 def nearest_allowed_m(keep_m: float, apart_m: float) -> float:
-    """How near something may come that is `apart_m` away now, and has to stay `keep_m` away."""
+    """Nearest distance allowed to something that is `apart_m` away now, and has to stay `keep_m` away."""
     return min(keep_m, PARTING * apart_m)
 
 

@@ -7,7 +7,9 @@ import multiprocessing
 import os
 import signal
 import threading
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
 
 LOADED = ("sim_bridge.studies.campaign_flight", "sim_bridge.studies.comparison")  # with all that they import
 
@@ -18,14 +20,21 @@ def one_thread() -> None:
         os.environ[f"{library}_NUM_THREADS"] = "1"
 
 
-def worker_pool(workers: int) -> ProcessPoolExecutor:
+@contextmanager
+def worker_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
     """An executor of processes with one thread each, which leave Ctrl-C and a hang-up to this process and end with it, however
     it ends. Like all children they import nothing from the working folder (wire/programs.py)."""
+    before = os.environ.get("PYTHONSAFEPATH")
     one_thread()
     os.environ["PYTHONSAFEPATH"] = "1"  # read by the interpreters that multiprocessing starts
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(list(LOADED))
-    return ProcessPoolExecutor(workers, context, initializer=_begin)
+    try:
+        with ProcessPoolExecutor(workers, context, initializer=_begin) as pool:
+            yield pool
+    finally:
+        if before is None:  # what this process starts itself says for itself what it imports
+            del os.environ["PYTHONSAFEPATH"]
 
 
 def _begin() -> None:

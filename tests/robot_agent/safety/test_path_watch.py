@@ -56,8 +56,23 @@ def test_robot_that_can_do_what_is_asked_is_not_stopped(
 
 
 @pytest.mark.slow
-def test_two_that_meet_give_way_return_and_are_on_their_paths(monkeypatch: pytest.MonkeyPatch) -> None:
-    log = flown(monkeypatch, "meet-2", 1, 60.0)
+def test_all_that_meet_give_way_return_and_are_on_their_paths(monkeypatch: pytest.MonkeyPatch) -> None:
+    log = flown(monkeypatch, "meet-4", 1, 60.0)
     for states in log.states:
         seen = [s.guidance for k, s in enumerate(states[1:]) if s.guidance is not states[k].guidance]
         assert Guidance.GIVING_WAY in seen and Guidance.RETURNING in seen and seen[-1] is Guidance.ON_PATH
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [1, 2, 5])
+def test_of_two_that_cross_only_the_one_with_the_other_to_starboard_gives_way(
+    monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
+    log = flown(monkeypatch, "meet-2", number, 60.0)
+    ways = [complex(*(states[-1].eta - states[0].eta)[:2]) for states in log.states]
+    for way, other, states in zip(ways, ways[::-1], log.states, strict=True):
+        seen = [s.guidance for s in states[1:]]
+        # y points to starboard: who comes from there goes to port
+        has_it_to_starboard = (way.conjugate() * other).imag < 0.0
+        assert (Guidance.GIVING_WAY in seen) is has_it_to_starboard
+        assert (Guidance.RETURNING in seen) is has_it_to_starboard and seen[-1] is Guidance.ON_PATH
