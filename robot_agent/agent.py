@@ -396,11 +396,10 @@ def _measurement(inputs: Inputs) -> StateMeasurement:
 
 def _pose_measurement(seen: StampedPose | None) -> PoseMeasurement | None:
     """Convert a pose to the observer's; None if the localizer only guesses."""
-    if seen is None or seen.pose.track < Track.KCF:
+    if seen is None or not seen.is_seen:
         return None
-    pose, covariance = seen.pose, seen.pose.covariance
-    variance_m2 = 0.5 * float(covariance[:2, :2].trace())
-    return PoseMeasurement(seen.instant_ns, pose.x_m, pose.y_m, pose.yaw_rad, variance_m2, covariance.item(2, 2))
+    pose = seen.pose
+    return PoseMeasurement(seen.instant_ns, pose.x_m, pose.y_m, pose.yaw_rad, seen.variance_m2, pose.covariance.item(2, 2))
 
 
 def begins_ns(header: Header, command: Command) -> int:

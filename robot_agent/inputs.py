@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from wire.mavlink.agent_link import Telemetry
-from wire.messages.messages import Obstacles, Plan, Pose
+from wire.messages.messages import Obstacles, Plan, Pose, Track
 
 
 @dataclass(frozen=True, eq=False)
@@ -13,6 +13,16 @@ class StampedPose:
 
     pose: Pose
     instant_ns: int
+
+    @property
+    def is_seen(self) -> bool:
+        """True if the localizer saw the robot, and did not only predict where it is."""
+        return self.pose.track >= Track.KCF
+
+    @property
+    def variance_m2(self) -> float:
+        """Variance of the place, the mean of both directions."""
+        return 0.5 * float(self.pose.covariance[:2, :2].trace())
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,10 +24,8 @@ SERVICE_FOLDER = Path("/var/lib/shoal-agent")  # StateDirectory of the service
 FILE = "depth-zero.json"
 MOST_BYTES = 1000
 STEP_M = 0.05  # the file follows the depth in such steps
-LOOK_S, WRITE_S = (
-    1.0,
-    10.0,
-)  # how often a confirmation is looked for; how often the depth is written, without waiting for the disk
+LOOK_S = 1.0  # between two looks for a confirmation
+WRITE_S = 10.0  # between two depths that are written, without waiting for the disk
 SLACK_S, DRIFT = 5.0, 0.01  # of the instant at which a board was switched on: what a burst waits, and how wrong its clock goes
 MS_WRAPS = 2**32  # `time_boot_ms` begins at 0 again after 49.7 days
 

@@ -13,7 +13,7 @@ from robot_agent.vehicle.dynamics import GATE_RAD
 from robot_agent.vehicle.fixed_thrusters import make_allocator
 from wire.config.experiment import Experiment
 from wire.frames import wrap
-from wire.messages.messages import Guidance, Mode, Track
+from wire.messages.messages import Guidance, Mode
 
 ARM_AGAIN_S = 0.2  # how often the board is asked to arm, or later to disarm, when it has not done as told
 DISARM_S = 0.5  # so long after the power is taken away every step disarms, whatever the board says: frames get lost
@@ -51,7 +51,7 @@ class HealthMonitor:
     def note_inputs(self, inputs: Inputs, mode: Mode, now_ns: int, testing: bool = False) -> None:
         """Take in a step's inputs, in the mode up to now. During a thruster self-test that test judges the board's outputs."""
         seen, telemetry = inputs.pose, inputs.telemetry
-        if seen is not None and seen.pose.track >= Track.KCF:
+        if seen is not None and seen.is_seen:
             self._sighted_ns = seen.instant_ns
             if seen.pose.identity_verified or not self._markers:
                 self._verified_ns = seen.instant_ns
@@ -61,9 +61,9 @@ class HealthMonitor:
             self._depth.reset()
         if mode not in LIVE:  # somebody may hold it
             self._watch.response.reset()
-        elif seen is not None and seen.pose.track >= Track.KCF and self._fits(seen.pose.yaw_rad):
-            pose, variance_m2 = seen.pose, 0.5 * float(seen.pose.covariance[:2, :2].trace())
-            self._watch.response.note_pose(seen.instant_ns, complex(pose.x_m, pose.y_m), pose.yaw_rad, variance_m2)
+        elif seen is not None and seen.is_seen and self._fits(seen.pose.yaw_rad):
+            pose = seen.pose
+            self._watch.response.note_pose(seen.instant_ns, complex(pose.x_m, pose.y_m), pose.yaw_rad, seen.variance_m2)
         self._mode = mode
         self._battery.note_telemetry(telemetry, now_ns)
         if telemetry.armed or not self._board_armed:
@@ -92,7 +92,7 @@ class HealthMonitor:
         self._pressure.note_sample(telemetry.depth_m, telemetry.arrival_ns)
         if self._uses_gyroscope:
             self._gyroscope.note_rate(telemetry.yaw_rate_radps, telemetry.arrival_ns)
-            if seen is not None and seen.pose.track >= Track.KCF:
+            if seen is not None and seen.is_seen:
                 self._gyroscope.note_heading(seen.pose.yaw_rad, seen.instant_ns)
 
     def note_pulses(self, pulse_us: tuple[int, ...], now_ns: int) -> None:

@@ -96,15 +96,20 @@ def allocate(wrench: Floats, legs: ThrusterLegs, force: Floats, angle: Floats) -
 
 
 @kernel(part=True)
-def to_pulses(force: Floats, angle: Floats, curve: PulseCurve, pulse: Ints) -> None:
-    """Pulses (8,) in us for four forces and ankle angles: those with the nearest thrust of the curve and the nearest angle.
-
-    The smallest thrust lies just outside the dead zone; zero force is neutral.
-    """
-    for i in range(4):
+def nearest_pulses(force: Floats, curve: PulseCurve, pulse: Ints) -> None:
+    """Pulses in us with the nearest thrust of the curve, one for each force. The smallest thrust lies just outside the dead
+    zone; zero force is neutral."""
+    for i in range(len(force)):
         pulse[i] = curve.neutral_us
         if force[i] != 0.0:
             pulse[i] = curve.slowest_us + np.searchsorted(curve.between_n, force[i], "right")
+
+
+@kernel(part=True)
+def to_pulses(force: Floats, angle: Floats, curve: PulseCurve, pulse: Ints) -> None:
+    """Pulses (8,) in us for four forces and ankle angles: those with the nearest thrust of the curve and the nearest angle."""
+    nearest_pulses(force, curve, pulse)
+    for i in range(4):
         pulse[4 + i] = int(np.rint(curve.level_us + curve.us_per_rad * angle[i]))
 
 

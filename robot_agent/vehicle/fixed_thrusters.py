@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from robot_agent.vehicle.allocation import Allocator, PulseCurve, pulse_curve
+from robot_agent.vehicle.allocation import Allocator, PulseCurve, nearest_pulses, pulse_curve
 from wire.config.vehicle import AXES, OUTPUTS, Vehicle
 from wire.frames import Array
 from wire.kernel_types import Floats, Ints, Table
@@ -42,15 +42,6 @@ def share_out(wrench: Floats, thrusters: FixedThrusters, force: Floats) -> None:
         share = min(share, most_n / max(abs(force[i]), 1e-9))
     for i in range(len(force)):
         force[i] *= share
-
-
-@kernel(part=True)
-def nearest_pulses(force: Floats, curve: PulseCurve, pulse: Ints) -> None:
-    """Pulses (8,) in us with the nearest thrust of the curve; zero force is neutral."""
-    for i in range(len(force)):
-        pulse[i] = curve.neutral_us
-        if force[i] != 0.0:
-            pulse[i] = curve.slowest_us + np.searchsorted(curve.between_n, force[i], "right")
 
 
 @kernel

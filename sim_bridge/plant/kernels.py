@@ -22,12 +22,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from wire.config.vehicle import OUTPUTS
 from wire.frames import Array
 from wire.kernels import kernel
 
 STATES = 12  # numbers of a state
 THRUSTERS, ANKLES = 8, 4  # at most; ACTUATORS say how many there are
-OUTPUTS = 8  # of a board
 LANES = 8  # float64 numbers in a vector register of 512 bits, or in two of 256
 POSE, SPEED, TILT = 0, 4 * LANES, 8 * LANES  # eta, nu on level axes, and [roll, pitch and their rates]: 4 each
 FORCE, ANKLE = 12 * LANES, 20 * LANES  # N 8 and rad 4, at a step's start

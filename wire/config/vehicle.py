@@ -391,7 +391,7 @@ class Vehicle(Section):
         force = self.inertia * acceleration + (self.drag_linear + self.drag_quadratic * flow) * velocity
         surge_n, heave_n, yaw_nm, *sway_n = self.limits.wrench
         # no side thruster: in a bend the robot turns inwards until surge gives the side force too. With one, the weaker counts
-        yield "thrust", "N", 2, min(surge_n, *sway_n, surge_n), np.hypot(force[:, 0], force[:, 1])
+        yield "thrust", "N", 2, min([surge_n, *sway_n]), np.hypot(force[:, 0], force[:, 1])
         yield "heave thrust", "N", 2, heave_n, np.abs(force[:, 2])
         yield "yaw moment", "N m", 2, yaw_nm, np.abs(force[:, 3])
 

@@ -236,18 +236,17 @@ def _from_protobuf(cls: type[M], message: Any, prefix: str = "") -> M:
 
 def _shape_wrenches(values: dict[str, Any], names: tuple[str, ...], rows: int | None, prefix: str) -> None:
     """Give the wrenches of a message their shape: so many rows, or none, of 3 numbers each, or of 4."""
-    axes = 0
+    fitting: tuple[int, ...] = WRENCH_AXES
     for name in names:
         size = values[name].size
-        count = size if rows is None else size // rows if rows else 3 if size == 0 else 0
-        if count not in WRENCH_AXES or (rows and count * rows != size) or (axes and count != axes):
+        fitting = tuple(axes for axes in fitting if size == axes * (1 if rows is None else rows))
+        if not fitting:
             per = "" if rows is None else f" for {rows} rows"
             raise _Invalid(
                 prefix + name, f"{size} values{per} do not fill the shape of a wrench (3 each, or 4 with sway, all alike)"
             )
-        axes = count
         if rows is not None:
-            values[name] = values[name].reshape(rows, count)
+            values[name] = values[name].reshape(rows, fitting[0])
 
 
 def _to_protobuf(message: Any, target: Any) -> Any:

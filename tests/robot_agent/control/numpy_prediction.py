@@ -76,11 +76,6 @@ class NumpyPrediction:
         """Forget the nominal trajectory: linearise around this state at every node."""
         self.eta[0], self.eta[1], self.nu[0], self.nu[1] = state[:2], state[2:4], state[4:6], state[6:8]
 
-    def shift(self) -> None:
-        """Move the nominal trajectory on by one step; its last node stands twice."""
-        self.eta[:, :-1] = self.eta[:, 1:]
-        self.nu[:, :-1] = self.nu[:, 1:]
-
     def poses(self) -> Array:
         """Copy of the nominal trajectory's poses (nodes, 4)."""
         return np.concatenate((self.eta[0], self.eta[1]), axis=1)

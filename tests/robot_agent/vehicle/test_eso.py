@@ -37,7 +37,6 @@ VEHICLE = load_vehicle("spherical")
 STEP_NS, DEAD_S = 50_000_000, VEHICLE.thruster.dead_time_s
 STEP_S = STEP_NS / 1e9
 YAW_RAD = 0.7
-SLOPE = sway_slope(Model(VEHICLE).coefficients, 0.15, 0.02)
 Wrench = tuple[float, float, float]
 
 
