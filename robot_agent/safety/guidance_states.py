@@ -23,7 +23,7 @@ class GuidanceFacts(NamedTuple):
     """Facts that the transitions are decided by."""
 
     mode: Mode
-    avoids: bool  # its plan leads around a robot or an obstacle
+    avoids: bool  # its plan leads around a robot or an obstacle, or did a moment ago (path_watch.py)
     has_arrived: bool  # it is near its path and as fast, and has been since: the path has not leapt
 
 
@@ -41,9 +41,9 @@ TRANSITIONS: tuple[GuidanceTransition, ...] = (
     GuidanceTransition(ANY, Guidance.NONE, "the mode puts out no thrust", lambda f: f.mode not in POWERED),
     GuidanceTransition(ANY, Guidance.HOLDING, "mode HOLDING", lambda f: f.mode is Mode.HOLDING),
     GuidanceTransition(ANY, Guidance.DRIVEN, "mode DRIVEN", lambda f: f.mode is Mode.DRIVEN),
-    GuidanceTransition(ANY, Guidance.GIVING_WAY, "it avoids a robot or an obstacle", lambda f: f.avoids),
+    GuidanceTransition(ANY, Guidance.GIVING_WAY, "it avoids a robot or an obstacle, or did a moment ago", lambda f: f.avoids),
     GuidanceTransition(ANY, Guidance.ON_PATH, "near its path, and as fast", lambda f: f.has_arrived),
-    GuidanceTransition(AWAY, Guidance.RETURNING, "nothing is in its way any more", lambda f: True),
+    GuidanceTransition(AWAY, Guidance.RETURNING, "nothing has been in its way for a while", lambda f: True),
     GuidanceTransition(ANY, Guidance.JOINING, "mode TRACKING; or the path's velocity leaps", lambda f: True),
 )
 

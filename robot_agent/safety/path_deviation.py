@@ -23,7 +23,8 @@ class PathDeviationMonitor:
     def reset(self) -> None:
         """Start anew, with another goal or none."""
         self.left = False  # stays so until the next reset
-        self.has_arrived = False  # near the path, as fast, and free
+        self.has_arrived = False  # near the path and as fast, and has been since
+        self._is_excused = False  # it was not free when it was last near
         self._since_ns: int | None = None
         self._before: tuple[complex, complex, int] | None = None
         self._path_mps: complex | None = None
@@ -36,10 +37,10 @@ class PathDeviationMonitor:
         if at_once:
             self.has_arrived = False
         if off_m + drift_mps * FORESEEN_S < ARRIVED * self._limit_m:
-            self.has_arrived = is_free
+            self.has_arrived, self._is_excused = True, not is_free
         if path_is_blocked:
             self.has_arrived = False
-        if not (self.has_arrived and off_m > self._limit_m):
+        if not self.has_arrived or self._is_excused or off_m <= self._limit_m:
             self._since_ns = None
         elif self._since_ns is None:
             self._since_ns = now_ns

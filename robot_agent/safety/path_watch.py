@@ -37,6 +37,7 @@ STRONGER = 0.95  # of full thrust: what a current takes. At 0.8 of the robot's s
 NEAR_FULL = 0.8  # of full thrust: what is given meanwhile
 GROWING = 0.05  # of the robot's speed: growth of the error
 SLOWEST = 0.05  # of the robot's speed: with less to spare no path can be joined (benchmarks/robots: 0.95 at most)
+STEADY_S = 2.0  # a state that a person shall read. A rule that decides anew at each step takes turns faster
 LEANING = 0.5  # of the evidence that stops a robot: enough to name a likely cause
 
 
@@ -77,6 +78,9 @@ class PathWatch:
         self._thrust_mps2 = vehicle.limits.wrench[0] / vehicle.mass.surge_kg
         self._thrust_n, self._fastest_mps = vehicle.limits.wrench[0], vehicle.limits.speed_mps
         self._told_period_s = told_period_s
+        self._clear_s = max(
+            2.0 * self._fastest_mps / self._thrust_mps2, STEADY_S
+        )  # full thrust stops and gives it another course
         self._deviation = PathDeviationMonitor(self._limit_m)
         self.response = ThrustResponse(vehicle)
         # It knows hulls that slide aside when they turn, and push along one axis
@@ -92,6 +96,7 @@ class PathWatch:
         self._moments: deque[_Moment] = deque()
         self._surprised_s = self._growing_s = 0.0
         self._stayed_s, self._join_s, self._entry_m = 0.0, 0.0, 0.0
+        self._free_s = math.inf  # since it last avoided something
         self._at_ns: int | None = None
         self.force = self._now = 0.0  # that the model does not explain, of full thrust: in the last second, and now at most
 
@@ -119,8 +124,9 @@ class PathWatch:
 
     def _change_state(self, output: ControlOutput, mode: Mode, off_m: float, elapsed_s: float) -> None:
         avoids = output.path_is_blocked or (output.avoids and off_m > ARRIVED * self._limit_m)
+        self._free_s = 0.0 if avoids else self._free_s + elapsed_s
         before = self.state
-        self.state = next_state(before, GuidanceFacts(mode, avoids, self._deviation.has_arrived))
+        self.state = next_state(before, GuidanceFacts(mode, self._free_s < self._clear_s, self._deviation.has_arrived))
         self._stayed_s += elapsed_s
         if self.state is not before:
             if not {self.state, before} <= AWAY:
