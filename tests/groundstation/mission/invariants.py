@@ -44,7 +44,6 @@ RESTS = frozenset({Order.STOP, Order.CLEAR_STOP, Order.DISARM})  # after these n
 ON_ITS_WAY_S = 1.5  # a command to a robot that has been restarted since it was sent
 BEHIND_S = 1.0  # of the progress, after the slowest robot
 TRAVELS = frozenset({Order.GO, Order.RETURN, Order.REJOIN, Order.START})
-WAITS_FOR_FLIGHT = frozenset({Order.TUNE})
 
 
 @dataclass
@@ -233,7 +232,7 @@ class Invariants:
         """Progress does not leap, and is nowhere that no robot has come on the roster's trajectory."""
         mission, plans = self.pool.mission, self.pool.mission.plans
         for robot in self.pool.robots.values():
-            if robot.alive and robot.mode is Mode.TRACKING and self.flies(robot, mission.segment):
+            if robot.alive and robot.mode in (Mode.TRACKING, Mode.HOLDING) and self.flies(robot, mission.segment):
                 self.flown_s = max(self.flown_s, robot.clock.reached_s)
         if plans.progress_s == 0.0:
             self.progress_s = self.flown_s = 0.0
@@ -306,7 +305,8 @@ class Invariants:
         heard = [r for r in robots if self.in_reach_s(r.id) > 1.0]
         order, active = outcome.order, [r for r in heard if r.id in self.pool.mission.roster.active]
         if order is Order.HOLD:
-            return self._never([r for r in heard if armed(r)], Mode.HOLDING)
+            # one that is out of the formation and was only armed puts out no thrust, and may stay so
+            return self._never([r for r in heard if armed(r) and (r in active or r.mode is not Mode.ARMED)], Mode.HOLDING)
         if order is Order.DRIVE:
             return self._never(heard, Mode.HOLDING)
         if order is Order.ARM:
