@@ -18,6 +18,7 @@ from groundstation.logs.reader import damage_in_words, is_complete, valid_record
 from groundstation.logs.recorder import CHUNK_BYTES, REPAIR_METADATA, claim
 from wire.process.output_files import replacing
 from wire.regular_files import open_regular
+from wire.toml_loader import ConfigError
 
 ORIGINAL = ".original"  # end of the name that the file keeps
 MOST_KEPT = 100
@@ -28,7 +29,7 @@ def recover(path: Path) -> bool:
     to mend.
 
     Raises OSError if the mended file cannot be written, or the recorder still writes this one, which would go on in a file
-    without a name; ConfigError for what never was a log. The file then stays as it is.
+    without a name; ConfigError for what never was a log, or was cut before its first record. The file then stays as it is.
     """
     complete, damage = is_complete(path), list[str]()
     for _ in valid_records(path, damage) if complete else ():
@@ -41,9 +42,12 @@ def recover(path: Path) -> bool:
         with replacing(path, keep=originals) as file:
             writer: Any = Writer(file, chunk_size=CHUNK_BYTES)  # Any: mcap is typed in part
             writer.start(library="shoal, recovered")
-            copier = RecordCopier(writer)
+            copier, is_empty = RecordCopier(writer), True
             for record in valid_records(path, damage):
                 copier.copy(record)
+                is_empty = False
+            if is_empty:
+                raise ConfigError(f"{path}: nothing to keep: it ends before its first record ({path.stat().st_size} bytes)")
             if damage:
                 writer.add_metadata(REPAIR_METADATA, {"damage": damage_in_words(damage)})
             writer.finish()
