@@ -86,7 +86,7 @@ class ActingThrust:
         return self._impulse
 
 
-class Commands(NamedTuple):
+class CommandRows(NamedTuple):
     """The first `count` rows of commands, from their instants on."""
 
     at_ns: Ints
@@ -95,7 +95,7 @@ class Commands(NamedTuple):
 
 
 @kernel(part=True)
-def turn_ankles(ankles: Commands, rate_radps: float, from_ns: int, to_ns: int, angle: Floats) -> None:
+def turn_ankles(ankles: CommandRows, rate_radps: float, from_ns: int, to_ns: int, angle: Floats) -> None:
     """Let ankles turn from `angle` (legs,), rad, to what they are commanded; before the first command to level."""
     for i in range(-1, ankles.count):
         begin_ns = max(ankles.at_ns[i], from_ns) if i >= 0 else from_ns
@@ -109,7 +109,13 @@ def turn_ankles(ankles: Commands, rate_radps: float, from_ns: int, to_ns: int, a
 
 @kernel
 def follow_legs(
-    thrust: Commands, ankles: Commands, lag_s: float, rate_radps: float, span_ns: tuple[int, int], work: Table, impulse: Floats
+    thrust: CommandRows,
+    ankles: CommandRows,
+    lag_s: float,
+    rate_radps: float,
+    span_ns: tuple[int, int],
+    work: Table,
+    impulse: Floats,
 ) -> None:
     """Let what legs would give with their ankles level, `work[0]`, and their ankles, `work[1]`, follow their commands between
     the two instants of `span_ns`. `impulse` (legs,) is the integral of the product with the angle's cosine. `work` (4, legs)
@@ -147,6 +153,6 @@ class ActingLegs:
     def impulse(self, from_ns: int, to_ns: int) -> Array:
         """Integral (legs,) of the moments between two instants, N m s; valid until the next call, which must go on from
         there."""
-        level, ankles = (Commands(sent.at_ns, sent.told, sent.count) for sent in (self._level, self._ankles))
+        level, ankles = (CommandRows(sent.at_ns, sent.told, sent.count) for sent in (self._level, self._ankles))
         follow_legs(level, ankles, self._lag_s, self._rate_radps, (from_ns, to_ns), self._work, self._impulse)
         return self._impulse

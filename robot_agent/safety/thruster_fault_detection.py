@@ -61,7 +61,7 @@ class YawModel(NamedTuple):
     quadratic: float  # N m s^2
 
 
-class Turn(NamedTuple):
+class YawRates(NamedTuple):
     """Yaw rates by which the observer advances, rad/s."""
 
     estimated: float  # r^
@@ -71,7 +71,7 @@ class Turn(NamedTuple):
 
 @kernel
 def observe_turn(
-    impulse: Floats, elapsed_s: float, causes: Floats, turn: Turn, yaw: YawModel, flow_nm: float
+    impulse: Floats, elapsed_s: float, causes: Floats, turn: YawRates, yaw: YawModel, flow_nm: float
 ) -> tuple[float, float]:
     """Advance the observer of the module by one sample of the gyroscope: returns the estimated yaw rate r^ and the residual
     moment, N m. `impulse` (thrusters,) is what the moments gave meanwhile, N m s; `flow_nm` the moment of the water past the
@@ -170,7 +170,7 @@ class ThrusterFaultDetector:
         if self._rate is None or not 0 <= elapsed_ns <= LONGEST_NS or abs(elapsed_ns - board_elapsed_ns) > APART_NS:
             self._begin(yaw_rate_radps, at_ns, board_ns)
         elif elapsed_ns and not self._leaves_out(yaw_rate_radps - self._rate, board_ns):
-            impulse, turn = self._moments.impulse(self._at_ns, at_ns), Turn(self._rate, self._measured, yaw_rate_radps)
+            impulse, turn = self._moments.impulse(self._at_ns, at_ns), YawRates(self._rate, self._measured, yaw_rate_radps)
             self._rate, residual = observe_turn(impulse, elapsed_ns / NS, self._causes, turn, self._yaw, self._flow_nm)
             self._measured, self._at_ns, self._board_ns = yaw_rate_radps, at_ns, board_ns
             self._unnoted_s += elapsed_ns / NS

@@ -5,7 +5,7 @@ import pytest
 
 from robot_agent.safety.likelihood_ratio import largest_evidence
 from robot_agent.safety.output_check import LATELY_NS, LEAP_US, TOLERANCE_US, is_explained
-from robot_agent.safety.sent_commands import Commands, follow_commands, follow_legs
+from robot_agent.safety.sent_commands import CommandRows, follow_commands, follow_legs
 
 NS = 1_000_000_000
 STEP_NS = NS // 20
@@ -65,7 +65,9 @@ def test_legs_give_less_the_farther_their_ankles_are_turned_and_these_turn_at_th
         integral += fine_s * moment * np.cos(angle)
     found = np.zeros(4)
     for span_ns in ((0, STEP_NS), (STEP_NS, 4 * STEP_NS)):
-        follow_legs(Commands(thrust_ns, level, 5), Commands(ankle_ns, turned, 5), lag_s, rate_radps, span_ns, work, impulse)
+        follow_legs(
+            CommandRows(thrust_ns, level, 5), CommandRows(ankle_ns, turned, 5), lag_s, rate_radps, span_ns, work, impulse
+        )
         found += impulse
     assert found == pytest.approx(integral, abs=1e-3) and work[1] == pytest.approx(angle, abs=1e-3)
 
