@@ -38,7 +38,7 @@ LATE_S = 0.02  # and for how late the moment comes, before any of it is known
 NOISE_NM = (0.002, 0.0007)  # of the residual: at first, and at least
 SAME_S = 2.0 * SMOOTH_S  # residuals closer together say the same,
 NOTED_S = 0.09  # and not every one is looked at
-SHARE = 0.02  # of the moment: curves are no straight lines
+SHARE = 0.02  # of each leg's moment: curves are no straight lines, and legs that push against one another each have theirs
 UNEVEN_S = 0.005  # steps begin, and pulses leave, a little earlier or later
 MISSING = (0.6, 2.0)  # of what a leg is told: most of it, up to twice, which is reversed
 SURE = 8.0  # evidence: e^8 to one,
@@ -134,6 +134,7 @@ class ThrusterFaultDetector:
     def _forget_causes(self) -> None:
         """Clear the smoothed causes of the residual."""
         self._causes = np.zeros(self._thrusters + 3)
+        self._noted_nm = np.zeros(self._thrusters)  # each leg's moment at the last look
         self._unnoted_s, self._sure = 0.0, 0
 
     def note_moments(self, level_nm: Array, ankles_rad: Array, now_ns: int) -> None:
@@ -175,8 +176,10 @@ class ThrusterFaultDetector:
             self._measured, self._at_ns, self._board_ns = yaw_rate_radps, at_ns, board_ns
             self._unnoted_s += elapsed_ns / NS
             if self._unnoted_s > NOTED_S:
-                moment, rising = float(self._causes[: self._thrusters].sum()), float(self._causes[RISING])
-                rough = math.hypot(SHARE * moment, UNEVEN_S * rising)
+                moments = self._causes[: self._thrusters]
+                rising = (moments - self._noted_nm) / self._unnoted_s
+                rough = math.hypot(SHARE * float(np.abs(moments).sum()), UNEVEN_S * float(np.abs(rising).sum()))
+                self._noted_nm = moments.copy()
                 self._test.note_sample(self._causes, residual, rough, self._unnoted_s, at_ns)
                 self._unnoted_s = 0.0
                 self._sure = self._sure + 1 if self._test.evidence > SURE else 0
