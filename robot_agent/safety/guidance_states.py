@@ -109,7 +109,7 @@ STATES: dict[Guidance, GuidanceState] = {
         "until an order; without a station `safety.station_neutral_s`", lambda s: float("inf"), "FAULT: station silent",
     ),
     Guidance.DRIVEN: GuidanceState(
-        "the arc of the last DRIVE", f"{FORESEEN}; a lead of `safety.off_path_m`",
+        "the arc of the last DRIVE; its reference leads by 0.5 m at most", FORESEEN,
         f"{DRIVE_LASTS_S:g} s after the last DRIVE", lambda s: DRIVE_LASTS_S, "HOLDING: no drive command",
     ),
 }  # fmt: skip

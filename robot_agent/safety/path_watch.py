@@ -109,10 +109,11 @@ class PathWatch:
         elapsed_s = 0.0 if self._at_ns is None else (now_ns - self._at_ns) / NS
         self._at_ns = now_ns
         place, path = complex(output.eta[0], output.eta[1]), complex(output.eta_reference[0], output.eta_reference[1])
-        led = place
-        if mode is Mode.DRIVEN and not self._row:  # the reference leads: what counts is where the robot would be by then
-            led += cmath.rect(FOLLOWS_S, output.eta.item(3)) * complex(output.nu[0], output.nu[1])
-        self._deviation.step(led, path, output.is_free, output.path_is_blocked, now_ns)
+        if mode is not Mode.DRIVEN:
+            self._deviation.step(place, path, output.is_free, output.path_is_blocked, now_ns)
+        elif not self._row:  # the reference leads: what counts is where the robot would be by then
+            led = place + cmath.rect(FOLLOWS_S, output.eta.item(3)) * complex(output.nu[0], output.nu[1])
+            self._deviation.step(led, path, output.is_free, output.path_is_blocked, now_ns)
         off_m = abs(place - path)
         self._change_state(output, mode, off_m, elapsed_s)
         if output.leap:
