@@ -144,6 +144,8 @@ class PathWatch:
         """The first bound that is passed."""
         strong = self._stronger_force(output, off_m, now_ns)
         held, turned_rad = self.response.held_fast, self.response.marker_turned_rad
+        if strong and self.response.turn_evidence > 1.0:  # the same force, but it goes with the thrust
+            turned_rad = -cmath.phase(self.response.response.gain)
         if held and self._responds:
             return WatchFinding("held fast", held)
         if turned_rad and self._responds:
