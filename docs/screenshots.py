@@ -46,7 +46,6 @@ def opened(browser: Browser, url: str, size: ViewportSize, scheme: Literal["dark
     """The page, as soon as it is served."""
     page = browser.new_context(viewport=size, color_scheme=scheme).new_page()
     page.set_default_timeout(PATIENCE_MS)
-    page.on("dialog", lambda dialog: dialog.accept())
     deadline = time.monotonic() + PATIENCE_MS * 1e-3
     while True:
         try:

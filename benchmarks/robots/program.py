@@ -23,7 +23,7 @@ from wire.config.experiment import load_experiment
 from wire.process.cli_options import finite
 
 EVIDENCE = Path(__file__).parents[2] / "docs" / "evidence" / "robots"
-TEN_MINUTES_S = 600.0
+HOUR_S = 3600.0
 WRITE_EVERY = 10  # flights
 
 
@@ -34,7 +34,7 @@ def main(
     law: Annotated[str, typer.Option(help="Control law: the same as --set controller.law=LAW.")] = "",
     settings: Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Any key of an experiment.")] = None,
     hold_s: Annotated[
-        float, typer.Option(min=20.0, max=TEN_MINUTES_S, help="Duration of HOLD; the target is for 600.", callback=finite)
+        float, typer.Option(min=20.0, max=HOUR_S, help="Duration of HOLD; the target is for 600.", callback=finite)
     ] = 60.0,
     workers: Annotated[int, typer.Option(min=1, help="Flights at a time.")] = min(2, os.cpu_count() or 1),
     compare: Annotated[Path | None, typer.Option(exists=True, help="JSON of an earlier run, to show beside this one.")] = None,

@@ -7,6 +7,11 @@ def tile(page: Page, robot: int) -> Locator:
     return page.locator(f"[data-robot='{robot}']")
 
 
+def answer(page: Page, name: str) -> None:
+    """Answer the page's open question."""
+    page.get_by_role("alertdialog").get_by_role("button", name=name, exact=True).click()
+
+
 def in_mode(page: Page, mode: str) -> None:
     for robot in (1, 2):
         expect(tile(page, robot)).to_have_attribute("data-mode", mode)

@@ -115,7 +115,6 @@ def open_page(browser: Browser, flight: OperatorFlight, asked: PageTraffic, widt
     page.on("request", lambda request: asked.urls.append(request.url))
     page.on("websocket", lambda socket: asked.urls.append(socket.url))
     page.on("pageerror", lambda error: asked.errors.append(str(error)))
-    page.on("dialog", lambda dialog: dialog.accept())
     page.goto(flight.url)
     page.wait_for_selector("[data-robot='1']:not(.stale)")
     return page

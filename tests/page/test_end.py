@@ -17,7 +17,7 @@ from groundstation.logs.recorder import Recorder
 from groundstation.web.replay_backend import ReplayBackend
 from groundstation.web.server import WebServer
 from sim_bridge.sil.ports import free_port
-from tests.page.elements import button, in_mode
+from tests.page.elements import answer, button, in_mode
 from tests.page.flights import PATIENCE_MS, OperatorFlight, PageTraffic, open_page, serious
 from tests.waiting import eventually
 from wire.config.experiment import dump_experiment, load_experiment
@@ -88,6 +88,7 @@ def test_a_run_ends_with_its_verdict_and_is_flown_again_stopped_brought_back_and
         page.keyboard.press("Shift+Space")
         expect(page.get_by_role("alert")).to_contain_text("robot 2 confirms: stopped")
         page.get_by_role("button", name=re.compile("Clear stop")).click()
+        answer(page, "Clear")
         button(page, "Return to start").click()
         expect(page.locator("header .mission-state")).to_have_text("done")
         button(page, "Load again").click()  # the program has not ended

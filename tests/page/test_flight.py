@@ -17,7 +17,7 @@ from playwright.sync_api import Browser, Page, expect
 from groundstation.logs.reader import open_log, read_log
 from groundstation.replay.step_replay import rerun
 from sim_bridge.sil.ports import free_port
-from tests.page.elements import button, in_mode, map_of, tile
+from tests.page.elements import answer, button, in_mode, map_of, tile
 from tests.page.flights import OperatorFlight, PageTraffic, open_page, serious
 from wire.messages import topics
 from wire.messages.codec import decode
@@ -46,6 +46,7 @@ def fly_on(page: Page, seconds: int) -> None:
 
 def clear_stop(page: Page) -> None:
     page.get_by_role("button", name=re.compile("Clear stop")).click()
+    answer(page, "Clear")
     in_mode(page, "DISARMED")
 
 
@@ -90,7 +91,8 @@ def test_a_second_page_only_watches_but_may_stop(
         expect(button(second, name)).to_be_disabled()
     second.get_by_role("button", name=re.compile("EMERGENCY STOP")).click()
     expect(page.get_by_role("alert")).to_contain_text("robot 2 confirms: stopped")
-    second.get_by_role("button", name=re.compile("Watching")).click()  # take over, confirmed
+    second.get_by_role("button", name=re.compile("Watching")).click()
+    answer(second, "Take over")
     expect(second.get_by_role("button", name="You have control")).to_be_visible()
     expect(page.get_by_role("button", name=re.compile("Watching"))).to_be_visible()
     clear_stop(second)

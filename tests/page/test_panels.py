@@ -13,7 +13,7 @@ import pytest
 from playwright.sync_api import Browser, expect
 
 from groundstation.planning import planner
-from tests.page.elements import button, map_of, tile
+from tests.page.elements import answer, button, map_of, tile
 from tests.page.flights import PATIENCE_MS, serious
 from tests.page.lone_station import lone_station
 from wire.config.experiment import load_experiment
@@ -167,11 +167,12 @@ def test_runs_are_found_named_read_and_deleted_on_the_page(browser: Browser, tmp
         button(page, "Keep").click()
         expect(page.locator("[data-run='now']")).to_contain_text("first dive this run #cold #deep")
         assert serious(page) == []
-        page.once("dialog", lambda dialog: dialog.dismiss())
         page.locator("[data-run='second']").get_by_role("button", name="Delete").click()
+        answer(page, "Cancel")
         assert (tmp_path / "second").is_dir()
-        page.once("dialog", lambda dialog: dialog.accept())
         page.locator("[data-run='second']").get_by_role("button", name="Delete").click()
+        assert serious(page) == []  # the question too
+        answer(page, "Delete")
         expect(rows).to_have_count(2)
         assert not (tmp_path / "second").exists()
         page.keyboard.press("Escape")  # closes the list, and stops nothing
@@ -195,12 +196,18 @@ def test_any_field_is_plotted_and_a_layout_is_an_address(browser: Browser) -> No
             page.wait_for_timeout(120)
         expect(tile(page, 1)).to_contain_text("× 1.32, 0.75")
         expect(tile(page, 1)).to_contain_text("tracking, giving way")
+        held = RobotState(
+            mode=Mode.HOLDING, eta=np.array([1.0, 0.0, 0.3, 0.0]), eta_reference=np.array([0.97, 0.04, 0.3, 0.0])
+        )
+        desk.robots.publish(topics.STATE, held, time.time_ns(), 2)
+        expect(tile(page, 2)).to_contain_text("from its place50 mm")
         figures = page.locator(".plot")
         expect(figures.nth(1).locator(".u-legend")).to_contain_text("0.25")
         page.get_by_label("What plot 3 shows").select_option("state.loss")  # of before it was asked for, too
         expect(figures.nth(2).locator(".u-legend")).to_contain_text("0.50")
-        page.on("dialog", lambda dialog: dialog.accept("mine"))
         page.get_by_label("Layouts of the plots").select_option("+")
+        page.get_by_label("Name of this layout").locator("input").fill("mine")
+        answer(page, "Save")
         page.goto(f"{desk.url}?plots=tracking")
         page.get_by_label("Layouts of the plots").select_option("=mine")
         expect(page.get_by_label("What plot 3 shows")).to_have_value("state.loss")

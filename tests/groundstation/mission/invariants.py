@@ -56,6 +56,7 @@ class _Followed:
     since_ns: int
     flown: dict[int, str]  # by robot: the trajectory that it had
     alone: bool = True  # nobody has asked for anything since
+    was_driven: bool = False  # the robot has followed a DRIVE since
     waited_s: float = 0.0
 
 
@@ -151,6 +152,8 @@ class Invariants:
             assert asked, f"ENDS: nobody asked for {outcome.order.name}"
             only = [*outcome.waiting, *outcome.confirmed][0] if outcome.order is Order.DRIVE else 0
             self.followed[outcome.request] = _Followed(outcome.order, None, only, now_ns, {})
+        for followed in self.followed.values():
+            followed.was_driven |= bool(followed.only) and pool.robots[followed.only].mode is Mode.DRIVEN
 
     def _asked_of(self, robot: int) -> set[Order]:
         """Requests of one robot alone that are under way, for all that people know."""
@@ -294,6 +297,8 @@ class Invariants:
             return "all have stopped" if all(self._stays(r, Mode.STOPPED) for r in robots) else ""
         modes = CONFIRMS.get(Order.HOLD if outcome.order is Order.DRIVE else outcome.order)
         if not followed.only or not followed.alone or modes is None:
+            return ""
+        if outcome.order is Order.DRIVE and not followed.was_driven:  # it held before
             return ""
         robot = self.pool.robots[followed.only]
         return f"robot {robot.id} is {robot.mode.name}" if any(self._stays(robot, mode) for mode in modes) else ""

@@ -1,11 +1,12 @@
 /** Keyboard shortcuts. Shift+Space is always the emergency stop, wherever the focus is. Escape is, too, unless there is something that
- * people are used to leave by it: a field with the focus, an open menu, places being chosen, the list of runs. */
+ * people are used to leave by it: a question, a field with the focus, an open menu, places being chosen, the list of runs. */
 
 import { stepFrames, togglePlay } from "./panels/Replay";
 import { showRuns } from "./panels/Runs";
 import { driveKey } from "./robot/drive";
 import { acknowledgeAlarms } from "./sound";
 import { order } from "./link";
+import { closeQuestion } from "./Question";
 import { choosePlaces, places } from "./pool/places";
 import { follow } from "./pool/layers";
 import { fitView, showNextCamera, zoomBy } from "./pool/Pool";
@@ -16,7 +17,7 @@ import type { OrderName } from "./wire";
 
 export const KEYS: [string, string][] = [
   ["Shift+Space", "emergency stop, from anywhere"],
-  ["Esc", "leave a field, close a menu or list; else emergency stop"],
+  ["Esc", "leave a field or a question, close a menu or list; else emergency stop"],
   ["Shift+A", "arm"],
   ["Shift+S", "start"],
   ["H", "hold"],
@@ -35,12 +36,14 @@ export const KEYS: [string, string][] = [
   [", .", "recorded run: a state back or on"],
 ];
 
-const ORDERS: Record<string, OrderName> = { A: "arm", S: "start", h: "hold", H: "hold", R: "resume", B: "return", D: "disarm" };
+const WITH_SHIFT: Record<string, OrderName> = { a: "arm", s: "start", h: "hold", r: "resume", b: "return", d: "disarm" };
+const ALONE: Record<string, OrderName> = { h: "hold" };
 
 /** Leave what Escape leaves everywhere. Returns false if there is nothing of the kind: then it stops the fleet. */
 function left(target: HTMLElement): boolean {
   const menu = document.querySelector<HTMLDetailsElement>("details.layers[open]");
   if (menu !== null) menu.open = false;
+  else if (closeQuestion()) return true;
   else if (target.matches("select, textarea, input:not([type=checkbox], [type=range])")) target.blur();
   else if (places.peek() !== null) choosePlaces(false);
   else if (browsing.peek()) showRuns(false);
@@ -60,19 +63,19 @@ function editKey(event: KeyboardEvent): boolean {
 
 addEventListener("keydown", (event) => {
   const target = event.target as HTMLElement;
-  const typing = /^(INPUT|SELECT|TEXTAREA)$/.test(target.tagName);
+  const typing = target.matches("select, textarea, input:not([type=checkbox], [type=range])");
   if ((event.key === "Escape" && !left(target)) || (event.key === " " && event.shiftKey)) {
     event.preventDefault();
-    if (scene.peek()?.mode !== "replay") order("stop");
+    if (!event.repeat && scene.peek()?.mode !== "replay") order("stop");
     return;
   }
   if (editing.peek() && !typing && editKey(event)) return;
   if (event.key === "Escape" || typing || event.ctrlKey || event.metaKey || event.altKey) return;
   if (driveKey(event)) return;
   if (editing.peek() && (event.key === "Delete" || event.key === "Backspace")) removePicked();
-  const name = ORDERS[event.key];
+  const name = (event.shiftKey ? WITH_SHIFT : ALONE)[event.key.toLowerCase()]; // Caps Lock is no Shift
   if (name !== undefined) {
-    if (inControl.peek() && shown.peek()?.allowed.includes(name)) order(name);
+    if (!event.repeat && inControl.peek() && shown.peek()?.allowed.includes(name)) order(name);
   } else if (event.key === "f" || event.key === "F") fitView();
   else if (event.key === "g" || event.key === "G") follow.value = !follow.value;
   else if (event.key === "c" || event.key === "C") showNextCamera();
@@ -89,3 +92,6 @@ addEventListener("keydown", (event) => {
   }
   drawSoon();
 });
+
+/** Some browsers press a button that has the focus when Space comes up: not after a stop. */
+addEventListener("keyup", (event) => event.key === " " && event.shiftKey && event.preventDefault());

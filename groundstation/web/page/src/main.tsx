@@ -6,6 +6,7 @@ import { Editor } from "./editor/Editor";
 import "./keys";
 import { KEYS } from "./keys";
 import { connect } from "./link";
+import { Question } from "./Question";
 import { Alarms, Log } from "./panels/Alarms";
 import { End } from "./panels/End";
 import { Header } from "./panels/Header";
@@ -24,6 +25,7 @@ function Page() {
   return (
     <div class={connected.value || scene.value === null || ended.value ? "page" : "page lost"}>
       <Header />
+      <Question />
       <main>
         <Pool />
         <aside>

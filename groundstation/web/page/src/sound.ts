@@ -9,10 +9,16 @@ export const soundOn = signal(localStorage.getItem("sound") !== "off");
 export const silenced = signal<ReadonlySet<string>>(new Set()); // acknowledged causes
 
 let audio: AudioContext | null = null;
+export const mayAlarm = signal(false); // a browser lets a page sound only after a click or a key
 
-/** Browsers let a page sound only after a click or a key. */
-addEventListener("pointerdown", () => (audio ??= new AudioContext()), { once: true });
-addEventListener("keydown", () => (audio ??= new AudioContext()), { once: true });
+function begin(): void {
+  audio ??= new AudioContext();
+  mayAlarm.value = audio.state === "running";
+  audio.onstatechange = () => (mayAlarm.value = audio?.state === "running");
+  void audio.resume().catch(() => undefined);
+}
+
+for (const touch of ["click", "keydown"] as const) addEventListener(touch, begin, { once: true });
 
 export function toggleSound(): void {
   soundOn.value = !soundOn.value;

@@ -4,10 +4,10 @@ import { signal } from "@preact/signals";
 import { nextSerial, say } from "../link";
 import { NumberInput } from "../NumberInput";
 import { after } from "../panels/End";
-import { chosen, inControl, saved, scene, tried } from "../store";
+import { chosen, connected, inControl, saved, scene, tried } from "../store";
 import { adding, pickedName, removePicked } from "./canvas";
 import type { Draft, PathKind } from "./model";
-import { change, draft, freed, ofKind, play, playhead, redo, redoable, reset, rotate, SHAPES, toEdit, undo, undoable, withRobot } from "./model";
+import { change, draft, freed, ofKind, play, playhead, redo, redoable, reset, rotate, SHAPES, toEdit, undo, undoable, verdict, withRobot } from "./model";
 
 const name = signal("");
 const turned = signal(0);
@@ -35,8 +35,8 @@ function Number_({ text, of, unit, value, step, min, onChange }: Field) {
 }
 
 function Verdict() {
-  const answer = tried.value;
-  if (answer === null) return <p class="verdict">asking the planner ...</p>;
+  const answer = verdict.value;
+  if (answer === null) return <p class="verdict">{connected.value ? "asking the planner ..." : "no connection: the planner cannot be asked"}</p>;
   if (answer.ok) {
     return (
       <p class="verdict ok" role="status">
@@ -76,7 +76,7 @@ function SaveForm() {
         value={name.value}
         onInput={(event) => (name.value = event.currentTarget.value)}
       />
-      <button type="submit" disabled={!good || !inControl.value || !tried.value?.ok} title={inControl.value ? "" : "take control first"}>
+      <button type="submit" disabled={!good || !inControl.value || !verdict.value?.ok} title={inControl.value ? "" : "take control first"}>
         Save
       </button>
       {answer !== null && (
@@ -92,7 +92,7 @@ function SaveForm() {
 function FlyNow({ d }: { d: Draft }) {
   if (!scene.value?.offers?.includes("edited")) return null;
   return (
-    <button type="button" class="order start" disabled={!tried.value?.ok || !inControl.value || chosen.value} title={inControl.value ? "" : "take control first"} onClick={() => after("edited", toEdit(d))}>
+    <button type="button" class="order start" disabled={!verdict.value?.ok || !inControl.value || chosen.value} title={inControl.value ? "" : "take control first"} onClick={() => after("edited", toEdit(d))}>
       Fly this
     </button>
   );

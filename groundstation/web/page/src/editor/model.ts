@@ -1,8 +1,8 @@
 /** What is being edited, and what the station's planner says of it. Nothing here flies: an edit is saved for the next run. */
 
-import { signal } from "@preact/signals";
+import { computed, effect, signal } from "@preact/signals";
 import { nextSerial, say } from "../link";
-import { drawSoon, editing, saved, scene, tried } from "../store";
+import { connected, drawSoon, editing, saved, scene, tried } from "../store";
 import type { Edit, Scene, Shape } from "../wire";
 
 type Point = [number, number];
@@ -98,9 +98,23 @@ export function change(next: Draft): void {
 function take(next: Draft): void {
   draft.value = next;
   [undoable.value, redoable.value] = [before.length, after.length];
-  say({ kind: "try", n: nextSerial(), edit: toEdit(next) });
+  askPlanner(next);
   drawSoon();
 }
+
+const questionNumber = signal(0); // of the newest draft
+
+/** What the planner says of this draft; null until it has said something. An answer to an earlier draft is none. */
+export const verdict = computed(() => (connected.value && tried.value?.n === questionNumber.value ? tried.value : null));
+
+function askPlanner(about: Draft): void {
+  questionNumber.value = nextSerial();
+  say({ kind: "try", n: questionNumber.value, edit: toEdit(about) });
+}
+
+effect(() => {
+  if (connected.value && editing.peek() && draft.peek() !== null) askPlanner(draft.peek()!); // a question may have gone with the connection
+});
 
 /** Go to the latest draft on one side; the present one goes to the other side. */
 function step(from: Draft[], to: Draft[]): void {

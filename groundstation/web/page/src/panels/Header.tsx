@@ -2,8 +2,9 @@
 
 import { isLight, setTheme } from "../colours";
 import { order, releaseControl, takeControl } from "../link";
-import { soundOn, toggleSound } from "../sound";
-import { browsing, connected, drawSoon, editing, ended, given, inControl, refusal, roundTripMs, scene, shown, stopUnheard, waiting } from "../store";
+import { ask } from "../Question";
+import { mayAlarm, soundOn, toggleSound } from "../sound";
+import { browsing, connected, drawSoon, editing, ended, given, inControl, isStale, live, now, refusal, roundTripMs, scene, shown, stopUnheard, waiting } from "../store";
 import { themeSerial } from "./Plots";
 import { showRuns } from "./Runs";
 
@@ -25,7 +26,7 @@ function Control() {
     <button
       type="button"
       class="control"
-      onClick={() => (!taken || confirm("Another page has control. Take it over?")) && takeControl(taken)}
+      onClick={() => (taken ? ask("Another page has control. Take it over?", "Take over", () => takeControl(true)) : takeControl(false))}
       title={taken ? "Another page has control; you watch" : "No page has control"}
     >
       {taken ? "Watching - take over" : "Take control"}
@@ -52,9 +53,12 @@ function StopButton() {
   if (scene.value?.mode === "replay" || (ended.value && !moves)) return null; // there is nothing to stop
   const unheard = stopUnheard.value;
   const latched = connected.value && (state?.stop ?? false);
-  const confirmed = latched && state !== null && state.robots.every((robot) => robot.state?.mode === "STOPPED");
+  const robots = (state?.robots ?? []).filter((robot) => !state?.alarms.some(({ key }) => key === `${robot.id}:out`));
+  const heard = robots.filter((robot) => !isStale(robot, live.sentMs));
+  const silent = now.value >= 0 ? robots.length - heard.length : 0; // ages go on
+  const confirmed = latched && heard.length > 0 && heard.every((robot) => robot.state?.mode === "STOPPED");
   const asked = !latched && given.value.some((g) => g.order === "stop" && !g.heard);
-  const text = unheard ? "STOP NOT HEARD" : confirmed ? "STOPPED" : latched ? "STOPPING" : asked ? "STOP ASKED" : "EMERGENCY STOP";
+  const text = unheard ? "STOP NOT HEARD" : confirmed ? (silent > 0 ? `STOPPED, ${silent} NOT HEARD` : "STOPPED") : latched ? "STOPPING" : asked ? "STOP ASKED" : "EMERGENCY STOP";
   return (
     <button type="button" class={unheard ? "stop unheard" : latched ? "stop latched" : "stop"} onClick={() => order("stop")} aria-keyshortcuts="Shift+Space Escape">
       {text}
@@ -97,8 +101,8 @@ export function Header() {
       <button type="button" aria-pressed={browsing.value} disabled={!connected.value} onClick={() => showRuns(!browsing.value)} title="Runs in this one's folder">
         Runs
       </button>
-      <button type="button" aria-pressed={soundOn.value} onClick={toggleSound} title="Alarm sounds">
-        {soundOn.value ? "Sound on" : "Sound off"}
+      <button type="button" aria-pressed={soundOn.value} onClick={() => mayAlarm.value && toggleSound()} title="Alarm sounds. A browser lets a page sound only after a click or a key in it">
+        {!soundOn.value ? "Sound off" : mayAlarm.value ? "Sound on" : "Click for sound"}
       </button>
       <button
         type="button"

@@ -2,6 +2,7 @@
 
 import { order, say } from "../link";
 import { choosePlaces, flyThere, places, placesFor } from "../pool/places";
+import { ask } from "../Question";
 import { connected, ended, type Given as Request, given, inControl, isStale, live, now, scene, shown, stopUnheard, unanswered } from "../store";
 import type { OrderName, RobotNews, Snapshot } from "../wire";
 
@@ -146,7 +147,7 @@ function Stopped({ state }: { state: Snapshot }) {
         type="button"
         disabled={!inControl.value || !connected.value}
         title={inControl.value ? "" : "take control first"}
-        onClick={() => confirm("Clear the emergency stop? Robots stay disarmed until they are armed again.") && order("clear-stop")}
+        onClick={() => ask("Clear the emergency stop? Robots stay disarmed until they are armed again.", "Clear", () => order("clear-stop"))}
       >
         Clear stop{waiting.length > 0 ? ` (${waiting.length} not confirmed)` : ""}
       </button>
@@ -167,7 +168,7 @@ function End({ state }: { state: Snapshot }) {
       class="order end"
       disabled={reason !== ""}
       title={reason || "Disarm everybody, write the log to its end, and stop the station"}
-      onClick={() => (!moves || confirm("Robots are armed. Disarm all of them and end the run?")) && order("end")}
+      onClick={() => (moves ? ask("Robots are armed. Disarm all of them and end the run?", "Disarm and end", () => order("end")) : order("end"))}
     >
       End run
     </button>

@@ -1,6 +1,7 @@
 /** The chosen robot alone: arm, hold, disarm, drive it, send it to a place, or take it out of the water, while the others hold or
  * fly. */
 
+import { useEffect } from "preact/hooks";
 import { order } from "../link";
 import { choosePlaces, flyThere, places, placesFor } from "../pool/places";
 import { driven, hold, letGo, pace, startDriving, stopDriving } from "../robot/drive";
@@ -25,8 +26,11 @@ const PAD: { name: string; text: string; share: readonly [number, number, number
   { name: "down", text: "down E", share: [0, 1, 0] },
 ];
 
-function Pad({ robot }: { robot: number }) {
-  if (driven.value !== robot) return null;
+const pointer = (event: PointerEvent): string => `pointer ${event.pointerId}`;
+
+/** Buttons to drive with. Whoever drives sees them: when they go, so does what is held. */
+function Pad() {
+  useEffect(() => stopDriving, []);
   return (
     <div class="drive">
       <div class="pad">
@@ -37,10 +41,11 @@ function Pad({ robot }: { robot: number }) {
             aria-label={`Drive ${name}`}
             onPointerDown={(event) => {
               event.currentTarget.setPointerCapture(event.pointerId);
-              hold(name, share);
+              hold(pointer(event), share);
             }}
-            onPointerUp={() => letGo(name)}
-            onPointerCancel={() => letGo(name)}
+            onPointerUp={(event) => letGo(pointer(event))}
+            onPointerCancel={(event) => letGo(pointer(event))}
+            onLostPointerCapture={(event) => letGo(pointer(event))}
             onContextMenu={(event) => event.preventDefault()}
           >
             {text}
@@ -117,7 +122,7 @@ export function OneRobot() {
           {robot.id} is {out ? "back in" : "out of"} the water
         </button>
       </div>
-      <Pad robot={robot.id} />
+      {drives && <Pad />}
       {undriven.value !== "" && drives && <p class="reason" role="status">{undriven.value}</p>}
       {led !== undefined && <p class="hint" role="status">{led.text}</p>}
       {IN_FORMATION.includes(state.mission) && mode === "TRACKING" && <p class="hint">Led alone now, it leaves the formation until Rejoin.</p>}

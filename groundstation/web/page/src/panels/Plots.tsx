@@ -9,6 +9,7 @@ import { FIELDS } from "../fields";
 import { type Chart, charts, column, fieldChart, record, times } from "../history";
 import { keep, layouts, link, show, SLOTS, slots } from "../layout";
 import { placeOf } from "../pool/path";
+import { ask } from "../Question";
 import { live, scene, selected } from "../store";
 import type { Scene } from "../wire";
 import { moment } from "./Alarms";
@@ -170,10 +171,8 @@ function Layouts() {
     const [verb, name] = [choice[0], choice.slice(1)];
     if (verb === "=") show(layouts.peek()[name]);
     else if (verb === "-") keep(name, true);
-    else if (verb === "+") {
-      const given = prompt("Name of this layout")?.trim();
-      if (given) keep(given);
-    } else void navigator.clipboard.writeText(link()).then(() => (copied.value = true), () => prompt("The address of this layout", link()));
+    else if (verb === "+") ask("Name of this layout", "Save", (given) => given.trim() && keep(given.trim()), "");
+    else void navigator.clipboard.writeText(link()).then(() => (copied.value = true), () => ask("The address of this layout", "Close", () => undefined, link()));
   };
   const names = Object.keys(layouts.value);
   return (

@@ -2,6 +2,7 @@
 
 import { signal } from "@preact/signals";
 import { say } from "../link";
+import { ask } from "../Question";
 import { browsing, connected, inControl, runs, scene } from "../store";
 import type { ListedRun } from "../wire";
 
@@ -73,7 +74,9 @@ function Row({ run }: { run: ListedRun }) {
           type="button"
           disabled={!mine || run.shown}
           title={run.shown ? "it is shown on this page" : why}
-          onClick={() => confirm(`Delete ${run.name || run.run} (${run.size_mb.toFixed(1)} MB) with its log and report?`) && say({ kind: "delete", run: run.run })}
+          onClick={() =>
+            ask(`Delete ${run.name || run.run} (${run.size_mb.toFixed(1)} MB) with its log and report?`, "Delete", () => say({ kind: "delete", run: run.run }))
+          }
         >
           Delete
         </button>

@@ -1,9 +1,12 @@
 /** Driving one robot by keys, buttons or gamepad. While something is held, its velocity is said ten times a second; the robot
- * holds by itself when it hears none any more. */
+ * holds by itself when it hears none any more.
+ *
+ * What is held belongs to the chosen robot. It is known by the key's place on the keyboard or by the pointer, for what a key means
+ * may change while it is down, and it is let go whenever the page may miss its end: at another robot, a modifier, another window. */
 
-import { signal } from "@preact/signals";
+import { effect, signal } from "@preact/signals";
 import { say } from "../link";
-import { connected, inControl, live, scene, undriven } from "../store";
+import { connected, inControl, live, scene, selected, undriven } from "../store";
 import { forgetPads, padShare, type Share } from "./gamepad";
 
 const SAY_EVERY_MS = 100;
@@ -16,7 +19,7 @@ const KEYS: Record<string, Share> = {
 export const driven = signal(0); // the robot that keys move; 0: none
 export const pace = signal(0.4); // of the vehicle's limits, at most
 
-const held = new Map<string, Share>();
+const held = new Map<string, Share>(); // by the key's place, or the pointer
 let moving = false;
 
 export function startDriving(robot: number): void {
@@ -48,11 +51,17 @@ export function letGo(name: string): void {
 
 /** Take a key if it drives. Returns whether it did. */
 export function driveKey(event: KeyboardEvent): boolean {
-  const share = driven.peek() === 0 || event.ctrlKey || event.metaKey || event.altKey || event.shiftKey ? undefined : KEYS[event.key.toLowerCase()];
+  const moved = (event.target as HTMLElement).matches("input[type=range]") && event.key.length > 1; // arrows are the slider's
+  const share = driven.peek() === 0 || moved || modified(event) ? undefined : KEYS[event.key.toLowerCase()];
   if (share === undefined) return false;
   event.preventDefault();
-  if (!event.repeat) hold(event.key.toLowerCase(), share);
+  if (!event.repeat) hold(event.code, share);
   return true;
+}
+
+/** Whether another key changes what this one means. */
+function modified(event: KeyboardEvent): boolean {
+  return event.ctrlKey || event.metaKey || event.altKey || event.shiftKey || event.getModifierState("AltGraph");
 }
 
 function tell(): void {
@@ -80,6 +89,10 @@ setInterval(() => {
   if (driven.peek() !== 0 && (!connected.peek() || !inControl.peek() || live.snapshot?.stop)) stopDriving();
   tell();
 }, SAY_EVERY_MS);
-addEventListener("keyup", (event) => letGo(event.key.toLowerCase()));
+effect(() => {
+  if (selected.value !== driven.peek() && driven.peek() !== 0) stopDriving();
+});
+addEventListener("keydown", (event) => modified(event) && release(), { capture: true }); // some systems then swallow the end of other keys
+addEventListener("keyup", (event) => letGo(event.code));
 addEventListener("blur", release);
 document.addEventListener("visibilitychange", () => document.hidden && release());

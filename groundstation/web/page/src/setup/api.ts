@@ -83,6 +83,7 @@ export interface State {
 }
 
 const PERIOD_MS = 300;
+const ANSWERS_WITHIN_MS = 3000; // a state; later, what is shown is old
 const key = new URLSearchParams(location.hash.slice(1)).get("key") ?? "";
 const page = crypto.randomUUID();
 
@@ -93,18 +94,19 @@ export const liveAddress = `live?key=${encodeURIComponent(key)}`;
 
 async function look(): Promise<void> {
   try {
-    const answer = await fetch(`state?page=${page}`, { headers: { "x-key": key } });
-    if (answer.ok) {
-      state.value = (await answer.json()) as State;
-      reachable.value = true;
-    } else {
-      reachable.value = false;
-      problem.value = await answer.text();
-    }
+    const answer = await fetch(`state?page=${page}`, { headers: { "x-key": key }, signal: AbortSignal.timeout(ANSWERS_WITHIN_MS) });
+    if (!answer.ok) return lose(await answer.text());
+    state.value = (await answer.json()) as State;
+    if (!reachable.peek()) problem.value = ""; // of the connection
+    reachable.value = true;
   } catch {
-    reachable.value = false;
-    problem.value = "localizer setup does not answer: is it running? What was done is kept there, not in this page.";
+    lose("localizer setup does not answer: is it running? What was done is kept there, not in this page.");
   }
+}
+
+function lose(why: string): void {
+  reachable.value = false;
+  problem.value = why;
 }
 
 export async function watch(): Promise<void> {

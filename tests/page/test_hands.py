@@ -1,0 +1,158 @@
+"""What a stuck key, Caps Lock, a lost pointer or an open question must not do, and what nobody holds does not go on."""
+
+import re
+import time
+from collections.abc import Iterator
+
+import pytest
+from playwright.sync_api import Browser, Page, expect
+
+from groundstation.mission.state_machine import MissionState
+from groundstation.web.backend import Status
+from tests.page.elements import button, tile
+from tests.page.lone_station import LoneStation, lone_station
+from wire.config.experiment import load_experiment
+from wire.messages import topics
+from wire.messages.messages import Mode, Order, RobotState
+
+pytestmark = [pytest.mark.timeout(600), pytest.mark.real_time]  # what waits for a browser waits for a loaded machine
+
+
+@pytest.fixture
+def desk(browser: Browser) -> Iterator[LoneStation]:
+    """A page in control, and two robots that hold."""
+    with lone_station(browser, load_experiment("pool")) as found:
+        found.page.goto(found.url)
+        expect(button(found.page, "You have control")).to_be_visible()
+        for robot in (1, 2):
+            found.robots.publish(topics.STATE, RobotState(mode=Mode.HOLDING), time.time_ns(), robot)
+        expect(tile(found.page, 2)).to_have_attribute("data-mode", "HOLDING")
+        yield found
+
+
+def drive(desk: LoneStation, robot: int) -> None:
+    tile(desk.page, robot).get_by_role("button").click()
+    button(desk.page, f"Drive {robot}").click()
+    expect(button(desk.page, "Drive ahead")).to_be_visible()
+
+
+def press(page: Page, kind: str, code: str, key: str, **more: bool) -> None:
+    """A key event with any place and meaning, as keyboards of other countries make it."""
+    page.evaluate(
+        "([kind, given]) => document.body.dispatchEvent(new KeyboardEvent(kind, {bubbles: true, cancelable: true, ...given}))",
+        [kind, {"code": code, "key": key, **more}],
+    )
+
+
+def test_a_robot_is_let_go_when_another_is_chosen_under_the_pointer(desk: LoneStation) -> None:
+    page = desk.page
+    drive(desk, 1)
+    button(page, "Drive ahead").hover()
+    page.mouse.down()
+    page.wait_for_timeout(300)
+    assert desk.drives[-1][1].surge_mps > 0.0
+    page.keyboard.press("2")
+    page.wait_for_timeout(100)
+    page.mouse.up()
+    assert (desk.drives[-1][0], desk.drives[-1][1].surge_mps) == (1, 0.0)
+    said = len(desk.drives)
+    page.keyboard.down("w")  # robot 2 is shown, and nobody drives it
+    page.wait_for_timeout(400)
+    page.keyboard.up("w")
+    assert len(desk.drives) == said
+    tile(page, 1).get_by_role("button").click()
+    expect(button(page, "Drive 1")).to_have_attribute("aria-pressed", "false")
+
+
+@pytest.mark.parametrize(
+    ("kind", "code", "key", "more"),
+    [("keyup", "KeyE", "€", {}), ("keydown", "AltRight", "AltGraph", {"modifierAltGraph": True}),
+     ("keydown", "MetaLeft", "Meta", {"metaKey": True}), ("keydown", "ControlLeft", "Control", {"ctrlKey": True})],
+    ids=["up with another meaning", "AltGr", "Command", "Ctrl"],
+)  # fmt: skip
+def test_no_key_sticks(desk: LoneStation, kind: str, code: str, key: str, more: dict[str, bool]) -> None:
+    drive(desk, 1)
+    press(desk.page, "keydown", "KeyE", "e")
+    desk.page.wait_for_timeout(300)
+    assert desk.drives[-1][1].heave_mps > 0.0
+    press(desk.page, kind, code, key, **more)
+    desk.page.wait_for_timeout(200)
+    assert desk.drives[-1][1].heave_mps == 0.0
+
+
+def test_the_pace_is_set_between_two_keys(desk: LoneStation) -> None:
+    """The slider keeps the focus and its arrows, and letters drive."""
+    page = desk.page
+    drive(desk, 1)
+    page.get_by_label(re.compile("^pace")).focus()
+    page.keyboard.press("ArrowRight")
+    expect(page.get_by_text("pace 45 %")).to_be_visible()
+    assert desk.drives == []
+    page.keyboard.down("w")
+    page.wait_for_timeout(300)
+    page.keyboard.up("w")
+    assert max(velocity.surge_mps for _, velocity in desk.drives) > 0.0
+
+
+def test_caps_lock_and_repeats_order_nothing_and_shift_does(desk: LoneStation) -> None:
+    page = desk.page
+    desk.told = Status(MissionState.PAUSED, "")
+    expect(button(page, "Resume")).to_be_enabled()
+    for letter in "ASDRB":
+        press(page, "keydown", f"Key{letter}", letter)  # Caps Lock: a capital without Shift
+        press(page, "keydown", f"Key{letter}", letter, shiftKey=True, repeat=True)
+    page.wait_for_timeout(300)
+    assert desk.orders == []
+    press(page, "keydown", "KeyR", "r", shiftKey=True)  # Caps Lock and Shift
+    expect(page.locator(".given")).to_contain_text("resume sent")
+    assert desk.orders == [Order.RESUME]
+
+
+def test_shift_space_stops_the_fleet_over_an_open_question_and_answers_nothing(desk: LoneStation) -> None:
+    page = desk.page
+    button(page, "End run").click()
+    question = page.get_by_role("alertdialog")
+    expect(question).to_contain_text("Robots are armed. Disarm all of them and end the run?")
+    expect(question.get_by_role("button", name="Cancel")).to_be_focused()
+    page.keyboard.press("Shift+Space")
+    expect(page.locator(".given")).to_contain_text("stop sent")
+    assert desk.orders == [Order.STOP]
+    page.get_by_role("button", name=re.compile("STOP")).last.click()  # it lies under nothing
+    expect(page.locator(".given li")).to_have_count(2)
+    page.keyboard.press("Escape")  # the question's, not the fleet's
+    expect(question).to_have_count(0)
+    assert desk.orders == [Order.STOP, Order.STOP]
+    button(page, "End run").click()
+    question.get_by_role("button", name="Disarm and end").click()
+    expect(page.locator(".given")).to_contain_text("end sent")
+    assert desk.orders[-1] is Order.END
+
+
+def test_a_robot_that_is_not_heard_is_not_called_stopped(desk: LoneStation) -> None:
+    page = desk.page
+    desk.told = Status(MissionState.STOPPED, "")
+    page.keyboard.press("Shift+Space")
+    for k in range(40):
+        for robot in (1, 2):
+            if robot == 1 or k < 15:
+                desk.robots.publish(topics.STATE, RobotState(mode=Mode.STOPPED), time.time_ns(), robot)
+        page.wait_for_timeout(100)
+        if k == 10:
+            expect(page.get_by_role("button", name="STOPPED Shift+Space")).to_be_visible()
+    expect(page.get_by_role("button", name="STOPPED, 1 NOT HEARD Shift+Space")).to_be_visible()
+
+
+def test_an_alarm_that_cannot_sound_yet_says_so(desk: LoneStation) -> None:
+    page = desk.page
+    expect(button(page, "Click for sound")).to_be_visible()
+    button(page, "Click for sound").click()
+    expect(button(page, "Sound on")).to_be_visible()
+
+
+def test_a_draft_is_not_called_good_by_an_answer_to_another_one(desk: LoneStation) -> None:
+    page = desk.page
+    button(page, "Edit").click()
+    expect(page.get_by_text("can be flown: closest")).to_be_visible()
+    desk.server.close()
+    expect(page.get_by_text("no connection: the planner cannot be asked")).to_be_visible()
+    expect(page.get_by_text("can be flown: closest")).to_have_count(0)
