@@ -12,7 +12,7 @@ from wire.messages.messages import CameraHealth
 # Every seventh pixel of every seventh row: odd, so all four Bayer colours are among them. 25,000 samples of a live picture
 # differ somewhere even if noise changes only one pixel in a thousand.
 _STRIDE = 7
-# Frames of which the newest may be a copy: a camera or driver that hangs may hand out its buffers in turn, old pictures and all.
+# Frames of which the newest may be a copy: a camera or driver that hangs may hand out its buffers, with old pictures, in turn.
 # OpenCV asks a V4L2 driver for 10 at most. No two live pictures are alike, however long ago the first was.
 _REMEMBERED = 16
 _BLACK_LEVEL = 8.0  # grey levels, mean: a covered lens shows 0-4, a pool by emergency light more than 20
