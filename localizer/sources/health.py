@@ -41,7 +41,7 @@ class FrameHealthMonitor:
             self._copies = 0
             return CameraHealth.WRONG_SIZE
         total, _ = kernels.sample(frame, _STRIDE, self._sample)
-        checksum = zlib.crc32(self._sample)
+        checksum = zlib.crc32(self._sample.data)
         self._copies = self._copies + 1 if checksum in self._recent else 0
         self._recent.append(checksum)
         if total < _BLACK_LEVEL * self._sample.size:
