@@ -16,7 +16,7 @@ from groundstation.mission.mission import AT_REST_MPS, PATIENCE_S, REST_WITHIN_S
 from groundstation.mission.objections import ARMED, LIVE, mode_name
 from groundstation.mission.plan_manager import PlanRequest
 from groundstation.mission.roster import TAKEN_OUT, Leader
-from groundstation.mission.state_machine import AT_REST, NOMINAL, ONE_ROBOT, WATER, MissionState
+from groundstation.mission.state_machine import AT_REST, IN_FLIGHT, NOMINAL, ONE_ROBOT, WATER, MissionState
 from groundstation.mission.timetable import START_IN_S, Timetable
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.rest_to_rest import SETTLE_S, plan_return
@@ -215,11 +215,17 @@ class SingleRobotControl:
             task = self._under_way(robot)
             if task is None:
                 continue
-            if self._mission.state not in WHEN or robot not in self.led:
+            if robot not in self.led or not self._goes_on(robot):
                 self._end(robot, f"the mission is {self._mission.state.value}")
             else:
                 commands += self._advance(robot, task, fleet[robot], fleet, now_ns)
         return tuple(commands)
+
+    def _goes_on(self, robot: int) -> bool:
+        """True if the mission leaves a robot's task alone. A formation that flies on without it has no part in it, and would
+        otherwise end the very request at which it makes itself a new plan."""
+        mission = self._mission
+        return mission.state in WHEN or (mission.state in IN_FLIGHT and robot in mission.roster.lost)
 
     def _advance(self, robot: int, task: RobotTask, seen: RobotView, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
         """Follow one robot's task by a cycle; returns the commands to send for it."""

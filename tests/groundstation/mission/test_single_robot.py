@@ -20,8 +20,8 @@ SETTINGS = ("duration_s=20", 'mission.lost="go-on"')
 class LedRun(MissionRun):
     """A mission whose robots can be led one by one; robot 2 stands 0.8 m beside robot 1."""
 
-    def __init__(self) -> None:
-        super().__init__(automatic=False, settings=SETTINGS)
+    def __init__(self, *more: str) -> None:
+        super().__init__(automatic=False, settings=(*SETTINGS, *more))
         self.single = SingleRobotControl(self.experiment, self.mission)
         self.robots[1].eta, self.robots[2].eta = (-0.4, 0.0, 0.3, 0.0), (0.4, 0.0, 0.3, 0.0)
         self.for_one: list[CommandResult] = []
@@ -331,3 +331,15 @@ def test_a_robot_whose_task_has_failed_in_flight_is_held() -> None:
     run.step(0.5)
     assert run.at(MissionState.WAITING)
     assert run.in_mode(2, Mode.HOLDING)
+
+
+def test_a_formation_that_makes_itself_a_new_plan_ends_no_request_for_the_robot_that_left_it() -> None:
+    run = LedRun('path={kind="waypoints",points_m=[[0.0,0.0],[0.6,0.0],[0.6,0.4]],speed_mps=0.1,depth_m=0.3}')
+    run.fly()
+    assert run.ask(Order.DISARM) == ""
+    run.mission.step(run.fleet(), (), run.now_ns)
+    assert run.mission.request(Order.GO, run.fleet(), run.now_ns, [(0.5, 0.5)]) == ""
+    assert run.at(MissionState.SWITCHING)
+    run.step(0.2)
+    assert run.in_mode(2, Mode.DISARMED)
+    assert run.single.tasks[2].progress is Progress.DONE
