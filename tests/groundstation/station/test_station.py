@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from groundstation.formation_clock import named_alone
@@ -38,10 +39,12 @@ from wire.messages.messages import (
     Mode,
     Order,
     Outcome,
+    Pose,
     Progress,
     Reply,
     RobotState,
     StationHeartbeat,
+    Track,
     Trajectory,
 )
 from wire.messages.topics import WHOLE_FLEET
@@ -536,6 +539,20 @@ def test_robots_are_not_armed_by_the_poses_of_another_experiment(tmp_path: Path)
             if blocks:
                 text = f"its poses are by another experiment (00000000, here {station.experiment.hash[:8]})"
                 assert (found[0].level, found[0].text) == ("critical", text)
+
+
+def test_a_robot_whose_poses_come_from_two_programs_is_not_armed(tmp_path: Path) -> None:
+    hub = MemoryHub()
+    with a_station(tmp_path, hub) as station:
+        programs = Bus(MemoryTransport(hub)), Bus(MemoryTransport(hub))
+        state = RobotState(experiment_hash=station.experiment.hash, battery_v=12.0)
+        for number in (0, 1, 0):
+            programs[number].publish(topics.POSE, Pose(0.0, 0.0, 0.0, np.eye(3), Track.MARKER, True), time.time_ns(), 1)
+            programs[number].publish(topics.STATE, state, time.time_ns(), 1)
+        station.cycle(station.clock.now_ns(), lockstep=False)
+        seen = {robot: replace(view, state_age_s=0.0) for robot, view in station.status().seen.items()}
+        found = {robot: [f for f in findings(station.experiment, robot, seen[robot]) if f.key == "poses"] for robot in (1, 2)}
+        assert [f.blocks_arming for f in found[1]] == [True] and found[2] == []
 
 
 def test_programs_of_other_code_than_the_stations_are_named_on_the_page_and_in_the_log(
