@@ -226,7 +226,13 @@ def tell_until(fleet: ObedientFleet, over: threading.Event) -> None:
         fleet.tell()
 
 
-LEADS = {Order.HOLD: Mode.HOLDING, Order.STOP: Mode.STOPPED, Order.CLEAR_STOP: Mode.DISARMED, Order.DISARM: Mode.DISARMED}
+LEADS = {
+    Order.ARM: Mode.ARMED,
+    Order.HOLD: Mode.HOLDING,
+    Order.STOP: Mode.STOPPED,
+    Order.CLEAR_STOP: Mode.DISARMED,
+    Order.DISARM: Mode.DISARMED,
+}
 
 
 def asked(station: Station, order: Order) -> int:
@@ -400,6 +406,28 @@ def test_a_station_that_is_told_to_end_in_flight_holds_and_then_disarms(
         assert not [line for line in lines if line.endswith("asked for")]
 
 
+@pytest.mark.parametrize("state", [MissionState.LOADING, MissionState.ARMING])
+def test_a_station_that_is_told_to_end_while_robots_are_being_armed_leaves_none_armed(
+    tmp_path: Path, state: MissionState
+) -> None:
+    hub, stop = MemoryHub(), Stop(install=False)
+    with a_station(tmp_path, hub) as station:
+        fleet = ObedientFleet(hub, station.experiment)
+        fleet.until(station, lambda: len(station.seen) == 2 and all(seen.heard for seen in station.seen.values()))
+        station.mission.state = state
+        stop.request(interrupted=True)
+        over, told = threading.Event(), threading.Thread(target=lambda: tell_until(fleet, over))
+        told.start()
+        try:
+            process._wall_loop(station, stop, process.EndOfRun(station, None))
+        finally:
+            over.set()
+            told.join()
+        assert station.mission.state not in (MissionState.LOADING, MissionState.ARMING)
+        orders = [order for robot, order in fleet.got if robot == 1 and order in (Order.ARM, Order.DISARM)]
+        assert orders[-1] is Order.DISARM and fleet.modes == {1: Mode.DISARMED, 2: Mode.DISARMED}
+
+
 def test_an_end_disarms_the_one_robot_that_is_armed(tmp_path: Path) -> None:
     hub = MemoryHub()
     with a_station(tmp_path, hub) as station:
@@ -452,6 +480,24 @@ def test_an_automatic_run_that_a_person_took_over_ends_only_when_it_is_left_alon
         assert not process.EndOfRun(station, None).reached()
         station.core.by_hand = False  # as a person's START leaves it
         assert process.EndOfRun(station, None).reached()
+
+
+def test_a_run_without_a_robot_that_is_out_of_the_water_is_left_alone_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its agent may be switched off for good: nobody can hear it."""
+    monkeypatch.setattr(process, "IDLE_ALONE_S", 0.2)
+    hub = MemoryHub()
+    with a_station(tmp_path, hub) as station:
+        fleet, end = ObedientFleet(hub, station.experiment), process.EndOfRun(station, None)
+        del fleet.modes[2]
+        station.mission.automatic = station.core.by_hand = True
+        fleet.until(station, lambda: bool(station.seen) and station.seen[1].heard)
+        assert not end.reached()
+        time.sleep(0.3)
+        assert not end.reached()  # robot 2 may be anywhere
+        assert station.request(Order.OUT, only=2)[0] == ""
+        fleet.until(station, end.reached)
 
 
 def test_status_returns_at_once_while_a_cycle_hangs(tmp_path: Path) -> None:
