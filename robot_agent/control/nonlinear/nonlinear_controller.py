@@ -395,5 +395,5 @@ def _nearest_points(place: complex, bodies: MovingBodies, outlines: Outlines) ->
         points = outlines.point[outlines.first[i] : outlines.first[i + 1]]
         points = points[:, 0] + 1j * points[:, 1]
         apart = place - points
-        found.append((complex(points[np.abs(apart).argmin()]), keep_m, bool(is_inside(apart[None])[0])))
+        found.append((complex(points[np.abs(apart).argmin()]), keep_m, bool(is_inside(apart[None].astype(np.complex128))[0])))
     return found
