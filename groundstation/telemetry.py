@@ -42,6 +42,7 @@ class RobotView:
     behind_s: float = 0.0  # lag behind the fleet's timetable (groundstation/mission/timetable.py)
     other_gains: bool = False  # it has other gains than the fleet
     other_code: str = ""  # it runs other code than the station: which, in words
+    localizer_hash: str = ""  # of the experiment that its poses rest on; empty: not told
     out: bool = False  # a person took it out of the water
 
     @property
@@ -140,6 +141,7 @@ class FleetInboxes:
     def view(self, robot: int, link: LinkMonitor, clock: Clock) -> RobotView:
         """View of a robot now; ages by the process's clock. Takes its last states into `link`."""
         state, pose, plan = self.states[robot].newest(), self.poses[robot].newest(), self.plans[robot].newest()
+        localizer = self.localizer.newest()
         if state is not None:
             link.add(self.states[robot].headers(), state.header, clock.instant_ns(state))
         return RobotView(
@@ -150,6 +152,7 @@ class FleetInboxes:
             age_s(clock, plan) if plan else float("inf"),
             link.clock_offset_s,
             link.loss,
+            localizer_hash=localizer.message.experiment_hash if localizer is not None else "",
         )
 
 
@@ -207,6 +210,9 @@ def _experiment(experiment: Experiment, seen: RobotView, state: RobotState) -> F
         yield "experiment", "critical", True, text, DEPLOY if seen.other_code else same
     if seen.other_code:
         yield "code", "warning", False, seen.other_code, DEPLOY
+    if seen.localizer_hash not in ("", experiment.hash):  # its markers may be other robots', its camera may hang elsewhere
+        text = f"its poses are by another experiment ({seen.localizer_hash[:8]}, here {experiment.hash[:8]})"
+        yield "localizer", "critical", True, text, "start the localizer with this run's experiment.toml"
 
 
 def _pose(experiment: Experiment, seen: RobotView, state: RobotState) -> FindingFields:

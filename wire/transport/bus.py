@@ -24,7 +24,7 @@ from wire.messages.topics import Topic
 from wire.toml_loader import ConfigError
 from wire.transport.command_deduplication import CommandDeduplicator
 from wire.transport.delay_estimator import DelayEstimator
-from wire.transport.transport import Answer, Await, Transport
+from wire.transport.transport import Answer, Await, Transport, Unreached
 
 log = logging.getLogger("shoal")
 
@@ -248,10 +248,18 @@ class Bus:
 
     def serve(self, robot: int, handle: Handle) -> None:
         """Answer the commands to a robot. `handle` runs in a network thread, and sees each command once
-        (wire/transport/command_deduplication.py). What cannot be read is refused, with the reason. A STOP waits for no other
-        command: `handle` may be called with it while another call is under way."""
+        (wire/transport/command_deduplication.py). What cannot be read is refused, with the reason; so is what `handle` raises
+        an exception at, which may be carried out by half and is not tried again. A STOP waits for no other command: `handle`
+        may be called with it while another call is under way."""
         name, deduplicator = topics.COMMAND_KEY.format(robot=robot), CommandDeduplicator(self.session)
         turn, known = threading.Lock(), threading.Lock()  # around a command; around the deduplicator
+
+        def handled(header: Header, command: Command) -> Reply:
+            try:
+                return handle(header, command)
+            except Exception as error:  # without an answer the sender would take the network for the cause
+                log.error("%s failed: %s: %s", command.order.name, type(error).__name__, error, exc_info=error)
+                return Reply(robot, False, f"{command.order.name} failed: {type(error).__name__}: {error}")
 
         def answer(payload: bytes, header: bytes) -> bytes:
             try:
@@ -264,7 +272,7 @@ class Bus:
                 with known:
                     reply = deduplicator.known_reply(decoded, command)
                 if reply is None:
-                    reply = handle(decoded, command)
+                    reply = handled(decoded, command)
                     with known:
                         reply = deduplicator.record(decoded, reply)
             with self.arrival:
@@ -338,7 +346,8 @@ class Bus:
 
     def claim(self, process: str, stopped: Callable[[], bool], patience_s: float = SAME_NAME_S) -> None:
         """Take a name in the fleet, or wait until no other process has it: one that has crashed is missed after some seconds.
-        Raises ConfigError if one has it all the same. Do it first: two of one name would act by turns.
+        Raises ConfigError if one has it all the same, Unreached if this process is to stop before it is free: who goes on then
+        would take leave of the other's board in its name. Do it first: two of one name would act by turns.
 
         Of several that begin together each says so, looks again when the others must have heard, and the lowest session gets
         the name. One that appears all the same, when a network has been in two parts, is an error in the log of both."""
@@ -371,6 +380,8 @@ class Bus:
                     f"{process}: another process of this name is in fleet {self._fleet} (allowed: one): end it, or start this "
                     "one for another robot (--robot) or fleet (--fleet)"
                 )
+        if not is_free():
+            raise Unreached(f"{process}: stopped while another process of this name is in fleet {self._fleet}")
         held = True
         self.transport.announce(self._claim_key(process, topics.HOLDER))
 
