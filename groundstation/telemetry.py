@@ -42,6 +42,7 @@ class RobotView:
     behind_s: float = 0.0  # lag behind the fleet's timetable (groundstation/mission/timetable.py)
     other_gains: bool = False  # it has other gains than the fleet
     other_code: str = ""  # it runs other code than the station: which, in words
+    two_pose_senders: bool = False  # two programs publish its poses by turns
     localizer_hash: str = ""  # of the experiment that its poses rest on; empty: not told
     out: bool = False  # a person took it out of the water
 
@@ -152,6 +153,7 @@ class FleetInboxes:
             age_s(clock, plan) if plan else float("inf"),
             link.clock_offset_s,
             link.loss,
+            two_pose_senders=self.poses[robot].has_two_senders(),
             localizer_hash=localizer.message.experiment_hash if localizer is not None else "",
         )
 
@@ -217,6 +219,9 @@ def _experiment(experiment: Experiment, seen: RobotView, state: RobotState) -> F
 
 def _pose(experiment: Experiment, seen: RobotView, state: RobotState) -> FindingFields:
     pose, limit_s = seen.pose, topics.POSE.max_age_in(experiment.safety)
+    if seen.two_pose_senders:
+        remedy = "end one: a localizer, or a simulator that was left running"
+        yield "poses", "critical", True, "two programs publish its poses by turns", remedy
     if pose is None or seen.pose_age_s > limit_s:
         age = "none yet" if pose is None else f"{seen.pose_age_s:.1f} s old"
         yield "pose", "warning", True, f"no fresh pose ({age})", "is the localizer running, the robot in the picture?"

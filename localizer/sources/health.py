@@ -12,7 +12,7 @@ from wire.messages.messages import CameraHealth
 # Every seventh pixel of every seventh row: odd, so all four Bayer colours are among them. 25,000 samples of a live picture
 # differ somewhere even if noise changes only one pixel in a thousand.
 _STRIDE = 7
-# Frames of which the newest may be a copy: a camera or driver that hangs may hand out its buffers in turn, old pictures and all.
+# Frames of which the newest may be a copy: a camera or driver that hangs may hand out its buffers, with old pictures, in turn.
 # OpenCV asks a V4L2 driver for 10 at most. No two live pictures are alike, however long ago the first was.
 _REMEMBERED = 16
 _BLACK_LEVEL = 8.0  # grey levels, mean: a covered lens shows 0-4, a pool by emergency light more than 20
@@ -41,7 +41,7 @@ class FrameHealthMonitor:
             self._copies = 0
             return CameraHealth.WRONG_SIZE
         total, _ = kernels.sample(frame, _STRIDE, self._sample)
-        checksum = zlib.crc32(self._sample)
+        checksum = zlib.crc32(self._sample.data)
         self._copies = self._copies + 1 if checksum in self._recent else 0
         self._recent.append(checksum)
         if total < _BLACK_LEVEL * self._sample.size:

@@ -87,19 +87,19 @@ class ActingThrust:
 
 
 class CommandRows(NamedTuple):
-    """The first `count` rows of commands, from their instants on."""
+    """The first `rows` of commands, from their instants on."""
 
     at_ns: Ints
     told: Table
-    count: int
+    rows: int
 
 
 @kernel(part=True)
 def turn_ankles(ankles: CommandRows, rate_radps: float, from_ns: int, to_ns: int, angle: Floats) -> None:
     """Let ankles turn from `angle` (legs,), rad, to what they are commanded; before the first command to level."""
-    for i in range(-1, ankles.count):
+    for i in range(-1, ankles.rows):
         begin_ns = max(ankles.at_ns[i], from_ns) if i >= 0 else from_ns
-        end_ns = min(ankles.at_ns[i + 1], to_ns) if i + 1 < ankles.count else to_ns
+        end_ns = min(ankles.at_ns[i + 1], to_ns) if i + 1 < ankles.rows else to_ns
         if end_ns > begin_ns:
             reach_rad = rate_radps * (end_ns - begin_ns) / NS
             for leg in range(len(angle)):
@@ -124,7 +124,7 @@ def follow_legs(
     begin_ns, to_ns = span_ns
     while begin_ns < to_ns:
         end_ns = min(begin_ns + FINE_NS, to_ns)
-        follow_commands(thrust.at_ns, thrust.told, thrust.count, lag_s, begin_ns, end_ns, work[0], work[2])
+        follow_commands(thrust.at_ns, thrust.told, thrust.rows, lag_s, begin_ns, end_ns, work[0], work[2])
         for leg in range(len(impulse)):
             work[3, leg] = math.cos(work[1, leg])
         turn_ankles(ankles, rate_radps, begin_ns, end_ns, work[1])

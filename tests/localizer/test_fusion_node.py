@@ -71,7 +71,12 @@ def test_obstacles_of_a_camera_that_is_out_are_not_told_and_renew_no_list(monkey
             bus.publish(topics.POSE.of_camera(camera), POSE, stamp_ns, 1)
             its = "0.1.0 another" if moved else code().short
             status = LocalizerStatus(
-                CameraHealth.OK, message="moved" if moved else "", robots=(1,), moved=moved, code=its, experiment_hash=other[camera]
+                CameraHealth.OK,
+                message="moved" if moved else "",
+                robots=(1,),
+                moved=moved,
+                code=its,
+                experiment_hash=other[camera],
             )
             bus.publish(topics.LOCALIZER.of_camera(camera), status, stamp_ns)
         next(steps)

@@ -40,6 +40,7 @@ SAME_NAME_S = 12.0  # for the router to miss a process that was cut off: its lea
 TOLD_WITHIN_S = 0.25  # the router tells within ms that a name is taken; liveliness().get() misses 1 name of 20 under load
 STOPPED_WITHIN_S = 0.2  # between looks at whether this process is to end
 SESSIONS = 4  # per inbox that are remembered: of a sender that was started again, the one before may still be on its way
+TWO_SENDERS_S = 1.0  # after the last sign of a second sender; all topics that control come several times in that time
 KEPT = 3  # per inbox: in lockstep a fast neighbour may already be one step ahead
 
 
@@ -93,6 +94,8 @@ class Inbox(Generic[M]):
         self._bus, self._topic, self._kind, self._wakes = bus, topic, kind, wakes
         self._kept: tuple[_Kept[M], ...] = ()  # replaced, never changed: readers need no lock
         self._senders: dict[int, _Sender] = {}  # by session, the newest last
+        self._session = 0  # of the newest message
+        self._returned_ns: int | None = None  # when a session was last heard again after another one
 
     def store(self, header: Header, payload: bytes) -> None:
         """A message has come."""
@@ -105,11 +108,20 @@ class Inbox(Generic[M]):
                 return
             if len(self._senders) > SESSIONS:
                 del self._senders[next(iter(self._senders))]
-            sender.sequence, arrived_ns = header.sequence, time.monotonic_ns()
+            sender.sequence, arrived_ns, is_known = header.sequence, time.monotonic_ns(), sender.sequence >= 0
+            if is_known and header.session != self._session:
+                self._returned_ns = arrived_ns
+            self._session = header.session
             late_ns = sender.delay.excess_ns(header.stamp_ns + header.age_ns, arrived_ns)
             self._kept = (*self._kept[1 - KEPT :], _Kept(header, payload, arrived_ns, late_ns))
             if self._wakes:
                 self._bus.arrival.notify_all()
+
+    def has_two_senders(self, within_s: float = TWO_SENDERS_S) -> bool:
+        """True if two programs send this topic by turns: one was heard again after another, so long ago at most. The newest
+        message is then one's or the other's."""
+        returned_ns = self._returned_ns
+        return returned_ns is not None and time.monotonic_ns() - returned_ns < within_s * 1e9
 
     def newest_header(self) -> Header | None:
         """Header of the newest message, decoded or not: cheap, for waiting."""

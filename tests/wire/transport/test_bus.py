@@ -391,6 +391,28 @@ def test_a_command_at_which_the_recipient_fails_is_refused_with_the_reason(
     assert station.command(HOLD, 1, 5.0).accepted, "it goes on to answer"
 
 
+def test_two_programs_that_send_a_topic_by_turns_are_noticed_and_a_restart_is_not_two(make_bus: MakeBus) -> None:
+    first, second, receiver = make_bus(), make_bus(), make_bus()
+    inbox = receiver.inbox(topics.HEARTBEAT, messages.StationHeartbeat)
+
+    def send(bus: Bus, mission: str) -> None:
+        def came() -> bool:
+            newest = inbox.newest()
+            return newest is not None and newest.message.mission == mission
+
+        assert eventually(lambda: bus.publish(topics.HEARTBEAT, messages.StationHeartbeat(mission=mission), 1) and came())
+
+    for k in range(3):
+        send(first, f"first {k}")
+    send(second, "restarted")
+    send(second, "goes on")
+    assert not inbox.has_two_senders()
+    send(first, "both")
+    assert inbox.has_two_senders()
+    send(second, "alone again")
+    assert eventually(lambda: not inbox.has_two_senders(within_s=0.2))
+
+
 # --- one process of a name
 
 THERE = """
