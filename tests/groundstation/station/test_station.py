@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from groundstation.formation_clock import named_alone
@@ -38,10 +39,12 @@ from wire.messages.messages import (
     Mode,
     Order,
     Outcome,
+    Pose,
     Progress,
     Reply,
     RobotState,
     StationHeartbeat,
+    Track,
     Trajectory,
 )
 from wire.messages.topics import WHOLE_FLEET
@@ -563,6 +566,39 @@ def test_a_robot_with_other_gains_than_the_fleets_is_not_armed(tmp_path: Path) -
             seen = RobotView(state=RobotState(tuning_id=own), state_age_s=0.0)
             found = findings(station.experiment, 1, station.core.view(1, seen, 0))
             assert any(finding.key == "gains" and finding.blocks_arming for finding in found) is blocks
+
+
+def test_robots_are_not_armed_by_the_poses_of_another_experiment(tmp_path: Path) -> None:
+    """A localizer whose file gives the markers to other robots, or hangs the camera elsewhere, says nothing by itself: its
+    poses are fresh, and as certain as any."""
+    hub = MemoryHub()
+    with a_station(tmp_path, hub) as station:
+        fleet = Bus(MemoryTransport(hub))
+        for hash_, blocks in (("0" * 64, True), (station.experiment.hash, False), ("", False)):  # the last: an earlier version
+            fleet.publish(topics.LOCALIZER, LocalizerStatus(CameraHealth.OK, experiment_hash=hash_), time.time_ns())
+            state = RobotState(experiment_hash=station.experiment.hash, battery_v=12.0)
+            fleet.publish(topics.STATE, state, time.time_ns(), 1)
+            station.cycle(station.clock.now_ns(), lockstep=False)
+            seen = replace(station.status().seen[1], state_age_s=0.0)
+            found = [f for f in findings(station.experiment, 1, seen) if f.key == "localizer"]
+            assert [f.blocks_arming for f in found] == [True] * blocks
+            if blocks:
+                text = f"its poses are by another experiment (00000000, here {station.experiment.hash[:8]})"
+                assert (found[0].level, found[0].text) == ("critical", text)
+
+
+def test_a_robot_whose_poses_come_from_two_programs_is_not_armed(tmp_path: Path) -> None:
+    hub = MemoryHub()
+    with a_station(tmp_path, hub) as station:
+        programs = Bus(MemoryTransport(hub)), Bus(MemoryTransport(hub))
+        state = RobotState(experiment_hash=station.experiment.hash, battery_v=12.0)
+        for number in (0, 1, 0):
+            programs[number].publish(topics.POSE, Pose(0.0, 0.0, 0.0, np.eye(3), Track.MARKER, True), time.time_ns(), 1)
+            programs[number].publish(topics.STATE, state, time.time_ns(), 1)
+        station.cycle(station.clock.now_ns(), lockstep=False)
+        seen = {robot: replace(view, state_age_s=0.0) for robot, view in station.status().seen.items()}
+        found = {robot: [f for f in findings(station.experiment, robot, seen[robot]) if f.key == "poses"] for robot in (1, 2)}
+        assert [f.blocks_arming for f in found[1]] == [True] and found[2] == []
 
 
 def test_programs_of_other_code_than_the_stations_are_named_on_the_page_and_in_the_log(
