@@ -146,7 +146,7 @@ def zero_ns(log: RunLog, robots: Sequence[int]) -> int:
 def _flights(log: RunLog, robots: Sequence[int]) -> list[Flight]:
     """All flights of the fleet. A new one begins when a robot begins again that has flown in this one, or when nobody of this
     one flies any more."""
-    parts = sorted(part for robot in robots for part in _robot_flights(_of_formation(log, robot), robot))
+    parts = sorted(part for robot in robots for part in _robot_flights(_on_flights(log, robot), robot))
     groups: list[list[tuple[int, int, float, int]]] = []
     for part in parts:
         here = groups[-1] if groups else []
@@ -169,10 +169,10 @@ def _robot_flights(states: Sequence[DecodedMessage[RobotState]], robot: int) -> 
     found: list[tuple[int, int, float, int]] = []
     last_s, stood_at_begin = 0.0, False
     for e in states:
-        clock_s, tracks = e.message.trajectory_s, e.message.mode is Mode.TRACKING
-        if clock_s <= 0.0 or (clock_s <= BEGIN_S and not tracks):
+        clock_s = e.message.trajectory_s
+        if _stands_at_begin(e.message):
             stood_at_begin = True
-        elif tracks:
+        elif e.message.mode is Mode.TRACKING:
             again = clock_s < last_s - BACK_S or (stood_at_begin and clock_s < min(last_s, FRESH_S))
             if not found or again:
                 found.append((e.stamp_ns, e.stamp_ns, clock_s, robot))
@@ -222,6 +222,23 @@ def _of_formation(log: RunLog, robot: int) -> list[DecodedMessage[RobotState]]:
     states = log.of(topics.STATE, RobotState, robot)
     counts = _plans(log, robot).with_formation(e.message for e in states)
     return [e for e, counted in zip(states, counts, strict=True) if counted]
+
+
+def _on_flights(log: RunLog, robot: int) -> list[DecodedMessage[RobotState]]:
+    """A robot's states while it is with the formation, and those in which it stands at the beginning of the formation's next
+    flight after a person led it elsewhere."""
+    states, plans = log.of(topics.STATE, RobotState, robot), _plans(log, robot)
+    counts = plans.with_formation(e.message for e in states)
+    return [
+        e
+        for e, counted in zip(states, counts, strict=True)
+        if counted or (plans.include(e.message.trajectory_id) and _stands_at_begin(e.message))
+    ]
+
+
+def _stands_at_begin(state: RobotState) -> bool:
+    """True for a robot whose clock has not left its trajectory's beginning."""
+    return state.trajectory_s <= 0.0 or (state.trajectory_s <= BEGIN_S and state.mode is not Mode.TRACKING)
 
 
 def _clock(states: Sequence[DecodedMessage[RobotState]], window: tuple[int, int]) -> tuple[Array, Array]:

@@ -104,6 +104,7 @@ class _RunData:
     """Data of one run; each run makes it new."""
 
     ended_by: MissionEvent = MissionEvent.ALL_CONFIRMED  # event of ENDING when every robot is disarmed: how the run ended
+    homeward: bool = False  # it began with RETURN, from rest
     gap: bool = False  # a robot was lost while the operator held the others: they close up when they may go on
 
 
@@ -144,6 +145,11 @@ class Mission:
         return self.plans.segment
 
     @property
+    def _awaits_return(self) -> bool:
+        """True while a run that began with RETURN has no plan yet: nobody has flown in it, and it leads nowhere but home."""
+        return self._run.homeward and not self.segment.is_return
+
+    @property
     def plan_request(self) -> PlanRequest | None:
         """The plan that the mission waits for."""
         return self.plans.request
@@ -182,7 +188,7 @@ class Mission:
             self._prepare_return(fleet)
         if order is Order.REJOIN:
             self.roster.reinstate(fit_to_rejoin(self._context(fleet)))
-            self.plans.target_slots()
+            (self.plans.target_return if self._awaits_return else self.plans.target_slots)()
         if order in (Order.RETURN, Order.REJOIN):
             self._still_to_arm = frozenset(r for r in self.roster.active if fleet[r].mode is Mode.DISARMED)
         if order is Order.HOLD:
@@ -227,6 +233,7 @@ class Mission:
     def _prepare_return(self, fleet: Fleet) -> None:
         if self.state in AT_REST:
             self._begin_run()
+            self._run.homeward = True
         for robot in self.roster.active:
             why = unfit_to_return(self._context(fleet), robot)
             if why:
@@ -256,7 +263,7 @@ class Mission:
             self._handle_losses(fleet, now_ns)
         if self.state in IN_FLIGHT | JOINING:
             self._check_in_step(fleet, now_ns)
-        if self.state in IN_FLIGHT | {MissionState.PAUSED} and self.roster.active:
+        if self.state in IN_FLIGHT | {MissionState.PAUSED} and self.roster.active and not self._awaits_return:
             self._check_flight(fleet, now_ns)
         self._govern(fleet, elapsed_s)
         return self._commands(fleet, now_ns) + self._command_others(fleet, now_ns)
@@ -414,7 +421,7 @@ class Mission:
             return
         robot, why = loss
         policy = self._experiment.mission.lost
-        returns = self.segment.is_return or (self.state in PLANNING and self.plans.targets_return)
+        returns = self.segment.is_return or self._awaits_return or (self.state in PLANNING and self.plans.targets_return)
         if policy == "abort" or len(self.roster.active) == 1:
             self._fail(MissionEvent.LOST, f"robot {robot}: {why}", now_ns)
             return
@@ -531,9 +538,13 @@ class Mission:
     def _replan_if_needed(self, fleet: Fleet, now_ns: int) -> None:
         """After RESUMING began: plan from rest where robots cannot simply go on.
 
-        The reasons: robots are on different plans; one was carried too far off; a gap is to be closed; an obstacle, a lost
-        robot for example, lies on the path.
+        The reasons: robots are to return, and have no plan yet; they are on different plans; one was carried too far off; a
+        gap is to be closed; an obstacle, a lost robot for example, lies on the path.
         """
+        if self._awaits_return:
+            self.plans.target_return()
+            self._go(MissionEvent.OFF_PLAN, now_ns)
+            return
         off_plan = [
             f"robot {r} has another plan" for r in self.roster.active if not self.roster.has_segment(self.segment, fleet, r)
         ]

@@ -341,7 +341,8 @@ class Invariants:
         if order is Order.DISARM or order is Order.END:
             return "; ".join(f"robot {r.id} is {r.mode.name}" for r in heard if armed(r) and not self._was_rest(r))
         if order is Order.CLEAR_STOP:
-            return "; ".join(f"robot {r.id} is STOPPED" for r in heard if self._stays(r, Mode.STOPPED))
+            inside = [r for r in heard if r.id not in self.out]
+            return "; ".join(f"robot {r.id} is STOPPED" for r in inside if self._stays(r, Mode.STOPPED))
         if order is Order.GO and followed.place_m is not None and followed.only:
             away_m = float(np.hypot(*(robots[0].eta[:2] - followed.place_m)))
             there = away_m <= self.pool.experiment.safety.off_path_m

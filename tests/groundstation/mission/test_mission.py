@@ -8,11 +8,12 @@ import pytest
 
 from groundstation.mission.mission import PATIENCE_S, TEST_PATIENCE_S
 from groundstation.mission.obstacle_monitor import ObstacleSet
-from groundstation.mission.state_machine import TERMINAL, MissionState
+from groundstation.mission.state_machine import IN_FLIGHT, TERMINAL, MissionState
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.segment import PlanSegment
 from groundstation.telemetry import first_lost_robot, preflight
 from tests.groundstation.mission.mission_run import STEP_NS, MissionRun
+from tests.groundstation.mission.simulated_fleet import SimulatedFleet
 from wire.config.experiment import load_experiment
 from wire.messages import topics
 from wire.messages.messages import Mode, Order, Trajectory
@@ -1163,3 +1164,32 @@ def test_hold_while_planning_leaves_out_a_robot_that_is_disarmed() -> None:
     run.robots[1].mode = run.robots[3].mode = Mode.HOLDING
     assert run.mission.request(Order.HOLD, run.fleet(), run.now_ns) == ""
     assert run.mission.roster.lost == {2: "disarmed"}
+
+
+@pytest.mark.parametrize("again", [Order.RESUME, Order.RETURN])
+def test_a_return_from_rest_that_was_held_leads_home_and_flies_no_path(again: Order) -> None:
+    """Robots that people led away hold in the water, and have the plan of an earlier flight."""
+    fleet = SimulatedFleet(load_experiment("pool", ("duration_s=12.0",)))
+    flown: list[bool] = []
+    fleet.on_cycle = lambda: flown.append(fleet.mission.segment.is_return) if fleet.mission.state in IN_FLIGHT else None
+
+    def ask(order: Order, only: int = 0) -> str:
+        return fleet.core.request(order, fleet.fleet, fleet.now_ns, only=only)[0]
+
+    fleet.run(0.5)
+    assert ask(Order.START) == ""
+    fleet.run(3.0)
+    assert ask(Order.DISARM) == ""
+    fleet.run(1.0)
+    for order in (Order.ARM, Order.HOLD):
+        assert [ask(order, robot) for robot in fleet.robots] == [""] * len(fleet.robots)
+        fleet.run(0.5)
+    flown.clear()
+    assert ask(Order.RETURN) == "" and ask(Order.HOLD) == ""
+    fleet.run(1.0)
+    assert fleet.mission.state is MissionState.PAUSED and fleet.mission.plans.progress_s == 0.0
+    assert ask(again) == ""
+    for _ in range(800):
+        fleet.step()
+    assert fleet.mission.state is MissionState.DONE and flown and all(flown)
+    assert all(np.hypot(*(r.eta[:2] - fleet.starts[r.id][:2])) < 0.1 for r in fleet.robots.values())

@@ -176,3 +176,23 @@ def test_robot_is_fetched_from_the_water_after_a_stop() -> None:
     assert ask(fleet, Order.STOP) == ""
     fleet.run(0.5)
     assert ask(fleet, Order.BACK_IN, 2) == "" and fleet.mission.roster.active == (1, 2)
+
+
+def test_report_tells_a_flight_home_from_the_flight_before_it_also_of_a_robot_that_was_sent_elsewhere_between() -> None:
+    fleet = SimulatedFleet(POOL)
+    record = RunRecord(fleet)
+    fleet.run(0.5)
+    assert ask(fleet, Order.START) == ""
+    until(fleet, MissionState.RUNNING)
+    fleet.run(3.0)  # shorter than a clock goes back by within a flight
+    assert ask(fleet, Order.DISARM) == ""
+    until(fleet, MissionState.CANCELLED)
+    arm(fleet, 2)
+    refused, _ = fleet.core.request(Order.GO, fleet.fleet, fleet.now_ns, ((1.0, 0.8),), 2)
+    fleet.run(15.0)
+    assert not refused and ask(fleet, Order.DISARM) == ""
+    until(fleet, MissionState.CANCELLED)
+    assert ask(fleet, Order.OUT, 1) == ""
+    assert ask(fleet, Order.RETURN) == ""
+    until(fleet, MissionState.DONE, 60.0)
+    record.judge()
