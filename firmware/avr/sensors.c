@@ -124,6 +124,11 @@ void sensors_sample(uint64_t now_us, struct reading *reading) {
     imu_sample(elapsed_s, reading);
     if (!pressure_sample(reading))
         reading->excess_hpa = NAN;
-    reading->battery_v = BATTERY_UNIT_V * (float)ADC; /* of the conversion that the last sample began */
+}
+
+/* Of the conversion that the last call began. */
+float sensors_battery_v(void) {
+    const float voltage_v = BATTERY_UNIT_V * (float)ADC;
     ADCSRA = ADC_CONVERT;
+    return voltage_v;
 }

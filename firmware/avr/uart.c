@@ -33,6 +33,8 @@ void uart_begin(void) {
 
 bool uart_has_input(void) { return received_tail != received_head; }
 
+uint16_t uart_waiting(void) { return (uint8_t)(received_head - received_tail); }
+
 uint16_t uart_read(uint8_t *data, uint16_t room) {
     uint16_t bytes = 0;
     while (bytes < room && received_tail != received_head) {
