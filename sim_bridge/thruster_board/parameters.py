@@ -47,13 +47,14 @@ def _us(name: str, meaning: str, low: float = PULSE_RANGE_US[0], high: float = P
 FIXED = (
     Parameter("CMD_AGE_MS", 50, 300, True, "age of the last override at which the board disarms itself, ms"),
     Parameter("SLEW_US_S", 100, 100_000, False, "how fast a thruster's pulse may move, us/s"),
-    Parameter("THR_COUNT", 4, 8, True, "outputs, from the first on, that are thrusters', no fewer than the vehicle has; the others are ankles'"),
-    _us("THR_NEUTRAL_US", "pulse at which a thruster stands still; in the dead zone of the curve, and of that as built"),
+    Parameter("THR_COUNT", 4, 8, True, "first outputs, which are thrusters', no fewer than the vehicle has; then ankles'"),
+    _us("THR_NEUTRAL_US", "pulse at which a thruster stands still; in the dead zone, and in that as built"),
     _us("THR_MIN_US", "lowest pulse taken for a thruster; within the curve"),
     _us("THR_MAX_US", "highest pulse taken for a thruster; within the curve"),
     _us("ANK_MIN_US", "lowest pulse taken for an ankle"),
     _us("ANK_MAX_US", "highest pulse taken for an ankle"),
-    *(_us(f"THR{i}_TRIM_US", f"added to output {i}, within its limits; a thruster's neutral stays in the dead zone", -TRIM_US, TRIM_US) for i in (1, 2, 3, 4)),
+    *(_us(f"THR{i}_TRIM_US", f"added to output {i}, within its limits; neutral stays in the dead zone", -TRIM_US, TRIM_US)
+      for i in (1, 2, 3, 4)),
     *(_us(f"ANK{i}_TRIM_US", f"added to output {i + 4}, within its limits", -TRIM_US, TRIM_US) for i in (1, 2, 3, 4)),
     Parameter("BAT_WARN_V", 0, MOST_VOLTS, False, "battery: warn below, V"),
     Parameter("BAT_NOARM_V", 0, MOST_VOLTS, False, "battery: do not arm below, V; under BAT_WARN_V"),
