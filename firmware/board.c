@@ -12,8 +12,12 @@ void board_begin(struct board *board, uint8_t robot, const struct settings *sett
         parameters_restore(&parameters, &settings->parameters);
     const struct peer me = {robot, BOARD_COMPONENT}, computer = {robot, COMPUTER_COMPONENT};
     const uint8_t *key = settings != NULL && settings->has_key ? settings->key : NULL;
+    const bool is_locked = settings != NULL && settings->is_lost;
     rules_begin(&board->rules, &parameters, computer);
     link_begin(&board->link, me, key, stamps.heard, stamps.sent + SENT_BETWEEN);
+    board->link.gate.is_locked = is_locked;
+    if (is_locked)
+        rules_say(&board->rules, SAY_CRITICAL, PSTR("settings cannot be read: takes nothing"));
     board->kept = stamps;
     board->to_list = PARAMETERS;
 }
@@ -34,6 +38,14 @@ void board_kept(struct board *board, uint8_t what, struct stamps stamps) {
     board->memory &= (uint8_t)~what;
     if (what & KEEP_STAMPS)
         board->kept = stamps;
+    if (board->kept.heard < board->used_stamp) /* it came while older ones were written */
+        board->memory |= KEEP_STAMPS;
+}
+
+/* The latest timestamp taken is used up, whatever is being written by now. */
+static void keep_newest(struct board *board) {
+    board->used_stamp = board->link.gate.newest;
+    board->memory |= KEEP_STAMPS;
 }
 
 static bool has_new_stamps(const struct board *board) { return board->link.gate.newest > board->kept.heard; }
@@ -136,6 +148,7 @@ static void take_key(struct board *board, const struct event *event) {
         send_text(&board->link, &text);
         return;
     }
+    board->has_order = false; /* of the time of another key */
     link_take_key(&board->link, event->key.secret, event->key.newest, SENT_BETWEEN);
     board->refused = 0; /* counted anew, as by the link */
     text_begin(&text, SAY_INFO);
@@ -148,9 +161,11 @@ static void handle(struct board *board, struct event *event, uint64_t now_us) {
     struct link *link = &board->link;
     switch (event->kind) {
     case EVENT_OVERRIDE:
-        rules_override(&board->rules, event->from, event->pulses_us, now_us);
+        rules_override(&board->rules, event->from, event->pulses_us, link_arrival_us(link, now_us));
         break;
     case EVENT_ARM: {
+        if (!event->arm && board->has_order && board->order.kind == EVENT_ARM)
+            board->has_order = false; /* an order to arm that waits is withdrawn */
         const enum result result = rules_arm(&board->rules, event->arm, now_us);
         report(board);
         send_acknowledge(link, event->from, COMMAND_ARM_DISARM, result);
@@ -202,10 +217,16 @@ static bool is_order(const struct event *event) {
     return (event->kind == EVENT_ARM && event->arm) || event->kind == EVENT_SET_PARAMETER;
 }
 
+/* One order waits at a time, so that overrides behind it are read: the next has to be sent again, as one that was lost. Its
+timestamp is used up. */
+static void refuse_order(struct board *board, const struct event *event) {
+    keep_newest(board);
+    if (event->kind == EVENT_ARM)
+        send_acknowledge(&board->link, event->from, COMMAND_ARM_DISARM, REJECTED);
+}
+
 bool board_work(struct board *board, uint64_t now_us) {
-    if (board->has_order) {
-        if (board->memory & KEEP_STAMPS)
-            return link_sign(&board->link);
+    if (board->has_order && board->kept.heard >= board->order_stamp) {
         board->has_order = false;
         handle(board, &board->order, now_us);
         return true;
@@ -214,10 +235,13 @@ bool board_work(struct board *board, uint64_t now_us) {
     switch (link_next(&board->link, now_us, &frame)) {
     case LINK_FRAME: {
         struct event event = read_event(&frame, board->link.me.system, rules_hil(&board->rules));
-        if (is_order(&event) && has_new_stamps(board)) {
+        if (is_order(&event) && board->has_order)
+            refuse_order(board, &event);
+        else if (is_order(&event) && has_new_stamps(board)) {
             board->order = event;
+            board->order_stamp = board->link.gate.newest;
             board->has_order = true;
-            board->memory |= KEEP_STAMPS;
+            keep_newest(board);
         } else
             handle(board, &event, now_us);
         return true;
@@ -242,6 +266,21 @@ static bool is_due(uint64_t *due_us, uint32_t period_us, uint64_t now_us) {
     return true;
 }
 
+bool board_weighs(const struct board *board, uint64_t now_us) { return now_us >= board->weigh_due_us; }
+
+void board_weigh(struct board *board, uint64_t now_us, float voltage_v) {
+    const bool hil = rules_hil(&board->rules), later = board->has_weighed && now_us > board->weighed_us;
+    const float elapsed_s = later ? (float)(now_us - board->weighed_us) * 1e-6f : 0.0f;
+    if (!is_due(&board->weigh_due_us, BURST_US, now_us))
+        return;
+    board->has_weighed = true;
+    board->weighed_us = now_us;
+    age(&board->simulated, now_us);
+    board->battery_v = hil ? board->simulated.reading.battery_v : voltage_v;
+    if (!hil || board->simulated.has_battery)
+        rules_battery(&board->rules, board->battery_v, elapsed_s);
+}
+
 /* A burst waits until the one before is signed: on a slow processor that can take longer than its time. */
 bool board_measures(const struct board *board, uint64_t now_us) {
     return now_us >= board->burst_due_us && board->link.outbox_ready == board->link.outbox_bytes;
@@ -258,8 +297,8 @@ static void burst(struct board *board, uint64_t now_us, const struct reading *re
     }
     send_servo_output(link, (uint32_t)now_us, rules);
     if (is_due(&board->status_due_us, STATUS_US, now_us) && has_battery) {
-        send_status(link, reading->battery_v, rules->charge, rules->overrides_refused + board->refused);
-        send_battery(link, reading->battery_v, rules->charge);
+        send_status(link, board->battery_v, rules->charge, rules->overrides_refused + board->refused);
+        send_battery(link, board->battery_v, rules->charge);
     }
     if (is_due(&board->heartbeat_due_us, HEARTBEAT_US, now_us))
         send_heartbeat(link, rules);
@@ -271,8 +310,6 @@ static void burst(struct board *board, uint64_t now_us, const struct reading *re
         send_attitude(link, board_ms, reading);
     if (is_due(&board->keep_due_us, KEEP_US, now_us) && has_new_stamps(board))
         board->memory |= KEEP_STAMPS;
-    board->burst_us = now_us;
-    board->has_burst = true;
 }
 
 void board_step(struct board *board, uint64_t now_us, const struct reading *reading) {
@@ -282,10 +319,6 @@ void board_step(struct board *board, uint64_t now_us, const struct reading *read
         reading = &board->simulated.reading;
     }
     const bool has_motion = !hil || board->simulated.has_motion, has_battery = !hil || board->simulated.has_battery;
-    if (measures && has_battery) {
-        const bool later = board->has_burst && now_us > board->burst_us;
-        rules_battery(&board->rules, reading->battery_v, later ? (float)(now_us - board->burst_us) * 1e-6f : 0.0f);
-    }
     rules_step(&board->rules, now_us);
     report(board);
     if (measures && is_due(&board->burst_due_us, BURST_US, now_us))

@@ -2,7 +2,7 @@
 go out. The counterpart of sim_bridge/thruster_board/board.py.
 
 A port (posix/, avr/) calls, as often as it can: board_put with the bytes that came, board_work until it returns false, and
-board_step every STEP_US; it sends what board->link has to send. None of these calls waits or takes long. */
+board_step every STEP_US, board_weigh before it when it is due; it sends what board->link has to send. None of these calls waits or takes long. */
 #ifndef BOARD_H
 #define BOARD_H
 
@@ -25,6 +25,7 @@ enum { STEP_US = 5000 };
 /* State that a board keeps without power. */
 struct settings {
     struct parameters parameters;
+    bool is_lost; /* none can be read, though there were some: a key among them would be unknown */
     bool has_key;
     uint8_t key[KEY_BYTES];
 };
@@ -45,12 +46,14 @@ struct board {
     struct link link;
     struct stamps kept; /* as the memory has them */
     uint8_t memory;     /* memory_* of the settings and stamps that are to be written: see board_to_keep */
-    bool has_order;     /* an order waits until its timestamp is kept */
+    bool has_order;     /* an order waits until its timestamp, or a later one, is kept */
+    uint64_t order_stamp, used_stamp; /* of that order; up to which all are to be kept */
     bool told_armed, told_hil;
     uint8_t to_list; /* parameters from this one on are still to be told */
     uint64_t burst_due_us, status_due_us, heartbeat_due_us, keep_due_us;
-    bool has_burst;
-    uint64_t burst_us;
+    bool has_weighed;
+    uint64_t weigh_due_us, weighed_us;
+    float battery_v;
     uint32_t refused; /* frames for another board, or with a value that no board takes */
     struct simulated simulated;
     struct event order;
@@ -62,6 +65,8 @@ void board_begin(struct board *board, uint8_t robot, const struct settings *sett
 uint16_t board_put(struct board *board, const uint8_t *data, uint16_t bytes, uint64_t now_us); /* how many found room */
 bool board_work(struct board *board, uint64_t now_us); /* do a small piece; true: call again */
 bool board_measures(const struct board *board, uint64_t now_us); /* the step to this instant needs a reading */
+bool board_weighs(const struct board *board, uint64_t now_us); /* the battery is due, every BURST_US */
+void board_weigh(struct board *board, uint64_t now_us, float voltage_v);
 void board_step(struct board *board, uint64_t now_us, const struct reading *reading); /* NULL unless it measures */
 
 /* The port asks what to keep, writes it, and says when it is written. */

@@ -13,10 +13,12 @@ enum { HAL_EEPROM_BYTES = 4096 };
 uint64_t hal_now_us(void); /* since power-on; never goes back */
 
 uint16_t hal_read(uint8_t *data, uint16_t room);         /* bytes of the link that have come, at most `room` */
+uint16_t hal_waiting(void);                              /* bytes that have come, and are not read yet */
 uint16_t hal_write(const uint8_t *data, uint16_t bytes); /* send; returns how many were taken */
 void hal_heard(void);                                    /* whoever sent what was read last sent an intact frame */
 
 void hal_outputs(const uint16_t pulses_us[CHANNELS]);
+float hal_battery_v(void); /* called every BURST_US */
 void hal_sample(uint64_t now_us, struct reading *reading);
 
 uint8_t hal_eeprom_read(uint16_t address);

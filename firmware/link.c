@@ -45,10 +45,30 @@ uint16_t link_put(struct link *link, const uint8_t *data, uint16_t bytes, uint64
     const uint16_t room = (uint16_t)(FRAME_BYTES - link->end), taken = bytes < room ? bytes : room;
     const bool extends = link->wait_end == link->end && link->wait_end > 0 && link->wait_since_us == now_us;
     memcpy(link->inbox + link->end, data, taken);
+    link->put = (uint16_t)(link->put + taken);
     link->end = (uint16_t)(link->end + taken);
     if (extends)
         link->wait_end = link->end;
     return taken;
+}
+
+/* Bytes up to the end of the frame that was found last, of all that were ever put; it wraps. */
+static uint16_t position(const struct link *link) { return (uint16_t)(link->put - (uint16_t)(link->end - link->begin)); }
+
+void link_mark(struct link *link, uint16_t waiting, uint64_t now_us) {
+    link->marked = (uint8_t)((link->marked + 1) % LINK_MARKS);
+    link->mark[link->marked] = (struct mark){(uint32_t)now_us, (uint16_t)(link->put + waiting), true};
+}
+
+uint64_t link_arrival_us(const struct link *link, uint64_t now_us) {
+    uint32_t age_us = 0;
+    for (uint8_t i = 0; i < LINK_MARKS; i++) { /* from the newest on, while the frame had come by then */
+        const struct mark *mark = &link->mark[(uint8_t)(link->marked + LINK_MARKS - i) % LINK_MARKS];
+        if (!mark->is_set || (int16_t)(uint16_t)(mark->arrived - position(link)) < 0)
+            break;
+        age_us = (uint32_t)now_us - mark->at_us;
+    }
+    return now_us - age_us;
 }
 
 static bool find_message(uint32_t id, mavlink_msg_entry_t *found) {
@@ -149,6 +169,8 @@ static bool is_new(struct link *link, const uint8_t *frame, struct peer peer, ui
 /* The frame at `begin` is intact: judge by its signature, before its sequence number, or a forged frame would make the true
 ones look old. */
 static enum verdict judge(struct link *link, const uint8_t *frame, struct peer peer, uint16_t bytes) {
+    if (link->gate.is_locked)
+        return SIGNATURE_UNSIGNED;
     if (!(frame[2] & SIGNED_FLAG))
         return link->gate.has_key ? SIGNATURE_UNSIGNED : SIGNATURE_GOOD;
     if (!link->gate.has_key)
@@ -188,7 +210,7 @@ enum link_state link_next(struct link *link, uint64_t now_us, struct frame *foun
             return LINK_BUSY;
         }
         if ((frame[2] & SIGNED_FLAG) && link->gate.has_key) {
-            if (!link->signing_frame) {
+            if (!link->signing_frame && (!link->signs_next || link->outbox_ready == link->outbox_bytes)) {
                 signature_begin(&link->job, link->gate.key, frame, (uint16_t)(bytes - HASH_BYTES));
                 link->verifying = true;
             } else
@@ -197,6 +219,7 @@ enum link_state link_next(struct link *link, uint64_t now_us, struct frame *foun
         }
     } else if (!signature_continue(&link->job))
         return LINK_BUSY;
+    link->signs_next = link->verifying; /* in turn, or a flood would keep telemetry from being signed */
     link->verifying = false;
     link->begin = (uint16_t)(link->begin + bytes);
     if (judge(link, frame, peer, bytes) != SIGNATURE_GOOD) {
@@ -261,7 +284,7 @@ bool link_sign(struct link *link) {
     }
     if (signature_continue(&link->job)) {
         signature_hash(&link->job, signature + SIGNATURE_BYTES - HASH_BYTES);
-        link->signing_frame = false;
+        link->signing_frame = link->signs_next = false;
         link->outbox_ready = (uint16_t)(link->outbox_ready + bytes);
     }
     return true;

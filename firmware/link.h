@@ -16,6 +16,7 @@ enum {
     CHECKSUM_BYTES = 2,
     FRAME_BYTES = HEADER_BYTES + 255 + CHECKSUM_BYTES + SIGNATURE_BYTES,
     OUTBOX_BYTES = 1000, /* a burst with all that can be due at once, signed, and the answers to some questions */
+    LINK_MARKS = 40,     /* 200 ms of steps: longer than the bytes that can wait here and in a port's ring */
     LINK_PEERS = 16      /* senders whose sequence numbers are followed at a time; more are a flood */
 };
 #define FRAME_TIMEOUT_US 50000 /* 280 bytes take 25 ms at 115200 baud: after this, an unfinished frame is a false start byte */
@@ -26,6 +27,13 @@ struct sequence {
     struct peer peer;
     uint8_t last;
     uint64_t at_us;
+};
+
+/* An instant, and how many bytes had arrived by then, of all there ever were (modulo 2^16). */
+struct mark {
+    uint32_t at_us;
+    uint16_t arrived;
+    bool is_set;
 };
 
 /* An intact frame of a peer that may speak. */
@@ -57,7 +65,10 @@ struct link {
     uint8_t inbox[FRAME_BYTES];
 
     uint8_t next_sequence;
-    bool signing_frame;
+    bool signing_frame, signs_next; /* the turn of a frame to be signed, before the next is verified */
+    uint16_t put;                   /* bytes that were ever taken in, modulo 2^16 */
+    uint8_t marked;                 /* the newest mark */
+    struct mark mark[LINK_MARKS];
     uint16_t outbox_bytes, outbox_ready; /* bytes in the outbox; of these, how many may be sent: signed, if the link is */
     uint64_t sent_stamp, least_stamp; /* timestamp of the last signature; all are later than `least_stamp` */
     struct signature_job job;         /* one at a time, verifying or signing */
@@ -74,6 +85,10 @@ void link_take_key(struct link *link, const uint8_t key[KEY_BYTES], uint64_t hea
 uint16_t link_room(const struct link *link); /* bytes that link_put can take now */
 /* Take bytes that came at `now_us` into the inbox; returns how many of them found room. */
 uint16_t link_put(struct link *link, const uint8_t *data, uint16_t bytes, uint64_t now_us);
+/* Note at a step that so many bytes have arrived, but are not put yet. */
+void link_mark(struct link *link, uint16_t waiting, uint64_t now_us);
+/* When the frame that was found last had arrived: at the first mark after it, or now. */
+uint64_t link_arrival_us(const struct link *link, uint64_t now_us);
 /* Look at one frame, or go on with its signature. LINK_BUSY: call again; LINK_IDLE: wait for bytes. */
 enum link_state link_next(struct link *link, uint64_t now_us, struct frame *frame);
 

@@ -17,12 +17,15 @@ void loop_begin(struct loop *loop, uint8_t robot) {
     struct settings settings;
     struct stamps stamps;
     const uint8_t found = store_load(&loop->store, &settings, &stamps);
-    board_begin(&loop->board, robot, (found & KEEP_SETTINGS) ? &settings : NULL, stamps);
+    board_begin(&loop->board, robot, (found & KEEP_SETTINGS) || settings.is_lost ? &settings : NULL, stamps);
     loop->step_at_us = hal_now_us();
     move_outputs(&loop->board.rules);
 }
 
 static void step(struct loop *loop, uint64_t now_us, const struct reading *reading) {
+    link_mark(&loop->board.link, hal_waiting(), now_us);
+    if (board_weighs(&loop->board, now_us))
+        board_weigh(&loop->board, now_us, hal_battery_v());
     board_step(&loop->board, now_us, reading);
     loop->has_reading = false;
     move_outputs(&loop->board.rules);

@@ -36,7 +36,7 @@ static bool in_range(int index, float value) {
     return row.low <= value && value <= row.high && (!row.whole || value == truncf(value)); /* no NaN passes */
 }
 
-/* True if a pulse lies between the lowest and the highest at which the curve is 0 N. */
+/* True if a pulse lies between the lowest and the highest at which this curve is 0 N. */
 static bool in_dead_zone(const float *value, float pulse_us) {
     bool reached = false, left = true;
     for (int i = CRV01_US; i < PARAMETERS; i += 2) { /* the pulses rise */
@@ -52,13 +52,29 @@ bool is_neutral_pulse(const struct parameters *parameters, uint16_t pulse_us) {
     return in_dead_zone(parameters->value, pulse_us);
 }
 
+/* True if the outputs that drive a thruster of the vehicle for which the firmware was built are neutral by the present curve and
+by that vehicle's own: a wrong curve must not make a disarmed board push, nor a wrong count have a thruster hold its thrust. */
+static bool has_safe_neutral(const float *value) {
+    struct parameters built;
+    parameters_standard(&built);
+    if (value[THR_COUNT] < built.value[THR_COUNT])
+        return false;
+    for (int i = 0; i < value[THR_COUNT]; i++) {
+        const float pulse_us = value[THR_NEUTRAL_US] + value[THR1_TRIM_US + i];
+        if (!in_dead_zone(value, pulse_us) || !in_dead_zone(built.value, pulse_us))
+            return false;
+    }
+    return in_dead_zone(value, value[THR_NEUTRAL_US]) && in_dead_zone(built.value, value[THR_NEUTRAL_US]);
+}
+
 static bool is_consistent(const float *value) {
     for (int i = CRV01_US; i + 2 < PARAMETERS; i += 2)
         if (!(value[i] < value[i + 2] && value[i + 1] <= value[i + 3]))
             return false;
     const float neutral_us = value[THR_NEUTRAL_US];
     return value[CRV01_US] <= value[THR_MIN_US] && value[THR_MIN_US] < neutral_us && neutral_us < value[THR_MAX_US] &&
-           value[THR_MAX_US] <= value[PARAMETERS - 2] && in_dead_zone(value, neutral_us) &&
+           value[THR_MAX_US] <= value[PARAMETERS - 2] && value[CRV01_N] < 0.0f && value[PARAMETERS - 1] > 0.0f &&
+           has_safe_neutral(value) &&
            value[BAT_WARN_V] > value[BAT_NOARM_V] && value[BAT_NOARM_V] > value[BAT_NEUTRAL_V] &&
            value[ANK_MIN_US] < value[ANK_MAX_US] && value[HIL_OUTPUTS] <= value[HIL_MODE];
 }

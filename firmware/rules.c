@@ -33,8 +33,10 @@ uint16_t rules_echo_us(const struct rules *rules, uint8_t channel) {
 
 uint16_t rules_output_us(const struct rules *rules, uint8_t channel) {
     const bool held = rules_hil(rules) && rules->parameters.value[HIL_OUTPUTS] == 0.0f;
-    const uint16_t pulse_us = held ? rest_us(rules, channel) : rules_echo_us(rules, channel);
-    return (uint16_t)((int16_t)pulse_us + (int16_t)rules->parameters.value[THR1_TRIM_US + channel]);
+    const float *value = rules->parameters.value;
+    const float pulse_us = held ? rest_us(rules, channel) : rules_echo_us(rules, channel);
+    const float *limit_us = value + (is_thruster(rules, channel) ? THR_MIN_US : ANK_MIN_US); /* and behind it the highest */
+    return (uint16_t)fminf(fmaxf(pulse_us + value[THR1_TRIM_US + channel], limit_us[0]), limit_us[1]);
 }
 
 static struct text *say(struct rules *rules, enum severity severity) {
@@ -47,9 +49,11 @@ static struct text *say(struct rules *rules, enum severity severity) {
     return text;
 }
 
+void rules_say(struct rules *rules, enum severity severity, const char *words) { text_flash(say(rules, severity), words); }
+
 static void disarm(struct rules *rules, enum severity severity, const char *reason) {
     rules->armed = false;
-    text_flash(say(rules, severity), reason);
+    rules_say(rules, severity, reason);
 }
 
 /* --- what arrives */

@@ -45,6 +45,7 @@ void rules_battery(struct rules *rules, float voltage_v, float elapsed_s);
 /* Time goes on: check the age of the last override and move the outputs. */
 void rules_step(struct rules *rules, uint64_t now_us);
 
+void rules_say(struct rules *rules, enum severity severity, const char *words); /* in flash memory */
 bool rules_hil(const struct rules *rules);                            /* measurements are the simulator's */
 uint16_t rules_echo_us(const struct rules *rules, uint8_t channel);   /* pulse without trim; in HIL mode what it would be */
 uint16_t rules_output_us(const struct rules *rules, uint8_t channel); /* pulse on the pin, trim included */

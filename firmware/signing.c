@@ -45,6 +45,17 @@ void signature_hash(const struct signature_job *job, uint8_t hash[HASH_BYTES]) {
     hash[3] = (uint8_t)first, hash[4] = (uint8_t)(second >> 24), hash[5] = (uint8_t)(second >> 16);
 }
 
+/* A place for a new stream: behind the others, or that of the first unused for more than a minute, of which nothing said before
+can count as new. NULL if all are in use. */
+static struct signing_stream *free_stream(struct gate *gate) {
+    if (gate->streams < SIGNING_STREAMS)
+        return &gate->stream[gate->streams++];
+    for (uint8_t i = 0; i < SIGNING_STREAMS; i++)
+        if (gate->stream[i].timestamp + SIGNING_MINUTE < gate->newest)
+            return &gate->stream[i];
+    return NULL;
+}
+
 enum verdict gate_take(struct gate *gate, struct peer peer, const uint8_t *signature) {
     const uint64_t timestamp = read_timestamp(signature + 1);
     struct signing_stream *stream = gate->stream, *end = gate->stream + gate->streams;
@@ -52,10 +63,12 @@ enum verdict gate_take(struct gate *gate, struct peer peer, const uint8_t *signa
         stream++;
     if (timestamp <= (stream < end ? stream->timestamp : gate->floor))
         return SIGNATURE_REPLAYED;
-    if (stream == end) {
-        if (gate->streams == SIGNING_STREAMS)
+    if (stream == end) { /* as MAVLink's own library: none that begins more than a minute ago */
+        if (timestamp + SIGNING_MINUTE < gate->newest)
             return SIGNATURE_REPLAYED;
-        gate->streams++;
+        stream = free_stream(gate);
+        if (stream == NULL)
+            return SIGNATURE_REPLAYED;
         stream->link_id = signature[0];
         stream->peer = peer;
     }

@@ -10,6 +10,8 @@ each call. Timestamps count in 10 us since 2015; 48 bits. */
 
 #include "sha256.h"
 
+#define SIGNING_MINUTE UINT64_C(6000000) /* 60 s: a stream that is new may be so much older than the newest timestamp */
+
 enum { KEY_BYTES = 32, SIGNATURE_BYTES = 13, HASH_BYTES = 6, SIGNING_STREAMS = 16, SIGNED_FLAG = 0x01 };
 #define LATEST_TIMESTAMP ((UINT64_C(1) << 48) - 1)
 
@@ -30,6 +32,7 @@ struct signing_stream {
 /* Who may speak on the link, and the timestamps that are used up. */
 struct gate {
     bool has_key;
+    bool is_locked; /* the settings, in which there may be a key, cannot be read: nothing is taken */
     uint8_t key[KEY_BYTES];
     uint64_t floor;  /* a stream that is new must begin later */
     uint64_t newest; /* latest timestamp taken */

@@ -60,11 +60,24 @@ static bool find_newest(struct store *store, uint16_t base, uint16_t bytes, uint
     return found && read_record(store->record, (uint16_t)(base + *newest * bytes), bytes);
 }
 
+/* How many places of settings are not as a new or erased memory has them. */
+static uint8_t written_slots(void) {
+    uint8_t written = 0;
+    for (uint8_t slot = 0; slot < SETTINGS_SLOTS; slot++) {
+        uint16_t at = 0;
+        while (at < SETTINGS_SLOT && hal_eeprom_read((uint16_t)((uint16_t)(slot * SETTINGS_SLOT) + at)) == 0xFF)
+            at++;
+        written = (uint8_t)(written + (at < SETTINGS_SLOT));
+    }
+    return written;
+}
+
 uint8_t store_load(struct store *store, struct settings *settings, struct stamps *stamps) {
     memset(store, 0, sizeof *store);
     store->table = table_checksum();
     memset(stamps, 0, sizeof *stamps);
     uint8_t found = KEEP_NOTHING;
+    settings->is_lost = false;
     if (find_newest(store, STAMPS_BASE, STAMPS_SLOT, STAMPS_SLOTS, &store->stamps_slot, &store->stamps_count)) {
         stamps->heard = read_timestamp(store->record + HEARD_AT);
         stamps->sent = read_timestamp(store->record + SENT_AT);
@@ -79,6 +92,11 @@ uint8_t store_load(struct store *store, struct settings *settings, struct stamps
         else
             parameters_standard(&settings->parameters);
         found |= KEEP_SETTINGS;
+    } else { /* the first record is written twice: a torn one alone is that of a board that had no settings */
+        parameters_standard(&settings->parameters);
+        settings->has_key = false;
+        settings->is_lost = written_slots() > 1;
+        store->is_first = true;
     }
     return found;
 }
@@ -103,7 +121,9 @@ static void begin_stamps(struct store *store, const struct board *board) {
 static void begin_settings(struct store *store, struct board *board) {
     const struct settings settings = board_settings(board);
     store->writing = KEEP_SETTINGS;
-    board_kept(board, KEEP_SETTINGS, store->stamps); /* a change from now on is kept by the next write */
+    if (!store->is_first)
+        board_kept(board, KEEP_SETTINGS, store->stamps); /* a change from now on is kept by the next write */
+    store->is_first = false;
     store->settings_slot = (uint8_t)((store->settings_slot + 1) % SETTINGS_SLOTS);
     memset(store->record, 0, sizeof store->record);
     store->record[HAS_KEY_AT] = settings.has_key;

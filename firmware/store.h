@@ -17,6 +17,7 @@ enum {
 
 struct store {
     uint16_t table; /* checksum of the table of parameters */
+    bool is_first; /* no settings were found: the first are written twice, see store_load */
     uint8_t settings_slot, stamps_slot; /* the newest */
     uint16_t settings_count, stamps_count;
     uint8_t writing; /* KEEP_SETTINGS, KEEP_STAMPS or KEEP_NOTHING */

@@ -8,6 +8,7 @@
 
 void uart_begin(void);
 bool uart_has_input(void);
+uint16_t uart_waiting(void);
 uint16_t uart_read(uint8_t *data, uint16_t room);
 uint16_t uart_write(const uint8_t *data, uint16_t bytes);
 
@@ -15,6 +16,7 @@ void servos_begin(void); /* pins low until the first call of servos_set */
 void servos_set(const uint16_t pulses_us[CHANNELS]);
 
 void sensors_begin(void);
+float sensors_battery_v(void);
 void sensors_sample(uint64_t now_us, struct reading *reading);
 
 /* Two-wire bus: a register of a chip, or a command; false if the chip does not answer within 2 ms. */

@@ -55,11 +55,15 @@ void hal_eeprom_write(uint16_t address, uint8_t value) {
 
 uint16_t hal_read(uint8_t *data, uint16_t room) { return uart_read(data, room); }
 
+uint16_t hal_waiting(void) { return uart_waiting(); }
+
 uint16_t hal_write(const uint8_t *data, uint16_t bytes) { return uart_write(data, bytes); }
 
 void hal_heard(void) {}
 
 void hal_outputs(const uint16_t pulses_us[CHANNELS]) { servos_set(pulses_us); }
+
+float hal_battery_v(void) { return sensors_battery_v(); }
 
 void hal_sample(uint64_t now_us, struct reading *reading) { sensors_sample(now_us, reading); }
 

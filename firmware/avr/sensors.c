@@ -6,10 +6,11 @@ A sensor that does not answer is NaN on the link, which the robot's computer tak
 
 #include "avr.h"
 
-enum { MPU = 0x68, MPU_POWER = 0x6B, MPU_FILTER = 0x1A, MPU_GYRO_RANGE = 0x1B, MPU_FORCE_RANGE = 0x1C, MPU_DATA = 0x3B };
+enum { MPU = 0x68, MPU_POWER = 0x6B, MPU_FILTER = 0x1A, MPU_GYRO_RANGE = 0x1B, MPU_FORCE_RANGE = 0x1C, MPU_DATA = 0x3B,
+       MPU_WHO = 0x75, MPU_IS = 0x68 };
 enum { MS = 0x76, MS_RESET = 0x1E, MS_PRESSURE = 0x48, MS_TEMPERATURE = 0x58, MS_RESULT = 0x00, MS_PROM = 0xA0 };
 enum { ADC_CONVERT = 1 << ADEN | 1 << ADSC | 1 << ADPS2 | 1 << ADPS1 | 1 << ADPS0 }; /* 125 kHz: 104 us */
-enum { PROM_WORDS = 7, STILL_SAMPLES = 50, SURFACE_SAMPLES = 10, TEMPERATURE_EVERY = 25 };
+enum { PROM_WORDS = 7, STILL_SAMPLES = 50, SURFACE_SAMPLES = 10, TEMPERATURE_EVERY = 25, RETRY_SAMPLES = 50 };
 #define FORCE_UNIT_MPS2 (9.80665f / 8192.0f)          /* +-4 g */
 #define GYRO_UNIT_RADPS (0.017453293f / 65.5f)        /* +-500 degrees/s */
 #define BATTERY_UNIT_V (5.0f / 1024.0f * BATTERY_DIVIDER)
@@ -25,9 +26,22 @@ static uint8_t converting; /* the command of the conversion that goes on */
 
 static void imu_begin(void) {
     static const uint8_t settings[][2] = {{MPU_POWER, 1}, {MPU_FILTER, 3}, {MPU_GYRO_RANGE, 1 << 3}, {MPU_FORCE_RANGE, 1 << 3}};
-    has_imu = true;
+    uint8_t who;
+    has_imu = twi_read(MPU, MPU_WHO, &who, 1) && who == MPU_IS;
     for (uint8_t i = 0; i < sizeof settings / sizeof settings[0]; i++)
         has_imu = has_imu && twi_write(MPU, settings[i], 2);
+}
+
+/* CRC-4 over the PROM, which holds it in its first four bits (application note AN520). */
+static bool prom_is_whole(void) {
+    uint16_t rest = 0;
+    for (uint8_t i = 0; i < 16; i++) { /* the eighth word is 0 */
+        const uint16_t word = i / 2 < PROM_WORDS ? (uint16_t)(i < 2 ? prom[0] & 0x0FFF : prom[i / 2]) : 0;
+        rest ^= i % 2 ? word & 0xFF : word >> 8;
+        for (uint8_t bit = 0; bit < 8; bit++)
+            rest = (uint16_t)(rest & 0x8000 ? rest << 1 ^ 0x3000 : rest << 1);
+    }
+    return rest >> 12 == prom[0] >> 12;
 }
 
 static bool pressure_begin(void) {
@@ -37,7 +51,7 @@ static bool pressure_begin(void) {
             return false;
         prom[i] = (uint16_t)(word[0] << 8 | word[1]);
     }
-    return true;
+    return prom_is_whole();
 }
 
 static bool convert(uint8_t command) {
@@ -54,14 +68,32 @@ void sensors_begin(void) {
     has_pressure = pressure_begin() && convert(MS_TEMPERATURE);
 }
 
+/* Begin anew, once a second, with a chip that was silent, or not what it should be. */
+static void retry(void) {
+    static uint8_t until_retry = RETRY_SAMPLES;
+    if (--until_retry > 0)
+        return;
+    until_retry = RETRY_SAMPLES;
+    if (!has_imu)
+        imu_begin();
+    if (!has_pressure)
+        has_pressure = pressure_begin() && convert(MS_TEMPERATURE);
+}
+
 /* The board's axes are x ahead, y to starboard, z down; the chip is mounted with x ahead, y to port, z up. */
 static bool imu_sample(float elapsed_s, struct reading *reading) {
     uint8_t data[14];
-    if (!has_imu || !twi_read(MPU, MPU_DATA, data, sizeof data))
+    if (!has_imu)
+        return false;
+    has_imu = twi_read(MPU, MPU_DATA, data, sizeof data);
+    if (!has_imu)
         return false;
     int16_t word[7];
     for (uint8_t i = 0; i < 7; i++)
         word[i] = (int16_t)((uint16_t)data[2 * i] << 8 | data[2 * i + 1]);
+    has_imu = word[0] != 0 || word[1] != 0 || word[2] != 0; /* no force at all: it lost its supply, and sleeps */
+    if (!has_imu)
+        return false;
     reading->acceleration_mps2[0] = FORCE_UNIT_MPS2 * word[0];
     reading->acceleration_mps2[1] = -FORCE_UNIT_MPS2 * word[1];
     reading->acceleration_mps2[2] = -FORCE_UNIT_MPS2 * word[2];
@@ -121,9 +153,15 @@ void sensors_sample(uint64_t now_us, struct reading *reading) {
     const float elapsed_s = (float)(now_us - sampled_at_us) * 1e-6f;
     sampled_at_us = now_us;
     *reading = (struct reading){.heading_rad = NAN, .yaw_rate_radps = NAN, .acceleration_mps2 = {NAN, NAN, NAN}};
+    retry();
     imu_sample(elapsed_s, reading);
     if (!pressure_sample(reading))
         reading->excess_hpa = NAN;
-    reading->battery_v = BATTERY_UNIT_V * (float)ADC; /* of the conversion that the last sample began */
+}
+
+/* Of the conversion that the last call began. */
+float sensors_battery_v(void) {
+    const float voltage_v = BATTERY_UNIT_V * (float)ADC;
     ADCSRA = ADC_CONVERT;
+    return voltage_v;
 }

@@ -6,6 +6,9 @@
 
 enum { RING = 256 }; /* the indices wrap by themselves */
 
+enum { DIVIDER = (F_CPU / 8 + BAUD / 2) / BAUD, MADE = F_CPU / 8 / DIVIDER }; /* nearest rate that the processor can make */
+typedef char baud_within_2_percent[BAUD * 98 <= MADE * 100UL && MADE * 100UL <= BAUD * 102 ? 1 : -1];
+
 static volatile uint8_t received[RING], sending[RING];
 static volatile uint8_t received_head, received_tail, sending_head, sending_tail;
 
@@ -27,11 +30,13 @@ ISR(USART0_UDRE_vect) {
 void uart_begin(void) {
     UCSR0A = 1 << U2X0;
     UCSR0C = 1 << UCSZ01 | 1 << UCSZ00; /* 8N1 */
-    UBRR0 = F_CPU / 8 / BAUD - 1;       /* after U2X0: simavr takes the baud rate over here */
+    UBRR0 = DIVIDER - 1;                /* after U2X0: simavr takes the baud rate over here */
     UCSR0B = 1 << RXCIE0 | 1 << RXEN0 | 1 << TXEN0;
 }
 
 bool uart_has_input(void) { return received_tail != received_head; }
+
+uint16_t uart_waiting(void) { return (uint8_t)(received_head - received_tail); }
 
 uint16_t uart_read(uint8_t *data, uint16_t room) {
     uint16_t bytes = 0;

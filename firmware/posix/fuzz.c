@@ -153,7 +153,8 @@ static void look(void) {
         abort();
     for (uint8_t i = 0; i < value[THR_COUNT]; i++) {
         const float echo_us = rules_echo_us(rules, i);
-        if ((float)rules_output_us(rules, i) != (held ? value[THR_NEUTRAL_US] : echo_us) + value[THR1_TRIM_US + i])
+        const float pin_us = (held ? value[THR_NEUTRAL_US] : echo_us) + value[THR1_TRIM_US + i];
+        if ((float)rules_output_us(rules, i) != fminf(fmaxf(pin_us, value[THR_MIN_US]), value[THR_MAX_US]))
             abort();
         if (echo_us != value[THR_NEUTRAL_US] && !(rules->armed && value[THR_MIN_US] <= echo_us && echo_us <= value[THR_MAX_US]))
             abort();
@@ -167,6 +168,8 @@ static void step(uint8_t how) {
     memcpy(&reading.heading_rad, &now_us, sizeof reading.heading_rad);
     memset(&reading.yaw_rate_radps, how, sizeof reading.yaw_rate_radps);
     now_us += LATER_US[how & 7];
+    if (board_weighs(&board, now_us))
+        board_weigh(&board, now_us, reading.battery_v);
     board_step(&board, now_us, board_measures(&board, now_us) ? &reading : NULL);
     look();
     work();

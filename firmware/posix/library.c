@@ -2,11 +2,60 @@
 #include <string.h>
 
 #include "../board.h"
+#include "../board_hal.h"
+#include "../store.h"
 
 static void finish(struct board *board, uint64_t now_us) {
     while (board_work(board, now_us) || board->memory) /* a memory that writes at once */
         board_kept(board, KEEP_SETTINGS | KEEP_STAMPS, board_stamps(board));
 }
+
+/* --- a memory whose power can fail while a byte is written */
+
+static uint8_t eeprom[HAL_EEPROM_BYTES], torn;
+static uint32_t writes_left;
+
+uint8_t *library_eeprom(void) { return eeprom; }
+
+/* The power fails during this write, counted from 0; the byte is then `value`. */
+void library_cut(uint32_t write, uint8_t value) {
+    writes_left = write;
+    torn = value;
+}
+
+bool hal_eeprom_busy(void) { return false; }
+
+uint8_t hal_eeprom_read(uint16_t address) { return eeprom[address]; }
+
+void hal_eeprom_write(uint16_t address, uint8_t value) {
+    if (writes_left == UINT32_MAX) /* without power nothing more is written */
+        return;
+    eeprom[address] = writes_left > 0 ? value : torn;
+    writes_left--;
+}
+
+uint32_t library_store_bytes(void) { return sizeof(struct store); }
+
+/* Power-on with what the memory holds. */
+void library_boot(struct board *board, struct store *store, uint8_t robot) {
+    struct settings settings;
+    struct stamps stamps;
+    const uint8_t found = store_load(store, &settings, &stamps);
+    board_begin(board, robot, (found & KEEP_SETTINGS) || settings.is_lost ? &settings : NULL, stamps);
+}
+
+void library_put(struct board *board, const uint8_t *data, uint16_t bytes, uint64_t now_us) {
+    board_put(board, data, bytes, now_us);
+}
+
+/* What a loop does in the time of one byte of the memory, which takes long: all work, and that byte. */
+void library_pass(struct board *board, struct store *store, uint64_t now_us) {
+    while (board_work(board, now_us))
+        ;
+    store_continue(store, board);
+}
+
+float library_parameter(const struct board *board, int index) { return board->rules.parameters.value[index]; }
 
 uint32_t library_board_bytes(void) { return sizeof(struct board); }
 
@@ -32,6 +81,8 @@ bool library_receive(struct board *board, const uint8_t *data, uint32_t bytes, u
 
 void library_step(struct board *board, uint64_t now_us, const struct reading *reading) {
     finish(board, now_us); /* what has begun and not ended may be overdue */
+    if (reading != NULL && board_weighs(board, now_us))
+        board_weigh(board, now_us, reading->battery_v);
     board_step(board, now_us, reading);
     finish(board, now_us);
 }

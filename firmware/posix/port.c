@@ -113,6 +113,8 @@ static void send_to_peers(const uint8_t *data, uint16_t bytes) {
     }
 }
 
+uint16_t hal_waiting(void) { return 0; } /* the kernel does not say since when: read at once */
+
 uint16_t hal_write(const uint8_t *data, uint16_t bytes) {
     if (is_udp)
         send_to_peers(data, bytes);
@@ -125,9 +127,11 @@ uint16_t hal_write(const uint8_t *data, uint16_t bytes) {
 
 void hal_outputs(const uint16_t pulses_us[CHANNELS]) { (void)pulses_us; }
 
+float hal_battery_v(void) { return REST_V; }
+
 void hal_sample(uint64_t now_us, struct reading *reading) {
     (void)now_us;
-    *reading = (struct reading){.acceleration_mps2 = {0.0f, 0.0f, -9.81f}, .temperature_cdegc = 2000, .battery_v = REST_V};
+    *reading = (struct reading){.acceleration_mps2 = {0.0f, 0.0f, -9.81f}, .temperature_cdegc = 2000};
 }
 
 uint8_t hal_eeprom_read(uint16_t address) { return eeprom[address]; }

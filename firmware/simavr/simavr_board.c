@@ -21,7 +21,7 @@ struct edge {
 
 struct chip {
     uint8_t address, selected, first, at; /* `first` byte after the address: register or command */
-    uint8_t has_first;
+    uint8_t has_first, is_asleep, is_absent; /* asleep as an MPU-6050 is after a loss of its supply: it answers zeros */
     avr_irq_t *irq;
     struct simulation *simulation;
 };
@@ -48,12 +48,16 @@ struct simulation {
     uint8_t hung, kept[2];
 };
 
-static const uint16_t PROM[7] = {0, 34982, 36352, 20328, 22354, 26646, 26146}; /* the data sheet's example */
+static const uint16_t PROM[7] = {0x2000, 34982, 36352, 20328, 22354, 26646, 26146}; /* the data sheet's example */
 
 static uint8_t answer(struct chip *chip) {
     struct simulation *s = chip->simulation;
     const uint8_t at = chip->at++;
     if (chip->address == MPU) {
+        if (chip->first == 0x75)
+            return MPU;
+        if (chip->is_asleep)
+            return 0;
         const uint16_t word = (uint16_t)s->imu[(at / 2) % 7];
         return at % 2 ? word & 0xFF : word >> 8;
     }
@@ -73,7 +77,7 @@ static void on_twi(struct avr_irq_t *irq, uint32_t value, void *parameter) {
     if (in.u.twi.msg & TWI_COND_STOP)
         chip->selected = 0;
     if (in.u.twi.msg & TWI_COND_START) {
-        chip->selected = in.u.twi.addr >> 1 == chip->address ? in.u.twi.addr : 0;
+        chip->selected = in.u.twi.addr >> 1 == chip->address && !chip->is_absent ? in.u.twi.addr : 0;
         chip->has_first = chip->at = 0;
         if (chip->selected)
             avr_raise_irq(chip->irq + TWI_IRQ_INPUT, avr_twi_irq_msg(TWI_COND_ACK, chip->selected, 1));
@@ -87,7 +91,8 @@ static void on_twi(struct avr_irq_t *irq, uint32_t value, void *parameter) {
             chip->has_first = 1;
             if (chip->address == MS && (chip->first == 0x48 || chip->first == 0x58))
                 chip->simulation->converted = chip->first;
-        }
+        } else if (chip->address == MPU && chip->first == 0x6B)
+            chip->is_asleep = 0;
     }
     if (in.u.twi.msg & TWI_COND_READ)
         avr_raise_irq(chip->irq + TWI_IRQ_INPUT, avr_twi_irq_msg(TWI_COND_READ, chip->selected, answer(chip)));
@@ -175,6 +180,12 @@ struct simulation *simulation_open(const char *elf, uint32_t baud, uint32_t loop
     attach(s);
     simulation_battery(s, 2460);
     return s;
+}
+
+/* Chip 0 is the IMU, 1 the pressure sensor. */
+void simulation_chip(struct simulation *s, uint32_t chip, int is_asleep, int is_absent) {
+    s->chips[chip].is_asleep = (uint8_t)is_asleep;
+    s->chips[chip].is_absent = (uint8_t)is_absent;
 }
 
 void simulation_close(struct simulation *s) {

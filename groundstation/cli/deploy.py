@@ -18,7 +18,7 @@ def deploy(
     experiment: Annotated[str, typer.Option(help="What is flown: a shipped experiment, or a path.")] = "pool",
     settings: Settings = None,
     fleet: FleetName = DEFAULT_FLEET,
-    link: Annotated[str, typer.Option(help="The thruster board, as on every robot.")] = "serial:/dev/ttyACM0:115200",
+    link: Annotated[str, typer.Option(help="The thruster board, as on every robot.")] = "serial:/dev/ttyACM0:250000",
     link_key: Annotated[str | None, typer.Option(metavar="FILE", help="What signs that link: a file on the board.")] = None,
     home: Annotated[str, typer.Option(help="Folder on the board; the user must be able to write it.")] = "/opt/shoal",
     keys: KeyRing = None,

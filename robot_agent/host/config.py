@@ -16,7 +16,7 @@ from wire.mavlink.signing_key import Signing
 from wire.process.cli_options import DEFAULT_FLEET, DEFAULT_STATION, fleet_name
 from wire.toml_loader import ConfigError, Section, check, read_toml
 
-DEFAULT_LINK = "serial:/dev/ttyACM0:115200"
+DEFAULT_LINK = "serial:/dev/ttyACM0:250000"
 
 TEMPLATE = """\
 # What this board is, for `robot-agent run --config {name}`, `robot-agent check` and the systemd unit.

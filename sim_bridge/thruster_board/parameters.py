@@ -47,14 +47,15 @@ def _us(name: str, meaning: str, low: float = PULSE_RANGE_US[0], high: float = P
 FIXED = (
     Parameter("CMD_AGE_MS", 50, 300, True, "age of the last override at which the board disarms itself, ms"),
     Parameter("SLEW_US_S", 100, 100_000, False, "how fast a thruster's pulse may move, us/s"),
-    Parameter("THR_COUNT", 4, 8, True, "outputs, from the first on, that are thrusters'; the others are ankles'"),
-    _us("THR_NEUTRAL_US", "pulse at which a thruster stands still; in the dead zone of the curve"),
+    Parameter("THR_COUNT", 4, 8, True, "first outputs, which are thrusters', no fewer than the vehicle has; then ankles'"),
+    _us("THR_NEUTRAL_US", "pulse at which a thruster stands still; in the dead zone, and in that as built"),
     _us("THR_MIN_US", "lowest pulse taken for a thruster; within the curve"),
     _us("THR_MAX_US", "highest pulse taken for a thruster; within the curve"),
     _us("ANK_MIN_US", "lowest pulse taken for an ankle"),
     _us("ANK_MAX_US", "highest pulse taken for an ankle"),
-    *(_us(f"THR{i}_TRIM_US", f"added to output {i}, last of all", -TRIM_US, TRIM_US) for i in (1, 2, 3, 4)),
-    *(_us(f"ANK{i}_TRIM_US", f"added to output {i + 4}, last of all", -TRIM_US, TRIM_US) for i in (1, 2, 3, 4)),
+    *(_us(f"THR{i}_TRIM_US", f"added to output {i}, within its limits; neutral stays in the dead zone", -TRIM_US, TRIM_US)
+      for i in (1, 2, 3, 4)),
+    *(_us(f"ANK{i}_TRIM_US", f"added to output {i + 4}, within its limits", -TRIM_US, TRIM_US) for i in (1, 2, 3, 4)),
     Parameter("BAT_WARN_V", 0, MOST_VOLTS, False, "battery: warn below, V"),
     Parameter("BAT_NOARM_V", 0, MOST_VOLTS, False, "battery: do not arm below, V; under BAT_WARN_V"),
     Parameter("BAT_NEUTRAL_V", 0, MOST_VOLTS, False, "battery: disarm below, V; under BAT_NOARM_V"),
@@ -72,6 +73,16 @@ def _curve(points: int) -> tuple[Parameter, ...]:
         rows.append(_us(f"CRV{i:02}_US", f"thrust curve, point {i}: pulse"))
         rows.append(Parameter(f"CRV{i:02}_N", -1000, 1000, False, f"thrust curve, point {i}: thrust, N"))
     return tuple(rows)
+
+
+def _curve_points(values: tuple[float, ...]) -> tuple[tuple[float, float], ...]:
+    flat = values[len(FIXED) :]
+    return tuple(zip(flat[::2], flat[1::2], strict=True))
+
+
+def _dead_zone_us(values: tuple[float, ...]) -> tuple[float, float]:
+    still = [us for us, force in _curve_points(values) if force == 0.0]
+    return (min(still), max(still)) if still else (math.inf, -math.inf)
 
 
 class Refusal(Enum):
@@ -102,6 +113,7 @@ class Parameters:
 
     table: tuple[Parameter, ...]
     values: tuple[float, ...]
+    built: tuple[float, ...]  # those of the vehicle for which the firmware was built
 
     @classmethod
     def of(cls, experiment: Experiment) -> "Parameters":
@@ -115,7 +127,8 @@ class Parameters:
             battery.warn_v, battery.no_arm_v, battery.neutral_v, battery.hysteresis_v, *[0] * len(VOLATILE),
             *(value for point in thruster.curve for value in point),
         ]  # fmt: skip
-        return cls(FIXED + _curve(len(thruster.curve)), tuple(map(single, values)))
+        built = tuple(map(single, values))
+        return cls(FIXED + _curve(len(thruster.curve)), built, built)
 
     def changed(self, name: str, value: float) -> "Parameters | Refusal":
         """The parameters with one value changed, or the refusal."""
@@ -138,12 +151,21 @@ class Parameters:
         points = self.curve
         rising = all(a[0] < b[0] and a[1] <= b[1] for a, b in pairwise(points))
         low, high = self.thruster_us
-        still_low, still_high = self.dead_zone_us
+        pushes = points[0][1] < 0.0 < points[-1][1]
         within = points[0][0] <= low < self.neutral_us < high <= points[-1][0]
         battery = self["BAT_WARN_V"] > self["BAT_NOARM_V"] > self["BAT_NEUTRAL_V"]
         ankles = self.ankle_us[0] < self.ankle_us[1]
         outputs = self["HIL_OUTPUTS"] <= self["HIL_MODE"]
-        return rising and within and still_low <= self.neutral_us <= still_high and battery and ankles and outputs
+        return rising and pushes and within and self._has_safe_neutral() and battery and ankles and outputs
+
+    def _has_safe_neutral(self) -> bool:
+        """True if no thruster of the vehicle for which the firmware was built pushes at neutral, by the present curve and by
+        that vehicle's own: a wrong curve must not make a disarmed board push, nor a wrong count have a thruster hold its
+        thrust."""
+        trims_us = (0.0, *self.trims_us[: self.thrusters])
+        zones = self.dead_zone_us, _dead_zone_us(self.built)
+        still = all(low <= self.neutral_us + trim <= high for trim in trims_us for low, high in zones)
+        return still and self.thrusters >= self.built[self.index["THR_COUNT"]]
 
     @cached_property
     def index(self) -> Mapping[str, int]:
@@ -156,14 +178,12 @@ class Parameters:
     @cached_property
     def curve(self) -> tuple[tuple[float, float], ...]:
         """Points of the thrust curve, (us, N)."""
-        flat = self.values[len(FIXED) :]
-        return tuple(zip(flat[::2], flat[1::2], strict=True))
+        return _curve_points(self.values)
 
     @cached_property
     def dead_zone_us(self) -> tuple[float, float]:
         """Lowest and highest pulse at which the curve is 0 N; an empty range if it never is."""
-        still = [us for us, force in self.curve if force == 0.0]
-        return (min(still), max(still)) if still else (math.inf, -math.inf)
+        return _dead_zone_us(self.values)
 
     @cached_property
     def thrusters(self) -> int:

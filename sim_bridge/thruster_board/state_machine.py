@@ -63,10 +63,12 @@ class BoardStateMachine:
 
     @property
     def outputs_us(self) -> tuple[int, ...]:
-        """Pulses on the pins, trims included."""
+        """Pulses on the pins, trims included, within the limits."""
         pulses = tuple(map(round, self._rest_us())) if self.parameters.pins_held else self.echo_us
-        trims = self.parameters.trims_us
-        return tuple(pulse + int(trim) for pulse, trim in zip(pulses, trims, strict=True))
+        thrusters, parameters = self.parameters.thrusters, self.parameters
+        limits = [parameters.thruster_us] * thrusters + [parameters.ankle_us] * (CHANNELS - thrusters)
+        rows = zip(pulses, parameters.trims_us, limits, strict=True)
+        return tuple(int(min(max(pulse + trim, low), high)) for pulse, trim, (low, high) in rows)
 
     def _rest_us(self) -> list[float]:
         """Pulses of thrusters and ankles at power-on, and on the pins in HIL mode."""

@@ -111,6 +111,10 @@ class Mega:
         """A brown-out."""
         self._library.simulation_reset(self._simulation)
 
+    def chip(self, chip: int, asleep: bool = False, absent: bool = False) -> None:
+        """State of the IMU (0) or the pressure sensor (1): `asleep` after a loss of its supply, or not on the bus."""
+        self._library.simulation_chip(self._simulation, chip, asleep, absent)
+
     def hang(self, hangs: bool) -> None:
         """Have the program hang in its loop, or no longer."""
         self._library.simulation_hang(self._simulation, hangs)

@@ -240,3 +240,34 @@ def test_stack_and_loop_are_within_their_budgets(request: pytest.FixtureRequest,
 @pytest.mark.parametrize("key", [None, KEY], ids=["unsigned", "signed"])
 def test_the_mega_passes_the_conformance_run(request: pytest.FixtureRequest, key: Key | None) -> None:
     assert first_failure(request.getfixturevalue("mega" if key is None else "signed"), key) is None
+
+
+@pytest.mark.parametrize("state", ["asleep", "absent"])
+def test_an_imu_that_lost_its_supply_is_noticed_and_begun_anew(mega: Mega, state: str) -> None:
+    pilot = Pilot(mega)
+    pilot.run(1.5)
+    assert bursts(pilot, 0.5) > 20
+    mega.chip(0, asleep=state == "asleep", absent=state == "absent")
+    pilot.run(0.1)
+    assert bursts(pilot, 0.4) == 0  # NaN is no measurement
+    mega.chip(0, asleep=state == "asleep")
+    pilot.run(1.2)
+    assert bursts(pilot, 0.5) > 20
+
+
+@pytest.mark.parametrize("chip", [0, 1], ids=["IMU", "pressure"])
+def test_a_sensor_that_is_silent_at_power_on_is_tried_again(mega: Mega, chip: int) -> None:
+    pilot = Pilot(mega)
+    mega.chip(chip, absent=True)
+    pilot.run(0.5)
+    assert bursts(pilot, 0.5) == 0
+    mega.chip(chip)
+    pilot.run(1.5)
+    assert bursts(pilot, 0.5) > 20
+
+
+def bursts(pilot: Pilot, seconds: float) -> int:
+    """How many bursts the agent takes in this time."""
+    pilot.bursts.clear()
+    pilot.run(seconds)
+    return len(pilot.bursts) - 1  # the one before is among them

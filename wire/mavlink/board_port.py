@@ -17,7 +17,8 @@ from wire.toml_loader import ConfigError
 
 READ_BYTES = 65536
 READ_DATAGRAMS = 256  # at one read: more than a board sends in 2 s; a flood of them does not delay a control step
-FORMS = "udp:HOST:PORT or serial:DEVICE[:BAUD], for example udp:127.0.0.1:14551 or serial:/dev/ttyACM0:115200"
+BOARD_BAUD = 250_000  # of the firmware, as firmware/Makefile builds it; an ATmega at 16 MHz has it exactly
+FORMS = f"udp:HOST:PORT or serial:DEVICE[:BAUD], for example udp:127.0.0.1:14551 or serial:/dev/ttyACM0:{BOARD_BAUD}"
 BAUDS = range(300, 12_000_001)
 IN_USE = "in use by another program (a robot's agent that runs has it: systemctl stop shoal-agent)"
 
@@ -38,7 +39,7 @@ def parse_link(text: str, option: str = "--link") -> Address:
     if kind == "udp" and first and last.isdecimal() and 0 < int(last) < 65536:
         return Address(kind, first.removeprefix("[").removesuffix("]"), int(last))
     if kind == "serial" and rest:
-        device, baud = (first, int(last)) if first and last.isdecimal() else (rest, 115200)
+        device, baud = (first, int(last)) if first and last.isdecimal() else (rest, BOARD_BAUD)
         if baud in BAUDS:
             return Address(kind, device, baud)
         raise ConfigError(f"{option} {text!r}: no baud rate (allowed: {BAUDS.start} to {BAUDS.stop - 1})")

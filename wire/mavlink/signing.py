@@ -15,7 +15,8 @@ KEY_BYTES, SIGNATURE_BYTES, HASH_BYTES = 32, 13, 6
 TICK_NS = 10_000  # a timestamp counts in 10 us ...
 EPOCH_NS = 1_420_070_400_000_000_000  # ... since the first of January 2015, UTC
 LATEST = 2**48 - 1
-STREAMS = 16  # one for each sender and link; a key holder that opens more is faulty
+STREAMS = 16  # one for each sender and link; a key holder that opens more within a minute is faulty
+MINUTE = 6_000_000  # a stream that is new may be so much older than the newest timestamp, as in MAVLink's own library
 
 
 @dataclass(frozen=True)
@@ -83,8 +84,19 @@ class SignatureVerifier:
         timestamp = int.from_bytes(signed[-6:], "little")
         if timestamp <= self._streams.get(stream, self._floor):
             return SignatureVerdict.REPLAYED
-        if stream not in self._streams and len(self._streams) >= STREAMS:
+        if stream not in self._streams and not self._has_room(timestamp):
             return SignatureVerdict.REPLAYED
         self._streams[stream] = timestamp
         self.newest = max(self.newest, timestamp)
         return SignatureVerdict.GOOD
+
+    def _has_room(self, timestamp: int) -> bool:
+        """True if a new stream may begin at this time. If all places are taken it gets that of a stream unused for more than
+        a minute, of which nothing said before can count as new."""
+        if timestamp + MINUTE < self.newest:
+            return False
+        if len(self._streams) < STREAMS:
+            return True
+        unused = next((stream for stream, last in self._streams.items() if last + MINUTE < self.newest), None)
+        self._streams.pop(unused, None) if unused else None
+        return unused is not None

@@ -258,7 +258,7 @@ def _change_unchecked(self: Parameters, name: str, value: float) -> Parameters |
     if name not in self.index or not math.isfinite(value):
         return Refusal.UNKNOWN
     index = self.index[name]
-    return Parameters(self.table, (*self.values[:index], value, *self.values[index + 1 :]))
+    return Parameters(self.table, (*self.values[:index], value, *self.values[index + 1 :]), self.built)
 
 
 def _change_nothing(self: BoardStateMachine, name: str, value: float) -> Refusal | None:

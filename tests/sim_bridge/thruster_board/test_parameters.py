@@ -113,7 +113,9 @@ def test_inconsistent_value_is_refused(name: str, value: float) -> None:
         ("CRV12_N", 2.9),
         ("SLEW_US_S", 100),
         ("SLEW_US_S", 100_000),
-        ("THR1_TRIM_US", -100),
+        ("THR1_TRIM_US", -23),  # the dead zone's end
+        ("THR4_TRIM_US", 23),
+        ("THR_COUNT", 8),
         ("ANK4_TRIM_US", 100),
         ("BAT_HYST_V", 0),
         ("BAT_HYST_V", 5),
@@ -127,7 +129,7 @@ def test_a_curve_that_is_nowhere_zero_has_no_dead_zone() -> None:
     values = tuple(
         1.0 if row.name.endswith("_N") and value == 0 else value for row, value in zip(POOL.table, POOL.values, strict=True)
     )
-    assert not Parameters(POOL.table, values).is_consistent()
+    assert not Parameters(POOL.table, values, POOL.built).is_consistent()
 
 
 def test_unknown_parameter_name_is_refused() -> None:

@@ -531,3 +531,49 @@ TestAnyOrder = AnyOrder.TestCase
 TestAnyOrder.settings = settings(
     max_examples=60, stateful_step_count=40, deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=True
 )
+
+
+# --- neutral is neutral
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("THR1_TRIM_US", 24),
+        ("THR4_TRIM_US", -24),
+        ("THR_NEUTRAL_US", 1890),
+        ("THR_COUNT", 8),
+    ],
+)
+def test_no_parameter_has_a_disarmed_board_push(name: str, value: float) -> None:
+    rules = fresh()
+    rules.change(name, value)
+    rules.step(0)
+    assert all(1477 <= pulse <= 1523 for pulse in rules.outputs_us[:4])
+
+
+def test_a_curve_without_thrust_is_refused_and_makes_no_other_neutral() -> None:
+    """Each point is set to 0 N, as far as that is taken; then what is no neutral pulse of the vehicle is not neutral."""
+    rules = fresh()
+    for i in range(12, 6, -1):
+        rules.change(f"CRV{i:02}_N", 0.0)
+    for i in range(1, 7):
+        rules.change(f"CRV{i:02}_N", 0.0)
+    assert rules.change("THR_NEUTRAL_US", 1600) is Refusal.INCONSISTENT
+    rules.override(COMPUTER, (1900,) * 4 + (IGNORED,) * 4, 0)
+    assert rules.arm(True, 0) == REJECTED
+
+
+def test_fewer_thrusters_than_the_vehicle_has_are_refused() -> None:
+    """An output that were an ankle's would hold its thrust while disarmed."""
+    eight = PARAMETERS.changed("THR_COUNT", 8)
+    assert isinstance(eight, Parameters)
+    rules = BoardStateMachine(Parameters(eight.table, eight.values, eight.values), COMPUTER)
+    assert rules.change("THR_COUNT", 4) is Refusal.INCONSISTENT
+
+
+def test_trims_move_no_output_beyond_its_limits() -> None:
+    rules = armed(THR_MAX_US=1560, THR1_TRIM_US=20, ANK1_TRIM_US=100)
+    rules.override(COMPUTER, (*[1560] * 4, *[2000] * 4), 0)
+    rules.step(50 * MS)
+    assert rules.outputs_us == (*[1560] * 4, *[2000] * 4)

@@ -181,7 +181,7 @@ def test_a_wrong_address_is_explained() -> None:
         with pytest.raises(ConfigError, match=rf"--port 'serial:/dev/x:{baud}': no baud rate \(allowed: 300 to 12000000\)"):
             parse_link(f"serial:/dev/x:{baud}", "--port")
     assert parse_link("serial:/dev/x:300") == Address("serial", "/dev/x", 300)
-    assert parse_link("serial:/dev/serial/by-id/usb:1-port") == Address("serial", "/dev/serial/by-id/usb:1-port", 115200)
+    assert parse_link("serial:/dev/serial/by-id/usb:1-port") == Address("serial", "/dev/serial/by-id/usb:1-port", 250_000)
 
 
 def test_a_frame_that_the_port_takes_half_of_is_not_cut(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -215,3 +215,27 @@ def test_a_flood_of_system_ids_locks_others_out_only_for_a_while() -> None:
         link.receive(Sender((2, i)).pack(dialect.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3)), 0)
     assert events(link, agent(key=None).heartbeat(), MS) == []
     assert events(link, agent(key=None).heartbeat(), SILENCE_NS) == [Heartbeat()]
+
+
+def test_a_new_stream_may_begin_a_minute_ago_at_most() -> None:
+    """As MAVLink's own library has it: a frame that was held back on a link not heard so far."""
+    verifier, frame = SignatureVerifier(KEY), bytes([0xFD, 0, 1])
+    minute = 6_000_000
+    assert verifier.verify(Signer(KEY, lambda: NOW).sign(frame), 1, 191) is SignatureVerdict.GOOD
+    late = Signer(Key(SECRET, 1), lambda: NOW - minute - 1).sign(frame)
+    assert verifier.verify(late, 255, 190) is SignatureVerdict.REPLAYED
+    just = Signer(Key(SECRET, 1), lambda: NOW - minute).sign(frame)
+    assert verifier.verify(just, 255, 190) is SignatureVerdict.GOOD
+
+
+def test_a_stream_unused_for_a_minute_gives_its_place_away() -> None:
+    verifier, frame = SignatureVerifier(KEY), bytes([0xFD, 0, 1])
+    first = Signer(KEY, lambda: NOW).sign(frame)
+    assert verifier.verify(first, 1, 1) is SignatureVerdict.GOOD
+    for component in range(2, 17):
+        assert verifier.verify(Signer(KEY, lambda: NOW + 100).sign(frame), 1, component) is SignatureVerdict.GOOD
+    assert verifier.verify(Signer(KEY, lambda: NOW + 100).sign(frame), 1, 17) is SignatureVerdict.REPLAYED  # all in use
+    later = NOW + 6_000_001
+    assert verifier.verify(Signer(KEY, lambda: later).sign(frame), 1, 2) is SignatureVerdict.GOOD
+    assert verifier.verify(Signer(KEY, lambda: later).sign(frame), 1, 17) is SignatureVerdict.GOOD
+    assert verifier.verify(first, 1, 1) is SignatureVerdict.REPLAYED  # its stream is new again, and too old
