@@ -71,15 +71,10 @@ KINDS = (  # of water: intensity m^2/s^3, share of its changes by place, and of 
     (1.2e-4, 1.0, 1.0),
     (1e-7, 0.5, 1000.0),  # forces 30 times as large: a cable, a thruster that is not what it was
 )
-KIND_LASTS_S = (
-    1000.0  # the water changes its kind a few times in an hour. With 60 s covariances of still water are twice as large
-)
+KIND_LASTS_S = 1000.0  # water changes its kind a few times in an hour. With 60 s covariances of still water are twice as large
 FACING_S, FACING = 20.0, 0.5  # mean direction of so long, 1 on a straight path: shorter, drag can be told from a current
 CALM = 0.5  # and only if so much of the weight says that water and forces are at rest
-SHARE, PASSES_S = (
-    0.03,
-    0.1,
-)  # of thrust and drag: what comes and goes within the thrusters' lag. NEES of the grid is near 1 with it
+SHARE, PASSES_S = 0.03, 0.1  # of thrust and drag: what comes and goes, for so long. NEES of the grid is near 1 with it
 LASTING_SHARE, LASTS_S = 0.03, 10.0  # of thrust and drag: what lasts, as a cable or unlike thrusters do
 RATIO_PER_SQRT_S = 0.005  # by which drag, thrust and moment per mass wander in a second: 4 % in a minute
 BIAS_RADPS_PER_SQRT_S = 1e-5  # the same of the gyroscope's bias: its sensor warms up within minutes

@@ -196,6 +196,11 @@ def test_any_field_is_plotted_and_a_layout_is_an_address(browser: Browser) -> No
             page.wait_for_timeout(120)
         expect(tile(page, 1)).to_contain_text("× 1.32, 0.75")
         expect(tile(page, 1)).to_contain_text("tracking, giving way")
+        held = RobotState(
+            mode=Mode.HOLDING, eta=np.array([1.0, 0.0, 0.3, 0.0]), eta_reference=np.array([0.97, 0.04, 0.3, 0.0])
+        )
+        desk.robots.publish(topics.STATE, held, time.time_ns(), 2)
+        expect(tile(page, 2)).to_contain_text("from its place50 mm")
         figures = page.locator(".plot")
         expect(figures.nth(1).locator(".u-legend")).to_contain_text("0.25")
         page.get_by_label("What plot 3 shows").select_option("state.loss")  # of before it was asked for, too

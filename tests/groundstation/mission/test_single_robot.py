@@ -20,8 +20,8 @@ SETTINGS = ("duration_s=20", 'mission.lost="go-on"')
 class LedRun(MissionRun):
     """A mission whose robots can be led one by one; robot 2 stands 0.8 m beside robot 1."""
 
-    def __init__(self) -> None:
-        super().__init__(automatic=False, settings=SETTINGS)
+    def __init__(self, *more: str) -> None:
+        super().__init__(automatic=False, settings=(*SETTINGS, *more))
         self.single = SingleRobotControl(self.experiment, self.mission)
         self.robots[1].eta, self.robots[2].eta = (-0.4, 0.0, 0.3, 0.0), (0.4, 0.0, 0.3, 0.0)
         self.for_one: list[CommandResult] = []
@@ -141,6 +141,23 @@ def test_a_robot_led_in_flight_leaves_the_formation_and_the_other_flies_on() -> 
     assert run.in_mode(2, Mode.HOLDING)
     assert run.mission.request(Order.REJOIN, run.fleet(), run.now_ns) == ""
     assert run.mission.roster.lost == {}
+
+
+@pytest.mark.parametrize("begins", [MissionState.SWITCHING, MissionState.RETURNING])
+def test_a_robot_is_led_on_while_the_formation_takes_another_path_or_flies_home(begins: MissionState) -> None:
+    run = LedRun()
+    run.fly()
+    for k in range(12):
+        assert run.drive() == ""
+        run.step(0.1)
+        if k == 2:
+            run.mission.plans.deadline_s = math.inf
+            run.mission.state = begins  # as by itself: an obstacle lies on the path, or the plan leads home
+    assert run.in_mode(2, Mode.DRIVEN) and run.single.tasks[2].progress is Progress.UNDER_WAY
+    run.drive(DriveVelocity())
+    run.step(0.3)
+    assert run.in_mode(2, Mode.HOLDING) and run.single.tasks[2].progress is Progress.DONE
+    assert run.at(begins) and run.in_mode(1, Mode.TRACKING)
 
 
 def test_a_robot_led_while_all_hold_keeps_its_place_in_the_formation() -> None:
@@ -331,3 +348,15 @@ def test_a_robot_whose_task_has_failed_in_flight_is_held() -> None:
     run.step(0.5)
     assert run.at(MissionState.WAITING)
     assert run.in_mode(2, Mode.HOLDING)
+
+
+def test_a_formation_that_makes_itself_a_new_plan_ends_no_request_for_the_robot_that_left_it() -> None:
+    run = LedRun('path={kind="waypoints",points_m=[[0.0,0.0],[0.6,0.0],[0.6,0.4]],speed_mps=0.1,depth_m=0.3}')
+    run.fly()
+    assert run.ask(Order.DISARM) == ""
+    run.mission.step(run.fleet(), (), run.now_ns)
+    assert run.mission.request(Order.GO, run.fleet(), run.now_ns, [(0.5, 0.5)]) == ""
+    assert run.at(MissionState.SWITCHING)
+    run.step(0.2)
+    assert run.in_mode(2, Mode.DISARMED)
+    assert run.single.tasks[2].progress is Progress.DONE

@@ -477,7 +477,8 @@ def test_a_dask_cluster_flies_the_same(flown: Path, tmp_path: Path) -> None:
     assert [row["rms_m"] for row in found] == [row["rms_m"] for row in expected]
 
 
-def test_absent_cluster_is_named(tmp_path: Path) -> None:
+def test_absent_cluster_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(campaign_runner, "CLUSTER_WITHIN_S", 1.0)
     with pytest.raises(ConfigError, match=r"--scheduler tcp://127\.0\.0\.1:1: "):
         fly(campaign(seeds=1), tmp_path / "c", scheduler="tcp://127.0.0.1:1")
 

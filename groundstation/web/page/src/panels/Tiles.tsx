@@ -14,9 +14,10 @@ function badness(robot: RobotNews): number {
   return stale + own.reduce((sum, alarm) => sum + WEIGHT[alarm.level], 0);
 }
 
+/** Distance from where the robot should be: on its path, or at the place that it holds. */
 function errorMm(id: number): number | null {
   const robot = live.robots.get(id);
-  if (robot?.news.state?.mode !== "TRACKING") return null;
+  if (!["TRACKING", "HOLDING"].includes(robot?.news.state?.mode ?? "") || robot === undefined) return null;
   return 1e3 * Math.hypot(...[0, 1, 2].map((k) => robot.eta[k]! - robot.reference[k]!));
 }
 
@@ -84,7 +85,7 @@ function Tile({ robot, place, s }: { robot: RobotNews; place: number; s: Scene }
       </button>
       {state && (
         <dl>
-          <Fact name="error" value={mm === null ? "-" : `${mm.toFixed(mm < 10 ? 1 : 0)} mm`} />
+          <Fact name={state.mode === "HOLDING" ? "from its place" : "error"} value={mm === null ? "-" : `${mm.toFixed(mm < 10 ? 1 : 0)} mm`} />
           <Fact name="pose" value={`${state.track.toLowerCase()} ${age(state.pose_age_ms)}`} bad={state.track === "LOST" || state.track === "COAST"} />
           <Fact name="depth" value={`${live.robots.get(robot.id)?.eta[2]?.toFixed(2) ?? "-"} m`} />
           <Fact name="yaw" value={`${degrees(live.robots.get(robot.id)?.eta[3])}°`} />

@@ -29,7 +29,7 @@ export function drawRobot(pen: Pen, view: View, s: Scene, robot: Robot, place: n
     return;
   }
   if (on.horizon && !stale) drawHorizon(pen, view, robot, colour);
-  if (on.reference && !stale && robot.news.state!.mode === "TRACKING") drawReference(pen, view, robot, colour);
+  if (on.reference && !stale && ["TRACKING", "HOLDING"].includes(robot.news.state!.mode)) drawReference(pen, view, robot, colour);
   const [px, py] = view.toScreen(robot.eta[0]!, robot.eta[1]!);
   if (on.safety) drawSafety(pen, s.safety_m * view.scale, colour, px, py);
   drawHull(pen, view, s, robot, colour, px, py);
