@@ -2,7 +2,7 @@
 
     for opcode, body in records(file): ...      # chunks taken apart; raises Damaged where the file stops being a log
     skipped: list[str] = []
-    for opcode, body in records(file, skipped): ...     # goes on behind a chunk or an attachment that is damaged, and says which
+    for opcode, body in records(file, skipped): ...     # goes on behind a damaged chunk or attachment, and says which
 
 A record is refused before its bytes are read when it is larger than the file can hold or than LARGEST_BYTES, a chunk before it
 is unpacked when it says, or turns out, to be larger than LARGEST_BYTES. All chunks together may unpack to UNPACKED_AT_LEAST
