@@ -234,7 +234,7 @@ def test_it_is_there_whatever_call_fails(name: str, programs: Programs, tmp_path
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", COMMANDS)
-def test_what_is_removed_meanwhile_is_not_called_written(name: str, programs: Programs, tmp_path: Path) -> None:
+def test_a_file_that_is_removed_meanwhile_is_not_called_written(name: str, programs: Programs, tmp_path: Path) -> None:
     trial = DiskTrial(name, programs, tmp_path)
     calls = range(1, trial.undisturbed.calls + 1)
     for call in calls if len(calls) <= MANY else sorted(random.Random(f"{SEED} {name}").sample(calls, MANY)):
