@@ -47,7 +47,7 @@ class Obstacle:
     def overlaps(self, place: complex, radius_m: float, now_ns: int) -> bool:
         """True if a hull of that radius at `place` touches or is inside the obstacle."""
         apart = place - self.displacement(now_ns) - self.edge_points[None]
-        return float(np.abs(apart).min()) < radius_m or bool(_inside(apart)[0])
+        return float(np.abs(apart).min()) < radius_m or bool(is_inside(apart)[0])
 
 
 class OwnHullFilter:
@@ -126,13 +126,13 @@ def nearest_border(
     apart = places[:, None] - moved[:, None] - obstacle.edge_points
     closest = np.abs(apart).argmin(axis=1)
     away = np.take_along_axis(apart, closest[:, None], axis=1)[:, 0]
-    sign = np.where(_inside(apart), -1.0, 1.0)
+    sign = np.where(is_inside(apart), -1.0, 1.0)
     distance = np.abs(away)
     direction = np.where(distance > TOUCHING_M, sign * away / np.maximum(distance, TOUCHING_M), 1.0)
     return obstacle.edge_points[closest] + moved, direction, sign * distance
 
 
-def _inside(apart: NDArray[np.complex128]) -> NDArray[np.bool_]:
+def is_inside(apart: NDArray[np.complex128]) -> NDArray[np.bool_]:
     """True for a place that the edge points enclose; `apart` (places, points) is the place minus each point."""
     return np.asarray(np.abs(np.angle(np.roll(apart, -1, axis=1) * apart.conj()).sum(axis=1)) > math.pi)
 

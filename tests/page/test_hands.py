@@ -1,4 +1,4 @@
-"""What a stuck key, Caps Lock, a lost pointer or an open question must not do, and what nobody holds does not go on."""
+"""Hands on the page: no stuck key, Caps Lock, lost pointer or open question acts for a person, and what nobody holds ends."""
 
 import re
 import time

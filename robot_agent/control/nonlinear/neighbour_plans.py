@@ -1,5 +1,6 @@
 """Neighbours' plans at the nodes: bodies to keep clear of, and the formation's pull on the reference."""
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -16,9 +17,11 @@ NS = 1e9
 
 
 @kernel
-def sample_plan(plan: Table, meant: Table, period_s: float, at_s: Floats, place: Table, deviation: Table) -> None:
+def sample_plan(
+    plan: Table, meant: Table, period_s: float, at_s: Floats, most_m: float, place: Table, deviation: Table
+) -> None:
     """Write the places x, y, z of a plan (rows, 4) at instants after its first row into `place` (instants, 3), and how far
-    they are from where they are `meant` to be. Beyond its ends a plan stands."""
+    they are from where they are `meant` to be, `most_m` at most. Beyond its ends a plan stands."""
     last = len(plan) - 1
     for k in range(len(at_s)):
         row = min(max(at_s[k] / period_s, 0.0), float(last))
@@ -27,14 +30,19 @@ def sample_plan(plan: Table, meant: Table, period_s: float, at_s: Floats, place:
         for c in range(3):
             place[k, c] = plan[low, c] + share * (plan[high, c] - plan[low, c])
             deviation[k, c] = place[k, c] - meant[low, c] - share * (meant[high, c] - meant[low, c])
+        off_m = math.sqrt(deviation[k, 0] ** 2 + deviation[k, 1] ** 2 + deviation[k, 2] ** 2)
+        if off_m > most_m:
+            for c in range(3):
+                deviation[k, c] *= most_m / off_m
 
 
 class PlanSampler:
     """Sampler of neighbours' plans at our own nodes."""
 
-    def __init__(self, nodes_s: Array, weight: tuple[float, float, float, float], has_leader: bool) -> None:
-        """`nodes_s` (NODES,) are the nodes' instants from now."""
-        self._nodes_s, self._has_leader = nodes_s, has_leader
+    def __init__(self, nodes_s: Array, weight: tuple[float, float, float, float], has_leader: bool, most_m: float) -> None:
+        """`nodes_s` (NODES,) are the nodes' instants from now. A neighbour pulls as if it were `most_m` off its path at most:
+        no robot joins its path from farther away, so what a plan says beyond that is no motion of a formation."""
+        self._nodes_s, self._has_leader, self._most_m = nodes_s, has_leader, most_m
         self.set_weight(weight)
 
     def set_weight(self, weight: tuple[float, float, float, float]) -> None:
@@ -49,9 +57,8 @@ class PlanSampler:
         total, members = np.zeros((NODES, 3)), 0
         for i, other in enumerate(neighbours):
             at_s = self._nodes_s + (now_ns - other.stamp_ns) / NS
-            sample_plan(
-                np.array(other.plan.eta), np.array(other.plan.eta_reference), other.plan.period_s, at_s, places[i], deviation
-            )
+            poses, references = np.array(other.plan.eta), np.array(other.plan.eta_reference)
+            sample_plan(poses, references, other.plan.period_s, at_s, self._most_m, places[i], deviation)
             if other.fresh and other.formation:
                 total += deviation
                 members += 1

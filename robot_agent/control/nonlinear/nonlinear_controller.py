@@ -28,7 +28,7 @@ from robot_agent.control.nonlinear.planner import Planner, make_depth_start, mak
 from robot_agent.control.nonlinear.prediction import Dynamics, Start, Surroundings, fly, make_flight, make_grid
 from robot_agent.control.nonlinear.program import Iteration, PlanProblem, Weights, make_memory, step_plan
 from robot_agent.guidance.formation import Formation, Neighbour, NeighbourPredictions, Priority
-from robot_agent.guidance.obstacles import Obstacle
+from robot_agent.guidance.obstacles import Obstacle, is_inside
 from robot_agent.guidance.reference import Drive, Follow, Goal, Hold, Reference, ReferenceSampler, interpolate_rows
 from robot_agent.guidance.velocity_obstacles import GiveWay
 from robot_agent.vehicle.dynamics import Model, flow_moment_nm
@@ -80,7 +80,7 @@ class NonlinearController:
         nodes_s = self._dead_s + self._grid.time_s  # the instant of action, then the nodes
         self.sampler = ReferenceSampler(nodes_s)
         self.formation = Formation(config.mpc, safety, config.period_s, self._dead_s, room_m, vehicle.radius_m)
-        self._plans = PlanSampler(nodes_s[1:], config.mpc.q_formation, has_leader)
+        self._plans = PlanSampler(nodes_s[1:], config.mpc.q_formation, has_leader, safety.join_within_m)
         self._give_way = GiveWay(
             vehicle, np.concatenate([[0.0], nodes_s]), config.period_s, room_m, islands, tunings.agility(vehicle), urgent
         )
@@ -379,19 +379,21 @@ def clear_place(place: complex, surrounds: Surrounds, margin_m: float) -> tuple[
     """The place, moved inside the room and away from bodies and outlines, by a margin more than they need."""
     most_x, most_y = np.maximum(surrounds.room_m - margin_m, 0.0).tolist()
     for _ in range(4):  # two bodies that push against one another are left to the optimisation
-        for there, keep_m in _nearest_points(place, surrounds.bodies, surrounds.outlines):
-            away = place - there
-            if abs(away) < keep_m + margin_m:
+        for there, keep_m, surrounded in _nearest_points(place, surrounds.bodies, surrounds.outlines):
+            away = there - place if surrounded else place - there
+            if surrounded or abs(away) < keep_m + margin_m:
                 place = there + (away / abs(away) if away else 1.0) * (keep_m + margin_m)
         place = complex(min(max(place.real, -most_x), most_x), min(max(place.imag, -most_y), most_y))
     return place.real, place.imag
 
 
-def _nearest_points(place: complex, bodies: MovingBodies, outlines: Outlines) -> list[tuple[complex, float]]:
-    """The point of each body at the end of its plan, and of each outline, that is nearest to a place, with its distance."""
-    found = [(complex(*bodies.place[i, -1]), float(bodies.keep_m[i].max())) for i in range(len(bodies.keep_m))]
+def _nearest_points(place: complex, bodies: MovingBodies, outlines: Outlines) -> list[tuple[complex, float, bool]]:
+    """The point of each body at the end of its plan, and of each outline, that is nearest to a place, with its distance, and
+    True if the outline surrounds the place."""
+    found = [(complex(*bodies.place[i, -1]), float(bodies.keep_m[i].max()), False) for i in range(len(bodies.keep_m))]
     for i, keep_m in enumerate(outlines.keep_m.tolist()):
         points = outlines.point[outlines.first[i] : outlines.first[i + 1]]
         points = points[:, 0] + 1j * points[:, 1]
-        found.append((complex(points[np.abs(points - place).argmin()]), keep_m))
+        apart = place - points
+        found.append((complex(points[np.abs(apart).argmin()]), keep_m, bool(is_inside(apart[None].astype(np.complex128))[0])))
     return found

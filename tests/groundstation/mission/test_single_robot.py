@@ -156,7 +156,8 @@ def test_a_robot_is_led_on_while_the_formation_takes_another_path_or_flies_home(
     assert run.in_mode(2, Mode.DRIVEN) and run.single.tasks[2].progress is Progress.UNDER_WAY
     run.drive(DriveVelocity())
     run.step(0.3)
-    assert run.in_mode(2, Mode.HOLDING) and run.single.tasks[2].progress is Progress.DONE
+    task = run.single.tasks[2]  # what type checkers know of it is of before
+    assert run.in_mode(2, Mode.HOLDING) and task.progress is Progress.DONE
     assert run.at(begins) and run.in_mode(1, Mode.TRACKING)
 
 

@@ -392,7 +392,7 @@ def test_a_station_that_is_told_to_end_in_flight_holds_and_then_disarms(
         told.start()
         try:
             # the loop alone: `cycles` around it needs a network and a page
-            process._wall_loop(station, stop, process.EndOfRun(station, None))
+            process._wall_loop(station, stop, process.EndOfRun(station, None))  # private: `run` begins with a whole fleet
         finally:
             over.set()
             told.join()
@@ -419,7 +419,7 @@ def test_a_station_that_is_told_to_end_while_robots_are_being_armed_leaves_none_
         over, told = threading.Event(), threading.Thread(target=lambda: tell_until(fleet, over))
         told.start()
         try:
-            process._wall_loop(station, stop, process.EndOfRun(station, None))
+            process._wall_loop(station, stop, process.EndOfRun(station, None))  # private: `run` begins with a whole fleet
         finally:
             over.set()
             told.join()

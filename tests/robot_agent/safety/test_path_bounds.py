@@ -1,4 +1,4 @@
-"""Each bound of the guidance states (docs/modes.md) in a flight in which it is the one that stops the robot."""
+"""Flights in which one bound of the guidance states (docs/modes.md) after the other stops the robot."""
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -18,7 +18,7 @@ POSES = ("sim.numeric.pose_noise_m=0.0015", "sim.numeric.yaw_noise_rad=0.008")
 Each = Callable[["BoundedFleet", float], None]
 
 
-class Flown(NamedTuple):
+class StoppedFlight(NamedTuple):
     """Robot that stopped: when, in which guidance state, and its last state."""
 
     time_s: float
@@ -48,7 +48,7 @@ class BoundedFleet(TroubledFleet):
         """Let the water stream along x."""
         self.water.stream(np.array([current_mps, 0.0, 0.0]))
 
-    def until_it_stops(self, within_s: float, each: Each = lambda fleet, time_s: None) -> Flown:
+    def until_it_stops(self, within_s: float, each: Each = lambda fleet, time_s: None) -> StoppedFlight:
         """Fly until the first robot stops or holds by itself."""
         self.start()
         states = self.robots[0].states
@@ -57,7 +57,7 @@ class BoundedFleet(TroubledFleet):
             self.step()
             if states[-1].fault:
                 break
-        return Flown(self.time_s, states[-2].guidance, states[-1])
+        return StoppedFlight(self.time_s, states[-2].guidance, states[-1])
 
 
 def line(begin: tuple[float, float], end: tuple[float, float], speed_mps: float) -> str:

@@ -451,7 +451,7 @@ def test_a_second_process_of_a_name_is_refused(fleet_with_agent: tuple[Bus, "sub
     bus.claim("agent-2", bool)
 
 
-def test_who_is_stopped_while_a_name_is_taken_does_not_get_it(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_program_that_is_stopped_while_a_name_is_taken_does_not_get_it(caplog: pytest.LogCaptureFixture) -> None:
     """Else a second agent that waits, and is ended by Ctrl-C, would disarm the board of the first one on its way out."""
     hub, stopped = MemoryHub(), threading.Event()
     with Bus(MemoryTransport(hub)) as first, Bus(MemoryTransport(hub)) as second:

@@ -12,10 +12,12 @@ from hypothesis import strategies as st
 
 from benchmarks.flights import flown
 from robot_agent.control.controller import ControlOutput
-from robot_agent.control.nonlinear.nonlinear_controller import TOLD_S, NonlinearController
+from robot_agent.control.nonlinear.neighbour_plans import NO_BODIES, outlines_of
+from robot_agent.control.nonlinear.nonlinear_controller import TOLD_S, NonlinearController, clear_place
+from robot_agent.control.nonlinear.obstacle_rows import Surrounds
 from robot_agent.guidance.driving import Driver
 from robot_agent.guidance.formation import Neighbour
-from robot_agent.guidance.obstacles import Obstacle
+from robot_agent.guidance.obstacles import Obstacle, obstacles_from_message
 from robot_agent.guidance.reference import Follow, Goal, Hold
 from robot_agent.vehicle.dynamics import Model
 from robot_agent.vehicle.estimate import PoseMeasurement, StateMeasurement
@@ -34,7 +36,7 @@ from wire.config.experiment import load_experiment
 from wire.config.vehicle import Vehicle, load_vehicle
 from wire.frames import Array
 from wire.messages.live_gains import tunable_parameters, tuned
-from wire.messages.messages import DriveVelocity, Plan, Solve, Trajectory
+from wire.messages.messages import DriveVelocity, Obstacles, Plan, Solve, Trajectory
 
 pytestmark = pytest.mark.long
 
@@ -191,6 +193,44 @@ def test_the_formation_moves_the_course_by_its_share() -> None:
             other = Neighbour(2, k * STEP_NS, Plan(TOLD_S, meant + np.array([0.0, 0.1, 0.0, 0.0]), meant), True, True, True)
             robot.step(Follow(GOAL.trajectory, 0.0, 0.0), [other])
         assert robot.places[-1, 1] == pytest.approx(0.1 * share, abs=0.006)
+
+
+@pytest.mark.parametrize("has_leader", [False, True])
+def test_a_plan_that_says_its_robot_is_far_off_takes_no_other_far_along(has_leader: bool) -> None:
+    """A wrong plan: 100 m off what it says is its path. A robot that follows it is off by what a robot may join from."""
+    robot = Swimmer((0.625, 0.0, 0.3, math.pi / 2), room_m=(6.0, 4.0), has_leader=has_leader)
+    meant = np.tile([-2.5, -1.5, 0.3, 0.0], (40, 1))
+    for k in range(160):
+        other = Neighbour(2, k * STEP_NS, Plan(TOLD_S, meant + np.array([100.0, 0.0, 0.0, 0.0]), meant), True, True, True)
+        output = robot.step(Follow(GOAL.trajectory, 0.05 * k), [other])
+        assert output.solve is Solve.SOLVED
+        assert math.dist(robot.state[:2], output.eta_reference[:2]) < NMPC.safety.join_within_m + 0.1
+
+
+@pytest.mark.parametrize("robots", [2, 4])
+def test_a_robot_among_others_that_are_too_near_still_finds_a_plan(robots: int) -> None:
+    """Currents and hands push robots together. One that finds no plan then gives up its thrust amid the others."""
+    places = [0.55 * np.exp(1j * (2.0 * math.pi * i / robots + 0.3)) for i in range(robots)]
+    stay = [np.tile([place.real, place.imag, 0.3, 0.0], (40, 1)) for place in places]
+    for goal in (Hold(np.array([0.0, 0.0, 0.3, 0.0])), None):
+        robot = Swimmer((0.0, 0.0, 0.3, 0.0))
+        for k in range(40):
+            others = [
+                Neighbour(2 + i, k * STEP_NS, Plan(TOLD_S, eta, eta, heard=(1,)), True, False, True)
+                for i, eta in enumerate(stay)
+            ]
+            assert robot.step(goal or Follow(GOAL.trajectory, 0.05 * k), others).solve is Solve.SOLVED
+
+
+def test_a_place_to_rest_inside_an_obstacle_is_moved_out_by_the_shortest_way() -> None:
+    """A robot brakes too late for a raft 1.2 m wide, which begins 0.18 m before the place where it could stop."""
+    raft = np.array([[[0.12, -0.6], [1.3, -0.6], [1.3, 0.6], [0.12, 0.6]]])
+    (seen,) = obstacles_from_message(Obstacles((1,), raft, np.zeros((1, 2))), 0, 0.3)
+    around = Surrounds(NO_BODIES, outlines_of((seen,), 0, 0j), np.array([3.0, 2.0]))
+    for inside in (0.3 + 0.01j, 0.13 + 0.01j):
+        x, y = clear_place(inside, around, 0.05)
+        assert x < 0.12 - 0.3 and abs(y) < 0.3  # straight out, within the spacing of the points along the edge
+    assert clear_place(1.25 + 0.0j, around, 0.05)[0] > 1.3 + 0.3
 
 
 def test_gains_change_in_flight_without_a_leap() -> None:
