@@ -29,7 +29,7 @@ def recover(path: Path) -> bool:
     to mend.
 
     Raises OSError if the mended file cannot be written, or the recorder still writes this one, which would go on in a file
-    without a name; ConfigError for what never was a log, or was cut before its first record. The file then stays as it is.
+    without a name; ConfigError for what never was a log, or has no record that can be read. The file then stays as it is.
     """
     complete, damage = is_complete(path), list[str]()
     for _ in valid_records(path, damage) if complete else ():
@@ -47,7 +47,7 @@ def recover(path: Path) -> bool:
                 copier.copy(record)
                 is_empty = False
             if is_empty:
-                raise ConfigError(f"{path}: nothing to keep: it ends before its first record ({path.stat().st_size} bytes)")
+                raise ConfigError(f"{path}: nothing to keep: no record can be read ({damage_in_words(damage)})")
             if damage:
                 writer.add_metadata(REPAIR_METADATA, {"damage": damage_in_words(damage)})
             writer.finish()

@@ -58,7 +58,9 @@ def run(
     is_whole = True  # what was flown is in the files
     try:
         with Journal(journal) as kept, _executor(workers, scheduler) as executor:
-            console.print(f"{campaign.title or campaign.name}: {total} flights, into {folder}")
+            console.print(
+                f"{campaign.title or campaign.name}: {total} flights, into {folder}", highlight=False, soft_wrap=True
+            )
             for row, is_new in _fly(executor, campaign, kept.rows, _window(workers), stop, console):
                 rows[row["index"]] = row
                 if is_new:

@@ -2,7 +2,7 @@
 
     for opcode, body in records(file): ...      # chunks taken apart; raises Damaged where the file stops being a log
     skipped: list[str] = []
-    for opcode, body in records(file, skipped): ...     # goes on behind a chunk that is damaged in itself, and says which
+    for opcode, body in records(file, skipped): ...     # goes on behind a damaged chunk or attachment, and says which
 
 A record is refused before its bytes are read when it is larger than the file can hold or than LARGEST_BYTES, a chunk before it
 is unpacked when it says, or turns out, to be larger than LARGEST_BYTES. All chunks together may unpack to UNPACKED_AT_LEAST
@@ -52,8 +52,8 @@ class Packed:
 
 def records(file: IO[bytes], skipped: list[str] | None = None) -> Iterator[tuple[int, bytes]]:
     """Opcode and body of every record in order, chunks replaced by what is in them, checksums verified. Raises Damaged where
-    the records themselves cannot be followed. With `skipped` a chunk that is damaged in itself is left out and named there;
-    without it that is an error too."""
+    the records themselves cannot be followed. With `skipped` a chunk or an attachment that is damaged in itself is left out
+    and named there; without it that is an error too."""
     allowed = Allowance(_size(file))
     file.seek(0)
     if file.read(len(MAGIC)) != MAGIC:
@@ -67,6 +67,8 @@ def records(file: IO[bytes], skipped: list[str] | None = None) -> Iterator[tuple
             raise Damaged(f"byte {at}: cut within a record")
         if opcode == CHUNK:
             yield from _within(body, allowed, at, skipped)
+        elif opcode == ATTACHMENT and len(body) >= 4 and _U32.unpack(body[-4:])[0] not in (0, zlib.crc32(body[:-4])):
+            _tell(Damaged(f"byte {at}: an attachment's checksum is wrong"), skipped)
         else:
             if opcode == DATA_END and len(body) >= 4 and _U32.unpack_from(body)[0] not in (0, checksum):
                 _tell(Damaged(f"byte {at}: the file's checksum is wrong"), skipped)

@@ -92,7 +92,13 @@ def test_a_small_file_never_takes_much_memory(
             list(log.messages(lambda topic, robot: True))
         with pytest.raises(ConfigError):
             evaluate_log(path)
-        assert recover(path)
+        if next(valid_records(path), None) is not None:
+            assert recover(path)
+        else:
+            before = path.read_bytes()
+            with pytest.raises(ConfigError, match="nothing to keep: no record can be read"):
+                recover(path)
+            assert path.read_bytes() == before and not list(tmp_path.glob("*.original*"))
         assert tracemalloc.get_traced_memory()[1] < MOST
     finally:
         tracemalloc.stop()

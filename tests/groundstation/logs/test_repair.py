@@ -119,6 +119,21 @@ def test_a_closed_log_with_a_damaged_chunk_is_mended_and_says_so(tmp_path: Path)
     assert [file.name for file in tmp_path.glob("*.original*")] == ["run.mcap.original"]
 
 
+def test_a_damaged_experiment_of_a_log_is_left_out_and_named(tmp_path: Path) -> None:
+    """One other digit in it would be another limit, and the report would judge the run by that."""
+    path = tmp_path / "run.mcap"
+    record_poses(path, 20)
+    damaged = bytearray(path.read_bytes())
+    damaged[damaged.index(b"experiment.toml") + 60] ^= 0x01
+    path.write_bytes(damaged)
+    read = read_log(path)
+    assert not read.experiment_toml and "an attachment's checksum is wrong" in read.damage
+    assert recover(path) is True
+    mended = read_log(path)
+    assert "an attachment's checksum is wrong" in mended.damage and len(sequences(path)) == 20
+    assert (tmp_path / "run.mcap.original").read_bytes() == damaged
+
+
 def test_an_impossible_length_ends_reading(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     lying = struct.pack("<QQII", 0, 0, 0, 0) + struct.pack("<Q", 1 << 53)  # an attachment: times, name, type, length of data

@@ -422,12 +422,12 @@ def test_workers_end_with_a_campaign_that_is_killed(tmp_path: Path) -> None:
 
 def test_a_campaign_in_which_no_flight_flew_says_so_with_the_first_reason(tmp_path: Path) -> None:
     told = terminal(io.StringIO())
-    told.width = 500
     refused = campaign(sweep={"path.lap_s": [1.0, 2.0]}, draw={}, seeds=1, title="Dive [/b] :dash:")
     assert fly(refused, tmp_path / "c[red]", console=told) == 1
     assert isinstance(told.file, io.StringIO)
     text = told.file.getvalue()
-    assert "Dive [/b] :dash:: 2 flights, into " in text and "c[red]/results.parquet" in text
+    folder = tmp_path / "c[red]"  # in one piece, however long: a path is copied from there
+    assert f"Dive [/b] :dash:: 2 flights, into {folder}\n" in text and f"{folder / 'results.parquet'}\n" in text
     assert "0 of 2 flights flown, 2 refused, 0 failed" in text
     assert "flight 0 (seed 1) refused: robot 1: speed" in text
 
