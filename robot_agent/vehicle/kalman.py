@@ -66,7 +66,8 @@ from wire.kernels import kernel
 
 KINDS = (  # of water: intensity m^2/s^3, share of its changes by place, and of forces by how much more they change
     (1e-7, 0.5, 1.0),  # a basin at rest: 1 mm/s within 10 s
-    (2e-5, 0.0, 1.0),  # with time, 1.4 cm/s,
+    (1e-5, 0.0, 1.0),  # with time, 1 cm/s,
+    (6e-5, 0.0, 1.0),  # 2.5 cm/s: without it a sinusoidal force led a robot off its path by 13 cm,
     (4e-4, 0.0, 1.0),  # 6 cm/s within 10 s: gusts,
     (2e-3, 0.0, 1.0),  # and 14 cm/s, or 4.5 cm/s within 1 s: waves
     (3e-5, 1.0, 1.0),  # from place to place
