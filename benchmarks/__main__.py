@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 from rich.table import Table
 
 from benchmarks.harness import Row
 from wire.process.cli_options import finite
+from wire.process.output import terminal
 from wire.process.output_files import replace_text
 
 # Name: a module of this package with `run() -> Iterable[Row]`, and what it measures.
@@ -110,7 +110,7 @@ def main(
         module, what = BENCHMARKS[name]
         print(f"{name}: {what} ...", file=sys.stderr)
         rows.extend(importlib.import_module(f"benchmarks.{module}").run())
-    console = Console()
+    console = terminal()
     console.width = max(console.width, TABLE_WIDTH)  # a pipe has no width; a table that wraps cannot be read
     console.print(_table(rows))
     if json_file is not None:

@@ -26,6 +26,7 @@ from benchmarks import evidence
 from localizer.evaluation.metrics import PoseRow
 from localizer.evaluation.runner import evaluate_log
 from wire.config.experiment import load_experiment
+from wire.process.output import terminal
 from wire.toml_loader import ConfigError
 
 ROOT = Path(__file__).parents[1]
@@ -248,7 +249,7 @@ def fly_all(
             flight = done.result()
             flights.append(flight)
             progress.advance(task)
-            verdict = "[green]passed[/]" if flight.passed else "[red]failed[/]"
+            verdict = "passed" if flight.passed else "failed"
             console.print(
                 f"{len(flights)} of {len(wanted)}: {flight.scene}, seed {flight.seed}: {verdict}"
                 f" in {flight.took_s:.0f} s, largest error {1e3 * flight.max_m:.0f} mm {flight.reason}",
@@ -273,7 +274,7 @@ def main(
         raise typer.BadParameter(f"{', '.join(unknown)}: no such scene (allowed: {', '.join(SCENES)})")
     if write and (names or changes):
         raise typer.BadParameter("--write needs all scenes as they are: leave names and --set out")
-    console = Console()
+    console = terminal()
     flights = fly_all(names or SCENES, seeds, workers or os.cpu_count() or 1, console, changes or ())
     page = markdown(flights, seeds)
     console.print(page, markup=False, highlight=False, soft_wrap=True)

@@ -42,6 +42,8 @@ class RobotView:
     behind_s: float = 0.0  # lag behind the fleet's timetable (groundstation/mission/timetable.py)
     other_gains: bool = False  # it has other gains than the fleet
     other_code: str = ""  # it runs other code than the station: which, in words
+    two_pose_senders: bool = False  # two programs publish its poses by turns
+    localizer_hash: str = ""  # of the experiment that its poses rest on; empty: not told
     out: bool = False  # a person took it out of the water
 
     @property
@@ -140,6 +142,7 @@ class FleetInboxes:
     def view(self, robot: int, link: LinkMonitor, clock: Clock) -> RobotView:
         """View of a robot now; ages by the process's clock. Takes its last states into `link`."""
         state, pose, plan = self.states[robot].newest(), self.poses[robot].newest(), self.plans[robot].newest()
+        localizer = self.localizer.newest()
         if state is not None:
             link.add(self.states[robot].headers(), state.header, clock.instant_ns(state))
         return RobotView(
@@ -150,6 +153,8 @@ class FleetInboxes:
             age_s(clock, plan) if plan else float("inf"),
             link.clock_offset_s,
             link.loss,
+            two_pose_senders=self.poses[robot].has_two_senders(),
+            localizer_hash=localizer.message.experiment_hash if localizer is not None else "",
         )
 
 
@@ -207,10 +212,16 @@ def _experiment(experiment: Experiment, seen: RobotView, state: RobotState) -> F
         yield "experiment", "critical", True, text, DEPLOY if seen.other_code else same
     if seen.other_code:
         yield "code", "warning", False, seen.other_code, DEPLOY
+    if seen.localizer_hash not in ("", experiment.hash):  # its markers may be other robots', its camera may hang elsewhere
+        text = f"its poses are by another experiment ({seen.localizer_hash[:8]}, here {experiment.hash[:8]})"
+        yield "localizer", "critical", True, text, "start the localizer with this run's experiment.toml"
 
 
 def _pose(experiment: Experiment, seen: RobotView, state: RobotState) -> FindingFields:
     pose, limit_s = seen.pose, topics.POSE.max_age_in(experiment.safety)
+    if seen.two_pose_senders:
+        remedy = "end one: a localizer, or a simulator that was left running"
+        yield "poses", "critical", True, "two programs publish its poses by turns", remedy
     if pose is None or seen.pose_age_s > limit_s:
         age = "none yet" if pose is None else f"{seen.pose_age_s:.1f} s old"
         yield "pose", "warning", True, f"no fresh pose ({age})", "is the localizer running, the robot in the picture?"

@@ -145,14 +145,21 @@ class FusionNode:
         for robot, pose in result.poses:
             self._bus.publish(topics.POSE, pose, stamp_ns, robot, age_ns=age_ns)
         self._tell_obstacles(result.distrusted)
-        status = replace(result.status, frame_age_ms=age_ns * 1e-6, obstacles_ns=self._obstacles_ns, code=self._code())
+        status = replace(
+            result.status,
+            frame_age_ms=age_ns * 1e-6,
+            obstacles_ns=self._obstacles_ns,
+            code=self._of_all("code", code().short),
+            experiment_hash=self._of_all("experiment_hash", self._hash),
+        )
         self._bus.publish(topics.LOCALIZER, status, stamp_ns, age_ns=age_ns)
         self._log(status, result.disagreement)
 
-    def _code(self) -> str:
-        """The code of this program, or of the first camera's localizer that runs other code."""
-        told = (view.status.code for view in self._views.values())
-        return next((found for found in told if found != code().short), code().short)
+    def _of_all(self, field: str, own: str) -> str:
+        """A field of the status that says what a program runs: this one's `own`, or that of a camera's localizer which says
+        something else, and rather that than nothing."""
+        told = sorted((str(getattr(view.status, field)) for view in self._views.values()), reverse=True)
+        return next((found for found in told if found != own), own)
 
     def _take(self, name: str, camera: _Camera) -> tuple[int, int] | None:
         """Take a camera's newest picture. Returns its instant and stamp, None if there is no new one."""

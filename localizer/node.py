@@ -113,7 +113,7 @@ class LocalizerNode:
         self._localizer = FleetLocalizer(experiment, sees_all=camera == "")
         self._obstacle_detector = _make_obstacle_detector(experiment)
         self._obstacles, self._obstacles_ns = Obstacles(), -1  # the newest, and the stamp of the newest that was told
-        self._status = LocalizerStatus(code=code().short)
+        self._status = LocalizerStatus(code=code().short, experiment_hash=self._hash)
         self._told = dict[int, Array]()  # where robots say that they are, (3,)
         self._last_health = CameraHealth.OK
         self._failed, self._failed_in_a_row = 0, 0  # pictures
@@ -178,7 +178,7 @@ class LocalizerNode:
         told = tuple(robot for robot, _ in result.poses)
         status = replace(
             found, dropped=captured.dropped, frame_ms=frame_ms, frame_age_ms=age_ns * 1e-6, robots=told,
-            obstacles_ns=self._obstacles_ns, failed=self._failed, code=code().short,
+            obstacles_ns=self._obstacles_ns, failed=self._failed, code=code().short, experiment_hash=self._hash,
         )  # fmt: skip
         self._publish_status(status, captured.stamp_ns, age_ns)
         self._detect_obstacles(captured, result)

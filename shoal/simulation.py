@@ -49,7 +49,7 @@ def simulate(
 
     lines = _lines(settings, seed, duration_s)
     loaded = load_experiment(experiment, lines if camera else [*lines, NO_CAMERA], faults)
-    quiet, stop = Console(quiet=True), Stop(install=False)
+    quiet, stop = Console(quiet=True, markup=False), Stop(install=False)
     if camera:
         from sim_bridge.in_process import executor
 

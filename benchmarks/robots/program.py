@@ -21,6 +21,7 @@ from benchmarks.robots.report import GridRun
 from sim_bridge.studies.worker_pool import one_thread, worker_pool
 from wire.config.experiment import load_experiment
 from wire.process.cli_options import finite
+from wire.process.output import terminal
 
 EVIDENCE = Path(__file__).parents[2] / "docs" / "evidence" / "robots"
 HOUR_S = 3600.0
@@ -48,7 +49,7 @@ def main(
     show_list: Annotated[bool, typer.Option("--list", help="Name the cells, and stop.")] = False,
 ) -> None:
     """Fly robots that nobody tuned for through a grid of numeric flights (some ten minutes). Ctrl-C shows what was flown."""
-    console = Console()
+    console = terminal()
     if show_list:
         for name in CELLS:
             print(f"{name:20} {CELLS[name].about}")

@@ -352,13 +352,12 @@ def _robot_series(experiment: Experiment, robot: int, r: _Recorded, time_s: Arra
 
 
 def _reference(r: _Recorded, stamps: Array) -> Array:
-    """Reference pose of the robot at each stamp, (n, 4)."""
-    if r.trajectory is None:
+    """Reference pose of the robot at each stamp, (n, 4); NaN for a robot that had no part in the flight."""
+    if r.trajectory is None or not r.flew:
         return np.full((len(stamps), 4), np.nan)
     time_s = r.trajectory.period_s * np.arange(len(r.trajectory.eta))
     curve = CubicHermiteSpline(time_s, r.trajectory.eta, r.trajectory.velocity)
-    clock_s = np.interp(stamps, r.clock_ns, r.clock_s) if r.flew else np.zeros(len(stamps))
-    along_s = clock_s - r.trajectory.begin_s
+    along_s = np.interp(stamps, r.clock_ns, r.clock_s) - r.trajectory.begin_s
     reference = np.asarray(curve(np.clip(along_s, 0.0, time_s[-1])))
     reference[along_s < -r.trajectory.period_s] = np.nan  # left out: the whole was longer than a message may be
     if len(r.clock_ns) > 1:  # a clock is no more invented across a gap of the log than the truth is

@@ -8,6 +8,7 @@ import typer
 
 from wire.config.experiment import load_experiment
 from wire.process.cli_options import DEFAULT_FLEET, FleetName, Insecure, KeyRing, Settings
+from wire.process.output import terminal
 from wire.toml_loader import ConfigError
 
 
@@ -36,9 +37,8 @@ def deploy(
     Examples:  groundstation deploy pi@192.0.2.21=1 pi@192.0.2.22=2 --station tls/192.0.2.10:7447 --keys keys
                groundstation deploy pi@192.0.2.21=1 --station tls/192.0.2.10:7447 --keys keys --dry-run
     """
-    from rich.console import Console
-    from rich.markup import escape
     from rich.table import Table
+    from rich.text import Text
 
     from groundstation.deploy.manifest import parse_targets
     from groundstation.deploy.ssh import DeployRequest, check, deploy_all
@@ -54,9 +54,9 @@ def deploy(
     failed = False
     for outcome in deploy_all(targets, wanted):
         failed |= bool(outcome.trouble)
-        what = f"[red]{escape(outcome.trouble)}[/]" if outcome.trouble else ", ".join(outcome.changed) or "nothing"
+        what: Text | str = Text(outcome.trouble, "red") if outcome.trouble else ", ".join(outcome.changed) or "nothing"
         table.add_row(outcome.target.host, str(outcome.target.robot), what, outcome.version, outcome.service)
-    Console().print(table)
+    terminal().print(table)
     raise typer.Exit(1 if failed else 0)
 
 

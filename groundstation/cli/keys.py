@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from wire.process.cli_options import DEFAULT_FLEET, DEFAULT_STATION, FleetName, ListenAddress, finite
+from wire.process.output import terminal
 
 keys_cli = typer.Typer(
     help="Certificates: who belongs to the fleet, and as what (docs/security.md).",
@@ -81,7 +82,6 @@ def list_members(ring: Ring = DEFAULT_RING) -> None:
 
     Example:  groundstation keys list
     """
-    from rich.console import Console
     from rich.table import Table
 
     from wire.security.key_ring import EXPIRES_SOON, read_members
@@ -92,7 +92,7 @@ def list_members(ring: Ring = DEFAULT_RING) -> None:
         if not state and m.expires - now < EXPIRES_SOON:
             state = f"expires in {(m.expires - now).days} days"
         table.add_row(m.process, m.role, m.common_name, f"{m.expires:%Y-%m-%d %H:%M}", state)
-    Console().print(table)
+    terminal().print(table)
 
 
 @keys_cli.command()

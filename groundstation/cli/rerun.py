@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from wire.process.cli_options import AsJson, Settings, finite
+from wire.process.output import terminal
 
 if TYPE_CHECKING:
     from groundstation.replay.step_diff import StepComparison
@@ -60,10 +61,9 @@ def moment(
 
 def _tell(found: "list[StepComparison]") -> None:
     """The comparison as tables."""
-    from rich.console import Console
     from rich.table import Table
 
-    console = Console()
+    console = terminal()
     for again in found:
         title = f"robot {again.robot}: {again.compared} of {again.steps} steps compared"
         for gap in again.left_out:

@@ -10,6 +10,7 @@ import typer
 from wire.config.experiment import load_experiment
 from wire.printable import printable
 from wire.process.cli_options import AsJson
+from wire.process.output import terminal
 from wire.process.output_files import RUN, check_output
 from wire.toml_loader import ConfigError
 
@@ -69,8 +70,6 @@ def compare(
 
     Example:  groundstation log compare runs/pool-20260101-120000 runs/pool-20260101-130000 --out why.html
     """
-    from rich.console import Console
-    from rich.markup import escape
     from rich.table import Table
 
     from groundstation.report import report as reporting
@@ -96,7 +95,7 @@ def compare(
         changed = [{"key": key, "values": values} for key, values in differences(read)]
         typer.echo(json.dumps({"runs": names, "figures": figures, "differences": changed}, indent=1))
         return
-    console = Console()
+    console = terminal()
     for title, rows in (
         ("figures", [(f"{row.name} [{row.unit}]" if row.unit else row.name, *row.cells) for row in metric_rows(read)]),
         ("what was different", [(key, *values) for key, values in differences(read)]),
@@ -105,7 +104,7 @@ def compare(
         for column in ("", *names):
             table.add_column(column, overflow="fold")
         for row in rows:
-            table.add_row(*map(escape, row))
+            table.add_row(*row)
         console.print(table)
     console.print(f"page: {out}", soft_wrap=True)
 

@@ -36,7 +36,7 @@ from wire.messages.codec import DecodeError, Header, protobuf_class
 from wire.messages.pipe import read_pipe
 from wire.messages.topics import STATE, Qos, Role, Topic
 from wire.process.cli_options import DEFAULT_FLEET
-from wire.process.output_files import disk_free, sync_folder
+from wire.process.output_files import check_named, disk_free, sync_folder
 from wire.process.version import code
 from wire.toml_loader import ConfigError
 from wire.transport.bus import Collected
@@ -86,6 +86,7 @@ class _Output:
         except FileExistsError as error:
             raise FileExistsError(error.errno, "is there already, and would be lost (take a new folder)", str(path)) from None
         claim(self._fd, path, fcntl.LOCK_EX, "another program has it")
+        self._path = path
         self._pending = bytearray()
         self.good_bytes = 0
 
@@ -104,7 +105,9 @@ class _Output:
         self._pending.clear()
 
     def sync(self) -> None:
+        """Have the bytes on the disk. Raises OSError, also for a file that was deleted meanwhile."""
         os.fsync(self._fd)
+        check_named(self._fd, self._path)
 
     def cut(self) -> None:
         """Take off what a failed write left behind the last good byte. The file stays open, and locked: its run goes on."""

@@ -191,8 +191,8 @@ class Mission:
                 self._drop_disarmed(fleet)
 
     def takes_out(self, order: Order) -> bool:
-        """True if such an order for one robot takes it out of the formation: in flight always, while all hold only DISARM."""
-        return self.state in NOMINAL or (self.state is MissionState.PAUSED and order is Order.DISARM)
+        """True if such an order takes its robot out of the formation: in flight always, while all hold DISARM and OUT."""
+        return self.state in NOMINAL or (self.state is MissionState.PAUSED and order in (Order.DISARM, Order.OUT))
 
     def lead(self, robot: int, order: Order) -> None:
         """Let a person lead one robot."""
@@ -208,7 +208,7 @@ class Mission:
         if is_out:
             self.roster.take_out(robot)
         else:
-            self.roster.put_back(robot, self.state in AT_REST)
+            self.roster.put_back(robot, self.state in AT_REST | {MissionState.STOPPED})
 
     def objection(self, order: Order, fleet: Fleet, via: Sequence[tuple[float, float]] = ()) -> str:
         """Reason against a request in a state that allows it; empty if there is none."""
@@ -278,13 +278,17 @@ class Mission:
 
     def _command_others(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
         """Commands for robots that have no part in what the mission does. One that moves, and is led by no person, is told to
-        hold; it may receive though it is not heard, so its last known mode counts. The mission does not wait for it."""
+        hold; one that is out of the water is disarmed, it may be in somebody's hands. A robot may receive though it is not
+        heard, so its last known mode counts. The mission does not wait for it."""
         if self.state is MissionState.ENDING:  # lost robots that are heard are disarmed with the others
             silent = [r for r in self.roster.lost if not fleet[r].heard and fleet[r].mode in LIVE]
             return self._send(Order.DISARM, silent, now_ns)
+        if self.state is MissionState.STOPPED:  # every robot is sent STOP
+            return ()
+        disarm = self._send(Order.DISARM, [r for r in sorted(self.roster.out) if fleet[r].mode in LIVE], now_ns)
         others = self.roster.all_robots if self.state in AT_REST else self.roster.lost if self.state in COMMITTED else ()
-        led = self.roster.led_by_people
-        return self._send(Order.HOLD, [r for r in others if fleet[r].mode in MOVING and r not in led], now_ns)
+        left = self.roster.led_by_people | self.roster.out
+        return disarm + self._send(Order.HOLD, [r for r in others if fleet[r].mode in MOVING and r not in left], now_ns)
 
     def _wait(self, fleet: Fleet, now_ns: int) -> None:
         moves = any(fleet[r].heard and fleet[r].mode in MOVING for r in self.roster.all_robots)
@@ -681,6 +685,11 @@ def may_move(seen: RobotView) -> bool:
     """True for a robot that is heard, or that had power and may have it still: without a station it is neutral after a while,
     and a short gap of its radio must not end a run beside it."""
     return seen.heard or (seen.mode in LIVE and seen.state_age_s < JOIN_WITHIN_S)
+
+
+def may_have_power(seen: RobotView) -> bool:
+    """True for a robot that may put out thrust."""
+    return seen.mode in LIVE and may_move(seen)
 
 
 def _not_in(mode: Mode, fleet: Fleet, robots: Sequence[int]) -> list[int]:

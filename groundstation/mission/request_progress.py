@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 from groundstation.mission.command_dispatcher import CommandResult
 from groundstation.mission.gain_update import TUNING, GainStage, GainStatus
-from groundstation.mission.mission import JOIN_WITHIN_S, Mission, may_move
+from groundstation.mission.mission import JOIN_WITHIN_S, Mission, may_have_power, may_move
 from groundstation.mission.objections import ARMED, LIVE, MOVING
 from groundstation.mission.single_robot import RobotTask
 from groundstation.mission.state_machine import AT_REST, IN_FLIGHT, NOMINAL, MissionState
@@ -190,7 +190,7 @@ class RequestTracker:
         if request.order in TUNING:
             return mission.roster.active
         if GOALS[request.order].all_robots:
-            return tuple(r for r in self._robots if r not in mission.roster.out)
+            return tuple(r for r in self._robots if r not in mission.roster.out or may_have_power(fleet[r]))
         lost = [r for r in mission.roster.lost if GOALS[request.order].moving and _moves_or_holds(fleet[r])]
         return tuple(r for r in self._robots if r in lost or r in mission.roster.active)
 

@@ -1,18 +1,18 @@
 """Requests for one robot: arm, hold, disarm, drive, go to a place, out of the water and back. Pure.
 
-A robot that is led like this in flight is out of the formation until REJOIN; the others see its plans and stay clear. While
-the mission is paused it keeps its place in the formation. Where the mission arms, starts, ends or plans for all, it leads all
-robots again, and requests for one are over.
+A robot that is led like this in flight is out of the formation until REJOIN, also while the formation takes another path or
+flies home; the others see its plans and stay clear. While the mission is paused it keeps its place in the formation. Where the
+mission arms, starts, ends or plans for all, it leads all robots again, and requests for one are over.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from groundstation.formation_clock import named_alone
 from groundstation.mission.command_dispatcher import CommandDispatcher, CommandResult
-from groundstation.mission.mission import AT_REST_MPS, PATIENCE_S, REST_WITHIN_S, Mission, may_move
+from groundstation.mission.mission import AT_REST_MPS, PATIENCE_S, REST_WITHIN_S, Mission, may_have_power
 from groundstation.mission.objections import ARMED, LIVE, mode_name
 from groundstation.mission.plan_manager import PlanRequest
 from groundstation.mission.roster import TAKEN_OUT, Leader
@@ -26,6 +26,9 @@ from wire.config.experiment import Experiment
 from wire.messages.messages import Command, DriveVelocity, Mode, Order, Progress, Trajectory
 
 WHEN = NOMINAL | AT_REST | {MissionState.PAUSED}
+# A robot that is led in flight is out of the formation, which may make itself a new plan at that very request.
+GOES_ON = WHEN | IN_FLIGHT
+WATER_WHEN = WHEN | {MissionState.STOPPED}  # after an emergency stop people fetch robots from the water
 VELOCITY_LASTS_S = 0.3  # of the person's last word; then the robot is told to hold
 
 CONFIRMS: Mapping[Order, frozenset[Mode]] = {
@@ -82,7 +85,7 @@ class SingleRobotControl:
         """Take up a request. Returns the reason of a refusal; empty when it is under way."""
         if order not in ONE_ROBOT:
             return f"{order.name} is not for one robot (allowed: {', '.join(o.name for o in ONE_ROBOT)})"
-        reason = self._objection(order, robot, fleet, place_m)
+        reason = self._objection(order, robot, fleet, place_m, WATER_WHEN if order in WATER else WHEN)
         if not reason and order in WATER:
             self._note_water(order, robot, now_ns)
         elif not reason:
@@ -107,7 +110,8 @@ class SingleRobotControl:
             if task is not None and driven and task.velocity is not None:
                 self._let_go(robot, task, now_ns)
             return ""
-        reason = self._objection(Order.DRIVE, robot, fleet, None) or self._interruption(robot, now_ns)
+        reason = self._objection(Order.DRIVE, robot, fleet, None, GOES_ON if driven else WHEN)
+        reason = reason or self._interruption(robot, now_ns)
         if reason:
             return reason
         if task is None or not driven:
@@ -151,13 +155,20 @@ class SingleRobotControl:
         task.progress, task.reason = Progress.FAILED if reason else Progress.DONE, reason
         self._mission.roster.led_by[robot] = Leader.MISSION
 
-    def _objection(self, order: Order, robot: int, fleet: Fleet, place_m: tuple[float, float] | None) -> str:
+    def _objection(
+        self,
+        order: Order,
+        robot: int,
+        fleet: Fleet,
+        place_m: tuple[float, float] | None,
+        when: Collection[MissionState] = WHEN,
+    ) -> str:
         """Reason to refuse an order for one robot; empty if there is none."""
         mission = self._mission
         if robot not in fleet:
             return f"no robot {robot} (allowed: {', '.join(map(str, fleet))})"
-        if mission.state not in WHEN:
-            names = ", ".join(state.name for state in MissionState if state in WHEN)
+        if mission.state not in when:
+            names = ", ".join(state.name for state in MissionState if state in when)
             return f"{order.name} for one robot is not possible when {mission.state.name} (only when {names})"
         if mission.takes_out(order) and set(mission.roster.active) == {robot}:
             return f"robot {robot} is the only one that flies: hold or disarm the fleet instead"
@@ -183,7 +194,7 @@ class SingleRobotControl:
         roster = self._mission.roster
         if (robot in roster.out) is (order is Order.OUT):
             return f"robot {robot} is {'' if order is Order.OUT else 'not '}{TAKEN_OUT}"
-        if order is Order.OUT and may_move(seen) and seen.mode in LIVE:
+        if order is Order.OUT and may_have_power(seen):
             return f"robot {robot} is {mode_name(seen)}: disarm it first"
         if order is Order.OUT and set(roster.all_robots) - roster.out == {robot}:
             return f"robot {robot} is the last one in the water"
@@ -196,10 +207,14 @@ class SingleRobotControl:
         if not (abs(place_m[0]) <= length / 2.0 and abs(place_m[1]) <= width / 2.0):
             return f"({place_m[0]:g}, {place_m[1]:g}) m is outside the pool"
         keep_m = 2.0 * self._experiment.safety.radius_m
-        for other, seen in fleet.items():
-            if other != robot and np.hypot(*(seen.eta[:2] - place_m)) < keep_m:
+        for other, seen in self._others(robot, fleet).items():
+            if np.hypot(*(seen.eta[:2] - place_m)) < keep_m:
                 return f"({place_m[0]:g}, {place_m[1]:g}) m is less than {keep_m:g} m from robot {other}"
         return ""
+
+    def _others(self, robot: int, fleet: Fleet) -> Fleet:
+        """The other robots in the water."""
+        return {r: seen for r, seen in fleet.items() if r != robot and r not in self._mission.roster.out}
 
     # --- the cycle
 
@@ -215,17 +230,11 @@ class SingleRobotControl:
             task = self._under_way(robot)
             if task is None:
                 continue
-            if robot not in self.led or not self._goes_on(robot):
+            if self._mission.state not in GOES_ON or robot not in self.led:
                 self._end(robot, f"the mission is {self._mission.state.value}")
             else:
                 commands += self._advance(robot, task, fleet[robot], fleet, now_ns)
         return tuple(commands)
-
-    def _goes_on(self, robot: int) -> bool:
-        """True if the mission leaves a robot's task alone. A formation that flies on without it has no part in it, and would
-        otherwise end the very request at which it makes itself a new plan."""
-        mission = self._mission
-        return mission.state in WHEN or (mission.state in IN_FLIGHT and robot in mission.roster.lost)
 
     def _advance(self, robot: int, task: RobotTask, seen: RobotView, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
         """Follow one robot's task by a cycle; returns the commands to send for it."""
@@ -297,7 +306,7 @@ class SingleRobotControl:
         """Request a way to the task's place, clear of islands, obstacles and of where the other robots are now."""
         experiment, place_m = self._experiment, task.place_m
         assert place_m is not None
-        away = self._mission.plans.monitor.discs_to_avoid((fleet[r] for r in fleet if r != robot), room_m=0.0)
+        away = self._mission.plans.monitor.discs_to_avoid(self._others(robot, fleet).values(), room_m=0.0)
         rest = seen.rest
         goal = np.array([*place_m, rest[2], rest[3]])
         self._planned_for = robot, task

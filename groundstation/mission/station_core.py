@@ -10,7 +10,7 @@ from dataclasses import replace
 from groundstation.mission.command_dispatcher import CommandResult
 from groundstation.mission.gain_update import TUNING, GainUpdater
 from groundstation.mission.lap_statistics import LapStatistics
-from groundstation.mission.mission import AT_REST_MPS, Mission, may_move
+from groundstation.mission.mission import AT_REST_MPS, Mission, may_have_power
 from groundstation.mission.objections import LIVE, MOVING
 from groundstation.mission.obstacle_monitor import ObstacleSet
 from groundstation.mission.plan_manager import PlanRequest
@@ -126,5 +126,5 @@ class StationCore:
         """Disarm all robots that may be armed. Returns the reason of a refusal, or nothing."""
         if self.mission.state is MissionState.STOPPED:
             return ""
-        rests = self.mission.state in AT_REST and not any(seen.mode in LIVE and may_move(seen) for seen in fleet.values())
+        rests = self.mission.state in AT_REST and not any(may_have_power(seen) for seen in fleet.values())
         return "" if rests else self.mission.request(Order.DISARM, fleet, now_ns)

@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import IO
 
+from groundstation.formation_clock import FormationPlans
 from groundstation.logs.reader import LogFile, LogMessage, open_log
 from groundstation.replay.step_replay import in_order_of_use, own_messages
 from wire.config.experiment import load_experiment
@@ -38,10 +39,11 @@ def _write(stream: IO[bytes], line: LogMessage) -> None:
 
 
 def _moment(log: LogFile, robot: int, at_s: float) -> int:
-    """Instant at which the recorder heard of the robot's progress."""
+    """Instant at which the recorder heard of the robot's progress with the formation."""
     reached_s = 0.0
     for line in log.messages(lambda topic, of: topic is topics.STATE and of == robot):
-        reached_s = decode(RobotState, line.payload, "log", line.topic.name).trajectory_s
-        if reached_s >= at_s:
+        clock_s = FormationPlans().clock_s(decode(RobotState, line.payload, "log", line.topic.name))
+        if clock_s is not None and clock_s >= at_s:
             return line.arrived_ns
+        reached_s = max(reached_s, clock_s or 0.0)
     raise ConfigError(f"{log.path}: at {at_s:g} s there is nothing: robot {robot} came to {reached_s:.2f} s")

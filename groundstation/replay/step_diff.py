@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from groundstation.formation_clock import FormationPlans
 from groundstation.palette import COLOURS
 from groundstation.report.drawing import Curve, Panel, TimePlot
 from groundstation.report.plotting import picture
@@ -135,8 +136,9 @@ def draw(again: StepComparison) -> Figure | None:
 
 
 def _start_ns(stamps: Sequence[int], states: Sequence[RobotState]) -> int:
-    """Instant at which the trajectory began; if it never did, of the first step."""
-    flown = (ns - round(s.trajectory_s * 1e9) for ns, s in zip(stamps, states, strict=True) if s.trajectory_s > 0.0)
+    """Instant at which the formation's trajectory began; if it never did, of the first step."""
+    clocks_s = (FormationPlans().clock_s(state) or 0.0 for state in states)
+    flown = (ns - round(clock_s * 1e9) for ns, clock_s in zip(stamps, clocks_s, strict=True) if clock_s > 0.0)
     return next(flown, min(stamps, default=0))
 
 

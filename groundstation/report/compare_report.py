@@ -3,13 +3,13 @@
 from pathlib import Path
 
 from markupsafe import Markup
-from rich.console import Console
 from rich.table import Table
 
 from groundstation.report.controller_comparison import COLUMNS, cells, closest, course, demands, errors, failures, wanted
 from groundstation.report.plotting import to_svg
 from groundstation.report.report import environment
 from wire.config.controller_benchmark import Comparison
+from wire.process.output import terminal
 from wire.process.output_files import replace_text
 from wire.regular_files import read_regular
 from wire.toml_loader import ConfigError
@@ -44,12 +44,12 @@ def write(folder: Path) -> bool:
         raise ConfigError(f"{path}: no comparison that can be read: {error!r}") from None
     failed = failures(comparison)
     replace_text(folder / "comparison.html", _render(comparison, failed))
-    console = Console()
+    console = terminal()
     console.width = max(console.width, 110)  # a table that wraps cannot be read
     for title, caption, columns in ((_title(comparison), None, slice(0, 5)), ("", CAPTION, slice(5, None))):
         console.print(_table(comparison, title, caption, columns))
     for line in failed:
-        console.print(f"[red]{line}[/]", soft_wrap=True)
+        console.print(line, style="red", soft_wrap=True)
     console.print(f"report: {folder / 'comparison.html'}", soft_wrap=True)
     return not failed
 

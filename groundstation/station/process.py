@@ -13,8 +13,7 @@ from groundstation.export.foxglove_live import ViewerServer
 from groundstation.logs.recorder import Recorder, check_room, run_metadata
 from groundstation.mission.gain_update import GainUpdater
 from groundstation.mission.lap_statistics import LapStatistics
-from groundstation.mission.mission import Mission
-from groundstation.mission.objections import LIVE
+from groundstation.mission.mission import Mission, may_have_power
 from groundstation.mission.request_progress import UNARMED
 from groundstation.mission.state_machine import TERMINAL, MissionState
 from groundstation.planning import planner
@@ -174,9 +173,12 @@ class EndOfRun:
         return core.ended
 
     def _left_alone(self, now_s: float) -> bool:
-        """True if every robot is heard and at rest, and nobody has asked for anything for the idle time."""
+        """True if every robot in the water is heard and at rest, none that is out of it may have power, and nobody has asked
+        for anything for the idle time."""
         station = self._station
-        at_rest = station.mission.state in UNARMED and all(r.heard and r.mode not in LIVE for r in station.seen.values())
+        robots = station.seen.values()
+        rest = all((seen.heard or seen.out) and not may_have_power(seen) for seen in robots)
+        at_rest = station.mission.state in UNARMED and rest
         if not at_rest:
             self._rests_since_s = None
             return False
@@ -209,11 +211,12 @@ class _Leaving:
             _tell_interruption(self._stop)
             if station.has_power():
                 log.warning("told to end while robots have power: they hold, and are disarmed when they rest")
+        rests = not station.has_power() and station.mission.state in UNARMED  # else it may be arming robots
         if not self._disarms and (not station.come_to_rest() or now_s > self._until_s):
             self._disarms, self._until_s = True, now_s + DISARM_WITHIN_S
-            if station.has_power():
+            if not rests:
                 station.disarm()
-        return self._disarms and (not station.has_power() or now_s > self._until_s)
+        return self._disarms and (rests or now_s > self._until_s)
 
 
 def _wall_loop(station: Station, stop: Stop, end: EndOfRun) -> None:

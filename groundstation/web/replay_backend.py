@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from groundstation.formation_clock import FormationPlans
 from groundstation.logs.reader import open_log
 from groundstation.logs.session_clocks import held_ns as held_ns_of
 from groundstation.mission.state_machine import MissionState
@@ -98,11 +99,11 @@ class LogPlayer:
         return LOOK_BACK * BLOCK_NS * 1e-9 if self._first_plan_ns[robot] <= at_ns else math.inf
 
     def _first_flown_ns(self) -> int:
-        """Instant at which the first robot began its trajectory; if none did, of its first state."""
+        """Instant at which the first robot began the formation's trajectory; if none did, of its first state."""
         said_ns = None
         for _, at_ns, state in self._each(topics.STATE, RobotState, self.experiment.robot_ids[0]):
             said_ns = at_ns if said_ns is None else said_ns
-            if state.trajectory_s > 0.0:
+            if (FormationPlans().clock_s(state) or 0.0) > 0.0:
                 return int(at_ns)
         return said_ns or 0
 

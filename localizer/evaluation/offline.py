@@ -30,7 +30,7 @@ from localizer.tracking.tilt import Attitude
 from wire.config.experiment import Experiment
 from wire.messages.codec import decode, encode
 from wire.messages.messages import Pose
-from wire.process.output_files import replacing, sync_folder
+from wire.process.output_files import check_named, replacing, sync_folder
 from wire.process.runtime import Failed, log
 from wire.regular_files import open_regular
 from wire.toml_loader import ConfigError, os_errors_as_config_errors
@@ -137,6 +137,7 @@ class PoseTable:
                     poses = result.poses if result is not None else ()
                     table.writerows(_row(frame.number, robot, pose, frame.stamp_ns) for robot, pose in poses)
                     file.flush()
+                    check_named(file.fileno(), self._part)
                     self.rows += len(poses)
                     self.frames = frame.number + 1
                     yield self.frames

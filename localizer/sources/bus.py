@@ -27,27 +27,6 @@ class _Sequence:
         return self.dropped
 
 
-class _OneCamera:
-    """Detector of two cameras on the bus: a session that another one has replaced is heard again."""
-
-    def __init__(self, apart_s: float) -> None:
-        self.apart_s = apart_s  # s of silence after which one of them is taken to be gone
-        self._session, self._replaced = 0, set[int]()
-        self._two_s = -math.inf  # time at which both were heard last
-
-    def are_two(self, now_s: float) -> bool:
-        """True if frames may come from either of two cameras."""
-        return now_s - self._two_s < self.apart_s
-
-    def note(self, session: int, now_s: float) -> None:
-        """Note that a frame has come."""
-        if session in self._replaced:
-            self._two_s = now_s
-        if session != self._session:
-            self._replaced = (self._replaced | {self._session}) - {session}
-            self._session = session
-
-
 class BusSource:
     """Frames that another process publishes, in real time. The newest wins; the sender's clock may be any."""
 
@@ -55,7 +34,7 @@ class BusSource:
         self.trouble, self.silent_after_s = "", silent_after_s(rate_hz)
         self._bus, self._clock = bus, clock
         self._frames = bus.inbox(topics.FRAME.of_camera(camera), Frame)
-        self._sequence, self._camera = _Sequence(), _OneCamera(self.silent_after_s)
+        self._sequence = _Sequence()
 
     def frames(self, stop: Stop) -> Iterator[CapturedFrame | None]:
         """See FrameSource. Unreadable frames count as none, and so do those of two cameras in turn."""
@@ -69,8 +48,7 @@ class BusSource:
                 if received is None or received.header is given:  # unreadable; or it was newer than `seen` a moment ago
                     continue
                 given, bad = received.header, self._frames.bad
-                self._camera.note(given.session, time.monotonic())
-                if self._camera.are_two(time.monotonic()):
+                if self._frames.has_two_senders(self.silent_after_s):
                     continue
                 yield self._captured(received)
             elif not stop.requested:
@@ -80,7 +58,7 @@ class BusSource:
 
     def _silence_reason(self, bad: int) -> str:
         """The reason for missing frames; `bad` were unreadable when the last one came."""
-        if self._camera.are_two(time.monotonic()):
+        if self._frames.has_two_senders(self.silent_after_s):
             return "two cameras publish frames: end one of them"
         return self._frames.last_error if self._frames.bad > bad else "no camera publishes frames"
 

@@ -23,7 +23,7 @@ from wire.config.experiment import Experiment, dump_experiment
 from wire.messages import log_records, topics
 from wire.messages.codec import DecodeError, decode, encode, protobuf_class
 from wire.messages.messages import Frame, Pose
-from wire.process.output_files import disk_free, replace_text
+from wire.process.output_files import check_named, disk_free, replace_text
 from wire.process.runtime import log
 from wire.regular_files import open_regular
 from wire.toml_loader import ConfigError, os_errors_as_config_errors
@@ -111,14 +111,18 @@ class FrameRecorder:
                 continue
             try:
                 self._write_frame(frame)
+            except FileNotFoundError as error:
+                self._end(f": {error.strerror}")
             except Exception as error:  # poses go on, whatever the disk does
                 text = error.strerror if isinstance(error, OSError) else f"{type(error).__name__}: {error}"
-                self._end(f"{text}")
+                self._end(f" ends after {self._frames} frames: {text}")
 
     def _write_frame(self, frame: RecordedFrame) -> None:
         """Write one frame; its picture last, so that a frame which is there is whole."""
+        check_named(self._file.fileno(), self._folder / FRAMES)
         if self._free_bytes(self._folder) < self._least_bytes:
-            self._end(f"less than recording.stop_video_below_gb = {self._least_bytes / 1e9:g} GB are free")
+            least_gb = self._least_bytes / 1e9
+            self._end(f" ends after {self._frames} frames: less than recording.stop_video_below_gb = {least_gb:g} GB are free")
             return
         told = {"instant_ns": frame.instant_ns, "depths_m": frame.depths_m, "attitudes": frame.attitudes}
         self._write(_INPUTS, None, json.dumps(told).encode(), frame.stamp_ns)
@@ -143,7 +147,11 @@ class FrameRecorder:
         elif not self._failed:
             try:
                 self._writer.finish()
+                self._file.flush()
+                check_named(self._file.fileno(), self._folder / FRAMES)
                 self._file.close()
+            except FileNotFoundError as error:
+                self._fail(f": {error.strerror}")
             except OSError as error:
                 self._fail(f": its end is missing: {error.strerror}")
             if not self._frames:
@@ -176,11 +184,11 @@ class FrameRecorder:
             )
         )
 
-    def _end(self, reason: str) -> None:
+    def _end(self, what: str) -> None:
         self._ended = self._failed = True
         with suppress(OSError):
             self._file.close()
-        self._fail(f" ends after {self._frames} frames: {reason}")
+        self._fail(what)
 
     def _fail(self, what: str) -> None:
         text = f"recording {self._folder}{what}"

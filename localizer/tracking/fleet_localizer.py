@@ -57,7 +57,7 @@ _TOUCHING = 2.5  # robot radii between centres; closer than this a correlation m
 _OVERLAP_SIDES = 2.0  # of a marker, between strips: its diagonal and its white cell, at any heading
 _QUIET = 4.0 / 3.0  # side of the plate over the marker's: a white cell around its six
 _NOT_MEASURED: Mapping[int, Attitude] = MappingProxyType({})
-_LONGEST_STEP_S = 1.0  # s; a longer gap between stamps counts as this long
+_LONGEST_STEP_S = 1.0  # s; over a longer gap between stamps motion is predicted as over this long
 
 
 @dataclass(frozen=True)
@@ -191,7 +191,7 @@ class FleetLocalizer:
         self._stamp_ns = stamp_ns
         step_s = min(max(elapsed_s, 0.0), _LONGEST_STEP_S)
         self._camera_pose.advance(step_s)
-        self._tracks = [track.predicted(step_s) for track in self._tracks]
+        self._tracks = [track.predicted(step_s, max(elapsed_s, 0.0)) for track in self._tracks]
         self._motions = [None if motion is None else motion.predicted(step_s) for motion in self._motions]
 
     def _predict_views(self, frame: Pixels, depths: Sequence[Depth]) -> dict[int, PredictedView]:

@@ -138,12 +138,14 @@ class RobotTrack:
         placed = ProvisionalMatch(np.zeros(3), 0.0, count=_MATCHES_NEEDED - 1)
         return cls(motion=initial_state(pose, np.diag(_PLACED_SIGMA**2)), state=Track.COAST, verified=True, match=placed)
 
-    def predicted(self, step_s: float) -> "RobotTrack":
-        """The track at the next exposure. A lost robot stays where it was last believed."""
+    def predicted(self, step_s: float, elapsed_s: float | None = None) -> "RobotTrack":
+        """The track at the next exposure, its motion predicted over `step_s`. A lost robot stays where it was last believed.
+        `elapsed_s`: the time since the last exposure, where it is longer."""
         moving = self.motion is not None and self.state is not Track.LOST
         motion = predict(self.motion, step_s) if self.motion is not None and moving else self.motion
         claim = None if self.claim is None else self.claim.predicted(step_s)
-        return replace(self, motion=motion, unseen_s=self.unseen_s + step_s, measured=None, refuted=False, claim=claim)
+        unseen_s = self.unseen_s + (step_s if elapsed_s is None else elapsed_s)
+        return replace(self, motion=motion, unseen_s=unseen_s, measured=None, refuted=False, claim=claim)
 
     def with_marker(self, measurement: TrackMeasurement, jump_m: float) -> "RobotTrack":
         """The track after its marker was read, as in the table above.

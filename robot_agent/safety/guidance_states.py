@@ -1,8 +1,13 @@
 """Guidance states: what decides a robot's motion while it has power. A table of transitions, and one of bounds.
 
-In each state exactly one thing is flown (STATES.flown). TRANSITIONS lists the changes, first match first; a state may be left
-at every step. STATES has the bounds too: the longest stay, and what happens after it. path_watch.py holds the robot to them.
-`robot-agent modes` prints both tables for docs/modes.md.
+In each state exactly one thing is flown (STATES.flown). TRANSITIONS lists the changes, first match first. STATES has the
+bounds too: the longest stay, and what happens after it. path_watch.py holds the robot to them. `robot-agent modes` prints both
+tables for docs/modes.md.
+
+Each change is a line of the log and a change of the page, so states along the path are steady. What is in a robot's way may
+come and go at every step. The robot counts as giving way until nothing has been in its way for half a horizon: the time in
+which it can turn round and stop. And a state along the path lasts STEADY_S, unless its path leaps. The bounds do not wait for
+that: whether a robot is excused by what it avoids is decided at each step.
 """
 
 from collections.abc import Callable
@@ -12,6 +17,7 @@ from typing import NamedTuple
 from robot_agent.safety.modes import DRIVE_LASTS_S, POWERED
 from wire.messages.messages import Guidance, Mode
 
+STEADY_S = 1.0  # a change a second is what a person can follow
 LONGEST_AWAY_S = 120.0  # eight robots through one point were back after 76 s; two that wait for one another never are
 
 ANY = frozenset(Guidance)
@@ -23,8 +29,9 @@ class GuidanceFacts(NamedTuple):
     """Facts that the transitions are decided by."""
 
     mode: Mode
-    avoids: bool  # its plan leads around a robot or an obstacle, or did a moment ago (path_watch.py)
-    has_arrived: bool  # it is near its path and as fast, and has been since: the path has not leapt
+    avoids: bool  # its plan leads around a robot or an obstacle, or did within half a horizon
+    is_on_path: bool  # it is near its path and as fast, and has been since: the path has not leapt
+    is_steady: bool  # its state has lasted STEADY_S
 
 
 @dataclass(frozen=True)
@@ -41,16 +48,20 @@ TRANSITIONS: tuple[GuidanceTransition, ...] = (
     GuidanceTransition(ANY, Guidance.NONE, "the mode puts out no thrust", lambda f: f.mode not in POWERED),
     GuidanceTransition(ANY, Guidance.HOLDING, "mode HOLDING", lambda f: f.mode is Mode.HOLDING),
     GuidanceTransition(ANY, Guidance.DRIVEN, "mode DRIVEN", lambda f: f.mode is Mode.DRIVEN),
-    GuidanceTransition(ANY, Guidance.GIVING_WAY, "it avoids a robot or an obstacle, or did a moment ago", lambda f: f.avoids),
-    GuidanceTransition(ANY, Guidance.ON_PATH, "near its path, and as fast", lambda f: f.has_arrived),
-    GuidanceTransition(AWAY, Guidance.RETURNING, "nothing has been in its way for a while", lambda f: True),
+    GuidanceTransition(
+        ANY, Guidance.GIVING_WAY, "it avoids a robot or an obstacle, or did within half a horizon", lambda f: f.avoids
+    ),
+    GuidanceTransition(ANY, Guidance.ON_PATH, "near its path, and as fast", lambda f: f.is_on_path),
+    GuidanceTransition(AWAY, Guidance.RETURNING, "nothing has been in its way for half a horizon", lambda f: True),
     GuidanceTransition(ANY, Guidance.JOINING, "mode TRACKING; or the path's velocity leaps", lambda f: True),
 )
 
 
 def next_state(state: Guidance, facts: GuidanceFacts) -> Guidance:
     """The state after a step."""
-    return next(t.to for t in TRANSITIONS if state in t.states and t.when(facts))
+    to = next(t.to for t in TRANSITIONS if state in t.states and t.when(facts))
+    keeps = {state, to} <= ALONG_PATH and to is not Guidance.JOINING and not facts.is_steady
+    return state if keeps else to
 
 
 class StayLimits(NamedTuple):
@@ -85,7 +96,8 @@ STATES: dict[Guidance, GuidanceState] = {
         "the path's last pose is held",
     ),
     Guidance.GIVING_WAY: GuidanceState(
-        "a way around what is in the way, chosen by the rule for right of way", FORESEEN,
+        "a way around what is in the way, chosen by the rule for right of way",
+        f"{FORESEEN}; while nothing is in its way as RETURNING",
         f"{LONGEST_AWAY_S:g} s, RETURNING included", lambda s: LONGEST_AWAY_S, "HOLDING: gives way for too long",
     ),
     Guidance.RETURNING: GuidanceState(
@@ -97,7 +109,7 @@ STATES: dict[Guidance, GuidanceState] = {
         "until an order; without a station `safety.station_neutral_s`", lambda s: float("inf"), "FAULT: station silent",
     ),
     Guidance.DRIVEN: GuidanceState(
-        "the arc of the last DRIVE", f"{FORESEEN}; a lead of `safety.off_path_m`",
+        "the arc of the last DRIVE; its reference leads by 0.5 m at most", FORESEEN,
         f"{DRIVE_LASTS_S:g} s after the last DRIVE", lambda s: DRIVE_LASTS_S, "HOLDING: no drive command",
     ),
 }  # fmt: skip
@@ -111,4 +123,5 @@ def table() -> str:
     for t in TRANSITIONS:
         states = "any" if t.states == ANY else ", ".join(s.name for s in Guidance if s in t.states)
         lines.append(f"| {states} | {t.condition} | {t.to.name} |")
+    lines += ["", f"A state along the path lasts {STEADY_S:g} s at least, unless the path's velocity leaps."]
     return "\n".join(lines) + "\n"

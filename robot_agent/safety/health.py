@@ -98,9 +98,8 @@ class HealthMonitor:
     def note_pulses(self, pulse_us: tuple[int, ...], now_ns: int) -> None:
         """Take note of pulses that went out; the board's echo and the gyroscope are compared with them."""
         self._outputs.note_pulses(pulse_us, now_ns)
-        wrench, moments_nm = self._allocator.delivered(pulse_us)
-        self._thrusters.note_moments(moments_nm, now_ns)
-        self._watch.response.note_thrust(wrench.item(0), now_ns)
+        self._thrusters.note_moments(*self._allocator.level_moments(pulse_us), now_ns)
+        self._watch.response.note_thrust(self._allocator.delivered(pulse_us)[0].item(0), now_ns)
 
     def note_output(self, output: ControlOutput, mode: Mode, now_ns: int) -> None:
         """Take in a control step's estimate and reference, in the mode from now on."""

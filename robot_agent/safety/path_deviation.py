@@ -23,8 +23,8 @@ class PathDeviationMonitor:
     def reset(self) -> None:
         """Start anew, with another goal or none."""
         self.left = False  # stays so until the next reset
-        self.has_arrived = False  # near the path and as fast, and has been since
-        self._is_excused = False  # it was not free when it was last near
+        self.has_arrived = False  # near the path, as fast, and free: from now on it is held to the limit
+        self.is_on_path = False  # the same, also while it avoids something near its path
         self._since_ns: int | None = None
         self._before: tuple[complex, complex, int] | None = None
         self._path_mps: complex | None = None
@@ -35,12 +35,14 @@ class PathDeviationMonitor:
         off_m = abs(place_m - path_m)
         drift_mps, at_once = self._motion(place_m, path_m, now_ns)
         if at_once:
-            self.has_arrived = False
+            self.has_arrived = self.is_on_path = False
         if off_m + drift_mps * FORESEEN_S < ARRIVED * self._limit_m:
-            self.has_arrived, self._is_excused = True, not is_free
+            self.has_arrived, self.is_on_path = is_free, True
         if path_is_blocked:
             self.has_arrived = False
-        if not self.has_arrived or self._is_excused or off_m <= self._limit_m:
+        if off_m > ARRIVED * self._limit_m and not self.has_arrived:
+            self.is_on_path = False
+        if not (self.has_arrived and off_m > self._limit_m):
             self._since_ns = None
         elif self._since_ns is None:
             self._since_ns = now_ns

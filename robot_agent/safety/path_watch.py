@@ -16,7 +16,8 @@ from collections import deque
 from typing import NamedTuple
 
 from robot_agent.control.controller import ControlOutput
-from robot_agent.safety.guidance_states import AWAY, STATES, GuidanceFacts, StayLimits, next_state
+from robot_agent.control.nonlinear.tuning import horizon_s
+from robot_agent.safety.guidance_states import AWAY, STATES, STEADY_S, GuidanceFacts, StayLimits, next_state
 from robot_agent.safety.modes import POWERED
 from robot_agent.safety.path_deviation import ARRIVED, PathDeviationMonitor
 from robot_agent.safety.thrust_response import ThrustResponse
@@ -37,7 +38,6 @@ STRONGER = 0.95  # of full thrust: what a current takes. At 0.8 of the robot's s
 NEAR_FULL = 0.8  # of full thrust: what is given meanwhile
 GROWING = 0.05  # of the robot's speed: growth of the error
 SLOWEST = 0.05  # of the robot's speed: with less to spare no path can be joined (benchmarks/robots: 0.95 at most)
-STEADY_S = 2.0  # a state that a person shall read. A rule that decides anew at each step takes turns faster
 LEANING = 0.5  # of the evidence that stops a robot: enough to name a likely cause
 
 
@@ -78,10 +78,8 @@ class PathWatch:
         self._thrust_mps2 = vehicle.limits.wrench[0] / vehicle.mass.surge_kg
         self._thrust_n, self._fastest_mps = vehicle.limits.wrench[0], vehicle.limits.speed_mps
         self._told_period_s = told_period_s
-        self._clear_s = max(
-            2.0 * self._fastest_mps / self._thrust_mps2, STEADY_S
-        )  # full thrust stops and gives it another course
         self._deviation = PathDeviationMonitor(self._limit_m)
+        self._clears_s = 0.5 * horizon_s(vehicle)  # the time to turn round and stop: until then it still gives way
         self.response = ThrustResponse(vehicle)
         # It knows hulls that slide aside when they turn, and push along one axis
         self._responds = experiment.controller.estimator.sway and not vehicle.limits.has_sway
@@ -96,7 +94,8 @@ class PathWatch:
         self._moments: deque[_Moment] = deque()
         self._surprised_s = self._growing_s = 0.0
         self._stayed_s, self._join_s, self._entry_m = 0.0, 0.0, 0.0
-        self._free_s = math.inf  # since it last avoided something
+        self._lasted_s = self._clear_s = 0.0  # the state; nothing in the way
+        self._avoids = False  # at this step
         self._at_ns: int | None = None
         self.force = self._now = 0.0  # that the model does not explain, of full thrust: in the last second, and now at most
 
@@ -110,10 +109,11 @@ class PathWatch:
         elapsed_s = 0.0 if self._at_ns is None else (now_ns - self._at_ns) / NS
         self._at_ns = now_ns
         place, path = complex(output.eta[0], output.eta[1]), complex(output.eta_reference[0], output.eta_reference[1])
-        led = place
-        if mode is Mode.DRIVEN and not self._row:  # the reference leads: what counts is where the robot would be by then
-            led += cmath.rect(FOLLOWS_S, output.eta.item(3)) * complex(output.nu[0], output.nu[1])
-        self._deviation.step(led, path, output.is_free, output.path_is_blocked, now_ns)
+        if mode is not Mode.DRIVEN:
+            self._deviation.step(place, path, output.is_free, output.path_is_blocked, now_ns)
+        elif not self._row:  # the reference leads: what counts is where the robot would be by then
+            led = place + cmath.rect(FOLLOWS_S, output.eta.item(3)) * complex(output.nu[0], output.nu[1])
+            self._deviation.step(led, path, output.is_free, output.path_is_blocked, now_ns)
         off_m = abs(place - path)
         self._change_state(output, mode, off_m, elapsed_s)
         if output.leap:
@@ -123,20 +123,29 @@ class PathWatch:
             self.finding = self._find(output, place, off_m, elapsed_s, now_ns)
 
     def _change_state(self, output: ControlOutput, mode: Mode, off_m: float, elapsed_s: float) -> None:
-        avoids = output.path_is_blocked or (output.avoids and off_m > ARRIVED * self._limit_m)
-        self._free_s = 0.0 if avoids else self._free_s + elapsed_s
-        before = self.state
-        self.state = next_state(before, GuidanceFacts(mode, self._free_s < self._clear_s, self._deviation.has_arrived))
+        before, is_away = self.state, off_m > ARRIVED * self._limit_m
+        self._avoids = output.path_is_blocked or (output.avoids and is_away)
+        in_way = self._avoids or (output.avoids and before is Guidance.GIVING_WAY)
+        self._clear_s = 0.0 if in_way else self._clear_s + elapsed_s
         self._stayed_s += elapsed_s
+        self._lasted_s += elapsed_s
+        gives_way = self._avoids or (before is Guidance.GIVING_WAY and self._clear_s < self._clears_s)
+        facts = GuidanceFacts(mode, gives_way, self._deviation.is_on_path, self._lasted_s >= STEADY_S)
+        self.state = next_state(before, facts)
         if self.state is not before:
-            if not {self.state, before} <= AWAY:
-                self._stayed_s = 0.0
-            self._join_s, self._entry_m, self._growing_s = 0.0, off_m, 0.0
+            self._lasted_s = 0.0
+        begins = self.state is not before and not {self.state, before} <= AWAY
+        if begins:
+            self._stayed_s = self._join_s = 0.0
+        if begins or self._avoids:
+            self._entry_m, self._growing_s = off_m, 0.0
 
     def _find(self, output: ControlOutput, place: complex, off_m: float, elapsed_s: float, now_ns: int) -> WatchFinding:
         """The first bound that is passed."""
         strong = self._stronger_force(output, off_m, now_ns)
         held, turned_rad = self.response.held_fast, self.response.marker_turned_rad
+        if strong and self.response.turn_evidence > 1.0:  # the same force, but it goes with the thrust
+            turned_rad = -cmath.phase(self.response.response.gain)
         if held and self._responds:
             return WatchFinding("held fast", held)
         if turned_rad and self._responds:
@@ -201,7 +210,7 @@ class PathWatch:
                 return WatchFinding("gives way for too long", f"{self._stayed_s:.0f} s")
             if self.state is Guidance.JOINING:
                 return WatchFinding("not in time on its path", f"not on it after {self._stayed_s:.0f} s{self._because}")
-        if self.state in (Guidance.JOINING, Guidance.RETURNING):
+        if self.state in (Guidance.JOINING, Guidance.GIVING_WAY, Guidance.RETURNING) and not self._avoids:
             most_m = self._entry_m + self._limit_m + horizon_s * (path_mps + abs(output.current))
             self._growing_s = self._growing_s + elapsed_s if off_m > most_m else 0.0
             if self._growing_s >= GROWS_S:

@@ -2,14 +2,16 @@
 
 Each leg turns the robot as it pushes, and the gyroscope senses that at once. A first-order observer of the yaw rate r,
 
-    r^' = (sum N_k + (m_u - m_v) u v - d(r^)) / m_r + (r - r^) / T        residual = m_r (r - r^) / T
+    r^' = (sum N_k + (m_u - m_v) u v - d(r)) / m_r + (r - r^) / T        residual = m_r (r - r^) / T
 
-gives the unexplained moment, smoothed over T, without differences of a noisy rate. N_k is the commanded moment of leg k after
-the thruster's dead time and lag. Mass, voltage, drag and curve are never known exactly, thrusters differ, a gyroscope has a
-bias, and pulses and rates are delayed. So the dependence of the residual on each N_k, on d(r), on a constant and on the
-moment's rate of change is learned in flight; a voltage that changes is new doubt about all legs alike. A leg that gives less
-thrust than commanded, none, or the opposite leaves a share of its own N_k in the residual. likelihood_ratio.py tests at each
-look whether that is chance, and two looks have to agree; disturbances of the water do not follow one leg's pulses.
+gives the unexplained moment, smoothed over T, without differences of a noisy rate. N_k is the commanded moment of leg k
+after the thruster's dead time and lag. Drag d is that of the measured rate: r^ follows a robot of half the inertia late, and
+with the drag of r^ the residual would not be linear in what is learned. Mass, voltage, drag and curve are never known
+exactly, thrusters differ, a gyroscope has a bias, and pulses and rates are delayed. So the dependence of the residual on
+each N_k, on d(r), on a constant and on the moment's rate of change is learned in flight; a voltage that changes is new doubt
+about all legs alike. A leg that gives less thrust than commanded, none, or the opposite leaves a share of its own N_k in the
+residual. likelihood_ratio.py tests at each look whether that is chance, and two looks have to agree; disturbances of the
+water do not follow one leg's pulses.
 
 A thruster with almost no command, or one stuck at its present command, cannot be seen: neither moves the robot. The limits are
 measured on flights of the article's robot with masses and thrusters off by 30 %, in waves and gusts
@@ -17,13 +19,15 @@ measured on flights of the article's robot with masses and thrusters off by 30 %
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from robot_agent.safety.likelihood_ratio import SPANS_S, LikelihoodRatioTest
-from robot_agent.safety.sent_commands import NS, ActingThrust
+from robot_agent.safety.sent_commands import NS, ActingLegs
 from wire.config.vehicle import Vehicle
 from wire.frames import Array
+from wire.kernel_types import Floats
 from wire.kernels import kernel
 
 SMOOTH_S = 0.3  # T: noise of the gyroscope, 3 mrad/s, is then 1.2 mN m; one idle thruster of the article's robot turns with 12
@@ -34,7 +38,7 @@ LATE_S = 0.02  # and for how late the moment comes, before any of it is known
 NOISE_NM = (0.002, 0.0007)  # of the residual: at first, and at least
 SAME_S = 2.0 * SMOOTH_S  # residuals closer together say the same,
 NOTED_S = 0.09  # and not every one is looked at
-SHARE = 0.02  # of the moment: curves are no straight lines
+SHARE = 0.02  # of each leg's moment: curves are no straight lines, and legs that push against one another each have theirs
 UNEVEN_S = 0.005  # steps begin, and pulses leave, a little earlier or later
 MISSING = (0.6, 2.0)  # of what a leg is told: most of it, up to twice, which is reversed
 SURE = 8.0  # evidence: e^8 to one,
@@ -49,25 +53,35 @@ OUTLIER_RADPS = 1.0  # from the estimated yaw rate; 0.5 N m turn 0.12 kg m^2 by 
 KEPT = 128  # commands: half of them are more than act within LONGEST_NS of the fastest loop
 
 
-@kernel("UniTuple(f8,2)(f8[::1], f8, f8[::1], f8, f8, f8, f8, f8, f8)")
+class YawModel(NamedTuple):
+    """The vehicle file's inertia and drag of the yaw."""
+
+    inertia_kg_m2: float
+    linear: float  # N m s
+    quadratic: float  # N m s^2
+
+
+class YawRates(NamedTuple):
+    """Yaw rates by which the observer advances, rad/s."""
+
+    estimated: float  # r^
+    before: float  # the gyroscope's sample before,
+    measured: float  # and its newest
+
+
+@kernel
 def observe_turn(
-    impulse: Array,
-    elapsed_s: float,
-    causes: Array,
-    rate: float,
-    measured: float,
-    mass: float,
-    linear: float,
-    quadratic: float,
-    flow: float,
+    impulse: Floats, elapsed_s: float, causes: Floats, turn: YawRates, yaw: YawModel, flow_nm: float
 ) -> tuple[float, float]:
-    """Advance the observer of the module by one sample of the gyroscope: returns the estimated yaw `rate` r^ and the residual
-    moment, N m. `impulse` (thrusters,) is what the moments gave meanwhile, N m s; `flow` the moment of the water past the
-    hull, N m.
+    """Advance the observer of the module by one sample of the gyroscope: returns the estimated yaw rate r^ and the residual
+    moment, N m. `impulse` (thrusters,) is what the moments gave meanwhile, N m s; `flow_nm` the moment of the water past the
+    hull.
 
     `causes` (thrusters + 3,), each smoothed over T, are the thrusters' moments, drag, the moment's rate of change, and 1.
     """
-    drag = (linear + quadratic * abs(rate)) * rate
+    drag = 0.0
+    for rate in (turn.before, turn.measured):
+        drag += 0.5 * (yaw.linear + yaw.quadratic * abs(rate)) * rate
     smooth, moment, rising = -math.expm1(-elapsed_s / SMOOTH_S), 0.0, 0.0
     for leg in range(len(impulse)):
         push = impulse[leg] / elapsed_s
@@ -75,13 +89,13 @@ def observe_turn(
         causes[leg] += change
         moment += push
         rising += change
-    predicted = rate + elapsed_s * (moment + flow - drag) / mass
-    rate = predicted + smooth * (measured - predicted)
+    predicted = turn.estimated + elapsed_s * (moment + flow_nm - drag) / yaw.inertia_kg_m2
+    estimated = predicted + smooth * (turn.measured - predicted)
     others = len(impulse) + 3  # a kernel counts from the front
     causes[others + DRAG] += smooth * (drag - causes[others + DRAG])
     causes[others + RISING] = rising / elapsed_s
     causes[others + ALWAYS] += smooth * (1.0 - causes[others + ALWAYS])
-    return rate, mass * (measured - rate) / SMOOTH_S
+    return estimated, yaw.inertia_kg_m2 * (turn.measured - estimated) / SMOOTH_S
 
 
 def covariances(thrusters: int) -> tuple[Array, Array]:
@@ -98,9 +112,8 @@ class ThrusterFaultDetector:
     """Fault detection for one robot's thrusters."""
 
     def __init__(self, vehicle: Vehicle) -> None:
-        self._mass, self._thruster = vehicle.mass.yaw_kg_m2, vehicle.thruster
-        self._linear, self._quadratic = vehicle.drag.linear[3], vehicle.drag.quadratic[3]
-        self._thrusters = vehicle.thruster_count
+        self._yaw = YawModel(vehicle.mass.yaw_kg_m2, vehicle.drag.linear[3], vehicle.drag.quadratic[3])
+        self._vehicle, self._thrusters = vehicle, vehicle.thruster_count
         self._prior, self._alike = covariances(self._thrusters)
         self.reset()
 
@@ -108,8 +121,9 @@ class ThrusterFaultDetector:
         """Start anew: thrusters at rest, nothing learned."""
         self._flow_nm = 0.0  # moment of the water past the hull
         self.broken = False  # stays so until the next reset
-        self._moments = ActingThrust(self._thrusters, KEPT, self._thruster)
-        self._rate: float | None = None
+        self._moments = ActingLegs(KEPT, self._vehicle)
+        self._rate: float | None = None  # r^
+        self._measured = 0.0  # the last sample
         self._at_ns = self._board_ns = 0
         self._outlier_ns: int | None = None  # on the board's clock: the sample that was left out last
         self._known_v: float | None = None  # battery's voltage at which legs were as they are known
@@ -120,11 +134,13 @@ class ThrusterFaultDetector:
     def _forget_causes(self) -> None:
         """Clear the smoothed causes of the residual."""
         self._causes = np.zeros(self._thrusters + 3)
+        self._noted_nm = np.zeros(self._thrusters)  # each leg's moment at the last look
         self._unnoted_s, self._sure = 0.0, 0
 
-    def note_moments(self, moments_nm: Array, now_ns: int) -> None:
-        """Take note of the yaw moments (thrusters,) of pulses that went out. Of two at one instant the last counts."""
-        self._moments.note(moments_nm, now_ns)
+    def note_moments(self, level_nm: Array, ankles_rad: Array, now_ns: int) -> None:
+        """Take note of pulses that went out: the yaw moment (thrusters,) that each leg gives with its ankle level, and its
+        ankle's angle (thrusters,). Of two at one instant the last counts."""
+        self._moments.note(level_nm, ankles_rad, now_ns)
 
     def note_flow(self, moment_nm: float) -> None:
         """Take note of the moment by which the water past the hull turns it."""
@@ -155,15 +171,15 @@ class ThrusterFaultDetector:
         if self._rate is None or not 0 <= elapsed_ns <= LONGEST_NS or abs(elapsed_ns - board_elapsed_ns) > APART_NS:
             self._begin(yaw_rate_radps, at_ns, board_ns)
         elif elapsed_ns and not self._leaves_out(yaw_rate_radps - self._rate, board_ns):
-            self._rate, residual = observe_turn(
-                self._moments.impulse(self._at_ns, at_ns), elapsed_ns / NS, self._causes, self._rate, yaw_rate_radps,
-                self._mass, self._linear, self._quadratic, self._flow_nm,
-            )  # fmt: skip
-            self._at_ns, self._board_ns = at_ns, board_ns
+            impulse, turn = self._moments.impulse(self._at_ns, at_ns), YawRates(self._rate, self._measured, yaw_rate_radps)
+            self._rate, residual = observe_turn(impulse, elapsed_ns / NS, self._causes, turn, self._yaw, self._flow_nm)
+            self._measured, self._at_ns, self._board_ns = yaw_rate_radps, at_ns, board_ns
             self._unnoted_s += elapsed_ns / NS
             if self._unnoted_s > NOTED_S:
-                moment, rising = float(self._causes[: self._thrusters].sum()), float(self._causes[RISING])
-                rough = math.hypot(SHARE * moment, UNEVEN_S * rising)
+                moments = self._causes[: self._thrusters]
+                rising = (moments - self._noted_nm) / self._unnoted_s
+                rough = math.hypot(SHARE * float(np.abs(moments).sum()), UNEVEN_S * float(np.abs(rising).sum()))
+                self._noted_nm = moments.copy()
                 self._test.note_sample(self._causes, residual, rough, self._unnoted_s, at_ns)
                 self._unnoted_s = 0.0
                 self._sure = self._sure + 1 if self._test.evidence > SURE else 0
@@ -182,5 +198,6 @@ class ThrusterFaultDetector:
         """Start the observer at this sample. Learned parameters are kept across a gap."""
         if self._rate is not None and at_ns > self._at_ns:
             self._moments.impulse(self._at_ns, at_ns)
-        self._rate, self._at_ns, self._board_ns = yaw_rate_radps, at_ns, board_ns
+        self._rate = self._measured = yaw_rate_radps
+        self._at_ns, self._board_ns = at_ns, board_ns
         self._forget_causes()

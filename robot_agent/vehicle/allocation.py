@@ -195,6 +195,13 @@ class Allocator:
         deliver(np.array(pulse_us), self._legs, self._curve, wrench, moment)
         return wrench, moment
 
+    def level_moments(self, pulse_us: tuple[int, ...]) -> tuple[Array, Array]:
+        """Yaw moment (4,) that each leg gives with its ankle level, N m, and its ankle's angle (4,), rad, of eight pulse
+        widths."""
+        pulse, curve = np.array(pulse_us), self._curve
+        moment = -self._legs.place[:, 1] * curve.thrust_n[pulse[:4] - curve.slowest_us]
+        return moment, (pulse[4:] - curve.level_us) / curve.us_per_rad
+
     def forces(self, wrench: Sequence[float] | Array) -> tuple[Array, Array]:
         """Four thruster forces in N and ankle angles in rad for a wrench."""
         force, angle, asked = np.empty(4), np.empty(4), np.asarray(wrench, dtype=np.float64)

@@ -96,6 +96,10 @@ class FixedAllocator(Allocator):
         add_thrusts(np.array(pulse_us), self._thrusters, self._curve, wrench, moment)
         return wrench[: self._axes].copy(), moment
 
+    def level_moments(self, pulse_us: tuple[int, ...]) -> tuple[Array, Array]:
+        """Yaw moment of each thruster (8,), N m; no thruster has an ankle that turns."""
+        return self.delivered(pulse_us)[1], np.zeros(OUTPUTS)
+
     def forces(self, wrench: Sequence[float] | Array) -> tuple[Array, Array]:
         """Eight thruster forces in N for a wrench; they have no ankles: no angles."""
         self.allocate(np.asarray(wrench, dtype=np.float64))

@@ -67,22 +67,16 @@ from wire.kernels import kernel
 KINDS = (  # of water: intensity m^2/s^3, share of its changes by place, and of forces by how much more they change
     (1e-7, 0.5, 1.0),  # a basin at rest: 1 mm/s within 10 s
     (1e-5, 0.0, 1.0),  # with time, 1 cm/s,
-    (6e-5, 0.0, 1.0),  # 2.5 cm/s: without it a sinusoidal force led a robot off its path by 13 cm,
-    (4e-4, 0.0, 1.0),  # 6 cm/s within 10 s: gusts,
-    (2e-3, 0.0, 1.0),  # and 14 cm/s, or 4.5 cm/s within 1 s: waves
+    (6e-5, 0.0, 1.0),  # 2.5 cm/s,
+    (4e-4, 0.0, 1.0),  # and 6 cm/s within 10 s: gusts, waves
     (3e-5, 1.0, 1.0),  # from place to place
     (1.2e-4, 1.0, 1.0),
     (1e-7, 0.5, 1000.0),  # forces 30 times as large: a cable, a thruster that is not what it was
 )
-KIND_LASTS_S = (
-    1000.0  # the water changes its kind a few times in an hour. With 60 s covariances of still water are twice as large
-)
+KIND_LASTS_S = 1000.0  # water changes its kind a few times in an hour. With 60 s covariances of still water are twice as large
 FACING_S, FACING = 20.0, 0.5  # mean direction of so long, 1 on a straight path: shorter, drag can be told from a current
 CALM_M2PS3 = 1e-6  # of water times forces, as in KINDS: filters that assume more do not learn drag
-SHARE, PASSES_S = (
-    0.03,
-    0.1,
-)  # of thrust and drag: what comes and goes within the thrusters' lag. NEES of the grid is near 1 with it
+SHARE, PASSES_S = 0.03, 0.1  # of thrust and drag: what comes and goes, for so long. NEES of the grid is near 1 with it
 LASTING_SHARE, LASTS_S = 0.03, 10.0  # of thrust and drag: what lasts, as a cable or unlike thrusters do
 RATIO_PER_SQRT_S = 0.005  # by which drag, thrust and moment per mass wander in a second: 4 % in a minute
 BIAS_RADPS_PER_SQRT_S = 1e-5  # the same of the gyroscope's bias: its sensor warms up within minutes

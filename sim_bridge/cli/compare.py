@@ -10,7 +10,7 @@ import typer
 
 from wire.config.experiment import NO_CAMERA, experiment_path, load_experiment
 from wire.process.cli_options import ExperimentName, Settings, finite
-from wire.process.output import background
+from wire.process.output import background, terminal
 from wire.process.output_files import COMPARISON, check_output, new_run_folder
 from wire.toml_loader import ConfigError
 
@@ -55,12 +55,10 @@ def compare(
                sim-bridge compare pool --laws nmpc,lqr,nmpc-leader-follower --seeds 1-5 --set sim.numeric.pose_noise_m=0.0015
                PYTHONPATH=. sim-bridge compare numeric --laws nmpc,ownlaw:Pd --set "controller.own=[2.0, 6.0]"
     """
-    from rich.console import Console
-
     from sim_bridge.studies import comparison as comparing
     from sim_bridge.studies.comparison import VARIANTS
 
-    console, flown = Console(file=background(sys.stdout)), _range(seeds)
+    console, flown = terminal(background(sys.stdout)), _range(seeds)
     chosen = _names(laws, [*VARIANTS, *(law.strip() for law in laws.split(",") if ":" in law)] if laws else VARIANTS, "--laws")
     asked = [*(settings or ()), *([f"duration_s={duration}"] if duration is not None else [])]
     name = load_experiment(experiment, [*asked, NO_CAMERA]).name
@@ -90,14 +88,12 @@ def tune(
     """
     from typing import get_args
 
-    from rich.console import Console
-
     from sim_bridge.studies import gain_tuning as tuning
     from wire.config.baseline_controllers import LawName
 
     chosen = _names(laws, [name for name in get_args(LawName) if name not in ("eso-mpc-article", "nmpc")], "--laws")
     flown = _names(scenes, tuning.SCENES, "--scenes")
-    console = Console(file=background(sys.stderr))
+    console = terminal(background(sys.stderr))
     for tuned in tuning.run(chosen, flown, settings or (), _range(seeds), budget, _cores(jobs), console):
         console.print(f"{tuned.law}: cost {tuned.first:.3f} before, {tuned.best:.3f} after {budget} trials", soft_wrap=True)
         typer.echo(tuned.toml())

@@ -12,7 +12,7 @@ from wire import programs
 from wire.config.experiment import NO_CAMERA, Experiment, load_experiment
 from wire.kernel_build import ensure_compiled
 from wire.process.cli_options import ExperimentName, FaultLines, KeyRing, Settings, caution, experiments, finite
-from wire.process.output import background
+from wire.process.output import background, terminal
 from wire.process.output_files import new_run_folder
 from wire.process.runtime import Stop
 from wire.toml_loader import ConfigError
@@ -86,8 +86,6 @@ def sil(
                sim-bridge sil pool --set path.lap_s=30 --dry-run
                sim-bridge sil --from runs/pool-20260101-120000 --at 35 --set controller.nmpc.turning_m=0.1
     """
-    from rich.console import Console
-
     if source is not None and dry_run:
         raise typer.BadParameter("--dry-run is for an EXPERIMENT, not for --from")
     if source is not None:
@@ -105,7 +103,7 @@ def sil(
     if one_process and not dry_run:
         _with_one_thread()
     loaded = _load(experiment, seed, duration, [*(settings or ()), *([NO_CAMERA] if poses else [])], faults)
-    console = Console(file=background(sys.stdout))
+    console = terminal(background(sys.stdout))
     page = None if no_web else page_address(web)
     if not (poses or loaded.localizer.uses_camera):
         poses = True
@@ -182,12 +180,10 @@ def numeric(
 
     Examples:  sim-bridge numeric numeric      sim-bridge numeric numeric-disturbed --set controller.estimator.enabled=false
     """
-    from rich.console import Console
-
     from sim_bridge.in_process import run
 
     loaded = _load(experiment, seed, duration, [*(settings or ()), NO_CAMERA], faults)
-    console = Console(file=background(sys.stdout))
+    console = terminal(background(sys.stdout))
     fleet, water = run.prepared(loaded)
     folder = new_run_folder(out, loaded.name)
     console.print(f"{loaded.title or loaded.name}: {loaded.duration_s:g} s, seed {loaded.seed}, into {folder}", soft_wrap=True)
@@ -212,8 +208,6 @@ def campaign(
 
     Examples:  sim-bridge campaign errors.toml       sim-bridge campaign errors.toml --resume --scheduler tcp://192.0.2.10:8786
     """
-    from rich.console import Console
-
     from sim_bridge.studies import campaign_runner
     from sim_bridge.studies.campaign import Campaign
     from wire.toml_loader import check, read_toml
@@ -228,7 +222,7 @@ def campaign(
             scheduler=scheduler,
             resume=resume,
             stop=Stop(),
-            console=Console(file=background(sys.stdout)),
+            console=terminal(background(sys.stdout)),
         )
     )
 
@@ -267,14 +261,12 @@ def _go_on(
     experiment: str | None, source: Path, at_s: float, changes: list[str], faults: list[str] | None, out: Path
 ) -> NoReturn:
     """Run `sil --from`."""
-    from rich.console import Console
-
     from sim_bridge.in_process import resume, run
 
     if experiment is not None:
         raise typer.BadParameter(f"{experiment!r}: with --from, the run says what is flown (change it with --set)")
     loaded = _cautioned(resume.load_changed(source, changes, faults or ()))
     fleet, water = resume.prepared(loaded, source, at_s)
-    folder, console = new_run_folder(out, f"{loaded.name}-from-{at_s:g}"), Console(file=background(sys.stdout))
+    folder, console = new_run_folder(out, f"{loaded.name}-from-{at_s:g}"), terminal(background(sys.stdout))
     console.print(f"{loaded.title or loaded.name}: from {at_s:g} s of {source} on, into {folder}", soft_wrap=True)
     raise typer.Exit(run.run(fleet, water, folder, stop=Stop(), console=console))

@@ -56,7 +56,7 @@ def run(fleet: AgentFleet, plant: DirectPlant, run_dir: Path, *, stop: Stop, con
                 if stop.requested:
                     break
     except BrokenPipeError:  # its own words are on stderr
-        console.print("[red]the recorder has ended[/]")
+        console.print("the recorder has ended", style="red")
     took_s, took_cpu_s = time.perf_counter() - begin_s, time.process_time() - begin_cpu_s
     recorded = recording.wait() == 0
     if stop.requested:
@@ -68,7 +68,7 @@ def run(fleet: AgentFleet, plant: DirectPlant, run_dir: Path, *, stop: Stop, con
         soft_wrap=True,
     )
     passed = launcher.report(run_dir, console) and recorded
-    console.print("[green]passed[/]" if passed else "[red]failed[/]")
+    console.print("passed" if passed else "failed", style="green" if passed else "red")
     return 0 if passed else 1
 
 

@@ -85,7 +85,8 @@ def run_pool(
 ) -> None:
     """Simulate the pool until told to stop. `real` are the addresses of boards that are not simulated, `frame_ring` is the
     descriptor of the launcher's ring for camera frames, `pace` the most that lockstep may be faster than real time. Raises
-    Failed if a part of it cannot go on, ConfigError for wires that cannot be used."""
+    Failed if a part of it cannot go on, ConfigError for wires that cannot be used, and where another simulator is in the
+    fleet."""
     cv2.setNumThreads(1)  # of this process: with the fleet's others on the machine, more threads only fight
     stop = Stop()
     wires.check_host(experiment.robot_ids)
@@ -106,5 +107,6 @@ def run_pool(
         # ports that are taken are told before the wait for the station
         sockets = UdpPorts(wires.ports, experiment.robot_ids, experiment.seed, wires.host)
         bus = stack.enter_context(Bus(ZenohTransport(where, stop), wires.fleet, *codec_of(frame_ring)))
+        bus.claim(process_name(Role.SIMULATOR), stop)
         PoolNode(experiment, bus, sockets, stop, lockstep, poses, make, pace).run()
     stop.raise_failure()

@@ -44,7 +44,7 @@ START_WITHIN_S = 180.0  # s for the station to listen; on a starved machine a pr
 LOOK_EVERY_S = 0.2
 SECRETS = "shoal-links-"  # begins the names of folders with the keys of a run's links; then the launcher's process
 STALLED_S = 180.0  # s without a new heartbeat of the station after which the run is ended as stuck
-VERDICTS = {"passed": "[green]passed[/]", "failed": "[red]failed[/]", "not judged": "[yellow]not judged[/]"}
+VERDICTS = {"passed": "green", "failed": "red", "not judged": "yellow"}  # their colours
 INTERRUPTED_WITHIN_S = 15.0  # s for the station to close its log after a Ctrl-C, also on a starved machine
 SAFE_WITHIN_S = 1.0  # s in which robots bring themselves to rest when the station has gone
 
@@ -114,7 +114,7 @@ def write_experiment(experiment: Experiment, run_dir: Path) -> None:
 def nothing_flown(run_dir: Path, console: Console) -> int:
     """Remove the folder of a run that the station has refused. Returns the exit code."""
     shutil.rmtree(run_dir)
-    console.print("[red]refused[/]: nothing was flown, and no folder is left")
+    console.print("refused: nothing was flown, and no folder is left", style="red")
     return 2
 
 
@@ -126,7 +126,9 @@ def conclude(run_dir: Path, came_up: bool, succeeded: bool, stop: Stop, console:
     passed = came_up and report(run_dir, console) and succeeded
     if stop.requested:
         return 130
-    console.print(VERDICTS[verdict(run_dir, passed)] + ("" if passed else f" (what each process said: {run_dir / 'logs'})"))
+    said = verdict(run_dir, passed)
+    where = "" if passed else f" (what each process said: {run_dir / 'logs'})"
+    console.print(said + where, style=VERDICTS[said], highlight=False, soft_wrap=True)
     return 0 if passed else 1
 
 
@@ -166,8 +168,8 @@ def dry_run(experiment: Experiment, run_dir: Path, options: RunOptions, console:
 
 
 def print_error(console: Console, text: str) -> None:
-    """Print in red, without markup: messages of programs contain brackets too."""
-    console.print(text, style="red", markup=False, highlight=False, soft_wrap=True)
+    """Print in red."""
+    console.print(text, style="red", highlight=False, soft_wrap=True)
 
 
 def _start_all(children: Children, wanted: list[Program], address: str, stop: Stop) -> tuple[Child, bool]:
@@ -261,7 +263,7 @@ def report(run_dir: Path, console: Console) -> bool:
         print_error(console, f"no report: {writing.stderr.strip() or writing.stdout.strip()}")
         return False
     told = [line for line in writing.stdout.strip().splitlines() if not line.startswith("report: ")]
-    console.print("\n".join(told), markup=False, highlight=False, soft_wrap=True)
+    console.print("\n".join(told), highlight=False, soft_wrap=True)
     console.print(f"report: {page}", soft_wrap=True)
     return bool(json.loads(result.read_text(encoding="utf-8"))["passed"])
 

@@ -42,7 +42,7 @@ class Monitor:
         bus.subscribe(topics.EVENT, None, self._event)
         self._localizer = bus.inbox(topics.LOCALIZER, LocalizerStatus)
         self._progress = Progress(
-            TextColumn("{task.description}"),
+            TextColumn("{task.description}", markup=False),
             BarColumn(),
             TextColumn("{task.completed:6.1f} / {task.total:.0f} s"),
             TextColumn("{task.fields[speed]}"),

@@ -28,7 +28,7 @@ from sim_bridge.studies.dependence import KeyValue, dependences, lines
 from sim_bridge.studies.report import write_report
 from sim_bridge.studies.worker_pool import worker_pool
 from wire.config.experiment import NO_CAMERA, Experiment, load_experiment
-from wire.process.output_files import CAMPAIGN, check_output, replacing
+from wire.process.output_files import CAMPAIGN, check_named, check_output, replacing
 from wire.process.runtime import Stop
 from wire.process.version import UNKNOWN, code
 from wire.regular_files import open_regular
@@ -64,14 +64,14 @@ def run(
                 if is_new:
                     kept.add(row)
     except BrokenProcessPool:
-        console.print("[red]a worker process has died (out of memory?); --resume goes on[/]")
+        console.print("a worker process has died (out of memory?); --resume goes on", style="red")
     except OSError as error:
         is_whole = False
         console.print(f"{error.filename or journal}: {error.strerror}; --resume goes on", style="red", soft_wrap=True)
     ordered = [rows[index] for index in sorted(rows)]
     found = dependences(campaign, ordered)
     for line in lines(ordered, found):
-        console.print(line, markup=False, highlight=False, soft_wrap=True)
+        console.print(line, highlight=False, soft_wrap=True)
     _say(ordered, total, console)
     is_whole = _write(campaign, ordered, found, folder, console) and is_whole
     if stop.requested:
@@ -122,6 +122,7 @@ class Journal:
         try:
             if self._file.write(data) != len(data):
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            check_named(self._file.fileno(), self._path)
         except OSError as error:
             with suppress(OSError):  # where that fails too, the half line is passed over
                 os.truncate(self._file.fileno(), size)
@@ -146,7 +147,7 @@ def _write(
         console.print(f"report:  {folder / REPORT}", soft_wrap=True)
     except OSError as error:
         reason = f"no results or report: {error.filename}: {error.strerror}; --resume writes them"
-        console.print(reason, style="red", markup=False, highlight=False, soft_wrap=True)
+        console.print(reason, style="red", highlight=False, soft_wrap=True)
         return False
     return True
 
@@ -159,7 +160,7 @@ def _say(rows: Sequence[dict[str, Any]], total: int, console: Console) -> None:
     first = next((row for row in rows if row["status"] != "flown"), None)
     if first is not None:
         reason = f"flight {first['index']} (seed {first['seed']}) {first['status']}: {first['reason']}"
-        console.print(reason, style="red", markup=False, highlight=False, soft_wrap=True)
+        console.print(reason, style="red", highlight=False, soft_wrap=True)
 
 
 def _check_all(campaign: Campaign, stop: Stop) -> None:

@@ -1,8 +1,9 @@
 /* A disk that fails. Preloaded into a program, this counts the calls that change something below a folder, and at the n-th one
  * kills the process, or lets that one and all later ones fail. A write is cut in its middle, as a real one may be.
  *
- * In the environment: DISK_FOLDER, DISK_FAULT (count, kill, full, gone, read-only, or no-links: those of FAT, which knows neither
- * links nor an exchange of names, and fails at no call), DISK_CALL (n, from 1), and DISK_TRACE, a file
+ * In the environment: DISK_FOLDER, DISK_FAULT (count, kill, full, gone, read-only; removed: a person deletes all that is in the
+ * folder just before the n-th call, and the disk stays well; or no-links: the disk is FAT, which knows neither links nor an
+ * exchange of names, and fails at no call), DISK_CALL (n, from 1), and DISK_TRACE, a file
  * that exists: its first 8 bytes are the number of calls so far, of all processes of a command together; with `count` each call
  * is a line behind them. */
 #define _GNU_SOURCE
@@ -10,6 +11,7 @@
 #include <dlfcn.h>
 #include <errno.h>
 #include <fcntl.h>
+#include <ftw.h>
 #include <limits.h>
 #include <signal.h>
 #include <stdarg.h>
@@ -21,7 +23,7 @@
 #include <sys/uio.h>
 #include <unistd.h>
 
-enum fault { OFF, COUNT, KILL, FULL, GONE, READ_ONLY, NO_LINKS };
+enum fault { OFF, COUNT, KILL, FULL, GONE, READ_ONLY, REMOVED, NO_LINKS };
 
 static enum fault fault;
 static const char *folder;
@@ -41,7 +43,8 @@ __attribute__((constructor)) void failing_disk_arm(void) {
   folder = strdup(where);
   at = atol(number);
   fault = !strcmp(what, "count") ? COUNT : !strcmp(what, "kill") ? KILL : !strcmp(what, "full") ? FULL
-        : !strcmp(what, "gone") ? GONE : !strcmp(what, "read-only") ? READ_ONLY : !strcmp(what, "no-links") ? NO_LINKS : OFF;
+        : !strcmp(what, "gone") ? GONE : !strcmp(what, "read-only") ? READ_ONLY : !strcmp(what, "removed") ? REMOVED
+        : !strcmp(what, "no-links") ? NO_LINKS : OFF;
 }
 
 /* The path of a name in an open folder, or of an open file without a name. */
@@ -71,6 +74,11 @@ static int is_below(const char *path) {
   return !strncmp(path, folder, length) && (path[length] == '/' || path[length] == 0);
 }
 
+static int remove_one(const char *path, const struct stat *status, int kind, struct FTW *place) {
+  (void)status, (void)kind;
+  return place->level ? remove(path) : 0;
+}
+
 /* Count a call. Returns 0, or 1 for the n-th one, 2 for a later one. */
 static int counted(const char *call, const char *path, const char *other) {
   long number = __atomic_add_fetch(calls, 1, __ATOMIC_SEQ_CST);
@@ -78,6 +86,12 @@ static int counted(const char *call, const char *path, const char *other) {
     char line[2 * PATH_MAX + 64];
     int length = snprintf(line, sizeof line, "%s\t%s\t%s\n", call, path, other);
     if (REAL(write)(trace, line, (size_t)length) != length) abort();
+    return 0;
+  }
+  if (fault == REMOVED) {
+    int known = errno;
+    if (number == at && nftw(folder, remove_one, 16, FTW_DEPTH | FTW_PHYS)) abort();
+    errno = known;
     return 0;
   }
   return number < at ? 0 : number == at ? 1 : 2;

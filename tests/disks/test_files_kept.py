@@ -102,6 +102,31 @@ class DiskTrial:
         self._judge(case, ended, folder)
         self._repeat(case, folder)
 
+    def is_removed(self, call: int) -> None:
+        """Have a person delete all that is in the folder just before a call. Raises AssertionError if the command says that
+        it has written what is not there, unless that was deleted behind the call which gave it its name."""
+        folder = self._copy()
+        ended = self._programs.run(list(self.command.arguments), folder, "removed", call)
+        missing = {name for name, data in self._contents(folder).items() if data is None}
+        case, said = f"{self.name}: removed at call {call}", f"{ended.code}: {ended.said}"
+        assert "Traceback" not in ended.said, f"{case}: {said}"
+        if not missing:
+            assert ended.code == 0 or "is written" in ended.last_line, f"{case}: all is written: {said}"
+        elif any(call <= self._named_by(name) for name in missing):
+            named = (*self.command.written, *_folders([*self.command.written]), *_files(self._before), folder.name)
+            assert ended.code in (1, 2) and any(name in ended.last_line for name in named), (
+                f"{case}: without {missing}: {said}"
+            )
+        assert not missing or "is written" not in ended.said, f"{case}: without {missing}: {said}"
+        shutil.rmtree(folder)
+
+    def _named_by(self, name: str) -> int:
+        """Number of the undisturbed run's last call that gave a file its name."""
+        place = self.folder.resolve() / name
+        calls = enumerate((line.split("\t") for line in self.undisturbed.trace), 1)
+        naming = ("rename", "exchange", "link")
+        return max(number for number, (call, _, other) in calls if call in naming and place.is_relative_to(other))
+
     def fills(self, disk: Path, pages: int) -> None:
         """Run on a file system that has room for so many more pages. Raises AssertionError as `fails`."""
         folder, filler = Path(shutil.copytree(self._before, disk / "folder")), disk / "filler"
@@ -171,6 +196,7 @@ def test_the_old_file_or_the_whole_new_one_is_there(name: str, programs: Program
     for fault, times in QUICK.items():
         for _ in range(times):
             trial.fails(fault, chance.randint(1, trial.undisturbed.calls))
+    trial.is_removed(chance.randint(1, trial.undisturbed.calls))
 
 
 @pytest.fixture(scope="module")
@@ -204,6 +230,15 @@ def test_it_is_there_whatever_call_fails(name: str, programs: Programs, tmp_path
     for fault in QUICK:
         for call in calls if len(calls) <= MANY else sorted(chance.sample(calls, MANY)):
             trial.fails(fault, call)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", COMMANDS)
+def test_what_is_removed_meanwhile_is_not_called_written(name: str, programs: Programs, tmp_path: Path) -> None:
+    trial = DiskTrial(name, programs, tmp_path)
+    calls = range(1, trial.undisturbed.calls + 1)
+    for call in calls if len(calls) <= MANY else sorted(random.Random(f"{SEED} {name}").sample(calls, MANY)):
+        trial.is_removed(call)
 
 
 @pytest.mark.parametrize("name", [name for name, command in COMMANDS.items() if command.keeps_old or command.is_new])

@@ -95,6 +95,8 @@ def check_log(programs: Programs, folder: Path, fault: str, call: int) -> None:
         assert ended.code == -9, f"{case}: {ended}"
     else:
         assert ended.code in (1, 2) and "run.mcap" in ended.last_line and "Traceback" not in ended.said, f"{case}: {ended}"
+    if fault == "removed":
+        assert ended.code == 0 or "was deleted" in ended.last_line, f"{case}: {ended}"
     if not log.exists():
         assert record(programs, folder.with_suffix(".again"), "count", 1).code == 0
         return
@@ -110,7 +112,7 @@ def check_log(programs: Programs, folder: Path, fault: str, call: int) -> None:
         assert (folder / "run.mcap.original").read_bytes() == before, f"{case}: the original is lost"
 
 
-@pytest.mark.parametrize("fault", ["kill", "kill", "full", "gone"])
+@pytest.mark.parametrize("fault", ["kill", "kill", "full", "gone", "removed"])
 def test_a_log_of_a_recorder_that_failed_can_be_mended(
     fault: str, programs: Programs, tmp_path: Path, chance: random.Random
 ) -> None:
@@ -121,7 +123,7 @@ def test_a_log_of_a_recorder_that_failed_can_be_mended(
 def test_a_log_of_a_recorder_that_failed_can_be_mended_whatever_call_fails(programs: Programs, tmp_path: Path) -> None:
     calls = record(programs, tmp_path / "whole", "count", 1).calls
     assert calls >= 5  # on a busy machine it flushes less often
-    for fault in ("kill", "full", "gone", "read-only"):
+    for fault in ("kill", "full", "gone", "read-only", "removed"):
         for call in range(1, calls - 1):  # a pace that is a flush quicker has fewer
             check_log(programs, tmp_path / f"{fault}-{call}", fault, call)
 
@@ -152,7 +154,7 @@ def test_frames_until_the_kill_can_be_read(programs: Programs, tmp_path: Path, c
     (tmp_path / "whole").mkdir()
     calls = programs.run(["tests.disks.jobs:record_frames"], tmp_path / "whole").calls
     assert calls > jobs.FRAMES
-    for k, fault in enumerate(("kill", "kill", "kill", "full", "full", "gone", "read-only")):
+    for k, fault in enumerate(("kill", "kill", "kill", "full", "full", "gone", "read-only", "removed")):
         check_frames(programs, tmp_path / str(k), fault, chance.randint(1, calls))
 
 
@@ -160,7 +162,7 @@ def test_frames_until_the_kill_can_be_read(programs: Programs, tmp_path: Path, c
 def test_frames_can_be_read_whatever_call_fails(programs: Programs, tmp_path: Path) -> None:
     (tmp_path / "whole").mkdir()
     for call in range(1, programs.run(["tests.disks.jobs:record_frames"], tmp_path / "whole").calls + 1):
-        for fault in ("kill", "full", "gone", "read-only"):
+        for fault in ("kill", "full", "gone", "read-only", "removed"):
             check_frames(programs, tmp_path / f"{fault}-{call}", fault, call)
 
 
@@ -205,6 +207,13 @@ def test_rows_of_a_table_outlive_two_kills(programs: Programs, video: Path, tmp_
     check_table(programs, video, tmp_path / "late", 9, chance.randint(1, 3))
 
 
+def test_a_table_that_is_deleted_meanwhile_is_missed(programs: Programs, video: Path, tmp_path: Path) -> None:
+    command = ["localizer", "track", str(video), "--experiment", "pool", "--out", "poses.csv"]
+    ended = programs.run(command, tmp_path, "removed", 4)
+    assert ended.code in (1, 2) and "Traceback" not in ended.said, ended
+    assert "poses.csv" in ended.last_line and "was deleted" in ended.last_line
+
+
 @pytest.mark.slow
 def test_rows_of_a_table_outlive_kills_at_any_call(
     programs: Programs, video: Path, tmp_path: Path, chance: random.Random
@@ -217,7 +226,7 @@ def test_rows_of_a_table_outlive_kills_at_any_call(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("fault", ["kill", "full", "gone", "read-only"])
+@pytest.mark.parametrize("fault", ["kill", "full", "gone", "read-only", "removed"])
 def test_a_campaign_goes_on_with_what_was_flown(fault: str, programs: Programs, tmp_path: Path, chance: random.Random) -> None:
     """A flight whose row is in the journal is not flown again, and the results have every flight once."""
     campaign = 'name = "short"\nexperiment = "numeric"\nseeds = 3\nsettings = ["duration_s=1"]\n'
@@ -236,8 +245,10 @@ def test_a_campaign_goes_on_with_what_was_flown(fault: str, programs: Programs, 
         ended, case = fly(folder, fault=fault, call=call), f"{fault} at call {call} of {calls}"
         assert "Traceback" not in ended.said, f"{case}: {ended.said}"
         results = [folder / "out" / name for name in ("results.parquet", "report.html")]
-        needs_no_room = fault == "full" and all(file.exists() for file in results)  # renames at the end
-        failed = ended.code == -9 if fault == "kill" else ended.code != 0 or ended.calls < call or needs_no_room
+        # the renames at the end need no room; what is deleted before anything is written, or at the last call, is not missed
+        is_whole = all(file.exists() for file in results) if fault in ("full", "removed") else False
+        too_late = ended.calls < call + (fault == "removed")
+        failed = ended.code == -9 if fault == "kill" else ended.code != 0 or too_late or is_whole
         assert failed, f"{case}: {ended}"
         journal = folder / "out" / "journal.jsonl"
         lines = journal.read_text().splitlines(keepends=True) if journal.exists() else []

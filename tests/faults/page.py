@@ -128,27 +128,33 @@ What a robot does by itself is in `docs/modes.md`, what a board does in `docs/bo
   sequence number of 8 bits has wrapped around. An attacker who can write on such a link can also make a board ignore frames
   for half a second, with a number far ahead. The board is disarmed by then, and the first frame that it accepts after that may
   be old.
-* A marker that is turned by less than some 10 degrees is not found. One that is turned by 20 degrees is found after 4 to 6 s,
-  when the robot has pushed enough to show it, or not at all on a slow path. A robot that stops so suddenly that the gyroscope
-  notices it first is said to have a broken thruster, or to be held: the poses tell which only some tenths of a second later.
+* A marker that is turned cannot be found before the robot pushes: no sensor of the board measures an absolute heading,
+  for its yaw is the gyroscope's integral. One that is turned by less than some 10 degrees is not found. One that is
+  turned by 20 degrees is found after 3 to 7 s, or not at all on a slow path: thrust of one direction may be a current,
+  so only its changes tell, and after 3 s they give the direction to 6 to 10 degrees. The limit is 3 standard deviations
+  beyond 4 degrees; with 2 it would be found after 2.2 to 6.9 s, but waves of 5 cm alone reach 1.95 of them within the
+  first 4 s of a flight.
+* A robot that stops so suddenly that the gyroscope notices it first is said to have a broken thruster, or to be held:
+  the poses tell which only some tenths of a second later.
 
 What a robot cannot do, it stops for (`controller.law = "nmpc"`). These are numeric flights of `python -m benchmarks robots
 --cells 'held-*,turned-*,swept'` at 10, 20 and 50 Hz, and of `ordinary` with a wrong sensor:
 
 | What | What happens | Time until neutral, s |
 |---|---|---|
-| a net holds the robot at the start | FAULT "held fast" | 1.9 to 6.4, median 2.8, of 6: it pushes little at first |
-| a net holds it in flight | FAULT "thrusters do not do as told: ... may be held fast" | 0.2 to 0.6, of 5 |
-| a net holds it while it gives way | the same | 0.2 to 1.2, of 5 |
-| its marker is turned by 20 degrees | FAULT "marker turned by about 20 degrees" | 4.3 to 5.7, of 6; one flew on to the end |
-| by 57 degrees | the same, "by about 54" | 1.6 to 3.0, of 6 |
-| by 90 degrees | the same | 2.1 to 2.3, of 6 |
-| by 180 degrees | the same | 1.7 to 2.3, of 6 |
-| a current of 1.3 to 1.8 of its speed | FAULT "current too strong", or "does not follow its plan" | 0.9 to 1.5, of 5 |
-| the gyroscope measures 0 from power-on | FAULT "gyroscope in doubt" | 1.3 to 2.0, of 3 |
-| a fifth of the rate | the same | 1.3 to 2.0, of 3 |
-| twice the rate | the same | 1.2 to 1.3, of 3 |
-| the rate reversed | the same, or "thrusters do not do as told" | 0.9 to 1.1, of 3 |
+| a net holds the robot at the start | FAULT "held fast" | 1.6 to 3.2, median 1.8, of 12: it pushes little at first |
+| a net holds it in flight | FAULT "thrusters do not do as told: ... may be held fast" | 0.1 to 0.6, of 6 |
+| a net holds it while it gives way | the same | 0.2 to 1.3, of 6 |
+| a net holds it while a person drives it | the same, or "held fast" | below 3, of 1 |
+| its marker is turned by 20 degrees | FAULT "marker turned by about 20 degrees" | 2.7 to 7.3, median 4.6, of 12; two: never |
+| by 57 degrees | the same, "by about 57 degrees" | 1.5 to 1.7, of 6 |
+| by 90 degrees | the same | 1.4 to 2.3, of 6 |
+| by 180 degrees | the same; one said "does not follow its plan" | 1.4 to 2.1, of 6 |
+| a current of 1.3 to 1.8 of its speed | FAULT "current too strong", or "does not follow its plan" | 0.8 to 1.5, of 6 |
+| the gyroscope measures 0 from power-on | FAULT "gyroscope in doubt" | 1.3 to 1.9, of 6 |
+| a fifth of the rate | the same | 1.4 to 2.9, of 6 |
+| twice the rate | the same | 1.4 to 6.9, of 6: it has to turn by 0.35 rad |
+| the rate reversed | the same, or "thrusters do not do as told" | 0.4 to 1.7, of 6 |
 | the depth stays as it was at 10 s | FAULT "depth sensor stuck"; up to 30 mm off its depth by then | 3.1 to 3.2, of 3 |
 """
 

@@ -60,6 +60,8 @@ def test_obstacles_of_a_camera_that_is_out_are_not_told_and_renew_no_list(monkey
     obstacles, statuses = bus.inbox(topics.OBSTACLES, Obstacles), bus.inbox(topics.LOCALIZER, LocalizerStatus)
     next(steps)
 
+    other = {"east": EXPERIMENT.hash, "west": "another"}
+
     def told(west: Obstacles | None) -> tuple[int, tuple[int, ...], LocalizerStatus]:
         """Fuse what both tell of a picture. The stamp that west gave, the list's numbers and the status."""
         stamp_ns = time.time_ns()
@@ -68,16 +70,25 @@ def test_obstacles_of_a_camera_that_is_out_are_not_told_and_renew_no_list(monkey
                 bus.publish(topics.OBSTACLES.of_camera(camera), seen, stamp_ns)
             bus.publish(topics.POSE.of_camera(camera), POSE, stamp_ns, 1)
             its = "0.1.0 another" if moved else code().short
-            status = LocalizerStatus(CameraHealth.OK, message="moved" if moved else "", robots=(1,), moved=moved, code=its)
+            status = LocalizerStatus(
+                CameraHealth.OK,
+                message="moved" if moved else "",
+                robots=(1,),
+                moved=moved,
+                code=its,
+                experiment_hash=other[camera],
+            )
             bus.publish(topics.LOCALIZER.of_camera(camera), status, stamp_ns)
         next(steps)
         fused, said = obstacles.newest(), statuses.newest()
         assert fused is not None and said is not None and said.message.code == "0.1.0 another"
+        assert said.message.experiment_hash == other["west"]  # "": not told
         assert said.message.obstacles_ns == fused.header.stamp_ns
         return stamp_ns - fused.header.stamp_ns, fused.message.ids, said.message
 
     later_ns, ids, status = told(SEEN)
     assert later_ns == 0 and ids == (6,) and status.out == ("east",)
+    other |= {"east": "", "west": ""}  # of earlier versions
     later_ns, ids, status = told(None)
     assert later_ns > 0 and ids == (6,)
     monkeypatch.setattr(CameraFusion, "step", lambda *_: 1 // 0)

@@ -282,6 +282,7 @@ def test_a_pose_carries_the_cameras_stamp_and_a_true_age(hub: tuple[Bus, Callabl
     absent = _absent(statuses)
     assert abs(absent[0].header.stamp_ns - time.time_ns() - ahead_ns) < 10_000 * MS, "by the same clock"
     assert absent[0].message.code == newest.message.code == code().short
+    assert absent[0].message.experiment_hash == newest.message.experiment_hash == EXPERIMENT.hash
     assert absent[0].late_ns < 2_000 * MS, "a jump of the clock would look like a delay of an hour"
 
 

@@ -136,3 +136,15 @@ def test_the_editor_adds_removes_undoes_and_writes_a_commented_file(
     saved = load_experiment(str(tmp_path / "experiments" / "mine.toml"))
     assert (saved.path.kind, saved.formation.shape, saved.robot_ids) == ("waypoints", "column", (1, 2, 3))
     assert [island.position_m for island in saved.islands] == [pytest.approx((2.5, -2.0), abs=0.02)]
+
+
+def test_a_saved_draft_that_is_changed_is_not_called_saved(
+    browser: Browser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with editor(browser) as page:
+        page.get_by_label("Name of the new experiment").fill("one")
+        button(page, "Save").click()
+        expect(page.get_by_text("saved: experiments/one.toml")).to_be_visible()
+        page.get_by_label("speed").fill("0.09")
+        expect(page.get_by_text("saved: ")).to_have_count(0)

@@ -156,3 +156,91 @@ def test_a_draft_is_not_called_good_by_an_answer_to_another_one(desk: LoneStatio
     desk.server.close()
     expect(page.get_by_text("no connection: the planner cannot be asked")).to_be_visible()
     expect(page.get_by_text("can be flown: closest")).to_have_count(0)
+
+
+def test_a_stop_is_given_by_the_press_wherever_the_pointer_comes_up(desk: LoneStation) -> None:
+    """A hand that slips, and a finger that the browser takes for a scroll, have pressed."""
+    page = desk.page
+    page.get_by_role("button", name="EMERGENCY STOP").hover()
+    page.mouse.down()
+    page.mouse.move(300, 400)
+    page.mouse.up()
+    expect(page.locator(".given")).to_contain_text("stop sent")
+    assert desk.orders == [Order.STOP]
+
+
+@pytest.mark.parametrize("how", ["pointer", "key", "assistive technology"])
+def test_a_press_of_the_stop_button_is_one_stop(desk: LoneStation, how: str) -> None:
+    page = desk.page
+    stop = page.get_by_role("button", name="EMERGENCY STOP")
+    if how == "pointer":
+        stop.click()
+    elif how == "key":
+        stop.press("Enter")
+    else:
+        stop.evaluate("button => button.click()")
+    expect(page.locator(".given")).to_contain_text("stop sent")
+    page.wait_for_timeout(300)
+    assert desk.orders == [Order.STOP]
+
+
+def test_space_that_comes_up_after_shift_presses_no_button(desk: LoneStation) -> None:
+    """Some browsers press the focused button when Space comes up, whatever became of its going down."""
+    page = desk.page
+    page.evaluate("window.kept = []; addEventListener('keyup', (e) => e.key === ' ' && kept.push(e.defaultPrevented))")
+    page.keyboard.down("Shift")
+    page.keyboard.down("Space")
+    page.keyboard.up("Shift")
+    page.keyboard.up("Space")
+    page.keyboard.press("Space")
+    expect(page.locator(".given")).to_contain_text("stop sent")
+    assert page.evaluate("kept") == [True, False]
+
+
+@pytest.mark.parametrize("whose", ["of one robot", "of the formation"])
+def test_places_that_nobody_sees_take_no_escape(desk: LoneStation, whose: str) -> None:
+    """Escape leaves the choice of places while one is shown; else it stops the fleet."""
+    page = desk.page
+    desk.told = Status(MissionState.RUNNING, "")
+    tile(page, 1).get_by_role("button").click()
+    choose = "Send 1 to…" if whose == "of one robot" else "Go to…"
+    button(page, choose).click()
+    expect(button(page, choose)).to_have_count(0)
+    page.keyboard.press("Escape")
+    expect(button(page, choose)).to_be_visible()
+    assert desk.orders == []
+    button(page, choose).click()
+    expect(button(page, choose)).to_have_count(0)
+    if whose == "of one robot":
+        page.keyboard.press("2")
+        expect(button(page, "Send 2 to…")).to_be_visible()
+    else:
+        button(page, "Edit").click()
+        expect(page.get_by_label("Editor of the next run")).to_be_visible()
+    page.keyboard.press("Escape")
+    page.wait_for_timeout(500)
+    assert desk.orders == [Order.STOP]
+
+
+def test_alarms_sound_again_after_the_browser_has_taken_the_sound_away(desk: LoneStation) -> None:
+    """Some do so when the computer sleeps, or another program wants the loudspeaker."""
+    page = desk.page
+    page.add_init_script(
+        "window.AudioContext = class extends AudioContext { constructor(...given) { super(...given); window.sound = this; } };"
+    )
+    page.reload()
+    button(page, "Click for sound").click()
+    expect(button(page, "Sound on")).to_be_visible()
+    page.evaluate("sound.suspend()")
+    expect(button(page, "Click for sound")).to_be_visible()
+    button(page, "Click for sound").click()
+    expect(button(page, "Sound on")).to_be_visible()
+
+
+def test_the_clock_is_the_formations_and_not_that_of_a_robot_that_flies_alone(desk: LoneStation) -> None:
+    page = desk.page
+    for robot, trajectory, at_s in ((1, "p1", 65.0), (2, "alone-x", 185.0)):
+        state = RobotState(mode=Mode.TRACKING, trajectory_id=trajectory, trajectory_s=at_s)
+        desk.robots.publish(topics.STATE, state, time.time_ns(), robot)
+    expect(tile(page, 2)).to_have_attribute("data-mode", "TRACKING")
+    expect(page.locator("header .clock")).to_have_text(re.compile("^1:05 / "))

@@ -14,6 +14,7 @@ import pytest
 
 from sim_bridge.sil.ports import free_port
 from sim_bridge.thruster_board.board import ThrusterBoard
+from tests.waiting import wait_for_line
 from wire.config.experiment import load_experiment
 from wire.mavlink.agent_link import AgentLink
 from wire.mavlink.board_link import Arm, BoardLink, Override
@@ -167,6 +168,26 @@ def test_a_program_that_ends_leaves_its_board_neutral_and_disarmed(
     since_armed = newest_first[: newest_first.index("armed")]
     assert not any("disarmed: no override" in text for text in since_armed)  # it was told, and did not have to find out
     assert f"{why}; neutral and disarm sent to the thruster board, which says that it is disarmed" in log.read_text()
+
+
+def test_a_second_program_of_a_robot_that_is_stopped_while_it_waits_leaves_the_board_alone(
+    address: str, tmp_path: Path
+) -> None:
+    """The first one may be flying: what the second says on its way out would end that flight."""
+    port, log = free_port(SOCK_DGRAM), tmp_path / "agent.log"
+    with log.open("wb") as output, UdpBoard(port) as bench, Bus(ZenohTransport(Endpoint(address), patience_s=5.0)) as first:
+        first.claim("agent-1", bool)
+        options = ["run", "pool", "--robot", "1", "--link", f"udp:127.0.0.1:{port}", "--station", address]
+        agent = subprocess.Popen([sys.executable, "-m", "robot_agent", *options], stdout=output, stderr=output)
+        try:
+            wait_for_line(log, "another process of this name is in the fleet; waiting")
+            agent.send_signal(signal.SIGINT)
+            assert agent.wait(PATIENCE_S) == 1
+        finally:
+            agent.kill()
+            agent.wait()
+        assert bench.told == []
+    assert "agent-1: stopped while another process of this name is in fleet shoal" in log.read_text()
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])

@@ -238,6 +238,36 @@ def test_wild_times_of_another_process_end_no_robot(latest_ns: int) -> None:
     link.close()
 
 
+def test_of_two_programs_that_publish_a_robots_poses_by_turns_none_counts(caplog: pytest.LogCaptureFixture) -> None:
+    """A simulator that was left running beside the localizer: the robot would believe to leap to and fro."""
+    hub, link = MemoryHub(), open_link(f"udp:127.0.0.1:{free_port(SOCK_DGRAM)}")
+    bus, camera, simulator = (Bus(MemoryTransport(hub)) for _ in range(3))
+    robot = node.AgentNode(POOL, 1, bus, link, False, Stop(install=False))
+
+    def pose(sender: Bus, x_m: float) -> None:
+        told = Pose(x_m, 0.0, 0.0, 1e-6 * np.eye(3), Track.MARKER, True, 0.9, 0.3)
+        sender.publish(topics.POSE, told, time.time_ns(), 1)
+
+    def stepped() -> tuple[int, Pose | None]:
+        record, _ = robot.step(robot.clock.now_ns(), None)
+        return record.pose_instant_ns, record.pose
+
+    pose(camera, 0.0)
+    stepped()
+    pose(simulator, 1.5)
+    pose(camera, 0.0)  # heard again: there are two
+    instants = set()
+    for _ in range(5):
+        pose(simulator, 1.5)
+        instant_ns, found = stepped()
+        assert found is not None and found.x_m == 0.0
+        instants.add(instant_ns)
+        pose(camera, 0.0)
+    assert len(instants) == 1, "the last pose before grows old"
+    assert caplog.text.count("two programs publish poses of this robot by turns") == 1
+    link.close()
+
+
 def test_an_autopilot_gets_no_pulses_and_no_requests_to_arm() -> None:
     hub, stop, there = MemoryHub(), Stop(install=False), Autopilot()
     bus, station = Bus(MemoryTransport(hub)), Bus(MemoryTransport(hub))

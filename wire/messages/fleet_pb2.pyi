@@ -179,7 +179,7 @@ class Pose(_message.Message):
     def __init__(self, x_m: _Optional[float] = ..., y_m: _Optional[float] = ..., yaw_rad: _Optional[float] = ..., covariance: _Optional[_Iterable[float]] = ..., track: _Optional[_Union[Track, str]] = ..., identity_verified: _Optional[bool] = ..., peak: _Optional[float] = ..., depth_m: _Optional[float] = ...) -> None: ...
 
 class LocalizerStatus(_message.Message):
-    __slots__ = ("camera", "frames", "dropped", "frame_ms", "frame_age_ms", "message", "robots", "obstacles_ns", "failed", "out", "moved", "marks_seen", "code")
+    __slots__ = ("camera", "frames", "dropped", "frame_ms", "frame_age_ms", "message", "robots", "obstacles_ns", "failed", "out", "moved", "marks_seen", "code", "experiment_hash")
     CAMERA_FIELD_NUMBER: _ClassVar[int]
     FRAMES_FIELD_NUMBER: _ClassVar[int]
     DROPPED_FIELD_NUMBER: _ClassVar[int]
@@ -193,6 +193,7 @@ class LocalizerStatus(_message.Message):
     MOVED_FIELD_NUMBER: _ClassVar[int]
     MARKS_SEEN_FIELD_NUMBER: _ClassVar[int]
     CODE_FIELD_NUMBER: _ClassVar[int]
+    EXPERIMENT_HASH_FIELD_NUMBER: _ClassVar[int]
     camera: CameraHealth
     frames: int
     dropped: int
@@ -206,7 +207,8 @@ class LocalizerStatus(_message.Message):
     moved: bool
     marks_seen: bool
     code: str
-    def __init__(self, camera: _Optional[_Union[CameraHealth, str]] = ..., frames: _Optional[int] = ..., dropped: _Optional[int] = ..., frame_ms: _Optional[float] = ..., frame_age_ms: _Optional[float] = ..., message: _Optional[str] = ..., robots: _Optional[_Iterable[int]] = ..., obstacles_ns: _Optional[int] = ..., failed: _Optional[int] = ..., out: _Optional[_Iterable[str]] = ..., moved: _Optional[bool] = ..., marks_seen: _Optional[bool] = ..., code: _Optional[str] = ...) -> None: ...
+    experiment_hash: str
+    def __init__(self, camera: _Optional[_Union[CameraHealth, str]] = ..., frames: _Optional[int] = ..., dropped: _Optional[int] = ..., frame_ms: _Optional[float] = ..., frame_age_ms: _Optional[float] = ..., message: _Optional[str] = ..., robots: _Optional[_Iterable[int]] = ..., obstacles_ns: _Optional[int] = ..., failed: _Optional[int] = ..., out: _Optional[_Iterable[str]] = ..., moved: _Optional[bool] = ..., marks_seen: _Optional[bool] = ..., code: _Optional[str] = ..., experiment_hash: _Optional[str] = ...) -> None: ...
 
 class Obstacles(_message.Message):
     __slots__ = ("ids", "outline", "velocity", "depth_m", "watched", "blind", "unseen_s")

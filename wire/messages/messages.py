@@ -183,6 +183,7 @@ class LocalizerStatus:
     moved: bool = False  # Whether check marks show that the camera was moved.
     marks_seen: bool = False  # Whether most check marks are seen. Only then is a camera that was moved known to be back.
     code: str = ""  # Version and commit of the localizer's program; empty in messages of earlier versions.
+    experiment_hash: str = ""  # Of the experiment whose markers and camera its poses rest on; empty in earlier versions.
 
 
 @dataclass(frozen=True, eq=False)

@@ -50,15 +50,17 @@ class Lockstep:
     def __init__(self, bus: Bus, stop: Stop, clock: LockstepClock, ticks: Topic = topics.TICK) -> None:
         self._bus, self._stop, self._clock = bus, stop, clock
         self._ticks = bus.inbox(ticks, Tick)
-        self._last_ns = -1
+        self._last_ns = self._seen_ns = -1  # of the last tick, and of the newest that came, which may be unreadable
 
     def next(self, meanwhile: Callable[[], None] = lambda: None) -> Tick | None:
         """Wait for the next tick and set the clock to it, calling `meanwhile` now and then. None if the process has to
         stop."""
         while not self._stop.requested:
             if wait(self._bus, self._stop, self._fresh, SLICE_S):
-                received = self._ticks.newest()
-                if received is None:
+                header, received = self._ticks.newest_header(), self._ticks.newest()
+                self._seen_ns = self._seen_ns if header is None else header.stamp_ns
+                if received is None or received.message.now_ns <= self._last_ns:
+                    log.error("lockstep: a tick is no new one: %s", self._ticks.last_error or "its time is not later")
                     continue
                 self._last_ns = self._clock.tick_ns = received.message.now_ns
                 return received.message
@@ -67,7 +69,7 @@ class Lockstep:
 
     def _fresh(self) -> bool:
         header = self._ticks.newest_header()
-        return header is not None and header.stamp_ns > self._last_ns
+        return header is not None and header.stamp_ns > self._seen_ns
 
     def await_all(self, inputs: Iterable[tuple[Inbox[Any], int]]) -> bool:
         """Wait until each inbox holds a message with at least the given stamp. A negative stamp requires nothing: no step came

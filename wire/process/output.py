@@ -10,7 +10,10 @@ import io
 import os
 import queue
 import threading
-from typing import IO, cast
+from typing import IO, TYPE_CHECKING, cast
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 MOST_WAITING = 4096  # texts, of all streams: some minutes of a busy log; a few hundred kB
 CLOSE = b""  # in place of a text: the stream's end
@@ -64,6 +67,14 @@ atexit.register(_writer.flush, AT_EXIT_S)
 def flush(limit_s: float = AT_EXIT_S) -> None:
     """Wait until all output is written, or the limit is over."""
     _writer.flush(limit_s)
+
+
+def terminal(stream: IO[str] | None = None) -> "Console":
+    """A console over a stream; stdout without one. It prints texts as they are: names of files and titles of people hold
+    brackets and colons too, which would end the program as wrong markup, or be left out as a colour's or an emoji's name."""
+    from rich.console import Console  # takes a tenth of a second, and agents print nothing
+
+    return Console(file=stream, markup=False, emoji=False)
 
 
 def background(stream: IO[str] | None) -> IO[str]:

@@ -241,10 +241,19 @@ def sync_folder(folder: Path) -> None:
         os.close(descriptor)
 
 
+def check_named(descriptor: int, path: Path) -> None:
+    """Raise FileNotFoundError that names `path` if an open file was deleted: what is written into it is lost, and the system
+    reports no error."""
+    if os.fstat(descriptor).st_nlink == 0:
+        raise FileNotFoundError(errno.ENOENT, "was deleted while it was written: what was in it is lost", str(path))
+
+
 def _sync_name(path: Path) -> None:
     """Have the name of a file that is written on the disk. Raises OSError that says so."""
     try:
         sync_folder(path.parent)
+    except FileNotFoundError as error:
+        raise FileNotFoundError(error.errno, "was deleted with its folder as soon as it was there", str(path)) from None
     except OSError as error:
         raise OSError(error.errno, f"is written, but may be lost with the power: {error.strerror}", str(path)) from None
 

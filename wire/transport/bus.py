@@ -24,7 +24,7 @@ from wire.messages.topics import Topic
 from wire.toml_loader import ConfigError
 from wire.transport.command_deduplication import CommandDeduplicator
 from wire.transport.delay_estimator import DelayEstimator
-from wire.transport.transport import Answer, Await, Transport
+from wire.transport.transport import Answer, Await, Transport, Unreached
 
 log = logging.getLogger("shoal")
 
@@ -40,6 +40,7 @@ SAME_NAME_S = 12.0  # for the router to miss a process that was cut off: its lea
 TOLD_WITHIN_S = 0.25  # the router tells within ms that a name is taken; liveliness().get() misses 1 name of 20 under load
 STOPPED_WITHIN_S = 0.2  # between looks at whether this process is to end
 SESSIONS = 4  # per inbox that are remembered: of a sender that was started again, the one before may still be on its way
+TWO_SENDERS_S = 1.0  # after the last sign of a second sender; all topics that control come several times in that time
 KEPT = 3  # per inbox: in lockstep a fast neighbour may already be one step ahead
 
 
@@ -93,6 +94,8 @@ class Inbox(Generic[M]):
         self._bus, self._topic, self._kind, self._wakes = bus, topic, kind, wakes
         self._kept: tuple[_Kept[M], ...] = ()  # replaced, never changed: readers need no lock
         self._senders: dict[int, _Sender] = {}  # by session, the newest last
+        self._session = 0  # of the newest message
+        self._returned_ns: int | None = None  # when a session was last heard again after another one
 
     def store(self, header: Header, payload: bytes) -> None:
         """A message has come."""
@@ -105,11 +108,20 @@ class Inbox(Generic[M]):
                 return
             if len(self._senders) > SESSIONS:
                 del self._senders[next(iter(self._senders))]
-            sender.sequence, arrived_ns = header.sequence, time.monotonic_ns()
+            sender.sequence, arrived_ns, is_known = header.sequence, time.monotonic_ns(), sender.sequence >= 0
+            if is_known and header.session != self._session:
+                self._returned_ns = arrived_ns
+            self._session = header.session
             late_ns = sender.delay.excess_ns(header.stamp_ns + header.age_ns, arrived_ns)
             self._kept = (*self._kept[1 - KEPT :], _Kept(header, payload, arrived_ns, late_ns))
             if self._wakes:
                 self._bus.arrival.notify_all()
+
+    def has_two_senders(self, within_s: float = TWO_SENDERS_S) -> bool:
+        """True if two programs send this topic by turns: one was heard again after another, so long ago at most. The newest
+        message is then one's or the other's."""
+        returned_ns = self._returned_ns
+        return returned_ns is not None and time.monotonic_ns() - returned_ns < within_s * 1e9
 
     def newest_header(self) -> Header | None:
         """Header of the newest message, decoded or not: cheap, for waiting."""
@@ -248,10 +260,18 @@ class Bus:
 
     def serve(self, robot: int, handle: Handle) -> None:
         """Answer the commands to a robot. `handle` runs in a network thread, and sees each command once
-        (wire/transport/command_deduplication.py). What cannot be read is refused, with the reason. A STOP waits for no other
-        command: `handle` may be called with it while another call is under way."""
+        (wire/transport/command_deduplication.py). What cannot be read is refused, with the reason; so is what `handle` raises
+        an exception at, which may be carried out by half and is not tried again. A STOP waits for no other command: `handle`
+        may be called with it while another call is under way."""
         name, deduplicator = topics.COMMAND_KEY.format(robot=robot), CommandDeduplicator(self.session)
         turn, known = threading.Lock(), threading.Lock()  # around a command; around the deduplicator
+
+        def handled(header: Header, command: Command) -> Reply:
+            try:
+                return handle(header, command)
+            except Exception as error:  # without an answer the sender would take the network for the cause
+                log.error("%s failed: %s: %s", command.order.name, type(error).__name__, error, exc_info=error)
+                return Reply(robot, False, f"{command.order.name} failed: {type(error).__name__}: {error}")
 
         def answer(payload: bytes, header: bytes) -> bytes:
             try:
@@ -264,7 +284,7 @@ class Bus:
                 with known:
                     reply = deduplicator.known_reply(decoded, command)
                 if reply is None:
-                    reply = handle(decoded, command)
+                    reply = handled(decoded, command)
                     with known:
                         reply = deduplicator.record(decoded, reply)
             with self.arrival:
@@ -338,7 +358,8 @@ class Bus:
 
     def claim(self, process: str, stopped: Callable[[], bool], patience_s: float = SAME_NAME_S) -> None:
         """Take a name in the fleet, or wait until no other process has it: one that has crashed is missed after some seconds.
-        Raises ConfigError if one has it all the same. Do it first: two of one name would act by turns.
+        Raises ConfigError if one has it all the same, Unreached if this process is to stop before it is free: who goes on then
+        would take leave of the other's board in its name. Do it first: two of one name would act by turns.
 
         Of several that begin together each says so, looks again when the others must have heard, and the lowest session gets
         the name. One that appears all the same, when a network has been in two parts, is an error in the log of both."""
@@ -371,6 +392,8 @@ class Bus:
                     f"{process}: another process of this name is in fleet {self._fleet} (allowed: one): end it, or start this "
                     "one for another robot (--robot) or fleet (--fleet)"
                 )
+        if not is_free():
+            raise Unreached(f"{process}: stopped while another process of this name is in fleet {self._fleet}")
         held = True
         self.transport.announce(self._claim_key(process, topics.HOLDER))
 

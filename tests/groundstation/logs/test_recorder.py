@@ -350,6 +350,14 @@ def test_the_end_comes_behind_the_last_message(tmp_path: Path) -> None:
     assert kinds[: kinds.index("DataEnd") - 1].count("Chunk") == kinds.count("Chunk") == 1
 
 
+def test_a_log_that_is_deleted_under_its_recorder_is_missed_while_the_run_goes_on(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "run.mcap", "", {})
+    (tmp_path / "run.mcap").unlink()
+    assert eventually(lambda: "was deleted" in recorder.error, 30.0)
+    recorder.close()
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_run_whose_log_has_stopped_is_not_deleted_while_it_flies(tmp_path: Path) -> None:
     folder = tmp_path / "pool-20260101-120000"
     folder.mkdir()

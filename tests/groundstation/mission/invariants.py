@@ -21,6 +21,7 @@ from groundstation.mission.state_machine import (
     JOINING,
     NOMINAL,
     TERMINAL,
+    WATER,
     MissionState,
     rejection_reason,
 )
@@ -31,6 +32,7 @@ from wire.messages.messages import Mode, Order, Outcome, Progress
 
 LED_WITHIN_S = 3.0  # a moving robot in reach without anybody who leads it
 NAMED_WITHIN_S = 3.0  # an armed robot that nobody leads, to the people at the page
+UNPOWERED_WITHIN_S = 3.0  # a robot in reach that a person took out of the water
 STOPPED_WITHIN_S = 3.0  # of a STOP, or of a robot's return into reach of a stopped station
 RECENT = 40  # cycles: an outcome may be that much older than the truth, by the radio's delay and one patience of an order
 OVER_WITHIN_S = 20.0  # of a request that waits for robots in reach; longer than a stage's patience of 10 s and an abort's
@@ -70,6 +72,8 @@ class Invariants:
     unnamed_s: dict[int, float] = field(default_factory=dict)
     unstopped_s: dict[int, float] = field(default_factory=dict)
     unrested_s: dict[int, float] = field(default_factory=dict)
+    powered_out_s: dict[int, float] = field(default_factory=dict)
+    out: set[int] = field(default_factory=set)  # robots that people took out of the water
     driven_ns: dict[int, int] = field(default_factory=dict)  # by robot: the last velocity that a person gave
     arms_ns: dict[int, int] = field(default_factory=dict)  # by robot: the last request for which it may be armed
     rests: set[int] = field(default_factory=set)  # robots that a STOP or DISARM is the last request of
@@ -99,6 +103,9 @@ class Invariants:
         flown = {robot.id: robot.clock.id for robot in self.pool.robots.values()}
         self.followed.setdefault(number, _Followed(order, place_m, only, self.pool.now_ns, flown))
         ends_a_run = self.pool.mission.state is MissionState.ENDING
+        if order in WATER:
+            self.out = self.out | {only} if order is Order.OUT else self.out - {only}
+            return
         if order is Order.TUNE or (order is Order.END and not ends_a_run):
             return
         concerned = {only} if only else set(self.pool.robots)
@@ -126,6 +133,7 @@ class Invariants:
         self.every_armed_robot_is_somebodys()
         self.robots_are_armed_by_request_alone()
         self.robots_rest_when_told()
+        self.robots_out_of_the_water_have_no_power()
         self.a_stop_reaches_every_robot()
         self.progress_is_the_formations()
         self.laps_are_the_formations()
@@ -223,6 +231,16 @@ class Invariants:
                 f"RESTS: robot {robot.id} is {robot.mode.name}, the mission {self.pool.mission.state.name}"
             )
 
+    def robots_out_of_the_water_have_no_power(self) -> None:
+        """No robot in reach that a person took out of the water is armed, and none of them takes part."""
+        assert not self.out & set(self.pool.mission.roster.active), f"OUT: {self.out} are out, and are counted on"
+        for robot in self.pool.robots.values():
+            missed = robot.id in self.out and armed(robot) and self.pool.reach(robot.id)
+            self.powered_out_s[robot.id] = self.powered_out_s.get(robot.id, 0.0) + STEP_NS * 1e-9 if missed else 0.0
+            assert self.powered_out_s[robot.id] <= UNPOWERED_WITHIN_S, (
+                f"OUT: robot {robot.id} is {robot.mode.name}, the mission {self.pool.mission.state.name}"
+            )
+
     def a_stop_reaches_every_robot(self) -> None:
         """While the station is stopped, every robot that can hear is stopped."""
         for robot in self.pool.robots.values():
@@ -318,8 +336,8 @@ class Invariants:
             return self._never(heard if followed.only else active, Mode.ARMED, Mode.HOLDING)
         if order is Order.LOAD:
             return "; ".join(f"robot {r.id} has no plan" for r in active if not self._had_plan(r))
-        if order is Order.STOP:
-            return self._never(heard, Mode.STOPPED)
+        if order is Order.STOP:  # one that is out of the water, without power, is sent it, and not waited for
+            return self._never([r for r in heard if r.id not in self.out or armed(r)], Mode.STOPPED)
         if order is Order.DISARM or order is Order.END:
             return "; ".join(f"robot {r.id} is {r.mode.name}" for r in heard if armed(r) and not self._was_rest(r))
         if order is Order.CLEAR_STOP:
@@ -337,8 +355,12 @@ class Invariants:
             return self._never(active, Mode.TRACKING) or "; ".join(f"robot {r.id} has its old path" for r in same)
         if order is Order.RETURN:
             starts = self.pool.starts
-            away = [r for r in heard if np.hypot(*(r.eta[:2] - starts[r.id][:2])) > NEAR_M or not self._was_rest(r)]
+            inside = [r for r in heard if r.id not in self.out]
+            away = [r for r in inside if np.hypot(*(r.eta[:2] - starts[r.id][:2])) > NEAR_M or not self._was_rest(r)]
             return "; ".join(f"robot {r.id} is not at its start, or is {r.mode.name}" for r in away)
+        if order in WATER:
+            wrong = (followed.only in self.pool.mission.roster.out) is not (order is Order.OUT)
+            return f"robot {followed.only} is counted otherwise" if wrong and followed.alone else ""
         if order is Order.TUNE:
             ids = {r.tuning_id for r in active}
             return f"gains differ: {sorted(ids)}" if len(ids) > 1 else ""
@@ -391,7 +413,7 @@ class Invariants:
             assert not refused, f"WAY OUT: all rest, but {refused}"
         if mission.state in (MissionState.FAILED, MissionState.CANCELLED):
             assert mission.reason, f"REASON: {mission.state.name} without one"
-        fit = [r for r in mission.roster.lost if self.in_reach_s(r) > 1.0 and self._fit(r)]
+        fit = [r for r in mission.roster.lost if r not in self.out and self.in_reach_s(r) > 1.0 and self._fit(r)]
         if fit and mission.state in NOMINAL | {MissionState.PAUSED} and not mission.segment.is_return:
             refused = mission.objection(Order.REJOIN, fleet)
             assert not refused, f"WAY OUT: robot {fit[0]} is fit, but REJOIN: {refused}"

@@ -180,6 +180,24 @@ class Interruptions(RuleBasedStateMachine):
         self.hide(k, 0.1)
         self.pool.run(1.0)
 
+    @rule(who=st.sampled_from(PEOPLE), k=st.integers(0, 2), switched_off=st.booleans())
+    def take_robot_out(self, who: str, k: int, switched_off: bool) -> None:
+        """Take a robot out of the water, disarmed where people can, switched off or as it is."""
+        robot = self.ids[k % len(self.ids)]
+        if not self.ask(who, Order.DISARM, robot):
+            self.pool.run(0.5)
+        if not self.ask(who, Order.OUT, robot) and switched_off:
+            self.pool.robots[robot].alive = False
+
+    @rule(who=st.sampled_from(PEOPLE), k=st.integers(0, 2))
+    def note_robot_out(self, who: str, k: int) -> None:
+        """Say of a robot, whatever it does, that it is out of the water."""
+        self.ask(who, Order.OUT, self.ids[k % len(self.ids)])
+
+    @rule(who=st.sampled_from(PEOPLE), k=st.integers(0, 2))
+    def put_robot_back(self, who: str, k: int) -> None:
+        self.ask(who, Order.BACK_IN, self.ids[k % len(self.ids)])
+
     def arm_one(self, who: str, k: int) -> int:
         """Arm a robot that is disarmed. Returns its id."""
         robot = self.ids[k % len(self.ids)]
@@ -330,6 +348,10 @@ class Interruptions(RuleBasedStateMachine):
         assert refused == "", f"RECOVERY: CLEAR_STOP: {refused}"
         pool.run(3.0)
         assert {r.mode for r in pool.robots.values()} == {Mode.DISARMED}, "RECOVERY: not all are disarmed"
+        for robot in sorted(self.watched.out):
+            refused = self.ask("page A", Order.BACK_IN, robot)
+            assert refused == "", f"RECOVERY: BACK_IN: {refused}"
+        pool.run(0.1)
         refused = self.ask("page A", Order.RETURN, 0)
         for _ in range(150):
             pool.run(1.0)

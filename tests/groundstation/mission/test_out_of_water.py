@@ -1,7 +1,12 @@
 """A robot that a person takes out of the water, and puts back, seen by people, planner and robots."""
 
+import numpy as np
+import pytest
+
+from groundstation.mission.objections import LIVE
 from groundstation.mission.state_machine import MissionState
-from tests.groundstation.mission.simulated_fleet import SimulatedFleet
+from tests.groundstation.mission.judged_run import RunRecord
+from tests.groundstation.mission.simulated_fleet import SimulatedFleet, armed
 from wire.config.experiment import load_experiment
 from wire.messages.messages import Mode, Order, Outcome, Progress
 
@@ -17,6 +22,13 @@ def ask(fleet: SimulatedFleet, order: Order, only: int = 0) -> str:
     outcome = fleet.core.requests.outcome(number)
     assert isinstance(outcome, Outcome)
     return "" if outcome.progress is Progress.DONE else outcome.reason
+
+
+def arm(fleet: SimulatedFleet, robot: int) -> None:
+    """Arm one robot."""
+    reason, _ = fleet.core.request(Order.ARM, fleet.fleet, fleet.now_ns, only=robot)
+    fleet.run(0.5)
+    assert fleet.robots[robot].mode is Mode.ARMED, reason
 
 
 def until(fleet: SimulatedFleet, state: MissionState, seconds: float = 30.0) -> None:
@@ -79,3 +91,88 @@ def test_robot_taken_out_in_flight_is_no_obstacle_any_more_and_may_rejoin() -> N
     assert ask(fleet, Order.REJOIN) == ""
     until(fleet, MissionState.RUNNING)
     assert set(fleet.mission.roster.active) == {1, 2} and told[-1:] == [()]
+
+
+@pytest.mark.parametrize("flies", [True, False])
+def test_robot_that_was_silent_with_power_is_disarmed_when_it_is_out_of_the_water(flies: bool) -> None:
+    fleet = SimulatedFleet(POOL)
+    fleet.run(0.5)
+    if flies:
+        assert ask(fleet, Order.START) == ""
+        until(fleet, MissionState.RUNNING)
+    else:
+        arm(fleet, 2)
+    fleet.robots[2].radio.mute_until_ns = fleet.now_ns + 5_000_000_000  # it hears the station, and so keeps its power
+    fleet.run(4.0)
+    assert fleet.robots[2].mode in LIVE and ask(fleet, Order.OUT, 2) == ""
+    fleet.run(0.5)
+    assert fleet.robots[2].mode is Mode.DISARMED  # told so though it is not heard
+    fleet.run(2.0)
+    assert fleet.robots[2].mode is Mode.DISARMED and (not flies or fleet.robots[1].mode is Mode.TRACKING)
+
+
+def test_stop_waits_for_a_robot_out_of_the_water_that_has_power() -> None:
+    fleet = SimulatedFleet(POOL)
+    fleet.run(0.5)
+    assert ask(fleet, Order.OUT, 2) == ""
+    robot = fleet.robots[2]
+    robot.mode, robot.radio.delay_ns = Mode.ARMED, 200_000_000
+    fleet.run(0.25)
+    _, number = fleet.core.request(Order.STOP, fleet.fleet, fleet.now_ns)
+    while (outcome := fleet.core.requests.outcome(number)) is None or outcome.progress is Progress.UNDER_WAY:
+        fleet.step()
+    assert outcome.progress is Progress.DONE and not armed(robot)
+
+
+def test_robot_is_sent_through_the_place_of_one_that_is_out_of_the_water() -> None:
+    fleet = SimulatedFleet(POOL)
+    fleet.run(0.5)
+    place_m = fleet.robots[2].eta[:2]
+    arm(fleet, 1)
+    ways = []
+    for out in (False, True):
+        if out:
+            assert ask(fleet, Order.OUT, 2) == ""
+        ways.append(fleet.core.request(Order.GO, fleet.fleet, fleet.now_ns, ((place_m[0], place_m[1]),), 1))
+    assert "from robot 2" in ways[0][0] and ways[1][0] == ""
+    while (outcome := fleet.core.requests.outcome(ways[1][1])) is None or outcome.progress is Progress.UNDER_WAY:
+        fleet.step()
+    assert outcome.progress is Progress.DONE, outcome.reason
+    assert np.hypot(*(fleet.robots[1].eta[:2] - place_m)) < POOL.safety.off_path_m
+
+
+def test_report_has_no_error_of_a_robot_that_was_out_of_the_water() -> None:
+    fleet = SimulatedFleet(POOL)
+    record = RunRecord(fleet)
+    fleet.run(0.5)
+    for ends in (Order.DISARM, Order.NONE):
+        assert ask(fleet, Order.START) == ""
+        until(fleet, MissionState.RUNNING if ends is Order.DISARM else MissionState.DEGRADED)
+        fleet.run(3.0)
+        if ends is Order.DISARM:
+            assert ask(fleet, ends) == ""
+            until(fleet, MissionState.CANCELLED)
+            fleet.robots[1].eta = fleet.starts[1]
+            fleet.run(0.2)
+            assert ask(fleet, Order.OUT, 2) == ""
+            fleet.robots[2].eta = fleet.starts[2] + np.array([0.8, 0.0, 0.0, 0.0])
+    record.judge()
+
+
+def test_robot_is_fetched_from_the_water_after_a_stop() -> None:
+    fleet = SimulatedFleet(POOL)
+    fleet.run(0.5)
+    fleet.robots[2].alive = False
+    fleet.run(4.0)
+    _, number = fleet.core.request(Order.STOP, fleet.fleet, fleet.now_ns)
+    fleet.run(1.0)
+    stop = fleet.core.requests.outcome(number)
+    assert stop is not None and stop.waiting == (2,)
+    assert ask(fleet, Order.OUT, 2) == ""
+    stop = fleet.core.requests.outcome(number)
+    assert stop is not None and stop.progress is Progress.DONE
+    assert ask(fleet, Order.CLEAR_STOP) == ""
+    until(fleet, MissionState.WAITING, 3.0)
+    assert ask(fleet, Order.STOP) == ""
+    fleet.run(0.5)
+    assert ask(fleet, Order.BACK_IN, 2) == "" and fleet.mission.roster.active == (1, 2)

@@ -143,6 +143,23 @@ def test_a_robot_led_in_flight_leaves_the_formation_and_the_other_flies_on() -> 
     assert run.mission.roster.lost == {}
 
 
+@pytest.mark.parametrize("begins", [MissionState.SWITCHING, MissionState.RETURNING])
+def test_a_robot_is_led_on_while_the_formation_takes_another_path_or_flies_home(begins: MissionState) -> None:
+    run = LedRun()
+    run.fly()
+    for k in range(12):
+        assert run.drive() == ""
+        run.step(0.1)
+        if k == 2:
+            run.mission.plans.deadline_s = math.inf
+            run.mission.state = begins  # as by itself: an obstacle lies on the path, or the plan leads home
+    assert run.in_mode(2, Mode.DRIVEN) and run.single.tasks[2].progress is Progress.UNDER_WAY
+    run.drive(DriveVelocity())
+    run.step(0.3)
+    assert run.in_mode(2, Mode.HOLDING) and run.single.tasks[2].progress is Progress.DONE
+    assert run.at(begins) and run.in_mode(1, Mode.TRACKING)
+
+
 def test_a_robot_led_while_all_hold_keeps_its_place_in_the_formation() -> None:
     run = LedRun()
     run.fly()

@@ -54,3 +54,10 @@ def test_a_log_of_other_code_is_told_of(tmp_path: Path) -> None:
     told = recorded_by_other_code({"version": "0.1.0", "commit": 5 * "8289d898" + "+changed.01234567"})
     assert told.startswith("the run was recorded by 0.1.0 8289d898+changed.01234567, this is ")
     assert recorded_by_other_code({}).startswith("the run was recorded by unknown unknown, ")
+
+
+def test_time_0_is_the_formations_start_and_not_that_of_a_flight_alone() -> None:
+    outputs = StepOutputs()
+    for k, (trajectory, clock_s) in enumerate((("alone-x", 1.0), ("alone-x", 2.0), ("p1", 0.0), ("p1", 0.5), ("p1", 1.5))):
+        outputs.add(topics.STATE, k * 1_000_000_000, encode(RobotState(trajectory_id=trajectory, trajectory_s=clock_s)))
+    assert compare(1, outputs, outputs, same_experiment=True).time_s.tolist() == [-2.5, -1.5, -0.5, 0.5, 1.5]

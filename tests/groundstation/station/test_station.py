@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from groundstation.formation_clock import named_alone
@@ -38,10 +39,12 @@ from wire.messages.messages import (
     Mode,
     Order,
     Outcome,
+    Pose,
     Progress,
     Reply,
     RobotState,
     StationHeartbeat,
+    Track,
     Trajectory,
 )
 from wire.messages.topics import WHOLE_FLEET
@@ -223,7 +226,13 @@ def tell_until(fleet: ObedientFleet, over: threading.Event) -> None:
         fleet.tell()
 
 
-LEADS = {Order.HOLD: Mode.HOLDING, Order.STOP: Mode.STOPPED, Order.CLEAR_STOP: Mode.DISARMED, Order.DISARM: Mode.DISARMED}
+LEADS = {
+    Order.ARM: Mode.ARMED,
+    Order.HOLD: Mode.HOLDING,
+    Order.STOP: Mode.STOPPED,
+    Order.CLEAR_STOP: Mode.DISARMED,
+    Order.DISARM: Mode.DISARMED,
+}
 
 
 def asked(station: Station, order: Order) -> int:
@@ -397,6 +406,28 @@ def test_a_station_that_is_told_to_end_in_flight_holds_and_then_disarms(
         assert not [line for line in lines if line.endswith("asked for")]
 
 
+@pytest.mark.parametrize("state", [MissionState.LOADING, MissionState.ARMING])
+def test_a_station_that_is_told_to_end_while_robots_are_being_armed_leaves_none_armed(
+    tmp_path: Path, state: MissionState
+) -> None:
+    hub, stop = MemoryHub(), Stop(install=False)
+    with a_station(tmp_path, hub) as station:
+        fleet = ObedientFleet(hub, station.experiment)
+        fleet.until(station, lambda: len(station.seen) == 2 and all(seen.heard for seen in station.seen.values()))
+        station.mission.state = state
+        stop.request(interrupted=True)
+        over, told = threading.Event(), threading.Thread(target=lambda: tell_until(fleet, over))
+        told.start()
+        try:
+            process._wall_loop(station, stop, process.EndOfRun(station, None))
+        finally:
+            over.set()
+            told.join()
+        assert station.mission.state not in (MissionState.LOADING, MissionState.ARMING)
+        orders = [order for robot, order in fleet.got if robot == 1 and order in (Order.ARM, Order.DISARM)]
+        assert orders[-1] is Order.DISARM and fleet.modes == {1: Mode.DISARMED, 2: Mode.DISARMED}
+
+
 def test_an_end_disarms_the_one_robot_that_is_armed(tmp_path: Path) -> None:
     hub = MemoryHub()
     with a_station(tmp_path, hub) as station:
@@ -449,6 +480,24 @@ def test_an_automatic_run_that_a_person_took_over_ends_only_when_it_is_left_alon
         assert not process.EndOfRun(station, None).reached()
         station.core.by_hand = False  # as a person's START leaves it
         assert process.EndOfRun(station, None).reached()
+
+
+def test_a_run_without_a_robot_that_is_out_of_the_water_is_left_alone_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its agent may be switched off for good: nobody can hear it."""
+    monkeypatch.setattr(process, "IDLE_ALONE_S", 0.2)
+    hub = MemoryHub()
+    with a_station(tmp_path, hub) as station:
+        fleet, end = ObedientFleet(hub, station.experiment), process.EndOfRun(station, None)
+        del fleet.modes[2]
+        station.mission.automatic = station.core.by_hand = True
+        fleet.until(station, lambda: bool(station.seen) and station.seen[1].heard)
+        assert not end.reached()
+        time.sleep(0.3)
+        assert not end.reached()  # robot 2 may be anywhere
+        assert station.request(Order.OUT, only=2)[0] == ""
+        fleet.until(station, end.reached)
 
 
 def test_status_returns_at_once_while_a_cycle_hangs(tmp_path: Path) -> None:
@@ -517,6 +566,39 @@ def test_a_robot_with_other_gains_than_the_fleets_is_not_armed(tmp_path: Path) -
             seen = RobotView(state=RobotState(tuning_id=own), state_age_s=0.0)
             found = findings(station.experiment, 1, station.core.view(1, seen, 0))
             assert any(finding.key == "gains" and finding.blocks_arming for finding in found) is blocks
+
+
+def test_robots_are_not_armed_by_the_poses_of_another_experiment(tmp_path: Path) -> None:
+    """A localizer whose file gives the markers to other robots, or hangs the camera elsewhere, says nothing by itself: its
+    poses are fresh, and as certain as any."""
+    hub = MemoryHub()
+    with a_station(tmp_path, hub) as station:
+        fleet = Bus(MemoryTransport(hub))
+        for hash_, blocks in (("0" * 64, True), (station.experiment.hash, False), ("", False)):  # the last: an earlier version
+            fleet.publish(topics.LOCALIZER, LocalizerStatus(CameraHealth.OK, experiment_hash=hash_), time.time_ns())
+            state = RobotState(experiment_hash=station.experiment.hash, battery_v=12.0)
+            fleet.publish(topics.STATE, state, time.time_ns(), 1)
+            station.cycle(station.clock.now_ns(), lockstep=False)
+            seen = replace(station.status().seen[1], state_age_s=0.0)
+            found = [f for f in findings(station.experiment, 1, seen) if f.key == "localizer"]
+            assert [f.blocks_arming for f in found] == [True] * blocks
+            if blocks:
+                text = f"its poses are by another experiment (00000000, here {station.experiment.hash[:8]})"
+                assert (found[0].level, found[0].text) == ("critical", text)
+
+
+def test_a_robot_whose_poses_come_from_two_programs_is_not_armed(tmp_path: Path) -> None:
+    hub = MemoryHub()
+    with a_station(tmp_path, hub) as station:
+        programs = Bus(MemoryTransport(hub)), Bus(MemoryTransport(hub))
+        state = RobotState(experiment_hash=station.experiment.hash, battery_v=12.0)
+        for number in (0, 1, 0):
+            programs[number].publish(topics.POSE, Pose(0.0, 0.0, 0.0, np.eye(3), Track.MARKER, True), time.time_ns(), 1)
+            programs[number].publish(topics.STATE, state, time.time_ns(), 1)
+        station.cycle(station.clock.now_ns(), lockstep=False)
+        seen = {robot: replace(view, state_age_s=0.0) for robot, view in station.status().seen.items()}
+        found = {robot: [f for f in findings(station.experiment, robot, seen[robot]) if f.key == "poses"] for robot in (1, 2)}
+        assert [f.blocks_arming for f in found[1]] == [True] and found[2] == []
 
 
 def test_programs_of_other_code_than_the_stations_are_named_on_the_page_and_in_the_log(

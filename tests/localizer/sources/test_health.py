@@ -22,6 +22,17 @@ def test_frozen_at_the_fifth_identical_frame_and_well_at_the_first_new_one() -> 
     assert not watch.repeated
 
 
+@pytest.mark.parametrize("buffers", [2, 4, 10])
+def test_a_camera_that_hands_out_its_buffers_in_turn_is_frozen(buffers: int) -> None:
+    """Each picture differs from the one before, and none is new: poses would say that robots jump to and fro."""
+    watch, random = FrameHealthMonitor(SIZE_PX, frozen_frames=5), np.random.default_rng(1)
+    ring = [_still_scene(random, 2.0) for _ in range(buffers)]
+    assert {watch.assess(frame) for frame in ring} == {CameraHealth.OK} and not watch.repeated
+    states = [watch.assess(ring[k % buffers]) for k in range(4 * buffers)]
+    assert watch.repeated and set(states[:3]) == {CameraHealth.OK} and set(states[3:]) == {CameraHealth.FROZEN}
+    assert watch.assess(_still_scene(random, 2.0)) is CameraHealth.OK and not watch.repeated
+
+
 @pytest.mark.long
 def test_a_still_scene_with_the_faintest_noise_is_not_frozen() -> None:
     """0.2 grey levels of noise move one pixel in a hundred; nothing else changes for 50 frames."""

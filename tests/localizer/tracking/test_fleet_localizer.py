@@ -195,6 +195,17 @@ def test_lost_and_found_elsewhere() -> None:
     assert all(step.pose(2).track is Track.MARKER for step in steps)
 
 
+def test_a_robot_that_is_not_seen_after_a_long_gap_between_pictures_is_lost() -> None:
+    """However long the experiment lets robots coast: the camera was gone for a minute, and nobody knows where they went."""
+    locator = FleetLocalizer(load_experiment("pool", ["localizer.lost_after_s=2"]))
+    still = _circling(0.0)
+    for k in range(3):
+        before = locator.step(SIDE.frame(still), k * STEP_NS, DEPTHS_M)
+    assert {pose.track for _, pose in before.poses} == {Track.MARKER}
+    after = locator.step(SIDE.frame({2: still[2]}), 60_000_000_000, DEPTHS_M)
+    assert {robot: pose.track for robot, pose in after.poses} == {1: Track.LOST, 2: Track.MARKER}
+
+
 def test_a_robot_nobody_saw_has_no_pose() -> None:
     only_second = {2: np.array([-0.4, 0.1, DEPTH_M, 0.5])}
     steps = list(_fly(FleetLocalizer(EXPERIMENT), 7, lambda t: only_second))

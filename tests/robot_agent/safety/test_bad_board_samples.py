@@ -147,7 +147,7 @@ def test_one_bad_yaw_rate_is_no_broken_thruster_and_a_lasting_one_is_taken_in() 
     detector, period_ns = ThrusterFaultDetector(POOL.vehicle), 50 * MS
     for k in range(400):
         now_ns = k * period_ns
-        detector.note_moments(np.full(4, 0.01 * (-1) ** (k // 20)), now_ns)
+        detector.note_moments(np.full(4, 0.01 * (-1) ** (k // 20)), np.zeros(4), now_ns)
         detector.step(40.0 if k == 300 else 0.0, now_ns, now_ns)
     assert not detector.broken
     for k in range(400, 420):

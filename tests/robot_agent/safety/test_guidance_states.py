@@ -4,11 +4,11 @@ import itertools
 import math
 from pathlib import Path
 
-from robot_agent.safety.guidance_states import STATES, TRANSITIONS, GuidanceFacts, StayLimits, next_state, table
+from robot_agent.safety.guidance_states import ALONG_PATH, STATES, TRANSITIONS, GuidanceFacts, StayLimits, next_state, table
 from robot_agent.safety.modes import POWERED, REACTIONS
 from wire.messages.messages import Guidance, Mode
 
-FACTS = [GuidanceFacts(*facts) for facts in itertools.product(Mode, (False, True), (False, True))]
+FACTS = [GuidanceFacts(*facts) for facts in itertools.product(Mode, (False, True), (False, True), (False, True))]
 FLOWN = [state for state in Guidance if state is not Guidance.NONE]
 
 
@@ -42,12 +42,21 @@ def test_an_encounter_is_joined_left_and_returned_from() -> None:
     ]  # fmt: skip
     state, seen = Guidance.NONE, []
     for fact in facts:
-        state = next_state(state, GuidanceFacts(*fact))
+        state = next_state(state, GuidanceFacts(*fact, is_steady=True))
         seen.append(state.name)
     assert seen == [
         "NONE", "JOINING", "ON_PATH", "GIVING_WAY", "RETURNING", "GIVING_WAY", "RETURNING", "ON_PATH", "JOINING", "HOLDING",
         "JOINING", "NONE",
     ]  # fmt: skip
+
+
+def test_a_state_along_the_path_that_has_just_begun_is_left_for_a_leap_of_the_path_only() -> None:
+    for state, facts in itertools.product(ALONG_PATH, FACTS):
+        found = next_state(state, facts)
+        if facts.mode is Mode.TRACKING and not facts.is_steady:
+            assert found in (state, Guidance.JOINING)
+        else:
+            assert found is next_state(state, facts._replace(is_steady=True))
 
 
 def test_both_tables_are_in_the_documentation() -> None:

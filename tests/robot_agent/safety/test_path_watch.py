@@ -1,6 +1,5 @@
 """The path watch in numeric flights: what a robot cannot do stops it with its cause, and nothing else does."""
 
-import itertools
 import re
 from dataclasses import replace
 
@@ -23,6 +22,7 @@ def flown(monkeypatch: pytest.MonkeyPatch, cell: str, number: int, path_s: float
 SLOW = pytest.mark.slow
 TRAPS = [
     ("held-start", 2, 3.0, 6.0), ("held-start", 1, 5.0, 7.0), ("turned-57", 0, 3.0, 6.0), ("turned-180", 1, 3.0, 6.0),
+    ("turned-180", 5, 3.0, 6.0), ("turned-90", 5, 3.0, 6.0),
     pytest.param("held-path", 0, 3.0, 20.0, marks=SLOW), pytest.param("swept", 0, 3.0, 18.0, marks=SLOW),
     pytest.param("held-meet", 1, 3.0, 20.0, marks=SLOW), pytest.param("turned-20", 2, 7.0, 12.0, marks=SLOW),
 ]  # fmt: skip
@@ -41,7 +41,8 @@ def test_trap_stops_the_robot_and_names_the_cause(
 
 
 FREE = [
-    ("start-current-0.8", 1, 8.0), ("start-model+100", 0, 8.0), ("model-50", 0, 6.0),
+    ("start-current-0.8", 1, 8.0), ("start-model+100", 0, 8.0), ("model-50", 0, 6.0), ("model-50", 1, 6.0),
+    ("start-model-50", 4, 7.0), ("start-model-50", 16, 9.0),
     pytest.param("current-0.8", 0, 30.0, marks=SLOW), pytest.param("waves", 1, 30.0, marks=SLOW),
     pytest.param("gusts", 0, 30.0, marks=SLOW), pytest.param("mixed", 0, 30.0, marks=SLOW),
 ]  # fmt: skip
@@ -54,6 +55,31 @@ def test_robot_that_can_do_what_is_asked_is_not_stopped(
     log = flown(monkeypatch, cell, number, path_s)
     assert {(s.mode, s.fault) for s in log.states[0][1:]} == {(Mode.TRACKING, "")}
     assert {s.guidance for s in log.states[0][1:]} <= {Guidance.JOINING, Guidance.ON_PATH}
+
+
+MEETINGS = [
+    ("meet-2", 1, 40.0), ("meet-4", 2, 12.0), ("meet-4", 0, 25.0), ("meet-overtake", 1, 30.0),
+    *(
+        pytest.param(cell, number, 90.0, marks=SLOW)
+        for cell in ("meet-2", "meet-4", "meet-8", "meet-overtake", "meet-circle") for number in range(3)
+    ),
+]  # fmt: skip
+A_HANDFUL = 6  # joining, on the path, giving way, returning, on the path; a slow overtaking may push a robot aside twice
+
+
+@pytest.mark.parametrize(("cell", "number", "path_s"), MEETINGS)
+def test_guidance_state_of_an_encounter_is_steady(
+    monkeypatch: pytest.MonkeyPatch, cell: str, number: int, path_s: float
+) -> None:
+    """The numbers 0, 1, 2 are flights at 10, 20, 50 Hz."""
+    log = flown(monkeypatch, cell, number, path_s)
+    for states in log.states:
+        changes = [
+            (k * log.period_s, s.guidance) for k, s in enumerate(states) if k == 0 or s.guidance is not states[k - 1].guidance
+        ]
+        assert len(changes) <= A_HANDFUL, changes
+        for before, (begun_s, _), (ended_s, after) in zip(changes, changes[1:], changes[2:], strict=False):
+            assert before[1] is not after or ended_s - begun_s > 0.99, changes
 
 
 @pytest.mark.slow
@@ -77,22 +103,3 @@ def test_of_two_that_cross_only_the_one_with_the_other_to_starboard_gives_way(
         has_it_to_starboard = (way.conjugate() * other).imag < 0.0
         assert (Guidance.GIVING_WAY in seen) is has_it_to_starboard
         assert seen[-1] is Guidance.ON_PATH
-
-
-MEETINGS = [
-    ("meet-4", 0), ("meet-overtake", 0),
-    *(pytest.param(cell, n, marks=SLOW) for cell in ("meet-2", "meet-4", "meet-overtake", "meet-circle") for n in (1, 2)),
-    pytest.param("meet-8", 0, marks=SLOW), pytest.param("meet-8", 1, marks=SLOW),
-]  # fmt: skip
-
-
-@pytest.mark.parametrize(("cell", "number"), MEETINGS)
-def test_states_do_not_take_turns_while_robots_meet(monkeypatch: pytest.MonkeyPatch, cell: str, number: int) -> None:
-    """Whatever the control rate (10, 20 and 50 Hz by the number): each change is an event that a person reads."""
-    log = flown(monkeypatch, cell, number, 60.0)
-    for states in log.states:
-        seen = [s.guidance for s in states[1:]]
-        changed = [k for k in range(1, len(seen)) if seen[k] is not seen[k - 1]]
-        assert len(changed) <= 9
-        short = [a for a, b in itertools.pairwise(changed) if b - a < 1.0 / log.period_s and seen[b] is seen[a - 1]]
-        assert len(short) <= 1, short

@@ -5,7 +5,7 @@ import pytest
 
 from robot_agent.safety.likelihood_ratio import largest_evidence
 from robot_agent.safety.output_check import LATELY_NS, LEAP_US, TOLERANCE_US, is_explained
-from robot_agent.safety.sent_commands import follow_commands
+from robot_agent.safety.sent_commands import CommandRows, follow_commands, follow_legs
 
 NS = 1_000_000_000
 STEP_NS = NS // 20
@@ -47,6 +47,29 @@ def test_moments_follow_their_commands_with_the_lag(seed: int, lag_s: float) -> 
         expected = after
     follow_commands(acts_ns, moments, 5, lag_s, 0, 2 * STEP_NS, acting, impulse)
     assert acting == pytest.approx(expected, abs=1e-9) and impulse == pytest.approx(integral, abs=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_legs_give_less_the_farther_their_ankles_are_turned_and_these_turn_at_their_rate(seed: int) -> None:
+    """Against ankles and thrust in steps of 20 microseconds."""
+    random, lag_s, rate_radps, fine_s = np.random.default_rng(seed), 0.1, 5.0, 2e-5
+    thrust_ns, ankle_ns = np.sort(random.integers(-STEP_NS, 4 * STEP_NS, (2, 5)))
+    level, turned = random.normal(size=(5, 4)), random.uniform(-1.0, 1.0, (5, 4))
+    moment, angle, integral = random.normal(size=4), random.uniform(-1.0, 1.0, 4), np.zeros(4)
+    work, impulse = np.zeros((4, 4)), np.empty(4)
+    work[0], work[1] = moment, angle
+    for t_ns in np.arange(0, 4 * STEP_NS, 20_000):
+        i, j = np.searchsorted(thrust_ns, t_ns, "right") - 1, np.searchsorted(ankle_ns, t_ns, "right") - 1
+        moment = moment + fine_s / lag_s * ((level[i] if i >= 0 else 0.0) - moment)
+        angle = angle + np.clip((turned[j] if j >= 0 else 0.0) - angle, -rate_radps * fine_s, rate_radps * fine_s)
+        integral += fine_s * moment * np.cos(angle)
+    found = np.zeros(4)
+    for span_ns in ((0, STEP_NS), (STEP_NS, 4 * STEP_NS)):
+        follow_legs(
+            CommandRows(thrust_ns, level, 5), CommandRows(ankle_ns, turned, 5), lag_s, rate_radps, span_ns, work, impulse
+        )
+        found += impulse
+    assert found == pytest.approx(integral, abs=1e-3) and work[1] == pytest.approx(angle, abs=1e-3)
 
 
 @pytest.mark.parametrize("seed", range(60))

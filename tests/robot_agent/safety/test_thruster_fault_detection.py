@@ -18,6 +18,7 @@ ROUGH = ("sim.plant.gust_mps=0.03", "sim.plant.waves.height_m=0.05")
 WITHIN_S = 2.0
 STEP_NS = 50_000_000
 GYRO_RADPS = 0.003
+LEVEL = np.zeros(4)  # ankles
 
 
 def flagged(settings: Sequence[str], duration_s: float, faults: Sequence[str] = (), name: str = "pool") -> dict[int, float]:
@@ -113,7 +114,7 @@ def watched(
     noise = np.random.default_rng(1).normal(0.0, GYRO_RADPS, len(told_nm))
     line, rates = [0.0] * round(thruster.dead_time_s / 0.001), [0.0, 0.0]
     for k, (torque, told) in enumerate(zip(torque_nm, told_nm, strict=True)):
-        detector.note_moments(told, k * STEP_NS)
+        detector.note_moments(told, LEVEL, k * STEP_NS)
         if volts and k in volts:
             detector.note_voltage(volts[k], k * STEP_NS)
         for _ in range(50):
@@ -212,7 +213,7 @@ def test_a_flight_begins_with_thrusters_at_rest() -> None:
     detector.reset()
     begin_ns, still = 1000 * STEP_NS, np.zeros(4)
     for k in range(40):
-        detector.note_moments(still, begin_ns + k * STEP_NS)
+        detector.note_moments(still, LEVEL, begin_ns + k * STEP_NS)
         detector.step(0.0, begin_ns + k * STEP_NS, begin_ns + k * STEP_NS)
     # below its limit the evidence is told to nobody
     assert abs(detector._test.evidence) < 1e-9

@@ -134,6 +134,8 @@ def test_delivered_is_what_the_pulses_say(wrench: tuple[float, float, float]) ->
     got, moments = ALLOCATOR.delivered(pulses)
     assert got == pytest.approx(delivered(force, ankle), abs=1e-12)
     assert moments == pytest.approx(-POSITION[:, 1] * force * np.cos(ankle), abs=1e-12)
+    level, turned = ALLOCATOR.level_moments(pulses)
+    assert level == pytest.approx(-POSITION[:, 1] * force, abs=1e-12) and turned == pytest.approx(ankle, abs=1e-12)
     assert got[0] == pytest.approx(wrench[0], abs=0.04)
 
 

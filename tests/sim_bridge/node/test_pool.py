@@ -1,5 +1,9 @@
 """The pool on the wires, by the wall clock: what comes of every exposure."""
 
+import signal
+import subprocess
+import sys
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,13 +14,16 @@ from sim_bridge.node.board_ports import UdpPorts
 from sim_bridge.node.pool import PoolNode
 from sim_bridge.sil.ports import free_base_port
 from sim_bridge.world import World
+from tests.waiting import wait_for_line
 from wire.config.experiment import load_experiment
 from wire.messages import topics
 from wire.messages.codec import Header
 from wire.messages.topics import Topic
 from wire.process.runtime import Failed, Stop
 from wire.transport.bus import Bus, Received
+from wire.transport.endpoint import Endpoint
 from wire.transport.memory_transport import MemoryHub, MemoryTransport
+from wire.transport.zenoh_transport import ZenohTransport
 
 ROBOT = "robots=[{id=1, node_m=[0.0, 0.0, 0.0], start=[0.4, 0.0, 0.3, 0.0]}]"
 EXPOSURES = 8
@@ -112,3 +119,22 @@ class EndlessPorts(UdpPorts):
 
     def wait(self, timeout_s: float) -> None:
         self.woken += 1
+
+
+def test_a_second_simulator_in_a_fleet_waits_and_simulates_nothing(address: str, tmp_path: Path) -> None:
+    """Else two worlds would say by turns where the robots are."""
+    log, run = (
+        tmp_path / "sim-bridge.log",
+        ["sim_bridge", "pool", "pool", "--station", address, "--ports", str(free_base_port((1, 2)))],
+    )
+    with log.open("wb") as output, Bus(ZenohTransport(Endpoint(address), patience_s=5.0)) as first:
+        first.claim("sim-bridge", bool)
+        second = subprocess.Popen([sys.executable, "-m", *run], stderr=output)
+        try:
+            wait_for_line(log, "sim-bridge: another process of this name is in the fleet; waiting")
+            second.send_signal(signal.SIGINT)
+            assert second.wait(30.0) == 1
+        finally:
+            second.kill()
+            second.wait()
+    assert "sim-bridge: stopped while another process of this name is in fleet shoal" in log.read_text()

@@ -33,6 +33,7 @@ from tests.planted import installed
 from tests.waiting import eventually
 from wire.config.experiment import EXPERIMENTS, NO_CAMERA, Experiment, load_experiment
 from wire.figures import mean
+from wire.process.output import terminal
 from wire.process.runtime import Failed, Stop
 from wire.process.version import code
 from wire.toml_loader import ConfigError, check
@@ -367,6 +368,14 @@ def test_a_second_program_in_a_folder_is_refused(tmp_path: Path) -> None:
         assert not journal.rows
 
 
+def test_a_journal_that_is_deleted_while_it_is_written_is_missed(tmp_path: Path) -> None:
+    with campaign_runner.Journal(tmp_path / "journal.jsonl") as journal:
+        journal.add({"seed": 1})
+        (tmp_path / "journal.jsonl").unlink()
+        with pytest.raises(OSError, match="was deleted"):
+            journal.add({"seed": 2})
+
+
 def with_room(size: int, folder: Path) -> subprocess.CompletedProcess[str]:
     """`sim-bridge campaign small.toml --out c --resume` in a folder where no file may grow beyond this many bytes."""
     (folder / "small.toml").write_text(tomli_w.dumps(TABLE))
@@ -412,10 +421,13 @@ def test_workers_end_with_a_campaign_that_is_killed(tmp_path: Path) -> None:
 
 
 def test_a_campaign_in_which_no_flight_flew_says_so_with_the_first_reason(tmp_path: Path) -> None:
-    told = Console(record=True, width=500, file=io.StringIO())
-    refused = campaign(sweep={"path.lap_s": [1.0, 2.0]}, draw={}, seeds=1)
-    assert fly(refused, tmp_path / "c", console=told) == 1
-    text = told.export_text()
+    told = terminal(io.StringIO())
+    told.width = 500
+    refused = campaign(sweep={"path.lap_s": [1.0, 2.0]}, draw={}, seeds=1, title="Dive [/b] :dash:")
+    assert fly(refused, tmp_path / "c[red]", console=told) == 1
+    assert isinstance(told.file, io.StringIO)
+    text = told.file.getvalue()
+    assert "Dive [/b] :dash:: 2 flights, into " in text and "c[red]/results.parquet" in text
     assert "0 of 2 flights flown, 2 refused, 0 failed" in text
     assert "flight 0 (seed 1) refused: robot 1: speed" in text
 

@@ -1,13 +1,17 @@
 """Logging and progress while nothing takes them: a real process with a stuck pipe, a full disk, a reader that is gone."""
 
+import ast
+import io
 import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from rich.table import Table
 
-from wire.process.output import MOST_WAITING
+from tests.source_tree import nodes, sources, tree_of
+from wire.process.output import MOST_WAITING, terminal
 from wire.process.runtime import log, log_handler
 
 pytestmark = pytest.mark.real_time
@@ -24,6 +28,30 @@ for line in sys.stdin:
     log.info(line.strip())
     print("done", flush=True)
 """
+
+
+PACKAGES = ("shoal", "wire", "groundstation", "robot_agent", "localizer", "sim_bridge", "benchmarks")
+
+
+@pytest.mark.parametrize("text", ["[/b]", "lab[red]/run", "a [bold b", ":dash: and :x:", "\\[a]"])
+def test_a_terminal_prints_what_people_write_as_it_is(text: str) -> None:
+    said = terminal(io.StringIO())
+    said.print(text, style="red")
+    table = Table(text, title=text)
+    table.add_row(text)
+    said.print(table)
+    assert isinstance(said.file, io.StringIO)
+    assert said.file.getvalue().count(text) == 4
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_no_program_prints_with_markup(package: str) -> None:
+    """Use `terminal`: a bracket in a path or a title must not end a program."""
+    for source in sources(package):
+        for node in nodes(tree_of(source)):
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "Console":
+                off = [key.arg for key in node.keywords if isinstance(key.value, ast.Constant) and key.value.value is False]
+                assert "markup" in off, f"{source}: line {node.lineno}"
 
 
 def process(script: str, stderr: int) -> "subprocess.Popen[str]":

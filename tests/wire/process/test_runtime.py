@@ -165,6 +165,18 @@ def test_await_sight_returns_when_status_poses_and_obstacles_have_come_in_any_or
     assert came == [40]  # robot 2 was not seen: nobody waits for its pose
 
 
+def test_a_tick_that_cannot_be_read_does_not_repeat_the_step_before(caplog: pytest.LogCaptureFixture) -> None:
+    simulator, process = two_buses()
+    stop = Stop(install=False)
+    lockstep = Lockstep(process, stop, LockstepClock())
+    simulator.publish(topics.TICK, Tick(50, 0, -1), 50)
+    first = lockstep.next()
+    assert first is not None and first.now_ns == 50
+    simulator.forward(topics.TICK, b"\xff", 100)
+    assert lockstep.next(meanwhile=stop.request) is None
+    assert caplog.text.count("lockstep: a tick is no new one") == 1
+
+
 def test_the_logs_lines_travel_as_events_until_the_bus_is_closed_debug_ones_do_not() -> None:
     sender, receiver = two_buses()
     inbox = receiver.inbox(topics.EVENT, Event)

@@ -23,6 +23,7 @@ from wire.transport import zenoh_transport
 from wire.transport.bus import Bus
 from wire.transport.endpoint import Endpoint
 from wire.transport.memory_transport import MemoryHub, MemoryTransport
+from wire.transport.transport import Unreached
 from wire.transport.zenoh_transport import ZenohTransport
 
 pytestmark = pytest.mark.real_time
@@ -365,6 +366,53 @@ def test_a_stop_is_obeyed_while_another_command_is_under_way(make_bus: MakeBus) 
     assert station.command(HOLD, 1, 5.0).accepted
 
 
+@pytest.mark.parametrize("order", [messages.Order.STOP, messages.Order.HOLD], ids=["urgent", "in turn"])
+def test_a_command_at_which_the_recipient_fails_is_refused_with_the_reason(
+    make_bus: MakeBus, order: messages.Order, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Without an answer the sender would look for the fault in the network. What is done by half is not done again."""
+    station, robot = make_bus(), make_bus()
+    told, fails = list[messages.Order](), threading.Event()
+
+    def handle(header: Header, command: messages.Command) -> messages.Reply:
+        told.append(command.order)
+        if fails.is_set():
+            raise KeyError("no such path")
+        return messages.Reply(1, True)
+
+    robot.serve(1, handle)
+    assert eventually(lambda: station.command(messages.Command(messages.Order.ARM, 1), 1, 2.0).accepted)
+    fails.set()
+    reply = station.command(messages.Command(order, 1), 1, 5.0)
+    assert (reply.accepted, reply.silent, reply.reason) == (False, False, f"{order.name} failed: KeyError: 'no such path'")
+    assert told.count(order) == 1
+    assert f"{order.name} failed: KeyError" in caplog.text
+    fails.clear()
+    assert station.command(HOLD, 1, 5.0).accepted, "it goes on to answer"
+
+
+def test_two_programs_that_send_a_topic_by_turns_are_noticed_and_a_restart_is_not_two(make_bus: MakeBus) -> None:
+    first, second, receiver = make_bus(), make_bus(), make_bus()
+    inbox = receiver.inbox(topics.HEARTBEAT, messages.StationHeartbeat)
+
+    def send(bus: Bus, mission: str) -> None:
+        def came() -> bool:
+            newest = inbox.newest()
+            return newest is not None and newest.message.mission == mission
+
+        assert eventually(lambda: bus.publish(topics.HEARTBEAT, messages.StationHeartbeat(mission=mission), 1) and came())
+
+    for k in range(3):
+        send(first, f"first {k}")
+    send(second, "restarted")
+    send(second, "goes on")
+    assert not inbox.has_two_senders()
+    send(first, "both")
+    assert inbox.has_two_senders()
+    send(second, "alone again")
+    assert eventually(lambda: not inbox.has_two_senders(within_s=0.2))
+
+
 # --- one process of a name
 
 THERE = """
@@ -401,6 +449,17 @@ def test_a_second_process_of_a_name_is_refused(fleet_with_agent: tuple[Bus, "sub
     with pytest.raises(ConfigError, match=r"agent-1: another process of this name is in fleet shoal .*end it"):
         bus.claim("agent-1", bool, patience_s=0.5)
     bus.claim("agent-2", bool)
+
+
+def test_who_is_stopped_while_a_name_is_taken_does_not_get_it(caplog: pytest.LogCaptureFixture) -> None:
+    """Else a second agent that waits, and is ended by Ctrl-C, would disarm the board of the first one on its way out."""
+    hub, stopped = MemoryHub(), threading.Event()
+    with Bus(MemoryTransport(hub)) as first, Bus(MemoryTransport(hub)) as second:
+        first.claim("agent-1", bool)
+        threading.Timer(0.4, stopped.set).start()
+        with pytest.raises(Unreached, match=r"agent-1: stopped while another process of this name is in fleet shoal"):
+            second.claim("agent-1", stopped.is_set)
+        assert not eventually(lambda: "act by turns" in caplog.text, 0.3), "it never had the name"
 
 
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP], ids=["crashed", "cut off"])

@@ -2,7 +2,7 @@
  * recorded run, the whole run from the first. */
 
 import { FIELDS } from "./fields";
-import { onSamples, type Sample, scene } from "./store";
+import { isAlone, onSamples, type Sample, scene } from "./store";
 import type { RobotState, Scene } from "./wire";
 
 const ROW_S = 0.1;
@@ -43,6 +43,7 @@ function tracking(sample: Sample, id: number): number | null {
 function formation(sample: Sample, a: number, b: number): number | null {
   const [p, q] = [heard(sample, a), heard(sample, b)];
   if (p?.news.state?.mode !== "TRACKING" || q?.news.state?.mode !== "TRACKING") return null;
+  if (isAlone(p.news.state) || isAlone(q.news.state)) return null; // they are in no formation
   const off = [0, 1, 2].map((k) => p.eta[k]! - q.eta[k]! - p.reference[k]! + q.reference[k]!);
   return 1e3 * Math.hypot(off[0]!, off[1]!, off[2]!);
 }

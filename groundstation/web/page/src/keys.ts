@@ -61,14 +61,18 @@ function editKey(event: KeyboardEvent): boolean {
   return true;
 }
 
+let spaceStops = false; // the last key that went down was the Space of a stop
+
 addEventListener("keydown", (event) => {
   const target = event.target as HTMLElement;
   const typing = target.matches("select, textarea, input:not([type=checkbox], [type=range])");
   if ((event.key === "Escape" && !left(target)) || (event.key === " " && event.shiftKey)) {
     event.preventDefault();
+    spaceStops = event.key === " ";
     if (!event.repeat && scene.peek()?.mode !== "replay") order("stop");
     return;
   }
+  spaceStops = false;
   if (editing.peek() && !typing && editKey(event)) return;
   if (event.key === "Escape" || typing || event.ctrlKey || event.metaKey || event.altKey) return;
   if (driveKey(event)) return;
@@ -93,5 +97,5 @@ addEventListener("keydown", (event) => {
   drawSoon();
 });
 
-/** Some browsers press a button that has the focus when Space comes up: not after a stop. */
-addEventListener("keyup", (event) => event.key === " " && event.shiftKey && event.preventDefault());
+/** Some browsers press a button that has the focus when Space comes up: not after a stop, whichever of its keys comes up first. */
+addEventListener("keyup", (event) => event.key === " " && (spaceStops || event.shiftKey) && event.preventDefault());

@@ -11,14 +11,16 @@ export const silenced = signal<ReadonlySet<string>>(new Set()); // acknowledged 
 let audio: AudioContext | null = null;
 export const mayAlarm = signal(false); // a browser lets a page sound only after a click or a key
 
+/** At every touch: a browser that has let the page sound may take it away again, as when the computer sleeps. */
 function begin(): void {
-  audio ??= new AudioContext();
-  mayAlarm.value = audio.state === "running";
-  audio.onstatechange = () => (mayAlarm.value = audio?.state === "running");
-  void audio.resume().catch(() => undefined);
+  if (audio === null) {
+    audio = new AudioContext();
+    audio.onstatechange = () => (mayAlarm.value = audio?.state === "running");
+  }
+  if (audio.state !== "running") void audio.resume().catch(() => undefined);
 }
 
-for (const touch of ["click", "keydown"] as const) addEventListener(touch, begin, { once: true });
+for (const touch of ["click", "keydown"] as const) addEventListener(touch, begin);
 
 export function toggleSound(): void {
   soundOn.value = !soundOn.value;

@@ -56,7 +56,7 @@ export const lines = signal<LogLine[]>([]);
 export const given = signal<Given[]>([]);
 export const selected = signal(0); // robot; 0 is none
 export const tried = signal<Tried | null>(null);
-export const saved = signal<{ ok: boolean; problems: string[]; path?: string } | null>(null);
+export const saved = signal<{ n: number; ok: boolean; problems: string[]; path?: string } | null>(null);
 export const editing = signal(false);
 export const browsing = signal(false); // the list of runs is open
 export const runs = signal<RunList | null>(null); // as last told
@@ -297,6 +297,11 @@ export function isStale(robot: RobotNews | undefined, sentMs: number): boolean {
   if (ended.peek()) return false; // nothing is now: what is shown is how it ended
   const limit = scene.peek()?.stale_s ?? 0;
   return robot?.state === undefined || ageMs(robot, sentMs) > limit * 1e3;
+}
+
+/** Whether a robot is on a trajectory of its own, which a person gave it, and not on the formation's (groundstation/formation_clock.py). */
+export function isAlone(state: RobotState): boolean {
+  return state.loaded.startsWith("alone-");
 }
 
 let draw: () => void = () => undefined;

@@ -7,7 +7,7 @@ import { after } from "../panels/End";
 import { chosen, connected, inControl, saved, scene, tried } from "../store";
 import { adding, pickedName, removePicked } from "./canvas";
 import type { Draft, PathKind } from "./model";
-import { change, draft, freed, ofKind, play, playhead, redo, redoable, reset, rotate, SHAPES, toEdit, undo, undoable, verdict, withRobot } from "./model";
+import { change, draft, freed, ofKind, play, playhead, redo, redoable, reset, rotate, saveNumber, SHAPES, toEdit, undo, undoable, verdict, withRobot } from "./model";
 
 const name = signal("");
 const turned = signal(0);
@@ -59,7 +59,7 @@ function Verdict() {
 }
 
 function SaveForm() {
-  const answer = saved.value;
+  const answer = saved.value?.n === saveNumber.value ? saved.value : null; // of an earlier draft nothing is said
   const good = /^[a-z0-9][a-z0-9-]{0,63}$/.test(name.value);
   const d = draft.value;
   return (
@@ -67,7 +67,9 @@ function SaveForm() {
       class="save"
       onSubmit={(event) => {
         event.preventDefault();
-        if (d !== null) say({ kind: "save", n: nextSerial(), edit: toEdit(d), name: name.value });
+        if (d === null) return;
+        saveNumber.value = nextSerial();
+        say({ kind: "save", n: saveNumber.value, edit: toEdit(d), name: name.value });
       }}
     >
       <input

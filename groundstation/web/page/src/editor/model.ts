@@ -2,7 +2,7 @@
 
 import { computed, effect, signal } from "@preact/signals";
 import { nextSerial, say } from "../link";
-import { connected, drawSoon, editing, saved, scene, tried } from "../store";
+import { connected, drawSoon, editing, scene, tried } from "../store";
 import type { Edit, Scene, Shape } from "../wire";
 
 type Point = [number, number];
@@ -65,7 +65,6 @@ function fromScene(s: Scene): Draft {
 export function reset(): void {
   const s = scene.peek();
   if (s === null) return;
-  saved.value = null;
   begunFrom = s.hash;
   change(fromScene(s));
 }
@@ -97,12 +96,14 @@ export function change(next: Draft): void {
 
 function take(next: Draft): void {
   draft.value = next;
+  saveNumber.value = 0;
   [undoable.value, redoable.value] = [before.length, after.length];
   askPlanner(next);
   drawSoon();
 }
 
 const questionNumber = signal(0); // of the newest draft
+export const saveNumber = signal(0); // of the request that saves it; 0: it is not saved
 
 /** What the planner says of this draft; null until it has said something. An answer to an earlier draft is none. */
 export const verdict = computed(() => (connected.value && tried.value?.n === questionNumber.value ? tried.value : null));

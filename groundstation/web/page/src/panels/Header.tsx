@@ -4,7 +4,7 @@ import { isLight, setTheme } from "../colours";
 import { order, releaseControl, takeControl } from "../link";
 import { ask } from "../Question";
 import { mayAlarm, soundOn, toggleSound } from "../sound";
-import { browsing, connected, drawSoon, editing, ended, given, inControl, isStale, live, now, refusal, roundTripMs, scene, shown, stopUnheard, waiting } from "../store";
+import { browsing, connected, drawSoon, editing, ended, given, inControl, isAlone, isStale, live, now, refusal, roundTripMs, scene, shown, stopUnheard, waiting } from "../store";
 import { themeSerial } from "./Plots";
 import { showRuns } from "./Runs";
 
@@ -60,7 +60,13 @@ function StopButton() {
   const asked = !latched && given.value.some((g) => g.order === "stop" && !g.heard);
   const text = unheard ? "STOP NOT HEARD" : confirmed ? (silent > 0 ? `STOPPED, ${silent} NOT HEARD` : "STOPPED") : latched ? "STOPPING" : asked ? "STOP ASKED" : "EMERGENCY STOP";
   return (
-    <button type="button" class={unheard ? "stop unheard" : latched ? "stop latched" : "stop"} onClick={() => order("stop")} aria-keyshortcuts="Shift+Space Escape">
+    <button
+      type="button"
+      class={unheard ? "stop unheard" : latched ? "stop latched" : "stop"}
+      onPointerDown={() => order("stop")} // not when it comes up: a hand may have slipped by then
+      onClick={(event) => event.detail === 0 && order("stop")} // of a key, or of no pointer at all
+      aria-keyshortcuts="Shift+Space Escape"
+    >
       {text}
       <small>Shift+Space</small>
     </button>
@@ -138,9 +144,10 @@ function paused(state: NonNullable<typeof shown.value>): string {
   return state.replay?.rate === 0 ? ", paused" : "";
 }
 
+/** The formation's time: the clock of a robot that flies alone is another. */
 function flown(state: NonNullable<typeof shown.value>): number {
   if (state.replay) return state.replay.time_s;
-  return Math.max(0, ...state.robots.map((robot) => robot.state?.t_s ?? 0));
+  return Math.max(0, ...state.robots.map((robot) => (robot.state === undefined || isAlone(robot.state) ? 0 : robot.state.t_s)));
 }
 
 export function clock(seconds: number): string {

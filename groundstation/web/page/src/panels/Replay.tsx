@@ -7,7 +7,6 @@ import { moment } from "./Alarms";
 import { clock } from "./Header";
 
 const RATES = [0.25, 0.5, 1, 2, 4, 8, 16];
-const STEP_S = 0.05; // a control period of the shipped experiments
 const WARNING = 3; // levels of the log from here on are marked
 const MISSION = /^mission: |^emergency stop|^remark: /;
 
@@ -21,8 +20,8 @@ export function togglePlay(): void {
 
 /** Pause, and go `frames` states on or back. */
 export function stepFrames(frames: number): void {
-  const at = shown.peek()?.replay;
-  if (at !== undefined) say({ kind: "seek", rate: 0, time_s: Math.max(0, at.time_s + frames * STEP_S) });
+  const [at, period_s] = [shown.peek()?.replay, scene.peek()?.period_s];
+  if (at !== undefined && period_s !== undefined) say({ kind: "seek", rate: 0, time_s: Math.max(0, at.time_s + frames * period_s) });
 }
 
 export function Replay() {

@@ -1,9 +1,9 @@
 /** Places that a person clicks on the map: the formation is to fly over them next, or one robot to one of them. */
 
-import { signal } from "@preact/signals";
+import { effect, signal } from "@preact/signals";
 import { css } from "../colours";
 import { order } from "../link";
-import { drawSoon } from "../store";
+import { drawSoon, editing, ended, selected } from "../store";
 import type { View } from "./view";
 
 const MOST = 50; // as many as the station takes
@@ -18,6 +18,12 @@ export function choosePlaces(on: boolean, robot = 0): void {
   placesFor.value = robot;
   drawSoon();
 }
+
+/** What nobody sees any more is not being chosen: clicks and Escape would mean it all the same. */
+effect(() => {
+  const seen = placesFor.value === 0 ? !editing.value && !ended.value : placesFor.value === selected.value;
+  if (!seen && places.peek() !== null) choosePlaces(false);
+});
 
 export function addPlace(x: number, y: number): void {
   const place: [number, number] = [Number(x.toFixed(2)), Number(y.toFixed(2))];

@@ -1,0 +1,48 @@
+"""A robot that flew alone before the run: the run's time is the formation's, wherever a log is gone through."""
+
+import io
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from groundstation.logs.recorder import Recorder
+from groundstation.replay.state_export import hand_over
+from groundstation.web.replay_backend import ReplayBackend
+from wire.config.experiment import dump_experiment, load_experiment
+from wire.messages import topics
+from wire.messages.codec import Header, encode
+from wire.messages.messages import Mode, RobotState
+from wire.toml_loader import ConfigError
+
+STEP_NS = 50_000_000
+ALONE_S, FLOWN_S = 5.0, 2.0
+
+
+def states() -> Iterator[RobotState]:
+    """Five seconds alone to another place, and then two of the run."""
+    for trajectory, lasts_s in (("alone-x", ALONE_S), ("p1", FLOWN_S)):
+        for k in range(round(lasts_s * 1e9) // STEP_NS):
+            yield RobotState(mode=Mode.TRACKING, trajectory_id=trajectory, trajectory_s=(k + 1) * STEP_NS * 1e-9)
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    text = dump_experiment(load_experiment("pool"))
+    (tmp_path / "experiment.toml").write_text(text)
+    recorder = Recorder(tmp_path / "run.mcap", text, {"mode": "lockstep"})
+    for k, state in enumerate(states()):
+        header = Header(1, k + 1, k * STEP_NS)
+        recorder.put(topics.STATE, f"shoal/{topics.STATE.key(1)}", header, encode(state), header.stamp_ns)
+    recorder.close()
+    return tmp_path
+
+
+def test_a_replay_begins_with_the_run(run: Path) -> None:
+    with ReplayBackend(run) as replay:
+        assert replay.snapshot()["replay"]["time_s"] == pytest.approx(ALONE_S)
+
+
+def test_a_moment_of_the_run_is_none_of_the_flight_before_it(run: Path) -> None:
+    with pytest.raises(ConfigError, match=r"at 4 s there is nothing: robot 1 came to 2\.00 s"):
+        hand_over(run, 4.0, 1, io.BytesIO())

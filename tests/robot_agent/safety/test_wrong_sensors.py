@@ -1,0 +1,59 @@
+"""Flights with a sensor that is wrong, as docs/faults.md lists them: each stops with its name."""
+
+from dataclasses import replace
+
+import pytest
+
+from benchmarks.robots import cells, flights
+from benchmarks.robots.water import TroubledPlant
+from wire.mavlink.agent_link import Telemetry
+from wire.messages.messages import Mode
+
+FROZEN_NS = 10_000_000_000
+SLOW = pytest.mark.slow
+
+
+class WrongPlant(TroubledPlant):
+    """Plant whose gyroscope measures `share` of the rate, or whose depth sensor stays at what it read after 10 s."""
+
+    share = 1.0
+    freezes = False
+    last_m = 0.0
+
+    def telemetry(self, i: int, now_ns: int) -> Telemetry:
+        """The board's measurements, made wrong."""
+        told = super().telemetry(i, now_ns)
+        if not self.freezes or now_ns < FROZEN_NS:
+            self.last_m = told.depth_m
+        return replace(told, yaw_rate_radps=self.share * told.yaw_rate_radps, depth_m=self.last_m)
+
+
+def flown(monkeypatch: pytest.MonkeyPatch, number: int) -> flights.FlightLog:
+    """An ordinary flight of the grid (benchmarks/robots), which ends soon after the robot has stopped."""
+    monkeypatch.setattr(flights, "TroubledPlant", WrongPlant)
+    monkeypatch.setitem(cells.CELLS, "ordinary", replace(cells.CELLS["ordinary"], holds=False))
+    return flights.fly(cells.draw("ordinary", number), 20.0)
+
+
+@pytest.mark.parametrize("number", [0, pytest.param(1, marks=SLOW), pytest.param(2, marks=SLOW)])
+@pytest.mark.parametrize(("share", "within_s"), [(0.0, 3.0), (0.2, 3.5), (2.0, 8.0), (-1.0, 3.0)])
+def test_gyroscope_that_measures_another_rate_stops_the_robot(
+    monkeypatch: pytest.MonkeyPatch, share: float, within_s: float, number: int
+) -> None:
+    """Sooner the more it turns: on a straight path a robot turns by 0.35 rad in all only after some seconds."""
+    monkeypatch.setattr(WrongPlant, "share", share)
+    log = flown(monkeypatch, number)
+    fault = log.states[0][-1].fault
+    assert log.states[0][-1].mode is Mode.FAULT
+    assert fault.startswith("gyroscope in doubt") or (share < 0.0 and fault.startswith("thrusters do not do as told"))
+    stopped = next(k for k, state in enumerate(log.states[0]) if state.mode is Mode.FAULT)
+    assert (stopped + 1) * log.period_s < within_s
+
+
+@pytest.mark.parametrize("number", [1, pytest.param(0, marks=SLOW), pytest.param(2, marks=SLOW)])
+def test_depth_that_stays_the_same_stops_the_robot_near_its_depth(monkeypatch: pytest.MonkeyPatch, number: int) -> None:
+    monkeypatch.setattr(WrongPlant, "freezes", True)
+    log = flown(monkeypatch, number)
+    assert log.states[0][-1].fault.startswith("depth sensor stuck: exactly the same for 3.")
+    flew = [k for k, state in enumerate(log.states[0]) if state.mode is Mode.TRACKING]
+    assert abs(log.truth[flew[-1], 0, 2] - log.path[flew[-1], 0, 2]) < 0.1
