@@ -39,8 +39,6 @@ from robot_agent.vehicle.filter_bank import (
     NUMBERS,
     SIDE,
     THRUST,
-    TURN_DRAG,
-    TURNED,
     YAW,
     Bank,
     MeasuredNumber,
@@ -75,7 +73,7 @@ KINDS = (  # of water: intensity m^2/s^3, share of its changes by place, and of 
 )
 KIND_LASTS_S = 1000.0  # water changes its kind a few times in an hour. With 60 s covariances of still water are twice as large
 FACING_S, FACING = 20.0, 0.5  # mean direction of so long, 1 on a straight path: shorter, drag can be told from a current
-CALM_M2PS3 = 1e-6  # of water times forces, as in KINDS: filters that assume more do not learn drag
+CALM = 0.5  # and only if so much of the weight says that water and forces are at rest
 SHARE, PASSES_S = 0.03, 0.1  # of thrust and drag: what comes and goes, for so long. NEES of the grid is near 1 with it
 LASTING_SHARE, LASTS_S = 0.03, 10.0  # of thrust and drag: what lasts, as a cable or unlike thrusters do
 RATIO_PER_SQRT_S = 0.005  # by which drag, thrust and moment per mass wander in a second: 4 % in a minute
@@ -84,8 +82,7 @@ SPREAD = 0.06  # standard deviation of a thruster's thrust from its curve: maker
 BEST_M, BEST_RAD = 1e-4, 3e-4  # no camera's pose is better
 WORST_M, WORST_RAD = 0.05, 0.3  # one that is worse has not passed the localizer's gate
 GYRO_RADPS, BIAS_RADPS = 0.003, 0.002  # noise and bias of a MEMS gyroscope's sample
-DRAG_LOG, MASS_LOG = 0.3, 0.3  # standard deviations of ln drag and ln mass at first, from the vehicle file's,
-ALIKE = 0.8  # and their correlation: a larger hull has more of both. With 0.5 a current is taken for a stronger one at first
+RATIOS = (0.15, 0.3, 0.3)  # standard deviations of drag, thrust and moment per mass at first, relative to the vehicle file's
 MOST_LOG = 1.0  # of drag, thrust, moment per mass: e times the vehicle file's
 AT_REST_MPS, AT_REST_RADPS = 0.03, 0.1  # over ground, when the estimate begins
 HAND_S = 0.1  # for so long a hand that holds a robot pushes one way, with up to the thrusters' force
@@ -204,16 +201,10 @@ def cross(plant: LearnedModel, bank: Bank, noise: Noise, numbers: Floats, there:
 
 @kernel(part=True)
 def weigh_pose(
-    bank: Bank,
-    error: tuple[float, float, float],
-    rate_error: float,
-    rate_variance: float,
-    sighting: Sighting,
-    calm_m2ps3: float,
+    bank: Bank, error: tuple[float, float, float], rate_error: float, rate_variance: float, sighting: Sighting, learns: bool
 ) -> None:
     """Correct every filter by a pose and a yaw rate (NaN: none), and weigh them by their likelihood. A pose farther off than
-    OUTLIER deviations of each filter counts as if it were so much worse. Filters that assume calmer water and forces than
-    `calm_m2ps3` learn drag."""
+    OUTLIER deviations of each filter counts as if it were so much worse."""
     ex, ey, turned = error
     nearest2, spread = math.inf, 0.0
     for j in range(len(bank.weight)):
@@ -226,7 +217,7 @@ def weigh_pose(
     more_m2 = max(nearest2 / OUTLIER**2 - 1.0, 0.0) * spread
     likelihood, gain = bank.work[3, 1], bank.work[3, 2]
     for j in range(len(bank.weight)):
-        p, mean, learns = bank.covariance[j], bank.mean[j], bank.water_m2ps3[j] * bank.force[j] < calm_m2ps3
+        p, mean = bank.covariance[j], bank.mean[j]
         total = correct(p, mean, MeasuredNumber(X, -1, ex, sighting.variance_m2 + more_m2), learns, gain)
         total += correct(p, mean, MeasuredNumber(Y, -1, ey, sighting.variance_m2 + more_m2), learns, gain)
         total += correct(p, mean, MeasuredNumber(YAW, -1, turned, sighting.variance_rad2), learns, gain)
@@ -253,7 +244,6 @@ def inject(plant: LearnedModel, numbers: Floats, change: Floats) -> None:
     for i in range(3):
         numbers[17 + i] = min(max(numbers[17 + i] + change[DRAG + i], -MOST_LOG), MOST_LOG)
     numbers[20] += change[GYRO]
-    numbers[TURNED] = min(max(numbers[TURNED] + change[TURN_DRAG], -MOST_LOG), MOST_LOG)
     fast = math.hypot(numbers[15], numbers[16])
     if fast > plant.fastest_mps:  # what is beyond is the robot's motion through the water
         beyond = 1.0 - plant.fastest_mps / fast
@@ -262,12 +252,12 @@ def inject(plant: LearnedModel, numbers: Floats, change: Floats) -> None:
         numbers[16] -= by
         numbers[4] += cos * bx + sin * by
         numbers[5] += plant.sway * (cos * by - sin * bx)
-    d, t, n, a = math.exp(numbers[17]), math.exp(numbers[18]), math.exp(numbers[19]), math.exp(numbers[TURNED])
+    d, t, n = math.exp(numbers[17]), math.exp(numbers[18]), math.exp(numbers[19])
     for i in range(2):
         plant.model[0, i] = plant.nominal[0, i] / t
         plant.model[1, i], plant.model[2, i] = plant.nominal[1, i] * d / t, plant.nominal[2, i] * d / t
-    plant.model[0, 3] = plant.nominal[0, 3] / n
-    plant.model[1, 3], plant.model[2, 3] = plant.nominal[1, 3] * a / n, plant.nominal[2, 3] * a / n
+    for k in range(3):
+        plant.model[k, 3] = plant.nominal[k, 3] / n
 
 
 @kernel(part=True)
@@ -287,7 +277,8 @@ def follow(bank: Bank, belief: Belief, sighting: Sighting, step_s: float) -> Non
     share = -math.expm1(-step_s / FACING_S)
     track[FACED_X] += share * (math.cos(numbers[3]) - track[FACED_X])
     track[FACED_Y] += share * (math.sin(numbers[3]) - track[FACED_Y])
-    track[LEARNS] = 1.0 if math.hypot(track[FACED_X], track[FACED_Y]) < FACING else 0.0
+    turns = math.hypot(track[FACED_X], track[FACED_Y]) < FACING
+    track[LEARNS] = 1.0 if turns and bank.weight[0] > CALM else 0.0
     left = max(1.0 - 0.5 * (bank.mixed[X, X] + bank.mixed[Y, Y]) / sighting.variance_m2, 1e-3)
     bandwidth = -0.5 * math.log(left) / step_s
     track[BANDWIDTH] += -math.expm1(-step_s / BANDWIDTH_S) * (bandwidth - track[BANDWIDTH]) if track[BANDWIDTH] else bandwidth
@@ -375,7 +366,7 @@ def observe(
             numbers[12] *= math.exp(-step_s / noise.lasts_s)
             numbers[14] *= math.exp(-step_s / noise.lasts_s)
             rate_variance = GYRO_RADPS**2 + bank.work[1, 0, R] * steps / step_s * late_s
-            weigh_pose(bank, (ex, ey, turned), rate_error, rate_variance, sighting, noise.calm_m2ps3 * belief.track[LEARNS])
+            weigh_pose(bank, (ex, ey, turned), rate_error, rate_variance, sighting, belief.track[LEARNS] > 0.0)
             change = bank.work[3, 3]
             merge(bank, change)
             inject(plant, numbers, change)
@@ -403,20 +394,6 @@ def observe(
     return passes
 
 
-def unlike_vehicle() -> Array:
-    """Covariance (4, 4) of ln drag, thrust, yaw moment and yaw drag per mass, for a robot that differs from its vehicle file.
-
-    Drag per mass and thrust per mass share the mass, so they are correlated; the two of yaw share the inertia.
-    """
-    both = ALIKE * DRAG_LOG * MASS_LOG
-    drag2, mass2 = DRAG_LOG**2 + MASS_LOG**2 - 2.0 * both, MASS_LOG**2
-    p = np.zeros((4, 4))
-    p[0, 0] = p[3, 3] = drag2
-    p[1, 1] = p[2, 2] = mass2
-    p[0, 1] = p[1, 0] = p[2, 3] = p[3, 2] = mass2 - both
-    return p
-
-
 def vehicle_noise(vehicle: Vehicle) -> Noise:
     """Process noise of a vehicle."""
     mass_kg, inertia_kg_m2 = float(vehicle.inertia[0]), float(vehicle.inertia[3])
@@ -437,7 +414,6 @@ def vehicle_noise(vehicle: Vehicle) -> Noise:
         arm_m=arm_m,
         ratio_per_s=RATIO_PER_SQRT_S**2,
         bias_per_s=BIAS_RADPS_PER_SQRT_S**2,
-        calm_m2ps3=CALM_M2PS3,
         hand_m2ps3=2.0 * HAND_S * hand_mps2**2,
         hand_rad2ps3=2.0 * HAND_S * hand_radps2**2,
     )
@@ -535,8 +511,7 @@ class KalmanEstimator(Estimator):
         if learned.any():
             p[DRAG:, DRAG:] = learned
         else:
-            ratios = [DRAG, THRUST, MOMENT, TURN_DRAG]
-            p[np.ix_(ratios, ratios)] = sway * self._plant.estimates * unlike_vehicle()
+            p[[DRAG, THRUST, MOMENT], [DRAG, THRUST, MOMENT]] = sway * self._plant.estimates * np.square(RATIOS)
             p[GYRO, GYRO] = BIAS_RADPS**2
         sighting = _sighting(pose)
         p[X, X] = p[Y, Y] = sighting.variance_m2
