@@ -267,7 +267,7 @@ def test_a_sensor_that_is_silent_at_power_on_is_tried_again(mega: Mega, chip: in
 
 
 def bursts(pilot: Pilot, seconds: float) -> int:
-    """How many bursts the agent takes in this time."""
+    """Number of bursts that the agent takes in this time."""
     pilot.bursts.clear()
     pilot.run(seconds)
     return len(pilot.bursts) - 1  # the one before is among them

@@ -69,7 +69,7 @@ def keyed(library: ctypes.CDLL) -> bytes:
     return board.eeprom
 
 
-class Computer:
+class OrderSender:
     """The robot's computer, which remembers what it has sent."""
 
     def __init__(self, board: StoredBoard, stamp: int) -> None:
@@ -88,7 +88,7 @@ def test_an_order_is_not_obeyed_before_its_timestamp_is_kept(library: ctypes.CDL
     armed = 0
     for phase in range(60):
         board = StoredBoard(library, keyed)
-        computer = Computer(board, 10_000)
+        computer = OrderSender(board, 10_000)
         computer.say(computer.client.set("SLEW_US_S", 4000.0 + phase))  # asks for a write of the timestamps
         for _ in range(phase):
             board.go()
@@ -113,7 +113,7 @@ def test_an_order_is_not_obeyed_before_its_timestamp_is_kept(library: ctypes.CDL
 
 def test_an_override_behind_orders_that_wait_is_taken_at_once(library: ctypes.CDLL, keyed: bytes) -> None:
     board = StoredBoard(library, keyed)
-    computer = Computer(board, 10_000)
+    computer = OrderSender(board, 10_000)
     computer.say(computer.link.pulses(list(NEUTRAL)))
     computer.say(computer.link.arm(True))
     for passes in range(100):
@@ -134,7 +134,7 @@ def test_an_override_behind_orders_that_wait_is_taken_at_once(library: ctypes.CD
 
 def test_a_disarming_withdraws_an_arming_that_waits(library: ctypes.CDLL, keyed: bytes) -> None:
     board = StoredBoard(library, keyed)
-    computer = Computer(board, 10_000)
+    computer = OrderSender(board, 10_000)
     computer.say(computer.link.pulses(list(NEUTRAL)))
     computer.say(computer.link.arm(True))
     board.go()
@@ -158,7 +158,7 @@ def test_settings_are_the_old_or_the_new_wherever_the_power_fails(library: ctype
     seen = set()
     for write, value in cuts(SLOT_BYTES + 40):
         board = StoredBoard(library, keyed)
-        computer = Computer(board, 10_000)
+        computer = OrderSender(board, 10_000)
         computer.say(computer.client.set("SLEW_US_S", 4321.0))
         board.cut(write, value)
         board.go(500)

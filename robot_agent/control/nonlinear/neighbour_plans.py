@@ -41,7 +41,7 @@ class PlanSampler:
 
     def __init__(self, nodes_s: Array, weight: tuple[float, float, float, float], has_leader: bool, most_m: float) -> None:
         """`nodes_s` (NODES,) are the nodes' instants from now. A neighbour pulls as if it were `most_m` off its path at most:
-        no robot joins its path from farther away, so what a plan says beyond that is no motion of a formation."""
+        what a plan says beyond that is no motion of a formation."""
         self._nodes_s, self._has_leader, self._most_m = nodes_s, has_leader, most_m
         self.set_weight(weight)
 

@@ -80,7 +80,9 @@ class NonlinearController:
         nodes_s = self._dead_s + self._grid.time_s  # the instant of action, then the nodes
         self.sampler = ReferenceSampler(nodes_s)
         self.formation = Formation(config.mpc, safety, config.period_s, self._dead_s, room_m, vehicle.radius_m)
-        self._plans = PlanSampler(nodes_s[1:], config.mpc.q_formation, has_leader, safety.join_within_m)
+        # A leader's error is taken whole, others' in part: those may have been put into the water far from their paths.
+        most_m = safety.join_within_m + (0.0 if has_leader else vehicle.limits.speed_mps * horizon_s)
+        self._plans = PlanSampler(nodes_s[1:], config.mpc.q_formation, has_leader, most_m)
         self._give_way = GiveWay(
             vehicle, np.concatenate([[0.0], nodes_s]), config.period_s, room_m, islands, tunings.agility(vehicle), urgent
         )

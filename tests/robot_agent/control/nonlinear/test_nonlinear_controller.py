@@ -197,14 +197,14 @@ def test_the_formation_moves_the_course_by_its_share() -> None:
 
 @pytest.mark.parametrize("has_leader", [False, True])
 def test_a_plan_that_says_its_robot_is_far_off_takes_no_other_far_along(has_leader: bool) -> None:
-    """A wrong plan: 100 m off what it says is its path. A robot that follows it is off by what a robot may join from."""
+    """A wrong plan: 100 m off what it says is its path. Within 8 s a robot went 2.2 m after it."""
     robot = Swimmer((0.625, 0.0, 0.3, math.pi / 2), room_m=(6.0, 4.0), has_leader=has_leader)
     meant = np.tile([-2.5, -1.5, 0.3, 0.0], (40, 1))
     for k in range(160):
         other = Neighbour(2, k * STEP_NS, Plan(TOLD_S, meant + np.array([100.0, 0.0, 0.0, 0.0]), meant), True, True, True)
         output = robot.step(Follow(GOAL.trajectory, 0.05 * k), [other])
         assert output.solve is Solve.SOLVED
-        assert math.dist(robot.state[:2], output.eta_reference[:2]) < NMPC.safety.join_within_m + 0.1
+        assert math.dist(robot.state[:2], output.eta_reference[:2]) < 1.25
 
 
 @pytest.mark.parametrize("robots", [2, 4])
