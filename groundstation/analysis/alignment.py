@@ -382,6 +382,7 @@ def _reference(r: _Recorded, stamps: Array) -> Array:
         gap_ns = r.clock_ns[after] - r.clock_ns[after - 1]
         inside = (stamps > r.clock_ns[after - 1]) & (stamps < r.clock_ns[after])
         reference[inside & (gap_ns > LONGEST_GAP_S * 1e9)] = np.nan
+    reference[stamps > r.clock_ns[-1] + LONGEST_GAP_S * 1e9] = np.nan  # it was not heard again while it flew
     reference[_led_away(r, stamps)] = np.nan
     return reference
 
