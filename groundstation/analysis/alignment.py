@@ -146,7 +146,7 @@ def zero_ns(log: RunLog, robots: Sequence[int]) -> int:
 def _flights(log: RunLog, robots: Sequence[int]) -> list[Flight]:
     """All flights of the fleet. A new one begins when a robot begins again that has flown in this one, or when nobody of this
     one flies any more."""
-    parts = sorted(part for robot in robots for part in _robot_flights(_on_flights(log, robot), robot))
+    parts = sorted(part for robot in robots for part in _robot_flights(_of_formation(log, robot, begins=True), robot))
     groups: list[list[tuple[int, int, float, int]]] = []
     for part in parts:
         here = groups[-1] if groups else []
@@ -217,22 +217,15 @@ def _plans(log: RunLog, robot: int) -> FormationPlans:
     return FormationPlans(ids | {""} if ids else None)
 
 
-def _of_formation(log: RunLog, robot: int) -> list[DecodedMessage[RobotState]]:
-    """A robot's states while it is with the formation."""
-    states = log.of(topics.STATE, RobotState, robot)
-    counts = _plans(log, robot).with_formation(e.message for e in states)
-    return [e for e, counted in zip(states, counts, strict=True) if counted]
-
-
-def _on_flights(log: RunLog, robot: int) -> list[DecodedMessage[RobotState]]:
-    """A robot's states while it is with the formation, and those in which it stands at the beginning of the formation's next
-    flight after a person led it elsewhere."""
+def _of_formation(log: RunLog, robot: int, begins: bool = False) -> list[DecodedMessage[RobotState]]:
+    """A robot's states while it is with the formation. With `begins` those too in which it stands at the beginning of the
+    formation's next flight after a person led it elsewhere."""
     states, plans = log.of(topics.STATE, RobotState, robot), _plans(log, robot)
     counts = plans.with_formation(e.message for e in states)
     return [
         e
         for e, counted in zip(states, counts, strict=True)
-        if counted or (plans.include(e.message.trajectory_id) and _stands_at_begin(e.message))
+        if counted or (begins and plans.include(e.message.trajectory_id) and _stands_at_begin(e.message))
     ]
 
 

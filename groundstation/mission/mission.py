@@ -188,7 +188,10 @@ class Mission:
             self._prepare_return(fleet)
         if order is Order.REJOIN:
             self.roster.reinstate(fit_to_rejoin(self._context(fleet)))
-            (self.plans.target_return if self._awaits_return else self.plans.target_slots)()
+            if self._awaits_return:
+                self.plans.target_return()
+            else:
+                self.plans.target_slots()
         if order in (Order.RETURN, Order.REJOIN):
             self._still_to_arm = frozenset(r for r in self.roster.active if fleet[r].mode is Mode.DISARMED)
         if order is Order.HOLD:

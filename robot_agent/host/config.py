@@ -11,12 +11,12 @@ import tomli_w
 from pydantic import AfterValidator, Field, model_validator
 
 from wire.config.scene import LARGEST_ROBOT
-from wire.mavlink.board_port import Link, open_link
+from wire.mavlink.board_port import BOARD_BAUD, Link, open_link
 from wire.mavlink.signing_key import Signing
 from wire.process.cli_options import DEFAULT_FLEET, DEFAULT_STATION, fleet_name
 from wire.toml_loader import ConfigError, Section, check, read_toml
 
-DEFAULT_LINK = "serial:/dev/ttyACM0:250000"
+DEFAULT_LINK = f"serial:/dev/ttyACM0:{BOARD_BAUD}"
 
 TEMPLATE = """\
 # What this board is, for `robot-agent run --config {name}`, `robot-agent check` and the systemd unit.

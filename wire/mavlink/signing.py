@@ -98,5 +98,7 @@ class SignatureVerifier:
         if len(self._streams) < STREAMS:
             return True
         unused = next((stream for stream, last in self._streams.items() if last + MINUTE < self.newest), None)
-        self._streams.pop(unused, None) if unused else None
-        return unused is not None
+        if unused is None:
+            return False
+        del self._streams[unused]
+        return True

@@ -226,6 +226,19 @@ def tell_until(fleet: ObedientFleet, over: threading.Event) -> None:
         fleet.tell()
 
 
+def end_by_interruption(station: Station, stop: Stop, fleet: ObedientFleet) -> None:
+    """Tell a station to end as Ctrl-C does, and run it to its end while the fleet goes on telling its state."""
+    stop.request(interrupted=True)
+    over, told = threading.Event(), threading.Thread(target=lambda: tell_until(fleet, over))
+    told.start()
+    try:
+        # the loop alone: `cycles` around it needs a network and a page
+        process._wall_loop(station, stop, process.EndOfRun(station, None))  # private: `run` begins with a whole fleet
+    finally:
+        over.set()
+        told.join()
+
+
 LEADS = {
     Order.ARM: Mode.ARMED,
     Order.HOLD: Mode.HOLDING,
@@ -387,15 +400,7 @@ def test_a_station_that_is_told_to_end_in_flight_holds_and_then_disarms(
         fleet.modes = dict.fromkeys(fleet.modes, Mode.TRACKING)
         station.mission.state = MissionState.RUNNING
         fleet.until(station, lambda: len(station.seen) == 2 and all(seen.heard for seen in station.seen.values()))
-        stop.request(interrupted=True)
-        over, told = threading.Event(), threading.Thread(target=lambda: tell_until(fleet, over))
-        told.start()
-        try:
-            # the loop alone: `cycles` around it needs a network and a page
-            process._wall_loop(station, stop, process.EndOfRun(station, None))  # private: `run` begins with a whole fleet
-        finally:
-            over.set()
-            told.join()
+        end_by_interruption(station, stop, fleet)
         for robot in fleet.modes:
             orders = [order for of, order in fleet.got if of == robot]
             assert orders.index(Order.HOLD) < orders.index(Order.DISARM)
@@ -415,14 +420,7 @@ def test_a_station_that_is_told_to_end_while_robots_are_being_armed_leaves_none_
         fleet = ObedientFleet(hub, station.experiment)
         fleet.until(station, lambda: len(station.seen) == 2 and all(seen.heard for seen in station.seen.values()))
         station.mission.state = state
-        stop.request(interrupted=True)
-        over, told = threading.Event(), threading.Thread(target=lambda: tell_until(fleet, over))
-        told.start()
-        try:
-            process._wall_loop(station, stop, process.EndOfRun(station, None))  # private: `run` begins with a whole fleet
-        finally:
-            over.set()
-            told.join()
+        end_by_interruption(station, stop, fleet)
         assert station.mission.state not in (MissionState.LOADING, MissionState.ARMING)
         orders = [order for robot, order in fleet.got if robot == 1 and order in (Order.ARM, Order.DISARM)]
         assert orders[-1] is Order.DISARM and fleet.modes == {1: Mode.DISARMED, 2: Mode.DISARMED}
