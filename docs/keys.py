@@ -96,6 +96,13 @@ CONSTANTS = (
     "robot_agent/vehicle/filter_bank.py",
 )  # fmt: skip
 
+MISSION_STATES = """# States of a mission
+
+Written by `groundstation mission states`; the station reads the same table (`groundstation/mission/state_machine.py`). A person
+requests the orders of the second table. [missions.md](../missions.md) explains them.
+
+"""
+
 
 def files() -> dict[Path, str]:
     """Every generated file and its text."""
@@ -132,6 +139,7 @@ def files() -> dict[Path, str]:
             vehicle,
         ),
         folder / "faults.md": "\n".join(_faults()) + "\n",
+        folder / "mission-states.md": MISSION_STATES + mission_states.markdown(),
         **{
             key_reference.SCHEMAS / f"{kind}.schema.json": json.dumps(key_reference.schema(kind), indent=1) + "\n"
             for kind in key_reference.ROOTS
