@@ -91,7 +91,7 @@ lint: $(INSTALLED) ## ruff and mypy --strict
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/mypy docs examples
+	$(BIN)/mypy examples
 
 format: $(INSTALLED) ## let ruff lay out and repair what it can
 	$(BIN)/ruff format .
@@ -106,8 +106,7 @@ proto: $(INSTALLED) ## generate wire/messages/fleet_pb2.py from wire/messages/fl
 	$(BIN)/python -m grpc_tools.protoc -I . --python_out=. --pyi_out=. wire/messages/fleet.proto
 
 docs: $(INSTALLED) ## write the generated pages of docs/ again
-	$(BIN)/python docs/messages.py > docs/messages.md
-	$(BIN)/python docs/keys.py
+	$(BIN)/python -m tools.pages
 
 lock: ## resolve the newest versions pyproject.toml allows into constraints.txt
 	rm -rf .venv-lock

@@ -1,18 +1,14 @@
 """Generated pages are current, and no page points at a file that is not there."""
 
 import re
-import runpy
 from pathlib import Path
 
 import pytest
 
+from tools import pages
+
 ROOT = Path(__file__).parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
-
-
-def test_the_page_of_messages_is_current() -> None:
-    page = runpy.run_path(str(ROOT / "docs" / "messages.py"))["page"]
-    assert (ROOT / "docs" / "messages.md").read_text(encoding="utf-8") == page(), "run: make docs"
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
@@ -40,14 +36,14 @@ def test_links_lead_to_headings(page: Path) -> None:
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_files_named_in_text_exist(page: Path) -> None:
     """`package/file.py` in backquotes is a promise; files get renamed."""
-    packages = "wire|localizer|robot_agent|groundstation|sim_bridge|tests|benchmarks|docs"
+    packages = "wire|localizer|robot_agent|groundstation|sim_bridge|tests|benchmarks|docs|tools"
     for name in re.findall(rf"`((?:{packages})/[\w./-]*\.\w+)`", page.read_text(encoding="utf-8")):
         assert (ROOT / name).exists(), f"{page.name} names {name}"
 
 
-def test_the_reference_of_keys_and_the_schemas_are_current() -> None:
-    files = runpy.run_path(str(ROOT / "docs" / "keys.py"))["files"]()
-    for path, text in files.items():
-        assert path.read_text(encoding="utf-8") == text, "run: make docs"
+def test_generated_pages_are_current() -> None:
+    written = pages.files()
+    for path, text in written.items():
+        assert path.read_text(encoding="utf-8") == text, f"{path.name} is old; run: make docs"
     reference = ROOT / "docs" / "reference"
-    assert {path for path in files if path.parent == reference} == {*reference.iterdir()}
+    assert {path for path in written if path.parent == reference} == {*reference.iterdir()}

@@ -1,5 +1,5 @@
 """SHELL: pictures of docs/baselines.md and, on standard output, its tables, from the folders of comparisons:
-`python -m docs.laws NUMERIC_DISTURBED NUMERIC POOL`."""
+`python -m tools.laws NUMERIC_DISTURBED NUMERIC POOL`."""
 
 import sys
 from pathlib import Path
@@ -10,7 +10,7 @@ from groundstation.report.controller_comparison import COLUMNS, cells, errors, w
 from groundstation.report.plotting import STYLE
 from wire.config.controller_benchmark import Comparison
 
-IMAGES = Path(__file__).parent / "images"
+IMAGES = Path(__file__).parents[1] / "docs" / "images"
 TOLD = ("rms_m", "rms_after_20s_m", "formation_after_20s_m", "input_step_rms", "wanted_beyond", "wanted_most")
 
 

@@ -1,12 +1,11 @@
-"""Write docs/reference/, wire/schemas/ and the table of gains in docs/control.md from the sources: `make docs`.
-
-A test fails when they are behind."""
+"""Reference of keys, faults and constants, the editors' schemas, and the table of gains in docs/control.md."""
 
 import json
 import re
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
+from groundstation.mission import state_machine as mission_states
 from robot_agent.control.nonlinear.tuning import formulas
 from wire import key_reference
 from wire.config.fault_injection import KINDS, OF_PROCESSES
@@ -145,9 +144,3 @@ def files() -> dict[Path, str]:
             for kind in key_reference.ROOTS
         },
     }
-
-
-if __name__ == "__main__":
-    for path, text in files().items():
-        path.parent.mkdir(exist_ok=True)
-        path.write_text(text, encoding="utf-8")
