@@ -97,8 +97,8 @@ CONSTANTS = (
 
 MISSION_STATES = """# States of a mission
 
-Written by `groundstation mission states`; the station reads the same table (`groundstation/mission/state_machine.py`). A person
-requests the orders of the second table. [missions.md](../missions.md) explains them.
+Written by `make docs`; `groundstation mission states` prints it, and the station reads the same table. A person requests the
+orders of the second table. [missions.md](../missions.md) explains them.
 
 """
 
