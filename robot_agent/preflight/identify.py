@@ -13,12 +13,12 @@ from wire.process.cli_options import LinkInsecure, LinkKey, finite
 from wire.regular_files import read_regular
 from wire.toml_loader import MOST_BYTES, ConfigError, check, os_errors_as_config_errors
 
-cli = typer.Typer(help="A vehicle's numbers from measurements on a bench (docs/hil.md).")
+cli = typer.Typer(help="A vehicle's numbers from measurements on a bench (docs/hardware.md).")
 
 
 @cli.callback()
 def main() -> None:
-    """A vehicle's numbers from measurements on a bench (docs/hil.md)."""
+    """A vehicle's numbers from measurements on a bench (docs/hardware.md)."""
 
 
 @cli.command()
