@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from tools import keys, messages
+from tools import keys, messages, tables
 
-GENERATORS = (keys, messages)
+GENERATORS = (keys, messages, tables)
 
 
 def files() -> dict[Path, str]:
