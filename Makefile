@@ -20,7 +20,7 @@ IN_PARALLEL := -n logical $(BY_FILE)
 IN_PAIRS := -n 2 $(BY_FILE)
 
 .DEFAULT_GOAL := help
-.PHONY: help page run check test test-units test-real-time test-page test-computing test-slow mutants firmware faults fuzz photoreal soak scenes bench lint format proto docs lock clean
+.PHONY: help page run check test test-units test-real-time test-page test-computing test-slow mutants firmware faults fuzz photoreal soak scenes evidence bench lint format proto docs lock clean
 
 help: ## this list
 	@echo "Targets (each sets up .venv by itself):"
@@ -83,6 +83,10 @@ firmware: $(INSTALLED) ## the thruster board's firmware (gcc; avr-gcc for the Ar
 
 scenes: $(INSTALLED) ## fly every shipped scene whole, with its camera, ten seeds (half an hour); writes docs/evidence/scenes.md. ARGS="open-water --seeds 3"
 	$(BIN)/python -m benchmarks.scenes $(or $(ARGS),--write)
+
+evidence: $(INSTALLED) ## measure one benchmark and write its page in docs/evidence (docs/evidence/README.md lists them). ARGS="optimum"
+	$(BIN)/python -m benchmarks $(ARGS) --evidence
+	$(BIN)/python -m tools.pages
 
 bench: $(INSTALLED) ## benchmarks, each beside its peers. ARGS="codec --json rows.json"
 	$(BIN)/python -m benchmarks $(ARGS)

@@ -6,9 +6,10 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from robot_agent.control.nonlinear.tuning import formulas
+from robot_agent.vehicle import kalman
 from wire import key_reference
 from wire.config.fault_injection import KINDS, OF_PROCESSES
-from wire.config.vehicle import load_vehicle
+from wire.config.vehicle import Vehicle, load_vehicle
 from wire.key_reference import KeyEntry, KeyTable
 
 ROOT = Path(__file__).parents[1]
@@ -61,9 +62,30 @@ SHIPPED = ("spherical", "vectored")
 PERIOD_S = 0.05
 
 
+def _observer(vehicle: Vehicle) -> list[tuple[str, str, str]]:
+    """Quantity, formula and value of the observer's noise."""
+    noise, largest_mps = kalman.vehicle_noise(vehicle), vehicle.limits.speed_mps
+    hand_mps2 = vehicle.limits.wrench[0] / vehicle.mass.surge_kg
+    shares = f"{100.0 * kalman.SHARE:g} %; {100.0 * kalman.LASTING_SHARE:g} %"
+    ratios = "; ".join(f"{100.0 * ratio:g} %" for ratio in kalman.RATIOS[:2])
+    return [
+        ("idle force that lasts, surge", "hypot(2 x 6 % of the idle thrust, rounding) / m", f"{noise.idle_mps2:.1e} m/s^2"),
+        ("the same, yaw", "the same force x arm / I", f"{noise.idle_radps2:.1e} rad/s^2"),
+        (
+            "rounding of pulses, surge", "thrust of one microsecond at idle thrust x sqrt(thrusters / 12) / m",
+            f"{noise.rounding_mps2:.1e} m/s^2",
+        ),
+        ("force that comes and goes; that lasts", f"of thrust and drag, for {noise.passes_s:g}; {noise.lasts_s:g} s", shares),
+        ("hand on a robot without thrust", f"largest thrust / m, for {kalman.HAND_S:g} s", f"{hand_mps2:.2g} m/s^2"),
+        ("current at first, standard deviation", "half of the greatest speed", f"{0.5 * min(largest_mps, 1.0):.2f} m/s"),
+        ("drag; thrust and moment per mass at first", "relative to the vehicle file", ratios),
+    ]  # fmt: skip
+
+
 def _gains() -> str:
-    """The table of gains: quantity, formula, and the value for each shipped vehicle."""
-    of_each = [formulas(load_vehicle(name), PERIOD_S) for name in SHIPPED]
+    """The table of noise and gains: quantity, formula, and the value for each shipped vehicle."""
+    vehicles = [load_vehicle(name) for name in SHIPPED]
+    of_each = [[*_observer(vehicle), *formulas(vehicle, PERIOD_S)] for vehicle in vehicles]
     rows = [(name, how, *(column[i][2] for column in of_each)) for i, (name, how, _) in enumerate(of_each[0])]
     head = "| Quantity | Formula | " + " | ".join(f"`{name}`" for name in SHIPPED) + " |\n|---|---|" + "---|" * len(SHIPPED)
     return "\n".join([head, *(f"| {' | '.join(row)} |" for row in rows)]) + "\n"

@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from tools import keys, messages, tables
+from tools import evidence, keys, messages, tables
 
-GENERATORS = (keys, messages, tables)
+GENERATORS = (keys, messages, tables, evidence)
 
 
 def files() -> dict[Path, str]:
