@@ -20,7 +20,7 @@ IN_PARALLEL := -n logical $(BY_FILE)
 IN_PAIRS := -n 2 $(BY_FILE)
 
 .DEFAULT_GOAL := help
-.PHONY: help page run check test test-units test-real-time test-page test-computing test-slow mutants firmware faults fuzz photoreal soak scenes evidence bench lint format proto docs lock clean
+.PHONY: help page run check test test-units test-real-time test-page test-computing test-slow mutants firmware faults fuzz photoreal soak scenes evidence laws bench lint format proto docs lock clean
 
 help: ## this list
 	@echo "Targets (each sets up .venv by itself):"
@@ -87,6 +87,9 @@ scenes: $(INSTALLED) ## fly every shipped scene whole, with its camera, ten seed
 evidence: $(INSTALLED) ## measure one benchmark and write its page in docs/evidence (docs/evidence/README.md lists them). ARGS="optimum"
 	$(BIN)/python -m benchmarks $(ARGS) --evidence
 	$(BIN)/python -m tools.pages
+
+laws: $(INSTALLED) ## fly every control law on the same seeds; writes docs/evidence/laws.md. ARGS="--seeds 1-3"
+	$(BIN)/python -m tools.laws $(ARGS)
 
 bench: $(INSTALLED) ## benchmarks, each beside its peers. ARGS="codec --json rows.json"
 	$(BIN)/python -m benchmarks $(ARGS)
