@@ -34,8 +34,8 @@ HEAD = """# Evidence: control laws on the same seeds
 
 Distance from the reference over all robots, RMS, against the plant's truth: means over the seeds with 95 % bootstrap
 intervals. × is the distance after 20 s over that of the first law, as the geometric mean of the ratios on the same seeds.
-*Formation*: distances between robots, after 20 s. *Wanted beyond*: control steps in which the law wanted more than the limit of
-magnitude or of change. What is applied is cut to both limits for every law. Laws, and how their gains were found:
+*Formation*: distances between robots, after 20 s. *Wanted beyond*: control steps in which the law wanted more than the limit
+of magnitude or of change. What is applied is cut to both limits for every law. Laws, and how their gains were found:
 [baselines.md](../baselines.md).
 
 ![Errors by law: every flight, means and intervals](../images/laws-errors.png)
