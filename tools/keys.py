@@ -7,6 +7,7 @@ from pathlib import Path
 
 from robot_agent.control.nonlinear.tuning import formulas
 from robot_agent.vehicle import kalman
+from sim_bridge.fault_schedule import NUMERIC
 from wire import key_reference
 from wire.config.fault_injection import KINDS, OF_PROCESSES
 from wire.config.vehicle import Vehicle, load_vehicle
@@ -44,8 +45,9 @@ def _page(title: str, intro: str, tables: Iterable[KeyTable]) -> str:
 def _faults() -> Iterator[str]:
     yield f"# Faults that can be injected\n\n{LAID}"
     yield "Each is a line after `--fault`, or a table `[[sim.faults]]` ([simulation.md](simulation.md)). `for=SECONDS` makes"
-    yield "it end. A value may be left out.\n"
-    yield "| Fault | Value | Default | Range | Not in lockstep | Example |\n|---|---|---|---|---|---|"
+    yield "it end. A value may be left out. The columns `--real-time`, other `sil` and `numeric` say which flights can have the fault.\n"
+    yield "| Fault | What happens | Value | Default | Range | `--real-time` | other `sil` | `numeric` | Example |"
+    yield "|---|---|---|---|---|---|---|---|---|"
     for kind, (target, effects) in KINDS.items():
         for name, effect in effects.items():
             place = {"ROBOT": "2", "ROBOT/THRUSTER": "2/3", "NAME": "agent-2"}.get(target, "")
@@ -53,8 +55,9 @@ def _faults() -> Iterator[str]:
             value = f"{effect.default:g}" if effect.meaning else ""
             line = " ".join(word for word in ("t=20", kind, place, name, value) if word)
             allowed = f"{effect.low:g} to {effect.high:g}" if effect.meaning else ""
-            real_time = "x" if kind in OF_PROCESSES else ""
-            yield f"| `{words}` | {effect.meaning} | {value} | {allowed} | {real_time} | `{line}` |"
+            where = ("x", "" if kind in OF_PROCESSES else "x", "x" if kind in NUMERIC else "")
+            cells = (f"`{words}`", effect.happens, effect.meaning, value, allowed, *where, f"`{line}`")
+            yield f"| {' | '.join(cells)} |"
 
 
 GAINS = "<!-- gains of the nonlinear MPC: written by `make docs` -->\n"
