@@ -3,6 +3,7 @@
 import json
 import re
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 from robot_agent.control.nonlinear.tuning import formulas
@@ -16,6 +17,7 @@ from wire.key_reference import KeyEntry, KeyTable
 ROOT = Path(__file__).parents[1]
 LAID = "Written by `make docs` from the models in `wire/config/`; edit those. `groundstation keys-of` searches it.\n"
 COLUMNS = "| Key | Type | Unit | Range | Default | Meaning | Example |\n|---|---|---|---|---|---|---|"
+COPIES = 10  # keys that two sections share: the second one is a copy of the first
 OUT = "A default that is empty: leaving the key out has a meaning of its own.\n"
 
 
@@ -38,14 +40,33 @@ def _table(table: KeyTable) -> Iterator[str]:
         yield from (_row(entry, prefix) for entry in table.entries)
 
 
+def _without_copies(tables: Iterable[KeyTable]) -> Iterator[KeyTable]:
+    """The tables; one whose keys are those of an earlier table, as [[cameras]] has those of [camera], lists its other keys."""
+    earlier: dict[str, set[tuple[str, ...]]] = {}
+    for table in tables:
+        keys = {entry: (entry.name.rpartition(".")[2], entry.type, entry.meaning) for entry in table.entries}
+        first = next((name for name, known in earlier.items() if len(known & set(keys.values())) >= COPIES), "")
+        if first:
+            others = tuple(entry for entry, key in keys.items() if key not in earlier[first])
+            yield replace(table, meaning=f"{table.meaning}\n\nThe keys of [{first}], and:", entries=others)
+        else:
+            earlier[table.name] = set(keys.values())
+            yield table
+
+
 def _page(title: str, intro: str, tables: Iterable[KeyTable]) -> str:
-    return "\n".join([f"# {title}\n\n{LAID}\n{intro}\n{OUT}", *(line for table in tables for line in _table(table))]) + "\n"
+    return (
+        "\n".join(
+            [f"# {title}\n\n{LAID}\n{intro}\n{OUT}", *(line for table in _without_copies(tables) for line in _table(table))]
+        )
+        + "\n"
+    )
 
 
 def _faults() -> Iterator[str]:
     yield f"# Faults that can be injected\n\n{LAID}"
     yield "Each is a line after `--fault`, or a table `[[sim.faults]]` ([simulation.md](simulation.md)). `for=SECONDS` makes"
-    yield "it end. A value may be left out. The columns `--real-time`, other `sil` and `numeric` say which flights can have the fault.\n"
+    yield "it end. A value may be left out. The columns `--real-time`, other `sil` and `numeric` say who can have it.\n"
     yield "| Fault | What happens | Value | Default | Range | `--real-time` | other `sil` | `numeric` | Example |"
     yield "|---|---|---|---|---|---|---|---|---|"
     for kind, (target, effects) in KINDS.items():
