@@ -55,12 +55,8 @@ def _without_copies(tables: Iterable[KeyTable]) -> Iterator[KeyTable]:
 
 
 def _page(title: str, intro: str, tables: Iterable[KeyTable]) -> str:
-    return (
-        "\n".join(
-            [f"# {title}\n\n{LAID}\n{intro}\n{OUT}", *(line for table in _without_copies(tables) for line in _table(table))]
-        )
-        + "\n"
-    )
+    sections = (line for table in _without_copies(tables) for line in _table(table))
+    return "\n".join([f"# {title}\n\n{LAID}\n{intro}\n{OUT}", *sections]) + "\n"
 
 
 def _faults() -> Iterator[str]:
