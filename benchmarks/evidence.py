@@ -32,7 +32,8 @@ def table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
 def _figures(row: dict[str, Any]) -> list[str]:
     """Cells of a row's figures."""
     numbers = [row[name] for name in ("p50", "p99", "max")]
-    return [*(n if isinstance(n, str) else short(n) for n in numbers), row["unit"], str(row["n"]), row["target"]]
+    texts = [number if isinstance(number, str) else short(number) for number in numbers]
+    return [*(texts if row["n"] > 1 else (texts[0], "", "")), row["unit"], str(row["n"]), row["target"]]
 
 
 def of_benchmark(content: dict[str, Any]) -> str:

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from tools import pages
+from tools import pages, readers
+from wire import key_reference
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
@@ -47,3 +48,10 @@ def test_generated_pages_are_current() -> None:
         assert path.read_text(encoding="utf-8") == text, f"{path.name} is old; run: make docs"
     reference = ROOT / "docs" / "reference"
     assert {path for path in written if path.parent == reference} == {*reference.iterdir()}
+
+
+@pytest.mark.parametrize("kind", key_reference.ROOTS)
+def test_every_key_is_read_somewhere(kind: str) -> None:
+    """One that nobody reads promises what does not happen. Numbers for a law of one's own are read by that law."""
+    keys = [entry.name for table in key_reference.tables(kind) for entry in table.entries]
+    assert [key for key in keys if not readers.readers(key)] in ([], ["controller.own"])

@@ -9,14 +9,15 @@ from pathlib import Path
 from robot_agent.control.nonlinear.tuning import formulas
 from robot_agent.vehicle import kalman
 from sim_bridge.fault_schedule import NUMERIC
+from tools import readers
 from wire import key_reference
 from wire.config.fault_injection import KINDS, OF_PROCESSES
 from wire.config.vehicle import Vehicle, load_vehicle
 from wire.key_reference import KeyEntry, KeyTable
 
 ROOT = Path(__file__).parents[1]
-LAID = "Written by `make docs` from the models in `wire/config/`; edit those. `groundstation keys-of` searches it.\n"
-COLUMNS = "| Key | Type | Unit | Range | Default | Meaning | Example |\n|---|---|---|---|---|---|---|"
+LAID = "Written by `make docs` from the models in `wire/config/`; edit those. `groundstation keys-of` has examples too.\n"
+COLUMNS = "| Key | Type | Unit | Range | Default | Meaning | Read in |\n|---|---|---|---|---|---|---|"
 COPIES = 10  # keys that two sections share: the second one is a copy of the first
 OUT = "A default that is empty: leaving the key out has a meaning of its own.\n"
 
@@ -24,8 +25,7 @@ OUT = "A default that is empty: leaving the key out has a meaning of its own.\n"
 def _row(entry: KeyEntry, prefix: str) -> str:
     name = f"`{entry.name.removeprefix(prefix)}`{' (live)' if entry.live else ''}"
     default = f"`{entry.default}`" if entry.default not in ("", "required") else entry.default
-    example = f"`{entry.example.partition('=')[2]}`"
-    cells = (name, entry.type, entry.unit, entry.allowed, default, entry.meaning, example)
+    cells = (name, entry.type, entry.unit, entry.allowed, default, entry.meaning, readers.cell(entry.name))
     return f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
 
 
