@@ -37,7 +37,7 @@ test-units:
 
 # What only computes fills the idle time of the tests that wait for programs, at a lower priority, so that it delays none of
 # them. The page's tests come after: a browser, a flight and whatever else share two processors badly, and these need both.
-test: $(INSTALLED) ## all tests but the slow ones. ARGS="tests/wire -x"
+test: $(INSTALLED) ## all tests but the slow ones. ARGS="tests/shoal -x"
 ifdef ARGS
 	$(BIN)/python -m pytest $(ARGS)
 else
@@ -109,8 +109,8 @@ page: ## build the pages of operator and camera setup again (needs Node 20 or ne
 	cp groundstation/web/page/node_modules/uplot/dist/uPlot.iife.min.js groundstation/report/templates/uplot.min.js
 	cp groundstation/web/page/node_modules/uplot/dist/uPlot.min.css groundstation/report/templates/uplot.min.css
 
-proto: $(INSTALLED) ## generate wire/messages/fleet_pb2.py from wire/messages/fleet.proto
-	$(BIN)/python -m grpc_tools.protoc -I . --python_out=. --pyi_out=. wire/messages/fleet.proto
+proto: $(INSTALLED) ## generate shoal/messages/fleet_pb2.py from shoal/messages/fleet.proto
+	$(BIN)/python -m grpc_tools.protoc -I . --python_out=. --pyi_out=. shoal/messages/fleet.proto
 
 docs: $(INSTALLED) ## write the generated pages of docs/ again
 	$(BIN)/python -m tools.pages
@@ -135,5 +135,5 @@ $(INSTALLED): pyproject.toml constraints.txt
 	@echo "Installing the pinned packages into .venv (a minute or two the first time) ..."
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt --no-deps MAVProxy
-	@$(BIN)/python -m wire.kernel_build
+	@$(BIN)/python -m shoal.kernels.build
 	@touch $@

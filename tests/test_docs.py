@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
+from shoal.config import key_reference
 from tools import pages, readers
-from wire import key_reference
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])

@@ -14,10 +14,10 @@ from typing import Any
 import matplotlib as mpl
 
 from benchmarks import evidence
+from groundstation.analysis.comparison import Comparison
 from groundstation.report.controller_comparison import COLUMNS, cells, errors, failures, wanted
 from groundstation.report.plotting import STYLE
-from wire import programs
-from wire.config.controller_benchmark import Comparison
+from shoal.system import programs
 
 DOCS = Path(__file__).parents[1] / "docs"
 STEM = DOCS / "evidence" / "laws"

@@ -8,11 +8,11 @@ from pathlib import Path
 
 from pydantic import BaseModel
 
-from wire.key_reference import ROOTS
-from wire.toml_loader import sections_of
+from shoal.config.key_reference import ROOTS
+from shoal.config.loader import sections_of
 
 ROOT = Path(__file__).parents[1]
-PROGRAMS = ("localizer", "robot_agent", "groundstation", "sim_bridge", "wire")
+PROGRAMS = ("localizer", "robot_agent", "groundstation", "sim_bridge", "shoal")
 NAMED = 3  # modules in a cell; more are counted by package
 WORD = re.compile(r"(\.?)\b([A-Za-z_]\w*)")
 TEXT = re.compile(r'""".*?"""', re.DOTALL)

@@ -3,8 +3,8 @@
 from pathlib import Path
 
 from robot_agent.safety import guidance_states, modes
+from shoal.config.experiment import load_experiment
 from sim_bridge.thruster_board.parameters import FIXED, Parameters
-from wire.config.experiment import load_experiment
 
 REFERENCE = Path(__file__).parents[1] / "docs" / "reference"
 

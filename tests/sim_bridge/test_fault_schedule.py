@@ -6,6 +6,10 @@ from collections import Counter
 import numpy as np
 import pytest
 
+from shoal.config.experiment import load_experiment
+from shoal.config.fault_injection import read_what
+from shoal.errors import ConfigError
+from shoal.frames import Array
 from sim_bridge.camera import faults as camera_faults
 from sim_bridge.camera.faults import CameraFaults
 from sim_bridge.camera.renderer import Renderer
@@ -14,10 +18,6 @@ from sim_bridge.node.board_ports import LossyLink
 from sim_bridge.plant.fleet import Plant
 from sim_bridge.plant.sensors import BoardSensors
 from sim_bridge.world import World
-from wire.config.experiment import load_experiment
-from wire.config.fault_injection import read_what
-from wire.frames import Array
-from wire.toml_loader import ConfigError
 
 CALM = ("pool.walls=false", "sim.plant.buoyancy_n=0", "sim.plant.thruster_spread=0", "sim.plant.battery.capacity_wh=0")
 APART = np.array([[-9.0, 0.0, 5.0, 0.0], [9.0, 0.0, 5.0, 0.0]])
