@@ -59,7 +59,7 @@ test-computing:
 test-slow: $(INSTALLED) ## the long checks: fault campaigns, deep fuzzing, people who interrupt one another
 	$(BIN)/python -m pytest -m slow --timeout=1800 $(ARGS)
 
-faults: $(INSTALLED) ## break everything in docs/faults.md, many times, and measure (hours). ARGS="--row agent-killed --times 5"
+faults: $(INSTALLED) ## break everything in docs/evidence/faults.md, many times, and measure (hours). ARGS="--row agent-killed --times 5"
 	$(BIN)/python -m tests.faults $(ARGS)
 
 fuzz: $(INSTALLED) ## a million payloads for every decoder, fewer for every step. ARGS="--target mavlink --runs 10000"

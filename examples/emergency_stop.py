@@ -2,7 +2,7 @@
 
     python examples/emergency_stop.py
 
-The script is one more person at the stop button: robots watch themselves, and fail safe without it (docs/faults.md).
+The script is one more person at the stop button: robots watch themselves, and fail safe without it (docs/safety.md).
 """
 
 import numpy as np

@@ -77,7 +77,12 @@ def commands_of(page: Path) -> list[list[str]]:
     return [words for words in found if words and words[0] in PROGRAMS and "..." not in words]
 
 
-@pytest.mark.parametrize("words", commands_of(ROOT / "docs" / "hil.md"), ids=" ".join)
+BY_HAND = ("certificates", "deploy", "hardware", "hil", "missions", "runs")  # pages whose commands no other test runs
+
+
+@pytest.mark.parametrize(
+    "words", [words for page in BY_HAND for words in commands_of(ROOT / "docs" / f"{page}.md")], ids=" ".join
+)
 def test_commands_of_the_page_parse(words: list[str]) -> None:
     """Every command and option exists, and takes such a value. What they do is tested where they are."""
     program, *arguments = words

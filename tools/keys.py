@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
+from groundstation.mission import state_machine as mission_states
 from robot_agent.control.nonlinear.tuning import formulas
 from robot_agent.vehicle import kalman
 from shoal.config import key_reference
@@ -136,6 +137,13 @@ CONSTANTS = (
     "robot_agent/vehicle/filter_bank.py",
 )  # fmt: skip
 
+MISSION_STATES = """# States of a mission
+
+Written by `make docs`; `groundstation mission states` prints it, and the station reads the same table. A person requests the
+orders of the second table. [missions.md](../missions.md) explains them.
+
+"""
+
 
 def files() -> dict[Path, str]:
     """Every generated file and its text."""
@@ -172,6 +180,7 @@ def files() -> dict[Path, str]:
             vehicle,
         ),
         folder / "faults.md": "\n".join(_faults()) + "\n",
+        folder / "mission-states.md": MISSION_STATES + mission_states.markdown(),
         **{
             key_reference.SCHEMAS / f"{kind}.schema.json": json.dumps(key_reference.schema(kind), indent=1) + "\n"
             for kind in key_reference.ROOTS

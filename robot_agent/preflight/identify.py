@@ -14,12 +14,12 @@ from shoal.mavlink.agent_link import STANDARD_GRAVITY_MPS2
 from shoal.runtime.cli_options import LinkInsecure, LinkKey, finite
 from shoal.system.regular_files import read_regular
 
-cli = typer.Typer(help="A vehicle's numbers from measurements on a bench (docs/hil.md).")
+cli = typer.Typer(help="A vehicle's numbers from measurements on a bench (docs/hardware.md).")
 
 
 @cli.callback()
 def main() -> None:
-    """A vehicle's numbers from measurements on a bench (docs/hil.md)."""
+    """A vehicle's numbers from measurements on a bench (docs/hardware.md)."""
 
 
 @cli.command()
