@@ -20,7 +20,7 @@ IN_PARALLEL := -n logical $(BY_FILE)
 IN_PAIRS := -n 2 $(BY_FILE)
 
 .DEFAULT_GOAL := help
-.PHONY: help page run check test test-units test-real-time test-page test-computing test-slow mutants firmware faults fuzz photoreal soak scenes bench lint format proto docs lock clean
+.PHONY: help page run check test test-units test-real-time test-page test-computing test-slow mutants firmware faults fuzz photoreal soak scenes evidence laws bench lint format proto docs lock clean
 
 help: ## this list
 	@echo "Targets (each sets up .venv by itself):"
@@ -37,7 +37,7 @@ test-units:
 
 # What only computes fills the idle time of the tests that wait for programs, at a lower priority, so that it delays none of
 # them. The page's tests come after: a browser, a flight and whatever else share two processors badly, and these need both.
-test: $(INSTALLED) ## all tests but the slow ones. ARGS="tests/wire -x"
+test: $(INSTALLED) ## all tests but the slow ones. ARGS="tests/shoal -x"
 ifdef ARGS
 	$(BIN)/python -m pytest $(ARGS)
 else
@@ -84,6 +84,13 @@ firmware: $(INSTALLED) ## the thruster board's firmware (gcc; avr-gcc for the Ar
 scenes: $(INSTALLED) ## fly every shipped scene whole, with its camera, ten seeds (half an hour); writes docs/evidence/scenes.md. ARGS="open-water --seeds 3"
 	$(BIN)/python -m benchmarks.scenes $(or $(ARGS),--write)
 
+evidence: $(INSTALLED) ## measure one benchmark and write its page in docs/evidence (docs/evidence/README.md lists them). ARGS="optimum"
+	$(BIN)/python -m benchmarks $(ARGS) --evidence
+	$(BIN)/python -m tools.pages
+
+laws: $(INSTALLED) ## fly every control law on the same seeds; writes docs/evidence/laws.md. ARGS="--seeds 1-3"
+	$(BIN)/python -m tools.laws $(ARGS)
+
 bench: $(INSTALLED) ## benchmarks, each beside its peers. ARGS="codec --json rows.json"
 	$(BIN)/python -m benchmarks $(ARGS)
 
@@ -102,8 +109,8 @@ page: ## build the pages of operator and camera setup again (needs Node 20 or ne
 	cp groundstation/web/page/node_modules/uplot/dist/uPlot.iife.min.js groundstation/report/templates/uplot.min.js
 	cp groundstation/web/page/node_modules/uplot/dist/uPlot.min.css groundstation/report/templates/uplot.min.css
 
-proto: $(INSTALLED) ## generate wire/messages/fleet_pb2.py from wire/messages/fleet.proto
-	$(BIN)/python -m grpc_tools.protoc -I . --python_out=. --pyi_out=. wire/messages/fleet.proto
+proto: $(INSTALLED) ## generate shoal/messages/fleet_pb2.py from shoal/messages/fleet.proto
+	$(BIN)/python -m grpc_tools.protoc -I . --python_out=. --pyi_out=. shoal/messages/fleet.proto
 
 docs: $(INSTALLED) ## write the generated pages of docs/ again
 	$(BIN)/python -m tools.pages
@@ -128,5 +135,5 @@ $(INSTALLED): pyproject.toml constraints.txt
 	@echo "Installing the pinned packages into .venv (a minute or two the first time) ..."
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt --no-deps MAVProxy
-	@$(BIN)/python -m wire.kernel_build
+	@$(BIN)/python -m shoal.kernels.build
 	@touch $@

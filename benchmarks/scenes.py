@@ -25,12 +25,12 @@ from rich.console import Console
 from benchmarks import evidence
 from localizer.evaluation.metrics import PoseRow
 from localizer.evaluation.runner import evaluate_log
-from wire.config.experiment import load_experiment
-from wire.process.output import terminal
-from wire.toml_loader import ConfigError
+from shoal.config.experiment import load_experiment
+from shoal.errors import ConfigError
+from shoal.runtime.output import terminal
 
 ROOT = Path(__file__).parents[1]
-SCENES = tuple(sorted(path.stem for path in (ROOT / "wire" / "experiments").glob("*.toml")))
+SCENES = tuple(sorted(path.stem for path in (ROOT / "shoal" / "config" / "experiments").glob("*.toml")))
 EVIDENCE = ROOT / "docs" / "evidence" / "scenes"
 TRACKS = ("marker", "kcf", "coast", "lost")  # kinds of track that a pose has, from best to worst
 COLUMNS = (

@@ -19,14 +19,14 @@ from typer.testing import CliRunner
 
 from groundstation.__main__ import cli as groundstation
 from groundstation.deploy import key_ring
+from shoal.bus.bus import Bus
+from shoal.bus.memory_transport import MemoryHub, MemoryTransport
+from shoal.errors import ConfigError
+from shoal.messages.codec import Header
+from shoal.messages.messages import Command, Order, Outcome, Progress, Reply
+from shoal.runtime.cli_options import experiments
 from sim_bridge.__main__ import cli as sim_bridge
 from sim_bridge.sil.ports import free_port
-from wire.messages.codec import Header
-from wire.messages.messages import Command, Order, Outcome, Progress, Reply
-from wire.process.cli_options import experiments
-from wire.toml_loader import ConfigError
-from wire.transport.bus import Bus
-from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
 pytestmark = pytest.mark.long
 
@@ -462,7 +462,7 @@ def _site(folder: Path) -> Path:
     run.mkdir()
     for name in ("picture.png", "video.mp4", "truth.txt", "run/run.mcap", "run/report.html", "run/experiment.toml"):
         (folder / name).write_text(name)
-    (folder / "lab.toml").write_text((ROOT / "wire" / "experiments" / "pool.toml").read_text())
+    (folder / "lab.toml").write_text((ROOT / "shoal" / "config" / "experiments" / "pool.toml").read_text())
     (folder / "campaign.toml").write_text('name = "two"\nexperiment = "pool"\nseeds = 2\n')
     (folder / "out").mkdir()
     (folder / "out" / "comparison.html").symlink_to(folder / "lab.toml")

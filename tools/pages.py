@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from tools import keys, messages
+from tools import evidence, keys, laws, messages, tables
 
-GENERATORS = (keys, messages)
+GENERATORS = (keys, messages, tables, evidence, laws)
 
 
 def files() -> dict[Path, str]:

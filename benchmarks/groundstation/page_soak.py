@@ -13,7 +13,7 @@ from playwright.sync_api import CDPSession, Page, sync_playwright
 
 from benchmarks.groundstation.page import FLAGS, PROBE, SETTLE_S, lab
 from benchmarks.harness import Row
-from wire.toml_loader import ConfigError
+from shoal.errors import ConfigError
 
 ROBOTS = 10
 FILLS_MIN = 6.0  # until trails and plots hold as much as they ever will

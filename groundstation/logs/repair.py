@@ -16,9 +16,9 @@ from mcap.writer import Writer
 
 from groundstation.logs.reader import damage_in_words, is_complete, valid_records
 from groundstation.logs.recorder import CHUNK_BYTES, REPAIR_METADATA, claim
-from wire.process.output_files import replacing
-from wire.regular_files import open_regular
-from wire.toml_loader import ConfigError
+from shoal.errors import ConfigError
+from shoal.runtime.output_files import replacing
+from shoal.system.regular_files import open_regular
 
 ORIGINAL = ".original"  # end of the name that the file keeps
 MOST_KEPT = 100

@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 
 from localizer.detection.fiducials import marker_dictionary
-from wire.config.perception import MarkerFamily
-from wire.toml_loader import ConfigError
+from shoal.config.perception import MarkerFamily
+from shoal.errors import ConfigError
 
 Rectangle = tuple[float, float, float, float]  # left, top, width, height
 

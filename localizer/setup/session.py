@@ -29,9 +29,9 @@ from localizer.setup.picture_figures import PictureFigures, PictureJudge, rate_v
 from localizer.setup.survey_step import SurveyStep, outline_corners, outline_px
 from localizer.sources.base import CapturedFrame
 from localizer.sources.v4l2_controls import EXPOSURE_UNIT_S, EXPOSURES, CameraControls, Control
-from wire.config.experiment import Experiment
-from wire.config.perception import Camera
-from wire.toml_loader import ConfigError
+from shoal.config.experiment import Experiment
+from shoal.config.perception import Camera
+from shoal.errors import ConfigError
 
 DEFAULT_BOARD = "charuco:7x5:0.04:0.03:DICT_4X4_50"
 _JPEG_QUALITY = 80  # 200 kB at 1280 x 960; corners in the magnifier stay clean

@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 from localizer.detection.image_regions import Pixels
 from localizer.sources.base import SUFFIXES, CapturedFrame, as_bayer, silent_after_s
 from localizer.sources.video import VideoReader
-from wire.process.runtime import SLICE_S, Clock, Stop, log
-from wire.regular_files import read_regular
-from wire.toml_loader import ConfigError
+from shoal.errors import ConfigError
+from shoal.runtime.runtime import SLICE_S, Clock, Stop, log
+from shoal.system.regular_files import read_regular
 
 MOST_PICTURE_BYTES = 500_000_000  # of a file
 _POLL_NS = 10_000_000  # ns between checks of a folder for new images

@@ -2,7 +2,7 @@
 
 In each state exactly one thing is flown (STATES.flown). TRANSITIONS lists the changes, first match first. STATES has the
 bounds too: the longest stay, and what happens after it. path_watch.py holds the robot to them. `robot-agent modes` prints both
-tables for docs/modes.md.
+tables for docs/reference/modes.md.
 
 Each change is a line of the log and a change of the page, so states along the path are steady. What is in a robot's way may
 come and go at every step. The robot counts as giving way until nothing has been in its way for half a horizon: the time in
@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from robot_agent.safety.modes import DRIVE_LASTS_S, POWERED
-from wire.messages.messages import Guidance, Mode
+from shoal.messages.messages import Guidance, Mode
 
 STEADY_S = 1.0  # a change a second is what a person can follow
 LONGEST_AWAY_S = 120.0  # eight robots through one point were back after 76 s; two that wait for one another never are
@@ -116,7 +116,7 @@ STATES: dict[Guidance, GuidanceState] = {
 
 
 def table() -> str:
-    """Both tables as Markdown, for docs/modes.md."""
+    """Both tables as Markdown, for docs/reference/modes.md."""
     lines = ["| Guidance state | what is flown | bounds | longest stay | then |", "| --- | --- | --- | --- | --- |"]
     lines += [f"| {name.name} | {s.flown} | {s.bounds} | {s.longest} | {s.then} |" for name, s in STATES.items()]
     lines += ["", "| From, first match first | when | to |", "| --- | --- | --- |"]

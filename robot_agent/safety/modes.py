@@ -1,15 +1,15 @@
 """Modes of a robot: two tables and the function that reads them.
 
 ORDERS lists the modes in which each command is accepted. REACTIONS lists the robot's own transitions, first match first; none
-of them leads back to thrust. `robot-agent modes` prints both for docs/modes.md.
+of them leads back to thrust. `robot-agent modes` prints both for docs/reference/modes.md.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from wire.config.controller import Safety
-from wire.messages.messages import Mode, Order
+from shoal.config.controller import Safety
+from shoal.messages.messages import Mode, Order
 
 BOARD_LOST_S = 0.3  # six bursts at 20 Hz; the board itself goes to neutral 0.25 s after the last pulses it got
 BOARD_DISOBEYS_S = 0.2  # of the last second: an echo or two may be lost; a thruster that runs by itself should not for long
@@ -169,7 +169,7 @@ def refusal(order: Order, mode: Mode) -> str:
 
 
 def table() -> str:
-    """Both tables as Markdown with a Mermaid diagram, for docs/modes.md."""
+    """Both tables as Markdown with a Mermaid diagram, for docs/reference/modes.md."""
     lines = ["```mermaid", "stateDiagram-v2", "    [*] --> DISARMED"]
     for order, transition in ORDERS.items():
         for mode in Mode:

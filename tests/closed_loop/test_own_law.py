@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from benchmarks.flights import flown
-from wire.config.experiment import Experiment, load_experiment
-from wire.toml_loader import ConfigError
+from shoal.config.experiment import Experiment, load_experiment
+from shoal.errors import ConfigError
 
 PAGE = Path(__file__).parents[2] / "docs" / "baselines.md"
 

@@ -1,4 +1,4 @@
-"""Files are written whole, by wire/process/output_files.py alone: the source has no other place that a person would miss."""
+"""Files are written whole, by shoal/runtime/output_files.py alone: the source has no other place that a person would miss."""
 
 import ast
 from collections.abc import Iterator
@@ -7,14 +7,14 @@ import pytest
 
 from tests.source_tree import nodes, sources, tree_of
 
-PACKAGES = ("shoal", "wire", "groundstation", "robot_agent", "localizer", "sim_bridge", "benchmarks")
+PACKAGES = ("shoal", "groundstation", "robot_agent", "localizer", "sim_bridge", "benchmarks")
 WRITERS = {"write_text", "write_bytes", "imwrite", "savez", "savez_compressed", "VideoWriter"}
 
 # Modules that write in place, and why nothing is lost.
 IN_PLACE = {
-    "wire/process/output_files.py": "it is the one",
-    "wire/kernel_build.py": "a lock and a record of a cache, which is made again",
-    "wire/kernel_cache.py": "a cache, which is made again",
+    "shoal/runtime/output_files.py": "it is the one",
+    "shoal/kernels/build.py": "a lock and a record of a cache, which is made again",
+    "shoal/kernels/cache.py": "a cache, which is made again",
     "groundstation/station/discovery.py": "a file of a running station, which must be locked before it has its name",
     "groundstation/deploy/ssh.py": "an archive in memory",
     "groundstation/logs/recorder.py": "a log that grows, in a new folder",

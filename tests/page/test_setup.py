@@ -15,13 +15,13 @@ import pytest
 from playwright.sync_api import Browser, Page, expect
 
 from localizer.detection.image_regions import Pixels
+from shoal.config.experiment import load_experiment
+from shoal.frames import Array
 from sim_bridge.camera.optics import project
 from sim_bridge.sil.ports import free_port
 from tests.localizer.board_scene import CameraBench, charuco, marks
 from tests.page.flights import PATIENCE_MS, PageTraffic, serious
 from tests.waiting import eventually
-from wire.config.experiment import load_experiment
-from wire.frames import Array
 
 pytestmark = pytest.mark.real_time
 
@@ -78,7 +78,7 @@ def camera(tmp_path: Path) -> FolderCamera:
 
 @pytest.fixture
 def lab(tmp_path: Path) -> Path:
-    text = (Path(__file__).parents[2] / "wire" / "experiments" / "pool.toml").read_text(encoding="utf-8")
+    text = (Path(__file__).parents[2] / "shoal" / "config" / "experiments" / "pool.toml").read_text(encoding="utf-8")
     text = text.replace("size_px = [1280, 960]", "size_px = [640, 480]").replace("[1005.0, 1005.0]", "[480.0, 480.0]")
     path = tmp_path / "lab.toml"
     path.write_text(text.replace("[639.5, 479.5]", "[319.5, 239.5]").replace("-2.8]", "-2.5]"), encoding="utf-8")

@@ -6,8 +6,8 @@ import pytest
 from typer.testing import CliRunner
 
 from groundstation.__main__ import cli
+from shoal.errors import ConfigError
 from sim_bridge.sil.ports import free_port
-from wire.toml_loader import ConfigError
 
 
 @pytest.mark.parametrize("report", [[], ["--no-report"]])

@@ -10,11 +10,11 @@ from localizer.detection.image_regions import Pixels
 from localizer.tracking.camera_pose import corners_of
 from localizer.tracking.check_marks import READINGS, CheckedCameraPose
 from localizer.tracking.fleet_localizer import FleetLocalizer, LocalizationResult
+from shoal.config.experiment import Experiment, load_experiment
+from shoal.config.perception import Landmark
+from shoal.errors import ConfigError
+from shoal.frames import Array
 from sim_bridge.camera.renderer import Renderer
-from wire.config.experiment import Experiment, load_experiment
-from wire.config.perception import Landmark
-from wire.frames import Array
-from wire.toml_loader import ConfigError
 
 pytestmark = pytest.mark.long
 

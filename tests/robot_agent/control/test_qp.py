@@ -14,8 +14,8 @@ from scipy.optimize import LinearConstraint, minimize
 
 from robot_agent.control.active_set import NO_BOUND, ROUNDS, factorise, solve_from
 from robot_agent.control.qp import DaqpSolver, OsqpSolver, Solver, make_solver
-from wire.frames import Array
-from wire.toml_loader import ConfigError
+from shoal.errors import ConfigError
+from shoal.frames import Array
 
 N, M = 6, 9
 Backend = Literal["osqp", "daqp"]

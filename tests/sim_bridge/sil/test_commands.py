@@ -8,11 +8,11 @@ import pytest
 from rich.console import Console
 from typer.testing import CliRunner
 
+from shoal.config.experiment import load_experiment
+from shoal.errors import ConfigError
 from sim_bridge.__main__ import cli
 from sim_bridge.sil import launcher
 from sim_bridge.sil.commands import RunOptions, check, pace_of, programs
-from wire.config.experiment import load_experiment
-from wire.toml_loader import ConfigError
 
 
 @pytest.mark.parametrize(
