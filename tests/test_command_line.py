@@ -136,7 +136,7 @@ def completed(words: str, program: str = "groundstation") -> set[str]:
     return set(done.stdout.split())
 
 
-@pytest.mark.parametrize("page", [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))], ids=lambda page: page.name)
+@pytest.mark.parametrize("page", [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))], ids=lambda page: page.name)
 def test_command_lines_on_pages_are_ones_that_there_are(page: Path) -> None:
     options = {
         path: {word for p in command.params for word in (*p.opts, *p.secondary_opts)}

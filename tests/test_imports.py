@@ -90,6 +90,7 @@ PARTS: dict[str, dict[str, set[str]]] = {
     },
     "sim_bridge": {
         "fault_schedule": set(),
+        "ways_to_fly": set(),
         "plant": {"fault_schedule"},
         "camera": {"plant"},
         "sil": {"fault_schedule"},

@@ -1,9 +1,10 @@
-"""Reference pages whose tables the programs themselves read: modes of a robot, parameters of a board."""
+"""Reference pages from tables in the programs: modes of a robot, parameters of a board, ways to fly."""
 
 from pathlib import Path
 
 from robot_agent.safety import guidance_states, modes
 from shoal.config.experiment import load_experiment
+from sim_bridge import ways_to_fly
 from sim_bridge.thruster_board.parameters import FIXED, Parameters
 
 REFERENCE = Path(__file__).parents[1] / "docs" / "reference"
@@ -19,6 +20,13 @@ GUIDANCE = """
 
 A robot with power is in one guidance state. In each state exactly one thing decides what is flown. Half a horizon is the
 time in which a robot can turn round and stop, 3.5 s for `spherical`.
+
+"""
+WAYS = """# Ways to fly
+
+Written by `make docs` from `sim_bridge/ways_to_fly.py`. In a pool everything is real. The table says what stands in place of
+each part in a simulated flight ([simulator.md](../simulator.md)); the water is always simulated. `--poses` takes the poses from
+the simulator in place of camera and localizer.
 
 """
 PARAMETERS = """# Parameters of a thruster board
@@ -48,5 +56,6 @@ def files() -> dict[Path, str]:
     """The pages and their text."""
     return {
         REFERENCE / "modes.md": MODES + modes.table() + GUIDANCE + guidance_states.table(),
+        REFERENCE / "ways-to-fly.md": WAYS + ways_to_fly.table(),
         REFERENCE / "board-parameters.md": _parameters(),
     }
