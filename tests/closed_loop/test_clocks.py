@@ -120,7 +120,7 @@ class ClockedFleet:
         bus, clock = self.buses["station"], self.clocks["station"]
         with self.world.on("station"):
             self.station = FakeStation(EXPERIMENT, bus, clock=clock)
-            self.page = LiveBackend(EXPERIMENT, {}, bus, self.station.heard, clock, self.station, "real-time")
+            self.page = LiveBackend(EXPERIMENT, {}, bus, self.station.inboxes, clock, self.station, "real-time")
             self.recorder = Recorder(run / "run.mcap", dump_experiment(EXPERIMENT), run_metadata(EXPERIMENT, "real-time"))
             self.sources: Any = ()
             record_everything(bus, self, clock)  # type: ignore[arg-type]
@@ -266,7 +266,7 @@ class ClockedFleet:
         """Compare the ages that station and page show now."""
         world = self.world
         with world.on("station") as computer:
-            views = {robot: self.station.heard.view(robot, self.links[robot], self.clocks["station"]) for robot in (1, 2)}
+            views = {robot: self.station.inboxes.view(robot, self.links[robot], self.clocks["station"]) for robot in (1, 2)}
             snapshot, notes = self.page.snapshot(), self.page.notes()
 
         def check(what: str, key: str, age_ns: float) -> None:
