@@ -69,7 +69,7 @@ class GuardedRouter:
     ring: Path
     address: str
     buses: dict[str, Bus] = field(default_factory=dict)
-    deliveries: set[tuple[str, str, int]] = field(default_factory=set)  # who heard what key of which session
+    links: set[tuple[str, str, int]] = field(default_factory=set)  # who heard what key of which session
     obeyed: list[tuple[int, Order]] = field(default_factory=list)
 
     def join(self, process: str) -> Bus:
@@ -82,7 +82,7 @@ class GuardedRouter:
         for process in ROLES:
             bus = self.buses[process] = self.join(process)
             for topic in topics.TOPICS:
-                bus.subscribe(topic, None, lambda _, key, header, __, me=process: self.deliveries.add((me, key, header.session)))  # type: ignore[misc]
+                bus.subscribe(topic, None, lambda _, key, header, __, me=process: self.links.add((me, key, header.session)))  # type: ignore[misc]
         for number, process in SERVED.items():
 
             def obey(_: object, command: Command, number: int = number) -> Reply:
@@ -133,14 +133,14 @@ def test_each_role_receives_exactly_the_topics_of_the_table(guarded: GuardedRout
     assert len(wanted) > 100
     slot_s = 1.5 / (FLOOD * topics.PLAN.rate_hz)  # whoever speaks for two robots at once speaks too often
     deadline = time.monotonic() + 20.0
-    while not wanted <= guarded.deliveries and time.monotonic() < deadline:
+    while not wanted <= guarded.links and time.monotonic() < deadline:
         for topic, robot in each_key():
             for bus in writers.values():
                 bus.publish(topic, example(topic), 5, robot)
             time.sleep(slot_s)
     over_the_network = {
         (reader, key, session)
-        for reader, key, session in guarded.deliveries
+        for reader, key, session in guarded.links
         if session in {bus.session for writer, bus in writers.items() if writer != reader}
     }
     assert over_the_network == wanted

@@ -171,8 +171,8 @@ def test_setting_is_acknowledged_kept_and_counts() -> None:
 def test_refused_value_is_answered_with_the_old_one_and_the_reason(name: str, value: float, kind: int, error: int) -> None:
     bench = ClientBench()
     before = bench.board.rules.parameters
-    told, refused, text = bench.set(name, value, kind)
-    assert (told.param_id, told.param_value) == (name, before[name])
+    answer, refused, text = bench.set(name, value, kind)
+    assert (answer.param_id, answer.param_value) == (name, before[name])
     assert (refused.error, refused.target_system, refused.target_component) == (error, *STATION)
     assert text.text.startswith(name)
     assert bench.board.rules.parameters is before
@@ -261,8 +261,8 @@ def test_a_folder_keeps_what_boards_must_not_forget(tmp_path: Path) -> None:
     assert board.pulses[2] == 1488
     assert boards_in(tmp_path / "boards")(POOL, 2, 1).pulses[2] == 1488
     assert boards_in(tmp_path / "boards")(POOL, 1, 1).pulses[2] == 1500
-    found = json.loads((tmp_path / "boards" / "robot-2.json").read_text())
-    assert found["parameters"]["THR3_TRIM_US"] == -12.0
+    content = json.loads((tmp_path / "boards" / "robot-2.json").read_text())
+    assert content["parameters"]["THR3_TRIM_US"] == -12.0
 
 
 @pytest.mark.parametrize(
