@@ -348,20 +348,20 @@ def test_client_that_hears_no_board_is_told_the_reason(
     robot: int | None, key: Key | None, boards: Key | None, says: str
 ) -> None:
     client, bench = ParameterClient(robot, key, lambda: 1000), ClientBench(boards)
-    assert (client.heard, client.silence()) == (False, "no board is heard (is it powered?)")
+    assert (client.has_answered, client.silence()) == (False, "no board is heard (is it powered?)")
     assert client.silence("the cable is out") == "the cable is out"
     for _ in range(4):
         bench.board.receive(client.heartbeat(), bench.now_ns)
         client.receive(bench.board.step(bench.now_ns, STILL, STILL, STILL), bench.now_ns)
         bench.now_ns += 1_000_000_000
-    assert (client.heard, client.silence("the link's trouble")) == (not says, says)
+    assert (client.has_answered, client.silence("the link's trouble")) == (not says, says)
 
 
 def test_a_value_that_is_answered_without_its_place_in_the_list_counts() -> None:
     """As ArduPilot's firmware answers a name. Of a list it is no part."""
     client, board = ParameterClient(1), Sender((1, 1))
     client.receive(board.pack(dialect.MAVLink_param_value_message(b"SLEW_US_S", 500.0, 9, 40, 65535)), 0)
-    assert (client.values, client.told, client.complete) == ({"SLEW_US_S": 500.0}, 1, False)
+    assert (client.values, client.value_count, client.complete) == ({"SLEW_US_S": 500.0}, 1, False)
     client.receive(board.pack(dialect.MAVLink_param_value_message(b"SLEW_US_S", 600.0, 9, 1, 0)), 0)
     client.receive(board.pack(dialect.MAVLink_param_value_message(b"SLEW_US_S", 700.0, 9, 40, 65535)), 0)
     assert (client.values, client.complete) == ({"SLEW_US_S": 700.0}, True)
