@@ -29,8 +29,8 @@ def soak(name: str, seed: int, duration_s: float) -> None:
     experiment = load_experiment(name, settings, random_faults(random, robots, duration_s))
     fleet, water = prepared(experiment)
     fleet.start()
-    said = [message.message for _, _, message, _ in fly(fleet, water) if isinstance(message, Event)]
-    assert sum(text.startswith("fault: ") for text in said) == 6
+    events = [message.message for _, _, message, _ in fly(fleet, water) if isinstance(message, Event)]
+    assert sum(text.startswith("fault: ") for text in events) == 6
     assert np.isfinite(fleet.truth).all() and np.abs(np.array(fleet.truth)[..., :3]).max() < 50.0
     assert all(value is None or np.isfinite(value) for value in measures(fleet).values())
     for robot in fleet.robots:

@@ -27,9 +27,9 @@ def test_messages_from_a_pipe_are_recorded(tmp_path: Path) -> None:
     experiment = load_experiment("pool")
     assert record_pipe(experiment, tmp_path, "numeric", io.BytesIO(poses(40))) == ""
     log = read_log(tmp_path / "run.mcap")
-    found = log.of(topics.POSE, Pose, 2)
-    assert [(e.stamp_ns, e.arrived_ns, e.sequence) for e in found] == [(50 * MS * k, 50 * MS * k, k + 1) for k in range(40)]
-    assert [e.message.x_m for e in found] == [0.1 * k for k in range(40)]
+    messages = log.of(topics.POSE, Pose, 2)
+    assert [(e.stamp_ns, e.arrived_ns, e.sequence) for e in messages] == [(50 * MS * k, 50 * MS * k, k + 1) for k in range(40)]
+    assert [e.message.x_m for e in messages] == [0.1 * k for k in range(40)]
     assert log.complete
     assert log.metadata["mode"] == "numeric"
     assert log.metadata["experiment_hash"] == experiment.hash
