@@ -144,11 +144,11 @@ def flown(experiment: Experiment, options: tuple[str, ...], seeds: int = 1) -> l
             )
             for out in outs
         ]
-        told = [run.communicate()[0].decode() for run in started]
-        results = [json.loads(found.read_text(encoding="utf-8")) for out in outs for found in out.glob("*/result.json")]
+        outputs = [run.communicate()[0].decode() for run in started]
+        results = [json.loads(path.read_text(encoding="utf-8")) for out in outs for path in out.glob("*/result.json")]
     whole = [result for result in results if result["duration_s"] >= 0.9 * LOCKSTEP_S]
     if len(whole) < seeds:
-        print("not measured:", *told, file=sys.stderr)
+        print("not measured:", *outputs, file=sys.stderr)
         return []
     return whole
 

@@ -28,10 +28,10 @@ class FleetTime:
 
     def simulated_s(self) -> float | None:
         """Simulated time (s) of the newest heartbeat; None for a fleet that lives by the wall clock, or where time stands."""
-        heard = self._heartbeats.newest()
-        if heard is None or heard.header.stamp_ns >= SIMULATED_BELOW_NS or _since_s(heard) > STANDING_S:
+        heartbeat = self._heartbeats.newest()
+        if heartbeat is None or heartbeat.header.stamp_ns >= SIMULATED_BELOW_NS or _since_s(heartbeat) > STANDING_S:
             return None
-        return heard.header.stamp_ns * 1e-9
+        return heartbeat.header.stamp_ns * 1e-9
 
     def age_s(self, received: Received[Any]) -> float:
         """Age of a message's content, in the fleet's time. Where simulated time stands, by the wall clock: nothing that has

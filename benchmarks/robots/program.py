@@ -71,8 +71,8 @@ def main(
     begun = GridRun(flown_law, overrides, hold_s, evidence.written_by("python -m benchmarks robots"), ())
     if resume:
         begun = _begun(begun, json_file)
-    known = {(figure.cell, figure.number) for figure in begun.flights}
-    wanted = [(cell, number) for number in range(flights) for cell in chosen if (cell, number) not in known]
+    finished = {(figure.cell, figure.number) for figure in begun.flights}
+    wanted = [(cell, number) for number in range(flights) for cell in chosen if (cell, number) not in finished]
     run = begun
     for figure in _fly_all(wanted, overrides, hold_s, workers, console):
         run = run.with_flight(figure)

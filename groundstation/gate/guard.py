@@ -237,9 +237,9 @@ class Guard:
                     raise NotTls
                 self._want(peer, 0, self._ignore)  # what it says before the router's answer is read after it
                 return
-            said = peer.recv(2 * MOST_HELLO)
-            self._hellos[number].append(said)
-            if not said or len(self._hellos[number]) > MOST_PIECES:
+            data = peer.recv(2 * MOST_HELLO)
+            self._hellos[number].append(data)
+            if not data or len(self._hellos[number]) > MOST_PIECES:
                 raise NotTls
             if hello_is_whole(b"".join(self._hellos[number])):
                 self._admission.hello(number, time.monotonic())

@@ -76,14 +76,14 @@ def draft(experiment: Experiment) -> tuple[FleetPlan, list[str]]:
     for k, path in enumerate(paths):
         if path not in paths[:k]:
             group = [robot for robot, flies in zip(experiment.robots, paths, strict=True) if flies == path]
-            found, middle = _group_motions(experiment, path, group, samples)
-            motions.update(found)
+            group_motions, middle = _group_motions(experiment, path, group, samples)
+            motions.update(group_motions)
             centre = middle if centre is None or path == experiment.path else centre
     motions = {robot: motions[robot] for robot in experiment.robot_ids}
     problems = [*robot_problems(experiment, motions, flown), *pair_problems(experiment, motions, flown)]
     assert centre is not None  # there is at least one robot
-    sent = {robot: trajectory(motion, period_s) for robot, motion in motions.items()}
-    return FleetPlan(sent, trajectory(centre, period_s)), problems
+    trajectories = {robot: trajectory(motion, period_s) for robot, motion in motions.items()}
+    return FleetPlan(trajectories, trajectory(centre, period_s)), problems
 
 
 def start_poses(experiment: Experiment, trajectories: Mapping[int, Trajectory]) -> dict[int, Array]:

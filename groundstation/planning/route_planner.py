@@ -47,17 +47,17 @@ def candidate_routes(experiment: Experiment, given: Route, nodes: Sequence[SlotO
         return
     whole_m = float(np.hypot(*places.T).max())
     across_m = float(np.abs(places[:, 0]).max()) if experiment.formation.mode == "rotate" else whole_m
-    found = False
+    has_route = False
     for wide_m in np.unique(np.linspace(across_m, whole_m, WIDTHS)).tolist():
         try:
             yield _waypoints(experiment, given, room_m, np.zeros((1, 2)), wide_m)
         except NoRoute as error:
-            if found:
+            if has_route:
                 raise NoRoute(
                     "in the bends of this way nodes would touch an island or a wall; wider gaps are needed"
                 ) from None
             raise error
-        found = True
+        has_route = True
 
 
 def _waypoints(experiment: Experiment, given: Route, room_m: float, at_m: Array, wide_m: float) -> Waypoints:
@@ -131,9 +131,9 @@ def shortest(start: Array, goal: Array, discs: Array, half_m: tuple[float, float
             return np.asarray(points[way[::-1]])
         through = cost[here] + np.hypot(*(points - points[here]).T)
         worth = np.flatnonzero(~done & (through < cost))
-        seen = worth[_visible(points[here], points[worth], discs)]
-        cost[seen], before[seen] = through[seen], here
-        for there in seen.tolist():
+        visible_corners = worth[_visible(points[here], points[worth], discs)]
+        cost[visible_corners], before[visible_corners] = through[visible_corners], here
+        for there in visible_corners.tolist():
             heapq.heappush(queue, (float(cost[there] + ahead[there]), there))
     gap = "the gaps between islands and walls are narrower than the formation; another shape or orientation may fit"
     raise NoRoute(f"no way from ({start[0]:.2f}, {start[1]:.2f}) to ({goal[0]:.2f}, {goal[1]:.2f}) m: {gap}")

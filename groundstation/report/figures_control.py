@@ -109,8 +109,8 @@ def latency(series: Series) -> TimePlot:
     """Time from the middle of an exposure to the PWM that answers it."""
     lines = []
     for i, (robot, r) in enumerate(series.robots.items()):
-        known = np.where(r.states.exposure_to_pwm_ms > 0.0, r.states.exposure_to_pwm_ms, np.nan)
-        lines.append(flown(series, r, f"robot {robot}", known, i))
+        latency_ms = np.where(r.states.exposure_to_pwm_ms > 0.0, r.states.exposure_to_pwm_ms, np.nan)
+        lines.append(flown(series, r, f"robot {robot}", latency_ms, i))
     limit = series.experiment.limits.exposure_to_pwm_p99_ms
     return _dots("exposure to PWM [ms]", lines, limit, "ms for p99")
 

@@ -111,7 +111,7 @@ def _wear(count: int) -> Iterator[_Part]:
 
 def _lengths(values: Sequence[float] | None, others: Sequence[float] | None = None) -> list[Cell]:
     """Three lengths, each against another's where there is one."""
-    own, theirs = ([*(known or ()), None, None, None] for known in (values, others))
+    own, theirs = ([*(lengths or ()), None, None, None] for lengths in (values, others))
     return [_against(own[axis], theirs[axis], mm) for axis in range(3)]
 
 

@@ -68,15 +68,15 @@ def grants(member: Member) -> Grants:
     """The rights of a member."""
     names = [process_name(member.role, member.robot)]
     names += [localizer_name("$*")] if member.role is Role.LOCALIZER else []  # one of several cameras
-    known = (*TOPICS, *(topic.of_camera("*") for topic in OF_CAMERAS))
+    every = (*TOPICS, *(topic.of_camera("*") for topic in OF_CAMERAS))
     if member.role is Role.ROBOT:
         serve: tuple[str, ...] = (COMMAND_KEY.format(robot=member.robot),)
     else:
         serve = (COMMAND_KEY.format(robot=WHOLE_FLEET),) if member.role is Role.STATION else ()
     ask = (COMMAND_KEY.format(robot=WHOLE_FLEET),) if member.role in OPERATORS else ()
     return Grants(
-        write=tuple(topic for topic in known if member.role in topic.writers),
-        read=tuple(topic for topic in known if member.role in topic.readers),
+        write=tuple(topic for topic in every if member.role in topic.writers),
+        read=tuple(topic for topic in every if member.role in topic.readers),
         serve=serve,
         ask=(COMMAND_KEY.format(robot="*"),) if member.role in COMMANDERS else ask,
         announce=tuple(

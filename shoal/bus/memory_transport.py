@@ -82,8 +82,8 @@ class MemoryTransport:
     def ask(self, key: str, payload: bytes, header: bytes, timeout_s: float) -> Await:
         """Ask and have the answer at once, in order: it is made in the thread that asks."""
         with self._hub.lock:
-            found = self._hub.queryables.get(key)
-        reply = found[0](payload, header) if found else None
+            queryable = self._hub.queryables.get(key)
+        reply = queryable[0](payload, header) if queryable else None
         return lambda: reply
 
     def announce(self, key: str) -> None:

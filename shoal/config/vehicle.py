@@ -286,8 +286,8 @@ class Vehicle(Section):
     @model_validator(mode="after")
     def _has_thrusters(self) -> Self:
         if (self.legs is None) == (not self.thrusters):
-            found = "neither" if self.legs is None else "both"
-            raise ValueError(f"thrusters: has {found} (allowed: a table [legs], or tables [[thrusters]])")
+            system = "neither" if self.legs is None else "both"
+            raise ValueError(f"thrusters: has {system} (allowed: a table [legs], or tables [[thrusters]])")
         if self.legs is not None:
             if self.limits.has_sway:
                 raise ValueError("limits.wrench: has a fourth number, but legs do not push sideways (allowed: 3 numbers)")
@@ -404,6 +404,6 @@ def load_vehicle(name_or_path: str, relative_to: Path | None = None) -> Vehicle:
     else:
         path = VEHICLES / f"{name_or_path}.toml"
         if not path.is_file():
-            known = ", ".join(sorted(p.stem for p in VEHICLES.glob("*.toml")))
-            raise ConfigError(f"vehicle = {name_or_path!r}: no such vehicle (allowed: {known}, or a path ending in .toml)")
+            names = ", ".join(sorted(p.stem for p in VEHICLES.glob("*.toml")))
+            raise ConfigError(f"vehicle = {name_or_path!r}: no such vehicle (allowed: {names}, or a path ending in .toml)")
     return check(Vehicle, read_toml(path), str(path))

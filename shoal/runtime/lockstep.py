@@ -96,6 +96,6 @@ class Lockstep:
             return None
         status = localizer.newest()
         assert status is not None, localizer.last_error
-        told, up_to_ns = status.message.robots, status.message.obstacles_ns
-        seen = [(inbox, tick.frame_ns) for robot, inbox in poses.items() if robot in told]
-        return up_to_ns if self.await_all([*seen, (obstacles, up_to_ns)]) else None
+        robots, up_to_ns = status.message.robots, status.message.obstacles_ns
+        inputs = [(inbox, tick.frame_ns) for robot, inbox in poses.items() if robot in robots]
+        return up_to_ns if self.await_all([*inputs, (obstacles, up_to_ns)]) else None

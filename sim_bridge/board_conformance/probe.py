@@ -83,8 +83,8 @@ class BoardProbe:
             self.computer.receive(data, now_ns)
             self.station.receive(data, now_ns)
             if data:
-                seen = self.computer.telemetry
-                self.samples.append(Sample(now_ns, seen.echo_us, seen.armed))
+                telemetry = self.computer.telemetry
+                self.samples.append(Sample(now_ns, telemetry.echo_us, telemetry.armed))
         return True
 
     def stay_silent(self, seconds: float) -> None:
@@ -216,16 +216,16 @@ class BoardProbe:
     def set(self, name: str, value: float) -> bool:
         """Set a parameter, and again where no answer comes. Returns True if the board says that it has that value."""
         for _ in range(ASKS):
-            told = self.station.told
+            count = self.station.value_count
             self.wire.send(self.setting(name, value))
-            if self.listen(0.5, partial(self._answered_by, name, value, told)):
+            if self.listen(0.5, partial(self._answered_by, name, value, count)):
                 return self.station.error is None
         return False
 
-    def _answered_by(self, name: str, value: float, told: int) -> bool:
-        """True if the board has refused, or has told more than `told` values and this one for the parameter."""
-        known = self.station.values.get(name, math.nan)
-        is_told = self.station.told > told and math.isclose(known, value, rel_tol=1e-6, abs_tol=1e-6)
+    def _answered_by(self, name: str, value: float, count: int) -> bool:
+        """True if the board has refused, or has told more than `count` values and this one for the parameter."""
+        reported_value = self.station.values.get(name, math.nan)
+        is_told = self.station.value_count > count and math.isclose(reported_value, value, rel_tol=1e-6, abs_tol=1e-6)
         return is_told or self.station.error is not None
 
     def put_back(self) -> list[str]:

@@ -213,14 +213,14 @@ def _parameters(probe: BoardProbe) -> Measured:
 
 def _telemetry(probe: BoardProbe) -> Measured:
     probe.listen(0.2)
-    heard: set[int] = set()
+    times_ms: set[int] = set()
     probe.bytes_heard = 0
     for _ in range(400):
         probe.listen(0.005)
-        heard.add(probe.computer.telemetry.board_ms)
-    seen, rate = probe.computer.telemetry, len(heard) / 2.0
-    complete = len(seen.echo_us) == 8 and seen.battery_v > 0.0 and math.hypot(*seen.acceleration_mps2) > 1.0
-    bad = seen.bad_frames + seen.refused_frames
+        times_ms.add(probe.computer.telemetry.board_ms)
+    telemetry, rate = probe.computer.telemetry, len(times_ms) / 2.0
+    complete = len(telemetry.echo_us) == 8 and telemetry.battery_v > 0.0 and math.hypot(*telemetry.acceleration_mps2) > 1.0
+    bad = telemetry.bad_frames + telemetry.refused_frames
     good = rate >= BURST_HZ and complete and bad == 0
     return good, f"{rate:.0f} Hz, {probe.bytes_heard / 2:.0f} bytes/s, {bad} bad frames{'' if complete else ', incomplete'}"
 
@@ -386,18 +386,18 @@ def in_hil(check: Callable[[BoardProbe], Measured]) -> Callable[[BoardProbe], Me
 
 def _simulated(probe: BoardProbe) -> bool:
     """True if the board's last telemetry is what `BoardProbe.motion` says, and not its own."""
-    seen = probe.computer.telemetry
-    near = math.dist(seen.acceleration_mps2, FORCE_MPS2) < 0.05 and abs(seen.yaw_rate_radps - TURN_RADPS) < 0.01
-    return near and abs(seen.heading_rad - HEADING_RAD) < 0.01 and abs(seen.depth_m - DEPTH_M) < 0.01
+    telemetry = probe.computer.telemetry
+    near = math.dist(telemetry.acceleration_mps2, FORCE_MPS2) < 0.05 and abs(telemetry.yaw_rate_radps - TURN_RADPS) < 0.01
+    return near and abs(telemetry.heading_rad - HEADING_RAD) < 0.01 and abs(telemetry.depth_m - DEPTH_M) < 0.01
 
 
 def _hil(probe: BoardProbe) -> Measured:
     """Measurements are the simulator's, and HEARTBEAT says so; after HIL mode they are the board's own again."""
-    said = probe.listen(0.3, lambda: probe.computer.telemetry.hil)
+    is_hil = probe.listen(0.3, lambda: probe.computer.telemetry.hil)
     came = probe.stream(probe.motion, 0.5, lambda: _simulated(probe))
     probe.set("HIL_MODE", 0.0)
     left = probe.stream(probe.motion, 0.5, lambda: not (probe.computer.telemetry.hil or _simulated(probe)))
-    failed = [text for good, text in ((said, "not said"), (came, "own measurements"), (left, "not left")) if not good]
+    failed = [text for good, text in ((is_hil, "not said"), (came, "own measurements"), (left, "not left")) if not good]
     return not failed, ", ".join(failed) or "entered, and left"
 
 
@@ -483,8 +483,8 @@ def _strangers(probe: BoardProbe) -> Measured:
         probe.listen(0.2)
     before = probe.bytes_heard
     probe.listen(0.2)
-    told = hear()
-    return told == 0 and probe.bytes_heard > before, f"{told} of them were told something"
+    replies = hear()
+    return replies == 0 and probe.bytes_heard > before, f"{replies} of them were told something"
 
 
 AGE = f"disarmed and neutral within {STOPS_WITHIN_S * 1e3:.0f} ms of the last override"

@@ -18,9 +18,9 @@ FIRST_OR_RANGE = "N or FIRST-LAST"
 Jobs = Annotated[int | None, typer.Option(min=1, help="Processes that fly; default: one per core.")]
 
 
-def _list(asked: bool) -> None:
+def _list(value: bool) -> None:
     """Print what can be compared, before any argument is missed."""
-    if asked:
+    if value:
         from sim_bridge.studies.comparison import VARIANTS
 
         for name, changes in VARIANTS.items():
@@ -60,15 +60,15 @@ def compare(
 
     console, flown = terminal(background(sys.stdout)), _range(seeds)
     chosen = _names(laws, [*VARIANTS, *(law.strip() for law in laws.split(",") if ":" in law)] if laws else VARIANTS, "--laws")
-    asked = [*(settings or ()), *([f"duration_s={duration}"] if duration is not None else [])]
-    name = load_experiment(experiment, [*asked, NO_CAMERA]).name
+    overrides = [*(settings or ()), *([f"duration_s={duration}"] if duration is not None else [])]
+    name = load_experiment(experiment, [*overrides, NO_CAMERA]).name
     folder = out or new_run_folder(Path("runs"), f"compare-{name}")
     for file in COMPARISON:
         check_output(folder / file, [experiment_path(experiment)], mine=COMPARISON)
     if (folder / COMPARISON[0]).exists():
         raise ConfigError(f"{folder}: holds a comparison already (--out FOLDER makes another)")
     folder.mkdir(parents=True, exist_ok=True)
-    raise typer.Exit(comparing.run(experiment, asked, chosen, flown, scatter, _cores(jobs), folder, console))
+    raise typer.Exit(comparing.run(experiment, overrides, chosen, flown, scatter, _cores(jobs), folder, console))
 
 
 def tune(

@@ -46,8 +46,8 @@ def next_experiment(run: EndedRun, options: RunOptions, problem: str, stop: Stop
         if closing.requested:
             shown.terminate()
             return None
-        told = shown.communicate(timeout=ENDS_WITHIN_S)[0].decode("utf-8", errors="replace").splitlines()
-    choice = json.loads(told[-1]) if told and shown.returncode == 0 else {"what": "close"}
+        lines = shown.communicate(timeout=ENDS_WITHIN_S)[0].decode("utf-8", errors="replace").splitlines()
+    choice = json.loads(lines[-1]) if lines and shown.returncode == 0 else {"what": "close"}
     if choice["what"] == "again":
         return run.experiment
     return _experiment(choice["experiment"]) if choice["what"] == "edited" else None

@@ -91,7 +91,7 @@ def is_near_an_edge(machine: BoardStateMachine) -> bool:
 
 
 def seen(machine: BoardStateMachine) -> tuple[object, ...]:
-    texts = [(said.severity, said.text) for said in machine.said]
+    texts = [(text.severity, text.text) for text in machine.said]
     machine.said.clear()
     return machine.armed, int(machine.charge), machine.overrides_refused, machine.outputs_us, texts
 

@@ -293,11 +293,11 @@ def test_battery_levels_and_what_they_say() -> None:
         (10.19, Charge.NEUTRAL, None),
         (10.21, Charge.NO_ARM, StatusText(6, "battery NO_ARM: 10.2 V")),
     ]
-    for volts, charge, said in steps:
+    for volts, charge, text in steps:
         rules.said.clear()
         rules.battery(volts, 60.0)
         assert rules.charge is charge, volts
-        assert rules.said == ([said] if said else []), volts
+        assert rules.said == ([text] if text else []), volts
 
 
 def test_the_first_measurement_counts_in_full() -> None:
