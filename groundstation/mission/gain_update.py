@@ -47,7 +47,7 @@ class GainStatus:
     stage: GainStage = GainStage.IDLE
     reason: str = ""  # of the last change's failure
     undo: bool = False  # there is a set to go back to
-    known: Sequence[str] = ()  # ids in the order of their first use
+    history: Sequence[str] = ()  # ids in the order of their first use
 
 
 @dataclass(eq=False)
@@ -70,7 +70,7 @@ class GainUpdater:
         self._experiment, self._config = experiment, experiment.controller
         self._flown = tuning(self._config)
         self._before: list[ControllerConfig] = []
-        self._known = [self._flown.id]
+        self._history = [self._flown.id]
         self._stage, self._reason = GainStage.IDLE, ""
         self._change: _Change | None = None
         self._since_ns = 0
@@ -82,12 +82,12 @@ class GainUpdater:
     def status(self) -> GainStatus:
         """Gains in use, stage of the change, reason of the last failure."""
         wanted = self._change.message.id if self._change is not None else ""
-        return GainStatus(self._flown, wanted, self._stage, self._reason, bool(self._before), tuple(self._known))
+        return GainStatus(self._flown, wanted, self._stage, self._reason, bool(self._before), tuple(self._history))
 
     def take_unlogged(self) -> list[Tuning]:
         """Sets of gains that are not in the log yet; each is returned once."""
-        found, self._unlogged = self._unlogged, []
-        return found
+        sets, self._unlogged = self._unlogged, []
+        return sets
 
     # --- requests of the operator; each returns the reason of a refusal, or nothing
 
@@ -129,12 +129,12 @@ class GainUpdater:
         return start_s, "there is no next lap: the run ends with this one" if ends else ""
 
     def _begin(self, config: ControllerConfig, fleet: Fleet, now_ns: int, trajectory_s: float = 0.0) -> str:
-        silent = [str(robot) for robot, seen in fleet.items() if not seen.heard]
+        silent = [str(robot) for robot, view in fleet.items() if not view.heard]
         if silent:
             return f"robot {', '.join(silent)} is not heard"
         message = tuning(config)
-        if message.id not in self._known:
-            self._known.append(message.id)
+        if message.id not in self._history:
+            self._history.append(message.id)
             self._unlogged.append(message)
         self._begin_stage(_Change(message, config, tuple(fleet), trajectory_s), now_ns)
         self._reason = ""
@@ -226,10 +226,10 @@ class GainUpdater:
         """End a change without success: robots that have changed already go back."""
         change = self._change
         assert change is not None
-        asked = self._stage is not GainStage.ASKING
+        is_asked = self._stage is not GainStage.ASKING
         self._reason = f"{reason}; " + ("the fleet's gains may differ" if change.back else "nothing was changed")
         self._change, self._stage, self._since_ns = None, GainStage.IDLE, now_ns
-        if asked and not change.back:
+        if is_asked and not change.back:
             changed = tuple(
                 r for r in change.robots if fleet[r].heard and (r in change.accepted or _flies_with(fleet, r, change))
             )
@@ -242,12 +242,12 @@ class GainUpdater:
         """Give robots that have other gains the fleet's gains."""
         differing = tuple(
             robot
-            for robot, seen in fleet.items()
-            if seen.heard
-            and seen.state is not None
-            and seen.mode is not Mode.STOPPED
-            and seen.state.experiment_hash == self._experiment.hash
-            and seen.state.tuning_id != self._flown.id
+            for robot, view in fleet.items()
+            if view.heard
+            and view.state is not None
+            and view.mode is not Mode.STOPPED
+            and view.state.experiment_hash == self._experiment.hash
+            and view.state.tuning_id != self._flown.id
         )
         if differing and now_ns - self._since_ns > AGAIN_S * 1e9:
             self._begin_stage(_Change(self._flown, self._config, differing, back=True), now_ns)

@@ -147,7 +147,9 @@ def give_key(
     signing = Signing.of(file, "params", LINK_ID)
     with talk(link, robot, None, insecure=False) as session:
         client, newest = session.client, signing.stamps()
-        session.until(lambda: client.signed or client.last_words.startswith("no new key"), lambda: client.give(signing.key, newest))
+        session.until(
+            lambda: client.signed or client.last_words.startswith("no new key"), lambda: client.give(signing.key, newest)
+        )
         if client.last_words.startswith("no new key"):
             raise ConfigError(f"--link {link}: {client.last_words}")
         robot = client.robot_id
