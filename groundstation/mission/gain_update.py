@@ -81,8 +81,8 @@ class GainUpdater:
 
     def status(self) -> GainStatus:
         """Gains in use, stage of the change, reason of the last failure."""
-        wanted = self._change.message.id if self._change is not None else ""
-        return GainStatus(self._flown, wanted, self._stage, self._reason, bool(self._before), tuple(self._history))
+        target_id = self._change.message.id if self._change is not None else ""
+        return GainStatus(self._flown, target_id, self._stage, self._reason, bool(self._before), tuple(self._history))
 
     def take_unlogged(self) -> list[Tuning]:
         """Sets of gains that are not in the log yet; each is returned once."""
@@ -159,9 +159,9 @@ class GainUpdater:
         change = self._change
         if change is None:
             return self._update_returned(fleet, now_ns)
-        wanted = Order.TUNE if self._stage is GainStage.ASKING else Order.ADOPT
+        order = Order.TUNE if self._stage is GainStage.ASKING else Order.ADOPT
         for result in results:
-            if result.command.order is wanted and result.command.robot in change.robots and _is_about(result, change):
+            if result.command.order is order and result.command.robot in change.robots and _is_about(result, change):
                 if not result.reply.accepted and not result.reply.silent:
                     return self._give_up(f"robot {result.reply.robot} refuses: {result.reply.reason}", fleet, now_ns)
                 if result.reply.accepted:
@@ -170,7 +170,7 @@ class GainUpdater:
         if waiting and self._stage is not GainStage.WAITING:
             if now_ns - self._since_ns > PATIENCE_S * 1e9:
                 return self._give_up(f"robot {', '.join(map(str, waiting))} does not answer", fleet, now_ns)
-            return self._ask(wanted, waiting, change, now_ns)
+            return self._ask(order, waiting, change, now_ns)
         if self._stage is GainStage.ASKING:
             self._enter(GainStage.ADOPTING, now_ns)
         elif self._stage is GainStage.ADOPTING and change.trajectory_s > 0.0:
@@ -212,9 +212,9 @@ class GainUpdater:
         """Wait for the lap. A robot that is disarmed or stopped meanwhile has forgotten the set; one that is not heard, or for
         which the lap does not begin, would keep the others waiting."""
         flying = (Mode.TRACKING, Mode.HOLDING, Mode.DRIVEN)
-        gone = [r for r in change.robots if fleet[r].mode not in flying or fleet[r].state_age_s > PATIENCE_S]
-        if gone:
-            return self._give_up(f"robot {', '.join(map(str, gone))} left the run before the lap began", fleet, now_ns)
+        leavers = [r for r in change.robots if fleet[r].mode not in flying or fleet[r].state_age_s > PATIENCE_S]
+        if leavers:
+            return self._give_up(f"robot {', '.join(map(str, leavers))} left the run before the lap began", fleet, now_ns)
         late = [r for r in change.robots if not _flies_with(fleet, r, change)]
         if change.begun_ns is None and len(late) < len(change.robots):
             change.begun_ns = now_ns

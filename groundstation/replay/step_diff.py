@@ -138,8 +138,8 @@ def draw(again: StepComparison) -> Figure | None:
 def _start_ns(stamps: Sequence[int], states: Sequence[RobotState]) -> int:
     """Instant at which the formation's trajectory began; if it never did, of the first step."""
     clocks_s = (FormationPlans().clock_s(state) or 0.0 for state in states)
-    flown = (ns - round(clock_s * 1e9) for ns, clock_s in zip(stamps, clocks_s, strict=True) if clock_s > 0.0)
-    return next(flown, min(stamps, default=0))
+    begins_ns = (ns - round(clock_s * 1e9) for ns, clock_s in zip(stamps, clocks_s, strict=True) if clock_s > 0.0)
+    return next(begins_ns, min(stamps, default=0))
 
 
 def _plan_columns(

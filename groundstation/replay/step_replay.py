@@ -95,8 +95,8 @@ _ORDER = (topics.ORDERS, topics.INPUTS, topics.STATE)  # of one instant: an orde
 
 def own_messages(log: LogFile, robot: int, with_states: bool) -> list[LogMessage]:
     """A robot's inputs and orders in the order in which they came to it; perhaps its states."""
-    wanted = _ORDER if with_states else _ORDER[:2]
-    lines = log.messages(lambda topic, of: topic in wanted and of == robot)
+    kinds = _ORDER if with_states else _ORDER[:2]
+    lines = log.messages(lambda topic, of: topic in kinds and of == robot)
     lives, messages = dict[int, int](), list(lines)  # sessions in order: one that was started again may have another clock
     for line in messages:
         lives.setdefault(line.header.session, len(lives))
@@ -110,7 +110,7 @@ def in_order_of_use(log: LogFile, robot: int, own: Sequence[LogMessage]) -> Iter
     """A robot's inputs and orders, and before each step what it names and what was not named before."""
     others = log.messages(lambda topic, of: topic is topics.OBSTACLES or (topic is topics.PLAN and of != robot))
     by_sender: dict[tuple[Topic, int], OrderedDict[Name, LogMessage]] = {}
-    given: dict[tuple[Topic, int], Name] = {}
+    last_names: dict[tuple[Topic, int], Name] = {}
     ahead_ns = 0
     for line in own:
         for name in _names(line):
@@ -124,8 +124,8 @@ def in_order_of_use(log: LogFile, robot: int, own: Sequence[LogMessage]) -> Iter
                 from_sender[other.topic, other.robot, other.header.session, other.header.sequence] = other
                 if len(from_sender) > KEPT:
                     from_sender.popitem(last=False)
-            if name in by_sender[sender] and given.get(sender) != name:
-                given[sender] = name
+            if name in by_sender[sender] and last_names.get(sender) != name:
+                last_names[sender] = name
                 yield by_sender[sender][name]
         yield line
 

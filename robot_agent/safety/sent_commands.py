@@ -57,12 +57,12 @@ def follow_commands(
         end_ns = min(acts_ns[i + 1], to_ns) if i + 1 < count else to_ns
         if end_ns > begin_ns:
             span_s = (end_ns - begin_ns) / NS
-            left = math.exp(-span_s / lag_s) if lag_s > 0.0 else 0.0
+            factor = math.exp(-span_s / lag_s) if lag_s > 0.0 else 0.0
             for column in range(len(acting)):
-                wanted = commands[i, column] if i >= 0 else 0.0
-                behind = acting[column] - wanted
-                impulse[column] += wanted * span_s + behind * lag_s * (1.0 - left)
-                acting[column] = wanted + behind * left
+                target = commands[i, column] if i >= 0 else 0.0
+                behind = acting[column] - target
+                impulse[column] += target * span_s + behind * lag_s * (1.0 - factor)
+                acting[column] = target + behind * factor
 
 
 class ActingThrust:
@@ -103,8 +103,8 @@ def turn_ankles(ankles: CommandRows, rate_radps: float, from_ns: int, to_ns: int
         if end_ns > begin_ns:
             reach_rad = rate_radps * (end_ns - begin_ns) / NS
             for leg in range(len(angle)):
-                wanted = ankles.commands[i, leg] if i >= 0 else 0.0
-                angle[leg] += min(max(wanted - angle[leg], -reach_rad), reach_rad)
+                target_rad = ankles.commands[i, leg] if i >= 0 else 0.0
+                angle[leg] += min(max(target_rad - angle[leg], -reach_rad), reach_rad)
 
 
 @kernel

@@ -109,8 +109,8 @@ class Kernel:
         names = self.py_func.__code__.co_varnames[: self.py_func.__code__.co_argcount]
         if len(arguments) != len(names):
             raise TypeError(f"{self.py_func.__qualname__}: {len(arguments)} arguments, takes {len(names)}")
-        for name, value, wanted in zip(names, arguments, self._signature.args, strict=True):
-            for misfit in misfits(value, wanted, name):
+        for name, value, numba_type in zip(names, arguments, self._signature.args, strict=True):
+            for misfit in misfits(value, numba_type, name):
                 raise TypeError(f"{self.py_func.__qualname__}: {misfit}")
 
 

@@ -253,15 +253,15 @@ def _fly(
                 else:
                     pending[executor.submit(fly_one, experiment.model_dump_json())] = (flight, experiment.hash)
                 flight = next(coming, None)
-            done, _ = wait(pending, timeout=LOOK_EVERY_S, return_when=FIRST_COMPLETED) if pending else ((), ())
+            futures, _ = wait(pending, timeout=LOOK_EVERY_S, return_when=FIRST_COMPLETED) if pending else ((), ())
             share = TENTHS * round(progress.tasks[task].completed) // campaign.flights
             if share > shown_share and not console.is_terminal:  # in a file or a pipe: a line each tenth
                 shown_share = share
                 console.print(f"{progress.tasks[task].completed:.0f} of {campaign.flights} flights", highlight=False)
-            for future in done:
-                flown, digest = pending.pop(future)
+            for future in futures:
+                one, digest = pending.pop(future)
                 progress.advance(task)
-                named = {"index": flown.index, "seed": flown.seed, **flown.values, "hash": digest, "commit": code().commit}
+                named = {"index": one.index, "seed": one.seed, **one.values, "hash": digest, "commit": code().commit}
                 yield {**named, **future.result()}, True
         for future in pending:
             future.cancel()

@@ -94,9 +94,9 @@ class BoardStateMachine:
             and all(lowest <= pulse <= highest or pulse == IGNORED for pulse in pulses_us[thrusters:])
         )
 
-    def arm(self, wanted: bool, now_ns: int) -> int:
+    def arm(self, is_arming: bool, now_ns: int) -> int:
         """Arm or disarm for any peer; returns the MAV_RESULT. Disarming always works."""
-        if not wanted:
+        if not is_arming:
             if self.armed:
                 self._disarm(INFO, "disarmed")
             return ACCEPTED
