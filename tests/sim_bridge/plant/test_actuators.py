@@ -7,8 +7,7 @@ import pytest
 
 from shoal.config.experiment import Experiment, load_experiment
 from shoal.frames import Array
-from sim_bridge.plant import kernels
-from sim_bridge.plant.actuators import ActuatorModel, ActuatorState
+from sim_bridge.plant.actuators import ActuatorModel, ActuatorState, Motors, lapse_of, thrusters_wrench
 from sim_bridge.plant.fleet import Plant
 
 STEP_S = 0.005
@@ -37,13 +36,9 @@ def run(fleet: Plant, motors: ActuatorState | None, command_us: Array, steps: in
 
 
 def legs_wrench(force: Array, ankle: Array) -> Array:
-    """Forces on two hulls (2, 6) at thruster forces and ankle angles (2, 4)."""
-    wrench, fleet = np.empty((2, 6)), kernels.memory(2)
-    kernels.to_fleet(force, fleet, kernels.FORCE_THEN)
-    kernels.to_fleet(ankle, fleet, kernels.ANKLE_THEN)
-    kernels.thrusters_wrench(fleet, 0, len(fleet), ActuatorModel(pool(), seed=0).constants)
-    kernels.from_fleet(fleet, kernels.WRENCH, wrench)
-    return wrench
+    """Forces and moments on two hulls (2, 6) at thruster forces and ankle angles (2, 4)."""
+    actuators, motors = ActuatorModel(pool(), seed=0).constants, Motors(force, ankle, force, ankle)
+    return np.array([np.ravel(thrusters_wrench(i, motors, actuators, lapse_of(actuators, 0.0))) for i in range(2)])
 
 
 def test_dead_time_then_exponential() -> None:
@@ -56,11 +51,10 @@ def test_dead_time_then_exponential() -> None:
 
 
 def test_inside_a_step_the_lag_is_exact_too() -> None:
-    legs, fleet, force_n = ActuatorModel(pool(*EXACT), seed=0), kernels.memory(1), np.empty((1, 4))
-    kernels.to_fleet(np.full((1, 4), 3.0), fleet, kernels.TARGET_N)
-    kernels.move_actuators(fleet, 0, len(fleet), 0.0025, legs.constants)
-    kernels.from_fleet(fleet, kernels.FORCE_THEN, force_n)
-    assert force_n == pytest.approx(3.0 * (1.0 - np.exp(-0.025)))
+    actuators, level = ActuatorModel(pool(*EXACT), seed=0).constants, np.zeros((1, 4))
+    motors = Motors(np.zeros((1, 4)), level, np.full((1, 4), 3.0), level)
+    thrust = thrusters_wrench(0, motors, actuators, lapse_of(actuators, 0.0025))
+    assert thrust.linear.x == pytest.approx(4 * 3.0 * (1.0 - np.exp(-0.025)))
 
 
 def test_no_lag_and_no_dead_time() -> None:
