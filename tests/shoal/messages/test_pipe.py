@@ -35,17 +35,17 @@ def read(data: bytes) -> Iterator[Read]:
 
 
 def test_messages_come_out_as_they_went_in() -> None:
-    found = list(read(written()))
-    assert [(topic.name, robot) for topic, robot, _, _ in found[:4]] == [
+    messages = list(read(written()))
+    assert [(topic.name, robot) for topic, robot, _, _ in messages[:4]] == [
         ("sim/truth", None),
         ("robot/{robot}/pose", 1),
         ("robot/{robot}/pose", 2),
         ("sim/truth", None),
     ]
-    poses = [(h, decode(Pose, payload, "t", "t")) for topic, robot, h, payload in found if robot == 2]
+    poses = [(h, decode(Pose, payload, "t", "t")) for topic, robot, h, payload in messages if robot == 2]
     assert [(h.session, h.sequence, h.stamp_ns) for h, _ in poses] == [(7, 1, -1), (7, 2, 9), (7, 3, 19)]
     assert [(p.x_m, p.y_m) for _, p in poses] == [(0.0, 2.0), (0.1, 2.0), (0.2, 2.0)]
-    truths = [decode(Truth, payload, "t", "t").eta[0, 0] for topic, _, _, payload in found if topic is topics.TRUTH]
+    truths = [decode(Truth, payload, "t", "t").eta[0, 0] for topic, _, _, payload in messages if topic is topics.TRUTH]
     assert truths == [0.0, 1.0, 2.0]
 
 
