@@ -128,8 +128,8 @@ class Legs(Section):
             )
         x, y = np.abs(self.position_m).T
         if np.ptp(x) > SAME_M or np.ptp(y) > SAME_M or len(set(self.position_m)) != 4:
-            given = [list(position) for position in self.position_m]
-            raise ValueError(f"position_m = {given}: must be the corners of a rectangle around the centre")
+            positions = [list(position) for position in self.position_m]
+            raise ValueError(f"position_m = {positions}: must be the corners of a rectangle around the centre")
         return self
 
 

@@ -108,8 +108,8 @@ def test_obstacles_of_an_earlier_version_were_all_seen() -> None:
     """They do not say for how long each was not seen; one that says it of some and not of others is refused."""
     message = example(Obstacles)
     earlier = dataclasses.replace(message, unseen_s=np.zeros(0), blind="")
-    found = _decode(Obstacles, encode(earlier))
-    assert found.blind == "" and found.unseen_s.tolist() == [0.0] * len(message.outline)
+    message_read = _decode(Obstacles, encode(earlier))
+    assert message_read.blind == "" and message_read.unseen_s.tolist() == [0.0] * len(message.outline)
     half = dataclasses.replace(message, unseen_s=np.zeros(len(message.outline) + 1))
     assert _refused(Obstacles, encode(half)).field == "unseen_s"
 
@@ -539,6 +539,6 @@ def test_the_pixels_of_a_raw_picture_are_found_without_a_copy(size_px: tuple[int
     """Sizes on both sides of each length of a varint: protobuf reads the same, but copies, which takes 1 ms."""
     pixels = np.random.default_rng(1).integers(0, 256, size_px, np.uint8)
     data = encode(Frame(pixels), 7)
-    found = decode(Frame, data, "test", "frame").pixels
-    assert np.array_equal(found, pixels) and np.shares_memory(found, np.frombuffer(data, np.uint8))
+    pixels_read = decode(Frame, data, "test", "frame").pixels
+    assert np.array_equal(pixels_read, pixels) and np.shares_memory(pixels_read, np.frombuffer(data, np.uint8))
     assert codec.protobuf_class(Frame).FromString(data).data == pixels.tobytes()
