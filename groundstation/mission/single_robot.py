@@ -2,7 +2,8 @@
 
 A robot that is led like this in flight is out of the formation until REJOIN, also while the formation takes another path or
 flies home; the others see its plans and stay clear. While the mission is paused it keeps its place in the formation. Where the
-mission arms, starts, ends or plans for all, it leads all robots again, and requests for one are over.
+mission arms, starts, ends or plans for all, it leads all robots again, and requests for one are over; but a DISARM of one goes
+on while the mission disarms all.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -28,6 +29,8 @@ from wire.messages.messages import Command, DriveVelocity, Mode, Order, Progress
 WHEN = NOMINAL | AT_REST | {MissionState.PAUSED}
 # A robot that is led in flight is out of the formation, which may make itself a new plan at that very request.
 GOES_ON = WHEN | IN_FLIGHT
+# While the mission disarms all robots it does what a DISARM of one asks for; any other request for one is over then.
+DISARMING = frozenset({MissionState.ENDING, MissionState.ABORTING})
 WATER_WHEN = WHEN | {MissionState.STOPPED}  # after an emergency stop people fetch robots from the water
 VELOCITY_LASTS_S = 0.3  # of the person's last word; then the robot is told to hold
 
@@ -230,7 +233,8 @@ class SingleRobotControl:
             task = self._under_way(robot)
             if task is None:
                 continue
-            if self._mission.state not in GOES_ON or robot not in self.led:
+            goes_on = GOES_ON | DISARMING if task.order is Order.DISARM else GOES_ON
+            if self._mission.state not in goes_on or robot not in self.led:
                 self._end(robot, f"the mission is {self._mission.state.value}")
             else:
                 commands += self._advance(robot, task, fleet[robot], fleet, now_ns)
