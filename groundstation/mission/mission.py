@@ -44,7 +44,7 @@ from groundstation.mission.state_machine import (
 from groundstation.mission.timetable import START_IN_S, Timetable
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.segment import PlanSegment, sample
-from groundstation.telemetry import OUT_OF_STEP_S, Fleet, RobotView, first_lost_robot, preflight
+from groundstation.telemetry import OUT_OF_STEP_S, Fleet, RobotView, first_lost_robot, foreign_poses, preflight
 from wire.config.experiment import Experiment
 from wire.frames import Array
 from wire.messages import topics
@@ -266,6 +266,9 @@ class Mission:
             self._handle_losses(fleet, now_ns)
         if self.state in IN_FLIGHT | JOINING:
             self._check_in_step(fleet, now_ns)
+        if self.state in IN_FLIGHT | JOINING and (foreign := foreign_poses(self._experiment, fleet, self.roster.active)):
+            self._go(MissionEvent.FOREIGN_POSES, now_ns)
+            self.reason = foreign
         if self.state in IN_FLIGHT | {MissionState.PAUSED} and self.roster.active and not self._awaits_return:
             self._check_flight(fleet, now_ns)
         self._govern(fleet, elapsed_s)

@@ -376,3 +376,18 @@ def test_a_disarm_that_the_missions_own_overtakes_is_done_with_it(lost: str) -> 
     run.step(0.5)
     assert run.in_mode(2, Mode.DISARMED)
     assert (run.single.tasks[2].progress, run.single.tasks[2].reason) == (Progress.DONE, "")
+
+
+def test_a_robot_that_is_led_alone_holds_when_its_poses_are_another_experiments() -> None:
+    run = LedRun()
+    assert run.ask(Order.ARM) == ""
+    run.step(0.2)
+    assert run.drive() == ""
+    run.step(0.2)
+    assert run.in_mode(2, Mode.DRIVEN)
+    run.robots[2].localizer_hash = "another one"
+    run.step(0.2)
+    assert run.in_mode(2, Mode.HOLDING) and run.single.tasks[2].progress is Progress.FAILED
+    for refused in (run.drive(), run.ask(Order.GO, place_m=(1.0, 0.5))):
+        assert refused.startswith("robot 2: its poses are by another experiment")
+    assert run.ask(Order.DISARM) == ""
