@@ -23,7 +23,7 @@ class Lap:
 
 @dataclass
 class _Row:
-    """What is known of one lap and set of gains."""
+    """Times and errors of one lap and set of gains."""
 
     times_s: dict[int, float] = field(default_factory=dict)  # flown, by robot
     squares: float = 0.0  # of errors [m^2], of all robots
