@@ -47,6 +47,7 @@ class _Camera:
         self.seen: Header | None = None  # of the last status that was looked at
         self.taken: Received[LocalizerStatus] | None = None
         self.told: Received[Obstacles] | None = None
+        self.trusted: Received[Obstacles] | None = None  # the last that it told while it was not out
 
     @property
     def is_new(self) -> bool:
@@ -173,22 +174,29 @@ class FusionNode:
         return instant_ns, self._stamps.of(name, status.header.stamp_ns, instant_ns, status.header.session)
 
     def _tell_obstacles(self, out: tuple[str, ...]) -> None:
-        """Publish the obstacles of all cameras that see and are not `out`, when one of them has told of its own."""
+        """Publish the obstacles of all cameras when one that sees and is not `out` has told of its own. What those that are
+        out, or silent, saw before goes on being told with its age."""
         new: list[tuple[int, int]] = []  # instant and stamp
         for name, camera in self._cameras.items():
             found = camera.obstacles.newest(self._up_to_ns[name][1] if name in self._up_to_ns else None)
             if found is not None and found is not camera.told:
                 camera.told = found
                 if name not in out:
+                    camera.trusted = found
                     stamp_ns = self._stamps.carried(name, found.header.stamp_ns, found.header.session)
                     new.append((self._clock.instant_ns(found), stamp_ns))
         if not new:
             return
         newest_ns, stamp_ns = max(new)
-        limit_s, told = topics.OBSTACLES.max_age_s, {n: camera.told for n, camera in self._cameras.items() if n not in out}
-        fresh = {n: found.message for n, found in told.items() if found and age_s(self._clock, found) <= limit_s}
+        fresh: dict[str, Obstacles] = {}
+        before: dict[str, tuple[Obstacles, float]] = {}
+        for name, trusted in ((n, camera.trusted) for n, camera in self._cameras.items() if camera.trusted is not None):
+            if name not in out and age_s(self._clock, trusted) <= topics.OBSTACLES.max_age_s:
+                fresh[name] = trusted.message
+            else:
+                before[name] = trusted.message, max((newest_ns - self._clock.instant_ns(trusted)) * 1e-9, 0.0)
         self._obstacles_ns = stamp_ns
-        fused = fuse_obstacles(fresh, tuple(self._cameras))
+        fused = fuse_obstacles(fresh, tuple(self._cameras), before)
         age_ns = max(self._clock.now_ns() - newest_ns, 0)
         self._bus.publish(topics.OBSTACLES, fused, self._obstacles_ns, age_ns=age_ns)
 
