@@ -23,6 +23,7 @@ MEASURES = {
     "rms_yaw_after_20s_rad": "RMS heading error to the path's tangent after 20 s, worst robot or pair [rad]",
     "arrived_m": "farthest robot from its reference at the end, horizontally [m]",
     "min_separation_m": "least distance between two centres [m]",
+    "min_clearance_m": "least distance of a hull from a wall, the floor or an island; below 0 it touched [m]",
     "wrench_step_rms": "RMS of input changes after 20 s, of the largest allowed, worst axis of any robot",
     "at_fault": "share of control steps in which a robot told of a fault: why it held, stopped or gave up",
     "off_track": "share of control steps in which a robot was not tracking",
@@ -49,6 +50,7 @@ def figures(
     late = [e[round(SETTLED_S / experiment.controller.period_s) :] for e in subjects]
     has_late = len(late[0]) > 1
     apart = [np.linalg.norm(place[:, i] - place[:, j], axis=1).min() for i, j in combinations(range(n), 2)]
+    clear_m = experiment.clearance_m(place.reshape(-1, 3)).min()
     change = (
         np.array([[s.wrench_step for s in robot[-len(late[0]) :]] for robot in states]) if has_late else np.zeros((n, 1, 3))
     )
@@ -61,6 +63,7 @@ def figures(
         "rms_yaw_after_20s_rad": _rms(late)[:, 3].max() if has_late else None,
         "arrived_m": np.hypot(error[-1, :, 0], error[-1, :, 1]).max(),
         "min_separation_m": min(apart) if apart else None,
+        "min_clearance_m": None if np.isposinf(clear_m) else clear_m,
         "wrench_step_rms": smooth.max() if has_late else None,
         "at_fault": np.mean([bool(s.fault) for s in flat]),
         "off_track": np.mean([s.mode is not Mode.TRACKING for s in flat]),
@@ -71,17 +74,20 @@ def figures(
 
 def broken_limits(experiment: Experiment, found: dict[str, float | None]) -> list[str]:
     """Names of the limits that do not hold: the experiment's, and those of every run, that centres stay twice
-    safety.radius_m apart and that no robot reports a fault. Limits after 20 s do not apply to a shorter flight. A
-    figure that is None or NaN breaks its limit."""
+    safety.radius_m apart, that no hull touches a wall, the floor or an island, and that no robot reports a fault. Limits
+    after 20 s do not apply to a shorter flight. A figure that is NaN breaks its limit, and of the experiment's one that is
+    None."""
     later = ("rms_after_20s_m", "rms_yaw_after_20s_rad", "max_after_20s_m", "wrench_step_rms")
     broken = []
     for name in ("rms_m", "arrived_m", *(later if settled(experiment.duration_s) else ())):
         limit, value = getattr(experiment.limits, name), found[name]
         if limit is not None and (value is None or not value <= limit):
             broken.append(name)
-    apart_m, at_fault = found.get("min_separation_m"), found.get("at_fault")
+    apart_m, clear_m, at_fault = (found.get(name) for name in ("min_separation_m", "min_clearance_m", "at_fault"))
     if apart_m is not None and not apart_m >= 2.0 * experiment.safety.radius_m:
         broken.append("min_separation_m")
+    if clear_m is not None and not clear_m >= 0.0:
+        broken.append("min_clearance_m")
     if at_fault is not None and not at_fault <= 0.0:
         broken.append("at_fault")
     return broken

@@ -291,12 +291,14 @@ def test_a_flight_that_does_not_arrive_has_not_passed(tmp_path: Path) -> None:
     [
         ('sim.faults=[{at_s=0.2,what="battery 2 sag 4"}]', "at_fault"),
         ("robots.1.start=[0.71,-0.33,0.3,1.6]", "min_separation_m"),
+        ("robots.1.start=[1.595,0.0,0.3,1.6]", "min_clearance_m"),
     ],
 )
 def test_a_flight_that_breaks_what_every_run_must_keep_has_not_passed(setting: str, reason: str, tmp_path: Path) -> None:
-    """A robot that gives up, and robots nearer to each other than twice safety.radius_m: the command that flies the row again
-    fails too, though no limit of the experiment is asked of so short a flight."""
-    loaded = campaign(settings=["duration_s=1.5", setting], seeds=1, sweep={}, draw={})
+    """A robot that gives up, robots nearer to each other than twice safety.radius_m, and one that is carried against the wall:
+    the command that flies the row again fails too, though no limit of the experiment is asked of so short a flight."""
+    current = ["sim.plant.current_mps=[0.25,0.0,0.0]"] if reason == "min_clearance_m" else []
+    loaded = campaign(settings=["duration_s=1.5", setting, *current], seeds=1, sweep={}, draw={})
     assert fly(loaded, tmp_path / "c") == 0
     (row,) = rows(tmp_path / "c")
     assert (row["status"], row["passed"], row["reason"].split(", ")[0]) == ("flown", False, reason)
@@ -306,7 +308,7 @@ def test_a_flight_that_breaks_what_every_run_must_keep_has_not_passed(setting: s
 
 
 def test_a_figure_that_is_no_number_breaks_its_limit() -> None:
-    found = {**dict.fromkeys(MEASURES, 0.0), "min_separation_m": 1.0}
+    found = {**dict.fromkeys(MEASURES, 0.0), "min_separation_m": 1.0, "min_clearance_m": None}
     diverged: dict[str, float | None] = {**found, "rms_after_20s_m": float("nan"), "min_separation_m": float("nan")}
     assert broken_limits(load_experiment("pool"), {**found}) == []
     assert broken_limits(load_experiment("pool"), diverged) == ["rms_after_20s_m", "min_separation_m"]
