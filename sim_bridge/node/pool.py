@@ -21,7 +21,7 @@ from sim_bridge.world import World, WorldBoard
 from wire.config.experiment import Experiment
 from wire.frames import Array
 from wire.messages import topics
-from wire.messages.messages import CameraHealth, Frame, LocalizerStatus, RobotState, Tick, Trajectory
+from wire.messages.messages import ALONE, CameraHealth, Frame, LocalizerStatus, RobotState, Tick, Trajectory
 from wire.process.lockstep import LOCKSTEP_SAYS_S, LockstepClock, Reminder
 from wire.process.runtime import SLICE_S, Clock, Stop, WallClock, guarded_thread, log, log_to_bus, wait
 from wire.transport.bus import Bus
@@ -120,13 +120,15 @@ class PoolNode:
         self._sockets.deliver(world)
 
     def _detect_start(self, world: World, begin_ns: int) -> None:
-        """Find the instant at which the trajectories began, from which faults count. Plant time 0 is `begin_ns`."""
+        """Find the instant at which the formation's trajectories began, from which faults count. A robot that is sent
+        somewhere alone begins none. Plant time 0 is `begin_ns`."""
         if world.start_ns is not None:
             return
         for inbox in self._states.values():
             received = inbox.newest()
-            if received is not None and received.message.trajectory_s > 0.0:
-                flown_ns = round(received.message.trajectory_s * 1e9)
+            state = received.message if received is not None else RobotState()
+            if received is not None and state.trajectory_s > 0.0 and not state.trajectory_id.startswith(ALONE):
+                flown_ns = round(state.trajectory_s * 1e9)
                 world.start_ns = self._clock.instant_ns(received) - flown_ns - begin_ns
                 return
 

@@ -10,7 +10,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from groundstation.formation_clock import ALONE
 from groundstation.mission.gain_update import GainStage
 from groundstation.mission.objections import MOVING
 from groundstation.mission.request_progress import KEPT
@@ -28,7 +27,7 @@ from groundstation.mission.state_machine import (
 from groundstation.planning.segment import PlanSegment
 from groundstation.telemetry import preflight
 from tests.groundstation.mission.simulated_fleet import STEP_NS, SimulatedFleet, SimulatedRobot, armed
-from wire.messages.messages import Mode, Order, Outcome, Progress
+from wire.messages.messages import ALONE, Mode, Order, Outcome, Progress
 
 LED_WITHIN_S = 3.0  # a moving robot in reach without anybody who leads it
 NAMED_WITHIN_S = 3.0  # an armed robot that nobody leads, to the people at the page
