@@ -111,8 +111,10 @@ def test_faults_count_from_the_formations_start_and_not_from_a_lone_flight() -> 
         robot.publish(
             topics.STATE, RobotState(Mode.TRACKING, trajectory_id=trajectory_id, trajectory_s=trajectory_s), stamp_ns, 1
         )
+        # the instant from which faults count is the world's, which no message shows; it is looked for at each exposure
         received = pool._states[1].newest()
         assert received is not None
+        # the plant's time 0 was 10 s before
         pool._detect_start(world, pool._clock.instant_ns(received) - 10_000_000_000)
         assert world.start_ns == (None if start_s is None else round(start_s * 1e9))
 
