@@ -9,7 +9,7 @@ from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-from wire.messages.messages import ALONE, Mode, RobotState, Trajectory
+from shoal.messages.messages import ALONE, Mode, RobotState, Trajectory
 
 
 def named_alone(trajectory: Trajectory) -> Trajectory:
