@@ -13,11 +13,12 @@ from collections.abc import Callable
 
 import numpy as np
 
+from groundstation.formation_clock import FormationPlans
 from shoal.bus.bus import Bus
 from shoal.config.experiment import Experiment
 from shoal.frames import Array
 from shoal.messages import topics
-from shoal.messages.messages import ALONE, CameraHealth, Frame, LocalizerStatus, RobotState, Tick, Trajectory
+from shoal.messages.messages import CameraHealth, Frame, LocalizerStatus, RobotState, Tick, Trajectory
 from shoal.runtime.lockstep import LOCKSTEP_SAYS_S, LockstepClock, Reminder
 from shoal.runtime.runtime import SLICE_S, Clock, Stop, WallClock, guarded_thread, log, log_to_bus, wait
 from sim_bridge.node.board_ports import BoardPorts
@@ -126,10 +127,9 @@ class PoolNode:
             return
         for inbox in self._states.values():
             received = inbox.newest()
-            state = received.message if received is not None else RobotState()
-            if received is not None and state.trajectory_s > 0.0 and not state.trajectory_id.startswith(ALONE):
-                flown_ns = round(state.trajectory_s * 1e9)
-                world.start_ns = self._clock.instant_ns(received) - flown_ns - begin_ns
+            flown_s = FormationPlans().clock_s(received.message) if received is not None else None
+            if received is not None and flown_s:
+                world.start_ns = self._clock.instant_ns(received) - round(flown_s * 1e9) - begin_ns
                 return
 
     # --- by the wall clock
