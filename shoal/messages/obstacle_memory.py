@@ -18,11 +18,10 @@ BLIND = "nobody tells of obstacles"
 
 
 def ages_s(seen: Obstacles, since_s: float) -> list[float]:
-    """The ages of the obstacles, in s, in a message that is `since_s` old. In messages of earlier versions none is unseen."""
+    """The ages of the obstacles, in s, in a message that is `since_s` old."""
     if not seen.ids:  # in most messages
         return []
-    unseen = seen.unseen_s if len(seen.unseen_s) == len(seen.ids) else np.zeros(len(seen.ids))
-    ages: list[float] = np.nan_to_num(np.clip(since_s + unseen, 0.0, LONGEST_S), nan=LONGEST_S).tolist()
+    ages: list[float] = np.nan_to_num(np.clip(since_s + seen.unseen_s, 0.0, LONGEST_S), nan=LONGEST_S).tolist()
     return ages
 
 
