@@ -78,9 +78,9 @@ class PaceMeter:
         return (simulated_s - looks[0][0]) / took_s if took_s >= SETTLED_S else None
 
 
-def pace_in_words(pace: float, wanted: float | None) -> str:
-    """A pace for people, with the reason where it is less than `wanted` (None: as fast as the machine can)."""
-    busy = wanted is not None and pace < BUSY_BELOW * wanted
+def pace_in_words(pace: float, share: float | None) -> str:
+    """A pace for people, with the reason where it is less than `share` of real time (None: as fast as the machine can)."""
+    busy = share is not None and pace < BUSY_BELOW * share
     return f"{pace:.1f} x real time{', the machine is busy' if busy else ''}"
 
 

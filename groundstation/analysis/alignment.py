@@ -102,24 +102,24 @@ def align(experiment: Experiment, log: RunLog, flight: int | None = None) -> Ser
     number = _chosen(flights, flight)
     window = (flights[number - 1].begin_ns, flights[number - 1].until_ns) if number else (0, 0)
     recorded = {robot: _gather(log, robot, has_truth, window) for robot in experiment.robot_ids}
-    flown = [r for r in recorded.values() if r.flew]
-    start_ns = max((r.start_ns for r in flown), default=_first_stamp_ns(log))
-    whole_s = _end_s(recorded, flown, start_ns, experiment.duration_s)
+    with_flight = [r for r in recorded.values() if r.flew]
+    start_ns = max((r.start_ns for r in with_flight), default=_first_stamp_ns(log))
+    whole_s = _end_s(recorded, with_flight, start_ns, experiment.duration_s)
     end_s = min(whole_s, 2.0 * experiment.duration_s + SPARE_S)
-    rows = int(end_s / experiment.controller.period_s + 1e-6) + 1 if flown else 0
+    rows = int(end_s / experiment.controller.period_s + 1e-6) + 1 if with_flight else 0
     time_s = np.arange(rows, dtype=np.float64) * experiment.controller.period_s
     located = any(len(r.truth.stamp_ns) > 1 for r in recorded.values())
     return Series(
         experiment=experiment,
         start_ns=start_ns,
         end_s=end_s,
-        started=bool(flown),
+        started=bool(with_flight),
         reached_s=min((float(r.clock_s.max()) if r.flew else 0.0 for r in recorded.values()), default=0.0),
         asked_s=_asked_s(experiment, recorded),
         ended_s=(window[1] - start_ns) * 1e-9,
         time_s=time_s,
         robots={robot: _robot_series(experiment, robot, r, time_s, start_ns, has_truth) for robot, r in recorded.items()},
-        errors_against=None if not flown or not located else "truth" if has_truth else "localizer",
+        errors_against=None if not with_flight or not located else "truth" if has_truth else "localizer",
         frame_ms=_frame_times(log, start_ns),
         timeline_events=_happenings(log, recorded, start_ns),
         sent_home_s=_sent_home_s(log, flights[number - 1], start_ns) if number else None,
@@ -182,12 +182,12 @@ def _robot_flights(states: Sequence[DecodedMessage[RobotState]], robot: int) -> 
     return flights
 
 
-def _chosen(flights: Sequence[Flight], wanted: int | None) -> int:
+def _chosen(flights: Sequence[Flight], choice: int | None) -> int:
     """Number of the flight to look at, from 1; 0 if there is none."""
-    if wanted is not None:
-        if not 1 <= wanted <= len(flights):
-            raise ConfigError(f"--flight {wanted}: the log holds {len(flights)} (allowed: 1 to {len(flights)})")
-        return wanted
+    if choice is not None:
+        if not 1 <= choice <= len(flights):
+            raise ConfigError(f"--flight {choice}: the log holds {len(flights)} (allowed: 1 to {len(flights)})")
+        return choice
     outward = [number for number, flight in enumerate(flights, start=1) if not flight.home]
     return outward[-1] if outward else len(flights)
 
@@ -203,8 +203,8 @@ def _sent_home_s(log: RunLog, flight: Flight, start_ns: int) -> float | None:
 def _asked_s(experiment: Experiment, recorded: Mapping[int, _Recorded]) -> float:
     """Planned progress of the flight along the trajectory in s. Trajectories are a controller's horizon longer than that."""
     ahead_s = experiment.controller.mpc.horizon * experiment.controller.period_s
-    flown = [r.trajectory for r in recorded.values() if r.flew and r.trajectory is not None]
-    ends = [t.begin_s + (len(t.eta) - 1) * t.period_s - ahead_s for t in flown]
+    trajectories = [r.trajectory for r in recorded.values() if r.flew and r.trajectory is not None]
+    ends = [t.begin_s + (len(t.eta) - 1) * t.period_s - ahead_s for t in trajectories]
     return max(0.0, min([experiment.duration_s, *ends]))
 
 
@@ -255,8 +255,8 @@ def _gather(log: RunLog, robot: int, has_truth: bool, window: tuple[int, int]) -
     poses = [entry for entry in log.of(topics.POSE, Pose, robot) if entry.message.track is not Track.LOST]
     plans = _plans(log, robot)
     counted = _of_formation(log, robot)
-    flown = [e.message for e in counted if window[0] <= e.stamp_ns < window[1] and e.message.trajectory_s > 0.0]
-    named = [m.trajectory_id for m in flown if m.mode is Mode.TRACKING]
+    messages = [e.message for e in counted if window[0] <= e.stamp_ns < window[1] and e.message.trajectory_s > 0.0]
+    named = [m.trajectory_id for m in messages if m.mode is Mode.TRACKING]
     recorded = [e.message for e in log.of(topics.TRAJECTORY, Trajectory, robot)]
     trajectories = [t for t in recorded if _is_path(t) and plans.include(t.id)]
     # the last that was flown holds what was flown before it as well
@@ -325,10 +325,10 @@ def _last_stamp_ns(log: RunLog) -> int:
     return max((e.stamp_ns for entries in log.entries.values() for e in entries[-1:]), default=0)
 
 
-def _end_s(recorded: dict[int, _Recorded], flown: Sequence[_Recorded], start_ns: int, duration_s: float) -> float:
+def _end_s(recorded: dict[int, _Recorded], flights: Sequence[_Recorded], start_ns: int, duration_s: float) -> float:
     """Time at which the last robot's trajectory clock reached the run's end or stood still for good; not beyond the truth."""
     ends = []
-    for r in flown:
+    for r in flights:
         there = np.flatnonzero(r.clock_s >= duration_s - 1e-6)
         moving = np.flatnonzero(np.diff(r.clock_s) > 0.0)
         ends.append(r.clock_ns[there[0]] if len(there) else r.clock_ns[moving[-1] + 1] if len(moving) else r.clock_ns[0])

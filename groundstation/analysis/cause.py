@@ -108,14 +108,14 @@ def _over_all(text: str, result: Result, series: Series, injected: str = "") -> 
 def _place(event: TimelineEvent, series: Series) -> str:
     """Place of the robot that an event is about; of another event the middle of the fleet. Empty where none is known."""
     own = {f"robot {number}": robot for number, robot in series.robots.items()}
-    shown = [own[event.source]] if event.source in own else list(own.values())
+    robots = [own[event.source]] if event.source in own else list(own.values())
     rows = series.time_s <= event.time_s
-    places = [robot.truth[rows & np.isfinite(robot.truth[:, :2]).all(axis=1), :2][-1:] for robot in shown]
+    places = [robot.truth[rows & np.isfinite(robot.truth[:, :2]).all(axis=1), :2][-1:] for robot in robots]
     last_places = [place[0] for place in places if len(place)]
     if not last_places:
         return ""
     x_m, y_m = np.mean(last_places, axis=0)
-    whose = "" if len(shown) == 1 else "the fleet's middle "
+    whose = "" if len(robots) == 1 else "the fleet's middle "
     return f"{whose}at x {x_m:.2f}, y {y_m:.2f} m"
 
 

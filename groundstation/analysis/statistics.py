@@ -49,8 +49,8 @@ def mean(values: Sequence[float]) -> Interval:
         return Interval(centre, None, None)
     random, rows = np.random.default_rng(0), max(AT_ONCE // count, 1)
     means = [
-        numbers[random.integers(count, size=(min(rows, RESAMPLES - done), count))].mean(axis=1)
-        for done in range(0, RESAMPLES, rows)
+        numbers[random.integers(count, size=(min(rows, RESAMPLES - row), count))].mean(axis=1)
+        for row in range(0, RESAMPLES, rows)
     ]
     low, high = np.quantile(np.concatenate(means), [(1.0 - CONFIDENCE) / 2.0, (1.0 + CONFIDENCE) / 2.0])
     return Interval(centre, float(low), float(high))

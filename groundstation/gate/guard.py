@@ -85,9 +85,9 @@ class Pump:
             return b""
         self.passed += size
         read = memoryview(buffer)[:size]
-        taken = self._send(read)
-        if taken < size:
-            self.waiting = bytes(read[taken:])
+        sent_bytes = self._send(read)
+        if sent_bytes < size:
+            self.waiting = bytes(read[sent_bytes:])
         return read
 
     def write(self) -> None:
@@ -317,8 +317,8 @@ class Guard:
                     return
                 if not link.proven:
                     self._judge(link)
-        except PeerClosed as gone:
-            link.by_router = link.by_router or (gone.which is link.down.source and not link.up.ended)
+        except PeerClosed as error:
+            link.by_router = link.by_router or (error.which is link.down.source and not link.up.ended)
             self._drop(link.number)
             return
         self._go_on(link)

@@ -103,8 +103,8 @@ def change_label(folder: Path, name: str | None, add: Iterable[str], remove: Ite
             with suppress(OSError):  # a file system that knows no locks
                 fcntl.flock(lock, fcntl.LOCK_EX)
             named, tags = label_of(folder)
-            taken = set(remove)
-            give_label(folder, named if name is None else name, (tag for tag in (*tags, *add) if tag not in taken))
+            dropped = set(remove)
+            give_label(folder, named if name is None else name, (tag for tag in (*tags, *add) if tag not in dropped))
         finally:
             os.close(lock)
 

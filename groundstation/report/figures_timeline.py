@@ -42,10 +42,10 @@ def timeline(series: Series) -> BarPlot | None:
         rows.append((f"robot {robot}", bars))
     within = [h for h in series.timeline_events if begin_s <= h.time_s <= end_s]
     noticed = [h.time_s for h in within if h.fault]
-    made = [h.time_s for h in within if is_injection(h)]
+    injections_s = [h.time_s for h in within if is_injection(h)]
     marks = [
         (sign, meaning, times)
-        for sign, meaning, times in (("v", "noticed", noticed), ("x", "injected, or over", made))
+        for sign, meaning, times in (("v", "noticed", noticed), ("x", "injected, or over", injections_s))
         if times
     ]
     return BarPlot(rows, begin_s, end_s + 1e-3, marks)
@@ -55,9 +55,9 @@ def limits(series: Series) -> BarPlot | None:
     """Times at which a limit held an input back, and plans that entered another robot's space."""
     rows = []
     for index, (robot, r) in enumerate(series.robots.items()):
-        flown = r.states.tracking & (r.states.time_s <= series.end_s)
+        under_way = r.states.tracking & (r.states.time_s <= series.end_s)
         for name, active in active_limits(series, r).items():
-            spans = spans_of(r.states.time_s, np.asarray(active & flown))
+            spans = spans_of(r.states.time_s, np.asarray(active & under_way))
             if spans:
                 rows.append((f"{robot}: {name}", [Bar(from_s, length_s, colour(index)) for from_s, length_s in spans]))
     return BarPlot(rows[:MOST_ROWS], 0.0, max(series.end_s, 0.1)) if rows else None

@@ -77,10 +77,10 @@ def evaluated(run_dir: Path, flight: int | None = None) -> tuple[Series, RunLog,
 
 def write_comparison(runs: Sequence[ComparedRun], path: Path) -> None:
     """One self-contained page with all runs side by side."""
-    shown = [(title, caption, _json(embedded(plot))) for title, caption, plot in plots(runs)]
+    drawings = [(title, caption, _json(embedded(plot))) for title, caption, plot in plots(runs)]
     page = environment().get_template("side_by_side.html")
     rows = metric_rows(runs)
-    replace_text(path, page.render(runs=runs, rows=rows, differences=differences(runs), plots=shown, **_live()))
+    replace_text(path, page.render(runs=runs, rows=rows, differences=differences(runs), plots=drawings, **_live()))
 
 
 def write_figures(run_dir: Path, folder: Path, flight: int | None = None) -> list[Path]:
@@ -105,7 +105,7 @@ def write_pdf(figure: Figure, path: Path) -> None:
 def render(series: Series, recorded: RunLog, result: Result) -> str:
     """The report as HTML."""
     events = _together(series.timeline_events)
-    shown = _most_telling(events)
+    key_events = _most_telling(events)
     figures = [_draw(kind, series) for kind in FIGURES]
     timings = {"control step [µs]": result.control_step_us, "exposure to PWM [ms]": result.exposure_to_pwm_ms}
     timings |= {f"of it: {hop} [ms]": values for hop, values in result.latency_hops_ms.items()}
@@ -121,9 +121,9 @@ def render(series: Series, recorded: RunLog, result: Result) -> str:
             timings=[(name, values) for name, values in timings.items() if values],
             figures=[figure for figure in figures if figure.plot or figure.svg],
             absent=[figure.title for figure in figures if not figure.plot and not figure.svg],
-            marks=_json([{"time": e.time_s, "fault": e.fault} for e in shown if e.fault or is_injection(e)]),
-            timeline_events=shown,
-            omitted=len(events) - len(shown),
+            marks=_json([{"time": e.time_s, "fault": e.fault} for e in key_events if e.fault or is_injection(e)]),
+            timeline_events=key_events,
+            omitted=len(events) - len(key_events),
             **_live(),
         )
     )

@@ -70,9 +70,9 @@ def metric_rows(runs: Sequence[ComparedRun]) -> list[MetricRow]:
     ]
     metrics = []
     for name, unit, figure in rows:
-        shown, factor = SHOWN_AS.get(unit, (unit, 1.0))
+        shown_unit, factor = SHOWN_AS.get(unit, (unit, 1.0))
         values = [figure(run.result) for run in runs]
-        metrics.append(MetricRow(name, shown, tuple(None if value is None else factor * value for value in values)))
+        metrics.append(MetricRow(name, shown_unit, tuple(None if value is None else factor * value for value in values)))
     return metrics
 
 

@@ -27,9 +27,9 @@ REPORT_POLICY = (
 class RunDesk:
     """The folder in which a run's own folder lies. For use from any thread."""
 
-    def __init__(self, shown: Path | None) -> None:
-        """`shown`: folder of the run that pages show; None: there is none, and no list."""
-        self._shown = shown.resolve() if shown is not None else None
+    def __init__(self, folder: Path | None) -> None:
+        """`folder`: that of the run that pages show; None: there is none, and no list."""
+        self._shown = folder.resolve() if folder is not None else None
         self._secret = secrets.token_bytes(32)
 
     def _key(self, run: str) -> str:

@@ -231,6 +231,6 @@ def _tuning(tuning: GainStatus | None, laps: Sequence[Lap]) -> dict[str, Any] | 
         "waiting": tuning.stage is GainStage.WAITING,
         "reason": tuning.reason,
         "undo": tuning.undo,
-        "known": list(tuning.known),
+        "known": list(tuning.history),
         "laps": [{"n": lap.number, "id": lap.tuning_id, "s": lap.time_s, "rms": lap.rms_m, "max": lap.max_m} for lap in laps],
     }

@@ -123,7 +123,7 @@ def _rules(fleet: str, member: Member) -> list[dict[str, Any]]:
     anything = [f"{fleet}/**", f"{fleet}/**/@adv/**"]
     serve, ask = keys(may.serve), keys(may.ask)
     listens = ["declare_liveliness_subscriber", "liveliness_query"]
-    wanted: list[tuple[str, str, list[str], Sequence[str]]] = [
+    rules: list[tuple[str, str, list[str], Sequence[str]]] = [
         ("writes", "ingress", ["put"], written + cache),
         ("reads", "ingress", ["declare_subscriber"], read + caches),
         ("hears", "egress", ["put"], read + caches),
@@ -146,6 +146,6 @@ def _rules(fleet: str, member: Member) -> list[dict[str, Any]]:
             "messages": messages,
             "key_exprs": list(key_exprs),
         }
-        for name, flow, messages, key_exprs in wanted
+        for name, flow, messages, key_exprs in rules
         if key_exprs
     ]

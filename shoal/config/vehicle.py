@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -67,16 +67,6 @@ class Limits(Section):
     yaw_rate_radps: Positive
     """Largest yaw rate."""
 
-    @model_validator(mode="before")
-    @classmethod
-    def _no_change_per_step(cls, table: Any) -> Any:
-        if isinstance(table, dict) and "wrench_step" in table:
-            raise ValueError(
-                "wrench_step: the change per control step is now wrench_rate_per_s, in N/s and N m/s (for a control period of "
-                "0.05 s twenty times the numbers)"
-            )
-        return table
-
     @model_validator(mode="after")
     def _same_axes(self) -> Self:
         if len(self.wrench) != len(self.wrench_rate_per_s):
@@ -128,8 +118,8 @@ class Legs(Section):
             )
         x, y = np.abs(self.position_m).T
         if np.ptp(x) > SAME_M or np.ptp(y) > SAME_M or len(set(self.position_m)) != 4:
-            given = [list(position) for position in self.position_m]
-            raise ValueError(f"position_m = {given}: must be the corners of a rectangle around the centre")
+            positions = [list(position) for position in self.position_m]
+            raise ValueError(f"position_m = {positions}: must be the corners of a rectangle around the centre")
         return self
 
 

@@ -66,10 +66,10 @@ class BoardProbe:
 
     # --- time goes on
 
-    def listen(self, seconds: float, done: Callable[[], bool] = lambda: False) -> bool:
-        """Receive for so long or until `done()`; returns True if `done()` came first."""
+    def listen(self, seconds: float, until: Callable[[], bool] = lambda: False) -> bool:
+        """Receive for so long or until `until()`; returns True if `until()` came first."""
         end_ns = self.wire.now_ns() + round(seconds * S)
-        while not done():
+        while not until():
             if self.wire.now_ns() >= end_ns:
                 return False
             if self.wire.now_ns() - self._heartbeat_ns >= S:
@@ -96,14 +96,14 @@ class BoardProbe:
         """A time for signatures that is later than all that were made."""
         return self.computer.stamp + 1_000_000
 
-    def stream(self, frame: Callable[[], bytes], seconds: float, done: Callable[[], bool] = lambda: False) -> bool:
-        """Send a frame at the control rate for so long or until `done()`; returns True if `done()` came first."""
+    def stream(self, frame: Callable[[], bytes], seconds: float, until: Callable[[], bool] = lambda: False) -> bool:
+        """Send a frame at the control rate for so long or until `until()`; returns True if `until()` came first."""
         end_ns = self.wire.now_ns() + round(seconds * S)
         while self.wire.now_ns() < end_ns:
             self.wire.send(frame())
-            if self.listen(min(PERIOD_NS, end_ns - self.wire.now_ns()) / S, done):
+            if self.listen(min(PERIOD_NS, end_ns - self.wire.now_ns()) / S, until):
                 return True
-        return done()
+        return until()
 
     # --- what is sent
 
@@ -230,6 +230,6 @@ class BoardProbe:
 
     def put_back(self) -> list[str]:
         """Give all parameters the values that they had, the last changed first. Returns those that the board does not take."""
-        left = {name: value for name, value in reversed(self._before.items()) if not self.set(name, value)}
-        self._before = dict(reversed(left.items()))
-        return [f"{name} = {value:g}" for name, value in left.items()]
+        remaining = {name: value for name, value in reversed(self._before.items()) if not self.set(name, value)}
+        self._before = dict(reversed(remaining.items()))
+        return [f"{name} = {value:g}" for name, value in remaining.items()]

@@ -172,9 +172,9 @@ def print_error(console: Console, text: str) -> None:
     console.print(text, style="red", highlight=False, soft_wrap=True)
 
 
-def _start_all(children: Children, wanted: list[Program], address: str, stop: Stop) -> tuple[Child, bool]:
+def _start_all(children: Children, programs: list[Program], address: str, stop: Stop) -> tuple[Child, bool]:
     """Start the station, and the others when it listens. Returns the station, and True if it listens."""
-    first, *others = wanted
+    first, *others = programs
     station = children.start(first.name, first.module, first.arguments)
     if not _listens(address, station, stop):
         return station, False

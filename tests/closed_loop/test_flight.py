@@ -232,7 +232,7 @@ def test_a_step_is_due_when_the_pose_gets_too_old_for_what_the_robot_does() -> N
     agent, safety = pool.robots[0].agent, pool.experiment.safety
     pool.camera_works = False
     pool.run(0.05)
-    seen_ns = pool.seen[-1][0]
+    seen_ns = pool.poses[-1][0]
     hold_ns, neutral_ns = (seen_ns + round(limit_s * 1e9) + 1 for limit_s in (safety.pose_hold_s, safety.pose_neutral_s))
     deadlines = [(agent.react_by_ns, agent.mode)]
     for now_ns in (hold_ns - 1, hold_ns, neutral_ns - 1, neutral_ns):

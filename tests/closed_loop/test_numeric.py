@@ -169,7 +169,7 @@ def test_pose_noise_is_as_large_as_the_experiment_says() -> None:
     fleet.held = True
     for _ in range(2000):
         fleet.step()
-    poses = np.array([[p[0].x_m, p[0].y_m, p[0].yaw_rad] for _, p in fleet.seen])
+    poses = np.array([[p[0].x_m, p[0].y_m, p[0].yaw_rad] for _, p in fleet.poses])
     assert len(poses) >= 50
     error = poses - water.eta[0, [0, 1, 3]]
     np.testing.assert_allclose(error.std(axis=0), [0.0015, 0.0015, 0.008], rtol=0.35)

@@ -93,7 +93,7 @@ class SeenPool(DryPool):
         assert len(attitudes) == len(states)
         poses = dict(self._locator.step(frame, stamp_ns, depths, attitudes).poses)
         if len(poses) == len(ids):
-            self.seen.append((stamp_ns, [poses[i] for i in ids]))
+            self.poses.append((stamp_ns, [poses[i] for i in ids]))
             self.error_m += [
                 float(np.hypot(poses[i].x_m - eta[0], poses[i].y_m - eta[1])) for i, eta in zip(ids, world.eta, strict=True)
             ]

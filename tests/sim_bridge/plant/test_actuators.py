@@ -63,13 +63,13 @@ def test_no_lag_and_no_dead_time() -> None:
 
 
 def test_each_pulse_acts_once_and_in_order() -> None:
-    fleet, seen = Plant(pool(*EXACT, "sim.plant.thruster_lag_s=0"), seed=0), []
+    fleet, forces_n = Plant(pool(*EXACT, "sim.plant.thruster_lag_s=0"), seed=0), []
     motors = None
     sent = [1500, 1550, 1600, 1700, 1800, 1900] + [1500] * 12
     for value in sent:
         motors = run(fleet, motors, pulses(value, 1500), 1)[-1]
-        seen.append(float(motors.force_n[0, 0]))
-    assert seen == pytest.approx([0.0] * 10 + [0.0, 0.207, 0.478, 1.22, 2.014, 3.0, 0.0, 0.0])
+        forces_n.append(float(motors.force_n[0, 0]))
+    assert forces_n == pytest.approx([0.0] * 10 + [0.0, 0.207, 0.478, 1.22, 2.014, 3.0, 0.0, 0.0])
 
 
 @pytest.mark.parametrize("pulse", [1477, 1490, 1500, 1523])
@@ -114,20 +114,20 @@ def test_a_gain_scales_its_own_thruster() -> None:
     ],
 )
 def test_wrench_of_the_legs(force: list[float], ankle: list[float], wrench: list[float]) -> None:
-    found = legs_wrench(np.array([force, [0.0] * 4], float), np.array([ankle, ankle], float))[:, [0, 2, 5]]
-    assert found[0] == pytest.approx(wrench, abs=1e-12)
-    assert (found[1] == 0.0).all()
+    wrenches = legs_wrench(np.array([force, [0.0] * 4], float), np.array([ankle, ankle], float))[:, [0, 2, 5]]
+    assert wrenches[0] == pytest.approx(wrench, abs=1e-12)
+    assert (wrenches[1] == 0.0).all()
 
 
 def test_wrench_is_the_sum_of_moments() -> None:
     """Against r x F in three dimensions."""
     random = np.random.default_rng(1)
     force, ankle = random.uniform(-3, 3, (2, 4)), random.uniform(-1.5, 1.5, (2, 4))
-    found = legs_wrench(force, ankle)
+    wrenches = legs_wrench(force, ankle)
     for robot in range(2):
         vectors = np.array([[f * np.cos(a), 0.0, f * np.sin(a)] for f, a in zip(force[robot], ankle[robot], strict=True)])
         arms = np.column_stack([np.array(pool().vehicle.four_legs.position_m), np.full(4, pool().sim.plant.tilt.legs_below_m)])
-        assert found[robot] == pytest.approx([*vectors.sum(axis=0), *np.cross(arms, vectors).sum(axis=0)])
+        assert wrenches[robot] == pytest.approx([*vectors.sum(axis=0), *np.cross(arms, vectors).sum(axis=0)])
 
 
 @pytest.mark.parametrize("bad", [np.full((2, 8), np.nan), np.full((2, 4), 1500.0), np.full((1, 8), 1500.0)])

@@ -28,32 +28,32 @@ def factors(supply: BatteryModel, charge: Array, force_n: Array, lost_v: Array) 
 
 def test_battery_starts_at_the_experiments_voltage() -> None:
     for volts in (11.0, 12.4, 12.6, 13.5):
-        found = supply(f"sim.sensors.battery_v={volts}")
-        assert found.rest_v(found.start(2)) == pytest.approx([volts, volts])
+        battery = supply(f"sim.sensors.battery_v={volts}")
+        assert battery.rest_v(battery.start(2)) == pytest.approx([volts, volts])
 
 
 def test_full_thrust_lasts_as_long_as_its_energy() -> None:
     """10 W of electronics and four thrusters of 25 W from 55 Wh: half an hour."""
-    found = supply("sim.sensors.battery_v=12.6")
-    charge, full = found.start(2), np.array([[3.0] * 4, [0.0] * 4])
+    battery = supply("sim.sensors.battery_v=12.6")
+    charge, full = battery.start(2), np.array([[3.0] * 4, [0.0] * 4])
     seconds = 55.0 * 3600.0 / 110.0
     for _ in range(100):
-        charge = drained(found, charge, full, seconds / 100)
+        charge = drained(battery, charge, full, seconds / 100)
     assert charge == pytest.approx([0.0, 1.0 - 10.0 / 110.0], abs=1e-9)
-    assert drained(found, charge, full, 60.0)[0] == 0.0
+    assert drained(battery, charge, full, 60.0)[0] == 0.0
 
 
 def test_voltage_falls_with_charge() -> None:
-    found = supply("sim.sensors.battery_v=12.6")
-    volts = found.rest_v(np.linspace(1.0, 0.0, 50))
+    battery = supply("sim.sensors.battery_v=12.6")
+    volts = battery.rest_v(np.linspace(1.0, 0.0, 50))
     assert (np.diff(volts) < 0).all() and volts[0] == 12.6 and volts[-1] == pytest.approx(9.0)
 
 
 def test_thrust_follows_voltage_and_load() -> None:
-    found = supply("sim.sensors.battery_v=12.0")
-    charge = found.start(2)
-    assert factors(found, charge, REST, NO_SAG) == pytest.approx([1.0, 1.0])
-    loaded = factors(found, charge, np.array([[3.0, -3.0, 3.0, -3.0], [0.0] * 4]), np.array([0.0, 2.0]))
+    battery = supply("sim.sensors.battery_v=12.0")
+    charge = battery.start(2)
+    assert factors(battery, charge, REST, NO_SAG) == pytest.approx([1.0, 1.0])
+    loaded = factors(battery, charge, np.array([[3.0, -3.0, 3.0, -3.0], [0.0] * 4]), np.array([0.0, 2.0]))
     assert loaded == pytest.approx([(11.5 / 12) ** 1.2, (10.0 / 12) ** 1.2])
 
 
@@ -77,8 +77,8 @@ def test_a_robot_with_a_weak_battery_is_slower() -> None:
 
 
 def test_an_ideal_supply_changes_nothing() -> None:
-    found = supply("sim.plant.battery.capacity_wh=0")
-    charge = found.start(2)
-    assert (factors(found, charge, np.full((2, 4), 3.0), NO_SAG) == 1.0).all()
-    assert (drained(found, charge, np.full((2, 4), 3.0), 1e6) == charge).all()
-    assert (found.rest_v(charge) == 12.4).all()
+    battery = supply("sim.plant.battery.capacity_wh=0")
+    charge = battery.start(2)
+    assert (factors(battery, charge, np.full((2, 4), 3.0), NO_SAG) == 1.0).all()
+    assert (drained(battery, charge, np.full((2, 4), 3.0), 1e6) == charge).all()
+    assert (battery.rest_v(charge) == 12.4).all()
