@@ -1,28 +1,11 @@
-"""A flight from a moment of a run: what the log's reader says, however much that is."""
-
-import sys
-from pathlib import Path
+"""A flight from a moment of a run counts its faults from the formation's start."""
 
 import numpy as np
-import pytest
 
 from robot_agent.agent import Agent
 from shoal.config.experiment import load_experiment
-from shoal.errors import ConfigError
 from shoal.messages.messages import ALONE, Mode, RobotState
-from shoal.system import programs
-from sim_bridge.in_process.resume import RobotHistory, prepared, resume
-
-SAYS_MUCH = "import sys; sys.stderr.write('damaged\\n' * 30_000); sys.stdout.write(''); sys.exit(1)"
-
-
-@pytest.mark.timeout(30)
-def test_a_reader_that_complains_at_length_is_heard_to_its_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """More than a pipe holds, before a byte on the other stream."""
-    monkeypatch.setattr(programs, "command", lambda *_: [sys.executable, "-c", SAYS_MUCH])
-    with pytest.raises(ConfigError) as refused:
-        prepared(load_experiment("numeric"), tmp_path, 1.0)
-    assert str(refused.value).count("damaged") == 30_000
+from sim_bridge.in_process.resume import RobotHistory, resume
 
 
 def test_the_moment_is_the_formations_and_not_that_of_a_robot_sent_elsewhere_alone() -> None:
