@@ -112,14 +112,14 @@ def _tell_station(
     from groundstation import client
 
     patience_s = client.patience_s(command) if wait is None else wait
-    told = OutcomePrinter(what, as_json)
+    printer = OutcomePrinter(what, as_json)
     try:
         with client.connect(station, fleet, keys, insecure) as bus:
-            reply = client.follow(client.sender(bus), command, client.limit(bus, patience_s), told.progress)
+            reply = client.follow(client.sender(bus), command, client.limit(bus, patience_s), printer.progress)
     except KeyboardInterrupt:
         typer.echo(f"{what}: not waited for; the station goes on with it", err=True)
         raise typer.Exit(130) from None
-    raise typer.Exit(told.end(reply, patience_s))
+    raise typer.Exit(printer.end(reply, patience_s))
 
 
 def request(command: Callable[P, tuple[str, Command]]) -> Callable[..., None]:
@@ -266,8 +266,8 @@ class OutcomePrinter:
         if self._as_json:
             robots = dict.fromkeys(outcome.confirmed, "confirmed") if outcome is not None else {}
             robots |= dict(zip(outcome.waiting, outcome.why, strict=False)) if outcome is not None else {}
-            told = {"order": self._what, "accepted": reply.accepted, "done": done, "text": text, "robots": robots}
-            typer.echo(json.dumps(told | {"reason": reply.reason}))
+            summary = {"order": self._what, "accepted": reply.accepted, "done": done, "text": text, "robots": robots}
+            typer.echo(json.dumps(summary | {"reason": reply.reason}))
             return 0 if done else 1
         if outcome is not None and patience_s > 0.0:
             self.progress(outcome)

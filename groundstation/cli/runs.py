@@ -115,10 +115,10 @@ def export(
         written = [(path, None) for path in foxglove_file.export(run_folder, out)]
         trouble += [read_log(run_folder / "run.mcap", ()).trouble]
     else:
-        done = tables.export(run_folder, out, parquet)
-        written = [*done.files]
-        trouble += [done.trouble]
-        trouble += [f"{done.undecodable} messages cannot be decoded: they are in no table"] if done.undecodable else []
+        exported = tables.export(run_folder, out, parquet)
+        written = [*exported.files]
+        trouble += [exported.trouble]
+        trouble += [f"{exported.undecodable} messages cannot be decoded: they are in no table"] if exported.undecodable else []
     trouble = [line for line in trouble if line]
     for line in trouble:
         typer.echo(line, err=True)

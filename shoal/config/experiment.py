@@ -214,8 +214,8 @@ class Experiment(Section):
             if broken.robot and broken.robot not in self.robot_ids:
                 raise ValueError(f"sim.faults.{i}.what = {fault.what!r}: no robot {broken.robot} (allowed: {allowed})")
             if broken.camera and broken.camera not in self.camera_names:
-                known = ", ".join(self.camera_names) or "no name: there is one camera"
-                raise ValueError(f"sim.faults.{i}.what = {fault.what!r}: no camera {broken.camera!r} (allowed: {known})")
+                cameras = ", ".join(self.camera_names) or "no name: there is one camera"
+                raise ValueError(f"sim.faults.{i}.what = {fault.what!r}: no camera {broken.camera!r} (allowed: {cameras})")
             if broken.process and broken.process not in processes:
                 raise ValueError(f"sim.faults.{i}.what = {fault.what!r}: no such process (allowed: {', '.join(processes)})")
         return self
@@ -362,8 +362,8 @@ def experiment_path(name_or_path: str) -> Path:
         return Path(name_or_path)
     path = EXPERIMENTS / f"{name_or_path}.toml"
     if not path.is_file():
-        known = ", ".join(sorted(p.stem for p in EXPERIMENTS.glob("*.toml")))
-        raise ConfigError(f"experiment {name_or_path!r}: no such experiment (allowed: {known}, or a path ending in .toml)")
+        names = ", ".join(sorted(p.stem for p in EXPERIMENTS.glob("*.toml")))
+        raise ConfigError(f"experiment {name_or_path!r}: no such experiment (allowed: {names}, or a path ending in .toml)")
     return path
 
 

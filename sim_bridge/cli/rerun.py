@@ -33,26 +33,26 @@ def rerun(
     from sim_bridge.replay.step_diff import draw
     from sim_bridge.replay.step_replay import rerun as do_again
 
-    found = do_again(run_folder, robots or (), settings or ())
+    comparisons = do_again(run_folder, robots or (), settings or ())
     if figures is not None:
         figures.mkdir(parents=True, exist_ok=True)
-        for again in found:
+        for again in comparisons:
             figure = draw(again)
             if figure is not None:
                 write_pdf(figure, figures / f"rerun-{again.robot}.pdf")
     if as_json:
-        typer.echo(json.dumps([again.as_dict() for again in found], indent=1))
+        typer.echo(json.dumps([again.as_dict() for again in comparisons], indent=1))
     else:
-        _tell(found)
-    raise typer.Exit(0 if settings or all(again.exact for again in found) else 1)
+        _tell(comparisons)
+    raise typer.Exit(0 if settings or all(again.exact for again in comparisons) else 1)
 
 
-def _tell(found: "list[StepComparison]") -> None:
+def _tell(comparisons: "list[StepComparison]") -> None:
     """The comparison as tables."""
     from rich.table import Table
 
     console = terminal()
-    for again in found:
+    for again in comparisons:
         title = f"robot {again.robot}: {again.compared} of {again.steps} steps compared"
         for gap in again.left_out:
             console.print(f"robot {again.robot}: {gap}", soft_wrap=True)

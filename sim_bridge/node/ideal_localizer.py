@@ -26,8 +26,8 @@ class IdealLocalizer:
 
     def poses(self, eta: Array) -> list[Pose]:
         """Measured poses of robots at eta (n, 4), in their order."""
-        seen = eta + self._random.standard_normal(eta.shape) * self._noise
-        return [Pose(x, y, yaw, self._covariance, Track.MARKER, True, 1.0, z) for x, y, z, yaw in seen.tolist()]
+        measured_eta = eta + self._random.standard_normal(eta.shape) * self._noise
+        return [Pose(x, y, yaw, self._covariance, Track.MARKER, True, 1.0, z) for x, y, z, yaw in measured_eta.tolist()]
 
     def obstacles(self, time_s: float) -> Obstacles | None:
         """The drifting balls as the localizer reports obstacles; None if the experiment has none and asks for no

@@ -192,14 +192,14 @@ class PoolNode:
         for robot, pose in zip(self._experiment.robot_ids, self._localizer.poses(exposure.eta), strict=True):
             self._bus.publish(topics.POSE, pose, exposure.stamp_ns, robot, age_ns=age_ns)
         if self._lockstep is not None:  # where others wait for what is told of each picture
-            told = LocalizerStatus(
+            status = LocalizerStatus(
                 CameraHealth.OK,
                 exposure.index,
                 robots=self._experiment.robot_ids,
                 obstacles_ns=self._obstacles_ns,
                 experiment_hash=self._experiment.hash,
             )
-            self._bus.publish(topics.LOCALIZER, told, exposure.stamp_ns)
+            self._bus.publish(topics.LOCALIZER, status, exposure.stamp_ns)
         obstacles = self._localizer.obstacles(exposure.time_s)
         if obstacles is not None:
             self._obstacles_ns = exposure.stamp_ns

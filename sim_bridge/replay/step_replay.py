@@ -34,11 +34,11 @@ def rerun(run: Path, robots: Sequence[int] = (), settings: Sequence[str] = ()) -
     chosen = [experiment.robot(robot).id for robot in robots] or list(experiment.robot_ids)
     same = experiment.hash == load_experiment(str(file)).hash
     with open_log(run) as log:
-        found = [_rerun_one(log, experiment, robot, same) for robot in chosen]
-        differ = same and any(again.differing for again in found)
+        comparisons = [_rerun_one(log, experiment, robot, same) for robot in chosen]
+        differ = same and any(again.differing for again in comparisons)
         if differ and (recorded := recorded_by_other_code(metadata_of(log.path))):
             runtime.log.warning("%s", recorded)
-        return found
+        return comparisons
 
 
 def recorded_by_other_code(metadata: Mapping[str, str]) -> str:
@@ -65,13 +65,13 @@ _ORDER = (topics.ORDERS, topics.INPUTS, topics.STATE)  # of one instant: an orde
 
 def own_messages(log: LogFile, robot: int, with_states: bool) -> list[LogMessage]:
     """A robot's inputs and orders in the order in which they came to it; perhaps its states."""
-    wanted = _ORDER if with_states else _ORDER[:2]
-    lines = log.messages(lambda topic, of: topic in wanted and of == robot)
-    lives, found = dict[int, int](), list(lines)  # sessions in order: one that was started again may have another clock
-    for line in found:
+    kinds = _ORDER if with_states else _ORDER[:2]
+    lines = log.messages(lambda topic, of: topic in kinds and of == robot)
+    lives, messages = dict[int, int](), list(lines)  # sessions in order: one that was started again may have another clock
+    for line in messages:
         lives.setdefault(line.header.session, len(lives))
     return sorted(
-        found,
+        messages,
         key=lambda line: (lives[line.header.session], line.header.stamp_ns, _ORDER.index(line.topic), line.header.sequence),
     )
 
@@ -79,24 +79,24 @@ def own_messages(log: LogFile, robot: int, with_states: bool) -> list[LogMessage
 def in_order_of_use(log: LogFile, robot: int, own: Sequence[LogMessage]) -> Iterator[LogMessage]:
     """A robot's inputs and orders, and before each step what it names and what was not named before."""
     others = log.messages(lambda topic, of: topic is topics.OBSTACLES or (topic is topics.PLAN and of != robot))
-    known: dict[tuple[Topic, int], OrderedDict[Name, LogMessage]] = {}
-    given: dict[tuple[Topic, int], Name] = {}
+    by_sender: dict[tuple[Topic, int], OrderedDict[Name, LogMessage]] = {}
+    last_names: dict[tuple[Topic, int], Name] = {}
     ahead_ns = 0
     for line in own:
         for name in _names(line):
             sender = name[:2]
-            while name not in known.setdefault(sender, OrderedDict()) and ahead_ns <= line.arrived_ns + PATIENCE_NS:
+            while name not in by_sender.setdefault(sender, OrderedDict()) and ahead_ns <= line.arrived_ns + PATIENCE_NS:
                 other = next(others, None)
                 if other is None:
                     break
                 ahead_ns = other.arrived_ns
-                heard = known.setdefault((other.topic, other.robot), OrderedDict())
-                heard[other.topic, other.robot, other.header.session, other.header.sequence] = other
-                if len(heard) > KEPT:
-                    heard.popitem(last=False)
-            if name in known[sender] and given.get(sender) != name:
-                given[sender] = name
-                yield known[sender][name]
+                from_sender = by_sender.setdefault((other.topic, other.robot), OrderedDict())
+                from_sender[other.topic, other.robot, other.header.session, other.header.sequence] = other
+                if len(from_sender) > KEPT:
+                    from_sender.popitem(last=False)
+            if name in by_sender[sender] and last_names.get(sender) != name:
+                last_names[sender] = name
+                yield by_sender[sender][name]
         yield line
 
 

@@ -69,8 +69,8 @@ class Monitor:
         states = [inbox.newest() for inbox in self._states.values()]
         if None in states:
             return self._flown_s
-        heard = [s.message.trajectory_s for s in states if s is not None and not self._silent(s)]
-        self._flown_s = min(heard, default=self._flown_s)
+        reached_s = [s.message.trajectory_s for s in states if s is not None and not self._silent(s)]
+        self._flown_s = min(reached_s, default=self._flown_s)
         return self._flown_s
 
     @property
@@ -124,10 +124,10 @@ class Monitor:
 
     def line(self) -> str:
         """The same in one line, for a log; for a large fleet counts of modes, and the worst robot."""
-        heard = {robot: inbox.newest() for robot, inbox in self._states.items()}
-        silent = [robot for robot, received in heard.items() if received is not None and self._silent(received)]
-        states = {r: received.message for r, received in heard.items() if received is not None and r not in silent}
-        if len(heard) > FEW:
+        newest = {robot: inbox.newest() for robot, inbox in self._states.items()}
+        silent = [robot for robot, received in newest.items() if received is not None and self._silent(received)]
+        states = {r: received.message for r, received in newest.items() if received is not None and r not in silent}
+        if len(newest) > FEW:
             robots = [f"{n} {mode.name.lower()}" for mode, n in sorted(Counter(s.mode for s in states.values()).items())]
             errors = {robot: error for robot, state in states.items() if (error := _error_mm(state)) is not None}
             worst = max(errors, key=lambda robot: errors[robot], default=None)

@@ -34,8 +34,8 @@ def soak(name: str, seed: int, duration_s: float) -> None:
     fleet, water = prepared(experiment)
     fleet.start()
     log = log_in_memory(fly(fleet, water), {"mode": "numeric"})
-    said = [entry.message.message for entry in log.of(topics.EVENT, Event)]
-    assert sum(text.startswith("fault: ") for text in said) == 6
+    events = [entry.message.message for entry in log.of(topics.EVENT, Event)]
+    assert sum(text.startswith("fault: ") for text in events) == 6
     assert np.isfinite(fleet.truth).all() and np.abs(np.array(fleet.truth)[..., :3]).max() < 50.0
     series = align(experiment, log)
     assert all(value is None or np.isfinite(value) for value in measures(series, log, evaluate(series, log)).values())

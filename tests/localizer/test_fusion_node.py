@@ -62,12 +62,12 @@ def test_obstacles_of_a_camera_that_is_out_are_not_told_and_renew_no_list(monkey
 
     other = {"east": EXPERIMENT.hash, "west": "another"}
 
-    def told(west: Obstacles | None) -> tuple[int, tuple[int, ...], LocalizerStatus]:
+    def fuse(west: Obstacles | None) -> tuple[int, tuple[int, ...], LocalizerStatus]:
         """Fuse what both tell of a picture. The stamp that west gave, the list's numbers and the status."""
         stamp_ns = time.time_ns()
-        for camera, seen, moved in (("east", ELSEWHERE, True), ("west", west, False)):
-            if seen is not None:
-                bus.publish(topics.OBSTACLES.of_camera(camera), seen, stamp_ns)
+        for camera, message, moved in (("east", ELSEWHERE, True), ("west", west, False)):
+            if message is not None:
+                bus.publish(topics.OBSTACLES.of_camera(camera), message, stamp_ns)
             bus.publish(topics.POSE.of_camera(camera), POSE, stamp_ns, 1)
             its = "0.1.0 another" if moved else code().short
             status = LocalizerStatus(
@@ -80,19 +80,19 @@ def test_obstacles_of_a_camera_that_is_out_are_not_told_and_renew_no_list(monkey
             )
             bus.publish(topics.LOCALIZER.of_camera(camera), status, stamp_ns)
         next(steps)
-        fused, said = obstacles.newest(), statuses.newest()
-        assert fused is not None and said is not None and said.message.code == "0.1.0 another"
-        assert said.message.experiment_hash == other["west"]  # "": not told
-        assert said.message.obstacles_ns == fused.header.stamp_ns
-        return stamp_ns - fused.header.stamp_ns, fused.message.ids, said.message
+        fused, newest_status = obstacles.newest(), statuses.newest()
+        assert fused is not None and newest_status is not None and newest_status.message.code == "0.1.0 another"
+        assert newest_status.message.experiment_hash == other["west"]  # "": not told
+        assert newest_status.message.obstacles_ns == fused.header.stamp_ns
+        return stamp_ns - fused.header.stamp_ns, fused.message.ids, newest_status.message
 
-    later_ns, ids, status = told(SEEN)
+    later_ns, ids, status = fuse(SEEN)
     assert later_ns == 0 and ids == (6,) and status.out == ("east",)
     other |= {"east": "", "west": ""}  # of earlier versions
-    later_ns, ids, status = told(None)
+    later_ns, ids, status = fuse(None)
     assert later_ns > 0 and ids == (6,)
     monkeypatch.setattr(CameraFusion, "step", lambda *_: 1 // 0)
-    later_ns, ids, status = told(SEEN)
+    later_ns, ids, status = fuse(SEEN)
     assert "pictures not fused" in status.message and status.out == ("east",)
     assert later_ns == 0 and ids == (6,)
     stop.request()
@@ -147,9 +147,9 @@ def test_poses_go_on_while_the_localizer_of_one_camera_is_silent_and_the_status_
     assert keeps_telling(world, ("west", "east"), lambda: out() == ())
     assert keeps_telling(world, ("west",), lambda: out() == ("east",))
     stamp_ns = tell(world, "west")
-    assert eventually(lambda: (told := poses.newest()) is not None and told.header.stamp_ns == stamp_ns)
-    found, seen = poses.newest(), obstacles.newest()
-    assert found is not None and found.message.x_m == pytest.approx(0.1) and found.header.age_ns >= 20_000_000
-    assert seen is not None and seen.message.ids == (6,)  # of camera 0 of 2
+    assert eventually(lambda: (pose := poses.newest()) is not None and pose.header.stamp_ns == stamp_ns)
+    pose, blocked = poses.newest(), obstacles.newest()
+    assert pose is not None and pose.message.x_m == pytest.approx(0.1) and pose.header.age_ns >= 20_000_000
+    assert blocked is not None and blocked.message.ids == (6,)  # of camera 0 of 2
     assert keeps_telling(world, ("west", "east"), lambda: out() == ())
     assert eventually(lambda: out() == ("west", "east"))  # both silent: said without a picture

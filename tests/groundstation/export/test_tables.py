@@ -100,9 +100,9 @@ def test_every_recorded_topic_is_exported_and_every_message_of_it(run: Path, tmp
     for path, count in done.files:
         key = re.sub(r"^robot-(\d+)-", r"robot/\1/", path.stem)
         key = key if key.startswith("robot/") else key.replace("-", "/", 1)
-        found = table(path)
-        assert len(found) == count
-        exported[f"shoal/{key}"] += len({(row["session"], row["sequence"]) for row in found})
+        rows = table(path)
+        assert len(rows) == count
+        exported[f"shoal/{key}"] += len({(row["session"], row["sequence"]) for row in rows})
     assert exported == counted
     assert (done.trouble, done.undecodable) == ("", 0)
 
@@ -121,9 +121,9 @@ def test_numbers_are_those_that_another_reader_decodes(run: Path, tmp_path: Path
     assert float(row["covariance_yaw_yaw_rad2"]) == covariance[2, 2]
     truth, _ = decoded["shoal/sim/truth"]
     eta = np.array(truth.eta).reshape(2, 4)
-    found = table(tmp_path / "sim-truth.csv")
-    assert [row["robot"] for row in found] == ["1", "2"]
-    assert [[float(row[name]) for name in ("x_m", "y_m", "z_m", "yaw_rad")] for row in found] == eta.tolist()
+    rows = table(tmp_path / "sim-truth.csv")
+    assert [row["robot"] for row in rows] == ["1", "2"]
+    assert [[float(row[name]) for name in ("x_m", "y_m", "z_m", "yaw_rad")] for row in rows] == eta.tolist()
     event, _ = decoded["shoal/event"]
     assert table(tmp_path / "event.csv")[0]["message"] == event.message
 

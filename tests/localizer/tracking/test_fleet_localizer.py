@@ -169,8 +169,8 @@ def test_depth_error_is_covered_by_the_covariance() -> None:
 def test_unreported_depth_is_the_experiments_and_less_sure() -> None:
     steps = list(_fly(FleetLocalizer(LEVEL), 3, depths_m={2: float("nan")}))
     assert steps[-1].pose(1).depth_m == DEPTH_M and steps[-1].pose(2).depth_m == DEPTH_M
-    known = list(_fly(FleetLocalizer(LEVEL), 3))
-    assert np.trace(steps[-1].pose(1).covariance) > 1.5 * np.trace(known[-1].pose(1).covariance)
+    located = list(_fly(FleetLocalizer(LEVEL), 3))
+    assert np.trace(steps[-1].pose(1).covariance) > 1.5 * np.trace(located[-1].pose(1).covariance)
 
 
 def test_lost_and_found_elsewhere() -> None:
@@ -375,9 +375,9 @@ def test_the_frame_is_only_read() -> None:
 
 def test_a_marker_of_nobody_is_named_until_the_right_one_is_on() -> None:
     wrong, locator = Scene(load_experiment("pool", ["robots.1.marker_id=9"]), seed=3), FleetLocalizer(EXPERIMENT)
-    said = [locator.step(wrong.frame(_circling(0.05 * k)), k * STEP_NS, DEPTHS_M).status.message for k in range(12)]
-    assert said[0] == "lost: robot 1, 2" and said[1] == "lost: robot 2", "one sight of it may be a misreading"
-    assert said[-1] == "lost: robot 2; in view, but no robot's: marker 9"
+    messages = [locator.step(wrong.frame(_circling(0.05 * k)), k * STEP_NS, DEPTHS_M).status.message for k in range(12)]
+    assert messages[0] == "lost: robot 1, 2" and messages[1] == "lost: robot 2", "one sight of it may be a misreading"
+    assert messages[-1] == "lost: robot 2; in view, but no robot's: marker 9"
     *_, step = _fly(locator, 8, first=12)
     assert step.located.status.message == ""
 
@@ -501,8 +501,8 @@ def test_a_depth_that_is_wrong_by_10_cm_is_told() -> None:
         locator = FleetLocalizer(three)
         for k in range(50):
             located = locator.step(_taken_anew(frames[k % 3], k), k * STEP_NS, {1: 0.3, 2: 0.4 + wrong_m, 3: 0.3})
-        told = located.status.message
-        assert (looks in told and told.endswith("robot 2")) if looks else told == ""
+        message = located.status.message
+        assert (looks in message and message.endswith("robot 2")) if looks else message == ""
 
 
 @pytest.mark.parametrize(("printed", "words"), [(0.8, "too small, and is not believed"), (0.94, "too small for its depth")])

@@ -170,10 +170,10 @@ def test_a_misspelt_key_is_refused_with_the_choice(tmp_path: Path) -> None:
     for key in TABLES:
         complaint = _complaint(tmp_path, _with({(*key, "misspelt"): 1}))
         name = _dotted((*key, "misspelt"))
-        known = [str(part) for part in _parent(FULL, (*key, "misspelt"))]
+        siblings = [str(part) for part in _parent(FULL, (*key, "misspelt"))]
         assert complaint.startswith(f"{name}: unknown key (allowed here: ")
         allowed = complaint.removeprefix(f"{name}: unknown key (allowed here: ").removesuffix(")").split(", ")
-        assert set(known) <= set(allowed)
+        assert set(siblings) <= set(allowed)
 
 
 @by_section
@@ -189,8 +189,8 @@ def test_a_missing_key_has_a_default_or_is_asked_for(tmp_path: Path, section: st
             if key == ("vehicle", "legs"):
                 assert "vehicle: thrusters: has neither" in str(error)
                 continue
-            told = "localizer.uses_camera = true" if key == ("camera",) else "it has no default"
-            assert any(line.startswith(f"{path}: {_dotted(key)}: missing, and {told}") for line in str(error).splitlines())
+            remark = "localizer.uses_camera = true" if key == ("camera",) else "it has no default"
+            assert any(line.startswith(f"{path}: {_dotted(key)}: missing, and {remark}") for line in str(error).splitlines())
 
 
 @pytest.mark.parametrize("key", ["name", "duration_s", "vehicle", "pool", "path", "robots", "camera"])
@@ -244,10 +244,10 @@ def test_values_that_do_not_go_together(setting: str, complaint: str) -> None:
 def test_a_mistake_in_a_setting_is_told_of_the_setting_and_not_of_the_file() -> None:
     with pytest.raises(ConfigError) as caught:
         load_experiment("pool", ["seed=1", "duration=5", "path.lap_s=-1"])
-    told = str(caught.value).splitlines()
-    assert len(told) == 2
-    assert any(line.startswith("--set duration=5: duration: unknown key") for line in told)
-    assert any(line.startswith("--set path.lap_s=-1: path.lap_s = -1") for line in told)
+    lines = str(caught.value).splitlines()
+    assert len(lines) == 2
+    assert any(line.startswith("--set duration=5: duration: unknown key") for line in lines)
+    assert any(line.startswith("--set path.lap_s=-1: path.lap_s = -1") for line in lines)
 
 
 # --- the hash

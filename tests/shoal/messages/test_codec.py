@@ -535,6 +535,6 @@ def test_the_pixels_of_a_raw_picture_are_found_without_a_copy(size_px: tuple[int
     """Sizes on both sides of each length of a varint: protobuf reads the same, but copies, which takes 1 ms."""
     pixels = np.random.default_rng(1).integers(0, 256, size_px, np.uint8)
     data = encode(Frame(pixels), 7)
-    found = decode(Frame, data, "test", "frame").pixels
-    assert np.array_equal(found, pixels) and np.shares_memory(found, np.frombuffer(data, np.uint8))
+    pixels_read = decode(Frame, data, "test", "frame").pixels
+    assert np.array_equal(pixels_read, pixels) and np.shares_memory(pixels_read, np.frombuffer(data, np.uint8))
     assert codec.protobuf_class(Frame).FromString(data).data == pixels.tobytes()

@@ -34,7 +34,7 @@ def test_every_exposure_has_a_pose_however_old_poses_are() -> None:
     experiment = load_experiment("pool", ["sim.latency_s=0.2", ROBOT])
     hub, stop = MemoryHub(), Stop(install=False)
     exposed: list[int] = []
-    told: list[Header] = []
+    headers: list[Header] = []
 
     def count(topic: Topic, key: str, header: Header, payload: bytes) -> None:
         exposed.append(header.stamp_ns)
@@ -43,28 +43,28 @@ def test_every_exposure_has_a_pose_however_old_poses_are() -> None:
 
     witness = Bus(MemoryTransport(hub))
     witness.subscribe(topics.TRUTH, None, count)
-    witness.subscribe(topics.POSE, 1, lambda topic, key, header, payload: told.append(header))
+    witness.subscribe(topics.POSE, 1, lambda topic, key, header, payload: headers.append(header))
     sockets = UdpPorts(free_base_port((1,)), (1,), experiment.seed)
     PoolNode(experiment, Bus(MemoryTransport(hub)), sockets, stop, lockstep=False, poses=True).run()
-    assert [header.stamp_ns for header in told] == exposed
-    assert min(header.age_ns for header in told) >= 200_000_000
+    assert [header.stamp_ns for header in headers] == exposed
+    assert min(header.age_ns for header in headers) >= 200_000_000
 
 
 @pytest.mark.long
 def test_a_camera_thread_that_fails_ends_the_run_with_the_reason(monkeypatch: pytest.MonkeyPatch) -> None:
     """At its third picture. The run ends by itself, although nobody takes pictures any more, and says why."""
-    experiment, seen = load_experiment("pool", [ROBOT]), [0]
+    experiment, count = load_experiment("pool", [ROBOT]), [0]
 
     def render(*args: Any) -> Any:
-        seen[0] += 1
-        if seen[0] == 3:
+        count[0] += 1
+        if count[0] == 3:
             raise ValueError("robot 1: eta = nan must be finite")
         return np.zeros((960, 1280), np.uint8)
 
     monkeypatch.setattr(Renderer, "render", render)
     sockets, stop = UdpPorts(free_base_port((1,)), (1,), experiment.seed), Stop(install=False)
     PoolNode(experiment, Bus(MemoryTransport(MemoryHub())), sockets, stop, lockstep=False).run()
-    assert seen[0] == 3
+    assert count[0] == 3
     with pytest.raises(Failed, match="thread camera ended: ValueError: robot 1: eta = nan must be finite"):
         stop.raise_failure()
 

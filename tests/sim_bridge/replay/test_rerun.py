@@ -104,8 +104,8 @@ class Pond:
             beside = self.trajectory.eta[:30] + self.random.normal((0.0, 0.7, 0.0, 0.0), 0.01, (30, 4))
             self.world.publish(topics.PLAN, Plan(0.05, beside, beside), self.sent_ns, OTHER)
             corner = np.array([0.6, 0.4]) + 0.1 * np.array([[math.cos(a), math.sin(a)] for a in np.arange(12) * math.tau / 12])
-            seen = Obstacles((3,), corner[None], np.zeros((1, 2)), 0.3, 1.0, unseen_s=np.zeros(1))
-            self.world.publish(topics.OBSTACLES, seen, self.sent_ns)
+            ball = Obstacles((3,), corner[None], np.zeros((1, 2)), 0.3, 1.0, unseen_s=np.zeros(1))
+            self.world.publish(topics.OBSTACLES, ball, self.sent_ns)
             self.station.publish(topics.HEARTBEAT, StationHeartbeat(self.experiment.hash, False, "RUNNING"), self.sent_ns)
             self.clock.tick_ns += PERIOD_NS
             now_ns = self.clock.tick_ns
@@ -135,7 +135,7 @@ def flown() -> Pond:
 
 
 def again(lines: list[LogMessage], experiment: Experiment) -> tuple[list[RobotState], list[Plan], list[str]]:
-    states, plans, said = [], [], []
+    states, plans, messages = [], [], []
     for _, message, _ in Rerun(experiment, ME).run(iter(lines)):
         if isinstance(message, RobotState):
             states.append(message)
@@ -143,8 +143,8 @@ def again(lines: list[LogMessage], experiment: Experiment) -> tuple[list[RobotSt
             plans.append(message)
         else:
             assert isinstance(message, Event)
-            said.append(message.message)
-    return states, plans, said
+            messages.append(message.message)
+    return states, plans, messages
 
 
 def same(one: list[RobotState], other: list[RobotState]) -> list[bool]:
@@ -152,8 +152,8 @@ def same(one: list[RobotState], other: list[RobotState]) -> list[bool]:
 
 
 def test_every_step_comes_out_the_same(flown: Pond) -> None:
-    states, plans, said = again(flown.lines, flown.experiment)
-    assert said == []
+    states, plans, messages = again(flown.lines, flown.experiment)
+    assert messages == []
     assert all(same(states, flown.states))
     assert [encode(plan) for plan in plans] == [encode(plan) for plan in flown.plans]
     assert any(state.solve for state in states)
@@ -171,8 +171,8 @@ def with_states(flown: Pond) -> list[LogMessage]:
 
 def test_another_tuning_comes_out_otherwise_and_is_not_refused(flown: Pond) -> None:
     changed = load_experiment("pool", [*UNMOVED, "controller.nmpc.turning_m=0.1"])
-    states, _, said = again(with_states(flown), changed)
-    assert said == []
+    states, _, messages = again(with_states(flown), changed)
+    assert messages == []
     assert [state.mode for state in states] == [state.mode for state in flown.states]  # its orders are obeyed
     wrenches = [np.abs(a.wrench - b.wrench).max() for a, b in zip(states, flown.states, strict=True)]
     assert max(wrenches) > 1e-3
@@ -181,9 +181,9 @@ def test_another_tuning_comes_out_otherwise_and_is_not_refused(flown: Pond) -> N
 def test_observer_uses_the_pulses_that_really_went_out(flown: Pond) -> None:
     """With the log's states behind its steps a changed agent sees no disturbance in thrust that it never gave."""
     changed, corrected = load_experiment("pool", [*UNMOVED, "controller.nmpc.turning_m=0.1"]), with_states(flown)
-    found, _, _ = again(corrected, changed)
-    assert all(a.eta.tobytes() == b.eta.tobytes() for a, b in zip(found, flown.states, strict=True))
-    assert any(a.wrench.tobytes() != b.wrench.tobytes() for a, b in zip(found, flown.states, strict=True))
+    states_again, _, _ = again(corrected, changed)
+    assert all(a.eta.tobytes() == b.eta.tobytes() for a, b in zip(states_again, flown.states, strict=True))
+    assert any(a.wrench.tobytes() != b.wrench.tobytes() for a, b in zip(states_again, flown.states, strict=True))
     unchanged, _, _ = again(corrected, flown.experiment)
     assert all(same(unchanged, flown.states))
 
@@ -192,9 +192,9 @@ def test_observer_uses_the_pulses_that_really_went_out(flown: Pond) -> None:
 def test_input_missing_in_the_log_is_named(flown: Pond, topic: Topic) -> None:
     of_this = [k for k, line in enumerate(flown.lines) if line.topic is topic]
     gap = of_this[len(of_this) // 2]
-    states, _, said = again(flown.lines[:gap] + flown.lines[gap + 1 :], flown.experiment)
-    assert len(said) == 1
-    assert "not in the log" in said[0]
+    states, _, messages = again(flown.lines[:gap] + flown.lines[gap + 1 :], flown.experiment)
+    assert len(messages) == 1
+    assert "not in the log" in messages[0]
     assert len(states) == len(flown.states) - (topic is topics.INPUTS)
 
 
@@ -220,12 +220,12 @@ def test_with_a_new_station_a_disarmed_robot_begins_anew_and_its_log_is_whole() 
     for order in (Order.LOAD, Order.ARM, Order.START):
         assert pond.order(order).accepted
     pond.step(10)
-    states, _, said = again(pond.lines[before:], pond.experiment)
-    assert said == []
+    states, _, messages = again(pond.lines[before:], pond.experiment)
+    assert messages == []
     assert all(same(states, pond.states[first:]))
     # and the log of both lives, as a recorder that outlived the station would have it
-    states, _, said = again(pond.lines, pond.experiment)
-    assert said == []
+    states, _, messages = again(pond.lines, pond.experiment)
+    assert messages == []
     assert all(same(states, pond.states))
 
 
