@@ -99,7 +99,7 @@ def test_water_does_not_run_ahead_when_a_port_is_flooded() -> None:
 class TickingClock:
     """A millisecond later at each look."""
 
-    begin_ns = 1_700_000_000_000_000_000
+    waits, begin_ns = False, 1_700_000_000_000_000_000
 
     def __init__(self) -> None:
         self._now_ns = self.begin_ns
@@ -107,6 +107,9 @@ class TickingClock:
     def now_ns(self) -> int:
         self._now_ns += 1_000_000
         return self._now_ns
+
+    def arrival_ns(self, stamp_ns: int) -> int:
+        return self.now_ns()
 
     def instant_ns(self, received: Received[Any]) -> int:
         return received.header.stamp_ns
