@@ -326,6 +326,15 @@ class Experiment(Section):
         """The path whose node that robot is on."""
         return self.path if robot.path is None else robot.path
 
+    def clearance_m(self, place_m: Array) -> Array:
+        """Distances (n,) of hulls at (n, 3) from the nearest wall, floor or island, in m; below 0 they touch it, and they are
+        infinite where there is none. A robot may float: the surface is no wall."""
+        x, y, z = np.abs(place_m.T)
+        length, width, depth = self.pool.size_m
+        beside = [length / 2.0 - x, width / 2.0 - y, depth - z] if self.pool.walls else [np.full(len(place_m), np.inf)]
+        shores = [np.hypot(*(place_m[:, :2] - island.position_m).T) - island.radius_m for island in self.islands]
+        return np.asarray(np.min([*beside, *shores], axis=0) - self.vehicle.radius_m)
+
     @property
     def watches_obstacles(self) -> bool:
         """True if the localizer has to watch for obstacles: the camera does not move, and obstacle_min_m is not 0. If it is

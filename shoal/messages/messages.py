@@ -283,6 +283,9 @@ class StationHeartbeat:
     out: Annotated[tuple[Uint32, ...], 8] = ()  # Robots that have been taken out of the water: nobody keeps clear of them.
 
 
+ALONE = "alone-"  # begins the id of a trajectory that one robot flies on its own, and whose clock is its own
+
+
 @dataclass(frozen=True, eq=False)
 class Trajectory:
     """One robot's reference trajectory, sampled every period_s from `begin_s` on. Yaw is the path's tangent, unwrapped."""
