@@ -120,8 +120,8 @@ def _watch(experiment: Experiment, channel: int) -> str:
     vehicle, where = experiment.vehicle, place(experiment.vehicle, channel)
     what = part(vehicle, channel)
     if vehicle.legs is None:
-        way = ", ".join(f"{number:.2g}" for number in vehicle.thruster_places[channel][3:])
-        return f"{what}, {where}, turns slowly and pushes the robot towards ({way}): ahead, to starboard, down."
+        direction = ", ".join(f"{number:.2g}" for number in vehicle.thruster_places[channel][3:])
+        return f"{what}, {where}, turns slowly and pushes the robot towards ({direction}): ahead, to starboard, down."
     if channel < LEGS:
         return f"{what}, {where}, turns slowly and pushes ahead: its jet goes astern."
     return f"{what}, {where}, turns by {ANKLE_DEG} degrees and back: its jet goes up, thrust would point down."

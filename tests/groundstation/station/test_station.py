@@ -515,7 +515,7 @@ def test_the_paths_flown_now_are_told_with_their_end(tmp_path: Path) -> None:
     with a_station(tmp_path) as station:
         segment = station.mission.segment
         station.publish_paths(0)
-        assert station.paths == {robot: (way, segment.end_s) for robot, way in segment.trajectories.items()}
+        assert station.paths == {robot: (trajectory, segment.end_s) for robot, trajectory in segment.trajectories.items()}
         short = replace(segment, end_s=3.0)
         station.mission.plans.adopt(short)
         station.mission.roster.mark_lost(2, "silent")
@@ -529,10 +529,10 @@ def test_a_trip_of_one_robot_is_published_and_then_its_path_again(tmp_path: Path
     with a_station(tmp_path, hub) as station:
         segment = station.mission.segment
         alone = named_alone(segment.trajectories[2])
-        trip = RobotTask(Order.GO, 0, transfer=replace(segment, trajectories={2: alone}, end_s=4.0))
+        task = RobotTask(Order.GO, 0, transfer=replace(segment, trajectories={2: alone}, end_s=4.0))
         ids = []
         for leader in (Leader.MISSION, Leader.PERSON, Leader.MISSION):
-            station.single.tasks[2], station.mission.roster.led_by[2] = trip, leader
+            station.single.tasks[2], station.mission.roster.led_by[2] = task, leader
             station.publish_paths(0)
             newest = [inboxes[robot].newest() for robot in (1, 2)]
             ids.append([received.message.id for received in newest if received is not None])
