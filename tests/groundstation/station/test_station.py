@@ -619,7 +619,7 @@ def test_programs_of_other_code_than_the_stations_are_named_on_the_page_and_in_t
         status = station.status()
         views = {robot: replace(view, state_age_s=0.0) for robot, view in status.seen.items()}  # however slow the machine is
         alarm_list = alarms(station.experiment, views, localizer, 0.0, "", status.lasting)
-        ours = [alarm.told for alarm in alarm_list if alarm.key.endswith("code")]
+        ours = [alarm.line for alarm in alarm_list if alarm.key.endswith("code")]
         assert ours == [
             f"the localizer runs 0.1.0 8289d898, the station {own}", f"robot 2: runs an earlier version, the station {own}",
         ]  # fmt: skip
