@@ -12,10 +12,9 @@ from groundstation.cli.keys import keys_cli
 from groundstation.cli.keys_of import keys_of
 from groundstation.cli.mission import fleet_request, gains_cli, go, mission_cli, order, register, set_or_undo, states
 from groundstation.cli.replay import ended, replay
-from groundstation.cli.rerun import moment, rerun
 from groundstation.cli.run import plan, run
 from groundstation.cli.run_list import delete, label, list_runs
-from groundstation.cli.runs import benchmark_report, compare, export, record, repair, report
+from groundstation.cli.runs import benchmark_report, compare, export, repair, report
 from groundstation.cli.stop import ProgramGroup, register_stop
 from shoal.runtime.cli_options import Version
 from shoal.runtime.optional_packages import run_role
@@ -49,8 +48,8 @@ def _renamed(command: Callable[..., None], name: str) -> Callable[..., None]:
     return old
 
 
-log_cli = _group("Recorded runs: list, label, delete, report, compare, export, repair, replay, rerun (docs/runs.md).")
-for command in (report, compare, export, repair, replay, rerun, record):
+log_cli = _group("Recorded runs: list, label, delete, report, compare, export, repair, replay (docs/runs.md).")
+for command in (report, compare, export, repair, replay):
     log_cli.command()(command)
 log_cli.command("list")(list_runs)
 log_cli.command()(label)
@@ -70,7 +69,6 @@ cli.add_typer(benchmark_cli, name="benchmark")
 cli.add_typer(keys_cli, name="keys")
 cli.command()(deploy)
 cli.add_typer(foxglove_cli, name="foxglove")
-cli.command(hidden=True)(moment)
 cli.command(hidden=True)(ended)
 
 OLD_NAMES: dict[str, tuple[Callable[..., None], str]] = {
@@ -84,8 +82,6 @@ OLD_NAMES: dict[str, tuple[Callable[..., None], str]] = {
     "export": (export, "log export"),
     "recover": (repair, "log repair"),
     "replay": (replay, "log replay"),
-    "rerun": (rerun, "log rerun"),
-    "record": (record, "log record"),
     "comparison": (benchmark_report, "benchmark report"),
     "foxglove-layout": (foxglove_layout, "foxglove layout"),
 }

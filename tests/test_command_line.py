@@ -65,8 +65,7 @@ each = pytest.mark.parametrize(
 def test_help_has_an_example_that_is_this_very_command(path: tuple[str, ...], command: Any) -> None:
     text = " ".join((command.help or "").split())
     assert "Example" in text
-    if path != ("groundstation", "log", "record"):  # nobody types it
-        assert " ".join(path) in text.partition("Example")[2]
+    assert " ".join(path) in text.partition("Example")[2]
 
 
 def commands_of(page: Path) -> list[list[str]]:
@@ -157,8 +156,8 @@ def test_command_lines_on_pages_are_ones_that_there_are(page: Path) -> None:
 
 
 def test_a_shell_completes_commands_options_experiments_and_orders() -> None:
-    assert completed("groundstation log re") == {"repair", "record", "replay", "report", "rerun"}
-    assert {"--set", "--robot", "--json"} <= completed("groundstation log rerun --")
+    assert completed("groundstation log re") == {"repair", "replay", "report"}
+    assert {"--set", "--robot", "--json"} <= completed("sim-bridge rerun --", "sim-bridge")
     assert completed("groundstation mission s") == {"start", "states"}
     assert completed("sim-bridge sil open", "sim-bridge") == {"open-water"}
 
@@ -175,7 +174,7 @@ def test_an_experiments_name_completes_to_files_too(tmp_path: Path, monkeypatch:
 
 def test_codes_for_what_cannot_be_done() -> None:
     for arguments in (
-        ["log", "rerun"],
+        ["log", "replay"],
         ["mission", "fly"],
         ["mission", "go", "nan", "1"],
         ["run", "pool", "--warp"],
@@ -221,9 +220,12 @@ def test_a_dry_run_looks_at_the_way_to_the_robots_too(tmp_path: Path) -> None:
 
 
 def test_a_run_that_is_none_is_named(tmp_path: Path) -> None:
-    for command in ("rerun", "replay", "export"):
-        more = ["--out", str(tmp_path / "out"), "--foxglove"] if command == "export" else []
-        code, _, output = ended("groundstation", "log", command, str(tmp_path), *more)
+    for program, *words in (
+        ("sim_bridge", "rerun", str(tmp_path)),
+        ("groundstation", "log", "replay", str(tmp_path)),
+        ("groundstation", "log", "export", str(tmp_path), "--out", str(tmp_path / "out"), "--foxglove"),
+    ):
+        code, _, output = ended(program, *words)
         assert (code, "Traceback" in output) == (2, False)
         assert str(tmp_path) in output
 

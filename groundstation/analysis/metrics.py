@@ -102,10 +102,12 @@ def evaluate(series: Series, log: RunLog) -> Result:
 def _in_flight(happening: TimelineEvent, series: Series) -> bool:
     """True if an event belongs to the evaluated flight. What ended a flight early comes after its last step under way;
     what comes after a flight that went to its end is none of its faults."""
-    if not series.started:
-        return True
-    until_s = series.end_s if went_all_the_way(series) else series.ended_s
-    return 0.0 <= happening.time_s <= until_s
+    return not series.started or 0.0 <= happening.time_s <= judged_until_s(series)
+
+
+def judged_until_s(series: Series) -> float:
+    """Time up to which faults count: the end of the evaluation, or of the flight if it did not go all the way."""
+    return series.end_s if went_all_the_way(series) else series.ended_s
 
 
 def _part(flight: Flight, start_ns: int) -> FlightPart:

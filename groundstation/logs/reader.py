@@ -46,6 +46,7 @@ from shoal.runtime.mcap_records import (
 from shoal.system.regular_files import open_regular
 
 M = TypeVar("M")
+SentMessage = tuple[Topic, int | None, Any, int]  # topic, robot, message, stamp in ns
 
 READ = (
     topics.TRUTH,
@@ -352,6 +353,16 @@ class RunLog:
         """Everything recorded of a topic, in the order of the stamps."""
         assert kind is topic.type
         return self.entries.get((topic.name, robot), [])
+
+
+def log_in_memory(messages: Iterable[SentMessage], metadata: Mapping[str, str]) -> RunLog:
+    """The log of a run that this process flies, without a file. Every message arrives at its stamp."""
+    entries: dict[tuple[str, int], list[DecodedMessage[Any]]] = {}
+    for topic, robot, message, stamp_ns in messages:
+        found = entries.setdefault((topic.name, robot or 0), [])
+        found.append(DecodedMessage(stamp_ns, stamp_ns, len(found) + 1, message))
+    count = sum(map(len, entries.values()))
+    return RunLog(entries, dict(metadata), messages=count, complete=True, ended=True)
 
 
 def read_log(path: Path, wanted: Collection[Topic] = READ, kept_of: Callable[[Any], Any] = lambda message: message) -> RunLog:

@@ -395,7 +395,7 @@ class BoardReading:
 class StepInputs:
     """All inputs of a robot's control step. The header's stamp is the step's instant.
 
-    With the plans and the obstacles that it names, and the commands, the step can be repeated (`groundstation log rerun`).
+    With the plans and the obstacles that it names, and the commands, the step can be repeated (`sim-bridge rerun`).
     Instants are on the robot's clock."""
 
     step: Annotated[Uint32, 1]  # Number of the step, 0, 1, 2 ..., since the robot's program began or met a new station.

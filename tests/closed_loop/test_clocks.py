@@ -17,7 +17,6 @@ import pytest
 
 from groundstation.logs.reader import DecodedMessage, key_topic, open_log, read_log, valid_messages
 from groundstation.logs.recorder import Recorder, run_metadata
-from groundstation.replay.step_replay import own_messages
 from groundstation.station.process import record_everything
 from groundstation.telemetry import LinkMonitor
 from groundstation.web.live_backend import LiveBackend
@@ -49,6 +48,7 @@ from shoal.messages.messages import (
 )
 from shoal.messages.topics import Topic
 from shoal.runtime.runtime import Stop, WallClock
+from sim_bridge.replay.step_replay import own_messages
 from tests.closed_loop.computers import MS, ClockedComputer, NetworkLine, S, TimedWorld
 from tests.groundstation.fake_station import FakeStation
 from tests.robot_agent.obedient_board import Board

@@ -17,7 +17,6 @@ from shoal.frames import Array
 from shoal.messages import topics
 from shoal.messages.messages import Mode, RobotState, Solve
 from sim_bridge.in_process.fleet import fly
-from sim_bridge.studies.metrics import measures
 from tests.closed_loop.numeric import flown
 from tests.planted import executed, installed, plant
 
@@ -74,7 +73,6 @@ def test_a_robot_that_has_given_up_is_as_wrong_as_it_is() -> None:
     missed_m = water.eta[1, :3] - path(8.0)[:3]
     assert np.linalg.norm(missed_m) > 1.0
     np.testing.assert_allclose(fleet.errors()[-1, 1, :3], missed_m, atol=1e-3)
-    assert (measures(fleet)["rms_m"] or 0.0) > 0.3
 
 
 def test_a_formation_that_turns_with_its_path_is_tracked_too() -> None:

@@ -91,7 +91,7 @@ def test_no_program_imports_from_the_working_folder(
     lockstep_run: tuple[Path, int, str], planted: Path, tmp_path: Path
 ) -> None:
     assert not executed(planted)
-    words = [installed("groundstation"), "log", "rerun", str(lockstep_run[0]), "--robot", "1"]
+    words = [installed("sim-bridge"), "rerun", str(lockstep_run[0]), "--robot", "1"]
     subprocess.run(words, cwd=planted, capture_output=True, check=True)
     from_there = ["sil", "--from", str(lockstep_run[0]), "--at", "13", "--out", str(tmp_path)]
     subprocess.run([installed("sim-bridge"), *from_there], cwd=planted, capture_output=True, check=False)
@@ -116,8 +116,8 @@ def test_the_result_of_thirty_seconds_is_within_the_figures_to_reach(tmp_path: P
 
 
 def rerun(folder: Path, *arguments: str) -> list[dict[str, Any]]:
-    """The output of `groundstation log rerun --json` for a run."""
-    command = [sys.executable, "-m", "groundstation", "log", "rerun", str(folder), "--json", *arguments]
+    """The output of `sim-bridge rerun --json` for a run."""
+    command = [sys.executable, "-m", "sim_bridge", "rerun", str(folder), "--json", *arguments]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.stdout, done.stderr
     robots: list[dict[str, Any]] = json.loads(done.stdout)

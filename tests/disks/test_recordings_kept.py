@@ -7,7 +7,6 @@ import os
 import random
 import re
 import shutil
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import suppress
@@ -22,10 +21,7 @@ from mcap.stream_reader import StreamReader
 
 from localizer.detection.image_regions import BAYER_TO_BGR
 from localizer.sources.recording import recorded_frames
-from shoal.config.experiment import dump_experiment, load_experiment
-from shoal.messages import topics
-from shoal.messages.messages import Pose, Track
-from shoal.messages.pipe import PipeWriter
+from shoal.config.experiment import load_experiment
 from tests.disks import jobs
 from tests.disks.forked import EndedCommand, Programs
 from tests.groundstation.small_log import sequences
@@ -34,7 +30,6 @@ from tests.localizer.scene import Scene
 pytestmark = pytest.mark.long
 
 SEED = int(os.environ.get("DISKS_SEED", "0")) or time.time_ns() % 1_000_000  # printed; the variable repeats a run
-ROBOTS, SAID_S, SAY_EVERY_S = 8, 1.3, 0.05  # of a run that is handed over: two flushes of the recorder and its end
 
 
 @pytest.fixture(scope="module")
@@ -61,29 +56,9 @@ def whole_messages(path: Path) -> list[Message]:
 
 
 def record(programs: Programs, folder: Path, fault: str, call: int) -> EndedCommand:
-    """Have the station's recorder write a run that another program hands over little by little."""
+    """Have the station's recorder write a run little by little."""
     folder.mkdir()
-    (folder / "experiment.toml").write_text(dump_experiment(load_experiment("pool")))
-    pipe = folder.with_name(f"{folder.name}.pipe")
-    os.mkfifo(pipe)
-
-    def say() -> None:
-        try:
-            with pipe.open("wb", buffering=0) as stream:
-                writer = PipeWriter(stream, session=5)
-                for k in range(round(SAID_S / SAY_EVERY_S)):
-                    pose = Pose(0.1 * k, 0.0, 0.0, np.eye(3), Track.MARKER, True, 0.9, 0.3)
-                    for robot in range(1, ROBOTS + 1):
-                        writer.publish(topics.POSE, pose, 50_000_000 * k, robot)
-                    time.sleep(SAY_EVERY_S)
-        except BrokenPipeError:
-            return
-
-    speaker = threading.Thread(target=say)
-    speaker.start()
-    ended = programs.run(["groundstation", "log", "record", "."], folder, fault, call, str(pipe))
-    speaker.join()
-    return ended
+    return programs.run(["tests.disks.jobs:record_run"], folder, fault, call)
 
 
 def check_log(programs: Programs, folder: Path, fault: str, call: int) -> None:
@@ -109,7 +84,7 @@ def check_log(programs: Programs, folder: Path, fault: str, call: int) -> None:
         assert not (folder / "run.mcap.original").exists()
         return
     assert mended.code == 0, f"{case}: {mended}"
-    assert sequences(log) == whole == [1 + k // ROBOTS for k in range(len(whole))], case
+    assert sequences(log) == whole == [1 + k // jobs.ROBOTS for k in range(len(whole))], case
     if "mended" in mended.output:
         assert (folder / "run.mcap.original").read_bytes() == before, f"{case}: the original is lost"
 

@@ -15,7 +15,6 @@ import pytest
 from playwright.sync_api import Browser, Page, expect
 
 from groundstation.logs.reader import open_log, read_log
-from groundstation.replay.step_replay import rerun
 from shoal.messages import topics
 from shoal.messages.codec import decode
 from shoal.messages.messages import (
@@ -23,6 +22,7 @@ from shoal.messages.messages import (
     RobotState,
     Tuning,
 )
+from sim_bridge.replay.step_replay import rerun
 from sim_bridge.sil.ports import free_port
 from tests.page.elements import answer, button, in_mode, map_of, tile
 from tests.page.flights import OperatorFlight, PageTraffic, open_page, serious

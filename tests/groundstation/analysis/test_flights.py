@@ -20,7 +20,6 @@ from shoal.config.experiment import Experiment
 from shoal.errors import ConfigError
 from shoal.messages import topics
 from shoal.messages.messages import Mode, RobotState, StationHeartbeat, Trajectory
-from sim_bridge.studies.metrics import broken_limits
 from tests.groundstation.synthetic import PERIOD_S, START_S, Script, write_run
 
 SECOND = 1_000_000_000
@@ -241,11 +240,7 @@ def test_a_flight_under_20_s_has_no_settled_figures(flown: tuple[Experiment, Run
     experiment = flown[0]
     limits = experiment.limits.model_copy(update={"rms_after_20s_m": 0.01, "wrench_step_rms": 0.1, "rms_m": 0.5})
     short = experiment.model_copy(update={"limits": limits})
-    nothing = dict.fromkeys(("arrived_m", "rms_after_20s_m", "rms_yaw_after_20s_rad", "max_after_20s_m", "wrench_step_rms"))
-    assert broken_limits(short, {"rms_m": 0.1, **nothing}) == []
-    assert broken_limits(short, {"rms_m": 0.6, **nothing}) == ["rms_m"]
     long = short.model_copy(update={"duration_s": 30.0})
-    assert broken_limits(long, {"rms_m": 0.1, **nothing}) == ["rms_after_20s_m", "wrench_step_rms"]
     assert not settled(20.0) and settled(20.1)
     over = with_path_until(flown[1], long, 4.0)
     unjudged = {check.name for check in result_of(long, over).checks if check.passed is None and not check.failed}

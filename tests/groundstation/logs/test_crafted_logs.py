@@ -2,8 +2,6 @@
 
 import json
 import struct
-import subprocess
-import sys
 import tracemalloc
 import zlib
 from collections.abc import Iterator
@@ -296,17 +294,6 @@ def test_layouts_and_figures_are_written_over_nothing_of_a_run(tmp_path: Path) -
         done = CliRunner().invoke(cli, ["foxglove", "layout", "pool", "--out", str(tmp_path / name)])
         assert isinstance(done.exception, ConfigError) and "would be lost" in str(done.exception)
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
-
-
-@pytest.mark.long
-def test_a_recorder_fed_by_a_pipe_does_not_replace_a_log(tmp_path: Path) -> None:
-    write_crafted(tmp_path, "shoal/robot/2/pose")
-    before = (tmp_path / "run.mcap").read_bytes()
-    command = [sys.executable, "-m", "groundstation", "log", "record", str(tmp_path)]
-    done = subprocess.run(command, input=b"", capture_output=True, check=False)
-    assert (done.returncode, done.stderr.count(b"\n")) == (2, 1)
-    assert b"would be lost" in done.stderr
-    assert (tmp_path / "run.mcap").read_bytes() == before
 
 
 def test_records_of_a_sound_log_are_those_of_the_recorder(tmp_path: Path) -> None:

@@ -26,15 +26,13 @@ from shoal.config.experiment import EXPERIMENTS, NO_CAMERA, Experiment, load_exp
 from shoal.config.loader import check
 from shoal.errors import ConfigError
 from shoal.runtime.output import terminal
-from shoal.runtime.runtime import Failed, Stop
+from shoal.runtime.runtime import Stop
 from shoal.runtime.version import code
 from sim_bridge.__main__ import cli
-from sim_bridge.in_process import run
 from sim_bridge.studies import campaign_runner
 from sim_bridge.studies.campaign import Campaign, flights
 from sim_bridge.studies.campaign_flight import planning_text
 from sim_bridge.studies.dependence import dependence, dependences, lines, reasons
-from sim_bridge.studies.metrics import MEASURES, broken_limits
 from sim_bridge.studies.statistics import distribution, quantile, rate
 from tests.planted import installed
 from tests.waiting import eventually
@@ -137,7 +135,7 @@ def test_differences_are_paired_and_flights_with_a_fault_are_counted_but_not_ave
     """A tenth less than an error of 1, 3 or 8 mm: over seeds no difference is plain, pair by pair it is."""
 
     def row(key: str, seed: int, error_m: float, fault: float = 0.0) -> dict[str, Any]:
-        reason = "at_fault, no pose" if fault else ""
+        reason = "faults; no pose" if fault else ""
         figures = {"rms_after_20s_m": error_m, "at_fault": fault, "passed": not fault, "reason": reason}
         return {"status": "flown", "seed": seed, "k": key, **figures}
 
@@ -151,7 +149,7 @@ def test_differences_are_paired_and_flights_with_a_fault_are_counted_but_not_ave
     assert first.against_first["rms_after_20s_m"] is None and gain is not None and level is not None
     assert gain.value == pytest.approx(-0.4) and gain.high is not None and gain.high < 0.0
     assert level.value == pytest.approx(3.6) and (second.flights, second.faults) == (4, 1)
-    assert reasons(flights) == [(1, "at_fault"), (1, "no pose")]
+    assert reasons(flights) == [(1, "faults"), (1, "no pose")]
     assert max(len(line) for line in lines(flights, dependences(loaded, flights))) <= 80
 
 
@@ -182,7 +180,7 @@ def test_the_command_flies_it_again(flown: Path, tmp_path: Path) -> None:
     (folder,) = tmp_path.iterdir()
     result = json.loads((folder / "result.json").read_text())
     per_axis = [value for part in ("robots", "pairs") for subject in result[part].values() for value in subject["rms_m"]]
-    assert max(per_axis) == pytest.approx(row["rms_m"], rel=2e-3)  # the report begins one step later
+    assert max(per_axis) == pytest.approx(row["rms_m"], rel=1e-6)  # the log holds single precision
     assert result["min_separation_m"] == pytest.approx(row["min_separation_m"], rel=1e-6)
 
 
@@ -284,14 +282,14 @@ def test_a_flight_that_does_not_arrive_has_not_passed(tmp_path: Path) -> None:
     (row,) = rows(tmp_path / "c")
     limit_m = load_experiment("swap").limits.arrived_m
     assert limit_m is not None and row["arrived_m"] > limit_m
-    assert not row["passed"] and "arrived_m" in row["reason"]
+    assert not row["passed"] and "from its place at the end" in row["reason"]
 
 
 @pytest.mark.parametrize(
     ("setting", "reason"),
     [
-        ('sim.faults=[{at_s=0.2,what="battery 2 sag 4"}]', "at_fault"),
-        ("robots.1.start=[0.71,-0.33,0.3,1.6]", "min_separation_m"),
+        ('sim.faults=[{at_s=0.2,what="battery 2 sag 4"}]', "faults"),
+        ("robots.1.start=[0.71,-0.33,0.3,1.6]", "separation"),
     ],
 )
 def test_a_flight_that_breaks_what_every_run_must_keep_has_not_passed(setting: str, reason: str, tmp_path: Path) -> None:
@@ -300,17 +298,9 @@ def test_a_flight_that_breaks_what_every_run_must_keep_has_not_passed(setting: s
     loaded = campaign(settings=["duration_s=1.5", setting], seeds=1, sweep={}, draw={})
     assert fly(loaded, tmp_path / "c") == 0
     (row,) = rows(tmp_path / "c")
-    assert (row["status"], row["passed"], row["reason"].split(", ")[0]) == ("flown", False, reason)
-    assert (reason == "at_fault") == (", " in row["reason"])  # and then in which words
+    assert (row["status"], row["passed"]) == ("flown", False) and reason in row["reason"].split("; ")
     words = [sys.executable, "-m", "sim_bridge", *shlex.split(row["command"])[1:], "--out", str(tmp_path / "runs")]
     assert subprocess.run(words, capture_output=True, check=False).returncode == 1
-
-
-def test_a_figure_that_is_no_number_breaks_its_limit() -> None:
-    figures = {**dict.fromkeys(MEASURES, 0.0), "min_separation_m": 1.0}
-    diverged: dict[str, float | None] = {**figures, "rms_after_20s_m": float("nan"), "min_separation_m": float("nan")}
-    assert broken_limits(load_experiment("pool"), {**figures}) == []
-    assert broken_limits(load_experiment("pool"), diverged) == ["rms_after_20s_m", "min_separation_m"]
 
 
 def test_a_robot_that_refuses_is_a_refusal_with_its_reason_and_leaves_no_folder(tmp_path: Path) -> None:
@@ -323,14 +313,6 @@ def test_a_robot_that_refuses_is_a_refusal_with_its_reason_and_leaves_no_folder(
     assert fly(campaign(settings=settings, seeds=1, sweep={}, draw={}), tmp_path / "c") == 1
     (row,) = rows(tmp_path / "c")
     assert (row["status"], row["reason"]) == ("refused", str(done.exception))
-
-
-def test_a_planner_that_is_killed_has_refused_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    dies = "import os, sys\nif 'plan' in sys.orig_argv: os.kill(os.getpid(), 9)"
-    (tmp_path / "sitecustomize.py").write_text(dies)  # Python reads it in each process
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    with pytest.raises(Failed, match="groundstation plan ended with exit code -9: without a word"):
-        run.plan(load_experiment("pool", [NO_CAMERA]))
 
 
 def test_a_flight_that_failed_is_flown_again_by_resume(flown: Path, tmp_path: Path) -> None:

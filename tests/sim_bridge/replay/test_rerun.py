@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from groundstation.logs.reader import LogMessage
 from groundstation.planning import planner
 from robot_agent.node import AgentNode
-from robot_agent.rerun import Rerun
 from shoal.bus.bus import Bus, Received
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
 from shoal.config.experiment import Experiment, load_experiment
@@ -32,14 +32,13 @@ from shoal.messages.messages import (
 )
 from shoal.messages.topics import Topic
 from shoal.runtime.runtime import Stop
+from sim_bridge.replay.rerun import Rerun
 from tests.robot_agent.obedient_board import Board
 
 ME, OTHER = 1, 2
 PERIOD_NS = 50_000_000
 HOUR_NS = 3_600_000_000_000
 BEHIND_NS = 3_000_000_000
-Line = tuple[Topic, int | None, Header, bytes]
-
 UNMOVED = ("safety.watch_thrusters=false",)  # nothing that its thrusters do moves the robot of these tests
 
 
@@ -61,7 +60,7 @@ class Pond:
     """One robot's program with its surroundings, stepped by hand."""
 
     experiment: Experiment
-    lines: list[Line] = field(default_factory=list)
+    lines: list[LogMessage] = field(default_factory=list)
     states: list[RobotState] = field(default_factory=list)
     plans: list[Plan] = field(default_factory=list)
 
@@ -86,9 +85,9 @@ class Pond:
         return self.clock.tick_ns - BEHIND_NS
 
     def _hear(self, topic: Topic, key: str, header: Header, payload: bytes) -> None:
-        robot = int(key.split("/")[2]) if "/robot/" in key else None
+        robot = int(key.split("/")[2]) if "/robot/" in key else 0
         if topic is not topics.PLAN or robot != ME:
-            self.lines.append((topic, robot, header, payload))
+            self.lines.append(LogMessage(topic, robot, header, payload, header.stamp_ns))
 
     def order(self, order: Order) -> Reply:
         command = Command(
@@ -135,7 +134,7 @@ def flown() -> Pond:
     return pond
 
 
-def again(lines: list[Line], experiment: Experiment) -> tuple[list[RobotState], list[Plan], list[str]]:
+def again(lines: list[LogMessage], experiment: Experiment) -> tuple[list[RobotState], list[Plan], list[str]]:
     states, plans, messages = [], [], []
     for _, message, _ in Rerun(experiment, ME).run(iter(lines)):
         if isinstance(message, RobotState):
@@ -160,13 +159,13 @@ def test_every_step_comes_out_the_same(flown: Pond) -> None:
     assert any(state.solve for state in states)
 
 
-def with_states(flown: Pond) -> list[Line]:
+def with_states(flown: Pond) -> list[LogMessage]:
     """The flight as in a station's log: each step followed by its state."""
     states, lines = iter(flown.states), []
     for line in flown.lines:
         lines.append(line)
-        if line[0] is topics.INPUTS:
-            lines.append((topics.STATE, ME, line[2], encode(next(states))))
+        if line.topic is topics.INPUTS:
+            lines.append(LogMessage(topics.STATE, ME, line.header, encode(next(states)), line.arrived_ns))
     return lines
 
 
@@ -191,7 +190,7 @@ def test_observer_uses_the_pulses_that_really_went_out(flown: Pond) -> None:
 
 @pytest.mark.parametrize("topic", [topics.PLAN, topics.OBSTACLES, topics.INPUTS])
 def test_input_missing_in_the_log_is_named(flown: Pond, topic: Topic) -> None:
-    of_this = [k for k, line in enumerate(flown.lines) if line[0] is topic]
+    of_this = [k for k, line in enumerate(flown.lines) if line.topic is topic]
     gap = of_this[len(of_this) // 2]
     states, _, messages = again(flown.lines[:gap] + flown.lines[gap + 1 :], flown.experiment)
     assert len(messages) == 1
@@ -200,9 +199,9 @@ def test_input_missing_in_the_log_is_named(flown: Pond, topic: Topic) -> None:
 
 
 def test_a_record_of_halves_is_left_out(flown: Pond) -> None:
-    def broken() -> Iterator[Line]:
-        yield topics.INPUTS, ME, Header(1, 1, 1), b"\x50\x01"  # plan_robots = [1], nothing else
-        yield topics.INPUTS, ME, Header(1, 1, 1), b"\xff\xff"
+    def broken() -> Iterator[LogMessage]:
+        yield LogMessage(topics.INPUTS, ME, Header(1, 1, 1), b"\x50\x01", 1)  # plan_robots = [1], nothing else
+        yield LogMessage(topics.INPUTS, ME, Header(1, 1, 1), b"\xff\xff", 1)
 
     assert len(again(list(broken()), flown.experiment)[2]) == 2
 

@@ -1,4 +1,4 @@
-"""Comparison by `groundstation log rerun` of a robot's steps: the log's beside the program's."""
+"""Comparison by `sim-bridge rerun` of a robot's steps: the log's beside the program's."""
 
 from pathlib import Path
 
@@ -6,12 +6,12 @@ import numpy as np
 
 from groundstation.logs.reader import metadata_of
 from groundstation.logs.recorder import Recorder, run_metadata
-from groundstation.replay.step_diff import StepOutputs, compare
-from groundstation.replay.step_replay import recorded_by_other_code
 from shoal.config.experiment import load_experiment
 from shoal.messages import topics
 from shoal.messages.codec import encode
 from shoal.messages.messages import Event, Plan, RobotState
+from sim_bridge.replay.step_diff import StepOutputs, compare
+from sim_bridge.replay.step_replay import recorded_by_other_code
 
 
 def told(stamps: range, gap: str = "") -> StepOutputs:

@@ -7,9 +7,9 @@ import pytest
 from typer.testing import CliRunner
 
 from groundstation.__main__ import cli
+from groundstation.logs.bus_replay import SEEN_AND_SAID, chosen, send
 from groundstation.logs.reader import LogFile, open_log
 from groundstation.logs.recorder import Recorder
-from groundstation.replay.bus_replay import SEEN_AND_SAID, chosen, send
 from robot_agent.agent import Agent
 from robot_agent.inputs import Inputs
 from shoal.bus.bus import Bus
