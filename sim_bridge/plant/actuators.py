@@ -36,7 +36,7 @@ class Actuators(NamedTuple):
     ankle_delay: int
 
 
-class Commands(NamedTuple):
+class ActuatorCommands(NamedTuple):
     """Commands to n robots, and the faults of their actuators, during some steps of the plant."""
 
     history_us: Cube  # (k, n, 8): those of the k steps before the first one, newest first
@@ -74,14 +74,14 @@ def interpolate(x: float, knots: Floats, values: Floats) -> float:
 
 
 @kernel(inline=True, part=True)
-def acting_us(commands: Commands, delay: int, step: int, i: int, output: int) -> float:
+def acting_us(commands: ActuatorCommands, delay: int, step: int, i: int, output: int) -> float:
     """The pulse of one dead time ago on an output of robot i."""
     age = delay - step
     return float(commands.history_us[age - 1, i, output] if age > 0 else commands.pulses_us[i, output])
 
 
 @kernel(part=True)
-def set_targets(i: int, motors: Motors, actuators: Actuators, commands: Commands, step: int, factor: float) -> None:
+def set_targets(i: int, motors: Motors, actuators: Actuators, commands: ActuatorCommands, step: int, factor: float) -> None:
     """Write the forces and angles that the actuators of robot i approach during a step: those of the pulses of one dead time
     ago. `factor` is the battery's effect on thrust."""
     thrusters = len(actuators.place_m)

@@ -18,7 +18,7 @@ J_PER_WH = 3600.0
 THRUST_EXPONENT = 1.2  # of thrust over voltage (OpenThruster's A2212 data at 10 to 12.6 V)
 
 
-class Battery(NamedTuple):
+class BatteryPack(NamedTuple):
     """Constants of the batteries."""
 
     is_ideal: bool
@@ -35,7 +35,7 @@ class Battery(NamedTuple):
 
 
 @kernel(part=True)
-def thrust_factor(i: int, battery: Battery, charge: float, force_n: Table, lost_v: float) -> float:
+def thrust_factor(i: int, battery: BatteryPack, charge: float, force_n: Table, lost_v: float) -> float:
     """Thrust of robot i over the static curve's: (voltage / curve's voltage)^1.2. The voltage falls with the thrusters' mean
     load, and by `lost_v` besides. An ideal battery falls by that alone."""
     voltage = battery.curve_v
@@ -50,7 +50,7 @@ def thrust_factor(i: int, battery: Battery, charge: float, force_n: Table, lost_
 
 
 @kernel(part=True)
-def charge_after(i: int, battery: Battery, charge: float, force_n: Table, seconds: float) -> float:
+def charge_after(i: int, battery: BatteryPack, charge: float, force_n: Table, seconds: float) -> float:
     """Charge that is left of robot i's when its thrusters push for so long. Their power goes with |thrust|^1.5 (momentum
     theory); the electronics need theirs too."""
     if battery.is_ideal:
@@ -70,7 +70,7 @@ class BatteryModel:
         cells = vehicle.battery.cells
         cell_v = sensors.battery_v / cells
         self._start_charge, self._start_v = float(np.interp(cell_v, CELL_V, CHARGE)), sensors.battery_v
-        self.constants = Battery(
+        self.constants = BatteryPack(
             battery.capacity_wh == 0,
             CHARGE,
             CELL_V,

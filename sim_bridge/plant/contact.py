@@ -20,7 +20,7 @@ CONTACT_DAMPING_S_PER_M = 10.0
 COINCIDENT_M = 1e-9  # m, least distance of two centres, against division by zero
 
 
-class Basin(NamedTuple):
+class BasinContact(NamedTuple):
     """Constants of contact."""
 
     inside_m: Vector  # limits of centres, on both sides in x and y; in z a floor only, the surface is the hull's (restoring)
@@ -36,14 +36,14 @@ def normal_force(stiffness_npm: float, penetration_m: float, closing_mps: float)
 
 
 @kernel(inline=True, part=True)
-def wall_force(basin: Basin, inside_m: float, at_m: float, speed_mps: float) -> float:
+def wall_force(basin: BasinContact, inside_m: float, at_m: float, speed_mps: float) -> float:
     """Force along an axis of a hull between two walls."""
     side = -1.0 if at_m < 0.0 else 1.0
     return -side * normal_force(basin.stiffness_npm, side * at_m - inside_m, side * speed_mps)
 
 
 @kernel(inline=True, part=True)
-def repulsion(basin: Basin, offset_m: Vector, reach_m: float, velocity_mps: Vector) -> Vector:
+def repulsion(basin: BasinContact, offset_m: Vector, reach_m: float, velocity_mps: Vector) -> Vector:
     """Force on a hull at an offset from something round that touches it within a reach; both relative to it."""
     distance = max(math.sqrt(dot(offset_m, offset_m)), COINCIDENT_M)
     away = scale(1.0 / distance, offset_m)
@@ -51,7 +51,7 @@ def repulsion(basin: Basin, offset_m: Vector, reach_m: float, velocity_mps: Vect
 
 
 @kernel(part=True)
-def basin_force(basin: Basin, place_m: Vector, velocity_mps: Vector) -> Vector:
+def basin_force(basin: BasinContact, place_m: Vector, velocity_mps: Vector) -> Vector:
     """Force of walls, floor and islands on a hull, in the pool frame."""
     force = Vector(
         wall_force(basin, basin.inside_m.x, place_m.x, velocity_mps.x),
@@ -66,7 +66,7 @@ def basin_force(basin: Basin, place_m: Vector, velocity_mps: Vector) -> Vector:
 
 
 @kernel(part=True)
-def hulls_force(basin: Basin, states: Table, i: int) -> Vector:
+def hulls_force(basin: BasinContact, states: Table, i: int) -> Vector:
     """Force of all other hulls on hull i, in the pool frame."""
     force, place, reach_m = NO_VECTOR, place_of(states, i), 2.0 * basin.radius_m
     for j in range(len(states)):
@@ -87,7 +87,7 @@ class ContactModel:
         self._inside_m = reach - radius_m
         self._islands_m = np.array([[*island.position_m, island.radius_m] for island in experiment.islands]).reshape(-1, 3)
         stiffness_npm = float(experiment.vehicle.mass.surge_kg) * CONTACT_RADPS**2
-        self.constants = Basin(Vector(*self._inside_m.tolist()), self._islands_m, radius_m, stiffness_npm)
+        self.constants = BasinContact(Vector(*self._inside_m.tolist()), self._islands_m, radius_m, stiffness_npm)
 
     def touching(self, position_m: Array) -> list[int]:
         """Indices of the hulls at (n, 3) that touch a wall, the floor, an island or another hull."""

@@ -14,11 +14,11 @@ from shoal.errors import ConfigError
 from shoal.frames import Array
 from shoal.messages.messages import Truth
 from sim_bridge.fault_schedule import ActuatorFaults
-from sim_bridge.plant.actuators import ActuatorModel, ActuatorState, Commands, Motors
+from sim_bridge.plant.actuators import ActuatorCommands, ActuatorModel, ActuatorState, Motors
 from sim_bridge.plant.battery import BatteryModel
 from sim_bridge.plant.contact import ContactModel
 from sim_bridge.plant.currents_waves import WaterFlow
-from sim_bridge.plant.motion import Fleet, Memory, Parts, Span, accelerations, advance
+from sim_bridge.plant.motion import FleetVariables, Parts, Span, StateTables, accelerations, advance
 from sim_bridge.plant.rigid_body import hull_of
 from sim_bridge.plant.robot_state import HEAVE, STATES, SURGE, SWAY, TURN, LevelMotion
 
@@ -56,7 +56,7 @@ class Plant:
         self._hull = hull_of(experiment)
         self._parts = self._constants()
         self.no_faults = ActuatorFaults(np.ones((n, OUTPUTS)), np.zeros(n))
-        self._memory = Memory(*np.zeros((4, n, STATES)))
+        self._tables = StateTables(*np.zeros((4, n, STATES)))
 
     def _constants(self) -> Parts:
         thrusters, supply, flow, basin = self._thrusters, self._supply, self._flow, self._basin
@@ -92,9 +92,9 @@ class Plant:
         motion = LevelMotion(state.eta.copy(), state.nu.copy(), state.tilt.copy())
         force_n, ankle_rad = before.force_n.copy(), before.ankle_rad.copy()
         motors = Motors(force_n, ankle_rad, np.empty_like(force_n), np.empty_like(ankle_rad))
-        fleet = Fleet(motion, motors, state.charge.copy())
-        commands = Commands(before.pulses_us, pulses_us, gain, faults.sag_v)
-        advance(fleet, commands, Span(state.steps, steps, self._step_s), self._parts, self._memory)
+        fleet = FleetVariables(motion, motors, state.charge.copy())
+        commands = ActuatorCommands(before.pulses_us, pulses_us, gain, faults.sag_v)
+        advance(fleet, commands, Span(state.steps, steps, self._step_s), self._parts, self._tables)
         return PlantState(
             state.steps + steps, motion.eta, motion.nu, ActuatorState(force_n, ankle_rad, history), motion.tilt, fleet.charge
         )
@@ -103,9 +103,9 @@ class Plant:
         """d nu / dt now, (n, 4), and the thrusters' forces and moments (n, 6)."""
         force_n, ankle_rad = state.motors.force_n, state.motors.ankle_rad
         still = Motors(force_n, ankle_rad, force_n, ankle_rad)  # they stay where they are
-        fleet = Fleet(LevelMotion(state.eta, state.nu, state.tilt), still, state.charge)
+        fleet = FleetVariables(LevelMotion(state.eta, state.nu, state.tilt), still, state.charge)
         acceleration, wrench = np.empty_like(state.nu), np.empty((len(state.nu), 6))
-        accelerations(fleet, self.time_s(state), self._parts, self._memory, acceleration, wrench)
+        accelerations(fleet, self.time_s(state), self._parts, self._tables, acceleration, wrench)
         return acceleration, wrench
 
     def acceleration(self, state: PlantState) -> Array:

@@ -10,8 +10,8 @@ from typing import NamedTuple
 from shoal.kernels.decorator import kernel
 from shoal.kernels.types import Floats, Table
 from sim_bridge.plant.actuators import (
+    ActuatorCommands,
     Actuators,
-    Commands,
     Lapse,
     Motors,
     lapse_of,
@@ -19,10 +19,10 @@ from sim_bridge.plant.actuators import (
     set_targets,
     thrusters_wrench,
 )
-from sim_bridge.plant.battery import Battery, charge_after, thrust_factor
-from sim_bridge.plant.contact import Basin, basin_force, hulls_force
+from sim_bridge.plant.battery import BatteryPack, charge_after, thrust_factor
+from sim_bridge.plant.contact import BasinContact, basin_force, hulls_force
 from sim_bridge.plant.currents_waves import Flow, WaterMotion, gust_motion, water_motion
-from sim_bridge.plant.rigid_body import Hull, body_acceleration
+from sim_bridge.plant.rigid_body import BodyConstants, body_acceleration
 from sim_bridge.plant.robot_state import (
     ANGULAR,
     LINEAR,
@@ -30,9 +30,9 @@ from sim_bridge.plant.robot_state import (
     ROLL,
     STATES,
     LevelMotion,
-    attitude_of,
     nu_of,
     place_of,
+    rotation_of,
     set_level_acceleration,
     set_motion,
     set_state,
@@ -49,21 +49,21 @@ class Parts(NamedTuple):
     """Constants of the equations, by physical part."""
 
     actuators: Actuators
-    battery: Battery
+    battery: BatteryPack
     flow: Flow
-    basin: Basin
-    hull: Hull
+    basin: BasinContact
+    hull: BodyConstants
 
 
-class Fleet(NamedTuple):
-    """What changes in a step, of n robots."""
+class FleetVariables(NamedTuple):
+    """Variables of n robots that a step changes."""
 
     motion: LevelMotion
     motors: Motors
     charge: Floats  # (n,) of the batteries, 0 to 1
 
 
-class Memory(NamedTuple):
+class StateTables(NamedTuple):
     """States of n robots within a step, (n, STATES) each."""
 
     start: Table
@@ -81,7 +81,7 @@ class Span(NamedTuple):
 
 
 class Instant(NamedTuple):
-    """What is the same for all robots at an instant."""
+    """Quantities of an instant that all robots share."""
 
     time_s: float
     lapse: Lapse  # of the actuators since the step's start
@@ -89,10 +89,10 @@ class Instant(NamedTuple):
 
 
 @kernel(part=True)
-def set_rate(i: int, parts: Parts, motors: Motors, memory: Memory, now: Instant) -> None:
+def set_rate(i: int, parts: Parts, motors: Motors, tables: StateTables, now: Instant) -> None:
     """Write d/dt of the state of robot i: eta' = J(eta) nu, and nu' of the forces of thrusters, contact and disturbance."""
-    state, rate, hull = memory.state, memory.rate, parts.hull
-    place, turn, nu = place_of(state, i), attitude_of(state, i), nu_of(state, i)
+    state, rate, hull = tables.state, tables.rate, parts.hull
+    place, turn, nu = place_of(state, i), rotation_of(state, i), nu_of(state, i)
     velocity = to_pool(turn, nu.linear)
     water = water_motion(parts.flow, now.gust, place, now.time_s)
     contact = add(basin_force(parts.basin, place, velocity), hulls_force(parts.basin, state, i))
@@ -107,10 +107,10 @@ def set_rate(i: int, parts: Parts, motors: Motors, memory: Memory, now: Instant)
 
 
 @kernel
-def advance(fleet: Fleet, commands: Commands, span: Span, parts: Parts, memory: Memory) -> None:
+def advance(fleet: FleetVariables, commands: ActuatorCommands, span: Span, parts: Parts, tables: StateTables) -> None:
     """Move a fleet on by some steps, in place, with constant pulses on the outputs."""
     motion, motors, charge = fleet
-    start, state, rate, total = memory
+    start, state, rate, total = tables
     robots, step_s = len(charge), span.step_s
     for step in range(span.steps):
         begin_s = (span.first_step + step) * step_s
@@ -126,7 +126,7 @@ def advance(fleet: Fleet, commands: Commands, span: Span, parts: Parts, memory: 
             lapse = lapse_of(parts.actuators, max(since_s, AT_ONCE_S))
             now = Instant(time_s, lapse, gust_motion(parts.flow, time_s))
             for i in range(robots):
-                set_rate(i, parts, motors, memory, now)
+                set_rate(i, parts, motors, tables, now)
             for i in range(robots):
                 for k in range(STATES):
                     total[i, k] += WEIGHTS[stage] * rate[i, k]
@@ -141,15 +141,17 @@ def advance(fleet: Fleet, commands: Commands, span: Span, parts: Parts, memory: 
 
 
 @kernel
-def accelerations(fleet: Fleet, time_s: float, parts: Parts, memory: Memory, acceleration: Table, wrench: Table) -> None:
+def accelerations(
+    fleet: FleetVariables, time_s: float, parts: Parts, tables: StateTables, acceleration: Table, wrench: Table
+) -> None:
     """d/dt (n, 4) of the level velocities now, and the thrusters' force and moment (n, 6). Motors are where their targets
     are."""
     now = Instant(time_s, lapse_of(parts.actuators, AT_ONCE_S), gust_motion(parts.flow, time_s))
     for i in range(len(fleet.charge)):
-        set_state(memory.state, fleet.motion, i)
+        set_state(tables.state, fleet.motion, i)
     for i in range(len(fleet.charge)):
-        set_rate(i, parts, fleet.motors, memory, now)
-        set_level_acceleration(memory.state, memory.rate, acceleration, i)
+        set_rate(i, parts, fleet.motors, tables, now)
+        set_level_acceleration(tables.state, tables.rate, acceleration, i)
         thrust = thrusters_wrench(i, fleet.motors, parts.actuators, now.lapse)
         set_row(wrench, i, 0, thrust.linear)
         set_row(wrench, i, 3, thrust.angular)

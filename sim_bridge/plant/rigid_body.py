@@ -17,12 +17,12 @@ from shoal.errors import ConfigError
 from shoal.kernels.decorator import kernel
 from shoal.kernels.types import Floats, Table
 from sim_bridge.plant.currents_waves import GRAVITY_MPS2, WaterMotion
-from sim_bridge.plant.vectors import NO_VECTOR, Attitude, SixVector, Vector, add, cross, dot, row_vector, subtract, to_body
+from sim_bridge.plant.vectors import NO_VECTOR, Rotation, SixVector, Vector, add, cross, dot, row_vector, subtract, to_body
 
 DENSITY_KGPM3 = 998.0  # fresh water at 20 degrees
 
 
-class Hull(NamedTuple):
+class BodyConstants(NamedTuple):
     """The hull of every robot of an experiment: constants of the equations of motion."""
 
     sway: bool  # False: the article's plant. v = 0, each axis by itself
@@ -38,7 +38,7 @@ class Hull(NamedTuple):
     disturbance_radps: Floats  # (n,) of each robot
 
 
-def hull_of(experiment: Experiment) -> Hull:
+def hull_of(experiment: Experiment) -> BodyConstants:
     """The hull of an experiment. Raises ConfigError for one that cannot be."""
     plant, vehicle, tilt = experiment.sim.plant, experiment.vehicle, experiment.sim.plant.tilt
     tilts = plant.sway and tilt.enabled
@@ -55,7 +55,7 @@ def hull_of(experiment: Experiment) -> Hull:
         )
     drag = 1.0 + plant.drag_error
     surge_n, heave_n, yaw_nm = plant.disturbance_wrench  # (ambiguity A13)
-    return Hull(
+    return BodyConstants(
         plant.sway,
         inertia,
         np.linalg.inv(inertia) * np.array([[True, plant.sway, True, tilts, tilts, True]]).T,
@@ -92,7 +92,7 @@ def product(matrix: Table, vector: SixVector) -> SixVector:
 
 
 @kernel(inline=True, part=True)
-def coriolis(hull: Hull, nu: SixVector) -> SixVector:
+def coriolis(hull: BodyConstants, nu: SixVector) -> SixVector:
     """C(nu) nu = [omega x P, omega x L + v x P] with the momenta [P, L] = M nu (Kirchhoff)."""
     if not hull.sway:
         return SixVector(NO_VECTOR, NO_VECTOR)
@@ -102,7 +102,7 @@ def coriolis(hull: Hull, nu: SixVector) -> SixVector:
 
 
 @kernel(inline=True, part=True)
-def damping(hull: Hull, nu: SixVector) -> SixVector:
+def damping(hull: BodyConstants, nu: SixVector) -> SixVector:
     """D(nu) nu: each axis has linear and quadratic drag. On a round hull the horizontal quadratic drag points against the
     flow, and takes the horizontal speed instead of |u| and |v|."""
     (u, v, w), (p, q, r) = nu
@@ -122,7 +122,7 @@ def damping(hull: Hull, nu: SixVector) -> SixVector:
 
 
 @kernel(inline=True, part=True)
-def restoring(hull: Hull, turn: Attitude, z_m: float) -> SixVector:
+def restoring(hull: BodyConstants, turn: Rotation, z_m: float) -> SixVector:
     """g(eta) of a hull at a depth: residual buoyancy, above water the missing displacement of the cap of height c = r - z that
     stands out, rho g pi / 3 c^2 (3 r - c), and the righting moment of the low centre of mass."""
     radius_m = hull.radius_m
@@ -133,7 +133,9 @@ def restoring(hull: Hull, turn: Attitude, z_m: float) -> SixVector:
 
 
 @kernel(part=True)
-def body_acceleration(hull: Hull, turn: Attitude, z_m: float, nu: SixVector, tau: SixVector, water: WaterMotion) -> SixVector:
+def body_acceleration(
+    hull: BodyConstants, turn: Rotation, z_m: float, nu: SixVector, tau: SixVector, water: WaterMotion
+) -> SixVector:
     """nu' of a body with forces tau on its axes, in water that moves:
 
         M nu_r' + C(nu_r) nu_r + D(nu_r) nu_r + g(eta) = tau,    nu_r = nu - [R^T water, 0]

@@ -9,15 +9,15 @@ from typing import NamedTuple
 from shoal.kernels.decorator import kernel
 from shoal.kernels.types import Table
 from sim_bridge.plant.vectors import (
-    Attitude,
+    Rotation,
     SixVector,
     Vector,
     add,
     angle_rates,
     angular_velocity,
-    attitude,
     cross,
     from_level,
+    rotation,
     row_vector,
     set_row,
     to_level,
@@ -46,9 +46,9 @@ def place_of(states: Table, i: int) -> Vector:
 
 
 @kernel(inline=True, part=True)
-def attitude_of(states: Table, i: int) -> Attitude:
+def rotation_of(states: Table, i: int) -> Rotation:
     """Attitude of robot i."""
-    return attitude(states[i, ROLL], states[i, PITCH], states[i, YAW])
+    return rotation(states[i, ROLL], states[i, PITCH], states[i, YAW])
 
 
 @kernel(inline=True, part=True)
@@ -60,7 +60,7 @@ def nu_of(states: Table, i: int) -> SixVector:
 @kernel(part=True)
 def pool_velocity(states: Table, i: int) -> Vector:
     """Velocity of robot i in the pool frame."""
-    return to_pool(attitude_of(states, i), row_vector(states, i, LINEAR))
+    return to_pool(rotation_of(states, i), row_vector(states, i, LINEAR))
 
 
 @kernel(part=True)
@@ -68,7 +68,7 @@ def set_state(states: Table, motion: LevelMotion, i: int) -> None:
     """Write the state of robot i from its motion on level axes."""
     eta, nu, tilt = motion
     states[i, ROLL], states[i, PITCH], states[i, YAW] = tilt[i, 0], tilt[i, 1], eta[i, TURN]
-    turn = attitude_of(states, i)
+    turn = rotation_of(states, i)
     set_row(states, i, PLACE, row_vector(eta, i, 0))
     set_row(states, i, LINEAR, from_level(turn, row_vector(nu, i, 0)))
     rates = Vector(tilt[i, ROLL_RATE], tilt[i, PITCH_RATE], nu[i, TURN])
@@ -79,7 +79,7 @@ def set_state(states: Table, motion: LevelMotion, i: int) -> None:
 def set_motion(states: Table, motion: LevelMotion, i: int) -> None:
     """The inverse of `set_state`."""
     eta, nu, tilt = motion
-    turn, (linear, angular) = attitude_of(states, i), nu_of(states, i)
+    turn, (linear, angular) = rotation_of(states, i), nu_of(states, i)
     rates = angle_rates(turn, angular)
     set_row(eta, i, 0, place_of(states, i))
     set_row(nu, i, 0, to_level(turn, linear))
@@ -93,7 +93,7 @@ def set_level_acceleration(states: Table, rates: Table, acceleration: Table, i: 
 
     With Q = Ry Rx: d/dt (Q v) = Q (v' + omega x v) - yaw' z x Q v, and cos(pitch) yaw' = sin(roll) q + cos(roll) r.
     """
-    turn, (v, omega) = attitude_of(states, i), nu_of(states, i)
+    turn, (v, omega) = rotation_of(states, i), nu_of(states, i)
     angles = angle_rates(turn, omega)
     v_level = to_level(turn, v)
     v_rate = to_level(turn, add(row_vector(rates, i, LINEAR), cross(omega, v)))

@@ -26,8 +26,8 @@ class SixVector(NamedTuple):
     angular: Vector  # velocity p, q, r, angular momentum, or moment K, M, N
 
 
-class Attitude(NamedTuple):
-    """Sines and cosines of roll, pitch and yaw."""
+class Rotation(NamedTuple):
+    """An attitude: sines and cosines of roll, pitch and yaw."""
 
     sin_roll: float
     cos_roll: float
@@ -83,13 +83,13 @@ def cross(a: Vector, b: Vector) -> Vector:
 
 
 @kernel(inline=True, part=True)
-def attitude(roll: float, pitch: float, yaw: float) -> Attitude:
-    """The attitude of three angles."""
-    return Attitude(math.sin(roll), math.cos(roll), math.sin(pitch), math.cos(pitch), math.sin(yaw), math.cos(yaw))
+def rotation(roll: float, pitch: float, yaw: float) -> Rotation:
+    """The rotation by three angles."""
+    return Rotation(math.sin(roll), math.cos(roll), math.sin(pitch), math.cos(pitch), math.sin(yaw), math.cos(yaw))
 
 
 @kernel(inline=True, part=True)
-def to_level(turn: Attitude, v: Vector) -> Vector:
+def to_level(turn: Rotation, v: Vector) -> Vector:
     """Ry(pitch) Rx(roll) v: from the body's to level axes."""
     down = turn.sin_roll * v.y + turn.cos_roll * v.z
     side = turn.cos_roll * v.y - turn.sin_roll * v.z
@@ -97,7 +97,7 @@ def to_level(turn: Attitude, v: Vector) -> Vector:
 
 
 @kernel(inline=True, part=True)
-def from_level(turn: Attitude, v: Vector) -> Vector:
+def from_level(turn: Rotation, v: Vector) -> Vector:
     """The inverse of `to_level`."""
     ahead = turn.cos_pitch * v.x - turn.sin_pitch * v.z
     down = turn.sin_pitch * v.x + turn.cos_pitch * v.z
@@ -105,7 +105,7 @@ def from_level(turn: Attitude, v: Vector) -> Vector:
 
 
 @kernel(inline=True, part=True)
-def to_pool(turn: Attitude, v: Vector) -> Vector:
+def to_pool(turn: Rotation, v: Vector) -> Vector:
     """R v: from the body's axes to the pool frame."""
     level = to_level(turn, v)
     along, across = turn.cos_yaw * level.x - turn.sin_yaw * level.y, turn.sin_yaw * level.x + turn.cos_yaw * level.y
@@ -113,14 +113,14 @@ def to_pool(turn: Attitude, v: Vector) -> Vector:
 
 
 @kernel(inline=True, part=True)
-def to_body(turn: Attitude, v: Vector) -> Vector:
+def to_body(turn: Rotation, v: Vector) -> Vector:
     """R^T v: from the pool frame to the body's axes."""
     ahead, side = turn.cos_yaw * v.x + turn.sin_yaw * v.y, turn.cos_yaw * v.y - turn.sin_yaw * v.x
     return from_level(turn, Vector(ahead, side, v.z))
 
 
 @kernel(inline=True, part=True)
-def angle_rates(turn: Attitude, omega: Vector) -> Vector:
+def angle_rates(turn: Rotation, omega: Vector) -> Vector:
     """d/dt of roll, pitch and yaw at an angular velocity on the body's axes (Fossen 2021, eq. 2.31)."""
     yaw_rate = (turn.sin_roll * omega.y + turn.cos_roll * omega.z) / turn.cos_pitch
     pitch_rate = turn.cos_roll * omega.y - turn.sin_roll * omega.z
@@ -128,7 +128,7 @@ def angle_rates(turn: Attitude, omega: Vector) -> Vector:
 
 
 @kernel(inline=True, part=True)
-def angular_velocity(turn: Attitude, rates: Vector) -> Vector:
+def angular_velocity(turn: Rotation, rates: Vector) -> Vector:
     """The inverse of `angle_rates`."""
     about_z = turn.cos_pitch * rates.z
     return Vector(
