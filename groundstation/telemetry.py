@@ -212,16 +212,29 @@ def _experiment(experiment: Experiment, view: RobotView, state: RobotState) -> F
         yield "experiment", "critical", True, text, DEPLOY if view.other_code else same
     if view.other_code:
         yield "code", "warning", False, view.other_code, DEPLOY
-    if view.localizer_hash not in ("", experiment.hash):  # its markers may be other robots', its camera may hang elsewhere
+
+
+def _pose_senders(experiment: Experiment, view: RobotView, state: RobotState) -> FindingFields:
+    """Findings by which no robot flies on: its poses may be another robot's, or those of a camera that hangs elsewhere."""
+    if view.localizer_hash not in ("", experiment.hash):
         text = f"its poses are by another experiment ({view.localizer_hash[:8]}, here {experiment.hash[:8]})"
         yield "localizer", "critical", True, text, "start the localizer with this run's experiment.toml"
+    if view.two_pose_senders:
+        remedy = "end one: a localizer, or a simulator that was left running"
+        yield "poses", "critical", True, "two programs publish its poses by turns", remedy
+
+
+def foreign_poses(experiment: Experiment, fleet: Fleet, robots: Sequence[int]) -> str:
+    """Reason why these robots may not fly by their poses, with the remedy; empty if they may."""
+    for robot in robots:
+        view = fleet[robot]
+        for *_, text, remedy in _pose_senders(experiment, view, view.state) if view.state is not None else ():
+            return f"robot {robot}: {text} ({remedy})"
+    return ""
 
 
 def _pose(experiment: Experiment, view: RobotView, state: RobotState) -> FindingFields:
     pose, limit_s = view.pose, topics.POSE.max_age_in(experiment.safety)
-    if view.two_pose_senders:
-        remedy = "end one: a localizer, or a simulator that was left running"
-        yield "poses", "critical", True, "two programs publish its poses by turns", remedy
     if pose is None or view.pose_age_s > limit_s:
         age = "none yet" if pose is None else f"{view.pose_age_s:.1f} s old"
         yield "pose", "warning", True, f"no fresh pose ({age})", "is the localizer running, the robot in the picture?"
@@ -315,7 +328,7 @@ def _sight(experiment: Experiment, view: RobotView, state: RobotState) -> Findin
 
 
 CHECKS: tuple[Callable[[Experiment, RobotView, RobotState], FindingFields], ...] = (
-    _mode, _experiment, _board, _pose, _sight, _link, _gains, _step, _control,
+    _mode, _experiment, _board, _pose_senders, _pose, _sight, _link, _gains, _step, _control,
 )  # fmt: skip
 
 

@@ -230,14 +230,6 @@ def test_a_run_that_is_none_is_named(tmp_path: Path) -> None:
         assert str(tmp_path) in output
 
 
-@pytest.mark.parametrize(
-    ("old", "new"), [(["phases"], "mission states"), (["report", "--help"], ""), (["recover", "nowhere"], "log repair")]
-)
-def test_an_old_command_name_works_and_names_the_new_one(old: list[str], new: str) -> None:
-    _, _, why = ended("groundstation", *old)
-    assert (f"this command is now: groundstation {new}" in why) is bool(new)
-
-
 def test_unwritable_output_is_told_in_one_line(tmp_path: Path) -> None:
     file = tmp_path / "file"
     file.touch()

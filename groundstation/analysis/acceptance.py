@@ -13,6 +13,7 @@ from shoal.config.vehicle import AXES as WRENCH_AXES
 MISSED_FRACTION = 0.001  # of all control steps; more is a run that did not keep time
 KNOWN_SHARE = 0.9  # of the flight in which distances and errors must be known: what nobody saw has not been good
 AXES = ("x", "y", "z")
+CLEARANCE = "clearance of hulls"  # name of a check
 
 
 def went_all_the_way(series: Series) -> bool:
@@ -33,7 +34,7 @@ def checks(result: Result, series: Series) -> Iterator[Check]:
 
 
 def _of_every_run(result: Result, series: Series) -> Iterator[Check]:
-    """Checks that every run has to pass: a whole log, a whole flight, no faults, timely steps, distance."""
+    """Checks that every run has to pass: a whole log, a whole flight, no faults, timely steps, distance, no contact."""
     experiment = series.experiment
     missing = float(result.log_dropped) if result.log_complete else None
     yield Check("messages missing from the log", result.log_trouble.partition(":")[0], missing, 0.0, not result.log_trouble)
@@ -50,6 +51,19 @@ def _of_every_run(result: Result, series: Series) -> Iterator[Check]:
         blind = _unknown({f"pair {a}-{b}": series.known_share(series.separation_m(a, b)) for a, b in _pairs(series)})
         passed = closest is not None and closest >= allowed and not blind
         yield Check("separation", blind or f"pair {closest_pair}", closest, allowed, passed, "m", at_least=True)
+    yield from _of_contact(series)
+
+
+def _of_contact(series: Series) -> Iterator[Check]:
+    """Check that no hull touched a wall, the floor or an island. Against the truth alone: a localizer's poses are some
+    centimetres off, and a robot in a real pool may lie at its wall."""
+    if series.errors_against != "truth":
+        return
+    clear_m = {r: series.experiment.clearance_m(found.truth[:, :3]) for r, found in series.robots.items()}
+    least_m = {r: float(np.nanmin(m)) for r, m in clear_m.items() if np.isfinite(m).any()}
+    if least_m:
+        robot = min(least_m, key=lambda r: least_m[r])
+        yield Check(CLEARANCE, f"robot {robot}", least_m[robot], 0.0, least_m[robot] >= 0.0, "m", at_least=True)
 
 
 def _of_errors(errors: dict[str, Errors], series: Series) -> Iterator[Check]:

@@ -88,8 +88,8 @@ class Comparison:
     surge_limit_n: float
     robots: list[int]
     variants: list[Variant]
-    separation_m: float = 0.0  # the least that robots may come to one another; 0: not told, in older files
-    commit: str = ""  # of the code that flew; empty: not told, in older files
+    separation_m: float  # the least that robots may come to one another
+    commit: str  # of the code that flew
 
     def to_json(self) -> str:
         """The content of comparison.json."""

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from groundstation.analysis.acceptance import went_all_the_way
+from groundstation.analysis.acceptance import CLEARANCE, went_all_the_way
 from groundstation.analysis.metrics import judged_until_s
 from groundstation.analysis.results import Result
 from groundstation.analysis.series import Series
@@ -21,6 +21,7 @@ MEASURES = {
     "rms_yaw_after_20s_rad": "RMS heading error to the path's tangent after 20 s, worst robot or pair [rad]",
     "arrived_m": "farthest robot from its reference at the end, horizontally [m]",
     "min_separation_m": "least distance between two centres [m]",
+    "min_clearance_m": "least distance of a hull from a wall, the floor or an island; below 0 it touched [m]",
     "wrench_step_rms": "RMS of input changes after 20 s, of the largest allowed, worst axis of any robot",
     "at_fault": "share of control steps in which a robot reported a fault: why it held, stopped or gave up",
     "off_track": "share of control steps in which a robot was not tracking",
@@ -46,6 +47,7 @@ def measures(series: Series, log: RunLog, result: Result) -> dict[str, float | N
         "rms_yaw_after_20s_rad": _worst(result, "rms_yaw_after_20s_rad"),
         "arrived_m": max(ends) if went_all_the_way(series) and np.isfinite(ends).all() else None,
         "min_separation_m": result.min_separation_m,
+        "min_clearance_m": next((check.value for check in result.checks if check.name == CLEARANCE), None),
         "wrench_step_rms": max(c / b for c, b in zip(changes, bound, strict=False)) if changes else None,
         "at_fault": _share(states, lambda state: bool(state.fault)),
         "off_track": _share(states, lambda state: state.mode is not Mode.TRACKING),

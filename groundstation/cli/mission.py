@@ -169,16 +169,6 @@ for _name in (*FLEET_REQUESTS, *map(order_name, WATER)):
         register(mission_cli, _name, "mission ")
 
 
-@request
-def order(
-    what: Annotated[str, typer.Argument(metavar="ORDER", help=f"One of: {', '.join(FLEET_REQUESTS)}.")],
-) -> tuple[str, Command]:
-    """Make a request of the whole fleet. Old name of `groundstation mission ...`."""
-    if what not in FLEET_REQUESTS:
-        raise typer.BadParameter(f"{what!r} is no order (allowed: {', '.join(FLEET_REQUESTS)})")
-    return what, request_named(what)
-
-
 @gains_cli.command("set")
 @request
 def set_gains(
@@ -201,17 +191,6 @@ def undo_gains() -> tuple[str, Command]:
     Example:  groundstation gains undo
     """
     return _gains(())
-
-
-@request
-def set_or_undo(
-    changes: Annotated[list[str] | None, typer.Argument(metavar="KEY=VALUE", help="Gains.")] = None,
-    undo: Annotated[bool, typer.Option("--undo", help="Go back to the gains before.")] = False,
-) -> tuple[str, Command]:
-    """Change gains. Old name of `groundstation gains set` and `gains undo`."""
-    if bool(changes) == undo:
-        raise typer.BadParameter("either KEY=VALUE, or --undo")
-    return _gains(changes or ())
 
 
 def _gains(changes: Sequence[str]) -> tuple[str, Command]:

@@ -204,7 +204,7 @@ class ConnectedFleet:
 
     def wait_ready(self, timeout_s: float = 60.0) -> None:
         """Wait until the station's preflight finds nothing amiss. Raises NotHeard with what it finds."""
-        if not self._wait(lambda: self._mission_line == READY_LINE, timeout_s):
+        if not self._wait(lambda: self._mission_line.startswith(READY_LINE), timeout_s):
             raise NotHeard(f"the fleet was not ready within {timeout_s:g} s: {self._mission_line or 'nothing heard'}")
 
     def wait_event(self, text: str = "", timeout_s: float = 60.0) -> Event:

@@ -116,6 +116,7 @@ class LiveBackend:
         poses = {r: inbox.newest() for r, inbox in self._inboxes.poses.items()}
         plans = {r: inbox.newest() for r, inbox in self._inboxes.plans.items()}
         localizer = self._age(self._inboxes.localizer.newest())
+        ready = status.state is MissionState.WAITING and not status.preflight
         return snapshot(
             FleetSnapshot(
                 time_s=now_s,
@@ -123,7 +124,7 @@ class LiveBackend:
                 localizer=localizer,
                 obstacles=self._age(self._inboxes.obstacles.newest()),
                 mission=status.state.name,
-                mission_text=READY if status.state is MissionState.WAITING and not status.preflight else status.state.value,
+                mission_text=": ".join(filter(None, (READY, status.reason))) if ready else status.state.value,
                 reason=status.reason,
                 allowed=[order_name(order) for order in Order if order is Order.END or status.state in states_allowing(order)],
                 preflight=status.preflight,

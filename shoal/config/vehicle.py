@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -66,16 +66,6 @@ class Limits(Section):
     """Largest vertical speed."""
     yaw_rate_radps: Positive
     """Largest yaw rate."""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _no_change_per_step(cls, table: Any) -> Any:
-        if isinstance(table, dict) and "wrench_step" in table:
-            raise ValueError(
-                "wrench_step: the change per control step is now wrench_rate_per_s, in N/s and N m/s (for a control period of "
-                "0.05 s twenty times the numbers)"
-            )
-        return table
 
     @model_validator(mode="after")
     def _same_axes(self) -> Self:

@@ -18,11 +18,10 @@ BLIND = "nobody tells of obstacles"
 
 
 def ages_s(message: Obstacles, since_s: float) -> list[float]:
-    """The ages of the obstacles, in s, in a message that is `since_s` old. In messages of earlier versions none is unseen."""
+    """The ages of the obstacles, in s, in a message that is `since_s` old."""
     if not message.ids:  # in most messages
         return []
-    unseen = message.unseen_s if len(message.unseen_s) == len(message.ids) else np.zeros(len(message.ids))
-    ages: list[float] = np.nan_to_num(np.clip(since_s + unseen, 0.0, LONGEST_S), nan=LONGEST_S).tolist()
+    ages: list[float] = np.nan_to_num(np.clip(since_s + message.unseen_s, 0.0, LONGEST_S), nan=LONGEST_S).tolist()
     return ages
 
 

@@ -81,7 +81,7 @@ def resume(
     experiment: Experiment, memories: Sequence[RobotHistory], seed: int, clock_ns: Callable[[], int] = lambda: 0
 ) -> tuple[AgentFleet, DirectPlant]:
     """The fleet and its plant in the state of the moment, ready to fly on."""
-    at_ns = round(max(memory.state.trajectory_s for memory in memories) * NS)
+    at_ns = round(max(FormationPlans().clock_s(memory.state) or 0.0 for memory in memories) * NS)
     eta, nu = np.array([_pose_at_moment(memory, k, experiment.robot_ids) for k, memory in enumerate(memories)]).transpose(
         1, 0, 2
     )

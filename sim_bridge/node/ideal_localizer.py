@@ -43,4 +43,4 @@ class IdealLocalizer:
                 outlines.append(place_m[:2] + error[:2] + ball.radius_m * RING)
                 velocities.append(np.array(ball.velocity_mps[:2]) + error[2:])
         outline, velocity = np.array(outlines).reshape(-1, len(RING), 2), np.array(velocities).reshape(-1, 2)
-        return Obstacles(tuple(ids), outline, velocity, self._depth_m, watched=1.0)
+        return Obstacles(tuple(ids), outline, velocity, self._depth_m, watched=1.0, unseen_s=np.zeros(len(ids)))

@@ -13,6 +13,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from groundstation.formation_clock import FormationPlans
 from shoal.bus.bus import Bus
 from shoal.config.experiment import Experiment
 from shoal.frames import Array
@@ -120,14 +121,15 @@ class PoolNode:
         self._sockets.deliver(world)
 
     def _detect_start(self, world: World, begin_ns: int) -> None:
-        """Find the instant at which the trajectories began, from which faults count. Plant time 0 is `begin_ns`."""
+        """Find the instant at which the formation's trajectories began, from which faults count. A robot that is sent
+        somewhere alone begins none. Plant time 0 is `begin_ns`."""
         if world.start_ns is not None:
             return
         for inbox in self._states.values():
             received = inbox.newest()
-            if received is not None and received.message.trajectory_s > 0.0:
-                flown_ns = round(received.message.trajectory_s * 1e9)
-                world.start_ns = self._clock.instant_ns(received) - flown_ns - begin_ns
+            flown_s = FormationPlans().clock_s(received.message) if received is not None else None
+            if received is not None and flown_s:
+                world.start_ns = self._clock.instant_ns(received) - round(flown_s * 1e9) - begin_ns
                 return
 
     # --- by the wall clock

@@ -14,6 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 from groundstation.fleet_time import FleetTime, pace_in_words
+from groundstation.formation_clock import FormationPlans
 from shoal.bus.bus import Bus, Received
 from shoal.config.experiment import Experiment
 from shoal.messages import topics
@@ -65,12 +66,13 @@ class Monitor:
 
     @property
     def flown_s(self) -> float:
-        """Time along its trajectory of the slowest robot that is heard."""
+        """Time along the formation's trajectory of the slowest robot that is heard, and not sent elsewhere alone."""
         states = [inbox.newest() for inbox in self._states.values()]
         if None in states:
             return self._flown_s
-        reached_s = [s.message.trajectory_s for s in states if s is not None and not self._silent(s)]
-        self._flown_s = min(reached_s, default=self._flown_s)
+        reached = [s.message for s in states if s is not None and not self._silent(s)]
+        clocks_s = [clock_s for state in reached if (clock_s := FormationPlans().clock_s(state)) is not None]
+        self._flown_s = min(clocks_s, default=self._flown_s)
         return self._flown_s
 
     @property

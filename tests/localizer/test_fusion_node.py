@@ -24,6 +24,7 @@ EXPERIMENT = load_experiment("two-cameras")
 POSE = Pose(0.1, 0.0, 0.0, 1e-6 * np.eye(3), Track.MARKER, True)
 ROUND = 0.1 * np.array([[np.cos(a), np.sin(a)] for a in np.arange(12) * np.pi / 6.0])
 SEEN = Obstacles((3,), ROUND[None], np.zeros((1, 2)), unseen_s=np.zeros(1))
+NONE = Obstacles()
 ELSEWHERE = Obstacles((3,), ROUND[None] + 1.0, np.zeros((1, 2)), unseen_s=np.zeros(1))
 
 
@@ -96,6 +97,34 @@ def test_obstacles_of_a_camera_that_is_out_are_not_told_and_renew_no_list(monkey
     assert "pictures not fused" in status.message and status.out == ("east",)
     assert later_ns == 0 and ids == (6,)
     stop.request()
+
+
+def test_obstacles_of_a_camera_from_before_it_was_out_are_told_with_their_age() -> None:
+    """East sees an obstacle. Then it is bumped and sees others; or its localizer falls silent."""
+    for bumped in (True, False):
+        hub = MemoryHub()
+        bus, stop = Bus(MemoryTransport(hub)), Stop(install=False)
+        steps = FusionNode(EXPERIMENT, Bus(MemoryTransport(hub)), stop, WallClock()).steps()
+        obstacles = bus.inbox(topics.OBSTACLES, Obstacles)
+        next(steps)
+        last_ns = 0
+        for k in range(14):  # 0.7 s
+            stamp_ns, was = time.time_ns(), k < 2
+            for camera in ("west", "east") if was or bumped else ("west",):
+                moved = camera == "east" and not was
+                seen = {"west": NONE, "east": ELSEWHERE if was else SEEN}[camera]
+                bus.publish(topics.OBSTACLES.of_camera(camera), seen, stamp_ns)
+                bus.publish(topics.POSE.of_camera(camera), POSE, stamp_ns, 1)
+                status = LocalizerStatus(CameraHealth.OK, message="moved" if moved else "", robots=(1,), moved=moved)
+                bus.publish(topics.LOCALIZER.of_camera(camera), status, stamp_ns)
+            last_ns = stamp_ns if was else last_ns
+            next(steps)
+            time.sleep(0.05)
+        fused = obstacles.newest()
+        assert fused is not None and fused.message.ids == (7,)
+        np.testing.assert_allclose(fused.message.outline[0], ELSEWHERE.outline[0])
+        assert fused.message.unseen_s == pytest.approx([(stamp_ns - last_ns) * 1e-9], abs=0.03)
+        stop.request()
 
 
 @pytest.mark.parametrize("ahead_s", [0.05, -0.2, 2.0, -20.0, 3600.0])

@@ -187,6 +187,7 @@ def test_a_good_run_passes(result: Result) -> None:
         "faults",
         "missed deadlines",
         "separation",
+        "clearance of hulls",
     }
 
 
@@ -194,6 +195,20 @@ def test_too_close_fails(tmp_path: Path) -> None:
     result = result_of(tmp_path, Script(settings=("safety.radius_m=0.395",)))
     separation = check(result, "separation")
     assert (separation.where, separation.passed, separation.limit) == ("pair 1-2", False, 0.79)
+
+
+@pytest.mark.parametrize("against", ["truth", "localizer"])
+def test_a_hull_in_a_wall_fails(against: str, tmp_path: Path) -> None:
+    """Robot 2 is for a second 0.02 m nearer to the pool's end than its hull is wide. A localizer's word for it is none."""
+    experiment, log = write_run(tmp_path), read_log(tmp_path / "run.mcap")
+    series = align(experiment, log)
+    truth = series.robots[2].truth.copy()
+    truth[100:120, 0] = 0.5 * experiment.pool.size_m[0] - experiment.vehicle.radius_m + 0.02
+    robots = series.robots | {2: dataclasses.replace(series.robots[2], truth=truth)}
+    found = evaluate(dataclasses.replace(series, robots=robots, errors_against=against), log)
+    clear = [c for c in found.checks if c.name == "clearance of hulls"]
+    assert [(c.where, c.failed) for c in clear] == ([("robot 2", True)] if against == "truth" else [])
+    assert all(c.value == pytest.approx(-0.02) for c in clear)
 
 
 def test_hold_and_resume_leave_the_reference_standing(tmp_path: Path) -> None:

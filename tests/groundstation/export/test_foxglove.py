@@ -120,7 +120,7 @@ def test_silent_robots_and_old_obstacles_are_not_drawn() -> None:
     picture = SceneDrawer(load_experiment("pool"))
     picture.take(topics.STATE, 1, RobotState(), SECOND)
     picture.take(topics.PLAN, 2, Plan(0.05, np.ones((5, 4)), np.ones((5, 4))), SECOND)
-    obstacles = Obstacles((4,), np.ones((1, 12, 2)), np.zeros((1, 2)), 0.3)
+    obstacles = Obstacles((4,), np.ones((1, 12, 2)), np.zeros((1, 2)), 0.3, unseen_s=np.zeros(1))
     picture.take(topics.OBSTACLES, 0, obstacles, SECOND)
     assert {e.id for e in picture.moving(SECOND + GONE_NS).entities} == {"robot 1", "plan 2", "obstacle 4"}
     assert not picture.moving(SECOND + GONE_NS + 1).entities

@@ -125,7 +125,7 @@ def test_every_topic_is_either_replayed_or_left_out_by_its_kind() -> None:
 
 
 def test_no_program_joins_a_replay() -> None:
-    for arguments in (["run", "pool", "--fleet", "replay/shoal"], ["order", "start", "--fleet", "replay/shoal"]):
+    for arguments in (["run", "pool", "--fleet", "replay/shoal"], ["mission", "start", "--fleet", "replay/shoal"]):
         done = CliRunner().invoke(cli, arguments)
         assert done.exit_code == 2
         assert "recorded run" in done.output

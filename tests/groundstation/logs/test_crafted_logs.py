@@ -179,10 +179,10 @@ CRAFTED = {
 def test_no_command_ends_in_a_traceback(tmp_path: Path, name: str) -> None:
     write_crafted(tmp_path, **CRAFTED[name])  # type: ignore[arg-type]
     for command in (
-        ["report", str(tmp_path)],
-        ["export", str(tmp_path), "--out", str(tmp_path / "tables")],
-        ["export", str(tmp_path), "--out", str(tmp_path / "viewer"), "--foxglove"],
-        ["recover", str(tmp_path / "run.mcap")],
+        ["log", "report", str(tmp_path)],
+        ["log", "export", str(tmp_path), "--out", str(tmp_path / "tables")],
+        ["log", "export", str(tmp_path), "--out", str(tmp_path / "viewer"), "--foxglove"],
+        ["log", "repair", str(tmp_path / "run.mcap")],
         ["moment", str(tmp_path), "--at", "1", "--robot", "1"],
     ):
         done = CliRunner().invoke(cli, command)

@@ -32,7 +32,7 @@ def variant(name: str, factor: float, seeds: int = 4) -> Variant:
 
 
 def comparison(*variants: Variant) -> Comparison:
-    return Comparison("pool", "Two robots <&>", 45.0, 0.1, ["seed=3"], 6.0, [1, 2], list(variants))
+    return Comparison("pool", "Two robots <&>", 45.0, 0.1, ["seed=3"], 6.0, [1, 2], list(variants), 0.6, "")
 
 
 def test_ratios_are_taken_seed_by_seed() -> None:

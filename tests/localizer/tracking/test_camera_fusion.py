@@ -424,3 +424,19 @@ def test_obstacles_of_all_cameras_are_in_one_list_and_one_that_two_see_is_in_it_
     assert both.watched == pytest.approx(0.8) and both.blind == "camera east: learning"
     alone = fuse_obstacles({"east": east}, ("west", "east"))
     assert alone.ids == (3, 5) and alone.watched == pytest.approx(0.4)
+
+
+def test_an_obstacle_of_a_camera_that_is_out_stays_with_its_age_until_it_is_too_old_or_seen_by_another() -> None:
+    def told(*outlines: Array, unseen_s: float = 0.0) -> Obstacles:
+        n = len(outlines)
+        seen_s = np.full(n, unseen_s)
+        return Obstacles(tuple(range(1, n + 1)), np.array(outlines).reshape(-1, 12, 2), np.zeros((n, 2)), 0.3, 0.8, "", seen_s)
+
+    cameras, west = ("west", "east"), told()
+    east = told(square(1.0, 0.0), square(0.0, 0.3), unseen_s=1.0)
+    for since_s, ids in ((0.1, (3, 5)), (58.9, (3, 5)), (59.1, ())):
+        fused = fuse_obstacles({"west": west}, cameras, {"east": (east, since_s)})
+        assert fused.ids == ids and fused.unseen_s == pytest.approx([1.0 + since_s] * len(ids))
+        assert fused.watched == pytest.approx(0.4)  # of the working camera alone
+    reappeared = fuse_obstacles({"west": told(square(0.05, 0.32))}, cameras, {"east": (east, 5.0)})
+    assert reappeared.ids == (2, 3) and reappeared.unseen_s == pytest.approx([0.0, 6.0])

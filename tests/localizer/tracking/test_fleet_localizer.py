@@ -406,7 +406,7 @@ def test_overlay_outlines_obstacles_where_they_are() -> None:
     frame, middle = SIDE.frame(step.truth), np.array([-1.0, 0.6])
     turn = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
     outline = middle + 0.1 * np.column_stack([np.cos(turn), np.sin(turn)])
-    obstacles = Obstacles(ids=(3,), outline=outline[None], velocity=np.array([[0.2, 0.0]]), depth_m=0.5)
+    obstacles = Obstacles(ids=(3,), outline=outline[None], velocity=np.array([[0.2, 0.0]]), depth_m=0.5, unseen_s=np.zeros(1))
     bare, marked = draw(locator, frame, step.located, Obstacles()), draw(locator, frame, step.located, obstacles)
     changed = np.argwhere(np.any(bare != marked, axis=2))[:, ::-1]
     for point in (*outline, middle + np.array([0.15, 0.0])):  # its rim, and the way it drifts

@@ -3,7 +3,6 @@
 import contextlib
 import copy
 import math
-import re
 import tomllib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -449,20 +448,6 @@ def test_a_marker_is_the_robots_number_unless_told_otherwise() -> None:
     assert robots.nodes_m().tolist() == [[0.8, 0.0, 0.0], [-0.8, 0.0, 0.0]]
 
 
-def test_the_change_per_step_in_a_runs_record_is_read_as_the_rate_it_was(tmp_path: Path) -> None:
-    """Runs of before limits were per second. A file that a person keeps is refused, with what to write."""
-    text = dump_experiment(load_experiment("pool", ["controller.period_s=0.1"]))
-    older = re.sub(r"wrench_rate_per_s = \[[^]]*\]", "wrench_step = [0.3, 0.3, 0.1]", text)
-    assert older != text
-    (tmp_path / "experiment.toml").write_text(older)
-    with pytest.raises(ConfigError, match=r"vehicle.limits: wrench_step: .* wrench_rate_per_s, in N/s"):
-        load_experiment(str(tmp_path / "experiment.toml"))
-    (tmp_path / "run.mcap").touch()
-    experiment = load_experiment(str(tmp_path / "experiment.toml"))
-    assert experiment.vehicle.limits.wrench_rate_per_s == (3.0, 3.0, 1.0)
-    assert experiment.wrench_step == pytest.approx((0.3, 0.3, 0.1))
-
-
 def test_the_shipped_rates_are_the_articles_steps_to_the_last_bit() -> None:
     assert load_experiment("pool").wrench_step == (0.3, 0.3, 0.1)
 
@@ -492,21 +477,6 @@ def test_horizon_and_blocks_that_nobody_gives_are_the_same_in_time_at_every_rate
 def test_blocks_that_nobody_gives_end_with_a_given_horizon(period_s: float, horizon: int, blocks: tuple[int, ...]) -> None:
     mpc = load_experiment("pool", [f"controller.period_s={period_s}", f"controller.mpc.horizon={horizon}"]).controller.mpc
     assert (mpc.horizon, mpc.blocks) == (horizon, blocks)
-
-
-def test_a_key_of_an_earlier_version_is_refused_with_its_new_name(tmp_path: Path) -> None:
-    """But in the record of a run, which lies beside its log, it is read where it stood."""
-    with pytest.raises(
-        ConfigError, match=r"sim\.plant\.walls: this key is called pool\.walls now \(write pool\.walls = false\)"
-    ):
-        load_experiment("pool", ["sim.plant.walls=false"])
-    recorded = load_experiment("pool", ["pool.walls=false"])
-    text = dump_experiment(recorded).replace("walls = false\n", "").replace("[sim.plant]\n", "[sim.plant]\nwalls = false\n")
-    (tmp_path / "experiment.toml").write_text(text)
-    with pytest.raises(ConfigError, match=r"pool\.walls"):
-        load_experiment(str(tmp_path / "experiment.toml"))
-    (tmp_path / "run.mcap").touch()
-    assert load_experiment(str(tmp_path / "experiment.toml")).hash == recorded.hash
 
 
 def test_a_step_may_fail_to_come_without_the_board_disarming() -> None:

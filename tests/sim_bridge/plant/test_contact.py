@@ -50,3 +50,15 @@ def test_a_crowd_pushes_like_any_pair() -> None:
     assert force == pytest.approx(expected, abs=1e-9)
     assert force.sum(axis=0) == pytest.approx(np.zeros(3), abs=1e-8)
     assert basin.touching(place) == sorted(touching)
+
+
+def test_hulls_without_clearance_are_those_that_touch() -> None:
+    """The experiment's distance to walls, floor and islands, against the plant's contact, for single hulls everywhere."""
+    island = "islands=[{position_m=[0.5,0.4],radius_m=0.3}]"
+    for walls in ("true", "false"):
+        experiment = load_experiment("pool", [f"pool.walls={walls}", island])
+        basin = ContactModel(experiment)
+        place = np.random.default_rng(4).uniform([-1.9, -1.4, 0.0], [1.9, 1.4, 1.1], (2000, 3))
+        touches = [bool(basin.touching(one[None])) for one in place]
+        assert list(experiment.clearance_m(place) < 0.0) == touches and 0.05 < np.mean(touches) < 0.6
+    assert np.isposinf(load_experiment("pool", ["pool.walls=false"]).clearance_m(place)).all()

@@ -104,7 +104,7 @@ class Pond:
             beside = self.trajectory.eta[:30] + self.random.normal((0.0, 0.7, 0.0, 0.0), 0.01, (30, 4))
             self.world.publish(topics.PLAN, Plan(0.05, beside, beside), self.sent_ns, OTHER)
             corner = np.array([0.6, 0.4]) + 0.1 * np.array([[math.cos(a), math.sin(a)] for a in np.arange(12) * math.tau / 12])
-            ball = Obstacles((3,), corner[None], np.zeros((1, 2)), 0.3, 1.0)
+            ball = Obstacles((3,), corner[None], np.zeros((1, 2)), 0.3, 1.0, unseen_s=np.zeros(1))
             self.world.publish(topics.OBSTACLES, ball, self.sent_ns)
             self.station.publish(topics.HEARTBEAT, StationHeartbeat(self.experiment.hash, False, "RUNNING"), self.sent_ns)
             self.clock.tick_ns += PERIOD_NS

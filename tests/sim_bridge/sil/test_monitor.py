@@ -6,7 +6,7 @@ from shoal.bus.bus import Bus
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
 from shoal.config.experiment import load_experiment
 from shoal.messages import topics
-from shoal.messages.messages import Event, Mode, RobotState, StationHeartbeat
+from shoal.messages.messages import ALONE, Event, Mode, RobotState, StationHeartbeat
 from sim_bridge.sil.monitor import Monitor
 
 
@@ -47,3 +47,19 @@ def test_a_run_that_waits_or_holds_gives_the_reason() -> None:
     assert text.endswith("waiting     robot 1: depth -1.00 m")
     assert line("pool", {}, "PAUSED", "mission: holding: robot 2: no pose").endswith("robot 2: no pose")
     assert line("pool", {1: tracking(0.0)}, "RUNNING", "mission: waiting for the fleet: depth").endswith("1 tracking 0 mm")
+
+
+def test_time_flown_is_the_formations_and_not_that_of_a_flight_alone() -> None:
+    """Faults of processes begin with it. Robot 1 is sent somewhere before the formation starts, and again later."""
+    hub = MemoryHub()
+    robots, monitor = Bus(MemoryTransport(hub)), Monitor(load_experiment("pool"), Bus(MemoryTransport(hub)))
+
+    def flown_s(*clocks: tuple[str, float]) -> float:
+        for robot, (trajectory_id, trajectory_s) in enumerate(clocks, start=1):
+            state = RobotState(Mode.TRACKING, trajectory_id=trajectory_id, trajectory_s=trajectory_s)
+            robots.publish(topics.STATE, state, 1, robot)
+        return monitor.flown_s
+
+    assert flown_s((f"{ALONE}x", 5.0), (f"{ALONE}y", 4.0)) == 0.0
+    assert flown_s(("p1", 7.0), ("p2", 6.5)) == 6.5
+    assert flown_s((f"{ALONE}x", 1.0), ("p2", 7.5)) == 7.5

@@ -290,12 +290,14 @@ def test_a_flight_that_does_not_arrive_has_not_passed(tmp_path: Path) -> None:
     [
         ('sim.faults=[{at_s=0.2,what="battery 2 sag 4"}]', "faults"),
         ("robots.1.start=[0.71,-0.33,0.3,1.6]", "separation"),
+        ("robots.1.start=[1.595,0.0,0.3,1.6]", "clearance of hulls"),
     ],
 )
 def test_a_flight_that_breaks_what_every_run_must_keep_has_not_passed(setting: str, reason: str, tmp_path: Path) -> None:
-    """A robot that gives up, and robots nearer to each other than twice safety.radius_m: the command that flies the row again
-    fails too, though no limit of the experiment is asked of so short a flight."""
-    loaded = campaign(settings=["duration_s=1.5", setting], seeds=1, sweep={}, draw={})
+    """A robot that gives up, robots nearer to each other than twice safety.radius_m, and one that is carried against the wall:
+    the command that flies the row again fails too, though no limit of the experiment is asked of so short a flight."""
+    current = ["sim.plant.current_mps=[0.25,0.0,0.0]"] if reason == "clearance of hulls" else []
+    loaded = campaign(settings=["duration_s=1.5", setting, *current], seeds=1, sweep={}, draw={})
     assert fly(loaded, tmp_path / "c") == 0
     (row,) = rows(tmp_path / "c")
     assert (row["status"], row["passed"]) == ("flown", False) and reason in row["reason"].split("; ")

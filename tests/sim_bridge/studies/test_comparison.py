@@ -100,7 +100,7 @@ def test_the_mpc_wants_nothing_that_is_not_allowed_and_its_flight_is_kept_to_loo
     assert len(traces.applied_n[0]) == 400 and traces.input_period_s == 0.05 and traces.error_period_s == 0.5
     again = fly(task(load_experiment("numeric", SHORT), with_traces=False))
     assert again.figures == figures and again.traces is None
-    comparison = Comparison("numeric", "", 22.0, 0.0, [], 6.0, [1, 2, 3], [Variant("nmpc", [], [flight, again])])
+    comparison = Comparison("numeric", "", 22.0, 0.0, [], 6.0, [1, 2, 3], [Variant("nmpc", [], [flight, again])], 0.6, "")
     assert Comparison.from_json(comparison.to_json()) == comparison
 
 
