@@ -11,6 +11,7 @@ import pytest
 
 from sim_bridge.plant.sensors import Reading
 from sim_bridge.thruster_board.parameters import Parameters
+from sim_bridge.thruster_board.sensor_zero import Start, Zeros
 from wire.config.experiment import load_experiment
 from wire.mavlink.agent_link import CHANNELS, STANDARD_GRAVITY_MPS2, SURFACE_HPA, depth_to_hpa
 from wire.mavlink.frame_codec import Peer
@@ -51,6 +52,7 @@ class CReading(ctypes.Structure):
         ("excess_hpa", ctypes.c_float),
         ("temperature_cdegc", ctypes.c_int16),
         ("battery_v", ctypes.c_float),
+        ("chip", ctypes.c_uint8 * 2),
     ]
 
     @classmethod
@@ -58,7 +60,7 @@ class CReading(ctypes.Structure):
         """The reading of the Python board's sensors."""
         acceleration = (ctypes.c_float * 3)(*reading.acceleration_mps2)
         excess_hpa = depth_to_hpa(reading.depth_m) - SURFACE_HPA
-        return cls(reading.heading_rad, reading.yaw_rate_radps, acceleration, excess_hpa, 2000, battery_v)
+        return cls(reading.heading_rad, reading.yaw_rate_radps, acceleration, excess_hpa, 2000, battery_v, (ctypes.c_uint8 * 2)())
 
 
 def load(path: Path) -> ctypes.CDLL:
@@ -68,6 +70,7 @@ def load(path: Path) -> ctypes.CDLL:
     calls = {
         "library_board_bytes": (ctypes.c_uint32, []),
         "library_begin": (None, [board, ctypes.c_uint8, ctypes.c_char_p, ctypes.c_uint64, ctypes.c_uint64]),
+        "library_start": (None, [board, ctypes.c_uint8, ctypes.c_bool, ctypes.c_bool, ctypes.c_float, ctypes.c_float]),
         "library_receive": (ctypes.c_bool, [board, ctypes.c_char_p, ctypes.c_uint32, time_us]),
         "library_step": (None, [board, time_us, ctypes.POINTER(CReading)]),
         "library_take_output": (u16, [board, ctypes.c_char_p]),
@@ -103,6 +106,12 @@ class FirmwareBoard:
         self._outputs, self._state = (ctypes.c_uint16 * CHANNELS)(), (ctypes.c_uint32 * 4)()
         self._bytes = ctypes.create_string_buffer(OUTBOX_BYTES)
         library.library_begin(self._board, robot_id, None if key is None else key.secret, heard, sent)
+
+    def start(self, start: Start) -> None:
+        """Have this life begin so."""
+        zeros = start.zeros or Zeros(0.0)
+        has_zeros, surface_hpa, bias = start.zeros is not None, zeros.surface_hpa, zeros.gyro_bias_radps
+        self._library.library_start(self._board, start.causes, start.is_power_on, has_zeros, surface_hpa, bias)
 
     def receive(self, data: bytes, now_ns: int) -> bool:
         """True if a frame was taken."""

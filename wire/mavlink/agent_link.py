@@ -46,6 +46,9 @@ BOARD_MS_WRAPS = 2**32  # `time_boot_ms` begins at 0 again after 49.7 days
 CHARGE_STATES = range(8)  # MAV_BATTERY_CHARGE_STATE
 NO_AUTOPILOT = frozenset({dialect.MAV_AUTOPILOT_GENERIC, dialect.MAV_AUTOPILOT_INVALID})  # MAV_AUTOPILOT of a thruster board
 
+POWER_ON, RESTARTED, ZERO_IN_QUESTION = 0x1, 0x100, 0x200  # in HEARTBEAT's custom_mode: docs/board.md, "After a reset"
+RESET_CAUSES = {0x1: "power-on", 0x2: "reset pin", 0x4: "brown-out", 0x8: "watchdog", 0x10: "JTAG"}
+CALIBRATE: int = dialect.MAV_CMD_PREFLIGHT_CALIBRATION
 ARM_DISARM: int = dialect.MAV_CMD_COMPONENT_ARM_DISARM
 ACCEPTED, REJECTED, UNSUPPORTED = 0, 1, 3  # MAV_RESULT; rejected: for now
 
@@ -92,6 +95,9 @@ class Telemetry:
     hil: bool = False  # the board is in HIL mode: measurements and water are simulated
     heartbeats: int = 0  # how many times the board has told whether it is armed; 0: that is not known
     autopilot: int = dialect.MAV_AUTOPILOT_GENERIC  # MAV_AUTOPILOT that the last HEARTBEAT reported
+    reset_causes: tuple[str, ...] = ()  # of the board's last reset; empty: not known
+    restarted: bool = False  # the board's life did not begin with a power-on in air: its zeros are those kept from before
+    zero_in_question: bool = False  # a person has to confirm the board's depth zero
     power_on_depth_m: float = 0.0  # where the board was switched on, by what it measured before; 0: not known to be deeper
     echo_us: tuple[int, ...] = ()  # what the board put out: 4 thrusters, 4 ankles
     acknowledged: tuple[int, int] | None = None  # last COMMAND_ACK: command, MAV_RESULT
@@ -210,6 +216,11 @@ class AgentLink:
             )
         )
 
+    def calibrate(self, pressure: bool = False, gyro: bool = False) -> bytes:
+        """For a person: the board's zeros are right, or it takes them anew: `pressure` in air, `gyro` at rest."""
+        values = float(gyro), 0, float(pressure), 0, 0, 0, 0
+        return self._sender.pack(dialect.MAVLink_command_long_message(self._robot_id, BOARD_COMPONENT, CALIBRATE, 0, *values))
+
     def heartbeat(self) -> bytes:
         """Frame that says that this end is alive. It moves nothing: only pulses keep thrusters running."""
         return self._sender.pack(
@@ -230,7 +241,7 @@ class AgentLink:
 
     def set_zero(self, depth_m: float) -> None:
         """Take the board's depth zero to be at this depth, whatever was seen of its restarts."""
-        self._power_on.depth_m = depth_m
+        self._power_on.set_depth(depth_m)
         self.telemetry = replace(self.telemetry, power_on_depth_m=depth_m)
 
     def receive(self, data: bytes, now_ns: int) -> None:
@@ -296,6 +307,15 @@ class AgentLink:
             armed, hil = dialect.MAV_MODE_FLAG_SAFETY_ARMED, dialect.MAV_MODE_FLAG_HIL_ENABLED
             mode = message.base_mode
             told = {"armed": bool(mode & armed), "hil": bool(mode & hil), "heartbeats": count + 1}
+            status, causes = message.custom_mode, RESET_CAUSES.items()
+            if message.autopilot in NO_AUTOPILOT:  # an autopilot's own modes are something else
+                self._power_on.note_kept(bool(status & RESTARTED))
+                told |= {
+                    "reset_causes": tuple(name for bit, name in causes if status & bit),
+                    "restarted": bool(status & RESTARTED),
+                    "zero_in_question": bool(status & ZERO_IN_QUESTION),
+                    "power_on_depth_m": self._power_on.depth_m,
+                }
             return told | self._confirmed("autopilot", message.autopilot)
         return self._read_answer(kind, message, changes, now_ns)
 

@@ -37,3 +37,26 @@ def test_the_link_reports_where_a_board_was_switched_on() -> None:
     for board_ms, depth_m in ((9000, 0.2), (9050, 0.2), (20, 0.0), (40, 0.0)):
         link.receive(board.pressure(board_ms, depth_m) + board.attitude(board_ms, 0.0, 0.0), 0)
     assert link.telemetry.power_on_depth_m == pytest.approx(0.2, abs=1e-3)
+
+
+def test_a_board_that_keeps_its_zero_through_a_restart_is_taken_at_its_word_whenever_it_says_so() -> None:
+    for said_after in range(1, 4):
+        power_on = told((9000, 0.25), (20, 0.0), (40, 0.0), (60, 0.5))  # it has once taken a zero at 0.25 m
+        for count, board_ms in enumerate((10, 30, 50), start=1):
+            if count == said_after:
+                power_on.note_kept(True)
+            power_on.note_burst(board_ms, 0.5)
+        assert power_on.depth_m == 0.25, said_after
+
+
+def test_the_link_reports_how_the_boards_life_began() -> None:
+    link, board = AgentLink(1), BoardLink(1)
+    link.receive(board.heartbeat(armed=False, healthy=True, status=0x30A), 0)
+    seen = link.telemetry
+    assert seen.reset_causes == ("reset pin", "watchdog") and seen.restarted and seen.zero_in_question
+    for board_ms, depth_m in ((9000, 0.2), (9050, 0.2), (20, 0.2), (40, 0.2)):
+        link.receive(board.pressure(board_ms, depth_m) + board.attitude(board_ms, 0.0, 0.0), 0)
+    assert link.telemetry.power_on_depth_m == 0.0
+    link.receive(board.heartbeat(armed=False, healthy=True), 0)
+    seen = link.telemetry
+    assert seen.reset_causes == ("power-on",) and not seen.restarted and not seen.zero_in_question
