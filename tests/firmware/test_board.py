@@ -143,6 +143,16 @@ class Speaker:
         return dialect.MAVLink_battery_status_message(draw.choice([*[0] * 9, 1]), 0, 0, 0, cells, 0, 0, 0, 0)
 
 
+def unsigned(data: bytes) -> list[bytes]:
+    """The frames without their signatures."""
+    frames = []
+    while data:
+        size = 12 + data[1]
+        frames.append(data[:size])
+        data = data[size + (13 if data[2] else 0) :]
+    return frames
+
+
 def start_of(draw: random.Random) -> Start:
     """How a life begins: values are exact in single precision."""
     zeros = draw.choice([None, Zeros(draw.randint(-640, 640) / 64.0, draw.randint(-16, 16) / 64.0)])
@@ -162,15 +172,20 @@ def compare(library: ctypes.CDLL, seed: int) -> tuple[bool, bool]:
     if start is not None:
         board.start(start)
     now_ns, armed, hil = 0, False, False
+    together = False  # frames came at once: the answer to the first may be signed after the second was heard
     for count in range(STEPS):
         for _ in range(draw.choice([0, 1, 1, 2, 4])):
             data = speaker.frame()
             now_ns += 1000 * draw.randint(1, 3000)
+            taken = reference.link.taken_frames
             assert board.receive(data, now_ns) is reference.receive(data, now_ns), (seed, count, data.hex())
+            together |= reference.link.taken_frames > taken + 1
         now_ns += 1000 * draw.choice([1, 100, 5000, 5000, 60_000, 300_000])
         sensors.draw(draw)
-        told = reference.step(now_ns, STILL, STILL, STILL)
-        assert board.step(now_ns, sensors.reading, sensors.voltage_v) == told, (seed, count)
+        taken, expected = reference.link.taken_frames, reference.step(now_ns, STILL, STILL, STILL)
+        told = board.step(now_ns, sensors.reading, sensors.voltage_v)
+        together |= reference.link.taken_frames > taken + 1
+        assert told == expected or (together and unsigned(told) == unsigned(expected)), (seed, count)
         assert board.pulses == reference.pulses, (seed, count)
         armed |= board.armed
         hil |= reference.armed and reference.link.hil
