@@ -16,7 +16,7 @@ static const char *cause(uint8_t causes) {
 /* HEARTBEAT's custom_mode. Simulated measurements have no zero. */
 static uint16_t status(const struct board *board) {
     const uint16_t all = zero_status(&board->zero);
-    return rules_hil(&board->rules) ? (uint16_t)(all & ~ZERO_IN_QUESTION) : all;
+    return rules_hil(&board->rules) ? (uint16_t)(all & ~(unsigned)ZERO_IN_QUESTION) : all;
 }
 
 void board_begin(struct board *board, uint8_t robot, const struct settings *settings, struct stamps stamps,
@@ -206,6 +206,8 @@ static void handle(struct board *board, struct event *event, uint64_t now_us) {
         if (!event->arm && board->has_order && board->order.kind == EVENT_ARM)
             board->has_order = false; /* an order to arm that waits is withdrawn */
         const enum result result = rules_arm(&board->rules, event->arm, now_us);
+        if (board->rules.armed)
+            zero_leave_bias(&board->zero);
         report(board);
         send_acknowledge(link, event->from, COMMAND_ARM_DISARM, result);
         break;
@@ -358,7 +360,7 @@ static void burst(struct board *board, uint64_t now_us, const struct reading *re
 }
 
 static void say_chip(struct rules *rules, uint8_t chip, uint8_t state) {
-    static const char NAMES[][10] PROGMEM = {"IMU: ", "pressure: "};
+    static const char NAMES[][11] PROGMEM = {"IMU: ", "pressure: "};
     static const char STATES[][9] PROGMEM = {"live", "absent", "starting", "asleep", "reset", "stuck"};
     rules_say(rules, state == CHIP_LIVE ? SAY_INFO : SAY_WARNING, NAMES[chip]);
     text_flash(&rules->text[rules->texts - 1], STATES[state]);

@@ -47,6 +47,10 @@ enum zero_event zero_pressure(struct zero *zero, float pressure_hpa) {
 enum zero_event zero_rate(struct zero *zero, float rate_radps) {
     if (!zero->takes_gyro || !isfinite(rate_radps))
         return ZERO_SAME;
+    if (zero->rates > 0 && fabsf(rate_radps - zero->first_radps) > MOVES_RADPS)
+        begin_gyro(zero);
+    if (zero->rates == 0)
+        zero->first_radps = rate_radps;
     zero->rates_radps += rate_radps;
     if (++zero->rates < STILL_SAMPLES)
         return ZERO_SAME;
@@ -71,6 +75,8 @@ bool zero_calibrate(struct zero *zero, bool pressure, bool gyro) {
     zero->is_in_question = false;
     return true;
 }
+
+void zero_leave_bias(struct zero *zero) { zero->takes_gyro = false; }
 
 float zero_excess_hpa(const struct zero *zero, float pressure_hpa) {
     return zero->has_surface ? pressure_hpa - zero->now.surface_hpa : NAN;

@@ -17,6 +17,7 @@ enum { /* causes of a reset, as the ATmega's MCUSR has them; 0: unknown, a bootl
 };
 enum { RESTARTED = 0x100, ZERO_IN_QUESTION = 0x200 }; /* with the causes in HEARTBEAT's custom_mode */
 enum { SURFACE_SAMPLES = 8, STILL_SAMPLES = 64 };     /* means of so many are exact in single precision, as in the reference */
+#define MOVES_RADPS 0.0625f /* two rates of a robot at rest are less apart: the noise is 0.001 */
 #define AIR_HPA 10.0f       /* 0.1 m of water; the air's own pressure rarely rises by more between two days */
 #define AIR_MOST_HPA 46.75f /* without a kept surface pressure: 1060 hPa, more than the air ever has */
 
@@ -42,6 +43,7 @@ struct zero {
     bool has_surface, takes_gyro, is_restarted, is_in_question;
     uint8_t purpose, pressures, rates;
     float pressures_hpa, rates_radps; /* sums */
+    float first_radps;                /* of these rates */
 };
 
 void zero_begin(struct zero *zero, const struct start *start);
@@ -49,6 +51,7 @@ enum zero_event zero_pressure(struct zero *zero, float pressure_hpa); /* a measu
 enum zero_event zero_rate(struct zero *zero, float rate_radps);       /* a measurement of the gyro, with its bias */
 /* For a person: what is kept is right, or the zeros are taken anew where the robot is. False if nothing is kept. */
 bool zero_calibrate(struct zero *zero, bool pressure, bool gyro);
+void zero_leave_bias(struct zero *zero); /* the robot no longer lies still */
 float zero_excess_hpa(const struct zero *zero, float pressure_hpa); /* NaN without a surface pressure */
 uint16_t zero_status(const struct zero *zero);
 

@@ -186,6 +186,8 @@ class ThrusterBoard:
                 case Arm(arm):
                     self._store()
                     result = self.rules.arm(arm, now_ns)
+                    if self.rules.armed:
+                        self.zero.leave_bias()
                     self._report_status()
                     self._outbox.append(self.link.acknowledge(asker, COMPONENT_ARM_DISARM, result))
                 case Calibrate(pressure, gyro):

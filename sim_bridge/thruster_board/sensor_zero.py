@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from enum import Enum, IntFlag
 
 SURFACE_SAMPLES, STILL_SAMPLES = 8, 64
+MOVES_RADPS = 0.0625  # two rates of a robot at rest are less apart: the noise is 0.001
 AIR_HPA = 10.0  # 0.1 m of water; the air's own pressure rarely rises by more between two days
 AIR_MOST_HPA = 46.75  # without a kept surface pressure: 1060 hPa, more than the air ever has
 
@@ -127,11 +128,17 @@ class SensorZero:
         """Take a measurement of the gyro, with its bias."""
         if self._rates is None or not math.isfinite(rate_radps):
             return ZeroEvent.SAME
+        if self._rates and abs(rate_radps - self._rates[0]) > MOVES_RADPS:
+            self._rates.clear()
         self._rates.append(rate_radps)
         if len(self._rates) < STILL_SAMPLES:
             return ZeroEvent.SAME
         self.gyro_bias_radps, self._rates = sum(self._rates) / STILL_SAMPLES, None
         return ZeroEvent.BIAS_TAKEN
+
+    def leave_bias(self) -> None:
+        """The robot no longer lies still."""
+        self._rates = None
 
     def calibrate(self, pressure: bool, gyro: bool) -> bool:
         """For a person: what is kept is right, or the zeros are taken anew where the robot is. False if nothing is kept."""

@@ -16,7 +16,7 @@ from pymavlink.dialects.v20 import common as dialect
 
 from wire.mavlink.frame_codec import MARKER, Peer
 from wire.mavlink.framing import LOSS_WINDOW_NS, Receiver, Sender
-from wire.mavlink.power_on_depth import PowerOnDepth
+from wire.mavlink.power_on_depth import PowerOnDepth, ZeroOrigin
 from wire.mavlink.signing import Key, SignatureVerdict, SignatureVerifier
 
 BOARD_COMPONENT = 1  # MAV_COMP_ID_AUTOPILOT1
@@ -309,7 +309,8 @@ class AgentLink:
             told = {"armed": bool(mode & armed), "hil": bool(mode & hil), "heartbeats": count + 1}
             status, causes = message.custom_mode, RESET_CAUSES.items()
             if message.autopilot in NO_AUTOPILOT:  # an autopilot's own modes are something else
-                self._power_on.note_kept(bool(status & RESTARTED))
+                said = ZeroOrigin.KEPT if status & RESTARTED else ZeroOrigin.AIR if status else ZeroOrigin.UNKNOWN
+                self._power_on.note_origin(said)
                 told |= {
                     "reset_causes": tuple(name for bit, name in causes if status & bit),
                     "restarted": bool(status & RESTARTED),

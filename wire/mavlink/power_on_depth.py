@@ -1,11 +1,21 @@
-"""Depth at which a thruster board took its zero, by its own measurements before that. Pure.
+"""Depth at which a thruster board took its zero, by its own measurements before that and by what it says. Pure.
 
 A board takes the pressure at the surface when it is switched on in air, and keeps it through all other resets (docs/board.md). One
-that takes it under water, since it has kept none or was misled, is noticed here: each depth that it reports later is too small by
-the depth at which it restarted.
+that says nothing about its last reset may have taken its zero where it restarted: each depth that it reports later is then too
+small by that depth.
 """
 
+from enum import Enum
+
 MS_WRAPS = 2**32  # `time_boot_ms` begins at 0 again after 49.7 days
+
+
+class ZeroOrigin(Enum):
+    """Where a board says that its zero is from."""
+
+    UNKNOWN = 0  # it says nothing
+    KEPT = 1  # from before the last restart
+    AIR = 2  # from a power-on in air
 
 
 class PowerOnDepth:
@@ -14,22 +24,25 @@ class PowerOnDepth:
     def __init__(self) -> None:
         self._zero_m, self._taken_m = 0.0, 0.0  # of the zero before the last restart; how much deeper one taken there is
         self._before_m = 0.0  # of the zero at the last burst
-        self._is_kept = False  # the board says that its zero is that of before the restart
+        self._has_restarted = False  # since the depth was set
+        self._origin = ZeroOrigin.UNKNOWN
         self._newest_ms, self._reported_m = -1, 0.0  # the last burst
         self._restarted_ms: int | None = None  # an earlier time than that, which the next burst has to confirm
 
     @property
     def depth_m(self) -> float:
         """Depth of the zero; 0 for a board that has not restarted since it is heard."""
-        return self._zero_m if self._is_kept else self._zero_m + self._taken_m
+        if self._has_restarted and self._origin is ZeroOrigin.AIR:
+            return 0.0
+        return self._zero_m if self._origin is ZeroOrigin.KEPT else self._zero_m + self._taken_m
 
     def set_depth(self, depth_m: float) -> None:
         """Take the zero to be at this depth, whatever was seen of restarts."""
-        self._zero_m, self._taken_m, self._before_m = depth_m, 0.0, depth_m
+        self._zero_m, self._taken_m, self._before_m, self._has_restarted = depth_m, 0.0, depth_m, False
 
-    def note_kept(self, is_kept: bool) -> None:
-        """Take in what a HEARTBEAT says: the zero is that of before the last restart, or was taken after it."""
-        self._is_kept = is_kept
+    def note_origin(self, origin: ZeroOrigin) -> None:
+        """Take in what a HEARTBEAT says."""
+        self._origin = origin
 
     def note_burst(self, board_ms: int, reported_m: float) -> None:
         """Take in a burst's time on the board's clock, and its depth. Two bursts in a row of an earlier time: the board has
@@ -38,7 +51,8 @@ class PowerOnDepth:
             before_ms, self._restarted_ms = self._restarted_ms, board_ms
             if before_ms is None or not _follows(board_ms, before_ms):
                 return
-            self._zero_m, self._taken_m = self._before_m, self._reported_m  # a HEARTBEAT may be of the new life already
+            # A HEARTBEAT of the new life may have come already.
+            self._zero_m, self._taken_m, self._has_restarted = self._before_m, self._reported_m, True
         self._before_m = self.depth_m
         self._newest_ms, self._reported_m, self._restarted_ms = board_ms, reported_m, None
 

@@ -4,7 +4,7 @@ import pytest
 
 from wire.mavlink.agent_link import AgentLink
 from wire.mavlink.board_link import BoardLink
-from wire.mavlink.power_on_depth import MS_WRAPS, PowerOnDepth
+from wire.mavlink.power_on_depth import MS_WRAPS, PowerOnDepth, ZeroOrigin
 
 
 def told(*bursts: tuple[int, float]) -> PowerOnDepth:
@@ -44,9 +44,27 @@ def test_a_board_that_keeps_its_zero_through_a_restart_is_taken_at_its_word_when
         power_on = told((9000, 0.25), (20, 0.0), (40, 0.0), (60, 0.5))  # it has once taken a zero at 0.25 m
         for count, board_ms in enumerate((10, 30, 50), start=1):
             if count == said_after:
-                power_on.note_kept(True)
+                power_on.note_origin(ZeroOrigin.KEPT)
             power_on.note_burst(board_ms, 0.5)
         assert power_on.depth_m == 0.25, said_after
+
+
+def test_a_board_that_was_switched_on_in_air_is_taken_at_its_word() -> None:
+    power_on = told((9000, 1.5), (20, 0.0), (40, 0.0))
+    assert power_on.depth_m == 1.5
+    power_on.note_origin(ZeroOrigin.AIR)
+    assert power_on.depth_m == 0.0
+
+
+def test_a_depth_that_was_set_stays_until_the_next_restart() -> None:
+    power_on = told((9000, 0.0))
+    power_on.note_origin(ZeroOrigin.AIR)
+    power_on.set_depth(0.4)
+    power_on.note_burst(9020, 0.1)
+    assert power_on.depth_m == 0.4
+    for board_ms in (20, 40):
+        power_on.note_burst(board_ms, 0.1)
+    assert power_on.depth_m == 0.0
 
 
 def test_the_link_reports_how_the_boards_life_began() -> None:
