@@ -9,12 +9,13 @@ from typing import Annotated, Any, Self
 
 import tomli_w
 from pydantic import AfterValidator, Field, model_validator
+from shoal.errors import ConfigError
 
-from wire.config.scene import LARGEST_ROBOT
-from wire.mavlink.board_port import BOARD_BAUD, Link, open_link
-from wire.mavlink.signing_key import Signing
-from wire.process.cli_options import DEFAULT_FLEET, DEFAULT_STATION, fleet_name
-from wire.toml_loader import ConfigError, Section, check, read_toml
+from shoal.config.loader import Section, check, read_toml
+from shoal.config.scene import LARGEST_ROBOT
+from shoal.mavlink.board_port import BOARD_BAUD, Link, open_link
+from shoal.mavlink.signing_key import Signing
+from shoal.runtime.cli_options import DEFAULT_FLEET, DEFAULT_STATION, fleet_name
 
 DEFAULT_LINK = f"serial:/dev/ttyACM0:{BOARD_BAUD}"
 

@@ -9,16 +9,15 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from shoal.config.experiment import Experiment
+from shoal.config.vehicle import Thruster
+from shoal.frames import Array
+from shoal.mavlink import agent_link
+from shoal.mavlink.agent_link import GRAVITY_MPS2, WATER_DENSITY_KGPM3
+from shoal.mavlink.frame_codec import Peer
+from shoal.mavlink.signing import Key
 from sim_bridge.plant.sensors import LEVEL, BoardSensors, Reading
-from sim_bridge.thruster_board.parameters import Parameters, Refusal
-from sim_bridge.thruster_board.sensor_zero import ZERO_IN_QUESTION, SensorZero, ZeroEvent, Zeros
-from sim_bridge.thruster_board.state_machine import ACCEPTED, INFO, REJECTED, S_NS, WARNING, BoardStateMachine, Charge, StatusText
-from wire.config.experiment import Experiment
-from wire.config.vehicle import Thruster
-from wire.frames import Array
-from wire.mavlink import agent_link
-from wire.mavlink.agent_link import GRAVITY_MPS2, WATER_DENSITY_KGPM3
-from wire.mavlink.board_link import (
+from sim_bridge.thruster_board.board_link import (
     Arm,
     BoardLink,
     Calibrate,
@@ -34,8 +33,18 @@ from wire.mavlink.board_link import (
     Timesync,
     Unsupported,
 )
-from wire.mavlink.frame_codec import Peer
-from wire.mavlink.signing import Key
+from sim_bridge.thruster_board.parameters import Parameters, Refusal
+from sim_bridge.thruster_board.sensor_zero import ZERO_IN_QUESTION, SensorZero, ZeroEvent, Zeros
+from sim_bridge.thruster_board.state_machine import (
+    ACCEPTED,
+    INFO,
+    REJECTED,
+    S_NS,
+    WARNING,
+    BoardStateMachine,
+    Charge,
+    StatusText,
+)
 
 MS_NS = 1_000_000
 HPA_PER_M = WATER_DENSITY_KGPM3 * GRAVITY_MPS2 / 100.0
@@ -255,9 +264,7 @@ class ThrusterBoard:
         zero_m = math.nan if zero.surface_hpa is None else zero.surface_hpa / HPA_PER_M
         if (zero_m, zero.gyro_bias_radps) == (0.0, 0.0):
             return reading
-        return replace(
-            reading, depth_m=reading.depth_m - zero_m, yaw_rate_radps=reading.yaw_rate_radps - zero.gyro_bias_radps
-        )
+        return replace(reading, depth_m=reading.depth_m - zero_m, yaw_rate_radps=reading.yaw_rate_radps - zero.gyro_bias_radps)
 
     def _enter_or_leave_hil(self, now_ns: int) -> None:
         """Follow a change of HIL_MODE, if there was one."""

@@ -9,13 +9,13 @@ from pathlib import Path
 
 import pytest
 
+from shoal.config.experiment import load_experiment
+from shoal.mavlink.agent_link import CHANNELS, STANDARD_GRAVITY_MPS2, SURFACE_HPA, depth_to_hpa
+from shoal.mavlink.frame_codec import Peer
+from shoal.mavlink.signing import Key
 from sim_bridge.plant.sensors import Reading
 from sim_bridge.thruster_board.parameters import Parameters
 from sim_bridge.thruster_board.sensor_zero import Start, Zeros
-from wire.config.experiment import load_experiment
-from wire.mavlink.agent_link import CHANNELS, STANDARD_GRAVITY_MPS2, SURFACE_HPA, depth_to_hpa
-from wire.mavlink.frame_codec import Peer
-from wire.mavlink.signing import Key
 
 FIRMWARE = Path(__file__).parents[2] / "firmware"
 POOL = load_experiment("pool")
@@ -60,7 +60,9 @@ class CReading(ctypes.Structure):
         """The reading of the Python board's sensors."""
         acceleration = (ctypes.c_float * 3)(*reading.acceleration_mps2)
         excess_hpa = depth_to_hpa(reading.depth_m) - SURFACE_HPA
-        return cls(reading.heading_rad, reading.yaw_rate_radps, acceleration, excess_hpa, 2000, battery_v, (ctypes.c_uint8 * 2)())
+        return cls(
+            reading.heading_rad, reading.yaw_rate_radps, acceleration, excess_hpa, 2000, battery_v, (ctypes.c_uint8 * 2)()
+        )
 
 
 def load(path: Path) -> ctypes.CDLL:
