@@ -9,10 +9,10 @@ from typing import Annotated, Any, Self
 
 import tomli_w
 from pydantic import AfterValidator, Field, model_validator
-from shoal.errors import ConfigError
 
 from shoal.config.loader import Section, check, read_toml
 from shoal.config.scene import LARGEST_ROBOT
+from shoal.errors import ConfigError
 from shoal.mavlink.board_port import BOARD_BAUD, Link, open_link
 from shoal.mavlink.signing_key import Signing
 from shoal.runtime.cli_options import DEFAULT_FLEET, DEFAULT_STATION, fleet_name

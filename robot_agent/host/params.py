@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from shoal.errors import ConfigError
 
 from robot_agent.host.config import DEFAULT_LINK
 from shoal.config.scene import LARGEST_ROBOT
+from shoal.errors import ConfigError
 from shoal.mavlink.board_port import Link, open_link
 from shoal.mavlink.parameters import DOES_NOT_EXIST, LINK_ID, ParameterClient
 from shoal.mavlink.signing_key import Signing

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from shoal.errors import ConfigError
 
+from shoal.errors import ConfigError
 from shoal.mavlink.board_port import READ_DATAGRAMS, Address, SerialLink, UdpLink, open_link, parse_link
 
 
