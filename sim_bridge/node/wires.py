@@ -14,7 +14,8 @@ from sim_bridge.thruster_board.board import ThrusterBoard
 from sim_bridge.thruster_board.nonvolatile import boards_in
 from sim_bridge.world import WorldBoard
 from wire.config.experiment import Experiment
-from wire.mavlink.board_port import is_local, parse_link
+from wire.mavlink.board_address import parse_link
+from wire.mavlink.board_port import is_local
 from wire.messages.topics import Role, process_name
 from wire.process.runtime import Stop, log
 from wire.toml_loader import ConfigError

@@ -9,13 +9,13 @@ import socket
 import termios
 import time
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
 import serial
 
 from wire.loopback import is_loopback
+from wire.mavlink.board_address import parse_link, serial_trouble
 from wire.mavlink.framing import Receiver
 from wire.mavlink.signing import SignatureVerifier
 from wire.process.runtime import log
@@ -23,11 +23,6 @@ from wire.toml_loader import ConfigError
 
 READ_BYTES = 65536
 READ_DATAGRAMS = 256  # at one read: more than a board sends in 2 s; a flood of them does not delay a control step
-BOARD_BAUD = 250_000  # of the firmware, as firmware/Makefile builds it; an ATmega at 16 MHz has it exactly
-DEFAULT_LINK = f"serial:/dev/ttyACM0:{BOARD_BAUD}"  # right while only one board is plugged in
-PORTS_BY_ID = Path("/dev/serial/by-id")  # names that stay with a board; /dev/ttyACM0 is the first one that is plugged in
-FORMS = f"udp:HOST:PORT or serial:DEVICE[:BAUD], for example udp:127.0.0.1:14551 or serial:{PORTS_BY_ID}/NAME:{BOARD_BAUD}"
-LINK_HELP = f"The thruster board: udp:HOST:PORT or serial:DEVICE[:BAUD], best a DEVICE of {PORTS_BY_ID}."
 # Where a board is looked for that is not understood at the configured rate. 1200 is not among them: to many boards with USB of
 # their own it says to start the bootloader.
 USUAL_BAUDS = (250_000, 115_200, 57_600, 230_400, 460_800, 500_000, 921_600, 1_000_000)
@@ -38,32 +33,8 @@ QUIET_START_S = 2.0  # of a board that was reset: 0.9 s of bootloader, and its f
 # The longest that a board may need before it speaks: the end of a programming session in its bootloader, 5 s after the last
 # byte, the firmware's start, and a round of baud rates.
 FIRST_WORD_S = 9.0
-BAUDS = range(300, 12_000_001)
 NOTHING_SENT = "and nothing is sent before it speaks (a bootloader would take it for programming)"
 IN_USE = "in use by another program (a robot's agent that runs has it: systemctl stop shoal-agent)"
-
-
-@dataclass(frozen=True)
-class Address:
-    """The address of a thruster board: `kind` is udp or serial, `number` the port or the baud rate."""
-
-    kind: str
-    where: str
-    number: int
-
-
-def parse_link(text: str, option: str = "--link") -> Address:
-    """The parts of an address. Raises ConfigError naming what is allowed."""
-    kind, _, rest = text.partition(":")
-    first, _, last = rest.rpartition(":")
-    if kind == "udp" and first and last.isdecimal() and 0 < int(last) < 65536:
-        return Address(kind, first.removeprefix("[").removesuffix("]"), int(last))
-    if kind == "serial" and rest:
-        device, baud = (first, int(last)) if first and last.isdecimal() else (rest, BOARD_BAUD)
-        if baud in BAUDS:
-            return Address(kind, device, baud)
-        raise ConfigError(f"{option} {text!r}: no baud rate (allowed: {BAUDS.start} to {BAUDS.stop - 1})")
-    raise ConfigError(f"{option} {text!r}: not an address of a thruster board (allowed: {FORMS})")
 
 
 class Link(Protocol):
@@ -81,12 +52,12 @@ class Link(Protocol):
 
     @property
     def advice(self) -> str:
-        """What a person should change in the link's settings though it works; else empty."""
+        """The setting that a person should change though the link works; else empty."""
         return ""
 
     @property
     def first_word_s(self) -> float:
-        """How long a board may be silent after the opening, beyond what it takes to answer."""
+        """The longest that a board may be silent after the opening, beyond the time of an answer."""
         return 0.0
 
 
@@ -146,8 +117,6 @@ class SerialLink:
     without a byte. While what comes is no frame, the port listens at the usual baud rates by turns.
     """
 
-    first_word_s = FIRST_WORD_S
-
     def __init__(self, device: str, baud: int) -> None:
         self._device, self._baud = device, baud
         self._bauds = (baud, *(rate for rate in USUAL_BAUDS if rate != baud))
@@ -177,6 +146,10 @@ class SerialLink:
             return f"{self._device}: silent, {NOTHING_SENT}"
         tried = f" at any of {', '.join(map(str, self._bauds))} baud" if self._turn >= len(self._bauds) else ""
         return f"{self._device}: what comes is no MAVLink 2{tried}, {NOTHING_SENT}"
+
+    @property
+    def first_word_s(self) -> float:
+        return FIRST_WORD_S if self._port is not None else 0.0
 
     @property
     def advice(self) -> str:
@@ -283,25 +256,6 @@ def _keep_dtr(descriptor: int) -> None:
     settings = termios.tcgetattr(descriptor)
     settings[2] &= ~termios.HUPCL
     termios.tcsetattr(descriptor, termios.TCSANOW, settings)
-
-
-def serial_ports() -> tuple[str, ...]:
-    """Names of the serial ports that are plugged in, each of which stays with its board; empty where there are none."""
-    return tuple(map(str, sorted(PORTS_BY_ID.iterdir()))) if PORTS_BY_ID.is_dir() else ()
-
-
-def serial_trouble(device: Path) -> str:
-    """The reason why a serial port cannot be opened, as far as can be seen without opening it; empty if it can."""
-    if not device.exists():
-        present = serial_ports()
-        return f"{device}: not there; is the board plugged in, and powered?" + (
-            f" The ports that are there: {', '.join(present)}" if present else ""
-        )
-    if not device.is_char_device():
-        return f"{device}: is no serial port"
-    if not os.access(device, os.R_OK | os.W_OK):
-        return f"{device}: no permission; add the user to its group (sudo usermod -aG dialout USER)"
-    return ""
 
 
 def _resolved(host: str) -> tuple[socket.AddressFamily, str]:

@@ -14,7 +14,8 @@ from typing import Any
 import pytest
 
 from wire.mavlink.agent_link import AgentLink
-from wire.mavlink.board_port import READ_DATAGRAMS, SETTLE_S, Address, SerialLink, UdpLink, open_link, parse_link
+from wire.mavlink.board_address import Address, parse_link
+from wire.mavlink.board_port import READ_DATAGRAMS, SETTLE_S, SerialLink, UdpLink, open_link
 from wire.toml_loader import ConfigError
 
 FRAME = AgentLink(1).heartbeat()

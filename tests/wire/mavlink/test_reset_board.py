@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.wire.mavlink.mega import Mega
+from tests.wire.mavlink.resetting_board import ResettingBoard
 from wire.mavlink.agent_link import AgentLink
 from wire.mavlink.board_port import SerialLink, open_link
 
@@ -15,8 +15,8 @@ pytestmark = pytest.mark.real_time
 
 
 @pytest.fixture
-def mega(tmp_path: Path) -> Iterator[Mega]:
-    board = Mega(tmp_path / "board")
+def mega(tmp_path: Path) -> Iterator[ResettingBoard]:
+    board = ResettingBoard(tmp_path / "board")
     try:
         yield board
     finally:
@@ -26,7 +26,7 @@ def mega(tmp_path: Path) -> Iterator[Mega]:
 class Host:
     """An agent's end: it sends overrides at 20 Hz, come what may."""
 
-    def __init__(self, board: Mega, baud: int = 250_000) -> None:
+    def __init__(self, board: ResettingBoard, baud: int = 250_000) -> None:
         link = open_link(f"serial:{board.path}:{baud}")
         assert isinstance(link, SerialLink)
         self.link, self.mavlink = link, AgentLink(1)
@@ -45,7 +45,7 @@ class Host:
         return now_s - begin_s
 
 
-def test_opening_the_port_holds_no_board_in_its_bootloader(mega: Mega) -> None:
+def test_opening_the_port_holds_no_board_in_its_bootloader(mega: ResettingBoard) -> None:
     host = Host(mega)
     try:
         assert host.run(4.0, until_burst=True) < 1.5
@@ -68,7 +68,7 @@ def test_opening_the_port_holds_no_board_in_its_bootloader(mega: Mega) -> None:
 
 @pytest.mark.slow
 def test_a_reset_under_way_ends_the_hosts_words_until_the_board_speaks(tmp_path: Path) -> None:
-    board = Mega(tmp_path / "board")
+    board = ResettingBoard(tmp_path / "board")
     host = Host(board)
     try:
         host.run(4.0, until_burst=True)
@@ -85,7 +85,7 @@ def test_a_reset_under_way_ends_the_hosts_words_until_the_board_speaks(tmp_path:
 
 
 @pytest.mark.slow
-def test_a_board_that_never_speaks_is_told_nothing_and_explained(mega: Mega) -> None:
+def test_a_board_that_never_speaks_is_told_nothing_and_explained(mega: ResettingBoard) -> None:
     mega.is_powered = False
     host = Host(mega)
     try:
@@ -101,7 +101,7 @@ def test_a_board_that_never_speaks_is_told_nothing_and_explained(mega: Mega) -> 
 
 @pytest.mark.parametrize("baud", [pytest.param(57_600, marks=pytest.mark.slow), 250_000])
 def test_the_rate_of_a_board_is_found_by_listening_alone(baud: int, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    board = Mega(tmp_path / "board", baud=baud)
+    board = ResettingBoard(tmp_path / "board", baud=baud)
     host = Host(board, baud=115_200)
     try:
         with caplog.at_level(logging.WARNING):
@@ -117,7 +117,7 @@ def test_the_rate_of_a_board_is_found_by_listening_alone(baud: int, tmp_path: Pa
 
 @pytest.mark.slow
 def test_noise_at_every_rate_is_said_to_be_no_board(tmp_path: Path) -> None:
-    board = Mega(tmp_path / "board", baud=1)
+    board = ResettingBoard(tmp_path / "board", baud=1)
     host = Host(board)
     try:
         host.run(5.0)

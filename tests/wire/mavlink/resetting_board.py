@@ -21,7 +21,7 @@ BOOT_S, SESSION_S = 0.4, 1.5  # a stock Mega's stk500v2 waits 0.9 s for a byte, 
 STEP_S = 0.005
 
 
-class Mega:
+class ResettingBoard:
     """The board, at `path`. Each opening of the port resets it, unless DTR has stayed up since the last one. The bootloader
     stays while bytes come; a host at another baud rate than the firmware's reads noise."""
 
