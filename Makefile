@@ -102,8 +102,8 @@ page: ## build the pages of operator and camera setup again (needs Node 20 or ne
 	cp groundstation/web/page/node_modules/uplot/dist/uPlot.iife.min.js groundstation/report/templates/uplot.min.js
 	cp groundstation/web/page/node_modules/uplot/dist/uPlot.min.css groundstation/report/templates/uplot.min.css
 
-proto: $(INSTALLED) ## generate wire/messages/fleet_pb2.py from wire/messages/fleet.proto
-	$(BIN)/python -m grpc_tools.protoc -I . --python_out=. --pyi_out=. wire/messages/fleet.proto
+proto: $(INSTALLED) ## generate shoal/messages/fleet_pb2.py from shoal/messages/fleet.proto
+	$(BIN)/python -m grpc_tools.protoc -I . --python_out=. --pyi_out=. shoal/messages/fleet.proto
 
 docs: $(INSTALLED) ## write the generated pages of docs/ again
 	$(BIN)/python docs/messages.py > docs/messages.md
@@ -129,5 +129,5 @@ $(INSTALLED): pyproject.toml constraints.txt
 	@echo "Installing the pinned packages into .venv (a minute or two the first time) ..."
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt --no-deps MAVProxy
-	@$(BIN)/python -m wire.kernel_build
+	@$(BIN)/python -m shoal.kernels.build
 	@touch $@

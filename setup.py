@@ -1,4 +1,4 @@
-"""What pyproject.toml cannot say: a built package knows the commit that it was built from (wire/process/version.py)."""
+"""What pyproject.toml cannot say: a built package knows the commit that it was built from (shoal/runtime/version.py)."""
 
 import runpy
 from pathlib import Path

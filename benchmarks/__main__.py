@@ -14,15 +14,15 @@ import typer
 from rich.table import Table
 
 from benchmarks.harness import Row
-from wire.process.cli_options import finite
-from wire.process.output import terminal
-from wire.process.output_files import replace_text
+from shoal.runtime.cli_options import finite
+from shoal.runtime.output import terminal
+from shoal.runtime.output_files import replace_text
 
 # Name: a module of this package with `run() -> Iterable[Row]`, and what it measures.
 BENCHMARKS = {
     "codec": ("wire.codec", "a message to bytes, and bytes to a checked message"),
     "bus": ("wire.bus", "there and back between two processes through the router"),
-    "frames": ("wire.frames", "camera frames between processes of one host: network and shared memory (2 minutes)"),
+    "frames": ("shoal.frames", "camera frames between processes of one host: network and shared memory (2 minutes)"),
     "guard": ("wire.guard", "the guard of a router with keys: there and back through it and past it"),
     "control_step": ("robot_agent.control_step", "one complete control step, closed loop, beside peers (3 minutes)"),
     "control_growth": ("robot_agent.control_growth", "a control step with more neighbours"),

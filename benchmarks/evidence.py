@@ -12,8 +12,8 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from wire.process.output_files import replace_text
-from wire.process.version import code
+from shoal.runtime.output_files import replace_text
+from shoal.runtime.version import code
 
 NEVER = "never"  # infinity, as JSON has none
 

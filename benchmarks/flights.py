@@ -6,10 +6,10 @@ from itertools import combinations
 import numpy as np
 
 from groundstation.planning import planner
+from shoal.config.experiment import Experiment
+from shoal.frames import Array, pose_error
+from shoal.messages.messages import RobotState
 from sim_bridge.in_process.fleet import AgentFleet, DirectPlant, fly
-from wire.config.experiment import Experiment
-from wire.frames import Array, pose_error
-from wire.messages.messages import RobotState
 
 SETTLED_S = 20.0
 

@@ -21,13 +21,13 @@ from typing import Annotated, Any
 
 import typer
 from rich.console import Console
+from shoal.errors import ConfigError
 
 from benchmarks import evidence
 from localizer.evaluation.metrics import PoseRow
 from localizer.evaluation.runner import evaluate_log
-from wire.config.experiment import load_experiment
-from wire.process.output import terminal
-from wire.toml_loader import ConfigError
+from shoal.config.experiment import load_experiment
+from shoal.runtime.output import terminal
 
 ROOT = Path(__file__).parents[1]
 SCENES = tuple(sorted(path.stem for path in (ROOT / "wire" / "experiments").glob("*.toml")))

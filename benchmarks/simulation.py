@@ -17,13 +17,13 @@ import numpy as np
 
 from benchmarks.flights import prepared
 from benchmarks.harness import Row
+from shoal.config.experiment import Experiment, dump_experiment, load_experiment
+from shoal.config.scene import RobotConfig
+from shoal.frames import Array
+from shoal.system import programs
 from sim_bridge.camera.renderer import Renderer
 from sim_bridge.in_process.fleet import fly
 from sim_bridge.plant.fleet import Plant
-from wire import programs
-from wire.config.experiment import Experiment, dump_experiment, load_experiment
-from wire.config.scene import RobotConfig
-from wire.frames import Array
 
 BENCHMARK = "simulation"
 LOCKSTEP_S = 10.0  # starting all programs takes as long

@@ -7,7 +7,7 @@ import matplotlib
 import numpy as np
 
 from benchmarks.robot_agent.encounters import SCENES, meet
-from wire.config.experiment import load_experiment
+from shoal.config.experiment import load_experiment
 
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt

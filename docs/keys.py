@@ -1,4 +1,4 @@
-"""Write docs/reference/, wire/schemas/ and the table of gains in docs/control.md from the sources: `make docs`.
+"""Write docs/reference/, shoal/config/schemas/ and the table of gains in docs/control.md from the sources: `make docs`.
 
 A test fails when they are behind."""
 
@@ -8,13 +8,13 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from robot_agent.control.nonlinear.tuning import formulas
-from wire import key_reference
-from wire.config.fault_injection import KINDS, OF_PROCESSES
-from wire.config.vehicle import load_vehicle
-from wire.key_reference import KeyEntry, KeyTable
+from shoal.config import key_reference
+from shoal.config.fault_injection import KINDS, OF_PROCESSES
+from shoal.config.key_reference import KeyEntry, KeyTable
+from shoal.config.vehicle import load_vehicle
 
 ROOT = Path(__file__).parents[1]
-LAID = "Written by `make docs` from the models in `wire/config/`; edit those. `groundstation keys-of` searches it.\n"
+LAID = "Written by `make docs` from the models in `shoal/config/`; edit those. `groundstation keys-of` searches it.\n"
 COLUMNS = "| Key | Type | Unit | Range | Default | Meaning | Example |\n|---|---|---|---|---|---|---|"
 OUT = "A default that is empty: leaving the key out has a meaning of its own.\n"
 
@@ -72,7 +72,7 @@ def _gains() -> str:
 
 
 def _constants() -> Iterator[str]:
-    yield f"# Constants of controller and observer\n\n{LAID.replace('the models in `wire/config/`', 'the sources')}"
+    yield f"# Constants of controller and observer\n\n{LAID.replace('the models in `shoal/config/`', 'the sources')}"
     yield "Everything else follows from the vehicle file, the control period and the reported noise"
     yield "([control.md](../control.md#weights) has the formulas). A name ends with its unit; one without is a ratio."
     yield "Each was flown on all cells of the grid ([evidence](../evidence/robots.md)): 2.3 to 40 kg, thrust x 0.5 to 3,"

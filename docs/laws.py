@@ -6,9 +6,9 @@ from pathlib import Path
 
 import matplotlib as mpl
 
+from groundstation.analysis.comparison import Comparison
 from groundstation.report.controller_comparison import COLUMNS, cells, errors, wanted
 from groundstation.report.plotting import STYLE
-from wire.config.controller_benchmark import Comparison
 
 IMAGES = Path(__file__).parent / "images"
 TOLD = ("rms_m", "rms_after_20s_m", "formation_after_20s_m", "input_step_rms", "wanted_beyond", "wanted_most")

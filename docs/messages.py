@@ -10,17 +10,17 @@ import types
 from collections.abc import Iterator
 from typing import Any, get_args, get_origin, get_type_hints
 
-from wire.messages import codec, messages, topics
-from wire.messages.messages import Message
-from wire.messages.topics import TOPICS, Qos, Topic
+from shoal.messages import codec, messages, topics
+from shoal.messages.messages import Message
+from shoal.messages.topics import TOPICS, Qos, Topic
 
 HEAD = """# Messages and topics
 
-Written by `make docs` from `wire/messages/topics.py` and `wire/messages/messages.py`; edit those.
+Written by `make docs` from `shoal/messages/topics.py` and `shoal/messages/messages.py`; edit those.
 Frames and units: `docs/frames-and-units.md`.
 
 Keys stand below the fleet's name (`--fleet`, default `shoal`). Beside every message travels a header of 28 bytes as its Zenoh
-attachment, little-endian: session u64, sequence u32, stamp i64 in ns, age i64 in ns (`wire/messages/codec.py`).
+attachment, little-endian: session u64, sequence u32, stamp i64 in ns, age i64 in ns (`shoal/messages/codec.py`).
 """
 
 

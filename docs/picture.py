@@ -11,9 +11,9 @@ from mcap.reader import make_reader
 from groundstation.analysis import alignment
 from groundstation.logs.reader import read_log
 from groundstation.report import figures_paths
-from wire.config.experiment import load_experiment
-from wire.messages import codec, topics
-from wire.messages.messages import Preview
+from shoal.config.experiment import load_experiment
+from shoal.messages import codec, topics
+from shoal.messages.messages import Preview
 
 SHOW_AT = 0.45  # of the run: the transient is over, and the circle not yet closed
 

@@ -17,10 +17,10 @@ import numpy as np
 from playwright.sync_api import Browser, Page, ViewportSize, sync_playwright
 
 from groundstation.logs.run_folders import give_label
+from shoal.config.experiment import Experiment, load_experiment
+from shoal.system import programs
 from sim_bridge.camera.renderer import Renderer
 from sim_bridge.sil.ports import free_port
-from wire import programs
-from wire.config.experiment import Experiment, load_experiment
 
 IMAGES = Path(__file__).parent / "images"
 FLAGS = ["--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking", "--disable-sync"]

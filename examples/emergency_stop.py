@@ -18,7 +18,7 @@ def too_far(fleet: shoal.ConnectedFleet) -> bool:
     return any(np.linalg.norm(state.eta[:2] - state.eta_reference[:2]) > LIMIT_M for state in states)
 
 
-with shoal.simulation("pool", lockstep=True) as fleet:
+with sim_bridge.scripting("pool", lockstep=True) as fleet:
     fleet.start()
     fleet.wait(lambda: too_far(fleet), timeout_s=120.0)
     outcome = fleet.stop()

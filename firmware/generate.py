@@ -11,8 +11,8 @@ from pathlib import Path
 from pymavlink.dialects import v20
 from pymavlink.generator import mavgen
 
+from shoal.config.experiment import load_experiment
 from sim_bridge.thruster_board.parameters import Parameters
-from wire.config.experiment import load_experiment
 
 DIALECT = "common"
 

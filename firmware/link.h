@@ -1,5 +1,5 @@
 /* MAVLink 2 frames on the link: finding, checking and numbering those that arrive, queueing and signing those that leave.
-The counterpart of wire/mavlink/framing.py.
+The counterpart of shoal/mavlink/framing.py.
 
 Nothing here takes long: each call of link_next checks one frame at most or hashes one block of its signature, and each call of
 link_sign hashes one block. */

@@ -1,4 +1,4 @@
-/* What the board is asked, and its answers and measurements as messages. The counterpart of wire/mavlink/board_link.py. */
+/* What the board is asked, and its answers and measurements as messages. The counterpart of sim_bridge/thruster_board/board_link.py. */
 #ifndef MESSAGES_H
 #define MESSAGES_H
 

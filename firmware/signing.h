@@ -1,4 +1,4 @@
-/* MAVLink 2 signatures: of frames that arrive and of frames that leave. The counterpart of wire/mavlink/signing.py.
+/* MAVLink 2 signatures: of frames that arrive and of frames that leave. The counterpart of shoal/mavlink/signing.py.
 
 A signature takes two blocks of SHA-256 or more, which is long on an 8-bit processor. So it is computed as a job, a block with
 each call. Timestamps count in 10 us since 2015; 48 bits. */

@@ -17,9 +17,9 @@ from groundstation.cli.run import plan, run
 from groundstation.cli.run_list import delete, label, list_runs
 from groundstation.cli.runs import benchmark_report, compare, export, record, repair, report
 from groundstation.cli.stop import ProgramGroup, register_stop
-from wire.process.cli_options import Version
-from wire.process.optional_packages import run_role
-from wire.process.runtime import run_app
+from shoal.runtime.cli_options import Version
+from shoal.runtime.optional_packages import run_role
+from shoal.runtime.runtime import run_app
 
 cli = typer.Typer(
     cls=ProgramGroup,

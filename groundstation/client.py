@@ -13,19 +13,19 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
+from groundstation.gate.gate import through_door
+from groundstation.gate.own_door import DoorTransport, opens
 from groundstation.mission.state_machine import in_words
 from groundstation.station import discovery
 from groundstation.station.discovery import RunningStation
-from wire.messages.live_gains import values_of
-from wire.messages.messages import Command, Order, Outcome, Progress, Reply, StationHeartbeat, Tuning
-from wire.messages.topics import HEARTBEAT, WHOLE_FLEET, Role, process_name
-from wire.process.cli_options import DEFAULT_FLEET
-from wire.process.fleet_time import FleetTime
-from wire.transport.bus import Bus
-from wire.transport.gate import through_door
-from wire.transport.network import endpoint
-from wire.transport.own_door import DoorTransport, opens
-from wire.transport.zenoh_transport import ZenohTransport
+from shoal.bus.bus import Bus
+from shoal.bus.network import endpoint
+from shoal.bus.zenoh_transport import ZenohTransport
+from shoal.messages.live_gains import values_of
+from shoal.messages.messages import Command, Order, Outcome, Progress, Reply, StationHeartbeat, Tuning
+from shoal.messages.topics import HEARTBEAT, WHOLE_FLEET, Role, process_name
+from shoal.runtime.cli_options import DEFAULT_FLEET
+from shoal.runtime.fleet_time import FleetTime
 
 ORDER_TIMEOUT_S = 2.0
 ASK_EVERY_S = 0.2

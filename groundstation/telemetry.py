@@ -10,13 +10,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from wire.config.experiment import Experiment
-from wire.frames import Array
-from wire.messages import topics
-from wire.messages.codec import Header
-from wire.messages.messages import LocalizerStatus, Mode, Obstacles, Plan, Pose, RobotState, Solve, Track
-from wire.process.runtime import Clock, age_s
-from wire.transport.bus import Bus, Inbox
+from shoal.bus.bus import Bus, Inbox
+from shoal.config.experiment import Experiment
+from shoal.frames import Array
+from shoal.messages import topics
+from shoal.messages.codec import Header
+from shoal.messages.messages import LocalizerStatus, Mode, Obstacles, Plan, Pose, RobotState, Solve, Track
+from shoal.runtime.runtime import Clock, age_s
 
 NEVER_S = 1000.0  # age by which an agent reports a board that it never heard
 LOSSY = 0.2  # share of lost messages; above it echoes, battery voltages and poses are too old

@@ -8,8 +8,8 @@ import typer
 from localizer.calibration.cli import calibrate, check, print_markers
 from localizer.evaluation.cli import SourceName, evaluate, latency, rerun, track
 from localizer.setup.cli import setup
-from wire.config.experiment import load_experiment
-from wire.process.cli_options import (
+from shoal.config.experiment import load_experiment
+from shoal.runtime.cli_options import (
     DEFAULT_FLEET,
     DEFAULT_STATION,
     CameraName,
@@ -24,8 +24,8 @@ from wire.process.cli_options import (
     Verbose,
     Version,
 )
-from wire.process.optional_packages import run_role
-from wire.process.runtime import Stop, run_app, start_log
+from shoal.runtime.optional_packages import run_role
+from shoal.runtime.runtime import Stop, run_app, start_log
 
 cli = typer.Typer(
     help="Localizer: tracks the robots from an overhead camera and publishes their poses.",
@@ -68,8 +68,8 @@ def run(
     import cv2
 
     from localizer import node
-    from wire.messages.topics import Role, localizer_name, process_name
-    from wire.transport.network import endpoint
+    from shoal.bus.network import endpoint
+    from shoal.messages.topics import Role, localizer_name, process_name
 
     start_log(localizer_name(camera), verbose)
     # Regions are small, and more threads only compete with the other processes of the machine.
@@ -96,8 +96,8 @@ def fuse(
     Example:  localizer fuse two-cameras
     """
     from localizer import fusion_node
-    from wire.messages.topics import Role, process_name
-    from wire.transport.network import endpoint
+    from shoal.bus.network import endpoint
+    from shoal.messages.topics import Role, process_name
 
     start_log("localizer", verbose)
     where = endpoint(station, process_name(Role.LOCALIZER), keys, insecure=insecure, lossless=lockstep)

@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from localizer import kernels
-from wire.config.perception import Camera
-from wire.frames import Array
-from wire.toml_loader import Section
+from shoal.config.loader import Section
+from shoal.config.perception import Camera
+from shoal.frames import Array
 
 LARGEST_FOLD_PX = 0.1  # px; a lens whose picture's edge is farther off gives wrong places there
 # Undistortion is a fixed-point iteration. OpenCV's default of 5 rounds stops 0.3 px short in the corners of a wide lens.
@@ -26,7 +26,7 @@ _UNDISTORT = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-12)
 
 
 class Intrinsics(Section):
-    """The part of wire.config.perception.Camera that belongs to lens and sensor and does not depend on the camera's pose."""
+    """The part of shoal.config.perception.Camera that belongs to lens and sensor and does not depend on the camera's pose."""
 
     size_px: tuple[int, int]
     focal_px: tuple[float, float]

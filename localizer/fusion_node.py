@@ -9,20 +9,21 @@ import time
 from collections.abc import Generator, Iterator
 from dataclasses import replace
 
+from shoal.errors import ConfigError
+
 from localizer.sources.base import silent_after_s
 from localizer.sources.session_stamps import SessionStamps
 from localizer.tracking.camera_fusion import CameraFusion, CameraView, FusionResult, fuse_obstacles
-from wire.config.experiment import Experiment
-from wire.messages import topics
-from wire.messages.codec import Header
-from wire.messages.messages import LocalizerStatus, Obstacles, Pose
-from wire.process.lockstep import Lockstep, LockstepClock
-from wire.process.runtime import Clock, Stop, WallClock, age_s, log, log_to_bus, run_steps, wait
-from wire.process.version import code
-from wire.toml_loader import ConfigError
-from wire.transport.bus import Bus, Received
-from wire.transport.endpoint import Endpoint
-from wire.transport.zenoh_transport import ZenohTransport
+from shoal.bus.bus import Bus, Received
+from shoal.bus.endpoint import Endpoint
+from shoal.bus.zenoh_transport import ZenohTransport
+from shoal.config.experiment import Experiment
+from shoal.messages import topics
+from shoal.messages.codec import Header
+from shoal.messages.messages import LocalizerStatus, Obstacles, Pose
+from shoal.runtime.lockstep import Lockstep, LockstepClock
+from shoal.runtime.runtime import Clock, Stop, WallClock, age_s, log, log_to_bus, run_steps, wait
+from shoal.runtime.version import code
 
 TOGETHER = 0.25  # of a frame period: pictures nearer in time are fused as one, and no pose waits longer for another camera
 SAY_AGAIN_S = 5.0  # s between log lines about cameras that disagree

@@ -10,8 +10,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from wire.frames import Array
-from wire.kernels import kernel
+from shoal.frames import Array
+from shoal.kernels.kernel import kernel
 
 _UNDISTORT_ROUNDS = 50  # most rounds of the fixed-point iteration; a wide lens takes 25
 _UNDISTORT_STEP = 1e-13  # tangent of the angle off the axis, step at which it ends: 1e-10 px

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from shoal.errors import ConfigError
 
 from localizer.detection.obstacles import ObstacleDetector
 from localizer.sources.base import CapturedFrame, FrameSource
@@ -25,20 +26,19 @@ from localizer.tracking.tilt import Attitude
 from localizer.view.overlay import draw
 from localizer.view.preview import PreviewPublisher
 from localizer.view.video_encoder import VideoEncoder
-from wire.config.experiment import Experiment
-from wire.frames import Array
-from wire.messages import topics
-from wire.messages.codec import encode
-from wire.messages.messages import CameraHealth, LocalizerStatus, Obstacles, Pose, RobotState, Track
-from wire.messages.topics import Topic
-from wire.process.lockstep import LockstepClock
-from wire.process.runtime import Clock, Failed, Stop, WallClock, age_s, log, log_to_bus, run_steps
-from wire.process.version import code
-from wire.toml_loader import ConfigError
-from wire.transport.bus import Bus, Received
-from wire.transport.endpoint import Endpoint
-from wire.transport.frame_ring import codec_of
-from wire.transport.zenoh_transport import ZenohTransport
+from shoal.bus.bus import Bus, Received
+from shoal.bus.endpoint import Endpoint
+from shoal.bus.frame_ring import codec_of
+from shoal.bus.zenoh_transport import ZenohTransport
+from shoal.config.experiment import Experiment
+from shoal.frames import Array
+from shoal.messages import topics
+from shoal.messages.codec import encode
+from shoal.messages.messages import CameraHealth, LocalizerStatus, Obstacles, Pose, RobotState, Track
+from shoal.messages.topics import Topic
+from shoal.runtime.lockstep import LockstepClock
+from shoal.runtime.runtime import Clock, Failed, Stop, WallClock, age_s, log, log_to_bus, run_steps
+from shoal.runtime.version import code
 
 if TYPE_CHECKING:
     from localizer.view.mjpeg_server import MjpegServer

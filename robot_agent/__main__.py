@@ -10,9 +10,9 @@ from robot_agent.commands import check, compile_kernels, confirm_zero, init, uni
 from robot_agent.host.config import merge_config, open_board_link
 from robot_agent.host.params import cli as params
 from robot_agent.preflight.identify import cli as identify
-from wire.config.experiment import load_experiment
-from wire.mavlink.board_address import DEFAULT_LINK, LINK_HELP
-from wire.process.cli_options import (
+from shoal.config.experiment import load_experiment
+from shoal.mavlink.board_address import DEFAULT_LINK, LINK_HELP
+from shoal.runtime.cli_options import (
     DEFAULT_FLEET,
     DEFAULT_STATION,
     ExperimentName,
@@ -26,7 +26,7 @@ from wire.process.cli_options import (
     Version,
     live_fleet,
 )
-from wire.process.runtime import Stop, log, run_app, start_log
+from shoal.runtime.runtime import Stop, log, run_app, start_log
 
 cli = typer.Typer(
     help="The program on a robot's board: poses in, pulses for thrusters and ankles out.",
@@ -83,10 +83,10 @@ def run(
     from robot_agent.host import realtime
     from robot_agent.host.sd_notify import ServiceNotifier
     from robot_agent.node import AgentNode
-    from wire.messages.topics import Role, process_name
-    from wire.transport.bus import Bus
-    from wire.transport.network import endpoint
-    from wire.transport.zenoh_transport import ZenohTransport, receive_on_one_thread
+    from shoal.bus.bus import Bus
+    from shoal.bus.network import endpoint
+    from shoal.bus.zenoh_transport import ZenohTransport, receive_on_one_thread
+    from shoal.messages.topics import Role, process_name
 
     given = {
         "experiment": experiment,
@@ -136,7 +136,7 @@ def rerun(
     For `groundstation log rerun`, which reads a log and compares.
     """
     from robot_agent.rerun import Rerun
-    from wire.messages.pipe import PipeWriter, read_pipe
+    from shoal.messages.pipe import PipeWriter, read_pipe
 
     said = PipeWriter(sys.stdout.buffer, session=1)
     for topic, message, stamp_ns in Rerun(load_experiment(experiment, settings or ()), robot).run(read_pipe(sys.stdin.buffer)):
@@ -149,7 +149,7 @@ def link_key(file: Annotated[Path, typer.Argument(metavar="FILE", help="Where to
 
     Example:  robot-agent link-key board-1.key
     """
-    from wire.mavlink.signing_key import new_key
+    from shoal.mavlink.signing_key import new_key
 
     new_key(file)
     typer.echo(f"{file}: a new key, for its owner's eyes only")

@@ -27,11 +27,12 @@ from robot_agent.safety.health import HealthMonitor
 from robot_agent.safety.modes import DRIVE_LASTS_S, ORDERS, POWERED, Health, react, refusal
 from robot_agent.safety.thruster_selftest import ThrusterSelftest
 from robot_agent.vehicle.estimate import PoseMeasurement, StateMeasurement
-from wire.camera_coverage import outside_m
-from wire.config.experiment import Experiment
-from wire.mavlink.agent_link import Telemetry
-from wire.messages.codec import Header
-from wire.messages.messages import (
+from shoal.bus.command_deduplication import ALWAYS_TAKEN
+from shoal.config.experiment import Experiment
+from shoal.mavlink.agent_link import Telemetry
+from shoal.messages.camera_coverage import outside_m
+from shoal.messages.codec import Header
+from shoal.messages.messages import (
     Command,
     DriveVelocity,
     Mode,
@@ -44,8 +45,7 @@ from wire.messages.messages import (
     Track,
     Trajectory,
 )
-from wire.obstacle_memory import blindness, is_old
-from wire.transport.command_deduplication import ALWAYS_TAKEN
+from shoal.messages.obstacle_memory import blindness, is_old
 
 UNSEEN = frozenset({"pose late", "no pose"})  # reasons of modes.py
 SUSPECT = frozenset({"thruster board disobeys", "thrusters do not do as told"})  # after these no earlier test counts
@@ -410,7 +410,7 @@ def begins_ns(header: Header, command: Command) -> int:
 def unacceptable(robot: int, experiment_hash: str, header: Header, command: Command, station: StationView) -> str:
     """Return the reason to reject a command before its content is looked at; empty if it is accepted. A command is valid from
     the station that is heard now, while it is young, and for the experiment of this robot. The bus removes duplicates and
-    commands for an earlier process (wire/transport/command_deduplication.py). STOP and DISARM are always accepted: whoever may
+    commands for an earlier process (shoal/bus/command_deduplication.py). STOP and DISARM are always accepted: whoever may
     command at all (docs/security.md) may take the power away at any time."""
     if command.robot != robot:
         return f"is for robot {command.robot}, this is robot {robot}"

@@ -8,19 +8,19 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from shoal.errors import ConfigError, os_errors_as_config_errors
 
 from robot_agent.host.board_zero import FILE, SERVICE_FOLDER, read_record, state_folder, write_record
 from robot_agent.host.config import load_agent_config, merge_config, template
 from robot_agent.preflight.findings import CheckFinding, CheckVerdict, exit_code, to_json
-from wire.config.experiment import Experiment, load_experiment
-from wire.config.scene import LARGEST_ROBOT
-from wire.mavlink.board_address import DEFAULT_LINK, LINK_HELP, parse_link
-from wire.process.cli_options import DEFAULT_FLEET, FleetName
-from wire.process.output_files import check_output, replace_text
-from wire.process.runtime import start_log
-from wire.toml_loader import ConfigError, os_errors_as_config_errors
-from wire.transport.endpoint import parse_address
-from wire.transport.network import refuse_open
+from shoal.bus.endpoint import parse_address
+from shoal.bus.network import refuse_open
+from shoal.config.experiment import Experiment, load_experiment
+from shoal.config.scene import LARGEST_ROBOT
+from shoal.mavlink.board_address import DEFAULT_LINK, LINK_HELP, parse_link
+from shoal.runtime.cli_options import DEFAULT_FLEET, FleetName
+from shoal.runtime.output_files import check_output, replace_text
+from shoal.runtime.runtime import start_log
 
 ConfigFile = Annotated[Path, typer.Option("--config", metavar="FILE", help="The board's configuration (`robot-agent init`).")]
 DEFAULT_CONFIG = Path("agent.toml")
@@ -96,8 +96,8 @@ def compile_kernels(
 
     Example:  NUMBA_CACHE_DIR=/var/lib/shoal-agent/kernels robot-agent compile
     """
-    from wire import kernel_cache
-    from wire.kernel_build import ensure_compiled
+    from shoal.kernels import cache as kernel_cache
+    from shoal.kernels.build import ensure_compiled
 
     if clear:
         for folder in kernel_cache.clear():

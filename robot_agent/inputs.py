@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from wire.mavlink.agent_link import Telemetry
-from wire.messages.messages import Obstacles, Plan, Pose, Track
+from shoal.mavlink.agent_link import Telemetry
+from shoal.messages.messages import Obstacles, Plan, Pose, Track
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +44,7 @@ class StampedObstacles:
 @dataclass(frozen=True)
 class StationView:
     """The station as last heard: its session, its clock now, the age of its heartbeat, and from that heartbeat the formation's
-    lag and slowing, and the robots that are out of the water (wire.messages.messages.StationHeartbeat)."""
+    lag and slowing, and the robots that are out of the water (shoal.messages.messages.StationHeartbeat)."""
 
     session: int = 0
     clock_ns: int = 0

@@ -22,13 +22,15 @@ from robot_agent.host.sd_notify import ServiceNotifier
 from robot_agent.host.step_clock import StepClock
 from robot_agent.safety.modes import LIVE
 from robot_agent.step_record import inputs_of, record_command, record_step, station_view, with_reply
-from wire.config.experiment import Experiment
-from wire.mavlink.agent_link import ACCEPTED, ARM_DISARM, Telemetry
-from wire.mavlink.board_port import Link
-from wire.mavlink.signing_key import Signing, agent_end
-from wire.messages import topics
-from wire.messages.codec import Header
-from wire.messages.messages import (
+from shoal.bus.bus import Bus, Received
+from shoal.bus.command_deduplication import ALWAYS_TAKEN
+from shoal.config.experiment import Experiment
+from shoal.mavlink.agent_link import ACCEPTED, ARM_DISARM, Telemetry
+from shoal.mavlink.board_port import Link
+from shoal.mavlink.signing_key import Signing, agent_end
+from shoal.messages import topics
+from shoal.messages.codec import Header
+from shoal.messages.messages import (
     Command,
     LocalizerStatus,
     Mode,
@@ -41,11 +43,9 @@ from wire.messages.messages import (
     StepInputs,
     Tick,
 )
-from wire.process.lockstep import Lockstep, LockstepClock, Reminder
-from wire.process.runtime import SLICE_S, Clock, Stop, WallClock, log, log_to_bus, run_steps, wait
-from wire.process.version import code
-from wire.transport.bus import Bus, Received
-from wire.transport.command_deduplication import ALWAYS_TAKEN
+from shoal.runtime.lockstep import Lockstep, LockstepClock, Reminder
+from shoal.runtime.runtime import SLICE_S, Clock, Stop, WallClock, log, log_to_bus, run_steps, wait
+from shoal.runtime.version import code
 
 DISARMED = (ARM_DISARM, ACCEPTED)  # the board's answer
 LINK_HEARTBEAT_S = 1.0

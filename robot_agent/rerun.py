@@ -13,11 +13,11 @@ from typing import Any
 
 from robot_agent.agent import Agent
 from robot_agent.step_record import inputs_of, station_view
-from wire.config.experiment import Experiment
-from wire.messages import topics
-from wire.messages.codec import DecodeError, Header, decode
-from wire.messages.messages import Event, Message, Obstacles, OrderTaken, Plan, RobotState, StepInputs
-from wire.messages.topics import Topic
+from shoal.config.experiment import Experiment
+from shoal.messages import topics
+from shoal.messages.codec import DecodeError, Header, decode
+from shoal.messages.messages import Event, Message, Obstacles, OrderTaken, Plan, RobotState, StepInputs
+from shoal.messages.topics import Topic
 
 Logged = tuple[Topic, int | None, Header, bytes]
 Again = tuple[Topic, Message, int]  # topic, message, stamp in ns

@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 
 from robot_agent.inputs import Inputs, StampedObstacles, StampedPlan, StampedPose, StationView
-from wire.mavlink.agent_link import Telemetry
-from wire.messages.codec import Header
-from wire.messages.messages import (
+from shoal.bus.bus import Received
+from shoal.mavlink.agent_link import Telemetry
+from shoal.messages.codec import Header
+from shoal.messages.messages import (
     BoardReading,
     Command,
     Obstacles,
@@ -26,8 +27,7 @@ from wire.messages.messages import (
     StationHeartbeat,
     StepInputs,
 )
-from wire.process.runtime import Clock
-from wire.transport.bus import Received
+from shoal.runtime.runtime import Clock
 
 
 def record_step(

@@ -7,13 +7,13 @@
         fleet.go((1.0, 0.5))
 
 Requests are those of `groundstation mission ...`, with the same checks by the station; nothing here speaks to a robot. Lengths
-in m, angles in rad, pool frame; messages are those of wire/messages/messages.py. docs/scripting.md has examples.
+in m, angles in rad, pool frame; messages are those of shoal/messages/messages.py. docs/scripting.md has examples.
 """
 
-from shoal.asynchronous import AsyncFleet, connect_async
-from shoal.fleet import ConnectedFleet, NotHeard, RequestFailed, connect
-from shoal.runs import FlownRun, open_run
-from shoal.simulation import simulate, simulation
+from groundstation.scripting.asynchronous import AsyncFleet, connect_async
+from groundstation.scripting.fleet import ConnectedFleet, NotHeard, RequestFailed, connect
+from groundstation.scripting.runs import FlownRun, open_run
+from sim_bridge.scripting import simulate, simulation
 
 __all__ = [
     "AsyncFleet",

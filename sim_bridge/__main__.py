@@ -2,14 +2,14 @@
 
 import typer
 
+from shoal.runtime.cli_options import Version
+from shoal.runtime.optional_packages import run_role
+from shoal.runtime.runtime import run_app
 from sim_bridge.board_conformance.cli import board_conformance
 from sim_bridge.cli.compare import compare, tune
 from sim_bridge.cli.new import new
 from sim_bridge.cli.pool import board, hil, pool
 from sim_bridge.cli.sil import campaign, numeric, sil
-from wire.process.cli_options import Version
-from wire.process.optional_packages import run_role
-from wire.process.runtime import run_app
 
 cli = typer.Typer(
     help="The pool in software: water, robots, thruster boards and an overhead camera, on the same wires as the real ones.",

@@ -8,12 +8,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from shoal.errors import ConfigError
 
-from wire.config.experiment import Experiment
-from wire.config.fault_injection import Break, Fault
-from wire.config.vehicle import OUTPUTS
-from wire.frames import Array
-from wire.toml_loader import ConfigError
+from shoal.config.experiment import Experiment
+from shoal.config.fault_injection import Break, Fault
+from shoal.config.vehicle import OUTPUTS
+from shoal.frames import Array
 
 NUMERIC = ("thruster", "imu", "battery")  # kinds of faults that a numeric flight can have
 ROUNDING_S = 1e-6  # s by which a change is looked for early, as times are sums of rounded numbers

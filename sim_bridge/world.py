@@ -13,13 +13,13 @@ from typing import Protocol
 
 import numpy as np
 
+from shoal.config.experiment import Experiment
+from shoal.frames import Array
+from shoal.messages.messages import Truth
 from sim_bridge.fault_schedule import BEFORE_S, FaultSchedule
 from sim_bridge.plant.fleet import Plant, PlantState
 from sim_bridge.plant.sensors import BoardSensors
 from sim_bridge.thruster_board.board import ThrusterBoard
-from wire.config.experiment import Experiment
-from wire.frames import Array
-from wire.messages.messages import Truth
 
 
 class WorldBoard(Protocol):

@@ -47,9 +47,9 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: p
 @pytest.fixture
 def address() -> Iterator[str]:
     """Address of a router on this machine, for one test."""
+    from shoal.bus.endpoint import Endpoint
+    from shoal.bus.zenoh_transport import ZenohTransport
     from sim_bridge.sil.ports import free_port  # these import numpy: not before its number of threads is set
-    from wire.transport.endpoint import Endpoint
-    from wire.transport.zenoh_transport import ZenohTransport
 
     where = f"tcp/127.0.0.1:{free_port()}"
     router = ZenohTransport(Endpoint(where, router=True))

@@ -15,18 +15,18 @@ from typing import Any
 
 import pytest
 import typer
+from shoal.errors import ConfigError
 from typer.testing import CliRunner
 
 from groundstation.__main__ import cli as groundstation
 from groundstation.deploy import key_ring
+from shoal.bus.bus import Bus
+from shoal.bus.memory_transport import MemoryHub, MemoryTransport
+from shoal.messages.codec import Header
+from shoal.messages.messages import Command, Order, Outcome, Progress, Reply
+from shoal.runtime.cli_options import experiments
 from sim_bridge.__main__ import cli as sim_bridge
 from sim_bridge.sil.ports import free_port
-from wire.messages.codec import Header
-from wire.messages.messages import Command, Order, Outcome, Progress, Reply
-from wire.process.cli_options import experiments
-from wire.toml_loader import ConfigError
-from wire.transport.bus import Bus
-from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
 pytestmark = pytest.mark.long
 

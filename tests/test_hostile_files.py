@@ -13,11 +13,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from shoal.errors import ConfigError
 from typer.testing import CliRunner
 
 from groundstation.__main__ import cli
 from groundstation.logs import reader, repair, run_folders
 from groundstation.report import compare_report
+from groundstation.scripting.runs import FlownRun
 from groundstation.web.run_end import run_end
 from localizer.calibration.images import read_picture
 from localizer.evaluation.offline import PoseTable
@@ -26,13 +28,12 @@ from localizer.sources.files import decode_file
 from localizer.sources.recording import FRAMES, recorded_frames
 from localizer.sources.video import VideoReader
 from robot_agent.preflight.identify import thrust
-from shoal.runs import FlownRun
+from shoal.config.experiment import load_experiment
+from shoal.config.loader import read_toml
+from shoal.mavlink.signing_key import TimestampStore, load_key
+from shoal.system.regular_files import open_regular, read_regular
 from sim_bridge.studies.campaign_runner import Journal
 from tests.source_tree import nodes, sources, tree_of
-from wire.config.experiment import load_experiment
-from wire.mavlink.signing_key import TimestampStore, load_key
-from wire.regular_files import open_regular, read_regular
-from wire.toml_loader import ConfigError, read_toml
 
 pytestmark = pytest.mark.timeout(60)
 
@@ -100,8 +101,8 @@ READ_THEIR_OWN = {
     "robot_agent/host/board_zero.py",
     "robot_agent/host/realtime.py", "robot_agent/preflight/network.py", "localizer/sources/video.py",
     "sim_bridge/cli/new.py", "sim_bridge/sil/after_run.py", "sim_bridge/sil/clock_shim.py", "sim_bridge/sil/launcher.py",
-    "sim_bridge/sil/processes.py", "sim_bridge/studies/campaign_runner.py", "wire/kernel_build.py", "wire/kernel_cache.py",
-    "wire/key_reference.py", "wire/process/output_files.py", "wire/process/version.py", "wire/security/key_ring.py",
+    "sim_bridge/sil/processes.py", "sim_bridge/studies/campaign_runner.py", "shoal/kernels/build.py", "shoal/kernels/cache.py",
+    "shoal/config/key_reference.py", "shoal/runtime/output_files.py", "shoal/runtime/version.py", "shoal/bus/key_ring.py",
 }  # fmt: skip
 
 
@@ -114,7 +115,7 @@ def test_files_of_others_are_read_in_one_place() -> None:
                 mode = [argument.value for argument in call.args if isinstance(argument, ast.Constant)]
                 if call.func.attr in ("read_text", "read_bytes") or (call.func.attr == "open" and mode == ["rb"]):
                     reading.add(source)
-    assert reading - {"wire/regular_files.py"} == READ_THEIR_OWN
+    assert reading - {"shoal/system/regular_files.py"} == READ_THEIR_OWN
 
 
 def a_run(folder: Path) -> Path:

@@ -7,18 +7,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tomli_w
+from shoal.errors import ConfigError
 
 from groundstation.logs.reader import key_topic
 from localizer.tracking.check_marks import with_camera
+from shoal.bus import frame_ring
+from shoal.bus.access_control import Member, grants
+from shoal.config.experiment import EXPERIMENTS, dump_experiment, load_experiment
+from shoal.config.fault_injection import Break, read_what
+from shoal.messages import topics
+from shoal.messages.camera_coverage import outside_m
+from shoal.messages.messages import Frame
 from sim_bridge.node.simulated_camera import Exposure, SimulatedCamera
-from wire.camera_coverage import outside_m
-from wire.config.experiment import EXPERIMENTS, dump_experiment, load_experiment
-from wire.config.fault_injection import Break, read_what
-from wire.messages import topics
-from wire.messages.messages import Frame
-from wire.security.access_control import Member, grants
-from wire.toml_loader import ConfigError
-from wire.transport import frame_ring
 
 EXPERIMENT = load_experiment("two-cameras")
 FULL = tomllib.loads((EXPERIMENTS / "two-cameras.toml").read_text(encoding="utf-8"))

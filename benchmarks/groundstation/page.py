@@ -28,11 +28,13 @@ from groundstation.telemetry import LinkMonitor, subscribe_fleet
 from groundstation.web.backend import Status
 from groundstation.web.live_backend import LiveBackend
 from groundstation.web.server import STATIC, WebServer
-from sim_bridge.sil.ports import free_port
-from wire.config.experiment import Experiment, load_experiment
-from wire.messages import topics
-from wire.messages.codec import Header, encode
-from wire.messages.messages import (
+from shoal.bus.bus import Bus
+from shoal.bus.endpoint import Endpoint
+from shoal.bus.zenoh_transport import ZenohTransport
+from shoal.config.experiment import Experiment, load_experiment
+from shoal.messages import topics
+from shoal.messages.codec import Header, encode
+from shoal.messages.messages import (
     CameraHealth,
     DriveVelocity,
     LocalizerStatus,
@@ -46,13 +48,11 @@ from wire.messages.messages import (
     Solve,
     Track,
 )
-from wire.messages.topics import Topic
-from wire.process.cli_options import DEFAULT_FLEET
-from wire.process.runtime import WallClock
-from wire.transport.bus import Bus
-from wire.transport.endpoint import Endpoint
-from wire.transport.zenoh_transport import ZenohTransport
-from wire.web_access import WebOptions
+from shoal.messages.topics import Topic
+from shoal.runtime.cli_options import DEFAULT_FLEET
+from shoal.runtime.runtime import WallClock
+from shoal.runtime.web_access import WebOptions
+from sim_bridge.sil.ports import free_port
 
 ROBOTS = 49  # as many as there are markers
 NODES = 50

@@ -15,8 +15,8 @@ from groundstation.planning.feasibility import PlanError
 from groundstation.planning.replanning import replan
 from groundstation.planning.route_planner import NoRoute, find_route
 from groundstation.planning.segment import first_segment
-from wire.config.experiment import load_experiment
-from wire.frames import Array
+from shoal.config.experiment import load_experiment
+from shoal.frames import Array
 
 WORLDS = 1000
 COMPARED = 60  # of them are given to the peer, which takes about a second for each

@@ -32,7 +32,7 @@ from mcap.records import Channel, Message
 from mcap_protobuf.schema import build_file_descriptor_set
 
 from benchmarks.harness import Row
-from benchmarks.wire.fleet_load import ROBOTS, VARIANTS, load
+from benchmarks.shoal.fleet_load import ROBOTS, VARIANTS, load
 from groundstation.logs.reader import valid_records
 from groundstation.logs.recorder import Recorder
 from groundstation.logs.repair import recover
@@ -40,17 +40,17 @@ from groundstation.planning import planner
 from groundstation.station.process import record_everything
 from robot_agent.agent import Agent
 from robot_agent.inputs import Inputs, StampedPose, StationView
+from shoal.bus.bus import Bus
+from shoal.bus.endpoint import Endpoint
+from shoal.bus.zenoh_transport import ZenohTransport
+from shoal.config.experiment import load_experiment
+from shoal.mavlink.agent_link import Telemetry
+from shoal.messages import topics
+from shoal.messages.codec import Header, protobuf_class
+from shoal.messages.messages import Pose, Track
+from shoal.messages.topics import Role, Topic
+from shoal.runtime.runtime import WallClock
 from sim_bridge.sil.ports import free_port
-from wire.config.experiment import load_experiment
-from wire.mavlink.agent_link import Telemetry
-from wire.messages import topics
-from wire.messages.codec import Header, protobuf_class
-from wire.messages.messages import Pose, Track
-from wire.messages.topics import Role, Topic
-from wire.process.runtime import WallClock
-from wire.transport.bus import Bus
-from wire.transport.endpoint import Endpoint
-from wire.transport.zenoh_transport import ZenohTransport
 
 RATE_HZ = 20
 CONTROLLED = 99  # the robot whose control is measured: what it says of itself

@@ -22,13 +22,13 @@ from groundstation.planning import planner
 from localizer.camera_model import RefractiveCamera
 from localizer.detection.correlation_filter import CorrelationFilter, FilterShape
 from localizer.tracking.fleet_localizer import FleetLocalizer
+from shoal.config.experiment import Experiment, load_experiment
+from shoal.config.scene import RobotConfig
+from shoal.frames import Array, pool_to_body, wrap
+from shoal.messages.messages import Pose, Track, Trajectory
 from sim_bridge.camera.optics import project
 from sim_bridge.camera.renderer import Renderer
 from sim_bridge.in_process.fleet import AgentFleet, DirectPlant
-from wire.config.experiment import Experiment, load_experiment
-from wire.config.scene import RobotConfig
-from wire.frames import Array, pool_to_body, wrap
-from wire.messages.messages import Pose, Track, Trajectory
 
 SEEDS = range(1, 6)
 PERIOD_S = 0.05

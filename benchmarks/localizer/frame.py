@@ -26,12 +26,12 @@ from localizer.detection.obstacles import ObstacleDetector
 from localizer.evaluation.runner import read_idtracker
 from localizer.tracking.fleet_localizer import FleetLocalizer
 from localizer.tracking.single_object import SingleObjectTracker
+from shoal.config.experiment import Experiment, load_experiment
+from shoal.config.scene import RobotConfig
+from shoal.frames import Array, wrap
+from shoal.messages.messages import Track
 from sim_bridge.camera.optics import project
 from sim_bridge.camera.renderer import Renderer
-from wire.config.experiment import Experiment, load_experiment
-from wire.config.scene import RobotConfig
-from wire.frames import Array, wrap
-from wire.messages.messages import Track
 
 FLEETS = (1, 3, 10, 20)
 FRAMES = 120

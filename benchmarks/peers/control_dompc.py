@@ -13,9 +13,9 @@ from robot_agent.control.any_controller import AnyController
 from robot_agent.control.controller import Controller
 from robot_agent.control.mpc import MpcPlan
 from robot_agent.vehicle.dynamics import State
-from wire.config.experiment import Experiment
-from wire.frames import Array
-from wire.messages.messages import Solve
+from shoal.config.experiment import Experiment
+from shoal.frames import Array
+from shoal.messages.messages import Solve
 
 ca: Any = importlib.import_module("casadi")
 do_mpc: Any = importlib.import_module("do_mpc")

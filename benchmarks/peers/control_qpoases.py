@@ -7,7 +7,7 @@ import numpy as np
 
 from benchmarks.robot_agent.control_peer import in_place_of_ours, print_rows
 from robot_agent.control.qp import Solution
-from wire.frames import Array
+from shoal.frames import Array
 
 ca: Any = importlib.import_module("casadi")
 

@@ -8,7 +8,7 @@ from scipy import sparse
 
 from benchmarks.robot_agent.control_peer import in_place_of_ours, print_rows
 from robot_agent.control.qp import Solution
-from wire.frames import Array
+from shoal.frames import Array
 
 qpsolvers: Any = importlib.import_module("qpsolvers")
 

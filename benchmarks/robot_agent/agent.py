@@ -14,9 +14,9 @@ import psutil
 
 from benchmarks.harness import Row
 from groundstation.deploy import key_ring
+from shoal.config.experiment import load_experiment
 from sim_bridge.sil.ports import free_base_port, free_port
 from sim_bridge.sil.processes import Child, Children
-from wire.config.experiment import load_experiment
 
 STARTS = 5
 FLIGHT_S = 20

@@ -17,9 +17,9 @@ from robot_agent.guidance.formation import Neighbour
 from robot_agent.guidance.reference import Follow
 from robot_agent.vehicle.dynamics import Model, State
 from robot_agent.vehicle.estimate import PoseMeasurement, StateMeasurement
-from wire.config.experiment import Experiment, load_experiment
-from wire.frames import Array, wrap
-from wire.messages.messages import Plan, Solve, Trajectory
+from shoal.config.experiment import Experiment, load_experiment
+from shoal.frames import Array, wrap
+from shoal.messages.messages import Plan, Solve, Trajectory
 
 STEP_NS, STEP_S = 50_000_000, 0.05
 WARM_UP = 60  # steps, 3 s: from rest to speed

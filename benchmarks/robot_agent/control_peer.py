@@ -10,7 +10,7 @@ from benchmarks.robot_agent.control_loop import Case, fly
 from robot_agent.control.any_controller import AnyController
 from robot_agent.control.controller import Controller
 from robot_agent.control.qp import Solver
-from wire.config.experiment import Experiment
+from shoal.config.experiment import Experiment
 
 MakeSolver = Callable[[int, int], Solver]  # unknowns, rows
 

@@ -17,8 +17,8 @@ from benchmarks.robot_agent.control_loop import Case, Flown, fly
 from robot_agent.control.any_controller import AnyController
 from robot_agent.control.controller import Controller
 from robot_agent.control.qp import Solution, Solver, make_solver
-from wire.config.experiment import Experiment
-from wire.frames import Array
+from shoal.config.experiment import Experiment
+from shoal.frames import Array
 
 BENCHMARK = "control_step"
 STEPS, PEER_STEPS = 3000, 300

@@ -15,11 +15,11 @@ import numpy as np
 
 from benchmarks.harness import Row
 from groundstation.planning import planner
+from shoal.config.experiment import Experiment, load_experiment
+from shoal.frames import Array
+from shoal.messages.messages import Trajectory
 from sim_bridge.in_process.fleet import AgentFleet, DirectPlant
 from sim_bridge.studies.worker_pool import worker_pool
-from wire.config.experiment import Experiment, load_experiment
-from wire.frames import Array
-from wire.messages.messages import Trajectory
 
 SCENES = ("swap", "crossing-2", "crossing-4", "overtake", "drifting-obstacle")
 STARTS = 200

@@ -15,9 +15,9 @@ from benchmarks.harness import Row
 from robot_agent.vehicle.dynamics import propagate
 from robot_agent.vehicle.eso import Estimator
 from robot_agent.vehicle.estimate import Estimate, StateMeasurement
+from shoal.config.experiment import load_experiment
+from shoal.frames import wrap
 from sim_bridge.in_process.fleet import AgentFleet, DirectPlant, fly
-from wire.config.experiment import load_experiment
-from wire.frames import wrap
 
 BENCHMARK = "error_budget"
 SEEDS = range(1, 11)

@@ -15,14 +15,14 @@ import numpy as np
 import psutil
 
 from benchmarks.harness import Row
+from shoal.bus.bus import Bus
+from shoal.bus.endpoint import Endpoint
+from shoal.bus.zenoh_transport import ZenohTransport
+from shoal.config.experiment import load_experiment
+from shoal.messages import topics
+from shoal.messages.messages import Plan, Pose, StationHeartbeat, Track
 from sim_bridge.sil.ports import free_port
 from sim_bridge.sil.processes import Children
-from wire.config.experiment import load_experiment
-from wire.messages import topics
-from wire.messages.messages import Plan, Pose, StationHeartbeat, Track
-from wire.transport.bus import Bus
-from wire.transport.endpoint import Endpoint
-from wire.transport.zenoh_transport import ZenohTransport
 
 SAMPLES, SAMPLE_S = 4, 3.0
 START_S = 3.0

@@ -13,8 +13,8 @@ from benchmarks.harness import Row
 from robot_agent.vehicle.dynamics import Model
 from robot_agent.vehicle.estimate import PoseMeasurement, StateMeasurement
 from robot_agent.vehicle.kalman import make_estimator
-from wire.config.controller import EstimatorConfig
-from wire.config.vehicle import load_vehicle
+from shoal.config.controller import EstimatorConfig
+from shoal.config.vehicle import load_vehicle
 
 BENCHMARK = "observer"
 STEPS, WARM_UP = 3000, 200

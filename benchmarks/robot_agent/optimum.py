@@ -15,7 +15,7 @@ import numpy as np
 from benchmarks.flights import SceneFlight, flown
 from benchmarks.harness import Row, run_peer
 from benchmarks.robot_agent.error_budget import CAMERA
-from wire.config.experiment import load_experiment
+from shoal.config.experiment import load_experiment
 
 BENCHMARK = "optimum"
 PERIOD_S = 0.05

@@ -11,7 +11,7 @@ import numpy as np
 
 from benchmarks.flights import flown
 from benchmarks.harness import Row
-from wire.config.experiment import load_experiment
+from shoal.config.experiment import load_experiment
 
 BENCHMARK = "robustness"
 SEEDS = (1, 2, 3)

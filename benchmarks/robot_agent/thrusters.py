@@ -11,8 +11,8 @@ import numpy as np
 
 from benchmarks.flights import flew, rough_water
 from benchmarks.harness import Row
-from wire.config.experiment import load_experiment
-from wire.messages.messages import Mode
+from shoal.config.experiment import load_experiment
+from shoal.messages.messages import Mode
 
 BENCHMARK = "thrusters"
 THRUST_LEFT = {"dead": 0.0, "reversed": -1.0, "weak 0.3": 0.3}  # of what a thruster is told

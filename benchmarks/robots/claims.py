@@ -14,7 +14,7 @@ from robot_agent.agent import Agent
 from robot_agent.vehicle.eso import Estimator
 from robot_agent.vehicle.filter_bank import CURRENT_X, CURRENT_Y, YAW, R, U, V, X, Y
 from robot_agent.vehicle.kalman import KalmanEstimator
-from wire.frames import Array, wrap
+from shoal.frames import Array, wrap
 
 KALMAN = ("x", "y", "yaw", "u", "v", "r", "current_x", "current_y")  # what the Kalman observer claims
 CLAIMED = [X, Y, YAW, U, V, R, CURRENT_X, CURRENT_Y]

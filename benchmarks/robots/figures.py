@@ -9,8 +9,8 @@ import numpy as np
 
 from benchmarks.robots.claims import GROUPS
 from benchmarks.robots.flights import STOPPED, FlightLog
-from wire.frames import Array
-from wire.messages.messages import Mode
+from shoal.frames import Array
+from shoal.messages.messages import Mode
 
 SETTLED_M = 0.05  # this near a robot counts as on its path, or in its place
 STEADY_S = 20.0  # RMS are from here on, as in all other tables of this project

@@ -4,15 +4,15 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
+from shoal.errors import ConfigError
 
 from benchmarks.robots.cells import SQUARE_M, FlightPlan
 from benchmarks.robots.claims import claim_of, nees
 from benchmarks.robots.water import Trouble, TroubledFleet, TroubledPlant
 from groundstation.planning import planner
-from wire.config.experiment import Experiment, load_experiment
-from wire.frames import Array
-from wire.messages.messages import Mode, Order, RobotState, Trajectory
-from wire.toml_loader import ConfigError
+from shoal.config.experiment import Experiment, load_experiment
+from shoal.frames import Array
+from shoal.messages.messages import Mode, Order, RobotState, Trajectory
 
 CLAIMS_EVERY_S, CLAIMS_FROM_S = 0.5, 5.0
 STOPPED = frozenset({Mode.FAULT, Mode.STOPPED, Mode.DISARMED})

@@ -18,10 +18,10 @@ from benchmarks.robots.cells import CELLS, draw
 from benchmarks.robots.figures import FlightFigures, figures
 from benchmarks.robots.flights import FlightLog, fly
 from benchmarks.robots.report import GridRun
+from shoal.config.experiment import load_experiment
+from shoal.runtime.cli_options import finite
+from shoal.runtime.output import terminal
 from sim_bridge.studies.worker_pool import one_thread, worker_pool
-from wire.config.experiment import load_experiment
-from wire.process.cli_options import finite
-from wire.process.output import terminal
 
 EVIDENCE = Path(__file__).parents[2] / "docs" / "evidence" / "robots"
 HOUR_S = 3600.0

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wire.config.plant import PlantConfig
-from wire.config.vehicle import Vehicle, load_vehicle
+from shoal.config.plant import PlantConfig
+from shoal.config.vehicle import Vehicle, load_vehicle
 
 SPHERICAL = load_vehicle("spherical")
 SWING_S = SPHERICAL.righting.swing_s if SPHERICAL.righting is not None else 1.6

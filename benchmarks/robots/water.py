@@ -8,10 +8,10 @@ import numpy as np
 
 from robot_agent.agent import Outputs
 from robot_agent.inputs import StampedPlan, StampedPose
+from shoal.config.experiment import Experiment
+from shoal.frames import Array
+from shoal.messages.messages import Trajectory
 from sim_bridge.in_process.fleet import AgentFleet, DirectPlant
-from wire.config.experiment import Experiment
-from wire.frames import Array
-from wire.messages.messages import Trajectory
 
 STREAM = 57  # keeps this use of the seed apart from the others
 EXPOSURES_KEPT = 128  # more than the oldest pose that an observer may still be at

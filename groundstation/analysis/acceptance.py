@@ -5,10 +5,10 @@ from itertools import combinations
 
 import numpy as np
 
+from groundstation.analysis.comparison import settled
 from groundstation.analysis.results import WHOLE_RUN, Check, Errors, Result
 from groundstation.analysis.series import Series
-from wire.config.controller_benchmark import settled
-from wire.config.vehicle import AXES as WRENCH_AXES
+from shoal.config.vehicle import AXES as WRENCH_AXES
 
 MISSED_FRACTION = 0.001  # of all control steps; more is a run that did not keep time
 KNOWN_SHARE = 0.9  # of the flight in which distances and errors must be known: what nobody saw has not been good

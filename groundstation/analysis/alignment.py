@@ -14,16 +14,17 @@ from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
+from shoal.errors import ConfigError
 
 from groundstation.analysis.series import CHANNELS, HOPS, Flight, Mask, RobotSeries, Series, States, TimelineEvent
 from groundstation.analysis.timeline import STOOD_STILL, once
 from groundstation.formation_clock import FormationPlans
 from groundstation.logs.reader import DecodedMessage, RunLog
-from wire.config.experiment import Experiment
-from wire.config.scene import Circle, PathSpec
-from wire.frames import Array, pose_error
-from wire.messages import topics
-from wire.messages.messages import (
+from shoal.config.experiment import Experiment
+from shoal.config.scene import Circle, PathSpec
+from shoal.frames import Array, pose_error
+from shoal.messages import topics
+from shoal.messages.messages import (
     Event,
     LocalizerStatus,
     Mode,
@@ -35,7 +36,6 @@ from wire.messages.messages import (
     Trajectory,
     Truth,
 )
-from wire.toml_loader import ConfigError
 
 LONGEST_GAP_S = 0.5  # truth is not invented across a longer gap
 OLD_POSE_MS = 150.0  # a step that goes by an older one came without a pose: its age is no latency

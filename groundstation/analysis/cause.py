@@ -13,7 +13,7 @@ from groundstation.analysis.numbers import with_unit
 from groundstation.analysis.results import Cause, Check, Result
 from groundstation.analysis.series import Series, TimelineEvent
 from groundstation.analysis.timeline import INJECTED, STOOD_STILL, faults, is_injection
-from wire.messages.messages import Mode
+from shoal.messages.messages import Mode
 
 PASSED, FAILED, NOT_JUDGED = "passed", "failed", "not judged"
 PERSON = "a person"

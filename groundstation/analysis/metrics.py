@@ -32,10 +32,10 @@ from groundstation.analysis.series import (
 )
 from groundstation.analysis.timeline import faults, tags
 from groundstation.logs.reader import RunLog
-from wire.config.experiment import ArticleRow, Experiment
-from wire.frames import Array, pose_error, wrap_angle
-from wire.messages import topics
-from wire.messages.messages import LocalizerStatus, Mode, RobotState, StationHeartbeat, Truth
+from shoal.config.experiment import ArticleRow, Experiment
+from shoal.frames import Array, pose_error, wrap_angle
+from shoal.messages import topics
+from shoal.messages.messages import LocalizerStatus, Mode, RobotState, StationHeartbeat, Truth
 
 UNARMED = frozenset({Mode.DISARMED, Mode.STOPPED, Mode.FAULT})
 

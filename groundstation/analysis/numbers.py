@@ -2,7 +2,7 @@
 
 import math
 
-from wire.figures import NOTHING, three
+from groundstation.analysis.statistics import NOTHING, three
 
 SHOWN_AS = {"m": ("mm", 1e3), "rad": ("deg", 180.0 / math.pi), "fraction": ("%", 100.0)}
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from groundstation.analysis.series import TimelineEvent
-from wire.config.experiment import ArticleRow
+from shoal.config.experiment import ArticleRow
 
 Three = tuple[float, float, float]
 WHOLE_RUN = "whole run flown"  # name of the check by which a flight went all its way

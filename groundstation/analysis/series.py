@@ -9,13 +9,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from wire.config.controller_benchmark import (
+from groundstation.analysis.comparison import (
     SETTLED_S as SETTLED_S,  # ambiguity A14: errors are given for the whole run and from here on
 )
-from wire.config.experiment import Experiment
-from wire.config.vehicle import AXES
-from wire.frames import Array, pose_error
-from wire.messages.messages import Mode
+from shoal.config.experiment import Experiment
+from shoal.config.vehicle import AXES
+from shoal.frames import Array, pose_error
+from shoal.messages.messages import Mode
 
 CHANNELS = 8
 HOPS = ("localizer", "network, waiting", "control step", "to the board")  # of a pose, from the exposure to the PWM

@@ -5,12 +5,12 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from shoal.errors import ConfigError
 
-from wire.config.experiment import load_experiment
-from wire.mavlink.board_address import DEFAULT_LINK, LINK_HELP
-from wire.process.cli_options import DEFAULT_FLEET, FleetName, Insecure, KeyRing, Settings
-from wire.process.output import terminal
-from wire.toml_loader import ConfigError
+from shoal.config.experiment import load_experiment
+from shoal.mavlink.board_address import DEFAULT_LINK, LINK_HELP
+from shoal.runtime.cli_options import DEFAULT_FLEET, FleetName, Insecure, KeyRing, Settings
+from shoal.runtime.output import terminal
 
 
 def deploy(

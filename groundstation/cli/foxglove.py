@@ -5,12 +5,12 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from shoal.errors import ConfigError
 
 from groundstation.export.foxglove_layout import layout
-from wire.config.experiment import experiment_path, load_experiment
-from wire.process.cli_options import DEFAULT_FLEET, FleetName, experiments
-from wire.process.output_files import check_output, replace_text
-from wire.toml_loader import ConfigError
+from shoal.config.experiment import experiment_path, load_experiment
+from shoal.runtime.cli_options import DEFAULT_FLEET, FleetName, experiments
+from shoal.runtime.output_files import check_output, replace_text
 
 foxglove_cli = typer.Typer(help="Viewers of the Foxglove family.", no_args_is_help=True, pretty_exceptions_enable=False)
 LayoutFile = Annotated[Path | None, typer.Option("--out", metavar="FILE", help="Write it there instead of to stdout.")]

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from wire.process.cli_options import DEFAULT_FLEET, DEFAULT_STATION, FleetName, ListenAddress, finite
-from wire.process.output import terminal
+from shoal.runtime.cli_options import DEFAULT_FLEET, DEFAULT_STATION, FleetName, ListenAddress, finite
+from shoal.runtime.output import terminal
 
 keys_cli = typer.Typer(
     help="Certificates: who belongs to the fleet, and as what (docs/security.md).",
@@ -84,7 +84,7 @@ def list_members(ring: Ring = DEFAULT_RING) -> None:
     """
     from rich.table import Table
 
-    from wire.security.key_ring import EXPIRES_SOON, read_members
+    from shoal.bus.key_ring import EXPIRES_SOON, read_members
 
     now, table = datetime.now(UTC), Table("process", "role", "common name", "valid until (UTC)", "state")
     for m in read_members(ring).member:
@@ -101,8 +101,8 @@ def router(listen: ListenAddress = DEFAULT_STATION, ring: Ring = DEFAULT_RING, f
 
     Example:  groundstation keys router --listen tls/0.0.0.0:7447 > zenohd.json5
     """
-    from wire.transport.endpoint import settings
-    from wire.transport.network import endpoint
+    from shoal.bus.endpoint import settings
+    from shoal.bus.network import endpoint
 
     flat = settings(endpoint(listen, "groundstation", ring, router=True, fleet=fleet))
     nested: dict[str, object] = {}
@@ -123,7 +123,7 @@ def firewall(listen: ListenAddress = DEFAULT_STATION) -> None:
 
     Example:  groundstation keys firewall --listen tls/0.0.0.0:7447 | sudo nft -f -
     """
-    from wire.transport.endpoint import parse_address
+    from shoal.bus.endpoint import parse_address
 
     _, _, port = parse_address(listen)
     typer.echo(FIREWALL.read_text(encoding="utf-8").replace("@PORT@", str(port)), nl=False)

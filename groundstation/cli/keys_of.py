@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from wire.process.cli_options import AsJson
+from shoal.runtime.cli_options import AsJson
 
 
 def keys_of(
@@ -22,7 +22,7 @@ def keys_of(
 
     Examples:  groundstation keys-of horizon        groundstation keys-of '^sim.plant'        groundstation keys-of vehicle
     """
-    from wire.key_reference import tables
+    from shoal.config.key_reference import tables
 
     try:
         wanted = re.compile(pattern, re.IGNORECASE)

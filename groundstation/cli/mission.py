@@ -20,10 +20,10 @@ from groundstation.mission.state_machine import (
     order_named,
     request_named,
 )
-from wire.messages.messages import Command, Outcome, Reply
-from wire.messages.topics import WHOLE_FLEET
-from wire.printable import printable
-from wire.process.cli_options import DEFAULT_FLEET, AsJson, FleetName, Insecure, KeyRing, finite
+from shoal.messages.messages import Command, Outcome, Reply
+from shoal.messages.topics import WHOLE_FLEET
+from shoal.runtime.cli_options import DEFAULT_FLEET, AsJson, FleetName, Insecure, KeyRing, finite
+from shoal.system.printable import printable
 
 P = ParamSpec("P")
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from wire.process.cli_options import (
+from shoal.runtime.cli_options import (
     DEFAULT_FLEET,
     DEFAULT_STATION,
     DEFAULT_WEB,
@@ -21,11 +21,11 @@ from wire.process.cli_options import (
     WebAddress,
     finite,
 )
-from wire.process.runtime import SLICE_S, Stop, start_log
+from shoal.runtime.runtime import SLICE_S, Stop, start_log
 
 if TYPE_CHECKING:  # the page's server takes a second to import
     from groundstation.web.replay_backend import RunChoice
-    from wire.web_access import WebOptions
+    from shoal.runtime.web_access import WebOptions
 
 CLOSED_S = 6.0  # without an open page; one that is cut off or loaded again is back within 4 s
 RETURN_S = 15.0  # for a page that was open to come the first time; one in a hidden tab tries more rarely
@@ -59,17 +59,17 @@ def replay(
     Examples:  groundstation log replay runs/pool-20260101-120000
                groundstation log replay runs/pool-20260101-120000 --bus --rate 4 --begin 30
     """
-    from wire.web_access import web_options
+    from shoal.runtime.web_access import web_options
 
     start_log("groundstation")
     stop = Stop()
     if on_bus:
         from groundstation.logs.reader import open_log
         from groundstation.replay.bus_replay import chosen, send
-        from wire.messages.topics import Role, process_name
-        from wire.transport.bus import Bus
-        from wire.transport.network import endpoint
-        from wire.transport.zenoh_transport import ZenohTransport
+        from shoal.bus.bus import Bus
+        from shoal.bus.network import endpoint
+        from shoal.bus.zenoh_transport import ZenohTransport
+        from shoal.messages.topics import Role, process_name
 
         name, me = f"{REPLAY_PREFIX}{fleet}", process_name(Role.STATION)
         where = endpoint(listen, me, keys, insecure=insecure, router=not external_router, fleet=name)
@@ -86,8 +86,8 @@ def ended(
     problem: Annotated[str, typer.Option(help="Shown beside the verdict.")] = "",
 ) -> None:
     """Show a run that has just ended to its page, and hand over to stdout what a person chose then, for `sim-bridge sil`."""
-    from wire.config.experiment import dump_experiment
-    from wire.web_access import web_options
+    from shoal.config.experiment import dump_experiment
+    from shoal.runtime.web_access import web_options
 
     start_log("groundstation")
     choice = show(

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from wire.process.cli_options import AsJson, Settings, finite
-from wire.process.output import terminal
+from shoal.runtime.cli_options import AsJson, Settings, finite
+from shoal.runtime.output import terminal
 
 if TYPE_CHECKING:
     from groundstation.replay.step_diff import StepComparison

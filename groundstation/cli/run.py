@@ -6,11 +6,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from shoal.errors import ConfigError, os_errors_as_config_errors
 
 from groundstation.cli.foxglove import Foxglove, address
 from groundstation.cli.replay import show
-from wire.config.experiment import Experiment, dump_experiment, load_experiment
-from wire.process.cli_options import (
+from shoal.config.experiment import Experiment, dump_experiment, load_experiment
+from shoal.runtime.cli_options import (
     DEFAULT_FLEET,
     DEFAULT_STATION,
     DEFAULT_WEB,
@@ -26,13 +27,12 @@ from wire.process.cli_options import (
     WebAddress,
     finite,
 )
-from wire.process.output_files import page_was_open, run_folder
-from wire.process.runtime import Stop, run_steps, start_log
-from wire.secret_files import refuse_shared
-from wire.toml_loader import ConfigError, os_errors_as_config_errors
+from shoal.runtime.output_files import page_was_open, run_folder
+from shoal.runtime.runtime import Stop, run_steps, start_log
+from shoal.system.secret_files import refuse_shared
 
 if TYPE_CHECKING:  # the page's server takes a second to import
-    from wire.web_access import WebOptions
+    from shoal.runtime.web_access import WebOptions
 
 LONGEST_TOKEN = 10_000  # bytes
 NoWeb = Annotated[bool, typer.Option("--no-web", help="Serve no page.")]
@@ -88,11 +88,11 @@ def run(
     from groundstation.report.report import write_report
     from groundstation.station import process
     from groundstation.station.discovery import announced
-    from wire.messages.topics import Role, process_name
-    from wire.transport.bus import Bus
-    from wire.transport.network import endpoint
-    from wire.transport.zenoh_transport import ZenohTransport
-    from wire.web_access import web_options
+    from shoal.bus.bus import Bus
+    from shoal.bus.network import endpoint
+    from shoal.bus.zenoh_transport import ZenohTransport
+    from shoal.messages.topics import Role, process_name
+    from shoal.runtime.web_access import web_options
 
     token = _token(web_token_file) if web_token_file is not None else ""
     page = None if no_web else web_options(web, web_certificate, web_key, token)

@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from shoal.errors import ConfigError
 
-from wire.printable import printable
-from wire.process.cli_options import AsJson
-from wire.toml_loader import ConfigError
+from shoal.runtime.cli_options import AsJson
+from shoal.system.printable import printable
 
 if TYPE_CHECKING:  # what reads logs is imported where it is needed: a robot's board has none of it
     from groundstation.logs.run_folders import ListedRun

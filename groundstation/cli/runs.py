@@ -6,13 +6,13 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from shoal.errors import ConfigError
 
-from wire.config.experiment import load_experiment
-from wire.printable import printable
-from wire.process.cli_options import AsJson
-from wire.process.output import terminal
-from wire.process.output_files import RUN, check_output
-from wire.toml_loader import ConfigError
+from shoal.config.experiment import load_experiment
+from shoal.runtime.cli_options import AsJson
+from shoal.runtime.output import terminal
+from shoal.runtime.output_files import RUN, check_output
+from shoal.system.printable import printable
 
 
 def record(

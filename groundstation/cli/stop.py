@@ -13,17 +13,17 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from shoal.errors import ConfigError
 from typer.core import TyperCommand, TyperGroup
 
 from groundstation.cli.mission import HELP, Station, Wait
 from groundstation.station import discovery
 from groundstation.station.discovery import RunningStation
-from wire.messages.messages import Command, Order, Reply
-from wire.messages.topics import WHOLE_FLEET
-from wire.printable import printable
-from wire.process.cli_options import DEFAULT_FLEET, DEFAULT_STATION, AsJson, Insecure, KeyRing, fleet_name
-from wire.toml_loader import ConfigError
-from wire.transport.endpoint import parse_address
+from shoal.bus.endpoint import parse_address
+from shoal.messages.messages import Command, Order, Reply
+from shoal.messages.topics import WHOLE_FLEET
+from shoal.runtime.cli_options import DEFAULT_FLEET, DEFAULT_STATION, AsJson, Insecure, KeyRing, fleet_name
+from shoal.system.printable import printable
 
 NAME = "stop"
 COMPLAINTS = "complaints"  # where the command's context keeps what it could not use

@@ -1,4 +1,4 @@
-"""SHELL: the key ring on disk: made, added to, cut down. wire/security/key_ring.py says what lies where.
+"""SHELL: the key ring on disk: made, added to, cut down. shoal/bus/key_ring.py says what lies where.
 
 Private files are created with mode 0600 in folders of 0700, before the first byte is in them, and never printed.
 """
@@ -14,13 +14,13 @@ from ipaddress import ip_address
 from pathlib import Path
 
 import tomli_w
+from shoal.errors import ConfigError, os_errors_as_config_errors
 
 from groundstation.deploy import certificate_authority
 from groundstation.deploy.certificate_authority import KeyPair
-from wire.messages.topics import Role, process_name
-from wire.process.output_files import replacing, replacing_folder
-from wire.security.key_ring import CA, CERTIFICATE, MEMBERS, PRIVATE_KEY, ROLE_NAMES, Issued, MemberList, read_members
-from wire.toml_loader import ConfigError, os_errors_as_config_errors
+from shoal.bus.key_ring import CA, CERTIFICATE, MEMBERS, PRIVATE_KEY, ROLE_NAMES, Issued, MemberList, read_members
+from shoal.messages.topics import Role, process_name
+from shoal.runtime.output_files import replacing, replacing_folder
 
 AUTHORITY_KEY = "authority.key"
 ALWAYS_HOSTS = ("localhost", "127.0.0.1", "::1")

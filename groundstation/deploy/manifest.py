@@ -9,7 +9,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from wire.toml_loader import ConfigError
+from shoal.errors import ConfigError
 
 PARTS = ("software", "keys", "experiment", "settings")
 PLATFORMS = {  # of wheels that run there, newest last; 2.28 is Debian 10 and later

@@ -13,15 +13,16 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from shoal.errors import ConfigError
+
 from groundstation.deploy import manifest, wheelhouse
 from groundstation.deploy.manifest import Probe, Target
-from wire.config.experiment import Experiment, dump_experiment
-from wire.mavlink.board_address import PORTS_BY_ID, missing_port, number_in_name, parse_link
-from wire.messages.topics import Role, process_name
-from wire.security.key_ring import open_keys
-from wire.toml_loader import ConfigError
-from wire.transport.endpoint import parse_address
-from wire.transport.network import refuse_open
+from shoal.bus.endpoint import parse_address
+from shoal.bus.key_ring import open_keys
+from shoal.bus.network import refuse_open
+from shoal.config.experiment import Experiment, dump_experiment
+from shoal.mavlink.board_address import PORTS_BY_ID, missing_port, number_in_name, parse_link
+from shoal.messages.topics import Role, process_name
 
 ANSWER_S = 30.0
 INSTALL_S = 900.0  # a small board unpacks and compiles for minutes

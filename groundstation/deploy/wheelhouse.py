@@ -10,10 +10,11 @@ import tempfile
 import threading
 from pathlib import Path
 
+from shoal.errors import ConfigError
+
 from groundstation.deploy.manifest import Probe, digest
-from wire import programs
-from wire.process.version import PACKAGES
-from wire.toml_loader import ConfigError
+from shoal.runtime.version import PACKAGES
+from shoal.system import programs
 
 ROOT = Path(__file__).parents[2]  # of this program: its checkout (`pip install -e`), or the folder that it is installed in
 PINS, PROJECT = "constraints.txt", "pyproject.toml"

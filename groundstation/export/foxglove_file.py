@@ -13,10 +13,10 @@ from groundstation.export.foxglove_scene import DRAWN, FRAMES, MOVING, SCHEMAS, 
 from groundstation.logs.reader import Channels, LogMessage, open_log, valid_records
 from groundstation.logs.recorder import CHUNK_BYTES
 from groundstation.logs.repair import RecordCopier
-from wire.config.experiment import load_experiment
-from wire.messages.codec import DecodeError, decode
-from wire.messages.topics import Topic
-from wire.process.output_files import RUN, check_output, replacing_together
+from shoal.config.experiment import load_experiment
+from shoal.messages.codec import DecodeError, decode
+from shoal.messages.topics import Topic
+from shoal.runtime.output_files import RUN, check_output, replacing_together
 
 LAYOUT_NAME = "foxglove-layout.json"
 COPY_ENDING = "-viewer.mcap"  # never run.mcap: an export is no run

@@ -5,8 +5,8 @@ from typing import Any
 
 from groundstation.export.foxglove_scene import MOVING, STANDING, UPRIGHT_FRAME
 from groundstation.palette import colour
-from wire.config.experiment import Experiment
-from wire.messages import topics
+from shoal.config.experiment import Experiment
+from shoal.messages import topics
 
 Layout = dict[str, Any]
 

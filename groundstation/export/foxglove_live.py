@@ -11,16 +11,16 @@ from types import TracebackType
 from typing import Any
 
 from mcap_protobuf.schema import build_file_descriptor_set
+from shoal.errors import ConfigError
 
 from groundstation.export.foxglove_scene import DRAWN, FRAMES, MOVING, SCHEMAS, STANDING, SceneDrawer, upright
-from wire.config.experiment import Experiment
-from wire.messages import topics
-from wire.messages.codec import DecodeError, Header, decode, protobuf_class
-from wire.messages.topics import Topic
-from wire.process.lockstep import LockstepClock
-from wire.process.runtime import Clock, log
-from wire.toml_loader import ConfigError
-from wire.transport.bus import Bus
+from shoal.bus.bus import Bus
+from shoal.config.experiment import Experiment
+from shoal.messages import topics
+from shoal.messages.codec import DecodeError, Header, decode, protobuf_class
+from shoal.messages.topics import Topic
+from shoal.runtime.lockstep import LockstepClock
+from shoal.runtime.runtime import Clock, log
 
 SCENE_S = 0.1
 STANDING_S = 2.0  # a viewer that comes later waits no longer for the pool

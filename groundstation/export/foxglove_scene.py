@@ -21,11 +21,11 @@ from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 
 from groundstation.palette import colour
-from wire.config.experiment import Experiment
-from wire.frames import Array
-from wire.messages import topics
-from wire.messages.messages import Obstacles, Plan, RobotState, Trajectory, Truth
-from wire.messages.topics import Topic
+from shoal.config.experiment import Experiment
+from shoal.frames import Array
+from shoal.messages import topics
+from shoal.messages.messages import Obstacles, Plan, RobotState, Trajectory, Truth
+from shoal.messages.topics import Topic
 
 POOL_FRAME, UPRIGHT_FRAME = "pool", "upright"
 MOVING, STANDING, FRAMES = "viewer/scene", "viewer/pool", "viewer/frame"  # topics, below the fleet's name

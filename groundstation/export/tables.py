@@ -19,17 +19,17 @@ from typing import IO, Any, Protocol, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
+from shoal.errors import ConfigError
 
 from groundstation.analysis.alignment import zero_ns
 from groundstation.formation_clock import clock_reading
 from groundstation.logs.reader import LogMessage, read_log, valid_messages
 from groundstation.logs.session_clocks import SessionClocks
-from wire.config.experiment import load_experiment
-from wire.messages import messages, topics
-from wire.messages.codec import DecodeError, decode
-from wire.messages.topics import Topic
-from wire.process.output_files import RUN, check_output, replacing_together
-from wire.toml_loader import ConfigError
+from shoal.config.experiment import load_experiment
+from shoal.messages import messages, topics
+from shoal.messages.codec import DecodeError, decode
+from shoal.messages.topics import Topic
+from shoal.runtime.output_files import RUN, check_output, replacing_together
 
 NOTHING = np.zeros(0)
 AT_ONCE = 5_000  # rows that are kept until they are written: a few MB

@@ -22,12 +22,15 @@ from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.records import Attachment, Channel, McapRecord, Message, Metadata, Schema
 from mcap.writer import MCAP0_MAGIC
+from shoal.errors import ConfigError
 
 from groundstation.logs.recorder import END_METADATA, EXPERIMENT_NAME, REPAIR_METADATA, RUN_METADATA
 from groundstation.logs.session_clocks import SessionClocks
-from wire.messages import log_records, topics
-from wire.messages.codec import DecodeError, Header, decode
-from wire.messages.log_records import (
+from shoal.messages import topics
+from shoal.messages.codec import DecodeError, Header, decode
+from shoal.messages.topics import Topic
+from shoal.runtime import mcap_records as log_records
+from shoal.runtime.mcap_records import (
     ATTACHMENT,
     CHANNEL,
     CHUNK,
@@ -40,9 +43,7 @@ from wire.messages.log_records import (
     Allowance,
     Damaged,
 )
-from wire.messages.topics import Topic
-from wire.regular_files import open_regular
-from wire.toml_loader import ConfigError
+from shoal.system.regular_files import open_regular
 
 M = TypeVar("M")
 
@@ -88,7 +89,7 @@ def is_complete(path: Path) -> bool:
 
 
 def valid_records(path: Path, damage: list[str] | None = None) -> Iterator[McapRecord]:
-    """All records that are whole, up to the first that cannot be followed, or is larger than wire/messages/log_records.py
+    """All records that are whole, up to the first that cannot be followed, or is larger than shoal/runtime/mcap_records.py
     allows. `damage` takes what was left out, and where reading ended before the file did."""
     damage = [] if damage is None else damage
     with open_regular(path) as file:

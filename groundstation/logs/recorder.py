@@ -30,16 +30,16 @@ from typing import IO, Any, cast
 
 from mcap.writer import Writer
 from mcap_protobuf.schema import build_file_descriptor_set
+from shoal.errors import ConfigError
 
-from wire.config.experiment import Experiment, dump_experiment
-from wire.messages.codec import DecodeError, Header, protobuf_class
-from wire.messages.pipe import read_pipe
-from wire.messages.topics import STATE, Qos, Role, Topic
-from wire.process.cli_options import DEFAULT_FLEET
-from wire.process.output_files import check_named, disk_free, sync_folder
-from wire.process.version import code
-from wire.toml_loader import ConfigError
-from wire.transport.bus import Collected
+from shoal.bus.bus import Collected
+from shoal.config.experiment import Experiment, dump_experiment
+from shoal.messages.codec import DecodeError, Header, protobuf_class
+from shoal.messages.pipe import read_pipe
+from shoal.messages.topics import STATE, Qos, Role, Topic
+from shoal.runtime.cli_options import DEFAULT_FLEET
+from shoal.runtime.output_files import check_named, disk_free, sync_folder
+from shoal.runtime.version import code
 
 FLUSH_PERIOD_S = 0.5  # what a kill -9 loses at most, plus the time of one write; the requirement is 1 s
 GATHER_S = 0.01  # how far `log_time` may be behind the arrival; a control step's messages come in bursts
@@ -309,7 +309,7 @@ def check_room(folder: Path, least_gb: float) -> None:
 
 
 def record_pipe(experiment: Experiment, run_dir: Path, mode: str, stream: IO[bytes]) -> str:
-    """Write `run.mcap` of a run that another program flies and hands over through a pipe (wire/messages/pipe.py), until the
+    """Write `run.mcap` of a run that another program flies and hands over through a pipe (shoal/messages/pipe.py), until the
     pipe ends. Returns why the log is not whole; empty if it is."""
     recorder = Recorder(run_dir / "run.mcap", dump_experiment(experiment), run_metadata(experiment, mode))
     problem = ""

@@ -1,15 +1,15 @@
 """The clocks of a log's senders against the recorder's. Pure.
 
 Every sender stamps by its own clock. What a log says of several of them belongs together by the recorder's clock: between a
-session's clock and that there is, up to drift, what its quickest messages show (wire/transport/delay_estimator.py).
+session's clock and that there is, up to drift, what its quickest messages show (shoal/bus/delay_estimator.py).
 """
 
 from collections import defaultdict
 from statistics import median
 
-from wire.messages import topics
-from wire.messages.messages import LocalizerStatus, RobotState
-from wire.messages.topics import Qos, Topic
+from shoal.messages import topics
+from shoal.messages.messages import LocalizerStatus, RobotState
+from shoal.messages.topics import Qos, Topic
 
 ALIKE_NS = 20_000_000  # clocks that are nearer are one, and stamps stay as they are: a busy recorder is late by less
 WINDOW_NS = 10_000_000_000  # in which the quickest counts: clocks drift by at most 2 ms meanwhile

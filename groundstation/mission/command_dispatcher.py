@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from groundstation.mission.timetable import Timetable
-from wire.messages.messages import Command, Order, Reply, Trajectory
+from shoal.messages.messages import Command, Order, Reply, Trajectory
 
 RETRY_S = 0.25  # between two tries of one command to one robot; half of the station's ORDER_TIMEOUT_S
 

@@ -12,15 +12,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 
+from shoal.errors import ConfigError
+
 from groundstation.mission.command_dispatcher import CommandResult, RetryTimer
 from groundstation.mission.timetable import START_IN_S
 from groundstation.telemetry import Fleet
-from wire.config.controller import ControllerConfig
-from wire.config.experiment import Experiment
-from wire.config.scene import Circle
-from wire.messages.live_gains import tuned, tuning
-from wire.messages.messages import Command, Mode, Order, RobotState, Tuning
-from wire.toml_loader import ConfigError
+from shoal.config.controller import ControllerConfig
+from shoal.config.experiment import Experiment
+from shoal.config.scene import Circle
+from shoal.messages.live_gains import tuned, tuning
+from shoal.messages.messages import Command, Mode, Order, RobotState, Tuning
 
 PATIENCE_S = 3.0  # for all robots to reply in one stage
 AGAIN_S = 2.0  # between tries to give a restarted robot the fleet's gains

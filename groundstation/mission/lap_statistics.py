@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from wire.messages.messages import RobotState
+from shoal.messages.messages import RobotState
 
 KEPT = 12  # rows, the newest: as many as the page shows
 BACK_S = 5.0  # after a hold a robot goes on a little further back, with the slowest; further back than this is another run

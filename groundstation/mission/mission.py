@@ -45,10 +45,10 @@ from groundstation.mission.timetable import START_IN_S, Timetable
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.segment import PlanSegment, sample
 from groundstation.telemetry import OUT_OF_STEP_S, Fleet, RobotView, first_lost_robot, preflight
-from wire.config.experiment import Experiment
-from wire.frames import Array
-from wire.messages import topics
-from wire.messages.messages import Command, Mode, Order, RobotState
+from shoal.config.experiment import Experiment
+from shoal.frames import Array
+from shoal.messages import topics
+from shoal.messages.messages import Command, Mode, Order, RobotState
 
 PATIENCE_S = 10.0  # for a robot to do what it was commanded; then the mission aborts
 JOIN_WITHIN_S = 3.5  # for a robot to begin to fly with the others, who fly already: as long as robots fly without a station

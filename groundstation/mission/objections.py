@@ -8,9 +8,9 @@ from groundstation.mission.state_machine import AT_REST, MissionState
 from groundstation.planning.replanning import can_replan
 from groundstation.planning.segment import PlanSegment
 from groundstation.telemetry import Fleet, RobotView, blocking_findings, first_lost_robot, preflight
-from wire.config.experiment import Experiment
-from wire.frames import Array
-from wire.messages.messages import Mode, Order
+from shoal.config.experiment import Experiment
+from shoal.frames import Array
+from shoal.messages.messages import Mode, Order
 
 ARMED = frozenset({Mode.ARMED, Mode.HOLDING})
 MOVING = frozenset({Mode.TRACKING, Mode.DRIVEN})

@@ -8,11 +8,11 @@ import numpy as np
 from groundstation.planning.replanning import can_replan
 from groundstation.planning.segment import NO_OBSTACLES, PlanSegment, first_contact
 from groundstation.telemetry import RobotView
-from wire.config.controller import Safety
-from wire.config.experiment import Experiment
-from wire.frames import Array
-from wire.messages.messages import Obstacles
-from wire.obstacle_memory import ages_s, drift_m, growth_m, is_old
+from shoal.config.controller import Safety
+from shoal.config.experiment import Experiment
+from shoal.frames import Array
+from shoal.messages.messages import Obstacles
+from shoal.messages.obstacle_memory import ages_s, drift_m, growth_m, is_old
 
 AHEAD_S = 25.0  # of the path is checked for obstacles
 DRIFTS_MPS = 0.05  # faster obstacles are left to the robots: they will be elsewhere when the formation comes by

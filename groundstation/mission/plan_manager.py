@@ -15,9 +15,9 @@ from groundstation.planning.replanning import replan
 from groundstation.planning.rest_to_rest import plan_regroup, plan_return
 from groundstation.planning.segment import PlanSegment, ceil_to_period
 from groundstation.telemetry import Fleet, RobotView
-from wire.config.experiment import Experiment
-from wire.frames import Array
-from wire.messages.messages import Order, Trajectory
+from shoal.config.experiment import Experiment
+from shoal.frames import Array
+from shoal.messages.messages import Order, Trajectory
 
 AHEAD_S = 2.0  # from the request to the beginning of another path: covers planning, and loading it into all robots
 LAST_CALL_S = 0.3  # before the beginning: all robots must have the next segment by then

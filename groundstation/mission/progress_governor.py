@@ -4,7 +4,7 @@ The target rate falls from 1 at `wait_from_m` to `slowest` at `wait_at_m` of the
 it through a critically damped second-order lag, so that no reference jumps in velocity or acceleration.
 """
 
-from wire.config.mission import MissionConfig
+from shoal.config.mission import MissionConfig
 
 TIME_CONSTANT_S = 0.7  # slower than a robot's own tracking (0.3 s); faster, the two loops oscillate against each other
 MAX_STEP_S = 0.1  # longest integration step: after a stall of the station the rate goes on without a leap

@@ -16,8 +16,8 @@ from groundstation.mission.single_robot import RobotTask
 from groundstation.mission.state_machine import AT_REST, IN_FLIGHT, NOMINAL, MissionState
 from groundstation.planning.segment import PlanSegment
 from groundstation.telemetry import Fleet, RobotView
-from wire.messages.messages import Mode, Order, Outcome, Progress
-from wire.messages.topics import WHOLE_FLEET
+from shoal.messages.messages import Mode, Order, Outcome, Progress
+from shoal.messages.topics import WHOLE_FLEET
 
 # Outcomes of requests that are over, besides one of each robot: a STOP ends the requests of all robots at once. A terminal
 # queries several times a second until its own is over.

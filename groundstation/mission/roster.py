@@ -7,8 +7,8 @@ from groundstation.formation_clock import FormationPlans
 from groundstation.planning.rest_to_rest import assign_slots
 from groundstation.planning.segment import PlanSegment, concatenate
 from groundstation.telemetry import Fleet
-from wire.frames import Array
-from wire.messages.messages import Trajectory
+from shoal.frames import Array
+from shoal.messages.messages import Trajectory
 
 
 class Leader(Enum):

@@ -22,8 +22,8 @@ from groundstation.planning.feasibility import PlanError
 from groundstation.planning.rest_to_rest import SETTLE_S, plan_return
 from groundstation.planning.segment import PlanSegment
 from groundstation.telemetry import Fleet, RobotView, preflight
-from wire.config.experiment import Experiment
-from wire.messages.messages import Command, DriveVelocity, Mode, Order, Progress, Trajectory
+from shoal.config.experiment import Experiment
+from shoal.messages.messages import Command, DriveVelocity, Mode, Order, Progress, Trajectory
 
 WHEN = NOMINAL | AT_REST | {MissionState.PAUSED}
 # A robot that is led in flight is out of the formation, which may make itself a new plan at that very request.

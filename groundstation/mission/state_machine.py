@@ -7,8 +7,8 @@ groundstation/mission/mission.py follows this table and changes state in no othe
 from dataclasses import dataclass
 from enum import Enum
 
-from wire.messages.messages import Command, Order, Outcome, Progress
-from wire.messages.topics import WHOLE_FLEET
+from shoal.messages.messages import Command, Order, Outcome, Progress
+from shoal.messages.topics import WHOLE_FLEET
 
 READY = "fleet ready"  # WAITING, with nothing left to wait for
 

@@ -20,9 +20,9 @@ from groundstation.mission.state_machine import AT_REST, MissionState, states_al
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.segment import PlanSegment
 from groundstation.telemetry import Fleet, RobotView
-from wire.config.experiment import Experiment
-from wire.messages.messages import Command, DriveVelocity, Mode, Order, Outcome, Progress
-from wire.messages.topics import WHOLE_FLEET
+from shoal.config.experiment import Experiment
+from shoal.messages.messages import Command, DriveVelocity, Mode, Order, Outcome, Progress
+from shoal.messages.topics import WHOLE_FLEET
 
 COURSE = frozenset({Order.STOP, Order.RETURN, Order.START})  # a person's: the first two take an automatic run over
 

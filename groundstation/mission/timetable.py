@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from groundstation.mission.progress_governor import ProgressGovernor
 from groundstation.telemetry import RobotView
-from wire.messages.messages import Mode
+from shoal.messages.messages import Mode
 
 START_IN_S = (
     0.5  # from a command to its effect in all robots at one instant; shorter, and a robot that is sent it twice joins late

@@ -5,12 +5,12 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
+from shoal.errors import ConfigError
 
 from groundstation.planning.formation import NodeMotion
-from wire.camera_coverage import outside_m
-from wire.config.experiment import Experiment
-from wire.frames import Array
-from wire.toml_loader import ConfigError
+from shoal.config.experiment import Experiment
+from shoal.frames import Array
+from shoal.messages.camera_coverage import outside_m
 
 PICTURE_MARGIN_M = 0.05  # between hulls and the picture's edge: the tracking error of a well tracked robot
 TOLERANCE = 1e-9  # rounding: a plan exactly at a limit is allowed

@@ -13,9 +13,9 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from groundstation.planning.paths import PathState
-from wire.config.formation_shapes import shape_nodes
-from wire.config.scene import Change
-from wire.frames import Array
+from shoal.config.formation_shapes import shape_nodes
+from shoal.config.scene import Change
+from shoal.frames import Array
 
 STANDSTILL_MPS = 1e-6  # below this a node's direction of motion is undefined
 

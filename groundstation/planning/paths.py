@@ -11,8 +11,8 @@ from typing import Protocol
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from wire.config.scene import Circle, Waypoints
-from wire.frames import Array, wrap_angle
+from shoal.config.scene import Circle, Waypoints
+from shoal.frames import Array, wrap_angle
 
 PIECES = 64  # per span between waypoints: Gauss-Legendre then gives arc length to 1e-12 m on paths of tens of metres
 SLOWEST = 0.05  # of |f'| over chord length, which is about 1: below it the curve all but reverses, and has no heading there

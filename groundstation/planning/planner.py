@@ -24,11 +24,11 @@ from groundstation.planning.formation import NodeMotion, SlotOffset, node_motion
 from groundstation.planning.paths import Path, PathState, make_path
 from groundstation.planning.route_planner import candidate_routes
 from groundstation.planning.time_scaling import scale_time
-from wire.config.experiment import Experiment
-from wire.config.scene import PathSpec, RobotConfig, Route
-from wire.frames import Array
-from wire.messages.codec import MAX_MESSAGE_BYTES
-from wire.messages.messages import Trajectory
+from shoal.config.experiment import Experiment
+from shoal.config.scene import PathSpec, RobotConfig, Route
+from shoal.frames import Array
+from shoal.messages.codec import MAX_MESSAGE_BYTES
+from shoal.messages.messages import Trajectory
 
 BYTES_PER_SAMPLE = 3 * 4 * 8
 MOST_SAMPLES = (MAX_MESSAGE_BYTES - 1024) // BYTES_PER_SAMPLE  # of a trajectory: more are no message

@@ -13,8 +13,8 @@ from groundstation.planning.feasibility import PlanError, beyond_picture, place
 from groundstation.planning.formation import NodeMotion
 from groundstation.planning.route_planner import NoRoute
 from groundstation.planning.transfer import FreeSpace, Transfer, add_heading, free_space, is_free, join, pad, plan_transfer
-from wire.config.experiment import Experiment
-from wire.frames import Array
+from shoal.config.experiment import Experiment
+from shoal.frames import Array
 
 WAIT_STEP_S = 1.0
 LONGEST_WAIT_S = 120.0

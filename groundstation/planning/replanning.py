@@ -18,10 +18,10 @@ from groundstation.planning.formation import NodeMotion, node_motion, own_headin
 from groundstation.planning.paths import Path
 from groundstation.planning.segment import PlanSegment, ceil_to_period, sample
 from groundstation.planning.time_scaling import scale_time
-from wire.config.experiment import Experiment
-from wire.config.scene import Island, PathSpec, Route, Waypoints
-from wire.frames import Array
-from wire.messages.messages import Trajectory
+from shoal.config.experiment import Experiment
+from shoal.config.scene import Island, PathSpec, Route, Waypoints
+from shoal.frames import Array
+from shoal.messages.messages import Trajectory
 
 BLEND_S = (4.0, 7.0, 2.5)  # blending from the old motion to the new one; tried in turn
 STAY_S = 5.0  # at the last place that the operator gave

@@ -18,9 +18,9 @@ from groundstation.planning.formation import NodeMotion
 from groundstation.planning.prioritized_planning import OutOfTime, never, plan_transfers
 from groundstation.planning.segment import NO_OBSTACLES, PlanSegment, sample
 from groundstation.planning.transfer import RAMP_S, heading_rates, ramp, turn_profile, turn_samples
-from wire.config.experiment import Experiment
-from wire.frames import Array
-from wire.messages.messages import Trajectory
+from shoal.config.experiment import Experiment
+from shoal.frames import Array
+from shoal.messages.messages import Trajectory
 
 SETTLE_S = 5.0  # at the end of a return, before robots are disarmed
 DRIFT_M = 0.15  # obstacles and robots without control drift while the others move into place

@@ -16,9 +16,9 @@ from scipy.ndimage import gaussian_filter1d
 
 from groundstation.planning.formation import SlotOffset
 from groundstation.planning.paths import curve_through
-from wire.config.experiment import Experiment
-from wire.config.scene import Route, Waypoints
-from wire.frames import Array
+from shoal.config.experiment import Experiment
+from shoal.config.scene import Route, Waypoints
+from shoal.frames import Array
 
 CORNERS = 24  # of the polygon around a disc: the route around it is 0.6 % longer than along the disc
 SMOOTHER = (1.0, 0.7, 0.5, 0.3, 0.15, 0.05)  # shares of `smooth_m`, tried in turn

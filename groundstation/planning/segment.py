@@ -13,9 +13,9 @@ import numpy as np
 
 from groundstation.planning import planner
 from groundstation.planning.formation import NodeMotion
-from wire.config.experiment import Experiment
-from wire.frames import Array
-from wire.messages.messages import Trajectory
+from shoal.config.experiment import Experiment
+from shoal.frames import Array
+from shoal.messages.messages import Trajectory
 
 NO_OBSTACLES = np.zeros((0, 3))  # discs (k, 3: x, y, radius)
 BESIDE_M = 0.01  # nearer than at the ends of a transfer; less is rounding and noise of an obstacle's outline

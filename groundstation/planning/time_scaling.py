@@ -11,7 +11,7 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import minimum_filter1d
 
 from groundstation.planning.paths import Path, PathState
-from wire.frames import Array
+from shoal.frames import Array
 
 SLOPE_S = 2.0  # of path time for a change of rate: braking from 0.3 m/s then takes 2 N of the available 6 N
 SLOWEST = 0.05  # rate; a robot that needs less turns on the spot, which a slower rate does not cure

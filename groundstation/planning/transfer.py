@@ -12,9 +12,9 @@ from groundstation.planning.feasibility import required_slowdown
 from groundstation.planning.formation import NodeMotion
 from groundstation.planning.paths import SplinePath
 from groundstation.planning.route_planner import NoRoute, find_route
-from wire.config.experiment import Experiment
-from wire.config.scene import Waypoints
-from wire.frames import Array
+from shoal.config.experiment import Experiment
+from shoal.config.scene import Waypoints
+from shoal.frames import Array
 
 RAMP_S = 3.0  # from rest to full speed: 0.15 m/s then takes 0.9 N of the available 6 N
 TURN_S = 4.0  # for half a turn before leaving: 1.5 rad/s at most; longer for a vehicle that cannot turn so fast

@@ -9,10 +9,10 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 
 from groundstation.logs.reader import LogFile, LogMessage
-from wire.messages import topics
-from wire.messages.topics import Qos
-from wire.process.runtime import SLICE_S, Stop
-from wire.transport.bus import Bus
+from shoal.bus.bus import Bus
+from shoal.messages import topics
+from shoal.messages.topics import Qos
+from shoal.runtime.runtime import SLICE_S, Stop
 
 SEEN_AND_SAID = (
     topics.TRUTH, topics.PREVIEW, topics.VIDEO, topics.PICTURE, topics.POSE, topics.LOCALIZER, topics.OBSTACLES, topics.PLAN,

@@ -3,15 +3,16 @@
 from pathlib import Path
 from typing import IO
 
+from shoal.errors import ConfigError
+
 from groundstation.formation_clock import FormationPlans
 from groundstation.logs.reader import LogFile, LogMessage, open_log
 from groundstation.replay.step_replay import in_order_of_use, own_messages
-from wire.config.experiment import load_experiment
-from wire.messages import topics
-from wire.messages.codec import decode
-from wire.messages.messages import RobotState
-from wire.messages.pipe import write_raw
-from wire.toml_loader import ConfigError
+from shoal.config.experiment import load_experiment
+from shoal.messages import topics
+from shoal.messages.codec import decode
+from shoal.messages.messages import RobotState
+from shoal.messages.pipe import write_raw
 
 AROUND_NS = 300_000_000  # of the truth: enough to have one before and one after
 

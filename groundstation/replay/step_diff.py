@@ -14,11 +14,11 @@ from groundstation.formation_clock import FormationPlans
 from groundstation.palette import COLOURS
 from groundstation.report.drawing import Curve, Panel, TimePlot
 from groundstation.report.plotting import picture
-from wire.frames import Array, wrap_angle
-from wire.messages import topics
-from wire.messages.codec import decode
-from wire.messages.messages import Event, Plan, RobotState
-from wire.messages.topics import Topic
+from shoal.frames import Array, wrap_angle
+from shoal.messages import topics
+from shoal.messages.codec import decode
+from shoal.messages.messages import Event, Plan, RobotState
+from shoal.messages.topics import Topic
 
 # By the robot's program, not by its agent.
 MEASURED = ("step_us", "exposure_to_pwm_ms", "missed_deadlines", "board_round_trip_ms", "board_clock_offset_s", "code")

@@ -12,18 +12,19 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import IO
 
+from shoal.errors import ConfigError
+
 from groundstation.logs.reader import LogFile, LogMessage, metadata_of, open_log
 from groundstation.replay.step_diff import StepComparison, StepOutputs, compare
-from wire import programs
-from wire.config.experiment import load_experiment
-from wire.messages import topics
-from wire.messages.codec import DecodeError, decode
-from wire.messages.messages import StepInputs
-from wire.messages.pipe import read_pipe, write_raw
-from wire.messages.topics import Topic
-from wire.process import runtime
-from wire.process.version import UNKNOWN, Code, code
-from wire.toml_loader import ConfigError
+from shoal.config.experiment import load_experiment
+from shoal.messages import topics
+from shoal.messages.codec import DecodeError, decode
+from shoal.messages.messages import StepInputs
+from shoal.messages.pipe import read_pipe, write_raw
+from shoal.messages.topics import Topic
+from shoal.runtime import runtime
+from shoal.runtime.version import UNKNOWN, Code, code
+from shoal.system import programs
 
 KEPT = 400  # messages of one sender, 20 s: a step names one of the last few, or the last one there ever was
 PATIENCE_NS = 5_000_000_000  # what a step names may have reached the recorder this much later than the step's own record

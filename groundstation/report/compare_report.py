@@ -4,15 +4,15 @@ from pathlib import Path
 
 from markupsafe import Markup
 from rich.table import Table
+from shoal.errors import ConfigError
 
+from groundstation.analysis.comparison import Comparison
 from groundstation.report.controller_comparison import COLUMNS, cells, closest, course, demands, errors, failures, wanted
 from groundstation.report.plotting import to_svg
 from groundstation.report.report import environment
-from wire.config.controller_benchmark import Comparison
-from wire.process.output import terminal
-from wire.process.output_files import replace_text
-from wire.regular_files import read_regular
-from wire.toml_loader import ConfigError
+from shoal.runtime.output import terminal
+from shoal.runtime.output_files import replace_text
+from shoal.system.regular_files import read_regular
 
 FIGURES = (
     ("errors", "Errors, law by law", "A dot per seed; bars are means with their 95 % confidence intervals.", errors),

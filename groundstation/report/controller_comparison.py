@@ -9,11 +9,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from groundstation.analysis.comparison import SETTLED_S, Comparison, FlightMetrics, Traces, Variant
+from groundstation.analysis.statistics import Interval, mean
 from groundstation.palette import COLOURS, colour
 from groundstation.report.drawing import Curve, Panel, TimePlot
 from groundstation.report.plotting import BOTTOM_IN, GREY, RIGHT_IN, STYLE, WIDTH_IN, picture
-from wire.config.controller_benchmark import SETTLED_S, Comparison, FlightMetrics, Traces, Variant
-from wire.figures import Interval, mean
 
 NAMES_IN = 1.75  # room for the variants' names
 ROW_IN = 0.27

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from wire.frames import Array
+from shoal.frames import Array
 
 MOST_POINTS = 6000  # of a curve in a page; beyond that only what can be seen at all is kept
 SHOW_LIMIT_FROM = 0.4  # of the limit: below it the limit is told in words, so that the curve is not squashed

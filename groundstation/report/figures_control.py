@@ -8,7 +8,7 @@ import numpy as np
 from groundstation.analysis.series import RobotSeries, Series
 from groundstation.palette import colour
 from groundstation.report.drawing import Curve, Panel, TimePlot
-from wire.frames import Array
+from shoal.frames import Array
 
 MOST_PULSE_PANELS = 6
 

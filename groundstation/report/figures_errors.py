@@ -8,7 +8,7 @@ from groundstation.analysis.series import SETTLED_S, Series
 from groundstation.palette import colour
 from groundstation.report.drawing import Curve, Panel, TimePlot
 from groundstation.report.figures_control import flown
-from wire.frames import Array, wrap_angle
+from shoal.frames import Array, wrap_angle
 
 LEAST_MM, LEAST_DEG = 10.0, 0.5
 

@@ -12,7 +12,7 @@ from matplotlib.patches import Rectangle
 from groundstation.analysis.series import RobotSeries, Series
 from groundstation.palette import colour
 from groundstation.report.plotting import BOTTOM_IN, GREY, LEFT_IN, LIGHT, RIGHT_IN, STYLE, TOP_IN, WIDTH_IN, legend, place
-from wire.frames import Array
+from shoal.frames import Array
 
 TALLEST_IN = 6.5
 SNAPSHOT_S = 20.0  # how often the formation is drawn into the plan of the pool

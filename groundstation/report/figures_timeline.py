@@ -6,8 +6,8 @@ from groundstation.analysis.series import HOPS, Mask, RobotSeries, Series, activ
 from groundstation.analysis.timeline import is_injection
 from groundstation.palette import COLOURS, colour
 from groundstation.report.drawing import Bar, BarPlot, Curve, Panel, TimePlot
-from wire.frames import Array
-from wire.messages.messages import Guidance, Mode
+from shoal.frames import Array
+from shoal.messages.messages import Guidance, Mode
 
 MOST_ROWS = 24
 WINDOW_S = 1.0  # of the medians that show where time goes

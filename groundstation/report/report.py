@@ -13,6 +13,7 @@ import matplotlib as mpl
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 from matplotlib.figure import Figure
+from shoal.errors import ConfigError
 
 from groundstation.analysis.alignment import align
 from groundstation.analysis.cause import title
@@ -20,6 +21,7 @@ from groundstation.analysis.metrics import evaluate
 from groundstation.analysis.numbers import deg, mm, with_unit
 from groundstation.analysis.results import Result
 from groundstation.analysis.series import Series, TimelineEvent
+from groundstation.analysis.statistics import three
 from groundstation.analysis.timeline import is_injection
 from groundstation.logs.reader import RunLog, read_log
 from groundstation.report.drawing import TimePlot, embedded
@@ -27,11 +29,9 @@ from groundstation.report.figures import FIGURES, Kind
 from groundstation.report.plotting import picture, to_svg
 from groundstation.report.report_tables import tables
 from groundstation.report.run_comparison import ComparedRun, differences, metric_rows, plots
-from wire.config.experiment import Experiment, load_experiment
-from wire.figures import three
-from wire.process.output_files import replace_text, replacing, replacing_together
-from wire.process.version import code
-from wire.toml_loader import ConfigError
+from shoal.config.experiment import Experiment, load_experiment
+from shoal.runtime.output_files import replace_text, replacing, replacing_together
+from shoal.runtime.version import code
 
 MOST_HAPPENINGS = 400
 TOGETHER_S = 0.15  # robots that do the same within this time are one line

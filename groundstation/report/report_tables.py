@@ -6,7 +6,7 @@ from typing import Any
 
 from groundstation.analysis.numbers import deg, mm
 from groundstation.analysis.results import PairResult, Result, RobotResult
-from wire.figures import NOTHING, three
+from groundstation.analysis.statistics import NOTHING, three
 
 Row = RobotResult | PairResult
 XYZ = ("x [mm]", "y [mm]", "z [mm]")

@@ -14,10 +14,10 @@ import numpy as np
 from groundstation.analysis.numbers import SHOWN_AS
 from groundstation.analysis.results import Errors, Result
 from groundstation.analysis.series import SETTLED_S, Series
+from groundstation.analysis.statistics import three
 from groundstation.palette import colour
 from groundstation.report.drawing import Curve, Panel, TimePlot
-from wire.config.experiment import Experiment
-from wire.figures import three
+from shoal.config.experiment import Experiment
 
 FLOWN_BY = ("(mode)", "(version)", "(commit)")  # no keys of an experiment, which have no brackets
 

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from groundstation.analysis.cause import NOT_JUDGED, missed, title
 from groundstation.analysis.numbers import deg, mm
 from groundstation.analysis.results import Result
-from wire.figures import NOTHING
+from groundstation.analysis.statistics import NOTHING
 
 CELL = 7  # width of a number in characters: names of up to 10 leave the table within 80
 GROUPS = (("RMS, whole run", 4), ("RMS after 20 s", 4), ("article", 2))

@@ -9,6 +9,8 @@ import time
 from collections.abc import Generator
 from pathlib import Path
 
+from shoal.errors import ConfigError, os_errors_as_config_errors
+
 from groundstation.export.foxglove_live import ViewerServer
 from groundstation.logs.recorder import Recorder, check_room, run_metadata
 from groundstation.mission.gain_update import GainUpdater
@@ -22,18 +24,17 @@ from groundstation.station.station import Station, workers
 from groundstation.telemetry import subscribe_fleet
 from groundstation.web.live_backend import LiveBackend
 from groundstation.web.server import WebServer, bind
-from wire.config.experiment import Experiment, load_experiment
-from wire.messages import topics
-from wire.messages.codec import Header
-from wire.messages.topics import WHOLE_FLEET
-from wire.process.lockstep import Lockstep, LockstepClock
-from wire.process.output_files import PAGE_OPEN, replace_text
-from wire.process.runtime import Clock, Stop, WallClock, log, log_to_bus
-from wire.process.version import code
-from wire.security.access_control import INSECURE
-from wire.toml_loader import ConfigError, os_errors_as_config_errors
-from wire.transport.bus import Bus
-from wire.web_access import WebOptions
+from shoal.bus.access_control import INSECURE
+from shoal.bus.bus import Bus
+from shoal.config.experiment import Experiment, load_experiment
+from shoal.messages import topics
+from shoal.messages.codec import Header
+from shoal.messages.topics import WHOLE_FLEET
+from shoal.runtime.lockstep import Lockstep, LockstepClock
+from shoal.runtime.output_files import PAGE_OPEN, replace_text
+from shoal.runtime.runtime import Clock, Stop, WallClock, log, log_to_bus
+from shoal.runtime.version import code
+from shoal.runtime.web_access import WebOptions
 
 REST_WITHIN_S = 5.0  # of robots that hold because the station is told to end
 DISARM_WITHIN_S = 2.0  # of robots that rest then

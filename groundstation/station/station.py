@@ -27,17 +27,17 @@ from groundstation.planning.prioritized_planning import OutOfTime
 from groundstation.planning.segment import PlanSegment
 from groundstation.telemetry import DEPLOY, Fleet, FleetInboxes, LinkMonitor, blocking_findings, other_code
 from groundstation.web.backend import Status
-from wire.config.experiment import Experiment
-from wire.frames import Array
-from wire.messages import topics
-from wire.messages.codec import Header
-from wire.messages.messages import Command, DriveVelocity, Order, Reply, StationHeartbeat, Trajectory
-from wire.messages.topics import WHOLE_FLEET
-from wire.process.runtime import Clock, age_s, log
-from wire.process.version import code
-from wire.security.access_control import INSECURE
-from wire.transport.bus import Bus
-from wire.transport.endpoint import PATIENT_MS
+from shoal.bus.access_control import INSECURE
+from shoal.bus.bus import Bus
+from shoal.bus.endpoint import PATIENT_MS
+from shoal.config.experiment import Experiment
+from shoal.frames import Array
+from shoal.messages import topics
+from shoal.messages.codec import Header
+from shoal.messages.messages import Command, DriveVelocity, Order, Reply, StationHeartbeat, Trajectory
+from shoal.messages.topics import WHOLE_FLEET
+from shoal.runtime.runtime import Clock, age_s, log
+from shoal.runtime.version import code
 
 ORDER_TIMEOUT_S = 0.5
 LOCKSTEP_ORDER_TIMEOUT_S = PATIENT_MS * 1e-3  # as long as a link is kept: sent again, an order would count at a later step

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 from groundstation.telemetry import Fleet, findings
-from wire.config.experiment import Experiment
-from wire.messages import topics
-from wire.messages.messages import CameraHealth, LocalizerStatus
+from shoal.config.experiment import Experiment
+from shoal.messages import topics
+from shoal.messages.messages import CameraHealth, LocalizerStatus
 
 LEVELS = ("critical", "warning", "notice")
 

@@ -10,9 +10,9 @@ from groundstation.mission.lap_statistics import Lap
 from groundstation.mission.state_machine import MissionState
 from groundstation.telemetry import Finding, Fleet
 from groundstation.web.protocol import Edit
-from wire.config.experiment import Experiment
-from wire.messages.messages import DriveVelocity, Order, Outcome, Trajectory
-from wire.messages.topics import WHOLE_FLEET
+from shoal.config.experiment import Experiment
+from shoal.messages.messages import DriveVelocity, Order, Outcome, Trajectory
+from shoal.messages.topics import WHOLE_FLEET
 
 
 @dataclass(frozen=True)

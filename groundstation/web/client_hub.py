@@ -23,10 +23,10 @@ from groundstation.web.backend import Backend
 from groundstation.web.experiment_editor import attempt, save
 from groundstation.web.run_desk import RunDesk
 from groundstation.web.send_window import SendWindow
-from wire.messages.messages import DriveVelocity, Order
-from wire.printable import printable
-from wire.process.runtime import log
-from wire.web_access import WebOptions, origin_allowed, token_allowed
+from shoal.messages.messages import DriveVelocity, Order
+from shoal.runtime.runtime import log
+from shoal.runtime.web_access import WebOptions, origin_allowed, token_allowed
+from shoal.system.printable import printable
 
 LOOK_S = 0.02  # how often the inboxes are looked at; a state waits half of this on average
 MOST_SHARE = 0.25  # of the interpreter, which the control cycle needs too: large fleets are shown less often

@@ -7,16 +7,17 @@ from typing import Any
 
 import msgspec
 import numpy as np
+from shoal.errors import ConfigError
 
 from groundstation.planning import planner
+from groundstation.web.commented_file import commented
 from groundstation.web.protocol import Edit
 from groundstation.web.scene import flown_samples, paths
-from wire.commented_file import commented
-from wire.config.experiment import Experiment
-from wire.config.formation_shapes import shape_nodes
-from wire.messages.messages import Trajectory
-from wire.process.output_files import replace_text
-from wire.toml_loader import ConfigError, check
+from shoal.config.experiment import Experiment
+from shoal.config.formation_shapes import shape_nodes
+from shoal.config.loader import check
+from shoal.messages.messages import Trajectory
+from shoal.runtime.output_files import replace_text
 
 EDITED = Path("experiments")  # below where the station was started
 # The path's keys by the edit's, for each kind of path

@@ -25,15 +25,15 @@ from groundstation.web.snapshot import (
     past_row,
     snapshot,
 )
-from wire.config.experiment import Experiment
-from wire.messages import topics
-from wire.messages.codec import DecodeError, Header, decode
-from wire.messages.messages import Event, Order, Preview, Trajectory
-from wire.messages.topics import Topic
-from wire.process.fleet_time import PaceMeter
-from wire.process.lockstep import LockstepClock
-from wire.process.runtime import Clock, log
-from wire.transport.bus import Bus, Received
+from shoal.bus.bus import Bus, Received
+from shoal.config.experiment import Experiment
+from shoal.messages import topics
+from shoal.messages.codec import DecodeError, Header, decode
+from shoal.messages.messages import Event, Order, Preview, Trajectory
+from shoal.messages.topics import Topic
+from shoal.runtime.fleet_time import PaceMeter
+from shoal.runtime.lockstep import LockstepClock
+from shoal.runtime.runtime import Clock, log
 
 MOST_EVENTS = 256  # between two looks
 KEPT_EVENTS = 500  # for a page that connects later: as many as it shows

@@ -5,8 +5,8 @@ from typing import Annotated, Literal
 import msgspec
 
 from groundstation.mission.state_machine import FLEET_REQUESTS, WATER, order_name
-from wire.config.formation_shapes import Shape
-from wire.messages.messages import Order
+from shoal.config.formation_shapes import Shape
+from shoal.messages.messages import Order
 
 MOST_ISLANDS = 100
 MOST_PLACES = 50  # of a way that is clicked on the map

@@ -24,10 +24,10 @@ from groundstation.web.experiment_editor import attempt, edited
 from groundstation.web.protocol import Edit
 from groundstation.web.scene import floats, flown_samples, paths, scene
 from groundstation.web.snapshot import PAST_ROBOTS, AgedMessage, FleetSnapshot, RobotSnapshot, event_note, past_row, snapshot
-from wire.config.experiment import Experiment, load_experiment
-from wire.messages import topics
-from wire.messages.codec import DecodeError, Header, decode
-from wire.messages.messages import (
+from shoal.config.experiment import Experiment, load_experiment
+from shoal.messages import topics
+from shoal.messages.codec import DecodeError, Header, decode
+from shoal.messages.messages import (
     DriveVelocity,
     Event,
     LocalizerStatus,
@@ -37,7 +37,7 @@ from wire.messages.messages import (
     StationHeartbeat,
     Trajectory,
 )
-from wire.messages.topics import WHOLE_FLEET, Topic
+from shoal.messages.topics import WHOLE_FLEET, Topic
 
 BLOCK_NS = 1_000_000_000
 KEPT_BLOCKS = 8

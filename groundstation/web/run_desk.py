@@ -11,10 +11,11 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+from shoal.errors import ConfigError
+
 from groundstation.logs import run_folders
 from groundstation.web.run_end import run_end
-from wire.printable import printable
-from wire.toml_loader import ConfigError
+from shoal.system.printable import printable
 
 REPORT = "report.html"
 # A report comes from a log of unknown source: it runs its own script in an origin of its own, and reaches nothing.

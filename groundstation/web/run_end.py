@@ -9,7 +9,7 @@ from groundstation.analysis.cause import missed
 from groundstation.analysis.numbers import mm
 from groundstation.analysis.results import WHOLE_RUN, Check
 from groundstation.logs.run_folders import MOST_JSON_BYTES
-from wire.regular_files import read_regular
+from shoal.system.regular_files import read_regular
 
 RESULT = "result.json"
 WHOLE, SETTLED, ARTICLE = "RMS, whole run", "RMS after 20 s", "the article's"

@@ -7,16 +7,16 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from wire.camera_coverage import project
-from wire.config.controller import EstimatorConfig, GuidanceConfig, MpcConfig
-from wire.config.experiment import Experiment
-from wire.config.perception import Camera
-from wire.config.scene import Circle, FormationConfig, Island, PoolConfig, RobotConfig, Route, Waypoints
-from wire.frames import Array
-from wire.key_reference import hints
-from wire.messages import topics
-from wire.messages.live_gains import tunable_parameters
-from wire.messages.messages import Trajectory
+from shoal.config.controller import EstimatorConfig, GuidanceConfig, MpcConfig
+from shoal.config.experiment import Experiment
+from shoal.config.key_reference import hints
+from shoal.config.perception import Camera
+from shoal.config.scene import Circle, FormationConfig, Island, PoolConfig, RobotConfig, Route, Waypoints
+from shoal.frames import Array
+from shoal.messages import topics
+from shoal.messages.camera_coverage import project
+from shoal.messages.live_gains import tunable_parameters
+from shoal.messages.messages import Trajectory
 
 MOST_POINTS = 1500  # of a path: 0.08 s apart for the pool scene, less than a pixel
 CELLS = 16  # of the picture's mesh, along the longer side: straight edges are then within 1 mm of the lens's curves

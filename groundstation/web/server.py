@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import uvicorn
+from shoal.errors import ConfigError
 from starlette.applications import Starlette
 from starlette.requests import Request
 from starlette.responses import FileResponse, PlainTextResponse, Response
@@ -25,10 +26,9 @@ from groundstation.web.backend import Backend
 from groundstation.web.client_hub import ClientHub
 from groundstation.web.connection_limits import HANDSHAKE_WITHIN_S, ConnectionLimiter, http_class
 from groundstation.web.run_desk import REPORT_POLICY, RunDesk
-from wire.process.runtime import log
-from wire.secret_files import refuse_shared
-from wire.toml_loader import ConfigError
-from wire.web_access import Guarded, WebOptions
+from shoal.runtime.runtime import log
+from shoal.runtime.web_access import Guarded, WebOptions
+from shoal.system.secret_files import refuse_shared
 
 STATIC = Path(__file__).parent / "static"
 START_WITHIN_S = 30.0  # on a starved machine; then the station does not start, and says why

@@ -17,8 +17,8 @@ from groundstation.mission.state_machine import order_name
 from groundstation.telemetry import Finding
 from groundstation.web.alarms import Alarm
 from groundstation.web.scene import floats
-from wire.frames import Array
-from wire.messages.messages import Event, LocalizerStatus, Obstacles, Outcome, Plan, Pose, RobotState
+from shoal.frames import Array
+from shoal.messages.messages import Event, LocalizerStatus, Obstacles, Outcome, Plan, Pose, RobotState
 
 NEVER_MS = 1e9  # finite stand-in for the age of what was never heard
 

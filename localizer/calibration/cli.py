@@ -6,10 +6,11 @@ from pathlib import Path
 from typing import Annotated, cast, get_args
 
 import typer
+from shoal.errors import ConfigError
 
-from wire.config.experiment import experiment_path, load_experiment
-from wire.config.perception import MarkerFamily
-from wire.process.cli_options import (
+from shoal.config.experiment import experiment_path, load_experiment
+from shoal.config.perception import MarkerFamily
+from shoal.runtime.cli_options import (
     DEFAULT_FLEET,
     DEFAULT_STATION,
     CameraName,
@@ -21,8 +22,7 @@ from wire.process.cli_options import (
     StationAddress,
     finite,
 )
-from wire.process.output_files import check_output
-from wire.toml_loader import ConfigError
+from shoal.runtime.output_files import check_output
 
 Grey = Annotated[bool, typer.Option("--grey", help="Pictures of one channel are grey; otherwise they are raw Bayer RGGB.")]
 
@@ -98,7 +98,7 @@ def print_markers(
     Examples:  localizer print-markers --ids 1-6          localizer print-markers --ids 40-43 --size 200 --paper A3
     """
     from localizer.calibration.marker_sheet import as_pdf, as_svg, marker_sheets, mirrored_ids
-    from wire.process.output_files import replacing
+    from shoal.runtime.output_files import replacing
 
     families = get_args(MarkerFamily)
     if dictionary not in families:
@@ -158,11 +158,11 @@ def check(
     from localizer.calibration.images import read_picture
     from localizer.calibration.verify import LivePictures, check_camera, show_live
     from localizer.view.mjpeg_server import MjpegServer
-    from wire.messages.topics import Role, process_name
-    from wire.process.runtime import Stop, start_log
-    from wire.transport.bus import Bus
-    from wire.transport.network import endpoint
-    from wire.transport.zenoh_transport import ZenohTransport
+    from shoal.bus.bus import Bus
+    from shoal.bus.network import endpoint
+    from shoal.bus.zenoh_transport import ZenohTransport
+    from shoal.messages.topics import Role, process_name
+    from shoal.runtime.runtime import Stop, start_log
 
     loaded = load_experiment(experiment, settings or ()).of_camera(camera)
     check_output(out, [experiment_path(experiment), *([image] if image is not None else [])])

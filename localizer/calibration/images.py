@@ -7,13 +7,13 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from shoal.errors import ConfigError
 
 from localizer.detection.image_regions import Pixels
 from localizer.sources.base import SUFFIXES, as_colour
 from localizer.sources.files import decode_file, picture_files
 from localizer.sources.video import VideoReader
-from wire.process.output_files import replacing
-from wire.toml_loader import ConfigError
+from shoal.runtime.output_files import replacing
 
 
 def read_picture(path: Path, grey: bool = False) -> Pixels:

@@ -11,11 +11,11 @@ from functools import cached_property
 
 import cv2
 import numpy as np
+from shoal.errors import ConfigError
 
 from localizer.calibration.targets import TargetView
 from localizer.camera_model import LARGEST_FOLD_PX, Intrinsics, fold_px
-from wire.frames import Array
-from wire.toml_loader import ConfigError
+from shoal.frames import Array
 
 FEWEST_VIEWS = 5  # nine parameters need three; with five a bad view can be recognised
 ADVISED_VIEWS = 12

@@ -9,10 +9,10 @@ from xml.sax.saxutils import escape
 
 import cv2
 import numpy as np
+from shoal.errors import ConfigError
 
 from localizer.detection.fiducials import marker_dictionary
-from wire.config.perception import MarkerFamily
-from wire.toml_loader import ConfigError
+from shoal.config.perception import MarkerFamily
 
 Rectangle = tuple[float, float, float, float]  # left, top, width, height
 

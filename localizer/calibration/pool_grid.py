@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from localizer.camera_model import RefractiveCamera
 from localizer.detection.image_regions import Pixels
 from localizer.view.drawing import Bgr, polyline, write
-from wire.config.perception import Camera
-from wire.config.scene import PoolConfig
-from wire.frames import Array
+from shoal.config.perception import Camera
+from shoal.config.scene import PoolConfig
+from shoal.frames import Array
 
 GRID_M = 0.25
 _NAMED_M = 0.5

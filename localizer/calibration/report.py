@@ -10,8 +10,8 @@ from localizer.calibration.pool_grid import ViewFigures, draw_grid
 from localizer.calibration.survey_points import FEWEST_POINTS, SurveyPoint
 from localizer.detection.image_regions import Pixels
 from localizer.view.drawing import cross, dot, polyline, write
-from wire.config.scene import PoolConfig
-from wire.frames import Array
+from shoal.config.scene import PoolConfig
+from shoal.frames import Array
 
 MAGNIFIED = 20.0  # length of arrows over the errors that they show
 _SHADES = "·-+*#"  # corners in a cell: 0, 1 or more, and more

@@ -6,13 +6,14 @@ from typing import Annotated, Self
 import cv2
 import numpy as np
 from pydantic import Field, model_validator
+from shoal.errors import ConfigError
 
 from localizer.detection.fiducials import marker_centres
 from localizer.detection.image_regions import Pixels
-from wire.config.perception import MarkerFamily
-from wire.config.scene import PoolConfig, Vec2, Vec3
-from wire.frames import Array
-from wire.toml_loader import ConfigError, Section
+from shoal.config.loader import Section
+from shoal.config.perception import MarkerFamily
+from shoal.config.scene import PoolConfig, Vec2, Vec3
+from shoal.frames import Array
 
 FEWEST_POINTS = 4
 _OUTSIDE_M = 0.5  # m outside the walls that a rim may lie

@@ -11,10 +11,10 @@ from typing import Protocol
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from shoal.errors import ConfigError
 
 from localizer.detection.image_regions import Pixels
-from wire.frames import Array
-from wire.toml_loader import ConfigError
+from shoal.frames import Array
 
 EXAMPLES = "chessboard:9x6:0.03 (inner corners, side of a square in m), charuco:7x5:0.04:0.03:DICT_4X4_50 (squares, side of a \
 square, side of a marker, dictionary; :legacy at the end for boards drawn by OpenCV before 4.6)"

@@ -5,18 +5,18 @@ from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
+from shoal.errors import ConfigError
 
 from localizer.calibration.images import write_picture
 from localizer.calibration.pool_grid import GRID_M, draw_grid, view_figures
 from localizer.calibration.report import view_lines
 from localizer.detection.image_regions import BAYER_TO_BGR, Pixels
-from wire.config.experiment import Experiment
-from wire.messages import topics
-from wire.messages.codec import Header
-from wire.messages.messages import Frame
-from wire.process.runtime import Stop, wait
-from wire.toml_loader import ConfigError
-from wire.transport.bus import Bus
+from shoal.bus.bus import Bus
+from shoal.config.experiment import Experiment
+from shoal.messages import topics
+from shoal.messages.codec import Header
+from shoal.messages.messages import Frame
+from shoal.runtime.runtime import Stop, wait
 
 if TYPE_CHECKING:  # its web server takes long to import
     from localizer.view.mjpeg_server import MjpegServer

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from wire.frames import Array
+from shoal.frames import Array
 
 CORNERS = 12  # of every outline
 

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from localizer import kernels
 from localizer.camera_model import RefractiveCamera
 from localizer.detection.image_regions import ImageRegion, Pixels
-from wire.config.perception import MarkerFamily
-from wire.frames import Array
+from shoal.config.perception import MarkerFamily
+from shoal.frames import Array
 
 _MAX_MISFIT = 0.12  # of the side; more is a marker at another depth (20 % in size), a reflection, or no marker
 _SQUARE_SHARE = 0.03  # of the side; corners nearer to a square of any size make one

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from localizer.camera_model import RefractiveCamera
 from localizer.detection.image_regions import DemosaicedRegion
-from wire.frames import Array
-from wire.kernels import kernel
+from shoal.frames import Array
+from shoal.kernels.kernel import kernel
 
 _RAYS = 48
 _ANGLES = 2.0 * np.pi * np.arange(_RAYS) / _RAYS

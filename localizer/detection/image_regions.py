@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localizer import kernels
-from wire.frames import Array
+from shoal.frames import Array
 
 # Frames are RGGB: the first pixel is red. OpenCV's older names (BayerBG for this pattern) count from the second row and
 # column; its RGGB alias returns red for a red pixel at (0, 0).

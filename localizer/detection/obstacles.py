@@ -27,10 +27,10 @@ from localizer.camera_model import RefractiveCamera
 from localizer.detection.background_model import LAG_S, BackgroundModel, CellGrid, Mask, Planes, TemporalSmoother
 from localizer.detection.blob_tracker import CORNERS, Blob, BlobTracker, TrackedBlob, convex_outline
 from localizer.detection.image_regions import Pixels
-from wire.config.experiment import Experiment
-from wire.frames import Array
-from wire.messages.messages import Obstacles
-from wire.obstacle_memory import drift_m, growth_m
+from shoal.config.experiment import Experiment
+from shoal.frames import Array
+from shoal.messages.messages import Obstacles
+from shoal.messages.obstacle_memory import drift_m, growth_m
 
 _PERIOD_S = 0.1  # s between examined frames: 1 cm at walking pace under water; the frames between cost nothing
 _LEARN_EVERY = 2  # examined frames; nearer ones are correlated, as the picture is averaged over time

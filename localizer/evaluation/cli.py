@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from shoal.errors import ConfigError
 
-from wire.config.experiment import experiment_path, load_experiment
-from wire.process.cli_options import (
+from shoal.config.experiment import experiment_path, load_experiment
+from shoal.runtime.cli_options import (
     DEFAULT_FLEET,
     DEFAULT_STATION,
     AsJson,
@@ -23,8 +24,7 @@ from wire.process.cli_options import (
     StationAddress,
     finite,
 )
-from wire.process.output_files import check_output, replace_text
-from wire.toml_loader import ConfigError
+from shoal.runtime.output_files import check_output, replace_text
 
 SourceName = Annotated[
     str,
@@ -58,11 +58,11 @@ def latency(
     from localizer.evaluation.latency import assess, localize_in_process, measure
     from localizer.sources.factory import BUS, open_bus, open_own
     from localizer.tracking.check_marks import with_camera
-    from wire.messages.topics import Role, process_name
-    from wire.process.runtime import Stop, WallClock, start_log
-    from wire.transport.bus import Bus
-    from wire.transport.network import endpoint
-    from wire.transport.zenoh_transport import ZenohTransport
+    from shoal.bus.bus import Bus
+    from shoal.bus.network import endpoint
+    from shoal.bus.zenoh_transport import ZenohTransport
+    from shoal.messages.topics import Role, process_name
+    from shoal.runtime.runtime import Stop, WallClock, start_log
 
     start_log("localizer")
     if json is not None:
@@ -167,7 +167,7 @@ def track(
     from localizer.sources.recording import EXPERIMENT, frame_estimate, recorded_frames
     from localizer.sources.video import VideoReader
     from localizer.tracking.check_marks import with_camera
-    from wire.process.runtime import start_log
+    from shoal.runtime.runtime import start_log
 
     start_log("localizer")
     raw = recording.is_dir()
@@ -221,7 +221,7 @@ def rerun(
     from localizer.evaluation.offline import compare_again
     from localizer.evaluation.runner import table, to_json
     from localizer.sources.recording import EXPERIMENT
-    from wire.process.runtime import start_log
+    from shoal.runtime.runtime import start_log
 
     start_log("localizer")
     cv2.setNumThreads(1)  # as `run`

@@ -16,15 +16,15 @@ import numpy as np
 from localizer.detection.image_regions import Pixels
 from localizer.node import LocalizerNode
 from localizer.sources.base import CapturedFrame, FrameSource
-from wire.config.experiment import Experiment
-from wire.frames import Array
-from wire.messages import topics
-from wire.messages.codec import DecodeError, Header, decode
-from wire.messages.messages import CameraHealth, LocalizerStatus
-from wire.messages.topics import Topic
-from wire.process.runtime import Clock, Stop
-from wire.transport.bus import Bus
-from wire.transport.memory_transport import MemoryHub, MemoryTransport
+from shoal.bus.bus import Bus
+from shoal.bus.memory_transport import MemoryHub, MemoryTransport
+from shoal.config.experiment import Experiment
+from shoal.frames import Array
+from shoal.messages import topics
+from shoal.messages.codec import DecodeError, Header, decode
+from shoal.messages.messages import CameraHealth, LocalizerStatus
+from shoal.messages.topics import Topic
+from shoal.runtime.runtime import Clock, Stop
 
 WARM_UP = 5  # frames that are not counted: caches, exposure control, a backlog
 _LARGEST_JITTER = 0.25  # of a period, p99; with more, the motion between frames differs from the Kalman filter's prediction

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import chi2
 
-from wire.frames import Array, wrap
-from wire.messages.messages import Pose, Track
+from shoal.frames import Array, wrap
+from shoal.messages.messages import Pose, Track
 
 _LONGEST_GAP_S = 0.5  # s; truth is not interpolated across a longer gap
 _BAND = (0.025, 0.975)

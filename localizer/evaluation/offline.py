@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from shoal.errors import ConfigError, os_errors_as_config_errors
 
 from localizer.evaluation.runner import COLUMNS, check_size, read_frame_table
 from localizer.sources.base import as_bayer
@@ -27,13 +28,12 @@ from localizer.sources.recording import RecordedFrame, recorded_frames
 from localizer.sources.video import VideoReader
 from localizer.tracking.fleet_localizer import FleetLocalizer, LocalizationResult
 from localizer.tracking.tilt import Attitude
-from wire.config.experiment import Experiment
-from wire.messages.codec import decode, encode
-from wire.messages.messages import Pose
-from wire.process.output_files import check_named, replacing, sync_folder
-from wire.process.runtime import Failed, log
-from wire.regular_files import open_regular
-from wire.toml_loader import ConfigError, os_errors_as_config_errors
+from shoal.config.experiment import Experiment
+from shoal.messages.codec import decode, encode
+from shoal.messages.messages import Pose
+from shoal.runtime.output_files import check_named, replacing, sync_folder
+from shoal.runtime.runtime import Failed, log
+from shoal.system.regular_files import open_regular
 
 WARM_UP_FRAMES = 40  # 2 s at 20 Hz: markers are believed, velocities known, appearances learnt
 REPORTED = ("depth_m", "roll_rad", "pitch_rad")  # columns of what robots' boards measured

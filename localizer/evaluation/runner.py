@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from shoal.errors import ConfigError
 
 from localizer.detection.image_regions import Pixels
 from localizer.evaluation.metrics import (
@@ -31,13 +32,13 @@ from localizer.sources.base import as_bayer
 from localizer.sources.video import VideoReader
 from localizer.tracking.fleet_localizer import FleetLocalizer
 from localizer.tracking.single_object import SingleObjectTracker
-from wire.config.experiment import Experiment
-from wire.frames import Array
-from wire.messages import log_records, topics
-from wire.messages.codec import DecodeError, decode
-from wire.messages.messages import Pose, Truth
-from wire.regular_files import open_regular
-from wire.toml_loader import ConfigError
+from shoal.config.experiment import Experiment
+from shoal.frames import Array
+from shoal.messages import topics
+from shoal.messages.codec import DecodeError, decode
+from shoal.messages.messages import Pose, Truth
+from shoal.runtime import mcap_records as log_records
+from shoal.system.regular_files import open_regular
 
 _READ = (topics.TRUTH.name, "/pose")
 

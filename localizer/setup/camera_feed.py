@@ -2,11 +2,12 @@
 
 import threading
 
+from shoal.errors import ConfigError
+
 from localizer.setup.session import SetupSession
 from localizer.sources.base import FrameSource
 from localizer.view.worker import LatestItemWorker
-from wire.process.runtime import Stop, guarded_thread
-from wire.toml_loader import ConfigError
+from shoal.runtime.runtime import Stop, guarded_thread
 
 _AGAIN_S = 1.0  # s after which a viewer gets the same picture again, which notices one that left
 

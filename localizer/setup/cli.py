@@ -6,8 +6,8 @@ from typing import Annotated
 
 import typer
 
-from wire.config.experiment import experiment_path, load_experiment
-from wire.process.cli_options import (
+from shoal.config.experiment import experiment_path, load_experiment
+from shoal.runtime.cli_options import (
     DEFAULT_FLEET,
     DEFAULT_STATION,
     ExperimentName,
@@ -49,12 +49,12 @@ def setup(
     from localizer.sources.factory import BUS, open_bus, open_own
     from localizer.sources.v4l2_controls import V4l2Controls
     from localizer.view.local_server import bind
-    from wire.messages.topics import Role, process_name
-    from wire.process.runtime import Stop, WallClock, start_log
-    from wire.transport.bus import Bus
-    from wire.transport.frame_ring import codec_of
-    from wire.transport.network import endpoint
-    from wire.transport.zenoh_transport import ZenohTransport
+    from shoal.bus.bus import Bus
+    from shoal.bus.frame_ring import codec_of
+    from shoal.bus.network import endpoint
+    from shoal.bus.zenoh_transport import ZenohTransport
+    from shoal.messages.topics import Role, process_name
+    from shoal.runtime.runtime import Stop, WallClock, start_log
 
     start_log("localizer", verbose)
     file = ExperimentFile(experiment_path(experiment), out)

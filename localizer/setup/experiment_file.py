@@ -10,12 +10,13 @@ from pathlib import Path
 from typing import Any
 
 import tomlkit
+from shoal.errors import ConfigError, os_errors_as_config_errors
 
-from wire.config.experiment import EXPERIMENTS, Experiment, checked_experiment, load_experiment
-from wire.config.perception import Camera, CameraFile
-from wire.process.output_files import dated, replacing
-from wire.regular_files import read_regular
-from wire.toml_loader import MOST_BYTES, ConfigError, check, os_errors_as_config_errors, read_toml
+from shoal.config.experiment import EXPERIMENTS, Experiment, checked_experiment, load_experiment
+from shoal.config.loader import MOST_BYTES, check, read_toml
+from shoal.config.perception import Camera, CameraFile
+from shoal.runtime.output_files import dated, replacing
+from shoal.system.regular_files import read_regular
 
 _WIDE = 127  # of a line; longer lists are broken
 

@@ -13,7 +13,7 @@ from localizer.calibration.intrinsics import CELLS, FEWEST_VIEWS, IntrinsicsFit,
 from localizer.calibration.targets import TargetView, parse_target
 from localizer.camera_model import Intrinsics
 from localizer.detection.image_regions import Pixels
-from wire.frames import Array
+from shoal.frames import Array
 
 _STILL_PX = 0.7  # px, largest mean motion of the corners between two pictures of a still board
 _SAME_CORNERS = 0.5  # of the corners that both pictures have to show for that

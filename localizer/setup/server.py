@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+from shoal.errors import ConfigError
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, Response
@@ -18,9 +19,8 @@ from starlette.staticfiles import StaticFiles
 from localizer.setup.camera_feed import CameraFeed
 from localizer.setup.session import SetupSession
 from localizer.view.local_server import LocalServer, PictureStream
-from wire.process.runtime import SLICE_S, Stop
-from wire.toml_loader import ConfigError
-from wire.web_access import WebOptions, token_allowed
+from shoal.runtime.runtime import SLICE_S, Stop
+from shoal.runtime.web_access import WebOptions, token_allowed
 
 STATIC = Path(__file__).parent / "static"
 _PAGE_GONE_S = 3.0  # s without a look at the state after which a page counts as closed

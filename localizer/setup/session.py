@@ -14,6 +14,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from shoal.errors import ConfigError
 
 from localizer.calibration.extrinsics import PoseFit
 from localizer.calibration.intrinsics import IntrinsicsFit, intrinsics_warnings
@@ -29,9 +30,8 @@ from localizer.setup.picture_figures import PictureFigures, PictureJudge, rate_v
 from localizer.setup.survey_step import SurveyStep, outline_corners, outline_px
 from localizer.sources.base import CapturedFrame
 from localizer.sources.v4l2_controls import EXPOSURE_UNIT_S, EXPOSURES, CameraControls, Control
-from wire.config.experiment import Experiment
-from wire.config.perception import Camera
-from wire.toml_loader import ConfigError
+from shoal.config.experiment import Experiment
+from shoal.config.perception import Camera
 
 DEFAULT_BOARD = "charuco:7x5:0.04:0.03:DICT_4X4_50"
 _JPEG_QUALITY = 80  # 200 kB at 1280 x 960; corners in the magnifier stay clean

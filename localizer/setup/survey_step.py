@@ -13,10 +13,10 @@ from localizer.calibration.extrinsics import PoseFit, fit_pose, place_errors_m
 from localizer.calibration.survey_points import CORNER_REACH_PX, SurveyFile, SurveyPoint, refined_corner, seen_pixels
 from localizer.camera_model import RefractiveCamera
 from localizer.detection.image_regions import Pixels
-from wire.config.perception import Camera, MarkerFamily
-from wire.config.scene import PoolConfig
-from wire.frames import Array
-from wire.toml_loader import check
+from shoal.config.loader import check
+from shoal.config.perception import Camera, MarkerFamily
+from shoal.config.scene import PoolConfig
+from shoal.frames import Array
 
 
 @dataclass(frozen=True)

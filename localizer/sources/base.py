@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localizer.detection.image_regions import BAYER_TO_BGR, Pixels
-from wire.process.runtime import Stop
+from shoal.runtime.runtime import Stop
 
 SILENT_FRAMES = 5  # periods without a frame after which the camera is reported absent, repeatedly
 _HICCUP_S = 0.1  # s, least time without a frame before that: a busy computer may pause this long

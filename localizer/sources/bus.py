@@ -5,11 +5,11 @@ import time
 from collections.abc import Iterator, Mapping
 
 from localizer.sources.base import CapturedFrame, silent_after_s
-from wire.messages import topics
-from wire.messages.messages import Frame, RobotState
-from wire.process.lockstep import Lockstep, LockstepClock
-from wire.process.runtime import Clock, Stop, wait
-from wire.transport.bus import Bus, Inbox, Received
+from shoal.bus.bus import Bus, Inbox, Received
+from shoal.messages import topics
+from shoal.messages.messages import Frame, RobotState
+from shoal.runtime.lockstep import Lockstep, LockstepClock
+from shoal.runtime.runtime import Clock, Stop, wait
 
 
 class _Sequence:

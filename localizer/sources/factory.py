@@ -4,16 +4,17 @@ import math
 from collections.abc import Mapping
 from pathlib import Path
 
+from shoal.errors import ConfigError
+
 from localizer.sources.base import FrameSource
 from localizer.sources.bus import BusSource, LockstepSource
 from localizer.sources.files import FolderSource, VideoSource
 from localizer.sources.v4l2 import V4l2Source, check_device
-from wire.config.perception import Camera
-from wire.messages.messages import RobotState
-from wire.process.lockstep import LockstepClock
-from wire.process.runtime import Clock, Stop
-from wire.toml_loader import ConfigError
-from wire.transport.bus import Bus, Inbox
+from shoal.bus.bus import Bus, Inbox
+from shoal.config.perception import Camera
+from shoal.messages.messages import RobotState
+from shoal.runtime.lockstep import LockstepClock
+from shoal.runtime.runtime import Clock, Stop
 
 BUS = "bus"
 ALLOWED = "bus, v4l2:/dev/video0, video:FILE[:FPS|:max], folder:DIR[:FPS|:max]"

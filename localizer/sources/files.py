@@ -16,13 +16,13 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from shoal.errors import ConfigError
 
 from localizer.detection.image_regions import Pixels
 from localizer.sources.base import SUFFIXES, CapturedFrame, as_bayer, silent_after_s
 from localizer.sources.video import VideoReader
-from wire.process.runtime import SLICE_S, Clock, Stop, log
-from wire.regular_files import read_regular
-from wire.toml_loader import ConfigError
+from shoal.runtime.runtime import SLICE_S, Clock, Stop, log
+from shoal.system.regular_files import read_regular
 
 MOST_PICTURE_BYTES = 500_000_000  # of a file
 _POLL_NS = 10_000_000  # ns between checks of a folder for new images

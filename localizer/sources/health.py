@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localizer import kernels
-from wire.messages.messages import CameraHealth
+from shoal.messages.messages import CameraHealth
 
 # Every seventh pixel of every seventh row: odd, so all four Bayer colours are among them. 25,000 samples of a live picture
 # differ somewhere even if noise changes only one pixel in a thousand.

@@ -18,15 +18,17 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from shoal.errors import ConfigError, os_errors_as_config_errors
+
 from localizer.detection.image_regions import Pixels
-from wire.config.experiment import Experiment, dump_experiment
-from wire.messages import log_records, topics
-from wire.messages.codec import DecodeError, decode, encode, protobuf_class
-from wire.messages.messages import Frame, Pose
-from wire.process.output_files import check_named, disk_free, replace_text
-from wire.process.runtime import log
-from wire.regular_files import open_regular
-from wire.toml_loader import ConfigError, os_errors_as_config_errors
+from shoal.config.experiment import Experiment, dump_experiment
+from shoal.messages import topics
+from shoal.messages.codec import DecodeError, decode, encode, protobuf_class
+from shoal.messages.messages import Frame, Pose
+from shoal.runtime import mcap_records as log_records
+from shoal.runtime.output_files import check_named, disk_free, replace_text
+from shoal.runtime.runtime import log
+from shoal.system.regular_files import open_regular
 
 EXPERIMENT, FRAMES = "experiment.toml", "frames.mcap"
 _INPUTS = "localizer/inputs"

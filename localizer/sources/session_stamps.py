@@ -1,7 +1,7 @@
 """One clock for all stamps of a session, whatever clocks the cameras have. Pure.
 
 Who receives a session's messages takes a jump of their stamps for a delay on the way, and poses for older than they are
-(wire/transport/delay_estimator.py). So what a session tells by the clocks of several cameras, or of one that was started
+(shoal/bus/delay_estimator.py). So what a session tells by the clocks of several cameras, or of one that was started
 anew on another computer, is carried over to the clock that the session told by first: a camera's, or our own where there was
 something to tell before any camera.
 """

@@ -22,13 +22,13 @@ from pathlib import Path
 from typing import Any, Literal, Protocol
 
 import cv2
+from shoal.errors import ConfigError
 
 from localizer.sources.base import CapturedFrame, as_bayer, silent_after_s
 from localizer.sources.latest_value import LatestValue
 from localizer.sources.v4l2_controls import EXPOSURE_UNIT_S, V4l2Controls, set_all
-from wire.config.perception import Camera
-from wire.process.runtime import SLICE_S, Clock, Stop, guarded_thread, log
-from wire.toml_loader import ConfigError
+from shoal.config.perception import Camera
+from shoal.runtime.runtime import SLICE_S, Clock, Stop, guarded_thread, log
 
 DEVICES = Path("/dev")
 RETRY_S = 1.0  # s between attempts to open a camera that is gone

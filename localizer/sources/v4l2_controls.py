@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from wire.toml_loader import ConfigError
+from shoal.errors import ConfigError
 
 EXPOSURES = ("exposure_time_absolute", "exposure_absolute")  # newer kernels, older ones
 EXPOSURE_UNIT_S = 1e-4  # V4L2_CID_EXPOSURE_ABSOLUTE counts in 100 us

@@ -15,10 +15,10 @@ from typing import IO
 
 import cv2
 import numpy as np
+from shoal.errors import ConfigError, os_errors_as_config_errors
 
 from localizer.detection.image_regions import Pixels
-from wire.regular_files import open_regular
-from wire.toml_loader import ConfigError, os_errors_as_config_errors
+from shoal.system.regular_files import open_regular
 
 _MOST_HZ = 1e4  # a larger rate is a file that does not know its own
 _ON_GRID = 0.25  # of a period: stamps so near to multiples of it are those of a constant rate. Matroska rounds to 1 ms

@@ -10,7 +10,7 @@ from localizer.detection.correlation_filter import CorrelationFilter, FilterShap
 from localizer.detection.image_regions import BodySampler, DemosaicedRegion, RobotShape
 from localizer.tracking.alignment import align
 from localizer.tracking.observation import COVERED_NOISE, LOOKS_NOISE, MeasurementNoise, PredictedView
-from wire.frames import Array, body_to_pool, wrap
+from shoal.frames import Array, body_to_pool, wrap
 
 _SPAN = 0.9  # side of the patch over the robot's diameter; wider ones show the rim, and errors grow from 0.3 to 2.5 mm
 _RING_REACH = 0.85  # outermost ring over the robot's radius; the rim beyond is hidden on one side when seen obliquely

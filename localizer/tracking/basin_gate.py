@@ -8,8 +8,8 @@ import numpy as np
 
 from localizer.camera_model import RefractiveCamera
 from localizer.detection.image_regions import in_polygons
-from wire.config.experiment import Experiment
-from wire.frames import Array
+from shoal.config.experiment import Experiment
+from shoal.frames import Array
 
 
 class BasinGate:

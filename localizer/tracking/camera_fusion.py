@@ -27,9 +27,9 @@ from localizer.sources.base import silent_after_s
 from localizer.tracking.camera_bumps import CameraBumps, Evidence
 from localizer.tracking.check_marks import with_camera
 from localizer.tracking.kalman import GATE, KalmanState, initial_state, predict, update
-from wire.config.experiment import Experiment
-from wire.frames import Array, wrap
-from wire.messages.messages import CameraHealth, LocalizerStatus, Obstacles, Pose, Track
+from shoal.config.experiment import Experiment
+from shoal.frames import Array, wrap
+from shoal.messages.messages import CameraHealth, LocalizerStatus, Obstacles, Pose, Track
 
 _FOLLOWED_S = 1.0  # s after which a camera that has not been within a robot's motion is not said to have left it
 _LONGEST_STEP = 2.0  # periods between pictures that count against a camera or for it; a longer gap proves nothing more

@@ -16,8 +16,8 @@ import numpy as np
 from localizer.camera_model import LocalLinearization, RefractiveCamera
 from localizer.detection.fiducials import find_markers, marker_detector, square
 from localizer.detection.image_regions import Pixels, cut, whole
-from wire.config.perception import LANDMARKS_NEEDED, Camera, Landmark, MarkerFamily
-from wire.frames import Array, body_to_pool
+from shoal.config.perception import LANDMARKS_NEEDED, Camera, Landmark, MarkerFamily
+from shoal.frames import Array, body_to_pool
 
 STALE_AFTER_S = 0.3  # s; with an older pose no robot is measured
 _MARGIN_PX = 30.0  # px around the predicted place of a landmark: a drone moves it by 3 px a frame, a gust by ten

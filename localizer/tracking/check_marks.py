@@ -13,15 +13,15 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
+from shoal.errors import ConfigError
 
 from localizer.camera_model import LARGEST_FOLD_PX, Intrinsics, LocalLinearization, RefractiveCamera, fold_px
 from localizer.detection.fiducials import find_markers, marker_detector
 from localizer.detection.image_regions import ImageRegion, Pixels, cut, whole
 from localizer.tracking.camera_pose import FixedCameraPose, corners_of, fit_camera_pose
-from wire.config.experiment import Experiment
-from wire.config.perception import LANDMARKS_NEEDED, Camera, Landmark, MarkerFamily
-from wire.frames import Array, wrap
-from wire.toml_loader import ConfigError
+from shoal.config.experiment import Experiment
+from shoal.config.perception import LANDMARKS_NEEDED, Camera, Landmark, MarkerFamily
+from shoal.frames import Array, wrap
 
 REACH_PX = 40.0  # px around a mark in which it is looked for; when most are farther off, the whole picture is searched
 SHIFTED_PX = 1.5  # px; ripples shift a mark by 0.3 px, and calibrations are good to 0.5 px

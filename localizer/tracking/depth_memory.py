@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wire.config.experiment import Experiment
+from shoal.config.experiment import Experiment
 
 ASSUMED_SIGMA_M = 0.05  # m, of the experiment's depth, for a robot that has never reported one
 _SHALLOWEST_M = -0.2  # m, least depth that is believed: a robot lying on the surface

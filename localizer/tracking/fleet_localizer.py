@@ -39,10 +39,10 @@ from localizer.tracking.observation import Depth, PredictedView, depths_of
 from localizer.tracking.robot_track import RobotTrack, close_pairs
 from localizer.tracking.tilt import Attitude, MotionEstimate, TiltModel, body_to_level
 from localizer.tracking.twin_markers import TwinMarkers
-from wire.config.experiment import Experiment
-from wire.config.scene import Circle, PathSpec, Route
-from wire.frames import Array
-from wire.messages.messages import CameraHealth, LocalizerStatus, Pose, Track
+from shoal.config.experiment import Experiment
+from shoal.config.scene import Circle, PathSpec, Route
+from shoal.frames import Array
+from shoal.messages.messages import CameraHealth, LocalizerStatus, Pose, Track
 
 _STRIPS = 5  # frames in which the whole picture is scanned while a robot is lost, a strip in each (3 ms); more find it later
 _TWINS_EVERY = 5  # frames between strips that are scanned while no robot is lost, for a second marker of one id

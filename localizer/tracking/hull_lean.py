@@ -9,8 +9,8 @@ from localizer.camera_model import LocalLinearization, RefractiveCamera
 from localizer.detection.hull_outline import find_hull
 from localizer.detection.image_regions import Pixels, cut
 from localizer.tracking.tilt import Attitude
-from wire.config.vehicle import Vehicle
-from wire.frames import Array, pool_to_body
+from shoal.config.vehicle import Vehicle
+from shoal.frames import Array, pool_to_body
 
 _MOST_RAD = 0.3  # rad; more lean is not looked for
 _LEAST_RADIUS_PX = 15.0  # px; on a smaller hull _SIGMA_PX alone is more than 3 degrees of lean

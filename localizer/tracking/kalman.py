@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from localizer import kernels
-from wire.frames import Array
+from shoal.frames import Array
 
 # Standard deviations of acceleration: about twice the thrusters' maximum (6 N on 12 kg, 0.5 N m on 0.12 kg m^2), so that a
 # push by hand or by a neighbour stays inside the gates.

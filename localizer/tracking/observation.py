@@ -16,8 +16,8 @@ from localizer.detection.fiducials import MarkerPose
 from localizer.detection.image_regions import BodyProjection, ImageRegion
 from localizer.tracking.depth_memory import KnownDepth
 from localizer.tracking.tilt import Attitude
-from wire.config.experiment import Experiment
-from wire.frames import Array, body_to_pool
+from shoal.config.experiment import Experiment
+from shoal.frames import Array, body_to_pool
 
 
 @dataclass(frozen=True)

@@ -54,8 +54,8 @@ import numpy as np
 
 from localizer.tracking.kalman import GATE, KalmanState, initial_state, predict, stopped, update
 from localizer.tracking.observation import TrackMeasurement
-from wire.frames import Array, body_to_pool, wrap
-from wire.messages.messages import Pose, Track
+from shoal.frames import Array, body_to_pool, wrap
+from shoal.messages.messages import Pose, Track
 
 _REGAIN_PEAK = 0.5  # least correlation peak that regains a lost robot; higher than for a followed one, which has a prediction
 _JUMP_SIGMAS = 3.0

@@ -9,7 +9,7 @@ import numpy as np
 
 from localizer.detection.correlation_filter import CorrelationFilter, FilterShape, Real
 from localizer.detection.image_regions import BodyProjection, BodySampler, DemosaicedRegion, Pixels, RobotShape
-from wire.frames import Array
+from shoal.frames import Array
 
 _SAMPLES = 40  # across the box
 _RING_REACH = 0.45  # outermost ring over the box

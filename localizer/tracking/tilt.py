@@ -17,8 +17,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from wire.config.vehicle import Vehicle
-from wire.frames import Array
+from shoal.config.vehicle import Vehicle
+from shoal.frames import Array
 
 _MEMORY_S = 0.25  # s; if shorter, picture noise looks like thrust; if longer, a start is seen late (NEES 4 then, 10 at 0.4 s)
 _JUDGED_AFTER_S = 3.0 * _MEMORY_S  # s; before, a robot that was found in motion seems to accelerate

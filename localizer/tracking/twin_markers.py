@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from wire.frames import Array
+from shoal.frames import Array
 
 _APART_RADII = 2.0  # of the hull: nearer readings are of one plate, or of its reflection
 _HERE_RADII = 1.0  # of the hull: so near is the same place; a robot moves by a tenth of it from picture to picture

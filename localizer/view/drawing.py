@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 
 from localizer.detection.image_regions import Pixels
-from wire.frames import Array
+from shoal.frames import Array
 
 Bgr = tuple[int, int, int]
 

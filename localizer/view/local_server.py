@@ -13,14 +13,14 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import uvicorn
+from shoal.errors import ConfigError
 from starlette.applications import Starlette
 from starlette.requests import Request
 from starlette.responses import PlainTextResponse, Response, StreamingResponse
 from starlette.routing import BaseRoute
 
-from wire.process.runtime import Stop, guarded_thread, log
-from wire.toml_loader import ConfigError
-from wire.web_access import Channel, Guarded, Scope, WebOptions
+from shoal.runtime.runtime import Stop, guarded_thread, log
+from shoal.runtime.web_access import Channel, Guarded, Scope, WebOptions
 
 MOST_VIEWERS = 4  # of a stream; each has a thread while it waits for a picture
 _TAKEN_WITHIN_S = 5.0  # s after which a viewer that stopped reading is dropped

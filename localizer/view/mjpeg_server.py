@@ -9,8 +9,8 @@ from starlette.responses import HTMLResponse
 from starlette.routing import Route
 
 from localizer.view.local_server import LocalServer, PictureStream, bind
-from wire.process.runtime import Stop, log
-from wire.web_access import WebOptions
+from shoal.runtime.runtime import Stop, log
+from shoal.runtime.web_access import WebOptions
 
 _WAIT_S = 1.0  # s after which the same picture is sent again, to notice viewers that left
 _HTML = """<!doctype html><html lang="en"><meta charset="utf-8"><title>localizer</title>

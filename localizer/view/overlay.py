@@ -9,8 +9,8 @@ from localizer.camera_model import RefractiveCamera
 from localizer.detection.image_regions import BAYER_TO_BGR, Pixels
 from localizer.tracking.fleet_localizer import FleetLocalizer, LocalizationResult
 from localizer.view.drawing import polyline, write
-from wire.frames import Array, body_to_pool
-from wire.messages.messages import Obstacles, Pose, Track
+from shoal.frames import Array, body_to_pool
+from shoal.messages.messages import Obstacles, Pose, Track
 
 ToPx = Callable[[Array], Array]
 

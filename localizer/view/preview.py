@@ -15,10 +15,10 @@ from localizer.detection.image_regions import Pixels
 from localizer.sources.base import CapturedFrame
 from localizer.tracking.fleet_localizer import LocalizationResult
 from localizer.view.worker import LatestItemWorker
-from wire.messages import topics
-from wire.messages.messages import Frame, Obstacles, Preview
-from wire.process.runtime import Clock, Stop
-from wire.transport.bus import Bus
+from shoal.bus.bus import Bus
+from shoal.messages import topics
+from shoal.messages.messages import Frame, Obstacles, Preview
+from shoal.runtime.runtime import Clock, Stop
 
 if TYPE_CHECKING:  # its web server takes long to import
     from localizer.view.mjpeg_server import MjpegServer

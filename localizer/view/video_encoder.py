@@ -12,18 +12,18 @@ from typing import Any
 
 import cv2
 import numpy as np
+from shoal.errors import ConfigError
 
 from localizer.detection.image_regions import BAYER_TO_BGR, Pixels
 from localizer.sources.base import CapturedFrame
 from localizer.view.preview import RateLimiter
 from localizer.view.worker import LatestItemWorker
-from wire.config.experiment import Experiment
-from wire.config.recording import Recording
-from wire.messages import topics
-from wire.messages.messages import Picture, Video
-from wire.process.runtime import Stop
-from wire.toml_loader import ConfigError
-from wire.transport.bus import Bus
+from shoal.bus.bus import Bus
+from shoal.config.experiment import Experiment
+from shoal.config.recording import Recording
+from shoal.messages import topics
+from shoal.messages.messages import Picture, Video
+from shoal.runtime.runtime import Stop
 
 NICENESS = 15
 KEY_EVERY_S = 1.0  # s between key pictures, at which a viewer that jumps can begin

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from typing import Generic, TypeVar
 
 from localizer.sources.latest_value import LatestValue
-from wire.process.runtime import SLICE_S, Stop, guarded_thread, log
+from shoal.runtime.runtime import SLICE_S, Stop, guarded_thread, log
 
 T = TypeVar("T")
 

@@ -15,8 +15,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from wire.frames import Array
-from wire.kernels import kernel
+from shoal.frames import Array
+from shoal.kernels.kernel import kernel
 
 Signs = NDArray[np.int64]  # (rows,) 1: held at the upper bound, -1: at the lower one, 0: not held
 

@@ -2,7 +2,7 @@
 
 from robot_agent.control.controller import Controller
 from robot_agent.control.nonlinear.nonlinear_controller import NonlinearController
-from wire.config.controller import ControllerConfig
+from shoal.config.controller import ControllerConfig
 
 AnyController = Controller | NonlinearController
 

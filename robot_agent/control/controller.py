@@ -37,11 +37,11 @@ from robot_agent.vehicle.dynamics import Model
 from robot_agent.vehicle.estimate import Deviations, Estimate, StateMeasurement
 from robot_agent.vehicle.fixed_thrusters import make_allocator
 from robot_agent.vehicle.kalman import make_estimator
-from wire.config.controller import ControllerConfig, Safety
-from wire.config.vehicle import Vehicle
-from wire.frames import Array
-from wire.kernels import kernel
-from wire.messages.messages import Solve
+from shoal.config.controller import ControllerConfig, Safety
+from shoal.config.vehicle import Vehicle
+from shoal.frames import Array
+from shoal.kernels.kernel import kernel
+from shoal.messages.messages import Solve
 
 NS = 1_000_000_000
 KEEP_TURN = 0.55  # of a turn: a robot that faces backwards does not change its mind about the way round at every step
@@ -222,7 +222,7 @@ class Controller:
         return self._config.period_s
 
     def prepare_gains(self, config: ControllerConfig) -> GainSet:
-        """Build the solvers for other gains (wire/messages/live_gains.py) beforehand: their scale depends on the weights, and
+        """Build the solvers for other gains (shoal/messages/live_gains.py) beforehand: their scale depends on the weights, and
         building takes ten times as long as a step."""
         mpc = None
         if isinstance(self._law, Mpc):

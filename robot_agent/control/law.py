@@ -4,6 +4,8 @@ import importlib
 from collections.abc import Callable
 from typing import Any, Protocol, cast
 
+from shoal.errors import ConfigError
+
 from robot_agent.control.baselines.adaptive_nn import AdaptiveNn
 from robot_agent.control.baselines.backstepping import Backstepping
 from robot_agent.control.baselines.feedback import Feedback, FeedbackLaw
@@ -15,10 +17,9 @@ from robot_agent.control.baselines.tracking_errors import Axes
 from robot_agent.control.mpc import Mpc, MpcPlan
 from robot_agent.guidance.formation import HalfSpaces
 from robot_agent.vehicle.dynamics import Model, State
-from wire.config.controller import ControllerConfig, GuidanceConfig
-from wire.config.vehicle import Vehicle
-from wire.frames import Array
-from wire.toml_loader import ConfigError
+from shoal.config.controller import ControllerConfig, GuidanceConfig
+from shoal.config.vehicle import Vehicle
+from shoal.frames import Array
 
 
 class Law(Protocol):

@@ -6,12 +6,13 @@ steps, never within one. Pure: time is an argument.
 
 from dataclasses import dataclass
 
+from shoal.errors import ConfigError
+
 from robot_agent.control.any_controller import AnyController
 from robot_agent.control.controller import GainSet
-from wire.config.controller import ControllerConfig
-from wire.messages.live_gains import of_message, tuning
-from wire.messages.messages import Command, Order
-from wire.toml_loader import ConfigError
+from shoal.config.controller import ControllerConfig
+from shoal.messages.live_gains import of_message, tuning
+from shoal.messages.messages import Command, Order
 
 Prepared = GainSet | str  # a set that can be flown, or why a command cannot be carried out; empty: nothing is against it
 

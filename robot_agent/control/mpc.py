@@ -18,11 +18,11 @@ from robot_agent.control.linearisation import Prediction
 from robot_agent.control.qp import Solution, Solver, make_solver
 from robot_agent.guidance.formation import HalfSpaces
 from robot_agent.vehicle.dynamics import Model, State
-from wire.config.controller import MpcConfig
-from wire.config.vehicle import Vehicle
-from wire.frames import Array
-from wire.kernels import kernel
-from wire.messages.messages import Solve
+from shoal.config.controller import MpcConfig
+from shoal.config.vehicle import Vehicle
+from shoal.frames import Array
+from shoal.kernels.kernel import kernel
+from shoal.messages.messages import Solve
 
 CHANNELS = (0, 2, 1)  # order of the unknowns: surge, yaw, heave
 RIDGE = 1e-9  # per N^2: keeps the problem strictly convex when every weight of a channel is zero

@@ -18,9 +18,9 @@ import numpy as np
 from robot_agent.guidance.formation import Formation, Neighbour
 from robot_agent.guidance.obstacles import Obstacle
 from robot_agent.guidance.reference import Drive
-from wire.config.experiment import Experiment
-from wire.frames import Array, wrap
-from wire.messages.messages import DriveVelocity
+from shoal.config.experiment import Experiment
+from shoal.frames import Array, wrap
+from shoal.messages.messages import DriveVelocity
 
 STOP_S = 2.0  # time constant of the approach: at 0.2 m from a wall at most 0.1 m/s
 SHORT_M = 0.1  # stops this far before the distance to keep: a hull overshoots its reference by some centimetres

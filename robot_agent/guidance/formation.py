@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_agent.guidance.obstacles import Obstacle, nearest_border
-from wire.config.controller import MpcConfig, Safety
-from wire.frames import TURN, Array
-from wire.kernels import kernel
-from wire.messages.messages import Plan
+from shoal.config.controller import MpcConfig, Safety
+from shoal.frames import TURN, Array
+from shoal.kernels.kernel import kernel
+from shoal.messages.messages import Plan
 
 Places = NDArray[np.complex128]  # x + iy in the pool frame, m
 

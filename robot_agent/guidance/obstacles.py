@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wire.config.controller import Safety
-from wire.config.scene import Island
-from wire.frames import Array
-from wire.messages.messages import Obstacles
-from wire.obstacle_memory import ages_s, drift_m, growth_m, is_old, swept
+from shoal.config.controller import Safety
+from shoal.config.scene import Island
+from shoal.frames import Array
+from shoal.messages.messages import Obstacles
+from shoal.messages.obstacle_memory import ages_s, drift_m, growth_m, is_old, swept
 
 SPACING_M = 0.15  # of pieces along an edge: 0.3 m away, the way between two of them is 1 cm too near
 ABSURD_M = 1e3  # what lies farther away is no obstacle

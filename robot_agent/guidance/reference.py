@@ -5,9 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from wire.frames import Array
-from wire.kernels import kernel
-from wire.messages.messages import Trajectory
+from shoal.frames import Array
+from shoal.kernels.kernel import kernel
+from shoal.messages.messages import Trajectory
 
 
 @kernel("void(f8[:,::1], f8[::1], f8[:,::1])")

@@ -7,9 +7,9 @@ come from another version, another vehicle file, or a fault in the planner, and 
 import numpy as np
 from numpy.typing import NDArray
 
-from wire.config.scene import PoolConfig
-from wire.config.vehicle import Vehicle
-from wire.messages.messages import Trajectory
+from shoal.config.scene import PoolConfig
+from shoal.config.vehicle import Vehicle
+from shoal.messages.messages import Trajectory
 
 PERIOD_S = (0.001, 1.0)
 LATEST_S = 1e6  # of the first sample

@@ -11,9 +11,9 @@ import numpy as np
 from robot_agent.guidance.reference import Follow, pose_at, splice, splice_objection
 from robot_agent.guidance.trajectory_check import unflyable
 from robot_agent.inputs import StationView
-from wire.config.experiment import Experiment
-from wire.frames import Array
-from wire.messages.messages import Command, Order, Trajectory
+from shoal.config.experiment import Experiment
+from shoal.frames import Array
+from shoal.messages.messages import Command, Order, Trajectory
 
 FARTHEST_S = 60.0  # a start may lie ahead, or be over, by this much; the station names one half a second ahead
 FASTER = 0.5  # of the timetable's pace: a reference that has to catch up with what the station says does so by this much more

@@ -29,10 +29,10 @@ import numpy as np
 from robot_agent.guidance.formation import MEANT_S, WALL_M, NeighbourPredictions
 from robot_agent.guidance.obstacles import Obstacle
 from robot_agent.guidance.reference import Reference
-from wire.config.vehicle import Vehicle
-from wire.frames import Array, wrap
-from wire.kernel_types import Bools, Complexes, Floats, Table
-from wire.kernels import kernel
+from shoal.config.vehicle import Vehicle
+from shoal.frames import Array, wrap
+from shoal.kernels.kernel import kernel
+from shoal.kernels.types import Bools, Complexes, Floats, Table
 
 LOOK_STEP_S = 0.5
 SURE_S = 0.2  # a conflict lasts so long before the reference is left,

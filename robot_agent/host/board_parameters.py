@@ -9,10 +9,10 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from wire.config.experiment import Experiment
-from wire.config.simulation import HIL, TRIMS
-from wire.mavlink.agent_link import AgentLink
-from wire.mavlink.parameter_list import ParameterList
+from shoal.config.experiment import Experiment
+from shoal.config.simulation import HIL, TRIMS
+from shoal.mavlink.agent_link import AgentLink
+from shoal.mavlink.parameter_list import ParameterList
 
 AGAIN_S = 0.5  # between two requests while nothing comes; a list brings a value with each burst
 LISTED = 4  # differences in a reason not to arm

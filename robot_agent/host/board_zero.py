@@ -1,7 +1,7 @@
 """SHELL: the file that says at which depth a thruster board took its zero; it outlives the robot's computer.
 
 A board takes the pressure at which it is switched on for that at the surface (docs/board.md). While the agent runs, it sees a
-restart of its board under water (wire/mavlink/power_on_depth.py). This file is for what no program sees: board and computer
+restart of its board under water (shoal/mavlink/power_on_depth.py). This file is for what no program sees: board and computer
 lose their power together, or the agent ends between. It holds the robot's last depth and which life of the board that was: the
 computer's boot, and the instant in it at which the board was switched on. A board of another life took its zero at that depth,
 as far as anybody knows, until a person confirms it (`robot-agent confirm-zero`).
@@ -15,10 +15,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from wire.mavlink.agent_link import Telemetry
-from wire.process.output_files import replace_text
-from wire.process.runtime import log
-from wire.regular_files import read_regular
+from shoal.mavlink.agent_link import Telemetry
+from shoal.runtime.output_files import replace_text
+from shoal.runtime.runtime import log
+from shoal.system.regular_files import read_regular
 
 SERVICE_FOLDER = Path("/var/lib/shoal-agent")  # StateDirectory of the service
 FILE = "depth-zero.json"

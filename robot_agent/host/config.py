@@ -9,13 +9,14 @@ from typing import Annotated, Any, Self
 
 import tomli_w
 from pydantic import AfterValidator, Field, model_validator
+from shoal.errors import ConfigError
 
-from wire.config.scene import LARGEST_ROBOT
-from wire.mavlink.board_address import DEFAULT_LINK, PORTS_BY_ID
-from wire.mavlink.board_port import Link, open_link
-from wire.mavlink.signing_key import Signing
-from wire.process.cli_options import DEFAULT_FLEET, DEFAULT_STATION, fleet_name
-from wire.toml_loader import ConfigError, Section, check, read_toml
+from shoal.config.loader import Section, check, read_toml
+from shoal.config.scene import LARGEST_ROBOT
+from shoal.mavlink.board_address import DEFAULT_LINK, PORTS_BY_ID
+from shoal.mavlink.board_port import Link, open_link
+from shoal.mavlink.signing_key import Signing
+from shoal.runtime.cli_options import DEFAULT_FLEET, DEFAULT_STATION, fleet_name
 
 TEMPLATE = """\
 # What this board is, for `robot-agent run --config {name}`, `robot-agent check` and the systemd unit.

@@ -9,14 +9,14 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from shoal.errors import ConfigError
 
-from wire.config.scene import LARGEST_ROBOT
-from wire.mavlink.board_address import DEFAULT_LINK, LINK_HELP
-from wire.mavlink.board_port import Link, open_link
-from wire.mavlink.parameters import DOES_NOT_EXIST, LINK_ID, ParameterClient
-from wire.mavlink.signing_key import Signing
-from wire.process.cli_options import LinkInsecure, LinkKey, finite
-from wire.toml_loader import ConfigError
+from shoal.config.scene import LARGEST_ROBOT
+from shoal.mavlink.board_address import DEFAULT_LINK, LINK_HELP
+from shoal.mavlink.board_port import Link, open_link
+from shoal.mavlink.parameters import DOES_NOT_EXIST, LINK_ID, ParameterClient
+from shoal.mavlink.signing_key import Signing
+from shoal.runtime.cli_options import LinkInsecure, LinkKey, finite
 
 AGAIN_S = 0.3  # between one question and its repetition
 WITHIN_S = 5.0  # for an answer, beyond what a board needs before it speaks

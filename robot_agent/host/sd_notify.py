@@ -14,7 +14,7 @@ import os
 import socket
 from pathlib import Path
 
-from wire.process.output_files import replace_text
+from shoal.runtime.output_files import replace_text
 
 TIMES_A_WATCH = 4  # per watchdog period: one may be late and one lost
 

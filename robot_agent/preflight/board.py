@@ -9,6 +9,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
+from shoal.errors import ConfigError
 
 from robot_agent.host import realtime
 from robot_agent.host.board_zero import SERVICE_FOLDER, read_record, state_folder
@@ -18,13 +19,12 @@ from robot_agent.preflight.findings import CheckFinding, CheckVerdict
 from robot_agent.preflight.network import check_network
 from robot_agent.preflight.rehearsal import RehearsalFailed, rehearse
 from robot_agent.safety.health import RESTART_DEPTH_M
-from wire.config.experiment import Experiment, load_experiment
-from wire.mavlink.agent_link import Telemetry
-from wire.mavlink.board_address import number_in_name, parse_link, serial_ports, serial_trouble
-from wire.mavlink.signing_key import agent_end
-from wire.messages.messages import Mode
-from wire.process.version import code
-from wire.toml_loader import ConfigError
+from shoal.config.experiment import Experiment, load_experiment
+from shoal.mavlink.agent_link import Telemetry
+from shoal.mavlink.board_address import number_in_name, parse_link, serial_ports, serial_trouble
+from shoal.mavlink.signing_key import agent_end
+from shoal.messages.messages import Mode
+from shoal.runtime.version import code
 
 REHEARSED, WARM_UP = 400, 60  # control steps: 20 s of flight
 BOARD_WITHIN_S = 2.0

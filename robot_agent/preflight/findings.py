@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 from datetime import datetime
 from enum import Enum
 
-from wire.security.key_ring import EXPIRES_SOON
+from shoal.bus.key_ring import EXPIRES_SOON
 
 CLOCK_APART_S = 1.0  # TLS and the order of logs depend on the clocks; no age and no order does
 MINUTE = "%Y-%m-%d %H:%M"

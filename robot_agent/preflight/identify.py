@@ -4,14 +4,15 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from shoal.errors import ConfigError, os_errors_as_config_errors
 
 from robot_agent.host.params import ParameterSession, WhichRobot, talk
 from robot_agent.preflight.thrust_curve import ThrustFit, fit, read_rows
-from wire.config.vehicle import Thruster, load_vehicle
-from wire.mavlink.agent_link import STANDARD_GRAVITY_MPS2
-from wire.process.cli_options import LinkInsecure, LinkKey, finite
-from wire.regular_files import read_regular
-from wire.toml_loader import MOST_BYTES, ConfigError, check, os_errors_as_config_errors
+from shoal.config.loader import MOST_BYTES, check
+from shoal.config.vehicle import Thruster, load_vehicle
+from shoal.mavlink.agent_link import STANDARD_GRAVITY_MPS2
+from shoal.runtime.cli_options import LinkInsecure, LinkKey, finite
+from shoal.system.regular_files import read_regular
 
 cli = typer.Typer(help="A vehicle's numbers from measurements on a bench (docs/hil.md).")
 

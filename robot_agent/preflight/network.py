@@ -5,20 +5,21 @@ from collections.abc import Generator
 from datetime import UTC, datetime
 from pathlib import Path
 
+from shoal.errors import ConfigError
+
 from robot_agent.host.config import AgentConfig
 from robot_agent.preflight import findings
 from robot_agent.preflight.findings import CheckFinding, CheckVerdict
-from wire.messages import topics
-from wire.messages.messages import StationHeartbeat
-from wire.messages.topics import Role, process_name
-from wire.process.version import code
-from wire.security.key_ring import Keys, common_name, open_keys
-from wire.toml_loader import ConfigError
-from wire.transport.bus import Bus
-from wire.transport.connection_diagnostics import trouble_reaching
-from wire.transport.network import endpoint
-from wire.transport.transport import Unreached
-from wire.transport.zenoh_transport import ZenohTransport
+from shoal.bus.bus import Bus
+from shoal.bus.connection_diagnostics import trouble_reaching
+from shoal.bus.key_ring import Keys, common_name, open_keys
+from shoal.bus.network import endpoint
+from shoal.bus.transport import Unreached
+from shoal.bus.zenoh_transport import ZenohTransport
+from shoal.messages import topics
+from shoal.messages.messages import StationHeartbeat
+from shoal.messages.topics import Role, process_name
+from shoal.runtime.version import code
 
 STATION_WITHIN_S = 3.0
 PRESENT_WITHIN_S = 0.5  # after the station is heard: who is there already the router tells in its own time

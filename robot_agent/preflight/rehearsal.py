@@ -10,11 +10,11 @@ import numpy as np
 
 from robot_agent.agent import Agent
 from robot_agent.inputs import Inputs, StampedPlan, StampedPose, StationView
-from wire.config.experiment import Experiment
-from wire.frames import Array
-from wire.mavlink.agent_link import Telemetry
-from wire.messages.codec import Header
-from wire.messages.messages import Command, Order, Plan, Pose, Track, Trajectory
+from shoal.config.experiment import Experiment
+from shoal.frames import Array
+from shoal.mavlink.agent_link import Telemetry
+from shoal.messages.codec import Header
+from shoal.messages.messages import Command, Order, Plan, Pose, Track, Trajectory
 
 RADIUS_M, SPEED_MPS, DEPTH_M = 0.5, 0.1, 0.3
 APART_M = 1.2  # between circles' centres: plans are heard, and no robot is in the way

@@ -1,6 +1,6 @@
 """The robot from above, drawn in characters, with the part of it that is about to move. Pure."""
 
-from wire.config.vehicle import LEGS, Vehicle
+from shoal.config.vehicle import LEGS, Vehicle
 
 CORNERS = ((True, False), (True, True), (False, False), (False, True))  # ahead, to starboard: as they are drawn
 

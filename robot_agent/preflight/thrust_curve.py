@@ -11,8 +11,9 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import groupby, pairwise
 
-from wire.mavlink.agent_link import PULSE_RANGE_US, STANDARD_GRAVITY_MPS2
-from wire.toml_loader import ConfigError
+from shoal.errors import ConfigError
+
+from shoal.mavlink.agent_link import PULSE_RANGE_US, STANDARD_GRAVITY_MPS2
 
 COLUMNS = ["pulse_us", "grams"]
 LEAST_PULSES = 6  # different ones: two on each side, and the dead zone

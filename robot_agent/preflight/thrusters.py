@@ -13,12 +13,12 @@ from robot_agent.host.config import AgentConfig, open_board_link
 from robot_agent.preflight.findings import CheckFinding, CheckVerdict
 from robot_agent.preflight.robot_picture import part, picture, place
 from robot_agent.safety.thruster_selftest import TOLERANCE_US, one_pushed, push_pulse_us
-from wire.config.experiment import Experiment
-from wire.config.vehicle import LEGS, Vehicle
-from wire.mavlink.agent_link import CHANNELS, AgentLink
-from wire.mavlink.board_port import Link
-from wire.mavlink.signing_key import agent_end
-from wire.process.runtime import signals_raise
+from shoal.config.experiment import Experiment
+from shoal.config.vehicle import LEGS, Vehicle
+from shoal.mavlink.agent_link import CHANNELS, AgentLink
+from shoal.mavlink.board_port import Link
+from shoal.mavlink.signing_key import agent_end
+from shoal.runtime.runtime import signals_raise
 
 TURN_S, REST_S = 0.6, 0.4  # long enough for a person to see which one it is
 ARM_WITHIN_S = 2.0

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from robot_agent.safety.modes import DRIVE_LASTS_S, POWERED
-from wire.messages.messages import Guidance, Mode
+from shoal.messages.messages import Guidance, Mode
 
 STEADY_S = 1.0  # a change a second is what a person can follow
 LONGEST_AWAY_S = 120.0  # eight robots through one point were back after 76 s; two that wait for one another never are

@@ -11,9 +11,9 @@ from robot_agent.safety.thruster_fault_detection import ThrusterFaultDetector
 from robot_agent.vehicle.battery import BatteryMonitor
 from robot_agent.vehicle.dynamics import GATE_RAD
 from robot_agent.vehicle.fixed_thrusters import make_allocator
-from wire.config.experiment import Experiment
-from wire.frames import wrap
-from wire.messages.messages import Guidance, Mode
+from shoal.config.experiment import Experiment
+from shoal.frames import wrap
+from shoal.messages.messages import Guidance, Mode
 
 ARM_AGAIN_S = 0.2  # how often the board is asked to arm, or later to disarm, when it has not done as told
 DISARM_S = 0.5  # so long after the power is taken away every step disarms, whatever the board says: frames get lost

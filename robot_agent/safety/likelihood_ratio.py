@@ -18,8 +18,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from wire.frames import Array
-from wire.kernels import kernel
+from shoal.frames import Array
+from shoal.kernels.kernel import kernel
 
 NS = 1_000_000_000
 SPANS_S = (0.5, 1.0, 2.0)

@@ -8,8 +8,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from wire.config.controller import Safety
-from wire.messages.messages import Mode, Order
+from shoal.config.controller import Safety
+from shoal.messages.messages import Mode, Order
 
 BOARD_LOST_S = 0.3  # six bursts at 20 Hz; the board itself goes to neutral 0.25 s after the last pulses it got
 BOARD_DISOBEYS_S = 0.2  # of the last second: an echo or two may be lost; a thruster that runs by itself should not for long

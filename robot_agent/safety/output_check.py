@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_agent.safety.sent_commands import SentCommands
-from wire.kernels import kernel
-from wire.mavlink.agent_link import CHANNELS, Telemetry
+from shoal.kernels.kernel import kernel
+from shoal.mavlink.agent_link import CHANNELS, Telemetry
 
 TOLERANCE_US = 5
 LATELY_NS = 350_000_000  # 100 ms each way on a bad wire, a board's loop, and what its slew rate takes

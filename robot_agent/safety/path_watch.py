@@ -21,9 +21,9 @@ from robot_agent.safety.guidance_states import AWAY, STATES, STEADY_S, GuidanceF
 from robot_agent.safety.modes import POWERED
 from robot_agent.safety.path_deviation import ARRIVED, PathDeviationMonitor
 from robot_agent.safety.thrust_response import ThrustResponse
-from wire.config.experiment import Experiment
-from wire.frames import Array
-from wire.messages.messages import Guidance, Mode
+from shoal.config.experiment import Experiment
+from shoal.frames import Array
+from shoal.messages.messages import Guidance, Mode
 
 NS = 1_000_000_000
 FOLLOWS_S = 1.0  # so far a robot that a law without foresight drives is behind its reference (guidance/driving.py)

@@ -8,7 +8,7 @@ the turn by the poses, and a depth that is exactly the same for seconds is no me
 import math
 from bisect import bisect_right
 
-from wire.frames import wrap
+from shoal.frames import wrap
 
 NS = 1_000_000_000
 KEPT = 64  # samples of the gyroscope: 1.3 s at 50 Hz, longer than poses are late

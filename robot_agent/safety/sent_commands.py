@@ -10,10 +10,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from wire.config.vehicle import Thruster, Vehicle
-from wire.frames import Array
-from wire.kernel_types import Floats, Ints, Table
-from wire.kernels import kernel
+from shoal.config.vehicle import Thruster, Vehicle
+from shoal.frames import Array
+from shoal.kernels.kernel import kernel
+from shoal.kernels.types import Floats, Ints, Table
 
 NS = 1_000_000_000
 FINE_NS = 10_000_000  # within which an ankle counts as turning straight: 0.05 rad at 300 degrees/s

@@ -24,10 +24,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_agent.safety.sent_commands import NS, ActingThrust
-from wire.config.vehicle import Vehicle
-from wire.frames import wrap
-from wire.kernel_types import Floats
-from wire.kernels import kernel
+from shoal.config.vehicle import Vehicle
+from shoal.frames import wrap
+from shoal.kernels.kernel import kernel
+from shoal.kernels.types import Floats
 
 Complexes = Annotated[NDArray[np.complex128], 2]
 ComplexCube = Annotated[NDArray[np.complex128], 3]

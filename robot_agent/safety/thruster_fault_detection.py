@@ -25,10 +25,10 @@ import numpy as np
 
 from robot_agent.safety.likelihood_ratio import SPANS_S, LikelihoodRatioTest
 from robot_agent.safety.sent_commands import NS, ActingLegs
-from wire.config.vehicle import Vehicle
-from wire.frames import Array
-from wire.kernel_types import Floats
-from wire.kernels import kernel
+from shoal.config.vehicle import Vehicle
+from shoal.frames import Array
+from shoal.kernels.kernel import kernel
+from shoal.kernels.types import Floats
 
 SMOOTH_S = 0.3  # T: noise of the gyroscope, 3 mrad/s, is then 1.2 mN m; one idle thruster of the article's robot turns with 12
 DRAG, RISING, ALWAYS = -3, -2, -1  # among the causes of the residual, after the thrusters

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from wire.config.vehicle import Vehicle
+from shoal.config.vehicle import Vehicle
 
 PUSH_N = 0.15  # 5 % of what a thruster can: seen and heard, and the robot moves a centimetre
 PUSH_S, REST_S = 0.5, 0.25

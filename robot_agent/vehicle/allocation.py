@@ -14,10 +14,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from wire.config.vehicle import Vehicle
-from wire.frames import Array
-from wire.kernel_types import Floats, Ints, Table
-from wire.kernels import kernel
+from shoal.config.vehicle import Vehicle
+from shoal.frames import Array
+from shoal.kernels.kernel import kernel
+from shoal.kernels.types import Floats, Ints, Table
 
 STEEPEST_RAD = math.radians(60.0)  # beyond, most of a thruster's force is spent on cancelling its neighbour
 CROSSING_N = 0.03  # g goes from -1 to 1 over +- this horizontal force: an ankle passes level while its thruster reverses

@@ -10,8 +10,8 @@ vehicle file.
 import math
 from collections import deque
 
-from wire.config.vehicle import Battery
-from wire.mavlink.agent_link import Telemetry
+from shoal.config.vehicle import Battery
+from shoal.mavlink.agent_link import Telemetry
 
 SMOOTH_S = 1.0  # time constant; docs/board.md, rule 6
 REPORTED_S = 5.0  # ten reports of the board: a voltage that is older is not known

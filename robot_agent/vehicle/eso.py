@@ -40,9 +40,9 @@ from robot_agent.vehicle.dynamics import (
     weigh,
 )
 from robot_agent.vehicle.estimate import Estimate, PoseMeasurement, StateMeasurement
-from wire.config.controller import COAST_S, EstimatorConfig
-from wire.config.vehicle import AXES
-from wire.frames import Array, wrap
+from shoal.config.controller import COAST_S, EstimatorConfig
+from shoal.config.vehicle import AXES
+from shoal.frames import Array, wrap
 
 S = TypeVar("S")
 

@@ -6,7 +6,7 @@ plan over several seconds has to know which is which, so the estimate keeps them
 
 from typing import NamedTuple
 
-from wire.frames import Array
+from shoal.frames import Array
 
 
 class PoseMeasurement(NamedTuple):

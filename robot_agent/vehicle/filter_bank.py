@@ -24,8 +24,8 @@ import math
 from typing import NamedTuple
 
 from robot_agent.vehicle.dynamics import phi_dt
-from wire.kernel_types import Cube, Floats, Table
-from wire.kernels import kernel
+from shoal.kernels.kernel import kernel
+from shoal.kernels.types import Cube, Floats, Table
 
 ERRORS = 15
 X, Y, YAW, U, V, R, FORCE_U, FORCE_V, FORCE_R, CURRENT_X, CURRENT_Y, DRAG, THRUST, MOMENT, GYRO = range(ERRORS)

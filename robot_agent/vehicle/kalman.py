@@ -56,11 +56,11 @@ from robot_agent.vehicle.filter_bank import (
     predict,
     weigh_filters,
 )
-from wire.config.controller import EstimatorConfig
-from wire.config.vehicle import Vehicle
-from wire.frames import TURN, Array
-from wire.kernel_types import Floats, Ints, Table
-from wire.kernels import kernel
+from shoal.config.controller import EstimatorConfig
+from shoal.config.vehicle import Vehicle
+from shoal.frames import TURN, Array
+from shoal.kernels.kernel import kernel
+from shoal.kernels.types import Floats, Ints, Table
 
 KINDS = (  # of water: intensity m^2/s^3, share of its changes by place, and of forces by how much more they change
     (1e-7, 0.5, 1.0),  # a basin at rest: 1 mm/s within 10 s

@@ -7,16 +7,16 @@ from dataclasses import asdict
 from typing import Annotated
 
 import typer
+from shoal.errors import ConfigError
 
+from shoal.mavlink.board_port import Link, UdpLink, open_link
+from shoal.mavlink.parameters import ParameterClient
+from shoal.mavlink.signing_key import Signing
+from shoal.runtime.cli_options import LinkInsecure, LinkKey
+from shoal.runtime.runtime import signals_raise
 from sim_bridge.board_conformance.probe import BoardProbe, BoardWire
 from sim_bridge.board_conformance.rules import RULES
 from sim_bridge.board_conformance.runner import RuleResult, RuleVerdict, examine
-from wire.mavlink.board_port import Link, UdpLink, open_link
-from wire.mavlink.parameters import ParameterClient
-from wire.mavlink.signing_key import Signing
-from wire.process.cli_options import LinkInsecure, LinkKey
-from wire.process.runtime import signals_raise
-from wire.toml_loader import ConfigError
 
 HEARD_WITHIN_S = 5.0
 STRANGERS = 9  # peers without a key; more than the board has places for

@@ -11,11 +11,11 @@ from typing import Protocol
 
 from pymavlink.dialects.v20 import common as dialect
 
-from wire.mavlink.agent_link import BOARD_COMPONENT, IGNORED, AgentLink
-from wire.mavlink.framing import Sender
-from wire.mavlink.parameters import ParameterClient
-from wire.mavlink.signing import Key
-from wire.mavlink.simulator_link import LINK_ID, SimulatorLink
+from shoal.mavlink.agent_link import BOARD_COMPONENT, IGNORED, AgentLink
+from shoal.mavlink.framing import Sender
+from shoal.mavlink.parameters import ParameterClient
+from shoal.mavlink.signing import Key
+from sim_bridge.thruster_board.simulator_link import LINK_ID, SimulatorLink
 
 MS, S = 1_000_000, 1_000_000_000
 PERIOD_NS = 50 * MS  # ns between overrides, as in flight

@@ -6,6 +6,8 @@ A check takes a board at rest. It returns True if the board did as required, and
 import math
 from collections.abc import Callable
 
+from shoal.mavlink.agent_link import ACCEPTED, AgentLink
+from shoal.mavlink.signing import Key
 from sim_bridge.board_conformance.probe import (
     DEPTH_M,
     FORCE_MPS2,
@@ -17,8 +19,6 @@ from sim_bridge.board_conformance.probe import (
     BoardProbe,
 )
 from sim_bridge.board_conformance.runner import Measured, Rule
-from wire.mavlink.agent_link import ACCEPTED, AgentLink
-from wire.mavlink.signing import Key
 
 STOPS_WITHIN_S = 0.3
 TURNS = 5  # repetitions of a check of which the worst case counts

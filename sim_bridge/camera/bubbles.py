@@ -8,11 +8,11 @@ import math
 
 import numpy as np
 
+from shoal.config.perception import Camera
+from shoal.config.scene import PoolConfig
+from shoal.frames import Array
+from shoal.kernels.kernel import kernel
 from sim_bridge.camera.optics import Bytes, project
-from wire.config.perception import Camera
-from wire.config.scene import PoolConfig
-from wire.frames import Array
-from wire.kernels import kernel
 
 MOST_STREAMS = 100  # the experiment's 50 and 50 of a fault; more are not drawn
 STREAM_HZ = 15.0  # bubbles a second of one stream

@@ -5,8 +5,8 @@ from functools import lru_cache
 
 import numpy as np
 
+from shoal.config.fault_injection import Break
 from sim_bridge.camera.optics import Bytes
-from wire.config.fault_injection import Break
 
 DARK = 16  # divisor of the picture when the lights fail
 CABLE_GREY = 12  # grey level of the object that hides part of the picture

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from shoal.frames import Array
+from shoal.kernels.kernel import kernel
 from sim_bridge.camera.optics import Bytes, Float
-from wire.frames import Array
-from wire.kernels import kernel
 
 BLOCK = 8  # px, side of a block; the shortest ripple is some 60 px long
 LANES = 4 * BLOCK  # px of a row that a body is drawn on at a time

@@ -8,17 +8,17 @@ at the blocks and to 0.1 px between them; only edges between floor, walls and de
 import cv2
 import numpy as np
 
+from shoal.config.experiment import Experiment
+from shoal.config.perception import Camera
+from shoal.config.scene import PoolConfig
+from shoal.config.simulation import CameraMotion
+from shoal.frames import Array
 from sim_bridge.camera.kernels import BLOCK
 from sim_bridge.camera.optics import Bytes, Float
 from sim_bridge.camera.rays import CameraRays
 from sim_bridge.camera.scene import SurfacePoints, WaterView, draw_still_pool, plan_coordinates, trace_to_surfaces, vignette
 from sim_bridge.camera.textures import LENS_SOFTNESS_PX
 from sim_bridge.camera.water_optics import WaterLight
-from wire.config.experiment import Experiment
-from wire.config.perception import Camera
-from wire.config.scene import PoolConfig
-from wire.config.simulation import CameraMotion
-from wire.frames import Array
 
 SWINGS = 3  # sines per axis; with three no instant repeats within minutes
 DECK_M = 0.8  # m of deck around the basin that is drawn; farther out its edge is repeated

@@ -11,9 +11,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from wire.config.perception import Camera
-from wire.frames import Array
-from wire.kernels import kernel
+from shoal.config.perception import Camera
+from shoal.frames import Array
+from shoal.kernels.kernel import kernel
 
 Float = NDArray[np.float32]  # a plane of the picture, of its blocks, or of a map
 Bytes = NDArray[np.uint8]  # a picture: raw mosaic (height, width) or BGR (height, width, 3)

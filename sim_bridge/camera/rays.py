@@ -11,10 +11,10 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from shoal.config.perception import Camera
+from shoal.frames import Array
 from sim_bridge.camera.kernels import BLOCK
 from sim_bridge.camera.optics import GRAZING, Bytes, Float, Optics, camera_slopes
-from wire.config.perception import Camera
-from wire.frames import Array
 
 
 class ImageRect(NamedTuple):

@@ -9,7 +9,10 @@ from collections.abc import Collection
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from shoal.errors import ConfigError
 
+from shoal.config.experiment import Experiment
+from shoal.frames import Array
 from sim_bridge.camera.bubbles import Bubbles, draw_bubbles
 from sim_bridge.camera.moving_background import CameraSway, MovingBackground
 from sim_bridge.camera.optics import Bytes, Optics
@@ -19,9 +22,6 @@ from sim_bridge.camera.sensor_noise import SensorNoise
 from sim_bridge.camera.static_background import StaticBackground
 from sim_bridge.plant.currents_waves import SurfaceWave
 from sim_bridge.plant.random_streams import Stream, generator
-from wire.config.experiment import Experiment
-from wire.frames import Array
-from wire.toml_loader import ConfigError
 
 MARGIN_PX = 4.0  # px around a body's projection, for ripples and soft edges
 STEEPEST = 0.5  # largest difference of a line's slopes in air and in water: 60 degrees off the vertical

@@ -13,17 +13,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from shoal.config.experiment import Experiment
+from shoal.config.perception import Landmark, MarkerFamily
+from shoal.config.scene import RobotConfig
+from shoal.frames import Array
+from shoal.kernels.kernel import kernel
 from sim_bridge.camera import kernels
 from sim_bridge.camera.kernels import BLOCK, LAMP_UP, LAMP_X, LAMP_Y, LANE_ROWS, LANES, PENUMBRA
 from sim_bridge.camera.optics import Bytes, Optics
 from sim_bridge.camera.rays import ImageRect
 from sim_bridge.camera.scene import WaterView, water_colour
 from sim_bridge.camera.textures import HULL_PX, LENS_SOFTNESS_PX, RED, hull_texture, plate_texels_per_m, plate_texture
-from wire.config.experiment import Experiment
-from wire.config.perception import Landmark, MarkerFamily
-from wire.config.scene import RobotConfig
-from wire.frames import Array
-from wire.kernels import kernel
 
 BLUR_STEP_PX = 1.0  # px that a body may move between two parts of an exposure; the lens's blur hides that much
 MAX_PARTS = 8  # of an exposure

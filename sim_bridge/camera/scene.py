@@ -7,14 +7,14 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from shoal.config.experiment import Experiment
+from shoal.config.scene import PoolConfig
+from shoal.frames import Array
 from sim_bridge.camera.kernels import FIELDS
 from sim_bridge.camera.optics import Bytes, Float
 from sim_bridge.camera.rays import CameraRays, ImageRect, RayBundle
 from sim_bridge.camera.textures import TILE_M, grain, texels_per_tile, tile_texture
 from sim_bridge.camera.water_optics import LAMPS_M, WaterLight, block_fields, glare
-from wire.config.experiment import Experiment
-from wire.config.scene import PoolConfig
-from wire.frames import Array
 
 # Absorption per metre of water: blue, green, red. Clear water absorbs red first (Pope and Fry 1997: 0.01, 0.06, 0.34 at 450,
 # 550, 650 nm); a little is added for floating particles. Then colour and rate of the light that the water scatters back.

@@ -8,13 +8,13 @@ the two nearest pictures of each loop, in half a millisecond instead of thirty.
 import cv2
 import numpy as np
 
+from shoal.config.experiment import Experiment
 from sim_bridge.camera.kernels import BLOCK
 from sim_bridge.camera.optics import Bytes, Float
 from sim_bridge.camera.rays import CameraRays, sample_mosaic
 from sim_bridge.camera.scene import WaterView, draw_still_pool, plan_coordinates, trace_to_surfaces, vignette
 from sim_bridge.camera.textures import LENS_SOFTNESS_PX
 from sim_bridge.camera.water_optics import PHASE_S, WaterLight, caustic_levels, light_up
-from wire.config.experiment import Experiment
 
 
 class StaticBackground:

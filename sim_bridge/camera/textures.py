@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from shoal.config.perception import MarkerFamily
 from sim_bridge.camera.optics import Bytes, Float
-from wire.config.perception import MarkerFamily
 
 Plane = NDArray[np.float64]
 Colour = tuple[float, float, float]

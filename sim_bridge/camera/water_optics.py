@@ -9,6 +9,12 @@ import math
 import cv2
 import numpy as np
 
+from shoal.config.experiment import Experiment
+from shoal.config.perception import Camera
+from shoal.config.scene import PoolConfig
+from shoal.config.simulation import PictureConfig
+from shoal.frames import Array
+from shoal.kernels.kernel import kernel
 from sim_bridge.camera.kernels import (
     AIR_X,
     AIR_Y,
@@ -26,12 +32,6 @@ from sim_bridge.camera.kernels import (
 )
 from sim_bridge.camera.optics import Bytes, Float
 from sim_bridge.plant.currents_waves import SurfaceWave
-from wire.config.experiment import Experiment
-from wire.config.perception import Camera
-from wire.config.scene import PoolConfig
-from wire.config.simulation import PictureConfig
-from wire.frames import Array
-from wire.kernels import kernel
 
 RIPPLE_LOOP_S, CAUSTIC_LOOP_S = 2.4, 3.0  # s; longer than the slowest wave's period
 PHASE_S = 0.05  # s between the pictures of a loop

@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from shoal.errors import ConfigError
 
-from wire.config.experiment import NO_CAMERA, experiment_path, load_experiment
-from wire.process.cli_options import ExperimentName, Settings, finite
-from wire.process.output import background, terminal
-from wire.process.output_files import COMPARISON, check_output, new_run_folder
-from wire.toml_loader import ConfigError
+from shoal.config.experiment import NO_CAMERA, experiment_path, load_experiment
+from shoal.runtime.cli_options import ExperimentName, Settings, finite
+from shoal.runtime.output import background, terminal
+from shoal.runtime.output_files import COMPARISON, check_output, new_run_folder
 
 FIRST_OR_RANGE = "N or FIRST-LAST"
 Jobs = Annotated[int | None, typer.Option(min=1, help="Processes that fly; default: one per core.")]
@@ -88,8 +88,8 @@ def tune(
     """
     from typing import get_args
 
+    from shoal.config.baseline_controllers import LawName
     from sim_bridge.studies import gain_tuning as tuning
-    from wire.config.baseline_controllers import LawName
 
     chosen = _names(laws, [name for name in get_args(LawName) if name not in ("eso-mpc-article", "nmpc")], "--laws")
     flown = _names(scenes, tuning.SCENES, "--scenes")

@@ -5,8 +5,8 @@ from typing import Annotated
 
 import typer
 
-from wire.config.experiment import load_experiment
-from wire.process.cli_options import (
+from shoal.config.experiment import load_experiment
+from shoal.runtime.cli_options import (
     DEFAULT_FLEET,
     DEFAULT_STATION,
     ExperimentName,
@@ -21,7 +21,7 @@ from wire.process.cli_options import (
     Verbose,
     finite,
 )
-from wire.process.runtime import Stop, log, start_log
+from shoal.runtime.runtime import Stop, log, start_log
 
 Poses = Annotated[
     bool, typer.Option("--poses", help="No camera, no localizer: true poses with the noise of sim.numeric instead.")

@@ -6,16 +6,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
+from shoal.errors import ConfigError
 
+from shoal.config.experiment import NO_CAMERA, Experiment, load_experiment
+from shoal.kernels.build import ensure_compiled
+from shoal.runtime.cli_options import ExperimentName, FaultLines, KeyRing, Settings, caution, experiments, finite
+from shoal.runtime.output import background, terminal
+from shoal.runtime.output_files import new_run_folder
+from shoal.runtime.runtime import Stop
+from shoal.system import programs
 from sim_bridge.cli.pool import Pace, Poses
-from wire import programs
-from wire.config.experiment import NO_CAMERA, Experiment, load_experiment
-from wire.kernel_build import ensure_compiled
-from wire.process.cli_options import ExperimentName, FaultLines, KeyRing, Settings, caution, experiments, finite
-from wire.process.output import background, terminal
-from wire.process.output_files import new_run_folder
-from wire.process.runtime import Stop
-from wire.toml_loader import ConfigError
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -208,9 +208,9 @@ def campaign(
 
     Examples:  sim-bridge campaign errors.toml       sim-bridge campaign errors.toml --resume --scheduler tcp://192.0.2.10:8786
     """
+    from shoal.config.loader import check, read_toml
     from sim_bridge.studies import campaign_runner
     from sim_bridge.studies.campaign import Campaign
-    from wire.toml_loader import check, read_toml
 
     loaded = check(Campaign, {**read_toml(file), **({"camera": True} if camera else {})}, str(file))
     folder = out or Path("runs") / f"campaign-{loaded.name}"

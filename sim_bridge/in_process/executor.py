@@ -18,28 +18,28 @@ from typing import Any
 
 import cv2
 from rich.console import Console
+from shoal.errors import ConfigError
 
 from groundstation.station import process as station_process
 from localizer.fusion_node import FusionNode
 from localizer.node import LocalizerNode
 from robot_agent.node import AgentNode
+from shoal.bus.bus import Bus, Decode
+from shoal.bus.memory_transport import MemoryHub, MemoryTransport
+from shoal.bus.transport import Answer, Urgent
+from shoal.config.experiment import Experiment, dump_experiment
+from shoal.messages import topics
+from shoal.messages.codec import Header, decode
+from shoal.messages.messages import Tick
+from shoal.messages.topics import Topic
+from shoal.runtime.lockstep import LockstepClock
+from shoal.runtime.runtime import Failed, Stop, log, log_handler, speaking
+from shoal.runtime.web_access import WebOptions, web_options
 from sim_bridge.node.board_ports import Address, BoardPorts
 from sim_bridge.node.pool import PoolNode
 from sim_bridge.sil import launcher
 from sim_bridge.sil.commands import GIVE_UP_S, RunOptions
 from sim_bridge.sil.monitor import Monitor
-from wire.config.experiment import Experiment, dump_experiment
-from wire.messages import topics
-from wire.messages.codec import Header, decode
-from wire.messages.messages import Tick
-from wire.messages.topics import Topic
-from wire.process.lockstep import LockstepClock
-from wire.process.runtime import Failed, Stop, log, log_handler, speaking
-from wire.toml_loader import ConfigError
-from wire.transport.bus import Bus, Decode
-from wire.transport.memory_transport import MemoryHub, MemoryTransport
-from wire.transport.transport import Answer, Urgent
-from wire.web_access import WebOptions, web_options
 
 PEER: Address = ("memory", 0)  # of every board: its robot's computer
 COLLECTED_AT = (20_000, 20, 100)  # objects, some 30 steps' worth, and collections of the younger objects
@@ -164,7 +164,7 @@ class _PartTransport(MemoryTransport):
 
 
 class MemoryWire:
-    """The wire between a board's port and its robot's computer; this is the computer's end (wire/mavlink/board_port.py)."""
+    """The wire between a board's port and its robot's computer; this is the computer's end (shoal/mavlink/board_port.py)."""
 
     trouble = ""
 

@@ -18,21 +18,21 @@ from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
+from shoal.errors import ConfigError
 
 from robot_agent.agent import Agent, Outputs
 from robot_agent.inputs import Inputs, StampedObstacles, StampedPlan, StampedPose, StationView
+from shoal.config.experiment import Experiment
+from shoal.frames import Array, pose_error
+from shoal.mavlink.agent_link import Telemetry
+from shoal.messages import topics
+from shoal.messages.codec import Header
+from shoal.messages.messages import Command, Event, Message, Order, Pose, Reply, RobotState, Trajectory, Truth
+from shoal.messages.topics import Topic
 from sim_bridge.fault_schedule import FaultSchedule
 from sim_bridge.node.ideal_localizer import IdealLocalizer
 from sim_bridge.plant.fleet import Plant
 from sim_bridge.plant.sensors import BoardSensors
-from wire.config.experiment import Experiment
-from wire.frames import Array, pose_error
-from wire.mavlink.agent_link import Telemetry
-from wire.messages import topics
-from wire.messages.codec import Header
-from wire.messages.messages import Command, Event, Message, Order, Pose, Reply, RobotState, Trajectory, Truth
-from wire.messages.topics import Topic
-from wire.toml_loader import ConfigError
 
 NS = 1_000_000_000
 STATION_SESSION = 1

@@ -14,21 +14,21 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from shoal.errors import ConfigError
 
 from robot_agent.agent import Agent
 from robot_agent.inputs import StampedPlan
 from robot_agent.rerun import Logged, Rerun
+from shoal.config.experiment import Experiment, load_experiment
+from shoal.frames import Array
+from shoal.messages import topics
+from shoal.messages.codec import decode
+from shoal.messages.messages import Mode, Plan, RobotState, Truth
+from shoal.messages.pipe import read_pipe
+from shoal.runtime.fleet_time import SIMULATED_BELOW_NS
+from shoal.system import programs
 from sim_bridge import fault_schedule
 from sim_bridge.in_process.fleet import NS, AgentFleet, DirectPlant
-from wire import programs
-from wire.config.experiment import Experiment, load_experiment
-from wire.frames import Array
-from wire.messages import topics
-from wire.messages.codec import decode
-from wire.messages.messages import Mode, Plan, RobotState, Truth
-from wire.messages.pipe import read_pipe
-from wire.process.fleet_time import SIMULATED_BELOW_NS
-from wire.toml_loader import ConfigError
 
 THRUST_MEMORY_S = 1.0  # s of pulses that the plant is given, ten times a thruster's lag
 SAME_CLOCK_NS = 1_000_000_000  # ns; the truth's stamps and a robot's are of one clock if they are this near

@@ -13,17 +13,17 @@ from typing import Any
 
 import numpy as np
 from rich.console import Console
+from shoal.errors import ConfigError
 
+from shoal.config.experiment import Experiment, dump_experiment
+from shoal.messages.messages import Trajectory
+from shoal.messages.pipe import PipeWriter
+from shoal.runtime.output_files import replace_text
+from shoal.runtime.runtime import Failed, Stop
+from shoal.system import programs
 from sim_bridge import fault_schedule
 from sim_bridge.in_process.fleet import AgentFleet, DirectPlant, fly
 from sim_bridge.sil import launcher
-from wire import programs
-from wire.config.experiment import Experiment, dump_experiment
-from wire.messages.messages import Trajectory
-from wire.messages.pipe import PipeWriter
-from wire.process.output_files import replace_text
-from wire.process.runtime import Failed, Stop
-from wire.toml_loader import ConfigError
 
 REFUSED = 2  # exit code of `groundstation plan` for an experiment that cannot be flown
 

@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
+from shoal.errors import ConfigError
 
+from shoal.mavlink.board_port import is_local
+from shoal.runtime.runtime import Stop, log
 from sim_bridge.node.board_ports import UdpPort
 from sim_bridge.thruster_board.board import ThrusterBoard
-from wire.mavlink.board_port import is_local
-from wire.process.runtime import Stop, log
-from wire.toml_loader import ConfigError
 
 STEP_S = 0.005
 READ_BYTES = 65536

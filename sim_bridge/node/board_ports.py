@@ -13,11 +13,12 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import Generic, Protocol, TypeVar
 
+from shoal.errors import ConfigError
+
+from shoal.mavlink.agent_link import is_override
 from sim_bridge.fault_schedule import LinkFaults
 from sim_bridge.plant.random_streams import Stream, generator
 from sim_bridge.world import World
-from wire.mavlink.agent_link import is_override
-from wire.toml_loader import ConfigError
 
 T = TypeVar("T")  # type of a datagram's tag
 OVERTAKEN_NS = 50_000_000  # ns, longest delay of an overtaken datagram: a control period, so that the order changes

@@ -11,19 +11,20 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
+from shoal.errors import ConfigError
+
+from shoal.config.experiment import Experiment
+from shoal.frames import Array
+from shoal.mavlink.board_port import Link, open_link
+from shoal.mavlink.parameters import ParameterClient
+from shoal.mavlink.signing import SignatureVerifier
+from shoal.mavlink.signing_key import Signing
+from shoal.runtime.runtime import Failed, log
 from sim_bridge.plant.sensors import BoardSensors
 from sim_bridge.thruster_board.board import STATUS_NS, DemandedLoad, crosses
+from sim_bridge.thruster_board.board_link import BoardLink, SetParameter
 from sim_bridge.thruster_board.parameters import VOLATILE
-from wire.config.experiment import Experiment
-from wire.frames import Array
-from wire.mavlink.board_link import BoardLink, SetParameter
-from wire.mavlink.board_port import Link, open_link
-from wire.mavlink.parameters import ParameterClient
-from wire.mavlink.signing import SignatureVerifier
-from wire.mavlink.signing_key import Signing
-from wire.mavlink.simulator_link import LINK_ID, SimulatorLink
-from wire.process.runtime import Failed, log
-from wire.toml_loader import ConfigError
+from sim_bridge.thruster_board.simulator_link import LINK_ID, SimulatorLink
 
 HEARD_WITHIN_S = 5.0
 ASK_AGAIN_S = 0.3

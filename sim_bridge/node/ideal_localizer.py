@@ -2,10 +2,10 @@
 
 import numpy as np
 
+from shoal.config.experiment import Experiment
+from shoal.frames import Array
+from shoal.messages.messages import Obstacles, Pose, Track
 from sim_bridge.plant.random_streams import Stream, generator
-from wire.config.experiment import Experiment
-from wire.frames import Array
-from wire.messages.messages import Obstacles, Pose, Track
 
 _ANGLES = 2.0 * np.pi * np.arange(12) / 12
 RING = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES)]) / np.cos(np.pi / 12)  # circumscribed polygon of the unit circle

@@ -13,18 +13,18 @@ from collections.abc import Callable
 
 import numpy as np
 
+from shoal.bus.bus import Bus
+from shoal.config.experiment import Experiment
+from shoal.frames import Array
+from shoal.messages import topics
+from shoal.messages.messages import CameraHealth, Frame, LocalizerStatus, RobotState, Tick, Trajectory
+from shoal.runtime.lockstep import LOCKSTEP_SAYS_S, LockstepClock, Reminder
+from shoal.runtime.runtime import SLICE_S, Clock, Stop, WallClock, guarded_thread, log, log_to_bus, wait
 from sim_bridge.node.board_ports import BoardPorts
 from sim_bridge.node.ideal_localizer import IdealLocalizer
 from sim_bridge.node.simulated_camera import Exposure, SimulatedCamera
 from sim_bridge.thruster_board.board import ThrusterBoard
 from sim_bridge.world import World, WorldBoard
-from wire.config.experiment import Experiment
-from wire.frames import Array
-from wire.messages import topics
-from wire.messages.messages import CameraHealth, Frame, LocalizerStatus, RobotState, Tick, Trajectory
-from wire.process.lockstep import LOCKSTEP_SAYS_S, LockstepClock, Reminder
-from wire.process.runtime import SLICE_S, Clock, Stop, WallClock, guarded_thread, log, log_to_bus, wait
-from wire.transport.bus import Bus
 
 
 class PoolNode:

@@ -11,12 +11,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from shoal.config.experiment import Experiment
+from shoal.config.fault_injection import Break
+from shoal.frames import Array
+from shoal.runtime.runtime import log
 from sim_bridge.camera.faults import CameraFaults
 from sim_bridge.camera.renderer import Renderer, with_sunken_water
-from wire.config.experiment import Experiment
-from wire.config.fault_injection import Break
-from wire.frames import Array
-from wire.process.runtime import log
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,23 +6,23 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
+from shoal.errors import ConfigError
 
+from shoal.bus.bus import Bus
+from shoal.bus.frame_ring import codec_of
+from shoal.bus.network import endpoint
+from shoal.bus.zenoh_transport import ZenohTransport
+from shoal.config.experiment import Experiment
+from shoal.mavlink.board_address import parse_link
+from shoal.mavlink.board_port import is_local
+from shoal.messages.topics import Role, process_name
+from shoal.runtime.runtime import Stop, log
 from sim_bridge.node.board_ports import UdpPorts
 from sim_bridge.node.hil_board import HilBoard, connect
 from sim_bridge.node.pool import PoolNode
 from sim_bridge.thruster_board.board import ThrusterBoard
 from sim_bridge.thruster_board.nonvolatile import boards_in
 from sim_bridge.world import WorldBoard
-from wire.config.experiment import Experiment
-from wire.mavlink.board_address import parse_link
-from wire.mavlink.board_port import is_local
-from wire.messages.topics import Role, process_name
-from wire.process.runtime import Stop, log
-from wire.toml_loader import ConfigError
-from wire.transport.bus import Bus
-from wire.transport.frame_ring import codec_of
-from wire.transport.network import endpoint
-from wire.transport.zenoh_transport import ZenohTransport
 
 SIMULATED = "simulated"
 

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from shoal.config.experiment import Experiment
+from shoal.config.vehicle import LEGS, OUTPUTS
+from shoal.frames import Array
 from sim_bridge.plant.kernels import ANKLES
 from sim_bridge.plant.random_streams import Stream, generator
-from wire.config.experiment import Experiment
-from wire.config.vehicle import LEGS, OUTPUTS
-from wire.frames import Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from wire.config.experiment import Experiment
-from wire.frames import Array
+from shoal.config.experiment import Experiment
+from shoal.frames import Array
 
 # Open-circuit voltage of a lithium-polymer cell against its charge (typical discharge curve at a tenth of capacity per hour).
 CHARGE = np.array([0.0, 0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 1.0])

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from wire.config.experiment import Experiment
-from wire.frames import Array
+from shoal.config.experiment import Experiment
+from shoal.frames import Array
 
 # Contact is a spring on which one robot's mass swings at this rate: 0.5 m/s penetrates 8 mm, which steps of 5 ms resolve.
 CONTACT_RADPS = 30.0

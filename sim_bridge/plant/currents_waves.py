@@ -7,11 +7,11 @@ exact. Waves are Airy's: velocities of a potential, with the dispersion of the p
 
 import numpy as np
 
+from shoal.config.experiment import Experiment
+from shoal.frames import Array
 from sim_bridge.plant import kernels
 from sim_bridge.plant.kernels import GRAVITY_MPS2
 from sim_bridge.plant.random_streams import Stream, generator
-from wire.config.experiment import Experiment
-from wire.frames import Array
 
 GUST_WAVES = 32  # cosines per axis; with 32 the correlation follows exp(-t / T) to 0.03
 

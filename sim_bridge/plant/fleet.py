@@ -7,7 +7,12 @@ the fleet; the classes of this package hold its constants.
 from dataclasses import dataclass
 
 import numpy as np
+from shoal.errors import ConfigError
 
+from shoal.config.experiment import Experiment
+from shoal.config.vehicle import OUTPUTS
+from shoal.frames import Array
+from shoal.messages.messages import Truth
 from sim_bridge.fault_schedule import ActuatorFaults
 from sim_bridge.plant import kernels
 from sim_bridge.plant.actuators import ActuatorModel, ActuatorState
@@ -15,11 +20,6 @@ from sim_bridge.plant.battery import BatteryModel
 from sim_bridge.plant.contact import ContactModel
 from sim_bridge.plant.currents_waves import WaterFlow
 from sim_bridge.plant.rigid_body import RigidBody
-from wire.config.experiment import Experiment
-from wire.config.vehicle import OUTPUTS
-from wire.frames import Array
-from wire.messages.messages import Truth
-from wire.toml_loader import ConfigError
 
 THRUSTERS_PUSH = (0, 2, 5, 1)  # surge, heave, yaw and sway of the thrusters' six forces and moments
 

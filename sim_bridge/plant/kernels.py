@@ -22,9 +22,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wire.config.vehicle import OUTPUTS
-from wire.frames import Array
-from wire.kernels import kernel
+from shoal.config.vehicle import OUTPUTS
+from shoal.frames import Array
+from shoal.kernels.kernel import kernel
 
 STATES = 12  # numbers of a state
 THRUSTERS, ANKLES = 8, 4  # at most; ACTUATORS say how many there are

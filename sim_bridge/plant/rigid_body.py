@@ -7,10 +7,10 @@ undefined; the righting moment keeps it there. kernels.dynamics has the equation
 """
 
 import numpy as np
+from shoal.errors import ConfigError
 
+from shoal.config.experiment import Experiment
 from sim_bridge.plant.kernels import GRAVITY_MPS2
-from wire.config.experiment import Experiment
-from wire.toml_loader import ConfigError
 
 
 class RigidBody:

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from shoal.config.experiment import Experiment
+from shoal.frames import Array, wrap
 from sim_bridge.plant.currents_waves import SurfaceWave
 from sim_bridge.plant.kernels import GRAVITY_MPS2
 from sim_bridge.plant.random_streams import Stream, generator
-from wire.config.experiment import Experiment
-from wire.frames import Array, wrap
 
 ACCELEROMETER_NOISE_MPS2 = 0.02  # m/s^2, standard deviation of an ordinary MEMS part at 50 Hz; the link rounds to 0.01
 LEVEL = (0.0, 0.0, 0.0, 0.0)  # roll, pitch [rad], and d/dt of them [rad/s]
@@ -35,7 +35,7 @@ class Reading:
 
     @property
     def heading_rate_radps(self) -> float:
-        """d/dt of the heading, as an agent has it from gyroscope and tilt (wire/mavlink/agent_link.py)."""
+        """d/dt of the heading, as an agent has it from gyroscope and tilt (shoal/mavlink/agent_link.py)."""
         roll, pitch, _, pitch_rate = self.tilt
         return (self.yaw_rate_radps + math.sin(roll) * pitch_rate) / (math.cos(roll) * math.cos(pitch))
 

@@ -9,11 +9,11 @@ from pathlib import Path
 
 from rich.console import Console
 
+from shoal.config.experiment import Experiment, load_experiment
+from shoal.runtime.output_files import page_was_open
+from shoal.runtime.runtime import SLICE_S, Stop
+from shoal.system import programs
 from sim_bridge.sil.commands import RunOptions
-from wire import programs
-from wire.config.experiment import Experiment, load_experiment
-from wire.process.output_files import page_was_open
-from wire.process.runtime import SLICE_S, Stop
 
 ENDS_WITHIN_S = 5.0  # the page's server, after it was told to
 

@@ -3,12 +3,13 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+from shoal.errors import ConfigError
+
+from shoal.config.experiment import Experiment
+from shoal.config.fault_injection import KINDS, OF_PROCESSES
+from shoal.config.perception import NamedCamera
+from shoal.messages.topics import localizer_name
 from sim_bridge import fault_schedule
-from wire.config.experiment import Experiment
-from wire.config.fault_injection import KINDS, OF_PROCESSES
-from wire.config.perception import NamedCamera
-from wire.messages.topics import localizer_name
-from wire.toml_loader import ConfigError
 
 LEAST_MARKER_PX = 16  # px, least side of a marker that can be read: two per cell and a margin
 GIVE_UP_S = 300.0  # s of the run's own time without progress, of a run that nobody attends: a drifter crosses a pool in 120

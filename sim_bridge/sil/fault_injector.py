@@ -4,13 +4,13 @@ import resource
 import signal
 import time
 
+from shoal.bus.bus import Bus
+from shoal.config.experiment import Experiment
+from shoal.config.fault_injection import OF_PROCESSES, Fault
+from shoal.messages import topics
+from shoal.messages.messages import Event
+from shoal.runtime.runtime import WallClock
 from sim_bridge.sil.processes import Child, Children
-from wire.config.experiment import Experiment
-from wire.config.fault_injection import OF_PROCESSES, Fault
-from wire.messages import topics
-from wire.messages.messages import Event
-from wire.process.runtime import WallClock
-from wire.transport.bus import Bus
 
 INFO = 2  # an event's level
 LOG = "run.mcap"  # the file whose growth a full disk stops

@@ -17,7 +17,21 @@ import time
 from pathlib import Path
 
 from rich.console import Console
+from shoal.errors import ConfigError
 
+from shoal.bus import frame_ring
+from shoal.bus.bus import Bus
+from shoal.bus.endpoint import parse_address
+from shoal.bus.network import endpoint
+from shoal.bus.transport import Unreached
+from shoal.bus.zenoh_transport import ZenohTransport
+from shoal.config.experiment import Experiment, dump_experiment
+from shoal.config.fault_injection import KINDS
+from shoal.mavlink.signing_key import new_key
+from shoal.messages.topics import Role, process_name
+from shoal.runtime.output_files import PAGE_OPEN, replace_text
+from shoal.runtime.runtime import Stop
+from shoal.system import programs
 from sim_bridge import fault_schedule
 from sim_bridge.sil import commands
 from sim_bridge.sil.commands import Program, RunOptions, time_in_words
@@ -25,20 +39,6 @@ from sim_bridge.sil.fault_injector import ProcessFaultInjector
 from sim_bridge.sil.monitor import Monitor
 from sim_bridge.sil.ports import free_base_port, free_port
 from sim_bridge.sil.processes import Child, Children
-from wire import programs
-from wire.config.experiment import Experiment, dump_experiment
-from wire.config.fault_injection import KINDS
-from wire.mavlink.signing_key import new_key
-from wire.messages.topics import Role, process_name
-from wire.process.output_files import PAGE_OPEN, replace_text
-from wire.process.runtime import Stop
-from wire.toml_loader import ConfigError
-from wire.transport import frame_ring
-from wire.transport.bus import Bus
-from wire.transport.endpoint import parse_address
-from wire.transport.network import endpoint
-from wire.transport.transport import Unreached
-from wire.transport.zenoh_transport import ZenohTransport
 
 START_WITHIN_S = 180.0  # s for the station to listen; on a starved machine a program takes a minute to load
 LOOK_EVERY_S = 0.2

@@ -5,7 +5,7 @@ import os
 import random
 import socket
 
-from wire.toml_loader import ConfigError
+from shoal.errors import ConfigError
 
 OURS = range(15000, 32000)  # below the ports that Linux (from 32768 on) and macOS (from 49152 on) give to outgoing connections
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from wire import programs
+from shoal.system import programs
 
 GRACE_S = 5.0  # s between SIGTERM and SIGKILL
 

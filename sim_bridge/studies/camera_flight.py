@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 
 from groundstation.report.report import evaluated
+from shoal.bus.memory_transport import MemoryHub
+from shoal.config.experiment import Experiment
+from shoal.messages import topics
+from shoal.messages.messages import RobotState
 from sim_bridge.in_process.executor import Executor
 from sim_bridge.studies.metrics import MEASURES, figures
-from wire.config.experiment import Experiment
-from wire.messages import topics
-from wire.messages.messages import RobotState
-from wire.transport.memory_transport import MemoryHub
 
 
 def fly_with_camera(experiment: Experiment) -> dict[str, Any]:

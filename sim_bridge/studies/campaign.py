@@ -26,8 +26,8 @@ import numpy as np
 import tomli_w
 from pydantic import Field, model_validator
 
+from shoal.config.loader import Section
 from sim_bridge.plant.random_streams import Stream, generator
-from wire.toml_loader import Section
 
 DIGITS = 6  # significant digits of drawn values, so that commands stay readable
 

@@ -9,13 +9,14 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from shoal.errors import ConfigError
 
+from shoal.config.experiment import Experiment
+from shoal.config.loader import check
+from shoal.messages.messages import Trajectory
 from sim_bridge.in_process.fleet import AgentFleet, DirectPlant, fly
 from sim_bridge.in_process.run import plan
 from sim_bridge.studies.metrics import broken_limits, measures
-from wire.config.experiment import Experiment
-from wire.messages.messages import Trajectory
-from wire.toml_loader import ConfigError, check
 
 PLANS_KEPT = 8  # plans cached per worker, which flies the same few trajectories many times
 UNPLANNED = ("sim", "limits", "article", "seed", "name", "title")  # sections that no plan depends on

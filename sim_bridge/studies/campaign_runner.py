@@ -19,7 +19,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from shoal.errors import ConfigError, os_errors_as_config_errors
 
+from shoal.config.experiment import NO_CAMERA, Experiment, load_experiment
+from shoal.runtime.output_files import CAMPAIGN, check_named, check_output, replacing
+from shoal.runtime.runtime import Stop
+from shoal.runtime.version import UNKNOWN, code
+from shoal.system.regular_files import open_regular
 from sim_bridge import fault_schedule
 from sim_bridge.sil.commands import RunOptions, check
 from sim_bridge.studies.campaign import Campaign, CampaignFlight, command_of, flights
@@ -27,12 +33,6 @@ from sim_bridge.studies.campaign_flight import fly_one
 from sim_bridge.studies.dependence import KeyValue, dependences, lines
 from sim_bridge.studies.report import write_report
 from sim_bridge.studies.worker_pool import worker_pool
-from wire.config.experiment import NO_CAMERA, Experiment, load_experiment
-from wire.process.output_files import CAMPAIGN, check_named, check_output, replacing
-from wire.process.runtime import Stop
-from wire.process.version import UNKNOWN, code
-from wire.regular_files import open_regular
-from wire.toml_loader import ConfigError, os_errors_as_config_errors
 
 JOURNAL, RESULTS, REPORT = "journal.jsonl", "results.parquet", "report.html"
 LOOK_EVERY_S = 0.5

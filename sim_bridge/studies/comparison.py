@@ -10,22 +10,22 @@ from typing import get_args
 import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from shoal.errors import ConfigError
 
+from groundstation.analysis.comparison import SETTLED_S, Comparison, FlightRecord, Variant
+from shoal.config.baseline_controllers import LawName
+from shoal.config.experiment import NO_CAMERA, Experiment, load_experiment
+from shoal.frames import Array
+from shoal.messages.messages import Trajectory
+from shoal.runtime.output import flush
+from shoal.runtime.output_files import replace_text
+from shoal.runtime.version import code
+from shoal.system import programs
 from sim_bridge.in_process.fleet import AgentFleet, DirectPlant
 from sim_bridge.in_process.run import plan
 from sim_bridge.plant.random_streams import Stream, generator
 from sim_bridge.studies.metrics import flight_figures, flight_traces
 from sim_bridge.studies.worker_pool import worker_pool
-from wire import programs
-from wire.config.baseline_controllers import LawName
-from wire.config.controller_benchmark import SETTLED_S, Comparison, FlightRecord, Variant
-from wire.config.experiment import NO_CAMERA, Experiment, load_experiment
-from wire.frames import Array
-from wire.messages.messages import Trajectory
-from wire.process.output import flush
-from wire.process.output_files import replace_text
-from wire.process.version import code
-from wire.toml_loader import ConfigError
 
 MOST_DRAWS = 1000  # attempts to draw starts that keep robots apart
 

@@ -10,9 +10,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from groundstation.analysis.statistics import Interval, mean
 from sim_bridge.studies.campaign import Campaign
 from sim_bridge.studies.statistics import rate
-from wire.figures import Interval, mean
 
 SHOWN = ("rms_after_20s_m", "max_after_20s_m", "rms_yaw_after_20s_rad", "wrench_step_rms")
 UNITS = {"_m": ("mm", 1e3), "_rad": ("deg", 180.0 / math.pi)}  # by the ends of measures' names

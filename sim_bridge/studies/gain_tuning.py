@@ -13,14 +13,14 @@ from typing import Any
 import numpy as np
 import tomli_w
 from rich.console import Console
+from shoal.errors import ConfigError
 
+from groundstation.analysis.comparison import FlightMetrics
+from shoal.config.baseline_controllers import FeedbackLawConfig
+from shoal.config.experiment import NO_CAMERA, Experiment, load_experiment
+from shoal.frames import Array
 from sim_bridge.studies.comparison import FlightTask, fly, tasks_of
 from sim_bridge.studies.worker_pool import worker_pool
-from wire.config.baseline_controllers import FeedbackLawConfig
-from wire.config.controller_benchmark import FlightMetrics
-from wire.config.experiment import NO_CAMERA, Experiment, load_experiment
-from wire.frames import Array
-from wire.toml_loader import ConfigError
 
 NOISE = ("sim.numeric.pose_noise_m=0.0015", "sim.numeric.yaw_noise_rad=0.008")  # the localizer's, as measured
 SCENES: dict[str, tuple[float, tuple[str, ...]]] = {  # scatter of the starts, settings

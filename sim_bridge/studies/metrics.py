@@ -5,11 +5,11 @@ from itertools import combinations
 
 import numpy as np
 
+from groundstation.analysis.comparison import SETTLED_S, FlightMetrics, Traces, settled
+from shoal.config.experiment import Experiment
+from shoal.frames import Array, pose_error
+from shoal.messages.messages import Mode, RobotState, Solve
 from sim_bridge.in_process.fleet import AgentFleet
-from wire.config.controller_benchmark import SETTLED_S, FlightMetrics, Traces, settled
-from wire.config.experiment import Experiment
-from wire.frames import Array, pose_error
-from wire.messages.messages import Mode, RobotState, Solve
 
 ERROR_STRIDE = 10  # of control steps, in what is kept to look at
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from wire.figures import CONFIDENCE, Interval, mean
+from groundstation.analysis.statistics import CONFIDENCE, Interval, mean
 
 HIGH = 0.95  # the quantile that is reported beside the median
 

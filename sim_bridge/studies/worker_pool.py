@@ -23,7 +23,7 @@ def one_thread() -> None:
 @contextmanager
 def worker_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
     """An executor of processes with one thread each, which leave Ctrl-C and a hang-up to this process and end with it, however
-    it ends. Like all children they import nothing from the working folder (wire/programs.py)."""
+    it ends. Like all children they import nothing from the working folder (shoal/system/programs.py)."""
     before = os.environ.get("PYTHONSAFEPATH")
     one_thread()
     os.environ["PYTHONSAFEPATH"] = "1"  # read by the interpreters that multiprocessing starts

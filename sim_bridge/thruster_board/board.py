@@ -8,14 +8,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from shoal.config.experiment import Experiment
+from shoal.config.vehicle import Thruster
+from shoal.frames import Array
+from shoal.mavlink import agent_link
+from shoal.mavlink.frame_codec import Peer
+from shoal.mavlink.signing import Key
 from sim_bridge.plant.sensors import LEVEL, BoardSensors, Reading
-from sim_bridge.thruster_board.parameters import Parameters, Refusal
-from sim_bridge.thruster_board.state_machine import INFO, S_NS, WARNING, BoardStateMachine, Charge
-from wire.config.experiment import Experiment
-from wire.config.vehicle import Thruster
-from wire.frames import Array
-from wire.mavlink import agent_link
-from wire.mavlink.board_link import (
+from sim_bridge.thruster_board.board_link import (
     Arm,
     BoardLink,
     Heartbeat,
@@ -30,8 +30,8 @@ from wire.mavlink.board_link import (
     Timesync,
     Unsupported,
 )
-from wire.mavlink.frame_codec import Peer
-from wire.mavlink.signing import Key
+from sim_bridge.thruster_board.parameters import Parameters, Refusal
+from sim_bridge.thruster_board.state_machine import INFO, S_NS, WARNING, BoardStateMachine, Charge
 
 MS_NS = 1_000_000
 STATUS_NS, HEARTBEAT_NS, KEEP_NS = S_NS // 2, S_NS, S_NS

@@ -5,12 +5,13 @@ import math
 from collections.abc import Callable
 from pathlib import Path
 
+from shoal.errors import ConfigError, os_errors_as_config_errors
+
+from shoal.config.experiment import Experiment
+from shoal.mavlink.signing_key import load_key, write_key
+from shoal.runtime.output_files import replace_text
+from shoal.system.regular_files import read_regular
 from sim_bridge.thruster_board.board import NonvolatileState, ThrusterBoard
-from wire.config.experiment import Experiment
-from wire.mavlink.signing_key import load_key, write_key
-from wire.process.output_files import replace_text
-from wire.regular_files import read_regular
-from wire.toml_loader import ConfigError, os_errors_as_config_errors
 
 MOST_BYTES = 1_000_000  # of a board's memory
 

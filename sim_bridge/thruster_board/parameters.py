@@ -12,9 +12,9 @@ from enum import Enum
 from functools import cached_property
 from itertools import pairwise
 
-from wire.config.experiment import Experiment
-from wire.config.simulation import HIL
-from wire.mavlink.agent_link import PULSE_RANGE_US
+from shoal.config.experiment import Experiment
+from shoal.config.simulation import HIL
+from shoal.mavlink.agent_link import PULSE_RANGE_US
 
 TRIM_US = 100.0  # us, largest trim; a larger one hides a fault of the linkage
 MOST_VOLTS = 60.0

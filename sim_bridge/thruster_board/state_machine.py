@@ -9,10 +9,10 @@ import math
 from dataclasses import dataclass
 from enum import IntEnum
 
+from shoal.mavlink.agent_link import ACCEPTED, CHANNELS, IGNORED, REJECTED
+from shoal.mavlink.frame_codec import Peer
+from shoal.mavlink.signing import Key, SignatureVerifier
 from sim_bridge.thruster_board.parameters import Parameters, Refusal
-from wire.mavlink.agent_link import ACCEPTED, CHANNELS, IGNORED, REJECTED
-from wire.mavlink.frame_codec import Peer
-from wire.mavlink.signing import Key, SignatureVerifier
 
 S_NS = 1_000_000_000
 NEVER_NS, EVER_NS = -(2**62), 2**62  # before and after all times

@@ -20,9 +20,9 @@ from benchmarks.robots.vehicles import SPHERICAL, VEHICLES, ScaledVehicle
 from benchmarks.robots.water import TrueState
 from groundstation.planning import planner
 from robot_agent.guidance.trajectory_check import unflyable
+from shoal.config.experiment import load_experiment
+from shoal.messages.messages import Mode, Order
 from sim_bridge.in_process.fleet import AgentFleet, DirectPlant
-from wire.config.experiment import load_experiment
-from wire.messages.messages import Mode, Order
 
 pytestmark = pytest.mark.long
 

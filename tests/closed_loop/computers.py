@@ -11,10 +11,10 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from wire.messages.codec import Header
-from wire.messages.topics import Qos
-from wire.transport.memory_transport import MemoryHub, MemoryTransport
-from wire.transport.transport import Deliver
+from shoal.bus.memory_transport import MemoryHub, MemoryTransport
+from shoal.bus.transport import Deliver
+from shoal.messages.codec import Header
+from shoal.messages.topics import Qos
 
 MS = 1_000_000
 S = 1_000_000_000

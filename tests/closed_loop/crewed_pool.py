@@ -14,12 +14,12 @@ from groundstation.planning.segment import first_segment
 from groundstation.telemetry import RobotView
 from robot_agent.agent import Agent
 from robot_agent.inputs import StationView
+from shoal.config.experiment import Experiment
+from shoal.frames import Array
+from shoal.messages.codec import Header
+from shoal.messages.messages import Command, Order, Reply
 from sim_bridge.in_process.fleet import STATION_SESSION
 from tests.closed_loop.dry_pool import DryPool
-from wire.config.experiment import Experiment
-from wire.frames import Array
-from wire.messages.codec import Header
-from wire.messages.messages import Command, Order, Reply
 
 NS = 1_000_000_000
 

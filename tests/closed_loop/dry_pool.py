@@ -11,14 +11,14 @@ import numpy as np
 from groundstation.planning import planner
 from robot_agent.agent import Outputs
 from robot_agent.inputs import StampedPlan, StationView
+from shoal.config.experiment import Experiment
+from shoal.config.simulation import Numeric
+from shoal.frames import Array
+from shoal.mavlink.agent_link import AgentLink, Telemetry
+from shoal.messages.messages import Order
 from sim_bridge.in_process.fleet import STATION_SESSION, AgentFleet
 from sim_bridge.thruster_board.board import ThrusterBoard
 from sim_bridge.world import World, WorldBoard
-from wire.config.experiment import Experiment
-from wire.config.simulation import Numeric
-from wire.frames import Array
-from wire.mavlink.agent_link import AgentLink, Telemetry
-from wire.messages.messages import Order
 
 MakeBoard = Callable[[Experiment, int, int], WorldBoard]
 

@@ -4,7 +4,7 @@ from functools import cache
 
 from benchmarks import flights
 from benchmarks.flights import SceneFlight
-from wire.config.experiment import load_experiment
+from shoal.config.experiment import load_experiment
 
 
 @cache

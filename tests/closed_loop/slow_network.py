@@ -19,19 +19,19 @@ import numpy as np
 from groundstation.station import process as station_process
 from localizer import node as localizer_node
 from robot_agent import node as agent_node
+from shoal.bus.bus import Bus
+from shoal.bus.memory_transport import MemoryHub, MemoryTransport
+from shoal.bus.transport import Answer, Deliver, Presence, Urgent
+from shoal.config.experiment import Experiment, dump_experiment
+from shoal.mavlink.board_port import UdpLink
+from shoal.messages import topics
+from shoal.messages.codec import Header, decode
+from shoal.messages.topics import Qos, Topic
+from shoal.runtime.lockstep import LockstepClock
+from shoal.runtime.runtime import Stop, log, run_steps
 from sim_bridge.node.board_ports import UdpPorts
 from sim_bridge.node.pool import PoolNode
 from sim_bridge.sil.ports import free_base_port
-from wire.config.experiment import Experiment, dump_experiment
-from wire.mavlink.board_port import UdpLink
-from wire.messages import topics
-from wire.messages.codec import Header, decode
-from wire.messages.topics import Qos, Topic
-from wire.process.lockstep import LockstepClock
-from wire.process.runtime import Stop, log, run_steps
-from wire.transport.bus import Bus
-from wire.transport.memory_transport import MemoryHub, MemoryTransport
-from wire.transport.transport import Answer, Deliver, Presence, Urgent
 
 SHORT_S, LONG_S = 0.002, 0.03  # how long something is held up: mostly, and where chance is against it
 LATEST_S = (0.0, 0.0, SHORT_S, LONG_S)  # how late a listener may hear: one of these, drawn for each

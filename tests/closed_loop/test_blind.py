@@ -6,9 +6,9 @@ import pytest
 
 from groundstation.mission.state_machine import MissionState
 from groundstation.telemetry import findings
+from shoal.config.experiment import load_experiment
+from shoal.messages.messages import Mode
 from tests.closed_loop.crewed_pool import CrewedPool
-from wire.config.experiment import load_experiment
-from wire.messages.messages import Mode
 
 pytestmark = pytest.mark.long
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from shoal.config.experiment import dump_experiment, load_experiment
 from sim_bridge.sil.commands import RunOptions, programs
 from sim_bridge.sil.ports import free_base_port, free_port
-from wire.config.experiment import dump_experiment, load_experiment
 
 
 @pytest.mark.real_time

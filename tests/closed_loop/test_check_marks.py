@@ -7,14 +7,14 @@ from typing import TypeVar
 import numpy as np
 import pytest
 
+from shoal.bus.bus import Bus
+from shoal.bus.memory_transport import MemoryHub, MemoryTransport
+from shoal.config.experiment import load_experiment
+from shoal.messages import topics
+from shoal.messages.codec import decode
+from shoal.messages.messages import Event, LocalizerStatus, Pose, Truth
+from shoal.messages.topics import Topic
 from sim_bridge.in_process.executor import Executor
-from wire.config.experiment import load_experiment
-from wire.messages import topics
-from wire.messages.codec import decode
-from wire.messages.messages import Event, LocalizerStatus, Pose, Truth
-from wire.messages.topics import Topic
-from wire.transport.bus import Bus
-from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
 pytestmark = pytest.mark.long
 

@@ -29,13 +29,12 @@ from localizer.node import LocalizerNode
 from localizer.sources import bus as bus_source
 from localizer.tracking.fleet_localizer import LocalizationResult
 from robot_agent.node import AgentNode
-from tests.closed_loop.computers import MS, ClockedComputer, NetworkLine, S, TimedWorld
-from tests.groundstation.fake_station import FakeStation
-from tests.robot_agent.obedient_board import Board
-from wire.config.experiment import Experiment, dump_experiment, load_experiment
-from wire.messages import topics
-from wire.messages.codec import Header
-from wire.messages.messages import (
+from shoal.bus.bus import Bus
+from shoal.bus.delay_estimator import WINDOW_NS, WINDOWS
+from shoal.config.experiment import Experiment, dump_experiment, load_experiment
+from shoal.messages import topics
+from shoal.messages.codec import Header
+from shoal.messages.messages import (
     CameraHealth,
     Event,
     Frame,
@@ -48,10 +47,11 @@ from wire.messages.messages import (
     StationHeartbeat,
     Track,
 )
-from wire.messages.topics import Topic
-from wire.process.runtime import Stop, WallClock
-from wire.transport.bus import Bus
-from wire.transport.delay_estimator import WINDOW_NS, WINDOWS
+from shoal.messages.topics import Topic
+from shoal.runtime.runtime import Stop, WallClock
+from tests.closed_loop.computers import MS, ClockedComputer, NetworkLine, S, TimedWorld
+from tests.groundstation.fake_station import FakeStation
+from tests.robot_agent.obedient_board import Board
 
 SETTINGS = ["localizer.preview_rate_hz=0", "recording.video=none", "safety.watch_thrusters=false"]
 EXPERIMENT = load_experiment("two-cameras", SETTINGS)

@@ -7,11 +7,11 @@ import pytest
 
 from groundstation.planning import planner
 from robot_agent.safety.modes import DRIVE_LASTS_S
+from shoal.config.experiment import Experiment, load_experiment
+from shoal.frames import Array
+from shoal.messages.codec import Header
+from shoal.messages.messages import Command, DriveVelocity, Mode, Order, Reply
 from sim_bridge.in_process.fleet import AgentFleet, DirectPlant
-from wire.config.experiment import Experiment, load_experiment
-from wire.frames import Array
-from wire.messages.codec import Header
-from wire.messages.messages import Command, DriveVelocity, Mode, Order, Reply
 
 POOL = load_experiment("pool")
 DEEP = load_experiment("pool", ["pool.size_m=[3.5, 2.5, 2.0]"])

@@ -6,9 +6,9 @@ import pytest
 from benchmarks.flights import flew
 from benchmarks.robot_agent.encounters import SCENES, meet
 from groundstation.planning import planner
+from shoal.config.experiment import load_experiment
+from shoal.messages.messages import Mode
 from sim_bridge.in_process.fleet import AgentFleet, DirectPlant
-from wire.config.experiment import load_experiment
-from wire.messages.messages import Mode
 
 pytestmark = pytest.mark.long
 

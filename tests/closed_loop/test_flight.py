@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from robot_agent.inputs import StampedPose
+from shoal.config.experiment import load_experiment
+from shoal.messages.messages import Mode, Order
 from sim_bridge.thruster_board.board import ThrusterBoard
 from tests.closed_loop.dry_pool import DryPool
-from wire.config.experiment import load_experiment
-from wire.messages.messages import Mode, Order
 
 pytestmark = pytest.mark.long
 

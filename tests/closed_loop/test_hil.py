@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 
 from robot_agent.host.params import set_one
+from shoal.config.experiment import NO_CAMERA, Experiment, dump_experiment, load_experiment
+from shoal.mavlink.parameters import ParameterClient
 from sim_bridge.node.hil_board import HilBoard
 from sim_bridge.sil.commands import Program, RunOptions, programs
 from sim_bridge.sil.ports import free_base_port, free_port
@@ -23,8 +25,6 @@ from tests.firmware.mega import Mega
 from tests.firmware.plugged_mega import plugged_mega
 from tests.sim_bridge.boards import board
 from tests.waiting import wait_for_line
-from wire.config.experiment import NO_CAMERA, Experiment, dump_experiment, load_experiment
-from wire.mavlink.parameters import ParameterClient
 
 Plug = Callable[[str, Path, int], AbstractContextManager["Popen[str]"]]
 

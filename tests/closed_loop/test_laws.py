@@ -4,14 +4,14 @@ from typing import get_args
 
 import numpy as np
 import pytest
+from shoal.errors import ConfigError
 
 from benchmarks.flights import SceneFlight
+from shoal.config.baseline_controllers import LawName
+from shoal.config.experiment import load_experiment
+from shoal.frames import Array
+from shoal.messages.messages import Mode, Solve
 from tests.closed_loop.numeric import flown
-from wire.config.baseline_controllers import LawName
-from wire.config.experiment import load_experiment
-from wire.frames import Array
-from wire.messages.messages import Mode, Solve
-from wire.toml_loader import ConfigError
 
 pytestmark = pytest.mark.long
 

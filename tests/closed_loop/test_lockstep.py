@@ -6,16 +6,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from shoal.config.experiment import Experiment, load_experiment
+from shoal.mavlink.agent_link import AgentLink
+from shoal.mavlink.board_port import UdpLink
+from shoal.mavlink.signing import Key
+from shoal.messages.messages import Mode
 from sim_bridge.node.board_ports import UdpPorts
 from sim_bridge.sil.ports import free_base_port
 from sim_bridge.thruster_board.board import SENT_BETWEEN, ThrusterBoard
 from sim_bridge.world import World
 from tests.closed_loop.slow_network import fly
-from wire.config.experiment import Experiment, load_experiment
-from wire.mavlink.agent_link import AgentLink
-from wire.mavlink.board_port import UdpLink
-from wire.mavlink.signing import Key
-from wire.messages.messages import Mode
 
 pytestmark = pytest.mark.long
 

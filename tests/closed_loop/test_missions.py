@@ -6,10 +6,10 @@ import pytest
 from groundstation.mission.state_machine import MissionState
 from groundstation.mission.timetable import START_IN_S
 from groundstation.planning.segment import sample
+from shoal.config.experiment import load_experiment
+from shoal.messages.messages import Mode, Order
 from sim_bridge.fault_schedule import ActuatorFaults
 from tests.closed_loop.crewed_pool import CrewedPool
-from wire.config.experiment import load_experiment
-from wire.messages.messages import Mode, Order
 
 pytestmark = pytest.mark.long
 

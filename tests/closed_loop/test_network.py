@@ -15,13 +15,13 @@ from pathlib import Path
 import pytest
 
 from groundstation.deploy import key_ring
+from shoal.config.experiment import NO_CAMERA, dump_experiment, load_experiment
+from shoal.mavlink.signing_key import new_key
 from sim_bridge.sil.ports import free_port
 from sim_bridge.sil.processes import Child, Children
 from tests.closed_loop.reported import assert_passed
 from tests.ssh_server import WITH_PACKAGES, own_wheel, ssh_command, ssh_server
 from tests.waiting import wait_for_line
-from wire.config.experiment import NO_CAMERA, dump_experiment, load_experiment
-from wire.mavlink.signing_key import new_key
 
 pytestmark = [pytest.mark.real_time, pytest.mark.slow, pytest.mark.timeout(1200)]
 

@@ -9,17 +9,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.interpolate import CubicHermiteSpline
+from shoal.errors import ConfigError
 
 from benchmarks.flights import prepared
+from shoal.config.experiment import load_experiment
+from shoal.frames import Array
+from shoal.messages import topics
+from shoal.messages.messages import Mode, RobotState, Solve
 from sim_bridge.in_process.fleet import fly
 from sim_bridge.studies.metrics import measures
 from tests.closed_loop.numeric import flown
 from tests.planted import executed, installed, plant
-from wire.config.experiment import load_experiment
-from wire.frames import Array
-from wire.messages import topics
-from wire.messages.messages import Mode, RobotState, Solve
-from wire.toml_loader import ConfigError
 
 pytestmark = pytest.mark.long
 

@@ -16,19 +16,19 @@ from typing import Any
 
 import pytest
 from mcap.reader import make_reader
+from shoal.errors import ConfigError
 
+from shoal.bus.memory_transport import MemoryHub
+from shoal.config.experiment import NO_CAMERA, load_experiment
+from shoal.messages import topics
+from shoal.messages.codec import Header, decode
+from shoal.messages.messages import Event
+from shoal.runtime import output
+from shoal.runtime.runtime import Failed, log
 from sim_bridge.in_process.executor import Executor, Part
 from tests import compare_pulses
 from tests.closed_loop.slow_network import COMPARED, OnLocalized
 from tests.planted import executed, installed, plant
-from wire.config.experiment import NO_CAMERA, load_experiment
-from wire.messages import topics
-from wire.messages.codec import Header, decode
-from wire.messages.messages import Event
-from wire.process import output
-from wire.process.runtime import Failed, log
-from wire.toml_loader import ConfigError
-from wire.transport.memory_transport import MemoryHub
 
 pytestmark = [pytest.mark.timeout(600), pytest.mark.long]
 

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import pytest
 
+from shoal.config.experiment import dump_experiment, load_experiment
 from sim_bridge.sil.ports import free_base_port, free_port
 from sim_bridge.sil.processes import Children
 from tests.waiting import wait_for_line
-from wire.config.experiment import dump_experiment, load_experiment
 
 pytestmark = pytest.mark.real_time
 

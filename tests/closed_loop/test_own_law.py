@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from shoal.errors import ConfigError
 
 from benchmarks.flights import flown
-from wire.config.experiment import Experiment, load_experiment
-from wire.toml_loader import ConfigError
+from shoal.config.experiment import Experiment, load_experiment
 
 PAGE = Path(__file__).parents[2] / "docs" / "baselines.md"
 

@@ -10,10 +10,10 @@ from benchmarks.scenes import SCENES
 from groundstation.planning import planner
 from groundstation.report.report import evaluated
 from localizer.evaluation.runner import evaluate_log
+from shoal.bus.memory_transport import MemoryHub
+from shoal.config.experiment import Experiment, load_experiment
+from shoal.frames import Array
 from sim_bridge.in_process.executor import Executor
-from wire.config.experiment import Experiment, load_experiment
-from wire.frames import Array
-from wire.transport.memory_transport import MemoryHub
 
 pytestmark = pytest.mark.long
 

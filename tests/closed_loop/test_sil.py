@@ -23,17 +23,17 @@ from rich.console import Console
 from groundstation.analysis.alignment import align
 from groundstation.analysis.series import Series
 from groundstation.logs.reader import read_log
+from shoal.bus.endpoint import Endpoint
+from shoal.bus.zenoh_transport import ZenohTransport
+from shoal.config.experiment import load_experiment
+from shoal.messages import codec, topics
+from shoal.messages.messages import RobotState
+from shoal.runtime.runtime import Stop
 from sim_bridge.sil import commands, launcher
 from sim_bridge.sil.commands import Program, RunOptions
 from sim_bridge.sil.processes import Child, Children
 from tests.planted import executed, installed, plant
 from tests.waiting import wait_for_line
-from wire.config.experiment import load_experiment
-from wire.messages import codec, topics
-from wire.messages.messages import RobotState
-from wire.process.runtime import Stop
-from wire.transport.endpoint import Endpoint
-from wire.transport.zenoh_transport import ZenohTransport
 
 pytestmark = [pytest.mark.timeout(400), pytest.mark.long]
 

@@ -21,23 +21,23 @@ from types import MappingProxyType
 import pytest
 
 from groundstation.deploy import key_ring
+from shoal.bus.bus import Bus
+from shoal.bus.endpoint import Endpoint
+from shoal.bus.network import endpoint
+from shoal.bus.zenoh_transport import MOST_LINKS_OF_ONE, ZenohTransport
+from shoal.messages import topics
+from shoal.messages.codec import Header
+from shoal.messages.messages import Command, Mode, Order, Reply, RobotState
 from sim_bridge.sil.ports import free_port
+from tests.groundstation.gate.strangers import Sessions, Strangers
 from tests.waiting import eventually, wait_for_line
-from tests.wire.strangers import Sessions, Strangers
-from wire.messages import topics
-from wire.messages.codec import Header
-from wire.messages.messages import Command, Mode, Order, Reply, RobotState
-from wire.transport.bus import Bus
-from wire.transport.endpoint import Endpoint
-from wire.transport.network import endpoint
-from wire.transport.zenoh_transport import MOST_LINKS_OF_ONE, ZenohTransport
 
 pytestmark = pytest.mark.real_time
 
 PROGRAM = """
 import sys
 from pathlib import Path
-from wire import user_folders
+from groundstation.gate import user_folders
 user_folders.RUN, user_folders.TEMPORARY = Path(sys.argv.pop(1)), Path(sys.argv.pop(1))
 from groundstation.__main__ import app
 sys.argv[0] = "groundstation"

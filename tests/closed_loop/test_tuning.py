@@ -11,12 +11,12 @@ from groundstation.mission.gain_update import GainStage, GainUpdater
 from groundstation.mission.lap_statistics import LapStatistics
 from groundstation.mission.timetable import START_IN_S
 from groundstation.telemetry import Fleet, RobotView
+from shoal.config.experiment import Experiment, load_experiment
+from shoal.frames import Array
+from shoal.messages.codec import Header
+from shoal.messages.live_gains import tunable_parameters, tuning
+from shoal.messages.messages import Command, Mode, Order, Reply, RobotState
 from tests.closed_loop.dry_pool import DryPool
-from wire.config.experiment import Experiment, load_experiment
-from wire.frames import Array
-from wire.messages.codec import Header
-from wire.messages.live_gains import tunable_parameters, tuning
-from wire.messages.messages import Command, Mode, Order, Reply, RobotState
 
 pytestmark = pytest.mark.long
 

@@ -6,13 +6,13 @@ import pytest
 
 from groundstation.report.report import write_report
 from localizer.evaluation.runner import evaluate_log
+from shoal.bus.bus import Bus
+from shoal.bus.memory_transport import MemoryHub, MemoryTransport
+from shoal.config.experiment import dump_experiment, load_experiment
+from shoal.messages import topics
+from shoal.messages.codec import decode
+from shoal.messages.messages import Event, LocalizerStatus, Mode, Obstacles, Pose, RobotState, Track
 from sim_bridge.in_process.executor import Executor
-from wire.config.experiment import dump_experiment, load_experiment
-from wire.messages import topics
-from wire.messages.codec import decode
-from wire.messages.messages import Event, LocalizerStatus, Mode, Obstacles, Pose, RobotState, Track
-from wire.transport.bus import Bus
-from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
 pytestmark = pytest.mark.long
 

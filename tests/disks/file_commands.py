@@ -10,10 +10,10 @@ import tomli_w
 from cryptography import x509
 from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat, load_pem_private_key
 
+from shoal.config.experiment import EXPERIMENTS
 from tests.groundstation.small_log import record_poses
 from tests.groundstation.synthetic import Script, write_run
 from tests.localizer.small_basin import FLOOR, POOL_M, RIM, TRUTH
-from wire.config.experiment import EXPERIMENTS
 
 OLD = b"old\n"
 PLACES = {**{f"rim {i}": (*xy, -0.1) for i, xy in RIM.items()}, **{f"floor {i}": (*xy, 0.8) for i, xy in FLOOR.items()}}

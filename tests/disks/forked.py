@@ -25,7 +25,7 @@ from typing import Any
 
 import pytest
 
-from wire.process.runtime import run_app
+from shoal.runtime.runtime import run_app
 
 ROOT = Path(__file__).parents[2]
 WITHIN_S = 120  # of one command, on a busy machine

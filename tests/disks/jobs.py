@@ -3,17 +3,17 @@
 from pathlib import Path
 
 import numpy as np
+from shoal.errors import ConfigError
 
 from groundstation.web import experiment_editor
 from groundstation.web.protocol import Edit
 from localizer.setup.experiment_file import ExperimentFile
 from localizer.sources.recording import FrameRecorder, RecordedFrame
+from shoal.config.experiment import load_experiment
+from shoal.mavlink.signing import Key
+from shoal.runtime.runtime import Failed
 from sim_bridge.thruster_board.board import NonvolatileState
 from sim_bridge.thruster_board.nonvolatile import _write  # a board calls it when it is told to keep its parameters
-from wire.config.experiment import load_experiment
-from wire.mavlink.signing import Key
-from wire.process.runtime import Failed
-from wire.toml_loader import ConfigError
 
 FRAMES, SIZE_PX = 12, (160, 120)
 

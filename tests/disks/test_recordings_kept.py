@@ -22,14 +22,14 @@ from mcap.stream_reader import StreamReader
 
 from localizer.detection.image_regions import BAYER_TO_BGR
 from localizer.sources.recording import recorded_frames
+from shoal.config.experiment import dump_experiment, load_experiment
+from shoal.messages import topics
+from shoal.messages.messages import Pose, Track
+from shoal.messages.pipe import PipeWriter
 from tests.disks import jobs
 from tests.disks.forked import EndedCommand, Programs
 from tests.groundstation.small_log import sequences
 from tests.localizer.scene import Scene
-from wire.config.experiment import dump_experiment, load_experiment
-from wire.messages import topics
-from wire.messages.messages import Pose, Track
-from wire.messages.pipe import PipeWriter
 
 pytestmark = pytest.mark.long
 

@@ -1,4 +1,4 @@
-"""Files are written whole, by wire/process/output_files.py alone: the source has no other place that a person would miss."""
+"""Files are written whole, by shoal/runtime/output_files.py alone: the source has no other place that a person would miss."""
 
 import ast
 from collections.abc import Iterator
@@ -12,9 +12,9 @@ WRITERS = {"write_text", "write_bytes", "imwrite", "savez", "savez_compressed", 
 
 # Modules that write in place, and why nothing is lost.
 IN_PLACE = {
-    "wire/process/output_files.py": "it is the one",
-    "wire/kernel_build.py": "a lock and a record of a cache, which is made again",
-    "wire/kernel_cache.py": "a cache, which is made again",
+    "shoal/runtime/output_files.py": "it is the one",
+    "shoal/kernels/build.py": "a lock and a record of a cache, which is made again",
+    "shoal/kernels/cache.py": "a cache, which is made again",
     "groundstation/station/discovery.py": "a file of a running station, which must be locked before it has its name",
     "groundstation/deploy/ssh.py": "an archive in memory",
     "groundstation/logs/recorder.py": "a log that grows, in a new folder",

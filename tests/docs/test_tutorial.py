@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from groundstation.planning import planner
-from wire.config.experiment import load_experiment
+from shoal.config.experiment import load_experiment
 
 pytestmark = pytest.mark.long
 

@@ -8,8 +8,8 @@ from typing import Any, get_origin, get_type_hints
 
 import numpy as np
 
-from tests.wire.strategies import nested
-from wire.messages.codec import LARGEST
+from shoal.messages.codec import LARGEST
+from tests.shoal.strategies import nested
 
 NUMBERS = (0.0, -0.0, 1.0, math.nan, math.inf, -math.inf, 1e308, -1e308, 5e-324, LARGEST, -LARGEST, 1e4, math.pi, 0.3)
 

@@ -8,10 +8,10 @@ import time
 
 import numpy as np
 
-from tests.wire.strategies import CLASSES, example
-from wire.messages import codec, topics
-from wire.transport.endpoint import Endpoint
-from wire.transport.zenoh_transport import ZenohTransport
+from shoal.bus.endpoint import Endpoint
+from shoal.bus.zenoh_transport import ZenohTransport
+from shoal.messages import codec, topics
+from tests.shoal.strategies import CLASSES, example
 
 RATE_HZ, BATCH_S = 10_000, 0.01
 OVERSIZED = bytes(codec.MAX_MESSAGE_BYTES + 1)

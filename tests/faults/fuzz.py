@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from tests.faults.targets import TARGETS, seeds
-from tests.wire.strategies import damaged
+from tests.shoal.strategies import damaged
 
 FOLDER = Path(".fuzz")
 MAX_BYTES = 2048

@@ -9,10 +9,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from wire.messages import topics
-from wire.messages.codec import DecodeError, Header, decode
-from wire.messages.messages import Event, Mode, RobotState, StationHeartbeat, Truth
-from wire.messages.topics import Topic
+from shoal.messages import topics
+from shoal.messages.codec import DecodeError, Header, decode
+from shoal.messages.messages import Event, Mode, RobotState, StationHeartbeat, Truth
+from shoal.messages.topics import Topic
 
 PATIENCE_S = 60.0  # for what must come and has no limit of its own
 WARNING = 3  # an event's level

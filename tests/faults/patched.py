@@ -21,9 +21,9 @@ from typing import Any
 import numpy as np
 
 from robot_agent.control.qp import ActiveSetFirst, Solution
+from shoal.bus.bus import Bus
+from shoal.messages.messages import Command, Order
 from sim_bridge.sil import clock_shim
-from wire.messages.messages import Command, Order
-from wire.transport.bus import Bus
 
 SLOW_S, FOR_EVER_S = 0.03, 1e6
 START_LATE, SWITCH_LOST = signal.SIGRTMIN, signal.SIGRTMIN + 1

@@ -30,9 +30,9 @@ from groundstation.mission.state_machine import (
     order_named,
     rejection_reason,
 )
+from shoal.bus.bus import Bus
+from shoal.messages.messages import Command, Order, Outcome, Progress
 from tests.faults.onlooker import Stuck
-from wire.messages.messages import Command, Order, Outcome, Progress
-from wire.transport.bus import Bus
 
 ANSWER_WITHIN_S = 30.0  # a busy machine's station answers late; no answer at all is a defect
 HEAD = struct.Struct("<If")

@@ -14,16 +14,16 @@ from typing import Any, Self
 
 import numpy as np
 
+from shoal.bus.bus import Bus
+from shoal.bus.endpoint import Endpoint
+from shoal.bus.zenoh_transport import ZenohTransport
+from shoal.config.experiment import dump_experiment, load_experiment
+from shoal.messages import topics
+from shoal.messages.messages import Command, Mode, Order, Reply
 from sim_bridge.sil.ports import free_base_port, free_port
 from sim_bridge.sil.processes import Child, Children
 from tests.faults.onlooker import PATIENCE_S, Onlooker, Stuck
 from tests.faults.wires import NetWire, SerialWire
-from wire.config.experiment import dump_experiment, load_experiment
-from wire.messages import topics
-from wire.messages.messages import Command, Mode, Order, Reply
-from wire.transport.bus import Bus
-from wire.transport.endpoint import Endpoint
-from wire.transport.zenoh_transport import ZenohTransport
 
 MANY, MANY_PATIENCE_S = 5, 180.0  # the same with more robots than these: every process takes a second of a core to start
 CRUISES = 10  # attempts at a flight in one piece

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from shoal.messages.messages import Mode
 from tests.faults.rig import Rig
-from wire.messages.messages import Mode
 
 Random = np.random.Generator
 Sample = Mapping[str, float]

@@ -10,12 +10,13 @@ from pathlib import Path
 from typing import Any
 
 import tomli_w
+from shoal.errors import ConfigError
 
+from shoal.config.experiment import Experiment, load_experiment
+from shoal.config.loader import check
 from tests.faults import targets
 from tests.faults.row import Random, Sample
 from tests.localizer.encounters import check_encounter
-from wire.config.experiment import Experiment, load_experiment
-from wire.toml_loader import ConfigError, check
 
 MODULES = ("groundstation", "robot_agent", "localizer", "sim_bridge")
 NO_VALUES: tuple[Any, ...] = ("nonsense", -1e9, True, [], {}, float("nan"), float("inf"), 10**30)
@@ -39,13 +40,13 @@ def not_finite(rig: None, random: Random) -> Sample:
 
 
 def stranger(rig: None, random: Random) -> Sample:
-    return {"let in, heard or obeyed": _failed("tests/wire/transport/test_guarded.py")}
+    return {"let in, heard or obeyed": _failed("tests/shoal/transport/test_guarded.py")}
 
 
 def old_traffic(rig: None, random: Random) -> Sample:
     return {
-        "obeyed": _failed("tests/wire/transport/test_replay.py")
-        + _failed("tests/wire/transport/test_command_deduplication.py")
+        "obeyed": _failed("tests/shoal/transport/test_replay.py")
+        + _failed("tests/shoal/transport/test_command_deduplication.py")
     }
 
 

@@ -8,15 +8,15 @@ from typing import TypeVar
 
 import numpy as np
 
+from shoal.bus.bus import Bus
+from shoal.bus.memory_transport import MemoryHub, MemoryTransport
+from shoal.config.experiment import dump_experiment, load_experiment
+from shoal.messages import topics
+from shoal.messages.codec import decode
+from shoal.messages.messages import Event, LocalizerStatus, Mode, Pose, RobotState, Truth
+from shoal.messages.topics import Topic
 from sim_bridge.in_process.executor import Executor
 from tests.faults.row import HELD, LEFT, Random, Sample
-from wire.config.experiment import dump_experiment, load_experiment
-from wire.messages import topics
-from wire.messages.codec import decode
-from wire.messages.messages import Event, LocalizerStatus, Mode, Pose, RobotState, Truth
-from wire.messages.topics import Topic
-from wire.transport.bus import Bus
-from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
 OFF_TRUTH = "pose off the truth"
 FLOWN_S, FOR_S, LATEST_S = 12.0, 6.0, 5.0

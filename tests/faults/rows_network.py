@@ -6,11 +6,11 @@ from itertools import combinations
 
 import numpy as np
 
+from shoal.messages.messages import Mode, Order
 from tests.faults.onlooker import Heard, Stuck
 from tests.faults.patched import DEAF_ROBOT, START_LATE, SWITCH_LOST
 from tests.faults.rig import Rig
 from tests.faults.row import HELD, OFF, RESUMED, Random, Sample, resumed
-from wire.messages.messages import Mode, Order
 
 LATE_BY_S = 0.5  # at least this long after the others a robot must have begun, or its START was not late
 

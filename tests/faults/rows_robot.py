@@ -6,10 +6,10 @@ import time
 import numpy as np
 
 from benchmarks.robot_agent.thrusters import LACKING_N, THRUST_LEFT, WATCHED_S
+from shoal.messages.messages import Mode, Order, Solve
 from tests.faults.rig import Rig
 from tests.faults.row import OFF, POWERED, RESUMED, Random, Sample, resumed
 from tests.faults.wires import LineTrouble, forgeries
-from wire.messages.messages import Mode, Order, Solve
 
 NEVER_S = 999.0
 SETTLED_S = 6.0  # a flight's first seconds, in which a robot comes to its depth

@@ -3,9 +3,9 @@
 import signal
 import time
 
+from shoal.messages.messages import Mode
 from tests.faults.rig import Rig
 from tests.faults.row import HELD, RESUMED, Random, Sample, resumed
-from wire.messages.messages import Mode
 
 LEARNS_S = 6.0  # what the localizer takes to learn the water anew, and more
 TRACKS = "states that track again unasked"

@@ -17,13 +17,13 @@ from websockets.sync.client import connect
 from websockets.typing import Origin
 
 from groundstation.logs.repair import recover
+from shoal.messages import topics
+from shoal.messages.messages import Event, Mode
 from sim_bridge.sil.processes import Child
 from tests.faults.onlooker import Stuck
 from tests.faults.patched import END_THREAD
 from tests.faults.rig import Rig
 from tests.faults.row import LEFT, Random, Sample, left
-from wire.messages import topics
-from wire.messages.messages import Event, Mode
 
 GAP = "longest gap between heartbeats"
 SMALL_DISK_BYTES = 1 << 30

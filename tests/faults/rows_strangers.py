@@ -12,18 +12,18 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from groundstation.deploy import key_ring
+from groundstation.gate.own_door import DoorTransport
 from groundstation.station import discovery
+from shoal.bus.bus import Bus
+from shoal.bus.endpoint import Endpoint
+from shoal.bus.network import endpoint
+from shoal.bus.transport import Unreached
+from shoal.bus.zenoh_transport import ZenohTransport
+from shoal.messages.messages import Command, Order
 from sim_bridge.sil.ports import free_port
 from tests.faults.onlooker import PATIENCE_S, Stuck
 from tests.faults.row import Random, Sample
-from tests.wire.strangers import Sessions, Strangers
-from wire.messages.messages import Command, Order
-from wire.transport.bus import Bus
-from wire.transport.endpoint import Endpoint
-from wire.transport.network import endpoint
-from wire.transport.own_door import DoorTransport
-from wire.transport.transport import Unreached
-from wire.transport.zenoh_transport import ZenohTransport
+from tests.groundstation.gate.strangers import Sessions, Strangers
 
 ATTACKS: tuple[dict[str, float], ...] = (
     {"knocks_hz": 12.0},

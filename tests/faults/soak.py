@@ -27,16 +27,16 @@ import numpy as np
 import psutil
 from rich.console import Console
 from rich.table import Table
+from shoal.errors import ConfigError
 
 from groundstation.logs.reader import read_log
+from shoal.config.experiment import EXPERIMENTS, load_experiment
+from shoal.frames import Array
+from shoal.messages.messages import Mode
 from sim_bridge.sil.commands import RunOptions, check
 from tests.faults.onlooker import Stuck
 from tests.faults.rig import Rig, moment
 from tests.faults.table import ROWS
-from wire.config.experiment import EXPERIMENTS, load_experiment
-from wire.frames import Array
-from wire.messages.messages import Mode
-from wire.toml_loader import ConfigError
 
 SAMPLE_S = 5.0
 IN_WATER = ("thruster {r}/{t} dead", "thruster {r}/{t} stuck", "thruster {r}/{t} reversed", "thruster {r}/{t} weak {f}",

@@ -13,6 +13,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+from shoal.errors import ConfigError
 
 from groundstation.logs.reader import valid_records
 from groundstation.mission.command_dispatcher import CommandResult
@@ -26,16 +27,16 @@ from localizer.tracking.fleet_localizer import FleetLocalizer
 from robot_agent.agent import Agent
 from robot_agent.inputs import Inputs, StampedObstacles, StampedPlan, StampedPose, StationView
 from robot_agent.safety.modes import POWERED
+from shoal.config.experiment import Experiment, load_experiment
+from shoal.config.loader import apply_setting, check, read_toml
+from shoal.config.vehicle import Vehicle
+from shoal.mavlink.agent_link import AgentLink, Telemetry
+from shoal.messages.codec import DecodeError, Header, decode, encode
+from shoal.messages.messages import Command, Obstacles, Order, Plan, Pose, Reply, RobotState, Track, Trajectory
 from sim_bridge.thruster_board.board import ThrusterBoard
+from sim_bridge.thruster_board.board_link import BoardLink
 from tests.faults.bites import Bites
-from tests.wire.strategies import CLASSES, example
-from wire.config.experiment import Experiment, load_experiment
-from wire.config.vehicle import Vehicle
-from wire.mavlink.agent_link import AgentLink, Telemetry
-from wire.mavlink.board_link import BoardLink
-from wire.messages.codec import DecodeError, Header, decode, encode
-from wire.messages.messages import Command, Obstacles, Order, Plan, Pose, Reply, RobotState, Track, Trajectory
-from wire.toml_loader import ConfigError, apply_setting, check, read_toml
+from tests.shoal.strategies import CLASSES, example
 
 PERIOD_NS = 50_000_000
 SMALL = ("camera.size_px=[96,64]", "camera.focal_px=[60,60]", "camera.centre_px=[47.5,31.5]")
@@ -244,7 +245,7 @@ def seeds(name: str) -> list[bytes]:
     good = {
         "messages": [bytes([i]) + encode(example(cls)) for i, cls in enumerate(CLASSES)],
         "mavlink": [link.pulses([1500] * 8) + link.arm(True), end.attitude(5, 1.0, 0.1) + end.pressure(5, 0.3)],
-        "toml": [Path("wire/experiments/pool.toml").read_bytes(), b"controller.mpc.horizon=20"],
+        "toml": [Path("shoal/config/experiments/pool.toml").read_bytes(), b"controller.mpc.horizon=20"],
         "requests": [b'{"kind":"order","n":1,"order":"start"}', b'{"kind":"try","n":2,"edit":{"points_m":[[0,0],[1,2]]}}'],
     }
     return good.get(name, [bytes(range(256)), bytes(300)])

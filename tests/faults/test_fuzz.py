@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.faults.targets import TARGETS, seeds
-from tests.wire.strategies import damaged
+from tests.shoal.strategies import damaged
 
 pytestmark = pytest.mark.long
 

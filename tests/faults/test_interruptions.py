@@ -15,16 +15,16 @@ from typing import Any
 import numpy as np
 import pytest
 
+from shoal.messages import topics
+from shoal.messages.codec import Header, decode
+from shoal.messages.messages import Command, Order, Progress, StationHeartbeat, Truth
+from shoal.messages.topics import WHOLE_FLEET, Topic
 from sim_bridge.sil.ports import free_port
 from tests.faults.onlooker import Stuck
 from tests.faults.people import Crowd, PersonsRequest, ScriptLine, crowd, plan
 from tests.faults.rig import Rig
 from tests.faults.rigs import SLOWLY
 from tests.faults.wires import NetWire
-from wire.messages import topics
-from wire.messages.codec import Header, decode
-from wire.messages.messages import Command, Order, Progress, StationHeartbeat, Truth
-from wire.messages.topics import WHOLE_FLEET, Topic
 
 pytestmark = [pytest.mark.slow, pytest.mark.real_time]
 

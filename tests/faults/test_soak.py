@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from benchmarks.flights import prepared, rough_water
+from shoal.config.experiment import load_experiment
+from shoal.messages.messages import Event
 from sim_bridge.in_process.fleet import fly
 from sim_bridge.studies.metrics import measures
 from tests.faults.soak import Watch, random_faults
-from wire.config.experiment import load_experiment
-from wire.messages.messages import Event
 
 pytestmark = pytest.mark.real_time
 

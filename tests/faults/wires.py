@@ -13,9 +13,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from wire.mavlink.agent_link import AgentLink
-from wire.mavlink.board_link import BoardLink, Override
-from wire.mavlink.frame_codec import MARKER
+from shoal.mavlink.agent_link import AgentLink
+from shoal.mavlink.frame_codec import MARKER
+from sim_bridge.thruster_board.board_link import BoardLink, Override
 
 READ_BYTES = 65536
 NUMBER_AT = 4  # in a frame

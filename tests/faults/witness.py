@@ -19,6 +19,14 @@ from typing import Any
 import numpy as np
 
 import sim_bridge.node.pool
+from shoal.bus.bus import Bus
+from shoal.bus.endpoint import Endpoint
+from shoal.bus.zenoh_transport import ZenohTransport
+from shoal.config.experiment import Experiment, load_experiment
+from shoal.config.fault_injection import Fault
+from shoal.frames import Array
+from shoal.mavlink.frame_codec import Peer
+from shoal.runtime.runtime import Stop, run_app, start_log
 from sim_bridge.fault_schedule import FaultSchedule
 from sim_bridge.node.board_ports import UdpPorts
 from sim_bridge.node.pool import PoolNode
@@ -27,14 +35,6 @@ from sim_bridge.thruster_board.board import ThrusterBoard
 from sim_bridge.thruster_board.nonvolatile import BoardFactory
 from sim_bridge.world import World
 from tests.faults.patched import end_thread
-from wire.config.experiment import Experiment, load_experiment
-from wire.config.fault_injection import Fault
-from wire.frames import Array
-from wire.mavlink.frame_codec import Peer
-from wire.process.runtime import Stop, run_app, start_log
-from wire.transport.bus import Bus
-from wire.transport.endpoint import Endpoint
-from wire.transport.zenoh_transport import ZenohTransport
 
 OWN = ("board", "depth", "thread")  # what is broken here, and not by sim.faults
 

@@ -3,10 +3,10 @@
 from collections.abc import Callable, Iterator
 from typing import Protocol
 
+from shoal.mavlink.signing import Key
 from sim_bridge.board_conformance.probe import BoardProbe
 from sim_bridge.board_conformance.rules import RULES
 from sim_bridge.board_conformance.runner import RuleResult, RuleVerdict, examine
-from wire.mavlink.signing import Key
 
 STEP_NS = 5_000_000
 

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pytest
 
+from shoal.config.experiment import load_experiment
+from shoal.mavlink.agent_link import CHANNELS, STANDARD_GRAVITY_MPS2, SURFACE_HPA, depth_to_hpa
+from shoal.mavlink.frame_codec import Peer
+from shoal.mavlink.signing import Key
 from sim_bridge.plant.sensors import Reading
 from sim_bridge.thruster_board.parameters import Parameters
-from wire.config.experiment import load_experiment
-from wire.mavlink.agent_link import CHANNELS, STANDARD_GRAVITY_MPS2, SURFACE_HPA, depth_to_hpa
-from wire.mavlink.frame_codec import Peer
-from wire.mavlink.signing import Key
 
 FIRMWARE = Path(__file__).parents[2] / "firmware"
 POOL = load_experiment("pool")

@@ -13,11 +13,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from subprocess import Popen
 
+from shoal.runtime.runtime import Stop
 from sim_bridge.node.bench import BoardSocket, open_socket
 from tests.firmware.library import built
 from tests.firmware.mega import Mega
 from tests.sim_bridge.boards import plugged
-from wire.process.runtime import Stop
 
 STEP_S = 0.002
 EDGES_S = 1.0  # between two looks at the pins, of which simavr_board.c keeps a minute

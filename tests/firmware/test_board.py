@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common as dialect
 
+from shoal.mavlink.agent_link import IGNORED, STANDARD_GRAVITY_MPS2
+from shoal.mavlink.framing import Sender
+from shoal.mavlink.signing import Key
 from sim_bridge.board_conformance.runner import RuleVerdict
 from sim_bridge.plant.sensors import Reading
 from sim_bridge.thruster_board.board import NonvolatileState, ThrusterBoard
 from tests.firmware.bench import results
 from tests.firmware.library import POOL, FirmwareBoard, built, load
-from wire.mavlink.agent_link import IGNORED, STANDARD_GRAVITY_MPS2
-from wire.mavlink.framing import Sender
-from wire.mavlink.signing import Key
 
 pytestmark = pytest.mark.long
 

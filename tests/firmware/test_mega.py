@@ -5,12 +5,12 @@ from itertools import pairwise
 
 import pytest
 
+from shoal.mavlink.agent_link import IGNORED, AgentLink
+from shoal.mavlink.parameters import ParameterClient
+from shoal.mavlink.signing import Key
+from sim_bridge.thruster_board.simulator_link import SimulatorLink
 from tests.firmware.bench import first_failure
 from tests.firmware.mega import CYCLES_PER_US, Mega, Pulse
-from wire.mavlink.agent_link import IGNORED, AgentLink
-from wire.mavlink.parameters import ParameterClient
-from wire.mavlink.signing import Key
-from wire.mavlink.simulator_link import SimulatorLink
 
 pytestmark = [pytest.mark.slow, pytest.mark.long]
 

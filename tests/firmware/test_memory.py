@@ -7,10 +7,10 @@ from collections.abc import Iterator
 
 import pytest
 
+from shoal.mavlink.agent_link import CHANNELS, IGNORED, AgentLink
+from shoal.mavlink.parameters import ParameterClient
+from shoal.mavlink.signing import Key
 from tests.firmware.library import PARAMETERS, FirmwareBoard, built, load
-from wire.mavlink.agent_link import CHANNELS, IGNORED, AgentLink
-from wire.mavlink.parameters import ParameterClient
-from wire.mavlink.signing import Key
 
 KEY = Key(bytes(range(1, 33)))
 EEPROM_BYTES, SLOTS, SLOT_BYTES, BYTE_US = 4096, 6, 256, 3400

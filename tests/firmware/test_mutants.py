@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from shoal.mavlink.signing import Key
 from tests.firmware.bench import first_failure
 from tests.firmware.library import FIRMWARE, FirmwareBoard, built, load
-from wire.mavlink.signing import Key
 
 pytestmark = [pytest.mark.slow, pytest.mark.long]
 

@@ -6,11 +6,11 @@ import random
 
 import pytest
 
+from shoal.mavlink.agent_link import IGNORED
+from shoal.mavlink.signing import Key
 from sim_bridge.thruster_board.parameters import FIXED, VOLATILE, Refusal
 from sim_bridge.thruster_board.state_machine import BoardStateMachine
 from tests.firmware.library import PARAMETERS, FirmwareBoard, built, load
-from wire.mavlink.agent_link import IGNORED
-from wire.mavlink.signing import Key
 
 COMPUTER, KEY = (1, 191), Key(bytes(range(32)))
 REFUSALS = [None, Refusal.UNKNOWN, Refusal.RANGE, Refusal.TYPE, Refusal.INCONSISTENT, Refusal.ARMED]

@@ -6,10 +6,10 @@ from dataclasses import dataclass, field, replace
 from groundstation.mission.state_machine import MissionState
 from groundstation.telemetry import Finding, Fleet, FleetInboxes, LinkMonitor, blocking_findings, subscribe_fleet
 from groundstation.web.backend import Status
-from wire.config.experiment import Experiment
-from wire.messages.messages import DriveVelocity, Order, Trajectory
-from wire.process.runtime import Clock, WallClock
-from wire.transport.bus import Bus
+from shoal.bus.bus import Bus
+from shoal.config.experiment import Experiment
+from shoal.messages.messages import DriveVelocity, Order, Trajectory
+from shoal.runtime.runtime import Clock, WallClock
 
 
 @dataclass

@@ -7,9 +7,9 @@ from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
 
 from groundstation.logs.recorder import Recorder
-from wire.messages import topics
-from wire.messages.codec import Header, encode
-from wire.messages.messages import Pose, Track
+from shoal.messages import topics
+from shoal.messages.codec import Header, encode
+from shoal.messages.messages import Pose, Track
 
 SECOND = 1_000_000_000
 

@@ -9,11 +9,11 @@ import numpy as np
 
 from groundstation.logs.recorder import Recorder
 from groundstation.planning.planner import plan
-from wire.config.experiment import Experiment, dump_experiment, load_experiment
-from wire.frames import Array, wrap
-from wire.messages import topics
-from wire.messages.codec import Header, encode
-from wire.messages.messages import (
+from shoal.config.experiment import Experiment, dump_experiment, load_experiment
+from shoal.frames import Array, wrap
+from shoal.messages import topics
+from shoal.messages.codec import Header, encode
+from shoal.messages.messages import (
     Event,
     LocalizerStatus,
     Message,
@@ -25,7 +25,7 @@ from wire.messages.messages import (
     Track,
     Truth,
 )
-from wire.messages.topics import Topic
+from shoal.messages.topics import Topic
 
 PERIOD_S = 0.05
 START_S = 7.0  # of the trajectories, on the log's clock

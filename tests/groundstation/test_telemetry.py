@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from groundstation.telemetry import LinkMonitor, RobotView, findings
-from wire.config.experiment import load_experiment
-from wire.messages import topics
-from wire.messages.codec import Header, encode
-from wire.messages.messages import Mode, Plan, Pose, RobotState, Track
-from wire.transport.bus import Bus
-from wire.transport.memory_transport import MemoryHub, MemoryTransport
+from shoal.bus.bus import Bus
+from shoal.bus.memory_transport import MemoryHub, MemoryTransport
+from shoal.config.experiment import load_experiment
+from shoal.messages import topics
+from shoal.messages.codec import Header, encode
+from shoal.messages.messages import Mode, Plan, Pose, RobotState, Track
 
 MS = 1_000_000
 

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
 
 from localizer.calibration.targets import TargetView
+from shoal.config.perception import Camera
+from shoal.frames import Array
 from sim_bridge.camera.optics import Rays, project, rays
-from wire.config.perception import Camera
-from wire.frames import Array
 
 Pixels = NDArray[np.uint8]
 Float = NDArray[np.float32]

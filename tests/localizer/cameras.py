@@ -1,6 +1,6 @@
 """The cameras of the optics tests: the pool's own, and a tilted one with a distorted picture."""
 
-from wire.config.experiment import load_experiment
+from shoal.config.experiment import load_experiment
 
 CAMERA = load_experiment("pool").camera
 TILTED = CAMERA.model_copy(

@@ -3,10 +3,10 @@
 import numpy as np
 
 from localizer.tracking.fleet_localizer import FleetLocalizer
+from shoal.config.experiment import load_experiment
+from shoal.frames import Array, wrap
+from shoal.messages.messages import Track
 from tests.localizer.scene import Scene
-from wire.config.experiment import load_experiment
-from wire.frames import Array, wrap
-from wire.messages.messages import Track
 
 EXPERIMENT = load_experiment("pool")
 STEP_S = 0.05

@@ -3,8 +3,8 @@
 import cv2
 import numpy as np
 
-from wire.config.perception import Camera
-from wire.frames import Array, wrap
+from shoal.config.perception import Camera
+from shoal.frames import Array, wrap
 
 _UNDISTORT = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-12)
 _NEWTON_STEPS = 6

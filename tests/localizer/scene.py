@@ -13,8 +13,8 @@ from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 
 from localizer.camera_model import RefractiveCamera
-from wire.config.experiment import Experiment
-from wire.frames import Array, pool_to_body
+from shoal.config.experiment import Experiment
+from shoal.frames import Array, pool_to_body
 
 Pixels = NDArray[np.uint8]
 _OVERSAMPLE = 3  # samples of a pixel each way

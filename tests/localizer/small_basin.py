@@ -1,6 +1,6 @@
 """A small basin whose camera is to be found: the true camera, the board, and markers surveyed on its rim and floor."""
 
-from wire.config.experiment import load_experiment
+from shoal.config.experiment import load_experiment
 
 BOARD = "charuco:7x5:0.04:0.03:DICT_4X4_50"
 TRUTH = load_experiment("pool").camera.model_copy(

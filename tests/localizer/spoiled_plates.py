@@ -9,13 +9,13 @@ import cv2
 import numpy as np
 
 from localizer.tracking.fleet_localizer import FleetLocalizer
+from shoal.config.experiment import Experiment, load_experiment
+from shoal.config.scene import RobotConfig
+from shoal.frames import Array, body_to_pool, pool_to_body, wrap
+from shoal.messages.messages import Pose, Track
 from sim_bridge.camera.optics import project
 from sim_bridge.camera.renderer import Renderer
 from tests.localizer.scene import Pixels
-from wire.config.experiment import Experiment, load_experiment
-from wire.config.scene import RobotConfig
-from wire.frames import Array, body_to_pool, pool_to_body, wrap
-from wire.messages.messages import Pose, Track
 
 ROBOTS, PERIOD_S, DEPTH_M = 6, 0.05, 0.3
 _READ_FRAMES, _SPOILED_FRAMES = (10, 24), (3, 24)  # drawn from these ranges: a plate is read, then spoiled, and so on

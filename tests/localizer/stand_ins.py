@@ -6,7 +6,7 @@ import numpy as np
 
 from localizer.detection.image_regions import Pixels
 from localizer.sources.base import CapturedFrame
-from wire.transport.bus import Received
+from shoal.bus.bus import Received
 
 MS = 1_000_000
 

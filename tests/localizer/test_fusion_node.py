@@ -9,14 +9,14 @@ import pytest
 
 from localizer.fusion_node import FusionNode
 from localizer.tracking.camera_fusion import CameraFusion
+from shoal.bus.bus import Bus
+from shoal.bus.memory_transport import MemoryHub, MemoryTransport
+from shoal.config.experiment import load_experiment
+from shoal.messages import topics
+from shoal.messages.messages import CameraHealth, LocalizerStatus, Obstacles, Pose, Track
+from shoal.runtime.runtime import Stop, WallClock
+from shoal.runtime.version import code
 from tests.waiting import eventually
-from wire.config.experiment import load_experiment
-from wire.messages import topics
-from wire.messages.messages import CameraHealth, LocalizerStatus, Obstacles, Pose, Track
-from wire.process.runtime import Stop, WallClock
-from wire.process.version import code
-from wire.transport.bus import Bus
-from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
 pytestmark = pytest.mark.real_time
 

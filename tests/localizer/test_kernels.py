@@ -10,10 +10,10 @@ import pytest
 
 from localizer import kernels
 from localizer.camera_model import RefractiveCamera
+from shoal.config.perception import Camera
+from shoal.frames import Array
 from tests.localizer import numpy_geometry as reference
 from tests.localizer.cameras import CAMERA, TILTED
-from wire.config.perception import Camera
-from wire.frames import Array
 
 pytestmark = pytest.mark.long
 

@@ -15,6 +15,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from shoal.errors import ConfigError
 
 from localizer.camera_model import RefractiveCamera
 from localizer.detection.image_regions import Pixels
@@ -23,24 +24,23 @@ from localizer.node import LocalizerNode, NodeOptions, run
 from localizer.sources.base import CapturedFrame
 from localizer.tracking.fleet_localizer import FleetLocalizer, LocalizationResult
 from localizer.view.preview import PreviewPublisher, RateLimiter
+from shoal.bus.bus import Bus, Inbox, Received
+from shoal.bus.endpoint import Endpoint
+from shoal.bus.memory_transport import MemoryHub, MemoryTransport
+from shoal.bus.zenoh_transport import ZenohTransport
+from shoal.config.experiment import Experiment, load_experiment
+from shoal.messages import topics
+from shoal.messages.codec import Header, decode
+from shoal.messages.messages import CameraHealth, Frame, LocalizerStatus, Obstacles, Pose, Preview, RobotState, Tick, Track
+from shoal.messages.topics import Topic
+from shoal.runtime.lockstep import LockstepClock
+from shoal.runtime.runtime import Clock, Failed, Stop, WallClock, log
+from shoal.runtime.version import code
 from sim_bridge.camera.renderer import Renderer
 from sim_bridge.sil.ports import free_port
 from tests.localizer.scene import Scene
 from tests.localizer.stand_ins import MS
 from tests.waiting import eventually
-from wire.config.experiment import Experiment, load_experiment
-from wire.messages import topics
-from wire.messages.codec import Header, decode
-from wire.messages.messages import CameraHealth, Frame, LocalizerStatus, Obstacles, Pose, Preview, RobotState, Tick, Track
-from wire.messages.topics import Topic
-from wire.process.lockstep import LockstepClock
-from wire.process.runtime import Clock, Failed, Stop, WallClock, log
-from wire.process.version import code
-from wire.toml_loader import ConfigError
-from wire.transport.bus import Bus, Inbox, Received
-from wire.transport.endpoint import Endpoint
-from wire.transport.memory_transport import MemoryHub, MemoryTransport
-from wire.transport.zenoh_transport import ZenohTransport
 
 pytestmark = pytest.mark.real_time
 

@@ -8,7 +8,7 @@ import pytest
 
 from localizer.detection.obstacles import ObstacleDetector
 from localizer.tracking.fleet_localizer import FleetLocalizer
-from wire.config.experiment import load_experiment
+from shoal.config.experiment import load_experiment
 
 
 @pytest.fixture

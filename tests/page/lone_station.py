@@ -10,12 +10,12 @@ from playwright.sync_api import Browser, Page
 from groundstation.planning import planner
 from groundstation.web.live_backend import LiveBackend
 from groundstation.web.server import WebServer
+from shoal.bus.bus import Bus
+from shoal.bus.memory_transport import MemoryHub, MemoryTransport
+from shoal.config.experiment import Experiment
+from shoal.runtime.web_access import WebOptions
 from sim_bridge.sil.ports import free_port
 from tests.groundstation.fake_station import FakeStation
-from wire.config.experiment import Experiment
-from wire.transport.bus import Bus
-from wire.transport.memory_transport import MemoryHub, MemoryTransport
-from wire.web_access import WebOptions
 
 
 @dataclass(kw_only=True)

@@ -13,17 +13,17 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 from playwright.sync_api import Browser, Page, WebSocketRoute, expect
 
 from groundstation.mission.state_machine import MissionState
-from sim_bridge.sil.ports import free_port
-from tests.page.elements import button, tile
-from tests.page.flights import PATIENCE_MS, wait_for_port
-from tests.page.lone_station import lone_station
-from wire.config.experiment import load_experiment
-from wire.messages import topics
-from wire.messages.messages import (
+from shoal.config.experiment import load_experiment
+from shoal.messages import topics
+from shoal.messages.messages import (
     Event,
     Order,
     RobotState,
 )
+from sim_bridge.sil.ports import free_port
+from tests.page.elements import button, tile
+from tests.page.flights import PATIENCE_MS, wait_for_port
+from tests.page.lone_station import lone_station
 
 pytestmark = [pytest.mark.timeout(600), pytest.mark.real_time]  # what waits for a browser waits for a loaded machine
 

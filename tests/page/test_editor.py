@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
+from shoal.config.experiment import load_experiment
+from shoal.config.scene import Waypoints
 from tests.page.elements import button, map_of
 from tests.page.lone_station import lone_station
-from wire.config.experiment import load_experiment
-from wire.config.scene import Waypoints
 
 pytestmark = [pytest.mark.timeout(600), pytest.mark.real_time]  # what waits for a browser waits for a loaded machine
 

@@ -16,15 +16,15 @@ from playwright.sync_api import Browser, Locator, Page, WebSocketRoute, expect
 from groundstation.logs.recorder import Recorder
 from groundstation.web.replay_backend import ReplayBackend
 from groundstation.web.server import WebServer
+from shoal.config.experiment import dump_experiment, load_experiment
+from shoal.messages import topics
+from shoal.messages.codec import Header, encode
+from shoal.messages.messages import Event, Preview, RobotState
+from shoal.runtime.web_access import WebOptions
 from sim_bridge.sil.ports import free_port
 from tests.page.elements import answer, button, in_mode
 from tests.page.flights import PATIENCE_MS, OperatorFlight, PageTraffic, open_page, serious
 from tests.waiting import eventually
-from wire.config.experiment import dump_experiment, load_experiment
-from wire.messages import topics
-from wire.messages.codec import Header, encode
-from wire.messages.messages import Event, Preview, RobotState
-from wire.web_access import WebOptions
 
 pytestmark = [pytest.mark.timeout(600), pytest.mark.real_time]  # what waits for a browser waits for a loaded machine
 

@@ -16,16 +16,16 @@ from playwright.sync_api import Browser, Page, expect
 
 from groundstation.logs.reader import open_log, read_log
 from groundstation.replay.step_replay import rerun
-from sim_bridge.sil.ports import free_port
-from tests.page.elements import answer, button, in_mode, map_of, tile
-from tests.page.flights import OperatorFlight, PageTraffic, open_page, serious
-from wire.messages import topics
-from wire.messages.codec import decode
-from wire.messages.messages import (
+from shoal.messages import topics
+from shoal.messages.codec import decode
+from shoal.messages.messages import (
     Mode,
     RobotState,
     Tuning,
 )
+from sim_bridge.sil.ports import free_port
+from tests.page.elements import answer, button, in_mode, map_of, tile
+from tests.page.flights import OperatorFlight, PageTraffic, open_page, serious
 
 pytestmark = [pytest.mark.timeout(600), pytest.mark.real_time]  # what waits for a browser waits for a loaded machine
 

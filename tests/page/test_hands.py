@@ -9,11 +9,11 @@ from playwright.sync_api import Browser, Page, expect
 
 from groundstation.mission.state_machine import MissionState
 from groundstation.web.backend import Status
+from shoal.config.experiment import load_experiment
+from shoal.messages import topics
+from shoal.messages.messages import Mode, Order, RobotState
 from tests.page.elements import button, tile
 from tests.page.lone_station import LoneStation, lone_station
-from wire.config.experiment import load_experiment
-from wire.messages import topics
-from wire.messages.messages import Mode, Order, RobotState
 
 pytestmark = [pytest.mark.timeout(600), pytest.mark.real_time]  # what waits for a browser waits for a loaded machine
 

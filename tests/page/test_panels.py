@@ -13,12 +13,9 @@ import pytest
 from playwright.sync_api import Browser, expect
 
 from groundstation.planning import planner
-from tests.page.elements import answer, button, map_of, tile
-from tests.page.flights import PATIENCE_MS, serious
-from tests.page.lone_station import lone_station
-from wire.config.experiment import load_experiment
-from wire.messages import topics
-from wire.messages.messages import (
+from shoal.config.experiment import load_experiment
+from shoal.messages import topics
+from shoal.messages.messages import (
     CameraHealth,
     Event,
     Guidance,
@@ -29,6 +26,9 @@ from wire.messages.messages import (
     RobotState,
     Trajectory,
 )
+from tests.page.elements import answer, button, map_of, tile
+from tests.page.flights import PATIENCE_MS, serious
+from tests.page.lone_station import lone_station
 
 pytestmark = [pytest.mark.timeout(600), pytest.mark.real_time]  # what waits for a browser waits for a loaded machine
 

@@ -6,9 +6,9 @@ import pytest
 from playwright.sync_api import Browser
 
 from groundstation.report.report import write_report
+from shoal.messages.messages import Mode
 from tests.groundstation.synthetic import Script, write_run
 from tests.page.flights import serious
-from wire.messages.messages import Mode
 
 pytestmark = [pytest.mark.timeout(120), pytest.mark.real_time]
 

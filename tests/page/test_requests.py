@@ -10,19 +10,19 @@ from playwright.sync_api import Browser, Page, expect
 
 from groundstation.mission.state_machine import MissionState
 from groundstation.telemetry import Finding
-from tests.groundstation.fake_station import FakeStation
-from tests.page.elements import button, tile
-from tests.page.flights import PATIENCE_MS
-from tests.page.lone_station import lone_station
-from wire.config.experiment import load_experiment
-from wire.messages import topics
-from wire.messages.messages import (
+from shoal.config.experiment import load_experiment
+from shoal.messages import topics
+from shoal.messages.messages import (
     Mode,
     Order,
     Outcome,
     Progress,
     RobotState,
 )
+from tests.groundstation.fake_station import FakeStation
+from tests.page.elements import button, tile
+from tests.page.flights import PATIENCE_MS
+from tests.page.lone_station import lone_station
 
 pytestmark = [pytest.mark.timeout(600), pytest.mark.real_time]  # what waits for a browser waits for a loaded machine
 

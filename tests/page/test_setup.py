@@ -15,13 +15,13 @@ import pytest
 from playwright.sync_api import Browser, Page, expect
 
 from localizer.detection.image_regions import Pixels
+from shoal.config.experiment import load_experiment
+from shoal.frames import Array
 from sim_bridge.camera.optics import project
 from sim_bridge.sil.ports import free_port
 from tests.localizer.board_scene import CameraBench, charuco, marks
 from tests.page.flights import PATIENCE_MS, PageTraffic, serious
 from tests.waiting import eventually
-from wire.config.experiment import load_experiment
-from wire.frames import Array
 
 pytestmark = pytest.mark.real_time
 

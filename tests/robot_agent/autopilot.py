@@ -2,9 +2,9 @@
 
 from pymavlink.dialects.v20 import common as dialect
 
-from wire.mavlink.board_port import Link
-from wire.mavlink.framing import Receiver, Sender
-from wire.mavlink.signing import SignatureVerifier
+from shoal.mavlink.board_port import Link
+from shoal.mavlink.framing import Receiver, Sender
+from shoal.mavlink.signing import SignatureVerifier
 
 
 class Autopilot(Link):

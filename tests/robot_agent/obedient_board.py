@@ -2,8 +2,8 @@
 
 import math
 
-from wire.mavlink.board_link import BoardLink
-from wire.mavlink.board_port import Link
+from shoal.mavlink.board_port import Link
+from sim_bridge.thruster_board.board_link import BoardLink
 
 ME = 1
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from wire.messages.messages import Trajectory
+from shoal.messages.messages import Trajectory
 
 PERIOD_S, ROWS = 0.05, 52
 

@@ -10,8 +10,8 @@ import pytest
 from robot_agent.agent import Agent
 from robot_agent.inputs import Inputs
 from robot_agent.preflight.rehearsal import ARM_AFTER, rehearse
-from wire.config.experiment import load_experiment
-from wire.messages.messages import Mode, Solve
+from shoal.config.experiment import load_experiment
+from shoal.messages.messages import Mode, Solve
 
 NEUTRAL_US = (1500,) * 4
 POOL = load_experiment("pool")

@@ -4,8 +4,8 @@ import pytest
 
 from robot_agent.agent import LONGEST_LIFE_S, unacceptable
 from robot_agent.inputs import StationView
-from wire.messages.codec import Header
-from wire.messages.messages import Command, Order
+from shoal.messages.codec import Header
+from shoal.messages.messages import Command, Order
 
 HASH = "ab" * 32
 STATION = StationView(session=7, clock_ns=10_000_000_000, age_s=0.03)

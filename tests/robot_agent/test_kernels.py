@@ -14,8 +14,8 @@ from robot_agent.control.any_controller import controller_class
 from robot_agent.guidance.formation import Neighbour
 from robot_agent.guidance.obstacles import obstacles_from_message
 from robot_agent.guidance.reference import Hold
+from shoal.messages.messages import Obstacles, Plan
 from tests.robot_agent.control.drawn_inputs import GOAL, POOL, STEP_NS, at
-from wire.messages.messages import Obstacles, Plan
 
 pytestmark = pytest.mark.long
 

@@ -12,17 +12,17 @@ from socket import AF_INET, SOCK_DGRAM, socket
 import numpy as np
 import pytest
 
+from shoal.bus.bus import Bus
+from shoal.bus.endpoint import Endpoint
+from shoal.bus.zenoh_transport import ZenohTransport
+from shoal.config.experiment import load_experiment
+from shoal.mavlink.agent_link import AgentLink
+from shoal.messages import topics
+from shoal.messages.messages import Command, Mode, Order, Pose, RobotState, StationHeartbeat, Track
 from sim_bridge.sil.ports import free_port
 from sim_bridge.thruster_board.board import ThrusterBoard
+from sim_bridge.thruster_board.board_link import Arm, BoardLink, Override
 from tests.waiting import wait_for_line
-from wire.config.experiment import load_experiment
-from wire.mavlink.agent_link import AgentLink
-from wire.mavlink.board_link import Arm, BoardLink, Override
-from wire.messages import topics
-from wire.messages.messages import Command, Mode, Order, Pose, RobotState, StationHeartbeat, Track
-from wire.transport.bus import Bus
-from wire.transport.endpoint import Endpoint
-from wire.transport.zenoh_transport import ZenohTransport
 
 pytestmark = pytest.mark.real_time
 
@@ -34,7 +34,7 @@ TURN_THRUSTERS = """
 import sys
 from robot_agent.host.config import AgentConfig
 from robot_agent.preflight.thrusters import turn_thrusters
-from wire.config.experiment import load_experiment
+from shoal.config.experiment import load_experiment
 print(list(turn_thrusters(load_experiment("pool"), AgentConfig(robot=1, experiment="pool", station="", link=sys.argv[1]))))
 """
 BROKEN_ON_PURPOSE = """

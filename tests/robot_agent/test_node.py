@@ -14,15 +14,14 @@ from robot_agent import node
 from robot_agent.agent import Agent
 from robot_agent.control.nonlinear.nonlinear_controller import NonlinearController
 from robot_agent.host.step_clock import StepClock
-from sim_bridge.sil.ports import free_port
-from tests.robot_agent.autopilot import Autopilot
-from tests.robot_agent.obedient_board import Board
-from wire.config.experiment import load_experiment
-from wire.mavlink.board_port import open_link
-from wire.messages import topics
-from wire.messages.codec import FARTHEST_NS, LATEST_NS, Header, encode
-from wire.messages.live_gains import tuning
-from wire.messages.messages import (
+from shoal.bus.bus import Bus, Inbox
+from shoal.bus.memory_transport import MemoryHub, MemoryTransport
+from shoal.config.experiment import load_experiment
+from shoal.mavlink.board_port import open_link
+from shoal.messages import topics
+from shoal.messages.codec import FARTHEST_NS, LATEST_NS, Header, encode
+from shoal.messages.live_gains import tuning
+from shoal.messages.messages import (
     Command,
     Message,
     Mode,
@@ -36,11 +35,12 @@ from wire.messages.messages import (
     Track,
     Tuning,
 )
-from wire.messages.topics import Qos
-from wire.process.runtime import Stop, wait
-from wire.process.version import code
-from wire.transport.bus import Bus, Inbox
-from wire.transport.memory_transport import MemoryHub, MemoryTransport
+from shoal.messages.topics import Qos
+from shoal.runtime.runtime import Stop, wait
+from shoal.runtime.version import code
+from sim_bridge.sil.ports import free_port
+from tests.robot_agent.autopilot import Autopilot
+from tests.robot_agent.obedient_board import Board
 
 PATIENCE_S = 20.0
 POOL = load_experiment("pool", ["safety.watch_thrusters=false"])  # nothing that they do moves this robot

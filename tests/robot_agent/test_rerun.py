@@ -12,11 +12,12 @@ import pytest
 from groundstation.planning import planner
 from robot_agent.node import AgentNode
 from robot_agent.rerun import Rerun
-from tests.robot_agent.obedient_board import Board
-from wire.config.experiment import Experiment, load_experiment
-from wire.messages import topics
-from wire.messages.codec import Header, encode
-from wire.messages.messages import (
+from shoal.bus.bus import Bus, Received
+from shoal.bus.memory_transport import MemoryHub, MemoryTransport
+from shoal.config.experiment import Experiment, load_experiment
+from shoal.messages import topics
+from shoal.messages.codec import Header, encode
+from shoal.messages.messages import (
     Command,
     Event,
     Mode,
@@ -29,10 +30,9 @@ from wire.messages.messages import (
     StationHeartbeat,
     Track,
 )
-from wire.messages.topics import Topic
-from wire.process.runtime import Stop
-from wire.transport.bus import Bus, Received
-from wire.transport.memory_transport import MemoryHub, MemoryTransport
+from shoal.messages.topics import Topic
+from shoal.runtime.runtime import Stop
+from tests.robot_agent.obedient_board import Board
 
 ME, OTHER = 1, 2
 PERIOD_NS = 50_000_000

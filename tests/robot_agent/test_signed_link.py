@@ -8,16 +8,16 @@ from socket import SOCK_DGRAM
 import pytest
 
 from robot_agent.node import AgentNode
+from shoal.bus.bus import Bus
+from shoal.bus.memory_transport import MemoryHub, MemoryTransport
+from shoal.config.experiment import load_experiment
+from shoal.mavlink.board_port import open_link
+from shoal.mavlink.signing_key import Signing, new_key
+from shoal.messages import topics
+from shoal.messages.messages import RobotState
+from shoal.runtime.runtime import Stop
 from sim_bridge.sil.ports import free_port
 from tests.sim_bridge.boards import board
-from wire.config.experiment import load_experiment
-from wire.mavlink.board_port import open_link
-from wire.mavlink.signing_key import Signing, new_key
-from wire.messages import topics
-from wire.messages.messages import RobotState
-from wire.process.runtime import Stop
-from wire.transport.bus import Bus
-from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
 pytestmark = pytest.mark.real_time
 

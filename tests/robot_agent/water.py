@@ -5,8 +5,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from wire.config.vehicle import Vehicle
-from wire.frames import Array
+from shoal.config.vehicle import Vehicle
+from shoal.frames import Array
 
 
 def integrate(

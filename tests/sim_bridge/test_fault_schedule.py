@@ -5,7 +5,11 @@ from collections import Counter
 
 import numpy as np
 import pytest
+from shoal.errors import ConfigError
 
+from shoal.config.experiment import load_experiment
+from shoal.config.fault_injection import KINDS, read_what
+from shoal.frames import Array
 from sim_bridge.camera import faults as camera_faults
 from sim_bridge.camera.faults import CameraFaults
 from sim_bridge.camera.renderer import Renderer
@@ -15,10 +19,6 @@ from sim_bridge.plant.fleet import Plant
 from sim_bridge.plant.sensors import BoardSensors
 from sim_bridge.world import World
 from tests.source_tree import ROOT
-from wire.config.experiment import load_experiment
-from wire.config.fault_injection import KINDS, read_what
-from wire.frames import Array
-from wire.toml_loader import ConfigError
 
 CALM = ("pool.walls=false", "sim.plant.buoyancy_n=0", "sim.plant.thruster_spread=0", "sim.plant.battery.capacity_wh=0")
 APART = np.array([[-9.0, 0.0, 5.0, 0.0], [9.0, 0.0, 5.0, 0.0]])

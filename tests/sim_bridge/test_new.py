@@ -8,11 +8,11 @@ from urllib.request import url2pathname
 
 import jsonschema
 import pytest
+from shoal.errors import ConfigError
 from typer.testing import CliRunner
 
+from shoal.config.experiment import NO_CAMERA, load_experiment
 from sim_bridge.__main__ import cli
-from wire.config.experiment import NO_CAMERA, load_experiment
-from wire.toml_loader import ConfigError
 
 
 def test_a_new_experiment_loads_and_keeps_the_schema_that_it_names(tmp_path: Path) -> None:

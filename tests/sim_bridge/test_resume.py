@@ -4,11 +4,11 @@ import sys
 from pathlib import Path
 
 import pytest
+from shoal.errors import ConfigError
 
+from shoal.config.experiment import load_experiment
+from shoal.system import programs
 from sim_bridge.in_process.resume import prepared
-from wire import programs
-from wire.config.experiment import load_experiment
-from wire.toml_loader import ConfigError
 
 SAYS_MUCH = "import sys; sys.stderr.write('damaged\\n' * 30_000); sys.stdout.write(''); sys.exit(1)"
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from shoal.config.experiment import load_experiment
+from shoal.frames import Array
+from shoal.mavlink.agent_link import AgentLink
 from sim_bridge.world import World
-from wire.config.experiment import load_experiment
-from wire.frames import Array
-from wire.mavlink.agent_link import AgentLink
 
 FIRST_TICK, STEPS, TICKS = 6, 10, 40  # of 5 ms: an exposure is due four steps after each control step
 QUICK_ANKLES = "vehicle.legs.ankle_dead_time_s=0.015"  # pulses act before the exposure: nothing can be known of it

@@ -10,8 +10,8 @@ The network starts from zero. On an axis at a limit it does not learn from the p
 import numpy as np
 
 from robot_agent.control.baselines.tracking_errors import Axes, PerAxis, TrackingErrors
-from wire.config.baseline_controllers import AdaptiveNnConfig
-from wire.frames import Array
+from shoal.config.baseline_controllers import AdaptiveNnConfig
+from shoal.frames import Array
 
 SPEEDS, ACCELERATIONS = np.linspace(-1.0, 1.0, 7), np.linspace(-1.0, 1.0, 3)  # centres, as shares of the largest
 FORGET = 0.02  # e-modification: keeps weights from drifting off while s is small but never zero

@@ -7,7 +7,7 @@ In surge L has c s^2 / 2 more, and L' has c s (W - v), which guidance makes nega
 """
 
 from robot_agent.control.baselines.tracking_errors import Axes, PerAxis, TrackingErrors
-from wire.config.baseline_controllers import BacksteppingConfig
+from shoal.config.baseline_controllers import BacksteppingConfig
 
 
 class Backstepping:

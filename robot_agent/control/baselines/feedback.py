@@ -18,9 +18,9 @@ from robot_agent.control.baselines.tracking_errors import PerAxis, TrackingError
 from robot_agent.control.mpc import MpcPlan
 from robot_agent.guidance.formation import HalfSpaces
 from robot_agent.vehicle.dynamics import Model, State
-from wire.config.vehicle import Vehicle
-from wire.frames import Array
-from wire.messages.messages import Solve
+from shoal.config.vehicle import Vehicle
+from shoal.frames import Array
+from shoal.messages.messages import Solve
 
 ABSURD = 1e6  # m, rad: no reference; NaN is none either
 

@@ -7,7 +7,7 @@ Five triangular sets per input, products for "and", singletons weighted by the t
 from bisect import bisect_right
 
 from robot_agent.control.baselines.tracking_errors import Axes, PerAxis, TrackingErrors
-from wire.config.baseline_controllers import FuzzyConfig
+from shoal.config.baseline_controllers import FuzzyConfig
 
 PEAKS = (-1.0, -0.4, 0.0, 0.4, 1.0)  # negative big, negative small, zero, positive small, positive big: inputs and verdicts
 # If the error is ROW and the velocity error is COLUMN, both from negative big to positive big, push by the singleton PEAKS[.].

@@ -10,8 +10,8 @@ import numpy as np
 from scipy.linalg import expm, solve_discrete_are
 
 from robot_agent.control.baselines.tracking_errors import Axes, PerAxis, TrackingErrors
-from wire.config.baseline_controllers import LqrConfig
-from wire.frames import Array
+from shoal.config.baseline_controllers import LqrConfig
+from shoal.frames import Array
 
 NOTHING: PerAxis = (0.0, 0.0, 0.0)
 

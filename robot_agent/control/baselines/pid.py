@@ -5,7 +5,7 @@ Hagglund, PID Controllers, 1995, section 3.5). Otherwise it winds up for the ten
 """
 
 from robot_agent.control.baselines.tracking_errors import Axes, PerAxis, TrackingErrors
-from wire.config.baseline_controllers import PidConfig
+from shoal.config.baseline_controllers import PidConfig
 
 
 class Pid:

@@ -6,7 +6,7 @@ A disturbance below `reach` cannot keep s out of the layer; a thin layer holds i
 """
 
 from robot_agent.control.baselines.tracking_errors import Axes, PerAxis, TrackingErrors
-from wire.config.baseline_controllers import SlidingModeConfig
+from shoal.config.baseline_controllers import SlidingModeConfig
 
 
 class SlidingMode:

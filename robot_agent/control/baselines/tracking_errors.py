@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from robot_agent.vehicle.dynamics import Model, State
-from wire.frames import wrap
+from shoal.frames import wrap
 
 PerAxis = tuple[float, float, float]  # surge, heave, yaw
 

@@ -30,9 +30,9 @@ from robot_agent.control.nonlinear.prediction import (
     step_from,
 )
 from robot_agent.control.nonlinear.program import Course, InputLimits
-from wire.frames import TURN
-from wire.kernel_types import Floats
-from wire.kernels import kernel
+from shoal.frames import TURN
+from shoal.kernels.kernel import kernel
+from shoal.kernels.types import Floats
 
 STILL = 0.02  # of the fastest speed: slower, the direction of the water means nothing
 TURN_SHARE, TURN_DAMPING = 0.5, 1.4  # of the heading's bandwidth w: r' = w (0.5 w yaw - 1.4 r), no overshoot

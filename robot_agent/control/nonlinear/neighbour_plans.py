@@ -9,9 +9,9 @@ from robot_agent.control.nonlinear.obstacle_rows import MovingBodies, Outlines
 from robot_agent.control.nonlinear.prediction import NODES
 from robot_agent.guidance.formation import Neighbour
 from robot_agent.guidance.obstacles import Obstacle
-from wire.frames import Array
-from wire.kernel_types import Floats, Table
-from wire.kernels import kernel
+from shoal.frames import Array
+from shoal.kernels.kernel import kernel
+from shoal.kernels.types import Floats, Table
 
 NS = 1e9
 

@@ -35,10 +35,10 @@ from robot_agent.vehicle.dynamics import Model, flow_moment_nm
 from robot_agent.vehicle.estimate import Estimate, StateMeasurement
 from robot_agent.vehicle.fixed_thrusters import make_allocator
 from robot_agent.vehicle.kalman import make_estimator
-from wire.config.controller import ControllerConfig, Safety
-from wire.config.vehicle import Vehicle
-from wire.frames import Array
-from wire.messages.messages import Solve
+from shoal.config.controller import ControllerConfig, Safety
+from shoal.config.vehicle import Vehicle
+from shoal.frames import Array
+from shoal.messages.messages import Solve
 
 TOLD_S = 0.2  # between two poses of the plan that neighbours get, whatever the control period
 GAINS_S = 1.0  # time constant of the weights,

@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from robot_agent.control.nonlinear.prediction import NODES, Grid, X, Y
-from wire.kernel_types import Cube, Floats, Ints, Table
-from wire.kernels import kernel
+from shoal.kernels.kernel import kernel
+from shoal.kernels.types import Cube, Floats, Ints, Table
 
 ESCAPE_MPS = 0.1  # of a robot that is too near: a fifth of the shipped vehicle's speed
 NEAR_M = 0.4  # farther from its border, a half-space is left out: a plan changes by less in one iteration

@@ -13,7 +13,7 @@ from robot_agent.control.nonlinear.first_guess import PilotStyle, guess
 from robot_agent.control.nonlinear.prediction import Dynamics, Grid, PlannedFlight, Start
 from robot_agent.control.nonlinear.program import Course, Iteration, Memory, PlanProblem, appraise, make_memory, step_plan
 from robot_agent.control.nonlinear.tuning import RETURN_SHARE, SWAY, WRENCH_AXIS, Bandwidths
-from wire.frames import Array
+from shoal.frames import Array
 
 RIVAL_STEPS = 4  # iterations of a rival: more bring less than 1 % of its cost
 CHEAPER = 0.9  # a rival must be so much cheaper: plans of like cost would take turns

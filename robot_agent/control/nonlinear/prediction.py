@@ -21,8 +21,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from wire.kernel_types import Cube, Floats, Ints, Table
-from wire.kernels import kernel
+from shoal.kernels.kernel import kernel
+from shoal.kernels.types import Cube, Floats, Ints, Table
 
 NODES = 20  # of the horizon: the last two are 0.8 s apart for 7 s, 1.8 s for 12 s
 FIRST_S = 0.1  # to the first node: of the order of the thrusters' lag and dead time, whatever the control period

@@ -33,8 +33,8 @@ from robot_agent.control.nonlinear.prediction import (
     move_on,
     predict,
 )
-from wire.kernel_types import Cube, Floats, Ints, Table
-from wire.kernels import kernel
+from shoal.kernels.kernel import kernel
+from shoal.kernels.types import Cube, Floats, Ints, Table
 
 SHORTER = 0.4  # factor of a step that made the flight worse
 LEAST_STEP = 0.1  # below, the flight stays as it is: at most four are tried

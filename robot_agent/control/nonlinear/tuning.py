@@ -15,8 +15,8 @@ from robot_agent.control.nonlinear.prediction import FIRST_S, Hull
 from robot_agent.control.nonlinear.program import InputLimits, Weights
 from robot_agent.guidance.velocity_obstacles import FASTEST_SHARE, Agility
 from robot_agent.vehicle.estimate import Deviations, Ratios
-from wire.config.vehicle import Vehicle
-from wire.frames import Array
+from shoal.config.vehicle import Vehicle
+from shoal.frames import Array
 
 REACH_SHARE = 0.4  # of the hull's radius: an error of the place that may use the whole force rate
 REACH_RAD = 0.35  # the same of the heading

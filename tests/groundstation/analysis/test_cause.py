@@ -10,8 +10,8 @@ from groundstation.report import terminal
 from groundstation.report.report import write_report
 from groundstation.station.process import INTERRUPTED
 from groundstation.web.run_end import run_end
+from shoal.messages.messages import Mode
 from tests.groundstation.synthetic import Script, write_run
-from wire.messages.messages import Mode
 
 pytestmark = pytest.mark.long
 

@@ -6,22 +6,22 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from shoal.errors import ConfigError
 from typer.testing import CliRunner
 
 from groundstation.__main__ import cli
 from groundstation.analysis.alignment import HOMEWARD, align, zero_ns
+from groundstation.analysis.comparison import settled
 from groundstation.analysis.metrics import evaluate
 from groundstation.analysis.results import WHOLE_RUN, Result
 from groundstation.logs.reader import DecodedMessage, RunLog, read_log
 from groundstation.mission.state_machine import MissionState
 from groundstation.report.report import write_report
+from shoal.config.experiment import Experiment
+from shoal.messages import topics
+from shoal.messages.messages import Mode, RobotState, StationHeartbeat, Trajectory
 from sim_bridge.studies.metrics import broken_limits
 from tests.groundstation.synthetic import PERIOD_S, START_S, Script, write_run
-from wire.config.controller_benchmark import settled
-from wire.config.experiment import Experiment
-from wire.messages import topics
-from wire.messages.messages import Mode, RobotState, StationHeartbeat, Trajectory
-from wire.toml_loader import ConfigError
 
 SECOND = 1_000_000_000
 DURATION_S = 6.0

@@ -12,10 +12,10 @@ from groundstation.analysis.alignment import align
 from groundstation.analysis.metrics import evaluate
 from groundstation.analysis.results import Check, Result
 from groundstation.logs.reader import RunLog, read_log
+from shoal.messages import topics
+from shoal.messages.messages import Mode, RobotState
 from tests.groundstation import synthetic
 from tests.groundstation.synthetic import Script, write_run
-from wire.messages import topics
-from wire.messages.messages import Mode, RobotState
 
 pytestmark = pytest.mark.long
 
@@ -264,7 +264,7 @@ def test_parts_of_runs_give_results_that_say_so(tmp_path: Path, script: Script, 
 
 
 def test_an_empty_log_gives_a_result() -> None:
-    from wire.config.experiment import load_experiment
+    from shoal.config.experiment import load_experiment
 
     log = RunLog()
     result = evaluate(align(load_experiment("pool"), log), log)
@@ -276,7 +276,7 @@ def test_an_empty_log_gives_a_result() -> None:
 
 def test_damaged_messages_are_counted_not_fatal(tmp_path: Path) -> None:
     from groundstation.logs.recorder import Recorder
-    from wire.messages.codec import Header
+    from shoal.messages.codec import Header
 
     recorder = Recorder(tmp_path / "run.mcap", "", {})
     recorder.put(topics.STATE, "shoal/robot/1/state", Header(1, 1, 0), b"\xff\xff", 0)

@@ -3,8 +3,8 @@
 import pytest
 
 from groundstation.analysis.series import TimelineEvent
+from groundstation.analysis.statistics import three
 from groundstation.analysis.timeline import faults, once
-from wire.figures import three
 
 
 def event(time_s: float, source: str, text: str, fault: bool = False) -> TimelineEvent:

@@ -7,7 +7,7 @@ import pytest
 from typer.testing import CliRunner
 
 from groundstation.__main__ import cli
-from wire.config.experiment import load_experiment
+from shoal.config.experiment import load_experiment
 
 
 def found(*arguments: str) -> list[dict[str, Any]]:

@@ -9,9 +9,9 @@ import pytest
 from groundstation import client
 from groundstation.cli.mission import OutcomePrinter
 from groundstation.client import follow
-from wire.messages.messages import Command, Order, Outcome, Progress, Reply
-from wire.transport.bus import Bus
-from wire.transport.memory_transport import MemoryHub, MemoryTransport
+from shoal.bus.bus import Bus
+from shoal.bus.memory_transport import MemoryHub, MemoryTransport
+from shoal.messages.messages import Command, Order, Outcome, Progress, Reply
 
 SILENT = Reply(0, False, "no answer within 2 s", silent=True)
 

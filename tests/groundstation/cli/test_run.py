@@ -3,11 +3,11 @@
 from pathlib import Path
 
 import pytest
+from shoal.errors import ConfigError
 from typer.testing import CliRunner
 
 from groundstation.__main__ import cli
 from sim_bridge.sil.ports import free_port
-from wire.toml_loader import ConfigError
 
 
 @pytest.mark.parametrize("report", [[], ["--no-report"]])

@@ -15,6 +15,7 @@ from importlib import metadata
 from pathlib import Path
 
 import pytest
+from shoal.errors import ConfigError
 from typer.testing import CliRunner, Result
 
 from groundstation.__main__ import cli
@@ -22,11 +23,10 @@ from groundstation.deploy import key_ring, manifest, wheelhouse
 from groundstation.deploy import ssh as deploy_shell
 from groundstation.deploy.manifest import Probe, Target
 from groundstation.deploy.ssh import DeployRequest, deploy_one
+from shoal.config.experiment import load_experiment
+from shoal.runtime.version import PACKAGES
 from sim_bridge.sil.ports import free_port
 from tests.ssh_server import WITH_PACKAGES, own_wheel, ssh_command, ssh_server
-from wire.config.experiment import load_experiment
-from wire.process.version import PACKAGES
-from wire.toml_loader import ConfigError
 
 pytestmark = pytest.mark.real_time
 

@@ -24,14 +24,14 @@ from groundstation.export.foxglove_layout import Layout, layout
 from groundstation.export.foxglove_live import ViewerServer
 from groundstation.export.foxglove_scene import FRAMES, GONE_NS, MOVING, POOL_FRAME, STANDING, SceneDrawer, upright
 from groundstation.logs.reader import key_topic
+from shoal.bus.bus import Bus
+from shoal.bus.memory_transport import MemoryHub, MemoryTransport
+from shoal.config.experiment import load_experiment
+from shoal.messages import topics
+from shoal.messages.codec import encode
+from shoal.messages.messages import Obstacles, Plan, RobotState
+from shoal.runtime.lockstep import LockstepClock
 from tests.groundstation.synthetic import Script, write_run
-from wire.config.experiment import load_experiment
-from wire.messages import topics
-from wire.messages.codec import encode
-from wire.messages.messages import Obstacles, Plan, RobotState
-from wire.process.lockstep import LockstepClock
-from wire.transport.bus import Bus
-from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
 pytestmark = pytest.mark.real_time
 

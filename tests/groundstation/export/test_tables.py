@@ -13,18 +13,18 @@ import pyarrow.parquet as pq
 import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
+from shoal.errors import ConfigError
 from typer.testing import CliRunner
 
 from groundstation.__main__ import cli
 from groundstation.export.tables import columns, export, rows
 from groundstation.export.tables import table as in_memory
 from groundstation.logs.recorder import Recorder
-from wire.config.experiment import dump_experiment, load_experiment
-from wire.messages import messages as m
-from wire.messages import topics
-from wire.messages.codec import Header, encode
-from wire.messages.topics import Topic
-from wire.toml_loader import ConfigError
+from shoal.config.experiment import dump_experiment, load_experiment
+from shoal.messages import messages as m
+from shoal.messages import topics
+from shoal.messages.codec import Header, encode
+from shoal.messages.topics import Topic
 
 SECOND = 1_000_000_000
 START_S = 4.0

@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 import zstandard
 from mcap.writer import MCAP0_MAGIC, Writer
+from shoal.errors import ConfigError
 from typer.testing import CliRunner
 
 from groundstation.__main__ import cli
@@ -21,12 +22,12 @@ from groundstation.logs.recorder import END_METADATA, Recorder
 from groundstation.logs.repair import recover
 from groundstation.report.report import write_report
 from localizer.evaluation.runner import evaluate_log
+from shoal.config.experiment import dump_experiment, load_experiment
+from shoal.messages import topics
+from shoal.messages.codec import Header, encode
+from shoal.runtime import mcap_records as log_records
+from shoal.runtime.mcap_records import CHANNEL, CHUNK, LARGEST_BYTES, MESSAGE, Damaged
 from tests.groundstation.small_log import pose, record_poses, sequences
-from wire.config.experiment import dump_experiment, load_experiment
-from wire.messages import log_records, topics
-from wire.messages.codec import Header, encode
-from wire.messages.log_records import CHANNEL, CHUNK, LARGEST_BYTES, MESSAGE, Damaged
-from wire.toml_loader import ConfigError
 
 MIB = 1024 * 1024
 MOST = 64 * MIB  # that reading a small file may take in all

@@ -7,10 +7,10 @@ import numpy as np
 
 from groundstation.logs.reader import read_log
 from groundstation.logs.recorder import record_pipe
-from wire.config.experiment import load_experiment
-from wire.messages import topics
-from wire.messages.messages import Pose, Track
-from wire.messages.pipe import PipeWriter
+from shoal.config.experiment import load_experiment
+from shoal.messages import topics
+from shoal.messages.messages import Pose, Track
+from shoal.messages.pipe import PipeWriter
 
 MS = 1_000_000
 

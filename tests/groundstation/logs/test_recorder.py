@@ -14,21 +14,21 @@ import pytest
 from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
 from mcap_protobuf.decoder import DecoderFactory
+from shoal.errors import ConfigError
 
 from groundstation.logs.reader import is_complete
 from groundstation.logs.recorder import FLUSH_PERIOD_S, MAX_PENDING_BYTES, Recorder, check_room
 from groundstation.logs.repair import recover
 from groundstation.logs.run_folders import delete_run
+from shoal.bus.bus import Bus
+from shoal.bus.memory_transport import MemoryHub, MemoryTransport
+from shoal.messages import topics
+from shoal.messages.codec import Header, decode, encode
+from shoal.messages.messages import Event, Plan, Pose, Preview, Video
+from shoal.messages.topics import Topic
 from sim_bridge.sil.ports import free_port
 from tests.groundstation.small_log import SECOND, pose, record_poses, sequences
 from tests.waiting import eventually
-from wire.messages import topics
-from wire.messages.codec import Header, decode, encode
-from wire.messages.messages import Event, Plan, Pose, Preview, Video
-from wire.messages.topics import Topic
-from wire.toml_loader import ConfigError
-from wire.transport.bus import Bus
-from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
 pytestmark = pytest.mark.long
 
@@ -193,10 +193,10 @@ CHILD = """
 import sys, time
 from pathlib import Path
 from groundstation.logs.recorder import Recorder
-from wire.messages import topics
-from wire.transport.bus import Bus
-from wire.messages.codec import Header, encode
-from wire.messages.messages import Preview
+from shoal.messages import topics
+from shoal.bus.bus import Bus
+from shoal.messages.codec import Header, encode
+from shoal.messages.messages import Preview
 import random
 recorder = Recorder(Path(sys.argv[1]), "name = 'pool'", {})
 noise = random.Random(1)
@@ -237,10 +237,10 @@ FULL = """
 import resource, sys, time
 from pathlib import Path
 from groundstation.logs.recorder import Recorder
-from wire.messages import topics
-from wire.transport.bus import Bus
-from wire.messages.codec import Header, encode
-from wire.messages.messages import Preview
+from shoal.messages import topics
+from shoal.bus.bus import Bus
+from shoal.messages.codec import Header, encode
+from shoal.messages.messages import Preview
 import random
 resource.setrlimit(resource.RLIMIT_FSIZE, (500_000, 500_000))
 recorder = Recorder(Path(sys.argv[1]), "name = 'pool'", {})

@@ -9,17 +9,17 @@ import pytest
 from mcap.reader import make_reader
 from mcap.records import Message
 from mcap.writer import MCAP0_MAGIC
+from shoal.errors import ConfigError
 
 from groundstation.logs.reader import is_complete, open_log, read_log, valid_records
 from groundstation.logs.recorder import Recorder
 from groundstation.logs.repair import recover
 from groundstation.report.report import write_report
+from shoal.config.experiment import dump_experiment, load_experiment
+from shoal.messages import topics
+from shoal.messages.codec import Header, encode
+from shoal.messages.messages import Preview
 from tests.groundstation.small_log import record_poses, sequences
-from wire.config.experiment import dump_experiment, load_experiment
-from wire.messages import topics
-from wire.messages.codec import Header, encode
-from wire.messages.messages import Preview
-from wire.toml_loader import ConfigError
 
 
 def test_recover_leaves_a_whole_file_alone(tmp_path: Path) -> None:

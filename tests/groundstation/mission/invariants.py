@@ -27,8 +27,8 @@ from groundstation.mission.state_machine import (
 )
 from groundstation.planning.segment import PlanSegment
 from groundstation.telemetry import preflight
+from shoal.messages.messages import Mode, Order, Outcome, Progress
 from tests.groundstation.mission.simulated_fleet import STEP_NS, SimulatedFleet, SimulatedRobot, armed
-from wire.messages.messages import Mode, Order, Outcome, Progress
 
 LED_WITHIN_S = 3.0  # a moving robot in reach without anybody who leads it
 NAMED_WITHIN_S = 3.0  # an armed robot that nobody leads, to the people at the page

@@ -9,10 +9,10 @@ from groundstation.analysis.metrics import evaluate
 from groundstation.analysis.results import WHOLE_RUN
 from groundstation.logs.reader import DecodedMessage, RunLog
 from groundstation.mission.state_machine import COMMITTED, MissionState
+from shoal.messages import topics
+from shoal.messages.messages import Mode, RobotState, StationHeartbeat, Trajectory, Truth
+from shoal.messages.topics import Topic
 from tests.groundstation.mission.simulated_fleet import SimulatedFleet, armed
-from wire.messages import topics
-from wire.messages.messages import Mode, RobotState, StationHeartbeat, Trajectory, Truth
-from wire.messages.topics import Topic
 
 BEYOND_M = 0.1  # of the largest true distance: the reference stands where a robot was told to hold, the robot a little further
 

@@ -11,8 +11,8 @@ from groundstation.mission.objections import LIVE
 from groundstation.mission.state_machine import MissionState
 from groundstation.planning.segment import PlanSegment
 from groundstation.telemetry import RobotView
-from wire.config.experiment import Experiment, load_experiment
-from wire.messages.messages import Command, Mode, Order, Pose, Reply, RobotState, Track, Trajectory
+from shoal.config.experiment import Experiment, load_experiment
+from shoal.messages.messages import Command, Mode, Order, Pose, Reply, RobotState, Track, Trajectory
 
 STEP_NS = 50_000_000
 

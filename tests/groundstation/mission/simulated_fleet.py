@@ -27,11 +27,11 @@ from robot_agent.guidance.reference import pose_at
 from robot_agent.guidance.trajectory_clock import TrajectoryClock
 from robot_agent.inputs import StationView
 from robot_agent.safety.modes import LIVE, ORDERS, POWERED, Health, react, refusal
-from wire.config.experiment import Experiment
-from wire.frames import Array
-from wire.messages.codec import Header
-from wire.messages.live_gains import tuning
-from wire.messages.messages import (
+from shoal.config.experiment import Experiment
+from shoal.frames import Array
+from shoal.messages.codec import Header
+from shoal.messages.live_gains import tuning
+from shoal.messages.messages import (
     Command,
     DriveVelocity,
     Mode,

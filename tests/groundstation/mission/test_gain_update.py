@@ -10,8 +10,8 @@ from groundstation.mission.command_dispatcher import RETRY_S, CommandResult
 from groundstation.mission.gain_update import AGAIN_S, PATIENCE_S, GainStage, GainUpdater
 from groundstation.mission.timetable import START_IN_S
 from groundstation.telemetry import RobotView
-from wire.config.experiment import load_experiment
-from wire.messages.messages import Command, Mode, Order, Reply, RobotState
+from shoal.config.experiment import load_experiment
+from shoal.messages.messages import Command, Mode, Order, Reply, RobotState
 
 EXPERIMENT = load_experiment("pool", ["path.lap_s=25", "duration_s=100"])
 KEY, VALUE = "controller.nmpc.turning_m", 0.2

@@ -25,11 +25,11 @@ from groundstation.mission.state_machine import (
     order_named,
     rejection_reason,
 )
+from shoal.config.experiment import NO_CAMERA, Experiment, load_experiment
+from shoal.messages.messages import DriveVelocity, Mode, Order
 from tests.groundstation.mission.invariants import STOPPED_WITHIN_S, Invariants
 from tests.groundstation.mission.judged_run import RunRecord
 from tests.groundstation.mission.simulated_fleet import SPEED_MPS, Driving, SimulatedFleet, armed
-from wire.config.experiment import NO_CAMERA, Experiment, load_experiment
-from wire.messages.messages import DriveVelocity, Mode, Order
 
 PEOPLE = ("page A", "page B", "terminal", "script")
 KEY = "controller.nmpc.turning_m"

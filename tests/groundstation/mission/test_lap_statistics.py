@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from groundstation.mission.lap_statistics import LapStatistics
-from wire.messages.messages import Mode, RobotState
+from shoal.messages.messages import Mode, RobotState
 
 LAP_S = 10.0
 

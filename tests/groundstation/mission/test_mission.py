@@ -12,11 +12,11 @@ from groundstation.mission.state_machine import IN_FLIGHT, TERMINAL, MissionStat
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.segment import PlanSegment
 from groundstation.telemetry import first_lost_robot, preflight
+from shoal.config.experiment import load_experiment
+from shoal.messages import topics
+from shoal.messages.messages import Mode, Order, Trajectory
 from tests.groundstation.mission.mission_run import STEP_NS, MissionRun
 from tests.groundstation.mission.simulated_fleet import SimulatedFleet
-from wire.config.experiment import load_experiment
-from wire.messages import topics
-from wire.messages.messages import Mode, Order, Trajectory
 
 
 def test_an_automatic_mission_goes_from_waiting_to_done() -> None:

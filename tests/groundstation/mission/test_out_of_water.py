@@ -5,10 +5,10 @@ import pytest
 
 from groundstation.mission.objections import LIVE
 from groundstation.mission.state_machine import MissionState
+from shoal.config.experiment import load_experiment
+from shoal.messages.messages import Mode, Order, Outcome, Progress
 from tests.groundstation.mission.judged_run import RunRecord
 from tests.groundstation.mission.simulated_fleet import SimulatedFleet, armed
-from wire.config.experiment import load_experiment
-from wire.messages.messages import Mode, Order, Outcome, Progress
 
 POOL = load_experiment("pool", ("duration_s=12.0", 'mission.lost="go-on"'))
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from groundstation.mission.progress_governor import ProgressGovernor
-from wire.config.mission import MissionConfig
-from wire.frames import Array
+from shoal.config.mission import MissionConfig
+from shoal.frames import Array
 
 PERIOD_S = 0.05
 

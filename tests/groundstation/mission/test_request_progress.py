@@ -13,8 +13,8 @@ from groundstation.mission.single_robot import RobotTask
 from groundstation.mission.state_machine import TRANSITIONS, MissionState
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.segment import PlanSegment
+from shoal.messages.messages import Command, Mode, Order, Outcome, Progress, Reply, Trajectory, Tuning
 from tests.groundstation.mission.mission_run import MissionRun
-from wire.messages.messages import Command, Mode, Order, Outcome, Progress, Reply, Trajectory, Tuning
 
 FLOWN, WANTED = Tuning("flown"), Tuning("wanted")
 

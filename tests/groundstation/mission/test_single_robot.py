@@ -10,8 +10,8 @@ from groundstation.mission.command_dispatcher import CommandResult
 from groundstation.mission.single_robot import VELOCITY_LASTS_S, SingleRobotControl
 from groundstation.mission.state_machine import MissionState
 from groundstation.telemetry import RobotView
+from shoal.messages.messages import DriveVelocity, Mode, Order, Progress
 from tests.groundstation.mission.mission_run import MissionRun
-from wire.messages.messages import DriveVelocity, Mode, Order, Progress
 
 AHEAD = DriveVelocity(surge_mps=0.2)
 SETTINGS = ("duration_s=20", 'mission.lost="go-on"')

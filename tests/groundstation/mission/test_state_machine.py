@@ -16,7 +16,7 @@ from groundstation.mission.state_machine import (
     rejection_reason,
     states_allowing,
 )
-from wire.messages.messages import Order
+from shoal.messages.messages import Order
 
 PAGE = (Path(__file__).parents[3] / "docs" / "missions.md").read_text(encoding="utf-8")
 CAUSES: tuple[Order | MissionEvent, ...] = (*Order, *MissionEvent)

@@ -6,8 +6,8 @@ import pytest
 from groundstation.mission.progress_governor import ProgressGovernor
 from groundstation.mission.timetable import Timetable
 from groundstation.telemetry import RobotView
-from wire.config.mission import MissionConfig
-from wire.messages.messages import Mode, RobotState
+from shoal.config.mission import MissionConfig
+from shoal.messages.messages import Mode, RobotState
 
 NS = 1_000_000_000
 TIMETABLE = Timetable(start_ns=10 * NS, from_s=3.0)

@@ -8,9 +8,9 @@ import pytest
 
 from groundstation.planning.formation import NodeMotion, node_motion, slot_offsets, structure_rotation
 from groundstation.planning.paths import CirclePath, Path, PathState, SplinePath
-from wire.config.formation_shapes import SHAPES, Shape, shape_nodes
-from wire.config.scene import Change, Circle, Waypoints
-from wire.frames import Array
+from shoal.config.formation_shapes import SHAPES, Shape, shape_nodes
+from shoal.config.scene import Change, Circle, Waypoints
+from shoal.frames import Array
 
 CURVE = Waypoints(
     kind="waypoints", points_m=((0, 0), (2, 0.5), (3, 2), (2, 3.5), (0, 3), (-1, 1)), speed_mps=0.25, dive_mps=0.05

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from scipy.interpolate import CubicSpline
 
 from groundstation.planning.paths import CirclePath, PathState, SplinePath, make_path
-from wire.config.scene import Circle, Waypoints
-from wire.frames import Array
+from shoal.config.scene import Circle, Waypoints
+from shoal.frames import Array
 
 # The article's waypoints with their signs put back (ambiguity A9); the clock starts at the third, the origin.
 X = (-4.0, -2.0, 0.0, 2.0, 4.0, 6.0, 10.0, 12.0, 15.0, 18.0)

@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from shoal.errors import ConfigError
 
 from groundstation.planning.feasibility import PICTURE_MARGIN_M, PlanError
 from groundstation.planning.planner import plan, start_poses
+from shoal.config.experiment import EXPERIMENTS, NO_CAMERA, Experiment, load_experiment
+from shoal.messages.codec import decode, encode
+from shoal.messages.messages import Trajectory
 from sim_bridge.camera.optics import project as exact
-from wire.config.experiment import EXPERIMENTS, NO_CAMERA, Experiment, load_experiment
-from wire.messages.codec import decode, encode
-from wire.messages.messages import Trajectory
-from wire.toml_loader import ConfigError
 
 ARTICLE_POINTS = [[-4, 1.2], [-2, 0.6], [0, 0], [2, 1.5], [4, 3.8], [6, 5], [10, 3], [12, 2], [15, 2], [18, 1]]
 

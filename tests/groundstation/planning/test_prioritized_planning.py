@@ -15,9 +15,9 @@ from groundstation.planning.prioritized_planning import plan_transfers
 from groundstation.planning.rest_to_rest import plan_regroup
 from groundstation.planning.segment import first_segment
 from groundstation.planning.transfer import FreeSpace, Transfer, plan_transfer, s_curve_profile
-from wire.config.experiment import NO_CAMERA, Experiment, load_experiment
-from wire.config.scene import Island
-from wire.frames import Array
+from shoal.config.experiment import NO_CAMERA, Experiment, load_experiment
+from shoal.config.scene import Island
+from shoal.frames import Array
 
 PERIOD_S = 0.05
 NO_OBSTACLES = np.zeros((0, 3))

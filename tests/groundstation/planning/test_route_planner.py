@@ -9,7 +9,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
 from groundstation.planning.route_planner import NoRoute, find_route
-from wire.frames import Array
+from shoal.frames import Array
 
 WIDE = (8.0, 8.0)
 START, GOAL = (-7.0, -7.0), (7.0, 7.0)

@@ -15,10 +15,10 @@ from groundstation.planning.segment import NO_OBSTACLES, PlanSegment, concatenat
 from groundstation.telemetry import RobotView
 from robot_agent.guidance.reference import Follow, ReferenceSampler, splice, splice_objection
 from robot_agent.guidance.trajectory_check import unflyable
-from wire.config.experiment import Experiment, load_experiment
-from wire.frames import Array
-from wire.messages.codec import decode, encode
-from wire.messages.messages import Command, Order, RobotState, Trajectory
+from shoal.config.experiment import Experiment, load_experiment
+from shoal.frames import Array
+from shoal.messages.codec import decode, encode
+from shoal.messages.messages import Command, Order, RobotState, Trajectory
 
 PERIOD_S = 0.05
 BLOCKED = load_experiment("blocked-path")

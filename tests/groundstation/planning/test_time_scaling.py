@@ -7,10 +7,10 @@ from groundstation.planning.feasibility import PlanError
 from groundstation.planning.paths import make_path
 from groundstation.planning.planner import plan
 from groundstation.planning.time_scaling import TimeScaledPath
-from wire.config.experiment import Experiment, load_experiment
-from wire.config.scene import Waypoints
-from wire.frames import Array
-from wire.messages.messages import Trajectory
+from shoal.config.experiment import Experiment, load_experiment
+from shoal.config.scene import Waypoints
+from shoal.frames import Array
+from shoal.messages.messages import Trajectory
 
 PERIOD_S = 0.05
 ROTATING = ("formation.mode=rotate",)  # its outer robots would fly 0.56 m/s

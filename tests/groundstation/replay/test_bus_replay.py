@@ -12,14 +12,14 @@ from groundstation.logs.recorder import Recorder
 from groundstation.replay.bus_replay import SEEN_AND_SAID, chosen, send
 from robot_agent.agent import Agent
 from robot_agent.inputs import Inputs
+from shoal.bus.bus import Bus
+from shoal.bus.memory_transport import MemoryHub, MemoryTransport
+from shoal.messages import topics
+from shoal.messages.codec import Header, encode
+from shoal.messages.messages import Command, Order, OrderTaken, Plan, Pose, StationHeartbeat, StepInputs, Tick
+from shoal.messages.topics import TOPICS, Topic
+from shoal.runtime.runtime import Stop
 from tests.groundstation.synthetic import Script, write_run
-from wire.messages import topics
-from wire.messages.codec import Header, encode
-from wire.messages.messages import Command, Order, OrderTaken, Plan, Pose, StationHeartbeat, StepInputs, Tick
-from wire.messages.topics import TOPICS, Topic
-from wire.process.runtime import Stop
-from wire.transport.bus import Bus
-from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
 pytestmark = pytest.mark.real_time
 

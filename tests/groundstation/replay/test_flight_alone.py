@@ -5,15 +5,15 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from shoal.errors import ConfigError
 
 from groundstation.logs.recorder import Recorder
 from groundstation.replay.state_export import hand_over
 from groundstation.web.replay_backend import ReplayBackend
-from wire.config.experiment import dump_experiment, load_experiment
-from wire.messages import topics
-from wire.messages.codec import Header, encode
-from wire.messages.messages import Mode, RobotState
-from wire.toml_loader import ConfigError
+from shoal.config.experiment import dump_experiment, load_experiment
+from shoal.messages import topics
+from shoal.messages.codec import Header, encode
+from shoal.messages.messages import Mode, RobotState
 
 STEP_NS = 50_000_000
 ALONE_S, FLOWN_S = 5.0, 2.0

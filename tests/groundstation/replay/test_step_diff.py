@@ -8,10 +8,10 @@ from groundstation.logs.reader import metadata_of
 from groundstation.logs.recorder import Recorder, run_metadata
 from groundstation.replay.step_diff import StepOutputs, compare
 from groundstation.replay.step_replay import recorded_by_other_code
-from wire.config.experiment import load_experiment
-from wire.messages import topics
-from wire.messages.codec import encode
-from wire.messages.messages import Event, Plan, RobotState
+from shoal.config.experiment import load_experiment
+from shoal.messages import topics
+from shoal.messages.codec import encode
+from shoal.messages.messages import Event, Plan, RobotState
 
 
 def told(stamps: range, gap: str = "") -> StepOutputs:

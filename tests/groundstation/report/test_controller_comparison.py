@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy import stats
+from shoal.errors import ConfigError
 from typer.testing import CliRunner
 
 from groundstation.__main__ import cli
+from groundstation.analysis.comparison import Comparison, FlightRecord, Traces, Variant
+from groundstation.analysis.statistics import mean
 from groundstation.report.controller_comparison import cells, failures, ratio
 from tests.sim_bridge.studies.flight_metrics import GOOD
-from wire.config.controller_benchmark import Comparison, FlightRecord, Traces, Variant
-from wire.figures import mean
-from wire.toml_loader import ConfigError
 
 SINE = [round(9.0 * math.sin(0.1 * k), 3) for k in range(100)]
 TRACES = Traces(0.5, [0.5 * 0.9**k for k in range(60)], 0.05, [SINE, SINE], [[max(-6.0, min(6.0, v)) for v in SINE]] * 2)

@@ -14,23 +14,23 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from matplotlib.figure import Figure
 from mcap.writer import Writer
+from shoal.errors import ConfigError
 
 from groundstation.analysis.alignment import align
 from groundstation.analysis.series import Series
+from groundstation.analysis.statistics import three
 from groundstation.logs.reader import read_log
 from groundstation.logs.recorder import Recorder
 from groundstation.report import figures, figures_control, figures_errors, figures_paths, terminal
 from groundstation.report.drawing import MOST_POINTS, Curve, Panel, TimePlot, embedded, thin
 from groundstation.report.plotting import picture, to_svg
 from groundstation.report.report import write_report
+from shoal.config.experiment import dump_experiment, load_experiment
+from shoal.messages import topics
+from shoal.messages.codec import Header, encode
+from shoal.messages.messages import Event, Mode
 from tests.groundstation import synthetic
 from tests.groundstation.synthetic import Script, write_run
-from wire.config.experiment import dump_experiment, load_experiment
-from wire.figures import three
-from wire.messages import topics
-from wire.messages.codec import Header, encode
-from wire.messages.messages import Event, Mode
-from wire.toml_loader import ConfigError
 
 pytestmark = pytest.mark.long
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from shoal.errors import ConfigError
 from typer.testing import CliRunner
 
 from groundstation.__main__ import cli
@@ -14,7 +15,6 @@ from groundstation.logs.reader import is_complete
 from groundstation.report.report import evaluated, write_figures
 from groundstation.report.run_comparison import ComparedRun, differences, metric_rows, plots
 from tests.groundstation.synthetic import AMPLITUDE_M, Script, write_run
-from wire.toml_loader import ConfigError
 
 pytestmark = pytest.mark.long
 

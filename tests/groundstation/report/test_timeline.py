@@ -13,9 +13,9 @@ from groundstation.logs.reader import DecodedMessage, RunLog, read_log
 from groundstation.report import figures_timeline as drawn
 from groundstation.report.drawing import BarPlot, TimePlot
 from groundstation.report.plotting import picture
+from shoal.frames import Array
+from shoal.messages.messages import Guidance, Mode, Pose, RobotState, StepInputs
 from tests.groundstation.synthetic import Script, write_run
-from wire.frames import Array
-from wire.messages.messages import Guidance, Mode, Pose, RobotState, StepInputs
 
 MS = 1_000_000
 

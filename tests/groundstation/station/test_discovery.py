@@ -10,14 +10,14 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from shoal.errors import ConfigError
 
+from groundstation.gate import user_folders
 from groundstation.station.discovery import RunningStation, announced, running, station
-from wire import user_folders
-from wire.process.cli_options import DEFAULT_STATION
-from wire.toml_loader import ConfigError
-from wire.transport.bus import Bus
-from wire.transport.endpoint import Endpoint
-from wire.transport.memory_transport import MemoryHub, MemoryTransport
+from shoal.bus.bus import Bus
+from shoal.bus.endpoint import Endpoint
+from shoal.bus.memory_transport import MemoryHub, MemoryTransport
+from shoal.runtime.cli_options import DEFAULT_STATION
 
 pytestmark = pytest.mark.real_time
 
@@ -25,9 +25,9 @@ HERE = Endpoint("tcp/127.0.0.1:17448", router=True)
 CHILD = """
 import sys
 from groundstation.station.discovery import announced
-from wire.transport.bus import Bus
-from wire.transport.endpoint import Endpoint
-from wire.transport.memory_transport import MemoryHub, MemoryTransport
+from shoal.bus.bus import Bus
+from shoal.bus.endpoint import Endpoint
+from shoal.bus.memory_transport import MemoryHub, MemoryTransport
 with announced(Endpoint(sys.argv[1], router=True), "shoal", "pool", Bus(MemoryTransport(MemoryHub()))):
     print("here", flush=True)
     sys.stdin.read()

@@ -12,12 +12,12 @@ from pathlib import Path
 
 import pytest
 
+from shoal.bus.bus import Bus
+from shoal.bus.endpoint import Endpoint
+from shoal.bus.zenoh_transport import ZenohTransport
+from shoal.messages.messages import Command, Order
 from sim_bridge.sil.ports import free_port
 from tests.waiting import eventually
-from wire.messages.messages import Command, Order
-from wire.transport.bus import Bus
-from wire.transport.endpoint import Endpoint
-from wire.transport.zenoh_transport import ZenohTransport
 
 pytestmark = pytest.mark.real_time
 

@@ -28,11 +28,12 @@ from groundstation.station import process
 from groundstation.station.station import COMMAND_KINDS, MAX_UNANSWERED, Station, workers
 from groundstation.telemetry import DEPLOY, RobotView, findings, subscribe_fleet
 from groundstation.web.alarms import alarms
-from tests.waiting import eventually
-from wire.config.experiment import Experiment, dump_experiment, load_experiment
-from wire.messages import topics
-from wire.messages.codec import Header
-from wire.messages.messages import (
+from shoal.bus.bus import Bus, Inbox
+from shoal.bus.memory_transport import MemoryHub, MemoryTransport
+from shoal.config.experiment import Experiment, dump_experiment, load_experiment
+from shoal.messages import topics
+from shoal.messages.codec import Header
+from shoal.messages.messages import (
     CameraHealth,
     Command,
     LocalizerStatus,
@@ -47,11 +48,10 @@ from wire.messages.messages import (
     Track,
     Trajectory,
 )
-from wire.messages.topics import WHOLE_FLEET
-from wire.process.runtime import Stop, WallClock, run_steps, wait
-from wire.process.version import code
-from wire.transport.bus import Bus, Inbox
-from wire.transport.memory_transport import MemoryHub, MemoryTransport
+from shoal.messages.topics import WHOLE_FLEET
+from shoal.runtime.runtime import Stop, WallClock, run_steps, wait
+from shoal.runtime.version import code
+from tests.waiting import eventually
 
 pytestmark = pytest.mark.real_time
 

@@ -4,13 +4,13 @@ import time
 from dataclasses import replace
 
 from groundstation.web.live_backend import LiveBackend
+from shoal.bus.bus import Bus
+from shoal.bus.memory_transport import MemoryHub, MemoryTransport
+from shoal.config.experiment import load_experiment
+from shoal.messages import topics
+from shoal.messages.messages import RobotState
+from shoal.runtime.lockstep import LockstepClock
 from tests.groundstation.fake_station import FakeStation
-from wire.config.experiment import load_experiment
-from wire.messages import topics
-from wire.messages.messages import RobotState
-from wire.process.lockstep import LockstepClock
-from wire.transport.bus import Bus
-from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
 S = 10**9
 WAIT_S = 0.2

@@ -6,19 +6,19 @@ from typing import Any
 
 import numpy as np
 import pytest
+from shoal.errors import ConfigError
 
 from groundstation.logs.recorder import Recorder
 from groundstation.planning.planner import plan
 from groundstation.planning.segment import concatenate
 from groundstation.web.protocol import Edit
 from groundstation.web.replay_backend import ReplayBackend
+from shoal.config.experiment import dump_experiment, load_experiment
+from shoal.frames import Array
+from shoal.messages import topics
+from shoal.messages.codec import Header, encode
+from shoal.messages.messages import Mode, Order, Plan, Preview, RobotState, Trajectory
 from tests.groundstation.synthetic import POSE_OFFSET_M, START_S, Script, tracking_error, write_run
-from wire.config.experiment import dump_experiment, load_experiment
-from wire.frames import Array
-from wire.messages import topics
-from wire.messages.codec import Header, encode
-from wire.messages.messages import Mode, Order, Plan, Preview, RobotState, Trajectory
-from wire.toml_loader import ConfigError
 
 SECOND = 1_000_000_000
 

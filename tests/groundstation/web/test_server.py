@@ -20,6 +20,7 @@ import msgspec
 import numpy as np
 import pytest
 from foxglove_schemas_protobuf.Log_pb2 import Log
+from shoal.errors import ConfigError
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin
@@ -31,15 +32,14 @@ from groundstation.web import client_hub, connection_limits, protocol, server
 from groundstation.web.live_backend import PAST_EVERY_S, LiveBackend
 from groundstation.web.send_window import UNACKNOWLEDGED
 from groundstation.web.server import WebServer, bind
+from shoal.bus.bus import Bus
+from shoal.bus.memory_transport import MemoryHub, MemoryTransport
+from shoal.config.experiment import Experiment, load_experiment
+from shoal.messages import codec, fleet_pb2, topics
+from shoal.messages.messages import Event, Mode, Order, Outcome, Preview, Progress, RobotState, Trajectory
+from shoal.runtime.runtime import log
+from shoal.runtime.web_access import WebOptions, body_fits
 from tests.groundstation.fake_station import FakeStation
-from wire.config.experiment import Experiment, load_experiment
-from wire.messages import codec, fleet_pb2, topics
-from wire.messages.messages import Event, Mode, Order, Outcome, Preview, Progress, RobotState, Trajectory
-from wire.process.runtime import log
-from wire.toml_loader import ConfigError
-from wire.transport.bus import Bus
-from wire.transport.memory_transport import MemoryHub, MemoryTransport
-from wire.web_access import WebOptions, body_fits
 
 pytestmark = pytest.mark.real_time
 

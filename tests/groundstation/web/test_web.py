@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from shoal.errors import ConfigError
 
 from groundstation.planning import planner
 from groundstation.telemetry import RobotView
@@ -22,14 +23,13 @@ from groundstation.web.client_hub import SILENT_S, ControlLease
 from groundstation.web.scene import mesh
 from groundstation.web.send_window import MOST_NOTES, UNACKNOWLEDGED, SendWindow
 from groundstation.web.snapshot import ellipse
+from shoal.bus.access_control import INSECURE
+from shoal.config.experiment import load_experiment
+from shoal.config.scene import Waypoints
+from shoal.messages.camera_coverage import project
+from shoal.messages.messages import CameraHealth, LocalizerStatus, Mode, Pose, RobotState, Track
+from shoal.runtime.web_access import host_allowed, origin_allowed, token_allowed, web_options
 from sim_bridge.camera import optics
-from wire.camera_coverage import project
-from wire.config.experiment import load_experiment
-from wire.config.scene import Waypoints
-from wire.messages.messages import CameraHealth, LocalizerStatus, Mode, Pose, RobotState, Track
-from wire.security.access_control import INSECURE
-from wire.toml_loader import ConfigError
-from wire.web_access import host_allowed, origin_allowed, token_allowed, web_options
 
 POOL = load_experiment("pool")
 STRAIGHT = load_experiment("straight")

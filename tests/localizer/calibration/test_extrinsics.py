@@ -5,15 +5,16 @@ import itertools
 import cv2
 import numpy as np
 import pytest
+from shoal.errors import ConfigError
 
 from localizer.calibration.extrinsics import PoseFit, fit_pose
 from localizer.calibration.survey_points import SurveyFile, SurveyPoint, seen_pixels
+from shoal.config.experiment import load_experiment
+from shoal.config.loader import check
+from shoal.config.perception import Camera
+from shoal.frames import Array
 from sim_bridge.camera.optics import project, rays
 from tests.localizer.board_scene import CameraBench, marks
-from wire.config.experiment import load_experiment
-from wire.config.perception import Camera
-from wire.frames import Array
-from wire.toml_loader import ConfigError, check
 
 POOL = load_experiment("pool").camera
 RIM = [(x, y, -0.1) for x in (-1.6, 0.1, 1.6) for y in (-1.2, 1.2)]

@@ -3,6 +3,7 @@
 import cv2
 import numpy as np
 import pytest
+from shoal.errors import ConfigError
 
 from localizer.calibration.intrinsics import (
     CELLS,
@@ -14,10 +15,9 @@ from localizer.calibration.intrinsics import (
 )
 from localizer.calibration.targets import TargetView, parse_target
 from localizer.camera_model import Intrinsics, fold_px
+from shoal.config.experiment import load_experiment
+from shoal.frames import Array
 from tests.localizer.board_scene import CameraBench, charuco, chessboard
-from wire.config.experiment import load_experiment
-from wire.frames import Array
-from wire.toml_loader import ConfigError
 
 pytestmark = pytest.mark.long
 

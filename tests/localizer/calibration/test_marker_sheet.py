@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from localizer.__main__ import cli
 from localizer.calibration.marker_sheet import PAPERS_MM, RULER_MM
 from localizer.detection.image_regions import Pixels
-from wire.frames import Array
+from shoal.frames import Array
 
 SHEET_MM = PAPERS_MM["A4"]
 PX_PER_MM = 12.0

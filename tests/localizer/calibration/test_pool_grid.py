@@ -5,11 +5,11 @@ import pytest
 
 from localizer.calibration.pool_grid import FLOOR, GRID, GRID_M, MARK, SURFACE, draw_grid, view_figures
 from localizer.camera_model import RefractiveCamera
+from shoal.config.experiment import load_experiment
+from shoal.config.perception import Camera
+from shoal.config.scene import PoolConfig
+from shoal.frames import Array
 from sim_bridge.camera.optics import project
-from wire.config.experiment import load_experiment
-from wire.config.perception import Camera
-from wire.config.scene import PoolConfig
-from wire.frames import Array
 
 EXPERIMENT = load_experiment("pool")
 TILTED = EXPERIMENT.camera.model_copy(

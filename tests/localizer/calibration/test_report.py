@@ -9,9 +9,9 @@ from localizer.calibration.intrinsics import fit_intrinsics
 from localizer.calibration.report import MAGNIFIED, intrinsics_lines, intrinsics_picture, pose_lines, pose_picture
 from localizer.calibration.survey_points import SurveyPoint
 from localizer.calibration.targets import TargetView
+from shoal.config.experiment import load_experiment
+from shoal.config.scene import PoolConfig
 from tests.localizer.board_scene import CameraBench, chessboard
-from wire.config.experiment import load_experiment
-from wire.config.scene import PoolConfig
 
 CAMERA = load_experiment("pool").camera
 BENCH, BOARD_M = CameraBench(CAMERA), chessboard(9, 6, 0.03)[2]

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import tomli_w
 from numpy.typing import NDArray
+from shoal.errors import ConfigError
 
 from localizer.__main__ import app
 from localizer.calibration.images import pictures, read_picture
@@ -22,20 +23,19 @@ from localizer.detection.image_regions import BAYER_TO_BGR
 from localizer.sources.base import SUFFIXES
 from localizer.sources.files import FolderSource
 from localizer.view.mjpeg_server import MjpegServer
+from shoal.bus.bus import Bus
+from shoal.bus.memory_transport import MemoryHub, MemoryTransport
+from shoal.config.experiment import EXPERIMENTS, load_experiment
+from shoal.config.perception import Camera
+from shoal.frames import Array
+from shoal.messages import topics
+from shoal.messages.messages import Frame
+from shoal.runtime.runtime import Stop, WallClock
 from sim_bridge.camera.optics import project, rays
 from tests.localizer.board_scene import CameraBench, charuco, marks
 from tests.localizer.scene import bayer
 from tests.localizer.small_basin import BOARD, FLOOR, POOL_M, RIM, TRUTH
 from tests.waiting import eventually
-from wire.config.experiment import EXPERIMENTS, load_experiment
-from wire.config.perception import Camera
-from wire.frames import Array
-from wire.messages import topics
-from wire.messages.messages import Frame
-from wire.process.runtime import Stop, WallClock
-from wire.toml_loader import ConfigError
-from wire.transport.bus import Bus
-from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
 VIEWS = 14
 

@@ -7,9 +7,9 @@ import pytest
 from localizer.camera_model import RefractiveCamera
 from localizer.detection.fiducials import MarkerReader, find_markers, marker_detector, marker_poses
 from localizer.detection.image_regions import ImageRegion, cut, whole
+from shoal.config.experiment import load_experiment
+from shoal.frames import wrap
 from tests.localizer.scene import Pixels, Scene, bayer
-from wire.config.experiment import load_experiment
-from wire.frames import wrap
 
 EXPERIMENT = load_experiment("pool")
 VIEW = RefractiveCamera(EXPERIMENT.camera)

@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 
 from localizer.camera_model import RefractiveCamera
 from localizer.detection.image_regions import BAYER_TO_BGR, BodyProjection, BodySampler, RobotShape, cut, whole
+from shoal.config.experiment import load_experiment
+from shoal.frames import Array, body_to_pool
 from tests.localizer.scene import bayer
-from wire.config.experiment import load_experiment
-from wire.frames import Array, body_to_pool
 
 FLAT = RobotShape(0.15, 0.0, 1.0)
 EXPERIMENT = load_experiment("pool")

@@ -18,15 +18,15 @@ from hypothesis.extra.numpy import arrays
 from localizer.detection.background_model import BackgroundModel, TemporalSmoother
 from localizer.detection.blob_tracker import Blob, BlobTracker, convex_outline
 from localizer.detection.obstacles import ObstacleDetector
+from shoal.config.experiment import load_experiment
+from shoal.config.fault_injection import read_what
+from shoal.frames import Array
+from shoal.messages.messages import Obstacles
 from sim_bridge.camera.faults import CameraFaults
 from sim_bridge.camera.optics import project
 from sim_bridge.camera.renderer import Renderer
 from sim_bridge.camera.scene import water_colour
 from tests.localizer.scene import Pixels, bayer
-from wire.config.experiment import load_experiment
-from wire.config.fault_injection import read_what
-from wire.frames import Array
-from wire.messages.messages import Obstacles
 
 pytestmark = pytest.mark.long
 

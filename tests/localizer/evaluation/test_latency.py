@@ -18,11 +18,11 @@ from localizer.evaluation.latency import WARM_UP, Latency, OnLocalized, Timing, 
 from localizer.sources.base import CapturedFrame, FrameSource
 from localizer.tracking.fleet_localizer import FleetLocalizer, LocalizationResult
 from localizer.tracking.tilt import Attitude
+from shoal.config.experiment import load_experiment
+from shoal.frames import Array
+from shoal.messages.messages import Obstacles
+from shoal.runtime.runtime import Stop, WallClock
 from tests.localizer.stand_ins import MS, HandClock
-from wire.config.experiment import load_experiment
-from wire.frames import Array
-from wire.messages.messages import Obstacles
-from wire.process.runtime import Stop, WallClock
 
 
 class GeneratedCamera:

@@ -16,12 +16,12 @@ from localizer.detection.image_regions import BAYER_TO_BGR, Pixels
 from localizer.evaluation.metrics import GroundTruthTrajectory, PoseRow, PublishedPose, pose_rows
 from localizer.evaluation.runner import evaluate_plain
 from localizer.tracking.single_object import SingleObjectTracker
+from shoal.config.experiment import load_experiment
+from shoal.frames import Array, wrap
+from shoal.messages import topics
+from shoal.messages.codec import Header, encode
+from shoal.messages.messages import Pose, Track, Truth
 from tests.localizer.scene import Scene
-from wire.config.experiment import load_experiment
-from wire.frames import Array, wrap
-from wire.messages import topics
-from wire.messages.codec import Header, encode
-from wire.messages.messages import Pose, Track, Truth
 
 MS = 1_000_000
 SIGMA = np.array([0.002, 0.004, 0.01])  # m, m, rad

@@ -17,6 +17,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from mcap.reader import make_reader
+from shoal.errors import ConfigError
 from typer.testing import CliRunner
 
 from localizer.__main__ import cli
@@ -25,18 +26,17 @@ from localizer.node import LocalizerNode
 from localizer.sources.base import CapturedFrame
 from localizer.sources.recording import FRAMES, FrameRecorder, RecordedFrame, recorded_frames
 from localizer.tracking.fleet_localizer import FleetLocalizer, LocalizationResult
+from shoal.bus.bus import Bus
+from shoal.bus.memory_transport import MemoryHub, MemoryTransport
+from shoal.config.experiment import load_experiment
+from shoal.frames import Array
+from shoal.messages import topics
+from shoal.messages.messages import RobotState
+from shoal.runtime.lockstep import LockstepClock
+from shoal.runtime.output_files import disk_free
+from shoal.runtime.runtime import Stop
 from tests.localizer.scene import Scene
 from tests.localizer.stand_ins import MS
-from wire.config.experiment import load_experiment
-from wire.frames import Array
-from wire.messages import topics
-from wire.messages.messages import RobotState
-from wire.process.lockstep import LockstepClock
-from wire.process.output_files import disk_free
-from wire.process.runtime import Stop
-from wire.toml_loader import ConfigError
-from wire.transport.bus import Bus
-from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
 pytestmark = pytest.mark.long
 

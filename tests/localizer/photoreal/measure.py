@@ -12,11 +12,11 @@ import numpy as np
 
 from localizer.tracking.fleet_localizer import FleetLocalizer
 from localizer.tracking.tilt import Attitude
+from shoal.frames import Array, pool_to_body, wrap
+from shoal.messages.messages import Pose, Track
 from sim_bridge.camera.renderer import Renderer
 from tests.localizer.photoreal.dataset import DATA, PERIOD_NS, TrueFrame, frames
 from tests.localizer.photoreal.rows import RATE_HZ, ROWS, SPLITS, RowCourses, experiment
-from wire.frames import Array, pool_to_body, wrap
-from wire.messages.messages import Pose, Track
 
 _FIRST = 2  # frames that do not count: in the first a marker is a claim, in the second a pose
 _FALSE_SIGMAS, _FALSE_SIGMA_M = 5.0, 0.005  # a match is false if it is farther off than so many sigmas that are below this

@@ -22,10 +22,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.stats import norm
 
+from shoal.config.experiment import Experiment
+from shoal.config.perception import Camera
+from shoal.frames import Array
 from tests.localizer.photoreal.rows import RobotStates
-from wire.config.experiment import Experiment
-from wire.config.perception import Camera
-from wire.frames import Array
 
 mi.set_variant("llvm_ad_rgb")
 

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localizer.sources.base import as_bayer
+from shoal.frames import Array
 from tests.localizer.photoreal.dataset import COLUMNS, DATA, PERIOD_NS, frames, to_tiles
 from tests.localizer.photoreal.mitsuba_scene import Corners, Situation, Studio, Waves
 from tests.localizer.photoreal.rows import (
@@ -30,7 +31,6 @@ from tests.localizer.photoreal.rows import (
     generator,
     reports,
 )  # fmt: skip
-from wire.frames import Array
 
 _SAMPLES = 10  # of a pixel
 _EXPOSURES = 4  # instants of an exposure that takes time

@@ -9,9 +9,9 @@ from typing import Literal
 
 import numpy as np
 
-from wire.config.experiment import Experiment, load_experiment
-from wire.config.scene import RobotConfig
-from wire.frames import Array
+from shoal.config.experiment import Experiment, load_experiment
+from shoal.config.scene import RobotConfig
+from shoal.frames import Array
 
 SPLITS = ("tune", "held_out")
 ROBOTS = 6

@@ -17,17 +17,17 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from shoal.bus import frame_ring
+from shoal.bus.bus import Bus
+from shoal.bus.endpoint import Endpoint
+from shoal.bus.frame_ring import codec_of
+from shoal.bus.zenoh_transport import ZenohTransport
+from shoal.config.experiment import EXPERIMENTS, load_experiment
+from shoal.messages import topics
+from shoal.messages.messages import Frame
+from shoal.runtime.runtime import Stop
 from sim_bridge.camera.renderer import Renderer
 from tests.waiting import eventually
-from wire.config.experiment import EXPERIMENTS, load_experiment
-from wire.messages import topics
-from wire.messages.messages import Frame
-from wire.process.runtime import Stop
-from wire.transport import frame_ring
-from wire.transport.bus import Bus
-from wire.transport.endpoint import Endpoint
-from wire.transport.frame_ring import codec_of
-from wire.transport.zenoh_transport import ZenohTransport
 
 pytestmark = [pytest.mark.real_time, pytest.mark.long]
 

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 import pytest
 import tomli_w
+from shoal.errors import ConfigError
 
 from localizer.calibration.extrinsics import fit_pose
 from localizer.calibration.report import intrinsics_lines
@@ -23,13 +24,12 @@ from localizer.setup.experiment_file import ExperimentFile
 from localizer.setup.session import SetupSession
 from localizer.sources.base import CapturedFrame
 from localizer.sources.v4l2_controls import Control, V4l2Controls
+from shoal.config.experiment import EXPERIMENTS, load_experiment
+from shoal.runtime.runtime import Stop
 from sim_bridge.camera.optics import project
 from tests.localizer.board_scene import CameraBench, charuco, chessboard, marks
 from tests.localizer.small_basin import BOARD, FLOOR, POOL_M, RIM, TRUTH
 from tests.waiting import eventually
-from wire.config.experiment import EXPERIMENTS, load_experiment
-from wire.process.runtime import Stop
-from wire.toml_loader import ConfigError
 
 pytestmark = pytest.mark.long
 

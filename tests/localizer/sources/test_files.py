@@ -11,6 +11,7 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
+from shoal.errors import ConfigError
 
 from localizer.detection.image_regions import BAYER_TO_BGR, Pixels
 from localizer.sources import files
@@ -19,18 +20,17 @@ from localizer.sources.bus import BusSource
 from localizer.sources.factory import open_own
 from localizer.sources.files import FolderSource, VideoSource
 from localizer.sources.v4l2 import V4l2Source
+from shoal.bus import frame_ring
+from shoal.bus.bus import Bus
+from shoal.bus.memory_transport import MemoryHub, MemoryTransport
+from shoal.config.experiment import load_experiment
+from shoal.config.perception import Camera
+from shoal.messages import topics
+from shoal.messages.codec import Header
+from shoal.messages.messages import Frame
+from shoal.runtime.lockstep import LockstepClock
+from shoal.runtime.runtime import Stop, WallClock
 from tests.localizer.stand_ins import MS, HandClock, flat, level
-from wire.config.experiment import load_experiment
-from wire.config.perception import Camera
-from wire.messages import topics
-from wire.messages.codec import Header
-from wire.messages.messages import Frame
-from wire.process.lockstep import LockstepClock
-from wire.process.runtime import Stop, WallClock
-from wire.toml_loader import ConfigError
-from wire.transport import frame_ring
-from wire.transport.bus import Bus
-from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
 PERIOD_MS, RATE_HZ = 50, 20.0
 CAMERA = load_experiment("pool").camera

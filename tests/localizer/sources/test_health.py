@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from localizer.sources.health import FrameHealthMonitor
-from wire.messages.messages import CameraHealth
+from shoal.messages.messages import CameraHealth
 
 SIZE_PX = (1280, 960)
 

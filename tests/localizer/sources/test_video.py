@@ -9,13 +9,13 @@ import av
 import cv2
 import numpy as np
 import pytest
+from shoal.errors import ConfigError
 
 from localizer.detection.image_regions import Pixels
 from localizer.sources.files import VideoSource
 from localizer.sources.video import VideoPicture, VideoReader
+from shoal.runtime.runtime import Stop
 from tests.localizer.stand_ins import MS, HandClock
-from wire.process.runtime import Stop
-from wire.toml_loader import ConfigError
 
 COUNT = 40
 SIZE_PX = (160, 120)

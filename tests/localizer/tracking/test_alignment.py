@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 
 from localizer.tracking.alignment import align, invert
-from wire.frames import Array
+from shoal.frames import Array
 
 SIDE, CHANNELS, BORDER = 40, 2, 3
 WAVES = np.random.default_rng(1).uniform(-0.35, 0.35, (CHANNELS, 6, 2))  # rad a sample

@@ -7,11 +7,11 @@ import pytest
 
 from localizer.detection.obstacles import ObstacleDetector
 from localizer.tracking.fleet_localizer import FleetLocalizer, LocalizationResult
+from shoal.config.experiment import Experiment, load_experiment
+from shoal.frames import Array
+from shoal.messages.messages import Track
 from sim_bridge.camera.renderer import Renderer
 from tests.localizer.scene import Scene
-from wire.config.experiment import Experiment, load_experiment
-from wire.frames import Array
-from wire.messages.messages import Track
 
 pytestmark = pytest.mark.long
 

@@ -14,9 +14,9 @@ from localizer.tracking.camera_fusion import (
     fuse_obstacles,
 )
 from localizer.tracking.check_marks import with_camera
-from wire.config.experiment import load_experiment
-from wire.frames import Array
-from wire.messages.messages import CameraHealth, LocalizerStatus, Obstacles, Pose, Track
+from shoal.config.experiment import load_experiment
+from shoal.frames import Array
+from shoal.messages.messages import CameraHealth, LocalizerStatus, Obstacles, Pose, Track
 
 EXPERIMENT = load_experiment("two-cameras")
 PERIOD_NS = 50_000_000

@@ -5,8 +5,8 @@ import pytest
 
 from localizer.tracking.depth_memory import ASSUMED_SIGMA_M, DepthMemory
 from localizer.tracking.fleet_localizer import FleetLocalizer
+from shoal.config.experiment import load_experiment
 from tests.localizer.scene import Scene
-from wire.config.experiment import load_experiment
 
 EXPERIMENT = load_experiment("pool")
 SECOND_NS = 1_000_000_000

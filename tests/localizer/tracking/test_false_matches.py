@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from shoal.messages.messages import Track
 from tests.localizer.spoiled_plates import Film, SpoiledPose, spoiled_poses
-from wire.messages.messages import Track
 
 pytestmark = pytest.mark.long
 

@@ -10,10 +10,10 @@ import pytest
 
 from localizer.tracking.fleet_localizer import FleetLocalizer, LocalizationResult
 from localizer.view.overlay import draw
+from shoal.config.experiment import Experiment, load_experiment
+from shoal.frames import Array, body_to_pool, wrap
+from shoal.messages.messages import CameraHealth, Obstacles, Pose, Track
 from tests.localizer.scene import Pixels, Scene
-from wire.config.experiment import Experiment, load_experiment
-from wire.frames import Array, body_to_pool, wrap
-from wire.messages.messages import CameraHealth, Obstacles, Pose, Track
 
 pytestmark = pytest.mark.long
 

@@ -10,9 +10,9 @@ from localizer.detection.image_regions import Pixels
 from localizer.tracking.fleet_localizer import FleetLocalizer
 from localizer.tracking.hull_lean import LeanReader
 from localizer.tracking.tilt import Attitude
+from shoal.config.experiment import Experiment, load_experiment
+from shoal.frames import Array, body_to_pool, pool_to_body, wrap
 from sim_bridge.camera.renderer import Renderer
-from wire.config.experiment import Experiment, load_experiment
-from wire.frames import Array, body_to_pool, pool_to_body, wrap
 
 pytestmark = pytest.mark.long
 

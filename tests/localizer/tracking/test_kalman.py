@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.stats import chi2
 
 from localizer.tracking.kalman import GATE, initial_state, predict, stopped, update
-from wire.frames import wrap
+from shoal.frames import wrap
 
 NOISE = np.diag([4e-6, 9e-6, 1e-4])
 NOISE[0, 1] = NOISE[1, 0] = 2e-6

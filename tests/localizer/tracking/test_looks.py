@@ -9,13 +9,13 @@ import pytest
 
 from localizer.tracking.fleet_localizer import FleetLocalizer
 from localizer.tracking.tilt import Attitude
+from shoal.config.experiment import Experiment, load_experiment
+from shoal.config.vehicle import Vehicle
+from shoal.frames import Array, wrap
+from shoal.messages.messages import Pose, Track
 from sim_bridge.camera.renderer import Renderer
 from sim_bridge.plant.fleet import Plant, PlantState
 from sim_bridge.plant.sensors import BoardSensors
-from wire.config.experiment import Experiment, load_experiment
-from wire.config.vehicle import Vehicle
-from wire.frames import Array, wrap
-from wire.messages.messages import Pose, Track
 
 pytestmark = pytest.mark.long
 

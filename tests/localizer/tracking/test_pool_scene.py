@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from localizer.tracking.fleet_localizer import FleetLocalizer, LocalizationResult
+from shoal.config.experiment import Experiment, load_experiment
+from shoal.frames import Array, pool_to_body, wrap
+from shoal.messages.messages import Track
 from sim_bridge.camera.renderer import Renderer
-from wire.config.experiment import Experiment, load_experiment
-from wire.frames import Array, pool_to_body, wrap
-from wire.messages.messages import Track
 
 pytestmark = pytest.mark.long
 

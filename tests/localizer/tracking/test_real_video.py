@@ -13,7 +13,7 @@ import pytest
 from localizer.evaluation.runner import evaluate_plain, read_idtracker
 from localizer.sources.video import VideoReader
 from localizer.tracking.single_object import SingleObjectTracker
-from wire.frames import wrap
+from shoal.frames import wrap
 
 DATA = Path(os.environ.get("SHOAL_DATA", Path(__file__).parents[4] / "shared" / "data")) / "mouse"
 VIDEO, TRUTH, BOX_PX = DATA / "mouse_video.mp4", DATA / "mouse_video_idtracked.txt", 64.0

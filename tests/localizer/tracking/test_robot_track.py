@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from localizer.tracking.observation import TrackMeasurement
 from localizer.tracking.robot_track import RobotTrack, close_pairs
-from wire.messages.messages import Track
+from shoal.messages.messages import Track
 
 SIGMA = np.diag([1e-6, 1e-6, 1e-5])
 LEVEL = np.zeros((3, 3))  # of a robot that is known not to lean

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from localizer.tracking.fleet_localizer import FleetLocalizer
+from shoal.config.experiment import load_experiment
+from shoal.frames import Array, wrap
+from shoal.messages.messages import Track
 from sim_bridge.camera.renderer import Renderer
-from wire.config.experiment import load_experiment
-from wire.frames import Array, wrap
-from wire.messages.messages import Track
 
 PERIOD_S = 0.05
 

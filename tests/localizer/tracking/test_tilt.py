@@ -5,12 +5,12 @@ import pytest
 
 from localizer.tracking.fleet_localizer import FleetLocalizer
 from localizer.tracking.tilt import Attitude, MotionEstimate, TiltModel
+from shoal.config.experiment import Experiment, load_experiment
+from shoal.frames import Array, wrap
+from shoal.messages.messages import Pose
 from sim_bridge.camera.renderer import Renderer
 from tests.closed_loop.dry_pool import DryPool
 from tests.localizer.numpy_geometry import leaning
-from wire.config.experiment import Experiment, load_experiment
-from wire.frames import Array, wrap
-from wire.messages.messages import Pose
 
 EXPERIMENT = load_experiment("pool")
 LAW = TiltModel.of(EXPERIMENT.vehicle, 0.002, 0.026)

@@ -12,15 +12,15 @@ import pytest
 from localizer.detection.image_regions import BAYER_TO_BGR, Pixels
 from localizer.sources.base import CapturedFrame
 from localizer.view.video_encoder import VideoEncoder, packer
+from shoal.bus.bus import Bus
+from shoal.bus.memory_transport import MemoryHub, MemoryTransport
+from shoal.config.experiment import Experiment, load_experiment
+from shoal.messages import topics
+from shoal.messages.codec import Header, decode
+from shoal.messages.messages import Picture, Video
+from shoal.messages.topics import Topic
+from shoal.runtime.runtime import Stop
 from sim_bridge.camera.renderer import Renderer
-from wire.config.experiment import Experiment, load_experiment
-from wire.messages import topics
-from wire.messages.codec import Header, decode
-from wire.messages.messages import Picture, Video
-from wire.messages.topics import Topic
-from wire.process.runtime import Stop
-from wire.transport.bus import Bus
-from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
 pytestmark = pytest.mark.long
 

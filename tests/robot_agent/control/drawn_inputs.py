@@ -10,10 +10,10 @@ from robot_agent.control.controller import ControlOutput
 from robot_agent.guidance.formation import Neighbour
 from robot_agent.guidance.reference import Follow
 from robot_agent.vehicle.estimate import PoseMeasurement, StateMeasurement
+from shoal.config.experiment import load_experiment
+from shoal.config.vehicle import Vehicle
+from shoal.messages.messages import Plan, Solve, Trajectory
 from tests.robot_agent.paths import circle
-from wire.config.experiment import load_experiment
-from wire.config.vehicle import Vehicle
-from wire.messages.messages import Plan, Solve, Trajectory
 
 POOL = load_experiment("pool")
 ARTICLE = load_experiment("pool", ["controller.law=eso-mpc-article"])

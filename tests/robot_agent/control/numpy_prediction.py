@@ -6,7 +6,7 @@ from scipy.linalg.lapack import dtbtrs
 
 from robot_agent.control.linearisation import Prediction, superpose
 from robot_agent.vehicle.dynamics import Model, State
-from wire.frames import Array
+from shoal.frames import Array
 
 TINY = 1e-12  # m/s: keeps 0/0 out
 

@@ -22,13 +22,13 @@ from robot_agent.guidance.formation import NOWHERE, Neighbour
 from robot_agent.guidance.reference import Follow, Goal, Hold
 from robot_agent.vehicle.dynamics import Model
 from robot_agent.vehicle.estimate import PoseMeasurement, StateMeasurement
+from shoal.config import baseline_controllers
+from shoal.config.experiment import load_experiment
+from shoal.config.vehicle import Vehicle
+from shoal.frames import Array, wrap
+from shoal.messages.messages import Plan, Solve
 from tests.robot_agent.control.drawn_inputs import GOAL, STEP_NS, at, check, goals, measurements, neighbours
 from tests.robot_agent.water import integrate
-from wire.config import baseline_controllers
-from wire.config.experiment import load_experiment
-from wire.config.vehicle import Vehicle
-from wire.frames import Array, wrap
-from wire.messages.messages import Plan, Solve
 
 pytestmark = pytest.mark.long
 

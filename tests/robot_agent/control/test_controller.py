@@ -12,6 +12,9 @@ from robot_agent.control.controller import Controller, ControlOutput
 from robot_agent.guidance.formation import Neighbour
 from robot_agent.guidance.reference import Follow, Goal
 from robot_agent.vehicle.estimate import PoseMeasurement, StateMeasurement
+from shoal.config.experiment import Experiment, load_experiment
+from shoal.frames import wrap
+from shoal.messages.messages import Plan, Solve
 from sim_bridge.plant.fleet import Plant
 from tests.robot_agent.control.drawn_inputs import (
     ARTICLE as POOL,
@@ -27,9 +30,6 @@ from tests.robot_agent.control.drawn_inputs import (
     neighbours,
     pool_circle,
 )
-from wire.config.experiment import Experiment, load_experiment
-from wire.frames import wrap
-from wire.messages.messages import Plan, Solve
 
 pytestmark = pytest.mark.long
 

@@ -6,8 +6,8 @@ import pytest
 from robot_agent.control.linearisation import Prediction
 from robot_agent.guidance.formation import HalfSpaces
 from robot_agent.vehicle.dynamics import Model
+from shoal.config.vehicle import load_vehicle
 from tests.robot_agent.control.numpy_prediction import NumpyPrediction, linearise, numpy_cost
-from wire.config.vehicle import load_vehicle
 
 PERIOD_S, HORIZON, BLOCKS = 0.05, 30, (1, 1, 2, 3, 4)
 N = len(BLOCKS)

@@ -6,10 +6,10 @@ import pytest
 
 from robot_agent.control.any_controller import controller_class
 from robot_agent.control.live_tuning import LiveTuning
-from wire.config.controller import ControllerConfig
-from wire.config.experiment import load_experiment
-from wire.messages.live_gains import tuned, tuning
-from wire.messages.messages import Command, Order
+from shoal.config.controller import ControllerConfig
+from shoal.config.experiment import load_experiment
+from shoal.messages.live_gains import tuned, tuning
+from shoal.messages.messages import Command, Order
 
 POOL = load_experiment("pool")
 KEY = tuning(POOL.controller).keys[0]

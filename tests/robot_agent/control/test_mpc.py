@@ -8,10 +8,10 @@ from robot_agent.control.mpc import Mpc, bridged_steps
 from robot_agent.control.qp import Solution
 from robot_agent.guidance.formation import NOWHERE, Formation, HalfSpaces, Neighbour, Priority
 from robot_agent.vehicle.dynamics import Model, State
-from wire.config.controller import MpcConfig, Safety
-from wire.config.vehicle import load_vehicle
-from wire.frames import Array
-from wire.messages.messages import Plan, Solve
+from shoal.config.controller import MpcConfig, Safety
+from shoal.config.vehicle import load_vehicle
+from shoal.frames import Array
+from shoal.messages.messages import Plan, Solve
 
 VEHICLE = load_vehicle("spherical")
 PERIOD_S, ROWS = 0.05, 20

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from wire.config.controller import MpcConfig, Safety
-from wire.frames import Array
+from shoal.config.controller import MpcConfig, Safety
+from shoal.frames import Array
 
 PERIOD_S, NS = 0.05, 1_000_000_000
 CONFIG, SAFETY = MpcConfig(), Safety()

@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robot_agent.guidance.formation import MEANT_S, NEAREST, NOWHERE, Formation, HalfSpaces, Neighbour, Priority
+from shoal.frames import Array
+from shoal.messages.messages import Plan
 from tests.robot_agent.guidance.expectations import CONFIG, NS, PERIOD_S, SAFETY, STEPS, expecting
-from wire.frames import Array
-from wire.messages.messages import Plan
 
 EQUAL = Priority(False, 0.0)
 

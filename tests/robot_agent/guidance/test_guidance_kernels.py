@@ -28,9 +28,9 @@ from robot_agent.guidance.velocity_obstacles import (
     path_out,
     set_horizons,
 )
+from shoal.frames import Array
+from shoal.messages.messages import Plan
 from tests.robot_agent.guidance.expectations import CONFIG, NS, PERIOD_S, SAFETY, STEPS
-from wire.frames import Array
-from wire.messages.messages import Plan
 
 SEEDS = range(8)
 LOOK_AHEAD_S, AGILITY = 8.0, Agility(0.15, 8.0, 0.4, 0.12, 0.5, 0.25)

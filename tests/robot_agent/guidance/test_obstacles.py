@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 
 from robot_agent.guidance.formation import Formation, Priority
 from robot_agent.guidance.obstacles import SPACING_M, OwnHullFilter, island_obstacles, nearest_border, obstacles_from_message
+from shoal.config.scene import Island
+from shoal.messages.messages import Obstacles
 from tests.robot_agent.guidance.expectations import CONFIG, NS, PERIOD_S, SAFETY, expecting
-from wire.config.scene import Island
-from wire.messages.messages import Obstacles
 
 ALONE = Priority(False, 0.0)
 

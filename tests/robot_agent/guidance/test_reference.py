@@ -5,11 +5,11 @@ import pytest
 
 from robot_agent.control.heading import HOLD_RADPS, HeadingReference, headings
 from robot_agent.guidance.reference import Follow, Hold, Reference, ReferenceSampler
+from shoal.config.controller import GuidanceConfig
+from shoal.config.vehicle import load_vehicle
+from shoal.frames import Array
+from shoal.messages.messages import Trajectory
 from tests.robot_agent.paths import PERIOD_S, ROWS, circle
-from wire.config.controller import GuidanceConfig
-from wire.config.vehicle import load_vehicle
-from wire.frames import Array
-from wire.messages.messages import Trajectory
 
 VEHICLE = load_vehicle("spherical")
 OFFSETS = 0.05 + PERIOD_S * np.arange(51, dtype=np.float64)

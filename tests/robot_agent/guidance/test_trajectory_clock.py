@@ -12,9 +12,9 @@ from robot_agent.guidance.reference import pose_at
 from robot_agent.guidance.trajectory_check import unflyable
 from robot_agent.guidance.trajectory_clock import FASTER, TrajectoryClock
 from robot_agent.inputs import StationView
-from wire.config.experiment import load_experiment
-from wire.frames import Array
-from wire.messages.messages import Command, Order, Trajectory
+from shoal.config.experiment import load_experiment
+from shoal.frames import Array
+from shoal.messages.messages import Command, Order, Trajectory
 
 EXPERIMENT = load_experiment("pool", ["duration_s=20"])
 ME, STATION, NS = 1, 7, 1_000_000_000

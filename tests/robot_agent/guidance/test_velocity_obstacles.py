@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from robot_agent.guidance.formation import Formation, Neighbour
 from robot_agent.guidance.reference import Reference
 from robot_agent.guidance.velocity_obstacles import NOBODY, SURE_S, GiveWay, Traffic, plain_agility, robot_traffic
-from wire.config.experiment import load_experiment
-from wire.messages.messages import Plan
+from shoal.config.experiment import load_experiment
+from shoal.messages.messages import Plan
 
 EXPERIMENT = load_experiment("pool")
 VEHICLE = EXPERIMENT.vehicle

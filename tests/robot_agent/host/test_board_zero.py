@@ -11,12 +11,12 @@ from robot_agent.host import board_zero
 from robot_agent.host.board_zero import FILE, MS_WRAPS, BoardZero, read_record
 from robot_agent.node import AgentNode
 from robot_agent.safety.health import RESTART_DEPTH_M
+from shoal.bus.bus import Bus
+from shoal.bus.memory_transport import MemoryHub, MemoryTransport
+from shoal.config.experiment import load_experiment
+from shoal.mavlink.agent_link import Telemetry
+from shoal.runtime.runtime import Stop
 from tests.robot_agent.obedient_board import Board
-from wire.config.experiment import load_experiment
-from wire.mavlink.agent_link import Telemetry
-from wire.process.runtime import Stop
-from wire.transport.bus import Bus
-from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
 CONFIRM = "confirm that on the robot with `robot-agent confirm-zero`"
 

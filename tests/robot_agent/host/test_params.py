@@ -2,13 +2,13 @@
 
 import pytest
 from pymavlink.dialects.v20 import common as dialect
+from shoal.errors import ConfigError
 
 from robot_agent.host import params
 from robot_agent.host.params import answered_value
+from shoal.mavlink.parameters import STATION, ParameterClient
+from sim_bridge.thruster_board.board_link import BoardLink
 from tests.robot_agent.autopilot import Autopilot
-from wire.mavlink.board_link import BoardLink
-from wire.mavlink.parameters import STATION, ParameterClient
-from wire.toml_loader import ConfigError
 
 
 @pytest.mark.parametrize(

@@ -11,15 +11,15 @@ import sys
 from pathlib import Path
 
 import pytest
+from shoal.errors import ConfigError
 
 from robot_agent.commands import UNIT_NAME, unit_text
 from robot_agent.host import realtime
 from robot_agent.host.config import RealtimeConfig
 from robot_agent.host.sd_notify import TIMES_A_WATCH, ServiceNotifier
+from shoal.bus.endpoint import Endpoint
+from shoal.bus.zenoh_transport import ZenohTransport
 from sim_bridge.sil.ports import free_port
-from wire.toml_loader import ConfigError
-from wire.transport.endpoint import Endpoint
-from wire.transport.zenoh_transport import ZenohTransport
 
 pytestmark = pytest.mark.real_time
 
@@ -268,7 +268,7 @@ def test_the_collector_leaves_alone_what_there_was_when_the_program_began() -> N
 import gc
 from robot_agent.host import realtime
 from robot_agent.agent import Agent
-from wire.config.experiment import load_experiment
+from shoal.config.experiment import load_experiment
 agent = Agent(load_experiment("pool"), 1)
 before = len(gc.get_objects())
 realtime.settle()

@@ -13,6 +13,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
+from shoal.errors import ConfigError
 from typer.testing import CliRunner, Result
 
 from groundstation.deploy import key_ring
@@ -23,21 +24,20 @@ from robot_agent.preflight import findings, network
 from robot_agent.preflight.findings import CheckFinding, CheckVerdict
 from robot_agent.preflight.rehearsal import rehearse
 from robot_agent.preflight.thrusters import judge
+from shoal.bus.bus import Bus
+from shoal.bus.endpoint import Endpoint
+from shoal.bus.memory_transport import MemoryHub, MemoryTransport
+from shoal.bus.network import endpoint
+from shoal.bus.transport import Presence
+from shoal.bus.zenoh_transport import ZenohTransport
+from shoal.config.experiment import Experiment, load_experiment
+from shoal.mavlink import board_address
+from shoal.messages import topics
+from shoal.messages.messages import Mode, Solve, StationHeartbeat
 from sim_bridge.sil.ports import free_base_port, free_port
 from tests.robot_agent import obedient_board
 from tests.robot_agent.autopilot import Autopilot
-from tests.wire.mavlink.resetting_board import ResettingBoard
-from wire.config.experiment import Experiment, load_experiment
-from wire.mavlink import board_address
-from wire.messages import topics
-from wire.messages.messages import Mode, Solve, StationHeartbeat
-from wire.toml_loader import ConfigError
-from wire.transport.bus import Bus
-from wire.transport.endpoint import Endpoint
-from wire.transport.memory_transport import MemoryHub, MemoryTransport
-from wire.transport.network import endpoint
-from wire.transport.transport import Presence
-from wire.transport.zenoh_transport import ZenohTransport
+from tests.shoal.mavlink.resetting_board import ResettingBoard
 
 pytestmark = pytest.mark.real_time
 

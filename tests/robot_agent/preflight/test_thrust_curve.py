@@ -9,15 +9,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import isotonic_regression
+from shoal.errors import ConfigError
 from typer.testing import CliRunner
 
 from robot_agent.__main__ import cli
 from robot_agent.preflight.thrust_curve import ThrustReading, fit, interpolate, read_rows
+from shoal.config.experiment import load_experiment
+from shoal.config.vehicle import load_vehicle
 from sim_bridge.sil.ports import free_port
 from tests.sim_bridge.boards import board
-from wire.config.experiment import load_experiment
-from wire.config.vehicle import load_vehicle
-from wire.toml_loader import ConfigError
 
 TRUE = load_vehicle("spherical").thruster
 PULSES = [*range(1100, 1901, 25), 1477, 1523]

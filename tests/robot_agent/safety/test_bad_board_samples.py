@@ -15,10 +15,10 @@ from pymavlink.dialects.v20 import common as dialect
 
 from robot_agent.preflight.rehearsal import ARM_AFTER, DEPTH_M, rehearse
 from robot_agent.safety.thruster_fault_detection import ThrusterFaultDetector
-from wire.config.experiment import load_experiment
-from wire.mavlink.agent_link import AgentLink
-from wire.mavlink.board_link import BoardLink, Timesync
-from wire.messages.messages import Mode
+from shoal.config.experiment import load_experiment
+from shoal.mavlink.agent_link import AgentLink
+from shoal.messages.messages import Mode
+from sim_bridge.thruster_board.board_link import BoardLink, Timesync
 
 POOL = load_experiment("pool")
 ME, MS = 1, 1_000_000

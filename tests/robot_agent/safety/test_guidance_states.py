@@ -6,7 +6,7 @@ from pathlib import Path
 
 from robot_agent.safety.guidance_states import ALONG_PATH, STATES, TRANSITIONS, GuidanceFacts, StayLimits, next_state, table
 from robot_agent.safety.modes import POWERED, REACTIONS
-from wire.messages.messages import Guidance, Mode
+from shoal.messages.messages import Guidance, Mode
 
 FACTS = [GuidanceFacts(*facts) for facts in itertools.product(Mode, (False, True), (False, True), (False, True))]
 FLOWN = [state for state in Guidance if state is not Guidance.NONE]

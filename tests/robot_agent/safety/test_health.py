@@ -10,9 +10,9 @@ from robot_agent.control.controller import ControlOutput
 from robot_agent.inputs import Inputs, StampedPose, StationView
 from robot_agent.safety.health import ARM_AGAIN_S, DISARM_S, HealthMonitor
 from robot_agent.vehicle.estimate import StateMeasurement
-from wire.config.experiment import load_experiment
-from wire.mavlink.agent_link import Telemetry
-from wire.messages.messages import Mode, Pose, Track
+from shoal.config.experiment import load_experiment
+from shoal.mavlink.agent_link import Telemetry
+from shoal.messages.messages import Mode, Pose, Track
 
 POOL = load_experiment("pool")
 NOW_NS, MS = 10_000_000_000, 1_000_000

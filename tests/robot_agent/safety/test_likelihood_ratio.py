@@ -6,7 +6,7 @@ from scipy.stats import multivariate_normal
 
 import robot_agent.safety.likelihood_ratio
 from robot_agent.safety.likelihood_ratio import FADES_S, SPANS_S, SUSPECTED, LikelihoodRatioTest
-from wire.frames import Array
+from shoal.frames import Array
 
 NS = 1_000_000_000
 STEP_S = 0.05

@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_agent.safety.modes import LIVE, ORDERS, POWERED, REACTIONS, Health, react, refusal, table
-from wire.config.experiment import load_experiment
-from wire.messages.messages import Mode, Order
+from shoal.config.experiment import load_experiment
+from shoal.messages.messages import Mode, Order
 
 EXPERIMENT = load_experiment("pool")
 SAFETY = EXPERIMENT.safety

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from robot_agent.safety.output_check import OutputCheck
+from shoal.config.experiment import load_experiment
+from shoal.mavlink.agent_link import AgentLink, Telemetry
 from sim_bridge.thruster_board.board import ThrusterBoard
-from wire.config.experiment import load_experiment
-from wire.mavlink.agent_link import AgentLink, Telemetry
 
 MS = 1_000_000
 STILL = (1500,) * 8

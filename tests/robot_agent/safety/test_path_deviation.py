@@ -8,8 +8,8 @@ import pytest
 from benchmarks.flights import flew
 from benchmarks.robot_agent.thrusters import STILL
 from robot_agent.safety.path_deviation import PathDeviationMonitor
-from wire.config.experiment import load_experiment
-from wire.messages.messages import Mode
+from shoal.config.experiment import load_experiment
+from shoal.messages.messages import Mode
 
 STEP_NS = 50_000_000
 

@@ -8,7 +8,7 @@ import pytest
 from benchmarks.robots import cells
 from benchmarks.robots.figures import CAUSES
 from benchmarks.robots.flights import STOPPED, FlightLog, fly
-from wire.messages.messages import Guidance, Mode
+from shoal.messages.messages import Guidance, Mode
 
 NEW_LAW = ("controller.law=nmpc", "controller.estimator.kind=kalman")
 

@@ -11,7 +11,7 @@ import pytest
 from robot_agent.inputs import Inputs
 from robot_agent.preflight.rehearsal import ARM_AFTER, rehearse
 from robot_agent.safety.sensor_checks import GyroscopeCheck, StuckSensorCheck
-from wire.config.experiment import load_experiment
+from shoal.config.experiment import load_experiment
 
 NS = 1_000_000_000
 PERIOD_S, LATE_S = 0.05, 0.04  # poses are older than the gyroscope's samples

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from robot_agent.safety.thrust_response import ThrustResponse
-from wire.config.vehicle import load_vehicle
+from shoal.config.vehicle import load_vehicle
 
 VEHICLE = load_vehicle("spherical")
 POSE_M, YAW_RAD = 0.0015, 0.008

@@ -8,9 +8,9 @@ import pytest
 
 from benchmarks.flights import flew, rough_water
 from robot_agent.safety.thruster_fault_detection import ThrusterFaultDetector
-from wire.config.experiment import load_experiment
-from wire.frames import Array
-from wire.messages.messages import Mode
+from shoal.config.experiment import load_experiment
+from shoal.frames import Array
+from shoal.messages.messages import Mode
 
 pytestmark = pytest.mark.long
 

@@ -3,7 +3,7 @@
 import pytest
 
 from robot_agent.safety.thruster_selftest import PUSH_S, REST_S, ThrusterSelftest
-from wire.config.experiment import load_experiment
+from shoal.config.experiment import load_experiment
 
 VEHICLE = load_experiment("pool").vehicle
 NEUTRAL: tuple[int, ...] = (1500,) * 8

@@ -6,8 +6,8 @@ import pytest
 
 from benchmarks.robots import cells, flights
 from benchmarks.robots.water import TroubledPlant
-from wire.mavlink.agent_link import Telemetry
-from wire.messages.messages import Mode
+from shoal.mavlink.agent_link import Telemetry
+from shoal.messages.messages import Mode
 
 FROZEN_NS = 10_000_000_000
 SLOW = pytest.mark.slow

@@ -8,8 +8,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from robot_agent.vehicle.allocation import Allocator
-from wire.config.vehicle import load_vehicle
-from wire.frames import Array
+from shoal.config.vehicle import load_vehicle
+from shoal.frames import Array
 
 VEHICLE = load_vehicle("spherical")
 ALLOCATOR = Allocator(VEHICLE)

@@ -3,8 +3,8 @@
 import pytest
 
 from robot_agent.vehicle.battery import BatteryMonitor
-from wire.config.experiment import load_experiment
-from wire.mavlink.agent_link import Telemetry
+from shoal.config.experiment import load_experiment
+from shoal.mavlink.agent_link import Telemetry
 
 BATTERY = load_experiment("pool").vehicle.battery  # no arming below 10.5 V, neutral below 9.9 V, 0.3 V hysteresis
 MS = 1_000_000

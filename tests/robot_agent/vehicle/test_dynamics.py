@@ -8,10 +8,10 @@ import pytest
 
 from robot_agent.control.linearisation import Prediction
 from robot_agent.vehicle.dynamics import Model, State
+from shoal.config.vehicle import Vehicle, load_vehicle
+from shoal.frames import Array
 from tests.robot_agent.control.numpy_prediction import follow_without_moving_on, linearise
 from tests.robot_agent.water import integrate
-from wire.config.vehicle import Vehicle, load_vehicle
-from wire.frames import Array
 
 PERIOD_S = 0.05
 BLOCKS = (1, 1, 2, 3, 4, 4)

@@ -26,10 +26,10 @@ from robot_agent.vehicle.dynamics import (
 )
 from robot_agent.vehicle.eso import COAST_NS, POSE_M, POSE_S, Estimator
 from robot_agent.vehicle.estimate import Estimate, PoseMeasurement, StateMeasurement
+from shoal.config.controller import EstimatorConfig
+from shoal.config.vehicle import Vehicle, load_vehicle
+from shoal.frames import Array, wrap
 from tests.robot_agent.water import integrate
-from wire.config.controller import EstimatorConfig
-from wire.config.vehicle import Vehicle, load_vehicle
-from wire.frames import Array, wrap
 
 pytestmark = pytest.mark.long
 

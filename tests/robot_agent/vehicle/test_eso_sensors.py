@@ -13,9 +13,9 @@ from robot_agent.safety.thruster_selftest import ThrusterSelftest
 from robot_agent.vehicle.dynamics import Model
 from robot_agent.vehicle.eso import Estimator
 from robot_agent.vehicle.estimate import PoseMeasurement, StateMeasurement
-from wire.config.experiment import load_experiment
-from wire.messages.codec import Header
-from wire.messages.messages import Command, Mode, Order
+from shoal.config.experiment import load_experiment
+from shoal.messages.codec import Header
+from shoal.messages.messages import Command, Mode, Order
 
 POOL = load_experiment("pool")
 BAD = ARM_AFTER + 40  # the first step at which something is wrong

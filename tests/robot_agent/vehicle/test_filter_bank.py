@@ -9,8 +9,8 @@ from robot_agent.vehicle import filter_bank
 from robot_agent.vehicle.dynamics import Model, advance
 from robot_agent.vehicle.filter_bank import DRAG, ERRORS, GYRO, SIDE, Bank, MeasuredNumber, R, X, Y
 from robot_agent.vehicle.kalman import vehicle_noise
-from wire.config.vehicle import Vehicle, load_vehicle
-from wire.frames import Array
+from shoal.config.vehicle import Vehicle, load_vehicle
+from shoal.frames import Array
 
 pytestmark = pytest.mark.long
 

@@ -7,10 +7,10 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog, lsq_linear
 
 from robot_agent.vehicle.fixed_thrusters import make_allocator
+from shoal.config.experiment import load_experiment
+from shoal.config.vehicle import Vehicle, load_vehicle
+from shoal.frames import Array
 from sim_bridge.plant.fleet import Plant
-from wire.config.experiment import load_experiment
-from wire.config.vehicle import Vehicle, load_vehicle
-from wire.frames import Array
 
 VEHICLE = load_vehicle("vectored")
 ALLOCATOR = make_allocator(VEHICLE)

@@ -13,12 +13,12 @@ from robot_agent.vehicle.dynamics import Model
 from robot_agent.vehicle.eso import NS
 from robot_agent.vehicle.estimate import Estimate, PoseMeasurement, StateMeasurement
 from robot_agent.vehicle.kalman import KalmanEstimator, make_estimator
+from shoal.config.controller import EstimatorConfig
+from shoal.config.experiment import Experiment, load_experiment
+from shoal.frames import Array, wrap
+from shoal.messages.messages import Mode
 from sim_bridge.in_process.fleet import DirectPlant, fly
 from sim_bridge.plant.kernels import water_motion
-from wire.config.controller import EstimatorConfig
-from wire.config.experiment import Experiment, load_experiment
-from wire.frames import Array, wrap
-from wire.messages.messages import Mode
 
 pytestmark = pytest.mark.long
 

@@ -11,19 +11,19 @@ from typing import Any
 import numpy as np
 import pytest
 
+from shoal.config.experiment import load_experiment
+from shoal.mavlink import framing
+from shoal.mavlink.agent_link import ACCEPTED, IGNORED
+from shoal.mavlink.frame_codec import Peer
+from shoal.mavlink.framing import Sequence8
+from shoal.mavlink.signing import Key, SignatureVerifier
 from sim_bridge.board_conformance.probe import BoardProbe
 from sim_bridge.board_conformance.rules import RULES
 from sim_bridge.board_conformance.runner import RuleResult, RuleVerdict, examine
 from sim_bridge.thruster_board.board import SimulatedSensors, ThrusterBoard
+from sim_bridge.thruster_board.board_link import BoardLink
 from sim_bridge.thruster_board.parameters import Parameters, Refusal
 from sim_bridge.thruster_board.state_machine import BoardStateMachine
-from wire.config.experiment import load_experiment
-from wire.mavlink import framing
-from wire.mavlink.agent_link import ACCEPTED, IGNORED
-from wire.mavlink.board_link import BoardLink
-from wire.mavlink.frame_codec import Peer
-from wire.mavlink.framing import Sequence8
-from wire.mavlink.signing import Key, SignatureVerifier
 
 pytestmark = pytest.mark.long
 
@@ -398,7 +398,7 @@ def test_a_board_that_gives_a_false_start_byte_half_a_second_is_found(monkeypatc
 
 
 def test_a_board_that_forces_arming_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    from wire.mavlink import board_link
+    from sim_bridge.thruster_board import board_link
 
     # a board that reads a message wrongly: the readers are the decoder's own table
     monkeypatch.setitem(board_link._READERS, "COMMAND_LONG", lambda message: board_link.Arm(message.param1 == 1.0))
@@ -406,7 +406,7 @@ def test_a_board_that_forces_arming_is_found(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_a_board_that_obeys_what_is_for_another_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    from wire.mavlink import board_link
+    from sim_bridge.thruster_board import board_link
 
     def read(self: board_link.BoardLink, message: Any) -> Any:
         if hasattr(message, "target_system"):

@@ -5,12 +5,12 @@ from functools import cache
 import numpy as np
 import pytest
 
+from shoal.config.experiment import Experiment, load_experiment
+from shoal.frames import Array
 from sim_bridge.camera.bubbles import RISE_MPS, STREAM_HZ, Bubbles
 from sim_bridge.camera.optics import project
 from sim_bridge.camera.renderer import Renderer
 from sim_bridge.plant.random_streams import Stream, generator
-from wire.config.experiment import Experiment, load_experiment
-from wire.frames import Array
 
 REST = np.zeros((2, 4))
 ETA = np.array([[0.4, 0.1, 0.3, 0.2], [-0.5, 0.0, 0.3, 1.0]])

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
+from shoal.config.experiment import load_experiment
 from sim_bridge.camera import kernels
 from sim_bridge.camera.kernels import (
     AIR_X,
@@ -28,7 +29,6 @@ from sim_bridge.camera.kernels import (
 from sim_bridge.camera.rays import CameraRays, ImageRect
 from sim_bridge.camera.scene import WaterView
 from sim_bridge.camera.water_optics import CAUSTIC_UNIT, WaterLight, light_up
-from wire.config.experiment import load_experiment
 
 INTERPRETED = os.environ.get("NUMBA_DISABLE_JIT") == "1"
 

@@ -6,14 +6,14 @@ import pytest
 from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 
+from shoal.config.experiment import Experiment, load_experiment
+from shoal.config.perception import Camera
+from shoal.config.simulation import CameraMotion
+from shoal.frames import Array, body_to_pool
 from sim_bridge.camera.moving_background import CameraSway
 from sim_bridge.camera.optics import project
 from sim_bridge.camera.rays import CameraRays
 from sim_bridge.camera.renderer import Renderer
-from wire.config.experiment import Experiment, load_experiment
-from wire.config.perception import Camera
-from wire.config.simulation import CameraMotion
-from wire.frames import Array, body_to_pool
 
 pytestmark = pytest.mark.long
 

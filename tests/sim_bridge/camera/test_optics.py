@@ -7,10 +7,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import brentq
 
+from shoal.config.experiment import load_experiment
+from shoal.config.perception import Camera
+from shoal.frames import Array
 from sim_bridge.camera.optics import Optics, project, rays
-from wire.config.experiment import load_experiment
-from wire.config.perception import Camera
-from wire.frames import Array
 
 CAMERA = load_experiment("pool").camera
 TILTED = CAMERA.model_copy(

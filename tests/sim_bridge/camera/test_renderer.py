@@ -9,12 +9,12 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from shoal.config.experiment import Experiment, load_experiment
+from shoal.frames import Array, body_to_pool
 from sim_bridge.camera.optics import project, rays
 from sim_bridge.camera.rays import sample_mosaic
 from sim_bridge.camera.renderer import Renderer
 from sim_bridge.camera.water_optics import Caustics
-from wire.config.experiment import Experiment, load_experiment
-from wire.frames import Array, body_to_pool
 
 pytestmark = pytest.mark.long
 

@@ -9,6 +9,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 from scipy.spatial.transform import Rotation
 
+from shoal.config.experiment import load_experiment
+from shoal.config.perception import Camera
+from shoal.frames import Array
 from sim_bridge.camera.kernels import AMBIENT, DIFFUSE, GLOSS, LAMP_UP, LAMP_X, LAMP_Y
 from sim_bridge.camera.optics import project, rays
 from sim_bridge.camera.rays import ImageRect
@@ -16,9 +19,6 @@ from sim_bridge.camera.renderer import Renderer
 from sim_bridge.camera.robot_sprite import Bodies, BodySprite, exposures
 from sim_bridge.camera.scene import water_colour
 from sim_bridge.camera.textures import HULL_PX
-from wire.config.experiment import load_experiment
-from wire.config.perception import Camera
-from wire.frames import Array
 
 pytestmark = pytest.mark.long
 

@@ -5,7 +5,10 @@ import math
 import numpy as np
 import pytest
 from scipy.optimize import brentq
+from shoal.errors import ConfigError
 
+from shoal.config.experiment import load_experiment
+from shoal.frames import Array
 from sim_bridge.camera.kernels import SURFACE_X, SURFACE_Y, WATER_X, WATER_Y
 from sim_bridge.camera.rays import CameraRays, ImageRect
 from sim_bridge.camera.renderer import Renderer
@@ -13,9 +16,6 @@ from sim_bridge.camera.scene import WaterView
 from sim_bridge.camera.water_optics import WaterLight
 from sim_bridge.plant.currents_waves import SurfaceWave, WaterFlow
 from sim_bridge.plant.sensors import BoardSensors
-from wire.config.experiment import load_experiment
-from wire.frames import Array
-from wire.toml_loader import ConfigError
 
 WAVES = "sim.plant.waves={height_m=0.04, period_s=1.2, direction_rad=0.5}"
 SMALL = ("camera.size_px=[320, 240]", "camera.focal_px=[251.25, 251.25]", "camera.centre_px=[159.5, 119.5]")

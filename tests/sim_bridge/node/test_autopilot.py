@@ -4,14 +4,14 @@ from collections.abc import Callable
 
 import pytest
 from pymavlink.dialects.v20 import common as dialect
+from shoal.errors import ConfigError
 from typer.testing import CliRunner
 
+from shoal.mavlink.board_port import Link
 from sim_bridge.__main__ import cli
 from sim_bridge.board_conformance import cli as conformance
 from sim_bridge.node import hil_board
 from tests.robot_agent.autopilot import Autopilot
-from wire.mavlink.board_port import Link
-from wire.toml_loader import ConfigError
 
 PLACE = "udp:127.0.0.1:9"
 

@@ -9,22 +9,22 @@ from socket import SOCK_DGRAM
 
 import pytest
 from pymavlink.dialects.v20 import common as dialect
+from shoal.errors import ConfigError
 from typer.testing import CliRunner
 
 from robot_agent.host.params import cli as params
+from shoal.config.experiment import load_experiment
+from shoal.mavlink.agent_link import AgentLink
+from shoal.mavlink.board_port import SerialLink, UdpLink, open_link
+from shoal.mavlink.framing import Sender
+from shoal.mavlink.signing import Key
+from shoal.mavlink.signing_key import Signing, agent_end, new_key
 from sim_bridge.__main__ import cli as sim_bridge
 from sim_bridge.node.bench import PseudoTerminal, open_socket
 from sim_bridge.node.board_ports import UdpPort
 from sim_bridge.sil.ports import free_port
 from sim_bridge.thruster_board.board import ThrusterBoard
 from tests.sim_bridge.boards import board
-from wire.config.experiment import load_experiment
-from wire.mavlink.agent_link import AgentLink
-from wire.mavlink.board_port import SerialLink, UdpLink, open_link
-from wire.mavlink.framing import Sender
-from wire.mavlink.signing import Key
-from wire.mavlink.signing_key import Signing, agent_end, new_key
-from wire.toml_loader import ConfigError
 
 pytestmark = pytest.mark.real_time
 

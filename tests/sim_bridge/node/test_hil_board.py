@@ -11,21 +11,21 @@ from socket import SOCK_DGRAM
 
 import numpy as np
 import pytest
+from shoal.errors import ConfigError
 
 from robot_agent.host.params import set_one
+from shoal.config.experiment import load_experiment
+from shoal.mavlink.agent_link import AgentLink
+from shoal.mavlink.board_port import Link, open_link
+from shoal.mavlink.parameters import ParameterClient
+from shoal.mavlink.signing_key import Signing, agent_end, new_key
+from shoal.runtime.runtime import Failed
 from sim_bridge.node.hil_board import HilBoard, connect
 from sim_bridge.node.wires import PoolWires, real_boards
 from sim_bridge.sil.ports import free_base_port, free_port
+from sim_bridge.thruster_board.board_link import Arm, BoardLink
 from tests.sim_bridge.boards import board
 from tests.waiting import wait_for_line
-from wire.config.experiment import load_experiment
-from wire.mavlink.agent_link import AgentLink
-from wire.mavlink.board_link import Arm, BoardLink
-from wire.mavlink.board_port import Link, open_link
-from wire.mavlink.parameters import ParameterClient
-from wire.mavlink.signing_key import Signing, agent_end, new_key
-from wire.process.runtime import Failed
-from wire.toml_loader import ConfigError
 
 pytestmark = pytest.mark.real_time
 

@@ -4,12 +4,12 @@ import numpy as np
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from shoal.config.experiment import load_experiment
+from shoal.mavlink.agent_link import AgentLink
+from shoal.mavlink.board_port import Link
+from shoal.mavlink.parameters import ParameterClient
 from sim_bridge.node.hil_board import HilBoard
 from sim_bridge.thruster_board.board import ThrusterBoard
-from wire.config.experiment import load_experiment
-from wire.mavlink.agent_link import AgentLink
-from wire.mavlink.board_port import Link
-from wire.mavlink.parameters import ParameterClient
 
 EXPERIMENT = load_experiment("pool")
 STILL = np.zeros(4)

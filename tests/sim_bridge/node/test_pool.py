@@ -9,21 +9,21 @@ from typing import Any
 import numpy as np
 import pytest
 
+from shoal.bus.bus import Bus, Received
+from shoal.bus.endpoint import Endpoint
+from shoal.bus.memory_transport import MemoryHub, MemoryTransport
+from shoal.bus.zenoh_transport import ZenohTransport
+from shoal.config.experiment import load_experiment
+from shoal.messages import topics
+from shoal.messages.codec import Header
+from shoal.messages.topics import Topic
+from shoal.runtime.runtime import Failed, Stop
 from sim_bridge.camera.renderer import Renderer
 from sim_bridge.node.board_ports import UdpPorts
 from sim_bridge.node.pool import PoolNode
 from sim_bridge.sil.ports import free_base_port
 from sim_bridge.world import World
 from tests.waiting import wait_for_line
-from wire.config.experiment import load_experiment
-from wire.messages import topics
-from wire.messages.codec import Header
-from wire.messages.topics import Topic
-from wire.process.runtime import Failed, Stop
-from wire.transport.bus import Bus, Received
-from wire.transport.endpoint import Endpoint
-from wire.transport.memory_transport import MemoryHub, MemoryTransport
-from wire.transport.zenoh_transport import ZenohTransport
 
 ROBOT = "robots=[{id=1, node_m=[0.0, 0.0, 0.0], start=[0.4, 0.0, 0.3, 0.0]}]"
 EXPOSURES = 8

@@ -8,14 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
+from shoal.errors import ConfigError
 
+from shoal.config.experiment import Experiment
+from shoal.frames import Array
 from sim_bridge.fault_schedule import ActuatorFaults
 from sim_bridge.plant.actuators import ActuatorState
 from sim_bridge.plant.fleet import PlantState
 from sim_bridge.plant.random_streams import Stream, generator
-from wire.config.experiment import Experiment
-from wire.frames import Array
-from wire.toml_loader import ConfigError
 
 AT_ONCE_S = 1e-9  # s after its start at which a step is first evaluated
 

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from shoal.config.experiment import Experiment, load_experiment
+from shoal.frames import Array
 from sim_bridge.plant import kernels
 from sim_bridge.plant.actuators import ActuatorModel, ActuatorState
 from sim_bridge.plant.fleet import Plant
-from wire.config.experiment import Experiment, load_experiment
-from wire.frames import Array
 
 STEP_S = 0.005
 IDEAL = ("sim.plant.battery.capacity_wh=0",)

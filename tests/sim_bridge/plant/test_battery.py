@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from shoal.config.experiment import load_experiment
+from shoal.frames import Array
 from sim_bridge.plant import kernels
 from sim_bridge.plant.battery import BatteryModel
 from sim_bridge.plant.fleet import Plant
-from wire.config.experiment import load_experiment
-from wire.frames import Array
 
 REST = np.zeros((2, 4))
 NO_SAG = np.zeros(2)

@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
+from shoal.errors import ConfigError
 
+from shoal.config.experiment import load_experiment
+from shoal.frames import Array
 from sim_bridge.plant import kernels
 from sim_bridge.plant.contact import ContactModel
 from sim_bridge.plant.fleet import Plant
-from wire.config.experiment import load_experiment
-from wire.frames import Array
-from wire.toml_loader import ConfigError
 
 ISLAND = ("pool.size_m=[10,10,2]", "islands=[{position_m=[1.0,0.5],radius_m=0.4}]", "sim.plant.buoyancy_n=0")
 

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from shoal.config.experiment import load_experiment
+from shoal.frames import Array
 from sim_bridge.plant.currents_waves import WaterFlow, wave_number
 from sim_bridge.plant.fleet import Plant
-from wire.config.experiment import load_experiment
-from wire.frames import Array
 
 pytestmark = pytest.mark.long
 

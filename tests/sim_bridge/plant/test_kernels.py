@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from shoal.config.experiment import Experiment, load_experiment
+from shoal.config.scene import RobotConfig
+from shoal.frames import Array
 from sim_bridge.fault_schedule import ActuatorFaults
 from sim_bridge.plant import kernels
 from sim_bridge.plant.fleet import Plant, PlantState
 from tests.sim_bridge.plant.numpy_plant import NumpyPlant
-from wire.config.experiment import Experiment, load_experiment
-from wire.config.scene import RobotConfig
-from wire.frames import Array
 
 pytestmark = pytest.mark.long
 

@@ -12,9 +12,9 @@ import mujoco
 import numpy as np
 import pytest
 
+from shoal.config.experiment import load_experiment
+from shoal.frames import Array
 from sim_bridge.plant.fleet import Plant, PlantState
-from wire.config.experiment import load_experiment
-from wire.frames import Array
 
 MASS_KG, INERTIA_KG_M2, RIGHTING_NM, GRAVITY_MPS2 = 12.0, 0.12, 1.9, 9.81
 LINEAR = np.array([3.0, 3.0, 3.0, 0.08, 0.08, 0.08])

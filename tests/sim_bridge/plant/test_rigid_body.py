@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from shoal.errors import ConfigError
 
+from shoal.config.experiment import Experiment, load_experiment
+from shoal.frames import Array
 from sim_bridge.plant.currents_waves import WaterFlow
 from sim_bridge.plant.fleet import Plant, PlantState
-from wire.config.experiment import Experiment, load_experiment
-from wire.frames import Array
-from wire.toml_loader import ConfigError
 
 pytestmark = pytest.mark.long
 

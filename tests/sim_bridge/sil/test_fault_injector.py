@@ -10,11 +10,11 @@ from pathlib import Path
 import psutil
 import pytest
 
+from shoal.bus.bus import Bus
+from shoal.bus.memory_transport import MemoryHub, MemoryTransport
+from shoal.config.experiment import load_experiment
 from sim_bridge.sil.fault_injector import ProcessFaultInjector
 from sim_bridge.sil.processes import Child, Children
-from wire.config.experiment import load_experiment
-from wire.transport.bus import Bus
-from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
 
 def test_injector_stops_continues_and_kills_a_process(tmp_path: Path) -> None:

@@ -2,12 +2,12 @@
 
 import numpy as np
 
+from shoal.bus.bus import Bus
+from shoal.bus.memory_transport import MemoryHub, MemoryTransport
+from shoal.config.experiment import load_experiment
+from shoal.messages import topics
+from shoal.messages.messages import Event, Mode, RobotState, StationHeartbeat
 from sim_bridge.sil.monitor import Monitor
-from wire.config.experiment import load_experiment
-from wire.messages import topics
-from wire.messages.messages import Event, Mode, RobotState, StationHeartbeat
-from wire.transport.bus import Bus
-from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
 
 def line(name: str, states: dict[int, RobotState], mission: str = "RUNNING", told: str = "") -> str:

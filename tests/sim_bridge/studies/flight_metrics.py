@@ -1,6 +1,6 @@
 """The numbers of one good flight."""
 
-from wire.config.controller_benchmark import FlightMetrics
+from groundstation.analysis.comparison import FlightMetrics
 
 GOOD = FlightMetrics(
     rms_m=0.1, rms_after_20s_m=0.01, max_after_20s_m=0.02, rms_yaw_rad=0.0, rms_yaw_after_20s_rad=0.0, formation_rms_m=0.1,

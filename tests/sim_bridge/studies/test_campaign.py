@@ -18,9 +18,16 @@ import tomli_w
 from distributed import LocalCluster
 from rich.console import Console
 from scipy import stats
+from shoal.errors import ConfigError
 from typer.testing import CliRunner
 
+from groundstation.analysis.statistics import mean
 from groundstation.planning import planner
+from shoal.config.experiment import EXPERIMENTS, NO_CAMERA, Experiment, load_experiment
+from shoal.config.loader import check
+from shoal.runtime.output import terminal
+from shoal.runtime.runtime import Failed, Stop
+from shoal.runtime.version import code
 from sim_bridge.__main__ import cli
 from sim_bridge.in_process import run
 from sim_bridge.studies import campaign_runner
@@ -31,12 +38,6 @@ from sim_bridge.studies.metrics import MEASURES, broken_limits
 from sim_bridge.studies.statistics import distribution, quantile, rate
 from tests.planted import installed
 from tests.waiting import eventually
-from wire.config.experiment import EXPERIMENTS, NO_CAMERA, Experiment, load_experiment
-from wire.figures import mean
-from wire.process.output import terminal
-from wire.process.runtime import Failed, Stop
-from wire.process.version import code
-from wire.toml_loader import ConfigError, check
 
 pytestmark = pytest.mark.long
 

@@ -12,15 +12,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tomli_w
+from shoal.errors import ConfigError
 
+from groundstation.analysis.comparison import Comparison, Variant
 from groundstation.planning import planner
+from shoal.config.experiment import EXPERIMENTS, Experiment, load_experiment
+from shoal.runtime.version import code
 from sim_bridge.studies.comparison import VARIANTS, FlightTask, fly, scattered
 from tests.closed_loop.numeric import flown
 from tests.planted import executed, installed, plant
-from wire.config.controller_benchmark import Comparison, Variant
-from wire.config.experiment import EXPERIMENTS, Experiment, load_experiment
-from wire.process.version import code
-from wire.toml_loader import ConfigError
 
 pytestmark = pytest.mark.long
 

@@ -8,11 +8,11 @@ from typing import get_args
 import numpy as np
 import pytest
 
+from groundstation.analysis.comparison import FlightMetrics
+from shoal.config.baseline_controllers import LawName
+from shoal.config.experiment import load_experiment
+from shoal.frames import Array
 from sim_bridge.studies.gain_tuning import WEAR, TuningResult, cost, search, values, with_gains
-from wire.config.baseline_controllers import LawName
-from wire.config.controller_benchmark import FlightMetrics
-from wire.config.experiment import load_experiment
-from wire.frames import Array
 
 FEEDBACK = [law.replace("-", "_") for law in get_args(LawName) if law not in ("eso-mpc-article", "nmpc")]
 CONTROLLER = load_experiment("pool").controller

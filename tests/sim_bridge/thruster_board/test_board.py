@@ -9,15 +9,15 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as dialect
 from scipy.spatial.transform import Rotation
 
+from shoal.config.experiment import Experiment, load_experiment
+from shoal.frames import Array
+from shoal.mavlink import agent_link
+from shoal.mavlink.agent_link import IGNORED, AgentLink, Telemetry
+from shoal.mavlink.framing import Sender
 from sim_bridge.plant.sensors import BoardSensors
 from sim_bridge.thruster_board.board import ThrusterBoard
 from sim_bridge.thruster_board.parameters import Parameters
 from sim_bridge.thruster_board.state_machine import BoardStateMachine, Charge
-from wire.config.experiment import Experiment, load_experiment
-from wire.frames import Array
-from wire.mavlink import agent_link
-from wire.mavlink.agent_link import IGNORED, AgentLink, Telemetry
-from wire.mavlink.framing import Sender
 
 pytestmark = pytest.mark.long
 

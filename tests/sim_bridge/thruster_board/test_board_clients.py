@@ -8,17 +8,17 @@ from typing import Any
 import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common as dialect
+from shoal.errors import ConfigError
 
+from shoal.config.experiment import load_experiment
+from shoal.mavlink import agent_link
+from shoal.mavlink.agent_link import AgentLink
+from shoal.mavlink.framing import Sender
+from shoal.mavlink.parameters import ParameterClient
+from shoal.mavlink.signing import Key
+from shoal.mavlink.signing_key import load_key
 from sim_bridge.thruster_board.board import NonvolatileState, ThrusterBoard
 from sim_bridge.thruster_board.nonvolatile import boards_in
-from wire.config.experiment import load_experiment
-from wire.mavlink import agent_link
-from wire.mavlink.agent_link import AgentLink
-from wire.mavlink.framing import Sender
-from wire.mavlink.parameters import ParameterClient
-from wire.mavlink.signing import Key
-from wire.mavlink.signing_key import load_key
-from wire.toml_loader import ConfigError
 
 STEP = 5_000_000
 POOL = load_experiment("pool")

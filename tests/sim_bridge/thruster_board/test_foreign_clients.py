@@ -13,10 +13,10 @@ from socket import SOCK_DGRAM
 
 import pytest
 
+from shoal.mavlink.agent_link import AgentLink
+from shoal.mavlink.board_port import open_link
 from sim_bridge.sil.ports import free_port
 from tests.sim_bridge.boards import board
-from wire.mavlink.agent_link import AgentLink
-from wire.mavlink.board_port import open_link
 
 pytestmark = pytest.mark.real_time
 

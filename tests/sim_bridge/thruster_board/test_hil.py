@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common as dialect
 
+from shoal.config.experiment import load_experiment
+from shoal.mavlink.agent_link import AgentLink
+from shoal.mavlink.framing import Sender
+from shoal.mavlink.parameters import ParameterClient
 from sim_bridge.thruster_board.board import NonvolatileState, ThrusterBoard
+from sim_bridge.thruster_board.simulator_link import SimulatorLink
 from sim_bridge.thruster_board.state_machine import Charge
-from wire.config.experiment import load_experiment
-from wire.mavlink.agent_link import AgentLink
-from wire.mavlink.framing import Sender
-from wire.mavlink.parameters import ParameterClient
-from wire.mavlink.simulator_link import SimulatorLink
 
 MS = 1_000_000
 STEP = 5 * MS

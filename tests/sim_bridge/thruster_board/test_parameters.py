@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from shoal.config.experiment import load_experiment
 from sim_bridge.thruster_board.parameters import FIXED, Parameter, Parameters, Refusal, single
-from wire.config.experiment import load_experiment
 
 POOL = Parameters.of(load_experiment("pool"))
 

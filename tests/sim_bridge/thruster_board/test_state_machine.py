@@ -7,11 +7,11 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
+from shoal.config.experiment import load_experiment
+from shoal.mavlink.agent_link import ACCEPTED, IGNORED, REJECTED
+from shoal.mavlink.signing import Key, SignatureVerdict, Signer
 from sim_bridge.thruster_board.parameters import Parameter, Parameters, Refusal
 from sim_bridge.thruster_board.state_machine import BoardStateMachine, Charge, StatusText
-from wire.config.experiment import load_experiment
-from wire.mavlink.agent_link import ACCEPTED, IGNORED, REJECTED
-from wire.mavlink.signing import Key, SignatureVerdict, Signer
 
 PARAMETERS = Parameters.of(load_experiment("pool"))
 COMPUTER, STRANGER = (3, 191), (255, 190)

@@ -21,6 +21,11 @@ from robot_agent.guidance.obstacles import Obstacle, obstacles_from_message
 from robot_agent.guidance.reference import Follow, Goal, Hold
 from robot_agent.vehicle.dynamics import Model
 from robot_agent.vehicle.estimate import PoseMeasurement, StateMeasurement
+from shoal.config.experiment import load_experiment
+from shoal.config.vehicle import Vehicle, load_vehicle
+from shoal.frames import Array
+from shoal.messages.live_gains import tunable_parameters, tuned
+from shoal.messages.messages import DriveVelocity, Obstacles, Plan, Solve, Trajectory
 from tests.robot_agent.control.drawn_inputs import (
     GOAL,
     POOL,
@@ -32,11 +37,6 @@ from tests.robot_agent.control.drawn_inputs import (
     neighbours,
 )
 from tests.robot_agent.control.drawn_inputs import at as pose_at
-from wire.config.experiment import load_experiment
-from wire.config.vehicle import Vehicle, load_vehicle
-from wire.frames import Array
-from wire.messages.live_gains import tunable_parameters, tuned
-from wire.messages.messages import DriveVelocity, Obstacles, Plan, Solve, Trajectory
 
 pytestmark = pytest.mark.long
 

@@ -7,8 +7,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from robot_agent.control.nonlinear.prediction import Dynamics, Start, Surroundings, fly, make_flight, make_grid, move_on
+from shoal.frames import Array
 from tests.robot_agent.control.nonlinear.plants import ALL_AXES, DYNAMICS, HULL, WATER, grid_of
-from wire.frames import Array
 
 SCALE = np.array([2.0, 1.0, 0.2])
 

@@ -12,8 +12,8 @@ from robot_agent.control.nonlinear.obstacle_rows import MovingBodies, Surrounds
 from robot_agent.control.nonlinear.prediction import Grid, PlannedFlight, Start, fly, make_flight
 from robot_agent.control.nonlinear.program import Memory, PlanProblem, appraise, make_memory, step_plan
 from robot_agent.guidance.obstacles import Obstacle
+from shoal.frames import Array
 from tests.robot_agent.control.nonlinear.plants import ALL_AXES, DYNAMICS, LIMIT, NOTHING, RATE, STILL, grid_of, problem_of
-from wire.frames import Array
 
 
 def counted(problem: PlanProblem, error: Array, yaw: Array) -> Array:

@@ -18,8 +18,8 @@ from robot_agent.control.nonlinear.tuning import (
     step_s,
 )
 from robot_agent.vehicle.estimate import Deviations, Ratios
-from wire.config.experiment import load_experiment
-from wire.config.vehicle import Vehicle, load_vehicle
+from shoal.config.experiment import load_experiment
+from shoal.config.vehicle import Vehicle, load_vehicle
 
 DOCS = Path(__file__).parents[4] / "docs" / "control.md"
 SPHERICAL = load_experiment("pool").vehicle

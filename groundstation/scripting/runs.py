@@ -1,0 +1,64 @@
+"""SHELL: a recorded run for scripts: its result, and its messages as tables of named columns."""
+
+import json
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from numpy.typing import NDArray
+from shoal.errors import ConfigError
+
+from groundstation.export import tables
+from groundstation.logs.run_folders import MOST_JSON_BYTES
+from shoal.config.experiment import Experiment, load_experiment
+from shoal.messages.topics import TOPICS, Topic
+from shoal.system.regular_files import read_regular
+
+
+class FlownRun:
+    """The folder of a run."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    @cached_property
+    def experiment(self) -> Experiment:
+        """The experiment as it was flown."""
+        return load_experiment(str(self.folder / "experiment.toml"))
+
+    @cached_property
+    def result(self) -> dict[str, Any]:
+        """The content of result.json (groundstation/analysis/results.py names its keys); evaluated if it is not there."""
+        file = self.folder / "result.json"
+        if not file.exists():
+            from groundstation.report.report import write_report  # brings matplotlib
+
+            write_report(self.folder)
+        found: dict[str, Any] = json.loads(read_regular(file, MOST_JSON_BYTES))
+        return found
+
+    @property
+    def passed(self) -> bool:
+        """True if every limit of the experiment held."""
+        return bool(self.result["passed"])
+
+    def table(self, topic: str, robot: int = 0) -> dict[str, NDArray[Any]]:
+        """All messages of a topic as columns, named as `groundstation log export` names them. `time_s` is 0 where the report's
+        is. Missing numbers are NaN. `pandas.DataFrame` takes it as it is. Topics of a robot go by their last part:
+        `table("state", robot=2)`. Raises ConfigError for an unknown topic or an empty log."""
+        return tables.table(self.folder / "run.mcap", _topic(topic), robot)
+
+
+def _topic(name: str) -> Topic:
+    known = {topic.name.removeprefix("robot/{robot}/"): topic for topic in TOPICS if topic.recorded}
+    if name not in known:
+        raise ConfigError(f"topic {name!r}: no such recorded topic (allowed: {', '.join(known)})")
+    return known[name]
+
+
+def open_run(folder: str | Path) -> FlownRun:
+    """Open the folder of a run. Raises ConfigError if it holds no log."""
+    place = Path(folder)
+    if not (place / "run.mcap").is_file():
+        raise ConfigError(f"{place}: no run.mcap there")
+    return FlownRun(place)

@@ -1,0 +1,79 @@
+"""SHELL: an experiment as a file for people: the keys that differ from their defaults, each with its meaning as a comment.
+
+Loading the file gives the same experiment. `dump_experiment` writes every key instead, for a run's own record.
+"""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from shoal.config.experiment import Experiment
+from shoal.config.formation_shapes import shape_nodes
+from shoal.config.key_reference import meanings, schema_line
+from shoal.config.loader import Section, toml_value
+from shoal.config.vehicle import VEHICLES, Vehicle, load_vehicle
+
+WIDE = 127  # of a line; with a longer comment it stands above its key
+
+
+def commented(experiment: Experiment) -> str:
+    """The experiment as TOML, in the order of the shipped files."""
+    title = f"# {experiment.title or experiment.name}"
+    return "\n".join([schema_line("experiment"), title, "", *_lines(experiment, "", set())]) + "\n"
+
+
+def _lines(section: Section, name: str, told: set[str]) -> Iterator[str]:
+    """Lines of a section: its own keys, then its sections. A key that is in `told` has had its comment."""
+    below: list[tuple[str, Any]] = []
+    for key, value in _different(section).items():
+        dotted = f"{name}.{key}" if name else key
+        if isinstance(value, Section) or (isinstance(value, tuple) and value and isinstance(value[0], Section)):
+            below.append((dotted, value))
+            continue
+        line = f"{key} = {toml_value(value)}"
+        comment = meanings(type(section)).get(key, "") if dotted not in told else ""
+        told.add(dotted)
+        if comment and len(line) + len(comment) + 4 > WIDE:
+            yield f"# {key}: {comment}"
+        yield f"{line}  # {comment}" if comment and len(line) + len(comment) + 4 <= WIDE else line
+    for dotted, value in below:
+        for one in value if isinstance(value, tuple) else (value,):
+            yield ""
+            yield f"[[{dotted}]]" if isinstance(value, tuple) else f"[{dotted}]"
+            yield from _lines(one, dotted, told)
+
+
+def _different(section: Section) -> dict[str, Any]:
+    """The values that a file has to tell."""
+    found = {}
+    for key, field in type(section).model_fields.items():
+        value = getattr(section, key)
+        if value is not None and (
+            field.is_required() or _dumped(value) != _dumped(field.get_default(call_default_factory=True))
+        ):
+            found[key] = value
+    if isinstance(section, Experiment):
+        found["vehicle"] = _shipped_name(section.vehicle) or section.vehicle
+        if _has_shape(section):
+            found["robots"] = tuple(robot.model_copy(update={"node_m": None}) for robot in section.robots)
+    return found
+
+
+def _dumped(value: Any) -> Any:
+    return value.model_dump() if isinstance(value, Section) else value
+
+
+def _shipped_name(vehicle: Vehicle) -> str:
+    return next(
+        (file.stem for file in sorted(VEHICLES.glob("*.toml")) if _dumped(load_vehicle(file.stem)) == _dumped(vehicle)), ""
+    )
+
+
+def _has_shape(experiment: Experiment) -> bool:
+    """True if all robots are at the nodes of the formation's shape: then the shape says so."""
+    formation = experiment.formation
+    if formation.shape is None:
+        return False
+    nodes = shape_nodes(formation.shape, len(experiment.robots), formation.spacing_m)
+    return np.array_equal(nodes, [robot.node_m for robot in experiment.robots])

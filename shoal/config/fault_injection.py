@@ -1,0 +1,171 @@
+"""Faults injected into a simulated run: the timeline under [[sim.faults]], and `--fault` on the command line.
+
+[[sim.faults]]
+at_s = 20.0                  # along the trajectories: 0 is when the robots start
+for_s = 5.0                  # then it is whole again; without it, never
+what = "thruster 2/3 dead"   # the same as --fault "t=20 for=5 thruster 2/3 dead"
+"""
+
+import re
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Annotated, Self
+
+from pydantic import Field, model_validator
+
+from shoal.config.loader import Section
+from shoal.errors import ConfigError
+
+THRUSTERS = 4
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One way to be broken: its number's meaning, default and range, if it has one."""
+
+    meaning: str = ""
+    default: float = 0.0
+    low: float = 0.0
+    high: float = 0.0
+
+
+# kind -> (what it happens to, what may happen)
+KINDS: dict[str, tuple[str, dict[str, Effect]]] = {
+    "thruster": (
+        "ROBOT/THRUSTER",
+        {"dead": Effect(), "stuck": Effect(), "reversed": Effect(), "weak": Effect("fraction of its thrust", 0.5, 0.0, 1.0)},
+    ),
+    "marker": ("ROBOT", {"lost": Effect()}),
+    "camera": (
+        "[CAMERA]",
+        {
+            "gone": Effect(),
+            "slow": Effect("delay in s", 0.1, 0.0, 2.0),
+            "frozen": Effect(),
+            "dark": Effect(),
+            "occluded": Effect("fraction of the picture", 0.4, 0.0, 1.0),
+            "glare": Effect("fraction of the picture", 0.2, 0.0, 1.0),
+            "lamp": Effect("times as much light", 0.5, 0.1, 4.0),
+            "bubbles": Effect("streams of bubbles", 10.0, 1.0, 50.0),
+            "bump": Effect("pixels to the right and down", 60.0, 2.0, 1000.0),
+        },
+    ),
+    "water": ("", {"low": Effect("metres that its level fell", 0.02, -0.2, 0.2)}),
+    "imu": (
+        "ROBOT",
+        {"heading": Effect("error in rad", 0.5, -3.2, 3.2), "gyro": Effect("error in rad/s", 0.1, -10.0, 10.0)},
+    ),
+    "battery": ("ROBOT", {"sag": Effect("volts lost", 1.5, 0.0, 20.0)}),
+    "link": (
+        "ROBOT",
+        {
+            "cut": Effect(),
+            "noisy": Effect("fraction lost, and as much again doubled and overtaken", 0.1, 0.0, 1.0),
+            "slow": Effect("delay in s", 0.1, 0.0, 5.0),
+        },
+    ),
+    "process": ("NAME", {"killed": Effect(), "stopped": Effect()}),
+    "disk": ("", {"full": Effect()}),
+    "clock": ("NAME", {"step": Effect("by how many seconds", 3600.0, -1e6, 1e6)}),
+}
+OF_PROCESSES = ("process", "disk", "clock")  # by the wall clock, and from outside
+_TARGETS = {"": "", "[CAMERA]": r".*", "ROBOT": r"(\d+)", "ROBOT/THRUSTER": r"(\d+)/(\d+)", "NAME": r"(\S+)"}
+_LINE = re.compile(r"t=(?P<at>\S+)(?:\s+for=(?P<during>\S+))?\s+(?P<what>\S.*)")
+
+
+@dataclass(frozen=True)
+class Break:
+    """A parsed fault."""
+
+    kind: str
+    effect: str
+    value: float = 0.0
+    robot: int = 0  # 0: none
+    thruster: int = 0  # 1 to 4, in the vehicle file's order
+    process: str = ""
+    camera: str = ""  # one of several cameras; "": all of them
+
+
+def read_what(text: str) -> Break:
+    """The meaning of `thruster 2/3 weak 0.5`. Raises ValueError that says what is allowed."""
+    kind, *words = text.split() or [""]
+    if kind not in KINDS:
+        raise ValueError(f"{kind!r} cannot be broken (allowed: {', '.join(KINDS)})")
+    target, effects = KINDS[kind]
+    usage = " ".join(part for part in (kind, target, "|".join(_usage(*item) for item in effects.items())) if part)
+    left_out = target == "[CAMERA]" and words and words[0] in effects
+    target_text = words.pop(0) if target and words and not left_out else ""
+    found = re.fullmatch(_TARGETS[target], target_text)
+    if found is None or not words or words[0] not in effects or len(words) > 1 + bool(effects[words[0]].meaning):
+        raise ValueError(f"must read: {usage}")
+    effect = effects[words[0]]
+    value = _number(words[1], effect) if len(words) > 1 else effect.default
+    robot, thruster, process, camera = 0, 0, "", ""
+    if target == "NAME":
+        process = target_text
+    elif target == "[CAMERA]":
+        camera = target_text
+    elif target:
+        robot, thruster = (int(number) for number in (*found.groups(), "0")[:2])
+    if target == "ROBOT/THRUSTER" and not 1 <= thruster <= THRUSTERS:
+        raise ValueError(f"thruster {thruster} of robot {robot}: no such thruster (allowed: 1 to {THRUSTERS})")
+    return Break(kind, words[0], value, robot, thruster, process, camera)
+
+
+def _usage(name: str, effect: Effect) -> str:
+    return f"{name} [{effect.meaning}]" if effect.meaning else name
+
+
+def _number(text: str, effect: Effect) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    if not effect.low <= value <= effect.high:
+        raise ValueError(f"{text}: must be the {effect.meaning}, {effect.low:g} to {effect.high:g}")
+    return value
+
+
+class Fault(Section):
+    """A fault of the timeline: the part that breaks, in which way, when, and for how long."""
+
+    at_s: Annotated[float, Field(ge=0, examples=[20.0])]
+    """Time along the trajectories: 0 is when the robots start."""
+    for_s: Annotated[float | None, Field(gt=0, examples=[5.0])] = None
+    """Time after which it is whole again; left out: never."""
+    what: Annotated[str, Field(examples=["thruster 2/3 dead"])]
+    """The fault, as in --fault without its times."""
+
+    @model_validator(mode="after")
+    def _can_be_read(self) -> Self:
+        if self.broken.effect == "killed" and self.for_s is not None:
+            raise ValueError("for_s: what is killed does not come back (leave it out, or write `stopped`)")
+        return self
+
+    @cached_property
+    def broken(self) -> Break:
+        """The parsed text of `what`."""
+        try:
+            return read_what(self.what)
+        except ValueError as error:
+            raise ValueError(f"what = {self.what!r}: {error}") from None
+
+    def holds(self, time_s: float) -> bool:
+        """True if the fault is present at this time along the trajectories."""
+        return time_s >= self.at_s and (self.for_s is None or time_s < self.at_s + self.for_s)
+
+
+def fault_table(line: str) -> dict[str, float | str]:
+    """`--fault "t=20 for=5 thruster 2/3 dead"` as a table of [[sim.faults]]. Raises ConfigError."""
+    found = _LINE.fullmatch(line.strip())
+    try:
+        if found is None:
+            raise ValueError
+        table: dict[str, float | str] = {"at_s": float(found["at"]), "what": found["what"]}
+        if found["during"] is not None:
+            table["for_s"] = float(found["during"])
+    except ValueError:
+        raise ConfigError(
+            f'--fault {line}: write it as "t=SECONDS [for=SECONDS] WHAT", e.g. "t=20 thruster 2/3 dead"'
+        ) from None
+    return table

@@ -1,0 +1,199 @@
+"""The scene: pool, islands, path, formation, robots."""
+
+from itertools import pairwise
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from shoal.config.formation_shapes import Shape
+from shoal.config.loader import Section
+from shoal.config.vehicle import NotNegative, Positive
+
+Vec2 = tuple[float, float]
+Vec3 = tuple[float, float, float]
+Vec4 = tuple[float, float, float, float]
+
+LARGEST_ROBOT = 49  # the marker of a robot is, unless told otherwise, that of its number, of 50
+MOST_WAYPOINTS = 30_000  # of a path, all laps together: no file has room for more
+
+
+class PoolConfig(Section):
+    """The basin. Its walls stand at +-length/2 and +-width/2 around the origin.
+
+    Without `walls` the water has no sides, no floor and no surface that a plan must keep clear of; poses and trajectories
+    still have to lie within `size_m`.
+    """
+
+    size_m: tuple[Positive, Positive, Positive]
+    """Length (x), width (y) and depth (z)."""
+    walls: bool = True
+    """The water has sides, a floor and a surface. False: open water."""
+
+
+class Island(Section):
+    """A round island: its foot stands on the floor, its head out of the water."""
+
+    position_m: Vec2
+    """Centre, x and y."""
+    radius_m: Positive
+    """Radius."""
+
+
+class Circle(Section):
+    """A circle around the origin, flown clockwise seen from above (heading grows), starting at its largest x."""
+
+    kind: Literal["circle"]
+    """A circle around the origin."""
+    diameter_m: Positive
+    """Diameter of the formation centre's circle."""
+    lap_s: Positive
+    """Time for one lap."""
+    depth_m: NotNegative
+    """Depth of the formation's centre."""
+    slow: bool = False
+    """Slow down where a robot would exceed its limits, instead of refusing the plan."""
+
+
+class Waypoints(Section):
+    """A natural cubic spline through waypoints (equations 12, 13), flown at constant speed."""
+
+    kind: Literal["waypoints"]
+    """A smooth curve through waypoints."""
+    points_m: Annotated[tuple[Vec2, ...], Field(min_length=2)]
+    """Waypoints x, y of the formation's centre, in order."""
+    speed_mps: Positive
+    """Speed of the formation's centre."""
+    laps: Annotated[int, Field(ge=1, le=1000)] = 1
+    """Number of times that the waypoints are flown. With more than one, the last leads back to the first."""
+    start_index: Annotated[int, Field(ge=0)] = 0
+    """Waypoint at which the flight begins, from 0."""
+    depth_m: NotNegative = 0.0
+    """Depth of the formation's centre at the start."""
+    dive_mps: float = 0.0
+    """Rate at which the depth grows."""
+    slow: bool = False
+    """Slow down where a robot would exceed its limits, instead of refusing the plan."""
+    stop: bool = False
+    """Stop at the last waypoint, and stay. False: the run must end before the path does."""
+
+    @model_validator(mode="after")
+    def _starts_on_the_path(self) -> Self:
+        if self.start_index >= len(self.points_m):
+            raise ValueError(f"start_index = {self.start_index}: no such waypoint (allowed: 0 to {len(self.points_m) - 1})")
+        if len(self.points_m) * self.laps > MOST_WAYPOINTS:
+            raise ValueError(f"laps = {self.laps}: {len(self.points_m)} waypoints so often are more than {MOST_WAYPOINTS}")
+        return self
+
+    @property
+    def all_points_m(self) -> tuple[Vec2, ...]:
+        """The waypoints of all laps, in the order in which they are flown."""
+        return self.points_m if self.laps == 1 else self.points_m * self.laps + self.points_m[:1]
+
+
+class Route(Section):
+    """The shortest way through places in order that the whole formation can take: around islands, within the walls."""
+
+    kind: Literal["route"]
+    """The shortest clear way through places."""
+    via_m: Annotated[tuple[Vec2, ...], Field(min_length=2)]
+    """Places x, y of the formation's centre, from the first to the last."""
+    speed_mps: Positive
+    """Speed of the formation's centre."""
+    depth_m: NotNegative = 0.0
+    """Depth of the formation's centre."""
+    clearance_m: NotNegative = 0.1
+    """Distance between hulls and walls or islands."""
+    smooth_m: Positive = 0.5
+    """Length over which bends are spread, also at places on the way; less where there is no room."""
+    slow: bool = True
+    """Slow down where a robot would exceed its limits, instead of refusing the plan."""
+    stop: bool = True
+    """Stop at the last place, and stay. False: the run must end before the path does."""
+
+
+PathSpec = Annotated[Circle | Waypoints | Route, Field(discriminator="kind")]
+
+
+class Change(Section):
+    """Another form on the way, taken smoothly: a named shape, or the same one larger and turned."""
+
+    at_s: Annotated[NotNegative, Field(examples=[30.0])]
+    """Time in the run at which the change begins."""
+    over_s: Positive = 10.0
+    """Duration of the change."""
+    shape: Annotated[Shape | None, Field(examples=["column"])] = None
+    """The new shape; left out: the same one."""
+    spacing_m: Positive = 0.8
+    """Distance of the new shape's nearest nodes, before `scale`."""
+    scale: Positive = 1.0
+    """Factor on the nodes' offsets; without a shape, on those that they have then."""
+    turn_rad: float = 0.0
+    """Turn of the nodes about the centre; without a shape, from the direction that they have then."""
+
+
+class FormationConfig(Section):
+    """Nodes around a virtual centre (14-16): `translate` keeps offsets constant in the pool frame, `rotate` turns them with
+    the path's tangent (ambiguity A10).
+
+    With `virtual-structure` every robot follows its own node, and the formation terms couple neighbours. With
+    `leader-follower` only the leader follows its node; the others keep their offsets from wherever the leader is.
+    """
+
+    kind: Literal["virtual-structure", "leader-follower"] = "virtual-structure"
+    """Every robot follows its own node, or all but the leader keep their offsets from the leader."""
+    leader: Annotated[int | None, Field(examples=[2])] = None
+    """Id of the leader; left out: the first robot."""
+    mode: Literal["translate", "rotate"] = "translate"
+    """Offsets keep their direction in the pool, or turn with the path."""
+    scale: Positive = 1.0
+    """Factor on all nodes' offsets, L = l I of (15)."""
+    shape: Shape | None = None
+    """Shape for robots without a node_m, in the file's order."""
+    spacing_m: Positive = 0.8
+    """Distance of the shape's nearest nodes, before `scale`."""
+    changes: tuple[Change, ...] = ()
+    """Changes of the formation on the way, one after the other."""
+
+    @model_validator(mode="after")
+    def _changes_one_after_the_other(self) -> Self:
+        for before, after in pairwise(self.changes):
+            if after.at_s < before.at_s + before.over_s:
+                end_s = before.at_s + before.over_s
+                raise ValueError(
+                    f"changes: at_s = {after.at_s:g}: the one before ends at {end_s:g} s (allowed: that or later)"
+                )
+        return self
+
+
+class RobotConfig(Section):
+    """One robot: its node in the formation, or a path of its own, and where it starts.
+
+    `start_offset` is [x m, y m, z m, yaw rad] from the first reference; `start` is a pose in the pool frame instead. Robots
+    on one path are planned to stay apart; on different paths they may be planned through one another, and give way there.
+    """
+
+    id: Annotated[int, Field(ge=1, le=LARGEST_ROBOT)]
+    """Number of the robot."""
+    node_m: Vec3
+    """Node in the formation, from its centre. With formation.shape it may be left out."""
+    path: Annotated[
+        PathSpec | None, Field(examples=[{"kind": "circle", "diameter_m": 0.5, "lap_s": 60.0, "depth_m": 0.3}])
+    ] = None
+    """A path of its own; left out: the formation's."""
+    start_offset: Vec4 = (0.0, 0.0, 0.0, 0.0)
+    """Start, from the first reference: x, y, z in m and yaw in rad."""
+    start: Vec4 | None = None
+    """Start in the pool frame instead: x, y, z in m and yaw in rad."""
+    neighbours: tuple[int, ...] = ()
+    """Ids of the robots whose plans enter this robot's formation term."""
+    urgent: bool = False
+    """Has priority: others give way to it."""
+    marker_id: Annotated[int | None, Field(ge=0, le=49, examples=[7])] = None
+    """Id of the marker on its back; left out: its id."""
+    depth_offset_m: Annotated[float, Field(ge=-1, le=1)] = 0.0
+    """Depth that its pressure sensor tells beyond the true depth of the robot's centre; taken off before anything uses it."""
+
+    @property
+    def marker(self) -> int:
+        """ArUco id on the robot's back: its own number unless the file says otherwise."""
+        return self.id if self.marker_id is None else self.marker_id

@@ -1,0 +1,477 @@
+"""Every message of the fleet as a frozen dataclass. The wire form is shoal/messages/fleet.proto; shoal/messages/codec.py maps
+the two by name.
+
+`eta` is a pose [x_m, y_m, z_m, yaw_rad] in the pool frame, `nu` a velocity [surge, sway, heave m/s, yaw rad/s] in the body
+frame, a wrench [surge N, heave N, yaw N m], with sway N as its fourth number where the vehicle has side thrust; see
+shoal/frames.py. Array fields state their shape; -1 is any length, but one
+length for all of a message.
+"""
+
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from shoal.frames import Array
+
+
+def array(*shape: int) -> Any:
+    """An array field: float64, finite, of this shape. Empty by default."""
+    empty = tuple(0 if n == -1 else n for n in shape)
+    return field(default_factory=lambda: np.zeros(empty), metadata={"shape": shape})
+
+
+def wrench_array(*rows: int) -> Any:
+    """An array field of wrenches: 3 numbers each, or 4 with sway. All of a message have the same."""
+    empty = (*(0 for _ in rows), 3)
+    return field(default_factory=lambda: np.zeros(empty), metadata={"shape": (*rows, 3), "wrench": True})
+
+
+def later_array(*shape: int) -> Any:
+    """An array field added later. Messages of earlier versions lack it and get one zero for each row of the other arrays."""
+    empty = tuple(0 if n == -1 else n for n in shape)
+    return field(default_factory=lambda: np.zeros(empty), metadata={"shape": shape, "later": True})
+
+
+def row_numbers() -> Any:
+    """A field of integers, one for each row of the message's arrays: the id that the row belongs to."""
+    return field(default=(), metadata={"each_row": True})
+
+
+POSITIVE = {"positive": True}  # metadata of a float that receivers divide by: the codec refuses zero and less
+
+
+class Track(IntEnum):
+    """The source of a pose, from worst to best."""
+
+    LOST = 0
+    COAST = 1  # Predicted from earlier poses.
+    KCF = 2  # Found by the correlation filter.
+    MARKER = 3  # Read from the marker.
+
+
+class Mode(IntEnum):
+    """The mode of a robot. The table of transitions is in robot_agent/safety/modes.py."""
+
+    DISARMED = 0
+    ARMED = 1  # The thrusters are at neutral, and the robot is ready to start.
+    TRACKING = 2
+    HOLDING = 3  # The robot keeps its position.
+    STOPPED = 4  # Emergency stop, latched until it is cleared.
+    FAULT = 5
+    DRIVEN = 6  # A person drives the robot; it stops by itself when no DRIVE comes.
+
+
+class Guidance(IntEnum):
+    """State of a robot's guidance: it decides the robot's motion. robot_agent/safety/guidance_states.py has the table of
+    transitions."""
+
+    NONE = 0  # Nothing: the thrusters are at neutral.
+    JOINING = 1  # The robot is on its way to its path, after START, RESUME, or a leap of the path.
+    ON_PATH = 2
+    GIVING_WAY = 3  # The robot leaves its path for another robot or an obstacle.
+    RETURNING = 4  # The robot is on its way back to its path after giving way.
+    HOLDING = 5
+    DRIVEN = 6
+
+
+class Solve(IntEnum):
+    """The result of a control step's optimisation."""
+
+    NONE = 0  # No optimisation was needed.
+    SOLVED = 1
+    SHIFTED = 2  # The previous plan, shifted by one step, was used.
+    FAILED = 3  # No plan was left, so the thrusters went to neutral.
+
+
+class Order(IntEnum):
+    """Commands from the station to one robot."""
+
+    NONE = 0
+    LOAD = 1
+    ARM = 2
+    START = 3
+    HOLD = 4
+    RESUME = 5
+    STOP = 6
+    DISARM = 7
+    CLEAR_STOP = 8
+    TUNE = 9  # Check these gains and keep them ready; nothing changes yet.
+    ADOPT = 10  # Fly with the gains that are ready.
+    RETURN = 11  # To the station only: all robots return to their starts.
+    REJOIN = 12  # To the station only: lost robots take their places again.
+    GO = 13  # To the station only: the formation goes to other places than planned.
+    SWITCH = 14  # Change to the trajectory that was loaded in flight, at its first sample.
+    TEST = 15  # Pulse each thruster and compare the board's echo.
+    END = 20  # To the station only: disarm all robots, then end the run.
+    DRIVE = 21  # Move at this velocity, for a short time.
+    OUT = 22  # To the station only: this robot has been taken out of the water.
+    BACK_IN = 23  # To the station only: it is in the water again.
+
+
+class Progress(IntEnum):
+    """The progress of an operator's request."""
+
+    UNDER_WAY = 0
+    DONE = 1
+    FAILED = 2
+
+
+class CameraHealth(IntEnum):
+    """The health of the camera's pictures, as judged by the localizer."""
+
+    ABSENT = 0
+    OK = 1
+    FROZEN = 2
+    BLACK = 3
+    WRONG_SIZE = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Tick:
+    """The simulator's clock in lockstep. A process acts when the inputs named here have reached it."""
+
+    now_ns: int  # Simulated time of this control step.
+    previous_ns: int  # Time of the step before: the stamp of the plans and states to use.
+    frame_ns: int  # Stamp of the newest camera frame that counts at this step.
+    robots: tuple[int, ...] = ()  # Robots that take part.
+    board_ms: tuple[int, ...] = ()  # For each robot, the board's time of the last sensor burst that counts.
+    frames_ns: tuple[int, ...] = ()  # For each of several cameras, stamp of its newest frame; -1: none yet.
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """The true state of the simulated plant. Robots, localizer and planner may not read it."""
+
+    robots: tuple[int, ...] = row_numbers()
+    eta: Array = array(-1, 4)
+    nu: Array = array(-1, 4)
+    wrench: Array = wrench_array(-1)  # Wrench that the thrusters deliver.
+    disturbance: Array = array(-1, 4)  # Acceleration that the nominal model does not explain, in the body frame.
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """A robot's position and heading from the camera, at the header's stamp (middle of the exposure)."""
+
+    x_m: float
+    y_m: float
+    yaw_rad: float
+    covariance: Array = array(3, 3)  # Covariance of x, y, yaw: m^2, m rad, rad^2.
+    track: Track = Track.LOST
+    identity_verified: bool = False  # A marker was read since the robot was last near another robot.
+    peak: float = 0.0  # Peak of the correlation, 0 to 1.
+    depth_m: float = 0.0  # Depth of the robot's centre that the refraction was computed with.
+
+
+@dataclass(frozen=True, eq=False)
+class LocalizerStatus:
+    """The state of the localizer, once a frame."""
+
+    camera: CameraHealth = CameraHealth.ABSENT
+    frames: int = 0  # Pictures processed since the start.
+    dropped: int = 0  # Pictures not processed, because a newer one had come.
+    frame_ms: float = 0.0  # Processing time of the last picture.
+    frame_age_ms: float = 0.0  # Time from the exposure to the publication.
+    message: str = ""  # The trouble in words, for people; empty if there is none.
+    robots: tuple[int, ...] = ()  # Robots whose poses in this picture are published.
+    obstacles_ns: int = -1  # Stamp of the newest Obstacles published before those poses; -1: none yet.
+    failed: int = 0  # Pictures skipped since the start, because their processing raised an error.
+    out: tuple[str, ...] = ()  # Of several cameras, the names of those that give no poses now.
+    moved: bool = False  # Whether check marks show that the camera was moved.
+    marks_seen: bool = False  # Whether most check marks are seen. Only then is a camera that was moved known to be back.
+    code: str = ""  # Version and commit of the localizer's program; empty in messages of earlier versions.
+    experiment_hash: str = ""  # Of the experiment whose markers and camera its poses rest on; empty in earlier versions.
+
+
+@dataclass(frozen=True, eq=False)
+class Obstacles:
+    """All obstacles that the camera sees in the pool, in one message: an obstacle that is not in it has gone.
+
+    Each has a convex outline of twelve corners (some may coincide), in order from x to y. The outline assumes that the
+    obstacle is at `depth_m`, because one camera cannot measure depth. The k-th rows of all arrays and `ids` belong together.
+    """
+
+    ids: tuple[int, ...] = row_numbers()  # An obstacle keeps its number while it is tracked. No number is used twice.
+    outline: Array = array(-1, 12, 2)  # Corners x, y in the pool frame, m.
+    velocity: Array = array(-1, 2)  # Velocity over the floor in the pool frame, m/s.
+    depth_m: float = 0.0  # Assumed depth: that of the robots' path, where an obstacle would be in their way.
+    watched: float = 0.0  # Share of the pool that can be judged, 0 to 1. The list says nothing about the rest.
+    blind: str = ""  # Reason why too little of the pool can be judged for the list to count; empty if the list counts.
+    unseen_s: Array = later_array(-1)  # Time since each obstacle was last seen. The other fields are as of then.
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """A robot's predicted motion: node s is at the header's stamp + s * period_s, node 0 is the estimate."""
+
+    period_s: float = field(metadata=POSITIVE)
+    eta: Array = array(-1, 4)  # Predicted poses.
+    eta_reference: Array = array(-1, 4)  # Reference poses at the same nodes.
+    tracking_error_m: float = 0.0  # Distance from the reference at node 0.
+    urgent: bool = False  # The robot has priority: others give way to it.
+    heard: tuple[int, ...] = ()  # Robots whose plans it receives. Only they may rely on it to give way.
+    adrift: bool = False  # It has no thrust and drifts as predicted: nobody may rely on it to give way.
+
+
+@dataclass(frozen=True, eq=False)
+class RobotState:
+    """The result of one control step, as the robot knows it. The header's stamp is the step's instant."""
+
+    mode: Mode = Mode.DISARMED
+    fault: str = ""  # Reason why the robot holds, stopped or failed; empty if there is none.
+    guidance: Guidance = Guidance.NONE  # What decides the robot's motion; NONE in messages of earlier versions.
+    experiment_hash: str = ""
+    tuning_id: str = ""  # Id of the gains in use.
+    trajectory_s: float = 0.0  # Time along the trajectory; 0 until it is started.
+    trajectory_id: str = ""
+    eta: Array = array(4)  # Estimated pose.
+    nu: Array = array(4)  # Estimated velocity.
+    disturbance: Array = array(4)  # Estimated acceleration, in the body frame [m/s^2, rad/s^2].
+    eta_reference: Array = array(4)  # Pose on the trajectory: yaw is the tangent of the path.
+    eta_command: Array = array(4)  # Pose given to the controller: yaw includes crab angle and correction.
+    wrench: Array = wrench_array()  # Commanded wrench, within the limits.
+    wrench_step: Array = wrench_array()  # Change of the commanded wrench in this step.
+    wrench_wanted: Array = wrench_array()  # Result of the control law before magnitude and rate were limited.
+    wrench_delivered: Array = wrench_array()  # Wrench after allocation and limits, by the nominal thrust curve.
+    pulse_us: tuple[int, ...] = ()  # Pulse widths sent to the board's outputs: 4 thrusters and 4 ankles, or 8 thrusters.
+    echo_us: tuple[int, ...] = ()  # Pulse widths that the board reports as its output.
+    track: Track = Track.LOST
+    pose_age_ms: float = 0.0
+    exposure_to_pwm_ms: float = 0.0
+    depth_m: float = 0.0  # Measured depth, less the experiment's `depth_offset_m` of the robot.
+    battery_v: float = 0.0
+    board_armed: bool = False
+    board_age_ms: float = 0.0
+    board_loss: float = 0.0  # Fraction of the board's messages lost in the last 5 s.
+    board_round_trip_ms: float = 0.0  # Last measured time to the board and back.
+    board_clock_offset_s: float = 0.0  # The board's clock minus the robot's clock.
+    solve: Solve = Solve.NONE
+    iterations: int = 0
+    step_us: float = 0.0  # Duration of the whole control step.
+    missed_deadlines: int = 0
+    slack_m: float = 0.0  # Depth by which the plan enters the space of another robot.
+    thruster_test: str = ""  # "", "running", "passed", or the fault that was found.
+    heard: tuple[int, ...] = ()  # Neighbours whose plans are fresh.
+    planned: bool = False  # True if the robot published a plan in this step. It does not while its position is unknown.
+    tilt: Array = array(-1)  # Roll, pitch [rad], their rates [rad/s], `board_age_ms` old; empty if not measured.
+    blind: str = ""  # Reason why obstacles are unknown although they should be watched for; empty if they are known.
+    drag_ratio: float = 0.0  # Learned drag per mass of surge and sway, over the vehicle file's; 0 if it is not learned.
+    thrust_ratio: float = 0.0  # The same of thrust per mass.
+    code: str = ""  # Version and commit of the robot's program; empty in messages of earlier versions.
+
+    @property
+    def doing(self) -> str:
+        """The mode, and along a path what decides the motion: "tracking, giving way"."""
+        along = self.mode is Mode.TRACKING and self.guidance is not Guidance.NONE
+        return self.mode.name.lower() + (f", {self.guidance.name.lower().replace('_', ' ')}" if along else "")
+
+
+@dataclass(frozen=True, eq=False)
+class StationHeartbeat:
+    """The station's sign of life, with the state of the emergency stop. In lockstep it also says that the station's commands
+    for this step are sent, and which plans to wait for."""
+
+    experiment_hash: str = ""
+    emergency_stop: bool = False
+    mission: str = ""  # State of the mission, for people.
+    lag_s: float = 0.0  # Delay of the virtual structure behind its timetable at the header's stamp.
+    slowing: float = 0.0  # Rate at which lag_s grows, s/s: 0 at full speed, 1 at standstill.
+    planned: tuple[int, ...] = ()  # Robots that published a plan in their last step, as far as the station received it.
+    code: str = ""  # Version and commit of the station's program; empty in messages of earlier versions.
+    out: tuple[int, ...] = ()  # Robots that have been taken out of the water: nobody keeps clear of them.
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """One robot's reference trajectory, sampled every period_s from `begin_s` on. Yaw is the path's tangent, unwrapped."""
+
+    id: str
+    period_s: float = field(metadata=POSITIVE)
+    eta: Array = array(-1, 4)
+    velocity: Array = array(-1, 4)  # d eta / dt, in the pool frame.
+    acceleration: Array = array(-1, 4)  # d2 eta / dt2, in the pool frame.
+    begin_s: float = 0.0  # Time of the first sample, on the clock that runs along the trajectories.
+
+
+@dataclass(frozen=True, eq=False)
+class Tuning:
+    """The weights and gains of the controller that can be changed in flight (shoal/messages/live_gains.py). The k-th key and
+    the k-th value belong together."""
+
+    id: str  # Id of exactly these values.
+    keys: tuple[str, ...] = ()  # Keys of the experiment file, one for each entry of a list: `controller.mpc.q.0`.
+    values: Array = array(-1)
+
+
+@dataclass(frozen=True, eq=False)
+class DriveVelocity:
+    """A velocity that a person asks of one robot, in its body frame."""
+
+    surge_mps: float = 0.0
+    heave_mps: float = 0.0  # Downwards.
+    yaw_rate_radps: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Command:
+    """A command to one robot, or a request to the station (robot 0). It is applied at most once, by the process that it
+    names, while the header's session is the station's and the command is younger than its time to live."""
+
+    order: Order
+    robot: int
+    time_to_live_s: float = 1.0
+    experiment_hash: str = ""
+    trajectory_id: str = ""
+    start_in_s: float = 0.0  # ADOPT: time of the change, counted from the header's stamp.
+    trajectory_s: float = 0.0  # START, RESUME: time along the timetable at start_ns, lag included. ADOPT: earliest time.
+    trajectory: Trajectory | None = None
+    tuning_id: str = ""  # ADOPT: id of the gains.
+    tuning: Tuning | None = None
+    recipient: int = 0  # Session of the process that it is for, as in its replies. A restarted process refuses it.
+    via: Array = array(-1, 2)  # GO: places x, y for the centre of the formation.
+    start_ns: int = 0  # START, RESUME: instant on the station's clock. 0 (older logs): start_in_s after the header's stamp.
+    about: int = 0  # To the station, with NONE: number of the request whose outcome is asked for.
+    drive: DriveVelocity | None = None  # DRIVE: the velocity.
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """The outcome of an operator's request so far, as the station sees it (groundstation/mission/request_progress.py)."""
+
+    request: int  # Number of the request since the station's start, from 1.
+    order: Order = Order.NONE
+    progress: Progress = Progress.UNDER_WAY
+    reason: str = ""  # Reason of the failure, or the result.
+    mission: str = ""  # State of the mission.
+    confirmed: tuple[int, ...] = ()  # Robots that have reached the state that was requested.
+    waiting: tuple[int, ...] = ()  # Robots that have not.
+    why: tuple[str, ...] = ()  # Reasons. The k-th belongs to the k-th robot of `waiting`.
+
+
+@dataclass(frozen=True, eq=False)
+class Reply:
+    """A robot's reply to a command, or the station's reply to an operator's request."""
+
+    robot: int
+    accepted: bool
+    reason: str = ""  # Reason of the refusal.
+    mode: Mode = Mode.DISARMED
+    session: int = 0  # Session of the process that replies.
+    silent: bool = False  # No reply came in time. The asking process made this one itself.
+    outcome: Outcome | None = None  # Outcome of an operator's request, from the station.
+
+
+@dataclass(frozen=True, eq=False)
+class BoardReading:
+    """The last telemetry of a thruster board, as far as its robot acts on it (Telemetry of shoal/mavlink/agent_link.py)."""
+
+    board_ms: int = -1  # The board's time of the last burst; -1: none yet.
+    arrival_ns: int = 0  # Instant of the measurement on the robot's clock. Of the reading, while the board's clock is unknown.
+    heading_rad: float = 0.0
+    yaw_rate_radps: float = 0.0
+    acceleration_mps2: Array = array(3)  # Specific force, in the body frame.
+    tilt: Array = array(-1)  # Roll, pitch [rad] and their rates [rad/s]; empty if not measured.
+    depth_m: float = 0.0
+    battery_v: float = 0.0
+    armed: bool = False
+    echo_us: tuple[int, ...] = ()
+    loss: float = 0.0  # Fraction of the board's messages lost in the last 5 s.
+    charge: int = 0  # Charge state by the board: MAV_BATTERY_CHARGE_STATE, 0 if not known.
+    battery_reports: int = 0  # Number of voltages received from the board; 0: none yet, or an old log.
+    heartbeats: int = 0  # Number of HEARTBEATs received from the board; 0: none yet, or an old log.
+    autopilot: int = 0  # MAV_AUTOPILOT that the board's HEARTBEAT reports: 0 or 8 for a thruster board.
+    power_on_depth_m: float = 0.0  # Depth at which the board was restarted, by what it measured before; 0: not restarted.
+    objection: str = ""  # Reason not to arm that the robot's program found in the board's parameters.
+
+
+@dataclass(frozen=True, eq=False)
+class StepInputs:
+    """All inputs of a robot's control step. The header's stamp is the step's instant.
+
+    With the plans and the obstacles that it names, and the commands, the step can be repeated (`groundstation log rerun`).
+    Instants are on the robot's clock."""
+
+    step: int  # Number of the step, 0, 1, 2 ..., since the robot's program began or met a new station.
+    pose: Pose | None = None
+    pose_instant_ns: int = 0  # Instant of the pose.
+    pose_told_age_ns: int = 0  # Age of the pose when the localizer sent it, as the localizer stated it.
+    heartbeat: StationHeartbeat | None = None
+    station_session: int = 0
+    station_stamp_ns: int = 0  # Stamp of the heartbeat, on the station's clock.
+    station_instant_ns: int = 0  # Instant of the heartbeat, on the robot's clock.
+    board: BoardReading | None = None
+    plan_robots: tuple[int, ...] = ()  # Senders of the plans. The next three fields have one entry for each.
+    plan_sessions: tuple[int, ...] = ()  # Session in the header of each plan.
+    plan_sequences: tuple[int, ...] = ()  # Sequence number in the header of each plan.
+    plan_instants_ns: tuple[int, ...] = ()  # Instant of the first node of each plan.
+    obstacles_session: int = 0  # Session in the header of the Obstacles message; 0: none was received.
+    obstacles_sequence: int = 0  # Sequence number in that header.
+    obstacles_instant_ns: int = 0  # Instant of those obstacles.
+    late_steps: int = 0  # Late steps minus timely steps before this one, at least 0.
+
+
+@dataclass(frozen=True, eq=False)
+class OrderTaken:
+    """A command that has reached a robot, with the reply. It is for the log only. The header's stamp is its arrival."""
+
+    before_step: int  # Number of the robot's next control step.
+    number: int  # Number of the command: 0, 1, 2 ..., counted from the same beginning as the steps.
+    order_session: int  # Session in the command's header.
+    order_sequence: int  # Sequence number in the command's header.
+    order_stamp_ns: int  # Stamp in the command's header.
+    station_session: int = 0  # Session of the heartbeat that it was judged by, as in StepInputs.
+    station_stamp_ns: int = 0  # Stamp of that heartbeat.
+    station_instant_ns: int = 0  # Instant of that heartbeat, on the robot's clock.
+    command: Command | None = None
+    reply: Reply | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """A camera picture: (height, width) uint8 raw Bayer RGGB. On the wire a foxglove.RawImage `bayer_rggb8`.
+
+    Between the programs of one `sim-bridge sil` its encoding is `shared_memory`, and its data are slot u32 and number u64,
+    little-endian, of the picture in their ring (`shoal/bus/frame_ring.py`).
+    """
+
+    pixels: NDArray[np.uint8]
+
+
+@dataclass(frozen=True, eq=False)
+class Preview:
+    """A JPEG for people. On the wire a foxglove.CompressedImage."""
+
+    jpeg: bytes
+
+
+@dataclass(frozen=True, eq=False)
+class Video:
+    """One picture of a video: H.264 in Annex B form without B-frames. On the wire a foxglove.CompressedVideo."""
+
+    h264: bytes
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """One camera picture as JPEG, without drawings. On the wire a foxglove.CompressedImage."""
+
+    jpeg: bytes
+
+
+@dataclass(frozen=True, eq=False)
+class Event:
+    """A line of the log. On the wire a foxglove.Log."""
+
+    level: int  # Foxglove's levels: 1 debug, 2 info, 3 warning, 4 error, 5 fatal.
+    source: str
+    message: str
+
+
+Message = (
+    Tick | Truth | Pose | LocalizerStatus | Obstacles | Plan | RobotState | StationHeartbeat | Trajectory | Tuning
+    | DriveVelocity | Command | Outcome | Reply | BoardReading | StepInputs | OrderTaken | Frame | Preview | Video | Picture
+    | Event
+)  # fmt: skip

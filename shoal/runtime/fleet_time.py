@@ -1,0 +1,88 @@
+"""SHELL: the fleet's own time as a program beside it sees it: the wall clock's, or simulated time, which a busy laptop slows.
+
+A station in lockstep stamps its heartbeats with simulated time. A wait of 60 s for such a fleet is over when 60 s have gone by
+on both clocks: a machine that simulates half a second a second has then had its 120 s.
+"""
+
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+from shoal.bus.bus import Inbox, Received
+from shoal.messages.messages import StationHeartbeat
+
+SIMULATED_BELOW_NS = 10**16  # smaller stamps are simulated time, which begins at 0, not in 1970
+STANDING_S = 30.0  # s of the wall clock without a heartbeat: simulated time stands; a step that plans takes some of them
+WINDOW_S = 5.0  # s of the wall clock over which the pace is measured: a step that plans takes one of them
+SETTLED_S = 1.0  # s of the wall clock before a pace counts
+BUSY_BELOW = 0.95  # of the pace that is wanted; nearer, nobody would notice
+
+
+class FleetTime:
+    """The fleet's time, by its station's heartbeats. Not thread-safe where `pace` is called."""
+
+    def __init__(self, heartbeats: Inbox[StationHeartbeat]) -> None:
+        self._heartbeats = heartbeats
+        self._meter = PaceMeter()
+
+    def simulated_s(self) -> float | None:
+        """Simulated time (s) of the newest heartbeat; None for a fleet that lives by the wall clock, or where time stands."""
+        heard = self._heartbeats.newest()
+        if heard is None or heard.header.stamp_ns >= SIMULATED_BELOW_NS or _since_s(heard) > STANDING_S:
+            return None
+        return heard.header.stamp_ns * 1e-9
+
+    def age_s(self, received: Received[Any]) -> float:
+        """Age of a message's content, in the fleet's time. Where simulated time stands, by the wall clock: nothing that has
+        stopped coming looks alive."""
+        now_s = self.simulated_s()
+        if received.header.stamp_ns >= SIMULATED_BELOW_NS:
+            return received.age_ns(time.monotonic_ns()) * 1e-9
+        since_s = _since_s(received)
+        return since_s if now_s is None else min(since_s, max(now_s - received.header.stamp_ns * 1e-9, 0.0))
+
+    def limit(self, limit_s: float) -> Callable[[], bool]:
+        """A function that is true once so many seconds have gone by, by the fleet's time and by the wall clock."""
+        began_s, simulated_began_s = time.monotonic(), self.simulated_s()
+
+        def over() -> bool:
+            nonlocal simulated_began_s
+            now_s = self.simulated_s()
+            simulated_began_s = now_s if simulated_began_s is None else simulated_began_s
+            if time.monotonic() - began_s < limit_s:
+                return False
+            return now_s is None or simulated_began_s is None or now_s - simulated_began_s >= limit_s
+
+        return over
+
+    def pace(self) -> float | None:
+        """Simulated seconds per second, lately. None for the wall clock, and before it is known. To be called often."""
+        simulated_s = self.simulated_s()
+        return None if simulated_s is None else self._meter.add(simulated_s, time.monotonic())
+
+
+class PaceMeter:
+    """Measures how fast simulated time goes."""
+
+    def __init__(self) -> None:
+        self._looks: deque[tuple[float, float]] = deque()  # (simulated, wall clock) in s, of the last WINDOW_S
+
+    def add(self, simulated_s: float, now_s: float) -> float | None:
+        """Take in what time it is on both clocks. Returns simulated seconds per second; None before that is known."""
+        looks = self._looks
+        looks.append((simulated_s, now_s))
+        while len(looks) > 2 and looks[1][1] <= now_s - WINDOW_S:
+            looks.popleft()
+        took_s = now_s - looks[0][1]
+        return (simulated_s - looks[0][0]) / took_s if took_s >= SETTLED_S else None
+
+
+def pace_in_words(pace: float, wanted: float | None) -> str:
+    """A pace for people, with the reason where it is less than `wanted` (None: as fast as the machine can)."""
+    busy = wanted is not None and pace < BUSY_BELOW * wanted
+    return f"{pace:.1f} x real time{', the machine is busy' if busy else ''}"
+
+
+def _since_s(received: Received[Any]) -> float:
+    return (time.monotonic_ns() - received.arrived_ns) * 1e-9

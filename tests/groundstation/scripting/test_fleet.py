@@ -1,0 +1,190 @@
+"""A script makes the operator's requests, reads live states, and is told what is missing or late. The station is played by the
+test, on a bus in memory."""
+
+import asyncio
+import threading
+import time
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from shoal.errors import ConfigError
+
+from groundstation.mission.state_machine import FLEET_REQUESTS
+from shoal import AsyncFleet, ConnectedFleet, NotHeard, RequestFailed
+from shoal.bus.bus import Bus
+from shoal.bus.memory_transport import MemoryHub, MemoryTransport
+from shoal.messages import topics
+from shoal.messages.messages import Command, Event, Mode, Order, Outcome, Pose, Progress, Reply, RobotState, StationHeartbeat
+
+METHODS = {"return": "return_to_start", "test": "test_thrusters"}  # the others have the requests' names
+
+
+class PlayedStation:
+    """Answers every request with the same reply, and notes it."""
+
+    def __init__(self, hub: MemoryHub) -> None:
+        self.bus = Bus(MemoryTransport(hub))
+        self.commands: list[Command] = []
+        self.reply = Reply(0, True, outcome=Outcome(1, progress=Progress.DONE, confirmed=(1, 2)))
+        self.bus.serve(0, lambda header, command: self._answer(command))
+
+    def _answer(self, command: Command) -> Reply:
+        self.commands.append(command)
+        return self.reply
+
+    def says(self, text: str) -> None:
+        self.bus.publish(topics.EVENT, Event(2, "groundstation", text), 0)
+
+
+@pytest.fixture
+def hub() -> MemoryHub:
+    return MemoryHub()
+
+
+@pytest.fixture
+def station(hub: MemoryHub) -> PlayedStation:
+    return PlayedStation(hub)
+
+
+@pytest.fixture
+def fleet(hub: MemoryHub, station: PlayedStation) -> Iterator[ConnectedFleet]:
+    with ConnectedFleet(Bus(MemoryTransport(hub))) as connected:
+        yield connected
+
+
+@pytest.mark.parametrize("name", FLEET_REQUESTS)
+def test_each_request_of_a_terminal_is_a_method_and_the_same_command(
+    fleet: ConnectedFleet, station: PlayedStation, name: str
+) -> None:
+    method = METHODS.get(name, name.replace("-", "_"))
+    assert getattr(fleet, method)().confirmed == (1, 2)
+    assert asyncio.run(getattr(AsyncFleet(fleet), method)()).confirmed == (1, 2)
+    assert [(c.order, c.robot) for c in station.commands] == [(Order[name.upper().replace("-", "_")], 0)] * 2
+
+
+@pytest.mark.parametrize("name", ["arm", "hold", "disarm"])
+def test_a_request_for_one_robot_goes_to_the_station_and_names_it(
+    fleet: ConnectedFleet, station: PlayedStation, name: str
+) -> None:
+    getattr(fleet, name)(robot=2)
+    asyncio.run(getattr(AsyncFleet(fleet), name)(robot=1))
+    assert [(c.order, c.robot) for c in station.commands] == [(Order[name.upper()], 2), (Order[name.upper()], 1)]
+
+
+def test_one_robot_is_sent_to_a_place(fleet: ConnectedFleet, station: PlayedStation) -> None:
+    fleet.go((1.0, -0.5), robot=2)
+    asyncio.run(AsyncFleet(fleet).go((0.0, 0.5), robot=1))
+    assert [(c.robot, c.via.tolist()) for c in station.commands] == [(2, [[1.0, -0.5]]), (1, [[0.0, 0.5]])]
+
+
+def test_places_and_gains_travel_with_the_request(fleet: ConnectedFleet, station: PlayedStation) -> None:
+    fleet.go((1.0, -0.5), (2.0, 0.0))
+    fleet.set_gains({"controller.mpc.q_formation": [0.3, 0.3, 0.3, 0.3]})
+    go, tune = station.commands
+    assert go.via.tolist() == [[1.0, -0.5], [2.0, 0.0]]
+    assert tune.tuning is not None and tune.tuning.values.tolist() == [0.3, 0.3, 0.3, 0.3]
+
+
+def test_a_request_without_numbers_never_reaches_the_station(fleet: ConnectedFleet, station: PlayedStation) -> None:
+    for places in ((), ((1.0, float("nan")),)):
+        with pytest.raises(ValueError, match="no places"):
+            fleet.go(*places)
+    with pytest.raises(ConfigError):
+        fleet.set_gains({"controller.mpc.q_formation": "much"})
+    assert station.commands == []
+
+
+def test_a_failed_or_refused_request_raises_with_the_reason_of_each_robot(
+    fleet: ConnectedFleet, station: PlayedStation
+) -> None:
+    station.reply = Reply(0, False, "START is not possible when STOPPED")
+    with pytest.raises(RequestFailed, match="start: refused: START is not possible"):
+        fleet.start()
+    missing = Outcome(1, progress=Progress.FAILED, confirmed=(1,), waiting=(2,), why=("not heard",))
+    station.reply = Reply(0, True, outcome=missing)
+    with pytest.raises(RequestFailed, match="robot 2: not heard") as failed:
+        fleet.stop()
+    assert failed.value.outcome is not None and failed.value.outcome.confirmed == (1,)
+
+
+def test_a_request_that_does_not_wait_returns_when_it_is_taken(fleet: ConnectedFleet, station: PlayedStation) -> None:
+    station.reply = Reply(0, True, outcome=Outcome(1))
+    assert fleet.start(wait_s=0.0).progress is Progress.UNDER_WAY
+    with pytest.raises(RequestFailed, match=r"not done within 0\.1 s"):
+        fleet.start(wait_s=0.1)
+
+
+def test_live_states_are_the_newest_and_a_silent_robot_is_told(fleet: ConnectedFleet, station: PlayedStation) -> None:
+    for x_m in (1.0, 2.0):
+        station.bus.publish(topics.STATE, RobotState(Mode.TRACKING, eta=np.array([x_m, 0.0, 0.0, 0.0])), 0, robot=3)
+    station.bus.publish(topics.POSE, Pose(0.5, 0.25, 0.0), 0, robot=3)
+    assert fleet.robots == (3,)
+    assert (fleet.state(3).eta[0], fleet.pose(3).y_m) == (2.0, 0.25)
+    with pytest.raises(NotHeard, match="robot 4: no state"):
+        fleet.state(4, max_age_s=0.05)
+    with pytest.raises(NotHeard, match="robot 50: no such robot"):
+        fleet.state(50)
+    with pytest.raises(NotHeard, match="robot 3: no state of the last 0 s"):
+        fleet.state(3, max_age_s=0.0)
+    station.bus.publish(topics.HEARTBEAT, StationHeartbeat(mission="RUNNING"), 0)  # a clock that stands
+    assert fleet.mission() == "RUNNING"
+
+
+def test_waiting_ends_with_the_event_the_state_or_the_time(fleet: ConnectedFleet, station: PlayedStation) -> None:
+    station.says("robot 1 is armed")
+    station.says("mission: waiting for the fleet: robot 2: not heard")
+    assert fleet.wait_event("armed", timeout_s=1.0).source == "groundstation"
+    with pytest.raises(NotHeard, match="robot 2: not heard"):
+        fleet.wait_ready(timeout_s=0.05)
+    station.says("mission: fleet ready")
+    fleet.wait_ready(timeout_s=1.0)
+    with pytest.raises(NotHeard, match="no event with 'landed'"):
+        fleet.wait_event("landed", timeout_s=0.05)
+    with pytest.raises(NotHeard, match="not heard"):
+        fleet.wait_mission("DONE", timeout_s=0.05)
+    station.bus.publish(topics.HEARTBEAT, StationHeartbeat(mission="DONE"), 0)
+    assert fleet.wait_mission("FAILED", "DONE", timeout_s=1.0) == "DONE"
+
+
+def test_a_mission_that_was_heard_long_ago_is_not_waited_for_with_success(
+    fleet: ConnectedFleet, station: PlayedStation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    station.bus.publish(topics.HEARTBEAT, StationHeartbeat(mission="DONE"), 10**18)  # by the wall clock
+    monkeypatch.setattr("groundstation.scripting.fleet.FRESH_S", 0.05)
+    time.sleep(0.1)
+    with pytest.raises(NotHeard):
+        fleet.wait_mission("DONE", timeout_s=0.05)
+
+
+def test_a_condition_that_hears_nothing_does_not_hold(fleet: ConnectedFleet, station: PlayedStation) -> None:
+    with pytest.raises(NotHeard, match="did not hold"):
+        fleet.wait(lambda: fleet.state(1, max_age_s=0.01).mode is Mode.ARMED, timeout_s=0.1)
+    station.bus.publish(topics.STATE, RobotState(Mode.ARMED), 0, robot=1)
+    fleet.wait(lambda: fleet.state(1, max_age_s=60.0).mode is Mode.ARMED, timeout_s=1.0)
+
+
+def test_a_corrupt_event_harms_nobody(fleet: ConnectedFleet, station: PlayedStation) -> None:
+    station.bus.forward(topics.EVENT, b"\xff\x00broken", 0)
+    station.says("still here")
+    assert fleet.wait_event("still", timeout_s=1.0).message == "still here"
+
+
+def test_the_awaited_fleet_has_every_method_of_the_blocking_one() -> None:
+    own = {name for name in vars(ConnectedFleet) if not name.startswith("_")} - {"close"}
+    assert own == {name for name in vars(AsyncFleet) if not name.startswith("_")}
+
+
+def test_a_wait_ends_with_the_reason_when_the_fleet_is_gone_for_good(hub: MemoryHub) -> None:
+    gone = ConnectedFleet(Bus(MemoryTransport(hub)), lambda: "the simulation has ended: refused")
+    with gone, pytest.raises(NotHeard, match="the simulation has ended: refused"):
+        gone.wait_ready(60.0)
+
+
+def test_a_slow_simulation_is_waited_for(fleet: ConnectedFleet, station: PlayedStation) -> None:
+    """Simulated time stands here: a wait of a tenth of a second outlasts it, and sees what comes then."""
+    station.bus.publish(topics.HEARTBEAT, StationHeartbeat(mission="RUNNING"), 5)
+    late = threading.Timer(0.5, lambda: station.bus.publish(topics.HEARTBEAT, StationHeartbeat(mission="DONE"), 6))
+    late.start()
+    assert fleet.wait_mission("DONE", timeout_s=0.1) == "DONE"
+    late.join()

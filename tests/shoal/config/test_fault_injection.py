@@ -1,0 +1,74 @@
+"""The fault timeline's language: what it understands, and what it answers to what it does not."""
+
+import pytest
+from shoal.errors import ConfigError
+
+from shoal.config.experiment import load_experiment
+from shoal.config.fault_injection import Break, fault_table, read_what
+
+
+@pytest.mark.parametrize(
+    ("text", "meaning"),
+    [
+        ("thruster 2/3 dead", Break("thruster", "dead", robot=2, thruster=3)),
+        ("thruster 1/4 weak 0.3", Break("thruster", "weak", 0.3, robot=1, thruster=4)),
+        ("thruster 1/4 weak", Break("thruster", "weak", 0.5, robot=1, thruster=4)),
+        ("marker 2 lost", Break("marker", "lost", robot=2)),
+        ("camera frozen", Break("camera", "frozen")),
+        ("camera occluded 0.7", Break("camera", "occluded", 0.7)),
+        ("imu 1 gyro -0.2", Break("imu", "gyro", -0.2, robot=1)),
+        ("battery 1 sag 3", Break("battery", "sag", 3.0, robot=1)),
+        ("link 2 noisy 0.2", Break("link", "noisy", 0.2, robot=2)),
+        ("process agent-1 stopped", Break("process", "stopped", process="agent-1")),
+        ("disk full", Break("disk", "full")),
+        ("clock localizer step -3600", Break("clock", "step", -3600.0, process="localizer")),
+    ],
+)
+def test_fault_texts_that_are_understood(text: str, meaning: Break) -> None:
+    assert read_what(text) == meaning
+    assert load_experiment("pool", faults=[f"t=3 {text}"]).sim.faults[0].broken == meaning
+
+
+@pytest.mark.parametrize(
+    ("line", "complaint"),
+    [
+        ("thruster 2/3 dead", '--fault thruster 2/3 dead: write it as "t=SECONDS'),
+        ("t=soon camera dark", "write it as"),
+        ("t=-1 camera dark", "sim.faults.0.at_s = -1.0: "),
+        ("t=nan camera dark", "sim.faults.0.at_s = nan"),
+        ("t=1 for=0 camera dark", "sim.faults.0.for_s = 0.0: "),
+        (
+            "t=1 rudder 2 lost",
+            "'rudder' cannot be broken (allowed: thruster, marker, camera, water, imu, battery, link, ",
+        ),
+        ("t=1 thruster 2 dead", "must read: thruster ROBOT/THRUSTER dead|stuck|reversed|weak [fraction of its thrust]"),
+        ("t=1 thruster 2/3", "must read: thruster"),
+        ("t=1 thruster 2/5 dead", "thruster 5 of robot 2: no such thruster (allowed: 1 to 4)"),
+        ("t=1 thruster 2/3 dead 4", "must read: thruster"),
+        ("t=1 thruster 2/3 weak 1.5", "1.5: must be the fraction of its thrust, 0 to 1"),
+        ("t=1 link 1 slow fast", "fast: must be the delay in s, 0 to 5"),
+        ("t=1 thruster 7/3 dead", "sim.faults.0.what = 'thruster 7/3 dead': no robot 7 (allowed: 1, 2)"),
+        ("t=1 process agent-9 killed", "no such process (allowed: groundstation, sim-bridge, localizer, agent-1, agent-2)"),
+        ("t=1 for=2 process agent-1 killed", "what is killed does not come back"),
+    ],
+)
+def test_fault_texts_that_are_refused(line: str, complaint: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        load_experiment("pool", faults=[line])
+    assert complaint in str(caught.value)
+
+
+def test_lines_are_added_to_the_file_s_own() -> None:
+    settings = ['sim.faults=[{at_s=1.0, what="camera dark"}]']
+    experiment = load_experiment("pool", settings, ["t=20 for=5 thruster 2/3 dead", "t=9 marker 1 lost"])
+    assert [(f.at_s, f.for_s, f.what) for f in experiment.sim.faults] == [
+        (1.0, None, "camera dark"),
+        (20.0, 5.0, "thruster 2/3 dead"),
+        (9.0, None, "marker 1 lost"),
+    ]
+    assert fault_table("t=20 for=5 thruster 2/3 dead") == {"at_s": 20.0, "for_s": 5.0, "what": "thruster 2/3 dead"}
+
+
+def test_a_fault_holds_for_its_time() -> None:
+    (fault,) = load_experiment("pool", faults=["t=20 for=5 camera dark"]).sim.faults
+    assert [fault.holds(t) for t in (-1.0, 19.99, 20.0, 24.99, 25.0)] == [False, False, True, True, False]

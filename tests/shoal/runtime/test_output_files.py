@@ -1,0 +1,115 @@
+"""Files that commands write: whole or not at all, never through a link, never over what is read or a run's own."""
+
+import errno
+import os
+import re
+import resource
+import stat
+from pathlib import Path
+
+import pytest
+from shoal.errors import ConfigError
+
+from shoal.runtime.output_files import CAMPAIGN, RUN, check_output, replace_text, replacing, run_folder
+
+
+def test_a_link_in_the_way_is_replaced_and_not_followed(tmp_path: Path) -> None:
+    victim, link = tmp_path / "victim", tmp_path / "run" / "result.json"
+    victim.write_text("precious")
+    link.parent.mkdir()
+    link.symlink_to(victim)
+    replace_text(link, "new")
+    assert (victim.read_text(), link.read_text(), link.is_symlink()) == ("precious", "new", False)
+
+
+def test_an_error_leaves_only_the_old_file(tmp_path: Path) -> None:
+    path = tmp_path / "report.html"
+    path.write_text("old")
+    with pytest.raises(ZeroDivisionError), replacing(path) as file:
+        file.write(b"half")
+        raise ZeroDivisionError
+    assert path.read_text() == "old" and list(tmp_path.iterdir()) == [path]
+
+
+def test_a_full_disk_leaves_the_old_file_and_names_it(tmp_path: Path) -> None:
+    path = tmp_path / "report.html"
+    path.write_text("old")
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, before[1]))
+    try:
+        with pytest.raises(OSError, match="too large") as caught:
+            replace_text(path, "x" * 5000)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert caught.value.filename == str(path)
+    assert path.read_text() == "old" and list(tmp_path.iterdir()) == [path]
+
+
+def test_a_path_that_cannot_be_written_is_named_in_the_error(tmp_path: Path) -> None:
+    for place, code in ((tmp_path, errno.EISDIR), (tmp_path / "none" / "file", errno.ENOENT)):
+        with pytest.raises(OSError, match=re.escape(str(place))) as caught:
+            replace_text(place, "")
+        assert (caught.value.errno, caught.value.filename) == (code, str(place))
+
+
+def test_rights_of_a_file_stay_as_they_were(tmp_path: Path) -> None:
+    path = tmp_path / "file"
+    replace_text(path, "one")
+    path.chmod(0o600)
+    replace_text(path, "two")
+    assert stat.S_IMODE(path.stat().st_mode) == 0o600
+
+
+def test_a_pipe_is_written_to(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    try:
+        replace_text(pipe, "told")
+        assert os.read(reader, 10) == b"told"
+    finally:
+        os.close(reader)
+    replace_text(Path("/dev/null"), "nobody reads it")
+    assert Path("/dev/null").is_char_device()
+
+
+def test_an_input_file_is_not_overwritten_by_any_name(tmp_path: Path) -> None:
+    read, link, hard = tmp_path / "image.png", tmp_path / "link.png", tmp_path / "hard.png"
+    read.touch()
+    link.symlink_to(read)
+    hard.hardlink_to(read)
+    for out in (read, link, hard, tmp_path / "." / "image.png"):
+        with pytest.raises(ConfigError, match="is read by this command"):
+            check_output(out, [tmp_path / "none", read])
+    check_output(tmp_path / "other.png", [read])
+
+
+@pytest.mark.parametrize("name", RUN)
+def test_a_runs_own_file_is_not_written_over_even_where_it_is_lost(tmp_path: Path, name: str) -> None:
+    (tmp_path / ("experiment.toml" if name == "run.mcap" else "run.mcap")).touch()
+    with pytest.raises(ConfigError, match="is a file of a run"):
+        check_output(tmp_path / name)
+    check_output(tmp_path / "figures.html")
+    check_output(tmp_path.parent / "report.html")  # no folder of a run
+
+
+def test_a_campaigns_folder_is_its_own(tmp_path: Path) -> None:
+    (tmp_path / "journal.jsonl").touch()
+    check_output(tmp_path / "report.html", mine=CAMPAIGN)
+    with pytest.raises(ConfigError, match="is a file of a campaign"):
+        check_output(tmp_path / "report.html")
+    (tmp_path / "run.mcap").touch()
+    with pytest.raises(ConfigError, match="is a file of a run"):
+        check_output(tmp_path / "report.html", mine=CAMPAIGN)
+
+
+def test_a_run_folder_stays_where_something_was_put_and_nowhere_else(tmp_path: Path) -> None:
+    out = tmp_path / "runs" / "mine"
+    with run_folder(out, "pool") as first, run_folder(out, "pool") as second:
+        assert first != second and first.parent == out  # within a second
+    assert not out.exists()
+    with run_folder(out, "pool") as folder:
+        (folder / "run.mcap").touch()
+    with pytest.raises(ConfigError), run_folder(out, "pool"):
+        raise ConfigError("refused")
+    assert list(out.iterdir()) == [folder]

@@ -1,1 +1,0 @@
-"""The package that the four processes share: messages, topics, configuration, frames, the bus, the thruster link."""
