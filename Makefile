@@ -20,7 +20,7 @@ IN_PARALLEL := -n logical $(BY_FILE)
 IN_PAIRS := -n 2 $(BY_FILE)
 
 .DEFAULT_GOAL := help
-.PHONY: help page run check test test-units test-real-time test-page test-computing test-slow mutants firmware faults fuzz photoreal soak scenes bench lint format proto docs lock clean
+.PHONY: help page run check test test-units test-real-time test-page test-computing test-slow mutants firmware faults fuzz photoreal soak scenes evidence laws bench lint format proto docs lock clean
 
 help: ## this list
 	@echo "Targets (each sets up .venv by itself):"
@@ -37,7 +37,7 @@ test-units:
 
 # What only computes fills the idle time of the tests that wait for programs, at a lower priority, so that it delays none of
 # them. The page's tests come after: a browser, a flight and whatever else share two processors badly, and these need both.
-test: $(INSTALLED) ## all tests but the slow ones. ARGS="tests/wire -x"
+test: $(INSTALLED) ## all tests but the slow ones. ARGS="tests/shoal -x"
 ifdef ARGS
 	$(BIN)/python -m pytest $(ARGS)
 else
@@ -59,7 +59,7 @@ test-computing:
 test-slow: $(INSTALLED) ## the long checks: fault campaigns, deep fuzzing, people who interrupt one another
 	$(BIN)/python -m pytest -m slow --timeout=1800 $(ARGS)
 
-faults: $(INSTALLED) ## break everything in docs/faults.md, many times, and measure (hours). ARGS="--row agent-killed --times 5"
+faults: $(INSTALLED) ## break everything in docs/evidence/faults.md, many times, and measure (hours). ARGS="--row agent-killed --times 5"
 	$(BIN)/python -m tests.faults $(ARGS)
 
 fuzz: $(INSTALLED) ## a million payloads for every decoder, fewer for every step. ARGS="--target mavlink --runs 10000"
@@ -84,6 +84,13 @@ firmware: $(INSTALLED) ## the thruster board's firmware (gcc; avr-gcc for the Ar
 scenes: $(INSTALLED) ## fly every shipped scene whole, with its camera, ten seeds (half an hour); writes docs/evidence/scenes.md. ARGS="open-water --seeds 3"
 	$(BIN)/python -m benchmarks.scenes $(or $(ARGS),--write)
 
+evidence: $(INSTALLED) ## measure one benchmark and write its page in docs/evidence (docs/evidence/README.md lists them). ARGS="optimum"
+	$(BIN)/python -m benchmarks $(ARGS) --evidence
+	$(BIN)/python -m tools.pages
+
+laws: $(INSTALLED) ## fly every control law on the same seeds; writes docs/evidence/laws.md. ARGS="--seeds 1-3"
+	$(BIN)/python -m tools.laws $(ARGS)
+
 bench: $(INSTALLED) ## benchmarks, each beside its peers. ARGS="codec --json rows.json"
 	$(BIN)/python -m benchmarks $(ARGS)
 
@@ -91,7 +98,7 @@ lint: $(INSTALLED) ## ruff and mypy --strict
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/mypy docs examples
+	$(BIN)/mypy examples
 
 format: $(INSTALLED) ## let ruff lay out and repair what it can
 	$(BIN)/ruff format .
@@ -106,8 +113,7 @@ proto: $(INSTALLED) ## generate shoal/messages/fleet_pb2.py from shoal/messages/
 	$(BIN)/python -m grpc_tools.protoc -I . --python_out=. --pyi_out=. shoal/messages/fleet.proto
 
 docs: $(INSTALLED) ## write the generated pages of docs/ again
-	$(BIN)/python docs/messages.py > docs/messages.md
-	$(BIN)/python docs/keys.py
+	$(BIN)/python -m tools.pages
 
 lock: ## resolve the newest versions pyproject.toml allows into constraints.txt
 	rm -rf .venv-lock

@@ -8,11 +8,11 @@ from setuptools.command.build_py import build_py
 from setuptools.command.sdist import sdist
 
 HERE = Path(__file__).parent
-VERSION = runpy.run_path(str(HERE / "wire" / "process" / "version.py"))
+VERSION = runpy.run_path(str(HERE / "shoal" / "runtime" / "version.py"))
 
 
 def _write_down(folder: Path) -> None:
-    (folder / "wire" / VERSION["RECORDED"]).write_text(VERSION["commit"](HERE) + "\n", encoding="ascii")
+    (folder / "shoal" / VERSION["RECORDED"]).write_text(VERSION["commit"](HERE) + "\n", encoding="ascii")
 
 
 class _BuildPy(build_py):

@@ -1,29 +1,31 @@
-"""`python -m benchmarks [NAME ...] [--json FILE] [--list]`: measure, print a table, write the rows. `robots` has options
-and tables of its own: `python -m benchmarks robots --help`."""
+"""`python -m benchmarks [NAME ...] [--json FILE] [--evidence] [--list]`: measure, print a table, write the rows. `robots` has
+options and tables of its own: `python -m benchmarks robots --help`."""
 
 import importlib
+import inspect
 import json
 import os
 import platform
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.table import Table
 
-from benchmarks.harness import Row
+from benchmarks import evidence
+from benchmarks.harness import ROOT, Row
 from shoal.runtime.cli_options import finite
 from shoal.runtime.output import terminal
 from shoal.runtime.output_files import replace_text
 
 # Name: a module of this package with `run() -> Iterable[Row]`, and what it measures.
 BENCHMARKS = {
-    "codec": ("wire.codec", "a message to bytes, and bytes to a checked message"),
-    "bus": ("wire.bus", "there and back between two processes through the router"),
+    "codec": ("shoal.codec", "a message to bytes, and bytes to a checked message"),
+    "bus": ("shoal.bus", "there and back between two processes through the router"),
     "frames": ("shoal.frames", "camera frames between processes of one host: network and shared memory (2 minutes)"),
-    "guard": ("wire.guard", "the guard of a router with keys: there and back through it and past it"),
+    "guard": ("shoal.guard", "the guard of a router with keys: there and back through it and past it"),
     "control_step": ("robot_agent.control_step", "one complete control step, closed loop, beside peers (3 minutes)"),
     "control_growth": ("robot_agent.control_growth", "a control step with more neighbours"),
     "observer": ("robot_agent.observer", "a step of the observer that tells a current from a force, beside the ESO's"),
@@ -82,9 +84,23 @@ def _table(rows: Sequence[Row]) -> Table:
     return table
 
 
+def _evidence(name: str, rows: Sequence[Row]) -> dict[str, Any]:
+    """Content of a benchmark's file of evidence."""
+    command = f"make evidence ARGS={name}"
+    module = importlib.import_module(f"benchmarks.{BENCHMARKS[name][0]}")
+    return {
+        "name": name,
+        "written": evidence.written_by(command),
+        "seeds": ", ".join(map(str, getattr(module, "SEEDS", ()))),
+        "about": inspect.getdoc(module) or "",
+        "rows": [evidence.plain(row.as_dict()) for row in rows],
+    }
+
+
 def main(
     names: Annotated[list[str] | None, typer.Argument(help="which to run; all of them if none is named")] = None,
     json_file: Annotated[Path | None, typer.Option("--json", help="write the rows here as well")] = None,
+    as_evidence: Annotated[bool, typer.Option("--evidence", help="write docs/evidence/NAME.md and NAME.json anew")] = False,
     minutes: Annotated[
         float | None, typer.Option(help="with `page` alone: watch it for so long instead, whether it grows", callback=finite)
     ] = None,
@@ -109,7 +125,11 @@ def main(
     for name in BENCHMARKS if names is None else names:
         module, what = BENCHMARKS[name]
         print(f"{name}: {what} ...", file=sys.stderr)
-        rows.extend(importlib.import_module(f"benchmarks.{module}").run())
+        measured = list(importlib.import_module(f"benchmarks.{module}").run())
+        rows.extend(measured)
+        if as_evidence:
+            content = _evidence(name, measured)
+            evidence.write(ROOT / "docs" / "evidence" / name, evidence.of_benchmark(content), content)
     console = terminal()
     console.width = max(console.width, TABLE_WIDTH)  # a pipe has no width; a table that wraps cannot be read
     console.print(_table(rows))

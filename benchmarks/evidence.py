@@ -29,13 +29,39 @@ def table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
     return [f"| {' | '.join(columns)} |", f"|{'---|' * len(columns)}", *(f"| {' | '.join(row)} |" for row in rows)]
 
 
+def _figures(row: dict[str, Any]) -> list[str]:
+    """Cells of a row's figures."""
+    numbers = [row[name] for name in ("p50", "p99", "max")]
+    texts = [number if isinstance(number, str) else short(number) for number in numbers]
+    return [*(texts if row["n"] > 1 else (texts[0], "", "")), row["unit"], str(row["n"]), row["target"]]
+
+
+def of_benchmark(content: dict[str, Any]) -> str:
+    """The page of one benchmark: `content` is that of its JSON file."""
+    columns = ("Case", "Subject", "Median", "99 %", "Largest", "Unit", "n", "Target")
+    rows = (
+        [
+            row["case"],
+            row["subject"],
+            *(short(row[k]) for k in ("p50", "p99", "max")),
+            row["unit"],
+            str(row["n"]),
+            row["target"],
+        ]
+        for row in content["rows"]
+    )
+    seeds = f" Seeds: {content['seeds']}." if content["seeds"] else ""
+    heads = [f"# Evidence: {content['name']}", "", f"{content['written']}.{seeds}", "", content["about"], ""]
+    return "\n".join([*heads, *table(columns, rows)]) + "\n"
+
+
 def spread(values: Iterable[float], scale: float = 1e3) -> str:
     """The largest, and in brackets the median, times a scale; empty where nothing is known."""
     known = sorted(scale * value for value in values if not math.isnan(value))
-    return f"{_short(known[-1])} ({_short(known[len(known) // 2])})" if known else ""
+    return f"{short(known[-1])} ({short(known[len(known) // 2])})" if known else ""
 
 
-def _short(value: float) -> str:
+def short(value: float) -> str:
     """Three digits; of a larger number those before its point."""
     return NEVER if math.isinf(value) else f"{value:.0f}" if abs(value) >= 100.0 else f"{value:.3g}"
 

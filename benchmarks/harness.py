@@ -31,9 +31,10 @@ class Row:
     p99: float
     max: float
     n: int
+    target: str = ""  # for `ours`, in the unit
 
     @classmethod
-    def of(cls, benchmark: str, case: str, subject: str, unit: str, samples: Iterable[float]) -> "Row":
+    def of(cls, benchmark: str, case: str, subject: str, unit: str, samples: Iterable[float], target: str = "") -> "Row":
         """The row of some samples. Percentiles are samples that occurred (nearest rank), never interpolated."""
         ranked = sorted(samples)
         n = len(ranked)
@@ -43,7 +44,7 @@ class Row:
         def percentile(p: int) -> float:
             return ranked[max(-(-p * n // 100), 1) - 1]  # ceil(p n / 100), counted from 1
 
-        return cls(benchmark, case, subject, unit, percentile(50), percentile(99), ranked[-1], n)
+        return cls(benchmark, case, subject, unit, percentile(50), percentile(99), ranked[-1], n, target)
 
     def as_dict(self) -> dict[str, Any]:
         """The row as a dictionary for JSON."""

@@ -2,7 +2,7 @@
 
     python examples/emergency_stop.py
 
-The script is one more person at the stop button: robots watch themselves, and fail safe without it (docs/faults.md).
+The script is one more person at the stop button: robots watch themselves, and fail safe without it (docs/safety.md).
 """
 
 import numpy as np
@@ -18,7 +18,7 @@ def too_far(fleet: shoal.ConnectedFleet) -> bool:
     return any(np.linalg.norm(state.eta[:2] - state.eta_reference[:2]) > LIMIT_M for state in states)
 
 
-with sim_bridge.scripting("pool", lockstep=True) as fleet:
+with shoal.simulation("pool", lockstep=True) as fleet:
     fleet.start()
     fleet.wait(lambda: too_far(fleet), timeout_s=120.0)
     outcome = fleet.stop()

@@ -7,7 +7,7 @@ In the lab the same requests are made of the station that runs: `with shoal.conn
 
 import shoal
 
-with sim_bridge.scripting("open-water", {"path.stop": True}, duration_s=600.0, lockstep=True) as fleet:
+with shoal.simulation("open-water", {"path.stop": True}, duration_s=600.0, lockstep=True) as fleet:
     print("robots:", fleet.robots)
     fleet.start()
     fleet.wait(lambda: fleet.state(1).trajectory_s > 2.0, timeout_s=120.0)

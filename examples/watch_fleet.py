@@ -19,7 +19,7 @@ async def watch(fleet: shoal.AsyncFleet) -> None:
 
 async def main() -> None:
     """Start a simulated flight, and watch it to its end."""
-    with sim_bridge.scripting("pool", duration_s=5.0, lockstep=True) as simulated:
+    with shoal.simulation("pool", duration_s=5.0, lockstep=True) as simulated:
         fleet = shoal.AsyncFleet(simulated)
         watching = asyncio.create_task(watch(fleet))
         await fleet.start()

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
+from groundstation.fleet_time import FleetTime
 from groundstation.gate.gate import through_door
 from groundstation.gate.own_door import DoorTransport, opens
 from groundstation.mission.state_machine import in_words
@@ -25,7 +26,6 @@ from shoal.messages.live_gains import values_of
 from shoal.messages.messages import Command, Order, Outcome, Progress, Reply, StationHeartbeat, Tuning
 from shoal.messages.topics import HEARTBEAT, WHOLE_FLEET, Role, process_name
 from shoal.runtime.cli_options import DEFAULT_FLEET
-from shoal.runtime.fleet_time import FleetTime
 
 ORDER_TIMEOUT_S = 2.0
 ASK_EVERY_S = 0.2

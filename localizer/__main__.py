@@ -91,7 +91,7 @@ def fuse(
     insecure: Insecure = False,
     verbose: Verbose = False,
 ) -> None:
-    """Fuse the poses that the localizers of several cameras publish (docs/cameras.md).
+    """Fuse the poses that the localizers of several cameras publish (docs/several-cameras.md).
 
     Example:  localizer fuse two-cameras
     """

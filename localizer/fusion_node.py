@@ -9,8 +9,6 @@ import time
 from collections.abc import Generator, Iterator
 from dataclasses import replace
 
-from shoal.errors import ConfigError
-
 from localizer.sources.base import silent_after_s
 from localizer.sources.session_stamps import SessionStamps
 from localizer.tracking.camera_fusion import CameraFusion, CameraView, FusionResult, fuse_obstacles
@@ -18,6 +16,7 @@ from shoal.bus.bus import Bus, Received
 from shoal.bus.endpoint import Endpoint
 from shoal.bus.zenoh_transport import ZenohTransport
 from shoal.config.experiment import Experiment
+from shoal.errors import ConfigError
 from shoal.messages import topics
 from shoal.messages.codec import Header
 from shoal.messages.messages import LocalizerStatus, Obstacles, Pose

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shoal.frames import Array
-from shoal.kernels.kernel import kernel
+from shoal.kernels.decorator import kernel
 
 _UNDISTORT_ROUNDS = 50  # most rounds of the fixed-point iteration; a wide lens takes 25
 _UNDISTORT_STEP = 1e-13  # tangent of the angle off the axis, step at which it ends: 1e-10 px

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from shoal.errors import ConfigError
 
 from localizer.detection.obstacles import ObstacleDetector
 from localizer.sources.base import CapturedFrame, FrameSource
@@ -31,6 +30,7 @@ from shoal.bus.endpoint import Endpoint
 from shoal.bus.frame_ring import codec_of
 from shoal.bus.zenoh_transport import ZenohTransport
 from shoal.config.experiment import Experiment
+from shoal.errors import ConfigError
 from shoal.frames import Array
 from shoal.messages import topics
 from shoal.messages.codec import encode

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from shoal.errors import ConfigError, os_errors_as_config_errors
 
 from robot_agent.host.board_zero import FILE, SERVICE_FOLDER, read_record, state_folder, write_record
 from robot_agent.host.config import load_agent_config, merge_config, template
@@ -17,6 +16,7 @@ from shoal.bus.endpoint import parse_address
 from shoal.bus.network import refuse_open
 from shoal.config.experiment import Experiment, load_experiment
 from shoal.config.scene import LARGEST_ROBOT
+from shoal.errors import ConfigError, os_errors_as_config_errors
 from shoal.mavlink.board_address import DEFAULT_LINK, LINK_HELP, parse_link
 from shoal.runtime.cli_options import DEFAULT_FLEET, FleetName
 from shoal.runtime.output_files import check_output, replace_text

@@ -8,11 +8,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from shoal.errors import ConfigError
 
 from shoal.config.experiment import Experiment
 from shoal.config.fault_injection import Break, Fault
 from shoal.config.vehicle import OUTPUTS
+from shoal.errors import ConfigError
 from shoal.frames import Array
 
 NUMERIC = ("thruster", "imu", "battery")  # kinds of faults that a numeric flight can have

@@ -13,7 +13,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from shoal.errors import ConfigError
 from typer.testing import CliRunner
 
 from groundstation.__main__ import cli
@@ -30,6 +29,7 @@ from localizer.sources.video import VideoReader
 from robot_agent.preflight.identify import thrust
 from shoal.config.experiment import load_experiment
 from shoal.config.loader import read_toml
+from shoal.errors import ConfigError
 from shoal.mavlink.signing_key import TimestampStore, load_key
 from shoal.system.regular_files import open_regular, read_regular
 from sim_bridge.studies.campaign_runner import Journal
@@ -109,7 +109,7 @@ READ_THEIR_OWN = {
 def test_files_of_others_are_read_in_one_place() -> None:
     """A module that reads files asks first what they are, or stands in the list above."""
     reading = set()
-    for source in sources("groundstation", "robot_agent", "localizer", "sim_bridge", "wire", "shoal"):
+    for source in sources("groundstation", "robot_agent", "localizer", "sim_bridge", "shoal"):
         for call in nodes(tree_of(source)):
             if isinstance(call, ast.Call) and isinstance(call.func, ast.Attribute):
                 mode = [argument.value for argument in call.args if isinstance(argument, ast.Constant)]

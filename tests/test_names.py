@@ -12,7 +12,7 @@ import pytest
 
 from tests.source_tree import ROOT, nodes, sources, tree_of
 
-PACKAGES = ("shoal", "wire", "groundstation", "robot_agent", "localizer", "sim_bridge", "benchmarks", "tests")
+PACKAGES = ("shoal", "groundstation", "robot_agent", "localizer", "sim_bridge", "benchmarks", "tests")
 PUBLIC = {"_replace", "_asdict", "_fields", "_exit"}  # of named tuples and of `os`: documented in spite of the underscore
 DIRECTIVE = re.compile(r"#\s*(type: ignore|noqa|fmt:|pragma:)[^#]*")  # a comment for a tool, which gives no reason
 VAGUE = re.compile(r"test_(who|what|whoever|somebody|nobody)_")

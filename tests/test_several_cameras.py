@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tomli_w
-from shoal.errors import ConfigError
 
 from groundstation.logs.reader import key_topic
 from localizer.tracking.check_marks import with_camera
@@ -15,6 +14,7 @@ from shoal.bus import frame_ring
 from shoal.bus.access_control import Member, grants
 from shoal.config.experiment import EXPERIMENTS, dump_experiment, load_experiment
 from shoal.config.fault_injection import Break, read_what
+from shoal.errors import ConfigError
 from shoal.messages import topics
 from shoal.messages.camera_coverage import outside_m
 from shoal.messages.messages import Frame

@@ -10,10 +10,10 @@ from collections.abc import Iterator
 import numpy as np
 import psutil
 from playwright.sync_api import CDPSession, Page, sync_playwright
-from shoal.errors import ConfigError
 
 from benchmarks.groundstation.page import FLAGS, PROBE, SETTLE_S, lab
 from benchmarks.harness import Row
+from shoal.errors import ConfigError
 
 ROBOTS = 10
 FILLS_MIN = 6.0  # until trails and plots hold as much as they ever will

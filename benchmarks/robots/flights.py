@@ -4,13 +4,13 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from shoal.errors import ConfigError
 
 from benchmarks.robots.cells import SQUARE_M, FlightPlan
 from benchmarks.robots.claims import claim_of, nees
 from benchmarks.robots.water import Trouble, TroubledFleet, TroubledPlant
 from groundstation.planning import planner
 from shoal.config.experiment import Experiment, load_experiment
+from shoal.errors import ConfigError
 from shoal.frames import Array
 from shoal.messages.messages import Mode, Order, RobotState, Trajectory
 

@@ -35,7 +35,9 @@ def _key(fleet: str, topic: Topic) -> str:
 
 def _router(ring: str, address: str) -> None:
     """The router and its guard; says where one gets past it."""
-    with closing(ZenohTransport(Endpoint(address, router=True, keys=Keys(Path(ring) / "groundstation")))) as transport:
+    with closing(
+        ZenohTransport(Endpoint(address, router=True, keys=Keys(Path(ring) / "groundstation")), gate=Gate)
+    ) as transport:
         gate = transport._gate
         assert isinstance(gate, Gate)
         print(gate.inside.address, flush=True)

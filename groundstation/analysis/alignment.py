@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
-from shoal.errors import ConfigError
 
 from groundstation.analysis.series import CHANNELS, HOPS, Flight, Mask, RobotSeries, Series, States, TimelineEvent
 from groundstation.analysis.timeline import STOOD_STILL, once
@@ -22,6 +21,7 @@ from groundstation.formation_clock import FormationPlans
 from groundstation.logs.reader import DecodedMessage, RunLog
 from shoal.config.experiment import Experiment
 from shoal.config.scene import Circle, PathSpec
+from shoal.errors import ConfigError
 from shoal.frames import Array, pose_error
 from shoal.messages import topics
 from shoal.messages.messages import (

@@ -5,9 +5,9 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from shoal.errors import ConfigError
 
 from shoal.config.experiment import load_experiment
+from shoal.errors import ConfigError
 from shoal.mavlink.board_address import DEFAULT_LINK, LINK_HELP
 from shoal.runtime.cli_options import DEFAULT_FLEET, FleetName, Insecure, KeyRing, Settings
 from shoal.runtime.output import terminal

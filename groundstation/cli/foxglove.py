@@ -5,10 +5,10 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from shoal.errors import ConfigError
 
 from groundstation.export.foxglove_layout import layout
 from shoal.config.experiment import experiment_path, load_experiment
+from shoal.errors import ConfigError
 from shoal.runtime.cli_options import DEFAULT_FLEET, FleetName, experiments
 from shoal.runtime.output_files import check_output, replace_text
 

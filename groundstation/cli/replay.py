@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from groundstation.gate.gate import Gate
 from shoal.runtime.cli_options import (
     DEFAULT_FLEET,
     DEFAULT_STATION,
@@ -73,7 +74,7 @@ def replay(
 
         name, me = f"{REPLAY_PREFIX}{fleet}", process_name(Role.STATION)
         where = endpoint(listen, me, keys, insecure=insecure, router=not external_router, fleet=name)
-        with open_log(run_folder) as log, Bus(ZenohTransport(where, stop), name) as bus:
+        with open_log(run_folder) as log, Bus(ZenohTransport(where, stop, gate=Gate), name) as bus:
             typer.echo(f"{run_folder}: on {listen} as fleet {name}")
             typer.echo(f"{send(bus, chosen(log, begin, math.inf if end is None else end), rate, stop)} messages")
         return

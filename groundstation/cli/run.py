@@ -6,11 +6,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from shoal.errors import ConfigError, os_errors_as_config_errors
 
 from groundstation.cli.foxglove import Foxglove, address
 from groundstation.cli.replay import show
+from groundstation.gate.gate import Gate
 from shoal.config.experiment import Experiment, dump_experiment, load_experiment
+from shoal.errors import ConfigError, os_errors_as_config_errors
 from shoal.runtime.cli_options import (
     DEFAULT_FLEET,
     DEFAULT_STATION,
@@ -108,7 +109,7 @@ def run(
         """Fly once. Returns whether the mission succeeded."""
         if (folder / "run.mcap").exists():
             raise ConfigError(f"{folder / 'run.mcap'}: is there already, and would be lost (allowed: a folder without a log)")
-        with Bus(ZenohTransport(where, stop), fleet) as bus, announced(where, fleet, loaded.name, bus):
+        with Bus(ZenohTransport(where, stop, gate=Gate), fleet) as bus, announced(where, fleet, loaded.name, bus):
             bus.claim(me, stop)
             station = process.cycles(
                 loaded,

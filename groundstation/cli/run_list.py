@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from shoal.errors import ConfigError
 
+from shoal.errors import ConfigError
 from shoal.runtime.cli_options import AsJson
 from shoal.system.printable import printable
 

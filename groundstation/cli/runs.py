@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from shoal.errors import ConfigError
 
 from shoal.config.experiment import load_experiment
+from shoal.errors import ConfigError
 from shoal.runtime.cli_options import AsJson
 from shoal.runtime.output import terminal
 from shoal.runtime.output_files import RUN, check_output

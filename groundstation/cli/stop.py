@@ -13,13 +13,13 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from shoal.errors import ConfigError
 from typer.core import TyperCommand, TyperGroup
 
 from groundstation.cli.mission import HELP, Station, Wait
 from groundstation.station import discovery
 from groundstation.station.discovery import RunningStation
 from shoal.bus.endpoint import parse_address
+from shoal.errors import ConfigError
 from shoal.messages.messages import Command, Order, Reply
 from shoal.messages.topics import WHOLE_FLEET
 from shoal.runtime.cli_options import DEFAULT_FLEET, DEFAULT_STATION, AsJson, Insecure, KeyRing, fleet_name

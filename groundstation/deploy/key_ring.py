@@ -14,11 +14,11 @@ from ipaddress import ip_address
 from pathlib import Path
 
 import tomli_w
-from shoal.errors import ConfigError, os_errors_as_config_errors
 
 from groundstation.deploy import certificate_authority
 from groundstation.deploy.certificate_authority import KeyPair
 from shoal.bus.key_ring import CA, CERTIFICATE, MEMBERS, PRIVATE_KEY, ROLE_NAMES, Issued, MemberList, read_members
+from shoal.errors import ConfigError, os_errors_as_config_errors
 from shoal.messages.topics import Role, process_name
 from shoal.runtime.output_files import replacing, replacing_folder
 

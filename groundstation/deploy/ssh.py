@@ -13,14 +13,13 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from shoal.errors import ConfigError
-
 from groundstation.deploy import manifest, wheelhouse
 from groundstation.deploy.manifest import Probe, Target
 from shoal.bus.endpoint import parse_address
 from shoal.bus.key_ring import open_keys
 from shoal.bus.network import refuse_open
 from shoal.config.experiment import Experiment, dump_experiment
+from shoal.errors import ConfigError
 from shoal.mavlink.board_address import PORTS_BY_ID, missing_port, number_in_name, parse_link
 from shoal.messages.topics import Role, process_name
 

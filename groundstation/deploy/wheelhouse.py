@@ -10,9 +10,8 @@ import tempfile
 import threading
 from pathlib import Path
 
-from shoal.errors import ConfigError
-
 from groundstation.deploy.manifest import Probe, digest
+from shoal.errors import ConfigError
 from shoal.runtime.version import PACKAGES
 from shoal.system import programs
 

@@ -11,11 +11,11 @@ from types import TracebackType
 from typing import Any
 
 from mcap_protobuf.schema import build_file_descriptor_set
-from shoal.errors import ConfigError
 
 from groundstation.export.foxglove_scene import DRAWN, FRAMES, MOVING, SCHEMAS, STANDING, SceneDrawer, upright
 from shoal.bus.bus import Bus
 from shoal.config.experiment import Experiment
+from shoal.errors import ConfigError
 from shoal.messages import topics
 from shoal.messages.codec import DecodeError, Header, decode, protobuf_class
 from shoal.messages.topics import Topic

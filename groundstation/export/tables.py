@@ -19,13 +19,13 @@ from typing import IO, Any, Protocol, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
-from shoal.errors import ConfigError
 
 from groundstation.analysis.alignment import zero_ns
 from groundstation.formation_clock import clock_reading
 from groundstation.logs.reader import LogMessage, read_log, valid_messages
 from groundstation.logs.session_clocks import SessionClocks
 from shoal.config.experiment import load_experiment
+from shoal.errors import ConfigError
 from shoal.messages import messages, topics
 from shoal.messages.codec import DecodeError, decode
 from shoal.messages.topics import Topic

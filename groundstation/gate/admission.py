@@ -2,7 +2,7 @@
 Pure: time is an argument, in seconds of a monotonic clock.
 
 The router's TLS listener pauses for 0.1 s after each handshake that fails (zenoh-link-tls 1.10: TLS_ACCEPT_THROTTLE_TIME), so
-ten strangers a second keep every member out. Therefore the guard (groundstation/gate/guard.py) passes on only connections that have
+ten strangers a second keep every member out. Therefore the guard (guard.py) passes on only connections that have
 sent a whole TLS ClientHello, and rations failed handshakes: a connection takes a token of its origin and one of its lane with
 it, and gives both back when it has proven that its handshake succeeded. Origins that have proven so before have a lane, that
 is a listener of the router, of their own. Within a lane origins take turns, so an origin never waits for the crowd of another.

@@ -1,12 +1,12 @@
 """SHELL: the ways into a station's router that has keys: the public port with its guard, and a door for this machine's user.
 
-* At the public port the guard accepts (groundstation/gate/guard.py), in a process of its own, and passes on to two loopback ports
+* At the public port the guard accepts (guard.py), in a process of its own, and passes on to two loopback ports
   of the router, one for origins that are new to it and one for those that are known. Another process of this machine could
   find these ports and knock there past the guard; strangers on the network cannot.
 * The router's door is a Unix socket in a folder that only the station's user may enter. Through it come that user's scripts
   (`import shoal`), with an operator's rights and without a key. The router knows by the kind of link who comes that way
   (shoal/bus/access_control.py); that user could as well read the operator's key. A terminal's requests have a door of
-  their own, which is not the router's (groundstation/gate/own_door.py).
+  their own, which is not the router's (own_door.py).
 """
 
 import contextlib
@@ -33,7 +33,7 @@ BACKLOG = 1024
 AGAIN_S = 0.2  # between a guard that has ended and the next one
 FREED_S = 0.5  # an earlier station's guard may hold the port for so long after its station was killed
 ENDS_S = 2.0  # what a guard may take to end
-INNER_HANDSHAKE_MS = 3000  # the router's own limit behind the guard: PROOF_S of groundstation/gate/admission.py
+INNER_HANDSHAKE_MS = 3000  # the router's own limit behind the guard: PROOF_S of admission.py
 
 
 class Gate:

@@ -2,17 +2,15 @@
 
     python -m groundstation.gate.guard LISTENER_FD NEW_PORT KNOWN_PORT
 
-The gate (groundstation/gate/gate.py) starts it with the listening socket; the router listens at two loopback ports behind it. TLS
+The gate (gate.py) starts it with the listening socket; the router listens at two loopback ports behind it. TLS
 goes end to end between member and router: the guard reads a ClientHello's length and counts bytes, no more. Which connections
-are passed on, and when, is decided in groundstation/gate/admission.py. Its standard input names connections that the router does
+are passed on, and when, is decided in admission.py. Its standard input names connections that the router does
 not want after all, each by the port from which it reaches the router; the guard ends when that input does, that is with the
 station. It tells on its standard output of whom it refused, a line each.
 """
 
 import contextlib
-import errno
 import os
-import resource
 import selectors
 import signal
 import socket
@@ -30,6 +28,7 @@ from groundstation.gate.admission import (
     asks_for_another_hello,
     hello_is_whole,
 )
+from shoal.system.open_files import FILES_APART, NO_FILES, REST_S, allow_files
 
 CHUNK = 256 * 1024  # bytes passed on in one go
 INNER_BUFFER = 128 * 1024  # bytes: the kernel's between router and guard. What waits there for a slow member gets old
@@ -39,9 +38,6 @@ CERTIFICATE_BYTES, ANSWER_BYTES = 300, 64
 STALLED_S = 10.0  # s for which bytes wait for a peer that reads none: the router misses it after its lease of 1 s
 MOST_PIECES = 64  # that a ClientHello comes in; each costs a look at all that has come
 ACCEPTS = 32  # in one go, between which bytes are passed on
-FILES_APART = 64  # file descriptors for everything but connections
-NO_FILES = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)  # nothing to accept a connection with
-REST_S = 0.1
 MOST_LINKS = 2048  # 49 robots take some 150
 
 READ, WRITE = selectors.EVENT_READ, selectors.EVENT_WRITE
@@ -372,17 +368,6 @@ class Guard:
             self._refusals.note(self._peers[number][1], RefusalReason.NO_CERTIFICATE)
         self._close(number)
         self._look_s = 0.0
-
-
-def allow_files(wanted: int) -> int:
-    """Raise the process's soft limit of open files to `wanted`, as far as that is allowed. Returns the limit."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    if soft != resource.RLIM_INFINITY and soft < wanted:
-        with contextlib.suppress(ValueError, OSError):  # some systems know a hard limit that they do not grant
-            limit = wanted if hard == resource.RLIM_INFINITY else min(wanted, hard)
-            resource.setrlimit(resource.RLIMIT_NOFILE, (limit, hard))
-    soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
-    return wanted if soft == resource.RLIM_INFINITY else soft
 
 
 def most_links() -> int:

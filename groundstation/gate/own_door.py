@@ -1,7 +1,7 @@
 """SHELL: a station's own door for the requests of this machine's user: a Unix socket apart from Zenoh and its ports.
 
 Nothing that happens on the network holds it up: it has a thread of its own, and neither sessions, certificates nor limits. The
-folder that it stands in lets nobody else in (groundstation/gate/user_folders.py). A connection carries one request and its reply,
+folder that it stands in lets nobody else in (user_folders.py). A connection carries one request and its reply,
 each a head of lengths and then bytes.
 """
 
@@ -16,8 +16,8 @@ from pathlib import Path
 from socketserver import StreamRequestHandler, ThreadingUnixStreamServer
 from typing import Any, NoReturn
 
-from groundstation.gate.guard import NO_FILES, REST_S
 from shoal.bus.transport import Await
+from shoal.system.open_files import NO_FILES, REST_S
 
 LocalAnswer = Callable[[str, bytes, bytes], bytes | None]  # arguments: key, payload, header; None: nobody answers to this key
 

@@ -22,10 +22,10 @@ from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.records import Attachment, Channel, McapRecord, Message, Metadata, Schema
 from mcap.writer import MCAP0_MAGIC
-from shoal.errors import ConfigError
 
 from groundstation.logs.recorder import END_METADATA, EXPERIMENT_NAME, REPAIR_METADATA, RUN_METADATA
 from groundstation.logs.session_clocks import SessionClocks
+from shoal.errors import ConfigError
 from shoal.messages import topics
 from shoal.messages.codec import DecodeError, Header, decode
 from shoal.messages.topics import Topic

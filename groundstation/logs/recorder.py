@@ -30,10 +30,10 @@ from typing import IO, Any, cast
 
 from mcap.writer import Writer
 from mcap_protobuf.schema import build_file_descriptor_set
-from shoal.errors import ConfigError
 
 from shoal.bus.bus import Collected
 from shoal.config.experiment import Experiment, dump_experiment
+from shoal.errors import ConfigError
 from shoal.messages.codec import DecodeError, Header, protobuf_class
 from shoal.messages.pipe import read_pipe
 from shoal.messages.topics import STATE, Qos, Role, Topic

@@ -13,10 +13,10 @@ from typing import Any
 
 from mcap.records import Attachment, Channel, McapRecord, Message, Metadata, Schema
 from mcap.writer import Writer
-from shoal.errors import ConfigError
 
 from groundstation.logs.reader import damage_in_words, is_complete, valid_records
 from groundstation.logs.recorder import CHUNK_BYTES, REPAIR_METADATA, claim
+from shoal.errors import ConfigError
 from shoal.runtime.output_files import replacing
 from shoal.system.regular_files import open_regular
 

@@ -16,10 +16,9 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from shoal.errors import ConfigError, os_errors_as_config_errors
-
 from groundstation.logs.recorder import claim
 from shoal.config.loader import read_toml
+from shoal.errors import ConfigError, os_errors_as_config_errors
 from shoal.runtime.output_files import replace_text
 from shoal.system.printable import printable
 from shoal.system.regular_files import open_regular, read_regular
@@ -60,8 +59,8 @@ def list_runs(folder: Path) -> list[ListedRun]:
 
 
 def run_named(folder: Path, name: str) -> Path:
-    """The run of this name in a folder, as it is or as it is shown (shoal/system/printable.py). The name is compared with the folder's
-    entries, so that none leads out of it. Raises ConfigError."""
+    """The run of this name in a folder, as it is or as it is shown (system/printable.py). The name is compared with the
+    folder's entries, so that none leads out of it. Raises ConfigError."""
     with os_errors_as_config_errors(folder):
         entries = {entry.name: entry for entry in folder.iterdir()}
     entries = {printable(own): entry for own, entry in entries.items()} | entries

@@ -12,14 +12,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 
-from shoal.errors import ConfigError
-
 from groundstation.mission.command_dispatcher import CommandResult, RetryTimer
 from groundstation.mission.timetable import START_IN_S
 from groundstation.telemetry import Fleet
 from shoal.config.controller import ControllerConfig
 from shoal.config.experiment import Experiment
 from shoal.config.scene import Circle
+from shoal.errors import ConfigError
 from shoal.messages.live_gains import tuned, tuning
 from shoal.messages.messages import Command, Mode, Order, RobotState, Tuning
 

@@ -1,6 +1,6 @@
 """The mission's states and transitions: ONE table. Pure.
 
-`groundstation mission states` prints it; docs/missions.md holds it, and a test compares the two.
+`groundstation mission states` prints it; docs/reference/mission-states.md holds it, and a test compares the two.
 groundstation/mission/mission.py follows this table and changes state in no other way.
 """
 
@@ -245,7 +245,7 @@ FLEET_REQUESTS = tuple(
 
 
 def markdown() -> str:
-    """Tables of states, requests and events in Markdown, for docs/missions.md."""
+    """Tables of states, requests and events in Markdown, for docs/reference/mission-states.md."""
     lines = ["| State | |", "| --- | --- |", *(f"| {state.name} | {state.value} |" for state in MissionState), ""]
     lines += ["| A person's order | counts when | leads to |", "| --- | --- | --- |"]
     lines += [_row_text(row.cause.name, row) for row in TRANSITIONS if isinstance(row.cause, Order)]

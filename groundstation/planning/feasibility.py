@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from shoal.errors import ConfigError
 
 from groundstation.planning.formation import NodeMotion
 from shoal.config.experiment import Experiment
+from shoal.errors import ConfigError
 from shoal.frames import Array
 from shoal.messages.camera_coverage import outside_m
 

@@ -3,12 +3,11 @@
 from pathlib import Path
 from typing import IO
 
-from shoal.errors import ConfigError
-
 from groundstation.formation_clock import FormationPlans
 from groundstation.logs.reader import LogFile, LogMessage, open_log
 from groundstation.replay.step_replay import in_order_of_use, own_messages
 from shoal.config.experiment import load_experiment
+from shoal.errors import ConfigError
 from shoal.messages import topics
 from shoal.messages.codec import decode
 from shoal.messages.messages import RobotState

@@ -12,11 +12,10 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import IO
 
-from shoal.errors import ConfigError
-
 from groundstation.logs.reader import LogFile, LogMessage, metadata_of, open_log
 from groundstation.replay.step_diff import StepComparison, StepOutputs, compare
 from shoal.config.experiment import load_experiment
+from shoal.errors import ConfigError
 from shoal.messages import topics
 from shoal.messages.codec import DecodeError, decode
 from shoal.messages.messages import StepInputs

@@ -4,12 +4,12 @@ from pathlib import Path
 
 from markupsafe import Markup
 from rich.table import Table
-from shoal.errors import ConfigError
 
 from groundstation.analysis.comparison import Comparison
 from groundstation.report.controller_comparison import COLUMNS, cells, closest, course, demands, errors, failures, wanted
 from groundstation.report.plotting import to_svg
 from groundstation.report.report import environment
+from shoal.errors import ConfigError
 from shoal.runtime.output import terminal
 from shoal.runtime.output_files import replace_text
 from shoal.system.regular_files import read_regular

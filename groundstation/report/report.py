@@ -13,7 +13,6 @@ import matplotlib as mpl
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 from matplotlib.figure import Figure
-from shoal.errors import ConfigError
 
 from groundstation.analysis.alignment import align
 from groundstation.analysis.cause import title
@@ -30,6 +29,7 @@ from groundstation.report.plotting import picture, to_svg
 from groundstation.report.report_tables import tables
 from groundstation.report.run_comparison import ComparedRun, differences, metric_rows, plots
 from shoal.config.experiment import Experiment, load_experiment
+from shoal.errors import ConfigError
 from shoal.runtime.output_files import replace_text, replacing, replacing_together
 from shoal.runtime.version import code
 

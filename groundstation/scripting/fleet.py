@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from groundstation import client
+from groundstation.fleet_time import FleetTime
 from groundstation.mission.state_machine import READY, request_named
 from shoal.bus.bus import Bus, Inbox
 from shoal.config.loader import toml_value
@@ -15,7 +16,6 @@ from shoal.messages.codec import DecodeError, Header, decode
 from shoal.messages.messages import Command, Event, Outcome, Pose, RobotState, StationHeartbeat
 from shoal.messages.topics import WHOLE_FLEET, Topic
 from shoal.runtime.cli_options import DEFAULT_FLEET
-from shoal.runtime.fleet_time import FleetTime
 
 M = TypeVar("M")
 

@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import Any
 
 from numpy.typing import NDArray
-from shoal.errors import ConfigError
 
 from groundstation.export import tables
 from groundstation.logs.run_folders import MOST_JSON_BYTES
 from shoal.config.experiment import Experiment, load_experiment
+from shoal.errors import ConfigError
 from shoal.messages.topics import TOPICS, Topic
 from shoal.system.regular_files import read_regular
 

@@ -1,6 +1,6 @@
 """SHELL: discovery of this user's stations on this machine, so that a terminal finds the one that runs.
 
-Each station has its own door, and a file that says what it is, in each of the user's folders (groundstation/gate/user_folders.py).
+Each station has its own door, and a file that says what it is, in each of the user's folders (gate/user_folders.py).
 It holds a lock on the file for as long as it lives; the kernel lets go of it however the process ends, so a file without a
 lock is of a station that is gone.
 """
@@ -15,13 +15,12 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import IO
 
-from shoal.errors import ConfigError
-
 from groundstation.gate.gate import is_here
 from groundstation.gate.own_door import OwnDoor
 from groundstation.gate.user_folders import fits, user_folders
 from shoal.bus.bus import Bus
 from shoal.bus.endpoint import Endpoint, beside, parse_address
+from shoal.errors import ConfigError
 from shoal.runtime.cli_options import DEFAULT_STATION
 from shoal.runtime.runtime import log
 

@@ -9,8 +9,6 @@ import time
 from collections.abc import Generator
 from pathlib import Path
 
-from shoal.errors import ConfigError, os_errors_as_config_errors
-
 from groundstation.export.foxglove_live import ViewerServer
 from groundstation.logs.recorder import Recorder, check_room, run_metadata
 from groundstation.mission.gain_update import GainUpdater
@@ -27,6 +25,7 @@ from groundstation.web.server import WebServer, bind
 from shoal.bus.access_control import INSECURE
 from shoal.bus.bus import Bus
 from shoal.config.experiment import Experiment, load_experiment
+from shoal.errors import ConfigError, os_errors_as_config_errors
 from shoal.messages import topics
 from shoal.messages.codec import Header
 from shoal.messages.topics import WHOLE_FLEET

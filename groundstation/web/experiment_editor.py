@@ -7,7 +7,6 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from shoal.errors import ConfigError
 
 from groundstation.planning import planner
 from groundstation.web.commented_file import commented
@@ -16,6 +15,7 @@ from groundstation.web.scene import flown_samples, paths
 from shoal.config.experiment import Experiment
 from shoal.config.formation_shapes import shape_nodes
 from shoal.config.loader import check
+from shoal.errors import ConfigError
 from shoal.messages.messages import Trajectory
 from shoal.runtime.output_files import replace_text
 

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from groundstation.fleet_time import PaceMeter
 from groundstation.mission.state_machine import READY, MissionState, order_name, states_allowing
 from groundstation.telemetry import FleetInboxes
 from groundstation.web.alarms import alarms
@@ -31,7 +32,6 @@ from shoal.messages import topics
 from shoal.messages.codec import DecodeError, Header, decode
 from shoal.messages.messages import Event, Order, Preview, Trajectory
 from shoal.messages.topics import Topic
-from shoal.runtime.fleet_time import PaceMeter
 from shoal.runtime.lockstep import LockstepClock
 from shoal.runtime.runtime import Clock, log
 

@@ -11,10 +11,9 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from shoal.errors import ConfigError
-
 from groundstation.logs import run_folders
 from groundstation.web.run_end import run_end
+from shoal.errors import ConfigError
 from shoal.system.printable import printable
 
 REPORT = "report.html"

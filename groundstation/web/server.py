@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import uvicorn
-from shoal.errors import ConfigError
 from starlette.applications import Starlette
 from starlette.requests import Request
 from starlette.responses import FileResponse, PlainTextResponse, Response
@@ -26,6 +25,7 @@ from groundstation.web.backend import Backend
 from groundstation.web.client_hub import ClientHub
 from groundstation.web.connection_limits import HANDSHAKE_WITHIN_S, ConnectionLimiter, http_class
 from groundstation.web.run_desk import REPORT_POLICY, RunDesk
+from shoal.errors import ConfigError
 from shoal.runtime.runtime import log
 from shoal.runtime.web_access import Guarded, WebOptions
 from shoal.system.secret_files import refuse_shared

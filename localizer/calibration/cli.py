@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Annotated, cast, get_args
 
 import typer
-from shoal.errors import ConfigError
 
 from shoal.config.experiment import experiment_path, load_experiment
 from shoal.config.perception import MarkerFamily
+from shoal.errors import ConfigError
 from shoal.runtime.cli_options import (
     DEFAULT_FLEET,
     DEFAULT_STATION,

@@ -10,11 +10,11 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from scipy.optimize import least_squares
-from shoal.errors import ConfigError
 
 from localizer.calibration.survey_points import FEWEST_POINTS, SurveyPoint, is_line
 from localizer.camera_model import Intrinsics, RefractiveCamera
 from shoal.config.perception import Camera
+from shoal.errors import ConfigError
 from shoal.frames import Array
 
 _LEAST_SIGMA_PX = 0.2  # px, least standard deviation of a pixel: residuals of four points may be small by chance

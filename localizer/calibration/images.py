@@ -7,12 +7,12 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from shoal.errors import ConfigError
 
 from localizer.detection.image_regions import Pixels
 from localizer.sources.base import SUFFIXES, as_colour
 from localizer.sources.files import decode_file, picture_files
 from localizer.sources.video import VideoReader
+from shoal.errors import ConfigError
 from shoal.runtime.output_files import replacing
 
 

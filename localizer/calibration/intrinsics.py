@@ -11,10 +11,10 @@ from functools import cached_property
 
 import cv2
 import numpy as np
-from shoal.errors import ConfigError
 
 from localizer.calibration.targets import TargetView
 from localizer.camera_model import LARGEST_FOLD_PX, Intrinsics, fold_px
+from shoal.errors import ConfigError
 from shoal.frames import Array
 
 FEWEST_VIEWS = 5  # nine parameters need three; with five a bad view can be recognised

@@ -9,10 +9,10 @@ from xml.sax.saxutils import escape
 
 import cv2
 import numpy as np
-from shoal.errors import ConfigError
 
 from localizer.detection.fiducials import marker_dictionary
 from shoal.config.perception import MarkerFamily
+from shoal.errors import ConfigError
 
 Rectangle = tuple[float, float, float, float]  # left, top, width, height
 

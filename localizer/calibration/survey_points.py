@@ -6,13 +6,13 @@ from typing import Annotated, Self
 import cv2
 import numpy as np
 from pydantic import Field, model_validator
-from shoal.errors import ConfigError
 
 from localizer.detection.fiducials import marker_centres
 from localizer.detection.image_regions import Pixels
 from shoal.config.loader import Section
 from shoal.config.perception import MarkerFamily
 from shoal.config.scene import PoolConfig, Vec2, Vec3
+from shoal.errors import ConfigError
 from shoal.frames import Array
 
 FEWEST_POINTS = 4

@@ -11,9 +11,9 @@ from typing import Protocol
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from shoal.errors import ConfigError
 
 from localizer.detection.image_regions import Pixels
+from shoal.errors import ConfigError
 from shoal.frames import Array
 
 EXAMPLES = "chessboard:9x6:0.03 (inner corners, side of a square in m), charuco:7x5:0.04:0.03:DICT_4X4_50 (squares, side of a \

@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
-from shoal.errors import ConfigError
 
 from localizer.calibration.images import write_picture
 from localizer.calibration.pool_grid import GRID_M, draw_grid, view_figures
@@ -13,6 +12,7 @@ from localizer.calibration.report import view_lines
 from localizer.detection.image_regions import BAYER_TO_BGR, Pixels
 from shoal.bus.bus import Bus
 from shoal.config.experiment import Experiment
+from shoal.errors import ConfigError
 from shoal.messages import topics
 from shoal.messages.codec import Header
 from shoal.messages.messages import Frame

@@ -11,7 +11,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-from shoal.errors import ConfigError, os_errors_as_config_errors
 
 from localizer.calibration.extrinsics import PoseFit, fit_pose
 from localizer.calibration.images import pictures, read_picture, shown
@@ -22,6 +21,7 @@ from localizer.calibration.targets import EXAMPLES, TargetView, parse_target
 from localizer.detection.image_regions import Pixels
 from shoal.config.loader import check, read_toml, toml_value
 from shoal.config.perception import Camera, CameraFile
+from shoal.errors import ConfigError, os_errors_as_config_errors
 from shoal.runtime.output_files import check_output, dated, replacing_together
 
 _NO_POSE = "Without --pool-points the camera has no pose yet: --lens {out} --pool-points FILE finds it."

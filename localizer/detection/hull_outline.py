@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from localizer.camera_model import RefractiveCamera
 from localizer.detection.image_regions import DemosaicedRegion
 from shoal.frames import Array
-from shoal.kernels.kernel import kernel
+from shoal.kernels.decorator import kernel
 
 _RAYS = 48
 _ANGLES = 2.0 * np.pi * np.arange(_RAYS) / _RAYS

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from shoal.errors import ConfigError
 
 from shoal.config.experiment import experiment_path, load_experiment
+from shoal.errors import ConfigError
 from shoal.runtime.cli_options import (
     DEFAULT_FLEET,
     DEFAULT_STATION,

@@ -20,7 +20,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from shoal.errors import ConfigError, os_errors_as_config_errors
 
 from localizer.evaluation.runner import COLUMNS, check_size, read_frame_table
 from localizer.sources.base import as_bayer
@@ -29,6 +28,7 @@ from localizer.sources.video import VideoReader
 from localizer.tracking.fleet_localizer import FleetLocalizer, LocalizationResult
 from localizer.tracking.tilt import Attitude
 from shoal.config.experiment import Experiment
+from shoal.errors import ConfigError, os_errors_as_config_errors
 from shoal.messages.codec import decode, encode
 from shoal.messages.messages import Pose
 from shoal.runtime.output_files import check_named, replacing, sync_folder

@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from shoal.errors import ConfigError
 
 from localizer.detection.image_regions import Pixels
 from localizer.evaluation.metrics import (
@@ -33,6 +32,7 @@ from localizer.sources.video import VideoReader
 from localizer.tracking.fleet_localizer import FleetLocalizer
 from localizer.tracking.single_object import SingleObjectTracker
 from shoal.config.experiment import Experiment
+from shoal.errors import ConfigError
 from shoal.frames import Array
 from shoal.messages import topics
 from shoal.messages.codec import DecodeError, decode

@@ -2,11 +2,10 @@
 
 import threading
 
-from shoal.errors import ConfigError
-
 from localizer.setup.session import SetupSession
 from localizer.sources.base import FrameSource
 from localizer.view.worker import LatestItemWorker
+from shoal.errors import ConfigError
 from shoal.runtime.runtime import Stop, guarded_thread
 
 _AGAIN_S = 1.0  # s after which a viewer gets the same picture again, which notices one that left

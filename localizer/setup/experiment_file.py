@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import tomlkit
-from shoal.errors import ConfigError, os_errors_as_config_errors
 
 from shoal.config.experiment import EXPERIMENTS, Experiment, checked_experiment, load_experiment
 from shoal.config.loader import MOST_BYTES, check, read_toml
 from shoal.config.perception import Camera, CameraFile
+from shoal.errors import ConfigError, os_errors_as_config_errors
 from shoal.runtime.output_files import dated, replacing
 from shoal.system.regular_files import read_regular
 

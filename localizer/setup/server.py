@@ -9,7 +9,6 @@ import time
 from pathlib import Path
 from typing import Any
 
-from shoal.errors import ConfigError
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, Response
@@ -19,6 +18,7 @@ from starlette.staticfiles import StaticFiles
 from localizer.setup.camera_feed import CameraFeed
 from localizer.setup.session import SetupSession
 from localizer.view.local_server import LocalServer, PictureStream
+from shoal.errors import ConfigError
 from shoal.runtime.runtime import SLICE_S, Stop
 from shoal.runtime.web_access import WebOptions, token_allowed
 

@@ -14,7 +14,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-from shoal.errors import ConfigError
 
 from localizer.calibration.extrinsics import PoseFit
 from localizer.calibration.intrinsics import IntrinsicsFit, intrinsics_warnings
@@ -32,6 +31,7 @@ from localizer.sources.base import CapturedFrame
 from localizer.sources.v4l2_controls import EXPOSURE_UNIT_S, EXPOSURES, CameraControls, Control
 from shoal.config.experiment import Experiment
 from shoal.config.perception import Camera
+from shoal.errors import ConfigError
 
 DEFAULT_BOARD = "charuco:7x5:0.04:0.03:DICT_4X4_50"
 _JPEG_QUALITY = 80  # 200 kB at 1280 x 960; corners in the magnifier stay clean

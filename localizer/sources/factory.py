@@ -4,14 +4,13 @@ import math
 from collections.abc import Mapping
 from pathlib import Path
 
-from shoal.errors import ConfigError
-
 from localizer.sources.base import FrameSource
 from localizer.sources.bus import BusSource, LockstepSource
 from localizer.sources.files import FolderSource, VideoSource
 from localizer.sources.v4l2 import V4l2Source, check_device
 from shoal.bus.bus import Bus, Inbox
 from shoal.config.perception import Camera
+from shoal.errors import ConfigError
 from shoal.messages.messages import RobotState
 from shoal.runtime.lockstep import LockstepClock
 from shoal.runtime.runtime import Clock, Stop

@@ -16,11 +16,11 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from shoal.errors import ConfigError
 
 from localizer.detection.image_regions import Pixels
 from localizer.sources.base import SUFFIXES, CapturedFrame, as_bayer, silent_after_s
 from localizer.sources.video import VideoReader
+from shoal.errors import ConfigError
 from shoal.runtime.runtime import SLICE_S, Clock, Stop, log
 from shoal.system.regular_files import read_regular
 

@@ -18,10 +18,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from shoal.errors import ConfigError, os_errors_as_config_errors
-
 from localizer.detection.image_regions import Pixels
 from shoal.config.experiment import Experiment, dump_experiment
+from shoal.errors import ConfigError, os_errors_as_config_errors
 from shoal.messages import topics
 from shoal.messages.codec import DecodeError, decode, encode, protobuf_class
 from shoal.messages.messages import Frame, Pose

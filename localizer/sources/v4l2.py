@@ -22,12 +22,12 @@ from pathlib import Path
 from typing import Any, Literal, Protocol
 
 import cv2
-from shoal.errors import ConfigError
 
 from localizer.sources.base import CapturedFrame, as_bayer, silent_after_s
 from localizer.sources.latest_value import LatestValue
 from localizer.sources.v4l2_controls import EXPOSURE_UNIT_S, V4l2Controls, set_all
 from shoal.config.perception import Camera
+from shoal.errors import ConfigError
 from shoal.runtime.runtime import SLICE_S, Clock, Stop, guarded_thread, log
 
 DEVICES = Path("/dev")

@@ -1,4 +1,4 @@
-"""SHELL: the controls that a V4L2 camera offers (gain, focus, white balance ...), with their ranges, through linuxpy.
+"""The controls that a V4L2 camera offers (gain, focus, white balance ...), with their ranges, through linuxpy.
 
 They are set on a file descriptor of their own, so that a source may stream meanwhile. Names are those of `v4l2-ctl`.
 """

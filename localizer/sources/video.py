@@ -15,9 +15,9 @@ from typing import IO
 
 import cv2
 import numpy as np
-from shoal.errors import ConfigError, os_errors_as_config_errors
 
 from localizer.detection.image_regions import Pixels
+from shoal.errors import ConfigError, os_errors_as_config_errors
 from shoal.system.regular_files import open_regular
 
 _MOST_HZ = 1e4  # a larger rate is a file that does not know its own

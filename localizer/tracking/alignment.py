@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shoal.frames import Array
-from shoal.kernels.kernel import kernel
+from shoal.kernels.decorator import kernel
 
 _ROUNDS = 7  # Gauss-Newton iterations; a correlation is off by less than a sample, and the last two move a tenth of one
 _BORDER = 3  # samples at the patch's edge that are left out: a shift may move that far

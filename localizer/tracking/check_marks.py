@@ -13,7 +13,6 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
-from shoal.errors import ConfigError
 
 from localizer.camera_model import LARGEST_FOLD_PX, Intrinsics, LocalLinearization, RefractiveCamera, fold_px
 from localizer.detection.fiducials import find_markers, marker_detector
@@ -21,6 +20,7 @@ from localizer.detection.image_regions import ImageRegion, Pixels, cut, whole
 from localizer.tracking.camera_pose import FixedCameraPose, corners_of, fit_camera_pose
 from shoal.config.experiment import Experiment
 from shoal.config.perception import LANDMARKS_NEEDED, Camera, Landmark, MarkerFamily
+from shoal.errors import ConfigError
 from shoal.frames import Array, wrap
 
 REACH_PX = 40.0  # px around a mark in which it is looked for; when most are farther off, the whole picture is searched

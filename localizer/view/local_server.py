@@ -13,12 +13,12 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import uvicorn
-from shoal.errors import ConfigError
 from starlette.applications import Starlette
 from starlette.requests import Request
 from starlette.responses import PlainTextResponse, Response, StreamingResponse
 from starlette.routing import BaseRoute
 
+from shoal.errors import ConfigError
 from shoal.runtime.runtime import Stop, guarded_thread, log
 from shoal.runtime.web_access import Channel, Guarded, Scope, WebOptions
 

@@ -12,7 +12,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-from shoal.errors import ConfigError
 
 from localizer.detection.image_regions import BAYER_TO_BGR, Pixels
 from localizer.sources.base import CapturedFrame
@@ -21,6 +20,7 @@ from localizer.view.worker import LatestItemWorker
 from shoal.bus.bus import Bus
 from shoal.config.experiment import Experiment
 from shoal.config.recording import Recording
+from shoal.errors import ConfigError
 from shoal.messages import topics
 from shoal.messages.messages import Picture, Video
 from shoal.runtime.runtime import Stop

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shoal.frames import Array
-from shoal.kernels.kernel import kernel
+from shoal.kernels.decorator import kernel
 
 Signs = NDArray[np.int64]  # (rows,) 1: held at the upper bound, -1: at the lower one, 0: not held
 

@@ -40,7 +40,7 @@ from robot_agent.vehicle.kalman import make_estimator
 from shoal.config.controller import ControllerConfig, Safety
 from shoal.config.vehicle import Vehicle
 from shoal.frames import Array
-from shoal.kernels.kernel import kernel
+from shoal.kernels.decorator import kernel
 from shoal.messages.messages import Solve
 
 NS = 1_000_000_000

@@ -23,7 +23,7 @@ from robot_agent.guidance.reference import Reference
 from shoal.config.controller import GuidanceConfig
 from shoal.config.vehicle import Vehicle
 from shoal.frames import Array, wrap
-from shoal.kernels.kernel import kernel
+from shoal.kernels.decorator import kernel
 
 FAST_MPS = 0.06  # from here on through the water a force aside costs little heading, and feedback is
 QUICKER = 1.6  # so many times as quick. Twice as quick swings in a current, and slow robots swing at 1.4

@@ -4,8 +4,6 @@ import importlib
 from collections.abc import Callable
 from typing import Any, Protocol, cast
 
-from shoal.errors import ConfigError
-
 from robot_agent.control.baselines.adaptive_nn import AdaptiveNn
 from robot_agent.control.baselines.backstepping import Backstepping
 from robot_agent.control.baselines.feedback import Feedback, FeedbackLaw
@@ -19,6 +17,7 @@ from robot_agent.guidance.formation import HalfSpaces
 from robot_agent.vehicle.dynamics import Model, State
 from shoal.config.controller import ControllerConfig, GuidanceConfig
 from shoal.config.vehicle import Vehicle
+from shoal.errors import ConfigError
 from shoal.frames import Array
 
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from robot_agent.guidance.formation import HalfSpaces, Places
 from robot_agent.vehicle.dynamics import Model, State
 from shoal.frames import Array
-from shoal.kernels.kernel import kernel
+from shoal.kernels.decorator import kernel
 
 HEAVE, YAW = 2, 3  # axes in eta and nu
 TINY_MPS = 1e-12  # keeps 0/0 out

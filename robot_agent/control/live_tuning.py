@@ -6,11 +6,10 @@ steps, never within one. Pure: time is an argument.
 
 from dataclasses import dataclass
 
-from shoal.errors import ConfigError
-
 from robot_agent.control.any_controller import AnyController
 from robot_agent.control.controller import GainSet
 from shoal.config.controller import ControllerConfig
+from shoal.errors import ConfigError
 from shoal.messages.live_gains import of_message, tuning
 from shoal.messages.messages import Command, Order
 

@@ -21,7 +21,7 @@ from robot_agent.vehicle.dynamics import Model, State
 from shoal.config.controller import MpcConfig
 from shoal.config.vehicle import Vehicle
 from shoal.frames import Array
-from shoal.kernels.kernel import kernel
+from shoal.kernels.decorator import kernel
 from shoal.messages.messages import Solve
 
 CHANNELS = (0, 2, 1)  # order of the unknowns: surge, yaw, heave

@@ -16,11 +16,11 @@ import numpy as np
 import osqp
 from numpy.typing import NDArray
 from scipy import sparse
-from shoal.errors import ConfigError
 
 from robot_agent.control.active_set import NO_BOUND, solve_from
+from shoal.errors import ConfigError
 from shoal.frames import Array
-from shoal.kernels.kernel import kernel
+from shoal.kernels.decorator import kernel
 
 Mask = NDArray[np.bool_]
 Entries = NDArray[np.int64]  # (k, 2) row and column of entries of a matrix

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from robot_agent.guidance.obstacles import Obstacle, nearest_border
 from shoal.config.controller import MpcConfig, Safety
 from shoal.frames import TURN, Array
-from shoal.kernels.kernel import kernel
+from shoal.kernels.decorator import kernel
 from shoal.messages.messages import Plan
 
 Places = NDArray[np.complex128]  # x + iy in the pool frame, m

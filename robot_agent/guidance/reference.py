@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from shoal.frames import Array
-from shoal.kernels.kernel import kernel
+from shoal.kernels.decorator import kernel
 from shoal.messages.messages import Trajectory
 
 

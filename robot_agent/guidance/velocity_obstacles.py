@@ -31,7 +31,7 @@ from robot_agent.guidance.obstacles import Obstacle
 from robot_agent.guidance.reference import Reference
 from shoal.config.vehicle import Vehicle
 from shoal.frames import Array, wrap
-from shoal.kernels.kernel import kernel
+from shoal.kernels.decorator import kernel
 from shoal.kernels.types import Bools, Complexes, Floats, Table
 
 LOOK_STEP_S = 0.5

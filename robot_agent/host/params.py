@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from shoal.errors import ConfigError
 
 from shoal.config.scene import LARGEST_ROBOT
+from shoal.errors import ConfigError
 from shoal.mavlink.board_address import DEFAULT_LINK, LINK_HELP
 from shoal.mavlink.board_port import Link, open_link
 from shoal.mavlink.parameters import DOES_NOT_EXIST, LINK_ID, ParameterClient

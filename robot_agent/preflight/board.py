@@ -9,7 +9,6 @@ from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
-from shoal.errors import ConfigError
 
 from robot_agent.host import realtime
 from robot_agent.host.board_zero import SERVICE_FOLDER, read_record, state_folder
@@ -20,6 +19,7 @@ from robot_agent.preflight.network import check_network
 from robot_agent.preflight.rehearsal import RehearsalFailed, rehearse
 from robot_agent.safety.health import RESTART_DEPTH_M
 from shoal.config.experiment import Experiment, load_experiment
+from shoal.errors import ConfigError
 from shoal.mavlink.agent_link import Telemetry
 from shoal.mavlink.board_address import number_in_name, parse_link, serial_ports, serial_trouble
 from shoal.mavlink.signing_key import agent_end

@@ -4,22 +4,22 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from shoal.errors import ConfigError, os_errors_as_config_errors
 
 from robot_agent.host.params import ParameterSession, WhichRobot, talk
 from robot_agent.preflight.thrust_curve import ThrustFit, fit, read_rows
 from shoal.config.loader import MOST_BYTES, check
 from shoal.config.vehicle import Thruster, load_vehicle
+from shoal.errors import ConfigError, os_errors_as_config_errors
 from shoal.mavlink.agent_link import STANDARD_GRAVITY_MPS2
 from shoal.runtime.cli_options import LinkInsecure, LinkKey, finite
 from shoal.system.regular_files import read_regular
 
-cli = typer.Typer(help="A vehicle's numbers from measurements on a bench (docs/hil.md).")
+cli = typer.Typer(help="A vehicle's numbers from measurements on a bench (docs/hardware.md).")
 
 
 @cli.callback()
 def main() -> None:
-    """A vehicle's numbers from measurements on a bench (docs/hil.md)."""
+    """A vehicle's numbers from measurements on a bench (docs/hardware.md)."""
 
 
 @cli.command()

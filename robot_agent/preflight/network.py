@@ -5,8 +5,6 @@ from collections.abc import Generator
 from datetime import UTC, datetime
 from pathlib import Path
 
-from shoal.errors import ConfigError
-
 from robot_agent.host.config import AgentConfig
 from robot_agent.preflight import findings
 from robot_agent.preflight.findings import CheckFinding, CheckVerdict
@@ -16,6 +14,7 @@ from shoal.bus.key_ring import Keys, common_name, open_keys
 from shoal.bus.network import endpoint
 from shoal.bus.transport import Unreached
 from shoal.bus.zenoh_transport import ZenohTransport
+from shoal.errors import ConfigError
 from shoal.messages import topics
 from shoal.messages.messages import StationHeartbeat
 from shoal.messages.topics import Role, process_name

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from itertools import groupby, pairwise
 
 from shoal.errors import ConfigError
-
 from shoal.mavlink.agent_link import PULSE_RANGE_US, STANDARD_GRAVITY_MPS2
 
 COLUMNS = ["pulse_us", "grams"]

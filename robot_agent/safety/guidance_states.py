@@ -2,7 +2,7 @@
 
 In each state exactly one thing is flown (STATES.flown). TRANSITIONS lists the changes, first match first. STATES has the
 bounds too: the longest stay, and what happens after it. path_watch.py holds the robot to them. `robot-agent modes` prints both
-tables for docs/modes.md.
+tables for docs/reference/modes.md.
 
 Each change is a line of the log and a change of the page, so states along the path are steady. What is in a robot's way may
 come and go at every step. The robot counts as giving way until nothing has been in its way for half a horizon: the time in
@@ -116,7 +116,7 @@ STATES: dict[Guidance, GuidanceState] = {
 
 
 def table() -> str:
-    """Both tables as Markdown, for docs/modes.md."""
+    """Both tables as Markdown, for docs/reference/modes.md."""
     lines = ["| Guidance state | what is flown | bounds | longest stay | then |", "| --- | --- | --- | --- | --- |"]
     lines += [f"| {name.name} | {s.flown} | {s.bounds} | {s.longest} | {s.then} |" for name, s in STATES.items()]
     lines += ["", "| From, first match first | when | to |", "| --- | --- | --- |"]

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shoal.frames import Array
-from shoal.kernels.kernel import kernel
+from shoal.kernels.decorator import kernel
 
 NS = 1_000_000_000
 SPANS_S = (0.5, 1.0, 2.0)

@@ -1,7 +1,7 @@
 """Modes of a robot: two tables and the function that reads them.
 
 ORDERS lists the modes in which each command is accepted. REACTIONS lists the robot's own transitions, first match first; none
-of them leads back to thrust. `robot-agent modes` prints both for docs/modes.md.
+of them leads back to thrust. `robot-agent modes` prints both for docs/reference/modes.md.
 """
 
 from collections.abc import Callable
@@ -169,7 +169,7 @@ def refusal(order: Order, mode: Mode) -> str:
 
 
 def table() -> str:
-    """Both tables as Markdown with a Mermaid diagram, for docs/modes.md."""
+    """Both tables as Markdown with a Mermaid diagram, for docs/reference/modes.md."""
     lines = ["```mermaid", "stateDiagram-v2", "    [*] --> DISARMED"]
     for order, transition in ORDERS.items():
         for mode in Mode:

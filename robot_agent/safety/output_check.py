@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_agent.safety.sent_commands import SentCommands
-from shoal.kernels.kernel import kernel
+from shoal.kernels.decorator import kernel
 from shoal.mavlink.agent_link import CHANNELS, Telemetry
 
 TOLERANCE_US = 5

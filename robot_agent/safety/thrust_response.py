@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from robot_agent.safety.sent_commands import NS, ActingThrust
 from shoal.config.vehicle import Vehicle
 from shoal.frames import wrap
-from shoal.kernels.kernel import kernel
+from shoal.kernels.decorator import kernel
 from shoal.kernels.types import Floats
 
 Complexes = Annotated[NDArray[np.complex128], 2]

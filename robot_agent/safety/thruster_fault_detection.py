@@ -27,7 +27,7 @@ from robot_agent.safety.likelihood_ratio import SPANS_S, LikelihoodRatioTest
 from robot_agent.safety.sent_commands import NS, ActingLegs
 from shoal.config.vehicle import Vehicle
 from shoal.frames import Array
-from shoal.kernels.kernel import kernel
+from shoal.kernels.decorator import kernel
 from shoal.kernels.types import Floats
 
 SMOOTH_S = 0.3  # T: noise of the gyroscope, 3 mrad/s, is then 1.2 mN m; one idle thruster of the article's robot turns with 12

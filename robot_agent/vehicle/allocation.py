@@ -16,7 +16,7 @@ import numpy as np
 
 from shoal.config.vehicle import Vehicle
 from shoal.frames import Array
-from shoal.kernels.kernel import kernel
+from shoal.kernels.decorator import kernel
 from shoal.kernels.types import Floats, Ints, Table
 
 STEEPEST_RAD = math.radians(60.0)  # beyond, most of a thruster's force is spent on cancelling its neighbour

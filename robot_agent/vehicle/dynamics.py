@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from shoal.config.vehicle import AXES, Vehicle
 from shoal.frames import TURN, Array
-from shoal.kernels.kernel import kernel
+from shoal.kernels.decorator import kernel
 
 Wrench = tuple[float, ...]  # surge N, heave N, yaw N m, and sway N of a vehicle with side thrust
 State = tuple[float, ...]  # 12 numbers: eta (4), nu (4), thrust that acts now [X N, Z N, N N m, Y N]

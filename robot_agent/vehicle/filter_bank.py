@@ -24,7 +24,7 @@ import math
 from typing import NamedTuple
 
 from robot_agent.vehicle.dynamics import phi_dt
-from shoal.kernels.kernel import kernel
+from shoal.kernels.decorator import kernel
 from shoal.kernels.types import Cube, Floats, Table
 
 ERRORS = 15

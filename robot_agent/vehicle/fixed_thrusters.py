@@ -15,7 +15,7 @@ import numpy as np
 from robot_agent.vehicle.allocation import Allocator, PulseCurve, nearest_pulses, pulse_curve
 from shoal.config.vehicle import AXES, OUTPUTS, Vehicle
 from shoal.frames import Array
-from shoal.kernels.kernel import kernel
+from shoal.kernels.decorator import kernel
 from shoal.kernels.types import Floats, Ints, Table
 
 ROUNDED = 1e-12  # of a newton: less is none, and leaves a thruster at neutral

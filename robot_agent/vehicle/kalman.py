@@ -59,7 +59,7 @@ from robot_agent.vehicle.filter_bank import (
 from shoal.config.controller import EstimatorConfig
 from shoal.config.vehicle import Vehicle
 from shoal.frames import TURN, Array
-from shoal.kernels.kernel import kernel
+from shoal.kernels.decorator import kernel
 from shoal.kernels.types import Floats, Ints, Table
 
 KINDS = (  # of water: intensity m^2/s^3, share of its changes by place, and of forces by how much more they change

@@ -301,7 +301,7 @@ class Bus:
         self.transport.serve(self._key(name), answer, urgent)
 
     def answer(self, key: str, payload: bytes, header: bytes) -> bytes | None:
-        """The reply to a command that came another way than over the network (groundstation/gate/own_door.py); None if nobody here
+        """The reply to a command that came another way than over the network (own_door.py); None if nobody here
         serves its key. Thread-safe."""
         answer = self._served.get(key)
         return answer(payload, header) if answer is not None else None

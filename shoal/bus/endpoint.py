@@ -17,9 +17,7 @@ LEASE_MS = 1000  # a cut link is noticed after this long (default 10 s); at 400 
 FLOOD = 10  # times a topic's rate: above it messages are dropped; a busy machine sends what it held back in bursts
 FORMS = "tcp/HOST:PORT or tls/HOST:PORT, for example tls/192.0.2.10:7447"
 WILDCARDS = {"0.0.0.0": "127.0.0.1", "::": "[::1]"}  # by address listened at: the address to connect to from the same machine
-MOST_SESSIONS = (
-    4096  # of a router: more than its guard lets in (MOST_LINKS of groundstation/gate/guard.py); Zenoh's own is 1,000
-)
+MOST_SESSIONS = 4096  # of a router: more than its guard lets in (MOST_LINKS of gate/guard.py); Zenoh's own is 1,000
 ACCEPT_MS = 3000  # for a session to be opened after its handshake; shorter than YOUNG_S of groundstation/gate/admission.py
 TRY_MS = 1000  # one attempt to reach the station: Zenoh does not hear Ctrl-C meanwhile
 

@@ -12,19 +12,18 @@ import threading
 import time
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
+from typing import Any, Protocol
 
 import zenoh
 import zenoh.ext
 
-from groundstation.gate.gate import Gate
-from groundstation.gate.guard import FILES_APART, allow_files
 from shoal.bus.access_control import DOOR, listed
 from shoal.bus.connection_diagnostics import trouble_listening, trouble_reaching
 from shoal.bus.endpoint import MOST_SESSIONS, Endpoint, beside, settings
 from shoal.bus.transport import Answer, Await, Collect, Deliver, Presence, Unreached, Urgent
 from shoal.errors import ConfigError
 from shoal.messages.topics import RECOVERED, Qos
+from shoal.system.open_files import FILES_APART, allow_files
 
 log = logging.getLogger("shoal")
 
@@ -100,7 +99,29 @@ def _open(endpoint: Endpoint, stopped: Callable[[], bool], patience_s: float) ->
         time.sleep(TRY_AGAIN_S)
 
 
-def _open_gate(endpoint: Endpoint) -> tuple[zenoh.Session, Gate]:
+class RouterGate(Protocol):
+    """The ways into a router with keys (groundstation/gate/gate.py): made before the router, opened after it."""
+
+    endpoint: Endpoint  # where the router listens
+
+    @property
+    def inside(self) -> Endpoint:
+        """The endpoint for another session of the station's own process."""
+
+    def draw(self) -> None:
+        """Choose other free ports for the router to listen at."""
+
+    def open(self) -> None:
+        """Let connections in."""
+
+    def expel(self, port: int) -> None:
+        """End the connection that reaches the router from this loopback port."""
+
+    def close(self) -> None:
+        """Let nobody in any more, and give the public port back."""
+
+
+def _open_gate(endpoint: Endpoint, make_gate: Callable[[Endpoint], RouterGate]) -> tuple[zenoh.Session, RouterGate]:
     """A router with keys behind its gate. Raises ConfigError where it cannot listen."""
     os.environ.setdefault("NO_COLOR", "1")  # it ends in files and journals
     if log.isEnabledFor(logging.DEBUG):
@@ -108,7 +129,7 @@ def _open_gate(endpoint: Endpoint) -> tuple[zenoh.Session, Gate]:
     else:
         zenoh.try_init_log_from_env()
     try:
-        gate = Gate(endpoint)
+        gate = make_gate(endpoint)
     except OSError as error:
         raise ConfigError(f"cannot listen at {endpoint.address}: {error.strerror or error}") from None
     try:
@@ -154,7 +175,7 @@ class _Members:
         return True
 
 
-def _expel_unlisted(session: zenoh.Session, gate: Gate, listed: frozenset[str]) -> None:
+def _expel_unlisted(session: zenoh.Session, gate: RouterGate, listed: frozenset[str]) -> None:
     """Close each connection whose certificate the authority made and whose name counts no more, or has too many already: else
     one revoked certificate could fill the router. A thread of its own: what the log says goes out as an event, and Zenoh's
     threads are not to wait for themselves."""
@@ -179,7 +200,7 @@ def _expel_unlisted(session: zenoh.Session, gate: Gate, listed: frozenset[str]) 
     threading.Thread(target=follow, name="unlisted", daemon=True).start()
 
 
-def _open_router(gate: Gate) -> zenoh.Session:
+def _open_router(gate: RouterGate) -> zenoh.Session:
     """The router at its loopback ports: at others where a program took one of them meanwhile."""
     for left in reversed(range(DRAWS)):
         try:
@@ -200,17 +221,24 @@ def _parts(sample: zenoh.Sample) -> tuple[str, bytes, bytes]:
 class ZenohTransport:
     """Two sessions: one for control, and one for pictures, opened when first needed, so that they never share a queue.
 
-    Opening waits for the station until `stopped()`, at most `patience_s`; then it raises Unreached."""
+    Opening waits for the station until `stopped()`, at most `patience_s`; then it raises Unreached. A router with keys is
+    opened behind the gate that `gate` makes for its endpoint."""
 
     def __init__(
-        self, endpoint: Endpoint, stopped: Callable[[], bool] = lambda: False, patience_s: float = float("inf")
+        self,
+        endpoint: Endpoint,
+        stopped: Callable[[], bool] = lambda: False,
+        patience_s: float = float("inf"),
+        gate: Callable[[Endpoint], RouterGate] | None = None,
     ) -> None:
         self._endpoint, self._stopped = endpoint, stopped
-        self._gate: Gate | None = None
+        self._gate: RouterGate | None = None
         if endpoint.router:
             allow_files(MOST_SESSIONS + FILES_APART)
         if endpoint.router and endpoint.keys is not None:
-            self._control, self._gate = _open_gate(endpoint)
+            if gate is None:
+                raise ValueError("a router with keys needs a gate")
+            self._control, self._gate = _open_gate(endpoint, gate)
         else:
             self._control = _open(endpoint, stopped, patience_s)
         self._images: zenoh.Session | None = None

@@ -30,7 +30,7 @@ from shoal.config.vehicle import Fraction, Positive, Vehicle, load_vehicle
 from shoal.errors import ConfigError
 from shoal.frames import Array
 
-EXPERIMENTS = Path(__file__).parents[1] / "experiments"
+EXPERIMENTS = Path(__file__).parent / "experiments"
 SHORT_PLAN_AGE_S = float(Safety.model_fields["plan_max_age_s"].default)  # in which no robot gets far, whatever plans reach
 NO_CAMERA = "localizer.uses_camera=false"  # the setting of runs in which poses are the simulation's truth
 MOVED = {"sim.plant.walls": "pool.walls"}  # keys of earlier versions, and where they stand now

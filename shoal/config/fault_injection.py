@@ -21,8 +21,9 @@ THRUSTERS = 4
 
 @dataclass(frozen=True)
 class Effect:
-    """One way to be broken: its number's meaning, default and range, if it has one."""
+    """One way to be broken, and its number's meaning, default and range, if it has one."""
 
+    happens: str
     meaning: str = ""
     default: float = 0.0
     low: float = 0.0
@@ -33,40 +34,57 @@ class Effect:
 KINDS: dict[str, tuple[str, dict[str, Effect]]] = {
     "thruster": (
         "ROBOT/THRUSTER",
-        {"dead": Effect(), "stuck": Effect(), "reversed": Effect(), "weak": Effect("fraction of its thrust", 0.5, 0.0, 1.0)},
+        {
+            "dead": Effect("the thruster gives no thrust; 1 to 4 in the vehicle file's order"),
+            "stuck": Effect("it keeps the pulse that it has"),
+            "reversed": Effect("it pushes the other way"),
+            "weak": Effect("it gives a part of its thrust", "fraction of its thrust", 0.5, 0.0, 1.0),
+        },
     ),
-    "marker": ("ROBOT", {"lost": Effect()}),
+    "marker": ("ROBOT", {"lost": Effect("the plate is no longer on the robot")}),
     "camera": (
         "[CAMERA]",
         {
-            "gone": Effect(),
-            "slow": Effect("delay in s", 0.1, 0.0, 2.0),
-            "frozen": Effect(),
-            "dark": Effect(),
-            "occluded": Effect("fraction of the picture", 0.4, 0.0, 1.0),
-            "glare": Effect("fraction of the picture", 0.2, 0.0, 1.0),
-            "lamp": Effect("times as much light", 0.5, 0.1, 4.0),
-            "bubbles": Effect("streams of bubbles", 10.0, 1.0, 50.0),
-            "bump": Effect("pixels to the right and down", 60.0, 2.0, 1000.0),
+            "gone": Effect("no frames; without CAMERA, of all cameras"),
+            "slow": Effect("frames come later, with true stamps", "delay in s", 0.1, 0.0, 2.0),
+            "frozen": Effect("the same picture again and again"),
+            "dark": Effect("a sixteenth of the light"),
+            "occluded": Effect("something covers the picture's left part", "fraction of the picture", 0.4, 0.0, 1.0),
+            "glare": Effect("a white disc in the middle", "fraction of the picture", 0.2, 0.0, 1.0),
+            "lamp": Effect("the light changes", "times as much light", 0.5, 0.1, 4.0),
+            "bubbles": Effect("bright specks rise in front of everything", "streams of bubbles", 10.0, 1.0, 50.0),
+            "bump": Effect("the camera is turned: everything moves", "pixels to the right and down", 60.0, 2.0, 1000.0),
         },
     ),
-    "water": ("", {"low": Effect("metres that its level fell", 0.02, -0.2, 0.2)}),
+    "water": ("", {"low": Effect("the water's level falls, in the pictures", "metres that its level fell", 0.02, -0.2, 0.2)}),
     "imu": (
         "ROBOT",
-        {"heading": Effect("error in rad", 0.5, -3.2, 3.2), "gyro": Effect("error in rad/s", 0.1, -10.0, 10.0)},
+        {
+            "heading": Effect("an error besides noise and bias", "error in rad", 0.5, -3.2, 3.2),
+            "gyro": Effect("the same for the yaw rate", "error in rad/s", 0.1, -10.0, 10.0),
+        },
     ),
-    "battery": ("ROBOT", {"sag": Effect("volts lost", 1.5, 0.0, 20.0)}),
+    "battery": (
+        "ROBOT",
+        {"sag": Effect("the voltage falls, and the thrust with it", "volts lost", 1.5, 0.0, 20.0)},
+    ),
     "link": (
         "ROBOT",
         {
-            "cut": Effect(),
-            "noisy": Effect("fraction lost, and as much again doubled and overtaken", 0.1, 0.0, 1.0),
-            "slow": Effect("delay in s", 0.1, 0.0, 5.0),
+            "cut": Effect("nothing passes between computer and board, both ways"),
+            "noisy": Effect("messages are damaged", "fraction lost, and as much again doubled and overtaken", 0.1, 0.0, 1.0),
+            "slow": Effect("messages come late", "delay in s", 0.1, 0.0, 5.0),
         },
     ),
-    "process": ("NAME", {"killed": Effect(), "stopped": Effect()}),
-    "disk": ("", {"full": Effect()}),
-    "clock": ("NAME", {"step": Effect("by how many seconds", 3600.0, -1e6, 1e6)}),
+    "process": (
+        "NAME",
+        {"killed": Effect("SIGKILL; NAME as in the run's `logs/`"), "stopped": Effect("SIGSTOP: the process is frozen")},
+    ),
+    "disk": ("", {"full": Effect("the station's log may not grow any more (Linux)")}),
+    "clock": (
+        "NAME",
+        {"step": Effect("the program's wall clock jumps, not its monotonic clock", "by how many seconds", 3600.0, -1e6, 1e6)},
+    ),
 }
 OF_PROCESSES = ("process", "disk", "clock")  # by the wall clock, and from outside
 _TARGETS = {"": "", "[CAMERA]": r".*", "ROBOT": r"(\d+)", "ROBOT/THRUSTER": r"(\d+)/(\d+)", "NAME": r"(\S+)"}

@@ -3,13 +3,12 @@
 import json
 import re
 import tomllib
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from shoal.errors import ConfigError
 from shoal.system.regular_files import read_regular
 
 MOST_BYTES = 1024 * 1024  # of a file; a path of 30,000 waypoints has no more. A parsed file takes a hundred times its size
@@ -19,10 +18,6 @@ _PART = r"""(?:[\w-]+|"[^"\n]*"|'[^'\n]*')"""
 _LONG_KEY = re.compile(rf"(?<![\w-]){_PART}(?:[ \t]*\.[ \t]*{_PART}){{{MOST_PARTS},}}")
 
 
-class ConfigError(Exception):
-    """A configuration that cannot be used. The message is for the person who wrote the file."""
-
-
 class Section(BaseModel):
     """A table of a configuration file: frozen, and with no room for misspelt keys."""
 
@@ -30,15 +25,6 @@ class Section(BaseModel):
 
 
 S = TypeVar("S", bound=Section)
-
-
-@contextmanager
-def os_errors_as_config_errors(path: Path) -> Iterator[None]:
-    """Turns errors of the file system inside the block into a ConfigError that names the file and the reason."""
-    try:
-        yield
-    except OSError as error:
-        raise ConfigError(f"{error.filename or path}: {error.strerror or error}") from None
 
 
 def read_toml(path: Path) -> dict[str, Any]:

@@ -71,8 +71,8 @@ class Sensors(Section):
 
 
 class BoardRules(Section):
-    """The safety rules of the thruster board (docs/board.md). A firmware has the same values built in, and a robot does not arm
-    if its board has others."""
+    """The safety rules of the thruster board (docs/board.md). A firmware has the same values built in, and a robot does not
+    arm if its board has others."""
 
     neutral_after_s: Annotated[float, Field(gt=0, le=0.3)] = 0.25
     """Age of the last pulses at which the board goes to neutral and disarms."""

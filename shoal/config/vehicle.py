@@ -12,7 +12,7 @@ from shoal.config.loader import Section, check, read_toml
 from shoal.errors import ConfigError
 from shoal.frames import Array
 
-VEHICLES = Path(__file__).parents[1] / "vehicles"
+VEHICLES = Path(__file__).parent / "vehicles"
 
 LEGS = 4  # of every vehicle that has legs: allocation, boards and simulator know no other number
 OUTPUTS = 8  # of a board: thrusters and ankles of four legs, or up to eight thrusters that do not turn

@@ -15,7 +15,7 @@ import tempfile
 import zlib
 from pathlib import Path
 
-ROOT = Path(__file__).parents[1]  # folder of the installed packages
+ROOT = Path(__file__).parents[2]  # folder of the installed packages
 MAGIC = b"shoal kernel 1\n"
 TEMPORARY = "shoal-kernels-"  # begins the name of a folder that goes with its process
 
@@ -29,7 +29,7 @@ def _named_folders() -> list[Path]:
     installation = hashlib.sha256(str(ROOT).encode()).hexdigest()[:12]  # two of them do not clear each other's kernels away
     return [
         *([Path(named) / "shoal-kernels"] if named else []),
-        ROOT / "wire" / "__pycache__" / "kernels",
+        ROOT / "shoal" / "__pycache__" / "kernels",
         user / "shoal" / f"kernels-{installation}",
     ]
 

@@ -20,7 +20,7 @@ def main() -> None:
     os.environ[kernel_build.WORKER] = "1"
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C ends whoever started it, and so this
     gc.set_threshold(20_000, 20, 20)  # a compiler makes many objects that stay: 4 % less time than at 700, for 20 MB
-    from shoal.kernels import kernel as kernels
+    from shoal.kernels import decorator as kernels
 
     parts = 0
 

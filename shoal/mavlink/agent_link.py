@@ -1,8 +1,8 @@
 """The thruster link, sans-IO: MAVLink 2 (common dialect) between a robot's computer and its thruster board.
 
-This is the computer's end; the board's is sim_bridge/thruster_board/board_link.py. Bytes in, bytes out; sockets, serial ports and clocks
-belong to the callers. The robot's id is the MAVLink system id of both ends. What a firmware must do beyond the encoding is in
-docs/board.md; how frames are found in the stream, in shoal/mavlink/framing.py.
+This is the computer's end; the board's is thruster_board/board_link.py. Bytes in, bytes out; sockets, serial ports and
+clocks belong to the callers. The robot's id is the MAVLink system id of both ends. What a firmware must do beyond the encoding
+is in docs/board.md; how frames are found in the stream, in framing.py.
 """
 
 import math

@@ -1,5 +1,5 @@
-"""MAVLink 2 frames in a stream of bytes, sans-IO: finding, checking and numbering them. shoal/mavlink/frame_codec.py has single
-frames, shoal/mavlink/agent_link.py the messages.
+"""MAVLink 2 frames in a stream of bytes, sans-IO: finding, checking and numbering them. frame_codec.py has single
+frames, agent_link.py the messages.
 
 pymavlink's own stream parser takes any start byte for a frame and throws away what the frame would have covered: at 20
 overrides per second a false start byte cost it half a second of commands. It also passes messages it does not know without

@@ -1,4 +1,4 @@
-"""Parameters as a thruster board tells them, one by one and in any order, and the requests for those that are missing. Sans-IO."""
+"""Parameters as a thruster board tells them, one by one in any order, and the requests for those missing. Sans-IO."""
 
 import math
 from typing import Any

@@ -3,7 +3,7 @@
 import sys
 from collections.abc import Callable
 
-OURS = ("shoal", "wire", "groundstation", "robot_agent", "localizer", "sim_bridge")
+OURS = ("shoal", "groundstation", "robot_agent", "localizer", "sim_bridge")
 
 
 def run_role(run: Callable[[], None], extra: str) -> None:

@@ -14,8 +14,8 @@ from importlib import metadata
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-PACKAGES = ("shoal", "wire", "groundstation", "robot_agent", "localizer", "sim_bridge")
-RECORDED = "commit.txt"  # in wire/, in an installed package
+PACKAGES = ("shoal", "groundstation", "robot_agent", "localizer", "sim_bridge")
+RECORDED = "commit.txt"  # in shoal/, in an installed package
 UNKNOWN = "unknown"
 PATIENCE_S = 10.0  # for git on a slow disk; without an answer the commit is unknown
 
@@ -70,7 +70,7 @@ def _of_work_tree(root: Path) -> str:
 
 def _recorded(root: Path) -> str:
     try:
-        return (root / "wire" / RECORDED).read_text(encoding="ascii").strip()
+        return (root / "shoal" / RECORDED).read_text(encoding="ascii").strip()
     except (OSError, UnicodeDecodeError):
         return ""
 

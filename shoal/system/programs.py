@@ -20,7 +20,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import IO
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 PARENT = "SHOAL_PARENT"  # in a child's environment: the process with which it ends
 LOOK_EVERY_S = 0.5  # for the parent, where the system does not tell of its end
 _PR_SET_PDEATHSIG = 1

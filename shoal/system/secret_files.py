@@ -1,4 +1,4 @@
-"""SHELL: files that hold a secret: nobody but their owner may read or write them."""
+"""Files that hold a secret: nobody but their owner may read or write them."""
 
 import stat
 from pathlib import Path

@@ -7,8 +7,8 @@ from dataclasses import asdict
 from typing import Annotated
 
 import typer
-from shoal.errors import ConfigError
 
+from shoal.errors import ConfigError
 from shoal.mavlink.board_port import Link, UdpLink, open_link
 from shoal.mavlink.parameters import ParameterClient
 from shoal.mavlink.signing_key import Signing

@@ -11,7 +11,7 @@ import numpy as np
 from shoal.config.perception import Camera
 from shoal.config.scene import PoolConfig
 from shoal.frames import Array
-from shoal.kernels.kernel import kernel
+from shoal.kernels.decorator import kernel
 from sim_bridge.camera.optics import Bytes, project
 
 MOST_STREAMS = 100  # the experiment's 50 and 50 of a fault; more are not drawn

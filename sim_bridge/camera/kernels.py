@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shoal.frames import Array
-from shoal.kernels.kernel import kernel
+from shoal.kernels.decorator import kernel
 from sim_bridge.camera.optics import Bytes, Float
 
 BLOCK = 8  # px, side of a block; the shortest ripple is some 60 px long

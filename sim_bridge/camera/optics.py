@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from shoal.config.perception import Camera
 from shoal.frames import Array
-from shoal.kernels.kernel import kernel
+from shoal.kernels.decorator import kernel
 
 Float = NDArray[np.float32]  # a plane of the picture, of its blocks, or of a map
 Bytes = NDArray[np.uint8]  # a picture: raw mosaic (height, width) or BGR (height, width, 3)

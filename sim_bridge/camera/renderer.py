@@ -9,9 +9,9 @@ from collections.abc import Collection
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from shoal.errors import ConfigError
 
 from shoal.config.experiment import Experiment
+from shoal.errors import ConfigError
 from shoal.frames import Array
 from sim_bridge.camera.bubbles import Bubbles, draw_bubbles
 from sim_bridge.camera.moving_background import CameraSway, MovingBackground

@@ -17,7 +17,7 @@ from shoal.config.experiment import Experiment
 from shoal.config.perception import Landmark, MarkerFamily
 from shoal.config.scene import RobotConfig
 from shoal.frames import Array
-from shoal.kernels.kernel import kernel
+from shoal.kernels.decorator import kernel
 from sim_bridge.camera import kernels
 from sim_bridge.camera.kernels import BLOCK, LAMP_UP, LAMP_X, LAMP_Y, LANE_ROWS, LANES, PENUMBRA
 from sim_bridge.camera.optics import Bytes, Optics

@@ -14,7 +14,7 @@ from shoal.config.perception import Camera
 from shoal.config.scene import PoolConfig
 from shoal.config.simulation import PictureConfig
 from shoal.frames import Array
-from shoal.kernels.kernel import kernel
+from shoal.kernels.decorator import kernel
 from sim_bridge.camera.kernels import (
     AIR_X,
     AIR_Y,

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from shoal.errors import ConfigError
 
 from shoal.config.experiment import NO_CAMERA, experiment_path, load_experiment
+from shoal.errors import ConfigError
 from shoal.runtime.cli_options import ExperimentName, Settings, finite
 from shoal.runtime.output import background, terminal
 from shoal.runtime.output_files import COMPARISON, check_output, new_run_folder

@@ -5,10 +5,10 @@ from typing import Annotated
 
 import typer
 from pydantic import TypeAdapter, ValidationError
-from shoal.errors import ConfigError, os_errors_as_config_errors
 
 from shoal.config.experiment import Name
 from shoal.config.key_reference import schema_line
+from shoal.errors import ConfigError, os_errors_as_config_errors
 from shoal.runtime.output_files import replace_text
 
 TEMPLATE = Path(__file__).parent / "templates" / "experiment.toml"

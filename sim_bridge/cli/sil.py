@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
-from shoal.errors import ConfigError
 
 from shoal.config.experiment import NO_CAMERA, Experiment, load_experiment
+from shoal.errors import ConfigError
 from shoal.kernels.build import ensure_compiled
 from shoal.runtime.cli_options import ExperimentName, FaultLines, KeyRing, Settings, caution, experiments, finite
 from shoal.runtime.output import background, terminal

@@ -18,7 +18,6 @@ from typing import Any
 
 import cv2
 from rich.console import Console
-from shoal.errors import ConfigError
 
 from groundstation.station import process as station_process
 from localizer.fusion_node import FusionNode
@@ -28,6 +27,7 @@ from shoal.bus.bus import Bus, Decode
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
 from shoal.bus.transport import Answer, Urgent
 from shoal.config.experiment import Experiment, dump_experiment
+from shoal.errors import ConfigError
 from shoal.messages import topics
 from shoal.messages.codec import Header, decode
 from shoal.messages.messages import Tick

@@ -18,11 +18,11 @@ from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
-from shoal.errors import ConfigError
 
 from robot_agent.agent import Agent, Outputs
 from robot_agent.inputs import Inputs, StampedObstacles, StampedPlan, StampedPose, StationView
 from shoal.config.experiment import Experiment
+from shoal.errors import ConfigError
 from shoal.frames import Array, pose_error
 from shoal.mavlink.agent_link import Telemetry
 from shoal.messages import topics

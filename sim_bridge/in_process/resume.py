@@ -14,18 +14,18 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from shoal.errors import ConfigError
 
+from groundstation.fleet_time import SIMULATED_BELOW_NS
 from robot_agent.agent import Agent
 from robot_agent.inputs import StampedPlan
 from robot_agent.rerun import Logged, Rerun
 from shoal.config.experiment import Experiment, load_experiment
+from shoal.errors import ConfigError
 from shoal.frames import Array
 from shoal.messages import topics
 from shoal.messages.codec import decode
 from shoal.messages.messages import Mode, Plan, RobotState, Truth
 from shoal.messages.pipe import read_pipe
-from shoal.runtime.fleet_time import SIMULATED_BELOW_NS
 from shoal.system import programs
 from sim_bridge import fault_schedule
 from sim_bridge.in_process.fleet import NS, AgentFleet, DirectPlant

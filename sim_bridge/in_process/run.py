@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 from rich.console import Console
-from shoal.errors import ConfigError
 
 from shoal.config.experiment import Experiment, dump_experiment
+from shoal.errors import ConfigError
 from shoal.messages.messages import Trajectory
 from shoal.messages.pipe import PipeWriter
 from shoal.runtime.output_files import replace_text

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
-from shoal.errors import ConfigError
 
+from shoal.errors import ConfigError
 from shoal.mavlink.board_port import is_local
 from shoal.runtime.runtime import Stop, log
 from sim_bridge.node.board_ports import UdpPort

@@ -14,7 +14,6 @@ from collections.abc import Sequence
 from typing import Generic, Protocol, TypeVar
 
 from shoal.errors import ConfigError
-
 from shoal.mavlink.agent_link import is_override
 from sim_bridge.fault_schedule import LinkFaults
 from sim_bridge.plant.random_streams import Stream, generator

@@ -11,9 +11,8 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from shoal.errors import ConfigError
-
 from shoal.config.experiment import Experiment
+from shoal.errors import ConfigError
 from shoal.frames import Array
 from shoal.mavlink.board_port import Link, open_link
 from shoal.mavlink.parameters import ParameterClient

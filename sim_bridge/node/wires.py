@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
-from shoal.errors import ConfigError
 
 from shoal.bus.bus import Bus
 from shoal.bus.frame_ring import codec_of
 from shoal.bus.network import endpoint
 from shoal.bus.zenoh_transport import ZenohTransport
 from shoal.config.experiment import Experiment
+from shoal.errors import ConfigError
 from shoal.mavlink.board_address import parse_link
 from shoal.mavlink.board_port import is_local
 from shoal.messages.topics import Role, process_name

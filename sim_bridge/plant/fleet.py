@@ -7,10 +7,10 @@ the fleet; the classes of this package hold its constants.
 from dataclasses import dataclass
 
 import numpy as np
-from shoal.errors import ConfigError
 
 from shoal.config.experiment import Experiment
 from shoal.config.vehicle import OUTPUTS
+from shoal.errors import ConfigError
 from shoal.frames import Array
 from shoal.messages.messages import Truth
 from sim_bridge.fault_schedule import ActuatorFaults

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from shoal.config.vehicle import OUTPUTS
 from shoal.frames import Array
-from shoal.kernels.kernel import kernel
+from shoal.kernels.decorator import kernel
 
 STATES = 12  # numbers of a state
 THRUSTERS, ANKLES = 8, 4  # at most; ACTUATORS say how many there are

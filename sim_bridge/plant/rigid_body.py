@@ -7,9 +7,9 @@ undefined; the righting moment keeps it there. kernels.dynamics has the equation
 """
 
 import numpy as np
-from shoal.errors import ConfigError
 
 from shoal.config.experiment import Experiment
+from shoal.errors import ConfigError
 from sim_bridge.plant.kernels import GRAVITY_MPS2
 
 

@@ -3,11 +3,10 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from shoal.errors import ConfigError
-
 from shoal.config.experiment import Experiment
 from shoal.config.fault_injection import KINDS, OF_PROCESSES
 from shoal.config.perception import NamedCamera
+from shoal.errors import ConfigError
 from shoal.messages.topics import localizer_name
 from sim_bridge import fault_schedule
 

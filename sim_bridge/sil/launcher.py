@@ -17,7 +17,6 @@ import time
 from pathlib import Path
 
 from rich.console import Console
-from shoal.errors import ConfigError
 
 from shoal.bus import frame_ring
 from shoal.bus.bus import Bus
@@ -27,6 +26,7 @@ from shoal.bus.transport import Unreached
 from shoal.bus.zenoh_transport import ZenohTransport
 from shoal.config.experiment import Experiment, dump_experiment
 from shoal.config.fault_injection import KINDS
+from shoal.errors import ConfigError
 from shoal.mavlink.signing_key import new_key
 from shoal.messages.topics import Role, process_name
 from shoal.runtime.output_files import PAGE_OPEN, replace_text

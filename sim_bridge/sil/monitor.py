@@ -13,13 +13,13 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
+from groundstation.fleet_time import FleetTime, pace_in_words
 from shoal.bus.bus import Bus, Received
 from shoal.config.experiment import Experiment
 from shoal.messages import topics
 from shoal.messages.codec import DecodeError, Header, decode
 from shoal.messages.messages import Event, LocalizerStatus, Mode, RobotState, StationHeartbeat
 from shoal.messages.topics import Topic
-from shoal.runtime.fleet_time import FleetTime, pace_in_words
 
 SAY_EVERY_S = 5.0  # s between lines of text, without a terminal to draw in
 MISSION_LINE = "mission: "  # begins the station's line about its state

@@ -9,10 +9,10 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from shoal.errors import ConfigError
 
 from shoal.config.experiment import Experiment
 from shoal.config.loader import check
+from shoal.errors import ConfigError
 from shoal.messages.messages import Trajectory
 from sim_bridge.in_process.fleet import AgentFleet, DirectPlant, fly
 from sim_bridge.in_process.run import plan

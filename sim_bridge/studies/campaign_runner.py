@@ -19,9 +19,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-from shoal.errors import ConfigError, os_errors_as_config_errors
 
 from shoal.config.experiment import NO_CAMERA, Experiment, load_experiment
+from shoal.errors import ConfigError, os_errors_as_config_errors
 from shoal.runtime.output_files import CAMPAIGN, check_named, check_output, replacing
 from shoal.runtime.runtime import Stop
 from shoal.runtime.version import UNKNOWN, code

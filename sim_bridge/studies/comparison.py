@@ -10,11 +10,11 @@ from typing import get_args
 import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from shoal.errors import ConfigError
 
 from groundstation.analysis.comparison import SETTLED_S, Comparison, FlightRecord, Variant
 from shoal.config.baseline_controllers import LawName
 from shoal.config.experiment import NO_CAMERA, Experiment, load_experiment
+from shoal.errors import ConfigError
 from shoal.frames import Array
 from shoal.messages.messages import Trajectory
 from shoal.runtime.output import flush

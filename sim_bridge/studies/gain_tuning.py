@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 import tomli_w
 from rich.console import Console
-from shoal.errors import ConfigError
 
 from groundstation.analysis.comparison import FlightMetrics
 from shoal.config.baseline_controllers import FeedbackLawConfig
 from shoal.config.experiment import NO_CAMERA, Experiment, load_experiment
+from shoal.errors import ConfigError
 from shoal.frames import Array
 from sim_bridge.studies.comparison import FlightTask, fly, tasks_of
 from sim_bridge.studies.worker_pool import worker_pool

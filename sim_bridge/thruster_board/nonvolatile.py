@@ -5,9 +5,8 @@ import math
 from collections.abc import Callable
 from pathlib import Path
 
-from shoal.errors import ConfigError, os_errors_as_config_errors
-
 from shoal.config.experiment import Experiment
+from shoal.errors import ConfigError, os_errors_as_config_errors
 from shoal.mavlink.signing_key import load_key, write_key
 from shoal.runtime.output_files import replace_text
 from shoal.system.regular_files import read_regular

@@ -4,11 +4,11 @@ from typing import get_args
 
 import numpy as np
 import pytest
-from shoal.errors import ConfigError
 
 from benchmarks.flights import SceneFlight
 from shoal.config.baseline_controllers import LawName
 from shoal.config.experiment import load_experiment
+from shoal.errors import ConfigError
 from shoal.frames import Array
 from shoal.messages.messages import Mode, Solve
 from tests.closed_loop.numeric import flown

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.interpolate import CubicHermiteSpline
-from shoal.errors import ConfigError
 
 from benchmarks.flights import prepared
 from shoal.config.experiment import load_experiment
+from shoal.errors import ConfigError
 from shoal.frames import Array
 from shoal.messages import topics
 from shoal.messages.messages import Mode, RobotState, Solve

@@ -16,10 +16,10 @@ from typing import Any
 
 import pytest
 from mcap.reader import make_reader
-from shoal.errors import ConfigError
 
 from shoal.bus.memory_transport import MemoryHub
 from shoal.config.experiment import NO_CAMERA, load_experiment
+from shoal.errors import ConfigError
 from shoal.messages import topics
 from shoal.messages.codec import Header, decode
 from shoal.messages.messages import Event

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from shoal.errors import ConfigError
 
 from benchmarks.flights import flown
 from shoal.config.experiment import Experiment, load_experiment
+from shoal.errors import ConfigError
 
 PAGE = Path(__file__).parents[2] / "docs" / "baselines.md"
 

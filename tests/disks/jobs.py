@@ -3,13 +3,13 @@
 from pathlib import Path
 
 import numpy as np
-from shoal.errors import ConfigError
 
 from groundstation.web import experiment_editor
 from groundstation.web.protocol import Edit
 from localizer.setup.experiment_file import ExperimentFile
 from localizer.sources.recording import FrameRecorder, RecordedFrame
 from shoal.config.experiment import load_experiment
+from shoal.errors import ConfigError
 from shoal.mavlink.signing import Key
 from shoal.runtime.runtime import Failed
 from sim_bridge.thruster_board.board import NonvolatileState

@@ -7,7 +7,7 @@ import pytest
 
 from tests.source_tree import nodes, sources, tree_of
 
-PACKAGES = ("shoal", "wire", "groundstation", "robot_agent", "localizer", "sim_bridge", "benchmarks")
+PACKAGES = ("shoal", "groundstation", "robot_agent", "localizer", "sim_bridge", "benchmarks")
 WRITERS = {"write_text", "write_bytes", "imwrite", "savez", "savez_compressed", "VideoWriter"}
 
 # Modules that write in place, and why nothing is lost.

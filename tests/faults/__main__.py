@@ -1,4 +1,4 @@
-"""SHELL: `make faults`: breaks everything in the table, many times, and says how it went. Writes docs/faults.md.
+"""SHELL: `make faults`: breaks everything in the table, many times, and says how it went. Writes docs/evidence/faults.md.
 
 python -m tests.faults                              every row, as often as it says
 python -m tests.faults --row agent-killed --times 5
@@ -9,20 +9,18 @@ import json
 import sys
 import time
 from contextlib import ExitStack
-from pathlib import Path
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
 from tests.faults.onlooker import Stuck
-from tests.faults.page import RESULTS, RowOutcome, machine, verdict, write_page
+from tests.faults.page import PAGE, RESULTS, RowOutcome, machine, verdict, write_page
 from tests.faults.rig import Rig, moment
 from tests.faults.rigs import RIGS
 from tests.faults.row import FaultRow, Sample
 from tests.faults.table import ROWS
 
-PAGE = Path("docs/faults.md")
 MAX_STUCK = 3  # of a row, before it is given up
 
 

@@ -7,7 +7,7 @@ import argparse
 
 import atheris
 
-with atheris.instrument_imports(include=["wire", "robot_agent", "localizer", "sim_bridge", "groundstation"]):
+with atheris.instrument_imports(include=["shoal", "robot_agent", "localizer", "sim_bridge", "groundstation"]):
     from tests.faults.fuzz import explore
 
 

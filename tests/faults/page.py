@@ -1,4 +1,5 @@
-"""SHELL: results of fault injections, as JSON and as docs/faults.md. A row that is flown again replaces its older figures."""
+"""SHELL: results of fault injections, as docs/evidence/faults.json and faults.md. A row that is flown again replaces its
+older figures."""
 
 import json
 import os
@@ -12,7 +13,8 @@ import numpy as np
 
 from tests.faults.row import FaultRow, Sample
 
-RESULTS = Path(__file__).parent / "results.json"
+PAGE = Path(__file__).parents[2] / "docs" / "evidence" / "faults.md"
+RESULTS = PAGE.with_suffix(".json")
 
 
 NOT_MEASURED = "not measured"
@@ -111,51 +113,9 @@ Written by `make faults`, which injects every fault below into real processes at
 boards do. The figures are the median and the **worst** of N injections, in seconds unless it says otherwise; a limit with a
 percentage holds for that share of them. One row again: `make faults ARGS="--row {example} --times 5"`.
 
-What a robot does by itself is in `docs/modes.md`, what a board does in `docs/board.md`. Known gaps:
-
-* A failed thruster may stay unnoticed when it is commanded to give almost no thrust, when it has lost a third of its thrust or
-  less, or when it keeps the thrust that is commanded at that moment: then the gyroscope measures no difference. A stuck
-  thruster makes the robot turn to and fro, more and more, and that may be the only sign; then the distance from its path
-  decides, `safety.off_path_m`. In still water 0.1 m is enough, as measured below; the default of 0.3 m leaves room for waves
-  and gusts. In waves and gusts the missing thrust of a leg must turn the robot more strongly than they do. A disturbance that
-  turns the robot as strongly as an idle leg, for two seconds, in water that was still before, is taken for a broken leg. The
-  measurement does not tell which thruster is broken: test them one by one.
-* A pressure sensor that sticks is found after 3 s of exactly the same value, if it showed noise before. One that sticks from
-  the start is not found while its robot keeps its depth: the robot then drifts slowly from that depth without an alarm.
-* When a robot's marker plate comes off, the localizer's filters no longer recognize the robot: it holds, then goes to neutral.
-  A marker that is only unreadable (glare, a cable) is bridged.
-* On a link that is not signed, a MAVLink frame that is delayed by more than 6.4 s may be taken for a new one, because its
-  sequence number of 8 bits has wrapped around. An attacker who can write on such a link can also make a board ignore frames
-  for half a second, with a number far ahead. The board is disarmed by then, and the first frame that it accepts after that may
-  be old.
-* A marker that is turned cannot be found before the robot pushes: no sensor of the board measures an absolute heading,
-  for its yaw is the gyroscope's integral. One that is turned by less than some 10 degrees is not found. One that is
-  turned by 20 degrees is found after 3 to 7 s, or not at all on a slow path: thrust of one direction may be a current,
-  so only its changes tell, and after 3 s they give the direction to 6 to 10 degrees. The limit is 3 standard deviations
-  beyond 4 degrees; with 2 it would be found after 2.2 to 6.9 s, but waves of 5 cm alone reach 1.95 of them within the
-  first 4 s of a flight.
-* A robot that stops so suddenly that the gyroscope notices it first is said to have a broken thruster, or to be held:
-  the poses tell which only some tenths of a second later.
-
-What a robot cannot do, it stops for (`controller.law = "nmpc"`). These are numeric flights of `python -m benchmarks robots
---cells 'held-*,turned-*,swept'` at 10, 20 and 50 Hz, and of `ordinary` with a wrong sensor:
-
-| What | What happens | Time until neutral, s |
-|---|---|---|
-| a net holds the robot at the start | FAULT "held fast" | 1.6 to 3.2, median 1.8, of 12: it pushes little at first |
-| a net holds it in flight | FAULT "thrusters do not do as told: ... may be held fast" | 0.1 to 0.6, of 6 |
-| a net holds it while it gives way | the same | 0.2 to 1.3, of 6 |
-| a net holds it while a person drives it | the same, or "held fast" | below 3, of 1 |
-| its marker is turned by 20 degrees | FAULT "marker turned by about 20 degrees" | 2.7 to 7.3, median 4.6, of 12; two: never |
-| by 57 degrees | the same, "by about 57 degrees" | 1.5 to 1.7, of 6 |
-| by 90 degrees | the same | 1.4 to 2.3, of 6 |
-| by 180 degrees | the same; one said "does not follow its plan" | 1.4 to 2.1, of 6 |
-| a current of 1.3 to 1.8 of its speed | FAULT "current too strong", or "does not follow its plan" | 0.8 to 1.5, of 6 |
-| the gyroscope measures 0 from power-on | FAULT "gyroscope in doubt" | 1.3 to 1.9, of 6 |
-| a fifth of the rate | the same | 1.4 to 2.9, of 6 |
-| twice the rate | the same | 1.4 to 6.9, of 6: it has to turn by 0.35 rad |
-| the rate reversed | the same, or "thrusters do not do as told" | 0.4 to 1.7, of 6 |
-| the depth stays as it was at 10 s | FAULT "depth sensor stuck"; up to 30 mm off its depth by then | 3.1 to 3.2, of 3 |
+A user can inject the faults of [reference/faults.md](../reference/faults.md); the others need the tests' own tools. What can
+still go wrong is in [safety.md](../safety.md). Robots that are held fast, with a turned marker, or in too strong a current:
+[robots.md](robots.md#traps), flown by `python -m benchmarks robots`.
 """
 
 
@@ -170,9 +130,11 @@ def write_page(path: Path, rows: Sequence[FaultRow]) -> None:
             lines.append(f"| `{row.key}` | {row.fault} | {row.how} | {NOT_MEASURED} | | | | | |")
             continue
         result = found[row.key]
+        fault = f"`{row.key}` | {row.fault} | {row.how}"  # once: its other lines leave these cells empty
         for name, figure in result.figures.items():
             mark = _mark(figure.kept) if figure.times else NOT_MEASURED
-            lines.append(f"| `{row.key}` | {row.fault} | {row.how} | {name} | {' | '.join(figure.shown)} | {mark} |")
+            lines.append(f"| {fault} | {name} | {' | '.join(figure.shown)} | {mark} |")
+            fault = "| |"
         lines += [f"| `{row.key}` | | | stuck {len(result.stuck)} times | | | | | {_mark(False)} |"] if result.stuck else []
     wrong, not_finite = (sum(getattr(r, name) for r in found.values()) for name in ("wrong", "not_finite"))
     machines = sorted({result.machine for result in found.values()})

@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import tomli_w
-from shoal.errors import ConfigError
 
 from shoal.config.experiment import Experiment, load_experiment
 from shoal.config.loader import check
+from shoal.errors import ConfigError
 from tests.faults import targets
 from tests.faults.row import Random, Sample
 from tests.localizer.encounters import check_encounter

@@ -27,10 +27,10 @@ import numpy as np
 import psutil
 from rich.console import Console
 from rich.table import Table
-from shoal.errors import ConfigError
 
 from groundstation.logs.reader import read_log
 from shoal.config.experiment import EXPERIMENTS, load_experiment
+from shoal.errors import ConfigError
 from shoal.frames import Array
 from shoal.messages.messages import Mode
 from sim_bridge.sil.commands import RunOptions, check

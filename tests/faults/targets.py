@@ -13,7 +13,6 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from shoal.errors import ConfigError
 
 from groundstation.logs.reader import valid_records
 from groundstation.mission.command_dispatcher import CommandResult
@@ -30,6 +29,7 @@ from robot_agent.safety.modes import POWERED
 from shoal.config.experiment import Experiment, load_experiment
 from shoal.config.loader import apply_setting, check, read_toml
 from shoal.config.vehicle import Vehicle
+from shoal.errors import ConfigError
 from shoal.mavlink.agent_link import AgentLink, Telemetry
 from shoal.messages.codec import DecodeError, Header, decode, encode
 from shoal.messages.messages import Command, Obstacles, Order, Plan, Pose, Reply, RobotState, Track, Trajectory

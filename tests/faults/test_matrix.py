@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.faults.onlooker import BoardView
-from tests.faults.page import write_page
+from tests.faults.page import PAGE, write_page
 from tests.faults.rig import Rig, moment
 from tests.faults.row import FaultRow
 from tests.faults.table import ROWS
@@ -27,8 +27,10 @@ def lab() -> Iterator[Rig]:
 
 def test_the_page_is_what_the_results_say(tmp_path: Path) -> None:
     write_page(tmp_path / "faults.md", ROWS)
-    said = Path("docs/faults.md").read_text(encoding="utf-8")
-    assert (tmp_path / "faults.md").read_text(encoding="utf-8") == said, "docs/faults.md is old: make faults writes it"
+    page = PAGE.read_text(encoding="utf-8")
+    assert (tmp_path / "faults.md").read_text(encoding="utf-8") == page, (
+        "docs/evidence/faults.md is old: make faults writes it"
+    )
 
 
 @pytest.mark.parametrize("row", [row for row in ROWS if row.key in FAST], ids=lambda row: row.key)

@@ -6,12 +6,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import minimize
-from shoal.errors import ConfigError
 
 from localizer.camera_model import RefractiveCamera
 from localizer.tracking.check_marks import with_camera
 from shoal.config.experiment import load_experiment
 from shoal.config.perception import Camera
+from shoal.errors import ConfigError
 from shoal.frames import Array
 from tests.localizer.cameras import CAMERA, TILTED
 

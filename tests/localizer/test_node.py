@@ -15,7 +15,6 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from shoal.errors import ConfigError
 
 from localizer.camera_model import RefractiveCamera
 from localizer.detection.image_regions import Pixels
@@ -29,6 +28,7 @@ from shoal.bus.endpoint import Endpoint
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
 from shoal.bus.zenoh_transport import ZenohTransport
 from shoal.config.experiment import Experiment, load_experiment
+from shoal.errors import ConfigError
 from shoal.messages import topics
 from shoal.messages.codec import Header, decode
 from shoal.messages.messages import CameraHealth, Frame, LocalizerStatus, Obstacles, Pose, Preview, RobotState, Tick, Track

@@ -78,7 +78,7 @@ def camera(tmp_path: Path) -> FolderCamera:
 
 @pytest.fixture
 def lab(tmp_path: Path) -> Path:
-    text = (Path(__file__).parents[2] / "wire" / "experiments" / "pool.toml").read_text(encoding="utf-8")
+    text = (Path(__file__).parents[2] / "shoal" / "config" / "experiments" / "pool.toml").read_text(encoding="utf-8")
     text = text.replace("size_px = [1280, 960]", "size_px = [640, 480]").replace("[1005.0, 1005.0]", "[480.0, 480.0]")
     path = tmp_path / "lab.toml"
     path.write_text(text.replace("[639.5, 479.5]", "[319.5, 239.5]").replace("-2.8]", "-2.5]"), encoding="utf-8")

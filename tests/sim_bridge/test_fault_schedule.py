@@ -5,10 +5,10 @@ from collections import Counter
 
 import numpy as np
 import pytest
-from shoal.errors import ConfigError
 
 from shoal.config.experiment import load_experiment
-from shoal.config.fault_injection import KINDS, read_what
+from shoal.config.fault_injection import read_what
+from shoal.errors import ConfigError
 from shoal.frames import Array
 from sim_bridge.camera import faults as camera_faults
 from sim_bridge.camera.faults import CameraFaults
@@ -18,7 +18,6 @@ from sim_bridge.node.board_ports import LossyLink
 from sim_bridge.plant.fleet import Plant
 from sim_bridge.plant.sensors import BoardSensors
 from sim_bridge.world import World
-from tests.source_tree import ROOT
 
 CALM = ("pool.walls=false", "sim.plant.buoyancy_n=0", "sim.plant.thruster_spread=0", "sim.plant.battery.capacity_wh=0")
 APART = np.array([[-9.0, 0.0, 5.0, 0.0], [9.0, 0.0, 5.0, 0.0]])
@@ -189,10 +188,3 @@ def test_the_tag_of_what_was_overtaken_is_gone() -> None:
 def test_a_fault_after_the_end_is_told_to_never_happen() -> None:
     experiment = load_experiment("pool", ["duration_s=30"], ["t=29.9 thruster 1/1 dead", "t=500 camera dark"])
     assert faults_after_the_end(experiment) == ["never happens: camera dark at 500 s, for the run ends after 30 s"]
-
-
-def test_the_table_of_faults_in_the_docs_names_every_kind_and_effect() -> None:
-    rows = (ROOT / "docs/simulator.md").read_text(encoding="utf-8").splitlines()
-    for kind, (_, effects) in KINDS.items():
-        named = " ".join(row.split("|")[1] for row in rows if row.startswith(f"| `{kind} "))
-        assert named and all(effect in named for effect in effects if effect), kind

@@ -8,10 +8,10 @@ from urllib.request import url2pathname
 
 import jsonschema
 import pytest
-from shoal.errors import ConfigError
 from typer.testing import CliRunner
 
 from shoal.config.experiment import NO_CAMERA, load_experiment
+from shoal.errors import ConfigError
 from sim_bridge.__main__ import cli
 
 

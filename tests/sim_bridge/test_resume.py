@@ -4,9 +4,9 @@ import sys
 from pathlib import Path
 
 import pytest
-from shoal.errors import ConfigError
 
 from shoal.config.experiment import load_experiment
+from shoal.errors import ConfigError
 from shoal.system import programs
 from sim_bridge.in_process.resume import prepared
 

@@ -15,7 +15,7 @@ from robot_agent.control.nonlinear.program import Course
 from robot_agent.control.nonlinear.tuning import SLOW_MPS
 from robot_agent.guidance.reference import Reference
 from shoal.frames import TURN, Array
-from shoal.kernels.kernel import kernel
+from shoal.kernels.decorator import kernel
 from shoal.kernels.types import Table
 
 KEEP_TURN = 0.55  # of a turn: a robot that faces backwards does not change its mind about the way round at every step

@@ -31,7 +31,7 @@ from robot_agent.control.nonlinear.prediction import (
 )
 from robot_agent.control.nonlinear.program import Course, InputLimits
 from shoal.frames import TURN
-from shoal.kernels.kernel import kernel
+from shoal.kernels.decorator import kernel
 from shoal.kernels.types import Floats
 
 STILL = 0.02  # of the fastest speed: slower, the direction of the water means nothing

@@ -10,7 +10,7 @@ from robot_agent.control.nonlinear.prediction import NODES
 from robot_agent.guidance.formation import Neighbour
 from robot_agent.guidance.obstacles import Obstacle
 from shoal.frames import Array
-from shoal.kernels.kernel import kernel
+from shoal.kernels.decorator import kernel
 from shoal.kernels.types import Floats, Table
 
 NS = 1e9

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from robot_agent.control.nonlinear.prediction import NODES, Grid, X, Y
-from shoal.kernels.kernel import kernel
+from shoal.kernels.decorator import kernel
 from shoal.kernels.types import Cube, Floats, Ints, Table
 
 ESCAPE_MPS = 0.1  # of a robot that is too near: a fifth of the shipped vehicle's speed

@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from shoal.kernels.kernel import kernel
+from shoal.kernels.decorator import kernel
 from shoal.kernels.types import Cube, Floats, Ints, Table
 
 NODES = 20  # of the horizon: the last two are 0.8 s apart for 7 s, 1.8 s for 12 s

@@ -33,7 +33,7 @@ from robot_agent.control.nonlinear.prediction import (
     move_on,
     predict,
 )
-from shoal.kernels.kernel import kernel
+from shoal.kernels.decorator import kernel
 from shoal.kernels.types import Cube, Floats, Ints, Table
 
 SHORTER = 0.4  # factor of a step that made the flight worse

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from shoal.errors import ConfigError
 from typer.testing import CliRunner
 
 from groundstation.__main__ import cli
@@ -18,6 +17,7 @@ from groundstation.logs.reader import DecodedMessage, RunLog, read_log
 from groundstation.mission.state_machine import MissionState
 from groundstation.report.report import write_report
 from shoal.config.experiment import Experiment
+from shoal.errors import ConfigError
 from shoal.messages import topics
 from shoal.messages.messages import Mode, RobotState, StationHeartbeat, Trajectory
 from sim_bridge.studies.metrics import broken_limits

@@ -3,10 +3,10 @@
 from pathlib import Path
 
 import pytest
-from shoal.errors import ConfigError
 from typer.testing import CliRunner
 
 from groundstation.__main__ import cli
+from shoal.errors import ConfigError
 from sim_bridge.sil.ports import free_port
 
 

@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from shoal.errors import ConfigError
 from typer.testing import CliRunner
 
 from groundstation.__main__ import cli
 from groundstation.analysis.series import TimelineEvent
 from groundstation.analysis.timeline import tags
 from groundstation.logs.run_folders import NO_RESULT, change_label, label_of, list_runs
+from shoal.errors import ConfigError
 
 RESULT = {"scene": "pool", "mode": "lockstep", "duration_s": 40.0, "passed": True, "commit": "a" * 40}
 

@@ -15,7 +15,6 @@ from importlib import metadata
 from pathlib import Path
 
 import pytest
-from shoal.errors import ConfigError
 from typer.testing import CliRunner, Result
 
 from groundstation.__main__ import cli
@@ -24,6 +23,7 @@ from groundstation.deploy import ssh as deploy_shell
 from groundstation.deploy.manifest import Probe, Target
 from groundstation.deploy.ssh import DeployRequest, deploy_one
 from shoal.config.experiment import load_experiment
+from shoal.errors import ConfigError
 from shoal.runtime.version import PACKAGES
 from sim_bridge.sil.ports import free_port
 from tests.ssh_server import WITH_PACKAGES, own_wheel, ssh_command, ssh_server
@@ -331,9 +331,9 @@ def test_an_installed_program_takes_the_checkout_that_one_stands_in(tmp_path: Pa
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ConfigError, match="in no checkout"):
         wheelhouse.checkout()
-    monkeypatch.chdir(clone / "wire")
+    monkeypatch.chdir(clone / "shoal")
     assert wheelhouse.checkout() == clone
-    (clone / "wire" / "__init__.py").write_text("newer = 1\n")
+    (clone / "shoal" / "__init__.py").write_text("newer = 1\n")
     with pytest.raises(ConfigError, match="holds other sources than this program runs"):
         wheelhouse.checkout()
 

@@ -19,12 +19,12 @@ from cryptography import x509
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.serialization import load_pem_private_key
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
-from shoal.errors import ConfigError
 from typer.testing import CliRunner
 
 from groundstation.__main__ import cli
 from groundstation.deploy import certificate_authority, key_ring
 from shoal.bus.key_ring import admitted, read_members
+from shoal.errors import ConfigError
 from shoal.messages.topics import Role
 
 NFT = shutil.which("nft", path=f"{os.environ.get('PATH', '')}:/usr/sbin")

@@ -13,7 +13,6 @@ import pyarrow.parquet as pq
 import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
-from shoal.errors import ConfigError
 from typer.testing import CliRunner
 
 from groundstation.__main__ import cli
@@ -21,6 +20,7 @@ from groundstation.export.tables import columns, export, rows
 from groundstation.export.tables import table as in_memory
 from groundstation.logs.recorder import Recorder
 from shoal.config.experiment import dump_experiment, load_experiment
+from shoal.errors import ConfigError
 from shoal.messages import messages as m
 from shoal.messages import topics
 from shoal.messages.codec import Header, encode

@@ -12,20 +12,20 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
-from shoal.errors import ConfigError
 from typer.testing import CliRunner
 
 from groundstation.__main__ import cli as groundstation
 from groundstation.deploy import key_ring
 from groundstation.gate import admission, guard, user_folders
 from groundstation.gate.admission import RETRY
-from groundstation.gate.gate import doors_of, through_door
+from groundstation.gate.gate import Gate, doors_of, through_door
 from groundstation.gate.guard import ANSWER_BYTES, CERTIFICATE_BYTES, Guard
 from shoal.bus.access_control import DOOR
 from shoal.bus.bus import Bus
 from shoal.bus.connection_diagnostics import trouble_reaching
 from shoal.bus.network import endpoint
 from shoal.bus.zenoh_transport import ZenohTransport
+from shoal.errors import ConfigError
 from shoal.messages import messages, topics
 from shoal.messages.codec import Header
 from shoal.messages.messages import Command, Order, Reply
@@ -73,7 +73,7 @@ def station(ring: Path, address: str, planted: Path, tmp_path_factory: pytest.Te
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv(user_folders.ONLY, str(tmp_path_factory.mktemp("r")))
         patch.chdir(planted)
-        with Bus(ZenohTransport(endpoint(address, "groundstation", ring, router=True))) as bus:
+        with Bus(ZenohTransport(endpoint(address, "groundstation", ring, router=True), gate=Gate)) as bus:
             bus.serve(0, answer)
             yield bus
 
@@ -230,7 +230,7 @@ def test_a_station_without_a_door_says_so_and_runs(
     for name in ("RUN", "TEMPORARY"):
         monkeypatch.setattr(user_folders, name, tmp_path / "missing")
     address = f"tls/127.0.0.1:{free_port()}"
-    with Bus(ZenohTransport(endpoint(address, "groundstation", ring, router=True))) as bus:
+    with Bus(ZenohTransport(endpoint(address, "groundstation", ring, router=True), gate=Gate)) as bus:
         bus.serve(0, lambda header, command: Reply(0, True))
         assert stopped(ring, address)
     assert "no door for this machine" in caplog.text
@@ -240,7 +240,7 @@ def test_a_closed_station_gives_its_port_back(ring: Path, monkeypatch: pytest.Mo
     """At once, though the program goes on: a member that calls must not wait for an answer that never comes."""
     monkeypatch.setenv(user_folders.ONLY, str(tmp_path))
     port = free_port()
-    transport = ZenohTransport(endpoint(f"tls/127.0.0.1:{port}", "groundstation", ring, router=True))
+    transport = ZenohTransport(endpoint(f"tls/127.0.0.1:{port}", "groundstation", ring, router=True), gate=Gate)
     socket.create_connection(("127.0.0.1", port), timeout=SOON_S).close()
     kept = transport._gate  # private: a socket that nothing refers to would be closed by Python
     transport.close()

@@ -15,6 +15,7 @@ import pytest
 import zenoh
 
 from groundstation.deploy import key_ring
+from groundstation.gate.gate import Gate
 from shoal.bus.bus import Bus
 from shoal.bus.connection_diagnostics import trouble_reaching
 from shoal.bus.endpoint import FLOOD, Endpoint
@@ -75,7 +76,7 @@ class GuardedRouter:
         station = process == "groundstation"
         address = self.address.replace("127.0.0.1", "0.0.0.0") if station else self.address  # it listens for other machines
         where = endpoint(address, process, self.ring, router=station)
-        return Bus(ZenohTransport(where, patience_s=5.0))
+        return Bus(ZenohTransport(where, patience_s=5.0, gate=Gate))
 
     def open(self) -> None:
         for process in ROLES:
@@ -244,7 +245,9 @@ def test_without_a_certificate_there_is_no_way_in(guarded: GuardedRouter) -> Non
 def test_a_station_under_another_name_is_not_believed(guarded: GuardedRouter, tmp_path: Path) -> None:
     """A robot's certificate is good for a client only: it cannot pass for the station, though our authority made it."""
     where = endpoint(f"tls/127.0.0.1:{free_port()}", "groundstation", guarded.ring, router=True)
-    impostor = ZenohTransport(Endpoint(where.address, router=True, keys=Keys(guarded.ring / "agent-1"), access=where.access))
+    impostor = ZenohTransport(
+        Endpoint(where.address, router=True, keys=Keys(guarded.ring / "agent-1"), access=where.access), gate=Gate
+    )
     try:
         assert no_way_in(endpoint(where.address, "agent-2", guarded.ring))
         assert trouble_reaching(where.address, Keys(guarded.ring / "agent-2"))
@@ -262,7 +265,7 @@ def test_a_revoked_member_is_deaf_and_dumb_once_the_router_starts_again(
     shutil.copytree(ring / "agent-1", stolen)
     key_ring.revoke(ring, "agent-1", now)
     key_ring.add(ring, "robot", 1, now)  # the robot's number lives on under another certificate
-    router = Bus(ZenohTransport(endpoint(address, "groundstation", ring, router=True)))
+    router = Bus(ZenohTransport(endpoint(address, "groundstation", ring, router=True), gate=Gate))
     heard: list[int] = []
     router.subscribe(topics.STATE, None, lambda topic, key, header, payload: heard.append(header.session))
     thief = Bus(ZenohTransport(Endpoint(address, keys=Keys(stolen)), patience_s=5.0))

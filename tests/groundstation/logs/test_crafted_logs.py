@@ -13,7 +13,6 @@ from typing import Any
 import pytest
 import zstandard
 from mcap.writer import MCAP0_MAGIC, Writer
-from shoal.errors import ConfigError
 from typer.testing import CliRunner
 
 from groundstation.__main__ import cli
@@ -23,6 +22,7 @@ from groundstation.logs.repair import recover
 from groundstation.report.report import write_report
 from localizer.evaluation.runner import evaluate_log
 from shoal.config.experiment import dump_experiment, load_experiment
+from shoal.errors import ConfigError
 from shoal.messages import topics
 from shoal.messages.codec import Header, encode
 from shoal.runtime import mcap_records as log_records

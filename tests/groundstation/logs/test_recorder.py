@@ -14,7 +14,6 @@ import pytest
 from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
 from mcap_protobuf.decoder import DecoderFactory
-from shoal.errors import ConfigError
 
 from groundstation.logs.reader import is_complete
 from groundstation.logs.recorder import FLUSH_PERIOD_S, MAX_PENDING_BYTES, Recorder, check_room
@@ -22,6 +21,7 @@ from groundstation.logs.repair import recover
 from groundstation.logs.run_folders import delete_run
 from shoal.bus.bus import Bus
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
+from shoal.errors import ConfigError
 from shoal.messages import topics
 from shoal.messages.codec import Header, decode, encode
 from shoal.messages.messages import Event, Plan, Pose, Preview, Video

@@ -9,13 +9,13 @@ import pytest
 from mcap.reader import make_reader
 from mcap.records import Message
 from mcap.writer import MCAP0_MAGIC
-from shoal.errors import ConfigError
 
 from groundstation.logs.reader import is_complete, open_log, read_log, valid_records
 from groundstation.logs.recorder import Recorder
 from groundstation.logs.repair import recover
 from groundstation.report.report import write_report
 from shoal.config.experiment import dump_experiment, load_experiment
+from shoal.errors import ConfigError
 from shoal.messages import topics
 from shoal.messages.codec import Header, encode
 from shoal.messages.messages import Preview

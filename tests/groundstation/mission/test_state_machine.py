@@ -18,7 +18,7 @@ from groundstation.mission.state_machine import (
 )
 from shoal.messages.messages import Order
 
-PAGE = (Path(__file__).parents[3] / "docs" / "missions.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[3] / "docs" / "reference" / "mission-states.md").read_text(encoding="utf-8")
 CAUSES: tuple[Order | MissionEvent, ...] = (*Order, *MissionEvent)
 WAITS = (
     frozenset(
@@ -53,7 +53,7 @@ def documented() -> dict[tuple[MissionState, str], MissionState]:
 
 
 def test_the_page_is_the_table() -> None:
-    assert markdown() in PAGE, "docs/missions.md is old: groundstation mission states shows the table as it is"
+    assert markdown() in PAGE, "docs/reference/mission-states.md is old: run: make docs"
 
 
 def test_every_pair_of_state_and_cause_leads_where_the_page_says() -> None:

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from shoal.errors import ConfigError
 
 from groundstation.planning.feasibility import PICTURE_MARGIN_M, PlanError
 from groundstation.planning.planner import plan, start_poses
 from shoal.config.experiment import EXPERIMENTS, NO_CAMERA, Experiment, load_experiment
+from shoal.errors import ConfigError
 from shoal.messages.codec import decode, encode
 from shoal.messages.messages import Trajectory
 from sim_bridge.camera.optics import project as exact

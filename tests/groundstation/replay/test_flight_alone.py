@@ -5,12 +5,12 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from shoal.errors import ConfigError
 
 from groundstation.logs.recorder import Recorder
 from groundstation.replay.state_export import hand_over
 from groundstation.web.replay_backend import ReplayBackend
 from shoal.config.experiment import dump_experiment, load_experiment
+from shoal.errors import ConfigError
 from shoal.messages import topics
 from shoal.messages.codec import Header, encode
 from shoal.messages.messages import Mode, RobotState

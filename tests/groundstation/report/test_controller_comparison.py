@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy import stats
-from shoal.errors import ConfigError
 from typer.testing import CliRunner
 
 from groundstation.__main__ import cli
 from groundstation.analysis.comparison import Comparison, FlightRecord, Traces, Variant
 from groundstation.analysis.statistics import mean
 from groundstation.report.controller_comparison import cells, failures, ratio
+from shoal.errors import ConfigError
 from tests.sim_bridge.studies.flight_metrics import GOOD
 
 SINE = [round(9.0 * math.sin(0.1 * k), 3) for k in range(100)]

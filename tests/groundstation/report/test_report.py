@@ -14,7 +14,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from matplotlib.figure import Figure
 from mcap.writer import Writer
-from shoal.errors import ConfigError
 
 from groundstation.analysis.alignment import align
 from groundstation.analysis.series import Series
@@ -26,6 +25,7 @@ from groundstation.report.drawing import MOST_POINTS, Curve, Panel, TimePlot, em
 from groundstation.report.plotting import picture, to_svg
 from groundstation.report.report import write_report
 from shoal.config.experiment import dump_experiment, load_experiment
+from shoal.errors import ConfigError
 from shoal.messages import topics
 from shoal.messages.codec import Header, encode
 from shoal.messages.messages import Event, Mode

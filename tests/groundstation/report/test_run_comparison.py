@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from shoal.errors import ConfigError
 from typer.testing import CliRunner
 
 from groundstation.__main__ import cli
 from groundstation.logs.reader import is_complete
 from groundstation.report.report import evaluated, write_figures
 from groundstation.report.run_comparison import ComparedRun, differences, metric_rows, plots
+from shoal.errors import ConfigError
 from tests.groundstation.synthetic import AMPLITUDE_M, Script, write_run
 
 pytestmark = pytest.mark.long

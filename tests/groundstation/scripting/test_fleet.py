@@ -8,12 +8,12 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from shoal.errors import ConfigError
 
 from groundstation.mission.state_machine import FLEET_REQUESTS
 from shoal import AsyncFleet, ConnectedFleet, NotHeard, RequestFailed
 from shoal.bus.bus import Bus
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
+from shoal.errors import ConfigError
 from shoal.messages import topics
 from shoal.messages.messages import Command, Event, Mode, Order, Outcome, Pose, Progress, Reply, RobotState, StationHeartbeat
 

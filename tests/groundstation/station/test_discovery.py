@@ -10,13 +10,13 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from shoal.errors import ConfigError
 
 from groundstation.gate import user_folders
 from groundstation.station.discovery import RunningStation, announced, running, station
 from shoal.bus.bus import Bus
 from shoal.bus.endpoint import Endpoint
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
+from shoal.errors import ConfigError
 from shoal.runtime.cli_options import DEFAULT_STATION
 
 pytestmark = pytest.mark.real_time

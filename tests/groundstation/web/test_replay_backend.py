@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from shoal.errors import ConfigError
 
 from groundstation.logs.recorder import Recorder
 from groundstation.planning.planner import plan
@@ -14,6 +13,7 @@ from groundstation.planning.segment import concatenate
 from groundstation.web.protocol import Edit
 from groundstation.web.replay_backend import ReplayBackend
 from shoal.config.experiment import dump_experiment, load_experiment
+from shoal.errors import ConfigError
 from shoal.frames import Array
 from shoal.messages import topics
 from shoal.messages.codec import Header, encode

@@ -20,7 +20,6 @@ import msgspec
 import numpy as np
 import pytest
 from foxglove_schemas_protobuf.Log_pb2 import Log
-from shoal.errors import ConfigError
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin
@@ -35,6 +34,7 @@ from groundstation.web.server import WebServer, bind
 from shoal.bus.bus import Bus
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
 from shoal.config.experiment import Experiment, load_experiment
+from shoal.errors import ConfigError
 from shoal.messages import codec, fleet_pb2, topics
 from shoal.messages.messages import Event, Mode, Order, Outcome, Preview, Progress, RobotState, Trajectory
 from shoal.runtime.runtime import log

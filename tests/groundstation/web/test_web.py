@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from shoal.errors import ConfigError
 
 from groundstation.planning import planner
 from groundstation.telemetry import RobotView
@@ -26,6 +25,7 @@ from groundstation.web.snapshot import ellipse
 from shoal.bus.access_control import INSECURE
 from shoal.config.experiment import load_experiment
 from shoal.config.scene import Waypoints
+from shoal.errors import ConfigError
 from shoal.messages.camera_coverage import project
 from shoal.messages.messages import CameraHealth, LocalizerStatus, Mode, Pose, RobotState, Track
 from shoal.runtime.web_access import host_allowed, origin_allowed, token_allowed, web_options

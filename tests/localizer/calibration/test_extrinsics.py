@@ -5,13 +5,13 @@ import itertools
 import cv2
 import numpy as np
 import pytest
-from shoal.errors import ConfigError
 
 from localizer.calibration.extrinsics import PoseFit, fit_pose
 from localizer.calibration.survey_points import SurveyFile, SurveyPoint, seen_pixels
 from shoal.config.experiment import load_experiment
 from shoal.config.loader import check
 from shoal.config.perception import Camera
+from shoal.errors import ConfigError
 from shoal.frames import Array
 from sim_bridge.camera.optics import project, rays
 from tests.localizer.board_scene import CameraBench, marks

@@ -3,7 +3,6 @@
 import cv2
 import numpy as np
 import pytest
-from shoal.errors import ConfigError
 
 from localizer.calibration.intrinsics import (
     CELLS,
@@ -16,6 +15,7 @@ from localizer.calibration.intrinsics import (
 from localizer.calibration.targets import TargetView, parse_target
 from localizer.camera_model import Intrinsics, fold_px
 from shoal.config.experiment import load_experiment
+from shoal.errors import ConfigError
 from shoal.frames import Array
 from tests.localizer.board_scene import CameraBench, charuco, chessboard
 

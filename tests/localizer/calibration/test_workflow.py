@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 import tomli_w
 from numpy.typing import NDArray
-from shoal.errors import ConfigError
 
 from localizer.__main__ import app
 from localizer.calibration.images import pictures, read_picture
@@ -27,6 +26,7 @@ from shoal.bus.bus import Bus
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
 from shoal.config.experiment import EXPERIMENTS, load_experiment
 from shoal.config.perception import Camera
+from shoal.errors import ConfigError
 from shoal.frames import Array
 from shoal.messages import topics
 from shoal.messages.messages import Frame

@@ -17,7 +17,6 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from mcap.reader import make_reader
-from shoal.errors import ConfigError
 from typer.testing import CliRunner
 
 from localizer.__main__ import cli
@@ -29,6 +28,7 @@ from localizer.tracking.fleet_localizer import FleetLocalizer, LocalizationResul
 from shoal.bus.bus import Bus
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
 from shoal.config.experiment import load_experiment
+from shoal.errors import ConfigError
 from shoal.frames import Array
 from shoal.messages import topics
 from shoal.messages.messages import RobotState

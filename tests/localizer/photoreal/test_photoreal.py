@@ -1,4 +1,4 @@
-"""The localizer against pictures by another renderer, some rows of both splits. docs/cameras.md has all rows."""
+"""The localizer against pictures by another renderer, some rows; `python -m benchmarks photoreal` has all of them."""
 
 from dataclasses import asdict
 

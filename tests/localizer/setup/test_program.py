@@ -31,7 +31,7 @@ from tests.waiting import eventually
 
 pytestmark = [pytest.mark.real_time, pytest.mark.long]
 
-CAMERAS_PAGE = Path(__file__).parents[3] / "docs" / "cameras.md"
+SETUP_PAGE = Path(__file__).parents[3] / "docs" / "camera-setup.md"
 
 
 def _open(address: str, path: str) -> Any:
@@ -92,8 +92,8 @@ def test_it_shows_the_frames_of_the_simulated_camera(shared: bool, address: str,
 
 @pytest.mark.skipif(Path("/dev/video0").exists(), reason="there is a camera")
 def test_the_documented_command_names_the_camera_that_is_absent(tmp_path: Path) -> None:
-    """As docs/cameras.md writes it, in a folder with a lab.toml."""
-    line = next(text for text in CAMERAS_PAGE.read_text().splitlines() if text.startswith("localizer setup lab.toml"))
+    """As docs/camera-setup.md writes it, in a folder with a lab.toml."""
+    line = next(text for text in SETUP_PAGE.read_text().splitlines() if text.startswith("localizer setup lab.toml"))
     (tmp_path / "lab.toml").write_text((EXPERIMENTS / "pool.toml").read_text())
     words = shlex.split(line, comments=True)
     done = subprocess.run(

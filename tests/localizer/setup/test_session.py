@@ -13,7 +13,6 @@ import cv2
 import numpy as np
 import pytest
 import tomli_w
-from shoal.errors import ConfigError
 
 from localizer.calibration.extrinsics import fit_pose
 from localizer.calibration.report import intrinsics_lines
@@ -25,6 +24,7 @@ from localizer.setup.session import SetupSession
 from localizer.sources.base import CapturedFrame
 from localizer.sources.v4l2_controls import Control, V4l2Controls
 from shoal.config.experiment import EXPERIMENTS, load_experiment
+from shoal.errors import ConfigError
 from shoal.runtime.runtime import Stop
 from sim_bridge.camera.optics import project
 from tests.localizer.board_scene import CameraBench, charuco, chessboard, marks

@@ -11,7 +11,6 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
-from shoal.errors import ConfigError
 
 from localizer.detection.image_regions import BAYER_TO_BGR, Pixels
 from localizer.sources import files
@@ -25,6 +24,7 @@ from shoal.bus.bus import Bus
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
 from shoal.config.experiment import load_experiment
 from shoal.config.perception import Camera
+from shoal.errors import ConfigError
 from shoal.messages import topics
 from shoal.messages.codec import Header
 from shoal.messages.messages import Frame

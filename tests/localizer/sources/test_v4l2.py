@@ -11,11 +11,11 @@ from typing import Any
 
 import cv2
 import pytest
-from shoal.errors import ConfigError
 
 from localizer.sources import v4l2
 from localizer.sources.v4l2 import V4l2Source, check_device, configure, middle_of_exposure_ns
 from shoal.config.experiment import load_experiment
+from shoal.errors import ConfigError
 from shoal.runtime.runtime import Stop, WallClock
 from tests.localizer.stand_ins import MS, HandClock, flat, level
 from tests.waiting import eventually

@@ -9,11 +9,11 @@ import av
 import cv2
 import numpy as np
 import pytest
-from shoal.errors import ConfigError
 
 from localizer.detection.image_regions import Pixels
 from localizer.sources.files import VideoSource
 from localizer.sources.video import VideoPicture, VideoReader
+from shoal.errors import ConfigError
 from shoal.runtime.runtime import Stop
 from tests.localizer.stand_ins import MS, HandClock
 

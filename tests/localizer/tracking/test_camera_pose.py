@@ -6,12 +6,12 @@ from functools import cache
 import cv2
 import numpy as np
 import pytest
-from shoal.errors import ConfigError
 
 from localizer.tracking.camera_pose import STALE_AFTER_S, CameraPoseTracker, fit_camera_pose
 from localizer.tracking.fleet_localizer import FleetLocalizer, LocalizationResult
 from shoal.config.experiment import load_experiment
 from shoal.config.perception import Camera
+from shoal.errors import ConfigError
 from shoal.frames import Array, wrap
 from shoal.messages.messages import Track
 from sim_bridge.camera.optics import project

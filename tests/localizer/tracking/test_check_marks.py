@@ -5,7 +5,6 @@ The renderer's camera is moved, or its water sunk, while the localizer keeps the
 
 import numpy as np
 import pytest
-from shoal.errors import ConfigError
 
 from localizer.detection.image_regions import Pixels
 from localizer.tracking.camera_pose import corners_of
@@ -13,6 +12,7 @@ from localizer.tracking.check_marks import READINGS, CheckedCameraPose
 from localizer.tracking.fleet_localizer import FleetLocalizer, LocalizationResult
 from shoal.config.experiment import Experiment, load_experiment
 from shoal.config.perception import Landmark
+from shoal.errors import ConfigError
 from shoal.frames import Array
 from sim_bridge.camera.renderer import Renderer
 

@@ -6,12 +6,12 @@ import threading
 from collections.abc import Iterator
 
 import pytest
-from shoal.errors import ConfigError
 
 from localizer.view import local_server
 from localizer.view import mjpeg_server as page_module
 from localizer.view.local_server import MOST_VIEWERS
 from localizer.view.mjpeg_server import MjpegServer
+from shoal.errors import ConfigError
 from shoal.runtime.runtime import Stop
 from tests.waiting import eventually
 

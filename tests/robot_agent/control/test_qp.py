@@ -11,10 +11,10 @@ import osqp
 import pytest
 from packaging.requirements import Requirement
 from scipy.optimize import LinearConstraint, minimize
-from shoal.errors import ConfigError
 
 from robot_agent.control.active_set import NO_BOUND, ROUNDS, factorise, solve_from
 from robot_agent.control.qp import DaqpSolver, OsqpSolver, Solver, make_solver
+from shoal.errors import ConfigError
 from shoal.frames import Array
 
 N, M = 6, 9

@@ -2,10 +2,10 @@
 
 import pytest
 from pymavlink.dialects.v20 import common as dialect
-from shoal.errors import ConfigError
 
 from robot_agent.host import params
 from robot_agent.host.params import answered_value
+from shoal.errors import ConfigError
 from shoal.mavlink.parameters import STATION, ParameterClient
 from sim_bridge.thruster_board.board_link import BoardLink
 from tests.robot_agent.autopilot import Autopilot

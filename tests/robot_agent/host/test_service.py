@@ -11,7 +11,6 @@ import sys
 from pathlib import Path
 
 import pytest
-from shoal.errors import ConfigError
 
 from robot_agent.commands import UNIT_NAME, unit_text
 from robot_agent.host import realtime
@@ -19,6 +18,7 @@ from robot_agent.host.config import RealtimeConfig
 from robot_agent.host.sd_notify import TIMES_A_WATCH, ServiceNotifier
 from shoal.bus.endpoint import Endpoint
 from shoal.bus.zenoh_transport import ZenohTransport
+from shoal.errors import ConfigError
 from sim_bridge.sil.ports import free_port
 
 pytestmark = pytest.mark.real_time

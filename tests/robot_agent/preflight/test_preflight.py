@@ -13,10 +13,10 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
-from shoal.errors import ConfigError
 from typer.testing import CliRunner, Result
 
 from groundstation.deploy import key_ring
+from groundstation.gate.gate import Gate
 from robot_agent.__main__ import cli
 from robot_agent.host.config import AgentConfig, RealtimeConfig, load_agent_config, merge_config
 from robot_agent.preflight import board as check_shell
@@ -31,6 +31,7 @@ from shoal.bus.network import endpoint
 from shoal.bus.transport import Presence
 from shoal.bus.zenoh_transport import ZenohTransport
 from shoal.config.experiment import Experiment, load_experiment
+from shoal.errors import ConfigError
 from shoal.mavlink import board_address
 from shoal.messages import topics
 from shoal.messages.messages import Mode, Solve, StationHeartbeat
@@ -306,7 +307,7 @@ def site(tmp_path: Path) -> Iterator[Path]:
     key_ring.add(ring, "robot", 1, datetime.now(UTC))
     ports = free_base_port((1, 2))
     stop = threading.Event()
-    station = Bus(ZenohTransport(endpoint(address, "groundstation", ring, router=True)))
+    station = Bus(ZenohTransport(endpoint(address, "groundstation", ring, router=True), gate=Gate))
 
     def beat() -> None:
         while not stop.wait(0.05):

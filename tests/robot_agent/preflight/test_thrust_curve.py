@@ -9,13 +9,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import isotonic_regression
-from shoal.errors import ConfigError
 from typer.testing import CliRunner
 
 from robot_agent.__main__ import cli
 from robot_agent.preflight.thrust_curve import ThrustReading, fit, interpolate, read_rows
 from shoal.config.experiment import load_experiment
 from shoal.config.vehicle import load_vehicle
+from shoal.errors import ConfigError
 from sim_bridge.sil.ports import free_port
 from tests.sim_bridge.boards import board
 

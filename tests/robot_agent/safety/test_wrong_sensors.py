@@ -1,4 +1,4 @@
-"""Flights with a sensor that is wrong, as docs/faults.md lists them: each stops with its name."""
+"""Flights with a sensor that is wrong, as docs/stops.md lists them: each stops with its name."""
 
 from dataclasses import replace
 

@@ -13,7 +13,6 @@ from contextlib import ExitStack
 import numpy as np
 import pytest
 import zenoh
-from shoal.errors import ConfigError
 
 from shoal.bus import zenoh_transport
 from shoal.bus.bus import Bus
@@ -21,6 +20,7 @@ from shoal.bus.endpoint import Endpoint
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
 from shoal.bus.transport import Unreached
 from shoal.bus.zenoh_transport import ZenohTransport
+from shoal.errors import ConfigError
 from shoal.messages import messages, topics
 from shoal.messages.codec import Header, encode
 from sim_bridge.sil.ports import free_port

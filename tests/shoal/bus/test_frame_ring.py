@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from shoal.errors import ConfigError
 
 from shoal.bus import frame_ring
 from shoal.bus.bus import Bus
 from shoal.bus.frame_ring import SLOTS, FrameRing, codec_of
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
+from shoal.errors import ConfigError
 from shoal.messages import codec, topics
 from shoal.messages.codec import SHARED, DecodeError, encode
 from shoal.messages.messages import Frame, LocalizerStatus

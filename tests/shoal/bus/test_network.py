@@ -15,9 +15,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
-from shoal.errors import ConfigError
 
 from groundstation.deploy import key_ring
+from groundstation.gate.gate import Gate
 from shoal.bus import connection_diagnostics
 from shoal.bus.access_control import INSECURE
 from shoal.bus.connection_diagnostics import trouble_reaching
@@ -26,6 +26,7 @@ from shoal.bus.key_ring import Keys
 from shoal.bus.network import endpoint
 from shoal.bus.transport import Unreached
 from shoal.bus.zenoh_transport import ZenohTransport
+from shoal.errors import ConfigError
 from shoal.messages import topics
 from sim_bridge.sil.ports import free_port
 from tests.groundstation.gate.strangers import Strangers
@@ -139,7 +140,7 @@ def test_a_reason_is_given_for_every_way_of_not_being_there(ring: Path) -> None:
             ZenohTransport(Endpoint(address, router=True))
     finally:
         plain.close()
-    guarded = ZenohTransport(endpoint(address, "groundstation", ring, router=True))
+    guarded = ZenohTransport(endpoint(address, "groundstation", ring, router=True), gate=Gate)
     try:
         with pytest.raises(Unreached, match=r"wants --keys FOLDER"):  # what is easily forgotten
             ZenohTransport(Endpoint(address), patience_s=0.1)

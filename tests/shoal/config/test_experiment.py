@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 import pytest
 import tomli_w
-from shoal.errors import ConfigError
 
 from shoal.config.experiment import EXPERIMENTS, Experiment, dump_experiment, experiment_path, load_experiment
 from shoal.config.loader import apply_setting, check
 from shoal.config.vehicle import Vehicle
+from shoal.errors import ConfigError
 
 Key = tuple[str | int, ...]
 

@@ -1,10 +1,10 @@
 """The fault timeline's language: what it understands, and what it answers to what it does not."""
 
 import pytest
-from shoal.errors import ConfigError
 
 from shoal.config.experiment import load_experiment
 from shoal.config.fault_injection import Break, fault_table, read_what
+from shoal.errors import ConfigError
 
 
 @pytest.mark.parametrize(

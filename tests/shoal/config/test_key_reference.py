@@ -8,12 +8,12 @@ from typing import Any
 
 import jsonschema
 import pytest
-from shoal.errors import ConfigError
 
 from shoal.config.experiment import EXPERIMENTS, Experiment, load_experiment
 from shoal.config.key_reference import ROOTS, SCHEMAS, KeyEntry, schema, tables
 from shoal.config.loader import apply_setting
 from shoal.config.vehicle import VEHICLES, load_vehicle
+from shoal.errors import ConfigError
 
 pytestmark = pytest.mark.long
 ENTRIES = {kind: [entry for table in tables(kind) for entry in table.entries] for kind in ROOTS}

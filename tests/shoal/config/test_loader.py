@@ -10,9 +10,9 @@ import tomli_w
 from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import Field
-from shoal.errors import ConfigError
 
 from shoal.config.loader import MOST_BYTES, Section, apply_setting, check, read_toml
+from shoal.errors import ConfigError
 
 
 class Tank(Section):

@@ -10,11 +10,11 @@ import pytest
 import tomli_w
 from hypothesis import given
 from hypothesis import strategies as st
-from shoal.errors import ConfigError
 
 from shoal.config.experiment import load_experiment
 from shoal.config.loader import check
 from shoal.config.vehicle import VEHICLES, Thruster, Vehicle, load_vehicle
+from shoal.errors import ConfigError
 
 SPHERICAL = load_vehicle("spherical")
 CURVE = np.array(SPHERICAL.thruster.curve)

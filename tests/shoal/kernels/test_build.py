@@ -14,12 +14,12 @@ from shoal.kernels.stamp import stamp_of
 
 pytestmark = [pytest.mark.real_time, pytest.mark.skipif("NUMBA_DISABLE_JIT" in os.environ, reason="nothing is compiled")]
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 NAMES = "abcde"
 
 KERNELS = """
 from robot_agent.numbers import FACTOR
-from shoal.kernels.kernel import kernel
+from shoal.kernels.decorator import kernel
 """
 KERNEL = '''
 @kernel("f8(f8)")
@@ -47,11 +47,11 @@ kernel_build.ensure_compiled(("robot_agent",))
 def installation(tmp_path: Path) -> Path:
     """Folder of an installation whose kernels nobody has compiled."""
     folder = tmp_path / "installed"
-    (folder / "wire").mkdir(parents=True)
+    (folder / "shoal" / "kernels").mkdir(parents=True)
     (folder / "robot_agent").mkdir()
-    for source in ROOT.glob("wire/kernel*.py"):
-        shutil.copy(source, folder / "wire")
-    for package in ("wire", "robot_agent"):
+    for source in ROOT.glob("shoal/kernels/*.py"):
+        shutil.copy(source, folder / "shoal" / "kernels")
+    for package in ("shoal", "robot_agent"):
         (folder / package / "__init__.py").touch()
     (folder / "robot_agent" / "numbers.py").write_text("FACTOR = 1.0\n", encoding="utf-8")
     text = KERNELS + "".join(KERNEL.format(name=name, place=i + 1) for i, name in enumerate(NAMES))
@@ -89,7 +89,7 @@ def test_programs_that_start_together_compile_once_and_the_next_one_nothing(inst
     assert _run(installation) == (RIGHT, "")
     # the next program is told at once, without the compiler
     assert _run(installation, ENSURE)[0] == "0 True False"
-    _run(installation, "from wire import kernel_cache; kernel_cache.clear()")
+    _run(installation, "from shoal.kernels import cache as kernel_cache; kernel_cache.clear()")
     assert _files(installation) == [], "as before the package is removed"
 
 
@@ -124,7 +124,7 @@ def test_damaged_files_count_as_missing(installation: Path) -> None:
 
 def test_whole_file_that_cannot_be_loaded_counts_as_missing(installation: Path) -> None:
     _run(installation, ENSURE)
-    write = "from wire import kernel_cache; import sys; kernel_cache.write('{}', b'of another compiler')"
+    write = "from shoal.kernels import cache as kernel_cache; import sys; kernel_cache.write('{}', b'of another compiler')"
     _run(installation, write.format(_files(installation)[0].name))
     output, complaints = _run(installation)
     assert output == RIGHT
@@ -132,14 +132,14 @@ def test_whole_file_that_cannot_be_loaded_counts_as_missing(installation: Path) 
 
 
 def test_installation_that_cannot_be_written_uses_the_users_cache(installation: Path) -> None:
-    (installation / "wire" / "__pycache__").touch()  # no folder can be made there, even by root
+    (installation / "shoal" / "__pycache__").touch()  # no folder can be made there, even by root
     assert _run(installation, ENSURE)[0] == "5 True False"
     assert {file.parents[2] for file in _files(installation)} == {installation / "user"}
     assert _run(installation) == (RIGHT, "")
 
 
 def test_without_a_folder_every_start_compiles_and_the_log_says_so_once(installation: Path) -> None:
-    (installation / "wire" / "__pycache__").touch()
+    (installation / "shoal" / "__pycache__").touch()
     for _ in range(2):
         output, complaints = _run(installation, user_cache=Path("/proc/none"))
         assert output == RIGHT
@@ -148,7 +148,7 @@ def test_without_a_folder_every_start_compiles_and_the_log_says_so_once(installa
 
 
 def test_with_little_memory_each_module_has_a_process_of_its_own(installation: Path) -> None:
-    text = "from robot_agent.small import a, b\nfrom shoal.kernels.kernel import kernel\n"
+    text = "from robot_agent.small import a, b\nfrom shoal.kernels.decorator import kernel\n"
     text += KERNEL.format(name="later", place=6).replace("FACTOR", "1.0")
     (installation / "robot_agent" / "another.py").write_text(text, encoding="utf-8")
     assert "6 kernels compiled in" in _run(installation, LITTLE_MEMORY)[1]

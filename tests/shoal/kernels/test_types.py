@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numba.core.sigutils import normalize_signature
 
-from shoal.kernels.kernel import Kernel, kernel
+from shoal.kernels.decorator import Kernel, kernel
 from shoal.kernels.stamp import stamp_of
 from shoal.kernels.types import Floats, Ints, Table, signature_of
 

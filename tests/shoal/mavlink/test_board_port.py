@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from shoal.errors import ConfigError
 
+from shoal.errors import ConfigError
 from shoal.mavlink.agent_link import AgentLink
 from shoal.mavlink.board_address import Address, parse_link
 from shoal.mavlink.board_port import READ_DATAGRAMS, SETTLE_S, SerialLink, UdpLink, open_link

@@ -6,8 +6,8 @@ from functools import partial
 from pathlib import Path
 
 import pytest
-from shoal.errors import ConfigError
 
+from shoal.errors import ConfigError
 from shoal.mavlink.board_port import open_link
 from shoal.mavlink.signing import EPOCH_NS, TICK_NS
 from shoal.mavlink.signing_key import AHEAD_TICKS, Signing, TimestampStore, load_key, new_key

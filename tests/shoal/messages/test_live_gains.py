@@ -6,9 +6,9 @@ import re
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from shoal.errors import ConfigError
 
 from shoal.config.experiment import load_experiment
+from shoal.errors import ConfigError
 from shoal.messages.live_gains import TunableParameter, of_message, tunable_parameters, tuned, tuning, values_of
 from shoal.messages.messages import Tuning
 

@@ -30,7 +30,7 @@ for line in sys.stdin:
 """
 
 
-PACKAGES = ("shoal", "wire", "groundstation", "robot_agent", "localizer", "sim_bridge", "benchmarks")
+PACKAGES = ("shoal", "groundstation", "robot_agent", "localizer", "sim_bridge", "benchmarks")
 
 
 @pytest.mark.parametrize("text", ["[/b]", "lab[red]/run", "a [bold b", ":dash: and :x:", "\\[a]"])

@@ -8,8 +8,8 @@ import stat
 from pathlib import Path
 
 import pytest
-from shoal.errors import ConfigError
 
+from shoal.errors import ConfigError
 from shoal.runtime.output_files import CAMPAIGN, RUN, check_output, replace_text, replacing, run_folder
 
 

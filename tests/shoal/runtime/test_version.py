@@ -25,8 +25,8 @@ def git(root: Path, *arguments: str) -> str:
 
 @pytest.fixture
 def tree(tmp_path: Path) -> Path:
-    (tmp_path / "wire" / "process").mkdir(parents=True)
-    (tmp_path / "wire" / "process" / "version.py").write_text("one = 1\n")
+    (tmp_path / "shoal" / "runtime").mkdir(parents=True)
+    (tmp_path / "shoal" / "runtime" / "version.py").write_text("one = 1\n")
     git(tmp_path, "init", "--quiet")
     git(tmp_path, "add", ".")
     git(tmp_path, "commit", "--quiet", "-m", "one")
@@ -34,7 +34,7 @@ def tree(tmp_path: Path) -> Path:
 
 
 def test_two_states_of_the_code_are_two_and_one_is_one(tree: Path) -> None:
-    clean, file = commit(tree), tree / "wire" / "process" / "version.py"
+    clean, file = commit(tree), tree / "shoal" / "runtime" / "version.py"
     assert clean == git(tree, "rev-parse", "HEAD")
     (tree / "notes.txt").write_text("no code")
     assert commit(tree) == clean
@@ -46,18 +46,18 @@ def test_two_states_of_the_code_are_two_and_one_is_one(tree: Path) -> None:
     file.write_text("one = 2\n")
     assert commit(tree) == changed
     file.write_text("one = 1\n")
-    (tree / "wire" / "new.py").write_text("two = 2\n")
+    (tree / "shoal" / "new.py").write_text("two = 2\n")
     assert commit(tree) not in (clean, changed)
-    (tree / "wire" / "new.py").unlink()
+    (tree / "shoal" / "new.py").unlink()
     assert commit(tree) == clean
 
 
 def test_a_package_within_somebody_elses_work_tree_does_not_take_its_commit(tree: Path) -> None:
     installed = tree / ".venv" / "lib"
-    (installed / "wire" / "process").mkdir(parents=True)
-    (installed / "wire" / "process" / "version.py").write_text("")
+    (installed / "shoal" / "runtime").mkdir(parents=True)
+    (installed / "shoal" / "runtime" / "version.py").write_text("")
     assert commit(installed) == UNKNOWN
-    (installed / "wire" / version.RECORDED).write_text("a" * 40 + "\n")
+    (installed / "shoal" / version.RECORDED).write_text("a" * 40 + "\n")
     assert commit(installed) == "a" * 40
 
 
@@ -87,18 +87,18 @@ def test_a_log_and_so_its_result_names_version_and_commit() -> None:
 def test_the_build_writes_the_commit_down(tmp_path: Path) -> None:
     """setup.py as pip runs it, on a small tree."""
     for name in (
-        "wire",
+        "shoal",
         "groundstation",
         "groundstation/web",
         "robot_agent",
-        "robot_agent/baselines",
+        "robot_agent/control",
         "localizer",
         "sim_bridge",
     ):
         (tmp_path / name).mkdir()
         (tmp_path / name / "__init__.py").touch()
     for name in ("setup.py", "pyproject.toml", "README.md", "LICENSE", "shoal/runtime/version.py"):
-        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_bytes((ROOT / name).read_bytes())
     git(tmp_path, "init", "--quiet")
     git(tmp_path, "add", ".")
@@ -108,4 +108,4 @@ def test_the_build_writes_the_commit_down(tmp_path: Path) -> None:
     subprocess.run(command, cwd=tmp_path, capture_output=True, check=True)
     (wheel,) = (tmp_path / "out").glob("*.whl")
     with zipfile.ZipFile(wheel) as archive:
-        assert archive.read(f"wire/{version.RECORDED}").decode().strip() == expected
+        assert archive.read(f"shoal/{version.RECORDED}").decode().strip() == expected

@@ -13,7 +13,7 @@ from tests.planted import executed, plant
 from tests.source_tree import ROOT
 from tests.waiting import eventually
 
-PACKAGES = ("wire", "groundstation", "robot_agent", "localizer", "sim_bridge", "shoal")
+PACKAGES = ("shoal", "groundstation", "robot_agent", "localizer", "sim_bridge")
 
 
 def test_programs_are_started_in_one_place() -> None:
@@ -35,13 +35,13 @@ def test_nothing_is_imported_from_the_working_folder(tmp_path: Path, monkeypatch
 
 def test_a_child_runs_its_parents_code_and_not_another_checkout(tmp_path: Path) -> None:
     """`python -m` in a second checkout runs that one, and so do its children, though this one is installed."""
-    package = tmp_path / "wire"
-    package.mkdir()
+    package = tmp_path / "shoal"
+    (package / "system").mkdir(parents=True)
     (package / "__init__.py").touch()
-    (package / "programs.py").write_text((ROOT / "shoal/system/programs.py").read_text())
-    (package / "parent.py").write_text("from wire import programs\nprint(programs.ask('wire.child', []).stdout)")
+    (package / "system" / "programs.py").write_text((ROOT / "shoal/system/programs.py").read_text())
+    (package / "parent.py").write_text("from shoal.system import programs\nprint(programs.ask('shoal.child', []).stdout)")
     (package / "child.py").write_text("print('of the second checkout')")
-    words = [sys.executable, "-m", "wire.parent"]
+    words = [sys.executable, "-m", "shoal.parent"]
     done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "of the second checkout"
 

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 from scipy.optimize import brentq
-from shoal.errors import ConfigError
 
 from shoal.config.experiment import load_experiment
+from shoal.errors import ConfigError
 from shoal.frames import Array
 from sim_bridge.camera.kernels import SURFACE_X, SURFACE_Y, WATER_X, WATER_Y
 from sim_bridge.camera.rays import CameraRays, ImageRect

@@ -4,9 +4,9 @@ from collections.abc import Callable
 
 import pytest
 from pymavlink.dialects.v20 import common as dialect
-from shoal.errors import ConfigError
 from typer.testing import CliRunner
 
+from shoal.errors import ConfigError
 from shoal.mavlink.board_port import Link
 from sim_bridge.__main__ import cli
 from sim_bridge.board_conformance import cli as conformance

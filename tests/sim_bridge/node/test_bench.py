@@ -9,11 +9,11 @@ from socket import SOCK_DGRAM
 
 import pytest
 from pymavlink.dialects.v20 import common as dialect
-from shoal.errors import ConfigError
 from typer.testing import CliRunner
 
 from robot_agent.host.params import cli as params
 from shoal.config.experiment import load_experiment
+from shoal.errors import ConfigError
 from shoal.mavlink.agent_link import AgentLink
 from shoal.mavlink.board_port import SerialLink, UdpLink, open_link
 from shoal.mavlink.framing import Sender

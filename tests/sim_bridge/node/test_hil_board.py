@@ -11,10 +11,10 @@ from socket import SOCK_DGRAM
 
 import numpy as np
 import pytest
-from shoal.errors import ConfigError
 
 from robot_agent.host.params import set_one
 from shoal.config.experiment import load_experiment
+from shoal.errors import ConfigError
 from shoal.mavlink.agent_link import AgentLink
 from shoal.mavlink.board_port import Link, open_link
 from shoal.mavlink.parameters import ParameterClient

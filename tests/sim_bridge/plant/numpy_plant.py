@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
-from shoal.errors import ConfigError
 
 from shoal.config.experiment import Experiment
+from shoal.errors import ConfigError
 from shoal.frames import Array
 from sim_bridge.fault_schedule import ActuatorFaults
 from sim_bridge.plant.actuators import ActuatorState

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from shoal.errors import ConfigError
 
 from shoal.config.experiment import load_experiment
+from shoal.errors import ConfigError
 from shoal.frames import Array
 from sim_bridge.plant import kernels
 from sim_bridge.plant.contact import ContactModel

@@ -6,10 +6,10 @@ from typing import Any
 
 import pytest
 from rich.console import Console
-from shoal.errors import ConfigError
 from typer.testing import CliRunner
 
 from shoal.config.experiment import load_experiment
+from shoal.errors import ConfigError
 from sim_bridge.__main__ import cli
 from sim_bridge.sil import launcher
 from sim_bridge.sil.commands import RunOptions, check, pace_of, programs

@@ -4,8 +4,8 @@ import socket
 from pathlib import Path
 
 import pytest
-from shoal.errors import ConfigError
 
+from shoal.errors import ConfigError
 from sim_bridge.sil.ports import free_port, page_address
 
 GIVEN_BY_THE_SYSTEM = Path("/proc/sys/net/ipv4/ip_local_port_range")

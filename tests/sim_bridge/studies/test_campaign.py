@@ -18,13 +18,13 @@ import tomli_w
 from distributed import LocalCluster
 from rich.console import Console
 from scipy import stats
-from shoal.errors import ConfigError
 from typer.testing import CliRunner
 
 from groundstation.analysis.statistics import mean
 from groundstation.planning import planner
 from shoal.config.experiment import EXPERIMENTS, NO_CAMERA, Experiment, load_experiment
 from shoal.config.loader import check
+from shoal.errors import ConfigError
 from shoal.runtime.output import terminal
 from shoal.runtime.runtime import Failed, Stop
 from shoal.runtime.version import code

@@ -12,11 +12,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tomli_w
-from shoal.errors import ConfigError
 
 from groundstation.analysis.comparison import Comparison, Variant
 from groundstation.planning import planner
 from shoal.config.experiment import EXPERIMENTS, Experiment, load_experiment
+from shoal.errors import ConfigError
 from shoal.runtime.version import code
 from sim_bridge.studies.comparison import VARIANTS, FlightTask, fly, scattered
 from tests.closed_loop.numeric import flown

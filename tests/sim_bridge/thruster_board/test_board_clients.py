@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common as dialect
-from shoal.errors import ConfigError
 
 from shoal.config.experiment import load_experiment
+from shoal.errors import ConfigError
 from shoal.mavlink import agent_link
 from shoal.mavlink.agent_link import AgentLink
 from shoal.mavlink.framing import Sender

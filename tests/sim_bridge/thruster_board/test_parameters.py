@@ -2,7 +2,6 @@
 
 import math
 import re
-from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
@@ -181,10 +180,6 @@ def test_too_large_for_single_precision() -> None:
     assert (single(1e300), single(-1e300)) == (math.inf, -math.inf)
 
 
-def test_the_page_lists_every_parameter() -> None:
-    """docs/board.md is what somebody writes a firmware from."""
-    page = (Path(__file__).parents[3] / "docs" / "board.md").read_text(encoding="utf-8")
-    for row, value in zip(FIXED, POOL.values, strict=False):
-        text = f"| `{row.name}` | {row.bounds} | {value:g} | {row.meaning} |"
-        assert text in page, text
+def test_a_refusal_fits_into_a_message_of_the_board() -> None:
+    for row in FIXED:
         assert len(f"{row.name}: {Refusal.RANGE.words} ({row.bounds})") <= 50  # what a STATUSTEXT holds

@@ -32,7 +32,7 @@ def main(seed: int = 3) -> None:
         axis.set(title=name, aspect="equal", xlim=(-2.1, 2.1), ylim=(1.8, -1.8), xlabel="x, m")
     axes[0].set_ylabel("y, m")
     figure.tight_layout()
-    figure.savefig(Path(__file__).parent / "images" / "encounters.png", dpi=60)
+    figure.savefig(Path(__file__).parents[1] / "docs" / "images" / "encounters.png", dpi=60)
 
 
 if __name__ == "__main__":

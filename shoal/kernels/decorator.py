@@ -1,6 +1,6 @@
 """SHELL: compile numeric kernels: plain loops over float64 arrays, written like the equations and as fast as C.
 
-A kernel is a function of numbers, arrays and records at module level; its annotations say which (`shoal/kernels/types.py`). Its
+A kernel is a function of numbers, arrays and records at module level; its annotations say which (`types.py`). Its
 class checks inputs and owns memory; the kernel checks nothing.
 
     @kernel

@@ -1,23 +1,23 @@
-"""Write docs/messages.md from the contract itself: `make docs`. A test fails when the page is behind the code."""
+"""Reference of topics and messages, from the contract itself."""
 
 import ast
 import dataclasses
 import enum
 import inspect
 import math
-import sys
 import types
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any, get_args, get_origin, get_type_hints
 
-from shoal.messages import codec, messages, topics
+from shoal.messages import messages, topics
 from shoal.messages.messages import Message
 from shoal.messages.topics import TOPICS, Qos, Topic
 
 HEAD = """# Messages and topics
 
-Written by `make docs` from `shoal/messages/topics.py` and `shoal/messages/messages.py`; edit those.
-Frames and units: `docs/frames-and-units.md`.
+Written by `make docs` from `shoal/messages/topics.py` and `shoal/messages/messages.py`; edit those. The schema of a message in
+the log is `fleet.NAME`. Frames and units: [frames-and-units.md](../frames-and-units.md).
 
 Keys stand below the fleet's name (`--fleet`, default `shoal`). Beside every message travels a header of 28 bytes as its Zenoh
 attachment, little-endian: session u64, sequence u32, stamp i64 in ns, age i64 in ns (`shoal/messages/codec.py`).
@@ -67,7 +67,7 @@ def _topic_row(topic: Topic) -> str:
 
 
 def _message(cls: Any) -> Iterator[str]:
-    yield f"\n### {cls.__name__}\n\n{inspect.getdoc(cls)}\n\nSchema: `{codec.descriptor(cls).full_name}`.\n"
+    yield f"\n### {cls.__name__}\n\n{inspect.getdoc(cls)}\n"
     yield "| Field | Type | |\n|---|---|---|"
     hints, comments = get_type_hints(cls), _comments(cls)
     for field in dataclasses.fields(cls):
@@ -108,5 +108,6 @@ def page() -> str:
     return "\n".join(lines) + "\n"
 
 
-if __name__ == "__main__":
-    sys.stdout.write(page())
+def files() -> dict[Path, str]:
+    """The page and its text."""
+    return {Path(__file__).parents[1] / "docs" / "reference" / "messages.md": page()}

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[2]
-PACKAGES = ("groundstation", "localizer", "robot_agent", "sim_bridge", "wire")
+ROOT = Path(__file__).parents[3]
+PACKAGES = ("groundstation", "localizer", "robot_agent", "sim_bridge", "shoal")
 
 WITH_A_PART = """
-from shoal.kernels.kernel import kernel
+from shoal.kernels.decorator import kernel
 
 NEVER_IN_THE_CACHE = %d
 
@@ -39,7 +39,7 @@ def _kernels(tree: ast.Module) -> list[tuple[ast.FunctionDef, ast.expr]]:
 
 
 def _offences(tree: ast.Module) -> Iterator[str]:
-    """Breaches of the rules of shoal/kernels/kernel.py. (That a kernel calls only kernels, its stamp refuses at the import.)"""
+    """Breaches of the rules of the decorator. (That a kernel calls only kernels, its stamp refuses at the import.)"""
     for function, mark in _kernels(tree):
         is_named = isinstance(mark, ast.Call) and bool(mark.args)  # the older form: Numba reads it at the import
         parameters = function.args.args

@@ -1,29 +1,32 @@
-"""Write docs/reference/, shoal/config/schemas/ and the table of gains in docs/control.md from the sources: `make docs`.
-
-A test fails when they are behind."""
+"""Reference of keys, faults and constants, the editors' schemas, and the table of gains in docs/control.md."""
 
 import json
 import re
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
+from groundstation.mission import state_machine as mission_states
 from robot_agent.control.nonlinear.tuning import formulas
+from robot_agent.vehicle import kalman
 from shoal.config import key_reference
 from shoal.config.fault_injection import KINDS, OF_PROCESSES
 from shoal.config.key_reference import KeyEntry, KeyTable
-from shoal.config.vehicle import load_vehicle
+from shoal.config.vehicle import Vehicle, load_vehicle
+from sim_bridge.fault_schedule import NUMERIC
+from tools import readers
 
 ROOT = Path(__file__).parents[1]
-LAID = "Written by `make docs` from the models in `shoal/config/`; edit those. `groundstation keys-of` searches it.\n"
-COLUMNS = "| Key | Type | Unit | Range | Default | Meaning | Example |\n|---|---|---|---|---|---|---|"
+LAID = "Written by `make docs` from the models in `shoal/config/`; edit those. `groundstation keys-of` has examples too.\n"
+COLUMNS = "| Key | Type | Unit | Range | Default | Meaning | Read in |\n|---|---|---|---|---|---|---|"
+COPIES = 10  # keys that two sections share: the second one is a copy of the first
 OUT = "A default that is empty: leaving the key out has a meaning of its own.\n"
 
 
 def _row(entry: KeyEntry, prefix: str) -> str:
     name = f"`{entry.name.removeprefix(prefix)}`{' (live)' if entry.live else ''}"
     default = f"`{entry.default}`" if entry.default not in ("", "required") else entry.default
-    example = f"`{entry.example.partition('=')[2]}`"
-    cells = (name, entry.type, entry.unit, entry.allowed, default, entry.meaning, example)
+    cells = (name, entry.type, entry.unit, entry.allowed, default, entry.meaning, readers.cell(entry.name))
     return f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
 
 
@@ -38,15 +41,31 @@ def _table(table: KeyTable) -> Iterator[str]:
         yield from (_row(entry, prefix) for entry in table.entries)
 
 
+def _without_copies(tables: Iterable[KeyTable]) -> Iterator[KeyTable]:
+    """The tables; one whose keys are those of an earlier table, as [[cameras]] has those of [camera], lists its other keys."""
+    earlier: dict[str, set[tuple[str, ...]]] = {}
+    for table in tables:
+        keys = {entry: (entry.name.rpartition(".")[2], entry.type, entry.meaning) for entry in table.entries}
+        first = next((name for name, known in earlier.items() if len(known & set(keys.values())) >= COPIES), "")
+        if first:
+            others = tuple(entry for entry, key in keys.items() if key not in earlier[first])
+            yield replace(table, meaning=f"{table.meaning}\n\nThe keys of [{first}], and:", entries=others)
+        else:
+            earlier[table.name] = set(keys.values())
+            yield table
+
+
 def _page(title: str, intro: str, tables: Iterable[KeyTable]) -> str:
-    return "\n".join([f"# {title}\n\n{LAID}\n{intro}\n{OUT}", *(line for table in tables for line in _table(table))]) + "\n"
+    sections = (line for table in _without_copies(tables) for line in _table(table))
+    return "\n".join([f"# {title}\n\n{LAID}\n{intro}\n{OUT}", *sections]) + "\n"
 
 
 def _faults() -> Iterator[str]:
     yield f"# Faults that can be injected\n\n{LAID}"
     yield "Each is a line after `--fault`, or a table `[[sim.faults]]` ([simulation.md](simulation.md)). `for=SECONDS` makes"
-    yield "it end. A value may be left out.\n"
-    yield "| Fault | Value | Default | Range | Not in lockstep | Example |\n|---|---|---|---|---|---|"
+    yield "it end. A value may be left out. The columns `--real-time`, other `sil` and `numeric` say who can have it.\n"
+    yield "| Fault | What happens | Value | Default | Range | `--real-time` | other `sil` | `numeric` | Example |"
+    yield "|---|---|---|---|---|---|---|---|---|"
     for kind, (target, effects) in KINDS.items():
         for name, effect in effects.items():
             place = {"ROBOT": "2", "ROBOT/THRUSTER": "2/3", "NAME": "agent-2"}.get(target, "")
@@ -54,8 +73,9 @@ def _faults() -> Iterator[str]:
             value = f"{effect.default:g}" if effect.meaning else ""
             line = " ".join(word for word in ("t=20", kind, place, name, value) if word)
             allowed = f"{effect.low:g} to {effect.high:g}" if effect.meaning else ""
-            real_time = "x" if kind in OF_PROCESSES else ""
-            yield f"| `{words}` | {effect.meaning} | {value} | {allowed} | {real_time} | `{line}` |"
+            where = ("x", "" if kind in OF_PROCESSES else "x", "x" if kind in NUMERIC else "")
+            cells = (f"`{words}`", effect.happens, effect.meaning, value, allowed, *where, f"`{line}`")
+            yield f"| {' | '.join(cells)} |"
 
 
 GAINS = "<!-- gains of the nonlinear MPC: written by `make docs` -->\n"
@@ -63,9 +83,30 @@ SHIPPED = ("spherical", "vectored")
 PERIOD_S = 0.05
 
 
+def _observer(vehicle: Vehicle) -> list[tuple[str, str, str]]:
+    """Quantity, formula and value of the observer's noise."""
+    noise, largest_mps = kalman.vehicle_noise(vehicle), vehicle.limits.speed_mps
+    hand_mps2 = vehicle.limits.wrench[0] / vehicle.mass.surge_kg
+    shares = f"{100.0 * kalman.SHARE:g} %; {100.0 * kalman.LASTING_SHARE:g} %"
+    ratios = "; ".join(f"{100.0 * ratio:g} %" for ratio in kalman.RATIOS[:2])
+    return [
+        ("idle force that lasts, surge", "hypot(2 x 6 % of the idle thrust, rounding) / m", f"{noise.idle_mps2:.1e} m/s^2"),
+        ("the same, yaw", "the same force x arm / I", f"{noise.idle_radps2:.1e} rad/s^2"),
+        (
+            "rounding of pulses, surge", "thrust of one microsecond at idle thrust x sqrt(thrusters / 12) / m",
+            f"{noise.rounding_mps2:.1e} m/s^2",
+        ),
+        ("force that comes and goes; that lasts", f"of thrust and drag, for {noise.passes_s:g}; {noise.lasts_s:g} s", shares),
+        ("hand on a robot without thrust", f"largest thrust / m, for {kalman.HAND_S:g} s", f"{hand_mps2:.2g} m/s^2"),
+        ("current at first, standard deviation", "half of the greatest speed", f"{0.5 * min(largest_mps, 1.0):.2f} m/s"),
+        ("drag; thrust and moment per mass at first", "relative to the vehicle file", ratios),
+    ]  # fmt: skip
+
+
 def _gains() -> str:
-    """The table of gains: quantity, formula, and the value for each shipped vehicle."""
-    of_each = [formulas(load_vehicle(name), PERIOD_S) for name in SHIPPED]
+    """The table of noise and gains: quantity, formula, and the value for each shipped vehicle."""
+    vehicles = [load_vehicle(name) for name in SHIPPED]
+    of_each = [[*_observer(vehicle), *formulas(vehicle, PERIOD_S)] for vehicle in vehicles]
     rows = [(name, how, *(column[i][2] for column in of_each)) for i, (name, how, _) in enumerate(of_each[0])]
     head = "| Quantity | Formula | " + " | ".join(f"`{name}`" for name in SHIPPED) + " |\n|---|---|" + "---|" * len(SHIPPED)
     return "\n".join([head, *(f"| {' | '.join(row)} |" for row in rows)]) + "\n"
@@ -95,6 +136,13 @@ CONSTANTS = (
     "robot_agent/vehicle/kalman.py",
     "robot_agent/vehicle/filter_bank.py",
 )  # fmt: skip
+
+MISSION_STATES = """# States of a mission
+
+Written by `make docs`; `groundstation mission states` prints it, and the station reads the same table. A person requests the
+orders of the second table. [missions.md](../missions.md) explains them.
+
+"""
 
 
 def files() -> dict[Path, str]:
@@ -132,14 +180,9 @@ def files() -> dict[Path, str]:
             vehicle,
         ),
         folder / "faults.md": "\n".join(_faults()) + "\n",
+        folder / "mission-states.md": MISSION_STATES + mission_states.markdown(),
         **{
             key_reference.SCHEMAS / f"{kind}.schema.json": json.dumps(key_reference.schema(kind), indent=1) + "\n"
             for kind in key_reference.ROOTS
         },
     }
-
-
-if __name__ == "__main__":
-    for path, text in files().items():
-        path.parent.mkdir(exist_ok=True)
-        path.write_text(text, encoding="utf-8")

@@ -1,4 +1,4 @@
-"""SHELL: docs/images/localizer-growth.png: time over the robots in the picture: `python -m docs.localizer_growth`."""
+"""SHELL: docs/images/localizer-growth.png: time over the robots in the picture: `python -m tools.localizer_growth`."""
 
 from pathlib import Path
 
@@ -28,7 +28,7 @@ def main() -> None:
     axes.grid(True, alpha=0.3)
     axes.legend()
     figure.tight_layout()
-    figure.savefig(Path(__file__).parent / "images" / "localizer-growth.png", dpi=90)
+    figure.savefig(Path(__file__).parents[1] / "docs" / "images" / "localizer-growth.png", dpi=90)
 
 
 if __name__ == "__main__":

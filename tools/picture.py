@@ -1,4 +1,4 @@
-"""SHELL: docs/images/run.png for the README, from a real run: `python -m docs.picture runs/pool-...`."""
+"""SHELL: docs/images/run.png for the README, from a real run: `python -m tools.picture runs/pool-...`."""
 
 import io
 import sys
@@ -34,7 +34,7 @@ def main(run: Path) -> None:
     for axes in (left, right):
         axes.set_axis_off()
     figure.tight_layout(pad=0.2)
-    figure.savefig(Path(__file__).parent / "images" / "run.png", dpi=100)
+    figure.savefig(Path(__file__).parents[1] / "docs" / "images" / "run.png", dpi=100)
 
 
 if __name__ == "__main__":

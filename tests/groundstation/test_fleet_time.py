@@ -4,11 +4,11 @@ import time
 
 import pytest
 
+from groundstation.fleet_time import FleetTime, PaceMeter, pace_in_words
 from shoal.bus.bus import Bus
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
 from shoal.messages import topics
 from shoal.messages.messages import RobotState, StationHeartbeat
-from shoal.runtime.fleet_time import FleetTime, PaceMeter, pace_in_words
 
 S = 10**9
 TODAY_NS = 1_800_000_000 * S  # a stamp of the wall clock
@@ -68,7 +68,7 @@ def test_where_nobody_simulates_the_wall_clock_counts(fleet: Fleet, monkeypatch:
         time.sleep(2 * SHORT_S)
         assert over()
     fleet.beat(3 * S)
-    monkeypatch.setattr("shoal.runtime.fleet_time.STANDING_S", 0.0)  # a simulation that has not been heard for long is gone
+    monkeypatch.setattr("groundstation.fleet_time.STANDING_S", 0.0)  # a simulation that has not been heard for long is gone
     over = fleet.time.limit(SHORT_S)
     time.sleep(2 * SHORT_S)
     assert over()
@@ -81,7 +81,7 @@ def test_a_message_is_as_old_as_simulated_time_makes_it(fleet: Fleet, monkeypatc
     assert fleet.age_s() == 0.0
     fleet.beat(3 * S + 1)
     assert 0.0 < fleet.age_s() < SHORT_S
-    monkeypatch.setattr("shoal.runtime.fleet_time.STANDING_S", 0.0)
+    monkeypatch.setattr("groundstation.fleet_time.STANDING_S", 0.0)
     assert fleet.age_s() >= SHORT_S
 
 

@@ -1,4 +1,4 @@
-"""SHELL: docs/images/page-*.jpg, the pages on real runs: `python -m docs.screenshots` (Chromium; four minutes)."""
+"""SHELL: docs/images/page-*.jpg, the pages on real runs: `python -m tools.screenshots` (Chromium; four minutes)."""
 
 import shutil
 import signal
@@ -22,7 +22,7 @@ from shoal.system import programs
 from sim_bridge.camera.renderer import Renderer
 from sim_bridge.sil.ports import free_port
 
-IMAGES = Path(__file__).parent / "images"
+IMAGES = Path(__file__).parents[1] / "docs" / "images"
 FLAGS = ["--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking", "--disable-sync"]
 PATIENCE_MS = 180_000
 DESK: ViewportSize = {"width": 1440, "height": 900}

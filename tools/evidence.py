@@ -1,0 +1,40 @@
+"""Pages of docs/evidence that come from the JSON files beside them, and the list of everything that can be measured."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+from benchmarks.__main__ import BENCHMARKS
+from benchmarks.evidence import of_benchmark, table
+
+EVIDENCE = Path(__file__).parents[1] / "docs" / "evidence"
+HEAD = """# Evidence
+
+What is measured, and how to measure it again. Each page states commit, machine, seeds and targets, and has its figures as JSON
+beside it. Times depend on the machine: compare rows of one page only. `make bench ARGS=NAME` measures without writing a page.
+This list is written by `make docs`.
+
+"""
+OTHERS = {  # pages with commands of their own
+    "robots": ("python -m benchmarks robots", "robots, currents and model errors that nobody tuned for"),
+    "scenes": ("make scenes", "every shipped scene flown whole, with its camera (half an hour)"),
+    "laws": ("make laws", "control laws on the same seeds (half an hour)"),
+    "faults": ("make faults", "every fault injected many times into real processes (hours)"),
+}
+
+
+def _rows() -> Iterator[list[str]]:
+    commands = {name: (f"make evidence ARGS={name}", what) for name, (_, what) in BENCHMARKS.items()}
+    for name, (command, what) in {**OTHERS, **commands}.items():
+        page = f"[{name}.md]({name}.md)" if (EVIDENCE / f"{name}.md").exists() else "not written yet"
+        yield [what, f"`{command}`", page]
+
+
+def files() -> dict[Path, str]:
+    """The list, and the page of each benchmark that has figures."""
+    pages = {EVIDENCE / "README.md": HEAD + "\n".join(table(("What", "Command", "Page"), _rows())) + "\n"}
+    for name in BENCHMARKS:
+        file = EVIDENCE / f"{name}.json"
+        if file.exists():
+            pages[EVIDENCE / f"{name}.md"] = of_benchmark(json.loads(file.read_text(encoding="utf-8")))
+    return pages

@@ -1,0 +1,61 @@
+"""Reference pages from tables in the programs: modes of a robot, parameters of a board, ways to fly."""
+
+from pathlib import Path
+
+from robot_agent.safety import guidance_states, modes
+from shoal.config.experiment import load_experiment
+from sim_bridge import ways_to_fly
+from sim_bridge.thruster_board.parameters import FIXED, Parameters
+
+REFERENCE = Path(__file__).parents[1] / "docs" / "reference"
+
+MODES = """# Modes and guidance states of a robot
+
+Written by `make docs` from `robot_agent/safety/modes.py` and `robot_agent/safety/guidance_states.py`, which the agent reads
+too. `robot-agent modes` prints them. The reasons behind them: [modes.md](../modes.md).
+
+"""
+GUIDANCE = """
+## Guidance states
+
+A robot with power is in one guidance state. In each state exactly one thing decides what is flown. Half a horizon is the
+time in which a robot can turn round and stop, 3.5 s for `spherical`.
+
+"""
+WAYS = """# Ways to fly
+
+Written by `make docs` from `sim_bridge/ways_to_fly.py`. In a pool everything is real. The table says what stands in place of
+each part in a simulated flight ([simulator.md](../simulator.md)); the water is always simulated. `--poses` takes the poses from
+the simulator in place of camera and localizer.
+
+"""
+PARAMETERS = """# Parameters of a thruster board
+
+Written by `make docs` from `sim_bridge/thruster_board/parameters.py`; edit that. "Here" is the value for `pool`.
+Rules for reading and writing them: [board.md](../board.md#parameters).
+
+| Parameter | Range | Here | |
+|---|---|---|---|
+"""
+CURVE = (
+    "| `CRV01_US`, `CRV01_N` ... `CRV12_US`, `CRV12_N` | 500 to 2500, whole; -1000 to 1000 | the vehicle file's "
+    "| the thrust curve, point by point: pulse, and thrust in N |\n"
+)
+
+
+def _parameters() -> str:
+    """Every parameter but the curve's points, which are one row."""
+    values = Parameters.of(load_experiment("pool")).values
+    rows = (
+        f"| `{row.name}` | {row.bounds} | {value:g} | {row.meaning} |\n" for row, value in zip(FIXED, values, strict=False)
+    )
+    return PARAMETERS + "".join(rows) + CURVE
+
+
+def files() -> dict[Path, str]:
+    """The pages and their text."""
+    return {
+        REFERENCE / "modes.md": MODES + modes.table() + GUIDANCE + guidance_states.table(),
+        REFERENCE / "ways-to-fly.md": WAYS + ways_to_fly.table(),
+        REFERENCE / "board-parameters.md": _parameters(),
+    }
