@@ -10,13 +10,14 @@ from typing import Annotated
 import typer
 
 from robot_agent.host.board_zero import FILE, SERVICE_FOLDER, read_record, state_folder, write_record
-from robot_agent.host.config import DEFAULT_LINK, load_agent_config, merge_config, template
+from robot_agent.host.config import load_agent_config, merge_config, template
 from robot_agent.preflight.findings import CheckFinding, CheckVerdict, exit_code, to_json
 from shoal.bus.endpoint import parse_address
 from shoal.bus.network import refuse_open
 from shoal.config.experiment import Experiment, load_experiment
 from shoal.config.scene import LARGEST_ROBOT
 from shoal.errors import ConfigError, os_errors_as_config_errors
+from shoal.mavlink.board_address import DEFAULT_LINK, LINK_HELP, parse_link
 from shoal.runtime.cli_options import DEFAULT_FLEET, FleetName
 from shoal.runtime.output_files import check_output, replace_text
 from shoal.runtime.runtime import start_log
@@ -35,7 +36,7 @@ def init(
         str, typer.Option(help="What is flown: a shipped experiment, or a path, relative to the file.")
     ] = "pool",
     fleet: FleetName = DEFAULT_FLEET,
-    link: Annotated[str, typer.Option(help="The thruster board: udp:HOST:PORT or serial:DEVICE[:BAUD].")] = DEFAULT_LINK,
+    link: Annotated[str, typer.Option(help=LINK_HELP)] = DEFAULT_LINK,
     link_key: Annotated[str | None, typer.Option(metavar="FILE", help="What signs the link, relative to the file.")] = None,
     keys: Annotated[str | None, typer.Option(metavar="FOLDER", help="The key ring, relative to the file.")] = None,
     insecure: Annotated[bool, typer.Option("--insecure", help="An open network, without keys.")] = False,
@@ -46,8 +47,6 @@ def init(
 
     Example:  robot-agent init --robot 2 --station tls/192.0.2.10:7447 --keys keys
     """
-    from shoal.mavlink.board_port import parse_link
-
     parse_address(station)
     if keys is None:
         refuse_open(station, insecure)

@@ -16,6 +16,7 @@ from dataclasses import replace
 
 from robot_agent.agent import Agent, Outputs
 from robot_agent.control.live_tuning import Prepared
+from robot_agent.host.board_parameters import BoardParameters, wanted_parameters
 from robot_agent.host.board_zero import BoardZero, state_folder
 from robot_agent.host.sd_notify import ServiceNotifier
 from robot_agent.host.step_clock import StepClock
@@ -24,7 +25,7 @@ from robot_agent.step_record import inputs_of, record_command, record_step, stat
 from shoal.bus.bus import Bus, Received
 from shoal.bus.command_deduplication import ALWAYS_TAKEN
 from shoal.config.experiment import Experiment
-from shoal.mavlink.agent_link import ACCEPTED, ARM_DISARM
+from shoal.mavlink.agent_link import ACCEPTED, ARM_DISARM, Telemetry
 from shoal.mavlink.board_port import Link
 from shoal.mavlink.signing_key import Signing, agent_end
 from shoal.messages import topics
@@ -78,6 +79,7 @@ class AgentNode:
         self._signing = signing
         self._mavlink = agent_end(robot, signing)
         self._zero = BoardZero(None if lockstep else state_folder())
+        self._parameters = BoardParameters(wanted_parameters(experiment))
         self._poses = bus.inbox(topics.POSE, Pose, robot)
         self._pose: Received[Pose] | None = None  # the newest that counts
         self._two_told = False  # that two programs publish poses
@@ -248,16 +250,26 @@ class AgentNode:
         heartbeat, obstacles = self._station(), self._obstacles.newest(self._obstacles_up_to_ns)
         heard = {robot: inbox.newest(up_to_ns) for robot, inbox in self._plans.items()}
         plans = {robot: plan for robot, plan in heard.items() if plan is not None}
-        zero_m = self._zero.note(self._mavlink.telemetry)
-        if zero_m is not None:
-            self._mavlink.set_zero(zero_m)
-        telemetry = self._mavlink.telemetry
+        telemetry = self._note_board(now_ns)
         pose = self._trusted_pose()
         record = record_step(self._steps, self._pace.late_steps, self.clock, pose, heartbeat, telemetry, plans, obstacles)
         self._steps += 1
         messages = {robot: plan.message for robot, plan in plans.items()}
         seen = obstacles.message if obstacles is not None else None
         return record, self.agent.step(inputs_of(record, messages, seen, now_ns), now_ns)
+
+    def _note_board(self, now_ns: int) -> Telemetry:
+        """Return the board's telemetry, with what else is known of its depth zero and its parameters. In lockstep these are
+        the simulator's, of the same experiment."""
+        zero_m = self._zero.note(self._mavlink.telemetry)
+        if zero_m is not None:
+            self._mavlink.set_zero(zero_m)
+        if self._lockstep is not None:
+            return self._mavlink.telemetry
+        request = self._parameters.step(self._mavlink, now_ns * 1e-9)
+        if request and self.agent.mode not in LIVE:
+            self._link.send(request)
+        return replace(self._mavlink.telemetry, objection=self._parameters.objection)
 
     def _trusted_pose(self) -> Received[Pose] | None:
         """The newest pose. While two programs publish poses by turns it is the last one before: it grows old, and the robot

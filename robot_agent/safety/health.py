@@ -173,6 +173,8 @@ class HealthMonitor:
                 f"the thruster board restarted at {inputs.telemetry.power_on_depth_m:.2f} m and took its depth zero there: "
                 "restart it in air; or, if it was in air, confirm that on the robot with `robot-agent confirm-zero`"
             )
+        if inputs.telemetry.objection:
+            return inputs.telemetry.objection
         if health.pose_age_s > limit_s:
             return f"the last pose is {health.pose_age_s:.2f} s old"
         if health.identity_age_s > limit_s:

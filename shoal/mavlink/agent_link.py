@@ -16,6 +16,7 @@ from pymavlink.dialects.v20 import common as dialect
 
 from shoal.mavlink.frame_codec import MARKER, Peer
 from shoal.mavlink.framing import LOSS_WINDOW_NS, Receiver, Sender
+from shoal.mavlink.parameter_list import ParameterList
 from shoal.mavlink.power_on_depth import PowerOnDepth, ZeroOrigin
 from shoal.mavlink.signing import Key, SignatureVerdict, SignatureVerifier
 
@@ -98,6 +99,7 @@ class Telemetry:
     reset_causes: tuple[str, ...] = ()  # of the board's last reset; empty: not known
     restarted: bool = False  # the board's life did not begin with a power-on in air: its zeros are those kept from before
     zero_in_question: bool = False  # a person has to confirm the board's depth zero
+    objection: str = ""  # the reason not to arm that the robot's program found besides: of the board's parameters
     power_on_depth_m: float = 0.0  # where the board was switched on, by what it measured before; 0: not known to be deeper
     echo_us: tuple[int, ...] = ()  # what the board put out: 4 thrusters, 4 ankles
     acknowledged: tuple[int, int] | None = None  # last COMMAND_ACK: command, MAV_RESULT
@@ -189,6 +191,7 @@ class AgentLink:
         self._power_on = PowerOnDepth()
         self._reported: dict[str, int] = {}  # the last value of each field that the next report has to confirm
         self.telemetry = Telemetry()
+        self.parameters = ParameterList()  # of the board's present life
 
     @property
     def stamp(self) -> int:
@@ -238,6 +241,10 @@ class AgentLink:
         """Ask for the board's time."""
         self._asked_ns = now_ns
         return self._sender.pack(dialect.MAVLink_timesync_message(0, now_ns))
+
+    def ask_parameters(self) -> bytes:
+        """Ask for the board's parameters, or for those that are still missing."""
+        return b"".join(map(self._sender.pack, self.parameters.requests(self._robot_id, BOARD_COMPONENT)))
 
     def set_zero(self, depth_m: float) -> None:
         """Take the board's depth zero to be at this depth, whatever was seen of its restarts."""
@@ -327,6 +334,8 @@ class AgentLink:
                 return {}  # the answer to another sender's request
             count = changes.get("acknowledgements", self.telemetry.acknowledgements)
             return {"acknowledged": (message.command, message.result), "acknowledgements": count + 1}
+        if kind == "PARAM_VALUE":
+            self.parameters.note_value(message)
         if kind == "STATUSTEXT":
             texts = changes.get("texts", self.telemetry.texts)
             count = changes.get("texts_received", self.telemetry.texts_received)
@@ -364,6 +373,7 @@ class AgentLink:
         if board_ms < self._burst_ms:
             self._clocks.clear()
             self._doubted_clock = None
+            self.parameters = ParameterList()
         self._burst_ms = board_ms
         clocks = (min(self._clocks, default=None), self._doubted_clock)
         offsets_ns = [clock[1] for clock in clocks if clock is not None and clock[0] <= CLOCK_TRIP_NS]

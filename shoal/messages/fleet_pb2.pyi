@@ -461,7 +461,7 @@ class Reply(_message.Message):
     def __init__(self, robot: _Optional[int] = ..., accepted: _Optional[bool] = ..., reason: _Optional[str] = ..., mode: _Optional[_Union[Mode, str]] = ..., session: _Optional[int] = ..., silent: _Optional[bool] = ..., outcome: _Optional[_Union[Outcome, _Mapping]] = ...) -> None: ...
 
 class BoardReading(_message.Message):
-    __slots__ = ("board_ms", "arrival_ns", "heading_rad", "yaw_rate_radps", "acceleration_mps2", "depth_m", "battery_v", "armed", "echo_us", "loss", "charge", "battery_reports", "tilt", "heartbeats", "autopilot", "power_on_depth_m")
+    __slots__ = ("board_ms", "arrival_ns", "heading_rad", "yaw_rate_radps", "acceleration_mps2", "depth_m", "battery_v", "armed", "echo_us", "loss", "charge", "battery_reports", "tilt", "heartbeats", "autopilot", "power_on_depth_m", "objection")
     BOARD_MS_FIELD_NUMBER: _ClassVar[int]
     ARRIVAL_NS_FIELD_NUMBER: _ClassVar[int]
     HEADING_RAD_FIELD_NUMBER: _ClassVar[int]
@@ -478,6 +478,7 @@ class BoardReading(_message.Message):
     HEARTBEATS_FIELD_NUMBER: _ClassVar[int]
     AUTOPILOT_FIELD_NUMBER: _ClassVar[int]
     POWER_ON_DEPTH_M_FIELD_NUMBER: _ClassVar[int]
+    OBJECTION_FIELD_NUMBER: _ClassVar[int]
     board_ms: int
     arrival_ns: int
     heading_rad: float
@@ -494,7 +495,8 @@ class BoardReading(_message.Message):
     heartbeats: int
     autopilot: int
     power_on_depth_m: float
-    def __init__(self, board_ms: _Optional[int] = ..., arrival_ns: _Optional[int] = ..., heading_rad: _Optional[float] = ..., yaw_rate_radps: _Optional[float] = ..., acceleration_mps2: _Optional[_Iterable[float]] = ..., depth_m: _Optional[float] = ..., battery_v: _Optional[float] = ..., armed: _Optional[bool] = ..., echo_us: _Optional[_Iterable[int]] = ..., loss: _Optional[float] = ..., charge: _Optional[int] = ..., battery_reports: _Optional[int] = ..., tilt: _Optional[_Iterable[float]] = ..., heartbeats: _Optional[int] = ..., autopilot: _Optional[int] = ..., power_on_depth_m: _Optional[float] = ...) -> None: ...
+    objection: str
+    def __init__(self, board_ms: _Optional[int] = ..., arrival_ns: _Optional[int] = ..., heading_rad: _Optional[float] = ..., yaw_rate_radps: _Optional[float] = ..., acceleration_mps2: _Optional[_Iterable[float]] = ..., depth_m: _Optional[float] = ..., battery_v: _Optional[float] = ..., armed: _Optional[bool] = ..., echo_us: _Optional[_Iterable[int]] = ..., loss: _Optional[float] = ..., charge: _Optional[int] = ..., battery_reports: _Optional[int] = ..., tilt: _Optional[_Iterable[float]] = ..., heartbeats: _Optional[int] = ..., autopilot: _Optional[int] = ..., power_on_depth_m: _Optional[float] = ..., objection: _Optional[str] = ...) -> None: ...
 
 class StepInputs(_message.Message):
     __slots__ = ("step", "pose", "pose_instant_ns", "pose_told_age_ns", "heartbeat", "station_session", "station_stamp_ns", "station_instant_ns", "board", "plan_robots", "plan_sessions", "plan_sequences", "plan_instants_ns", "obstacles_session", "obstacles_sequence", "obstacles_instant_ns", "late_steps")

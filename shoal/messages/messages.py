@@ -384,6 +384,7 @@ class BoardReading:
     heartbeats: int = 0  # Number of HEARTBEATs received from the board; 0: none yet, or an old log.
     autopilot: int = 0  # MAV_AUTOPILOT that the board's HEARTBEAT reports: 0 or 8 for a thruster board.
     power_on_depth_m: float = 0.0  # Depth at which the board was restarted, by what it measured before; 0: not restarted.
+    objection: str = ""  # Reason not to arm that the robot's program found in the board's parameters.
 
 
 @dataclass(frozen=True, eq=False)

@@ -161,7 +161,7 @@ def connect(robot_id: int, where: str, key: Path | None, insecure: bool) -> tupl
 
 def _ask_mode(link: Link, client: ParameterClient) -> None:
     """Ask a board for its HIL_MODE until it has answered and said what it is, or HEARD_WITHIN_S are over."""
-    end_s, asked_s = time.monotonic() + HEARD_WITHIN_S, 0.0
+    end_s, asked_s = time.monotonic() + HEARD_WITHIN_S + link.first_word_s, 0.0
 
     def is_told() -> bool:
         return client.autopilot is not None and (

@@ -34,7 +34,7 @@ STILL = np.zeros(4)
 NEUTRAL, AHEAD = (1500,) * 8, (1600, 1600, 1600, 1600, 1500, 1500, 1500, 1500)
 
 
-class Tapped:
+class Tapped(Link):
     """A link to a board, with the requests to arm that were sent over it."""
 
     def __init__(self, link: Link) -> None:
