@@ -24,9 +24,9 @@ time in which a robot can turn round and stop, 3.5 s for `spherical`.
 """
 WAYS = """# Ways to fly
 
-Written by `make docs` from `sim_bridge/ways_to_fly.py`. In a pool everything is real. The table says what stands in place of
-each part in a simulated flight ([simulator.md](../simulator.md)); the water is always simulated. `--poses` takes the poses from
-the simulator in place of camera and localizer.
+Written by `make docs` from `sim_bridge/ways_to_fly.py`. In a pool everything is real. The table says what stands in place
+of each part in a simulated flight ([simulator.md](../simulator.md)); the water is always simulated. `--poses` takes the poses
+from the simulator in place of camera and localizer.
 
 """
 PARAMETERS = """# Parameters of a thruster board
