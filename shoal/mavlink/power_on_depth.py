@@ -1,8 +1,8 @@
 """Depth at which a thruster board took its zero, by its own measurements before that and by what it says. Pure.
 
-A board takes the pressure at the surface when it is switched on in air, and keeps it through all other resets (docs/board.md). One
-that says nothing about its last reset may have taken its zero where it restarted: each depth that it reports later is then too
-small by that depth.
+A board takes the pressure at the surface when it is switched on in air, and keeps it through all other resets (docs/board.md).
+One that says nothing about its last reset may have taken its zero where it restarted: each depth that it reports later is then
+too small by that depth.
 """
 
 from enum import Enum

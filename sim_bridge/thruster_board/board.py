@@ -36,9 +36,7 @@ from sim_bridge.thruster_board.board_link import (
 from sim_bridge.thruster_board.parameters import Parameters, Refusal
 from sim_bridge.thruster_board.sensor_zero import ZERO_IN_QUESTION, SensorZero, ZeroEvent, Zeros
 from sim_bridge.thruster_board.state_machine import (
-    ACCEPTED,
     INFO,
-    REJECTED,
     S_NS,
     WARNING,
     BoardStateMachine,
@@ -243,13 +241,13 @@ class ThrusterBoard:
         said = self.rules.said
         if self.rules.armed:
             said.append(StatusText(WARNING, "not calibrated: armed"))
-            return REJECTED
+            return agent_link.REJECTED
         if not self.zero.calibrate(pressure, gyro):
             said.append(StatusText(WARNING, "no depth zero is kept: take it in air"))
-            return REJECTED
+            return agent_link.REJECTED
         if not (pressure or gyro):
             said.append(StatusText(INFO, "depth zero confirmed"))
-        return ACCEPTED
+        return agent_link.ACCEPTED
 
     def _zeroed(self, reading: Reading) -> Reading:
         """Take the zeros of the sensors off a measurement, which they may be taken from."""

@@ -135,8 +135,8 @@ class SimulatedBattery:
 
 
 Event = (
-    Override | Arm | Calibrate | Heartbeat | Timesync | Unsupported | TellVersion | ListParameters | ReadParameter | SetParameter | SetKey
-    | SimulatedMotion | SimulatedBattery
+    Override | Arm | Calibrate | Heartbeat | Timesync | Unsupported | TellVersion | ListParameters | ReadParameter
+    | SetParameter | SetKey | SimulatedMotion | SimulatedBattery
 )  # fmt: skip
 
 

@@ -36,7 +36,8 @@ STEP_CYCLES = 80_000
 class HilDesk:
     """The link to a board on a desk, in HIL mode and at rest, which makes a step of 5 ms each time that it is read."""
 
-    trouble = ""
+    trouble = advice = ""
+    first_word_s = 0.0
 
     def __init__(self, robot: int, board: ThrusterBoard) -> None:
         self.board, self._now_ns = board, 0
@@ -59,7 +60,8 @@ class HilDesk:
 class MegaDesk:
     """The link to an Arduino Mega in simavr, in HIL mode and at rest, which runs for 5 ms each time that it is read."""
 
-    trouble = ""
+    trouble = advice = ""
+    first_word_s = 0.0
 
     def __init__(self, robot: int) -> None:
         build = f"build/robot-{robot}"

@@ -63,10 +63,10 @@ class Mega:
         self._library.simulation_cycle.restype = ctypes.c_uint64
         elf = elf or built("build/board.elf", compiler="avr-gcc")
         symbols = _symbols(elf)
-        self.static_bytes = (symbols["__bss_end"] & 0xFFFF) - RAM_BEGIN
+        self.static_bytes = (symbols["_end"] & 0xFFFF) - RAM_BEGIN
         self._simulation = ctypes.c_void_p(
             self._library.simulation_open(
-                str(elf).encode(), BAUD, symbols["loop_once"], symbols["hal_idle"], symbols["__bss_end"] & 0xFFFF
+                str(elf).encode(), BAUD, symbols["loop_once"], symbols["hal_idle"], symbols["_end"] & 0xFFFF
             )
         )
         assert self._simulation.value is not None
@@ -143,7 +143,7 @@ class Mega:
         self._library.simulation_reset(self._simulation, int(causes), 0, 0)
 
     def lose_power(self, torn: int = 0xFF) -> None:
-        """The supply fails, and comes back: nothing but the EEPROM outlives it, and a byte that is being written becomes `torn`."""
+        """The supply fails, and comes back: only the EEPROM outlives it; a byte that is being written becomes `torn`."""
         self._library.simulation_reset(self._simulation, int(Reset.POWER_ON | Reset.BROWN_OUT), 1, torn)
         self.power_chip(IMU)
         self.power_chip(PRESSURE)

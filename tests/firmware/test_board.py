@@ -96,8 +96,8 @@ class Speaker:
         value = draw.choice([200.0, 0.0, -1.0, 8000.0, 1900.0, float("nan"), float("inf"), 120.5])
         wanted, force = draw.choice([1, 1, 1, 0, 2, float("nan")]), draw.choice([0, 0, 0, float("nan"), 21196])
         arm = (*to, 400, 0, wanted, force, 0, 0, 0, 0, 0)
-        flag = lambda: draw.choice([0, 0, 1, float("nan"), 2])  # noqa: E731
-        calibrate = (*to, 241, 0, flag(), draw.choice([0, 0, 0, 1]), flag(), 0, 0, 0, draw.choice([0, 0, float("nan"), 1]))
+        gyro, pressure = draw.choices([0, 0, 1, float("nan"), 2], k=2)
+        calibrate = (*to, 241, 0, gyro, draw.choice([0, 0, 0, 1]), pressure, 0, 0, 0, draw.choice([0, 0, float("nan"), 1]))
         secret = draw.choice([[0] * 32, list(KEY.secret)])
         makers: list[Callable[[], dialect.MAVLink_message]] = [
             lambda: dialect.MAVLink_rc_channels_override_message(*to, *us, IGNORED, 1500, 1600, odd),
