@@ -11,7 +11,7 @@ MS_WRAPS = 2**32  # `time_boot_ms` begins at 0 again after 49.7 days
 
 
 class ZeroOrigin(Enum):
-    """Where a board says that its zero is from."""
+    """Origin of a board's zero, as the board reports it."""
 
     UNKNOWN = 0  # it says nothing
     KEPT = 1  # from before the last restart

@@ -34,15 +34,15 @@ CAUSE_NAMES = {
 
 @dataclass(frozen=True)
 class Zeros:
-    """What a board keeps without power."""
+    """Zeros of the sensors, which a board keeps without power."""
 
     surface_hpa: float  # above 1013.25 hPa
     gyro_bias_radps: float = 0.0
 
 
 @dataclass(frozen=True)
-class Start:
-    """How a life of a board began."""
+class BoardStart:
+    """Begin of a life of a board: its causes, and the zeros kept from before."""
 
     causes: int = int(ResetCause.POWER_ON)
     is_power_on: bool = True  # no RAM outlived it
@@ -55,7 +55,7 @@ class Start:
 
 
 class ZeroEvent(Enum):
-    """What a measurement has changed."""
+    """Change of the zeros by a measurement."""
 
     SAME = 0
     TAKEN = 1
@@ -64,7 +64,7 @@ class ZeroEvent(Enum):
 
 
 class _Purpose(Enum):
-    """What the pressures that come are for."""
+    """Use of the pressures that come."""
 
     JUDGE = 0
     TAKE = 1
@@ -74,7 +74,7 @@ class _Purpose(Enum):
 class SensorZero:
     """Surface pressure and gyro bias of one life of a board. Pressures are those above 1013.25 hPa."""
 
-    def __init__(self, start: Start) -> None:
+    def __init__(self, start: BoardStart) -> None:
         self.start = start
         self.surface_hpa = None if start.zeros is None else start.zeros.surface_hpa
         self.gyro_bias_radps = 0.0 if start.zeros is None else start.zeros.gyro_bias_radps
@@ -86,7 +86,7 @@ class SensorZero:
     @classmethod
     def settled(cls) -> "SensorZero":
         """Zeros of a board that was switched on in air some time ago: what its sensors measure is right."""
-        zero = cls(Start())
+        zero = cls(BoardStart())
         for _ in range(STILL_SAMPLES):
             zero.take_pressure(0.0)
             zero.take_rate(0.0)
@@ -94,7 +94,7 @@ class SensorZero:
 
     @property
     def kept(self) -> Zeros | None:
-        """What has to survive a loss of power."""
+        """The zeros to keep without power."""
         return None if self.surface_hpa is None else Zeros(self.surface_hpa, self.gyro_bias_radps)
 
     @property

@@ -15,7 +15,7 @@ from shoal.mavlink.frame_codec import Peer
 from shoal.mavlink.signing import Key
 from sim_bridge.plant.sensors import Reading
 from sim_bridge.thruster_board.parameters import Parameters
-from sim_bridge.thruster_board.sensor_zero import Start, Zeros
+from sim_bridge.thruster_board.sensor_zero import BoardStart, Zeros
 
 FIRMWARE = Path(__file__).parents[2] / "firmware"
 POOL = load_experiment("pool")
@@ -109,7 +109,7 @@ class FirmwareBoard:
         self._bytes = ctypes.create_string_buffer(OUTBOX_BYTES)
         library.library_begin(self._board, robot_id, None if key is None else key.secret, heard, sent)
 
-    def start(self, start: Start) -> None:
+    def start(self, start: BoardStart) -> None:
         """Have this life begin so."""
         zeros = start.zeros or Zeros(0.0)
         has_zeros, surface_hpa, bias = start.zeros is not None, zeros.surface_hpa, zeros.gyro_bias_radps

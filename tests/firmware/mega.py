@@ -175,7 +175,7 @@ class Mega:
         self._library.simulation_hold_bus(self._simulation, after_bytes)
 
     def measure(self, depth_m: float = 0.0, yaw_rate_radps: float = 0.0, air_hpa: float = 0.0) -> None:
-        """What the sensors measure: a depth, with the air's pressure above that in which it began, and a turn."""
+        """Have the sensors measure a depth, with the air's pressure above that in which it began, and a turn."""
         gyro = round(-yaw_rate_radps / (math.radians(1.0) / 65.5))
         raw = AIR_RAW + round(RAW_PER_M * (depth_m + air_hpa / HPA_PER_M))
         self._library.simulation_measure(self._simulation, (ctypes.c_int16 * 7)(*LEVEL[:6], gyro), raw)

@@ -15,7 +15,7 @@ from shoal.mavlink.signing import Key
 from sim_bridge.board_conformance.runner import RuleVerdict
 from sim_bridge.plant.sensors import Reading
 from sim_bridge.thruster_board.board import NonvolatileState, ThrusterBoard
-from sim_bridge.thruster_board.sensor_zero import SensorZero, Start, Zeros
+from sim_bridge.thruster_board.sensor_zero import SensorZero, BoardStart, Zeros
 from tests.firmware.bench import results
 from tests.firmware.library import POOL, FirmwareBoard, built, load
 
@@ -153,10 +153,10 @@ def unsigned(data: bytes) -> list[bytes]:
     return frames
 
 
-def start_of(draw: random.Random) -> Start:
-    """How a life begins: values are exact in single precision."""
+def start_of(draw: random.Random) -> BoardStart:
+    """A begin of a life; values are exact in single precision."""
     zeros = draw.choice([None, Zeros(draw.randint(-640, 640) / 64.0, draw.randint(-16, 16) / 64.0)])
-    return Start(draw.randrange(16), draw.random() < 0.5, zeros)
+    return BoardStart(draw.randrange(16), draw.random() < 0.5, zeros)
 
 
 def compare(library: ctypes.CDLL, seed: int) -> tuple[bool, bool]:
