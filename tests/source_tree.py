@@ -5,7 +5,6 @@ from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-GENERATED = {"shoal/messages/fleet_pb2.py"}
 
 
 def sources(*packages: str) -> list[str]:

@@ -1,18 +1,17 @@
 """bytes <-> frozen dataclass. Decoding checks everything: a message that gets through is finite, sized and typed.
 
-Our own messages map to shoal/messages/fleet.proto field by field, by name; some messages travel as foxglove.* schemas so that
-logs open in the usual viewers. A `Header` travels beside every message.
+Our own messages have protobuf classes built from them (schema.py), with the same fields; some messages travel as foxglove.*
+schemas so that logs open in the usual viewers. A `Header` travels beside every message.
 """
 
 import dataclasses
 import math
 import struct
-import types
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cache
-from typing import Any, TypeVar, Union, cast, get_args, get_origin, get_type_hints
+from typing import Any, TypeVar, cast, get_args, get_origin, get_type_hints
 
 import numpy as np
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
@@ -22,8 +21,8 @@ from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from google.protobuf.descriptor import Descriptor
 from google.protobuf.message import DecodeError as ProtobufError
 
-from shoal.messages import fleet_pb2
 from shoal.messages.messages import Command, Event, Frame, Message, OrderTaken, Picture, Preview, Trajectory, Video
+from shoal.messages.schema import message_classes, optional_message
 
 MAX_FRAME_BYTES = 64 * 1024 * 1024
 MAX_MESSAGE_BYTES = 4 * 1024 * 1024  # half an hour of trajectory at 20 Hz; anything larger is no message of ours
@@ -101,7 +100,7 @@ def _fields(cls: Any) -> tuple[tuple[str, Callable[[Any, str], Any], bool], ...]
     """Per field of a message: its name, the checked conversion from the protobuf value, and whether it may be absent."""
     hints = get_type_hints(cls)
     return tuple(
-        (f.name, _reader(hints[f.name], f.metadata), _optional_message(hints[f.name]) is not None)
+        (f.name, _reader(hints[f.name], f.metadata), optional_message(hints[f.name]) is not None)
         for f in dataclasses.fields(cls)
     )
 
@@ -144,18 +143,10 @@ def _reader(hint: Any, metadata: Any) -> Callable[[Any, str], Any]:
         return _read_text
     if get_origin(hint) is tuple:
         return lambda value, name: tuple(value)
-    nested = _optional_message(hint)
+    nested = optional_message(hint)
     if nested is not None:
         return lambda value, name: _from_protobuf(nested, value, f"{name}.")
     return lambda value, name: value
-
-
-def _optional_message(hint: Any) -> type | None:
-    if get_origin(hint) in (Union, types.UnionType):
-        for candidate in get_args(hint):
-            if dataclasses.is_dataclass(candidate) and isinstance(candidate, type):
-                return candidate
-    return None
 
 
 def _read_float(value: float, name: str) -> float:
@@ -397,9 +388,13 @@ _FOXGLOVE: dict[type, tuple[Any, Callable[[Any, int], bytes], Callable[[Any], An
 # --- the two directions
 
 
+OWN: tuple[type, ...] = tuple(cls for cls in get_args(Message) if cls not in _FOXGLOVE)
+_CLASSES = message_classes("fleet", OWN)
+
+
 def protobuf_class(cls: type) -> Any:
     """The protobuf class of messages of dataclass `cls`."""
-    return _FOXGLOVE[cls][0] if cls in _FOXGLOVE else getattr(fleet_pb2, cls.__name__)
+    return _FOXGLOVE[cls][0] if cls in _FOXGLOVE else _CLASSES[cls]
 
 
 def descriptor(cls: type) -> Descriptor:

@@ -15,7 +15,7 @@ from shoal.mavlink.signing import Key
 from sim_bridge.board_conformance.runner import RuleVerdict
 from sim_bridge.plant.sensors import Reading
 from sim_bridge.thruster_board.board import NonvolatileState, ThrusterBoard
-from sim_bridge.thruster_board.sensor_zero import SensorZero, BoardStart, Zeros
+from sim_bridge.thruster_board.sensor_zero import BoardStart, SensorZero, Zeros
 from tests.firmware.bench import results
 from tests.firmware.library import POOL, FirmwareBoard, built, load
 

@@ -35,7 +35,7 @@ from shoal.bus.bus import Bus
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
 from shoal.config.experiment import Experiment, load_experiment
 from shoal.errors import ConfigError
-from shoal.messages import codec, fleet_pb2, topics
+from shoal.messages import codec, topics
 from shoal.messages.messages import Event, Mode, Order, Outcome, Preview, Progress, RobotState, Trajectory
 from shoal.runtime.runtime import log
 from shoal.runtime.web_access import WebOptions, body_fits
@@ -612,7 +612,7 @@ def test_a_fault_of_megabytes_is_no_state_of_a_robot(lab: ServedStation) -> None
     page = lab.open()
     page.hello()
     lab.say(robot=1)
-    state_bytes = fleet_pb2.RobotState(fault="x" * 4_000_000).SerializeToString()
+    state_bytes = codec.protobuf_class(RobotState)(fault="x" * 4_000_000).SerializeToString()
     lab.robots.forward(topics.STATE, state_bytes, time.time_ns(), 1)
     seen = page.until(lambda f: state(f) and "state" in f["robots"][0])
     assert seen["robots"][0]["state"]["fault"] == "here"

@@ -14,7 +14,7 @@ from google.protobuf.message import DecodeError as ProtobufError
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shoal.messages import codec, fleet_pb2
+from shoal.messages import codec
 from shoal.messages.codec import DecodeError, Header, decode, encode
 from shoal.messages.messages import (
     Command,
@@ -88,7 +88,7 @@ def test_defaults_survive() -> None:
 
 @pytest.mark.parametrize("cls", OWN, ids=lambda cls: cls.__name__)
 def test_encoded_messages_are_those_of_protobufs_own_classes(cls: Any) -> None:
-    """Arrays are packed by our own hand. Whoever reads logs has only fleet.proto."""
+    """Arrays are packed by our own hand. Whoever reads logs has only the schema."""
     message, theirs = example(cls), codec.protobuf_class(cls).FromString(encode(example(cls)))
     assert same(_decode(cls, theirs.SerializeToString()), message)
     for field in dataclasses.fields(cls):
@@ -288,7 +288,7 @@ def test_a_picture_is_read_as_protobuf_reads_it_in_any_order(unknown: int, spare
         encode(Frame(np.arange(24, dtype=np.uint8).reshape(4, 6))),
         image(data=spare).SerializeToString(),
         image(frame_id="lens", width=6).SerializeToString(),
-        fleet_pb2.RobotState(missed_deadlines=unknown % 2**31, fault="x").SerializeToString(),
+        codec.protobuf_class(RobotState)(missed_deadlines=unknown % 2**31, fault="x").SerializeToString(),
     ]
     wire = b"".join(parts[i] for i in order)
     try:
@@ -470,7 +470,7 @@ def test_a_line_of_the_log_is_cut_where_people_stop_reading() -> None:
 def test_an_overlong_text_is_cut_by_the_sender_and_refused_by_the_receiver() -> None:
     sent = _decode(Reply, encode(Reply(1, False, "x" * 100_000)))
     assert len(sent.reason) == codec.LONGEST_TEXT
-    foreign = fleet_pb2.Reply(robot=1, reason="x" * (codec.LONGEST_TEXT + 1)).SerializeToString()
+    foreign = codec.protobuf_class(Reply)(robot=1, reason="x" * (codec.LONGEST_TEXT + 1)).SerializeToString()
     assert _refused(Reply, foreign).field == "reason"
 
 
