@@ -20,6 +20,7 @@ from robot_agent.host.board_parameters import BoardParameters, wanted_parameters
 from robot_agent.host.board_zero import BoardZero, state_folder
 from robot_agent.host.sd_notify import ServiceNotifier
 from robot_agent.host.step_clock import StepClock
+from robot_agent.host.zero_request import ZeroRequests
 from robot_agent.safety.modes import LIVE
 from robot_agent.step_record import inputs_of, record_command, record_step, station_view, with_reply
 from shoal.bus.bus import Bus, Received
@@ -78,7 +79,8 @@ class AgentNode:
         self._lockstep = Lockstep(bus, stop, self.clock) if isinstance(self.clock, LockstepClock) else None
         self._signing = signing
         self._mavlink = agent_end(robot, signing)
-        self._zero = BoardZero(None if lockstep else state_folder())
+        folder = None if lockstep else state_folder()
+        self._zero, self._zero_requests = BoardZero(folder), ZeroRequests(folder)
         self._parameters = BoardParameters(wanted_parameters(experiment))
         self._poses = bus.inbox(topics.POSE, Pose, robot)
         self._pose: Received[Pose] | None = None  # the newest that counts
@@ -260,13 +262,14 @@ class AgentNode:
 
     def _note_board(self, now_ns: int) -> Telemetry:
         """Return the board's telemetry, with what else is known of its depth zero and its parameters. In lockstep these are
-        the simulator's, of the same experiment."""
+        the simulator's, of the same experiment. Pass a person's word about the zero on."""
         zero_m = self._zero.note(self._mavlink.telemetry)
         if zero_m is not None:
             self._mavlink.set_zero(zero_m)
         if self._lockstep is not None:
             return self._mavlink.telemetry
         request = self._parameters.step(self._mavlink, now_ns * 1e-9)
+        request += self._zero_requests.step(self._mavlink)
         if request and self.agent.mode not in LIVE:
             self._link.send(request)
         return replace(self._mavlink.telemetry, objection=self._parameters.objection)

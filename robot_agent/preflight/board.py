@@ -110,11 +110,21 @@ def _board(config: AgentConfig) -> Generator[CheckFinding, None, bool]:
     simulated = ", in HIL mode: measurements are simulated" if telemetry.hil else ""
     is_zero_wrong = telemetry.depth_m < -HIGHEST_M
     zero = ", above the surface: was it switched on under water? Restart it in air" if is_zero_wrong else ""
-    on = f"on for {telemetry.board_ms / 1000.0:.0f} s (its depth counts from where it was then)"
-    sound = idle and telemetry.battery_reports and not telemetry.hil and not is_zero_wrong
+    on = f"on for {telemetry.board_ms / 1000.0:.0f} s{_start(telemetry)}"
+    sound = idle and telemetry.battery_reports and not (telemetry.hil or is_zero_wrong or telemetry.zero_in_question)
     detail = f"heard; {battery}, depth {telemetry.depth_m:.2f} m{zero}, {on}, {armed}{simulated}"
     yield CheckFinding("thruster board", CheckVerdict.OK if sound else CheckVerdict.WARN, detail)
     return idle
+
+
+def _start(telemetry: Telemetry) -> str:
+    """Text about how the board's present life began."""
+    if not telemetry.reports_start:
+        return " (its depth counts from where it was then)"
+    cause = f" after {' and '.join(telemetry.reset_causes) or 'a reset of unknown cause'}"
+    kept = ", with the zeros kept from before" if telemetry.restarted else ""
+    doubt = ", DEPTH ZERO IN QUESTION: it will not arm before `robot-agent confirm-zero`" if telemetry.zero_in_question else ""
+    return f"{cause}{kept}{doubt}"
 
 
 def read_telemetry(config: AgentConfig) -> tuple[Telemetry, str]:

@@ -17,7 +17,7 @@ from pymavlink.dialects.v20 import common as dialect
 from shoal.mavlink.frame_codec import MARKER, Peer
 from shoal.mavlink.framing import LOSS_WINDOW_NS, Receiver, Sender
 from shoal.mavlink.parameter_list import ParameterList
-from shoal.mavlink.power_on_depth import PowerOnDepth, ZeroOrigin
+from shoal.mavlink.power_on_depth import PowerOnDepth
 from shoal.mavlink.signing import Key, SignatureVerdict, SignatureVerifier
 
 BOARD_COMPONENT = 1  # MAV_COMP_ID_AUTOPILOT1
@@ -100,7 +100,7 @@ class Telemetry:
     restarted: bool = False  # the board's life did not begin with a power-on in air: its zeros are those kept from before
     zero_in_question: bool = False  # a person has to confirm the board's depth zero
     objection: str = ""  # the reason not to arm that the robot's program found besides: of the board's parameters
-    power_on_depth_m: float = 0.0  # where the board was switched on, by what it measured before; 0: not known to be deeper
+    power_on_depth_m: float = 0.0  # of a board that does not report its restarts: where it was switched on, as far as seen
     echo_us: tuple[int, ...] = ()  # what the board put out: 4 thrusters, 4 ankles
     acknowledged: tuple[int, int] | None = None  # last COMMAND_ACK: command, MAV_RESULT
     acknowledgements: int = 0
@@ -123,6 +123,11 @@ class Telemetry:
     def autopilot_name(self) -> str:
         """Name of the autopilot at the other end; empty for a thruster board, and before the first HEARTBEAT."""
         return autopilot_name(self.autopilot)
+
+    @property
+    def reports_start(self) -> bool:
+        """True if the board reports how its present life began."""
+        return bool(self.reset_causes) or self.restarted or self.zero_in_question
 
     @property
     def is_thruster_board(self) -> bool:
@@ -316,8 +321,8 @@ class AgentLink:
             told = {"armed": bool(mode & armed), "hil": bool(mode & hil), "heartbeats": count + 1}
             status, causes = message.custom_mode, RESET_CAUSES.items()
             if message.autopilot in NO_AUTOPILOT:  # an autopilot's own modes are something else
-                said = ZeroOrigin.KEPT if status & RESTARTED else ZeroOrigin.AIR if status else ZeroOrigin.UNKNOWN
-                self._power_on.note_origin(said)
+                if status:
+                    self._power_on.note_start_report()
                 told |= {
                     "reset_causes": tuple(name for bit, name in causes if status & bit),
                     "restarted": bool(status & RESTARTED),

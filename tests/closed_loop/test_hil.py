@@ -10,7 +10,6 @@ from subprocess import Popen
 import numpy as np
 import pytest
 
-from robot_agent.host.params import set_one
 from shoal.config.experiment import NO_CAMERA, Experiment, dump_experiment, load_experiment
 from shoal.mavlink.parameters import ParameterClient
 from sim_bridge.node.hil_board import HilBoard
@@ -150,8 +149,6 @@ def test_a_formation_of_boards_in_hil_mode_flies_within_its_limits_in_real_time(
     started = programs((1, 2), RunOptions(poses=True), run, address, free_base_port((1, 2)))
     children = Children(run / "logs")
     with plug(f"pty:{tmp_path}/plug", tmp_path / "kept", 1), plug(f"udp:127.0.0.1:{udp}", tmp_path / "kept", 2):
-        for where in boards.values():
-            set_one("HIL_MODE", 1.0, where)
         try:
             for program in in_hil(started, boards):
                 children.start(program.name, program.module, program.arguments)

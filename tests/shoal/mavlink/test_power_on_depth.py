@@ -3,7 +3,7 @@
 import pytest
 
 from shoal.mavlink.agent_link import AgentLink
-from shoal.mavlink.power_on_depth import MS_WRAPS, PowerOnDepth, ZeroOrigin
+from shoal.mavlink.power_on_depth import MS_WRAPS, PowerOnDepth
 from sim_bridge.thruster_board.board_link import BoardLink
 
 
@@ -39,32 +39,21 @@ def test_the_link_reports_where_a_board_was_switched_on() -> None:
     assert link.telemetry.power_on_depth_m == pytest.approx(0.2, abs=1e-3)
 
 
-def test_a_board_that_keeps_its_zero_through_a_restart_is_taken_at_its_word_whenever_it_says_so() -> None:
-    for said_after in range(1, 4):
-        power_on = told((9000, 0.25), (20, 0.0), (40, 0.0), (60, 0.5))  # it has once taken a zero at 0.25 m
-        for count, board_ms in enumerate((10, 30, 50), start=1):
-            if count == said_after:
-                power_on.note_origin(ZeroOrigin.KEPT)
-            power_on.note_burst(board_ms, 0.5)
-        assert power_on.depth_m == 0.25, said_after
-
-
-def test_a_board_that_was_switched_on_in_air_is_taken_at_its_word() -> None:
+def test_nothing_is_guessed_about_a_board_that_reports_how_its_lives_begin() -> None:
     power_on = told((9000, 1.5), (20, 0.0), (40, 0.0))
     assert power_on.depth_m == 1.5
-    power_on.note_origin(ZeroOrigin.AIR)
+    power_on.note_start_report()
+    assert power_on.depth_m == 0.0
+    power_on.note_burst(20, 1.5)
+    power_on.note_burst(40, 1.5)
     assert power_on.depth_m == 0.0
 
 
 def test_a_depth_that_was_set_stays_until_the_next_restart() -> None:
     power_on = told((9000, 0.0))
-    power_on.note_origin(ZeroOrigin.AIR)
     power_on.set_depth(0.4)
     power_on.note_burst(9020, 0.1)
     assert power_on.depth_m == 0.4
-    for board_ms in (20, 40):
-        power_on.note_burst(board_ms, 0.1)
-    assert power_on.depth_m == 0.0
 
 
 def test_the_link_reports_how_the_boards_life_began() -> None:
