@@ -47,6 +47,7 @@ class _Camera:
         self.status_header: Header | None = None  # of the last status that was looked at
         self.used_status: Received[LocalizerStatus] | None = None
         self.used_obstacles: Received[Obstacles] | None = None
+        self.trusted_obstacles: Received[Obstacles] | None = None  # the last that it sent while it was not out
 
     @property
     def is_new(self) -> bool:
@@ -173,23 +174,32 @@ class FusionNode:
         return instant_ns, self._stamps.of(name, status.header.stamp_ns, instant_ns, status.header.session)
 
     def _tell_obstacles(self, out: tuple[str, ...]) -> None:
-        """Publish the obstacles of all cameras that see and are not `out`, when one of them has told of its own."""
+        """Publish the obstacles of all cameras when one that sees and is not `out` has told of its own. What those that are
+        out, or silent, saw before goes on being told with its age."""
         new: list[tuple[int, int]] = []  # instant and stamp
         for name, camera in self._cameras.items():
             obstacles = camera.obstacles.newest(self._up_to_ns[name][1] if name in self._up_to_ns else None)
             if obstacles is not None and obstacles is not camera.used_obstacles:
                 camera.used_obstacles = obstacles
                 if name not in out:
+                    camera.trusted_obstacles = obstacles
                     stamp_ns = self._stamps.carried(name, obstacles.header.stamp_ns, obstacles.header.session)
                     new.append((self._clock.instant_ns(obstacles), stamp_ns))
         if not new:
             return
         newest_ns, stamp_ns = max(new)
-        newest = {name: camera.used_obstacles for name, camera in self._cameras.items() if name not in out}
-        limit_s = topics.OBSTACLES.max_age_s
-        fresh = {name: last.message for name, last in newest.items() if last and age_s(self._clock, last) <= limit_s}
+        fresh: dict[str, Obstacles] = {}
+        before: dict[str, tuple[Obstacles, float]] = {}
+        for name, camera in self._cameras.items():
+            trusted = camera.trusted_obstacles
+            if trusted is None:
+                continue
+            if name not in out and age_s(self._clock, trusted) <= topics.OBSTACLES.max_age_s:
+                fresh[name] = trusted.message
+            else:
+                before[name] = trusted.message, max((newest_ns - self._clock.instant_ns(trusted)) * 1e-9, 0.0)
         self._obstacles_ns = stamp_ns
-        fused = fuse_obstacles(fresh, tuple(self._cameras))
+        fused = fuse_obstacles(fresh, tuple(self._cameras), before)
         age_ns = max(self._clock.now_ns() - newest_ns, 0)
         self._bus.publish(topics.OBSTACLES, fused, self._obstacles_ns, age_ns=age_ns)
 

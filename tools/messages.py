@@ -29,13 +29,13 @@ def field_comments(cls: type) -> dict[str, str]:
     source = inspect.getsource(cls)
     body = ast.parse(source).body[0]
     assert isinstance(body, ast.ClassDef)
-    found = {}
+    comments = {}
     for node in body.body:
         target = node.target if isinstance(node, ast.AnnAssign) else node.targets[0] if isinstance(node, ast.Assign) else None
         if isinstance(target, ast.Name):
             _, _, comment = source.splitlines()[node.lineno - 1].partition("#")
-            found[target.id] = comment.strip()
-    return found
+            comments[target.id] = comment.strip()
+    return comments
 
 
 def _type(hint: Any, metadata: Any) -> str:
@@ -82,8 +82,8 @@ def _choices(cls: type[enum.IntEnum]) -> Iterator[str]:
 
 
 def _enums() -> list[type[enum.IntEnum]]:
-    found = (v for v in vars(messages).values() if isinstance(v, type) and issubclass(v, enum.IntEnum))
-    return [cls for cls in found if cls is not enum.IntEnum]
+    enums = (v for v in vars(messages).values() if isinstance(v, type) and issubclass(v, enum.IntEnum))
+    return [cls for cls in enums if cls is not enum.IntEnum]
 
 
 def page() -> str:

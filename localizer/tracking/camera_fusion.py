@@ -30,11 +30,13 @@ from localizer.tracking.kalman import GATE, KalmanState, initial_state, predict,
 from shoal.config.experiment import Experiment
 from shoal.frames import Array, wrap
 from shoal.messages.messages import CameraHealth, LocalizerStatus, Obstacles, Pose, Track
+from shoal.messages.obstacle_memory import ages_s
 
 _FOLLOWED_S = 1.0  # s after which a camera that has not been within a robot's motion is not said to have left it
 _LONGEST_STEP = 2.0  # periods between pictures that count against a camera or for it; a longer gap proves nothing more
 _FORGET_S = 2.0  # s in which the square of a doubt falls to 1/e once the cameras agree again
 _FORGET_ALONE_S = 10.0  # s of the same while no robot is seen by two of them: one misread marker costs no more
+_REMEMBERED_S = 60.0  # s for which an obstacle of a camera that is out counts: longer bars a place that is free again
 _TOLD_DOUBT_M = 0.005  # m, least doubt in the poses that the operator is told of
 
 
@@ -272,19 +274,22 @@ def covariance_intersection(parts: Sequence[tuple[Array, Array]]) -> tuple[Array
     return mean, 0.5 * (covariance + covariance.T) + scatter
 
 
-def fuse_obstacles(by_camera: Mapping[str, Obstacles], cameras: Sequence[str]) -> Obstacles:
+def fuse_obstacles(
+    by_camera: Mapping[str, Obstacles], cameras: Sequence[str], before: Mapping[str, tuple[Obstacles, float]] | None = None
+) -> Obstacles:
     """The obstacles of all cameras in one list, from those of the cameras that see; one that two of them see is told by the
-    first. Numbers stay apart: that of camera k of n is n times its own plus k."""
+    first. Numbers stay apart: that of camera k of n is n times its own plus k. `before`: the last lists of the cameras that
+    are out, with their ages in s: what they saw stays in the list with its age, and those who read it let it grow."""
+    lists = [(k, fresh, 0.0) for k, name in enumerate(cameras) if (fresh := by_camera.get(name)) is not None]
+    lists += [(k, *(before or {})[name]) for k, name in enumerate(cameras) if name in (before or {})]
     rows: list[tuple[int, Array, Array, float]] = []
-    for k, name in enumerate(cameras):
-        obstacles = by_camera.get(name)
-        if obstacles is None:
-            continue
-        unseen_s = obstacles.unseen_s if len(obstacles.unseen_s) else np.zeros(len(obstacles.ids))
+    for k, obstacles, since_s in lists:
         earlier = [outline for _, outline, _, _ in rows]
+        unseen_s = ages_s(obstacles, since_s)
         for number, outline, velocity, s in zip(obstacles.ids, obstacles.outline, obstacles.velocity, unseen_s, strict=True):
-            if not any(_inside(outline.mean(axis=0), other) or _inside(other.mean(axis=0), outline) for other in earlier):
-                rows.append((number * len(cameras) + k, outline, velocity, float(s)))
+            known = any(_inside(outline.mean(axis=0), other) or _inside(other.mean(axis=0), outline) for other in earlier)
+            if not known and (s <= _REMEMBERED_S or since_s == 0.0):
+                rows.append((number * len(cameras) + k, outline, velocity, s))
     return Obstacles(
         ids=tuple(row[0] for row in rows),
         outline=np.array([row[1] for row in rows]).reshape(-1, 12, 2),

@@ -67,24 +67,24 @@ class BoardParameters:
         """Take in what has come. Returns the request to send: none while values come, and once all have."""
         if not link.telemetry.is_thruster_board:
             return b""
-        told = link.parameters
-        if self._seen is None or self._seen[0] is not told or self._seen[1] != told.told:
-            self._changed_s = now_s if told.told else -math.inf
-            self._seen, self.objection = (told, told.told), self._judge(told)
-        if told.is_complete or now_s - self._changed_s < AGAIN_S:
+        reported = link.parameters
+        if self._seen is None or self._seen[0] is not reported or self._seen[1] != reported.value_count:
+            self._changed_s = now_s if reported.value_count else -math.inf
+            self._seen, self.objection = (reported, reported.value_count), self._judge(reported)
+        if reported.is_complete or now_s - self._changed_s < AGAIN_S:
             return b""
         self._changed_s = now_s
         return link.ask_parameters()
 
-    def _judge(self, told: ParameterList) -> str:
-        if not told.is_complete:
-            of = f"{len(told.values)} of {told.count}" if told.count else "none"
+    def _judge(self, reported: ParameterList) -> str:
+        if not reported.is_complete:
+            of = f"{len(reported.values)} of {reported.count}" if reported.count else "none"
             return f"the thruster board's parameters are not known yet: {of} so far"
-        found = [str(difference) for difference in compare(told.values, self._wanted) if difference.matters]
-        if not found:
+        differences = [str(difference) for difference in compare(reported.values, self._wanted) if difference.matters]
+        if not differences:
             return ""
-        more = f" and {len(found) - LISTED} more" if len(found) > LISTED else ""
+        more = f" and {len(differences) - LISTED} more" if len(differences) > LISTED else ""
         return (
-            f"the thruster board's parameters are not the experiment's: {', '.join(found[:LISTED])}{more} "
+            f"the thruster board's parameters are not the experiment's: {', '.join(differences[:LISTED])}{more} "
             "(robot-agent check lists all, robot-agent params set changes one)"
         )

@@ -260,8 +260,8 @@ def _keep_dtr(descriptor: int) -> None:
 
 def _resolved(host: str) -> tuple[socket.AddressFamily, str]:
     """The address of a host, IPv4 where it has both, as simulated boards do. Raises OSError if it has none."""
-    found = socket.getaddrinfo(host, None, type=socket.SOCK_DGRAM)
-    family, _, _, _, place = min(found, key=lambda entry: entry[0] != socket.AF_INET)
+    places = socket.getaddrinfo(host, None, type=socket.SOCK_DGRAM)
+    family, _, _, _, place = min(places, key=lambda entry: entry[0] != socket.AF_INET)
     return family, str(place[0])
 
 

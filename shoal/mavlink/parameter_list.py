@@ -9,11 +9,11 @@ ASKED_AT_ONCE = 8  # that are missing: answers go out at once, and must not crow
 
 
 class ParameterList:
-    """The values that a board has told, by name."""
+    """The values that a board has reported, by name."""
 
     def __init__(self) -> None:
         self.values: dict[str, float] = {}
-        self.told = 0  # values that came, the same again too
+        self.value_count = 0  # values that came, the same again too
         self.count: int | None = None  # of all; None before the first of the list
         self._by_index: dict[int, str] = {}
 
@@ -25,7 +25,7 @@ class ParameterList:
             self.count = message.param_count
             self._by_index[message.param_index] = message.param_id
         self.values[message.param_id] = message.param_value
-        self.told += 1
+        self.value_count += 1
 
     @property
     def is_complete(self) -> bool:

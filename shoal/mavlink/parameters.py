@@ -28,14 +28,14 @@ class ParameterClient:
         self.robot_id = robot_id
         self._sender = Sender(STATION, key, lambda: max(now(), verifier.newest + 1))
         self._receiver = Receiver(self._is_board, verifier)
-        self.heard = False
+        self.has_answered = False
         self.autopilot: str | None = (
             None  # name of the autopilot at the other end; empty: a thruster board; None: not known yet
         )
         self._others: set[int] = set()  # robots whose boards speak on the link as well
         self._key = key
         self._list = ParameterList()
-        self.said = ""  # the board's last words
+        self.last_words = ""  # the board's last words
         self.error: tuple[str, int] | None = None  # last PARAM_ERROR: of which parameter, MAV_PARAM_ERROR
 
     def _is_board(self, peer: Peer) -> bool:
@@ -80,9 +80,9 @@ class ParameterClient:
         return self._list.values
 
     @property
-    def told(self) -> int:
+    def value_count(self) -> int:
         """Number of values that came, the same again too."""
-        return self._list.told
+        return self._list.value_count
 
     @property
     def complete(self) -> bool:
@@ -97,7 +97,7 @@ class ParameterClient:
 
     def silence(self, trouble: str = "") -> str:
         """The reason why no board is heard, from what has come or else the link's `trouble`; empty if one is heard."""
-        if self.heard:
+        if self.has_answered:
             return ""
         if self._others:
             return f"heard: the board of robot {min(self._others)}, not that of robot {self.robot_id}"
@@ -119,7 +119,7 @@ class ParameterClient:
 
     def _read(self, message: Any) -> None:
         kind = message.get_type()
-        self.heard = True
+        self.has_answered = True
         if kind == "HEARTBEAT":
             self.robot_id = message.get_srcSystem()  # the one that is wanted, if one is
             self.autopilot = autopilot_name(message.autopilot)
@@ -128,4 +128,4 @@ class ParameterClient:
         if kind == "PARAM_ERROR" and (message.target_system, message.target_component) == STATION:
             self.error = (message.param_id, message.error)
         if kind == "STATUSTEXT":
-            self.said = message.text
+            self.last_words = message.text

@@ -28,7 +28,7 @@ MAX_FRAME_BYTES = 64 * 1024 * 1024
 MAX_MESSAGE_BYTES = 4 * 1024 * 1024  # half an hour of trajectory at 20 Hz; anything larger is no message of ours
 MAX_SMALL_BYTES = 64 * 1024  # without path or picture: a plan of 200 nodes has 13 kB, 290 obstacles fill it
 WRENCH_AXES = (3, 4)  # numbers of a wrench, without and with sway
-MAX_EVENT_BYTES = 16 * 1024  # of a line of the log: logs of earlier versions hold lines of 5 kB
+MAX_EVENT_BYTES = 16 * 1024  # of a line of the log: LONGEST_LINE characters, their source and more
 LONGEST_LINE = 1000  # characters of a line of the log; the rest is cut off
 LONGEST_TEXT = 8000  # characters of any other text, for example every reason that keeps fifty robots from arming
 SHARED = "shared_memory"  # encoding of a picture whose pixels are in a ring of frames (shoal/bus/frame_ring.py)
@@ -123,12 +123,6 @@ def _numbers(cls: Any) -> tuple[str, ...]:
     return tuple(f.name for f in dataclasses.fields(cls) if f.metadata.get("each_row"))
 
 
-@cache
-def _later(cls: Any) -> frozenset[str]:
-    """Names of those that messages of earlier versions do not have."""
-    return frozenset(f.name for f in dataclasses.fields(cls) if f.metadata.get("later"))
-
-
 def _reader(hint: Any, metadata: Any) -> Callable[[Any, str], Any]:
     """The function that reads and checks a field of such a type from protobuf."""
     if metadata.get("wrench"):
@@ -213,8 +207,6 @@ def _from_protobuf(cls: type[M], message: Any, prefix: str = "") -> M:
         in_rows = not set(wrenches).isdisjoint((first, *others))  # one for each row of the message's arrays, or one in all
         _shape_wrenches(values, wrenches, len(values[first]) if in_rows else None, prefix)
     for name in others:
-        if len(values[name]) == 0 and name in _later(cast(Any, cls)):
-            values[name] = np.zeros((len(values[first]), *values[name].shape[1:]))
         if len(values[name]) != len(values[first]):
             raise _Invalid(prefix + name, f"{len(values[name])} rows, but {first} has {len(values[first])}")
     for name in _numbers(cast(Any, cls)):

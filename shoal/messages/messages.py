@@ -34,12 +34,6 @@ def wrench_array(*rows: int) -> Any:
     return field(default_factory=lambda: np.zeros(empty), metadata={"shape": (*rows, 3), "wrench": True})
 
 
-def later_array(*shape: int) -> Any:
-    """An array field added later. Messages of earlier versions lack it and get one zero for each row of the other arrays."""
-    empty = tuple(0 if n == -1 else n for n in shape)
-    return field(default_factory=lambda: np.zeros(empty), metadata={"shape": shape, "later": True})
-
-
 def row_numbers() -> Any:
     """A field of integers, one for each row of the message's arrays: the id that the row belongs to."""
     return field(default=(), metadata={"each_row": True})
@@ -187,7 +181,7 @@ class LocalizerStatus:
     out: Annotated[tuple[str, ...], 10] = ()  # Of several cameras, the names of those that give no poses now.
     moved: Annotated[bool, 11] = False  # Whether check marks show that the camera was moved.
     marks_seen: Annotated[bool, 12] = False  # Most check marks are seen: only then is a moved camera known to be back.
-    code: Annotated[str, 13] = ""  # Version and commit of the localizer's program; empty in messages of earlier versions.
+    code: Annotated[str, 13] = ""  # Version and commit of the localizer's program.
     experiment_hash: Annotated[str, 14] = ""  # Of the experiment whose markers and camera its poses rest on.
 
 
@@ -205,7 +199,7 @@ class Obstacles:
     depth_m: Annotated[float, 4] = 0.0  # Assumed depth: that of the robots' path, where an obstacle would be in their way.
     watched: Annotated[float, 5] = 0.0  # Share of the pool that can be judged, 0 to 1. The list says nothing about the rest.
     blind: Annotated[str, 6] = ""  # Reason why too little of the pool can be judged for the list to count.
-    unseen_s: Annotated[Array, 7] = later_array(-1)  # Time since each obstacle was last seen. The other fields are as of then.
+    unseen_s: Annotated[Array, 7] = array(-1)  # Time since each obstacle was last seen. The other fields are as of then.
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,7 +221,7 @@ class RobotState:
 
     mode: Annotated[Mode, 1] = Mode.DISARMED
     fault: Annotated[str, 2] = ""  # Reason why the robot holds, stopped or failed; empty if there is none.
-    guidance: Annotated[Guidance, 46] = Guidance.NONE  # What decides the robot's motion; NONE in messages of earlier versions.
+    guidance: Annotated[Guidance, 46] = Guidance.NONE  # What decides the robot's motion.
     experiment_hash: Annotated[str, 3] = ""
     tuning_id: Annotated[str, 32] = ""  # Id of the gains in use.
     trajectory_s: Annotated[float, 4] = 0.0  # Time along the trajectory; 0 until it is started.
@@ -265,7 +259,7 @@ class RobotState:
     blind: Annotated[str, 40] = ""  # Reason why obstacles are unknown although they should be watched for.
     drag_ratio: Annotated[float, 42] = 0.0  # Learned drag per mass over the vehicle file's; 0 if it is not learned.
     thrust_ratio: Annotated[float, 43] = 0.0  # The same of thrust per mass.
-    code: Annotated[str, 44] = ""  # Version and commit of the robot's program; empty in messages of earlier versions.
+    code: Annotated[str, 44] = ""  # Version and commit of the robot's program.
 
     @property
     def doing(self) -> str:
@@ -285,8 +279,11 @@ class StationHeartbeat:
     lag_s: Annotated[float, 4] = 0.0  # Delay of the virtual structure behind its timetable at the header's stamp.
     slowing: Annotated[float, 5] = 0.0  # Rate at which lag_s grows, s/s: 0 at full speed, 1 at standstill.
     planned: Annotated[tuple[Uint32, ...], 6] = ()  # Robots that published a plan in their last step.
-    code: Annotated[str, 7] = ""  # Version and commit of the station's program; empty in messages of earlier versions.
+    code: Annotated[str, 7] = ""  # Version and commit of the station's program.
     out: Annotated[tuple[Uint32, ...], 8] = ()  # Robots that have been taken out of the water: nobody keeps clear of them.
+
+
+ALONE = "alone-"  # begins the id of a trajectory that one robot flies on its own, and whose clock is its own
 
 
 @dataclass(frozen=True, eq=False)
@@ -397,7 +394,7 @@ class BoardReading:
 class StepInputs:
     """All inputs of a robot's control step. The header's stamp is the step's instant.
 
-    With the plans and the obstacles that it names, and the commands, the step can be repeated (`groundstation log rerun`).
+    With the plans and the obstacles that it names, and the commands, the step can be repeated (`sim-bridge rerun`).
     Instants are on the robot's clock."""
 
     step: Annotated[Uint32, 1]  # Number of the step, 0, 1, 2 ..., since the robot's program began or met a new station.

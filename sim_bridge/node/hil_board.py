@@ -144,8 +144,7 @@ def not_in_hil(where: str) -> str:
 
 def connect(robot_id: int, where: str, key: Path | None, insecure: bool) -> tuple[Link, Signing | None]:
     """Open the link to a real board and have it enter HIL mode: opening may reset a board, and a start leaves that mode.
-    Raises
-    ConfigError with the reason why it cannot be used."""
+    Raises ConfigError with the reason why it cannot be used."""
     signing = Signing.of(key, "hil", LINK_ID) if key is not None else None
     link = open_link(where, secured=signing is not None or insecure, option=f"--board {robot_id}")
     client = ParameterClient(robot_id) if signing is None else ParameterClient(robot_id, signing.key, signing.stamps)
@@ -174,4 +173,4 @@ def _set_mode(link: Link, client: ParameterClient) -> None:
 def _refusal(client: ParameterClient) -> str:
     if client.error is not None and client.error[1] == DOES_NOT_EXIST:
         return "the board has no HIL mode"
-    return f"the board does not enter HIL mode{client.said and ': '}{client.said}"
+    return f"the board does not enter HIL mode{client.last_words and ': '}{client.last_words}"

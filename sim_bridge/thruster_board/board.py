@@ -142,7 +142,7 @@ class ThrusterBoard:
         self._simulated: SimulatedSensors | None = None  # in HIL mode
         self.zero = zero or SensorZero.settled()
         if not self.zero.start.is_power_on:
-            self.rules.said.append(StatusText(WARNING, f"restarted: {self.zero.start.cause_name}"))
+            self.rules.texts.append(StatusText(WARNING, f"restarted: {self.zero.start.cause_name}"))
         self._told = (False, False, self._status())  # armed, in HIL mode, the zero
         self._stored_heard = stored.heard
         self._last_step_ns: int | None = None
@@ -238,7 +238,7 @@ class ThrusterBoard:
 
     def _calibrate(self, pressure: bool, gyro: bool) -> int:
         """Have the zeros confirmed or taken anew, for a person; returns the MAV_RESULT."""
-        said = self.rules.said
+        said = self.rules.texts
         if self.rules.armed:
             said.append(StatusText(WARNING, "not calibrated: armed"))
             return agent_link.REJECTED
@@ -251,7 +251,7 @@ class ThrusterBoard:
 
     def _zeroed(self, reading: Reading) -> Reading:
         """Take the zeros of the sensors off a measurement, which they may be taken from."""
-        zero, said = self.zero, self.rules.said
+        zero, said = self.zero, self.rules.texts
         event = zero.take_pressure(reading.depth_m * HPA_PER_M)
         if event is ZeroEvent.TAKEN:
             said.append(StatusText(INFO, "depth zero taken"))
@@ -357,8 +357,8 @@ class ThrusterBoard:
 
     def _report_status(self) -> None:
         """Send the texts and the changes of arming, of HIL mode and of the zero that are due."""
-        self._outbox += [self.link.text(said.severity, said.text) for said in self.rules.said]
-        self.rules.said.clear()
+        self._outbox += [self.link.text(text.severity, text.text) for text in self.rules.texts]
+        self.rules.texts.clear()
         if (now := (self.rules.armed, self.link.hil, self._status())) != self._told:
             self._told = now
             self._outbox.append(self._heartbeat())

@@ -62,14 +62,14 @@ class Speaker:
         keys = [key, OTHER if key else key, key and Key(key.secret, 3), None, OTHER, key and Key(key.secret, 4)]
         peers = [(1, 191), (1, 191), (255, 190), (1, 191), (2, 191), (1, 200)]
         self._senders = [Sender(peer, each, lambda: self._stamp) for peer, each in zip(peers, keys, strict=True)]
-        self._said: list[bytes] = [b""]
+        self._frames: list[bytes] = [b""]
 
     def frame(self) -> bytes:
         """One frame, or something like one."""
         draw = self._draw
         kind = draw.random()
         if kind < 0.05:
-            return draw.choice(self._said)  # again
+            return draw.choice(self._frames)  # again
         if kind < 0.1:
             return bytes(draw.choice([0xFD, 0, 1, 9, draw.randrange(256)]) for _ in range(draw.randrange(40)))
         message = self._message()
@@ -77,7 +77,7 @@ class Speaker:
         sender = usual if draw.random() < 0.8 else draw.choice(self._senders)
         self._stamp += draw.choice([0, 1, 1, 100, 10_000])
         data = sender.pack(message)
-        self._said.append(data)
+        self._frames.append(data)
         if kind < 0.16:
             broken = bytearray(data)
             broken[draw.randrange(len(data))] ^= 1 << draw.randrange(8)
@@ -182,10 +182,10 @@ def compare(library: ctypes.CDLL, seed: int) -> tuple[bool, bool]:
             together |= reference.link.taken_frames > taken + 1
         now_ns += 1000 * draw.choice([1, 100, 5000, 5000, 60_000, 300_000])
         sensors.draw(draw)
-        taken, expected = reference.link.taken_frames, reference.step(now_ns, STILL, STILL, STILL)
-        told = board.step(now_ns, sensors.reading, sensors.voltage_v)
+        taken, answer = reference.link.taken_frames, reference.step(now_ns, STILL, STILL, STILL)
+        firmware_answer = board.step(now_ns, sensors.reading, sensors.voltage_v)
         together |= reference.link.taken_frames > taken + 1
-        assert told == expected or (together and unsigned(told) == unsigned(expected)), (seed, count)
+        assert firmware_answer == answer or (together and unsigned(firmware_answer) == unsigned(answer)), (seed, count)
         assert board.pulses == reference.pulses, (seed, count)
         armed |= board.armed
         hil |= reference.armed and reference.link.hil
