@@ -136,6 +136,10 @@ class Mega:
         self._library.simulation_eeprom(self._simulation, memory, 0)
         return memory.raw
 
+    @eeprom.setter
+    def eeprom(self, memory: bytes) -> None:
+        self._library.simulation_eeprom(self._simulation, ctypes.create_string_buffer(memory, EEPROM_BYTES), 1)
+
     # --- what is done to it
 
     def reset(self, causes: Reset = Reset.BROWN_OUT) -> None:
