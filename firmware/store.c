@@ -69,7 +69,9 @@ static bool read_newest(struct store *store, uint8_t area) {
         }
         found = true;
     }
-    return found && read_record(store->record, address_of(area, store->slot[area]), AREA[area].bytes);
+    if (found)
+        read_record(store->record, address_of(area, store->slot[area]), AREA[area].bytes);
+    return found;
 }
 
 /* How many places of settings are not as a new or erased memory has them. */

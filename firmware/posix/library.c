@@ -23,7 +23,12 @@ void library_cut(uint32_t write, uint8_t value) {
     torn = value;
 }
 
-bool hal_eeprom_busy(void) { return false; }
+static bool is_busy;
+
+/* A byte is being written, or no longer. */
+void library_busy(bool busy) { is_busy = busy; }
+
+bool hal_eeprom_busy(void) { return is_busy; }
 
 uint8_t hal_eeprom_read(uint16_t address) { return eeprom[address]; }
 

@@ -119,7 +119,8 @@ class Parameters:
     def of(cls, experiment: Experiment) -> "Parameters":
         """The parameters of the experiment's vehicle and board."""
         values = experiment.sim.board.parameters(experiment.vehicle)
-        table = FIXED + _curve(len(experiment.vehicle.thruster.curve))
+        fixed = (replace(row, low=values[row.name]) if row.name == "THR_COUNT" else row for row in FIXED)
+        table = (*fixed, *_curve(len(experiment.vehicle.thruster.curve)))
         built = tuple(single(values[row.name]) for row in table)
         return cls(table, built, built)
 
@@ -153,12 +154,11 @@ class Parameters:
 
     def _has_safe_neutral(self) -> bool:
         """True if no thruster of the vehicle for which the firmware was built pushes at neutral, by the present curve and by
-        that vehicle's own: a wrong curve must not make a disarmed board push, nor a wrong count have a thruster hold its
-        thrust."""
+        that vehicle's own: a wrong curve must not make a disarmed board push. (A count below the vehicle's, which would have a
+        thruster hold its thrust, is out of range.)"""
         trims_us = (0.0, *self.trims_us[: self.thrusters])
         zones = self.dead_zone_us, _dead_zone_us(self.built)
-        still = all(low <= self.neutral_us + trim <= high for trim in trims_us for low, high in zones)
-        return still and self.thrusters >= self.built[self.index["THR_COUNT"]]
+        return all(low <= self.neutral_us + trim <= high for trim in trims_us for low, high in zones)
 
     @cached_property
     def index(self) -> Mapping[str, int]:

@@ -82,6 +82,8 @@ def load(path: Path) -> ctypes.CDLL:
         "library_eeprom": (ctypes.POINTER(ctypes.c_uint8), []),
         "library_cut": (None, [ctypes.c_uint32, ctypes.c_uint8]),
         "library_store_bytes": (ctypes.c_uint32, []),
+        "library_busy": (None, [ctypes.c_bool]),
+        "board_step": (None, [board, time_us, ctypes.POINTER(CReading)]),
         "library_boot": (None, [board, board, ctypes.c_uint8]),
         "library_put": (None, [board, ctypes.c_char_p, u16, time_us]),
         "library_pass": (None, [board, board, time_us]),
