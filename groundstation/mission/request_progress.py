@@ -76,6 +76,7 @@ GOALS: dict[Order, RequestGoal] = {
     Order.HOLD: RequestGoal(frozenset(), frozenset({MissionState.PAUSED}), _in(Mode.HOLDING), repeats=True, moving=True),
     Order.RESUME: RequestGoal(_FROM_REST | {MissionState.RESUMING}, IN_FLIGHT, _in(Mode.TRACKING)),
     Order.GO: RequestGoal(frozenset({MissionState.SWITCHING}), NOMINAL, _in(Mode.TRACKING), new_segment=True),
+    Order.FORMATION: RequestGoal(_FROM_REST | {MissionState.SWITCHING}, NOMINAL, _in(Mode.TRACKING), new_segment=True),
     Order.RETURN: RequestGoal(
         _FROM_REST | IN_FLIGHT | {MissionState.ENDING},
         frozenset({MissionState.DONE}),
@@ -134,7 +135,7 @@ class RequestTracker:
         same request; another one takes its place."""
         gains = order in TUNING
         for request in [r for r in self._open if r.task is None and (r.order in TUNING) is gains]:
-            if request.order is order and order not in (Order.GO, Order.TUNE):
+            if request.order is order and order not in (Order.GO, Order.FORMATION, Order.TUNE):
                 return request.number
             self._open.remove(request)
             self._record(request, mission, Progress.FAILED, f"{order.name} was asked for instead")

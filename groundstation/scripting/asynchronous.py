@@ -41,6 +41,9 @@ class AsyncFleet:
     async def go(self, *places_m: tuple[float, float], wait_s: float | None = None, robot: int = WHOLE_FLEET) -> Outcome:
         return await asyncio.to_thread(self.blocking.go, *places_m, wait_s=wait_s, robot=robot)
 
+    async def formation(self, form: str, wait_s: float | None = None) -> Outcome:
+        return await asyncio.to_thread(self.blocking.formation, form, wait_s)
+
     async def hold(self, wait_s: float | None = None, robot: int = WHOLE_FLEET) -> Outcome:
         return await asyncio.to_thread(self.blocking.hold, wait_s, robot)
 

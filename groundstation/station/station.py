@@ -20,7 +20,7 @@ from groundstation.mission.mission import Mission
 from groundstation.mission.objections import LIVE
 from groundstation.mission.obstacle_monitor import ObstacleSet, obstacle_set
 from groundstation.mission.plan_manager import PlanRequest
-from groundstation.mission.state_machine import READY, MissionState, in_words
+from groundstation.mission.state_machine import READY, MissionState, in_words, rejection_reason
 from groundstation.mission.station_core import StationCore
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.prioritized_planning import OutOfTime
@@ -259,21 +259,38 @@ class Station:
             keys = dict(zip(command.tuning.keys, command.tuning.values.tolist(), strict=False))
             reason, number = self.request_gains(keys or None, next_lap=False)
         else:
-            reason, number = self.request(command.order, [(x, y) for x, y in command.via.tolist()], command.robot)
+            reason, number = self.request(
+                command.order, [(x, y) for x, y in command.via.tolist()], command.robot, command.form
+            )
         outcome = self.requests.outcome(number) if not reason else None
         return Reply(WHOLE_FLEET, not reason, reason, outcome=outcome)
 
-    def request(self, order: Order, via: Sequence[tuple[float, float]] = (), only: int = WHOLE_FLEET) -> tuple[str, int]:
+    def request(
+        self, order: Order, via: Sequence[tuple[float, float]] = (), only: int = WHOLE_FLEET, form: str = ""
+    ) -> tuple[str, int]:
         """Take an operator's request for the whole fleet, or for the robot `only`; a STOP is for everybody. Returns the reason
         of a refusal, or nothing, and the request's number."""
         with self.lock:
-            reason, number = self.core.request(order, self.seen, self.clock.now_ns(), via, only)
+            reason, number = self.core.request(order, self.seen, self.clock.now_ns(), via, only, form)
             self.asked_s = time.monotonic()
         if order in PROMPT and not reason:
             self.wake.set()
-        asked = f"{order.name} for robot {only}" if only and order is not Order.STOP else order.name
+        asked = f"{order.name} for robot {only}" if only and order is not Order.STOP else f"{order.name} {form}".strip()
         log.info("%s %s", asked, f"refused: {reason}" if reason else "asked for")
         return reason, number
+
+    def plan_form(self, form: str) -> PlanSegment:
+        """Plan another form of the formation without flying it. Raises PlanError with the reason for which it cannot be."""
+        with self.lock:
+            mission = self.mission
+            reason = rejection_reason(Order.FORMATION, mission.state) or mission.objection(
+                Order.FORMATION, self.seen, form=form
+            )
+            holds = mission.state is MissionState.PAUSED
+            make = mission.plans.draft_form(form, self.seen, self.clock.now_ns(), holds) if not reason else None
+        if make is None:
+            raise PlanError(reason)
+        return make()
 
     def drive(self, robot: int, velocity: DriveVelocity) -> str:
         """Take a person's newest velocity for one robot. Returns the reason of a refusal, or nothing."""

@@ -8,6 +8,7 @@ from typing import Any, Protocol
 from groundstation.mission.gain_update import GainStatus
 from groundstation.mission.lap_statistics import Lap
 from groundstation.mission.state_machine import MissionState
+from groundstation.planning.segment import PlanSegment
 from groundstation.telemetry import Finding, Fleet
 from groundstation.web.protocol import Edit
 from shoal.config.experiment import Experiment
@@ -47,7 +48,12 @@ class OperatorRequests(Protocol):
     """Requests for the whole fleet, or for the robot `only`. Each returns the reason of a refusal, or nothing, and the
     request's number."""
 
-    def request(self, order: Order, via: Sequence[tuple[float, float]] = (), only: int = WHOLE_FLEET) -> tuple[str, int]: ...
+    def request(
+        self, order: Order, via: Sequence[tuple[float, float]] = (), only: int = WHOLE_FLEET, form: str = ""
+    ) -> tuple[str, int]: ...
+    def plan_form(self, form: str) -> PlanSegment:
+        """Plan another form without flying it. Raises PlanError."""
+
     def drive(self, robot: int, velocity: DriveVelocity) -> str:
         """Move one robot at a velocity; it holds when none comes any more. Returns the reason of a refusal, or nothing."""
 

@@ -17,6 +17,8 @@ from groundstation.formation_clock import FormationPlans
 from groundstation.logs.reader import open_log
 from groundstation.logs.session_clocks import held_ns as held_ns_of
 from groundstation.mission.state_machine import MissionState
+from groundstation.planning.feasibility import PlanError
+from groundstation.planning.segment import PlanSegment
 from groundstation.telemetry import LINK_WINDOW, LinkMonitor, RobotView
 from groundstation.web.alarms import alarms
 from groundstation.web.backend import ShownPicture
@@ -205,8 +207,13 @@ def _read(kind: type[M], payload: bytes) -> M | None:
 class _NoRequests:
     """Refuses all requests: a recorded run takes none."""
 
-    def request(self, order: Order, via: Sequence[tuple[float, float]] = (), only: int = WHOLE_FLEET) -> tuple[str, int]:
+    def request(
+        self, order: Order, via: Sequence[tuple[float, float]] = (), only: int = WHOLE_FLEET, form: str = ""
+    ) -> tuple[str, int]:
         return "this is a recorded run", 0
+
+    def plan_form(self, form: str) -> PlanSegment:
+        raise PlanError("this is a recorded run")
 
     def drive(self, robot: int, velocity: DriveVelocity) -> str:
         return "this is a recorded run"

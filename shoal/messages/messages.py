@@ -109,6 +109,7 @@ class Order(IntEnum):
     DRIVE = 21  # Move at this velocity, for a short time.
     OUT = 22  # To the station only: this robot has been taken out of the water.
     BACK_IN = 23  # To the station only: it is in the water again.
+    FORMATION = 24  # To the station only: the formation takes another form.
 
 
 class Progress(IntEnum):
@@ -335,6 +336,7 @@ class Command:
     start_ns: int = 0  # START, RESUME: instant on the station's clock. 0 (older logs): start_in_s after the header's stamp.
     about: int = 0  # To the station, with NONE: number of the request whose outcome is asked for.
     drive: DriveVelocity | None = None  # DRIVE: the velocity.
+    form: str = ""  # FORMATION: the form, for example `line 0.8 turn 30`.
 
 
 @dataclass(frozen=True, eq=False)

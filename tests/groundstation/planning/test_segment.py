@@ -115,7 +115,7 @@ def test_no_way_round_is_refused_with_the_reason() -> None:
     with pytest.raises(PlanError, match="no way from"):
         replan(BLOCKED, segment, 14.0, wall)
     with pytest.raises(PlanError, match="only a level path"):
-        replan(load_experiment("pool"), first_segment(load_experiment("pool")), 5.0, BALL)
+        replan(load_experiment("pool"), first_segment(load_experiment("pool")), 5.0, BALL, [(0.0, 0.0)])
     with pytest.raises(PlanError, match=r"too near|exceeds"):
         replan(BLOCKED, segment, segment.end_s - 2.0, np.array([[-2.0, 0.0, 0.2]]), [(-3.0, 0.0)])
 
