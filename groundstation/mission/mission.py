@@ -137,6 +137,7 @@ class Mission:
         self._give_up_s = give_up_s if automatic else None
         self._progress: tuple[float, int] | None = None  # along the path [s], and the instant of its last change
         self._needs_operator = False  # an automatic mission does not go on by itself
+        self.began_ns = 0  # instant at which the flight began, or will begin: time 0 for people; 0: it has not been started
         self.verdict: MissionState | None = None  # how the last run ended; None while one is under way, or before the first
 
     @property
@@ -235,7 +236,7 @@ class Mission:
         return RequestContext(self._experiment, self.state, roster or self.roster, self.segment, self._starts, fleet, via)
 
     def _begin_run(self) -> None:
-        self._run = _RunData()
+        self._run, self.began_ns = _RunData(), 0
         self.plans.reset()
         self.governor.start()
 
@@ -689,6 +690,8 @@ class Mission:
         if state in JOINING:  # one instant for all, the same in every command: late robots join where the others are
             resumes = state is MissionState.RESUMING
             from_s = self.plans.progress_s if resumes else self.segment.centre.begin_s
+            if state is MissionState.STARTING or not self.began_ns:
+                self.began_ns = now_ns + round(START_IN_S * 1e9)
             self._timetable = Timetable(now_ns + round(START_IN_S * 1e9), from_s + self.governor.lag_s)
         if state is not MissionState.SWITCHING:
             self.plans.next = None

@@ -146,7 +146,9 @@ class Station:
         planned = tuple(robot for robot, seen in self.seen.items() if seen.state is not None and seen.state.planned)
         state = self.mission.state.name
         out = tuple(sorted(self.mission.roster.out))
-        beat = StationHeartbeat(self.experiment.hash, stopped, state, pace.lag_s, 1.0 - pace.rate, planned, self.code, out)
+        beat = StationHeartbeat(
+            self.experiment.hash, stopped, state, pace.lag_s, 1.0 - pace.rate, planned, self.code, out, self.mission.began_ns
+        )
         self.bus.publish(topics.HEARTBEAT, beat, now_ns)
         self.beat_s = time.monotonic()
         self._tell()
@@ -347,6 +349,7 @@ class Station:
             requests=self.requests.recent,
             ended=self.ended,
             led=self.single.status(),
+            began_ns=mission.began_ns,
         )
 
     def _tell(self) -> None:

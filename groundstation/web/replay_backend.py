@@ -4,7 +4,7 @@ import math
 import time
 from bisect import bisect_right
 from collections import OrderedDict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -75,6 +75,7 @@ class LogPlayer:
         self.segments = self._segments()
         self.trajectories = {robot: told[-1][1] for robot, told in self.segments.items()}
         self.flown_ns = self._first_flown_ns()
+        self._begun = list(self._flights())
         self._first_plan_ns = {robot: self._first_ns(topics.PLAN, robot) for robot in self.experiment.robot_ids}
 
     def _each(self, topic: Topic, kind: type[M], robot: int | None = None) -> Any:
@@ -100,13 +101,30 @@ class LogPlayer:
             return plan.age_ms * 1e-3
         return LOOK_BACK * BLOCK_NS * 1e-9 if self._first_plan_ns[robot] <= at_ns else math.inf
 
+    def _flights(self) -> Iterator[tuple[int, int]]:
+        """The beginning of each flight as the station gave it: the instant of its word, and that of the beginning."""
+        begun = 0
+        for line in self._log.messages(lambda topic, _: topic is topics.HEARTBEAT):
+            beat = _read(StationHeartbeat, line.payload)
+            if beat is not None and beat.began_ns not in (0, begun):
+                begun, arrived_ns = beat.began_ns, line.arrived_ns - self.start_ns
+                yield arrived_ns, arrived_ns + begun - line.header.stamp_ns
+
+    def began_ns(self, at_ns: int) -> int:
+        """Beginning of the flight at an instant of the log, or of the first one: time 0 for people."""
+        if not self._begun:  # no station, or an early version of it
+            return self.flown_ns
+        said = [begun for arrived_ns, begun in self._begun if arrived_ns <= at_ns]
+        return said[-1] if said else self._begun[0][1]
+
     def _first_flown_ns(self) -> int:
         """Instant at which the first robot began the formation's trajectory; if none did, of its first state."""
         said_ns = None
         for _, at_ns, state in self._each(topics.STATE, RobotState, self.experiment.robot_ids[0]):
             said_ns = at_ns if said_ns is None else said_ns
-            if (FormationPlans().clock_s(state) or 0.0) > 0.0:
-                return int(at_ns)
+            flown_s = FormationPlans().clock_s(state) or 0.0
+            if flown_s > 0.0:
+                return int(at_ns) - round(flown_s * 1e9)
         return said_ns or 0
 
     def _block(self, index: int) -> LogBlock:
@@ -318,6 +336,7 @@ class ReplayBackend:
         mission = beat[1].mission if beat is not None and beat[1].mission in MissionState.__members__ else ""
         news = FleetSnapshot(
             time_s=now * 1e-9,
+            began_s=self._log.began_ns(now) * 1e-9,
             robots=robots,
             localizer=localizer,
             obstacles=self._aged(topics.OBSTACLES, topics.OBSTACLES.type, now),

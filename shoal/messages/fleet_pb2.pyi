@@ -335,7 +335,7 @@ class RobotState(_message.Message):
     def __init__(self, mode: _Optional[_Union[Mode, str]] = ..., fault: _Optional[str] = ..., experiment_hash: _Optional[str] = ..., trajectory_s: _Optional[float] = ..., trajectory_id: _Optional[str] = ..., eta: _Optional[_Iterable[float]] = ..., nu: _Optional[_Iterable[float]] = ..., disturbance: _Optional[_Iterable[float]] = ..., eta_reference: _Optional[_Iterable[float]] = ..., eta_command: _Optional[_Iterable[float]] = ..., wrench: _Optional[_Iterable[float]] = ..., wrench_step: _Optional[_Iterable[float]] = ..., wrench_delivered: _Optional[_Iterable[float]] = ..., wrench_wanted: _Optional[_Iterable[float]] = ..., pulse_us: _Optional[_Iterable[int]] = ..., echo_us: _Optional[_Iterable[int]] = ..., track: _Optional[_Union[Track, str]] = ..., pose_age_ms: _Optional[float] = ..., exposure_to_pwm_ms: _Optional[float] = ..., depth_m: _Optional[float] = ..., battery_v: _Optional[float] = ..., board_armed: _Optional[bool] = ..., board_age_ms: _Optional[float] = ..., board_loss: _Optional[float] = ..., solve: _Optional[_Union[Solve, str]] = ..., iterations: _Optional[int] = ..., step_us: _Optional[float] = ..., missed_deadlines: _Optional[int] = ..., slack_m: _Optional[float] = ..., heard: _Optional[_Iterable[int]] = ..., tuning_id: _Optional[str] = ..., board_round_trip_ms: _Optional[float] = ..., board_clock_offset_s: _Optional[float] = ..., thruster_test: _Optional[str] = ..., planned: _Optional[bool] = ..., blind: _Optional[str] = ..., tilt: _Optional[_Iterable[float]] = ..., drag_ratio: _Optional[float] = ..., thrust_ratio: _Optional[float] = ..., code: _Optional[str] = ..., guidance: _Optional[_Union[Guidance, str]] = ...) -> None: ...
 
 class StationHeartbeat(_message.Message):
-    __slots__ = ("experiment_hash", "emergency_stop", "mission", "lag_s", "slowing", "planned", "code", "out")
+    __slots__ = ("experiment_hash", "emergency_stop", "mission", "lag_s", "slowing", "planned", "code", "out", "began_ns")
     EXPERIMENT_HASH_FIELD_NUMBER: _ClassVar[int]
     EMERGENCY_STOP_FIELD_NUMBER: _ClassVar[int]
     MISSION_FIELD_NUMBER: _ClassVar[int]
@@ -344,6 +344,7 @@ class StationHeartbeat(_message.Message):
     PLANNED_FIELD_NUMBER: _ClassVar[int]
     CODE_FIELD_NUMBER: _ClassVar[int]
     OUT_FIELD_NUMBER: _ClassVar[int]
+    BEGAN_NS_FIELD_NUMBER: _ClassVar[int]
     experiment_hash: str
     emergency_stop: bool
     mission: str
@@ -352,7 +353,8 @@ class StationHeartbeat(_message.Message):
     planned: _containers.RepeatedScalarFieldContainer[int]
     code: str
     out: _containers.RepeatedScalarFieldContainer[int]
-    def __init__(self, experiment_hash: _Optional[str] = ..., emergency_stop: _Optional[bool] = ..., mission: _Optional[str] = ..., lag_s: _Optional[float] = ..., slowing: _Optional[float] = ..., planned: _Optional[_Iterable[int]] = ..., code: _Optional[str] = ..., out: _Optional[_Iterable[int]] = ...) -> None: ...
+    began_ns: int
+    def __init__(self, experiment_hash: _Optional[str] = ..., emergency_stop: _Optional[bool] = ..., mission: _Optional[str] = ..., lag_s: _Optional[float] = ..., slowing: _Optional[float] = ..., planned: _Optional[_Iterable[int]] = ..., code: _Optional[str] = ..., out: _Optional[_Iterable[int]] = ..., began_ns: _Optional[int] = ...) -> None: ...
 
 class Trajectory(_message.Message):
     __slots__ = ("id", "period_s", "eta", "velocity", "acceleration", "begin_s")

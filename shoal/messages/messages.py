@@ -283,6 +283,7 @@ class StationHeartbeat:
     planned: tuple[int, ...] = ()  # Robots that published a plan in their last step, as far as the station received it.
     code: str = ""  # Version and commit of the station's program; empty in messages of earlier versions.
     out: tuple[int, ...] = ()  # Robots that have been taken out of the water: nobody keeps clear of them.
+    began_ns: int = 0  # Instant, on the station's clock, at which the formation's flight began or will begin; 0: not known.
 
 
 @dataclass(frozen=True, eq=False)

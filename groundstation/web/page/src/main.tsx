@@ -29,10 +29,11 @@ function Page() {
       <main>
         <Pool />
         <aside>
-          <End />
-          {editing.value ? <Editor /> : <Mission />}
-          <OneRobot />
           <Alarms />
+          <End />
+          <Mission />
+          {editing.value && <Editor />}
+          <OneRobot />
           <Tiles />
           <Tuning />
           <Log />
