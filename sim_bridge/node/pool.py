@@ -20,6 +20,7 @@ from shoal.messages import topics
 from shoal.messages.messages import CameraHealth, Frame, LocalizerStatus, RobotState, Tick, Trajectory
 from shoal.runtime.lockstep import LOCKSTEP_SAYS_S, LockstepClock, Reminder
 from shoal.runtime.runtime import SLICE_S, Clock, Stop, WallClock, guarded_thread, log, log_to_bus, wait
+from shoal.runtime.version import code
 from sim_bridge.node.board_ports import BoardPorts
 from sim_bridge.node.ideal_localizer import IdealLocalizer
 from sim_bridge.node.simulated_camera import Exposure, SimulatedCamera
@@ -197,6 +198,7 @@ class PoolNode:
                 exposure.index,
                 robots=self._experiment.robot_ids,
                 obstacles_ns=self._obstacles_ns,
+                code=code().short,
                 experiment_hash=self._experiment.hash,
             )
             self._bus.publish(topics.LOCALIZER, told, exposure.stamp_ns)

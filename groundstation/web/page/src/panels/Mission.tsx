@@ -29,8 +29,8 @@ const OTHERS: Button[] = [
   { order: "return", text: "Return to start", keys: "Shift+B" },
   { order: "rejoin", text: "Rejoin", keys: "" },
   { order: "test", text: "Test thrusters", keys: "" }, // preflight may be waiting for just this one: the station judges
-  { order: "clear-stop", text: "Clear stop", keys: "" },
 ];
+const CLEAR: Button = { order: "clear-stop", text: "Clear stop", keys: "" }; // the last: where it appears, there is nothing else
 
 /** States in which a run is over. */
 const OVER = ["DONE", "CANCELLED", "FAILED"];
@@ -318,6 +318,7 @@ export function Mission() {
         <GoButton state={state} />
         <FormButton state={state} />
         <End state={state} />
+        {state.allowed.includes("clear-stop") && !idle("clear-stop", state) && <OrderButton button={CLEAR} state={state} />}
       </div>
       <Go state={state} />
       <Form state={state} />
