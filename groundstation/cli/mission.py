@@ -264,7 +264,25 @@ def formation(
 
                groundstation mission formation "triangle 1.0 turn 30 over 20"
     """
-    return "formation", Command(Order.FORMATION, WHOLE_FLEET, form=form)
+    return "formation", Command(Order.FORMATION, WHOLE_FLEET, text=form)
+
+
+@mission_cli.command()
+@request
+def fault(
+    what: Annotated[
+        str, typer.Argument(metavar="WHAT", help="What breaks, as with --fault, and `for SECONDS`; `repair` mends it all.")
+    ],
+) -> tuple[str, Command]:
+    """Break something in a simulated run, now. The log keeps it, and `sim-bridge sil --from` repeats it.
+
+    Examples:  groundstation mission fault "thruster 2/3 dead"
+
+               groundstation mission fault "marker 1 lost for 5"
+
+               groundstation mission fault repair
+    """
+    return "fault", Command(Order.FAULT, WHOLE_FLEET, text=what)
 
 
 @mission_cli.command()

@@ -141,6 +141,12 @@ class RequestTracker:
             self._record(request, mission, Progress.FAILED, f"{order.name} was asked for instead")
         return self._open_one(order, mission, tuning_id=tuning_id)
 
+    def note_done(self, order: Order, mission: Mission) -> int:
+        """Count a request that was done at once, and that nothing else follows. Returns its number."""
+        self._count += 1
+        self._record(_Request(self._count, order, mission.segment), mission, Progress.DONE)
+        return self._count
+
     def begin_task(self, robot: int, task: RobotTask, mission: Mission) -> int:
         """Count a request of one robot. Returns its number: the same for the same task. The task knows its own end."""
         number = next((request.number for request in self._open if request.task is task), 0)

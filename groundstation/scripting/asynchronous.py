@@ -44,6 +44,9 @@ class AsyncFleet:
     async def formation(self, form: str, wait_s: float | None = None) -> Outcome:
         return await asyncio.to_thread(self.blocking.formation, form, wait_s)
 
+    async def fault(self, what: str, wait_s: float | None = None) -> Outcome:
+        return await asyncio.to_thread(self.blocking.fault, what, wait_s)
+
     async def hold(self, wait_s: float | None = None, robot: int = WHOLE_FLEET) -> Outcome:
         return await asyncio.to_thread(self.blocking.hold, wait_s, robot)
 

@@ -91,7 +91,11 @@ class ConnectedFleet:
 
     def formation(self, form: str, wait_s: float | None = None) -> Outcome:
         """Let the formation take another form, in flight or from a hold: "line 0.8 turn 30 over 20"."""
-        return self._ask("formation", Command(Order.FORMATION, WHOLE_FLEET, form=form), wait_s)
+        return self._ask("formation", Command(Order.FORMATION, WHOLE_FLEET, text=form), wait_s)
+
+    def fault(self, what: str, wait_s: float | None = None) -> Outcome:
+        """Break something in a simulated run: "thruster 2/3 dead for 5"; "repair" mends what was broken so."""
+        return self._ask("fault", Command(Order.FAULT, WHOLE_FLEET, text=what), wait_s)
 
     def hold(self, wait_s: float | None = None, robot: int = WHOLE_FLEET) -> Outcome:
         """Make all robots, or one, hold their places under power. One alone is out of the formation until `rejoin`."""

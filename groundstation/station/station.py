@@ -31,11 +31,12 @@ from shoal.bus.access_control import INSECURE
 from shoal.bus.bus import Bus
 from shoal.bus.endpoint import PATIENT_MS
 from shoal.config.experiment import Experiment
+from shoal.config.fault_injection import read_request
 from shoal.frames import Array
 from shoal.messages import topics
 from shoal.messages.codec import Header
-from shoal.messages.messages import Command, DriveVelocity, Order, Reply, StationHeartbeat, Trajectory
-from shoal.messages.topics import WHOLE_FLEET
+from shoal.messages.messages import Command, DriveVelocity, FaultRequest, Order, Reply, StationHeartbeat, Trajectory
+from shoal.messages.topics import WHOLE_FLEET, Role, process_name
 from shoal.runtime.runtime import Clock, age_s, log
 from shoal.runtime.version import code
 
@@ -262,7 +263,7 @@ class Station:
             reason, number = self.request_gains(keys or None, next_lap=False)
         else:
             reason, number = self.request(
-                command.order, [(x, y) for x, y in command.via.tolist()], command.robot, command.form
+                command.order, [(x, y) for x, y in command.via.tolist()], command.robot, command.text
             )
         outcome = self.requests.outcome(number) if not reason else None
         return Reply(WHOLE_FLEET, not reason, reason, outcome=outcome)
@@ -272,6 +273,8 @@ class Station:
     ) -> tuple[str, int]:
         """Take an operator's request for the whole fleet, or for the robot `only`; a STOP is for everybody. Returns the reason
         of a refusal, or nothing, and the request's number."""
+        if order is Order.FAULT:
+            return self._fault(form)
         with self.lock:
             reason, number = self.core.request(order, self.seen, self.clock.now_ns(), via, only, form)
             self.asked_s = time.monotonic()
@@ -279,6 +282,23 @@ class Station:
             self.wake.set()
         asked = f"{order.name} for robot {only}" if only and order is not Order.STOP else f"{order.name} {form}".strip()
         log.info("%s %s", asked, f"refused: {reason}" if reason else "asked for")
+        return reason, number
+
+    def _fault(self, text: str) -> tuple[str, int]:
+        """Hand a person's fault to the simulator. Returns the reason of a refusal, or nothing, and the request's number."""
+        simulator, number = process_name(Role.SIMULATOR), 0
+        try:
+            what, for_s = read_request(text, self.experiment.robot_ids)
+        except ValueError as error:
+            reason = str(error)
+        else:
+            simulated = simulator in self.bus.present
+            reason = "" if simulated else "nothing here is simulated: only the simulator breaks things"
+        if not reason:
+            self.bus.publish(topics.FAULT, FaultRequest(what, for_s), self.clock.now_ns())
+            with self.lock:
+                number = self.requests.note_done(Order.FAULT, self.mission)
+        log.info("FAULT %s %s", text, f"refused: {reason}" if reason else "asked for")
         return reason, number
 
     def plan_form(self, form: str) -> PlanSegment:

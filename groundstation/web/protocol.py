@@ -19,7 +19,7 @@ Velocity = Annotated[float, msgspec.Meta(ge=-10, le=10)]  # m/s or rad/s; the ro
 EditedId = Annotated[int, msgspec.Meta(ge=1, le=49)]
 Vec2 = tuple[Metres, Metres]
 Vec3 = tuple[Metres, Metres, Metres]
-ORDERS = (*FLEET_REQUESTS, *map(order_name, (*WITH_DETAILS, *WATER)))
+ORDERS = (*FLEET_REQUESTS, *map(order_name, (*WITH_DETAILS, *WATER)), "fault")
 FormText = Annotated[str, msgspec.Meta(max_length=100)]  # as read_form reads it
 CameraName = Annotated[str, msgspec.Meta(max_length=64)]
 RunName = Annotated[str, msgspec.Meta(min_length=1, max_length=255)]  # of its folder
@@ -57,7 +57,7 @@ class OrderRequest(msgspec.Struct, tag_field="kind", tag="order", forbid_unknown
     order: OrderName
     via_m: Annotated[list[Vec2], msgspec.Meta(max_length=MOST_PLACES)] = []
     robot: RobotId = 0
-    form: FormText = ""  # of a `formation`
+    form: FormText = ""  # of a `formation`; of a `fault` what breaks
     seen_ms: Count = 0  # `clock_ms` of the newest state that the page had: an order that was long on its way is none
 
 

@@ -64,6 +64,7 @@ class Order(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     ORDER_OUT: _ClassVar[Order]
     ORDER_BACK_IN: _ClassVar[Order]
     ORDER_FORMATION: _ClassVar[Order]
+    ORDER_FAULT: _ClassVar[Order]
 
 class Progress(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
@@ -121,6 +122,7 @@ ORDER_DRIVE: Order
 ORDER_OUT: Order
 ORDER_BACK_IN: Order
 ORDER_FORMATION: Order
+ORDER_FAULT: Order
 PROGRESS_UNDER_WAY: Progress
 PROGRESS_DONE: Progress
 PROGRESS_FAILED: Progress
@@ -393,7 +395,7 @@ class DriveVelocity(_message.Message):
     def __init__(self, surge_mps: _Optional[float] = ..., heave_mps: _Optional[float] = ..., yaw_rate_radps: _Optional[float] = ...) -> None: ...
 
 class Command(_message.Message):
-    __slots__ = ("order", "robot", "time_to_live_s", "experiment_hash", "trajectory_id", "start_in_s", "trajectory", "trajectory_s", "tuning_id", "tuning", "recipient", "via", "start_ns", "about", "drive", "form")
+    __slots__ = ("order", "robot", "time_to_live_s", "experiment_hash", "trajectory_id", "start_in_s", "trajectory", "trajectory_s", "tuning_id", "tuning", "recipient", "via", "start_ns", "about", "drive", "text")
     ORDER_FIELD_NUMBER: _ClassVar[int]
     ROBOT_FIELD_NUMBER: _ClassVar[int]
     TIME_TO_LIVE_S_FIELD_NUMBER: _ClassVar[int]
@@ -409,7 +411,7 @@ class Command(_message.Message):
     START_NS_FIELD_NUMBER: _ClassVar[int]
     ABOUT_FIELD_NUMBER: _ClassVar[int]
     DRIVE_FIELD_NUMBER: _ClassVar[int]
-    FORM_FIELD_NUMBER: _ClassVar[int]
+    TEXT_FIELD_NUMBER: _ClassVar[int]
     order: Order
     robot: int
     time_to_live_s: float
@@ -425,8 +427,16 @@ class Command(_message.Message):
     start_ns: int
     about: int
     drive: DriveVelocity
-    form: str
-    def __init__(self, order: _Optional[_Union[Order, str]] = ..., robot: _Optional[int] = ..., time_to_live_s: _Optional[float] = ..., experiment_hash: _Optional[str] = ..., trajectory_id: _Optional[str] = ..., start_in_s: _Optional[float] = ..., trajectory: _Optional[_Union[Trajectory, _Mapping]] = ..., trajectory_s: _Optional[float] = ..., tuning_id: _Optional[str] = ..., tuning: _Optional[_Union[Tuning, _Mapping]] = ..., recipient: _Optional[int] = ..., via: _Optional[_Iterable[float]] = ..., start_ns: _Optional[int] = ..., about: _Optional[int] = ..., drive: _Optional[_Union[DriveVelocity, _Mapping]] = ..., form: _Optional[str] = ...) -> None: ...
+    text: str
+    def __init__(self, order: _Optional[_Union[Order, str]] = ..., robot: _Optional[int] = ..., time_to_live_s: _Optional[float] = ..., experiment_hash: _Optional[str] = ..., trajectory_id: _Optional[str] = ..., start_in_s: _Optional[float] = ..., trajectory: _Optional[_Union[Trajectory, _Mapping]] = ..., trajectory_s: _Optional[float] = ..., tuning_id: _Optional[str] = ..., tuning: _Optional[_Union[Tuning, _Mapping]] = ..., recipient: _Optional[int] = ..., via: _Optional[_Iterable[float]] = ..., start_ns: _Optional[int] = ..., about: _Optional[int] = ..., drive: _Optional[_Union[DriveVelocity, _Mapping]] = ..., text: _Optional[str] = ...) -> None: ...
+
+class FaultRequest(_message.Message):
+    __slots__ = ("what", "for_s")
+    WHAT_FIELD_NUMBER: _ClassVar[int]
+    FOR_S_FIELD_NUMBER: _ClassVar[int]
+    what: str
+    for_s: float
+    def __init__(self, what: _Optional[str] = ..., for_s: _Optional[float] = ...) -> None: ...
 
 class Outcome(_message.Message):
     __slots__ = ("request", "order", "progress", "reason", "mission", "confirmed", "waiting", "why")

@@ -110,6 +110,7 @@ class Order(IntEnum):
     OUT = 22  # To the station only: this robot has been taken out of the water.
     BACK_IN = 23  # To the station only: it is in the water again.
     FORMATION = 24  # To the station only: the formation takes another form.
+    FAULT = 25  # To the station only, in simulation: something breaks.
 
 
 class Progress(IntEnum):
@@ -337,7 +338,7 @@ class Command:
     start_ns: int = 0  # START, RESUME: instant on the station's clock. 0 (older logs): start_in_s after the header's stamp.
     about: int = 0  # To the station, with NONE: number of the request whose outcome is asked for.
     drive: DriveVelocity | None = None  # DRIVE: the velocity.
-    form: str = ""  # FORMATION: the form, for example `line 0.8 turn 30`.
+    text: str = ""  # FORMATION: the form, `line 0.8 turn 30`. FAULT: what breaks, `thruster 2/3 dead for 5`.
 
 
 @dataclass(frozen=True, eq=False)
@@ -416,6 +417,14 @@ class StepInputs:
 
 
 @dataclass(frozen=True, eq=False)
+class FaultRequest:
+    """A person's request to the simulator: something breaks now (docs/simulator.md)."""
+
+    what: str = ""  # As in --fault without its times; empty: everything that a person broke is whole again.
+    for_s: float = 0.0  # Time after which it is whole again; 0: never.
+
+
+@dataclass(frozen=True, eq=False)
 class OrderTaken:
     """A command that has reached a robot, with the reply. It is for the log only. The header's stamp is its arrival."""
 
@@ -474,6 +483,6 @@ class Event:
 
 Message = (
     Tick | Truth | Pose | LocalizerStatus | Obstacles | Plan | RobotState | StationHeartbeat | Trajectory | Tuning
-    | DriveVelocity | Command | Outcome | Reply | BoardReading | StepInputs | OrderTaken | Frame | Preview | Video | Picture
-    | Event
+    | DriveVelocity | Command | Outcome | Reply | BoardReading | StepInputs | FaultRequest | OrderTaken | Frame | Preview
+    | Video | Picture | Event
 )  # fmt: skip

@@ -111,3 +111,22 @@ def test_no_order_changes_its_place_when_others_become_possible(desk: LoneStatio
     expect(button(desk.page, "Resume")).to_be_enabled()
     paused = places()
     assert np.all([running == paused, None not in running])
+
+
+def test_the_simulation_is_broken_by_a_button_and_real_robots_have_none(browser: Browser, experiment: Experiment) -> None:
+    with lone_station(browser, experiment) as desk:
+        page = desk.page
+        page.goto(desk.url)
+        expect(button(page, "You have control")).to_be_visible()
+        expect(page.get_by_text("Break something")).to_have_count(0)
+        desk.bus.watch_presence()
+        desk.robots.announce("sim-bridge")
+        page.get_by_text("Break something").click()
+        tile(page, experiment.robot_ids[1]).get_by_role("button").click()
+        page.get_by_label("Which thruster breaks").select_option("3")
+        page.get_by_label("How long it stays broken, s").fill("5")
+        button(page, f"Kill thruster {experiment.robot_ids[1]}").click()
+        expect(page.locator(".given")).to_contain_text("sent")
+        assert desk.orders == [Order.FAULT] and desk.form == f"thruster {experiment.robot_ids[1]}/3 dead for 5"
+        desk.robots.publish(topics.EVENT, Event(2, "sim-bridge", "fault: camera frozen"), desk.clock.now_ns())
+        expect(page.locator(".faults h2")).to_contain_text("camera frozen")

@@ -9,6 +9,7 @@ import { connect } from "./link";
 import { Question } from "./Question";
 import { Alarms, Log } from "./panels/Alarms";
 import { End } from "./panels/End";
+import { Faults } from "./panels/Faults";
 import { Header } from "./panels/Header";
 import { Mission } from "./panels/Mission";
 import { OneRobot } from "./panels/OneRobot";
@@ -34,6 +35,7 @@ function Page() {
           <Mission />
           {editing.value && <Editor />}
           <OneRobot />
+          <Faults />
           <Tiles />
           <Tuning />
           <Log />

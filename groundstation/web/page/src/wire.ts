@@ -174,7 +174,7 @@ export interface Alarm {
   text: string;
 }
 
-export type OrderName = "load" | "arm" | "start" | "hold" | "resume" | "stop" | "disarm" | "clear-stop" | "return" | "rejoin" | "test" | "end" | "go" | "formation" | "out" | "back-in";
+export type OrderName = "load" | "arm" | "start" | "hold" | "resume" | "stop" | "disarm" | "clear-stop" | "return" | "rejoin" | "test" | "end" | "go" | "formation" | "fault" | "out" | "back-in";
 
 /** What became of a person's request, by the station's account. */
 export interface Outcome {
