@@ -74,7 +74,7 @@ class LogPlayer:
         self._blocks: OrderedDict[int, LogBlock] = OrderedDict()
         self.segments = self._segments()
         self.trajectories = {robot: told[-1][1] for robot, told in self.segments.items()}
-        self.flown_ns = self._first_flown_ns()
+        self.flown_ns, self._zero_ns = self._first_flown_ns()
         self._begun = list(self._flights())
         self._first_plan_ns = {robot: self._first_ns(topics.PLAN, robot) for robot in self.experiment.robot_ids}
 
@@ -113,19 +113,20 @@ class LogPlayer:
     def began_ns(self, at_ns: int) -> int:
         """Beginning of the flight at an instant of the log, or of the first one: time 0 for people."""
         if not self._begun:  # no station, or an early version of it
-            return self.flown_ns
+            return self._zero_ns
         said = [begun for arrived_ns, begun in self._begun if arrived_ns <= at_ns]
         return said[-1] if said else self._begun[0][1]
 
-    def _first_flown_ns(self) -> int:
-        """Instant at which the first robot began the formation's trajectory; if none did, of its first state."""
+    def _first_flown_ns(self) -> tuple[int, int]:
+        """Instant of the first robot's first state on the formation's trajectory, and that trajectory's beginning; if there is
+        none, of its first state."""
         said_ns = None
         for _, at_ns, state in self._each(topics.STATE, RobotState, self.experiment.robot_ids[0]):
             said_ns = at_ns if said_ns is None else said_ns
             flown_s = FormationPlans().clock_s(state) or 0.0
             if flown_s > 0.0:
-                return int(at_ns) - round(flown_s * 1e9)
-        return said_ns or 0
+                return int(at_ns), int(at_ns) - round(flown_s * 1e9)
+        return said_ns or 0, said_ns or 0
 
     def _block(self, index: int) -> LogBlock:
         if index not in self._blocks:
