@@ -152,7 +152,7 @@ BY_HAND = "by hand: "  # begins the log's line about a fault that a person made,
 
 
 def read_request(text: str, robots: Collection[int]) -> tuple[str, float]:
-    """What breaks, and for how long in s (0: for ever), of a person's `thruster 2/3 dead for 5`; nothing for `repair`. Raises
+    """Read a person's `thruster 2/3 dead for 5`: what breaks, and for how long in s (0: for ever); of `repair` nothing. Raises
     ValueError that says what is allowed."""
     what, _, during = text.strip().partition(" for ")
     if what == "repair":
