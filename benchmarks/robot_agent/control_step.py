@@ -64,7 +64,7 @@ class Witness:
 
 def first_moves(case: Case) -> list[float]:
     """Distance from the exact first move, percent of the largest wrench, at every control step of a flight."""
-    found: list[Witness] = []
+    witnesses: list[Witness] = []
 
     def watch(controller: AnyController, experiment: Experiment) -> None:
         assert isinstance(controller, Controller)
@@ -74,10 +74,10 @@ def first_moves(case: Case) -> list[float]:
         exact = make_solver("daqp", p_mask, a_mask, np.ones(size), np.ones(2 * size), bounds=size)
         mpc._plain_solver = Witness(mpc._plain_solver, exact, blocks, np.array(experiment.vehicle.limits.wrench))
         exact.solve(mpc._p + np.eye(size), mpc._q[:size], mpc._a, mpc._lower[: 2 * size], mpc._upper[: 2 * size])
-        found.append(mpc._plain_solver)
+        witnesses.append(mpc._plain_solver)
 
     fly(case, STEPS // 3, watch)
-    return found[0].apart
+    return witnesses[0].apart
 
 
 def backend_alone(controller: AnyController, experiment: Experiment) -> None:

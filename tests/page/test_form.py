@@ -28,7 +28,7 @@ def experiment() -> Experiment:
 @pytest.fixture
 def desk(browser: Browser, experiment: Experiment) -> Iterator[LoneStation]:
     with lone_station(browser, experiment) as found:
-        found.told = Status(MissionState.RUNNING, "")
+        found.own_status = Status(MissionState.RUNNING, "")
         found.page.goto(found.url)
         expect(button(found.page, "You have control")).to_be_visible()
         yield found
@@ -90,9 +90,9 @@ def test_time_is_that_of_the_flight_and_negative_before_it(desk: LoneStation) ->
     expect(page.locator("header .clock")).to_have_text(re.compile("^–"))
     desk.robots.publish(topics.EVENT, Event(2, "agent-1", "before the flight"), clock.now_ns())
     expect(page.get_by_text("before the flight")).to_be_visible()
-    desk.told = replace(desk.told, began_ns=clock.now_ns() + 10**9)
+    desk.own_status = replace(desk.own_status, began_ns=clock.now_ns() + 10**9)
     expect(page.locator(".log li", has_text="before the flight").locator("time")).to_have_text(re.compile(r"^-\d+(\.\d)? s$"))
-    desk.told = replace(desk.told, began_ns=_earlier(clock, 65))
+    desk.own_status = replace(desk.own_status, began_ns=_earlier(clock, 65))
     expect(page.locator("header .clock")).to_have_text(re.compile(r"^1:0\d / "))
 
 
@@ -107,7 +107,7 @@ def test_no_order_changes_its_place_when_others_become_possible(desk: LoneStatio
         return [button(desk.page, name).bounding_box() for name in names]
 
     running = places()
-    desk.told = Status(MissionState.PAUSED, "")
+    desk.own_status = Status(MissionState.PAUSED, "")
     expect(button(desk.page, "Resume")).to_be_enabled()
     paused = places()
     assert np.all([running == paused, None not in running])
