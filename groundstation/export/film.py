@@ -27,6 +27,7 @@ from shoal.messages.codec import DecodeError, decode
 from shoal.messages.messages import Mode, Picture, Preview, RobotState, StationHeartbeat, Video
 
 CLOCK_HZ = 90_000  # of the film's stamps
+NEVER_MS = 1e6  # age of a pose that never came: such a robot does not know where it is
 TRAIL = 600  # states of a robot's trail: half a minute
 RING = np.array([[np.cos(a), np.sin(a)] for a in np.linspace(0.0, 2.0 * np.pi, 33)])
 FLIES = (Mode.TRACKING, Mode.HOLDING, Mode.DRIVEN)
@@ -92,7 +93,7 @@ def _bytes(message: Video | Picture | Preview) -> bytes:
 
 
 class Overlay:
-    """What is drawn over a picture."""
+    """Drawing over a picture: estimates, references, trails and the time."""
 
     def __init__(self, experiment: Experiment, camera: Camera) -> None:
         self._experiment, self._camera = experiment, camera
@@ -104,7 +105,7 @@ class Overlay:
         """Take in what a robot or the station said."""
         if isinstance(message, StationHeartbeat):
             self._began_ns, self._mission = message.began_ns or self._began_ns, message.mission
-        elif robot in self._trails:
+        elif robot in self._trails and message.pose_age_ms < NEVER_MS:
             self._states[robot] = message
             self._trails[robot].append(message.eta[:3])
 

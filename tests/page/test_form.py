@@ -72,7 +72,7 @@ def test_places_are_typed_where_nobody_can_click(desk: LoneStation) -> None:
     assert desk.orders == [Order.GO] and list(desk.via) == [(1.5, -0.5), (0.25, 1.0)]
 
 
-def test_what_several_chosen_robots_may_do_all_of_them_are_asked(desk: LoneStation, experiment: Experiment) -> None:
+def test_an_order_for_several_chosen_robots_is_asked_of_each(desk: LoneStation, experiment: Experiment) -> None:
     page, (one, two, *_) = desk.page, experiment.robot_ids
     for robot in experiment.robot_ids:
         desk.robots.publish(topics.STATE, RobotState(mode=Mode.TRACKING), desk.clock.now_ns(), robot)

@@ -196,7 +196,7 @@ def test_a_fault_after_the_end_is_told_to_never_happen() -> None:
     assert faults_after_the_end(experiment) == ["never happens: camera dark at 500 s, for the run ends after 30 s"]
 
 
-def test_what_a_hand_breaks_holds_from_then_on_and_is_told_as_the_command_line_takes_it() -> None:
+def test_a_fault_made_by_hand_holds_from_then_on_and_is_reported_as_a_command_line() -> None:
     experiment = load_experiment("pool", faults=["t=1 thruster 1/1 weak 0.5"])
     schedule = FaultSchedule(experiment)
     schedule.at(5.0)

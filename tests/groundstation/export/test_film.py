@@ -29,7 +29,7 @@ def test_a_film_has_every_picture_at_its_time_and_the_robot_in_it(tmp_path: Path
     eta = np.array([0.4, -0.3, 0.3, 0.0])
     for k in range(PICTURES):
         stamp_ns = 10**9 + k * EVERY_NS
-        state = RobotState(mode=Mode.TRACKING, eta=eta, eta_reference=eta)
+        state = RobotState(mode=Mode.TRACKING, eta=eta, eta_reference=eta, pose_age_ms=20.0)
         for topic, key, message in (
             (topics.HEARTBEAT, "station/heartbeat", StationHeartbeat(mission="RUNNING", began_ns=10**9)),
             (topics.STATE, "robot/1/state", state),

@@ -12,7 +12,7 @@ from shoal.config.experiment import Experiment, load_experiment
 from shoal.config.formation_shapes import shape_nodes
 from shoal.config.scene import read_form
 from shoal.frames import Array
-from tests.groundstation.planning.test_segment import check_smooth
+from tests.groundstation.planning.smoothness import check_smooth
 
 PERIOD_S = 0.05
 AT_S = 15.0
@@ -28,7 +28,7 @@ def laps() -> Experiment:
 def apart_m(segment: PlanSegment, at_s: float) -> Array:
     """Distances of the robots from their mean, in the order of their ids."""
     places = np.array([sample(t, np.array([at_s])).eta[0, :2] for _, t in sorted(segment.trajectories.items())])
-    return places - places.mean(axis=0)
+    return np.asarray(places - places.mean(axis=0))
 
 
 @pytest.mark.parametrize("mode", ["translate", "rotate"])
