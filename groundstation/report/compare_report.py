@@ -7,8 +7,8 @@ from rich.table import Table
 
 from groundstation.analysis.comparison import Comparison
 from groundstation.report.controller_comparison import COLUMNS, cells, closest, course, demands, errors, failures, wanted
-from groundstation.report.plotting import saving_script, to_svg
-from groundstation.report.report import environment
+from groundstation.report.plotting import to_svg
+from groundstation.report.report import environment, saving_script
 from shoal.errors import ConfigError
 from shoal.runtime.output import terminal
 from shoal.runtime.output_files import replace_text

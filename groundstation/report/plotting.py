@@ -6,7 +6,6 @@ alone (references are dashed, truth is dotted, limits are grey).
 
 import io
 import re
-from importlib import resources
 from typing import Any
 
 import matplotlib as mpl
@@ -50,11 +49,6 @@ STYLE: Any = {  # Any: matplotlib types its keys as one literal of hundreds of n
     "legend.markerscale": 4.0,
     "legend.fontsize": 8.5,
 }
-
-
-def saving_script() -> str:
-    """The script by which a page saves its figures and tables; `paper.tables()` gives each of them a menu."""
-    return (resources.files("groundstation.report") / "templates" / "paper.js").read_text(encoding="utf-8")
 
 
 def picture(drawing: TimePlot | BarPlot | Figure | None) -> Figure | None:

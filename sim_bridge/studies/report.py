@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from groundstation.analysis.measures import MEASURES
 from groundstation.analysis.statistics import Interval
-from groundstation.report.plotting import saving_script
+from groundstation.report.report import saving_script
 from shoal.runtime.output_files import replace_text
 from sim_bridge.studies.campaign import Campaign, command_of
 from sim_bridge.studies.dependence import KeyValue, reasons, shown_measures, unit_of
