@@ -20,7 +20,7 @@ IN_PARALLEL := -n logical $(BY_FILE)
 IN_PAIRS := -n 2 $(BY_FILE)
 
 .DEFAULT_GOAL := help
-.PHONY: help page run check test test-units test-real-time test-page test-computing test-slow mutants firmware faults fuzz photoreal soak scenes evidence laws bench lint format proto docs lock clean
+.PHONY: help page run check test test-units test-real-time test-page test-computing test-slow mutants firmware faults fuzz photoreal soak scenes evidence laws bench lint format docs lock clean
 
 help: ## this list
 	@echo "Targets (each sets up .venv by itself):"
@@ -108,9 +108,6 @@ page: ## build the pages of operator and camera setup again (needs Node 20 or ne
 	cd groundstation/web/page && npm ci --silent && npm run --silent build
 	cp groundstation/web/page/node_modules/uplot/dist/uPlot.iife.min.js groundstation/report/templates/uplot.min.js
 	cp groundstation/web/page/node_modules/uplot/dist/uPlot.min.css groundstation/report/templates/uplot.min.css
-
-proto: $(INSTALLED) ## generate shoal/messages/fleet_pb2.py from shoal/messages/fleet.proto
-	$(BIN)/python -m grpc_tools.protoc -I . --python_out=. --pyi_out=. shoal/messages/fleet.proto
 
 docs: $(INSTALLED) ## write the generated pages of docs/ again
 	$(BIN)/python -m tools.pages

@@ -57,8 +57,8 @@ def of_benchmark(content: dict[str, Any]) -> str:
 
 def spread(values: Iterable[float], scale: float = 1e3) -> str:
     """The largest, and in brackets the median, times a scale; empty where nothing is known."""
-    known = sorted(scale * value for value in values if not math.isnan(value))
-    return f"{short(known[-1])} ({short(known[len(known) // 2])})" if known else ""
+    numbers = sorted(scale * value for value in values if not math.isnan(value))
+    return f"{short(numbers[-1])} ({short(numbers[len(numbers) // 2])})" if numbers else ""
 
 
 def short(value: float) -> str:

@@ -77,13 +77,13 @@ def peer_python(name: str, requirements: Sequence[str]) -> Path:
     """Interpreter of the peer's own environment, made on first use and again when its requirements change."""
     home = ENVIRONMENTS / name
     python, stamp = home / "bin" / "python", home / "requirements.txt"
-    wanted = "".join(f"{line}\n" for line in requirements)
-    if not (stamp.is_file() and stamp.read_text() == wanted):
+    text = "".join(f"{line}\n" for line in requirements)
+    if not (stamp.is_file() and stamp.read_text() == text):
         print(f"installing {', '.join(requirements)} into {home.relative_to(ROOT)} ...", file=sys.stderr)
         subprocess.run([sys.executable, "-m", "venv", "--clear", str(home)], check=True)
         install = [str(python), "-m", "pip", "install", "--quiet", "--disable-pip-version-check", *requirements]
         subprocess.run(install, check=True, stdin=subprocess.DEVNULL)
-        stamp.write_text(wanted)
+        stamp.write_text(text)
     return python
 
 
@@ -95,7 +95,7 @@ def run_peer(name: str, requirements: Sequence[str], task: object, timeout_s: fl
     or fails is reported on stderr and left out: no network must not mean no benchmark.
     """
     try:
-        done = subprocess.run(
+        result = subprocess.run(
             [str(peer_python(name, requirements)), str(PEERS / f"{name}.py")],
             input=json.dumps(task),
             capture_output=True,
@@ -108,7 +108,7 @@ def run_peer(name: str, requirements: Sequence[str], task: object, timeout_s: fl
     except (subprocess.SubprocessError, OSError) as error:
         print(f"peer {name} not measured: {error}", file=sys.stderr)
         return []
-    if done.returncode != 0:
-        print(f"peer {name} not measured: it ended with {done.returncode}: {done.stderr.strip()}", file=sys.stderr)
+    if result.returncode != 0:
+        print(f"peer {name} not measured: it ended with {result.returncode}: {result.stderr.strip()}", file=sys.stderr)
         return []
-    return [Row(**row) for row in json.loads(done.stdout.splitlines()[-1])]
+    return [Row(**row) for row in json.loads(result.stdout.splitlines()[-1])]

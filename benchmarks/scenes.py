@@ -82,7 +82,7 @@ def fly(scene: str, seed: int, changes: Sequence[str] = ()) -> FlownScene:
     with tempfile.TemporaryDirectory(prefix="shoal-scene-") as folder:
         command = [sys.executable, "-P", "-m", "sim_bridge", "sil", scene, "--lockstep", "--one-process", "--no-web"]
         begin_s = time.monotonic()
-        done = subprocess.run(
+        ended = subprocess.run(
             [*command, "--seed", str(seed), "--out", folder, *(word for change in changes for word in ("--set", change))],
             capture_output=True,
             encoding="utf-8",
@@ -93,10 +93,10 @@ def fly(scene: str, seed: int, changes: Sequence[str] = ()) -> FlownScene:
         took_s = time.monotonic() - begin_s
         results = list(Path(folder).glob("*/result.json"))
         if not results:
-            return _not_flown(scene, seed, (done.stderr or done.stdout).strip().splitlines()[-1:], took_s)
+            return _not_flown(scene, seed, (ended.stderr or ended.stdout).strip().splitlines()[-1:], took_s)
         result = json.loads(results[0].read_text(encoding="utf-8"))
-        if result["passed"] != (done.returncode == 0):
-            raise RuntimeError(f"{scene}, seed {seed}: exit code {done.returncode}, but result.json says {result['passed']}")
+        if result["passed"] != (ended.returncode == 0):
+            raise RuntimeError(f"{scene}, seed {seed}: exit code {ended.returncode}, but result.json says {result['passed']}")
         return _flight(result, _tracks(results[0].with_name("run.mcap")), took_s)
 
 
@@ -166,7 +166,7 @@ def worst_of(flights: Sequence[FlownScene]) -> FlownScene:
 def markdown(flights: Sequence[FlownScene], seeds: int) -> str:
     """The page of evidence."""
     by_scene = {scene: sorted((f for f in flights if f.scene == scene), key=lambda f: f.seed) for scene in SCENES}
-    flown = {scene: group for scene, group in by_scene.items() if group}
+    groups = {scene: group for scene, group in by_scene.items() if group}
     lines = [
         "# Every shipped scene, flown whole",
         "",
@@ -180,7 +180,7 @@ def markdown(flights: Sequence[FlownScene], seeds: int) -> str:
         "",
         "## Flights",
         "",
-        *evidence.table(COLUMNS, (_flight_row(scene, group) for scene, group in flown.items())),
+        *evidence.table(COLUMNS, (_flight_row(scene, group) for scene, group in groups.items())),
         "",
         "## Poses by kind of track",
         "",
@@ -188,12 +188,12 @@ def markdown(flights: Sequence[FlownScene], seeds: int) -> str:
         "",
         *evidence.table(
             ("Scene", "Track", "Poses", "RMS, mm", "Largest, mm", "NEES"),
-            (row for scene, group in flown.items() for row in _track_rows(scene, group)),
+            (row for scene, group in groups.items() for row in _track_rows(scene, group)),
         ),
         "",
         "## Holds, faults and failures",
         "",
-        *(_faults(flown) or ["None in any flight."]),
+        *(_faults(groups) or ["None in any flight."]),
         "",
     ]
     return "\n".join(lines)
@@ -217,9 +217,9 @@ def _track_rows(scene: str, group: Sequence[FlownScene]) -> Iterator[list[str]]:
             yield [scene, track, str(poses.count), f"{poses.rms_mm:.2f}", f"{poses.max_mm:.1f}", f"{poses.nees:.2f}"]
 
 
-def _faults(flown: dict[str, list[FlownScene]]) -> list[str]:
+def _faults(groups: dict[str, list[FlownScene]]) -> list[str]:
     lines = []
-    for scene, group in flown.items():
+    for scene, group in groups.items():
         for flight in group:
             words = [*([] if flight.passed else [f"failed: {flight.reason}"]), *_counted(flight.faults)]
             if words:
@@ -238,20 +238,20 @@ def fly_all(
     scenes: Sequence[str], seeds: int, workers: int, console: Console, changes: Sequence[str] = ()
 ) -> list[FlownScene]:
     """Fly every scene on every seed, with `changes` to it and with progress."""
-    wanted = [(scene, seed) for seed in range(1, seeds + 1) for scene in scenes]
+    pairs = [(scene, seed) for seed in range(1, seeds + 1) for scene in scenes]
     flights: list[FlownScene] = []
     with (
         evidence.progress(console) as progress,
         ThreadPoolExecutor(workers) as pool,  # each thread waits for a process of its own
     ):
-        task = progress.add_task("flights", total=len(wanted))
-        for done in as_completed([pool.submit(fly, scene, seed, changes) for scene, seed in wanted]):
-            flight = done.result()
+        task = progress.add_task("flights", total=len(pairs))
+        for future in as_completed([pool.submit(fly, scene, seed, changes) for scene, seed in pairs]):
+            flight = future.result()
             flights.append(flight)
             progress.advance(task)
             verdict = "passed" if flight.passed else "failed"
             console.print(
-                f"{len(flights)} of {len(wanted)}: {flight.scene}, seed {flight.seed}: {verdict}"
+                f"{len(flights)} of {len(pairs)}: {flight.scene}, seed {flight.seed}: {verdict}"
                 f" in {flight.took_s:.0f} s, largest error {1e3 * flight.max_m:.0f} mm {flight.reason}",
                 highlight=False,
                 soft_wrap=True,

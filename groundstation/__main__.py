@@ -1,21 +1,16 @@
 """SHELL: `groundstation`: plan, fly, record, report. The commands are in groundstation/cli."""
 
-import functools
-from collections.abc import Callable
-from typing import Any
-
 import typer
 
 from groundstation.cli.deploy import deploy
-from groundstation.cli.foxglove import foxglove_cli, foxglove_layout
+from groundstation.cli.foxglove import foxglove_cli
 from groundstation.cli.keys import keys_cli
 from groundstation.cli.keys_of import keys_of
-from groundstation.cli.mission import fleet_request, gains_cli, go, mission_cli, order, register, set_or_undo, states
+from groundstation.cli.mission import gains_cli, mission_cli, register
 from groundstation.cli.replay import ended, replay
-from groundstation.cli.rerun import moment, rerun
 from groundstation.cli.run import plan, run
 from groundstation.cli.run_list import delete, label, list_runs
-from groundstation.cli.runs import benchmark_report, compare, export, record, repair, report
+from groundstation.cli.runs import benchmark_report, compare, export, repair, report
 from groundstation.cli.stop import ProgramGroup, register_stop
 from shoal.runtime.cli_options import Version
 from shoal.runtime.optional_packages import run_role
@@ -38,19 +33,8 @@ def _group(text: str) -> typer.Typer:
     return typer.Typer(help=text, no_args_is_help=True, pretty_exceptions_enable=False)
 
 
-def _renamed(command: Callable[..., None], name: str) -> Callable[..., None]:
-    """The command under an old name: it prints the new one to stderr first."""
-
-    @functools.wraps(command)
-    def old(*arguments: Any, **options: Any) -> None:
-        typer.echo(f"this command is now: groundstation {name}", err=True)
-        command(*arguments, **options)
-
-    return old
-
-
-log_cli = _group("Recorded runs: list, label, delete, report, compare, export, repair, replay, rerun (docs/runs.md).")
-for command in (report, compare, export, repair, replay, rerun, record):
+log_cli = _group("Recorded runs: list, label, delete, report, compare, export, repair, replay (docs/runs.md).")
+for command in (report, compare, export, repair, replay):
     log_cli.command()(command)
 log_cli.command("list")(list_runs)
 log_cli.command()(label)
@@ -70,27 +54,7 @@ cli.add_typer(benchmark_cli, name="benchmark")
 cli.add_typer(keys_cli, name="keys")
 cli.command()(deploy)
 cli.add_typer(foxglove_cli, name="foxglove")
-cli.command(hidden=True)(moment)
 cli.command(hidden=True)(ended)
-
-OLD_NAMES: dict[str, tuple[Callable[..., None], str]] = {
-    "order": (order, "mission load|arm|start|hold|resume|return|rejoin|test|disarm|clear-stop, or stop, end"),
-    "return": (fleet_request("return"), "mission return"),
-    "go": (go, "mission go"),
-    "set": (set_or_undo, "gains set|undo"),
-    "phases": (states, "mission states"),
-    "report": (report, "log report"),
-    "compare": (compare, "log compare"),
-    "export": (export, "log export"),
-    "recover": (repair, "log repair"),
-    "replay": (replay, "log replay"),
-    "rerun": (rerun, "log rerun"),
-    "record": (record, "log record"),
-    "comparison": (benchmark_report, "benchmark report"),
-    "foxglove-layout": (foxglove_layout, "foxglove layout"),
-}
-for _old, (command, _new) in OLD_NAMES.items():
-    cli.command(_old, hidden=True, context_settings={"ignore_unknown_options": _old == "go"})(_renamed(command, _new))
 
 
 def app() -> None:

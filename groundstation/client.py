@@ -98,7 +98,7 @@ def limit(bus: Bus, patience_s: float) -> Callable[[], bool]:
 
 
 def follow(
-    ask: Callable[[Command], Reply], command: Command, over: Callable[[], bool], told: Callable[[Outcome], None]
+    ask: Callable[[Command], Reply], command: Command, over: Callable[[], bool], report: Callable[[Outcome], None]
 ) -> Reply:
     """Make a request, and query its outcome until it is known or the wait is `over`. Returns the last reply.
 
@@ -108,7 +108,7 @@ def follow(
     while command.order is Order.STOP and reply.silent and not over():
         reply = ask(command)
     while reply.accepted and reply.outcome is not None and reply.outcome.progress is Progress.UNDER_WAY:
-        told(reply.outcome)
+        report(reply.outcome)
         if over():
             return reply
         time.sleep(ASK_EVERY_S)

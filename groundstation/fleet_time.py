@@ -28,10 +28,10 @@ class FleetTime:
 
     def simulated_s(self) -> float | None:
         """Simulated time (s) of the newest heartbeat; None for a fleet that lives by the wall clock, or where time stands."""
-        heard = self._heartbeats.newest()
-        if heard is None or heard.header.stamp_ns >= SIMULATED_BELOW_NS or _since_s(heard) > STANDING_S:
+        heartbeat = self._heartbeats.newest()
+        if heartbeat is None or heartbeat.header.stamp_ns >= SIMULATED_BELOW_NS or _since_s(heartbeat) > STANDING_S:
             return None
-        return heard.header.stamp_ns * 1e-9
+        return heartbeat.header.stamp_ns * 1e-9
 
     def age_s(self, received: Received[Any]) -> float:
         """Age of a message's content, in the fleet's time. Where simulated time stands, by the wall clock: nothing that has
@@ -78,9 +78,9 @@ class PaceMeter:
         return (simulated_s - looks[0][0]) / took_s if took_s >= SETTLED_S else None
 
 
-def pace_in_words(pace: float, wanted: float | None) -> str:
-    """A pace for people, with the reason where it is less than `wanted` (None: as fast as the machine can)."""
-    busy = wanted is not None and pace < BUSY_BELOW * wanted
+def pace_in_words(pace: float, share: float | None) -> str:
+    """A pace for people, with the reason where it is less than `share` of real time (None: as fast as the machine can)."""
+    busy = share is not None and pace < BUSY_BELOW * share
     return f"{pace:.1f} x real time{', the machine is busy' if busy else ''}"
 
 

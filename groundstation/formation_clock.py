@@ -9,9 +9,7 @@ from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-from shoal.messages.messages import Mode, RobotState, Trajectory
-
-ALONE = "alone-"  # begins the id of a trajectory that one robot flies on its own
+from shoal.messages.messages import ALONE, Mode, RobotState, Trajectory
 
 
 def named_alone(trajectory: Trajectory) -> Trajectory:

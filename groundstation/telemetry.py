@@ -93,10 +93,10 @@ class RobotView:
 Fleet = Mapping[int, RobotView]
 
 
-def other_code(found: str, own: str) -> str:
-    """Text about a program that runs other code than the station, `own`; empty if it runs the same. `found` is what its
+def other_code(other: str, own: str) -> str:
+    """Text about a program that runs other code than the station, `own`; empty if it runs the same. `other` is what its
     messages say, "" of an earlier version."""
-    return f"runs {found or 'an earlier version'}, the station {own}" if found != own else ""
+    return f"runs {other or 'an earlier version'}, the station {own}" if other != own else ""
 
 
 @dataclass
@@ -186,44 +186,57 @@ class Finding:
         return f"{self.text} ({self.remedy})" if self.remedy else self.text
 
 
-def findings(experiment: Experiment, robot: int, seen: RobotView, start: Array | None = None) -> tuple[Finding, ...]:
+def findings(experiment: Experiment, robot: int, view: RobotView, start: Array | None = None) -> tuple[Finding, ...]:
     """Failed checks of one robot. `start`: the pose (4,) in which it should begin; None once it has begun."""
-    state = seen.state
-    if seen.out:
+    state = view.state
+    if view.out:
         return (Finding(robot, "out", "notice", False, "out of the water", f"groundstation mission back-in --robot {robot}"),)
-    if state is None or not seen.heard:
-        known = state is not None
-        text = f"not heard for {seen.state_age_s:.1f} s" if known else "not heard"
-        level = "critical" if known else "warning"
+    if state is None or not view.heard:
+        has_state = state is not None
+        text = f"not heard for {view.state_age_s:.1f} s" if has_state else "not heard"
+        level = "critical" if has_state else "warning"
         return (Finding(robot, "silent", level, True, text, f"start its agent (robot-agent run ... --robot {robot})"),)
-    found = [Finding(robot, *finding) for check in CHECKS for finding in check(experiment, seen, state)]
+    problems = [Finding(robot, *finding) for check in CHECKS for finding in check(experiment, view, state)]
     if start is not None:
-        found += [Finding(robot, *finding) for finding in _start(experiment, state, start)]
-    return tuple(found)
+        problems += [Finding(robot, *finding) for finding in _start(experiment, state, start)]
+    return tuple(problems)
 
 
 FindingFields = Iterator[tuple[str, str, bool, str, str]]  # key, level, blocks_arming, text, remedy
 
 
-def _experiment(experiment: Experiment, seen: RobotView, state: RobotState) -> FindingFields:
+def _experiment(experiment: Experiment, view: RobotView, state: RobotState) -> FindingFields:
     if state.experiment_hash != experiment.hash:
         text = f"has another experiment ({state.experiment_hash[:8]}, here {experiment.hash[:8]})"
         same = "start its agent with this run's experiment.toml"
-        yield "experiment", "critical", True, text, DEPLOY if seen.other_code else same
-    if seen.other_code:
-        yield "code", "warning", False, seen.other_code, DEPLOY
-    if seen.localizer_hash not in ("", experiment.hash):  # its markers may be other robots', its camera may hang elsewhere
-        text = f"its poses are by another experiment ({seen.localizer_hash[:8]}, here {experiment.hash[:8]})"
+        yield "experiment", "critical", True, text, DEPLOY if view.other_code else same
+    if view.other_code:
+        yield "code", "warning", False, view.other_code, DEPLOY
+
+
+def _pose_senders(experiment: Experiment, view: RobotView, state: RobotState) -> FindingFields:
+    """Findings by which no robot flies on: its poses may be another robot's, or those of a camera that hangs elsewhere."""
+    if view.localizer_hash not in ("", experiment.hash):
+        text = f"its poses are by another experiment ({view.localizer_hash[:8]}, here {experiment.hash[:8]})"
         yield "localizer", "critical", True, text, "start the localizer with this run's experiment.toml"
-
-
-def _pose(experiment: Experiment, seen: RobotView, state: RobotState) -> FindingFields:
-    pose, limit_s = seen.pose, topics.POSE.max_age_in(experiment.safety)
-    if seen.two_pose_senders:
+    if view.two_pose_senders:
         remedy = "end one: a localizer, or a simulator that was left running"
         yield "poses", "critical", True, "two programs publish its poses by turns", remedy
-    if pose is None or seen.pose_age_s > limit_s:
-        age = "none yet" if pose is None else f"{seen.pose_age_s:.1f} s old"
+
+
+def foreign_poses(experiment: Experiment, fleet: Fleet, robots: Sequence[int]) -> str:
+    """Reason why these robots may not fly by their poses, with the remedy; empty if they may."""
+    for robot in robots:
+        view = fleet[robot]
+        for *_, text, remedy in _pose_senders(experiment, view, view.state) if view.state is not None else ():
+            return f"robot {robot}: {text} ({remedy})"
+    return ""
+
+
+def _pose(experiment: Experiment, view: RobotView, state: RobotState) -> FindingFields:
+    pose, limit_s = view.pose, topics.POSE.max_age_in(experiment.safety)
+    if pose is None or view.pose_age_s > limit_s:
+        age = "none yet" if pose is None else f"{view.pose_age_s:.1f} s old"
         yield "pose", "warning", True, f"no fresh pose ({age})", "is the localizer running, the robot in the picture?"
     elif pose.track < Track.KCF:
         yield "pose", "warning", True, f"pose is {pose.track.name}", "move it where the camera sees it; look for glare"
@@ -231,7 +244,7 @@ def _pose(experiment: Experiment, seen: RobotView, state: RobotState) -> Finding
         yield "identity", "warning", True, f"pose is {pose.track.name}, identity not verified", "let the camera see its marker"
 
 
-def _board(experiment: Experiment, seen: RobotView, state: RobotState) -> FindingFields:
+def _board(experiment: Experiment, view: RobotView, state: RobotState) -> FindingFields:
     """Findings about the thruster board: silence, lost messages, depth, battery."""
     age_s = state.board_age_ms * 1e-3
     if age_s > topics.STATE.max_age_s:
@@ -261,43 +274,43 @@ def _board(experiment: Experiment, seen: RobotView, state: RobotState) -> Findin
         yield "battery", "warning", False, f"battery {state.battery_v:.1f} V", "charge it soon"
 
 
-def _link(experiment: Experiment, seen: RobotView, state: RobotState) -> FindingFields:
-    if seen.loss > LOSSY:
-        yield "link", "warning", True, f"{seen.loss:.0%} of its messages are lost", "check the radio link"
-    limit_ms, offset_s = experiment.mission.clock_offset_ms, seen.clock_offset_s
+def _link(experiment: Experiment, view: RobotView, state: RobotState) -> FindingFields:
+    if view.loss > LOSSY:
+        yield "link", "warning", True, f"{view.loss:.0%} of its messages are lost", "check the radio link"
+    limit_ms, offset_s = experiment.mission.clock_offset_ms, view.clock_offset_s
     if abs(offset_s) > limit_ms * 1e-3:
         how = "ahead of" if offset_s > 0 else "behind"
         text = f"its clock is {abs(offset_s) * 1e3:.0f} ms {how} the station's"
         yield "clock", "notice", True, text, f"synchronise both (chrony), and start its agent again; allowed: {limit_ms:g} ms"
 
 
-def _mode(experiment: Experiment, seen: RobotView, state: RobotState) -> FindingFields:
+def _mode(experiment: Experiment, view: RobotView, state: RobotState) -> FindingFields:
     if state.mode in (Mode.STOPPED, Mode.FAULT):
         remedy = "clear the stop" if state.mode is Mode.STOPPED else "disarm it, and look for the cause"
         yield "mode", "critical", True, f"{state.mode.name.lower()}: {state.fault}", remedy
     elif state.fault:
         yield "fault", "warning", False, state.fault, ""
     flies = state.mode in (Mode.TRACKING, Mode.HOLDING, Mode.DRIVEN)
-    if flies and topics.PLAN.max_age_in(experiment.safety) < seen.plan_age_s < float("inf"):
-        yield "plan", "warning", False, f"its plan is {seen.plan_age_s:.1f} s old", "others give it room"
+    if flies and topics.PLAN.max_age_in(experiment.safety) < view.plan_age_s < float("inf"):
+        yield "plan", "warning", False, f"its plan is {view.plan_age_s:.1f} s old", "others give it room"
     if experiment.mission.thruster_test and not flies and state.thruster_test != "passed":
         text = f"thruster test: {state.thruster_test or 'not done'}"
         yield "thrusters", "notice", True, text, "groundstation mission test"
 
 
-def _gains(experiment: Experiment, seen: RobotView, state: RobotState) -> FindingFields:
-    if seen.other_gains:
+def _gains(experiment: Experiment, view: RobotView, state: RobotState) -> FindingFields:
+    if view.other_gains:
         yield "gains", "warning", True, "has other gains than the fleet", "wait: the station gives it the fleet's"
 
 
-def _step(experiment: Experiment, seen: RobotView, state: RobotState) -> FindingFields:
-    if abs(seen.behind_s) > OUT_OF_STEP_S:
-        how = "behind" if seen.behind_s > 0.0 else "ahead of"
-        text = f"is {abs(seen.behind_s):.1f} s {how} the others"
+def _step(experiment: Experiment, view: RobotView, state: RobotState) -> FindingFields:
+    if abs(view.behind_s) > OUT_OF_STEP_S:
+        how = "behind" if view.behind_s > 0.0 else "ahead of"
+        text = f"is {abs(view.behind_s):.1f} s {how} the others"
         yield "step", "critical", False, text, "all hold, and go on together when resumed; is its clock steady?"
 
 
-def _control(experiment: Experiment, seen: RobotView, state: RobotState) -> FindingFields:
+def _control(experiment: Experiment, view: RobotView, state: RobotState) -> FindingFields:
     if state.solve is Solve.FAILED:
         yield "solve", "critical", False, "the solver failed: neutral", ""
     elif state.solve is Solve.SHIFTED:
@@ -308,14 +321,14 @@ def _control(experiment: Experiment, seen: RobotView, state: RobotState) -> Find
         yield "close", "warning", False, f"its plan enters another robot's space by {state.slack_m * 1e3:.0f} mm", ""
 
 
-def _sight(experiment: Experiment, seen: RobotView, state: RobotState) -> FindingFields:
+def _sight(experiment: Experiment, view: RobotView, state: RobotState) -> FindingFields:
     if state.blind:
         remedy = "is the localizer running? It learns anew by itself, in some seconds, when light and camera stay as they are"
         yield "blind", "warning", experiment.mission.blind == "hold", f"blind: {state.blind}", remedy
 
 
 CHECKS: tuple[Callable[[Experiment, RobotView, RobotState], FindingFields], ...] = (
-    _mode, _experiment, _board, _pose, _sight, _link, _gains, _step, _control,
+    _mode, _experiment, _board, _pose_senders, _pose, _sight, _link, _gains, _step, _control,
 )  # fmt: skip
 
 

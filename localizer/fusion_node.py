@@ -44,19 +44,20 @@ class _Camera:
         self.status = bus.inbox(topics.LOCALIZER.of_camera(camera), LocalizerStatus)
         self.poses = bus.inboxes(topics.POSE.of_camera(camera), Pose, robots)
         self.obstacles = bus.inbox(topics.OBSTACLES.of_camera(camera), Obstacles)
-        self.seen: Header | None = None  # of the last status that was looked at
-        self.taken: Received[LocalizerStatus] | None = None
-        self.told: Received[Obstacles] | None = None
+        self.status_header: Header | None = None  # of the last status that was looked at
+        self.used_status: Received[LocalizerStatus] | None = None
+        self.used_obstacles: Received[Obstacles] | None = None
+        self.trusted_obstacles: Received[Obstacles] | None = None  # the last that it sent while it was not out
 
     @property
     def is_new(self) -> bool:
         """True if a status has come that was not looked at."""
-        return self.status.newest_header() is not self.seen
+        return self.status.newest_header() is not self.status_header
 
     def is_here(self, now_ns: int, period_s: float, silent_s: float) -> bool:
         """True if a new status is here with its poses, or none is about to come."""
         if not self.is_new:
-            since_s = float("inf") if self.taken is None else (now_ns - self.taken.arrived_ns) * 1e-9
+            since_s = float("inf") if self.used_status is None else (now_ns - self.used_status.arrived_ns) * 1e-9
             return not (1.0 - TOGETHER) * period_s < since_s < silent_s
         status = self.status.newest()
         poses = [self.poses[robot].newest_header() for robot in status.message.robots if robot in self.poses] if status else []
@@ -65,8 +66,8 @@ class _Camera:
     def poses_of(self, status: Received[LocalizerStatus]) -> dict[int, Pose]:
         """The poses of the picture that a status is about."""
         stamp_ns = status.header.stamp_ns
-        found = {robot: self.poses[robot].newest(stamp_ns) for robot in status.message.robots if robot in self.poses}
-        return {robot: pose.message for robot, pose in found.items() if pose and pose.header.stamp_ns == stamp_ns}
+        poses = {robot: self.poses[robot].newest(stamp_ns) for robot in status.message.robots if robot in self.poses}
+        return {robot: pose.message for robot, pose in poses.items() if pose and pose.header.stamp_ns == stamp_ns}
 
 
 class FusionNode:
@@ -158,37 +159,47 @@ class FusionNode:
     def _of_all(self, field: str, own: str) -> str:
         """A field of the status that says what a program runs: this one's `own`, or that of a camera's localizer which says
         something else, and rather that than nothing."""
-        told = sorted((str(getattr(view.status, field)) for view in self._views.values()), reverse=True)
-        return next((found for found in told if found != own), own)
+        values = sorted((str(getattr(view.status, field)) for view in self._views.values()), reverse=True)
+        return next((value for value in values if value != own), own)
 
     def _take(self, name: str, camera: _Camera) -> tuple[int, int] | None:
         """Take a camera's newest picture. Returns its instant and stamp, None if there is no new one."""
-        camera.seen = camera.status.newest_header()
+        camera.status_header = camera.status.newest_header()
         status = camera.status.newest(self._up_to_ns[name][0] if name in self._up_to_ns else None)
-        if status is None or status is camera.taken or (self._lockstep and name not in self._up_to_ns):
+        if status is None or status is camera.used_status or (self._lockstep and name not in self._up_to_ns):
             return None
-        camera.taken = status
+        camera.used_status = status
         instant_ns = self._clock.instant_ns(status)
         self._views[name] = CameraView(instant_ns, status.message, camera.poses_of(status))
         return instant_ns, self._stamps.of(name, status.header.stamp_ns, instant_ns, status.header.session)
 
     def _tell_obstacles(self, out: tuple[str, ...]) -> None:
-        """Publish the obstacles of all cameras that see and are not `out`, when one of them has told of its own."""
+        """Publish the obstacles of all cameras when one that sees and is not `out` has told of its own. What those that are
+        out, or silent, saw before goes on being told with its age."""
         new: list[tuple[int, int]] = []  # instant and stamp
         for name, camera in self._cameras.items():
-            found = camera.obstacles.newest(self._up_to_ns[name][1] if name in self._up_to_ns else None)
-            if found is not None and found is not camera.told:
-                camera.told = found
+            obstacles = camera.obstacles.newest(self._up_to_ns[name][1] if name in self._up_to_ns else None)
+            if obstacles is not None and obstacles is not camera.used_obstacles:
+                camera.used_obstacles = obstacles
                 if name not in out:
-                    stamp_ns = self._stamps.carried(name, found.header.stamp_ns, found.header.session)
-                    new.append((self._clock.instant_ns(found), stamp_ns))
+                    camera.trusted_obstacles = obstacles
+                    stamp_ns = self._stamps.carried(name, obstacles.header.stamp_ns, obstacles.header.session)
+                    new.append((self._clock.instant_ns(obstacles), stamp_ns))
         if not new:
             return
         newest_ns, stamp_ns = max(new)
-        limit_s, told = topics.OBSTACLES.max_age_s, {n: camera.told for n, camera in self._cameras.items() if n not in out}
-        fresh = {n: found.message for n, found in told.items() if found and age_s(self._clock, found) <= limit_s}
+        fresh: dict[str, Obstacles] = {}
+        before: dict[str, tuple[Obstacles, float]] = {}
+        for name, camera in self._cameras.items():
+            trusted = camera.trusted_obstacles
+            if trusted is None:
+                continue
+            if name not in out and age_s(self._clock, trusted) <= topics.OBSTACLES.max_age_s:
+                fresh[name] = trusted.message
+            else:
+                before[name] = trusted.message, max((newest_ns - self._clock.instant_ns(trusted)) * 1e-9, 0.0)
         self._obstacles_ns = stamp_ns
-        fused = fuse_obstacles(fresh, tuple(self._cameras))
+        fused = fuse_obstacles(fresh, tuple(self._cameras), before)
         age_ns = max(self._clock.now_ns() - newest_ns, 0)
         self._bus.publish(topics.OBSTACLES, fused, self._obstacles_ns, age_ns=age_ns)
 

@@ -152,7 +152,7 @@ def marker_poses(
     root of the mean squared error of the corners' coordinates [m] that is left when the size is free.
     """
     half = side / 2.0
-    seen = np.empty((4, 2))
+    points_m = np.empty((4, 2))
     flat = np.empty((4, 2))
     for i in range(len(corners)):
         sr = math.sin(tilts[i, 0])
@@ -167,16 +167,16 @@ def marker_poses(
             flat[k, 0] = a * cp + b * sr * sp
             flat[k, 1] = b * cr
             deeper = b * sr * cp - a * sp
-            seen[k, 0], seen[k, 1] = pool_point(camera, corners[i, k, 0], corners[i, k, 1], depths[i] + deeper)
-            x += seen[k, 0] / 4.0
-            y += seen[k, 1] / 4.0
+            points_m[k, 0], points_m[k, 1] = pool_point(camera, corners[i, k, 0], corners[i, k, 1], depths[i] + deeper)
+            x += points_m[k, 0] / 4.0
+            y += points_m[k, 1] / 4.0
         along = 0.0
         across = 0.0
         size = 0.0
         squares = 0.0
         for k in range(4):
-            dx = seen[k, 0] - x
-            dy = seen[k, 1] - y
+            dx = points_m[k, 0] - x
+            dy = points_m[k, 1] - y
             along += flat[k, 0] * dx + flat[k, 1] * dy
             across += flat[k, 0] * dy - flat[k, 1] * dx
             size += flat[k, 0] * flat[k, 0] + flat[k, 1] * flat[k, 1]
@@ -186,8 +186,8 @@ def marker_poses(
         s = math.sin(yaw)
         misfit = 0.0
         for k in range(4):
-            misfit = max(misfit, abs(seen[k, 0] - x - c * flat[k, 0] + s * flat[k, 1]))
-            misfit = max(misfit, abs(seen[k, 1] - y - s * flat[k, 0] - c * flat[k, 1]))
+            misfit = max(misfit, abs(points_m[k, 0] - x - c * flat[k, 0] + s * flat[k, 1]))
+            misfit = max(misfit, abs(points_m[k, 1] - y - s * flat[k, 0] - c * flat[k, 1]))
         poses[i, 0] = x
         poses[i, 1] = y
         poses[i, 2] = yaw

@@ -114,7 +114,7 @@ class LocalizerNode:
         self._obstacle_detector = _make_obstacle_detector(experiment)
         self._obstacles, self._obstacles_ns = Obstacles(), -1  # the newest, and the stamp of the newest that was told
         self._status = LocalizerStatus(code=code().short, experiment_hash=self._hash)
-        self._told = dict[int, Array]()  # where robots say that they are, (3,)
+        self._reported_places = dict[int, Array]()  # where robots say that they are, (3,)
         self._last_health = CameraHealth.OK
         self._failed, self._failed_in_a_row = 0, 0  # pictures
         self._video: VideoEncoder | None = None
@@ -158,26 +158,26 @@ class LocalizerNode:
         started_ns = time.perf_counter_ns()
         stamp_ns = self._stamps.of("", captured.stamp_ns, captured.instant_ns, captured.session)
         captured = replace(captured, stamp_ns=stamp_ns)
-        depths_m, known = dict[int, float](), dict[int, Attitude]()
+        depths_m, known_attitudes = dict[int, float](), dict[int, Attitude]()
         try:
             states = self._fresh_states(captured.inputs_up_to_ns)
-            self._told = {robot: state.message.eta[:3] for robot, state in states.items() if state.message.planned}
+            self._reported_places = {robot: state.message.eta[:3] for robot, state in states.items() if state.message.planned}
             depths_m = {robot: state.message.depth_m for robot, state in states.items()}
             attitudes = {robot: self._attitude(state, captured.instant_ns) for robot, state in states.items()}
-            known = {robot: attitude for robot, attitude in attitudes.items() if attitude is not None}
-            result = self._localizer.locate(captured.pixels, captured.instant_ns, depths_m, known)
+            known_attitudes = {robot: attitude for robot, attitude in attitudes.items() if attitude is not None}
+            result = self._localizer.locate(captured.pixels, captured.instant_ns, depths_m, known_attitudes)
             age_ns = max(self._clock.now_ns() - captured.instant_ns, 0)
             for robot, pose in result.poses:
                 self._bus.publish(self._own(topics.POSE), pose, captured.stamp_ns, robot, age_ns=age_ns)
         except Exception as error:
             self._report_failure(captured, error, previews)
-            self._record(captured, depths_m, known, ())
+            self._record(captured, depths_m, known_attitudes, ())
             return
         frame_ms = (time.perf_counter_ns() - started_ns) * 1e-6
-        found = result.status
-        told = tuple(robot for robot, _ in result.poses)
+        result_status = result.status
+        robots = tuple(robot for robot, _ in result.poses)
         status = replace(
-            found, dropped=captured.dropped, frame_ms=frame_ms, frame_age_ms=age_ns * 1e-6, robots=told,
+            result_status, dropped=captured.dropped, frame_ms=frame_ms, frame_age_ms=age_ns * 1e-6, robots=robots,
             obstacles_ns=self._obstacles_ns, failed=self._failed, code=code().short, experiment_hash=self._hash,
         )  # fmt: skip
         self._publish_status(status, captured.stamp_ns, age_ns)
@@ -186,7 +186,7 @@ class LocalizerNode:
         previews.offer(captured, result, self._obstacles)
         if self._video is not None:
             self._video.offer(captured)
-        self._record(captured, depths_m, known, result.poses)
+        self._record(captured, depths_m, known_attitudes, result.poses)
 
     def _record(
         self,
@@ -196,10 +196,10 @@ class LocalizerNode:
         poses: tuple[tuple[int, Pose], ...],
     ) -> None:
         if self._recorder is not None:
-            told = {robot: astuple(attitude) for robot, attitude in attitudes.items()}
+            attitude_values = {robot: astuple(attitude) for robot, attitude in attitudes.items()}
             published = {robot: encode(pose) for robot, pose in poses}
             self._recorder.put(
-                RecordedFrame(captured.pixels, captured.stamp_ns, captured.instant_ns, depths_m, told, published)
+                RecordedFrame(captured.pixels, captured.stamp_ns, captured.instant_ns, depths_m, attitude_values, published)
             )
 
     def _finish(self) -> None:
@@ -233,22 +233,24 @@ class LocalizerNode:
         if result.status.camera is not CameraHealth.OK:
             self._obstacles = Obstacles()
             return
-        seen = {robot: [pose.x_m, pose.y_m, pose.depth_m] for robot, pose in result.poses if pose.track is not Track.LOST}
+        robot_places = {
+            robot: [pose.x_m, pose.y_m, pose.depth_m] for robot, pose in result.poses if pose.track is not Track.LOST
+        }
         if self._camera:  # at the picture's edge a robot is known by another camera's poses, and is no obstacle either
-            seen = {robot: place.tolist() for robot, place in self._told.items()} | seen
+            robot_places = {robot: place.tolist() for robot, place in self._reported_places.items()} | robot_places
         try:
-            found = self._obstacle_detector.step(
-                captured.pixels, captured.instant_ns, np.array(list(seen.values())).reshape(-1, 3)
+            obstacles = self._obstacle_detector.step(
+                captured.pixels, captured.instant_ns, np.array(list(robot_places.values())).reshape(-1, 3)
             )
         except Exception as error:
             log.error("obstacles: %s: %s; the water is learnt anew", type(error).__name__, error, exc_info=error)
             self._obstacle_detector = ObstacleDetector(self._experiment)
-            found = Obstacles()  # says that nothing is watched
-        if found is not None:
-            self._obstacles, self._obstacles_ns = found, captured.stamp_ns
+            obstacles = Obstacles()  # says that nothing is watched
+        if obstacles is not None:
+            self._obstacles, self._obstacles_ns = obstacles, captured.stamp_ns
             self._bus.publish(
                 self._own(topics.OBSTACLES),
-                found,
+                obstacles,
                 captured.stamp_ns,
                 age_ns=max(self._clock.now_ns() - captured.instant_ns, 0),
             )
@@ -261,11 +263,11 @@ class LocalizerNode:
 
     def _fresh_states(self, up_to_ns: int | None) -> dict[int, Received[RobotState]]:
         """The robots' states whose board was heard of late: their depth and attitude count."""
-        found = {robot: inbox.newest(up_to_ns) for robot, inbox in self._states.items()}
+        newest_states = {robot: inbox.newest(up_to_ns) for robot, inbox in self._states.items()}
         limit_s = topics.STATE.max_age_s
         return {
             robot: state
-            for robot, state in found.items()
+            for robot, state in newest_states.items()
             if state is not None and age_s(self._clock, state) <= limit_s and state.message.board_age_ms <= limit_s * 1e3
         }
 

@@ -1,6 +1,5 @@
 """SHELL: `robot-agent`: the program on a robot's computer."""
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -14,7 +13,6 @@ from shoal.config.experiment import load_experiment
 from shoal.runtime.cli_options import (
     DEFAULT_FLEET,
     DEFAULT_STATION,
-    ExperimentName,
     Insecure,
     KeyRing,
     LinkInsecure,
@@ -124,24 +122,6 @@ def run(
     finally:
         watchdog.stopping()
         wires.close()
-
-
-@cli.command(hidden=True)
-def rerun(
-    experiment: ExperimentName,
-    robot: Annotated[int, typer.Option(help="Which robot of the experiment this is.")],
-    settings: Settings = None,
-) -> None:
-    """Do a robot's control steps again on what comes through stdin, and say on stdout what came of them.
-
-    For `groundstation log rerun`, which reads a log and compares.
-    """
-    from robot_agent.rerun import Rerun
-    from shoal.messages.pipe import PipeWriter, read_pipe
-
-    said = PipeWriter(sys.stdout.buffer, session=1)
-    for topic, message, stamp_ns in Rerun(load_experiment(experiment, settings or ()), robot).run(read_pipe(sys.stdin.buffer)):
-        said.publish(topic, message, stamp_ns, robot)
 
 
 @cli.command()

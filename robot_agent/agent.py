@@ -197,7 +197,7 @@ class Agent:
         goal = self._goal(neighbours, obstacles, now_ns)  # time goes on along the path while the board arms
         if not inputs.telemetry.armed:
             goal = None  # a board arms on neutral pulses, and puts out no others
-        self._tuning.step(now_ns, self._clock.reached_s)
+        self._tuning.step(now_ns, self._clock.formation_s)
         output = self._sound(self.controller.step(_measurement(inputs), goal, neighbours, now_ns, obstacles))
         self._last = output
         pulses = self._pulses(output, inputs.telemetry, now_ns)

@@ -3,7 +3,7 @@
 The node makes the record first and steps on it, so that no input can reach a step without being recorded:
 
     messages of the bus, telemetry -> `record_step` -> StepInputs -> `inputs_of` -> Agent.step
-                                                  the log   -> `inputs_of` -> Agent.step      (rerun.py)
+                                                  the log   -> `inputs_of` -> Agent.step      (sim_bridge/replay/rerun.py)
 """
 
 from collections.abc import Mapping

@@ -9,6 +9,7 @@ from sim_bridge.board_conformance.cli import board_conformance
 from sim_bridge.cli.compare import compare, tune
 from sim_bridge.cli.new import new
 from sim_bridge.cli.pool import board, hil, pool
+from sim_bridge.cli.rerun import rerun
 from sim_bridge.cli.sil import campaign, numeric, sil
 
 cli = typer.Typer(
@@ -26,6 +27,7 @@ def main(version: Version = False) -> None:
 cli.command()(sil)
 cli.command()(numeric)
 cli.command()(campaign)
+cli.command()(rerun)
 cli.command()(new)
 cli.command()(pool)
 cli.command()(hil)

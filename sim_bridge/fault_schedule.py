@@ -53,11 +53,11 @@ class FaultSchedule:
         active = tuple(fault for fault in self._faults if fault.holds(time_s))
         if active == self._active:
             return []
-        said = [f"fault: {fault.what}" for fault in active if fault not in self._active]
-        said += [f"fault over: {fault.what}" for fault in self._active if fault not in active]
+        texts = [f"fault: {fault.what}" for fault in active if fault not in self._active]
+        texts += [f"fault over: {fault.what}" for fault in self._active if fault not in active]
         self._active = active
         self._derive()
-        return said
+        return texts
 
     def quiet_steps(self, time_s: float, step_s: float, most: int) -> int:
         """Plant steps from `time_s` to the first instant of a step at which a fault begins or ends; 1 to `most`."""
@@ -76,10 +76,10 @@ class FaultSchedule:
         self._stuck_us = {where: self._stuck_us.get(where, float(pulses_us[where])) for where in stuck}
         if not stuck:
             return pulses_us
-        seen = pulses_us.copy()
+        outputs_us = pulses_us.copy()
         for where, pulse in self._stuck_us.items():
-            seen[where] = pulse
-        return seen
+            outputs_us[where] = pulse
+        return outputs_us
 
     def _of(self, kind: str) -> list[tuple[int, Break]]:
         """Faults of a kind that hold now, each with its robot's index (-1: none)."""

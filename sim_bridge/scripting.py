@@ -91,22 +91,22 @@ def simulation(
         "sim_bridge", words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, more={"PYTHONUNBUFFERED": "1"}
     )
     assert child.stdout is not None
-    said, ended = list[str](), False
+    output_lines, ended = list[str](), False
     try:
         lines = io.TextIOWrapper(child.stdout, "utf-8", errors="replace")
         for line in lines:
-            said.append(line)
+            output_lines.append(line)
             if line.startswith(STATION):
                 break
         else:
-            raise Failed("".join(said).strip() or f"sim-bridge sil ended with exit code {child.wait()}")
-        output = threading.Thread(target=said.extend, args=(lines,), name="sil-output", daemon=True)
+            raise Failed("".join(output_lines).strip() or f"sim-bridge sil ended with exit code {child.wait()}")
+        output = threading.Thread(target=output_lines.extend, args=(lines,), name="sil-output", daemon=True)
         output.start()
 
         def gone() -> str:
-            return "" if child.poll() is None else f"the simulation has ended: {_last_words(said, output)}"
+            return "" if child.poll() is None else f"the simulation has ended: {_last_words(output_lines, output)}"
 
-        address = said[-1].removeprefix(STATION).split()[0]
+        address = output_lines[-1].removeprefix(STATION).split()[0]
         with ExitStack() as closing:
             try:
                 bus = client.connect(address, patience_s=START_WITHIN_S, stopped=lambda: child.poll() is not None)
@@ -115,7 +115,7 @@ def simulation(
             except (Unreached, NotHeard):
                 if child.poll() is None:
                     raise
-                raise Failed(_last_words(said, output)) from None
+                raise Failed(_last_words(output_lines, output)) from None
             yield fleet
             ended = fleet.ended
     finally:
@@ -127,11 +127,11 @@ def simulation(
             child.kill()  # its own children end with it
 
 
-def _last_words(said: Sequence[str], output: threading.Thread) -> str:
+def _last_words(lines: Sequence[str], output: threading.Thread) -> str:
     """Output of `sim-bridge sil`, which has ended, after its station's endpoint."""
     output.join(LAST_WORDS_S)
-    begin = next(k for k, line in enumerate(said) if line.startswith(STATION))
-    return "".join(line for line in said[begin + 1 :] if not PROGRESS.match(line)).strip() or "it said nothing"
+    begin = next(k for k, line in enumerate(lines) if line.startswith(STATION))
+    return "".join(line for line in lines[begin + 1 :] if not PROGRESS.match(line)).strip() or "it said nothing"
 
 
 def _lines(settings: Mapping[str, Any] | None, seed: int | None, duration_s: float | None) -> list[str]:

@@ -14,12 +14,12 @@ Pulses = dict[tuple[str, int], tuple[int, ...]]  # of a topic's state at its tim
 
 def pulses(run: Path) -> Pulses:
     """All pulses that robots sent in a run, read without the project's own reader."""
-    found: Pulses = {}
+    pulses_by_instant: Pulses = {}
     with (run / "run.mcap").open("rb") as file:
         for _, channel, message, state in make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages():
             if channel.topic.startswith("shoal/robot/") and channel.topic.endswith("/state"):
-                found[channel.topic, message.publish_time] = tuple(state.pulse_us)
-    return found
+                pulses_by_instant[channel.topic, message.publish_time] = tuple(state.pulse_us)
+    return pulses_by_instant
 
 
 def main(first: str, second: str) -> int:

@@ -5,13 +5,12 @@ from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-GENERATED = {"shoal/messages/fleet_pb2.py"}
 
 
 def sources(*packages: str) -> list[str]:
     """Python files of some packages, by their paths below the project's root."""
-    found = (path for package in packages for path in sorted((ROOT / package).rglob("*.py")))
-    return [str(path.relative_to(ROOT)) for path in found]
+    paths = (path for package in packages for path in sorted((ROOT / package).rglob("*.py")))
+    return [str(path.relative_to(ROOT)) for path in paths]
 
 
 @cache

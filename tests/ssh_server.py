@@ -52,9 +52,9 @@ def ssh_server(
     }
     config = folder / f"sshd_config-{host}"
     config.write_text("".join(f"{key} {value}\n" for key, value in settings.items()))
-    known = host if port == 22 else f"[{host}]:{port}"
+    name = host if port == 22 else f"[{host}]:{port}"
     with (folder / "known_hosts").open("a") as hosts:
-        hosts.write(f"{known} {(folder / 'host.pub').read_text()}")
+        hosts.write(f"{name} {(folder / 'host.pub').read_text()}")
     server = subprocess.Popen([*inside, str(SSHD), "-D", "-e", "-f", str(config)], stderr=subprocess.DEVNULL)
 
     def answers() -> bool:

@@ -49,11 +49,11 @@ def commands(node: Any, path: tuple[str, ...], hidden: bool) -> Iterator[tuple[t
 
 def all_commands(hidden: bool = False) -> list[tuple[tuple[str, ...], Any]]:
     """Every command that a person can see, or also those that only programs call."""
-    found: list[tuple[tuple[str, ...], Any]] = []
+    leaves: list[tuple[tuple[str, ...], Any]] = []
     for program, module in PROGRAMS.items():
         root = typer.main.get_command(importlib.import_module(f"{module}.__main__").cli)
-        found += commands(root, (program,), hidden)
-    return found
+        leaves += commands(root, (program,), hidden)
+    return leaves
 
 
 each = pytest.mark.parametrize(
@@ -65,16 +65,15 @@ each = pytest.mark.parametrize(
 def test_help_has_an_example_that_is_this_very_command(path: tuple[str, ...], command: Any) -> None:
     text = " ".join((command.help or "").split())
     assert "Example" in text
-    if path != ("groundstation", "log", "record"):  # nobody types it
-        assert " ".join(path) in text.partition("Example")[2]
+    assert " ".join(path) in text.partition("Example")[2]
 
 
 def commands_of(page: Path) -> list[list[str]]:
     """Our programs' commands in the shell blocks of a page, as words."""
     blocks = re.findall(r"^```sh\n(.*?)^```", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
     lines = "\n".join(blocks).replace("\\\n", " ").splitlines()
-    found = [shlex.split(line, comments=True) for line in lines]
-    return [words for words in found if words and words[0] in PROGRAMS and "..." not in words]
+    lines_of_words = [shlex.split(line, comments=True) for line in lines]
+    return [words for words in lines_of_words if words and words[0] in PROGRAMS and "..." not in words]
 
 
 BY_HAND = ("certificates", "deploy", "hardware", "hil", "missions", "runs")  # pages whose commands no other test runs
@@ -148,7 +147,7 @@ def test_command_lines_on_pages_are_ones_that_there_are(page: Path) -> None:
         words = line.partition("  #")[0].removeprefix(".venv/bin/").split()
         if len(words) < 2 or words[0] not in PROGRAMS or words[1].startswith("-"):
             continue
-        if any(known[: len(words)] == tuple(words) for known in options):
+        if any(option[: len(words)] == tuple(words) for option in options):
             continue
         path = next((tuple(words[:k]) for k in (3, 2) if tuple(words[:k]) in options), None)
         assert path is not None, f"no such command: {line}"
@@ -157,8 +156,8 @@ def test_command_lines_on_pages_are_ones_that_there_are(page: Path) -> None:
 
 
 def test_a_shell_completes_commands_options_experiments_and_orders() -> None:
-    assert completed("groundstation log re") == {"repair", "record", "replay", "report", "rerun"}
-    assert {"--set", "--robot", "--json"} <= completed("groundstation log rerun --")
+    assert completed("groundstation log re") == {"repair", "replay", "report"}
+    assert {"--set", "--robot", "--json"} <= completed("sim-bridge rerun --", "sim-bridge")
     assert completed("groundstation mission s") == {"start", "states"}
     assert completed("sim-bridge sil open", "sim-bridge") == {"open-water"}
 
@@ -175,7 +174,7 @@ def test_an_experiments_name_completes_to_files_too(tmp_path: Path, monkeypatch:
 
 def test_codes_for_what_cannot_be_done() -> None:
     for arguments in (
-        ["log", "rerun"],
+        ["log", "replay"],
         ["mission", "fly"],
         ["mission", "go", "nan", "1"],
         ["run", "pool", "--warp"],
@@ -191,17 +190,17 @@ def ended(*arguments: str) -> tuple[int, str, str]:
 
 
 def test_a_dry_run_says_what_would_be_flown_and_leaves_nothing(tmp_path: Path) -> None:
-    code, said, _ = ended("groundstation", "run", "pool", "--dry-run", "--out", str(tmp_path))
+    code, output, _ = ended("groundstation", "run", "pool", "--dry-run", "--out", str(tmp_path))
     assert code == 0
-    assert re.search(r"120 s, experiment [0-9a-f]{8}, into", said)
-    assert said.count("starts at x") == 2
+    assert re.search(r"120 s, experiment [0-9a-f]{8}, into", output)
+    assert output.count("starts at x") == 2
     assert not list(tmp_path.iterdir())
 
 
 def test_a_dry_run_of_what_cannot_be_flown_says_why(tmp_path: Path) -> None:
-    code, _, said = ended("groundstation", "run", "pool", "--dry-run", "--out", str(tmp_path), "--set", "path.lap_s=1")
+    code, _, output = ended("groundstation", "run", "pool", "--dry-run", "--out", str(tmp_path), "--set", "path.lap_s=1")
     assert code == 2
-    assert "robot 1" in said and "Traceback" not in said
+    assert "robot 1" in output and "Traceback" not in output
 
 
 def test_a_dry_run_looks_at_the_way_to_the_robots_too(tmp_path: Path) -> None:
@@ -221,27 +220,22 @@ def test_a_dry_run_looks_at_the_way_to_the_robots_too(tmp_path: Path) -> None:
 
 
 def test_a_run_that_is_none_is_named(tmp_path: Path) -> None:
-    for command in ("rerun", "replay", "export"):
-        more = ["--out", str(tmp_path / "out"), "--foxglove"] if command == "export" else []
-        code, _, said = ended("groundstation", "log", command, str(tmp_path), *more)
-        assert (code, "Traceback" in said) == (2, False)
-        assert str(tmp_path) in said
-
-
-@pytest.mark.parametrize(
-    ("old", "new"), [(["phases"], "mission states"), (["report", "--help"], ""), (["recover", "nowhere"], "log repair")]
-)
-def test_an_old_command_name_works_and_names_the_new_one(old: list[str], new: str) -> None:
-    _, _, why = ended("groundstation", *old)
-    assert (f"this command is now: groundstation {new}" in why) is bool(new)
+    for program, *words in (
+        ("sim_bridge", "rerun", str(tmp_path)),
+        ("groundstation", "log", "replay", str(tmp_path)),
+        ("groundstation", "log", "export", str(tmp_path), "--out", str(tmp_path / "out"), "--foxglove"),
+    ):
+        code, _, output = ended(program, *words)
+        assert (code, "Traceback" in output) == (2, False)
+        assert str(tmp_path) in output
 
 
 def test_unwritable_output_is_told_in_one_line(tmp_path: Path) -> None:
     file = tmp_path / "file"
     file.touch()
     for place in (file / "layout.json", tmp_path):
-        code, said, why = ended("groundstation", "foxglove", "layout", "pool", "--out", str(place))
-        assert (code, said, why.splitlines()) == (2, "", [why.strip()])
+        code, output, why = ended("groundstation", "foxglove", "layout", "pool", "--out", str(place))
+        assert (code, output, why.splitlines()) == (2, "", [why.strip()])
         assert why.startswith(f"{place}: ")
 
 
@@ -267,11 +261,11 @@ def test_json_is_json_and_nothing_else(tmp_path: Path) -> None:
     for run, settings in zip(runs, ((), ("safety.radius_m=0.31",)), strict=True):
         run.mkdir()
         write_run(run, Script(duration_s=2.0, settings=settings))
-    code, said, _ = ended("groundstation", "log", "report", str(runs[0]), "--json")
-    assert code == 0 and json.loads(said) == json.loads((runs[0] / "result.json").read_text())
+    code, output, _ = ended("groundstation", "log", "report", str(runs[0]), "--json")
+    assert code == 0 and json.loads(output) == json.loads((runs[0] / "result.json").read_text())
     page = tmp_path / "compare.html"
-    code, said, _ = ended("groundstation", "log", "compare", *map(str, runs), "--json", "--out", str(page))
-    compared = json.loads(said)
+    code, output, _ = ended("groundstation", "log", "compare", *map(str, runs), "--json", "--out", str(page))
+    compared = json.loads(output)
     assert compared["runs"] == ["one", "two"] and page.is_file()
     assert {"key": "safety.radius_m", "values": ["0.3", "0.31"]} in compared["differences"]
 
@@ -313,10 +307,10 @@ def test_an_order_for_a_script_is_json(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_terminals_request_for_one_robot_names_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    hub, asked = MemoryHub(), list[Command]()
+    hub, commands = MemoryHub(), list[Command]()
 
     def refuse(header: Header, command: Command) -> Reply:
-        asked.append(command)
+        commands.append(command)
         return Reply(0, False, "no")
 
     station = Bus(MemoryTransport(hub))
@@ -324,8 +318,8 @@ def test_a_terminals_request_for_one_robot_names_it(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr("groundstation.client.ZenohTransport", lambda *_, **__: MemoryTransport(hub))
     for order in (["arm"], ["hold"], ["disarm"], ["go", "0.5", "-1.0"]):
         assert CliRunner().invoke(groundstation, ["mission", *order, "--robot", "2"]).exit_code == 1
-        assert (asked[-1].order.name.lower(), asked[-1].robot) == (order[0], 2)
-    assert asked[-1].via.tolist() == [[0.5, -1.0]]
+        assert (commands[-1].order.name.lower(), commands[-1].robot) == (order[0], 2)
+    assert commands[-1].via.tolist() == [[0.5, -1.0]]
     assert CliRunner().invoke(groundstation, ["mission", "start", "--robot", "2"]).exit_code == 2
 
 
@@ -334,12 +328,12 @@ def test_a_dry_run_of_all_processes_says_what_it_would_start(tmp_path: Path) -> 
         fault = ["--fault", "t=6 process agent-2 killed"]
         return CliRunner().invoke(sim_bridge, ["sil", "blocked-path", "--dry-run", "--out", str(tmp_path), *fault, *more])
 
-    said = dry("--poses", "--real-time").stdout
-    assert [line.split()[0] for line in said.splitlines() if "python -m" in line] == [
+    output = dry("--poses", "--real-time").stdout
+    assert [line.split()[0] for line in output.splitlines() if "python -m" in line] == [
         "groundstation", "sim-bridge", "agent-1", "agent-2", "agent-3",
     ]  # fmt: skip
-    assert "75 s" in said and said.count("starts at x") == 3
-    assert "at 6 s: process agent-2 killed" in said
+    assert "75 s" in output and output.count("starts at x") == 3
+    assert "at 6 s: process agent-2 killed" in output
     for wrong, why in (
         (["--real-time", "--set", "localizer.uses_camera=true"], "Fly without the camera"),
         (["--poses"], "processes break by the wall clock: it needs --real-time"),
@@ -414,10 +408,10 @@ def test_a_port_that_is_taken_is_told_before_the_station_is_waited_for() -> None
 def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     listen = f"tcp/127.0.0.1:{free_port()}"
-    code, _, said = ended(
+    code, _, output = ended(
         "groundstation", "run", "pool", "--run-dir", str(tmp_path / "file" / "run"), "--no-web", "--listen", listen
     )
-    assert (code, said) == (2, f"{tmp_path}/file/run: Not a directory\n")
+    assert (code, output) == (2, f"{tmp_path}/file/run: Not a directory\n")
     for command in (["sil", "pool", "--no-web"], ["numeric", "pool"]):
         refused = CliRunner().invoke(sim_bridge, [*command, "--out", str(tmp_path / "file")]).exception
         assert isinstance(refused, ConfigError) and "Not a directory" in str(refused)
@@ -425,8 +419,8 @@ def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
 
 def test_a_run_does_not_write_over_another_ones_log(tmp_path: Path) -> None:
     (tmp_path / "run.mcap").write_text("flown")
-    code, _, said = ended("groundstation", "run", "pool", "--run-dir", str(tmp_path), "--no-web")
-    assert code == 2 and said.startswith(f"{tmp_path}/run.mcap: is there already")
+    code, _, output = ended("groundstation", "run", "pool", "--run-dir", str(tmp_path), "--no-web")
+    assert code == 2 and output.startswith(f"{tmp_path}/run.mcap: is there already")
     assert [file.name for file in tmp_path.iterdir()] == ["run.mcap"]
     assert (tmp_path / "run.mcap").read_text() == "flown"
 
@@ -436,8 +430,8 @@ def test_a_start_that_fails_leaves_no_folder(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         place = f"127.0.0.1:{taken.getsockname()[1]}"
         for how in (["--listen", f"tcp/{place}"], ["--listen", f"tls/{place}", "--keys", str(tmp_path / "keys")]):
-            code, _, said = ended("groundstation", "run", "pool", "--out", str(tmp_path / "runs"), "--no-web", *how)
-            assert (code, said) == (2, f"cannot listen at {how[1]}: Address already in use\n")
+            code, _, output = ended("groundstation", "run", "pool", "--out", str(tmp_path / "runs"), "--no-web", *how)
+            assert (code, output) == (2, f"cannot listen at {how[1]}: Address already in use\n")
     assert not (tmp_path / "runs").exists()
 
 

@@ -52,8 +52,8 @@ def test_files_named_in_text_exist(page: Path) -> None:
 def test_a_page_of_the_manual_is_short_and_tells_no_history(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     assert sum(bool(word.strip("|-:")) for word in text.split()) <= WORDS
-    found = HISTORY.search(text.replace("\n", " "))
-    assert not found, f"{found[0]!r}: what was belongs into the commit"
+    match = HISTORY.search(text.replace("\n", " "))
+    assert not match, f"{match[0]!r}: what was belongs into the commit"
 
 
 def test_the_list_of_pages_names_each() -> None:

@@ -10,7 +10,7 @@ import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-from tests.source_tree import GENERATED, ROOT, nodes, sources, tree_of
+from tests.source_tree import ROOT, nodes, sources, tree_of
 
 PROGRAMS = {"groundstation", "robot_agent", "localizer"}  # none of them sees another; they meet on the bus
 PACKAGES = {*PROGRAMS, "shoal", "sim_bridge"}
@@ -66,7 +66,6 @@ PARTS: dict[str, dict[str, set[str]]] = {
         "preflight": {"agent", "host", "inputs", "safety"},
         "commands": {"host", "preflight"},
         "node": {"agent", "control", "host", "safety", "step_record"},
-        "rerun": {"agent", "step_record"},
     },
     "groundstation": {
         "deploy": set(),
@@ -79,18 +78,18 @@ PARTS: dict[str, dict[str, set[str]]] = {
         "export": {"analysis", "formation_clock", "logs", "palette"},
         "planning": set(),
         "report": {"analysis", "logs", "palette"},
-        "replay": {"formation_clock", "logs", "palette", "report"},
         "telemetry": set(),
         "mission": {"formation_clock", "planning", "telemetry"},
         "web": {"analysis", "fleet_time", "formation_clock", "logs", "mission", "planning", "telemetry"},
         "station": {"export", "gate", "logs", "mission", "planning", "telemetry", "web"},
         "client": {"fleet_time", "gate", "mission", "station"},
         "scripting": {"client", "export", "fleet_time", "logs", "mission", "report"},
-        "cli": {"client", "deploy", "export", "gate", "logs", "mission", "planning", "replay", "report", "station", "web"},
+        "cli": {"client", "deploy", "export", "gate", "logs", "mission", "planning", "report", "station", "web"},
     },
     "sim_bridge": {
         "fault_schedule": set(),
         "ways_to_fly": set(),
+        "replay": set(),
         "plant": {"fault_schedule"},
         "camera": {"plant"},
         "sil": {"fault_schedule"},
@@ -98,10 +97,10 @@ PARTS: dict[str, dict[str, set[str]]] = {
         "board_conformance": {"thruster_board"},
         "world": {"fault_schedule", "plant", "thruster_board"},
         "node": {"camera", "fault_schedule", "plant", "thruster_board", "world"},
-        "in_process": {"fault_schedule", "node", "plant", "sil"},
+        "in_process": {"fault_schedule", "node", "plant", "replay", "sil"},
         "scripting": {"in_process", "sil"},
         "studies": {"fault_schedule", "in_process", "plant", "sil"},
-        "cli": {"fault_schedule", "in_process", "node", "sil", "studies", "thruster_board"},
+        "cli": {"fault_schedule", "in_process", "node", "replay", "sil", "studies", "thruster_board"},
     },
 }
 
@@ -183,19 +182,19 @@ def test_the_rules_notice_offenders() -> None:
 
 @pytest.mark.parametrize("package", sorted(PARTS))
 def test_packages_import_only_what_they_may_see(package: str) -> None:
-    found = []
+    offences = []
     for source in sources(package):
-        seen = {name.partition(".")[0] for name in _imports(tree_of(source), package)}
+        names = {name.partition(".")[0] for name in _imports(tree_of(source), package)}
         allowed = PACKAGES if source == DOOR else SEES[package]
-        found += [f"{source} imports {other}" for other in seen & (PACKAGES | {"tests", "benchmarks"}) - allowed]
-    assert not found, f"{'; '.join(sorted(found))}: what programs share belongs in shoal/"
+        offences += [f"{source} imports {other}" for other in names & (PACKAGES | {"tests", "benchmarks"}) - allowed]
+    assert not offences, f"{'; '.join(sorted(offences))}: what programs share belongs in shoal/"
 
 
 @pytest.mark.parametrize("package", sorted(PARTS))
 def test_packages_do_not_reach_into_one_another_on_disk(package: str) -> None:
     others = (PACKAGES | {"tests", "benchmarks"}) - SEES[package]
-    found = [f"{s} names files of {other}" for s in sources(package) for other in others & set(_reached_on_disk(tree_of(s)))]
-    assert not found, f"{'; '.join(sorted(found))}: what programs share belongs in shoal/"
+    names = [f"{s} names files of {other}" for s in sources(package) for other in others & set(_reached_on_disk(tree_of(s)))]
+    assert not names, f"{'; '.join(sorted(names))}: what programs share belongs in shoal/"
 
 
 def test_shoal_holds_what_two_programs_need() -> None:
@@ -223,13 +222,13 @@ def _part(module: str) -> str:
 
 def _own_imports(source: str, package: str) -> set[str]:
     """Modules of a package that a file imports; `from a.b import c` counts as a.b and as a.b.c."""
-    found = set()
+    modules = set()
     for node in nodes(tree_of(source)):
         if isinstance(node, ast.ImportFrom) and node.level == 0:
-            found |= {str(node.module), *(f"{node.module}.{alias.name}" for alias in node.names)}
+            modules |= {str(node.module), *(f"{node.module}.{alias.name}" for alias in node.names)}
         elif isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names}
-    return {name for name in found if name.startswith(f"{package}.")}
+            modules |= {alias.name for alias in node.names}
+    return {name for name in modules if name.startswith(f"{package}.")}
 
 
 @pytest.mark.parametrize("package", sorted(PARTS))
@@ -247,9 +246,9 @@ def test_parts_of_a_package_import_downwards_and_as_the_table_says(package: str)
 
 @pytest.mark.parametrize("package", sorted(PARTS))
 def test_only_shell_files_touch_the_world(package: str) -> None:
-    pure = [source for source in sources(package) if source not in GENERATED and not _is_shell(tree_of(source))]
-    found = [f"{source}: {what}" for source in pure for what in sorted(set(_impure(tree_of(source))))]
-    assert not found, f"{'; '.join(found)}: pass it in as an argument, or move it to a file marked SHELL:"
+    pure = [source for source in sources(package) if not _is_shell(tree_of(source))]
+    offences = [f"{source}: {what}" for source in pure for what in sorted(set(_impure(tree_of(source))))]
+    assert not offences, f"{'; '.join(offences)}: pass it in as an argument, or move it to a file marked SHELL:"
 
 
 @pytest.mark.parametrize("package", sorted(PARTS))
@@ -266,23 +265,23 @@ def _reaches_shell(module: str) -> bool:
 
 @pytest.mark.parametrize("package", sorted(PARTS))
 def test_chance_is_seeded(package: str) -> None:
-    found = [f"{source}: {what}" for source in sources(package) for what in _unseeded(tree_of(source))]
-    assert not found, f"{'; '.join(found)}: a run must be repeatable; take a seeded Generator as an argument"
+    offences = [f"{source}: {what}" for source in sources(package) for what in _unseeded(tree_of(source))]
+    assert not offences, f"{'; '.join(offences)}: a run must be repeatable; take a seeded Generator as an argument"
 
 
 def _base_install() -> set[str]:
     """The distributions that come with a plain `pip install shoal`, as a robot's board has it, by their canonical names."""
-    found: set[str] = set()
+    distributions: set[str] = set()
     pending = [Requirement("shoal")]
     while pending:
         wanted = pending.pop()
         for line in metadata.distribution(wanted.name).requires or []:
             needed = Requirement(line)
             applies = needed.marker is None or any(needed.marker.evaluate({"extra": e}) for e in wanted.extras or {""})
-            if applies and canonicalize_name(needed.name) not in found:
-                found.add(canonicalize_name(needed.name))
+            if applies and canonicalize_name(needed.name) not in distributions:
+                distributions.add(canonicalize_name(needed.name))
                 pending.append(needed)
-    return found
+    return distributions
 
 
 def test_the_agent_runs_on_the_base_install() -> None:

@@ -39,13 +39,13 @@ def test_one_class_name_stands_for_one_class() -> None:
 
 @pytest.mark.parametrize("package", PACKAGES)
 def test_a_docstring_begins_with_what_a_thing_is_or_does(package: str) -> None:
-    found = [
+    offences = [
         f"{source}: {name}: {line}"
         for source in sources(package)
         for name, line in first_lines(source)
         if line.removeprefix("SHELL: ").partition(" ")[0].strip(",.:").lower() in RIDDLES
     ]
-    assert not found, "\n".join(found)
+    assert not offences, "\n".join(offences)
 
 
 def test_heads_of_modules_name_functions_and_files_that_exist() -> None:
@@ -53,15 +53,15 @@ def test_heads_of_modules_name_functions_and_files_that_exist() -> None:
     files = [source for package in PACKAGES for source in sources(package)]
     code = {source: ast.unparse(_without_docstrings(source)) for source in files}
     words = {word for text in code.values() for word in re.findall(r"\w+", text)}
-    found = []
+    offences = []
     for source in files:
         head = ast.get_docstring(tree_of(source)) or ""
-        found += [f"{source}: {name}()" for name in re.findall(r"(\w{4,})\(", head) if name not in words]
+        offences += [f"{source}: {name}()" for name in re.findall(r"(\w{4,})\(", head) if name not in words]
         paths = re.findall(r"\b([a-z_]+(?:/[a-z_]+)*\.py)\b", head)
-        found += [
+        offences += [
             f"{source}: {path}" for path in paths if not any(f"/{file}".endswith(f"/{path}") for file in [*files, "setup.py"])
         ]
-    assert not found, "\n".join(found)
+    assert not offences, "\n".join(offences)
 
 
 def _without_docstrings(source: str) -> ast.Module:
@@ -91,12 +91,12 @@ def private_names(tree: ast.Module) -> Iterator[tuple[int, str]]:
 
 def lines_with_reasons(text: str) -> set[int]:
     """Lines that end in a comment for people, and lines below a line that is nothing but one."""
-    found = set()
+    explained_lines = set()
     for token in tokenize.generate_tokens(io.StringIO(text).readline):
         if token.type == tokenize.COMMENT and DIRECTIVE.sub("", token.string).strip("# "):
             line, column = token.start
-            found |= {line} if token.line[:column].strip() else {line, line + 1}
-    return found
+            explained_lines |= {line} if token.line[:column].strip() else {line, line + 1}
+    return explained_lines
 
 
 def unexplained(text: str) -> list[tuple[int, str]]:
@@ -110,12 +110,12 @@ def unexplained(text: str) -> list[tuple[int, str]]:
 
 
 def test_a_private_name_is_used_in_tests_only_with_a_reason_beside_it() -> None:
-    found = [
+    offences = [
         f"{source}:{line}: {name}"
         for source in sources("tests")
         for line, name in unexplained((ROOT / source).read_text(encoding="utf-8"))
     ]
-    assert not found, "\n".join(found)
+    assert not offences, "\n".join(offences)
 
 
 @pytest.mark.parametrize(
@@ -138,22 +138,22 @@ def test_a_comment_for_a_tool_or_on_another_line_is_no_reason(text: str, names: 
 
 
 def test_a_test_is_named_by_what_it_does() -> None:
-    found = [
+    offences = [
         f"{source}: {node.name}"
         for source in sources("tests")
         for node in nodes(tree_of(source))
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and VAGUE.match(node.name)
     ]
-    assert not found, "\n".join(found)
+    assert not offences, "\n".join(offences)
 
 
 def test_no_test_module_imports_from_another() -> None:
     """Helpers that two of them share are in a module of their own, so that either can be moved or run alone."""
-    found = [
+    offences = [
         f"{source}: {name}"
         for source in sources("tests")
         for node in nodes(tree_of(source))
         for name in imported_modules(node)
         if name.startswith("tests.") and any(part.startswith("test_") for part in name.split("."))
     ]
-    assert not found, "\n".join(found)
+    assert not offences, "\n".join(offences)

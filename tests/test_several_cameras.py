@@ -108,8 +108,8 @@ def test_topics_of_cameras_are_told_apart_in_keys_logs_and_rights() -> None:
     assert topics.POSE.of_camera("west").key(3) == "camera/west/robot/3/pose"
     assert key_topic("shoal/camera/west/robot/3/pose") == (topics.POSE.of_camera("west"), 3)
     assert key_topic("shoal/camera/west/localizer/status") == (topics.LOCALIZER.of_camera("west"), 0)
-    found = key_topic("shoal/camera/preview")
-    assert found is not None and found[0] is topics.PREVIEW
+    topic_and_robot = key_topic("shoal/camera/preview")
+    assert topic_and_robot is not None and topic_and_robot[0] is topics.PREVIEW
     assert key_topic("shoal/camera/WEST/preview") is None
     rights = grants(Member(topics.Role.LOCALIZER, "localizer"))
     assert "camera/*/robot/*/pose" in [topic.key() for topic in rights.write]
@@ -123,8 +123,8 @@ def test_a_ring_has_frames_of_every_camera() -> None:
     try:
         writer, reader = frame_ring.FrameRing(descriptor), frame_ring.FrameRing(descriptor)
         shapes = [(8, 16), (8, 32)]
-        told = [writer.encode(Frame(np.full(shapes[k % 2], k, np.uint8))) for k in range(2 * frame_ring.SLOTS)]
-        for k, data in enumerate(told):
+        headers = [writer.encode(Frame(np.full(shapes[k % 2], k, np.uint8))) for k in range(2 * frame_ring.SLOTS)]
+        for k, data in enumerate(headers):
             pixels = reader.decode(Frame, data, "camera", "frame").pixels
             assert pixels.shape == shapes[k % 2] and (pixels == k).all()
     finally:

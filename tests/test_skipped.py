@@ -50,10 +50,10 @@ def test_processes_leave_their_reasons_and_the_end_tells_them_once_with_one_comm
             check=False,
         )
         assert done.returncode == 0 and "were skipped" not in done.stdout, done.stdout + done.stderr
-    told = subprocess.run(
+    summary = subprocess.run(
         [sys.executable, "-m", "tests.skipped", str(tmp_path / "noted")], cwd=ROOT, capture_output=True, text=True, check=True
     ).stdout
-    assert told.splitlines() == [
+    assert summary.splitlines() == [
         "10 tests were skipped:",
         "    6 needs Chromium, and none is installed",
         "    2 needs root to be allowed everything",

@@ -20,5 +20,5 @@ def eventually(ready: Callable[[], object], timeout_s: float = 30.0) -> bool:
 def wait_for_line(log: Path, text: str, timeout_s: float = 40.0, times: int = 1) -> None:
     """Wait until a log file holds `text`, as often as given. Raises AssertionError with the log after the timeout."""
     if not eventually(lambda: log.exists() and log.read_text().count(text) >= times, timeout_s):
-        said = log.read_text() if log.exists() else "no such file"
-        raise AssertionError(f"{log.name} never said {text!r} {times} times:\n{said}")
+        content = log.read_text() if log.exists() else "no such file"
+        raise AssertionError(f"{log.name} never said {text!r} {times} times:\n{content}")

@@ -46,7 +46,7 @@ def _without_copies(tables: Iterable[KeyTable]) -> Iterator[KeyTable]:
     earlier: dict[str, set[tuple[str, ...]]] = {}
     for table in tables:
         keys = {entry: (entry.name.rpartition(".")[2], entry.type, entry.meaning) for entry in table.entries}
-        first = next((name for name, known in earlier.items() if len(known & set(keys.values())) >= COPIES), "")
+        first = next((name for name, other_keys in earlier.items() if len(other_keys & set(keys.values())) >= COPIES), "")
         if first:
             others = tuple(entry for entry, key in keys.items() if key not in earlier[first])
             yield replace(table, meaning=f"{table.meaning}\n\nThe keys of [{first}], and:", entries=others)
@@ -123,9 +123,9 @@ def _constants() -> Iterator[str]:
         yield f"\n## {path}\n\n| Constant | Value | Reason |\n|---|---|---|"
         lines = (ROOT / path).read_text(encoding="utf-8").splitlines()
         for line in lines:
-            found = re.match(r"([A-Z][A-Z0-9_, ]*) = ([^#]+?)  # (.+)", line)
-            if found and re.search(r"\d", found[2]) and not re.search(r"range\(|slice\(|{", found[2]):
-                name, value, reason = found.groups()
+            match = re.match(r"([A-Z][A-Z0-9_, ]*) = ([^#]+?)  # (.+)", line)
+            if match and re.search(r"\d", match[2]) and not re.search(r"range\(|slice\(|{", match[2]):
+                name, value, reason = match.groups()
                 yield f"| `{name}` | `{value}` | {reason.replace('|', chr(92) + '|')} |"
 
 

@@ -82,18 +82,18 @@ def _without_traces(comparison: Comparison) -> Comparison:
 
 def main(options: Sequence[str]) -> None:
     """Fly all comparisons, and write page, figures and pictures."""
-    found: dict[str, Comparison] = {}
+    comparisons: dict[str, Comparison] = {}
     for words in FLIGHTS:
         with tempfile.TemporaryDirectory() as folder:
             programs.start("sim_bridge", ["compare", *words, *options, "--out", folder]).wait()
             text = (Path(folder) / "comparison.json").read_text(encoding="utf-8")
-        found[f"sim-bridge compare {' '.join(words)}"] = Comparison.from_json(text)
-    first, second, _ = found.values()
+        comparisons[f"sim-bridge compare {' '.join(words)}"] = Comparison.from_json(text)
+    first, second, _ = comparisons.values()
     _pictures(first, second)
     content = {
         "written": evidence.written_by(" ".join(["make laws", *([f'ARGS="{" ".join(options)}"'] if options else [])])),
         "seeds": ", ".join(str(flight.seed) for flight in first.variants[0].flights),
-        "comparisons": {command: asdict(_without_traces(comparison)) for command, comparison in found.items()},
+        "comparisons": {command: asdict(_without_traces(comparison)) for command, comparison in comparisons.items()},
     }
     evidence.write(STEM, page(content), content)
 

@@ -17,25 +17,25 @@ from shoal.messages.topics import TOPICS, Qos, Topic
 HEAD = """# Messages and topics
 
 Written by `make docs` from `shoal/messages/topics.py` and `shoal/messages/messages.py`; edit those. The schema of a message in
-the log is `fleet.NAME`. Frames and units: [frames-and-units.md](../frames-and-units.md).
+the log is `fleet.NAME` ([fleet.proto](fleet.proto)). Frames and units: [frames-and-units.md](../frames-and-units.md).
 
 Keys stand below the fleet's name (`--fleet`, default `shoal`). Beside every message travels a header of 28 bytes as its Zenoh
 attachment, little-endian: session u64, sequence u32, stamp i64 in ns, age i64 in ns (`shoal/messages/codec.py`).
 """
 
 
-def _comments(cls: type) -> dict[str, str]:
+def field_comments(cls: type) -> dict[str, str]:
     """The comments beside the fields or members of a class."""
     source = inspect.getsource(cls)
     body = ast.parse(source).body[0]
     assert isinstance(body, ast.ClassDef)
-    found = {}
+    comments = {}
     for node in body.body:
         target = node.target if isinstance(node, ast.AnnAssign) else node.targets[0] if isinstance(node, ast.Assign) else None
         if isinstance(target, ast.Name):
             _, _, comment = source.splitlines()[node.lineno - 1].partition("#")
-            found[target.id] = comment.strip()
-    return found
+            comments[target.id] = comment.strip()
+    return comments
 
 
 def _type(hint: Any, metadata: Any) -> str:
@@ -69,21 +69,21 @@ def _topic_row(topic: Topic) -> str:
 def _message(cls: Any) -> Iterator[str]:
     yield f"\n### {cls.__name__}\n\n{inspect.getdoc(cls)}\n"
     yield "| Field | Type | |\n|---|---|---|"
-    hints, comments = get_type_hints(cls), _comments(cls)
+    hints, comments = get_type_hints(cls), field_comments(cls)
     for field in dataclasses.fields(cls):
         yield f"| `{field.name}` | {_type(hints[field.name], field.metadata)} | {comments[field.name]} |"
 
 
 def _choices(cls: type[enum.IntEnum]) -> Iterator[str]:
     yield f"\n### {cls.__name__}\n\n{inspect.getdoc(cls)}\n\n| Value | Name | |\n|---|---|---|"
-    comments = _comments(cls)
+    comments = field_comments(cls)
     for member in cls:
         yield f"| {member.value} | {member.name} | {comments[member.name]} |"
 
 
 def _enums() -> list[type[enum.IntEnum]]:
-    found = (v for v in vars(messages).values() if isinstance(v, type) and issubclass(v, enum.IntEnum))
-    return [cls for cls in found if cls is not enum.IntEnum]
+    enums = (v for v in vars(messages).values() if isinstance(v, type) and issubclass(v, enum.IntEnum))
+    return [cls for cls in enums if cls is not enum.IntEnum]
 
 
 def page() -> str:

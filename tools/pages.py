@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from tools import evidence, keys, laws, messages, tables
+from tools import evidence, keys, laws, messages, proto, tables
 
-GENERATORS = (keys, messages, tables, evidence, laws)
+GENERATORS = (keys, messages, proto, tables, evidence, laws)
 
 
 def files() -> dict[Path, str]:

@@ -21,15 +21,15 @@ TEXT = re.compile(r'""".*?"""', re.DOTALL)
 @cache
 def _words() -> dict[str, tuple[frozenset[str], frozenset[str]]]:
     """For each module its attributes, and all its words."""
-    found = {}
+    words_by_module = {}
     for package in PROGRAMS:
         for path in sorted((ROOT / package).rglob("*.py")):
             words = WORD.findall(TEXT.sub("", path.read_text(encoding="utf-8")))
-            found[str(path.relative_to(ROOT))] = (
+            words_by_module[str(path.relative_to(ROOT))] = (
                 frozenset(word for dot, word in words if dot),
                 frozenset(word for _, word in words),
             )
-    return found
+    return words_by_module
 
 
 def _sections(model: type[BaseModel], name: str) -> Iterator[tuple[type[BaseModel], str]]:
@@ -68,8 +68,8 @@ def readers(name: str) -> list[str]:
 
 def cell(name: str) -> str:
     """The readers of a key in few words."""
-    found = readers(name)
-    if len(found) <= NAMED:
-        return ", ".join(f"`{module}`" for module in found)
-    packages = sorted({module.partition("/")[0] for module in found})
-    return f"{len(found)} modules of {', '.join(packages)}"
+    modules = readers(name)
+    if len(modules) <= NAMED:
+        return ", ".join(f"`{module}`" for module in modules)
+    packages = sorted({module.partition("/")[0] for module in modules})
+    return f"{len(modules)} modules of {', '.join(packages)}"

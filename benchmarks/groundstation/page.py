@@ -114,7 +114,7 @@ def _round(robots: int) -> list[list[tuple[str, Topic, bytes]]]:
     trajectories = planner.plan(fleet(robots))
     rounds = []
     for step in range(ROUND):
-        said: list[tuple[str, Topic, bytes]] = []
+        batch: list[tuple[str, Topic, bytes]] = []
         for robot, trajectory in trajectories.items():
             eta = trajectory.eta[step]
             near = eta + 0.01 * np.sin(0.1 * step + robot)
@@ -123,9 +123,9 @@ def _round(robots: int) -> list[list[tuple[str, Topic, bytes]]]:
                 (topics.POSE, Pose(near[0], near[1], near[3], 1e-5 * np.eye(3), Track.MARKER, True)),
                 (topics.PLAN, Plan(PERIOD_S, trajectory.eta[step:][:NODES])),
             ]
-            said += [(topic.key(robot), topic, encode(message)) for topic, message in messages]
-        said.append((topics.LOCALIZER.name, topics.LOCALIZER, encode(LocalizerStatus(CameraHealth.OK, frame_age_ms=9.0))))
-        rounds.append(said)
+            batch += [(topic.key(robot), topic, encode(message)) for topic, message in messages]
+        batch.append((topics.LOCALIZER.name, topics.LOCALIZER, encode(LocalizerStatus(CameraHealth.OK, frame_age_ms=9.0))))
+        rounds.append(batch)
     return rounds
 
 
@@ -154,10 +154,10 @@ class _Station:
     paths = None
 
     def __init__(self, experiment: Experiment, bus: Bus) -> None:
-        self.heard, self.clock = subscribe_fleet(bus, experiment.robot_ids), WallClock()
+        self.fleet, self.clock = subscribe_fleet(bus, experiment.robot_ids), WallClock()
 
     def status(self) -> Status:
-        views = {robot: self.heard.view(robot, LinkMonitor(), self.clock) for robot in self.heard.states}
+        views = {robot: self.fleet.view(robot, LinkMonitor(), self.clock) for robot in self.fleet.states}
         return Status(MissionState.RUNNING, "", seen=views)
 
     def request(self, order: Order, via: Sequence[tuple[float, float]] = (), only: int = 0) -> tuple[str, int]:
@@ -177,7 +177,7 @@ def lab(robots: int) -> Iterator[str]:
     address, port = f"tcp/127.0.0.1:{free_port()}", free_port()
     with Bus(ZenohTransport(Endpoint(address, router=True))) as bus:
         station = _Station(experiment, bus)
-        desk = LiveBackend(experiment, planner.plan(experiment), bus, station.heard, station.clock, station, "real-time")
+        desk = LiveBackend(experiment, planner.plan(experiment), bus, station.fleet, station.clock, station, "real-time")
         with WebServer(desk, WebOptions(port=port)):
             command = [sys.executable, "-m", "benchmarks.groundstation.page", address, str(robots)]
             talking = subprocess.Popen(command, stdin=subprocess.PIPE)
@@ -198,10 +198,10 @@ def _measure(page: Page, browser: psutil.Process, case: str) -> Iterator[Row]:
     page.wait_for_timeout(MEASURE_S * 1e3)
     took_s = time.monotonic() - began_s
     cpu = (_cpu_s(browser) - before_s) / took_s
-    found = page.evaluate("measured")
-    yield Row.of("page", case, "stamp to drawn, state", "ms", found["state"])
-    yield Row.of("page", case, "stamp to drawn, picture", "ms", found["picture"])
-    yield Row.of("page", case, "drawn", "frames/s", [found["frames"] / took_s])
+    timings = page.evaluate("measured")
+    yield Row.of("page", case, "stamp to drawn, state", "ms", timings["state"])
+    yield Row.of("page", case, "stamp to drawn, picture", "ms", timings["picture"])
+    yield Row.of("page", case, "drawn", "frames/s", [timings["frames"] / took_s])
     yield Row.of("page", case, "all of Chromium's processes", "% of a core", [100.0 * cpu])
 
 

@@ -82,11 +82,11 @@ def run() -> Iterator[Row]:
         lengths[k] = float(np.hypot(*np.diff(curve, axis=0).T).sum())
     yield Row.of("planner", f"{WORLDS} random worlds", "ours: ways that touch something", "worlds", [float(collisions)])
     yield Row.of("planner", f"{WORLDS} random worlds", "ours: refused, no way or an end not free", "worlds", [float(refused)])
-    found = run_peer("planner_shapely", REQUIREMENTS, task)
-    yield from found[:1]
-    known = {int(row.case) - 1: row.p50 for row in found[1:]}
-    ratios = [lengths[k] / known[k] for k in sorted(lengths.keys() & known.keys())]
+    rows = run_peer("planner_shapely", REQUIREMENTS, task)
+    yield from rows[:1]
+    lengths_m = {int(row.case) - 1: row.p50 for row in rows[1:]}
+    ratios = [lengths[k] / lengths_m[k] for k in sorted(lengths.keys() & lengths_m.keys())]
     if ratios:
         yield Row.of("planner", "length of the flown way", "ours / Shapely + NetworkX", "", ratios)
-        missed = float(len(known.keys() - {-1} - lengths.keys()))
+        missed = float(len(lengths_m.keys() - {-1} - lengths.keys()))
         yield Row.of("planner", f"{COMPARED} random worlds", "the peer has a way, we refuse", "worlds", [missed])

@@ -64,7 +64,7 @@ KILL_AFTER_S = (1.5, 3.0)  # of recording: several flushes, at any phase of the 
 # --- three processes: who sends, who records (or only routes), and one robot's control beside them
 
 
-def _send(address: str, told: Connection, stop: Any) -> None:
+def _send(address: str, pipe: Connection, stop: Any) -> None:
     """As in a fleet each robot has a session of its own, and one is everybody else's. Tells when it begins, and in the end how
     many messages it sent."""
     messages, clock = load(), WallClock()
@@ -77,14 +77,14 @@ def _send(address: str, told: Connection, stop: Any) -> None:
 
         send(messages[0])
         time.sleep(SETTLE_S)  # until router and publishers know of one another: those before do not count
-        told.send("begins")
+        pipe.send("begins")
         begin_s, k = time.monotonic(), 0
         while not stop.is_set():
             send(messages[k % VARIANTS])
             k += 1
             time.sleep(max(begin_s + k / RATE_HZ - time.monotonic(), 0.0))
         time.sleep(DRAIN_S)  # what lies in its own queues is sent, too
-        told.send(k * len(messages[0]))
+        pipe.send(k * len(messages[0]))
 
 
 def _foxglove_writer(bus: Bus, path: Path) -> Callable[[], None]:
@@ -107,7 +107,7 @@ def _foxglove_writer(bus: Bus, path: Path) -> Callable[[], None]:
     return writer.close
 
 
-def _record(address: str, kind: str, folder: str, told: Connection) -> None:
+def _record(address: str, kind: str, folder: str, pipe: Connection) -> None:
     """Be the router, and perhaps record. Tells its CPU time over the measurement, which another begins, and how many messages
     of the senders are in the log, but for those of the first period."""
     with Bus(ZenohTransport(Endpoint(address, router=True))) as bus:
@@ -119,16 +119,16 @@ def _record(address: str, kind: str, folder: str, told: Connection) -> None:
             close = recorder.close
         elif kind == "foxglove-sdk":
             close = _foxglove_writer(bus, path)
-        told.send("ready")
-        told.recv()
+        pipe.send("ready")
+        pipe.recv()
         begin = resource.getrusage(resource.RUSAGE_SELF)
         time.sleep(MEASURE_S)
         end = resource.getrusage(resource.RUSAGE_SELF)
-        told.send(end.ru_utime - begin.ru_utime + end.ru_stime - begin.ru_stime)
-        told.recv()
+        pipe.send(end.ru_utime - begin.ru_utime + end.ru_stime - begin.ru_stime)
+        pipe.recv()
         if close is not None:
             close()
-        told.send(_senders_messages(path) if path.exists() else 0)
+        pipe.send(_senders_messages(path) if path.exists() else 0)
 
 
 def _senders_messages(path: Path) -> int:
@@ -143,7 +143,7 @@ def _senders_messages(path: Path) -> int:
     return count - len(set(channels.values()) - {f"shoal/{topics.STATE.key(CONTROLLED)}"})
 
 
-def _control(address: str, told: Connection, stop: Any) -> None:
+def _control(address: str, pipe: Connection, stop: Any) -> None:
     """One robot's control loop on what goes round. Tells when it is ready, and in the end the time of each step in ms, from
     the pose's sending to the pulses, and how many poses no step answered."""
     experiment = load_experiment("pool")
@@ -153,12 +153,12 @@ def _control(address: str, told: Connection, stop: Any) -> None:
     sequences: list[int] = []
     with Bus(ZenohTransport(Endpoint(address))) as bus:
         poses = bus.inbox(topics.POSE, Pose, 1)
-        seen = None
-        told.send("ready")
+        newest = None
+        pipe.send("ready")
         while not stop.is_set():
-            if not bus.wait(lambda last=seen: poses.newest_header() is not last, 0.2):  # type: ignore[misc]
+            if not bus.wait(lambda last=newest: poses.newest_header() is not last, 0.2):  # type: ignore[misc]
                 continue
-            seen, received = poses.newest_header(), poses.newest()
+            newest, received = poses.newest_header(), poses.newest()
             if received is None:
                 continue
             now_ns = clock.now_ns()
@@ -168,7 +168,7 @@ def _control(address: str, told: Connection, stop: Any) -> None:
             took_ms.append((clock.now_ns() - received.header.stamp_ns) * 1e-6)
             sequences.append(received.header.sequence)
             bus.publish(topics.STATE, state, now_ns, CONTROLLED)
-    told.send((took_ms[1:], sequences[-1] - sequences[1] + 1 - len(sequences[1:])))  # the first came before the measurement
+    pipe.send((took_ms[1:], sequences[-1] - sequences[1] + 1 - len(sequences[1:])))  # the first came before the measurement
 
 
 @dataclass(frozen=True)
@@ -266,21 +266,21 @@ def run(count: int = KILLS) -> Iterator[Row]:
 
     case = f"{ROBOTS} robots at {RATE_HZ} Hz, film"
     for kind in kinds:
-        yield row(f"{case}: station's process", kind, "% of a core", [100.0 * found[kind].share for found in rounds])
+        yield row(f"{case}: station's process", kind, "% of a core", [100.0 * counts[kind].share for counts in rounds])
     for kind in kinds[1:]:
-        shares = [100.0 * (found[kind].share - found["no recorder"].share) for found in rounds]
+        shares = [100.0 * (counts[kind].share - counts["no recorder"].share) for counts in rounds]
         yield row(f"{case}: of it recording", kind, "% of a core", shares)
     for kind in kinds[1:]:
-        missing = [100.0 * (1.0 - found[kind].recorded / found[kind].sent) for found in rounds]
+        missing = [100.0 * (1.0 - counts[kind].recorded / counts[kind].sent) for counts in rounds]
         yield row("messages not recorded", kind, "%", missing)
     for kind in kinds:
-        times_ms = [ms for found in rounds for ms in found[kind].control_ms]
+        times_ms = [ms for counts in rounds for ms in counts[kind].control_ms]
         yield row("control beside it, pose sent to pulses", kind, "ms", times_ms)
     for kind in kinds:
-        late = [100.0 * float(np.mean(np.array(found[kind].control_ms) > LATE_MS)) for found in rounds]
+        late = [100.0 * float(np.mean(np.array(counts[kind].control_ms) > LATE_MS)) for counts in rounds]
         yield row(f"control beside it, steps over {LATE_MS:g} ms", kind, "%", late)
     for kind in kinds:
-        unanswered = [float(found[kind].unanswered) for found in rounds]
+        unanswered = [float(counts[kind].unanswered) for counts in rounds]
         yield row("control beside it, poses without a step", kind, "1", unanswered)
     yield kills(count)
 

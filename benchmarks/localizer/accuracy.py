@@ -203,8 +203,8 @@ def _leaning(case: str, name: str, settings: Sequence[str]) -> Iterator[Row]:
         for how, run in fleet.runs.items():
             figures[how].append((*run.rms("ours"), float(np.mean(run.nees))))
     yield Row.of("accuracy", case, "the plant", "deg of lean, RMS", leans)
-    for how, found in figures.items():
-        for unit, values in zip(("mm RMS", "deg RMS", "NEES, mean"), np.array(found).T, strict=True):
+    for how, errors in figures.items():
+        for unit, values in zip(("mm RMS", "deg RMS", "NEES, mean"), np.array(errors).T, strict=True):
             yield Row.of("accuracy", case, f"ours, {how}", unit, values.tolist())
 
 
@@ -301,8 +301,8 @@ def _reacquisition() -> Iterator[Row]:
         renderer, locator, k = Renderer(experiment, seed), FleetLocalizer(experiment), 0
         for _ in range(6):
             gone, place = k + int(random.integers(5, 15)), random.uniform([-1.4, -1.0], [1.4, 1.0])
-            back, found = gone + 60, False
-            while not found:
+            back, is_found = gone + 60, False
+            while not is_found:
                 eta = courses.eta(k * PERIOD_S)
                 if k >= gone:
                     eta[0, :2] = place if k >= back else AWAY_M
@@ -314,7 +314,7 @@ def _reacquisition() -> Iterator[Row]:
                     and pose.identity_verified
                     and bool(np.hypot(pose.x_m - eta[0, 0], pose.y_m - eta[0, 1]) < 0.01)
                 )
-                found, k = k >= back and right, k + 1
+                is_found, k = k >= back and right, k + 1
             samples.append((k - 1 - back) * PERIOD_S)
     yield Row.of("accuracy", "lost for 3 s, back elsewhere", "ours", "s until found", samples)
 

@@ -58,10 +58,10 @@ def follow(task: Task, subject: str, begin: Begin) -> list[Row]:
             step = begin(picture, place)
             continue
         start_ns = time.perf_counter_ns()
-        found = step(picture)
+        place_px = step(picture)
         updates_ms.append((time.perf_counter_ns() - start_ns) * 1e-6)
-        error_px = float("inf") if found is None else float(np.hypot(found[0] - place[0], found[1] - place[1]))
-        errors_px += [error_px] if found is not None else []
+        error_px = float("inf") if place_px is None else float(np.hypot(place_px[0] - place[0], place_px[1] - place[1]))
+        errors_px += [error_px] if place_px is not None else []
         if error_px > task.window_px / 2.0:
             failures += 1
             step = begin(picture, place)

@@ -101,9 +101,9 @@ def fleet(count: int, markers: bool, lost: bool = False, frames: int = FRAMES) -
         if k >= WARM_UP:
             poses_ms.append((located_ns - start_ns) * 1e-6)
             frames_ms.append((time.perf_counter_ns() - start_ns) * 1e-6)
-            seen = [(r, pose) for r, pose in located.poses if pose.track in (Track.MARKER, Track.KCF)]
-            followed += len(seen)
-            errors_mm += [1e3 * float(np.hypot(p.x_m - eta[r - 1, 0], p.y_m - eta[r - 1, 1])) for r, p in seen]
+            followed_poses = [(r, pose) for r, pose in located.poses if pose.track in (Track.MARKER, Track.KCF)]
+            followed += len(followed_poses)
+            errors_mm += [1e3 * float(np.hypot(p.x_m - eta[r - 1, 0], p.y_m - eta[r - 1, 1])) for r, p in followed_poses]
     case = f"{count} robot{'s' if count > 1 else ''}" + (", one of them lost" if lost else "")
     subject = "ours, markers" if markers else "ours, no markers"
     p95_ms = sorted(poses_ms)[-(-95 * frames // 100) - 1]
@@ -168,8 +168,8 @@ def _video() -> Task | None:
         print(f"real video not measured: no folder {folder} (SHOAL_DATA says where)", file=sys.stderr)
         return None
     (places,) = read_idtracker(folder / "mouse_video_idtracked.txt")
-    known = [(float(x), float(y)) for x, y in places[:VIDEO_FRAMES]]
-    return Task(f"mouse video, first {VIDEO_FRAMES:,}", str(folder / "mouse_video.mp4"), known, VIDEO_WINDOW_PX)
+    places_px = [(float(x), float(y)) for x, y in places[:VIDEO_FRAMES]]
+    return Task(f"mouse video, first {VIDEO_FRAMES:,}", str(folder / "mouse_video.mp4"), places_px, VIDEO_WINDOW_PX)
 
 
 @contextmanager

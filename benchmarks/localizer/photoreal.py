@@ -22,6 +22,6 @@ def run() -> Iterator[Row]:
     for name in rendered_rows(SPLITS[0]):
         sources: dict[str, Frames] = {"Mitsuba": frames} | ({"simulator": simulated} if name in SIMULATED else {})
         for subject, source in sources.items():
-            found = [measure(name, split, source) for split in SPLITS]
+            splits = [measure(name, split, source) for split in SPLITS]
             for field, unit in UNITS.items():
-                yield Row.of("photoreal", name, subject, unit, [float(getattr(figures, field)) for figures in found])
+                yield Row.of("photoreal", name, subject, unit, [float(getattr(figures, field)) for figures in splits])

@@ -23,10 +23,10 @@ FLIGHT_S = 20
 WITHIN_S = 60.0
 
 
-def _until(found: Callable[[], bool], what: str) -> float:
+def _until(condition: Callable[[], bool], what: str) -> float:
     """Seconds until something is so."""
     began_s = time.monotonic()
-    while not found():
+    while not condition():
         if time.monotonic() - began_s > WITHIN_S:
             raise TimeoutError(f"{what}: not within {WITHIN_S:g} s")
         time.sleep(0.005)

@@ -120,12 +120,12 @@ def fly(case: Case, steps: int, tamper: Tamper | None = None, clock: Callable[[]
     gc.disable()
     try:
         for k in range(-WARM_UP, steps):
-            now_ns, told = (k + WARM_UP) * STEP_NS, list(plans)
+            now_ns, delayed_plans = (k + WARM_UP) * STEP_NS, list(plans)
             for i, robot in enumerate(robots):
                 measurement = _seen(states[i], now_ns, random.normal(size=5) * NOISE)
                 others = [
                     Neighbour(j, now_ns - STEP_NS, p, True, hears_us=True)
-                    for j, p in enumerate(told)
+                    for j, p in enumerate(delayed_plans)
                     if j != i and p is not None
                 ]
                 goal = Follow(paths[i], (k + WARM_UP) * STEP_S)

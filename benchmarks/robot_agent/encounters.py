@@ -96,8 +96,8 @@ def _clearance(experiment: Experiment, track: Array) -> float:
     edges = [np.hypot(*(track[:, :, :2] - island.position_m).T).min() - island.radius_m for island in experiment.islands]
     for ball in experiment.sim.drifters:
         places = [place for t in time_s if (place := ball.place_m(float(t))) is not None]
-        seen = track[len(track) - len(places) :]
-        edges.append(np.hypot(*(seen[:, :, :2] - np.array(places)[:, None, :2]).T).min() - ball.radius_m)
+        flown_part = track[len(track) - len(places) :]
+        edges.append(np.hypot(*(flown_part[:, :, :2] - np.array(places)[:, None, :2]).T).min() - ball.radius_m)
     return float(min(edges, default=float("inf")))
 
 

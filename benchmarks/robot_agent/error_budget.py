@@ -59,10 +59,10 @@ class KnowingEstimator(Estimator):
 
     def update(self, measurement: StateMeasurement, now_ns: int) -> Estimate | None:
         """As `Estimator.update`; its state at the action is predicted from what is exchanged."""
-        told = super().update(measurement, now_ns)
-        if told is None or not self.parts:
-            return told
-        eta, nu, gamma, current = told.eta.copy(), told.nu.copy(), told.disturbance, told.current
+        estimate = super().update(measurement, now_ns)
+        if estimate is None or not self.parts:
+            return estimate
+        eta, nu, gamma, current = estimate.eta.copy(), estimate.nu.copy(), estimate.disturbance, estimate.current
         true, true_nu = self.water.eta[self.robot], self.water.nu[self.robot]
         if "eta" in self.parts:
             eta[:3], eta[3] = true[:3], eta[3] + wrap(true[3] - eta[3])
@@ -80,7 +80,7 @@ class KnowingEstimator(Estimator):
         action = propagate(
             self._model.motion, state, tuple(gamma.tolist()), water, self._commands(), now_ns, now_ns + self._dead_ns
         )
-        return told._replace(eta=eta, nu=nu, disturbance=gamma, current=current, action=np.array(action))
+        return estimate._replace(eta=eta, nu=nu, disturbance=gamma, current=current, action=np.array(action))
 
 
 def rms_mm(fleet: AgentFleet) -> list[float]:

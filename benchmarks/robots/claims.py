@@ -51,10 +51,10 @@ def nees(claim: ObserverClaim, truth: TrueState, i: int) -> dict[str, float]:
     error = np.array([claim.mean[k] - true[name] for k, name in enumerate(claim.names)])
     if "yaw" in claim.names:
         error[claim.names.index("yaw")] = wrap(float(error[claim.names.index("yaw")]))
-    found = {}
+    ratios = {}
     for group, names in GROUPS.items():
         if set(names) <= set(claim.names):
             rows = [claim.names.index(name) for name in names]
             spread = claim.covariance[np.ix_(rows, rows)]
-            found[group] = float(error[rows] @ np.linalg.solve(spread, error[rows])) / len(rows)
-    return found
+            ratios[group] = float(error[rows] @ np.linalg.solve(spread, error[rows])) / len(rows)
+    return ratios

@@ -92,7 +92,11 @@ def figures(log: FlightLog) -> FlightFigures:
         is_named=_names(cell.trouble, reason),
         nearest_m=_nearest(log.truth) if meets else nan,
         back_s=max((_back(off_m[:, i], log.period_s) for i in _flying(log)), default=nan) if meets else nan,
-        nees={group: float(np.mean(seen)) for group in GROUPS if (seen := [c[group] for c in log.claims if group in c])},
+        nees={
+            group: float(np.mean(group_nees))
+            for group in GROUPS
+            if (group_nees := [c[group] for c in log.claims if group in c])
+        },
         duty=float((np.abs(wrench).mean(axis=1) / log.wrench_limit).max()),
         steps=float((np.sqrt((step**2).mean(axis=1)) / log.step_limit).max()),
     )

@@ -71,10 +71,10 @@ def main(
     begun = GridRun(flown_law, overrides, hold_s, evidence.written_by("python -m benchmarks robots"), ())
     if resume:
         begun = _begun(begun, json_file)
-    known = {(figure.cell, figure.number) for figure in begun.flights}
-    wanted = [(cell, number) for number in range(flights) for cell in chosen if (cell, number) not in known]
+    finished = {(figure.cell, figure.number) for figure in begun.flights}
+    pairs = [(cell, number) for number in range(flights) for cell in chosen if (cell, number) not in finished]
     run = begun
-    for figure in _fly_all(wanted, overrides, hold_s, workers, console):
+    for figure in _fly_all(pairs, overrides, hold_s, workers, console):
         run = run.with_flight(figure)
         if json_file is not None and len(run.flights) % WRITE_EVERY == 0:
             evidence.write_json(json_file, report.as_json(run))
@@ -118,27 +118,25 @@ def _flown(cell: str, number: int, overrides: tuple[str, ...], hold_s: float) ->
 
 
 def _fly_all(
-    wanted: Sequence[tuple[str, int]], overrides: tuple[str, ...], hold_s: float, workers: int, console: Console
+    pairs: Sequence[tuple[str, int]], overrides: tuple[str, ...], hold_s: float, workers: int, console: Console
 ) -> Iterator[FlightFigures]:
     """Fly in worker processes, with progress. Ctrl-C ends it with the flights that are done."""
-    flown = 0
+    count = 0
     with evidence.progress(console) as progress, worker_pool(workers) as pool:
-        task = progress.add_task("flights", total=len(wanted))
-        pending = [pool.submit(_flown, cell, number, overrides, hold_s) for cell, number in wanted]
+        task = progress.add_task("flights", total=len(pairs))
+        pending = [pool.submit(_flown, cell, number, overrides, hold_s) for cell, number in pairs]
         try:
-            for done in as_completed(pending):
-                figure = done.result()
-                flown += 1
+            for future in as_completed(pending):
+                figure = future.result()
+                count += 1
                 yield figure
                 progress.advance(task)
                 trouble = figure.refused or figure.left or ("never settled" if figure.never_settled else "")
                 about = f"{figure.cell} {figure.number} ({figure.scene}, {figure.rate_hz} Hz)"
                 if trouble or not console.is_terminal:
-                    console.print(
-                        f"{flown} of {len(wanted)}: {about} {trouble}", highlight=False, markup=False, soft_wrap=True
-                    )
+                    console.print(f"{count} of {len(pairs)}: {about} {trouble}", highlight=False, markup=False, soft_wrap=True)
         except KeyboardInterrupt:
-            console.print(f"interrupted after {flown} of {len(wanted)} flights")
+            console.print(f"interrupted after {count} of {len(pairs)} flights")
             pool.shutdown(wait=False, cancel_futures=True)
 
 

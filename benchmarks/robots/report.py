@@ -142,8 +142,8 @@ def targets(run: GridRun) -> list[tuple[str, str, str]]:
     means = [mean for cell in run.cells if not CELLS[cell].is_trap for mean in _nees(run.of(cell)).values()]
     off = [mean for mean in means if not CALIBRATED[0] <= mean <= CALIBRATED[1]]
     what = "NEES per degree of freedom, mean of each cell and group of states, traps aside"
-    found = f"{len(off)} of {len(means)} outside; {min(off):.2g} to {max(off):.2g}" if off else _share(0, means)
-    return [row for row in (*rows, (what, "0.5 to 1.5", found)) if row[2] not in ("", NOTHING)]
+    result = f"{len(off)} of {len(means)} outside; {min(off):.2g} to {max(off):.2g}" if off else _share(0, means)
+    return [row for row in (*rows, (what, "0.5 to 1.5", result)) if row[2] not in ("", NOTHING)]
 
 
 def _is_lost(flight: FlightFigures) -> bool:
@@ -161,8 +161,8 @@ def _worst_eight(flights: Sequence[FlightFigures]) -> float:
 
 
 def _times(values: Iterable[float]) -> str:
-    found = evidence.spread(values, 1.0)
-    return f"{found} s" if found else "none"
+    times = evidence.spread(values, 1.0)
+    return f"{times} s" if times else "none"
 
 
 def _nearest(flights: Sequence[FlightFigures]) -> list[float]:
@@ -171,8 +171,8 @@ def _nearest(flights: Sequence[FlightFigures]) -> list[float]:
 
 def _nees(flights: Sequence[FlightFigures]) -> dict[str, float]:
     """Mean over the flights of each group of states that is claimed."""
-    seen = {group: [f.nees[group] for f in flights if group in f.nees] for group in GROUPS}
-    return {group: sum(values) / len(values) for group, values in seen.items() if values}
+    nees = {group: [f.nees[group] for f in flights if group in f.nees] for group in GROUPS}
+    return {group: sum(values) / len(values) for group, values in nees.items() if values}
 
 
 Column = tuple[str, Callable[[Sequence[FlightFigures]], str]]
@@ -267,16 +267,16 @@ def _target_table(run: GridRun, before: GridRun | None) -> tuple[tuple[str, ...]
     now = targets(run)
     if before is None:
         return ("Figure", "Target", "Found"), list(now)
-    then = {figure: found for figure, _, found in targets(before)}
+    then = {figure: result for figure, _, result in targets(before)}
     return ("Figure", "Target", "Before", "Now"), [
-        (figure, target, then.get(figure, ""), found) for figure, target, found in now
+        (figure, target, then.get(figure, ""), result) for figure, target, result in now
     ]
 
 
 def _row(cell: str, columns: Sequence[Column], run: GridRun, before: GridRun | None) -> list[str]:
     group, earlier = run.of(cell), before.of(cell) if before is not None else []
-    found = [f"{show(earlier)} → {show(group)}" if earlier else show(group) for _, show in columns]
-    return [cell, *found, str(worst_of(group).number)]
+    cells = [f"{show(earlier)} → {show(group)}" if earlier else show(group) for _, show in columns]
+    return [cell, *cells, str(worst_of(group).number)]
 
 
 def _reasons(run: GridRun) -> list[str]:

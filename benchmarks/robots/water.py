@@ -74,11 +74,11 @@ class TroubledPlant(DirectPlant):
 
 
 @dataclass(eq=False)
-class _Heard:
+class _PlanInbox:
     """Plans that a robot has got, with the instant of the last one of each other robot."""
 
     plans: dict[int, StampedPlan] = field(default_factory=dict)
-    told_ns: dict[int, int] = field(default_factory=dict)
+    instants_ns: dict[int, int] = field(default_factory=dict)
 
 
 class TroubledFleet(AgentFleet):
@@ -90,7 +90,7 @@ class TroubledFleet(AgentFleet):
         super().__init__(experiment, trajectories, water, seed)
         self._plant, self._trouble = water, trouble
         self._random = np.random.default_rng([seed, STREAM])
-        self._heard = [_Heard() for _ in self.robots]
+        self._inboxes = [_PlanInbox() for _ in self.robots]
         self._last_seen: dict[int, StampedPose] = {}
         self.exposures: dict[int, TrueState] = {}  # by the instant on the agents' clock, the newest last
 
@@ -105,22 +105,22 @@ class TroubledFleet(AgentFleet):
         """The newest pose that has come."""
         if self._trouble.unseen and i in self._last_seen:
             return self._last_seen[i]
-        seen = super().pose(i)
-        if seen is not None and i == 0 and self._trouble.marker_turn_rad:
-            seen = replace(seen, pose=replace(seen.pose, yaw_rad=seen.pose.yaw_rad + self._trouble.marker_turn_rad))
-        if seen is not None:
-            self._last_seen[i] = seen
-        return seen
+        pose = super().pose(i)
+        if pose is not None and i == 0 and self._trouble.marker_turn_rad:
+            pose = replace(pose, pose=replace(pose.pose, yaw_rad=pose.pose.yaw_rad + self._trouble.marker_turn_rad))
+        if pose is not None:
+            self._last_seen[i] = pose
+        return pose
 
     def control_step(self, i: int, plans: Mapping[int, StampedPlan | None]) -> None:
         """One control step of a robot with the plans that have reached it."""
         if not self._trouble.plans_lost:
             super().control_step(i, plans)
             return
-        heard = self._heard[i]
+        inbox = self._inboxes[i]
         for robot, plan in plans.items():
-            if plan is not None and heard.told_ns.get(robot) != plan.instant_ns:
-                heard.told_ns[robot] = plan.instant_ns
-                if robot not in heard.plans or self._random.random() >= self._trouble.plans_lost:
-                    heard.plans[robot] = plan
-        super().control_step(i, heard.plans)
+            if plan is not None and inbox.instants_ns.get(robot) != plan.instant_ns:
+                inbox.instants_ns[robot] = plan.instant_ns
+                if robot not in inbox.plans or self._random.random() >= self._trouble.plans_lost:
+                    inbox.plans[robot] = plan
+        super().control_step(i, inbox.plans)

@@ -61,17 +61,19 @@ def _echo(address: str) -> None:
     transport = ZenohTransport(Endpoint(address))
     ping, pong = Bus(transport, "ping"), Bus(transport, "pong")
     inboxes: dict[Topic, Inbox[Any]] = {t: ping.inbox(t, t.type, _robot(t)) for t in CASES.values()}
-    seen = dict.fromkeys(inboxes, -1)
+    last_ns = dict.fromkeys(inboxes, -1)
 
     def fresh() -> bool:
-        return any((h := inbox.newest_header()) is not None and h.stamp_ns > seen[topic] for topic, inbox in inboxes.items())
+        return any(
+            (h := inbox.newest_header()) is not None and h.stamp_ns > last_ns[topic] for topic, inbox in inboxes.items()
+        )
 
     while True:
         ping.wait(fresh, PATIENCE_S)
         for topic, inbox in inboxes.items():
             received = inbox.newest()
-            if received is not None and received.header.stamp_ns > seen[topic]:
-                seen[topic] = received.header.stamp_ns
+            if received is not None and received.header.stamp_ns > last_ns[topic]:
+                last_ns[topic] = received.header.stamp_ns
                 pong.publish(topic, received.message, received.header.stamp_ns, _robot(topic))
 
 

@@ -52,15 +52,15 @@ def _camera(address: str, ring: int | None) -> list[float]:
 
 def _reader(address: str, ring: int | None) -> list[float]:
     ages_ms: list[float] = []
-    seen = None
+    head = None
     with Bus(ZenohTransport(Endpoint(address)), "shoal", *frame_ring.codec_of(ring)) as bus:
         inbox = bus.inbox(topics.FRAME, Frame)
         print(flush=True)  # says that it hears
-        while bus.wait(lambda seen=seen: inbox.newest_header() is not seen, 60.0 if not ages_ms else PATIENCE_S):  # type: ignore[misc]
-            seen = inbox.newest_header()
+        while bus.wait(lambda head=head: inbox.newest_header() is not head, 60.0 if not ages_ms else PATIENCE_S):  # type: ignore[misc]
+            head = inbox.newest_header()
             received = inbox.newest()
-            if received is not None and seen is not None and received.header is seen:
-                ages_ms.append((time.monotonic_ns() - seen.stamp_ns) * 1e-6)
+            if received is not None and head is not None and received.header is head:
+                ages_ms.append((time.monotonic_ns() - head.stamp_ns) * 1e-6)
     return ages_ms
 
 
@@ -79,8 +79,8 @@ def _turn(way: str) -> tuple[list[float], float]:
         os.close(ring)
     assert reader.stdout is not None
     reader.stdout.readline()
-    told = [json.loads(child.communicate("\n")[0].splitlines()[-1]) for child in (camera, reader, router)]
-    return told[1]["ages_ms"], sum(each["cpu_ms"] for each in told) / FRAMES
+    reports = [json.loads(child.communicate("\n")[0].splitlines()[-1]) for child in (camera, reader, router)]
+    return reports[1]["ages_ms"], sum(each["cpu_ms"] for each in reports) / FRAMES
 
 
 def run() -> Iterator[Row]:
@@ -93,15 +93,15 @@ def run() -> Iterator[Row]:
             ages_ms[way] += ages
             cpu_ms[way].append(cpu)
     for way in WAYS:
-        heard = 100.0 * len(ages_ms[way]) / (TURNS * FRAMES)
+        share_pct = 100.0 * len(ages_ms[way]) / (TURNS * FRAMES)
         yield Row.of("frames", "camera to reader", way, "ms", ages_ms[way])
         yield Row.of("frames", "camera to reader", way, "ms of processor per frame", cpu_ms[way])
-        yield Row("frames", "camera to reader", way, "% heard", heard, heard, heard, TURNS * FRAMES)
+        yield Row("frames", "camera to reader", way, "% heard", share_pct, share_pct, share_pct, TURNS * FRAMES)
 
 
 if __name__ == "__main__":
     _, role, address, *descriptor = sys.argv
     begun_s = time.process_time()
     program = {"router": _router, "camera": _camera, "reader": _reader}[role]
-    found = program(address, int(descriptor[0]) if descriptor else None)
-    print(json.dumps({"ages_ms": found, "cpu_ms": (time.process_time() - begun_s) * 1e3}), flush=True)
+    result = program(address, int(descriptor[0]) if descriptor else None)
+    print(json.dumps({"ages_ms": result, "cpu_ms": (time.process_time() - begun_s) * 1e3}), flush=True)

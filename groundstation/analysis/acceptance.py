@@ -13,6 +13,7 @@ from shoal.config.vehicle import AXES as WRENCH_AXES
 MISSED_FRACTION = 0.001  # of all control steps; more is a run that did not keep time
 KNOWN_SHARE = 0.9  # of the flight in which distances and errors must be known: what nobody saw has not been good
 AXES = ("x", "y", "z")
+CLEARANCE = "clearance of hulls"  # name of a check
 
 
 def went_all_the_way(series: Series) -> bool:
@@ -33,12 +34,12 @@ def checks(result: Result, series: Series) -> Iterator[Check]:
 
 
 def _of_every_run(result: Result, series: Series) -> Iterator[Check]:
-    """Checks that every run has to pass: a whole log, a whole flight, no faults, timely steps, distance."""
+    """Checks that every run has to pass: a whole log, a whole flight, no faults, timely steps, distance, no contact."""
     experiment = series.experiment
     missing = float(result.log_dropped) if result.log_complete else None
     yield Check("messages missing from the log", result.log_trouble.partition(":")[0], missing, 0.0, not result.log_trouble)
     whole = went_all_the_way(series)
-    out = ", ".join(robot for robot, found in result.robots.items() if found.end.out_of_water)
+    out = ", ".join(robot for robot, figures in result.robots.items() if figures.end.out_of_water)
     slowest = f"robot {out} out of the water" if out else "slowest robot"
     yield Check(WHOLE_RUN, slowest, series.flown_s, series.asked_s, whole, "s", at_least=True)
     yield Check("faults", "", float(len(result.faults)), 0.0, not result.faults)
@@ -46,10 +47,23 @@ def _of_every_run(result: Result, series: Series) -> Iterator[Check]:
     yield _at_most("missed deadlines", "all robots", fraction, MISSED_FRACTION, "fraction")
     closest, allowed = result.min_separation_m, 2.0 * experiment.safety.radius_m
     if result.pairs:
-        closest_pair = next(pair for pair, found in result.pairs.items() if found.min_separation_m == closest)
+        closest_pair = next(pair for pair, figures in result.pairs.items() if figures.min_separation_m == closest)
         blind = _unknown({f"pair {a}-{b}": series.known_share(series.separation_m(a, b)) for a, b in _pairs(series)})
         passed = closest is not None and closest >= allowed and not blind
         yield Check("separation", blind or f"pair {closest_pair}", closest, allowed, passed, "m", at_least=True)
+    yield from _of_contact(series)
+
+
+def _of_contact(series: Series) -> Iterator[Check]:
+    """Check that no hull touched a wall, the floor or an island. Against the truth alone: a localizer's poses are some
+    centimetres off, and a robot in a real pool may lie at its wall."""
+    if series.errors_against != "truth":
+        return
+    clear_m = {r: series.experiment.clearance_m(found.truth[:, :3]) for r, found in series.robots.items()}
+    least_m = {r: float(np.nanmin(m)) for r, m in clear_m.items() if np.isfinite(m).any()}
+    if least_m:
+        robot = min(least_m, key=lambda r: least_m[r])
+        yield Check(CLEARANCE, f"robot {robot}", least_m[robot], 0.0, least_m[robot] >= 0.0, "m", at_least=True)
 
 
 def _of_errors(errors: dict[str, Errors], series: Series) -> Iterator[Check]:
@@ -65,11 +79,11 @@ def _of_errors(errors: dict[str, Errors], series: Series) -> Iterator[Check]:
     if limits.rms_yaw_after_20s_rad is not None and not settles:
         yield _too_short("rms_yaw_after_20s_rad", limits.rms_yaw_after_20s_rad, "rad")
     elif limits.rms_yaw_after_20s_rad is not None:
-        turned = {subject: found.rms_yaw_after_20s_rad for subject, found in errors.items()}
-        known = {subject: value for subject, value in turned.items() if value is not None}
-        where = max(known, key=lambda subject: known[subject]) if len(known) == len(turned) else ""
+        turned = {subject: figures.rms_yaw_after_20s_rad for subject, figures in errors.items()}
+        by_subject = {subject: value for subject, value in turned.items() if value is not None}
+        where = max(by_subject, key=lambda subject: by_subject[subject]) if len(by_subject) == len(turned) else ""
         yield _at_most(
-            "rms_yaw_after_20s_rad", blind or where, known.get(where), limits.rms_yaw_after_20s_rad, "rad", not blind
+            "rms_yaw_after_20s_rad", blind or where, by_subject.get(where), limits.rms_yaw_after_20s_rad, "rad", not blind
         )
 
 
@@ -101,9 +115,9 @@ def _of_the_means(result: Result, series: Series) -> Iterator[Check]:
         yield _at_most("exposure to PWM, p99", "all robots", late, limits.exposure_to_pwm_p99_ms, "ms")
 
 
-def _at_most(name: str, where: str, value: float | None, limit: float, unit: str, known: bool = True) -> Check:
-    """A figure that is missing, or `known` for a part of the flight only, has not been shown to be good."""
-    return Check(name, where, value, limit, value is not None and value <= limit and known, unit)
+def _at_most(name: str, where: str, value: float | None, limit: float, unit: str, is_whole: bool = True) -> Check:
+    """A figure that is missing, or not that of the whole flight (`is_whole`), has not been shown to be good."""
+    return Check(name, where, value, limit, value is not None and value <= limit and is_whole, unit)
 
 
 def _pairs(series: Series) -> Iterator[tuple[int, int]]:
@@ -124,10 +138,10 @@ def _too_short(name: str, limit: float, unit: str) -> Check:
 def _worst_cell(errors: dict[str, Errors], name: str) -> tuple[str, float | None]:
     cells = {
         f"{subject}, {axis}": value
-        for subject, found in errors.items()
-        for axis, value in zip(AXES, getattr(found, name) or (), strict=False)
+        for subject, figures in errors.items()
+        for axis, value in zip(AXES, getattr(figures, name) or (), strict=False)
     }
-    if not cells or any(getattr(found, name) is None for found in errors.values()):
+    if not cells or any(getattr(figures, name) is None for figures in errors.values()):
         return "", None
     worst = max(cells, key=lambda cell: cells[cell])
     return worst, cells[worst]

@@ -62,12 +62,12 @@ class _Samples:
         columns = self.values.shape[1]
         if len(self.stamp_ns) < 2 or len(stamp_ns) == 0:
             return np.full((len(stamp_ns), columns), np.nan)
-        found = np.column_stack([np.interp(stamp_ns, self.stamp_ns, self.values[:, c]) for c in range(columns)])
+        values = np.column_stack([np.interp(stamp_ns, self.stamp_ns, self.values[:, c]) for c in range(columns)])
         after = np.clip(np.searchsorted(self.stamp_ns, stamp_ns), 1, len(self.stamp_ns) - 1)
         gap = self.stamp_ns[after] - self.stamp_ns[after - 1]
         outside = (stamp_ns < self.stamp_ns[0]) | (stamp_ns > self.stamp_ns[-1])
-        found[outside | (gap > LONGEST_GAP_S * 1e9)] = np.nan
-        return found
+        values[outside | (gap > LONGEST_GAP_S * 1e9)] = np.nan
+        return values
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,29 +97,29 @@ class _Recorded:
 def align(experiment: Experiment, log: RunLog, flight: int | None = None) -> Series:
     """Bring a flight of a log onto one clock: the one of that number, from 1, else the last that was more than the way home.
     Works for any part of a run, also for one in which nothing ever moved. Raises ConfigError where there is no such flight."""
-    known = bool(log.of(topics.TRUTH, Truth))
+    has_truth = bool(log.of(topics.TRUTH, Truth))
     flights = _flights(log, experiment.robot_ids)
     number = _chosen(flights, flight)
     window = (flights[number - 1].begin_ns, flights[number - 1].until_ns) if number else (0, 0)
-    recorded = {robot: _gather(log, robot, known, window) for robot in experiment.robot_ids}
-    flown = [r for r in recorded.values() if r.flew]
-    start_ns = max((r.start_ns for r in flown), default=_first_stamp_ns(log))
-    whole_s = _end_s(recorded, flown, start_ns, experiment.duration_s)
+    recorded = {robot: _gather(log, robot, has_truth, window) for robot in experiment.robot_ids}
+    with_flight = [r for r in recorded.values() if r.flew]
+    start_ns = max((r.start_ns for r in with_flight), default=_first_stamp_ns(log))
+    whole_s = _end_s(recorded, with_flight, start_ns, experiment.duration_s)
     end_s = min(whole_s, 2.0 * experiment.duration_s + SPARE_S)
-    rows = int(end_s / experiment.controller.period_s + 1e-6) + 1 if flown else 0
+    rows = int(end_s / experiment.controller.period_s + 1e-6) + 1 if with_flight else 0
     time_s = np.arange(rows, dtype=np.float64) * experiment.controller.period_s
     located = any(len(r.truth.stamp_ns) > 1 for r in recorded.values())
     return Series(
         experiment=experiment,
         start_ns=start_ns,
         end_s=end_s,
-        started=bool(flown),
+        started=bool(with_flight),
         reached_s=min((float(r.clock_s.max()) if r.flew else 0.0 for r in recorded.values()), default=0.0),
         asked_s=_asked_s(experiment, recorded),
         ended_s=(window[1] - start_ns) * 1e-9,
         time_s=time_s,
-        robots={robot: _robot_series(experiment, robot, r, time_s, start_ns, known) for robot, r in recorded.items()},
-        errors_against=None if not flown or not located else "truth" if known else "localizer",
+        robots={robot: _robot_series(experiment, robot, r, time_s, start_ns, has_truth) for robot, r in recorded.items()},
+        errors_against=None if not with_flight or not located else "truth" if has_truth else "localizer",
         frame_ms=_frame_times(log, start_ns),
         timeline_events=_happenings(log, recorded, start_ns),
         sent_home_s=_sent_home_s(log, flights[number - 1], start_ns) if number else None,
@@ -166,7 +166,7 @@ def _flights(log: RunLog, robots: Sequence[int]) -> list[Flight]:
 
 def _robot_flights(states: Sequence[DecodedMessage[RobotState]], robot: int) -> list[tuple[int, int, float, int]]:
     """One robot's flights: stamps of the first and the last step under way, the trajectory time reached, and its number."""
-    found: list[tuple[int, int, float, int]] = []
+    flights: list[tuple[int, int, float, int]] = []
     last_s, stood_at_begin = 0.0, False
     for e in states:
         clock_s = e.message.trajectory_s
@@ -174,20 +174,20 @@ def _robot_flights(states: Sequence[DecodedMessage[RobotState]], robot: int) -> 
             stood_at_begin = True
         elif e.message.mode is Mode.TRACKING:
             again = clock_s < last_s - BACK_S or (stood_at_begin and clock_s < min(last_s, FRESH_S))
-            if not found or again:
-                found.append((e.stamp_ns, e.stamp_ns, clock_s, robot))
-            begin_ns, _, reached_s, _ = found[-1]
-            found[-1] = (begin_ns, e.stamp_ns, max(reached_s, clock_s), robot)
+            if not flights or again:
+                flights.append((e.stamp_ns, e.stamp_ns, clock_s, robot))
+            begin_ns, _, reached_s, _ = flights[-1]
+            flights[-1] = (begin_ns, e.stamp_ns, max(reached_s, clock_s), robot)
             last_s, stood_at_begin = clock_s, False
-    return found
+    return flights
 
 
-def _chosen(flights: Sequence[Flight], wanted: int | None) -> int:
+def _chosen(flights: Sequence[Flight], choice: int | None) -> int:
     """Number of the flight to look at, from 1; 0 if there is none."""
-    if wanted is not None:
-        if not 1 <= wanted <= len(flights):
-            raise ConfigError(f"--flight {wanted}: the log holds {len(flights)} (allowed: 1 to {len(flights)})")
-        return wanted
+    if choice is not None:
+        if not 1 <= choice <= len(flights):
+            raise ConfigError(f"--flight {choice}: the log holds {len(flights)} (allowed: 1 to {len(flights)})")
+        return choice
     outward = [number for number, flight in enumerate(flights, start=1) if not flight.home]
     return outward[-1] if outward else len(flights)
 
@@ -203,8 +203,8 @@ def _sent_home_s(log: RunLog, flight: Flight, start_ns: int) -> float | None:
 def _asked_s(experiment: Experiment, recorded: Mapping[int, _Recorded]) -> float:
     """Planned progress of the flight along the trajectory in s. Trajectories are a controller's horizon longer than that."""
     ahead_s = experiment.controller.mpc.horizon * experiment.controller.period_s
-    flown = [r.trajectory for r in recorded.values() if r.flew and r.trajectory is not None]
-    ends = [t.begin_s + (len(t.eta) - 1) * t.period_s - ahead_s for t in flown]
+    trajectories = [r.trajectory for r in recorded.values() if r.flew and r.trajectory is not None]
+    ends = [t.begin_s + (len(t.eta) - 1) * t.period_s - ahead_s for t in trajectories]
     return max(0.0, min([experiment.duration_s, *ends]))
 
 
@@ -248,20 +248,20 @@ def _start_ns(clock_ns: Array, clock_s: Array) -> int:
     return round(float(clock_ns[0]) - float(clock_s[0]) * 1e9)
 
 
-def _gather(log: RunLog, robot: int, known: bool, window: tuple[int, int]) -> _Recorded:
+def _gather(log: RunLog, robot: int, has_truth: bool, window: tuple[int, int]) -> _Recorded:
     """Collect one robot's messages of a flight from the log, not aligned yet."""
     states = log.of(topics.STATE, RobotState, robot)
     inputs = log.of(topics.INPUTS, StepInputs, robot)
     poses = [entry for entry in log.of(topics.POSE, Pose, robot) if entry.message.track is not Track.LOST]
     plans = _plans(log, robot)
     counted = _of_formation(log, robot)
-    flown = [e.message for e in counted if window[0] <= e.stamp_ns < window[1] and e.message.trajectory_s > 0.0]
-    named = [m.trajectory_id for m in flown if m.mode is Mode.TRACKING]
+    messages = [e.message for e in counted if window[0] <= e.stamp_ns < window[1] and e.message.trajectory_s > 0.0]
+    named = [m.trajectory_id for m in messages if m.mode is Mode.TRACKING]
     recorded = [e.message for e in log.of(topics.TRAJECTORY, Trajectory, robot)]
     trajectories = [t for t in recorded if _is_path(t) and plans.include(t.id)]
     # the last that was flown holds what was flown before it as well
     chosen = [t for t in trajectories if named and t.id == named[-1]] or trajectories
-    truth, disturbance = _truth(log, robot) if known else (_located(states, poses), _samples([], []))
+    truth, disturbance = _truth(log, robot) if has_truth else (_located(states, poses), _samples([], []))
     clock_ns, clock_s = _clock(counted, window)
     return _Recorded(
         states=states,
@@ -288,16 +288,16 @@ def _is_path(trajectory: Trajectory) -> bool:
 
 def _truth(log: RunLog, robot: int) -> tuple[_Samples, _Samples]:
     """True pose and true disturbance of a robot."""
-    found = [
+    truths = [
         (e.stamp_ns, e.message, e.message.robots.index(robot))
         for e in log.of(topics.TRUTH, Truth)
         if robot in e.message.robots
     ]
-    found = [(ns, m, row) for ns, m, row in found if len(m.eta) > row]
-    stamps = [ns for ns, _, _ in found]
-    explained = all(len(m.disturbance) > row for _, m, row in found)
-    disturbance = [m.disturbance[row] for _, m, row in found] if explained else []
-    return _samples(stamps, [m.eta[row] for _, m, row in found]), _samples(stamps if explained else [], disturbance)
+    truths = [(ns, m, row) for ns, m, row in truths if len(m.eta) > row]
+    stamps = [ns for ns, _, _ in truths]
+    explained = all(len(m.disturbance) > row for _, m, row in truths)
+    disturbance = [m.disturbance[row] for _, m, row in truths] if explained else []
+    return _samples(stamps, [m.eta[row] for _, m, row in truths]), _samples(stamps if explained else [], disturbance)
 
 
 def _located(states: Sequence[DecodedMessage[RobotState]], poses: Sequence[DecodedMessage[Pose]]) -> _Samples:
@@ -316,19 +316,19 @@ def _samples(stamps: Sequence[float], rows: Sequence[Array]) -> _Samples:
 
 
 def _first_stamp_ns(log: RunLog) -> int:
-    states = [e.stamp_ns for (name, _), found in log.entries.items() for e in found if name == topics.STATE.name]
-    anything = [e.stamp_ns for found in log.entries.values() for e in found]
+    states = [e.stamp_ns for (name, _), entries in log.entries.items() for e in entries if name == topics.STATE.name]
+    anything = [e.stamp_ns for entries in log.entries.values() for e in entries]
     return min(states or anything, default=0)
 
 
 def _last_stamp_ns(log: RunLog) -> int:
-    return max((e.stamp_ns for found in log.entries.values() for e in found[-1:]), default=0)
+    return max((e.stamp_ns for entries in log.entries.values() for e in entries[-1:]), default=0)
 
 
-def _end_s(recorded: dict[int, _Recorded], flown: Sequence[_Recorded], start_ns: int, duration_s: float) -> float:
+def _end_s(recorded: dict[int, _Recorded], flights: Sequence[_Recorded], start_ns: int, duration_s: float) -> float:
     """Time at which the last robot's trajectory clock reached the run's end or stood still for good; not beyond the truth."""
     ends = []
-    for r in flown:
+    for r in flights:
         there = np.flatnonzero(r.clock_s >= duration_s - 1e-6)
         moving = np.flatnonzero(np.diff(r.clock_s) > 0.0)
         ends.append(r.clock_ns[there[0]] if len(there) else r.clock_ns[moving[-1] + 1] if len(moving) else r.clock_ns[0])
@@ -336,7 +336,9 @@ def _end_s(recorded: dict[int, _Recorded], flown: Sequence[_Recorded], start_ns:
     return max(0.0, (float(min([max(ends, default=start_ns), *known_until])) - start_ns) * 1e-9)
 
 
-def _robot_series(experiment: Experiment, robot: int, r: _Recorded, time_s: Array, start_ns: int, known: bool) -> RobotSeries:
+def _robot_series(
+    experiment: Experiment, robot: int, r: _Recorded, time_s: Array, start_ns: int, has_truth: bool
+) -> RobotSeries:
     """Put one robot's messages onto the clock `time_s` (n,) of the flight that began at `start_ns`."""
     stamps = start_ns + time_s * 1e9
     states = _states(r.states, r.with_formation, r.inputs, start_ns)
@@ -344,8 +346,8 @@ def _robot_series(experiment: Experiment, robot: int, r: _Recorded, time_s: Arra
     pose = np.array([[e.message.x_m, e.message.y_m, e.message.yaw_rad] for e in r.poses], dtype=np.float64).reshape(-1, 3)
     pose_stamps = np.array([e.stamp_ns for e in r.poses], dtype=np.float64)
     true_pose = r.truth.at(pose_stamps)
-    seen = np.column_stack([pose[:, :2], true_pose[:, 2], pose[:, 2]])
-    error = pose_error(seen, true_pose)[:, [0, 1, 3]] if known else np.full_like(pose, np.nan)
+    measured_eta = np.column_stack([pose[:, :2], true_pose[:, 2], pose[:, 2]])
+    error = pose_error(measured_eta, true_pose)[:, [0, 1, 3]] if has_truth else np.full_like(pose, np.nan)
     return RobotSeries(
         truth=r.truth.at(stamps),
         reference=_reference(r, stamps),
@@ -461,30 +463,30 @@ def _states(
 
 def _frame_times(log: RunLog, start_ns: int) -> Array:
     statuses = log.of(topics.LOCALIZER, LocalizerStatus)  # none has a frame where the simulator stands for the localizer
-    found = [((e.stamp_ns - start_ns) * 1e-9, e.message.frame_ms) for e in statuses if e.message.frame_ms > 0.0]
-    return np.array(found, dtype=np.float64).reshape(-1, 2)
+    frames = [((e.stamp_ns - start_ns) * 1e-9, e.message.frame_ms) for e in statuses if e.message.frame_ms > 0.0]
+    return np.array(frames, dtype=np.float64).reshape(-1, 2)
 
 
 def _happenings(log: RunLog, recorded: dict[int, _Recorded], start_ns: int) -> tuple[TimelineEvent, ...]:
     """Every change of a robot's mode, guidance or fault, and every event, each once and in order."""
-    found = []
+    events = []
     for robot, r in recorded.items():
         before: tuple[str, str] | None = None
         for e in r.states:
             now = (e.message.doing, e.message.fault)
             if now != before:
                 text = now[0] + (f": {now[1]}" if now[1] else "")
-                found.append(TimelineEvent((e.stamp_ns - start_ns) * 1e-9, f"robot {robot}", text, bool(now[1])))
+                events.append(TimelineEvent((e.stamp_ns - start_ns) * 1e-9, f"robot {robot}", text, bool(now[1])))
             before = now
     for event in log.of(topics.EVENT, Event):
         m = event.message
-        found.append(TimelineEvent((event.stamp_ns - start_ns) * 1e-9, m.source, m.message, m.level >= WARNING))
+        events.append(TimelineEvent((event.stamp_ns - start_ns) * 1e-9, m.source, m.message, m.level >= WARNING))
     senders: dict[str, Sequence[DecodedMessage[Any]]] = {f"robot {robot}": r.states for robot, r in recorded.items()}
     senders["groundstation"] = log.of(topics.HEARTBEAT, StationHeartbeat)
     senders["localizer"] = log.of(topics.LOCALIZER, LocalizerStatus)
     for source, entries in senders.items():
-        found.extend(_standstills(source, entries, start_ns))
-    return once(found)
+        events.extend(_standstills(source, entries, start_ns))
+    return once(events)
 
 
 def _standstills(source: str, entries: Sequence[DecodedMessage[Any]], start_ns: int) -> Iterator[TimelineEvent]:

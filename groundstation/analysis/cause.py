@@ -108,14 +108,14 @@ def _over_all(text: str, result: Result, series: Series, injected: str = "") -> 
 def _place(event: TimelineEvent, series: Series) -> str:
     """Place of the robot that an event is about; of another event the middle of the fleet. Empty where none is known."""
     own = {f"robot {number}": robot for number, robot in series.robots.items()}
-    shown = [own[event.source]] if event.source in own else list(own.values())
+    robots = [own[event.source]] if event.source in own else list(own.values())
     rows = series.time_s <= event.time_s
-    places = [robot.truth[rows & np.isfinite(robot.truth[:, :2]).all(axis=1), :2][-1:] for robot in shown]
-    known = [place[0] for place in places if len(place)]
-    if not known:
+    places = [robot.truth[rows & np.isfinite(robot.truth[:, :2]).all(axis=1), :2][-1:] for robot in robots]
+    last_places = [place[0] for place in places if len(place)]
+    if not last_places:
         return ""
-    x_m, y_m = np.mean(known, axis=0)
-    whose = "" if len(shown) == 1 else "the fleet's middle "
+    x_m, y_m = np.mean(last_places, axis=0)
+    whose = "" if len(robots) == 1 else "the fleet's middle "
     return f"{whose}at x {x_m:.2f}, y {y_m:.2f} m"
 
 
@@ -165,8 +165,8 @@ def _injected_before(fault: TimelineEvent, series: Series) -> str:
 
 def _injected(series: Series, until_s: float = math.inf) -> list[str]:
     """Injections of the simulator up to a time, each with its own time."""
-    made = [e for e in series.timeline_events if is_injection(e) and e.text.startswith(INJECTED) and e.time_s <= until_s]
-    return [f"{e.text.removeprefix(INJECTED)} at {e.time_s:.1f} s" for e in made]
+    injections = [e for e in series.timeline_events if is_injection(e) and e.text.startswith(INJECTED) and e.time_s <= until_s]
+    return [f"{e.text.removeprefix(INJECTED)} at {e.time_s:.1f} s" for e in injections]
 
 
 def _outcome(result: Result, series: Series) -> str:
@@ -182,8 +182,8 @@ def _ended_by(series: Series) -> TimelineEvent | None:
     """The station's word for the end of a flight that did not go all the way, if it gave a reason."""
     if not series.started or went_all_the_way(series):
         return None
-    given = (e for e in series.timeline_events if e.source == "groundstation" and e.text.startswith("mission: "))
-    return next((e for e in given if e.time_s > 0.0 and ": " in e.text.removeprefix("mission: ")), None)
+    reasons = (e for e in series.timeline_events if e.source == "groundstation" and e.text.startswith("mission: "))
+    return next((e for e in reasons if e.time_s > 0.0 and ": " in e.text.removeprefix("mission: ")), None)
 
 
 def _excess(check: Check) -> float:

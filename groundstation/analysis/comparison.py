@@ -1,14 +1,25 @@
-"""The result of `sim-bridge compare`: flights of several variants of an experiment on the same seeds, as JSON.
+"""The result of `sim-bridge compare`: flights of several variants of an experiment on the same seeds, as JSON. Pure.
+
+Errors here are against the trajectory by the clock, whatever a robot's own clock says: a law that gives up stays wrong.
 
 Distances in m against the plant's truth; "after 20 s" leaves out the first 20 s; "wanted" is what a law came to before its
-magnitude and rate were limited. Changes of inputs are told as shares of the largest that is allowed.
+magnitude and rate were limited. Changes of inputs are shares of the largest that is allowed.
 """
 
 import dataclasses
 import json
 from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from shoal.config.experiment import Experiment
+from shoal.frames import Array, pose_error
+from shoal.messages.messages import Mode, RobotState
 
 SETTLED_S = 20.0
+ERROR_STRIDE = 10  # of control steps, in a plot's trace
+SHOWN_S = 20.0  # of the inputs, in a plot's trace
 
 
 def settled(flown_s: float) -> bool:
@@ -77,8 +88,8 @@ class Comparison:
     surge_limit_n: float
     robots: list[int]
     variants: list[Variant]
-    separation_m: float = 0.0  # the least that robots may come to one another; 0: not told, in older files
-    commit: str = ""  # of the code that flew; empty: not told, in older files
+    separation_m: float  # the least that robots may come to one another
+    commit: str  # of the code that flew
 
     def to_json(self) -> str:
         """The content of comparison.json."""
@@ -99,3 +110,62 @@ def _flight(table: dict[str, object]) -> FlightRecord:
     if not isinstance(figures, dict) or not isinstance(traces, dict | None):
         raise TypeError("figures and traces must be objects")
     return FlightRecord(int(str(table["seed"])), FlightMetrics(**figures), Traces(**traces) if traces is not None else None)
+
+
+def flight_figures(experiment: Experiment, states: list[list[RobotState]], truth: Array, error: Array) -> FlightMetrics:
+    """A comparison's figures of a flight. `truth` and `error` (steps, n, 4); `states` per robot and step."""
+    limits, first = experiment.vehicle.limits, round(SETTLED_S / experiment.controller.period_s)
+    distance = np.linalg.norm(error[:, :, :3], axis=2)
+    formation, separation = _pairs(truth, error)
+    wanted = _values(states, "wrench_wanted") / np.array(limits.wrench)
+    quick = np.diff(wanted, axis=1) * np.array(limits.wrench) / experiment.wrench_step
+    large = (np.abs(wanted) > 1.0 + 1e-9).any(axis=2)[:, 1:]
+    fast = (np.abs(quick) > 1.0 + 1e-9).any(axis=2)
+    steps = _values(states, "wrench_step") / experiment.wrench_step
+    return FlightMetrics(
+        rms_m=_rms_all(distance),
+        rms_after_20s_m=_rms_all(distance[first:]),
+        max_after_20s_m=float(distance[first:].max()),
+        rms_yaw_rad=_rms_all(error[:, :, 3]),
+        rms_yaw_after_20s_rad=_rms_all(error[first:, :, 3]),
+        formation_rms_m=_rms_all(formation),
+        formation_after_20s_m=_rms_all(formation[first:]),
+        min_separation_m=separation,
+        input_step_rms=float(np.sqrt(np.mean(steps**2, axis=1)).max()),
+        wanted_too_large=float(large.mean()),
+        wanted_too_fast=float(fast.mean()),
+        wanted_beyond=float((large | fast).mean()),
+        wanted_most=float(np.abs(wanted).max()),
+        under_way=float(np.mean([[state.mode is Mode.TRACKING for state in each] for each in states])),
+    )
+
+
+def _pairs(truth: Array, error: Array) -> tuple[Array, float | None]:
+    """Formation errors (steps, pairs) in m, and the least distance of two robots."""
+    pairs = list(combinations(range(error.shape[1]), 2))
+    if not pairs:
+        return np.zeros((len(error), 1)), None
+    apart = [np.linalg.norm(pose_error(error[:, a], error[:, b])[:, :3], axis=1) for a, b in pairs]
+    return np.array(apart).T, min(float(np.linalg.norm((truth[:, a] - truth[:, b])[:, :3], axis=1).min()) for a, b in pairs)
+
+
+def flight_traces(period_s: float, states: list[list[RobotState]], error: Array) -> Traces:
+    """Error and inputs over time, for a comparison's plots."""
+    shown = round(SHOWN_S / period_s)
+    root = np.sqrt(np.mean(np.sum(error[::ERROR_STRIDE, :, :3] ** 2, axis=2), axis=1))
+    return Traces(
+        error_period_s=round(ERROR_STRIDE * period_s, 9),
+        error_m=[round(value, 6) for value in root.tolist()],
+        input_period_s=round(period_s, 9),
+        wanted_n=np.round(_values(states, "wrench_wanted")[:, :shown, 0], 4).tolist(),
+        applied_n=np.round(_values(states, "wrench")[:, :shown, 0], 4).tolist(),
+    )
+
+
+def _values(states: list[list[RobotState]], key: str) -> Array:
+    """A field of all states, (n, steps, 3)."""
+    return np.array([[getattr(state, key) for state in each] for each in states])
+
+
+def _rms_all(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))

@@ -102,10 +102,12 @@ def evaluate(series: Series, log: RunLog) -> Result:
 def _in_flight(happening: TimelineEvent, series: Series) -> bool:
     """True if an event belongs to the evaluated flight. What ended a flight early comes after its last step under way;
     what comes after a flight that went to its end is none of its faults."""
-    if not series.started:
-        return True
-    until_s = series.end_s if went_all_the_way(series) else series.ended_s
-    return 0.0 <= happening.time_s <= until_s
+    return not series.started or 0.0 <= happening.time_s <= judged_until_s(series)
+
+
+def judged_until_s(series: Series) -> float:
+    """Time up to which faults count: the end of the evaluation, or of the flight if it did not go all the way."""
+    return series.end_s if went_all_the_way(series) else series.ended_s
 
 
 def _part(flight: Flight, start_ns: int) -> FlightPart:
@@ -119,8 +121,8 @@ def _part(flight: Flight, start_ns: int) -> FlightPart:
 def _cameras_out(series: Series, log: RunLog) -> dict[str, float]:
     """Share of the fused pictures in which each of several cameras gave no poses; empty for a single camera."""
     statuses, end_ns = log.of(topics.LOCALIZER, LocalizerStatus), series.start_ns + series.end_s * 1e9
-    told = [e.message for e in statuses if series.start_ns <= e.stamp_ns <= end_ns]
-    return {name: sum(name in m.out for m in told) / len(told) for name in series.experiment.camera_names if told}
+    messages = [e.message for e in statuses if series.start_ns <= e.stamp_ns <= end_ns]
+    return {name: sum(name in m.out for m in messages) / len(messages) for name in series.experiment.camera_names if messages}
 
 
 def _robot(series: Series, robot: int) -> RobotResult:
@@ -192,8 +194,8 @@ def _without_yaw(errors: Errors) -> Errors:
 
 def _errors(error: Array, time_s: Array) -> Errors:
     """Statistics of an error (n, 4) at n instants; rows with NaN do not count."""
-    known = np.isfinite(error).all(axis=1)
-    whole, settled = error[known], error[known & (time_s >= SETTLED_S)]
+    is_known = np.isfinite(error).all(axis=1)
+    whole, settled = error[is_known], error[is_known & (time_s >= SETTLED_S)]
     return Errors(
         rms_m=_axes(whole, _root_mean_square),
         rms_yaw_rad=_rms(whole[:, 3]),
@@ -209,8 +211,8 @@ def _errors(error: Array, time_s: Array) -> Errors:
 
 def _hops(robots: Iterable[RobotSeries], flying: Sequence[Mask]) -> dict[str, Quantiles | None]:
     hops = np.concatenate([r.states.hops_ms[rows] for r, rows in zip(robots, flying, strict=True)])
-    known = hops[np.isfinite(hops).all(axis=1)]
-    return {name: _quantiles(known[:, k]) for k, name in enumerate(HOPS)} if len(known) else {}
+    complete = hops[np.isfinite(hops).all(axis=1)]
+    return {name: _quantiles(complete[:, k]) for k, name in enumerate(HOPS)} if len(complete) else {}
 
 
 def _at_limit(series: Series, flying: Sequence[Mask]) -> dict[str, float]:
@@ -223,8 +225,8 @@ def _at_limit(series: Series, flying: Sequence[Mask]) -> dict[str, float]:
 
 
 def _most(values: Iterable[Array]) -> float | None:
-    found = np.concatenate(list(values))
-    return float(found.max()) if found.size else None
+    all_values = np.concatenate(list(values))
+    return float(all_values.max()) if all_values.size else None
 
 
 # --- statistics; None for no values
@@ -251,13 +253,13 @@ def _three(values: Array) -> Three:
 
 
 def _rms(values: Array) -> float | None:
-    known = values[np.isfinite(values)]
-    return float(_root_mean_square(known)) if known.size else None
+    numbers = values[np.isfinite(values)]
+    return float(_root_mean_square(numbers)) if numbers.size else None
 
 
 def _column_rms(values: Array) -> tuple[float, ...] | None:
-    known = values[np.isfinite(values).all(axis=1)]
-    return tuple(float(v) for v in _root_mean_square(known)) if len(known) else None
+    rows = values[np.isfinite(values).all(axis=1)]
+    return tuple(float(v) for v in _root_mean_square(rows)) if len(rows) else None
 
 
 def _quantiles(values: Array) -> Quantiles | None:
@@ -268,8 +270,8 @@ def _quantiles(values: Array) -> Quantiles | None:
 
 
 def _spread(values: Array) -> Spread | None:
-    known = values[np.isfinite(values)]
-    return Spread(float(_root_mean_square(known)), float(known.max())) if known.size else None
+    numbers = values[np.isfinite(values)]
+    return Spread(float(_root_mean_square(numbers)), float(numbers.max())) if numbers.size else None
 
 
 def _fields(errors: Errors) -> dict[str, Any]:

@@ -138,12 +138,12 @@ class Series:
         there are none. A simulation that goes on from a moment of another run begins where its log does."""
         if not len(values):
             return 0.0
-        seen = np.stack([np.isfinite(robot.truth).all(axis=1) for robot in self.robots.values()]).any(axis=0)
-        counted = np.logical_or.accumulate(seen)
+        has_truth = np.stack([np.isfinite(robot.truth).all(axis=1) for robot in self.robots.values()]).any(axis=0)
+        counted = np.logical_or.accumulate(has_truth)
         if rows is not None:
             counted &= rows
-        known: Mask = np.asarray(np.isfinite(values).reshape(len(values), -1).all(axis=1))
-        return float(known[counted].mean()) if counted.any() else 0.0
+        is_known: Mask = np.asarray(np.isfinite(values).reshape(len(values), -1).all(axis=1))
+        return float(is_known[counted].mean()) if counted.any() else 0.0
 
     def pair_error(self, a: int, b: int) -> Array:
         """Formation error (p_a - p_b) - (ref_a - ref_b), (n, 4), yaw wrapped."""
@@ -158,8 +158,8 @@ class Series:
 def active_limits(series: Series, robot: RobotSeries) -> dict[str, Mask]:
     """Which limits held a robot's inputs back, (m,) each, by name; and where its plan entered another's space."""
     experiment, states = series.experiment, robot.states
-    found = {}
+    limits = {}
     for k, axis in enumerate(AXES[: states.wrench.shape[1]]):
-        found[axis] = np.asarray(np.abs(states.wrench[:, k]) >= AT_LIMIT * experiment.vehicle.limits.wrench[k])
-        found[f"step of {axis}"] = np.asarray(np.abs(states.wrench_step[:, k]) >= AT_LIMIT * experiment.wrench_step[k])
-    return found | {"others' space": np.asarray(states.slack_m > SLACK_M)}
+        limits[axis] = np.asarray(np.abs(states.wrench[:, k]) >= AT_LIMIT * experiment.vehicle.limits.wrench[k])
+        limits[f"step of {axis}"] = np.asarray(np.abs(states.wrench_step[:, k]) >= AT_LIMIT * experiment.wrench_step[k])
+    return limits | {"others' space": np.asarray(states.slack_m > SLACK_M)}

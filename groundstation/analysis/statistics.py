@@ -43,14 +43,14 @@ class Interval:
 def mean(values: Sequence[float]) -> Interval:
     """Mean with its bootstrap interval (percentiles of the means of samples drawn again, always the same ones): it stays
     within the values, so what cannot be negative has no negative bound."""
-    known = np.asarray(values, dtype=np.float64)
-    centre, count = float(known.mean()), len(known)
+    numbers = np.asarray(values, dtype=np.float64)
+    centre, count = float(numbers.mean()), len(numbers)
     if count < 2:
         return Interval(centre, None, None)
     random, rows = np.random.default_rng(0), max(AT_ONCE // count, 1)
     means = [
-        known[random.integers(count, size=(min(rows, RESAMPLES - done), count))].mean(axis=1)
-        for done in range(0, RESAMPLES, rows)
+        numbers[random.integers(count, size=(min(rows, RESAMPLES - row), count))].mean(axis=1)
+        for row in range(0, RESAMPLES, rows)
     ]
     low, high = np.quantile(np.concatenate(means), [(1.0 - CONFIDENCE) / 2.0, (1.0 + CONFIDENCE) / 2.0])
     return Interval(centre, float(low), float(high))

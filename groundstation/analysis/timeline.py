@@ -21,14 +21,14 @@ def once(events: Iterable[TimelineEvent]) -> tuple[TimelineEvent, ...]:
     kept: list[TimelineEvent] = []
     latest: dict[tuple[str, str], int] = {}  # place in `kept` of the latest event with these words
     for event in ordered:
-        said = (event.source, event.text)
-        before = kept[latest[said]] if said in latest else None
+        key = (event.source, event.text)
+        before = kept[latest[key]] if key in latest else None
         if before is not None and event.source.startswith("robot ") and event.time_s - before.last_s <= SAME_S:
             continue
         if before is not None and event.time_s - before.last_s <= REPEATED_S:
-            kept[latest[said]] = replace(before, until_s=event.time_s, times=before.times + 1)
+            kept[latest[key]] = replace(before, until_s=event.time_s, times=before.times + 1)
             continue
-        latest[said] = len(kept)
+        latest[key] = len(kept)
         kept.append(event)
     modes: dict[tuple[str, str], list[float]] = {}
     for event in kept:
@@ -38,8 +38,9 @@ def once(events: Iterable[TimelineEvent]) -> tuple[TimelineEvent, ...]:
 
 def faults(events: Sequence[TimelineEvent]) -> tuple[TimelineEvent, ...]:
     """The events that should not have been, without the station's words about those of others."""
-    found = [e for e in events if e.fault]
-    return tuple(e for e in found if not (_is_reaction(e) and any(o.time_s <= e.time_s for o in found if not _is_reaction(o))))
+    all_faults = [e for e in events if e.fault]
+    causes_s = [e.time_s for e in all_faults if not _is_reaction(e)]
+    return tuple(e for e in all_faults if not (_is_reaction(e) and any(time_s <= e.time_s for time_s in causes_s)))
 
 
 def is_injection(event: TimelineEvent) -> bool:
@@ -49,8 +50,8 @@ def is_injection(event: TimelineEvent) -> bool:
 
 def tags(events: Iterable[TimelineEvent]) -> tuple[str, ...]:
     """The #words of people's remarks, each once."""
-    found = (word for e in events if e.text.startswith(REMARK) for word in TAG.findall(e.text))
-    return tuple(dict.fromkeys(found))
+    words = (word for e in events if e.text.startswith(REMARK) for word in TAG.findall(e.text))
+    return tuple(dict.fromkeys(words))
 
 
 def _source(name: str) -> str:

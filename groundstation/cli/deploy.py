@@ -46,13 +46,13 @@ def deploy(
     targets = parse_targets(boards)
     loaded = load_experiment(experiment, settings or ())
     command = _command(ssh)
-    wanted = DeployRequest(
+    request = DeployRequest(
         loaded, station, fleet, link, link_key, home, keys, insecure, wheelhouse, command, restart, dry_run, force
     )
-    check(targets, wanted)
+    check(targets, request)
     table = Table("board", "robot", "would change" if dry_run else "changed", "version", "service")
     failed = False
-    for outcome in deploy_all(targets, wanted):
+    for outcome in deploy_all(targets, request):
         failed |= bool(outcome.trouble)
         what: Text | str = Text(outcome.trouble, "red") if outcome.trouble else ", ".join(outcome.changed) or "nothing"
         table.add_row(outcome.target.host, str(outcome.target.robot), what, outcome.version, outcome.service)

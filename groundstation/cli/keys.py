@@ -35,8 +35,8 @@ def init(
     """
     from groundstation.deploy import key_ring
 
-    made = key_ring.init(ring, host or [], fleet, datetime.now(UTC))
-    typer.echo(f"{ring}: authority, {', '.join(m.process for m in made)}")
+    certificates = key_ring.init(ring, host or [], fleet, datetime.now(UTC))
+    typer.echo(f"{ring}: authority, {', '.join(m.process for m in certificates)}")
     typer.echo(f"{ring / key_ring.AUTHORITY_KEY} makes new members: keep it where only you can read it")
     typer.echo("`groundstation keys firewall` prints rules for the station's machine against strangers who knock at its port")
 

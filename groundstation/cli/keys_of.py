@@ -25,7 +25,7 @@ def keys_of(
     from shoal.config.key_reference import tables
 
     try:
-        wanted = re.compile(pattern, re.IGNORECASE)
+        expression = re.compile(pattern, re.IGNORECASE)
     except re.error as error:
         raise typer.BadParameter(f"{pattern!r} is no regular expression: {error}") from None
     of_vehicle = [
@@ -34,10 +34,10 @@ def keys_of(
         for entry in table.entries
     ]
     entries = [*(entry for table in tables("experiment") for entry in table.entries), *of_vehicle]
-    found = [entry for entry in entries if wanted.search(entry.name) or wanted.search(entry.meaning)]
+    matches = [entry for entry in entries if expression.search(entry.name) or expression.search(entry.meaning)]
     if as_json:
-        typer.echo(json.dumps([dataclasses.asdict(entry) for entry in found], indent=1))
-    for entry in [] if as_json else found:
+        typer.echo(json.dumps([dataclasses.asdict(entry) for entry in matches], indent=1))
+    for entry in [] if as_json else matches:
         kind = f"  (kind {entry.when})" if entry.when else ""
         typer.echo(f"{entry.name}{kind}{'  (live)' if entry.live else ''}")
         facts = (f"{entry.type}, {entry.unit}" if entry.unit else entry.type, entry.allowed)
@@ -45,6 +45,6 @@ def keys_of(
         typer.echo(f"    {'; '.join(fact for fact in (*facts, default) if fact)}")
         typer.echo(f"    {entry.meaning}")
         typer.echo(f"    --set {entry.example}")
-    if not found:
+    if not matches:
         typer.echo(f"{pattern}: no key has this in its name or meaning", err=True)
-    raise typer.Exit(0 if found else 1)
+    raise typer.Exit(0 if matches else 1)

@@ -112,14 +112,14 @@ def _tell_station(
     from groundstation import client
 
     patience_s = client.patience_s(command) if wait is None else wait
-    told = OutcomePrinter(what, as_json)
+    printer = OutcomePrinter(what, as_json)
     try:
         with client.connect(station, fleet, keys, insecure) as bus:
-            reply = client.follow(client.sender(bus), command, client.limit(bus, patience_s), told.progress)
+            reply = client.follow(client.sender(bus), command, client.limit(bus, patience_s), printer.progress)
     except KeyboardInterrupt:
         typer.echo(f"{what}: not waited for; the station goes on with it", err=True)
         raise typer.Exit(130) from None
-    raise typer.Exit(told.end(reply, patience_s))
+    raise typer.Exit(printer.end(reply, patience_s))
 
 
 def request(command: Callable[P, tuple[str, Command]]) -> Callable[..., None]:
@@ -169,16 +169,6 @@ for _name in (*FLEET_REQUESTS, *map(order_name, WATER)):
         register(mission_cli, _name, "mission ")
 
 
-@request
-def order(
-    what: Annotated[str, typer.Argument(metavar="ORDER", help=f"One of: {', '.join(FLEET_REQUESTS)}.")],
-) -> tuple[str, Command]:
-    """Make a request of the whole fleet. Old name of `groundstation mission ...`."""
-    if what not in FLEET_REQUESTS:
-        raise typer.BadParameter(f"{what!r} is no order (allowed: {', '.join(FLEET_REQUESTS)})")
-    return what, request_named(what)
-
-
 @gains_cli.command("set")
 @request
 def set_gains(
@@ -201,17 +191,6 @@ def undo_gains() -> tuple[str, Command]:
     Example:  groundstation gains undo
     """
     return _gains(())
-
-
-@request
-def set_or_undo(
-    changes: Annotated[list[str] | None, typer.Argument(metavar="KEY=VALUE", help="Gains.")] = None,
-    undo: Annotated[bool, typer.Option("--undo", help="Go back to the gains before.")] = False,
-) -> tuple[str, Command]:
-    """Change gains. Old name of `groundstation gains set` and `gains undo`."""
-    if bool(changes) == undo:
-        raise typer.BadParameter("either KEY=VALUE, or --undo")
-    return _gains(changes or ())
 
 
 def _gains(changes: Sequence[str]) -> tuple[str, Command]:
@@ -287,8 +266,8 @@ class OutcomePrinter:
         if self._as_json:
             robots = dict.fromkeys(outcome.confirmed, "confirmed") if outcome is not None else {}
             robots |= dict(zip(outcome.waiting, outcome.why, strict=False)) if outcome is not None else {}
-            told = {"order": self._what, "accepted": reply.accepted, "done": done, "text": text, "robots": robots}
-            typer.echo(json.dumps(told | {"reason": reply.reason}))
+            summary = {"order": self._what, "accepted": reply.accepted, "done": done, "text": text, "robots": robots}
+            typer.echo(json.dumps(summary | {"reason": reply.reason}))
             return 0 if done else 1
         if outcome is not None and patience_s > 0.0:
             self.progress(outcome)

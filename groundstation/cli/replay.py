@@ -65,8 +65,8 @@ def replay(
     start_log("groundstation")
     stop = Stop()
     if on_bus:
+        from groundstation.logs.bus_replay import chosen, send
         from groundstation.logs.reader import open_log
-        from groundstation.replay.bus_replay import chosen, send
         from shoal.bus.bus import Bus
         from shoal.bus.network import endpoint
         from shoal.bus.zenoh_transport import ZenohTransport

@@ -33,18 +33,18 @@ def list_runs(
 
     if not folder.is_dir():
         raise ConfigError(f"{folder}: no such folder (--in says where the runs are)")
-    found = [run for run in run_folders.list_runs(folder) if all(_has(run, word) for word in words or ())]
+    runs = [run for run in run_folders.list_runs(folder) if all(_has(run, word) for word in words or ())]
     if as_json:
-        typer.echo(json.dumps([dataclasses.asdict(run) for run in found], indent=1))
-        raise typer.Exit(0 if found else 1)
-    wide = max((len(run.run) for run in found), default=0)
-    for run in found:
+        typer.echo(json.dumps([dataclasses.asdict(run) for run in runs], indent=1))
+        raise typer.Exit(0 if runs else 1)
+    wide = max((len(run.run) for run in runs), default=0)
+    for run in runs:
         figures = f"{run.experiment:16} {run.mode:10} {run.duration_s:6.0f} s {run.size_mb:8.1f} MB"
         label = " ".join([*([f'"{run.name}"'] if run.name else []), *(f"#{tag}" for tag in run.tags)])
         typer.echo(printable(f"{run.date:16}  {run.run:{wide}}  {figures}  {run.verdict}  {label}".rstrip()))
-    if not found:
+    if not runs:
         typer.echo(f"{folder}: no such run", err=True)
-    raise typer.Exit(0 if found else 1)
+    raise typer.Exit(0 if runs else 1)
 
 
 def label(

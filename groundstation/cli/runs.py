@@ -1,34 +1,16 @@
-"""SHELL: commands for recorded runs: `groundstation log report|compare|export|repair|record`, and `benchmark report`."""
+"""SHELL: commands for recorded runs: `groundstation log report|compare|export|repair`, and `benchmark report`."""
 
 import json
-import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from shoal.config.experiment import load_experiment
 from shoal.errors import ConfigError
 from shoal.runtime.cli_options import AsJson
 from shoal.runtime.output import terminal
 from shoal.runtime.output_files import RUN, check_output
 from shoal.system.printable import printable
-
-
-def record(
-    run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="Folder with experiment.toml; run.mcap goes there.")],
-    mode: Annotated[str, typer.Option(help="How time went in the run; told in the report.")] = "numeric",
-) -> None:
-    """Write the log of a run that another program hands over on stdin, as `sim-bridge numeric` does.
-
-    Example:  sim-bridge numeric numeric        (starts it, and hands over what is flown)
-    """
-    from groundstation.logs.recorder import record_pipe
-
-    problem = record_pipe(load_experiment(str(run_folder / "experiment.toml")), run_folder, mode, sys.stdin.buffer)
-    if problem:
-        typer.echo(f"{run_folder / 'run.mcap'}: {problem}", err=True)
-    raise typer.Exit(1 if problem else 0)
 
 
 def report(
@@ -133,10 +115,10 @@ def export(
         written = [(path, None) for path in foxglove_file.export(run_folder, out)]
         trouble += [read_log(run_folder / "run.mcap", ()).trouble]
     else:
-        done = tables.export(run_folder, out, parquet)
-        written = [*done.files]
-        trouble += [done.trouble]
-        trouble += [f"{done.undecodable} messages cannot be decoded: they are in no table"] if done.undecodable else []
+        exported = tables.export(run_folder, out, parquet)
+        written = [*exported.files]
+        trouble += [exported.trouble]
+        trouble += [f"{exported.undecodable} messages cannot be decoded: they are in no table"] if exported.undecodable else []
     trouble = [line for line in trouble if line]
     for line in trouble:
         typer.echo(line, err=True)

@@ -141,12 +141,13 @@ class StationStop:
 
     def print(self, as_json: bool) -> None:
         """Print the outcome, robot by robot."""
-        done, text = self.outcome()
+        is_done, text = self.outcome()
         outcome = self.reply.outcome if self.reply is not None else None
         robots = dict.fromkeys(outcome.confirmed, "confirmed") if outcome is not None else {}
         missing = dict(zip(outcome.waiting, outcome.why, strict=False)) if outcome is not None else {}
         if as_json:
-            line = {"order": NAME, "station": self.station.endpoint, "fleet": self.station.fleet, "done": done, "text": text}
+            station = self.station
+            line = {"order": NAME, "station": station.endpoint, "fleet": station.fleet, "done": is_done, "text": text}
             accepted, reason = (self.reply.accepted, self.reply.reason) if self.reply is not None else (False, self.trouble)
             typer.echo(json.dumps(line | {"accepted": accepted, "robots": robots | missing, "reason": reason}))
             return

@@ -74,18 +74,18 @@ PROBE = (  # behind templates/armed.sh
 )
 
 
-def read_probe(host: str, said: str) -> Probe:
+def read_probe(host: str, answer: str) -> Probe:
     """A board's answer to PROBE. Raises ConfigError for a board that cannot run the agent, saying what it lacks."""
-    machine, python, *manifest = [*said.splitlines(), "", ""]
+    machine, python, *manifest = [*answer.splitlines(), "", ""]
     if machine not in PLATFORMS:
         raise ConfigError(f"{host}: is a {machine or 'silent machine'} (the packages exist for {', '.join(PLATFORMS)})")
     if not re.fullmatch(r"\d+\.\d+", python):
         raise ConfigError(f"{host}: no Python with venv (Debian: apt install python3-venv)")
     if tuple(map(int, python.split("."))) < OLDEST_PYTHON:
         raise ConfigError(f"{host}: Python {python}, needs {'.'.join(map(str, OLDEST_PYTHON))} or newer")
-    known = dict(line.split(" ", 1) for line in manifest if " " in line)
-    parts = {part: known[part] for part in PARTS if part in known}
-    return Probe(machine, python, parts, known.get("agent", ""), "restart" in known)
+    facts = dict(line.split(" ", 1) for line in manifest if " " in line)
+    parts = {part: facts[part] for part in PARTS if part in facts}
+    return Probe(machine, python, parts, facts.get("agent", ""), "restart" in facts)
 
 
 def refuse_to_restart(target: Target, probe: Probe) -> None:
@@ -120,6 +120,6 @@ def write_manifest(wanted: Mapping[str, str]) -> bytes:
     return "".join(f"{part} {wanted[part]}\n" for part in PARTS if part in wanted).encode()
 
 
-def read_report(said: str) -> dict[str, str]:
+def read_report(output: str) -> dict[str, str]:
     """The key=value lines that the board's script prints."""
-    return dict(line.split("=", 1) for line in said.splitlines() if re.match(r"[a-z]+=", line))
+    return dict(line.split("=", 1) for line in output.splitlines() if re.match(r"[a-z]+=", line))

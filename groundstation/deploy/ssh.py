@@ -62,60 +62,60 @@ class TargetResult:
     trouble: str = ""
 
 
-def check(targets: Sequence[Target], wanted: DeployRequest) -> None:
+def check(targets: Sequence[Target], request: DeployRequest) -> None:
     """Check all that can be checked without a board. Raises ConfigError."""
-    parse_address(wanted.station)
-    if wanted.ring is None:
-        refuse_open(wanted.station, wanted.insecure)
-    parse_link(wanted.link)
-    manifest.check_home(wanted.home)
-    if wanted.wheels is not None:
-        _found(wanted.wheels)
+    parse_address(request.station)
+    if request.ring is None:
+        refuse_open(request.station, request.insecure)
+    parse_link(request.link)
+    manifest.check_home(request.home)
+    if request.wheels is not None:
+        _found(request.wheels)
     for target in targets:
-        wanted.experiment.robot(target.robot)
-        if wanted.ring is not None:
-            open_keys(wanted.ring, process_name(Role.ROBOT, target.robot))
+        request.experiment.robot(target.robot)
+        if request.ring is not None:
+            open_keys(request.ring, process_name(Role.ROBOT, target.robot))
 
 
-def deploy_all(targets: Sequence[Target], wanted: DeployRequest) -> Iterable[TargetResult]:
+def deploy_all(targets: Sequence[Target], request: DeployRequest) -> Iterable[TargetResult]:
     """All boards, a few at once; one that fails does not keep the others from theirs."""
     with ThreadPoolExecutor(AT_ONCE) as pool:
-        yield from pool.map(lambda target: _tried(target, wanted), targets)
+        yield from pool.map(lambda target: _tried(target, request), targets)
 
 
-def _tried(target: Target, wanted: DeployRequest) -> TargetResult:
+def _tried(target: Target, request: DeployRequest) -> TargetResult:
     try:
-        return deploy_one(target, wanted)
+        return deploy_one(target, request)
     except (ConfigError, OSError) as error:  # a file here that cannot be read is no reason to say nothing of the other boards
         return TargetResult(target, trouble=str(error))
 
 
-def deploy_one(target: Target, wanted: DeployRequest) -> TargetResult:
+def deploy_one(target: Target, request: DeployRequest) -> TargetResult:
     """Bring one board up to date. Raises ConfigError with the reason where that fails."""
-    home = shlex.quote(wanted.home)
-    asked = ARMED.read_text(encoding="utf-8") + manifest.PROBE.format(home=home)
-    probe = manifest.read_probe(target.host, _ssh(wanted, target, asked, b"", ANSWER_S))
-    parts = _parts(target, wanted, probe)
+    home = shlex.quote(request.home)
+    script = ARMED.read_text(encoding="utf-8") + manifest.PROBE.format(home=home)
+    probe = manifest.read_probe(target.host, _ssh(request, target, script, b"", ANSWER_S))
+    parts = _parts(target, request, probe)
     digests = {part: manifest.digest(files) for part, files in parts.items()}
     travels = manifest.changed(digests, probe.manifest)
-    if not travels and not (probe.restart_due and wanted.restart):
+    if not travels and not (probe.restart_due and request.restart):
         return TargetResult(target, travels, service="to be restarted" if probe.restart_due else "not touched")
-    if wanted.restart and not wanted.force:
+    if request.restart and not request.force:
         manifest.refuse_to_restart(target, probe)
-    if wanted.dry_run:
+    if request.dry_run:
         return TargetResult(target, travels, service="not touched")
     files = [file for part in travels for file in parts[part]]
     archive = _tar(
         [*files, ("manifest", manifest.write_manifest(digests)), ("board.sh", ARMED.read_bytes() + SCRIPT.read_bytes())]
     )
-    restart = "no" if not wanted.restart else "force" if wanted.force else "yes"
+    restart = "no" if not request.restart else "force" if request.force else "yes"
     command = (
         f"set -e; umask 077; mkdir -p {home}; rm -rf {home}/incoming; mkdir {home}/incoming; "
         f"tar -xf - -C {home}/incoming; sh {home}/incoming/board.sh {home} {restart}"
     )
-    report = manifest.read_report(_ssh(wanted, target, command, archive, INSTALL_S))
+    report = manifest.read_report(_ssh(request, target, command, archive, INSTALL_S))
     version, service = report.get("version", ""), report.get("service", "")
-    return TargetResult(target, travels, version, service, _trouble_of(service) if wanted.restart else "")
+    return TargetResult(target, travels, version, service, _trouble_of(service) if request.restart else "")
 
 
 def _trouble_of(service: str) -> str:
@@ -125,16 +125,16 @@ def _trouble_of(service: str) -> str:
     return f"its service is {service} after the restart: journalctl -u shoal-agent.service on the board says why"
 
 
-def _parts(target: Target, wanted: DeployRequest, probe: Probe) -> dict[str, Files]:
-    found = _found(wanted.wheels if wanted.wheels is not None else wheelhouse.wheels(probe))
+def _parts(target: Target, request: DeployRequest, probe: Probe) -> dict[str, Files]:
+    wheel_files = _found(request.wheels if request.wheels is not None else wheelhouse.wheels(probe))
     parts: dict[str, Files] = {
-        "software": [(f"software/{path.name}", path.read_bytes()) for path in found],
-        "experiment": [("experiment.toml", dump_experiment(wanted.experiment).encode())],
-        "settings": [("init.args", "".join(f"{line}\n" for line in _init(target, wanted)).encode())],
+        "software": [(f"software/{path.name}", path.read_bytes()) for path in wheel_files],
+        "experiment": [("experiment.toml", dump_experiment(request.experiment).encode())],
+        "settings": [("init.args", "".join(f"{line}\n" for line in _init(target, request)).encode())],
     }
-    if wanted.ring is not None:
+    if request.ring is not None:
         process = process_name(Role.ROBOT, target.robot)
-        keys = open_keys(wanted.ring, process)
+        keys = open_keys(request.ring, process)
         secret = (keys.ca, keys.certificate, keys.private_key)
         parts["keys"] = [(f"keys/{process}/{path.name}", path.read_bytes()) for path in secret]
     return parts
@@ -142,18 +142,18 @@ def _parts(target: Target, wanted: DeployRequest, probe: Probe) -> dict[str, Fil
 
 def _found(wheels: Path) -> list[Path]:
     """The wheels in a folder. Raises ConfigError where ours is not among them."""
-    found = sorted(wheels.glob("*.whl"))
-    if not any(path.name.startswith("shoal-") for path in found):
+    files = sorted(wheels.glob("*.whl"))
+    if not any(path.name.startswith("shoal-") for path in files):
         raise ConfigError(f"{wheels}: holds no wheel of shoal")
-    return found
+    return files
 
 
-def _init(target: Target, wanted: DeployRequest) -> list[str]:
+def _init(target: Target, request: DeployRequest) -> list[str]:
     """Arguments of `robot-agent init` on the board."""
-    arguments = ["--force", "--robot", str(target.robot), "--station", wanted.station, "--fleet", wanted.fleet]
-    arguments += ["--link", wanted.link, "--experiment", "experiment.toml"]
-    arguments += ["--link-key", wanted.link_key] if wanted.link_key is not None else []
-    return arguments + (["--keys", "keys"] if wanted.ring is not None else ["--insecure"] if wanted.insecure else [])
+    arguments = ["--force", "--robot", str(target.robot), "--station", request.station, "--fleet", request.fleet]
+    arguments += ["--link", request.link, "--experiment", "experiment.toml"]
+    arguments += ["--link-key", request.link_key] if request.link_key is not None else []
+    return arguments + (["--keys", "keys"] if request.ring is not None else ["--insecure"] if request.insecure else [])
 
 
 def _tar(files: Files) -> bytes:
@@ -166,17 +166,17 @@ def _tar(files: Files) -> bytes:
     return packed.getvalue()
 
 
-def _ssh(wanted: DeployRequest, target: Target, command: str, data: bytes, timeout_s: float) -> str:
+def _ssh(request: DeployRequest, target: Target, command: str, data: bytes, timeout_s: float) -> str:
     """Run a command on a board. Raises ConfigError with what ssh or the board says."""
-    full = [*wanted.ssh, "-o", "BatchMode=yes", "-o", "ConnectTimeout=10", "--", target.host, f"sh -c {shlex.quote(command)}"]
+    full = [*request.ssh, "-o", "BatchMode=yes", "-o", "ConnectTimeout=10", "--", target.host, f"sh -c {shlex.quote(command)}"]
     try:
-        done = subprocess.run(full, input=data, capture_output=True, timeout=timeout_s, check=False)
+        result = subprocess.run(full, input=data, capture_output=True, timeout=timeout_s, check=False)
     except subprocess.TimeoutExpired:
         raise ConfigError(f"{target.host}: no answer within {timeout_s:g} s") from None
     except OSError as error:
-        raise ConfigError(f"{wanted.ssh[0]}: {error.strerror}") from None
-    if done.returncode != 0:
-        lines = done.stderr.decode(errors="replace").strip().splitlines()
-        why = "; ".join(lines[-3:]) or f"exit code {done.returncode}"
+        raise ConfigError(f"{request.ssh[0]}: {error.strerror}") from None
+    if result.returncode != 0:
+        lines = result.stderr.decode(errors="replace").strip().splitlines()
+        why = "; ".join(lines[-3:]) or f"exit code {result.returncode}"
         raise ConfigError(f"{target.host}: {why}")
-    return done.stdout.decode(errors="replace")
+    return result.stdout.decode(errors="replace")

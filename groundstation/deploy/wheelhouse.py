@@ -44,15 +44,15 @@ def checkout() -> Path:
     """The checkout that this program runs from, else the one that holds the working folder. Raises ConfigError if there is
     none, and for a checkout of other sources than this program's: a board must not get another version."""
     here = Path.cwd()
-    found = next((folder for folder in (ROOT, here, *here.parents) if _is_checkout(folder)), None)
-    if found is None:
+    root = next((folder for folder in (ROOT, here, *here.parents) if _is_checkout(folder)), None)
+    if root is None:
         raise ConfigError(f"{here}: in no checkout (no {PINS} there or above); run this from one, or give --wheelhouse FOLDER")
-    if found != ROOT and not _has_this_code(found):
+    if root != ROOT and not _has_this_code(root):
         raise ConfigError(
-            f"{found}: holds other sources than this program runs ({ROOT}); install that checkout "
+            f"{root}: holds other sources than this program runs ({ROOT}); install that checkout "
             f"(pip install -c {PINS} '.[station]'), or give --wheelhouse FOLDER"
         )
-    return found
+    return root
 
 
 def _is_checkout(folder: Path) -> bool:
@@ -97,6 +97,6 @@ def _build(probe: Probe, folder: Path) -> None:
 
 
 def _pip(*arguments: str) -> None:
-    done = programs.ask("pip", ["--quiet", "--disable-pip-version-check", *arguments])
-    if done.returncode != 0:
-        raise ConfigError(f"pip {arguments[0]}: {done.stderr.strip() or done.stdout.strip()}")
+    result = programs.ask("pip", ["--quiet", "--disable-pip-version-check", *arguments])
+    if result.returncode != 0:
+        raise ConfigError(f"pip {arguments[0]}: {result.stderr.strip() or result.stdout.strip()}")

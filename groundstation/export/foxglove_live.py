@@ -38,7 +38,7 @@ class ViewerServer:
             raise ConfigError("--foxglove: not installed here (pip install 'shoal[foxglove]')") from None
         self._clock, self._context = clock, self._sdk.Context()
         self._channels: dict[str, Any] = {}
-        self._heard: dict[tuple[Topic, int], tuple[int, bytes]] = {}  # what is drawn: the newest of each
+        self._newest: dict[tuple[Topic, int], tuple[int, bytes]] = {}  # what is drawn: the newest of each
         self._picture, self._turn = SceneDrawer(experiment), threading.Lock()
         self._closing = threading.Event()
         try:
@@ -61,7 +61,7 @@ class ViewerServer:
             robot = int(key.split("/")[-2]) if "{robot}" in topic.name else 0
             with self._turn:
                 self._fleet = key.removesuffix(topic.key(robot or None))
-                self._heard[topic, robot] = now_ns, payload
+                self._newest[topic, robot] = now_ns, payload
 
     def _channel(self, key: str, cls: Any) -> Any:
         with self._turn:
@@ -77,28 +77,28 @@ class ViewerServer:
 
     def _draw_until_closed(self) -> None:
         """Draw again and again. An error costs one picture: the run does not depend on viewers."""
-        told: set[str] = set()
+        reasons: set[str] = set()
         while not self._closing.wait(SCENE_S):
             try:
                 self._draw()
             except Exception as error:  # whatever it is: the next picture may be whole again
                 reason = f"{type(error).__name__}: {error}"
-                if reason not in told:
-                    told.add(reason)
+                if reason not in reasons:
+                    reasons.add(reason)
                     log.error("the scene for viewers could not be drawn: %s", reason)
 
     def _draw(self) -> None:
         """Draw what has come since the last call: moving things now, standing ones every STANDING_S or when they change."""
         with self._turn:
-            heard, self._heard = self._heard, {}
-        for (topic, robot), (at_ns, payload) in heard.items():
+            newest, self._newest = self._newest, {}
+        for (topic, robot), (at_ns, payload) in newest.items():
             try:
                 self._picture.take(topic, robot, decode(topic.type, payload, "bus", topic.name), at_ns)
             except DecodeError:
                 continue
-        if not heard:
+        if not newest:
             return
-        now_ns = max(at_ns for at_ns, _ in heard.values())
+        now_ns = max(at_ns for at_ns, _ in newest.values())
         self._log(MOVING, self._picture.moving(now_ns), now_ns)
         if self._picture.replanned or time.monotonic() - self._standing_s >= STANDING_S:
             self._standing_s = time.monotonic()

@@ -85,9 +85,9 @@ class SceneDrawer:
             self._draw_obstacles(scene, self._obstacles[1], stamp_ns)
         return scene
 
-    def _draw_obstacles(self, scene: SceneUpdate, seen: Obstacles, stamp_ns: int) -> None:
-        for number, outline in zip(seen.ids, seen.outline, strict=False):
-            corners = np.column_stack([outline, np.full(len(outline), seen.depth_m)])
+    def _draw_obstacles(self, scene: SceneUpdate, obstacles: Obstacles, stamp_ns: int) -> None:
+        for number, outline in zip(obstacles.ids, obstacles.outline, strict=False):
+            corners = np.column_stack([outline, np.full(len(outline), obstacles.depth_m)])
             _line(_entity(scene, f"obstacle {number}", stamp_ns), corners, _colour(RED, FULL), 3.0, closed=True)
 
     def standing(self, stamp_ns: int) -> SceneUpdate:

@@ -114,7 +114,7 @@ def export(run: Path, folder: Path, parquet: bool) -> Exported:
     log, kind = run / "run.mcap", _parquet() if parquet else _CsvFile
     zero, trouble = _zero(log)
     folder.mkdir(parents=True, exist_ok=True)
-    done, open_tables = Exported(trouble=trouble), dict[tuple[Topic, int], _Table]()
+    exported, open_tables = Exported(trouble=trouble), dict[tuple[Topic, int], _Table]()
     with replacing_together() as opened:
 
         def table(topic: Topic, robot: int) -> _Table:
@@ -131,13 +131,13 @@ def export(run: Path, folder: Path, parquet: bool) -> Exported:
             try:
                 message: Any = decode(line.topic.type, line.payload, "log", line.topic.name)
             except DecodeError:
-                done.undecodable += 1
+                exported.undecodable += 1
                 continue
             table(line.topic, line.robot).add(message, line)
         for finished in open_tables.values():
             finished.close()
-    done.files = [(t.path, t.rows) for _, t in sorted(open_tables.items(), key=lambda item: (item[0][0].name, item[0][1]))]
-    return done
+    exported.files = [(t.path, t.rows) for _, t in sorted(open_tables.items(), key=lambda item: (item[0][0].name, item[0][1]))]
+    return exported
 
 
 def table(log: Path, topic: Topic, robot: int = 0) -> dict[str, NDArray[Any]]:
@@ -150,15 +150,15 @@ def table(log: Path, topic: Topic, robot: int = 0) -> dict[str, NDArray[Any]]:
         if line.topic is topic and line.robot == robot:
             with suppress(DecodeError):
                 lines += _rows(decode(topic.type, line.payload, "log", topic.name), line, zero, named)
-    found = {}
+    table_columns = {}
     for k, (name, kind) in enumerate([*WHEN, *((column.name, column.kind) for column in named)]):
         cells = [line[k] for line in lines]
         whole = None not in cells
         dtype: Any = {float: np.float64, int: np.int64 if whole else np.float64, bool: np.bool_ if whole else object}.get(
             kind, object
         )
-        found[name] = np.array(cells, dtype=dtype)
-    return found
+        table_columns[name] = np.array(cells, dtype=dtype)
+    return table_columns
 
 
 CLOCKS = (topics.STATE, topics.TRAJECTORY, topics.HEARTBEAT, topics.LOCALIZER)  # topics by which time 0 is found
@@ -209,19 +209,19 @@ def _rows(message: Any, line: LogMessage, zero: _Zero, columns: Sequence[TableCo
 def columns(cls: type, prefix: str = "") -> list[TableColumn]:
     """The columns of a message's table; with a prefix, of a message within another one."""
     listed, filled_by = ("", "") if prefix else LISTS.get(cls, ("", ""))
-    found: list[TableColumn] = []
+    entries: list[TableColumn] = []
     if listed:
         kind = int if filled_by != "keys" else str
-        found.append(TableColumn(listed, kind, _entry(filled_by) if filled_by else lambda m, row: row))
+        entries.append(TableColumn(listed, kind, _entry(filled_by) if filled_by else lambda m, row: row))
     if listed and cls is messages.Plan:
-        found.append(TableColumn("ahead_s", float, lambda m, row: row * m.period_s))
+        entries.append(TableColumn("ahead_s", float, lambda m, row: row * m.period_s))
     if listed and cls is messages.Trajectory:
-        found.append(TableColumn("trajectory_s", float, lambda m, row: m.begin_s + row * m.period_s))
+        entries.append(TableColumn("trajectory_s", float, lambda m, row: m.begin_s + row * m.period_s))
     hints = get_type_hints(cls)
     for f in dataclasses.fields(cls):
         if f.name != filled_by or not listed:
-            found += _of_field(cls, f.name, hints[f.name], f.metadata.get("shape"), prefix, bool(listed))
-    return found
+            entries += _of_field(cls, f.name, hints[f.name], f.metadata.get("shape"), prefix, bool(listed))
+    return entries
 
 
 def rows(message: Any) -> int:

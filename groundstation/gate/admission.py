@@ -76,11 +76,11 @@ def asks_for_another_hello(answer: bytes) -> bool:
 
 def origin_of(address: str) -> str:
     """The origin of a connection, counted as one peer: an IPv4 address, or the /64 network that one IPv6 host may own."""
-    found = ip_address(address.partition("%")[0])
-    mapped = getattr(found, "ipv4_mapped", None)
+    ip = ip_address(address.partition("%")[0])
+    mapped = getattr(ip, "ipv4_mapped", None)
     if mapped is not None:
         return str(mapped)
-    return str(found) if found.version == 4 else str(ip_network((int(found), 64), strict=False).network_address) + "/64"
+    return str(ip) if ip.version == 4 else str(ip_network((int(ip), 64), strict=False).network_address) + "/64"
 
 
 @dataclass
@@ -152,7 +152,7 @@ class Admission:
         self._most_links = most_links
         self._origins: OrderedDict[str, Origin] = OrderedDict()  # the longest unused first
         self._crowd: OrderedDict[str, Origin] = OrderedDict()  # origins with waiting connections, in the order of their turns
-        self._known: OrderedDict[str, None] = OrderedDict()
+        self._proven_origins: OrderedDict[str, None] = OrderedDict()
         self._lanes = (Lane(), Lane())
         self._waits: dict[int, str] = {}  # origin of each connection that is not passed on yet
         self._tries: dict[int, HandshakeAttempt] = {}
@@ -207,52 +207,52 @@ class Admission:
 
     def proven(self, connection: int, now_s: float) -> None:
         """A connection's handshake has succeeded: it belongs to a member."""
-        found = self._tries[connection]
-        if found.proven:
+        attempt = self._tries[connection]
+        if attempt.proven:
             return
-        found.proven = True
-        self._settle(connection, found)
-        self._give(found, 1.0, now_s)
-        self._known[found.origin] = None
-        self._known.move_to_end(found.origin)
-        if len(self._known) > MOST_KNOWN:
-            self._known.popitem(last=False)
+        attempt.proven = True
+        self._settle(connection, attempt)
+        self._give(attempt, 1.0, now_s)
+        self._proven_origins[attempt.origin] = None
+        self._proven_origins.move_to_end(attempt.origin)
+        if len(self._proven_origins) > MOST_KNOWN:
+            self._proven_origins.popitem(last=False)
 
     def ended(self, connection: int, by_router: bool, now_s: float) -> bool:
         """A connection at the router has ended. Returns whether its handshake counts as failed."""
-        found = self._tries.pop(connection)
-        self._origins[found.origin].links -= 1
-        if found.expelled:
+        attempt = self._tries.pop(connection)
+        self._origins[attempt.origin].links -= 1
+        if attempt.expelled:
             return False
-        if not found.proven:
-            self._settle(connection, found)
+        if not attempt.proven:
+            self._settle(connection, attempt)
             return True
-        if by_router and now_s - found.since_s < YOUNG_S:
-            self._give(found, -1.0, now_s)
+        if by_router and now_s - attempt.since_s < YOUNG_S:
+            self._give(attempt, -1.0, now_s)
             return True
         return False
 
     def expelled(self, connection: int, now_s: float) -> None:
         """The router does not want a member's connection, which counts as a handshake that failed. Then call `ended`."""
-        found = self._tries[connection]
-        if found.proven:
-            self._give(found, -1.0, now_s)
+        attempt = self._tries[connection]
+        if attempt.proven:
+            self._give(attempt, -1.0, now_s)
         else:
-            self._settle(connection, found)
-        found.expelled = True
-        if not any(one.proven and not one.expelled for one in self._tries.values() if one.origin == found.origin):
-            self._known.pop(found.origin, None)
+            self._settle(connection, attempt)
+        attempt.expelled = True
+        if not any(one.proven and not one.expelled for one in self._tries.values() if one.origin == attempt.origin):
+            self._proven_origins.pop(attempt.origin, None)
 
-    def _settle(self, connection: int, found: HandshakeAttempt) -> None:
+    def _settle(self, connection: int, attempt: HandshakeAttempt) -> None:
         """A handshake is no longer under way."""
         del self._unproven[connection]
-        self._lanes[found.lane].trying -= 1
-        self._origins[found.origin].trying -= 1
+        self._lanes[attempt.lane].trying -= 1
+        self._origins[attempt.origin].trying -= 1
 
-    def _give(self, found: HandshakeAttempt, count: float, now_s: float) -> None:
-        self._lanes[found.lane].tokens.add(count, now_s)
-        if found.origin in self._origins:
-            self._origins[found.origin].tokens.add(count, now_s)
+    def _give(self, attempt: HandshakeAttempt, count: float, now_s: float) -> None:
+        self._lanes[attempt.lane].tokens.add(count, now_s)
+        if attempt.origin in self._origins:
+            self._origins[attempt.origin].tokens.add(count, now_s)
 
     def overdue(self, now_s: float) -> tuple[int, ...]:
         """Connections to be closed now: silent, unserved or unproven for too long. The waiting ones are forgotten here; for
@@ -269,7 +269,7 @@ class Admission:
         while moved:
             moved = False
             for name, origin in list(self._crowd.items()):
-                lane = KNOWN if name in self._known else NEW
+                lane = KNOWN if name in self._proven_origins else NEW
                 if origin.ready and self._may_try(origin, self._lanes[lane], now_s):
                     yield self._try(next(iter(origin.ready)), lane, now_s), lane
                     moved = True
@@ -283,12 +283,12 @@ class Admission:
         name = self._leave(connection)
         if name in self._crowd:
             self._crowd.move_to_end(name)  # the others' turn comes first, now and the next time
-        self._tries[connection] = found = HandshakeAttempt(name, lane, now_s)
+        self._tries[connection] = attempt = HandshakeAttempt(name, lane, now_s)
         self._unproven[connection] = now_s
         self._lanes[lane].trying += 1
         self._origins[name].trying += 1
         self._origins[name].links += 1
-        self._give(found, -1.0, now_s)
+        self._give(attempt, -1.0, now_s)
         return connection
 
     def next_s(self, now_s: float) -> float:
@@ -297,7 +297,7 @@ class Admission:
         due += [since_s + PROOF_S for since_s in list(self._unproven.values())[:1]]
         for name, one in self._crowd.items():
             if one.ready:
-                lane = self._lanes[KNOWN if name in self._known else NEW]
+                lane = self._lanes[KNOWN if name in self._proven_origins else NEW]
                 due.append(next(iter(one.ready.values())) + TURN_S)
                 if min(lane.tokens.left(now_s), one.tokens.left(now_s)) < 1.0:  # else a slot is awaited, and that is an event
                     due.append(max(lane.tokens.next_s(now_s), one.tokens.next_s(now_s)))
@@ -332,15 +332,15 @@ class Refusals:
         """Sentences about refused connections that are due now."""
         while self._said_s and now_s - next(iter(self._said_s.values())) >= SAY_AGAIN_S:
             self._said_s.popitem(last=False)
-        found = []
+        sentences = []
         for key in [key for key in self._counts if key not in self._said_s][: MOST_NAMED - len(self._said_s)]:
             self._said_s[key] = now_s
             count, (name, reason) = self._counts.pop(key), key
             more = f" ({count} of them since last told)" if count > 1 else ""
-            found.append(f"refused a connection from {name} {reason.value}{more}")
+            sentences.append(f"refused a connection from {name} {reason.value}{more}")
         if len(self._counts) > MOST_ORIGINS:
             self._counts.clear()
-        return found
+        return sentences
 
     def next_s(self) -> float:
         """The time of the next message; infinity if none is kept back."""

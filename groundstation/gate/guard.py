@@ -85,9 +85,9 @@ class Pump:
             return b""
         self.passed += size
         read = memoryview(buffer)[:size]
-        taken = self._send(read)
-        if taken < size:
-            self.waiting = bytes(read[taken:])
+        sent_bytes = self._send(read)
+        if sent_bytes < size:
+            self.waiting = bytes(read[sent_bytes:])
         return read
 
     def write(self) -> None:
@@ -237,9 +237,9 @@ class Guard:
                     raise NotTls
                 self._want(peer, 0, self._ignore)  # what it says before the router's answer is read after it
                 return
-            said = peer.recv(2 * MOST_HELLO)
-            self._hellos[number].append(said)
-            if not said or len(self._hellos[number]) > MOST_PIECES:
+            data = peer.recv(2 * MOST_HELLO)
+            self._hellos[number].append(data)
+            if not data or len(self._hellos[number]) > MOST_PIECES:
                 raise NotTls
             if hello_is_whole(b"".join(self._hellos[number])):
                 self._admission.hello(number, time.monotonic())
@@ -317,8 +317,8 @@ class Guard:
                     return
                 if not link.proven:
                     self._judge(link)
-        except PeerClosed as gone:
-            link.by_router = link.by_router or (gone.which is link.down.source and not link.up.ended)
+        except PeerClosed as error:
+            link.by_router = link.by_router or (error.which is link.down.source and not link.up.ended)
             self._drop(link.number)
             return
         self._go_on(link)

@@ -46,6 +46,7 @@ from shoal.runtime.mcap_records import (
 from shoal.system.regular_files import open_regular
 
 M = TypeVar("M")
+SentMessage = tuple[Topic, int | None, Any, int]  # topic, robot, message, stamp in ns
 
 READ = (
     topics.TRUTH,
@@ -117,10 +118,10 @@ def _message(body: bytes) -> Message:
 def _parse(opcode: int, body: bytes) -> McapRecord:
     """A record of one of the kinds in _READ. Raises Damaged."""
     try:
-        found: McapRecord = _READ[opcode].read(ReadDataStream(io.BytesIO(body)))
+        record: McapRecord = _READ[opcode].read(ReadDataStream(io.BytesIO(body)))
     except (McapError, ValueError, struct.error) as error:
         raise Damaged(f"a record {opcode} that cannot be read: {error}") from None
-    return found
+    return record
 
 
 def key_topic(key: str) -> tuple[Topic, int] | None:
@@ -153,9 +154,9 @@ class Channels(dict[int, tuple[Topic, int, int]]):
     def take(self, record: McapRecord) -> LogMessage | None:
         """Take in a record. Returns the message that it is, if it is one of ours."""
         if isinstance(record, Channel):
-            found, told = key_topic(record.topic), record.metadata.get("session", "0")
-            if found is not None and re.fullmatch("[0-9a-fA-F]{1,16}", told):
-                self[record.id] = (*found, int(told, 16))
+            topic_and_robot, word = key_topic(record.topic), record.metadata.get("session", "0")
+            if topic_and_robot is not None and re.fullmatch("[0-9a-fA-F]{1,16}", word):
+                self[record.id] = (*topic_and_robot, int(word, 16))
         elif isinstance(record, Message) and record.channel_id in self:
             topic, robot, session = self[record.channel_id]
             header = Header(session, record.sequence, record.publish_time)
@@ -166,8 +167,8 @@ class Channels(dict[int, tuple[Topic, int, int]]):
 def valid_messages(path: Path) -> Iterator[LogMessage]:
     """All messages of ours, in the order of the file, up to where it is cut."""
     channels = Channels()
-    found = (channels.take(record) for record in valid_records(path))
-    return (line for line in found if line is not None)
+    lines = (channels.take(record) for record in valid_records(path))
+    return (line for line in lines if line is not None)
 
 
 # --- any part of a log
@@ -206,7 +207,7 @@ class LogFile:
         self.start_ns = self._places[0].start_ns
         self.end_ns = max(place.end_ns for place in self._places)
 
-    def _index(self, found: list[_Place]) -> None:
+    def _index(self, places: list[_Place]) -> None:
         """Find the places of all chunks, and fill `_channels`. A closed file repeats its channels behind its chunks; of a cut
         one the chunks are looked through. Raises Damaged."""
         file_bytes = self._file.seek(0, os.SEEK_END)
@@ -226,9 +227,9 @@ class LogFile:
                         self._channels.take(_parse(CHANNEL, body))
                     elif part == MESSAGE and (number := _message(body).channel_id) in self._channels:
                         place.channels.add(number)
-                found += [place] if size else []
-            elif opcode == MESSAGE_INDEX and found and length >= 2:
-                found[-1].channels.add(int.from_bytes(self._file.read(2), "little"))
+                places += [place] if size else []
+            elif opcode == MESSAGE_INDEX and places and length >= 2:
+                places[-1].channels.add(int.from_bytes(self._file.read(2), "little"))
             elif opcode == CHANNEL:
                 self._channels.take(_parse(CHANNEL, self._file.read(length)))
             elif opcode == MESSAGE:
@@ -238,8 +239,8 @@ class LogFile:
     def _parts(self, place: _Place) -> Iterator[tuple[int, bytes]]:
         """The records of a chunk. Raises Damaged."""
         self._file.seek(place.at + 9)
-        found = log_records.chunk(self._file.read(place.length), place.at)
-        data = log_records.unpacked(found, Allowance(self._file.seek(0, os.SEEK_END)), place.at)
+        chunk = log_records.chunk(self._file.read(place.length), place.at)
+        data = log_records.unpacked(chunk, Allowance(self._file.seek(0, os.SEEK_END)), place.at)
         return log_records.parts(data, place.at)
 
     def messages(
@@ -289,8 +290,8 @@ def open_log(run: Path) -> Iterator[LogFile]:
 
 def metadata_of(path: Path) -> dict[str, str]:
     """Metadata that a log begins with: version, commit, mode and more of its run; empty if there is none. Raises OSError."""
-    found = (r.metadata for r in valid_records(path) if isinstance(r, Metadata) and r.name == RUN_METADATA)
-    return next(found, {})
+    entries = (r.metadata for r in valid_records(path) if isinstance(r, Metadata) and r.name == RUN_METADATA)
+    return next(entries, {})
 
 
 # --- the whole run in memory
@@ -318,7 +319,7 @@ class RunLog:
     )  # by topic name and robot (0: no robot)
     metadata: dict[str, str] = field(default_factory=dict)
     experiment_toml: str = ""
-    found: bool = True  # there is a file
+    exists: bool = True  # there is a file
     messages: int = 0  # of all topics, also of those that are not read here
     complete: bool = False  # the recorder came to the run's end
     damage: str = ""  # why reading ended before the file did, or left parts of it out
@@ -332,7 +333,7 @@ class RunLog:
     @property
     def trouble(self) -> str:
         """Trouble with the log as a whole, the first line of its report. Empty if it holds the whole run."""
-        if not self.found:
+        if not self.exists:
             return "No log: there is no run.mcap in this folder."
         if not self.messages:
             why = f" ({self.damage})" if self.damage else ""
@@ -352,6 +353,16 @@ class RunLog:
         """Everything recorded of a topic, in the order of the stamps."""
         assert kind is topic.type
         return self.entries.get((topic.name, robot), [])
+
+
+def log_in_memory(messages: Iterable[SentMessage], metadata: Mapping[str, str]) -> RunLog:
+    """The log of a run that this process flies, without a file. Every message arrives at its stamp."""
+    entries: dict[tuple[str, int], list[DecodedMessage[Any]]] = {}
+    for topic, robot, message, stamp_ns in messages:
+        found = entries.setdefault((topic.name, robot or 0), [])
+        found.append(DecodedMessage(stamp_ns, stamp_ns, len(found) + 1, message))
+    count = sum(map(len, entries.values()))
+    return RunLog(entries, dict(metadata), messages=count, complete=True, ended=True)
 
 
 def read_log(path: Path, wanted: Collection[Topic] = READ, kept_of: Callable[[Any], Any] = lambda message: message) -> RunLog:

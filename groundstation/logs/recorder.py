@@ -32,12 +32,10 @@ from mcap.writer import Writer
 from mcap_protobuf.schema import build_file_descriptor_set
 
 from shoal.bus.bus import Collected
-from shoal.config.experiment import Experiment, dump_experiment
+from shoal.config.experiment import Experiment
 from shoal.errors import ConfigError
-from shoal.messages.codec import DecodeError, Header, protobuf_class
-from shoal.messages.pipe import read_pipe
+from shoal.messages.codec import Header, protobuf_class
 from shoal.messages.topics import STATE, Qos, Role, Topic
-from shoal.runtime.cli_options import DEFAULT_FLEET
 from shoal.runtime.output_files import check_named, disk_free, sync_folder
 from shoal.runtime.version import code
 
@@ -306,18 +304,3 @@ def check_room(folder: Path, least_gb: float) -> None:
         raise ConfigError(
             f"{folder}: {free_gb:.2f} GB free, a run needs {least_gb:g} (recording.min_free_gb): make room, or --out elsewhere"
         )
-
-
-def record_pipe(experiment: Experiment, run_dir: Path, mode: str, stream: IO[bytes]) -> str:
-    """Write `run.mcap` of a run that another program flies and hands over through a pipe (shoal/messages/pipe.py), until the
-    pipe ends. Returns why the log is not whole; empty if it is."""
-    recorder = Recorder(run_dir / "run.mcap", dump_experiment(experiment), run_metadata(experiment, mode))
-    problem = ""
-    try:
-        for topic, robot, header, payload in read_pipe(stream):
-            recorder.put(topic, f"{DEFAULT_FLEET}/{topic.key(robot)}", header, payload, header.stamp_ns)
-    except DecodeError as error:  # the program died in the middle of a message; what came before counts
-        problem = str(error)
-    finally:
-        recorder.close()
-    return problem or recorder.error

@@ -49,13 +49,13 @@ class ListedRun:
 
 def list_runs(folder: Path) -> list[ListedRun]:
     """The runs of a folder, the newest last. A run that is just deleted is left out."""
-    found = []
+    runs = []
     for log in folder.glob("*/run.mcap"):
         try:
-            found.append(_listed(log))
+            runs.append(_listed(log))
         except OSError:
             continue
-    return sorted(found, key=lambda run: (run.date, run.run))
+    return sorted(runs, key=lambda run: (run.date, run.run))
 
 
 def run_named(folder: Path, name: str) -> Path:
@@ -78,8 +78,8 @@ def check_run(folder: Path) -> None:
 
 def label_of(folder: Path) -> tuple[str, tuple[str, ...]]:
     """Name and tags that a run was given; none where the file is missing or is something else."""
-    found = _json(folder / LABEL)
-    return _text(found.get("name")), _texts(found.get("tags"))
+    label = _json(folder / LABEL)
+    return _text(label.get("name")), _texts(label.get("tags"))
 
 
 def give_label(folder: Path, name: str, tags: Iterable[str]) -> None:
@@ -103,8 +103,8 @@ def change_label(folder: Path, name: str | None, add: Iterable[str], remove: Ite
             with suppress(OSError):  # a file system that knows no locks
                 fcntl.flock(lock, fcntl.LOCK_EX)
             named, tags = label_of(folder)
-            taken = set(remove)
-            give_label(folder, named if name is None else name, (tag for tag in (*tags, *add) if tag not in taken))
+            dropped = set(remove)
+            give_label(folder, named if name is None else name, (tag for tag in (*tags, *add) if tag not in dropped))
         finally:
             os.close(lock)
 
@@ -161,10 +161,10 @@ def _begun_s(log: Path) -> float:
 def _json(file: Path) -> dict[str, Any]:
     """The object that a file holds; none where it is missing or holds something else."""
     try:
-        found = json.loads(read_regular(file, MOST_JSON_BYTES))
+        content = json.loads(read_regular(file, MOST_JSON_BYTES))
     except (OSError, ValueError, RecursionError):
         return {}
-    return found if isinstance(found, dict) else {}
+    return content if isinstance(content, dict) else {}
 
 
 def _text(value: Any) -> str:

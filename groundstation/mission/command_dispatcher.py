@@ -29,9 +29,9 @@ class RetryTimer:
 
     def due(self, robots: Iterable[int], now_ns: int) -> list[int]:
         """Robots that are due now; counts them as sent to."""
-        found = [r for r in robots if r not in self._sent_ns or now_ns - self._sent_ns[r] >= RETRY_S * 1e9]
-        self._sent_ns |= dict.fromkeys(found, now_ns)
-        return found
+        due_robots = [r for r in robots if r not in self._sent_ns or now_ns - self._sent_ns[r] >= RETRY_S * 1e9]
+        self._sent_ns |= dict.fromkeys(due_robots, now_ns)
+        return due_robots
 
 
 class CommandDispatcher:

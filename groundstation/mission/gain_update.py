@@ -47,7 +47,7 @@ class GainStatus:
     stage: GainStage = GainStage.IDLE
     reason: str = ""  # of the last change's failure
     undo: bool = False  # there is a set to go back to
-    known: Sequence[str] = ()  # ids in the order of their first use
+    history: Sequence[str] = ()  # ids in the order of their first use
 
 
 @dataclass(eq=False)
@@ -70,7 +70,7 @@ class GainUpdater:
         self._experiment, self._config = experiment, experiment.controller
         self._flown = tuning(self._config)
         self._before: list[ControllerConfig] = []
-        self._known = [self._flown.id]
+        self._history = [self._flown.id]
         self._stage, self._reason = GainStage.IDLE, ""
         self._change: _Change | None = None
         self._since_ns = 0
@@ -81,13 +81,13 @@ class GainUpdater:
 
     def status(self) -> GainStatus:
         """Gains in use, stage of the change, reason of the last failure."""
-        wanted = self._change.message.id if self._change is not None else ""
-        return GainStatus(self._flown, wanted, self._stage, self._reason, bool(self._before), tuple(self._known))
+        target_id = self._change.message.id if self._change is not None else ""
+        return GainStatus(self._flown, target_id, self._stage, self._reason, bool(self._before), tuple(self._history))
 
     def take_unlogged(self) -> list[Tuning]:
         """Sets of gains that are not in the log yet; each is returned once."""
-        found, self._unlogged = self._unlogged, []
-        return found
+        sets, self._unlogged = self._unlogged, []
+        return sets
 
     # --- requests of the operator; each returns the reason of a refusal, or nothing
 
@@ -129,12 +129,12 @@ class GainUpdater:
         return start_s, "there is no next lap: the run ends with this one" if ends else ""
 
     def _begin(self, config: ControllerConfig, fleet: Fleet, now_ns: int, trajectory_s: float = 0.0) -> str:
-        silent = [str(robot) for robot, seen in fleet.items() if not seen.heard]
+        silent = [str(robot) for robot, view in fleet.items() if not view.heard]
         if silent:
             return f"robot {', '.join(silent)} is not heard"
         message = tuning(config)
-        if message.id not in self._known:
-            self._known.append(message.id)
+        if message.id not in self._history:
+            self._history.append(message.id)
             self._unlogged.append(message)
         self._begin_stage(_Change(message, config, tuple(fleet), trajectory_s), now_ns)
         self._reason = ""
@@ -159,9 +159,9 @@ class GainUpdater:
         change = self._change
         if change is None:
             return self._update_returned(fleet, now_ns)
-        wanted = Order.TUNE if self._stage is GainStage.ASKING else Order.ADOPT
+        order = Order.TUNE if self._stage is GainStage.ASKING else Order.ADOPT
         for result in results:
-            if result.command.order is wanted and result.command.robot in change.robots and _is_about(result, change):
+            if result.command.order is order and result.command.robot in change.robots and _is_about(result, change):
                 if not result.reply.accepted and not result.reply.silent:
                     return self._give_up(f"robot {result.reply.robot} refuses: {result.reply.reason}", fleet, now_ns)
                 if result.reply.accepted:
@@ -170,7 +170,7 @@ class GainUpdater:
         if waiting and self._stage is not GainStage.WAITING:
             if now_ns - self._since_ns > PATIENCE_S * 1e9:
                 return self._give_up(f"robot {', '.join(map(str, waiting))} does not answer", fleet, now_ns)
-            return self._ask(wanted, waiting, change, now_ns)
+            return self._ask(order, waiting, change, now_ns)
         if self._stage is GainStage.ASKING:
             self._enter(GainStage.ADOPTING, now_ns)
         elif self._stage is GainStage.ADOPTING and change.trajectory_s > 0.0:
@@ -212,9 +212,9 @@ class GainUpdater:
         """Wait for the lap. A robot that is disarmed or stopped meanwhile has forgotten the set; one that is not heard, or for
         which the lap does not begin, would keep the others waiting."""
         flying = (Mode.TRACKING, Mode.HOLDING, Mode.DRIVEN)
-        gone = [r for r in change.robots if fleet[r].mode not in flying or fleet[r].state_age_s > PATIENCE_S]
-        if gone:
-            return self._give_up(f"robot {', '.join(map(str, gone))} left the run before the lap began", fleet, now_ns)
+        leavers = [r for r in change.robots if fleet[r].mode not in flying or fleet[r].state_age_s > PATIENCE_S]
+        if leavers:
+            return self._give_up(f"robot {', '.join(map(str, leavers))} left the run before the lap began", fleet, now_ns)
         late = [r for r in change.robots if not _flies_with(fleet, r, change)]
         if change.begun_ns is None and len(late) < len(change.robots):
             change.begun_ns = now_ns
@@ -226,10 +226,10 @@ class GainUpdater:
         """End a change without success: robots that have changed already go back."""
         change = self._change
         assert change is not None
-        asked = self._stage is not GainStage.ASKING
+        is_asked = self._stage is not GainStage.ASKING
         self._reason = f"{reason}; " + ("the fleet's gains may differ" if change.back else "nothing was changed")
         self._change, self._stage, self._since_ns = None, GainStage.IDLE, now_ns
-        if asked and not change.back:
+        if is_asked and not change.back:
             changed = tuple(
                 r for r in change.robots if fleet[r].heard and (r in change.accepted or _flies_with(fleet, r, change))
             )
@@ -242,12 +242,12 @@ class GainUpdater:
         """Give robots that have other gains the fleet's gains."""
         differing = tuple(
             robot
-            for robot, seen in fleet.items()
-            if seen.heard
-            and seen.state is not None
-            and seen.mode is not Mode.STOPPED
-            and seen.state.experiment_hash == self._experiment.hash
-            and seen.state.tuning_id != self._flown.id
+            for robot, view in fleet.items()
+            if view.heard
+            and view.state is not None
+            and view.mode is not Mode.STOPPED
+            and view.state.experiment_hash == self._experiment.hash
+            and view.state.tuning_id != self._flown.id
         )
         if differing and now_ns - self._since_ns > AGAIN_S * 1e9:
             self._begin_stage(_Change(self._flown, self._config, differing, back=True), now_ns)

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from shoal.messages.messages import RobotState
 
@@ -16,9 +16,25 @@ class Lap:
 
     number: int  # from 1; 0 on a path that has none
     tuning_id: str
-    time_s: float  # flown, mean over the robots
+    time_s: float  # flown, by the robot that flew it longest: one that joins later, or leaves, makes it no shorter
     rms_m: float  # distance from the reference
     max_m: float
+
+
+@dataclass
+class _Row:
+    """Times and errors of one lap and set of gains."""
+
+    times_s: dict[int, float] = field(default_factory=dict)  # flown, by robot
+    squares: float = 0.0  # of errors [m^2], of all robots
+    count: int = 0
+    largest_m: float = 0.0
+
+    def add(self, robot: int, step_s: float, error_m: float) -> None:
+        """Take in a robot's step along its trajectory, and its error."""
+        self.times_s[robot] = self.times_s.get(robot, 0.0) + step_s
+        self.squares, self.count = self.squares + error_m**2, self.count + 1
+        self.largest_m = max(self.largest_m, error_m)
 
 
 class LapStatistics:
@@ -27,7 +43,8 @@ class LapStatistics:
     def __init__(self, lap_s: float | None) -> None:
         self._lap_s = lap_s
         self._last_s: dict[int, float] = {}
-        self._rows: dict[tuple[int, str], tuple[float, float, int, float]] = {}  # robot seconds, sum of squares, count, max
+        self._flew: frozenset[int] = frozenset()  # robots that flew in the cycle before
+        self._rows: dict[tuple[int, str], _Row] = {}  # by lap and set of gains
 
     def update(self, flying: Mapping[int, RobotState]) -> None:
         """Take in the newest states of the robots that fly with the formation. A trajectory that begins again starts another
@@ -40,18 +57,19 @@ class LapStatistics:
                 last_s = state.trajectory_s
             elif state.trajectory_s == last_s and robot in self._last_s:
                 continue
+            step_s = state.trajectory_s - last_s
+            if robot not in self._flew:  # it was led elsewhere or held: what the others flew meanwhile is not its own
+                step_s = min(step_s, 0.0)
             self._last_s[robot] = state.trajectory_s
             key = (int(state.trajectory_s // self._lap_s) + 1 if self._lap_s else 0, state.tuning_id)
-            error_m = math.dist(state.eta[:3], state.eta_reference[:3])
-            time_s, squares, count, largest = self._rows.get(key, (0.0, 0.0, 0, 0.0))
-            self._rows[key] = time_s + state.trajectory_s - last_s, squares + error_m**2, count + 1, max(largest, error_m)
+            self._rows.setdefault(key, _Row()).add(robot, step_s, math.dist(state.eta[:3], state.eta_reference[:3]))
+        self._flew = frozenset(flying)
         while len(self._rows) > KEPT:
             del self._rows[next(iter(self._rows))]
 
     def laps(self) -> list[Lap]:
-        """Laps, the newest last. Other threads may call it: the copy is one step of the interpreter."""
-        robots = max(len(self._last_s), 1)
+        """Laps, the newest last. Other threads may call it: each copy is one step of the interpreter."""
         return [
-            Lap(number, tuning_id, time_s / robots, math.sqrt(squares / count), largest)
-            for (number, tuning_id), (time_s, squares, count, largest) in list(self._rows.items())
+            Lap(number, tuning_id, max(list(row.times_s.values())), math.sqrt(row.squares / row.count), row.largest_m)
+            for (number, tuning_id), row in list(self._rows.items())
         ]

@@ -44,7 +44,7 @@ from groundstation.mission.state_machine import (
 from groundstation.mission.timetable import START_IN_S, Timetable
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.segment import PlanSegment, sample
-from groundstation.telemetry import OUT_OF_STEP_S, Fleet, RobotView, first_lost_robot, preflight
+from groundstation.telemetry import OUT_OF_STEP_S, Fleet, RobotView, first_lost_robot, foreign_poses, preflight
 from shoal.config.experiment import Experiment
 from shoal.frames import Array
 from shoal.messages import topics
@@ -57,6 +57,8 @@ SETTLE_S = 1.0  # from all robots holding and fit, to an automatic mission going
 AT_REST_MPS = 0.03  # slower than this counts as at rest
 REST_WITHIN_S = 8.0  # then planning begins all the same: robots that hold against waves never quite rest
 OUT_FOR_S = 0.3  # out of step for this long before all hold: states count with their age, but arrive with jitter
+
+ATTENDED = "a person attends, and has to start it"  # an automatic mission, once somebody has taken a hand in it
 
 UNFIT = frozenset({Mode.FAULT, Mode.STOPPED})
 PRESTART = frozenset({MissionState.ARMING, MissionState.STARTING})
@@ -212,8 +214,10 @@ class Mission:
             self.roster.mark_lost(robot, "led by a person")
 
     def note_water(self, robot: int, is_out: bool) -> None:
-        """Take note that a robot is out of the water, or back in it."""
+        """Take note that a robot is out of the water, or back in it. Somebody's hands are in the water: an automatic mission
+        waits for a person's START or RESUME."""
         self._give_up_s = None
+        self._needs_operator = True
         if is_out:
             self.roster.take_out(robot)
         else:
@@ -266,6 +270,9 @@ class Mission:
             self._handle_losses(fleet, now_ns)
         if self.state in IN_FLIGHT | JOINING:
             self._check_in_step(fleet, now_ns)
+        if self.state in IN_FLIGHT | JOINING and (foreign := foreign_poses(self._experiment, fleet, self.roster.active)):
+            self._go(MissionEvent.FOREIGN_POSES, now_ns)
+            self.reason = foreign
         if self.state in IN_FLIGHT | {MissionState.PAUSED} and self.roster.active and not self._awaits_return:
             self._check_flight(fleet, now_ns)
         self._govern(fleet, elapsed_s)
@@ -303,7 +310,7 @@ class Mission:
     def _wait(self, fleet: Fleet, now_ns: int) -> None:
         moves = any(fleet[r].heard and fleet[r].mode in MOVING for r in self.roster.all_robots)
         reasons = preflight(self._experiment, fleet, self._starts)
-        self.reason = "; ".join(reasons)
+        self.reason = "; ".join(reasons) or (ATTENDED if self.automatic and self._needs_operator else "")
         if self.automatic and not self._needs_operator and not reasons and not moves:
             self._begin_run()
             self._go(MissionEvent.PREFLIGHT_PASSED, now_ns)

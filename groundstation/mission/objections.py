@@ -7,7 +7,7 @@ from groundstation.mission.roster import TAKEN_OUT, Roster
 from groundstation.mission.state_machine import AT_REST, MissionState
 from groundstation.planning.replanning import can_replan
 from groundstation.planning.segment import PlanSegment
-from groundstation.telemetry import Fleet, RobotView, blocking_findings, first_lost_robot, preflight
+from groundstation.telemetry import Fleet, RobotView, blocking_findings, first_lost_robot, foreign_poses, preflight
 from shoal.config.experiment import Experiment
 from shoal.frames import Array
 from shoal.messages.messages import Mode, Order
@@ -97,6 +97,10 @@ def _none_armed(context: RequestContext) -> str:
     return "no robot is armed" if disarmed else ""
 
 
+def _foreign_poses(context: RequestContext) -> str:
+    return foreign_poses(context.experiment, context.fleet, context.roster.active)
+
+
 def _returns(context: RequestContext) -> str:
     return "the robots are on their way back to the start, each on its own" if context.segment.is_return else ""
 
@@ -145,10 +149,10 @@ OBJECTIONS: Mapping[Order, tuple[Check, ...]] = {
     Order.ARM: (_moves, _unfit_to_start),
     Order.START: (_moves, _unfit_to_start),
     Order.TEST: (_moves, _unfit_to_test),
-    Order.RESUME: (_not_holding,),
+    Order.RESUME: (_not_holding, _foreign_poses),
     Order.CLEAR_STOP: (_not_stopped,),
     Order.HOLD: (_none_armed,),
-    Order.GO: (_returns, _no_places, _unchangeable, _outside),
-    Order.REJOIN: (_none_lost, _no_place_left, _none_can_rejoin),
-    Order.RETURN: (_none_can_return,),
+    Order.GO: (_foreign_poses, _returns, _no_places, _unchangeable, _outside),
+    Order.REJOIN: (_foreign_poses, _none_lost, _no_place_left, _none_can_rejoin),
+    Order.RETURN: (_foreign_poses, _none_can_return),
 }

@@ -27,19 +27,19 @@ class ObstacleSet:
     discs: Array = field(default_factory=lambda: NO_OBSTACLES)
 
 
-def obstacle_set(seen: Obstacles, since_s: float, safety: Safety) -> ObstacleSet:
+def obstacle_set(news: Obstacles, since_s: float, safety: Safety) -> ObstacleSet:
     """Obstacles of a message that is `since_s` old, as discs around their outlines. Takes those that lie still; also old ones
     that have not been reported for a while, wide enough for the way they may have drifted."""
-    found = []
-    for number, outline, velocity, age_s in zip(seen.ids, seen.outline, seen.velocity, ages_s(seen, since_s), strict=False):
+    discs = []
+    for number, outline, velocity, age_s in zip(news.ids, news.outline, news.velocity, ages_s(news, since_s), strict=False):
         old = is_old(age_s)
         if old or float(np.hypot(*velocity)) <= DRIFTS_MPS:
             drift = drift_m(safety, velocity, age_s) if old else np.zeros(2)
             wider_m = growth_m(safety, age_s) if old else 0.0
             middle = outline.mean(axis=0)
             reach_m = float(np.hypot(*(outline - middle).T).max()) + 0.5 * float(np.hypot(*drift)) + wider_m
-            found.append((number, *(middle + 0.5 * drift).tolist(), reach_m))
-    return ObstacleSet(tuple(int(n) for n, *_ in found), np.array([disc for _, *disc in found]).reshape(-1, 3))
+            discs.append((number, *(middle + 0.5 * drift).tolist(), reach_m))
+    return ObstacleSet(tuple(int(n) for n, *_ in discs), np.array([disc for _, *disc in discs]).reshape(-1, 3))
 
 
 class ObstacleMonitor:

@@ -75,8 +75,8 @@ class Roster:
 
     def reinstate(self, robots: Iterable[int]) -> None:
         """Take lost robots in again, in free slots."""
-        taken = self.slots_in_use().values()
-        free = (slot for slot in self.all_robots if slot not in taken)
+        slots_in_use = self.slots_in_use().values()
+        free = (slot for slot in self.all_robots if slot not in slots_in_use)
         for robot in robots:
             del self.lost[robot]
             self.slots[robot] = next(free)

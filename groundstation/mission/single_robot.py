@@ -2,7 +2,8 @@
 
 A robot that is led like this in flight is out of the formation until REJOIN, also while the formation takes another path or
 flies home; the others see its plans and stay clear. While the mission is paused it keeps its place in the formation. Where the
-mission arms, starts, ends or plans for all, it leads all robots again, and requests for one are over.
+mission arms, starts, ends or plans for all, it leads all robots again, and requests for one are over; but a DISARM of one goes
+on while the mission disarms all.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -21,13 +22,16 @@ from groundstation.mission.timetable import START_IN_S, Timetable
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.rest_to_rest import SETTLE_S, plan_return
 from groundstation.planning.segment import PlanSegment
-from groundstation.telemetry import Fleet, RobotView, preflight
+from groundstation.telemetry import Fleet, RobotView, foreign_poses, preflight
 from shoal.config.experiment import Experiment
 from shoal.messages.messages import Command, DriveVelocity, Mode, Order, Progress, Trajectory
 
 WHEN = NOMINAL | AT_REST | {MissionState.PAUSED}
 # A robot that is led in flight is out of the formation, which may make itself a new plan at that very request.
 GOES_ON = WHEN | IN_FLIGHT
+# While the mission disarms all robots it does what a DISARM of one asks for; any other request for one is over then.
+DISARMING = frozenset({MissionState.ENDING, MissionState.ABORTING})
+LED = frozenset({Order.DRIVE, Order.GO})  # requests by which a robot moves by its poses
 WATER_WHEN = WHEN | {MissionState.STOPPED}  # after an emergency stop people fetch robots from the water
 VELOCITY_LASTS_S = 0.3  # of the person's last word; then the robot is told to hold
 
@@ -187,6 +191,8 @@ class SingleRobotControl:
             return f"robot {robot} is STOPPED: clear the stop" if seen.mode is Mode.STOPPED else ""
         if seen.mode not in LIVE:
             return f"robot {robot} is {mode_name(seen)}: arm it first"
+        if order in LED and (foreign := foreign_poses(self._experiment, fleet, (robot,))):
+            return foreign
         return self._no_place(robot, fleet, place_m) if order is Order.GO else ""
 
     def _wrong_water(self, order: Order, robot: int, seen: RobotView) -> str:
@@ -230,7 +236,8 @@ class SingleRobotControl:
             task = self._under_way(robot)
             if task is None:
                 continue
-            if self._mission.state not in GOES_ON or robot not in self.led:
+            goes_on = GOES_ON | DISARMING if task.order is Order.DISARM else GOES_ON
+            if self._mission.state not in goes_on or robot not in self.led:
                 self._end(robot, f"the mission is {self._mission.state.value}")
             else:
                 commands += self._advance(robot, task, fleet[robot], fleet, now_ns)
@@ -238,6 +245,9 @@ class SingleRobotControl:
 
     def _advance(self, robot: int, task: RobotTask, seen: RobotView, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
         """Follow one robot's task by a cycle; returns the commands to send for it."""
+        if task.order in LED and (foreign := foreign_poses(self._experiment, fleet, (robot,))):
+            self._end(robot, foreign)  # the mission lets it hold
+            return ()
         if task.order is Order.DRIVE and task.velocity is not None:
             return self._drive(robot, task, task.velocity, seen, now_ns)
         if now_ns - task.since_ns > PATIENCE_S * 1e9 and not task.started:

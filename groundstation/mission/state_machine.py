@@ -58,6 +58,7 @@ class MissionEvent(Enum):
     ROBOT_HOLDING = "a robot holds by itself"
     OUT_OF_STEP = "a robot is out of step with the others"
     BLIND = "obstacles cannot be seen: policy hold"
+    FOREIGN_POSES = "a robot's poses are by another experiment, or by two programs"
     OBSTACLE = "something lies on the path"
     BLOCKED = "there is no way round it"
     LOST = "a robot is lost: policy abort"
@@ -159,6 +160,7 @@ TRANSITIONS: tuple[MissionTransition, ...] = (
     _row(IN_FLIGHT, MissionEvent.ROBOT_HOLDING, MissionState.PAUSED),
     _row(IN_FLIGHT | JOINING, MissionEvent.OUT_OF_STEP, MissionState.PAUSED),
     _row(IN_FLIGHT, MissionEvent.BLIND, MissionState.PAUSED),
+    _row(IN_FLIGHT | JOINING, MissionEvent.FOREIGN_POSES, MissionState.PAUSED),
     _row(MissionState.PAUSED, MissionEvent.RECOVERED, MissionState.RESUMING),
     _row(MissionState.RESUMING, MissionEvent.ALL_CONFIRMED, MissionState.RUNNING),
     _row(MissionState.RESUMING, MissionEvent.LOST_NEARBY, MissionState.HALTING),

@@ -35,13 +35,13 @@ def required_slowdown(experiment: Experiment, motions: Mapping[int, NodeMotion])
 
 
 def robot_problems(
-    experiment: Experiment, motions: Mapping[int, NodeMotion], flown: int, begin_s: float = 0.0
+    experiment: Experiment, motions: Mapping[int, NodeMotion], count: int, begin_s: float = 0.0
 ) -> Iterator[str]:
-    """Lines for limits that robots would exceed in their first `flown` samples, the first of them at `begin_s`: one a kind."""
+    """Lines for limits that robots would exceed in their first `count` samples, the first of them at `begin_s`: one a kind."""
     for robot, motion in motions.items():
-        eta = motion.eta[:flown]
+        eta = motion.eta[:count]
         for what, unit, _, limit, values in experiment.vehicle.demands(motion.velocity, motion.acceleration):
-            worst = _worst(values[:flown], limit)
+            worst = _worst(values[:count], limit)
             if worst is not None:
                 over = f"{what} {worst.value:.3f} {unit} exceeds the limit {limit:g} by {worst.value - limit:.3f}"
                 yield f"robot {robot}: {over} {_moment(experiment, begin_s, worst.index, eta[worst.index])}"
@@ -53,14 +53,14 @@ def robot_problems(
 
 
 def pair_problems(
-    experiment: Experiment, motions: Mapping[int, NodeMotion], flown: int, begin_s: float = 0.0
+    experiment: Experiment, motions: Mapping[int, NodeMotion], count: int, begin_s: float = 0.0
 ) -> Iterator[str]:
     """Lines for pairs of robots that come too near; on different paths only the end counts."""
     closest_m = 2.0 * experiment.safety.radius_m
     for a, b in combinations(sorted(motions), 2):
         together = experiment.path_of(experiment.robot(a)) == experiment.path_of(experiment.robot(b))
-        counts = slice(flown) if together else slice(flown - 1, flown)
-        apart = np.full(flown, np.inf)
+        counts = slice(count) if together else slice(count - 1, count)
+        apart = np.full(count, np.inf)
         apart[counts] = np.linalg.norm(motions[a].eta[counts, :3] - motions[b].eta[counts, :3], axis=1)
         index = int(np.argmin(apart))
         if apart[index] < closest_m - TOLERANCE:

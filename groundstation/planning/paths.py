@@ -118,11 +118,11 @@ class SplinePath:
         """The spline's parameter at arc lengths within [0, length_m], shape (n,)."""
         piece = np.clip(np.searchsorted(self._arc, arc_m, side="right") - 1, 0, len(self._q) - 2)
         start, width = self._q[piece], np.diff(self._q)[piece]
-        wanted = arc_m - self._arc[piece]
-        q = start + width * wanted / np.diff(self._arc)[piece]
+        length_m = arc_m - self._arc[piece]
+        q = start + width * length_m / np.diff(self._arc)[piece]
         for _ in range(NEWTON_STEPS):
             tangent = self._curve(q, 1)
-            step = (self._length(start, q - start) - wanted) / np.hypot(tangent[:, 0], tangent[:, 1])
+            step = (self._length(start, q - start) - length_m) / np.hypot(tangent[:, 0], tangent[:, 1])
             q = np.clip(q - step, start, start + width)
             if float(np.abs(step).max(initial=0.0)) < CONVERGED:
                 break

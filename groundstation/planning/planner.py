@@ -65,8 +65,8 @@ def draft(experiment: Experiment) -> tuple[FleetPlan, list[str]]:
     no such path at all, or it ends before the run.
     """
     period_s = experiment.controller.period_s
-    flown = round(experiment.duration_s / period_s) + 1
-    samples = flown + horizon(experiment)
+    count = round(experiment.duration_s / period_s) + 1
+    samples = count + horizon(experiment)
     if samples > MOST_SAMPLES:
         longest_s = MOST_SAMPLES * period_s
         raise PlanError(f"duration_s = {experiment.duration_s:g}: a trajectory message holds {longest_s:.0f} s")
@@ -76,14 +76,14 @@ def draft(experiment: Experiment) -> tuple[FleetPlan, list[str]]:
     for k, path in enumerate(paths):
         if path not in paths[:k]:
             group = [robot for robot, flies in zip(experiment.robots, paths, strict=True) if flies == path]
-            found, middle = _group_motions(experiment, path, group, samples)
-            motions.update(found)
+            group_motions, middle = _group_motions(experiment, path, group, samples)
+            motions.update(group_motions)
             centre = middle if centre is None or path == experiment.path else centre
     motions = {robot: motions[robot] for robot in experiment.robot_ids}
-    problems = [*robot_problems(experiment, motions, flown), *pair_problems(experiment, motions, flown)]
+    problems = [*robot_problems(experiment, motions, count), *pair_problems(experiment, motions, count)]
     assert centre is not None  # there is at least one robot
-    sent = {robot: trajectory(motion, period_s) for robot, motion in motions.items()}
-    return FleetPlan(sent, trajectory(centre, period_s)), problems
+    trajectories = {robot: trajectory(motion, period_s) for robot, motion in motions.items()}
+    return FleetPlan(trajectories, trajectory(centre, period_s)), problems
 
 
 def start_poses(experiment: Experiment, trajectories: Mapping[int, Trajectory]) -> dict[int, Array]:
@@ -112,15 +112,15 @@ def start_poses(experiment: Experiment, trajectories: Mapping[int, Trajectory]) 
 
 
 def _group_motions(
-    experiment: Experiment, given: PathSpec, group: Sequence[RobotConfig], samples: int
+    experiment: Experiment, spec: PathSpec, group: Sequence[RobotConfig], samples: int
 ) -> tuple[dict[int, NodeMotion], NodeMotion]:
     """Motion of the robots on a path, and of its centre, at `samples` control periods from 0 on; slowed down where the robots
     could not follow."""
     period_s, formation = experiment.controller.period_s, experiment.formation
     time_s = period_s * np.arange(samples, dtype=np.float64)
     nodes = slot_offsets(formation.scale * np.array([robot.node_m for robot in group]), formation.changes, time_s)
-    path = centre_path(experiment, given, group, nodes)
-    if given.slow:
+    path = centre_path(experiment, spec, group, nodes)
+    if spec.slow:
 
         def _excess(slower: Path) -> Array:
             return required_slowdown(experiment, node_motions(experiment, slower.at(time_s), group, nodes))
@@ -139,13 +139,13 @@ def _group_motions(
     return node_motions(experiment, centre, group, nodes), node_motion(centre, at_centre(samples), "translate", period_s)
 
 
-def centre_path(experiment: Experiment, given: PathSpec, group: Sequence[RobotConfig], nodes: Sequence[SlotOffset]) -> Path:
+def centre_path(experiment: Experiment, spec: PathSpec, group: Sequence[RobotConfig], nodes: Sequence[SlotOffset]) -> Path:
     """Path of the centre; of a route the first candidate on which no node touches anything."""
     time_s = np.arange(len(nodes[0].place_m), dtype=np.float64) * experiment.controller.period_s
     try:
-        if not isinstance(given, Route):
-            return make_path(given)
-        for waypoints in candidate_routes(experiment, given, nodes):
+        if not isinstance(spec, Route):
+            return make_path(spec)
+        for waypoints in candidate_routes(experiment, spec, nodes):
             path = make_path(waypoints)
             motions = node_motions(experiment, path.at(time_s), group, nodes).values()
             beyond = (excess.max() for m in motions for excess in outside(experiment, m.eta[:, :3]).values())

@@ -157,12 +157,12 @@ def _plan_in_order(
 ) -> dict[int, Transfer]:
     """Plan one robot after the other, each around those before it. Raises PlanError if one finds no way."""
     tries.spend()
-    done: dict[int, Transfer] = {}
+    plans: dict[int, Transfer] = {}
     for robot in order:
-        waiting = {r: starts[r] for r in order if r not in done and r != robot}
-        done[robot] = _earliest(experiment, around, robot, starts, goals, done, waiting)
-    longest = max(map(len, done.values()))
-    return {robot: pad(done[robot], 0, longest) for robot in starts}
+        waiting = {r: starts[r] for r in order if r not in plans and r != robot}
+        plans[robot] = _earliest(experiment, around, robot, starts, goals, plans, waiting)
+    longest = max(map(len, plans.values()))
+    return {robot: pad(plans[robot], 0, longest) for robot in starts}
 
 
 def _earliest(
@@ -171,14 +171,14 @@ def _earliest(
     robot: int,
     starts: Mapping[int, Array],
     goals: Mapping[int, Array],
-    done: Mapping[int, Transfer],
+    plans: Mapping[int, Transfer],
     waiting: Mapping[int, Array],
 ) -> Transfer:
     """Earliest transfer of a robot that is clear of all others: straight there, or around robots that rest."""
     reasons = []
     step = round(WAIT_STEP_S / experiment.controller.period_s)
     for detour in (False, True):
-        parked = [*waiting.values(), *(goals[r] for r in done)] if detour else []
+        parked = [*waiting.values(), *(goals[r] for r in plans)] if detour else []
         try:
             transfer = plan_transfer(experiment, around, starts[robot], goals[robot], parked)
         except NoRoute as error:
@@ -189,9 +189,9 @@ def _earliest(
             continue
         for wait in range(round(LONGEST_WAIT_S / WAIT_STEP_S)):
             later = pad(transfer, wait * step, 0)
-            if not _conflict(experiment, robot, later, starts, goals, done, {}):
+            if not _conflict(experiment, robot, later, starts, goals, plans, {}):
                 return later
-            if wait * step > max(map(len, done.values()), default=0):
+            if wait * step > max(map(len, plans.values()), default=0):
                 break
         reasons.append(f"robot {robot} would pass too near another robot")
     raise PlanError(reasons[-1])
@@ -203,13 +203,13 @@ def _conflict(
     transfer: Transfer,
     starts: Mapping[int, Array],
     goals: Mapping[int, Array],
-    done: Mapping[int, Transfer],
+    plans: Mapping[int, Transfer],
     waiting: Mapping[int, Array],
 ) -> bool:
     """True if a transfer comes too close to one already planned, or to a robot that still waits at its start."""
-    for other in (*done, *waiting):
-        length = max(len(transfer), len(done[other]) if other in done else 0)
-        there = pad(done[other], 0, length).position if other in done else waiting[other][None, :3]
+    for other in (*plans, *waiting):
+        length = max(len(transfer), len(plans[other]) if other in plans else 0)
+        there = pad(plans[other], 0, length).position if other in plans else waiting[other][None, :3]
         apart_m = float(np.linalg.norm(pad(transfer, 0, length).position - there, axis=1).min())
         if apart_m < _keep_m(experiment, starts, goals, robot, other):
             return True

@@ -72,31 +72,31 @@ def _rerouted(
     spec = _route_spec(experiment.path)
     now = sample(segment.centre, np.array([begin_s]))
     here = (float(now.eta[0, 0]), float(now.eta[0, 1]))
-    left = tuple(given_via) or _places_left(experiment, segment.via or spec.via_m, segment, begin_s)
+    waypoints = tuple(given_via) or _places_left(experiment, segment.via or spec.via_m, segment, begin_s)
     smooth_m = max(spec.smooth_m, SMOOTH_M)
-    given = spec.model_copy(update={"via_m": (here, *left), "depth_m": float(now.eta[0, 2]), "smooth_m": smooth_m})
+    route = spec.model_copy(update={"via_m": (here, *waypoints), "depth_m": float(now.eta[0, 2]), "smooth_m": smooth_m})
     remaining = ceil_to_period(segment.end_s - begin_s, period_s)
-    length_m = float(np.hypot(*np.diff(np.array(given.via_m), axis=0).T).sum())
+    length_m = float(np.hypot(*np.diff(np.array(route.via_m), axis=0).T).sum())
     samples = round((max(remaining, 0.0) + longer * length_m / spec.speed_mps) / period_s) + planner.horizon(experiment)
     time_s = period_s * np.arange(samples, dtype=np.float64)
     nodes = slot_offsets(experiment.nodes_m(), formation.changes, begin_s + time_s)
-    path = planner.centre_path(experiment, given, experiment.robots, nodes)
+    path = planner.centre_path(experiment, route, experiment.robots, nodes)
 
     def excess(slower: Path) -> Array:
         return required_slowdown(experiment, planner.node_motions(experiment, slower.at(time_s), experiment.robots, nodes))
 
-    path = scale_time(path, excess, samples, period_s) if given.slow else path
+    path = scale_time(path, excess, samples, period_s) if route.slow else path
     state = path.at(time_s)
     new = planner.node_motions(experiment, state, experiment.robots, nodes)
     centre = node_motion(state, planner.at_centre(samples), "translate", period_s)
-    there = _arrival(centre.eta, left[-1])
+    there = _arrival(centre.eta, waypoints[-1])
     if there >= samples - 2 and longer < LONGEST:
         return _rerouted(experiment, segment, begin_s, given_via, LONGEST)
     there_s = begin_s + period_s * there
-    end_s = there_s + (STAY_S if given_via else segment.end_s - _old_arrival_s(segment, left[-1]))
+    end_s = there_s + (STAY_S if given_via else segment.end_s - _old_arrival_s(segment, waypoints[-1]))
     kept = min(round((end_s - begin_s) / period_s) + planner.horizon(experiment), samples)
-    found = _gone_over(experiment, segment, begin_s, {r: _cut(m, kept) for r, m in new.items()}, _cut(centre, kept), end_s)
-    return replace(found, via=tuple(given_via) or segment.via)
+    around = _gone_over(experiment, segment, begin_s, {r: _cut(m, kept) for r, m in new.items()}, _cut(centre, kept), end_s)
+    return replace(around, via=tuple(given_via) or segment.via)
 
 
 def _gone_over(

@@ -34,33 +34,33 @@ class NoRoute(ValueError):
     """No route exists, or an end of it is not free."""
 
 
-def candidate_routes(experiment: Experiment, given: Route, nodes: Sequence[SlotOffset]) -> Iterator[Waypoints]:
+def candidate_routes(experiment: Experiment, route: Route, nodes: Sequence[SlotOffset]) -> Iterator[Waypoints]:
     """Routes to try, narrow ones first, each as waypoints of a spline; the caller takes the first that is clear.
 
     A formation that keeps its form and orientation has one route. One that turns or changes is taken for wider and wider
     discs, because nodes swing outside the path in bends. Raises NoRoute if there is no (further) route.
     """
-    room_m = experiment.vehicle.radius_m + given.clearance_m
+    room_m = experiment.vehicle.radius_m + route.clearance_m
     places = np.concatenate([node.place_m[:, :2] for node in nodes])
     if experiment.formation.mode == "translate" and not experiment.formation.changes:
-        yield _waypoints(experiment, given, room_m, np.array([node.place_m[0, :2] for node in nodes]), 0.0)
+        yield _waypoints(experiment, route, room_m, np.array([node.place_m[0, :2] for node in nodes]), 0.0)
         return
     whole_m = float(np.hypot(*places.T).max())
     across_m = float(np.abs(places[:, 0]).max()) if experiment.formation.mode == "rotate" else whole_m
-    found = False
+    has_route = False
     for wide_m in np.unique(np.linspace(across_m, whole_m, WIDTHS)).tolist():
         try:
-            yield _waypoints(experiment, given, room_m, np.zeros((1, 2)), wide_m)
+            yield _waypoints(experiment, route, room_m, np.zeros((1, 2)), wide_m)
         except NoRoute as error:
-            if found:
+            if has_route:
                 raise NoRoute(
                     "in the bends of this way nodes would touch an island or a wall; wider gaps are needed"
                 ) from None
             raise error
-        found = True
+        has_route = True
 
 
-def _waypoints(experiment: Experiment, given: Route, room_m: float, at_m: Array, wide_m: float) -> Waypoints:
+def _waypoints(experiment: Experiment, route: Route, room_m: float, at_m: Array, wide_m: float) -> Waypoints:
     """Route for nodes `at_m` (n, 2) around the centre, each a disc wider than hull and clearance by `wide_m`."""
     islands = [(np.array(island.position_m), island.radius_m + room_m + wide_m) for island in experiment.islands]
     discs = np.array([(*(place - at), radius) for place, radius in islands for at in at_m]).reshape(-1, 3)
@@ -68,14 +68,14 @@ def _waypoints(experiment: Experiment, given: Route, room_m: float, at_m: Array,
     reach = np.abs(at_m).max(axis=0) + room_m + wide_m
     walls = experiment.pool.walls
     half_m = (length / 2.0 - float(reach[0]), width / 2.0 - float(reach[1])) if walls else (math.inf, math.inf)
-    points = find_route(given.via_m, discs, half_m, given.smooth_m)
+    points = find_route(route.via_m, discs, half_m, route.smooth_m)
     return Waypoints(
         kind="waypoints",
         points_m=tuple((x, y) for x, y in points.tolist()),
-        speed_mps=given.speed_mps,
-        depth_m=given.depth_m,
-        slow=given.slow,
-        stop=given.stop,
+        speed_mps=route.speed_mps,
+        depth_m=route.depth_m,
+        slow=route.slow,
+        stop=route.stop,
     )
 
 
@@ -117,23 +117,23 @@ def shortest(start: Array, goal: Array, discs: Array, half_m: tuple[float, float
     points = np.vstack([start, goal, corners])
     ahead = np.hypot(*(points - goal).T)
     cost, before = np.full(len(points), np.inf), np.full(len(points), -1)
-    cost[0], done = 0.0, np.zeros(len(points), dtype=bool)
+    cost[0], is_done = 0.0, np.zeros(len(points), dtype=bool)
     queue = [(float(ahead[0]), 0)]
     while queue:
         _, here = heapq.heappop(queue)
-        if done[here]:
+        if is_done[here]:
             continue
-        done[here] = True
+        is_done[here] = True
         if here == 1:
             way = [1]
             while way[-1]:
                 way.append(int(before[way[-1]]))
             return np.asarray(points[way[::-1]])
         through = cost[here] + np.hypot(*(points - points[here]).T)
-        worth = np.flatnonzero(~done & (through < cost))
-        seen = worth[_visible(points[here], points[worth], discs)]
-        cost[seen], before[seen] = through[seen], here
-        for there in seen.tolist():
+        worth = np.flatnonzero(~is_done & (through < cost))
+        visible_corners = worth[_visible(points[here], points[worth], discs)]
+        cost[visible_corners], before[visible_corners] = through[visible_corners], here
+        for there in visible_corners.tolist():
             heapq.heappush(queue, (float(cost[there] + ahead[there]), there))
     gap = "the gaps between islands and walls are narrower than the formation; another shape or orientation may fit"
     raise NoRoute(f"no way from ({start[0]:.2f}, {start[1]:.2f}) to ({goal[0]:.2f}, {goal[1]:.2f}) m: {gap}")

@@ -50,9 +50,9 @@ def sample(trajectory: Trajectory, time_s: Array) -> NodeMotion:
     place = (time_s - trajectory.begin_s) / trajectory.period_s
     inside = np.clip(place, 0.0, len(rows) - 1)
     low = np.minimum(inside.astype(np.intp), len(rows) - 2)
-    found = rows[low] + (inside - low)[:, None] * (rows[low + 1] - rows[low])
-    found[(place < 0.0) | (place > len(rows) - 1), 4:] = 0.0
-    return NodeMotion(found[:, :4], found[:, 4:8], found[:, 8:])
+    values = rows[low] + (inside - low)[:, None] * (rows[low + 1] - rows[low])
+    values[(place < 0.0) | (place > len(rows) - 1), 4:] = 0.0
+    return NodeMotion(values[:, :4], values[:, 4:8], values[:, 8:])
 
 
 def concatenate(flown: Trajectory, then: Trajectory) -> Trajectory:
@@ -91,7 +91,7 @@ def first_contact(experiment: Experiment, segment: PlanSegment, from_s: float, u
     apart = segment.is_separate(from_s)
     ends_s = segment.end_s if segment.is_return or not apart else segment.transfer_end_s
     time_s = np.arange(from_s, min(until_s, ends_s), segment.centre.period_s)
-    found = []
+    contacts = []
     for slot, trajectory in segment.trajectories.items():
         short = _short_m(experiment, trajectory, time_s, obstacles)
         if apart:
@@ -102,10 +102,10 @@ def first_contact(experiment: Experiment, segment: PlanSegment, from_s: float, u
         if len(meets):
             first = int(meets[0])
             x, y, _ = obstacles[int(np.argmax(short[first]))]
-            found.append(
+            contacts.append(
                 (first, f"at ({x:.2f}, {y:.2f}) m, on the path of robot {slot}, in {first * segment.centre.period_s:.1f} s")
             )
-    return min(found)[1] if found else ""
+    return min(contacts)[1] if contacts else ""
 
 
 def _short_m(experiment: Experiment, trajectory: Trajectory, time_s: Array, obstacles: Array) -> Array:

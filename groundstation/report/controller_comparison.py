@@ -164,14 +164,14 @@ def _rows_of(comparison: Comparison, count: int) -> tuple[Figure, Sequence[Axes]
 
 def course(comparison: Comparison) -> Figure | None:
     """Distance from the reference over time, on the first seed."""
-    known = _traced(comparison)
-    if not known:
+    traced_variants = _traced(comparison)
+    if not traced_variants:
         return None
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(WIDTH_IN, 3.4))
         axes = figure.subplots()
         figure.subplots_adjust(left=0.11, right=0.69, top=0.97, bottom=0.14)
-        for i, (variant, traces) in enumerate(known):
+        for i, (variant, traces) in enumerate(traced_variants):
             values = np.maximum(1000.0 * np.array(traces.error_m), 1e-2)
             time_s = traces.error_period_s * np.arange(len(values))
             axes.plot(time_s, values, SOLID if i < len(COLOURS) else DASHED, color=colour(i), label=variant.name)
@@ -185,11 +185,11 @@ def course(comparison: Comparison) -> Figure | None:
 
 def wanted(comparison: Comparison) -> Figure | None:
     """Surge of the robot that wanted most, per law: wanted (thin) and applied, with the limit."""
-    known = [(v, t) for v, t in _traced(comparison) if "-without-" not in v.name and not v.name.startswith("mpc-")]
-    if not known:
+    traced_variants = [(v, t) for v, t in _traced(comparison) if "-without-" not in v.name and not v.name.startswith("mpc-")]
+    if not traced_variants:
         return None
     panels = []
-    for variant, traces in known:
+    for variant, traces in traced_variants:
         most = int(np.argmax([np.abs(each).max() for each in traces.wanted_n]))
         time_s = np.array([traces.input_period_s * k for k in range(len(traces.wanted_n[most]))])
         lines = [

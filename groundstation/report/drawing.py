@@ -100,9 +100,9 @@ def _panel(panel: Panel, times: dict[str, int]) -> dict[str, Any]:
             {"label": line.label, "colour": line.colour, "style": line.style, "time": time_index, "values": _float32(values)}
         )
     limit = panel.limit if panel.reaches_limit else None
-    told = f"limit ±{panel.limit:g} {panel.unit}" if panel.limit is not None and limit is None else ""
+    limit_text = f"limit ±{panel.limit:g} {panel.unit}" if panel.limit is not None and limit is None else ""
     return {
-        "label": panel.label, "lines": lines, "least": panel.least, "limit": limit, "told": told,
+        "label": panel.label, "lines": lines, "least": panel.least, "limit": limit, "told": limit_text,
         "floor": panel.floor, "band": panel.band,
     }  # fmt: skip
 

@@ -16,8 +16,8 @@ MOST_PULSE_PANELS = 6
 def inputs(series: Series) -> TimePlot:
     """Inputs that the controllers commanded; for a law without limits, dotted the input before saturation."""
     bounds = series.experiment.vehicle.limits.wrench
-    wanted = None if series.experiment.controller.law in ("nmpc", "eso-mpc-article") else lambda r: r.states.wrench_wanted
-    return _wrench(series, lambda r: r.states.wrench, bounds, "", wanted)
+    unlimited = None if series.experiment.controller.law in ("nmpc", "eso-mpc-article") else lambda r: r.states.wrench_wanted
+    return _wrench(series, lambda r: r.states.wrench, bounds, "", unlimited)
 
 
 def input_steps(series: Series) -> TimePlot:
@@ -59,8 +59,8 @@ def _wrench(
 def flown(series: Series, r: RobotSeries, label: str, values: Array, index: int, style: str = "-") -> Curve:
     """A curve over the control steps of the run, broken where the robot was not under way."""
     inside = (r.states.time_s >= 0.0) & (r.states.time_s <= series.end_s)
-    shown = np.where(r.states.tracking, values, np.nan)
-    return Curve(label, r.states.time_s[inside], shown[inside], colour(index), style)
+    visible = np.where(r.states.tracking, values, np.nan)
+    return Curve(label, r.states.time_s[inside], visible[inside], colour(index), style)
 
 
 def pulses(series: Series) -> TimePlot:
@@ -109,8 +109,8 @@ def latency(series: Series) -> TimePlot:
     """Time from the middle of an exposure to the PWM that answers it."""
     lines = []
     for i, (robot, r) in enumerate(series.robots.items()):
-        known = np.where(r.states.exposure_to_pwm_ms > 0.0, r.states.exposure_to_pwm_ms, np.nan)
-        lines.append(flown(series, r, f"robot {robot}", known, i))
+        latency_ms = np.where(r.states.exposure_to_pwm_ms > 0.0, r.states.exposure_to_pwm_ms, np.nan)
+        lines.append(flown(series, r, f"robot {robot}", latency_ms, i))
     limit = series.experiment.limits.exposure_to_pwm_p99_ms
     return _dots("exposure to PWM [ms]", lines, limit, "ms for p99")
 

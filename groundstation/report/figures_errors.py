@@ -27,9 +27,9 @@ def formation_errors(series: Series) -> TimePlot:
 def _axis_errors(series: Series, errors: dict[str, Array], axes: int) -> TimePlot:
     """Figure of errors (n, 4) by axis, one line for each robot or pair."""
 
-    def lines(axis: int, shown: Array) -> list[Curve]:
+    def lines(axis: int, factors: Array) -> list[Curve]:
         return [
-            Curve(label, series.time_s, error[:, axis] * shown[axis], colour(i))
+            Curve(label, series.time_s, error[:, axis] * factors[axis], colour(i))
             for i, (label, error) in enumerate(errors.items())
         ]
 

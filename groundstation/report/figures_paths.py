@@ -22,16 +22,16 @@ MOST_3D_STEP = 5  # every so many control steps are enough for a picture in pers
 
 def references(series: Series) -> Figure | None:
     """The planned paths seen from above, and their headings over time (the article's Figure 9)."""
-    known = {robot: r.reference for robot, r in series.robots.items() if np.isfinite(r.reference).all() and len(r.reference)}
-    if not known:
+    tracks = {robot: r.reference for robot, r in series.robots.items() if np.isfinite(r.reference).all() and len(r.reference)}
+    if not tracks:
         return None
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(WIDTH_IN, TOP_IN + BOTTOM_IN + 2.4))
         above, heading = figure.subplots(1, 2, gridspec_kw={"wspace": 0.28})
         place(figure)
         for index, robot in enumerate(series.robots):
-            if robot in known:
-                x, y, _, yaw_rad = known[robot].T
+            if robot in tracks:
+                x, y, _, yaw_rad = tracks[robot].T
                 above.plot(x, y, "--", color=colour(index), label=f"reference {robot}")
                 above.plot(x[0], y[0], marker="*", color=colour(index), markersize=9, linestyle="")
                 heading.plot(series.time_s, np.degrees(yaw_rad), "--", color=colour(index))
@@ -46,21 +46,21 @@ def references(series: Series) -> Figure | None:
 
 def space(series: Series) -> Figure | None:
     """Paths in three dimensions, if the robots dive (Figures 10, 13 and 15)."""
-    known = {robot: r for robot, r in series.robots.items() if np.isfinite(r.truth[:, :3]).all() and len(r.truth)}
-    if not known or max(float(np.ptp(r.reference[:, 2])) for r in known.values()) < FLAT_M:
+    by_robot = {robot: r for robot, r in series.robots.items() if np.isfinite(r.truth[:, :3]).all() and len(r.truth)}
+    if not by_robot or max(float(np.ptp(r.reference[:, 2])) for r in by_robot.values()) < FLAT_M:
         return None
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(WIDTH_IN, 4.0))
         axes: Any = figure.add_subplot(projection="3d")  # Any: mpl_toolkits ships no types
         figure.subplots_adjust(left=0.0, right=0.94, top=1.0, bottom=0.06)
         for index, robot in enumerate(series.robots):
-            if robot in known:
-                r, tone = known[robot], colour(index)
+            if robot in by_robot:
+                r, tone = by_robot[robot], colour(index)
                 axes.plot(*r.reference[::MOST_3D_STEP, :3].T, "--", color=tone, linewidth=0.9, alpha=0.7)
                 axes.plot(*r.truth[::MOST_3D_STEP, :3].T, color=tone, label=f"robot {robot}")
                 axes.plot(*r.truth[:1, :3].T, marker="o", color=tone, markersize=5, linestyle="")
         for row in _snapshots(series):
-            corners = np.array([r.truth[row, :3] for r in known.values()])
+            corners = np.array([r.truth[row, :3] for r in by_robot.values()])
             axes.plot(*np.vstack([corners, corners[:1]]).T, color=GREY, linewidth=0.7)
         axes.set(xlabel="x [m]", ylabel="y [m]", zlabel="depth [m]")
         axes.invert_yaxis()  # both, so that depth goes down and the pool's frame stays right-handed
@@ -72,8 +72,8 @@ def space(series: Series) -> Figure | None:
 
 def paths(series: Series) -> Figure | None:
     """Paths in the pool, seen from above (the article's Figure 30)."""
-    known = [r.truth for r in series.robots.values() if np.isfinite(r.truth[:, :2]).any()]
-    if not known:
+    tracks = [r.truth for r in series.robots.values() if np.isfinite(r.truth[:, :2]).any()]
+    if not tracks:
         return None
     length, width, _ = series.experiment.pool.size_m
     with mpl.rc_context(STYLE):

@@ -20,13 +20,13 @@ ALONG_PATH = {Guidance.JOINING: "#8FD6BF", Guidance.GIVING_WAY: "#F0E442", Guida
 
 def timeline(series: Series) -> BarPlot | None:
     """Each robot's mode and guidance state over time, and faults as they were noticed and, in simulation, made."""
-    known = [(robot, r.states) for robot, r in series.robots.items() if len(r.states.time_s)][:MOST_ROWS]
-    if not known:
+    robot_states = [(robot, r.states) for robot, r in series.robots.items() if len(r.states.time_s)][:MOST_ROWS]
+    if not robot_states:
         return None
-    begin_s = min(float(states.time_s[0]) for _, states in known)
-    end_s = max(float(states.time_s[-1]) for _, states in known)
+    begin_s = min(float(states.time_s[0]) for _, states in robot_states)
+    end_s = max(float(states.time_s[-1]) for _, states in robot_states)
     rows = []
-    for robot, states in known:
+    for robot, states in robot_states:
         bars = [
             Bar(from_s, length_s, tone, mode.name.lower())
             for mode, tone in TONES.items()
@@ -42,10 +42,10 @@ def timeline(series: Series) -> BarPlot | None:
         rows.append((f"robot {robot}", bars))
     within = [h for h in series.timeline_events if begin_s <= h.time_s <= end_s]
     noticed = [h.time_s for h in within if h.fault]
-    made = [h.time_s for h in within if is_injection(h)]
+    injections_s = [h.time_s for h in within if is_injection(h)]
     marks = [
         (sign, meaning, times)
-        for sign, meaning, times in (("v", "noticed", noticed), ("x", "injected, or over", made))
+        for sign, meaning, times in (("v", "noticed", noticed), ("x", "injected, or over", injections_s))
         if times
     ]
     return BarPlot(rows, begin_s, end_s + 1e-3, marks)
@@ -55,9 +55,9 @@ def limits(series: Series) -> BarPlot | None:
     """Times at which a limit held an input back, and plans that entered another robot's space."""
     rows = []
     for index, (robot, r) in enumerate(series.robots.items()):
-        flown = r.states.tracking & (r.states.time_s <= series.end_s)
+        under_way = r.states.tracking & (r.states.time_s <= series.end_s)
         for name, active in active_limits(series, r).items():
-            spans = spans_of(r.states.time_s, np.asarray(active & flown))
+            spans = spans_of(r.states.time_s, np.asarray(active & under_way))
             if spans:
                 rows.append((f"{robot}: {name}", [Bar(from_s, length_s, colour(index)) for from_s, length_s in spans]))
     return BarPlot(rows[:MOST_ROWS], 0.0, max(series.end_s, 0.1)) if rows else None
@@ -81,12 +81,12 @@ def latency_budget(series: Series) -> TimePlot | None:
     """Shares of the time from the exposure to the PWM: medians of all robots, second by second."""
     times = np.concatenate([r.states.time_s for r in series.robots.values()])
     hops = np.concatenate([r.states.hops_ms for r in series.robots.values()])
-    known = np.isfinite(hops).all(axis=1) & (times >= 0.0) & (times <= series.end_s)
-    if not known.any():
+    is_counted = np.isfinite(hops).all(axis=1) & (times >= 0.0) & (times <= series.end_s)
+    if not is_counted.any():
         return None
-    window = (times[known] / WINDOW_S).astype(int)
+    window = (times[is_counted] / WINDOW_S).astype(int)
     seconds = np.unique(window)
-    medians = np.array([np.median(hops[known][window == second], axis=0) for second in seconds])
+    medians = np.array([np.median(hops[is_counted][window == second], axis=0) for second in seconds])
     middles_s = (seconds + 0.5) * WINDOW_S
     lines = [Curve(name, middles_s, medians[:, k], COLOURS[k % len(COLOURS)]) for k, name in enumerate(HOPS)]
     return TimePlot([Panel("median [ms]", lines)], height_in=1.8)

@@ -77,10 +77,10 @@ def evaluated(run_dir: Path, flight: int | None = None) -> tuple[Series, RunLog,
 
 def write_comparison(runs: Sequence[ComparedRun], path: Path) -> None:
     """One self-contained page with all runs side by side."""
-    shown = [(title, caption, _json(embedded(plot))) for title, caption, plot in plots(runs)]
+    drawings = [(title, caption, _json(embedded(plot))) for title, caption, plot in plots(runs)]
     page = environment().get_template("side_by_side.html")
     rows = metric_rows(runs)
-    replace_text(path, page.render(runs=runs, rows=rows, differences=differences(runs), plots=shown, **_live()))
+    replace_text(path, page.render(runs=runs, rows=rows, differences=differences(runs), plots=drawings, **_live()))
 
 
 def write_figures(run_dir: Path, folder: Path, flight: int | None = None) -> list[Path]:
@@ -105,10 +105,10 @@ def write_pdf(figure: Figure, path: Path) -> None:
 def render(series: Series, recorded: RunLog, result: Result) -> str:
     """The report as HTML."""
     events = _together(series.timeline_events)
-    shown = _most_telling(events)
+    key_events = _most_telling(events)
     figures = [_draw(kind, series) for kind in FIGURES]
     timings = {"control step [µs]": result.control_step_us, "exposure to PWM [ms]": result.exposure_to_pwm_ms}
-    timings |= {f"of it: {hop} [ms]": found for hop, found in result.latency_hops_ms.items()}
+    timings |= {f"of it: {hop} [ms]": values for hop, values in result.latency_hops_ms.items()}
     return (
         environment()
         .get_template("report.html")
@@ -118,12 +118,12 @@ def render(series: Series, recorded: RunLog, result: Result) -> str:
             errors_against=ERRORS_AGAINST.get(result.errors_against or ""),
             facts=_facts(recorded, result),
             tables=tables(result),
-            timings=[(name, found) for name, found in timings.items() if found],
+            timings=[(name, values) for name, values in timings.items() if values],
             figures=[figure for figure in figures if figure.plot or figure.svg],
             absent=[figure.title for figure in figures if not figure.plot and not figure.svg],
-            marks=_json([{"time": e.time_s, "fault": e.fault} for e in shown if e.fault or is_injection(e)]),
-            timeline_events=shown,
-            omitted=len(events) - len(shown),
+            marks=_json([{"time": e.time_s, "fault": e.fault} for e in key_events if e.fault or is_injection(e)]),
+            timeline_events=key_events,
+            omitted=len(events) - len(key_events),
             **_live(),
         )
     )
@@ -131,15 +131,15 @@ def render(series: Series, recorded: RunLog, result: Result) -> str:
 
 def environment() -> Environment:
     """Jinja for the pages of this folder."""
-    found = Environment(
+    jinja = Environment(
         loader=PackageLoader("groundstation.report"),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    found.globals.update(three=three, mm=mm, deg=deg, with_unit=with_unit, title_of=title)
-    return found
+    jinja.globals.update(three=three, mm=mm, deg=deg, with_unit=with_unit, title_of=title)
+    return jinja
 
 
 def _live() -> dict[str, Markup]:
@@ -154,7 +154,7 @@ def _json(data: Any) -> Markup:
 
 
 def _read(path: Path) -> RunLog:
-    return read_log(path) if path.exists() else RunLog(found=False)
+    return read_log(path) if path.exists() else RunLog(exists=False)
 
 
 def _experiment(run_dir: Path, recorded: RunLog, put_back: bool) -> Experiment:
@@ -177,19 +177,19 @@ def _experiment(run_dir: Path, recorded: RunLog, put_back: bool) -> Experiment:
 
 
 def _draw(kind: Kind, series: Series) -> Drawn:
-    found = kind.draw(series)
-    if found is None or isinstance(found, Figure):
+    plot = kind.draw(series)
+    if plot is None or isinstance(plot, Figure):
         # our own picture, with texts that matplotlib has escaped
-        svg = Markup(to_svg(found, kind.name)) if found is not None else None
+        svg = Markup(to_svg(plot, kind.name)) if plot is not None else None
         return Drawn(kind.name, kind.title, kind.caption, None, svg)
-    empty = isinstance(found, TimePlot) and found.is_empty
-    return Drawn(kind.name, kind.title, kind.caption, None if empty else _json(embedded(found)), None)
+    empty = isinstance(plot, TimePlot) and plot.is_empty
+    return Drawn(kind.name, kind.title, kind.caption, None if empty else _json(embedded(plot)), None)
 
 
 def _facts(recorded: RunLog, result: Result) -> list[tuple[str, str]]:
     """Names and values of the report's table of facts about the run."""
     factor = result.real_time_factor
-    known = {"scene", "seed", "mode", "experiment_hash", "hash", "version", "commit"}
+    names = {"scene", "seed", "mode", "experiment_hash", "hash", "version", "commit"}
     return [
         ("seed", str(result.seed)),
         ("mode", result.mode),
@@ -200,7 +200,7 @@ def _facts(recorded: RunLog, result: Result) -> list[tuple[str, str]]:
         ("faults", str(len(result.faults))),
         ("version", result.version),
         ("commit", _short_commit(result.commit)),
-        *((name, value) for name, value in sorted(recorded.metadata.items()) if name not in known),
+        *((name, value) for name, value in sorted(recorded.metadata.items()) if name not in names),
         *([("tags", " ".join(f"#{tag}" for tag in result.tags))] if result.tags else []),
         ("experiment hash", result.experiment_hash[:12]),
     ]

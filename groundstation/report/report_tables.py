@@ -49,14 +49,16 @@ def tables(result: Result) -> list[ReportTable]:
     """Tables with something in them. The article's figures are of whole runs: a run that was not is not held against them."""
     rows = list(result.rows.items())
     robots = rows[: len(result.robots)]
-    made = [_table("Errors", _errors(), rows, "Root mean square and largest; yaw to the path's tangent.")]
+    all_tables = [_table("Errors", _errors(), rows, "Root mean square and largest; yaw to the path's tangent.")]
     if result.is_whole and any(row.article for _, row in rows):
         note = "✓ below, ✗ not below the article's figure. “Never moving” is a robot that sits at the middle of its reference."
-        made.append(_table("Beside the article", _article(), rows, note))
-    made.append(_table("Robots", _robots(), robots, "Yaw to the heading commanded; disturbance: estimated minus true, RMS."))
+        all_tables.append(_table("Beside the article", _article(), rows, note))
+    all_tables.append(
+        _table("Robots", _robots(), robots, "Yaw to the heading commanded; disturbance: estimated minus true, RMS.")
+    )
     axes = max((len(row.dtau_rms or ()) for row in result.robots.values()), default=0) or 3
-    made.append(_table("Wear", _wear(axes), robots, "RMS of the change per control step: chatter wears thrusters out."))
-    return [table for table in made if table.groups]
+    all_tables.append(_table("Wear", _wear(axes), robots, "RMS of the change per control step: chatter wears thrusters out."))
+    return [table for table in all_tables if table.groups]
 
 
 def _table(title: str, parts: Iterator[_Part], rows: Sequence[tuple[str, Row]], note: str) -> ReportTable:
@@ -111,13 +113,13 @@ def _wear(count: int) -> Iterator[_Part]:
 
 def _lengths(values: Sequence[float] | None, others: Sequence[float] | None = None) -> list[Cell]:
     """Three lengths, each against another's where there is one."""
-    own, theirs = ([*(known or ()), None, None, None] for known in (values, others))
+    own, theirs = ([*(lengths or ()), None, None, None] for lengths in (values, others))
     return [_against(own[axis], theirs[axis], mm) for axis in range(3)]
 
 
-def _against(value: float | None, other: float | None, shown: Callable[[float | None], str]) -> Cell:
+def _against(value: float | None, other: float | None, show: Callable[[float | None], str]) -> Cell:
     sense = "" if value is None or other is None else "good" if value < other else "bad"
-    return Cell(shown(value), sense)
+    return Cell(show(value), sense)
 
 
 def _numbers(values: Sequence[float] | None, count: int) -> list[Cell]:

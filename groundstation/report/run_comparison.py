@@ -68,18 +68,18 @@ def metric_rows(runs: Sequence[ComparedRun]) -> list[MetricRow]:
         ("missed deadlines", "", lambda r: float(r.missed_deadlines)),
         ("faults", "", lambda r: float(len(r.faults))),
     ]
-    made = []
+    metrics = []
     for name, unit, figure in rows:
-        shown, factor = SHOWN_AS.get(unit, (unit, 1.0))
-        found = [figure(run.result) for run in runs]
-        made.append(MetricRow(name, shown, tuple(None if value is None else factor * value for value in found)))
-    return made
+        shown_unit, factor = SHOWN_AS.get(unit, (unit, 1.0))
+        values = [figure(run.result) for run in runs]
+        metrics.append(MetricRow(name, shown_unit, tuple(None if value is None else factor * value for value in values)))
+    return metrics
 
 
 def _worst(errors: Sequence[Errors] | Any, key: str) -> float | None:
     """The worst figure, None where one of them has none: a robot that never flew is not better than the others."""
-    known = [max(values) for error in errors if (values := getattr(error, key)) is not None]
-    return max(known) if known and len(known) == len(errors) else None
+    worst_values = [max(values) for error in errors if (values := getattr(error, key)) is not None]
+    return max(worst_values) if worst_values and len(worst_values) == len(errors) else None
 
 
 def differences(runs: Sequence[ComparedRun]) -> list[tuple[str, tuple[str, ...]]]:
@@ -101,7 +101,7 @@ def _flat(value: Any, prefix: str = "") -> dict[str, Any]:
     if not isinstance(value, dict):
         return {prefix: value}
     parts = (_flat(entry, f"{prefix}.{name}" if prefix else name) for name, entry in value.items())
-    return {key: found for part in parts for key, found in part.items()}
+    return {key: nested for part in parts for key, nested in part.items()}
 
 
 def plots(runs: Sequence[ComparedRun]) -> list[tuple[str, str, TimePlot]]:
@@ -111,19 +111,19 @@ def plots(runs: Sequence[ComparedRun]) -> list[tuple[str, str, TimePlot]]:
     tracking = [Panel(f"robot {r} [mm]", _lines(runs, (r,)), least=5.0) for r in robots]
     formation = [Panel(f"{a}–{b} [mm]", _lines(runs, (a, b)), least=5.0) for a, b in pairs]
     thrust = [_surge(runs, robot) for robot in robots]
-    found = [
+    groups = [
         ("Tracking error", "Distance of each robot from its reference.", tracking),
         ("Formation error", "Length of a pair's distance vector less that of its references.", formation),
         ("Thrust", "Surge asked for.", thrust),
     ]
-    made = [(title, caption, TimePlot(panels, mark_s=SETTLED_S)) for title, caption, panels in found]
-    return [entry for entry in made if not entry[2].is_empty]
+    entries = [(title, caption, TimePlot(panels, mark_s=SETTLED_S)) for title, caption, panels in groups]
+    return [entry for entry in entries if not entry[2].is_empty]
 
 
-def _shared(known: Sequence[set[Any]]) -> list[Any]:
+def _shared(name_sets: Sequence[set[Any]]) -> list[Any]:
     """Names that at least two of them have."""
-    every = sorted(set().union(*known))
-    return [entry for entry in every if sum(entry in one for one in known) > 1]
+    every = sorted(set().union(*name_sets))
+    return [entry for entry in every if sum(entry in one for one in name_sets) > 1]
 
 
 def _lines(runs: Sequence[ComparedRun], whose: tuple[int, ...]) -> list[Curve]:
@@ -137,6 +137,6 @@ def _lines(runs: Sequence[ComparedRun], whose: tuple[int, ...]) -> list[Curve]:
 
 
 def _surge(runs: Sequence[ComparedRun], robot: int) -> Panel:
-    known = [(i, run, run.series.robots[robot].states) for i, run in enumerate(runs) if robot in run.series.robots]
-    lines = [Curve(run.name, states.time_s, states.wrench[:, 0], colour(i)) for i, run, states in known]
+    states_of_runs = [(i, run, run.series.robots[robot].states) for i, run in enumerate(runs) if robot in run.series.robots]
+    lines = [Curve(run.name, states.time_s, states.wrench[:, 0], colour(i)) for i, run, states in states_of_runs]
     return Panel(f"robot {robot} [N]", lines, least=0.1)

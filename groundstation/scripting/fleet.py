@@ -204,23 +204,23 @@ class ConnectedFleet:
 
     def wait_ready(self, timeout_s: float = 60.0) -> None:
         """Wait until the station's preflight finds nothing amiss. Raises NotHeard with what it finds."""
-        if not self._wait(lambda: self._mission_line == READY_LINE, timeout_s):
+        if not self._wait(lambda: self._mission_line.startswith(READY_LINE), timeout_s):
             raise NotHeard(f"the fleet was not ready within {timeout_s:g} s: {self._mission_line or 'nothing heard'}")
 
     def wait_event(self, text: str = "", timeout_s: float = 60.0) -> Event:
         """Next event (line of a process's log) with this text in it. Events before it are dropped. Raises NotHeard."""
-        found: list[Event] = []
+        events: list[Event] = []
 
         def look() -> bool:
-            while self._events and not found:
+            while self._events and not events:
                 event = self._events.popleft()
                 if text in event.message:
-                    found.append(event)
-            return bool(found)
+                    events.append(event)
+            return bool(events)
 
         if not self._wait(look, timeout_s):
             raise NotHeard(f"no event with {text!r} within {timeout_s:g} s")
-        return found[0]
+        return events[0]
 
     def _wait(self, ready: Callable[[], bool], timeout_s: float) -> bool:
         """Wait until `ready()` or so many seconds of the fleet's time have gone by. Returns whether `ready()`."""

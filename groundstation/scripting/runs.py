@@ -34,8 +34,8 @@ class FlownRun:
             from groundstation.report.report import write_report  # brings matplotlib
 
             write_report(self.folder)
-        found: dict[str, Any] = json.loads(read_regular(file, MOST_JSON_BYTES))
-        return found
+        content: dict[str, Any] = json.loads(read_regular(file, MOST_JSON_BYTES))
+        return content
 
     @property
     def passed(self) -> bool:
@@ -50,10 +50,10 @@ class FlownRun:
 
 
 def _topic(name: str) -> Topic:
-    known = {topic.name.removeprefix("robot/{robot}/"): topic for topic in TOPICS if topic.recorded}
-    if name not in known:
-        raise ConfigError(f"topic {name!r}: no such recorded topic (allowed: {', '.join(known)})")
-    return known[name]
+    topics_by_name = {topic.name.removeprefix("robot/{robot}/"): topic for topic in TOPICS if topic.recorded}
+    if name not in topics_by_name:
+        raise ConfigError(f"topic {name!r}: no such recorded topic (allowed: {', '.join(topics_by_name)})")
+    return topics_by_name[name]
 
 
 def open_run(folder: str | Path) -> FlownRun:

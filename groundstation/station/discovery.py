@@ -116,11 +116,11 @@ def named(address: str) -> RunningStation:
     return same[0] if same else RunningStation(address, "", "", 0)
 
 
-def station(given: str | None, fleet: str) -> RunningStation:
+def station(name: str | None, fleet: str) -> RunningStation:
     """The station that a terminal means: the one it names, the only one of this fleet that runs here, or one at the default
     port. Raises ConfigError if there are several."""
-    if given is not None:
-        return named(given)
+    if name is not None:
+        return named(name)
     here = [standing for standing in running() if standing.fleet == fleet]
     if len(here) > 1:
         names = "; ".join(f"--station {s.name}" for s in here)

@@ -49,8 +49,8 @@ def record_everything(bus: Bus, recorder: Recorder, clock: Clock) -> None:
     def arrival_ns(header: Header) -> int:
         return header.stamp_ns if isinstance(clock, LockstepClock) else clock.now_ns()
 
-    known = (*topics.TOPICS, *(topic.of_camera("*") for topic in topics.OF_CAMERAS))
-    recorder.gather([bus.collect(topic) for topic in known if topic.recorded], arrival_ns)
+    every = (*topics.TOPICS, *(topic.of_camera("*") for topic in topics.OF_CAMERAS))
+    recorder.gather([bus.collect(topic) for topic in every if topic.recorded], arrival_ns)
 
 
 def cycles(
@@ -95,9 +95,9 @@ def cycles(
         record_everything(bus, recorder, clock)
         threads = served.enter_context(workers(len(trajectories)))
         mission = Mission(experiment, segment, starts, automatic, give_up_s)
-        heard, tuner = subscribe_fleet(bus, experiment.robot_ids), GainUpdater(experiment)
+        inboxes, tuner = subscribe_fleet(bus, experiment.robot_ids), GainUpdater(experiment)
         laps = LapStatistics(tuner.lap_s)
-        station = Station(experiment, bus, clock, recorder, mission, tuner, laps, heard, threads, starts, insecure=insecure)
+        station = Station(experiment, bus, clock, recorder, mission, tuner, laps, inboxes, threads, starts, insecure=insecure)
         station.seen = station.fleet()
         bus.serve(WHOLE_FLEET, station.on_operator_command)
         log_to_bus(bus, clock, "groundstation")
@@ -108,7 +108,7 @@ def cycles(
         bus.watch_presence()
         server = None
         if web is not None:
-            backend = LiveBackend(experiment, trajectories, bus, heard, clock, station, mode, run_dir.resolve())
+            backend = LiveBackend(experiment, trajectories, bus, inboxes, clock, station, mode, run_dir.resolve())
             server = served.enter_context(WebServer(backend, web, page))
             log.info("operator page: %s", web.url)
         if viewer is not None:
@@ -177,7 +177,7 @@ class EndOfRun:
         for anything for the idle time."""
         station = self._station
         robots = station.seen.values()
-        rest = all((seen.heard or seen.out) and not may_have_power(seen) for seen in robots)
+        rest = all((view.heard or view.out) and not may_have_power(view) for view in robots)
         at_rest = station.mission.state in UNARMED and rest
         if not at_rest:
             self._rests_since_s = None
@@ -234,12 +234,12 @@ def _wall_loop(station: Station, stop: Stop, end: EndOfRun) -> None:
 
 
 def _lockstep_cycles(station: Station, lockstep: Lockstep, end: EndOfRun) -> Generator[None]:
-    heard = station.heard
+    inboxes = station.heard
     yield
     while (tick := lockstep.next()) is not None:
         # What the robots found in the step before, and where the picture shows them.
-        up_to_ns = lockstep.await_sight(tick, heard.localizer, heard.poses, heard.obstacles)
-        if up_to_ns is None or not lockstep.await_all([(heard.states[r], tick.previous_ns) for r in tick.robots]):
+        up_to_ns = lockstep.await_sight(tick, inboxes.localizer, inboxes.poses, inboxes.obstacles)
+        if up_to_ns is None or not lockstep.await_all([(inboxes.states[r], tick.previous_ns) for r in tick.robots]):
             return
         station.recorder.whole_until_ns = tick.previous_ns  # whenever it ends: no step of which some robots are missing
         station.obstacles_up_to_ns = up_to_ns

@@ -16,7 +16,7 @@ from groundstation.logs.recorder import Recorder
 from groundstation.mission.command_dispatcher import CommandResult
 from groundstation.mission.gain_update import GainUpdater
 from groundstation.mission.lap_statistics import LapStatistics
-from groundstation.mission.mission import Mission
+from groundstation.mission.mission import ATTENDED, Mission
 from groundstation.mission.objections import LIVE
 from groundstation.mission.obstacle_monitor import ObstacleSet, obstacle_set
 from groundstation.mission.plan_manager import PlanRequest
@@ -344,8 +344,8 @@ class Station:
         if self.recorder.error and not self.recorder_told:
             self.recorder_told = True
             log.error("recorder: %s", self.recorder.error)
-        ready = self.mission.state is MissionState.WAITING and not self.mission.reason
-        line = READY if ready else f"{self.mission.state.value}{f': {self.mission.reason}' if self.mission.reason else ''}"
+        ready = self.mission.state is MissionState.WAITING and self.mission.reason in ("", ATTENDED)
+        line = f"{READY if ready else self.mission.state.value}{f': {self.mission.reason}' if self.mission.reason else ''}"
         told = FIGURE.sub("", line)
         if told != self.told:
             self.told = told

@@ -44,19 +44,19 @@ def alarms(
     """All that is amiss, critical first. `stuck_s`: for how long the station's cycle has not run, if that is too long.
     `simulated`: time waits for every process, so that a slow one is not late. `lasting`: warnings, by key, that the station
     itself gives."""
-    found = [*_system(experiment, fleet, localizer, localizer_age_s, recorder_error)]
+    alarm_list = [*_system(experiment, fleet, localizer, localizer_age_s, recorder_error)]
     if stuck_s > 0.0 and simulated:
-        found.append(Alarm("notice", "stands", f"simulated time stands since {stuck_s:.0f} s: the machine is busy"))
+        alarm_list.append(Alarm("notice", "stands", f"simulated time stands since {stuck_s:.0f} s: the machine is busy"))
     elif stuck_s > 0.0:
-        found.append(Alarm("critical", "stuck", f"the station has sent no heartbeat for {stuck_s:.0f} s: robots hold"))
-    found += [Alarm("warning", key, text) for key, text in lasting.items()]
+        alarm_list.append(Alarm("critical", "stuck", f"the station has sent no heartbeat for {stuck_s:.0f} s: robots hold"))
+    alarm_list += [Alarm("warning", key, text) for key, text in lasting.items()]
     for robot in experiment.robot_ids:
-        found += [
+        alarm_list += [
             Alarm(finding.level, f"{robot}:{finding.key}", finding.text, robot)
             for finding in findings(experiment, robot, fleet[robot])
             if not (simulated and finding.key == "late")
         ]
-    return sorted(found, key=lambda alarm: LEVELS.index(alarm.level))
+    return sorted(alarm_list, key=lambda alarm: LEVELS.index(alarm.level))
 
 
 def _system(

@@ -182,7 +182,7 @@ class ClientHub:
         picture = self._source.picture(camera, shown_ns)
         if picture is None:
             return
-        told = {
+        frame = {
             "k": "picture",
             "stamp_ms": time.time() * 1e3,
             "camera": camera,
@@ -190,7 +190,7 @@ class ClientHub:
             "time_s": picture.time_s,
             "jpeg": picture.jpeg,
         }
-        body = packed(told)
+        body = packed(frame)
         for watcher in self._watchers.values():
             if (watcher.camera, watcher.shown_ns) == (camera, shown_ns):
                 watcher.shown_ns = picture.stamp_ns
@@ -263,8 +263,8 @@ class ClientHub:
             first.cancel()
         if not first.done() or first.cancelled() or first.exception() is not None:
             return None
-        said = first.result()
-        return said if isinstance(said, protocol.Hello) else None
+        message = first.result()
+        return message if isinstance(message, protocol.Hello) else None
 
     def _replace(self, watcher: Client) -> None:
         """A page that comes back over another connection keeps the control that it had: the one before it is dead, and does
@@ -364,14 +364,14 @@ class ClientHub:
         """Tell the station the newest velocity, and again while newer ones come. The page hears of refusals alone."""
         watcher.steering = True
         try:
-            while (asked := watcher.drive) is not None:
+            while (drive := watcher.drive) is not None:
                 watcher.drive = None
-                velocity = DriveVelocity(asked.surge_mps, asked.heave_mps, asked.yaw_rate_radps)
-                reason = self._may_command(watcher) or self._void(asked.seen_ms, DRIVE_VALID_S)
+                velocity = DriveVelocity(drive.surge_mps, drive.heave_mps, drive.yaw_rate_radps)
+                reason = self._may_command(watcher) or self._void(drive.seen_ms, DRIVE_VALID_S)
                 if not reason:
-                    reason = await self._at(self._orders, self._source.station.drive, asked.robot, velocity)
+                    reason = await self._at(self._orders, self._source.station.drive, drive.robot, velocity)
                 if reason:
-                    watcher.note({"k": "undriven", "robot": asked.robot, "reason": reason})
+                    watcher.note({"k": "undriven", "robot": drive.robot, "reason": reason})
         finally:
             watcher.steering = False
 
@@ -415,21 +415,21 @@ class ClientHub:
 
     async def _choose(self, watcher: Client, request: protocol.AfterRun) -> None:
         reason = self._may_command(watcher)
-        found = [reason] if reason else await self._at(self._plans, self._source.choose, request.what, request.edit)
-        watcher.note({"k": "chosen", "n": request.n, "problems": found})
+        problems = [reason] if reason else await self._at(self._plans, self._source.choose, request.what, request.edit)
+        watcher.note({"k": "chosen", "n": request.n, "problems": problems})
 
     async def _answer_of_runs(self, watcher: Client, request: protocol.OfRuns) -> None:
         """The list of runs, after the change that was asked for. Pages that watch may look."""
         desk, reason = self._desk, self._may_command(watcher)
         if isinstance(request, protocol.ListRuns):
-            told = await self._at(self._runs, desk.listing)
+            answer = await self._at(self._runs, desk.listing)
         elif reason:
-            told = await self._at(self._runs, desk.listing, reason)
+            answer = await self._at(self._runs, desk.listing, reason)
         elif isinstance(request, protocol.LabelRun):
-            told = await self._at(self._runs, desk.label, request.run, request.name, request.tags)
+            answer = await self._at(self._runs, desk.label, request.run, request.name, request.tags)
         else:
-            told = await self._at(self._runs, desk.delete, request.run)
-        watcher.note(told)
+            answer = await self._at(self._runs, desk.delete, request.run)
+        watcher.note(answer)
 
 
 def packed(message: dict[str, Any]) -> bytes:

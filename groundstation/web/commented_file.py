@@ -23,8 +23,8 @@ def commented(experiment: Experiment) -> str:
     return "\n".join([schema_line("experiment"), title, "", *_lines(experiment, "", set())]) + "\n"
 
 
-def _lines(section: Section, name: str, told: set[str]) -> Iterator[str]:
-    """Lines of a section: its own keys, then its sections. A key that is in `told` has had its comment."""
+def _lines(section: Section, name: str, commented_keys: set[str]) -> Iterator[str]:
+    """Lines of a section: its own keys, then its sections. A key that is in `commented_keys` has had its comment."""
     below: list[tuple[str, Any]] = []
     for key, value in _different(section).items():
         dotted = f"{name}.{key}" if name else key
@@ -32,8 +32,8 @@ def _lines(section: Section, name: str, told: set[str]) -> Iterator[str]:
             below.append((dotted, value))
             continue
         line = f"{key} = {toml_value(value)}"
-        comment = meanings(type(section)).get(key, "") if dotted not in told else ""
-        told.add(dotted)
+        comment = meanings(type(section)).get(key, "") if dotted not in commented_keys else ""
+        commented_keys.add(dotted)
         if comment and len(line) + len(comment) + 4 > WIDE:
             yield f"# {key}: {comment}"
         yield f"{line}  # {comment}" if comment and len(line) + len(comment) + 4 <= WIDE else line
@@ -41,23 +41,23 @@ def _lines(section: Section, name: str, told: set[str]) -> Iterator[str]:
         for one in value if isinstance(value, tuple) else (value,):
             yield ""
             yield f"[[{dotted}]]" if isinstance(value, tuple) else f"[{dotted}]"
-            yield from _lines(one, dotted, told)
+            yield from _lines(one, dotted, commented_keys)
 
 
 def _different(section: Section) -> dict[str, Any]:
     """The values that a file has to tell."""
-    found = {}
+    values = {}
     for key, field in type(section).model_fields.items():
         value = getattr(section, key)
         if value is not None and (
             field.is_required() or _dumped(value) != _dumped(field.get_default(call_default_factory=True))
         ):
-            found[key] = value
+            values[key] = value
     if isinstance(section, Experiment):
-        found["vehicle"] = _shipped_name(section.vehicle) or section.vehicle
+        values["vehicle"] = _shipped_name(section.vehicle) or section.vehicle
         if _has_shape(section):
-            found["robots"] = tuple(robot.model_copy(update={"node_m": None}) for robot in section.robots)
-    return found
+            values["robots"] = tuple(robot.model_copy(update={"node_m": None}) for robot in section.robots)
+    return values
 
 
 def _dumped(value: Any) -> Any:

@@ -54,9 +54,9 @@ def http_class(crowd: ConnectionLimiter) -> type[H11Protocol]:
             crowd.join(self, self.client[0] if self.client else "")
 
         def handle_events(self) -> None:
-            asked = self.cycle
+            cycle = self.cycle
             super().handle_events()
-            if self.cycle is not asked:
+            if self.cycle is not cycle:
                 self._wait(TAKES_WITHIN_S)
 
         def on_response_complete(self) -> None:

@@ -31,22 +31,22 @@ _PATH_KEYS = {
 def edited(experiment: Experiment, edit: Edit) -> Experiment:
     """The experiment with the edit in it. Raises ConfigError naming key, value and what is allowed."""
     table: dict[str, Any] = experiment.model_dump(mode="json", exclude_none=True)
-    given = {key: value for key, value in msgspec.to_builtins(edit).items() if value is not None}
-    if "kind" in given and given["kind"] != table["path"]["kind"]:
-        table["path"] = {"kind": given["kind"]}
+    values = {key: value for key, value in msgspec.to_builtins(edit).items() if value is not None}
+    if "kind" in values and values["kind"] != table["path"]["kind"]:
+        table["path"] = {"kind": values["kind"]}
     kind = table["path"]["kind"]
     foreign = [
-        k for k in ("points_m", "start_index", "speed_mps", "diameter_m", "lap_s") if k in given and k not in _PATH_KEYS[kind]
+        k for k in ("points_m", "start_index", "speed_mps", "diameter_m", "lap_s") if k in values and k not in _PATH_KEYS[kind]
     ]
     if foreign:
         raise ConfigError(f"path.{foreign[0]}: a path of kind {kind} has none (allowed: {', '.join(_PATH_KEYS[kind])})")
-    table["path"] |= {key: given[name] for name, key in _PATH_KEYS[kind].items() if name in given}
+    table["path"] |= {key: values[name] for name, key in _PATH_KEYS[kind].items() if name in values}
     if kind == "waypoints" and table["path"].get("start_index", 0) >= len(table["path"].get("points_m", ())):
         table["path"]["start_index"] = 0  # the waypoint at which it began is gone
-    table["formation"] |= {key: given[key] for key in ("mode", "scale", "shape", "spacing_m") if key in given}
-    table["pool"] |= {"size_m": given["pool_m"]} if "pool_m" in given else {}
-    if "islands_m" in given:
-        table["islands"] = [{"position_m": [x, y], "radius_m": radius} for x, y, radius in given["islands_m"]]
+    table["formation"] |= {key: values[key] for key in ("mode", "scale", "shape", "spacing_m") if key in values}
+    table["pool"] |= {"size_m": values["pool_m"]} if "pool_m" in values else {}
+    if "islands_m" in values:
+        table["islands"] = [{"position_m": [x, y], "radius_m": radius} for x, y, radius in values["islands_m"]]
     if edit.duration_s is not None:
         table["duration_s"] = edit.duration_s
     _choose_robots(table, edit)
@@ -56,17 +56,17 @@ def edited(experiment: Experiment, edit: Edit) -> Experiment:
 def _choose_robots(table: dict[str, Any], edit: Edit) -> None:
     """Take robots in and out, and give each its node: of the shape, or its own. A new robot has its forerunner in the list as
     neighbour, and the other way round."""
-    known = {robot["id"]: robot for robot in table["robots"]}
-    ids = edit.robots if edit.robots is not None else list(known)
+    robots_by_id = {robot["id"]: robot for robot in table["robots"]}
+    ids = edit.robots if edit.robots is not None else list(robots_by_id)
     for before, robot in zip([0, *ids], ids, strict=False):
-        if robot not in known:
-            known[robot] = {"id": robot, "neighbours": [before] if before else []}
+        if robot not in robots_by_id:
+            robots_by_id[robot] = {"id": robot, "neighbours": [before] if before else []}
             if before:
-                known[before]["neighbours"] = [*known[before].get("neighbours", ()), robot]
+                robots_by_id[before]["neighbours"] = [*robots_by_id[before].get("neighbours", ()), robot]
     foreign = [robot for robot in edit.nodes_m or {} if robot not in ids]
     if foreign:
         raise ConfigError(f"nodes_m: no robot {foreign[0]} (allowed: {', '.join(map(str, ids))})")
-    table["robots"] = [known[robot] for robot in ids]
+    table["robots"] = [robots_by_id[robot] for robot in ids]
     for robot in table["robots"]:
         robot["neighbours"] = [other for other in robot.get("neighbours", ()) if other in ids]
     table["article"] = [row for row in table.get("article", ()) if all(int(r) in ids for r in row["subject"].split("-"))]

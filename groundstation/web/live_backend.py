@@ -53,7 +53,7 @@ class LiveBackend:
         experiment: Experiment,
         trajectories: Mapping[int, Trajectory],
         bus: Bus,
-        heard: FleetInboxes,
+        inboxes: FleetInboxes,
         clock: Clock,
         station: StationApi,
         mode: str,
@@ -61,13 +61,13 @@ class LiveBackend:
     ) -> None:
         self.experiment, self.station = experiment, station
         self._trajectories, self._bus, self._clock, self._mode, self.run_dir = trajectories, bus, clock, mode, run_dir
-        self._heard = heard
+        self._inboxes = inboxes
         cameras = experiment.camera_names or ("",)
         self._previews = {name: bus.inbox(topics.PREVIEW.of_camera(name), Preview) for name in cameras}
         self._events: deque[tuple[int, Header, bytes]] = deque(maxlen=MOST_EVENTS)  # with their arrival on our clock
-        self._seen: list[Header | None] = []
+        self._headers: list[Header | None] = []
         self._drawn: Mapping[int, tuple[Trajectory, float]] | None = None
-        self._past_every_s = max(PAST_EVERY_S, PAST_S * len(heard.states) / PAST_ROBOTS)
+        self._past_every_s = max(PAST_EVERY_S, PAST_S * len(inboxes.states) / PAST_ROBOTS)
         self._meter = PaceMeter()
         self._stands = False  # in lockstep: simulated time does not go on
         self._past: deque[dict[str, Any]] = deque(maxlen=round(PAST_S / self._past_every_s))
@@ -80,8 +80,8 @@ class LiveBackend:
     def scene(self) -> dict[str, Any]:
         """Constants of the run, and the paths that are flown now."""
         run = str(self.run_dir or "")
-        found = scene(self.experiment, self._trajectories, self._mode) | {"run": run, "life": f"{self._bus.session:x}"}
-        return found if self._drawn is None else found | {"paths": flown_paths(self._drawn)}
+        constants = scene(self.experiment, self._trajectories, self._mode) | {"run": run, "life": f"{self._bus.session:x}"}
+        return constants if self._drawn is None else constants | {"paths": flown_paths(self._drawn)}
 
     def paths(self) -> list[dict[str, Any]] | None:
         """Paths flown from now on; returned once after each change."""
@@ -93,16 +93,16 @@ class LiveBackend:
 
     def changed(self) -> bool:
         """True if a robot's state has arrived since the last call."""
-        seen = [inbox.newest_header() for inbox in self._heard.states.values()]
-        changed, self._seen = seen != self._seen, seen
+        headers = [inbox.newest_header() for inbox in self._inboxes.states.values()]
+        changed, self._headers = headers != self._headers, headers
         return changed
 
     def snapshot(self) -> dict[str, Any]:
         """The fleet now. Some of it is kept as a row of the past."""
-        told = self._told()
-        if not self._past or told["time_s"] - self._past[-1]["time_s"] >= self._past_every_s:
-            self._past.append(past_row(told))
-        return told
+        view = self._told()
+        if not self._past or view["time_s"] - self._past[-1]["time_s"] >= self._past_every_s:
+            self._past.append(past_row(view))
+        return view
 
     def past(self) -> list[dict[str, Any]]:
         """The last PAST_S seconds."""
@@ -112,18 +112,19 @@ class LiveBackend:
         """The fleet's newest state, as the page gets it."""
         status, now_s = self.station.status(), self._clock.now_ns() * 1e-9
         self._stands = status.beat_age_s > STANDS_S
-        states = {r: inbox.newest() for r, inbox in self._heard.states.items()}
-        poses = {r: inbox.newest() for r, inbox in self._heard.poses.items()}
-        plans = {r: inbox.newest() for r, inbox in self._heard.plans.items()}
-        localizer = self._age(self._heard.localizer.newest())
+        states = {r: inbox.newest() for r, inbox in self._inboxes.states.items()}
+        poses = {r: inbox.newest() for r, inbox in self._inboxes.poses.items()}
+        plans = {r: inbox.newest() for r, inbox in self._inboxes.plans.items()}
+        localizer = self._age(self._inboxes.localizer.newest())
+        ready = status.state is MissionState.WAITING and not status.preflight
         return snapshot(
             FleetSnapshot(
                 time_s=now_s,
                 robots={r: RobotSnapshot(self._age(states[r]), self._age(poses[r]), self._age(plans[r])) for r in states},
                 localizer=localizer,
-                obstacles=self._age(self._heard.obstacles.newest()),
+                obstacles=self._age(self._inboxes.obstacles.newest()),
                 mission=status.state.name,
-                mission_text=READY if status.state is MissionState.WAITING and not status.preflight else status.state.value,
+                mission_text=": ".join(filter(None, (READY, status.reason))) if ready else status.state.value,
                 reason=status.reason,
                 allowed=[order_name(order) for order in Order if order is Order.END or status.state in states_allowing(order)],
                 preflight=status.preflight,
@@ -148,9 +149,9 @@ class LiveBackend:
             )
         )
 
-    def _localizer_age_s(self, found: AgedMessage) -> float:
+    def _localizer_age_s(self, status: AgedMessage) -> float:
         """Age of the localizer's status. 0 in lockstep, where a slow machine is no silence, and poses are what counts."""
-        return found.age_ms * 1e-3 if self._mode == "real-time" else 0.0
+        return status.age_ms * 1e-3 if self._mode == "real-time" else 0.0
 
     def _age(self, received: Received[Any] | None) -> AgedMessage:
         """Age of a message by the machine's own clock. In lockstep by the simulated one, for a busy machine makes nothing old;
@@ -170,20 +171,20 @@ class LiveBackend:
         header = self._previews[camera].newest_header()
         if header is None or header.stamp_ns == shown_ns:
             return None
-        found = self._previews[camera].newest()
-        return None if found is None else ShownPicture(found.header.stamp_ns, self._age(found).age_ms, found.message.jpeg)
+        newest = self._previews[camera].newest()
+        return None if newest is None else ShownPicture(newest.header.stamp_ns, self._age(newest).age_ms, newest.message.jpeg)
 
     def notes(self) -> list[dict[str, Any]]:
         """Events since the last call, in order: lines of the log."""
-        found = []
+        notes = []
         while self._events:
             at_ns, header, payload = self._events.popleft()
             try:
                 event = decode(Event, payload, f"session {header.session:x}", topics.EVENT.name)
             except DecodeError:
                 continue
-            found.append(event_note(event, at_ns))
-        return found
+            notes.append(event_note(event, at_ns))
+        return notes
 
     def remark(self, text: str) -> None:
         """Put a person's line into the run's log."""

@@ -48,14 +48,14 @@ PAST_EVERY_NS = 250_000_000  # and no row sooner after another
 FRAME_S = 0.05  # a new state this often while it plays
 
 M = TypeVar("M")
-Said = tuple[list[int], list[bytes], list[Header]]  # arrivals, ascending, payloads, headers
+Arrivals = tuple[list[int], list[bytes], list[Header]]  # arrivals, ascending, payloads, headers
 
 
 @dataclass(frozen=True)
 class LogBlock:
     """A second of the log: its messages by topic and robot, and of each session by how much our clock was ahead of its own."""
 
-    said: dict[tuple[str, int], Said] = field(default_factory=dict)
+    messages: dict[tuple[str, int], Arrivals] = field(default_factory=dict)
     ahead_ns: dict[int, int] = field(default_factory=dict)
 
 
@@ -71,22 +71,22 @@ class LogPlayer:
         self.start_ns, self.end_ns = self._log.start_ns, self._log.end_ns - self._log.start_ns
         self._blocks: OrderedDict[int, LogBlock] = OrderedDict()
         self.segments = self._segments()
-        self.trajectories = {robot: told[-1][1] for robot, told in self.segments.items()}
+        self.trajectories = {robot: changes[-1][1] for robot, changes in self.segments.items()}
         self.flown_ns = self._first_flown_ns()
         self._first_plan_ns = {robot: self._first_ns(topics.PLAN, robot) for robot in self.experiment.robot_ids}
 
     def _each(self, topic: Topic, kind: type[M], robot: int | None = None) -> Any:
         for line in self._log.messages(lambda t, r: t is topic and robot in (None, r)):
-            found = _read(kind, line.payload)
-            if found is not None:
-                yield line.robot, line.arrived_ns - self.start_ns, found
+            message = _read(kind, line.payload)
+            if message is not None:
+                yield line.robot, line.arrived_ns - self.start_ns, message
 
     def _segments(self) -> dict[int, list[tuple[int, Trajectory]]]:
         """Trajectories of each robot with the instant of each change; each holds the whole run from its beginning."""
-        found: dict[int, list[tuple[int, Trajectory]]] = {}
+        trajectories: dict[int, list[tuple[int, Trajectory]]] = {}
         for robot, at_ns, trajectory in self._each(topics.TRAJECTORY, Trajectory):
-            found.setdefault(robot, []).append((at_ns, trajectory))
-        return {robot: found[robot] for robot in self.experiment.robot_ids if robot in found}
+            trajectories.setdefault(robot, []).append((at_ns, trajectory))
+        return {robot: trajectories[robot] for robot in self.experiment.robot_ids if robot in trajectories}
 
     def _first_ns(self, topic: Topic, robot: int) -> float:
         line = next(self._log.messages(lambda t, r: t is topic and r == robot), None)
@@ -111,7 +111,7 @@ class LogPlayer:
         if index not in self._blocks:
             begin, block = self.start_ns + index * BLOCK_NS, LogBlock()
             for line in self._log.messages(lambda topic, robot: True, begin, begin + BLOCK_NS):
-                arrivals, payloads, headers = block.said.setdefault((line.topic.name, line.robot), ([], [], []))
+                arrivals, payloads, headers = block.messages.setdefault((line.topic.name, line.robot), ([], [], []))
                 arrivals.append(line.arrived_ns - self.start_ns)
                 payloads.append(line.payload)
                 headers.append(line.header)
@@ -131,20 +131,20 @@ class LogPlayer:
         that came twice, or late behind the next, is not the newest again."""
         last: tuple[Header, int, bytes] | None = None
         for index in range(at_ns // BLOCK_NS, max(at_ns // BLOCK_NS - LOOK_BACK, -1), -1):
-            arrivals, payloads, headers = self._block(index).said.get((topic.name, robot), ([], [], []))
+            arrivals, payloads, headers = self._block(index).messages.get((topic.name, robot), ([], [], []))
             for k in range(bisect_right(arrivals, at_ns) - 1, -1, -1):
                 if last is None or (headers[k].session == last[0].session and headers[k].sequence > last[0].sequence):
                     last = headers[k], arrivals[k], payloads[k]
-        found = None if last is None else _read(kind, last[2])
-        return None if last is None or found is None else (self._instant_ns(last[0], last[1], at_ns // BLOCK_NS), found)
+        message = None if last is None else _read(kind, last[2])
+        return None if last is None or message is None else (self._instant_ns(last[0], last[1], at_ns // BLOCK_NS), message)
 
     def _instant_ns(self, header: Header, arrived_ns: int, index: int) -> int:
         """The instant that a message is about, on the recorder's clock: its stamp, carried over by what came quickest of its
         session in the last blocks. In lockstep, and of a session that tells no ages, the arrival."""
         blocks = range(index, max(index - LINK_BLOCKS, -1), -1)
         ahead_ns = [self._block(k).ahead_ns.get(header.session) for k in blocks]
-        known = [ns for ns in ahead_ns if ns is not None]
-        return min(header.stamp_ns + min(known), arrived_ns) if known else arrived_ns
+        leads_ns = [ns for ns in ahead_ns if ns is not None]
+        return min(header.stamp_ns + min(leads_ns), arrived_ns) if leads_ns else arrived_ns
 
     def events(self) -> list[dict[str, Any]]:
         """Lines of the run's log, for the page."""
@@ -155,13 +155,13 @@ class LogPlayer:
         rows = min(PAST_ROWS, PAST_ROBOTS // len(self.experiment.robot_ids))
         every_ns = max(self.end_ns // rows, PAST_EVERY_NS)
         newest: dict[tuple[Topic, int], tuple[int, bytes]] = {}
-        found: list[dict[str, Any]] = []
+        past: list[dict[str, Any]] = []
         for line in self._log.messages(lambda topic, _: topic in (topics.STATE, topics.LOCALIZER)):
             arrived_ns = line.arrived_ns - self.start_ns
-            while arrived_ns > (len(found) + 1) * every_ns:
-                found.append(self._past_row((len(found) + 1) * every_ns, newest))
+            while arrived_ns > (len(past) + 1) * every_ns:
+                past.append(self._past_row((len(past) + 1) * every_ns, newest))
             newest[line.topic, line.robot] = arrived_ns, line.payload
-        return found
+        return past
 
     def _past_row(self, at_ns: int, newest: Mapping[tuple[Topic, int], tuple[int, bytes]]) -> dict[str, Any]:
         def aged(topic: Topic, robot: int = 0) -> AgedMessage:
@@ -178,12 +178,12 @@ class LogPlayer:
         link, newest = LinkMonitor(), self.newest(topics.STATE, RobotState, at_ns, robot)
         if newest is None:
             return link
-        heard: list[tuple[Header, int]] = []
+        window: list[tuple[Header, int]] = []
         for index in range(at_ns // BLOCK_NS, max(at_ns // BLOCK_NS - LINK_BLOCKS, -1), -1):
-            arrivals, _, headers = self._block(index).said.get((topics.STATE.name, robot), ([], [], []))
+            arrivals, _, headers = self._block(index).messages.get((topics.STATE.name, robot), ([], [], []))
             k = bisect_right(arrivals, at_ns)
-            heard = [*zip(headers[:k], arrivals[:k], strict=True), *heard]
-        for header, arrived in heard[-LINK_WINDOW:]:
+            window = [*zip(headers[:k], arrivals[:k], strict=True), *window]
+        for header, arrived in window[-LINK_WINDOW:]:
             arrived_ns = arrived + self.start_ns  # in lockstep the stamp itself
             held_ns = round(newest[1].step_us * 1e3) if arrived_ns != header.stamp_ns else 0
             link.add((header,), header, arrived_ns - held_ns)
@@ -261,9 +261,9 @@ class ReplayBackend:
     def scene(self) -> dict[str, Any]:
         """The recorded scene, and how long it is."""
         replay = {"begin_s": self._log.flown_ns * 1e-9, "end_s": self._log.end_ns * 1e-9}
-        found = scene(self.experiment, self._log.trajectories, "replay")
-        found |= {"paths": self._paths_of(self._flown_segments())}
-        return found | {"replay": replay, "run": str(self.run_dir), "offers": self._offers, "problem": self._problem}
+        constants = scene(self.experiment, self._log.trajectories, "replay")
+        constants |= {"paths": self._paths_of(self._flown_segments())}
+        return constants | {"replay": replay, "run": str(self.run_dir), "offers": self._offers, "problem": self._problem}
 
     def changed(self) -> bool:
         """True if there is another state to show."""
@@ -294,8 +294,8 @@ class ReplayBackend:
         return []
 
     def _aged(self, topic: Topic, kind: type[Any], at_ns: int, robot: int = 0) -> AgedMessage:
-        found = self._log.newest(topic, kind, at_ns, robot)
-        return AgedMessage() if found is None else AgedMessage(found[1], (at_ns - found[0]) * 1e-6)
+        newest = self._log.newest(topic, kind, at_ns, robot)
+        return AgedMessage() if newest is None else AgedMessage(newest[1], (at_ns - newest[0]) * 1e-6)
 
     def snapshot(self) -> dict[str, Any]:
         """The fleet at the present time of the replay."""
@@ -305,7 +305,7 @@ class ReplayBackend:
             r: RobotSnapshot(*(self._aged(topic, topic.type, now, r) for topic in (topics.STATE, topics.POSE, topics.PLAN)))
             for r in self.experiment.robot_ids
         }
-        views = {r: self._view(r, found, now) for r, found in robots.items()}
+        views = {r: self._view(r, messages, now) for r, messages in robots.items()}
         localizer = self._aged(topics.LOCALIZER, LocalizerStatus, now)
         beat = self._log.newest(topics.HEARTBEAT, StationHeartbeat, now)
         mission = beat[1].mission if beat is not None and beat[1].mission in MissionState.__members__ else ""
@@ -344,31 +344,31 @@ class ReplayBackend:
     def _flown_segments(self) -> dict[int, int]:
         """Number of the trajectory that each robot has at the present time of the replay."""
         now, segments = self._now_ns(), self._log.segments
-        return {robot: max(bisect_right([at for at, _ in told], now) - 1, 0) for robot, told in segments.items()}
+        return {robot: max(bisect_right([at for at, _ in changes], now) - 1, 0) for robot, changes in segments.items()}
 
     def _paths_of(self, flown: Mapping[int, int]) -> list[dict[str, Any]]:
-        found, segments = [], self._log.segments
+        path_list, segments = [], self._log.segments
         for robot, k in flown.items():
             trajectory = segments[robot][k][1]
             begin = _differ(segments[robot][k - 1][1], trajectory) if k > 0 else 0
             end = len(trajectory.eta) if k > 0 else flown_samples(self.experiment)
-            found += paths({robot: replace(trajectory, eta=trajectory.eta[begin:])}, max(end - begin, 1))
-        return found
+            path_list += paths({robot: replace(trajectory, eta=trajectory.eta[begin:])}, max(end - begin, 1))
+        return path_list
 
     def _ghosts(self, now_ns: int) -> list[dict[str, Any]]:
         """The other run's robots, as long after its start as this one is after its own."""
         if self._against is None:
             return []
         then_ns = max(now_ns - self._log.flown_ns + self._against.flown_ns, 0)
-        found = ((r, self._against.newest(topics.STATE, RobotState, then_ns, r)) for r in self._against.experiment.robot_ids)
-        return [{"id": r, "eta": floats(state[1].eta)} for r, state in found if state is not None]
+        states = ((r, self._against.newest(topics.STATE, RobotState, then_ns, r)) for r in self._against.experiment.robot_ids)
+        return [{"id": r, "eta": floats(state[1].eta)} for r, state in states if state is not None]
 
     def picture(self, camera: str, shown_ns: int) -> ShownPicture | None:
         """The picture of a camera at that time, if it is not the one that arrived at `shown_ns`."""
-        found = self._log.newest(topics.PREVIEW.of_camera(camera), Preview, self._now_ns())
-        if found is None or found[0] == shown_ns:
+        preview = self._log.newest(topics.PREVIEW.of_camera(camera), Preview, self._now_ns())
+        if preview is None or preview[0] == shown_ns:
             return None
-        return ShownPicture(found[0], (self._now_ns() - found[0]) * 1e-6, found[1].jpeg, found[0] * 1e-9)
+        return ShownPicture(preview[0], (self._now_ns() - preview[0]) * 1e-6, preview[1].jpeg, preview[0] * 1e-9)
 
     def past(self) -> list[dict[str, Any]]:
         """The whole run."""
@@ -376,8 +376,8 @@ class ReplayBackend:
 
     def notes(self) -> list[dict[str, Any]]:
         """All lines of the run's log, once; the page shows those before its present time."""
-        found, self._events = self._events, []
-        return found
+        notes, self._events = self._events, []
+        return notes
 
 
 def _differ(before: Trajectory, then: Trajectory) -> int:

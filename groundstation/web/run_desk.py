@@ -27,9 +27,9 @@ REPORT_POLICY = (
 class RunDesk:
     """The folder in which a run's own folder lies. For use from any thread."""
 
-    def __init__(self, shown: Path | None) -> None:
-        """`shown`: folder of the run that pages show; None: there is none, and no list."""
-        self._shown = shown.resolve() if shown is not None else None
+    def __init__(self, folder: Path | None) -> None:
+        """`folder`: that of the run that pages show; None: there is none, and no list."""
+        self._shown = folder.resolve() if folder is not None else None
         self._secret = secrets.token_bytes(32)
 
     def _key(self, run: str) -> str:
@@ -54,20 +54,20 @@ class RunDesk:
         """All runs for the page, the newest first, and what became of its last request."""
         if self._shown is None:
             return {"k": "runs", "folder": "", "runs": [], "problem": problem}
-        found = []
+        runs = []
         for run in reversed(run_folders.list_runs(self._shown.parent)):
             folder = Path(run.run)
             if folder.is_symlink():  # of another user, and elsewhere
                 continue
-            given = run_folders.label_of(folder)[1]  # the others are of remarks, and stay
+            own_tags = run_folders.label_of(folder)[1]  # the others are of remarks, and stay
             about = {
                 "run": printable(folder.name),
-                "given": given,
+                "given": own_tags,
                 "report": self._address(folder),
                 "shown": folder == self._shown,
             }
-            found.append(dataclasses.asdict(run) | about)
-        return {"k": "runs", "folder": str(self._shown.parent), "runs": found, "problem": problem}
+            runs.append(dataclasses.asdict(run) | about)
+        return {"k": "runs", "folder": str(self._shown.parent), "runs": runs, "problem": problem}
 
     def label(self, run: str, name: str, tags: list[str]) -> dict[str, Any]:
         """Give a run a name and tags, and list all again."""

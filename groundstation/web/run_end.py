@@ -47,11 +47,11 @@ def _figures(result: dict[str, Any], checks: list[Check]) -> dict[str, Any]:
     if whole and any(row["article"] for row in rows.values()):
         columns[ARTICLE] = lambda row: row["article"] and row["article"]["rms_m"]
     columns[SETTLED] = lambda row: row["rms_after_20s_m"]
-    shown = {head: values for head, values in columns.items() if any(values(row) for row in rows.values())}
+    columns_shown = {head: values for head, values in columns.items() if any(values(row) for row in rows.values())}
     return {
-        "heads": list(shown),
+        "heads": list(columns_shown),
         "rows": [
-            {"name": name, "cells": [[mm(v) for v in (values(row) or (None, None))[:2]] for values in shown.values()]}
+            {"name": name, "cells": [[mm(v) for v in (values(row) or (None, None))[:2]] for values in columns_shown.values()]}
             for name, row in rows.items()
         ],
     }

@@ -41,11 +41,11 @@ def paths(trajectories: Mapping[int, Trajectory], flown: int) -> list[dict[str, 
 
 def flown_paths(flown: Mapping[int, tuple[Trajectory, float]]) -> list[dict[str, Any]]:
     """The paths that are flown now, each up to its end in s; what comes after is horizon."""
-    found = []
+    parts = []
     for robot, (t, end_s) in flown.items():
         samples = round((end_s - t.begin_s) / t.period_s) + 1
-        found += paths({robot: t}, min(max(samples, 1), len(t.eta)))
-    return found
+        parts += paths({robot: t}, min(max(samples, 1), len(t.eta)))
+    return parts
 
 
 def flown_samples(experiment: Experiment) -> int:
@@ -101,13 +101,13 @@ def scene(experiment: Experiment, trajectories: Mapping[int, Trajectory], mode: 
 def _hints() -> dict[str, str]:
     """Meaning, range and default of the keys that panels show, by dotted key; of a path, of all its kinds together."""
     controller = ((EstimatorConfig, "estimator"), (MpcConfig, "mpc"))
-    found: dict[str, str] = {}
+    texts: dict[str, str] = {}
     for model, name in (
         (Route, "path"), (Waypoints, "path"), (Circle, "path"), (PoolConfig, "pool"), (FormationConfig, "formation"),
         (Island, "islands"), (RobotConfig, "robots"), *((model, f"controller.{name}") for model, name in controller),
     ):  # fmt: skip
-        found |= hints(model, name)
-    return found
+        texts |= hints(model, name)
+    return texts
 
 
 def _underlay(experiment: Experiment, camera: Camera) -> dict[str, Any] | None:

@@ -52,4 +52,4 @@ class SendWindow:
         """Frame `n` and those before it have arrived. A number that was never sent changes nothing."""
         if n in self._sent_s:
             self.round_trip_s = now_s - self._sent_s[n]
-        self._sent_s = {sent: at for sent, at in self._sent_s.items() if sent > n}
+        self._sent_s = {number: at for number, at in self._sent_s.items() if number > n}

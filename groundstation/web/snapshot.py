@@ -75,7 +75,7 @@ def snapshot(news: FleetSnapshot) -> dict[str, Any]:
         "mission_text": news.mission_text,
         "reason": news.reason,
         "allowed": list(news.allowed),
-        "preflight": [{"robot": found.robot, "text": found.message} for found in news.preflight],
+        "preflight": [{"robot": finding.robot, "text": finding.message} for finding in news.preflight],
         "stop": news.emergency_stop,
         "alarms": [{"level": a.level, "key": a.key, "robot": a.robot, "text": a.text} for a in news.alarms],
         "present": list(news.present),
@@ -86,21 +86,21 @@ def snapshot(news: FleetSnapshot) -> dict[str, Any]:
         "ended": news.ended,
         "pace": news.pace,
         "led": [{"robot": robot, "text": text} for robot, text in news.led.items()],
-        "robots": [_robot(robot, found) for robot, found in news.robots.items()],
+        "robots": [_robot(robot, view) for robot, view in news.robots.items()],
     }
 
 
-def past_row(told: Mapping[str, Any]) -> dict[str, Any]:
+def past_row(view: Mapping[str, Any]) -> dict[str, Any]:
     """The part of a snapshot that plots and trails are drawn from. A page gets rows of the past when it connects."""
     robots = []
-    for robot in told["robots"]:
+    for robot in view["robots"]:
         row = {"id": robot["id"], "age_ms": robot["age_ms"]}
         if "state" in robot:
             row["state"] = robot["state"]
         robots.append(row)
-    localizer = told["localizer"]
+    localizer = view["localizer"]
     return {
-        "time_s": told["time_s"],
+        "time_s": view["time_s"],
         "robots": robots,
         "localizer": None if localizer is None else {key: localizer[key] for key in ("age_ms", "to_pose_ms")},
     }
@@ -123,15 +123,15 @@ def _request(outcome: Outcome) -> dict[str, Any]:
 
 
 def _robot(robot: int, news: RobotSnapshot) -> dict[str, Any]:
-    found: dict[str, Any] = {"id": robot, "age_ms": news.state.age_ms}
+    fields: dict[str, Any] = {"id": robot, "age_ms": news.state.age_ms}
     if news.state.message is not None:
-        found["state"] = _state(news.state.message)
+        fields["state"] = _state(news.state.message)
     if news.pose.message is not None:
-        found["pose"] = _pose(news.pose.message, news.pose.age_ms)
+        fields["pose"] = _pose(news.pose.message, news.pose.age_ms)
     plan: Plan | None = news.plan.message
     if plan is not None:
-        found["plan"] = {"age_ms": news.plan.age_ms, "period_s": plan.period_s, "xyz": floats(plan.eta[:, :3])}
-    return found
+        fields["plan"] = {"age_ms": news.plan.age_ms, "period_s": plan.period_s, "xyz": floats(plan.eta[:, :3])}
+    return fields
 
 
 def _state(state: RobotState) -> dict[str, Any]:
@@ -195,12 +195,12 @@ def ellipse(covariance: Array) -> tuple[float, float, float]:
     return float(np.sqrt(max(mean + spread, 0.0))), float(np.sqrt(max(mean - spread, 0.0))), angle
 
 
-def _localizer(found: AgedMessage) -> dict[str, Any] | None:
-    status: LocalizerStatus | None = found.message
+def _localizer(news: AgedMessage) -> dict[str, Any] | None:
+    status: LocalizerStatus | None = news.message
     if status is None:
         return None
     return {
-        "age_ms": found.age_ms,
+        "age_ms": news.age_ms,
         "camera": status.camera.name,
         "frames": status.frames,
         "dropped": status.dropped,
@@ -211,25 +211,26 @@ def _localizer(found: AgedMessage) -> dict[str, Any] | None:
     }
 
 
-def _obstacles(found: AgedMessage) -> dict[str, Any] | None:
-    seen: Obstacles | None = found.message
-    if seen is None:
+def _obstacles(news: AgedMessage) -> dict[str, Any] | None:
+    obstacles: Obstacles | None = news.message
+    if obstacles is None:
         return None
-    return {"age_ms": found.age_ms, "ids": list(seen.ids), "outline": floats(seen.outline), "velocity": floats(seen.velocity)}
+    outline, velocity = floats(obstacles.outline), floats(obstacles.velocity)
+    return {"age_ms": news.age_ms, "ids": list(obstacles.ids), "outline": outline, "velocity": velocity}
 
 
-def _tuning(found: GainStatus | None, laps: Sequence[Lap]) -> dict[str, Any] | None:
+def _tuning(tuning: GainStatus | None, laps: Sequence[Lap]) -> dict[str, Any] | None:
     """The values are in the order of the scene's knobs, as they are: what is sent back must be what was."""
-    if found is None:
+    if tuning is None:
         return None
     return {
-        "id": found.flown.id,
-        "values": found.flown.values.tolist(),
-        "wanted": found.wanted,
-        "stage": found.stage.value,
-        "waiting": found.stage is GainStage.WAITING,
-        "reason": found.reason,
-        "undo": found.undo,
-        "known": list(found.known),
+        "id": tuning.flown.id,
+        "values": tuning.flown.values.tolist(),
+        "wanted": tuning.wanted,
+        "stage": tuning.stage.value,
+        "waiting": tuning.stage is GainStage.WAITING,
+        "reason": tuning.reason,
+        "undo": tuning.undo,
+        "known": list(tuning.history),
         "laps": [{"n": lap.number, "id": lap.tuning_id, "s": lap.time_s, "rms": lap.rms_m, "max": lap.max_m} for lap in laps],
     }

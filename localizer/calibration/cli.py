@@ -127,8 +127,8 @@ def print_markers(
 
 def _numbers(text: str) -> list[int]:
     """The numbers of a list such as `0,3,7-9`, each once. Raises ConfigError."""
-    found = re.fullmatch(r"\s*\d{1,4}(\s*-\s*\d{1,4})?(\s*,\s*\d{1,4}(\s*-\s*\d{1,4})?)*\s*", text)
-    ends = [[int(end) for end in part.split("-")] for part in text.split(",")] if found else []
+    match = re.fullmatch(r"\s*\d{1,4}(\s*-\s*\d{1,4})?(\s*,\s*\d{1,4}(\s*-\s*\d{1,4})?)*\s*", text)
+    ends = [[int(end) for end in part.split("-")] for part in text.split(",")] if match else []
     numbers = [number for first, *last in ends for number in range(first, (last or [first])[0] + 1)]
     if not numbers or any(last < [first] for first, *last in ends if last):
         raise ConfigError(f"--ids {text}: must be a list of ids and ranges, for example 1-6 or 0,3,7-9")

@@ -142,8 +142,8 @@ def _suspect(camera: Camera, residuals: Array, places: Array, pixels: Array) -> 
     without = []
     for i in range(len(places)):
         rest = np.delete(places, i, axis=0), np.delete(pixels, i, axis=0)
-        found = least_squares(_errors, _parameters(camera), args=(camera, *rest), x_scale="jac", max_nfev=_SUSPECT_STEPS)
-        without.append(_rms(found.fun.reshape(-1, 2)))
+        solution = least_squares(_errors, _parameters(camera), args=(camera, *rest), x_scale="jac", max_nfev=_SUSPECT_STEPS)
+        without.append(_rms(solution.fun.reshape(-1, 2)))
     best = int(np.argmin(without))
     return best if without[best] * _SUSPECT_RATIO < _rms(residuals) else None
 

@@ -129,14 +129,14 @@ def _solve(views: Sequence[TargetView], size_px: tuple[int, int], flags: int) ->
         )
     except cv2.error as error:
         raise ConfigError(f"no lens explains the {len(views)} views of the board: {error.err}") from None
-    found = np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *distortion.ravel()[:5]])
-    if not np.all(np.isfinite(found)) or min(found[:2]) <= 0:
+    values = np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *distortion.ravel()[:5]])
+    if not np.all(np.isfinite(values)) or min(values[:2]) <= 0:
         raise ConfigError(f"no lens explains the {len(views)} views of the board: tilt it by 20 to 40 degrees, each way")
     distortion = np.asarray(distortion).ravel()[:5]
     poses = zip(views, turns, moves, strict=True)
     predicted = [cv2.projectPoints(view.board_m, turn, move, matrix, distortion) for view, turn, move in poses]
     residuals = tuple(view.pixels - places.reshape(-1, 2) for view, (places, _) in zip(views, predicted, strict=True))
-    fx, fy, cx, cy, *ks = (float(value) for value in found)
+    fx, fy, cx, cy, *ks = (float(value) for value in values)
     lens = Intrinsics(size_px=size_px, focal_px=(fx, fy), centre_px=(cx, cy), distortion=(ks[0], ks[1], ks[2], ks[3], ks[4]))
     deviations = _deviations([np.asarray(jacobian) for _, jacobian in predicted], residuals, flags == cv2.CALIB_FIX_K3)
     tilts = [float(np.arccos(abs(np.asarray(cv2.Rodrigues(turn)[0])[2, 2]))) for turn in turns]
@@ -150,15 +150,17 @@ def _deviations(jacobians: Sequence[Array], residuals: Sequence[Array], without_
     Infinite where the views do not determine them: OpenCV's own deviations come from a pseudo-inverse, which leaves such a
     direction out, as if it were known.
     """
-    known = _POSE + np.arange(_INTRINSICS - without_k3)
-    information = np.zeros((len(known), len(known)))
+    lens_columns = _POSE + np.arange(_INTRINSICS - without_k3)
+    information = np.zeros((len(lens_columns), len(lens_columns)))
     for jacobian in jacobians:
-        by_lens, by_pose = jacobian[:, known], jacobian[:, :_POSE]
+        by_lens, by_pose = jacobian[:, lens_columns], jacobian[:, :_POSE]
         # What is left of the lens's information when the view's pose is unknown too (a Schur complement).
         mixed = by_lens.T @ by_pose
         information += by_lens.T @ by_lens - mixed @ np.linalg.pinv(by_pose.T @ by_pose) @ mixed.T
     count = sum(residual.size for residual in residuals)
-    variance = sum(float(np.sum(residual**2)) for residual in residuals) / max(count - _POSE * len(jacobians) - len(known), 1)
+    variance = sum(float(np.sum(residual**2)) for residual in residuals) / max(
+        count - _POSE * len(jacobians) - len(lens_columns), 1
+    )
     scale = np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
     eigenvalues, vectors = np.linalg.eigh(information / np.outer(scale, scale))
     inverses = np.where(eigenvalues > _SINGULAR * eigenvalues[-1], 1.0 / np.maximum(eigenvalues, 1e-300), np.inf)
@@ -176,46 +178,48 @@ def _held_out_rms_px(fit: IntrinsicsFit) -> float | None:
     for fold in range(_FOLDS):
         lens = _solve([view for i, view in enumerate(views) if i % _FOLDS != fold], fit.lens.size_px, flags).lens
         for view in views[fold::_FOLDS]:
-            seen, distortion = view.pixels[:, None], np.array(lens.distortion)
-            _, turn, move = cv2.solvePnP(view.board_m, seen, lens.matrix, distortion)
+            corners, distortion = view.pixels[:, None], np.array(lens.distortion)
+            _, turn, move = cv2.solvePnP(view.board_m, corners, lens.matrix, distortion)
             predicted, _ = cv2.projectPoints(view.board_m, turn, move, lens.matrix, distortion)
-            errors.append(np.sum((predicted - seen) ** 2, axis=(1, 2)))
+            errors.append(np.sum((predicted - corners) ** 2, axis=(1, 2)))
     return float(np.sqrt(np.mean(np.concatenate(errors))))
 
 
 def intrinsics_faults(fit: IntrinsicsFit) -> list[str]:
     """Reasons not to use a lens, with advice: places by it will be wrong."""
-    said = []
+    faults = []
     tilted = int(np.sum(fit.tilts_rad > _TILTED_RAD))
     if tilted < min(_FEWEST_TILTED, len(fit.views)):
-        said.append(f"only {tilted} views of a tilted board: a board that faces the camera does not tell the focal length")
+        faults.append(f"only {tilted} views of a tilted board: a board that faces the camera does not tell the focal length")
     if max(fit.deviations[:2] / fit.lens.focal_px) > _UNKNOWN_FOCAL or max(fit.deviations[2:4]) > _UNKNOWN_CENTRE_PX:
-        said.append("focal length or centre is not known: tilt the board by 20 to 40 degrees each way, and come near")
+        faults.append("focal length or centre is not known: tilt the board by 20 to 40 degrees each way, and come near")
     if fit.rms_px > _POOR_RMS_PX * max(1.0, max(fit.lens.size_px) / 1280.0):
-        said.append(f"an RMS of {fit.rms_px:.2f} px is poor: is the board flat, the --board right, the picture sharp?")
+        faults.append(f"an RMS of {fit.rms_px:.2f} px is poor: is the board flat, the --board right, the picture sharp?")
     if (fold := fold_px(fit.lens)) > LARGEST_FOLD_PX:
-        said.append(
+        faults.append(
             f"the distortion folds over before the picture's edge ({fold:.1f} px off): places there will be wrong; the lens "
             "is a fish-eye, or the board was not shown near the edges"
         )
-    return said
+    return faults
 
 
 def intrinsics_warnings(fit: IntrinsicsFit) -> list[str]:
     """Warnings about a fit, with advice; its faults last."""
-    said = []
+    warnings = []
     if len(fit.views) < ADVISED_VIEWS:
-        said.append(f"only {len(fit.views)} views: take {ADVISED_VIEWS} or more")
+        warnings.append(f"only {len(fit.views)} views: take {ADVISED_VIEWS} or more")
     covered = float(np.mean(fit.coverage > 0))
     if covered < _COVERED:
-        said.append(f"corners cover {covered:.0%} of the picture (wanted: {_COVERED:.0%}): show it where the map is empty")
+        warnings.append(f"corners cover {covered:.0%} of the picture (wanted: {_COVERED:.0%}): show it where the map is empty")
     if (reach := _least_reach(fit)) < _REACHED:
-        said.append(f"towards a corner of the picture the board goes only {reach:.0%} of the way: beyond, the lens is a guess")
+        warnings.append(
+            f"towards a corner of the picture the board goes only {reach:.0%} of the way: beyond, the lens is a guess"
+        )
     faults = intrinsics_faults(fit)
     loose = max(fit.deviations[:2] / fit.lens.focal_px) > _LOOSE_FOCAL or max(fit.deviations[2:4]) > _LOOSE_CENTRE_PX
     if loose and not any("is not known" in fault for fault in faults):
-        said.append("focal length or centre is loose: tilt the board by 20 to 40 degrees each way, and come near")
-    return [*said, *faults]
+        warnings.append("focal length or centre is loose: tilt the board by 20 to 40 degrees each way, and come near")
+    return [*warnings, *faults]
 
 
 def _least_reach(fit: IntrinsicsFit) -> float:

@@ -36,10 +36,10 @@ class MarkerSheet:
 def marker_sheets(ids: Sequence[int], size_mm: float, family: MarkerFamily, paper: str = "A4") -> list[MarkerSheet]:
     """Sheets of a paper with markers whose black square is `size_mm` wide, with a white cell around. Raises ConfigError."""
     dictionary = marker_dictionary(family)
-    known, cells = len(dictionary.bytesList), dictionary.markerSize + 2
+    marker_count, cells = len(dictionary.bytesList), dictionary.markerSize + 2
     for number in ids:
-        if not 0 <= number < known:
-            raise ConfigError(f"--ids {number}: {family} has no such marker (allowed: 0 to {known - 1})")
+        if not 0 <= number < marker_count:
+            raise ConfigError(f"--ids {number}: {family} has no such marker (allowed: 0 to {marker_count - 1})")
     if paper not in PAPERS_MM:
         raise ConfigError(f"--paper {paper}: not known (allowed: {', '.join(PAPERS_MM)})")
     sheet_mm = PAPERS_MM[paper]

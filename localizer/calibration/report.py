@@ -114,8 +114,8 @@ def pose_picture(backdrop: Pixels, fit: PoseFit, points: Sequence[SurveyPoint], 
     """The pool's grid half-way down and the points, seen and predicted, over a picture (height, width, 3) BGR."""
     picture = backdrop.copy()
     draw_grid(picture, fit.camera, pool, pool.size_m[2] / 2)
-    seen = fit.seen_px
-    for i, (point, pixel, error) in enumerate(zip(points, seen, fit.residuals_px, strict=True)):
+    seen_px = fit.seen_px
+    for i, (point, pixel, error) in enumerate(zip(points, seen_px, fit.residuals_px, strict=True)):
         cross(picture, pixel, _BAD if i == fit.suspect else _SEEN)
         dot(picture, pixel - error, _PREDICTED, 4)
         polyline(picture, np.array([pixel, pixel + MAGNIFIED * error]), _ARROW, 2)
@@ -126,23 +126,23 @@ def pose_picture(backdrop: Pixels, fit: PoseFit, points: Sequence[SurveyPoint], 
 
 
 def _pose_warnings(fit: PoseFit, points: Sequence[SurveyPoint]) -> list[str]:
-    said = []
+    warnings = []
     if len(points) < _FEW_POINTS:
-        told = (
+        remark = (
             "a wrong one cannot be told from the rest" if len(points) == FEWEST_POINTS else "one more or two would tell more"
         )
-        said.append(f"only {len(points)} points: {told}; take 8, half of them on the floor")
+        warnings.append(f"only {len(points)} points: {remark}; take 8, half of them on the floor")
     if fit.suspect is not None:
-        said.append(
+        warnings.append(
             f"point {points[fit.suspect].name!r} does not fit: without it the others agree; look at its pool_m and pixel"
         )
     elif fit.rms_px > _POOR_POINT_PX:
-        said.append(f"an RMS of {fit.rms_px:.1f} px is poor: measure the points again, and see whether the floor is flat")
+        warnings.append(f"an RMS of {fit.rms_px:.1f} px is poor: measure the points again, and see whether the floor is flat")
     if all(point.pool_m[2] <= 0 for point in points):
-        said.append(
+        warnings.append(
             "no point lies under water: nothing tests the refraction; `localizer check` over a picture shows the floor"
         )
-    return said
+    return warnings
 
 
 def _warnings(texts: Sequence[str]) -> list[str]:

@@ -85,11 +85,11 @@ def seen_pixels(points: Sequence[SurveyPoint], picture: Pixels | None, family: M
         what = f"points: {point.name!r}: marker_id = {point.marker_id}"
         if picture is None:
             raise ConfigError(f"{what}: there is no picture to find it in (name one: image = ..., or --pool-points-image)")
-        found = markers.get(point.marker_id or 0, [])
-        if len(found) != 1:
-            seen = ", ".join(map(str, sorted(markers))) or "none"
-            raise ConfigError(f"{what}: {len(found)} markers of that id are in the picture (found in it: {seen})")
-        pixels.append(found[0])
+        centres = markers.get(point.marker_id or 0, [])
+        if len(centres) != 1:
+            ids = ", ".join(map(str, sorted(markers))) or "none"
+            raise ConfigError(f"{what}: {len(centres)} markers of that id are in the picture (found in it: {ids})")
+        pixels.append(centres[0])
     return np.array(pixels)
 
 

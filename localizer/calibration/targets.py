@@ -52,8 +52,8 @@ class Chessboard:
         self._corners_m: Array = np.asarray(square_m * places, dtype=np.float64)
 
     def find(self, grey: Pixels, name: str) -> TargetView | None:
-        found, corners = cv2.findChessboardCornersSB(grey, self._count, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
-        if not found:
+        success, corners = cv2.findChessboardCornersSB(grey, self._count, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
+        if not success:
             return None
         # The sector method finds boards that the older one misses. Refinement improves its corners from 0.09 px to 0.03 px (16
         # rendered boards with noise 2 of 255), and to 0.05 px when blurred by 2 px.
@@ -120,9 +120,9 @@ def _side_m(board: str, text: str) -> float:
 
 
 def _dictionary(board: str, name: str, squares: tuple[int, int]) -> int:
-    known: Sequence[str] = [n for n in dir(cv2.aruco) if n.startswith("DICT_")]
-    if name not in known:
-        raise ConfigError(f"--board {board}: {name!r} is no dictionary (allowed: {', '.join(known)})")
+    names: Sequence[str] = [n for n in dir(cv2.aruco) if n.startswith("DICT_")]
+    if name not in names:
+        raise ConfigError(f"--board {board}: {name!r} is no dictionary (allowed: {', '.join(names)})")
     number = int(getattr(cv2.aruco, name))
     has, needs = len(cv2.aruco.getPredefinedDictionary(number).bytesList), squares[0] * squares[1] // 2
     if has < needs:

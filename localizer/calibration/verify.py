@@ -44,13 +44,13 @@ class LivePictures:
     def __init__(self, bus: Bus, camera: str = "") -> None:
         """Make it for the only camera, or for one of several."""
         self._bus, self._frames = bus, bus.inbox(topics.FRAME.of_camera(camera), Frame)
-        self._seen: Header | None = None
+        self._last_header: Header | None = None
 
     def next(self, stop: Stop) -> Pixels | None:
         """The next new picture; None when told to stop. Raises ConfigError when none comes."""
         frames = self._frames
-        new = wait(self._bus, stop, lambda: frames.newest_header() is not self._seen, LIVE_PATIENCE_S)
-        self._seen = frames.newest_header()
+        new = wait(self._bus, stop, lambda: frames.newest_header() is not self._last_header, LIVE_PATIENCE_S)
+        self._last_header = frames.newest_header()
         received = frames.newest() if new else None
         if received is not None:
             return np.asarray(cv2.cvtColor(received.message.pixels, BAYER_TO_BGR), dtype=np.uint8)
@@ -74,5 +74,5 @@ def show_live(experiment: Experiment, pictures: LivePictures, page: "MjpegServer
 def _check_size(experiment: Experiment, picture: Pixels, what: str) -> None:
     width, height = experiment.camera.size_px
     if picture.shape[:2] != (height, width):
-        found = f"{picture.shape[1]}x{picture.shape[0]}"
-        raise ConfigError(f"{what}: {found}, but camera.size_px of experiment {experiment.name!r} is {width}x{height}")
+        size = f"{picture.shape[1]}x{picture.shape[0]}"
+        raise ConfigError(f"{what}: {size}, but camera.size_px of experiment {experiment.name!r} is {width}x{height}")

@@ -127,10 +127,10 @@ def _earlier(out: Path) -> dict[str, Any]:
     """The table [camera] of the file that is there, {} if there is none. Raises ConfigError if it is no camera file."""
     if not out.exists():
         return {}
-    found = read_toml(out)
-    if set(found) != {"camera"} or not isinstance(found["camera"], dict):
+    content = read_toml(out)
+    if set(content) != {"camera"} or not isinstance(content["camera"], dict):
         raise ConfigError(f"--out {out}: is there already, and holds something else than a camera (write to another file)")
-    return found["camera"]
+    return content["camera"]
 
 
 def _check_same_size(out: Path, earlier: dict[str, Any], size_px: tuple[int, int]) -> None:
@@ -222,9 +222,9 @@ def _read_lens(request: CalibrationRequest, earlier: dict[str, Any]) -> Camera:
 
 def _without_pose(table: dict[str, Any], source: str, request: CalibrationRequest) -> Camera:
     """A camera with the intrinsics of `table`, an arbitrary pose, and the requested values."""
-    asked = {key: getattr(request, key) for key in ("rate_hz", "exposure_s", "water_index")}
-    asked = {key: value for key, value in asked.items() if value is not None}
-    return check(CameraFile, {"camera": _DEFAULTS | table | asked | _ANY_POSE}, source).camera
+    overrides = {key: getattr(request, key) for key in ("rate_hz", "exposure_s", "water_index")}
+    overrides = {key: value for key, value in overrides.items() if value is not None}
+    return check(CameraFile, {"camera": _DEFAULTS | table | overrides | _ANY_POSE}, source).camera
 
 
 def significant(table: dict[str, Any]) -> dict[str, Any]:

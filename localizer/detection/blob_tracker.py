@@ -95,8 +95,8 @@ class BlobTracker:
         gate_m = np.array([_REACH_M + _REACH_MPS * blob.unseen_s(stamp_ns) for blob in self.blobs])
         allowed = distance_m < gate_m[:, None]
         rows, columns = linear_sum_assignment(np.where(allowed, distance_m, _FORBIDDEN_M))
-        taken = {int(row): int(column) for row, column in zip(rows, columns, strict=True) if allowed[row, column]}
-        return [taken.get(row) for row in range(len(self.blobs))]
+        assignment = {int(row): int(column) for row, column in zip(rows, columns, strict=True) if allowed[row, column]}
+        return [assignment.get(row) for row in range(len(self.blobs))]
 
     def clear(self) -> None:
         """Drop all blobs."""

@@ -67,9 +67,9 @@ class CorrelationFilter:
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """`detect`, and then `learn` the same patches: their spectra are made once."""
         spectrum, energy = self._features(patches)
-        found = self._respond(robots, spectrum, energy)
+        matches = self._respond(robots, spectrum, energy)
         self._learn(robots, spectrum, energy, rates)
-        return found
+        return matches
 
     def _respond(
         self, robots: NDArray[np.intp], spectrum: Complex, energy: Real

@@ -75,8 +75,8 @@ def marker_detector(
 
 def find_markers(detector: cv2.aruco.ArucoDetector, region: ImageRegion) -> list[MarkerImage]:
     """Markers in a region, corners in pixels of the whole picture; sorted by id and place."""
-    found = _find_in_grey(detector, region.grey(), np.array([region.left_px, region.top_px], dtype=np.float64))
-    return sorted(found, key=lambda marker: (marker.id, *marker.corners_px[0].tolist()))
+    markers = _find_in_grey(detector, region.grey(), np.array([region.left_px, region.top_px], dtype=np.float64))
+    return sorted(markers, key=lambda marker: (marker.id, *marker.corners_px[0].tolist()))
 
 
 def _find_in_grey(detector: cv2.aruco.ArucoDetector, grey: Pixels, corner_px: Array) -> list[MarkerImage]:
@@ -92,12 +92,12 @@ def _find_in_grey(detector: cv2.aruco.ArucoDetector, grey: Pixels, corner_px: Ar
 def marker_centres(grey: Pixels, family: MarkerFamily = "4x4_50") -> dict[int, list[Array]]:
     """Centres (2,) px of the markers of any size in a grey picture (height, width), by id: the crossing of the diagonals,
     which tilt does not move."""
-    found: dict[int, list[Array]] = {}
+    centres: dict[int, list[Array]] = {}
     for marker in _find_in_grey(marker_detector(family, _ALL_WINDOWS_PX), grey, np.zeros(2)):
         a, b, c, d = marker.corners_px
         along, _ = np.linalg.solve(np.column_stack([c - a, b - d]), b - a)
-        found.setdefault(marker.id, []).append(a + along * (c - a))
-    return found
+        centres.setdefault(marker.id, []).append(a + along * (c - a))
+    return centres
 
 
 def square(side_m: float) -> Array:

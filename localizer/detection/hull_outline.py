@@ -47,7 +47,7 @@ def find_hull(
 ) -> HullCentre | None:
     """The centre of a hull of `radius_m` expected at (3,), as far off as `reach_px` in the whole picture's pixels."""
     centre, radius = np.array(expected_m), radius_m
-    found = np.empty(5)
+    circle = np.empty(5)
     for window_px in (None, *_WINDOWS_PX):
         across = _across(view, centre)
         rims = [_silhouette(view, centre, across, metres) for metres in (radius, _GROWN * radius)]
@@ -66,16 +66,16 @@ def find_hull(
             return None
         np.minimum(edges, _CAP * typical, out=edges)
         if window_px is None:
-            strongest_circle(edges, _AROUND, reach_px, found)
+            strongest_circle(edges, _AROUND, reach_px, circle)
         else:
-            fit_circle(edges, _AROUND, window_px, _FLOOR * typical, found)
-        centre[:2] += np.linalg.solve(across[:, :2], found[:2] / px_per_m)
-        radius += found[2] / px_per_m
+            fit_circle(edges, _AROUND, window_px, _FLOOR * typical, circle)
+        centre[:2] += np.linalg.solve(across[:, :2], circle[:2] / px_per_m)
+        radius += circle[2] / px_per_m
         if abs(radius / radius_m - 1.0) > 3.0 * _MOST_OTHER:
             return None
-    if found[3] < _LEAST_SHARE or abs(radius / radius_m - 1.0) > _MOST_OTHER:
+    if circle[3] < _LEAST_SHARE or abs(radius / radius_m - 1.0) > _MOST_OTHER:
         return None
-    return HullCentre(centre[:2], float(found[4]) * float(np.sqrt(2.0 / (_RAYS * found[3]))))
+    return HullCentre(centre[:2], float(circle[4]) * float(np.sqrt(2.0 / (_RAYS * circle[3]))))
 
 
 def _across(view: RefractiveCamera, centre: Array) -> Array:
@@ -134,7 +134,7 @@ def outline_edges(picture: NDArray[np.uint8], points: Array, normals: Array, edg
 
 
 @kernel("void(f8[:,::1], f8[:,::1], i8, f8[::1])")
-def strongest_circle(edges: Array, around: Array, reach: int, found: Array) -> None:
+def strongest_circle(edges: Array, around: Array, reach: int, circle: Array) -> None:
     """Shift and growth (dx, dy, dr) of the circle with the strongest edges, in steps of them: an edge of ray i lies at
     dx around[i, 0] + dy around[i, 1] + dr from the middle of its row. Into found[:3]."""
     middle = edges.shape[1] // 2
@@ -149,13 +149,13 @@ def strongest_circle(edges: Array, around: Array, reach: int, found: Array) -> N
                     total += edges[i, int(np.rint(a * around[i, 0] + b * around[i, 1])) + c + middle]
                 if total > best:
                     best = total
-                    found[0], found[1], found[2] = a, b, c
+                    circle[0], circle[1], circle[2] = a, b, c
 
 
 @kernel("void(f8[:,::1], f8[:,::1], f8, f8, f8[::1])")
-def fit_circle(edges: Array, around: Array, window: float, least: float, found: Array) -> None:
+def fit_circle(edges: Array, around: Array, window: float, least: float, circle: Array) -> None:
     """The same circle by robust least squares (Cauchy) through each row's strongest edge within `window` of its middle, to a
-    fraction of a step, if it is `least` at least. `found` (5,): dx, dy, dr, the share of rays whose edge lies on the circle,
+    fraction of a step, if it is `least` at least. `circle` (5,): dx, dy, dr, the share of rays whose edge lies on the circle,
     and the RMS distance of these edges from it."""
     rays, middle = edges.shape[0], edges.shape[1] // 2
     at = np.zeros(rays)
@@ -170,11 +170,11 @@ def fit_circle(edges: Array, around: Array, window: float, least: float, found: 
         part = 0.5 * (before - after) / bend if bend < 0.0 else 0.0
         at[i] = top - middle + min(max(part, -1.0), 1.0)
         counts[i] = 1.0 if here >= least else 0.0
-    found[:] = 0.0
+    circle[:] = 0.0
     for _ in range(_ROUNDS):
         normal = np.zeros((3, 4))
         for i in range(rays):
-            off = at[i] - found[0] * around[i, 0] - found[1] * around[i, 1] - found[2]
+            off = at[i] - circle[0] * around[i, 0] - circle[1] * around[i, 1] - circle[2]
             weight = counts[i] / (1.0 + (off / _INSIDE_PX) ** 2)
             row = (around[i, 0], around[i, 1], 1.0, off)
             for j in range(3):
@@ -189,13 +189,13 @@ def fit_circle(edges: Array, around: Array, window: float, least: float, found: 
                     for c in range(4):
                         normal[r, c] -= share * normal[j, c]
         for j in range(3):
-            found[j] += normal[j, 3] / normal[j, j]
+            circle[j] += normal[j, 3] / normal[j, j]
     on = 0
     squares = 0.0
     for i in range(rays):
-        off = at[i] - found[0] * around[i, 0] - found[1] * around[i, 1] - found[2]
+        off = at[i] - circle[0] * around[i, 0] - circle[1] * around[i, 1] - circle[2]
         if counts[i] > 0.0 and abs(off) <= _INSIDE_PX:
             on += 1
             squares += off * off
-    found[3] = on / rays
-    found[4] = np.sqrt(squares / on) if on > 0 else np.inf
+    circle[3] = on / rays
+    circle[4] = np.sqrt(squares / on) if on > 0 else np.inf

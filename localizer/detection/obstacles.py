@@ -138,8 +138,8 @@ class ObstacleDetector:
         if not clear.max() > _FOREGROUND:  # bare water
             return np.zeros(clear.shape, np.uint8)
         peak = cv2.dilate(clear, _EDGE_REACH)
-        found = ((clear > _FOREGROUND) & (clear >= np.float32(_EDGE) * peak)).astype(np.uint8)
-        return np.asarray(cv2.morphologyEx(found, cv2.MORPH_CLOSE, _GAP), dtype=np.uint8)
+        foreground = ((clear > _FOREGROUND) & (clear >= np.float32(_EDGE) * peak)).astype(np.uint8)
+        return np.asarray(cv2.morphologyEx(foreground, cv2.MORPH_CLOSE, _GAP), dtype=np.uint8)
 
     def _regions(self, foreground: NDArray[np.uint8]) -> list[Blob]:
         """Connected cells that cover enough of the pool, the largest first."""
@@ -162,9 +162,9 @@ class ObstacleDetector:
 
         Around a robot that was there from the start only its shadow can be learnt; it is forgotten when the robot leaves.
         """
-        known = self._background.is_known
-        stale = (self._shaded_from_start & ~shaded) | (hidden & ~known)
-        self._shaded_from_start = shaded & (self._shaded_from_start | ~known)
+        known_water = self._background.is_known
+        stale = (self._shaded_from_start & ~shaded) | (hidden & ~known_water)
+        self._shaded_from_start = shaded & (self._shaded_from_start | ~known_water)
         clear = ~hidden & (~shaded | self._shaded_from_start)
         if self._tracker.blobs:
             followed = np.zeros(clear.shape, np.uint8)
@@ -193,16 +193,16 @@ class ObstacleDetector:
     def _message(self, watched: float, stamp_ns: int) -> Obstacles:
         """The blobs that have persisted and those that are remembered. Outlines are moved on by the lag of the temporal
         average."""
-        seen = self._reported
-        shown = [*seen, *self._remembered]
+        visible_blobs = self._reported
+        blobs = [*visible_blobs, *self._remembered]
         return Obstacles(
-            ids=tuple(blob.id for blob in shown),
-            outline=np.array([blob.region.outline_m + LAG_S * blob.velocity_mps for blob in shown]).reshape(-1, CORNERS, 2),
-            velocity=np.array([blob.velocity_mps for blob in shown]).reshape(-1, 2),
+            ids=tuple(blob.id for blob in blobs),
+            outline=np.array([blob.region.outline_m + LAG_S * blob.velocity_mps for blob in blobs]).reshape(-1, CORNERS, 2),
+            velocity=np.array([blob.velocity_mps for blob in blobs]).reshape(-1, 2),
             depth_m=self._depth_m,
             watched=watched,
             blind="" if watched >= _JUDGED else self._blind_reason,
-            unseen_s=np.array([0.0] * len(seen) + [blob.unseen_s(stamp_ns) for blob in self._remembered]),
+            unseen_s=np.array([0.0] * len(visible_blobs) + [blob.unseen_s(stamp_ns) for blob in self._remembered]),
         )
 
     # --- at the start

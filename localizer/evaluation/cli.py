@@ -186,8 +186,8 @@ def track(
         frames = recorded_frames(recording) if video is None else frames_of_video(video, recording, loaded, reports)
         count = frame_estimate(recording, loaded.camera.size_px) if video is None else len(video.stamps_ns)
         with typer.progressbar(length=count, label=recording.name, file=sys.stderr) as bar:
-            for done in table.write(frames, loaded):
-                bar.update(done - bar.pos)
+            for finished in table.write(frames, loaded):
+                bar.update(finished - bar.pos)
         damage = "" if video is None else video.damage()
     typer.echo(f"Wrote {out}: {table.rows} poses from {table.frames} pictures.")
     for trouble in filter(None, (table.failures, damage)):

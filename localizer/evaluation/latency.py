@@ -114,7 +114,7 @@ class _TimedSource:
             if self._clock.now_ns() >= end_ns:
                 return
 
-    def told(self, stamp_ns: int, trouble: str) -> None:
+    def note(self, stamp_ns: int, trouble: str) -> None:
         self.done.setdefault(stamp_ns, (self._clock.now_ns(), trouble))
 
     def close(self) -> None:
@@ -130,16 +130,17 @@ def measure(
     none.
     """
     watched = _TimedSource(source, clock, seconds)
-    localize(watched, watched.told)
+    localize(watched, watched.note)
     before, counted = watched.pictures[:WARM_UP], watched.pictures[WARM_UP:]
-    done = [(captured, *watched.done[captured.stamp_ns]) for captured in counted if captured.stamp_ns in watched.done]
+    completions = [(captured, *watched.done[captured.stamp_ns]) for captured in counted if captured.stamp_ns in watched.done]
     timings = [
-        Timing(captured.instant_ns, captured.arrived_ns, ready_ns, captured.stamped, why) for captured, ready_ns, why in done
+        Timing(captured.instant_ns, captured.arrived_ns, ready_ns, captured.stamped, why)
+        for captured, ready_ns, why in completions
     ]
     return timings, counted[-1].dropped - before[-1].dropped if counted else 0
 
 
-def localize_in_process(experiment: Experiment, clock: Clock, stop: Stop, source: FrameSource, told: OnLocalized) -> None:
+def localize_in_process(experiment: Experiment, clock: Clock, stop: Stop, source: FrameSource, report: OnLocalized) -> None:
     """Run the localizer on a source, with a bus of its own."""
     hub = MemoryHub()
     observer, own = Bus(MemoryTransport(hub)), Bus(MemoryTransport(hub))
@@ -150,11 +151,11 @@ def localize_in_process(experiment: Experiment, clock: Clock, stop: Stop, source
         try:
             status = decode(LocalizerStatus, payload, "localizer", key)
         except DecodeError as error:  # times that cannot be
-            told(header.stamp_ns, str(error))
+            report(header.stamp_ns, str(error))
             return
         localized = status.camera is CameraHealth.OK and status.failed == failed
         failed = status.failed
-        told(header.stamp_ns, "" if localized else status.message)
+        report(header.stamp_ns, "" if localized else status.message)
 
     observer.subscribe(topics.LOCALIZER, None, hear)
     LocalizerNode(experiment, own, stop, clock, source).run()
@@ -174,7 +175,7 @@ def assess(timings: Sequence[Timing], dropped: int, rate_hz: float) -> Latency |
     age, period = _quantiles(ready - instants), 1e3 / rate_hz
     jitter = float(np.quantile(np.abs(intervals - np.median(intervals)), 0.99))
     loss = dropped / (len(timings) + dropped)
-    found = (
+    checks = (
         (bool(without), f"no poses of {len(without)} pictures ({without[-1]})" if without else ""),
         (unstamped > 0, f"{unstamped} pictures without a usable stamp of the camera: their age is a guess"),
         (jitter > _LARGEST_JITTER * period,
@@ -189,7 +190,7 @@ def assess(timings: Sequence[Timing], dropped: int, rate_hz: float) -> Latency |
         pictures=len(timings), dropped=dropped, unstamped=unstamped,
         exposure_to_arrival_ms=_quantiles(arrivals - instants), arrival_to_pose_ms=_quantiles(ready - arrivals),
         exposure_to_pose_ms=age, interval_ms=_quantiles(intervals),
-        warnings=tuple(text for wrong, text in found if wrong),
+        warnings=tuple(text for wrong, text in checks if wrong),
     )  # fmt: skip
 
 

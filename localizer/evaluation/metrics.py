@@ -93,7 +93,7 @@ class PublishedPose:
 class _PoseError:
     """Error of one pose: x, y, yaw (3,), its square in units of the covariance, and the swap flag."""
 
-    found: PublishedPose
+    measured: PublishedPose
     error: Array
     nees: float
     swapped: bool
@@ -110,18 +110,20 @@ def pixel_row(subject: str, errors_px: Sequence[float], failures: int, times_ms:
     )  # fmt: skip
 
 
-def pose_rows(found: Sequence[PublishedPose], truth: Mapping[int, GroundTruthTrajectory]) -> list[PoseRow]:
+def pose_rows(poses: Sequence[PublishedPose], truth: Mapping[int, GroundTruthTrajectory]) -> list[PoseRow]:
     """Rows for every robot, every state of a track, and all together. LOST poses count only in their own row, as they are
     where the robot was last seen. Poses without a truth are left out."""
-    errors = [error for error in (_error(f, truth) for f in found) if error is not None]
-    seen = [e for e in errors if e.found.pose.track is not Track.LOST]
-    groups = {f"robot {robot}": [e for e in seen if e.found.robot == robot] for robot in sorted(truth)}
-    groups |= {track.name.lower(): [e for e in errors if e.found.pose.track is track] for track in sorted(Track, reverse=True)}
-    groups["all but lost"] = seen
+    errors = [error for error in (_error(pose, truth) for pose in poses) if error is not None]
+    tracked_errors = [e for e in errors if e.measured.pose.track is not Track.LOST]
+    groups = {f"robot {robot}": [e for e in tracked_errors if e.measured.robot == robot] for robot in sorted(truth)}
+    groups |= {
+        track.name.lower(): [e for e in errors if e.measured.pose.track is track] for track in sorted(Track, reverse=True)
+    }
+    groups["all but lost"] = tracked_errors
     return [_pose_row(subject, group) for subject, group in groups.items() if group]
 
 
-def camera_rows(found: Sequence[PublishedPose], truth: Mapping[int, GroundTruthTrajectory]) -> list[PoseRow]:
+def camera_rows(poses: Sequence[PublishedPose], truth: Mapping[int, GroundTruthTrajectory]) -> list[PoseRow]:
     """Rows of a run with several cameras; none of one with a single camera.
 
     Of each camera; of the fused poses by how many cameras measured them; and of how their error changes from one to the next,
@@ -129,14 +131,14 @@ def camera_rows(found: Sequence[PublishedPose], truth: Mapping[int, GroundTruthT
     covariances.
     """
     measured: dict[tuple[int, int], set[str]] = {}
-    for pose in found:
+    for pose in poses:
         if pose.camera and pose.pose.track >= Track.KCF:
             measured.setdefault((pose.robot, pose.stamp_ns), set()).add(pose.camera)
     if not measured:
         return []
     groups: dict[str, list[_PoseError]] = {}
     last: dict[int, tuple[set[str], _PoseError]] = {}
-    for pose in sorted(found, key=lambda pose: pose.stamp_ns):
+    for pose in sorted(poses, key=lambda pose: pose.stamp_ns):
         error = _error(pose, truth)
         if error is None or pose.pose.track is Track.LOST:
             continue
@@ -157,21 +159,21 @@ def _change(before: _PoseError, after: _PoseError) -> _PoseError:
     """The change of a robot's error from one pose to the next."""
     change = after.error - before.error
     change[2] = wrap(change[2])
-    covariance = before.found.pose.covariance + after.found.pose.covariance
+    covariance = before.measured.pose.covariance + after.measured.pose.covariance
     return replace(after, error=change, nees=_nees(change, covariance), swapped=False)
 
 
-def _error(found: PublishedPose, truth: Mapping[int, GroundTruthTrajectory]) -> _PoseError | None:
-    true = truth[found.robot].at(found.stamp_ns) if found.robot in truth else None
+def _error(published: PublishedPose, truth: Mapping[int, GroundTruthTrajectory]) -> _PoseError | None:
+    true = truth[published.robot].at(published.stamp_ns) if published.robot in truth else None
     if true is None:
         return None
-    pose = found.pose
+    pose = published.pose
     error = np.array([pose.x_m - true[0], pose.y_m - true[1], wrap(pose.yaw_rad - true[2])])
-    others = (path.at(found.stamp_ns) for robot, path in truth.items() if robot != found.robot)
+    others = (path.at(published.stamp_ns) for robot, path in truth.items() if robot != published.robot)
     place = np.array([pose.x_m, pose.y_m])
     own_m = float(np.linalg.norm(error[:2]))
     swapped = any(float(np.linalg.norm(place - other[:2])) < own_m for other in others if other is not None)
-    return _PoseError(found, error, _nees(error, pose.covariance), swapped)
+    return _PoseError(published, error, _nees(error, pose.covariance), swapped)
 
 
 def _nees(error: Array, covariance: Array) -> float:
@@ -195,5 +197,5 @@ def _pose_row(subject: str, group: Sequence[_PoseError]) -> PoseRow:
         float(np.sqrt(np.mean(distance_mm**2))), float(np.quantile(distance_mm, 0.95)), float(np.max(distance_mm)),
         float(np.sqrt(np.mean(turn_deg**2))), float(np.max(turn_deg)),
         float(np.mean(usable)) if len(usable) else float("nan"), low, high,
-        sum(e.swapped for e in group), sum(e.swapped and e.found.pose.identity_verified for e in group),
+        sum(e.swapped for e in group), sum(e.swapped and e.measured.pose.identity_verified for e in group),
     )  # fmt: skip

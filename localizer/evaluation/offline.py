@@ -73,7 +73,7 @@ class FrameLocalizer:
 
     def poses(self, frame: RecordedFrame) -> LocalizationResult | None:
         """The poses in a frame; None for one that was skipped."""
-        attitudes = {robot: Attitude(*told) for robot, told in frame.attitudes.items()}
+        attitudes = {robot: Attitude(*values) for robot, values in frame.attitudes.items()}
         result = None
         try:
             result = self._localizer.locate(frame.pixels, frame.instant_ns, frame.depths_m, attitudes)
@@ -119,7 +119,7 @@ class PoseTable:
     def write(self, frames: Iterator[RecordedFrame], experiment: Experiment) -> Iterator[int]:
         """Write a row for each robot and frame, behind those that are there; yields the number of frames that are done. Raises
         ConfigError for a part of other columns, and Failed if no robot is ever found: then there is no table."""
-        kept, done = _kept(self._part) if self._part.exists() else ("", 0)
+        kept, frame_count = _kept(self._part) if self._part.exists() else ("", 0)
         self.rows = max(kept.count("\n") - 1, 0)
         localizer, message = FrameLocalizer(experiment), ""
         # What is there stays there: a run that is killed loses no more than the rows of a frame.
@@ -129,11 +129,11 @@ class PoseTable:
             if not kept:
                 table.writerow(FIELDS)
             for frame in frames:
-                if frame.number < done - WARM_UP_FRAMES:
+                if frame.number < frame_count - WARM_UP_FRAMES:
                     continue
                 result = localizer.poses(frame)
                 message = result.status.message or message if result is not None else message
-                if frame.number >= done:
+                if frame.number >= frame_count:
                     poses = result.poses if result is not None else ()
                     table.writerows(_row(frame.number, robot, pose, frame.stamp_ns) for robot, pose in poses)
                     file.flush()
@@ -237,5 +237,5 @@ def compare_again(folder: Path, experiment: Experiment) -> tuple[list[PoseCompar
         raise Failed(f"{folder}: holds no frame, so nothing was compared")
     if localizer.failed == frames:
         raise Failed(f"{folder}: nothing was compared: {localizer.failures()}")
-    found = [PoseComparison(i, poses[i], differing[i], first.get(i), 1e3 * largest_m[i]) for i in experiment.robot_ids]
-    return found, localizer.failures()
+    comparisons = [PoseComparison(i, poses[i], differing[i], first.get(i), 1e3 * largest_m[i]) for i in experiment.robot_ids]
+    return comparisons, localizer.failures()

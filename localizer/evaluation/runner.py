@@ -99,7 +99,7 @@ def read_poses(
         samples.setdefault(robot, []).append((stamps_ns[frame], pose))
         if "depth_m" in value:
             depths.setdefault(frame, {})[robot] = value["depth_m"]
-    return {robot: trajectory(found) for robot, found in samples.items()}, depths
+    return {robot: trajectory(rows) for robot, rows in samples.items()}, depths
 
 
 def read_frame_table(
@@ -158,7 +158,7 @@ def trajectory(samples: list[tuple[int, Array]]) -> GroundTruthTrajectory:
 def evaluate_log(path: Path) -> list[PoseRow]:
     """Poses of a recorded run against the plant's truth in it; with several cameras the fused ones, and then rows about the
     cameras. A log that was cut off counts as far as it goes."""
-    found: list[PublishedPose] = []
+    poses: list[PublishedPose] = []
     true: dict[int, list[tuple[int, Array]]] = {}
     for topic, stamp_ns, data in _records(path):
         parts = topic.split("/")
@@ -169,13 +169,13 @@ def evaluate_log(path: Path) -> list[PoseRow]:
                     true.setdefault(robot, []).append((stamp_ns, eta[[0, 1, 3]]))
             elif parts[-3:-2] == ["robot"] and parts[-1] == "pose":
                 camera = parts[-4] if parts[-5:-4] == ["camera"] else ""
-                found.append(PublishedPose(int(parts[-2]), stamp_ns, decode(Pose, data, "log", topic), camera))
+                poses.append(PublishedPose(int(parts[-2]), stamp_ns, decode(Pose, data, "log", topic), camera))
         except (DecodeError, ValueError) as error:
             raise ConfigError(f"{path}: {error}") from None
     paths = {robot: trajectory(samples) for robot, samples in true.items()}
-    rows = pose_rows([pose for pose in found if not pose.camera], paths) + camera_rows(found, paths)
+    rows = pose_rows([pose for pose in poses if not pose.camera], paths) + camera_rows(poses, paths)
     if not rows:
-        raise ConfigError(f"{path}: no poses with a truth to compare with ({len(found)} poses, truth of {len(true)} robots)")
+        raise ConfigError(f"{path}: no poses with a truth to compare with ({len(poses)} poses, truth of {len(true)} robots)")
     return rows
 
 
@@ -183,7 +183,7 @@ def _records(path: Path) -> Iterator[tuple[str, int, bytes]]:
     """Topic, stamp and bytes of the poses and truths of a log, up to a cut or damaged record."""
     try:
         with open_regular(path) as file:
-            yield from (found for found in log_records.messages(file) if found[0].endswith(_READ))
+            yield from (record for record in log_records.messages(file) if record[0].endswith(_READ))
     except ImportError:
         raise ConfigError(f"{path}: its chunks are packed: reading it needs pip install 'shoal[station]'") from None
     except log_records.Damaged:  # the recorder was killed: what lies before is good
@@ -210,14 +210,14 @@ class _Target:
         """Follow the target into the next picture. Farther off than half the box is a failure: the tracker starts anew at
         the truth. So it does, but not as a failure, where the truth itself leaps as far, or comes back from a gap there."""
         place = self._places_px[frame]
-        known, reach_px = bool(np.all(np.isfinite(place))), self._box_px / 2.0
+        is_known, reach_px = bool(np.all(np.isfinite(place))), self._box_px / 2.0
         if self._follower is None:
-            self._follower = SingleObjectTracker(picture, place, self._box_px) if known else None
+            self._follower = SingleObjectTracker(picture, place, self._box_px) if is_known else None
             return
         started = time.perf_counter()
         pose, _ = self._follower.step(picture)
         self._times_ms.append(1e3 * (time.perf_counter() - started))
-        if not known:
+        if not is_known:
             return
         error_px = float(np.linalg.norm(pose[:2] - place))
         followed = bool(np.linalg.norm(place - self._places_px[frame - 1]) <= reach_px)  # False if that was not known
@@ -253,15 +253,15 @@ def evaluate_pool(path: Path, truth: Path, experiment: Experiment, limit: int | 
     with closing(VideoReader(path)) as video:
         trajectories, depths = read_poses(truth, experiment, video.stamps_ns)
         check_size(path, video.size_px, experiment)
-        locator, found, message = FleetLocalizer(experiment), list[PublishedPose](), ""
+        locator, poses, message = FleetLocalizer(experiment), list[PublishedPose](), ""
         for picture in video.pictures(limit):
             pixels = as_bayer(picture.pixels)
             assert pixels is not None, "a video's pictures are BGR"
             located = locator.step(pixels, picture.stamp_ns, depths.get(picture.number, {}))
             message = located.status.message
-            found += [PublishedPose(robot, picture.stamp_ns, pose) for robot, pose in located.poses]
+            poses += [PublishedPose(robot, picture.stamp_ns, pose) for robot, pose in located.poses]
         damage = video.damage(limit)
-    rows = pose_rows(found, trajectories)
+    rows = pose_rows(poses, trajectories)
     if not rows:
         raise ConfigError(f"{path}: no robot was ever found where {truth} has a truth ({message or 'no marker'})")
     return rows, damage

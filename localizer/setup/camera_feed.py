@@ -23,11 +23,11 @@ class CameraFeed:
         self._thread = guarded_thread(stop, "frames", self._take_all, daemon=True)
         self._thread.start()
 
-    def next(self, seen: int) -> tuple[int, bytes] | None:
-        """The newest picture as JPEG and its number, as soon as it is not number `seen`; the same one again after a
+    def next(self, last_number: int) -> tuple[int, bytes] | None:
+        """The newest picture as JPEG and its number, as soon as it is not number `last_number`; the same one again after a
         second. None when told to stop. Encoded once, for whoever asks first."""
         with self._news:
-            self._news.wait_for(lambda: self._stop.requested or self._number != seen, _AGAIN_S)
+            self._news.wait_for(lambda: self._stop.requested or self._number != last_number, _AGAIN_S)
             number = self._number
         if self._stop.requested:
             return None

@@ -91,8 +91,8 @@ class ExperimentFile:
 
     def _checked(self, table: dict[str, Any]) -> Experiment:
         if self._camera_file is not None:
-            found = check(CameraFile, table, str(self._camera_file)).camera.model_dump(mode="json")
-            table = read_toml(self._experiment) | {"camera": found}
+            camera_table = check(CameraFile, table, str(self._camera_file)).camera.model_dump(mode="json")
+            table = read_toml(self._experiment) | {"camera": camera_table}
         return checked_experiment(table, self._experiment)
 
     def difference(self, camera: Mapping[str, Any]) -> list[str]:

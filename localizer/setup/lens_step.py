@@ -45,7 +45,7 @@ class LensStep:
         self.views: list[TargetView] = []
         self.postures: list[BoardPosture] = []
         self.seen_px: Array = np.empty((0, 2))  # corners in the newest picture
-        self.said = "show the board"
+        self.advice = "show the board"
         self._last: TargetView | None = None
         self._taken = 0
 
@@ -55,20 +55,20 @@ class LensStep:
         last, self._last = self._last, view
         self.seen_px = np.empty((0, 2)) if view is None else view.pixels
         if view is None:
-            self.said = "no board in sight"
+            self.advice = "no board in sight"
         elif len(self.views) >= MOST_VIEWS:
-            self.said = f"{MOST_VIEWS} views are kept: more add little"
+            self.advice = f"{MOST_VIEWS} views are kept: more add little"
         elif last is None or not _is_still(last, view):
-            self.said = "hold it still"
+            self.advice = "hold it still"
         else:
             posture = self._posture(view)
-            if not any(posture.is_like(known) for known in self.postures):
+            if not any(posture.is_like(other) for other in self.postures):
                 self.views.append(view)
                 self.postures.append(posture)
                 self._taken += 1
-                self.said = f"kept {view.name}"
+                self.advice = f"kept {view.name}"
                 return True
-            self.said = "as in a view before: move or tilt it"
+            self.advice = "as in a view before: move or tilt it"
         return False
 
     def drop(self, name: str) -> None:
@@ -90,13 +90,13 @@ class LensStep:
         """Kinds of views that are still wanted, in words."""
         counts, tilts = np.array(self.coverage), np.array([p.tilt_rad for p in self.postures]).reshape(-1, 2)
         corners = {"upper left": (0, 0), "upper right": (0, -1), "lower left": (-1, 0), "lower right": (-1, -1)}
-        said = [f"a view in the {name} corner" for name, cell in corners.items() if counts[cell] == 0]
+        views = [f"a view in the {name} corner" for name, cell in corners.items() if counts[cell] == 0]
         sides = {"left edge towards you": -tilts[:, 1], "right edge towards you": tilts[:, 1]}
         sides |= {"upper edge towards you": tilts[:, 0], "lower edge towards you": -tilts[:, 0]}
-        said += [f"a view tilted with its {name}" for name, along in sides.items() if not np.any(along > _NEW_TILT_RAD)]
+        views += [f"a view tilted with its {name}" for name, along in sides.items() if not np.any(along > _NEW_TILT_RAD)]
         if len(self.views) < FEWEST_VIEWS:
-            said.append(f"{FEWEST_VIEWS - len(self.views)} more views at least")
-        return said
+            views.append(f"{FEWEST_VIEWS - len(self.views)} more views at least")
+        return views
 
     def fit(self) -> IntrinsicsFit:
         """The lens. Raises ConfigError if the views do not tell it."""

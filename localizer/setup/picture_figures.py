@@ -85,13 +85,13 @@ def _light(mean: float, dark: float, bright: float) -> Verdict:
 
 
 def _blur(exposure_s: float, blur_m: float) -> Verdict:
-    said = f"a robot at {SPEED_MPS:g} m/s smears over {1e3 * blur_m:.2f} mm in {1e3 * exposure_s:.1f} ms"
+    finding = f"a robot at {SPEED_MPS:g} m/s smears over {1e3 * blur_m:.2f} mm in {1e3 * exposure_s:.1f} ms"
     good = 1e3 * blur_m <= _MOST_BLUR_MM
-    return Verdict(good, said if good else f"{said} (limit {_MOST_BLUR_MM:g} mm): expose shorter, with more light")
+    return Verdict(good, finding if good else f"{finding} (limit {_MOST_BLUR_MM:g} mm): expose shorter, with more light")
 
 
 def rate_verdict(rate_hz: float, wanted_hz: float, dropped: int) -> Verdict:
     """Verdict on the rate at which pictures come."""
-    said = f"{rate_hz:.1f} pictures a second, {dropped} dropped"
+    finding = f"{rate_hz:.1f} pictures a second, {dropped} dropped"
     good = rate_hz >= _LEAST_RATE * wanted_hz
-    return Verdict(good, said if good else f"{said}: below {_LEAST_RATE:.0%} of camera.rate_hz = {wanted_hz:g}")
+    return Verdict(good, finding if good else f"{finding}: below {_LEAST_RATE:.0%} of camera.rate_hz = {wanted_hz:g}")

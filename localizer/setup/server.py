@@ -78,14 +78,14 @@ class SetupServer:
         if not self._allowed(request):
             return _refused()
         try:
-            given: dict[str, Any] = dict(await request.json())
+            arguments: dict[str, Any] = dict(await request.json())
         except (ValueError, TypeError, RecursionError):
             return PlainTextResponse("not a JSON object", 400)
         try:
-            found: Any = await run_in_threadpool(self._session.do, str(given.pop("do", "")), given)
+            answer: Any = await run_in_threadpool(self._session.do, str(arguments.pop("do", "")), arguments)
         except ConfigError as error:
             return JSONResponse({"problem": str(error)})
-        return JSONResponse({"problem": "", "found": found})
+        return JSONResponse({"problem": "", "found": answer})
 
 
 def _refused() -> Response:

@@ -76,18 +76,18 @@ class SetupSession:
         self._controls_now: tuple[tuple[Control, ...], str] = (), ""
         self._asked_s = -math.inf  # when the camera was asked for its controls
         self._next_mask = 1 + len(self._work.masks)
-        self._said = ""
+        self._note = ""
         self._commands: dict[str, Callable[[Mapping[str, Any]], Any]] = {
             "grid": self._show_grid,
             "focus": lambda _: self._judge.forget_focus(),
-            "control": lambda given: self._set_control(str(given["name"]), int(given["value"])),
+            "control": lambda arguments: self._set_control(str(arguments["name"]), int(arguments["value"])),
             "defaults": self._set_defaults,
-            "board": lambda given: self._choose_board(str(given["board"])),
+            "board": lambda arguments: self._choose_board(str(arguments["board"])),
             "collect": self._collect,
-            "drop-view": lambda given: self._work.lens.drop(str(given["name"])),
+            "drop-view": lambda arguments: self._work.lens.drop(str(arguments["name"])),
             "fit-lens": self._fit_lens,
             "point": self._put_point,
-            "remove-point": lambda given: self._work.survey.remove(str(given["name"])),
+            "remove-point": lambda arguments: self._work.survey.remove(str(arguments["name"])),
             "markers": self._find_markers,
             "fit-pose": self._fit_pose,
             "mask": self._put_mask,
@@ -123,17 +123,18 @@ class SetupSession:
         before = self._work
         self._work = self._work_at(size_px)
         here, there = ("x".join(map(str, work.size_px)) for work in (self._work, before))
-        self._said = f"pictures are {here} now; views, points and masks for {there} are kept, and count when that size is back"
+        self._note = f"pictures are {here} now; views, points and masks for {there} are kept, and count when that size is back"
 
     def _work_at(self, size_px: tuple[int, int]) -> CameraWork:
         """The work for a size of picture, begun if there was none."""
         if size_px not in self._works:
             camera = self._experiment.camera
-            known = camera if camera.size_px == size_px else None
+            camera_of_size = camera if camera.size_px == size_px else None
             survey = SurveyStep(self._experiment.pool, self._experiment.localizer.marker_family)
-            lens = LensStep(self._board, _guess(size_px) if known is None else Intrinsics.of(known))
-            masks = {} if known is None else {i + 1: [list(px) for px in mask] for i, mask in enumerate(camera.masks_px)}
-            self._works[size_px] = CameraWork(size_px, known, survey, lens, masks)
+            lens = LensStep(self._board, _guess(size_px) if camera_of_size is None else Intrinsics.of(camera_of_size))
+            polygons = () if camera_of_size is None else camera_of_size.masks_px
+            masks = {i + 1: [list(px) for px in mask] for i, mask in enumerate(polygons)}
+            self._works[size_px] = CameraWork(size_px, camera_of_size, survey, lens, masks)
         return self._works[size_px]
 
     # --- what the page shows
@@ -162,18 +163,18 @@ class SetupSession:
             work, camera = self._work, self._experiment.camera
             dropped = 0 if self._captured is None else self._captured.dropped
             rate_hz = 1.0 / self._interval_s if self._interval_s else 0.0
-            said = [self._said] if self._said else []
+            notes = [self._note] if self._note else []
             if pages > 1:
-                said.append(f"{pages} pages are open: all see and change the same setup")
+                notes.append(f"{pages} pages are open: all see and change the same setup")
             if work.camera is None:
-                said.append(_no_lens(work.size_px, camera.size_px))
+                notes.append(_no_lens(work.size_px, camera.size_px))
             if work.lens_fit is not None and work.pose_fit is None:
-                said.append("the pose is older than the lens, and wrong with it: find the pose again")
+                notes.append("the pose is older than the lens, and wrong with it: find the pose again")
             return {
                 "experiment": self._experiment.name,
                 "source": self._source,
                 "trouble": self.trouble,
-                "said": said,
+                "said": notes,
                 "size_px": work.size_px,
                 "rate": asdict(rate_verdict(rate_hz, camera.rate_hz, dropped)),
                 "figures": None if self._figures is None else asdict(self._figures),
@@ -194,7 +195,7 @@ class SetupSession:
         return {
             "board": lens.board,
             "collecting": self._collecting,
-            "said": lens.said,
+            "said": lens.advice,
             "seen_px": lens.seen_px.round(1).tolist(),
             "coverage": lens.coverage,
             "tilts_deg": [np.degrees(posture.tilt_rad).round(1).tolist() for posture in lens.postures],
@@ -213,19 +214,19 @@ class SetupSession:
 
     # --- what the page asks for
 
-    def do(self, name: str, given: Mapping[str, Any]) -> Any:
+    def do(self, name: str, arguments: Mapping[str, Any]) -> Any:
         """Do what a page asks for; returns what it has to know beside the state. Raises ConfigError."""
         if name not in self._commands:
             raise ConfigError(f"{name!r}: no such request (allowed: {', '.join(self._commands)})")
-        if not _is_finite(given):
+        if not _is_finite(arguments):
             raise ConfigError(f"{name}: NaN or an infinity (allowed: finite numbers)")
         try:
-            return self._commands[name](given)
+            return self._commands[name](arguments)
         except (KeyError, TypeError, ValueError) as error:
             raise ConfigError(f"{name}: {type(error).__name__}: {error}") from None
 
-    def _show_grid(self, given: Mapping[str, Any]) -> None:
-        depth_m = given.get("depth_m")
+    def _show_grid(self, arguments: Mapping[str, Any]) -> None:
+        depth_m = arguments.get("depth_m")
         self._grid_depth_m = None if depth_m is None else float(np.clip(float(depth_m), -1.0, 20.0))
 
     def _offered(self) -> tuple[tuple[Control, ...], str]:
@@ -247,14 +248,14 @@ class SetupSession:
         self._controls.set(name, value)
         self._set[name], self._asked_s = value, -math.inf
 
-    def _set_defaults(self, given: Mapping[str, Any]) -> None:
+    def _set_defaults(self, arguments: Mapping[str, Any]) -> None:
         for control in self._offered()[0]:
             if control.usable:
                 self._set_control(control.name, control.default)
 
     def _exposure_s(self) -> float:
-        found = [self._set[name] * EXPOSURE_UNIT_S for name in EXPOSURES if name in self._set]
-        return found[0] if found else self._experiment.camera.exposure_s
+        exposures_s = [self._set[name] * EXPOSURE_UNIT_S for name in EXPOSURES if name in self._set]
+        return exposures_s[0] if exposures_s else self._experiment.camera.exposure_s
 
     def _choose_board(self, board: str) -> None:
         """Begin with another board. Views of the one before are gone: their corners are other places."""
@@ -264,41 +265,41 @@ class SetupSession:
                 lens = _guess(self._work.size_px) if camera is None else Intrinsics.of(camera)
                 self._work.lens, self._board = LensStep(board, lens), board
 
-    def _collect(self, given: Mapping[str, Any]) -> None:
-        self._collecting = bool(given["on"])
+    def _collect(self, arguments: Mapping[str, Any]) -> None:
+        self._collecting = bool(arguments["on"])
 
-    def _fit_lens(self, given: Mapping[str, Any]) -> None:
+    def _fit_lens(self, arguments: Mapping[str, Any]) -> None:
         with self._lock:
             work = self._work
         fit = work.lens.fit()
         lines, warnings, held_out_px = intrinsics_lines(fit, {}), intrinsics_warnings(fit), fit.held_out_rms_px
-        said = f"lens: {len(fit.views)} views, RMS {fit.rms_px:.2f} px"
-        said += "" if held_out_px is None else f", {held_out_px:.2f} px in views held out"
-        said += f"; look at: {'; '.join(warnings)}" if warnings else ""
+        summary = f"lens: {len(fit.views)} views, RMS {fit.rms_px:.2f} px"
+        summary += "" if held_out_px is None else f", {held_out_px:.2f} px in views held out"
+        summary += f"; look at: {'; '.join(warnings)}" if warnings else ""
         with self._lock:
             work.lens_fit, work.pose_fit, work.pose_said = fit, None, []
             work.survey.residuals.clear()
             work.camera = self._experiment.camera.model_copy(update=fit.lens.model_dump())
-            work.lens_said, self._said = lines, said
+            work.lens_said, self._note = lines, summary
 
-    def _put_point(self, given: Mapping[str, Any]) -> None:
-        x, y, z = (float(value) for value in given["pool_m"])
-        pixel, marker = given.get("pixel_px"), given.get("marker_id")
+    def _put_point(self, arguments: Mapping[str, Any]) -> None:
+        x, y, z = (float(value) for value in arguments["pool_m"])
+        pixel, marker = arguments.get("pixel_px"), arguments.get("marker_id")
         with self._lock:
-            self._said = self._work.survey.put(
-                str(given["name"]).strip(),
+            self._note = self._work.survey.put(
+                str(arguments["name"]).strip(),
                 (x, y, z),
                 None if pixel is None else np.array(pixel, dtype=np.float64).reshape(2),
                 None if marker is None else int(marker),
                 self._grey,
             )
 
-    def _find_markers(self, given: Mapping[str, Any]) -> list[int]:
+    def _find_markers(self, arguments: Mapping[str, Any]) -> list[int]:
         if self._grey is None:
             raise ConfigError("no picture yet")
         return sorted(marker_centres(self._grey, self._experiment.localizer.marker_family))
 
-    def _fit_pose(self, given: Mapping[str, Any]) -> None:
+    def _fit_pose(self, arguments: Mapping[str, Any]) -> None:
         with self._lock:
             work, grey, lens_fit = self._work, self._grey, self._work.lens_fit
         if work.camera is None:
@@ -311,15 +312,15 @@ class SetupSession:
             points = tuple(work.survey.points.values())
             work.pose_fit, work.camera = fit, fit.camera
             work.pose_said = pose_lines(fit, points, self._experiment.pool)
-            self._said = f"pose: {len(points)} points, RMS {fit.rms_px:.2f} px"
+            self._note = f"pose: {len(points)} points, RMS {fit.rms_px:.2f} px"
             if fit.suspect is not None:
-                self._said += f"; point {points[fit.suspect].name!r} does not fit: without it the others agree"
+                self._note += f"; point {points[fit.suspect].name!r} does not fit: without it the others agree"
 
-    def _put_mask(self, given: Mapping[str, Any]) -> None:
+    def _put_mask(self, arguments: Mapping[str, Any]) -> None:
         """Add a polygon, or with its id change it; fewer than three corners delete it."""
-        corners = [[round(float(u), 1), round(float(v), 1)] for u, v in given["corners_px"]]
+        corners = [[round(float(u), 1), round(float(v), 1)] for u, v in arguments["corners_px"]]
         with self._lock:
-            number = int(given.get("id") or self._next_mask)
+            number = int(arguments.get("id") or self._next_mask)
             if len(corners) < 3:
                 self._work.masks.pop(number, None)
                 return
@@ -329,29 +330,29 @@ class SetupSession:
     def _changes(self) -> dict[str, Any]:
         """Keys of [camera] with the values found in this setup, as far as they differ."""
         work, before = self._work, self._experiment.camera
-        found: dict[str, Any] = {}
+        results: dict[str, Any] = {}
         if work.lens_fit is not None:
-            found |= work.lens_fit.lens.model_dump(mode="json")
+            results |= work.lens_fit.lens.model_dump(mode="json")
         if work.pose_fit is not None:
-            found |= work.pose_fit.camera.model_dump(mode="json", include={"position_m", "rotation_rad"})
+            results |= work.pose_fit.camera.model_dump(mode="json", include={"position_m", "rotation_rad"})
         if work.camera is not None:
-            found["masks_px"] = list(work.masks.values())
+            results["masks_px"] = list(work.masks.values())
         values = {name: value for name, value in self._set.items() if name not in EXPOSURES}
         if values:
-            found["controls"] = [[name, value] for name, value in (dict(before.controls) | values).items()]
+            results["controls"] = [[name, value] for name, value in (dict(before.controls) | values).items()]
         if values != self._set:
-            found["exposure_s"] = round(self._exposure_s(), 5)
+            results["exposure_s"] = round(self._exposure_s(), 5)
         was = before.model_dump(mode="json")
-        return {key: value for key, value in significant(found).items() if value != was[key]}
+        return {key: value for key, value in significant(results).items() if value != was[key]}
 
-    def _save(self, given: Mapping[str, Any]) -> None:
+    def _save(self, arguments: Mapping[str, Any]) -> None:
         changes = self._changes()
         if not changes:
             raise ConfigError("nothing was changed: there is nothing to save")
-        self._said = self._file.save(changes)
+        self._note = self._file.save(changes)
         self._take_up_file()
 
-    def _reload(self, given: Mapping[str, Any]) -> None:
+    def _reload(self, arguments: Mapping[str, Any]) -> None:
         self._file.reload()
         self._take_up_file()
 
@@ -360,13 +361,13 @@ class SetupSession:
         self._experiment = self._experiment.model_copy(update={"camera": self._file.camera})
 
 
-def _is_finite(given: Any) -> bool:
+def _is_finite(content: Any) -> bool:
     """False if there is a NaN or an infinity in what a page sent."""
-    if isinstance(given, Mapping):
-        return all(_is_finite(value) for value in given.values())
-    if isinstance(given, list):
-        return all(_is_finite(value) for value in given)
-    return not isinstance(given, float) or math.isfinite(given)
+    if isinstance(content, Mapping):
+        return all(_is_finite(value) for value in content.values())
+    if isinstance(content, list):
+        return all(_is_finite(value) for value in content)
+    return not isinstance(content, float) or math.isfinite(content)
 
 
 def _guess(size_px: tuple[int, int]) -> Intrinsics:

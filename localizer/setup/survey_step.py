@@ -48,13 +48,13 @@ class SurveyStep:
     ) -> str:
         """Add a point, or move the one of that name. A clicked pixel goes to the corner next to it in the grey picture;
         returns what became of it, in words. Raises ConfigError."""
-        said, pixel = f"{name}: its marker is looked for", None
+        message, pixel = f"{name}: its marker is looked for", None
         if pixel_px is not None:
             corner = None if grey is None else refined_corner(grey, pixel_px)
             at = pixel_px if corner is None else corner
             pixel = (round(float(at[0]), 2), round(float(at[1]), 2))
             moved = float(np.linalg.norm(at - pixel_px))
-            said = f"{name}: " + (
+            message = f"{name}: " + (
                 f"as clicked, as there is no corner within {CORNER_REACH_PX} px"
                 if corner is None
                 else f"at a corner {moved:.1f} px from the click"
@@ -62,7 +62,7 @@ class SurveyStep:
         table = {"name": name, "pool_m": pool_m, "pixel_px": pixel, "marker_id": marker_id}
         self.residuals.pop(name, None)
         self.points[name] = check(SurveyPoint, {k: v for k, v in table.items() if v is not None}, "this point")
-        return said
+        return message
 
     def remove(self, name: str) -> None:
         """Forget a point."""
@@ -74,9 +74,9 @@ class SurveyStep:
         points = tuple(self.points.values())
         table = {"pool": self._pool.model_dump(), "points": [point.model_dump() for point in points]}
         check(SurveyFile, table, "the survey")
-        found = fit_pose(camera, points, seen_pixels(points, grey, self._family))
-        self.residuals = _residuals(found, points)
-        return found
+        pose_fit = fit_pose(camera, points, seen_pixels(points, grey, self._family))
+        self.residuals = _residuals(pose_fit, points)
+        return pose_fit
 
 
 def _residuals(fit: PoseFit, points: Sequence[SurveyPoint]) -> dict[str, PointResidual]:
@@ -106,4 +106,4 @@ def outline_px(camera: Camera, pool: PoolConfig) -> dict[str, list[float]]:
     pixels = RefractiveCamera(camera).pool_to_pixel(np.array(list(corners.values())))
     width, height = camera.size_px
     inside = np.all((pixels >= 0) & (pixels <= [width - 1, height - 1]), axis=1)
-    return {name: px.tolist() for name, px, seen in zip(corners, pixels.round(2), inside, strict=True) if seen}
+    return {name: px.tolist() for name, px, is_inside in zip(corners, pixels.round(2), inside, strict=True) if is_inside}

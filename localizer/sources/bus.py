@@ -38,14 +38,14 @@ class BusSource:
 
     def frames(self, stop: Stop) -> Iterator[CapturedFrame | None]:
         """See FrameSource. Unreadable frames count as none, and so do those of two cameras in turn."""
-        seen = given = self._frames.newest_header()
+        last = given = self._frames.newest_header()
         bad, silent_since = self._frames.bad, time.monotonic()
         while not stop.requested:
             left_s = self.silent_after_s - (time.monotonic() - silent_since)
-            if left_s > 0.0 and wait(self._bus, stop, lambda seen=seen: self._frames.newest_header() is not seen, left_s):  # type: ignore[misc]
-                seen = self._frames.newest_header()
+            if left_s > 0.0 and wait(self._bus, stop, lambda last=last: self._frames.newest_header() is not last, left_s):  # type: ignore[misc]
+                last = self._frames.newest_header()
                 received = self._frames.newest()
-                if received is None or received.header is given:  # unreadable; or it was newer than `seen` a moment ago
+                if received is None or received.header is given:  # unreadable; or it was newer than `last` a moment ago
                     continue
                 given, bad = received.header, self._frames.bad
                 if self._frames.has_two_senders(self.silent_after_s):

@@ -188,12 +188,12 @@ class FolderSource:
             changed_ns = self._path.stat().st_mtime_ns
             if changed_ns == self._listed_ns:
                 return []
-            found = {path: path.stat().st_mtime_ns for path in picture_files(self._path)}
+            times_ns = {path: path.stat().st_mtime_ns for path in picture_files(self._path)}
         except OSError as error:  # the folder, or a file of it, is being taken away
             self.trouble, self._listed_ns = str(error), None
             return []
         self._listed_ns = changed_ns if time.time_ns() - changed_ns > _SETTLED_NS else None
-        new = [path for path, when_ns in found.items() if self._shown.get(path.name) != when_ns]
-        self._shown = {path.name: when_ns for path, when_ns in found.items()}
+        new = [path for path, when_ns in times_ns.items() if self._shown.get(path.name) != when_ns]
+        self._shown = {path.name: when_ns for path, when_ns in times_ns.items()}
         self.trouble = "" if new else f"nothing new in {self._path}"
         return new

@@ -125,8 +125,8 @@ class FrameRecorder:
             least_gb = self._least_bytes / 1e9
             self._end(f" ends after {self._frames} frames: less than recording.stop_video_below_gb = {least_gb:g} GB are free")
             return
-        told = {"instant_ns": frame.instant_ns, "depths_m": frame.depths_m, "attitudes": frame.attitudes}
-        self._write(_INPUTS, None, json.dumps(told).encode(), frame.stamp_ns)
+        inputs = {"instant_ns": frame.instant_ns, "depths_m": frame.depths_m, "attitudes": frame.attitudes}
+        self._write(_INPUTS, None, json.dumps(inputs).encode(), frame.stamp_ns)
         for robot, pose in frame.poses.items():
             self._write(topics.POSE.key(robot), Pose, pose, frame.stamp_ns)
         self._write(topics.FRAME.name, Frame, encode(Frame(frame.pixels), frame.stamp_ns), frame.stamp_ns)
@@ -207,17 +207,17 @@ def recorded_frames(folder: Path) -> Iterator[RecordedFrame]:
     """The frames of a recording, in order, as far as they are whole; where it was cut is logged. Raises ConfigError for a file
     that is none."""
     path = folder / FRAMES
-    told: dict[str, Any] | None = None
+    inputs: dict[str, Any] | None = None
     poses: dict[int, bytes] = {}
     count = 0
     try:
         with open_regular(path) as file:
             for topic, stamp_ns, data in log_records.messages(file):
                 if topic == _INPUTS:
-                    told, poses = json.loads(data), {}
-                elif topic == topics.FRAME.name and told is not None:
-                    yield _frame(decode(Frame, data, "recording", topic).pixels, stamp_ns, told, poses, count)
-                    count, told = count + 1, None
+                    inputs, poses = json.loads(data), {}
+                elif topic == topics.FRAME.name and inputs is not None:
+                    yield _frame(decode(Frame, data, "recording", topic).pixels, stamp_ns, inputs, poses, count)
+                    count, inputs = count + 1, None
                 elif topic.endswith("/pose"):
                     poses[int(topic.split("/")[-2])] = data
     except log_records.Damaged as error:
@@ -230,7 +230,7 @@ def recorded_frames(folder: Path) -> Iterator[RecordedFrame]:
         raise ConfigError(f"{path}: {error.strerror}") from None
 
 
-def _frame(pixels: Pixels, stamp_ns: int, told: dict[str, Any], poses: dict[int, bytes], number: int) -> RecordedFrame:
-    attitudes = {int(robot): (float(a), float(b), float(sigma)) for robot, (a, b, sigma) in told["attitudes"].items()}
-    depths_m = {int(robot): float(depth) for robot, depth in told["depths_m"].items()}
-    return RecordedFrame(pixels, stamp_ns, int(told["instant_ns"]), depths_m, attitudes, poses, number)
+def _frame(pixels: Pixels, stamp_ns: int, inputs: dict[str, Any], poses: dict[int, bytes], number: int) -> RecordedFrame:
+    attitudes = {int(robot): (float(a), float(b), float(sigma)) for robot, (a, b, sigma) in inputs["attitudes"].items()}
+    depths_m = {int(robot): float(depth) for robot, depth in inputs["depths_m"].items()}
+    return RecordedFrame(pixels, stamp_ns, int(inputs["instant_ns"]), depths_m, attitudes, poses, number)

@@ -26,10 +26,10 @@ class SessionStamps:
         name, lead_ns = (camera, session), stamp_ns - instant_ns
         if not self._begun:
             self._begun, self._first, self._lead_ns = True, name, lead_ns
-        known = self._corrections_ns.get(name)
-        off_ns = lead_ns - self._lead_ns - (known or 0)
-        correction_ns = known or 0
-        if abs(off_ns) > (ALIKE_NS if known is None else JUMP_NS):
+        earlier_ns = self._corrections_ns.get(name)
+        off_ns = lead_ns - self._lead_ns - (earlier_ns or 0)
+        correction_ns = earlier_ns or 0
+        if abs(off_ns) > (ALIKE_NS if earlier_ns is None else JUMP_NS):
             correction_ns += off_ns
         elif name == self._first:
             self._lead_ns += off_ns // _FOLLOWED

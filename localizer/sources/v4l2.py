@@ -88,14 +88,14 @@ def configure(capture: Capture, camera: Camera) -> list[str]:
     What OpenCV cannot set, as V4L2_CID_AUTOGAIN, `camera.controls` does.
     """
     capture.set(cv2.CAP_PROP_BUFFERSIZE, _BUFFERS)
-    wanted = [
+    settings = [
         ("width", cv2.CAP_PROP_FRAME_WIDTH, camera.size_px[0]),
         ("height", cv2.CAP_PROP_FRAME_HEIGHT, camera.size_px[1]),
         ("frames per second", cv2.CAP_PROP_FPS, camera.rate_hz),
         ("exposure mode", cv2.CAP_PROP_AUTO_EXPOSURE, _MANUAL_EXPOSURE),
         ("exposure in 100 us", cv2.CAP_PROP_EXPOSURE, camera.exposure_s / EXPOSURE_UNIT_S),
     ]
-    size_and_rate, exposure = wanted[:3], wanted[3:]
+    size_and_rate, exposure = settings[:3], settings[3:]
     _set_all(capture, size_and_rate)
     compressed = capture.get(cv2.CAP_PROP_FPS) < camera.rate_hz * (1.0 - _TOLERANCE)  # raw pictures do not fit through USB 2
     if compressed:
@@ -103,10 +103,10 @@ def configure(capture: Capture, camera: Camera) -> list[str]:
     for automatic in (cv2.CAP_PROP_AUTO_WB, cv2.CAP_PROP_AUTOFOCUS, cv2.CAP_PROP_BACKLIGHT):  # not every camera has them
         capture.set(automatic, 0)
     _set_all(capture, exposure)
-    found = [(name, value, capture.get(key)) for name, key, value in wanted]
+    readings = [(name, value, capture.get(key)) for name, key, value in settings]
     refused = ["pictures compressed (MJPG) instead of raw: corners are found less well"] if compressed else []
     return refused + [
-        f"{name} {got:g} instead of {value:g}" for name, value, got in found if abs(got - value) > _TOLERANCE * value
+        f"{name} {got:g} instead of {value:g}" for name, value, got in readings if abs(got - value) > _TOLERANCE * value
     ]
 
 
@@ -212,8 +212,8 @@ class V4l2Source:
         return CapturedFrame(pixels, instant_ns, instant_ns, now_ns - (now_monotonic_ns - arrived_ns), stamped=stamped)
 
     def _report(self, trouble: str) -> None:
-        said, self.trouble = self.trouble, f"{self._device} {trouble}"
-        if said != self.trouble and not self._closing.is_set():  # a closed device delivers no more: no trouble
+        earlier_trouble, self.trouble = self.trouble, f"{self._device} {trouble}"
+        if earlier_trouble != self.trouble and not self._closing.is_set():  # a closed device delivers no more: no trouble
             log.error("camera %s; trying again", self.trouble)
 
     def _configure(self, capture: Capture) -> None:

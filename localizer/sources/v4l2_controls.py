@@ -61,16 +61,17 @@ class V4l2Controls:
     def offered(self) -> tuple[Control, ...]:
         """See CameraControls."""
         with self._opened() as camera:
-            return tuple(_control(found) for found in camera.controls.values() if _is_number(found))
+            return tuple(_control(control) for control in camera.controls.values() if _is_number(control))
 
     def set(self, name: str, value: int) -> None:
         """See CameraControls."""
         with self._opened() as camera:
-            found = {control.config_name: control for control in camera.controls.values() if _is_number(control)}
-            if name not in found:
-                raise ConfigError(f"camera.controls.{name}: {self._device} has none (allowed: {', '.join(found) or 'none'})")
+            controls = {control.config_name: control for control in camera.controls.values() if _is_number(control)}
+            if name not in controls:
+                names = ", ".join(controls) or "none"
+                raise ConfigError(f"camera.controls.{name}: {self._device} has none (allowed: {names})")
             try:
-                found[name].value = _control(found[name]).checked(value)
+                controls[name].value = _control(controls[name]).checked(value)
             except AttributeError as error:  # linuxpy's, for a control that another one rules
                 raise ConfigError(f"camera.controls.{name} = {value}: {self._device} refuses it: {error}") from None
 
@@ -101,10 +102,10 @@ def _is_number(control: Any) -> bool:
     return control.type.name in kinds and not any(getattr(control, flag) for flag in flags)
 
 
-def _control(found: Any) -> Control:
-    info = found._info  # linuxpy hides a switch's default and range
-    choices = tuple((int(k), str(v)) for k, v in found.data.items()) if hasattr(found, "data") else ()
+def _control(control: Any) -> Control:
+    info = control._info  # linuxpy hides a switch's default and range
+    choices = tuple((int(k), str(v)) for k, v in control.data.items()) if hasattr(control, "data") else ()
     return Control(
-        found.config_name, int(found.value), info.minimum, info.maximum, max(info.step, 1), info.default_value, choices,
-        usable=not found.is_flagged_inactive,
+        control.config_name, int(control.value), info.minimum, info.maximum, max(info.step, 1), info.default_value, choices,
+        usable=not control.is_flagged_inactive,
     )  # fmt: skip

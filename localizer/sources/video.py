@@ -119,8 +119,8 @@ class VideoReader:
         """Numbers of the packets that are left in a damaged AVI file."""
         if not (self._lost_without_trace and self._is_avi):
             return []
-        left = _avi_chunks_left(self._path, self._listed)
-        return left if len(left) == len(self._packets_ms) else []
+        numbers = _avi_chunks_left(self._path, self._listed)
+        return numbers if len(numbers) == len(self._packets_ms) else []
 
     def _cut_s(self) -> float:
         """Time by which a video of varying rate ends before the duration that it states; 0 if it does not, by much."""
@@ -198,14 +198,14 @@ def _avi_chunks_left(path: Path, listed: int) -> list[int]:
         entries, movie_at = _avi_index(file)
         if len(entries) != listed:
             return []
-        left = []
+        numbers = []
         for number, (name, offset) in enumerate(entries):
             for start in (movie_at + offset, offset):  # both are in use
                 file.seek(start)
                 if file.read(4) == name:
-                    left.append(number)
+                    numbers.append(number)
                     break
-        return left
+        return numbers
     return []
 
 

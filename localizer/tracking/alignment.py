@@ -46,13 +46,13 @@ def invert(matrix: Array) -> None:
 
 @kernel("f8(f4[:,:,::1], f4[:,:,::1], f4[:,::1], f8[::1], f8[:,::1])")
 def align(
-    learnt: NDArray[np.float32], seen: NDArray[np.float32], weights: NDArray[np.float32], move: Array, covariance: Array
+    learnt: NDArray[np.float32], patch: NDArray[np.float32], weights: NDArray[np.float32], move: Array, covariance: Array
 ) -> float:
     """Find the `move` (4,) [samples ahead (columns), samples to starboard (rows), rad, gain of brightness] of the `learnt`
-    patch (channels, n, n) in the one `seen`, and the `covariance` (3, 3) of the first three. Returns the share of the learnt
+    samples (channels, n, n) in a later `patch`, and the `covariance` (3, 3) of the first three. Returns the share of learnt
     texture that is seen again, 0 to 1.
 
-    Minimises sum v rho(seen(R p + t) - (gain + slope p) learnt(p) - offset) over a chessboard of the points p with `weights`
+    Minimises sum v rho(patch(R p + t) - (gain + slope p) learnt(p) - offset) over a chessboard of the points p with `weights`
     v (n, n) above 0, gain and offset of each channel, with rho'(r) = r w and w = 1 / (1 + r^2 / 4 (s^2 + (0.15 g)^2))^2, g the
     gradient of the learnt patch. Share: of sum v g^2, the part in blocks with sum v w g^2 > 0.5 sum v g^2. Covariance:
     s^2 (J^T W J)^-1 of the first three unknowns.
@@ -62,14 +62,14 @@ def align(
     unknowns = _SHARED + 2 * channels
     normal = np.empty((unknowns, unknowns))
     right = np.empty(unknowns)
-    found = np.zeros(unknowns)
+    solution = np.zeros(unknowns)
     slope = np.empty(_SHARED + 2)
     index = np.arange(_SHARED + 2)
     counts = np.empty(256)
     size = (n + _BLOCKS - 1) // _BLOCKS
     texture = np.empty(_BLOCKS * _BLOCKS)
     recognised = np.empty(_BLOCKS * _BLOCKS)
-    found[_SHARED : _SHARED + channels] = 1.0
+    solution[_SHARED : _SHARED + channels] = 1.0
     widest = _FIRST_SCALE
     scale = widest
     share = 0.0
@@ -83,39 +83,39 @@ def align(
         total_weight = 0.0
         squares = 0.0
         points = 0.0
-        c = math.cos(found[2])
-        s = math.sin(found[2])
+        c = math.cos(solution[2])
+        s = math.sin(solution[2])
         for row in range(_BORDER, n - _BORDER):
             for column in range(_BORDER + (row + _BORDER) % 2, n - _BORDER, 2):
-                known = min(
+                template_weight = min(
                     weights[row, column], weights[row - 1, column], weights[row + 1, column], weights[row, column - 1],
                     weights[row, column + 1],
                 )  # fmt: skip
                 ahead = float(column - middle)
                 side = float(row - middle)
-                u = middle + found[0] + c * ahead - s * side
-                v = middle + found[1] + s * ahead + c * side
+                u = middle + solution[0] + c * ahead - s * side
+                v = middle + solution[1] + s * ahead + c * side
                 left = math.floor(u)
                 top = math.floor(v)
-                if known <= 0.0 or left < 0 or top < 0 or left > n - 2 or top > n - 2:
+                if template_weight <= 0.0 or left < 0 or top < 0 or left > n - 2 or top > n - 2:
                     continue
                 fu = u - left
                 fv = v - top
                 block = row // size * _BLOCKS + column // size
                 for k in range(channels):
-                    above = seen[k, top, left] * (1.0 - fu) + seen[k, top, left + 1] * fu
-                    below = seen[k, top + 1, left] * (1.0 - fu) + seen[k, top + 1, left + 1] * fu
+                    above = patch[k, top, left] * (1.0 - fu) + patch[k, top, left + 1] * fu
+                    below = patch[k, top + 1, left] * (1.0 - fu) + patch[k, top + 1, left + 1] * fu
                     gx = 0.5 * (learnt[k, row, column + 1] - learnt[k, row, column - 1])
                     gy = 0.5 * (learnt[k, row + 1, column] - learnt[k, row - 1, column])
                     level = float(learnt[k, row, column])
-                    gain = found[_SHARED + k] + (found[3] * ahead + found[4] * side) / middle
-                    residual = above * (1.0 - fv) + below * fv - gain * level - found[_SHARED + channels + k]
+                    gain = solution[_SHARED + k] + (solution[3] * ahead + solution[4] * side) / middle
+                    residual = above * (1.0 - fv) + below * fv - gain * level - solution[_SHARED + channels + k]
                     edge = _EDGE_ERROR * _EDGE_ERROR * (gx * gx + gy * gy)
                     root = 1.0 / (1.0 + residual * residual / (_REJECTS_AT * _REJECTS_AT * (scale * scale + edge)))
-                    weight = known * root * root
+                    weight = template_weight * root * root
                     counts[min(int(abs(residual)), 255)] += 1.0
                     points += 1.0
-                    texture[block] += known * (gx * gx + gy * gy)
+                    texture[block] += template_weight * (gx * gx + gy * gy)
                     recognised[block] += weight * (gx * gx + gy * gy)
                     total_weight += weight
                     squares += weight * residual * residual
@@ -124,7 +124,7 @@ def align(
                     py = gain * (s * gx + c * gy)
                     slope[0] = px
                     slope[1] = py
-                    slope[2] = px * (middle + found[1] - v) + py * (u - middle - found[0])
+                    slope[2] = px * (middle + solution[1] - v) + py * (u - middle - solution[0])
                     slope[3] = -level * ahead / middle
                     slope[4] = -level * side / middle
                     slope[5] = -level
@@ -158,7 +158,7 @@ def align(
             break
         for i in range(unknowns):
             for j in range(unknowns):
-                found[i] += normal[i, j] * right[j]
+                solution[i] += normal[i, j] * right[j]
         passed = 0.0
         median = 0
         while passed < 0.5 * points and median < 255:
@@ -167,6 +167,6 @@ def align(
         widest = max(0.5 * widest, _MOST_SCALE)
         scale = min(max(_TO_SIGMA * (median - 0.5), 0.25 * widest, _LEAST_SCALE), widest)
     for i in range(3):
-        move[i] = found[i]
-    move[3] = np.mean(found[_SHARED : _SHARED + channels])
+        move[i] = solution[i]
+    move[3] = np.mean(solution[_SHARED : _SHARED + channels])
     return share

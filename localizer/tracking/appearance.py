@@ -72,7 +72,7 @@ class AppearanceModel:
         self.recognition = recognition
         self._learnt = np.zeros(count, dtype=np.bool_)
         self._texture = np.zeros((count, channels, template_px, template_px), np.float32)  # the learnt patches
-        self._seen = np.zeros((count, template_px, template_px), np.float32)  # sums of weights, of each sample
+        self._weights = np.zeros((count, template_px, template_px), np.float32)  # sums of weights, of each sample
         self.reach_m = _SPAN * hull.radius_m  # half the diagonal of a patch, rounded up to its side
 
     def is_initialised(self, robot: int) -> bool:
@@ -84,17 +84,18 @@ class AppearanceModel:
         if not views:
             return []
         robots, colours = _robot_indices(views), self._colours(views)
-        found = np.array(poses)
+        matched_poses = np.array(poses)
         for _ in range(2):
-            shifts, peaks = self._place.detect(robots, self._patches(views, colours, found))
-            found[:, :2] += body_to_pool(shifts * self._sampler.pitch_m, found[:, 2])
+            shifts, peaks = self._place.detect(robots, self._patches(views, colours, matched_poses))
+            matched_poses[:, :2] += body_to_pool(shifts * self._sampler.pitch_m, matched_poses[:, 2])
             if np.max(np.abs(shifts)) < _FAR_SHIFT:
                 break
-        turns, turn_peaks = self._turn.detect(robots, self._rings(views, colours, found))
-        found[:, 2] += turns[:, 0] * (2.0 * np.pi / self._sampler.angles)
+        turns, turn_peaks = self._turn.detect(robots, self._rings(views, colours, matched_poses))
+        matched_poses[:, 2] += turns[:, 0] * (2.0 * np.pi / self._sampler.angles)
         clipped, verified = np.clip(peaks, 0.0, 1.0).tolist(), _verified(peaks, turn_peaks).tolist()
         return [
-            self._aligned(view, colours[i], ((poses[i], clipped[i]), (found[i], verified[i]))) for i, view in enumerate(views)
+            self._aligned(view, colours[i], ((poses[i], clipped[i]), (matched_poses[i], verified[i])))
+            for i, view in enumerate(views)
         ]
 
     def _aligned(self, view: PredictedView, colour: DemosaicedRegion, starts: Sequence[tuple[Array, float]]) -> Match:
@@ -116,7 +117,7 @@ class AppearanceModel:
         pose, covariance, move, to_pool = start.copy(), np.empty((3, 3)), np.zeros(4), np.eye(3)
         for _ in range(_SAMPLINGS):
             body = view.body(pose)
-            weights = self._sampler.facing(body) * (self._seen[view.robot] > 0.0)
+            weights = self._sampler.facing(body) * (self._weights[view.robot] > 0.0)
             share = align(self._texture[view.robot], self._sampler.patch(colour, body), weights, move, covariance)
             to_pool[:2, :2] = self._sampler.pitch_m * body_to_pool(view.body_to_level[:2, :2].T, float(pose[2])).T
             pose = pose + to_pool @ move[:3]
@@ -145,8 +146,8 @@ class AppearanceModel:
 
     def _learn_texture(self, robot: int, patch: Real, weights: Real) -> None:
         """Average the patch into the texture where it was seen: all pictures alike at first, older ones less later."""
-        self._seen[robot] = np.minimum(self._seen[robot] + weights, self.recognition.memory).astype(np.float32)
-        share = np.divide(weights, self._seen[robot], out=np.zeros_like(weights), where=weights > 0.0)
+        self._weights[robot] = np.minimum(self._weights[robot] + weights, self.recognition.memory).astype(np.float32)
+        share = np.divide(weights, self._weights[robot], out=np.zeros_like(weights), where=weights > 0.0)
         self._texture[robot] += np.minimum(share, 1.0) * (patch - self._texture[robot])
 
     def _colours(self, views: Sequence[PredictedView]) -> list[DemosaicedRegion]:

@@ -21,9 +21,9 @@ class AttitudeCheck:
     def __init__(self, count: int) -> None:
         self._squares_rad2, self._readings = np.zeros(count), np.zeros(count, dtype=int)
 
-    def note(self, robot: int, reported: Attitude, shown: Attitude) -> None:
+    def note(self, robot: int, reported: Attitude, lean: Attitude) -> None:
         """Take up what a robot's board reports and its hull shows in one picture."""
-        apart = math.hypot(reported.roll_rad - shown.roll_rad, reported.pitch_rad - shown.pitch_rad)
+        apart = math.hypot(reported.roll_rad - lean.roll_rad, reported.pitch_rad - lean.pitch_rad)
         self._readings[robot] += 1
         self._squares_rad2[robot] += (apart**2 - self._squares_rad2[robot]) / min(int(self._readings[robot]), _NEEDED)
 

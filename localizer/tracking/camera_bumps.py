@@ -62,17 +62,17 @@ class CameraBumps:
         """Cameras that were not moved, by their check marks, although their poses are apart from another camera's."""
         return {name for name, record in self._records.items() if record.proven}
 
-    def step(self, seen: Collection[str], told: Evidence, step_s: float) -> None:
-        """Judge the cameras that are `seen`, some time after the last step. A suspicion of the others has its break."""
+    def step(self, cameras: Collection[str], evidence: Evidence, step_s: float) -> None:
+        """Judge `cameras`, some time after the last step. A suspicion of the others has its break."""
         for name, record in self._records.items():
-            if name not in seen:
+            if name not in cameras:
                 record.suspected, record.suspected_s, record.leapt_s = False, 0.0, 0.0
                 continue
-            record.leapt_s = record.leapt_s + step_s if name in told.leapt else 0.0
-            self._prove(record, name in told.in_place, name in told.agreed, name in told.apart, step_s)
-            well = name in told.agreed or name in told.in_place
-            apart = "" if record.proven else told.apart.get(name, "")
-            self._judge(record, told.moved.get(name, ""), apart, well, name in told.in_place, step_s)
+            record.leapt_s = record.leapt_s + step_s if name in evidence.leapt else 0.0
+            self._prove(record, name in evidence.in_place, name in evidence.agreed, name in evidence.apart, step_s)
+            well = name in evidence.agreed or name in evidence.in_place
+            apart = "" if record.proven else evidence.apart.get(name, "")
+            self._judge(record, evidence.moved.get(name, ""), apart, well, name in evidence.in_place, step_s)
 
     def _prove(self, record: _Record, in_place: bool, agreed: bool, apart: bool, step_s: float) -> None:
         """Note whether its check marks have been at their places for longer than they take to tell a knock."""

@@ -30,11 +30,13 @@ from localizer.tracking.kalman import GATE, KalmanState, initial_state, predict,
 from shoal.config.experiment import Experiment
 from shoal.frames import Array, wrap
 from shoal.messages.messages import CameraHealth, LocalizerStatus, Obstacles, Pose, Track
+from shoal.messages.obstacle_memory import ages_s
 
 _FOLLOWED_S = 1.0  # s after which a camera that has not been within a robot's motion is not said to have left it
 _LONGEST_STEP = 2.0  # periods between pictures that count against a camera or for it; a longer gap proves nothing more
 _FORGET_S = 2.0  # s in which the square of a doubt falls to 1/e once the cameras agree again
 _FORGET_ALONE_S = 10.0  # s of the same while no robot is seen by two of them: one misread marker costs no more
+_REMEMBERED_S = 60.0  # s for which an obstacle of a camera that is out counts: longer bars a place that is free again
 _TOLD_DOUBT_M = 0.005  # m, least doubt in the poses that the operator is told of
 
 
@@ -94,22 +96,22 @@ class CameraFusion:
         out = {name: why for name in self._names if (why := self._trouble(views.get(name), instant_ns))}
         new = {name for name, view in views.items() if name not in out and view.instant_ns > self._known_ns[name]}
         self._known_ns |= {name: view.instant_ns for name, view in views.items()}
-        seen = {name: view for name, view in views.items() if name not in out}
-        candidates = {robot: self._candidates(robot, seen, instant_ns) for robot in self._robots}
-        said = self._doubt(candidates, seen, step_s)
+        usable_views = {name: view for name, view in views.items() if name not in out}
+        candidates = {robot: self._candidates(robot, usable_views, instant_ns) for robot in self._robots}
+        doubts = self._doubt(candidates, usable_views, step_s)
         unwell, out = len(out), out | self._bumps.out
         if self._bumps.distrusted:
             new -= self._bumps.distrusted
-            seen = {name: view for name, view in seen.items() if name not in self._bumps.distrusted}
-            candidates = {robot: self._candidates(robot, seen, instant_ns) for robot in self._robots}
+            usable_views = {name: view for name, view in usable_views.items() if name not in self._bumps.distrusted}
+            candidates = {robot: self._candidates(robot, usable_views, instant_ns) for robot in self._robots}
         poses = []
-        for robot, found in candidates.items():
-            if any(candidate.camera in new for candidate in found):
-                poses.append((robot, self._fused(robot, found)))
-            elif not found and robot in self._last and any(robot in seen[name].poses for name in new):
+        for robot, robot_candidates in candidates.items():
+            if any(candidate.camera in new for candidate in robot_candidates):
+                poses.append((robot, self._fused(robot, robot_candidates)))
+            elif not robot_candidates and robot in self._last and any(robot in usable_views[name].poses for name in new):
                 poses.append((robot, self._lost(robot)))
-        status = self._status(views, out, unwell, said, poses)
-        return FusionResult(tuple(poses), status, "; ".join(said), tuple({*out, *self._bumps.distrusted}))
+        status = self._status(views, out, unwell, doubts, poses)
+        return FusionResult(tuple(poses), status, "; ".join(doubts), tuple({*out, *self._bumps.distrusted}))
 
     def _trouble(self, view: CameraView | None, instant_ns: int) -> str:
         """The reason why a camera gives no poses; empty if it does."""
@@ -120,13 +122,13 @@ class CameraFusion:
         age_s = (instant_ns - view.instant_ns) * 1e-9
         return f"its last picture is more than {self._out_after_s:g} s old" if age_s > self._out_after_s else ""
 
-    def _candidates(self, robot: int, seen: Mapping[str, CameraView], instant_ns: int) -> list[_Candidate]:
+    def _candidates(self, robot: int, views: Mapping[str, CameraView], instant_ns: int) -> list[_Candidate]:
         """The poses of a robot to fuse: measured ones if there are any, and among these those with a verified identity."""
-        known = {name: pose for name, view in seen.items() if (pose := view.poses.get(robot)) is not None}
-        told = {n: pose for n, pose in known.items() if pose.track is not Track.LOST and _is_covariance(pose.covariance)}
-        best = [name for name, pose in told.items() if pose.track >= Track.KCF] or list(told)
-        best = [name for name in best if told[name].identity_verified] or best
-        return [self._carried(robot, name, told[name], (instant_ns - seen[name].instant_ns) * 1e-9) for name in best]
+        poses = {name: pose for name, view in views.items() if (pose := view.poses.get(robot)) is not None}
+        tracked = {n: pose for n, pose in poses.items() if pose.track is not Track.LOST and _is_covariance(pose.covariance)}
+        best = [name for name, pose in tracked.items() if pose.track >= Track.KCF] or list(tracked)
+        best = [name for name in best if tracked[name].identity_verified] or best
+        return [self._carried(robot, name, tracked[name], (instant_ns - views[name].instant_ns) * 1e-9) for name in best]
 
     def _carried(self, robot: int, camera: str, pose: Pose, later_s: float) -> _Candidate:
         """A pose some time after its exposure, by the velocity that the fused poses show."""
@@ -138,16 +140,16 @@ class CameraFusion:
         return _Candidate(camera, pose, there.mean[:3], there.covariance[:3, :3])
 
     def _doubt(
-        self, candidates: Mapping[int, Sequence[_Candidate]], seen: Mapping[str, CameraView], step_s: float
+        self, candidates: Mapping[int, Sequence[_Candidate]], views: Mapping[str, CameraView], step_s: float
     ) -> list[str]:
         """Judge the cameras by the robots that two of them measure, and by their check marks: which were moved, and which are
         in doubt. Returns what to tell the operator."""
-        said, agreed, backed = list[str](), set[str](), set[str]()
+        doubts, agreed, backed = list[str](), set[str](), set[str]()
         doubted, was_out = dict[str, Array](), set(self._bumps.out)
         alone_apart = dict[str, tuple[float, str]]()  # of a camera that is alone at fault, the worst
         stayed, leapt = set[str](), set[str]()  # cameras by what they measure of the robots whose motion they have followed
-        for robot, found in candidates.items():
-            measured = [c for c in found if c.message.track >= Track.KCF]
+        for robot, robot_candidates in candidates.items():
+            measured = [c for c in robot_candidates if c.message.track >= Track.KCF]
             followed, within = self._follow(robot, measured, step_s)
             stayed |= followed & within
             leapt |= followed - within
@@ -160,31 +162,31 @@ class CameraFusion:
                     continue
                 words = _in_words(apart, covariance)
                 pair = {one.camera, other.camera}
-                left = (pair & was_out or pair & followed - within) - self._bumps.proven
-                if len(left) == 1 and (left <= was_out or pair & within):
-                    alone_apart |= {name: max((squared, words), alone_apart.get(name, (0.0, ""))) for name in left}
+                suspects = (pair & was_out or pair & followed - within) - self._bumps.proven
+                if len(suspects) == 1 and (suspects <= was_out or pair & within):
+                    alone_apart |= {name: max((squared, words), alone_apart.get(name, (0.0, ""))) for name in suspects}
                     continue
-                said.append(f"cameras {one.camera} and {other.camera} disagree by {words} about robot {robot}")
+                doubts.append(f"cameras {one.camera} and {other.camera} disagree by {words} about robot {robot}")
                 for name in pair:
                     away_m2 = float(apart[:2] @ apart[:2])
                     grown = np.diag([away_m2, away_m2, apart[2] ** 2])
                     doubted[name] = np.maximum(doubted.get(name, grown), grown)
-        moved = {name: view.status.message for name, view in seen.items() if view.status.moved}
-        told = Evidence(
+        moved = {name: view.status.message for name, view in views.items() if view.status.moved}
+        evidence = Evidence(
             moved=moved,
-            in_place=frozenset(name for name, view in seen.items() if view.status.marks_seen and name not in moved),
+            in_place=frozenset(name for name, view in views.items() if view.status.marks_seen and name not in moved),
             apart={name: words for name, (_, words) in alone_apart.items()},
             leapt=self._marked & leapt - stayed,
             agreed=frozenset(backed),
         )
-        self._bumps.step(seen.keys(), told, min(step_s, self._longest_step_s))
+        self._bumps.step(views.keys(), evidence, min(step_s, self._longest_step_s))
         if set(self._bumps.out) - was_out:  # theirs is the fault, and nobody else's
             self._doubts = {name: np.zeros((3, 3)) for name in self._names}
             doubted = {}
         for name in self._names:
             kept = self._doubts[name] * math.exp(-step_s / (_FORGET_S if name in agreed else _FORGET_ALONE_S))
             self._doubts[name] = np.maximum(kept, doubted.get(name, kept))
-        return said or self._doubts_in_words()
+        return doubts or self._doubts_in_words()
 
     def _doubts_in_words(self) -> list[str]:
         """A sentence about a disagreement that is over, while its doubt is in the poses."""
@@ -210,16 +212,16 @@ class CameraFusion:
             return True
         return _squared(_difference(candidate.mean, motion.mean[:3]), candidate.covariance + motion.covariance[:3, :3]) > GATE
 
-    def _fused(self, robot: int, found: Sequence[_Candidate]) -> Pose:
-        parts = [(candidate.mean, candidate.covariance + self._doubts[candidate.camera]) for candidate in found]
+    def _fused(self, robot: int, candidates: Sequence[_Candidate]) -> Pose:
+        parts = [(candidate.mean, candidate.covariance + self._doubts[candidate.camera]) for candidate in candidates]
         mean, covariance = covariance_intersection(parts)
-        best = max((candidate.message for candidate in found), key=lambda pose: (pose.track, pose.peak))
+        best = max((candidate.message for candidate in candidates), key=lambda pose: (pose.track, pose.peak))
         if best.track >= Track.KCF:
             motion, squared = update(self._motions[robot], mean, covariance) if robot in self._motions else (None, 0.0)
-            known = motion is not None and squared <= GATE
-            self._motions[robot] = motion if motion is not None and known else initial_state(mean, covariance)
+            is_consistent = motion is not None and squared <= GATE
+            self._motions[robot] = motion if motion is not None and is_consistent else initial_state(mean, covariance)
         x_m, y_m, yaw_rad = mean.tolist()
-        verified = any(candidate.message.identity_verified for candidate in found)
+        verified = any(candidate.message.identity_verified for candidate in candidates)
         fused = replace(best, x_m=x_m, y_m=y_m, yaw_rad=yaw_rad, covariance=covariance, identity_verified=verified)
         self._last[robot] = fused
         return fused
@@ -234,24 +236,24 @@ class CameraFusion:
         views: Mapping[str, CameraView],
         out: Mapping[str, str],
         unwell: int,
-        said: Sequence[str],
+        doubts: Sequence[str],
         poses: Sequence[tuple[int, Pose]],
     ) -> LocalizerStatus:
         """One status for all cameras, with a sentence for each that is out, of which so many are `unwell`, or in trouble."""
-        told = [view.status for view in views.values()]
-        bad = [status.camera for status in told if status.camera is not CameraHealth.OK]
+        statuses = [view.status for view in views.values()]
+        bad = [status.camera for status in statuses if status.camera is not CameraHealth.OK]
         lost = [str(robot) for robot, pose in poses if pose.track is Track.LOST]
         parts = [f"camera {name} is out: {why}" for name, why in out.items()]
         parts += [f"camera {n}: {view.status.message}" for n, view in views.items() if n not in out and view.status.message]
-        parts += [*said, *([f"lost: robot {', '.join(lost)}"] if lost else [])]
+        parts += [*doubts, *([f"lost: robot {', '.join(lost)}"] if lost else [])]
         return LocalizerStatus(
             camera=CameraHealth.OK if unwell < len(self._names) else max(bad, default=CameraHealth.ABSENT),
             frames=self._frames,
-            dropped=sum(status.dropped for status in told),
-            frame_ms=max((status.frame_ms for status in told), default=0.0),
+            dropped=sum(status.dropped for status in statuses),
+            frame_ms=max((status.frame_ms for status in statuses), default=0.0),
             message="; ".join(parts),
             robots=tuple(robot for robot, _ in poses),
-            failed=sum(status.failed for status in told),
+            failed=sum(status.failed for status in statuses),
             out=tuple(out),
         )
 
@@ -272,26 +274,29 @@ def covariance_intersection(parts: Sequence[tuple[Array, Array]]) -> tuple[Array
     return mean, 0.5 * (covariance + covariance.T) + scatter
 
 
-def fuse_obstacles(told: Mapping[str, Obstacles], cameras: Sequence[str]) -> Obstacles:
+def fuse_obstacles(
+    by_camera: Mapping[str, Obstacles], cameras: Sequence[str], before: Mapping[str, tuple[Obstacles, float]] | None = None
+) -> Obstacles:
     """The obstacles of all cameras in one list, from those of the cameras that see; one that two of them see is told by the
-    first. Numbers stay apart: that of camera k of n is n times its own plus k."""
+    first. Numbers stay apart: that of camera k of n is n times its own plus k. `before`: the last lists of the cameras that
+    are out, with their ages in s: what they saw stays in the list with its age, and those who read it let it grow."""
+    lists = [(k, fresh, 0.0) for k, name in enumerate(cameras) if (fresh := by_camera.get(name)) is not None]
+    lists += [(k, *(before or {})[name]) for k, name in enumerate(cameras) if name in (before or {})]
     rows: list[tuple[int, Array, Array, float]] = []
-    for k, name in enumerate(cameras):
-        found = told.get(name)
-        if found is None:
-            continue
-        unseen_s = found.unseen_s if len(found.unseen_s) else np.zeros(len(found.ids))
+    for k, obstacles, since_s in lists:
         earlier = [outline for _, outline, _, _ in rows]
-        for number, outline, velocity, s in zip(found.ids, found.outline, found.velocity, unseen_s, strict=True):
-            if not any(_inside(outline.mean(axis=0), other) or _inside(other.mean(axis=0), outline) for other in earlier):
-                rows.append((number * len(cameras) + k, outline, velocity, float(s)))
+        unseen_s = ages_s(obstacles, since_s)
+        for number, outline, velocity, s in zip(obstacles.ids, obstacles.outline, obstacles.velocity, unseen_s, strict=True):
+            known = any(_inside(outline.mean(axis=0), other) or _inside(other.mean(axis=0), outline) for other in earlier)
+            if not known and (s <= _REMEMBERED_S or since_s == 0.0):
+                rows.append((number * len(cameras) + k, outline, velocity, s))
     return Obstacles(
         ids=tuple(row[0] for row in rows),
         outline=np.array([row[1] for row in rows]).reshape(-1, 12, 2),
         velocity=np.array([row[2] for row in rows]).reshape(-1, 2),
-        depth_m=next((found.depth_m for found in told.values()), 0.0),
-        watched=sum(found.watched for found in told.values()) / len(cameras),
-        blind="; ".join(f"camera {name}: {found.blind}" for name, found in told.items() if found.blind),
+        depth_m=next((obstacles.depth_m for obstacles in by_camera.values()), 0.0),
+        watched=sum(obstacles.watched for obstacles in by_camera.values()) / len(cameras),
+        blind="; ".join(f"camera {name}: {obstacles.blind}" for name, obstacles in by_camera.items() if obstacles.blind),
         unseen_s=np.array([row[3] for row in rows]),
     )
 

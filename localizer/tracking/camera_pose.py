@@ -102,13 +102,13 @@ class CameraPoseTracker:
     def update(self, frame: Pixels) -> None:
         """Estimate the pose from a picture (height, width)."""
         self._frames += 1
-        found = self._read(frame)
-        if found is None:
+        corners = self._read(frame)
+        if corners is None:
             return
-        self._agreeing = len(found)
-        if len(found) < LANDMARKS_NEEDED:
+        self._agreeing = len(corners)
+        if len(corners) < LANDMARKS_NEEDED:
             return
-        places, pixels = self._corners[list(found)], np.array(list(found.values()))
+        places, pixels = self._corners[list(corners)], np.array(list(corners.values()))
         fitted, residuals = fit_camera_pose(self.pose.camera, places, pixels)
         agrees = np.sqrt(np.mean(np.sum(residuals**2, axis=2), axis=1)) < _AGREES_PX
         self._agreeing = int(np.sum(agrees))
@@ -133,16 +133,16 @@ class CameraPoseTracker:
         """Corners (4, 2) px of the landmarks seen, by index, in a fixed order; None in frames without an attempt."""
         if not self.usable:
             return self._pick(frame, scan=True) if self._frames % _SCAN_EVERY == 1 else None
-        found = self._pick(frame, scan=False)
-        return found if len(found) >= LANDMARKS_NEEDED else self._pick(frame, scan=True)
+        corners = self._pick(frame, scan=False)
+        return corners if len(corners) >= LANDMARKS_NEEDED else self._pick(frame, scan=True)
 
     def _pick(self, frame: Pixels, scan: bool) -> dict[int, Array]:
         expected = self.view.pool_to_pixel(self._corners.mean(axis=1))
         reach = np.linalg.norm(self.view.pool_to_pixel(self._corners) - expected[:, None], axis=2).max(axis=1) + _MARGIN_PX
         regions = [whole(frame)] if scan else [cut(frame, *place) for place in zip(expected, reach, strict=True)]
         images = [image for region in regions if region is not None for image in find_markers(self._detector, region)]
-        found = {self._index[image.id]: image.corners_px for image in images if image.id in self._index}
-        return {i: found[i] for i in sorted(found)}
+        corners = {self._index[image.id]: image.corners_px for image in images if image.id in self._index}
+        return {i: corners[i] for i in sorted(corners)}
 
 
 def corners_of(landmark: Landmark) -> Array:

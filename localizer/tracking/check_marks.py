@@ -43,7 +43,7 @@ def with_camera(experiment: Experiment, camera: str) -> Experiment:
         return alone
     pixels = RefractiveCamera(alone.camera).pool_to_pixel(np.array([corners_of(mark) for mark in alone.check_marks]))
     inside = np.all((pixels >= 0.0) & (pixels <= np.array(alone.camera.size_px) - 1.0), axis=(1, 2))
-    marks = tuple(mark for mark, seen in zip(alone.check_marks, inside, strict=True) if seen)
+    marks = tuple(mark for mark, is_inside in zip(alone.check_marks, inside, strict=True) if is_inside)
     return alone.model_copy(update={"check_marks": marks})
 
 
@@ -95,9 +95,9 @@ class CheckedCameraPose(FixedCameraPose):
         if 2 * len(knocked) > max(len(last), 2):
             self._judge(knocked)  # what was read before the knock counts no more
         elif turn == len(self._ids) - 1:
-            known = self._known()
+            by_mark = self._readings_by_mark()
             # of an even number the median would be half-way between the old and the new
-            odd = {k: known[k][1 - len(known[k]) % 2 :] for k in last if len(known[k]) > READINGS // 2}
+            odd = {k: by_mark[k][1 - len(by_mark[k]) % 2 :] for k in last if len(by_mark[k]) > READINGS // 2}
             self._judge({k: np.median(readings, axis=0) for k, readings in odd.items()})
 
     def uncertainty(self, tangents: Sequence[LocalLinearization], depths_m: Sequence[float]) -> Array:
@@ -109,41 +109,41 @@ class CheckedCameraPose(FixedCameraPose):
         """Covariance (3, 3) of the shift that the marks of the last pictures show, if they have moved alike: poses do not wait
         for the verdict on a small knock, for which waves could be to blame. Waves move each mark another way."""
         marks = sorted({(turn - back) % len(self._ids) for back in range(_EARLY_MARKS)})
-        seen = {k: px for k in marks if self._readings[k] and (px := self._readings[k][-1]) is not None}
-        if len(seen) < _EARLY_MARKS:
+        newest_px = {k: px for k in marks if self._readings[k] and (px := self._readings[k][-1]) is not None}
+        if len(newest_px) < _EARLY_MARKS:
             return np.zeros((3, 3))
-        shifts = np.array([(px - self._expected_px[k]).mean(axis=0) for k, px in seen.items()])
+        shifts = np.array([(px - self._expected_px[k]).mean(axis=0) for k, px in newest_px.items()])
         mean = shifts.mean(axis=0)
         alike = np.linalg.norm(shifts - mean, axis=1).max() < max(SHIFTED_PX / 2.0, 0.5 * float(np.linalg.norm(mean)))
         moved = np.linalg.norm(shifts, axis=1).min() > SHIFTED_PX
-        return self._shift_covariance(seen) if moved and alike else np.zeros((3, 3))
+        return self._shift_covariance(newest_px) if moved and alike else np.zeros((3, 3))
 
     def _read(self, marks: Sequence[int], region: ImageRegion | None) -> None:
         """Keep what a region of the picture shows of some marks; where there is no region, that they are not seen."""
         images = [] if region is None else find_markers(self._detector, region)
-        found = {image.id: image.corners_px for image in images}
+        corners_by_id = {image.id: image.corners_px for image in images}
         for k in marks:
-            corners = found.get(self._ids[k])
+            corners = corners_by_id.get(self._ids[k])
             self._readings[k].append(corners)
             if corners is not None:
                 self._places_px[k] = corners.mean(axis=0)
 
-    def _known(self) -> list[list[Array]]:
+    def _readings_by_mark(self) -> list[list[Array]]:
         """The last readings of each mark in which it was seen: corners (4, 2) px."""
         return [[px for px in readings if px is not None] for readings in self._readings]
 
-    def _judge(self, seen: dict[int, Array]) -> None:
-        """Find the marks that are shifted among those whose corners (4, 2) are `seen`, and what that means."""
-        self.marks_seen = 2 * len(seen) > len(self._ids)
+    def _judge(self, corners_px: dict[int, Array]) -> None:
+        """Find the marks that are shifted among those with corners `corners_px` (4, 2), and what that means."""
+        self.marks_seen = 2 * len(corners_px) > len(self._ids)
         missed = [k for k, readings in enumerate(self._readings) if len(readings) == READINGS and readings[-1] is None]
-        unseen = [k for k in missed if len(self._known()[k]) <= READINGS // 2]
-        shift_px = {k: self._shift_px(k, px) for k, px in seen.items()}
+        unseen = [k for k in missed if len(self._readings_by_mark()[k]) <= READINGS // 2]
+        shift_px = {k: self._shift_px(k, px) for k, px in corners_px.items()}
         shifted = [k for k, px in shift_px.items() if px > SHIFTED_PX]
-        places, pixels = self._corners[list(seen)], np.array(list(seen.values())).reshape(-1, 4, 2)
-        rms_px = float(np.sqrt(np.mean(np.square(list(shift_px.values()))))) if seen else 0.0
+        places, pixels = self._corners[list(corners_px)], np.array(list(corners_px.values())).reshape(-1, 4, 2)
+        rms_px = float(np.sqrt(np.mean(np.square(list(shift_px.values()))))) if corners_px else 0.0
         drop_m, left_px = fit_water_drop(self._camera, places, pixels)
         sunk = abs(drop_m) > LEAST_DROP_M and left_px < rms_px / 2.0
-        bumped = 2 * len(shifted) > len(seen) and (len(shifted) > 1 or len(self._ids) == 1)
+        bumped = 2 * len(shifted) > len(corners_px) and (len(shifted) > 1 or len(self._ids) == 1)
         verdict = ""
         if sunk:
             higher = "lower" if drop_m > 0.0 else "higher"
@@ -152,27 +152,27 @@ class CheckedCameraPose(FixedCameraPose):
             verdict = f"the camera was moved: check marks are {rms_px:.1f} px from their places{self._motion(places, pixels)}"
         moved = bumped and not sunk
         if self.marks_seen or moved or not self._verdict:
-            covariance = self._shift_covariance(seen) if verdict else np.zeros((3, 3))
+            covariance = self._shift_covariance(corners_px) if verdict else np.zeros((3, 3))
             self._covariance = covariance if self.marks_seen else np.maximum(covariance, self._covariance)
             self._verdict, self.moved = verdict, moved
-        said = [f"check mark {self._ids[k]} is not seen" for k in unseen]
+        troubles = [f"check mark {self._ids[k]} is not seen" for k in unseen]
         if self._verdict:
-            said.append(self._verdict)
+            troubles.append(self._verdict)
         else:
-            said += [f"check mark {self._ids[k]} is {shift_px[k]:.1f} px from its place: it was moved" for k in shifted]
-        self.trouble = "; ".join(said)
+            troubles += [f"check mark {self._ids[k]} is {shift_px[k]:.1f} px from its place: it was moved" for k in shifted]
+        self.trouble = "; ".join(troubles)
 
     def _shift_px(self, mark: int, pixels: Array) -> float:
         """Distance of a mark, found with its corners at pixels (4, 2), from its place."""
         return float(np.linalg.norm((pixels - self._expected_px[mark]).mean(axis=0)))
 
-    def _shift_covariance(self, seen: dict[int, Array]) -> Array:
+    def _shift_covariance(self, corners_px: dict[int, Array]) -> Array:
         """Covariance (3, 3) of [x, y, yaw]: the marks' mean square shift [m^2] and turn [rad^2] in the pool."""
         shifts, turns = [], []
-        for k, pixels in seen.items():
-            told, true = self.view.pixel_to_pool(pixels, self._corners[k, :, 2]), self._corners[k, :, :2]
-            shifts.append((told - true).mean(axis=0))
-            turns.append(wrap(_direction(told) - _direction(true)))
+        for k, pixels in corners_px.items():
+            measured_m, true = self.view.pixel_to_pool(pixels, self._corners[k, :, 2]), self._corners[k, :, :2]
+            shifts.append((measured_m - true).mean(axis=0))
+            turns.append(wrap(_direction(measured_m) - _direction(true)))
         return np.diag([*np.mean(np.square(shifts), axis=0), np.mean(np.square(turns))])
 
     def _motion(self, places: Array, pixels: Array) -> str:
@@ -198,8 +198,8 @@ def fit_water_drop(camera: Camera, places: Array, pixels: Array) -> tuple[float,
         slope = (_with_drop(camera, places, drop_m + _LEVEL_STEP_M) - here) / _LEVEL_STEP_M
         change_m = float(np.sum(slope * (pixels - here)) / np.sum(slope * slope))
         drop_m = min(max(drop_m + change_m, -MOST_DROP_M), MOST_DROP_M)
-    left = (pixels - _with_drop(camera, places, drop_m)).mean(axis=1)
-    return drop_m, float(np.sqrt(np.mean(np.sum(left**2, axis=1))))
+    residuals_px = (pixels - _with_drop(camera, places, drop_m)).mean(axis=1)
+    return drop_m, float(np.sqrt(np.mean(np.sum(residuals_px**2, axis=1))))
 
 
 def _with_drop(camera: Camera, places: Array, drop_m: float) -> Array:

@@ -39,9 +39,9 @@ class DepthMemory:
         for robot, depth_m in reported_m.items():
             if _SHALLOWEST_M <= depth_m <= self._deepest_m:
                 self._last[robot] = (depth_m, stamp_ns)
-        return {robot: self._known(robot, stamp_ns) for robot in self._start_m}
+        return {robot: self._known_depth(robot, stamp_ns) for robot in self._start_m}
 
-    def _known(self, robot: int, stamp_ns: int) -> KnownDepth:
+    def _known_depth(self, robot: int, stamp_ns: int) -> KnownDepth:
         if robot not in self._last:
             return KnownDepth(float(self._start_m[robot]), max(self._sigma_m, ASSUMED_SIGMA_M))
         depth_m, reported_ns = self._last[robot]

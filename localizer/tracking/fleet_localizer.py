@@ -255,12 +255,12 @@ class FleetLocalizer:
 
     def _read(self, regions: Sequence[ImageRegion], plates_m: Array, tilts_rad: Array) -> dict[int, MarkerPose]:
         """Markers by robot in regions of the picture, those left out that lie where no robot can be."""
-        readings, seen = dict[int, MarkerPose](), self._reader.read(self.view, regions, plates_m, tilts_rad)
+        readings, markers = dict[int, MarkerPose](), self._reader.read(self.view, regions, plates_m, tilts_rad)
         for i, size in self._reader.strange_sizes.items():
-            if i not in seen and self._is_lost(i):
+            if i not in markers and self._is_lost(i):
                 self._sizes.note_strange(i, size, self._frames)
-        for i, found in seen.items():
-            inside = [r for r in found if self._gate.admits(self.view, r.pose[:2], float(plates_m[i]))]
+        for i, robot_readings in markers.items():
+            inside = [r for r in robot_readings if self._gate.admits(self.view, r.pose[:2], float(plates_m[i]))]
             if not inside:
                 self._outside_frames[i] = self._frames
                 continue
@@ -298,9 +298,9 @@ class FleetLocalizer:
 
     def _match_appearance(self, views: Sequence[PredictedView]) -> None:
         """Give each view's track the match of its appearance, if that is known."""
-        known = [view for view in views if self._appearance.is_initialised(view.robot)]
-        matches = self._appearance.match(known, [self._best_pose(view.robot) for view in known])
-        for view, match in zip(known, matches, strict=True):
+        known_views = [view for view in views if self._appearance.is_initialised(view.robot)]
+        matches = self._appearance.match(known_views, [self._best_pose(view.robot) for view in known_views])
+        for view, match in zip(known_views, matches, strict=True):
             track = self._tracks[view.robot]
             alone = self._clearance_m(view.robot, match.pose) > self.radius_m
             clear = alone and view.shows(match.pose) and self._gate.admits(self.view, match.pose[:2], view.depth.plate_m)
@@ -326,15 +326,15 @@ class FleetLocalizer:
         if self._frames % _CHECK_EVERY:
             return
         robot = self._frames // _CHECK_EVERY % len(self._ids)
-        view, told = located.views.get(robot), self._attitudes[robot]
+        view, attitude = located.views.get(robot), self._attitudes[robot]
         measured = self._tracks[robot].measured
-        if self._lean_reader is None or view is None or measured is None or robot not in located.reported or told is None:
+        if self._lean_reader is None or view is None or measured is None or robot not in located.reported or attitude is None:
             return
         plate = self._tracks[robot].at_row(measured.pose, self._late_s(view))
         slope_rad = self._settings.surface_slope_rad
-        shown = self._lean_reader.read(self.view, located.frame, view.tangent, plate, view.depth.centre_m, slope_rad)
-        if shown is not None:
-            self._attitude_check.note(robot, told, shown)
+        lean = self._lean_reader.read(self.view, located.frame, view.tangent, plate, view.depth.centre_m, slope_rad)
+        if lean is not None:
+            self._attitude_check.note(robot, attitude, lean)
 
     def _doubt_close_pairs(self) -> None:
         for pair in close_pairs(self._tracks, _TOUCHING * self.radius_m):
@@ -384,9 +384,9 @@ class FleetLocalizer:
             ("in view, but no robot's: marker", strange),
             ("in view twice: the marker of robot", [str(self._ids[i]) for i in self._twins.twins(self._frames)]),
         )
-        said = [f"{what} {', '.join(ids)}" for what, ids in parts if ids] + self._sizes.in_words(self._ids, self._frames)
-        said += self._attitude_check.in_words(self._ids)
-        return "; ".join([self._camera_pose.trouble, *said] if self._camera_pose.trouble else said)
+        notes = [f"{what} {', '.join(ids)}" for what, ids in parts if ids] + self._sizes.in_words(self._ids, self._frames)
+        notes += self._attitude_check.in_words(self._ids)
+        return "; ".join([self._camera_pose.trouble, *notes] if self._camera_pose.trouble else notes)
 
     def _scan(self, located: _Located) -> None:
         """While a robot is lost, read the markers where it was lost and in the picture's next strip; in all of the picture in
@@ -443,8 +443,8 @@ class FleetLocalizer:
     def _tilts_rad(self) -> Array:
         """Roll and pitch (robots, 2) at the present exposure, or as they were read in the frame before; 0 where they are not
         known."""
-        known = [now or before for now, before in zip(self._attitudes, self._leans_before, strict=True)]
-        return np.array([[0.0, 0.0] if a is None else [a.roll_rad, a.pitch_rad] for a in known])
+        attitudes = [now or before for now, before in zip(self._attitudes, self._leans_before, strict=True)]
+        return np.array([[0.0, 0.0] if a is None else [a.roll_rad, a.pitch_rad] for a in attitudes])
 
     @property
     def view(self) -> RefractiveCamera:

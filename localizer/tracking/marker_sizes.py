@@ -34,19 +34,19 @@ class MarkerSizes:
 
     def in_words(self, ids: Sequence[int], frame: int) -> list[str]:
         """Name the robots whose markers have a wrong size, for people."""
-        known, said = self._readings >= _NEEDED, list[str]()
-        middle = np.median(self._means[known]) if np.sum(known) >= _FLEET else None
+        is_known, notes = self._readings >= _NEEDED, list[str]()
+        middle = np.median(self._means[is_known]) if np.sum(is_known) >= _FLEET else None
         for i, robot in enumerate(ids):
             off = float(self._means[i] - 1.0)
             if middle is not None and abs(off) <= _WRONG:
                 off = float(self._means[i] - middle)
-            if known[i] and abs(off) > (_WRONG if middle is None else _APART):
-                said.append(
+            if is_known[i] and abs(off) > (_WRONG if middle is None else _APART):
+                notes.append(
                     f"{_percent(off)} for its depth: is the depth right, was its marker printed at 100 %: robot {robot}"
                 )
             elif i in self._strange and frame - self._strange[i][0] <= _STRANGE_FRAMES:
-                said.append(f"{_percent(self._strange[i][1] - 1.0)}, and is not believed: robot {robot}")
-        return [f"marker looks {text}" for text in said]
+                notes.append(f"{_percent(self._strange[i][1] - 1.0)}, and is not believed: robot {robot}")
+        return [f"marker looks {text}" for text in notes]
 
 
 def _percent(off: float) -> str:

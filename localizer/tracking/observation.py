@@ -68,14 +68,14 @@ class Depth:
     above_m: float = 0.0  # height of the plate over the centre while the robot is level
 
 
-def depths_of(experiment: Experiment, known: Mapping[int, KnownDepth], attitudes: Mapping[int, Attitude]) -> tuple[Depth, ...]:
+def depths_of(experiment: Experiment, by_id: Mapping[int, KnownDepth], attitudes: Mapping[int, Attitude]) -> tuple[Depth, ...]:
     """Every robot's depth, (robots,), in the experiment's order, from that of its centre (by id)."""
     height_m = experiment.vehicle.marker.height_m
     depths = []
     for robot_id in experiment.robot_ids:
-        centre = known[robot_id].centre_m
+        centre = by_id[robot_id].centre_m
         up_m = attitudes[robot_id].above_m(height_m)[2] if robot_id in attitudes else height_m
-        depths.append(Depth(centre, centre - up_m, known[robot_id].sigma_m, height_m))
+        depths.append(Depth(centre, centre - up_m, by_id[robot_id].sigma_m, height_m))
     return tuple(depths)
 
 

@@ -290,5 +290,5 @@ class RobotTrack:
 
 def close_pairs(tracks: Sequence[RobotTrack], distance_m: float) -> list[tuple[int, int]]:
     """Index pairs (i < j) of robots believed closer than `distance_m`; a lost robot counts where it was last seen."""
-    known = [(i, track.motion.position_m.tolist()) for i, track in enumerate(tracks) if track.motion is not None]
-    return [(i, j) for n, (i, a) in enumerate(known) for j, b in known[n + 1 :] if math.dist(a, b) < distance_m]
+    places = [(i, track.motion.position_m.tolist()) for i, track in enumerate(tracks) if track.motion is not None]
+    return [(i, j) for n, (i, a) in enumerate(places) for j, b in places[n + 1 :] if math.dist(a, b) < distance_m]

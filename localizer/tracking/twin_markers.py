@@ -24,7 +24,7 @@ class TwinMarkers:
     def __init__(self, radius_m: float) -> None:
         self._apart_m, self._here_m = _APART_RADII * radius_m, _HERE_RADII * radius_m
         self._sights: dict[int, deque[tuple[int, Array]]] = {}  # robot -> frame, [x, y]
-        self._seen: dict[int, deque[int]] = {}  # robot -> last two frames in which its marker was in view twice
+        self._frames: dict[int, deque[int]] = {}  # robot -> last two frames in which its marker was in view twice
 
     def note(self, robot: int, poses: Sequence[Array], frame: int) -> None:
         """Note all places [x, y, ...] at which a robot's marker was read in a frame."""
@@ -33,9 +33,9 @@ class TwinMarkers:
             sights.popleft()
         for pose in poses:
             place = np.array(pose[:2])
-            seen = self._seen.setdefault(robot, deque(maxlen=_NEEDED))
-            if self._is_second(sights, place, frame) and frame not in seen:
-                seen.append(frame)
+            frames = self._frames.setdefault(robot, deque(maxlen=_NEEDED))
+            if self._is_second(sights, place, frame) and frame not in frames:
+                frames.append(frame)
             sights.append((frame, place))
 
     def _is_second(self, sights: Sequence[tuple[int, Array]], place: Array, frame: int) -> bool:
@@ -51,8 +51,8 @@ class TwinMarkers:
 
     def is_twin(self, robot: int, frame: int) -> bool:
         """True if a robot's marker was in view twice of late, in more than one picture: a misread marker is in one."""
-        seen = self._seen.get(robot)
-        return seen is not None and len(seen) == _NEEDED and frame - seen[0] <= _TOLD_FRAMES
+        frames = self._frames.get(robot)
+        return frames is not None and len(frames) == _NEEDED and frame - frames[0] <= _TOLD_FRAMES
 
     def are_apart(self, poses: Sequence[Array]) -> bool:
         """True if poses [x, y, ...] of one picture cannot be of one plate."""
@@ -61,4 +61,4 @@ class TwinMarkers:
 
     def twins(self, frame: int) -> list[int]:
         """The robots whose marker was in view twice of late."""
-        return [robot for robot in sorted(self._seen) if self.is_twin(robot, frame)]
+        return [robot for robot in sorted(self._frames) if self.is_twin(robot, frame)]

@@ -33,8 +33,8 @@ def bind(port: int, option: str) -> socket.socket:
     try:
         return socket.create_server(("127.0.0.1", port))
     except (OSError, OverflowError) as error:
-        taken = isinstance(error, OSError) and error.errno == errno.EADDRINUSE
-        raise ConfigError(f"{option} {port}: {'in use' if taken else error} (choose another one)") from None
+        in_use = isinstance(error, OSError) and error.errno == errno.EADDRINUSE
+        raise ConfigError(f"{option} {port}: {'in use' if in_use else error} (choose another one)") from None
 
 
 class LocalServer:
@@ -79,7 +79,7 @@ async def _failed(request: Request, error: Exception) -> Response:
 class PictureStream:
     """A stream of JPEG pictures for a few viewers.
 
-    `newest(seen)` waits for a picture other than number `seen` and returns its number and bytes (none: no picture yet), or
+    `newest(last_number)` waits for a picture with another number and returns its number and bytes (none: no picture yet), or
     after a while the same one again, by which viewers that left are noticed. It returns None when the stream ends.
     """
 
@@ -94,10 +94,10 @@ class PictureStream:
         return _Stream(self._parts(), self._places.release)
 
     def _parts(self) -> Iterator[bytes]:
-        seen = 0
+        last_number = 0
         yield f"--{_BOUNDARY}\r\n".encode()
-        while (news := self._newest(seen)) is not None:
-            seen, jpeg = news
+        while (news := self._newest(last_number)) is not None:
+            last_number, jpeg = news
             head = f"Content-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n\r\n"
             # with the next boundary at once, as browsers show a picture only when it has come
             yield head.encode() + jpeg + f"\r\n--{_BOUNDARY}\r\n".encode() if jpeg else b""

@@ -38,11 +38,11 @@ class MjpegServer:
             self._number, self._jpeg = self._number + 1, jpeg
             self._news.notify_all()
 
-    def next(self, seen: int) -> tuple[int, bytes] | None:
-        """The newest picture and its number as soon as it is not number `seen`; the same one again after _WAIT_S. None
+    def next(self, last_number: int) -> tuple[int, bytes] | None:
+        """The newest picture and its number as soon as it is not number `last_number`; the same one again after _WAIT_S. None
         when the server closes."""
         with self._news:
-            self._news.wait_for(lambda: self._closed or self._number != seen, _WAIT_S)
+            self._news.wait_for(lambda: self._closed or self._number != last_number, _WAIT_S)
             return None if self._closed else (self._number, self._jpeg)
 
     def close(self) -> None:

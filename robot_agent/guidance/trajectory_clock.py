@@ -13,7 +13,7 @@ from robot_agent.guidance.trajectory_check import unflyable
 from robot_agent.inputs import StationView
 from shoal.config.experiment import Experiment
 from shoal.frames import Array
-from shoal.messages.messages import Command, Order, Trajectory
+from shoal.messages.messages import ALONE, Command, Order, Trajectory
 
 FARTHEST_S = 60.0  # a start may lie ahead, or be over, by this much; the station names one half a second ahead
 FASTER = 0.5  # of the timetable's pace: a reference that has to catch up with what the station says does so by this much more
@@ -40,6 +40,11 @@ class TrajectoryClock:
     def id(self) -> str:
         """Id of the trajectory; empty if there is none."""
         return self.trajectory.id if self.trajectory is not None else ""
+
+    @property
+    def formation_s(self) -> float:
+        """Time along the formation's trajectory in s; 0 on one that the robot flies on its own."""
+        return 0.0 if self.id.startswith(ALONE) else self.reached_s
 
     def flaw(self, command: Command) -> str:
         """Return the reason why a LOAD's trajectory cannot be flown; empty if it can. That takes as long as a control step for

@@ -49,8 +49,8 @@ def state_folder(environment: Mapping[str, str] = os.environ) -> Path | None:
 def read_record(folder: Path) -> ZeroRecord | None:
     """Content of the file in a folder; None if there is none, or none of these. Raises OSError."""
     try:
-        found = json.loads(read_regular(folder / FILE, MOST_BYTES))
-        record = ZeroRecord(str(found.pop("boot")), **{name: float(value) for name, value in found.items()})
+        fields = json.loads(read_regular(folder / FILE, MOST_BYTES))
+        record = ZeroRecord(str(fields.pop("boot")), **{name: float(value) for name, value in fields.items()})
     except FileNotFoundError:
         return None
     except (ValueError, TypeError, AttributeError, KeyError) as error:
@@ -93,12 +93,12 @@ class BoardZero:
         first, self._looked_s = self._looked_s == -math.inf, now_s
         zero_m = telemetry.power_on_depth_m
         board_on_s = now_s - 1e-3 * telemetry.board_ms
-        found = self._read() if first or zero_m > STEP_M else None
-        if found is not None and first:
-            zero_m = found.zero_m if self._same_life(found, now_s, board_on_s) else found.depth_m
+        record = self._read() if first or zero_m > STEP_M else None
+        if record is not None and first:
+            zero_m = record.zero_m if self._same_life(record, now_s, board_on_s) else record.depth_m
             if zero_m > STEP_M:
                 log.warning("the thruster board's depth zero is taken to be at %.2f m, the robot's last known depth", zero_m)
-        elif found is not None and self._written is not None and found.zero_m == 0.0 < self._written.zero_m:
+        elif record is not None and self._written is not None and record.zero_m == 0.0 < self._written.zero_m:
             zero_m = 0.0
             log.info("the thruster board's depth zero is confirmed")
         depth_m = telemetry.depth_m + zero_m
@@ -112,12 +112,12 @@ class BoardZero:
             self._tell(error)
             return None
 
-    def _same_life(self, found: ZeroRecord, now_s: float, board_on_s: float) -> bool:
+    def _same_life(self, record: ZeroRecord, now_s: float, board_on_s: float) -> bool:
         """True if the board has not been switched on since the file was written."""
-        if found.boot != self._boot:  # the computer was: a board that was on before that has its own supply
+        if record.boot != self._boot:  # the computer was: a board that was on before that has its own supply
             return board_on_s < -SLACK_S - DRIFT * now_s
-        apart_s = (board_on_s - found.board_on_s) % (1e-3 * MS_WRAPS)
-        return min(apart_s, 1e-3 * MS_WRAPS - apart_s) <= SLACK_S + DRIFT * (now_s - found.at_s)
+        apart_s = (board_on_s - record.board_on_s) % (1e-3 * MS_WRAPS)
+        return min(apart_s, 1e-3 * MS_WRAPS - apart_s) <= SLACK_S + DRIFT * (now_s - record.at_s)
 
     def _keep(self, record: ZeroRecord) -> None:
         """Write a record that says something new."""

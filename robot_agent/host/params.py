@@ -128,7 +128,7 @@ def set_one(
         done, client = session.set(name, value), session.client
         now = answered_value(client, name)
         if not done:
-            raise ConfigError(f"{name} is still {now:.7g}: {client.said or 'the board does not say why'}")
+            raise ConfigError(f"{name} is still {now:.7g}: {client.last_words or 'the board does not say why'}")
         typer.echo(f"{name} = {now:.7g}")
 
 
@@ -147,12 +147,14 @@ def give_key(
     signing = Signing.of(file, "params", LINK_ID)
     with talk(link, robot, None, insecure=False) as session:
         client, newest = session.client, signing.stamps()
-        session.until(lambda: client.signed or client.said.startswith("no new key"), lambda: client.give(signing.key, newest))
-        if client.said.startswith("no new key"):
-            raise ConfigError(f"--link {link}: {client.said}")
+        session.until(
+            lambda: client.signed or client.last_words.startswith("no new key"), lambda: client.give(signing.key, newest)
+        )
+        if client.last_words.startswith("no new key"):
+            raise ConfigError(f"--link {link}: {client.last_words}")
         robot = client.robot_id
     with talk(link, robot, file, insecure=False) as session:
-        if not session.until(lambda: session.client.told > 0, session.client.ask_all):
+        if not session.until(lambda: session.client.value_count > 0, session.client.ask_all):
             raise ConfigError(f"--link {link}: the board does not answer to the key")
     typer.echo(f"robot {robot}: the link is signed with {file}")
 
@@ -177,4 +179,4 @@ def _refusal(client: ParameterClient) -> str:
         return "no answer"
     if client.error[1] == DOES_NOT_EXIST:
         return "the board has no such parameter"
-    return f"the board refuses: {client.said or f'error {client.error[1]}'}"
+    return f"the board refuses: {client.last_words or f'error {client.error[1]}'}"

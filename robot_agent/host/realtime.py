@@ -22,25 +22,25 @@ _MCL_ONFAULT = 4  # lock pages at first use: unused stacks and pools of threads 
 _GOVERNOR = Path("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor")
 
 
-def apply(wanted: RealtimeConfig) -> list[str]:
+def apply(config: RealtimeConfig) -> list[str]:
     """Apply the settings. Returns the refused ones, with reasons."""
     refused = []
     if sys.platform != "linux":
-        return ["real-time options need Linux"] if wanted != RealtimeConfig() else []
-    if wanted.cores:
+        return ["real-time options need Linux"] if config != RealtimeConfig() else []
+    if config.cores:
         try:
-            _pin(wanted.cores)
+            _pin(config.cores)
         except (OSError, ValueError, OverflowError) as error:
-            refused.append(f"cores {list(wanted.cores)}: {error} (there are {_ranges(os.sched_getaffinity(0))})")
+            refused.append(f"cores {list(config.cores)}: {error} (there are {_ranges(os.sched_getaffinity(0))})")
     everything = _MCL_CURRENT | _MCL_FUTURE | _MCL_ONFAULT
-    if wanted.lock_memory and ctypes.CDLL(None, use_errno=True).mlockall(everything) != 0:
+    if config.lock_memory and ctypes.CDLL(None, use_errno=True).mlockall(everything) != 0:
         refused.append(f"lock_memory: {os.strerror(ctypes.get_errno())} (LimitMEMLOCK=infinity in the unit, or CAP_IPC_LOCK)")
-    if wanted.priority:
+    if config.priority:
         try:
-            os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(wanted.priority))
+            os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(config.priority))
         except OSError as error:
             refused.append(
-                f"priority {wanted.priority}: {error.strerror} (LimitRTPRIO={wanted.priority} in the unit, or CAP_SYS_NICE)"
+                f"priority {config.priority}: {error.strerror} (LimitRTPRIO={config.priority} in the unit, or CAP_SYS_NICE)"
             )
     return refused
 

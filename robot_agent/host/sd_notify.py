@@ -23,14 +23,14 @@ class ServiceNotifier:
     """Connection to the service manager; without one, every call does nothing."""
 
     def __init__(self, environment: dict[str, str] | None = None) -> None:
-        found = dict(os.environ) if environment is None else environment
-        address = found.get("NOTIFY_SOCKET", "")
+        variables = dict(os.environ) if environment is None else environment
+        address = variables.get("NOTIFY_SOCKET", "")
         self._address = "\0" + address[1:] if address.startswith("@") else address  # an abstract socket's begins with an @
-        mine = found.get("WATCHDOG_PID", str(os.getpid())) == str(os.getpid())
-        watch_us = found.get("WATCHDOG_USEC", "")
+        mine = variables.get("WATCHDOG_PID", str(os.getpid())) == str(os.getpid())
+        watch_us = variables.get("WATCHDOG_USEC", "")
         self._every_ns = int(watch_us) * 1000 // TIMES_A_WATCH if mine and watch_us.isdecimal() else 0
         self._due_ns = 0
-        folder = found.get("RUNTIME_DIRECTORY", "")
+        folder = variables.get("RUNTIME_DIRECTORY", "")
         self._status = Path(folder) / "status" if folder else None
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) if self._address else None
         if self._socket is not None:

@@ -91,5 +91,5 @@ def write_curve(session: ParameterSession, found: ThrustFit) -> int:
                 changed += 1
         if len(wanted) == before:
             name, value = next(iter(wanted.items()))
-            raise ConfigError(f"{name} = {value:g}: {client.said or 'the board does not answer'}")
+            raise ConfigError(f"{name} = {value:g}: {client.last_words or 'the board does not answer'}")
     return changed

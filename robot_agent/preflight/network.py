@@ -74,8 +74,8 @@ def _certificate(keys: Keys) -> CheckFinding:
     from cryptography import x509  # a fleet without keys has no use for it
 
     try:
-        found = x509.load_pem_x509_certificate(keys.certificate.read_bytes())
-        found.verify_directly_issued_by(x509.load_pem_x509_certificate(keys.ca.read_bytes()))
+        own = x509.load_pem_x509_certificate(keys.certificate.read_bytes())
+        own.verify_directly_issued_by(x509.load_pem_x509_certificate(keys.ca.read_bytes()))
     except Exception as error:  # the library has a dozen ways to say that a file is no good; each is the answer here
         return CheckFinding("certificate", CheckVerdict.FAIL, f"{keys.certificate}: not of the authority beside it: {error}")
-    return findings.certificate(common_name(keys), found.not_valid_before_utc, found.not_valid_after_utc, datetime.now(UTC))
+    return findings.certificate(common_name(keys), own.not_valid_before_utc, own.not_valid_after_utc, datetime.now(UTC))

@@ -39,8 +39,8 @@ def rehearse(experiment: Experiment, robot: int) -> Iterator[tuple[Agent, Inputs
     k = 0
     while True:
         now_ns = (k + 1) * period_ns
-        flown = max(k - ARM_AFTER, 0)
-        eta = trajectory.eta[flown % len(trajectory.eta)]
+        steps = max(k - ARM_AFTER, 0)
+        eta = trajectory.eta[steps % len(trajectory.eta)]
         x, y, yaw = (eta[[0, 1, 3]] + noise.normal(0.0, NOISE)).tolist()
         pose = Pose(x, y, yaw, np.diag(np.square(NOISE)), Track.MARKER, True, 0.9, DEPTH_M)
         station = StationView(STATION, now_ns, 0.0)
@@ -53,7 +53,7 @@ def rehearse(experiment: Experiment, robot: int) -> Iterator[tuple[Agent, Inputs
             battery_v=full_v,
         )
         others = ((i, other) for i, other in enumerate(experiment.robot_ids) if other != robot)
-        plans = {other: StampedPlan(_plan(experiment, i - me, flown), now_ns) for i, other in others}
+        plans = {other: StampedPlan(_plan(experiment, i - me, steps), now_ns) for i, other in others}
         if k == ARM_AFTER:
             given_ns = now_ns - period_ns  # as the last step ends: what that went by is still fresh
             for n, order in enumerate((Order.LOAD, Order.ARM, Order.START), 1):
@@ -88,7 +88,7 @@ def _circle(period_s: float) -> Trajectory:
     return Trajectory("rehearsal", period_s, eta, velocity, np.gradient(velocity, period_s, axis=0))
 
 
-def _plan(experiment: Experiment, i: int, flown: int) -> Plan:
+def _plan(experiment: Experiment, i: int, step: int) -> Plan:
     period_s, horizon = experiment.controller.period_s, experiment.controller.mpc.horizon
-    eta = _eta(np.arange(flown, flown + horizon + 1, dtype=np.float64) * period_s, i)
+    eta = _eta(np.arange(step, step + horizon + 1, dtype=np.float64) * period_s, i)
     return Plan(period_s, eta, eta)

@@ -47,7 +47,7 @@ def read_rows(lines: Iterable[str], name: str, lever: float = 1.0) -> list[Thrus
     head = next(rows, [])
     if [cell.strip() for cell in head] != COLUMNS:
         raise ConfigError(f"{name}: line 1: {','.join(head)!r} is not the head (allowed: {','.join(COLUMNS)})")
-    found = []
+    readings = []
     for row in rows:
         if not any(cell.strip() for cell in row):
             continue
@@ -58,8 +58,8 @@ def read_rows(lines: Iterable[str], name: str, lever: float = 1.0) -> list[Thrus
         low, high = PULSE_RANGE_US
         if not low <= pulse <= high or pulse != int(pulse):
             raise ConfigError(f"{where}: pulse_us = {pulse:g} (allowed: whole numbers from {low} to {high})")
-        found.append(ThrustReading(rows.line_num, int(pulse), grams * 1e-3 * STANDARD_GRAVITY_MPS2 * lever))
-    return found
+        readings.append(ThrustReading(rows.line_num, int(pulse), grams * 1e-3 * STANDARD_GRAVITY_MPS2 * lever))
+    return readings
 
 
 def _number(cell: str, where: str) -> float:

@@ -108,11 +108,11 @@ def _move(bench: _Bench, channel: int) -> CheckFinding:
     bench.hold(bench.neutral_us, ARM_WITHIN_S, arm=True)
     if not bench.armed:
         return CheckFinding(part(bench.vehicle, channel), CheckVerdict.FAIL, f"{NOT_ARMED}: {bench.said}")
-    wanted = one_pushed(bench.neutral_us, channel, bench.turn_us if channel < bench.vehicle.thruster_count else bench.ankle_us)
-    echoes = bench.hold(wanted, TURN_S)
+    pulses = one_pushed(bench.neutral_us, channel, bench.turn_us if channel < bench.vehicle.thruster_count else bench.ankle_us)
+    echoes = bench.hold(pulses, TURN_S)
     bench.hold(bench.neutral_us, REST_S)
     bench.hold(bench.neutral_us, ARM_WITHIN_S, arm=False)
-    return judge(bench.vehicle, channel, wanted, echoes)
+    return judge(bench.vehicle, channel, pulses, echoes)
 
 
 def _watch(experiment: Experiment, channel: int) -> str:
@@ -134,17 +134,17 @@ def _asked(ask: Callable[[str], bool], finding: CheckFinding) -> CheckFinding:
     return CheckFinding(finding.what, CheckVerdict.FAIL, "moved otherwise, as the person says, and the board says as told")
 
 
-def judge(vehicle: Vehicle, channel: int, wanted: tuple[int, ...], echoes: list[tuple[int, ...]]) -> CheckFinding:
+def judge(vehicle: Vehicle, channel: int, pulses_us: tuple[int, ...], echoes: list[tuple[int, ...]]) -> CheckFinding:
     """Compare echoes with the pulses for one output (from 0); no other one may move."""
-    what, outputs = part(vehicle, channel), range(len(wanted))
-    full = [echo for echo in echoes if len(echo) >= len(wanted)]
+    what, outputs = part(vehicle, channel), range(len(pulses_us))
+    full = [echo for echo in echoes if len(echo) >= len(pulses_us)]
     if not full:
         return CheckFinding(what, CheckVerdict.FAIL, "the board does not say what it puts out")
-    nearest = min(full, key=lambda echo: abs(echo[channel] - wanted[channel]))
-    if abs(nearest[channel] - wanted[channel]) > TOLERANCE_US:
-        return CheckFinding(what, CheckVerdict.FAIL, f"told {wanted[channel]} us, put out {nearest[channel]} us")
-    strayed = [sum(abs(echo[k] - wanted[k]) > TOLERANCE_US for echo in full) for k in outputs]
+    nearest = min(full, key=lambda echo: abs(echo[channel] - pulses_us[channel]))
+    if abs(nearest[channel] - pulses_us[channel]) > TOLERANCE_US:
+        return CheckFinding(what, CheckVerdict.FAIL, f"told {pulses_us[channel]} us, put out {nearest[channel]} us")
+    strayed = [sum(abs(echo[k] - pulses_us[k]) > TOLERANCE_US for echo in full) for k in outputs]
     others = [k for k in outputs if k != channel and strayed[k] >= min(STRAYS, len(full))]
     if others:
         return CheckFinding(what, CheckVerdict.FAIL, f"{part(vehicle, others[0])} moved as well")
-    return CheckFinding(what, CheckVerdict.OK, f"{wanted[channel]} us, as the board says too")
+    return CheckFinding(what, CheckVerdict.OK, f"{pulses_us[channel]} us, as the board says too")

@@ -57,10 +57,10 @@ def is_explained(echo_us: Integers, sent_ns: Integers, told_us: Integers, count:
         for i in range(thrusters):
             if abs(told_us[k + 1, i] - told_us[k, i]) > LEAP_US:
                 return lies_between(echo_us, told_us, first, last)
-    found = False
+    is_between = False
     for k in range(first, last + 1):
-        found |= lies_between(echo_us, told_us, k, min(k + 1, last))
-    return found
+        is_between |= lies_between(echo_us, told_us, k, min(k + 1, last))
+    return is_between
 
 
 class OutputCheck:
@@ -89,7 +89,7 @@ class OutputCheck:
             self._wrong.popleft()
         sent, echo_us = self._sent, np.array(telemetry.echo_us)
         if since_ns > 0 and not is_explained(
-            echo_us, sent.at_ns, sent.told, sent.count, telemetry.arrival_ns, self._thrusters
+            echo_us, sent.at_ns, sent.commands, sent.count, telemetry.arrival_ns, self._thrusters
         ):
             self._wrong.append((now_ns, min(since_ns, LONGEST_NS)))
         self.wrong_s = sum(ns for _, ns in self._wrong) * 1e-9

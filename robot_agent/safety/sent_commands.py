@@ -24,24 +24,24 @@ class SentCommands:
 
     def __init__(self, columns: int, kept: int, kind: Any = np.float64) -> None:
         """`kept` commands are remembered at most, and half of them at least; their numbers are of a `kind` (NumPy)."""
-        self.at_ns, self.told = np.zeros(kept, np.int64), np.zeros((kept, columns), kind)
+        self.at_ns, self.commands = np.zeros(kept, np.int64), np.zeros((kept, columns), kind)
         self.count = 0
 
-    def note(self, told: ArrayLike, at_ns: int) -> None:
+    def note(self, command: ArrayLike, at_ns: int) -> None:
         """Take note of a command (columns,). Of two at one instant the last counts."""
         if not self.count or self.at_ns[self.count - 1] != at_ns:
             if self.count == len(self.at_ns):
                 self.count //= 2
-                for column in (self.at_ns, self.told):
+                for column in (self.at_ns, self.commands):
                     column[: self.count] = column[-self.count :]
             self.count += 1
-        self.at_ns[self.count - 1], self.told[self.count - 1] = at_ns, told
+        self.at_ns[self.count - 1], self.commands[self.count - 1] = at_ns, command
 
 
 @kernel("void(i8[::1], f8[:,::1], i8, f8, i8, i8, f8[::1], f8[::1])")
 def follow_commands(
     acts_ns: NDArray[np.int64],
-    told: Array,
+    commands: Array,
     count: int,
     lag_s: float,
     from_ns: int,
@@ -49,7 +49,7 @@ def follow_commands(
     acting: Array,
     impulse: Array,
 ) -> None:
-    """Let the forces or moments `acting` (columns,) follow the first `count` of the commands `told` (n, columns), each from
+    """Let the forces or moments `acting` (columns,) follow the first `count` of the `commands` (n, columns), each from
     its instant `acts_ns` on and zero before the first, with the thrusters' lag. `impulse` (columns,) is their integral."""
     impulse[:] = 0.0
     for i in range(-1, count):
@@ -57,12 +57,12 @@ def follow_commands(
         end_ns = min(acts_ns[i + 1], to_ns) if i + 1 < count else to_ns
         if end_ns > begin_ns:
             span_s = (end_ns - begin_ns) / NS
-            left = math.exp(-span_s / lag_s) if lag_s > 0.0 else 0.0
+            factor = math.exp(-span_s / lag_s) if lag_s > 0.0 else 0.0
             for column in range(len(acting)):
-                wanted = told[i, column] if i >= 0 else 0.0
-                behind = acting[column] - wanted
-                impulse[column] += wanted * span_s + behind * lag_s * (1.0 - left)
-                acting[column] = wanted + behind * left
+                target = commands[i, column] if i >= 0 else 0.0
+                behind = acting[column] - target
+                impulse[column] += target * span_s + behind * lag_s * (1.0 - factor)
+                acting[column] = target + behind * factor
 
 
 class ActingThrust:
@@ -74,15 +74,15 @@ class ActingThrust:
         self._dead_ns = round(thruster.dead_time_s * NS)
         self._acting, self._impulse = np.zeros(columns), np.zeros(columns)
 
-    def note(self, told: ArrayLike, now_ns: int) -> None:
+    def note(self, command: ArrayLike, now_ns: int) -> None:
         """Take note of what pulses that went out at `now_ns` should give, (columns,)."""
-        self._sent.note(told, now_ns + self._dead_ns)
+        self._sent.note(command, now_ns + self._dead_ns)
 
     def impulse(self, from_ns: int, to_ns: int) -> Array:
         """Integral (columns,) of what acted between two instants, N s or N m s; valid until the next call, which must go on
         from there."""
         sent = self._sent
-        follow_commands(sent.at_ns, sent.told, sent.count, self._lag_s, from_ns, to_ns, self._acting, self._impulse)
+        follow_commands(sent.at_ns, sent.commands, sent.count, self._lag_s, from_ns, to_ns, self._acting, self._impulse)
         return self._impulse
 
 
@@ -90,7 +90,7 @@ class CommandRows(NamedTuple):
     """The first `rows` of commands, from their instants on."""
 
     at_ns: Ints
-    told: Table
+    commands: Table
     rows: int
 
 
@@ -103,8 +103,8 @@ def turn_ankles(ankles: CommandRows, rate_radps: float, from_ns: int, to_ns: int
         if end_ns > begin_ns:
             reach_rad = rate_radps * (end_ns - begin_ns) / NS
             for leg in range(len(angle)):
-                wanted = ankles.told[i, leg] if i >= 0 else 0.0
-                angle[leg] += min(max(wanted - angle[leg], -reach_rad), reach_rad)
+                target_rad = ankles.commands[i, leg] if i >= 0 else 0.0
+                angle[leg] += min(max(target_rad - angle[leg], -reach_rad), reach_rad)
 
 
 @kernel
@@ -124,7 +124,7 @@ def follow_legs(
     begin_ns, to_ns = span_ns
     while begin_ns < to_ns:
         end_ns = min(begin_ns + FINE_NS, to_ns)
-        follow_commands(thrust.at_ns, thrust.told, thrust.rows, lag_s, begin_ns, end_ns, work[0], work[2])
+        follow_commands(thrust.at_ns, thrust.commands, thrust.rows, lag_s, begin_ns, end_ns, work[0], work[2])
         for leg in range(len(impulse)):
             work[3, leg] = math.cos(work[1, leg])
         turn_ankles(ankles, rate_radps, begin_ns, end_ns, work[1])
@@ -153,6 +153,6 @@ class ActingLegs:
     def impulse(self, from_ns: int, to_ns: int) -> Array:
         """Integral (legs,) of the moments between two instants, N m s; valid until the next call, which must go on from
         there."""
-        level, ankles = (CommandRows(sent.at_ns, sent.told, sent.count) for sent in (self._level, self._ankles))
+        level, ankles = (CommandRows(sent.at_ns, sent.commands, sent.count) for sent in (self._level, self._ankles))
         follow_legs(level, ankles, self._lag_s, self._rate_radps, (from_ns, to_ns), self._work, self._impulse)
         return self._impulse

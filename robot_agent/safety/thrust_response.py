@@ -150,8 +150,8 @@ def follow_response(filters: ResponseFilters, push: Push, place: complex, varian
         best = max(best, likelihood[j])
     total = 0.0
     for j in range(count):
-        known = (1.0 - KIND_LASTS) * weight[j] + KIND_LASTS / count
-        weight[j] = max(known * math.exp(likelihood[j] - best), LEAST_WEIGHT)
+        prior_weight = (1.0 - KIND_LASTS) * weight[j] + KIND_LASTS / count
+        weight[j] = max(prior_weight * math.exp(likelihood[j] - best), LEAST_WEIGHT)
         total += weight[j]
     mean, velocity, spread = 0j, 0j, 0.0
     for j in range(count):
@@ -278,10 +278,10 @@ class ThrustResponse:
     @property
     def held_fast(self) -> str:
         """Evidence that the robot is held fast; empty if it is not."""
-        found = self.standstill
-        if not found.is_held:
+        standstill = self.standstill
+        if not standstill.is_held:
             return ""
         return (
-            f"it has moved by less than {1e3 * found.room_m:.0f} mm in {found.stands_s:.1f} s, "
-            f"though its thrust should have moved it by {1e3 * found.pushed_m:.0f} mm"
+            f"it has moved by less than {1e3 * standstill.room_m:.0f} mm in {standstill.stands_s:.1f} s, "
+            f"though its thrust should have moved it by {1e3 * standstill.pushed_m:.0f} mm"
         )

@@ -26,7 +26,7 @@ class ThrusterSelftest:
         self._push_us = push_pulse_us(vehicle, PUSH_N)
         self._begin_ns: int | None = None
         self._confirmed: set[int] = set()
-        self._seen: dict[int, int] = {}
+        self._echo_us: dict[int, int] = {}
 
     def step(self, armed: bool, echo_us: Sequence[int], now_ns: int) -> tuple[int, ...]:
         """Return the pulses for now; neutral when the test is over."""
@@ -41,29 +41,29 @@ class ThrusterSelftest:
             return self._neutral_us
         if since_s >= PUSH_S:
             return self._neutral_us
-        asked = one_pushed(self._neutral_us, thruster, self._push_us)
+        pulses_us = one_pushed(self._neutral_us, thruster, self._push_us)
         if since_s >= SETTLED_S and len(echo_us) >= self._thrusters:
-            wild = self._wild(asked, echo_us)
+            wild = self._wild(pulses_us, echo_us)
             if wild:  # it may run at full thrust: the sooner the board is disarmed the better
                 self.result = wild
                 return self._neutral_us
-            self._seen[thruster] = echo_us[thruster]
-            if all(abs(echo_us[k] - asked[k]) <= TOLERANCE_US for k in range(self._thrusters)):
+            self._echo_us[thruster] = echo_us[thruster]
+            if all(abs(echo_us[k] - pulses_us[k]) <= TOLERANCE_US for k in range(self._thrusters)):
                 self._confirmed.add(thruster)
-        return asked
+        return pulses_us
 
     def _wild(self, asked_us: Sequence[int], echo_us: Sequence[int]) -> str:
         """Text about thrusters that turn though they should not, or faster than asked, or in reverse; empty if none does."""
-        told = zip(asked_us, self._neutral_us, echo_us, strict=False)
+        rows = zip(asked_us, self._neutral_us, echo_us, strict=False)
         return "; ".join(
-            f"thruster {k + 1} was asked for {asked} us, the board says {echo}"
-            for k, (asked, neutral, echo) in enumerate(list(told)[: self._thrusters])
-            if not min(asked, neutral) - TOLERANCE_US <= echo <= max(asked, neutral) + TOLERANCE_US
+            f"thruster {k + 1} was asked for {pulse} us, the board says {echo}"
+            for k, (pulse, neutral, echo) in enumerate(list(rows)[: self._thrusters])
+            if not min(pulse, neutral) - TOLERANCE_US <= echo <= max(pulse, neutral) + TOLERANCE_US
         )
 
     def _verdict(self) -> str:
         wrong = [
-            f"thruster {k + 1} was asked for {self._push_us} us, the board says {self._seen.get(k, 'nothing')}"
+            f"thruster {k + 1} was asked for {self._push_us} us, the board says {self._echo_us.get(k, 'nothing')}"
             for k in range(self._thrusters)
             if k not in self._confirmed
         ]

@@ -68,15 +68,15 @@ def grants(member: Member) -> Grants:
     """The rights of a member."""
     names = [process_name(member.role, member.robot)]
     names += [localizer_name("$*")] if member.role is Role.LOCALIZER else []  # one of several cameras
-    known = (*TOPICS, *(topic.of_camera("*") for topic in OF_CAMERAS))
+    every = (*TOPICS, *(topic.of_camera("*") for topic in OF_CAMERAS))
     if member.role is Role.ROBOT:
         serve: tuple[str, ...] = (COMMAND_KEY.format(robot=member.robot),)
     else:
         serve = (COMMAND_KEY.format(robot=WHOLE_FLEET),) if member.role is Role.STATION else ()
     ask = (COMMAND_KEY.format(robot=WHOLE_FLEET),) if member.role in OPERATORS else ()
     return Grants(
-        write=tuple(topic for topic in known if member.role in topic.writers),
-        read=tuple(topic for topic in known if member.role in topic.readers),
+        write=tuple(topic for topic in every if member.role in topic.writers),
+        read=tuple(topic for topic in every if member.role in topic.readers),
         serve=serve,
         ask=(COMMAND_KEY.format(robot="*"),) if member.role in COMMANDERS else ask,
         announce=tuple(
@@ -123,7 +123,7 @@ def _rules(fleet: str, member: Member) -> list[dict[str, Any]]:
     anything = [f"{fleet}/**", f"{fleet}/**/@adv/**"]
     serve, ask = keys(may.serve), keys(may.ask)
     listens = ["declare_liveliness_subscriber", "liveliness_query"]
-    wanted: list[tuple[str, str, list[str], Sequence[str]]] = [
+    rules: list[tuple[str, str, list[str], Sequence[str]]] = [
         ("writes", "ingress", ["put"], written + cache),
         ("reads", "ingress", ["declare_subscriber"], read + caches),
         ("hears", "egress", ["put"], read + caches),
@@ -146,6 +146,6 @@ def _rules(fleet: str, member: Member) -> list[dict[str, Any]]:
             "messages": messages,
             "key_exprs": list(key_exprs),
         }
-        for name, flow, messages, key_exprs in wanted
+        for name, flow, messages, key_exprs in rules
         if key_exprs
     ]

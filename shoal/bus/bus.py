@@ -264,7 +264,7 @@ class Bus:
         an exception at, which may be carried out by half and is not tried again. A STOP waits for no other command: `handle`
         may be called with it while another call is under way."""
         name, deduplicator = topics.COMMAND_KEY.format(robot=robot), CommandDeduplicator(self.session)
-        turn, known = threading.Lock(), threading.Lock()  # around a command; around the deduplicator
+        turn, deduplicator_lock = threading.Lock(), threading.Lock()  # around a command; around the deduplicator
 
         def handled(header: Header, command: Command) -> Reply:
             try:
@@ -281,11 +281,11 @@ class Bus:
                 self.rejected += 1
                 return encode(Reply(robot, False, str(error)))
             with contextlib.nullcontext() if command.order is Order.STOP else turn:
-                with known:
+                with deduplicator_lock:
                     reply = deduplicator.known_reply(decoded, command)
                 if reply is None:
                     reply = handled(decoded, command)
-                    with known:
+                    with deduplicator_lock:
                         reply = deduplicator.record(decoded, reply)
             with self.arrival:
                 self.arrival.notify_all()
@@ -318,8 +318,8 @@ class Bus:
         The first order to a process asks, in effect, who it is; the second try names it. One to a process that has been
         started again is refused: what it was meant for is no more. So is a second try that would come after a later order."""
         key = self._key(topics.COMMAND_KEY.format(robot=command.robot if to is None else to))
-        known = self._recipients.get(key, 0)
-        first = self._ask(key, replace(command, recipient=known), stamp_ns, timeout_s)
+        recipient = self._recipients.get(key, 0)
+        first = self._ask(key, replace(command, recipient=recipient), stamp_ns, timeout_s)
         assert first is not None
 
         def reply() -> Reply:
@@ -327,7 +327,7 @@ class Bus:
             reply = self._read(command, key, answer(), timeout_s)
             if reply.session:
                 self._recipients[key] = reply.session
-            if known or not reply.session or reply.accepted:
+            if recipient or not reply.session or reply.accepted:
                 return reply
             named = self._ask(key, replace(command, recipient=reply.session), stamp_ns, timeout_s, only_after=sequence)
             if named is None:

@@ -61,7 +61,7 @@ def beside(endpoint: Endpoint) -> Endpoint:
 
 def settings(endpoint: Endpoint) -> dict[str, Any]:
     """Every setting of Zenoh that differs from its default, by its path in the configuration."""
-    found: dict[str, Any] = {
+    values: dict[str, Any] = {
         "mode": "router" if endpoint.router else "client",
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
@@ -74,24 +74,24 @@ def settings(endpoint: Endpoint) -> dict[str, Any]:
         "timestamping/enabled": True,  # the advanced publisher's cache needs it
     }
     if endpoint.lossless:
-        found["transport/link/tx/queue/congestion_control/block/wait_before_close"] = PATIENT_MS * 1000
+        values["transport/link/tx/queue/congestion_control/block/wait_before_close"] = PATIENT_MS * 1000
     if endpoint.router and not endpoint.lossless:  # in lockstep rates are any
-        found["downsampling"] = _flood_limits()
+        values["downsampling"] = _flood_limits()
     if endpoint.router:
-        found["listen/endpoints"] = list(endpoint.listens) or [endpoint.address]
-        found["transport/unicast/max_sessions"] = MOST_SESSIONS
-        found["transport/unicast/accept_pending"] = MOST_SESSIONS  # with 100 (default) that many silent links block the rest
-        found["transport/unicast/accept_timeout"] = ACCEPT_MS
+        values["listen/endpoints"] = list(endpoint.listens) or [endpoint.address]
+        values["transport/unicast/max_sessions"] = MOST_SESSIONS
+        values["transport/unicast/accept_pending"] = MOST_SESSIONS  # with 100 (default) that many silent links block the rest
+        values["transport/unicast/accept_timeout"] = ACCEPT_MS
     else:
-        found["connect/endpoints"] = [endpoint.address]
-        found["connect/timeout_ms"] = TRY_MS
-        found["connect/exit_on_failure"] = True
-        found["connect/retry"] = {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 2}
+        values["connect/endpoints"] = [endpoint.address]
+        values["connect/timeout_ms"] = TRY_MS
+        values["connect/exit_on_failure"] = True
+        values["connect/retry"] = {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 2}
     if endpoint.keys is not None:
-        found |= _tls(endpoint.keys, endpoint.router)
+        values |= _tls(endpoint.keys, endpoint.router)
     if endpoint.access is not None:
-        found["access_control"] = endpoint.access
-    return found
+        values["access_control"] = endpoint.access
+    return values
 
 
 def _flood_limits() -> list[dict[str, Any]]:
@@ -103,7 +103,7 @@ def _flood_limits() -> list[dict[str, Any]]:
 
 def _tls(keys: Keys, router: bool) -> dict[str, Any]:
     """TLS: both sides show a certificate of the fleet's authority; the router's must name the host that was asked for."""
-    found: dict[str, Any] = {
+    values: dict[str, Any] = {
         "transport/link/protocols": ["tls", DOOR] if router else ["tls"],
         "transport/link/tls/root_ca_certificate": str(keys.ca),
         "transport/link/tls/enable_mtls": True,
@@ -111,6 +111,6 @@ def _tls(keys: Keys, router: bool) -> dict[str, Any]:
         "transport/link/tls/close_link_on_expiration": True,
     }
     for side in ("listen", "connect") if router else ("connect",):
-        found[f"transport/link/tls/{side}_certificate"] = str(keys.certificate)
-        found[f"transport/link/tls/{side}_private_key"] = str(keys.private_key)
-    return found
+        values[f"transport/link/tls/{side}_certificate"] = str(keys.certificate)
+        values[f"transport/link/tls/{side}_private_key"] = str(keys.private_key)
+    return values

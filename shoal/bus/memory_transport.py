@@ -82,8 +82,8 @@ class MemoryTransport:
     def ask(self, key: str, payload: bytes, header: bytes, timeout_s: float) -> Await:
         """Ask and have the answer at once, in order: it is made in the thread that asks."""
         with self._hub.lock:
-            found = self._hub.queryables.get(key)
-        reply = found[0](payload, header) if found else None
+            queryable = self._hub.queryables.get(key)
+        reply = queryable[0](payload, header) if queryable else None
         return lambda: reply
 
     def announce(self, key: str) -> None:
@@ -111,8 +111,8 @@ class MemoryTransport:
             self._hub.routes.clear()
             self._hub.watchers = [w for w in self._hub.watchers if w[2] is not self]
             self._hub.queryables = {k: q for k, q in self._hub.queryables.items() if q[1] is not self}
-            gone = [key for key, owner in self._hub.tokens.items() if owner is self]
-            for key in gone:
+            keys = [key for key, owner in self._hub.tokens.items() if owner is self]
+            for key in keys:
                 del self._hub.tokens[key]
-        for key in gone:
+        for key in keys:
             self._tell(key, False)

@@ -33,7 +33,6 @@ from shoal.frames import Array
 EXPERIMENTS = Path(__file__).parent / "experiments"
 SHORT_PLAN_AGE_S = float(Safety.model_fields["plan_max_age_s"].default)  # in which no robot gets far, whatever plans reach
 NO_CAMERA = "localizer.uses_camera=false"  # the setting of runs in which poses are the simulation's truth
-MOVED = {"sim.plant.walls": "pool.walls"}  # keys of earlier versions, and where they stand now
 
 
 Name = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9-]*$", max_length=64)]
@@ -215,8 +214,8 @@ class Experiment(Section):
             if broken.robot and broken.robot not in self.robot_ids:
                 raise ValueError(f"sim.faults.{i}.what = {fault.what!r}: no robot {broken.robot} (allowed: {allowed})")
             if broken.camera and broken.camera not in self.camera_names:
-                known = ", ".join(self.camera_names) or "no name: there is one camera"
-                raise ValueError(f"sim.faults.{i}.what = {fault.what!r}: no camera {broken.camera!r} (allowed: {known})")
+                cameras = ", ".join(self.camera_names) or "no name: there is one camera"
+                raise ValueError(f"sim.faults.{i}.what = {fault.what!r}: no camera {broken.camera!r} (allowed: {cameras})")
             if broken.process and broken.process not in processes:
                 raise ValueError(f"sim.faults.{i}.what = {fault.what!r}: no such process (allowed: {', '.join(processes)})")
         return self
@@ -327,6 +326,15 @@ class Experiment(Section):
         """The path whose node that robot is on."""
         return self.path if robot.path is None else robot.path
 
+    def clearance_m(self, place_m: Array) -> Array:
+        """Distances (n,) of hulls at (n, 3) from the nearest wall, floor or island, in m; below 0 they touch it, and they are
+        infinite where there is none. A robot may float: the surface is no wall."""
+        x, y, z = np.abs(place_m.T)
+        length, width, depth = self.pool.size_m
+        beside = [length / 2.0 - x, width / 2.0 - y, depth - z] if self.pool.walls else [np.full(len(place_m), np.inf)]
+        shores = [np.hypot(*(place_m[:, :2] - island.position_m).T) - island.radius_m for island in self.islands]
+        return np.asarray(np.min([*beside, *shores], axis=0) - self.vehicle.radius_m)
+
     @property
     def watches_obstacles(self) -> bool:
         """True if the localizer has to watch for obstacles: the camera does not move, and obstacle_min_m is not 0. If it is
@@ -363,8 +371,8 @@ def experiment_path(name_or_path: str) -> Path:
         return Path(name_or_path)
     path = EXPERIMENTS / f"{name_or_path}.toml"
     if not path.is_file():
-        known = ", ".join(sorted(p.stem for p in EXPERIMENTS.glob("*.toml")))
-        raise ConfigError(f"experiment {name_or_path!r}: no such experiment (allowed: {known}, or a path ending in .toml)")
+        names = ", ".join(sorted(p.stem for p in EXPERIMENTS.glob("*.toml")))
+        raise ConfigError(f"experiment {name_or_path!r}: no such experiment (allowed: {names}, or a path ending in .toml)")
     return path
 
 
@@ -383,9 +391,6 @@ def checked_experiment(
     for setting in settings:
         apply_setting(table, setting)
         _insert_files(table, path)
-    _move_keys(table, path)
-    if _is_record(path):
-        _insert_rates(table)
     _insert_nodes(table)
     sim = table.setdefault("sim", {}) if faults else None
     if isinstance(sim, dict) and isinstance(sim.setdefault("faults", []), list):
@@ -426,46 +431,6 @@ def _insert_files(table: dict[str, Any], experiment: Path) -> None:
             raise ConfigError("\n".join(f"{experiment}: {line}" for line in str(error).splitlines())) from None
         if isinstance(given, dict):
             _lay_over(holder[key], {k: value for k, value in given.items() if k != "like"})
-
-
-def _move_keys(table: dict[str, Any], path: Path) -> None:
-    """Put keys of an earlier version where they stand now, in the record of a run: the file beside its log. In a file that a
-    person keeps an old key is refused, with its new name."""
-    for old, new in MOVED.items():
-        (holder, key), (target, name) = _holder(table, old), _holder(table, new)
-        if holder is None or key not in holder:
-            continue
-        if not _is_record(path):
-            raise ConfigError(f"{path}: {old}: this key is called {new} now (write {new} = {str(holder[key]).lower()})")
-        value = holder.pop(key)
-        if target is not None:
-            target.setdefault(name, value)
-
-
-def _holder(table: dict[str, Any], dotted: str) -> tuple[dict[str, Any] | None, str]:
-    """The table that a dotted key stands in, None if there is none, and the key's last part."""
-    where, _, key = dotted.rpartition(".")
-    node: Any = table
-    for name in where.split("."):
-        node = node.get(name) if isinstance(node, dict) else None
-    return (node if isinstance(node, dict) else None), key
-
-
-def _is_record(path: Path) -> bool:
-    """True for the record of a run: the copy of the experiment beside its log."""
-    return path.name == "experiment.toml" and (path.parent / "run.mcap").is_file()
-
-
-def _insert_rates(table: dict[str, Any]) -> None:
-    """Read the copies of experiments beside older logs: they limit the wrench's change per control step, not per second."""
-    vehicle, controller = table.get("vehicle"), table.get("controller", {})
-    limits = vehicle.get("limits") if isinstance(vehicle, dict) else None
-    if not (isinstance(limits, dict) and isinstance(controller, dict)) or "wrench_rate_per_s" in limits:
-        return
-    steps, period_s = limits.get("wrench_step"), controller.get("period_s", ControllerConfig().period_s)
-    if isinstance(steps, list) and all(isinstance(value, int | float) and value > 0.0 for value in (*steps, period_s)):
-        limits["wrench_rate_per_s"] = [step * (1.0 / period_s) for step in steps]
-        del limits["wrench_step"]
 
 
 def _insert_nodes(table: dict[str, Any]) -> None:

@@ -113,8 +113,8 @@ def read_what(text: str) -> Break:
     usage = " ".join(part for part in (kind, target, "|".join(_usage(*item) for item in effects.items())) if part)
     left_out = target == "[CAMERA]" and words and words[0] in effects
     target_text = words.pop(0) if target and words and not left_out else ""
-    found = re.fullmatch(_TARGETS[target], target_text)
-    if found is None or not words or words[0] not in effects or len(words) > 1 + bool(effects[words[0]].meaning):
+    match = re.fullmatch(_TARGETS[target], target_text)
+    if match is None or not words or words[0] not in effects or len(words) > 1 + bool(effects[words[0]].meaning):
         raise ValueError(f"must read: {usage}")
     effect = effects[words[0]]
     value = _number(words[1], effect) if len(words) > 1 else effect.default
@@ -124,7 +124,7 @@ def read_what(text: str) -> Break:
     elif target == "[CAMERA]":
         camera = target_text
     elif target:
-        robot, thruster = (int(number) for number in (*found.groups(), "0")[:2])
+        robot, thruster = (int(number) for number in (*match.groups(), "0")[:2])
     if target == "ROBOT/THRUSTER" and not 1 <= thruster <= THRUSTERS:
         raise ValueError(f"thruster {thruster} of robot {robot}: no such thruster (allowed: 1 to {THRUSTERS})")
     return Break(kind, words[0], value, robot, thruster, process, camera)
@@ -175,13 +175,13 @@ class Fault(Section):
 
 def fault_table(line: str) -> dict[str, float | str]:
     """`--fault "t=20 for=5 thruster 2/3 dead"` as a table of [[sim.faults]]. Raises ConfigError."""
-    found = _LINE.fullmatch(line.strip())
+    match = _LINE.fullmatch(line.strip())
     try:
-        if found is None:
+        if match is None:
             raise ValueError
-        table: dict[str, float | str] = {"at_s": float(found["at"]), "what": found["what"]}
-        if found["during"] is not None:
-            table["for_s"] = float(found["during"])
+        table: dict[str, float | str] = {"at_s": float(match["at"]), "what": match["what"]}
+        if match["during"] is not None:
+            table["for_s"] = float(match["during"])
     except ValueError:
         raise ConfigError(
             f'--fault {line}: write it as "t=SECONDS [for=SECONDS] WHAT", e.g. "t=20 thruster 2/3 dead"'

@@ -59,23 +59,23 @@ class KeyTable:
 @cache
 def meanings(model: type[Section]) -> dict[str, str]:
     """Docstrings below the fields of a model and of the models that it inherits from."""
-    found: dict[str, str] = {}
+    docstrings: dict[str, str] = {}
     for cls in reversed([c for c in model.__mro__ if issubclass(c, Section) and c is not Section]):
         (body,) = ast.parse(inspect.getsource(cls)).body
         assert isinstance(body, ast.ClassDef)
         for field, below in zip(body.body, body.body[1:], strict=False):
             if isinstance(field, ast.AnnAssign) and isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant):
-                found[ast.unparse(field.target)] = inspect.cleandoc(str(below.value.value)).replace("\n", " ")
-    return found
+                docstrings[ast.unparse(field.target)] = inspect.cleandoc(str(below.value.value)).replace("\n", " ")
+    return docstrings
 
 
 def schema(kind: str) -> dict[str, Any]:
     """JSON schema (2020-12) of the files of one kind of ROOTS. It knows types and ranges; what keys demand of one another only
     the programs check."""
     root = ROOTS[kind]
-    found = root.model_json_schema()
+    document = root.model_json_schema()
     for model in _models(root):
-        described = found if model is root else found["$defs"][model.__name__]
+        described = document if model is root else document["$defs"][model.__name__]
         described["description"] = inspect.getdoc(model)
         for key, value in described.get("properties", {}).items():
             value.pop("title", None)
@@ -84,12 +84,12 @@ def schema(kind: str) -> dict[str, Any]:
                 del value["default"]  # of a section: its keys have theirs
     if root is Experiment:
         for key in ("vehicle", "camera"):  # read from files, and settings laid over them
-            table = found["properties"][key]
+            table = document["properties"][key]
             reference = {"$ref": table.pop("$ref")}
             like = {"type": "object", "properties": {"like": {"type": "string"}}, "required": ["like"]}
             table["anyOf"] = [{"type": "string"}, like, reference]
-        found["$defs"]["RobotConfig"]["required"].remove("node_m")  # formation.shape gives one
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **found}
+        document["$defs"]["RobotConfig"]["required"].remove("node_m")  # formation.shape gives one
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **document}
 
 
 def schema_line(kind: str) -> str:
@@ -102,13 +102,13 @@ def schema_line(kind: str) -> str:
 def hints(model: type[Section], name: str) -> dict[str, str]:
     """Dotted key, meaning, range and default of each key of one section, in one text. Quick: only the source is read."""
     described = model.model_json_schema()["properties"]
-    found = {}
+    texts = {}
     for key, value in described.items():
         entry = _entry(key, "", value | {"description": meanings(model).get(key, "")}, "default" not in value, False, [])
         allowed = f" Allowed: {entry.allowed}{f' {entry.unit}' if entry.unit else ''}." if entry.allowed else ""
         default = f" Default: {entry.default}." if entry.default and entry.default != "required" else ""
-        found[f"{name}.{key}" if name else key] = f"{name}.{key}: {entry.meaning}{allowed}{default}"
-    return found
+        texts[f"{name}.{key}" if name else key] = f"{name}.{key}: {entry.meaning}{allowed}{default}"
+    return texts
 
 
 def tables(kind: str) -> list[KeyTable]:

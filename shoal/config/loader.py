@@ -46,9 +46,9 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 def _parsed(text: str) -> dict[str, Any]:
     """TOML, parsed. Raises ValueError or RecursionError for what is none, and for keys of too many parts."""
-    found = _LONG_KEY.search(text)
-    if found is not None:
-        line = text.count("\n", 0, found.start()) + 1
+    match = _LONG_KEY.search(text)
+    if match is not None:
+        line = text.count("\n", 0, match.start()) + 1
         raise ValueError(f"a key of more than {MOST_PARTS} parts (at line {line})")
     return tomllib.loads(text)
 

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -67,16 +67,6 @@ class Limits(Section):
     yaw_rate_radps: Positive
     """Largest yaw rate."""
 
-    @model_validator(mode="before")
-    @classmethod
-    def _no_change_per_step(cls, table: Any) -> Any:
-        if isinstance(table, dict) and "wrench_step" in table:
-            raise ValueError(
-                "wrench_step: the change per control step is now wrench_rate_per_s, in N/s and N m/s (for a control period of "
-                "0.05 s twenty times the numbers)"
-            )
-        return table
-
     @model_validator(mode="after")
     def _same_axes(self) -> Self:
         if len(self.wrench) != len(self.wrench_rate_per_s):
@@ -128,8 +118,8 @@ class Legs(Section):
             )
         x, y = np.abs(self.position_m).T
         if np.ptp(x) > SAME_M or np.ptp(y) > SAME_M or len(set(self.position_m)) != 4:
-            given = [list(position) for position in self.position_m]
-            raise ValueError(f"position_m = {given}: must be the corners of a rectangle around the centre")
+            positions = [list(position) for position in self.position_m]
+            raise ValueError(f"position_m = {positions}: must be the corners of a rectangle around the centre")
         return self
 
 
@@ -286,8 +276,8 @@ class Vehicle(Section):
     @model_validator(mode="after")
     def _has_thrusters(self) -> Self:
         if (self.legs is None) == (not self.thrusters):
-            found = "neither" if self.legs is None else "both"
-            raise ValueError(f"thrusters: has {found} (allowed: a table [legs], or tables [[thrusters]])")
+            system = "neither" if self.legs is None else "both"
+            raise ValueError(f"thrusters: has {system} (allowed: a table [legs], or tables [[thrusters]])")
         if self.legs is not None:
             if self.limits.has_sway:
                 raise ValueError("limits.wrench: has a fourth number, but legs do not push sideways (allowed: 3 numbers)")
@@ -404,6 +394,6 @@ def load_vehicle(name_or_path: str, relative_to: Path | None = None) -> Vehicle:
     else:
         path = VEHICLES / f"{name_or_path}.toml"
         if not path.is_file():
-            known = ", ".join(sorted(p.stem for p in VEHICLES.glob("*.toml")))
-            raise ConfigError(f"vehicle = {name_or_path!r}: no such vehicle (allowed: {known}, or a path ending in .toml)")
+            names = ", ".join(sorted(p.stem for p in VEHICLES.glob("*.toml")))
+            raise ConfigError(f"vehicle = {name_or_path!r}: no such vehicle (allowed: {names}, or a path ending in .toml)")
     return check(Vehicle, read_toml(path), str(path))

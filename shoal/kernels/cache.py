@@ -102,10 +102,10 @@ def write(name: str, content: bytes) -> None:
 
 def clear() -> list[Path]:
     """Remove the folders of kernels, as far as this user may. Returns those that were there."""
-    found = [place for place in dict.fromkeys(_named_folders()) if place.is_dir()]
-    for place in found:
+    folders = [place for place in dict.fromkeys(_named_folders()) if place.is_dir()]
+    for place in folders:
         shutil.rmtree(place, ignore_errors=True)
-    return found
+    return folders
 
 
 def discard(name: str, reason: str) -> None:

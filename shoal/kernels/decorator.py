@@ -92,6 +92,7 @@ class Kernel:
         self._signature = signature
         self._entry: Callable[..., Any] | None = None
         self._is_checked = False
+        self._checked: dict[int, tuple[Any, ...]] = {}  # the last record in each place
 
     def __call__(self, *arguments: Any) -> Any:
         """Run the machine code."""
@@ -109,9 +110,13 @@ class Kernel:
         names = self.py_func.__code__.co_varnames[: self.py_func.__code__.co_argcount]
         if len(arguments) != len(names):
             raise TypeError(f"{self.py_func.__qualname__}: {len(arguments)} arguments, takes {len(names)}")
-        for name, value, wanted in zip(names, arguments, self._signature.args, strict=True):
-            for misfit in misfits(value, wanted, name):
+        for place, value in enumerate(arguments):
+            if value is self._checked.get(place):
+                continue
+            for misfit in misfits(value, self._signature.args[place], names[place]):
                 raise TypeError(f"{self.py_func.__qualname__}: {misfit}")
+            if isinstance(value, tuple):  # a record never changes: one that is kept and passed again is not looked at again
+                self._checked[place] = value
 
 
 @typeof_impl.register(Kernel)

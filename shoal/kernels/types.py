@@ -17,6 +17,7 @@ from typing import Annotated, Any, cast, get_args, get_origin, get_type_hints
 import numba
 import numpy as np
 from numba.core import types
+from numba.np.numpy_support import as_dtype
 from numpy.typing import NDArray
 
 Floats = Annotated[NDArray[np.float64], 1]
@@ -71,32 +72,54 @@ def _numba_type(hint: Any) -> Any:
     raise TypeError(f"{hint!r}: a kernel takes float, int, bool, complex, arrays with dimensions, tuples and NamedTuples")
 
 
-def misfits(value: Any, wanted: Any, name: str) -> Iterator[str]:
+@cache
+def fit_of(numba_type: Any) -> Callable[[Any], bool]:
+    """A quick check of a value against Numba's type: true where `misfits` has nothing to say."""
+    if hasattr(numba_type, "types"):
+        record = getattr(numba_type, "instance_class", tuple)
+        parts = [fit_of(part) for part in numba_type.types]
+        return lambda value: (
+            type(value) is record
+            and len(value) == len(parts)
+            and all(fits(part) for fits, part in zip(parts, value, strict=True))
+        )
+    if isinstance(numba_type, types.Array):
+        numbers, dimensions = as_dtype(numba_type.dtype), numba_type.ndim
+        return lambda value: (
+            type(value) is np.ndarray and value.dtype == numbers and value.ndim == dimensions and value.flags.carray
+        )
+    return lambda value: isinstance(value, _allowed(numba_type)) and (type(value) is not bool or numba_type == types.boolean)
+
+
+def misfits(value: Any, numba_type: Any, name: str) -> Iterator[str]:
     """Differences of a value from Numba's type, each with the name of the field. Machine code itself looks at nothing: it
     reads another record's fields, or an array's bytes, as if they were right."""
     kind, typeof = type(value), cast(Any, numba.typeof)
-    if hasattr(wanted, "types"):  # a tuple's or a record's
-        record = getattr(wanted, "instance_class", tuple)
-        if kind is not record or len(value) != len(wanted.types):
-            yield f"{name}: is {kind.__name__}, must be {record.__name__} of {len(wanted.types)}"
+    if fit_of(numba_type)(value):
+        return
+    if hasattr(numba_type, "types"):  # a tuple's or a record's
+        record = getattr(numba_type, "instance_class", tuple)
+        if kind is not record or len(value) != len(numba_type.types):
+            yield f"{name}: is {kind.__name__}, must be {record.__name__} of {len(numba_type.types)}"
             return
-        for field, part, part_type in zip(getattr(value, "_fields", range(len(value))), value, wanted.types, strict=True):
+        for field, part, part_type in zip(getattr(value, "_fields", range(len(value))), value, numba_type.types, strict=True):
             yield from misfits(part, part_type, f"{name}.{field}")
-    elif isinstance(wanted, types.Array):
-        given = typeof(value) if isinstance(value, np.ndarray) else kind.__name__
-        if given != wanted:
-            yield f"{name}: is {given}, must be {wanted}"
-    elif not isinstance(value, _allowed(wanted)) or (kind is bool and wanted != types.boolean):
-        yield f"{name}: is {value!r}, must be {wanted}"
+    elif isinstance(numba_type, types.Array):
+        actual = typeof(value) if isinstance(value, np.ndarray) else kind.__name__
+        if actual != numba_type:
+            yield f"{name}: is {actual}, must be {numba_type}"
+    else:
+        yield f"{name}: is {value!r}, must be {numba_type}"
 
 
-def _allowed(wanted: Any) -> tuple[type, ...]:
+@cache
+def _allowed(numba_type: Any) -> tuple[type, ...]:
     """Classes of Python's and NumPy's numbers that become a number of Numba's type."""
-    if wanted == types.boolean:
+    if numba_type == types.boolean:
         return (bool, np.bool_)
     whole = (int, np.integer)
-    return whole if isinstance(wanted, types.Integer) else (*whole, float, np.floating, *_complex(wanted))
+    return whole if isinstance(numba_type, types.Integer) else (*whole, float, np.floating, *_complex(numba_type))
 
 
-def _complex(wanted: Any) -> tuple[type, ...]:
-    return (complex, np.complexfloating) if isinstance(wanted, types.Complex) else ()
+def _complex(numba_type: Any) -> tuple[type, ...]:
+    return (complex, np.complexfloating) if isinstance(numba_type, types.Complex) else ()

@@ -135,9 +135,9 @@ def within(value: float, low: float, high: float) -> float:
 
 def _tilt_of(message: Any) -> tuple[float, ...]:
     """Roll, pitch and d/dt of them of an ATTITUDE; empty if they are all 0, or cannot be true: then they are not measured."""
-    roll, pitch, about_x, about_y = told = (message.roll, message.pitch, message.rollspeed, message.pitchspeed)
+    roll, pitch, about_x, about_y = motion = (message.roll, message.pitch, message.rollspeed, message.pitchspeed)
     possible = abs(roll) <= math.pi and abs(pitch) <= STEEPEST_RAD and max(abs(about_x), abs(about_y)) <= FASTEST_TURN_RADPS
-    if not (any(told) and possible):  # impossible is NaN too
+    if not (any(motion) and possible):  # impossible is NaN too
         return ()
     aside, down = math.sin(roll), math.cos(roll)
     roll_rate = about_x + (about_y * aside + message.yawspeed * down) * math.tan(pitch)
@@ -295,8 +295,8 @@ class AgentLink:
             count = changes.get("heartbeats", self.telemetry.heartbeats)
             armed, hil = dialect.MAV_MODE_FLAG_SAFETY_ARMED, dialect.MAV_MODE_FLAG_HIL_ENABLED
             mode = message.base_mode
-            told = {"armed": bool(mode & armed), "hil": bool(mode & hil), "heartbeats": count + 1}
-            return told | self._confirmed("autopilot", message.autopilot)
+            own = {"armed": bool(mode & armed), "hil": bool(mode & hil), "heartbeats": count + 1}
+            return own | self._confirmed("autopilot", message.autopilot)
         return self._read_answer(kind, message, changes, now_ns)
 
     def _read_answer(self, kind: str, message: Any, changes: dict[str, Any], now_ns: int) -> dict[str, Any]:

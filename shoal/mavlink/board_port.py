@@ -176,8 +176,8 @@ def serial_trouble(device: Path) -> str:
 
 def _resolved(host: str) -> tuple[socket.AddressFamily, str]:
     """The address of a host, IPv4 where it has both, as simulated boards do. Raises OSError if it has none."""
-    found = socket.getaddrinfo(host, None, type=socket.SOCK_DGRAM)
-    family, _, _, _, place = min(found, key=lambda entry: entry[0] != socket.AF_INET)
+    places = socket.getaddrinfo(host, None, type=socket.SOCK_DGRAM)
+    family, _, _, _, place = min(places, key=lambda entry: entry[0] != socket.AF_INET)
     return family, str(place[0])
 
 

@@ -85,14 +85,14 @@ def unpack(frame: bytes) -> Any:
             return _reader.decode(bytearray(frame))
         except dialect.MAVError:
             return None
-    given = frame[end : end + CHECKSUM_BYTES]
-    if checksum(frame[1:end], layout.crc_extra) != given:
+    sent_checksum = frame[end : end + CHECKSUM_BYTES]
+    if checksum(frame[1:end], layout.crc_extra) != sent_checksum:
         return None
     whole = layout.payload.size
     values = layout.payload.unpack(frame[HEADER_BYTES:end].ljust(whole, b"\0")[:whole])
     message = object.__new__(layout.kind)
     message.__dict__.update(layout.common)
     message.__dict__.update(zip(layout.fields, values, strict=True))
-    message._msgbuf, message._crc = frame, int.from_bytes(given, "little")
+    message._msgbuf, message._crc = frame, int.from_bytes(sent_checksum, "little")
     message._header = dialect.MAVLink_header(layout.number, flags, more_flags, size, sequence, system, component)
     return message

@@ -28,7 +28,7 @@ class ParameterClient:
         self.robot_id = robot_id
         self._sender = Sender(STATION, key, lambda: max(now(), verifier.newest + 1))
         self._receiver = Receiver(self._is_board, verifier)
-        self.heard = False
+        self.has_answered = False
         self.autopilot: str | None = (
             None  # name of the autopilot at the other end; empty: a thruster board; None: not known yet
         )
@@ -37,8 +37,8 @@ class ParameterClient:
         self._count: int | None = None
         self._by_index: dict[int, str] = {}
         self.values: dict[str, float] = {}
-        self.told = 0  # values that came, the same again too
-        self.said = ""  # the board's last words
+        self.value_count = 0  # values that came, the same again too
+        self.last_words = ""  # the board's last words
         self.error: tuple[str, int] | None = None  # last PARAM_ERROR: of which parameter, MAV_PARAM_ERROR
 
     def _is_board(self, peer: Peer) -> bool:
@@ -95,7 +95,7 @@ class ParameterClient:
 
     def silence(self, trouble: str = "") -> str:
         """The reason why no board is heard, from what has come or else the link's `trouble`; empty if one is heard."""
-        if self.heard:
+        if self.has_answered:
             return ""
         if self._others:
             return f"heard: the board of robot {min(self._others)}, not that of robot {self.robot_id}"
@@ -117,7 +117,7 @@ class ParameterClient:
 
     def _read(self, message: Any) -> None:
         kind = message.get_type()
-        self.heard = True
+        self.has_answered = True
         if kind == "HEARTBEAT":
             self.robot_id = message.get_srcSystem()  # the one that is wanted, if one is
             self.autopilot = autopilot_name(message.autopilot)
@@ -128,8 +128,8 @@ class ParameterClient:
                 self._count = message.param_count
                 self._by_index[message.param_index] = message.param_id
             self.values[message.param_id] = message.param_value
-            self.told += 1
+            self.value_count += 1
         if kind == "PARAM_ERROR" and (message.target_system, message.target_component) == STATION:
             self.error = (message.param_id, message.error)
         if kind == "STATUSTEXT":
-            self.said = message.text
+            self.last_words = message.text

@@ -77,8 +77,8 @@ class SignatureVerifier:
         """Verify an intact frame by its flag and signature. Only a good frame changes the state."""
         if not frame[2] & SIGNED:
             return SignatureVerdict.GOOD if self._key is None else SignatureVerdict.UNSIGNED
-        signed, given = frame[:-HASH_BYTES], frame[-HASH_BYTES:]
-        if self._key is None or not hmac.compare_digest(_hash(self._key, bytes(signed)), bytes(given)):
+        signed, signature = frame[:-HASH_BYTES], frame[-HASH_BYTES:]
+        if self._key is None or not hmac.compare_digest(_hash(self._key, bytes(signed)), bytes(signature)):
             return SignatureVerdict.FORGED
         stream = (frame[-SIGNATURE_BYTES], system, component)
         timestamp = int.from_bytes(signed[-6:], "little")

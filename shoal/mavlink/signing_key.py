@@ -81,15 +81,15 @@ class TimestampStore:
 def _time_in(path: Path) -> int:
     """The time that a file of these holds. Raises OSError, and ConfigError for one that a loss of power has cut."""
     try:
-        found = int(read_regular(path, MOST_BYTES))
+        time = int(read_regular(path, MOST_BYTES))
     except ValueError:
-        found = -1
-    if not 0 <= found <= LATEST:
+        time = -1
+    if not 0 <= time <= LATEST:
         raise ConfigError(
             f"{path}: the times that signatures have used cannot be kept: it holds none, as after a loss of power "
             "(remedy: see that this computer's clock is right, then remove the file)"
         )
-    return found
+    return time
 
 
 @dataclass(frozen=True)

@@ -30,8 +30,8 @@ def _outside_one_m(camera: Camera, places_m: Array, reach_m: float) -> Array:
     beyond_px = np.maximum(-0.5 - pixels, pixels - (np.array(camera.size_px) - 0.5)).max(axis=2)
     px_per_m = np.linalg.norm(pixels[:, 1:] - pixels[:, :1], axis=2).mean(axis=1) / reach_m
     with np.errstate(invalid="ignore"):
-        found = beyond_px.max(axis=1) / px_per_m
-    return np.where(np.isfinite(found), np.minimum(found, _FARTHEST_M), _FARTHEST_M)
+        distance_m = beyond_px.max(axis=1) / px_per_m
+    return np.where(np.isfinite(distance_m), np.minimum(distance_m, _FARTHEST_M), _FARTHEST_M)
 
 
 def _without_fold(camera: Camera, points: Array) -> Array:
@@ -50,8 +50,8 @@ def _without_fold(camera: Camera, points: Array) -> Array:
 
 def project(camera: Camera, points: Array) -> Array:
     """Pixels (n, 2) that show pool points (n, 3) at depths >= 0; NaN for what lies behind the lens."""
-    seen = _at_surface(camera, points)
-    at = (seen - np.array(camera.position_m)) @ _rotation(np.array(camera.rotation_rad)).T
+    crossings = _at_surface(camera, points)
+    at = (crossings - np.array(camera.position_m)) @ _rotation(np.array(camera.rotation_rad)).T
     with np.errstate(divide="ignore", invalid="ignore"):
         x, y = np.where(at[:, 2:] > 1e-6, at[:, :2] / at[:, 2:], np.nan).T
     k1, k2, p1, p2, k3 = camera.distortion

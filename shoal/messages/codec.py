@@ -1,18 +1,17 @@
 """bytes <-> frozen dataclass. Decoding checks everything: a message that gets through is finite, sized and typed.
 
-Our own messages map to shoal/messages/fleet.proto field by field, by name; some messages travel as foxglove.* schemas so that
-logs open in the usual viewers. A `Header` travels beside every message.
+Our own messages have protobuf classes built from them (schema.py), with the same fields; some messages travel as foxglove.*
+schemas so that logs open in the usual viewers. A `Header` travels beside every message.
 """
 
 import dataclasses
 import math
 import struct
-import types
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cache
-from typing import Any, TypeVar, Union, cast, get_args, get_origin, get_type_hints
+from typing import Any, TypeVar, cast, get_args, get_origin, get_type_hints
 
 import numpy as np
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
@@ -22,14 +21,14 @@ from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from google.protobuf.descriptor import Descriptor
 from google.protobuf.message import DecodeError as ProtobufError
 
-from shoal.messages import fleet_pb2
 from shoal.messages.messages import Command, Event, Frame, Message, OrderTaken, Picture, Preview, Trajectory, Video
+from shoal.messages.schema import message_classes, optional_message
 
 MAX_FRAME_BYTES = 64 * 1024 * 1024
 MAX_MESSAGE_BYTES = 4 * 1024 * 1024  # half an hour of trajectory at 20 Hz; anything larger is no message of ours
 MAX_SMALL_BYTES = 64 * 1024  # without path or picture: a plan of 200 nodes has 13 kB, 290 obstacles fill it
 WRENCH_AXES = (3, 4)  # numbers of a wrench, without and with sway
-MAX_EVENT_BYTES = 16 * 1024  # of a line of the log: logs of earlier versions hold lines of 5 kB
+MAX_EVENT_BYTES = 16 * 1024  # of a line of the log: LONGEST_LINE characters, their source and more
 LONGEST_LINE = 1000  # characters of a line of the log; the rest is cut off
 LONGEST_TEXT = 8000  # characters of any other text, for example every reason that keeps fifty robots from arming
 SHARED = "shared_memory"  # encoding of a picture whose pixels are in a ring of frames (shoal/bus/frame_ring.py)
@@ -101,7 +100,7 @@ def _fields(cls: Any) -> tuple[tuple[str, Callable[[Any, str], Any], bool], ...]
     """Per field of a message: its name, the checked conversion from the protobuf value, and whether it may be absent."""
     hints = get_type_hints(cls)
     return tuple(
-        (f.name, _reader(hints[f.name], f.metadata), _optional_message(hints[f.name]) is not None)
+        (f.name, _reader(hints[f.name], f.metadata), optional_message(hints[f.name]) is not None)
         for f in dataclasses.fields(cls)
     )
 
@@ -124,12 +123,6 @@ def _numbers(cls: Any) -> tuple[str, ...]:
     return tuple(f.name for f in dataclasses.fields(cls) if f.metadata.get("each_row"))
 
 
-@cache
-def _later(cls: Any) -> frozenset[str]:
-    """Names of those that messages of earlier versions do not have."""
-    return frozenset(f.name for f in dataclasses.fields(cls) if f.metadata.get("later"))
-
-
 def _reader(hint: Any, metadata: Any) -> Callable[[Any, str], Any]:
     """The function that reads and checks a field of such a type from protobuf."""
     if metadata.get("wrench"):
@@ -144,18 +137,10 @@ def _reader(hint: Any, metadata: Any) -> Callable[[Any, str], Any]:
         return _read_text
     if get_origin(hint) is tuple:
         return lambda value, name: tuple(value)
-    nested = _optional_message(hint)
+    nested = optional_message(hint)
     if nested is not None:
         return lambda value, name: _from_protobuf(nested, value, f"{name}.")
     return lambda value, name: value
-
-
-def _optional_message(hint: Any) -> type | None:
-    if get_origin(hint) in (Union, types.UnionType):
-        for candidate in get_args(hint):
-            if dataclasses.is_dataclass(candidate) and isinstance(candidate, type):
-                return candidate
-    return None
 
 
 def _read_float(value: float, name: str) -> float:
@@ -222,8 +207,6 @@ def _from_protobuf(cls: type[M], message: Any, prefix: str = "") -> M:
         in_rows = not set(wrenches).isdisjoint((first, *others))  # one for each row of the message's arrays, or one in all
         _shape_wrenches(values, wrenches, len(values[first]) if in_rows else None, prefix)
     for name in others:
-        if len(values[name]) == 0 and name in _later(cast(Any, cls)):
-            values[name] = np.zeros((len(values[first]), *values[name].shape[1:]))
         if len(values[name]) != len(values[first]):
             raise _Invalid(prefix + name, f"{len(values[name])} rows, but {first} has {len(values[first])}")
     for name in _numbers(cast(Any, cls)):
@@ -397,9 +380,13 @@ _FOXGLOVE: dict[type, tuple[Any, Callable[[Any, int], bytes], Callable[[Any], An
 # --- the two directions
 
 
+OWN: tuple[type, ...] = tuple(cls for cls in get_args(Message) if cls not in _FOXGLOVE)
+_CLASSES = message_classes("fleet", OWN)
+
+
 def protobuf_class(cls: type) -> Any:
     """The protobuf class of messages of dataclass `cls`."""
-    return _FOXGLOVE[cls][0] if cls in _FOXGLOVE else getattr(fleet_pb2, cls.__name__)
+    return _FOXGLOVE[cls][0] if cls in _FOXGLOVE else _CLASSES[cls]
 
 
 def descriptor(cls: type) -> Descriptor:

@@ -1,5 +1,5 @@
-"""Every message of the fleet as a frozen dataclass. The wire form is shoal/messages/fleet.proto; shoal/messages/codec.py maps
-the two by name.
+"""Every message of the fleet as a frozen dataclass. Its protobuf form follows from it (schema.py): the number beside a
+field's type is the field's number there, which never changes and is never used again.
 
 `eta` is a pose [x_m, y_m, z_m, yaw_rad] in the pool frame, `nu` a velocity [surge, sway, heave m/s, yaw rad/s] in the body
 frame, a wrench [surge N, heave N, yaw N m], with sway N as its fourth number where the vehicle has side thrust; see
@@ -9,12 +9,17 @@ length for all of a message.
 
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from shoal.frames import Array
+
+# Integers, with the form that they have on the wire.
+Int64 = Annotated[int, "int64"]
+Uint32 = Annotated[int, "uint32"]
+Uint64 = Annotated[int, "uint64"]
 
 
 def array(*shape: int) -> Any:
@@ -27,12 +32,6 @@ def wrench_array(*rows: int) -> Any:
     """An array field of wrenches: 3 numbers each, or 4 with sway. All of a message have the same."""
     empty = (*(0 for _ in rows), 3)
     return field(default_factory=lambda: np.zeros(empty), metadata={"shape": (*rows, 3), "wrench": True})
-
-
-def later_array(*shape: int) -> Any:
-    """An array field added later. Messages of earlier versions lack it and get one zero for each row of the other arrays."""
-    empty = tuple(0 if n == -1 else n for n in shape)
-    return field(default_factory=lambda: np.zeros(empty), metadata={"shape": shape, "later": True})
 
 
 def row_numbers() -> Any:
@@ -133,57 +132,57 @@ class CameraHealth(IntEnum):
 class Tick:
     """The simulator's clock in lockstep. A process acts when the inputs named here have reached it."""
 
-    now_ns: int  # Simulated time of this control step.
-    previous_ns: int  # Time of the step before: the stamp of the plans and states to use.
-    frame_ns: int  # Stamp of the newest camera frame that counts at this step.
-    robots: tuple[int, ...] = ()  # Robots that take part.
-    board_ms: tuple[int, ...] = ()  # For each robot, the board's time of the last sensor burst that counts.
-    frames_ns: tuple[int, ...] = ()  # For each of several cameras, stamp of its newest frame; -1: none yet.
+    now_ns: Annotated[Int64, 1]  # Simulated time of this control step.
+    previous_ns: Annotated[Int64, 2]  # Time of the step before: the stamp of the plans and states to use.
+    frame_ns: Annotated[Int64, 3]  # Stamp of the newest camera frame that counts at this step.
+    robots: Annotated[tuple[Uint32, ...], 4] = ()  # Robots that take part.
+    board_ms: Annotated[tuple[Uint32, ...], 5] = ()  # For each robot, the board's time of the last sensor burst that counts.
+    frames_ns: Annotated[tuple[Int64, ...], 6] = ()  # For each of several cameras, stamp of its newest frame; -1: none yet.
 
 
 @dataclass(frozen=True, eq=False)
 class Truth:
     """The true state of the simulated plant. Robots, localizer and planner may not read it."""
 
-    robots: tuple[int, ...] = row_numbers()
-    eta: Array = array(-1, 4)
-    nu: Array = array(-1, 4)
-    wrench: Array = wrench_array(-1)  # Wrench that the thrusters deliver.
-    disturbance: Array = array(-1, 4)  # Acceleration that the nominal model does not explain, in the body frame.
+    robots: Annotated[tuple[Uint32, ...], 1] = row_numbers()
+    eta: Annotated[Array, 2] = array(-1, 4)
+    nu: Annotated[Array, 3] = array(-1, 4)
+    wrench: Annotated[Array, 4] = wrench_array(-1)  # Wrench that the thrusters deliver.
+    disturbance: Annotated[Array, 5] = array(-1, 4)  # Acceleration that the nominal model does not explain, in the body frame.
 
 
 @dataclass(frozen=True, eq=False)
 class Pose:
     """A robot's position and heading from the camera, at the header's stamp (middle of the exposure)."""
 
-    x_m: float
-    y_m: float
-    yaw_rad: float
-    covariance: Array = array(3, 3)  # Covariance of x, y, yaw: m^2, m rad, rad^2.
-    track: Track = Track.LOST
-    identity_verified: bool = False  # A marker was read since the robot was last near another robot.
-    peak: float = 0.0  # Peak of the correlation, 0 to 1.
-    depth_m: float = 0.0  # Depth of the robot's centre that the refraction was computed with.
+    x_m: Annotated[float, 1]
+    y_m: Annotated[float, 2]
+    yaw_rad: Annotated[float, 3]
+    covariance: Annotated[Array, 4] = array(3, 3)  # Covariance of x, y, yaw: m^2, m rad, rad^2.
+    track: Annotated[Track, 5] = Track.LOST
+    identity_verified: Annotated[bool, 6] = False  # A marker was read since the robot was last near another robot.
+    peak: Annotated[float, 7] = 0.0  # Peak of the correlation, 0 to 1.
+    depth_m: Annotated[float, 8] = 0.0  # Depth of the robot's centre that the refraction was computed with.
 
 
 @dataclass(frozen=True, eq=False)
 class LocalizerStatus:
     """The state of the localizer, once a frame."""
 
-    camera: CameraHealth = CameraHealth.ABSENT
-    frames: int = 0  # Pictures processed since the start.
-    dropped: int = 0  # Pictures not processed, because a newer one had come.
-    frame_ms: float = 0.0  # Processing time of the last picture.
-    frame_age_ms: float = 0.0  # Time from the exposure to the publication.
-    message: str = ""  # The trouble in words, for people; empty if there is none.
-    robots: tuple[int, ...] = ()  # Robots whose poses in this picture are published.
-    obstacles_ns: int = -1  # Stamp of the newest Obstacles published before those poses; -1: none yet.
-    failed: int = 0  # Pictures skipped since the start, because their processing raised an error.
-    out: tuple[str, ...] = ()  # Of several cameras, the names of those that give no poses now.
-    moved: bool = False  # Whether check marks show that the camera was moved.
-    marks_seen: bool = False  # Whether most check marks are seen. Only then is a camera that was moved known to be back.
-    code: str = ""  # Version and commit of the localizer's program; empty in messages of earlier versions.
-    experiment_hash: str = ""  # Of the experiment whose markers and camera its poses rest on; empty in earlier versions.
+    camera: Annotated[CameraHealth, 1] = CameraHealth.ABSENT
+    frames: Annotated[Uint64, 2] = 0  # Pictures processed since the start.
+    dropped: Annotated[Uint64, 3] = 0  # Pictures not processed, because a newer one had come.
+    frame_ms: Annotated[float, 4] = 0.0  # Processing time of the last picture.
+    frame_age_ms: Annotated[float, 5] = 0.0  # Time from the exposure to the publication.
+    message: Annotated[str, 6] = ""  # The trouble in words, for people; empty if there is none.
+    robots: Annotated[tuple[Uint32, ...], 7] = ()  # Robots whose poses in this picture are published.
+    obstacles_ns: Annotated[Int64, 8] = -1  # Stamp of the newest Obstacles published before those poses; -1: none yet.
+    failed: Annotated[Uint64, 9] = 0  # Pictures skipped since the start, because their processing raised an error.
+    out: Annotated[tuple[str, ...], 10] = ()  # Of several cameras, the names of those that give no poses now.
+    moved: Annotated[bool, 11] = False  # Whether check marks show that the camera was moved.
+    marks_seen: Annotated[bool, 12] = False  # Most check marks are seen: only then is a moved camera known to be back.
+    code: Annotated[str, 13] = ""  # Version and commit of the localizer's program.
+    experiment_hash: Annotated[str, 14] = ""  # Of the experiment whose markers and camera its poses rest on.
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,73 +193,73 @@ class Obstacles:
     obstacle is at `depth_m`, because one camera cannot measure depth. The k-th rows of all arrays and `ids` belong together.
     """
 
-    ids: tuple[int, ...] = row_numbers()  # An obstacle keeps its number while it is tracked. No number is used twice.
-    outline: Array = array(-1, 12, 2)  # Corners x, y in the pool frame, m.
-    velocity: Array = array(-1, 2)  # Velocity over the floor in the pool frame, m/s.
-    depth_m: float = 0.0  # Assumed depth: that of the robots' path, where an obstacle would be in their way.
-    watched: float = 0.0  # Share of the pool that can be judged, 0 to 1. The list says nothing about the rest.
-    blind: str = ""  # Reason why too little of the pool can be judged for the list to count; empty if the list counts.
-    unseen_s: Array = later_array(-1)  # Time since each obstacle was last seen. The other fields are as of then.
+    ids: Annotated[tuple[Uint32, ...], 1] = row_numbers()  # Kept while the obstacle is tracked; none is used twice.
+    outline: Annotated[Array, 2] = array(-1, 12, 2)  # Corners x, y in the pool frame, m.
+    velocity: Annotated[Array, 3] = array(-1, 2)  # Velocity over the floor in the pool frame, m/s.
+    depth_m: Annotated[float, 4] = 0.0  # Assumed depth: that of the robots' path, where an obstacle would be in their way.
+    watched: Annotated[float, 5] = 0.0  # Share of the pool that can be judged, 0 to 1. The list says nothing about the rest.
+    blind: Annotated[str, 6] = ""  # Reason why too little of the pool can be judged for the list to count.
+    unseen_s: Annotated[Array, 7] = array(-1)  # Time since each obstacle was last seen. The other fields are as of then.
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
     """A robot's predicted motion: node s is at the header's stamp + s * period_s, node 0 is the estimate."""
 
-    period_s: float = field(metadata=POSITIVE)
-    eta: Array = array(-1, 4)  # Predicted poses.
-    eta_reference: Array = array(-1, 4)  # Reference poses at the same nodes.
-    tracking_error_m: float = 0.0  # Distance from the reference at node 0.
-    urgent: bool = False  # The robot has priority: others give way to it.
-    heard: tuple[int, ...] = ()  # Robots whose plans it receives. Only they may rely on it to give way.
-    adrift: bool = False  # It has no thrust and drifts as predicted: nobody may rely on it to give way.
+    period_s: Annotated[float, 1] = field(metadata=POSITIVE)
+    eta: Annotated[Array, 2] = array(-1, 4)  # Predicted poses.
+    eta_reference: Annotated[Array, 3] = array(-1, 4)  # Reference poses at the same nodes.
+    tracking_error_m: Annotated[float, 4] = 0.0  # Distance from the reference at node 0.
+    urgent: Annotated[bool, 5] = False  # The robot has priority: others give way to it.
+    heard: Annotated[tuple[Uint32, ...], 7] = ()  # Robots whose plans it receives. Only they may rely on it to give way.
+    adrift: Annotated[bool, 8] = False  # It has no thrust and drifts as predicted: nobody may rely on it to give way.
 
 
 @dataclass(frozen=True, eq=False)
 class RobotState:
     """The result of one control step, as the robot knows it. The header's stamp is the step's instant."""
 
-    mode: Mode = Mode.DISARMED
-    fault: str = ""  # Reason why the robot holds, stopped or failed; empty if there is none.
-    guidance: Guidance = Guidance.NONE  # What decides the robot's motion; NONE in messages of earlier versions.
-    experiment_hash: str = ""
-    tuning_id: str = ""  # Id of the gains in use.
-    trajectory_s: float = 0.0  # Time along the trajectory; 0 until it is started.
-    trajectory_id: str = ""
-    eta: Array = array(4)  # Estimated pose.
-    nu: Array = array(4)  # Estimated velocity.
-    disturbance: Array = array(4)  # Estimated acceleration, in the body frame [m/s^2, rad/s^2].
-    eta_reference: Array = array(4)  # Pose on the trajectory: yaw is the tangent of the path.
-    eta_command: Array = array(4)  # Pose given to the controller: yaw includes crab angle and correction.
-    wrench: Array = wrench_array()  # Commanded wrench, within the limits.
-    wrench_step: Array = wrench_array()  # Change of the commanded wrench in this step.
-    wrench_wanted: Array = wrench_array()  # Result of the control law before magnitude and rate were limited.
-    wrench_delivered: Array = wrench_array()  # Wrench after allocation and limits, by the nominal thrust curve.
-    pulse_us: tuple[int, ...] = ()  # Pulse widths sent to the board's outputs: 4 thrusters and 4 ankles, or 8 thrusters.
-    echo_us: tuple[int, ...] = ()  # Pulse widths that the board reports as its output.
-    track: Track = Track.LOST
-    pose_age_ms: float = 0.0
-    exposure_to_pwm_ms: float = 0.0
-    depth_m: float = 0.0  # Measured depth, less the experiment's `depth_offset_m` of the robot.
-    battery_v: float = 0.0
-    board_armed: bool = False
-    board_age_ms: float = 0.0
-    board_loss: float = 0.0  # Fraction of the board's messages lost in the last 5 s.
-    board_round_trip_ms: float = 0.0  # Last measured time to the board and back.
-    board_clock_offset_s: float = 0.0  # The board's clock minus the robot's clock.
-    solve: Solve = Solve.NONE
-    iterations: int = 0
-    step_us: float = 0.0  # Duration of the whole control step.
-    missed_deadlines: int = 0
-    slack_m: float = 0.0  # Depth by which the plan enters the space of another robot.
-    thruster_test: str = ""  # "", "running", "passed", or the fault that was found.
-    heard: tuple[int, ...] = ()  # Neighbours whose plans are fresh.
-    planned: bool = False  # True if the robot published a plan in this step. It does not while its position is unknown.
-    tilt: Array = array(-1)  # Roll, pitch [rad], their rates [rad/s], `board_age_ms` old; empty if not measured.
-    blind: str = ""  # Reason why obstacles are unknown although they should be watched for; empty if they are known.
-    drag_ratio: float = 0.0  # Learned drag per mass of surge and sway, over the vehicle file's; 0 if it is not learned.
-    thrust_ratio: float = 0.0  # The same of thrust per mass.
-    code: str = ""  # Version and commit of the robot's program; empty in messages of earlier versions.
+    mode: Annotated[Mode, 1] = Mode.DISARMED
+    fault: Annotated[str, 2] = ""  # Reason why the robot holds, stopped or failed; empty if there is none.
+    guidance: Annotated[Guidance, 46] = Guidance.NONE  # What decides the robot's motion.
+    experiment_hash: Annotated[str, 3] = ""
+    tuning_id: Annotated[str, 32] = ""  # Id of the gains in use.
+    trajectory_s: Annotated[float, 4] = 0.0  # Time along the trajectory; 0 until it is started.
+    trajectory_id: Annotated[str, 5] = ""
+    eta: Annotated[Array, 6] = array(4)  # Estimated pose.
+    nu: Annotated[Array, 7] = array(4)  # Estimated velocity.
+    disturbance: Annotated[Array, 8] = array(4)  # Estimated acceleration, in the body frame [m/s^2, rad/s^2].
+    eta_reference: Annotated[Array, 9] = array(4)  # Pose on the trajectory: yaw is the tangent of the path.
+    eta_command: Annotated[Array, 10] = array(4)  # Pose given to the controller: yaw includes crab angle and correction.
+    wrench: Annotated[Array, 11] = wrench_array()  # Commanded wrench, within the limits.
+    wrench_step: Annotated[Array, 12] = wrench_array()  # Change of the commanded wrench in this step.
+    wrench_wanted: Annotated[Array, 31] = wrench_array()  # Result of the control law before magnitude and rate were limited.
+    wrench_delivered: Annotated[Array, 13] = wrench_array()  # Wrench after allocation and limits, by the nominal thrust curve.
+    pulse_us: Annotated[tuple[Uint32, ...], 14] = ()  # Widths sent to the board: 4 thrusters and 4 ankles, or 8 thrusters.
+    echo_us: Annotated[tuple[Uint32, ...], 15] = ()  # Pulse widths that the board reports as its output.
+    track: Annotated[Track, 16] = Track.LOST
+    pose_age_ms: Annotated[float, 17] = 0.0
+    exposure_to_pwm_ms: Annotated[float, 18] = 0.0
+    depth_m: Annotated[float, 19] = 0.0  # Measured depth, less the experiment's `depth_offset_m` of the robot.
+    battery_v: Annotated[float, 20] = 0.0
+    board_armed: Annotated[bool, 21] = False
+    board_age_ms: Annotated[float, 22] = 0.0
+    board_loss: Annotated[float, 23] = 0.0  # Fraction of the board's messages lost in the last 5 s.
+    board_round_trip_ms: Annotated[float, 33] = 0.0  # Last measured time to the board and back.
+    board_clock_offset_s: Annotated[float, 34] = 0.0  # The board's clock minus the robot's clock.
+    solve: Annotated[Solve, 24] = Solve.NONE
+    iterations: Annotated[Uint32, 25] = 0
+    step_us: Annotated[float, 26] = 0.0  # Duration of the whole control step.
+    missed_deadlines: Annotated[Uint32, 28] = 0
+    slack_m: Annotated[float, 29] = 0.0  # Depth by which the plan enters the space of another robot.
+    thruster_test: Annotated[str, 35] = ""  # "", "running", "passed", or the fault that was found.
+    heard: Annotated[tuple[Uint32, ...], 30] = ()  # Neighbours whose plans are fresh.
+    planned: Annotated[bool, 36] = False  # It published a plan in this step. It does not while its position is unknown.
+    tilt: Annotated[Array, 41] = array(-1)  # Roll, pitch [rad], their rates [rad/s]; empty if not measured.
+    blind: Annotated[str, 40] = ""  # Reason why obstacles are unknown although they should be watched for.
+    drag_ratio: Annotated[float, 42] = 0.0  # Learned drag per mass over the vehicle file's; 0 if it is not learned.
+    thrust_ratio: Annotated[float, 43] = 0.0  # The same of thrust per mass.
+    code: Annotated[str, 44] = ""  # Version and commit of the robot's program.
 
     @property
     def doing(self) -> str:
@@ -274,26 +273,29 @@ class StationHeartbeat:
     """The station's sign of life, with the state of the emergency stop. In lockstep it also says that the station's commands
     for this step are sent, and which plans to wait for."""
 
-    experiment_hash: str = ""
-    emergency_stop: bool = False
-    mission: str = ""  # State of the mission, for people.
-    lag_s: float = 0.0  # Delay of the virtual structure behind its timetable at the header's stamp.
-    slowing: float = 0.0  # Rate at which lag_s grows, s/s: 0 at full speed, 1 at standstill.
-    planned: tuple[int, ...] = ()  # Robots that published a plan in their last step, as far as the station received it.
-    code: str = ""  # Version and commit of the station's program; empty in messages of earlier versions.
-    out: tuple[int, ...] = ()  # Robots that have been taken out of the water: nobody keeps clear of them.
+    experiment_hash: Annotated[str, 1] = ""
+    emergency_stop: Annotated[bool, 2] = False
+    mission: Annotated[str, 3] = ""  # State of the mission, for people.
+    lag_s: Annotated[float, 4] = 0.0  # Delay of the virtual structure behind its timetable at the header's stamp.
+    slowing: Annotated[float, 5] = 0.0  # Rate at which lag_s grows, s/s: 0 at full speed, 1 at standstill.
+    planned: Annotated[tuple[Uint32, ...], 6] = ()  # Robots that published a plan in their last step.
+    code: Annotated[str, 7] = ""  # Version and commit of the station's program.
+    out: Annotated[tuple[Uint32, ...], 8] = ()  # Robots that have been taken out of the water: nobody keeps clear of them.
+
+
+ALONE = "alone-"  # begins the id of a trajectory that one robot flies on its own, and whose clock is its own
 
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
     """One robot's reference trajectory, sampled every period_s from `begin_s` on. Yaw is the path's tangent, unwrapped."""
 
-    id: str
-    period_s: float = field(metadata=POSITIVE)
-    eta: Array = array(-1, 4)
-    velocity: Array = array(-1, 4)  # d eta / dt, in the pool frame.
-    acceleration: Array = array(-1, 4)  # d2 eta / dt2, in the pool frame.
-    begin_s: float = 0.0  # Time of the first sample, on the clock that runs along the trajectories.
+    id: Annotated[str, 1]
+    period_s: Annotated[float, 2] = field(metadata=POSITIVE)
+    eta: Annotated[Array, 3] = array(-1, 4)
+    velocity: Annotated[Array, 4] = array(-1, 4)  # d eta / dt, in the pool frame.
+    acceleration: Annotated[Array, 5] = array(-1, 4)  # d2 eta / dt2, in the pool frame.
+    begin_s: Annotated[float, 6] = 0.0  # Time of the first sample, on the clock that runs along the trajectories.
 
 
 @dataclass(frozen=True, eq=False)
@@ -301,18 +303,18 @@ class Tuning:
     """The weights and gains of the controller that can be changed in flight (shoal/messages/live_gains.py). The k-th key and
     the k-th value belong together."""
 
-    id: str  # Id of exactly these values.
-    keys: tuple[str, ...] = ()  # Keys of the experiment file, one for each entry of a list: `controller.mpc.q.0`.
-    values: Array = array(-1)
+    id: Annotated[str, 1]  # Id of exactly these values.
+    keys: Annotated[tuple[str, ...], 2] = ()  # Keys of the file, one for each entry of a list: `controller.mpc.q.0`.
+    values: Annotated[Array, 3] = array(-1)
 
 
 @dataclass(frozen=True, eq=False)
 class DriveVelocity:
     """A velocity that a person asks of one robot, in its body frame."""
 
-    surge_mps: float = 0.0
-    heave_mps: float = 0.0  # Downwards.
-    yaw_rate_radps: float = 0.0
+    surge_mps: Annotated[float, 1] = 0.0
+    heave_mps: Annotated[float, 2] = 0.0  # Downwards.
+    yaw_rate_radps: Annotated[float, 3] = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -320,112 +322,112 @@ class Command:
     """A command to one robot, or a request to the station (robot 0). It is applied at most once, by the process that it
     names, while the header's session is the station's and the command is younger than its time to live."""
 
-    order: Order
-    robot: int
-    time_to_live_s: float = 1.0
-    experiment_hash: str = ""
-    trajectory_id: str = ""
-    start_in_s: float = 0.0  # ADOPT: time of the change, counted from the header's stamp.
-    trajectory_s: float = 0.0  # START, RESUME: time along the timetable at start_ns, lag included. ADOPT: earliest time.
-    trajectory: Trajectory | None = None
-    tuning_id: str = ""  # ADOPT: id of the gains.
-    tuning: Tuning | None = None
-    recipient: int = 0  # Session of the process that it is for, as in its replies. A restarted process refuses it.
-    via: Array = array(-1, 2)  # GO: places x, y for the centre of the formation.
-    start_ns: int = 0  # START, RESUME: instant on the station's clock. 0 (older logs): start_in_s after the header's stamp.
-    about: int = 0  # To the station, with NONE: number of the request whose outcome is asked for.
-    drive: DriveVelocity | None = None  # DRIVE: the velocity.
+    order: Annotated[Order, 1]
+    robot: Annotated[Uint32, 2]
+    time_to_live_s: Annotated[float, 3] = 1.0
+    experiment_hash: Annotated[str, 4] = ""
+    trajectory_id: Annotated[str, 5] = ""
+    start_in_s: Annotated[float, 6] = 0.0  # ADOPT: time of the change, counted from the header's stamp.
+    trajectory_s: Annotated[float, 8] = 0.0  # START, RESUME: time along the timetable at start_ns. ADOPT: earliest time.
+    trajectory: Annotated[Trajectory | None, 7] = None
+    tuning_id: Annotated[str, 9] = ""  # ADOPT: id of the gains.
+    tuning: Annotated[Tuning | None, 10] = None
+    recipient: Annotated[Uint64, 11] = 0  # Session of the process that it is for. A restarted process refuses it.
+    via: Annotated[Array, 12] = array(-1, 2)  # GO: places x, y for the centre of the formation.
+    start_ns: Annotated[Int64, 13] = 0  # START, RESUME: instant on the station's clock; 0: start_in_s after the stamp.
+    about: Annotated[Uint32, 15] = 0  # To the station, with NONE: number of the request whose outcome is asked for.
+    drive: Annotated[DriveVelocity | None, 16] = None  # DRIVE: the velocity.
 
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
     """The outcome of an operator's request so far, as the station sees it (groundstation/mission/request_progress.py)."""
 
-    request: int  # Number of the request since the station's start, from 1.
-    order: Order = Order.NONE
-    progress: Progress = Progress.UNDER_WAY
-    reason: str = ""  # Reason of the failure, or the result.
-    mission: str = ""  # State of the mission.
-    confirmed: tuple[int, ...] = ()  # Robots that have reached the state that was requested.
-    waiting: tuple[int, ...] = ()  # Robots that have not.
-    why: tuple[str, ...] = ()  # Reasons. The k-th belongs to the k-th robot of `waiting`.
+    request: Annotated[Uint32, 1]  # Number of the request since the station's start, from 1.
+    order: Annotated[Order, 2] = Order.NONE
+    progress: Annotated[Progress, 3] = Progress.UNDER_WAY
+    reason: Annotated[str, 4] = ""  # Reason of the failure, or the result.
+    mission: Annotated[str, 5] = ""  # State of the mission.
+    confirmed: Annotated[tuple[Uint32, ...], 6] = ()  # Robots that have reached the state that was requested.
+    waiting: Annotated[tuple[Uint32, ...], 7] = ()  # Robots that have not.
+    why: Annotated[tuple[str, ...], 8] = ()  # Reasons. The k-th belongs to the k-th robot of `waiting`.
 
 
 @dataclass(frozen=True, eq=False)
 class Reply:
     """A robot's reply to a command, or the station's reply to an operator's request."""
 
-    robot: int
-    accepted: bool
-    reason: str = ""  # Reason of the refusal.
-    mode: Mode = Mode.DISARMED
-    session: int = 0  # Session of the process that replies.
-    silent: bool = False  # No reply came in time. The asking process made this one itself.
-    outcome: Outcome | None = None  # Outcome of an operator's request, from the station.
+    robot: Annotated[Uint32, 1]
+    accepted: Annotated[bool, 2]
+    reason: Annotated[str, 3] = ""  # Reason of the refusal.
+    mode: Annotated[Mode, 4] = Mode.DISARMED
+    session: Annotated[Uint64, 5] = 0  # Session of the process that replies.
+    silent: Annotated[bool, 6] = False  # No reply came in time. The asking process made this one itself.
+    outcome: Annotated[Outcome | None, 7] = None  # Outcome of an operator's request, from the station.
 
 
 @dataclass(frozen=True, eq=False)
 class BoardReading:
     """The last telemetry of a thruster board, as far as its robot acts on it (Telemetry of shoal/mavlink/agent_link.py)."""
 
-    board_ms: int = -1  # The board's time of the last burst; -1: none yet.
-    arrival_ns: int = 0  # Instant of the measurement on the robot's clock. Of the reading, while the board's clock is unknown.
-    heading_rad: float = 0.0
-    yaw_rate_radps: float = 0.0
-    acceleration_mps2: Array = array(3)  # Specific force, in the body frame.
-    tilt: Array = array(-1)  # Roll, pitch [rad] and their rates [rad/s]; empty if not measured.
-    depth_m: float = 0.0
-    battery_v: float = 0.0
-    armed: bool = False
-    echo_us: tuple[int, ...] = ()
-    loss: float = 0.0  # Fraction of the board's messages lost in the last 5 s.
-    charge: int = 0  # Charge state by the board: MAV_BATTERY_CHARGE_STATE, 0 if not known.
-    battery_reports: int = 0  # Number of voltages received from the board; 0: none yet, or an old log.
-    heartbeats: int = 0  # Number of HEARTBEATs received from the board; 0: none yet, or an old log.
-    autopilot: int = 0  # MAV_AUTOPILOT that the board's HEARTBEAT reports: 0 or 8 for a thruster board.
-    power_on_depth_m: float = 0.0  # Depth at which the board was restarted, by what it measured before; 0: not restarted.
+    board_ms: Annotated[Int64, 1] = -1  # The board's time of the last burst; -1: none yet.
+    arrival_ns: Annotated[Int64, 2] = 0  # Instant of the measurement on the robot's clock, or of the reading.
+    heading_rad: Annotated[float, 3] = 0.0
+    yaw_rate_radps: Annotated[float, 4] = 0.0
+    acceleration_mps2: Annotated[Array, 5] = array(3)  # Specific force, in the body frame.
+    tilt: Annotated[Array, 13] = array(-1)  # Roll, pitch [rad] and their rates [rad/s]; empty if not measured.
+    depth_m: Annotated[float, 6] = 0.0
+    battery_v: Annotated[float, 7] = 0.0
+    armed: Annotated[bool, 8] = False
+    echo_us: Annotated[tuple[Uint32, ...], 9] = ()
+    loss: Annotated[float, 10] = 0.0  # Fraction of the board's messages lost in the last 5 s.
+    charge: Annotated[Uint32, 11] = 0  # Charge state by the board: MAV_BATTERY_CHARGE_STATE, 0 if not known.
+    battery_reports: Annotated[Uint32, 12] = 0  # Number of voltages received from the board; 0: none yet, or an old log.
+    heartbeats: Annotated[Uint32, 14] = 0  # Number of HEARTBEATs received from the board; 0: none yet, or an old log.
+    autopilot: Annotated[Uint32, 15] = 0  # MAV_AUTOPILOT that the board's HEARTBEAT reports: 0 or 8 for a thruster board.
+    power_on_depth_m: Annotated[float, 16] = 0.0  # Depth at which the board was restarted; 0: not restarted.
 
 
 @dataclass(frozen=True, eq=False)
 class StepInputs:
     """All inputs of a robot's control step. The header's stamp is the step's instant.
 
-    With the plans and the obstacles that it names, and the commands, the step can be repeated (`groundstation log rerun`).
+    With the plans and the obstacles that it names, and the commands, the step can be repeated (`sim-bridge rerun`).
     Instants are on the robot's clock."""
 
-    step: int  # Number of the step, 0, 1, 2 ..., since the robot's program began or met a new station.
-    pose: Pose | None = None
-    pose_instant_ns: int = 0  # Instant of the pose.
-    pose_told_age_ns: int = 0  # Age of the pose when the localizer sent it, as the localizer stated it.
-    heartbeat: StationHeartbeat | None = None
-    station_session: int = 0
-    station_stamp_ns: int = 0  # Stamp of the heartbeat, on the station's clock.
-    station_instant_ns: int = 0  # Instant of the heartbeat, on the robot's clock.
-    board: BoardReading | None = None
-    plan_robots: tuple[int, ...] = ()  # Senders of the plans. The next three fields have one entry for each.
-    plan_sessions: tuple[int, ...] = ()  # Session in the header of each plan.
-    plan_sequences: tuple[int, ...] = ()  # Sequence number in the header of each plan.
-    plan_instants_ns: tuple[int, ...] = ()  # Instant of the first node of each plan.
-    obstacles_session: int = 0  # Session in the header of the Obstacles message; 0: none was received.
-    obstacles_sequence: int = 0  # Sequence number in that header.
-    obstacles_instant_ns: int = 0  # Instant of those obstacles.
-    late_steps: int = 0  # Late steps minus timely steps before this one, at least 0.
+    step: Annotated[Uint32, 1]  # Number of the step, 0, 1, 2 ..., since the robot's program began or met a new station.
+    pose: Annotated[Pose | None, 2] = None
+    pose_instant_ns: Annotated[Int64, 3] = 0  # Instant of the pose.
+    pose_told_age_ns: Annotated[Int64, 4] = 0  # Age of the pose when the localizer sent it, as the localizer stated it.
+    heartbeat: Annotated[StationHeartbeat | None, 5] = None
+    station_session: Annotated[Uint64, 6] = 0
+    station_stamp_ns: Annotated[Int64, 7] = 0  # Stamp of the heartbeat, on the station's clock.
+    station_instant_ns: Annotated[Int64, 8] = 0  # Instant of the heartbeat, on the robot's clock.
+    board: Annotated[BoardReading | None, 9] = None
+    plan_robots: Annotated[tuple[Uint32, ...], 10] = ()  # Senders of the plans. The next three fields have one entry for each.
+    plan_sessions: Annotated[tuple[Uint64, ...], 11] = ()  # Session in the header of each plan.
+    plan_sequences: Annotated[tuple[Uint32, ...], 12] = ()  # Sequence number in the header of each plan.
+    plan_instants_ns: Annotated[tuple[Int64, ...], 13] = ()  # Instant of the first node of each plan.
+    obstacles_session: Annotated[Uint64, 14] = 0  # Session in the header of the Obstacles message; 0: none was received.
+    obstacles_sequence: Annotated[Uint32, 15] = 0  # Sequence number in that header.
+    obstacles_instant_ns: Annotated[Int64, 16] = 0  # Instant of those obstacles.
+    late_steps: Annotated[Uint32, 17] = 0  # Late steps minus timely steps before this one, at least 0.
 
 
 @dataclass(frozen=True, eq=False)
 class OrderTaken:
     """A command that has reached a robot, with the reply. It is for the log only. The header's stamp is its arrival."""
 
-    before_step: int  # Number of the robot's next control step.
-    number: int  # Number of the command: 0, 1, 2 ..., counted from the same beginning as the steps.
-    order_session: int  # Session in the command's header.
-    order_sequence: int  # Sequence number in the command's header.
-    order_stamp_ns: int  # Stamp in the command's header.
-    station_session: int = 0  # Session of the heartbeat that it was judged by, as in StepInputs.
-    station_stamp_ns: int = 0  # Stamp of that heartbeat.
-    station_instant_ns: int = 0  # Instant of that heartbeat, on the robot's clock.
-    command: Command | None = None
-    reply: Reply | None = None
+    before_step: Annotated[Uint32, 1]  # Number of the robot's next control step.
+    number: Annotated[Uint32, 2]  # Number of the command: 0, 1, 2 ..., counted from the same beginning as the steps.
+    order_session: Annotated[Uint64, 3]  # Session in the command's header.
+    order_sequence: Annotated[Uint32, 4]  # Sequence number in the command's header.
+    order_stamp_ns: Annotated[Int64, 5]  # Stamp in the command's header.
+    station_session: Annotated[Uint64, 6] = 0  # Session of the heartbeat that it was judged by, as in StepInputs.
+    station_stamp_ns: Annotated[Int64, 7] = 0  # Stamp of that heartbeat.
+    station_instant_ns: Annotated[Int64, 8] = 0  # Instant of that heartbeat, on the robot's clock.
+    command: Annotated[Command | None, 9] = None
+    reply: Annotated[Reply | None, 10] = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,12 +17,11 @@ SIDES = 12  # of an outline that covers the ground of a drift
 BLIND = "nobody tells of obstacles"
 
 
-def ages_s(seen: Obstacles, since_s: float) -> list[float]:
-    """The ages of the obstacles, in s, in a message that is `since_s` old. In messages of earlier versions none is unseen."""
-    if not seen.ids:  # in most messages
+def ages_s(message: Obstacles, since_s: float) -> list[float]:
+    """The ages of the obstacles, in s, in a message that is `since_s` old."""
+    if not message.ids:  # in most messages
         return []
-    unseen = seen.unseen_s if len(seen.unseen_s) == len(seen.ids) else np.zeros(len(seen.ids))
-    ages: list[float] = np.nan_to_num(np.clip(since_s + unseen, 0.0, LONGEST_S), nan=LONGEST_S).tolist()
+    ages: list[float] = np.nan_to_num(np.clip(since_s + message.unseen_s, 0.0, LONGEST_S), nan=LONGEST_S).tolist()
     return ages
 
 
@@ -53,8 +52,8 @@ def swept(outline: Array, drift_m: Array) -> Array:
     return np.asarray((reach * normal + along * np.array([-normal[1], normal[0]])).T)
 
 
-def blindness(seen: Obstacles | None, since_s: float) -> str:
+def blindness(message: Obstacles | None, since_s: float) -> str:
     """The reason why a reader of this message, `since_s` old, cannot tell which obstacles there are; empty if it can."""
-    if seen is None:
+    if message is None:
         return BLIND
-    return f"{BLIND} any more" if is_old(since_s) else seen.blind
+    return f"{BLIND} any more" if is_old(since_s) else message.blind

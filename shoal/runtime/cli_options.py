@@ -58,8 +58,8 @@ def experiments(begun: str) -> list[str]:
     return sorted(shipped) + sorted(f"{path}/" if path.is_dir() else str(path) for path in files)
 
 
-def _say_version(wanted: bool) -> None:
-    if wanted:
+def _say_version(is_requested: bool) -> None:
+    if is_requested:
         typer.echo(str(code()))
         raise typer.Exit
 

@@ -74,10 +74,10 @@ class Lockstep:
     def await_all(self, inputs: Iterable[tuple[Inbox[Any], int]]) -> bool:
         """Wait until each inbox holds a message with at least the given stamp. A negative stamp requires nothing: no step came
         before the first. Returns False if the process has to stop."""
-        wanted = [(inbox, stamp_ns) for inbox, stamp_ns in inputs if stamp_ns >= 0]
+        required = [(inbox, stamp_ns) for inbox, stamp_ns in inputs if stamp_ns >= 0]
 
         def missing() -> list[str]:
-            headers = [(inbox.name, inbox.newest_header(), stamp_ns) for inbox, stamp_ns in wanted]
+            headers = [(inbox.name, inbox.newest_header(), stamp_ns) for inbox, stamp_ns in required]
             return [name for name, header, stamp_ns in headers if header is None or header.stamp_ns < stamp_ns]
 
         while not wait(self._bus, self._stop, lambda: not missing(), LOCKSTEP_SAYS_S):
@@ -96,6 +96,6 @@ class Lockstep:
             return None
         status = localizer.newest()
         assert status is not None, localizer.last_error
-        told, up_to_ns = status.message.robots, status.message.obstacles_ns
-        seen = [(inbox, tick.frame_ns) for robot, inbox in poses.items() if robot in told]
-        return up_to_ns if self.await_all([*seen, (obstacles, up_to_ns)]) else None
+        robots, up_to_ns = status.message.robots, status.message.obstacles_ns
+        inputs = [(inbox, tick.frame_ns) for robot, inbox in poses.items() if robot in robots]
+        return up_to_ns if self.await_all([*inputs, (obstacles, up_to_ns)]) else None

@@ -137,37 +137,37 @@ def chunk(body: bytes, at: int) -> Packed:
     return Packed(start_ns, end_ns, size, checksum, packing, data)
 
 
-def unpacked(found: Packed, allowed: Allowance, at: int) -> bytes:
+def unpacked(packed: Packed, allowed: Allowance, at: int) -> bytes:
     """A chunk's content. Raises Damaged; ImportError where the package that unpacks it is not installed."""
-    allowed.take(found.size, at)
-    data = _unpack(found, at)
-    if len(data) != found.size:
-        raise Damaged(f"byte {at}: a chunk that does not unpack to the {found.size} bytes that it says")
-    if found.checksum and zlib.crc32(data) != found.checksum:
+    allowed.take(packed.size, at)
+    data = _unpack(packed, at)
+    if len(data) != packed.size:
+        raise Damaged(f"byte {at}: a chunk that does not unpack to the {packed.size} bytes that it says")
+    if packed.checksum and zlib.crc32(data) != packed.checksum:
         raise Damaged(f"byte {at}: a chunk's checksum is wrong")
     return data
 
 
-def _unpack(found: Packed, at: int) -> bytes:
+def _unpack(packed: Packed, at: int) -> bytes:
     """Unpack a chunk to never more than one byte beyond the size that the chunk says."""
-    if found.packing == "":
-        return found.data
-    if found.packing == "zstd":
+    if packed.packing == "":
+        return packed.data
+    if packed.packing == "zstd":
         import zstandard
 
         try:
             unpacker = zstandard.ZstdDecompressor(max_window_size=LARGEST_BYTES)
-            with unpacker.stream_reader(found.data) as stream:
-                return stream.read(found.size + 1)
+            with unpacker.stream_reader(packed.data) as stream:
+                return stream.read(packed.size + 1)
         except (zstandard.ZstdError, MemoryError) as error:
             raise Damaged(f"byte {at}: a chunk that cannot be unpacked: {error}") from None
-    if found.packing == "lz4":
+    if packed.packing == "lz4":
         lz4_frame = importlib.import_module("lz4.frame")  # it ships no types
         try:
-            return bytes(lz4_frame.LZ4FrameDecompressor().decompress(found.data, found.size + 1))
+            return bytes(lz4_frame.LZ4FrameDecompressor().decompress(packed.data, packed.size + 1))
         except RuntimeError as error:
             raise Damaged(f"byte {at}: a chunk that cannot be unpacked: {error}") from None
-    raise Damaged(f"byte {at}: a chunk packed with {found.packing[:20]!r} (allowed: zstd, lz4, none)")
+    raise Damaged(f"byte {at}: a chunk packed with {packed.packing[:20]!r} (allowed: zstd, lz4, none)")
 
 
 def parts(data: bytes, at: int) -> Iterator[tuple[int, bytes]]:

@@ -42,10 +42,10 @@ _KINDS = {RUN: "a run", CAMPAIGN: "a campaign", COMPARISON: "a comparison"}
 def page_was_open(folder: Path) -> bool:
     """True if the page of a run's station was open when the station ended. Takes the mark away that says so."""
     mark = folder / PAGE_OPEN
-    found = mark.exists()
+    was_open = mark.exists()
     with suppress(OSError):  # on a disk that has become read-only it is found again, which does no harm
         mark.unlink(missing_ok=True)
-    return found
+    return was_open
 
 
 def check_output(path: Path, reads: Iterable[Path] = (), mine: tuple[str, ...] = ()) -> None:

@@ -85,7 +85,7 @@ class Stop:
     def __init__(self, install: bool = True) -> None:
         self.requested = False
         self.interrupted = False  # by SIGINT: a person pressed Ctrl-C
-        self._told = False  # by a SIGINT or SIGTERM
+        self._by_signal = False  # by a SIGINT or SIGTERM
         self._wakes: list[Callable[[], None]] = []
         self.failure = ""  # why the process ends itself; empty: nothing has failed
         if install:
@@ -96,9 +96,9 @@ class Stop:
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
         if number != signal.SIGHUP:
-            if self._told:
+            if self._by_signal:
                 os._exit(128 + number)
-            self._told = True
+            self._by_signal = True
         self.request(number == signal.SIGINT)
 
     def __call__(self) -> bool:

@@ -70,10 +70,10 @@ def web_options(address: str, certificate: Path | None = None, key: Path | None 
 
 def host_allowed(options: WebOptions, host: str) -> bool:
     """True if a request with this Host header may be answered."""
-    found = _HOST.fullmatch(host)
-    if found is None:
+    match = _HOST.fullmatch(host)
+    if match is None:
         return False
-    name = found[1] or found[2]
+    name = match[1] or match[2]
     return not options.local or name.lower() in _LOCAL_NAMES or name == options.host
 
 
@@ -94,9 +94,9 @@ Channel = Callable[..., Awaitable[Any]]
 def body_fits(headers: Iterable[tuple[bytes, bytes]], longest_body: int) -> bool:
     """True if a request with these headers has a body of at most so many bytes. One that does not say its length has too
     many."""
-    told = dict(headers)
-    length = told.get(b"content-length", b"0")
-    return b"transfer-encoding" not in told and length.isdigit() and len(length) < 19 and int(length) <= longest_body
+    fields = dict(headers)
+    length = fields.get(b"content-length", b"0")
+    return b"transfer-encoding" not in fields and length.isdigit() and len(length) < 19 and int(length) <= longest_body
 
 
 class Guarded:

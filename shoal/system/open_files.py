@@ -9,12 +9,12 @@ NO_FILES = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)  # nothing 
 REST_S = 0.1  # before the next attempt to accept one
 
 
-def allow_files(wanted: int) -> int:
-    """Raise the process's soft limit of open files to `wanted`, as far as that is allowed. Returns the limit."""
+def allow_files(count: int) -> int:
+    """Raise the process's soft limit of open files to `count`, as far as that is allowed. Returns the limit."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    if soft != resource.RLIM_INFINITY and soft < wanted:
+    if soft != resource.RLIM_INFINITY and soft < count:
         with contextlib.suppress(ValueError, OSError):  # some systems know a hard limit that they do not grant
-            limit = wanted if hard == resource.RLIM_INFINITY else min(wanted, hard)
+            limit = count if hard == resource.RLIM_INFINITY else min(count, hard)
             resource.setrlimit(resource.RLIMIT_NOFILE, (limit, hard))
     soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
-    return wanted if soft == resource.RLIM_INFINITY else soft
+    return count if soft == resource.RLIM_INFINITY else soft

@@ -33,10 +33,10 @@ def command(module: str, arguments: Sequence[str] = ()) -> list[str]:
 
 def environment(more: Mapping[str, str] | None = None) -> dict[str, str]:
     """This process's environment, in which a child finds the code that runs here, with `more`."""
-    found = {**os.environ, **(more or {})}
+    variables = {**os.environ, **(more or {})}
     if sys.path and Path(sys.path[0]).resolve() == ROOT:  # `python -m` in a work tree; -P would take another one, or none
-        found["PYTHONPATH"] = os.pathsep.join([str(ROOT), *filter(None, [found.get("PYTHONPATH")])])
-    return found
+        variables["PYTHONPATH"] = os.pathsep.join([str(ROOT), *filter(None, [variables.get("PYTHONPATH")])])
+    return variables
 
 
 def start(
@@ -79,8 +79,8 @@ def ask(module: str, arguments: Sequence[str]) -> "subprocess.CompletedProcess[s
     return subprocess.CompletedProcess(child.args, child.returncode, _text(out), _text(err))
 
 
-def _text(said: bytes) -> str:
-    return said.decode("utf-8", errors="replace")
+def _text(output: bytes) -> str:
+    return output.decode("utf-8", errors="replace")
 
 
 def end_with_parent() -> None:

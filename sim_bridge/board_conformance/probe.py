@@ -66,10 +66,10 @@ class BoardProbe:
 
     # --- time goes on
 
-    def listen(self, seconds: float, done: Callable[[], bool] = lambda: False) -> bool:
-        """Receive for so long or until `done()`; returns True if `done()` came first."""
+    def listen(self, seconds: float, until: Callable[[], bool] = lambda: False) -> bool:
+        """Receive for so long or until `until()`; returns True if `until()` came first."""
         end_ns = self.wire.now_ns() + round(seconds * S)
-        while not done():
+        while not until():
             if self.wire.now_ns() >= end_ns:
                 return False
             if self.wire.now_ns() - self._heartbeat_ns >= S:
@@ -83,8 +83,8 @@ class BoardProbe:
             self.computer.receive(data, now_ns)
             self.station.receive(data, now_ns)
             if data:
-                seen = self.computer.telemetry
-                self.samples.append(Sample(now_ns, seen.echo_us, seen.armed))
+                telemetry = self.computer.telemetry
+                self.samples.append(Sample(now_ns, telemetry.echo_us, telemetry.armed))
         return True
 
     def stay_silent(self, seconds: float) -> None:
@@ -96,14 +96,14 @@ class BoardProbe:
         """A time for signatures that is later than all that were made."""
         return self.computer.stamp + 1_000_000
 
-    def stream(self, frame: Callable[[], bytes], seconds: float, done: Callable[[], bool] = lambda: False) -> bool:
-        """Send a frame at the control rate for so long or until `done()`; returns True if `done()` came first."""
+    def stream(self, frame: Callable[[], bytes], seconds: float, until: Callable[[], bool] = lambda: False) -> bool:
+        """Send a frame at the control rate for so long or until `until()`; returns True if `until()` came first."""
         end_ns = self.wire.now_ns() + round(seconds * S)
         while self.wire.now_ns() < end_ns:
             self.wire.send(frame())
-            if self.listen(min(PERIOD_NS, end_ns - self.wire.now_ns()) / S, done):
+            if self.listen(min(PERIOD_NS, end_ns - self.wire.now_ns()) / S, until):
                 return True
-        return done()
+        return until()
 
     # --- what is sent
 
@@ -216,20 +216,20 @@ class BoardProbe:
     def set(self, name: str, value: float) -> bool:
         """Set a parameter, and again where no answer comes. Returns True if the board says that it has that value."""
         for _ in range(ASKS):
-            told = self.station.told
+            count = self.station.value_count
             self.wire.send(self.setting(name, value))
-            if self.listen(0.5, partial(self._answered_by, name, value, told)):
+            if self.listen(0.5, partial(self._answered_by, name, value, count)):
                 return self.station.error is None
         return False
 
-    def _answered_by(self, name: str, value: float, told: int) -> bool:
-        """True if the board has refused, or has told more than `told` values and this one for the parameter."""
-        known = self.station.values.get(name, math.nan)
-        is_told = self.station.told > told and math.isclose(known, value, rel_tol=1e-6, abs_tol=1e-6)
+    def _answered_by(self, name: str, value: float, count: int) -> bool:
+        """True if the board has refused, or has told more than `count` values and this one for the parameter."""
+        reported_value = self.station.values.get(name, math.nan)
+        is_told = self.station.value_count > count and math.isclose(reported_value, value, rel_tol=1e-6, abs_tol=1e-6)
         return is_told or self.station.error is not None
 
     def put_back(self) -> list[str]:
         """Give all parameters the values that they had, the last changed first. Returns those that the board does not take."""
-        left = {name: value for name, value in reversed(self._before.items()) if not self.set(name, value)}
-        self._before = dict(reversed(left.items()))
-        return [f"{name} = {value:g}" for name, value in left.items()]
+        remaining = {name: value for name, value in reversed(self._before.items()) if not self.set(name, value)}
+        self._before = dict(reversed(remaining.items()))
+        return [f"{name} = {value:g}" for name, value in remaining.items()]

@@ -100,11 +100,11 @@ def follows(probe: BoardProbe) -> Measured:
     if not probe.arm():
         return False, "does not arm"
     offs = (NUDGE_US, -NUDGE_US, NUDGE_US / 2 + 10, -NUDGE_US / 2 - 10)
-    wanted = tuple(round(probe.neutral_us + off) for off in offs)
+    target = tuple(round(probe.neutral_us + off) for off in offs)
     begun_ns = probe.wire.now_ns()
-    done = probe.stream(lambda: probe.pulses(*offs), 0.6, lambda: probe.computer.telemetry.echo_us[:4] == wanted)
+    has_followed = probe.stream(lambda: probe.pulses(*offs), 0.6, lambda: probe.computer.telemetry.echo_us[:4] == target)
     took = ms((probe.wire.now_ns() - begun_ns) * 1e-9)
-    return done, took if done else f"told {wanted}, puts out {probe.computer.telemetry.echo_us[:4]}"
+    return has_followed, took if has_followed else f"told {target}, puts out {probe.computer.telemetry.echo_us[:4]}"
 
 
 def at_once(probe: BoardProbe) -> Measured:
@@ -115,9 +115,9 @@ def at_once(probe: BoardProbe) -> Measured:
         return False, "does not turn"
     probe.wire.send(probe.computer.arm(False))
     begun_ns = probe.wire.now_ns()
-    done = probe.stream(probe.nudge, 0.5, lambda: not probe.armed and probe.still)
+    has_stopped = probe.stream(probe.nudge, 0.5, lambda: not probe.armed and probe.still)
     took_s = (probe.wire.now_ns() - begun_ns) * 1e-9
-    return done and took_s <= 0.1, ms(took_s if done else math.inf)
+    return has_stopped and took_s <= 0.1, ms(took_s if has_stopped else math.inf)
 
 
 def stops_from_thrust(probe: BoardProbe) -> Measured:
@@ -130,8 +130,8 @@ def stops_from_thrust(probe: BoardProbe) -> Measured:
             return False, "does not turn"
         probe.wire.send(probe.nudge())
         last_ns = probe.wire.now_ns()
-        done = probe.listen(1.0, lambda: not probe.armed and probe.still)
-        worst = max(worst, (probe.wire.now_ns() - last_ns) * 1e-9 if done else math.inf)
+        has_stopped = probe.listen(1.0, lambda: not probe.armed and probe.still)
+        worst = max(worst, (probe.wire.now_ns() - last_ns) * 1e-9 if has_stopped else math.inf)
     return worst <= STOPS_WITHIN_S, ms(worst)
 
 
@@ -213,14 +213,14 @@ def _parameters(probe: BoardProbe) -> Measured:
 
 def _telemetry(probe: BoardProbe) -> Measured:
     probe.listen(0.2)
-    heard: set[int] = set()
+    times_ms: set[int] = set()
     probe.bytes_heard = 0
     for _ in range(400):
         probe.listen(0.005)
-        heard.add(probe.computer.telemetry.board_ms)
-    seen, rate = probe.computer.telemetry, len(heard) / 2.0
-    complete = len(seen.echo_us) == 8 and seen.battery_v > 0.0 and math.hypot(*seen.acceleration_mps2) > 1.0
-    bad = seen.bad_frames + seen.refused_frames
+        times_ms.add(probe.computer.telemetry.board_ms)
+    telemetry, rate = probe.computer.telemetry, len(times_ms) / 2.0
+    complete = len(telemetry.echo_us) == 8 and telemetry.battery_v > 0.0 and math.hypot(*telemetry.acceleration_mps2) > 1.0
+    bad = telemetry.bad_frames + telemetry.refused_frames
     good = rate >= BURST_HZ and complete and bad == 0
     return good, f"{rate:.0f} Hz, {probe.bytes_heard / 2:.0f} bytes/s, {bad} bad frames{'' if complete else ', incomplete'}"
 
@@ -333,20 +333,20 @@ def _twice(probe: BoardProbe) -> Measured:
 
 def _set(probe: BoardProbe) -> Measured:
     before = probe.station.values["SLEW_US_S"]
-    done = [probe.set("SLEW_US_S", value) for value in (before / 2, before)]
-    return all(done), "set, and set back" if all(done) else "not set"
+    answers = [probe.set("SLEW_US_S", value) for value in (before / 2, before)]
+    return all(answers), "set, and set back" if all(answers) else "not set"
 
 
 def _bounds(probe: BoardProbe) -> Measured:
-    taken = []
+    accepted = []
     for name, value in (("CMD_AGE_MS", 5000.0), ("CMD_AGE_MS", math.nan), ("SLEW_US_S", -1.0), ("THR_MAX_US", math.inf)):
         before = probe.station.values[name]
         probe.set(name, value)
         probe.wire.send(probe.station.ask(name))
         probe.listen(0.2)
         if probe.station.values[name] != before:
-            taken.append(f"{name} = {value:g}")
-    return not taken, f"taken: {', '.join(taken)}" if taken else "refused"
+            accepted.append(f"{name} = {value:g}")
+    return not accepted, f"taken: {', '.join(accepted)}" if accepted else "refused"
 
 
 def _set_armed(probe: BoardProbe) -> Measured:
@@ -386,18 +386,18 @@ def in_hil(check: Callable[[BoardProbe], Measured]) -> Callable[[BoardProbe], Me
 
 def _simulated(probe: BoardProbe) -> bool:
     """True if the board's last telemetry is what `BoardProbe.motion` says, and not its own."""
-    seen = probe.computer.telemetry
-    near = math.dist(seen.acceleration_mps2, FORCE_MPS2) < 0.05 and abs(seen.yaw_rate_radps - TURN_RADPS) < 0.01
-    return near and abs(seen.heading_rad - HEADING_RAD) < 0.01 and abs(seen.depth_m - DEPTH_M) < 0.01
+    telemetry = probe.computer.telemetry
+    near = math.dist(telemetry.acceleration_mps2, FORCE_MPS2) < 0.05 and abs(telemetry.yaw_rate_radps - TURN_RADPS) < 0.01
+    return near and abs(telemetry.heading_rad - HEADING_RAD) < 0.01 and abs(telemetry.depth_m - DEPTH_M) < 0.01
 
 
 def _hil(probe: BoardProbe) -> Measured:
     """Measurements are the simulator's, and HEARTBEAT says so; after HIL mode they are the board's own again."""
-    said = probe.listen(0.3, lambda: probe.computer.telemetry.hil)
+    is_hil = probe.listen(0.3, lambda: probe.computer.telemetry.hil)
     came = probe.stream(probe.motion, 0.5, lambda: _simulated(probe))
     probe.set("HIL_MODE", 0.0)
-    left = probe.stream(probe.motion, 0.5, lambda: not (probe.computer.telemetry.hil or _simulated(probe)))
-    failed = [text for good, text in ((said, "not said"), (came, "own measurements"), (left, "not left")) if not good]
+    has_left = probe.stream(probe.motion, 0.5, lambda: not (probe.computer.telemetry.hil or _simulated(probe)))
+    failed = [text for good, text in ((is_hil, "not said"), (came, "own measurements"), (has_left, "not left")) if not good]
     return not failed, ", ".join(failed) or "entered, and left"
 
 
@@ -416,8 +416,8 @@ def _hil_stranger(probe: BoardProbe) -> Measured:
     """Send simulated measurements as another system. Those of a rule before may be the last that were told."""
     before_ms = probe.computer.telemetry.board_ms
     probe.stream(lambda: probe.motion(probe.other_simulator), 0.4)
-    taken = probe.computer.telemetry.board_ms != before_ms and _simulated(probe)
-    return not taken, "taken" if taken else "ignored"
+    is_accepted = probe.computer.telemetry.board_ms != before_ms and _simulated(probe)
+    return not is_accepted, "taken" if is_accepted else "ignored"
 
 
 def _hil_battery(probe: BoardProbe) -> Measured:
@@ -431,8 +431,8 @@ def _hil_battery(probe: BoardProbe) -> Measured:
 
 def _hil_outputs(probe: BoardProbe) -> Measured:
     """Outside HIL mode HIL_OUTPUTS cannot be set."""
-    taken = probe.set("HIL_OUTPUTS", 1.0)
-    return not taken, "taken" if taken else "refused"
+    is_accepted = probe.set("HIL_OUTPUTS", 1.0)
+    return not is_accepted, "taken" if is_accepted else "refused"
 
 
 def _hil_armed(probe: BoardProbe) -> Measured:
@@ -483,8 +483,8 @@ def _strangers(probe: BoardProbe) -> Measured:
         probe.listen(0.2)
     before = probe.bytes_heard
     probe.listen(0.2)
-    told = hear()
-    return told == 0 and probe.bytes_heard > before, f"{told} of them were told something"
+    replies = hear()
+    return replies == 0 and probe.bytes_heard > before, f"{replies} of them were told something"
 
 
 AGE = f"disarmed and neutral within {STOPS_WITHIN_S * 1e3:.0f} ms of the last override"

@@ -68,9 +68,9 @@ def _try(rule: Rule, probe: BoardProbe) -> Measured:
     except KeyError as missing:
         passed, measured = False, f"needs the parameter {missing}"
     finally:
-        rested, left = probe.rest(), probe.put_back()
-    if left:
-        return False, f"{measured}; {', '.join(left)} has to be put back by hand"
+        rested, remaining = probe.rest(), probe.put_back()
+    if remaining:
+        return False, f"{measured}; {', '.join(remaining)} has to be put back by hand"
     if passed and not rested:
         return False, f"{measured}; then it did not disarm"
     return passed, measured

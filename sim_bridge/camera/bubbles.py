@@ -40,8 +40,8 @@ class Bubbles:
         newest = math.floor(time_s * STREAM_HZ)
         number = np.arange(math.ceil((time_s - self._depth_m / RISE_MPS) * STREAM_HZ), newest + 1, dtype=np.float64)
         age_s = time_s - number / STREAM_HZ
-        found = [self._stream(stream, number, age_s, time_s) for stream in range(min(streams, MOST_STREAMS))]
-        return np.concatenate(found) if found else np.empty((0, 4))
+        streams_bubbles = [self._stream(stream, number, age_s, time_s) for stream in range(min(streams, MOST_STREAMS))]
+        return np.concatenate(streams_bubbles) if streams_bubbles else np.empty((0, 4))
 
     def _stream(self, stream: int, number: Array, age_s: Array, time_s: float) -> Array:
         """Its bubbles, (k, 4)."""
@@ -60,10 +60,10 @@ def draw_bubbles(raw: Bytes, bubbles: Array, camera: Camera, robots_m: Array, hu
     """Lay bubbles (k, 4) over a raw mosaic, in place, except those that are vertically below a robot at `robots_m` (n, 3), in
     the middle of the exposure, of radius `hull_m`: a camera that looks aslant sees some through a hull's side."""
     away = np.linalg.norm(bubbles[:, None, :2] - robots_m[None, :, :2], axis=2)
-    seen = bubbles[~np.any((away < hull_m) & (bubbles[:, None, 2] > robots_m[None, :, 2]), axis=1)]
-    if len(seen):
-        sizes_px = np.maximum(0.5 * camera.px_per_m * seen[:, 3], 0.5)  # the lens is no sharper
-        specks(raw, project(camera, seen[:, :3]), sizes_px, LEVELS)
+    visible_bubbles = bubbles[~np.any((away < hull_m) & (bubbles[:, None, 2] > robots_m[None, :, 2]), axis=1)]
+    if len(visible_bubbles):
+        sizes_px = np.maximum(0.5 * camera.px_per_m * visible_bubbles[:, 3], 0.5)  # the lens is no sharper
+        specks(raw, project(camera, visible_bubbles[:, :3]), sizes_px, LEVELS)
 
 
 @kernel("void(u1[:,::1], f8[:,::1], f8[::1], f8)")

@@ -247,14 +247,14 @@ def draw_body(
                         veil = water[pose, 0, 1, 2 - odd] if n % 2 else water[pose, 0, 1, 2 - even]
                         cover = lanes[SPHERE_COVER, n]
                         lanes[COVER, n] += cover
-                        seen = lanes[PAINT, n] * lanes[SHADE, n] * lanes[LIGHT, n] + lanes[HIGHLIGHT, n]
-                        lanes[COLOUR, n] += cover * (seen * passed + veil)
+                        level = lanes[PAINT, n] * lanes[SHADE, n] * lanes[LIGHT, n] + lanes[HIGHLIGHT, n]
+                        lanes[COLOUR, n] += cover * (level * passed + veil)
             for n in range(max(left - begin, 0), min(LANES, right - begin)):
                 cover, column = lanes[COVER, n] / k, begin + n
                 if cover > 0.0:
                     dim = 1.0 - dimming * ((column - middle_x) ** 2 + (row - middle_y) ** 2)
-                    seen = lanes[COLOUR, n] / k * dim + cover * lanes[GLARE, n]
-                    raw[row, column] = int(min(max(raw[row, column] * (1.0 - cover) + seen, 0.0), 255.0) + 0.5)
+                    level = lanes[COLOUR, n] / k * dim + cover * lanes[GLARE, n]
+                    raw[row, column] = int(min(max(raw[row, column] * (1.0 - cover) + level, 0.0), 255.0) + 0.5)
 
 
 @kernel(f"void({PICTURE}, {RECT}, {LINES}, {PLANE}, f8[::1], f8, {MATRIX}, f4[::1])")

@@ -92,9 +92,9 @@ class MovingBackground:
                 _halved(plane + np.float32(i - 0.5) * down + np.float32(j - 0.5) * right, view)
                 for plane, (down, right) in zip((column, row), shifts, strict=True)
             )
-            seen = cv2.remap(self._planes[channel], columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+            colour = cv2.remap(self._planes[channel], columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
             spot = raw[i::2, j::2]  # of an odd picture's last square a part
-            spot[:] = cv2.add(cv2.multiply(seen, light, dtype=cv2.CV_8U), glare)[: spot.shape[0], : spot.shape[1]]
+            spot[:] = cv2.add(cv2.multiply(colour, light, dtype=cv2.CV_8U), glare)[: spot.shape[0], : spot.shape[1]]
         return scene, raw
 
     def _metres(self, count: int, axis: int) -> Float:

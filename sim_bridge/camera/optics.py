@@ -127,9 +127,9 @@ class Optics:
     def see(self, points_pool: Array) -> SeenPoints:
         """Points (m, 3) of the pool frame, as the camera sees them."""
         points = np.ascontiguousarray(points_pool, dtype=np.float64).reshape(-1, 3)
-        seen = SeenPoints(np.empty_like(points), np.empty((len(points), 2)), np.empty(len(points)))
-        see(points, self._lens, self._index, self._turn, self._pinhole, seen.crossings, seen.pixels, seen.path_m)
-        return seen
+        view = SeenPoints(np.empty_like(points), np.empty((len(points), 2)), np.empty(len(points)))
+        see(points, self._lens, self._index, self._turn, self._pinhole, view.crossings, view.pixels, view.path_m)
+        return view
 
 
 def project(camera: Camera, points_pool: Array) -> Array:

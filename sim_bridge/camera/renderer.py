@@ -113,8 +113,8 @@ class Renderer:
             ):
                 if window is not None:
                     sprite.draw_shadow(raw, scene, window, eta)
-        seen = zip(bodies.sprites, looks, scene.view.windows(boxes, self._margin_px), strict=True)
-        for sprite, look, window in sorted(seen, key=lambda each: -each[1].path_m):
+        visible = zip(bodies.sprites, looks, scene.view.windows(boxes, self._margin_px), strict=True)
+        for sprite, look, window in sorted(visible, key=lambda each: -each[1].path_m):
             if window is not None and look.px_per_m > 0.0:
                 sprite.draw(raw, scene, window, look, time_s)
 

@@ -139,17 +139,17 @@ def exposures(bodies: Bodies, optics: Optics, exposure_s: float, floor_m: float)
     """The looks of n bodies in an exposure, corners (n, 16, 3) of boxes that hold them, and corners (n, 4, 3) of squares on
     the floor that hold their shadows."""
     n = len(bodies.sprites)
-    seen = optics.see(bodies.eta[:, None, :3] + PROBES_M)
+    probes = optics.see(bodies.eta[:, None, :3] + PROBES_M)
     shapes = np.array([sprite.shape_m for sprite in bodies.sprites])
     parts, px_per_m, poses = np.empty(n, np.int64), np.empty(n), np.zeros((n, MAX_PARTS, 4))
     attitudes, depths = np.zeros((n, MAX_PARTS, 3, 3)), np.zeros((n, MAX_PARTS, 2))
     boxes, shadows = np.empty((n, 16, 3)), np.empty((n, 4, 3))
     expose(
-        bodies.eta, bodies.nu, bodies.tilt, shapes, seen.pixels.reshape(n, 3, 2), exposure_s, floor_m,
+        bodies.eta, bodies.nu, bodies.tilt, shapes, probes.pixels.reshape(n, 3, 2), exposure_s, floor_m,
         parts, px_per_m, poses, attitudes, depths, boxes, shadows,
     )  # fmt: skip
     water = np.stack(water_colour(2.0 * depths), axis=3).astype(np.float64)  # from a lamp down and up to the camera
-    numbers = zip(parts.tolist(), bodies.eta[:, 2].tolist(), px_per_m.tolist(), seen.path_m[::3].tolist(), strict=True)
+    numbers = zip(parts.tolist(), bodies.eta[:, 2].tolist(), px_per_m.tolist(), probes.path_m[::3].tolist(), strict=True)
     looks = [BodyLook(poses[i, :k], attitudes[i, :k], water[i, :k], *rest) for i, (k, *rest) in enumerate(numbers)]
     return looks, boxes, shadows
 

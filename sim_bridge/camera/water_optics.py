@@ -377,5 +377,5 @@ def light_up(
                 shine[2 * j + 1] = square_shine[j]
         first, second, result = view[i], next_view[i], raw[i]
         for j in range(width):
-            seen = np.float32(first[j]) + view_share * (np.float32(second[j]) - np.float32(first[j]))
-            result[j] = np.uint8(min(seen * light[j] + shine[j], most) + half)
+            value = np.float32(first[j]) + view_share * (np.float32(second[j]) - np.float32(first[j]))
+            result[j] = np.uint8(min(value * light[j] + shine[j], most) + half)

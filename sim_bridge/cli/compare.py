@@ -18,9 +18,9 @@ FIRST_OR_RANGE = "N or FIRST-LAST"
 Jobs = Annotated[int | None, typer.Option(min=1, help="Processes that fly; default: one per core.")]
 
 
-def _list(asked: bool) -> None:
+def _list(value: bool) -> None:
     """Print what can be compared, before any argument is missed."""
-    if asked:
+    if value:
         from sim_bridge.studies.comparison import VARIANTS
 
         for name, changes in VARIANTS.items():
@@ -58,17 +58,17 @@ def compare(
     from sim_bridge.studies import comparison as comparing
     from sim_bridge.studies.comparison import VARIANTS
 
-    console, flown = terminal(background(sys.stdout)), _range(seeds)
+    console, numbers = terminal(background(sys.stdout)), _range(seeds)
     chosen = _names(laws, [*VARIANTS, *(law.strip() for law in laws.split(",") if ":" in law)] if laws else VARIANTS, "--laws")
-    asked = [*(settings or ()), *([f"duration_s={duration}"] if duration is not None else [])]
-    name = load_experiment(experiment, [*asked, NO_CAMERA]).name
+    overrides = [*(settings or ()), *([f"duration_s={duration}"] if duration is not None else [])]
+    name = load_experiment(experiment, [*overrides, NO_CAMERA]).name
     folder = out or new_run_folder(Path("runs"), f"compare-{name}")
     for file in COMPARISON:
         check_output(folder / file, [experiment_path(experiment)], mine=COMPARISON)
     if (folder / COMPARISON[0]).exists():
         raise ConfigError(f"{folder}: holds a comparison already (--out FOLDER makes another)")
     folder.mkdir(parents=True, exist_ok=True)
-    raise typer.Exit(comparing.run(experiment, asked, chosen, flown, scatter, _cores(jobs), folder, console))
+    raise typer.Exit(comparing.run(experiment, overrides, chosen, numbers, scatter, _cores(jobs), folder, console))
 
 
 def tune(
@@ -92,29 +92,29 @@ def tune(
     from sim_bridge.studies import gain_tuning as tuning
 
     chosen = _names(laws, [name for name in get_args(LawName) if name not in ("eso-mpc-article", "nmpc")], "--laws")
-    flown = _names(scenes, tuning.SCENES, "--scenes")
+    scene_names = _names(scenes, tuning.SCENES, "--scenes")
     console = terminal(background(sys.stderr))
-    for tuned in tuning.run(chosen, flown, settings or (), _range(seeds), budget, _cores(jobs), console):
+    for tuned in tuning.run(chosen, scene_names, settings or (), _range(seeds), budget, _cores(jobs), console):
         console.print(f"{tuned.law}: cost {tuned.first:.3f} before, {tuned.best:.3f} after {budget} trials", soft_wrap=True)
         typer.echo(tuned.toml())
 
 
-def _names(given: str, allowed: Collection[str], option: str) -> list[str]:
+def _names(text: str, allowed: Collection[str], option: str) -> list[str]:
     """Split a list with commas; empty is everything."""
-    names = [name.strip() for name in given.split(",") if name.strip()] or list(allowed)
+    names = [name.strip() for name in text.split(",") if name.strip()] or list(allowed)
     for name in names:
         if name not in allowed or names.count(name) > 1:
             raise typer.BadParameter(f"{option}: {name!r} (allowed, once each: {', '.join(allowed)})")
     return names
 
 
-def _range(given: str) -> list[int]:
+def _range(text: str) -> list[int]:
     """Seeds of `3`, which are 1 to 3 as in a campaign's file, or of `11-20`."""
-    first, dash, last = given.partition("-")
+    first, dash, last = text.partition("-")
     if not dash:
-        first, last = "1", given
+        first, last = "1", text
     if not (first.isdecimal() and last.isdecimal()) or not int(first) <= int(last) or int(last) < 1:
-        raise typer.BadParameter(f"--seeds {given}: must be a number of seeds or a range (allowed: 10, 1-10, 7-7)")
+        raise typer.BadParameter(f"--seeds {text}: must be a number of seeds or a range (allowed: 10, 1-10, 7-7)")
     return list(range(int(first), int(last) + 1))
 
 

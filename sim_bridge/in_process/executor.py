@@ -54,11 +54,11 @@ class SharedDecoder:
 
     def decode(self, kind: type[Any], payload: bytes, peer: str, topic: str) -> Any:
         """Decode a message, as codec.decode does."""
-        known = self._read.get(id(payload)) or self._before.get(id(payload))
-        if known is None or known[0] is not payload:
-            known = payload, decode(kind, payload, peer, topic)
-        self._read[id(payload)] = known
-        return known[1]
+        entry = self._read.get(id(payload)) or self._before.get(id(payload))
+        if entry is None or entry[0] is not payload:
+            entry = payload, decode(kind, payload, peer, topic)
+        self._read[id(payload)] = entry
+        return entry[1]
 
     def next_tick(self) -> None:
         """Forget the messages that were not read in the last tick."""

@@ -192,7 +192,7 @@ class AgentFleet:
         self._water, self._clock_ns = water, clock_ns
         self._latency_ns = round(experiment.sim.latency_s * NS)
         self._localizer = IdealLocalizer(experiment, seed)
-        self.seen: deque[tuple[int, list[Pose]]] = deque(maxlen=SEEN_KEPT)  # instant on the agents' clock, pose of each robot
+        self.poses: deque[tuple[int, list[Pose]]] = deque(maxlen=SEEN_KEPT)  # instant on the agents' clock, pose of each robot
         self.watched: deque[StampedObstacles] = deque(maxlen=SEEN_KEPT)
         self._orders = 0
 
@@ -270,7 +270,7 @@ class AgentFleet:
 
     def expose(self, stamp_ns: int) -> None:
         """Localize every robot."""
-        self.seen.append((stamp_ns, self._localizer.poses(self._water.eta)))
+        self.poses.append((stamp_ns, self._localizer.poses(self._water.eta)))
         obstacles = self._localizer.obstacles(self._water.now_ns / NS)
         if obstacles is not None:
             self.watched.append(StampedObstacles(obstacles, stamp_ns))
@@ -278,13 +278,13 @@ class AgentFleet:
     def control_step(self, i: int, plans: Mapping[int, StampedPlan | None]) -> None:
         """One control step of the i-th robot."""
         robot, me, ahead_ns = self.robots[i], self.experiment.robot_ids[i], self.ahead_ns[i]
-        heard = {r: StampedPlan(p.plan, p.instant_ns + ahead_ns) for r, p in plans.items() if p is not None and r != me}
-        seen, adrift, now_ns = self.pose(i), self._newest_obstacles(), self.now_ns + ahead_ns
+        others = {r: StampedPlan(p.plan, p.instant_ns + ahead_ns) for r, p in plans.items() if p is not None and r != me}
+        pose, adrift, now_ns = self.pose(i), self._newest_obstacles(), self.now_ns + ahead_ns
         inputs = Inputs(
-            pose=StampedPose(seen.pose, seen.instant_ns + ahead_ns) if seen is not None else None,
+            pose=StampedPose(pose.pose, pose.instant_ns + ahead_ns) if pose is not None else None,
             telemetry=self._water.telemetry(i, now_ns),
             station=self.station(),
-            plans=heard,
+            plans=others,
             obstacles=StampedObstacles(adrift.obstacles, adrift.instant_ns + ahead_ns) if adrift is not None else None,
         )
         begin_ns = self._clock_ns()
@@ -296,7 +296,7 @@ class AgentFleet:
 
     def pose(self, i: int) -> StampedPose | None:
         """The newest pose of the i-th robot that the localizer has published by now."""
-        for stamp_ns, poses in reversed(self.seen):
+        for stamp_ns, poses in reversed(self.poses):
             if stamp_ns <= self.now_ns - self._latency_ns:
                 return StampedPose(poses[i], stamp_ns)
         return None
@@ -338,7 +338,7 @@ def _published(fleet: AgentFleet, water: DirectPlant) -> Iterator[Sent]:
     yield topics.TRUTH, None, water.truth(), fleet.now_ns
     if fleet.watched:
         yield topics.OBSTACLES, None, fleet.watched[-1].obstacles, fleet.watched[-1].instant_ns
-    stamp_ns, poses = fleet.seen[-1]
+    stamp_ns, poses = fleet.poses[-1]
     for robot, pose, member in zip(fleet.experiment.robot_ids, poses, fleet.robots, strict=True):
         yield topics.POSE, robot, pose, stamp_ns
         yield topics.STATE, robot, member.states[-1], fleet.now_ns

@@ -6,8 +6,6 @@ the water's state (gusts, waves, noise) begins by the seed. Without the truth, a
 their own estimates were.
 """
 
-import subprocess
-import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -16,21 +14,23 @@ from pathlib import Path
 import numpy as np
 
 from groundstation.fleet_time import SIMULATED_BELOW_NS
+from groundstation.formation_clock import FormationPlans
+from groundstation.logs.reader import LogFile, LogMessage, open_log
 from robot_agent.agent import Agent
 from robot_agent.inputs import StampedPlan
-from robot_agent.rerun import Logged, Rerun
 from shoal.config.experiment import Experiment, load_experiment
 from shoal.errors import ConfigError
 from shoal.frames import Array
 from shoal.messages import topics
 from shoal.messages.codec import decode
 from shoal.messages.messages import Mode, Plan, RobotState, Truth
-from shoal.messages.pipe import read_pipe
-from shoal.system import programs
 from sim_bridge import fault_schedule
 from sim_bridge.in_process.fleet import NS, AgentFleet, DirectPlant
+from sim_bridge.replay.rerun import Rerun
+from sim_bridge.replay.step_replay import in_order_of_use, own_messages
 
 THRUST_MEMORY_S = 1.0  # s of pulses that the plant is given, ten times a thruster's lag
+AROUND_NS = 300_000_000  # of the truth: enough to have one before and one after
 SAME_CLOCK_NS = 1_000_000_000  # ns; the truth's stamps and a robot's are of one clock if they are this near
 
 
@@ -54,22 +54,21 @@ class RobotHistory:
         return self.states[-1][1]
 
 
-def replay_history(experiment: Experiment, robot: int, lines: Iterable[Logged]) -> RobotHistory:
+def replay_history(experiment: Experiment, robot: int, lines: Iterable[LogMessage]) -> RobotHistory:
     """Lead an agent through a log up to a moment. Raises ConfigError if it was not under way then."""
     rerun = Rerun(experiment, robot)
     memory = RobotHistory(rerun.agent)
 
-    def listened() -> Iterator[Logged]:
+    def noted() -> Iterator[LogMessage]:
         for line in lines:
-            topic, _, header, payload = line
-            if topic is topics.STATE:
-                memory.states.append((header.stamp_ns, decode(RobotState, payload, "log", topic.name)))
-            if topic is topics.TRUTH:
-                memory.truths.append((header.stamp_ns, decode(Truth, payload, "log", topic.name)))
+            if line.topic is topics.STATE:
+                memory.states.append((line.header.stamp_ns, decode(RobotState, line.payload, "log", line.topic.name)))
+            if line.topic is topics.TRUTH:
+                memory.truths.append((line.header.stamp_ns, decode(Truth, line.payload, "log", line.topic.name)))
             else:
                 yield line
 
-    for _, message, _ in rerun.run(listened()):
+    for _, message, _ in rerun.run(noted()):
         if isinstance(message, Plan):
             memory.plan = message
     memory.agent = rerun.agent
@@ -82,7 +81,7 @@ def resume(
     experiment: Experiment, memories: Sequence[RobotHistory], seed: int, clock_ns: Callable[[], int] = lambda: 0
 ) -> tuple[AgentFleet, DirectPlant]:
     """The fleet and its plant in the state of the moment, ready to fly on."""
-    at_ns = round(max(memory.state.trajectory_s for memory in memories) * NS)
+    at_ns = round(max(FormationPlans().clock_s(memory.state) or 0.0 for memory in memories) * NS)
     eta, nu = np.array([_pose_at_moment(memory, k, experiment.robot_ids) for k, memory in enumerate(memories)]).transpose(
         1, 0, 2
     )
@@ -144,13 +143,29 @@ def prepared(experiment: Experiment, source: Path, at_s: float) -> tuple[AgentFl
 
 
 def _read_history(experiment: Experiment, source: Path, at_s: float, robot: int) -> RobotHistory:
-    words = ["moment", str(source), "--at", str(at_s), "--robot", str(robot)]
-    with tempfile.TemporaryFile() as complaints:  # not a pipe: nobody reads it meanwhile
-        with programs.start("groundstation", words, stdout=subprocess.PIPE, stderr=complaints) as telling:
-            assert telling.stdout is not None
-            lines = list(read_pipe(telling.stdout))
-        complaints.seek(0)
-        said = complaints.read().decode(errors="replace").strip()
-    if telling.returncode != 0:
-        raise ConfigError(said or f"groundstation moment ended with exit code {telling.returncode}")
-    return replay_history(experiment, robot, lines)
+    with open_log(source) as log:
+        return replay_history(experiment, robot, lines_until(log, experiment.robot_ids, at_s, robot))
+
+
+def lines_until(log: LogFile, robots: Sequence[int], at_s: float, robot: int) -> Iterator[LogMessage]:
+    """A robot's inputs, commands and states up to the moment at which the first of `robots` was `at_s` along its trajectory,
+    and the truth around it. Raises ConfigError if there is no such moment."""
+    moment_ns = _moment_ns(log, robots[0], at_s)
+    own = own_messages(log, robot, with_states=True)
+    known = [k for k, line in enumerate(own) if line.topic is topics.STATE and line.arrived_ns <= moment_ns]
+    if not known or not any(line.topic is topics.INPUTS for line in own):
+        raise ConfigError(f"{log.path}: holds no inputs of robot {robot} before {at_s:g} s")
+    yield from in_order_of_use(log, robot, own[: known[-1] + 1])
+    begin_ns, end_ns = max(moment_ns - AROUND_NS, log.start_ns), moment_ns + AROUND_NS
+    yield from log.messages(lambda topic, _: topic is topics.TRUTH, begin_ns, end_ns + 1)
+
+
+def _moment_ns(log: LogFile, robot: int, at_s: float) -> int:
+    """Instant at which the recorder heard of the robot's progress with the formation."""
+    reached_s = 0.0
+    for line in log.messages(lambda topic, of: topic is topics.STATE and of == robot):
+        clock_s = FormationPlans().clock_s(decode(RobotState, line.payload, "log", line.topic.name))
+        if clock_s is not None and clock_s >= at_s:
+            return line.arrived_ns
+        reached_s = max(reached_s, clock_s or 0.0)
+    raise ConfigError(f"{log.path}: at {at_s:g} s there is nothing: robot {robot} came to {reached_s:.2f} s")

@@ -89,7 +89,7 @@ def open_socket(address: str, signed: bool) -> BoardSocket:
 def run(board: ThrusterBoard, socket: BoardSocket, stop: Stop) -> None:
     """Run the board until told to stop."""
     still, begin_ns, steps = np.zeros(4), time.monotonic_ns(), 0
-    said = (False, True)
+    state = (False, True)
     while not stop.requested:
         now_ns = time.monotonic_ns() - begin_ns
         for data, peer in socket.read():
@@ -100,8 +100,8 @@ def run(board: ThrusterBoard, socket: BoardSocket, stop: Stop) -> None:
             data = board.step(now_ns, still, still, still)
             if data:
                 socket.send(data, now_ns)
-        if (board.armed, board.neutral) != said:
-            said = (board.armed, board.neutral)
-            log.info("%s, %s", "armed" if said[0] else "disarmed", "neutral" if said[1] else "thrusting")
+        if (board.armed, board.neutral) != state:
+            state = (board.armed, board.neutral)
+            log.info("%s, %s", "armed" if state[0] else "disarmed", "neutral" if state[1] else "thrusting")
         due_s = steps * STEP_S - (time.monotonic_ns() - begin_ns) * 1e-9
         select.select([socket.fileno()], [], [], max(due_s, 0.0))

@@ -26,8 +26,8 @@ class IdealLocalizer:
 
     def poses(self, eta: Array) -> list[Pose]:
         """Measured poses of robots at eta (n, 4), in their order."""
-        seen = eta + self._random.standard_normal(eta.shape) * self._noise
-        return [Pose(x, y, yaw, self._covariance, Track.MARKER, True, 1.0, z) for x, y, z, yaw in seen.tolist()]
+        measured_eta = eta + self._random.standard_normal(eta.shape) * self._noise
+        return [Pose(x, y, yaw, self._covariance, Track.MARKER, True, 1.0, z) for x, y, z, yaw in measured_eta.tolist()]
 
     def obstacles(self, time_s: float) -> Obstacles | None:
         """The drifting balls as the localizer reports obstacles; None if the experiment has none and asks for no
@@ -43,4 +43,4 @@ class IdealLocalizer:
                 outlines.append(place_m[:2] + error[:2] + ball.radius_m * RING)
                 velocities.append(np.array(ball.velocity_mps[:2]) + error[2:])
         outline, velocity = np.array(outlines).reshape(-1, len(RING), 2), np.array(velocities).reshape(-1, 2)
-        return Obstacles(tuple(ids), outline, velocity, self._depth_m, watched=1.0)
+        return Obstacles(tuple(ids), outline, velocity, self._depth_m, watched=1.0, unseen_s=np.zeros(len(ids)))

@@ -13,6 +13,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from groundstation.formation_clock import FormationPlans
 from shoal.bus.bus import Bus
 from shoal.config.experiment import Experiment
 from shoal.frames import Array
@@ -120,14 +121,15 @@ class PoolNode:
         self._sockets.deliver(world)
 
     def _detect_start(self, world: World, begin_ns: int) -> None:
-        """Find the instant at which the trajectories began, from which faults count. Plant time 0 is `begin_ns`."""
+        """Find the instant at which the formation's trajectories began, from which faults count. A robot that is sent
+        somewhere alone begins none. Plant time 0 is `begin_ns`."""
         if world.start_ns is not None:
             return
         for inbox in self._states.values():
             received = inbox.newest()
-            if received is not None and received.message.trajectory_s > 0.0:
-                flown_ns = round(received.message.trajectory_s * 1e9)
-                world.start_ns = self._clock.instant_ns(received) - flown_ns - begin_ns
+            flown_s = FormationPlans().clock_s(received.message) if received is not None else None
+            if received is not None and flown_s:
+                world.start_ns = self._clock.instant_ns(received) - round(flown_s * 1e9) - begin_ns
                 return
 
     # --- by the wall clock
@@ -192,14 +194,14 @@ class PoolNode:
         for robot, pose in zip(self._experiment.robot_ids, self._localizer.poses(exposure.eta), strict=True):
             self._bus.publish(topics.POSE, pose, exposure.stamp_ns, robot, age_ns=age_ns)
         if self._lockstep is not None:  # where others wait for what is told of each picture
-            told = LocalizerStatus(
+            status = LocalizerStatus(
                 CameraHealth.OK,
                 exposure.index,
                 robots=self._experiment.robot_ids,
                 obstacles_ns=self._obstacles_ns,
                 experiment_hash=self._experiment.hash,
             )
-            self._bus.publish(topics.LOCALIZER, told, exposure.stamp_ns)
+            self._bus.publish(topics.LOCALIZER, status, exposure.stamp_ns)
         obstacles = self._localizer.obstacles(exposure.time_s)
         if obstacles is not None:
             self._obstacles_ns = exposure.stamp_ns

@@ -60,18 +60,18 @@ class PoolWires:
 
 def real_boards(experiment: Experiment, given: Sequence[str]) -> dict[int, str]:
     """Addresses of the real boards, by robot, from texts N=WHERE. Raises ConfigError naming what is allowed."""
-    found: dict[int, str] = {}
+    addresses: dict[int, str] = {}
     for text in given:
         number, _, where = text.partition("=")
         if not (number.isdecimal() and int(number) in experiment.robot_ids):
             robots = ", ".join(map(str, experiment.robot_ids))
             raise ConfigError(f"--board {text!r}: no robot of {experiment.name} (allowed: N=WHERE, N one of {robots})")
-        if int(number) in found:
+        if int(number) in addresses:
             raise ConfigError(f"--board {text!r}: robot {number} has a board already")
         if where != SIMULATED:
             parse_link(where, f"--board {number}")
-        found[int(number)] = where
-    return {robot: where for robot, where in found.items() if where != SIMULATED}
+        addresses[int(number)] = where
+    return {robot: where for robot, where in addresses.items() if where != SIMULATED}
 
 
 def run_pool(

@@ -5,15 +5,97 @@ Gusts are the same everywhere: a sum of cosines whose frequencies are the quanti
 exact. Waves are Airy's: velocities of a potential, with the dispersion of the pool's depth.
 """
 
+import math
+from typing import NamedTuple
+
 import numpy as np
 
 from shoal.config.experiment import Experiment
 from shoal.frames import Array
-from sim_bridge.plant import kernels
-from sim_bridge.plant.kernels import GRAVITY_MPS2
+from shoal.kernels.decorator import kernel
+from shoal.kernels.types import Table
 from sim_bridge.plant.random_streams import Stream, generator
+from sim_bridge.plant.vectors import NO_VECTOR, Vector, add, dot, row_vector, scale, set_row
 
+GRAVITY_MPS2 = 9.81
 GUST_WAVES = 32  # cosines per axis; with 32 the correlation follows exp(-t / T) to 0.03
+
+
+class Flow(NamedTuple):
+    """Constants of the water's own motion."""
+
+    is_still: bool
+    current_mps: Vector  # at the surface
+    shear_per_s: Vector  # its change per metre of depth
+    gust_mps: float  # amplitude of each cosine
+    gust_radps: Table  # (2, GUST_WAVES), for x and for y
+    gust_phase: Table
+    wave_mps: float  # the water's speed at the surface, in deep water
+    wave_way: Vector  # unit vector of the wave's direction
+    wave_radps: float
+    wave_per_m: float
+    depth_m: float
+
+
+class WaterMotion(NamedTuple):
+    """The water's motion at a fixed place, in the pool frame."""
+
+    velocity_mps: Vector
+    acceleration_mps2: Vector
+
+
+@kernel(part=True)
+def gust_motion(flow: Flow, time_s: float) -> WaterMotion:
+    """The gusts' part of the motion, the same everywhere."""
+    x, y, rate_x, rate_y = 0.0, 0.0, 0.0, 0.0
+    if flow.gust_mps > 0.0:
+        for k in range(flow.gust_radps.shape[1]):
+            angle_x = flow.gust_radps[0, k] * time_s + flow.gust_phase[0, k]
+            angle_y = flow.gust_radps[1, k] * time_s + flow.gust_phase[1, k]
+            x += flow.gust_mps * math.cos(angle_x)
+            y += flow.gust_mps * math.cos(angle_y)
+            rate_x -= flow.gust_mps * flow.gust_radps[0, k] * math.sin(angle_x)
+            rate_y -= flow.gust_mps * flow.gust_radps[1, k] * math.sin(angle_y)
+    return WaterMotion(Vector(x, y, 0.0), Vector(rate_x, rate_y, 0.0))
+
+
+@kernel(inline=True, part=True)
+def wave_motion(flow: Flow, place_m: Vector, time_s: float) -> WaterMotion:
+    """The wave's part of the motion (Airy): the floor reflects it, so that nothing flows through."""
+    if flow.wave_mps == 0.0:
+        return WaterMotion(NO_VECTOR, NO_VECTOR)
+    down_m = min(max(place_m.z, 0.0), flow.depth_m)
+    falling = math.exp(-flow.wave_per_m * down_m)
+    reflected = math.exp(-flow.wave_per_m * (2.0 * flow.depth_m - down_m))
+    surface_mps = flow.wave_mps / -math.expm1(-2.0 * flow.wave_per_m * flow.depth_m)
+    along, across = surface_mps * (falling + reflected), surface_mps * (falling - reflected)
+    phase = flow.wave_per_m * dot(flow.wave_way, place_m) - flow.wave_radps * time_s
+    sine, cosine = math.sin(phase), math.cos(phase)
+    velocity = add(scale(along * cosine, flow.wave_way), Vector(0.0, 0.0, -across * sine))
+    forward, down = along * flow.wave_radps * sine, across * flow.wave_radps * cosine
+    return WaterMotion(velocity, add(scale(forward, flow.wave_way), Vector(0.0, 0.0, down)))
+
+
+@kernel(inline=True, part=True)
+def water_motion(flow: Flow, gust: WaterMotion, place_m: Vector, time_s: float) -> WaterMotion:
+    """The water's motion at a fixed place. The part of a steady flow along a robot's way is of second order and left out of
+    the acceleration, as in linear wave theory."""
+    if flow.is_still:
+        return WaterMotion(NO_VECTOR, NO_VECTOR)
+    wave = wave_motion(flow, place_m, time_s)
+    steady = add(flow.current_mps, scale(place_m.z, flow.shear_per_s))
+    velocity = add(add(steady, gust.velocity_mps), wave.velocity_mps)
+    return WaterMotion(velocity, add(gust.acceleration_mps2, wave.acceleration_mps2))
+
+
+@kernel
+def water_motions(flow: Flow, places_m: Table, time_s: float, motion: Table) -> None:
+    """Velocity and acceleration (n, 6) of the water at places (n, 3)."""
+    gust = gust_motion(flow, time_s)
+    for i in range(len(places_m)):
+        water = water_motion(flow, gust, row_vector(places_m, i, 0), time_s)
+        set_row(motion, i, 0, water.velocity_mps)
+        set_row(motion, i, 3, water.acceleration_mps2)
 
 
 class WaterFlow:
@@ -21,24 +103,27 @@ class WaterFlow:
 
     def __init__(self, experiment: Experiment, seed: int) -> None:
         plant, depth_m = experiment.sim.plant, experiment.pool.size_m[2]
-        current, shear = np.array(plant.current_mps), np.array(plant.current_shear_per_s)
         gust_radps, gust_phase = _gusts(plant.gust_s, generator(seed, Stream.GUSTS))
         gust_mps = float(plant.gust_mps * np.sqrt(2.0 / GUST_WAVES))
         waves = plant.waves
         wave_radps = 2.0 * np.pi / waves.period_s
         wave_mps = 0.5 * waves.height_m * wave_radps
-        wave_way = np.array([np.cos(waves.direction_rad), np.sin(waves.direction_rad)])
-        still = gust_mps == 0.0 and wave_mps == 0.0 and not current.any() and not shear.any()
+        wave_way = Vector(math.cos(waves.direction_rad), math.sin(waves.direction_rad), 0.0)
+        is_still = gust_mps == 0.0 and wave_mps == 0.0 and not any(plant.current_mps) and not any(plant.current_shear_per_s)
+        current, shear = Vector(*plant.current_mps), Vector(*plant.current_shear_per_s, 0.0)
         wave_per_m = wave_number(wave_radps, depth_m)
-        self.constants = (
-            still, current, shear, gust_mps, gust_radps, gust_phase, wave_mps, wave_way, wave_radps, wave_per_m, depth_m
+        self.constants = Flow(
+            is_still, current, shear, gust_mps, gust_radps, gust_phase, wave_mps, wave_way, wave_radps, wave_per_m, depth_m
         )  # fmt: skip
 
-    def motion(self, place_m: Array, time_s: float) -> Array:
-        """Velocity m/s and acceleration m/s^2 of the water (n, 6) at fixed places (n, 3). The part of a steady flow along a
-        robot's way is of second order and left out of the acceleration, as in linear wave theory."""
-        motion = np.empty((len(place_m), 6))
-        kernels.water_motion(place_m, time_s, self.constants, motion)
+    def stream(self, current_mps: Array) -> None:
+        """Let the water stream at another current (3,) at the surface from now on."""
+        self.constants = self.constants._replace(is_still=False, current_mps=Vector(*current_mps.tolist()))
+
+    def motion(self, places_m: Array, time_s: float) -> Array:
+        """Velocity m/s and acceleration m/s^2 of the water (n, 6) in the pool frame, at fixed places (n, 3)."""
+        motion = np.empty((len(places_m), 6))
+        water_motions(self.constants, np.ascontiguousarray(places_m), time_s, motion)
         return motion
 
 

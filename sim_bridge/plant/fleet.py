@@ -1,7 +1,7 @@
 """The plant: a fleet of robots in water, one or more steps at a time.
 
-Deliberately richer than the controller's model, and written without it: the controller is judged by it. kernels.advance moves
-the fleet; the classes of this package hold its constants.
+Deliberately richer than the controller's model, and written without it: the controller is judged by it. motion.advance moves
+the fleet.
 """
 
 from dataclasses import dataclass
@@ -9,19 +9,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from shoal.config.experiment import Experiment
-from shoal.config.vehicle import OUTPUTS
+from shoal.config.vehicle import OUTPUTS, Vehicle
 from shoal.errors import ConfigError
 from shoal.frames import Array
 from shoal.messages.messages import Truth
 from sim_bridge.fault_schedule import ActuatorFaults
-from sim_bridge.plant import kernels
-from sim_bridge.plant.actuators import ActuatorModel, ActuatorState
+from sim_bridge.plant.actuators import ActuatorCommands, ActuatorModel, ActuatorState, Motors
 from sim_bridge.plant.battery import BatteryModel
 from sim_bridge.plant.contact import ContactModel
 from sim_bridge.plant.currents_waves import WaterFlow
-from sim_bridge.plant.rigid_body import RigidBody
+from sim_bridge.plant.motion import FleetVariables, Parts, Span, StateTables, accelerations, advance
+from sim_bridge.plant.rigid_body import hull_of
+from sim_bridge.plant.robot_state import HEAVE, STATES, SURGE, SWAY, TURN, LevelMotion
 
-THRUSTERS_PUSH = (0, 2, 5, 1)  # surge, heave, yaw and sway of the thrusters' six forces and moments
+FORCES = (0, 2, 5, 1)  # surge, heave, yaw and sway of the thrusters' six forces and moments: the order of a wrench
+FORCE_AXES = (SURGE, HEAVE, TURN, SWAY)  # the axes of a wrench
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +44,7 @@ class Plant:
 
     def __init__(self, experiment: Experiment, seed: int) -> None:
         plant = experiment.sim.plant
+        n = len(experiment.robots)
         self._robots = experiment.robot_ids
         self._step_s = plant.step_s
         self._sway = plant.sway
@@ -49,18 +52,15 @@ class Plant:
         self._thrusters = ActuatorModel(experiment, seed)
         self._supply = BatteryModel(experiment)
         self._basin = ContactModel(experiment)
-        self._flow = WaterFlow(experiment, seed).constants
-        body = RigidBody(experiment)
-        self._body = body.constants
-        n = len(self._robots)
+        self._flow = WaterFlow(experiment, seed)
+        self._hull = hull_of(experiment)
+        self._parts = self._constants()
         self.no_faults = ActuatorFaults(np.ones((n, OUTPUTS)), np.zeros(n))
-        self._axes = list(THRUSTERS_PUSH[: len(experiment.vehicle.limits.wrench)])
-        memory = kernels.memory(n)
-        kernels.to_fleet(body.wave_radps, memory, kernels.WAVE)
-        # the robots' order along x, the memory, what contact takes and gives in rows, the water's motion, places in order, and
-        # places at which nothing was near
-        calm_m = np.full((len(memory), 3 * kernels.LANES), np.nan)
-        self._work = np.arange(n), memory, np.empty((4, n, 3)), np.empty((n, 6)), np.empty((3, n)), calm_m
+        self._tables = StateTables(*np.zeros((4, n, STATES)))
+
+    def _constants(self) -> Parts:
+        thrusters, supply, flow, basin = self._thrusters, self._supply, self._flow, self._basin
+        return Parts(thrusters.constants, supply.constants, flow.constants, basin.constants, self._hull)
 
     def start(self, eta: Array) -> PlantState:
         """Robots at rest at poses (n, 4). Raises ConfigError if one of them starts in a wall, an island or another robot."""
@@ -87,36 +87,39 @@ class Plant:
         """The fleet `steps` steps of plant.step_s later, with pulses (n, 8) on the boards' outputs meanwhile."""
         faults = faults or self.no_faults
         pulses_us = np.ascontiguousarray(pulses_us, dtype=np.float64)
-        history = self._thrusters.command_history(state.motors, pulses_us, steps)
-        eta, nu, tilt, charge = state.eta.copy(), state.nu.copy(), state.tilt.copy(), state.charge.copy()
-        motors = ActuatorState(state.motors.force_n.copy(), state.motors.ankle_rad.copy(), history)
-        kernels.advance(
-            eta, nu, tilt, motors.force_n, motors.ankle_rad, charge[:, None],
-            state.motors.pulses_us, pulses_us, self._thrusters.gain * faults.thrust[:, : self._thrusters.count],
-            faults.sag_v[:, None],
-            state.steps, steps, self._step_s,
-            self._thrusters.constants, self._supply.constants, self._flow, self._basin.constants, self._body, self._work,
-        )  # fmt: skip
-        return PlantState(state.steps + steps, eta, nu, motors, tilt, charge)
+        before, gain = state.motors, self._thrusters.gain * faults.thrust[:, : self._thrusters.count]
+        history = self._thrusters.command_history(before, pulses_us, steps)
+        motion = LevelMotion(state.eta.copy(), state.nu.copy(), state.tilt.copy())
+        force_n, ankle_rad = before.force_n.copy(), before.ankle_rad.copy()
+        motors = Motors(force_n, ankle_rad, np.empty_like(force_n), np.empty_like(ankle_rad))
+        fleet = FleetVariables(motion, motors, state.charge.copy())
+        commands = ActuatorCommands(before.pulses_us, pulses_us, gain, faults.sag_v)
+        advance(fleet, commands, Span(state.steps, steps, self._step_s), self._parts, self._tables)
+        return PlantState(
+            state.steps + steps, motion.eta, motion.nu, ActuatorState(force_n, ankle_rad, history), motion.tilt, fleet.charge
+        )
+
+    def _accelerations(self, state: PlantState) -> tuple[Array, Array]:
+        """d nu / dt now, (n, 4), and the thrusters' forces and moments (n, 6)."""
+        force_n, ankle_rad = state.motors.force_n, state.motors.ankle_rad
+        still = Motors(force_n, ankle_rad, force_n, ankle_rad)  # they stay where they are
+        fleet = FleetVariables(LevelMotion(state.eta, state.nu, state.tilt), still, state.charge)
+        acceleration, wrench = np.empty_like(state.nu), np.empty((len(state.nu), 6))
+        accelerations(fleet, self.time_s(state), self._parts, self._tables, acceleration, wrench)
+        return acceleration, wrench
 
     def acceleration(self, state: PlantState) -> Array:
-        """d nu / dt now, (n, 4). WRENCH in the fleet's memory is that of now, too."""
-        acceleration = np.empty_like(state.nu)
-        kernels.fleet_acceleration(
-            state.eta, state.nu, state.tilt, self.time_s(state), state.motors.force_n, state.motors.ankle_rad,
-            self._thrusters.constants, self._flow, self._basin.constants, self._body, self._work, acceleration,
-        )  # fmt: skip
-        return acceleration
+        """d nu / dt now, (n, 4)."""
+        return self._accelerations(state)[0]
 
     def stream(self, current_mps: Array) -> None:
         """Let the water stream at another current (3,) at the surface from now on."""
-        self._flow = (False, np.array(current_mps, dtype=np.float64), *self._flow[2:])
+        self._flow.stream(current_mps)
+        self._parts = self._constants()
 
     def water_mps(self, state: PlantState) -> Array:
         """The water's own velocity (n, 3) where the robots are, pool frame."""
-        motion = np.empty((len(state.eta), 6))
-        kernels.water_motion(np.ascontiguousarray(state.eta[:, :3]), self.time_s(state), self._flow, motion)
-        return motion[:, :3].copy()
+        return self._flow.motion(state.eta[:, :3], self.time_s(state))[:, :3].copy()
 
     def rest_v(self, state: PlantState, faults: ActuatorFaults | None = None) -> Array:
         """Voltage (n,) of the batteries without load."""
@@ -124,12 +127,20 @@ class Plant:
 
     def truth(self, state: PlantState) -> Truth:
         """The true state, wrench and lumped disturbance, for the log; no controller may read it."""
-        n = len(self._robots)
-        acceleration, six, expected = self.acceleration(state), np.empty((n, 6)), np.empty((n, 4))
-        kernels.from_fleet(self._work[1], kernels.WRENCH, six)
-        wrench = np.ascontiguousarray(six[:, self._axes])
-        nominal = self._nominal
-        kernels.nominal_acceleration(
-            state.nu, wrench, nominal.inertia, nominal.drag_linear, nominal.drag_quadratic, self._sway, expected
-        )
+        acceleration, six = self._accelerations(state)
+        wrench = six[:, FORCES[: len(self._nominal.limits.wrench)]]
+        expected = nominal_acceleration(self._nominal, state.nu, wrench, self._sway)
         return Truth(self._robots, state.eta.copy(), state.nu.copy(), wrench, acceleration - expected)
+
+
+def nominal_acceleration(vehicle: Vehicle, nu: Array, wrench: Array, sway: bool) -> Array:
+    """d/dt (n, 4) of the velocities nu by the vehicle file's numbers, in still water: each axis has its own drag, and of
+    Coriolis terms m_v v r on surge and -m_u u r on sway. `wrench` (n, 3) is surge, heave, yaw; (n, 4) with sway."""
+    force = -(vehicle.drag_linear + vehicle.drag_quadratic * np.abs(nu)) * nu
+    force[:, FORCE_AXES[: wrench.shape[1]]] += wrench
+    if sway:
+        force[:, SURGE] += vehicle.inertia[SWAY] * nu[:, SWAY] * nu[:, TURN]
+        force[:, SWAY] -= vehicle.inertia[SURGE] * nu[:, SURGE] * nu[:, TURN]
+    else:
+        force[:, SWAY] = 0.0
+    return force / vehicle.inertia

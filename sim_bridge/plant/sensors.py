@@ -8,8 +8,7 @@ import numpy as np
 
 from shoal.config.experiment import Experiment
 from shoal.frames import Array, wrap
-from sim_bridge.plant.currents_waves import SurfaceWave
-from sim_bridge.plant.kernels import GRAVITY_MPS2
+from sim_bridge.plant.currents_waves import GRAVITY_MPS2, SurfaceWave
 from sim_bridge.plant.random_streams import Stream, generator
 
 ACCELEROMETER_NOISE_MPS2 = 0.02  # m/s^2, standard deviation of an ordinary MEMS part at 50 Hz; the link rounds to 0.01

@@ -40,14 +40,14 @@ def next_experiment(run: EndedRun, options: RunOptions, problem: str, stop: Stop
     )
     arguments = ["ended", str(run.folder), "--web", options.page, "--problem", problem]
     closing = Stop()  # a person's next Ctrl-C is for the page alone
-    with programs.start("groundstation", arguments, stdout=subprocess.PIPE) as shown:
-        while shown.poll() is None and not closing.requested:
+    with programs.start("groundstation", arguments, stdout=subprocess.PIPE) as page:
+        while page.poll() is None and not closing.requested:
             time.sleep(SLICE_S)
         if closing.requested:
-            shown.terminate()
+            page.terminate()
             return None
-        told = shown.communicate(timeout=ENDS_WITHIN_S)[0].decode("utf-8", errors="replace").splitlines()
-    choice = json.loads(told[-1]) if told and shown.returncode == 0 else {"what": "close"}
+        lines = page.communicate(timeout=ENDS_WITHIN_S)[0].decode("utf-8", errors="replace").splitlines()
+    choice = json.loads(lines[-1]) if lines and page.returncode == 0 else {"what": "close"}
     if choice["what"] == "again":
         return run.experiment
     return _experiment(choice["experiment"]) if choice["what"] == "edited" else None

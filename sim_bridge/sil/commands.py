@@ -142,18 +142,18 @@ def programs(
     pool += ["--boards", str(boards)] if boards is not None else []
     inherits = () if frame_ring is None else (frame_ring,)
     ring = [part for descriptor in inherits for part in ("--frame-ring", str(descriptor))]
-    found = [
+    programs = [
         Program("groundstation", "groundstation", tuple(station)),
         Program("sim-bridge", "sim_bridge", (*pool, *ring), inherits),
     ]
     if not options.poses:
         for camera in cameras or ("",):
             own = ("--camera", camera) if camera else ()
-            found.append(Program(localizer_name(camera), "localizer", (*client, *own, *ring), inherits))
+            programs.append(Program(localizer_name(camera), "localizer", (*client, *own, *ring), inherits))
         if cameras:
-            found.append(Program(localizer_name(""), "localizer", ("fuse", *client[1:])))
+            programs.append(Program(localizer_name(""), "localizer", ("fuse", *client[1:])))
     for robot in robots:
         link = ["--robot", str(robot), "--link", f"udp:127.0.0.1:{ports + robot}"]
         link += ["--link-key", str(boards / f"robot-{robot}.key")] if boards is not None else []
-        found.append(Program(f"agent-{robot}", "robot_agent", (*client, *link)))
-    return found
+        programs.append(Program(f"agent-{robot}", "robot_agent", (*client, *link)))
+    return programs

@@ -126,9 +126,9 @@ def conclude(run_dir: Path, came_up: bool, succeeded: bool, stop: Stop, console:
     passed = came_up and report(run_dir, console) and succeeded
     if stop.requested:
         return 130
-    said = verdict(run_dir, passed)
+    sentence = verdict(run_dir, passed)
     where = "" if passed else f" (what each process said: {run_dir / 'logs'})"
-    console.print(said + where, style=VERDICTS[said], highlight=False, soft_wrap=True)
+    console.print(sentence + where, style=VERDICTS[sentence], highlight=False, soft_wrap=True)
     return 0 if passed else 1
 
 
@@ -148,10 +148,10 @@ def dry_run(experiment: Experiment, run_dir: Path, options: RunOptions, console:
         file = Path(folder) / "experiment.toml"
         replace_text(file, dump_experiment(experiment))
         arguments = [str(file) if part == str(run_dir / file.name) else part for part in started[0].arguments]
-        told = programs.ask(started[0].module, [*arguments, "--dry-run"])
-    if told.returncode != 0:
-        raise ConfigError(told.stderr.strip().replace(f"{file}: ", ""))
-    console.print(told.stdout.strip(), soft_wrap=True, highlight=False)
+        result = programs.ask(started[0].module, [*arguments, "--dry-run"])
+    if result.returncode != 0:
+        raise ConfigError(result.stderr.strip().replace(f"{file}: ", ""))
+    console.print(result.stdout.strip(), soft_wrap=True, highlight=False)
     how = time_in_words(options)
     console.print(
         f"{experiment.duration_s:g} s {how}; seed {experiment.seed}; it would start:", soft_wrap=True, highlight=False
@@ -172,9 +172,9 @@ def print_error(console: Console, text: str) -> None:
     console.print(text, style="red", highlight=False, soft_wrap=True)
 
 
-def _start_all(children: Children, wanted: list[Program], address: str, stop: Stop) -> tuple[Child, bool]:
+def _start_all(children: Children, programs: list[Program], address: str, stop: Stop) -> tuple[Child, bool]:
     """Start the station, and the others when it listens. Returns the station, and True if it listens."""
-    first, *others = wanted
+    first, *others = programs
     station = children.start(first.name, first.module, first.arguments)
     if not _listens(address, station, stop):
         return station, False
@@ -262,8 +262,8 @@ def report(run_dir: Path, console: Console) -> bool:
     if _written(result) == before[0] or _written(page) == before[1]:
         print_error(console, f"no report: {writing.stderr.strip() or writing.stdout.strip()}")
         return False
-    told = [line for line in writing.stdout.strip().splitlines() if not line.startswith("report: ")]
-    console.print("\n".join(told), highlight=False, soft_wrap=True)
+    lines = [line for line in writing.stdout.strip().splitlines() if not line.startswith("report: ")]
+    console.print("\n".join(lines), highlight=False, soft_wrap=True)
     console.print(f"report: {page}", soft_wrap=True)
     return bool(json.loads(result.read_text(encoding="utf-8"))["passed"])
 

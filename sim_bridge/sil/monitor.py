@@ -14,6 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 from groundstation.fleet_time import FleetTime, pace_in_words
+from groundstation.formation_clock import FormationPlans
 from shoal.bus.bus import Bus, Received
 from shoal.config.experiment import Experiment
 from shoal.messages import topics
@@ -65,12 +66,13 @@ class Monitor:
 
     @property
     def flown_s(self) -> float:
-        """Time along its trajectory of the slowest robot that is heard."""
+        """Time along the formation's trajectory of the slowest robot that is heard, and not sent elsewhere alone."""
         states = [inbox.newest() for inbox in self._states.values()]
         if None in states:
             return self._flown_s
-        heard = [s.message.trajectory_s for s in states if s is not None and not self._silent(s)]
-        self._flown_s = min(heard, default=self._flown_s)
+        reached = [s.message for s in states if s is not None and not self._silent(s)]
+        clocks_s = [clock_s for state in reached if (clock_s := FormationPlans().clock_s(state)) is not None]
+        self._flown_s = min(clocks_s, default=self._flown_s)
         return self._flown_s
 
     @property
@@ -124,10 +126,10 @@ class Monitor:
 
     def line(self) -> str:
         """The same in one line, for a log; for a large fleet counts of modes, and the worst robot."""
-        heard = {robot: inbox.newest() for robot, inbox in self._states.items()}
-        silent = [robot for robot, received in heard.items() if received is not None and self._silent(received)]
-        states = {r: received.message for r, received in heard.items() if received is not None and r not in silent}
-        if len(heard) > FEW:
+        newest = {robot: inbox.newest() for robot, inbox in self._states.items()}
+        silent = [robot for robot, received in newest.items() if received is not None and self._silent(received)]
+        states = {r: received.message for r, received in newest.items() if received is not None and r not in silent}
+        if len(newest) > FEW:
             robots = [f"{n} {mode.name.lower()}" for mode, n in sorted(Counter(s.mode for s in states.values()).items())]
             errors = {robot: error for robot, state in states.items() if (error := _error_mm(state)) is not None}
             worst = max(errors, key=lambda robot: errors[robot], default=None)

@@ -23,21 +23,21 @@ def free_port(kind: socket.SocketKind = socket.SOCK_STREAM) -> int:
     raise RuntimeError(f"no free port from {OURS.start} to {OURS.stop - 1}")
 
 
-def page_address(wanted: str) -> str:
-    """`wanted` (host:port), or the same host with another port if that one is taken: two runs may go on side by side. Raises
+def page_address(address: str) -> str:
+    """`address` (host:port), or the same host with another port if that one is taken: two runs may go on side by side. Raises
     ConfigError for what is no address."""
-    host, _, port = wanted.rpartition(":")
+    host, _, port = address.rpartition(":")
     if not host or not port.isdecimal() or not 0 < int(port) < 65536:
-        raise ConfigError(f"--web {wanted!r}: must be HOST:PORT, for example 127.0.0.1:8000")
+        raise ConfigError(f"--web {address!r}: must be HOST:PORT, for example 127.0.0.1:8000")
     with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET) as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             probe.bind((host.strip("[]"), int(port)))
         except OSError as error:
             if error.errno != errno.EADDRINUSE:
-                raise ConfigError(f"--web {wanted}: {error.strerror or error}") from None
+                raise ConfigError(f"--web {address}: {error.strerror or error}") from None
             return f"{host}:{free_port()}"
-    return wanted
+    return address
 
 
 def free_base_port(robots: tuple[int, ...]) -> int:

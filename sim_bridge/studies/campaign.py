@@ -43,12 +43,12 @@ class Draw(Section):
 
     @model_validator(mode="after")
     def _is_one_of_them(self) -> Self:
-        given = [kind for kind in ("uniform", "normal", "choice") if getattr(self, kind) is not None]
-        if len(given) != 1:
-            raise ValueError(f"has {' and '.join(given) or 'none'} (allowed: one of uniform, normal, choice)")
+        kinds = [kind for kind in ("uniform", "normal", "choice") if getattr(self, kind) is not None]
+        if len(kinds) != 1:
+            raise ValueError(f"has {' and '.join(kinds) or 'none'} (allowed: one of uniform, normal, choice)")
         pair = self.uniform or self.normal
         if pair is not None and np.shape(pair[0]) != np.shape(pair[1]):
-            raise ValueError(f"{given[0]}: the two must have as many components as each other")
+            raise ValueError(f"{kinds[0]}: the two must have as many components as each other")
         if self.uniform is not None and np.any(np.less(self.uniform[1], self.uniform[0])):
             raise ValueError(f"uniform: {list(self.uniform)}: must be from, to (allowed: the second not below the first)")
         if self.normal is not None and np.any(np.less(self.normal[1], 0.0)):

@@ -1,22 +1,29 @@
-"""SHELL: one flight of a campaign, in any process on any machine: text in, plain numbers out.
+"""SHELL: one flight of a campaign, in any process on any machine: text in, plain numbers out. The station's judge judges it.
 
 A module of its own, because worker processes import it and nothing of the campaign's reports.
 """
 
 import json
+import tempfile
 import time
 from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from groundstation.analysis.alignment import align
+from groundstation.analysis.measures import measures, reasons
+from groundstation.analysis.metrics import evaluate
+from groundstation.analysis.results import Result
+from groundstation.analysis.series import Series
+from groundstation.logs.reader import RunLog, log_in_memory
 from shoal.config.experiment import Experiment
 from shoal.config.loader import check
 from shoal.errors import ConfigError
 from shoal.messages.messages import Trajectory
 from sim_bridge.in_process.fleet import AgentFleet, DirectPlant, fly
 from sim_bridge.in_process.run import plan
-from sim_bridge.studies.metrics import broken_limits, measures
 
 PLANS_KEPT = 8  # plans cached per worker, which flies the same few trajectories many times
 UNPLANNED = ("sim", "limits", "article", "seed", "name", "title")  # sections that no plan depends on
@@ -36,23 +43,37 @@ def fly_one(experiment_json: str) -> dict[str, Any]:
     return {**row, "wall_s": time.perf_counter() - begin_s}
 
 
-def _flown_with_camera(experiment: Experiment) -> dict[str, Any]:
-    from sim_bridge.studies.camera_flight import fly_with_camera  # loads every program: not for numeric flights
-
-    return fly_with_camera(experiment)
-
-
 def _flown(experiment: Experiment) -> dict[str, Any]:
+    """Fly numerically. The messages are judged in memory."""
     trajectories, starts = _planned(planning_text(experiment))
     water = DirectPlant(experiment, experiment.seed, np.array([starts[robot] for robot in experiment.robot_ids]))
     fleet = AgentFleet(experiment, trajectories, water, experiment.seed)
     fleet.start()
-    for _ in fly(fleet, water):
-        pass
-    found = measures(fleet)
-    broken = broken_limits(experiment, found)
-    faults = dict.fromkeys(state.fault for robot in fleet.robots for state in robot.states if state.fault)
-    return {**found, "passed": not broken, "reason": ", ".join([*broken, *faults])}
+    log = log_in_memory(fly(fleet, water), {"mode": "numeric"})
+    series = align(experiment, log)
+    return _row(series, log, evaluate(series, log))
+
+
+def _flown_with_camera(experiment: Experiment) -> dict[str, Any]:
+    """Fly in lockstep in this process, and judge the log as its report does. Raises ConfigError if the station refuses the
+    experiment, Failed if a part of the run has ended."""
+    from groundstation.report.report import evaluated  # these load every program: not for numeric flights
+    from shoal.bus.memory_transport import MemoryHub
+    from sim_bridge.in_process.executor import Executor
+
+    quiet = experiment.model_copy(
+        update={
+            "localizer": experiment.localizer.model_copy(update={"preview_rate_hz": 0.0}),
+            "recording": experiment.recording.model_copy(update={"video": "none"}),
+        }
+    )
+    with tempfile.TemporaryDirectory(prefix="shoal-flight-") as folder:
+        Executor(quiet, Path(folder), MemoryHub()).fly()
+        return _row(*evaluated(Path(folder)))
+
+
+def _row(series: Series, log: RunLog, result: Result) -> dict[str, Any]:
+    return {**measures(series, log, result), "passed": result.passed, "reason": reasons(result)}
 
 
 def planning_text(experiment: Experiment) -> str:

@@ -71,11 +71,11 @@ def run(
         is_whole = False
         console.print(f"{error.filename or journal}: {error.strerror}; --resume goes on", style="red", soft_wrap=True)
     ordered = [rows[index] for index in sorted(rows)]
-    found = dependences(campaign, ordered)
-    for line in lines(ordered, found):
+    key_values = dependences(campaign, ordered)
+    for line in lines(ordered, key_values):
         console.print(line, highlight=False, soft_wrap=True)
     _say(ordered, total, console)
-    is_whole = _write(campaign, ordered, found, folder, console) and is_whole
+    is_whole = _write(campaign, ordered, key_values, folder, console) and is_whole
     if stop.requested:
         console.print(f"interrupted after {len(ordered)} of {total} flights; --resume goes on")
         return 130
@@ -134,7 +134,7 @@ class Journal:
 def _write(
     campaign: Campaign,
     rows: Sequence[dict[str, Any]],
-    found: Mapping[str, Sequence[KeyValue]],
+    key_values: Mapping[str, Sequence[KeyValue]],
     folder: Path,
     console: Console,
 ) -> bool:
@@ -145,7 +145,7 @@ def _write(
         with replacing(folder / RESULTS) as results:
             pq.write_table(_table(campaign, rows), results)
         console.print(f"results: {folder / RESULTS}", soft_wrap=True)
-        write_report(campaign, rows, found, campaign.flights, folder / REPORT)
+        write_report(campaign, rows, key_values, campaign.flights, folder / REPORT)
         console.print(f"report:  {folder / REPORT}", soft_wrap=True)
     except OSError as error:
         reason = f"no results or report: {error.filename}: {error.strerror}; --resume writes them"
@@ -157,8 +157,8 @@ def _write(
 def _say(rows: Sequence[dict[str, Any]], total: int, console: Console) -> None:
     """Print the number of flights that flew, and the first reason of those that did not."""
     count = Counter(row["status"] for row in rows)
-    told = f"{count['flown']} of {total} flights flown, {count['refused']} refused, {count['failed']} failed"
-    console.print(told, style="green" if count["flown"] == total else "red", highlight=False)
+    summary = f"{count['flown']} of {total} flights flown, {count['refused']} refused, {count['failed']} failed"
+    console.print(summary, style="green" if count["flown"] == total else "red", highlight=False)
     first = next((row for row in rows if row["status"] != "flown"), None)
     if first is not None:
         reason = f"flight {first['index']} (seed {first['seed']}) {first['status']}: {first['reason']}"
@@ -235,9 +235,9 @@ def _fly(
     """Rows as flights come back, each with True if it is new. Rows of `kept`, by hash, are not flown again. No more than
     `window` flights are prepared at a time. Flights under way when a stop is requested are lost."""
     pending: dict[Future[dict[str, Any]], tuple[CampaignFlight, str]] = {}
-    found: set[str] = set()  # hashes of `kept` that have been met
+    hashes: set[str] = set()  # hashes of `kept` that have been met
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-    said = 0
+    shown_share = 0
     with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
         task = progress.add_task("flights", total=campaign.flights)
         coming = flights(campaign)
@@ -247,25 +247,25 @@ def _fly(
                 experiment = _experiment(campaign, flight)
                 row = kept.get(experiment.hash)  # flown as it is wanted now
                 if row is not None:
-                    found.add(experiment.hash)
+                    hashes.add(experiment.hash)
                     progress.advance(task)
                     yield {**row, "index": flight.index, "seed": flight.seed, **flight.values}, False
                 else:
                     pending[executor.submit(fly_one, experiment.model_dump_json())] = (flight, experiment.hash)
                 flight = next(coming, None)
-            done, _ = wait(pending, timeout=LOOK_EVERY_S, return_when=FIRST_COMPLETED) if pending else ((), ())
+            futures, _ = wait(pending, timeout=LOOK_EVERY_S, return_when=FIRST_COMPLETED) if pending else ((), ())
             share = TENTHS * round(progress.tasks[task].completed) // campaign.flights
-            if share > said and not console.is_terminal:  # in a file or a pipe: a line each tenth
-                said = share
+            if share > shown_share and not console.is_terminal:  # in a file or a pipe: a line each tenth
+                shown_share = share
                 console.print(f"{progress.tasks[task].completed:.0f} of {campaign.flights} flights", highlight=False)
-            for future in done:
-                flown, digest = pending.pop(future)
+            for future in futures:
+                one, digest = pending.pop(future)
                 progress.advance(task)
-                named = {"index": flown.index, "seed": flown.seed, **flown.values, "hash": digest, "commit": code().commit}
+                named = {"index": one.index, "seed": one.seed, **one.values, "hash": digest, "commit": code().commit}
                 yield {**named, **future.result()}, True
         for future in pending:
             future.cancel()
-    missing = set(kept) - found
+    missing = set(kept) - hashes
     while flight is not None and missing:  # interrupted: what was flown before still belongs to the results
         row = kept.get(_experiment(campaign, flight).hash)
         if row is not None:

@@ -11,7 +11,7 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from groundstation.analysis.comparison import SETTLED_S, Comparison, FlightRecord, Variant
+from groundstation.analysis.comparison import SETTLED_S, Comparison, FlightRecord, Variant, flight_figures, flight_traces
 from shoal.config.baseline_controllers import LawName
 from shoal.config.experiment import NO_CAMERA, Experiment, load_experiment
 from shoal.errors import ConfigError
@@ -24,7 +24,6 @@ from shoal.system import programs
 from sim_bridge.in_process.fleet import AgentFleet, DirectPlant
 from sim_bridge.in_process.run import plan
 from sim_bridge.plant.random_streams import Stream, generator
-from sim_bridge.studies.metrics import flight_figures, flight_traces
 from sim_bridge.studies.worker_pool import worker_pool
 
 MOST_DRAWS = 1000  # attempts to draw starts that keep robots apart

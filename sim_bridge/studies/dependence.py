@@ -86,7 +86,7 @@ def reasons(rows: Sequence[Row]) -> list[tuple[int, str]]:
     each = Counter(
         reason
         for row in failed
-        for reason in ([row["reason"]] if row["status"] != "flown" else dict.fromkeys(row["reason"].split(", ")))
+        for reason in ([row["reason"]] if row["status"] != "flown" else dict.fromkeys(row["reason"].split("; ")))
     )
     return [(count, reason) for reason, count in each.most_common()]
 

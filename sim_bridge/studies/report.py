@@ -11,11 +11,11 @@ import numpy as np
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
+from groundstation.analysis.measures import MEASURES
 from groundstation.analysis.statistics import Interval
 from shoal.runtime.output_files import replace_text
 from sim_bridge.studies.campaign import Campaign, command_of
 from sim_bridge.studies.dependence import KeyValue, reasons, shown_measures, unit_of
-from sim_bridge.studies.metrics import MEASURES
 from sim_bridge.studies.statistics import distribution, rate
 
 WORST = 10

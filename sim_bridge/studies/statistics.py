@@ -26,8 +26,8 @@ class Distribution:
 
 def rate(hits: int, n: int) -> Interval:
     """Share of flights, with Wilson's interval, which is good near 0 and 1 too."""
-    found = stats.binomtest(hits, n).proportion_ci(CONFIDENCE, "wilson")
-    return Interval(hits / n, float(found.low), float(found.high))
+    bounds = stats.binomtest(hits, n).proportion_ci(CONFIDENCE, "wilson")
+    return Interval(hits / n, float(bounds.low), float(bounds.high))
 
 
 def distribution(values: Sequence[float]) -> Distribution:
@@ -41,6 +41,6 @@ def distribution(values: Sequence[float]) -> Distribution:
 def quantile(ranked: np.ndarray[tuple[int], np.dtype[np.float64]], share: float) -> Interval:
     """A quantile of sorted values. The interval is between order statistics, for any distribution (scipy's quantile test).
     A bound is None if no value lies beyond it with that confidence."""
-    found: Any = stats.quantile_test(ranked, p=share).confidence_interval(CONFIDENCE)
-    low, high = (None if np.isnan(end) else float(end) for end in (found.low, found.high))
+    bounds: Any = stats.quantile_test(ranked, p=share).confidence_interval(CONFIDENCE)
+    low, high = (None if np.isnan(end) else float(end) for end in (bounds.low, bounds.high))
     return Interval(float(np.quantile(ranked, share)), low, high)

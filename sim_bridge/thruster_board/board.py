@@ -297,8 +297,8 @@ class ThrusterBoard:
 
     def _report_status(self) -> None:
         """Send the texts and the changes of arming and of HIL mode that are due."""
-        self._outbox += [self.link.text(said.severity, said.text) for said in self.rules.said]
-        self.rules.said.clear()
+        self._outbox += [self.link.text(text.severity, text.text) for text in self.rules.texts]
+        self.rules.texts.clear()
         if (self.rules.armed, self.link.hil) != self._told:
             self._told = (self.rules.armed, self.link.hil)
             self._outbox.append(self._heartbeat())

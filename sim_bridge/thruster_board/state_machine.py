@@ -46,7 +46,7 @@ class BoardStateMachine:
         self.gate = SignatureVerifier(key, floor)
         self.armed = False
         self.charge = Charge.GOOD
-        self.said: list[StatusText] = []  # texts to send; the sender removes them
+        self.texts: list[StatusText] = []  # texts to send; the sender removes them
         self.overrides_received = 0  # all that were for this board, refused ones too
         self.overrides_refused = 0
         self._computer = computer
@@ -94,9 +94,9 @@ class BoardStateMachine:
             and all(lowest <= pulse <= highest or pulse == IGNORED for pulse in pulses_us[thrusters:])
         )
 
-    def arm(self, wanted: bool, now_ns: int) -> int:
+    def arm(self, is_arming: bool, now_ns: int) -> int:
         """Arm or disarm for any peer; returns the MAV_RESULT. Disarming always works."""
-        if not wanted:
+        if not is_arming:
             if self.armed:
                 self._disarm(INFO, "disarmed")
             return ACCEPTED
@@ -104,10 +104,10 @@ class BoardStateMachine:
             return ACCEPTED
         reason = self._arming_refusal(now_ns)
         if reason:
-            self.said.append(StatusText(WARNING, f"not armed: {reason}"))
+            self.texts.append(StatusText(WARNING, f"not armed: {reason}"))
             return REJECTED
         self.armed = True
-        self.said.append(StatusText(INFO, "armed"))
+        self.texts.append(StatusText(INFO, "armed"))
         return ACCEPTED
 
     def _arming_refusal(self, now_ns: int) -> str:
@@ -154,7 +154,7 @@ class BoardStateMachine:
         if self.charge is was:
             return
         severity = CRITICAL if self.charge is Charge.NEUTRAL else WARNING if self.charge > was else INFO
-        self.said.append(StatusText(severity, f"battery {self.charge.name}: {voltage:.1f} V"))
+        self.texts.append(StatusText(severity, f"battery {self.charge.name}: {voltage:.1f} V"))
         if self.charge is Charge.NEUTRAL and self.armed:
             self._disarm(CRITICAL, "disarmed: battery empty")
 
@@ -177,7 +177,7 @@ class BoardStateMachine:
         """Earliest instant at which a step changes anything, unless a call of another method does before."""
         if not self.armed:
             still = all(pulse == self.parameters.neutral_us for pulse in self._echo_us[: self.parameters.thrusters])
-            return EVER_NS if still and not self.said else NEVER_NS
+            return EVER_NS if still and not self.texts else NEVER_NS
         if any(goal not in (now, IGNORED) for goal, now in zip(self._command, self._echo_us, strict=True)):
             return NEVER_NS
         return self._command_ns + self.parameters.age_ns + 1
@@ -195,4 +195,4 @@ class BoardStateMachine:
 
     def _disarm(self, severity: int, reason: str) -> None:
         self.armed = False
-        self.said.append(StatusText(severity, reason))
+        self.texts.append(StatusText(severity, reason))

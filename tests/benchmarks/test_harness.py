@@ -30,13 +30,13 @@ def test_no_samples_are_no_row() -> None:
 
 
 def test_the_stopwatch_warms_up_and_leaves_the_collector_as_it_was() -> None:
-    seen: list[bool] = []
-    samples = time_us(lambda: seen.append(gc.isenabled()), 20)
+    states: list[bool] = []
+    samples = time_us(lambda: states.append(gc.isenabled()), 20)
     assert len(samples) == 20 and min(samples) >= 0.0
-    assert seen == [True] * 2 + [False] * 20
+    assert states == [True] * 2 + [False] * 20
     assert gc.isenabled()
     with pytest.raises(ZeroDivisionError):
-        time_us(lambda: 1 / (len(seen) - 22), 20, warm_up=0)
+        time_us(lambda: 1 / (len(states) - 22), 20, warm_up=0)
     assert gc.isenabled()
 
 

@@ -33,7 +33,7 @@ def test_figures_are_those_of_the_plant_on_a_circle() -> None:
     """The flight again without anything of the grid but its settings; the path by the circle's own formula."""
     plan = draw("ordinary", 0)
     assert (plan.scene, plan.rate_hz) == ("circle", 10)
-    found = figures(fly(plan, HOLD_S))
+    result = figures(fly(plan, HOLD_S))
     experiment = load_experiment("straight", plan.settings)
     trajectories = planner.plan(experiment)
     starts = planner.start_poses(experiment, trajectories)
@@ -55,17 +55,17 @@ def test_figures_are_those_of_the_plant_on_a_circle() -> None:
     angle = 2.0 * math.pi * time_s / circle.lap_s
     path = 0.5 * circle.diameter_m * np.column_stack([np.cos(angle), np.sin(angle)])
     off_m = np.hypot(*(track[:, :2] - path).T)[:flown]
-    assert found.rms_m == pytest.approx(math.sqrt(np.mean(off_m[200:] ** 2 + (track[200:flown, 2] - 1.0) ** 2)), abs=2e-5)
-    assert found.max_m == pytest.approx(off_m[200:].max(), abs=2e-5)
-    assert found.settled_s == pytest.approx(time_s[np.flatnonzero(off_m > 0.05)[-1] + 1])
+    assert result.rms_m == pytest.approx(math.sqrt(np.mean(off_m[200:] ** 2 + (track[200:flown, 2] - 1.0) ** 2)), abs=2e-5)
+    assert result.max_m == pytest.approx(off_m[200:].max(), abs=2e-5)
+    assert result.settled_s == pytest.approx(time_s[np.flatnonzero(off_m > 0.05)[-1] + 1])
     place = fleet.robots[0].states[-1].eta_reference[:2]
     held_m = np.hypot(*(track[flown + 100 :, :2] - place).T)
-    assert found.hold_m == held_m.max() > 0.0
-    assert found.hold_rms_m == pytest.approx(math.sqrt(np.mean(held_m**2)))
+    assert result.hold_m == held_m.max() > 0.0
+    assert result.hold_rms_m == pytest.approx(math.sqrt(np.mean(held_m**2)))
     wrench = np.array([state.wrench for state in fleet.robots[0].states[-len(track) :]])
-    assert found.duty == pytest.approx(max(np.mean(np.abs(wrench), axis=0) / [6.0, 3.0, 0.5]))
-    assert not found.is_stop and found.left == ""
-    assert 0.0 < found.nees["place"] < 10.0 and set(found.nees) <= set(GROUPS)
+    assert result.duty == pytest.approx(max(np.mean(np.abs(wrench), axis=0) / [6.0, 3.0, 0.5]))
+    assert not result.is_stop and result.left == ""
+    assert 0.0 < result.nees["place"] < 10.0 and set(result.nees) <= set(GROUPS)
 
 
 def test_a_robot_that_is_held_fast_stays_where_it_was_and_its_stop_is_timed() -> None:
@@ -147,7 +147,7 @@ def test_nees_is_one_for_errors_of_the_claimed_covariance() -> None:
     random = np.random.default_rng(3)
     names = tuple(name for group in GROUPS.values() for name in group)
     root = random.standard_normal((8, 8)) * 0.02
-    found = []
+    ratios = []
     for _ in range(2000):
         eta, nu, water = (
             random.uniform(-4.0, 4.0, (1, 4)),
@@ -160,9 +160,9 @@ def test_nees_is_one_for_errors_of_the_claimed_covariance() -> None:
         truth |= {"current_x": water[0, 0], "current_y": water[0, 1]}
         mean = np.array([truth[name] for name in names]) + root @ random.standard_normal(8)
         mean[names.index("yaw")] += 2.0 * math.pi
-        found.append(nees(ObserverClaim(0, names, mean, root @ root.T), TrueState(eta, nu, water), 0))
+        ratios.append(nees(ObserverClaim(0, names, mean, root @ root.T), TrueState(eta, nu, water), 0))
     for group in GROUPS:
-        assert np.mean([f[group] for f in found]) == pytest.approx(1.0, abs=0.1)
+        assert np.mean([f[group] for f in ratios]) == pytest.approx(1.0, abs=0.1)
 
 
 def test_a_run_comes_back_from_its_file_and_stands_beside_another() -> None:

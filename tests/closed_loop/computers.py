@@ -126,10 +126,10 @@ class NetworkLine(MemoryTransport):
         put = super().publisher(key, qos, cache_depth)
 
         def send(payload: bytes, header: bytes) -> None:
-            told, world = Header.decode(header, "", ""), self._world
+            own_header, world = Header.decode(header, "", ""), self._world
             about_ns = world.obstacles_ns if key.endswith("/obstacles") and world.obstacles_ns is not None else world.about_ns
             about_ns = world.true_ns if about_ns is None else about_ns
-            world.truth[key, told.session, told.sequence] = about_ns
+            world.truth[key, own_header.session, own_header.sequence] = about_ns
             put(payload, header)
 
         return send

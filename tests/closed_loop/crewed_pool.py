@@ -47,13 +47,13 @@ class CrewedPool(DryPool):
         return StationView(STATION_SESSION, self.now_ns, 0.0, pace.lag_s, 1.0 - pace.rate)
 
     def fleet(self) -> dict[int, RobotView]:
-        found = {}
+        views = {}
         for i, (robot, member) in enumerate(zip(self.experiment.robot_ids, self.robots, strict=True)):
-            seen = self.pose(i)
+            stamped_pose = self.pose(i)
             age_s = (self.now_ns - self._heard_ns[i]) / NS if self._heard_ns[i] >= 0 else float("inf")
             state = member.states[-1] if member.states else None
-            found[robot] = RobotView(state, age_s, seen.pose if seen else None, 0.03)
-        return found
+            views[robot] = RobotView(state, age_s, stamped_pose.pose if stamped_pose else None, 0.03)
+        return views
 
     def step(self) -> None:
         self._move()

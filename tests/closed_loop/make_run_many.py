@@ -46,8 +46,8 @@ def fly(browser: Browser, duration_s: float, options: list[str]) -> WatchedRun:
     began_s, port = time.monotonic(), free_port()
     with tempfile.TemporaryDirectory() as out:
         command = [sys.executable, "-m", "sim_bridge", "sil", "pool", "--duration", f"{duration_s:g}", "--out", out]
-        with (Path(out) / "said").open("wb") as said:
-            run = subprocess.Popen([*command, "--web", f"127.0.0.1:{port}", *options], stdout=said, stderr=subprocess.STDOUT)
+        with (Path(out) / "said").open("wb") as output:
+            run = subprocess.Popen([*command, "--web", f"127.0.0.1:{port}", *options], stdout=output, stderr=subprocess.STDOUT)
             shown = watch(browser, port, run)
             code = run.wait()
         lines = (Path(out) / "said").read_text(encoding="utf-8").splitlines()

@@ -73,9 +73,9 @@ class Slow(MemoryTransport):
     def serve(self, key: str, answer: Answer, urgent: Urgent) -> None:
         def late(payload: bytes, header: bytes) -> bytes:
             self._hold_up()
-            said = answer(payload, header)
+            reply = answer(payload, header)
             self._hold_up()
-            return said
+            return reply
 
         super().serve(key, late, urgent)
 
@@ -111,19 +111,19 @@ class OnLocalized:
     messages: dict[str, list[tuple[int, Any]]] = field(default_factory=dict)
 
     def note(self, topic: Topic, key: str, header: Header, payload: bytes) -> None:
-        said = _plain(decode(topic.type, payload, "test", topic.name))
-        self.messages.setdefault(key, []).append((header.stamp_ns, said))
+        content = _plain(decode(topic.type, payload, "test", topic.name))
+        self.messages.setdefault(key, []).append((header.stamp_ns, content))
 
     def differs(self, other: "OnLocalized") -> str:
         """The first message, by its stamp, that is not the same; empty if all are, as far as both go."""
-        found = []
+        differences = []
         for key in sorted(self.messages.keys() | other.messages.keys()):
             ours, theirs = self.messages.get(key, []), other.messages.get(key, [])
             if abs(len(ours) - len(theirs)) > 2:  # the last may have been told before the end or not
-                found.append((0, key, f"{len(ours)} and {len(theirs)} messages"))
+                differences.append((0, key, f"{len(ours)} and {len(theirs)} messages"))
             pairs = zip(ours, theirs, strict=False)
-            found += [(min(a[0], b[0]), key, f"{a} and {b}") for a, b in pairs if a != b][:1]
-        return "\n".join(f"{stamp_ns * 1e-9:.3f} s {key}: {what:.600}" for stamp_ns, key, what in sorted(found))
+            differences += [(min(a[0], b[0]), key, f"{a} and {b}") for a, b in pairs if a != b][:1]
+        return "\n".join(f"{stamp_ns * 1e-9:.3f} s {key}: {what:.600}" for stamp_ns, key, what in sorted(differences))
 
 
 def _plain(value: Any) -> Any:
@@ -136,7 +136,7 @@ def _plain(value: Any) -> Any:
 
 def fly(experiment: Experiment, folder: Path, seed: int | None, poses: bool = True) -> OnLocalized:
     """Fly an experiment to its end, everything held up as `seed` says (None: nothing); with `poses` without the camera."""
-    hub, told, stop = MemoryHub(), OnLocalized(), Stop(install=False)
+    hub, record, stop = MemoryHub(), OnLocalized(), Stop(install=False)
     handlers = log.handlers[:]
     folder.mkdir()
     toml = dump_experiment(experiment)
@@ -148,7 +148,7 @@ def fly(experiment: Experiment, folder: Path, seed: int | None, poses: bool = Tr
 
         witness = Bus(MemoryTransport(hub))
         for topic in COMPARED:
-            witness.subscribe(topic, None, told.note)
+            witness.subscribe(topic, None, record.note)
         ports = free_base_port(experiment.robot_ids)
         sockets = UdpPorts(ports, experiment.robot_ids, experiment.seed)
         shells = [PoolNode(experiment, bus("sim-bridge"), sockets, stop, True, poses).run]
@@ -169,4 +169,4 @@ def fly(experiment: Experiment, folder: Path, seed: int | None, poses: bool = Tr
             stop.request()
             for thread in threads:
                 thread.join(20.0)
-    return told
+    return record

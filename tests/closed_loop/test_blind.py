@@ -23,9 +23,9 @@ class DimPool(CrewedPool):
     def expose(self, stamp_ns: int) -> None:
         super().expose(stamp_ns)
         if self.watched and self.watched[-1].instant_ns == stamp_ns:
-            told = self.watched.pop()
+            watched = self.watched.pop()
             if self.telling:
-                self.watched.append(replace(told, obstacles=replace(told.obstacles, blind=self.blind)))
+                self.watched.append(replace(watched, obstacles=replace(watched.obstacles, blind=self.blind)))
 
 
 def flying(*settings: str) -> DimPool:
@@ -37,7 +37,7 @@ def flying(*settings: str) -> DimPool:
 
 
 def alarms(pool: DimPool) -> set[str]:
-    return {f.text for r, seen in pool.fleet().items() for f in findings(pool.experiment, r, seen) if f.key == "blind"}
+    return {f.text for r, view in pool.fleet().items() for f in findings(pool.experiment, r, view) if f.key == "blind"}
 
 
 def test_robots_hold_while_the_localizer_is_blind_and_go_on_when_it_sees_again() -> None:
@@ -94,10 +94,10 @@ def test_a_robot_keeps_away_from_where_an_unseen_pole_may_be() -> None:
     """The localizer goes silent about everything but poses, and the mission flies on."""
     pool = flying('mission.blind="warn"', "sim.drifters=[{start_m=[0.9,-0.75,0.3]}]")
     agent, radius_m = pool.robots[0].agent, pool.experiment.safety.radius_m
-    (seen,) = agent.obstacles(agent.inputs, pool.now_ns)
+    (obstacle,) = agent.obstacles(agent.inputs, pool.now_ns)
     pool.telling = False
     pool.run(6.0)
     (kept,) = agent.obstacles(agent.inputs, pool.now_ns)
-    assert seen.clearance_m == radius_m
+    assert obstacle.clearance_m == radius_m
     assert kept.clearance_m == pytest.approx(radius_m + pool.experiment.safety.bubble_max_m)
-    assert abs(kept.centre - seen.centre) < 0.08, "it lay still, as far as noise can tell"
+    assert abs(kept.centre - obstacle.centre) < 0.08, "it lay still, as far as noise can tell"

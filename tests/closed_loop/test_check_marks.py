@@ -37,8 +37,8 @@ def test_sunken_water_and_a_bumped_camera_are_told_apart_in_flight(tmp_path: Pat
 
     when_ns = {event.message: stamp_ns for stamp_ns, _, event in heard(topics.EVENT, Event)}
     spells = {what: (when_ns[f"fault: {what}"], when_ns[f"fault over: {what}"]) for what in (SUNK, BUMPED)}
-    said = [(stamp_ns, status.message) for stamp_ns, _, status in heard(topics.LOCALIZER, LocalizerStatus)]
-    sunk, bumped = ({text for at, text in said if a + NOTICED_NS < at < b} for a, b in spells.values())
+    messages = [(stamp_ns, status.message) for stamp_ns, _, status in heard(topics.LOCALIZER, LocalizerStatus)]
+    sunk, bumped = ({text for at, text in messages if a + NOTICED_NS < at < b} for a, b in spells.values())
     drops_mm = [float(mm) for text in sunk for mm in re.findall(r"the water stands (\d+) mm lower", text)]
     shifts_px = [float(px) for text in bumped for px in re.findall(r"the camera was moved: check marks are ([\d.]+) px", text)]
     assert len(drops_mm) == len(sunk) and drops_mm == pytest.approx([20.0] * len(sunk), abs=6.0)
@@ -46,7 +46,7 @@ def test_sunken_water_and_a_bumped_camera_are_told_apart_in_flight(tmp_path: Pat
     begin_ns, end_ns = spells[SUNK][0], spells[BUMPED][1]
     well = {
         text
-        for at, text in said
+        for at, text in messages
         if at < begin_ns or spells[SUNK][1] + NOTICED_NS < at < spells[BUMPED][0] or at > end_ns + NOTICED_NS
     }
     assert not [text for text in well if "water" in text or "check mark" in text]

@@ -17,7 +17,6 @@ import pytest
 
 from groundstation.logs.reader import DecodedMessage, key_topic, open_log, read_log, valid_messages
 from groundstation.logs.recorder import Recorder, run_metadata
-from groundstation.replay.step_replay import own_messages
 from groundstation.station.process import record_everything
 from groundstation.telemetry import LinkMonitor
 from groundstation.web.live_backend import LiveBackend
@@ -49,6 +48,7 @@ from shoal.messages.messages import (
 )
 from shoal.messages.topics import Topic
 from shoal.runtime.runtime import Stop, WallClock
+from sim_bridge.replay.step_replay import own_messages
 from tests.closed_loop.computers import MS, ClockedComputer, NetworkLine, S, TimedWorld
 from tests.groundstation.fake_station import FakeStation
 from tests.robot_agent.obedient_board import Board
@@ -103,7 +103,7 @@ class ClockedFleet:
         self.world, self.run, self.stop, self.errors = world, run, Stop(install=False), AgeErrors()
         self.clocks, self.set_ns, self.buses = dict[str, WallClock](), dict[str, int](), dict[str, Bus]()
         self.ended, self.locators = list[Generator[None]](), dict[str, Generator[None]]()
-        self.seen = dict[str, Header | None]()
+        self.headers = dict[str, Header | None]()
         self.fused_ns = -1
         for camera in EXPERIMENT.camera_names:
             self.start_camera(camera)
@@ -120,7 +120,7 @@ class ClockedFleet:
         bus, clock = self.buses["station"], self.clocks["station"]
         with self.world.on("station"):
             self.station = FakeStation(EXPERIMENT, bus, clock=clock)
-            self.page = LiveBackend(EXPERIMENT, {}, bus, self.station.heard, clock, self.station, "real-time")
+            self.page = LiveBackend(EXPERIMENT, {}, bus, self.station.inboxes, clock, self.station, "real-time")
             self.recorder = Recorder(run / "run.mcap", dump_experiment(EXPERIMENT), run_metadata(EXPERIMENT, "real-time"))
             self.sources: Any = ()
             record_everything(bus, self, clock)  # type: ignore[arg-type]
@@ -152,7 +152,7 @@ class ClockedFleet:
             self.locators[camera] = shell.steps()
             next(self.locators[camera])
             next(self.locators[camera])  # it says that there is no picture yet
-            self.seen[name] = self.world.computers[name].newest.get(f"shoal/{topics.FRAME.of_camera(camera).key()}")
+            self.headers[name] = self.world.computers[name].newest.get(f"shoal/{topics.FRAME.of_camera(camera).key()}")
 
     def start_robot(self) -> None:
         bus = self.start("robot 1")
@@ -189,9 +189,9 @@ class ClockedFleet:
         name, world = f"localizer {camera}", self.world
         key = f"shoal/{topics.FRAME.of_camera(camera).key()}"
         newest = world.computers[name].newest.get(key)
-        if newest is None or newest is self.seen[name]:
+        if newest is None or newest is self.headers[name]:
             return
-        self.seen[name] = newest
+        self.headers[name] = newest
         world.about_ns = world.truth_of(key, newest)
         with world.on(name):
             next(self.locators[camera])
@@ -204,12 +204,12 @@ class ClockedFleet:
         def new(topic: Topic) -> list[int]:
             """The instants of pictures that cameras have told of since the last look."""
             keys = [f"shoal/{topic.of_camera(camera).key()}" for camera in EXPERIMENT.camera_names]
-            told = {key: header for key in keys if (header := computer.newest.get(key)) is not self.seen.get(key) and header}
-            self.seen |= told
-            return [world.truth_of(key, header) for key, header in told.items()]
+            news = {key: head for key in keys if (head := computer.newest.get(key)) is not self.headers.get(key) and head}
+            self.headers |= news
+            return [world.truth_of(key, header) for key, header in news.items()]
 
         if not any(
-            computer.newest.get(key) is not self.seen.get(key)
+            computer.newest.get(key) is not self.headers.get(key)
             for key in (f"shoal/{topics.LOCALIZER.of_camera(camera).key()}" for camera in EXPERIMENT.camera_names)
         ):
             return
@@ -266,8 +266,8 @@ class ClockedFleet:
         """Compare the ages that station and page show now."""
         world = self.world
         with world.on("station") as computer:
-            views = {robot: self.station.heard.view(robot, self.links[robot], self.clocks["station"]) for robot in (1, 2)}
-            told, notes = self.page.snapshot(), self.page.notes()
+            views = {robot: self.station.inboxes.view(robot, self.links[robot], self.clocks["station"]) for robot in (1, 2)}
+            snapshot, notes = self.page.snapshot(), self.page.notes()
 
         def check(what: str, key: str, age_ns: float) -> None:
             header = computer.newest.get(f"shoal/{key}")
@@ -278,14 +278,14 @@ class ClockedFleet:
             check("station: state", topics.STATE.key(robot), view.state_age_s * 1e9)
             check("station: pose", topics.POSE.key(robot), view.pose_age_s * 1e9)
             check("station: plan", topics.PLAN.key(robot), view.plan_age_s * 1e9)
-        for news in told["robots"]:
+        for news in snapshot["robots"]:
             check("page: state", topics.STATE.key(news["id"]), news["age_ms"] * 1e6)
             for what, topic in (("pose", topics.POSE), ("plan", topics.PLAN)):
                 if what in news:
                     check(f"page: {what}", topic.key(news["id"]), news[what]["age_ms"] * 1e6)
         for what, topic in (("localizer", topics.LOCALIZER), ("obstacles", topics.OBSTACLES)):
-            if told[what] is not None:
-                check(f"page: {what}", topic.key(), told[what]["age_ms"] * 1e6)
+            if snapshot[what] is not None:
+                check(f"page: {what}", topic.key(), snapshot[what]["age_ms"] * 1e6)
         for note in notes:
             if note["source"] == "agent-2":
                 at_ns = computer.true_ns(round(note["time_s"] * 1e9), self.set_ns["station"])
@@ -295,49 +295,49 @@ class ClockedFleet:
     def read_back(self) -> None:
         """The log as reports and reruns read it: on the recorder's clock, in the order in which it was."""
         log, truth = read_log(self.run / "run.mcap"), self.world.truth
-        told = ((key_topic(key), session, sequence, ns) for (key, session, sequence), ns in truth.items())
-        known = {(*of, session, sequence): ns for of, session, sequence, ns in told if of is not None}
+        stamps = ((key_topic(key), session, sequence, ns) for (key, session, sequence), ns in truth.items())
+        instants_ns = {(*of, session, sequence): ns for of, session, sequence, ns in stamps if of is not None}
         station, set_ns = self.world.computers["station"], self.set_ns["station"]
         for topic, robot in ((topics.STATE, 1), (topics.STATE, 2), (topics.POSE, 1), (topics.HEARTBEAT, 0)):
             entries: list[DecodedMessage[Any]] = log.of(topic, topic.type, robot)
             for entry in entries:
-                error_ns = station.true_ns(entry.stamp_ns, set_ns) - known[topic, robot, entry.session, entry.sequence]
+                error_ns = station.true_ns(entry.stamp_ns, set_ns) - instants_ns[topic, robot, entry.session, entry.sequence]
                 self.errors.note(f"log: {topic.name}", error_ns)
         with open_log(self.run) as file:
             own = [(x.topic, x.robot, x.header.session, x.header.sequence) for x in own_messages(file, 1, with_states=True)]
-        instants = [known[name] for name in own]
+        instants = [instants_ns[name] for name in own]
         assert instants == sorted(instants) and len({session for _, _, session, _ in own}) == 2
 
     def look_back(self, at_s: Sequence[float]) -> None:
         """Compare the ages that a replay of the log shows, once all is closed."""
         computer, key_of = self.world.computers["station"], dict[tuple[Topic, int, int, int], str]()
         for key, session, sequence in self.world.truth:
-            found = key_topic(key)
-            if found is not None:
-                key_of[*found, session, sequence] = key
+            parts = key_topic(key)
+            if parts is not None:
+                key_of[*parts, session, sequence] = key
         lines = list(valid_messages(self.run / "run.mcap"))
         with ReplayBackend(self.run) as replay:
             for when_s in at_s:
                 log_ns = min(line.arrived_ns for line in lines) + round(when_s * 1e9)
                 true_ns = computer.true_ns(log_ns, self.set_ns["station"])
                 replay.seek(when_s, 0.0)
-                told = replay.snapshot()
+                snapshot = replay.snapshot()
 
                 def check(
                     what: str, topic: Topic, age_ms: float, robot: int = 0, now_ns: float = true_ns, at_ns: int = log_ns
                 ) -> None:
-                    heard = [x for x in lines if x.topic is topic and x.robot == robot and x.arrived_ns <= at_ns]
-                    session = heard[-1].header.session  # by the file's order, which is that of arrival
-                    sequence = max(x.header.sequence for x in heard if x.header.session == session)
+                    entries = [x for x in lines if x.topic is topic and x.robot == robot and x.arrived_ns <= at_ns]
+                    session = entries[-1].header.session  # by the file's order, which is that of arrival
+                    sequence = max(x.header.sequence for x in entries if x.header.session == session)
                     truth_ns = self.world.truth[key_of[topic, robot, session, sequence], session, sequence]
                     self.errors.note(f"replay: {what}", now_ns - age_ms * 1e6 - truth_ns)
 
-                for news in told["robots"]:
+                for news in snapshot["robots"]:
                     check("state", topics.STATE, news["age_ms"], news["id"])
                     check("pose", topics.POSE, news["pose"]["age_ms"], news["id"])
                     check("plan", topics.PLAN, news["plan"]["age_ms"], news["id"])
-                check("localizer", topics.LOCALIZER, told["localizer"]["age_ms"])
-                check("obstacles", topics.OBSTACLES, told["obstacles"]["age_ms"])
+                check("localizer", topics.LOCALIZER, snapshot["localizer"]["age_ms"])
+                check("obstacles", topics.OBSTACLES, snapshot["obstacles"]["age_ms"])
 
     def fly(self, until_s: float) -> None:
         """Go on until then, in steps of a period. The cameras expose 25 ms apart, and not quite regularly."""

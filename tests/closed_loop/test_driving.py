@@ -48,9 +48,9 @@ class DrivenFleet:
         began = len(self.fleet.truth)
         for _ in range(round(seconds / POOL.controller.period_s)):
             for i in range(len(self.fleet.robots)):
-                asked = velocity(i)
-                if asked is not None:
-                    assert self.drive(asked, i).accepted
+                command = velocity(i)
+                if command is not None:
+                    assert self.drive(command, i).accepted
             self.fleet.step()
         return np.array(self.fleet.truth[began:])
 
@@ -113,8 +113,8 @@ def test_stop_ends_a_drive_at_once_and_stays(alone: DrivenFleet) -> None:
 
 def test_late_pose_holds_a_driven_robot_and_refuses_drives(alone: DrivenFleet, monkeypatch: pytest.MonkeyPatch) -> None:
     alone.fly(1.0, first(DriveVelocity(0.1)))
-    seen = alone.fleet.pose(0)
-    monkeypatch.setattr(alone.fleet, "pose", lambda i: seen)
+    pose = alone.fleet.pose(0)
+    monkeypatch.setattr(alone.fleet, "pose", lambda i: pose)
     for _ in range(6):
         alone.drive(DriveVelocity(0.1))
         alone.fleet.step()

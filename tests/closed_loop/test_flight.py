@@ -96,16 +96,16 @@ def test_a_board_that_missed_the_first_request_to_arm_arms_at_a_later_one() -> N
     """A board arms on neutral pulses only, and the station's START comes long before the second request."""
     pool = DryPool(load_experiment("pool"))
     link = pool.links[0]
-    ask, asked = link.arm, []
+    ask, requests = link.arm, []
 
     def missed_once(arm: bool) -> bytes:
-        asked.append(arm)
-        return ask(arm) if len(asked) > 1 else b""
+        requests.append(arm)
+        return ask(arm) if len(requests) > 1 else b""
 
     link.arm = missed_once  # type: ignore[method-assign]
     pool.take_off(start_in_s=1.0)
     pool.run(3.0)
-    assert len(asked) > 1
+    assert len(requests) > 1
     for robot in pool.robots:
         assert (robot.states[-1].mode, robot.states[-1].board_armed) == (Mode.TRACKING, True)
         assert robot.states[-1].trajectory_s > 1.0 and robot.states[-1].wrench.any()
@@ -133,8 +133,8 @@ def test_a_robot_whose_pressure_sensor_dies_does_not_fly_on_by_its_last_depth() 
     board = pool.world.boards[0]
     assert isinstance(board, ThrusterBoard)
     link = board.link
-    told = link.pressure
-    link.pressure = lambda board_ms, depth_m: told(board_ms, math.nan)  # type: ignore[method-assign]
+    read_pressure = link.pressure
+    link.pressure = lambda board_ms, depth_m: read_pressure(board_ms, math.nan)  # type: ignore[method-assign]
     dead = len(pool.truth)
     pool.run(1.0)
     assert pool.robots[0].agent.mode is Mode.FAULT
@@ -214,8 +214,8 @@ def test_a_pose_outside_the_pool_is_none(place: dict[str, float]) -> None:
     there = pool.pose
 
     def outside(i: int) -> StampedPose | None:
-        seen = there(i)
-        return seen and StampedPose(replace(seen.pose, x_m=place["x_m"], y_m=place["y_m"]), seen.instant_ns)
+        newest = there(i)
+        return newest and StampedPose(replace(newest.pose, x_m=place["x_m"], y_m=place["y_m"]), newest.instant_ns)
 
     pool.pose = outside  # type: ignore[method-assign]
     modes = []
@@ -232,15 +232,15 @@ def test_a_step_is_due_when_the_pose_gets_too_old_for_what_the_robot_does() -> N
     agent, safety = pool.robots[0].agent, pool.experiment.safety
     pool.camera_works = False
     pool.run(0.05)
-    seen_ns = pool.seen[-1][0]
+    seen_ns = pool.poses[-1][0]
     hold_ns, neutral_ns = (seen_ns + round(limit_s * 1e9) + 1 for limit_s in (safety.pose_hold_s, safety.pose_neutral_s))
-    found = [(agent.react_by_ns, agent.mode)]
+    deadlines = [(agent.react_by_ns, agent.mode)]
     for now_ns in (hold_ns - 1, hold_ns, neutral_ns - 1, neutral_ns):
         telemetry = replace(agent.inputs.telemetry, arrival_ns=now_ns)
         agent.step(replace(agent.inputs, station=pool.station(), telemetry=telemetry), now_ns)
-        found.append((agent.react_by_ns, agent.mode))
-    assert found[:2] == [(hold_ns, Mode.TRACKING)] * 2
-    assert found[2:] == [(neutral_ns, Mode.HOLDING)] * 2 + [(None, Mode.FAULT)]
+        deadlines.append((agent.react_by_ns, agent.mode))
+    assert deadlines[:2] == [(hold_ns, Mode.TRACKING)] * 2
+    assert deadlines[2:] == [(neutral_ns, Mode.HOLDING)] * 2 + [(None, Mode.FAULT)]
 
 
 def test_a_trajectory_that_leaves_the_pool_is_not_loaded() -> None:

@@ -42,7 +42,7 @@ def test_a_lockstep_flight_is_the_same_whichever_process_is_late(
     """All that goes over the bus but previews and lines for people: truth, poses, plans, states, inputs, orders."""
     undisturbed = fly(experiment, tmp_path / "undisturbed", None, poses)
     for robot in experiment.robot_ids:
-        modes = {said["mode"] for _, said in undisturbed.messages[f"shoal/robot/{robot}/state"]}
+        modes = {state["mode"] for _, state in undisturbed.messages[f"shoal/robot/{robot}/state"]}
         assert Mode.TRACKING in modes, "nothing was flown"
     for seed in seeds:
         assert not fly(experiment, tmp_path / str(seed), seed, poses).differs(undisturbed), f"seed {seed}"
@@ -50,29 +50,31 @@ def test_a_lockstep_flight_is_the_same_whichever_process_is_late(
 
 @pytest.mark.parametrize("latency_s", [0.0, 0.05, 0.12])  # less than, as much as and more than from picture to picture
 def test_poses_are_as_old_as_the_experiment_says(latency_s: float, tmp_path: Path) -> None:
-    told = fly(load_experiment("pool", ["duration_s=0.3", f"sim.latency_s={latency_s}"]), tmp_path / "run", None).messages
+    messages = fly(load_experiment("pool", ["duration_s=0.3", f"sim.latency_s={latency_s}"]), tmp_path / "run", None).messages
     for robot in POOL.robot_ids:
-        ages_ms = {round(said["pose_age_ms"], 6) for _, said in told[f"shoal/robot/{robot}/state"]}
+        ages_ms = {round(state["pose_age_ms"], 6) for _, state in messages[f"shoal/robot/{robot}/state"]}
         assert ages_ms == {1000.0 * latency_s}
 
 
 def test_no_step_uses_what_a_board_measures_after_it(tmp_path: Path) -> None:
     """With steps of the plant that go into the control period, but not into the age of the poses, which begins the ticks."""
     experiment = load_experiment("pool", ["duration_s=0.3", "sim.plant.step_s=0.025", "sim.latency_s=0.03"])
-    told = fly(experiment, tmp_path / "run", None, poses=True).messages
+    messages = fly(experiment, tmp_path / "run", None, poses=True).messages
     for robot in POOL.robot_ids:
-        ages_ns = [stamp_ns - said["board"]["board_ms"] * 1_000_000 for stamp_ns, said in told[f"shoal/robot/{robot}/inputs"]]
+        inputs = messages[f"shoal/robot/{robot}/inputs"]
+        ages_ns = [stamp_ns - step["board"]["board_ms"] * 1_000_000 for stamp_ns, step in inputs]
         assert len(ages_ns) > 5 and min(ages_ns) >= 0
 
 
 def test_a_robot_without_a_pose_publishes_no_plan_and_others_do_not_wait_for_one(tmp_path: Path) -> None:
     experiment = load_experiment("pool", ["duration_s=1.5", "mission.lost=go-on"], ["t=0.1 marker 1 lost"])
-    told = fly(experiment, tmp_path / "run", None, poses=False).messages
-    first_ns, *_, last_ns = sorted(stamp_ns for stamp_ns, _ in told["shoal/robot/1/plan"])
-    unplanned = [stamp_ns for stamp_ns, said in told["shoal/robot/1/state"] if not said["planned"] and stamp_ns > first_ns]
+    messages = fly(experiment, tmp_path / "run", None, poses=False).messages
+    first_ns, *_, last_ns = sorted(stamp_ns for stamp_ns, _ in messages["shoal/robot/1/plan"])
+    states = messages["shoal/robot/1/state"]
+    unplanned = [stamp_ns for stamp_ns, state in states if not state["planned"] and stamp_ns > first_ns]
     assert len(unplanned) > 5
     assert unplanned[0] > last_ns
-    assert told["shoal/robot/2/state"][-1][1]["trajectory_s"] == pytest.approx(1.5, abs=0.11)
+    assert messages["shoal/robot/2/state"][-1][1]["trajectory_s"] == pytest.approx(1.5, abs=0.11)
 
 
 @pytest.mark.parametrize("key", [None, Key(bytes(range(32)))], ids=["plain", "signed"])

@@ -246,8 +246,8 @@ def test_a_robot_is_lost(policy: str, ends_in: MissionState) -> None:
     begin = len(pool.truth)
     lose(pool, 0)
     pool.until(ends_in, within_s=40.0)
-    said = pool.mission.reason if policy != "abort" else " ".join(pool.reasons)
-    assert "robot 1: silent" in said
+    reasons = pool.mission.reason if policy != "abort" else " ".join(pool.reasons)
+    assert "robot 1: silent" in reasons
     pool.run(4.0)
     modes = [robot.states[-1].mode for robot in pool.robots[1:]]
     flies = {MissionState.FAILED: Mode.DISARMED, MissionState.PAUSED: Mode.HOLDING, MissionState.DEGRADED: Mode.TRACKING}

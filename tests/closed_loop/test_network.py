@@ -141,9 +141,9 @@ def test_agents_deployed_to_two_hosts_with_clocks_apart_fly_within_limits(tmp_pa
         wait_for_line(water.log, "robots are in the water", ENDS_WITHIN_S)
         for robot in hosts.names:
             checked = hosts.run(robot, f"{AGENT} check --json")
-            found = {finding["what"]: finding["verdict"] for finding in json.loads(checked[checked.index("[") :])}
-            assert "fail" not in found.values(), checked
-            assert found["station"] == found["certificate"] == found["thruster board"] == "ok", checked
+            verdicts = {finding["what"]: finding["verdict"] for finding in json.loads(checked[checked.index("[") :])}
+            assert "fail" not in verdicts.values(), checked
+            assert verdicts["station"] == verdicts["certificate"] == verdicts["thruster board"] == "ok", checked
         for robot in hosts.names:
             on_host(children, hosts, robot, f"agent-{robot}", f"exec {AGENT} run --config agent.toml")
         assert leader.process.wait(ENDS_WITHIN_S) == 0, "\n".join(child.explain() for child in children.all)

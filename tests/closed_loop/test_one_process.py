@@ -59,15 +59,15 @@ def sil(out: Path, *arguments: str) -> tuple[int, str, Path]:
 
 def told(folder: Path) -> OnLocalized:
     """All messages of a run but pictures, lines for people, and what must differ."""
-    found, by_key = OnLocalized(), {f"shoal/{topic.name}": topic for topic in COMPARED}
+    record, by_key = OnLocalized(), {f"shoal/{topic.name}": topic for topic in COMPARED}
     with (folder / "run.mcap").open("rb") as file:
         for _, channel, message in make_reader(file).iter_messages():
             parts = channel.topic.split("/")
             name = "/".join(["shoal", *parts[3:]]) if parts[1] == "robot" else channel.topic
             if name in by_key:
                 header = Header(0, message.sequence, message.publish_time)
-                found.note(by_key[name], channel.topic, header, message.data)
-    return found
+                record.note(by_key[name], channel.topic, header, message.data)
+    return record
 
 
 def lines(folder: Path) -> set[tuple[str, str]]:
@@ -75,8 +75,8 @@ def lines(folder: Path) -> set[tuple[str, str]]:
     with (folder / "run.mcap").open("rb") as file:
         messages = make_reader(file).iter_messages(topics=[f"shoal/{topics.EVENT.key()}"])
         events = [decode(Event, message.data, "log", "event") for _, _, message in messages]
-    said = [(event.source, re.sub(r"(^mission \w+ after ).* s$", r"\1", event.message)) for event in events]
-    return {(source, text) for source, text in said if "dropped for their signature" not in text}
+    texts = [(event.source, re.sub(r"(^mission \w+ after ).* s$", r"\1", event.message)) for event in events]
+    return {(source, text) for source, text in texts if "dropped for their signature" not in text}
 
 
 @pytest.mark.parametrize(
@@ -105,7 +105,7 @@ def test_one_process_flies_to_the_bit_what_processes_fly(arguments: tuple[str, .
     for robot in results[0]["robots"]:
         assert results[0]["robots"][robot]["rms_m"] == results[1]["robots"][robot]["rms_m"]
     verdict = "passed" if code == 0 else "failed"
-    assert all(re.search(rf"^{verdict}\b", said, re.MULTILINE) for said in (output, output_of_one))
+    assert all(re.search(rf"^{verdict}\b", text, re.MULTILINE) for text in (output, output_of_one))
 
 
 def test_another_seed_gives_other_pulses(tmp_path: Path) -> None:
@@ -186,9 +186,9 @@ def test_a_part_that_fails_is_named_and_its_log_says_why(tmp_path: Path, closing
     with pytest.raises(Failed, match="agent-1 has ended: ValueError: robot 1: no such thing"):
         part.step()
     output.flush()
-    said, others = ((tmp_path / f"agent-{robot}.log").read_text() for robot in (1, 2))
-    assert "agent-1 INFO ready" in said and "ValueError: robot 1: no such thing" in said and "meanwhile" not in said
-    assert others.endswith("agent-2 INFO spoken meanwhile\n") and others.count("\n") == 1
+    own_log, other_log = ((tmp_path / f"agent-{robot}.log").read_text() for robot in (1, 2))
+    assert "agent-1 INFO ready" in own_log and "ValueError: robot 1: no such thing" in own_log and "meanwhile" not in own_log
+    assert other_log.endswith("agent-2 INFO spoken meanwhile\n") and other_log.count("\n") == 1
 
 
 def test_a_refusal_of_a_part_stays_one(tmp_path: Path, closing: ExitStack) -> None:

@@ -60,8 +60,8 @@ class OperatorLab:
 
     def set_off(self) -> None:
         self.ready()
-        code, said = self.order("mission", "start")
-        assert (code, said.splitlines()[-1]) == (0, "start: confirmed by 1, 2"), said
+        code, output = self.order("mission", "start")
+        assert (code, output.splitlines()[-1]) == (0, "start: confirmed by 1, 2"), output
 
     def told(self, name: str, text: str) -> None:
         """Both robots' programs have said so by now: nobody waits for it."""
@@ -74,11 +74,11 @@ class OperatorLab:
 
 @pytest.fixture
 def lab(tmp_path: Path) -> Iterator[OperatorLab]:
-    found = OperatorLab(tmp_path)
+    operator_lab = OperatorLab(tmp_path)
     try:
-        yield found
+        yield operator_lab
     finally:
-        found.children.stop()
+        operator_lab.children.stop()
 
 
 def test_a_mission_by_hand(lab: OperatorLab) -> None:
@@ -87,15 +87,15 @@ def test_a_mission_by_hand(lab: OperatorLab) -> None:
     assert (refused, "RESUME is not possible when WAITING" in why) == (1, True)
     lab.set_off()  # each command returns when the robots have done it
     lab.told("agent", "INFO tracking")
-    code, said = lab.order("mission", "hold")
-    assert (code, said.splitlines()[-1]) == (0, "hold: confirmed by 1, 2"), said
+    code, output = lab.order("mission", "hold")
+    assert (code, output.splitlines()[-1]) == (0, "hold: confirmed by 1, 2"), output
     lab.told("agent", "INFO holding")
     assert lab.order("mission", "resume")[0] == 0
     assert lab.order("mission", "go", "0.5", "-0.3")[0] == 1  # on a circle there is nowhere to go
 
-    code, said = lab.order("stop")
+    code, output = lab.order("stop")
     assert code == 0
-    assert said.splitlines()[1:] == ["  robot 1: confirmed", "  robot 2: confirmed", "stop: confirmed by 1, 2"]
+    assert output.splitlines()[1:] == ["  robot 1: confirmed", "  robot 2: confirmed", "stop: confirmed by 1, 2"]
     lab.told("agent", "stopped: emergency stop")
     for robot in (1, 2):
         lab.says("sim-bridge", f"board of robot {robot}: neutral")
@@ -109,8 +109,8 @@ def test_a_mission_by_hand(lab: OperatorLab) -> None:
     assert lab.order("end")[0] == 0
     lab.says("groundstation", "the run is ended")
     assert lab.children.all[2].process.wait(60) == 1  # it did not fly to its end
-    code, said = run_groundstation("log", "report", str(lab.folder / "run"))
-    assert (code, said.rstrip().endswith("(not judged)")) == (1, True), said
+    code, output = run_groundstation("log", "report", str(lab.folder / "run"))
+    assert (code, output.rstrip().endswith("(not judged)")) == (1, True), output
     result = json.loads((lab.folder / "run" / "result.json").read_text())
     assert (result["scene"], result["mode"], result["passed"]) == ("pool", "lockstep", False)
     assert result["cause"]["text"] == "pressed the emergency stop"
@@ -128,9 +128,9 @@ def test_a_stop_that_no_robot_hears_is_no_success(tmp_path: Path) -> None:
     try:
         wait_for_line(tmp_path / "logs" / "groundstation.log", "waiting for the fleet", 60.0)
         for what, last in (("stop", "stop: not done within 5 s"), ("end", "end: done")):
-            code, said = run_groundstation(what, "--station", place)
+            code, output = run_groundstation(what, "--station", place)
             unheard = [f"  robot {robot}: NOT confirmed: not heard" for robot in (1, 2)]
-            assert (code, said.splitlines()[-3:]) == (1 if what == "stop" else 0, [*unheard, last])
+            assert (code, output.splitlines()[-3:]) == (1 if what == "stop" else 0, [*unheard, last])
         station.process.wait(30)
     finally:
         children.stop()

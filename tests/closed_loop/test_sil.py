@@ -91,7 +91,7 @@ def test_no_program_imports_from_the_working_folder(
     lockstep_run: tuple[Path, int, str], planted: Path, tmp_path: Path
 ) -> None:
     assert not executed(planted)
-    words = [installed("groundstation"), "log", "rerun", str(lockstep_run[0]), "--robot", "1"]
+    words = [installed("sim-bridge"), "rerun", str(lockstep_run[0]), "--robot", "1"]
     subprocess.run(words, cwd=planted, capture_output=True, check=True)
     from_there = ["sil", "--from", str(lockstep_run[0]), "--at", "13", "--out", str(tmp_path)]
     subprocess.run([installed("sim-bridge"), *from_there], cwd=planted, capture_output=True, check=False)
@@ -116,8 +116,8 @@ def test_the_result_of_thirty_seconds_is_within_the_figures_to_reach(tmp_path: P
 
 
 def rerun(folder: Path, *arguments: str) -> list[dict[str, Any]]:
-    """The output of `groundstation log rerun --json` for a run."""
-    command = [sys.executable, "-m", "groundstation", "log", "rerun", str(folder), "--json", *arguments]
+    """The output of `sim-bridge rerun --json` for a run."""
+    command = [sys.executable, "-m", "sim_bridge", "rerun", str(folder), "--json", *arguments]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.stdout, done.stderr
     robots: list[dict[str, Any]] = json.loads(done.stdout)
@@ -154,11 +154,11 @@ def test_a_simulation_goes_on_from_a_moment_of_it_as_it_went_on(lockstep_run: tu
     before, after = flown(lockstep_run[0]), flown(run_dir(tmp_path))
     for robot in (1, 2):
         apart = (after.robots[robot].truth - before.robots[robot].truth[: len(after.time_s)])[:, :3]
-        known = np.flatnonzero(np.isfinite(apart).all(axis=1))
-        assert after.time_s[known[0]] == pytest.approx(8.0, abs=0.11)
-        assert after.time_s[known[-1]] == pytest.approx(14.0, abs=0.11)
-        assert np.abs(apart[known[0]]).max() < 1e-4  # from where they were, as fast as they were,
-        assert np.abs(apart[known]).max() < 0.006  # and as they went on, but for the noise: 1 to 5 mm with seeds 2 to 4
+        steps = np.flatnonzero(np.isfinite(apart).all(axis=1))
+        assert after.time_s[steps[0]] == pytest.approx(8.0, abs=0.11)
+        assert after.time_s[steps[-1]] == pytest.approx(14.0, abs=0.11)
+        assert np.abs(apart[steps[0]]).max() < 1e-4  # from where they were, as fast as they were,
+        assert np.abs(apart[steps]).max() < 0.006  # and as they went on, but for the noise: 1 to 5 mm with seeds 2 to 4
 
 
 def test_and_otherwise_where_something_is_otherwise(lockstep_run: tuple[Path, int, str], tmp_path: Path) -> None:
@@ -183,15 +183,15 @@ def test_and_otherwise_where_something_is_otherwise(lockstep_run: tuple[Path, in
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "words"),
     [(("--at", "31"), "at 31 s there is nothing: robot 1 came to 14"), (("--at", "10", "pool"), "the run says what is flown")],
 )
 def test_resuming_from_a_time_that_was_not_flown_is_refused(
-    lockstep_run: tuple[Path, int, str], tmp_path: Path, arguments: tuple[str, ...], said: str
+    lockstep_run: tuple[Path, int, str], tmp_path: Path, arguments: tuple[str, ...], words: str
 ) -> None:
     code, output = go_on(lockstep_run[0], tmp_path, *arguments)
     assert code == 2
-    assert said in " ".join(output.replace("│", " ").split())
+    assert words in " ".join(output.replace("│", " ").split())
 
 
 def test_its_processes_are_gone(lockstep_run: tuple[Path, int, str]) -> None:
@@ -277,11 +277,11 @@ def test_a_manual_run_is_flown_and_ended_from_another_terminal(tmp_path: Path, m
         while not list(out.glob("pool-*")):
             time.sleep(0.05)
         wait_for_line(run_dir(out) / "logs" / "groundstation.log", "mission: fleet ready\n")
-        code, said = order("mission", "start")
-        assert code == 0, said
+        code, reply = order("mission", "start")
+        assert code == 0, reply
         wait_for_line(run_dir(out) / "logs" / "groundstation.log", "mission: done")
-        code, said = order("end")
-        assert (code, said.splitlines()[-1]) == (0, "end: confirmed by 1, 2"), said
+        code, reply = order("end")
+        assert (code, reply.splitlines()[-1]) == (0, "end: confirmed by 1, 2"), reply
         code, output = finish(run)
     finally:
         run.kill()
@@ -347,8 +347,8 @@ def test_a_run_is_interrupted_while_it_connects(tmp_path: Path, monkeypatch: pyt
     monkeypatch.setattr(commands, "programs", silent)
     monkeypatch.setattr(launcher, "Children", Watched)
     monkeypatch.setattr(launcher, "ZenohTransport", open_and_stop)
-    said = Console(record=True, file=io.StringIO())
-    assert launcher.run(load_experiment("pool"), tmp_path / "run", RunOptions(), stop, said) == 130
-    assert "interrupted: nothing was flown, and no folder is left" in said.export_text()
+    console = Console(record=True, file=io.StringIO())
+    assert launcher.run(load_experiment("pool"), tmp_path / "run", RunOptions(), stop, console) == 130
+    assert "interrupted: nothing was flown, and no folder is left" in console.export_text()
     assert not (tmp_path / "run").exists()
     assert [child.exit_code is not None for child in started] == [True]

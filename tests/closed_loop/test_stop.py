@@ -290,8 +290,8 @@ def test_stop_reaches_every_station_and_says_of_each_what_it_confirmed(
     code, out, err = machine.stop("stop", "--wait", "1")
     assert code == 1 and err == ""
     assert (station.stops(), other.stops(), hung.stops()) == (before + 1, 1, 0)
-    told = {part.partition(" ")[0]: part.splitlines()[1:] for part in out.split("station ")[1:]}
-    assert told == {
+    outcomes = {part.partition(" ")[0]: part.splitlines()[1:] for part in out.split("station ")[1:]}
+    assert outcomes == {
         station.address: ["  robot 1: confirmed", "  robot 2: confirmed", CONFIRMED],
         other.address: [*(f"  robot {n}: NOT confirmed: not heard" for n in (1, 2)), "stop: not done within 1 s"],
         hung.address: ["stop: not heard: no answer within 2 s"],

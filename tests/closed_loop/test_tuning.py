@@ -73,7 +73,7 @@ class TuningLab:
         self.laps.update(self.flying())
 
     def flying(self) -> dict[int, RobotState]:
-        states = {r: seen.state for r, seen in self.fleet().items() if seen.state is not None}
+        states = {r: view.state for r, view in self.fleet().items() if view.state is not None}
         return {r: state for r, state in states.items() if FormationPlans().under_way(state)}
 
     def run(self, seconds: float) -> None:

@@ -32,15 +32,16 @@ def test_robots_fly_on_under_one_camera_when_the_other_is_bumped(tmp_path: Path)
     (tmp_path / "experiment.toml").write_text(dump_experiment(experiment), encoding="utf-8")
     assert Executor(experiment, tmp_path, hub).fly()
 
-    said = {decode(Event, data, "test", key).message: header.stamp_ns for _, key, header, data in events()}
-    begin_ns = said[f"fault: {fault}"]
-    told = {header.stamp_ns: decode(LocalizerStatus, data, "test", key) for _, key, header, data in statuses()}
-    out_ns = min(stamp_ns for stamp_ns, status in told.items() if status.out)
+    stamps_ns = {decode(Event, data, "test", key).message: header.stamp_ns for _, key, header, data in events()}
+    begin_ns = stamps_ns[f"fault: {fault}"]
+    by_stamp = {header.stamp_ns: decode(LocalizerStatus, data, "test", key) for _, key, header, data in statuses()}
+    out_ns = min(stamp_ns for stamp_ns, status in by_stamp.items() if status.out)
     assert begin_ns < out_ns <= begin_ns + 250_000_000  # most of the five marks are read in three pictures
-    assert all(status.out == ("east",) and status.robots == (1, 2) for at, status in told.items() if at >= out_ns)
-    assert "camera east is out: the camera was moved: check marks are" in told[out_ns].message
+    assert all(status.out == ("east",) and status.robots == (1, 2) for at, status in by_stamp.items() if at >= out_ns)
+    assert "camera east is out: the camera was moved: check marks are" in by_stamp[out_ns].message
     assert all(decode(Obstacles, data, "test", key).ids == () for _, key, _, data in obstacles())
-    flown = [decode(RobotState, data, "test", key).mode for _, key, h, data in states() if begin_ns <= h.stamp_ns < max(told)]
+    over_ns = max(by_stamp)
+    flown = [decode(RobotState, data, "test", key).mode for _, key, h, data in states() if begin_ns <= h.stamp_ns < over_ns]
     assert flown.count(Mode.TRACKING) >= 2 * 20 and set(flown) <= {Mode.TRACKING, Mode.DISARMED}
     assert len([0 for _, _, header, _ in poses() if header.stamp_ns > begin_ns]) > 2 * 20
     rows = {row.subject: row for row in evaluate_log(tmp_path / "run.mcap")}
@@ -54,12 +55,12 @@ def test_robots_cross_over_and_fly_on_when_the_camera_that_they_left_is_gone(tmp
     (tmp_path / "experiment.toml").write_text(dump_experiment(experiment), encoding="utf-8")
     assert Executor(experiment, tmp_path, hub).fly()
 
-    told = {header.stamp_ns: decode(LocalizerStatus, data, "test", key) for _, key, header, data in statuses()}
-    out_ns = min(stamp_ns for stamp_ns, status in told.items() if status.out and status.robots)
-    assert told[out_ns].out == ("west",) and "camera west is out: its last picture is" in told[out_ns].message
-    assert all(status.robots == (1, 2) for stamp_ns, status in told.items() if stamp_ns >= out_ns)
-    seen = [decode(Pose, data, "test", key) for _, key, _, data in poses()]
-    assert all(pose.track is Track.MARKER for pose in seen)
+    by_stamp = {header.stamp_ns: decode(LocalizerStatus, data, "test", key) for _, key, header, data in statuses()}
+    out_ns = min(stamp_ns for stamp_ns, status in by_stamp.items() if status.out and status.robots)
+    assert by_stamp[out_ns].out == ("west",) and "camera west is out: its last picture is" in by_stamp[out_ns].message
+    assert all(status.robots == (1, 2) for stamp_ns, status in by_stamp.items() if stamp_ns >= out_ns)
+    published = [decode(Pose, data, "test", key) for _, key, _, data in poses()]
+    assert all(pose.track is Track.MARKER for pose in published)
 
     rows = {row.subject: row for row in evaluate_log(tmp_path / "run.mcap")}
     assert rows["all but lost"].rms_mm < 2.0 and rows["all but lost"].nees < 3.5

@@ -35,7 +35,7 @@ class FileCommand:
     arguments: tuple[str, ...]
     written: tuple[str, ...]  # names of the files that it writes
     before: Callable[[Path], None] = nothing  # makes what is there before
-    told: Callable[[bytes], object] = whole  # of a file's content: what is the same whenever it is written
+    content: Callable[[bytes], object] = whole  # what of a file is the same whenever it is written
     keeps_old: bool = False  # under another name
     is_new: bool = False  # never written over an earlier file
     survives_power_cut: bool = True
@@ -118,10 +118,10 @@ def a_ring(folder: Path) -> None:
 def keys_fit(folder: Path) -> None:
     """Raise AssertionError if a certificate in a key ring is not that of the private key beside it."""
     for place in (folder / "keys").glob("[!.]*/"):
-        found = x509.load_pem_x509_certificate((place / "cert.pem").read_bytes()).public_key()
+        public_key = x509.load_pem_x509_certificate((place / "cert.pem").read_bytes()).public_key()
         private = load_pem_private_key((place / "key.pem").read_bytes(), None).public_key()
         form = (Encoding.DER, PublicFormat.SubjectPublicKeyInfo)
-        assert found.public_bytes(*form) == private.public_bytes(*form), f"{place}: of two different pairs"
+        assert public_key.public_bytes(*form) == private.public_bytes(*form), f"{place}: of two different pairs"
 
 
 def kind_of_pem(data: bytes) -> object:
@@ -157,7 +157,7 @@ COMMANDS = {
         survives_power_cut=False,  # it is simulated, and its loop waits for no disk
     ),
     "new": FileCommand(("sim-bridge", "new", "lab"), ("lab.toml",), is_new=True),
-    "link-key": FileCommand(("robot-agent", "link-key", "board.key"), ("board.key",), told=key_length, is_new=True),
+    "link-key": FileCommand(("robot-agent", "link-key", "board.key"), ("board.key",), content=key_length, is_new=True),
     "init": FileCommand(
         ("robot-agent", "init", "--robot", "2", "--station", "tcp/127.0.0.1:7447", "--force"), ("agent.toml",),
         olds("agent.toml"),
@@ -165,7 +165,7 @@ COMMANDS = {
     "keys-init": FileCommand(
         ("groundstation", "keys", "init", "--host", "pool.local"),
         ("keys/ca.pem", "keys/authority.key", "keys/members.toml", *(f"keys/{p}/{f}" for p in PROCESSES for f in PAIR)),
-        told=kind_of_pem, check=keys_fit, is_new=True,
+        content=kind_of_pem, check=keys_fit, is_new=True,
     ),
     "keys-add": FileCommand(
         ("groundstation", "keys", "add", "robot", "2"),

@@ -48,13 +48,13 @@ class EndedCommand:
     files below the folder, of all its processes, as lines with tabs: call, path, other path."""
 
     code: int
-    said: str
+    output: str
     calls: int
     trace: tuple[str, ...] = ()
 
     @property
     def last_line(self) -> str:
-        lines = self.said.strip().splitlines()
+        lines = self.output.strip().splitlines()
         return lines[-1] if lines else ""
 
 

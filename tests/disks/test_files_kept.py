@@ -39,7 +39,7 @@ class DiskTrial:
         self._old = self._contents(self._before)
         good = self._copy()
         self.undisturbed = programs.run(list(self.command.arguments), good)
-        assert self.undisturbed.code == 0, self.undisturbed.said
+        assert self.undisturbed.code == 0, self.undisturbed.output
         self._new = self._contents(good)
         same = [name for name, content in self._new.items() if content == self._old[name]]
         assert not same, f"{name} does not write {same}"
@@ -55,17 +55,17 @@ class DiskTrial:
     def _is_new(self, name: str, data: bytes | None) -> bool:
         reference = self._new[name]
         assert reference is not None
-        return data is not None and self.command.told(data) == self.command.told(reference)
+        return data is not None and self.command.content(data) == self.command.content(reference)
 
     def succeeds(self, fault: str) -> None:
         """Run on a disk of another kind. Raises AssertionError if a file is lost."""
         folder = self._copy()
         ended = self._programs.run(list(self.command.arguments), folder, fault)
-        assert ended.code == 0, ended.said
-        assert all(self._is_new(name, data) for name, data in self._contents(folder).items()), ended.said
-        self._check(folder, ended.said)
+        assert ended.code == 0, ended.output
+        assert all(self._is_new(name, data) for name, data in self._contents(folder).items()), ended.output
+        self._check(folder, ended.output)
         again = self._programs.run(list(self.command.arguments), folder, fault)
-        assert again.code == (2 if self.command.is_new else 0), again.said
+        assert again.code == (2 if self.command.is_new else 0), again.output
 
     def survives_power_cut(self) -> None:
         """Check that a file's content is on the disk before the file gets its name, and the name before the command ends.
@@ -85,12 +85,12 @@ class DiskTrial:
         assert not written & unsynced, "their content is not on the disk"
         assert not written & unnamed.keys(), "their names are not on the disk"
 
-    def _check(self, folder: Path, said: str) -> None:
+    def _check(self, folder: Path, ending: str) -> None:
         """Check files against one another, and look for the original."""
         self.command.check(folder)
         if self.command.keeps_old:
             contents = [file.read_bytes() for file in folder.rglob("*") if file.is_file()]
-            assert self._old[self.command.written[0]] in contents, f"the original is lost: {said}"
+            assert self._old[self.command.written[0]] in contents, f"the original is lost: {ending}"
 
     def fails(self, fault: str, call: int) -> None:
         """Let the disk fail at a call. Raises AssertionError if a file is lost, or if the command says something else."""
@@ -108,16 +108,16 @@ class DiskTrial:
         folder = self._copy()
         ended = self._programs.run(list(self.command.arguments), folder, "removed", call)
         missing = {name for name, data in self._contents(folder).items() if data is None}
-        case, said = f"{self.name}: removed at call {call}", f"{ended.code}: {ended.said}"
-        assert "Traceback" not in ended.said, f"{case}: {said}"
+        case, ending = f"{self.name}: removed at call {call}", f"{ended.code}: {ended.output}"
+        assert "Traceback" not in ended.output, f"{case}: {ending}"
         if not missing:
-            assert ended.code == 0 or "is written" in ended.last_line, f"{case}: all is written: {said}"
+            assert ended.code == 0 or "is written" in ended.last_line, f"{case}: all is written: {ending}"
         elif any(call <= self._named_by(name) for name in missing):
             named = (*self.command.written, *_folders([*self.command.written]), *_files(self._before), folder.name)
             assert ended.code in (1, 2) and any(name in ended.last_line for name in named), (
-                f"{case}: without {missing}: {said}"
+                f"{case}: without {missing}: {ending}"
             )
-        assert not missing or "is written" not in ended.said, f"{case}: without {missing}: {said}"
+        assert not missing or "is written" not in ended.output, f"{case}: without {missing}: {ending}"
         shutil.rmtree(folder)
 
     def _named_by(self, name: str) -> int:
@@ -143,10 +143,10 @@ class DiskTrial:
         new = {name for name, data in now.items() if data != self._old[name]}
         for name in new:
             try:
-                assert self._is_new(name, now[name]), f"{case}: half of {name}, or something else\n{ended.said}"
+                assert self._is_new(name, now[name]), f"{case}: half of {name}, or something else\n{ended.output}"
             except ValueError as error:
-                raise AssertionError(f"{case}: half of {name}: {error}\n{ended.said}") from error
-        self._check(folder, f"{case}: {ended.said}")
+                raise AssertionError(f"{case}: half of {name}: {error}\n{ended.output}") from error
+        self._check(folder, f"{case}: {ended.output}")
         if ended.code != -9:
             self._says_which(case, ended, new, folder)
 
@@ -154,27 +154,27 @@ class DiskTrial:
         """Run again on a good disk, if not all is written, and remove the folder."""
         if self._contents(folder).items() & self._old.items():
             after = self._programs.run(list(self.command.arguments), folder)
-            assert after.code == 0, f"{case}: cannot be done again: {after.said}"
-            assert all(self._is_new(name, data) for name, data in self._contents(folder).items()), f"{case}: {after.said}"
+            assert after.code == 0, f"{case}: cannot be done again: {after.output}"
+            assert all(self._is_new(name, data) for name, data in self._contents(folder).items()), f"{case}: {after.output}"
         shutil.rmtree(folder)
 
     def _says_which(self, case: str, ended: EndedCommand, new: set[str], folder: Path) -> None:
         """Check the exit code and the last line against the files."""
-        assert "Traceback" not in ended.said, f"{case}: {ended.said}"
+        assert "Traceback" not in ended.output, f"{case}: {ended.output}"
         if ended.code == 0:
             assert new == set(self.command.written), f"{case}: exit code 0, but not written: {self._new.keys() - new}"
             return
         assert ended.code in (1, 2), f"{case}: {ended}"
         missing = [name for name in self.command.written if name not in new]
         if not missing:
-            assert "is written" in ended.last_line, f"{case}: exit code {ended.code}, but all is written: {ended.said}"
+            assert "is written" in ended.last_line, f"{case}: exit code {ended.code}, but all is written: {ended.output}"
             return
         assert len(missing) == len(self.command.written) or any(name in ended.last_line for name in missing), (
             f"{case}: not written are {missing}, and it says {ended.last_line}"
         )
         named = (*missing, *_folders(missing), *_files(folder))  # one that is read may be what the disk does not give
         assert folder.name in ended.last_line or any(name in ended.last_line for name in named), (
-            f"{case}: names no file: {ended.said}"
+            f"{case}: names no file: {ended.output}"
         )
 
 

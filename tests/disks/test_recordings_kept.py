@@ -7,7 +7,6 @@ import os
 import random
 import re
 import shutil
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import suppress
@@ -22,10 +21,7 @@ from mcap.stream_reader import StreamReader
 
 from localizer.detection.image_regions import BAYER_TO_BGR
 from localizer.sources.recording import recorded_frames
-from shoal.config.experiment import dump_experiment, load_experiment
-from shoal.messages import topics
-from shoal.messages.messages import Pose, Track
-from shoal.messages.pipe import PipeWriter
+from shoal.config.experiment import load_experiment
 from tests.disks import jobs
 from tests.disks.forked import EndedCommand, Programs
 from tests.groundstation.small_log import sequences
@@ -34,7 +30,6 @@ from tests.localizer.scene import Scene
 pytestmark = pytest.mark.long
 
 SEED = int(os.environ.get("DISKS_SEED", "0")) or time.time_ns() % 1_000_000  # printed; the variable repeats a run
-ROBOTS, SAID_S, SAY_EVERY_S = 8, 1.3, 0.05  # of a run that is handed over: two flushes of the recorder and its end
 
 
 @pytest.fixture(scope="module")
@@ -51,39 +46,19 @@ def chance(request: pytest.FixtureRequest) -> random.Random:
 
 def whole_messages(path: Path) -> list[Message]:
     """The messages of a log up to where another reader finds it cut."""
-    found = list[Message]()
+    messages = list[Message]()
     with path.open("rb") as file, suppress(Exception):  # whatever the end of the file looks like
-        found.extend(record for record in StreamReader(file, validate_crcs=True).records if isinstance(record, Message))
-    return found
+        messages.extend(record for record in StreamReader(file, validate_crcs=True).records if isinstance(record, Message))
+    return messages
 
 
 # --- a run's log
 
 
 def record(programs: Programs, folder: Path, fault: str, call: int) -> EndedCommand:
-    """Have the station's recorder write a run that another program hands over little by little."""
+    """Have the station's recorder write a run little by little."""
     folder.mkdir()
-    (folder / "experiment.toml").write_text(dump_experiment(load_experiment("pool")))
-    pipe = folder.with_name(f"{folder.name}.pipe")
-    os.mkfifo(pipe)
-
-    def say() -> None:
-        try:
-            with pipe.open("wb", buffering=0) as stream:
-                writer = PipeWriter(stream, session=5)
-                for k in range(round(SAID_S / SAY_EVERY_S)):
-                    pose = Pose(0.1 * k, 0.0, 0.0, np.eye(3), Track.MARKER, True, 0.9, 0.3)
-                    for robot in range(1, ROBOTS + 1):
-                        writer.publish(topics.POSE, pose, 50_000_000 * k, robot)
-                    time.sleep(SAY_EVERY_S)
-        except BrokenPipeError:
-            return
-
-    speaker = threading.Thread(target=say)
-    speaker.start()
-    ended = programs.run(["groundstation", "log", "record", "."], folder, fault, call, str(pipe))
-    speaker.join()
-    return ended
+    return programs.run(["tests.disks.jobs:record_run"], folder, fault, call)
 
 
 def check_log(programs: Programs, folder: Path, fault: str, call: int) -> None:
@@ -96,7 +71,7 @@ def check_log(programs: Programs, folder: Path, fault: str, call: int) -> None:
     elif fault == "kill":
         assert ended.code == -9, f"{case}: {ended}"
     else:
-        assert ended.code in (1, 2) and "run.mcap" in ended.last_line and "Traceback" not in ended.said, f"{case}: {ended}"
+        assert ended.code in (1, 2) and "run.mcap" in ended.last_line and "Traceback" not in ended.output, f"{case}: {ended}"
     if fault == "removed" and ended.code != 0:
         assert "was deleted" in ended.last_line, f"{case}: {ended}"
     if not log.exists():
@@ -109,8 +84,8 @@ def check_log(programs: Programs, folder: Path, fault: str, call: int) -> None:
         assert not (folder / "run.mcap.original").exists()
         return
     assert mended.code == 0, f"{case}: {mended}"
-    assert sequences(log) == whole == [1 + k // ROBOTS for k in range(len(whole))], case
-    if "mended" in mended.said:
+    assert sequences(log) == whole == [1 + k // jobs.ROBOTS for k in range(len(whole))], case
+    if "mended" in mended.output:
         assert (folder / "run.mcap.original").read_bytes() == before, f"{case}: the original is lost"
 
 
@@ -148,9 +123,9 @@ def check_frames(programs: Programs, folder: Path, fault: str, call: int) -> Non
     elif fault == "removed" and ended.code == 0:
         assert whole == jobs.FRAMES, f"{case}: {whole}: {ended}"  # before anything was written
     else:
-        assert ended.code in (1, 2) and "recording" in ended.last_line and "Traceback" not in ended.said, f"{case}: {ended}"
-        if said := re.search(r"ends after (\d+) frames", ended.last_line):
-            assert int(said[1]) <= whole <= int(said[1]) + 1, f"{case}: {whole}: {ended}"  # the last one may have no index
+        assert ended.code in (1, 2) and "recording" in ended.last_line and "Traceback" not in ended.output, f"{case}: {ended}"
+        if match := re.search(r"ends after (\d+) frames", ended.last_line):
+            assert int(match[1]) <= whole <= int(match[1]) + 1, f"{case}: {whole}: {ended}"  # the last one may have no index
     shutil.rmtree(folder)
 
 
@@ -195,12 +170,12 @@ def check_table(programs: Programs, video: Path, folder: Path, call: int, resume
     folder.mkdir()
     command = ["localizer", "track", str(video), "--experiment", "pool", "--out", "poses.csv"]
     assert programs.run(command, folder, "kill", call).code == -9
-    known = {frame for part in folder.glob("*.part") for frame in frames_of(part)}
+    frames = {frame for part in folder.glob("*.part") for frame in frames_of(part)}
     ended = programs.run([*command, "--resume"], folder, "kill", resumed)
     if ended.code == -9:
         parts = [*folder.glob("*.part"), *folder.glob("poses.csv")]
         kept = {frame for part in parts for frame in frames_of(part)}
-        assert len(kept) >= len(known) - 1, f"kill at call {call}, then {resumed}: {sorted(kept)} of {sorted(known)} are left"
+        assert len(kept) >= len(frames) - 1, f"kill at call {call}, then {resumed}: {sorted(kept)} of {sorted(frames)} left"
         if not (folder / "poses.csv").exists():
             ended = programs.run([*command, "--resume"], folder)
     assert ended.code in (0, -9), f"kill at call {call}, then {resumed}: {ended}"
@@ -214,7 +189,7 @@ def test_rows_of_a_table_outlive_two_kills(programs: Programs, video: Path, tmp_
 def test_a_table_that_is_deleted_meanwhile_is_missed(programs: Programs, video: Path, tmp_path: Path) -> None:
     command = ["localizer", "track", str(video), "--experiment", "pool", "--out", "poses.csv"]
     ended = programs.run(command, tmp_path, "removed", 4)
-    assert ended.code in (1, 2) and "Traceback" not in ended.said, ended
+    assert ended.code in (1, 2) and "Traceback" not in ended.output, ended
     assert "poses.csv" in ended.last_line and "was deleted" in ended.last_line
 
 
@@ -242,12 +217,12 @@ def test_a_campaign_goes_on_with_what_was_flown(fault: str, programs: Programs, 
         return programs.run([*command, *more], folder, fault, call)
 
     whole = fly(tmp_path / "whole")
-    assert whole.code == 0, whole.said
+    assert whole.code == 0, whole.output
     calls = whole.calls
     for k in range(6):
         call, folder = chance.randint(1, calls), tmp_path / str(k)
         ended, case = fly(folder, fault=fault, call=call), f"{fault} at call {call} of {calls}"
-        assert "Traceback" not in ended.said, f"{case}: {ended.said}"
+        assert "Traceback" not in ended.output, f"{case}: {ended.output}"
         results = [folder / "out" / name for name in ("results.parquet", "report.html")]
         # the renames at the end need no room; what is deleted before anything is written, or at the last call, is not missed
         is_whole = all(file.exists() for file in results) if fault in ("full", "removed") else False
@@ -258,7 +233,7 @@ def test_a_campaign_goes_on_with_what_was_flown(fault: str, programs: Programs, 
         lines = journal.read_text().splitlines(keepends=True) if journal.exists() else []
         flown = [line for line in lines if line.endswith("\n")]
         again = fly(folder, "--resume")
-        assert again.code == 0, f"{case}: {again.said}"
+        assert again.code == 0, f"{case}: {again.output}"
         assert set(flown) <= set(journal.read_text().splitlines(keepends=True)), f"{case}: a row of the journal is lost"
         assert len([line for line in journal.read_text().splitlines() if line.endswith("}")]) == 3, f"{case}: flown twice"
         assert sorted(pq.read_table(folder / "out" / "results.parquet")["seed"].to_pylist()) == [1, 2, 3], case

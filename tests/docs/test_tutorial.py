@@ -50,8 +50,9 @@ def test_the_commands_of_the_tutorial_do_what_it_says_one_after_the_other(tmp_pa
     blind = run(with_camera, tmp_path)
     assert blind.returncode == 2 and "camera: missing" in blind.stderr
     file.write_text(without_comment_signs(file.read_text(), "[camera]"))
-    seen = run(with_camera.replace("--duration 3", "--duration 1"), tmp_path)
-    assert "exposure" not in seen.stderr and list(tmp_path.glob("runs/lab-*/logs/localizer.log")), seen.stdout + seen.stderr
+    flight = run(with_camera.replace("--duration 3", "--duration 1"), tmp_path)
+    assert "exposure" not in flight.stderr, flight.stderr
+    assert list(tmp_path.glob("runs/lab-*/logs/localizer.log")), flight.stdout + flight.stderr
 
 
 def test_another_robot_and_a_change_of_the_formation_can_be_flown(tmp_path: Path) -> None:

@@ -76,18 +76,18 @@ class Onlooker:
 
     # --- what is heard
 
-    def witnessed(self, told: dict[str, Any]) -> None:
+    def witnessed(self, report: dict[str, Any]) -> None:
         """Take up a report of a witness (witness.py)."""
         with self._changed:
-            if "taken" in told:
-                view = self.boards[told["robot"]]
-                if told["taken"]:
-                    view.taken.append((told["ns"], tuple(told["pulses"])))
+            if "taken" in report:
+                view = self.boards[report["robot"]]
+                if report["taken"]:
+                    view.taken.append((report["ns"], tuple(report["pulses"])))
                 else:
                     view.refused += 1
-            elif "neutral" in told:
-                self.boards[told["robot"]].changes.append((told["ns"], told["neutral"], told["armed"]))
-            elif "not_finite" in told:
+            elif "neutral" in report:
+                self.boards[report["robot"]].changes.append((report["ns"], report["neutral"], report["armed"]))
+            elif "not_finite" in report:
                 self.not_finite += 1
             self._changed.notify_all()
 
@@ -134,7 +134,7 @@ class Onlooker:
 
     def since(self, robot: int, ns: int) -> Iterator[Heard]:
         """States heard after an instant."""
-        return (heard for heard in list(self.states[robot]) if heard.ns >= ns)
+        return (state for state in list(self.states[robot]) if state.ns >= ns)
 
     # --- measuring
 
@@ -144,8 +144,8 @@ class Onlooker:
         self.wait(lambda: all(not self.boards[r].thrusting for r in chosen), f"boards {tuple(chosen)} neutral", within_s)
         time.sleep(0.6)
         self.wait(lambda: all(not self.boards[r].thrusting for r in chosen), f"boards {tuple(chosen)} neutral", within_s)
-        found = [self.boards[r].neutral_since(ns) for r in chosen]
-        return (max(at for at in found if at is not None) - ns) * 1e-9
+        instants_ns = [self.boards[r].neutral_since(ns) for r in chosen]
+        return (max(at for at in instants_ns if at is not None) - ns) * 1e-9
 
     def mode_s(self, robot: int, modes: set[Mode], ns: int, within_s: float = 15.0) -> float:
         """Seconds from `ns` until a robot says that it is in one of the modes."""

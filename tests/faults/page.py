@@ -122,23 +122,23 @@ still go wrong is in [safety.md](../safety.md). Robots that are held fast, with 
 def write_page(path: Path, rows: Sequence[FaultRow]) -> None:
     """The page, from all results that there are."""
     kept = json.loads(RESULTS.read_text(encoding="utf-8")) if RESULTS.exists() else {}
-    found = {key: RowOutcome.from_json(table) for key, table in kept.items()}
+    outcomes = {key: RowOutcome.from_json(table) for key, table in kept.items()}
     lines = [HEAD.format(example=rows[0].key)]
     lines += ["| Row | Fault | How | Measured | N | median | worst | limit | |", "|---|---|---|---|---|---|---|---|---|"]
     for row in rows:
-        if row.key not in found:
+        if row.key not in outcomes:
             lines.append(f"| `{row.key}` | {row.fault} | {row.how} | {NOT_MEASURED} | | | | | |")
             continue
-        result = found[row.key]
+        result = outcomes[row.key]
         fault = f"`{row.key}` | {row.fault} | {row.how}"  # once: its other lines leave these cells empty
         for name, figure in result.figures.items():
             mark = _mark(figure.kept) if figure.times else NOT_MEASURED
             lines.append(f"| {fault} | {name} | {' | '.join(figure.shown)} | {mark} |")
             fault = "| |"
         lines += [f"| `{row.key}` | | | stuck {len(result.stuck)} times | | | | | {_mark(False)} |"] if result.stuck else []
-    wrong, not_finite = (sum(getattr(r, name) for r in found.values()) for name in ("wrong", "not_finite"))
-    machines = sorted({result.machine for result in found.values()})
-    seeds = sorted({result.seed for result in found.values()})
+    wrong, not_finite = (sum(getattr(r, name) for r in outcomes.values()) for name in ("wrong", "not_finite"))
+    machines = sorted({result.machine for result in outcomes.values()})
+    seeds = sorted({result.seed for result in outcomes.values()})
     lines += [
         "",
         f"Commands that a board took though its computer had not sent them, or not in this order, or not as often, over the "

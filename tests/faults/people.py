@@ -119,12 +119,12 @@ class PersonsRequest:
 
     def __str__(self) -> str:
         robot = f" for robot {self.command.robot}" if self.command.robot else ""
-        asked = f"{self.step.at_s:5.1f} s  {self.step.who}: {self.command.order.name}{robot}"
+        text = f"{self.step.at_s:5.1f} s  {self.step.who}: {self.command.order.name}{robot}"
         if self.answer is None:
-            return f"{asked}: no answer"
+            return f"{text}: no answer"
         if self.outcome is None:
-            return f"{asked}: {'taken' if self.answer.accepted else f'refused: {self.answer.reason}'}"
-        return f"{asked}: {self.outcome.progress.name} {in_words(self.outcome)}"
+            return f"{text}: {'taken' if self.answer.accepted else f'refused: {self.answer.reason}'}"
+        return f"{text}: {self.outcome.progress.name} {in_words(self.outcome)}"
 
     @property
     def over(self) -> bool:
@@ -236,7 +236,7 @@ class Crowd:
     people: dict[str, Person]
     bus: Bus  # of whoever looks up outcomes
     mission: Callable[[], str]  # its state, as the page shows it
-    asked: list[PersonsRequest] = field(default_factory=list)
+    requests: list[PersonsRequest] = field(default_factory=list)
     trouble: list[str] = field(default_factory=list)
     _over: threading.Event = field(default_factory=threading.Event)
     _threads: list[threading.Thread] = field(default_factory=list)
@@ -267,10 +267,10 @@ class Crowd:
     def ask(self, person: Person, step: ScriptLine) -> PersonsRequest:
         """Make one request."""
         command = step.command or self._shown(step.shown)
-        asked = PersonsRequest(step, command, time.monotonic_ns())
-        self.asked.append(asked)
-        asked.answer = person.ask(command)
-        return asked
+        request = PersonsRequest(step, command, time.monotonic_ns())
+        self.requests.append(request)
+        request.answer = person.ask(command)
+        return request
 
     def _shown(self, k: int) -> Command:
         """The k-th request of the whole fleet that is possible now."""
@@ -285,14 +285,14 @@ class Crowd:
 
     def look_up(self) -> None:
         """Ask for the outcome of every request that is under way."""
-        for asked in list(self.asked):
-            if asked.over or asked.answer is None:
+        for request in list(self.requests):
+            if request.over or request.answer is None:
                 continue
-            reply = self.bus.command(Command(Order.NONE, 0, about=asked.answer.number), time.time_ns(), 5.0, to=0)
+            reply = self.bus.command(Command(Order.NONE, 0, about=request.answer.number), time.time_ns(), 5.0, to=0)
             if reply.outcome is not None:
-                asked.outcome, asked.over_ns = reply.outcome, time.monotonic_ns()
+                request.outcome, request.over_ns = reply.outcome, time.monotonic_ns()
             elif not reply.silent:
-                self.trouble.append(f"{asked}: {reply.reason}")
+                self.trouble.append(f"{request}: {reply.reason}")
 
     def finish(self) -> None:
         """Wait until all have done their part."""

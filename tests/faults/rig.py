@@ -252,11 +252,11 @@ class Rig(Onlooker):
         """Overrides that boards behind wires took though their computers had not sent them, or not in this order, or not as
         often."""
         for robot, wire in self.wires.items():
-            taken, said = self.boards[robot].taken, wire.said
+            taken, given = self.boards[robot].taken, wire.overrides
             at, sent = self._checked[robot]
             while at < len(taken):
                 ns, pulses = taken[at]
-                match = next((i for i in range(sent, len(said)) if said[i][1] == pulses and said[i][0] <= ns), None)
+                match = next((i for i in range(sent, len(given)) if given[i][1] == pulses and given[i][0] <= ns), None)
                 self._wrong += match is None
                 at, sent = at + 1, sent if match is None else match + 1
             self._checked[robot] = at, sent

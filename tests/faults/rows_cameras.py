@@ -36,21 +36,21 @@ class FaultyFlight:
         hub = MemoryHub()
         experiment = load_experiment(scene, settings, [f"{times} {what}"])
         with Bus(MemoryTransport(hub)) as bus, tempfile.TemporaryDirectory() as out:
-            said = {topic: bus.collect(topic) for topic in SAID}
+            recordings = {topic: bus.collect(topic) for topic in SAID}
             folder = Path(out)
             (folder / "experiment.toml").write_text(dump_experiment(experiment), encoding="utf-8")
             Executor(experiment, folder, hub).fly()
-            self._said = {topic: collected() for topic, collected in said.items()}
-        told = {event.message: at_ns for at_ns, _, event in self.said(topics.EVENT, Event)}
-        self.begin_ns = told[f"fault: {what}"]
-        self.end_ns = told.get(f"fault over: {what}", max(told.values()))
+            self._recordings = {topic: collected() for topic, collected in recordings.items()}
+        instants_ns = {event.message: at_ns for at_ns, _, event in self.said(topics.EVENT, Event)}
+        self.begin_ns = instants_ns[f"fault: {what}"]
+        self.end_ns = instants_ns.get(f"fault over: {what}", max(instants_ns.values()))
 
     def said(self, topic: Topic, kind: type[M]) -> list[tuple[int, int, M]]:
         """All messages of a topic: instant, robot (0: of none), message."""
         robot = topic.name.split("/").index("{robot}") - len(topic.name.split("/")) if "{robot}" in topic.name else 0
         return [
             (header.stamp_ns, int(key.split("/")[robot]) if robot else 0, decode(kind, data, "flight", key))
-            for _, key, header, data in self._said[topic]
+            for _, key, header, data in self._recordings[topic]
         ]
 
     def left(self) -> float:

@@ -33,15 +33,15 @@ def _station_lost(rig: Rig, ns: int) -> dict[str, float]:
 
 
 def station_alone_killed(rig: Rig, random: Random) -> Sample:
-    found = _station_lost(rig, rig.signal("groundstation", signal.SIGKILL))
+    times_s = _station_lost(rig, rig.signal("groundstation", signal.SIGKILL))
     rig.restart("groundstation")
-    return {**found, RESUMED: resumed(rig, rig.robots, 2.0)}
+    return {**times_s, RESUMED: resumed(rig, rig.robots, 2.0)}
 
 
 def station_alone_hung(rig: Rig, random: Random) -> Sample:
-    found = _station_lost(rig, rig.signal("groundstation", signal.SIGSTOP))
+    times_s = _station_lost(rig, rig.signal("groundstation", signal.SIGSTOP))
     rig.signal("groundstation", signal.SIGCONT)
-    return {**found, RESUMED: resumed(rig, rig.robots, 2.0)}
+    return {**times_s, RESUMED: resumed(rig, rig.robots, 2.0)}
 
 
 def partition(rig: Rig, random: Random) -> Sample:
@@ -52,13 +52,14 @@ def partition(rig: Rig, random: Random) -> Sample:
     ns = time.monotonic_ns()
     rig.net.up, rig.net.down = way == "down", way == "up"
     neutral_s = rig.neutral_s(ns, [one], within_s=6.0)
-    found = {"neutral": neutral_s} if way != "up" else {"neutral, still hearing": neutral_s}
+    times_s = {"neutral": neutral_s} if way != "up" else {"neutral, still hearing": neutral_s}
     if way != "down":
         rig.wait(lambda: any(one not in h.state.heard for h in rig.since(other, ns)), "plan expired")
-        found["neighbour's plan expired"] = (next(h.ns for h in rig.since(other, ns) if one not in h.state.heard) - ns) * 1e-9
+        expiry_ns = next(h.ns for h in rig.since(other, ns) if one not in h.state.heard)
+        times_s["neighbour's plan expired"] = (expiry_ns - ns) * 1e-9
     time.sleep(max(seconds - (time.monotonic_ns() - ns) * 1e-9, 0.0))
     rig.net.up = rig.net.down = True
-    return {**found, RESUMED: resumed(rig, (one,), 2.0)}
+    return {**times_s, RESUMED: resumed(rig, (one,), 2.0)}
 
 
 def partition_short(rig: Rig, random: Random) -> Sample:
@@ -82,9 +83,9 @@ def emergency_stop(rig: Rig, random: Random) -> Sample:
 def emergency_stop_lossy(rig: Rig, random: Random) -> Sample:
     rig.break_(*(f"link {robot} noisy 0.3" for robot in rig.robots))
     time.sleep(0.3)
-    found = emergency_stop(rig, random)
+    times_s = emergency_stop(rig, random)
     rig.break_()
-    return found
+    return times_s
 
 
 def start_late(rig: Rig, random: Random) -> Sample:
@@ -107,8 +108,8 @@ def start_late(rig: Rig, random: Random) -> Sample:
     return {"timetables apart": max(abs(ahead_s[late] - ahead_s[r]) for r in others)}
 
 
-def _flies(heard: Heard) -> bool:
-    return _tracks(heard) and heard.state.trajectory_s > 0.0
+def _flies(report: Heard) -> bool:
+    return _tracks(report) and report.state.trajectory_s > 0.0
 
 
 def switch_partial(rig: Rig, random: Random) -> Sample:
@@ -150,5 +151,5 @@ def _off_shape_m(rig: Rig, one: int, other: int, ns: int) -> float:
     return max(abs(m - apart_m[0]) for m in apart_m)
 
 
-def _tracks(heard: Heard) -> bool:
-    return heard.state.mode is Mode.TRACKING
+def _tracks(report: Heard) -> bool:
+    return report.state.mode is Mode.TRACKING

@@ -64,9 +64,9 @@ def depth_wrong(rig: Rig, random: Random) -> Sample:
     if how == "stuck":
         rig.break_()
         return {"true depth off, stuck": off_m}
-    found = {"true depth off": off_m, "fault": rig.mode_s(robot, OFF, ns, 1.0), "neutral": rig.neutral_s(ns, [robot])}
+    figures = {"true depth off": off_m, "fault": rig.mode_s(robot, OFF, ns, 1.0), "neutral": rig.neutral_s(ns, [robot])}
     rig.break_()
-    return {**found, RESUMED: resumed(rig, (robot,), 1.0)}
+    return {**figures, RESUMED: resumed(rig, (robot,), 1.0)}
 
 
 def solver_stuck(rig: Rig, random: Random) -> Sample:
@@ -81,10 +81,10 @@ def solver_stuck(rig: Rig, random: Random) -> Sample:
 def solver_slow(rig: Rig, random: Random) -> Sample:
     robot = int(random.choice(rig.robots))
     ns = rig.signal(f"agent-{robot}", signal.SIGUSR2)
-    found = {"neutral": rig.neutral_s(ns, [robot]), "alert": rig.alert_s(ns)}
+    times_s = {"neutral": rig.neutral_s(ns, [robot]), "alert": rig.alert_s(ns)}
     rig.signal(f"agent-{robot}", signal.SIGKILL)
     rig.restart(f"agent-{robot}")
-    return found
+    return times_s
 
 
 def solver_unsolved(rig: Rig, random: Random) -> Sample:
@@ -133,11 +133,11 @@ def board_disobeys(rig: Rig, random: Random) -> Sample:
     neutral_s, alert_s = rig.neutral_s(ns, [robot]), rig.alert_s(ns)
     rig.break_()
     board = rig.boards[robot]
-    found = {
+    figures = {
         name: board.told_s(lambda pulses: abs(pulses[0] - pulses[1]) > SAME_US, ns, ns + round(seconds * 1e9))
         for name, seconds in (("neutral", neutral_s), ("alert", alert_s))
     }
-    return {**found, RESUMED: resumed(rig, (robot,), 1.0)}
+    return {**figures, RESUMED: resumed(rig, (robot,), 1.0)}
 
 
 def thruster_broken(rig: Rig, random: Random) -> Sample:
@@ -154,22 +154,22 @@ def thruster_broken(rig: Rig, random: Random) -> Sample:
         if state.mode in POWERED:
             off_m = max(off_m, float(np.hypot(*(state.eta - rig.truth.eta[i])[:2])))
             astray_m = max(astray_m, float(np.hypot(*(state.eta_reference - rig.truth.eta[i])[:2])))
-    found = {"estimate off the truth": off_m, "off its path": astray_m}
+    figures = {"estimate off the truth": off_m, "off its path": astray_m}
     if rig.mode(robot) not in POWERED:
         flagged_s = rig.alert_s(ns, "fault (")  # what the station says of it; others may warn of other things
-        found["neutral after the flag"] = rig.neutral_s(ns, [robot]) - flagged_s
+        figures["neutral after the flag"] = rig.neutral_s(ns, [robot]) - flagged_s
         if how in FELT:
             lost, force_n = 1.0 - THRUST_LEFT[how], rig.experiment.vehicle.thruster.force_n
-            found["flagged"] = rig.boards[robot].told_s(
+            figures["flagged"] = rig.boards[robot].told_s(
                 lambda pulses: lost * abs(float(force_n(np.array(pulses[number - 1], dtype=float)))) > LACKING_N,
                 ns,
                 ns + round(flagged_s * 1e9),
             )
     elif how in FELT:
-        found["flagged"] = NEVER_S
+        figures["flagged"] = NEVER_S
     rig.break_()
     rig.land()  # what was not flagged is a habit by now
-    return found
+    return figures
 
 
 def battery_empty(rig: Rig, random: Random) -> Sample:

@@ -19,36 +19,36 @@ def _without_poses(rig: Rig, random: Random, ns: int) -> dict[str, float]:
 
 
 def localizer_killed(rig: Rig, random: Random) -> Sample:
-    found = _without_poses(rig, random, rig.signal("localizer", signal.SIGKILL))
+    times_s = _without_poses(rig, random, rig.signal("localizer", signal.SIGKILL))
     rig.restart("localizer")
-    return found
+    return times_s
 
 
 def localizer_hung(rig: Rig, random: Random) -> Sample:
-    found = _without_poses(rig, random, rig.signal("localizer", signal.SIGSTOP))
+    times_s = _without_poses(rig, random, rig.signal("localizer", signal.SIGSTOP))
     rig.signal("localizer", signal.SIGCONT)
-    return {**found, RESUMED: resumed(rig, rig.robots, 1.0)}
+    return {**times_s, RESUMED: resumed(rig, rig.robots, 1.0)}
 
 
 def camera_frozen(rig: Rig, random: Random) -> Sample:
     ns = rig.break_("camera frozen")
     hold_s = max(rig.mode_s(r, HELD, ns) for r in rig.robots)
-    found = {"hold": hold_s, "neutral": rig.neutral_s(ns), "alert": rig.alert_s(ns, "camera frozen")}
+    times_s = {"hold": hold_s, "neutral": rig.neutral_s(ns), "alert": rig.alert_s(ns, "camera frozen")}
     rig.break_()
-    return {**found, RESUMED: resumed(rig, rig.robots, 1.0)}
+    return {**times_s, RESUMED: resumed(rig, rig.robots, 1.0)}
 
 
 def _upset(rig: Rig, fault: str, blind: bool) -> Sample:
     """The whole picture changes at once; then it is as it was."""
     ns = rig.break_(fault)
-    found = {"hold": max(rig.mode_s(r, HELD, ns) for r in rig.robots)}
+    times_s = {"hold": max(rig.mode_s(r, HELD, ns) for r in rig.robots)}
     if blind:
         rig.wait(lambda: all(_blind_ns(rig, r, ns) for r in rig.robots), "all say that they are blind")
-        found["blind told"] = max(_blind_ns(rig, r, ns) - ns for r in rig.robots) * 1e-9
+        times_s["blind told"] = max(_blind_ns(rig, r, ns) - ns for r in rig.robots) * 1e-9
     time.sleep(LEARNS_S)
     rig.break_()
-    moves = sum(h.state.mode is Mode.TRACKING for r in rig.robots for h in rig.since(r, ns + round(found["hold"] * 1e9)))
-    return {**found, TRACKS: float(moves)}
+    moves = sum(h.state.mode is Mode.TRACKING for r in rig.robots for h in rig.since(r, ns + round(times_s["hold"] * 1e9)))
+    return {**times_s, TRACKS: float(moves)}
 
 
 def _blind_ns(rig: Rig, robot: int, ns: int) -> int:
@@ -69,6 +69,6 @@ def marker_gone(rig: Rig, random: Random) -> Sample:
     """The plate comes off altogether, and is put back."""
     robot = int(random.choice(rig.robots))
     ns = rig.break_(f"marker {robot} lost")
-    found = {"hold": rig.mode_s(robot, HELD, ns), "neutral": rig.neutral_s(ns, [robot])}
+    times_s = {"hold": rig.mode_s(robot, HELD, ns), "neutral": rig.neutral_s(ns, [robot])}
     rig.break_()
-    return {**found, RESUMED: resumed(rig, (robot,), 1.0)}
+    return {**times_s, RESUMED: resumed(rig, (robot,), 1.0)}

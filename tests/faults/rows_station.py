@@ -45,12 +45,12 @@ def page_frozen(rig: Rig, random: Random, for_s: float = 60.0) -> Sample:
     for page in pages:
         page.process.send_signal(signal.SIGSTOP)
     time.sleep(for_s)
-    found = {GAP: _gap_s(rig, ns), LEFT: left(rig, ns)}
+    figures = {GAP: _gap_s(rig, ns), LEFT: left(rig, ns)}
     for page in pages:
         page.process.kill()
         page.process.wait()
         rig.children.all.remove(page)
-    return found
+    return figures
 
 
 def page_events(rig: Rig, random: Random) -> Sample:
@@ -66,9 +66,9 @@ def page_events(rig: Rig, random: Random) -> Sample:
     with connect(f"ws://{address}/live", origin=Origin(f"http://{address}"), max_size=None) as live:
         live.send(json.dumps({"kind": "hello"}))
         live.recv(NEVER_S)
-    found = {"page opens": (time.monotonic_ns() - begin_ns) * 1e-9}
+    figures = {"page opens": (time.monotonic_ns() - begin_ns) * 1e-9}
     time.sleep(2.0)
-    return {**found, GAP: _gap_s(rig, ns), LEFT: left(rig, ns)}
+    return {**figures, GAP: _gap_s(rig, ns), LEFT: left(rig, ns)}
 
 
 def _looks(rig: Rig, pages: list[Child]) -> None:
@@ -119,21 +119,21 @@ def disk_full(rig: Rig, random: Random) -> Sample:
                     os.posix_fallocate(file.fileno(), at, step)
     alert_s = rig.alert_s(ns, "log stopped")
     time.sleep(1.0)
-    found = {"alert": alert_s, GAP: _gap_s(rig, ns), LEFT: left(rig, ns)}
+    figures = {"alert": alert_s, GAP: _gap_s(rig, ns), LEFT: left(rig, ns)}
     filler.unlink()
-    found |= _read_back(_log(rig), now_unix_ns)
+    figures |= _read_back(_log(rig), now_unix_ns)
     rig.signal("groundstation", signal.SIGKILL)
     _another_station(rig)
-    return found
+    return figures
 
 
 def log_killed(rig: Rig, random: Random) -> Sample:
     now_unix_ns = time.time_ns()
     rig.signal("groundstation", signal.SIGKILL)
     rig.process("groundstation").process.wait()
-    found = _read_back(_log(rig), now_unix_ns)
+    figures = _read_back(_log(rig), now_unix_ns)
     _another_station(rig)
-    return found
+    return figures
 
 
 def _another_station(rig: Rig) -> None:
@@ -171,17 +171,17 @@ def thread_dead(rig: Rig, random: Random) -> Sample:
     name = str(random.choice(["recorder", "camera", "previews", "gatherer"]))
     if name in ("recorder", "gatherer"):
         ns = rig.signal("groundstation", END_THREAD[name])
-        found = {"told that the log has stopped": rig.alert_s(ns, "log stopped"), LEFT: left(rig, ns)}
+        times_s = {"told that the log has stopped": rig.alert_s(ns, "log stopped"), LEFT: left(rig, ns)}
         rig.signal("groundstation", signal.SIGKILL)
         _another_station(rig)
-        return found
+        return times_s
     process = "sim-bridge" if name == "camera" else "localizer"
     ns = rig.break_("thread camera") if name == "camera" else rig.signal(process, END_THREAD[name])
     child = rig.process(process)
     rig.wait(lambda: child.exit_code is not None, f"{process} ended")
-    found = {"process ended": (time.monotonic_ns() - ns) * 1e-9}
-    said = child.exit_code == 1 and f"thread {name} ended" in child.log.read_text()
+    times_s = {"process ended": (time.monotonic_ns() - ns) * 1e-9}
+    is_explained = child.exit_code == 1 and f"thread {name} ended" in child.log.read_text()
     if name != "camera":
-        found["neutral"] = rig.neutral_s(ns)
+        times_s["neutral"] = rig.neutral_s(ns)
     rig.restart(process)
-    return {**found, "ended without a reason": float(not said)}
+    return {**times_s, "ended without a reason": float(not is_explained)}

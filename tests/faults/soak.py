@@ -170,7 +170,7 @@ def real_time(hours: float, seed: int, watch: Watch, say: Callable[[str], None])
 
 def _latency_ms(rig: Rig) -> float:
     """Median from exposure to pulses, of the last 200 states of every robot that tracked."""
-    recent = [heard.state for states in rig.states.values() for heard in list(states)[-200:]]
+    recent = [report.state for states in rig.states.values() for report in list(states)[-200:]]
     return float(np.median([s.exposure_to_pwm_ms for s in recent if s.mode is Mode.TRACKING]))
 
 
@@ -200,10 +200,10 @@ def simulated(
         command = [*arguments, name, "--seed", str(int(random.integers(1 << 30))), "--duration", str(duration_s)]
         for line in lines:
             command += ["--fault", line]
-        found = _flight(command, watch, SAMPLE_S if hours > 0.1 else 0.5)
+        troubles = _flight(command, watch, SAMPLE_S if hours > 0.1 else 0.5)
         flown_s[way] += duration_s
-        say(f"{way:8s} {name}: {duration_s} s, {len(lines)} faults: {'; '.join(found) or 'well'}")
-        trouble += [f"sim-bridge {shlex.join(command)}: {text}" for text in found]
+        say(f"{way:8s} {name}: {duration_s} s, {len(lines)} faults: {'; '.join(troubles) or 'well'}")
+        trouble += [f"sim-bridge {shlex.join(command)}: {text}" for text in troubles]
     say("flown: " + ", ".join(f"{seconds / 3600.0:.2f} h {way}" for way, seconds in flown_s.items()))
     return trouble
 
@@ -226,17 +226,17 @@ def _can_be_flown(name: str, way: str) -> bool:
 
 def _flight(command: list[str], watch: Watch, every_s: float) -> list[str]:
     """The failures of a flight. A run with broken thrusters may miss its limits."""
-    with tempfile.TemporaryDirectory(prefix="shoal-soak-") as out, (Path(out) / "said.txt").open("w") as said:
+    with tempfile.TemporaryDirectory(prefix="shoal-soak-") as out, (Path(out) / "said.txt").open("w") as output:
         whole = [sys.executable, "-m", "sim_bridge", *command, "--out", out]
-        run = subprocess.Popen(whole, stdout=said, stderr=subprocess.STDOUT)
+        run = subprocess.Popen(whole, stdout=output, stderr=subprocess.STDOUT)
         while run.poll() is None:
             watch.look(_children(run.pid))
             time.sleep(every_s)
         logs = list(Path(out).glob("*/run.mcap"))
         texts = [Path(out) / "said.txt", *Path(out).glob("*/logs/*.log")]
-        found = [f"exit code {run.returncode}"] if run.returncode not in (0, 1) else []
-        found += [f"{text.name}: a traceback" for text in texts if "Traceback" in text.read_text(encoding="utf-8")]
-        return found + (_unreadable(logs[0]) if logs else ["no log"])
+        troubles = [f"exit code {run.returncode}"] if run.returncode not in (0, 1) else []
+        troubles += [f"{text.name}: a traceback" for text in texts if "Traceback" in text.read_text(encoding="utf-8")]
+        return troubles + (_unreadable(logs[0]) if logs else ["no log"])
 
 
 def _children(pid: int) -> dict[str, int]:

@@ -65,8 +65,8 @@ def mavlink(data: bytes) -> None:
     for k in range(0, len(data), size):
         board.receive(data[k : k + size], k * PERIOD_NS)
         agent.receive(data[k : k + size], k * PERIOD_NS)
-    told = agent.telemetry
-    assert all(map(math.isfinite, (told.heading_rad, told.yaw_rate_radps, told.depth_m, told.battery_v)))
+    telemetry = agent.telemetry
+    assert all(map(math.isfinite, (telemetry.heading_rad, telemetry.yaw_rate_radps, telemetry.depth_m, telemetry.battery_v)))
 
 
 @cache

@@ -129,11 +129,11 @@ def happen(lab: CrowdedLab, steps: list[ScriptLine], begin_s: float, random: np.
             radio.up = mends
 
 
-def untrue(lab: CrowdedLab, asked: PersonsRequest) -> str:
+def untrue(lab: CrowdedLab, request: PersonsRequest) -> str:
     """Evidence of the pool against a request that is done; empty if there is none."""
-    outcome, command = asked.outcome, asked.command
+    outcome, command = request.outcome, request.command
     assert outcome is not None
-    since_ns, over_ns = asked.asked_ns, asked.over_ns
+    since_ns, over_ns = request.asked_ns, request.over_ns
     if command.order in (Order.STOP, Order.DISARM, Order.END, Order.CLEAR_STOP, Order.RETURN):
         running = [r for r in outcome.confirmed if not lab.was_neutral(r, since_ns, over_ns)]
         return f"robots {running} thrust all the time" if running else ""
@@ -149,22 +149,22 @@ def untrue(lab: CrowdedLab, asked: PersonsRequest) -> str:
 def judge_requests(lab: CrowdedLab, people: Crowd) -> list[str]:
     """Each request has an answer and an end; what is done was done by the robots; a STOP stops all that thrusts."""
     wrong = list(people.trouble)
-    for asked in people.asked:
-        if not asked.over:
-            wrong.append(f"{asked}: {'under way at the end' if asked.answer else ''}")
+    for request in people.requests:
+        if not request.over:
+            wrong.append(f"{request}: {'under way at the end' if request.answer else ''}")
             continue
-        outcome = asked.outcome
-        if outcome is not None and outcome.progress is Progress.DONE and (why := untrue(lab, asked)):
-            wrong.append(f"{asked}: is DONE, but {why}")
+        outcome = request.outcome
+        if outcome is not None and outcome.progress is Progress.DONE and (why := untrue(lab, request)):
+            wrong.append(f"{request}: is DONE, but {why}")
         if outcome is not None and outcome.progress is Progress.FAILED and not outcome.reason:
-            wrong.append(f"{asked}: failed without a reason")
-        if asked.answer is not None and not asked.answer.accepted and not asked.answer.reason:
-            wrong.append(f"{asked}: refused without a reason")
-        if asked.command.order is Order.STOP:
-            until_ns = asked.asked_ns + round(REST_WITHIN_S * 1e9)
-            wrong += [f"{asked}: robot {r}" for r in lab.robots if not lab.was_neutral(r, asked.asked_ns, until_ns)]
-            if asked.answer is not None and not asked.answer.accepted:
-                wrong.append(f"{asked}: refused: {asked.answer.reason}")
+            wrong.append(f"{request}: failed without a reason")
+        if request.answer is not None and not request.answer.accepted and not request.answer.reason:
+            wrong.append(f"{request}: refused without a reason")
+        if request.command.order is Order.STOP:
+            until_ns = request.asked_ns + round(REST_WITHIN_S * 1e9)
+            wrong += [f"{request}: robot {r}" for r in lab.robots if not lab.was_neutral(r, request.asked_ns, until_ns)]
+            if request.answer is not None and not request.answer.accepted:
+                wrong.append(f"{request}: refused: {request.answer.reason}")
     return wrong
 
 
@@ -223,7 +223,7 @@ def test_a_random_script_against_real_processes(seed: int) -> None:
         station.process.wait(ENDS_WITHIN_S)
         wrong = judge_requests(lab, people) + judge_result(lab, station.exit_code)
         wrong += [f"{log.name}: a traceback" for log in lab.folder.glob("logs/*.log") if "Traceback" in log.read_text()]
-        print(f"missions: {' '.join(lab.missions)}", *people.asked, sep="\n")
+        print(f"missions: {' '.join(lab.missions)}", *people.requests, sep="\n")
         assert not wrong, "\n".join(wrong)
 
 

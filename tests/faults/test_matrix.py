@@ -37,9 +37,9 @@ def test_the_page_is_what_the_results_say(tmp_path: Path) -> None:
 def test_a_fault_leaves_robots_safe(row: FaultRow, lab: Rig) -> None:
     random = np.random.default_rng(1)
     lab.cruise(moment(random))
-    found = row.inject(lab, random)
-    assert found
-    for name, value in found.items():
+    figures = row.inject(lab, random)
+    assert figures
+    for name, value in figures.items():
         measure = row.measures[name]
         assert value <= measure.limit + (SLACK_S if measure.unit == "s" else 0.0), name
     assert lab.wrongly_taken() == 0 and lab.not_finite == 0

@@ -8,10 +8,14 @@ import numpy as np
 import pytest
 
 from benchmarks.flights import prepared, rough_water
+from groundstation.analysis.alignment import align
+from groundstation.analysis.measures import measures
+from groundstation.analysis.metrics import evaluate
+from groundstation.logs.reader import log_in_memory
 from shoal.config.experiment import load_experiment
+from shoal.messages import topics
 from shoal.messages.messages import Event
 from sim_bridge.in_process.fleet import fly
-from sim_bridge.studies.metrics import measures
 from tests.faults.soak import Watch, random_faults
 
 pytestmark = pytest.mark.real_time
@@ -29,10 +33,12 @@ def soak(name: str, seed: int, duration_s: float) -> None:
     experiment = load_experiment(name, settings, random_faults(random, robots, duration_s))
     fleet, water = prepared(experiment)
     fleet.start()
-    said = [message.message for _, _, message, _ in fly(fleet, water) if isinstance(message, Event)]
-    assert sum(text.startswith("fault: ") for text in said) == 6
+    log = log_in_memory(fly(fleet, water), {"mode": "numeric"})
+    events = [entry.message.message for entry in log.of(topics.EVENT, Event)]
+    assert sum(text.startswith("fault: ") for text in events) == 6
     assert np.isfinite(fleet.truth).all() and np.abs(np.array(fleet.truth)[..., :3]).max() < 50.0
-    assert all(value is None or np.isfinite(value) for value in measures(fleet).values())
+    series = align(experiment, log)
+    assert all(value is None or np.isfinite(value) for value in measures(series, log, evaluate(series, log)).values())
     for robot in fleet.robots:
         for state in robot.states:
             numbers = (state.eta, state.nu, state.disturbance, state.wrench, state.wrench_delivered, state.pulse_us)

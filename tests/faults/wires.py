@@ -47,7 +47,7 @@ class SerialWire:
     board_port: int
     seed: int
     trouble: LineTrouble = field(default_factory=LineTrouble)
-    said: list[tuple[int, tuple[int, ...]]] = field(default_factory=list)  # instants, and pulses that the computer sent
+    overrides: list[tuple[int, tuple[int, ...]]] = field(default_factory=list)  # instants, and pulses that the computer sent
     number: int = 0  # of the newest frame that the computer sent
 
     def __post_init__(self) -> None:
@@ -92,7 +92,7 @@ class SerialWire:
         trouble, random, now_ns = self.trouble, self._random, time.monotonic_ns()
         if to_board:
             events = self._reader.receive(data, now_ns)
-            self.said += [(now_ns, event.pulses_us) for _, event in events if isinstance(event, Override)]
+            self.overrides += [(now_ns, event.pulses_us) for _, event in events if isinstance(event, Override)]
             if len(data) > NUMBER_AT and data[0] == MARKER:
                 self.number = data[NUMBER_AT]
         if trouble.cut:

@@ -61,8 +61,8 @@ class Line:
         except OSError:
             return None
         *lines, self._rest = self._rest.split(b"\n")
-        found: list[str] | None = json.loads(lines[-1]) if lines else None
-        return found
+        faults: list[str] | None = json.loads(lines[-1]) if lines else None
+        return faults
 
 
 def watched_board(line: Line) -> type[ThrusterBoard]:
@@ -108,33 +108,33 @@ def watched_world(line: Line) -> type[World]:
         def __init__(self, experiment: Experiment, seed: int, starts: Array, make: BoardFactory, held: bool) -> None:
             super().__init__(experiment, seed, starts, make, held)
             self._experiment = experiment
-            self._said: list[tuple[bool, bool] | None] = [None] * len(starts)
+            self._states: list[tuple[bool, bool] | None] = [None] * len(starts)
 
         def apply_faults(self) -> list[str]:
-            asked = line.asked()
-            if asked is None:
+            requests = line.asked()
+            if requests is None:
                 return []
             for robot, board in zip(self._experiment.robot_ids, self.boards, strict=True):
-                vars(board)["crossed"] = f"board {robot} crossed" in asked
-                depths = [what.split()[2:] for what in asked if what.startswith(f"depth {robot} ")]
+                vars(board)["crossed"] = f"board {robot} crossed" in requests
+                depths = [what.split()[2:] for what in requests if what.startswith(f"depth {robot} ")]
                 vars(board)["depth_wrong"] = tuple(depths[-1]) if depths else ()
-            if "thread camera" in asked:
+            if "thread camera" in requests:
                 end_thread("camera")
-            faults = tuple(Fault(at_s=0.0, what=what) for what in asked if what.split()[0] not in OWN)
+            faults = tuple(Fault(at_s=0.0, what=what) for what in requests if what.split()[0] not in OWN)
             sim = self._experiment.sim.model_copy(update={"faults": faults})
             self.faults = FaultSchedule(self._experiment.model_copy(update={"sim": sim}))
-            said = self.faults.at(0.0)
+            flags = self.faults.at(0.0)
             for board, error in zip(self.boards, self.faults.imu_error.tolist(), strict=True):
                 board.sensors.error = (error[0], error[1])
-            line.tell(broken=asked)
-            return said
+            line.tell(broken=requests)
+            return flags
 
         def step(self, until_ns: int = 0) -> list[tuple[int, bytes]]:
             sent = super().step(until_ns)
             for i, board in enumerate(self.boards):
                 now = self.neutral(i), board.armed
-                if now != self._said[i]:
-                    self._said[i] = now
+                if now != self._states[i]:
+                    self._states[i] = now
                     line.tell(robot=self._experiment.robot_ids[i], neutral=now[0], armed=now[1])
             if not np.isfinite(self._state.eta).all():
                 line.tell(not_finite=True)

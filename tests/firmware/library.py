@@ -97,12 +97,14 @@ def load(path: Path) -> ctypes.CDLL:
 class FirmwareBoard:
     """The C board, with the calls of ThrusterBoard that tests use. Times in ns, whole microseconds."""
 
-    def __init__(self, library: ctypes.CDLL, key: Key | None = None, heard: int = 0, sent: int = 0, robot_id: int = 1) -> None:
+    def __init__(
+        self, library: ctypes.CDLL, key: Key | None = None, peer_stamp: int = 0, sent: int = 0, robot_id: int = 1
+    ) -> None:
         self._library = library
         self._board = ctypes.create_string_buffer(library.library_board_bytes())
         self._outputs, self._state = (ctypes.c_uint16 * CHANNELS)(), (ctypes.c_uint32 * 4)()
         self._bytes = ctypes.create_string_buffer(OUTBOX_BYTES)
-        library.library_begin(self._board, robot_id, None if key is None else key.secret, heard, sent)
+        library.library_begin(self._board, robot_id, None if key is None else key.secret, peer_stamp, sent)
 
     def receive(self, data: bytes, now_ns: int) -> bool:
         """True if a frame was taken."""

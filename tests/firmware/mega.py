@@ -77,7 +77,7 @@ class Mega:
 
     def pulses(self) -> list[list[Pulse]]:
         """The pulses of each channel that have ended since the last call."""
-        found: list[list[Pulse]] = [[] for _ in range(8)]
+        pulses: list[list[Pulse]] = [[] for _ in range(8)]
         count = self._library.simulation_take_edges(self._simulation, self._edges)
         for edge in self._edges[:count]:
             at_us = edge.cycle / CYCLES_PER_US
@@ -85,8 +85,8 @@ class Mega:
                 self._risen[edge.channel] = at_us
             elif edge.channel in self._risen:
                 begin_us = self._risen.pop(edge.channel)
-                found[edge.channel].append(Pulse(begin_us, at_us - begin_us))
-        return found
+                pulses[edge.channel].append(Pulse(begin_us, at_us - begin_us))
+        return pulses
 
     def loop_cycles(self) -> tuple[int, int]:
         """Cycles of the worst loop, and of all together, since the last call; without what the processor slept."""

@@ -58,10 +58,10 @@ def plugged_mega(port: str, folder: Path, robot: int = 1) -> Iterator["Popen[str
 
 if __name__ == "__main__":
     _, elf, port = sys.argv
-    told = Stop()
+    end = Stop()
     wire = open_socket(port, signed=True)
     try:
         print(f"an Arduino in simavr runs at {port}", file=sys.stderr, flush=True)
-        run(Mega(elf=Path(elf)), wire, told)
+        run(Mega(elf=Path(elf)), wire, end)
     finally:
         wire.close()

@@ -61,14 +61,14 @@ class Speaker:
         keys = [key, OTHER if key else key, key and Key(key.secret, 3), None, OTHER, key and Key(key.secret, 4)]
         peers = [(1, 191), (1, 191), (255, 190), (1, 191), (2, 191), (1, 200)]
         self._senders = [Sender(peer, each, lambda: self._stamp) for peer, each in zip(peers, keys, strict=True)]
-        self._said: list[bytes] = [b""]
+        self._frames: list[bytes] = [b""]
 
     def frame(self) -> bytes:
         """One frame, or something like one."""
         draw = self._draw
         kind = draw.random()
         if kind < 0.05:
-            return draw.choice(self._said)  # again
+            return draw.choice(self._frames)  # again
         if kind < 0.1:
             return bytes(draw.choice([0xFD, 0, 1, 9, draw.randrange(256)]) for _ in range(draw.randrange(40)))
         message = self._message()
@@ -76,7 +76,7 @@ class Speaker:
         sender = usual if draw.random() < 0.8 else draw.choice(self._senders)
         self._stamp += draw.choice([0, 1, 1, 100, 10_000])
         data = sender.pack(message)
-        self._said.append(data)
+        self._frames.append(data)
         if kind < 0.16:
             broken = bytearray(data)
             broken[draw.randrange(len(data))] ^= 1 << draw.randrange(8)
@@ -155,8 +155,8 @@ def compare(library: ctypes.CDLL, seed: int) -> tuple[bool, bool]:
             assert board.receive(data, now_ns) is reference.receive(data, now_ns), (seed, count, data.hex())
         now_ns += 1000 * draw.choice([1, 100, 5000, 5000, 60_000, 300_000])
         sensors.draw(draw)
-        told = reference.step(now_ns, STILL, STILL, STILL)
-        assert board.step(now_ns, sensors.reading, sensors.voltage_v) == told, (seed, count)
+        answer = reference.step(now_ns, STILL, STILL, STILL)
+        assert board.step(now_ns, sensors.reading, sensors.voltage_v) == answer, (seed, count)
         assert board.pulses == reference.pulses, (seed, count)
         armed |= board.armed
         hil |= reference.armed and reference.link.hil

@@ -128,9 +128,9 @@ def test_pins_rest_in_hil_mode_while_the_echo_follows(mega: Mega) -> None:
         pilot.run(0.02, *[1560] * 4, ankle_us=1777)
     for pulses in mega.pulses():
         steady(pulses, NEUTRAL_US)
-    seen = pilot.link.telemetry
-    assert seen.hil and seen.armed and seen.echo_us == (*[1560] * 4, *[1777] * 4)
-    assert abs(seen.heading_rad - 2.0) < 1e-3 and abs(seen.depth_m - 3.0) < 0.01
+    telemetry = pilot.link.telemetry
+    assert telemetry.hil and telemetry.armed and telemetry.echo_us == (*[1560] * 4, *[1777] * 4)
+    assert abs(telemetry.heading_rad - 2.0) < 1e-3 and abs(telemetry.depth_m - 3.0) < 0.01
     assert mega.loop_cycles()[0] / CYCLES_PER_US <= STEP_US
 
 

@@ -155,7 +155,7 @@ def cuts(writes: int) -> Iterator[tuple[int, int]]:
 
 
 def test_settings_are_the_old_or_the_new_wherever_the_power_fails(library: ctypes.CDLL, keyed: bytes) -> None:
-    seen = set()
+    values = set()
     for write, value in cuts(SLOT_BYTES + 40):
         board = StoredBoard(library, keyed)
         computer = OrderSender(board, 10_000)
@@ -163,12 +163,12 @@ def test_settings_are_the_old_or_the_new_wherever_the_power_fails(library: ctype
         board.cut(write, value)
         board.go(500)
         again = StoredBoard(library, board.eeprom)
-        seen.add(again.value("SLEW_US_S"))
+        values.add(again.value("SLEW_US_S"))
         again.put(AgentLink(1).pulses(list(NEUTRAL)))  # without the key, which is never lost
         again.go()
         again.step_rules(again.now_us * 1000)
         assert again.arm(True, again.now_us * 1000) != 0, (write, value)
-    assert seen == {PARAMETERS["SLEW_US_S"], 4321.0}
+    assert values == {PARAMETERS["SLEW_US_S"], 4321.0}
 
 
 def test_a_new_board_can_be_set_wherever_the_power_failed_in_its_first_write(library: ctypes.CDLL) -> None:

@@ -64,14 +64,14 @@ MUTANTS = [  # rule, file, what it says, what it says instead
 ]
 
 
-@pytest.mark.parametrize(("rule", "file", "said", "instead"), MUTANTS, ids=[row[0] for row in MUTANTS])
-def test_a_broken_rule_is_found(tmp_path: Path, rule: str, file: str, said: str, instead: str) -> None:
+@pytest.mark.parametrize(("rule", "file", "rule_text", "instead"), MUTANTS, ids=[row[0] for row in MUTANTS])
+def test_a_broken_rule_is_found(tmp_path: Path, rule: str, file: str, rule_text: str, instead: str) -> None:
     built("build/libboard.so")
     tree = tmp_path / "firmware"
     shutil.copytree(FIRMWARE, tree, ignore=shutil.ignore_patterns("*.so", "*.elf", "corpus"))
     text = (tree / file).read_text()
-    assert text.count(said) == 1, f"{file} no longer says {said!r} once"
-    (tree / file).write_text(text.replace(said, instead))
+    assert text.count(rule_text) == 1, f"{file} no longer says {rule_text!r} once"
+    (tree / file).write_text(text.replace(rule_text, instead))
     sources = [*(tree / f"{name}.c" for name in CORE), tree / "posix" / "library.c"]
     library = tmp_path / "mutant.so"
     include = ["-isystem", str(tree / "build"), f"-I{tree / 'build'}"]

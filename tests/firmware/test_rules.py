@@ -91,8 +91,8 @@ def is_near_an_edge(machine: BoardStateMachine) -> bool:
 
 
 def seen(machine: BoardStateMachine) -> tuple[object, ...]:
-    texts = [(said.severity, said.text) for said in machine.said]
-    machine.said.clear()
+    texts = [(text.severity, text.text) for text in machine.texts]
+    machine.texts.clear()
     return machine.armed, int(machine.charge), machine.overrides_refused, machine.outputs_us, texts
 
 

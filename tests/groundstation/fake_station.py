@@ -18,7 +18,7 @@ class FakeStation:
 
     experiment: Experiment
     bus: Bus
-    told: Status = field(default_factory=lambda: Status(MissionState.WAITING, ""))
+    own_status: Status = field(default_factory=lambda: Status(MissionState.WAITING, ""))
     orders: list[Order] = field(default_factory=list)
     via: Sequence[tuple[float, float]] = ()  # of the last order
     only: int = 0  # the robot that the last order was for
@@ -26,16 +26,16 @@ class FakeStation:
     preflight: tuple[Finding, ...] | None = None  # None: as the robots are
     paths: Mapping[int, tuple[Trajectory, float]] | None = None
     clock: Clock = field(default_factory=WallClock)
-    heard: FleetInboxes = field(init=False)
+    inboxes: FleetInboxes = field(init=False)
 
     def __post_init__(self) -> None:
-        self.heard = subscribe_fleet(self.bus, self.experiment.robot_ids)
+        self.inboxes = subscribe_fleet(self.bus, self.experiment.robot_ids)
 
     def status(self) -> Status:
-        fleet: Fleet = {robot: self.heard.view(robot, LinkMonitor(), self.clock) for robot in self.heard.states}
-        fleet = {**fleet, **self.told.seen}
+        fleet: Fleet = {robot: self.inboxes.view(robot, LinkMonitor(), self.clock) for robot in self.inboxes.states}
+        fleet = {**fleet, **self.own_status.seen}
         preflight = blocking_findings(self.experiment, fleet) if self.preflight is None else self.preflight
-        return replace(self.told, seen=fleet, preflight=preflight)
+        return replace(self.own_status, seen=fleet, preflight=preflight)
 
     def request(self, order: Order, via: Sequence[tuple[float, float]] = (), only: int = 0) -> tuple[str, int]:
         self.orders.append(order)

@@ -135,10 +135,8 @@ def _step(script: Script, log: _Log, trajectories: dict[int, Any], k: int, since
     log.put(topics.LOCALIZER, LocalizerStatus(frames=k + 31, frame_ms=2.0 + 0.1 * (k % 7)), at_s)
     for robot in robots:
         true = true_eta(robot, since_s)
-        seen = true + np.array([*POSE_OFFSET_M, 0.0, 0.002])
-        log.put(
-            topics.POSE, Pose(seen[0], seen[1], wrap(seen[3]), 1e-6 * np.eye(3), Track.MARKER, True, 0.9, 0.3), at_s, robot
-        )
+        eta = true + np.array([*POSE_OFFSET_M, 0.0, 0.002])
+        log.put(topics.POSE, Pose(eta[0], eta[1], wrap(eta[3]), 1e-6 * np.eye(3), Track.MARKER, True, 0.9, 0.3), at_s, robot)
         if not _within(script.still, robot, since_s):
             state = _state(script, robot, k, since_s, true, trajectories[robot])
             log.put(topics.STATE, state, at_s, robot, lost=_within(script.lost, robot, since_s))

@@ -33,27 +33,27 @@ def test_only_missing_sequence_numbers_count_as_lost(lost: tuple[int, ...], shar
 @pytest.mark.parametrize(("limit", "key", "age_s"), [("pose_hold_s", "pose", 0.4), ("plan_max_age_s", "plan", 0.7)])
 def test_message_ages_are_judged_by_the_experiments_limits(limit: str, key: str, age_s: float) -> None:
     """At a lower rate an experiment allows more; the station must not bar what the robots would fly with."""
-    seen = RobotView(
+    view = RobotView(
         RobotState(mode=Mode.HOLDING, battery_v=16.0), 0.02, Pose(0.0, 0.0, 0.0, np.eye(3), Track.MARKER, True, 1.0, 0.0),
         age_s, age_s,
     )  # fmt: skip
-    for limit_s, found in ((age_s - 0.1, True), (age_s + 0.1, False)):
+    for limit_s, is_alarm in ((age_s - 0.1, True), (age_s + 0.1, False)):
         experiment = load_experiment("pool", [f"safety.{limit}={limit_s}", "safety.pose_neutral_s=0.9"])
-        assert (key in [finding.key for finding in findings(experiment, 1, seen)]) is found
+        assert (key in [finding.key for finding in findings(experiment, 1, view)]) is is_alarm
 
 
 def test_an_unheard_battery_is_not_reported_empty() -> None:
     experiment = load_experiment("pool")
-    found = {f.key: f for f in findings(experiment, 1, RobotView(RobotState(board_age_ms=20.0), 0.02))}
-    assert (found["battery"].text, found["battery"].blocks_arming) == ("battery not heard yet", True)
+    alarms_by_key = {f.key: f for f in findings(experiment, 1, RobotView(RobotState(board_age_ms=20.0), 0.02))}
+    assert (alarms_by_key["battery"].text, alarms_by_key["battery"].blocks_arming) == ("battery not heard yet", True)
     low = {f.key: f for f in findings(experiment, 1, RobotView(RobotState(board_age_ms=20.0, battery_v=9.0), 0.02))}
     assert low["battery"].text == "battery 9.0 V, needs 10.5 V"
 
 
 @pytest.mark.parametrize(("age_ms", "text"), [(2500.0, "thruster board silent for 2.5 s"), (1e6, "thruster board not heard")])
 def test_a_board_never_heard_is_reported_without_an_age(age_ms: float, text: str) -> None:
-    seen = RobotView(RobotState(board_age_ms=age_ms), 0.02, None, 0.02)
-    assert text in [finding.text for finding in findings(load_experiment("pool"), 1, seen)]
+    view = RobotView(RobotState(board_age_ms=age_ms), 0.02, None, 0.02)
+    assert text in [finding.text for finding in findings(load_experiment("pool"), 1, view)]
 
 
 def test_a_robot_that_was_never_heard_has_no_mode() -> None:
@@ -64,7 +64,7 @@ def test_a_robot_that_was_never_heard_has_no_mode() -> None:
 @pytest.mark.parametrize(("behind_s", "text"), [(0.8, "is 0.8 s behind the others"), (-0.6, "is 0.6 s ahead of the others")])
 def test_a_robot_out_of_step_raises_an_alarm_and_does_not_block_arming(behind_s: float, text: str) -> None:
     experiment = load_experiment("pool")
-    seen = RobotView(RobotState(mode=Mode.TRACKING), 0.02, None, 0.02, behind_s=behind_s)
-    (found,) = [f for f in findings(experiment, 1, seen) if f.key == "step"]
-    assert (found.level, found.blocks_arming, found.text) == ("critical", False, text)
-    assert not [f for f in findings(experiment, 1, replace(seen, behind_s=0.4)) if f.key == "step"]
+    view = RobotView(RobotState(mode=Mode.TRACKING), 0.02, None, 0.02, behind_s=behind_s)
+    (alarm,) = [f for f in findings(experiment, 1, view) if f.key == "step"]
+    assert (alarm.level, alarm.blocks_arming, alarm.text) == ("critical", False, text)
+    assert not [f for f in findings(experiment, 1, replace(view, behind_s=0.4)) if f.key == "step"]

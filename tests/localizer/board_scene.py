@@ -49,16 +49,16 @@ class CameraBench:
         random = np.random.default_rng(seed)
         width, height = self.camera.size_px
         reach_m = float(np.ptp(board_m[:, 0]))
-        found: list[tuple[Array, Array]] = []
-        while len(found) < count:
+        poses: list[tuple[Array, Array]] = []
+        while len(poses) < count:
             turn = np.asarray(cv2.Rodrigues(random.uniform(-0.6, 0.6, 3))[0], dtype=np.float64)
             distance = reach_m * self.camera.focal_px[0] / width * random.uniform(1.1, 2.6)
             aim = (random.uniform(0.0, 1.0, 2) * [width, height] - self.camera.centre_px) / self.camera.focal_px
             move = distance * np.append(aim, 1.0) - turn @ board_m.mean(axis=0)
             pixels = self.see(board_m @ turn.T + move)
             if np.all((pixels >= margin_px) & (pixels <= np.array([width, height]) - 1.0 - margin_px)):
-                found.append((turn, move))
-        return found
+                poses.append((turn, move))
+        return poses
 
     def views(self, count: int, board_m: Array, seed: int, noise_px: float) -> list[TargetView]:
         """Views of a board without the trouble of pictures."""
@@ -98,8 +98,8 @@ class CameraBench:
         sight = self._sight
         picture = np.full(sight.air.shape[:2], 90.0)
         for depth_m, colour in planes:
-            seen = colour(sight.surface_m + depth_m * (sight.water if depth_m > 0 else sight.air))
-            picture = np.where(np.isnan(seen), picture, seen)
+            colours = colour(sight.surface_m + depth_m * (sight.water if depth_m > 0 else sight.air))
+            picture = np.where(np.isnan(colours), picture, colours)
         return _expose(picture.astype(np.float32), noise)
 
 
@@ -157,8 +157,8 @@ def _fine_rays(camera: Camera) -> Rays:
 
 def _sample(texture: Pixels, across_m: Float, down_m: Float, background: float) -> Float:
     u, v = ((place * np.float32(_TEXTURE_PX_PER_M) - np.float32(0.5)) for place in (across_m, down_m))
-    found = cv2.remap(texture.astype(np.float32), u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=-1e6)
-    return np.asarray(np.where(found < 0, background, found), dtype=np.float32)
+    sample = cv2.remap(texture.astype(np.float32), u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=-1e6)
+    return np.asarray(np.where(sample < 0, background, sample), dtype=np.float32)
 
 
 def _expose(fine: Float, noise: float) -> Pixels:

@@ -44,10 +44,10 @@ def pixels_of(camera: Camera, points: Array) -> Array:
         r = r - (r + depth * r / root - reach) / (1.0 + depth * (n * height) ** 2 / root**3)
     fraction = np.divide(r, reach, out=np.ones_like(r), where=reach > 0)
     at_surface = np.column_stack([position[:2] + fraction[:, None] * offset, np.zeros(len(points))])
-    seen = np.where(points[:, 2:] > 0, at_surface, points)
+    points_seen = np.where(points[:, 2:] > 0, at_surface, points)
     turn = np.array(camera.rotation_rad)
     shift = -np.asarray(cv2.Rodrigues(turn)[0]) @ position
-    pixels = cv2.projectPoints(seen, turn, shift, _matrix(camera), np.array(camera.distortion))[0]
+    pixels = cv2.projectPoints(points_seen, turn, shift, _matrix(camera), np.array(camera.distortion))[0]
     return np.asarray(pixels, dtype=np.float64)[:, 0]
 
 
@@ -75,13 +75,13 @@ def marker_pose(camera: Camera, corners_px: Array, depth_m: float, tilt: Array, 
     flat = turned[:, :2]
     corners = pool_points(camera, corners_px, depth_m + turned[:, 2])
     centre = corners.mean(axis=0)
-    seen = corners - centre
-    yaw = np.arctan2(np.sum(flat[:, 0] * seen[:, 1] - flat[:, 1] * seen[:, 0]), np.sum(flat * seen))
+    offsets = corners - centre
+    yaw = np.arctan2(np.sum(flat[:, 0] * offsets[:, 1] - flat[:, 1] * offsets[:, 0]), np.sum(flat * offsets))
     c, s = np.cos(yaw), np.sin(yaw)
     level = flat @ np.array([[c, s], [-s, c]])
-    sized = level * np.sum(level * seen) / np.sum(level**2)
-    misfit = np.max(np.abs(seen - level)) / side_m
-    return np.append(centre, yaw), np.array([misfit, np.sqrt(np.sum((seen - sized) ** 2) / 4.0)])
+    sized = level * np.sum(level * offsets) / np.sum(level**2)
+    misfit = np.max(np.abs(offsets - level)) / side_m
+    return np.append(centre, yaw), np.array([misfit, np.sqrt(np.sum((offsets - sized) ** 2) / 4.0)])
 
 
 def kalman_predict(mean: Array, covariance: Array, step: float, acceleration: float, yaw: float) -> tuple[Array, Array]:

@@ -74,11 +74,11 @@ class Scene:
     def _plate_points(self, u: Array, v: Array, plate_m: float) -> Array:
         """Pool points (len(v), len(u), 2) under a grid of pixels: cubics through a coarse grid, true to 1e-6 m."""
         coarse = [np.linspace(axis[0], axis[-1], 7) for axis in (u, v)]
-        known = self._view.pixel_to_pool(np.stack(np.meshgrid(*coarse), axis=-1).reshape(-1, 2), plate_m)
+        places = self._view.pixel_to_pool(np.stack(np.meshgrid(*coarse), axis=-1).reshape(-1, 2), plate_m)
         unit = np.linspace(-1.0, 1.0, 7)
         across, down = np.meshgrid(unit, unit)
         base = polynomial.polyvander2d(across.ravel(), down.ravel(), [3, 3])
-        terms = np.linalg.lstsq(base, known)[0].reshape(4, 4, 2)
+        terms = np.linalg.lstsq(base, places)[0].reshape(4, 4, 2)
         fine = (np.linspace(-1.0, 1.0, len(v)), np.linspace(-1.0, 1.0, len(u)))
         return np.moveaxis(polynomial.polygrid2d(*fine, terms.swapaxes(0, 1)), 0, -1)
 

@@ -44,8 +44,8 @@ def test_refraction_follows_fermat(camera: Camera, point: tuple[float, float, fl
     place = np.array(point)
     rotation = cv2.Rodrigues(np.array(camera.rotation_rad))[0]
     matrix = np.array([[camera.focal_px[0], 0, camera.centre_px[0]], [0, camera.focal_px[1], camera.centre_px[1]], [0, 0, 1]])
-    seen = rotation @ (_crossing_by_fermat(camera, place) - np.array(camera.position_m))
-    expected = cv2.projectPoints(seen[None], np.zeros(3), np.zeros(3), matrix, np.array(camera.distortion))[0].ravel()
+    ray = rotation @ (_crossing_by_fermat(camera, place) - np.array(camera.position_m))
+    expected = cv2.projectPoints(ray[None], np.zeros(3), np.zeros(3), matrix, np.array(camera.distortion))[0].ravel()
     view = RefractiveCamera(camera)
     assert view.pool_to_pixel(place) == pytest.approx(expected, abs=2e-3)
     assert view.pixel_to_pool(expected, place[2]) == pytest.approx(place[:2], abs=1e-5)

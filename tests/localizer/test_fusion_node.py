@@ -24,6 +24,7 @@ EXPERIMENT = load_experiment("two-cameras")
 POSE = Pose(0.1, 0.0, 0.0, 1e-6 * np.eye(3), Track.MARKER, True)
 ROUND = 0.1 * np.array([[np.cos(a), np.sin(a)] for a in np.arange(12) * np.pi / 6.0])
 SEEN = Obstacles((3,), ROUND[None], np.zeros((1, 2)), unseen_s=np.zeros(1))
+NONE = Obstacles()
 ELSEWHERE = Obstacles((3,), ROUND[None] + 1.0, np.zeros((1, 2)), unseen_s=np.zeros(1))
 
 
@@ -62,12 +63,12 @@ def test_obstacles_of_a_camera_that_is_out_are_not_told_and_renew_no_list(monkey
 
     other = {"east": EXPERIMENT.hash, "west": "another"}
 
-    def told(west: Obstacles | None) -> tuple[int, tuple[int, ...], LocalizerStatus]:
+    def fuse(west: Obstacles | None) -> tuple[int, tuple[int, ...], LocalizerStatus]:
         """Fuse what both tell of a picture. The stamp that west gave, the list's numbers and the status."""
         stamp_ns = time.time_ns()
-        for camera, seen, moved in (("east", ELSEWHERE, True), ("west", west, False)):
-            if seen is not None:
-                bus.publish(topics.OBSTACLES.of_camera(camera), seen, stamp_ns)
+        for camera, message, moved in (("east", ELSEWHERE, True), ("west", west, False)):
+            if message is not None:
+                bus.publish(topics.OBSTACLES.of_camera(camera), message, stamp_ns)
             bus.publish(topics.POSE.of_camera(camera), POSE, stamp_ns, 1)
             its = "0.1.0 another" if moved else code().short
             status = LocalizerStatus(
@@ -80,22 +81,50 @@ def test_obstacles_of_a_camera_that_is_out_are_not_told_and_renew_no_list(monkey
             )
             bus.publish(topics.LOCALIZER.of_camera(camera), status, stamp_ns)
         next(steps)
-        fused, said = obstacles.newest(), statuses.newest()
-        assert fused is not None and said is not None and said.message.code == "0.1.0 another"
-        assert said.message.experiment_hash == other["west"]  # "": not told
-        assert said.message.obstacles_ns == fused.header.stamp_ns
-        return stamp_ns - fused.header.stamp_ns, fused.message.ids, said.message
+        fused, newest_status = obstacles.newest(), statuses.newest()
+        assert fused is not None and newest_status is not None and newest_status.message.code == "0.1.0 another"
+        assert newest_status.message.experiment_hash == other["west"]  # "": not told
+        assert newest_status.message.obstacles_ns == fused.header.stamp_ns
+        return stamp_ns - fused.header.stamp_ns, fused.message.ids, newest_status.message
 
-    later_ns, ids, status = told(SEEN)
+    later_ns, ids, status = fuse(SEEN)
     assert later_ns == 0 and ids == (6,) and status.out == ("east",)
     other |= {"east": "", "west": ""}  # of earlier versions
-    later_ns, ids, status = told(None)
+    later_ns, ids, status = fuse(None)
     assert later_ns > 0 and ids == (6,)
     monkeypatch.setattr(CameraFusion, "step", lambda *_: 1 // 0)
-    later_ns, ids, status = told(SEEN)
+    later_ns, ids, status = fuse(SEEN)
     assert "pictures not fused" in status.message and status.out == ("east",)
     assert later_ns == 0 and ids == (6,)
     stop.request()
+
+
+def test_obstacles_of_a_camera_from_before_it_was_out_are_told_with_their_age() -> None:
+    """East sees an obstacle. Then it is bumped and sees others; or its localizer falls silent."""
+    for bumped in (True, False):
+        hub = MemoryHub()
+        bus, stop = Bus(MemoryTransport(hub)), Stop(install=False)
+        steps = FusionNode(EXPERIMENT, Bus(MemoryTransport(hub)), stop, WallClock()).steps()
+        obstacles = bus.inbox(topics.OBSTACLES, Obstacles)
+        next(steps)
+        last_ns = 0
+        for k in range(14):  # 0.7 s
+            stamp_ns, was = time.time_ns(), k < 2
+            for camera in ("west", "east") if was or bumped else ("west",):
+                moved = camera == "east" and not was
+                seen = {"west": NONE, "east": ELSEWHERE if was else SEEN}[camera]
+                bus.publish(topics.OBSTACLES.of_camera(camera), seen, stamp_ns)
+                bus.publish(topics.POSE.of_camera(camera), POSE, stamp_ns, 1)
+                status = LocalizerStatus(CameraHealth.OK, message="moved" if moved else "", robots=(1,), moved=moved)
+                bus.publish(topics.LOCALIZER.of_camera(camera), status, stamp_ns)
+            last_ns = stamp_ns if was else last_ns
+            next(steps)
+            time.sleep(0.05)
+        fused = obstacles.newest()
+        assert fused is not None and fused.message.ids == (7,)
+        np.testing.assert_allclose(fused.message.outline[0], ELSEWHERE.outline[0])
+        assert fused.message.unseen_s == pytest.approx([(stamp_ns - last_ns) * 1e-9], abs=0.03)
+        stop.request()
 
 
 @pytest.mark.parametrize("ahead_s", [0.05, -0.2, 2.0, -20.0, 3600.0])
@@ -147,9 +176,9 @@ def test_poses_go_on_while_the_localizer_of_one_camera_is_silent_and_the_status_
     assert keeps_telling(world, ("west", "east"), lambda: out() == ())
     assert keeps_telling(world, ("west",), lambda: out() == ("east",))
     stamp_ns = tell(world, "west")
-    assert eventually(lambda: (told := poses.newest()) is not None and told.header.stamp_ns == stamp_ns)
-    found, seen = poses.newest(), obstacles.newest()
-    assert found is not None and found.message.x_m == pytest.approx(0.1) and found.header.age_ns >= 20_000_000
-    assert seen is not None and seen.message.ids == (6,)  # of camera 0 of 2
+    assert eventually(lambda: (pose := poses.newest()) is not None and pose.header.stamp_ns == stamp_ns)
+    pose, blocked = poses.newest(), obstacles.newest()
+    assert pose is not None and pose.message.x_m == pytest.approx(0.1) and pose.header.age_ns >= 20_000_000
+    assert blocked is not None and blocked.message.ids == (6,)  # of camera 0 of 2
     assert keeps_telling(world, ("west", "east"), lambda: out() == ())
     assert eventually(lambda: out() == ("west", "east"))  # both silent: said without a picture

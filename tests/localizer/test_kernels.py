@@ -63,11 +63,11 @@ def test_marker_poses(camera: Camera) -> None:
 
 def test_measurement_covariance() -> None:
     random = np.random.default_rng(3)
-    slopes, root, found = random.normal(size=(2, 3)), random.normal(size=(3, 3)), np.empty((3, 3))
-    kernels.measurement_covariance(slopes, root @ root.T, 0.2, 0.05, 0.3, 0.7, found)
+    slopes, root, result = random.normal(size=(2, 3)), random.normal(size=(3, 3)), np.empty((3, 3))
+    kernels.measurement_covariance(slopes, root @ root.T, 0.2, 0.05, 0.3, 0.7, result)
     expected = root @ root.T + np.diag([0.3, 0.3, 0.7])
     expected[:2, :2] += slopes @ np.diag([0.04, 0.04, 0.0025]) @ slopes.T
-    assert found == pytest.approx(expected, abs=1e-12)
+    assert result == pytest.approx(expected, abs=1e-12)
 
 
 def test_kalman_filter() -> None:
@@ -90,10 +90,10 @@ def test_kalman_filter() -> None:
         assert np.array_equal(covariance, covariance.T)
 
 
-def _differ(found: Array, expected: Array) -> float:
+def _differ(result: Array, expected: Array) -> float:
     """Largest difference of two covariances, in products of the expected standard deviations."""
     sigma = np.sqrt(np.diag(expected))
-    return float(np.abs((found - expected) / np.outer(sigma, sigma)).max())
+    return float(np.abs((result - expected) / np.outer(sigma, sigma)).max())
 
 
 def test_sampled_colours() -> None:
@@ -117,8 +117,8 @@ def test_sample_of_a_picture(shape: tuple[int, int]) -> None:
     samples = np.zeros([-(-side // 7) for side in shape], np.uint8)
     for again in (picture, np.asfortranarray(picture), picture[::-1]):
         expected, before = again[::7, ::7], samples.copy()
-        found = kernels.sample(again, 7, samples)
-        assert found == (expected.sum(), np.sum(expected != before))
+        count = kernels.sample(again, 7, samples)
+        assert count == (expected.sum(), np.sum(expected != before))
         assert np.array_equal(samples, expected)
 
 

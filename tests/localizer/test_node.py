@@ -152,8 +152,8 @@ def test_every_ill_of_a_camera_is_noticed_and_over_when_it_is_over(start: Callab
     result()
     frozen_ns = [
         stamp
-        for stamp, said in zip(localizer.stamps_ns, localizer.statuses, strict=False)
-        if said.camera is CameraHealth.FROZEN
+        for stamp, status in zip(localizer.stamps_ns, localizer.statuses, strict=False)
+        if status.camera is CameraHealth.FROZEN
     ]
     assert len(frozen_ns) == 3
     assert not any(frozen_ns[0] <= stamp <= frozen_ns[-1] for stamp in localizer.posed_ns), "no poses from a frozen camera"
@@ -175,10 +175,10 @@ def test_every_ill_of_a_camera_is_noticed_and_over_when_it_is_over(start: Callab
     result()
 
     localizer.process.send_signal(signal.SIGINT)
-    _, said = localizer.process.communicate(timeout=PATIENCE_S)
-    assert localizer.process.returncode == 0, said
+    _, output = localizer.process.communicate(timeout=PATIENCE_S)
+    assert localizer.process.returncode == 0, output
     for ill in ("frozen", "black", "wrong_size", "absent", "ok"):
-        assert f"camera {ill}" in said
+        assert f"camera {ill}" in output
 
 
 def test_an_own_camera_is_shared_and_shown(start: Callable[..., LocalizerProgram]) -> None:
@@ -205,8 +205,8 @@ def test_a_camera_that_nothing_guards_is_told_of(start: Callable[..., LocalizerP
     localizer.feed(Scene(EXPERIMENT).frame(ETA))
     localizer.until(CameraHealth.OK)
     localizer.process.send_signal(signal.SIGINT)
-    _, said = localizer.process.communicate(timeout=PATIENCE_S)
-    assert "nothing guards the camera: without check_marks" in said
+    _, output = localizer.process.communicate(timeout=PATIENCE_S)
+    assert "nothing guards the camera: without check_marks" in output
 
 
 def test_impossible_setting_is_refused_without_waiting_for_a_station() -> None:
@@ -324,11 +324,11 @@ def test_obstacle_that_drifts_in_is_published_after_the_poses(hub: tuple[Bus, Ca
     ball = "sim.drifters=[{start_m=[-1.1, 0.5, 0.3], velocity_mps=[0.1, 0.0, 0.0], from_s=5.0}]"
     experiment = load_experiment("pool", [ball])
     bus, localize = hub
-    heard: list[tuple[str, int, Obstacles]] = []
+    messages: list[tuple[str, int, Obstacles]] = []
 
     def note(topic: Topic, key: str, header: Header, payload: bytes) -> None:
-        said = decode(Obstacles, payload, "localizer", topic.name) if topic is topics.OBSTACLES else Obstacles()
-        heard.append((topic.name, header.stamp_ns, said))
+        content = decode(Obstacles, payload, "localizer", topic.name) if topic is topics.OBSTACLES else Obstacles()
+        messages.append((topic.name, header.stamp_ns, content))
 
     statuses = bus.inbox(topics.LOCALIZER, LocalizerStatus)
     for topic in (topics.OBSTACLES, topics.POSE):
@@ -342,14 +342,14 @@ def test_obstacle_that_drifts_in_is_published_after_the_poses(hub: tuple[Bus, Ca
         bus.publish(topics.FRAME, Frame(pixels if k < 140 else pixels // 64), frame_ns)
         bus.publish(topics.EXPOSED, Tick(frame_ns + 30 * MS, frame_ns - 20 * MS, frame_ns, ()), frame_ns + 30 * MS)
         assert eventually(lambda at=frame_ns: (h := statuses.newest_header()) is not None and h.stamp_ns == at)  # type: ignore[misc]
-    looks = [(stamp_ns * 1e-9, said) for topic, stamp_ns, said in heard if topic == topics.OBSTACLES.name]
+    looks = [(stamp_ns * 1e-9, obstacles) for topic, stamp_ns, obstacles in messages if topic == topics.OBSTACLES.name]
     assert [round(t_s * 10) for t_s, _ in looks] == list(range(70)), "every other frame, none of a black camera"
-    order = [topic for topic, stamp_ns, _ in heard if stamp_ns == 2000 * MS]
+    order = [topic for topic, stamp_ns, _ in messages if stamp_ns == 2000 * MS]
     assert order == [topics.POSE.name] * 2 + [topics.OBSTACLES.name]
-    assert not any(said.ids for t_s, said in looks if t_s < 5.0)
-    for t_s, said in looks[60:]:
-        assert len(said.ids) == 1
-        assert np.linalg.norm(said.outline[0].mean(axis=0) - [-1.1 + 0.1 * (t_s - 5.0), 0.5]) < 0.04
+    assert not any(obstacles.ids for t_s, obstacles in looks if t_s < 5.0)
+    for t_s, obstacles in looks[60:]:
+        assert len(obstacles.ids) == 1
+        assert np.linalg.norm(obstacles.outline[0].mean(axis=0) - [-1.1 + 0.1 * (t_s - 5.0), 0.5]) < 0.04
     assert np.linalg.norm(looks[-1][1].velocity[0] - [0.1, 0.0]) < 0.03
 
 
@@ -384,12 +384,12 @@ def test_an_error_in_a_picture_costs_that_picture_and_ten_in_a_row_the_process(
     for k in range(22):
         wrong[0] = 2 <= k < 11 or k >= 12
         failed += wrong[0]
-        said = expose(bus, statuses, scene.frame(ETA), 50 * MS * k)
-        assert said.failed == failed
+        status = expose(bus, statuses, scene.frame(ETA), 50 * MS * k)
+        assert status.failed == failed
         if wrong[0]:
-            assert said.robots == () and said.message == "picture skipped: LinAlgError: Singular matrix"
+            assert status.robots == () and status.message == "picture skipped: LinAlgError: Singular matrix"
         elif k > 0:
-            assert said.robots == (1, 2) and said.message == ""
+            assert status.robots == (1, 2) and status.message == ""
         if k < 21:
             assert not shell.stop.requested
     assert eventually(lambda: shell.stop.requested)
@@ -417,8 +417,8 @@ def test_an_error_after_the_poses_costs_no_pose_and_ten_in_a_row_the_process(
     assert eventually(lambda: "localizer" in bus.present)
     for k in range(13):
         assert not shell.stop.requested
-        said = expose(bus, statuses, scene.frame(ETA), 50 * MS * k)
-        assert said.failed == max(k - 3, 0) and (said.robots == (1, 2) or k == 0)
+        status = expose(bus, statuses, scene.frame(ETA), 50 * MS * k)
+        assert status.failed == max(k - 3, 0) and (status.robots == (1, 2) or k == 0)
     assert eventually(lambda: shell.stop.requested)
     with pytest.raises(Failed, match="10 pictures in a row could not be localized in: no memory"):
         shell.stop.raise_failure()
@@ -439,8 +439,8 @@ def test_an_obstacle_watch_that_fails_says_that_it_watches_nothing(
     shell = localize(LockstepClock())
     assert eventually(lambda: "localizer" in bus.present)
     for k in range(3):
-        said = expose(bus, statuses, scene.frame(ETA), 50 * MS * k)
-    assert said.robots == (1, 2) and said.obstacles_ns == 50 * MS
+        status = expose(bus, statuses, scene.frame(ETA), 50 * MS * k)
+    assert status.robots == (1, 2) and status.obstacles_ns == 50 * MS
     assert eventually(lambda: (h := obstacles.newest_header()) is not None and h.stamp_ns == 100 * MS)
     received = obstacles.newest()
     assert received is not None and received.message.watched == 0.0

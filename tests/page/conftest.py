@@ -16,29 +16,29 @@ def browser() -> Iterator[Browser]:
     if CHROMIUM is None:
         pytest.skip("needs Chromium, and none is installed")
     with sync_playwright() as playwright:
-        found = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
-        yield found
-        found.close()
+        instance = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+        yield instance
+        instance.close()
 
 
 @pytest.fixture(scope="package")
 def flight(browser: Browser, tmp_path_factory: pytest.TempPathFactory) -> Iterator[OperatorFlight]:
-    found = OperatorFlight(tmp_path_factory.mktemp("flight"), free_port())
-    found.start()
-    yield found
-    found.stop()
+    operator = OperatorFlight(tmp_path_factory.mktemp("flight"), free_port())
+    operator.start()
+    yield operator
+    operator.stop()
 
 
 @pytest.fixture
-def asked() -> PageTraffic:
+def traffic() -> PageTraffic:
     return PageTraffic()
 
 
 @pytest.fixture
-def page(browser: Browser, flight: OperatorFlight, asked: PageTraffic) -> Iterator[Page]:
-    found = open_page(browser, flight, asked)
-    yield found
-    found.context.close()
-    assert asked.errors == []
-    hosts = {url.split("/")[2] for url in asked.urls if not url.startswith(("blob:", "data:"))}
+def page(browser: Browser, flight: OperatorFlight, traffic: PageTraffic) -> Iterator[Page]:
+    window = open_page(browser, flight, traffic)
+    yield window
+    window.context.close()
+    assert traffic.errors == []
+    hosts = {url.split("/")[2] for url in traffic.urls if not url.startswith(("blob:", "data:"))}
     assert hosts == {f"127.0.0.1:{flight.port}"}, "the page works without any other host"

@@ -14,7 +14,7 @@ from pathlib import Path
 import psutil
 from playwright.sync_api import Browser, Page
 
-CHROMIUM = next((found for name in ("chromium", "chromium-browser", "google-chrome") if (found := shutil.which(name))), None)
+CHROMIUM = next((path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))), None)
 FLAGS = [
     "--headless",
     "--no-sandbox",
@@ -72,10 +72,10 @@ class OperatorFlight:
         try:
             wait_for_port(self.port, self.process)
         except AssertionError as error:
-            raise AssertionError(f"{error}: {self.told}") from None
+            raise AssertionError(f"{error}: {self.output}") from None
 
     @property
-    def told(self) -> str:
+    def output(self) -> str:
         """The program's output so far."""
         return (self.folder / f"sil-{self.starts}.log").read_text(encoding="utf-8")
 
@@ -108,13 +108,13 @@ class PageTraffic:
     errors: list[str] = field(default_factory=list)
 
 
-def open_page(browser: Browser, flight: OperatorFlight, asked: PageTraffic, width: int = 1440, height: int = 900) -> Page:
+def open_page(browser: Browser, flight: OperatorFlight, traffic: PageTraffic, width: int = 1440, height: int = 900) -> Page:
     """A new browser window on the operator's page, past its first state."""
     page = browser.new_context(viewport={"width": width, "height": height}).new_page()
     page.set_default_timeout(PATIENCE_MS)
-    page.on("request", lambda request: asked.urls.append(request.url))
-    page.on("websocket", lambda socket: asked.urls.append(socket.url))
-    page.on("pageerror", lambda error: asked.errors.append(str(error)))
+    page.on("request", lambda request: traffic.urls.append(request.url))
+    page.on("websocket", lambda socket: traffic.urls.append(socket.url))
+    page.on("pageerror", lambda error: traffic.errors.append(str(error)))
     page.goto(flight.url)
     page.wait_for_selector("[data-robot='1']:not(.stale)")
     return page
@@ -123,5 +123,5 @@ def open_page(browser: Browser, flight: OperatorFlight, asked: PageTraffic, widt
 def serious(page: Page) -> list[tuple[str, list[str]]]:
     """The findings of axe that keep people out."""
     page.evaluate(AXE.read_text(encoding="utf-8"))  # not a script tag: the page's own policy forbids what is not its own
-    found = page.evaluate("axe.run(document, {resultTypes: ['violations']})")["violations"]
-    return [(v["id"], [n["target"] for n in v["nodes"]][:5]) for v in found if v["impact"] in ("serious", "critical")]
+    violations = page.evaluate("axe.run(document, {resultTypes: ['violations']})")["violations"]
+    return [(v["id"], [n["target"] for n in v["nodes"]][:5]) for v in violations if v["impact"] in ("serious", "critical")]

@@ -34,9 +34,11 @@ def lone_station(browser: Browser, experiment: Experiment, run_dir: Path | None 
     page = browser.new_page(viewport={"width": 1440, "height": 900})
     with Bus(MemoryTransport(hub)) as bus, Bus(MemoryTransport(hub)) as robots:
         server = ExitStack()
-        found = LoneStation(experiment, bus, page=page, url=f"http://127.0.0.1:{port}/", robots=robots, server=server)
-        desk = LiveBackend(experiment, planner.plan(experiment), bus, found.heard, found.clock, found, "real-time", run_dir)
+        station = LoneStation(experiment, bus, page=page, url=f"http://127.0.0.1:{port}/", robots=robots, server=server)
+        desk = LiveBackend(
+            experiment, planner.plan(experiment), bus, station.inboxes, station.clock, station, "real-time", run_dir
+        )
         with server:
             server.enter_context(WebServer(desk, WebOptions(port=port)))
-            yield found
+            yield station
             page.context.close()

@@ -55,7 +55,7 @@ def test_a_stop_into_a_connection_that_is_dead_already_is_sent_on_return(browser
         def between(line: WebSocketRoute) -> None:
             lines.append(line)
             station, number = line.connect_to_server(), len(lines)
-            line.on_message(lambda said: None if number in dead else station.send(said))
+            line.on_message(lambda message: None if number in dead else station.send(message))
 
         page.route_web_socket("**/live", between)
         page.goto(desk.url)
@@ -82,8 +82,8 @@ def test_a_browser_that_is_cut_off_without_a_close_knows_it(browser: Browser) ->
         def between(line: WebSocketRoute) -> None:
             lines.append(line)
             station, number = line.connect_to_server(), len(lines)
-            line.on_message(lambda said: None if number in dead else station.send(said))
-            station.on_message(lambda said: None if number in dead else line.send(said))
+            line.on_message(lambda message: None if number in dead else station.send(message))
+            station.on_message(lambda message: None if number in dead else line.send(message))
 
         page.route_web_socket("**/live", between)
         page.goto(desk.url)
@@ -108,7 +108,7 @@ def test_a_delay_of_the_line_counts_as_age(browser: Browser) -> None:
         def between(line: WebSocketRoute) -> None:
             station = line.connect_to_server()
             line.on_message(station.send)
-            station.on_message(lambda said: on_the_way.append((time.monotonic() + slow_s[0], said)))
+            station.on_message(lambda message: on_the_way.append((time.monotonic() + slow_s[0], message)))
             lines.append(line)
 
         def pass_on(for_s: float) -> list[float]:
@@ -120,8 +120,8 @@ def test_a_delay_of_the_line_counts_as_age(browser: Browser) -> None:
                 while on_the_way and on_the_way[0][0] <= time.monotonic():
                     lines[-1].send(on_the_way.pop(0)[1])
                 texts = tile(page, 1).locator(".age").all_text_contents()  # none before the page is ready
-                if found := re.search(r"([0-9.]+) (m?s)", "".join(texts)):
-                    shown.append(float(found[1]) * (1e-3 if found[2] == "ms" else 1.0))
+                if match := re.search(r"([0-9.]+) (m?s)", "".join(texts)):
+                    shown.append(float(match[1]) * (1e-3 if match[2] == "ms" else 1.0))
             return shown
 
         lines: list[WebSocketRoute] = []
@@ -154,11 +154,11 @@ def test_events_of_megabytes_leave_the_page_and_its_stop_alive(browser: Browser)
 def test_a_mission_that_is_done_and_its_station_gone_is_no_alarm(browser: Browser) -> None:
     with lone_station(browser, load_experiment("pool")) as desk:
         page = desk.page
-        desk.told = replace(desk.told, state=MissionState.RUNNING)
+        desk.own_status = replace(desk.own_status, state=MissionState.RUNNING)
         page.goto(desk.url)
         expect(page.locator("header .mission-state")).to_have_text("running")
-        desk.told = replace(
-            desk.told, state=MissionState.DONE, ended=True
+        desk.own_status = replace(
+            desk.own_status, state=MissionState.DONE, ended=True
         )  # of the last cycle: an automatic station ends with it
         desk.server.close()
         expect(page.locator("header .mission-state")).to_have_text("the run is over: its report is being written")

@@ -65,8 +65,8 @@ def agrees(page: Page, flight: OperatorFlight, verdict: str, words: str) -> None
     cause = result["cause"]["sentence"] if result["cause"] else ""
     assert words in cause
     expect(end_of(page).locator(".verdict")).to_contain_text(cause)
-    told = flight.told.rpartition(f"into {run}")[2]
-    assert f"cause: {cause}" in told if cause else "cause: " not in told
+    output = flight.output.rpartition(f"into {run}")[2]
+    assert f"cause: {cause}" in output if cause else "cause: " not in output
     page_of_report = html.unescape((run / "report.html").read_text())
     assert f"{verdict}</span></h1>" in page_of_report and cause in page_of_report
 
@@ -100,7 +100,7 @@ def test_a_run_ends_with_its_verdict_and_is_flown_again_stopped_brought_back_and
         assert flight.process is not None
         assert flight.process.wait(PATIENCE_MS * 1e-3) == 1
         expect(page.locator("header .mission-state")).to_have_text("the program has ended")
-    assert flight.told.count("the page shows the recorded run: Close there, close the page, or press Ctrl-C") == 2
+    assert flight.output.count("the page shows the recorded run: Close there, close the page, or press Ctrl-C") == 2
     assert not list(tmp_path.rglob(".page-open"))
 
 
@@ -141,7 +141,7 @@ def test_a_run_that_nobody_watches_ends_by_itself(tmp_path: Path) -> None:
     flight.start()
     assert flight.process is not None
     assert flight.process.wait(PATIENCE_MS * 1e-3) == 0
-    assert "the page shows" not in flight.told
+    assert "the page shows" not in flight.output
 
 
 @pytest.fixture
@@ -188,7 +188,7 @@ def test_a_choice_is_shown_and_one_that_was_not_heard_can_be_made_again(browser:
         """The first connection loses the choice."""
         lines.append(line)
         station, first = line.connect_to_server(), len(lines) == 1
-        line.on_message(lambda said: None if first and '"after"' in str(said) else station.send(said))
+        line.on_message(lambda message: None if first and '"after"' in str(message) else station.send(message))
 
     page, fly = browser.new_page(), "Fly again"
     page.route_web_socket("**/live", between)
@@ -204,7 +204,7 @@ def test_a_choice_is_shown_and_one_that_was_not_heard_can_be_made_again(browser:
             assert source.choice is None
             button(page, fly).click()
             assert eventually(lambda: source.choice is not None, PATIENCE_MS * 1e-3)
-        for found in (page, other):
-            expect(found.locator("header .mission-state")).to_have_text("the next run is being started")
-            expect(button(found, "Close")).to_be_disabled()
-            found.context.close()
+        for window in (page, other):
+            expect(window.locator("header .mission-state")).to_have_text("the next run is being started")
+            expect(button(window, "Close")).to_be_disabled()
+            window.context.close()

@@ -15,7 +15,6 @@ import pytest
 from playwright.sync_api import Browser, Page, expect
 
 from groundstation.logs.reader import open_log, read_log
-from groundstation.replay.step_replay import rerun
 from shoal.messages import topics
 from shoal.messages.codec import decode
 from shoal.messages.messages import (
@@ -23,6 +22,7 @@ from shoal.messages.messages import (
     RobotState,
     Tuning,
 )
+from sim_bridge.replay.step_replay import rerun
 from sim_bridge.sil.ports import free_port
 from tests.page.elements import answer, button, in_mode, map_of, tile
 from tests.page.flights import OperatorFlight, PageTraffic, open_page, serious
@@ -82,10 +82,10 @@ def test_the_emergency_stop_is_latched_and_confirmed_by_name(page: Page) -> None
 
 
 def test_a_second_page_only_watches_but_may_stop(
-    page: Page, browser: Browser, flight: OperatorFlight, asked: PageTraffic
+    page: Page, browser: Browser, flight: OperatorFlight, traffic: PageTraffic
 ) -> None:
     expect(page.get_by_role("button", name="You have control")).to_be_visible()
-    second = open_page(browser, flight, asked, width=390, height=844)
+    second = open_page(browser, flight, traffic, width=390, height=844)
     expect(second.get_by_role("button", name=re.compile("Watching"))).to_be_visible()
     for name in ("Arm", "Start", "Disarm"):
         expect(button(second, name)).to_be_disabled()
@@ -136,18 +136,18 @@ def test_gains_are_changed_in_flight_and_changed_back(page: Page) -> None:
 
 def renderers() -> dict[int, psutil.Process]:
     """The browser's processes that hold pages."""
-    found = {}
+    processes = {}
     for process in psutil.Process().children(recursive=True):
         with suppress(psutil.NoSuchProcess):  # it has just ended
             if "--type=renderer" in " ".join(process.cmdline()):
-                found[process.pid] = process
-    return found
+                processes[process.pid] = process
+    return processes
 
 
-def test_a_stopped_tab_holds_nobody_up(page: Page, browser: Browser, flight: OperatorFlight, asked: PageTraffic) -> None:
+def test_a_stopped_tab_holds_nobody_up(page: Page, browser: Browser, flight: OperatorFlight, traffic: PageTraffic) -> None:
     """Neither the other tab nor the robots. That the recorder missed no step is told by the last test."""
     before = renderers()
-    second = open_page(browser, flight, asked)
+    second = open_page(browser, flight, traffic)
     stopped = [process for pid, process in renderers().items() if pid not in before]
     assert stopped
     for process in stopped:

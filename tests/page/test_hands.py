@@ -21,13 +21,13 @@ pytestmark = [pytest.mark.timeout(600), pytest.mark.real_time]  # what waits for
 @pytest.fixture
 def desk(browser: Browser) -> Iterator[LoneStation]:
     """A page in control, and two robots that hold."""
-    with lone_station(browser, load_experiment("pool")) as found:
-        found.page.goto(found.url)
-        expect(button(found.page, "You have control")).to_be_visible()
+    with lone_station(browser, load_experiment("pool")) as lone:
+        lone.page.goto(lone.url)
+        expect(button(lone.page, "You have control")).to_be_visible()
         for robot in (1, 2):
-            found.robots.publish(topics.STATE, RobotState(mode=Mode.HOLDING), time.time_ns(), robot)
-        expect(tile(found.page, 2)).to_have_attribute("data-mode", "HOLDING")
-        yield found
+            lone.robots.publish(topics.STATE, RobotState(mode=Mode.HOLDING), time.time_ns(), robot)
+        expect(tile(lone.page, 2)).to_have_attribute("data-mode", "HOLDING")
+        yield lone
 
 
 def drive(desk: LoneStation, robot: int) -> None:
@@ -55,11 +55,11 @@ def test_a_robot_is_let_go_when_another_is_chosen_under_the_pointer(desk: LoneSt
     page.wait_for_timeout(100)
     page.mouse.up()
     assert (desk.drives[-1][0], desk.drives[-1][1].surge_mps) == (1, 0.0)
-    said = len(desk.drives)
+    count = len(desk.drives)
     page.keyboard.down("w")  # robot 2 is shown, and nobody drives it
     page.wait_for_timeout(400)
     page.keyboard.up("w")
-    assert len(desk.drives) == said
+    assert len(desk.drives) == count
     tile(page, 1).get_by_role("button").click()
     expect(button(page, "Drive 1")).to_have_attribute("aria-pressed", "false")
 
@@ -96,7 +96,7 @@ def test_the_pace_is_set_between_two_keys(desk: LoneStation) -> None:
 
 def test_caps_lock_and_repeats_order_nothing_and_shift_does(desk: LoneStation) -> None:
     page = desk.page
-    desk.told = Status(MissionState.PAUSED, "")
+    desk.own_status = Status(MissionState.PAUSED, "")
     expect(button(page, "Resume")).to_be_enabled()
     for letter in "ASDRB":
         press(page, "keydown", f"Key{letter}", letter)  # Caps Lock: a capital without Shift
@@ -130,7 +130,7 @@ def test_shift_space_stops_the_fleet_over_an_open_question_and_answers_nothing(d
 
 def test_a_robot_that_is_not_heard_is_not_called_stopped(desk: LoneStation) -> None:
     page = desk.page
-    desk.told = Status(MissionState.STOPPED, "")
+    desk.own_status = Status(MissionState.STOPPED, "")
     page.keyboard.press("Shift+Space")
     for k in range(40):
         for robot in (1, 2):
@@ -201,7 +201,7 @@ def test_space_that_comes_up_after_shift_presses_no_button(desk: LoneStation) ->
 def test_places_that_nobody_sees_take_no_escape(desk: LoneStation, whose: str) -> None:
     """Escape leaves the choice of places while one is shown; else it stops the fleet."""
     page = desk.page
-    desk.told = Status(MissionState.RUNNING, "")
+    desk.own_status = Status(MissionState.RUNNING, "")
     tile(page, 1).get_by_role("button").click()
     choose = "Send 1 to…" if whose == "of one robot" else "Go to…"
     button(page, choose).click()

@@ -35,16 +35,16 @@ pytestmark = [pytest.mark.timeout(600), pytest.mark.real_time]  # what waits for
 
 def test_an_alarm_that_comes_again_is_loud_again(browser: Browser) -> None:
     with lone_station(browser, load_experiment("pool")) as desk:
-        page, quiet = desk.page, desk.told
+        page, quiet = desk.page, desk.own_status
         loud = replace(quiet, recorder_error="no space left")
-        desk.told = loud
+        desk.own_status = loud
         page.goto(desk.url)
         button(page, "Silence").click()
         expect(button(page, "Silence")).to_have_count(0)
         expect(page.get_by_label("Alarms")).to_contain_text("no space left")
-        desk.told = quiet
+        desk.own_status = quiet
         expect(page.get_by_label("Alarms")).not_to_contain_text("no space left")
-        desk.told = loud
+        desk.own_status = loud
         expect(button(page, "Silence")).to_be_visible()
 
 
@@ -106,8 +106,8 @@ def test_of_several_cameras_the_picture_of_one_is_chosen(browser: Browser) -> No
 
         def shows(name: str) -> None:
             deadline = time.monotonic() + PATIENCE_MS * 1e-3
-            while (found := (under(-2.2), under(2.2))) != ((name, "water") if name == "west" else ("water", name)):
-                assert time.monotonic() < deadline, found
+            while (layers := (under(-2.2), under(2.2))) != ((name, "water") if name == "west" else ("water", name)):
+                assert time.monotonic() < deadline, layers
                 tell()
                 page.wait_for_timeout(50)
             expect(page.locator(".picture-age")).to_contain_text(f"picture of {name} ")
@@ -141,8 +141,8 @@ def test_runs_are_found_named_read_and_deleted_on_the_page(browser: Browser, tmp
         (tmp_path / name / "run.mcap").write_bytes(bytes(1_500_000))
     result = {"scene": "pool", "mode": "lockstep", "duration_s": 40.0, "passed": False, "tags": ["lamp"]}
     (tmp_path / "first" / "result.json").write_text(json.dumps(result))
-    told = "<p id=told></p><script>told.textContent = `${origin}: its script runs`</script>"
-    (tmp_path / "first" / "report.html").write_text(told)
+    script = "<p id=told></p><script>told.textContent = `${origin}: its script runs`</script>"
+    (tmp_path / "first" / "report.html").write_text(script)
     with lone_station(browser, load_experiment("pool"), tmp_path / "now") as desk:
         page = desk.page
         page.goto(desk.url)
@@ -188,11 +188,11 @@ def test_any_field_is_plotted_and_a_layout_is_an_address(browser: Browser) -> No
         expect(page.get_by_label("What plot 2 shows")).to_have_value("state.nu.0")
         expect(tile(page, 2)).to_have_class(re.compile("chosen"))
         for _ in range(8):
-            told = RobotState(
+            state = RobotState(
                 mode=Mode.TRACKING, guidance=Guidance.GIVING_WAY, nu=np.array([0.25, 0.0, 0.0, 0.0]), board_loss=0.5,
                 drag_ratio=1.32, thrust_ratio=0.75,
             )  # fmt: skip
-            desk.robots.publish(topics.STATE, told, time.time_ns(), 1)
+            desk.robots.publish(topics.STATE, state, time.time_ns(), 1)
             page.wait_for_timeout(120)
         expect(tile(page, 1)).to_contain_text("× 1.32, 0.75")
         expect(tile(page, 1)).to_contain_text("tracking, giving way")
@@ -225,14 +225,14 @@ def test_a_curve_ends_where_its_robot_or_the_localizer_falls_silent(browser: Bro
         expect(tile(page, 1)).to_be_visible()
 
         def say(robot: int) -> None:
-            told = RobotState(mode=Mode.TRACKING, eta=off, eta_reference=here, disturbance=off, exposure_to_pwm_ms=40.0)
-            desk.robots.publish(topics.STATE, told, time.time_ns(), robot)
+            state = RobotState(mode=Mode.TRACKING, eta=off, eta_reference=here, disturbance=off, exposure_to_pwm_ms=40.0)
+            desk.robots.publish(topics.STATE, state, time.time_ns(), robot)
 
         def read(plot: int, curve: str) -> str:
             row = page.locator(".plot").nth(plot).locator(".u-series").filter(has_text=curve)
             return row.locator(".u-value").inner_text()
 
-        def told(*robots: int, until: Callable[[], bool]) -> None:
+        def publish_until(*robots: int, until: Callable[[], bool]) -> None:
             deadline = time.monotonic() + PATIENCE_MS * 1e-3
             while not until():
                 assert time.monotonic() < deadline
@@ -243,8 +243,8 @@ def test_a_curve_ends_where_its_robot_or_the_localizer_falls_silent(browser: Bro
                 page.wait_for_timeout(100)
 
         values = (0, "robot 1"), (1, "1-2"), (2, "surge"), (3, "→ pose")
-        told(1, 2, until=lambda: [read(*value) for value in values] == ["100", "0.00", "100", "30"])
-        told(2, until=lambda: [read(*value) for value in values] == ["-"] * 4)
+        publish_until(1, 2, until=lambda: [read(*value) for value in values] == ["100", "0.00", "100", "30"])
+        publish_until(2, until=lambda: [read(*value) for value in values] == ["-"] * 4)
         assert read(0, "robot 2") == "100"
 
 

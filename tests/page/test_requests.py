@@ -65,7 +65,7 @@ def test_escape_leaves_what_is_open_and_else_stops_and_shift_space_always_stops(
 
 def test_places_clicked_on_the_map_are_where_the_formation_is_led(browser: Browser) -> None:
     with lone_station(browser, load_experiment("pool")) as desk:
-        desk.told = replace(desk.told, state=MissionState.RUNNING)
+        desk.own_status = replace(desk.own_status, state=MissionState.RUNNING)
         page = desk.page
         page.goto(desk.url)
         button(page, "Go to…").click()
@@ -73,17 +73,17 @@ def test_places_clicked_on_the_map_are_where_the_formation_is_led(browser: Brows
         chart = page.locator(".pool > canvas")
         box = chart.bounding_box()
         assert box is not None
-        seen = []
+        places = []
         for x, y in ((0.5, 0.4), (0.6, 0.55)):
             chart.click(position={"x": x * box["width"], "y": y * box["height"]})
             under = re.fullmatch(r"x (\S+)\s+y (\S+) m", page.locator(".cursor").inner_text())
             assert under is not None
-            seen.append((float(under[1]), float(under[2])))
+            places.append((float(under[1]), float(under[2])))
         button(page, "Fly there").click()
         expect(page.locator(".given")).to_contain_text("go sent")
         assert desk.orders == [Order.GO]
-        np.testing.assert_allclose(desk.via, seen, atol=0.011)  # both are shown to the centimetre
-        assert abs(seen[0][0] - seen[1][0]) > 0.05
+        np.testing.assert_allclose(desk.via, places, atol=0.011)  # both are shown to the centimetre
+        assert abs(places[0][0] - places[1][0]) > 0.05
         button(page, "Go to…").click()
         page.keyboard.press("Escape")  # leaves the choice, and stops nothing
         expect(button(page, "Go to…")).to_be_visible()
@@ -96,13 +96,15 @@ def test_a_request_has_one_line_and_that_says_how_it_ended(browser: Browser) -> 
         page.goto(desk.url)
         button(page, "Return to start").click()
         expect(given).to_have_text("return sent")
-        told = Outcome(1, Order.RETURN, Progress.UNDER_WAY, "", "HALTING", (1,), (2,), ("is holding",))
-        desk.told = replace(desk.told, requests=(told,))
+        outcome = Outcome(1, Order.RETURN, Progress.UNDER_WAY, "", "HALTING", (1,), (2,), ("is holding",))
+        desk.own_status = replace(desk.own_status, requests=(outcome,))
         expect(given).to_have_text("return under way ✓ 1 … 2 is holding")
-        failed = replace(told, progress=Progress.FAILED, reason="holding: no way from here", why=("refuses",))
-        desk.told = replace(desk.told, requests=(failed,))
+        failed = replace(outcome, progress=Progress.FAILED, reason="holding: no way from here", why=("refuses",))
+        desk.own_status = replace(desk.own_status, requests=(failed,))
         expect(given).to_have_text("return failed: holding: no way from here ✓ 1 ✕ 2 refuses")
-        desk.told = replace(desk.told, requests=(replace(told, progress=Progress.DONE, confirmed=(1, 2), waiting=()),))
+        desk.own_status = replace(
+            desk.own_status, requests=(replace(outcome, progress=Progress.DONE, confirmed=(1, 2), waiting=()),)
+        )
         expect(given).to_have_text("return confirmed by 1, 2")
 
 
@@ -150,15 +152,15 @@ def test_one_robot_is_driven_by_keys_and_sent_to_a_place(browser: Browser) -> No
         page.keyboard.up("w")
         page.keyboard.up("d")
         page.wait_for_timeout(300)
-        said = len(desk.drives)
+        count = len(desk.drives)
         (robot, ahead), (_, last) = desk.drives[-3], desk.drives[-1]
-        assert said >= 4  # ten a second
+        assert count >= 4  # ten a second
         assert robot == 2
         assert max(velocity.surge_mps for _, velocity in desk.drives) == pytest.approx(0.4 * 0.48)
         assert ahead.yaw_rate_radps > 0.0  # to the right, as seen from above
         assert (last.surge_mps, last.heave_mps, last.yaw_rate_radps) == (0.0, 0.0, 0.0)
         page.wait_for_timeout(300)
-        assert len(desk.drives) == said  # nothing is held: nothing is said
+        assert len(desk.drives) == count  # nothing is held: nothing is said
         page.keyboard.press("Shift+Space")
         expect(page.locator(".given")).to_contain_text("stop sent")
 

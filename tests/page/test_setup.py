@@ -92,18 +92,18 @@ def program(lab: Path, camera: FolderCamera) -> Iterator[tuple[psutil.Popen, str
     command = [sys.executable, "-m", "localizer", "setup", str(lab), "--camera", f"folder:{camera.folder}"]
     process = psutil.Popen([*command, "--port", str(free_port())], stdout=subprocess.PIPE, text=True)
     printed = process.stdout.readline()
-    found = re.search(r"http://\S+", printed)
-    assert found is not None, printed
-    yield process, found[0]
+    match = re.search(r"http://\S+", printed)
+    assert match is not None, printed
+    yield process, match[0]
     process.send_signal(signal.SIGINT)
     assert process.wait(PATIENCE_MS * 1e-3) == 0
 
 
-def _open(browser: Browser, address: str, asked: PageTraffic, width: int = 1440, height: int = 900) -> Page:
+def _open(browser: Browser, address: str, traffic: PageTraffic, width: int = 1440, height: int = 900) -> Page:
     page = browser.new_context(viewport={"width": width, "height": height}).new_page()
     page.set_default_timeout(PATIENCE_MS)
-    page.on("request", lambda request: asked.urls.append(request.url))
-    page.on("pageerror", lambda error: asked.errors.append(str(error)))
+    page.on("request", lambda request: traffic.urls.append(request.url))
+    page.on("pageerror", lambda error: traffic.errors.append(str(error)))
     page.goto(address)
     expect(page.get_by_text("Camera of pool")).to_be_visible()
     return page
@@ -126,10 +126,10 @@ def _button(page: Page, name: str) -> None:
 
 
 def test_a_camera_is_set_up_from_the_first_look_to_the_saved_file(
-    browser: Browser, program: tuple[psutil.Popen, str], camera: FolderCamera, lab: Path, tmp_path: Path, asked: PageTraffic
+    browser: Browser, program: tuple[psutil.Popen, str], camera: FolderCamera, lab: Path, tmp_path: Path, traffic: PageTraffic
 ) -> None:
     _, address = program
-    page = _open(browser, address, asked)
+    page = _open(browser, address, traffic)
     expect(page.get_by_text(re.compile("light is right|dim"))).to_be_visible()
     expect(page.get_by_text("this source offers no controls")).to_be_visible()
     assert page.locator(".histogram rect").count() == 64
@@ -140,12 +140,12 @@ def test_a_camera_is_set_up_from_the_first_look_to_the_saved_file(
     _step(page, "Lens")
     _button(page, "Collect")
     views = page.locator(".row b")
-    said = page.get_by_role("status").filter(has_text=re.compile("as in a view before|kept view"))
+    advice = page.get_by_role("status").filter(has_text=re.compile("as in a view before|kept view"))
     for number, picture in enumerate(camera.board_views(12)):
         for copy in range(100):  # held still, for as long as the program takes
             camera.show(picture + np.uint8(copy % 2) * np.uint8(picture < 250))
             page.wait_for_timeout(150)
-            if copy > 2 and said.is_visible():
+            if copy > 2 and advice.is_visible():
                 break
         if number == 9:
             page.screenshot(path=tmp_path / "2-lens.png")
@@ -191,7 +191,7 @@ def test_a_camera_is_set_up_from_the_first_look_to_the_saved_file(
     expect(page.get_by_text("mask 1, 4 corners")).to_be_visible()
     page.screenshot(path=tmp_path / "4-masks.png")
 
-    other = _open(browser, address, asked, 390, 844)  # a phone
+    other = _open(browser, address, traffic, 390, 844)  # a phone
     expect(other.get_by_text("2 pages are open")).to_be_visible()
     assert other.evaluate("document.documentElement.scrollWidth") <= 390
     assert serious(other) == []
@@ -205,25 +205,25 @@ def test_a_camera_is_set_up_from_the_first_look_to_the_saved_file(
     assert "masks_px" not in lab.read_text(encoding="utf-8")
     page.locator("button.main").click()
     expect(page.get_by_text(re.compile("wrote .*lab.toml; the old file is"))).to_be_visible()
-    found = load_experiment(str(lab)).camera
-    assert found.focal_px == pytest.approx(TRUTH.focal_px, rel=0.01)
-    assert found.position_m == pytest.approx(TRUTH.position_m, abs=0.04)
-    assert len(found.masks_px) == 1
-    assert asked.errors == []
-    assert {url.split("/")[2] for url in asked.urls} == {address.split("/")[2]}, "the page works without any other host"
+    camera_found = load_experiment(str(lab)).camera
+    assert camera_found.focal_px == pytest.approx(TRUTH.focal_px, rel=0.01)
+    assert camera_found.position_m == pytest.approx(TRUTH.position_m, abs=0.04)
+    assert len(camera_found.masks_px) == 1
+    assert traffic.errors == []
+    assert {url.split("/")[2] for url in traffic.urls} == {address.split("/")[2]}, "the page works without any other host"
     page.context.close()
 
 
 def test_the_difference_to_be_saved_is_what_all_pages_have_made_of_it(
-    browser: Browser, program: tuple[psutil.Popen, str], asked: PageTraffic
+    browser: Browser, program: tuple[psutil.Popen, str], traffic: PageTraffic
 ) -> None:
     """Another page moves a corner of a mask while this one looks at the difference."""
     address, key = program[1].split("#key=")
-    page = _open(browser, program[1], asked)
+    page = _open(browser, program[1], traffic)
 
     def mask(*corner: float) -> None:
-        told = {"do": "mask", "id": 1, "corners_px": [list(corner), [20.0, 10.0], [10.0, 20.0]]}
-        assert page.request.post(f"{address}do", data=told, headers={"x-key": key}).json()["problem"] == ""
+        change = {"do": "mask", "id": 1, "corners_px": [list(corner), [20.0, 10.0], [10.0, 20.0]]}
+        assert page.request.post(f"{address}do", data=change, headers={"x-key": key}).json()["problem"] == ""
 
     mask(11.5, 12.5)
     _step(page, "Save")
@@ -236,10 +236,10 @@ def test_the_difference_to_be_saved_is_what_all_pages_have_made_of_it(
 
 
 def test_a_page_without_the_key_sees_nothing_and_a_program_that_is_gone_is_told(
-    browser: Browser, program: tuple[psutil.Popen, str], asked: PageTraffic
+    browser: Browser, program: tuple[psutil.Popen, str], traffic: PageTraffic
 ) -> None:
     process, address = program
-    page = _open(browser, address, asked)
+    page = _open(browser, address, traffic)
     bare = browser.new_context().new_page()
     bare.goto(address.partition("#")[0])
     expect(bare.get_by_role("alert")).to_contain_text("the key is missing or wrong")

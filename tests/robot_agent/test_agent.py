@@ -57,9 +57,9 @@ def test_invalid_pulse_ends_in_neutral(broken: dict[str, Any], monkeypatch: pyte
 def test_a_depth_offset_is_taken_off_everywhere() -> None:
     """A sensor that says 2 cm too much, and is known to, is one that is right."""
     true_m = next(rehearse(POOL, 1))[1].telemetry.depth_m
-    known = load_experiment("pool", ["robots.0.depth_offset_m=0.02"])
-    told = []
-    for agent, inputs, now_ns in itertools.islice(rehearse(known, 1), ARM_AFTER):
+    corrected = load_experiment("pool", ["robots.0.depth_offset_m=0.02"])
+    states = []
+    for agent, inputs, now_ns in itertools.islice(rehearse(corrected, 1), ARM_AFTER):
         high = replace(inputs, telemetry=replace(inputs.telemetry, depth_m=true_m + 0.02))
-        told.append(agent.step(high, now_ns).state)
-    assert told[-1].depth_m == pytest.approx(true_m) and told[-1].eta[2] == pytest.approx(true_m)
+        states.append(agent.step(high, now_ns).state)
+    assert states[-1].depth_m == pytest.approx(true_m) and states[-1].eta[2] == pytest.approx(true_m)

@@ -42,7 +42,9 @@ def test_nothing_is_compiled_in_flight() -> None:
     one = controller_class(POOL.controller)(POOL.vehicle, POOL.controller, POOL.safety)
     other = np.tile([1.0, 0.0, 0.3, 0.0], (51, 1))
     box = np.array([[0.7, 0.4], [0.8, 0.4], [0.8, 0.5], [0.7, 0.5]])
-    things = obstacles_from_message(Obstacles(ids=(1,), outline=box[None], velocity=np.zeros((1, 2))), 0, 0.3)
+    things = obstacles_from_message(
+        Obstacles(ids=(1,), outline=box[None], velocity=np.zeros((1, 2)), unseen_s=np.zeros(1)), 0, 0.3
+    )
     hold = Hold(GOAL.trajectory.eta[0])
     with install_recorder("numba:compile") as compilations:
         for k in range(1, 41):

@@ -57,8 +57,8 @@ class UdpBoard:
 
     def __init__(self, port: int) -> None:
         self.board, self._ear = ThrusterBoard(POOL, 1, 1), BoardLink(1)
-        self.told: list[Arm | Override] = []
-        self.heard = AgentLink(1)  # what the board says
+        self.commands: list[Arm | Override] = []
+        self.agent_link = AgentLink(1)  # what the board says
         self._socket, self._over = socket(AF_INET, SOCK_DGRAM), threading.Event()
         self._socket.bind(("127.0.0.1", port))
         self._socket.settimeout(0.002)
@@ -79,12 +79,12 @@ class UdpBoard:
             now_ns = time.monotonic_ns() - begin_ns
             try:
                 data, asker = self._socket.recvfrom(65536)
-                self.told += [event for _, event in self._ear.receive(data, now_ns) if isinstance(event, Arm | Override)]
+                self.commands += [event for _, event in self._ear.receive(data, now_ns) if isinstance(event, Arm | Override)]
                 self.board.receive(data, now_ns)
             except TimeoutError:
                 pass
             data = self.board.step(now_ns, np.array([0.0, 0.0, 0.3, 0.0]), np.zeros(4), np.zeros(4))
-            self.heard.receive(data, now_ns)
+            self.agent_link.receive(data, now_ns)
             if asker is not None and data:
                 self._socket.sendto(data, asker)
 
@@ -152,19 +152,19 @@ def test_a_program_that_ends_leaves_its_board_neutral_and_disarmed(
         )
         try:
             station.until_it_pushes(bench)
-            before = len(bench.told)
+            before = len(bench.commands)
             agent.send_signal(number)
             assert agent.wait(PATIENCE_S) == code
         finally:
             agent.kill()
             agent.wait()
-    told = bench.told[before:]
-    disarm = told.index(Arm(False))
+    events = bench.commands[before:]
+    disarm = events.index(Arm(False))
     assert all(event == Arm(False) or (isinstance(event, Override) and event.pulses_us[:4] == NEUTRAL_US)
-               for event in told[disarm:])  # fmt: skip
-    assert any(isinstance(event, Override) for event in told[disarm:])
+               for event in events[disarm:])  # fmt: skip
+    assert any(isinstance(event, Override) for event in events[disarm:])
     assert (bench.board.armed, bench.board.neutral) == (False, True)
-    newest_first = [text for _, text in reversed(bench.heard.telemetry.texts)]
+    newest_first = [text for _, text in reversed(bench.agent_link.telemetry.texts)]
     since_armed = newest_first[: newest_first.index("armed")]
     assert not any("disarmed: no override" in text for text in since_armed)  # it was told, and did not have to find out
     assert f"{why}; neutral and disarm sent to the thruster board, which says that it is disarmed" in log.read_text()
@@ -186,7 +186,7 @@ def test_a_second_program_of_a_robot_that_is_stopped_while_it_waits_leaves_the_b
         finally:
             agent.kill()
             agent.wait()
-        assert bench.told == []
+        assert bench.commands == []
     assert "agent-1: stopped while another process of this name is in fleet shoal" in log.read_text()
 
 
@@ -203,10 +203,10 @@ def test_a_look_at_the_thrusters_that_is_ended_leaves_them_at_rest(number: signa
                 time.sleep(0.005)
             assert not bench.board.neutral
             looking.send_signal(number)
-            said, _ = looking.communicate(timeout=PATIENCE_S)
+            output, _ = looking.communicate(timeout=PATIENCE_S)
         finally:
             looking.kill()
             looking.wait()
-    texts = [text for _, text in bench.heard.telemetry.texts]
-    assert (said, bench.board.armed, bench.told[-2]) == (b"", False, Arm(False))
+    texts = [text for _, text in bench.agent_link.telemetry.texts]
+    assert (output, bench.board.armed, bench.commands[-2]) == (b"", False, Arm(False))
     assert "armed" in texts and not any("disarmed: no override" in text for text in texts)

@@ -57,7 +57,7 @@ def test_an_order_that_takes_the_power_away_does_not_wait_for_the_next_step(
     monkeypatch.setattr(StepClock, "due_s", lambda *_: time.monotonic() + NEVER_S)
     hub, stop, link = MemoryHub(), Stop(install=False), open_link(f"udp:127.0.0.1:{free_port(SOCK_DGRAM)}")
     bus, station = Bus(MemoryTransport(hub)), Bus(MemoryTransport(hub))
-    heard = station.inbox(topics.STATE, RobotState, 1)
+    states = station.inbox(topics.STATE, RobotState, 1)
     robot = node.AgentNode(load_experiment("pool"), 1, bus, link, False, stop)
     robot.agent.mode = mode
     thread = threading.Thread(target=robot.run)
@@ -65,16 +65,16 @@ def test_an_order_that_takes_the_power_away_does_not_wait_for_the_next_step(
     try:
         while not station.command(Command(order, robot=1), time.time_ns(), 1.0).accepted:  # until it serves, and hears us
             station.publish(topics.HEARTBEAT, StationHeartbeat(), time.time_ns())
-        assert wait(station, stop, lambda: heard.newest_header() is not None, PATIENCE_S)
+        assert wait(station, stop, lambda: states.newest_header() is not None, PATIENCE_S)
     finally:
         stop.request()
         thread.join()
         link.close()
-    told = heard.newest()
-    assert told is not None
-    assert told.message.mode is {Order.STOP: Mode.STOPPED, Order.DISARM: Mode.DISARMED}[order]
-    assert set(told.message.pulse_us) == {1500}
-    assert told.message.code == code().short
+    state = states.newest()
+    assert state is not None
+    assert state.message.mode is {Order.STOP: Mode.STOPPED, Order.DISARM: Mode.DISARMED}[order]
+    assert set(state.message.pulse_us) == {1500}
+    assert state.message.code == code().short
 
 
 def test_a_board_that_is_not_there_is_named_and_once_is_enough(
@@ -83,11 +83,11 @@ def test_a_board_that_is_not_there_is_named_and_once_is_enough(
     monkeypatch.setattr(node, "LINK_HEARTBEAT_S", 0.0)
     hub, stop, link = MemoryHub(), Stop(install=False), open_link("serial:/dev/none")
     bus, station = Bus(MemoryTransport(hub)), Bus(MemoryTransport(hub))
-    heard = station.inbox(topics.STATE, RobotState, 1)
+    states = station.inbox(topics.STATE, RobotState, 1)
     thread = threading.Thread(target=node.AgentNode(load_experiment("pool"), 1, bus, link, False, stop).run)
     thread.start()
     try:
-        assert wait(station, stop, lambda: (header := heard.newest_header()) is not None and header.sequence > 3, PATIENCE_S)
+        assert wait(station, stop, lambda: (header := states.newest_header()) is not None and header.sequence > 3, PATIENCE_S)
     finally:
         stop.request()
         thread.join()
@@ -124,8 +124,8 @@ class Running:
 
     @property
     def state(self) -> RobotState:
-        found = self.states.newest()
-        return found.message if found is not None else RobotState()
+        newest = self.states.newest()
+        return newest.message if newest is not None else RobotState()
 
 
 @pytest.fixture
@@ -133,21 +133,21 @@ def running() -> Iterator[Running]:
     hub, stop = MemoryHub(), Stop(install=False)
     bus, station = Bus(MemoryTransport(hub)), Bus(MemoryTransport(hub))
     robot = node.AgentNode(POOL, 1, bus, Board(), False, stop)
-    found = Running(robot, station, station.inbox(topics.STATE, RobotState, 1))
+    process = Running(robot, station, station.inbox(topics.STATE, RobotState, 1))
 
     def run() -> None:
         try:
             robot.run()
-            found.ended.append(None)
+            process.ended.append(None)
         except BaseException as error:
-            found.ended.append(error)
+            process.ended.append(error)
 
     thread = threading.Thread(target=run)
     thread.start()
     try:
-        assert found.until(lambda: found.order(Order.ARM).accepted)
-        assert found.order(Order.HOLD).accepted
-        yield found
+        assert process.until(lambda: process.order(Order.ARM).accepted)
+        assert process.order(Order.HOLD).accepted
+        yield process
     finally:
         stop.request()
         thread.join()
@@ -177,15 +177,15 @@ def test_gains_are_made_ready_beside_the_steps(running: Running, monkeypatch: py
 
     monkeypatch.setattr(LiveTuning, "prepare", slowly)
     replies: list[Reply] = []
-    asked = threading.Thread(target=lambda: replies.append(running.order(Order.TUNE, tuning(POOL.controller))))
-    asked.start()
+    tuner = threading.Thread(target=lambda: replies.append(running.order(Order.TUNE, tuning(POOL.controller))))
+    tuner.start()
     assert building.wait(PATIENCE_S)
     # the number of steps is told only in the log of inputs, which this station does not hear
     before = running.robot._steps
     # the number of steps is told only in the log of inputs, which this station does not hear
     assert running.until(lambda: running.robot._steps > before + 5)
     built.set()
-    asked.join()
+    tuner.join()
     assert [reply.accepted for reply in replies] == [True]
 
 
@@ -246,8 +246,8 @@ def test_of_two_programs_that_publish_a_robots_poses_by_turns_none_counts(caplog
     robot = node.AgentNode(POOL, 1, bus, link, False, Stop(install=False))
 
     def pose(sender: Bus, x_m: float) -> None:
-        told = Pose(x_m, 0.0, 0.0, 1e-6 * np.eye(3), Track.MARKER, True, 0.9, 0.3)
-        sender.publish(topics.POSE, told, time.time_ns(), 1)
+        pose = Pose(x_m, 0.0, 0.0, 1e-6 * np.eye(3), Track.MARKER, True, 0.9, 0.3)
+        sender.publish(topics.POSE, pose, time.time_ns(), 1)
 
     def stepped() -> tuple[int, Pose | None]:
         record, _ = robot.step(robot.clock.now_ns(), None)
@@ -260,8 +260,8 @@ def test_of_two_programs_that_publish_a_robots_poses_by_turns_none_counts(caplog
     instants = set()
     for _ in range(5):
         pose(simulator, 1.5)
-        instant_ns, found = stepped()
-        assert found is not None and found.x_m == 0.0
+        instant_ns, newest = stepped()
+        assert newest is not None and newest.x_m == 0.0
         instants.add(instant_ns)
         pose(camera, 0.0)
     assert len(instants) == 1, "the last pose before grows old"
@@ -272,11 +272,11 @@ def test_of_two_programs_that_publish_a_robots_poses_by_turns_none_counts(caplog
 def test_an_autopilot_gets_no_pulses_and_no_requests_to_arm() -> None:
     hub, stop, there = MemoryHub(), Stop(install=False), Autopilot()
     bus, station = Bus(MemoryTransport(hub)), Bus(MemoryTransport(hub))
-    heard = station.inbox(topics.STATE, RobotState, 1)
+    states = station.inbox(topics.STATE, RobotState, 1)
     thread = threading.Thread(target=node.AgentNode(POOL, 1, bus, there, False, stop).run)
     thread.start()
     try:
-        assert wait(station, stop, lambda: (header := heard.newest_header()) is not None and header.sequence > 5, PATIENCE_S)
+        assert wait(station, stop, lambda: (header := states.newest_header()) is not None and header.sequence > 5, PATIENCE_S)
     finally:
         stop.request()
         thread.join()

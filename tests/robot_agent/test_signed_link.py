@@ -31,22 +31,22 @@ def test_state_tells_of_the_board_and_of_its_clock_only_where_the_keys_match(sam
     signing = Signing.of(folder / "robot-1.key" if same else tmp_path / "other.key", "agent")
     stop, link = Stop(install=False), open_link(f"udp:127.0.0.1:{port}")
     bus, ear = Bus(MemoryTransport(hub)), Bus(MemoryTransport(hub))
-    heard = ear.inbox(topics.STATE, RobotState, 1)
+    inbox = ear.inbox(topics.STATE, RobotState, 1)
     node = AgentNode(load_experiment("pool"), 1, bus, link, False, stop, signing=signing)
     with board(f"udp:127.0.0.1:{port}", folder):
         thread = threading.Thread(target=node.run)
         thread.start()
         try:
-            deadline, told = time.monotonic() + (20.0 if same else 3.0), None
-            while time.monotonic() < deadline and not (told and told.message.board_round_trip_ms > 0.0):
+            deadline, newest = time.monotonic() + (20.0 if same else 3.0), None
+            while time.monotonic() < deadline and not (newest and newest.message.board_round_trip_ms > 0.0):
                 time.sleep(0.05)
-                told = heard.newest()
+                newest = inbox.newest()
         finally:
             stop.request()
             thread.join()
             link.close()
-    assert told is not None
-    state = told.message
-    known = (state.board_round_trip_ms > 0.0, state.board_age_ms < 1e5, len(state.echo_us))
-    assert known == ((True, True, 8) if same else (False, False, 0))
+    assert newest is not None
+    state = newest.message
+    facts = (state.board_round_trip_ms > 0.0, state.board_age_ms < 1e5, len(state.echo_us))
+    assert facts == ((True, True, 8) if same else (False, False, 0))
     assert abs(state.board_clock_offset_s) > 1e6 or not same  # the board counts from when it was switched on

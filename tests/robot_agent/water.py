@@ -25,8 +25,8 @@ def integrate(
 
     def rate(t: float, s: Array) -> Array:
         yaw, u, v, w, r = s[3:8]
-        asked = np.array(command(t))
-        thrust = s[8:] if lag else asked
+        target_n = np.array(command(t))
+        thrust = s[8:] if lag else target_n
         horizontal = float(np.hypot(u, v))
         drag = (linear + quadratic * np.array([horizontal, horizontal, abs(w), abs(r)])) * s[4:8]
         out, side = np.zeros(len(s)), thrust[3] if len(thrust) > 3 else 0.0
@@ -37,7 +37,7 @@ def integrate(
         out[5] = (side - drag[1] - m_u * u * r) / m_v + disturbance[1]
         out[6] = (thrust[1] - drag[2]) / m_w + disturbance[2]
         out[7] = (thrust[2] - drag[3] + (m_u - m_v) * u * v) / m_r + disturbance[3]
-        out[8:] = (asked - s[8:]) / vehicle.thruster.lag_s
+        out[8:] = (target_n - s[8:]) / vehicle.thruster.lag_s
         return out
 
     count = max(1, round(seconds * steps_per_s))

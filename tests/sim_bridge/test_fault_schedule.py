@@ -162,9 +162,9 @@ def test_a_slow_link_is_late_and_in_order() -> None:
 
 def test_a_noisy_link_loses_doubles_and_reorders() -> None:
     numbers = [number for _, number in through(LinkFaults(loss=0.2))]
-    seen = Counter(numbers)
-    assert 0.17 < 1 - len(seen) / 2000 < 0.23
-    assert 0.17 < sum(count == 2 for count in seen.values()) / len(seen) < 0.23
+    counts = Counter(numbers)
+    assert 0.17 < 1 - len(counts) / 2000 < 0.23
+    assert 0.17 < sum(count == 2 for count in counts.values()) / len(counts) < 0.23
     assert 0.05 < sum(b < a for a, b in itertools.pairwise(numbers)) / len(numbers) < 0.25
     assert numbers == [number for _, number in through(LinkFaults(loss=0.2))]  # the same seed, the same luck
 

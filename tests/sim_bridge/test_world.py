@@ -56,7 +56,7 @@ def told(by_events: bool, *settings: str) -> list[tuple[int, int, bytes]]:
     world = World(experiment, 1, np.array([[0.4, 0.0, 0.3, 0.0], [-0.4, 0.0, 0.3, 1.0]]))
     world.start_ns = 0
     links, random = [AgentLink(robot) for robot in experiment.robot_ids], np.random.default_rng(2)
-    said: list[tuple[int, int, bytes]] = []
+    output: list[tuple[int, int, bytes]] = []
     for tick in range(40):
         if tick < 24:
             for i, link in enumerate(links):
@@ -65,11 +65,11 @@ def told(by_events: bool, *settings: str) -> list[tuple[int, int, bytes]]:
             for i, link in enumerate(links):
                 world.receive(i, link.pulses((1500,) * 8) + link.arm(True) + b"\xfd begun")
         while world.now_ns < (tick + 1) * 50_000_000:
-            said += [(world.now_ns, -1, fault.encode()) for fault in world.apply_faults()]
-            said += [(world.now_ns, i, data) for i, data in world.step((tick + 1) * 50_000_000 * by_events) if data]
+            output += [(world.now_ns, -1, fault.encode()) for fault in world.apply_faults()]
+            output += [(world.now_ns, i, data) for i, data in world.step((tick + 1) * 50_000_000 * by_events) if data]
         truth = world.truth()
-        said.append((world.now_ns, -2, b"".join(part.tobytes() for part in (world.eta, world.tilt, truth.disturbance))))
-    return said
+        output.append((world.now_ns, -2, b"".join(part.tobytes() for part in (world.eta, world.tilt, truth.disturbance))))
+    return output
 
 
 @pytest.mark.parametrize("settings", [(), ("sim.sensors.rate_hz=70",), ("sim.board.slew_us_per_s=1000",)])

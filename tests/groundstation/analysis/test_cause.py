@@ -53,10 +53,10 @@ def test_a_persons_act_is_the_cause_before_a_hold_that_healed(tmp_path: Path, li
     assert result.cause.time_s == pytest.approx(5.0, abs=0.01)
     assert result.cause.sentence.startswith(f"A person {words} at 5.0 s, the fleet's middle at x ")
     assert not result.passed
-    told = list(terminal.lines(result))
-    assert told[0] == f"cause: {result.cause.sentence}"
-    assert any(line.startswith("also at ") and line.endswith(", robot 1: holding: pose late") for line in told)
-    assert not any(line.startswith(("not met", "not reached")) for line in told)
+    lines = list(terminal.lines(result))
+    assert lines[0] == f"cause: {result.cause.sentence}"
+    assert any(line.startswith("also at ") and line.endswith(", robot 1: holding: pose late") for line in lines)
+    assert not any(line.startswith(("not met", "not reached")) for line in lines)
     shown = run_end(tmp_path)
     assert shown is not None
     assert (shown["verdict"], shown["cause"], shown["outcome"]) == ("not judged", result.cause.sentence, "6.0 s of 8 s flown")

@@ -20,7 +20,6 @@ from shoal.config.experiment import Experiment
 from shoal.errors import ConfigError
 from shoal.messages import topics
 from shoal.messages.messages import Mode, RobotState, StationHeartbeat, Trajectory
-from sim_bridge.studies.metrics import broken_limits
 from tests.groundstation.synthetic import PERIOD_S, START_S, Script, write_run
 
 SECOND = 1_000_000_000
@@ -45,12 +44,12 @@ def later(entry: DecodedMessage[RobotState], by_s: float, **changes: object) -> 
 def with_aborted_flight(log: RunLog, until_s: float) -> RunLog:
     """The flight, and AWAY_S before it one that robot 2's fault ended after `until_s`, 3 m off."""
     entries = dict(log.entries)
-    for (name, robot), found in log.entries.items():
+    for (name, robot), messages in log.entries.items():
         if name == topics.STATE.name:
-            before = [e for e in found if e.stamp_ns <= (START_S + until_s) * SECOND]
+            before = [e for e in messages if e.stamp_ns <= (START_S + until_s) * SECOND]
             fault = [later(e, -AWAY_S) for e in before]
             fault += [later(before[-1], PERIOD_S - AWAY_S, mode=Mode.FAULT, fault="no pose")]
-            entries[name, robot] = fault + found
+            entries[name, robot] = fault + messages
         elif name == topics.TRUTH.name:
             off = [
                 dataclasses.replace(
@@ -58,9 +57,9 @@ def with_aborted_flight(log: RunLog, until_s: float) -> RunLog:
                     stamp_ns=e.stamp_ns - round(AWAY_S * SECOND),
                     message=dataclasses.replace(e.message, eta=e.message.eta + 3.0),
                 )
-                for e in found
+                for e in messages
             ]
-            entries[name, robot] = off + found
+            entries[name, robot] = off + messages
     return dataclasses.replace(log, entries=entries)
 
 
@@ -87,11 +86,11 @@ def test_of_two_flights_the_last_is_judged_alone(flown: tuple[Experiment, RunLog
 
 def test_the_flight_that_was_aborted_can_be_asked_for(flown: tuple[Experiment, RunLog, Path]) -> None:
     experiment, log, _ = flown
-    found = result_of(experiment, with_aborted_flight(log, 4.0), flight=1)
-    assert not found.passed
-    assert found.duration_s == pytest.approx(4.0, abs=0.1)
-    assert found.robots["1"].rms_m is not None and found.robots["1"].rms_m[2] == pytest.approx(3.0, abs=0.01)
-    assert {fault.text for fault in found.faults} == {"fault: no pose"}
+    result = result_of(experiment, with_aborted_flight(log, 4.0), flight=1)
+    assert not result.passed
+    assert result.duration_s == pytest.approx(4.0, abs=0.1)
+    assert result.robots["1"].rms_m is not None and result.robots["1"].rms_m[2] == pytest.approx(3.0, abs=0.01)
+    assert {fault.text for fault in result.faults} == {"fault: no pose"}
     with pytest.raises(ConfigError, match=r"--flight 3: the log holds 2 .allowed: 1 to 2."):
         align(experiment, log=with_aborted_flight(log, 4.0), flight=3)
 
@@ -121,33 +120,33 @@ def test_a_robot_that_falls_out_and_comes_back_is_in_the_same_flight(flown: tupl
 
     gone = [later(e, 0.0, mode=Mode.ARMED, trajectory_s=0.0) if away(e) else e for e in states]
     changed = dataclasses.replace(log, entries={**log.entries, (topics.STATE.name, 2): gone})
-    found = align(experiment, changed)
-    assert len(found.flights) == 1 and found.reached_s == pytest.approx(DURATION_S)
+    alignment = align(experiment, changed)
+    assert len(alignment.flights) == 1 and alignment.reached_s == pytest.approx(DURATION_S)
 
 
 def beats(log: RunLog, from_s: float, mission: str) -> RunLog:
     stamps = [round((START_S + from_s + k * PERIOD_S) * SECOND) for k in range(200)]
-    found = [DecodedMessage(ns, ns, k, StationHeartbeat(mission=mission)) for k, ns in enumerate(stamps)]
-    return dataclasses.replace(log, entries={**log.entries, (topics.HEARTBEAT.name, 0): found})
+    heartbeats = [DecodedMessage(ns, ns, k, StationHeartbeat(mission=mission)) for k, ns in enumerate(stamps)]
+    return dataclasses.replace(log, entries={**log.entries, (topics.HEARTBEAT.name, 0): heartbeats})
 
 
 def test_a_robot_that_was_out_of_the_water_is_not_reported_as_flown(flown: tuple[Experiment, RunLog, Path]) -> None:
     experiment, log, _ = flown
     stamps = [round((START_S + k * PERIOD_S) * SECOND) for k in range(200)]
-    told = [DecodedMessage(ns, ns, k, StationHeartbeat(mission="DEGRADED", out=(2,))) for k, ns in enumerate(stamps)]
-    entries = {**log.entries, (topics.HEARTBEAT.name, 0): told, (topics.STATE.name, 2): []}
-    found = result_of(experiment, dataclasses.replace(log, entries=entries))
-    whole = next(check for check in found.checks if check.name == WHOLE_RUN)
-    assert found.robots["2"].end.out_of_water and not found.robots["1"].end.out_of_water
-    assert whole.failed and whole.where == "robot 2 out of the water" and not found.passed
+    heartbeats = [DecodedMessage(ns, ns, k, StationHeartbeat(mission="DEGRADED", out=(2,))) for k, ns in enumerate(stamps)]
+    entries = {**log.entries, (topics.HEARTBEAT.name, 0): heartbeats, (topics.STATE.name, 2): []}
+    result = result_of(experiment, dataclasses.replace(log, entries=entries))
+    whole = next(check for check in result.checks if check.name == WHOLE_RUN)
+    assert result.robots["2"].end.out_of_water and not result.robots["1"].end.out_of_water
+    assert whole.failed and whole.where == "robot 2 out of the water" and not result.passed
 
 
 def test_a_fleet_that_is_sent_home_has_not_flown_the_run(flown: tuple[Experiment, RunLog, Path]) -> None:
     experiment, log, _ = flown
     assert MissionState[HOMEWARD] is MissionState.RETURNING
-    found = result_of(experiment, beats(log, 2.0, HOMEWARD))
-    assert not found.passed
-    assert "sent home after 2.0 s of 6 s" in found.notes[0]
+    result = result_of(experiment, beats(log, 2.0, HOMEWARD))
+    assert not result.passed
+    assert "sent home after 2.0 s of 6 s" in result.notes[0]
     assert result_of(experiment, beats(log, 2.0, MissionState.RUNNING.name)).passed
 
 
@@ -156,11 +155,11 @@ def test_the_way_home_is_no_flight_to_judge(flown: tuple[Experiment, RunLog, Pat
     """Flown, and then, from where everybody lay, home, along a path that begins at 0, or a control period later."""
     experiment, log, _ = flown
     entries = dict(log.entries)
-    for (name, robot), found in log.entries.items():
+    for (name, robot), messages in log.entries.items():
         if name == topics.STATE.name:
-            stands = [e.message.trajectory_s <= begin_s for e in found]
+            stands = [e.message.trajectory_s <= begin_s for e in messages]
             entries[name, robot] = [
-                later(e, 0.0, mode=Mode.ARMED, trajectory_s=begin_s) if s else e for e, s in zip(found, stands, strict=True)
+                later(e, 0.0, mode=Mode.ARMED, trajectory_s=begin_s) if s else e for e, s in zip(messages, stands, strict=True)
             ]
     both = beats(with_aborted_flight(dataclasses.replace(log, entries=entries), 4.0), 0.1, HOMEWARD)
     series = align(experiment, both)
@@ -172,17 +171,17 @@ def with_path_until(log: RunLog, experiment: Experiment, end_s: float) -> RunLog
     """The same, but the path is over then; robots stay where it ends, and their clocks go on a little."""
     samples = round(end_s / PERIOD_S) + 1 + experiment.controller.mpc.horizon
     entries = dict(log.entries)
-    for key, found in log.entries.items():
+    for key, messages in log.entries.items():
         if key[0] == topics.TRAJECTORY.name:
             cut = [
                 dataclasses.replace(
                     e, message=dataclasses.replace(e.message, **{n: getattr(e.message, n)[:samples] for n in ARRAYS})
                 )
-                for e in found
+                for e in messages
             ]
             entries[key] = cut
         elif key[0] == topics.STATE.name:
-            entries[key] = [e for e in found if e.stamp_ns <= (START_S + end_s) * SECOND]
+            entries[key] = [e for e in messages if e.stamp_ns <= (START_S + end_s) * SECOND]
     return dataclasses.replace(log, entries=entries)
 
 
@@ -194,27 +193,27 @@ def test_a_reference_whose_beginning_is_left_out_is_unknown_there_and_right_afte
 ) -> None:
     experiment, log, _ = flown
     cut, entries = round(2.0 / PERIOD_S), dict(log.entries)
-    for key, found in log.entries.items():
+    for key, messages in log.entries.items():
         if key[0] == topics.TRAJECTORY.name:
-            rest = [{n: getattr(e.message, n)[cut:] for n in ARRAYS} for e in found]
+            rest = [{n: getattr(e.message, n)[cut:] for n in ARRAYS} for e in messages]
             entries[key] = [
                 dataclasses.replace(e, message=dataclasses.replace(e.message, begin_s=2.0, **parts))
-                for e, parts in zip(found, rest, strict=True)
+                for e, parts in zip(messages, rest, strict=True)
             ]
     whole, short = align(experiment, log), align(experiment, dataclasses.replace(log, entries=entries))
     for robot in experiment.robot_ids:
-        known = whole.time_s >= 2.0
-        np.testing.assert_allclose(short.robots[robot].reference[known], whole.robots[robot].reference[known], atol=1e-9)
+        late = whole.time_s >= 2.0
+        np.testing.assert_allclose(short.robots[robot].reference[late], whole.robots[robot].reference[late], atol=1e-9)
         assert np.isnan(short.robots[robot].reference[whole.time_s < 2.0 - 2.0 * PERIOD_S]).all()
 
 
 def test_a_path_that_is_over_is_no_failure(flown: tuple[Experiment, RunLog, Path]) -> None:
     experiment, log, _ = flown
-    found = result_of(experiment, with_path_until(log, experiment, 4.0))
-    assert found.passed
-    assert found.asked_s == pytest.approx(4.0)
-    assert found.notes == ("The path was over after 4.0 s, before the 6 s of the experiment.",)
-    whole = next(check for check in found.checks if check.name.startswith("whole run"))
+    result = result_of(experiment, with_path_until(log, experiment, 4.0))
+    assert result.passed
+    assert result.asked_s == pytest.approx(4.0)
+    assert result.notes == ("The path was over after 4.0 s, before the 6 s of the experiment.",)
+    whole = next(check for check in result.checks if check.name.startswith("whole run"))
     assert [whole.value, whole.limit] == pytest.approx([4.0, 4.0]) and whole.passed
 
 
@@ -227,13 +226,13 @@ def test_a_flight_that_ends_before_its_path_fails_and_says_why(flown: tuple[Expe
         lost = [later(states[-1], k * PERIOD_S, mode=Mode.HOLDING, fault="pose late") for k in range(1, 5)]
         lost += [later(states[-1], k * PERIOD_S, mode=Mode.FAULT, fault="no pose") for k in range(5, 9)]
         entries[topics.STATE.name, robot] = states + lost
-    found = result_of(experiment, dataclasses.replace(log, entries=entries))
-    assert not found.passed
-    assert [fault.text for fault in found.faults] == ["holding: pose late"] * 2 + ["fault: no pose"] * 2
-    assert found.cause is not None
-    assert (found.cause.text, found.cause.noticed_by) == ("holding: pose late", "robot 1")
-    assert found.cause.time_s == pytest.approx(4.0, abs=0.11)
-    assert found.cause.outcome.startswith("4.0 s of ")
+    result = result_of(experiment, dataclasses.replace(log, entries=entries))
+    assert not result.passed
+    assert [fault.text for fault in result.faults] == ["holding: pose late"] * 2 + ["fault: no pose"] * 2
+    assert result.cause is not None
+    assert (result.cause.text, result.cause.noticed_by) == ("holding: pose late", "robot 1")
+    assert result.cause.time_s == pytest.approx(4.0, abs=0.11)
+    assert result.cause.outcome.startswith("4.0 s of ")
 
 
 def test_a_flight_under_20_s_has_no_settled_figures(flown: tuple[Experiment, RunLog, Path]) -> None:
@@ -241,11 +240,7 @@ def test_a_flight_under_20_s_has_no_settled_figures(flown: tuple[Experiment, Run
     experiment = flown[0]
     limits = experiment.limits.model_copy(update={"rms_after_20s_m": 0.01, "wrench_step_rms": 0.1, "rms_m": 0.5})
     short = experiment.model_copy(update={"limits": limits})
-    nothing = dict.fromkeys(("arrived_m", "rms_after_20s_m", "rms_yaw_after_20s_rad", "max_after_20s_m", "wrench_step_rms"))
-    assert broken_limits(short, {"rms_m": 0.1, **nothing}) == []
-    assert broken_limits(short, {"rms_m": 0.6, **nothing}) == ["rms_m"]
     long = short.model_copy(update={"duration_s": 30.0})
-    assert broken_limits(long, {"rms_m": 0.1, **nothing}) == ["rms_after_20s_m", "wrench_step_rms"]
     assert not settled(20.0) and settled(20.1)
     over = with_path_until(flown[1], long, 4.0)
     unjudged = {check.name for check in result_of(long, over).checks if check.passed is None and not check.failed}
@@ -259,10 +254,10 @@ def test_a_clock_that_leaps_neither_fills_the_memory_nor_passes_unsaid(flown: tu
     """A year ahead in mid-flight, as if a computer's clock had been set."""
     experiment, log, _ = flown
     entries = dict(log.entries)
-    for key, found in log.entries.items():
+    for key, messages in log.entries.items():
         entries[key] = [
             dataclasses.replace(e, stamp_ns=e.stamp_ns + (31_536_000 * SECOND if e.stamp_ns > (START_S + 3.0) * SECOND else 0))
-            for e in found
+            for e in messages
         ]
     series = align(experiment, dataclasses.replace(log, entries=entries))
     assert len(series.time_s) < 100_000
@@ -272,10 +267,10 @@ def test_a_clock_that_leaps_neither_fills_the_memory_nor_passes_unsaid(flown: tu
 
 def test_stamps_that_come_twice_and_a_flight_of_no_length(flown: tuple[Experiment, RunLog, Path]) -> None:
     experiment, log, _ = flown
-    twice = {key: [e for e in found for _ in range(2)] for key, found in log.entries.items()}
+    twice = {key: [e for e in messages for _ in range(2)] for key, messages in log.entries.items()}
     doubled = result_of(experiment, dataclasses.replace(log, entries=twice))
     assert doubled.robots["1"].rms_m == pytest.approx(result_of(experiment, log).robots["1"].rms_m)
-    one = {key: found[:1] if key[0] != topics.STATE.name else found[30:32] for key, found in log.entries.items()}
+    one = {key: messages[:1] if key[0] != topics.STATE.name else messages[30:32] for key, messages in log.entries.items()}
     short = result_of(experiment, dataclasses.replace(log, entries=one))
     assert not short.passed and short.duration_s < 0.1
     json.loads(short.to_json())
@@ -285,8 +280,8 @@ def test_stamps_that_come_twice_and_a_flight_of_no_length(flown: tuple[Experimen
 def test_any_clock_along_the_path_gives_a_result(flown: tuple[Experiment, RunLog, Path], clock_s: float) -> None:
     experiment, log, _ = flown
     states = [later(e, 0.0, trajectory_s=clock_s) for e in log.of(topics.STATE, RobotState, 1)]
-    found = result_of(experiment, dataclasses.replace(log, entries={**log.entries, (topics.STATE.name, 1): states}))
-    json.loads(found.to_json())
+    result = result_of(experiment, dataclasses.replace(log, entries={**log.entries, (topics.STATE.name, 1): states}))
+    json.loads(result.to_json())
 
 
 def test_a_trajectory_without_samples_is_left_out(flown: tuple[Experiment, RunLog, Path]) -> None:
@@ -295,18 +290,18 @@ def test_a_trajectory_without_samples_is_left_out(flown: tuple[Experiment, RunLo
         still = np.zeros((samples, 4))
         bad = Trajectory("bad", period_s, still, still, still)
         entries = {**log.entries, (topics.TRAJECTORY.name, 1): [DecodedMessage(0, 0, 1, bad)]}
-        found = result_of(experiment, dataclasses.replace(log, entries=entries))
-        assert found.robots["1"].rms_m is None and found.robots["2"].rms_m is not None
-        assert not found.passed or not experiment.limits.rms_m
+        result = result_of(experiment, dataclasses.replace(log, entries=entries))
+        assert result.robots["1"].rms_m is None and result.robots["2"].rms_m is not None
+        assert not result.passed or not experiment.limits.rms_m
 
 
 @pytest.mark.parametrize("missing", [topic for topic in topics.TOPICS if topic.recorded], ids=lambda topic: topic.name)
 def test_a_log_without_a_topic_gives_a_result(flown: tuple[Experiment, RunLog, Path], missing: topics.Topic) -> None:
     experiment, log, _ = flown
-    left = {key: found for key, found in log.entries.items() if key[0] != missing.name}
-    found = result_of(experiment, dataclasses.replace(log, entries=left))
-    json.loads(found.to_json())
-    assert found.passed or missing.name in (topics.STATE.name, topics.TRUTH.name, topics.TRAJECTORY.name)
+    left = {key: messages for key, messages in log.entries.items() if key[0] != missing.name}
+    result = result_of(experiment, dataclasses.replace(log, entries=left))
+    json.loads(result.to_json())
+    assert result.passed or missing.name in (topics.STATE.name, topics.TRUTH.name, topics.TRAJECTORY.name)
 
 
 def test_time_0_of_a_table_is_the_reports(flown: tuple[Experiment, RunLog, Path]) -> None:
@@ -338,22 +333,22 @@ def test_a_trip_of_one_robot_after_the_flight_is_no_flight(flown: tuple[Experime
     ]
     states = [*log.entries[topics.STATE.name, 1], *trip]
     after = dataclasses.replace(log, entries={**log.entries, (topics.STATE.name, 1): states})
-    found, before = result_of(experiment, after), result_of(experiment, log)
-    assert (found.flight, len(found.flights), found.passed) == (1, 1, before.passed)
-    assert found.robots["1"].rms_m == before.robots["1"].rms_m
+    result, before = result_of(experiment, after), result_of(experiment, log)
+    assert (result.flight, len(result.flights), result.passed) == (1, 1, before.passed)
+    assert result.robots["1"].rms_m == before.robots["1"].rms_m
 
 
 def test_a_robot_that_is_led_away_is_judged_by_what_it_flew_with_the_formation(
     flown: tuple[Experiment, RunLog, Path],
 ) -> None:
     experiment, log, _ = flown
-    found, before = result_of(experiment, led_alone(log, 2, 3.0)), result_of(experiment, log)
-    rms_m, usual_m = found.robots["2"].max_m, before.robots["2"].max_m
+    result, before = result_of(experiment, led_alone(log, 2, 3.0)), result_of(experiment, log)
+    rms_m, usual_m = result.robots["2"].max_m, before.robots["2"].max_m
     assert rms_m is not None and usual_m is not None and max(rms_m) <= max(usual_m) + 1e-6
-    whole = next(check for check in found.checks if check.name == "whole run flown")
+    whole = next(check for check in result.checks if check.name == "whole run flown")
     assert not whole.passed and whole.value == pytest.approx(3.0, abs=0.1)
-    assert any(f"{whole.value:.1f} s of" in note for note in found.notes)
-    assert found.robots["1"].rms_m == before.robots["1"].rms_m
+    assert any(f"{whole.value:.1f} s of" in note for note in result.notes)
+    assert result.robots["1"].rms_m == before.robots["1"].rms_m
 
 
 def test_a_driven_robot_that_holds_far_off_has_no_error_until_it_flies_again(flown: tuple[Experiment, RunLog, Path]) -> None:
@@ -366,17 +361,17 @@ def test_a_driven_robot_that_holds_far_off_has_no_error_until_it_flies_again(flo
         mode = next((mode for at_s, mode in reversed(modes.items()) if since_s >= at_s), None)
         states.append(e if mode is None or e.message.mode is not Mode.TRACKING else later(e, 0.0, mode=mode))
     series = align(experiment, dataclasses.replace(log, entries={**log.entries, name: states}))
-    known = np.isfinite(series.robots[2].error[:, 0])
+    has_error = np.isfinite(series.robots[2].error[:, 0])
     away = (series.time_s > 2.06) & (series.time_s < 3.94)
-    assert not known[away].any() and known[series.time_s < 1.94].all() and known[series.time_s > 4.06].all()
+    assert not has_error[away].any() and has_error[series.time_s < 1.94].all() and has_error[series.time_s > 4.06].all()
 
 
 def test_a_separation_and_errors_that_are_unknown_for_long_fail(flown: tuple[Experiment, RunLog, Path]) -> None:
     experiment, log, _ = flown
-    seen = [e for e in log.entries[topics.TRUTH.name, 0] if not 2.0 < e.stamp_ns / SECOND - START_S < 4.0]
+    truths = [e for e in log.entries[topics.TRUTH.name, 0] if not 2.0 < e.stamp_ns / SECOND - START_S < 4.0]
     limited = experiment.model_copy(update={"limits": experiment.limits.model_copy(update={"rms_m": 0.5})})
-    found = result_of(limited, dataclasses.replace(log, entries={**log.entries, (topics.TRUTH.name, 0): seen}))
-    separation, rms = (next(check for check in found.checks if check.name == name) for name in ("separation", "rms_m"))
+    result = result_of(limited, dataclasses.replace(log, entries={**log.entries, (topics.TRUTH.name, 0): truths}))
+    separation, rms = (next(check for check in result.checks if check.name == name) for name in ("separation", "rms_m"))
     assert separation.value is not None and separation.value > separation.limit and not separation.passed
     assert "known for" in separation.where
     assert rms.value is not None and rms.value < rms.limit and not rms.passed and "known for" in rms.where
@@ -386,8 +381,8 @@ def test_a_clock_is_not_invented_across_a_gap_of_the_log(flown: tuple[Experiment
     """A robot out of reach flies on for a second, then holds: where it should have been meanwhile nobody knows."""
     experiment, log, _ = flown
     name = topics.STATE.name, 2
-    heard = [e for e in log.entries[name] if not 2.0 < e.stamp_ns / SECOND - START_S < 4.0]
-    series = align(experiment, dataclasses.replace(log, entries={**log.entries, name: heard}))
-    known = np.isfinite(series.robots[2].error[:, 0])
+    states = [e for e in log.entries[name] if not 2.0 < e.stamp_ns / SECOND - START_S < 4.0]
+    series = align(experiment, dataclasses.replace(log, entries={**log.entries, name: states}))
+    has_error = np.isfinite(series.robots[2].error[:, 0])
     out = (series.time_s > 2.06) & (series.time_s < 3.94)
-    assert not known[out].any() and known[series.time_s < 1.94].all() and known[series.time_s > 4.06].all()
+    assert not has_error[out].any() and has_error[series.time_s < 1.94].all() and has_error[series.time_s > 4.06].all()

@@ -40,16 +40,16 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> Result:
 @pytest.mark.parametrize("robot", [1, 2])
 def test_tracking_errors_are_the_closed_form(result: Result, robot: int) -> None:
     """Half of the 40 s with one amplitude, half with the other: whole periods of both sines."""
-    found = result.robots[str(robot)]
+    figures = result.robots[str(robot)]
     early, late = synthetic.AMPLITUDE_M[robot]
     y = abs(synthetic.OFFSET_Y_M[robot])
-    assert found.rms_m == pytest.approx((np.sqrt((early**2 + late**2) / 4.0), y, 0.0), rel=2e-3, abs=1e-6)
-    assert found.rms_after_20s_m == pytest.approx((late / ROOT2, y, 0.0), rel=2e-3, abs=1e-6)
-    assert found.max_m == pytest.approx((early, y, 0.0), abs=6e-4)  # truth has a kink where the run begins
-    assert found.max_after_20s_m == pytest.approx((late, y, 0.0), abs=6e-4)
-    assert found.rms_yaw_rad == pytest.approx(synthetic.AMPLITUDE_RAD[robot] / ROOT2, rel=2e-3)
-    assert found.rms_yaw_after_20s_rad == pytest.approx(synthetic.AMPLITUDE_RAD[robot] / ROOT2, rel=2e-3)
-    assert found.rms_yaw_command_rad == pytest.approx(synthetic.COMMAND_OFFSET_RAD, rel=1e-2)
+    assert figures.rms_m == pytest.approx((np.sqrt((early**2 + late**2) / 4.0), y, 0.0), rel=2e-3, abs=1e-6)
+    assert figures.rms_after_20s_m == pytest.approx((late / ROOT2, y, 0.0), rel=2e-3, abs=1e-6)
+    assert figures.max_m == pytest.approx((early, y, 0.0), abs=6e-4)  # truth has a kink where the run begins
+    assert figures.max_after_20s_m == pytest.approx((late, y, 0.0), abs=6e-4)
+    assert figures.rms_yaw_rad == pytest.approx(synthetic.AMPLITUDE_RAD[robot] / ROOT2, rel=2e-3)
+    assert figures.rms_yaw_after_20s_rad == pytest.approx(synthetic.AMPLITUDE_RAD[robot] / ROOT2, rel=2e-3)
+    assert figures.rms_yaw_command_rad == pytest.approx(synthetic.COMMAND_OFFSET_RAD, rel=1e-2)
 
 
 def test_formation_error_is_the_difference_of_the_robots(result: Result) -> None:
@@ -66,11 +66,11 @@ def test_formation_error_is_the_difference_of_the_robots(result: Result) -> None
 
 def test_baseline_is_a_robot_at_the_centre_of_its_circle(tmp_path: Path) -> None:
     """Over a whole lap: 0.225 m / sqrt 2 = 0.159 m per axis (ambiguity A16)."""
-    found = result_of(tmp_path, Script(duration_s=100.0)).robots["1"].baseline
-    assert found is not None
-    assert found.rms_m == pytest.approx((0.225 / ROOT2, 0.225 / ROOT2, 0.0), abs=1e-3)
-    assert found.max_m == pytest.approx((0.225, 0.225, 0.0), abs=1e-4)
-    assert found.rms_yaw_rad is None
+    baseline = result_of(tmp_path, Script(duration_s=100.0)).robots["1"].baseline
+    assert baseline is not None
+    assert baseline.rms_m == pytest.approx((0.225 / ROOT2, 0.225 / ROOT2, 0.0), abs=1e-3)
+    assert baseline.max_m == pytest.approx((0.225, 0.225, 0.0), abs=1e-4)
+    assert baseline.rms_yaw_rad is None
 
 
 def test_article_stands_beside(result: Result) -> None:
@@ -112,17 +112,17 @@ def test_run_is_described(result: Result) -> None:
 
 
 def test_json_has_the_agreed_names_and_no_nan(result: Result) -> None:
-    found = json.loads(result.to_json())
+    fields = json.loads(result.to_json())
     agreed = {"scene", "seed", "mode", "duration_s", "real_time_factor", "robots", "pairs", "min_separation_m"}
     agreed |= {"control_step_us", "pose_error_m", "exposure_to_pwm_ms", "dtau_rms", "missed_deadlines", "faults"}
-    assert agreed <= set(found)
+    assert agreed <= set(fields)
     errors = {"rms_m", "rms_yaw_rad", "rms_after_20s_m", "rms_yaw_after_20s_rad", "max_m", "max_after_20s_m"}
-    for row in (found["robots"]["1"], found["pairs"]["1-2"]):
+    for row in (fields["robots"]["1"], fields["pairs"]["1-2"]):
         assert errors <= set(row)
         assert len(row["rms_m"]) == 3
-    assert set(found["control_step_us"]) >= {"p50", "p99", "max"}
-    assert set(found["pose_error_m"]) == {"rms", "max"}
-    assert found["robots"]["1"]["article"]["rms_m"] == [0.07, 0.11]
+    assert set(fields["control_step_us"]) >= {"p50", "p99", "max"}
+    assert set(fields["pose_error_m"]) == {"rms", "max"}
+    assert fields["robots"]["1"]["article"]["rms_m"] == [0.07, 0.11]
 
 
 def test_real_time_factor_counts_only_the_run(tmp_path: Path) -> None:
@@ -134,8 +134,8 @@ def test_real_time_factor_counts_only_the_run(tmp_path: Path) -> None:
 
 
 def test_keys_need_no_fleet_name(tmp_path: Path) -> None:
-    found = result_of(tmp_path, Script(prefix="", duration_s=25.0)).robots["1"].rms_after_20s_m
-    assert found == pytest.approx((synthetic.AMPLITUDE_M[1][1] / ROOT2, synthetic.OFFSET_Y_M[1], 0.0), rel=2e-2, abs=1e-6)
+    rms_m = result_of(tmp_path, Script(prefix="", duration_s=25.0)).robots["1"].rms_after_20s_m
+    assert rms_m == pytest.approx((synthetic.AMPLITUDE_M[1][1] / ROOT2, synthetic.OFFSET_Y_M[1], 0.0), rel=2e-2, abs=1e-6)
 
 
 def test_missed_deadlines_count_in_the_run_and_across_a_restart(tmp_path: Path) -> None:
@@ -187,6 +187,7 @@ def test_a_good_run_passes(result: Result) -> None:
         "faults",
         "missed deadlines",
         "separation",
+        "clearance of hulls",
     }
 
 
@@ -194,6 +195,20 @@ def test_too_close_fails(tmp_path: Path) -> None:
     result = result_of(tmp_path, Script(settings=("safety.radius_m=0.395",)))
     separation = check(result, "separation")
     assert (separation.where, separation.passed, separation.limit) == ("pair 1-2", False, 0.79)
+
+
+@pytest.mark.parametrize("against", ["truth", "localizer"])
+def test_a_hull_in_a_wall_fails(against: str, tmp_path: Path) -> None:
+    """Robot 2 is for a second 0.02 m nearer to the pool's end than its hull is wide. A localizer's word for it is none."""
+    experiment, log = write_run(tmp_path), read_log(tmp_path / "run.mcap")
+    series = align(experiment, log)
+    truth = series.robots[2].truth.copy()
+    truth[100:120, 0] = 0.5 * experiment.pool.size_m[0] - experiment.vehicle.radius_m + 0.02
+    robots = series.robots | {2: dataclasses.replace(series.robots[2], truth=truth)}
+    found = evaluate(dataclasses.replace(series, robots=robots, errors_against=against), log)
+    clear = [c for c in found.checks if c.name == "clearance of hulls"]
+    assert [(c.where, c.failed) for c in clear] == ([("robot 2", True)] if against == "truth" else [])
+    assert all(c.value == pytest.approx(-0.02) for c in clear)
 
 
 def test_hold_and_resume_leave_the_reference_standing(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ def event(time_s: float, source: str, text: str, fault: bool = False) -> Timelin
 
 
 def test_a_mode_told_by_state_agent_and_reply_is_one_event() -> None:
-    found = once(
+    events = once(
         [
             event(0.00, "agent-1", "ARM: accepted"),
             event(0.05, "robot 1", "armed"),
@@ -21,7 +21,7 @@ def test_a_mode_told_by_state_agent_and_reply_is_one_event() -> None:
             event(0.08, "agent-2", "LOAD: accepted"),
         ]
     )
-    assert [(e.source, e.text) for e in found] == [
+    assert [(e.source, e.text) for e in events] == [
         ("robot 1", "armed"),
         ("robot 2", "ARM: refused: no battery"),
         ("robot 2", "LOAD: accepted"),
@@ -29,10 +29,10 @@ def test_a_mode_told_by_state_agent_and_reply_is_one_event() -> None:
 
 
 def test_a_mode_entered_again_is_a_second_event() -> None:
-    found = once(
+    events = once(
         [event(1.0, "robot 1", "holding: pose late"), event(3.0, "robot 1", "tracking"), event(9.0, "robot 1", "tracking")]
     )
-    assert [e.time_s for e in found] == [1.0, 3.0, 9.0]
+    assert [e.time_s for e in events] == [1.0, 3.0, 9.0]
 
 
 def test_a_line_that_repeats_is_one_event_with_its_number_and_end() -> None:

@@ -28,7 +28,7 @@ def no_waiting(monkeypatch: pytest.MonkeyPatch) -> None:
 def asked(*replies: Reply, order: Order = Order.STOP, patience_s: float = 60.0) -> tuple[Reply, list[Command], list[Outcome]]:
     """Outcome of a request that gets these answers; the last one repeats for ever."""
     commands: list[Command] = []
-    told: list[Outcome] = []
+    outcomes: list[Outcome] = []
 
     def answers() -> Iterator[Reply]:
         yield from replies
@@ -42,15 +42,15 @@ def asked(*replies: Reply, order: Order = Order.STOP, patience_s: float = 60.0) 
         return next(answer)
 
     over = client.limit(Bus(MemoryTransport(MemoryHub())), patience_s)
-    return follow(ask, Command(order, 0), over, told.append), commands, told
+    return follow(ask, Command(order, 0), over, outcomes.append), commands, outcomes
 
 
 def test_the_terminal_queries_the_outcome_until_it_is_over() -> None:
     done = outcome(Progress.DONE, confirmed=(1, 2))
-    reply, commands, told = asked(outcome(), outcome(confirmed=(1,)), done)
+    reply, commands, outcomes = asked(outcome(), outcome(confirmed=(1,)), done)
     assert reply is done
     assert [(c.order, c.about) for c in commands] == [(Order.STOP, 0), (Order.NONE, 5), (Order.NONE, 5)]
-    assert [o.confirmed for o in told] == [(), (1,)]
+    assert [o.confirmed for o in outcomes] == [(), (1,)]
 
 
 def test_a_question_that_is_not_answered_is_asked_again_and_the_request_is_not() -> None:
@@ -68,8 +68,8 @@ def test_only_an_unanswered_stop_is_repeated() -> None:
 
 def test_the_terminal_stops_waiting_after_a_refusal_or_a_reply_without_outcome() -> None:
     for reply in (Reply(0, False, "STOPPED"), Reply(0, True)):
-        found, commands, told = asked(reply)
-        assert (found, len(commands), told) == (reply, 1, [])
+        answer, commands, outcomes = asked(reply)
+        assert (answer, len(commands), outcomes) == (reply, 1, [])
 
 
 def test_patience_ends() -> None:
@@ -104,9 +104,9 @@ def test_the_exit_code_and_the_last_lines_say_what_was_achieved(
     assert OutcomePrinter("stop", False).end(reply, 5.0) == code
     assert [line for line in capsys.readouterr().out.splitlines() if not line.startswith("  mission")] == lines
     assert OutcomePrinter("stop", True).end(reply, 5.0) == code
-    told = json.loads(capsys.readouterr().out)
-    assert told["done"] is (code == 0)
-    assert told["robots"].get("2", "confirmed") == ("not heard" if "NOT" in "".join(lines) else "confirmed")
+    output = json.loads(capsys.readouterr().out)
+    assert output["done"] is (code == 0)
+    assert output["robots"].get("2", "confirmed") == ("not heard" if "NOT" in "".join(lines) else "confirmed")
 
 
 def test_a_request_that_does_not_wait_is_told_no_more_than_taken(capsys: pytest.CaptureFixture[str]) -> None:
@@ -115,7 +115,7 @@ def test_a_request_that_does_not_wait_is_told_no_more_than_taken(capsys: pytest.
 
 
 def test_progress_is_told_once(capsys: pytest.CaptureFixture[str]) -> None:
-    told = OutcomePrinter("start", False)
+    printer = OutcomePrinter("start", False)
     for mission, confirmed in (("LOADING", ()), ("LOADING", ()), ("TEST_ARMING", (1,)), ("TEST_ARMING", (1,))):
-        told.progress(Outcome(1, Order.START, mission=mission, confirmed=confirmed))
+        printer.progress(Outcome(1, Order.START, mission=mission, confirmed=confirmed))
     assert capsys.readouterr().out.splitlines() == ["  mission: loading", "  mission: test arming", "  robot 1: confirmed"]

@@ -39,28 +39,28 @@ def runs(tmp_path: Path) -> Path:
 
 
 def listed(folder: Path, *words: str) -> list[dict[str, Any]]:
-    found: list[dict[str, Any]] = json.loads(
+    runs_read: list[dict[str, Any]] = json.loads(
         CliRunner().invoke(cli, ["log", "list", "--in", str(folder), "--json", *words]).stdout
     )
-    return found
+    return runs_read
 
 
 def test_runs_come_in_the_order_of_their_beginning_with_size_and_verdict(runs: Path) -> None:
-    found = listed(runs)
-    assert [(Path(run["run"]).name, run["verdict"]) for run in found] == [
+    rows = listed(runs)
+    assert [(Path(run["run"]).name, run["verdict"]) for run in rows] == [
         ("first", "failed"),
         ("second", "passed"),
         ("cut", "no result"),
         ("strange", "no result"),
     ]
-    assert all(run["size_mb"] == pytest.approx(2.0, abs=0.01) for run in found)
-    assert found[1]["experiment"] == "pool" and found[1]["commit"] == "a" * 40
+    assert all(run["size_mb"] == pytest.approx(2.0, abs=0.01) for run in rows)
+    assert rows[1]["experiment"] == "pool" and rows[1]["commit"] == "a" * 40
 
 
 def test_a_result_with_other_types_is_listed_as_far_as_it_can_be_read(tmp_path: Path) -> None:
     a_run(tmp_path, "odd", json.dumps({"scene": 3, "duration_s": "long", "tags": "lamp", "passed": 1}), 1)
-    (found,) = listed(tmp_path)
-    assert (found["experiment"], found["duration_s"], found["tags"], found["verdict"]) == ("3", 0.0, [], "no result")
+    (row,) = listed(tmp_path)
+    assert (row["experiment"], row["duration_s"], row["tags"], row["verdict"]) == ("3", 0.0, [], "no result")
 
 
 def test_every_word_narrows_the_list(runs: Path) -> None:
@@ -81,8 +81,8 @@ def test_a_run_is_found_by_its_name_and_tags_until_it_is_deleted(runs: Path) -> 
     folder = str(runs / "second")
     assert station("label", folder, "--name", "first dive", "--tag", "lamp", "--tag", "cold") == 0
     assert station("label", folder, "--untag", "cold") == 0
-    (found,) = listed(runs, "dive", "lamp")
-    assert (Path(found["run"]).name, found["name"], found["tags"]) == ("second", "first dive", ["lamp"])
+    (row,) = listed(runs, "dive", "lamp")
+    assert (Path(row["run"]).name, row["name"], row["tags"]) == ("second", "first dive", ["lamp"])
     assert listed(runs, "cold") == []
     assert station("delete", folder) == 1 and Path(folder).is_dir()  # nobody says yes
     assert station("delete", folder, "--yes") == 0 and not Path(folder).exists()
@@ -107,13 +107,13 @@ def test_tags_that_are_given_at_once_are_all_kept(runs: Path) -> None:
 @pytest.mark.parametrize("passed", ['"no"', "0", "[]", "1e3"])
 def test_a_verdict_that_is_neither_true_nor_false_is_none(runs: Path, passed: str) -> None:
     (runs / "second" / "result.json").write_text(f'{{"passed": {passed}}}')
-    (found,) = [run for run in list_runs(runs) if Path(run.run).name == "second"]
-    assert found.verdict == NO_RESULT
+    (row,) = [run for run in list_runs(runs) if Path(run.run).name == "second"]
+    assert row.verdict == NO_RESULT
 
 
 def test_hash_words_of_remarks_are_tags() -> None:
-    said = ("remark: lamp off #lamp, #cold-water", "remark: a#b #lamp", "mission: #no")
-    assert tags([TimelineEvent(float(k), "groundstation", text, False) for k, text in enumerate(said)]) == (
+    remarks = ("remark: lamp off #lamp, #cold-water", "remark: a#b #lamp", "mission: #no")
+    assert tags([TimelineEvent(float(k), "groundstation", text, False) for k, text in enumerate(remarks)]) == (
         "lamp",
         "cold-water",
     )

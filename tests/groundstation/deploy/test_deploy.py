@@ -57,14 +57,14 @@ def test_a_board_that_cannot_run_the_agent_says_what_it_lacks() -> None:
     assert manifest.read_probe("pi", "aarch64\n3.11\nsoftware ab\nkeys cd\n") == Probe(
         "aarch64", "3.11", {"software": "ab", "keys": "cd"}
     )
-    for said, says in (
+    for printout, says in (
         ("armv7l\n3.11\n", "armv7l"),
         ("x86_64\nnone\n", "python3-venv"),
         ("x86_64\n3.9\n", "3.11 or newer"),
         ("", "silent"),
     ):
         with pytest.raises(ConfigError, match=says):
-            manifest.read_probe("pi", said)
+            manifest.read_probe("pi", printout)
 
 
 @pytest.mark.parametrize(
@@ -198,9 +198,9 @@ def test_a_bare_board_is_brought_up_to_date_and_then_left_alone(board: SshBoard,
     assert sorted(path.name for path in (board.home / "keys").iterdir()) == ["agent-1"]  # nobody else's
     assert load_experiment(str(board.home / "experiment.toml")).hash == load_experiment("pool").hash
     assert not (board.home / "incoming").exists()
-    said = board.run(f"{board.home}/venv/bin/robot-agent check --config {board.home}/agent.toml --json || true")
-    found = {finding["what"]: finding["verdict"] for finding in json.loads(said[said.index("[") :])}
-    assert (found["experiment"], found["certificate"], found["station"]) == ("ok", "ok", "fail")  # there is no station
+    output = board.run(f"{board.home}/venv/bin/robot-agent check --config {board.home}/agent.toml --json || true")
+    checks = {finding["what"]: finding["verdict"] for finding in json.loads(output[output.index("[") :])}
+    assert (checks["experiment"], checks["certificate"], checks["station"]) == ("ok", "ok", "fail")  # there is no station
 
     before = {path: path.stat().st_mtime_ns for path in board.home.rglob("*.toml")}
     assert row(deployed(board, ring, wheels))[2:] == ["nothing", "", "not touched"]
@@ -304,10 +304,10 @@ def test_with_the_real_wheelhouse_the_agent_needs_nothing_of_ours_on_the_board(
     packages = board.run(f"{board.home}/venv/bin/python -m pip list --format=freeze").lower()
     assert "eclipse-zenoh" in packages
     assert "opencv" not in packages and "mcap" not in packages and "starlette" not in packages
-    said = board.run(f"{board.home}/venv/bin/robot-agent check --config {board.home}/agent.toml --json || true")
-    found = {finding["what"]: finding["verdict"] for finding in json.loads(said[said.index("[") :])}
-    assert found["experiment"] == "ok"
-    assert "control step" in found
+    output = board.run(f"{board.home}/venv/bin/robot-agent check --config {board.home}/agent.toml --json || true")
+    verdicts = {finding["what"]: finding["verdict"] for finding in json.loads(output[output.index("[") :])}
+    assert verdicts["experiment"] == "ok"
+    assert "control step" in verdicts
 
 
 @pytest.mark.slow
@@ -391,5 +391,5 @@ def test_the_next_deployment_starts_a_board_that_was_left_running(kept_manifest:
 @pytest.mark.parametrize("service", ["activating", "failed"])
 def test_a_service_that_does_not_come_up_is_trouble(kept_manifest: DeployRequest, tmp_path: Path, service: str) -> None:
     (tmp_path / "service").write_text(service)
-    found = deploy_one(Target("board", 1), kept_manifest)
-    assert f"its service is {service} after the restart" in found.trouble
+    outcome = deploy_one(Target("board", 1), kept_manifest)
+    assert f"its service is {service} after the restart" in outcome.trouble

@@ -41,8 +41,8 @@ def certificate(ring: Path, process: str) -> x509.Certificate:
     return x509.load_pem_x509_certificate((ring / process / "cert.pem").read_bytes())
 
 
-def name_of(found: x509.Certificate) -> str:
-    return str(found.subject.get_attributes_for_oid(NameOID.COMMON_NAME)[0].value)
+def name_of(certificate: x509.Certificate) -> str:
+    return str(certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)[0].value)
 
 
 def test_a_new_ring_has_everybody_but_robots(ring: Path) -> None:
@@ -77,14 +77,14 @@ def test_nft_takes_the_firewalls_rules(tmp_path: Path) -> None:
 def test_certificates_are_signed_by_the_authority_for_the_uses_they_have(ring: Path) -> None:
     root = x509.load_pem_x509_certificate((ring / "ca.pem").read_bytes())
     for process in ("groundstation", "viewer"):
-        found = certificate(ring, process)
-        found.verify_directly_issued_by(root)
-        uses = set(found.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value)
+        own = certificate(ring, process)
+        own.verify_directly_issued_by(root)
+        uses = set(own.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value)
         assert (ExtendedKeyUsageOID.SERVER_AUTH in uses) == (process == "groundstation")
-        assert not found.extensions.get_extension_for_class(x509.BasicConstraints).value.ca
+        assert not own.extensions.get_extension_for_class(x509.BasicConstraints).value.ca
         private = load_pem_private_key((ring / process / "key.pem").read_bytes(), None)
         assert isinstance(private, ec.EllipticCurvePrivateKey)
-        assert private.public_key() == found.public_key()
+        assert private.public_key() == own.public_key()
     names = certificate(ring, "groundstation").extensions.get_extension_for_class(x509.SubjectAlternativeName).value
     assert "pool.local" in names.get_values_for_type(x509.DNSName)
     assert "192.168.1.10" in map(str, names.get_values_for_type(x509.IPAddress))
@@ -187,7 +187,7 @@ def test_harmful_key_ring_requests_are_refused(ring: Path) -> None:
 
 def test_commands_say_what_they_did_and_never_a_secret(tmp_path: Path) -> None:
     ring, run = tmp_path / "keys", CliRunner()
-    said = []
+    outputs = []
     for arguments in (
         ["init", "--host", "192.168.1.10"],
         ["add", "robot", "3"],
@@ -198,12 +198,12 @@ def test_commands_say_what_they_did_and_never_a_secret(tmp_path: Path) -> None:
     ):
         done = run.invoke(cli, ["keys", arguments[0], "--keys", str(ring), *arguments[1:]])
         assert done.exit_code == 0, done.output
-        said.append(done.output)
-    assert "agent-3" in said[2]
-    assert "revoked" in said[4]
-    assert "agent-3" not in said[5]
-    config = json.loads(str(zenoh.Config.from_json5(said[5])))  # Zenoh knows every key of it
+        outputs.append(done.output)
+    assert "agent-3" in outputs[2]
+    assert "revoked" in outputs[4]
+    assert "agent-3" not in outputs[5]
+    config = json.loads(str(zenoh.Config.from_json5(outputs[5])))  # Zenoh knows every key of it
     assert config["access_control"]["default_permission"] == "deny"
     assert config["transport"]["link"]["tls"]["enable_mtls"] is True
-    assert "PRIVATE KEY" not in "".join(said)
+    assert "PRIVATE KEY" not in "".join(outputs)
     assert "PRIVATE KEY" not in repr(certificate_authority.make_authority("shoal", NOW))

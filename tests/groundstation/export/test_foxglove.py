@@ -91,18 +91,18 @@ def test_another_reader_takes_both(exported: tuple[Path, Path], capsys: pytest.C
     for path in (run / "run.mcap", log_of(out)):
         with pytest.raises(SystemExit) as ended:
             pymcap(["doctor", str(path)])
-        said = capsys.readouterr()
-        assert ended.value.code in (0, None), said.out + said.err
+        output = capsys.readouterr()
+        assert ended.value.code in (0, None), output.out + output.err
 
 
 def test_hulls_are_drawn_where_robots_say_they_are(exported: tuple[Path, Path]) -> None:
     """Each hull stands at one of the poses that its robot has told within 0.1 s."""
-    told: dict[int, list[tuple[int, Any]]] = {1: [], 2: []}
+    etas: dict[int, list[tuple[int, Any]]] = {1: [], 2: []}
     drawn: list[tuple[int, int, list[float]]] = []
     for topic, message, decoded in messages(log_of(exported[1]), decoded=True):
-        found = key_topic(topic)
-        if found is not None and found[0] is topics.STATE:
-            told[found[1]].append((message.log_time, decoded.eta))
+        topic_and_robot = key_topic(topic)
+        if topic_and_robot is not None and topic_and_robot[0] is topics.STATE:
+            etas[topic_and_robot[1]].append((message.log_time, decoded.eta))
         if topic == "shoal/viewer/scene":
             for entity in decoded.entities:
                 if entity.id.startswith("robot"):
@@ -112,7 +112,7 @@ def test_hulls_are_drawn_where_robots_say_they_are(exported: tuple[Path, Path]) 
                     drawn.append((message.log_time, int(entity.id.split()[1]), eta))
     assert len(drawn) > 120
     for at_ns, robot, eta in drawn:
-        near = [told_eta for told_ns, told_eta in told[robot] if abs(told_ns - at_ns) <= SECOND // 10]
+        near = [told_eta for told_ns, told_eta in etas[robot] if abs(told_ns - at_ns) <= SECOND // 10]
         assert min(np.abs(np.subtract(eta, one)).max() for one in near) < 1e-9
 
 
@@ -120,8 +120,8 @@ def test_silent_robots_and_old_obstacles_are_not_drawn() -> None:
     picture = SceneDrawer(load_experiment("pool"))
     picture.take(topics.STATE, 1, RobotState(), SECOND)
     picture.take(topics.PLAN, 2, Plan(0.05, np.ones((5, 4)), np.ones((5, 4))), SECOND)
-    seen = Obstacles((4,), np.ones((1, 12, 2)), np.zeros((1, 2)), 0.3)
-    picture.take(topics.OBSTACLES, 0, seen, SECOND)
+    obstacles = Obstacles((4,), np.ones((1, 12, 2)), np.zeros((1, 2)), 0.3, unseen_s=np.zeros(1))
+    picture.take(topics.OBSTACLES, 0, obstacles, SECOND)
     assert {e.id for e in picture.moving(SECOND + GONE_NS).entities} == {"robot 1", "plan 2", "obstacle 4"}
     assert not picture.moving(SECOND + GONE_NS + 1).entities
     assert all(e.lifetime.ToNanoseconds() == GONE_NS for e in picture.moving(SECOND).entities)
@@ -145,8 +145,8 @@ def test_down_in_the_pool_is_down_on_the_screen() -> None:
 def test_every_topic_of_the_layout_is_in_the_log(exported: tuple[Path, Path]) -> None:
     made = json.loads((exported[1] / "foxglove-layout.json").read_text())
     for topic in used_topics(made) - viewer_topics("shoal"):
-        found = key_topic(topic)
-        assert found is not None and found[0].recorded, topic
+        topic_and_robot = key_topic(topic)
+        assert topic_and_robot is not None and topic_and_robot[0].recorded, topic
     for panel in made["configById"].values():
         for path in panel.get("paths", ()):
             topic, _, rest = path["value"].partition(".")
@@ -208,15 +208,15 @@ def served() -> Iterator[tuple[Bus, ViewerServer]]:
 
 
 def advertised(viewer: ClientConnection, wanted: set[str]) -> dict[str, dict[str, Any]]:
-    found: dict[str, dict[str, Any]] = {}
-    while not wanted <= set(found):
+    channels: dict[str, dict[str, Any]] = {}
+    while not wanted <= set(channels):
         text = viewer.recv(timeout=10.0)
         if isinstance(text, str):
             message = json.loads(text)
-            found |= {channel["topic"]: channel for channel in message.get("channels", ())}
+            channels |= {channel["topic"]: channel for channel in message.get("channels", ())}
             if message["op"] == "serverInfo":
                 assert message["capabilities"] == []  # no viewer may send anything
-    return found
+    return channels
 
 
 def test_a_viewer_hears_what_is_on_the_bus_and_sees_the_scene(served: tuple[Bus, ViewerServer]) -> None:
@@ -229,19 +229,19 @@ def test_a_viewer_hears_what_is_on_the_bus_and_sees_the_scene(served: tuple[Bus,
         wanted = ("shoal/robot/1/state", "shoal/viewer/scene")
         subscriptions = [{"id": k, "channelId": channels[topic]["id"]} for k, topic in enumerate(wanted)]
         viewer.send(json.dumps({"op": "subscribe", "subscriptions": subscriptions}))
-        heard: dict[int, bytes] = {}
+        payloads: dict[int, bytes] = {}
         for _ in range(500):
             bus.publish(topics.STATE, state, SECOND, 1)
             time.sleep(0.002)
             data = viewer.recv(timeout=10.0)
             if isinstance(data, bytes) and data[0] == 1:
-                heard[int.from_bytes(data[1:5], "little")] = data[13:]
-            if len(heard) == 2:
+                payloads[int.from_bytes(data[1:5], "little")] = data[13:]
+            if len(payloads) == 2:
                 break
-    assert heard[0] == encode(state)
+    assert payloads[0] == encode(state)
     scene = SceneDrawer(load_experiment("pool"))
     scene.take(topics.STATE, 1, state, SECOND)
-    assert heard[1] == scene.moving(SECOND).SerializeToString()
+    assert payloads[1] == scene.moving(SECOND).SerializeToString()
 
 
 def test_a_bad_message_is_passed_on_and_not_drawn(served: tuple[Bus, ViewerServer]) -> None:

@@ -38,7 +38,7 @@ SAID: list[tuple[Topic, int, Any]] = [
     (topics.PICTURE, 0, m.Picture(b"picture")),
     (topics.POSE, 1, POSE),
     (topics.LOCALIZER, 0, m.LocalizerStatus(m.CameraHealth.OK, 3, 1, 2.5, 30.0, "well", (1, 2), 7)),
-    (topics.OBSTACLES, 0, m.Obstacles((4, 9), CORNERS, np.ones((2, 2)), 0.3, 1.0)),
+    (topics.OBSTACLES, 0, m.Obstacles((4, 9), CORNERS, np.ones((2, 2)), 0.3, 1.0, unseen_s=np.zeros(2))),
     (topics.OBSTACLES, 0, m.Obstacles((), depth_m=0.3, watched=0.5)),
     (topics.PLAN, 2, m.Plan(0.05, np.arange(20.0).reshape(5, 4), np.zeros((5, 4)), 0.01)),
     (topics.STATE, 1, m.RobotState(m.Mode.TRACKING, trajectory_s=0.5, eta=np.arange(4.0), pulse_us=tuple(range(1500, 1508)))),
@@ -100,9 +100,9 @@ def test_every_recorded_topic_is_exported_and_every_message_of_it(run: Path, tmp
     for path, count in done.files:
         key = re.sub(r"^robot-(\d+)-", r"robot/\1/", path.stem)
         key = key if key.startswith("robot/") else key.replace("-", "/", 1)
-        found = table(path)
-        assert len(found) == count
-        exported[f"shoal/{key}"] += len({(row["session"], row["sequence"]) for row in found})
+        rows = table(path)
+        assert len(rows) == count
+        exported[f"shoal/{key}"] += len({(row["session"], row["sequence"]) for row in rows})
     assert exported == counted
     assert (done.trouble, done.undecodable) == ("", 0)
 
@@ -121,9 +121,9 @@ def test_numbers_are_those_that_another_reader_decodes(run: Path, tmp_path: Path
     assert float(row["covariance_yaw_yaw_rad2"]) == covariance[2, 2]
     truth, _ = decoded["shoal/sim/truth"]
     eta = np.array(truth.eta).reshape(2, 4)
-    found = table(tmp_path / "sim-truth.csv")
-    assert [row["robot"] for row in found] == ["1", "2"]
-    assert [[float(row[name]) for name in ("x_m", "y_m", "z_m", "yaw_rad")] for row in found] == eta.tolist()
+    rows = table(tmp_path / "sim-truth.csv")
+    assert [row["robot"] for row in rows] == ["1", "2"]
+    assert [[float(row[name]) for name in ("x_m", "y_m", "z_m", "yaw_rad")] for row in rows] == eta.tolist()
     event, _ = decoded["shoal/event"]
     assert table(tmp_path / "event.csv")[0]["message"] == event.message
 
@@ -191,7 +191,7 @@ def test_undecodable_messages_are_reported_with_exit_code_1(run: Path, tmp_path:
     for k, payload in enumerate((encode(POSE), b"\xff\xff")):
         recorder.put(topics.POSE, "shoal/robot/1/pose", Header(1, k + 1, k), payload, k)
     recorder.close()
-    done = CliRunner().invoke(cli, ["export", str(tmp_path / "run"), "--out", str(tmp_path / "out")])
+    done = CliRunner().invoke(cli, ["log", "export", str(tmp_path / "run"), "--out", str(tmp_path / "out")])
     assert done.exit_code == 1
     assert "1 messages cannot be decoded" in done.output
     assert len(table(tmp_path / "out" / "robot-1-pose.csv")) == 1

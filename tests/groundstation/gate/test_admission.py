@@ -371,10 +371,10 @@ def test_so_many_origins_are_known_and_the_longest_unproven_is_forgotten_first()
 
     def lane(address: str, now_s: float) -> int:
         number = door.come(address, now_s, hello=True)
-        found = dict(door.turns(now_s))[number]
+        turn = dict(door.turns(now_s))[number]
         door.admission.proven(number, now_s)
         door.admission.ended(number, False, now_s)
-        return found
+        return turn
 
     for i, address in enumerate(addresses[:-1]):
         assert lane(address, i) == NEW

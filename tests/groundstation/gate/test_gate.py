@@ -124,8 +124,8 @@ def test_a_rejected_stranger_is_logged_in_one_line(
             stranger.sendall(b"hello")
             assert stranger.recv(1) == b""
     assert eventually(lambda: "127.0.0.3" in caplog.text)
-    told = [record.getMessage() for record in caplog.records if "127.0.0.3" in record.getMessage()]
-    assert len(told) == 1 and told[0].startswith("refused a connection from 127.0.0.3 that does not begin as TLS does")
+    lines = [record.getMessage() for record in caplog.records if "127.0.0.3" in record.getMessage()]
+    assert len(lines) == 1 and lines[0].startswith("refused a connection from 127.0.0.3 that does not begin as TLS does")
     assert "DEBUG" not in (out := "".join(capfd.readouterr())) and "Hint" not in out
 
 
@@ -144,10 +144,10 @@ def test_a_guard_that_dies_is_started_again_and_links_come_back(
             return newest is not None and newest.sequence > sequence
 
         assert eventually(heard)
-        found = station.transport._gate  # type: ignore[attr-defined]  # the guard's process is known to the gate alone
-        before = found.guard_pid
+        gate = station.transport._gate  # type: ignore[attr-defined]  # the guard's process is known to the gate alone
+        before = gate.guard_pid
         os.kill(before, signal.SIGKILL)
-        assert eventually(lambda: found.guard_pid not in (0, before))
+        assert eventually(lambda: gate.guard_pid not in (0, before))
         assert eventually(heard, 10.0)
     assert "has ended (exit code -9): it is started again" in caplog.text
 
@@ -155,9 +155,9 @@ def test_a_guard_that_dies_is_started_again_and_links_come_back(
 def test_a_guard_that_cannot_be_started_at_once_is_started_later(
     station: Bus, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    found = station.transport._gate  # type: ignore[attr-defined]  # the guard's process is known to the gate alone
+    gate = station.transport._gate  # type: ignore[attr-defined]  # the guard's process is known to the gate alone
     # the gate starts its guard itself; the first start is made to fail here
-    start, tries = found._start, list[int]()
+    start, tries = gate._start, list[int]()
 
     def fails_once() -> None:
         tries.append(1)
@@ -165,10 +165,10 @@ def test_a_guard_that_cannot_be_started_at_once_is_started_later(
             raise RuntimeError("can't start new thread")
         start()
 
-    monkeypatch.setattr(found, "_start", fails_once)
-    before = found.guard_pid
+    monkeypatch.setattr(gate, "_start", fails_once)
+    before = gate.guard_pid
     os.kill(before, signal.SIGKILL)
-    assert eventually(lambda: found.guard_pid not in (0, before))
+    assert eventually(lambda: gate.guard_pid not in (0, before))
     assert "cannot be started: RuntimeError: can't start new thread" in caplog.text
 
 
@@ -188,13 +188,13 @@ def test_the_door_accepts_only_requests_to_the_station(station: Bus, ring: Path,
     assert where is not None and where.address.startswith(f"{DOOR}/")
     obeyed: list[Order] = []
     station.serve(1, lambda header, command: obeyed.append(command.order) or Reply(1, True))  # type: ignore[func-returns-value]
-    heard: list[int] = []
-    station.subscribe(topics.HEARTBEAT, None, lambda topic, key, header, payload: heard.append(header.session))
+    sessions: list[int] = []
+    station.subscribe(topics.HEARTBEAT, None, lambda topic, key, header, payload: sessions.append(header.session))
     with Bus(ZenohTransport(where, patience_s=SOON_S)) as bus:
         bus.publish(topics.HEARTBEAT, messages.StationHeartbeat(), 1)
         assert bus.command(Command(Order.STOP, 0), 1, SOON_S).accepted
         assert not bus.command(Command(Order.ARM, 1), 1, 0.2).accepted
-    assert (obeyed, bus.session in heard) == ([], False)
+    assert (obeyed, bus.session in sessions) == ([], False)
 
 
 def test_a_terminals_stop_comes_through_the_door_under_attack_and_without_keys(station: Bus, address: str) -> None:
@@ -202,8 +202,8 @@ def test_a_terminals_stop_comes_through_the_door_under_attack_and_without_keys(s
     port = int(address.rpartition(":")[2])
     with Strangers(port, handshakes_hz=50.0) as strangers:  # from the members' own address: the hardest for who needs the port
         assert eventually(lambda: strangers.made > 4)
-        said = CliRunner().invoke(groundstation, ["stop", "--station", f"tcp/127.0.0.1:{port}"])
-    assert ASKED[:1] == [Order.STOP], said.output
+        result = CliRunner().invoke(groundstation, ["stop", "--station", f"tcp/127.0.0.1:{port}"])
+    assert ASKED[:1] == [Order.STOP], result.output
 
 
 def test_the_door_needs_no_keys_and_is_only_this_machines(station: Bus, address: str) -> None:
@@ -258,9 +258,9 @@ class Passage:
     def __init__(self) -> None:
         self.server = socket.create_server(("127.0.0.1", 0))
         listener = socket.create_server(("127.0.0.1", 0))
-        self.port, self.told = listener.getsockname()[1], list[str]()
+        self.port, self.lines = listener.getsockname()[1], list[str]()
         inner = self.server.getsockname()[1]
-        self.guard = Guard(listener, (inner, inner), self.told.append, MOST_LINKS)
+        self.guard = Guard(listener, (inner, inner), self.lines.append, MOST_LINKS)
         self._end, self._ended = socket.socketpair()
         self.guard.watch(self._ended.fileno())
         self.thread = threading.Thread(target=self.guard.run)
@@ -275,9 +275,9 @@ class Passage:
         assert server.recv(len(hello), socket.MSG_WAITALL) == hello
         return client, server
 
-    def expel(self, said: str) -> None:
+    def expel(self, text: str) -> None:
         """Tell the guard, as the station does, whom the router does not want."""
-        self._end.sendall(said.encode())
+        self._end.sendall(text.encode())
 
     def close(self) -> None:
         self._end.close()
@@ -390,8 +390,8 @@ def test_a_member_that_is_killed_is_no_stranger(passage: Passage) -> None:
     with socket.create_connection(("127.0.0.1", passage.port), timeout=SOON_S) as stranger:
         stranger.sendall(b"hello")
         assert stranger.recv(1) == b""
-    assert eventually(lambda: bool(passage.told))
-    assert passage.told == ["refused a connection from 127.0.0.1 that does not begin as TLS does"]  # the stranger alone
+    assert eventually(lambda: bool(passage.lines))
+    assert passage.lines == ["refused a connection from 127.0.0.1 that does not begin as TLS does"]  # the stranger alone
 
 
 def test_a_request_for_another_hello_ends_a_connection(passage: Passage) -> None:
@@ -412,7 +412,7 @@ def test_a_hello_in_too_many_pieces_is_no_hello(passage: Passage) -> None:
                 time.sleep(0.0005)
         with contextlib.suppress(OSError):
             assert stranger.recv(1) == b""
-    assert eventually(lambda: len(passage.told) == 1, admission.HELLO_S / 2)
+    assert eventually(lambda: len(passage.lines) == 1, admission.HELLO_S / 2)
 
 
 def test_a_stranger_gone_before_its_turn_is_skipped(passage: Passage) -> None:
@@ -422,7 +422,7 @@ def test_a_stranger_gone_before_its_turn_is_skipped(passage: Passage) -> None:
             assert stranger.recv(1) == b""
     client, server = passage.pair(HELLO)
     with client, server:
-        assert passage.told == ["refused a connection from 127.0.0.1 that does not begin as TLS does"]
+        assert passage.lines == ["refused a connection from 127.0.0.1 that does not begin as TLS does"]
 
 
 def reset(one: socket.socket) -> None:
@@ -472,7 +472,7 @@ def test_a_certificate_and_its_answer_are_known_by_their_lengths(
         assert len(client.recv(answered, socket.MSG_WAITALL)) == answered
         client.close()
         assert ended(server)
-    assert eventually(lambda: bool(passage.told), 0.5) is not member
+    assert eventually(lambda: bool(passage.lines), 0.5) is not member
 
 
 def test_the_oldest_silent_connection_of_an_address_goes_for_one_too_many(passage: Passage) -> None:
@@ -483,7 +483,7 @@ def test_the_oldest_silent_connection_of_an_address_goes_for_one_too_many(passag
         ]
         assert ended(silent[0], admission.HELLO_S / 2)
         crowded = "refused a connection from 127.0.0.1 because too many wait, or are open"
-        assert eventually(lambda: passage.told == [crowded], admission.HELLO_S / 2)
+        assert eventually(lambda: passage.lines == [crowded], admission.HELLO_S / 2)
 
 
 def test_a_connection_that_waits_for_its_turn_keeps_what_it_has_said_since(passage: Passage) -> None:

@@ -69,7 +69,7 @@ class GuardedRouter:
     ring: Path
     address: str
     buses: dict[str, Bus] = field(default_factory=dict)
-    heard: set[tuple[str, str, int]] = field(default_factory=set)  # who heard what key of which session
+    links: set[tuple[str, str, int]] = field(default_factory=set)  # who heard what key of which session
     obeyed: list[tuple[int, Order]] = field(default_factory=list)
 
     def join(self, process: str) -> Bus:
@@ -82,7 +82,7 @@ class GuardedRouter:
         for process in ROLES:
             bus = self.buses[process] = self.join(process)
             for topic in topics.TOPICS:
-                bus.subscribe(topic, None, lambda _, key, header, __, me=process: self.heard.add((me, key, header.session)))  # type: ignore[misc]
+                bus.subscribe(topic, None, lambda _, key, header, __, me=process: self.links.add((me, key, header.session)))  # type: ignore[misc]
         for number, process in SERVED.items():
 
             def obey(_: object, command: Command, number: int = number) -> Reply:
@@ -133,34 +133,34 @@ def test_each_role_receives_exactly_the_topics_of_the_table(guarded: GuardedRout
     assert len(wanted) > 100
     slot_s = 1.5 / (FLOOD * topics.PLAN.rate_hz)  # whoever speaks for two robots at once speaks too often
     deadline = time.monotonic() + 20.0
-    while not wanted <= guarded.heard and time.monotonic() < deadline:
+    while not wanted <= guarded.links and time.monotonic() < deadline:
         for topic, robot in each_key():
             for bus in writers.values():
                 bus.publish(topic, example(topic), 5, robot)
             time.sleep(slot_s)
     over_the_network = {
         (reader, key, session)
-        for reader, key, session in guarded.heard
+        for reader, key, session in guarded.links
         if session in {bus.session for writer, bus in writers.items() if writer != reader}
     }
     assert over_the_network == wanted
 
 
 def test_a_localizer_speaks_and_is_seen_for_one_of_several_cameras_and_a_robot_does_not(guarded: GuardedRouter) -> None:
-    topic, heard = topics.LOCALIZER.of_camera("west"), list[int]()
+    topic, sessions = topics.LOCALIZER.of_camera("west"), list[int]()
     viewer, localizer, robot = (guarded.buses[process] for process in ("viewer", "localizer", "agent-1"))
-    viewer.subscribe(topic, None, lambda _, key, header, payload: heard.append(header.session))
+    viewer.subscribe(topic, None, lambda _, key, header, payload: sessions.append(header.session))
 
     def told() -> bool:
         for bus in (robot, localizer):
             bus.publish(topic, example(topic), 5)
-        return localizer.session in heard
+        return localizer.session in sessions
 
     assert eventually(told)
     robot.announce("localizer-east")
     localizer.announce("localizer-west")
     assert eventually(lambda: "localizer-west" in viewer.present)
-    assert "localizer-east" not in viewer.present and set(heard) == {localizer.session}
+    assert "localizer-east" not in viewer.present and set(sessions) == {localizer.session}
 
 
 def test_only_the_station_commands_robots_and_only_it_and_the_operator_command_the_station(guarded: GuardedRouter) -> None:
@@ -179,15 +179,15 @@ def test_only_the_station_commands_robots_and_only_it_and_the_operator_command_t
 def test_a_robot_cannot_speak_for_another_not_even_by_a_wildcard(guarded: GuardedRouter) -> None:
     # a bus sends only under its own keys; a forger uses the session below it
     session = guarded.buses["agent-1"].transport._control  # type: ignore[attr-defined]
-    seen: list[str] = []
+    puts: list[str] = []
     listener = guarded.buses["viewer"].transport
-    listener.subscribe("shoal/robot/*/state", topics.STATE.qos, lambda key, payload, _: seen.append(payload.decode()))
-    listener.subscribe("shoal/station/heartbeat", topics.HEARTBEAT.qos, lambda key, payload, _: seen.append(payload.decode()))
+    listener.subscribe("shoal/robot/*/state", topics.STATE.qos, lambda key, payload, _: puts.append(payload.decode()))
+    listener.subscribe("shoal/station/heartbeat", topics.HEARTBEAT.qos, lambda key, payload, _: puts.append(payload.decode()))
     for key in ("shoal/robot/2/state", "shoal/robot/*/state", "shoal/robot/**", "shoal/**", "shoal/station/heartbeat"):
         session.put(key, "forged")
     session.delete("shoal/robot/2/state")
-    assert eventually(lambda: session.put("shoal/robot/1/state", "own") is None and "own" in seen)
-    assert set(seen) == {"own"}
+    assert eventually(lambda: session.put("shoal/robot/1/state", "own") is None and "own" in puts)
+    assert set(puts) == {"own"}
 
 
 def test_a_robot_cannot_answer_for_another(guarded: GuardedRouter) -> None:
@@ -266,8 +266,8 @@ def test_a_revoked_member_is_deaf_and_dumb_once_the_router_starts_again(
     key_ring.revoke(ring, "agent-1", now)
     key_ring.add(ring, "robot", 1, now)  # the robot's number lives on under another certificate
     router = Bus(ZenohTransport(endpoint(address, "groundstation", ring, router=True), gate=Gate))
-    heard: list[int] = []
-    router.subscribe(topics.STATE, None, lambda topic, key, header, payload: heard.append(header.session))
+    sessions: list[int] = []
+    router.subscribe(topics.STATE, None, lambda topic, key, header, payload: sessions.append(header.session))
     thief = Bus(ZenohTransport(Endpoint(address, keys=Keys(stolen)), patience_s=5.0))
     robot = Bus(ZenohTransport(endpoint(address, "agent-1", ring), patience_s=5.0))
     try:
@@ -278,10 +278,10 @@ def test_a_revoked_member_is_deaf_and_dumb_once_the_router_starts_again(
             for bus in (thief, robot):
                 bus.publish(topics.STATE, messages.RobotState(), 1, robot=1)
             router.publish(topics.HEARTBEAT, messages.StationHeartbeat(), 1)
-            return robot.session in heard and own.newest_header() is not None
+            return robot.session in sessions and own.newest_header() is not None
 
         assert eventually(told)
-        assert set(heard) == {robot.session}
+        assert set(sessions) == {robot.session}
         assert beats.newest_header() is None
         unlisted = [record.getMessage() for record in caplog.records if "is not on the list" in record.getMessage()]
         assert len(unlisted) == 1 and unlisted[0].startswith(f"{common_name(Keys(stolen))} is not on the list of members")

@@ -54,7 +54,7 @@ def test_a_request_to_another_fleet_or_robot_is_not_answered(station: Bus, path:
 
 
 @pytest.mark.parametrize(
-    "said",
+    "data",
     [
         b"",
         b"GET / HTTP/1.1\r\n\r\n",
@@ -65,12 +65,12 @@ def test_a_request_to_another_fleet_or_robot_is_not_answered(station: Bus, path:
     ],
     ids=str,
 )
-def test_other_bytes_hold_up_nobody(station: Bus, path: Path, said: bytes) -> None:
+def test_other_bytes_hold_up_nobody(station: Bus, path: Path, data: bytes) -> None:
     with ExitStack() as stack:
         for _ in range(20):
             other = stack.enter_context(socket.socket(socket.AF_UNIX))
             other.connect(str(path))
-            other.sendall(said)
+            other.sendall(data)
         assert ask(path).accepted
         other.settimeout(2 * own_door.REQUEST_S + 5.0)
         assert other.recv(1) == b""  # in the end it is closed

@@ -78,8 +78,8 @@ def test_a_restarted_sender_gets_a_channel_of_its_own(tmp_path: Path) -> None:
         recorder.put(topics.POSE, "shoal/robot/1/pose", Header(session, 1, 0), encode(pose(0)), 0)
     recorder.close()
     with path.open("rb") as file:
-        found = [channel.metadata["session"] for _, channel, _ in make_reader(file).iter_messages()]
-    assert sorted(found) == ["a", "b"]
+        sessions = [channel.metadata["session"] for _, channel, _ in make_reader(file).iter_messages()]
+    assert sorted(sessions) == ["a", "b"]
 
 
 def test_headers_outside_mcaps_ranges_do_not_stop_the_log(tmp_path: Path) -> None:
@@ -121,8 +121,8 @@ def test_messages_before_the_end_are_recorded(tmp_path: Path) -> None:
     recorder.close()
     sender.publish(topics.POSE, pose(200), 200, robot=1)
     with path.open("rb") as file:
-        found = [(c.topic, m.publish_time, m.log_time) for _, c, m in make_reader(file).iter_messages()]
-    assert sorted(found) == sorted(
+        messages = [(c.topic, m.publish_time, m.log_time) for _, c, m in make_reader(file).iter_messages()]
+    assert sorted(messages) == sorted(
         (key, k, k + 5) for k in range(200) for key in (f"shoal/robot/{1 + k % 3}/pose", "shoal/event")
     )
 
@@ -153,8 +153,8 @@ def test_a_lockstep_log_ends_with_a_whole_step(tmp_path: Path) -> None:
     recorder.whole_until_ns = 2 * SECOND
     recorder.close()
     with (tmp_path / "run.mcap").open("rb") as file:
-        found = sorted((channel.topic, message.sequence) for _, channel, message in make_reader(file).iter_messages())
-    assert found == sorted(
+        messages = sorted((channel.topic, message.sequence) for _, channel, message in make_reader(file).iter_messages())
+    assert messages == sorted(
         [(f"shoal/robot/{robot}/plan", k) for robot in (1, 2) for k in range(3)]
         + [("shoal/robot/2/pose", k) for k in range(4)]
     )
@@ -226,10 +226,10 @@ def test_kill_9_loses_less_than_a_second(tmp_path: Path) -> None:
         put.append([(int(sequence), int(at)) for sequence, at in (line.split() for line in head)])
     for path, lines in zip(paths, put, strict=True):
         assert recover(path)
-        found = sequences(path)
-        assert found == list(range(1, len(found) + 1))
+        numbers = sequences(path)
+        assert numbers == list(range(1, len(numbers) + 1))
         last_put_ns = lines[-1][1]
-        first_lost = next((at for sequence, at in lines if sequence > len(found)), last_put_ns)
+        first_lost = next((at for sequence, at in lines if sequence > len(numbers)), last_put_ns)
         assert (last_put_ns - first_lost) / 1e9 <= 1.0
 
 
@@ -268,9 +268,9 @@ def test_a_full_disk_stops_only_the_log(tmp_path: Path) -> None:
     assert not is_complete(path)
     assert path.stat().st_size < 500_000  # the half-written record is gone
     assert recover(path)
-    found = sequences(path)
-    assert found == list(range(1, len(found) + 1))
-    assert 2 <= len(found) < int(last)
+    numbers = sequences(path)
+    assert numbers == list(range(1, len(numbers) + 1))
+    assert 2 <= len(numbers) < int(last)
 
 
 def test_put_returns_at_once_while_the_disk_hangs(tmp_path: Path) -> None:
@@ -316,8 +316,8 @@ def test_a_filling_disk_drops_pictures_first_with_a_warning(tmp_path: Path) -> N
     recorder.close()
     assert (recorder.error, recorder.dropped) == ("", 0)
     with path.open("rb") as file:
-        found = [(channel.topic, message.sequence) for _, channel, message in make_reader(file).iter_messages()]
-    assert sorted(found) == [("shoal/camera/video", 1), *(("shoal/robot/1/pose", k) for k in (1, 2, 3))]
+        messages = [(channel.topic, message.sequence) for _, channel, message in make_reader(file).iter_messages()]
+    assert sorted(messages) == [("shoal/camera/video", 1), *(("shoal/robot/1/pose", k) for k in (1, 2, 3))]
 
 
 def test_no_run_begins_without_room_for_its_log(tmp_path: Path) -> None:

@@ -62,10 +62,10 @@ def test_any_cut_leaves_a_readable_beginning(tmp_path: Path) -> None:
             assert path.read_bytes() == data[:cut] and not path.with_name("cut.mcap.original").exists()
             continue
         assert recover(path) is True
-        found = sequences(path)
-        assert found == expected == list(range(1, len(found) + 1))
-        assert len(found) >= kept_before  # a later cut never keeps less
-        kept_before = len(found)
+        numbers = sequences(path)
+        assert numbers == expected == list(range(1, len(numbers) + 1))
+        assert len(numbers) >= kept_before  # a later cut never keeps less
+        kept_before = len(numbers)
     assert kept_before == 8
     assert not list(tmp_path.glob(".*"))
 
@@ -74,7 +74,7 @@ def test_an_open_cut_log_has_the_messages_that_mending_keeps(tmp_path: Path) -> 
     whole, path = tmp_path / "whole.mcap", tmp_path / "run.mcap"
     several_flushes(whole)
     data, rng = whole.read_bytes(), random.Random(7)
-    found: set[int] = set()
+    counts: set[int] = set()
     for cut in sorted(rng.randrange(len(data) // 4, len(data)) for _ in range(20)):
         path.write_bytes(data[:cut])
         before = path.read_bytes()
@@ -83,8 +83,8 @@ def test_an_open_cut_log_has_the_messages_that_mending_keeps(tmp_path: Path) -> 
         assert path.read_bytes() == before
         recover(path)
         assert opened == sequences(path)
-        found.add(len(opened))
-    assert len(found) > 2
+        counts.add(len(opened))
+    assert len(counts) > 2
 
 
 def test_one_damaged_chunk_of_a_cut_log_costs_that_chunk_alone(tmp_path: Path) -> None:

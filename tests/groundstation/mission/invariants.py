@@ -10,11 +10,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from groundstation.formation_clock import ALONE
 from groundstation.mission.gain_update import GainStage
 from groundstation.mission.objections import MOVING
 from groundstation.mission.request_progress import KEPT
-from groundstation.mission.single_robot import CONFIRMS
+from groundstation.mission.single_robot import CONFIRMS, DISARMING
 from groundstation.mission.state_machine import (
     COMMITTED,
     IN_FLIGHT,
@@ -27,7 +26,7 @@ from groundstation.mission.state_machine import (
 )
 from groundstation.planning.segment import PlanSegment
 from groundstation.telemetry import preflight
-from shoal.messages.messages import Mode, Order, Outcome, Progress
+from shoal.messages.messages import ALONE, Mode, Order, Outcome, Progress
 from tests.groundstation.mission.simulated_fleet import STEP_NS, SimulatedFleet, SimulatedRobot, armed
 
 LED_WITHIN_S = 3.0  # a moving robot in reach without anybody who leads it
@@ -309,7 +308,8 @@ class Invariants:
                 assert not wrongly, f"OUTCOME: {outcome.order.name} failed ({outcome.reason}), but {wrongly}"
 
     def _wrongly_failed(self, outcome: Outcome) -> str:
-        """Evidence that a request was done though it is told that it failed; empty if there is none."""
+        """Evidence that a request was done though it is told that it failed; empty if there is none. A robot may still hold
+        or be armed as was asked when the mission begins to disarm all: then only a DISARM is done."""
         followed, robots = self.followed[outcome.request], list(self.pool.robots.values())
         if outcome.order is Order.STOP:
             return "all have stopped" if all(self._stays(r, Mode.STOPPED) for r in robots) else ""
@@ -317,6 +317,8 @@ class Invariants:
         if not followed.only or not followed.alone or modes is None:
             return ""
         if outcome.order is Order.DRIVE and not followed.was_driven:  # it held before
+            return ""
+        if outcome.order is not Order.DISARM and self.pool.mission.state in DISARMING:  # it holds, but not for long
             return ""
         robot = self.pool.robots[followed.only]
         return f"robot {robot.id} is {robot.mode.name}" if any(self._stays(robot, mode) for mode in modes) else ""

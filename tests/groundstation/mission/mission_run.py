@@ -38,6 +38,8 @@ class ObedientRobot:
     starts_at_ns: int = 0
     battery_v: float = 12.0
     verified: bool = True
+    localizer_hash: str = ""  # of the experiment of the localizer whose poses it gets
+    two_pose_senders: bool = False
     got: list[Command] = field(default_factory=list)
 
     def obey(self, command: Command, now_ns: int) -> Reply:
@@ -74,7 +76,10 @@ class ObedientRobot:
         )  # fmt: skip
         if self.unknown:
             return RobotView()
-        return RobotView(state, 9.0 if self.silent else self.age_s, pose, 0.02)
+        age_s = 9.0 if self.silent else self.age_s
+        return RobotView(
+            state, age_s, pose, 0.02, two_pose_senders=self.two_pose_senders, localizer_hash=self.localizer_hash
+        )  # fmt: skip
 
 
 class MissionRun:

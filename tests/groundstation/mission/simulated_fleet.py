@@ -356,8 +356,8 @@ class SimulatedFleet:
                 self._newest[robot] = stamp_ns, state
             if robot in self._newest:
                 stamp_ns, state = self._newest[robot]
-                seen = RobotView(state, (self.now_ns - stamp_ns) * 1e-9, POSE, 0.02, 0.02)
-                views[robot] = self.core.view(robot, seen, self.now_ns)
+                view = RobotView(state, (self.now_ns - stamp_ns) * 1e-9, POSE, 0.02, 0.02)
+                views[robot] = self.core.view(robot, view, self.now_ns)
             else:
                 views[robot] = self.core.view(robot, RobotView(), self.now_ns)
         return views

@@ -24,7 +24,7 @@ class GainRobot:
 
     tuning_id: str
     mode: Mode = Mode.TRACKING
-    heard: bool = True
+    in_reach: bool = True
     trajectory_s: float = 10.0
     refuses: frozenset[Order] = frozenset()
     mute: frozenset[Order] = frozenset()  # the order does not arrive
@@ -55,7 +55,7 @@ class GainRobot:
         state = RobotState(
             mode=self.mode, tuning_id=self.tuning_id, experiment_hash=EXPERIMENT.hash, trajectory_s=self.trajectory_s
         )
-        return RobotView(state, 0.02 if self.heard else 9.0)
+        return RobotView(state, 0.02 if self.in_reach else 9.0)
 
 
 class TunedFleet:
@@ -82,7 +82,7 @@ class TunedFleet:
 
     def request(self, value: float = VALUE, next_lap: bool = False) -> str:
         views = self.views()
-        flying = {r: seen.state for r, seen in views.items() if seen.state is not None and seen.mode is Mode.TRACKING}
+        flying = {r: view.state for r, view in views.items() if view.state is not None and view.mode is Mode.TRACKING}
         return self.tuner.request({KEY: value}, next_lap, views, round(self.now_s * 1e9), flying)
 
     def undo(self) -> str:
@@ -224,7 +224,7 @@ def test_wishes_that_cannot_be() -> None:
     assert fleet.request() == ""
     assert fleet.request(0.3) == fleet.undo() == "another change is under way: robots check the gains"
     fleet.step(1.0)
-    fleet.robots[2].heard = False
+    fleet.robots[2].in_reach = False
     assert fleet.request(0.3) == "robot 2 is not heard"
 
 
@@ -265,7 +265,7 @@ def test_a_change_for_the_next_lap_ends_when_a_robot_falls_silent() -> None:
     fleet = TunedFleet()
     fleet.request(next_lap=True)
     fleet.step(1.0)
-    fleet.robots[2].heard = False
+    fleet.robots[2].in_reach = False
     fleet.step(PATIENCE_S + 12.0)
     assert fleet.tuner.status().reason.startswith("robot 2 left the run before the lap began")
     assert fleet.tuner.status().stage is GainStage.IDLE

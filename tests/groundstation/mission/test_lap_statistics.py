@@ -40,3 +40,14 @@ def test_another_run_begins_another_table() -> None:
     note(laps, {1: 0.05})
     (only,) = laps.laps()
     assert only.number == 1 and only.time_s < 0.1
+
+
+def test_a_robot_that_joins_late_makes_no_lap_shorter() -> None:
+    """Robot 2 is away from 5 s to 15 s, over the end of the first lap; robot 3 joins at 18 s."""
+    laps = LapStatistics(LAP_S)
+    for k in range(1, 371):
+        flying = {1: True, 2: not 100 < k < 300, 3: k >= 360}
+        note(laps, {robot: 0.05 * k for robot, flies in flying.items() if flies})
+    first, second = laps.laps()
+    assert first.time_s == pytest.approx(LAP_S, abs=0.11)
+    assert second.time_s == pytest.approx(8.5, abs=0.11)

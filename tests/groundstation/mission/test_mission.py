@@ -1193,3 +1193,42 @@ def test_a_return_from_rest_that_was_held_leads_home_and_flies_no_path(again: Or
         fleet.step()
     assert fleet.mission.state is MissionState.DONE and flown and all(flown)
     assert all(np.hypot(*(r.eta[:2] - fleet.starts[r.id][:2])) < 0.1 for r in fleet.robots.values())
+
+
+@pytest.mark.parametrize(
+    ("two", "reason"),
+    [
+        (False, "robot 2: its poses are by another experiment (another"),
+        (True, "robot 2: two programs publish its poses by turns"),
+    ],
+)
+def test_robots_whose_poses_are_not_the_runs_hold_until_they_are(two: bool, reason: str) -> None:
+    run = MissionRun(automatic=False, settings=["duration_s=20"])
+    assert run.mission.request(Order.START, run.fleet(), run.now_ns) == ""
+    run.step(2.0)
+    assert run.at(MissionState.RUNNING)
+    well, robot = run.robots[2].localizer_hash, run.robots[2]
+    robot.localizer_hash, robot.two_pose_senders = well if two else "another one", two
+    run.step(0.5)
+    assert run.at(MissionState.PAUSED) and run.mission.reason.startswith(reason)
+    assert {robot.mode for robot in run.robots.values()} == {Mode.HOLDING}
+    for order in (Order.RESUME, Order.RETURN):
+        assert run.mission.request(order, run.fleet(), run.now_ns).startswith(reason)
+    robot.localizer_hash, robot.two_pose_senders = run.experiment.hash, False
+    run.step(0.5)
+    assert run.mission.request(Order.RESUME, run.fleet(), run.now_ns) == ""
+    run.step(1.0)
+    assert run.at(MissionState.RUNNING)
+
+
+def test_an_automatic_mission_goes_on_when_the_localizer_is_the_runs_again() -> None:
+    run = MissionRun(settings=["duration_s=20"])
+    run.step(3.0)
+    for robot in run.robots.values():
+        robot.localizer_hash = "another one"
+    run.step(3.0)
+    assert run.at(MissionState.PAUSED)
+    for robot in run.robots.values():
+        robot.localizer_hash = run.experiment.hash
+    run.step(2.5)
+    assert run.at(MissionState.RUNNING)

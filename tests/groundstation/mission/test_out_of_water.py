@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from groundstation.mission.mission import ATTENDED
 from groundstation.mission.objections import LIVE
 from groundstation.mission.state_machine import MissionState
 from shoal.config.experiment import load_experiment
@@ -196,3 +197,18 @@ def test_report_tells_a_flight_home_from_the_flight_before_it_also_of_a_robot_th
     assert ask(fleet, Order.RETURN) == ""
     until(fleet, MissionState.DONE, 60.0)
     record.judge()
+
+
+def test_an_automatic_mission_waits_for_a_person_once_a_robot_is_taken_out() -> None:
+    fleet = SimulatedFleet(POOL, automatic=True, give_up_s=20.0)
+    fleet.robots[2].alive = False
+    fleet.run(1.0)
+    assert ask(fleet, Order.OUT, 2) == ""
+    fleet.run(30.0)
+    assert fleet.mission.state is MissionState.WAITING and fleet.mission.reason == ATTENDED
+    fleet.robots[2].restart(fleet.now_ns)
+    assert ask(fleet, Order.BACK_IN, 2) == ""
+    fleet.run(5.0)
+    assert fleet.mission.state is MissionState.WAITING and not any(armed(robot) for robot in fleet.robots.values())
+    assert ask(fleet, Order.START) == ""
+    until(fleet, MissionState.DONE)

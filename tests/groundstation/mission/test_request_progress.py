@@ -41,9 +41,9 @@ class Asked:
         self.requests.follow(self.run.mission, self.run.fleet(), self.tuning, self.run.answers)
 
     def outcome(self, number: int) -> Outcome:
-        found = self.requests.outcome(number)
-        assert found is not None
-        return found
+        result = self.requests.outcome(number)
+        assert result is not None
+        return result
 
     def progress(self, number: int) -> Progress:
         return self.outcome(number).progress
@@ -63,224 +63,224 @@ def test_every_request_that_the_mission_takes_leads_somewhere() -> None:
 
 
 def test_a_request_is_done_when_every_robot_has_done_it() -> None:
-    asked = Asked()
+    lab = Asked()
     for order in (Order.LOAD, Order.ARM, Order.START, Order.HOLD, Order.RESUME, Order.DISARM):
         if order is Order.ARM:
-            asked = Asked()  # nothing is armed twice
+            lab = Asked()  # nothing is armed twice
         if order is Order.START:
-            asked = Asked()
-        number = asked.ask(order)
-        assert asked.progress(number) is Progress.UNDER_WAY, order
-        asked.step(1.5)
-        found = asked.outcome(number)
-        assert (found.progress, found.confirmed, found.waiting) == (Progress.DONE, (1, 2), ()), order
+            lab = Asked()
+        number = lab.ask(order)
+        assert lab.progress(number) is Progress.UNDER_WAY, order
+        lab.step(1.5)
+        result = lab.outcome(number)
+        assert (result.progress, result.confirmed, result.waiting) == (Progress.DONE, (1, 2), ()), order
 
 
 def test_a_stop_is_confirmed_robot_by_robot() -> None:
-    asked = Asked()
-    asked.fly()
-    asked.run.robots[2].silent = True
-    number = asked.ask(Order.STOP)
-    asked.step(1.0)
-    found = asked.outcome(number)
-    assert (found.progress, found.confirmed, found.waiting) == (Progress.UNDER_WAY, (1,), (2,))
-    assert found.why == ("not heard for 9.0 s",)
-    asked.run.robots[2].silent = False
-    asked.step(0.5)
-    assert (asked.progress(number), asked.outcome(number).confirmed) == (Progress.DONE, (1, 2))
+    lab = Asked()
+    lab.fly()
+    lab.run.robots[2].silent = True
+    number = lab.ask(Order.STOP)
+    lab.step(1.0)
+    result = lab.outcome(number)
+    assert (result.progress, result.confirmed, result.waiting) == (Progress.UNDER_WAY, (1,), (2,))
+    assert result.why == ("not heard for 9.0 s",)
+    lab.run.robots[2].silent = False
+    lab.step(0.5)
+    assert (lab.progress(number), lab.outcome(number).confirmed) == (Progress.DONE, (1, 2))
 
 
 def test_a_refusal_is_shown_until_the_robot_has_obeyed() -> None:
-    asked = Asked()
-    asked.fly()
-    asked.run.robots[2].refuses = frozenset({Order.STOP})
-    number = asked.ask(Order.STOP)
-    asked.step(0.5)
-    assert asked.outcome(number).why == ("I refuse",)
-    asked.run.robots[2].refuses = frozenset()
-    asked.step(0.5)
-    assert (asked.progress(number), asked.outcome(number).why) == (Progress.DONE, ())
+    lab = Asked()
+    lab.fly()
+    lab.run.robots[2].refuses = frozenset({Order.STOP})
+    number = lab.ask(Order.STOP)
+    lab.step(0.5)
+    assert lab.outcome(number).why == ("I refuse",)
+    lab.run.robots[2].refuses = frozenset()
+    lab.step(0.5)
+    assert (lab.progress(number), lab.outcome(number).why) == (Progress.DONE, ())
 
 
 def test_a_stage_that_a_robot_does_not_follow_fails_with_its_reason() -> None:
-    asked = Asked()
-    asked.run.robots[2].refuses = frozenset({Order.ARM})
-    number = asked.ask(Order.START)
-    asked.step(11.0)
-    found = asked.outcome(number)
-    assert (found.progress, found.waiting, found.why) == (Progress.FAILED, (1, 2), ("is armed", "I refuse"))
-    assert "robot 2 does not follow ARM" in found.reason
+    lab = Asked()
+    lab.run.robots[2].refuses = frozenset({Order.ARM})
+    number = lab.ask(Order.START)
+    lab.step(11.0)
+    result = lab.outcome(number)
+    assert (result.progress, result.waiting, result.why) == (Progress.FAILED, (1, 2), ("is armed", "I refuse"))
+    assert "robot 2 does not follow ARM" in result.reason
 
 
-@pytest.mark.parametrize("found", [True, False])
-def test_places_are_gone_to_or_the_planner_says_why_not(found: bool) -> None:
+@pytest.mark.parametrize("is_possible", [True, False])
+def test_places_are_gone_to_or_the_planner_says_why_not(is_possible: bool) -> None:
     """An experiment whose path can be changed; the plan itself is made elsewhere."""
-    asked = Asked()
-    asked.fly()
-    mission = asked.run.mission
-    number = asked.requests.begin(Order.GO, mission)
+    lab = Asked()
+    lab.fly()
+    mission = lab.run.mission
+    number = lab.requests.begin(Order.GO, mission)
     # the public request would make the plan too, which this test makes elsewhere
-    mission._go(Order.GO, asked.run.now_ns)
+    mission._go(Order.GO, lab.run.now_ns)
     mission.plans.by_operator = True
-    asked.look()
-    assert asked.progress(number) is Progress.UNDER_WAY
-    if not found:
-        mission.planned(PlanError("robot 1: yaw rate 6.741 rad/s exceeds the limit 1.9"), asked.run.fleet(), asked.run.now_ns)
-        asked.look()
-        assert asked.progress(number) is Progress.FAILED
-        assert asked.outcome(number).reason.endswith("no way there: robot 1: yaw rate 6.741 rad/s exceeds the limit 1.9")
+    lab.look()
+    assert lab.progress(number) is Progress.UNDER_WAY
+    if not is_possible:
+        mission.planned(PlanError("robot 1: yaw rate 6.741 rad/s exceeds the limit 1.9"), lab.run.fleet(), lab.run.now_ns)
+        lab.look()
+        assert lab.progress(number) is Progress.FAILED
+        assert lab.outcome(number).reason.endswith("no way there: robot 1: yaw rate 6.741 rad/s exceeds the limit 1.9")
         return
     line = np.zeros((2, 4))
     there = {r: replace(t, id=f"{t.id} there", eta=line) for r, t in mission.segment.trajectories.items()}
     mission.plans.adopt(PlanSegment(there, there[1], 60.0))
     mission.state = MissionState.RUNNING
-    asked.look()
-    assert asked.progress(number) is Progress.DONE
+    lab.look()
+    assert lab.progress(number) is Progress.DONE
 
 
 def test_another_request_takes_the_place_of_one_under_way_and_the_same_is_one() -> None:
-    asked = Asked()
-    first = asked.ask(Order.START)
-    asked.step(0.1)
-    stop = asked.ask(Order.STOP)
-    assert asked.outcome(first).reason == "STOP was asked for instead"
-    assert asked.progress(first) is Progress.FAILED
-    assert asked.ask(Order.STOP) == stop
+    lab = Asked()
+    first = lab.ask(Order.START)
+    lab.step(0.1)
+    stop = lab.ask(Order.STOP)
+    assert lab.outcome(first).reason == "STOP was asked for instead"
+    assert lab.progress(first) is Progress.FAILED
+    assert lab.ask(Order.STOP) == stop
 
 
 def test_a_silent_robot_does_not_confirm_disarm() -> None:
-    asked = Asked()
-    asked.fly()
-    asked.run.mission.roster.mark_lost(2, "silent")
-    asked.run.robots[2].silent = True
-    number = asked.ask(Order.DISARM)
-    asked.step(1.0)
-    assert (asked.progress(number), asked.outcome(number).waiting) == (Progress.FAILED, (2,))
+    lab = Asked()
+    lab.fly()
+    lab.run.mission.roster.mark_lost(2, "silent")
+    lab.run.robots[2].silent = True
+    number = lab.ask(Order.DISARM)
+    lab.step(1.0)
+    assert (lab.progress(number), lab.outcome(number).waiting) == (Progress.FAILED, (2,))
 
 
 def test_gains_are_told_apart_from_the_mission() -> None:
-    asked = Asked()
-    asked.fly()
-    number = asked.requests.begin(Order.TUNE, asked.run.mission, WANTED.id)
-    hold = asked.ask(Order.HOLD)
-    asked.tuning = GainStatus(FLOWN, WANTED.id, GainStage.ASKING)
-    asked.step(0.5)
-    assert (asked.progress(number), asked.progress(hold)) == (Progress.UNDER_WAY, Progress.DONE)
-    asked.tuning = GainStatus(FLOWN, reason="robot 2 refuses: too much")
-    asked.look()
-    assert (asked.progress(number), asked.outcome(number).reason) == (Progress.FAILED, "robot 2 refuses: too much")
-    again = asked.requests.begin(Order.TUNE, asked.run.mission, WANTED.id)
-    asked.tuning = GainStatus(WANTED)
-    asked.run.robots[1].tuning_id = WANTED.id
-    asked.look()
-    assert (asked.progress(again), asked.outcome(again).waiting) == (Progress.UNDER_WAY, (2,))  # it came back meanwhile
-    asked.run.robots[2].tuning_id = WANTED.id
-    asked.look()
-    assert asked.progress(again) is Progress.DONE
+    lab = Asked()
+    lab.fly()
+    number = lab.requests.begin(Order.TUNE, lab.run.mission, WANTED.id)
+    hold = lab.ask(Order.HOLD)
+    lab.tuning = GainStatus(FLOWN, WANTED.id, GainStage.ASKING)
+    lab.step(0.5)
+    assert (lab.progress(number), lab.progress(hold)) == (Progress.UNDER_WAY, Progress.DONE)
+    lab.tuning = GainStatus(FLOWN, reason="robot 2 refuses: too much")
+    lab.look()
+    assert (lab.progress(number), lab.outcome(number).reason) == (Progress.FAILED, "robot 2 refuses: too much")
+    again = lab.requests.begin(Order.TUNE, lab.run.mission, WANTED.id)
+    lab.tuning = GainStatus(WANTED)
+    lab.run.robots[1].tuning_id = WANTED.id
+    lab.look()
+    assert (lab.progress(again), lab.outcome(again).waiting) == (Progress.UNDER_WAY, (2,))  # it came back meanwhile
+    lab.run.robots[2].tuning_id = WANTED.id
+    lab.look()
+    assert lab.progress(again) is Progress.DONE
 
 
 def test_a_run_ends_when_all_heard_robots_rest() -> None:
-    asked = Asked()
-    asked.fly()
-    asked.run.robots[2].silent = True
-    asked.run.robots[1].refuses = frozenset({Order.DISARM})
-    assert asked.run.mission.request(Order.DISARM, asked.run.fleet(), asked.run.now_ns) == ""
-    number = asked.requests.begin(Order.END, asked.run.mission)
-    asked.step(1.0)
-    assert asked.requests.ending and asked.progress(number) is Progress.UNDER_WAY
-    asked.run.robots[1].refuses = frozenset()
-    asked.step(25.0)  # both patiences: the silent one is given up
-    assert asked.run.in_mode(1, Mode.DISARMED)
-    found = asked.outcome(number)
-    assert (found.progress, found.confirmed, found.waiting) == (Progress.DONE, (1,), (2,))
-    assert not asked.requests.ending
+    lab = Asked()
+    lab.fly()
+    lab.run.robots[2].silent = True
+    lab.run.robots[1].refuses = frozenset({Order.DISARM})
+    assert lab.run.mission.request(Order.DISARM, lab.run.fleet(), lab.run.now_ns) == ""
+    number = lab.requests.begin(Order.END, lab.run.mission)
+    lab.step(1.0)
+    assert lab.requests.ending and lab.progress(number) is Progress.UNDER_WAY
+    lab.run.robots[1].refuses = frozenset()
+    lab.step(25.0)  # both patiences: the silent one is given up
+    assert lab.run.in_mode(1, Mode.DISARMED)
+    result = lab.outcome(number)
+    assert (result.progress, result.confirmed, result.waiting) == (Progress.DONE, (1,), (2,))
+    assert not lab.requests.ending
 
 
 def test_a_failed_thruster_test_names_the_thruster() -> None:
-    asked = Asked()
-    number = asked.ask(Order.TEST)
-    asked.run.mission.state = MissionState.WAITING  # as if it were over
-    fleet = asked.run.fleet()
+    lab = Asked()
+    number = lab.ask(Order.TEST)
+    lab.run.mission.state = MissionState.WAITING  # as if it were over
+    fleet = lab.run.fleet()
     for robot, result in ((1, "passed"), (2, "thruster 3: no current")):
         state = fleet[robot].state
         assert state is not None
         fleet[robot] = replace(fleet[robot], state=replace(state, thruster_test=result))
-    asked.requests.follow(asked.run.mission, fleet, asked.tuning, ())
-    found = asked.outcome(number)
-    assert (found.progress, found.confirmed) == (Progress.FAILED, (1,))
-    assert found.why == ("is disarmed, thruster test thruster 3: no current",)
+    lab.requests.follow(lab.run.mission, fleet, lab.tuning, ())
+    outcome = lab.outcome(number)
+    assert (outcome.progress, outcome.confirmed) == (Progress.FAILED, (1,))
+    assert outcome.why == ("is disarmed, thruster test thruster 3: no current",)
 
 
 def test_the_last_outcomes_are_kept_and_no_more() -> None:
-    asked = Asked()
+    lab = Asked()
     for _ in range(KEPT):
-        asked.ask(Order.STOP)
-        asked.ask(Order.CLEAR_STOP)
-    robots = len(asked.run.robots)
-    assert [o.request for o in asked.requests.recent] == list(range(KEPT - robots, 2 * KEPT + 1))  # the last is not over
-    assert asked.requests.outcome(1) is None
+        lab.ask(Order.STOP)
+        lab.ask(Order.CLEAR_STOP)
+    robots = len(lab.run.robots)
+    assert [o.request for o in lab.requests.recent] == list(range(KEPT - robots, 2 * KEPT + 1))  # the last is not over
+    assert lab.requests.outcome(1) is None
 
 
 def test_requests_that_are_under_way_are_known_however_many_there_are() -> None:
     """Each robot of a large fleet is sent somewhere by a terminal of its own; all are told the end when a STOP ends all at
     once."""
-    asked = Asked(requests=RequestTracker(tuple(range(1, 50))))
-    asked.ask(Order.START)
+    lab = Asked(requests=RequestTracker(tuple(range(1, 50))))
+    lab.ask(Order.START)
     tasks = [RobotTask(Order.GO, 0) for _ in range(49)]
-    numbers = [asked.requests.begin_task(1, task, asked.run.mission) for task in tasks]
-    asked.look()
-    assert all(asked.progress(number) is Progress.UNDER_WAY for number in numbers)
+    numbers = [lab.requests.begin_task(1, task, lab.run.mission) for task in tasks]
+    lab.look()
+    assert all(lab.progress(number) is Progress.UNDER_WAY for number in numbers)
     for task in tasks:
         task.progress = Progress.FAILED
-    asked.look()
-    assert all(asked.progress(number) is Progress.FAILED for number in numbers)
+    lab.look()
+    assert all(lab.progress(number) is Progress.FAILED for number in numbers)
 
 
 def test_an_answer_about_gains_is_no_refusal_of_the_mission() -> None:
-    asked = Asked()
-    number = asked.ask(Order.ARM)
+    lab = Asked()
+    number = lab.ask(Order.ARM)
     answers = [CommandResult(Command(order, 2), Reply(2, False, order.name)) for order in (Order.LOAD, Order.TUNE)]
-    asked.requests.follow(asked.run.mission, asked.run.fleet(), asked.tuning, answers)
-    assert asked.outcome(number).why == ("is disarmed", "LOAD")
+    lab.requests.follow(lab.run.mission, lab.run.fleet(), lab.tuning, answers)
+    assert lab.outcome(number).why == ("is disarmed", "LOAD")
 
 
 @pytest.mark.parametrize("fit", [True, False])
 def test_a_return_without_one_robot_fails_and_names_it(fit: bool) -> None:
-    asked = Asked()
-    asked.run.step(0.2)
-    asked.run.robots[2].verified = fit
-    number = asked.ask(Order.RETURN)
-    asked.step(0.5)
+    lab = Asked()
+    lab.run.step(0.2)
+    lab.run.robots[2].verified = fit
+    number = lab.ask(Order.RETURN)
+    lab.step(0.5)
     line = np.zeros((20, 4))
     home = {
-        r: Trajectory(f"{t.id} home", 0.05, line, line, line, 0.05) for r, t in asked.run.mission.segment.trajectories.items()
+        r: Trajectory(f"{t.id} home", 0.05, line, line, line, 0.05) for r, t in lab.run.mission.segment.trajectories.items()
     }
-    asked.run.mission.planned(PlanSegment(home, home[1], 1.0, is_return=True), asked.run.fleet(), asked.run.now_ns)
-    asked.step(4.0)
-    assert asked.run.at(MissionState.DONE)
-    found = asked.outcome(number)
+    lab.run.mission.planned(PlanSegment(home, home[1], 1.0, is_return=True), lab.run.fleet(), lab.run.now_ns)
+    lab.step(4.0)
+    assert lab.run.at(MissionState.DONE)
+    result = lab.outcome(number)
     if fit:
-        assert (found.progress, found.confirmed, found.waiting) == (Progress.DONE, (1, 2), ())
+        assert (result.progress, result.confirmed, result.waiting) == (Progress.DONE, (1, 2), ())
         return
-    assert (found.progress, found.confirmed, found.waiting) == (Progress.FAILED, (1,), (2,))
-    assert found.reason.startswith("robot 2 is left out: pose is MARKER, identity not verified")
+    assert (result.progress, result.confirmed, result.waiting) == (Progress.FAILED, (1,), (2,))
+    assert result.reason.startswith("robot 2 is left out: pose is MARKER, identity not verified")
 
 
 def test_a_disarm_that_a_robot_cannot_confirm_any_more_fails_with_its_reason() -> None:
-    asked = Asked()
-    number = asked.ask(Order.DISARM)
-    asked.run.step(1.0)
-    assert asked.run.at(MissionState.CANCELLED)
-    asked.run.robots[2].silent = True
-    asked.look()
-    assert (asked.progress(number), asked.outcome(number).reason) == (Progress.FAILED, "robot 2: not heard for 9.0 s")
+    lab = Asked()
+    number = lab.ask(Order.DISARM)
+    lab.run.step(1.0)
+    assert lab.run.at(MissionState.CANCELLED)
+    lab.run.robots[2].silent = True
+    lab.look()
+    assert (lab.progress(number), lab.outcome(number).reason) == (Progress.FAILED, "robot 2: not heard for 9.0 s")
 
 
 def test_a_robot_that_is_not_disarmed_is_named_once() -> None:
-    asked = Asked()
-    asked.run.robots[2].refuses = frozenset({Order.DISARM})
-    asked.fly()
-    asked.ask(Order.DISARM)
-    asked.step(25.0)
-    assert asked.run.at(MissionState.FAILED)
-    assert asked.run.mission.reason.count("robot 2 does not follow DISARM") == 1
+    lab = Asked()
+    lab.run.robots[2].refuses = frozenset({Order.DISARM})
+    lab.fly()
+    lab.ask(Order.DISARM)
+    lab.step(25.0)
+    assert lab.run.at(MissionState.FAILED)
+    assert lab.run.mission.reason.count("robot 2 does not follow DISARM") == 1

@@ -361,3 +361,33 @@ def test_a_formation_that_makes_itself_a_new_plan_ends_no_request_for_the_robot_
     run.step(0.2)
     assert run.in_mode(2, Mode.DISARMED)
     assert run.single.tasks[2].progress is Progress.DONE
+
+
+@pytest.mark.parametrize("lost", ["go-on", "abort"])
+def test_a_disarm_that_the_missions_own_overtakes_is_done_with_it(lost: str) -> None:
+    run = LedRun(f'mission.lost="{lost}"')
+    run.fly()
+    assert run.ask(Order.DISARM) == ""
+    run.robots[1].silent = lost == "abort"
+    if lost == "go-on":
+        assert run.mission.request(Order.DISARM, run.fleet(), run.now_ns) == ""
+    run.step()
+    assert run.at(MissionState.ABORTING if lost == "abort" else MissionState.ENDING)
+    run.step(0.5)
+    assert run.in_mode(2, Mode.DISARMED)
+    assert (run.single.tasks[2].progress, run.single.tasks[2].reason) == (Progress.DONE, "")
+
+
+def test_a_robot_that_is_led_alone_holds_when_its_poses_are_another_experiments() -> None:
+    run = LedRun()
+    assert run.ask(Order.ARM) == ""
+    run.step(0.2)
+    assert run.drive() == ""
+    run.step(0.2)
+    assert run.in_mode(2, Mode.DRIVEN)
+    run.robots[2].localizer_hash = "another one"
+    run.step(0.2)
+    assert run.in_mode(2, Mode.HOLDING) and run.single.tasks[2].progress is Progress.FAILED
+    for refused in (run.drive(), run.ask(Order.GO, place_m=(1.0, 0.5))):
+        assert refused.startswith("robot 2: its poses are by another experiment")
+    assert run.ask(Order.DISARM) == ""

@@ -37,7 +37,7 @@ WAITS = (
 
 def documented() -> dict[tuple[MissionState, str], MissionState]:
     """(state, what happens) -> state, read off the page."""
-    found: dict[tuple[MissionState, str], MissionState] = {}
+    transitions: dict[tuple[MissionState, str], MissionState] = {}
     for line in PAGE.splitlines():
         cells = [cell.strip() for cell in line.strip("|").split("|")]
         if len(cells) != 3 or cells[2] not in MissionState.__members__:
@@ -47,9 +47,9 @@ def documented() -> dict[tuple[MissionState, str], MissionState]:
         listed = {MissionState[name] for name in names if name in MissionState.__members__}
         states = set(MissionState) - listed if when.startswith("always") else listed
         for state in states:
-            assert (state, what) not in found, f"{what} from {state.name} leads to two places"
-            found[state, what] = MissionState[to]
-    return found
+            assert (state, what) not in transitions, f"{what} from {state.name} leads to two places"
+            transitions[state, what] = MissionState[to]
+    return transitions
 
 
 def test_the_page_is_the_table() -> None:

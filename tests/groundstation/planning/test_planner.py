@@ -166,10 +166,10 @@ def test_a_path_out_of_the_picture_is_refused_with_robot_time_place_and_how_far(
     with pytest.raises(PlanError) as caught:
         plan(experiment)
     (line,) = str(caught.value).splitlines()
-    said = r"robot 1: ([\d.]+) m beyond the camera's picture at t = ([\d.]+) s, \(([\d.]+), 0.00, 0.30\) m"
-    found = re.fullmatch(said, line)
-    assert found is not None, line
-    excess_m, at_s, x_m = map(float, found.groups())
+    pattern = r"robot 1: ([\d.]+) m beyond the camera's picture at t = ([\d.]+) s, \(([\d.]+), 0.00, 0.30\) m"
+    match = re.fullmatch(pattern, line)
+    assert match is not None, line
+    excess_m, at_s, x_m = map(float, match.groups())
     edge_m = x_m - excess_m + experiment.vehicle.radius_m + PICTURE_MARGIN_M
     u, _ = exact(experiment.camera, np.array([[edge_m, 0.0, 0.3]]))[0]
     assert u == pytest.approx(experiment.camera.size_px[0] - 0.5, abs=8.0), "2 cm, at the scale that is there"

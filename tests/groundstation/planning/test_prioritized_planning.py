@@ -73,13 +73,13 @@ def test_random_robots_find_home_clear_of_one_another(seed: int) -> None:
     count = int(random.integers(2, 7))
 
     def places() -> dict[int, Array]:
-        found: list[Array] = []
-        while len(found) < count:
+        chosen: list[Array] = []
+        while len(chosen) < count:
             p = random.uniform([-5.3, -4.3, 0.5, -3.0], [5.3, 4.3, 2.0, 3.0])
             clear = all(np.hypot(*(p[:2] - i.position_m)) > i.radius_m + 0.25 for i in experiment.islands)
-            if clear and all(np.hypot(*(p[:2] - q[:2])) > 0.65 for q in found):
-                found.append(p)
-        return dict(enumerate(found, 1))
+            if clear and all(np.hypot(*(p[:2] - q[:2])) > 0.65 for q in chosen):
+                chosen.append(p)
+        return dict(enumerate(chosen, 1))
 
     starts, goals = places(), places()
     check(experiment, plan_transfers(experiment, starts, goals, NO_OBSTACLES), starts, goals)
@@ -180,11 +180,11 @@ def test_a_dense_fleet_without_transfers_is_refused_in_bounded_time(monkeypatch:
 
 
 def test_planning_ends_when_nobody_waits_any_longer() -> None:
-    asked: list[int] = []
+    calls: list[int] = []
 
     def out_of_time() -> bool:
-        asked.append(1)
-        return len(asked) > 3
+        calls.append(1)
+        return len(calls) > 3
 
     experiment = load_experiment("fleet-20")
     segment = first_segment(experiment)

@@ -103,9 +103,9 @@ def test_two_replans_in_a_row_and_one_to_a_requested_place() -> None:
     second = replan(BLOCKED, first, 16.0, np.vstack([BALL, [[2.5, 1.0, 0.2]]]))
     assert all(splice_objection(first.trajectories[r], second.trajectories[r]) == "" for r in (1, 2, 3))
     assert clearance(second, BALL[0], 16.0) > 0.3 and clearance(second, np.array([2.5, 1.0, 0.2]), 16.0) > 0.3
-    asked = replan(BLOCKED, segment, 10.0, NO_OBSTACLES, [(1.0, 1.5)])
-    assert np.hypot(*(asked.centre.eta[-1, :2] - [1.0, 1.5])) < 0.01
-    again = replan(BLOCKED, asked, 13.0, np.array([[-0.7, 0.3, 0.1]]))
+    moved = replan(BLOCKED, segment, 10.0, NO_OBSTACLES, [(1.0, 1.5)])
+    assert np.hypot(*(moved.centre.eta[-1, :2] - [1.0, 1.5])) < 0.01
+    again = replan(BLOCKED, moved, 13.0, np.array([[-0.7, 0.3, 0.1]]))
     assert np.hypot(*(again.centre.eta[-1, :2] - [1.0, 1.5])) < 0.01  # the person's place still counts
 
 
@@ -122,8 +122,8 @@ def test_no_way_round_is_refused_with_the_reason() -> None:
 
 def test_an_obstacle_on_the_path_is_reported_with_robot_place_and_time() -> None:
     segment = first_segment(BLOCKED)
-    said = first_contact(BLOCKED, segment, 14.0, 60.0, BALL)
-    assert said.startswith("at (1.00, 0.10) m, on the path of robot 3, in 2")
+    contact = first_contact(BLOCKED, segment, 14.0, 60.0, BALL)
+    assert contact.startswith("at (1.00, 0.10) m, on the path of robot 3, in 2")
     assert first_contact(BLOCKED, segment, 14.0, 20.0, BALL) == ""  # later
     assert first_contact(BLOCKED, segment, 60.0, 75.0, BALL) == ""  # behind
     assert first_contact(BLOCKED, segment, 0.0, 75.0, np.array([[0.0, 3.0, 0.2]])) == ""  # beside
@@ -172,10 +172,10 @@ def test_on_ways_of_their_own_robots_may_begin_and_end_beside_a_thing_but_not_co
 def test_robots_on_their_own_ways_look_out_for_lost_ones_also_where_no_path_is_changed_for_things() -> None:
     way = glides((0.0, 0.0), (2.0, 0.0))
     lost = RobotView(RobotState(eta=np.array([1.0, 0.0, 0.0, 0.0])), 9.0)
-    seen = ObstacleSet((1,), np.array([[1.5, 0.0, 0.1]]))
+    obstacles = ObstacleSet((1,), np.array([[1.5, 0.0, 0.1]]))
     for settings, sees_things in ((["mission.detours=true"], True), (["mission.detours=false"], False)):
         lookout = ObstacleMonitor(load_experiment("pool", settings))
-        lookout.update(seen, 0)
+        lookout.update(obstacles, 0)
         is_return = PlanSegment({1: way}, way, 20.0, is_return=True)
         assert "at (1.00, 0.00) m" in lookout.first_contact(is_return, 0.0, [lost], 1_000_000_000)
         assert ("at (1.50, 0.00) m" in lookout.first_contact(is_return, 0.0, [], 1_000_000_000)) == sees_things

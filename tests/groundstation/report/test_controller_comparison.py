@@ -32,22 +32,22 @@ def variant(name: str, factor: float, seeds: int = 4) -> Variant:
 
 
 def comparison(*variants: Variant) -> Comparison:
-    return Comparison("pool", "Two robots <&>", 45.0, 0.1, ["seed=3"], 6.0, [1, 2], list(variants))
+    return Comparison("pool", "Two robots <&>", 45.0, 0.1, ["seed=3"], 6.0, [1, 2], list(variants), 0.6, "")
 
 
 def test_ratios_are_taken_seed_by_seed() -> None:
     """Everyone has the same luck on a seed: three times the error is certain, though the errors themselves vary fourfold."""
-    found = ratio(variant("pid", 3.0), variant("eso-mpc", 1.0))
-    assert (found.value, found.low, found.high) == pytest.approx((3.0, 3.0, 3.0))
-    known = mean([f.figures.rms_after_20s_m for f in variant("pid", 3.0).flights])
-    assert known.low is not None and known.high is not None and known.high - known.low > 0.01
+    quotient = ratio(variant("pid", 3.0), variant("eso-mpc", 1.0))
+    assert (quotient.value, quotient.low, quotient.high) == pytest.approx((3.0, 3.0, 3.0))
+    average = mean([f.figures.rms_after_20s_m for f in variant("pid", 3.0).flights])
+    assert average.low is not None and average.high is not None and average.high - average.low > 0.01
 
 
 def test_the_intervals_are_those_of_another_bootstrap_and_never_below_zero() -> None:
     values = [0.1, 4.5, 0.2, 5.0, 0.3, 30.0]
-    found, other = mean(values), stats.bootstrap((values,), np.mean, n_resamples=20000, method="percentile", rng=1)
-    assert [found.low, found.high] == pytest.approx(list(other.confidence_interval), rel=0.1)
-    assert found.low is not None and found.low > 0.0
+    average, other = mean(values), stats.bootstrap((values,), np.mean, n_resamples=20000, method="percentile", rng=1)
+    assert [average.low, average.high] == pytest.approx(list(other.confidence_interval), rel=0.1)
+    assert average.low is not None and average.low > 0.0
 
 
 def test_every_variant_has_a_row_in_order() -> None:

@@ -140,18 +140,18 @@ def test_a_broken_run_names_its_cause_and_is_not_held_against_the_article(tmp_pa
     assert result.cause is not None and result.cause.text == "fault: no pose"
     assert text.index(f"{result.cause.sentence}</p>") < text.index("<h2>Requirements")
     assert "Beside the article" not in text
-    told = list(terminal.lines(result))
-    assert re.fullmatch(rf"cause: robot 1 at {result.cause.time_s:.1f} s, at x \S+, y \S+ m: fault: no pose", told[0])
-    assert "article" not in "".join(told)
+    lines = list(terminal.lines(result))
+    assert re.fullmatch(rf"cause: robot 1 at {result.cause.time_s:.1f} s, at x \S+, y \S+ m: fault: no pose", lines[0])
+    assert "article" not in "".join(lines)
 
 
 def test_the_terminals_table_has_a_labelled_row_a_robot_in_80_columns(folder: Path) -> None:
     result = write_report(folder)
-    told = list(terminal.lines(result))
-    assert max(len(line) for line in told) <= 80
-    columns = next(line for line in told if line.split() == ["x", "y", "z", "yaw", "x", "y", "z", "yaw", "x", "y"])
+    lines = list(terminal.lines(result))
+    assert max(len(line) for line in lines) <= 80
+    columns = next(line for line in lines if line.split() == ["x", "y", "z", "yaw", "x", "y", "z", "yaw", "x", "y"])
     for name, row in (("robot 1", result.robots["1"]), ("robot 2", result.robots["2"])):
-        (line,) = (line for line in told if line.startswith(name))
+        (line,) = (line for line in lines if line.startswith(name))
         assert len(line) == len(columns)
         assert row.rms_m is not None and row.rms_yaw_rad is not None
         shown = [float(cell) for cell in line.removeprefix(name).split()[:4]]

@@ -54,8 +54,8 @@ def test_a_limit_counts_where_it_is_reached_and_only_while_under_way(flown: tupl
     wrench[: rows[0], 1] = bounds.wrench[1]  # before the start
     slack_m[rows[5]] = 0.013
     changed = with_states(series, 1, wrench=wrench, slack_m=slack_m, board_loss=slack_m * 2.0)
-    found = active_limits(changed, changed.robots[1])
-    assert found["surge"].sum() == 20 and not found["yaw"].any()
+    limits = active_limits(changed, changed.robots[1])
+    assert limits["surge"].sum() == 20 and not limits["yaw"].any()
     result = evaluate(changed, read_log(folder / "run.mcap"))
     steps = sum(states.tracking & (states.time_s >= 0.0) & (states.time_s <= series.end_s))
     assert result.at_limit["surge"] == pytest.approx(20 / steps)
@@ -77,10 +77,10 @@ def test_the_timeline_and_the_events_say_what_decides_the_motion(flown: tuple[Se
     guidance[rows[10:30]], guidance[rows[30:35]] = Guidance.GIVING_WAY, Guidance.RETURNING
     plot = drawn.timeline(with_states(series, 1, guidance=guidance))
     assert plot is not None
-    found = {bar.label: (bar.begin_s, bar.length_s) for bar in plot.rows[0][1]}
-    assert found["giving way"] == pytest.approx((states.time_s[rows[10]], 1.0))
-    assert found["returning"] == pytest.approx((states.time_s[rows[30]], 0.25))
-    assert "joining" not in found and "giving way" not in {bar.label for bar in plot.rows[1][1]}
+    bars = {bar.label: (bar.begin_s, bar.length_s) for bar in plot.rows[0][1]}
+    assert bars["giving way"] == pytest.approx((states.time_s[rows[10]], 1.0))
+    assert bars["returning"] == pytest.approx((states.time_s[rows[30]], 0.25))
+    assert "joining" not in bars and "giving way" not in {bar.label for bar in plot.rows[1][1]}
     led = RobotState(mode=Mode.TRACKING, guidance=Guidance.GIVING_WAY)
     assert led.doing == "tracking, giving way" and replace(led, mode=Mode.HOLDING).doing == "holding"
     assert replace(led, guidance=Guidance.NONE).doing == "tracking"  # a message of an earlier version

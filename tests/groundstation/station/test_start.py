@@ -50,9 +50,9 @@ def listening(folder: Path, terminal: int) -> Iterator[tuple["subprocess.Popen[b
 
 
 def read_until(terminal: int, text: str) -> None:
-    said = ""
-    while text not in said:
-        said += os.read(terminal, 4096).decode()
+    output = ""
+    while text not in output:
+        output += os.read(terminal, 4096).decode()
 
 
 def test_the_stop_gets_through_while_the_terminal_is_stopped(tmp_path: Path) -> None:

@@ -62,8 +62,8 @@ TRIES = 5
 
 def next_beat_ns(bus: Bus, stop: Stop, beats: Inbox[StationHeartbeat]) -> int:
     """Stamp of the next heartbeat."""
-    seen = beats.newest_header()
-    assert wait(bus, stop, lambda: beats.newest_header() is not seen, PATIENCE_S)
+    previous = beats.newest_header()
+    assert wait(bus, stop, lambda: beats.newest_header() is not previous, PATIENCE_S)
     header = beats.newest_header()
     assert header is not None
     return header.stamp_ns
@@ -110,10 +110,10 @@ def test_an_outdated_plan_is_dropped(tmp_path: Path) -> None:
 
 def test_planning_is_given_up_in_time_and_when_the_station_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """In lockstep only when the station ends: there a plan must not depend on the machine."""
-    asked: list[Callable[[], bool]] = []
+    deadlines: list[Callable[[], bool]] = []
 
     def plan(out_of_time: Callable[[], bool]) -> PlanSegment:
-        asked.append(out_of_time)
+        deadlines.append(out_of_time)
         return station.mission.segment
 
     def taken() -> bool:
@@ -128,8 +128,8 @@ def test_planning_is_given_up_in_time_and_when_the_station_ends(tmp_path: Path, 
             with station.lock:
                 station.plan(lockstep, 0)
             assert eventually(taken)
-        assert [out_of_time() for out_of_time in asked] == [False, True, False]
-    assert all(out_of_time() for out_of_time in asked)
+        assert [out_of_time() for out_of_time in deadlines] == [False, True, False]
+    assert all(out_of_time() for out_of_time in deadlines)
 
 
 def test_a_planner_that_breaks_leaves_the_fleet_holding_and_the_station_alive(tmp_path: Path) -> None:
@@ -229,14 +229,14 @@ def tell_until(fleet: ObedientFleet, over: threading.Event) -> None:
 def end_by_interruption(station: Station, stop: Stop, fleet: ObedientFleet) -> None:
     """Tell a station to end as Ctrl-C does, and run it to its end while the fleet goes on telling its state."""
     stop.request(interrupted=True)
-    over, told = threading.Event(), threading.Thread(target=lambda: tell_until(fleet, over))
-    told.start()
+    over, sender = threading.Event(), threading.Thread(target=lambda: tell_until(fleet, over))
+    sender.start()
     try:
         # the loop alone: `cycles` around it needs a network and a page
         process._wall_loop(station, stop, process.EndOfRun(station, None))  # private: `run` begins with a whole fleet
     finally:
         over.set()
-        told.join()
+        sender.join()
 
 
 LEADS = {
@@ -354,7 +354,7 @@ def test_a_terminals_request_for_one_robot_is_for_that_robot_and_a_stop_for_ever
     with a_station(tmp_path, hub) as station:
         fleet = ObedientFleet(hub, station.experiment)
         fleet.modes = {1: Mode.HOLDING, 2: Mode.HOLDING}
-        fleet.until(station, lambda: len(station.seen) == 2 and all(seen.heard for seen in station.seen.values()))
+        fleet.until(station, lambda: len(station.seen) == 2 and all(view.heard for view in station.seen.values()))
         operator = Bus(MemoryTransport(hub))
         station.bus.serve(WHOLE_FLEET, station.on_operator_command)
         reply = operator.command(Command(Order.DISARM, 2), time.time_ns(), PATIENCE_S, to=WHOLE_FLEET)
@@ -378,7 +378,7 @@ def test_a_run_is_ended_once_everybody_is_at_rest(tmp_path: Path, mode: Mode) ->
         station.mission.state = {Mode.TRACKING: MissionState.RUNNING, Mode.STOPPED: MissionState.STOPPED}.get(
             mode, MissionState.WAITING
         )
-        fleet.until(station, lambda: all(seen.heard for seen in station.seen.values()))
+        fleet.until(station, lambda: all(view.heard for view in station.seen.values()))
         number = asked(station, Order.END)
         assert not station.ended
         assert station.request_gains(None, next_lap=False)[0] == "there is nothing to undo"
@@ -399,7 +399,7 @@ def test_a_station_that_is_told_to_end_in_flight_holds_and_then_disarms(
         fleet = ObedientFleet(hub, station.experiment)
         fleet.modes = dict.fromkeys(fleet.modes, Mode.TRACKING)
         station.mission.state = MissionState.RUNNING
-        fleet.until(station, lambda: len(station.seen) == 2 and all(seen.heard for seen in station.seen.values()))
+        fleet.until(station, lambda: len(station.seen) == 2 and all(view.heard for view in station.seen.values()))
         end_by_interruption(station, stop, fleet)
         for robot in fleet.modes:
             orders = [order for of, order in fleet.got if of == robot]
@@ -418,7 +418,7 @@ def test_a_station_that_is_told_to_end_while_robots_are_being_armed_leaves_none_
     hub, stop = MemoryHub(), Stop(install=False)
     with a_station(tmp_path, hub) as station:
         fleet = ObedientFleet(hub, station.experiment)
-        fleet.until(station, lambda: len(station.seen) == 2 and all(seen.heard for seen in station.seen.values()))
+        fleet.until(station, lambda: len(station.seen) == 2 and all(view.heard for view in station.seen.values()))
         station.mission.state = state
         end_by_interruption(station, stop, fleet)
         assert station.mission.state not in (MissionState.LOADING, MissionState.ARMING)
@@ -431,7 +431,7 @@ def test_an_end_disarms_the_one_robot_that_is_armed(tmp_path: Path) -> None:
     with a_station(tmp_path, hub) as station:
         fleet = ObedientFleet(hub, station.experiment)
         fleet.modes = {1: Mode.DISARMED, 2: Mode.HOLDING}
-        fleet.until(station, lambda: len(station.seen) == 2 and all(seen.heard for seen in station.seen.values()))
+        fleet.until(station, lambda: len(station.seen) == 2 and all(view.heard for view in station.seen.values()))
         asked(station, Order.END)
         fleet.until(station, lambda: station.ended)
         assert fleet.modes == {1: Mode.DISARMED, 2: Mode.DISARMED}
@@ -443,7 +443,7 @@ def test_an_end_replaced_by_a_start_ends_no_run(tmp_path: Path) -> None:
         fleet = ObedientFleet(hub, station.experiment)
         fleet.modes = dict.fromkeys(fleet.modes, Mode.TRACKING)
         station.mission.state = MissionState.RUNNING
-        fleet.until(station, lambda: all(seen.heard for seen in station.seen.values()))
+        fleet.until(station, lambda: all(view.heard for view in station.seen.values()))
         number = asked(station, Order.END)
         stop = asked(station, Order.STOP)
         fleet.until(station, lambda: outcome(station, stop).progress is Progress.DONE)
@@ -459,14 +459,14 @@ def test_an_automatic_run_that_a_person_took_over_ends_only_when_it_is_left_alon
     with a_station(tmp_path, hub) as station:
         fleet, end = ObedientFleet(hub, station.experiment), process.EndOfRun(station, None)
         fleet.modes = dict.fromkeys(fleet.modes, Mode.TRACKING)
-        fleet.until(station, lambda: [seen.mode for seen in station.seen.values()] == [Mode.TRACKING] * 2)
+        fleet.until(station, lambda: [view.mode for view in station.seen.values()] == [Mode.TRACKING] * 2)
         station.mission.automatic, station.mission.state = True, MissionState.RUNNING
         stop = asked(station, Order.STOP)
         assert not end.reached()
         time.sleep(0.3)
         assert not end.reached()  # a robot that moves is never left alone
         fleet.until(station, lambda: outcome(station, stop).progress is Progress.DONE)
-        fleet.until(station, lambda: all(seen.mode is Mode.STOPPED for seen in station.seen.values()))
+        fleet.until(station, lambda: all(view.mode is Mode.STOPPED for view in station.seen.values()))
         assert not end.reached()
         before_s = station.asked_s
         assert station.request_gains(None, next_lap=False)[0]  # refused, and asked for all the same
@@ -525,7 +525,7 @@ def test_the_paths_flown_now_are_told_with_their_end(tmp_path: Path) -> None:
 
 def test_a_trip_of_one_robot_is_published_and_then_its_path_again(tmp_path: Path) -> None:
     hub = MemoryHub()
-    told = Bus(MemoryTransport(hub)).inboxes(topics.TRAJECTORY, Trajectory, (1, 2))
+    inboxes = Bus(MemoryTransport(hub)).inboxes(topics.TRAJECTORY, Trajectory, (1, 2))
     with a_station(tmp_path, hub) as station:
         segment = station.mission.segment
         alone = named_alone(segment.trajectories[2])
@@ -534,7 +534,7 @@ def test_a_trip_of_one_robot_is_published_and_then_its_path_again(tmp_path: Path
         for leader in (Leader.MISSION, Leader.PERSON, Leader.MISSION):
             station.single.tasks[2], station.mission.roster.led_by[2] = trip, leader
             station.publish_paths(0)
-            newest = [told[robot].newest() for robot in (1, 2)]
+            newest = [inboxes[robot].newest() for robot in (1, 2)]
             ids.append([received.message.id for received in newest if received is not None])
             assert (station.paths or {})[2] == (
                 (alone, 4.0) if leader is Leader.PERSON else (segment.trajectories[2], segment.end_s)
@@ -561,9 +561,9 @@ def test_a_robot_with_other_gains_than_the_fleets_is_not_armed(tmp_path: Path) -
     with a_station(tmp_path) as station:
         fleets = station.tuner.status().flown.id
         for own, blocks in (("", False), (fleets, False), ("another", True)):
-            seen = RobotView(state=RobotState(tuning_id=own), state_age_s=0.0)
-            found = findings(station.experiment, 1, station.core.view(1, seen, 0))
-            assert any(finding.key == "gains" and finding.blocks_arming for finding in found) is blocks
+            view = RobotView(state=RobotState(tuning_id=own), state_age_s=0.0)
+            alarms_of_robot = findings(station.experiment, 1, station.core.view(1, view, 0))
+            assert any(finding.key == "gains" and finding.blocks_arming for finding in alarms_of_robot) is blocks
 
 
 def test_robots_are_not_armed_by_the_poses_of_another_experiment(tmp_path: Path) -> None:
@@ -577,12 +577,12 @@ def test_robots_are_not_armed_by_the_poses_of_another_experiment(tmp_path: Path)
             state = RobotState(experiment_hash=station.experiment.hash, battery_v=12.0)
             fleet.publish(topics.STATE, state, time.time_ns(), 1)
             station.cycle(station.clock.now_ns(), lockstep=False)
-            seen = replace(station.status().seen[1], state_age_s=0.0)
-            found = [f for f in findings(station.experiment, 1, seen) if f.key == "localizer"]
-            assert [f.blocks_arming for f in found] == [True] * blocks
+            view = replace(station.status().seen[1], state_age_s=0.0)
+            alarms_of_robot = [f for f in findings(station.experiment, 1, view) if f.key == "localizer"]
+            assert [f.blocks_arming for f in alarms_of_robot] == [True] * blocks
             if blocks:
                 text = f"its poses are by another experiment (00000000, here {station.experiment.hash[:8]})"
-                assert (found[0].level, found[0].text) == ("critical", text)
+                assert (alarms_of_robot[0].level, alarms_of_robot[0].text) == ("critical", text)
 
 
 def test_a_robot_whose_poses_come_from_two_programs_is_not_armed(tmp_path: Path) -> None:
@@ -594,9 +594,9 @@ def test_a_robot_whose_poses_come_from_two_programs_is_not_armed(tmp_path: Path)
             programs[number].publish(topics.POSE, Pose(0.0, 0.0, 0.0, np.eye(3), Track.MARKER, True), time.time_ns(), 1)
             programs[number].publish(topics.STATE, state, time.time_ns(), 1)
         station.cycle(station.clock.now_ns(), lockstep=False)
-        seen = {robot: replace(view, state_age_s=0.0) for robot, view in station.status().seen.items()}
-        found = {robot: [f for f in findings(station.experiment, robot, seen[robot]) if f.key == "poses"] for robot in (1, 2)}
-        assert [f.blocks_arming for f in found[1]] == [True] and found[2] == []
+        views = {robot: replace(view, state_age_s=0.0) for robot, view in station.status().seen.items()}
+        own = {robot: [f for f in findings(station.experiment, robot, views[robot]) if f.key == "poses"] for robot in (1, 2)}
+        assert [f.blocks_arming for f in own[1]] == [True] and own[2] == []
 
 
 def test_programs_of_other_code_than_the_stations_are_named_on_the_page_and_in_the_log(
@@ -605,24 +605,28 @@ def test_programs_of_other_code_than_the_stations_are_named_on_the_page_and_in_t
     """A robot of the same code, one of another, one of a version that did not say it, and a localizer of another."""
     hub = MemoryHub()
     with a_station(tmp_path, hub) as station, caplog.at_level(logging.WARNING, "shoal"):
-        fleet, own, told = Bus(MemoryTransport(hub)), code().short, LocalizerStatus(CameraHealth.OK, code="0.1.0 8289d898")
+        fleet, own, localizer = (
+            Bus(MemoryTransport(hub)),
+            code().short,
+            LocalizerStatus(CameraHealth.OK, code="0.1.0 8289d898"),
+        )
         for robot, its, hash_ in ((1, own, station.experiment.hash), (2, "", "0" * 64)):
             state = RobotState(experiment_hash=hash_, battery_v=12.0, code=its)
             fleet.publish(topics.STATE, state, time.time_ns(), robot)
-        fleet.publish(topics.LOCALIZER, told, time.time_ns())
+        fleet.publish(topics.LOCALIZER, localizer, time.time_ns())
         for _ in range(2):
             station.cycle(station.clock.now_ns(), lockstep=False)
         status = station.status()
-        seen = {robot: replace(view, state_age_s=0.0) for robot, view in status.seen.items()}  # however slow the machine is
-        found = alarms(station.experiment, seen, told, 0.0, "", status.lasting)
-        ours = [alarm.told for alarm in found if alarm.key.endswith("code")]
+        views = {robot: replace(view, state_age_s=0.0) for robot, view in status.seen.items()}  # however slow the machine is
+        alarm_list = alarms(station.experiment, views, localizer, 0.0, "", status.lasting)
+        ours = [alarm.told for alarm in alarm_list if alarm.key.endswith("code")]
         assert ours == [
             f"the localizer runs 0.1.0 8289d898, the station {own}", f"robot 2: runs an earlier version, the station {own}",
         ]  # fmt: skip
-        remedies = {f.key: f.remedy for f in findings(station.experiment, 2, seen[2])}
+        remedies = {f.key: f.remedy for f in findings(station.experiment, 2, views[2])}
         assert remedies["experiment"] == remedies["code"] == DEPLOY
-        said = [record.getMessage() for record in caplog.records if "runs" in record.getMessage()]
-        assert said == [f"robot 2 runs an earlier version, the station {own} ({DEPLOY})", f"{ours[0]} ({DEPLOY})"]
+        log_lines = [record.getMessage() for record in caplog.records if "runs" in record.getMessage()]
+        assert log_lines == [f"robot 2 runs an earlier version, the station {own} ({DEPLOY})", f"{ours[0]} ({DEPLOY})"]
 
 
 def test_a_stop_does_not_wait_for_the_next_cycle(tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ def test_the_age_of_a_robots_state_is_simulated_until_simulated_time_stands() ->
     hub, experiment, clock = MemoryHub(), load_experiment("pool"), LockstepClock()
     bus = Bus(MemoryTransport(hub))
     station = FakeStation(experiment, bus, clock=clock)
-    backend = LiveBackend(experiment, {}, bus, station.heard, clock, station, "lockstep")
+    backend = LiveBackend(experiment, {}, bus, station.inboxes, clock, station, "lockstep")
     Bus(MemoryTransport(hub)).publish(topics.STATE, RobotState(step_us=90_000.0), S, 1)
     clock.tick_ns = S + S // 20
     time.sleep(WAIT_S)
@@ -31,6 +31,6 @@ def test_the_age_of_a_robots_state_is_simulated_until_simulated_time_stands() ->
 
     assert age_ms() == 50.0
     assert "1:late" not in [alarm["key"] for alarm in backend.snapshot()["alarms"]]
-    station.told = replace(station.told, beat_age_s=60.0)
+    station.own_status = replace(station.own_status, beat_age_s=60.0)
     assert age_ms() >= WAIT_S * 1e3
     assert "simulated time stands since 60 s: the machine is busy" in [a["text"] for a in backend.snapshot()["alarms"]]

@@ -32,8 +32,8 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def replay(run: Path) -> Iterator[ReplayBackend]:
-    with ReplayBackend(run) as found:
-        yield found
+    with ReplayBackend(run) as backend:
+        yield backend
 
 
 def at(replay: ReplayBackend, time_s: float) -> dict[str, Any]:
@@ -116,16 +116,16 @@ def test_each_camera_has_its_recorded_picture(tmp_path: Path) -> None:
             recorder.put(topic, f"shoal/{topic.name}", header, encode(Preview(jpeg)), k * SECOND // 5)
     recorder.put(topics.STATE, "shoal/robot/1/state", Header(3, 1, 0), encode(RobotState()), 8 * SECOND)
     recorder.close()
-    with ReplayBackend(tmp_path) as found:
-        assert [camera["name"] for camera in found.scene()["cameras"]] == ["west", "east"]
-        found.seek(1.1, 0.0)
-        shown = {name: found.picture(name, -1) for name in ("west", "east")}
+    with ReplayBackend(tmp_path) as backend:
+        assert [camera["name"] for camera in backend.scene()["cameras"]] == ["west", "east"]
+        backend.seek(1.1, 0.0)
+        shown = {name: backend.picture(name, -1) for name in ("west", "east")}
         assert {name: picture and picture.jpeg for name, picture in shown.items()} == {"west": b"west 5", "east": b"east 5"}
         east = shown["east"]
         assert east is not None and east.age_ms == pytest.approx(100.0) and east.time_s == pytest.approx(1.0)
-        assert found.picture("east", east.stamp_ns) is None  # it is shown already
-        found.seek(7.9, 0.0)
-        assert found.picture("east", east.stamp_ns) is None
+        assert backend.picture("east", east.stamp_ns) is None  # it is shown already
+        backend.seek(7.9, 0.0)
+        assert backend.picture("east", east.stamp_ns) is None
 
 
 def test_an_ended_run_is_followed_by_what_is_offered_and_can_be_flown(run: Path, replay: ReplayBackend) -> None:
@@ -154,15 +154,15 @@ def test_of_a_run_that_was_cut_off_a_copy_is_mended(run: Path, tmp_path: Path) -
     cut = whole[: len(whole) * 2 // 3]
     (tmp_path / "run.mcap").write_bytes(cut)
     (tmp_path / "experiment.toml").write_bytes((run / "experiment.toml").read_bytes())
-    with ReplayBackend(tmp_path) as found:
-        assert at(found, START_S + 3.0)["robots"][0]["state"]["t_s"] == pytest.approx(3.0, abs=0.06)
+    with ReplayBackend(tmp_path) as backend:
+        assert at(backend, START_S + 3.0)["robots"][0]["state"]["t_s"] == pytest.approx(3.0, abs=0.06)
     assert (tmp_path / "run.mcap").read_bytes() == cut  # a recorder may still be writing it
 
 
 def test_a_run_that_never_flew_begins_with_the_first_word(tmp_path: Path) -> None:
     write_run(tmp_path, Script(duration_s=5.0, started=False))
-    with ReplayBackend(tmp_path) as found:
-        assert found.snapshot()["robots"][0]["state"]["mode"] == "DISARMED"
+    with ReplayBackend(tmp_path) as backend:
+        assert backend.snapshot()["robots"][0]["state"]["mode"] == "DISARMED"
 
 
 def test_alarms_are_those_that_were(tmp_path: Path) -> None:
@@ -190,10 +190,10 @@ def test_alarms_are_those_that_were(tmp_path: Path) -> None:
     def keys(replay: ReplayBackend, time_s: float) -> set[str]:
         return {alarm["key"] for alarm in at(replay, time_s)["alarms"] if alarm["key"].split(":")[-1] in KINDS}
 
-    with ReplayBackend(tmp_path) as found:
+    with ReplayBackend(tmp_path) as backend:
         for time_s in (34.9, 15.0, 22.0, 8.0):  # forth and back
             expected = {15.0: {"2:link"}, 22.0: {"2:plan"}, 34.9: {"2:clock"}}.get(time_s, set())
-            assert keys(found, time_s) == expected, time_s
+            assert keys(backend, time_s) == expected, time_s
 
 
 KINDS = {"link", "clock", "plan"}
@@ -213,15 +213,15 @@ def test_the_map_shows_what_was_flown_at_the_time(run: Path, tmp_path: Path) -> 
         recorder.put(topics.TRAJECTORY, key, Header(1, begin_s + robot, 0), encode(trajectory), begin_s * SECOND)
     recorder.put(topics.STATE, "shoal/robot/1/state", Header(2, 1, 0), encode(RobotState()), 20 * SECOND)
     recorder.close()
-    with ReplayBackend(tmp_path) as found:
+    with ReplayBackend(tmp_path) as backend:
         shown: dict[float, dict[int, Any]] = {}
         for time_s in (5.0, 15.0):
-            found.seek(time_s, 0.0)
-            paths = found.paths()
+            backend.seek(time_s, 0.0)
+            paths = backend.paths()
             assert paths is not None
             shown[time_s] = {path["robot"]: path for path in paths}
-            assert found.paths() is None  # once
-            assert found.scene()["paths"] == paths  # also for a page that comes now
+            assert backend.paths() is None  # once
+            assert backend.scene()["paths"] == paths  # also for a page that comes now
         assert [shown[5.0][r]["id"] for r in (1, 2)] == [planned[r].id for r in (1, 2)]
         assert (shown[15.0][1]["id"], shown[15.0][2]["id"]) == ("home", planned[2].id)
         home = np.frombuffer(shown[15.0][1]["eta"], "<f4").reshape(-1, 4)

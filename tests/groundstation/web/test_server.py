@@ -35,7 +35,7 @@ from shoal.bus.bus import Bus
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
 from shoal.config.experiment import Experiment, load_experiment
 from shoal.errors import ConfigError
-from shoal.messages import codec, fleet_pb2, topics
+from shoal.messages import codec, topics
 from shoal.messages.messages import Event, Mode, Order, Outcome, Preview, Progress, RobotState, Trajectory
 from shoal.runtime.runtime import log
 from shoal.runtime.web_access import WebOptions, body_fits
@@ -94,9 +94,9 @@ class PageClient:
         assert isinstance(data, bytes)
         self.last, _ = HEAD.unpack(data[: HEAD.size])
         self.say(kind="ack", n=self.last)
-        found: dict[str, Any] = msgspec.msgpack.decode(data[HEAD.size :])
-        self.clock_ms = found.get("clock_ms", self.clock_ms)
-        return found
+        frame: dict[str, Any] = msgspec.msgpack.decode(data[HEAD.size :])
+        self.clock_ms = frame.get("clock_ms", self.clock_ms)
+        return frame
 
     def order(self, n: int, order: str) -> None:
         """Ask for something, having seen the newest state."""
@@ -112,9 +112,9 @@ class PageClient:
     def hello(self, token: str = TOKEN, page: str = "", camera: str = "") -> dict[str, Any]:
         """Introduced, and past the first state."""
         self.say(kind="hello", token=token, page=page, camera=camera)
-        found = self.until(lambda frame: frame["k"] == "hello")
+        greeting = self.until(lambda frame: frame["k"] == "hello")
         self.until(state)
-        return found
+        return greeting
 
 
 def free_port() -> int:
@@ -124,13 +124,15 @@ def free_port() -> int:
 
 
 def make_desk(lab: ServedStation, run_dir: Path | None = None) -> LiveBackend:
-    return LiveBackend(lab.experiment, planner.plan(lab.experiment), lab.bus, lab.heard, lab.clock, lab, "real-time", run_dir)
+    return LiveBackend(
+        lab.experiment, planner.plan(lab.experiment), lab.bus, lab.inboxes, lab.clock, lab, "real-time", run_dir
+    )
 
 
 @pytest.fixture
 def lab() -> Iterator[ServedStation]:
-    with _served() as found:
-        yield found
+    with _served() as station:
+        yield station
 
 
 @contextlib.contextmanager
@@ -138,9 +140,9 @@ def _served(run_dir: Path | None = None, experiment: Experiment = POOL) -> Itera
     hub, port = MemoryHub(), free_port()
     with Bus(MemoryTransport(hub)) as bus, Bus(MemoryTransport(hub)) as robots:
         opened = contextlib.ExitStack()
-        found = ServedStation(experiment, bus, port=port, robots=robots, opened=opened)
-        with WebServer(make_desk(found, run_dir), WebOptions(port=port, token=TOKEN)), opened:
-            yield found
+        station = ServedStation(experiment, bus, port=port, robots=robots, opened=opened)
+        with WebServer(make_desk(station, run_dir), WebOptions(port=port, token=TOKEN)), opened:
+            yield station
 
 
 def state(frame: dict[str, Any]) -> bool:
@@ -152,11 +154,11 @@ def test_a_page_gets_the_scene_then_states_as_they_come(lab: ServedStation) -> N
     hello = page.hello()
     assert [robot["id"] for robot in hello["scene"]["robots"]] == [1, 2]
     lab.say(robot=2)
-    seen = page.until(lambda f: state(f) and "state" in f["robots"][1])
-    assert seen["robots"][1]["state"]["mode"] == "ARMED"
-    assert "state" not in seen["robots"][0]
-    assert any(line["robot"] == 1 and line["text"].startswith("not heard (start its agent") for line in seen["preflight"])
-    assert seen["allowed"] == ["load", "arm", "start", "stop", "disarm", "clear-stop", "return", "test", "end"]
+    frame = page.until(lambda f: state(f) and "state" in f["robots"][1])
+    assert frame["robots"][1]["state"]["mode"] == "ARMED"
+    assert "state" not in frame["robots"][0]
+    assert any(line["robot"] == 1 and line["text"].startswith("not heard (start its agent") for line in frame["preflight"])
+    assert frame["allowed"] == ["load", "arm", "start", "stop", "disarm", "clear-stop", "return", "test", "end"]
     lab.robots.publish(topics.PREVIEW, Preview(b"jpeg"), time.time_ns())
     assert page.until(lambda f: f["k"] == "picture")["jpeg"] == b"jpeg"
 
@@ -333,22 +335,22 @@ def test_a_page_that_acknowledges_nothing_is_told_the_last_state_before_the_serv
             for _ in range(UNACKNOWLEDGED):
                 page.socket.recv(timeout=20)
             lab.robots.publish(topics.STATE, RobotState(mode=Mode.DISARMED, fault="the last"), time.time_ns(), 2)
-        told = []
+        frames = []
         with pytest.raises(ConnectionClosed):
             while True:
                 frame = page.socket.recv(timeout=20)
                 assert isinstance(frame, bytes)
-                told.append(msgspec.msgpack.decode(frame[HEAD.size :]))
-    assert next(f for f in reversed(told) if state(f))["robots"][1]["state"]["fault"] == "the last"
+                frames.append(msgspec.msgpack.decode(frame[HEAD.size :]))
+    assert next(f for f in reversed(frames) if state(f))["robots"][1]["state"]["fault"] == "the last"
 
 
 def test_request_outcomes_and_log_lines_reach_the_page(lab: ServedStation) -> None:
     page = lab.open()
     page.hello()
     outcome = Outcome(7, Order.CLEAR_STOP, Progress.FAILED, "aborting", "ABORTING", (1,), (2,), ("no pose",))
-    lab.told = replace(lab.told, requests=(outcome,))
-    (told,) = page.until(lambda f: state(f) and f["requests"])["requests"]
-    assert told == {
+    lab.own_status = replace(lab.own_status, requests=(outcome,))
+    (request,) = page.until(lambda f: state(f) and f["requests"])["requests"]
+    assert request == {
         "request": 7,
         "order": "clear-stop",
         "progress": "FAILED",
@@ -407,9 +409,9 @@ def test_a_private_key_that_others_can_read_is_refused_at_start(lab: ServedStati
 def test_bad_requests_do_not_fill_the_log(
     lab: ServedStation, caplog: pytest.LogCaptureFixture, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def knock(said: bytes) -> None:
+    def knock(data: bytes) -> None:
         with socket.create_connection(("127.0.0.1", lab.port), PATIENCE_S) as stranger:
-            stranger.sendall(said)
+            stranger.sendall(data)
             while stranger.recv(4096):
                 pass
 
@@ -562,12 +564,12 @@ def _readable(connection: socket.socket) -> bool:
     return bool(select.select([connection], [], [], 0.0)[0])
 
 
-@pytest.mark.parametrize("said", [b"", b"GET / HTTP/1.1\r\nHost: 127.0", b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\nGET"])
-def test_a_client_that_does_not_finish_a_request_in_time_is_cut_off(said: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("data", [b"", b"GET / HTTP/1.1\r\nHost: 127.0", b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\nGET"])
+def test_a_client_that_does_not_finish_a_request_in_time_is_cut_off(data: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also one that has asked for something before, and one that lets bytes trickle."""
     monkeypatch.setattr(connection_limits, "ASKS_WITHIN_S", 0.2)
-    with _served() as found, socket.create_connection(("127.0.0.1", found.port), PATIENCE_S) as slow:
-        slow.sendall(said)
+    with _served() as station, socket.create_connection(("127.0.0.1", station.port), PATIENCE_S) as slow:
+        slow.sendall(data)
         while slow.recv(4096):  # what was asked for, then the end; a timeout here is a failure
             pass
 
@@ -575,8 +577,8 @@ def test_a_client_that_does_not_finish_a_request_in_time_is_cut_off(said: bytes,
 def test_a_page_that_is_watched_is_not_cut_off(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(connection_limits, "ASKS_WITHIN_S", 0.1)
     monkeypatch.setattr(connection_limits, "TAKES_WITHIN_S", 0.1)
-    with _served() as found:
-        page = found.open()
+    with _served() as station:
+        page = station.open()
         page.hello()
         for _ in range(4):  # a quarter of a second each: the page is told so often
             assert page.until(state)
@@ -604,29 +606,29 @@ def test_an_event_of_megabytes_reaches_no_page_and_a_long_one_is_cut(lab: Served
     for _ in range(3):
         lab.robots.forward(topics.EVENT, huge, time.time_ns())
     lab.robots.publish(topics.EVENT, Event(2, "agent-2", "y" * 100_000), time.time_ns())
-    told = page.until(lambda f: f["k"] == "event")
-    assert told["text"] == "y" * (codec.LONGEST_LINE - 1) + "…"
+    event = page.until(lambda f: f["k"] == "event")
+    assert event["text"] == "y" * (codec.LONGEST_LINE - 1) + "…"
 
 
 def test_a_fault_of_megabytes_is_no_state_of_a_robot(lab: ServedStation) -> None:
     page = lab.open()
     page.hello()
     lab.say(robot=1)
-    state_bytes = fleet_pb2.RobotState(fault="x" * 4_000_000).SerializeToString()
+    state_bytes = codec.protobuf_class(RobotState)(fault="x" * 4_000_000).SerializeToString()
     lab.robots.forward(topics.STATE, state_bytes, time.time_ns(), 1)
-    seen = page.until(lambda f: state(f) and "state" in f["robots"][0])
-    assert seen["robots"][0]["state"]["fault"] == "here"
+    frame = page.until(lambda f: state(f) and "state" in f["robots"][0])
+    assert frame["robots"][0]["state"]["fault"] == "here"
 
 
 def test_the_page_shows_what_the_station_knows_of_links_clocks_and_the_timetable(lab: ServedStation) -> None:
-    heard = RobotView(RobotState(mode=Mode.ARMED), 0.0)
-    lab.told = replace(lab.told, seen={1: replace(heard, loss=0.5, clock_offset_s=0.3, behind_s=0.8), 2: heard})
+    view = RobotView(RobotState(mode=Mode.ARMED), 0.0)
+    lab.own_status = replace(lab.own_status, seen={1: replace(view, loss=0.5, clock_offset_s=0.3, behind_s=0.8), 2: view})
     page = lab.open()
     page.hello()
     for robot in (1, 2):
         lab.say(robot)
-    seen = page.until(lambda f: state(f) and any(a["key"] == "1:link" for a in f["alarms"]))
-    texts = {a["key"]: a["text"] for a in seen["alarms"]}
+    frame = page.until(lambda f: state(f) and any(a["key"] == "1:link" for a in f["alarms"]))
+    texts = {a["key"]: a["text"] for a in frame["alarms"]}
     assert texts["1:link"] == "50% of its messages are lost"
     assert texts["1:clock"] == "its clock is 300 ms ahead of the station's"
     assert texts["1:step"] == "is 0.8 s behind the others"
@@ -640,10 +642,10 @@ def test_the_map_gets_the_paths_that_are_flown_now(lab: ServedStation) -> None:
     line = np.zeros((60, 4))
     home = {1: Trajectory("home-1", 0.05, line, line, line, begin_s=40.0)}
     lab.paths = {robot: (way, 42.0) for robot, way in home.items()}  # 41 samples; the rest is horizon
-    told = early.until(lambda f: f["k"] == "paths")["paths"]
+    paths_now = early.until(lambda f: f["k"] == "paths")["paths"]
     late = lab.open().hello()["scene"]["paths"]
     assert [p["id"] for p in planned] == [t.id for t in planner.plan(POOL).values()]
-    for paths in (told, late):
+    for paths in (paths_now, late):
         assert [(p["robot"], p["id"], len(p["eta"])) for p in paths] == [(1, "home-1", 41 * 4 * 4)]
 
 
@@ -701,16 +703,16 @@ def shelf(tmp_path: Path) -> Iterator[tuple[ServedStation, Path]]:
 def runs_of(page: PageClient, **request: Any) -> dict[str, Any]:
     """The answer to a request of runs, which are then listed by their folders' names."""
     page.say(**request)
-    told = page.until(lambda f: f["k"] == "runs")
-    return {**told, "runs": {run["run"]: run for run in told["runs"]}}
+    answer_frame = page.until(lambda f: f["k"] == "runs")
+    return {**answer_frame, "runs": {run["run"]: run for run in answer_frame["runs"]}}
 
 
 def answer(port: int, target: str) -> tuple[int, str, str]:
     """Status, text and policy of an answer to exactly this request: clients that tidy addresses up would hide an attack."""
     with socket.create_connection(("127.0.0.1", port), PATIENCE_S) as line:
         line.sendall(f"GET {target} HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nConnection: close\r\n\r\n".encode())
-        said = b"".join(iter(lambda: line.recv(65536), b"")).decode()
-    head, _, text = said.partition("\r\n\r\n")
+        response = b"".join(iter(lambda: line.recv(65536), b"")).decode()
+    head, _, text = response.partition("\r\n\r\n")
     policy = next((row for row in head.lower().splitlines() if row.startswith("content-security-policy")), "")
     return int(head.split()[1]), text, policy
 
@@ -719,10 +721,10 @@ def test_a_report_is_served_to_a_page_that_was_told_its_address_and_to_no_other(
     lab, folder = shelf
     page = lab.open()
     page.hello()
-    told = runs_of(page, kind="runs")
-    assert told["folder"] == str(folder) and set(told["runs"]) == {"now", "old", "bare"}
-    assert told["runs"]["now"]["shown"] and not told["runs"]["old"]["shown"]
-    addresses = {name: run["report"] for name, run in told["runs"].items()}
+    listing = runs_of(page, kind="runs")
+    assert listing["folder"] == str(folder) and set(listing["runs"]) == {"now", "old", "bare"}
+    assert listing["runs"]["now"]["shown"] and not listing["runs"]["old"]["shown"]
+    addresses = {name: run["report"] for name, run in listing["runs"].items()}
     assert [name for name, address in addresses.items() if address] == ["old"]  # a link to a report is none
     status, text, policy = answer(lab.port, f"/{addresses['old']}")
     assert (status, text) == (200, "<h1>of the old run</h1>")
@@ -755,8 +757,8 @@ def test_a_name_that_is_no_run_of_the_folder_is_neither_labelled_nor_deleted(
     page.hello()
     page.say(kind="take")
     for request in ({"kind": "label", "name": "x", "tags": []}, {"kind": "delete"}):
-        told = runs_of(page, run=name, **request)
-        assert told["problem"] and set(told["runs"]) == {"now", "old", "bare"}
+        answer = runs_of(page, run=name, **request)
+        assert answer["problem"] and set(answer["runs"]) == {"now", "old", "bare"}
     assert sorted(path.name for path in folder.iterdir()) == ["bare", "link", "now", "old"]
     assert not list(folder.parent.rglob("label.json"))
 
@@ -772,15 +774,15 @@ def test_runs_are_labelled_and_deleted_by_the_page_in_control_but_never_one_that
     page.until(lambda f: state(f) and f["holder"] != 0)
     for request in ({"kind": "label", "run": "old", "name": "x", "tags": []}, {"kind": "delete", "run": "old"}):
         assert runs_of(watching, **request)["problem"] == "another page has control"
-    told = runs_of(page, kind="label", run="now", name="first dive", tags=["lamp", "lamp"])
-    assert (told["problem"], told["runs"]["now"]["name"], told["runs"]["now"]["tags"]) == ("", "first dive", ["lamp"])
+    answer = runs_of(page, kind="label", run="now", name="first dive", tags=["lamp", "lamp"])
+    assert (answer["problem"], answer["runs"]["now"]["name"], answer["runs"]["now"]["tags"]) == ("", "first dive", ["lamp"])
     assert "must be a word" in runs_of(page, kind="label", run="old", name="", tags=["a b"])["problem"]
     assert "is shown on this page" in runs_of(page, kind="delete", run="now")["problem"]
     with (folder / "bare" / "run.mcap").open("rb") as recorder:
         fcntl.flock(recorder, fcntl.LOCK_EX)  # as another station's
         assert "its run still goes on" in runs_of(page, kind="delete", run="bare")["problem"]
-    told = runs_of(page, kind="delete", run="old")
-    assert told["problem"] == "" and set(told["runs"]) == {"now", "bare"}
+    answer = runs_of(page, kind="delete", run="old")
+    assert answer["problem"] == "" and set(answer["runs"]) == {"now", "bare"}
     assert not (folder / "old").exists() and (folder / "now").is_dir() and (folder / "bare").is_dir()
 
 
@@ -797,10 +799,10 @@ def test_a_run_whose_files_hold_no_proper_text_hides_neither_itself_nor_the_othe
     page = lab.open()
     end = page.hello()["scene"]["end"]
     assert (end["verdict"], end["notes"]) == ("\\ud800", [hex(1 << 70)])
-    told = runs_of(page, kind="runs")
+    listing = runs_of(page, kind="runs")
     shown = r"caf\udce9"
-    assert set(told["runs"]) == {"now", "old", "bare", shown}
-    assert told["runs"]["bare"]["name"] == "\\ud800 dive"
-    assert answer(lab.port, f"/{told['runs'][shown]['report']}")[:2] == (200, "<h1>odd</h1>")
+    assert set(listing["runs"]) == {"now", "old", "bare", shown}
+    assert listing["runs"]["bare"]["name"] == "\\ud800 dive"
+    assert answer(lab.port, f"/{listing['runs'][shown]['report']}")[:2] == (200, "<h1>odd</h1>")
     page.say(kind="take")
     assert runs_of(page, kind="delete", run=shown)["problem"] == "" and not odd.exists()

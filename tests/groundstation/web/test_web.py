@@ -121,9 +121,9 @@ def test_an_edit_begins_at_the_waypoint_that_the_editor_says() -> None:
     assert isinstance(eight.path, Waypoints)
     begin, points = eight.path.start_index, list(eight.path.points_m)
     points.insert(1, (0.5 * (points[0][0] + points[1][0]), 0.5 * (points[0][1] + points[1][1])))
-    found = experiment_editor.edited(eight, protocol.Edit(points_m=points, start_index=begin + 1)).path
-    assert isinstance(found, Waypoints)
-    assert found.points_m[found.start_index] == eight.path.points_m[begin]
+    path = experiment_editor.edited(eight, protocol.Edit(points_m=points, start_index=begin + 1)).path
+    assert isinstance(path, Waypoints)
+    assert path.points_m[path.start_index] == eight.path.points_m[begin]
 
 
 # --- the lease
@@ -289,8 +289,8 @@ def _view(**changes: Any) -> RobotView:
 
 
 def _texts(*views: RobotView, camera: CameraHealth = CameraHealth.OK, age_s: float = 0.0, recorder: str = "") -> list[str]:
-    found = alarms(POOL, dict(zip((1, 2), views, strict=True)), LocalizerStatus(camera), age_s, recorder)
-    return [f"{a.level} {a.told}" for a in found]
+    alarm_list = alarms(POOL, dict(zip((1, 2), views, strict=True)), LocalizerStatus(camera), age_s, recorder)
+    return [f"{a.level} {a.told}" for a in alarm_list]
 
 
 def test_a_well_fleet_raises_no_alarm() -> None:
@@ -298,10 +298,10 @@ def test_a_well_fleet_raises_no_alarm() -> None:
 
 
 def test_each_trouble_is_named_and_the_worst_comes_first() -> None:
-    found = _texts(_view(fault="pose late", battery_v=10.7), _view(mode=Mode.FAULT, fault="no pose"), recorder="no space")
-    assert found[0].startswith("critical the log")
-    assert found[1] == "critical robot 2: fault: no pose"
-    assert "warning robot 1: pose late" in found and "warning robot 1: battery 10.7 V" in found
+    texts = _texts(_view(fault="pose late", battery_v=10.7), _view(mode=Mode.FAULT, fault="no pose"), recorder="no space")
+    assert texts[0].startswith("critical the log")
+    assert texts[1] == "critical robot 2: fault: no pose"
+    assert "warning robot 1: pose late" in texts and "warning robot 1: battery 10.7 V" in texts
     assert _texts(_view(), _view(), camera=CameraHealth.FROZEN) == ["critical the camera is frozen"]
     assert _texts(_view(), _view(), age_s=1.0) == ["critical the localizer is silent"]
     assert _texts(RobotView(), _view()) == ["warning robot 1: not heard"]
@@ -317,22 +317,22 @@ def test_a_localizer_is_missed_only_where_poses_are() -> None:
 
 
 def test_a_bad_link_a_wrong_clock_and_an_old_plan_are_alarms_in_flight_too() -> None:
-    seen = replace(_view(), loss=0.5, clock_offset_s=-0.1, plan_age_s=2.0)
-    found = {(a.key, a.level, a.robot) for a in alarms(POOL, {1: _view(), 2: seen}, LocalizerStatus(CameraHealth.OK), 0.0, "")}
-    assert found == {("2:link", "warning", 2), ("2:clock", "notice", 2), ("2:plan", "warning", 2)}
+    view = replace(_view(), loss=0.5, clock_offset_s=-0.1, plan_age_s=2.0)
+    keys = {(a.key, a.level, a.robot) for a in alarms(POOL, {1: _view(), 2: view}, LocalizerStatus(CameraHealth.OK), 0.0, "")}
+    assert keys == {("2:link", "warning", 2), ("2:clock", "notice", 2), ("2:plan", "warning", 2)}
 
 
 def test_trouble_of_one_of_several_cameras_is_a_warning_in_its_own_words() -> None:
     several, why = load_experiment("two-cameras"), "camera west is out: camera black"
     status = LocalizerStatus(CameraHealth.OK, message=why, out=("west",))
     views = {robot: replace(_view(), state=None) for robot in several.robot_ids}
-    found = [(a.key, a.level, a.text) for a in alarms(several, views, status, 0.0, "") if not a.robot]
-    assert found == [("cameras", "warning", why)]
+    camera_alarms = [(a.key, a.level, a.text) for a in alarms(several, views, status, 0.0, "") if not a.robot]
+    assert camera_alarms == [("cameras", "warning", why)]
 
 
 def test_a_station_whose_cycle_hangs_is_an_alarm() -> None:
-    found = alarms(POOL, {1: _view(), 2: _view()}, LocalizerStatus(CameraHealth.OK), 0.0, "", stuck_s=3.0)
-    assert [(a.level, a.text) for a in found] == [("critical", "the station has sent no heartbeat for 3 s: robots hold")]
+    alarm_list = alarms(POOL, {1: _view(), 2: _view()}, LocalizerStatus(CameraHealth.OK), 0.0, "", stuck_s=3.0)
+    assert [(a.level, a.text) for a in alarm_list] == [("critical", "the station has sent no heartbeat for 3 s: robots hold")]
 
 
 # --- where the picture lies

@@ -58,15 +58,15 @@ def _fit(
 
 def _moved(fit: PoseFit, truth: Camera) -> tuple[float, float]:
     """Distance and rotation of the found pose from the true one: m, rad."""
-    found, true = (np.asarray(cv2.Rodrigues(np.array(camera.rotation_rad))[0]) for camera in (fit.camera, truth))
-    turn = float(np.linalg.norm(cv2.Rodrigues(found @ true.T)[0]))
+    rotation, true = (np.asarray(cv2.Rodrigues(np.array(camera.rotation_rad))[0]) for camera in (fit.camera, truth))
+    turn = float(np.linalg.norm(cv2.Rodrigues(rotation @ true.T)[0]))
     return float(np.linalg.norm(np.subtract(fit.camera.position_m, truth.position_m))), turn
 
 
 def _places_off_m(fit: PoseFit, truth: Camera, pixels: Array) -> Array:
     """Errors at DEPTH_M of the places that the fit gives for pixels (n, 2)."""
-    found, true = (rays(camera, pixels) for camera in (fit.camera, truth))
-    apart = found.surface_m + DEPTH_M * found.water - true.surface_m - DEPTH_M * true.water
+    lines, true = (rays(camera, pixels) for camera in (fit.camera, truth))
+    apart = lines.surface_m + DEPTH_M * lines.water - true.surface_m - DEPTH_M * true.water
     return np.asarray(np.linalg.norm(apart, axis=-1), dtype=np.float64)
 
 

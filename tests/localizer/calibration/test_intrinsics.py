@@ -43,8 +43,8 @@ BOARD_M = chessboard(9, 6, 0.03)[2]
 
 def _miss(lens: Intrinsics, truth: Intrinsics) -> Array:
     """Error of fx, fy, cx, cy in px."""
-    found, true = (np.array([*one.focal_px, *one.centre_px]) for one in (lens, truth))
-    return np.asarray(found - true, dtype=np.float64)
+    estimate, true = (np.array([*one.focal_px, *one.centre_px]) for one in (lens, truth))
+    return np.asarray(estimate - true, dtype=np.float64)
 
 
 def _assert_near(fit: IntrinsicsFit, truth: Intrinsics, focal: float = 0.003, centre_px: float = 1.5) -> None:
@@ -243,15 +243,15 @@ def test_a_board_that_faces_the_camera_is_no_reason_to_be_sure(tilt_deg: float, 
         turn = np.append(random.uniform(-1.0, 1.0, 2) * np.radians(tilt_deg), random.uniform(-3.0, 3.0))
         aim = (random.uniform(0.05, 0.95, 2) * truth.size_px - truth.centre_px) / truth.focal_px
         move = random.uniform(0.25, 0.6) * np.append(aim, 1.0) - cv2.Rodrigues(turn)[0] @ middle_m
-        seen = cv2.projectPoints(BOARD_M, turn, move, truth.matrix, np.array(truth.distortion))[0].reshape(-1, 2)
-        inside = np.all((seen > 2) & (seen < np.array(truth.size_px) - 3), axis=1)
+        pixels = cv2.projectPoints(BOARD_M, turn, move, truth.matrix, np.array(truth.distortion))[0].reshape(-1, 2)
+        inside = np.all((pixels > 2) & (pixels < np.array(truth.size_px) - 3), axis=1)
         if inside.sum() >= 12:
             noise = 0.05 * random.normal(size=(inside.sum(), 2))
-            views.append(TargetView(str(len(views)), BOARD_M[inside], seen[inside] + noise))
+            views.append(TargetView(str(len(views)), BOARD_M[inside], pixels[inside] + noise))
     fit = fit_intrinsics(views, truth.size_px)
     assert np.all(np.abs(_miss(fit.lens, truth)) < 4.0 * fit.deviations[:4])
-    said = " ".join(intrinsics_faults(fit))
-    assert "only 0 views of a tilted board" in said and ("is not known" in said or tilt_deg > 3.0)
+    faults = " ".join(intrinsics_faults(fit))
+    assert "only 0 views of a tilted board" in faults and ("is not known" in faults or tilt_deg > 3.0)
 
 
 # --- what is said about it
@@ -271,9 +271,9 @@ def test_a_good_set_of_views_needs_no_warning_and_a_poor_one_gets_them() -> None
     good = fit_intrinsics(BENCH.views(40, BOARD_M, seed=5, noise_px=0.1), WIDE.size_px)
     assert intrinsics_warnings(good) == []
     left = [view for view in BENCH.views(150, BOARD_M, seed=5, noise_px=0.1) if view.pixels[:, 0].max() < 640][:6]
-    said = " ".join(intrinsics_warnings(fit_intrinsics(left, WIDE.size_px)))
+    warnings = " ".join(intrinsics_warnings(fit_intrinsics(left, WIDE.size_px)))
     for what in ("only 6 views", "of the picture (wanted: 60%)", "towards a corner of the picture"):
-        assert what in said
+        assert what in warnings
 
 
 def test_a_lens_that_folds_over_is_noticed() -> None:

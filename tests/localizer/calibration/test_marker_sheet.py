@@ -56,9 +56,9 @@ def test_a_pdf_holds_all_markers_upright_and_at_true_scale(tmp_path: Path, famil
     assert done.exit_code == 0 and "2 sheets" in done.output
     pages = _drawn_pdf(out)
     assert pages[0].shape == pytest.approx([side * PX_PER_MM for side in SHEET_MM[::-1]], abs=1.5)
-    found = {number: quad for page in pages for number, quad in _read(page, family).items()}
-    assert sorted(found) == [1, 2, 3, 4, 5, 6, 10]
-    for quad in found.values():
+    quads = {number: quad for page in pages for number, quad in _read(page, family).items()}
+    assert sorted(quads) == [1, 2, 3, 4, 5, 6, 10]
+    for quad in quads.values():
         sides_mm = np.linalg.norm(quad - np.roll(quad, -1, axis=0), axis=1) / PX_PER_MM
         assert sides_mm == pytest.approx(60.0, abs=0.15)
         assert quad[0, 1] == pytest.approx(quad[1, 1], abs=2.0) and quad[0, 0] < quad[1, 0]  # its upper edge is above

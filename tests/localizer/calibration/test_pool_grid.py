@@ -71,16 +71,16 @@ def test_figures_of_a_plain_camera(depth_m: float) -> None:
     edges = np.array([1280 / 2, 960 / 2]) / focal_px
     in_water = edges / np.sqrt(edges**2 + 1.0) / 1.333
     slope = in_water / np.sqrt(1.0 - in_water**2) if depth_m > 0 else edges
-    found = view_figures(PLAIN, EXPERIMENT.pool, depth_m)
-    assert found.field_m == pytest.approx(2.0 * (height_m * edges + depth_m * slope))
+    result = view_figures(PLAIN, EXPERIMENT.pool, depth_m)
+    assert result.field_m == pytest.approx(2.0 * (height_m * edges + depth_m * slope))
     to_centre = height_m + (depth_m / 1.333 if depth_m > 0 else depth_m)
-    assert found.mm_per_px[0] == pytest.approx(1e3 * to_centre / focal_px, rel=1e-4)
-    assert found.mm_per_cm_depth[0] == pytest.approx(0.0, abs=0.01)
+    assert result.mm_per_px[0] == pytest.approx(1e3 * to_centre / focal_px, rel=1e-4)
+    assert result.mm_per_cm_depth[0] == pytest.approx(0.0, abs=0.01)
     corner = np.hypot(1279 / 2, 959 / 2) / focal_px
     sine = corner / np.sqrt(corner**2 + 1.0) / 1.333
     lean = sine / np.sqrt(1.0 - sine**2) if depth_m > 0 else corner
-    assert found.mm_per_cm_depth[1] == pytest.approx(10.0 * lean, rel=1e-3)
-    assert (found.seen_share == 1.0) == (depth_m >= 0.0)
+    assert result.mm_per_cm_depth[1] == pytest.approx(10.0 * lean, rel=1e-3)
+    assert (result.seen_share == 1.0) == (depth_m >= 0.0)
 
 
 def test_how_much_of_the_pool_is_seen() -> None:

@@ -22,8 +22,8 @@ def _pose_fit(errors_px: list[tuple[float, float]], suspect: int | None = None) 
     """Points in a row along y = 0.4 m, seen off their places."""
     places = [(-1.0 + 0.4 * i, 0.4, 0.3) for i in range(len(errors_px))]
     points = [SurveyPoint(name=f"mark {i}", pool_m=place, pixel_px=(0.0, 0.0)) for i, place in enumerate(places)]
-    seen = np.array([[200.0 + 150.0 * i, 300.0] for i in range(len(points))])
-    return PoseFit(CAMERA, seen, np.array(errors_px), 1e-6 * np.eye(6), suspect), points
+    pixels = np.array([[200.0 + 150.0 * i, 300.0] for i in range(len(points))])
+    return PoseFit(CAMERA, pixels, np.array(errors_px), 1e-6 * np.eye(6), suspect), points
 
 
 def test_every_view_is_accounted_for() -> None:
@@ -58,9 +58,9 @@ def test_a_point_that_does_not_fit_is_named() -> None:
 def test_points_that_prove_little_are_said_to() -> None:
     fit, points = _pose_fit([(3.0, 0.0)] * 4)
     dry = [point.model_copy(update={"pool_m": (*point.pool_m[:2], -0.1)}) for point in points]
-    said = "\n".join(pose_lines(fit, dry, POOL))
+    lines = "\n".join(pose_lines(fit, dry, POOL))
     for words in ("only 4 points", "a wrong one cannot be told", "RMS of 3.0 px is poor", "no point lies under water"):
-        assert words in said
+        assert words in lines
 
 
 def test_arrows_are_the_errors_magnified() -> None:

@@ -81,10 +81,10 @@ def _experiment(folder: Path) -> Path:
     return path
 
 
-def _places_off_m(found: Camera, depth_m: float) -> Array:
+def _places_off_m(camera: Camera, depth_m: float) -> Array:
     """Errors of the places that a calibration gives for pixels all over the pool."""
     grid = np.stack(np.meshgrid(np.linspace(-1.2, 1.2, 7), np.linspace(-0.85, 0.85, 5), [depth_m]), axis=-1).reshape(-1, 3)
-    lines = rays(found, project(TRUTH, grid))
+    lines = rays(camera, project(TRUTH, grid))
     return np.asarray(np.linalg.norm(lines.surface_m + depth_m * lines.water - grid[:, :2], axis=-1))
 
 
@@ -97,7 +97,7 @@ def test_from_pictures_to_an_experiment(
 ) -> None:
     out = tmp_path / "camera.toml"
     assert _calibrate(monkeypatch, lab, out, "--pool-points", lab / "points.toml", "--rate", 25, "--exposure", 0.005) == 0
-    said = capsys.readouterr().out
+    output = capsys.readouterr().out
     camera = load_experiment(str(_experiment(tmp_path))).camera
     assert camera.focal_px == pytest.approx(TRUTH.focal_px, rel=0.003)
     assert camera.centre_px == pytest.approx(TRUTH.centre_px, abs=1.5)
@@ -105,9 +105,9 @@ def test_from_pictures_to_an_experiment(
     assert camera.position_m == pytest.approx(TRUTH.position_m, abs=0.015)
     # What counts: a pixel is 8 mm here, and places come out to a quarter of that at every depth.
     assert all(_places_off_m(camera, depth_m).max() < 0.002 for depth_m in (0.05, 0.3, 0.7))
-    assert "99-empty.png" in said and "no board found" in said
+    assert "99-empty.png" in output and "no board found" in output
     for name in ("floor 10", "rim 3", "focal_px", "rotation_rad", "Corners fall into"):
-        assert name in said
+        assert name in output
     picture = read_picture(tmp_path / "camera.png")
     assert picture.shape == (360, 2 * 480, 3)
     head = out.read_text(encoding="utf-8").splitlines()[0]
@@ -220,13 +220,13 @@ def test_a_folder_as_a_camera_and_a_person_leave_it(
     (folder / "02.jpg").write_bytes(_turned(cv2.imread(str(lab / "board" / "02.png"), cv2.IMREAD_GRAYSCALE)))
     out = tmp_path / "camera.toml"
     assert _run(monkeypatch, "calibrate", folder, "--board", BOARD, "--grey", "--out", out) == 0
-    said = capsys.readouterr().out
+    output = capsys.readouterr().out
     camera = tomllib.loads(out.read_text(encoding="utf-8"))["camera"]
     assert camera["focal_px"] == pytest.approx(TRUTH.focal_px, rel=0.005) and camera["size_px"] == [480, 360]
     for name in ("cut.jpg", "deep.png", "99-empty.png"):
-        assert any(name in line and "left out" in line for line in said.splitlines()), name
-    assert "._00" not in said and "album" not in said
-    (line,) = (line for line in said.splitlines() if "02.jpg" in line)
+        assert any(name in line and "left out" in line for line in output.splitlines()), name
+    assert "._00" not in output and "album" not in output
+    (line,) = (line for line in output.splitlines() if "02.jpg" in line)
     assert "left out" not in line, "its note is ignored, as in a video"
 
 
@@ -272,8 +272,8 @@ def test_a_lens_that_is_warned_of_is_written_with_force_only(
         cv2.imwrite(str(folder / path.name), cv2.warpAffine(picture, squeeze, (480, 360), borderValue=90))
     arguments = ("calibrate", folder, "--board", BOARD, "--grey", "--out", out)
     assert _run(monkeypatch, *arguments) == 1
-    said = capsys.readouterr()
-    assert "px is poor" in said.out and said.err.startswith("No camera file was written: ")
+    output = capsys.readouterr()
+    assert "px is poor" in output.out and output.err.startswith("No camera file was written: ")
     assert [path.name for path in tmp_path.iterdir()] == ["board"]
     assert _run(monkeypatch, *arguments, "--force") == 0 and out.exists()
 
@@ -288,10 +288,10 @@ def test_a_new_lens_keeps_what_the_file_holds(
     out.write_text(before, encoding="utf-8")
     out.with_suffix(".png").write_bytes(b"a photograph of the pool")  # nobody asked for this name
     assert _calibrate(monkeypatch, lab, out) == 0
-    found = tomllib.loads(out.read_text(encoding="utf-8"))["camera"]
-    assert found["focal_px"] == pytest.approx(TRUTH.focal_px, rel=0.005)
+    table_after = tomllib.loads(out.read_text(encoding="utf-8"))["camera"]
+    assert table_after["focal_px"] == pytest.approx(TRUTH.focal_px, rel=0.005)
     for key in ("masks_px", "controls", "rate_hz", "readout_s", "position_m", "rotation_rad"):
-        assert found[key] == table[key], key
+        assert table_after[key] == table[key], key
     assert "WARNING: the pose in it is the earlier one" in capsys.readouterr().out
     (kept,), (photograph,) = tmp_path.glob("camera.toml.2*"), tmp_path.glob("camera.png.2*")
     assert kept.read_text(encoding="utf-8") == before
@@ -340,9 +340,9 @@ def test_sharp_frames_of_a_video_are_taken(tmp_path: Path) -> None:
         picture = random.integers(0, 256, (120, 160, 3)).astype(np.uint8)
         video.write(picture if i in (3, 17, 21) else cv2.GaussianBlur(picture, (0, 0), 3.0))
     video.release()
-    found = list(pictures([path], every=10))
-    assert [name for name, _ in found] == [f"{path}:3", f"{path}:17", f"{path}:21"]
-    assert all(picture.shape == (120, 160, 3) for _, picture in found)
+    frames = list(pictures([path], every=10))
+    assert [name for name, _ in frames] == [f"{path}:3", f"{path}:17", f"{path}:21"]
+    assert all(picture.shape == (120, 160, 3) for _, picture in frames)
 
 
 # --- what is refused, and how
@@ -421,10 +421,10 @@ def test_unusable_picture_is_named(
     _files(tmp_path, lab)
     monkeypatch.chdir(tmp_path)
     assert _run(monkeypatch, "calibrate", *arguments.format(lab=lab, board=BOARD).split()) == 2
-    said = capsys.readouterr().err
-    assert "Traceback" not in said
+    output = capsys.readouterr().err
+    assert "Traceback" not in output
     with pytest.raises(ConfigError, match=complaint):
-        raise ConfigError(said)
+        raise ConfigError(output)
     assert not (tmp_path / "camera.toml").exists()
 
 
@@ -437,9 +437,9 @@ def test_check_draws_the_pool_over_a_picture(
     (tmp_path / "camera.toml").write_text(tomli_w.dumps({"camera": TRUTH.model_dump(mode="json")}), encoding="utf-8")
     experiment, out = _experiment(tmp_path), tmp_path / "check.png"
     assert _run(monkeypatch, "check", experiment, "--image", lab / "pool.png", "--depth", 0.8, "--out", out) == 0
-    said = capsys.readouterr().out
+    output = capsys.readouterr().out
     for words in ("At 0.8 m depth", "field of view", "one pixel", "1 cm of depth error", str(out)):
-        assert words in said
+        assert words in output
     drawn, plain = read_picture(out).astype(int), read_picture(lab / "pool.png").astype(int)
     changed = np.abs(drawn - plain).max(axis=2) > 30
     u, v = np.rint(project(TRUTH, np.array([[0.5, 0.3, 0.8], [0.4, 0.4, 0.8]]))).astype(int).T
@@ -497,31 +497,31 @@ def test_no_frame_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_the_live_grid_follows_the_camera_until_stopped_and_complains_of_another_size() -> None:
-    experiment, hub, stop, said = load_experiment("pool"), MemoryHub(), Stop(install=False), []
+    experiment, hub, stop, complaints = load_experiment("pool"), MemoryHub(), Stop(install=False), []
     width, height = experiment.camera.size_px
     with (
         Bus(MemoryTransport(hub)) as camera,
         Bus(MemoryTransport(hub)) as viewer,
         closing(MjpegServer(0, Stop(install=False))) as page,
     ):
-        pictures, seen = LivePictures(viewer), 0
+        pictures, number = LivePictures(viewer), 0
 
         def show() -> None:
             try:
                 show_live(experiment, pictures, page, 0.3, stop)
             except ConfigError as error:
-                said.append(str(error))
+                complaints.append(str(error))
 
         thread = threading.Thread(target=show)
         thread.start()
         u, v = np.rint(project(experiment.camera, np.array([[0.5, 0.3, 0.3], [0.4, 0.4, 0.3]]))).astype(int).T
         for grey in (60, 200):
             camera.publish(topics.FRAME, Frame(np.full((height, width), grey, np.uint8)), grey)
-            assert eventually(lambda last=seen: (news := page.next(-1)) is not None and news[0] > last)  # type: ignore[misc]
+            assert eventually(lambda last=number: (news := page.next(-1)) is not None and news[0] > last)  # type: ignore[misc]
             news = page.next(-1)
             assert news is not None
-            seen, shown = news[0], cv2.imdecode(np.frombuffer(news[1], np.uint8), cv2.IMREAD_COLOR)
+            number, shown = news[0], cv2.imdecode(np.frombuffer(news[1], np.uint8), cv2.IMREAD_COLOR)
             assert shown is not None and (np.abs(shown[v, u].astype(int) - grey).max(axis=1) > 30).tolist() == [True, False]
         camera.publish(topics.FRAME, Frame(np.full((480, 640), 60, np.uint8)), 300)
         thread.join(timeout=10.0)
-    assert said == ["the newest frame: 640x480, but camera.size_px of experiment 'pool' is 1280x960"]
+    assert complaints == ["the newest frame: 640x480, but camera.size_px of experiment 'pool' is 1280x960"]

@@ -34,13 +34,13 @@ def test_colours_may_lie_pixel_by_pixel() -> None:
     """As OpenCV has them, seen through moveaxis: the same numbers in another order of memory."""
     texture = _texture(5)
     still, moved = _patch(texture, 0, 0), _patch(texture, 3.25, -2.5)
-    found = []
+    matches = []
     for first, then in ((still, moved), (_pixel_by_pixel(still), _pixel_by_pixel(moved))):
         correlation = CorrelationFilter(1, FilterShape(SIZE, SIZE, 3, 2.5, 1.0, windowed=True))
         correlation.learn(FIRST, first, ANEW)
-        found.append(correlation.detect(FIRST, then))
-    assert found[0][0] == pytest.approx(found[1][0], abs=1e-4) and found[0][1] == pytest.approx(found[1][1], abs=1e-4)
-    assert found[0][0][0] == pytest.approx([3.25, -2.5], abs=0.3)
+        matches.append(correlation.detect(FIRST, then))
+    assert matches[0][0] == pytest.approx(matches[1][0], abs=1e-4) and matches[0][1] == pytest.approx(matches[1][1], abs=1e-4)
+    assert matches[0][0][0] == pytest.approx([3.25, -2.5], abs=0.3)
 
 
 def _pixel_by_pixel(patch: Real) -> Real:

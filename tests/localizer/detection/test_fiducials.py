@@ -56,10 +56,10 @@ def test_corners_count_from_the_first_pixels_centre(left: int, top: int) -> None
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
     grey[top : top + 36, left : left + 36] = cv2.aruco.generateImageMarker(dictionary, 7, 36)
     blurred = cv2.GaussianBlur(np.repeat(grey[:, :, None], 3, axis=2), (3, 3), 0)
-    found = find_markers(marker_detector(), ImageRegion(bayer(np.asarray(blurred, np.uint8)), 200, 100))
-    assert [marker.id for marker in found] == [7]
+    markers = find_markers(marker_detector(), ImageRegion(bayer(np.asarray(blurred, np.uint8)), 200, 100))
+    assert [marker.id for marker in markers] == [7]
     upper_left, lower_right = np.array([left, top]) - 0.5, np.array([left, top]) + 35.5
-    corners = found[0].corners_px - np.array([200.0, 100.0])
+    corners = markers[0].corners_px - np.array([200.0, 100.0])
     assert corners[0] == pytest.approx(upper_left, abs=0.35)  # blur rounds all four corners inwards alike
     assert corners[2] == pytest.approx(lower_right, abs=0.35)
     assert corners.mean(axis=0) == pytest.approx((upper_left + lower_right) / 2, abs=0.06)

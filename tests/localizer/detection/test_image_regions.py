@@ -62,12 +62,12 @@ def test_samples_lie_where_the_body_frame_says(shrink: int, x: float, y: float, 
     turn = 100.0 * np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
     body = BodyProjection(np.array([x, y]), np.column_stack([turn, np.zeros(2)]), np.array([0.0, 0.0, -1.0]))
     sampler = BodySampler(24, 0.008, 0.12, FLAT)
-    seen = sampler.patch(region.demosaiced(shrink), body)[:2] / 3.0
+    colours = sampler.patch(region.demosaiced(shrink), body)[:2] / 3.0
     offsets = (np.arange(24) - 12) * 0.008
     ahead, starboard = np.meshgrid(offsets, offsets)
     expected = np.moveaxis(np.array([x, y]) + 100.0 * body_to_pool(np.stack([ahead, starboard], axis=-1), yaw), -1, 0)
-    assert np.abs(np.mean(seen - expected, axis=(1, 2))).max() < 0.25
-    assert np.abs(seen - expected).max() < 0.7
+    assert np.abs(np.mean(colours - expected, axis=(1, 2))).max() < 0.25
+    assert np.abs(colours - expected).max() < 0.7
     rings = sampler.rings(region.demosaiced(shrink), body).reshape(3, 10, 128)[:2] / 3.0
     assert rings[:, -1, 0] == pytest.approx([x + 12 * np.cos(yaw), y + 12 * np.sin(yaw)], abs=0.5)
     assert rings[:, -1, 32] == pytest.approx([x - 12 * np.sin(yaw), y + 12 * np.cos(yaw)], abs=0.5)

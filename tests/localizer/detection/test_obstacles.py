@@ -136,10 +136,10 @@ def watch(
     intruders: Mapping[str, Intruder] | None = None,
     settings: tuple[str, ...] = (),
     seed: int = 1,
-    told: Callable[[Array], Array] = lambda eta: eta[:, :3],
+    reported_places: Callable[[Array], Array] = lambda eta: eta[:, :3],
     least_m: float = 0.08,
 ) -> list[Look]:
-    """Look at the pool ten times a second; intruders appear at LEARNT_S. `told`: what the watch hears of the robots."""
+    """Look at the pool ten times a second; intruders appear at LEARNT_S. `reported_places`: from a robot's eta."""
     renderer, random = _renderer(settings, seed), np.random.default_rng(seed)
     watcher, looks = ObstacleDetector(load_experiment("pool", [f"localizer.obstacle_min_m={least_m}"])), []
     for k in range(round(seconds / LOOK_S)):
@@ -149,7 +149,7 @@ def watch(
         for intruder in (intruders or {}).values() if t_s >= LEARNT_S else ():
             frame = draw(frame, intruder, t_s - LEARNT_S, t_s, random)
         frame.setflags(write=False)  # as it comes out of a message
-        obstacles = watcher.step(frame, round(t_s * 1e9), told(eta))
+        obstacles = watcher.step(frame, round(t_s * 1e9), reported_places(eta))
         assert obstacles is not None
         looks.append(Look(t_s, eta, obstacles))
     return looks
@@ -171,7 +171,7 @@ def test_intruders_are_outlined_with_their_speed_and_robots_are_not(settings: tu
             numbers[name].add(look.obstacles.ids[best])
             if look.t_s >= LEARNT_S + 2.0:
                 assert np.linalg.norm(look.obstacles.velocity[best] - intruder.velocity) < 0.03, f"{name} at {look.t_s:.1f} s"
-    assert all(len(found) == 1 for found in numbers.values()), "an obstacle keeps its number"
+    assert all(len(obstacles) == 1 for obstacles in numbers.values()), "an obstacle keeps its number"
 
 
 def test_a_robot_that_stood_still_leaves_no_ghost_and_its_shadow_is_none() -> None:
@@ -198,7 +198,7 @@ def test_a_robot_nobody_knows_of_is_an_obstacle() -> None:
         eta[1, 0] -= 0.15 * max(t_s - LEARNT_S, 0.0)
         return eta
 
-    last = watch(LEARNT_S + 4.0, drifting, told=told)[-1]
+    last = watch(LEARNT_S + 4.0, drifting, reported_places=told)[-1]
     centres = last.obstacles.outline.mean(axis=1)
     assert np.linalg.norm(centres - last.robots[1, :2], axis=1).min(initial=9.0) < RADIUS_M
 
@@ -213,16 +213,16 @@ def test_small_thing_is_no_obstacle() -> None:
 def disturbed(fault: str, fault_s: float, seconds: float, *intruders: Intruder) -> list[Obstacles]:
     """Obstacles, ten times a second, with intruders that appear at LEARNT_S and a disturbed camera."""
     renderer, watcher, trouble = _renderer(), ObstacleDetector(EXPERIMENT), CameraFaults()
-    random, broken, told = np.random.default_rng(1), read_what(f"camera {fault}"), []
+    random, broken, looks = np.random.default_rng(1), read_what(f"camera {fault}"), []
     for k in range(round(seconds / LOOK_S)):
         t_s = k * LOOK_S
         frame = renderer.render(standing(0.0), np.zeros((2, 4)), t_s, k)
         for intruder in intruders if t_s >= LEARNT_S else ():
             frame = draw(frame, intruder, t_s - LEARNT_S, t_s, random)
-        found = watcher.step(trouble.apply(frame, [broken] if t_s >= fault_s else []), round(t_s * 1e9), standing(0.0)[:, :3])
-        assert found is not None
-        told.append(found)
-    return told
+        look = watcher.step(trouble.apply(frame, [broken] if t_s >= fault_s else []), round(t_s * 1e9), standing(0.0)[:, :3])
+        assert look is not None
+        looks.append(look)
+    return looks
 
 
 STILL = Intruder(*ball(0.1), (40, 40, 200), (0.9, 0.8))
@@ -233,18 +233,18 @@ def test_when_a_lamp_is_switched_it_is_blind_and_goes_on_telling_what_was_there(
     """Of two balls, for how long they have not been seen. The one that drifts is found again; the one that lies still has
     become water by then, and is told of all the same."""
     fault = round(9.0 / LOOK_S)
-    told = disturbed("lamp 0.5", 9.0, 16.0, STILL, DRIFTING)
-    assert all("learns what the water looks like" in found.blind for found in told[:30])
-    assert not any(found.blind for found in told[round(LEARNT_S / LOOK_S) : fault])
-    before = told[fault - 1]
+    looks = disturbed("lamp 0.5", 9.0, 16.0, STILL, DRIFTING)
+    assert all("learns what the water looks like" in obstacles.blind for obstacles in looks[:30])
+    assert not any(obstacles.blind for obstacles in looks[round(LEARNT_S / LOOK_S) : fault])
+    before = looks[fault - 1]
     assert len(before.ids) == 2 and not before.unseen_s.any()
-    blind = [k for k, found in enumerate(told) if k >= fault and found.blind]
+    blind = [k for k, obstacles in enumerate(looks) if k >= fault and obstacles.blind]
     assert blind[0] <= fault + 4 and 35 <= len(blind) <= 50, "four seconds to learn it anew"
     for k in blind:
-        assert "the light changed or the camera moved" in told[k].blind
-        assert told[k].ids == before.ids, "what was there is still told of"
-        assert told[k].unseen_s == pytest.approx((k - blind[0] + 1) * LOOK_S)
-    last = told[-1]
+        assert "the light changed or the camera moved" in looks[k].blind
+        assert looks[k].ids == before.ids, "what was there is still told of"
+        assert looks[k].unseen_s == pytest.approx((k - blind[0] + 1) * LOOK_S)
+    last = looks[-1]
     resting = before.ids[int(np.argmax(before.outline.mean(axis=1)[:, 0]))]
     assert not last.blind and last.watched > 0.8 and len(last.ids) == 2
     assert last.unseen_s[last.ids.index(resting)] > 6.0
@@ -253,9 +253,9 @@ def test_when_a_lamp_is_switched_it_is_blind_and_goes_on_telling_what_was_there(
 
 def test_when_the_camera_is_bumped_the_pool_never_looks_empty() -> None:
     """It is blind, or takes the edges of everything for obstacles; either keeps robots from going on as if it were clear."""
-    told = disturbed("bump 60", LEARNT_S + 1.0, LEARNT_S + 6.0)
-    assert not any(found.ids for found in told[: round((LEARNT_S + 1.0) / LOOK_S)])
-    assert all(found.blind or found.ids for found in told[round((LEARNT_S + 2.0) / LOOK_S) :])
+    looks = disturbed("bump 60", LEARNT_S + 1.0, LEARNT_S + 6.0)
+    assert not any(obstacles.ids for obstacles in looks[: round((LEARNT_S + 1.0) / LOOK_S)])
+    assert all(obstacles.blind or obstacles.ids for obstacles in looks[round((LEARNT_S + 2.0) / LOOK_S) :])
 
 
 def test_frames_between_looks_and_of_another_size_are_left_out() -> None:

@@ -50,17 +50,17 @@ def timings(count: int = 101, period_ms: float = 50.0, transfer_ms: float = 12.0
     ]
 
 
-def judged(found: list[Timing], dropped: int = 0) -> Latency:
-    result = assess(found, dropped, 20.0)
+def judged(frames: list[Timing], dropped: int = 0) -> Latency:
+    result = assess(frames, dropped, 20.0)
     assert result is not None
     return result
 
 
 def test_the_parts_of_a_poses_age() -> None:
-    found = timings()
-    slow = found[50]
-    found[50] = Timing(slow.instant_ns, slow.arrived_ns + 20 * MS, slow.ready_ns + 23 * MS, True)
-    result = judged(found)
+    frames = timings()
+    slow = frames[50]
+    frames[50] = Timing(slow.instant_ns, slow.arrived_ns + 20 * MS, slow.ready_ns + 23 * MS, True)
+    result = judged(frames)
     assert result.exposure_to_arrival_ms.p50 == pytest.approx(12.0) and result.exposure_to_arrival_ms.max == pytest.approx(
         32.0
     )
@@ -104,19 +104,19 @@ def test_the_first_pictures_and_what_was_lost_among_them_do_not_count() -> None:
             kept.append(weakref.ref(pixels))
             yield None if k == 7 else CapturedFrame(pixels, k, clock.ns - 9 * MS, clock.ns, 10 + k)
 
-    def localize(source: FrameSource, told: OnLocalized) -> None:
+    def localize(source: FrameSource, note: OnLocalized) -> None:
         """Poses are out after 2 ms, previews after 3 more."""
         for captured in source.frames(stop):
             clock.sleep(0.002)
             if captured is not None:
-                told(captured.stamp_ns, "")
+                note(captured.stamp_ns, "")
                 clock.sleep(0.003)
                 assert sum(pixels() is not None for pixels in kept) <= 2
 
-    found, dropped = measure(GeneratedCamera(frames()), localize, clock, 1.0)
-    assert len(found) == 19 - WARM_UP - 1
+    samples, dropped = measure(GeneratedCamera(frames()), localize, clock, 1.0)
+    assert len(samples) == 19 - WARM_UP - 1
     assert dropped == 10 + 18 - (10 + WARM_UP - 1)
-    assert {(t.arrived_ns - t.instant_ns, t.ready_ns - t.arrived_ns) for t in found} == {(9 * MS, 2 * MS)}
+    assert {(t.arrived_ns - t.instant_ns, t.ready_ns - t.arrived_ns) for t in samples} == {(9 * MS, 2 * MS)}
 
 
 def test_latency_is_measured_through_the_whole_localizer(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -165,14 +165,14 @@ def test_pictures_that_no_pose_comes_of_are_no_good_measurement(monkeypatch: pyt
                 random.integers(low, high, (960, 1280), np.uint8), k * 50 * MS, begin_ns + k * 50 * MS, begin_ns + k * 50 * MS
             )
 
-    found, _ = measure(
+    samples, _ = measure(
         GeneratedCamera(frames()),
         partial(localize_in_process, load_experiment("pool"), clock, Stop(install=False)),
         clock,
         60.0,
     )
-    assert [t.trouble for t in found] == ["", "picture skipped: ValueError: no solution", "", "camera black", ""]
-    assert "no poses of 2 pictures (camera black)" in judged(found).warnings
+    assert [t.trouble for t in samples] == ["", "picture skipped: ValueError: no solution", "", "camera black", ""]
+    assert "no poses of 2 pictures (camera black)" in judged(samples).warnings
 
 
 def test_the_command_measures_a_source_and_says_what_is_wrong(tmp_path: Path) -> None:

@@ -49,11 +49,11 @@ def line(start: Array, end: Array, seconds: float = 0.4) -> GroundTruthTrajector
 def test_known_errors_give_known_figures() -> None:
     """(3, 4) mm and 0.01 rad off, then nothing: RMS 5 / sqrt 2; e' P^-1 e = (3/2)^2 + (4/4)^2 + 1 = 4.25, then 0."""
     trajectory = line(np.array([0.0, 0.0, 0.0]), np.array([0.4, 0.2, 0.2]))
-    found = [
+    poses = [
         PublishedPose(1, 100 * MS, pose(0.103, 0.054, 0.06)),
         PublishedPose(1, 300 * MS, pose(0.3, 0.15, 0.15)),
     ]
-    row = rows_by_subject(pose_rows(found, {1: trajectory}))["all but lost"]
+    row = rows_by_subject(pose_rows(poses, {1: trajectory}))["all but lost"]
     assert (row.poses, row.swapped, row.unflagged) == (2, 0, 0)
     assert row.rms_mm == pytest.approx(5.0 / np.sqrt(2.0)) and row.max_mm == pytest.approx(5.0)
     assert row.rms_deg == pytest.approx(np.degrees(0.01) / np.sqrt(2.0))
@@ -81,19 +81,19 @@ def test_the_band_of_the_nees_holds_for_errors_of_the_stated_size_and_not_for_ot
 
 def test_headings_are_compared_across_the_seam() -> None:
     trajectory = line(np.array([0.0, 0.0, np.pi - 0.1]), np.array([0.0, 0.0, -np.pi + 0.1]))  # 0.2 rad on, not 6.1 back
-    found = [PublishedPose(1, 200 * MS, pose(0.0, 0.0, wrap(np.pi + 0.01))), PublishedPose(1, 0, pose(0.0, 0.0, np.pi - 0.09))]
-    row = pose_rows(found, {1: trajectory})[-1]
+    poses = [PublishedPose(1, 200 * MS, pose(0.0, 0.0, wrap(np.pi + 0.01))), PublishedPose(1, 0, pose(0.0, 0.0, np.pi - 0.09))]
+    row = pose_rows(poses, {1: trajectory})[-1]
     assert row.max_deg == pytest.approx(np.degrees(0.01)) == row.rms_deg
 
 
 def test_a_swap_is_counted_and_doubly_if_it_was_not_flagged() -> None:
     trajectories = {1: still(0.0, 0.0, 0.0), 2: still(1.0, 0.0, 0.0)}
-    found = [
+    poses = [
         PublishedPose(1, 0, pose(0.0, 0.0, 0.0)), PublishedPose(2, 0, pose(1.0, 0.0, 0.0)),
         PublishedPose(1, MS, pose(0.9, 0.0, 0.0)), PublishedPose(2, MS, pose(0.1, 0.0, 0.0, Track.KCF, verified=False)),
         PublishedPose(2, 2 * MS, pose(0.0, 0.0, 0.0, Track.LOST)),
     ]  # fmt: skip
-    rows = rows_by_subject(pose_rows(found, trajectories))
+    rows = rows_by_subject(pose_rows(poses, trajectories))
     assert {subject: (row.poses, row.swapped, row.unflagged) for subject, row in rows.items()} == {
         "robot 1": (2, 1, 1), "robot 2": (2, 1, 0), "marker": (3, 1, 1), "kcf": (1, 1, 0), "lost": (1, 1, 1),
         "all but lost": (4, 2, 1),
@@ -112,8 +112,8 @@ def test_where_the_truth_is_not_a_number_it_is_not_known() -> None:
     """Motion capture lost the robot from 100 to 200 ms: these poses do not count, and none in between is made up."""
     trajectory = GroundTruthTrajectory(np.array([0, 50, 100, 150, 200]) * MS, np.zeros((5, 3)))
     trajectory.pose[2:4] = np.nan
-    found = [PublishedPose(1, at * MS, pose(0.004, 0.0, 0.0)) for at in (0, 50, 75, 100, 125, 150, 175, 200)]
-    row = pose_rows(found, {1: trajectory})[-1]
+    poses = [PublishedPose(1, at * MS, pose(0.004, 0.0, 0.0)) for at in (0, 50, 75, 100, 125, 150, 175, 200)]
+    row = pose_rows(poses, {1: trajectory})[-1]
     assert row.poses == 3 and row.rms_mm == pytest.approx(4.0)
 
 
@@ -135,9 +135,9 @@ def record(path: Path, steps: int = 100) -> None:
         truth = Truth((1, 2), eta, np.zeros((2, 4)), np.zeros((2, 3)), np.zeros((2, 4)))
         recorder.put(topics.TRUTH, "pool7/sim/truth", Header(5, k + 1, stamp_ns), encode(truth, stamp_ns), stamp_ns)
         for robot, error_m in ((1, 0.0), (2, 0.006)):
-            found = pose(eta[robot - 1, 0] + error_m, eta[robot - 1, 1], eta[robot - 1, 3])
+            published = pose(eta[robot - 1, 0] + error_m, eta[robot - 1, 1], eta[robot - 1, 3])
             key = f"pool7/{topics.POSE.key(robot)}"
-            recorder.put(topics.POSE, key, Header(6, k + 1, stamp_ns), encode(found, stamp_ns), stamp_ns)
+            recorder.put(topics.POSE, key, Header(6, k + 1, stamp_ns), encode(published, stamp_ns), stamp_ns)
     recorder.close()
 
 
@@ -210,11 +210,11 @@ def evaluate_video(tmp_path: Path, rows: list[list[Array]]) -> dict[str, dict[st
 def test_targets_are_followed_and_an_error_of_the_truth_is_found_again(tmp_path: Path) -> None:
     """Target 1 as it is; of target 2 the file is (3, 4) px wrong but for the first frame, from which it is shown."""
     rows = [[places(k)[0], places(k)[1] + (np.array([3.0, 4.0]) if k else 0.0)] for k in range(40)]
-    found = evaluate_video(tmp_path, rows)
-    assert found["target 1"]["median_px"] < 0.3 and found["target 1"]["max_px"] < 0.8
-    assert found["target 2"]["median_px"] == pytest.approx(5.0, abs=0.3)
-    assert [found[t]["failures"] for t in ("target 1", "target 2")] == [0, 0]
-    assert found["target 1"]["frames"] == 39 and found["target 1"]["median_ms"] > 0.0
+    result = evaluate_video(tmp_path, rows)
+    assert result["target 1"]["median_px"] < 0.3 and result["target 1"]["max_px"] < 0.8
+    assert result["target 2"]["median_px"] == pytest.approx(5.0, abs=0.3)
+    assert [result[t]["failures"] for t in ("target 1", "target 2")] == [0, 0]
+    assert result["target 1"]["frames"] == 39 and result["target 1"]["median_ms"] > 0.0
 
 
 def test_a_video_of_many_targets_is_read_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -76,8 +76,8 @@ def video(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def _track(video: Path, out: Path, *options: str) -> list[dict[str, str]]:
-    said = _run("track", str(video), "--experiment", "pool", "--out", str(out), *options)
-    assert said.endswith(f"Wrote {out}: {2 * (FILMED - 1)} poses from {FILMED} pictures.\n")
+    output = _run("track", str(video), "--experiment", "pool", "--out", str(out), *options)
+    assert output.endswith(f"Wrote {out}: {2 * (FILMED - 1)} poses from {FILMED} pictures.\n")
     assert not list(out.parent.glob("*.part"))
     return _rows(out) if out.suffix == ".csv" else []
 
@@ -208,13 +208,13 @@ def test_pictures_whose_processing_fails_are_skipped_and_counted(
     video: Path, recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As in flight: the pictures after them have their poses; where nothing came out there is no table, and exit code 1."""
-    locate, seen, failing = FleetLocalizer.locate, [0], [range(4, 6)]
+    locate, count, failing = FleetLocalizer.locate, [0], [range(4, 6)]
 
-    def failing_at_times(self: FleetLocalizer, *told: Any) -> LocalizationResult:
-        seen[0] += 1
-        if seen[0] - 1 in failing[0]:
+    def failing_at_times(self: FleetLocalizer, *arguments: Any) -> LocalizationResult:
+        count[0] += 1
+        if count[0] - 1 in failing[0]:
             raise cv2.error("assertion failed")
-        return locate(self, *told)
+        return locate(self, *arguments)
 
     monkeypatch.setattr(FleetLocalizer, "locate", failing_at_times)
     out = tmp_path / "poses.csv"
@@ -222,7 +222,7 @@ def test_pictures_whose_processing_fails_are_skipped_and_counted(
     assert done.exit_code == 1
     assert "2 pictures could not be localized in, the first: error: assertion failed" in done.stderr
     assert {int(row["frame"]) for row in _rows(out)} == {1, 2, 3, 6, 7, 8, 9}
-    seen[0] = 0
+    count[0] = 0
     done = CliRunner().invoke(cli, ["rerun", str(recording), "--json"])
     assert done.exit_code == 1 and "2 pictures could not be localized in" in done.stderr
     assert [(row["first_frame"], row["poses"]) for row in json.loads(done.stdout)] == [(4, RECORDED - 1)] * 2

@@ -122,13 +122,13 @@ def simulated(row: str, split: str) -> Iterator[TrueFrame]:
 
 def rendered_rows(split: str) -> list[str]:
     """Rows whose pictures are there."""
-    found = []
+    names = []
     for name, row in ROWS.items():
         drawn_as = row.drawn_as or name
         pictures = name if row.h264_crf is not None else drawn_as
         if (DATA / split / f"{drawn_as}.csv").exists() and (DATA / split / f"{pictures}.png").exists():
-            found.append(name)
-    return found
+            names.append(name)
+    return names
 
 
 def main() -> None:

@@ -130,9 +130,9 @@ class Studio:
         `corners_px` (n, 2), in the light of `illumination`. `mirror`: the lamps that the water mirrors."""
         scene, rays = mi.load_dict(self._scene(situation)), self._rays(corners_px, size_px, samples, 1)
         clear = _CLEAR if len(situation.bubbles_m) or situation.drops_m else 1
-        seen, sky = self._surfaces(scene, rays, mirror, clear)
-        dr.eval(seen, sky)
-        colours, shine = (_means(values, samples, (len(corners_px), *size_px[::-1])) for values in (seen, sky))
+        radiance, sky = self._surfaces(scene, rays, mirror, clear)
+        dr.eval(radiance, sky)
+        colours, shine = (_means(values, samples, (len(corners_px), *size_px[::-1])) for values in (radiance, sky))
         picture = LEVELS * (colours * light + shine)
         raw = picture[..., 1].copy()  # RGGB
         raw[:, 0::2, 0::2], raw[:, 1::2, 1::2] = picture[:, 0::2, 0::2, 0], picture[:, 1::2, 1::2, 2]
@@ -144,9 +144,9 @@ class Studio:
         scene, small = mi.load_dict(self._scene(situation)), (size_px[0] // stride, size_px[1] // stride)
         rays = self._rays(corners_px, small, _LIGHT_SAMPLES, stride)
         shape = (len(corners_px), *small[::-1])
-        (seen, _), paths = self._surfaces(scene, rays, None, 1), self._paths(scene, rays)
-        dr.eval(seen, paths)
-        colours, paths = (_means(values, _LIGHT_SAMPLES, shape) for values in (seen, paths))
+        (radiance, _), paths = self._surfaces(scene, rays, None, 1), self._paths(scene, rays)
+        dr.eval(radiance, paths)
+        colours, paths = (_means(values, _LIGHT_SAMPLES, shape) for values in (radiance, paths))
         smooth = [[cv2.GaussianBlur(p, (0, 0), _LIGHT_BLUR_PX / stride) for p in pictures] for pictures in (paths, colours)]
         return np.array([cv2.resize(p / c, size_px) for p, c in zip(*smooth, strict=True)])
 

@@ -188,7 +188,7 @@ def render_row(studio: Studio, row: SceneRow, split: str) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     _write(folder / f"{row.name}.png", np.concatenate([to_tiles(levels(pictures)) for pictures, _, _ in shot]))
     states = [truth for _, _, truth in shot]
-    told = reports(row, split, states)
+    readings = reports(row, split, states)
     with (folder / f"{row.name}.csv").open("w", encoding="utf-8", newline="") as file:
         table = csv.writer(file, lineterminator="\n")
         table.writerow(COLUMNS)
@@ -197,7 +197,7 @@ def render_row(studio: Studio, row: SceneRow, split: str) -> None:
                 # the robot is the one whose plate is carried: identity is the marker
                 robot = ((i ^ 1) if row.plate == "swapped" and row.disturbed(k) else i) + 1
                 pose = (*state.place_m[i], *state.attitude_rad[i])
-                values = (*pose, *state.velocity_mps[i], state.yaw_rate_radps[i], *told[k, i])
+                values = (*pose, *state.velocity_mps[i], state.yaw_rate_radps[i], *readings[k, i])
                 where = (k, k * PERIOD_NS, robot, *corners[i].tolist(), int(row.disturbed(k)))
                 table.writerow([*where, *(f"{value:.6f}" for value in values)])
 

@@ -92,16 +92,16 @@ ROWS = {
 def experiment(row: SceneRow | None = None) -> Experiment:
     """The pool experiment with six robots in it, where they are is not told; sensors and film as they are known in a row."""
     robots = tuple(RobotConfig(id=i, node_m=(0.0, 0.0, 0.0)) for i in range(1, ROBOTS + 1))
-    known = [
+    settings = [
         f"localizer.depth_sigma_m={np.hypot(*_DEPTH_SIGMAS_M)}",
         f"localizer.attitude_sigma_rad={np.hypot(*_TILT_SIGMAS_RAD)}",
     ]
     if row is not None:
-        known += [
+        settings += [
             f"camera.readout_s={row.readout_s}", f"localizer.corner_sigma_px={row.corner_sigma_px}",
             f"localizer.surface_slope_rad={row.slope_sigma_rad}",
         ]  # fmt: skip
-    return load_experiment("pool", known).model_copy(update={"robots": robots})
+    return load_experiment("pool", settings).model_copy(update={"robots": robots})
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,27 +29,27 @@ BOUNDS = {
 @pytest.mark.parametrize("split", SPLITS)
 @pytest.mark.parametrize("row", BOUNDS)
 def test_poses_are_as_wrong_as_they_say(row: str, split: str) -> None:
-    found = measure(row, split)
+    result = measure(row, split)
     most_mm, most_deg, least_nees, most_nees = BOUNDS[row]
-    assert found.rms_mm < most_mm, asdict(found)
-    assert found.rms_deg < most_deg, asdict(found)
-    assert least_nees < found.nees < most_nees, asdict(found)
-    assert found.false_matches == 0, asdict(found)
+    assert result.rms_mm < most_mm, asdict(result)
+    assert result.rms_deg < most_deg, asdict(result)
+    assert least_nees < result.nees < most_nees, asdict(result)
+    assert result.false_matches == 0, asdict(result)
 
 
 @pytest.mark.parametrize("split", SPLITS)
 @pytest.mark.parametrize("row", ["tilt-2", "tilt-8", "dim"])
 def test_lean_that_no_board_measures_is_read_off_the_outline(row: str, split: str) -> None:
-    found = measure(row, split, with_attitudes=False, by_outline=True)
-    assert found.rms_mm < 1.7, asdict(found)
-    assert 1.3 < found.nees < 5.0, asdict(found)
+    result = measure(row, split, with_attitudes=False, by_outline=True)
+    assert result.rms_mm < 1.7, asdict(result)
+    assert 1.3 < result.nees < 5.0, asdict(result)
 
 
 def test_level_robots_in_flat_water_are_where_another_renderer_put_them() -> None:
     """The optics are the same: what is left at known depths is the markers' corners, 0.1 px of which are 0.29 mm."""
-    found = measure("level", "tune", true_depths=True, with_attitudes=False)
-    assert found.marker_pct == 100.0, asdict(found)
-    assert found.rms_mm < 0.45, asdict(found)
+    result = measure("level", "tune", true_depths=True, with_attitudes=False)
+    assert result.marker_pct == 100.0, asdict(result)
+    assert result.rms_mm < 0.45, asdict(result)
 
 
 def test_all_rows_of_both_splits_are_there() -> None:
@@ -62,13 +62,13 @@ def test_the_table_of_a_row_is_what_its_courses_and_reports_say(row: str, split:
     drawn = ROWS[ROWS[row].drawn_as or row]
     courses = RowCourses(drawn, split)
     states = [courses.at(k / RATE_HZ) for k in range(drawn.frames)]
-    told = reports(drawn, split, states)
+    readings = reports(drawn, split, states)
     for k, frame in enumerate(frames(row, split)):
         others = [(i ^ 1) + 1 if drawn.plate == "swapped" and drawn.disturbed(k) else i + 1 for i in range(ROBOTS)]
         true = [frame.robots[robot] for robot in others]
         place = np.column_stack([states[k].place_m[:, :2], states[k].attitude_rad[:, 2]])
         np.testing.assert_allclose([robot.pose for robot in true], place, atol=1e-6)
-        np.testing.assert_allclose([robot.reported_depth_m for robot in true], told[k, :, 0], atol=1e-6)
+        np.testing.assert_allclose([robot.reported_depth_m for robot in true], readings[k, :, 0], atol=1e-6)
         assert frame.pixels.shape == (960, 1280)
     assert k == ROWS[row].frames - 1
 

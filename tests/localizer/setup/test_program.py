@@ -70,16 +70,16 @@ def test_it_shows_the_frames_of_the_simulated_camera(shared: bool, address: str,
     )
     try:
         assert process.stdout is not None
-        found = re.search(r"http://\S+", process.stdout.readline())
-        assert found is not None
+        link = re.search(r"http://\S+", process.stdout.readline())
+        assert link is not None
         with closing(Bus(ZenohTransport(Endpoint(address), Stop()), "shoal", *codec_of(ring))) as camera:
 
             def is_seen() -> bool:
                 camera.publish(topics.FRAME, Frame(frame), 1)
-                return _state(found[0])["figures"] is not None
+                return _state(link[0])["figures"] is not None
 
             assert eventually(is_seen, 20.0)
-        state, shown = _state(found[0]), _picture(found[0])
+        state, shown = _state(link[0]), _picture(link[0])
         assert state["experiment"] == "pool" and state["source"] == "bus" and state["size_px"] == [1280, 960]
         drawn = cv2.resize(cv2.cvtColor(frame, cv2.COLOR_BayerRGGB2GRAY), shown.shape[::-1], interpolation=cv2.INTER_AREA)
         assert np.corrcoef(shown.ravel(), drawn.ravel())[0, 1] > 0.9

@@ -383,13 +383,13 @@ def test_the_page_lives_while_a_lens_is_judged_and_has_all_of_it_or_nothing(
 ) -> None:
     """To judge sixty views takes minutes. A judgement that fails leaves the lens of before."""
     session, judged = begin(file), intrinsics_lines
-    begun, told = threading.Event(), threading.Event()
+    begun, released = threading.Event(), threading.Event()
     # no page can give views as quickly
     session._work.lens.views = BENCH.views(12, chessboard(9, 6, 0.03)[2], seed=2, noise_px=0.05)  # private: as above
 
     def slow(*arguments: Any) -> list[str]:
         begun.set()
-        if not told.wait(PATIENCE_S):
+        if not released.wait(PATIENCE_S):
             raise ConfigError("nobody could look meanwhile")
         return judged(*arguments)
 
@@ -399,11 +399,11 @@ def test_the_page_lives_while_a_lens_is_judged_and_has_all_of_it_or_nothing(
         assert begun.wait(PATIENCE_S)
         before = threads.submit(session.state, 1).result(PATIENCE_S / 2)
         assert before["lens"]["report"] == [] and before["changed"] == {}
-        told.set()
+        released.set()
         fit.result(PATIENCE_S)
-    found = session.state(1)
-    assert found["lens"]["report"] and "focal_px" in found["changed"]
-    assert found["changed"]["focal_px"] == pytest.approx(TRUTH.focal_px, rel=0.01)
+    state_before = session.state(1)
+    assert state_before["lens"]["report"] and "focal_px" in state_before["changed"]
+    assert state_before["changed"]["focal_px"] == pytest.approx(TRUTH.focal_px, rel=0.01)
     # no page can give views as quickly
     session._work.lens.views = BENCH.views(12, chessboard(9, 6, 0.03)[2], seed=3, noise_px=0.05)
 
@@ -413,7 +413,7 @@ def test_the_page_lives_while_a_lens_is_judged_and_has_all_of_it_or_nothing(
     monkeypatch.setattr("localizer.setup.session.intrinsics_lines", fails)
     with pytest.raises(ConfigError, match="explains"):
         do(session, "fit-lens")
-    assert session.state(1)["changed"] == found["changed"]
+    assert session.state(1)["changed"] == state_before["changed"]
 
 
 def test_a_pose_by_the_lens_of_before_is_not_taken(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -425,9 +425,9 @@ def test_a_pose_by_the_lens_of_before_is_not_taken(file: Path, monkeypatch: pyte
     session._work.lens.views = BENCH.views(12, chessboard(9, 6, 0.03)[2], seed=2, noise_px=0.05)  # private: as above
 
     def late(*arguments: Any) -> Any:
-        found = fitted(*arguments)
+        result = fitted(*arguments)
         do(session, "fit-lens")
-        return found
+        return result
 
     monkeypatch.setattr("localizer.setup.survey_step.fit_pose", late)
     with pytest.raises(ConfigError, match="another lens was found meanwhile"):

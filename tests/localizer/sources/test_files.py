@@ -249,14 +249,14 @@ def write_video(path: Path, levels: list[int], rate_hz: float = 20.0) -> Path:
 def test_as_fast_as_possible_every_picture_comes_one_period_apart(tmp_path: Path, clock: HandClock) -> None:
     levels = list(range(10, 130, 10))
     source = VideoSource(write_video(tmp_path / "v.avi", levels), None, clock, as_fast_as_possible=True)
-    found = []
+    frames = []
     for captured in source.frames(Stop(install=False)):
         assert captured is not None
-        found.append(captured)
+        frames.append(captured)
         clock.sleep(0.3)  # however slow the localizer is
-    assert [level(s) for s in found] == levels
-    assert set(np.diff([s.instant_ns for s in found])) == {PERIOD_MS * MS}
-    assert found[-1].dropped == 0
+    assert [level(s) for s in frames] == levels
+    assert set(np.diff([s.instant_ns for s in frames])) == {PERIOD_MS * MS}
+    assert frames[-1].dropped == 0
 
 
 def test_played_in_real_time_a_slow_localizer_gets_the_newest(tmp_path: Path, clock: HandClock) -> None:
@@ -264,12 +264,12 @@ def test_played_in_real_time_a_slow_localizer_gets_the_newest(tmp_path: Path, cl
     levels = list(range(10, 150, 10))
     start_ns = clock.ns
     source = VideoSource(write_video(tmp_path / "v.avi", levels), None, clock)
-    found = []
+    frames = []
     for captured in source.frames(Stop(install=False)):
         assert captured is not None
-        found.append((level(captured), (captured.instant_ns - start_ns) // MS, (clock.ns - start_ns) // MS, captured.dropped))
+        frames.append((level(captured), (captured.instant_ns - start_ns) // MS, (clock.ns - start_ns) // MS, captured.dropped))
         clock.sleep(0.17)
-    assert found[:4] == [(10, 0, 0, 0), (40, 150, 170, 2), (70, 300, 340, 4), (110, 500, 510, 7)]
+    assert frames[:4] == [(10, 0, 0, 0), (40, 150, 170, 2), (70, 300, 340, 4), (110, 500, 510, 7)]
 
 
 def test_played_in_real_time_a_quick_localizer_waits_for_each(tmp_path: Path, clock: HandClock) -> None:

@@ -269,7 +269,7 @@ REAL = os.environ.get("SHOAL_TEST_CAMERA", "/dev/video0")
 def test_a_real_camera_delivers_stamped_pictures() -> None:
     stop = Stop(install=False)
     source = V4l2Source(REAL, CAMERA, WallClock())
-    found = [captured for _, captured in zip(range(30), source.frames(stop), strict=False) if captured is not None]
+    frames = [captured for _, captured in zip(range(30), source.frames(stop), strict=False) if captured is not None]
     source.close()
-    assert len(found) > 5 and all(captured.stamped for captured in found[2:])
-    assert all(later.instant_ns > earlier.instant_ns for earlier, later in pairwise(found))
+    assert len(frames) > 5 and all(captured.stamped for captured in frames[2:])
+    assert all(later.instant_ns > earlier.instant_ns for earlier, later in pairwise(frames))

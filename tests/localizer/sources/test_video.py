@@ -71,20 +71,20 @@ def _read(path: Path) -> tuple[list[VideoPicture], str]:
 @pytest.mark.parametrize("suffix", ["avi", "mkv", "mp4"])
 def test_whole_video_has_all_its_pictures(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"film.{suffix}"
-    found, damage = _read(_motion_jpeg(path) if suffix == "avi" else _h264(path))
-    assert [(p.number, p.stamp_ns) for p in found] == [(number, number * 50 * MS) for number in range(COUNT)]
-    assert max(abs(_shown_number(p) - p.number) for p in found) <= 1 and damage == ""
+    pictures, damage = _read(_motion_jpeg(path) if suffix == "avi" else _h264(path))
+    assert [(p.number, p.stamp_ns) for p in pictures] == [(number, number * 50 * MS) for number in range(COUNT)]
+    assert max(abs(_shown_number(p) - p.number) for p in pictures) <= 1 and damage == ""
 
 
 def test_stamps_are_by_the_files_own_rate(tmp_path: Path) -> None:
-    found, _ = _read(_motion_jpeg(tmp_path / "film.avi", rate_hz=59.94))
-    assert found[-1].stamp_ns == pytest.approx(39 / 59.94 * 1e9, abs=2 * MS)
+    pictures, _ = _read(_motion_jpeg(tmp_path / "film.avi", rate_hz=59.94))
+    assert pictures[-1].stamp_ns == pytest.approx(39 / 59.94 * 1e9, abs=2 * MS)
 
 
 def test_a_rate_that_varies_gives_the_stamps_that_were_filmed(tmp_path: Path) -> None:
     stamps_ms = np.cumsum([0, *([50, 50, 50, 50, 450] * 8)])[:COUNT].tolist()
-    found, damage = _read(_h264(tmp_path / "film.mp4", stamps_ms))
-    assert [(p.number, p.stamp_ns // MS) for p in found] == list(enumerate(stamps_ms)) and damage == ""
+    pictures, damage = _read(_h264(tmp_path / "film.mp4", stamps_ms))
+    assert [(p.number, p.stamp_ns // MS) for p in pictures] == list(enumerate(stamps_ms)) and damage == ""
 
 
 @pytest.mark.parametrize("suffix", ["avi", "mkv", "mp4"])
@@ -92,11 +92,11 @@ def test_pictures_after_a_damaged_part_keep_their_numbers(tmp_path: Path, suffix
     """The headers of some packets are gone with them, and an AVI file has no stamps."""
     path = tmp_path / f"film.{suffix}"
     whole = _motion_jpeg(path) if suffix == "avi" else _h264(path, key_every=1)  # a decoder makes up what refers to lost ones
-    found, damage = _read(_spoil(whole, 0.45, 0.08))
-    numbers = [p.number for p in found]
-    assert COUNT - 12 < len(found) < COUNT and numbers[0] == 0 and numbers[-1] == COUNT - 1
-    assert max(abs(_shown_number(p) - p.number) for p in found) <= 1
-    assert all(p.stamp_ns == p.number * 50 * MS for p in found)
+    pictures, damage = _read(_spoil(whole, 0.45, 0.08))
+    numbers = [p.number for p in pictures]
+    assert COUNT - 12 < len(pictures) < COUNT and numbers[0] == 0 and numbers[-1] == COUNT - 1
+    assert max(abs(_shown_number(p) - p.number) for p in pictures) <= 1
+    assert all(p.stamp_ns == p.number * 50 * MS for p in pictures)
     missing = sorted(set(range(COUNT)) - set(numbers))
     assert damage.endswith(f"{len(missing)} of {COUNT} pictures cannot be read: {missing[0]} to {missing[-1]}")
 
@@ -106,8 +106,8 @@ def test_a_video_that_was_cut_off_says_so(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"film.{suffix}"
     whole = (_motion_jpeg(path) if suffix == "avi" else _h264(path)).read_bytes()
     path.write_bytes(whole[: len(whole) // 2])
-    found, damage = _read(path)
-    assert 10 < len(found) < 30 and f"{COUNT - len(found)} of {COUNT} pictures cannot be read" in damage
+    pictures, damage = _read(path)
+    assert 10 < len(pictures) < 30 and f"{COUNT - len(pictures)} of {COUNT} pictures cannot be read" in damage
     assert "it was cut off there" in damage and damage.endswith("too low") is (suffix == "avi")
 
 

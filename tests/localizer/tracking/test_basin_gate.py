@@ -28,14 +28,14 @@ def _seen(experiment: Experiment, robots: Sequence[Mapping[int, Array]]) -> list
 
 
 @pytest.mark.parametrize(
-    ("settings", "seen"), [((SMALL,), False), ((SMALL, "localizer.basin_margin_m=0.4"), True), ((MASK,), False)]
+    ("settings", "is_used"), [((SMALL,), False), ((SMALL, "localizer.basin_margin_m=0.4"), True), ((MASK,), False)]
 )
-def test_a_marker_where_no_robot_can_be_gives_no_pose_and_is_named(settings: tuple[str, ...], seen: bool) -> None:
+def test_a_marker_where_no_robot_can_be_gives_no_pose_and_is_named(settings: tuple[str, ...], is_used: bool) -> None:
     results = _seen(load_experiment("pool", settings), [{1: INSIDE, 2: OUTSIDE}] * 10)
     poses = dict(results[-1].poses)
     assert poses[1].track is Track.MARKER
-    assert (2 in poses) is seen
-    assert ("seen outside the pool or in a mask: robot 2" in results[-1].status.message) is not seen
+    assert (2 in poses) is is_used
+    assert ("seen outside the pool or in a mask: robot 2" in results[-1].status.message) is not is_used
 
 
 def test_a_followed_robot_that_is_carried_out_of_the_pool_is_lost_at_once() -> None:

@@ -35,8 +35,8 @@ def view(instant_ns: int, poses: Mapping[int, Pose], status: LocalizerStatus = W
 
 
 def fused(result: FusionResult, robot: int = 1) -> Array:
-    found = dict(result.poses)[robot]
-    return np.array([found.x_m, found.y_m, found.yaw_rad])
+    pose_of_robot = dict(result.poses)[robot]
+    return np.array([pose_of_robot.x_m, pose_of_robot.y_m, pose_of_robot.yaw_rad])
 
 
 # --- honest
@@ -64,9 +64,9 @@ def test_fused_poses_are_consistent_at_any_correlation_and_near_the_optimum(
     naive_covariance = np.linalg.inv(sum(map(np.linalg.inv, parts)))
     naive = sum(errors[:, 3 * k : 3 * k + 3] @ np.linalg.inv(part) for k, part in enumerate(parts)) @ naive_covariance
 
-    found = [covariance_intersection([(e[:3].copy(), parts[0]), (e[3:].copy(), parts[1])]) for e in errors]
-    nees = np.mean([e @ np.linalg.solve(covariance, e) for e, covariance in found])
-    rms = np.sqrt(np.mean([e[:2] @ e[:2] for e, _ in found]))
+    fusions = [covariance_intersection([(e[:3].copy(), parts[0]), (e[3:].copy(), parts[1])]) for e in errors]
+    nees = np.mean([e @ np.linalg.solve(covariance, e) for e, covariance in fusions])
+    rms = np.sqrt(np.mean([e[:2] @ e[:2] for e, _ in fusions]))
     assert 0.5 < nees < 3.1
     assert rms < from_optimum * np.sqrt(np.mean(np.sum(best[:, :2] ** 2, axis=1)))
     assert rms < np.sqrt(np.mean(np.sum(errors[:, :2] ** 2, axis=1)))  # than one camera alone
@@ -94,10 +94,10 @@ def test_a_moving_robot_seen_by_two_cameras_is_located_as_well_as_its_covariance
             if offset_ns == 0 and camera == "west":
                 continue
             result = fusion.step(views, at_ns)
-            found = dict(result.poses)[1]
+            fused_pose = dict(result.poses)[1]
             error = fused(result) - true
             if k > 20:
-                nees.append(error @ np.linalg.solve(found.covariance, error))
+                nees.append(error @ np.linalg.solve(fused_pose.covariance, error))
                 errors.append(error)
     assert 0.8 < np.mean(nees) < 3.6
     assert np.sqrt(np.mean(np.sum(np.array(errors)[:, :2] ** 2, axis=1))) < 1.1 * np.sqrt(2.0) * SIGMA[0, 0]
@@ -124,10 +124,10 @@ def test_a_robot_that_crosses_over_moves_no_more_than_its_covariances_claim() ->
 
 
 def test_a_robot_seen_by_one_camera_is_where_that_camera_says() -> None:
-    told = pose([1.0, 0.2, 0.3])
-    result = CameraFusion(EXPERIMENT).step({"west": view(0, {}), "east": view(0, {1: told})}, 0)
+    estimate = pose([1.0, 0.2, 0.3])
+    result = CameraFusion(EXPERIMENT).step({"west": view(0, {}), "east": view(0, {1: estimate})}, 0)
     assert fused(result) == pytest.approx([1.0, 0.2, 0.3])
-    assert np.array_equal(dict(result.poses)[1].covariance, told.covariance)
+    assert np.array_equal(dict(result.poses)[1].covariance, estimate.covariance)
     assert result.status.frames == 1
 
 
@@ -315,14 +315,14 @@ def test_a_camera_whose_check_marks_are_off_is_out_at_once_and_back_when_they_ar
 def test_a_leap_of_all_that_a_camera_measures_is_not_told_until_its_check_marks_can_have_told() -> None:
     """Robots 1 and 2 leap by 0.3 m in west's picture, as when it is bumped; alone, robot 1 does, as one that was carried."""
     leap = np.array([0.3, 0.0, 0.0])
-    for leaping, told in (((1, 2), {20 + k for k in range(7)}), ((1,), set[int]())):
+    for leaping, suspects in (((1, 2), {20 + k for k in range(7)}), ((1,), set[int]())):
         fusion, silent = CameraFusion(EXPERIMENT), set()
         for k in range(40):
             west = {r: pose(np.array([-1.0, 0.4 * r, 0.0]) + leap * (k >= 20 and r in leaping)) for r in (1, 2)}
             result = fusion.step({"west": view(k * PERIOD_NS, west), "east": view(k * PERIOD_NS, {})}, k * PERIOD_NS)
             silent |= set() if 1 in dict(result.poses) else {k}
             assert result.status.out == ()
-        assert silent <= told and bool(silent) == bool(told)
+        assert silent <= suspects and bool(silent) == bool(suspects)
         assert fused(result) == pytest.approx([-0.7, 0.4, 0.0])
 
 
@@ -424,3 +424,19 @@ def test_obstacles_of_all_cameras_are_in_one_list_and_one_that_two_see_is_in_it_
     assert both.watched == pytest.approx(0.8) and both.blind == "camera east: learning"
     alone = fuse_obstacles({"east": east}, ("west", "east"))
     assert alone.ids == (3, 5) and alone.watched == pytest.approx(0.4)
+
+
+def test_an_obstacle_of_a_camera_that_is_out_stays_with_its_age_until_it_is_too_old_or_seen_by_another() -> None:
+    def told(*outlines: Array, unseen_s: float = 0.0) -> Obstacles:
+        n = len(outlines)
+        seen_s = np.full(n, unseen_s)
+        return Obstacles(tuple(range(1, n + 1)), np.array(outlines).reshape(-1, 12, 2), np.zeros((n, 2)), 0.3, 0.8, "", seen_s)
+
+    cameras, west = ("west", "east"), told()
+    east = told(square(1.0, 0.0), square(0.0, 0.3), unseen_s=1.0)
+    for since_s, ids in ((0.1, (3, 5)), (58.9, (3, 5)), (59.1, ())):
+        fused = fuse_obstacles({"west": west}, cameras, {"east": (east, since_s)})
+        assert fused.ids == ids and fused.unseen_s == pytest.approx([1.0 + since_s] * len(ids))
+        assert fused.watched == pytest.approx(0.4)  # of the working camera alone
+    reappeared = fuse_obstacles({"west": told(square(0.05, 0.32))}, cameras, {"east": (east, 5.0)})
+    assert reappeared.ids == (2, 3) and reappeared.unseen_s == pytest.approx([0.0, 6.0])

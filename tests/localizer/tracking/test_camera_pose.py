@@ -96,11 +96,11 @@ def test_the_camera_itself_is_found() -> None:
     for k in range(15):
         eye.advance(PERIOD_S)
         eye.update(_frame(k))
-        truth, found = _true_camera(k), eye.pose.camera
+        truth, camera = _true_camera(k), eye.pose.camera
         assert eye.fresh and eye.trouble == ""
-        assert np.linalg.norm(np.subtract(truth.position_m, found.position_m)) < 0.02
+        assert np.linalg.norm(np.subtract(truth.position_m, camera.position_m)) < 0.02
         corners = np.array([[x, y, 0.15] for x in (-1.0, 1.0) for y in (-0.7, 0.7)])
-        assert np.linalg.norm(project(truth, corners) - project(found, corners), axis=1).max() < 1.0
+        assert np.linalg.norm(project(truth, corners) - project(camera, corners), axis=1).max() < 1.0
 
 
 @pytest.mark.parametrize("seed", range(5))

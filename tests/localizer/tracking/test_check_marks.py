@@ -149,15 +149,15 @@ def test_a_knock_is_noticed_in_the_next_pictures_and_its_end_as_soon_as_most_rea
     for k in range(60):
         picture = renderers[7 <= k < 27].render(ETA, np.zeros((2, 4)), 0.05 * k, k)
         moved.append(localizer.step(picture, round(0.05e9 * k), {1: 0.3, 2: 0.3}).status.moved)
-    told = [k for k, said in enumerate(moved) if said]
-    assert told[0] == 9 and told == list(range(9, told[-1] + 1)) and 27 < told[-1] < 27 + 4 * 5
+    frames_moved = [k for k, is_moved in enumerate(moved) if is_moved]
+    assert frames_moved[0] == 9 and frames_moved == list(range(9, frames_moved[-1] + 1)) and 27 < frames_moved[-1] < 27 + 4 * 5
 
 
-@pytest.mark.parametrize(("seen", "pictures"), [((), 1), ((2,), 3), ((1, 4), 3)])
-def test_a_bumped_camera_is_not_cleared_by_marks_that_are_covered(seen: tuple[int, ...], pictures: int) -> None:
-    """All but the `seen` are covered after so many pictures of each mark. Then the camera is put back, and at last all of
+@pytest.mark.parametrize(("visible", "pictures"), [((), 1), ((2,), 3), ((1, 4), 3)])
+def test_a_bumped_camera_is_not_cleared_by_marks_that_are_covered(visible: tuple[int, ...], pictures: int) -> None:
+    """All but the `visible` are covered after so many pictures of each mark. Then the camera is put back, and at last all of
     them are seen again."""
-    believed, few = pool(), tuple(MARKS[k] for k in seen)
+    believed, few = pool(), tuple(MARKS[k] for k in visible)
     bumped, (at_place, covered) = moved_camera(believed, (0.1, 0.0, 0.0)), (picture(pool()), picture(pool(few)))
     pose = CheckedCameraPose(believed.camera, MARKS)
     watch(pose, at_place, READINGS)
@@ -187,9 +187,9 @@ def picture(true: Experiment) -> Pixels:
     return np.asarray(Renderer(true, true.seed).render(ETA, np.zeros((2, 4)), 0.0, 0))
 
 
-def watch(pose: CheckedCameraPose, seen: Pixels, rounds: int) -> None:
+def watch(pose: CheckedCameraPose, picture: Pixels, rounds: int) -> None:
     for _ in range(rounds * len(MARKS)):
-        pose.update(seen)
+        pose.update(picture)
 
 
 def shift_variance_m2(pose: CheckedCameraPose) -> float:

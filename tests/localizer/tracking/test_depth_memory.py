@@ -21,9 +21,9 @@ def test_the_last_depth_counts_and_is_less_certain_with_each_second() -> None:
     )
     sigmas_m = []
     for second in range(1, 60):
-        known = memory.update({}, second * SECOND_NS)[1]
-        assert known.centre_m == 0.6
-        sigmas_m.append(known.sigma_m)
+        reading = memory.update({}, second * SECOND_NS)[1]
+        assert reading.centre_m == 0.6
+        sigmas_m.append(reading.sigma_m)
     assert sigmas_m[0] == pytest.approx(np.hypot(own_m, 0.05)) and sigmas_m[-1] == 0.3
     assert np.all(np.diff(sigmas_m) >= 0.0)
 

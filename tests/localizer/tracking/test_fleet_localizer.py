@@ -169,8 +169,8 @@ def test_depth_error_is_covered_by_the_covariance() -> None:
 def test_unreported_depth_is_the_experiments_and_less_sure() -> None:
     steps = list(_fly(FleetLocalizer(LEVEL), 3, depths_m={2: float("nan")}))
     assert steps[-1].pose(1).depth_m == DEPTH_M and steps[-1].pose(2).depth_m == DEPTH_M
-    known = list(_fly(FleetLocalizer(LEVEL), 3))
-    assert np.trace(steps[-1].pose(1).covariance) > 1.5 * np.trace(known[-1].pose(1).covariance)
+    located = list(_fly(FleetLocalizer(LEVEL), 3))
+    assert np.trace(steps[-1].pose(1).covariance) > 1.5 * np.trace(located[-1].pose(1).covariance)
 
 
 def test_lost_and_found_elsewhere() -> None:
@@ -375,9 +375,9 @@ def test_the_frame_is_only_read() -> None:
 
 def test_a_marker_of_nobody_is_named_until_the_right_one_is_on() -> None:
     wrong, locator = Scene(load_experiment("pool", ["robots.1.marker_id=9"]), seed=3), FleetLocalizer(EXPERIMENT)
-    said = [locator.step(wrong.frame(_circling(0.05 * k)), k * STEP_NS, DEPTHS_M).status.message for k in range(12)]
-    assert said[0] == "lost: robot 1, 2" and said[1] == "lost: robot 2", "one sight of it may be a misreading"
-    assert said[-1] == "lost: robot 2; in view, but no robot's: marker 9"
+    messages = [locator.step(wrong.frame(_circling(0.05 * k)), k * STEP_NS, DEPTHS_M).status.message for k in range(12)]
+    assert messages[0] == "lost: robot 1, 2" and messages[1] == "lost: robot 2", "one sight of it may be a misreading"
+    assert messages[-1] == "lost: robot 2; in view, but no robot's: marker 9"
     *_, step = _fly(locator, 8, first=12)
     assert step.located.status.message == ""
 
@@ -406,7 +406,7 @@ def test_overlay_outlines_obstacles_where_they_are() -> None:
     frame, middle = SIDE.frame(step.truth), np.array([-1.0, 0.6])
     turn = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
     outline = middle + 0.1 * np.column_stack([np.cos(turn), np.sin(turn)])
-    obstacles = Obstacles(ids=(3,), outline=outline[None], velocity=np.array([[0.2, 0.0]]), depth_m=0.5)
+    obstacles = Obstacles(ids=(3,), outline=outline[None], velocity=np.array([[0.2, 0.0]]), depth_m=0.5, unseen_s=np.zeros(1))
     bare, marked = draw(locator, frame, step.located, Obstacles()), draw(locator, frame, step.located, obstacles)
     changed = np.argwhere(np.any(bare != marked, axis=2))[:, ::-1]
     for point in (*outline, middle + np.array([0.15, 0.0])):  # its rim, and the way it drifts
@@ -501,8 +501,8 @@ def test_a_depth_that_is_wrong_by_10_cm_is_told() -> None:
         locator = FleetLocalizer(three)
         for k in range(50):
             located = locator.step(_taken_anew(frames[k % 3], k), k * STEP_NS, {1: 0.3, 2: 0.4 + wrong_m, 3: 0.3})
-        told = located.status.message
-        assert (looks in told and told.endswith("robot 2")) if looks else told == ""
+        message = located.status.message
+        assert (looks in message and message.endswith("robot 2")) if looks else message == ""
 
 
 @pytest.mark.parametrize(("printed", "words"), [(0.8, "too small, and is not believed"), (0.94, "too small for its depth")])

@@ -51,15 +51,15 @@ def test_the_circle_is_found_among_stronger_edges_that_are_not_on_it(shift: tupl
     edges = 20.0 * np.exp(-0.5 * (steps - at[:, None]) ** 2)
     others = np.arange(0, RAYS, 5)
     edges[others] = 30.0 * np.exp(-0.5 * (steps - random.uniform(-8.0, 8.0, len(others))[:, None]) ** 2)
-    found = np.empty(5)
-    strongest_circle(edges, AROUND, 8, found)
+    circle = np.empty(5)
+    strongest_circle(edges, AROUND, 8, circle)
     tried = [(a, b, c) for a in range(-8, 9, 2) for b in range(-8, 9, 2) for c in range(-3, 4) if a * a + b * b <= 64]
     brute = max(tried, key=lambda t: sum(edges[i, round(d) + t[2] + MIDDLE] for i, d in enumerate(AROUND @ t[:2])))
-    assert found[:3] == pytest.approx(brute)
-    assert np.abs(found[:3] - shift).max() < 1.6
-    fit_circle(edges, AROUND, 11.0, 5.0, found)
-    assert found[:3] == pytest.approx(shift, abs=0.15)
-    assert found[3] == pytest.approx(0.8, abs=0.05) and found[4] < 0.2
+    assert circle[:3] == pytest.approx(brute)
+    assert np.abs(circle[:3] - shift).max() < 1.6
+    fit_circle(edges, AROUND, 11.0, 5.0, circle)
+    assert circle[:3] == pytest.approx(shift, abs=0.15)
+    assert circle[3] == pytest.approx(0.8, abs=0.05) and circle[4] < 0.2
 
 
 # --- pictures
@@ -89,11 +89,11 @@ LEANING = np.array([[0.6, 0.3, 0.3, 0.7], [-0.9, -0.5, 0.5, -2.0]])
 @pytest.mark.parametrize("tilt_deg", [(0.0, 0.0), (8.0, 0.0), (-3.0, 6.0), (5.0, -9.0)])
 def test_lean_is_read_within_a_few_sigmas(tilt_deg: tuple[float, float]) -> None:
     tilt = np.radians([tilt_deg, tilt_deg[::-1]])
-    for found, true in zip(read(POOL, LEANING, tilt), tilt, strict=True):
-        assert found is not None
-        error = np.array([found.roll_rad, found.pitch_rad]) - true
-        assert np.abs(error).max() < np.radians(0.6) and np.abs(error).max() < 3.5 * found.sigma_rad
-        assert found.sigma_rad < np.radians(0.4)
+    for lean, true in zip(read(POOL, LEANING, tilt), tilt, strict=True):
+        assert lean is not None
+        error = np.array([lean.roll_rad, lean.pitch_rad]) - true
+        assert np.abs(error).max() < np.radians(0.6) and np.abs(error).max() < 3.5 * lean.sigma_rad
+        assert lean.sigma_rad < np.radians(0.4)
 
 
 def test_leaning_robots_in_motion_are_where_their_centres_are_under_a_rolling_shutter() -> None:
@@ -108,10 +108,10 @@ def test_leaning_robots_in_motion_are_where_their_centres_are_under_a_rolling_sh
     for k in range(8):
         eta = start + np.pad(0.05 * k * velocity, ((0, 0), (0, 2)))
         picture = renderer.render(eta, nu, 0.05 * k, k, tilt)
-        for robot, found in localizer.step(picture, round(0.05e9 * k), {1: 0.3, 2: 0.3}).poses:
+        for robot, estimate in localizer.step(picture, round(0.05e9 * k), {1: 0.3, 2: 0.3}).poses:
             if k > 2:  # the velocity is known
                 true = eta[robot - 1]
-                errors.append([found.x_m - true[0], found.y_m - true[1], wrap(found.yaw_rad - float(true[3]))])
+                errors.append([estimate.x_m - true[0], estimate.y_m - true[1], wrap(estimate.yaw_rad - float(true[3]))])
     assert len(errors) == 10
     assert np.hypot(*np.transpose(errors)[:2]).max() < 1.3e-3
     assert np.abs(np.transpose(errors)[2]).max() < np.radians(0.5)
@@ -125,11 +125,11 @@ def test_a_board_that_reports_another_lean_than_the_hull_shows_is_told(how: str)
     for k in range(64):
         swing = np.radians(6.0) * np.array([np.sin(0.7 * k), np.cos(0.5 * k)])
         picture = renderer.render(LEANING, np.zeros((2, 4)), 0.05 * k, k, np.array([swing, swing]))
-        told = {"right": swing, "sign": -swing, "exchanged": swing[::-1], "askew": swing + np.radians([3.0, 0.0])}[how]
-        attitudes = {1: Attitude(swing[0], swing[1], 0.005), 2: Attitude(told[0], told[1], 0.005)}
+        board_lean = {"right": swing, "sign": -swing, "exchanged": swing[::-1], "askew": swing + np.radians([3.0, 0.0])}[how]
+        attitudes = {1: Attitude(swing[0], swing[1], 0.005), 2: Attitude(board_lean[0], board_lean[1], 0.005)}
         result = localizer.step(picture, round(0.05e9 * k), {1: 0.3, 2: 0.5}, attitudes)
-    found = result.status.message
-    assert ("from what the hull shows" in found and found.endswith("robot 2")) if how != "right" else found == ""
+    message = result.status.message
+    assert ("from what the hull shows" in message and message.endswith("robot 2")) if how != "right" else message == ""
 
 
 def test_no_lean_is_read_off_a_hull_that_is_half_covered_of_another_size_or_not_there() -> None:

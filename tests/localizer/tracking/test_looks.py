@@ -76,8 +76,8 @@ def _follow(
             reading = sensors.read(state.eta[0], state.nu[0], np.zeros(4), state.tilt[0])
             attitude = Attitude.at(np.array(reading.tilt), 0.0, experiment.localizer.attitude_sigma_rad)
             picture = renderer.render(state.eta, state.nu, frame * PERIOD_S, frame, state.tilt)
-            known = {1: attitude} if attitude is not None and measured else {}
-            located = locator.step(picture, round(frame * PERIOD_S * 1e9), {1: reading.depth_m}, known)
+            attitudes = {1: attitude} if attitude is not None and measured else {}
+            located = locator.step(picture, round(frame * PERIOD_S * 1e9), {1: reading.depth_m}, attitudes)
             pose, (x, y, _, yaw) = dict(located.poses)[1], state.eta[0].tolist()
             error = np.array([pose.x_m - x, pose.y_m - y, wrap(pose.yaw_rad - yaw)])
             yield Followed(pose, error, state)
@@ -87,11 +87,11 @@ def _follow(
 
 def _check(poses: list[Followed], least_seen: float) -> float:
     """Check that the robot is always known, and as well as is claimed. Returns the mean NEES."""
-    seen = [pose for pose in poses[1:] if pose.pose.track is Track.KCF]
-    assert len(seen) >= least_seen * (len(poses) - 1)
+    matches = [pose for pose in poses[1:] if pose.pose.track is Track.KCF]
+    assert len(matches) >= least_seen * (len(poses) - 1)
     assert not [pose for pose in poses if pose.pose.track is Track.LOST]
     assert max(pose.nees for pose in poses) < WRONG
-    return float(np.mean([pose.nees for pose in seen]))
+    return float(np.mean([pose.nees for pose in matches]))
 
 
 @pytest.mark.parametrize(("px_per_m", "start", "rms_m"), [(48.0, MIDDLE, 0.006), (48.0, EDGE, 0.006), (110.0, MIDDLE, 0.003)])

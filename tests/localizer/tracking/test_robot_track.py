@@ -180,8 +180,8 @@ def test_a_contradicting_marker_first_doubts_then_wins() -> None:
 
 def test_a_scan_claims_what_only_a_region_confirms() -> None:
     """A scan moves no track; a marker read where the robot is, or can be, says nothing new."""
-    seen = _followed().predicted(STEP_S).with_marker(_seen(0.0), JUMP_M).end_of_frame(LOST_AFTER_S)
-    assert seen.with_scan(np.array([0.8, 0.0, 0.0]), JUMP_M) is seen
+    track = _followed().predicted(STEP_S).with_marker(_seen(0.0), JUMP_M).end_of_frame(LOST_AFTER_S)
+    assert track.with_scan(np.array([0.8, 0.0, 0.0]), JUMP_M) is track
     coasting = _followed().predicted(STEP_S).end_of_frame(LOST_AFTER_S)
     assert coasting.with_scan(np.array([0.05, 0.0, 0.0]), JUMP_M) is coasting
     assert coasting.with_scan(np.array([np.nan, 0.0, 0.0]), JUMP_M) is coasting
@@ -189,8 +189,8 @@ def test_a_scan_claims_what_only_a_region_confirms() -> None:
     assert elsewhere.state is Track.COAST and not elsewhere.verified and elsewhere.motion is coasting.motion
     again = elsewhere.predicted(STEP_S).end_of_frame(LOST_AFTER_S).with_scan(np.array([0.8, 0.0, 0.0]), JUMP_M)
     assert again.state is Track.COAST, "two scans are not believed either"
-    found = elsewhere.predicted(STEP_S).with_marker(_seen(0.8), JUMP_M)
-    assert found.state is Track.MARKER and found.verified
+    claim = elsewhere.predicted(STEP_S).with_marker(_seen(0.8), JUMP_M)
+    assert claim.state is Track.MARKER and claim.verified
 
 
 def test_a_push_is_no_contradiction() -> None:

@@ -88,12 +88,12 @@ class SeenPool(DryPool):
         self._frames += 1
         depths = {i: robot.states[-1].depth_m for i, robot in zip(ids, self.robots, strict=True) if robot.states}
         states = {i: robot.states[-1] for i, robot in zip(ids, self.robots, strict=True) if robot.states and self._measured}
-        told = {i: Attitude.at(s.tilt, STEP_S + s.board_age_ms * 1e-3, ATTITUDE_SIGMA_RAD) for i, s in states.items()}
-        attitudes = {i: attitude for i, attitude in told.items() if attitude is not None}
+        readings = {i: Attitude.at(s.tilt, STEP_S + s.board_age_ms * 1e-3, ATTITUDE_SIGMA_RAD) for i, s in states.items()}
+        attitudes = {i: attitude for i, attitude in readings.items() if attitude is not None}
         assert len(attitudes) == len(states)
         poses = dict(self._locator.step(frame, stamp_ns, depths, attitudes).poses)
         if len(poses) == len(ids):
-            self.seen.append((stamp_ns, [poses[i] for i in ids]))
+            self.poses.append((stamp_ns, [poses[i] for i in ids]))
             self.error_m += [
                 float(np.hypot(poses[i].x_m - eta[0], poses[i].y_m - eta[1])) for i, eta in zip(ids, world.eta, strict=True)
             ]
@@ -146,10 +146,10 @@ def test_a_robot_that_leans_is_where_its_centre_is(roll_deg: float, pitch_deg: f
 
 
 def test_an_attitude_is_carried_over_to_the_exposure() -> None:
-    found = Attitude.at(np.array([0.1, -0.05, 0.2, 0.4]), -0.05, 0.003)
-    assert found is not None
-    assert (found.roll_rad, found.pitch_rad) == pytest.approx((0.09, -0.07))
-    assert found.sigma_rad == pytest.approx(np.hypot(0.003, 0.002))
+    attitude = Attitude.at(np.array([0.1, -0.05, 0.2, 0.4]), -0.05, 0.003)
+    assert attitude is not None
+    assert (attitude.roll_rad, attitude.pitch_rad) == pytest.approx((0.09, -0.07))
+    assert attitude.sigma_rad == pytest.approx(np.hypot(0.003, 0.002))
 
 
 @pytest.mark.parametrize(

@@ -61,9 +61,9 @@ def test_a_viewer_gets_the_newest_picture_and_then_each_new_one(page: MjpegServe
     stream = ask(page, "/stream")
     assert picture(stream) == b"old 99"
     page.show(b"new")
-    while (seen := picture(stream)) == b"old 99":  # shown again while there is no news
+    while (shown := picture(stream)) == b"old 99":  # shown again while there is no news
         pass
-    assert seen == b"new"
+    assert shown == b"new"
 
 
 def test_a_viewer_that_does_not_read_holds_nobody_up(page: MjpegServer) -> None:

@@ -75,9 +75,9 @@ def test_a_film_can_be_decoded_picture_by_picture(pictures: list[Pixels]) -> Non
 def test_viewer_that_joins_a_film_waits_a_second_at_most(pictures: list[Pixels]) -> None:
     made = experiment("h264", video_scale=0.25)
     pack = packer(made.recording, made.camera.size_px)
-    found = [units(pack(pictures[k % 12], k * SECOND // 20)) for k in range(45)]
-    assert [k for k, kinds in enumerate(found) if KEY in kinds] == [0, 20, 40]
-    assert [k for k, kinds in enumerate(found) if PARAMETERS in kinds] == [0, 20, 40]
+    kinds_by_picture = [units(pack(pictures[k % 12], k * SECOND // 20)) for k in range(45)]
+    assert [k for k, kinds in enumerate(kinds_by_picture) if KEY in kinds] == [0, 20, 40]
+    assert [k for k, kinds in enumerate(kinds_by_picture) if PARAMETERS in kinds] == [0, 20, 40]
 
 
 def test_a_film_keeps_to_its_rate_of_bits(pictures: list[Pixels]) -> None:
@@ -110,11 +110,11 @@ def test_film_goes_out_on_its_topic_with_the_pictures_stamp(
     pictures: list[Pixels], video: str, topic: Topic, kind: type
 ) -> None:
     hub, enough = MemoryHub(), threading.Event()
-    heard: list[int] = []
+    stamps_ns: list[int] = []
 
     def hear(topic: Topic, key: str, header: Header, payload: bytes) -> None:
         decode(kind, payload, "test", topic.name)
-        heard.append(header.stamp_ns)
+        stamps_ns.append(header.stamp_ns)
         enough.set()
 
     Bus(MemoryTransport(hub)).subscribe(topic, None, hear)
@@ -125,7 +125,7 @@ def test_film_goes_out_on_its_topic_with_the_pictures_stamp(
         if k % 2 == 0:
             assert enough.wait(10.0)
     maker.close()
-    assert heard == [SECOND, SECOND + SECOND // 10, SECOND + SECOND // 5]  # every other one: 10 of 20 a second
+    assert stamps_ns == [SECOND, SECOND + SECOND // 10, SECOND + SECOND // 5]  # every other one: 10 of 20 a second
 
 
 def test_offering_never_waits_and_the_newest_counts(pictures: list[Pixels], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -156,7 +156,7 @@ def test_a_picture_that_cannot_be_packed_costs_that_picture_and_the_packer(
 ) -> None:
     """The third goes out, packed by a packer made anew; the process goes on."""
     made, done = [0], threading.Semaphore(0)
-    heard: list[bytes] = []
+    payloads: list[bytes] = []
 
     def make(recording: object, size_px: object) -> Any:
         made[0] += 1
@@ -173,12 +173,12 @@ def test_a_picture_that_cannot_be_packed_costs_that_picture_and_the_packer(
     monkeypatch.setattr("localizer.view.video_encoder.packer", make)
     hub, stop = MemoryHub(), Stop(install=False)
     Bus(MemoryTransport(hub)).subscribe(
-        topics.PICTURE, None, lambda topic, key, header, payload: heard.append(decode(Picture, payload, "", "").jpeg)
+        topics.PICTURE, None, lambda topic, key, header, payload: payloads.append(decode(Picture, payload, "", "").jpeg)
     )
     maker = VideoEncoder(experiment("jpeg"), Bus(MemoryTransport(hub)), stop)
     for k in range(3):
         maker.offer(captured(pictures[k], 4 * k))
         assert done.acquire(timeout=10.0)
     maker.close()
-    assert heard == [b"1", b"2"]
+    assert payloads == [b"1", b"2"]
     assert not stop.requested

@@ -14,7 +14,7 @@ def box(x: float, y: float, half_x: float, half_y: float, velocity: tuple[float,
     """Twelve corners, some of them twice, as the localizer sends them."""
     corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], dtype=np.float64).repeat(3, axis=0)
     outline = np.array([x, y]) + corners * [half_x, half_y]
-    return Obstacles((7,), outline[None], np.array([velocity]), 0.3, 1.0)
+    return Obstacles((7,), outline[None], np.array([velocity]), 0.3, 1.0, unseen_s=np.zeros(1))
 
 
 @given(st.floats(0.05, 1.0), st.floats(0.02, 1.0), st.floats(0.0, 6.28), st.floats(0.2, 1.5))
@@ -69,7 +69,7 @@ def test_an_obstacle_that_drifts_against_the_hull_stays_one() -> None:
     looks = []
     for k, ball_x in enumerate((0.5, 0.3, 0.1, 0.0, 0.1, 0.5)):
         outlines = np.array([square + np.array([ball_x, 0.0]), square])
-        seen = obstacles_from_message(Obstacles((7, 8), outlines, np.zeros((2, 2))), k, 0.3)
+        seen = obstacles_from_message(Obstacles((7, 8), outlines, np.zeros((2, 2)), unseen_s=np.zeros(2)), k, 0.3)
         looks.append([obstacle.id for obstacle in own_hull.exclude(seen, 0j, k)])
     assert looks == [[7]] * 6
 
@@ -77,7 +77,9 @@ def test_an_obstacle_that_drifts_against_the_hull_stays_one() -> None:
 def test_an_obstacle_that_went_away_is_judged_anew() -> None:
     own_hull, square = OwnHullFilter(0.15), np.array([[x, y] for x in (-0.1, 0.1) for y in (-0.1, 0.1)] * 3)
     beside, on_top = (
-        obstacles_from_message(Obstacles((7,), square[None] + np.array([x, 0.0]), np.zeros((1, 2))), 0, 0.3)
+        obstacles_from_message(
+            Obstacles((7,), square[None] + np.array([x, 0.0]), np.zeros((1, 2)), unseen_s=np.zeros(1)), 0, 0.3
+        )
         for x in (0.5, 0.0)
     )
     assert [len(own_hull.exclude(seen, 0j, 0)) for seen in (beside, on_top, (), on_top)] == [1, 1, 0, 0]

@@ -14,7 +14,7 @@ from robot_agent.guidance.trajectory_clock import FASTER, TrajectoryClock
 from robot_agent.inputs import StationView
 from shoal.config.experiment import load_experiment
 from shoal.frames import Array
-from shoal.messages.messages import Command, Order, Trajectory
+from shoal.messages.messages import ALONE, Command, Order, Trajectory
 
 EXPERIMENT = load_experiment("pool", ["duration_s=20"])
 ME, STATION, NS = 1, 7, 1_000_000_000
@@ -381,3 +381,11 @@ def test_the_lag_of_another_station_does_not_count() -> None:
     assert goal is not None
     assert goal.time_s == pytest.approx(before_s + 1.0)
     assert goal.rate == 1.0
+
+
+def test_the_clock_of_a_flight_alone_is_not_the_formations() -> None:
+    """Gains that begin with a lap of the formation wait for its clock."""
+    robot = ClockedRobot(replace(straight(), id=f"{ALONE}x"))
+    assert robot.start(path=f"{ALONE}x") == ""
+    assert robot.reaches(2.0) == pytest.approx(2.0) and robot.clock.formation_s == 0.0
+    assert under_way().clock.formation_s > 0.0

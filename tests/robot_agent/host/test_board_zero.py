@@ -39,17 +39,17 @@ def refusals(folder: Path, boot: str, zero_m: float, monkeypatch: pytest.MonkeyP
     monkeypatch.setenv("STATE_DIRECTORY", str(folder))
     monkeypatch.setattr(board_zero, "boot_id", lambda: boot)
     monkeypatch.setattr(board_zero, "LOOK_S", 0.0)
-    bus, found = Bus(MemoryTransport(MemoryHub())), []
+    bus, reasons = Bus(MemoryTransport(MemoryHub())), []
     node = AgentNode(load_experiment("pool"), 1, bus, Switched(zero_m), False, Stop(install=False))
     for step in range(steps):
         now_ns = (step + 1) * 50_000_000
         node.step(now_ns, None)
         inputs = node.agent.inputs
         station = inputs.station.__class__(7, now_ns, 0.03)
-        found.append(node.agent._health.arming_refusal(inputs, station, now_ns))  # what ARM is answered, without a station
+        reasons.append(node.agent._health.arming_refusal(inputs, station, now_ns))  # what ARM is answered, without a station
         if step == 0 and steps > 3:
             assert CliRunner().invoke(cli, ["confirm-zero", "--state", str(folder)]).exit_code == 0
-    return found
+    return reasons
 
 
 def test_a_board_and_its_computer_that_restart_under_water_do_not_arm_until_a_person_confirms(
@@ -70,8 +70,8 @@ def test_a_board_and_its_computer_that_restart_under_water_do_not_arm_until_a_pe
 
 
 def life(folder: Path, boot: str, at_s: float, on_for_s: float, depth_m: float) -> float | None:
-    told = Telemetry(board_ms=round(1e3 * on_for_s) % MS_WRAPS, depth_m=depth_m)
-    return BoardZero(folder, boot, lambda: at_s).note(told)
+    telemetry = Telemetry(board_ms=round(1e3 * on_for_s) % MS_WRAPS, depth_m=depth_m)
+    return BoardZero(folder, boot, lambda: at_s).note(telemetry)
 
 
 @pytest.mark.parametrize(

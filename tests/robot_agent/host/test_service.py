@@ -42,10 +42,10 @@ def test_systemd_accepts_the_unit_and_finds_it_shut_in(tmp_path: Path) -> None:
     )
     assert rated.returncode == 0, rated.stdout[-300:]  # exposure at most 3.0 of 10
     figure = re.search(r"exposure level for .*: ([0-9.]+)", rated.stdout)
-    said = re.search(r"of systemd (\d+)\s+rates it ([0-9.]+) of 10", Path("docs/deploy.md").read_text(encoding="utf-8"))
+    sentence = re.search(r"of systemd (\d+)\s+rates it ([0-9.]+) of 10", Path("docs/deploy.md").read_text(encoding="utf-8"))
     version = subprocess.run([SYSTEMD, "--version"], capture_output=True, text=True, check=True).stdout.split()[1]
-    assert figure is not None and said is not None
-    assert version != said[1] or figure[1] == said[2]  # another systemd counts otherwise
+    assert figure is not None and sentence is not None
+    assert version != sentence[1] or figure[1] == sentence[2]  # another systemd counts otherwise
 
 
 def test_the_unit_says_what_was_decided() -> None:
@@ -74,15 +74,15 @@ def test_value_that_systemd_would_misread_is_refused(home: str, user: str) -> No
 
 def ear(path: Path) -> socket.socket:
     """The service manager's end of $NOTIFY_SOCKET."""
-    heard = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-    heard.bind(str(path))
-    heard.settimeout(30.0)
-    return heard
+    manager = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    manager.bind(str(path))
+    manager.settimeout(30.0)
+    return manager
 
 
 @pytest.mark.parametrize("name", ["notify", "robot@pool"])
 def test_the_watchdog_is_fed_as_often_as_asked_and_never_by_itself(tmp_path: Path, name: str) -> None:
-    with ear(tmp_path / name) as heard:
+    with ear(tmp_path / name) as manager:
         watchdog = ServiceNotifier({"NOTIFY_SOCKET": str(tmp_path / name), "WATCHDOG_USEC": "2000000"})
         watchdog.ready("flying")
         watchdog.mode("FAULT", "no pose")
@@ -90,16 +90,16 @@ def test_the_watchdog_is_fed_as_often_as_asked_and_never_by_itself(tmp_path: Pat
             watchdog.alive(now_ns)
         watchdog.stopping()
         watchdog.close()
-        heard.setblocking(False)
-        said = []
-        while (text := _next(heard)) is not None:
-            said.append(text)
-    assert said == ["READY=1\nSTATUS=flying", "STATUS=fault: no pose", *["WATCHDOG=1"] * TIMES_A_WATCH, "STOPPING=1"]
+        manager.setblocking(False)
+        texts = []
+        while (text := _next(manager)) is not None:
+            texts.append(text)
+    assert texts == ["READY=1\nSTATUS=flying", "STATUS=fault: no pose", *["WATCHDOG=1"] * TIMES_A_WATCH, "STOPPING=1"]
 
 
-def _next(heard: socket.socket) -> str | None:
+def _next(manager: socket.socket) -> str | None:
     try:
-        return heard.recv(1000).decode()
+        return manager.recv(1000).decode()
     except BlockingIOError:
         return None
 
@@ -158,23 +158,23 @@ def test_a_real_agent_tells_systemd_when_it_is_ready_and_that_its_loop_goes_roun
     environment = {**os.environ, "NOTIFY_SOCKET": str(tmp_path / "notify"), "WATCHDOG_USEC": "400000"}
     environment["RUNTIME_DIRECTORY"] = str(tmp_path)
     command = ["run", "pool", "--robot", "1", "--link", "udp:127.0.0.1:9", "--station", address]
-    with ear(tmp_path / "notify") as heard:
+    with ear(tmp_path / "notify") as manager:
         agent = subprocess.Popen([sys.executable, "-m", "robot_agent", *command], env=environment, stderr=subprocess.DEVNULL)
         router = None
         try:
-            heard.settimeout(3.0)
+            manager.settimeout(3.0)
             with pytest.raises(TimeoutError):  # no station yet: not ready, and nothing to vouch for
-                heard.recv(1000)
+                manager.recv(1000)
             router = ZenohTransport(Endpoint(address, router=True))
-            heard.settimeout(30.0)
-            assert heard.recv(1000) == b"READY=1\nSTATUS=robot 1, experiment pool"
-            assert heard.recv(1000) == b"STATUS=disarmed"
+            manager.settimeout(30.0)
+            assert manager.recv(1000) == b"READY=1\nSTATUS=robot 1, experiment pool"
+            assert manager.recv(1000) == b"STATUS=disarmed"
             assert (tmp_path / "status").read_text() == f"DISARMED {agent.pid}\n"  # `groundstation deploy` reads it
-            assert [heard.recv(1000) for _ in range(5)] == [b"WATCHDOG=1"] * 5
+            assert [manager.recv(1000) for _ in range(5)] == [b"WATCHDOG=1"] * 5
             agent.terminate()
-            told = b""
-            while told != b"STOPPING=1":
-                told = heard.recv(1000)
+            text = b""
+            while text != b"STOPPING=1":
+                text = manager.recv(1000)
             assert agent.wait(20.0) == 0
         finally:
             agent.kill()
@@ -235,10 +235,10 @@ thread.start(); thread.join()
 print(refused, here == (os.SCHED_FIFO, 5), there == [os.SCHED_OTHER])
 """
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
-    said = done.stdout.strip()
-    if "priority" in said:
-        pytest.skip(f"this container allows no real-time priority: {said}")
-    assert said == "[] True True"
+    output = done.stdout.strip()
+    if "priority" in output:
+        pytest.skip(f"this container allows no real-time priority: {output}")
+    assert output == "[] True True"
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="threads are pinned on Linux")
@@ -289,7 +289,7 @@ after = mmap.mmap(-1, 1 << 29)
 said = dict(line.split(":", 1) for line in pathlib.Path("/proc/self/status").read_text().splitlines() if ":" in line)
 print(refused, int(said["VmLck"].split()[0]) > 2**20, int(said["VmRSS"].split()[0]) < 2**19)
 """
-    said = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout.strip()
-    if "lock_memory" in said:
-        pytest.skip(f"this container locks no memory: {said}")
-    assert said == "[] True True"
+    output = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout.strip()
+    if "lock_memory" in output:
+        pytest.skip(f"this container locks no memory: {output}")
+    assert output == "[] True True"

@@ -44,10 +44,10 @@ def test_poses_at_any_rate_leave_the_mean_period_within_one_percent(rate_hz: flo
 
 @pytest.mark.parametrize("rate_hz", [20.0, 40.0, 60.0])
 def test_where_rates_match_poses_are_taken_as_they_come(rate_hz: float) -> None:
-    found = list(steps((0.021 + k / rate_hz for k in range(6000)), 30.0))
-    ages_s = np.array([age_s for now_s, age_s in found if now_s > 10.0])
+    step_times = list(steps((0.021 + k / rate_hz for k in range(6000)), 30.0))
+    ages_s = np.array([age_s for now_s, age_s in step_times if now_s > 10.0])
     assert ages_s.max() < 0.001
-    assert np.diff([now_s for now_s, _ in found])[200:] == pytest.approx(PERIOD_S, abs=0.001)
+    assert np.diff([now_s for now_s, _ in step_times])[200:] == pytest.approx(PERIOD_S, abs=0.001)
 
 
 def test_poses_that_take_now_longer_now_shorter_are_still_taken_as_they_come() -> None:

@@ -148,7 +148,7 @@ def test_a_certificate_must_be_valid(starts: int, expires: int, verdict: CheckVe
 def test_clocks_and_times_are_judged_by_their_limits() -> None:
     assert [findings.clock(s).verdict for s in (0.9, -0.9, 1.1, -3600)] == [CheckVerdict.OK] * 2 + [CheckVerdict.WARN] * 2
     codes = [findings.same_code(stations, "1.0 abc") for stations in ("1.0 abc", "1.0 abd", "")]
-    assert [found.verdict for found in codes] == [CheckVerdict.OK, CheckVerdict.WARN, CheckVerdict.WARN]
+    assert [finding.verdict for finding in codes] == [CheckVerdict.OK, CheckVerdict.WARN, CheckVerdict.WARN]
     assert "1.0 abc" in codes[1].detail and "1.0 abd" in codes[1].detail
     verdicts = [findings.timing(p50, p99, 0.05, 1).verdict for p50, p99 in ((1, 24), (1, 26), (26, 30))]
     assert verdicts == [CheckVerdict.OK, CheckVerdict.WARN, CheckVerdict.FAIL]
@@ -214,8 +214,8 @@ def test_an_autopilot_and_another_robots_board_fail_by_name(system: int, says: s
     monkeypatch.setattr(check_shell, "BOARD_WITHIN_S", 0.05)
     monkeypatch.setattr(check_shell, "REHEARSED", check_shell.WARM_UP + 1)
     board = AgentConfig(robot=1, experiment="pool", station=f"tcp/127.0.0.1:{free_port()}", link="udp:127.0.0.1:9")
-    found = {finding.what: finding for finding in check_shell.run_preflight(board, None)}
-    assert found["thruster board"].verdict is CheckVerdict.FAIL and says in found["thruster board"].detail
+    findings = {finding.what: finding for finding in check_shell.run_preflight(board, None)}
+    assert findings["thruster board"].verdict is CheckVerdict.FAIL and says in findings["thruster board"].detail
 
 
 class Told(obedient_board.Board):
@@ -228,8 +228,8 @@ class Told(obedient_board.Board):
     def read(self) -> bytes:
         self._late -= 1
         self._ms += 50
-        told = [self._link.status(12.1, 0, 0, 0), self._link.pressure(self._ms, 0.3), self._link.attitude(self._ms, 0.2, 0.0)]
-        return b"".join(told + ([self._link.heartbeat(self._armed, True)] if self._late < 0 else []))
+        parts = [self._link.status(12.1, 0, 0, 0), self._link.pressure(self._ms, 0.3), self._link.attitude(self._ms, 0.2, 0.0)]
+        return b"".join(parts + ([self._link.heartbeat(self._armed, True)] if self._late < 0 else []))
 
 
 @pytest.mark.parametrize(
@@ -254,11 +254,11 @@ def test_thrusters_are_turned_only_on_a_board_that_says_it_is_disarmed(
         yield CheckFinding("thruster 1", CheckVerdict.OK, "turned")
 
     board = AgentConfig(robot=1, experiment="pool", station=f"tcp/127.0.0.1:{free_port()}", link="udp:127.0.0.1:9")
-    found = {finding.what: finding for finding in check_shell.run_preflight(board, turn)}
-    assert says in found["thruster board"].detail
-    assert found["thruster board"].verdict is (CheckVerdict.OK if turns else CheckVerdict.WARN)
+    findings = {finding.what: finding for finding in check_shell.run_preflight(board, turn)}
+    assert says in findings["thruster board"].detail
+    assert findings["thruster board"].verdict is (CheckVerdict.OK if turns else CheckVerdict.WARN)
     assert turned == (["pool"] if turns else [])
-    assert ("thrusters" in found) is not turns
+    assert ("thrusters" in findings) is not turns
 
 
 def test_an_agent_whose_presence_is_told_late_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -336,16 +336,16 @@ def checked(folder: Path, *more: str) -> tuple[int, dict[str, tuple[str, str]]]:
 
 
 def test_a_board_where_all_is_well_passes_and_its_thrusters_turn(site: Path) -> None:
-    code, found = checked(site, "--thrusters", "--yes")
-    bad = {what: row for what, row in found.items() if row[0] == "fail" and what != "control step"}  # that is this machine's
+    code, results = checked(site, "--thrusters", "--yes")
+    bad = {what: row for what, row in results.items() if row[0] == "fail" and what != "control step"}  # that is this machine's
     assert bad == {}
-    assert code in (0, int(found["control step"][0] == "fail"))
-    assert "robot 1 of 2" in found["experiment"][1]
-    assert "disarmed" in found["thruster board"][1]
-    assert "its mission is WAITING" in found["station"][1]
-    assert found["clock"][0] == "ok"
-    assert found["code"][0] == "warn" and "an earlier version" in found["code"][1], "this one's heartbeat says no code"
-    assert [found[f"{part} {i}"][0] for part in ("thruster", "ankle") for i in (1, 2, 3, 4)] == ["ok"] * 8
+    assert code in (0, int(results["control step"][0] == "fail"))
+    assert "robot 1 of 2" in results["experiment"][1]
+    assert "disarmed" in results["thruster board"][1]
+    assert "its mission is WAITING" in results["station"][1]
+    assert results["clock"][0] == "ok"
+    assert results["code"][0] == "warn" and "an earlier version" in results["code"][1], "this one's heartbeat says no code"
+    assert [results[f"{part} {i}"][0] for part in ("thruster", "ankle") for i in (1, 2, 3, 4)] == ["ok"] * 8
     answers = "y\n" + "y\ny\n" * 4 + "y\nn\n" + "n\n" + "y\ny\n" * 2  # ankle 1 is seen to move wrongly, 2 is left out
     person = CliRunner().invoke(cli, ["check", "--config", str(site / "agent.toml"), "--thrusters", "--json"], input=answers)
     rows = {row["what"]: row for row in json.loads(person.stdout[person.stdout.index("[\n") :])}
@@ -359,8 +359,8 @@ def test_a_board_where_all_is_well_passes_and_its_thrusters_turn(site: Path) -> 
     agent = Bus(ZenohTransport(endpoint(board.station, "agent-1", site / "keys"), patience_s=5.0))
     try:
         agent.announce("agent-1")  # it flies: hands off its thrusters
-        found = checked(site, "--thrusters", "--yes")[1]
-        assert [found[what][0] for what in ("thruster board", "thrusters")] == ["skipped", "skipped"]
+        results = checked(site, "--thrusters", "--yes")[1]
+        assert [results[what][0] for what in ("thruster board", "thrusters")] == ["skipped", "skipped"]
     finally:
         agent.close()
 
@@ -369,17 +369,17 @@ def test_failed_check_is_named(tmp_path: Path) -> None:
     file = tmp_path / "agent.toml"
     text = 'experiment = "pool"\nrobot = 9\nstation = "{}"\nlink = "serial:/dev/nothing-here"\nkeys = "keys"\n'
     file.write_text(text.format(f"tls/127.0.0.1:{free_port()}"))
-    code, found = checked(tmp_path, "--thrusters", "--yes")
+    code, rows = checked(tmp_path, "--thrusters", "--yes")
     assert code == 1
-    assert found["thrusters"][0] == "skipped"  # nobody turns what is not heard
+    assert rows["thrusters"][0] == "skipped"  # nobody turns what is not heard
     for what, says in (
         ("experiment", "robot"),
         ("device", "/dev/nothing-here: not there"),
         ("thruster board", "silent"),
         ("certificate", "is missing"),
     ):
-        assert found[what][0] == "fail"
-        assert says in found[what][1]
+        assert rows[what][0] == "fail"
+        assert says in rows[what][1]
     ring = tmp_path / "keys"
     key_ring.init(ring, [], "shoal", datetime.now(UTC))
     key_ring.add(ring, "robot", 9, datetime.now(UTC))

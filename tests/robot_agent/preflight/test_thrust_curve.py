@@ -33,12 +33,12 @@ def measured(scale: float = 1.0, noise_g: float = 1.0, seed: int = 1) -> list[st
 
 
 def test_fitted_curve_is_the_thrusters_within_the_scales_noise() -> None:
-    found = fit(read_rows(measured(), "scale.csv"), "scale.csv", 12, 0.03)
-    assert len(found.curve) == 12
-    off = [abs(interpolate(found.curve, pulse) - float(TRUE.force_n(np.array(float(pulse))))) for pulse in PULSES]
+    result = fit(read_rows(measured(), "scale.csv"), "scale.csv", 12, 0.03)
+    assert len(result.curve) == 12
+    off = [abs(interpolate(result.curve, pulse) - float(TRUE.force_n(np.array(float(pulse))))) for pulse in PULSES]
     assert max(off) < 0.05, "N; the scale is 0.01 N off, and twelve points are a little less than the whole"
-    assert found.rms_n < 0.03
-    assert np.all(np.diff(found.curve, axis=0)[:, 0] > 0) and np.all(np.diff(found.curve, axis=0)[:, 1] >= 0)
+    assert result.rms_n < 0.03
+    assert np.all(np.diff(result.curve, axis=0)[:, 0] > 0) and np.all(np.diff(result.curve, axis=0)[:, 1] >= 0)
 
 
 @pytest.mark.long
@@ -47,10 +47,10 @@ def test_readings_that_fall_are_levelled_as_isotonic_regression_does(rows: list[
     readings = [ThrustReading(1, 1000 + 10 * i, force) for i, (force, times) in enumerate(rows) for _ in range(times)]
     expected = isotonic_regression([force for force, _ in rows], weights=[float(times) for _, times in rows]).x
     try:
-        found = fit(readings, "x", len(rows), 0.0)
+        result = fit(readings, "x", len(rows), 0.0)
     except ConfigError:
         return  # no thruster's: its reasons are tested below
-    assert [force for _, force in found.curve] == pytest.approx(expected, abs=1e-3)
+    assert [force for _, force in result.curve] == pytest.approx(expected, abs=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -90,8 +90,8 @@ def test_readings_of_no_thruster_are_refused_with_the_reason(lines: list[str], s
 
 def test_command_prints_what_an_experiment_takes(tmp_path: Path) -> None:
     (tmp_path / "scale.csv").write_text("\n".join(measured(scale=2.0)), encoding="utf-8")
-    said = CliRunner().invoke(cli, ["identify", "thrust", str(tmp_path / "scale.csv"), "--lever", "0.4"])
-    printed = tomllib.loads(said.stdout)["vehicle"]
+    result = CliRunner().invoke(cli, ["identify", "thrust", str(tmp_path / "scale.csv"), "--lever", "0.4"])
+    printed = tomllib.loads(result.stdout)["vehicle"]
     curve = printed["thruster"]["curve"]
     flown = load_experiment("pool", [f"vehicle={{like='spherical', thruster={{curve={curve}, max_thrust_n=2.3}}}}"])
     assert float(flown.vehicle.thruster.force_n(np.array(1900.0))) == pytest.approx(0.8 * 3.0, abs=0.05)

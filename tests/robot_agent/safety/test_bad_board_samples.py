@@ -77,10 +77,10 @@ class RehearsedBoard:
         self._was_armed = good.armed
         frames.append(board.attitude(reports.board_ms, reports.heading_rad, reports.yaw_rate_radps, reports.tilt))
         if slowest:
-            ((_, asked),) = board.receive(self.link.timesync(now_ns - 2 * MS), now_ns)
-            assert isinstance(asked, Timesync)
+            ((_, request),) = board.receive(self.link.timesync(now_ns - 2 * MS), now_ns)
+            assert isinstance(request, Timesync)
             board_ns = now_ns - MS + SWITCHED_ON_MS * MS + reports.clock_off_ns
-            frames.append(board.timesync(board_ns, asked.sent_ns))
+            frames.append(board.timesync(board_ns, request.sent_ns))
         self.link.receive(b"".join(frames), now_ns)
 
     def _heartbeat(self, reports: Reports) -> bytes:

@@ -26,10 +26,10 @@ def test_every_state_has_a_way_out_a_longest_stay_and_what_happens_then() -> Non
 
 def test_the_state_follows_from_the_facts_alone_within_a_step() -> None:
     for state, facts in itertools.product(Guidance, FACTS):
-        found = next_state(state, facts)
-        assert next_state(found, facts) is found
-        assert (found is Guidance.NONE) is (facts.mode not in POWERED)
-        assert (found in (Guidance.HOLDING, Guidance.DRIVEN)) is (facts.mode in (Mode.HOLDING, Mode.DRIVEN))
+        follower = next_state(state, facts)
+        assert next_state(follower, facts) is follower
+        assert (follower is Guidance.NONE) is (facts.mode not in POWERED)
+        assert (follower in (Guidance.HOLDING, Guidance.DRIVEN)) is (facts.mode in (Mode.HOLDING, Mode.DRIVEN))
 
 
 def test_an_encounter_is_joined_left_and_returned_from() -> None:
@@ -39,11 +39,11 @@ def test_an_encounter_is_joined_left_and_returned_from() -> None:
         (tracking, False, False), (tracking, True, False), (tracking, False, False), (tracking, False, True),
         (tracking, False, False), (Mode.HOLDING, True, True), (tracking, False, False), (Mode.FAULT, False, True),
     ]  # fmt: skip
-    state, seen = Guidance.NONE, []
+    state, names = Guidance.NONE, []
     for fact in facts:
         state = next_state(state, GuidanceFacts(*fact, is_steady=True))
-        seen.append(state.name)
-    assert seen == [
+        names.append(state.name)
+    assert names == [
         "NONE", "JOINING", "ON_PATH", "GIVING_WAY", "RETURNING", "GIVING_WAY", "RETURNING", "ON_PATH", "JOINING", "HOLDING",
         "JOINING", "NONE",
     ]  # fmt: skip
@@ -51,11 +51,11 @@ def test_an_encounter_is_joined_left_and_returned_from() -> None:
 
 def test_a_state_along_the_path_that_has_just_begun_is_left_for_a_leap_of_the_path_only() -> None:
     for state, facts in itertools.product(ALONG_PATH, FACTS):
-        found = next_state(state, facts)
+        after = next_state(state, facts)
         if facts.mode is Mode.TRACKING and not facts.is_steady:
-            assert found in (state, Guidance.JOINING)
+            assert after in (state, Guidance.JOINING)
         else:
-            assert found is next_state(state, facts._replace(is_steady=True))
+            assert after is next_state(state, facts._replace(is_steady=True))
 
 
 def test_every_transition_is_in_the_table_of_the_docs() -> None:

@@ -96,8 +96,8 @@ def test_to_ask_how_a_robot_is_changes_nothing() -> None:
     for k in range(3):
         monitor.note_inputs(wrong, Mode.TRACKING, NOW_NS + 50 * k * MS)
     later_ns = NOW_NS + 140 * MS
-    asked = [monitor.health(wrong, False, later_ns) for _ in range(20)]
-    assert asked == asked[:1] * 20 and asked[0].echo_wrong_s > 0.0
+    verdicts = [monitor.health(wrong, False, later_ns) for _ in range(20)]
+    assert verdicts == verdicts[:1] * 20 and verdicts[0].echo_wrong_s > 0.0
     assert monitor.arming_refusal(wrong, STATION, later_ns) == monitor.arming_refusal(wrong, STATION, later_ns)
 
 
@@ -141,17 +141,17 @@ def test_an_estimate_that_ends_under_power_is_remembered_until_the_power_is_gone
 
 def asked(modes: list[Mode], armed: list[bool], period_s: float = 0.05) -> list[bool | None]:
     monitor = HealthMonitor(POOL)
-    found = zip(modes, armed, strict=True)
-    return [monitor.arming_command(is_armed, mode, round(k * period_s * 1e9)) for k, (mode, is_armed) in enumerate(found)]
+    pairs = zip(modes, armed, strict=True)
+    return [monitor.arming_command(is_armed, mode, round(k * period_s * 1e9)) for k, (mode, is_armed) in enumerate(pairs)]
 
 
 def test_every_step_disarms_for_half_a_second_when_the_power_is_taken_away() -> None:
     """Even within the time after which an order to arm is repeated, and though the board has not said that it is armed."""
     n = round(DISARM_S / 0.05)
-    told = asked([Mode.DISARMED] * 20 + [Mode.ARMED] * 2 + [Mode.STOPPED] * 30, [False] * 52)
-    assert told[20:22] == [True, None]
-    assert told[22 : 22 + n] == [False] * n
-    assert told[22 + n :] == [None] * (30 - n)
+    commands = asked([Mode.DISARMED] * 20 + [Mode.ARMED] * 2 + [Mode.STOPPED] * 30, [False] * 52)
+    assert commands[20:22] == [True, None]
+    assert commands[22 : 22 + n] == [False] * n
+    assert commands[22 + n :] == [None] * (30 - n)
 
 
 def test_a_program_that_begins_disarms_its_board_first() -> None:
@@ -160,10 +160,10 @@ def test_a_program_that_begins_disarms_its_board_first() -> None:
 
 
 def test_a_board_that_stays_armed_is_told_again_and_again() -> None:
-    told = asked([Mode.DISARMED] * 60, [True] * 60)[20:]
-    assert told.count(False) == round(40 * 0.05 / ARM_AGAIN_S) and True not in told
+    commands = asked([Mode.DISARMED] * 60, [True] * 60)[20:]
+    assert commands.count(False) == round(40 * 0.05 / ARM_AGAIN_S) and True not in commands
 
 
 def test_a_board_that_does_not_arm_is_asked_again_and_not_at_every_step() -> None:
-    told = asked([Mode.ARMED] * 21, [False] * 21)
-    assert told.count(True) == 1 + round(20 * 0.05 / ARM_AGAIN_S) and False not in told
+    commands = asked([Mode.ARMED] * 21, [False] * 21)
+    assert commands.count(True) == 1 + round(20 * 0.05 / ARM_AGAIN_S) and False not in commands

@@ -43,15 +43,15 @@ def fresh() -> LikelihoodRatioTest:
 
 def likelier(x: Array, y: Array, noise: float, mean: Array, covariance: Array) -> float:
     """Log-likelihood ratio of y with a share missing, over all shares, parts and spans, tried one by one."""
-    found = []
+    ratios = []
     for span_s in SPANS_S:
         a, b = x[-round(span_s / STEP_S) - 1 :], y[-round(span_s / STEP_S) - 1 :]
         spread = noise**2 * np.eye(len(a)) + a @ covariance @ a.T
         usual = multivariate_normal(a @ mean, spread)
-        found += [
+        ratios += [
             usual.logpdf(b + share * a[:, part]) - usual.logpdf(b) for part in (0, 1) for share in np.linspace(*SHARES, 57)
         ]
-    return float(max(found))
+    return float(max(ratios))
 
 
 @pytest.mark.parametrize("missing", [0.0, 0.25, 0.5, 0.8, 1.0, 2.0])
@@ -91,13 +91,13 @@ def test_change_is_doubted_at_once_and_settled_by_later_samples_only() -> None:
     alike = np.zeros((4, 4))
     alike[:2, :2] = 0.33**2
 
-    def most(told: bool) -> float:
+    def most(is_settled: bool) -> float:
         test = teach(fresh(), x[:begin], y[:begin])
-        if told:
+        if is_settled:
             test.note_change(alike, begin * round(STEP_S * NS))
         return max(teach(test, x[k : k + 1], y[k : k + 1], k).evidence for k in range(begin, len(x)))
 
-    assert most(told=True) < SUSPECTED < 8.0 < most(told=False)
+    assert most(is_settled=True) < SUSPECTED < 8.0 < most(is_settled=False)
 
 
 def test_however_many_changes_are_told_no_less_is_known_than_at_first() -> None:
@@ -125,11 +125,11 @@ def test_suspected_sample_does_not_become_a_habit() -> None:
 def test_habit_that_is_not_seen_any_more_is_doubted_again() -> None:
     x, y = samples(np.zeros(4), 30.0, 5)
     broken = y[-20:] - 0.8 * x[-20:, 0]
-    known = teach(teach(fresh(), x[:-20], y[:-20]), x[-20:], broken, len(x) - 20).evidence
+    evidence = teach(teach(fresh(), x[:-20], y[:-20]), x[-20:], broken, len(x) - 20).evidence
     test, idle = teach(fresh(), x[:-20], y[:-20]), round(FADES_S / STEP_S)
     teach(test, np.tile([0.0, 0.0, 0.0, 1.0], (idle, 1)), np.zeros(idle), len(x))
     doubted = teach(test, x[-20:], broken, len(x) + idle).evidence
-    assert 1.0 < doubted < 0.5 * known
+    assert 1.0 < doubted < 0.5 * evidence
 
 
 def test_rough_samples_are_less_evidence() -> None:

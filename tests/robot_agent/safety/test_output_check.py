@@ -41,11 +41,11 @@ def test_one_output_that_is_wrong_is_enough_and_a_right_echo_now_and_then_excuse
     check = OutputCheck(4)
     check.note_pulses(STILL, 0)
     wrong = (*STILL[:output], 1506, *STILL[output + 1 :])
-    found = []
+    durations_s = []
     for k, echo in enumerate((STILL, wrong, wrong, STILL, wrong, STILL)):
         at_ns = (500 + 50 * k) * MS
-        found.append(wrong_s(check, said(echo, at_ns), at_ns))
-    assert found == pytest.approx([0.0, 0.05, 0.1, 0.1, 0.15, 0.15])
+        durations_s.append(wrong_s(check, said(echo, at_ns), at_ns))
+    assert durations_s == pytest.approx([0.0, 0.05, 0.1, 0.1, 0.15, 0.15])
     assert wrong_s(check, said(STILL, 1900 * MS), 1900 * MS) == 0.0, "long ago"
 
 
@@ -58,13 +58,13 @@ def test_a_pause_of_the_robots_computer_is_no_long_disobedience() -> None:
 def test_outputs_that_change_places_are_found_though_each_was_told_the_others_pulse_a_moment_ago() -> None:
     """As the front legs' pulses swing against one another, each stays where it has been; the rear legs' give it away."""
     for is_crossed in (False, True):
-        check, told = OutputCheck(4), [STILL]
+        check, pulses_us = OutputCheck(4), [STILL]
         for k in range(1, 60):
             swing = round(30.0 * np.sin(0.5 * k))
-            told.append((1550 + swing, 1550 - swing, 1450 + swing, 1450 - swing, *STILL[4:]))
-            check.note_pulses(told[-1], k * 50 * MS)
-            one, other, *rest = told[-2]
-            found_s = wrong_s(check, said((other, one, *rest) if is_crossed else told[-2], k * 50 * MS), k * 50 * MS)
+            pulses_us.append((1550 + swing, 1550 - swing, 1450 + swing, 1450 - swing, *STILL[4:]))
+            check.note_pulses(pulses_us[-1], k * 50 * MS)
+            one, other, *rest = pulses_us[-2]
+            found_s = wrong_s(check, said((other, one, *rest) if is_crossed else pulses_us[-2], k * 50 * MS), k * 50 * MS)
         assert found_s > 0.2 if is_crossed else found_s == 0.0
 
 

@@ -86,8 +86,8 @@ def test_guidance_state_of_an_encounter_is_steady(
 def test_all_that_meet_give_way_and_are_on_their_paths_in_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
     log = flown(monkeypatch, "meet-4", 1, 60.0)
     for states in log.states:
-        seen = [s.guidance for k, s in enumerate(states[1:]) if s.guidance is not states[k].guidance]
-        assert Guidance.GIVING_WAY in seen and seen[-1] is Guidance.ON_PATH
+        changes = [s.guidance for k, s in enumerate(states[1:]) if s.guidance is not states[k].guidance]
+        assert Guidance.GIVING_WAY in changes and changes[-1] is Guidance.ON_PATH
 
 
 @pytest.mark.slow
@@ -98,8 +98,8 @@ def test_of_two_that_cross_only_the_one_with_the_other_to_starboard_gives_way(
     log = flown(monkeypatch, "meet-2", number, 60.0)
     ways = [complex(*(states[-1].eta - states[0].eta)[:2]) for states in log.states]
     for way, other, states in zip(ways, ways[::-1], log.states, strict=True):
-        seen = [s.guidance for s in states[1:]]
+        states_met = [s.guidance for s in states[1:]]
         # y points to starboard: who comes from there goes to port
         has_it_to_starboard = (way.conjugate() * other).imag < 0.0
-        assert (Guidance.GIVING_WAY in seen) is has_it_to_starboard
-        assert seen[-1] is Guidance.ON_PATH
+        assert (Guidance.GIVING_WAY in states_met) is has_it_to_starboard
+        assert states_met[-1] is Guidance.ON_PATH

@@ -26,8 +26,8 @@ def test_evidence_is_that_of_inverse_matrices(seed: int) -> None:
             share = np.clip(along / size, least, most)
             best = max(best, float(share * (along - 0.5 * share * size)))
     known, sought = Knowledge(theta, covariance), Sought(3, least, most)
-    found = largest_evidence(np.column_stack([x, y]), weights, begins, known, sought)
-    assert found == pytest.approx(best, rel=1e-7)
+    evidence = largest_evidence(np.column_stack([x, y]), weights, begins, known, sought)
+    assert evidence == pytest.approx(best, rel=1e-7)
 
 
 @pytest.mark.parametrize("lag_s", [0.0, 0.1])
@@ -64,13 +64,13 @@ def test_legs_give_less_the_farther_their_ankles_are_turned_and_these_turn_at_th
         moment = moment + fine_s / lag_s * ((level[i] if i >= 0 else 0.0) - moment)
         angle = angle + np.clip((turned[j] if j >= 0 else 0.0) - angle, -rate_radps * fine_s, rate_radps * fine_s)
         integral += fine_s * moment * np.cos(angle)
-    found = np.zeros(4)
+    impulse_sum = np.zeros(4)
     for span_ns in ((0, STEP_NS), (STEP_NS, 4 * STEP_NS)):
         follow_legs(
             CommandRows(thrust_ns, level, 5), CommandRows(ankle_ns, turned, 5), lag_s, rate_radps, span_ns, work, impulse
         )
-        found += impulse
-    assert found == pytest.approx(integral, abs=1e-3) and work[1] == pytest.approx(angle, abs=1e-3)
+        impulse_sum += impulse
+    assert impulse_sum == pytest.approx(integral, abs=1e-3) and work[1] == pytest.approx(angle, abs=1e-3)
 
 
 @pytest.mark.parametrize("seed", range(60))

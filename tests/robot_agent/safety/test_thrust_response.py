@@ -30,9 +30,9 @@ def fly(
     for k in range(round(12.0 / FINE_S)):
         time_s = k * FINE_S
         if k % round(1.0 / (rate_hz * FINE_S)) == 0:
-            seen = place + POSE_M * complex(*random.normal(size=2))
+            measured_place = place + POSE_M * complex(*random.normal(size=2))
             read_rad = yaw + math.radians(marker_deg) + YAW_RAD * random.normal()
-            response.note_pose(round(time_s * 1e9), seen, read_rad, POSE_M**2)
+            response.note_pose(round(time_s * 1e9), measured_place, read_rad, POSE_M**2)
             surge_n = 5.0 * math.sin(0.9 * time_s) if time_s > 1.0 else 0.0
             response.note_thrust(surge_n, round(time_s * 1e9))
             if held is None and response.held_fast:

@@ -24,13 +24,13 @@ LEVEL = np.zeros(4)  # ankles
 def flagged(settings: Sequence[str], duration_s: float, faults: Sequence[str] = (), name: str = "pool") -> dict[int, float]:
     """Which robots stopped because of their thrusters, and when."""
     fleet = flew(load_experiment(name, [*settings, f"duration_s={duration_s}"], faults))
-    found: dict[int, float] = {}
+    instants_s: dict[int, float] = {}
     for number, robot in zip(fleet.experiment.robot_ids, fleet.robots, strict=True):
         begin = next(k for k, state in enumerate(robot.states) if state.trajectory_s > 0.0)
         times = [(k - begin) * 0.05 for k, s in enumerate(robot.states) if s.fault.startswith("thrusters do not do as told")]
-        found |= {number: times[0]} if times else {}
+        instants_s |= {number: times[0]} if times else {}
         assert all(s.mode is Mode.FAULT and s.pulse_us[:4] == (1500,) * 4 for s in robot.states[-1:] if times)
-    return found
+    return instants_s
 
 
 @pytest.mark.parametrize(
@@ -45,9 +45,9 @@ def flagged(settings: Sequence[str], duration_s: float, faults: Sequence[str] = 
     ],
 )  # while each of them pushes
 def test_a_broken_thruster_is_found_within_two_seconds(at_s: float, what: str) -> None:
-    found = flagged((), at_s + WITHIN_S, [f"t={at_s} thruster {what}"])
-    assert list(found) == [int(what[0])]
-    assert at_s < found[int(what[0])] <= at_s + WITHIN_S
+    instants_s = flagged((), at_s + WITHIN_S, [f"t={at_s} thruster {what}"])
+    assert list(instants_s) == [int(what[0])]
+    assert at_s < instants_s[int(what[0])] <= at_s + WITHIN_S
 
 
 @pytest.mark.parametrize(
@@ -76,8 +76,8 @@ def test_battery_that_falls_at_once_is_no_broken_thruster_and_one_that_breaks_th
     """By 2.4 V, to what a robot may just fly with: all legs give a quarter less."""
     sag = [f"t=8 battery {robot} sag 2.4" for robot in (1, 2)]
     assert flagged((), 12.0, sag, "figure-eight") == {}
-    found = flagged((), 16.0, [*sag, "t=14 thruster 2/3 dead"])
-    assert list(found) == [2] and found[2] > 14.0
+    instants_s = flagged((), 16.0, [*sag, "t=14 thruster 2/3 dead"])
+    assert list(instants_s) == [2] and instants_s[2] > 14.0
 
 
 @pytest.mark.slow
@@ -113,8 +113,8 @@ def watched(
     drag, mass, thruster = vehicle.drag, vehicle.mass.yaw_kg_m2, vehicle.thruster
     noise = np.random.default_rng(1).normal(0.0, GYRO_RADPS, len(told_nm))
     line, rates = [0.0] * round(thruster.dead_time_s / 0.001), [0.0, 0.0]
-    for k, (torque, told) in enumerate(zip(torque_nm, told_nm, strict=True)):
-        detector.note_moments(told, LEVEL, k * STEP_NS)
+    for k, (torque, command_nm) in enumerate(zip(torque_nm, told_nm, strict=True)):
+        detector.note_moments(command_nm, LEVEL, k * STEP_NS)
         if volts and k in volts:
             detector.note_voltage(volts[k], k * STEP_NS)
         for _ in range(50):
@@ -131,85 +131,86 @@ def watched(
 
 
 def test_an_obeyed_moment_is_no_alarm_and_its_opposite_is() -> None:
-    told = legs(20.0, swing=0.1, largest_nm=0.08)
-    moment = told.sum(axis=1)
-    assert not watched(moment, told).broken
-    assert not watched(1.25 * moment, told).broken
-    assert not watched(0.75 * moment, told).broken
-    assert watched(np.where(np.arange(400) < 300, moment, -moment), told).broken
+    commands_nm = legs(20.0, swing=0.1, largest_nm=0.08)
+    moment = commands_nm.sum(axis=1)
+    assert not watched(moment, commands_nm).broken
+    assert not watched(1.25 * moment, commands_nm).broken
+    assert not watched(0.75 * moment, commands_nm).broken
+    assert watched(np.where(np.arange(400) < 300, moment, -moment), commands_nm).broken
 
 
 @pytest.mark.parametrize("leg", range(4))
 @pytest.mark.parametrize("gives", [0.7, 0.3, 0.0, -1.0])
 def test_each_leg_that_gives_little_is_found_and_one_that_gives_most_is_not(leg: int, gives: float) -> None:
-    told = legs(34.0)
-    given = told.copy()
+    commands_nm = legs(34.0)
+    given = commands_nm.copy()
     given[600:, leg] *= gives
-    assert watched(given.sum(axis=1), told).broken is (gives < 0.5)
+    assert watched(given.sum(axis=1), commands_nm).broken is (gives < 0.5)
 
 
 def test_how_a_robot_turns_is_learned() -> None:
     """Seven tenths of the moment all the time are a heavy robot, and one leg that is weaker than others was built so."""
-    told = legs(35.0)
-    obeyed = 0.7 * told
+    commands_nm = legs(35.0)
+    obeyed = 0.7 * commands_nm
     obeyed[:, 1] *= 0.8
-    assert not watched(obeyed.sum(axis=1), told).broken
+    assert not watched(obeyed.sum(axis=1), commands_nm).broken
     broken = obeyed.copy()
     broken[600:, 2] = 0.0
-    assert watched(broken.sum(axis=1), told).broken
+    assert watched(broken.sum(axis=1), commands_nm).broken
 
 
 def test_learned_habit_outlasts_a_gap() -> None:
     """The gap itself is no alarm either, though the robot turned meanwhile."""
-    told = legs(35.0)
-    obeyed = 0.75 * told
+    commands_nm = legs(35.0)
+    obeyed = 0.75 * commands_nm
     gap = range(560, 580)
-    assert not watched(obeyed.sum(axis=1), told, deaf=gap).broken
+    assert not watched(obeyed.sum(axis=1), commands_nm, deaf=gap).broken
     broken = obeyed.copy()
     broken[620:, 0] = 0.0
-    assert watched(broken.sum(axis=1)[:660], told[:660], deaf=gap).broken
+    assert watched(broken.sum(axis=1)[:660], commands_nm[:660], deaf=gap).broken
 
 
 def test_a_leg_that_stuck_is_found_when_it_should_do_otherwise() -> None:
-    told = legs(35.0)
-    given = told.copy()
+    commands_nm = legs(35.0)
+    given = commands_nm.copy()
     given[600:, 3] = given[600, 3]
-    assert watched(given.sum(axis=1), told).broken
+    assert watched(given.sum(axis=1), commands_nm).broken
 
 
 def test_late_sample_raises_no_alarm() -> None:
     """Now and then, or all the time."""
-    told = legs(35.0, swing=0.15, largest_nm=0.25)
-    assert not watched(told.sum(axis=1), told, late=range(500, 600)).broken
-    assert not watched(told.sum(axis=1), told, watch_late_ns=20_000_000).broken
+    commands_nm = legs(35.0, swing=0.15, largest_nm=0.25)
+    assert not watched(commands_nm.sum(axis=1), commands_nm, late=range(500, 600)).broken
+    assert not watched(commands_nm.sum(axis=1), commands_nm, watch_late_ns=20_000_000).broken
 
 
 def test_a_gyroscope_with_a_bias_is_no_alarm() -> None:
-    told = legs(20.0, swing=0.1, largest_nm=0.01)
-    assert not watched(told.sum(axis=1), told, gyro_error=0.02).broken
+    commands_nm = legs(20.0, swing=0.1, largest_nm=0.01)
+    assert not watched(commands_nm.sum(axis=1), commands_nm, gyro_error=0.02).broken
 
 
 def test_a_push_that_stays_is_no_alarm_until_it_is_as_strong_as_a_leg() -> None:
-    told = legs(30.0)
+    commands_nm = legs(30.0)
     for push_nm, broken in ((0.003, False), (0.015, True)):  # idle, a leg gives 0.01
-        assert watched(told.sum(axis=1) + np.where(np.arange(len(told)) > 400, push_nm, 0.0), told).broken is broken
+        push = np.where(np.arange(len(commands_nm)) > 400, push_nm, 0.0)
+        assert watched(commands_nm.sum(axis=1) + push, commands_nm).broken is broken
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_water_that_turns_the_robot_is_no_alarm(seed: int) -> None:
     """Gusts of any length, a third of what a leg gives at its least."""
-    told, random = legs(60.0), np.random.default_rng(seed)
+    commands_nm, random = legs(60.0), np.random.default_rng(seed)
     for seconds in (0.3, 2.0):
-        gusts, kept = np.zeros(len(told)), math.exp(-0.05 / seconds)
+        gusts, kept = np.zeros(len(commands_nm)), math.exp(-0.05 / seconds)
         for k in range(1, len(gusts)):
             gusts[k] = kept * gusts[k - 1] + 0.003 * math.sqrt(1.0 - kept**2) * random.standard_normal()
-        assert not watched(told.sum(axis=1) + gusts, told).broken
+        assert not watched(commands_nm.sum(axis=1) + gusts, commands_nm).broken
 
 
 def test_a_flight_begins_with_thrusters_at_rest() -> None:
     """However they pushed when the last one ended."""
-    told = legs(10.0, largest_nm=0.4)
-    detector = watched(told.sum(axis=1), told)
+    commands_nm = legs(10.0, largest_nm=0.4)
+    detector = watched(commands_nm.sum(axis=1), commands_nm)
     detector.reset()
     begin_ns, still = 1000 * STEP_NS, np.zeros(4)
     for k in range(40):
@@ -234,20 +235,20 @@ TO_AND_FRO = [(1, (12.0, 11.3)), (5, (12.0, 9.9)), (20, (12.0, 9.9)), (5, (12.0,
 @pytest.mark.parametrize(("steps", "volts"), TO_AND_FRO)
 def test_readings_to_and_fro_blind_nobody(steps: int, volts: Sequence[float]) -> None:
     """All the time, while a leg is dead too."""
-    told = legs(34.0)
-    given = told.copy()
+    commands_nm = legs(34.0)
+    given = commands_nm.copy()
     given[600:, 1] = 0.0
-    read = {k: volts[k // steps % len(volts)] for k in range(len(told))}
-    assert not watched(told.sum(axis=1), told, volts=read).broken
-    assert watched(given.sum(axis=1)[: 600 + round(WITHIN_S / 0.05)], told[:640], volts=read).broken
+    read = {k: volts[k // steps % len(volts)] for k in range(len(commands_nm))}
+    assert not watched(commands_nm.sum(axis=1), commands_nm, volts=read).broken
+    assert watched(given.sum(axis=1)[: 600 + round(WITHIN_S / 0.05)], commands_nm[:640], volts=read).broken
 
 
 def test_readings_that_no_battery_gives_blind_nobody() -> None:
-    told = legs(34.0)
-    given = told.copy()
+    commands_nm = legs(34.0)
+    given = commands_nm.copy()
     given[600:, 1] = 0.0
     nonsense = (12.0, np.inf, np.nan, -3.0, 0.0, 1e-300, 65.0)
-    read = {k: nonsense[k % len(nonsense)] for k in range(100, len(told))}
+    read = {k: nonsense[k % len(nonsense)] for k in range(100, len(commands_nm))}
     with np.errstate(all="raise"):
-        assert not watched(told.sum(axis=1), told, volts=read).broken
-        assert watched(given.sum(axis=1), told, volts=read).broken
+        assert not watched(commands_nm.sum(axis=1), commands_nm, volts=read).broken
+        assert watched(given.sum(axis=1), commands_nm, volts=read).broken

@@ -16,11 +16,11 @@ def run(
     """Result and all pulses; the board echoes the last pulses, with `echo` {thruster: what it puts out instead}."""
     test, sent = ThrusterSelftest(VEHICLE, NEUTRAL), [NEUTRAL]
     for step in range(round(4 * (PUSH_S + REST_S) / 0.05) + 20):
-        said = list(sent[-1])
+        echo_us = list(sent[-1])
         for thruster, pulse in (echo or {}).items():
-            said[thruster] = pulse
+            echo_us[thruster] = pulse
         now_ns = step * STEP_NS
-        sent.append(test.step(now_ns >= armed_from_ns, () if silent else said, now_ns))
+        sent.append(test.step(now_ns >= armed_from_ns, () if silent else echo_us, now_ns))
     return test.result, sent
 
 
@@ -50,9 +50,9 @@ def test_a_thruster_that_runs_wild_ends_the_test_and_is_the_only_one_named(
     echo: dict[int, int], result: str, turned: set[int]
 ) -> None:
     """It may stand beside a person: the station disarms as soon as there is a result."""
-    found, sent = run(echo)
+    result_text, sent = run(echo)
     push_us = max(max(pulses[:4]) for pulses in sent)
-    assert found == result.replace("1540", str(push_us))
+    assert result_text == result.replace("1540", str(push_us))
     assert {k for pulses in sent for k in range(4) if pulses[k] != 1500} == turned
     assert sum(pulses != NEUTRAL for pulses in sent) <= 6  # 0.3 s
 

@@ -22,10 +22,10 @@ class WrongPlant(TroubledPlant):
 
     def telemetry(self, i: int, now_ns: int) -> Telemetry:
         """The board's measurements, made wrong."""
-        told = super().telemetry(i, now_ns)
+        telemetry = super().telemetry(i, now_ns)
         if not self.freezes or now_ns < FROZEN_NS:
-            self.last_m = told.depth_m
-        return replace(told, yaw_rate_radps=self.share * told.yaw_rate_radps, depth_m=self.last_m)
+            self.last_m = telemetry.depth_m
+        return replace(telemetry, yaw_rate_radps=self.share * telemetry.yaw_rate_radps, depth_m=self.last_m)
 
 
 def flown(monkeypatch: pytest.MonkeyPatch, number: int) -> flights.FlightLog:

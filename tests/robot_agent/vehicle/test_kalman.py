@@ -18,7 +18,6 @@ from shoal.config.experiment import Experiment, load_experiment
 from shoal.frames import Array, wrap
 from shoal.messages.messages import Mode
 from sim_bridge.in_process.fleet import DirectPlant, fly
-from sim_bridge.plant.kernels import water_motion
 
 pytestmark = pytest.mark.long
 
@@ -56,9 +55,8 @@ def drift(experiment: Experiment, seed: int, noise: float = 1.0, seconds: float 
         if now_ns > held_ns:
             water.advance(now_ns - held_ns - LATE_NS)
         eta, nu, stamp_ns = water.eta[0].copy(), water.nu[0].copy(), now_ns - LATE_NS
-        motion = np.empty((1, 6))
         # private: only the plant knows its water
-        water_motion(np.ascontiguousarray(water.eta[:, :3]), water._plant.time_s(water._state), water._plant._flow, motion)
+        motion = water._plant._flow.motion(water.eta[:, :3], water._plant.time_s(water._state))
         if now_ns > held_ns:
             water.advance(now_ns - held_ns)
         x, y, yaw = eta[[0, 1, 3]] + random.standard_normal(3) * [sd_m, sd_m, sd_rad]

@@ -113,10 +113,10 @@ def test_bad_messages_are_counted_and_the_last_good_one_stays(make_bus: MakeBus)
 
 def test_an_order_is_answered_refused_or_reported_unanswered(make_bus: MakeBus) -> None:
     station, robot = make_bus(), make_bus()
-    seen: list[tuple[Header, messages.Command]] = []
+    commands: list[tuple[Header, messages.Command]] = []
 
     def handle(header: Header, command: messages.Command) -> messages.Reply:
-        seen.append((header, command))
+        commands.append((header, command))
         return messages.Reply(command.robot, command.order is messages.Order.ARM, "only arming", messages.Mode.ARMED)
 
     robot.serve(1, handle)
@@ -125,9 +125,9 @@ def test_an_order_is_answered_refused_or_reported_unanswered(make_bus: MakeBus) 
     assert eventually(lambda: station.command(messages.Command(order.ARM, 1), 5, 1.0).accepted)
     refused = station.command(messages.Command(order.LOAD, 1, trajectory=trajectory), 6, 1.0)
     assert (refused.accepted, refused.reason) == (False, "only arming")
-    assert seen[-1][1].trajectory is not None
-    assert seen[-1][1].trajectory.eta.shape == (4000, 4)
-    assert seen[-1][0].sequence > seen[-2][0].sequence
+    assert commands[-1][1].trajectory is not None
+    assert commands[-1][1].trajectory.eta.shape == (4000, 4)
+    assert commands[-1][0].sequence > commands[-2][0].sequence
     assert "no answer" in station.command(messages.Command(order.ARM, 2), 7, 0.2).reason
 
 
@@ -158,15 +158,15 @@ def test_events_reach_a_late_subscriber_and_states_do_not(make_bus: MakeBus) -> 
 
 def test_of_paths_a_late_subscriber_hears_the_last_few(make_bus: MakeBus) -> None:
     sender, late = make_bus(), make_bus()
-    heard: list[tuple[str, int]] = []
+    paths: list[tuple[str, int]] = []
     last = range(10 - topics.TRAJECTORY.cache_depth, 10)
     for stamp_ns in range(10):
         for robot in (1, 2):
             sender.publish(topics.TRAJECTORY, messages.Trajectory(str(stamp_ns), 0.05), stamp_ns, robot)
-    late.subscribe(topics.TRAJECTORY, None, lambda t, key, header, payload: heard.append((key, header.stamp_ns)))
+    late.subscribe(topics.TRAJECTORY, None, lambda t, key, header, payload: paths.append((key, header.stamp_ns)))
     wanted = {(f"shoal/robot/{robot}/trajectory", stamp_ns) for robot in (1, 2) for stamp_ns in last}
-    assert eventually(lambda: len(heard) >= len(wanted))
-    assert set(heard) == wanted and len(heard) == len(wanted)
+    assert eventually(lambda: len(paths) >= len(wanted))
+    assert set(paths) == wanted and len(paths) == len(wanted)
 
 
 def test_collected_are_all_messages_of_all_robots_once_and_in_order(make_bus: MakeBus) -> None:
@@ -175,11 +175,11 @@ def test_collected_are_all_messages_of_all_robots_once_and_in_order(make_bus: Ma
     receiver.announce("receiver")
     sender.watch_presence()
     assert eventually(lambda: "receiver" in sender.present)
-    found: list[tuple[topics.Topic, str, int]] = []
+    collected: list[tuple[topics.Topic, str, int]] = []
 
     def look() -> int:
-        found.extend((topic, key, header.stamp_ns) for c in (states, events) for topic, key, header, _ in c())
-        return len(found)
+        collected.extend((topic, key, header.stamp_ns) for c in (states, events) for topic, key, header, _ in c())
+        return len(collected)
 
     sent = []
     for k in range(20):
@@ -188,7 +188,7 @@ def test_collected_are_all_messages_of_all_robots_once_and_in_order(make_bus: Ma
         sent.extend([(topics.STATE, f"shoal/robot/{1 + k % 2}/state", 2 * k), (topics.EVENT, "shoal/event", 2 * k + 1)])
         assert eventually(lambda: look() >= len(sent))
     for topic in (topics.STATE, topics.EVENT):
-        assert [entry for entry in found if entry[0] is topic] == [entry for entry in sent if entry[0] is topic]
+        assert [entry for entry in collected if entry[0] is topic] == [entry for entry in sent if entry[0] is topic]
 
 
 def test_uncollected_messages_do_not_delay_other_topics(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -255,11 +255,11 @@ class Obeying:
     """A robot that says yes, and what it was told."""
 
     def __init__(self, bus: Bus) -> None:
-        self.told: list[messages.Order] = []
+        self.orders: list[messages.Order] = []
         bus.serve(1, self._obey)
 
     def _obey(self, header: Header, command: messages.Command) -> messages.Reply:
-        self.told.append(command.order)
+        self.orders.append(command.order)
         return messages.Reply(1, True)
 
 
@@ -272,7 +272,7 @@ def test_a_command_slow_to_encode_neither_outdates_nor_delays_another(
 ) -> None:
     station, robot = make_bus(), Obeying(make_bus())
     assert eventually(lambda: station.command(messages.Command(messages.Order.ARM, 1), 1, 2.0).accepted)
-    robot.told.clear()
+    robot.orders.clear()
     begun, go_on = threading.Event(), threading.Event()
 
     def encode_slowly(message: messages.Message, stamp_ns: int = 0) -> bytes:
@@ -290,7 +290,7 @@ def test_a_command_slow_to_encode_neither_outdates_nor_delays_another(
         finally:
             go_on.set()
         assert (answer.accepted, late.result().accepted) == (True, True), (answer.reason, late.result().reason)
-    assert robot.told == [quick.order, slow.order]
+    assert robot.orders == [quick.order, slow.order]
 
 
 def test_orders_from_many_threads_are_all_taken(make_bus: MakeBus) -> None:
@@ -318,12 +318,12 @@ def test_messages_of_one_topic_from_many_threads_all_arrive(make_bus: MakeBus) -
 def test_commands_arrive_in_the_order_of_sending_when_replies_are_awaited_on_any_thread(make_bus: MakeBus) -> None:
     station, robot = make_bus(), Obeying(make_bus())
     assert eventually(lambda: station.command(messages.Command(messages.Order.ARM, 1), 1, 2.0).accepted)
-    robot.told.clear()
+    robot.orders.clear()
     waiting = [
         station.send_command(HOLD if k % 3 else TUNE, 1, 5.0) for k in range(8)
     ]  # more than 16 at once a queue may drop
     assert [reply.reason for wait in reversed(waiting) if not (reply := wait()).accepted] == []
-    assert robot.told == [(HOLD if k % 3 else TUNE).order for k in range(8)]
+    assert robot.orders == [(HOLD if k % 3 else TUNE).order for k in range(8)]
 
 
 def test_a_second_try_does_not_come_after_a_later_order(make_bus: MakeBus) -> None:
@@ -333,7 +333,7 @@ def test_a_second_try_does_not_come_after_a_later_order(make_bus: MakeBus) -> No
     overtaken = resume()
     assert (overtaken.accepted, overtaken.reason) == (False, "RESUME was overtaken by a later order")
     assert hold().accepted
-    assert robot.told == [messages.Order.HOLD]
+    assert robot.orders == [messages.Order.HOLD]
 
 
 @pytest.mark.parametrize("make_bus", ["zenoh"], indirect=True)  # in memory the sender's thread does what is asked
@@ -372,10 +372,10 @@ def test_a_command_at_which_the_recipient_fails_is_refused_with_the_reason(
 ) -> None:
     """Without an answer the sender would look for the fault in the network. What is done by half is not done again."""
     station, robot = make_bus(), make_bus()
-    told, fails = list[messages.Order](), threading.Event()
+    orders, fails = list[messages.Order](), threading.Event()
 
     def handle(header: Header, command: messages.Command) -> messages.Reply:
-        told.append(command.order)
+        orders.append(command.order)
         if fails.is_set():
             raise KeyError("no such path")
         return messages.Reply(1, True)
@@ -385,7 +385,7 @@ def test_a_command_at_which_the_recipient_fails_is_refused_with_the_reason(
     fails.set()
     reply = station.command(messages.Command(order, 1), 1, 5.0)
     assert (reply.accepted, reply.silent, reply.reason) == (False, False, f"{order.name} failed: KeyError: 'no such path'")
-    assert told.count(order) == 1
+    assert orders.count(order) == 1
     assert f"{order.name} failed: KeyError" in caplog.text
     fails.clear()
     assert station.command(HOLD, 1, 5.0).accepted, "it goes on to answer"

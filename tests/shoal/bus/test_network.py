@@ -210,8 +210,8 @@ def test_a_machine_that_does_not_answer_is_told(monkeypatch: pytest.MonkeyPatch)
             waiting = held.enter_context(socket.socket())
             waiting.setblocking(False)
             waiting.connect_ex(server.getsockname())
-        said = trouble_reaching(f"tcp/127.0.0.1:{server.getsockname()[1]}", None)
-    assert said == "no answer: is it switched on, and on this network?"
+        answer = trouble_reaching(f"tcp/127.0.0.1:{server.getsockname()[1]}", None)
+    assert answer == "no answer: is it switched on, and on this network?"
 
 
 @pytest.mark.parametrize(
@@ -250,31 +250,31 @@ def test_a_process_that_waits_for_its_station_says_so_and_can_be_stopped(number:
 
 
 def test_a_robot_that_floods_is_not_let_through_and_the_others_are() -> None:
-    address, heard = f"tcp/127.0.0.1:{free_port()}", {1: 0, 2: 0}
+    address, counts = f"tcp/127.0.0.1:{free_port()}", {1: 0, 2: 0}
     router = ZenohTransport(Endpoint(address, router=True))
     wild, calm, ear = (ZenohTransport(Endpoint(address)) for _ in range(3))
     try:
 
         def count(key: str, payload: bytes, header: bytes) -> None:
-            heard[int(key.split("/")[2])] += 1
+            counts[int(key.split("/")[2])] += 1
 
         ear.subscribe(f"shoal/{topics.PLAN.key()}", topics.PLAN.qos, count)
         flood, plan = (t.publisher(f"shoal/{topics.PLAN.key(r)}", topics.PLAN.qos) for t, r in ((wild, 1), (calm, 2)))
         deadline = time.monotonic() + 10.0
-        while not all(heard.values()) and time.monotonic() < deadline:  # until the subscription is known
+        while not all(counts.values()) and time.monotonic() < deadline:  # until the subscription is known
             flood(b"x", b"")
             plan(b"x", b"")
             time.sleep(0.05)
-        before, begin_s = dict(heard), time.monotonic()
+        before, begin_s = dict(counts), time.monotonic()
         for _ in range(20):
             for _ in range(250):
                 flood(b"x", b"")
             plan(b"x", b"")
             time.sleep(0.05)
         time.sleep(0.5)
-        passed = heard[1] - before[1]
+        passed = counts[1] - before[1]
         assert 0 < passed <= FLOOD * topics.PLAN.rate_hz * (time.monotonic() - begin_s) + 1
-        assert heard[2] - before[2] == 20
+        assert counts[2] - before[2] == 20
     finally:
         for transport in (wild, calm, ear, router):
             transport.close()

@@ -3,7 +3,6 @@
 import contextlib
 import copy
 import math
-import re
 import tomllib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -171,10 +170,10 @@ def test_a_misspelt_key_is_refused_with_the_choice(tmp_path: Path) -> None:
     for key in TABLES:
         complaint = _complaint(tmp_path, _with({(*key, "misspelt"): 1}))
         name = _dotted((*key, "misspelt"))
-        known = [str(part) for part in _parent(FULL, (*key, "misspelt"))]
+        siblings = [str(part) for part in _parent(FULL, (*key, "misspelt"))]
         assert complaint.startswith(f"{name}: unknown key (allowed here: ")
         allowed = complaint.removeprefix(f"{name}: unknown key (allowed here: ").removesuffix(")").split(", ")
-        assert set(known) <= set(allowed)
+        assert set(siblings) <= set(allowed)
 
 
 @by_section
@@ -190,8 +189,8 @@ def test_a_missing_key_has_a_default_or_is_asked_for(tmp_path: Path, section: st
             if key == ("vehicle", "legs"):
                 assert "vehicle: thrusters: has neither" in str(error)
                 continue
-            told = "localizer.uses_camera = true" if key == ("camera",) else "it has no default"
-            assert any(line.startswith(f"{path}: {_dotted(key)}: missing, and {told}") for line in str(error).splitlines())
+            remark = "localizer.uses_camera = true" if key == ("camera",) else "it has no default"
+            assert any(line.startswith(f"{path}: {_dotted(key)}: missing, and {remark}") for line in str(error).splitlines())
 
 
 @pytest.mark.parametrize("key", ["name", "duration_s", "vehicle", "pool", "path", "robots", "camera"])
@@ -244,10 +243,10 @@ def test_values_that_do_not_go_together(setting: str, complaint: str) -> None:
 def test_a_mistake_in_a_setting_is_told_of_the_setting_and_not_of_the_file() -> None:
     with pytest.raises(ConfigError) as caught:
         load_experiment("pool", ["seed=1", "duration=5", "path.lap_s=-1"])
-    told = str(caught.value).splitlines()
-    assert len(told) == 2
-    assert any(line.startswith("--set duration=5: duration: unknown key") for line in told)
-    assert any(line.startswith("--set path.lap_s=-1: path.lap_s = -1") for line in told)
+    lines = str(caught.value).splitlines()
+    assert len(lines) == 2
+    assert any(line.startswith("--set duration=5: duration: unknown key") for line in lines)
+    assert any(line.startswith("--set path.lap_s=-1: path.lap_s = -1") for line in lines)
 
 
 # --- the hash
@@ -448,20 +447,6 @@ def test_a_marker_is_the_robots_number_unless_told_otherwise() -> None:
     assert robots.nodes_m().tolist() == [[0.8, 0.0, 0.0], [-0.8, 0.0, 0.0]]
 
 
-def test_the_change_per_step_in_a_runs_record_is_read_as_the_rate_it_was(tmp_path: Path) -> None:
-    """Runs of before limits were per second. A file that a person keeps is refused, with what to write."""
-    text = dump_experiment(load_experiment("pool", ["controller.period_s=0.1"]))
-    older = re.sub(r"wrench_rate_per_s = \[[^]]*\]", "wrench_step = [0.3, 0.3, 0.1]", text)
-    assert older != text
-    (tmp_path / "experiment.toml").write_text(older)
-    with pytest.raises(ConfigError, match=r"vehicle.limits: wrench_step: .* wrench_rate_per_s, in N/s"):
-        load_experiment(str(tmp_path / "experiment.toml"))
-    (tmp_path / "run.mcap").touch()
-    experiment = load_experiment(str(tmp_path / "experiment.toml"))
-    assert experiment.vehicle.limits.wrench_rate_per_s == (3.0, 3.0, 1.0)
-    assert experiment.wrench_step == pytest.approx((0.3, 0.3, 0.1))
-
-
 def test_the_shipped_rates_are_the_articles_steps_to_the_last_bit() -> None:
     assert load_experiment("pool").wrench_step == (0.3, 0.3, 0.1)
 
@@ -491,21 +476,6 @@ def test_horizon_and_blocks_that_nobody_gives_are_the_same_in_time_at_every_rate
 def test_blocks_that_nobody_gives_end_with_a_given_horizon(period_s: float, horizon: int, blocks: tuple[int, ...]) -> None:
     mpc = load_experiment("pool", [f"controller.period_s={period_s}", f"controller.mpc.horizon={horizon}"]).controller.mpc
     assert (mpc.horizon, mpc.blocks) == (horizon, blocks)
-
-
-def test_a_key_of_an_earlier_version_is_refused_with_its_new_name(tmp_path: Path) -> None:
-    """But in the record of a run, which lies beside its log, it is read where it stood."""
-    with pytest.raises(
-        ConfigError, match=r"sim\.plant\.walls: this key is called pool\.walls now \(write pool\.walls = false\)"
-    ):
-        load_experiment("pool", ["sim.plant.walls=false"])
-    recorded = load_experiment("pool", ["pool.walls=false"])
-    text = dump_experiment(recorded).replace("walls = false\n", "").replace("[sim.plant]\n", "[sim.plant]\nwalls = false\n")
-    (tmp_path / "experiment.toml").write_text(text)
-    with pytest.raises(ConfigError, match=r"pool\.walls"):
-        load_experiment(str(tmp_path / "experiment.toml"))
-    (tmp_path / "run.mcap").touch()
-    assert load_experiment(str(tmp_path / "experiment.toml")).hash == recorded.hash
 
 
 def test_a_step_may_fail_to_come_without_the_board_disarming() -> None:

@@ -67,8 +67,8 @@ def _example(kind: str, entry: KeyEntry) -> list[str]:
 @pytest.mark.parametrize("name", sorted(path.stem for path in EXPERIMENTS.glob("*.toml")))
 def test_the_reference_knows_every_key_of_a_loaded_experiment(name: str) -> None:
     loaded = load_experiment(name).model_dump(mode="json", exclude_none=True)
-    known = {e.name for e in ENTRIES["experiment"]} | {f"vehicle.{e.name}" for e in ENTRIES["vehicle"]}
-    whole = {key for key in known if f"{key}.N" not in known}
+    names = {e.name for e in ENTRIES["experiment"]} | {f"vehicle.{e.name}" for e in ENTRIES["vehicle"]}
+    whole = {key for key in names if f"{key}.N" not in names}
     own_path = {key for key in leaves(loaded) if key.startswith("robots.N.path.")}  # the same section as [path]
     empty = {
         "vehicle.thrusters",
@@ -97,9 +97,9 @@ def test_a_range_of_the_reference_is_the_loaders() -> None:
 def test_a_shipped_file_names_its_schema_and_keeps_it_by_another_validator(path: Path) -> None:
     text = path.read_text(encoding="utf-8")
     named = text.partition("\n")[0].removeprefix("#:schema ")
-    known = json.loads((path.parent / named).read_text(encoding="utf-8"))
-    jsonschema.Draft202012Validator.check_schema(known)
-    jsonschema.validate(tomllib.loads(text), known)
+    rules = json.loads((path.parent / named).read_text(encoding="utf-8"))
+    jsonschema.Draft202012Validator.check_schema(rules)
+    jsonschema.validate(tomllib.loads(text), rules)
 
 
 @pytest.mark.parametrize(
@@ -107,20 +107,20 @@ def test_a_shipped_file_names_its_schema_and_keeps_it_by_another_validator(path:
 )
 def test_the_schema_refuses_what_the_loader_refuses(setting: str) -> None:
     table = tomllib.loads((EXPERIMENTS / "pool.toml").read_text(encoding="utf-8"))
-    known = schema("experiment")
-    jsonschema.validate(table, known)
+    rules = schema("experiment")
+    jsonschema.validate(table, rules)
     wrong = copy.deepcopy(table)
     apply_setting(wrong, setting)
     with pytest.raises(jsonschema.ValidationError):
-        jsonschema.validate(wrong, known)
+        jsonschema.validate(wrong, rules)
     with pytest.raises(ConfigError):
         load_experiment("pool", [setting])
 
 
 def test_the_schemas_describe_every_key_for_an_editor() -> None:
     for kind in ROOTS:
-        known = json.loads((SCHEMAS / f"{kind}.schema.json").read_text(encoding="utf-8"))
-        for section in (known, *known["$defs"].values()):
+        rules = json.loads((SCHEMAS / f"{kind}.schema.json").read_text(encoding="utf-8"))
+        for section in (rules, *rules["$defs"].values()):
             assert all(key["description"] for key in section["properties"].values())
 
 

@@ -53,8 +53,8 @@ def _offences(tree: ast.Module) -> Iterator[str]:
 
 
 def _sources() -> list[str]:
-    found = (path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py")))
-    return [str(path.relative_to(ROOT)) for path in found if "@kernel" in path.read_text(encoding="utf-8")]
+    paths = (path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py")))
+    return [str(path.relative_to(ROOT)) for path in paths if "@kernel" in path.read_text(encoding="utf-8")]
 
 
 def test_the_rules_notice_offenders() -> None:

@@ -96,13 +96,13 @@ def test_telemetry_of_a_burst() -> None:
     agent = AgentLink(7)
     assert agent.telemetry.board_ms == -1
     agent.receive(burst(FarEnd(7)), 42)
-    seen = agent.telemetry
-    assert (seen.board_ms, seen.arrival_ns, seen.armed, seen.echo_us) == (5000, 42, True, PULSES)
-    assert (seen.heading_rad, seen.yaw_rate_radps) == (-2.5, 0.0625)
-    assert seen.acceleration_mps2 == pytest.approx((0.5, -0.25, -9.80665), abs=0.0051)  # whole mG
-    assert seen.depth_m == pytest.approx(0.321, abs=1e-5)
-    assert seen.battery_v == 11.97
-    assert (seen.loss, seen.bad_frames, seen.refused_frames, seen.foreign_frames) == (0.0, 0, 0, 0)
+    telemetry = agent.telemetry
+    assert (telemetry.board_ms, telemetry.arrival_ns, telemetry.armed, telemetry.echo_us) == (5000, 42, True, PULSES)
+    assert (telemetry.heading_rad, telemetry.yaw_rate_radps) == (-2.5, 0.0625)
+    assert telemetry.acceleration_mps2 == pytest.approx((0.5, -0.25, -9.80665), abs=0.0051)  # whole mG
+    assert telemetry.depth_m == pytest.approx(0.321, abs=1e-5)
+    assert telemetry.battery_v == 11.97
+    assert (telemetry.loss, telemetry.bad_frames, telemetry.refused_frames, telemetry.foreign_frames) == (0.0, 0, 0, 0)
 
 
 def test_pressure_and_depth() -> None:
@@ -116,9 +116,9 @@ def test_answers() -> None:
     agent, board = AgentLink(1), FarEnd(1)
     agent.receive(board.acknowledge((1, 191), 400, agent_link.REJECTED) + board.text(4, "battery low"), 0)
     agent.receive(board.text(6, "x" * 80), 0)
-    seen = agent.telemetry
-    assert (seen.acknowledged, seen.acknowledgements) == ((400, 1), 1)
-    assert (seen.texts, seen.texts_received) == (((4, "battery low"), (6, "x" * 50)), 2)
+    telemetry = agent.telemetry
+    assert (telemetry.acknowledged, telemetry.acknowledgements) == ((400, 1), 1)
+    assert (telemetry.texts, telemetry.texts_received) == (((4, "battery low"), (6, "x" * 50)), 2)
 
 
 def test_only_the_last_texts_are_kept() -> None:
@@ -177,16 +177,16 @@ def test_pressure_that_cannot_be_true_is_not_taken(value: float) -> None:
 def test_a_burst_without_a_depth_that_can_be_true_is_none(pressure_hpa: float | None) -> None:
     """A dead sensor's last depth would look live for ever."""
     agent, sender = AgentLink(1), Sender((1, agent_link.BOARD_COMPONENT))
-    told = [1030.0, pressure_hpa, pressure_hpa, 1040.0]
-    for k, hpa in enumerate(told):
+    pressures_hpa = [1030.0, pressure_hpa, pressure_hpa, 1040.0]
+    for k, hpa in enumerate(pressures_hpa):
         if hpa is not None:
             agent.receive(sender.pack(dialect.MAVLink_scaled_pressure2_message(20 * k, hpa, 0, 0)), 20 * k * MS)
         agent.receive(sender.pack(dialect.MAVLink_attitude_message(20 * k, 0, 0, 0.1 * k, 0, 0, 0)), 20 * k * MS)
-        last = max(j for j in range(k + 1) if told[j] in (1030.0, 1040.0))
-        seen = agent.telemetry
-        assert (seen.board_ms, seen.arrival_ns) == (20 * last, 20 * last * MS)
-        assert seen.heading_rad == pytest.approx(0.1 * last)
-        assert seen.depth_m == pytest.approx(agent_link.hpa_to_depth(told[last] or 0.0))
+        last = max(j for j in range(k + 1) if pressures_hpa[j] in (1030.0, 1040.0))
+        telemetry = agent.telemetry
+        assert (telemetry.board_ms, telemetry.arrival_ns) == (20 * last, 20 * last * MS)
+        assert telemetry.heading_rad == pytest.approx(0.1 * last)
+        assert telemetry.depth_m == pytest.approx(agent_link.hpa_to_depth(pressures_hpa[last] or 0.0))
 
 
 @pytest.mark.parametrize("peer", [(2, 191), (1, 190), (0, 0), (255, 190)])
@@ -316,10 +316,10 @@ def test_false_headers_do_not_hide_frames_for_long() -> None:
     false = bytes([0xFD, 255, 0, 0, 0, 1, 191]) + (131).to_bytes(3, "little")  # ENCAPSULATED_DATA
     agent, board = AgentLink(1), FarEnd(1)
     board.events(false, 0)
-    heard = [(i, board.events(agent.pulses(PULSES), i * 50 * MS)) for i in range(1, 6)]
-    first = next(i for i, events in heard if events)
+    events_by_burst = [(i, board.events(agent.pulses(PULSES), i * 50 * MS)) for i in range(1, 6)]
+    first = next(i for i, events in events_by_burst if events)
     assert first * 50 * MS <= FRAME_TIMEOUT_NS + 50 * MS
-    assert sum(len(events) for _, events in heard) == 5
+    assert sum(len(events) for _, events in events_by_burst) == 5
 
 
 def test_false_headers_that_came_together_are_given_up_together() -> None:
@@ -393,11 +393,11 @@ def test_damaged_telemetry(flips: list[tuple[int, int]], size: int) -> None:
         data[position % len(data)] ^= 1 << bit
     for i, start in enumerate(range(0, len(data), size)):
         agent.receive(bytes(data[start : start + size]), i)
-        seen = agent.telemetry
-        assert seen.board_ms == -1 or 5000 <= seen.board_ms < 5020
-        assert seen.heading_rad in (0.0, -2.5)
-        assert seen.echo_us in ((), PULSES)
-        assert seen.battery_v in (0.0, 11.97)
+        telemetry = agent.telemetry
+        assert telemetry.board_ms == -1 or 5000 <= telemetry.board_ms < 5020
+        assert telemetry.heading_rad in (0.0, -2.5)
+        assert telemetry.echo_us in ((), PULSES)
+        assert telemetry.battery_v in (0.0, 11.97)
 
 
 @settings(max_examples=300, deadline=None)

@@ -158,9 +158,9 @@ def test_a_board_that_is_pulled_out_while_its_port_is_being_opened_is_just_not_t
     os.close(device)
 
     def asked_and_pulled(port: int) -> list[Any]:
-        found = ask(port)
+        answer = ask(port)
         os.close(controller)
-        return found
+        return answer
 
     monkeypatch.setattr(termios, "tcgetattr", asked_and_pulled)
     link = open_link(f"serial:{plug}:{baud}")

@@ -67,17 +67,17 @@ def test_we_accept_the_signatures_of_pymavlink() -> None:
 @pytest.mark.parametrize("expected", [KEY, Key(bytes(32)), None], ids=["our key", "another key", "no key"])
 def test_frames_are_taken_only_as_both_ends_agree(sent: Key | None, expected: Key | None) -> None:
     link = board(key=expected)
-    heard = events(link, agent(key=sent).arm(True))
-    assert heard == ([Arm(True)] if sent == expected else [])
-    assert link.unauthentic_frames == (0 if heard else 1)
+    events_read = events(link, agent(key=sent).arm(True))
+    assert events_read == ([Arm(True)] if sent == expected else [])
+    assert link.unauthentic_frames == (0 if events_read else 1)
 
 
 def test_the_computer_counts_what_it_drops() -> None:
     computer = agent()
     forged, unsigned = board(key=Key(bytes(32))), board(key=None)
     computer.receive(forged.heartbeat(True, True) + unsigned.heartbeat(True, True) + board().heartbeat(True, True), 0)
-    seen = computer.telemetry
-    assert (seen.forged_frames, seen.unsigned_frames, seen.replayed_frames, seen.armed) == (1, 1, 1, False)
+    telemetry = computer.telemetry
+    assert (telemetry.forged_frames, telemetry.unsigned_frames, telemetry.replayed_frames, telemetry.armed) == (1, 1, 1, False)
 
 
 def test_no_bit_of_a_signed_frame_can_be_changed() -> None:

@@ -31,11 +31,11 @@ def test_a_disc_is_outside_by_as_far_as_it_has_to_be_moved_to_be_inside(camera: 
         places = middle + along[:, None] * np.array(way)
         pixels = exact(camera, (places[:, None] + rim).reshape(-1, 3)).reshape(-1, 8, 2)  # type: ignore[arg-type]
         inside = np.all((pixels > -0.5) & (pixels < size - 0.5), axis=(1, 2))
-        found = outside_m([camera], places, 0.2)  # type: ignore[list-item]
-        assert np.array_equal(found <= 0.0, inside)
+        distances_m = outside_m([camera], places, 0.2)  # type: ignore[list-item]
+        assert np.array_equal(distances_m <= 0.0, inside)
         edge = int(np.argmin(inside))
         assert inside[:edge].all() and not inside[edge:].any()
-        assert found[edge + 60] == pytest.approx(0.3, abs=0.06), "0.3 m farther on"
+        assert distances_m[edge + 60] == pytest.approx(0.3, abs=0.06), "0.3 m farther on"
 
 
 def test_places_behind_the_lens_or_folded_by_its_distortion_are_outside() -> None:

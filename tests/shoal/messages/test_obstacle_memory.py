@@ -32,9 +32,9 @@ def test_an_obstacle_takes_up_the_ground_of_its_drift_and_no_more_than_it_may_gr
 
 
 def test_ages_add_up_and_an_unknown_one_is_the_oldest() -> None:
-    seen = Obstacles((4, 5, 6), np.stack([OUTLINE] * 3), np.zeros((3, 2)), unseen_s=np.array([0.0, 3.0, np.nan]))
-    assert ages_s(seen, 0.25) == [0.25, 3.25, 1e6]
-    assert ages_s(Obstacles((4,), OUTLINE[None], np.zeros((1, 2))), 0.25) == [0.25]
+    obstacles = Obstacles((4, 5, 6), np.stack([OUTLINE] * 3), np.zeros((3, 2)), unseen_s=np.array([0.0, 3.0, np.nan]))
+    assert ages_s(obstacles, 0.25) == [0.25, 3.25, 1e6]
+    assert ages_s(Obstacles((4,), OUTLINE[None], np.zeros((1, 2)), unseen_s=np.zeros(1)), 0.25) == [0.25]
 
 
 def test_blindness_without_messages_with_old_ones_and_with_a_blind_localizer() -> None:

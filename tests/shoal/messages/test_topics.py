@@ -1,22 +1,15 @@
-"""One contract, written three times because three languages need it: topic table, dataclasses, protobuf. They agree."""
+"""The table of topics holds every topic once, with a message whose schema is complete."""
 
-import dataclasses
-import enum
 import math
 import re
-import subprocess
-import sys
-from pathlib import Path
-from typing import Any, get_args, get_origin, get_type_hints
 
 import pytest
-from google.protobuf.descriptor import FieldDescriptor
-from google.protobuf.descriptor_pb2 import FileDescriptorProto, FileDescriptorSet
+from google.protobuf.descriptor_pb2 import FileDescriptorProto
 
 from groundstation.planning.segment import first_segment
 from shoal.config.controller import Safety
 from shoal.config.experiment import load_experiment
-from shoal.messages import codec, fleet_pb2, messages, topics
+from shoal.messages import codec, topics
 from shoal.messages.messages import (
     BoardReading,
     Command,
@@ -33,18 +26,7 @@ from shoal.messages.messages import (
     Video,
 )
 from shoal.messages.topics import TOPICS, Qos, Topic
-from tests.shoal.strategies import CLASSES, OWN, example, nested
-
-ROOT = Path(__file__).parents[3]
-ENUMS = {
-    messages.Track: "TRACK",
-    messages.Mode: "MODE",
-    messages.Guidance: "GUIDANCE",
-    messages.Solve: "SOLVE",
-    messages.Order: "ORDER",
-    messages.Progress: "PROGRESS",
-    messages.CameraHealth: "CAMERA",
-}
+from tests.shoal.strategies import CLASSES, example
 
 each_topic = pytest.mark.parametrize("topic", TOPICS, ids=lambda topic: topic.name)
 
@@ -129,80 +111,6 @@ def test_every_message_has_a_topic_or_is_part_of_another() -> None:
     assert len({topic.type for topic in once}) == len(once)
 
 
-# --- dataclasses and protobuf
-
-
 @pytest.mark.parametrize("cls", [Frame, Preview, Video, Picture, Event], ids=lambda cls: cls.__name__)
 def test_viewers_know_these_schemas(cls: type) -> None:
     assert codec.descriptor(cls).full_name.startswith("foxglove.")
-
-
-@pytest.mark.parametrize("cls", OWN, ids=lambda cls: cls.__name__)
-def test_fields_have_the_same_names_in_both(cls: Any) -> None:
-    ours = {field.name for field in dataclasses.fields(cls)}
-    assert ours == set(codec.descriptor(cls).fields_by_name)
-
-
-def _expected(hint: Any, metadata: Any) -> tuple[set[int], bool, str | None]:
-    """Protobuf types that fit a dataclass field, whether it is repeated, and the name of its enum or message."""
-    integers = {FieldDescriptor.TYPE_UINT32, FieldDescriptor.TYPE_UINT64, FieldDescriptor.TYPE_INT64}
-    if "shape" in metadata:
-        return {FieldDescriptor.TYPE_DOUBLE}, True, None
-    if nested(hint) is not None:
-        return {FieldDescriptor.TYPE_MESSAGE}, False, nested(hint).__name__
-    if get_origin(hint) is tuple:
-        return {FieldDescriptor.TYPE_STRING} if get_args(hint)[0] is str else integers, True, None
-    if isinstance(hint, type) and issubclass(hint, enum.Enum):
-        return {FieldDescriptor.TYPE_ENUM}, False, hint.__name__
-    simple = {
-        float: {FieldDescriptor.TYPE_DOUBLE},
-        bool: {FieldDescriptor.TYPE_BOOL},
-        str: {FieldDescriptor.TYPE_STRING},
-        int: integers,
-    }
-    return simple[hint], False, None
-
-
-@pytest.mark.parametrize("cls", OWN, ids=lambda cls: cls.__name__)
-def test_fields_have_the_same_types_in_both(cls: Any) -> None:
-    hints, theirs = get_type_hints(cls), codec.descriptor(cls).fields_by_name
-    for field in dataclasses.fields(cls):
-        kinds, repeated, refers_to = _expected(hints[field.name], field.metadata)
-        found = theirs[field.name]
-        assert found.type in kinds, field.name
-        assert found.is_repeated == repeated, field.name
-        other = found.enum_type or found.message_type
-        assert (other.name if other is not None else None) == refers_to, field.name
-
-
-def test_protobuf_has_no_message_and_no_enum_more() -> None:
-    assert set(fleet_pb2.DESCRIPTOR.message_types_by_name) == {cls.__name__ for cls in OWN}
-    assert set(fleet_pb2.DESCRIPTOR.enum_types_by_name) == {choices.__name__ for choices in ENUMS}
-    ours = [
-        value
-        for value in vars(messages).values()
-        if isinstance(value, enum.EnumMeta) and value.__module__ == "shoal.messages.messages"
-    ]
-    assert set(ours) == set(ENUMS)
-
-
-@pytest.mark.parametrize("choices", ENUMS, ids=lambda choices: choices.__name__)
-def test_enums_have_the_same_values_in_both(choices: type[enum.IntEnum]) -> None:
-    theirs = fleet_pb2.DESCRIPTOR.enum_types_by_name[choices.__name__].values_by_name
-    assert {name: value.number for name, value in theirs.items()} == {
-        f"{ENUMS[choices]}_{member.name}": member.value for member in choices
-    }
-
-
-def test_the_generated_code_is_current(tmp_path: Path) -> None:
-    """fleet_pb2.py is what the compiler makes of fleet.proto today; otherwise: make proto."""
-    out = tmp_path / "fleet.pb"
-    compiler = [sys.executable, "-m", "grpc_tools.protoc", "-I.", f"--descriptor_set_out={out}", "shoal/messages/fleet.proto"]
-    subprocess.run(compiler, cwd=ROOT, check=True)
-    compiled = FileDescriptorSet.FromString(out.read_bytes()).file[0]
-    generated = FileDescriptorProto.FromString(fleet_pb2.DESCRIPTOR.serialized_pb)
-    for file in (compiled, generated):
-        for message in file.message_type:
-            for field in message.field:
-                field.ClearField("json_name")
-    assert compiled == generated

@@ -35,13 +35,13 @@ PACKAGES = ("shoal", "groundstation", "robot_agent", "localizer", "sim_bridge", 
 
 @pytest.mark.parametrize("text", ["[/b]", "lab[red]/run", "a [bold b", ":dash: and :x:", "\\[a]"])
 def test_a_terminal_prints_what_people_write_as_it_is(text: str) -> None:
-    said = terminal(io.StringIO())
-    said.print(text, style="red")
+    console = terminal(io.StringIO())
+    console.print(text, style="red")
     table = Table(text, title=text)
     table.add_row(text)
-    said.print(table)
-    assert isinstance(said.file, io.StringIO)
-    assert said.file.getvalue().count(text) == 4
+    console.print(table)
+    assert isinstance(console.file, io.StringIO)
+    assert console.file.getvalue().count(text) == 4
 
 
 @pytest.mark.parametrize("package", PACKAGES)

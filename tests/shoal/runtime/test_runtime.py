@@ -74,8 +74,8 @@ def test_the_first_signal_does_not_cut_short_a_process_that_ends_by_itself(
     ends: str, name: str, count: int, code: int
 ) -> None:
     """It writes its files to their end, and tells why it ends."""
-    told = f"os.kill(os.getpid(), signal.{name}); " * count
-    script = f"import os, signal, sys\nfrom shoal.runtime.runtime import Stop\nstop = Stop(); {ends}; {told}sys.exit(5)"
+    kills = f"os.kill(os.getpid(), signal.{name}); " * count
+    script = f"import os, signal, sys\nfrom shoal.runtime.runtime import Stop\nstop = Stop(); {ends}; {kills}sys.exit(5)"
     assert subprocess.run([sys.executable, "-c", script], check=False, capture_output=True).returncode == code
 
 
@@ -109,16 +109,16 @@ def test_lockstep_gives_each_tick_once_and_does_something_meanwhile() -> None:
     simulator, process = two_buses()
     clock, stop = LockstepClock(), Stop(install=False)
     lockstep = Lockstep(process, stop, clock)
-    asked: list[int] = []
+    ticks_ns: list[int] = []
 
     def meanwhile() -> None:
-        asked.append(clock.tick_ns)
-        if len(asked) == 2:
+        ticks_ns.append(clock.tick_ns)
+        if len(ticks_ns) == 2:
             simulator.publish(topics.TICK, Tick(30, -1, 0), 30)
 
     tick = lockstep.next(meanwhile)
     assert tick is not None
-    assert (tick.now_ns, clock.now_ns(), len(asked)) == (30, 30, 2)
+    assert (tick.now_ns, clock.now_ns(), len(ticks_ns)) == (30, 30, 2)
     simulator.publish(topics.TICK, Tick(80, 30, 50), 80)
     tick = lockstep.next()
     assert tick is not None

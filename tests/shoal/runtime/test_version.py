@@ -80,8 +80,8 @@ def test_every_program_says_it(program: str) -> None:
 
 
 def test_a_log_and_so_its_result_names_version_and_commit() -> None:
-    told = run_metadata(load_experiment("pool"), "lockstep")
-    assert (told["version"], told["commit"]) == (version.code().version, version.code().commit)
+    metadata = run_metadata(load_experiment("pool"), "lockstep")
+    assert (metadata["version"], metadata["commit"]) == (version.code().version, version.code().commit)
 
 
 def test_the_build_writes_the_commit_down(tmp_path: Path) -> None:

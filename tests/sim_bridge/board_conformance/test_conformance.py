@@ -378,13 +378,13 @@ def speaking(board: ThrusterBoard, flag: list[bool]) -> None:
         vars(board)[method] = spoken
 
 
-@pytest.mark.parametrize(("owner", "name", "wrong", "found", "signed"), WRONG, ids=lambda v: getattr(v, "__name__", ""))
+@pytest.mark.parametrize(("owner", "name", "wrong", "broken_rules", "signed"), WRONG, ids=lambda v: getattr(v, "__name__", ""))
 def test_a_board_that_breaks_a_rule_is_found(
-    monkeypatch: pytest.MonkeyPatch, owner: type, name: str, wrong: Any, found: set[str], signed: bool
+    monkeypatch: pytest.MonkeyPatch, owner: type, name: str, wrong: Any, broken_rules: set[str], signed: bool
 ) -> None:
     right, flag = getattr(owner, name), [False]
     monkeypatch.setattr(owner, name, lambda self, *arguments: (wrong if flag[0] else right)(self, *arguments))
-    for broken in found:
+    for broken in broken_rules:
         bench = SteppedWire(KEY if signed else None)
         speaking(bench.board, flag)
         rules = [rule for rule in RULES if rule.name in ("parameters", broken)]

@@ -112,14 +112,14 @@ def test_fields_of_a_rectangle_are_those_of_the_whole_picture() -> None:
     lines, slopes = view.blocks, scene.slopes(waters.ripple_clock.loop_s(time_s))
     x, y = lines.surface_x + depth_m * lines.water_x, lines.surface_y + depth_m * lines.water_y
     light = waters.light(*waters.caustics.grid_coordinates(x, y), np.float32(waters.reach(depth_m)), time_s)
-    found = scene.fields(ImageRect(0, 240, 0, 320, 0, 30, 0, 40), depth_m, time_s)
+    fields = scene.fields(ImageRect(0, 240, 0, 320, 0, 30, 0, 40), depth_m, time_s)
     bent = lines.deflected(scene.bending * slopes[0], scene.bending * slopes[1])
-    assert found[[SURFACE_X, SURFACE_Y, AIR_X, AIR_Y, WATER_X, WATER_Y]] == pytest.approx(np.stack(bent.planes), abs=1e-6)
-    assert np.abs(found[LIGHT] - light).max() < 0.05 < np.ptp(light)
-    assert found[GLARE] == pytest.approx(scene.glare(slopes), abs=0.01)
-    assert found[GLARE].max() > 1.0
+    assert fields[[SURFACE_X, SURFACE_Y, AIR_X, AIR_Y, WATER_X, WATER_Y]] == pytest.approx(np.stack(bent.planes), abs=1e-6)
+    assert np.abs(fields[LIGHT] - light).max() < 0.05 < np.ptp(light)
+    assert fields[GLARE] == pytest.approx(scene.glare(slopes), abs=0.01)
+    assert fields[GLARE].max() > 1.0
     part = ImageRect(16, 80, 24, 120, 1, 11, 2, 16)
-    assert np.array_equal(scene.fields(part, depth_m, time_s), found[:, *part.blocks])
+    assert np.array_equal(scene.fields(part, depth_m, time_s), fields[:, *part.blocks])
 
 
 def test_a_picture_lies_between_two_of_each_loop() -> None:

@@ -32,13 +32,13 @@ def _camera(renderer: Renderer, time_s: float) -> Camera:
 
 
 def _corners_px(experiment: Experiment, camera: Camera) -> dict[int, Array]:
-    found = {}
+    corners = {}
     for landmark in experiment.landmarks:
         half = landmark.side_m / 2.0
         body = half * np.array([[1.0, -1.0], [1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0]])
         flat = np.array(landmark.position_m[:2]) + body_to_pool(body, landmark.yaw_rad)
-        found[landmark.id] = project(camera, np.column_stack([flat, np.full(4, landmark.position_m[2])]))
-    return found
+        corners[landmark.id] = project(camera, np.column_stack([flat, np.full(4, landmark.position_m[2])]))
+    return corners
 
 
 @pytest.fixture(scope="module")
@@ -60,8 +60,8 @@ def test_landmarks_are_drawn_where_they_are_seen(clean: tuple[Experiment, Render
     corners, ids, _ = detector.detectMarkers(_colour(renderer.render(AWAY, REST, time_s, 0)))
     expected = _corners_px(experiment, _camera(renderer, time_s))
     assert ids is not None and set(ids.ravel().tolist()) == set(expected)
-    for i, seen in zip(map(int, ids.ravel()), corners, strict=True):
-        off = np.asarray(seen, dtype=np.float64).reshape(4, 2) - expected[i]
+    for i, quad in zip(map(int, ids.ravel()), corners, strict=True):
+        off = np.asarray(quad, dtype=np.float64).reshape(4, 2) - expected[i]
         assert np.linalg.norm(off.mean(axis=0)) < 0.15
         assert np.linalg.norm(off, axis=1).max() < 0.7
 
@@ -120,8 +120,8 @@ def test_lines_of_sight_of_a_moved_camera(step_px: float, most_px: float) -> Non
     )
     ends = [lines.surface_x + lines.water_x, lines.surface_y + lines.water_y]
     x, y = (RegularGridInterpolator(blocks, plane, bounds_error=False, fill_value=None)(wanted) for plane in ends)
-    seen = project(tilted, np.column_stack([x.ravel(), y.ravel(), np.ones(x.size)]))[:, ::-1].reshape(wanted.shape)
-    assert np.abs(seen - wanted).max() < most_px
+    pixels = project(tilted, np.column_stack([x.ravel(), y.ravel(), np.ones(x.size)]))[:, ::-1].reshape(wanted.shape)
+    assert np.abs(pixels - wanted).max() < most_px
 
 
 def test_a_picture_of_odd_size_is_the_even_one_less_its_edge() -> None:

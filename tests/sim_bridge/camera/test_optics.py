@@ -46,8 +46,8 @@ def test_light_takes_the_quickest_way(camera: Camera, place: tuple[float, float,
     crossing = _travel_time_is_least(camera, point)
     assert Optics(camera).see(point).crossings[0] == pytest.approx(crossing, abs=1e-8)
     matrix = np.array([[camera.focal_px[0], 0, camera.centre_px[0]], [0, camera.focal_px[1], camera.centre_px[1]], [0, 0, 1]])
-    seen = cv2.Rodrigues(np.array(camera.rotation_rad))[0] @ (crossing - np.array(camera.position_m))
-    expected = cv2.projectPoints(seen[None], np.zeros(3), np.zeros(3), matrix, np.array(camera.distortion))[0].ravel()
+    ray = cv2.Rodrigues(np.array(camera.rotation_rad))[0] @ (crossing - np.array(camera.position_m))
+    expected = cv2.projectPoints(ray[None], np.zeros(3), np.zeros(3), matrix, np.array(camera.distortion))[0].ravel()
     assert project(camera, point)[0] == pytest.approx(expected, abs=1e-5)
 
 

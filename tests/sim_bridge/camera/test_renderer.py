@@ -73,12 +73,12 @@ def test_markers_are_read_with_their_top_ahead(x: float, y: float, z: float, yaw
     """Right ids, corners in order. OpenCV's refinement pulls the corners of a soft-edged square inwards, by 0.28 px in these
     pictures and by as much in ideal drawings of the marker; the exactness of ours is the next test's."""
     eta = poses((x, y, z, yaw), (-x, -y, z, yaw + 0.7))
-    found = detect(renderer(*CLEAN).render(eta, REST, 0.0, 0))
+    corners = detect(renderer(*CLEAN).render(eta, REST, 0.0, 0))
     for robot, pose in enumerate(eta, start=1):
         expected = corners_px(experiment(*CLEAN), pose)
-        assert np.linalg.norm(found[robot] - expected, axis=1).max() < 0.7
-        assert np.linalg.norm(found[robot] - expected, axis=1).mean() < 0.45
-        assert np.linalg.norm(np.mean(found[robot] - expected, axis=0)) < 0.25
+        assert np.linalg.norm(corners[robot] - expected, axis=1).max() < 0.7
+        assert np.linalg.norm(corners[robot] - expected, axis=1).mean() < 0.45
+        assert np.linalg.norm(np.mean(corners[robot] - expected, axis=0)) < 0.25
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.3, 1.1, 2.5, -2.0])
@@ -131,8 +131,8 @@ def test_the_sphere_has_the_right_outline(x: float, y: float, z: float) -> None:
     step = np.arange(5000) + 0.5
     up, angle = 1.0 - 2.0 * step / 5000, np.pi * (1.0 + np.sqrt(5.0)) * step
     ball = np.column_stack([np.sqrt(1 - up**2) * np.cos(angle), np.sqrt(1 - up**2) * np.sin(angle), up])
-    seen = project(experiment(*setup).camera, eta[0, :3] + experiment(*setup).vehicle.radius_m * ball)
-    hull = cv2.convexHull(seen.astype(np.float32))
+    outline = project(experiment(*setup).camera, eta[0, :3] + experiment(*setup).vehicle.radius_m * ball)
+    hull = cv2.convexHull(outline.astype(np.float32))
     moments = cv2.moments(hull)
     difference = np.abs(picture.astype(np.int16) - empty.astype(np.int16)) > 12
     rows, columns = np.nonzero(cv2.morphologyEx(difference.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8)))
@@ -268,21 +268,21 @@ def test_blur_is_the_mean_over_the_exposure() -> None:
     assert residual < 0.2 * np.sqrt(np.mean((sharp - total / 61)[picture != sharp] ** 2))
     backwards = blurring.render(eta, -nu, 0.0, 0)
     assert np.abs(backwards - picture).max() <= 1, "symmetric in time"
-    found = detect(picture.astype(np.uint8))
+    corners = detect(picture.astype(np.uint8))
     for i in range(2):
-        assert np.linalg.norm(np.mean(found[i + 1] - corners_px(fast, eta[i]), axis=0)) < 0.1
+        assert np.linalg.norm(np.mean(corners[i + 1] - corners_px(fast, eta[i]), axis=0)) < 0.1
 
 
 def test_a_rolling_shutter_shows_each_robot_at_the_instant_of_its_row() -> None:
     """The middle row is exposed at the picture's time, others earlier or later by their share of 30 ms."""
     rolling = experiment(*CLEAN, "camera.readout_s=0.03")
     eta, nu = poses((0.4, -0.8, 0.3, 0.7), (-0.5, 0.8, 0.3, -2.0)), np.array([[0.4, 0.1, 0.0, 0.5], [-0.3, 0.2, 0.0, -0.5]])
-    found = detect(Renderer(rolling, 1).render(eta, nu, 0.0, 0))
+    corners = detect(Renderer(rolling, 1).render(eta, nu, 0.0, 0))
     for i in range(2):
-        late_s = 0.03 * (float(found[i + 1][:, 1].mean()) / 960.0 - 0.5)
+        late_s = 0.03 * (float(corners[i + 1][:, 1].mean()) / 960.0 - 0.5)
         moved = eta[i] + late_s * np.append(body_to_pool(nu[i, :2], float(eta[i, 3])), nu[i, 2:])
-        assert np.linalg.norm(np.mean(found[i + 1] - corners_px(rolling, moved), axis=0)) < 0.15
-        assert np.linalg.norm(np.mean(found[i + 1] - corners_px(rolling, eta[i]), axis=0)) > 0.7
+        assert np.linalg.norm(np.mean(corners[i + 1] - corners_px(rolling, moved), axis=0)) < 0.15
+        assert np.linalg.norm(np.mean(corners[i + 1] - corners_px(rolling, eta[i]), axis=0)) > 0.7
 
 
 def test_water_never_comes_back() -> None:
@@ -290,9 +290,9 @@ def test_water_never_comes_back() -> None:
     moving = renderer("sim.picture.noise=0", "camera.size_px=[160, 120]", "camera.focal_px=[125.6, 125.6]",
                       "camera.centre_px=[79.5, 59.5]")  # fmt: skip
     count, period_s = 4500, 0.2
-    seen = np.array([moving.backdrop.at(k * period_s)[1][::4, 1::8].ravel() for k in range(count)], dtype=np.float64)
-    seen -= seen.mean(axis=0)
-    power = np.abs(np.fft.rfft(seen, 2 * count, axis=0)) ** 2
+    pictures = np.array([moving.backdrop.at(k * period_s)[1][::4, 1::8].ravel() for k in range(count)], dtype=np.float64)
+    pictures -= pictures.mean(axis=0)
+    power = np.abs(np.fft.rfft(pictures, 2 * count, axis=0)) ** 2
     alike = np.fft.irfft(power.sum(axis=1))[: count // 2] / (count - np.arange(count // 2))
     assert np.abs(alike[5:] / alike[0]).max() < 0.35
     now = moving.backdrop.at(0.5)[1].astype(int)
@@ -342,8 +342,8 @@ def test_ripples_shift_the_floor_as_tilted_water_does() -> None:
         expected = np.array([u[inside].mean(), v[inside].mean()])
         picture = bgr(rippled.render(poses(AWAY, AWAY), REST, float(time_s), 0))[440:520, 600:680].astype(float)
         rows, columns = np.nonzero(picture[..., 2] > picture[..., 1])
-        seen = np.array([columns.mean() + 600, rows.mean() + 440])
-        assert seen == pytest.approx(expected, abs=0.35)
+        centre = np.array([columns.mean() + 600, rows.mean() + 440])
+        assert centre == pytest.approx(expected, abs=0.35)
         moved.append(expected)
     assert np.ptp(moved, axis=0).min() > 1.0, "the test must see a shift worth the name"
 
@@ -369,7 +369,7 @@ def test_ripples_shift_robots_with_the_same_sign() -> None:
     lines = rays(camera, np.stack(np.meshgrid(u, v), axis=-1))
     waters = rippled.backdrop.at(0.0)[0].waters
     basis = waters.ripples.basis(*(lines.surface_m[..., i].astype(np.float32) for i in (0, 1)))
-    expected, seen = [], []
+    expected, centres = [], []
     for time_s in np.arange(0.0, 2.4, 0.2):
         loop_s = waters.ripple_clock.loop_s(float(time_s))
         slope = waters.ripples.slopes(basis, loop_s).reshape(2, *lines.air.shape[:2]).astype(np.float64)
@@ -377,9 +377,9 @@ def test_ripples_shift_robots_with_the_same_sign() -> None:
         rows, columns = np.nonzero(np.abs(body_to_pool(plate - pose[:2], -pose[3])).max(axis=-1) < 0.05)
         expected.append([u[columns].mean(), v[rows].mean()])
         picture = rippled.render(poses(tuple(pose), AWAY), REST, float(time_s), 0)
-        seen.append(detect(picture)[1].mean(axis=0))
+        centres.append(detect(picture)[1].mean(axis=0))
     assert np.ptp(expected, axis=0).min() > 0.6, "the test must see a shift worth the name"
-    assert np.sqrt(np.mean(np.square(np.subtract(seen, expected)), axis=0)).max() < 0.15
+    assert np.sqrt(np.mean(np.square(np.subtract(centres, expected)), axis=0)).max() < 0.15
 
 
 # --- noise

@@ -51,8 +51,8 @@ def test_lines_of_sight_are_bent_by_the_wave_as_snells_law_says() -> None:
             air = np.array([view.blocks.air_x[i, j], view.blocks.air_y[i, j], 1.0], dtype=float)
             exact = refracted(lens, air, wave, time_s, experiment.camera.water_index, depth_m)
             flat = refracted(lens, air, SurfaceWave(load_experiment("pool")), time_s, experiment.camera.water_index, depth_m)
-            seen = fields[[SURFACE_X, SURFACE_Y], i, j] + depth_m * fields[[WATER_X, WATER_Y], i, j]
-            assert seen == pytest.approx(exact[:2], abs=1e-4)
+            place = fields[[SURFACE_X, SURFACE_Y], i, j] + depth_m * fields[[WATER_X, WATER_Y], i, j]
+            assert place == pytest.approx(exact[:2], abs=1e-4)
             largest = max(largest, float(np.linalg.norm(exact - flat)))
     assert largest > 0.008
 

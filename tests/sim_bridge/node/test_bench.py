@@ -39,9 +39,9 @@ def say(*arguments: str) -> tuple[int, str]:
 
 @pytest.fixture
 def port() -> Iterator[UdpPort]:
-    found = UdpPort("127.0.0.1", 0)
-    yield found
-    found.close()
+    udp_port = UdpPort("127.0.0.1", 0)
+    yield udp_port
+    udp_port.close()
 
 
 def test_a_terminal_takes_the_place_of_one_whose_board_was_killed(tmp_path: Path) -> None:
@@ -61,10 +61,10 @@ def test_parameters_over_a_serial_port_and_across_a_restart(tmp_path: Path) -> N
         assert (code, len(listed.splitlines())) == (0, 46)
         assert "SLEW_US_S        8000\n" in listed
         assert say("set", "--link", link, "THR1_TRIM_US", "--", "-12") == (0, "THR1_TRIM_US = -12\n")
-        code, said = say("set", "--link", link, "CMD_AGE_MS", "5000")
-        assert code == 1 and "CMD_AGE_MS is still 250: CMD_AGE_MS: out of range (50 to 300, whole)" in said
-        code, said = say("get", "--link", link, "NO_SUCH_THING")
-        assert code == 1 and "the board has no such parameter" in said
+        code, output = say("set", "--link", link, "CMD_AGE_MS", "5000")
+        assert code == 1 and "CMD_AGE_MS is still 250: CMD_AGE_MS: out of range (50 to 300, whole)" in output
+        code, output = say("get", "--link", link, "NO_SUCH_THING")
+        assert code == 1 and "the board has no such parameter" in output
     with board(f"pty:{tmp_path}/plug", tmp_path / "boards"):
         assert say("get", "--link", link, "THR1_TRIM_US") == (0, "-12\n")
         assert say("set", "--link", link, "HIL_MODE", "1")[0] == 0
@@ -100,8 +100,8 @@ def test_a_key_is_given_over_the_cable_and_kept(tmp_path: Path) -> None:
     link, key = f"serial:{tmp_path}/plug", tmp_path / "robot-1.key"
     new_key(key)
     with board(f"pty:{tmp_path}/plug", tmp_path / "boards"):
-        code, said = say("give-key", str(key), "--link", link)
-        assert (code, said) == (0, f"robot 1: the link is signed with {key}\n")
+        code, output = say("give-key", str(key), "--link", link)
+        assert (code, output) == (0, f"robot 1: the link is signed with {key}\n")
         assert say("get", "--link", link, "--link-key", str(key), "SLEW_US_S") == (0, "8000\n")
     with board(f"pty:{tmp_path}/plug", tmp_path / "boards"):
         assert say("get", "--link", link, "--link-key", str(key), "SLEW_US_S") == (0, "8000\n")
@@ -157,14 +157,14 @@ def test_a_serial_board_that_is_pulled_out_and_put_back(tmp_path: Path) -> None:
     try:
         for _ in range(3):
             terminal = PseudoTerminal(tmp_path / "plug")
-            said = heard = b""
+            override_bytes = burst_bytes = b""
             deadline = time.monotonic() + 10
-            while not (said and heard) and time.monotonic() < deadline:
+            while not (override_bytes and burst_bytes) and time.monotonic() < deadline:
                 link.send(b"override")
                 terminal.send(b"burst", 0)
-                said += b"".join(data for data, _ in terminal.read())
-                heard += link.read()
-            assert b"override" in said and b"burst" in heard
+                override_bytes += b"".join(data for data, _ in terminal.read())
+                burst_bytes += link.read()
+            assert b"override" in override_bytes and b"burst" in burst_bytes
             terminal.close()
             for _ in range(5):
                 link.send(b"into the void")
@@ -249,9 +249,9 @@ def test_a_flooded_port_is_read_a_little_at_a_time(port: UdpPort) -> None:
     try:
         for k in range(25):
             link.send(bytes([k]))
-        found = [port.read() for _ in range(4)]
-        assert [len(datagrams) for datagrams in found] == [10, 10, 5, 0]
-        assert b"".join(data for datagrams in found for data, _ in datagrams) == bytes(range(25))
+        reads = [port.read() for _ in range(4)]
+        assert [len(datagrams) for datagrams in reads] == [10, 10, 5, 0]
+        assert b"".join(data for datagrams in reads for data, _ in datagrams) == bytes(range(25))
         assert not port.is_flooded
     finally:
         link.close()

@@ -16,12 +16,14 @@ from shoal.bus.zenoh_transport import ZenohTransport
 from shoal.config.experiment import load_experiment
 from shoal.messages import topics
 from shoal.messages.codec import Header
+from shoal.messages.messages import ALONE, Mode, RobotState
 from shoal.messages.topics import Topic
 from shoal.runtime.runtime import Failed, Stop
 from sim_bridge.camera.renderer import Renderer
 from sim_bridge.node.board_ports import UdpPorts
 from sim_bridge.node.pool import PoolNode
 from sim_bridge.sil.ports import free_base_port
+from sim_bridge.thruster_board.board import ThrusterBoard
 from sim_bridge.world import World
 from tests.waiting import wait_for_line
 
@@ -34,7 +36,7 @@ def test_every_exposure_has_a_pose_however_old_poses_are() -> None:
     experiment = load_experiment("pool", ["sim.latency_s=0.2", ROBOT])
     hub, stop = MemoryHub(), Stop(install=False)
     exposed: list[int] = []
-    told: list[Header] = []
+    headers: list[Header] = []
 
     def count(topic: Topic, key: str, header: Header, payload: bytes) -> None:
         exposed.append(header.stamp_ns)
@@ -43,28 +45,28 @@ def test_every_exposure_has_a_pose_however_old_poses_are() -> None:
 
     witness = Bus(MemoryTransport(hub))
     witness.subscribe(topics.TRUTH, None, count)
-    witness.subscribe(topics.POSE, 1, lambda topic, key, header, payload: told.append(header))
+    witness.subscribe(topics.POSE, 1, lambda topic, key, header, payload: headers.append(header))
     sockets = UdpPorts(free_base_port((1,)), (1,), experiment.seed)
     PoolNode(experiment, Bus(MemoryTransport(hub)), sockets, stop, lockstep=False, poses=True).run()
-    assert [header.stamp_ns for header in told] == exposed
-    assert min(header.age_ns for header in told) >= 200_000_000
+    assert [header.stamp_ns for header in headers] == exposed
+    assert min(header.age_ns for header in headers) >= 200_000_000
 
 
 @pytest.mark.long
 def test_a_camera_thread_that_fails_ends_the_run_with_the_reason(monkeypatch: pytest.MonkeyPatch) -> None:
     """At its third picture. The run ends by itself, although nobody takes pictures any more, and says why."""
-    experiment, seen = load_experiment("pool", [ROBOT]), [0]
+    experiment, count = load_experiment("pool", [ROBOT]), [0]
 
     def render(*args: Any) -> Any:
-        seen[0] += 1
-        if seen[0] == 3:
+        count[0] += 1
+        if count[0] == 3:
             raise ValueError("robot 1: eta = nan must be finite")
         return np.zeros((960, 1280), np.uint8)
 
     monkeypatch.setattr(Renderer, "render", render)
     sockets, stop = UdpPorts(free_base_port((1,)), (1,), experiment.seed), Stop(install=False)
     PoolNode(experiment, Bus(MemoryTransport(MemoryHub())), sockets, stop, lockstep=False).run()
-    assert seen[0] == 3
+    assert count[0] == 3
     with pytest.raises(Failed, match="thread camera ended: ValueError: robot 1: eta = nan must be finite"):
         stop.raise_failure()
 
@@ -94,6 +96,27 @@ def test_water_does_not_run_ahead_when_a_port_is_flooded() -> None:
     pool.run()
     assert sockets.woken > 100, "the flood has woken it between steps"
     assert all(water_ns - passed_ns <= 2 * 5_000_000 for water_ns, passed_ns in steps)
+
+
+def test_faults_count_from_the_formations_start_and_not_from_a_lone_flight() -> None:
+    """Robot 1 was sent somewhere alone, 5 s ago. Later the formation has flown for 0.5 s."""
+    experiment = load_experiment("pool", [ROBOT, 'sim.faults=[{at_s=1.0,what="battery 1 sag 1"}]'])
+    hub = MemoryHub()
+    pool = PoolNode(
+        experiment, Bus(MemoryTransport(hub)), UdpPorts(free_base_port((1,)), (1,), 1), Stop(install=False), lockstep=False
+    )
+    world, robot = World(experiment, 1, np.array([[0.4, 0.0, 0.3, 0.0]]), ThrusterBoard), Bus(MemoryTransport(hub))
+    for k, (trajectory_id, trajectory_s, start_s) in enumerate(((f"{ALONE}there", 5.0, None), ("formation", 0.5, 9.5))):
+        stamp_ns = 10_000_000_000 + k
+        robot.publish(
+            topics.STATE, RobotState(Mode.TRACKING, trajectory_id=trajectory_id, trajectory_s=trajectory_s), stamp_ns, 1
+        )
+        # the instant from which faults count is the world's, which no message shows; it is looked for at each exposure
+        received = pool._states[1].newest()
+        assert received is not None
+        # the plant's time 0 was 10 s before
+        pool._detect_start(world, pool._clock.instant_ns(received) - 10_000_000_000)
+        assert world.start_ns == (None if start_s is None else round(start_s * 1e9))
 
 
 class TickingClock:

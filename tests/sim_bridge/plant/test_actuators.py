@@ -7,8 +7,7 @@ import pytest
 
 from shoal.config.experiment import Experiment, load_experiment
 from shoal.frames import Array
-from sim_bridge.plant import kernels
-from sim_bridge.plant.actuators import ActuatorModel, ActuatorState
+from sim_bridge.plant.actuators import ActuatorModel, ActuatorState, Motors, lapse_of, thrusters_wrench
 from sim_bridge.plant.fleet import Plant
 
 STEP_S = 0.005
@@ -37,13 +36,9 @@ def run(fleet: Plant, motors: ActuatorState | None, command_us: Array, steps: in
 
 
 def legs_wrench(force: Array, ankle: Array) -> Array:
-    """Forces on two hulls (2, 6) at thruster forces and ankle angles (2, 4)."""
-    wrench, fleet = np.empty((2, 6)), kernels.memory(2)
-    kernels.to_fleet(force, fleet, kernels.FORCE_THEN)
-    kernels.to_fleet(ankle, fleet, kernels.ANKLE_THEN)
-    kernels.thrusters_wrench(fleet, 0, len(fleet), ActuatorModel(pool(), seed=0).constants)
-    kernels.from_fleet(fleet, kernels.WRENCH, wrench)
-    return wrench
+    """Forces and moments on two hulls (2, 6) at thruster forces and ankle angles (2, 4)."""
+    actuators, motors = ActuatorModel(pool(), seed=0).constants, Motors(force, ankle, force, ankle)
+    return np.array([np.ravel(thrusters_wrench(i, motors, actuators, lapse_of(actuators, 0.0))) for i in range(2)])
 
 
 def test_dead_time_then_exponential() -> None:
@@ -56,11 +51,10 @@ def test_dead_time_then_exponential() -> None:
 
 
 def test_inside_a_step_the_lag_is_exact_too() -> None:
-    legs, fleet, force_n = ActuatorModel(pool(*EXACT), seed=0), kernels.memory(1), np.empty((1, 4))
-    kernels.to_fleet(np.full((1, 4), 3.0), fleet, kernels.TARGET_N)
-    kernels.move_actuators(fleet, 0, len(fleet), 0.0025, legs.constants)
-    kernels.from_fleet(fleet, kernels.FORCE_THEN, force_n)
-    assert force_n == pytest.approx(3.0 * (1.0 - np.exp(-0.025)))
+    actuators, level = ActuatorModel(pool(*EXACT), seed=0).constants, np.zeros((1, 4))
+    motors = Motors(np.zeros((1, 4)), level, np.full((1, 4), 3.0), level)
+    thrust = thrusters_wrench(0, motors, actuators, lapse_of(actuators, 0.0025))
+    assert thrust.linear.x == pytest.approx(4 * 3.0 * (1.0 - np.exp(-0.025)))
 
 
 def test_no_lag_and_no_dead_time() -> None:
@@ -69,13 +63,13 @@ def test_no_lag_and_no_dead_time() -> None:
 
 
 def test_each_pulse_acts_once_and_in_order() -> None:
-    fleet, seen = Plant(pool(*EXACT, "sim.plant.thruster_lag_s=0"), seed=0), []
+    fleet, forces_n = Plant(pool(*EXACT, "sim.plant.thruster_lag_s=0"), seed=0), []
     motors = None
     sent = [1500, 1550, 1600, 1700, 1800, 1900] + [1500] * 12
     for value in sent:
         motors = run(fleet, motors, pulses(value, 1500), 1)[-1]
-        seen.append(float(motors.force_n[0, 0]))
-    assert seen == pytest.approx([0.0] * 10 + [0.0, 0.207, 0.478, 1.22, 2.014, 3.0, 0.0, 0.0])
+        forces_n.append(float(motors.force_n[0, 0]))
+    assert forces_n == pytest.approx([0.0] * 10 + [0.0, 0.207, 0.478, 1.22, 2.014, 3.0, 0.0, 0.0])
 
 
 @pytest.mark.parametrize("pulse", [1477, 1490, 1500, 1523])
@@ -120,20 +114,20 @@ def test_a_gain_scales_its_own_thruster() -> None:
     ],
 )
 def test_wrench_of_the_legs(force: list[float], ankle: list[float], wrench: list[float]) -> None:
-    found = legs_wrench(np.array([force, [0.0] * 4], float), np.array([ankle, ankle], float))[:, [0, 2, 5]]
-    assert found[0] == pytest.approx(wrench, abs=1e-12)
-    assert (found[1] == 0.0).all()
+    wrenches = legs_wrench(np.array([force, [0.0] * 4], float), np.array([ankle, ankle], float))[:, [0, 2, 5]]
+    assert wrenches[0] == pytest.approx(wrench, abs=1e-12)
+    assert (wrenches[1] == 0.0).all()
 
 
 def test_wrench_is_the_sum_of_moments() -> None:
     """Against r x F in three dimensions."""
     random = np.random.default_rng(1)
     force, ankle = random.uniform(-3, 3, (2, 4)), random.uniform(-1.5, 1.5, (2, 4))
-    found = legs_wrench(force, ankle)
+    wrenches = legs_wrench(force, ankle)
     for robot in range(2):
         vectors = np.array([[f * np.cos(a), 0.0, f * np.sin(a)] for f, a in zip(force[robot], ankle[robot], strict=True)])
         arms = np.column_stack([np.array(pool().vehicle.four_legs.position_m), np.full(4, pool().sim.plant.tilt.legs_below_m)])
-        assert found[robot] == pytest.approx([*vectors.sum(axis=0), *np.cross(arms, vectors).sum(axis=0)])
+        assert wrenches[robot] == pytest.approx([*vectors.sum(axis=0), *np.cross(arms, vectors).sum(axis=0)])
 
 
 @pytest.mark.parametrize("bad", [np.full((2, 8), np.nan), np.full((2, 4), 1500.0), np.full((1, 8), 1500.0)])

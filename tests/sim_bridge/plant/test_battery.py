@@ -5,8 +5,7 @@ import pytest
 
 from shoal.config.experiment import load_experiment
 from shoal.frames import Array
-from sim_bridge.plant import kernels
-from sim_bridge.plant.battery import BatteryModel
+from sim_bridge.plant.battery import BatteryModel, charge_after, thrust_factor
 from sim_bridge.plant.fleet import Plant
 
 REST = np.zeros((2, 4))
@@ -17,57 +16,44 @@ def supply(*settings: str) -> BatteryModel:
     return BatteryModel(load_experiment("pool", settings))
 
 
-def fleet_with(charge: Array, force_n: Array) -> Array:
-    """Memory of a fleet with these charges (n,) and thrusts (n, 4)."""
-    fleet = kernels.memory(len(charge))
-    kernels.to_fleet(charge[:, None], fleet, kernels.CHARGE)
-    kernels.to_fleet(force_n, fleet, kernels.FORCE)
-    return fleet
-
-
 def drained(supply: BatteryModel, charge: Array, force_n: Array, seconds: float) -> Array:
-    fleet, left = fleet_with(charge, force_n), np.empty((len(charge), 1))
-    kernels.discharge(fleet, 0, len(fleet), seconds, supply.constants)
-    kernels.from_fleet(fleet, kernels.CHARGE, left)
-    return left[:, 0]
+    battery = supply.constants
+    return np.array([charge_after(i, battery, float(left), force_n, seconds) for i, left in enumerate(charge)])
 
 
-def thrust_factor(supply: BatteryModel, charge: Array, force_n: Array, sag_v: Array) -> Array:
-    fleet, factor = fleet_with(charge, force_n), np.empty((len(charge), 1))
-    kernels.to_fleet(sag_v[:, None], fleet, kernels.LOST_V)
-    kernels.thrust_factor(fleet, 0, len(fleet), supply.constants)
-    kernels.from_fleet(fleet, kernels.FACTOR, factor)
-    return factor[:, 0]
+def factors(supply: BatteryModel, charge: Array, force_n: Array, lost_v: Array) -> Array:
+    battery = supply.constants
+    return np.array([thrust_factor(i, battery, float(charge[i]), force_n, float(lost_v[i])) for i in range(len(charge))])
 
 
 def test_battery_starts_at_the_experiments_voltage() -> None:
     for volts in (11.0, 12.4, 12.6, 13.5):
-        found = supply(f"sim.sensors.battery_v={volts}")
-        assert found.rest_v(found.start(2)) == pytest.approx([volts, volts])
+        battery = supply(f"sim.sensors.battery_v={volts}")
+        assert battery.rest_v(battery.start(2)) == pytest.approx([volts, volts])
 
 
 def test_full_thrust_lasts_as_long_as_its_energy() -> None:
     """10 W of electronics and four thrusters of 25 W from 55 Wh: half an hour."""
-    found = supply("sim.sensors.battery_v=12.6")
-    charge, full = found.start(2), np.array([[3.0] * 4, [0.0] * 4])
+    battery = supply("sim.sensors.battery_v=12.6")
+    charge, full = battery.start(2), np.array([[3.0] * 4, [0.0] * 4])
     seconds = 55.0 * 3600.0 / 110.0
     for _ in range(100):
-        charge = drained(found, charge, full, seconds / 100)
+        charge = drained(battery, charge, full, seconds / 100)
     assert charge == pytest.approx([0.0, 1.0 - 10.0 / 110.0], abs=1e-9)
-    assert drained(found, charge, full, 60.0)[0] == 0.0
+    assert drained(battery, charge, full, 60.0)[0] == 0.0
 
 
 def test_voltage_falls_with_charge() -> None:
-    found = supply("sim.sensors.battery_v=12.6")
-    volts = found.rest_v(np.linspace(1.0, 0.0, 50))
+    battery = supply("sim.sensors.battery_v=12.6")
+    volts = battery.rest_v(np.linspace(1.0, 0.0, 50))
     assert (np.diff(volts) < 0).all() and volts[0] == 12.6 and volts[-1] == pytest.approx(9.0)
 
 
 def test_thrust_follows_voltage_and_load() -> None:
-    found = supply("sim.sensors.battery_v=12.0")
-    charge = found.start(2)
-    assert thrust_factor(found, charge, REST, NO_SAG) == pytest.approx([1.0, 1.0])
-    loaded = thrust_factor(found, charge, np.array([[3.0, -3.0, 3.0, -3.0], [0.0] * 4]), np.array([0.0, 2.0]))
+    battery = supply("sim.sensors.battery_v=12.0")
+    charge = battery.start(2)
+    assert factors(battery, charge, REST, NO_SAG) == pytest.approx([1.0, 1.0])
+    loaded = factors(battery, charge, np.array([[3.0, -3.0, 3.0, -3.0], [0.0] * 4]), np.array([0.0, 2.0]))
     assert loaded == pytest.approx([(11.5 / 12) ** 1.2, (10.0 / 12) ** 1.2])
 
 
@@ -91,8 +77,8 @@ def test_a_robot_with_a_weak_battery_is_slower() -> None:
 
 
 def test_an_ideal_supply_changes_nothing() -> None:
-    found = supply("sim.plant.battery.capacity_wh=0")
-    charge = found.start(2)
-    assert (thrust_factor(found, charge, np.full((2, 4), 3.0), NO_SAG) == 1.0).all()
-    assert (drained(found, charge, np.full((2, 4), 3.0), 1e6) == charge).all()
-    assert (found.rest_v(charge) == 12.4).all()
+    battery = supply("sim.plant.battery.capacity_wh=0")
+    charge = battery.start(2)
+    assert (factors(battery, charge, np.full((2, 4), 3.0), NO_SAG) == 1.0).all()
+    assert (drained(battery, charge, np.full((2, 4), 3.0), 1e6) == charge).all()
+    assert (battery.rest_v(charge) == 12.4).all()

@@ -75,10 +75,10 @@ def test_gusts_have_their_strength_and_correlation() -> None:
     """Over many seeds: variance, and exp(-t/T) between two instants; x and y apart."""
     settings = ("sim.plant.gust_mps=0.05", "sim.plant.gust_s=4")
     lags = (0.0, 1.0, 2.0, 4.0, 8.0)
-    seen = np.array([[at(flow(*settings, seed=seed), (0, 0, 0), 5.0 + lag)[:2] for lag in lags] for seed in range(400)])
-    correlation = (seen[:, :1] * seen).mean(axis=0) / 0.05**2
+    speeds = np.array([[at(flow(*settings, seed=seed), (0, 0, 0), 5.0 + lag)[:2] for lag in lags] for seed in range(400)])
+    correlation = (speeds[:, :1] * speeds).mean(axis=0) / 0.05**2
     assert correlation.mean(axis=1) == pytest.approx(np.exp(-np.array(lags) / 4.0), abs=0.12)
-    assert abs((seen[:, 0, 0] * seen[:, 0, 1]).mean()) < 0.15 * 0.05**2
+    assert abs((speeds[:, 0, 0] * speeds[:, 0, 1]).mean()) < 0.15 * 0.05**2
 
 
 def test_the_same_seed_blows_the_same() -> None:
@@ -116,13 +116,13 @@ def test_a_floating_robot_goes_round_with_the_water() -> None:
         u, v, w = at(water, tuple(eta[i, :3]), 0.0)
         nu[i, :3] = np.cos(eta[i, 3]) * u + np.sin(eta[i, 3]) * v, np.cos(eta[i, 3]) * v - np.sin(eta[i, 3]) * u, w
     state = replace(start, nu=nu)
-    seen = []
+    places = []
     for _ in range(400):
         state = fleet.step(state, np.full((2, 8), 1500.0))
-        seen.append(state.eta[:, :3])
+        places.append(state.eta[:, :3])
     k = wave_number(np.pi, 50.0)
     for i, depth in enumerate((0.5, 1.0)):
-        x, z = np.array(seen)[:, i, 0], np.array(seen)[:, i, 2]
+        x, z = np.array(places)[:, i, 0], np.array(places)[:, i, 2]
         radius = 0.002 * np.exp(-k * depth)
         assert np.ptp(z) / 2 == pytest.approx(radius, rel=0.01)
         assert np.ptp(x) / 2 == pytest.approx(radius, rel=0.01)

@@ -102,7 +102,7 @@ def test_against_a_second_integrator(extra: tuple[str, ...]) -> None:
     experiment, simulated = load_experiment("pool", settings), plant(*settings)
     pulses = np.array([[1640, 1580, 1400, 1600, 1700, 1450, 1520, 1300], [1420, 1900, 1650, 1580, 1350, 1600, 1900, 1480.0]])
     eta = np.array([[-40.0, 1.0, 5.0, 0.4], [40.0, -2.0, 6.0, -2.0]])
-    found = run(simulated, simulated.start(eta), 800, pulses)[-1]
+    end = run(simulated, simulated.start(eta), 800, pulses)[-1]
     for robot in range(2):
         water = np.linalg.multi_dot([rotation(eta[robot, 3]).T, -np.array(experiment.sim.plant.current_mps)])
         inertia = experiment.vehicle.inertia * (1 + experiment.sim.plant.mass_error)
@@ -111,8 +111,8 @@ def test_against_a_second_integrator(extra: tuple[str, ...]) -> None:
         rate = second_equations(experiment, robot, pulses[robot])
         exact = solve_ivp(rate, (0, 4), start, "DOP853", rtol=1e-10, atol=1e-12, max_step=0.05).y[:, -1]
         over_ground = rotation(exact[3]).T @ (rate(4.0, exact)[:3])
-        assert found.eta[robot] == pytest.approx(exact[:4], abs=2e-6)
-        assert found.nu[robot] == pytest.approx([*over_ground, rate(4.0, exact)[3]], abs=2e-6)
+        assert end.eta[robot] == pytest.approx(exact[:4], abs=2e-6)
+        assert end.nu[robot] == pytest.approx([*over_ground, rate(4.0, exact)[3]], abs=2e-6)
 
 
 def test_the_error_falls_with_the_fourth_power_of_the_step() -> None:
@@ -356,9 +356,9 @@ def test_disturbance_is_what_pushes() -> None:
     """A known force that the nominal model does not have: it is the truth's disturbance, at its own phase."""
     fleet = plant(*OPEN, "sim.plant.disturbance_wrench=[3,1.5,0.25]", "sim.plant.disturbance_hz=[0.005,0.02]")
     state = run(fleet, fleet.start(APART), 2000)[-1]
-    found = fleet.truth(moving(state, [[0.0] * 4] * 2)).disturbance
+    disturbance = fleet.truth(moving(state, [[0.0] * 4] * 2)).disturbance
     expected = [np.sin(2 * np.pi * hz * 10.0) * np.array([3 / 12, 0, 1.5 / 16, 0.25 / 0.12]) for hz in (0.005, 0.02)]
-    assert found == pytest.approx(np.array(expected), abs=1e-12)
+    assert disturbance == pytest.approx(np.array(expected), abs=1e-12)
 
 
 def test_acceleration_is_the_derivative_of_velocity() -> None:

@@ -137,7 +137,7 @@ def test_against_a_second_integrator(extra: tuple[str, ...]) -> None:
     flow = WaterFlow(experiment, 1)
     start = simulated.start(APART + np.array([0.0, 0.0, 0.0, 0.7]))
     tilt = np.array([[0.3, -0.2, 0.0, 0.0], [-0.5, 0.4, 0.0, 0.0]])
-    found = run(simulated, replace(start, tilt=tilt), 800, pulses)[-1]
+    end = run(simulated, replace(start, tilt=tilt), 800, pulses)[-1]
     for robot in range(2):
 
         def water(t: float) -> Array:
@@ -148,11 +148,11 @@ def test_against_a_second_integrator(extra: tuple[str, ...]) -> None:
         y = np.concatenate([start.eta[robot, :3], turn.ravel(), impulse])
         rate = second_equations(experiment, pulses[robot], water)
         exact = solve_ivp(rate, (0, 4), y, "DOP853", rtol=1e-10, atol=1e-12, max_step=0.05).y[:, -1]
-        assert found.eta[robot, :3] == pytest.approx(exact[:3], abs=5e-6)
-        reached = attitude(found.tilt[robot, 0], found.tilt[robot, 1], found.eta[robot, 3])
+        assert end.eta[robot, :3] == pytest.approx(exact[:3], abs=5e-6)
+        reached = attitude(end.tilt[robot, 0], end.tilt[robot, 1], end.eta[robot, 3])
         assert reached == pytest.approx(exact[3:12].reshape(3, 3), abs=2e-5)
-        c, s = np.cos(found.eta[robot, 3]), np.sin(found.eta[robot, 3])
-        u, v, w, _ = found.nu[robot]
+        c, s = np.cos(end.eta[robot, 3]), np.sin(end.eta[robot, 3])
+        u, v, w, _ = end.nu[robot]
         assert [c * u - s * v, s * u + c * v, w] == pytest.approx(rate(4.0, exact)[:3], abs=2e-5)
 
 
@@ -185,7 +185,7 @@ def test_energy_of_free_motion_stays() -> None:
     inertia, righting = inertia_of(experiment), experiment.sim.plant.tilt.righting_nm
 
     def energy(state: PlantState) -> Array:
-        found = []
+        energies = []
         for eta, nu, tilt in zip(state.eta, state.nu, state.tilt, strict=True):
             turn = attitude(tilt[0], tilt[1], 0.0)
             linear = turn.T @ nu[:3]
@@ -194,9 +194,9 @@ def test_energy_of_free_motion_stays() -> None:
                 tilt[2] * np.eye(3)[0] + attitude(tilt[0], 0, 0).T @ (tilt[3] * np.eye(3)[1]) + turn.T @ (nu[3] * np.eye(3)[2])
             )
             both = np.concatenate([linear, spin])
-            found.append(0.5 * both @ inertia @ both + righting * (1.0 - np.cos(tilt[0]) * np.cos(tilt[1])))
+            energies.append(0.5 * both @ inertia @ both + righting * (1.0 - np.cos(tilt[0]) * np.cos(tilt[1])))
             assert np.isfinite(eta).all()
-        return np.array(found)
+        return np.array(energies)
 
     start = moving(free.start(APART), [[0.3, 0.2, 0.1, 0.7], [-0.2, 0.3, 0.0, -0.4]], [[0.6, -0.3, 1.0, 0.5], [0, 0.8, 0, 0]])
     before = energy(start)

@@ -100,9 +100,9 @@ def test_a_report_that_ends_with_an_error_is_none(
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     if earlier is not None:
         (tmp_path / "result.json").write_text(earlier)
-    told = Console(record=True, width=500, file=io.StringIO())
-    assert not launcher.report(tmp_path, told)
-    assert "no report: Traceback" in (text := told.export_text()) and "MemoryError: on purpose" in text
+    console = Console(record=True, width=500, file=io.StringIO())
+    assert not launcher.report(tmp_path, console)
+    assert "no report: Traceback" in (text := console.export_text()) and "MemoryError: on purpose" in text
 
 
 def test_a_key_ring_of_the_environment_does_not_keep_one_process_from_flying(monkeypatch: pytest.MonkeyPatch) -> None:

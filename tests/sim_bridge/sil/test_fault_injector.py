@@ -77,7 +77,7 @@ def test_a_clock_is_set_and_set_back(tmp_path: Path, monkeypatch: pytest.MonkeyP
     out = tmp_path / "off"
     (tmp_path / "clock_teller.py").write_text(CLOCK_TELLER.format(out=out))
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), *sys.path]))
-    seen: set[int | str] = set()
+    offsets: set[int | str] = set()
     children = Children(tmp_path / "logs", frozenset({"agent-1"}))
     try:
         children.start("agent-1", "clock_teller", [])
@@ -86,16 +86,16 @@ def test_a_clock_is_set_and_set_back(tmp_path: Path, monkeypatch: pytest.MonkeyP
                 load_experiment("pool", faults=["t=0.5 for=0.5 clock agent-1 step 3600"]), children, bus
             )
             deadline = time.monotonic() + 20.0
-            while time.monotonic() < deadline and seen != {0, 3600, "back"}:
-                told = out.read_text() if out.exists() else ""
-                if told:
+            while time.monotonic() < deadline and offsets != {0, 3600, "back"}:
+                text = out.read_text() if out.exists() else ""
+                if text:
                     injector.act(0.01)
-                    hour = round(float(told))
-                    seen.add("back" if hour == 0 and 3600 in seen else hour)
+                    hour = round(float(text))
+                    offsets.add("back" if hour == 0 and 3600 in offsets else hour)
                 time.sleep(0.02)
     finally:
         children.stop()
-    assert seen == {0, 3600, "back"}
+    assert offsets == {0, 3600, "back"}
 
 
 def test_a_full_disk_stops_the_log_and_an_emptied_one_takes_more(tmp_path: Path) -> None:
@@ -109,14 +109,14 @@ def test_a_full_disk_stops_the_log_and_an_emptied_one_takes_more(tmp_path: Path)
     try:
         with Bus(MemoryTransport(MemoryHub())) as bus:
             injector = ProcessFaultInjector(load_experiment("pool", faults=["t=0.01 for=0.5 disk full"]), children, bus)
-            told: list[int] = []
-            while (len(told) < 400 and told[-3:] != [0, 0, 0]) or errno.EFBIG not in told:
+            errors: list[int] = []
+            while (len(errors) < 400 and errors[-3:] != [0, 0, 0]) or errno.EFBIG not in errors:
                 injector.act(0.02)
-                told.append(int(writer.stdout.readline()))
+                errors.append(int(writer.stdout.readline()))
     finally:
         writer.kill()
         writer.wait()
-    assert told[-3:] == [0, 0, 0] and set(told) == {0, errno.EFBIG}
+    assert errors[-3:] == [0, 0, 0] and set(errors) == {0, errno.EFBIG}
 
 
 WRITER = """

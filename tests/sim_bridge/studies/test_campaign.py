@@ -26,15 +26,13 @@ from shoal.config.experiment import EXPERIMENTS, NO_CAMERA, Experiment, load_exp
 from shoal.config.loader import check
 from shoal.errors import ConfigError
 from shoal.runtime.output import terminal
-from shoal.runtime.runtime import Failed, Stop
+from shoal.runtime.runtime import Stop
 from shoal.runtime.version import code
 from sim_bridge.__main__ import cli
-from sim_bridge.in_process import run
 from sim_bridge.studies import campaign_runner
 from sim_bridge.studies.campaign import Campaign, flights
 from sim_bridge.studies.campaign_flight import planning_text
 from sim_bridge.studies.dependence import dependence, dependences, lines, reasons
-from sim_bridge.studies.metrics import MEASURES, broken_limits
 from sim_bridge.studies.statistics import distribution, quantile, rate
 from tests.planted import installed
 from tests.waiting import eventually
@@ -62,8 +60,8 @@ def fly(loaded: Campaign, folder: Path, **options: Any) -> int:
 
 
 def rows(folder: Path) -> list[dict[str, Any]]:
-    found: list[dict[str, Any]] = pq.read_table(folder / "results.parquet").to_pylist()
-    return found
+    table: list[dict[str, Any]] = pq.read_table(folder / "results.parquet").to_pylist()
+    return table
 
 
 # --- what is flown
@@ -137,22 +135,22 @@ def test_differences_are_paired_and_flights_with_a_fault_are_counted_but_not_ave
     """A tenth less than an error of 1, 3 or 8 mm: over seeds no difference is plain, pair by pair it is."""
 
     def row(key: str, seed: int, error_m: float, fault: float = 0.0) -> dict[str, Any]:
-        reason = "at_fault, no pose" if fault else ""
-        known = {"rms_after_20s_m": error_m, "at_fault": fault, "passed": not fault, "reason": reason}
-        return {"status": "flown", "seed": seed, "k": key, **known}
+        reason = "faults; no pose" if fault else ""
+        figures = {"rms_after_20s_m": error_m, "at_fault": fault, "passed": not fault, "reason": reason}
+        return {"status": "flown", "seed": seed, "k": key, **figures}
 
     loaded = campaign(sweep={"k": ["a", "b"]}, draw={})
-    found = [
+    flights = [
         row(key, seed, share * e) for seed, e in enumerate((0.001, 0.003, 0.008)) for key, share in (("a", 1), ("b", 0.9))
     ]
-    found.append(row("b", 9, 0.0, fault=0.5))
-    first, second = dependence(loaded, "k", found, ["rms_after_20s_m"])
+    flights.append(row("b", 9, 0.0, fault=0.5))
+    first, second = dependence(loaded, "k", flights, ["rms_after_20s_m"])
     gain, level = second.against_first["rms_after_20s_m"], second.means["rms_after_20s_m"]
     assert first.against_first["rms_after_20s_m"] is None and gain is not None and level is not None
     assert gain.value == pytest.approx(-0.4) and gain.high is not None and gain.high < 0.0
     assert level.value == pytest.approx(3.6) and (second.flights, second.faults) == (4, 1)
-    assert reasons(found) == [(1, "at_fault"), (1, "no pose")]
-    assert max(len(line) for line in lines(found, dependences(loaded, found))) <= 80
+    assert reasons(flights) == [(1, "faults"), (1, "no pose")]
+    assert max(len(line) for line in lines(flights, dependences(loaded, flights))) <= 80
 
 
 @pytest.fixture(scope="module")
@@ -163,15 +161,15 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_results_hold_every_flight(flown: Path) -> None:
-    found = rows(flown)
-    assert [(row["index"], row["seed"], row["sim.plant.mass_error"]) for row in found] == [
+    results = rows(flown)
+    assert [(row["index"], row["seed"], row["sim.plant.mass_error"]) for row in results] == [
         (0, 1, -0.2), (1, 1, 0.2), (2, 2, -0.2), (3, 2, 0.2),
     ]  # fmt: skip
-    assert all(row["status"] == "flown" and 0.1 < row["rms_m"] < 0.3 for row in found)
+    assert all(row["status"] == "flown" and 0.1 < row["rms_m"] < 0.3 for row in results)
     # two seconds are not twenty: what comes after is neither known nor asked for
-    assert all(row["rms_after_20s_m"] is None and row["passed"] and row["reason"] == "" for row in found)
+    assert all(row["rms_after_20s_m"] is None and row["passed"] and row["reason"] == "" for row in results)
     page = (flown / "report.html").read_text()
-    assert "<svg" in page and found[0]["command"].replace("'", "&#39;") in page
+    assert "<svg" in page and results[0]["command"].replace("'", "&#39;") in page
 
 
 def test_the_command_flies_it_again(flown: Path, tmp_path: Path) -> None:
@@ -182,7 +180,7 @@ def test_the_command_flies_it_again(flown: Path, tmp_path: Path) -> None:
     (folder,) = tmp_path.iterdir()
     result = json.loads((folder / "result.json").read_text())
     per_axis = [value for part in ("robots", "pairs") for subject in result[part].values() for value in subject["rms_m"]]
-    assert max(per_axis) == pytest.approx(row["rms_m"], rel=2e-3)  # the report begins one step later
+    assert max(per_axis) == pytest.approx(row["rms_m"], rel=1e-6)  # the log holds single precision
     assert result["min_separation_m"] == pytest.approx(row["min_separation_m"], rel=1e-6)
 
 
@@ -239,9 +237,9 @@ def test_any_key_can_be_swept_and_a_grown_campaign_goes_on(tmp_path: Path) -> No
         whole = [line for line in journal.read_text().splitlines() if line.endswith("}")]
         assert len({json.loads(line)["hash"] for line in whole}) == len(whole) == flights_flown
         journal.write_text(journal.read_text() + whole[-1][:40])
-    found = rows(tmp_path)
-    assert [len(row["sim.faults"]) for row in found] == [0, 0, 0, 0, 1, 1, 1, 1]
-    assert [json.loads(row["sim.plant.disturbance_hz"]) for row in found] == [0.0, [0.1, 0.2]] * 4
+    results = rows(tmp_path)
+    assert [len(row["sim.faults"]) for row in results] == [0, 0, 0, 0, 1, 1, 1, 1]
+    assert [json.loads(row["sim.plant.disturbance_hz"]) for row in results] == [0.0, [0.1, 0.2]] * 4
     page = (tmp_path / "report.html").read_text()
     assert [page.count(f"<td>{cell}</td>") for cell in ("(0.01, 0.0, 0.0)", "[0.01, 0.0, 0.0]")] == [1, 0]
 
@@ -284,33 +282,27 @@ def test_a_flight_that_does_not_arrive_has_not_passed(tmp_path: Path) -> None:
     (row,) = rows(tmp_path / "c")
     limit_m = load_experiment("swap").limits.arrived_m
     assert limit_m is not None and row["arrived_m"] > limit_m
-    assert not row["passed"] and "arrived_m" in row["reason"]
+    assert not row["passed"] and "from its place at the end" in row["reason"]
 
 
 @pytest.mark.parametrize(
     ("setting", "reason"),
     [
-        ('sim.faults=[{at_s=0.2,what="battery 2 sag 4"}]', "at_fault"),
-        ("robots.1.start=[0.71,-0.33,0.3,1.6]", "min_separation_m"),
+        ('sim.faults=[{at_s=0.2,what="battery 2 sag 4"}]', "faults"),
+        ("robots.1.start=[0.71,-0.33,0.3,1.6]", "separation"),
+        ("robots.1.start=[1.595,0.0,0.3,1.6]", "clearance of hulls"),
     ],
 )
 def test_a_flight_that_breaks_what_every_run_must_keep_has_not_passed(setting: str, reason: str, tmp_path: Path) -> None:
-    """A robot that gives up, and robots nearer to each other than twice safety.radius_m: the command that flies the row again
-    fails too, though no limit of the experiment is asked of so short a flight."""
-    loaded = campaign(settings=["duration_s=1.5", setting], seeds=1, sweep={}, draw={})
+    """A robot that gives up, robots nearer to each other than twice safety.radius_m, and one that is carried against the wall:
+    the command that flies the row again fails too, though no limit of the experiment is asked of so short a flight."""
+    current = ["sim.plant.current_mps=[0.25,0.0,0.0]"] if reason == "clearance of hulls" else []
+    loaded = campaign(settings=["duration_s=1.5", setting, *current], seeds=1, sweep={}, draw={})
     assert fly(loaded, tmp_path / "c") == 0
     (row,) = rows(tmp_path / "c")
-    assert (row["status"], row["passed"], row["reason"].split(", ")[0]) == ("flown", False, reason)
-    assert (reason == "at_fault") == (", " in row["reason"])  # and then in which words
+    assert (row["status"], row["passed"]) == ("flown", False) and reason in row["reason"].split("; ")
     words = [sys.executable, "-m", "sim_bridge", *shlex.split(row["command"])[1:], "--out", str(tmp_path / "runs")]
     assert subprocess.run(words, capture_output=True, check=False).returncode == 1
-
-
-def test_a_figure_that_is_no_number_breaks_its_limit() -> None:
-    found = {**dict.fromkeys(MEASURES, 0.0), "min_separation_m": 1.0}
-    diverged: dict[str, float | None] = {**found, "rms_after_20s_m": float("nan"), "min_separation_m": float("nan")}
-    assert broken_limits(load_experiment("pool"), {**found}) == []
-    assert broken_limits(load_experiment("pool"), diverged) == ["rms_after_20s_m", "min_separation_m"]
 
 
 def test_a_robot_that_refuses_is_a_refusal_with_its_reason_and_leaves_no_folder(tmp_path: Path) -> None:
@@ -323,14 +315,6 @@ def test_a_robot_that_refuses_is_a_refusal_with_its_reason_and_leaves_no_folder(
     assert fly(campaign(settings=settings, seeds=1, sweep={}, draw={}), tmp_path / "c") == 1
     (row,) = rows(tmp_path / "c")
     assert (row["status"], row["reason"]) == ("refused", str(done.exception))
-
-
-def test_a_planner_that_is_killed_has_refused_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    dies = "import os, sys\nif 'plan' in sys.orig_argv: os.kill(os.getpid(), 9)"
-    (tmp_path / "sitecustomize.py").write_text(dies)  # Python reads it in each process
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    with pytest.raises(Failed, match="groundstation plan ended with exit code -9: without a word"):
-        run.plan(load_experiment("pool", [NO_CAMERA]))
 
 
 def test_a_flight_that_failed_is_flown_again_by_resume(flown: Path, tmp_path: Path) -> None:
@@ -422,11 +406,11 @@ def test_workers_end_with_a_campaign_that_is_killed(tmp_path: Path) -> None:
 
 
 def test_a_campaign_in_which_no_flight_flew_says_so_with_the_first_reason(tmp_path: Path) -> None:
-    told = terminal(io.StringIO())
+    console = terminal(io.StringIO())
     refused = campaign(sweep={"path.lap_s": [1.0, 2.0]}, draw={}, seeds=1, title="Dive [/b] :dash:")
-    assert fly(refused, tmp_path / "c[red]", console=told) == 1
-    assert isinstance(told.file, io.StringIO)
-    text = told.file.getvalue()
+    assert fly(refused, tmp_path / "c[red]", console=console) == 1
+    assert isinstance(console.file, io.StringIO)
+    text = console.file.getvalue()
     folder = tmp_path / "c[red]"  # in one piece, however long: a path is copied from there
     assert f"Dive [/b] :dash:: 2 flights, into {folder}\n" in text and f"{folder / 'results.parquet'}\n" in text
     assert "0 of 2 flights flown, 2 refused, 0 failed" in text
@@ -474,8 +458,8 @@ def test_only_a_few_of_a_million_flights_are_prepared_at_a_time(tmp_path: Path, 
 def test_a_dask_cluster_flies_the_same(flown: Path, tmp_path: Path) -> None:
     with LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as cluster:
         assert fly(campaign(seeds=1), tmp_path / "c", scheduler=cluster.scheduler_address) == 0
-    found, expected = rows(tmp_path / "c"), rows(flown)[:2]
-    assert [row["rms_m"] for row in found] == [row["rms_m"] for row in expected]
+    results, expected = rows(tmp_path / "c"), rows(flown)[:2]
+    assert [row["rms_m"] for row in results] == [row["rms_m"] for row in expected]
 
 
 def test_absent_cluster_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -496,22 +480,22 @@ def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
     means = [distribution(s).mean for s in samples]
     assert np.mean([(m.low or 0) <= 4.0 <= (m.high or 9e9) for m in means]) == pytest.approx(0.95, abs=0.03)
     for share in (0.5, 0.95):
-        found = [quantile(s, share) for s in samples]
-        held = np.mean([(f.low or 0) <= true.ppf(share) <= (f.high or 9e9) for f in found])
+        quantiles = [quantile(s, share) for s in samples]
+        held = np.mean([(f.low or 0) <= true.ppf(share) <= (f.high or 9e9) for f in quantiles])
         assert 0.94 < held < 0.995
 
 
 def test_an_interval_of_what_cannot_be_negative_has_no_negative_bound() -> None:
-    found = mean([0.0, 0.001, 0.0, 0.09, 0.0, 0.002])
-    assert found.low is not None and found.high is not None and 0.0 <= found.low < found.value < found.high <= 0.09
+    bounds = mean([0.0, 0.001, 0.0, 0.09, 0.0, 0.002])
+    assert bounds.low is not None and bounds.high is not None and 0.0 <= bounds.low < bounds.value < bounds.high <= 0.09
 
 
 def test_a_rate_s_interval_is_wilson_s() -> None:
-    found = rate(8, 10)
-    assert [found.value, found.low, found.high] == pytest.approx([0.8, 0.4902, 0.9433], abs=1e-4)
+    interval = rate(8, 10)
+    assert [interval.value, interval.low, interval.high] == pytest.approx([0.8, 0.4902, 0.9433], abs=1e-4)
     assert rate(0, 5).low == 0.0 and (rate(0, 5).high or 0) > 0.4
 
 
 def test_one_flight_is_no_distribution() -> None:
-    found = distribution([3.0])
-    assert found.mean.value == found.median.value == 3.0 and found.mean.low is None and found.high.high is None
+    summary = distribution([3.0])
+    assert summary.mean.value == summary.median.value == 3.0 and summary.mean.low is None and summary.high.high is None

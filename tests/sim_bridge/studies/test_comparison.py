@@ -100,7 +100,7 @@ def test_the_mpc_wants_nothing_that_is_not_allowed_and_its_flight_is_kept_to_loo
     assert len(traces.applied_n[0]) == 400 and traces.input_period_s == 0.05 and traces.error_period_s == 0.5
     again = fly(task(load_experiment("numeric", SHORT), with_traces=False))
     assert again.figures == figures and again.traces is None
-    comparison = Comparison("numeric", "", 22.0, 0.0, [], 6.0, [1, 2, 3], [Variant("nmpc", [], [flight, again])])
+    comparison = Comparison("numeric", "", 22.0, 0.0, [], 6.0, [1, 2, 3], [Variant("nmpc", [], [flight, again])], 0.6, "")
     assert Comparison.from_json(comparison.to_json()) == comparison
 
 
@@ -127,12 +127,12 @@ def test_the_command_flies_in_processes_what_this_process_flies(tmp_path: Path) 
     assert result.returncode == 0, result.stderr
     assert not executed(planted)
     assert "nmpc-without-sway is the same as nmpc here" in result.stdout and "pid" in result.stdout
-    found = Comparison.from_json((tmp_path / "comparison.json").read_text(encoding="utf-8"))
-    assert [v.name for v in found.variants] == ["nmpc", "pid", "ownlaw:Own"]
-    assert found.variants[2].settings == ["controller.law=ownlaw:Own"] and (tmp_path / "comparison.html").is_file()
-    assert found.commit == code().commit
+    comparison = Comparison.from_json((tmp_path / "comparison.json").read_text(encoding="utf-8"))
+    assert [v.name for v in comparison.variants] == ["nmpc", "pid", "ownlaw:Own"]
+    assert comparison.variants[2].settings == ["controller.law=ownlaw:Own"] and (tmp_path / "comparison.html").is_file()
+    assert comparison.commit == code().commit
     here = task(load_experiment("numeric", ["duration_s=21.0", "controller.law=pid"]))
-    assert [fly(replace(here, starts=scattered(here.starts, 0.2, 3, 0.6), seed=3))] == found.variants[1].flights
+    assert [fly(replace(here, starts=scattered(here.starts, 0.2, 3, 0.6), seed=3))] == comparison.variants[1].flights
 
 
 @pytest.mark.parametrize(

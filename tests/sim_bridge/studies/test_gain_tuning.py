@@ -76,7 +76,7 @@ def test_search_finds_gains_two_decades_away() -> None:
 
 def test_the_same_seed_tries_the_same_gains_and_another_does_not() -> None:
     def last(seed: int) -> Array:
-        return list(search(np.ones(3), 20, seed, lambda found: [float(np.sum(gains)) for gains in found]))[-1].gains
+        return list(search(np.ones(3), 20, seed, lambda candidates: [float(np.sum(gains)) for gains in candidates]))[-1].gains
 
     np.testing.assert_array_equal(last(3), last(3))
     assert not np.array_equal(last(3), last(4))
@@ -87,12 +87,12 @@ def test_the_search_leaves_the_random_numbers_of_others_alone() -> None:
     others.seed(1)
     wanted = others.random_sample()
     others.seed(1)
-    list(search(np.ones(3), 20, 1, lambda found: [float(np.sum(np.log(gains) ** 2)) for gains in found]))
+    list(search(np.ones(3), 20, 1, lambda candidates: [float(np.sum(np.log(gains) ** 2)) for gains in candidates]))
     assert others.random_sample() == wanted
 
 
 def test_gains_that_are_zero_stay_out_of_it() -> None:
-    assert all(t.gains[1] == 0.0 for t in search(np.array([1.0, 0.0]), 20, 1, lambda found: [float(g[0]) for g in found]))
+    assert all(t.gains[1] == 0.0 for t in search(np.array([1.0, 0.0]), 20, 1, lambda trials: [float(g[0]) for g in trials]))
 
 
 @pytest.mark.parametrize(

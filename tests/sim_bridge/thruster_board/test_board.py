@@ -285,8 +285,8 @@ def test_thrusters_turn_around_no_faster_than_allowed() -> None:
     bench.drive((1100,) * 4 + LEVEL, 0.2)
     reverse, ahead = thrusters(bench), (1900,) * 4 + LEVEL
     assert reverse == (1100,) * 4
-    seen = [bench.step(bench.agent.pulses(ahead))[0] for _ in range(21)]
-    assert np.diff([1100, *seen]) == pytest.approx([40] * 20 + [0])
+    pulses = [bench.step(bench.agent.pulses(ahead))[0] for _ in range(21)]
+    assert np.diff([1100, *pulses]) == pytest.approx([40] * 20 + [0])
 
 
 def test_the_slew_rate_does_not_depend_on_the_step() -> None:
@@ -399,13 +399,13 @@ def test_burst_carries_its_time_and_the_motion() -> None:
     bench = BoardBench(*QUIET, start_ns=7 * S)
     eta, nu = np.array([1.0, -0.5, 0.42, 2.5]), np.array([0.3, -0.1, 0.05, 0.6])
     bench.step(eta=eta, nu=nu, acceleration=np.array([0.2, -0.3, 0.1, 0.7]))
-    seen = bench.seen
-    assert (seen.board_ms, bench.board.burst_ms) == (7000, 7000)
-    assert seen.heading_rad == pytest.approx(2.5, abs=1e-6)
-    assert seen.yaw_rate_radps == pytest.approx(0.6, abs=1e-6)
-    assert seen.depth_m == pytest.approx(0.42, abs=1e-5)
+    telemetry = bench.seen
+    assert (telemetry.board_ms, bench.board.burst_ms) == (7000, 7000)
+    assert telemetry.heading_rad == pytest.approx(2.5, abs=1e-6)
+    assert telemetry.yaw_rate_radps == pytest.approx(0.6, abs=1e-6)
+    assert telemetry.depth_m == pytest.approx(0.42, abs=1e-5)
     specific = (0.2 + 0.1 * 0.6, -0.3 + 0.6 * 0.3, 0.1 - 9.81)  # v' + omega x v - g, by hand
-    assert seen.acceleration_mps2 == pytest.approx(specific, abs=0.1)
+    assert telemetry.acceleration_mps2 == pytest.approx(specific, abs=0.1)
 
 
 def test_burst_carries_the_tilt_and_its_rates() -> None:

@@ -171,8 +171,8 @@ def test_setting_is_acknowledged_kept_and_counts() -> None:
 def test_refused_value_is_answered_with_the_old_one_and_the_reason(name: str, value: float, kind: int, error: int) -> None:
     bench = ClientBench()
     before = bench.board.rules.parameters
-    told, refused, text = bench.set(name, value, kind)
-    assert (told.param_id, told.param_value) == (name, before[name])
+    answer, refused, text = bench.set(name, value, kind)
+    assert (answer.param_id, answer.param_value) == (name, before[name])
     assert (refused.error, refused.target_system, refused.target_component) == (error, *STATION)
     assert text.text.startswith(name)
     assert bench.board.rules.parameters is before
@@ -261,8 +261,8 @@ def test_a_folder_keeps_what_boards_must_not_forget(tmp_path: Path) -> None:
     assert board.pulses[2] == 1488
     assert boards_in(tmp_path / "boards")(POOL, 2, 1).pulses[2] == 1488
     assert boards_in(tmp_path / "boards")(POOL, 1, 1).pulses[2] == 1500
-    found = json.loads((tmp_path / "boards" / "robot-2.json").read_text())
-    assert found["parameters"]["THR3_TRIM_US"] == -12.0
+    content = json.loads((tmp_path / "boards" / "robot-2.json").read_text())
+    assert content["parameters"]["THR3_TRIM_US"] == -12.0
 
 
 @pytest.mark.parametrize(
@@ -348,20 +348,20 @@ def test_client_that_hears_no_board_is_told_the_reason(
     robot: int | None, key: Key | None, boards: Key | None, says: str
 ) -> None:
     client, bench = ParameterClient(robot, key, lambda: 1000), ClientBench(boards)
-    assert (client.heard, client.silence()) == (False, "no board is heard (is it powered?)")
+    assert (client.has_answered, client.silence()) == (False, "no board is heard (is it powered?)")
     assert client.silence("the cable is out") == "the cable is out"
     for _ in range(4):
         bench.board.receive(client.heartbeat(), bench.now_ns)
         client.receive(bench.board.step(bench.now_ns, STILL, STILL, STILL), bench.now_ns)
         bench.now_ns += 1_000_000_000
-    assert (client.heard, client.silence("the link's trouble")) == (not says, says)
+    assert (client.has_answered, client.silence("the link's trouble")) == (not says, says)
 
 
 def test_a_value_that_is_answered_without_its_place_in_the_list_counts() -> None:
     """As ArduPilot's firmware answers a name. Of a list it is no part."""
     client, board = ParameterClient(1), Sender((1, 1))
     client.receive(board.pack(dialect.MAVLink_param_value_message(b"SLEW_US_S", 500.0, 9, 40, 65535)), 0)
-    assert (client.values, client.told, client.complete) == ({"SLEW_US_S": 500.0}, 1, False)
+    assert (client.values, client.value_count, client.complete) == ({"SLEW_US_S": 500.0}, 1, False)
     client.receive(board.pack(dialect.MAVLink_param_value_message(b"SLEW_US_S", 600.0, 9, 1, 0)), 0)
     client.receive(board.pack(dialect.MAVLink_param_value_message(b"SLEW_US_S", 700.0, 9, 40, 65535)), 0)
     assert (client.values, client.complete) == ({"SLEW_US_S": 700.0}, True)

@@ -70,16 +70,16 @@ def test_mavsdk_discovers_reads_sets_and_arms_as_the_rules_allow(tmp_path: Path)
             [sys.executable, str(script), str(port)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1
         )
         assert client.stdin is not None and client.stdout is not None
-        said: list[str] = []
+        lines: list[str] = []
 
         def until(word: str) -> None:
             assert client.stdout is not None
             for line in client.stdout:
                 if line.startswith("client "):
-                    said.append(line.strip())
+                    lines.append(line.strip())
                     if line.startswith(f"client {word}"):
                         return
-            raise AssertionError(f"{word} was never said: {said}")
+            raise AssertionError(f"{word} was never said: {lines}")
 
         try:
             until("alone")
@@ -94,7 +94,7 @@ def test_mavsdk_discovers_reads_sets_and_arms_as_the_rules_allow(tmp_path: Path)
         finally:
             client.kill()
             client.communicate()
-    assert said == [
+    assert lines == [
         "client system 1",
         "client yaw True",
         "client volts True",

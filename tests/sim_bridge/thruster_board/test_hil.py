@@ -67,8 +67,8 @@ class HilBench:
 
 
 def told(desk: HilBench) -> tuple[float, ...]:
-    seen = desk.agent.telemetry
-    return (seen.heading_rad, seen.yaw_rate_radps, *seen.acceleration_mps2, seen.depth_m)
+    telemetry = desk.agent.telemetry
+    return (telemetry.heading_rad, telemetry.yaw_rate_radps, *telemetry.acceleration_mps2, telemetry.depth_m)
 
 
 def test_measurements_are_the_simulators_in_hil_mode_and_its_own_after_it() -> None:
@@ -124,13 +124,13 @@ def test_without_simulated_motion_no_depth_looks_live_and_outputs_are_told() -> 
     desk.set("HIL_MODE", 1.0)
     desk.run(0.3, "motion")
     last_ms = desk.agent.telemetry.board_ms
-    heard: list[int] = []
+    echoes_ns: list[int] = []
     for _ in range(80):
         desk.simulator.receive(desk.board.step(desk.now_ns, STILL, STILL, STILL), desk.now_ns)
         desk.now_ns += STEP
-        heard.append(desk.simulator.echo_ns or 0)
+        echoes_ns.append(desk.simulator.echo_ns or 0)
     assert desk.agent.telemetry.board_ms == last_ms
-    assert len(set(heard)) >= 18, "SERVO_OUTPUT_RAW goes on at 50 Hz"
+    assert len(set(echoes_ns)) >= 18, "SERVO_OUTPUT_RAW goes on at 50 Hz"
     desk.run(0.1, "motion")
     assert desk.agent.telemetry.board_ms > last_ms
 

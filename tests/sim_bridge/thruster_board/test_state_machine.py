@@ -36,7 +36,7 @@ def armed(**changes: float) -> BoardStateMachine:
     rules.step(0)
     rules.override(COMPUTER, NEUTRAL, 0)
     assert rules.arm(True, 0) == ACCEPTED
-    rules.said.clear()
+    rules.texts.clear()
     return rules
 
 
@@ -74,7 +74,7 @@ def test_a_board_of_eight_thrusters_stops_all_of_them() -> None:
 def test_outputs_are_neutral_at_power_on() -> None:
     rules = fresh()
     assert (rules.armed, rules.echo_us, rules.outputs_us, rules.charge) == (False, NEUTRAL, NEUTRAL, Charge.GOOD)
-    assert (rules.overrides_received, rules.overrides_refused, rules.said) == (0, 0, [])
+    assert (rules.overrides_received, rules.overrides_refused, rules.texts) == (0, 0, [])
 
 
 def test_power_on_stands_in_the_middle_of_the_ankles() -> None:
@@ -86,16 +86,16 @@ def test_arming_says_so() -> None:
     rules.override(COMPUTER, NEUTRAL, 7)
     assert rules.arm(True, 7) == ACCEPTED
     assert rules.armed
-    assert rules.said == [StatusText(6, "armed")]
+    assert rules.texts == [StatusText(6, "armed")]
     assert rules.arm(True, 8) == ACCEPTED
-    assert rules.said == [StatusText(6, "armed")]
+    assert rules.texts == [StatusText(6, "armed")]
 
 
 def test_no_arming_at_power_on() -> None:
     rules = fresh()
     assert rules.arm(True, 0) == REJECTED
     assert not rules.armed
-    assert rules.said == [StatusText(4, "not armed: no override is arriving")]
+    assert rules.texts == [StatusText(4, "not armed: no override is arriving")]
 
 
 @pytest.mark.parametrize(("age_ns", "result"), [(250 * MS, ACCEPTED), (250 * MS + 1, REJECTED)])
@@ -113,7 +113,7 @@ def test_arming_needs_pulses_in_the_dead_zone(thruster: int, pulse: int, result:
     assert rules.arm(True, 0) == result
     assert rules.armed == (result == ACCEPTED)
     if result == REJECTED:
-        assert rules.said == [StatusText(4, "not armed: thruster pulses are not neutral")]
+        assert rules.texts == [StatusText(4, "not armed: thruster pulses are not neutral")]
 
 
 def test_an_override_of_a_stranger_is_none() -> None:
@@ -126,11 +126,11 @@ def test_an_override_of_a_stranger_is_none() -> None:
 def test_disarming_works_from_every_state() -> None:
     rules = fresh()
     assert rules.arm(False, 0) == ACCEPTED
-    assert rules.said == []
+    assert rules.texts == []
     rules = flying()
     assert rules.arm(False, 201 * MS) == ACCEPTED
     assert not rules.armed
-    assert rules.said == [StatusText(6, "disarmed")]
+    assert rules.texts == [StatusText(6, "disarmed")]
     rules.step(205 * MS)
     assert rules.echo_us == (*LEVEL, *AHEAD[4:])  # at once, not slewed; ankles hold
 
@@ -141,7 +141,7 @@ def test_disarmed_follows_nothing() -> None:
         rules.override(COMPUTER, AHEAD, i * 5 * MS)
         rules.step(i * 5 * MS)
     assert rules.echo_us == NEUTRAL
-    assert rules.said == []
+    assert rules.texts == []
 
 
 # --- age
@@ -153,7 +153,7 @@ def test_silence_disarms_after_the_age_and_not_before() -> None:
     assert (rules.armed, rules.echo_us) == (True, AHEAD)
     rules.step(450 * MS + 1)
     assert (rules.armed, rules.echo_us) == (False, (*LEVEL, *AHEAD[4:]))
-    assert rules.said == [StatusText(4, "disarmed: no override for 250 ms")]
+    assert rules.texts == [StatusText(4, "disarmed: no override for 250 ms")]
 
 
 def test_the_age_is_a_parameter() -> None:
@@ -161,7 +161,7 @@ def test_the_age_is_a_parameter() -> None:
     rules.step(100 * MS)
     assert rules.armed
     rules.step(100 * MS + 1)
-    assert rules.said == [StatusText(4, "disarmed: no override for 100 ms")]
+    assert rules.texts == [StatusText(4, "disarmed: no override for 100 ms")]
 
 
 def test_refused_overrides_keep_nothing_alive_and_overrides_do() -> None:
@@ -293,11 +293,11 @@ def test_battery_levels_and_what_they_say() -> None:
         (10.19, Charge.NEUTRAL, None),
         (10.21, Charge.NO_ARM, StatusText(6, "battery NO_ARM: 10.2 V")),
     ]
-    for volts, charge, said in steps:
-        rules.said.clear()
+    for volts, charge, text in steps:
+        rules.texts.clear()
         rules.battery(volts, 60.0)
         assert rules.charge is charge, volts
-        assert rules.said == ([said] if said else []), volts
+        assert rules.texts == ([text] if text else []), volts
 
 
 def test_the_first_measurement_counts_in_full() -> None:
@@ -331,10 +331,10 @@ def test_a_measurement_that_is_no_number_counts_as_none(volts: float) -> None:
     rules = fresh()
     rules.battery(12.0, 1.0)
     rules.battery(volts, 0.01)
-    assert rules.said == []  # one alone is smoothed away
+    assert rules.texts == []  # one alone is smoothed away
     rules.battery(volts, 1.0)
     assert rules.charge is Charge.NEUTRAL
-    assert rules.said == [StatusText(2, "battery NEUTRAL: 0.0 V")]
+    assert rules.texts == [StatusText(2, "battery NEUTRAL: 0.0 V")]
 
 
 def test_battery_levels_forbid_arming_and_thrust() -> None:
@@ -343,10 +343,10 @@ def test_battery_levels_forbid_arming_and_thrust() -> None:
     assert rules.armed
     rules.battery(10.4, 60.0)
     assert (rules.charge, rules.armed) == (Charge.NO_ARM, True)
-    rules.said.clear()
+    rules.texts.clear()
     rules.arm(False, 0)
     assert rules.arm(True, 0) == REJECTED
-    assert rules.said[-1] == StatusText(4, "not armed: battery low")
+    assert rules.texts[-1] == StatusText(4, "not armed: battery low")
     rules.battery(10.6, 60.0)
     assert rules.arm(True, 0) == REJECTED  # hysteresis
     rules.battery(10.85, 60.0)
@@ -357,8 +357,8 @@ def test_an_empty_battery_disarms() -> None:
     rules = armed()
     rules.battery(9.0, 1.0)
     assert not rules.armed
-    assert rules.said == [StatusText(2, "battery NEUTRAL: 9.0 V"), StatusText(2, "disarmed: battery empty")]
-    rules.said.clear()
+    assert rules.texts == [StatusText(2, "battery NEUTRAL: 9.0 V"), StatusText(2, "disarmed: battery empty")]
+    rules.texts.clear()
     rules.battery(12.0, 60.0)
     assert (rules.charge, rules.armed, rules.arm(True, 0)) == (Charge.GOOD, False, ACCEPTED)
 

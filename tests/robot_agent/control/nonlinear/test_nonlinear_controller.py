@@ -224,7 +224,7 @@ def test_a_robot_among_others_that_are_too_near_still_finds_a_plan(robots: int) 
 def test_a_place_to_rest_inside_an_obstacle_is_moved_out_by_the_shortest_way() -> None:
     """A robot brakes too late for a raft 1.2 m wide, which begins 0.18 m before the place where it could stop."""
     raft = np.array([[[0.12, -0.6], [1.3, -0.6], [1.3, 0.6], [0.12, 0.6]]])
-    (seen,) = obstacles_from_message(Obstacles((1,), raft, np.zeros((1, 2))), 0, 0.3)
+    (seen,) = obstacles_from_message(Obstacles((1,), raft, np.zeros((1, 2)), unseen_s=np.zeros(1)), 0, 0.3)
     around = Surrounds(NO_BODIES, outlines_of((seen,), 0, 0j), np.array([3.0, 2.0]))
     for inside in (0.3 + 0.01j, 0.13 + 0.01j):
         x, y = clear_place(inside, around, 0.05)

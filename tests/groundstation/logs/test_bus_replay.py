@@ -7,9 +7,9 @@ import pytest
 from typer.testing import CliRunner
 
 from groundstation.__main__ import cli
+from groundstation.logs.bus_replay import SEEN_AND_SAID, chosen, send
 from groundstation.logs.reader import LogFile, open_log
 from groundstation.logs.recorder import Recorder
-from groundstation.replay.bus_replay import SEEN_AND_SAID, chosen, send
 from robot_agent.agent import Agent
 from robot_agent.inputs import Inputs
 from shoal.bus.bus import Bus
@@ -49,39 +49,39 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def log(run: Path) -> Iterator[LogFile]:
-    with open_log(run) as found:
-        yield found
+    with open_log(run) as opened:
+        yield opened
 
 
 def listen(hub: MemoryHub, fake: Fake) -> list[Heard]:
-    heard: list[Heard] = []
+    messages: list[Heard] = []
     ear = MemoryTransport(hub)
     for topic in TOPICS:
         for prefix in ("shoal", "replay/shoal"):
             ear.subscribe(
                 f"{prefix}/{topic.key()}",
                 topic.qos,
-                lambda key, payload, header: heard.append((key, Header.decode(header, "", ""), payload, fake.now_s)),
+                lambda key, payload, header: messages.append((key, Header.decode(header, "", ""), payload, fake.now_s)),
             )
-    return heard
+    return messages
 
 
 def replay(log: LogFile, rate: float, begin_s: float = 0.0, end_s: float = 1e9) -> list[Heard]:
     hub, fake = MemoryHub(), Fake()
-    heard = listen(hub, fake)
+    messages = listen(hub, fake)
     bus = Bus(MemoryTransport(hub), "replay/shoal")
     sent = send(bus, chosen(log, begin_s, end_s), rate, Stop(install=False), fake.clock_s, fake.sleep)
-    assert sent == len(heard)
-    return heard
+    assert sent == len(messages)
+    return messages
 
 
 @pytest.mark.parametrize("rate", [0.5, 1.0, 8.0])
 def test_bytes_stamps_and_pace_are_those_of_the_log(log: LogFile, rate: float) -> None:
     recorded = list(log.messages(lambda topic, _: topic in SEEN_AND_SAID))
-    heard = replay(log, rate)
-    assert [(h.stamp_ns, payload) for _, h, payload, _ in heard] == [(x.header.stamp_ns, x.payload) for x in recorded]
-    assert [key for key, *_ in heard] == [f"replay/shoal/{x.topic.key(x.robot or None)}" for x in recorded]
-    for (_, _, _, at_s), line in zip(heard, recorded, strict=True):
+    messages = replay(log, rate)
+    assert [(h.stamp_ns, payload) for _, h, payload, _ in messages] == [(x.header.stamp_ns, x.payload) for x in recorded]
+    assert [key for key, *_ in messages] == [f"replay/shoal/{x.topic.key(x.robot or None)}" for x in recorded]
+    for (_, _, _, at_s), line in zip(messages, recorded, strict=True):
         assert at_s - 100.0 == pytest.approx((line.arrived_ns - recorded[0].arrived_ns) / SECOND / rate, abs=1e-6)
 
 
@@ -109,8 +109,8 @@ def test_replay_publishes_no_topic_that_moves_a_robot(tmp_path: Path) -> None:
     recorder.put(topics.STATE, "shoal/robot/1/command", Header(9, 1, 9), encode(command), 9)
     recorder.close()
     with open_log(tmp_path) as log:
-        heard = replay(log, 1.0)
-    assert [key for key, *_ in heard] == ["replay/shoal/robot/1/plan", "replay/shoal/robot/1/pose"]
+        messages = replay(log, 1.0)
+    assert [key for key, *_ in messages] == ["replay/shoal/robot/1/plan", "replay/shoal/robot/1/pose"]
     assert not set(moving) & set(SEEN_AND_SAID)
     # and with all that goes out a robot still hears no station: it refuses to be armed
     agent = Agent(experiment, 1)
@@ -125,7 +125,7 @@ def test_every_topic_is_either_replayed_or_left_out_by_its_kind() -> None:
 
 
 def test_no_program_joins_a_replay() -> None:
-    for arguments in (["run", "pool", "--fleet", "replay/shoal"], ["order", "start", "--fleet", "replay/shoal"]):
+    for arguments in (["run", "pool", "--fleet", "replay/shoal"], ["mission", "start", "--fleet", "replay/shoal"]):
         done = CliRunner().invoke(cli, arguments)
         assert done.exit_code == 2
         assert "recorded run" in done.output

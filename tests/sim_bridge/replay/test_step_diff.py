@@ -1,4 +1,4 @@
-"""Comparison by `groundstation log rerun` of a robot's steps: the log's beside the program's."""
+"""Comparison by `sim-bridge rerun` of a robot's steps: the log's beside the program's."""
 
 from pathlib import Path
 
@@ -6,21 +6,21 @@ import numpy as np
 
 from groundstation.logs.reader import metadata_of
 from groundstation.logs.recorder import Recorder, run_metadata
-from groundstation.replay.step_diff import StepOutputs, compare
-from groundstation.replay.step_replay import recorded_by_other_code
 from shoal.config.experiment import load_experiment
 from shoal.messages import topics
 from shoal.messages.codec import encode
 from shoal.messages.messages import Event, Plan, RobotState
+from sim_bridge.replay.step_diff import StepOutputs, compare
+from sim_bridge.replay.step_replay import recorded_by_other_code
 
 
 def told(stamps: range, gap: str = "") -> StepOutputs:
-    found = StepOutputs()
+    outputs = StepOutputs()
     for stamp_ns in stamps:
-        found.add(topics.STATE, stamp_ns, encode(RobotState(trajectory_s=0.05)))
+        outputs.add(topics.STATE, stamp_ns, encode(RobotState(trajectory_s=0.05)))
     if gap:
-        found.add(topics.EVENT, 0, encode(Event(3, "agent-1", gap)))
-    return found
+        outputs.add(topics.EVENT, 0, encode(Event(3, "agent-1", gap)))
+    return outputs
 
 
 def test_the_same_steps_of_a_whole_log_are_exact() -> None:
@@ -51,8 +51,8 @@ def test_a_plan_that_the_log_lost_is_named_and_is_no_difference() -> None:
 def test_a_log_of_other_code_is_told_of(tmp_path: Path) -> None:
     Recorder(tmp_path / "run.mcap", "", run_metadata(load_experiment("pool"), "lockstep")).close()
     assert recorded_by_other_code(metadata_of(tmp_path / "run.mcap")) == ""
-    told = recorded_by_other_code({"version": "0.1.0", "commit": 5 * "8289d898" + "+changed.01234567"})
-    assert told.startswith("the run was recorded by 0.1.0 8289d898+changed.01234567, this is ")
+    warning = recorded_by_other_code({"version": "0.1.0", "commit": 5 * "8289d898" + "+changed.01234567"})
+    assert warning.startswith("the run was recorded by 0.1.0 8289d898+changed.01234567, this is ")
     assert recorded_by_other_code({}).startswith("the run was recorded by unknown unknown, ")
 
 

@@ -62,8 +62,8 @@ class StepComparison:
     def as_dict(self) -> dict[str, Any]:
         """The comparison as JSON has it."""
         plain = ("robot", "steps", "compared", "differing", "left_out")
-        told = {name: getattr(self, name) for name in plain}
-        return told | {"exact": self.exact, "differences": [dataclasses.asdict(d) for d in self.differences]}
+        summary = {name: getattr(self, name) for name in plain}
+        return summary | {"exact": self.exact, "differences": [dataclasses.asdict(d) for d in self.differences]}
 
 
 @dataclass
@@ -138,8 +138,8 @@ def draw(again: StepComparison) -> Figure | None:
 def _start_ns(stamps: Sequence[int], states: Sequence[RobotState]) -> int:
     """Instant at which the formation's trajectory began; if it never did, of the first step."""
     clocks_s = (FormationPlans().clock_s(state) or 0.0 for state in states)
-    flown = (ns - round(clock_s * 1e9) for ns, clock_s in zip(stamps, clocks_s, strict=True) if clock_s > 0.0)
-    return next(flown, min(stamps, default=0))
+    begins_ns = (ns - round(clock_s * 1e9) for ns, clock_s in zip(stamps, clocks_s, strict=True) if clock_s > 0.0)
+    return next(begins_ns, min(stamps, default=0))
 
 
 def _plan_columns(
@@ -147,9 +147,9 @@ def _plan_columns(
 ) -> dict[str, tuple[list[Any], list[Any]]]:
     """The plans' fields at each step; None where there was no plan, or where the log has `lost` it: that is no difference."""
 
-    def read(told: StepOutputs) -> list[Plan | None]:
-        found = (None if stamp in lost else told.plans.get(stamp) for stamp in stamps)
-        return [None if payload is None else decode(Plan, payload, "log", "plan") for payload in found]
+    def read(outputs: StepOutputs) -> list[Plan | None]:
+        payloads = (None if stamp in lost else outputs.plans.get(stamp) for stamp in stamps)
+        return [None if payload is None else decode(Plan, payload, "log", "plan") for payload in payloads]
 
     old, new = read(before), read(after)
     names = [f.name for f in dataclasses.fields(Plan)]

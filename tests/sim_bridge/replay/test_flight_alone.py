@@ -1,19 +1,19 @@
 """A robot that flew alone before the run: the run's time is the formation's, wherever a log is gone through."""
 
-import io
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from groundstation.logs.reader import open_log
 from groundstation.logs.recorder import Recorder
-from groundstation.replay.state_export import hand_over
 from groundstation.web.replay_backend import ReplayBackend
 from shoal.config.experiment import dump_experiment, load_experiment
 from shoal.errors import ConfigError
 from shoal.messages import topics
 from shoal.messages.codec import Header, encode
 from shoal.messages.messages import Mode, RobotState
+from sim_bridge.in_process.resume import lines_until
 
 STEP_NS = 50_000_000
 ALONE_S, FLOWN_S = 5.0, 2.0
@@ -44,5 +44,8 @@ def test_a_replay_begins_with_the_run(run: Path) -> None:
 
 
 def test_a_moment_of_the_run_is_none_of_the_flight_before_it(run: Path) -> None:
-    with pytest.raises(ConfigError, match=r"at 4 s there is nothing: robot 1 came to 2\.00 s"):
-        hand_over(run, 4.0, 1, io.BytesIO())
+    with (
+        open_log(run) as log,
+        pytest.raises(ConfigError, match=r"at 4 s there is nothing: robot 1 came to 2\.00 s"),
+    ):
+        list(lines_until(log, [1], 4.0, 1))

@@ -1,29 +1,24 @@
-"""SHELL: replay of control steps: the log's inputs through `robot-agent rerun`, compared with the recorded outputs.
+"""SHELL: replay of control steps: a log's inputs through the robots' agents, compared with the recorded outputs.
 
-The robot's own program does the steps, in a process of its own, so what runs here is what ran on the robot. It is handed what
-each step names just before the step (robot_agent/rerun.py).
+An agent is handed what each step names just before the step (rerun.py).
 """
 
-import subprocess
-import threading
 from collections import OrderedDict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import zip_longest
 from pathlib import Path
-from typing import IO
 
 from groundstation.logs.reader import LogFile, LogMessage, metadata_of, open_log
-from groundstation.replay.step_diff import StepComparison, StepOutputs, compare
-from shoal.config.experiment import load_experiment
+from shoal.config.experiment import Experiment, load_experiment
 from shoal.errors import ConfigError
 from shoal.messages import topics
-from shoal.messages.codec import DecodeError, decode
+from shoal.messages.codec import DecodeError, decode, encode
 from shoal.messages.messages import StepInputs
-from shoal.messages.pipe import read_pipe, write_raw
 from shoal.messages.topics import Topic
 from shoal.runtime import runtime
 from shoal.runtime.version import UNKNOWN, Code, code
-from shoal.system import programs
+from sim_bridge.replay.rerun import Rerun
+from sim_bridge.replay.step_diff import StepComparison, StepOutputs, compare
 
 KEPT = 400  # messages of one sender, 20 s: a step names one of the last few, or the last one there ever was
 PATIENCE_NS = 5_000_000_000  # what a step names may have reached the recorder this much later than the step's own record
@@ -39,11 +34,11 @@ def rerun(run: Path, robots: Sequence[int] = (), settings: Sequence[str] = ()) -
     chosen = [experiment.robot(robot).id for robot in robots] or list(experiment.robot_ids)
     same = experiment.hash == load_experiment(str(file)).hash
     with open_log(run) as log:
-        found = [_rerun_one(log, file, robot, settings, same) for robot in chosen]
-        differ = same and any(again.differing for again in found)
+        comparisons = [_rerun_one(log, experiment, robot, same) for robot in chosen]
+        differ = same and any(again.differing for again in comparisons)
         if differ and (recorded := recorded_by_other_code(metadata_of(log.path))):
             runtime.log.warning("%s", recorded)
-        return found
+        return comparisons
 
 
 def recorded_by_other_code(metadata: Mapping[str, str]) -> str:
@@ -52,42 +47,17 @@ def recorded_by_other_code(metadata: Mapping[str, str]) -> str:
     return f"the run was recorded by {recorded.short}, this is {own.short}: steps may differ" if recorded != own else ""
 
 
-def _rerun_one(log: LogFile, experiment: Path, robot: int, settings: Sequence[str], same: bool) -> StepComparison:
-    """Run one robot's program through the log, and compare its steps with the recorded ones."""
+def _rerun_one(log: LogFile, experiment: Experiment, robot: int, same: bool) -> StepComparison:
+    """Lead an agent through the log, and compare its steps with the recorded ones."""
     own = own_messages(log, robot, with_states=not same)
     if not any(line.topic is topics.INPUTS for line in own):
-        raise ConfigError(
-            f"{log.path}: holds no inputs of robot {robot}: it is of an older version, or of a numeric flight, which has none"
-        )
-    changes = [part for setting in settings for part in ("--set", setting)]
-    words = ["rerun", str(experiment), "--robot", str(robot), *changes]
-    with programs.start("robot_agent", words, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as program:
-        assert program.stdin is not None and program.stdout is not None
-        feeder = threading.Thread(target=_feed, args=(program.stdin, in_order_of_use(log, robot, own)), daemon=True)
-        feeder.start()
-        again = StepOutputs()
-        try:
-            for topic, _, header, payload in read_pipe(program.stdout):
-                again.add(topic, header.stamp_ns, payload)
-        except DecodeError as error:
-            raise ConfigError(f"robot {robot}: its program broke off: {error}") from None
-        feeder.join()
-    if program.returncode != 0:
-        raise ConfigError(f"robot {robot}: its program ended with exit code {program.returncode}")
-    before = StepOutputs()
+        raise ConfigError(f"{log.path}: holds no inputs of robot {robot}: a numeric flight has none")
+    before, again = StepOutputs(), StepOutputs()
+    for topic, message, stamp_ns in Rerun(experiment, robot).run(in_order_of_use(log, robot, own)):
+        again.add(topic, stamp_ns, encode(message, stamp_ns))
     for line in log.messages(lambda topic, of: topic in (topics.STATE, topics.PLAN) and of == robot):
         before.add(line.topic, line.header.stamp_ns, line.payload)
     return compare(robot, before, again, same)
-
-
-def _feed(stream: IO[bytes], lines: Iterable[LogMessage]) -> None:
-    """Write messages to a program's input until they, or the program, end."""
-    try:
-        with stream:
-            for line in lines:
-                write_raw(stream, line.topic, line.robot, line.header, line.payload)
-    except BrokenPipeError:  # its own words are on stderr
-        return
 
 
 _ORDER = (topics.ORDERS, topics.INPUTS, topics.STATE)  # of one instant: an order, then the step, then what came of it
@@ -95,13 +65,13 @@ _ORDER = (topics.ORDERS, topics.INPUTS, topics.STATE)  # of one instant: an orde
 
 def own_messages(log: LogFile, robot: int, with_states: bool) -> list[LogMessage]:
     """A robot's inputs and orders in the order in which they came to it; perhaps its states."""
-    wanted = _ORDER if with_states else _ORDER[:2]
-    lines = log.messages(lambda topic, of: topic in wanted and of == robot)
-    lives, found = dict[int, int](), list(lines)  # sessions in order: one that was started again may have another clock
-    for line in found:
+    kinds = _ORDER if with_states else _ORDER[:2]
+    lines = log.messages(lambda topic, of: topic in kinds and of == robot)
+    lives, messages = dict[int, int](), list(lines)  # sessions in order: one that was started again may have another clock
+    for line in messages:
         lives.setdefault(line.header.session, len(lives))
     return sorted(
-        found,
+        messages,
         key=lambda line: (lives[line.header.session], line.header.stamp_ns, _ORDER.index(line.topic), line.header.sequence),
     )
 
@@ -109,24 +79,24 @@ def own_messages(log: LogFile, robot: int, with_states: bool) -> list[LogMessage
 def in_order_of_use(log: LogFile, robot: int, own: Sequence[LogMessage]) -> Iterator[LogMessage]:
     """A robot's inputs and orders, and before each step what it names and what was not named before."""
     others = log.messages(lambda topic, of: topic is topics.OBSTACLES or (topic is topics.PLAN and of != robot))
-    known: dict[tuple[Topic, int], OrderedDict[Name, LogMessage]] = {}
-    given: dict[tuple[Topic, int], Name] = {}
+    by_sender: dict[tuple[Topic, int], OrderedDict[Name, LogMessage]] = {}
+    last_names: dict[tuple[Topic, int], Name] = {}
     ahead_ns = 0
     for line in own:
         for name in _names(line):
             sender = name[:2]
-            while name not in known.setdefault(sender, OrderedDict()) and ahead_ns <= line.arrived_ns + PATIENCE_NS:
+            while name not in by_sender.setdefault(sender, OrderedDict()) and ahead_ns <= line.arrived_ns + PATIENCE_NS:
                 other = next(others, None)
                 if other is None:
                     break
                 ahead_ns = other.arrived_ns
-                heard = known.setdefault((other.topic, other.robot), OrderedDict())
-                heard[other.topic, other.robot, other.header.session, other.header.sequence] = other
-                if len(heard) > KEPT:
-                    heard.popitem(last=False)
-            if name in known[sender] and given.get(sender) != name:
-                given[sender] = name
-                yield known[sender][name]
+                from_sender = by_sender.setdefault((other.topic, other.robot), OrderedDict())
+                from_sender[other.topic, other.robot, other.header.session, other.header.sequence] = other
+                if len(from_sender) > KEPT:
+                    from_sender.popitem(last=False)
+            if name in by_sender[sender] and last_names.get(sender) != name:
+                last_names[sender] = name
+                yield by_sender[sender][name]
         yield line
 
 
@@ -135,7 +105,7 @@ def _names(line: LogMessage) -> Iterator[Name]:
         return
     try:
         record = decode(StepInputs, line.payload, "log", line.topic.name)
-    except DecodeError:  # the robot's program says so
+    except DecodeError:  # Rerun says so
         return
     for robot, session, sequence in zip_longest(record.plan_robots, record.plan_sessions, record.plan_sequences, fillvalue=0):
         yield topics.PLAN, robot, session, sequence

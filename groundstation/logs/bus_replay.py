@@ -40,7 +40,7 @@ def send(
     sleep: Callable[[float], None] = time.sleep,
 ) -> int:
     """Send lines as far apart as they arrived, `rate` times as fast. Stamps and bytes stay as they were. Returns how many."""
-    sent, first_ns, begin_s = 0, None, clock_s()
+    count, first_ns, begin_s = 0, None, clock_s()
     for line in lines:
         first_ns = line.arrived_ns if first_ns is None else first_ns
         due_s = begin_s + (line.arrived_ns - first_ns) * 1e-9 / rate
@@ -49,5 +49,5 @@ def send(
         if stop.requested:
             break
         bus.forward(line.topic, line.payload, line.header.stamp_ns, line.robot or None)
-        sent += 1
-    return sent
+        count += 1
+    return count

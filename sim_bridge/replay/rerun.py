@@ -1,4 +1,4 @@
-"""A robot's control steps repeated from its log. Pure; `groundstation log rerun` reads the log.
+"""A robot's control steps repeated from its log. Pure; step_replay.py reads the log.
 
 Input messages come in the order of use: each plan and obstacles message before the first step that names it. No robot moves:
 the pulses of a step have no effect, and the next step's inputs are again those of the log. If the log's states are given, each
@@ -11,6 +11,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
+from groundstation.logs.reader import LogMessage
 from robot_agent.agent import Agent
 from robot_agent.step_record import inputs_of, station_view
 from shoal.config.experiment import Experiment
@@ -19,7 +20,6 @@ from shoal.messages.codec import DecodeError, Header, decode
 from shoal.messages.messages import Event, Message, Obstacles, OrderTaken, Plan, RobotState, StepInputs
 from shoal.messages.topics import Topic
 
-Logged = tuple[Topic, int | None, Header, bytes]
 Again = tuple[Topic, Message, int]  # topic, message, stamp in ns
 
 KEPT = 8  # messages of one sender: a step names one of the last few
@@ -43,13 +43,14 @@ class Rerun:
         self.agent = Agent(experiment, robot)
         self._session, self._next = 0, 0
         self._orders: deque[tuple[int, OrderTaken]] = deque()
-        self._kept: dict[tuple[Topic, int | None], deque[_SeenMessage]] = {}
+        self._kept: dict[tuple[Topic, int], deque[_SeenMessage]] = {}
 
-    def run(self, messages: Iterable[Logged]) -> Iterator[Again]:
+    def run(self, lines: Iterable[LogMessage]) -> Iterator[Again]:
         """Yield states and plans of the repeated steps, and an event for each gap in the log."""
-        for topic, robot, header, payload in messages:
+        for line in lines:
+            header = line.header
             try:
-                message: Any = decode(topic.type, payload, "log", topic.name)
+                message: Any = decode(line.topic.type, line.payload, "log", line.topic.name)
                 _check(message)
             except DecodeError as error:
                 yield self._missing(str(error), header.stamp_ns)
@@ -62,7 +63,7 @@ class Rerun:
             elif isinstance(message, RobotState):
                 self.agent.note_sent(message, header.stamp_ns)
             else:
-                kept = self._kept.setdefault((topic, robot), deque(maxlen=KEPT))
+                kept = self._kept.setdefault((line.topic, line.robot), deque(maxlen=KEPT))
                 kept.append(_SeenMessage(header.session, header.sequence, message))
 
     def _begin(self, record: StepInputs, header: Header) -> Iterator[Again]:
@@ -88,7 +89,7 @@ class Rerun:
                 plans[robot] = plan
         obstacles: Obstacles | None = None
         if record.obstacles_session:
-            obstacles = self._named(topics.OBSTACLES, None, record.obstacles_session, record.obstacles_sequence)
+            obstacles = self._named(topics.OBSTACLES, 0, record.obstacles_session, record.obstacles_sequence)
             if obstacles is None:
                 yield self._missing(f"obstacles {record.obstacles_sequence} are not in the log", now_ns)
         outputs = self.agent.step(inputs_of(record, plans, obstacles, now_ns), now_ns)
@@ -105,7 +106,7 @@ class Rerun:
         header = Header(record.order_session, record.order_sequence, record.order_stamp_ns)
         self.agent.handle_command(header, command, station_view(record, now_ns), now_ns)
 
-    def _named(self, topic: Topic, robot: int | None, session: int, sequence: int) -> Any:
+    def _named(self, topic: Topic, robot: int, session: int, sequence: int) -> Any:
         for kept in reversed(self._kept.get((topic, robot), ())):
             if (kept.session, kept.sequence) == (session, sequence):
                 return kept.message

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from groundstation.logs.reader import LogMessage
 from groundstation.planning import planner
 from robot_agent.node import AgentNode
-from robot_agent.rerun import Rerun
 from shoal.bus.bus import Bus, Received
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
 from shoal.config.experiment import Experiment, load_experiment
@@ -32,14 +32,13 @@ from shoal.messages.messages import (
 )
 from shoal.messages.topics import Topic
 from shoal.runtime.runtime import Stop
+from sim_bridge.replay.rerun import Rerun
 from tests.robot_agent.obedient_board import Board
 
 ME, OTHER = 1, 2
 PERIOD_NS = 50_000_000
 HOUR_NS = 3_600_000_000_000
 BEHIND_NS = 3_000_000_000
-Line = tuple[Topic, int | None, Header, bytes]
-
 UNMOVED = ("safety.watch_thrusters=false",)  # nothing that its thrusters do moves the robot of these tests
 
 
@@ -61,7 +60,7 @@ class Pond:
     """One robot's program with its surroundings, stepped by hand."""
 
     experiment: Experiment
-    lines: list[Line] = field(default_factory=list)
+    lines: list[LogMessage] = field(default_factory=list)
     states: list[RobotState] = field(default_factory=list)
     plans: list[Plan] = field(default_factory=list)
 
@@ -86,9 +85,9 @@ class Pond:
         return self.clock.tick_ns - BEHIND_NS
 
     def _hear(self, topic: Topic, key: str, header: Header, payload: bytes) -> None:
-        robot = int(key.split("/")[2]) if "/robot/" in key else None
+        robot = int(key.split("/")[2]) if "/robot/" in key else 0
         if topic is not topics.PLAN or robot != ME:
-            self.lines.append((topic, robot, header, payload))
+            self.lines.append(LogMessage(topic, robot, header, payload, header.stamp_ns))
 
     def order(self, order: Order) -> Reply:
         command = Command(
@@ -105,8 +104,8 @@ class Pond:
             beside = self.trajectory.eta[:30] + self.random.normal((0.0, 0.7, 0.0, 0.0), 0.01, (30, 4))
             self.world.publish(topics.PLAN, Plan(0.05, beside, beside), self.sent_ns, OTHER)
             corner = np.array([0.6, 0.4]) + 0.1 * np.array([[math.cos(a), math.sin(a)] for a in np.arange(12) * math.tau / 12])
-            seen = Obstacles((3,), corner[None], np.zeros((1, 2)), 0.3, 1.0)
-            self.world.publish(topics.OBSTACLES, seen, self.sent_ns)
+            ball = Obstacles((3,), corner[None], np.zeros((1, 2)), 0.3, 1.0, unseen_s=np.zeros(1))
+            self.world.publish(topics.OBSTACLES, ball, self.sent_ns)
             self.station.publish(topics.HEARTBEAT, StationHeartbeat(self.experiment.hash, False, "RUNNING"), self.sent_ns)
             self.clock.tick_ns += PERIOD_NS
             now_ns = self.clock.tick_ns
@@ -135,8 +134,8 @@ def flown() -> Pond:
     return pond
 
 
-def again(lines: list[Line], experiment: Experiment) -> tuple[list[RobotState], list[Plan], list[str]]:
-    states, plans, said = [], [], []
+def again(lines: list[LogMessage], experiment: Experiment) -> tuple[list[RobotState], list[Plan], list[str]]:
+    states, plans, messages = [], [], []
     for _, message, _ in Rerun(experiment, ME).run(iter(lines)):
         if isinstance(message, RobotState):
             states.append(message)
@@ -144,8 +143,8 @@ def again(lines: list[Line], experiment: Experiment) -> tuple[list[RobotState], 
             plans.append(message)
         else:
             assert isinstance(message, Event)
-            said.append(message.message)
-    return states, plans, said
+            messages.append(message.message)
+    return states, plans, messages
 
 
 def same(one: list[RobotState], other: list[RobotState]) -> list[bool]:
@@ -153,27 +152,27 @@ def same(one: list[RobotState], other: list[RobotState]) -> list[bool]:
 
 
 def test_every_step_comes_out_the_same(flown: Pond) -> None:
-    states, plans, said = again(flown.lines, flown.experiment)
-    assert said == []
+    states, plans, messages = again(flown.lines, flown.experiment)
+    assert messages == []
     assert all(same(states, flown.states))
     assert [encode(plan) for plan in plans] == [encode(plan) for plan in flown.plans]
     assert any(state.solve for state in states)
 
 
-def with_states(flown: Pond) -> list[Line]:
+def with_states(flown: Pond) -> list[LogMessage]:
     """The flight as in a station's log: each step followed by its state."""
     states, lines = iter(flown.states), []
     for line in flown.lines:
         lines.append(line)
-        if line[0] is topics.INPUTS:
-            lines.append((topics.STATE, ME, line[2], encode(next(states))))
+        if line.topic is topics.INPUTS:
+            lines.append(LogMessage(topics.STATE, ME, line.header, encode(next(states)), line.arrived_ns))
     return lines
 
 
 def test_another_tuning_comes_out_otherwise_and_is_not_refused(flown: Pond) -> None:
     changed = load_experiment("pool", [*UNMOVED, "controller.nmpc.turning_m=0.1"])
-    states, _, said = again(with_states(flown), changed)
-    assert said == []
+    states, _, messages = again(with_states(flown), changed)
+    assert messages == []
     assert [state.mode for state in states] == [state.mode for state in flown.states]  # its orders are obeyed
     wrenches = [np.abs(a.wrench - b.wrench).max() for a, b in zip(states, flown.states, strict=True)]
     assert max(wrenches) > 1e-3
@@ -182,27 +181,27 @@ def test_another_tuning_comes_out_otherwise_and_is_not_refused(flown: Pond) -> N
 def test_observer_uses_the_pulses_that_really_went_out(flown: Pond) -> None:
     """With the log's states behind its steps a changed agent sees no disturbance in thrust that it never gave."""
     changed, corrected = load_experiment("pool", [*UNMOVED, "controller.nmpc.turning_m=0.1"]), with_states(flown)
-    found, _, _ = again(corrected, changed)
-    assert all(a.eta.tobytes() == b.eta.tobytes() for a, b in zip(found, flown.states, strict=True))
-    assert any(a.wrench.tobytes() != b.wrench.tobytes() for a, b in zip(found, flown.states, strict=True))
+    states_again, _, _ = again(corrected, changed)
+    assert all(a.eta.tobytes() == b.eta.tobytes() for a, b in zip(states_again, flown.states, strict=True))
+    assert any(a.wrench.tobytes() != b.wrench.tobytes() for a, b in zip(states_again, flown.states, strict=True))
     unchanged, _, _ = again(corrected, flown.experiment)
     assert all(same(unchanged, flown.states))
 
 
 @pytest.mark.parametrize("topic", [topics.PLAN, topics.OBSTACLES, topics.INPUTS])
 def test_input_missing_in_the_log_is_named(flown: Pond, topic: Topic) -> None:
-    of_this = [k for k, line in enumerate(flown.lines) if line[0] is topic]
+    of_this = [k for k, line in enumerate(flown.lines) if line.topic is topic]
     gap = of_this[len(of_this) // 2]
-    states, _, said = again(flown.lines[:gap] + flown.lines[gap + 1 :], flown.experiment)
-    assert len(said) == 1
-    assert "not in the log" in said[0]
+    states, _, messages = again(flown.lines[:gap] + flown.lines[gap + 1 :], flown.experiment)
+    assert len(messages) == 1
+    assert "not in the log" in messages[0]
     assert len(states) == len(flown.states) - (topic is topics.INPUTS)
 
 
 def test_a_record_of_halves_is_left_out(flown: Pond) -> None:
-    def broken() -> Iterator[Line]:
-        yield topics.INPUTS, ME, Header(1, 1, 1), b"\x50\x01"  # plan_robots = [1], nothing else
-        yield topics.INPUTS, ME, Header(1, 1, 1), b"\xff\xff"
+    def broken() -> Iterator[LogMessage]:
+        yield LogMessage(topics.INPUTS, ME, Header(1, 1, 1), b"\x50\x01", 1)  # plan_robots = [1], nothing else
+        yield LogMessage(topics.INPUTS, ME, Header(1, 1, 1), b"\xff\xff", 1)
 
     assert len(again(list(broken()), flown.experiment)[2]) == 2
 
@@ -221,12 +220,12 @@ def test_with_a_new_station_a_disarmed_robot_begins_anew_and_its_log_is_whole() 
     for order in (Order.LOAD, Order.ARM, Order.START):
         assert pond.order(order).accepted
     pond.step(10)
-    states, _, said = again(pond.lines[before:], pond.experiment)
-    assert said == []
+    states, _, messages = again(pond.lines[before:], pond.experiment)
+    assert messages == []
     assert all(same(states, pond.states[first:]))
     # and the log of both lives, as a recorder that outlived the station would have it
-    states, _, said = again(pond.lines, pond.experiment)
-    assert said == []
+    states, _, messages = again(pond.lines, pond.experiment)
+    assert messages == []
     assert all(same(states, pond.states))
 
 
