@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import block_diag
 
-from robot_agent.control.active_set import NO_BOUND, ConvexProgram, make_active_set, solve_from
+from robot_agent.control.active_set import NO_BOUND, ActiveSet, ConvexProgram, make_active_set, solve_from
 from robot_agent.control.linearisation import (
     ControlTask,
     Cost,
@@ -71,6 +71,7 @@ class Mpc:
         a = block_diag(np.vstack([np.eye(size), block_diag(difference, difference, difference)]), np.ones((rows, 1)))
         self._program = ConvexProgram(np.zeros((size + 1, size + 1)), np.zeros(size + 1), a, -upper, upper)
         self._found = make_active_set(size + 1, len(a))
+        self._plain = self._first_rows(2 * size)  # the problem without half-spaces
         self._first_changes = size + n * np.array([0, 2, 1])  # rows of the changes from the wrench asked for last
         self.tune(config)
 
@@ -127,18 +128,25 @@ class Mpc:
             there = along * x + across * y
             program.a[rows, :free], program.lower[rows] = there[:, :free], keep_clear.offset - there[:, free]
         found.held[count:] = 0
-        rounds = solve_from(
-            program._replace(a=program.a[:count], lower=program.lower[:count], upper=program.upper[:count]),
-            found._replace(multiplier=found.multiplier[:count], held=found.held[:count]),
-        )
+        rounds = solve_from(*(self._first_rows(count) if count > limits else self._plain))
         if rounds == 0:
             found.held[:] = 0
         return rounds
 
+    def _first_rows(self, count: int) -> tuple[ConvexProgram, ActiveSet]:
+        """The problem with its first rows only, and its active set."""
+        program, found = self._program, self._found
+        return (
+            program._replace(a=program.a[:count], lower=program.lower[:count], upper=program.upper[:count]),
+            found._replace(multiplier=found.multiplier[:count], held=found.held[:count]),
+        )
+
     def _step_of_plan(self, step: int, before: Array) -> Array:
         """Return the last good plan's wrench (3,) at a step, within the limits."""
-        wanted = np.clip(self._blocks[self._unknowns[step]], before - self._step_limit, before + self._step_limit)
-        limited: Array = np.clip(wanted, -self._limit, self._limit)
+        wanted = np.minimum(
+            np.maximum(self._blocks[self._unknowns[step]], before - self._step_limit), before + self._step_limit
+        )
+        limited: Array = np.minimum(np.maximum(wanted, -self._limit), self._limit)
         return limited
 
     def _fall_back(self, wrench: Array, eta: Array) -> MpcPlan:

@@ -148,6 +148,10 @@ class Formation:
         self._safety, self._nodes_s, self._has_leader, self._most_m = safety, nodes_s, has_leader, most_m
         self._near = np.unique(np.linspace(0, len(nodes_s) - 1, NODES + 1)[1:].round().astype(np.intp))
         self.rows = NEAREST * len(self._near)  # half-spaces there can be
+        nobody = np.zeros(0), np.zeros(0, np.complex128)
+        self._nobody = NeighbourPredictions(
+            (), np.zeros((0, len(nodes_s), 4)), np.zeros((len(nodes_s), 4)), 0, nobody[1], nobody[0], nobody[1]
+        )
         self.set_weight(weight)
 
     def set_weight(self, weight: tuple[float, float, float, float]) -> None:
@@ -156,6 +160,8 @@ class Formation:
 
     def predict_neighbours(self, neighbours: Sequence[Neighbour], now_ns: int) -> NeighbourPredictions:
         """Sample all neighbours' plans at our nodes. A plan whose numbers cannot be poses is left out."""
+        if not neighbours:
+            return self._nobody
         plans = [PlanRows(np.array(n.plan.eta), np.array(n.plan.eta_reference), n.plan.period_s) for n in neighbours]
         used = [(n, plan) for n, plan in zip(neighbours, plans, strict=True) if are_poses(plan)]
         count, nodes = len(used), len(self._nodes_s)
@@ -211,8 +217,12 @@ class Formation:
     def half_spaces(self, predictions: NeighbourPredictions, own: Array, rank: Priority, now_ns: int) -> HalfSpaces:
         """Half-spaces across the lines from the predicted places of robots that come close to ours (A6), for a robot whose
         pose is `own` (4,): n = (own - place) / |own - place|, n . (x, y) >= n . place + distance to keep."""
-        place, found = complex(*own[:2].tolist()), []
-        for neighbour, pose in zip(predictions.neighbours, predictions.pose[:, self._near], strict=True):
+        place, near_m, found = complex(*own[:2].tolist()), 2.0 * self._safety.radius_m + self._safety.margin_m, []
+        poses = predictions.pose[:, self._near]
+        near = np.hypot(poses[:, :, 0] - place.real, poses[:, :, 1] - place.imag) < near_m + self._safety.bubble_max_m
+        if not near.any():
+            return NOWHERE
+        for neighbour, pose in zip(predictions.neighbours, poses, strict=True):
             keep_m = self.required_clearance_m(neighbour, rank, now_ns)
             if keep_m is None:
                 continue
