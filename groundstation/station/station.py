@@ -40,7 +40,7 @@ from shoal.runtime.runtime import Clock, age_s, log
 from shoal.runtime.version import code
 
 ORDER_TIMEOUT_S = 0.5
-LOCKSTEP_ORDER_TIMEOUT_S = PATIENT_MS * 1e-3  # as long as a link is kept: sent again, an order would count at a later step
+PATIENT_ORDER_TIMEOUT_S = PATIENT_MS * 1e-3  # as long as a link is kept: sent again, an order would count at a later step
 TROUBLED = frozenset({MissionState.FAILED, MissionState.ABORTING, MissionState.STOPPED, MissionState.DEGRADED})
 PROMPT = frozenset({Order.STOP, Order.DISARM, Order.HOLD})
 MAX_UNANSWERED = 2  # orders of a kind to one robot that may be unanswered: the second goes out before the first is given up
@@ -101,7 +101,7 @@ class Station:
     seen: Fleet = field(default_factory=dict)  # as of the last cycle
     planning: "dict[str, tuple[PlanRequest, Future[PlanSegment | PlanError]]]" = field(default_factory=dict)
     published: tuple[PlanSegment, Mapping[int, Trajectory]] | None = None  # segment, and what robots fly alone
-    obstacles_up_to_ns: int | None = None  # in lockstep: pictures up to then have been told of
+    obstacles_up_to_ns: int | None = None  # where time waits: pictures up to then have been told of
     pending: list[tuple[Command, Future[Reply]]] = field(default_factory=list)
     paths: Mapping[int, tuple[Trajectory, float]] | None = None  # what each robot flies now, until when [s]
     asked_s: float = 0.0  # instant of the last request (s, monotonic)
@@ -120,25 +120,25 @@ class Station:
         self.beat_s = time.monotonic()  # instant of the last heartbeat (s, monotonic)
         self._status = Status(self.mission.state, self.mission.reason)
 
-    def cycle(self, now_ns: int, lockstep: bool) -> None:
+    def cycle(self, now_ns: int) -> None:
         """Read the fleet, step the mission, send its commands, publish the heartbeat."""
         with self.lock:
             self.seen, answers = self.fleet(), self._answers()
-            self.plan(lockstep, now_ns)
+            self.plan(now_ns)
             commands = self.core.step(self.seen, answers, now_ns, self._around())
-            self.plan(lockstep, now_ns)
+            self.plan(now_ns)
             self.publish_paths(now_ns)
             self._follow(answers)
             new_gains = self.tuner.take_unlogged()
         for gains in new_gains:
             self.bus.publish(topics.TUNING, gains, now_ns)
-        timeout_s = LOCKSTEP_ORDER_TIMEOUT_S if lockstep else ORDER_TIMEOUT_S
+        timeout_s = PATIENT_ORDER_TIMEOUT_S if self.clock.waits else ORDER_TIMEOUT_S
         for command in commands:
             if self._unanswered(command) < MAX_UNANSWERED:
                 # Sent from here, in the mission's order; only the waiting is for other threads.
                 reply = self.bus.send_command(command, now_ns, timeout_s)
                 self.pending.append((command, self.workers.of(command.order).submit(reply)))
-        if lockstep:
+        if self.clock.waits:
             for _, future in self.pending:
                 future.result()
         stopped = self.mission.state is MissionState.STOPPED
@@ -195,24 +195,24 @@ class Station:
             return ObstacleSet()
         return obstacle_set(received.message, age_s(self.clock, received), self.experiment.safety)
 
-    def plan(self, lockstep: bool, now_ns: int) -> None:
+    def plan(self, now_ns: int) -> None:
         """Compute the plans that the mission and single robots wait for: in another thread, because the heartbeat must go on;
-        in lockstep at once. An outcome is dropped if no request waits for it any more."""
+        where time waits at once. An outcome is dropped if no request waits for it any more."""
         for name, wanted in self.core.plan_requests():
             if name not in self.planning and wanted is not None:
-                self.planning[name] = wanted, self.workers.plans.submit(_planned, wanted, self._patience(lockstep))
-            if lockstep and name in self.planning:
+                self.planning[name] = wanted, self.workers.plans.submit(_planned, wanted, self._patience())
+            if self.clock.waits and name in self.planning:
                 self._await_unlocked(self.planning[name][1])
-        for name, wanted in self.core.plan_requests():  # asked again: requests came while lockstep waited
-            if name in self.planning and (lockstep or self.planning[name][1].done()):
-                task, outcome = self.planning.pop(name)
-                if task is wanted:
+        for name, wanted in self.core.plan_requests():  # asked again: requests came while this waited
+            if name in self.planning and (self.clock.waits or self.planning[name][1].done()):
+                request, outcome = self.planning.pop(name)
+                if request is wanted:
                     self.core.planned(name, outcome.result(), self.seen, now_ns)
 
-    def _patience(self, lockstep: bool) -> OutOfTime:
-        """Limit of time of a plan that begins now; none in lockstep, where a plan must not depend on the machine."""
+    def _patience(self) -> OutOfTime:
+        """Limit of time of a plan that begins now; none where time waits: there a plan must not depend on the machine."""
         closing, deadline_s = self.workers.closing, time.monotonic() + PLANNING_S
-        return lambda: closing.is_set() or (not lockstep and time.monotonic() > deadline_s)
+        return lambda: closing.is_set() or (not self.clock.waits and time.monotonic() > deadline_s)
 
     def _await_unlocked(self, plan: "Future[PlanSegment | PlanError]") -> None:
         """Wait for a plan without the lock, which the cycle holds: an operator's requests are answered meanwhile."""

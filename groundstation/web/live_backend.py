@@ -32,7 +32,6 @@ from shoal.messages import topics
 from shoal.messages.codec import DecodeError, Header, decode
 from shoal.messages.messages import Event, Order, Preview, Trajectory
 from shoal.messages.topics import Topic
-from shoal.runtime.lockstep import LockstepClock
 from shoal.runtime.runtime import Clock, log
 
 MOST_EVENTS = 256  # between two looks
@@ -74,7 +73,7 @@ class LiveBackend:
         bus.subscribe(topics.EVENT, None, self._event)
 
     def _event(self, topic: Topic, key: str, header: Header, payload: bytes) -> None:
-        at_ns = header.stamp_ns if isinstance(self._clock, LockstepClock) else self._clock.now_ns()
+        at_ns = self._clock.arrival_ns(header.stamp_ns)
         self._events.append((at_ns, header, payload))
 
     def scene(self) -> dict[str, Any]:
@@ -159,7 +158,7 @@ class LiveBackend:
         if received is None:
             return AgedMessage()
         now_ns = time.monotonic_ns()
-        if not isinstance(self._clock, LockstepClock):
+        if not self._clock.waits:
             age_ms = received.age_ns(now_ns) * 1e-6
         else:
             age_ms = (now_ns - received.arrived_ns) * 1e-6

@@ -400,6 +400,37 @@ def test_a_robot_that_was_armed_and_restarts_before_the_start_is_not_armed_again
     assert [c.order for c in run.robots[2].got].count(Order.ARM) == 1
 
 
+@pytest.mark.parametrize(
+    ("order", "before", "lost"),
+    [
+        (Order.TEST, Mode.ARMED, "abort"),
+        (Order.TEST, Mode.DISARMED, "abort"),
+        (Order.ARM, Mode.ARMED, "abort"),
+        (Order.RETURN, Mode.DISARMED, "hold"),
+    ],
+)
+def test_a_robot_that_is_armed_and_restarts_is_not_armed_again_for_the_same_request(
+    order: Order, before: Mode, lost: str
+) -> None:
+    """Robot 2 is not armed yet when robot 1 restarts, whichever of the two requests it was armed for."""
+    run = MissionRun(False, [f'mission.lost="{lost}"'])
+    run.step(0.2)
+    run.robots[1].mode, run.robots[2].refuses = before, frozenset({Order.ARM})
+    run.step(0.2)
+    assert run.mission.request(order, run.fleet(), run.now_ns) == ""
+    run.step(0.5)
+    if order is Order.RETURN:
+        run.mission.planned(replace(next_leg(run, 4.0), is_return=True), run.fleet(), run.now_ns)
+    run.step(0.5)
+    assert run.mission.state in (MissionState.TEST_ARMING, MissionState.ARMING, MissionState.REARMING)
+    assert run.robots[1].mode is Mode.ARMED
+    run.robots[1].mode, run.robots[1].loaded = Mode.DISARMED, ""
+    run.robots[1].got.clear()
+    run.step(2.0)
+    assert Order.ARM not in [c.order for c in run.robots[1].got]
+    assert run.robots[1].mode is Mode.DISARMED
+
+
 def test_rejoin_is_refused_while_the_others_return() -> None:
     """That way has no places for robots that are out."""
     run = MissionRun()
