@@ -205,8 +205,8 @@ class Station:
                 self._await_unlocked(self.planning[name][1])
         for name, wanted in self.core.plan_requests():  # asked again: requests came while this waited
             if name in self.planning and (self.clock.waits or self.planning[name][1].done()):
-                request, outcome = self.planning.pop(name)
-                if request is wanted:
+                task, outcome = self.planning.pop(name)
+                if task is wanted:
                     self.core.planned(name, outcome.result(), self.seen, now_ns)
 
     def _patience(self) -> OutOfTime:

@@ -335,7 +335,7 @@ def test_a_reply_that_comes_while_replies_are_collected_is_taken_once(tmp_path: 
         station.pending = [(Command(Order.ARM, 2), JustAnswered())]
         for k in range(3):
             station.cycle((k + 1) * 1_000_000)
-        assert station.mission._dispatcher.armed == {2: 2_000_000}  # the mission's own memory: nothing else tells it
+        assert station.mission._powered_ns == {2: 2_000_000}  # the mission's own memory: nothing else tells it
         assert station.pending == []
 
 
