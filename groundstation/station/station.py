@@ -143,7 +143,7 @@ class Station:
                 future.result()
         stopped = self.mission.state is MissionState.STOPPED
         pace = self.mission.governor
-        planned = tuple(robot for robot, seen in self.seen.items() if seen.state is not None and seen.state.planned)
+        planned = tuple(robot for robot, view in self.seen.items() if view.state is not None and view.state.planned)
         state = self.mission.state.name
         out = tuple(sorted(self.mission.roster.out))
         beat = StationHeartbeat(self.experiment.hash, stopped, state, pace.lag_s, 1.0 - pace.rate, planned, self.code, out)
@@ -170,12 +170,12 @@ class Station:
 
     def fleet(self) -> Fleet:
         """View of every robot now."""
-        found = {}
+        views = {}
         for robot in self.experiment.robot_ids:
-            seen = self.heard.view(robot, self.links.setdefault(robot, LinkMonitor()), self.clock)
-            other = other_code(seen.state.code, self.code) if seen.state is not None else ""
-            found[robot] = replace(self.core.view(robot, seen, self.clock.now_ns()), other_code=other)
-        return found
+            view = self.heard.view(robot, self.links.setdefault(robot, LinkMonitor()), self.clock)
+            other = other_code(view.state.code, self.code) if view.state is not None else ""
+            views[robot] = replace(self.core.view(robot, view, self.clock.now_ns()), other_code=other)
+        return views
 
     def _lasting(self) -> dict[str, str]:
         """Warnings by key about what is so from a program's start: an open network, a localizer with other code."""
@@ -205,8 +205,8 @@ class Station:
                 self._await_unlocked(self.planning[name][1])
         for name, wanted in self.core.plan_requests():  # asked again: requests came while this waited
             if name in self.planning and (self.clock.waits or self.planning[name][1].done()):
-                asked, outcome = self.planning.pop(name)
-                if asked is wanted:
+                task, outcome = self.planning.pop(name)
+                if task is wanted:
                     self.core.planned(name, outcome.result(), self.seen, now_ns)
 
     def _patience(self) -> OutOfTime:
@@ -271,8 +271,8 @@ class Station:
             self.asked_s = time.monotonic()
         if order in PROMPT and not reason:
             self.wake.set()
-        asked = f"{order.name} for robot {only}" if only and order is not Order.STOP else order.name
-        log.info("%s %s", asked, f"refused: {reason}" if reason else "asked for")
+        request = f"{order.name} for robot {only}" if only and order is not Order.STOP else order.name
+        log.info("%s %s", request, f"refused: {reason}" if reason else "asked for")
         return reason, number
 
     def drive(self, robot: int, velocity: DriveVelocity) -> str:
@@ -292,7 +292,7 @@ class Station:
 
     def has_power(self) -> bool:
         """True while a robot that is heard may put out thrust."""
-        return any(seen.heard and seen.mode in LIVE for seen in self.seen.values())
+        return any(view.heard and view.mode in LIVE for view in self.seen.values())
 
     def request_gains(self, values: Mapping[str, float] | None, next_lap: bool) -> tuple[str, int]:
         """Change the fleet's gains; None: go back to those before. Returns the reason of a refusal, or nothing, and the
@@ -333,7 +333,7 @@ class Station:
         )
 
     def _tell(self) -> None:
-        codes = {f"robot {robot} {seen.other_code}" for robot, seen in self.seen.items() if seen.other_code}
+        codes = {f"robot {robot} {view.other_code}" for robot, view in self.seen.items() if view.other_code}
         codes |= {self._localizers_code()} - {""}
         for text in sorted(codes - self.codes_told):
             log.warning("%s (%s)", text, DEPLOY)
@@ -346,9 +346,9 @@ class Station:
             log.error("recorder: %s", self.recorder.error)
         ready = self.mission.state is MissionState.WAITING and self.mission.reason in ("", ATTENDED)
         line = f"{READY if ready else self.mission.state.value}{f': {self.mission.reason}' if self.mission.reason else ''}"
-        told = FIGURE.sub("", line)
-        if told != self.told:
-            self.told = told
+        without_figures = FIGURE.sub("", line)
+        if without_figures != self.told:
+            self.told = without_figures
             (log.warning if self.mission.state in TROUBLED else log.info)("mission: %s", line)
 
 

@@ -98,7 +98,7 @@ class LiveBackend:
 
     def snapshot(self) -> dict[str, Any]:
         """The fleet now. Some of it is kept as a row of the past."""
-        view = self._told()
+        view = self._newest_state()
         if not self._past or view["time_s"] - self._past[-1]["time_s"] >= self._past_every_s:
             self._past.append(past_row(view))
         return view
@@ -107,7 +107,7 @@ class LiveBackend:
         """The last PAST_S seconds."""
         return list(self._past)
 
-    def _told(self) -> dict[str, Any]:
+    def _newest_state(self) -> dict[str, Any]:
         """The fleet's newest state, as the page gets it."""
         status, now_s = self.station.status(), self._clock.now_ns() * 1e-9
         self._stands = status.beat_age_s > STANDS_S

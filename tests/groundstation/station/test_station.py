@@ -335,7 +335,7 @@ def test_a_reply_that_comes_while_replies_are_collected_is_taken_once(tmp_path: 
         station.pending = [(Command(Order.ARM, 2), JustAnswered())]
         for k in range(3):
             station.cycle((k + 1) * 1_000_000)
-        assert station.mission._dispatcher.armed == {2: 2_000_000}  # the mission's own memory: nothing else tells it
+        assert station.mission._powered_ns == {2: 2_000_000}  # the mission's own memory: nothing else tells it
         assert station.pending == []
 
 
@@ -518,7 +518,7 @@ def test_the_paths_flown_now_are_told_with_their_end(tmp_path: Path) -> None:
     with a_station(tmp_path) as station:
         segment = station.mission.segment
         station.publish_paths(0)
-        assert station.paths == {robot: (way, segment.end_s) for robot, way in segment.trajectories.items()}
+        assert station.paths == {robot: (trajectory, segment.end_s) for robot, trajectory in segment.trajectories.items()}
         short = replace(segment, end_s=3.0)
         station.mission.plans.adopt(short)
         station.mission.roster.mark_lost(2, "silent")
@@ -532,10 +532,10 @@ def test_a_trip_of_one_robot_is_published_and_then_its_path_again(tmp_path: Path
     with a_station(tmp_path, hub) as station:
         segment = station.mission.segment
         alone = named_alone(segment.trajectories[2])
-        trip = RobotTask(Order.GO, 0, transfer=replace(segment, trajectories={2: alone}, end_s=4.0))
+        task = RobotTask(Order.GO, 0, transfer=replace(segment, trajectories={2: alone}, end_s=4.0))
         ids = []
         for leader in (Leader.MISSION, Leader.PERSON, Leader.MISSION):
-            station.single.tasks[2], station.mission.roster.led_by[2] = trip, leader
+            station.single.tasks[2], station.mission.roster.led_by[2] = task, leader
             station.publish_paths(0)
             newest = [inboxes[robot].newest() for robot in (1, 2)]
             ids.append([received.message.id for received in newest if received is not None])
@@ -622,7 +622,7 @@ def test_programs_of_other_code_than_the_stations_are_named_on_the_page_and_in_t
         status = station.status()
         views = {robot: replace(view, state_age_s=0.0) for robot, view in status.seen.items()}  # however slow the machine is
         alarm_list = alarms(station.experiment, views, localizer, 0.0, "", status.lasting)
-        ours = [alarm.told for alarm in alarm_list if alarm.key.endswith("code")]
+        ours = [alarm.line for alarm in alarm_list if alarm.key.endswith("code")]
         assert ours == [
             f"the localizer runs 0.1.0 8289d898, the station {own}", f"robot 2: runs an earlier version, the station {own}",
         ]  # fmt: skip
