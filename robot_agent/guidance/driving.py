@@ -65,11 +65,11 @@ class Driver:
         """Begin anew at the robot's own place."""
         self._eta = None
 
-    def goal(self, asked: DriveVelocity, lasts_s: float, eta: Array, around: Sequence[Body]) -> Drive:
-        """Return the goal of one step: `asked` within limits and slowed, from a reference near the estimate `eta` (4,)."""
+    def goal(self, velocity: DriveVelocity, lasts_s: float, eta: Array, around: Sequence[Body]) -> Drive:
+        """Return the goal of one step: `velocity` within limits and slowed, from a reference near the estimate `eta` (4,)."""
         limits, ahead = self._limits, complex(math.cos(eta[3]), math.sin(eta[3]))
-        surge, heave = _within(asked.surge_mps, limits.speed_mps), _within(asked.heave_mps, limits.heave_mps)
-        turn = _within(asked.yaw_rate_radps, limits.yaw_rate_radps)
+        surge, heave = _within(velocity.surge_mps, limits.speed_mps), _within(velocity.heave_mps, limits.heave_mps)
+        turn = _within(velocity.yaw_rate_radps, limits.yaw_rate_radps)
         x_m, y_m, depth_m, yaw_rad = eta.tolist()
         led_x_m, led_y_m, led_depth_m, led_yaw_rad = (eta if self._eta is None else self._eta).tolist()
         # There is no side thruster: sideways the reference goes with the robot.
@@ -124,7 +124,7 @@ def _within(value: float, limit: float) -> float:
 
 def bodies(neighbours: Sequence[Neighbour], obstacles: Sequence[Obstacle], formation: Formation, now_ns: int) -> list[Body]:
     """Robots, by their plans, and obstacles as a driven robot has to stop short of them now."""
-    found = []
+    obstacles_now = []
     for neighbour in neighbours:
         plan = neighbour.plan
         if len(plan.eta) < 2:
@@ -135,8 +135,8 @@ def bodies(neighbours: Sequence[Neighbour], obstacles: Sequence[Obstacle], forma
         x_m, y_m, depth_m, _ = (plan.eta[low] + (row - low) * step).tolist()
         x_mps, y_mps, heave_mps, _ = (step / plan.period_s).tolist()
         keep_m = formation.clearance_m(neighbour, now_ns) + SHORT_M
-        found.append(Body(complex(x_m, y_m), complex(x_mps, y_mps), keep_m, depth_m, heave_mps))
+        obstacles_now.append(Body(complex(x_m, y_m), complex(x_mps, y_mps), keep_m, depth_m, heave_mps))
     for obstacle in obstacles:
         points = (obstacle.edge_points + obstacle.displacement(now_ns)).tolist()
-        found += [Body(point, obstacle.velocity, obstacle.clearance_m + SHORT_M) for point in points]
-    return found
+        obstacles_now += [Body(point, obstacle.velocity, obstacle.clearance_m + SHORT_M) for point in points]
+    return obstacles_now

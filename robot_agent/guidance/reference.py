@@ -94,7 +94,7 @@ class ReferenceSampler:
 
     def __init__(self, offsets_s: Array) -> None:
         self._offsets_s = np.concatenate([[0.0], offsets_s])
-        self._known: Trajectory | None = None
+        self._path: Trajectory | None = None
         self._samples = np.zeros((3, 0, 4))
         self._rows = np.zeros((3, len(self._offsets_s), 4))
         self._sampled = Reference(*self._rows)
@@ -107,8 +107,8 @@ class ReferenceSampler:
         if isinstance(goal, Drive):
             return self._driven(goal)
         path = goal.trajectory
-        if path is not self._known:
-            self._samples, self._known = np.array((path.eta, path.velocity, path.acceleration)), path
+        if path is not self._path:
+            self._samples, self._path = np.array((path.eta, path.velocity, path.acceleration)), path
         sample_trajectory(self._samples, path.begin_s, path.period_s, goal.time_s, goal.rate, self._offsets_s, self._rows)
         return self._sampled
 

@@ -60,9 +60,9 @@ def _inconsistent(trajectory: Trajectory) -> str:
         k, axis = where
         name, unit = AXES[axis]
         moved = trajectory.eta[k + 1, axis] - trajectory.eta[k, axis]
-        told = 0.5 * period_s * (velocity[k + 1, axis] + velocity[k, axis])
+        step = 0.5 * period_s * (velocity[k + 1, axis] + velocity[k, axis])
         at_s = _time_s(trajectory, k)
-        return f"trajectory.eta moves by {moved:.3g} {unit} in {name} at {at_s:.2f} s, its velocities say {told:.3g} {unit}"
+        return f"trajectory.eta moves by {moved:.3g} {unit} in {name} at {at_s:.2f} s, its velocities say {step:.3g} {unit}"
     push = 0.5 * period_s * (trajectory.acceleration[1:] + trajectory.acceleration[:-1])
     rests: NDArray[np.bool_] = np.asarray((np.abs(velocity) <= STILL).all(axis=1))
     near = rests.copy()  # a plan that was made of another one's samples leaps in two steps, with one sample between

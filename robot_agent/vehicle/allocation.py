@@ -204,6 +204,6 @@ class Allocator:
 
     def forces(self, wrench: Sequence[float] | Array) -> tuple[Array, Array]:
         """Four thruster forces in N and ankle angles in rad for a wrench."""
-        force, angle, asked = np.empty(4), np.empty(4), np.asarray(wrench, dtype=np.float64)
-        allocate(asked, self._legs, force, angle)
+        force, angle, demand = np.empty(4), np.empty(4), np.asarray(wrench, dtype=np.float64)
+        allocate(demand, self._legs, force, angle)
         return force, angle

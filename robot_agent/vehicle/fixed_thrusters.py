@@ -85,9 +85,9 @@ class FixedAllocator(Allocator):
         """See `Allocator`. A vehicle without sway as an axis asks for none."""
         if not math.isfinite(sum(wrench.tolist())):
             return self.neutral()
-        asked, delivered = np.zeros(len(AXES)), np.empty(len(AXES))
-        asked[: self._axes] = wrench
-        share_out_and_deliver(asked, self._thrusters, self._curve, self._work, self._pulse, delivered)
+        demand, delivered = np.zeros(len(AXES)), np.empty(len(AXES))
+        demand[: self._axes] = wrench
+        share_out_and_deliver(demand, self._thrusters, self._curve, self._work, self._pulse, delivered)
         return tuple(self._pulse.tolist()), delivered[: self._axes].copy()
 
     def delivered(self, pulse_us: tuple[int, ...]) -> tuple[Array, Array]:

@@ -29,10 +29,10 @@ class Lqr:
 
     def wrench(self, now: TrackingErrors) -> PerAxis:
         """See `FeedbackLaw`."""
-        known = self._axes.wrench(now, NOTHING)
+        model_wrench = self._axes.wrench(now, NOTHING)
         surge, heave, yaw = (
             base - k[0] * e - k[1] * rate - (k[2] * (thrust - base) if self._lag else 0.0)
-            for k, base, e, rate, thrust in zip(self._gains, known, now.error, now.speed_error, now.thrust, strict=True)
+            for k, base, e, rate, thrust in zip(self._gains, model_wrench, now.error, now.speed_error, now.thrust, strict=True)
         )
         return surge, heave, yaw
 

@@ -85,7 +85,7 @@ def guess(
 ) -> None:
     """Fly, and write commands at the nodes within all limits, and the states there."""
     axes, state, middle = len(grid.axes), start.state.copy(), np.zeros(STATES)
-    command, asked, has_sway = start.command.copy(), np.zeros(3), False
+    command, demand, has_sway = start.command.copy(), np.zeros(3), False
     for i in range(axes):
         has_sway |= grid.axes[i] == 1
     for k in range(len(flight.state)):
@@ -114,14 +114,14 @@ def guess(
                 most, want = limits.rate[i] * step_s, wanted[grid.axes[i]]
                 change = min(max(min(max(want, -limits.size[i]), limits.size[i]) - command[i], -most), most)
                 command[i] += change
-                asked[grid.axes[i]] = command[i]
+                demand[grid.axes[i]] = command[i]
             first = motion(dynamics, (state[YAW], state[U], state[V], state[R]), state[SURGE:])
             step_from(state, first, 0.5 * step_s, middle)
             for i in range(3):
-                middle[SURGE + i] = asked[i] + shares.half_acting * (state[SURGE + i] - asked[i])
+                middle[SURGE + i] = demand[i] + shares.half_acting * (state[SURGE + i] - demand[i])
             rates = motion(dynamics, (middle[YAW], middle[U], middle[V], middle[R]), middle[SURGE:])
             step_from(state, rates, step_s, state)
             for i in range(SURGE, MOMENT + 1):
-                state[i] = asked[i - SURGE] + shares.acting * (state[i] - asked[i - SURGE])
+                state[i] = demand[i - SURGE] + shares.acting * (state[i] - demand[i - SURGE])
         flight.command[k] = command
         flight.state[k] = state

@@ -56,23 +56,23 @@ class Planner:
         """Improve the plan, and look for a better one while its mean error is more than `tolerance_m`."""
         if self.is_fresh:
             self._begin(dynamics, problem, tuning)
-            found = step_plan(dynamics, self._grid, problem, self._plan, 0.0)
+            iteration = step_plan(dynamics, self._grid, problem, self._plan, 0.0)
         else:
-            found = step_plan(dynamics, self._grid, problem, self._plan, self._period_s)
-        if not (found.rounds and math.isfinite(found.after)):
+            iteration = step_plan(dynamics, self._grid, problem, self._plan, self._period_s)
+        if not (iteration.rounds and math.isfinite(iteration.after)):
             self.forget()
-            return found._replace(rounds=0)
+            return iteration._replace(rounds=0)
         self._since_s += self._period_s
         if self._rival_steps:
-            return self._compare(dynamics, problem, found)
+            return self._compare(dynamics, problem, iteration)
         whole_s = float(self._grid.time_s[-1]) + problem.weights.end_s
-        is_blocked = found.entry_m > ENTRY_M
+        is_blocked = iteration.entry_m > ENTRY_M
         is_due = self._since_s > (URGENT_S if is_blocked else REVIEW_S) - 1e-9
-        if is_due and (is_blocked or found.after > whole_s * tolerance_m**2):
+        if is_due and (is_blocked or iteration.after > whole_s * tolerance_m**2):
             guesses = self._blocked if is_blocked else self._free
             self._guess(self._rival, dynamics, problem, tuning, guesses[self._next % len(guesses)])
             self._next, self._rival_steps, self._since_s = self._next + 1, 1, 0.0
-        return found
+        return iteration
 
     def _begin(self, dynamics: Dynamics, problem: PlanProblem, tuning: Bandwidths) -> None:
         """The cheaper of the pilot's two flights is the plan, the other one its rival. With side thrust there is one."""
@@ -95,14 +95,14 @@ class Planner:
         )
         guess(dynamics, self._grid, problem.start, problem.course, problem.limits, pilot, memory.flight)
 
-    def _compare(self, dynamics: Dynamics, problem: PlanProblem, found: Iteration) -> Iteration:
+    def _compare(self, dynamics: Dynamics, problem: PlanProblem, iteration: Iteration) -> Iteration:
         """Improve the rival, and let it take the plan's place if it is cheaper in the end."""
         rival = step_plan(dynamics, self._grid, problem, self._rival, self._period_s if self._rival_steps > 1 else 0.0)
         self._rival_steps = self._rival_steps + 1 if rival.rounds and self._rival_steps < RIVAL_STEPS else 0
-        if self._rival_steps == 0 and rival.rounds and rival.after < CHEAPER * found.after:
+        if self._rival_steps == 0 and rival.rounds and rival.after < CHEAPER * iteration.after:
             self._plan, self._rival = self._rival, self._plan
             return rival
-        return found
+        return iteration
 
 
 def resting_place(

@@ -94,22 +94,22 @@ def cube_root(rate: float, inertia: float, reach: float) -> float:
     return math.pow(rate / (inertia * reach), 1.0 / 3.0)
 
 
-def derive(vehicle: Vehicle, delay: float, known: Deviations, observer_radps: tuple[float, float], off_m: float) -> Bandwidths:
+def derive(vehicle: Vehicle, delay: float, sigma: Deviations, observer_radps: tuple[float, float], off_m: float) -> Bandwidths:
     """Bandwidths for a robot that is `off_m` away from its path; the observer has one for the place and one for depth."""
     mass, mass_v, mass_w, inertia = vehicle.inertia.tolist()
     force_rate, lift_rate, moment_rate, *side_rate = vehicle.limits.wrench_rate_per_s
     for rate in side_rate:  # the slower of both axes moves the place
         mass, force_rate = max((mass, force_rate), (mass_v, rate), key=lambda axis: axis[0] / axis[1])
     reach_m = REACH_SHARE * vehicle.radius_m
-    observer = observer_radps[0] / (1.0 + TRUST * known.ratios.thrust)
+    observer = observer_radps[0] / (1.0 + TRUST * sigma.ratios.thrust)
     late = DELAY_SHARE / delay
-    error_m = max(known.place_m / ROUGH, min(off_m, reach_m), 1e-4)
-    rough = math.sqrt(ROUGH * force_rate / (mass * max(known.ground_mps, 1e-4)))
+    error_m = max(sigma.place_m / ROUGH, min(off_m, reach_m), 1e-4)
+    rough = math.sqrt(ROUGH * force_rate / (mass * max(sigma.ground_mps, 1e-4)))
     calm = cube_root(force_rate, mass, reach_m)
     quickness = max(min(cube_root(force_rate, mass, error_m), rough, late, observer), SLOWEST_RADPS)
     turning = min(
         cube_root(moment_rate, inertia, REACH_RAD),
-        cube_root(ROUGH * moment_rate, inertia, max(known.yaw_rad, 1e-5)),
+        cube_root(ROUGH * moment_rate, inertia, max(sigma.yaw_rad, 1e-5)),
         TURN_DELAY_SHARE / delay,
     )
     depth = max(min(cube_root(lift_rate, mass_w, reach_m), late, MODEL_SHARE * observer_radps[1]), SLOWEST_RADPS)

@@ -71,15 +71,15 @@ def flown(
     law: FeedbackLaw, state: Array, seconds: float, disturbance: tuple[float, ...] = STILL, dt: float = DT
 ) -> list[TrackingErrors]:
     """Inputs of the law, every `dt`. It is not told of the disturbance."""
-    seen = []
+    inputs = []
     for k in range(round(seconds / dt)):
         now = look(state, k * dt)
-        seen.append(now)
+        inputs.append(now)
         wrench, unknown = np.array(law.wrench(now)), np.array(disturbance)
         law.learn(now, (0.0, 0.0, 0.0), dt)
         middle = state + dt / 2 * rate(state, wrench, unknown)
         state = state + dt * rate(middle, wrench, unknown)
-    return seen
+    return inputs
 
 
 def off(ahead: float = 0.0, below: float = 0.0, turned: float = 0.0) -> Array:
@@ -129,10 +129,10 @@ def test_backstepping_s_lyapunov_function_falls_as_it_should() -> None:
         error_per_s=(0.5, 0.4, 1.0), velocity_per_s=(1.0, 0.8, 2.0), coupling_per_s2=(0.3, 0.5, 0.7)
     )
     k1, k2, c = (np.array(v) for v in (config.error_per_s, config.velocity_per_s, config.coupling_per_s2))
-    seen = flown(Backstepping(AXES, config), off(0.4, -0.3, 0.8), 6.0)
-    z1 = np.array([s.error for s in seen])
-    z2 = np.array([s.speed_error for s in seen]) + k1 * z1
-    aside = np.array([s.swing_mps / s.velocity[2] if s.velocity[2] else 0.0 for s in seen])
+    inputs = flown(Backstepping(AXES, config), off(0.4, -0.3, 0.8), 6.0)
+    z1 = np.array([s.error for s in inputs])
+    z2 = np.array([s.speed_error for s in inputs]) + k1 * z1
+    aside = np.array([s.swing_mps / s.velocity[2] if s.velocity[2] else 0.0 for s in inputs])
     value = 0.5 * (c * z1**2 + z2**2)
     value[:, 0] += 0.5 * c[0] * aside**2
     yaw = -z1[:, 2]
@@ -199,9 +199,9 @@ def test_sliding_mode_reaches_its_surface_in_time_and_stays() -> None:
     )
     push = (0.08, 0.0, -0.05, 0.4)  # each less than its reach
     law = SlidingMode(AXES, config)
-    seen = flown(law, off(0.6, -0.5, 0.9), 8.0, push)
+    inputs = flown(law, off(0.6, -0.5, 0.9), 8.0, push)
     slope, reach, layer = (np.array(v) for v in (config.slope_per_s, config.reach, config.layer))
-    surface = np.array([s.speed_error for s in seen]) + slope * np.array([s.error for s in seen])
+    surface = np.array([s.speed_error for s in inputs]) + slope * np.array([s.error for s in inputs])
     unknown = np.abs(np.array(push)[[0, 2, 3]])
     latest = np.abs(surface[0]) / (reach - unknown)
     for axis in range(1, 3):  # in surge the swing disturbs as well
@@ -217,9 +217,9 @@ def test_sliding_mode_reaches_its_surface_in_time_and_stays() -> None:
 def test_fuzzy_verdicts_follow_the_rules() -> None:
     for row, error in enumerate(PEAKS):
         for column, speed in enumerate(PEAKS):
-            found = verdict(error, speed)
-            assert found == PEAKS[min(max(row + column - 2, 0), 4)]
-            assert verdict(-error, -speed) == -found
+            share = verdict(error, speed)
+            assert share == PEAKS[min(max(row + column - 2, 0), 4)]
+            assert verdict(-error, -speed) == -share
     grid = np.linspace(-1.5, 1.5, 61)
     table = np.array([[verdict(e, v) for v in grid] for e in grid])
     assert np.all(np.diff(table, axis=0) >= -1e-12) and np.all(np.diff(table, axis=1) >= -1e-12)
@@ -231,8 +231,8 @@ def test_the_network_learns_what_the_model_would_have_known() -> None:
         slope_per_s=(0.6, 0.6, 1.0), gain=(20.0, 20.0, 0.5), learning=(15.0, 15.0, 0.5)
     )
     law = AdaptiveNn(AXES, config, (0.48, 0.26, 1.9))
-    seen = flown(law, off(0.3, 0.2, 0.4), 80.0, (0.05, 0.0, -0.03, 0.3), 0.02)
-    last = seen[-1]
+    inputs = flown(law, off(0.3, 0.2, 0.4), 80.0, (0.05, 0.0, -0.03, 0.3), 0.02)
+    last = inputs[-1]
     assert np.abs(last.error).max() < 0.003
     missing = np.array(last.load) - np.array(AXES.mass) * [0.05, -0.03, 0.3]
     np.testing.assert_allclose(law.wrench(last), missing, atol=0.05)

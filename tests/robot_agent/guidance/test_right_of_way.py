@@ -48,12 +48,12 @@ def test_urgent_robot_goes_around_one_that_drifts_without_thrust() -> None:
     assert meeting.fleet.order(Order.DISARM, 1).accepted
     begin = meeting.fleet.truth[-1][1].copy()
     meeting.step()
-    told = second.plan.plan
-    assert told.adrift
+    last_plan = second.plan.plan
+    assert last_plan.adrift
     for _ in range(50):
         meeting.step()
     went = meeting.fleet.truth[-1][1] - begin
-    assert np.hypot(*(told.eta[26, :2] - begin[:2] - went[:2])) < 0.05 < np.hypot(*went[:2])  # 0.2 s a row
+    assert np.hypot(*(last_plan.eta[26, :2] - begin[:2] - went[:2])) < 0.05 < np.hypot(*went[:2])  # 0.2 s a row
     while meeting.fleet.time_s < 44.0:
         meeting.step()
     assert meeting.nearest_m > 0.65  # the rule's distance; the half-spaces alone let it come to 0.616 m

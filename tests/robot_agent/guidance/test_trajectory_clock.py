@@ -213,9 +213,9 @@ def test_a_robot_far_from_its_path_does_not_start(order: Order, axis: int) -> No
     assert robot.eta is not None
     planned_m = float(np.linalg.norm(EXPERIMENT.robot(ME).start_offset[:3]))
     robot.eta[axis] += 1.02 + planned_m
-    said = robot.start(order=order)
-    assert f"is {1.02 + planned_m:.2f} m from where its path is at 0.00 s" in said
-    assert f"allowed are {1.0 + planned_m:.2f} m" in said and "safety.join_within_m" in said
+    answer = robot.start(order=order)
+    assert f"is {1.02 + planned_m:.2f} m from where its path is at 0.00 s" in answer
+    assert f"allowed are {1.0 + planned_m:.2f} m" in answer and "safety.join_within_m" in answer
     robot.eta[axis] -= 0.04
     assert robot.start(order=order) == ""
 

@@ -34,7 +34,7 @@ class Point:
     def __init__(self, start: complex, end: complex, speed_mps: float, room_m: tuple[float, float] | None = None) -> None:
         self.place, self.start, self.end, self.speed_mps = start, start, end, speed_mps
         self.give_way = GiveWay(VEHICLE, TIMES_S, PERIOD_S, AGILITY, room_m)
-        self.told = NOBODY
+        self.traffic = NOBODY
         self.velocity = 0j
 
     def path(self, time_s: float) -> Reference:
@@ -54,7 +54,7 @@ class Point:
             complex(led.eta[1, 0], led.eta[1, 1]) - self.place
         )
         second = led.eta[10, :2] - led.eta[0, :2]
-        self.told = one(self.place, complex(*second) / float(TIMES_S[10]), KEEP_M, True)
+        self.traffic = one(self.place, complex(*second) / float(TIMES_S[10]), KEEP_M, True)
         return led is not path
 
     def move(self) -> None:
@@ -65,9 +65,9 @@ def fly(points: list[Point], seconds: float) -> tuple[float, np.ndarray]:
     """Everyone hears of everyone a step late. Returns how near any two came, and all places (steps, points)."""
     nearest, track = math.inf, []
     for k in range(round(seconds / PERIOD_S)):
-        told = [point.told for point in points]
+        traffic = [point.traffic for point in points]
         for i, point in enumerate(points):
-            point.step(k * PERIOD_S, functools.reduce(Traffic.joined, told[:i] + told[i + 1 :]))
+            point.step(k * PERIOD_S, functools.reduce(Traffic.joined, traffic[:i] + traffic[i + 1 :]))
         for point in points:
             point.move()
         places = np.array([point.place for point in points])
@@ -157,8 +157,8 @@ def test_path_that_leads_into_others_is_told_from_a_robot_that_is_off_it(
     """All three give way. In the last case the path is free, 1 m to port of what the robot, 0.5 m off, would come too near."""
     point = Point(-1.8, 1.8, 0.1)
     point.place += robot
-    told = [point.step(k * PERIOD_S, one(other, -0.1 + 0j, KEEP_M, True)) for k in range(5)]
-    assert told[-1] and point.give_way.path_is_blocked is by_its_path
+    answers = [point.step(k * PERIOD_S, one(other, -0.1 + 0j, KEEP_M, True)) for k in range(5)]
+    assert answers[-1] and point.give_way.path_is_blocked is by_its_path
     point.give_way.reset()
     assert not point.give_way.path_is_blocked
 
@@ -202,24 +202,24 @@ def met(neighbour: Neighbour, now_ns: int = 0, urgent: bool = False) -> Traffic:
 
 
 def test_a_robot_is_where_its_plan_says_it_is_now_and_goes_where_it_means_to() -> None:
-    found = met(Neighbour(2, 0, plan(), True), 1_000_000_000)
-    assert found.place == pytest.approx([0.9]) and found.velocity == pytest.approx([-0.1])
-    assert found.keep_m == pytest.approx([2.0 * EXPERIMENT.safety.radius_m + ROOM_M])
+    traffic = met(Neighbour(2, 0, plan(), True), 1_000_000_000)
+    assert traffic.place == pytest.approx([0.9]) and traffic.velocity == pytest.approx([-0.1])
+    assert traffic.keep_m == pytest.approx([2.0 * EXPERIMENT.safety.radius_m + ROOM_M])
 
 
 @pytest.mark.parametrize(("silent_s", "more_m"), [(0.0, 0.0), (3.0, 0.3), (30.0, 0.5), (57.0, 0.3), (60.0, 0.0), (1e5, 0.0)])
 def test_space_around_a_silent_robot_grows_and_goes_again_but_the_robot_stays(silent_s: float, more_m: float) -> None:
-    found = met(Neighbour(2, 0, plan(), False), round(silent_s * 1e9))
-    assert found.keep_m == pytest.approx([2.0 * EXPERIMENT.safety.radius_m + ROOM_M + more_m])
+    traffic = met(Neighbour(2, 0, plan(), False), round(silent_s * 1e9))
+    assert traffic.keep_m == pytest.approx([2.0 * EXPERIMENT.safety.radius_m + ROOM_M + more_m])
     if silent_s >= 3.0:  # its plan is used up
-        assert found.place == pytest.approx([0.75]) and found.velocity == pytest.approx([0.0])
-    assert not found.yields[0]
+        assert traffic.place == pytest.approx([0.75]) and traffic.velocity == pytest.approx([0.0])
+    assert not traffic.yields[0]
 
 
 def test_robot_adrift_gives_way_to_nobody_and_goes_where_it_drifts() -> None:
     """Seen by an urgent robot; and it comes from astern, where a robot with thrust would keep clear."""
-    told = plan()
-    adrift = replace(told, eta_reference=told.eta, adrift=True)
+    last_plan = plan()
+    adrift = replace(last_plan, eta_reference=last_plan.eta, adrift=True)
     neighbour = Neighbour(2, 0, adrift, True, hears_us=True)
     assert met(neighbour, urgent=True).keep_m[0] > 0.0 and not met(neighbour, urgent=True).yields[0]
     left = []
@@ -244,5 +244,5 @@ def test_only_who_is_deep_below_is_out_of_the_way() -> None:
 def test_only_a_robot_that_hears_us_and_is_heard_yields_to_the_urgent(
     mine: bool, theirs: bool, hears_us: bool, fresh: bool, yields: bool
 ) -> None:
-    found = met(Neighbour(2, 0, plan(theirs), fresh, hears_us=hears_us), urgent=mine)
-    assert (found.keep_m[0] == 0.0) == yields
+    traffic = met(Neighbour(2, 0, plan(theirs), fresh, hears_us=hears_us), urgent=mine)
+    assert (traffic.keep_m[0] == 0.0) == yields

@@ -48,9 +48,9 @@ def test_a_depth_that_lasts_against_the_estimate_is_a_fault_that_names_both() ->
 
 
 def test_depths_that_make_no_sense_at_all_are_no_depth() -> None:
-    seen = [o.state for _, o in flown(lambda inputs, n: depth(inputs, 1.0 + n), 20)]
-    assert seen[BAD + 7].mode is Mode.TRACKING and seen[-1].mode is Mode.FAULT
-    assert seen[-1].fault.startswith("no depth: none that can be true for 0.5")
+    states = [o.state for _, o in flown(lambda inputs, n: depth(inputs, 1.0 + n), 20)]
+    assert states[BAD + 7].mode is Mode.TRACKING and states[-1].mode is Mode.FAULT
+    assert states[-1].fault.startswith("no depth: none that can be true for 0.5")
 
 
 def test_a_robot_that_does_not_keep_its_depth_stops() -> None:
@@ -77,10 +77,10 @@ def test_a_place_that_has_to_be_given_up_means_hold_where_the_robot_is_now() -> 
 
 def test_poses_that_make_no_sense_at_all_are_no_pose() -> None:
     """Reflections here and there: nothing is corrected any more, so thrust goes by the model alone."""
-    seen = [o.state for _, o in flown(lambda inputs, n: leapt(inputs, 0.6 if n % 2 else -0.6), 12)]
-    assert seen[BAD + 7].mode is Mode.TRACKING
-    assert (seen[-1].mode, set(seen[-1].pulse_us)) == (Mode.FAULT, {1500})
-    assert seen[-1].fault.startswith("no pose that can be true: for 0.")
+    states = [o.state for _, o in flown(lambda inputs, n: leapt(inputs, 0.6 if n % 2 else -0.6), 12)]
+    assert states[BAD + 7].mode is Mode.TRACKING
+    assert (states[-1].mode, set(states[-1].pulse_us)) == (Mode.FAULT, {1500})
+    assert states[-1].fault.startswith("no pose that can be true: for 0.")
 
 
 @pytest.mark.parametrize(("depth_m", "why"), [(1.4, "the depth sensor says 1.40 m in a pool of 1 m"), (-0.4, "says -0.40 m")])
@@ -95,7 +95,7 @@ def test_a_robot_does_not_arm_on_a_depth_outside_the_pool(depth_m: float, why: s
 def test_a_robot_tells_whom_it_hears() -> None:
     experiment = load_experiment("fleet-20")
     for agent, inputs, now_ns in itertools.islice(rehearse(experiment, 7), 3):
-        some = {robot: heard for robot, heard in inputs.plans.items() if robot in (2, 11)}
+        some = {robot: plan for robot, plan in inputs.plans.items() if robot in (2, 11)}
         outputs = agent.step(replace(inputs, plans=some), now_ns)
     assert outputs.plan is not None and outputs.plan.heard == (2, 11)
 
@@ -136,16 +136,16 @@ def test_a_thruster_that_runs_by_itself_is_noticed_before_the_start(testing: boo
     if testing:
         # through the order TEST the robot would have to go through every thruster first
         agent._selftest = ThrusterSelftest(POOL.vehicle, agent.neutral_us)
-    seen = []
+    states = []
     for k in range(20):
         at_ns = now_ns + (k + 1) * 50_000_000
         echo_us = (1900, *agent.neutral_us[1:])
         board = replace(inputs.telemetry, armed=True, echo_us=echo_us, board_ms=at_ns // 1_000_000, arrival_ns=at_ns)
         station, pose = StationView(STATION, at_ns, 0.0), replace(inputs.pose, instant_ns=at_ns) if inputs.pose else None
-        seen.append(agent.step(replace(inputs, telemetry=board, station=station, pose=pose), at_ns).state)
-    found = next(k for k, state in enumerate(seen) if state.mode is Mode.FAULT)
-    assert seen[found].fault == "thruster board disobeys" and found <= (12 if testing else 6)
-    assert seen[-1].thruster_test.startswith("thruster 1 was asked for") is testing
+        states.append(agent.step(replace(inputs, telemetry=board, station=station, pose=pose), at_ns).state)
+    first = next(k for k, state in enumerate(states) if state.mode is Mode.FAULT)
+    assert states[first].fault == "thruster board disobeys" and first <= (12 if testing else 6)
+    assert states[-1].thruster_test.startswith("thruster 1 was asked for") is testing
 
 
 @pytest.mark.parametrize("gyroscope", [True, False])

@@ -54,14 +54,14 @@ def test_a_wrench_that_does_not_fit_keeps_its_direction(wrench: Array) -> None:
     got = wrench_of(VEHICLE, force)
     share = float(got @ wrench / (wrench @ wrench))
     assert np.abs(force).max() <= MOST_N + 1e-9 and got == pytest.approx(share * wrench, abs=1e-9)
-    found = linprog(
+    result = linprog(
         [0.0] * 8 + [-1.0],
         A_eq=np.column_stack([MATRIX, -wrench]),
         b_eq=np.zeros(4),
         bounds=[(-MOST_N, MOST_N)] * 8 + [(0.0, 1.0)],
     ).x
-    assert found is not None
-    best = found[-1]
+    assert result is not None
+    best = result[-1]
     assert 0.6 * best - 1e-9 <= share <= best + 1e-9
 
 

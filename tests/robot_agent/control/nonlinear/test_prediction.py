@@ -32,20 +32,20 @@ def exact(dynamics: Dynamics, start: Start, commands: Array, time_s: Array, axes
 
     def rates(t: float, s: Array) -> list[float]:
         _, _, yaw, u, v, r, x_n, y_n, n_nm = s
-        asked = np.zeros(3)
+        command = np.zeros(3)
         for i, axis in enumerate(axes):
-            asked[axis] = np.interp(t, time_s, table[:, i])
+            command[axis] = np.interp(t, time_s, table[:, i])
         rotation = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
         over_ground = rotation @ [u, v] + [w.current_x_mps, w.current_y_mps]
         speed = math.hypot(u, v)
         u_dot = (x_n - (h.linear_u + h.quadratic_u * speed) * u + h.mass_v * v * r) / h.mass_u
         v_dot = (y_n - (h.linear_v + h.quadratic_v * speed) * v - h.mass_u * u * r) / h.mass_v
         r_dot = (n_nm - (h.linear_r + h.quadratic_r * abs(r)) * r + (h.mass_u - h.mass_v) * u * v) / h.inertia
-        lagging = (asked - [x_n, y_n, n_nm]) / h.lag_s
+        lagging = (command - [x_n, y_n, n_nm]) / h.lag_s
         return [*over_ground, r, u_dot + w.own_u, h.sway * (v_dot + w.own_v), r_dot + w.own_r, *lagging]
 
-    found = solve_ivp(rates, (0.0, time_s[-1]), start.state, t_eval=time_s[1:], rtol=1e-9, atol=1e-10, max_step=0.05)
-    return np.asarray(found.y.T)
+    solution = solve_ivp(rates, (0.0, time_s[-1]), start.state, t_eval=time_s[1:], rtol=1e-9, atol=1e-10, max_step=0.05)
+    return np.asarray(solution.y.T)
 
 
 @pytest.mark.parametrize("axes", ALL_AXES)

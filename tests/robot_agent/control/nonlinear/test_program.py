@@ -72,17 +72,17 @@ def test_iteration_is_the_gauss_newton_step_within_the_limits(axes: tuple[int, .
     memory.flight.command[:] = before
     r, slope = jacobian(grid, problem, before)
     assert appraise(DYNAMICS, grid, problem, memory) == pytest.approx(r @ r, rel=1e-9)
-    found = step_plan(DYNAMICS, grid, problem, memory, 0.0)
-    assert found.before == pytest.approx(r @ r, rel=1e-9)
+    iteration = step_plan(DYNAMICS, grid, problem, memory, 0.0)
+    assert iteration.before == pytest.approx(r @ r, rel=1e-9)
 
     size = 20 * count
     difference = np.eye(size) - np.eye(size, k=-count)
     limit, rate = np.tile(LIMIT[list(axes)], 20), np.repeat(np.diff(grid.time_s), count) * np.tile(RATE[list(axes)], 20)
-    asked = difference @ before.ravel() - np.concatenate([start.command, np.zeros(size - count)])
+    offset = difference @ before.ravel() - np.concatenate([start.command, np.zeros(size - count)])
     solver = osqp.OSQP()
     solver.setup(
         sparse.csc_matrix(slope.T @ slope), slope.T @ r, sparse.csc_matrix(np.vstack([np.eye(size), difference])),
-        np.concatenate([-limit - before.ravel(), -rate - asked]), np.concatenate([limit - before.ravel(), rate - asked]),
+        np.concatenate([-limit - before.ravel(), -rate - offset]), np.concatenate([limit - before.ravel(), rate - offset]),
         verbose=False, eps_abs=1e-9, eps_rel=1e-9, max_iter=200_000, polishing=True,
     )  # fmt: skip
     wanted = solver.solve().x.reshape(before.shape)
@@ -90,7 +90,7 @@ def test_iteration_is_the_gauss_newton_step_within_the_limits(axes: tuple[int, .
     model = [0.5 * x.ravel() @ (slope.T @ slope) @ x.ravel() + slope.T @ r @ x.ravel() for x in (got, wanted)]
     assert model[0] == pytest.approx(model[1], rel=1e-4)
     assert np.abs(got - wanted).max() < 0.02 * np.abs(wanted).max()
-    assert np.allclose(memory.flight.command, before + found.share * got)
+    assert np.allclose(memory.flight.command, before + iteration.share * got)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -100,13 +100,13 @@ def test_cost_falls_until_it_stands_and_limits_hold(seed: int) -> None:
     problem, memory = problem_of(grid, Start(state, np.zeros(2))), make_memory(2)
     last = math.inf
     for _ in range(30):
-        found = step_plan(DYNAMICS, grid, problem, memory, 0.0)
-        assert found.rounds > 0 and found.after <= found.before * (1.0 + 1e-8) <= last * (1.0 + 2e-8)
-        last = found.after
+        iteration = step_plan(DYNAMICS, grid, problem, memory, 0.0)
+        assert iteration.rounds > 0 and iteration.after <= iteration.before * (1.0 + 1e-8) <= last * (1.0 + 2e-8)
+        last = iteration.after
         change = np.diff(np.vstack([np.zeros(2), memory.flight.command]), axis=0) / np.diff(grid.time_s)[:, None]
         assert np.all(np.abs(memory.flight.command) <= LIMIT[[0, 2]] + 1e-6)
         assert np.all(np.abs(change) <= RATE[[0, 2]] + 1e-6)
-    assert found.before - found.after < 1e-3 * found.after
+    assert iteration.before - iteration.after < 1e-3 * iteration.after
 
 
 def flown(surrounds: Surrounds, aside_m: float = 0.3, speed_mps: float = 0.1) -> Memory:

@@ -39,10 +39,10 @@ def test_the_docs_have_the_table_of_the_formulas() -> None:
 
 def test_the_weaker_side_thrust_limits_a_robot_that_has_it() -> None:
     """Surge 20 N/s on 19 kg, sway 15 N/s on 26.2 kg: the place follows as quickly as sideways, and both have their weights."""
-    vectored, known = load_vehicle("vectored"), USUAL._replace(place_m=1e-6, ground_mps=1e-6)
-    found = derive(vectored, 1e-3, known, (100.0, 2.0), 1.0)
-    assert found.quickness == pytest.approx((15.0 / (26.2 * 0.4 * 0.30)) ** (1.0 / 3.0))
-    surge, sway, yaw = planar_weights(vectored, found, 0.2, Manner(0.01, 0.0), 1.0).rate
+    vectored, deviations = load_vehicle("vectored"), USUAL._replace(place_m=1e-6, ground_mps=1e-6)
+    bandwidths = derive(vectored, 1e-3, deviations, (100.0, 2.0), 1.0)
+    assert bandwidths.quickness == pytest.approx((15.0 / (26.2 * 0.4 * 0.30)) ** (1.0 / 3.0))
+    surge, sway, yaw = planar_weights(vectored, bandwidths, 0.2, Manner(0.01, 0.0), 1.0).rate
     assert (surge / sway) ** 0.5 == pytest.approx(26.2 / 19.0) and yaw > 0.0
     assert planar_limits(vectored).size.tolist() == pytest.approx([20.0, 15.0, 5.0])
 
@@ -57,12 +57,12 @@ def test_a_heavier_robot_is_slower_and_looks_farther_ahead() -> None:
 
 @pytest.mark.parametrize("worse", ["noise", "delay", "observer", "thrust"])
 def test_less_knowledge_makes_it_slower(worse: str) -> None:
-    known = USUAL._replace(place_m=0.01, ground_mps=0.02) if worse == "noise" else USUAL
+    deviations = USUAL._replace(place_m=0.01, ground_mps=0.02) if worse == "noise" else USUAL
     if worse == "thrust":
-        known = USUAL._replace(ratios=Ratios(0.0, 0.5, 0.0))
+        deviations = USUAL._replace(ratios=Ratios(0.0, 0.5, 0.0))
     delay, observer = (0.4 if worse == "delay" else 0.1), (1.0 if worse == "observer" else 4.0)
     assert (
-        derive(SPHERICAL, delay, known, (observer, 2.0), 0.0).quickness
+        derive(SPHERICAL, delay, deviations, (observer, 2.0), 0.0).quickness
         < 0.7 * derive(SPHERICAL, 0.1, USUAL, (4.0, 2.0), 0.0).quickness
     )
 
