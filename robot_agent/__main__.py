@@ -6,10 +6,11 @@ from typing import Annotated
 import typer
 
 from robot_agent.commands import check, compile_kernels, confirm_zero, init, unit
-from robot_agent.host.config import DEFAULT_LINK, merge_config, open_board_link
+from robot_agent.host.config import merge_config, open_board_link
 from robot_agent.host.params import cli as params
 from robot_agent.preflight.identify import cli as identify
 from shoal.config.experiment import load_experiment
+from shoal.mavlink.board_address import DEFAULT_LINK, LINK_HELP
 from shoal.runtime.cli_options import (
     DEFAULT_FLEET,
     DEFAULT_STATION,
@@ -17,7 +18,6 @@ from shoal.runtime.cli_options import (
     KeyRing,
     LinkInsecure,
     LinkKey,
-    LockstepMode,
     Settings,
     Verbose,
     Version,
@@ -57,9 +57,7 @@ def run(
         Path | None, typer.Option(metavar="FILE", help="The board's configuration (`robot-agent init`); options go before it.")
     ] = None,
     robot: Annotated[int | None, typer.Option(help="Which robot of the experiment this is.")] = None,
-    link: Annotated[
-        str | None, typer.Option(help="The thruster board: udp:HOST:PORT or serial:DEVICE[:BAUD].", show_default=DEFAULT_LINK)
-    ] = None,
+    link: Annotated[str | None, typer.Option(help=LINK_HELP, show_default=DEFAULT_LINK)] = None,
     link_key: LinkKey = None,
     link_insecure: LinkInsecure = False,
     station: Annotated[
@@ -69,7 +67,6 @@ def run(
         str | None, typer.Option(callback=live_fleet, help="Name of the fleet.", show_default=DEFAULT_FLEET)
     ] = None,
     settings: Settings = None,
-    lockstep: LockstepMode = False,
     keys: KeyRing = None,
     insecure: Insecure = False,
     verbose: Verbose = False,
@@ -106,7 +103,7 @@ def run(
     loaded.robot(board.robot)
     ring = None if board.keys is None else Path(board.keys)
     me = process_name(Role.ROBOT, board.robot)
-    where = endpoint(board.station, me, ring, insecure=board.insecure, lossless=lockstep)
+    where = endpoint(board.station, me, ring, insecure=board.insecure)
     (wires, signing), watchdog = open_board_link(board), ServiceNotifier()
     if wires.trouble:  # said before the station is waited for, which may take long
         log.warning("thruster board: %s", wires.trouble)
@@ -116,7 +113,7 @@ def run(
             bus.claim(me, stop)
             for refused in realtime.apply(board.realtime):
                 log.warning("real time: %s", refused)
-            node = AgentNode(loaded, board.robot, bus, wires, lockstep, stop, watchdog, signing)
+            node = AgentNode(loaded, board.robot, bus, wires, stop, watchdog, signing)
             realtime.settle()
             node.run()
     finally:

@@ -265,11 +265,11 @@ class Mission:
         """Do one cycle; returns the commands to send now. `obstacles` None: as in the cycle before."""
         elapsed_s = (now_ns - self._cycle_ns) * 1e-9 if self._cycle_ns is not None else 0.0
         self._cycle_ns = now_ns
-        known = [result for result in results if result.command.robot in self.roster.all_robots]
+        own_results = [result for result in results if result.command.robot in self.roster.all_robots]
         left_out = self.roster.all_robots if self.state in AT_REST else self.roster.lost  # silence of theirs stops nothing
-        counted = [r for r in known if not (r.reply.silent and r.command.robot in left_out)]
+        counted = [r for r in own_results if not (r.reply.silent and r.command.robot in left_out)]
         refused = self._dispatcher.on_results(counted, now_ns)
-        self._note_power(fleet, known, now_ns)
+        self._note_power(fleet, own_results, now_ns)
         if refused and (not self.reason or self.state in SHOWS_REFUSALS):
             self.reason = refused
         self.plans.monitor.update(obstacles, now_ns)
@@ -337,22 +337,22 @@ class Mission:
 
     # --- checks in flight
 
-    def behind_s(self, robot: int, seen: RobotView, now_ns: int) -> float:
+    def behind_s(self, robot: int, view: RobotView, now_ns: int) -> float:
         """Lag of a robot behind the fleet's timetable, from its own state; negative: ahead. 0 without a timetable, and for a
         robot on another trajectory than the formation's."""
         flown = self._timetable if self.state in IN_FLIGHT | JOINING else None
-        if flown is None or self._clock_s(robot, seen) is None:
+        if flown is None or self._clock_s(robot, view) is None:
             return 0.0
-        return flown.behind_s(seen, self.governor, now_ns)
+        return flown.behind_s(view, self.governor, now_ns)
 
     def flying(self, fleet: Fleet) -> dict[int, RobotState]:
         """States of the robots that fly the formation's trajectories now."""
         plans = {r: self.roster.plans(r, self.segment, self.plans.next) for r in fleet}
-        return {r: seen.state for r, seen in fleet.items() if seen.state is not None and plans[r].under_way(seen.state)}
+        return {r: view.state for r, view in fleet.items() if view.state is not None and plans[r].under_way(view.state)}
 
-    def _clock_s(self, robot: int, seen: RobotView) -> float | None:
+    def _clock_s(self, robot: int, view: RobotView) -> float | None:
         """Progress of a robot along the formation's trajectories in s; None while it is on another."""
-        return self.roster.plans(robot, self.segment, self.plans.next).clock_s(seen.state)
+        return self.roster.plans(robot, self.segment, self.plans.next).clock_s(view.state)
 
     def _check_in_step(self, fleet: Fleet, now_ns: int) -> None:
         """Hold the fleet when, for OUT_FOR_S, a robot flies another plan or by another timetable than the others."""
@@ -385,10 +385,10 @@ class Mission:
             plans.progress_s = max(plans.progress_s, progress_s)
             return
         plans.progress_s = progress_s
-        found = self._flight_event(fleet, now_ns)
-        if found is None:
+        event_and_reason = self._flight_event(fleet, now_ns)
+        if event_and_reason is None:
             return
-        event, reason = found
+        event, reason = event_and_reason
         if event is MissionEvent.TRANSFER_BLOCKED:
             plans.target_current()
         self._go(event, now_ns)
@@ -431,9 +431,9 @@ class Mission:
 
     def _blind(self, fleet: Fleet) -> str:
         """Robots that cannot tell whether obstacles are there, with the reason of the first; empty if there are none."""
-        found = {r: state.blind for r in self.roster.active if (state := fleet[r].state) is not None and state.blind}
-        robots = f"robot{'s' if len(found) > 1 else ''} {', '.join(map(str, found))}"
-        return f"{robots} blind: {next(iter(found.values()))}" if found else ""
+        reasons = {r: state.blind for r in self.roster.active if (state := fleet[r].state) is not None and state.blind}
+        robots = f"robot{'s' if len(reasons) > 1 else ''} {', '.join(map(str, reasons))}"
+        return f"{robots} blind: {next(iter(reasons.values()))}" if reasons else ""
 
     def _handle_losses(self, fleet: Fleet, now_ns: int) -> None:
         """Apply the experiment's policy (mission.lost) to a robot that is lost. A plan from rest that counts on it is made
@@ -517,29 +517,29 @@ class Mission:
 
     def _note_power(self, fleet: Fleet, results: Sequence[CommandResult], now_ns: int) -> None:
         """Remember which robots were armed since the last request for which they may be, by their states and replies."""
-        for robot, seen in fleet.items():
-            sent_ns = now_ns - seen.state_age_s * 1e9
-            if seen.mode in LIVE and sent_ns >= self._asked_ns:
+        for robot, view in fleet.items():
+            sent_ns = now_ns - view.state_age_s * 1e9
+            if view.mode in LIVE and sent_ns >= self._asked_ns:
                 self._powered_ns[robot] = max(sent_ns, self._powered_ns.get(robot, sent_ns))
         accepted = [r.command.robot for r in results if r.command.order is Order.ARM and r.reply.accepted]
         self._powered_ns |= dict.fromkeys(accepted, now_ns)
 
-    def _lost_power(self, robot: int, seen: RobotView, now_ns: int) -> bool:
+    def _lost_power(self, robot: int, view: RobotView, now_ns: int) -> bool:
         """True for a robot that was armed since the last request, and is disarmed now, after a restart for example. It is not
         armed again without another request."""
         powered_ns = self._powered_ns.get(robot)
-        return seen.mode is Mode.DISARMED and powered_ns is not None and seen.state_age_s * 1e9 < now_ns - powered_ns
+        return view.mode is Mode.DISARMED and powered_ns is not None and view.state_age_s * 1e9 < now_ns - powered_ns
 
     def _has_confirmed(self, robot: int, stage: CommandStage, fleet: Fleet, now_ns: int) -> bool:
         """True if a fresh state shows that the robot has done the stage's command. For DISARM and CLEAR_STOP only a state
         that was sent since the stage began counts: an ARM or a STOP may have been on its way."""
-        seen = fleet[robot]
-        counts = self._spoke(seen, now_ns) or (seen.heard and stage.order not in (Order.DISARM, Order.CLEAR_STOP))
-        return counts and stage.confirmed(seen.mode, self.roster.has_loaded(self.segment, fleet, robot))
+        view = fleet[robot]
+        counts = self._spoke(view, now_ns) or (view.heard and stage.order not in (Order.DISARM, Order.CLEAR_STOP))
+        return counts and stage.confirmed(view.mode, self.roster.has_loaded(self.segment, fleet, robot))
 
-    def _spoke(self, seen: RobotView, now_ns: int) -> bool:
+    def _spoke(self, view: RobotView, now_ns: int) -> bool:
         """True if a robot's newest state was sent since the mission's state began, however late it came."""
-        return seen.state_age_s * 1e9 <= now_ns - self._data.since_ns
+        return view.state_age_s * 1e9 <= now_ns - self._data.since_ns
 
     def _addressed(self, fleet: Fleet) -> Sequence[int]:
         """Robots that get a stage's command. DISARM also goes to lost robots that are heard, or were until just now."""
@@ -626,12 +626,12 @@ class Mission:
             return ()
         return self._send(Order.TEST, [r for r in self.roster.active if r not in self._dispatcher.tested], now_ns)
 
-    def _test_result(self, robot: int, seen: RobotView, now_ns: int) -> str:
+    def _test_result(self, robot: int, view: RobotView, now_ns: int) -> str:
         """Result from a state sent since the robot accepted TEST; an earlier state is about an earlier test."""
         taken_ns = self._dispatcher.tested.get(robot)
-        if seen.state is None or taken_ns is None or seen.state_age_s * 1e9 > now_ns - taken_ns:
+        if view.state is None or taken_ns is None or view.state_age_s * 1e9 > now_ns - taken_ns:
             return ""
-        return seen.state.thruster_test
+        return view.state.thruster_test
 
     # --- plans
 
@@ -723,15 +723,15 @@ class Mission:
         self._dispatcher.reset()
 
 
-def may_move(seen: RobotView) -> bool:
+def may_move(view: RobotView) -> bool:
     """True for a robot that is heard, or that had power and may have it still: without a station it is neutral after a while,
     and a short gap of its radio must not end a run beside it."""
-    return seen.heard or (seen.mode in LIVE and seen.state_age_s < JOIN_WITHIN_S)
+    return view.heard or (view.mode in LIVE and view.state_age_s < JOIN_WITHIN_S)
 
 
-def may_have_power(seen: RobotView) -> bool:
+def may_have_power(view: RobotView) -> bool:
     """True for a robot that may put out thrust."""
-    return seen.mode in LIVE and may_move(seen)
+    return view.mode in LIVE and may_move(view)
 
 
 def _not_in(mode: Mode, fleet: Fleet, robots: Sequence[int]) -> list[int]:

@@ -15,7 +15,6 @@ from shoal.runtime.cli_options import (
     Insecure,
     KeyRing,
     LinkInsecure,
-    LockstepMode,
     Settings,
     StationAddress,
     Verbose,
@@ -65,7 +64,7 @@ def pool(
     link_insecure: LinkInsecure = False,
     settings: Settings = None,
     boards: BoardFolder = None,
-    lockstep: LockstepMode = False,
+    lockstep: Annotated[bool, typer.Option("--lockstep", help="Own the time: the others step when this says so.")] = False,
     pace: Annotated[
         float | None,
         typer.Option(
@@ -118,7 +117,7 @@ def hil(
     Agents speak with their boards through the ports here, as beside `pool`. A robot-N.key in --boards signs a link. A board
     that is not in HIL mode, or that falls silent, ends the run: exit code 1, or 2 if it was so from the start.
 
-    Example:  sim-bridge hil pool --board 1=serial:/dev/ttyACM0 --board 2=udp:10.0.0.7:14550
+    Example:  sim-bridge hil pool --board 1=serial:/dev/serial/by-id/NAME --board 2=udp:10.0.0.7:14550
     """
     from sim_bridge.node.wires import PoolWires, real_boards, run_pool
 
