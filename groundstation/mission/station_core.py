@@ -53,12 +53,12 @@ class StationCore:
         self.laps.update(self.mission.flying(fleet))
         return commands
 
-    def view(self, robot: int, seen: RobotView, now_ns: int) -> RobotView:
+    def view(self, robot: int, view: RobotView, now_ns: int) -> RobotView:
         """A robot as it is seen, compared with what the fleet does: its lag, and whether it has the fleet's gains."""
-        state = seen.state
+        state = view.state
         other_gains = state is not None and state.tuning_id not in ("", self.tuner.status().flown.id)
         out = robot in self.mission.roster.out
-        return replace(seen, behind_s=self.mission.behind_s(robot, seen, now_ns), other_gains=other_gains, out=out)
+        return replace(view, behind_s=self.mission.behind_s(robot, view, now_ns), other_gains=other_gains, out=out)
 
     def follow(self, fleet: Fleet, answers: Sequence[CommandResult]) -> tuple[Outcome, ...]:
         """Update the outcomes of requests; returns those that have ended. The run ends if one of them asks for it and is
@@ -81,14 +81,20 @@ class StationCore:
     # --- requests; each returns the reason of a refusal, or nothing, and the request's number
 
     def request(
-        self, order: Order, fleet: Fleet, now_ns: int, via: Sequence[tuple[float, float]] = (), only: int = WHOLE_FLEET
+        self,
+        order: Order,
+        fleet: Fleet,
+        now_ns: int,
+        via: Sequence[tuple[float, float]] = (),
+        only: int = WHOLE_FLEET,
+        form: str = "",
     ) -> tuple[str, int]:
         """Take a request for the whole fleet, or for the robot `only`; a STOP is for every robot."""
         only = WHOLE_FLEET if order is Order.STOP else only
         if only:
             reason = self.single.request(order, only, fleet, now_ns, via[0] if len(via) == 1 else None)
             return reason, 0 if reason else self._begin_task(only)
-        reason = self._end(fleet, now_ns) if order is Order.END else self.mission.request(order, fleet, now_ns, via)
+        reason = self._end(fleet, now_ns) if order is Order.END else self.mission.request(order, fleet, now_ns, via, form)
         if not reason and order in COURSE:
             self.by_hand = order is not Order.START
         return reason, 0 if reason else self.requests.begin(order, self.mission)
@@ -99,8 +105,8 @@ class StationCore:
         self.mission.roster.take_back()
         if self.mission.state in states_allowing(Order.HOLD) - {MissionState.PAUSED}:
             self.request(Order.HOLD, fleet, now_ns)
-        moving = [seen for seen in fleet.values() if seen.heard and seen.mode in LIVE - {Mode.ARMED}]
-        return any(seen.mode in MOVING or seen.speed_mps > AT_REST_MPS for seen in moving)
+        moving = [view for view in fleet.values() if view.heard and view.mode in LIVE - {Mode.ARMED}]
+        return any(view.mode in MOVING or view.speed_mps > AT_REST_MPS for view in moving)
 
     def drive(self, robot: int, velocity: DriveVelocity, fleet: Fleet, now_ns: int) -> str:
         """Take a person's newest velocity for one robot: one request from the first to letting go. Returns the reason of a
@@ -126,5 +132,5 @@ class StationCore:
         """Disarm all robots that may be armed. Returns the reason of a refusal, or nothing."""
         if self.mission.state is MissionState.STOPPED:
             return ""
-        rests = self.mission.state in AT_REST and not any(may_have_power(seen) for seen in fleet.values())
+        rests = self.mission.state in AT_REST and not any(may_have_power(view) for view in fleet.values())
         return "" if rests else self.mission.request(Order.DISARM, fleet, now_ns)

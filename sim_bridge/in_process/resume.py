@@ -6,6 +6,7 @@ the water's state (gusts, waves, noise) begins by the seed. Without the truth, a
 their own estimates were.
 """
 
+import re
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -15,15 +16,16 @@ import numpy as np
 
 from groundstation.fleet_time import SIMULATED_BELOW_NS
 from groundstation.formation_clock import FormationPlans
-from groundstation.logs.reader import LogFile, LogMessage, open_log
+from groundstation.logs.reader import LogFile, LogMessage, open_log, read_log
 from robot_agent.agent import Agent
 from robot_agent.inputs import StampedPlan
 from shoal.config.experiment import Experiment, load_experiment
+from shoal.config.fault_injection import BY_HAND, read_what
 from shoal.errors import ConfigError
 from shoal.frames import Array
 from shoal.messages import topics
 from shoal.messages.codec import decode
-from shoal.messages.messages import Mode, Plan, RobotState, Truth
+from shoal.messages.messages import Event, Mode, Plan, RobotState, Truth
 from sim_bridge import fault_schedule
 from sim_bridge.in_process.fleet import NS, AgentFleet, DirectPlant
 from sim_bridge.replay.rerun import Rerun
@@ -104,16 +106,16 @@ def resume(
 def _pose_at_moment(memory: RobotHistory, row: int, robots: Sequence[int]) -> tuple[Array, Array]:
     """Pose and velocity of a robot at the moment: the truth between its samples, or the robot's estimate."""
     stamps = np.array([stamp for stamp, _ in memory.truths], dtype=np.float64)
-    known = [truth for _, truth in memory.truths if truth.robots == tuple(robots)]
-    if len(known) != len(stamps) or len(stamps) < 2 or np.abs(stamps - memory.now_ns).min() > SAME_CLOCK_NS:
+    truths = [truth for _, truth in memory.truths if truth.robots == tuple(robots)]
+    if len(truths) != len(stamps) or len(stamps) < 2 or np.abs(stamps - memory.now_ns).min() > SAME_CLOCK_NS:
         return memory.state.eta, memory.state.nu
 
     def between(rows: Array) -> Array:
         return np.array([np.interp(memory.now_ns, stamps, column) for column in rows.T])
 
-    eta = np.array([truth.eta[row] for truth in known])
+    eta = np.array([truth.eta[row] for truth in truths])
     eta[:, 3] = np.unwrap(eta[:, 3])
-    return between(eta), between(np.array([truth.nu[row] for truth in known]))
+    return between(eta), between(np.array([truth.nu[row] for truth in truths]))
 
 
 def _pulses(experiment: Experiment, memories: Sequence[RobotHistory]) -> list[Array]:
@@ -122,17 +124,34 @@ def _pulses(experiment: Experiment, memories: Sequence[RobotHistory]) -> list[Ar
     neutral = tuple(map(float, experiment.vehicle.neutral_us))
 
     def of(memory: RobotHistory) -> list[tuple[float, ...]]:
-        told = [tuple(map(float, s.pulse_us)) if s.board_armed else neutral for _, s in memory.states[-count:]]
-        return [neutral] * (count - len(told)) + told
+        pulses = [tuple(map(float, s.pulse_us)) if s.board_armed else neutral for _, s in memory.states[-count:]]
+        return [neutral] * (count - len(pulses)) + pulses
 
     return [np.array(step) for step in zip(*map(of, memories), strict=True)]
 
 
 def load_changed(run: Path, settings: Sequence[str], more_faults: Sequence[str]) -> Experiment:
     """The experiment that was flown, with changes. Raises ConfigError."""
-    experiment = load_experiment(str(run / "experiment.toml"), settings, more_faults)
+    experiment = load_experiment(str(run / "experiment.toml"), settings, [*faults_by_hand(run), *more_faults])
     fault_schedule.require_kinds(experiment, fault_schedule.NUMERIC, "from a logged moment on there is none")
     return experiment
+
+
+def faults_by_hand(run: Path) -> list[str]:
+    """The faults that a person made in a recorded run, as --fault takes them, those that such a flight can have."""
+    found: dict[str, tuple[float, str]] = {}
+    for entry in read_log(run / "run.mcap", (topics.EVENT,)).of(topics.EVENT, Event):
+        line = entry.message.message
+        for part in line.removeprefix(BY_HAND).split("; ") if line.startswith(BY_HAND) else ():
+            if part.startswith("t="):
+                words = part.split()
+                what = " ".join(word for word in words[1:] if not word.startswith("for="))
+                found[part] = float(words[0].removeprefix("t=")), what
+            elif (mended := re.fullmatch(r"mended at ([\d.]+) s: (.+)", part)) is not None:
+                for text, (at_s, what) in list(found.items()):
+                    if what == mended[2] and "for=" not in text:
+                        found[f"t={at_s:.3f} for={max(float(mended[1]) - at_s, 0.001):.3f} {what}"] = found.pop(text)
+    return [text for text, (_, what) in found.items() if read_what(what).kind in fault_schedule.NUMERIC]
 
 
 def prepared(experiment: Experiment, source: Path, at_s: float) -> tuple[AgentFleet, DirectPlant]:
@@ -152,10 +171,10 @@ def lines_until(log: LogFile, robots: Sequence[int], at_s: float, robot: int) ->
     and the truth around it. Raises ConfigError if there is no such moment."""
     moment_ns = _moment_ns(log, robots[0], at_s)
     own = own_messages(log, robot, with_states=True)
-    known = [k for k, line in enumerate(own) if line.topic is topics.STATE and line.arrived_ns <= moment_ns]
-    if not known or not any(line.topic is topics.INPUTS for line in own):
+    state_lines = [k for k, line in enumerate(own) if line.topic is topics.STATE and line.arrived_ns <= moment_ns]
+    if not state_lines or not any(line.topic is topics.INPUTS for line in own):
         raise ConfigError(f"{log.path}: holds no inputs of robot {robot} before {at_s:g} s")
-    yield from in_order_of_use(log, robot, own[: known[-1] + 1])
+    yield from in_order_of_use(log, robot, own[: state_lines[-1] + 1])
     begin_ns, end_ns = max(moment_ns - AROUND_NS, log.start_ns), moment_ns + AROUND_NS
     yield from log.messages(lambda topic, _: topic is topics.TRUTH, begin_ns, end_ns + 1)
 

@@ -1,7 +1,7 @@
 """Resets of the Arduino Mega in simavr, in air and under water: thrust ends within 0.3 s, zeros survive, orders count once."""
 
 import random
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import pytest
 
@@ -162,7 +162,12 @@ class CutBoard:
             sent.append(frame)
             pilot.send(frame)
 
-        order = draw.choice([lambda: client.set("SLEW_US_S", NEW), lambda: pilot.link.arm(True), pilot.link.calibrate])
+        orders: list[Callable[[], bytes]] = [
+            lambda: client.set("SLEW_US_S", NEW),
+            lambda: pilot.link.arm(True),
+            pilot.link.calibrate,
+        ]
+        order = draw.choice(orders)
         cut_s = draw.uniform(0.0, LONGEST_S)
         for count in range(round(cut_s * 1e9) // STEP_NS + 1):
             if count % 10 == 0:

@@ -19,6 +19,7 @@ from shoal.config.experiment import Experiment, load_experiment
 from shoal.frames import Array
 from shoal.messages.codec import decode, encode
 from shoal.messages.messages import Command, Order, RobotState, Trajectory
+from tests.groundstation.planning.smoothness import check_smooth
 
 PERIOD_S = 0.05
 BLOCKED = load_experiment("blocked-path")
@@ -33,17 +34,6 @@ def clearance(segment: PlanSegment, thing: Array, from_s: float) -> float:
         first = max(round((from_s - t.begin_s) / PERIOD_S), 0)
         nearest.append(float(np.hypot(*(t.eta[first:, :2] - thing[:2]).T).min()) - float(thing[2]))
     return min(nearest)
-
-
-def check_smooth(trajectory: Trajectory, from_row: int = 0, to_row: int | None = None) -> None:
-    """Derivatives that belong together, by differences, and no jump in the second."""
-    rows = slice(from_row, to_row)
-    p, v, a = trajectory.eta[rows], trajectory.velocity[rows], trajectory.acceleration[rows, :3]
-    drift = np.abs(np.diff(p, axis=0) / PERIOD_S - 0.5 * (v[1:] + v[:-1]))
-    assert drift[:, :3].max() < 2e-3
-    assert drift[:, 3].max() < 0.02  # at a cubic spline's knots the yaw rate of a node that swings outside is not smooth
-    assert np.abs(np.diff(v[:, :3], axis=0) / PERIOD_S - 0.5 * (a[1:] + a[:-1])).max() < 5e-3
-    assert np.abs(np.diff(a, axis=0)).max() < 0.03
 
 
 def test_a_detour_keeps_clear_keeps_its_shape_and_arrives() -> None:
@@ -115,7 +105,7 @@ def test_no_way_round_is_refused_with_the_reason() -> None:
     with pytest.raises(PlanError, match="no way from"):
         replan(BLOCKED, segment, 14.0, wall)
     with pytest.raises(PlanError, match="only a level path"):
-        replan(load_experiment("pool"), first_segment(load_experiment("pool")), 5.0, BALL)
+        replan(load_experiment("pool"), first_segment(load_experiment("pool")), 5.0, BALL, [(0.0, 0.0)])
     with pytest.raises(PlanError, match=r"too near|exceeds"):
         replan(BLOCKED, segment, segment.end_s - 2.0, np.array([[-2.0, 0.0, 0.2]]), [(-3.0, 0.0)])
 
@@ -157,9 +147,9 @@ def glides(from_m: tuple[float, float], to_m: tuple[float, float], seconds: floa
 
 
 def test_on_ways_of_their_own_robots_may_begin_and_end_beside_a_thing_but_not_come_nearer_to_it() -> None:
-    way = glides((0.0, 0.0), (2.0, 0.0))
-    is_return = PlanSegment({1: way}, way, 20.0, is_return=True)
-    into_place = PlanSegment({1: way}, way, 60.0, transfer_end_s=20.0)
+    trajectory = glides((0.0, 0.0), (2.0, 0.0))
+    is_return = PlanSegment({1: trajectory}, trajectory, 20.0, is_return=True)
+    into_place = PlanSegment({1: trajectory}, trajectory, 60.0, transfer_end_s=20.0)
     for segment in (is_return, into_place):
         assert "on the path of robot 1, in 5.6 s" in first_contact(BLOCKED, segment, 0.0, 25.0, np.array([[1.0, 0.0, 0.15]]))
         assert first_contact(BLOCKED, segment, 15.0, 40.0, np.array([[1.0, 0.0, 0.15]])) == ""  # gone by
@@ -170,17 +160,17 @@ def test_on_ways_of_their_own_robots_may_begin_and_end_beside_a_thing_but_not_co
 
 
 def test_robots_on_their_own_ways_look_out_for_lost_ones_also_where_no_path_is_changed_for_things() -> None:
-    way = glides((0.0, 0.0), (2.0, 0.0))
+    trajectory = glides((0.0, 0.0), (2.0, 0.0))
     lost = RobotView(RobotState(eta=np.array([1.0, 0.0, 0.0, 0.0])), 9.0)
     obstacles = ObstacleSet((1,), np.array([[1.5, 0.0, 0.1]]))
     for settings, sees_things in ((["mission.detours=true"], True), (["mission.detours=false"], False)):
-        lookout = ObstacleMonitor(load_experiment("pool", settings))
-        lookout.update(obstacles, 0)
-        is_return = PlanSegment({1: way}, way, 20.0, is_return=True)
-        assert "at (1.00, 0.00) m" in lookout.first_contact(is_return, 0.0, [lost], 1_000_000_000)
-        assert ("at (1.50, 0.00) m" in lookout.first_contact(is_return, 0.0, [], 1_000_000_000)) == sees_things
-        in_formation = PlanSegment({1: way}, way, 20.0)
-        assert lookout.first_contact(in_formation, 0.0, [lost], 1_000_000_000) == ""  # a circle: robots give way by themselves
+        monitor = ObstacleMonitor(load_experiment("pool", settings))
+        monitor.update(obstacles, 0)
+        is_return = PlanSegment({1: trajectory}, trajectory, 20.0, is_return=True)
+        assert "at (1.00, 0.00) m" in monitor.first_contact(is_return, 0.0, [lost], 1_000_000_000)
+        assert ("at (1.50, 0.00) m" in monitor.first_contact(is_return, 0.0, [], 1_000_000_000)) == sees_things
+        in_formation = PlanSegment({1: trajectory}, trajectory, 20.0)
+        assert monitor.first_contact(in_formation, 0.0, [lost], 1_000_000_000) == ""  # a circle: robots give way by themselves
 
 
 def test_from_rest_into_the_slots_and_on_along_the_leg() -> None:

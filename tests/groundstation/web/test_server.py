@@ -61,7 +61,7 @@ class ServedStation(FakeStation):
     def say(self, robot: int = 1) -> None:
         self.robots.publish(topics.STATE, RobotState(mode=Mode.ARMED, fault="here"), time.time_ns(), robot)
 
-    def request(self, order: Order, via: Sequence[tuple[float, float]] = (), only: int = 0) -> tuple[str, int]:
+    def request(self, order: Order, via: Sequence[tuple[float, float]] = (), only: int = 0, form: str = "") -> tuple[str, int]:
         if self.blocked is not None and order is not Order.STOP:
             self.blocked.wait(PATIENCE_S)
         accepted = super().request(order, via, only)
@@ -275,7 +275,7 @@ def test_orders_are_done_in_the_order_in_which_they_were_given(lab: ServedStatio
     """Also where the first has to wait for the station's cycle: what was said last counts."""
     page, request = lab.open(), lab.request
 
-    def waits(order: Order, via: Sequence[tuple[float, float]] = (), only: int = 0) -> tuple[str, int]:
+    def waits(order: Order, via: Sequence[tuple[float, float]] = (), only: int = 0, form: str = "") -> tuple[str, int]:
         time.sleep(0.3 if order is Order.RESUME else 0.0)
         return request(order, via, only)
 
@@ -641,7 +641,7 @@ def test_the_map_gets_the_paths_that_are_flown_now(lab: ServedStation) -> None:
     planned = early.hello()["scene"]["paths"]
     line = np.zeros((60, 4))
     home = {1: Trajectory("home-1", 0.05, line, line, line, begin_s=40.0)}
-    lab.paths = {robot: (way, 42.0) for robot, way in home.items()}  # 41 samples; the rest is horizon
+    lab.paths = {robot: (trajectory, 42.0) for robot, trajectory in home.items()}  # 41 samples; the rest is horizon
     paths_now = early.until(lambda f: f["k"] == "paths")["paths"]
     late = lab.open().hello()["scene"]["paths"]
     assert [p["id"] for p in planned] == [t.id for t in planner.plan(POOL).values()]

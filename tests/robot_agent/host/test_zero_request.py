@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from robot_agent.__main__ import cli
 from robot_agent.host import zero_request
-from robot_agent.node import AgentNode
+from robot_agent.node import AgentNode, StepTime
 from shoal.bus.bus import Bus
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
 from shoal.config.experiment import load_experiment
@@ -61,17 +61,17 @@ def stepping(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[AgentN
     (tmp_path / "state").mkdir()
     monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path / "state"))
     monkeypatch.setattr(zero_request, "LOOK_S", 0.02)
-    node = AgentNode(POOL, 1, Bus(MemoryTransport(MemoryHub())), RestartedBoard(), False, Stop(install=False))
+    node = AgentNode(POOL, 1, Bus(MemoryTransport(MemoryHub())), RestartedBoard(), Stop(install=False))
     ended = threading.Event()
 
     def steps() -> None:
         now_ns = 0
         while not ended.wait(0.01):
             now_ns += STEP_NS
-            node.step(now_ns, None)
+            node.step(now_ns, StepTime(now_ns))
 
     for count in range(1, 21):  # until the board has measured the pressure, and said so
-        node.step(count * STEP_NS, None)
+        node.step(count * STEP_NS, StepTime(count * STEP_NS))
     thread = threading.Thread(target=steps, daemon=True)
     thread.start()
     yield node
@@ -103,7 +103,7 @@ def test_the_robots_program_does_not_arm_in_question_and_passes_the_confirmation
         threading.Event().wait(0.1)
     assert "in question" not in refusal(stepping)
     assert stepping.agent.inputs.telemetry.depth_m == pytest.approx(depth_m, abs=0.05)
-    assert stepping._mavlink.telemetry.restarted
+    assert stepping.mavlink.telemetry.restarted
     assert not (tmp_path / "state" / zero_request.FILE).exists()
 
 
