@@ -124,7 +124,7 @@ class ThrusterBoard:
         self._burst_ns = round(S_NS / sensors.rate_hz)
         self._outbox: list[bytes] = []
         self._simulated: SimulatedSensors | None = None  # in HIL mode
-        self._told = (False, False)  # armed, in HIL mode
+        self._sent_state = (False, False)  # armed, in HIL mode
         self._stored_heard = stored.heard
         self._last_step_ns: int | None = None
         self._last_burst_ns: int | None = None
@@ -299,8 +299,8 @@ class ThrusterBoard:
         """Send the texts and the changes of arming and of HIL mode that are due."""
         self._outbox += [self.link.text(text.severity, text.text) for text in self.rules.texts]
         self.rules.texts.clear()
-        if (self.rules.armed, self.link.hil) != self._told:
-            self._told = (self.rules.armed, self.link.hil)
+        if (self.rules.armed, self.link.hil) != self._sent_state:
+            self._sent_state = (self.rules.armed, self.link.hil)
             self._outbox.append(self._heartbeat())
 
     def _heartbeat(self) -> bytes:
