@@ -11,6 +11,7 @@ import numpy as np
 
 from shoal.config.experiment import Experiment
 from shoal.config.fault_injection import Break, Fault
+from shoal.config.simulation import Drifter
 from shoal.config.vehicle import OUTPUTS
 from shoal.errors import ConfigError
 from shoal.frames import Array
@@ -42,15 +43,17 @@ class FaultSchedule:
 
     def __init__(self, experiment: Experiment) -> None:
         self._faults, self._robots = experiment.sim.faults, experiment.robot_ids
+        self._depth_m = experiment.path.depth_m
+        self._by_hand: tuple[Fault, ...] = ()
         self._active: tuple[Fault, ...] = ()
         self._stuck_us: dict[tuple[int, int], float] = {}
         self._derive()
 
     def at(self, time_s: float) -> list[str]:
         """Move to a time. Returns a line of text for each fault that began or ended."""
-        if not self._faults:
+        if not (self._faults or self._by_hand or self._active):
             return []
-        active = tuple(fault for fault in self._faults if fault.holds(time_s))
+        active = tuple(fault for fault in (*self._faults, *self._by_hand) if fault.holds(time_s))
         if active == self._active:
             return []
         texts = [f"fault: {fault.what}" for fault in active if fault not in self._active]
@@ -59,12 +62,22 @@ class FaultSchedule:
         self._derive()
         return texts
 
+    def add(self, what: str, for_s: float, time_s: float) -> str:
+        """Break something now, by a hand; nothing named: mend all that hands broke. Returns it as --fault takes it."""
+        if not what:
+            mended, self._by_hand = self._by_hand, ()
+            return "; ".join(f"mended at {time_s:.3f} s: {fault.what}" for fault in mended)
+        during = f" for={for_s:g}" if for_s else ""
+        self._by_hand += (Fault.model_construct(at_s=time_s, for_s=for_s or None, what=what),)
+        return f"t={max(time_s, 0.0):.3f}{during} {what}"
+
     def quiet_steps(self, time_s: float, step_s: float, most: int) -> int:
         """Plant steps from `time_s` to the first instant of a step at which a fault begins or ends; 1 to `most`."""
-        if not self._faults:
+        faults = (*self._faults, *self._by_hand)
+        if not faults:
             return most
-        begins = [fault.at_s for fault in self._faults]
-        ends = [fault.at_s + fault.for_s for fault in self._faults if fault.for_s is not None]
+        begins = [fault.at_s for fault in faults]
+        ends = [fault.at_s + fault.for_s for fault in faults if fault.for_s is not None]
         change_s = min((change_s for change_s in (*begins, *ends) if change_s > time_s), default=math.inf) - time_s
         return most if change_s >= most * step_s else max(math.ceil((change_s - ROUNDING_S) / step_s), 1)
 
@@ -101,7 +114,10 @@ class FaultSchedule:
             self.imu_error[i, ("heading", "gyro").index(b.effect)] += b.value
         self.unmarked = frozenset(i for i, _ in self._of("marker"))
         self.camera = tuple(b for _, b in self._of("camera"))
-        self.water_drop_m = next((b.value for _, b in reversed(self._of("water"))), 0.0)
+        water = [b for _, b in self._of("water")]
+        self.water_drop_m = next((b.value for b in reversed(water) if b.effect == "low"), 0.0)
+        self.gust_mps = sum(b.value for b in water if b.effect == "gust")
+        self.balls = tuple(Drifter(radius_m=b.value, start_m=(*b.place_m, self._depth_m)) for _, b in self._of("ball"))
         self.links = [LinkFaults()] * n
         for i, b in self._of("link"):
             old, is_noisy, is_slow = self.links[i], b.effect == "noisy", b.effect == "slow"

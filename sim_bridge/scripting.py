@@ -21,7 +21,7 @@ from shoal.runtime.runtime import Failed, Stop
 from shoal.system import programs
 
 STATION = "station: "  # begins the line in which `sim-bridge sil` tells the endpoint of its station
-PROGRESS = re.compile(r" *[\d.]+ / [\d.]+ s  ")  # begins the lines in which it tells how far the flight has come
+PROGRESS = re.compile(r" *[-\d.]+ / [\d.]+ s  ")  # begins the lines in which it tells how far the flight has come
 START_WITHIN_S = 300.0  # on a busy machine whose kernels were never compiled; otherwise a few seconds
 END_WITHIN_S = 300.0  # of a run's processes, its report written
 LAST_WORDS_S = 5.0  # for the output of a process that has ended to be read

@@ -65,6 +65,8 @@ class World:
         self._no_acceleration, self._no_voltage = np.zeros_like(starts), [0.0] * len(starts)
         self._frames = 1  # the first is at time 0
         self.faults = FaultSchedule(experiment)
+        self._gust_mps = 0.0
+        self._current_mps = np.array(experiment.sim.plant.current_mps, dtype=np.float64)
         self.start_ns: int | None = None  # plant time at which the trajectories begin; set by the process
         self.exposed = False  # the last step reached the middle of an exposure
 
@@ -118,6 +120,9 @@ class World:
     def apply_faults(self) -> list[str]:
         """Move the fault timeline to now. Returns a line of text for each fault that began or ended."""
         changes = self.faults.at(self.flown_s)
+        if self.faults.gust_mps != self._gust_mps:
+            self._gust_mps = self.faults.gust_mps
+            self._plant.stream(self._current_mps + np.array([self._gust_mps, 0.0, 0.0]))
         for board, error in zip(self.boards, self.faults.imu_error.tolist() if changes else (), strict=False):
             board.sensors.error = (error[0], error[1])
         return changes

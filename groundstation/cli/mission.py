@@ -20,7 +20,9 @@ from groundstation.mission.state_machine import (
     order_named,
     request_named,
 )
-from shoal.messages.messages import Command, Outcome, Reply
+from shoal.config.formation_shapes import SHAPES
+from shoal.config.scene import FORM_USAGE
+from shoal.messages.messages import Command, Order, Outcome, Reply
 from shoal.messages.topics import WHOLE_FLEET
 from shoal.runtime.cli_options import DEFAULT_FLEET, AsJson, FleetName, Insecure, KeyRing, finite
 from shoal.system.printable import printable
@@ -226,6 +228,40 @@ def go(
         return "go", go_command(list(zip(places[::2], places[1::2], strict=True)), robot or WHOLE_FLEET)
     except ValueError as error:
         raise typer.BadParameter(str(error)) from None
+
+
+@mission_cli.command()
+@request
+def formation(
+    form: Annotated[str, typer.Argument(metavar="FORM", help=f"{FORM_USAGE}; shapes: {', '.join(SHAPES)}.")],
+) -> tuple[str, Command]:
+    """Let the formation take another form: in flight on its way, from a hold before it goes on.
+
+    Exit code 0 when all fly it, 1 and the reason if it cannot be flown.
+
+    Examples:  groundstation mission formation "line 0.8"
+
+               groundstation mission formation "triangle 1.0 turn 30 over 20"
+    """
+    return "formation", Command(Order.FORMATION, WHOLE_FLEET, text=form)
+
+
+@mission_cli.command()
+@request
+def fault(
+    what: Annotated[
+        str, typer.Argument(metavar="WHAT", help="What breaks, as with --fault, and `for SECONDS`; `repair` mends it all.")
+    ],
+) -> tuple[str, Command]:
+    """Break something in a simulated run, now. The log keeps it, and `sim-bridge sil --from` repeats it.
+
+    Examples:  groundstation mission fault "thruster 2/3 dead"
+
+               groundstation mission fault "marker 1 lost for 5"
+
+               groundstation mission fault repair
+    """
+    return "fault", Command(Order.FAULT, WHOLE_FLEET, text=what)
 
 
 @mission_cli.command()

@@ -93,7 +93,11 @@ def compare(
 
 def export(
     run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run.")],
-    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Where the files go.")],
+    out: Annotated[Path | None, typer.Option(metavar="FOLDER", help="Where the files go.")] = None,
+    video: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="The camera's film as this MP4, what the robots did drawn over it.")
+    ] = None,
+    camera: Annotated[str, typer.Option(metavar="NAME", help="With --video: one of several cameras.")] = "",
     parquet: Annotated[bool, typer.Option("--parquet", help="Parquet instead of CSV.")] = False,
     foxglove: Annotated[bool, typer.Option("--foxglove", help="For Foxglove-family viewers instead.")] = False,
     as_json: AsJson = False,
@@ -105,10 +109,18 @@ def export(
 
     Examples:  groundstation log export runs/pool-20260101-120000 --out tables
                groundstation log export runs/pool-20260101-120000 --out viewer --foxglove
+              groundstation log export runs/pool-20260101-120000 --video pool.mp4
     """
-    from groundstation.export import foxglove_file, tables
+    from groundstation.export import film, foxglove_file, tables
     from groundstation.logs.reader import read_log
 
+    if (out is None) == (video is None):
+        raise typer.BadParameter("either --out FOLDER or --video FILE")
+    if video is not None:
+        check_output(video, [run_folder / name for name in RUN])
+        typer.echo(f"{video}: {film.write_film(run_folder, video, camera)} pictures")
+        return
+    assert out is not None
     written: list[tuple[Path, int | None]]
     trouble: list[str] = []
     if foxglove:

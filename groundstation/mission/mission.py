@@ -8,7 +8,7 @@ that the mission waits for, `planned` takes its outcome.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -143,6 +143,7 @@ class Mission:
         self._give_up_s = give_up_s if automatic else None
         self._progress: tuple[float, int] | None = None  # along the path [s], and the instant of its last change
         self._needs_operator = False  # an automatic mission does not go on by itself
+        self.began_ns = 0  # instant at which the flight began, or will begin: time 0 for people; 0: it has not been started
         self.verdict: MissionState | None = None  # how the last run ended; None while one is under way, or before the first
 
     @property
@@ -162,9 +163,10 @@ class Mission:
 
     # --- requests of the operator
 
-    def request(self, order: Order, fleet: Fleet, now_ns: int, via: Sequence[tuple[float, float]] = ()) -> str:
-        """Take up an operator's request. Returns the reason of a refusal; empty when it is under way."""
-        reason = rejection_reason(order, self.state) or self.objection(order, fleet, via)
+    def request(self, order: Order, fleet: Fleet, now_ns: int, via: Sequence[tuple[float, float]] = (), form: str = "") -> str:
+        """Take up a request; `via`: places of a GO, `form` of a FORMATION. Returns the reason of a refusal; empty when
+        it is under way."""
+        reason = rejection_reason(order, self.state) or self.objection(order, fleet, via, form)
         if reason:
             return reason
         self._give_up_s = None  # a person attends
@@ -176,7 +178,7 @@ class Mission:
         self._last_state = {Order.LOAD: MissionState.LOADING, Order.ARM: MissionState.ARMING}.get(order)
         if order is not Order.TEST:  # a test makes no robot fly: what waits for the operator goes on waiting
             self._needs_operator = order in (Order.HOLD, Order.CLEAR_STOP)
-        self._prepare(order, fleet)
+        self._prepare(order, fleet, form)
         self._go(order, now_ns)
         if order is Order.DISARM and before in TERMINAL | {MissionState.ENDING}:
             self.reason = why
@@ -188,9 +190,11 @@ class Mission:
             self._replan_if_needed(fleet, now_ns)
         if order is Order.GO:
             self.plans.request_replan(fleet, now_ns, tuple(via))
+        if order is Order.FORMATION and self.state is MissionState.SWITCHING:
+            self.plans.request_form(form, fleet, now_ns)
         return ""
 
-    def _prepare(self, order: Order, fleet: Fleet) -> None:
+    def _prepare(self, order: Order, fleet: Fleet, form: str) -> None:
         """Set roster and plans for a request, before the state changes."""
         if order is Order.RETURN:
             self._prepare_return(fleet)
@@ -200,7 +204,9 @@ class Mission:
                 self.plans.target_return()
             else:
                 self.plans.target_slots()
-        if order in (Order.RETURN, Order.REJOIN):
+        if order is Order.FORMATION and self.state is MissionState.PAUSED:
+            self.plans.target_form(form)
+        if order in (Order.RETURN, Order.REJOIN, Order.FORMATION):
             self._still_to_arm = frozenset(r for r in self.roster.active if fleet[r].mode is Mode.DISARMED)
         if order is Order.HOLD:
             self.roster.take_back()
@@ -229,11 +235,12 @@ class Mission:
         else:
             self.roster.put_back(robot, self.state in AT_REST | {MissionState.STOPPED})
 
-    def objection(self, order: Order, fleet: Fleet, via: Sequence[tuple[float, float]] = ()) -> str:
+    def objection(self, order: Order, fleet: Fleet, via: Sequence[tuple[float, float]] = (), form: str = "") -> str:
         """Reason against a request in a state that allows it; empty if there is none."""
         from_rest = order is Order.RETURN and self.state in AT_REST  # takes in robots that the last run had lost
         roster = Roster(self._experiment.robot_ids, self.segment, self.roster.out) if from_rest else self.roster
-        return objection(order, self._context(fleet, roster, via))
+        context = replace(self._context(fleet, roster, via), form=form)
+        return objection(order, replace(context, transfer=self.segment.is_separate(self.plans.progress_s)))
 
     def _context(self, fleet: Fleet, roster: Roster | None = None, via: Sequence[tuple[float, float]] = ()) -> RequestContext:
         return RequestContext(self._experiment, self.state, roster or self.roster, self.segment, self._starts, fleet, via)
@@ -243,7 +250,7 @@ class Mission:
         self._asked_ns, self._powered_ns = now_ns, {}
 
     def _begin_run(self) -> None:
-        self._run = _RunData()
+        self._run, self.began_ns = _RunData(), 0
         self.plans.reset()
         self.governor.start()
 
@@ -713,6 +720,8 @@ class Mission:
         if state in JOINING:  # one instant for all, the same in every command: late robots join where the others are
             resumes = state is MissionState.RESUMING
             from_s = self.plans.progress_s if resumes else self.segment.centre.begin_s
+            if state is MissionState.STARTING or not self.began_ns:
+                self.began_ns = now_ns + round(START_IN_S * 1e9)
             self._timetable = Timetable(now_ns + round(START_IN_S * 1e9), from_s + self.governor.lag_s)
         if state is not MissionState.SWITCHING:
             self.plans.next = None

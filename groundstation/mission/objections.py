@@ -7,8 +7,10 @@ from groundstation.mission.roster import TAKEN_OUT, Roster
 from groundstation.mission.state_machine import AT_REST, MissionState
 from groundstation.planning.replanning import can_replan
 from groundstation.planning.segment import PlanSegment
+from groundstation.planning.shift import common_path
 from groundstation.telemetry import Fleet, RobotView, blocking_findings, first_lost_robot, foreign_poses, preflight
 from shoal.config.experiment import Experiment
+from shoal.config.scene import read_form
 from shoal.frames import Array
 from shoal.messages.messages import Mode, Order
 
@@ -28,6 +30,8 @@ class RequestContext:
     starts: Mapping[int, Array]
     fleet: Fleet
     via: Sequence[tuple[float, float]] = ()  # places of a GO, x and y in m
+    form: str = ""  # of a FORMATION
+    transfer: bool = False  # robots fly separate transfers now
 
 
 def objection(order: Order, context: RequestContext) -> str:
@@ -115,6 +119,19 @@ def _unchangeable(context: RequestContext) -> str:
     return "the path is a circle, dives, or is not common to all robots: it cannot be changed under way"
 
 
+def _no_form(context: RequestContext) -> str:
+    try:
+        read_form(context.form, 0.0)
+    except ValueError as error:
+        return str(error)
+    return "" if common_path(context.experiment) else "robots have paths of their own: there is no formation to change"
+
+
+def _on_transfers(context: RequestContext) -> str:
+    moves = context.state is not MissionState.PAUSED and context.transfer
+    return "the robots are still on their way to their places: wait until they are there" if moves else ""
+
+
 def _outside(context: RequestContext) -> str:
     length, width, _ = context.experiment.pool.size_m  # robots accept no path beyond it, in open water neither
     outside = [(x, y) for x, y in context.via if not (abs(x) <= length / 2.0 and abs(y) <= width / 2.0)]
@@ -153,6 +170,7 @@ OBJECTIONS: Mapping[Order, tuple[Check, ...]] = {
     Order.CLEAR_STOP: (_not_stopped,),
     Order.HOLD: (_none_armed,),
     Order.GO: (_foreign_poses, _returns, _no_places, _unchangeable, _outside),
+    Order.FORMATION: (_foreign_poses, _returns, _no_form, _on_transfers),
     Order.REJOIN: (_foreign_poses, _none_lost, _no_place_left, _none_can_rejoin),
     Order.RETURN: (_foreign_poses, _none_can_return),
 }

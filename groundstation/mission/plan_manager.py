@@ -10,12 +10,15 @@ from dataclasses import dataclass, replace
 
 from groundstation.mission.obstacle_monitor import ObstacleMonitor
 from groundstation.mission.roster import Roster
+from groundstation.planning.feasibility import PlanError
 from groundstation.planning.prioritized_planning import OutOfTime, never
 from groundstation.planning.replanning import replan
 from groundstation.planning.rest_to_rest import plan_regroup, plan_return
-from groundstation.planning.segment import PlanSegment, ceil_to_period
+from groundstation.planning.segment import PlanSegment, ceil_to_period, first_contact
+from groundstation.planning.shift import in_form, reshape
 from groundstation.telemetry import Fleet, RobotView
 from shoal.config.experiment import Experiment
+from shoal.config.scene import read_form
 from shoal.frames import Array
 from shoal.messages.messages import Order, Trajectory
 
@@ -105,10 +108,56 @@ class PlanManager:
 
     def request_replan(self, fleet: Fleet, now_ns: int, via: tuple[tuple[float, float], ...] = ()) -> None:
         """Request a path around obstacles, or through the operator's places `via` (x, y) in m."""
-        begin_s = ceil_to_period(self.progress_s + AHEAD_S, self._experiment.controller.period_s)
+        begin_s = self._ahead_s()
         experiment, segment, obstacles = self._experiment, self.segment, self.discs_to_avoid(fleet, now_ns)
         self.deadline_s, self.by_operator = begin_s - LAST_CALL_S, bool(via)
         self.request = PlanRequest("another path", lambda _: replan(experiment, segment, begin_s, obstacles, via))
+
+    def request_form(self, form: str, fleet: Fleet, now_ns: int) -> None:
+        """Request another form from an instant ahead."""
+        begin_s = self._ahead_s()
+        self.deadline_s, self.by_operator = begin_s - LAST_CALL_S, True
+        make = self.form_plan(form, begin_s, fleet, now_ns)
+        self.request = PlanRequest("another form", lambda _: make())
+
+    def draft_form(self, form: str, fleet: Fleet, now_ns: int, holds: bool) -> Callable[[], PlanSegment]:
+        """Function that plans another form without asking for it. `holds`: robots hold, and transfers lead them into it."""
+        if not holds:
+            return self.form_plan(form, self._ahead_s(), fleet, now_ns)
+        experiment, segment, progress_s = self._experiment, self.segment, self.progress_s
+        return lambda: in_form(experiment, segment, progress_s, read_form(form, 0.0)[0])
+
+    def form_plan(self, form: str, begin_s: float, fleet: Fleet, now_ns: int) -> Callable[[], PlanSegment]:
+        """Function that plans another form from `begin_s` on. It raises PlanError."""
+        experiment, segment, obstacles = self._experiment, self.segment, self.discs_to_avoid(fleet, now_ns)
+
+        def make() -> PlanSegment:
+            found = reshape(experiment, segment, begin_s, read_form(form, begin_s))
+            contact = first_contact(experiment, found, begin_s, found.end_s, obstacles)
+            if contact:
+                raise PlanError(f"something lies {contact}")
+            return found
+
+        return make
+
+    def _ahead_s(self) -> float:
+        """Time along the trajectories at which another path may begin."""
+        return ceil_to_period(self.progress_s + AHEAD_S, self._experiment.controller.period_s)
+
+    def target_form(self, form: str) -> None:
+        """Plan the next rest's segment into the slots of another form, and on along the present path."""
+        experiment, segment, progress_s = self._experiment, self.segment, self.progress_s
+
+        def plan(fleet: Fleet, begin_s: float) -> Callable[[OutOfTime], PlanSegment]:
+            rests, slots, obstacles = self._roster.rest_poses(fleet), self._roster.slots_in_use(), self.discs_to_avoid(fleet)
+
+            def make(out_of_time: OutOfTime) -> PlanSegment:
+                held = in_form(experiment, segment, progress_s, read_form(form, 0.0)[0])
+                return plan_regroup(experiment, held, begin_s, progress_s, rests, slots, obstacles, out_of_time)
+
+            return make
+
+        self._purpose = plan
 
     # --- obstacles
 

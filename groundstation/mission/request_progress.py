@@ -76,6 +76,7 @@ GOALS: dict[Order, RequestGoal] = {
     Order.HOLD: RequestGoal(frozenset(), frozenset({MissionState.PAUSED}), _in(Mode.HOLDING), repeats=True, moving=True),
     Order.RESUME: RequestGoal(_FROM_REST | {MissionState.RESUMING}, IN_FLIGHT, _in(Mode.TRACKING)),
     Order.GO: RequestGoal(frozenset({MissionState.SWITCHING}), NOMINAL, _in(Mode.TRACKING), new_segment=True),
+    Order.FORMATION: RequestGoal(_FROM_REST | {MissionState.SWITCHING}, NOMINAL, _in(Mode.TRACKING), new_segment=True),
     Order.RETURN: RequestGoal(
         _FROM_REST | IN_FLIGHT | {MissionState.ENDING},
         frozenset({MissionState.DONE}),
@@ -134,11 +135,17 @@ class RequestTracker:
         same request; another one takes its place."""
         gains = order in TUNING
         for request in [r for r in self._open if r.task is None and (r.order in TUNING) is gains]:
-            if request.order is order and order not in (Order.GO, Order.TUNE):
+            if request.order is order and order not in (Order.GO, Order.FORMATION, Order.TUNE):
                 return request.number
             self._open.remove(request)
             self._record(request, mission, Progress.FAILED, f"{order.name} was asked for instead")
         return self._open_one(order, mission, tuning_id=tuning_id)
+
+    def note_done(self, order: Order, mission: Mission) -> int:
+        """Count a request that was done at once, and that nothing else follows. Returns its number."""
+        self._count += 1
+        self._record(_Request(self._count, order, mission.segment), mission, Progress.DONE)
+        return self._count
 
     def begin_task(self, robot: int, task: RobotTask, mission: Mission) -> int:
         """Count a request of one robot. Returns its number: the same for the same task. The task knows its own end."""

@@ -128,6 +128,8 @@ TRANSITIONS: tuple[MissionTransition, ...] = (
     _row(IN_FLIGHT | JOINING | PLANNING | {MissionState.PAUSED}, Order.HOLD, MissionState.PAUSED),
     _row(MissionState.PAUSED, Order.RESUME, MissionState.RESUMING),
     _row(NOMINAL, Order.GO, MissionState.SWITCHING),
+    _row(NOMINAL, Order.FORMATION, MissionState.SWITCHING),
+    _row(MissionState.PAUSED, Order.FORMATION, MissionState.HALTING),
     _row(
         NOMINAL | AT_REST | {MissionState.SWITCHING, MissionState.PAUSED},
         Order.RETURN,
@@ -240,9 +242,10 @@ def rejection_reason(order: Order, state: MissionState) -> str:
 
 WATER = (Order.OUT, Order.BACK_IN)  # requests that are always for one robot
 ONE_ROBOT = (Order.ARM, Order.HOLD, Order.DISARM, Order.GO, *WATER)  # requests that may be for one robot alone
-# requests without arguments; END is the station's own, and GO has places
+WITH_DETAILS = (Order.GO, Order.FORMATION)  # requests with places, or a form
+# requests without arguments; END is the station's own
 FLEET_REQUESTS = tuple(
-    order_name(order) for order in Order if order is Order.END or (order is not Order.GO and states_allowing(order))
+    order_name(order) for order in Order if order is Order.END or (order not in WITH_DETAILS and states_allowing(order))
 )
 
 

@@ -81,14 +81,20 @@ class StationCore:
     # --- requests; each returns the reason of a refusal, or nothing, and the request's number
 
     def request(
-        self, order: Order, fleet: Fleet, now_ns: int, via: Sequence[tuple[float, float]] = (), only: int = WHOLE_FLEET
+        self,
+        order: Order,
+        fleet: Fleet,
+        now_ns: int,
+        via: Sequence[tuple[float, float]] = (),
+        only: int = WHOLE_FLEET,
+        form: str = "",
     ) -> tuple[str, int]:
         """Take a request for the whole fleet, or for the robot `only`; a STOP is for every robot."""
         only = WHOLE_FLEET if order is Order.STOP else only
         if only:
             reason = self.single.request(order, only, fleet, now_ns, via[0] if len(via) == 1 else None)
             return reason, 0 if reason else self._begin_task(only)
-        reason = self._end(fleet, now_ns) if order is Order.END else self.mission.request(order, fleet, now_ns, via)
+        reason = self._end(fleet, now_ns) if order is Order.END else self.mission.request(order, fleet, now_ns, via, form)
         if not reason and order in COURSE:
             self.by_hand = order is not Order.START
         return reason, 0 if reason else self.requests.begin(order, self.mission)

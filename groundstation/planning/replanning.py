@@ -16,7 +16,8 @@ from groundstation.planning import planner
 from groundstation.planning.feasibility import PlanError, pair_problems, required_slowdown, robot_problems
 from groundstation.planning.formation import NodeMotion, node_motion, own_heading, quintic_blend, slot_offsets
 from groundstation.planning.paths import Path
-from groundstation.planning.segment import PlanSegment, ceil_to_period, sample
+from groundstation.planning.segment import PlanSegment, ceil_to_period, sample, with_forms
+from groundstation.planning.shift import move_past
 from groundstation.planning.time_scaling import scale_time
 from shoal.config.experiment import Experiment
 from shoal.config.scene import Island, PathSpec, Route, Waypoints
@@ -44,16 +45,36 @@ def replan(
 ) -> PlanSegment:
     """Plan the shortest route from the centre at `begin_s` to the remaining places of the path, or to `via`, around obstacles
     (k, 3: x, y, radius). Every robot blends over to it. Raises PlanError."""
-    if not can_replan(experiment):
+    experiment = with_forms(experiment, segment)
+    if via and not can_replan(experiment):
         raise PlanError("only a level path of waypoints or a route, common to all robots, can be changed under way")
-    reason = PlanError("")
+    routed, reason = bool(via) or (can_replan(experiment) and not _laps(experiment.path)), PlanError("")
     for share in TIGHTER:
-        around = _with_things(experiment, obstacles, share * experiment.mission.detour_clear_m)
-        try:
-            return _rerouted(around, segment, begin_s, via)
-        except PlanError as error:
-            reason = error
+        clear_m = share * experiment.mission.detour_clear_m
+        if routed:
+            try:
+                return _rerouted(_with_things(experiment, obstacles, clear_m), segment, begin_s, via)
+            except PlanError as error:
+                reason = PlanError(_obstacles_named(str(error), experiment, obstacles))
+        if not via:
+            try:
+                return move_past(experiment, segment, begin_s, obstacles, clear_m)
+            except PlanError as error:
+                reason = reason if routed else error
     raise reason
+
+
+def _laps(path: PathSpec) -> bool:
+    """True for a path that comes by its places again: what is left of it is no list of places."""
+    return isinstance(path, Waypoints) and (path.laps > 1 or len(set(path.points_m)) < len(path.points_m))
+
+
+def _obstacles_named(text: str, experiment: Experiment, obstacles: Array) -> str:
+    """A reason in which obstacles, planned around as islands, are called obstacles."""
+    for k in range(len(obstacles), 0, -1):
+        x, y, _ = obstacles[k - 1]
+        text = text.replace(f"island {len(experiment.islands) + k}", f"the obstacle at ({x:.2f}, {y:.2f}) m")
+    return text
 
 
 def _with_things(experiment: Experiment, obstacles: Array, clear_m: float) -> Experiment:
@@ -96,7 +117,7 @@ def _rerouted(
     end_s = there_s + (STAY_S if given_via else segment.end_s - _old_arrival_s(segment, waypoints[-1]))
     kept = min(round((end_s - begin_s) / period_s) + planner.horizon(experiment), samples)
     around = _gone_over(experiment, segment, begin_s, {r: _cut(m, kept) for r, m in new.items()}, _cut(centre, kept), end_s)
-    return replace(around, via=tuple(given_via) or segment.via)
+    return replace(around, via=tuple(given_via) or segment.via, forms=segment.forms)
 
 
 def _gone_over(

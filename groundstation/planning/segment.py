@@ -14,6 +14,7 @@ import numpy as np
 from groundstation.planning import planner
 from groundstation.planning.formation import NodeMotion
 from shoal.config.experiment import Experiment
+from shoal.config.scene import Change
 from shoal.frames import Array
 from shoal.messages.messages import Trajectory
 
@@ -31,11 +32,21 @@ class PlanSegment:
     end_s: float
     is_return: bool = False
     via: tuple[tuple[float, float], ...] = ()  # places that the operator gave instead of the path's
+    forms: tuple[Change, ...] = ()  # that the operator gave, besides the experiment's changes
     transfer_end_s: float = 0.0  # until then robots fly separate transfers into their slots; the centre stands
 
     def is_separate(self, progress_s: float) -> bool:
         """True if robots fly separate transfers at `progress_s`, not in formation."""
         return self.is_return or progress_s < self.transfer_end_s
+
+
+def with_forms(experiment: Experiment, segment: PlanSegment) -> Experiment:
+    """The experiment with the changes of form that the operator gave among its own."""
+    if not segment.forms:
+        return experiment
+    changes = tuple(sorted((*experiment.formation.changes, *segment.forms), key=lambda change: change.at_s))
+    formation = experiment.formation.model_copy(update={"changes": changes})
+    return experiment.model_copy(update={"formation": formation})
 
 
 def first_segment(experiment: Experiment) -> PlanSegment:

@@ -8,7 +8,7 @@ from rich.table import Table
 from groundstation.analysis.comparison import Comparison
 from groundstation.report.controller_comparison import COLUMNS, cells, closest, course, demands, errors, failures, wanted
 from groundstation.report.plotting import to_svg
-from groundstation.report.report import environment
+from groundstation.report.report import environment, saving_script
 from shoal.errors import ConfigError
 from shoal.runtime.output import terminal
 from shoal.runtime.output_files import replace_text
@@ -80,6 +80,7 @@ def _render(comparison: Comparison, failed: list[str]) -> str:
         headings=HEADINGS,
         rows=cells(comparison),
         failed=failed,
+        script=Markup(saving_script()),
         closest=closest(comparison),
         # our own figures, with texts that matplotlib has escaped
         figures=[(n, t, c, Markup(to_svg(figure, n))) for n, t, c, figure in drawn if figure is not None],

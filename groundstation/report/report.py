@@ -142,9 +142,14 @@ def environment() -> Environment:
     return jinja
 
 
+def saving_script() -> str:
+    """The script by which a page saves its figures and tables; `paper.tables()` gives each of them a menu."""
+    return (TEMPLATES / "paper.js").read_text(encoding="utf-8")
+
+
 def _live() -> dict[str, Markup]:
     """The scripts and the style of live plots, as every page carries them."""
-    scripts = "\n".join((TEMPLATES / name).read_text(encoding="utf-8") for name in ("uplot.min.js", "plots.js"))
+    scripts = "\n".join((TEMPLATES / name).read_text(encoding="utf-8") for name in ("uplot.min.js", "paper.js", "plots.js"))
     return {"scripts": Markup(scripts), "plot_style": Markup((TEMPLATES / "uplot.min.css").read_text(encoding="utf-8"))}
 
 

@@ -20,7 +20,7 @@ from groundstation.mission.mission import ATTENDED, Mission
 from groundstation.mission.objections import LIVE
 from groundstation.mission.obstacle_monitor import ObstacleSet, obstacle_set
 from groundstation.mission.plan_manager import PlanRequest
-from groundstation.mission.state_machine import READY, MissionState, in_words
+from groundstation.mission.state_machine import READY, MissionState, in_words, rejection_reason
 from groundstation.mission.station_core import StationCore
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.prioritized_planning import OutOfTime
@@ -31,11 +31,12 @@ from shoal.bus.access_control import INSECURE
 from shoal.bus.bus import Bus
 from shoal.bus.endpoint import PATIENT_MS
 from shoal.config.experiment import Experiment
+from shoal.config.fault_injection import read_request
 from shoal.frames import Array
 from shoal.messages import topics
 from shoal.messages.codec import Header
-from shoal.messages.messages import Command, DriveVelocity, Order, Reply, StationHeartbeat, Trajectory
-from shoal.messages.topics import WHOLE_FLEET
+from shoal.messages.messages import Command, DriveVelocity, FaultRequest, Order, Reply, StationHeartbeat, Trajectory
+from shoal.messages.topics import WHOLE_FLEET, Role, process_name
 from shoal.runtime.runtime import Clock, age_s, log
 from shoal.runtime.version import code
 
@@ -146,7 +147,9 @@ class Station:
         planned = tuple(robot for robot, view in self.seen.items() if view.state is not None and view.state.planned)
         state = self.mission.state.name
         out = tuple(sorted(self.mission.roster.out))
-        beat = StationHeartbeat(self.experiment.hash, stopped, state, pace.lag_s, 1.0 - pace.rate, planned, self.code, out)
+        beat = StationHeartbeat(
+            self.experiment.hash, stopped, state, pace.lag_s, 1.0 - pace.rate, planned, self.code, out, self.mission.began_ns
+        )
         self.bus.publish(topics.HEARTBEAT, beat, now_ns)
         self.beat_s = time.monotonic()
         self._tell()
@@ -259,21 +262,57 @@ class Station:
             keys = dict(zip(command.tuning.keys, command.tuning.values.tolist(), strict=False))
             reason, number = self.request_gains(keys or None, next_lap=False)
         else:
-            reason, number = self.request(command.order, [(x, y) for x, y in command.via.tolist()], command.robot)
+            reason, number = self.request(
+                command.order, [(x, y) for x, y in command.via.tolist()], command.robot, command.text
+            )
         outcome = self.requests.outcome(number) if not reason else None
         return Reply(WHOLE_FLEET, not reason, reason, outcome=outcome)
 
-    def request(self, order: Order, via: Sequence[tuple[float, float]] = (), only: int = WHOLE_FLEET) -> tuple[str, int]:
+    def request(
+        self, order: Order, via: Sequence[tuple[float, float]] = (), only: int = WHOLE_FLEET, form: str = ""
+    ) -> tuple[str, int]:
         """Take an operator's request for the whole fleet, or for the robot `only`; a STOP is for everybody. Returns the reason
         of a refusal, or nothing, and the request's number."""
+        if order is Order.FAULT:
+            return self._fault(form)
         with self.lock:
-            reason, number = self.core.request(order, self.seen, self.clock.now_ns(), via, only)
+            reason, number = self.core.request(order, self.seen, self.clock.now_ns(), via, only, form)
             self.asked_s = time.monotonic()
         if order in PROMPT and not reason:
             self.wake.set()
-        request = f"{order.name} for robot {only}" if only and order is not Order.STOP else order.name
+        request = f"{order.name} for robot {only}" if only and order is not Order.STOP else f"{order.name} {form}".strip()
         log.info("%s %s", request, f"refused: {reason}" if reason else "asked for")
         return reason, number
+
+    def _fault(self, text: str) -> tuple[str, int]:
+        """Hand a person's fault to the simulator. Returns the reason of a refusal, or nothing, and the request's number."""
+        simulator, number = process_name(Role.SIMULATOR), 0
+        try:
+            what, for_s = read_request(text, self.experiment.robot_ids)
+        except ValueError as error:
+            reason = str(error)
+        else:
+            simulated = simulator in self.bus.present
+            reason = "" if simulated else "nothing here is simulated: only the simulator breaks things"
+        if not reason:
+            self.bus.publish(topics.FAULT, FaultRequest(what, for_s), self.clock.now_ns())
+            with self.lock:
+                number = self.requests.note_done(Order.FAULT, self.mission)
+        log.info("FAULT %s %s", text, f"refused: {reason}" if reason else "asked for")
+        return reason, number
+
+    def plan_form(self, form: str) -> PlanSegment:
+        """Plan another form of the formation without flying it. Raises PlanError with the reason for which it cannot be."""
+        with self.lock:
+            mission = self.mission
+            reason = rejection_reason(Order.FORMATION, mission.state) or mission.objection(
+                Order.FORMATION, self.seen, form=form
+            )
+            holds = mission.state is MissionState.PAUSED
+            make = mission.plans.draft_form(form, self.seen, self.clock.now_ns(), holds) if not reason else None
+        if make is None:
+            raise PlanError(reason)
+        return make()
 
     def drive(self, robot: int, velocity: DriveVelocity) -> str:
         """Take a person's newest velocity for one robot. Returns the reason of a refusal, or nothing."""
@@ -330,6 +369,7 @@ class Station:
             requests=self.requests.recent,
             ended=self.ended,
             led=self.single.status(),
+            began_ns=mission.began_ns,
         )
 
     def _tell(self) -> None:

@@ -8,6 +8,7 @@ from typing import Any, Protocol
 from groundstation.mission.gain_update import GainStatus
 from groundstation.mission.lap_statistics import Lap
 from groundstation.mission.state_machine import MissionState
+from groundstation.planning.segment import PlanSegment
 from groundstation.telemetry import Finding, Fleet
 from groundstation.web.protocol import Edit
 from shoal.config.experiment import Experiment
@@ -30,6 +31,7 @@ class Status:
     requests: Sequence[Outcome] = ()  # what became of people's requests, oldest first
     ended: bool = False  # a person has ended the run
     beat_age_s: float = 0.0  # since the station's last cycle
+    began_ns: int = 0  # instant at which the formation's flight began: time 0 for people; 0: not known
     led: Mapping[int, str] = field(default_factory=dict)  # robots that a person leads one by one, and what they do
 
 
@@ -47,7 +49,12 @@ class OperatorRequests(Protocol):
     """Requests for the whole fleet, or for the robot `only`. Each returns the reason of a refusal, or nothing, and the
     request's number."""
 
-    def request(self, order: Order, via: Sequence[tuple[float, float]] = (), only: int = WHOLE_FLEET) -> tuple[str, int]: ...
+    def request(
+        self, order: Order, via: Sequence[tuple[float, float]] = (), only: int = WHOLE_FLEET, form: str = ""
+    ) -> tuple[str, int]: ...
+    def plan_form(self, form: str) -> PlanSegment:
+        """Plan another form without flying it. Raises PlanError."""
+
     def drive(self, robot: int, velocity: DriveVelocity) -> str:
         """Move one robot at a velocity; it holds when none comes any more. Returns the reason of a refusal, or nothing."""
 

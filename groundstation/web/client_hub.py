@@ -20,7 +20,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from groundstation.mission.state_machine import order_named
 from groundstation.web import protocol
 from groundstation.web.backend import Backend
-from groundstation.web.experiment_editor import attempt, save
+from groundstation.web.experiment_editor import attempt, formed, save
 from groundstation.web.run_desk import RunDesk
 from groundstation.web.send_window import SendWindow
 from shoal.messages.messages import DriveVelocity, Order
@@ -312,6 +312,8 @@ class ClientHub:
             watcher.waiting = request
             if not watcher.busy:
                 self._spawn(self._attempt(watcher))
+        elif isinstance(request, protocol.PreviewForm):
+            self._spawn(self._preview_form(watcher, request))
         elif isinstance(request, protocol.Save):
             self._spawn(self._save(watcher, request))
         elif isinstance(request, protocol.OfRuns):
@@ -356,7 +358,7 @@ class ClientHub:
             reason = self._may_command(watcher) or self._void(request.seen_ms)
             if not reason:
                 reason, number = await self._at(
-                    self._orders, self._source.station.request, order, request.via_m, request.robot
+                    self._orders, self._source.station.request, order, request.via_m, request.robot, request.form
                 )
         self._answer(watcher, request.n, request.order, reason, number)
 
@@ -403,6 +405,10 @@ class ClientHub:
                 )
         finally:
             watcher.busy = False
+
+    async def _preview_form(self, watcher: Client, request: protocol.PreviewForm) -> None:
+        found = await self._at(self._plans, formed, self._source.experiment, self._source.station.plan_form, request.form)
+        watcher.note({"k": "formed", "n": request.n} | found)
 
     async def _save(self, watcher: Client, request: protocol.Save) -> None:
         reason = self._may_command(watcher)

@@ -1,6 +1,6 @@
 """SHELL: an operator's edit of pool, path, formation and robots: the real planner judges it, and a file keeps it."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -9,6 +9,8 @@ import msgspec
 import numpy as np
 
 from groundstation.planning import planner
+from groundstation.planning.feasibility import PlanError
+from groundstation.planning.segment import PlanSegment
 from groundstation.web.commented_file import commented
 from groundstation.web.protocol import Edit
 from groundstation.web.scene import flown_samples, paths
@@ -95,6 +97,18 @@ def attempt(experiment: Experiment, edit: Edit) -> dict[str, Any]:
     except ConfigError as error:
         problems = str(error).splitlines()
     return {"ok": not problems, "problems": problems, **shown}
+
+
+def formed(experiment: Experiment, plan: Callable[[str], PlanSegment], form: str) -> dict[str, Any]:
+    """Plan another form of the running formation: its paths and its least distance, or the reason against it."""
+    try:
+        segment = plan(form)
+    except PlanError as error:
+        return {"ok": False, "problems": str(error).splitlines()}
+    ahead = round((segment.end_s - segment.centre.begin_s) / segment.centre.period_s)
+    flown = min(max(ahead, 2), len(segment.centre.eta))
+    about = {"clearance_m": clearance_m(segment.trajectories, flown), "needed_m": 2.0 * experiment.safety.radius_m}
+    return {"ok": True, "problems": [], "paths": paths(segment.trajectories, flown), **about}
 
 
 def _shown(experiment: Experiment, trajectories: Mapping[int, Trajectory]) -> dict[str, Any]:

@@ -119,6 +119,7 @@ class LiveBackend:
         return snapshot(
             FleetSnapshot(
                 time_s=now_s,
+                began_s=status.began_ns * 1e-9 if status.began_ns else None,
                 robots={r: RobotSnapshot(self._age(states[r]), self._age(poses[r]), self._age(plans[r])) for r in states},
                 localizer=localizer,
                 obstacles=self._age(self._inboxes.obstacles.newest()),

@@ -4,9 +4,8 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from groundstation.mission.state_machine import FLEET_REQUESTS, WATER, order_name
+from groundstation.mission.state_machine import FLEET_REQUESTS, WATER, WITH_DETAILS, order_name
 from shoal.config.formation_shapes import Shape
-from shoal.messages.messages import Order
 
 MOST_ISLANDS = 100
 MOST_PLACES = 50  # of a way that is clicked on the map
@@ -20,7 +19,8 @@ Velocity = Annotated[float, msgspec.Meta(ge=-10, le=10)]  # m/s or rad/s; the ro
 EditedId = Annotated[int, msgspec.Meta(ge=1, le=49)]
 Vec2 = tuple[Metres, Metres]
 Vec3 = tuple[Metres, Metres, Metres]
-ORDERS = (*FLEET_REQUESTS, *map(order_name, (Order.GO, *WATER)))
+ORDERS = (*FLEET_REQUESTS, *map(order_name, (*WITH_DETAILS, *WATER)), "fault")
+FormText = Annotated[str, msgspec.Meta(max_length=100)]  # as read_form reads it
 CameraName = Annotated[str, msgspec.Meta(max_length=64)]
 RunName = Annotated[str, msgspec.Meta(min_length=1, max_length=255)]  # of its folder
 OrderName = Annotated[str, msgspec.Meta(pattern=rf"\A(?:{'|'.join(ORDERS)})\Z")]
@@ -57,6 +57,7 @@ class OrderRequest(msgspec.Struct, tag_field="kind", tag="order", forbid_unknown
     order: OrderName
     via_m: Annotated[list[Vec2], msgspec.Meta(max_length=MOST_PLACES)] = []
     robot: RobotId = 0
+    form: FormText = ""  # of a `formation`; of a `fault` what breaks
     seen_ms: Count = 0  # `clock_ms` of the newest state that the page had: an order that was long on its way is none
 
 
@@ -105,6 +106,13 @@ class PreviewEdit(msgspec.Struct, tag_field="kind", tag="try", forbid_unknown_fi
 
     n: Count
     edit: Edit
+
+
+class PreviewForm(msgspec.Struct, tag_field="kind", tag="form", forbid_unknown_fields=True, frozen=True):
+    """Plan another form of the running formation and tell what comes of it; nothing flies it."""
+
+    n: Count
+    form: FormText
 
 
 class Save(msgspec.Struct, tag_field="kind", tag="save", forbid_unknown_fields=True, frozen=True):
@@ -170,6 +178,7 @@ Request = (
     | DriveRequest
     | TuneRequest
     | PreviewEdit
+    | PreviewForm
     | Save
     | ChooseCamera
     | Remark

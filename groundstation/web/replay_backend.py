@@ -4,7 +4,7 @@ import math
 import time
 from bisect import bisect_right
 from collections import OrderedDict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -17,6 +17,8 @@ from groundstation.formation_clock import FormationPlans
 from groundstation.logs.reader import open_log
 from groundstation.logs.session_clocks import held_ns as held_ns_of
 from groundstation.mission.state_machine import MissionState
+from groundstation.planning.feasibility import PlanError
+from groundstation.planning.segment import PlanSegment
 from groundstation.telemetry import LINK_WINDOW, LinkMonitor, RobotView
 from groundstation.web.alarms import alarms
 from groundstation.web.backend import ShownPicture
@@ -72,7 +74,8 @@ class LogPlayer:
         self._blocks: OrderedDict[int, LogBlock] = OrderedDict()
         self.segments = self._segments()
         self.trajectories = {robot: changes[-1][1] for robot, changes in self.segments.items()}
-        self.flown_ns = self._first_flown_ns()
+        self.flown_ns, self._zero_ns = self._first_flown_ns()
+        self._begun = list(self._flights())
         self._first_plan_ns = {robot: self._first_ns(topics.PLAN, robot) for robot in self.experiment.robot_ids}
 
     def _each(self, topic: Topic, kind: type[M], robot: int | None = None) -> Any:
@@ -98,14 +101,32 @@ class LogPlayer:
             return plan.age_ms * 1e-3
         return LOOK_BACK * BLOCK_NS * 1e-9 if self._first_plan_ns[robot] <= at_ns else math.inf
 
-    def _first_flown_ns(self) -> int:
-        """Instant at which the first robot began the formation's trajectory; if none did, of its first state."""
+    def _flights(self) -> Iterator[tuple[int, int]]:
+        """The beginning of each flight as the station gave it: the instant of its word, and that of the beginning."""
+        begun = 0
+        for line in self._log.messages(lambda topic, _: topic is topics.HEARTBEAT):
+            beat = _read(StationHeartbeat, line.payload)
+            if beat is not None and beat.began_ns not in (0, begun):
+                begun, arrived_ns = beat.began_ns, line.arrived_ns - self.start_ns
+                yield arrived_ns, arrived_ns + begun - line.header.stamp_ns
+
+    def began_ns(self, at_ns: int) -> int:
+        """Beginning of the flight at an instant of the log, or of the first one: time 0 for people."""
+        if not self._begun:  # no station, or an early version of it
+            return self._zero_ns
+        said = [begun for arrived_ns, begun in self._begun if arrived_ns <= at_ns]
+        return said[-1] if said else self._begun[0][1]
+
+    def _first_flown_ns(self) -> tuple[int, int]:
+        """Instant of the first robot's first state on the formation's trajectory, and that trajectory's beginning; if there is
+        none, of its first state."""
         said_ns = None
         for _, at_ns, state in self._each(topics.STATE, RobotState, self.experiment.robot_ids[0]):
             said_ns = at_ns if said_ns is None else said_ns
-            if (FormationPlans().clock_s(state) or 0.0) > 0.0:
-                return int(at_ns)
-        return said_ns or 0
+            flown_s = FormationPlans().clock_s(state) or 0.0
+            if flown_s > 0.0:
+                return int(at_ns), int(at_ns) - round(flown_s * 1e9)
+        return said_ns or 0, said_ns or 0
 
     def _block(self, index: int) -> LogBlock:
         if index not in self._blocks:
@@ -205,8 +226,13 @@ def _read(kind: type[M], payload: bytes) -> M | None:
 class _NoRequests:
     """Refuses all requests: a recorded run takes none."""
 
-    def request(self, order: Order, via: Sequence[tuple[float, float]] = (), only: int = WHOLE_FLEET) -> tuple[str, int]:
+    def request(
+        self, order: Order, via: Sequence[tuple[float, float]] = (), only: int = WHOLE_FLEET, form: str = ""
+    ) -> tuple[str, int]:
         return "this is a recorded run", 0
+
+    def plan_form(self, form: str) -> PlanSegment:
+        raise PlanError("this is a recorded run")
 
     def drive(self, robot: int, velocity: DriveVelocity) -> str:
         return "this is a recorded run"
@@ -311,6 +337,7 @@ class ReplayBackend:
         mission = beat[1].mission if beat is not None and beat[1].mission in MissionState.__members__ else ""
         news = FleetSnapshot(
             time_s=now * 1e-9,
+            began_s=self._log.began_ns(now) * 1e-9,
             robots=robots,
             localizer=localizer,
             obstacles=self._aged(topics.OBSTACLES, topics.OBSTACLES.type, now),

@@ -20,7 +20,7 @@ REPORT = "report.html"
 # A report comes from a log of unknown source: it runs its own script in an origin of its own, and reaches nothing.
 REPORT_POLICY = (
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:; "
-    "sandbox allow-scripts; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
+    "sandbox allow-scripts allow-downloads; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
 )
 
 

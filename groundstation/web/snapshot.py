@@ -49,6 +49,7 @@ class FleetSnapshot:
 
     time_s: float  # of the run, by the station's clock
     robots: Mapping[int, RobotSnapshot]
+    began_s: float | None = None  # when the formation's flight began, by the same clock: time 0 for people
     localizer: AgedMessage = field(default_factory=AgedMessage)
     obstacles: AgedMessage = field(default_factory=AgedMessage)
     mission: str = ""
@@ -71,6 +72,7 @@ def snapshot(news: FleetSnapshot) -> dict[str, Any]:
     """The page's view of it all."""
     return {
         "time_s": news.time_s,
+        "began_s": news.began_s,
         "mission": news.mission,
         "mission_text": news.mission_text,
         "reason": news.reason,

@@ -3,8 +3,10 @@
 import hashlib
 import sys
 from contextlib import ExitStack, closing
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Annotated
 
 import typer
@@ -25,6 +27,8 @@ from shoal.runtime.cli_options import (
     finite,
 )
 from shoal.runtime.output_files import check_output, replace_text
+
+LOG = ".mcap"  # ends the name of a run's log
 
 SourceName = Annotated[
     str,
@@ -145,7 +149,9 @@ def evaluate(
 
 
 def track(
-    recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="A video of a pool, or a folder of `run --record`.")],
+    recording: Annotated[
+        Path, typer.Argument(metavar="RECORDING", help="A video of a pool, a run's run.mcap, or a folder of `run --record`.")
+    ],
     out: Annotated[Path, typer.Option(metavar="FILE", help="The table: a row for each robot and frame, .csv or .parquet.")],
     experiment: Annotated[
         str | None, typer.Option(metavar="EXPERIMENT", help="Camera, robots and pool. A folder holds its own.")
@@ -162,16 +168,20 @@ def track(
 
     Examples:  localizer track pool.mkv --experiment lab.toml --out poses.csv
     localizer track frames-1 --out poses.parquet
+    localizer track runs/pool-20260101-120000/run.mcap --out poses.csv
     """
     import cv2
 
     from localizer.evaluation.offline import PoseTable, frames_of_video
+    from localizer.sources.log_film import film_of_log
     from localizer.sources.recording import EXPERIMENT, frame_estimate, recorded_frames
     from localizer.sources.video import VideoReader
     from localizer.tracking.check_marks import with_camera
     from shoal.runtime.runtime import start_log
 
     start_log("localizer")
+    if experiment is None and recording.suffix == LOG and (recording.parent / EXPERIMENT).is_file():
+        experiment = str(recording.parent / EXPERIMENT)
     raw = recording.is_dir()
     if experiment is None and not raw:
         raise ConfigError(f"{recording}: a video needs --experiment EXPERIMENT")
@@ -184,8 +194,13 @@ def track(
     table = PoseTable(out, _fingerprint(f"{loaded.hash} {camera}", recording, reports))
     table.check(resume)
     with ExitStack() as stack:
-        video = None if raw else stack.enter_context(closing(VideoReader(recording)))
+        film, first_ns = recording, 0
+        if recording.suffix == LOG:
+            film = Path(stack.enter_context(TemporaryDirectory())) / "film.mkv"
+            first_ns = film_of_log(recording, camera, film)
+        video = None if raw else stack.enter_context(closing(VideoReader(film)))
         frames = recorded_frames(recording) if video is None else frames_of_video(video, recording, loaded, reports)
+        frames = (replace(frame, stamp_ns=frame.stamp_ns + first_ns) for frame in frames) if first_ns else frames
         count = frame_estimate(recording, loaded.camera.size_px) if video is None else len(video.stamps_ns)
         with typer.progressbar(length=count, label=recording.name, file=sys.stderr) as bar:
             for finished in table.write(frames, loaded):

@@ -7,6 +7,7 @@ what = "thruster 2/3 dead"   # the same as --fault "t=20 for=5 thruster 2/3 dead
 """
 
 import re
+from collections.abc import Collection
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Annotated, Self
@@ -56,7 +57,14 @@ KINDS: dict[str, tuple[str, dict[str, Effect]]] = {
             "bump": Effect("the camera is turned: everything moves", "pixels to the right and down", 60.0, 2.0, 1000.0),
         },
     ),
-    "water": ("", {"low": Effect("the water's level falls, in the pictures", "metres that its level fell", 0.02, -0.2, 0.2)}),
+    "water": (
+        "",
+        {
+            "low": Effect("the water's level falls, in the pictures", "metres that its level fell", 0.02, -0.2, 0.2),
+            "gust": Effect("the water moves along x besides its current", "m/s", 0.05, -1.0, 1.0),
+        },
+    ),
+    "ball": ("X,Y", {"drops": Effect("a red ball lies at x, y in m, at the path's depth", "radius in m", 0.12, 0.02, 1.0)}),
     "imu": (
         "ROBOT",
         {
@@ -87,7 +95,14 @@ KINDS: dict[str, tuple[str, dict[str, Effect]]] = {
     ),
 }
 OF_PROCESSES = ("process", "disk", "clock")  # by the wall clock, and from outside
-_TARGETS = {"": "", "[CAMERA]": r".*", "ROBOT": r"(\d+)", "ROBOT/THRUSTER": r"(\d+)/(\d+)", "NAME": r"(\S+)"}
+_TARGETS = {
+    "": "",
+    "X,Y": r"(-?[\d.]+),(-?[\d.]+)",
+    "[CAMERA]": r".*",
+    "ROBOT": r"(\d+)",
+    "ROBOT/THRUSTER": r"(\d+)/(\d+)",
+    "NAME": r"(\S+)",
+}
 _LINE = re.compile(r"t=(?P<at>\S+)(?:\s+for=(?P<during>\S+))?\s+(?P<what>\S.*)")
 
 
@@ -101,6 +116,7 @@ class Break:
     robot: int = 0  # 0: none
     thruster: int = 0  # 1 to 4, in the vehicle file's order
     process: str = ""
+    place_m: tuple[float, float] = (0.0, 0.0)  # of a ball
     camera: str = ""  # one of several cameras; "": all of them
 
 
@@ -118,16 +134,46 @@ def read_what(text: str) -> Break:
         raise ValueError(f"must read: {usage}")
     effect = effects[words[0]]
     value = _number(words[1], effect) if len(words) > 1 else effect.default
-    robot, thruster, process, camera = 0, 0, "", ""
+    robot, thruster, process, camera, place_m = 0, 0, "", "", (0.0, 0.0)
     if target == "NAME":
         process = target_text
     elif target == "[CAMERA]":
         camera = target_text
+    elif target == "X,Y":
+        place_m = float(match[1]), float(match[2])
     elif target:
         robot, thruster = (int(number) for number in (*match.groups(), "0")[:2])
     if target == "ROBOT/THRUSTER" and not 1 <= thruster <= THRUSTERS:
         raise ValueError(f"thruster {thruster} of robot {robot}: no such thruster (allowed: 1 to {THRUSTERS})")
-    return Break(kind, words[0], value, robot, thruster, process, camera)
+    return Break(kind, words[0], value, robot, thruster, process, place_m, camera)
+
+
+BY_HAND = "by hand: "  # begins the log's line about a fault that a person made, written as --fault takes it
+
+
+def read_request(text: str, robots: Collection[int]) -> tuple[str, float]:
+    """Read a person's `thruster 2/3 dead for 5`: what breaks, and for how long in s (0: for ever); of `repair` nothing. Raises
+    ValueError that says what is allowed."""
+    what, _, during = text.strip().partition(" for ")
+    if what == "repair":
+        return "", 0.0
+    broken = read_what(what)
+    if broken.kind in OF_PROCESSES or (broken.kind, broken.effect) == ("water", "low"):
+        raise ValueError(f"{what}: only by the timeline, with --fault before the run")
+    if broken.robot and broken.robot not in robots:
+        raise ValueError(f"{what}: no robot {broken.robot} (allowed: {', '.join(map(str, robots))})")
+    for_s = _seconds(during) if during else 0.0
+    return what, for_s
+
+
+def _seconds(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0.0 < value <= 86_400.0:
+        raise ValueError(f"for {text}: must be seconds, more than 0")
+    return value
 
 
 def _usage(name: str, effect: Effect) -> str:

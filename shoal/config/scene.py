@@ -1,11 +1,12 @@
 """The scene: pool, islands, path, formation, robots."""
 
+import math
 from itertools import pairwise
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from shoal.config.formation_shapes import Shape
+from shoal.config.formation_shapes import SHAPES, Shape
 from shoal.config.loader import Section
 from shoal.config.vehicle import NotNegative, Positive
 
@@ -129,6 +130,48 @@ class Change(Section):
     """Factor on the nodes' offsets; without a shape, on those that they have then."""
     turn_rad: float = 0.0
     """Turn of the nodes about the centre; without a shape, from the direction that they have then."""
+
+
+FORM_USAGE = "[SHAPE [SPACING_M]] [turn DEGREES] [scale FACTOR] [over SECONDS]"
+PACES_S = (8.0, 14.0, 25.0, 45.0)  # of a change whose duration nobody gave; the first that can be flown
+
+
+def read_form(text: str, at_s: float) -> tuple[Change, ...]:
+    """The change of form in `line 0.8 turn 30`, at each pace that may be tried. Raises ValueError for other text."""
+    words = text.split()
+    shapes, values = SHAPES, dict[str, float]()
+    shape = next((each for each in shapes if words and words[0] == each), None)
+    if shape is not None:
+        words.pop(0)
+        if words and words[0] not in ("turn", "scale", "over"):
+            words.insert(0, "spacing")
+    names = ("spacing", "turn", "scale", "over") if shape is not None else ("turn", "scale", "over")
+    for name, number in zip(words[::2], [*words[1::2], ""], strict=False):
+        if name not in names or name in values:
+            raise ValueError(f"{name!r}: must read {FORM_USAGE}, with a shape of {', '.join(shapes)}")
+        values[name] = _form_number(name, number)
+    if shape is None and not values.keys() - {"over"}:
+        raise ValueError(f"which form? It reads {FORM_USAGE}, with a shape of {', '.join(shapes)}")
+    change = Change(
+        at_s=at_s,
+        shape=shape,
+        spacing_m=values.get("spacing", 0.8),
+        scale=values.get("scale", 1.0),
+        turn_rad=math.radians(values.get("turn", 0.0)),
+    )
+    paces = (values["over"],) if "over" in values else PACES_S
+    return tuple(change.model_copy(update={"over_s": over_s}) for over_s in paces)
+
+
+def _form_number(name: str, text: str) -> float:
+    least, most = {"spacing": (0.1, 20.0), "turn": (-360.0, 360.0), "scale": (0.1, 10.0), "over": (1.0, 600.0)}[name]
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not least <= value <= most:
+        raise ValueError(f"{name} {text}: must be a number, {least:g} to {most:g}")
+    return value
 
 
 class FormationConfig(Section):

@@ -108,6 +108,8 @@ class Order(IntEnum):
     DRIVE = 21  # Move at this velocity, for a short time.
     OUT = 22  # To the station only: this robot has been taken out of the water.
     BACK_IN = 23  # To the station only: it is in the water again.
+    FORMATION = 24  # To the station only: the formation takes another form.
+    FAULT = 25  # To the station only, in simulation: something breaks.
 
 
 class Progress(IntEnum):
@@ -281,6 +283,7 @@ class StationHeartbeat:
     planned: Annotated[tuple[Uint32, ...], 6] = ()  # Robots that published a plan in their last step.
     code: Annotated[str, 7] = ""  # Version and commit of the station's program.
     out: Annotated[tuple[Uint32, ...], 8] = ()  # Robots that have been taken out of the water: nobody keeps clear of them.
+    began_ns: Annotated[Int64, 9] = 0  # Instant, on the station's clock, at which the flight began or will; 0: not known.
 
 
 ALONE = "alone-"  # begins the id of a trajectory that one robot flies on its own, and whose clock is its own
@@ -337,6 +340,7 @@ class Command:
     start_ns: Annotated[Int64, 13] = 0  # START, RESUME: instant on the station's clock; 0: start_in_s after the stamp.
     about: Annotated[Uint32, 15] = 0  # To the station, with NONE: number of the request whose outcome is asked for.
     drive: Annotated[DriveVelocity | None, 16] = None  # DRIVE: the velocity.
+    text: Annotated[str, 17] = ""  # FORMATION: the form, `line 0.8 turn 30`. FAULT: what breaks, `marker 2 lost for 5`.
 
 
 @dataclass(frozen=True, eq=False)
@@ -417,6 +421,14 @@ class StepInputs:
 
 
 @dataclass(frozen=True, eq=False)
+class FaultRequest:
+    """A person's request to the simulator: something breaks now (docs/simulator.md)."""
+
+    what: Annotated[str, 1] = ""  # As in --fault without its times; empty: everything that a person broke is whole again.
+    for_s: Annotated[float, 2] = 0.0  # Time after which it is whole again; 0: never.
+
+
+@dataclass(frozen=True, eq=False)
 class OrderTaken:
     """A command that has reached a robot, with the reply. It is for the log only. The header's stamp is its arrival."""
 
@@ -475,6 +487,6 @@ class Event:
 
 Message = (
     Tick | Truth | Pose | LocalizerStatus | Obstacles | Plan | RobotState | StationHeartbeat | Trajectory | Tuning
-    | DriveVelocity | Command | Outcome | Reply | BoardReading | StepInputs | OrderTaken | Frame | Preview | Video | Picture
-    | Event
+    | DriveVelocity | Command | Outcome | Reply | BoardReading | StepInputs | FaultRequest | OrderTaken | Frame | Preview
+    | Video | Picture | Event
 )  # fmt: skip

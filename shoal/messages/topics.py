@@ -117,11 +117,12 @@ INPUTS = Topic(
 ORDERS = Topic(
     "robot/{robot}/orders", messages.OrderTaken, 0, float("inf"), Qos.JOURNAL, True, (Role.ROBOT,), OBSERVERS, cache_depth=32
 )
+FAULT = Topic("sim/fault", messages.FaultRequest, 0, float("inf"), Qos.EVENT, True, (Role.STATION,), OBSERVERS, cache_depth=32)
 EVENT = Topic("event", messages.Event, 0, float("inf"), Qos.EVENT, True, LOG_SOURCES, cache_depth=1000)
 
 TOPICS = (
     TICK, EXPOSED, TRUTH, FRAME, PREVIEW, VIDEO, PICTURE, POSE, LOCALIZER, OBSTACLES, PLAN, STATE, HEARTBEAT, TRAJECTORY,
-    TUNING, INPUTS, ORDERS, EVENT,
+    TUNING, INPUTS, ORDERS, FAULT, EVENT,
 )  # fmt: skip
 
 # With several cameras each of them has these topics too (`Topic.of_camera`), and the fused poses have the names above.

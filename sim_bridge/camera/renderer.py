@@ -4,13 +4,14 @@ The pipeline is described in this package's __init__. A camera under a drone (si
 exposure.
 """
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from shoal.config.experiment import Experiment
+from shoal.config.simulation import Drifter
 from shoal.errors import ConfigError
 from shoal.frames import Array
 from sim_bridge.camera.bubbles import Bubbles, draw_bubbles
@@ -47,6 +48,7 @@ class Renderer:
             for robot, shade in zip(experiment.robots, shades, strict=True)
         ]
         self._balls = [(drifter, BodySprite.ball(drifter.radius_m)) for drifter in experiment.sim.drifters]
+        self._own_balls = self._balls
         self._whole = self._sprites
         px_per_m, family = experiment.camera.px_per_m, experiment.localizer.marker_family
         marks = experiment.marks
@@ -67,6 +69,10 @@ class Renderer:
     def hide_markers(self, unmarked: Collection[int]) -> None:
         """From now on draw these robots, by index, without their markers, and the others with."""
         self._sprites = [sprite.unmarked() if i in unmarked else sprite for i, sprite in enumerate(self._whole)]
+
+    def drop_balls(self, balls: Sequence[Drifter]) -> None:
+        """From now on draw these balls besides the experiment's."""
+        self._balls = [*self._own_balls, *((ball, BodySprite.ball(ball.radius_m)) for ball in balls)]
 
     def render(
         self, eta: Array, nu: Array, time_s: float, frame_index: int, tilt: Array | None = None, bubbles: int = 0

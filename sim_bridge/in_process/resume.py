@@ -6,6 +6,7 @@ the water's state (gusts, waves, noise) begins by the seed. Without the truth, a
 their own estimates were.
 """
 
+import re
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -15,15 +16,16 @@ import numpy as np
 
 from groundstation.fleet_time import SIMULATED_BELOW_NS
 from groundstation.formation_clock import FormationPlans
-from groundstation.logs.reader import LogFile, LogMessage, open_log
+from groundstation.logs.reader import LogFile, LogMessage, open_log, read_log
 from robot_agent.agent import Agent
 from robot_agent.inputs import StampedPlan
 from shoal.config.experiment import Experiment, load_experiment
+from shoal.config.fault_injection import BY_HAND, read_what
 from shoal.errors import ConfigError
 from shoal.frames import Array
 from shoal.messages import topics
 from shoal.messages.codec import decode
-from shoal.messages.messages import Mode, Plan, RobotState, Truth
+from shoal.messages.messages import Event, Mode, Plan, RobotState, Truth
 from sim_bridge import fault_schedule
 from sim_bridge.in_process.fleet import NS, AgentFleet, DirectPlant
 from sim_bridge.replay.rerun import Rerun
@@ -130,9 +132,26 @@ def _pulses(experiment: Experiment, memories: Sequence[RobotHistory]) -> list[Ar
 
 def load_changed(run: Path, settings: Sequence[str], more_faults: Sequence[str]) -> Experiment:
     """The experiment that was flown, with changes. Raises ConfigError."""
-    experiment = load_experiment(str(run / "experiment.toml"), settings, more_faults)
+    experiment = load_experiment(str(run / "experiment.toml"), settings, [*faults_by_hand(run), *more_faults])
     fault_schedule.require_kinds(experiment, fault_schedule.NUMERIC, "from a logged moment on there is none")
     return experiment
+
+
+def faults_by_hand(run: Path) -> list[str]:
+    """The faults that a person made in a recorded run, as --fault takes them, those that such a flight can have."""
+    found: dict[str, tuple[float, str]] = {}
+    for entry in read_log(run / "run.mcap", (topics.EVENT,)).of(topics.EVENT, Event):
+        line = entry.message.message
+        for part in line.removeprefix(BY_HAND).split("; ") if line.startswith(BY_HAND) else ():
+            if part.startswith("t="):
+                words = part.split()
+                what = " ".join(word for word in words[1:] if not word.startswith("for="))
+                found[part] = float(words[0].removeprefix("t=")), what
+            elif (mended := re.fullmatch(r"mended at ([\d.]+) s: (.+)", part)) is not None:
+                for text, (at_s, what) in list(found.items()):
+                    if what == mended[2] and "for=" not in text:
+                        found[f"t={at_s:.3f} for={max(float(mended[1]) - at_s, 0.001):.3f} {what}"] = found.pop(text)
+    return [text for text, (_, what) in found.items() if read_what(what).kind in fault_schedule.NUMERIC]
 
 
 def prepared(experiment: Experiment, source: Path, at_s: float) -> tuple[AgentFleet, DirectPlant]:

@@ -1,8 +1,11 @@
 """A stand-in for camera and localizer: true poses with noise. Pure and seeded."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from shoal.config.experiment import Experiment
+from shoal.config.simulation import Drifter
 from shoal.frames import Array
 from shoal.messages.messages import Obstacles, Pose, Track
 from sim_bridge.plant.random_streams import Stream, generator
@@ -29,14 +32,15 @@ class IdealLocalizer:
         measured_eta = eta + self._random.standard_normal(eta.shape) * self._noise
         return [Pose(x, y, yaw, self._covariance, Track.MARKER, True, 1.0, z) for x, y, z, yaw in measured_eta.tolist()]
 
-    def obstacles(self, time_s: float) -> Obstacles | None:
+    def obstacles(self, time_s: float, dropped: Sequence[Drifter] = ()) -> Obstacles | None:
         """The drifting balls as the localizer reports obstacles; None if the experiment has none and asks for no
         detection."""
-        if not (self._drifters or self._watches):
+        if not (self._drifters or self._watches or dropped):
             return None
-        noise = self._obstacle_random.standard_normal((len(self._drifters), 4)) * self._obstacle_noise
+        balls = (*self._drifters, *dropped)
+        noise = self._obstacle_random.standard_normal((len(balls), 4)) * self._obstacle_noise
         ids, outlines, velocities = [], [], []
-        for k, (ball, error) in enumerate(zip(self._drifters, noise, strict=True), start=1):
+        for k, (ball, error) in enumerate(zip(balls, noise, strict=True), start=1):
             place_m = ball.place_m(time_s)
             if place_m is not None:
                 ids.append(k)

@@ -16,10 +16,14 @@ import numpy as np
 from groundstation.formation_clock import FormationPlans
 from shoal.bus.bus import Bus
 from shoal.config.experiment import Experiment
+from shoal.config.fault_injection import BY_HAND
 from shoal.frames import Array
 from shoal.messages import topics
-from shoal.messages.messages import CameraHealth, Frame, LocalizerStatus, RobotState, Tick, Trajectory
+from shoal.messages.codec import DecodeError, Header, decode
+from shoal.messages.messages import CameraHealth, FaultRequest, Frame, LocalizerStatus, RobotState, Tick, Trajectory
+from shoal.messages.topics import Topic
 from shoal.runtime.runtime import SLICE_S, Clock, Stop, WallClock, guarded_thread, log, log_to_bus, wait
+from shoal.runtime.version import code
 from sim_bridge.lockstep.clock import LOCKSTEP_SAYS_S, LockstepClock, Reminder
 from sim_bridge.node.board_ports import BoardPorts
 from sim_bridge.node.ideal_localizer import IdealLocalizer
@@ -49,7 +53,8 @@ class PoolNode:
         self._lockstep = LockstepClock() if lockstep else None
         self._clock: Clock = self._lockstep or WallClock()
         self._sockets = sockets
-        self._states = bus.inboxes(topics.STATE, RobotState, experiment.robot_ids if experiment.sim.faults else ())
+        self._states = bus.inboxes(topics.STATE, RobotState, experiment.robot_ids)
+        self._requests: deque[FaultRequest] = deque()  # of people, not applied yet
         self._localizer = IdealLocalizer(experiment, experiment.seed) if poses else None
         names = () if poses else experiment.camera_names or ("",)
         self._cameras = [SimulatedCamera(experiment, name) for name in names]
@@ -75,6 +80,7 @@ class PoolNode:
             # No robot arms before the localizer has learnt the water. Until then they are held, or they would drift away.
             held = self._localizer is None and self._experiment.watches_obstacles
             world = World(self._experiment, self._experiment.seed, starts, self._make, held)
+            self._bus.subscribe(topics.FAULT, None, self._fault)
             self._bus.announce("sim-bridge")
             log.info("robots are in the water")
             if self._lockstep is not None:
@@ -109,6 +115,9 @@ class PoolNode:
     def _step_plant(self, world: World, until_ns: int = 0) -> None:
         """Move to the next event up to `until_ns`, by one step at least. Log the faults that change, and the boards that
         become neutral or thrusting."""
+        while self._requests:
+            asked = self._requests.popleft()
+            log.info("%s%s", BY_HAND, world.faults.add(asked.what, asked.for_s, world.flown_s) or "nothing to mend")
         for text in world.apply_faults():
             log.info(text)
         sent = world.step(until_ns)
@@ -119,6 +128,13 @@ class PoolNode:
                 self._neutral[robot] = world.neutral(i)
                 log.info("board of robot %d: %s", robot, "neutral" if self._neutral[robot] else "thrusting")
         self._sockets.deliver(world)
+
+    def _fault(self, topic: Topic, key: str, header: Header, payload: bytes) -> None:
+        """Take a person's request. The station has checked it."""
+        try:
+            self._requests.append(decode(FaultRequest, payload, key, topic.name))
+        except DecodeError as error:
+            log.warning("a fault that cannot be read: %s", error)
 
     def _detect_start(self, world: World, begin_ns: int) -> None:
         """Find the instant at which the formation's trajectories began, from which faults count. A robot that is sent
@@ -170,7 +186,7 @@ class PoolNode:
         self._frame_index += 1
         return Exposure(
             world.eta, world.nu, world.tilt, world.now_ns * 1e-9, self._frame_index, stamp_ns, world.faults.camera,
-            world.faults.unmarked, world.faults.water_drop_m,
+            world.faults.unmarked, world.faults.water_drop_m, world.faults.balls,
         )  # fmt: skip
 
     def _run_camera(self, exposures: "queue.Queue[Exposure | None]") -> None:
@@ -199,10 +215,11 @@ class PoolNode:
                 exposure.index,
                 robots=self._experiment.robot_ids,
                 obstacles_ns=self._obstacles_ns,
+                code=code().short,
                 experiment_hash=self._experiment.hash,
             )
             self._bus.publish(topics.LOCALIZER, status, exposure.stamp_ns)
-        obstacles = self._localizer.obstacles(exposure.time_s)
+        obstacles = self._localizer.obstacles(exposure.time_s, exposure.balls)
         if obstacles is not None:
             self._obstacles_ns = exposure.stamp_ns
             self._bus.publish(topics.OBSTACLES, obstacles, exposure.stamp_ns, age_ns=age_ns)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from shoal.config.experiment import Experiment
 from shoal.config.fault_injection import Break
+from shoal.config.simulation import Drifter
 from shoal.frames import Array
 from shoal.runtime.runtime import log
 from sim_bridge.camera.faults import CameraFaults
@@ -32,6 +33,7 @@ class Exposure:
     broken: tuple[Break, ...] = ()  # faults of cameras
     unmarked: frozenset[int] = frozenset()  # robots without markers, by index
     water_drop_m: float = 0.0  # that the water stands lower
+    balls: tuple[Drifter, ...] = ()  # that a fault dropped
 
     @property
     def bubbles(self) -> int:
@@ -55,6 +57,7 @@ class SimulatedCamera:
         self._ahead: tuple[Exposure, Future[NDArray[np.uint8]]] | None = None
         self._unmarked: frozenset[int] = frozenset()
         self._water_drop_m = 0.0
+        self._balls: tuple[Drifter, ...] = ()
         self._broken: tuple[Break, ...] = ()
         self._waiting: deque[Exposure] = deque()
 
@@ -81,7 +84,9 @@ class SimulatedCamera:
     def render_ahead(self, exposure: Exposure) -> None:
         """Render the next frame while there is time; it counts if the exposure comes as it was expected."""
         if not self._waiting:
-            expected = replace(exposure, unmarked=self._unmarked, water_drop_m=self._water_drop_m, broken=self._broken)
+            expected = replace(
+                exposure, unmarked=self._unmarked, water_drop_m=self._water_drop_m, balls=self._balls, broken=self._broken
+            )
             self._ahead = expected, self._thread.submit(self._rendered, expected)
 
     def close(self) -> None:
@@ -94,6 +99,10 @@ class SimulatedCamera:
             self._unmarked = exposure.unmarked
             for each in (self._renderer, *self._sunk.values()):
                 each.hide_markers(exposure.unmarked)
+        if exposure.balls != self._balls:
+            self._balls = exposure.balls
+            for each in (self._renderer, *self._sunk.values()):
+                each.drop_balls(exposure.balls)
         self._water_drop_m, self._broken = exposure.water_drop_m, exposure.broken
         if pixels is None:
             pixels = self._rendered(exposure)
@@ -109,7 +118,7 @@ class SimulatedCamera:
             return None
         (expected, rendered), self._ahead = self._ahead, None
         pixels = rendered.result()
-        names = ("time_s", "index", "unmarked", "water_drop_m", "bubbles")
+        names = ("time_s", "index", "unmarked", "water_drop_m", "balls", "bubbles")
         same = all(getattr(expected, name) == getattr(exposure, name) for name in names)
         moved = ((expected.eta, exposure.eta), (expected.nu, exposure.nu), (expected.tilt, exposure.tilt))
         if same and all(np.array_equal(then, now) for then, now in moved):

@@ -45,11 +45,11 @@ class Monitor:
         self._progress = Progress(
             TextColumn("{task.description}", markup=False),
             BarColumn(),
-            TextColumn("{task.completed:6.1f} / {task.total:.0f} s"),
+            TextColumn("{task.fields[since]} / {task.total:.0f} s"),
             TextColumn("{task.fields[speed]}"),
             TimeElapsedColumn(),
         )
-        self._task = self._progress.add_task(experiment.name, total=experiment.duration_s, speed="")
+        self._task = self._progress.add_task(experiment.name, total=experiment.duration_s, speed="", since="-")
         self._flown_s = 0.0
 
     @property
@@ -74,6 +74,14 @@ class Monitor:
         clocks_s = [clock_s for state in reached if (clock_s := FormationPlans().clock_s(state)) is not None]
         self._flown_s = min(clocks_s, default=self._flown_s)
         return self._flown_s
+
+    @property
+    def time_s(self) -> float | None:
+        """Time since the formation's flight began, negative just before; None while it has not been started."""
+        heard = self._heartbeat.newest()
+        if heard is None or not heard.message.began_ns:
+            return None
+        return (heard.header.stamp_ns - heard.message.began_ns) * 1e-9
 
     @property
     def pace(self) -> str:
@@ -113,7 +121,8 @@ class Monitor:
 
     def render(self) -> RenderableType:
         """The table and the progress bar, now."""
-        self._progress.update(self._task, completed=self.flown_s, speed=self.pace)
+        since = "-" if self.time_s is None else f"{self.time_s:.1f}"
+        self._progress.update(self._task, completed=self.flown_s, speed=self.pace, since=since)
         table = Table("robot", "mode", "error", "pose", "age", "step", "battery", "remarks", title=self._title(), expand=False)
         for robot, inbox in self._states.items():
             received = inbox.newest()
@@ -138,7 +147,8 @@ class Monitor:
         else:
             robots = [f"{r} {s.mode.name.lower()} {_error(s)}{_remark(s)}" for r, s in states.items()]
         robots += [f"{robot} silent" for robot in silent]
-        flown = f"{self.flown_s:6.1f} / {self._experiment.duration_s:.0f} s"
+        since = "     -" if self.time_s is None else f"{self.time_s:6.1f}"
+        flown = f"{since} / {self._experiment.duration_s:.0f} s"
         parts = [f"{flown}  {self.mission.lower():10s}", self.pace, self.reason or ", ".join(robots)]
         return "  ".join(part for part in parts if part)
 

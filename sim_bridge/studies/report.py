@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 
 from groundstation.analysis.measures import MEASURES
 from groundstation.analysis.statistics import Interval
+from groundstation.report.report import saving_script
 from shoal.runtime.output_files import replace_text
 from sim_bridge.studies.campaign import Campaign, command_of
 from sim_bridge.studies.dependence import KeyValue, reasons, shown_measures, unit_of
@@ -33,7 +34,9 @@ def write_report(
         loader=jinja2.PackageLoader("sim_bridge.studies"), autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True
     )
     environment.filters |= {"interval": _interval, "figure": _figure, "percent": _percent}
-    page = environment.get_template("campaign.html").render(**_content(campaign, rows, by_key, wanted))
+    page = environment.get_template("campaign.html").render(
+        script=Markup(saving_script()), **_content(campaign, rows, by_key, wanted)
+    )
     replace_text(file, page)
 
 

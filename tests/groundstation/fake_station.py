@@ -4,6 +4,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from groundstation.mission.state_machine import MissionState
+from groundstation.planning.feasibility import PlanError
+from groundstation.planning.segment import PlanSegment
 from groundstation.telemetry import Finding, Fleet, FleetInboxes, LinkMonitor, blocking_findings, subscribe_fleet
 from groundstation.web.backend import Status
 from shoal.bus.bus import Bus
@@ -37,10 +39,13 @@ class FakeStation:
         preflight = blocking_findings(self.experiment, fleet) if self.preflight is None else self.preflight
         return replace(self.own_status, seen=fleet, preflight=preflight)
 
-    def request(self, order: Order, via: Sequence[tuple[float, float]] = (), only: int = 0) -> tuple[str, int]:
+    def request(self, order: Order, via: Sequence[tuple[float, float]] = (), only: int = 0, form: str = "") -> tuple[str, int]:
         self.orders.append(order)
-        self.via, self.only = via, only
+        self.via, self.only, self.form = via, only, form
         return "", len(self.orders)
+
+    def plan_form(self, form: str) -> PlanSegment:
+        raise PlanError(f"{form}: nothing flies here")
 
     def drive(self, robot: int, velocity: DriveVelocity) -> str:
         self.drives.append((robot, velocity))

@@ -1,7 +1,10 @@
 """A run's report in a real browser: it needs nothing from outside, fits, and its plots share cursor and time."""
 
+import csv
 from pathlib import Path
+from xml.etree import ElementTree
 
+import pypdfium2 as pdfium
 import pytest
 from playwright.sync_api import Browser
 
@@ -48,4 +51,41 @@ def test_a_broken_runs_report_zooms_together_and_requests_nothing(browser: Brows
     assert page.evaluate(TOO_WIDE) == 0
     assert serious(page) == []
     assert trouble == []
+    page.close()
+
+
+def test_every_figure_and_table_of_a_report_is_saved_for_a_paper(browser: Browser, tmp_path: Path) -> None:
+    write_run(tmp_path, Script(until_s=9.0))
+    write_report(tmp_path)
+    page = browser.new_page(viewport={"width": 1280, "height": 900})
+    page.goto(f"file://{tmp_path / 'report.html'}")
+
+    def saved(label: str, what: str) -> tuple[str, bytes]:
+        menu = page.get_by_label(label, exact=True).first
+        menu.scroll_into_view_if_needed()
+        with page.expect_download() as found:
+            menu.select_option(what)
+        return found.value.suggested_filename, found.value.path().read_bytes()
+
+    page.locator("#tracking").scroll_into_view_if_needed()
+    name, svg = saved("Save the figure tracking", "svg-1")
+    drawn = ElementTree.fromstring(svg)
+    assert name == "tracking-1col.svg" and drawn.get("width") == "252pt"
+    texts = [node.text for node in drawn.iter("{http://www.w3.org/2000/svg}text")]
+    assert "time since the start [s]" in texts and any(text and "[mm]" in text for text in texts)
+    for label in ("tracking", "paths", "timeline"):  # curves, a picture that matplotlib drew, and bars
+        page.locator(f"#{label}").scroll_into_view_if_needed()
+        name, pdf = saved(f"Save the figure {label}", "pdf-2")
+        opened = pdfium.PdfDocument(pdf)
+        assert len(opened) == 1 and opened[0].get_width() == 520
+        assert len(list(opened[0].get_objects())) > 10
+        assert any(unit in opened[0].get_textpage().get_text_range() for unit in ("[s]", "[m]"))
+    _, png = saved("Save the figure tracking", "png-1")
+    assert png[:4] == b"\x89PNG" and int.from_bytes(png[16:20]) == 2100  # 3.5 in at 600 dpi
+    name, table = saved("Save the table errors", "csv")
+    rows = list(csv.reader(table.decode().splitlines()))
+    assert len({len(row) for row in rows}) == 1 and rows[2][0] == "robot 1"
+    name, table = saved("Save the table errors", "tex")
+    assert b"\\begin{tabular}{l" in table and b"\\multicolumn" in table
+    assert table.count(b"\\\\") == len(rows)
     page.close()

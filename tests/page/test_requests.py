@@ -166,7 +166,7 @@ def test_one_robot_is_driven_by_keys_and_sent_to_a_place(browser: Browser) -> No
 
         button(page, "Send 2 to…").click()
         page.locator(".pool > canvas").click(position={"x": 300, "y": 200})
-        panel.get_by_role("button", name=re.compile("^Send 2 to .* m$")).click()
+        panel.get_by_role("button", name=re.compile("^Send robot 2 to .* m$")).click()
         expect(page.locator(".given")).to_contain_text("go 2 sent")
         assert (desk.orders[-1], desk.only, len(desk.via)) == (Order.GO, 2, 1)
 

@@ -1,5 +1,6 @@
 """The page of `localizer setup` in a real browser: all steps on a simulated camera, a folder of pictures that is played."""
 
+import os
 import re
 import signal
 import subprocess
@@ -90,7 +91,8 @@ def program(lab: Path, camera: FolderCamera) -> Iterator[tuple[psutil.Popen, str
     """The running program, and the address that it printed."""
     camera.show(camera.pool())
     command = [sys.executable, "-m", "localizer", "setup", str(lab), "--camera", f"folder:{camera.folder}"]
-    process = psutil.Popen([*command, "--port", str(free_port())], stdout=subprocess.PIPE, text=True)
+    alone = {**os.environ, "SHOAL_RUNTIME_DIR": str(lab.parent)}  # a stop from here reaches no other test's station
+    process = psutil.Popen([*command, "--port", str(free_port())], stdout=subprocess.PIPE, text=True, env=alone)
     printed = process.stdout.readline()
     match = re.search(r"http://\S+", printed)
     assert match is not None, printed
@@ -248,4 +250,18 @@ def test_a_page_without_the_key_sees_nothing_and_a_program_that_is_gone_is_told(
     process.send_signal(signal.SIGINT)
     assert eventually(lambda: not process.is_running() or process.status() == psutil.STATUS_ZOMBIE, PATIENCE_MS * 1e-3)
     expect(page.get_by_text("localizer setup does not answer")).to_be_visible()
+    page.context.close()
+
+
+def test_the_fleet_is_stopped_from_this_page_too_by_key_and_by_pointer(
+    browser: Browser, program: tuple[psutil.Popen, str]
+) -> None:
+    """No station runs here: what `groundstation stop` says of that is shown."""
+    traffic = PageTraffic()
+    page = _open(browser, program[1], traffic)
+    page.keyboard.press("Shift+Space")
+    expect(page.locator(".stop-said")).to_contain_text("no station")
+    page.get_by_role("button", name="EMERGENCY STOP").dispatch_event("pointerdown")
+    expect(page.locator(".stop-said")).to_have_text("emergency stop: asked")
+    expect(page.locator(".stop-said")).to_contain_text("no station")
     page.context.close()

@@ -2,18 +2,24 @@
 
 import itertools
 from collections import Counter
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from groundstation.logs.recorder import Recorder
 from shoal.config.experiment import load_experiment
-from shoal.config.fault_injection import read_what
+from shoal.config.fault_injection import read_request, read_what
 from shoal.errors import ConfigError
 from shoal.frames import Array
+from shoal.messages import topics
+from shoal.messages.codec import Header, encode
+from shoal.messages.messages import Event
 from sim_bridge.camera import faults as camera_faults
 from sim_bridge.camera.faults import CameraFaults
 from sim_bridge.camera.renderer import Renderer
 from sim_bridge.fault_schedule import FaultSchedule, LinkFaults, faults_after_the_end, require_kinds
+from sim_bridge.in_process.resume import faults_by_hand
 from sim_bridge.node.board_ports import LossyLink
 from sim_bridge.plant.fleet import Plant
 from sim_bridge.plant.sensors import BoardSensors
@@ -188,3 +194,50 @@ def test_the_tag_of_what_was_overtaken_is_gone() -> None:
 def test_a_fault_after_the_end_is_told_to_never_happen() -> None:
     experiment = load_experiment("pool", ["duration_s=30"], ["t=29.9 thruster 1/1 dead", "t=500 camera dark"])
     assert faults_after_the_end(experiment) == ["never happens: camera dark at 500 s, for the run ends after 30 s"]
+
+
+def test_a_fault_made_by_hand_holds_from_then_on_and_is_reported_as_a_command_line() -> None:
+    experiment = load_experiment("pool", faults=["t=1 thruster 1/1 weak 0.5"])
+    schedule = FaultSchedule(experiment)
+    schedule.at(5.0)
+    assert schedule.add("thruster 2/3 dead", 0.0, 5.0) == "t=5.000 thruster 2/3 dead"
+    assert schedule.add("water gust 0.04", 2.0, 5.0) == "t=5.000 for=2 water gust 0.04"
+    assert schedule.add("ball 0.5,-1 drops", 0.0, 5.0) == "t=5.000 ball 0.5,-1 drops"
+    assert schedule.at(5.0) == ["fault: thruster 2/3 dead", "fault: water gust 0.04", "fault: ball 0.5,-1 drops"]
+    assert (schedule.actuators.thrust[1, 2], schedule.gust_mps) == (0.0, 0.04)
+    assert schedule.balls[0].start_m == (0.5, -1.0, experiment.path.depth_m)
+    assert schedule.quiet_steps(6.0, 0.1, 1000) == 10
+    assert schedule.at(7.0) == ["fault over: water gust 0.04"]
+    assert schedule.add("", 0.0, 9.0).startswith("mended at 9.000 s: thruster 2/3 dead; ")
+    assert schedule.at(9.0) == ["fault over: thruster 2/3 dead", "fault over: ball 0.5,-1 drops"]
+    assert schedule.actuators.thrust[0, 0] == 0.5  # what the file breaks stays broken
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("thruster 2/9 dead", "no such thruster"),
+        ("thruster 7/1 dead", "no robot 7"),
+        ("process agent-1 killed", "only by the timeline"),
+        ("water low", "only by the timeline"),
+        ("marker 1 lost for ever", "must be seconds"),
+        ("ball here drops", "must read: ball X,Y"),
+    ],
+)
+def test_a_fault_by_hand_that_cannot_be_is_refused_with_what_can(text: str, why: str) -> None:
+    with pytest.raises(ValueError, match=why):
+        read_request(text, (1, 2))
+
+
+def test_faults_made_by_hand_are_read_back_from_the_log_as_a_timeline(tmp_path: Path) -> None:
+    lines = [
+        "by hand: t=3.100 thruster 1/2 weak 0.4",
+        "by hand: t=4.000 for=2 imu 2 gyro 0.1",
+        "by hand: t=5.000 camera frozen",  # a flight without camera cannot have it
+        "by hand: mended at 9.500 s: thruster 1/2 weak 0.4; mended at 9.500 s: camera frozen",
+    ]
+    recorder = Recorder(tmp_path / "run.mcap", "name = 'pool'\n", {})
+    for k, line in enumerate(lines, start=1):
+        recorder.put(topics.EVENT, "shoal/event", Header(7, k, k), encode(Event(2, "sim-bridge", line)), k)
+    recorder.close()
+    assert faults_by_hand(tmp_path) == ["t=4.000 for=2 imu 2 gyro 0.1", "t=3.100 for=6.400 thruster 1/2 weak 0.4"]

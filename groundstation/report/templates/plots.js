@@ -199,12 +199,34 @@
     svg.addEventListener("dblclick", () => { box = [...all]; show(); });
   }
 
+  const TIME_LABEL = "time since the start [s]", DASHES = { "--": [5, 3], ":": [1.5, 2], "-.": [5, 2, 1.5, 2] };
+
+  /** A plot as paper.js draws it; what is zoomed is what is saved. */
+  function onPaper(plot) {
+    if (plot.rows) return { xLabel: TIME_LABEL, from: (range ?? [plot.begin])[0], to: (range ?? [0, plot.end])[1], rows: plot.rows };
+    const times = plot.times.map(float32), known = times.filter((t) => t.length);
+    const whole = [Math.min(...known.map((t) => t[0])), Math.max(...known.map((t) => t[t.length - 1]))];
+    const panels = plot.panels.map((panel) => ({
+      label: panel.label,
+      marks: [panel.limit, panel.limit === null ? null : -panel.limit, panel.floor].filter((v) => v !== null),
+      lines: panel.lines.map((one) => ({ label: one.label, colour: one.colour, dash: DASHES[one.style] ?? [], dots: one.style === ".", x: times[one.time], y: float32(one.values) })),
+    }));
+    return { xLabel: TIME_LABEL, from: (range ?? whole)[0], to: (range ?? whole)[1], panels };
+  }
+
+  function offer(figure, plot) {
+    const name = figure.id || figure.querySelector("h3").innerText.toLowerCase().replace(/[^a-z0-9]+/g, "-");
+    const choices = plot.rows ? paper.CHOICES : [...paper.CHOICES, ["csv", "CSV, the data"]];
+    figure.querySelector("figcaption").prepend(paper.menu(`Save the figure ${name}`, choices, (what) => paper.save(onPaper(plot), name, what)));
+  }
+
   function make(figure) {
     const data = figure.querySelector("script");
     if (!data) return;
     const plot = JSON.parse(data.textContent);
     data.remove();
     (plot.rows ? barPlot : timePlot)(figure, plot);
+    offer(figure, plot);
   }
 
   const figures = document.querySelectorAll("figure.plot");
@@ -212,6 +234,7 @@
   figures.forEach((figure) => near.observe(figure));
   addEventListener("beforeprint", () => figures.forEach(make));
   document.querySelectorAll("figure > svg").forEach(zoomable);
+  paper.tables();
   document.querySelectorAll("[data-time]").forEach((row) => row.addEventListener("click", () => {
     const at_s = Number(row.dataset.time);
     zoom(at_s - 3, at_s + 3);

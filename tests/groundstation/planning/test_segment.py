@@ -19,6 +19,7 @@ from shoal.config.experiment import Experiment, load_experiment
 from shoal.frames import Array
 from shoal.messages.codec import decode, encode
 from shoal.messages.messages import Command, Order, RobotState, Trajectory
+from tests.groundstation.planning.smoothness import check_smooth
 
 PERIOD_S = 0.05
 BLOCKED = load_experiment("blocked-path")
@@ -33,17 +34,6 @@ def clearance(segment: PlanSegment, thing: Array, from_s: float) -> float:
         first = max(round((from_s - t.begin_s) / PERIOD_S), 0)
         nearest.append(float(np.hypot(*(t.eta[first:, :2] - thing[:2]).T).min()) - float(thing[2]))
     return min(nearest)
-
-
-def check_smooth(trajectory: Trajectory, from_row: int = 0, to_row: int | None = None) -> None:
-    """Derivatives that belong together, by differences, and no jump in the second."""
-    rows = slice(from_row, to_row)
-    p, v, a = trajectory.eta[rows], trajectory.velocity[rows], trajectory.acceleration[rows, :3]
-    drift = np.abs(np.diff(p, axis=0) / PERIOD_S - 0.5 * (v[1:] + v[:-1]))
-    assert drift[:, :3].max() < 2e-3
-    assert drift[:, 3].max() < 0.02  # at a cubic spline's knots the yaw rate of a node that swings outside is not smooth
-    assert np.abs(np.diff(v[:, :3], axis=0) / PERIOD_S - 0.5 * (a[1:] + a[:-1])).max() < 5e-3
-    assert np.abs(np.diff(a, axis=0)).max() < 0.03
 
 
 def test_a_detour_keeps_clear_keeps_its_shape_and_arrives() -> None:
@@ -115,7 +105,7 @@ def test_no_way_round_is_refused_with_the_reason() -> None:
     with pytest.raises(PlanError, match="no way from"):
         replan(BLOCKED, segment, 14.0, wall)
     with pytest.raises(PlanError, match="only a level path"):
-        replan(load_experiment("pool"), first_segment(load_experiment("pool")), 5.0, BALL)
+        replan(load_experiment("pool"), first_segment(load_experiment("pool")), 5.0, BALL, [(0.0, 0.0)])
     with pytest.raises(PlanError, match=r"too near|exceeds"):
         replan(BLOCKED, segment, segment.end_s - 2.0, np.array([[-2.0, 0.0, 0.2]]), [(-3.0, 0.0)])
 

@@ -226,3 +226,8 @@ def test_the_map_shows_what_was_flown_at_the_time(run: Path, tmp_path: Path) -> 
         assert (shown[15.0][1]["id"], shown[15.0][2]["id"]) == ("home", planned[2].id)
         home = np.frombuffer(shown[15.0][1]["eta"], "<f4").reshape(-1, 4)
         np.testing.assert_allclose(home[[0, -1]], line[[1, -1]], atol=1e-5)  # its first point is still the circle's
+
+
+@pytest.mark.long
+def test_time_0_of_a_replay_is_the_reports(replay: ReplayBackend) -> None:
+    assert replay.snapshot()["began_s"] == pytest.approx(START_S, abs=0.01)

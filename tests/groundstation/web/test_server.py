@@ -61,7 +61,7 @@ class ServedStation(FakeStation):
     def say(self, robot: int = 1) -> None:
         self.robots.publish(topics.STATE, RobotState(mode=Mode.ARMED, fault="here"), time.time_ns(), robot)
 
-    def request(self, order: Order, via: Sequence[tuple[float, float]] = (), only: int = 0) -> tuple[str, int]:
+    def request(self, order: Order, via: Sequence[tuple[float, float]] = (), only: int = 0, form: str = "") -> tuple[str, int]:
         if self.blocked is not None and order is not Order.STOP:
             self.blocked.wait(PATIENCE_S)
         accepted = super().request(order, via, only)
@@ -275,7 +275,7 @@ def test_orders_are_done_in_the_order_in_which_they_were_given(lab: ServedStatio
     """Also where the first has to wait for the station's cycle: what was said last counts."""
     page, request = lab.open(), lab.request
 
-    def waits(order: Order, via: Sequence[tuple[float, float]] = (), only: int = 0) -> tuple[str, int]:
+    def waits(order: Order, via: Sequence[tuple[float, float]] = (), only: int = 0, form: str = "") -> tuple[str, int]:
         time.sleep(0.3 if order is Order.RESUME else 0.0)
         return request(order, via, only)
 

@@ -39,7 +39,7 @@ def test_fault_texts_that_are_understood(text: str, meaning: Break) -> None:
         ("t=1 for=0 camera dark", "sim.faults.0.for_s = 0.0: "),
         (
             "t=1 rudder 2 lost",
-            "'rudder' cannot be broken (allowed: thruster, marker, camera, water, imu, battery, link, ",
+            "'rudder' cannot be broken (allowed: thruster, marker, camera, water, ball, imu, battery, link, ",
         ),
         ("t=1 thruster 2 dead", "must read: thruster ROBOT/THRUSTER dead|stuck|reversed|weak [fraction of its thrust]"),
         ("t=1 thruster 2/3", "must read: thruster"),

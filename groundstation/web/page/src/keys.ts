@@ -12,7 +12,7 @@ import { follow } from "./pool/layers";
 import { fitView, showNextCamera, zoomBy } from "./pool/Pool";
 import { removePicked } from "./editor/canvas";
 import { redo, undo } from "./editor/model";
-import { browsing, drawSoon, editing, inControl, scene, selected, shown } from "./store";
+import { browsing, choose, drawSoon, editing, inControl, scene, shown } from "./store";
 import type { OrderName } from "./wire";
 
 export const KEYS: [string, string][] = [
@@ -28,7 +28,7 @@ export const KEYS: [string, string][] = [
   ["G", "follow"],
   ["+ -", "zoom"],
   ["C", "the next camera's picture"],
-  ["1 … 9", "choose a robot"],
+  ["1, 12, …", "choose a robot by its number; Shift+click chooses several"],
   ["W A S D, Q E", "drive the chosen robot, while Drive is on"],
   ["Ctrl+Z, Ctrl+Y, Del", "editor: undo, redo, remove what was touched last"],
   ["M", "silence the alarm"],
@@ -61,6 +61,18 @@ function editKey(event: KeyboardEvent): boolean {
   return true;
 }
 
+const DIGITS_MS = 1000; // a second digit within this time belongs to the first: 1 and then 2 is robot 12
+let digits = "";
+let digitAtMs = -Infinity;
+
+function chooseByDigit(digit: string): void {
+  digits = performance.now() - digitAtMs < DIGITS_MS ? digits + digit : digit;
+  digitAtMs = performance.now();
+  const ids = scene.peek()?.robots.map(({ id }) => id) ?? [];
+  if (!ids.includes(Number(digits))) digits = digit;
+  if (ids.includes(Number(digits))) choose(Number(digits));
+}
+
 let spaceStops = false; // the last key that went down was the Space of a stop
 
 addEventListener("keydown", (event) => {
@@ -90,9 +102,8 @@ addEventListener("keydown", (event) => {
     event.preventDefault(); // no scrolling
     togglePlay();
   } else if (event.key === "m" || event.key === "M") acknowledgeAlarms();
-  else if (/^[1-9]$/.test(event.key)) {
-    const id = scene.peek()?.robots[Number(event.key) - 1]?.id ?? 0;
-    selected.value = selected.peek() === id ? 0 : id;
+  else if (/^[0-9]$/.test(event.key)) {
+    chooseByDigit(event.key);
   }
   drawSoon();
 });

@@ -117,14 +117,15 @@ export function chooseCamera(name: string): void {
 
 /** Ask something of the whole fleet, or of one robot; what becomes of it appears in `given`. A stop that is not answered, because it cannot be
  * sent now or goes into a connection that is dead and does not know it yet, is sent on return. */
-export function order(name: OrderName, via: [number, number][] = [], robot = 0): void {
+export function order(name: OrderName, via: [number, number][] = [], robot = 0, form = ""): void {
   if (name === "stop" && stopAsked) {
     sendStop(); // pressed again: the same request
     return;
   }
   const n = nextSerial();
   if (name === "stop") stopAsked = n;
-  give(robot === 0 ? name : `${name} ${robot}`, { kind: "order", n, order: name, via_m: via, robot, seen_ms: seenMs() });
+  const text = form !== "" ? `${name} ${form}` : robot === 0 ? name : `${name} ${robot}`;
+  give(text, { kind: "order", n, order: name, via_m: via, robot, form, seen_ms: seenMs() });
 }
 
 function sendStop(): void {

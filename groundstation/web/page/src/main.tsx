@@ -9,6 +9,7 @@ import { connect } from "./link";
 import { Question } from "./Question";
 import { Alarms, Log } from "./panels/Alarms";
 import { End } from "./panels/End";
+import { Faults } from "./panels/Faults";
 import { Header } from "./panels/Header";
 import { Mission } from "./panels/Mission";
 import { OneRobot } from "./panels/OneRobot";
@@ -29,10 +30,12 @@ function Page() {
       <main>
         <Pool />
         <aside>
-          <End />
-          {editing.value ? <Editor /> : <Mission />}
-          <OneRobot />
           <Alarms />
+          <End />
+          <Mission />
+          {editing.value && <Editor />}
+          <OneRobot />
+          <Faults />
           <Tiles />
           <Tuning />
           <Log />

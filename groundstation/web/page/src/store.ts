@@ -1,7 +1,7 @@
 /** Everything the page knows, in one place. What the canvas draws is plain data; what text shows are signals. */
 
 import { computed, signal } from "@preact/signals";
-import type { Alarm, Frame, LogLine, Outcome, PastState, PathSamples, RobotNews, RobotState, RunList, Scene, Snapshot, Tried } from "./wire";
+import type { Alarm, Formed, Frame, LogLine, Outcome, PastState, PathSamples, RobotNews, RobotState, RunList, Scene, Snapshot, Tried } from "./wire";
 import { floats } from "./wire";
 
 const MOST_LINES = 500;
@@ -55,7 +55,9 @@ export const now = signal(performance.now());
 export const lines = signal<LogLine[]>([]);
 export const given = signal<Given[]>([]);
 export const selected = signal(0); // robot; 0 is none
+export const also = signal<ReadonlySet<number>>(new Set()); // robots that are chosen besides: what several may do, all of them do
 export const tried = signal<Tried | null>(null);
+export const formed = signal<Formed | null>(null); // the answer about another form
 export const saved = signal<{ n: number; ok: boolean; problems: string[]; path?: string } | null>(null);
 export const editing = signal(false);
 export const browsing = signal(false); // the list of runs is open
@@ -254,6 +256,10 @@ export function take(frame: Frame): void {
     case "tried":
       tried.value = frame;
       break;
+    case "formed":
+      formed.value = frame;
+      drawSoon();
+      break;
     case "chosen":
       if (choice.peek()?.n === frame.n) choice.value = frame.problems.length > 0 ? { ...choice.peek()!, problems: frame.problems } : choice.peek();
       break;
@@ -302,6 +308,22 @@ export function isStale(robot: RobotNews | undefined, sentMs: number): boolean {
 /** Whether a robot is on a trajectory of its own, which a person gave it, and not on the formation's (groundstation/formation_clock.py). */
 export function isAlone(state: RobotState): boolean {
   return state.loaded.startsWith("alone-");
+}
+
+/** Choose a robot, or nobody if it is chosen already; with `more` in addition to those that are chosen. */
+export function choose(robot: number, more = false): void {
+  const chosen = new Set(selected.peek() === 0 ? [] : [selected.peek(), ...also.peek()]);
+  const had = chosen.has(robot);
+  if (more && had) chosen.delete(robot);
+  const [first, ...others] = more ? (had ? chosen : [...chosen, robot]) : had && chosen.size === 1 ? [] : [robot];
+  also.value = new Set(others);
+  selected.value = first ?? 0;
+  drawSoon();
+}
+
+/** Whether a robot is one of those that are chosen. */
+export function isChosen(robot: number): boolean {
+  return robot !== 0 && (selected.value === robot || also.value.has(robot));
 }
 
 let draw: () => void = () => undefined;

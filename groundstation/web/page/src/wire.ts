@@ -174,7 +174,7 @@ export interface Alarm {
   text: string;
 }
 
-export type OrderName = "load" | "arm" | "start" | "hold" | "resume" | "stop" | "disarm" | "clear-stop" | "return" | "rejoin" | "test" | "end" | "go" | "out" | "back-in";
+export type OrderName = "load" | "arm" | "start" | "hold" | "resume" | "stop" | "disarm" | "clear-stop" | "return" | "rejoin" | "test" | "end" | "go" | "formation" | "fault" | "out" | "back-in";
 
 /** What became of a person's request, by the station's account. */
 export interface Outcome {
@@ -193,6 +193,7 @@ export interface Snapshot {
   holder: number;
   watchers: number;
   time_s: number;
+  began_s: number | null; // when the formation's flight began: time 0 for people; null: it has not been started
   mission: string;
   mission_text: string;
   reason: string;
@@ -234,6 +235,17 @@ export interface Tried {
   needed_m?: number;
   fastest_mps?: number;
   nodes_m?: [number, number, number, number][]; // robot, x, y, z
+}
+
+/** What the planner says of another form of the running formation. */
+export interface Formed {
+  k: "formed";
+  n: number;
+  ok: boolean;
+  problems: string[];
+  paths?: PathSamples[];
+  clearance_m?: number;
+  needed_m?: number;
 }
 
 /** A line of the log. */
@@ -284,6 +296,7 @@ export type Frame =
   | { k: "reply"; n: number; order: string; ok: boolean; reason: string; request: number }
   | { k: "undriven"; robot: number; reason: string }
   | Tried
+  | Formed
   | { k: "chosen"; n: number; problems: string[] }
   | ({ k: "runs" } & RunList)
   | { k: "saved"; n: number; ok: boolean; problems: string[]; path?: string };
@@ -315,7 +328,8 @@ export type Request =
   | { kind: "ack"; n: number }
   | { kind: "take"; over?: boolean }
   | { kind: "release" }
-  | { kind: "order"; n: number; order: OrderName; via_m?: [number, number][]; robot?: number; seen_ms: number }
+  | { kind: "order"; n: number; order: OrderName; via_m?: [number, number][]; robot?: number; form?: string; seen_ms: number }
+  | { kind: "form"; n: number; form: string }
   | { kind: "drive"; robot: number; surge_mps: number; heave_mps: number; yaw_rate_radps: number; seen_ms: number }
   | { kind: "tune"; n: number; values: Record<string, number> | null; next_lap: boolean; seen_ms: number }
   | { kind: "try"; n: number; edit: Edit }

@@ -1,17 +1,13 @@
 /** What is amiss now, worst first, and the log. */
 
 import { signal } from "@preact/signals";
+import { moment } from "../clock";
 import { acknowledgeAlarms, silenced } from "../sound";
 import { alarms, lines, scene, shown } from "../store";
 import type { LogLine } from "../wire";
 
 const MARK = { critical: "▲", warning: "◆", notice: "●" };
 const LEVEL = ["", "debug", "info", "warning", "error", "fatal"];
-
-/** A stamp for people: the time of day, or in simulated time the seconds. */
-export function moment(time_s: number): string {
-  return time_s > 1e8 ? new Date(time_s * 1e3).toTimeString().slice(0, 8) : `${Number(time_s.toFixed(1))} s`;
-}
 
 export function Alarms() {
   const current = alarms.value;

@@ -1,13 +1,15 @@
 /** The top line: what is flown, where the mission stands, who has control, and the emergency stop. */
 
+import { clock, since } from "../clock";
 import { isLight, setTheme } from "../colours";
 import { order, releaseControl, takeControl } from "../link";
 import { ask } from "../Question";
 import { mayAlarm, soundOn, toggleSound } from "../sound";
-import { browsing, connected, drawSoon, editing, ended, given, inControl, isAlone, isStale, live, now, refusal, roundTripMs, scene, shown, stopUnheard, waiting } from "../store";
+import { browsing, connected, drawSoon, editing, ended, given, inControl, isStale, live, now, refusal, roundTripMs, scene, shown, stopUnheard, waiting } from "../store";
 import { themeSerial } from "./Plots";
 import { showRuns } from "./Runs";
 
+const CONNECTING_MS = 5000; // after the page was opened; then it says that nobody answers
 const NOTICEABLE = 0.05; // of the pace: smaller differences say nothing
 
 function Control() {
@@ -37,6 +39,7 @@ function Control() {
 function Link() {
   if (refusal.value) return <span class="link bad">not let in: {refusal.value}</span>;
   if (!connected.value && ended.value) return null; // the state says what the page waits for
+  if (!connected.value && scene.value === null) return <span class="link">{now.value > CONNECTING_MS ? "no station answers here yet; trying again" : "connecting …"}</span>;
   if (!connected.value) return <span class="link bad">no connection</span>;
   return (
     <span class="link" title="From the station to this page, drawn, and back">
@@ -85,7 +88,7 @@ export function Header() {
           {ended.value ? waiting.value : connected.value ? recorded(state) + state.mission_text + paused(state) : "last known: " + state.mission_text}
         </span>
       )}
-      {s !== null && state !== null && <span class="clock">{clock(flown(state))} / {clock(s.duration_s)}</span>}
+      {s !== null && state !== null && <span class="clock" title="Since the formation's flight began, of what is planned">{flown(state)} / {clock(s.duration_s)}</span>}
       {connected.value && !ended.value && state !== null && <Pace pace={state.pace ?? null} />}
       <span class="gap" />
       <Link />
@@ -144,13 +147,8 @@ function paused(state: NonNullable<typeof shown.value>): string {
   return state.replay?.rate === 0 ? ", paused" : "";
 }
 
-/** The formation's time: the clock of a robot that flies alone is another. */
-function flown(state: NonNullable<typeof shown.value>): number {
-  if (state.replay) return state.replay.time_s;
-  return Math.max(0, ...state.robots.map((robot) => (robot.state === undefined || isAlone(robot.state) ? 0 : robot.state.t_s)));
-}
-
-export function clock(seconds: number): string {
-  const whole = Math.floor(seconds);
-  return `${Math.floor(whole / 60)}:${String(whole % 60).padStart(2, "0")}`;
+/** How long the formation has been flying, on the clock of report and log. */
+function flown(state: NonNullable<typeof shown.value>): string {
+  const s = since(state.replay?.time_s ?? state.time_s);
+  return s === null ? "–" : clock(s);
 }

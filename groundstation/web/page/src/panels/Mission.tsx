@@ -1,6 +1,8 @@
 /** Preflight, orders and what became of them. */
 
 import { order, say } from "../link";
+import { Form, forming, showForm } from "./Form";
+import { TypedPlace } from "./TypedPlace";
 import { choosePlaces, flyThere, places, placesFor } from "../pool/places";
 import { ask } from "../Question";
 import { connected, ended, type Given as Request, given, inControl, isStale, live, now, scene, shown, stopUnheard, unanswered } from "../store";
@@ -21,14 +23,14 @@ const BUTTONS: Button[] = [
   { order: "disarm", text: "Disarm", keys: "Shift+D" },
 ];
 
-/** Shown while the mission takes them. */
-const SOMETIMES: Button[] = [
+/** Each in its own place, always: no button appears where another one just was. */
+const OTHERS: Button[] = [
   { order: "load", text: "Load again", keys: "" },
-  { order: "clear-stop", text: "Clear stop", keys: "" },
   { order: "return", text: "Return to start", keys: "Shift+B" },
   { order: "rejoin", text: "Rejoin", keys: "" },
   { order: "test", text: "Test thrusters", keys: "" }, // preflight may be waiting for just this one: the station judges
 ];
+const CLEAR: Button = { order: "clear-stop", text: "Clear stop", keys: "" }; // the last: where it appears, there is nothing else
 
 /** States in which a run is over. */
 const OVER = ["DONE", "CANCELLED", "FAILED"];
@@ -36,7 +38,7 @@ const OVER = ["DONE", "CANCELLED", "FAILED"];
 function whyNot(state: Snapshot, button: Button): string {
   if (!connected.value) return "no connection to the station";
   if (!inControl.value) return "you are watching: take control first";
-  if (!state.allowed.includes(button.order)) return `not possible while ${state.mission_text}`;
+  if (!state.allowed.includes(button.order) || idle(button.order, state)) return `not possible while ${state.mission_text}`;
   if (button.checked && state.preflight.length > 0) return "preflight is not complete";
   return "";
 }
@@ -220,26 +222,56 @@ function OrderButton({ button, state }: { button: Button; state: Snapshot }) {
   );
 }
 
-/** Leads the running formation to places that are clicked on the map. */
+/** Leads the running formation to places that are clicked on the map, or typed. */
+function GoButton({ state }: { state: Snapshot }) {
+  const open = places.value !== null && placesFor.value === 0;
+  const possible = connected.value && inControl.value && state.allowed.includes("go");
+  return (
+    <button
+      type="button"
+      class="order go"
+      aria-pressed={open}
+      disabled={!possible && !open}
+      onClick={() => choosePlaces(!open)}
+      title={possible ? "Choose places for the formation to fly over" : "not possible now"}
+    >
+      Go to…
+    </button>
+  );
+}
+
+function FormButton({ state }: { state: Snapshot }) {
+  const possible = connected.value && inControl.value && state.allowed.includes("formation");
+  return (
+    <button
+      type="button"
+      class="order formation"
+      aria-pressed={forming.value}
+      disabled={!possible && !forming.value}
+      onClick={() => showForm(!forming.value)}
+      title={possible ? "Another shape, spacing or turn of the formation" : "not possible now"}
+    >
+      Formation…
+    </button>
+  );
+}
+
 function Go({ state }: { state: Snapshot }) {
   const chosen = placesFor.value === 0 ? places.value : null;
   const possible = connected.value && inControl.value && state.allowed.includes("go");
-  if (chosen === null) {
-    return possible ? (
-      <button type="button" class="order go" onClick={() => choosePlaces(true)} title="Choose places on the map for the formation to fly over">
-        Go to…
-      </button>
-    ) : null;
-  }
+  if (chosen === null) return null;
   return (
     <div class="go-places">
-      <p class="hint">{chosen.length === 0 ? "Click on the map: one place or more." : chosen.map(([x, y]) => `${x}, ${y} m`).join(" → ")}</p>
-      <button type="button" class="order" disabled={!possible || chosen.length === 0} onClick={flyThere}>
-        Fly there
-      </button>
-      <button type="button" class="order" onClick={() => choosePlaces(false)}>
-        Cancel
-      </button>
+      <p class="hint">{chosen.length === 0 ? "Click on the map, or type: one place or more." : chosen.map(([x, y]) => `${x}, ${y} m`).join(" → ")}</p>
+      <TypedPlace />
+      <div class="orders">
+        <button type="button" class="order" disabled={!possible || chosen.length === 0} onClick={flyThere}>
+          Fly there
+        </button>
+        <button type="button" class="order" onClick={() => choosePlaces(false)}>
+          Cancel
+        </button>
+      </div>
     </div>
   );
 }
@@ -280,12 +312,16 @@ export function Mission() {
         ))}
       </div>
       <div class="orders sometimes">
-        {SOMETIMES.filter(({ order }) => state.allowed.includes(order) && !idle(order, state)).map((button) => (
+        {OTHERS.map((button) => (
           <OrderButton key={button.order} button={button} state={state} />
         ))}
-        <Go state={state} />
+        <GoButton state={state} />
+        <FormButton state={state} />
         <End state={state} />
+        {state.allowed.includes("clear-stop") && !idle("clear-stop", state) && <OrderButton button={CLEAR} state={state} />}
       </div>
+      <Go state={state} />
+      <Form state={state} />
       <Remark />
       <Given />
     </section>

@@ -3,9 +3,10 @@
 
 import { useEffect } from "preact/hooks";
 import { order } from "../link";
+import { TypedPlace } from "./TypedPlace";
 import { choosePlaces, flyThere, places, placesFor } from "../pool/places";
 import { driven, hold, letGo, pace, startDriving, stopDriving } from "../robot/drive";
-import { connected, inControl, scene, selected, shown, undriven } from "../store";
+import { also, connected, inControl, scene, selected, shown, undriven } from "../store";
 import type { OrderName, Snapshot } from "../wire";
 
 const FLIES = ["ARMED", "TRACKING", "HOLDING", "DRIVEN"];
@@ -73,12 +74,32 @@ function Way({ robot, possible }: { robot: number; possible: boolean }) {
   return (
     <>
       <button type="button" class="order" disabled={!possible || chosen.length === 0} onClick={flyThere}>
-        {chosen.length === 0 ? "Click on the map" : `Send ${robot} to ${chosen[0]!.join(", ")} m`}
+        {chosen.length === 0 ? "Click on the map, or type" : `Send robot ${robot} to (${chosen[0]!.join(", ")}) m`}
       </button>
       <button type="button" class="order" onClick={() => choosePlaces(false)}>
         Cancel
       </button>
+      <TypedPlace />
     </>
+  );
+}
+
+/** Several robots that are chosen: each does it, on its own. */
+function Several({ state, ids }: { state: Snapshot; ids: number[] }) {
+  const possible = connected.value && inControl.value;
+  const fit = (modes: string[]) => ids.filter((id) => modes.includes(state.robots.find((robot) => robot.id === id)?.state?.mode ?? ""));
+  return (
+    <section class="one-robot" aria-label={`Robots ${ids.join(", ")}`}>
+      <h2>Robots {ids.join(", ")}</h2>
+      <div class="orders">
+        {ORDERS.map(({ order: name, text, modes }) => (
+          <button key={name} type="button" class="order" disabled={!possible || fit(modes).length === 0} onClick={() => fit(modes).forEach((id) => order(name, [], id))}>
+            {text} {ids.length}
+          </button>
+        ))}
+      </div>
+      <p class="hint">Shift+click takes robots in and out. Driving and sending are for one robot.</p>
+    </section>
   );
 }
 
@@ -86,6 +107,7 @@ export function OneRobot() {
   const state: Snapshot | null = shown.value;
   const robot = state?.robots.find(({ id }) => id === selected.value);
   if (state === null || robot === undefined || scene.value?.mode === "replay") return null;
+  if (also.value.size > 0) return <Several state={state} ids={[robot.id, ...also.value].sort((a, b) => a - b)} />;
   const mode = robot.state?.mode ?? "";
   const possible = connected.value && inControl.value;
   const flies = possible && FLIES.includes(mode);

@@ -4,6 +4,7 @@ import { signal } from "@preact/signals";
 import { useEffect, useRef } from "preact/hooks";
 import uPlot from "uplot";
 import "uplot/dist/uPlot.min.css";
+import { moment, ticks } from "../clock";
 import { css, robotColour } from "../colours";
 import { FIELDS } from "../fields";
 import { type Chart, charts, column, fieldChart, record, times } from "../history";
@@ -12,7 +13,6 @@ import { placeOf } from "../pool/path";
 import { ask } from "../Question";
 import { live, scene, selected } from "../store";
 import type { Scene } from "../wire";
-import { moment } from "./Alarms";
 
 const DRAW_EVERY_MS = 200;
 const MANY_EVERY_MS = 500; // fifty curves cost as much as the map
@@ -30,7 +30,7 @@ function options(s: Scene, chart: Chart, width: number, height: number): uPlot.O
     legend: { live: true, isolate: true },
     scales: { x: { time: false }, y: { range: (_, low, high) => range(chart, low, high) } },
     axes: [
-      { ...axis, size: 22, gap: 2, space: 72, values: (_, ticks) => ticks.map(moment) }, // room for a time of day
+      { ...axis, size: 22, gap: 2, space: 72, splits: (_, __, low, high, step) => ticks(low, high, step), values: (_, at) => at.map(moment) }, // room for a time of day
       { ...axis, size: 44, gap: 2 },
     ],
     series: [
@@ -39,7 +39,7 @@ function options(s: Scene, chart: Chart, width: number, height: number): uPlot.O
         label: curve.name,
         stroke: robotColour(curve.robot === undefined ? FALLBACK[k % 8]! : placeOf(s, curve.robot)),
         width: 1.5,
-        ...(curve.dash ? { dash: curve.dash } : {}),
+        ...dashOf(s, curve),
         points: { show: false },
         value: (_: uPlot, v: number | null | undefined) => (v === null || v === undefined ? "-" : v.toFixed(Math.abs(v) < 10 ? 2 : 0)),
       })),
@@ -53,6 +53,13 @@ function options(s: Scene, chart: Chart, width: number, height: number): uPlot.O
       ],
     },
   };
+}
+
+const DASHES = [[], [8, 3], [2, 3], [9, 3, 2, 3]]; // beside the colour: not everybody tells colours apart, and no print does
+
+function dashOf(s: Scene, curve: Chart["curves"][number]): { dash: number[] } | object {
+  const dash = curve.dash ?? (curve.robot === undefined ? [] : DASHES[placeOf(s, curve.robot) % DASHES.length]!);
+  return dash.length > 0 ? { dash } : {};
 }
 
 function range(chart: Chart, low: number | null, high: number | null): [number, number] {
@@ -158,7 +165,7 @@ function Plot({ slot }: { slot: number }) {
         </select>
         <span class="unit">{chart.unit}</span>
       </figcaption>
-      <div class="canvas" ref={ref} />
+      <div class="canvas" ref={ref} role="img" aria-label={`${chart.title} over time, ${chart.unit}`} />
     </figure>
   );
 }

@@ -1,10 +1,9 @@
 /** Where in a recorded run we are, how fast it goes on, and where something happened in it. */
 
 import { signal } from "@preact/signals";
+import { clock, moment, since } from "../clock";
 import { say } from "../link";
 import { lines, scene, shown } from "../store";
-import { moment } from "./Alarms";
-import { clock } from "./Header";
 
 const RATES = [0.25, 0.5, 1, 2, 4, 8, 16];
 const WARNING = 3; // levels of the log from here on are marked
@@ -41,7 +40,7 @@ export function Replay() {
       <button type="button" class="frame" onClick={() => stepFrames(1)} title="One state on: ." aria-label="One state on">
         ›
       </button>
-      <span class="clock">{clock(at.time_s)}</span>
+      <span class="clock">{clock(since(at.time_s) ?? 0)}</span>
       <div class="slider">
         <input
           type="range"
@@ -65,7 +64,7 @@ export function Replay() {
           />
         ))}
       </div>
-      <span class="clock">{clock(end_s)}</span>
+      <span class="clock">{clock(since(end_s) ?? 0)}</span>
       <select
         aria-label="Pace"
         value={pace.value}

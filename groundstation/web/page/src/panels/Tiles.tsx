@@ -1,17 +1,32 @@
 /** A tile for each robot, the worst first. What is older than three periods is grey and says its age: it is not now. */
 
 import { robotColour } from "../colours";
-import { ageMs, alarms, drawSoon, isStale, live, now, scene, selected, shown } from "../store";
+import { ageMs, alarms, choose, isChosen, isStale, live, now, scene, shown } from "../store";
 import type { RobotNews, RobotState, Scene } from "../wire";
 
 const MARK: Record<string, string> = { DISARMED: "○", ARMED: "◐", TRACKING: "▶", HOLDING: "❚❚", STOPPED: "■", FAULT: "✕", DRIVEN: "✥" };
 const MANY = 6; // from here on a tile tells the mode, the error, the pose, and what is wrong
-const WEIGHT = { critical: 100, warning: 10, notice: 1 };
+const RISES_MS = 2000; // what has been amiss for so long brings a tile to the front,
+const SINKS_MS = 15_000; // and it stays there for so long: a notice that comes and goes moves nothing under a hand
 
+/** 2: cannot be trusted or flown, 1: a warning, 0: well. Notices do not count: they come and go. */
 function badness(robot: RobotNews): number {
-  const stale = isStale(robot, live.sentMs) ? 1000 : 0;
+  if (isStale(robot, live.sentMs)) return 2;
   const own = alarms.value.filter((alarm) => alarm.robot === robot.id);
-  return stale + own.reduce((sum, alarm) => sum + WEIGHT[alarm.level], 0);
+  return own.some(({ level }) => level === "critical") ? 2 : own.some(({ level }) => level === "warning") ? 1 : 0;
+}
+
+const ranks = new Map<number, { shown: number; wanted: number; sinceMs: number }>();
+let touched = false; // a pointer is over the tiles: they stay where they are
+
+/** The rank by which a robot's tile is placed: it follows its badness late. */
+function rank(robot: RobotNews, atMs: number): number {
+  const bad = badness(robot);
+  const known = ranks.get(robot.id) ?? { shown: bad, wanted: bad, sinceMs: atMs };
+  if (bad !== known.wanted) [known.wanted, known.sinceMs] = [bad, atMs];
+  if (!touched && atMs - known.sinceMs > (bad > known.shown ? RISES_MS : SINKS_MS)) known.shown = bad;
+  ranks.set(robot.id, known);
+  return known.shown;
 }
 
 /** Distance from where the robot should be: on its path, or at the place that it holds. */
@@ -56,7 +71,7 @@ function Tile({ robot, place, s }: { robot: RobotNews; place: number; s: Scene }
   const state = robot.state;
   const stale = isStale(robot, live.sentMs);
   const mm = errorMm(robot.id);
-  const chosen = selected.value === robot.id;
+  const chosen = isChosen(robot.id);
   const battery = s.limits.battery_v;
   const own = alarms.value.filter((alarm) => alarm.robot === robot.id);
   const worst = own[0]?.level ?? "";
@@ -71,10 +86,8 @@ function Tile({ robot, place, s }: { robot: RobotNews; place: number; s: Scene }
         type="button"
         class="name"
         aria-pressed={chosen}
-        onClick={() => {
-          selected.value = chosen ? 0 : robot.id;
-          drawSoon();
-        }}
+        title="Choose it; with Shift or Ctrl, choose several"
+        onClick={(event) => choose(robot.id, event.shiftKey || event.ctrlKey || event.metaKey)}
       >
         <span class="id">{robot.id}</span>
         <span class="mode">
@@ -112,9 +125,10 @@ export function Tiles() {
   const state = shown.value;
   if (s === null || state === null) return null;
   const places = new Map(s.robots.map(({ id }, place) => [id, place]));
-  const order = [...state.robots].sort((a, b) => badness(b) - badness(a) || places.get(a.id)! - places.get(b.id)!);
+  const by = new Map(state.robots.map((robot) => [robot.id, rank(robot, performance.now())]));
+  const order = [...state.robots].sort((a, b) => by.get(b.id)! - by.get(a.id)! || places.get(a.id)! - places.get(b.id)!);
   return (
-    <section class={order.length > MANY ? "tiles many" : "tiles"} aria-label="Robots">
+    <section class={order.length > MANY ? "tiles many" : "tiles"} aria-label="Robots" onPointerEnter={() => (touched = true)} onPointerLeave={() => (touched = false)}>
       <h2>Robots</h2>
       <ul>
         {order.map((robot) => (

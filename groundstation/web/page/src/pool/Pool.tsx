@@ -2,13 +2,15 @@
 
 import { signal } from "@preact/signals";
 import { useEffect, useRef } from "preact/hooks";
-import { css } from "../colours";
+import { css, robotColour } from "../colours";
+import { forming } from "../panels/Form";
 import { drawEdit, editDrag, editDrop, editGrab } from "../editor/canvas";
 import { chooseCamera } from "../link";
-import { camera, drawSoon, drawWith, editing, live, now, pictureAgeMs, scene, selected, shown } from "../store";
+import { camera, choose, drawSoon, drawWith, editing, formed, live, now, pictureAgeMs, scene, selected, shown } from "../store";
 import { drawPool } from "./draw";
 import { follow, LAYERS, type Layer, layers, toggle } from "./layers";
 import { addPlace, drawPlaces, places } from "./places";
+import { drawPath, placeOf } from "./path";
 import { View } from "./view";
 import type { Deep } from "../three/three";
 
@@ -107,8 +109,8 @@ function handle(canvas: HTMLCanvasElement): () => void {
     if (moved < 4 && event.type === "pointerup" && places.peek() !== null) addPlace(...view.toPool(...at(event)));
     else if (moved < 4 && event.type === "pointerup" && !editing.peek()) {
       const found = pick(...at(event));
-      selected.value = found === selected.peek() ? 0 : found;
-      drawSoon();
+      if (found !== 0) choose(found, event.shiftKey || event.ctrlKey || event.metaKey);
+      else if (selected.peek() !== 0) choose(selected.peek());
     }
   };
   on("pointerup", up);
@@ -149,6 +151,27 @@ function DeepView() {
   return <div class="deep" ref={ref} role="img" aria-label="The pool in three dimensions; drag turns it" />;
 }
 
+/** How a layer looks on the map: the menu is its legend. */
+function Sample({ of }: { of: Layer }) {
+  const line = SAMPLES[of];
+  if (line === undefined) return <svg width="26" height="12" aria-hidden="true" />;
+  return (
+    <svg width="26" height="12" aria-hidden="true" fill="none" stroke="currentcolor" stroke-width="2">
+      {line}
+    </svg>
+  );
+}
+
+const SAMPLES: Partial<Record<Layer, preact.JSX.Element>> = {
+  reference: <path d="M17 6a5 5 0 1 0 -10 0a5 5 0 1 0 10 0h8" />,
+  horizon: <path d="M1 9C8 9 12 4 20 4m0 0a1.5 1.5 0 1 0 3 0a1.5 1.5 0 1 0 -3 0" />,
+  safety: <path d="M13 1a5 5 0 1 0 .1 0" stroke-dasharray="3 2" />,
+  trails: <path d="M1 9C8 9 14 3 25 3" opacity=".6" />,
+  covariance: <ellipse cx="13" cy="6" rx="9" ry="4" stroke-width="1.2" />,
+  disturbance: <path d="M2 6h18m0 0l-5 -4m5 4l-5 4" />,
+  thrusters: <path d="M3 6h20" stroke-width="5" />,
+};
+
 function LayerMenu() {
   return (
     <details class="layers">
@@ -164,6 +187,7 @@ function LayerMenu() {
                 drawSoon();
               }}
             />
+            <Sample of={name} />
             {LAYERS[name]}
           </label>
         ))}
@@ -222,12 +246,14 @@ export function Pool() {
     const canvas = ref.current!;
     const pen = canvas.getContext("2d", { alpha: false })!;
     drawWith(() => {
+      const s = scene.peek();
       place(canvas);
       followSelected();
       pen.setTransform(devicePixelRatio, 0, 0, devicePixelRatio, 0, 0);
       drawPool(pen, view);
       canvas.dataset.paths = live.paths.map(({ id }) => id).join(" ");
       if (editing.peek()) drawEdit(pen, view);
+      if (forming.peek() && s !== null) formed.peek()?.paths?.forEach((path) => drawPath(pen, view, path, robotColour(placeOf(s, path.robot)), 1, [7, 5]));
       drawPlaces(pen, view);
       deep.peek()?.draw();
       if (live.snapshot !== null) {

@@ -1,9 +1,9 @@
 /** Places that a person clicks on the map: the formation is to fly over them next, or one robot to one of them. */
 
 import { effect, signal } from "@preact/signals";
-import { css } from "../colours";
+import { css, robotColour } from "../colours";
 import { order } from "../link";
-import { drawSoon, editing, ended, selected } from "../store";
+import { drawSoon, editing, ended, scene, selected } from "../store";
 import type { View } from "./view";
 
 const MOST = 50; // as many as the station takes
@@ -40,7 +40,9 @@ export function flyThere(): void {
 export function drawPlaces(pen: CanvasRenderingContext2D, view: View): void {
   const chosen = places.peek();
   if (chosen === null || chosen.length === 0) return;
-  pen.strokeStyle = pen.fillStyle = css("--accent");
+  const robot = placesFor.peek();
+  const place = scene.peek()?.robots.findIndex(({ id }) => id === robot) ?? -1;
+  pen.strokeStyle = pen.fillStyle = place >= 0 ? robotColour(place) : css("--accent");
   pen.lineWidth = 2;
   pen.setLineDash([6, 4]);
   pen.beginPath();
@@ -53,6 +55,6 @@ export function drawPlaces(pen: CanvasRenderingContext2D, view: View): void {
     pen.beginPath();
     pen.arc(px, py, 6, 0, 2 * Math.PI);
     pen.fill();
-    pen.fillText(`${k + 1}`, px + 9, py - 6);
+    pen.fillText(robot !== 0 ? `to here: ${robot}` : `${k + 1}`, px + 9, py - 6);
   });
 }

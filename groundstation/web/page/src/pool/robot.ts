@@ -2,7 +2,7 @@
 
 import { css, robotColour } from "../colours";
 import type { Robot } from "../store";
-import { ageMs, isStale, selected } from "../store";
+import { ageMs, isStale, isChosen } from "../store";
 import type { Scene } from "../wire";
 import { trailsUntil_s } from "./ground";
 import { layers } from "./layers";
@@ -39,7 +39,7 @@ export function drawRobot(pen: Pen, view: View, s: Scene, robot: Robot, place: n
   const text = stale && s.hull_m * view.scale >= BARS_FROM_PX ? `${robot.news.id}  ${(ageMs(robot.news, robot.sentMs) / 1e3).toFixed(1)} s old` : `${robot.news.id}`;
   if (stale) label(pen, text, px, below, colour);
   else drawName(pen, text, px, below, colour);
-  if (selected.peek() === robot.news.id) {
+  if (isChosen(robot.news.id)) {
     pen.strokeStyle = css("--ink");
     pen.lineWidth = 2;
     pen.beginPath();

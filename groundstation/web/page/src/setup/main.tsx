@@ -10,6 +10,7 @@ import { Picture } from "./Picture";
 import { Save } from "./Save";
 import "./setup.css";
 import { step, STEPS } from "./steps";
+import { Stop } from "./Stop";
 import { Survey } from "./Survey";
 
 const PANELS = { Picture: Light, Lens, Survey, Masks, Save };
@@ -32,6 +33,7 @@ function Page() {
         <button type="button" class="theme" onClick={() => setTheme(isLight() ? "dark" : "light")}>
           Light or dark
         </button>
+        <Stop />
       </header>
       <main>
         <Picture />

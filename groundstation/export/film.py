@@ -1,0 +1,145 @@
+"""SHELL: the camera's pictures of a run as an MP4, with what the robots did drawn over them, for slides and papers.
+
+    write_film(run, Path("pool.mp4"))
+
+Circles are the robots' own estimates, crosses their references, lines where they have been. Time 0 is the report's.
+"""
+
+import importlib
+from collections import deque
+from collections.abc import Iterator
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+from groundstation.logs.reader import LogFile, open_log
+from groundstation.palette import colour as colour_of
+from shoal.config.experiment import Experiment, load_experiment
+from shoal.config.perception import Camera
+from shoal.errors import ConfigError
+from shoal.frames import Array
+from shoal.messages import topics
+from shoal.messages.camera_coverage import project
+from shoal.messages.codec import DecodeError, decode
+from shoal.messages.messages import Mode, Picture, Preview, RobotState, StationHeartbeat, Video
+
+CLOCK_HZ = 90_000  # of the film's stamps
+NEVER_MS = 1e6  # age of a pose that never came: such a robot does not know where it is
+TRAIL = 600  # states of a robot's trail: half a minute
+RING = np.array([[np.cos(a), np.sin(a)] for a in np.linspace(0.0, 2.0 * np.pi, 33)])
+FLIES = (Mode.TRACKING, Mode.HOLDING, Mode.DRIVEN)
+
+
+def write_film(run: Path, out: Path, camera: str = "") -> int:
+    """Write the film of one camera; returns the number of pictures. Raises ConfigError where the log holds none."""
+    try:
+        av: Any = importlib.import_module("av")
+    except ModuleNotFoundError:
+        raise ConfigError("--video: not installed here (pip install 'shoal[video]')") from None
+    experiment = load_experiment(str(run / "experiment.toml"))
+    names = experiment.camera_names or ("",)
+    camera = camera or names[0]
+    if camera not in names:
+        raise ConfigError(f"--camera {camera}: no such camera (allowed: {', '.join(names)})")
+    if out.suffix != ".mp4":
+        raise ConfigError(f"--video {out}: must end in .mp4")
+    overlay, written, begin_ns = Overlay(experiment, experiment.of_camera(camera).camera), 0, 0
+    with open_log(run) as log, av.open(str(out), "w") as film:
+        stream: Any = None
+        for stamp_ns, picture in _pictures(log, overlay, av, camera):
+            if stream is None:
+                stream = film.add_stream("libx264", rate=20)
+                stream.width, stream.height, stream.pix_fmt = picture.width & ~1, picture.height & ~1, "yuv420p"
+                stream.codec_context.time_base, begin_ns = Fraction(1, CLOCK_HZ), stamp_ns
+            drawn = overlay.draw(picture.crop((0, 0, stream.width, stream.height)), stamp_ns)
+            frame = av.VideoFrame.from_image(drawn)
+            frame.pts, frame.time_base = (stamp_ns - begin_ns) * CLOCK_HZ // 10**9, Fraction(1, CLOCK_HZ)
+            film.mux(stream.encode(frame))
+            written += 1
+        if stream is not None:
+            film.mux(stream.encode())
+    if not written:
+        out.unlink(missing_ok=True)
+        raise ConfigError(f"{run}: the log holds no pictures of the camera (recording.video or recording.preview keep them)")
+    return written
+
+
+def _pictures(log: LogFile, overlay: "Overlay", av: Any, camera: str) -> Iterator[tuple[int, Image.Image]]:
+    """Stamp and picture of the best film that the log holds; what robots and station say on the way goes to the overlay."""
+    films = {topic.of_camera(camera).name: topic for topic in (topics.VIDEO, topics.PICTURE, topics.PREVIEW)}
+    held = {line.topic.name for line in log.messages(lambda topic, _: topic.name in films)}
+    chosen = next((name for name in films if name in held), "")
+    codec = av.CodecContext.create("h264" if films.get(chosen) is topics.VIDEO else "mjpeg", "r")
+    wanted = {chosen, topics.STATE.name, topics.HEARTBEAT.name}
+    stamps = deque[int]()
+    for line in log.messages(lambda topic, _: topic.name in wanted):
+        try:
+            message: Any = decode(line.topic.type, line.payload, "log", line.topic.name)
+        except DecodeError:
+            continue
+        if line.topic.name != chosen:
+            overlay.hear(line.robot, message, line.header.stamp_ns)
+            continue
+        stamps.append(line.header.stamp_ns)
+        for frame in codec.decode(av.Packet(_bytes(message))):
+            yield stamps.popleft(), frame.to_image()
+
+
+def _bytes(message: Video | Picture | Preview) -> bytes:
+    return message.h264 if isinstance(message, Video) else message.jpeg
+
+
+class Overlay:
+    """Drawing over a picture: estimates, references, trails and the time."""
+
+    def __init__(self, experiment: Experiment, camera: Camera) -> None:
+        self._experiment, self._camera = experiment, camera
+        self._states: dict[int, RobotState] = {}
+        self._trails: dict[int, deque[Array]] = {robot: deque(maxlen=TRAIL) for robot in experiment.robot_ids}
+        self._began_ns, self._mission = 0, ""
+
+    def hear(self, robot: int, message: RobotState | StationHeartbeat, stamp_ns: int) -> None:
+        """Take in what a robot or the station said."""
+        if isinstance(message, StationHeartbeat):
+            self._began_ns, self._mission = message.began_ns or self._began_ns, message.mission
+        elif robot in self._trails and message.pose_age_ms < NEVER_MS:
+            self._states[robot] = message
+            self._trails[robot].append(message.eta[:3])
+
+    def draw(self, picture: Image.Image, stamp_ns: int) -> Image.Image:
+        """The picture with the robots' estimates, references and trails, and the time."""
+        pen = ImageDraw.Draw(picture)
+        font = ImageFont.load_default(max(14, picture.height // 40))
+        scale = np.array(picture.size) / np.array(self._camera.size_px)
+
+        def line(points_m: Array, colour: str, width: int) -> None:
+            places = project(self._camera, points_m) * scale
+            if np.isfinite(places).all():
+                pen.line([(float(x), float(y)) for x, y in places], fill=colour, width=width)
+
+        def write(at: tuple[float, float], text: str, colour: str) -> None:
+            pen.text(at, text, fill=colour, font=font, stroke_width=2, stroke_fill="black")
+
+        for place, (robot, state) in enumerate(sorted(self._states.items())):
+            colour = colour_of(place)
+            x, y, z, yaw = state.eta
+            if len(self._trails[robot]) > 1:
+                line(np.array(self._trails[robot]), colour, 2)
+            radius_m = self._experiment.vehicle.radius_m
+            line(np.column_stack([np.array([x, y]) + radius_m * RING, np.full(len(RING), z)]), colour, 3)
+            nose = np.array([[x, y, z], [x + 1.5 * radius_m * np.cos(yaw), y + 1.5 * radius_m * np.sin(yaw), z]])
+            line(nose, colour, 3)
+            if state.mode in FLIES:
+                at = state.eta_reference[:3]
+                for arm in (np.array([0.06, 0.0, 0.0]), np.array([0.0, 0.06, 0.0])):
+                    line(np.array([at - arm, at + arm]), "white", 2)
+            name = project(self._camera, np.array([[x + 1.3 * radius_m, y, z]]))[0] * scale
+            if np.isfinite(name).all():
+                write((float(name[0]), float(name[1])), str(robot), colour)
+        since = f"{(stamp_ns - self._began_ns) * 1e-9:7.2f} s" if self._began_ns else "before the start"
+        text = f"{since}   {self._mission.lower().replace('_', ' ')}"
+        write((10.0, 8.0), text, "white")
+        return picture

@@ -1,0 +1,65 @@
+"""SHELL: the film of the camera in a run's log (recording.video = "h264") as a video file, for what reads video files."""
+
+import importlib
+from collections.abc import Iterator
+from fractions import Fraction
+from pathlib import Path
+from typing import IO, Any
+
+from shoal.errors import ConfigError, os_errors_as_config_errors
+from shoal.messages import topics
+from shoal.messages.codec import DecodeError, decode
+from shoal.messages.messages import Video
+from shoal.runtime import mcap_records
+from shoal.system.regular_files import open_regular
+
+CLOCK_HZ = 90_000  # of a film's stamps
+
+
+def film_of_log(log: Path, camera: str, out: Path) -> int:
+    """Write the packets of the log's film, as they are, to `out` (.mkv); returns the stamp of the first in ns. Raises
+    ConfigError for a log without film."""
+    try:
+        av: Any = importlib.import_module("av")
+    except ModuleNotFoundError:
+        raise ConfigError(f"{log}: reading its film is not installed here (pip install 'shoal[video]')") from None
+    name = topics.VIDEO.of_camera(camera).name
+    try:
+        with os_errors_as_config_errors(log), open_regular(log) as file:
+            stamps_ns = [stamp_ns for stamp_ns, _ in _packets(file, name)]
+        if len(stamps_ns) < 2:
+            raise ConfigError(f'{log}: holds no film of the camera (recording.video = "h264" keeps one)')
+        # The mean rate: where the recorder left pictures out, a reader must not count on any other.
+        rate_hz = Fraction(10**9 * (len(stamps_ns) - 1), stamps_ns[-1] - stamps_ns[0]).limit_denominator(10_000)
+        with os_errors_as_config_errors(log), open_regular(log) as file, av.open(str(out), "w") as film:
+            stream: Any = None
+            for stamp_ns, data in _packets(file, name):
+                packed = decode(Video, data, str(log), name).h264
+                stream = _stream(av, film, packed, rate_hz) if stream is None else stream
+                packet = av.Packet(packed)
+                packet.stream, packet.time_base = stream, Fraction(1, CLOCK_HZ)
+                packet.pts = packet.dts = (stamp_ns - stamps_ns[0]) * CLOCK_HZ // 10**9
+                packet.is_keyframe = _begins(packed)
+                film.mux(packet)
+    except (mcap_records.Damaged, DecodeError) as error:
+        raise ConfigError(f"{log}: {error}") from None
+    return stamps_ns[0]
+
+
+def _packets(file: IO[bytes], name: str) -> Iterator[tuple[int, bytes]]:
+    return ((stamp_ns, data) for topic, stamp_ns, data in mcap_records.messages(file) if topic.endswith(f"/{name}"))
+
+
+def _stream(av: Any, film: Any, packed: bytes, rate_hz: Fraction) -> Any:
+    """A stream like that of its first packet, which holds the decoder's parameters."""
+    look = av.CodecContext.create("h264", "r")
+    frames = [*look.decode(av.Packet(packed)), *look.decode(None)]
+    stream = film.add_stream("libx264", rate=rate_hz)
+    stream.width, stream.height, stream.pix_fmt = frames[0].width, frames[0].height, "yuv420p"
+    stream.codec_context.extradata = packed[: packed.index(b"\x00\x00\x01\x65")]
+    return stream
+
+
+def _begins(packed: bytes) -> bool:
+    """True for a picture that needs no other one."""
+    return b"\x00\x00\x01\x65" in packed

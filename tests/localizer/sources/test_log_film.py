@@ -1,0 +1,44 @@
+"""The film in a run's log is read as a video is: every picture, at its time."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from groundstation.logs.recorder import Recorder
+from localizer.sources.log_film import film_of_log
+from localizer.sources.video import VideoReader
+from localizer.view.video_encoder import packer
+from shoal.config.experiment import load_experiment
+from shoal.errors import ConfigError
+from shoal.messages import topics
+from shoal.messages.codec import Header, encode
+from shoal.messages.messages import Event, Video
+
+BEGIN_NS, EVERY_NS, PICTURES = 1_000_000_000, 50_000_000, 25
+
+
+def test_every_picture_of_a_log_is_in_the_film_at_its_time(tmp_path: Path) -> None:
+    experiment = load_experiment("pool", ['recording.video="h264"'])
+    pack, recorder = packer(experiment.recording, experiment.camera.size_px), Recorder(tmp_path / "run.mcap", "", {})
+    for k in (*range(5), *range(8, PICTURES)):  # the recorder left some out
+        grey, stamp_ns = np.full(experiment.camera.size_px[::-1], 40 + 6 * k, dtype=np.uint8), BEGIN_NS + k * EVERY_NS
+        video = encode(Video(pack(grey, stamp_ns)), stamp_ns)
+        recorder.put(topics.VIDEO, "shoal/camera/video", Header(7, k + 1, stamp_ns), video, stamp_ns + 5)
+    recorder.close()
+    assert film_of_log(tmp_path / "run.mcap", "", tmp_path / "film.mkv") == BEGIN_NS
+    film = VideoReader(tmp_path / "film.mkv")
+    assert film.size_px == experiment.camera.size_px
+    pictures = list(film.pictures())
+    assert [picture.stamp_ns for picture in pictures] == [k * EVERY_NS for k in (*range(5), *range(8, PICTURES))]
+    assert film.damage() == ""
+    assert np.all(np.diff([float(picture.pixels.mean()) for picture in pictures]) > 3.0)  # in their order
+    film.close()
+
+
+def test_a_log_without_film_says_which_key_keeps_one(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "run.mcap", "", {})
+    recorder.put(topics.EVENT, "shoal/event", Header(7, 1, 1), encode(Event(2, "agent-1", "armed")), 1)
+    recorder.close()
+    with pytest.raises(ConfigError, match=r"recording\.video"):
+        film_of_log(tmp_path / "run.mcap", "", tmp_path / "film.mkv")

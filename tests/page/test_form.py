@@ -1,0 +1,132 @@
+"""Another form asked for on the page, places that are typed, several robots, one clock, and what stays in its place."""
+
+import re
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from playwright.sync_api import Browser, expect
+
+from groundstation.mission.state_machine import MissionState
+from groundstation.planning.feasibility import PlanError
+from groundstation.planning.segment import PlanSegment, first_segment
+from groundstation.web.backend import Status
+from shoal.config.experiment import Experiment, load_experiment
+from shoal.messages import topics
+from shoal.messages.messages import Event, Mode, Order, RobotState
+from shoal.runtime.runtime import Clock
+from tests.page.elements import button, tile
+from tests.page.lone_station import LoneStation, lone_station
+
+
+@pytest.fixture(scope="module")
+def experiment() -> Experiment:
+    return load_experiment("numeric", ["localizer.uses_camera=false"])
+
+
+@pytest.fixture
+def desk(browser: Browser, experiment: Experiment) -> Iterator[LoneStation]:
+    with lone_station(browser, experiment) as found:
+        found.own_status = Status(MissionState.RUNNING, "")
+        found.page.goto(found.url)
+        expect(button(found.page, "You have control")).to_be_visible()
+        yield found
+
+
+def test_a_form_is_planned_as_it_is_typed_and_flown_by_one_click(desk: LoneStation, experiment: Experiment) -> None:
+    asked: list[str] = []
+
+    def plan(form: str) -> PlanSegment:
+        asked.append(form)
+        if form.startswith("column"):
+            raise PlanError("robot 3: 0.260 m beyond the wall's clearance in y")
+        return first_segment(experiment)
+
+    desk.plan_form = plan  # type: ignore[method-assign]
+    page = desk.page
+    button(page, "Formation…").click()
+    page.get_by_label("Shape of the formation").select_option("column")
+    expect(page.get_by_text("beyond the wall's clearance")).to_be_visible()
+    expect(button(page, "Fly this form")).to_be_disabled()
+    page.get_by_label("Shape of the formation").select_option("line")
+    page.get_by_label("spacing, m").fill("1.1")
+    expect(page.get_by_text(re.compile("can be flown: closest"))).to_be_visible()
+    assert asked[-1] == "line 1.1" and desk.orders == []
+    button(page, "Fly this form").click()
+    expect(page.locator(".given")).to_contain_text("formation line 1.1 sent")
+    assert desk.orders == [Order.FORMATION] and desk.form == "line 1.1"
+
+
+def test_places_are_typed_where_nobody_can_click(desk: LoneStation) -> None:
+    page = desk.page
+    button(page, "Go to…").click()
+    for text in ("1.5, -0.5", "0.25 1"):
+        page.get_by_label("Place: x and y in m").fill(text)
+        page.keyboard.press("Enter")
+    expect(page.get_by_text("1.5, -0.5 m → 0.25, 1 m")).to_be_visible()
+    page.get_by_label("Place: x and y in m").fill("1.5,")
+    expect(button(page, "Add place")).to_be_disabled()
+    button(page, "Fly there").click()
+    expect(page.locator(".given")).to_contain_text("go sent")
+    assert desk.orders == [Order.GO] and list(desk.via) == [(1.5, -0.5), (0.25, 1.0)]
+
+
+def test_an_order_for_several_chosen_robots_is_asked_of_each(desk: LoneStation, experiment: Experiment) -> None:
+    page, (one, two, *_) = desk.page, experiment.robot_ids
+    for robot in experiment.robot_ids:
+        desk.robots.publish(topics.STATE, RobotState(mode=Mode.TRACKING), desk.clock.now_ns(), robot)
+    tile(page, one).get_by_role("button").click()
+    tile(page, two).get_by_role("button").click(modifiers=["Shift"])
+    panel = page.get_by_label(f"Robots {one}, {two}")
+    expect(panel).to_be_visible()
+    panel.get_by_role("button", name="Hold 2").click()
+    expect(page.locator(".given li")).to_have_count(2)
+    assert desk.orders == [Order.HOLD, Order.HOLD]
+
+
+def test_time_is_that_of_the_flight_and_negative_before_it(desk: LoneStation) -> None:
+    page, clock = desk.page, desk.clock
+    expect(page.locator("header .clock")).to_have_text(re.compile("^–"))
+    desk.robots.publish(topics.EVENT, Event(2, "agent-1", "before the flight"), clock.now_ns())
+    expect(page.get_by_text("before the flight")).to_be_visible()
+    desk.own_status = replace(desk.own_status, began_ns=clock.now_ns() + 10**9)
+    expect(page.locator(".log li", has_text="before the flight").locator("time")).to_have_text(re.compile(r"^-\d+(\.\d)? s$"))
+    desk.own_status = replace(desk.own_status, began_ns=_earlier(clock, 65))
+    expect(page.locator("header .clock")).to_have_text(re.compile(r"^1:0\d / "))
+
+
+def _earlier(clock: Clock, seconds: int) -> int:
+    return clock.now_ns() - seconds * 10**9
+
+
+def test_no_order_changes_its_place_when_others_become_possible(desk: LoneStation) -> None:
+    names = ("Load again", "Return to start", "Rejoin", "Test thrusters", "Go to…", "Formation…", "End run")
+
+    def places() -> list[object]:
+        return [button(desk.page, name).bounding_box() for name in names]
+
+    running = places()
+    desk.own_status = Status(MissionState.PAUSED, "")
+    expect(button(desk.page, "Resume")).to_be_enabled()
+    paused = places()
+    assert np.all([running == paused, None not in running])
+
+
+def test_the_simulation_is_broken_by_a_button_and_real_robots_have_none(browser: Browser, experiment: Experiment) -> None:
+    with lone_station(browser, experiment) as desk:
+        page = desk.page
+        page.goto(desk.url)
+        expect(button(page, "You have control")).to_be_visible()
+        expect(page.get_by_text("Break something")).to_have_count(0)
+        desk.bus.watch_presence()
+        desk.robots.announce("sim-bridge")
+        page.get_by_text("Break something").click()
+        tile(page, experiment.robot_ids[1]).get_by_role("button").click()
+        page.get_by_label("Which thruster breaks").select_option("3")
+        page.get_by_label("How long it stays broken, s").fill("5")
+        button(page, f"Kill thruster {experiment.robot_ids[1]}").click()
+        expect(page.locator(".given")).to_contain_text("sent")
+        assert desk.orders == [Order.FAULT] and desk.form == f"thruster {experiment.robot_ids[1]}/3 dead for 5"
+        desk.robots.publish(topics.EVENT, Event(2, "sim-bridge", "fault: camera frozen"), desk.clock.now_ns())
+        expect(page.locator(".faults h2")).to_contain_text("camera frozen")
