@@ -18,8 +18,6 @@ DIRECTIVE = re.compile(r"#\s*(type: ignore|noqa|fmt:|pragma:)[^#]*")  # a commen
 VAGUE = re.compile(r"test_(who|what|whoever|somebody|nobody)_")
 PARTICIPLES = {"told", "found", "known", "seen", "said", "heard", "meant", "asked"}  # they leave open what was told or found
 OTHER_BRANCHES = re.compile(r"(tests/)?robot_agent/")  # next
-    r"(tests/)?(robot_agent|groundstation/(mission|station)|shoal/messages|sim_bridge/thruster_board)/"
-)  # next
 KEPT_NAMES = {  # fields that logs and boards' memories have under these names
     ("shoal/messages/messages.py", "heard"),
     ("sim_bridge/thruster_board/board.py", "heard"),
