@@ -167,13 +167,13 @@ def check(
     def turn(experiment: Experiment) -> Iterator[CheckFinding]:
         return turn_thrusters(experiment, board, None if yes else ask)
 
-    found = []
+    findings = []
     for finding in run_preflight(board, turn if thrusters else None):
-        found.append(finding)
+        findings.append(finding)
         if not json:
             typer.echo(
                 f"{finding.what:16}{typer.style(f'{finding.verdict.value:9}', fg=COLOURS[finding.verdict])}{finding.detail}"
             )
     if json:
-        typer.echo(to_json(found))
-    raise typer.Exit(exit_code(found))
+        typer.echo(to_json(findings))
+    raise typer.Exit(exit_code(findings))

@@ -106,7 +106,7 @@ class AgentNode:
         self._leaving = False
         self._steps = self._commands = 0  # of this agent, as the log counts them
         self._station_session = 0
-        self._told = ("disarmed", "")
+        self._logged_state = ("disarmed", "")
 
     def run(self) -> None:
         """Run the control loop until told to stop. Raises the exception that ended it otherwise. Either way the board is
@@ -154,18 +154,18 @@ class AgentNode:
         afterwards."""
         self._leaving = True
         before, until_s = self.mavlink.telemetry.acknowledgements, time.monotonic() + LEAVE_S
-        told, disarmed = 0, False
+        count, disarmed = 0, False
         while not self.mavlink.telemetry.autopilot_name and (
-            told < LEAVE_TIMES or (not disarmed and time.monotonic() < until_s)
+            count < LEAVE_TIMES or (not disarmed and time.monotonic() < until_s)
         ):
             self.link.send(self.mavlink.arm(False))
             if self.mavlink.telemetry.is_thruster_board:
                 self.link.send(self.mavlink.pulses(self.agent.neutral_us))
-            told += 1
+            count += 1
             self.link.wait(LEAVE_AGAIN_S)
             self.mavlink.receive(self.link.read(), self.clock.now_ns())
-            seen = self.mavlink.telemetry
-            disarmed = seen.acknowledgements > before and seen.acknowledged == DISARMED and not seen.armed
+            telemetry = self.mavlink.telemetry
+            disarmed = telemetry.acknowledgements > before and telemetry.acknowledged == DISARMED and not telemetry.armed
         if self.mavlink.telemetry.autopilot_name:
             log.log(level, "%s; %s is on the link: nothing is sent to it", why, self.mavlink.telemetry.autopilot_name)
             return
@@ -194,12 +194,12 @@ class AgentNode:
 
     def _tell_of_strangers(self) -> None:
         """Log frames dropped for their signature, at most once a second."""
-        seen = self.mavlink.telemetry
-        dropped = seen.unsigned_frames + seen.forged_frames + seen.replayed_frames
+        telemetry = self.mavlink.telemetry
+        dropped = telemetry.unsigned_frames + telemetry.forged_frames + telemetry.replayed_frames
         if dropped > self._dropped:
             log.warning(
                 "link: %d frames dropped for their signature: %d without, %d with another key, %d replayed",
-                dropped - self._dropped, seen.unsigned_frames, seen.forged_frames, seen.replayed_frames,
+                dropped - self._dropped, telemetry.unsigned_frames, telemetry.forged_frames, telemetry.replayed_frames,
             )  # fmt: skip
             self._dropped = dropped
 
@@ -254,15 +254,15 @@ class AgentNode:
         """Make the record of a step, and step on it."""
         self.mavlink.receive(self.link.read(), now_ns)
         heartbeat, obstacles = self._station(), self.obstacles.newest(instant.obstacles_up_to_ns)
-        heard = {robot: inbox.newest(instant.plans_up_to_ns) for robot, inbox in self.plans.items()}
-        plans = {robot: plan for robot, plan in heard.items() if plan is not None}
+        newest_plans = {robot: inbox.newest(instant.plans_up_to_ns) for robot, inbox in self.plans.items()}
+        plans = {robot: plan for robot, plan in newest_plans.items() if plan is not None}
         telemetry = self._note_board(now_ns)
         pose = self._trusted_pose()
         record = record_step(self._steps, self._pace.late_steps, self.clock, pose, heartbeat, telemetry, plans, obstacles)
         self._steps += 1
         messages = {robot: plan.message for robot, plan in plans.items()}
-        seen = obstacles.message if obstacles is not None else None
-        return record, self.agent.step(inputs_of(record, messages, seen, now_ns), now_ns)
+        message = obstacles.message if obstacles is not None else None
+        return record, self.agent.step(inputs_of(record, messages, message, now_ns), now_ns)
 
     def _note_board(self, now_ns: int) -> Telemetry:
         """Return the board's telemetry, with what else is known of its depth zero and its parameters. In lockstep these are
@@ -322,7 +322,7 @@ class AgentNode:
         # Asleep, not waiting: among twenty robots something arrives every 3 ms, and would wake it for nothing.
         self._hurry.wait(max(min(pace.opens_s, react_by_s) - time.monotonic(), 0.0))
         while not self.stop.requested and not self._hurry.is_set():
-            seen = self.poses.newest_header()
+            newest = self.poses.newest_header()
             due_s = min(pace.due_s(_arrived_s(self.poses.newest(), taken)), react_by_s)
             left_s = due_s - time.monotonic()
             if left_s <= 0.0:
@@ -330,7 +330,7 @@ class AgentNode:
             wait(
                 self._bus,
                 self.stop,
-                lambda seen=seen: self._hurry.is_set() or self.poses.newest_header() is not seen,  # type: ignore[misc]
+                lambda newest=newest: self._hurry.is_set() or self.poses.newest_header() is not newest,  # type: ignore[misc]
                 left_s,
             )
         return time.monotonic()
@@ -375,8 +375,8 @@ class AgentNode:
             board_clock_offset_s=telemetry.clock_offset_ns * 1e-9,
         )
         self._bus.publish(topics.STATE, state, now_ns, self._robot, age_ns=age_ns)
-        if (state.doing, state.fault) != self._told:
-            self._told = (state.doing, state.fault)
+        if (state.doing, state.fault) != self._logged_state:
+            self._logged_state = (state.doing, state.fault)
             self._watchdog.mode(state.mode.name, state.fault)
             say = log.warning if state.fault else log.info
             say("%s%s", state.doing, f": {state.fault}" if state.fault else "")

@@ -160,7 +160,7 @@ class _Station:
 
     def status(self) -> Status:
         views = {robot: self.fleet.view(robot, LinkMonitor(), self.clock) for robot in self.fleet.states}
-        return Status(MissionState.RUNNING, "", seen=views)
+        return Status(MissionState.RUNNING, "", views=views)
 
     def request(self, order: Order, via: Sequence[tuple[float, float]] = (), only: int = 0, form: str = "") -> tuple[str, int]:
         return "", 0

@@ -56,14 +56,14 @@ def in_place_of_ours(make: MakeSolver) -> Callable[[AnyController, Experiment], 
         size = 3 * len(experiment.controller.mpc.blocks)
         assert isinstance(controller, Controller)
         mpc: Any = controller._law
-        program, found, solver = mpc._program, mpc._found, make(size, 2 * size)  # without half-spaces and their slack
-        told: list[Array | None] = [np.ascontiguousarray(program.a[: 2 * size, :size])]
+        program, working, solver = mpc._program, mpc._working, make(size, 2 * size)  # without half-spaces and their slack
+        first_rows: list[Array | None] = [np.ascontiguousarray(program.a[: 2 * size, :size])]
 
         def solve(keep_clear: HalfSpaces) -> int:
             p, q = np.ascontiguousarray(program.p[:size, :size]), program.q[:size].copy()
-            a, told[0] = told[0], None
+            a, first_rows[0] = first_rows[0], None
             solution = solver.solve(p, q, a, program.lower[: 2 * size].copy(), program.upper[: 2 * size].copy())
-            found.x[:size], found.x[size] = solution.x, 0.0
+            working.x[:size], working.x[size] = solution.x, 0.0
             return int(solution.solved)
 
         mpc._solve = solve

@@ -132,11 +132,11 @@ class PlanManager:
         experiment, segment, obstacles = self._experiment, self.segment, self.discs_to_avoid(fleet, now_ns)
 
         def make() -> PlanSegment:
-            found = reshape(experiment, segment, begin_s, read_form(form, begin_s))
-            contact = first_contact(experiment, found, begin_s, found.end_s, obstacles)
+            reshaped = reshape(experiment, segment, begin_s, read_form(form, begin_s))
+            contact = first_contact(experiment, reshaped, begin_s, reshaped.end_s, obstacles)
             if contact:
                 raise PlanError(f"something lies {contact}")
-            return found
+            return reshaped
 
         return make
 

@@ -101,7 +101,7 @@ def cycles(
         inboxes, tuner = subscribe_fleet(bus, experiment.robot_ids), GainUpdater(experiment)
         laps = LapStatistics(tuner.lap_s)
         station = Station(experiment, bus, clock, recorder, mission, tuner, laps, inboxes, threads, starts, insecure=insecure)
-        station.seen = station.fleet()
+        station.views = station.fleet()
         bus.serve(WHOLE_FLEET, station.on_operator_command)
         log_to_bus(bus, clock, "groundstation")
         log.info("%s", code())
@@ -179,7 +179,7 @@ class EndOfRun:
         """True if every robot in the water is heard and at rest, none that is out of it may have power, and nobody has asked
         for anything for the idle time."""
         station = self._station
-        robots = station.seen.values()
+        robots = station.views.values()
         rest = all((view.heard or view.out) and not may_have_power(view) for view in robots)
         at_rest = station.mission.state in UNARMED and rest
         if not at_rest:

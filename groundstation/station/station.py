@@ -85,7 +85,7 @@ def workers(robots: int) -> Iterator[Workers]:
 
 @dataclass
 class Station:
-    """The station's cycle and its state. Other threads hold `lock`, or read only what is replaced and never changed: `seen`,
+    """The station's cycle and its state. Other threads hold `lock`, or read only what is replaced and never changed: `views`,
     `paths`, `requests.recent`."""
 
     experiment: Experiment
@@ -95,18 +95,18 @@ class Station:
     mission: Mission
     tuner: GainUpdater
     laps: LapStatistics
-    heard: FleetInboxes
+    inboxes: FleetInboxes
     workers: Workers
     starts: dict[int, Array]
     links: dict[int, LinkMonitor] = field(default_factory=dict)
-    seen: Fleet = field(default_factory=dict)  # as of the last cycle
+    views: Fleet = field(default_factory=dict)  # as of the last cycle
     planning: "dict[str, tuple[PlanRequest, Future[PlanSegment | PlanError]]]" = field(default_factory=dict)
     published: tuple[PlanSegment, Mapping[int, Trajectory]] | None = None  # segment, and what robots fly alone
     obstacles_up_to_ns: int | None = None  # where time waits: pictures up to then have been told of
     pending: list[tuple[Command, Future[Reply]]] = field(default_factory=list)
     paths: Mapping[int, tuple[Trajectory, float]] | None = None  # what each robot flies now, until when [s]
     asked_s: float = 0.0  # instant of the last request (s, monotonic)
-    told: str = ""
+    last_line: str = ""
     insecure: bool = False
     code: str = field(default_factory=lambda: code().short)  # of the station's program
     codes_told: set[str] = field(default_factory=set)
@@ -124,9 +124,9 @@ class Station:
     def cycle(self, now_ns: int) -> None:
         """Read the fleet, step the mission, send its commands, publish the heartbeat."""
         with self.lock:
-            self.seen, answers = self.fleet(), self._answers()
+            self.views, answers = self.fleet(), self._answers()
             self.plan(now_ns)
-            commands = self.core.step(self.seen, answers, now_ns, self._around())
+            commands = self.core.step(self.views, answers, now_ns, self._around())
             self.plan(now_ns)
             self.publish_paths(now_ns)
             self._follow(answers)
@@ -144,7 +144,7 @@ class Station:
                 future.result()
         stopped = self.mission.state is MissionState.STOPPED
         pace = self.mission.governor
-        planned = tuple(robot for robot, view in self.seen.items() if view.state is not None and view.state.planned)
+        planned = tuple(robot for robot, view in self.views.items() if view.state is not None and view.state.planned)
         state = self.mission.state.name
         out = tuple(sorted(self.mission.roster.out))
         beat = StationHeartbeat(
@@ -161,7 +161,7 @@ class Station:
     def _follow(self, answers: Sequence[CommandResult]) -> None:
         """Update the progress of requests, and log those that have ended."""
         ended = self.ended
-        for outcome in self.core.follow(self.seen, answers):
+        for outcome in self.core.follow(self.views, answers):
             log.info("%s: %s", outcome.order.name, in_words(outcome))
         if self.ended and not ended:
             log.info("the run is ended")
@@ -175,7 +175,7 @@ class Station:
         """View of every robot now."""
         views = {}
         for robot in self.experiment.robot_ids:
-            view = self.heard.view(robot, self.links.setdefault(robot, LinkMonitor()), self.clock)
+            view = self.inboxes.view(robot, self.links.setdefault(robot, LinkMonitor()), self.clock)
             other = other_code(view.state.code, self.code) if view.state is not None else ""
             views[robot] = replace(self.core.view(robot, view, self.clock.now_ns()), other_code=other)
         return views
@@ -187,13 +187,13 @@ class Station:
 
     def _localizers_code(self) -> str:
         """Text about a localizer with other code than the station's; empty if there is none."""
-        localizer = self.heard.localizer.newest()
+        localizer = self.inboxes.localizer.newest()
         text = other_code(localizer.message.code, self.code) if localizer is not None else ""
         return f"the localizer {text}" if text else ""
 
     def _around(self) -> ObstacleSet:
         """Obstacles that the localizer sees at rest; drifting ones are left to the robots, which see them too."""
-        received = self.heard.obstacles.newest(self.obstacles_up_to_ns)
+        received = self.inboxes.obstacles.newest(self.obstacles_up_to_ns)
         if received is None:
             return ObstacleSet()
         return obstacle_set(received.message, age_s(self.clock, received), self.experiment.safety)
@@ -210,7 +210,7 @@ class Station:
             if name in self.planning and (self.clock.waits or self.planning[name][1].done()):
                 task, outcome = self.planning.pop(name)
                 if task is wanted:
-                    self.core.planned(name, outcome.result(), self.seen, now_ns)
+                    self.core.planned(name, outcome.result(), self.views, now_ns)
 
     def _patience(self) -> OutOfTime:
         """Limit of time of a plan that begins now; none where time waits: there a plan must not depend on the machine."""
@@ -276,7 +276,7 @@ class Station:
         if order is Order.FAULT:
             return self._fault(form)
         with self.lock:
-            reason, number = self.core.request(order, self.seen, self.clock.now_ns(), via, only, form)
+            reason, number = self.core.request(order, self.views, self.clock.now_ns(), via, only, form)
             self.asked_s = time.monotonic()
         if order in PROMPT and not reason:
             self.wake.set()
@@ -306,10 +306,10 @@ class Station:
         with self.lock:
             mission = self.mission
             reason = rejection_reason(Order.FORMATION, mission.state) or mission.objection(
-                Order.FORMATION, self.seen, form=form
+                Order.FORMATION, self.views, form=form
             )
             holds = mission.state is MissionState.PAUSED
-            make = mission.plans.draft_form(form, self.seen, self.clock.now_ns(), holds) if not reason else None
+            make = mission.plans.draft_form(form, self.views, self.clock.now_ns(), holds) if not reason else None
         if make is None:
             raise PlanError(reason)
         return make()
@@ -317,21 +317,21 @@ class Station:
     def drive(self, robot: int, velocity: DriveVelocity) -> str:
         """Take a person's newest velocity for one robot. Returns the reason of a refusal, or nothing."""
         with self.lock:
-            return self.core.drive(robot, velocity, self.seen, self.clock.now_ns())
+            return self.core.drive(robot, velocity, self.views, self.clock.now_ns())
 
     def come_to_rest(self) -> bool:
         """Hold every robot that moves: the station is about to leave. Returns False once none that is heard moves."""
         with self.lock:
-            return self.core.come_to_rest(self.seen, self.clock.now_ns())
+            return self.core.come_to_rest(self.views, self.clock.now_ns())
 
     def disarm(self) -> None:
         """Disarm every robot: the station is about to leave. No person has asked for it, so no request is logged."""
         with self.lock:
-            self.core.request(Order.END, self.seen, self.clock.now_ns())
+            self.core.request(Order.END, self.views, self.clock.now_ns())
 
     def has_power(self) -> bool:
         """True while a robot that is heard may put out thrust."""
-        return any(view.heard and view.mode in LIVE for view in self.seen.values())
+        return any(view.heard and view.mode in LIVE for view in self.views.values())
 
     def request_gains(self, values: Mapping[str, float] | None, next_lap: bool) -> tuple[str, int]:
         """Change the fleet's gains; None: go back to those before. Returns the reason of a refusal, or nothing, and the
@@ -364,8 +364,8 @@ class Station:
             self._lasting(),
             self.tuner.status(),
             self.laps.laps(),
-            blocking_findings(self.experiment, self.seen, self.starts),
-            seen=self.seen,
+            blocking_findings(self.experiment, self.views, self.starts),
+            views=self.views,
             requests=self.requests.recent,
             ended=self.ended,
             led=self.single.status(),
@@ -373,7 +373,7 @@ class Station:
         )
 
     def _tell(self) -> None:
-        codes = {f"robot {robot} {view.other_code}" for robot, view in self.seen.items() if view.other_code}
+        codes = {f"robot {robot} {view.other_code}" for robot, view in self.views.items() if view.other_code}
         codes |= {self._localizers_code()} - {""}
         for text in sorted(codes - self.codes_told):
             log.warning("%s (%s)", text, DEPLOY)
@@ -387,8 +387,8 @@ class Station:
         ready = self.mission.state is MissionState.WAITING and self.mission.reason in ("", ATTENDED)
         line = f"{READY if ready else self.mission.state.value}{f': {self.mission.reason}' if self.mission.reason else ''}"
         without_figures = FIGURE.sub("", line)
-        if without_figures != self.told:
-            self.told = without_figures
+        if without_figures != self.last_line:
+            self.last_line = without_figures
             (log.warning if self.mission.state in TROUBLED else log.info)("mission: %s", line)
 
 

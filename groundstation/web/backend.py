@@ -27,7 +27,7 @@ class Status:
     tuning: GainStatus | None = None
     laps: Sequence[Lap] = ()
     preflight: tuple[Finding, ...] = ()  # why not to arm
-    seen: Fleet = field(default_factory=dict)  # the fleet as of the station's last cycle
+    views: Fleet = field(default_factory=dict)  # the fleet as of the station's last cycle
     requests: Sequence[Outcome] = ()  # what became of people's requests, oldest first
     ended: bool = False  # a person has ended the run
     beat_age_s: float = 0.0  # since the station's last cycle

@@ -131,7 +131,7 @@ class LiveBackend:
                 emergency_stop=status.state is MissionState.STOPPED,
                 alarms=alarms(
                     self.experiment,
-                    status.seen,
+                    status.views,
                     localizer.message,
                     self._localizer_age_s(localizer),
                     status.recorder_error,

@@ -101,13 +101,13 @@ def dot(a: Floats, b: Floats) -> float:
 
 
 @kernel(part=True)
-def factorise_held(a: Table, found: ActiveSet) -> int:
-    """Number of the held rows. Writes V' (held, n) into `found.work[0]`, then V'V, then its factor. -1 if the held rows
+def factorise_held(a: Table, working: ActiveSet) -> int:
+    """Number of the held rows. Writes V' (held, n) into `working.work[0]`, then V'V, then its factor. -1 if the held rows
     depend on one another."""
-    n, count = len(found.x), 0
-    across, gram, factor = found.work[0], found.work[1], found.work[3]
-    for row in range(len(found.held)):
-        if found.held[row] == 0:
+    n, count = len(working.x), 0
+    across, gram, factor = working.work[0], working.work[1], working.work[3]
+    for row in range(len(working.held)):
+        if working.held[row] == 0:
             continue
         if count == n:
             return -1
@@ -116,20 +116,20 @@ def factorise_held(a: Table, found: ActiveSet) -> int:
         for j in range(count + 1):
             gram[j, count] = dot(across[count], across[j])
         count += 1
-    return count if factorise(gram, count, found.work[2]) else -1
+    return count if factorise(gram, count, working.work[2]) else -1
 
 
 @kernel(part=True)
-def minimise_held(program: ConvexProgram, found: ActiveSet) -> bool:
+def minimise_held(program: ConvexProgram, working: ActiveSet) -> bool:
     """Write the minimum with the held rows at their bounds, and its multipliers, zero for the others. False if the held rows
     depend on one another."""
     q, lower, upper = program.q, program.lower, program.upper
-    x, y, held, mu = found.x, found.multiplier, found.held, found.mu
-    n, across, gram_factor, factor = len(q), found.work[0], found.work[2], found.work[3]
+    x, y, held, mu = working.x, working.multiplier, working.held, working.mu
+    n, across, gram_factor, factor = len(q), working.work[0], working.work[2], working.work[3]
     for i in range(n):
         x[i] = -q[i]
     forward(factor, n, x)
-    count = factorise_held(program.a, found)
+    count = factorise_held(program.a, working)
     if count < 0:
         return False
     count = 0
@@ -153,20 +153,20 @@ def minimise_held(program: ConvexProgram, found: ActiveSet) -> bool:
 
 
 @kernel(part=True)
-def take_up(a: Table, found: ActiveSet, row: int, sign: int, beyond: float) -> bool:
+def take_up(a: Table, working: ActiveSet, row: int, sign: int, beyond: float) -> bool:
     """Bring a `row` that is `beyond` its bound, the upper one for `sign` 1, to that bound, and hold it. False if none can.
 
     Its multiplier grows by t: x += -t L'^-1 w, multipliers of the held rows += -t r with r = (V'V)^-1 V'v and w = v - V r,
     v = L^-1 a. A held row whose multiplier comes to zero before is let go.
     """
-    x, y, held, mu = found.x, found.multiplier, found.held, found.mu
-    n, across, gram_factor, factor = len(x), found.work[0], found.work[2], found.work[3]
+    x, y, held, mu = working.x, working.multiplier, working.held, working.mu
+    n, across, gram_factor, factor = len(x), working.work[0], working.work[2], working.work[3]
     aside = np.empty(n)
     while True:
         for i in range(n):
             aside[i] = sign * a[row, i]
         forward(factor, n, aside)
-        length2, count = dot(aside, aside), factorise_held(a, found)
+        length2, count = dot(aside, aside), factorise_held(a, working)
         if count < 0:
             return False
         for j in range(count):
@@ -205,11 +205,11 @@ def take_up(a: Table, found: ActiveSet, row: int, sign: int, beyond: float) -> b
 
 
 @kernel(part=True)
-def solve_one_by_one(program: ConvexProgram, found: ActiveSet) -> bool:
+def solve_one_by_one(program: ConvexProgram, working: ActiveSet) -> bool:
     """Solve from the minimum without rows on: the row that is farthest beyond its bound is taken up, until none is. False if
     there is no solution."""
     q, a, lower, upper = program.q, program.a, program.lower, program.upper
-    x, y, held, factor = found.x, found.multiplier, found.held, found.work[3]
+    x, y, held, factor = working.x, working.multiplier, working.held, working.work[3]
     n = len(q)
     for row in range(len(held)):
         held[row], y[row] = 0, 0.0
@@ -230,20 +230,20 @@ def solve_one_by_one(program: ConvexProgram, found: ActiveSet) -> bool:
                     farthest, sign, beyond = row, -1, lower[row] - place
         if farthest < 0:
             return True
-        if not take_up(a, found, farthest, sign, beyond):
+        if not take_up(a, working, farthest, sign, beyond):
             return False
     return False
 
 
 @kernel
-def solve_from(program: ConvexProgram, found: ActiveSet) -> int:
-    """Solve from the guess that the rows `found.held` are active; they become the active set.
+def solve_from(program: ConvexProgram, working: ActiveSet) -> int:
+    """Solve from the guess that the rows `working.held` are active; they become the active set.
 
     Returns the rounds that it took, ROUNDS + 1 if rows were taken up one by one; 0 if there is no solution, P is not positive
     definite, bounds cross, or a number is not finite.
     """
     q, a, lower, upper = program.q, program.a, program.lower, program.upper
-    x, y, held, factor = found.x, found.multiplier, found.held, found.work[3]
+    x, y, held, factor = working.x, working.multiplier, working.held, working.work[3]
     for row in range(len(held)):
         if not lower[row] <= upper[row]:
             return 0
@@ -252,7 +252,7 @@ def solve_from(program: ConvexProgram, found: ActiveSet) -> int:
     if not factorise(program.p, len(q), factor):
         return 0
     for taken in range(1, ROUNDS + 1):
-        if not minimise_held(program, found):
+        if not minimise_held(program, working):
             break
         settled = True
         for row in range(len(held)):
@@ -266,5 +266,5 @@ def solve_from(program: ConvexProgram, found: ActiveSet) -> int:
             settled &= right
         if settled:
             return taken if math.isfinite(dot(x, x)) else 0
-    solved = solve_one_by_one(program, found) and math.isfinite(dot(x, x))
+    solved = solve_one_by_one(program, working) and math.isfinite(dot(x, x))
     return ROUNDS + 1 if solved else 0

@@ -280,11 +280,11 @@ class Controller:
         pulses, delivered = self.allocator.neutral() if failed else self.allocator.allocate(plan.wrench)
         wrench_step, self._wrench, self._delivered = plan.wrench - self._wrench, plan.wrench, delivered
         self._estimator.note_wrench(delivered, now_ns)
-        goal, rows, meant = reference.eta[0].copy(), np.empty(command.shape), lead.eta.copy()
-        rows[0], rows[1:], meant[:, 3] = estimate.eta, plan.eta, command[:, 3]
+        goal, rows, path = reference.eta[0].copy(), np.empty(command.shape), lead.eta.copy()
+        rows[0], rows[1:], path[:, 3] = estimate.eta, plan.eta, command[:, 3]
         told_eta = interpolate(rows, self._told_rows)
         # Without the formation's pull: neighbours who shared a deviation would else see less of it, the less the more they are
-        told_reference = interpolate(meant, self._told_rows)
+        told_reference = interpolate(path, self._told_rows)
         error_m = math.dist(goal[:3].tolist(), estimate.eta[:3].tolist())
         self._priority = Priority(self._urgent, error_m)
         return ControlOutput(

@@ -65,12 +65,12 @@ def _own(name: str) -> Callable[[Vehicle, Model, ControllerConfig, float], Any]:
     """The maker of a law of one's own, a `Law` or a `FeedbackLaw`. Raises ConfigError if it cannot be imported."""
     module, _, maker = name.partition(":")
     try:
-        found = getattr(importlib.import_module(module), maker)
+        own_maker = getattr(importlib.import_module(module), maker)
     except (ImportError, AttributeError) as error:
         raise ConfigError(f"controller.law = {name!r}: {error} (install its package where the agent runs)") from None
-    if not callable(found):
+    if not callable(own_maker):
         raise ConfigError(f"controller.law = {name!r}: must name a class or a function")
-    return cast("Callable[[Vehicle, Model, ControllerConfig, float], Any]", found)
+    return cast("Callable[[Vehicle, Model, ControllerConfig, float], Any]", own_maker)
 
 
 def _feedback(vehicle: Vehicle, model: Model, config: ControllerConfig, period_s: float) -> FeedbackLaw:

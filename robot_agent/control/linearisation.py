@@ -33,7 +33,7 @@ class ControlTask(NamedTuple):
     """Numbers that change from step to step."""
 
     state: Floats  # (12,) of dynamics.py
-    asked: Floats  # (3,) wrench asked for last: surge, heave, yaw,
+    demand: Floats  # (3,) wrench asked for last: surge, heave, yaw,
     delivered: Floats  # (3,) and what the thrusters gave of it: what it lacks it goes on to lack
     gamma: Floats  # (4,)
     reference: Table  # (nodes, 4)
@@ -71,7 +71,7 @@ def respond(model: LinearModel, task: ControlTask, axis: int, number: int, rate:
     slope = (linear + 2.0 * quadratic * abs(w0)) / m
     keep = math.exp(-slope * dt)
     phi_dt = (1.0 - keep) / slope
-    thrust = task.delivered[number] - task.asked[number]
+    thrust = task.delivered[number] - task.demand[number]
     rate[0, free] = w0
     for k in range(horizon):
         for j in range(free):
@@ -167,7 +167,7 @@ def linearise_and_condense(model: LinearModel, task: ControlTask, responses: Res
     integrate(dt, task.state[YAW], rate[2], axial[1])
     move(dt, task.state, responses)
     cost.q[:] = 0.0
-    cost.q[0], cost.q[n], cost.q[2 * n] = -cost.r[0] * task.asked[0], -cost.r[2] * task.asked[2], -cost.r[1] * task.asked[1]
+    cost.q[0], cost.q[n], cost.q[2 * n] = -cost.r[0] * task.demand[0], -cost.r[2] * task.demand[2], -cost.r[1] * task.demand[1]
     condense(responses, task, cost)
 
 

@@ -70,7 +70,7 @@ class Mpc:
         upper = np.concatenate([limits, steps, np.full(rows, NO_BOUND)])
         a = block_diag(np.vstack([np.eye(size), block_diag(difference, difference, difference)]), np.ones((rows, 1)))
         self._program = ConvexProgram(np.zeros((size + 1, size + 1)), np.zeros(size + 1), a, -upper, upper)
-        self._found = make_active_set(size + 1, len(a))
+        self._working = make_active_set(size + 1, len(a))
         self._plain = self._first_rows(2 * size)  # the problem without half-spaces
         self._first_changes = size + n * np.array([0, 2, 1])  # rows of the changes from the wrench asked for last
         self.tune(config)
@@ -111,15 +111,15 @@ class Mpc:
         if not iterations:
             follow_plan(self._blocks, self._responses, eta)
             return self._fall_back(wrench, eta)
-        self._blocks, self._shifted = self._found.x[:-1].copy(), 0
+        self._blocks, self._shifted = self._working.x[:-1].copy(), 0
         follow_plan(self._blocks, self._responses, eta)
-        slack_m = max(0.0, float(self._found.x[-1]))
+        slack_m = max(0.0, float(self._working.x[-1]))
         return MpcPlan(self._step_of_plan(0, wrench), eta, Solve.SOLVED, iterations, slack_m)
 
     def _solve(self, keep_clear: HalfSpaces) -> int:
         """Solve with half-spaces (36) in the first of the rows reserved for them. Returns the solver's rounds; 0: no
         solution."""
-        program, found, limits = self._program, self._found, 6 * self._n
+        program, working, limits = self._program, self._working, 6 * self._n
         count = limits + len(keep_clear.node)
         rows = slice(limits, count)
         if count > limits:
@@ -127,18 +127,18 @@ class Mpc:
             along, across = keep_clear.normal.real[:, None], keep_clear.normal.imag[:, None]
             there = along * x + across * y
             program.a[rows, :free], program.lower[rows] = there[:, :free], keep_clear.offset - there[:, free]
-        found.held[count:] = 0
+        working.held[count:] = 0
         rounds = solve_from(*(self._first_rows(count) if count > limits else self._plain))
         if rounds == 0:
-            found.held[:] = 0
+            working.held[:] = 0
         return rounds
 
     def _first_rows(self, count: int) -> tuple[ConvexProgram, ActiveSet]:
         """The problem with its first rows only, and its active set."""
-        program, found = self._program, self._found
+        program, working = self._program, self._working
         return (
             program._replace(a=program.a[:count], lower=program.lower[:count], upper=program.upper[:count]),
-            found._replace(multiplier=found.multiplier[:count], held=found.held[:count]),
+            working._replace(multiplier=working.multiplier[:count], held=working.held[:count]),
         )
 
     def _step_of_plan(self, step: int, before: Array) -> Array:

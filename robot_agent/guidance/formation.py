@@ -39,17 +39,17 @@ class PlanRows(NamedTuple):
     """The poses of a plan (rows, 4), and where they are meant to be."""
 
     eta: Table
-    meant: Table
+    reference: Table
     period_s: float
 
 
 @kernel
 def are_poses(plan: PlanRows) -> bool:
     """True if the numbers of a plan and of its reference can be poses."""
-    fine = len(plan.eta) == len(plan.meant) and len(plan.eta) > 0 and SHORTEST_S <= plan.period_s < ABSURD
+    fine = len(plan.eta) == len(plan.reference) and len(plan.eta) > 0 and SHORTEST_S <= plan.period_s < ABSURD
     for k in range(len(plan.eta) if fine else 0):
         for c in range(4):
-            fine &= (abs(plan.eta[k, c]) < MOST_TURNED_RAD) & (abs(plan.eta[k, c] - plan.meant[k, c]) < ABSURD)
+            fine &= (abs(plan.eta[k, c]) < MOST_TURNED_RAD) & (abs(plan.eta[k, c] - plan.reference[k, c]) < ABSURD)
     return fine
 
 
@@ -57,14 +57,14 @@ def are_poses(plan: PlanRows) -> bool:
 def sample_plan(plan: PlanRows, at_s: Floats, most_m: float, pose: Table, deviation: Table) -> None:
     """Write the poses (instants, 4) of a plan at instants after its first row, and how far they are from where they are meant
     to be, without whole turns and `most_m` at most. Beyond its ends a plan stands."""
-    last, turns = len(plan.eta) - 1, TURN * np.rint((plan.eta[0, 3] - plan.meant[0, 3]) / TURN)
+    last, turns = len(plan.eta) - 1, TURN * np.rint((plan.eta[0, 3] - plan.reference[0, 3]) / TURN)
     for k in range(len(at_s)):
         row = min(max(at_s[k] / plan.period_s, 0.0), float(last))
         low = min(int(row), max(last - 1, 0))
         high, share = min(low + 1, last), row - low
         for c in range(4):
             pose[k, c] = plan.eta[low, c] + share * (plan.eta[high, c] - plan.eta[low, c])
-            deviation[k, c] = pose[k, c] - plan.meant[low, c] - share * (plan.meant[high, c] - plan.meant[low, c])
+            deviation[k, c] = pose[k, c] - plan.reference[low, c] - share * (plan.reference[high, c] - plan.reference[low, c])
         deviation[k, 3] -= turns
         off_m = math.sqrt(deviation[k, 0] ** 2 + deviation[k, 1] ** 2 + deviation[k, 2] ** 2)
         if off_m > most_m:
@@ -217,7 +217,7 @@ class Formation:
     def half_spaces(self, predictions: NeighbourPredictions, own: Array, rank: Priority, now_ns: int) -> HalfSpaces:
         """Half-spaces across the lines from the predicted places of robots that come close to ours (A6), for a robot whose
         pose is `own` (4,): n = (own - place) / |own - place|, n . (x, y) >= n . place + distance to keep."""
-        place, near_m, found = complex(*own[:2].tolist()), 2.0 * self._safety.radius_m + self._safety.margin_m, []
+        place, near_m, rows = complex(*own[:2].tolist()), 2.0 * self._safety.radius_m + self._safety.margin_m, []
         poses = predictions.pose[:, self._near]
         near = np.hypot(poses[:, :, 0] - place.real, poses[:, :, 1] - place.imag) < near_m + self._safety.bubble_max_m
         if not near.any():
@@ -232,21 +232,21 @@ class Formation:
                 continue
             # on top of one another any direction leads out
             normal = np.where(apart_m >= TOUCHING_M, away / np.maximum(apart_m, TOUCHING_M), 1.0)
-            found.append((float(apart_m.min()) - keep_m, normal, (normal * there.conj()).real + keep_m))
-        if not found:
+            rows.append((float(apart_m.min()) - keep_m, normal, (normal * there.conj()).real + keep_m))
+        if not rows:
             return NOWHERE
-        if len(found) > NEAREST:  # their order is kept: the solver goes on from the rows that were active
-            farthest_m = sorted(beyond_m for beyond_m, *_ in found)[NEAREST - 1]
-            found = [body for body in found if body[0] <= farthest_m][:NEAREST]
-        _, normals, offsets = zip(*found, strict=True)
-        return HalfSpaces(np.tile(self._near, len(found)), np.concatenate(normals), np.concatenate(offsets))
+        if len(rows) > NEAREST:  # their order is kept: the solver goes on from the rows that were active
+            farthest_m = sorted(beyond_m for beyond_m, *_ in rows)[NEAREST - 1]
+            rows = [body for body in rows if body[0] <= farthest_m][:NEAREST]
+        _, normals, offsets = zip(*rows, strict=True)
+        return HalfSpaces(np.tile(self._near, len(rows)), np.concatenate(normals), np.concatenate(offsets))
 
 
 def _now_and_meant(plan: PlanRows, age_s: float) -> tuple[complex, float, complex]:
     """Place and depth that a plan has now, and the velocity that its robot means to have."""
-    last, period_s, meant = len(plan.eta) - 1, plan.period_s, plan.meant
+    last, period_s, track = len(plan.eta) - 1, plan.period_s, plan.reference
     now = int(min(max(round(age_s / period_s), 0), last))
     then = min(now + max(round(MEANT_S / period_s), 1), last)
     span_s = period_s * max(then - now, 1)
-    x_mps, y_mps = ((meant.item(then, c) - meant.item(now, c)) / span_s for c in range(2))
+    x_mps, y_mps = ((track.item(then, c) - track.item(now, c)) / span_s for c in range(2))
     return complex(plan.eta.item(now, 0), plan.eta.item(now, 1)), plan.eta.item(now, 2), complex(x_mps, y_mps)

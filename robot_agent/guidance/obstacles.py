@@ -63,39 +63,39 @@ class OwnHullFilter:
     def exclude(self, obstacles: Sequence[Obstacle], place: complex, now_ns: int) -> tuple[Obstacle, ...]:
         """Return the obstacles that are other bodies than the robot at `place`. An obstacle not seen lately is compared at the
         place where it was seen."""
-        found = tuple(t for t in obstacles if t.id in self._others or not self._is_hull(t, place, now_ns))
-        self._others = frozenset(obstacle.id for obstacle in found)
-        return found
+        others = tuple(t for t in obstacles if t.id in self._others or not self._is_hull(t, place, now_ns))
+        self._others = frozenset(obstacle.id for obstacle in others)
+        return others
 
     def _is_hull(self, obstacle: Obstacle, place: complex, now_ns: int) -> bool:
         at_ns = obstacle.instant_ns if is_old(obstacle.age_s(now_ns)) else now_ns
         return obstacle.overlaps(place, self._hull_m, at_ns)
 
 
-def island_obstacles(known: Iterable[Island], hull_m: float) -> tuple[Obstacle, ...]:
+def island_obstacles(islands: Iterable[Island], hull_m: float) -> tuple[Obstacle, ...]:
     """Islands of the experiment as obstacles. All processes know them and routes are planned around them: like walls, they
     only stop a hull."""
-    found = []
-    for i, island in enumerate(known):
+    obstacles = []
+    for i, island in enumerate(islands):
         middle = complex(*island.position_m)
-        found.append(Obstacle(i, np.array([middle]), island.radius_m + hull_m, 0j, 0, middle, 0.0))
-    return tuple(found)
+        obstacles.append(Obstacle(i, np.array([middle]), island.radius_m + hull_m, 0j, 0, middle, 0.0))
+    return tuple(obstacles)
 
 
-def obstacles_from_message(seen: Obstacles, instant_ns: int, keep_m: float) -> tuple[Obstacle, ...]:
+def obstacles_from_message(message: Obstacles, instant_ns: int, keep_m: float) -> tuple[Obstacle, ...]:
     """Obstacles of a localizer's message of an instant on our clock, each at the time when it was seen. One at an impossible
     place is left out; one with an impossible speed gets FASTEST_MPS."""
-    found = []
-    seen_s = ages_s(seen, 0.0)
-    for number, outline, velocity, unseen_s in zip(seen.ids, seen.outline, seen.velocity, seen_s, strict=False):
+    obstacles = []
+    seen_s = ages_s(message, 0.0)
+    for number, outline, velocity, unseen_s in zip(message.ids, message.outline, message.velocity, seen_s, strict=False):
         if not np.abs(outline).max() < ABSURD_M:  # false for NaN too
             continue
         corners, speed = outline[:, 0] + 1j * outline[:, 1], _believed(complex(velocity[0], velocity[1]))
         pieces = _along(corners)
         middle = complex(pieces.mean())
         seen_ns = instant_ns - round(unseen_s * 1e9)
-        found.append(Obstacle(number, pieces, keep_m, speed, seen_ns, middle, float(np.abs(pieces - middle).max())))
-    return tuple(found)
+        obstacles.append(Obstacle(number, pieces, keep_m, speed, seen_ns, middle, float(np.abs(pieces - middle).max())))
+    return tuple(obstacles)
 
 
 def _believed(velocity: complex) -> complex:

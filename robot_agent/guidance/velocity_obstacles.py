@@ -169,14 +169,14 @@ def look_ahead(eta: Table, velocity: Table, times_s: Floats, point: complex, agi
 @kernel
 def find_meetings(place: complex, ahead: Complexes, traffic: Traffic, within_s: Floats, meets: Bools) -> bool:
     """Find the traffic (k,) that the way `ahead` (steps,) `meets`, each within its time (k,). True if any."""
-    found = False
+    any_meets = False
     for i in range(len(within_s)):
         away, meets[i] = traffic.place[i] - place, False
         nearest_m = nearest_allowed_m(traffic.keep_m[i], abs(away))
         for k in range(min(len(ahead), round(within_s[i] / LOOK_STEP_S))):
             meets[i] |= abs(away + traffic.velocity[i] * ((k + 1) * LOOK_STEP_S) - ahead[k]) < nearest_m
-        found |= meets[i]
-    return found
+        any_meets |= meets[i]
+    return any_meets
 
 
 class Basin(NamedTuple):

@@ -46,8 +46,8 @@ def compare(board: Mapping[str, float], experiment: Mapping[str, float]) -> list
     """All differences, those first that matter. Values count as equal if single precision cannot tell them apart."""
     names = dict.fromkeys([*experiment, *board])
     pairs = [ParameterDifference(name, board.get(name), experiment.get(name)) for name in names]
-    found = [pair for pair in pairs if not _is_same(pair.board, pair.experiment)]
-    return sorted(found, key=lambda pair: not pair.matters)
+    differences = [pair for pair in pairs if not _is_same(pair.board, pair.experiment)]
+    return sorted(differences, key=lambda pair: not pair.matters)
 
 
 def _is_same(a: float | None, b: float | None) -> bool:
@@ -59,7 +59,7 @@ class BoardParameters:
 
     def __init__(self, wanted: Mapping[str, float]) -> None:
         self._wanted = wanted
-        self._seen: tuple[ParameterList, int] | None = None  # what was compared last
+        self._compared: tuple[ParameterList, int] | None = None  # what was compared last
         self._changed_s = -math.inf  # when the last value came, or the last request went out
         self.objection = ""  # the reason not to arm
 
@@ -68,9 +68,9 @@ class BoardParameters:
         if not link.telemetry.is_thruster_board:
             return b""
         reported = link.parameters
-        if self._seen is None or self._seen[0] is not reported or self._seen[1] != reported.value_count:
+        if self._compared is None or self._compared[0] is not reported or self._compared[1] != reported.value_count:
             self._changed_s = now_s if reported.value_count else -math.inf
-            self._seen, self.objection = (reported, reported.value_count), self._judge(reported)
+            self._compared, self.objection = (reported, reported.value_count), self._judge(reported)
         if reported.is_complete or now_s - self._changed_s < AGAIN_S:
             return b""
         self._changed_s = now_s

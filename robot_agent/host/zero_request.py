@@ -35,18 +35,18 @@ class ZeroRequests:
 
     def step(self, link: AgentLink) -> bytes:
         """Frame for the board, empty if there is none to send now. Ends a request that the board has acknowledged."""
-        now_s, seen = self._now_s(), link.telemetry
+        now_s, board = self._now_s(), link.telemetry
         if self._folder is None or now_s - self._looked_s < LOOK_S:
             return b""
         self._looked_s = now_s
-        asked = self._read()
-        if not asked or asked != self._open:
-            self._open, self._before = asked, seen.acknowledgements
-        elif seen.acknowledgements > self._before and seen.acknowledged in ((CALIBRATE, ACCEPTED), (CALIBRATE, UNSUPPORTED)):
+        request = self._read()
+        if not request or request != self._open:
+            self._open, self._before = request, board.acknowledgements
+        elif board.acknowledgements > self._before and board.acknowledged in ((CALIBRATE, ACCEPTED), (CALIBRATE, UNSUPPORTED)):
             link.set_zero(0.0)  # of a board that does not report its restarts
             self._end()
             return b""
-        return link.calibrate(pressure=asked == AIR) if asked else b""
+        return link.calibrate(pressure=request == AIR) if request else b""
 
     def _read(self) -> str:
         assert self._folder is not None
@@ -54,10 +54,10 @@ class ZeroRequests:
             path = self._folder / FILE
             if time.time() - path.stat().st_mtime > 2.0 * WITHIN_S:
                 return ""  # its command has ended
-            asked = read_regular(path, MOST_BYTES).decode("ascii", "replace").strip()
+            request = read_regular(path, MOST_BYTES).decode("ascii", "replace").strip()
         except (OSError, ValueError):
             return ""
-        return asked if asked in (KEPT, AIR) else ""
+        return request if request in (KEPT, AIR) else ""
 
     def _end(self) -> None:
         assert self._folder is not None
@@ -100,8 +100,8 @@ def tell_board(config: AgentConfig, in_air: bool) -> bool:
             if answer in ((CALIBRATE, ACCEPTED), (CALIBRATE, UNSUPPORTED)):
                 return answer[1] == ACCEPTED
             if answer is not None and answer[0] == CALIBRATE:
-                said = mavlink.telemetry.texts[-1][1] if mavlink.telemetry.texts else f"MAV_RESULT {answer[1]}"
-                raise ConfigError(f"{config.link}: the board refuses: {said}")
+                answer_text = mavlink.telemetry.texts[-1][1] if mavlink.telemetry.texts else f"MAV_RESULT {answer[1]}"
+                raise ConfigError(f"{config.link}: the board refuses: {answer_text}")
         raise ConfigError(f"{config.link}: {wires.trouble or 'the board does not answer'}")
     finally:
         wires.close()

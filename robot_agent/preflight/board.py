@@ -134,7 +134,7 @@ def read_telemetry(config: AgentConfig) -> tuple[Telemetry, str]:
     mavlink = agent_end(config.robot, signing)
     try:
         within_s = BOARD_WITHIN_S + wires.first_word_s
-        deadline, heard = time.monotonic() + within_s, None
+        deadline, telemetry = time.monotonic() + within_s, None
         while time.monotonic() < deadline:
             wires.send(mavlink.heartbeat())  # a board behind UDP learns from it where we are
             wires.wait(0.1)
@@ -142,29 +142,29 @@ def read_telemetry(config: AgentConfig) -> tuple[Telemetry, str]:
             if mavlink.telemetry.autopilot_name:
                 return mavlink.telemetry, wires.advice
             if mavlink.telemetry.board_ms >= 0:
-                heard = mavlink.telemetry
-                if heard.battery_reports and heard.heartbeats:
+                telemetry = mavlink.telemetry
+                if telemetry.battery_reports and telemetry.heartbeats:
                     break
-        if heard is None:
+        if telemetry is None:
             why = wires.trouble or _others(mavlink.telemetry, config.robot)
             raise ConfigError(f"{config.link}: silent for {within_s:g} s{why and '; '}{why}")
-        return heard, wires.advice
+        return telemetry, wires.advice
     finally:
         wires.close()
 
 
-def _others(seen: Telemetry, robot: int) -> str:
+def _others(telemetry: Telemetry, robot: int) -> str:
     """Text about the frames that came instead of the board's own; empty if there were none."""
-    if seen.forged_frames:
+    if telemetry.forged_frames:
         return "what comes is signed with another key, or there is no link_key"
-    if seen.unsigned_frames:
+    if telemetry.unsigned_frames:
         return "what comes is not signed (over a cable, `robot-agent params give-key FILE` gives the board a key)"
-    if seen.echo_us:
+    if telemetry.echo_us:
         return "it speaks, but tells no depth that can be true"
-    if seen.foreign_peer is not None:
-        system, component = seen.foreign_peer
+    if telemetry.foreign_peer is not None:
+        system, component = telemetry.foreign_peer
         return f"what comes is not of this robot's board (system {robot}, component 1), but of {system}, {component}"
-    return "what comes is no frame of a thruster board" if seen.foreign_frames else ""
+    return "what comes is no frame of a thruster board" if telemetry.foreign_frames else ""
 
 
 def _computer() -> Iterator[CheckFinding]:

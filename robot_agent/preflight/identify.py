@@ -49,37 +49,37 @@ def thrust(
         lines = read_regular(file, MOST_BYTES).decode("utf-8-sig").splitlines()
     readings = read_rows(lines, str(file), lever)
     like = load_vehicle(vehicle).thruster
-    found = fit(readings, str(file), len(like.curve), still_g * 1e-3 * STANDARD_GRAVITY_MPS2 * lever)
-    largest_n = min(like.max_thrust_n, found.curve[-1][1])
-    check(Thruster, {**like.model_dump(), "curve": found.curve, "max_thrust_n": largest_n}, str(file))
-    typer.echo(toml(found, vehicle, largest_n, len(readings)))
+    curve_fit = fit(readings, str(file), len(like.curve), still_g * 1e-3 * STANDARD_GRAVITY_MPS2 * lever)
+    largest_n = min(like.max_thrust_n, curve_fit.curve[-1][1])
+    check(Thruster, {**like.model_dump(), "curve": curve_fit.curve, "max_thrust_n": largest_n}, str(file))
+    typer.echo(toml(curve_fit, vehicle, largest_n, len(readings)))
     if link is not None:
         with talk(link, robot, key, insecure) as session:
-            typer.echo(f"{write_curve(session, found)} parameters of the board at {link} changed", err=True)
+            typer.echo(f"{write_curve(session, curve_fit)} parameters of the board at {link} changed", err=True)
 
 
-def toml(found: ThrustFit, vehicle: str, largest_n: float, readings: int) -> str:
+def toml(curve_fit: ThrustFit, vehicle: str, largest_n: float, readings: int) -> str:
     """The curve as an experiment's lines."""
-    worst = f"at worst {found.worst_n:.3f} N in line {found.worst.line} ({found.worst.pulse_us} us)"
-    points = ", ".join(f"[{pulse}, {force:g}]" for pulse, force in found.curve)
+    worst = f"at worst {curve_fit.worst_n:.3f} N in line {curve_fit.worst.line} ({curve_fit.worst.pulse_us} us)"
+    points = ", ".join(f"[{pulse}, {force:g}]" for pulse, force in curve_fit.curve)
     return (
-        f"# {readings} readings; {found.rms_n:.3f} N RMS from the curve, {worst}\n"
+        f"# {readings} readings; {curve_fit.rms_n:.3f} N RMS from the curve, {worst}\n"
         f'[vehicle]\nlike = "{vehicle}"\n\n[vehicle.thruster]\nmax_thrust_n = {largest_n:g}\ncurve = [{points}]'
     )
 
 
-def write_curve(session: ParameterSession, found: ThrustFit) -> int:
+def write_curve(session: ParameterSession, curve_fit: ThrustFit) -> int:
     """Set the curve's parameters on the board; returns how many were changed. A value that does not fit the others yet is
     tried again when others have changed. Raises ConfigError if one is refused for good, or if the board's curve has another
     number of points."""
     client = session.client
     session.until(lambda: client.complete, client.ask_all)
     rows = sum(name.startswith("CRV") and name.endswith("_US") for name in client.values)
-    if rows != len(found.curve):
+    if rows != len(curve_fit.curve):
         raise ConfigError(
-            f"the board's curve has {rows} points, and the measurement gives {len(found.curve)} (measure at more pulses)"
+            f"the board's curve has {rows} points, and the measurement gives {len(curve_fit.curve)} (measure at more pulses)"
         )
-    curve = [(f"CRV{i:02}", pulse, force) for i, (pulse, force) in enumerate(found.curve, 1)]
+    curve = [(f"CRV{i:02}", pulse, force) for i, (pulse, force) in enumerate(curve_fit.curve, 1)]
     values = {f"{row}_{unit}": float(value) for row, *both in curve for unit, value in zip(("US", "N"), both, strict=True)}
     wanted = {name: value for name, value in values.items() if not session.has(name, value)}
     changed = 0

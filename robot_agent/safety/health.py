@@ -50,20 +50,20 @@ class HealthMonitor:
 
     def note_inputs(self, inputs: Inputs, mode: Mode, now_ns: int, testing: bool = False) -> None:
         """Take in a step's inputs, in the mode up to now. During a thruster self-test that test judges the board's outputs."""
-        seen, telemetry = inputs.pose, inputs.telemetry
-        if seen is not None and seen.is_seen:
-            self._sighted_ns = seen.instant_ns
-            if seen.pose.identity_verified or not self._markers:
-                self._verified_ns = seen.instant_ns
+        newest, telemetry = inputs.pose, inputs.telemetry
+        if newest is not None and newest.is_seen:
+            self._sighted_ns = newest.instant_ns
+            if newest.pose.identity_verified or not self._markers:
+                self._verified_ns = newest.instant_ns
         self._check_sensors(inputs)
         if mode is not self._mode:
             self._watch.reset()
             self._depth.reset()
         if mode not in LIVE:  # somebody may hold it
             self._watch.response.reset()
-        elif seen is not None and seen.is_seen and self._fits(seen.pose.yaw_rad):
-            pose = seen.pose
-            self._watch.response.note_pose(seen.instant_ns, complex(pose.x_m, pose.y_m), pose.yaw_rad, seen.variance_m2)
+        elif newest is not None and newest.is_seen and self._fits(newest.pose.yaw_rad):
+            pose = newest.pose
+            self._watch.response.note_pose(newest.instant_ns, complex(pose.x_m, pose.y_m), pose.yaw_rad, newest.variance_m2)
         self._mode = mode
         self._battery.note_telemetry(telemetry, now_ns)
         if telemetry.armed or not self._board_armed:
@@ -86,14 +86,14 @@ class HealthMonitor:
 
     def _check_sensors(self, inputs: Inputs) -> None:
         """Compare the board's sensors with themselves and with the poses."""
-        seen, telemetry = inputs.pose, inputs.telemetry
+        newest, telemetry = inputs.pose, inputs.telemetry
         if telemetry.board_ms < 0:
             return
         self._pressure.note_sample(telemetry.depth_m, telemetry.arrival_ns)
         if self._uses_gyroscope:
             self._gyroscope.note_rate(telemetry.yaw_rate_radps, telemetry.arrival_ns)
-            if seen is not None and seen.is_seen:
-                self._gyroscope.note_heading(seen.pose.yaw_rad, seen.instant_ns)
+            if newest is not None and newest.is_seen:
+                self._gyroscope.note_heading(newest.pose.yaw_rad, newest.instant_ns)
 
     def note_pulses(self, pulse_us: tuple[int, ...], now_ns: int) -> None:
         """Take note of pulses that went out; the board's echo and the gyroscope are compared with them."""

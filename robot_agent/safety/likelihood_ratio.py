@@ -90,17 +90,17 @@ def solve(a: Table, b: Table) -> None:
 
 
 @kernel(part=True)
-def largest_evidence(xy: Table, weights: Floats, begins: Ints, known: Knowledge, sought: Sought) -> float:
+def largest_evidence(xy: Table, weights: Floats, begins: Ints, factor: Knowledge, sought: Sought) -> float:
     """Largest evidence of the module, over the parts and shares that are sought, and the spans of samples from each of
     `begins`, the latest first, to the end.
 
     `weights` (n,) are the inverse variances of the samples `xy` (n, k + 1). With r = y - theta . x and
     C = sum (x, r) (x, r)' / variance, uncertainty leaves C - C_x' (C_xx + covariance^-1)^-1 C_x of it: (x, r)' S^-1 (x, r).
     """
-    theta, parts = known.theta, sought.parts
+    theta, parts = factor.theta, sought.parts
     k, best = len(theta), -np.inf
     information = np.eye(k)
-    solve(np.copy(known.covariance), information)
+    solve(np.copy(factor.covariance), information)
     summed, z, end = np.zeros((k + 1, k + 1)), np.zeros(k + 1), len(xy)
     for begin in begins:
         for i in range(begin, end):
@@ -124,7 +124,7 @@ def largest_evidence(xy: Table, weights: Floats, begins: Ints, known: Knowledge,
 
 
 @kernel
-def evidence_at(samples: KeptSamples, at_ns: int, weighing: Weighing, known: Knowledge, sought: Sought) -> float:
+def evidence_at(samples: KeptSamples, at_ns: int, weighing: Weighing, knowledge: Knowledge, sought: Sought) -> float:
     """`largest_evidence` of the samples, over the last spans before `at_ns`."""
     first, end, spans_s = samples.first, samples.end, weighing.spans_s
     weights, begins = np.empty(end - first), np.empty(len(spans_s), np.int64)
@@ -135,18 +135,18 @@ def evidence_at(samples: KeptSamples, at_ns: int, weighing: Weighing, known: Kno
         begins[k] = 0
         while begins[k] < end - first and samples.instants_ns[first + begins[k]] < at_ns - spans_s[k] * NS:
             begins[k] += 1
-    return float(largest_evidence(samples.xy[first:end], weights, begins, known, sought))
+    return float(largest_evidence(samples.xy[first:end], weights, begins, knowledge, sought))
 
 
 @kernel
-def learn(known: Knowledge, prior: Table, sample: Floats, rough: float, variance: float, learning: Learning) -> float:
+def learn(knowledge: Knowledge, prior: Table, sample: Floats, rough: float, variance: float, learning: Learning) -> float:
     """Do one step of recursive least squares with a `sample` (x, y), in what is known:
 
         C = covariance + fades (prior - covariance)    gain = C x / (x . C x + (variance + rough^2) per_sample)
 
     The noise's variance takes the share `renewed` of what this sample says of it. Returns the new one.
     """
-    theta, covariance, fades = known.theta, known.covariance, learning.fades
+    theta, covariance, fades = knowledge.theta, knowledge.covariance, learning.fades
     k, missed, doubt = len(theta), sample[len(theta)], 0.0
     toward = np.zeros(k)
     for i in range(k):
@@ -197,9 +197,9 @@ class LikelihoodRatioTest:
             self._learn_first()
         first = max(self._first, int(np.searchsorted(self._instants_ns[: self._end], self._changed_ns)))
         samples = KeptSamples(self._instants_ns, self._samples, self._spread, first, self._end)
-        known = Knowledge(self._theta, self._covariance + self._doubt)
+        knowledge = Knowledge(self._theta, self._covariance + self._doubt)
         weighing = Weighing(self._spans_s, self._same_s, self._variance)
-        self.evidence = evidence_at(samples, at_ns, weighing, known, self._sought)
+        self.evidence = evidence_at(samples, at_ns, weighing, knowledge, self._sought)
 
     def note_change(self, covariance: Array, at_ns: int) -> None:
         """Take note that theta has changed at an instant, with an unknown change of this `covariance` (k, k). The test doubts
@@ -222,8 +222,8 @@ class LikelihoodRatioTest:
                 -math.expm1(-seconds / NOISE_S),
                 self._least_variance,
             )
-            known, sample = Knowledge(self._theta, self._covariance), self._samples[self._first]
-            self._variance = learn(known, self._prior, sample, rough, self._variance, learning)
+            knowledge, sample = Knowledge(self._theta, self._covariance), self._samples[self._first]
+            self._variance = learn(knowledge, self._prior, sample, rough, self._variance, learning)
         self._first += 1
 
     def _make_room(self) -> None:

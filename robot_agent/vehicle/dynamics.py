@@ -172,5 +172,5 @@ class Model:
         Without side thrust `state` may have 11 numbers, and `wrench` 3."""
         whole: Any = (*state, 0.0)[:STATES]
         pushed: Any = (*wrench, 0.0)[: len(AXES)]
-        known: Any = tuple(disturbance)
-        return advance(self.motion, whole, known, pushed, dt_s)[: len(state)]
+        gamma: Any = tuple(disturbance)
+        return advance(self.motion, whole, gamma, pushed, dt_s)[: len(state)]

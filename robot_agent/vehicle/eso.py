@@ -391,8 +391,8 @@ class Estimator:
         if not self._other_poses.persists(pose):
             return False
         predicted = self._predicted(pose.stamp_ns)
-        told, believed = (pose.x_m, pose.y_m, pose.yaw_rad), (*predicted[:2], wrap(predicted[3]))
-        self._leap = f"poses say {_place(told)}, {_place(believed)} was believed"
+        reported, believed = (pose.x_m, pose.y_m, pose.yaw_rad), (*predicted[:2], wrap(predicted[3]))
+        self._leap = f"poses say {_place(reported)}, {_place(believed)} was believed"
         self._begin(pose)
         return True
 

@@ -253,7 +253,7 @@ def longer_axis(xx: float, xy: float, yy: float) -> float:
 
 
 @kernel(part=True)
-def tell_deviations(p: Table, yaw: float, told: Floats) -> None:
+def tell_deviations(p: Table, yaw: float, out: Floats) -> None:
     """Write the standard deviations of `Deviations`, own forces and ratios one by one."""
     cos, sin = math.cos(yaw), math.sin(yaw)
     ux, uy = cos * p[U, CURRENT_X] + sin * p[U, CURRENT_Y], cos * p[U, CURRENT_Y] - sin * p[U, CURRENT_X]  # u with the current
@@ -262,12 +262,12 @@ def tell_deviations(p: Table, yaw: float, told: Floats) -> None:
     ahead = cos * cos * xx + 2.0 * cos * sin * xy + sin * sin * yy
     aside = sin * sin * xx - 2.0 * cos * sin * xy + cos * cos * yy
     both = cos * sin * (yy - xx) + (cos * cos - sin * sin) * xy
-    told[0], told[1] = longer_axis(p[X, X], p[X, Y], p[Y, Y]), math.sqrt(p[YAW, YAW])
-    told[2] = longer_axis(p[U, U], p[U, V], p[V, V])
-    told[3] = longer_axis(p[U, U] + 2.0 * ux + ahead, p[U, V] + uy + vx + both, p[V, V] + 2.0 * vy + aside)
-    told[4], told[5] = math.sqrt(p[R, R]), longer_axis(xx, xy, yy)
+    out[0], out[1] = longer_axis(p[X, X], p[X, Y], p[Y, Y]), math.sqrt(p[YAW, YAW])
+    out[2] = longer_axis(p[U, U], p[U, V], p[V, V])
+    out[3] = longer_axis(p[U, U] + 2.0 * ux + ahead, p[U, V] + uy + vx + both, p[V, V] + 2.0 * vy + aside)
+    out[4], out[5] = math.sqrt(p[R, R]), longer_axis(xx, xy, yy)
     for i in range(3):
-        told[6 + i], told[9 + i] = math.sqrt(max(p[FORCE_U + i, FORCE_U + i], 0.0)), math.sqrt(max(p[DRAG + i, DRAG + i], 0.0))
+        out[6 + i], out[9 + i] = math.sqrt(max(p[FORCE_U + i, FORCE_U + i], 0.0)), math.sqrt(max(p[DRAG + i, DRAG + i], 0.0))
 
 
 @kernel
@@ -411,15 +411,15 @@ class KalmanEstimator(Estimator):
         estimate = super().update(measurement, now_ns)
         if estimate is None:
             return None
-        numbers, told = self._belief.tolist(), self._deviation.tolist()
-        if not math.isfinite(sum(numbers) + sum(told)):
+        numbers, deviations = self._belief.tolist(), self._deviation.tolist()
+        if not math.isfinite(sum(numbers) + sum(deviations)):
             self._forget()
             self._belief[:], self._bank.mixed[:], self._model.coefficients[:] = 0.0, 0.0, self._model.nominal
             return None
         d, t, n = (math.exp(value) for value in numbers[LOGS])
         w = self._track.item(BANDWIDTH)
-        place, yaw, velocity, ground, rate, current = told[:6]
-        own_force, ratios = self._deviation[6:9].copy(), Ratios(told[9], told[10], told[11])
+        place, yaw, velocity, ground, rate, current = deviations[:6]
+        own_force, ratios = self._deviation[6:9].copy(), Ratios(deviations[9], deviations[10], deviations[11])
         return estimate._replace(
             drag_ratio=d, thrust_ratio=t, moment_ratio=n, bandwidth_radps=w,
             deviations=Deviations(place, yaw, velocity, ground, rate, current, own_force, ratios),

@@ -391,8 +391,8 @@ def protobuf_class(cls: type) -> Any:
 
 def descriptor(cls: type) -> Descriptor:
     """Protobuf descriptor of a message class, for the log's schemas."""
-    found: Descriptor = protobuf_class(cls).DESCRIPTOR
-    return found
+    protobuf_descriptor: Descriptor = protobuf_class(cls).DESCRIPTOR
+    return protobuf_descriptor
 
 
 def encode(message: Message, stamp_ns: int = 0) -> bytes:
@@ -429,7 +429,7 @@ def decode(cls: type[M], data: bytes, peer: str, topic: str) -> M:
     try:
         if cls is Frame:
             return cast(M, _frame_from_protobuf(message, pixels))
-        found: M = _FOXGLOVE[cls][2](message) if cls in _FOXGLOVE else _from_protobuf(cls, message)
-        return found
+        content: M = _FOXGLOVE[cls][2](message) if cls in _FOXGLOVE else _from_protobuf(cls, message)
+        return content
     except _Invalid as error:
         raise DecodeError(peer, topic, error.field, error.reason) from None

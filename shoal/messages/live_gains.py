@@ -80,10 +80,10 @@ def _parameter(key: str, value: float, marks: list[Any]) -> TunableParameter:
 
 def tuning(controller: ControllerConfig) -> Tuning:
     """The gains of a controller as a message. Equal values always have the same id."""
-    found = tunable_parameters(controller)
-    text = json.dumps([(parameter.key, parameter.value) for parameter in found])
+    gains = tunable_parameters(controller)
+    text = json.dumps([(parameter.key, parameter.value) for parameter in gains])
     name = hashlib.sha256(text.encode()).hexdigest()[:8]
-    return Tuning(name, tuple(parameter.key for parameter in found), np.array([parameter.value for parameter in found]))
+    return Tuning(name, tuple(parameter.key for parameter in gains), np.array([parameter.value for parameter in gains]))
 
 
 def tuned(controller: ControllerConfig, values: Mapping[str, float]) -> ControllerConfig:
@@ -104,7 +104,7 @@ def _names(keys: set[str]) -> list[str]:
 
 def values_of(settings: Sequence[str]) -> dict[str, float]:
     """The values that `key=value` settings change, a list entry by entry. Raises ConfigError for a value that is no number."""
-    found: dict[str, float] = {}
+    values: dict[str, float] = {}
     for setting in settings:
         table: dict[str, Any] = {}
         apply_setting(table, setting)
@@ -116,11 +116,11 @@ def values_of(settings: Sequence[str]) -> dict[str, float]:
         for name, entry in entries.items():
             if isinstance(entry, bool) or not isinstance(entry, int | float):
                 raise ConfigError(f"{name} = {entry!r}: must be a number")
-            found[name] = float(entry)
+            values[name] = float(entry)
         wrong = _wrong_length(key, value)
         if wrong:
             raise ConfigError(wrong)
-    return found
+    return values
 
 
 def _wrong_length(key: str, value: object) -> str:
@@ -143,7 +143,7 @@ def of_message(controller: ControllerConfig, message: Tuning) -> ControllerConfi
         raise ConfigError(
             f"tuning {message.id}: {len(message.keys)} keys and {len(message.values)} values do not fit together"
         )
-    found = tuned(controller, dict(zip(message.keys, message.values.tolist(), strict=True)))
-    if tuning(found).id != message.id:
-        raise ConfigError(f"tuning {message.id}: with these values it is {tuning(found).id}")
-    return found
+    tuned_controller = tuned(controller, dict(zip(message.keys, message.values.tolist(), strict=True)))
+    if tuning(tuned_controller).id != message.id:
+        raise ConfigError(f"tuning {message.id}: with these values it is {tuning(tuned_controller).id}")
+    return tuned_controller

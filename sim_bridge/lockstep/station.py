@@ -22,7 +22,7 @@ class StationPace:
         self._station, self._lockstep = station, lockstep
 
     def __iter__(self) -> Iterator[int]:
-        station, lockstep, inboxes = self._station, self._lockstep, self._station.heard
+        station, lockstep, inboxes = self._station, self._lockstep, self._station.inboxes
         while (tick := lockstep.next()) is not None:
             # What the robots found in the step before, and where the picture shows them.
             up_to_ns = lockstep.await_sight(tick, inboxes.localizer, inboxes.poses, inboxes.obstacles)

@@ -143,7 +143,7 @@ class ThrusterBoard:
         self.zero = zero or SensorZero.settled()
         if not self.zero.start.is_power_on:
             self.rules.texts.append(StatusText(WARNING, f"restarted: {self.zero.start.cause_name}"))
-        self._told = (False, False, self._status())  # armed, in HIL mode, the zero
+        self._sent_state = (False, False, self._status())  # armed, in HIL mode, the zero
         self._stored_heard = stored.heard
         self._last_step_ns: int | None = None
         self._last_burst_ns: int | None = None
@@ -238,25 +238,25 @@ class ThrusterBoard:
 
     def _calibrate(self, pressure: bool, gyro: bool) -> int:
         """Have the zeros confirmed or taken anew, for a person; returns the MAV_RESULT."""
-        said = self.rules.texts
+        texts = self.rules.texts
         if self.rules.armed:
-            said.append(StatusText(WARNING, "not calibrated: armed"))
+            texts.append(StatusText(WARNING, "not calibrated: armed"))
             return agent_link.REJECTED
         if not self.zero.calibrate(pressure, gyro):
-            said.append(StatusText(WARNING, "no depth zero is kept: take it in air"))
+            texts.append(StatusText(WARNING, "no depth zero is kept: take it in air"))
             return agent_link.REJECTED
         if not (pressure or gyro):
-            said.append(StatusText(INFO, "depth zero confirmed"))
+            texts.append(StatusText(INFO, "depth zero confirmed"))
         return agent_link.ACCEPTED
 
     def _zeroed(self, reading: Reading) -> Reading:
         """Take the zeros of the sensors off a measurement, which they may be taken from."""
-        zero, said = self.zero, self.rules.texts
+        zero, texts = self.zero, self.rules.texts
         event = zero.take_pressure(reading.depth_m * HPA_PER_M)
         if event is ZeroEvent.TAKEN:
-            said.append(StatusText(INFO, "depth zero taken"))
+            texts.append(StatusText(INFO, "depth zero taken"))
         if event is ZeroEvent.QUESTIONED:
-            said.append(StatusText(WARNING, "depth zero in question: confirm it"))
+            texts.append(StatusText(WARNING, "depth zero in question: confirm it"))
         if zero.take_rate(reading.yaw_rate_radps) is ZeroEvent.BIAS_TAKEN or event is ZeroEvent.TAKEN:
             self._store()
         zero_m = math.nan if zero.surface_hpa is None else zero.surface_hpa / HPA_PER_M
@@ -359,8 +359,8 @@ class ThrusterBoard:
         """Send the texts and the changes of arming, of HIL mode and of the zero that are due."""
         self._outbox += [self.link.text(text.severity, text.text) for text in self.rules.texts]
         self.rules.texts.clear()
-        if (now := (self.rules.armed, self.link.hil, self._status())) != self._told:
-            self._told = now
+        if (now := (self.rules.armed, self.link.hil, self._status())) != self._sent_state:
+            self._sent_state = now
             self._outbox.append(self._heartbeat())
 
     def _heartbeat(self) -> bytes:

@@ -38,20 +38,20 @@ def _read(memory: Path) -> NonvolatileState:
     if not memory.exists():
         return NonvolatileState()
     try:
-        found = json.loads(read_regular(memory, MOST_BYTES))
-        parameters = {str(name): float(value) for name, value in found["parameters"].items()}
+        fields = json.loads(read_regular(memory, MOST_BYTES))
+        parameters = {str(name): float(value) for name, value in fields["parameters"].items()}
         if not all(map(math.isfinite, parameters.values())):
             raise ValueError("a parameter is no finite number")
-        zeros = Zeros(*map(float, found["zeros"])) if found.get("zeros") else None
-        return NonvolatileState(parameters, int(found["heard"]), int(found["sent"]), zeros=zeros)
+        zeros = Zeros(*map(float, fields["zeros"])) if fields.get("zeros") else None
+        return NonvolatileState(parameters, int(fields["heard"]), int(fields["sent"]), zeros=zeros)
     except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
         raise ConfigError(f"{memory}: not what a board keeps: {error} (delete it for a board as new)") from None
 
 
 def _write(memory: Path, key: Path, stored: NonvolatileState) -> None:
     zeros = None if stored.zeros is None else list(astuple(stored.zeros))
-    told = {"parameters": dict(stored.parameters), "heard": stored.heard, "sent": stored.sent, "zeros": zeros}
+    fields = {"parameters": dict(stored.parameters), "heard": stored.heard, "sent": stored.sent, "zeros": zeros}
     with os_errors_as_config_errors(memory):
-        replace_text(memory, json.dumps(told, indent=1, allow_nan=False) + "\n", durable=False)
+        replace_text(memory, json.dumps(fields, indent=1, allow_nan=False) + "\n", durable=False)
         if stored.key is not None and not (key.exists() and load_key(key).secret == stored.key.secret):
             write_key(key, stored.key)

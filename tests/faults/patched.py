@@ -74,8 +74,8 @@ class Flaws:
 
         def improve(planner: Any, *problem: Any) -> Any:
             time.sleep(self.delay_s)  # a solver that waits is as late as one that computes
-            found = real_planner(planner, *problem)
-            return found._replace(rounds=0) if self.unsolved else found
+            iteration = real_planner(planner, *problem)
+            return iteration._replace(rounds=0) if self.unsolved else iteration
 
         # an order that is lost on its way: every order of a bus goes through this one method
         real_ask = Bus._ask

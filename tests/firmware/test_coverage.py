@@ -25,18 +25,18 @@ def measured(folder: Path) -> dict[str, list[dict[str, Any]]]:
     subprocess.run(["gcc", *options, "-o", library, *(FIRMWARE / name for name in core), "-lm"], check=True, cwd=folder)
     environment = os.environ | {"PYTHONPATH": str(FIRMWARE.parent)}
     subprocess.run([sys.executable, "-m", "tests.firmware.coverage", library], check=True, cwd=folder, env=environment)
-    found: dict[str, list[dict[str, Any]]] = {}
+    lines_by_file: dict[str, list[dict[str, Any]]] = {}
     for data in folder.glob("*.gcda"):
-        told = subprocess.run(
+        output = subprocess.run(
             ["gcov", "--json-format", "--branch-probabilities", "--branch-counts", "--stdout", str(data)],
             capture_output=True,
             check=True,
         )
-        for line in told.stdout.splitlines():
+        for line in output.stdout.splitlines():
             for file in json.loads(line)["files"]:
                 if (name := Path(file["file"]).name) in COVERED:
-                    found[name] = file["lines"]
-    return found
+                    lines_by_file[name] = file["lines"]
+    return lines_by_file
 
 
 @pytest.fixture(scope="module")

@@ -58,7 +58,7 @@ def after(mega: Mega) -> Telemetry:
 
 
 @pytest.mark.parametrize(
-    ("cause", "told"),
+    ("cause", "cause_text"),
     [
         ("pin", "reset pin"),
         ("brown-out", "brown-out"),
@@ -66,7 +66,7 @@ def after(mega: Mega) -> Telemetry:
         ("power", "power-on"),
     ],
 )
-def test_a_reset_under_water_stops_the_thrust_keeps_the_zeros_and_is_reported(mega: Mega, cause: str, told: str) -> None:
+def test_a_reset_under_water_stops_the_thrust_keeps_the_zeros_and_is_reported(mega: Mega, cause: str, cause_text: str) -> None:
     pilot = settle(mega)
     pilot.arm()
     pilot.run(0.2, *[1560] * 4)
@@ -78,19 +78,19 @@ def test_a_reset_under_water_stops_the_thrust_keeps_the_zeros_and_is_reported(me
     pilot.run(0.6, *[1560] * 4)
     turning = [pulse for pulses in mega.pulses()[:4] for pulse in pulses if abs(pulse.width_us - NEUTRAL_US) > 1.0]
     assert max((pulse.begin_us + pulse.width_us - begun_us for pulse in turning), default=0.0) < THRUST_S * 1e6
-    seen = after(mega)
-    assert not seen.armed and told in seen.reset_causes and seen.restarted
-    assert abs(seen.depth_m - DEPTH_M) < 0.02 and abs(seen.yaw_rate_radps) < 0.01
-    assert seen.zero_in_question  # no pressure near that of the surface has come
+    telemetry = after(mega)
+    assert not telemetry.armed and cause_text in telemetry.reset_causes and telemetry.restarted
+    assert abs(telemetry.depth_m - DEPTH_M) < 0.02 and abs(telemetry.yaw_rate_radps) < 0.01
+    assert telemetry.zero_in_question  # no pressure near that of the surface has come
 
 
 def test_a_power_on_in_air_takes_the_zeros_anew(mega: Mega) -> None:
     settle(mega)
     mega.measure(0.0, 2 * BIAS_RADPS, air_hpa=-8.0)
     mega.lose_power()
-    seen = after(mega)
-    assert not seen.restarted and not seen.zero_in_question
-    assert abs(seen.depth_m) < 0.01
+    telemetry = after(mega)
+    assert not telemetry.restarted and not telemetry.zero_in_question
+    assert abs(telemetry.depth_m) < 0.01
     assert abs(after(mega).yaw_rate_radps) < 0.01
 
 
@@ -98,8 +98,8 @@ def test_a_reset_in_air_is_not_in_question(mega: Mega) -> None:
     settle(mega)
     mega.measure(0.0)
     mega.reset(Reset.PIN)
-    seen = after(mega)
-    assert seen.restarted and not seen.zero_in_question
+    telemetry = after(mega)
+    assert telemetry.restarted and not telemetry.zero_in_question
 
 
 def test_a_person_confirms_a_zero_or_has_it_taken_anew(mega: Mega) -> None:
@@ -121,11 +121,11 @@ def test_the_stock_bootloader_starts_the_firmware_only_while_nothing_is_sent(meg
     settle(mega)
     mega.load_bootloader()
     mega.reset(Reset.PIN)
-    seen = Pilot(mega)
-    seen._now_ns = round(mega.now_us * 1000.0)
-    seen.run(FIRST_WORD_S)
-    assert seen.link.telemetry.heartbeats and seen.link.telemetry.reset_causes == ()  # the bootloader has cleared MCUSR
-    assert seen.link.telemetry.restarted and abs(seen.link.telemetry.depth_m - DEPTH_M) < 0.02
+    other = Pilot(mega)
+    other._now_ns = round(mega.now_us * 1000.0)
+    other.run(FIRST_WORD_S)
+    assert other.link.telemetry.heartbeats and other.link.telemetry.reset_causes == ()  # the bootloader has cleared MCUSR
+    assert other.link.telemetry.restarted and abs(other.link.telemetry.depth_m - DEPTH_M) < 0.02
     mega.reset(Reset.PIN)
     sending = Pilot(mega)
     sending._now_ns = round(mega.now_us * 1000.0)

@@ -236,12 +236,12 @@ def test_zeros_are_kept_and_the_older_ones_where_the_newest_are_torn(library: ct
 def settled_zeros(library: ctypes.CDLL, eeprom: bytes) -> tuple[float, float]:
     """The zeros that a memory holds: the depth of the surface pressure, and the bias."""
     at = SLOTS * SLOT_BYTES + 144 * 16
-    found = []
+    records = []
     for slot in range(16):
         record = eeprom[at + 16 * slot : at + 16 * slot + 16]
         if x25(record[:14]) == struct.unpack("<H", record[14:])[0]:
-            found.append(struct.unpack("<Hff", record[:10]))
-    _, surface_hpa, bias_radps = max(found)
+            records.append(struct.unpack("<Hff", record[:10]))
+    _, surface_hpa, bias_radps = max(records)
     return surface_hpa / HPA_PER_M, bias_radps
 
 

@@ -35,9 +35,9 @@ class FakeStation:
 
     def status(self) -> Status:
         fleet: Fleet = {robot: self.inboxes.view(robot, LinkMonitor(), self.clock) for robot in self.inboxes.states}
-        fleet = {**fleet, **self.own_status.seen}
+        fleet = {**fleet, **self.own_status.views}
         preflight = blocking_findings(self.experiment, fleet) if self.preflight is None else self.preflight
-        return replace(self.own_status, seen=fleet, preflight=preflight)
+        return replace(self.own_status, views=fleet, preflight=preflight)
 
     def request(self, order: Order, via: Sequence[tuple[float, float]] = (), only: int = 0, form: str = "") -> tuple[str, int]:
         self.orders.append(order)

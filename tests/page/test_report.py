@@ -63,9 +63,9 @@ def test_every_figure_and_table_of_a_report_is_saved_for_a_paper(browser: Browse
     def saved(label: str, what: str) -> tuple[str, bytes]:
         menu = page.get_by_label(label, exact=True).first
         menu.scroll_into_view_if_needed()
-        with page.expect_download() as found:
+        with page.expect_download() as download:
             menu.select_option(what)
-        return found.value.suggested_filename, found.value.path().read_bytes()
+        return download.value.suggested_filename, download.value.path().read_bytes()
 
     page.locator("#tracking").scroll_into_view_if_needed()
     name, svg = saved("Save the figure tracking", "svg-1")

@@ -162,15 +162,15 @@ class NonlinearController:
         if pull is not None and isinstance(goal, Follow):
             moved, _ = pull
             led = pulled(lead, np.concatenate([np.repeat(moved[:1], 2, axis=0), moved])[:, :3])
-        found = self._improve(goal, led, dynamics, start, surrounds)
+        iteration = self._improve(goal, led, dynamics, start, surrounds)
         dive = self._dive(estimate, led)
         self._off_m = math.hypot(*(reference.eta[0, :2] - estimate.eta[:2]).tolist())
-        return self._put_out(estimate, reference, lead, found, dive, now_ns)
+        return self._put_out(estimate, reference, lead, iteration, dive, now_ns)
 
     def _lift(self, measurement: StateMeasurement, estimate: Estimate) -> float:
         """Force upwards of the thrust of a tilted hull, N: ahead on a bow that points up, sideways on a side that does."""
-        told = (measurement.pitch_rad, measurement.roll_rad)
-        pitch, roll = (min(max(rad, -STEEPEST_RAD), STEEPEST_RAD) if math.isfinite(rad) else 0.0 for rad in told)
+        tilts_rad = (measurement.pitch_rad, measurement.roll_rad)
+        pitch, roll = (min(max(rad, -STEEPEST_RAD), STEEPEST_RAD) if math.isfinite(rad) else 0.0 for rad in tilts_rad)
         return float(estimate.action.item(8) * math.sin(pitch) - estimate.action.item(11) * math.sin(roll))
 
     def _take_up(self, goal: Goal, estimate: Estimate) -> None:
@@ -264,26 +264,26 @@ class NonlinearController:
         start = make_depth_start(estimate.action, self._wrench.item(1) - self._lift_n)
         weights = tunings.depth_weights(self._vehicle, self._tuning)
         problem = PlanProblem(start, self._depth_course, weights, self._depth_limits, self._open_water)
-        found = step_plan(Dynamics(hull, water), self._depth_grid, problem, self._depth, self._period_s)
-        if not (found.rounds and math.isfinite(found.after)):
+        iteration = step_plan(Dynamics(hull, water), self._depth_grid, problem, self._depth, self._period_s)
+        if not (iteration.rounds and math.isfinite(iteration.after)):
             self._depth.flight.command[:] = 0.0
-            return found._replace(rounds=0)
-        return found
+            return iteration._replace(rounds=0)
+        return iteration
 
     # --- results
 
     def _put_out(
-        self, estimate: Estimate, reference: Reference, lead: Reference, found: Iteration, dive: Iteration, now_ns: int
+        self, estimate: Estimate, reference: Reference, lead: Reference, iteration: Iteration, dive: Iteration, now_ns: int
     ) -> ControlOutput:
         """Convert the plans to pulses and output."""
-        solved = found.rounds > 0 and dive.rounds > 0
+        solved = iteration.rounds > 0 and dive.rounds > 0
         self._shifted = 0 if solved else self._shifted + 1
         failed = self._shifted > bridged_steps(self._period_s)
-        wrench = self._still if failed else self._first_wrench(found.rounds > 0, dive.rounds > 0)
+        wrench = self._still if failed else self._first_wrench(iteration.rounds > 0, dive.rounds > 0)
         pulses, delivered = self.allocator.neutral() if failed else self.allocator.allocate(wrench)
         wrench_step = wrench - self._wrench
         self.note_command(wrench, delivered, now_ns)
-        told, told_reference = self._told(estimate, lead)
+        plan_eta, told_reference = self._told(estimate, lead)
         error_m = float(np.linalg.norm(reference.eta[0, :3] - estimate.eta[:3]))
         self._priority = Priority(self._urgent, error_m)
         command = lead.eta[0].copy()
@@ -302,20 +302,20 @@ class NonlinearController:
             thrust_ratio=estimate.thrust_ratio,
             eta_reference=reference.eta[0].copy(),
             eta_command=command,
-            plan_eta=told,
+            plan_eta=plan_eta,
             plan_reference=told_reference,
             tracking_error_m=error_m,
             solve=Solve.FAILED if failed else Solve.SOLVED if solved else Solve.SHIFTED,
-            iterations=found.rounds,
-            slack_m=found.entry_m,
+            iterations=iteration.rounds,
+            slack_m=iteration.entry_m,
             pose_age_s=estimate.pose_age_s,
             depth_age_s=estimate.depth_age_s,
             leap=estimate.leap,
             depth_leap=estimate.depth_leap,
-            is_free=lead is reference and not found.binds,
+            is_free=lead is reference and not iteration.binds,
             path_is_blocked=self._give_way.path_is_blocked,
             flow_moment_nm=flow_moment_nm(self._model.coefficients, estimate.through_water),
-            avoids=self._give_way.avoids or found.binds,
+            avoids=self._give_way.avoids or iteration.binds,
             current=estimate.current,
             deviations=estimate.deviations,
         )
@@ -340,11 +340,11 @@ class NonlinearController:
         rows = np.empty((len(state) + 2, 4))
         rows[0], rows[1] = estimate.eta, estimate.action[:4]
         rows[2:, :2], rows[2:, 3], rows[2:, 2] = state[:, :2], state[:, 2], self._depth.flight.state[:, 0]
-        told, reference = np.empty((count, 4)), np.empty((count, 4))
-        interpolate_rows(rows, self._told_rows, told)
+        poses, reference = np.empty((count, 4)), np.empty((count, 4))
+        interpolate_rows(rows, self._told_rows, poses)
         interpolate_rows(lead.eta, self._told_rows, reference)
-        reference[:, 3] = told[:, 3]
-        return told, reference
+        reference[:, 3] = poses[:, 3]
+        return poses, reference
 
     def _neutral(self, estimate: Estimate | None, now_ns: int) -> ControlOutput:
         """Output with thrusters off. The plan is forgotten; neighbours are told where the robot drifts."""
@@ -368,9 +368,9 @@ class NonlinearController:
         rows = np.empty((len(state) + 2, 4))
         rows[:], rows[1] = estimate.eta, estimate.action[:4]
         rows[2:, :2], rows[2:, 3] = state[:, :2], state[:, 2]
-        told = np.empty((len(self._told_rows), 4))
-        interpolate_rows(rows, self._told_rows, told)
-        return told
+        poses = np.empty((len(self._told_rows), 4))
+        interpolate_rows(rows, self._told_rows, poses)
+        return poses
 
 
 def clear_place(place: complex, surrounds: Surrounds, margin_m: float) -> tuple[float, float]:
@@ -388,10 +388,10 @@ def clear_place(place: complex, surrounds: Surrounds, margin_m: float) -> tuple[
 def _nearest_points(place: complex, bodies: MovingBodies, outlines: Outlines) -> list[tuple[complex, float, bool]]:
     """The point of each body at the end of its plan, and of each outline, that is nearest to a place, with its distance, and
     True if the outline surrounds the place."""
-    found = [(complex(*bodies.place[i, -1]), float(bodies.keep_m[i].max()), False) for i in range(len(bodies.keep_m))]
+    ends = [(complex(*bodies.place[i, -1]), float(bodies.keep_m[i].max()), False) for i in range(len(bodies.keep_m))]
     for i, keep_m in enumerate(outlines.keep_m.tolist()):
         points = outlines.point[outlines.first[i] : outlines.first[i + 1]]
         points = points[:, 0] + 1j * points[:, 1]
         apart = place - points
-        found.append((complex(points[np.abs(apart).argmin()]), keep_m, bool(is_inside(apart[None].astype(np.complex128))[0])))
-    return found
+        ends.append((complex(points[np.abs(apart).argmin()]), keep_m, bool(is_inside(apart[None].astype(np.complex128))[0])))
+    return ends

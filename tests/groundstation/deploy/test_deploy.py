@@ -405,14 +405,14 @@ def test_a_probe_finds_the_serial_ports_of_a_board(tmp_path: Path) -> None:
 
     def probed(folder: Path, device: Path) -> Probe:
         command = manifest.PROBE.format(home=tmp_path, ports=folder, device=device)
-        asked = deploy_shell.ARMED.read_text(encoding="utf-8") + command
-        done = subprocess.run(["sh", "-c", asked], capture_output=True, text=True, check=True)
+        script = deploy_shell.ARMED.read_text(encoding="utf-8") + command
+        done = subprocess.run(["sh", "-c", script], capture_output=True, text=True, check=True)
         return manifest.read_probe("pi", done.stdout)
 
-    found = probed(ports, ports / "usb-1-if00")
-    assert (found.ports, found.has_device) == (("usb-1-if00", "usb-2-if00"), True)
-    found = probed(tmp_path / "none", tmp_path / "none")
-    assert (found.ports, found.has_device) == ((), False)
+    probe = probed(ports, ports / "usb-1-if00")
+    assert (probe.ports, probe.has_device) == (("usb-1-if00", "usb-2-if00"), True)
+    probe = probed(tmp_path / "none", tmp_path / "none")
+    assert (probe.ports, probe.has_device) == ((), False)
 
 
 @pytest.mark.parametrize(
@@ -429,7 +429,7 @@ def test_a_serial_port_that_is_not_there_or_may_be_another_boards_is_told(
     ports: str, link: str, says: str, kept_manifest: DeployRequest, tmp_path: Path
 ) -> None:
     (tmp_path / "ports").write_text(ports)
-    found = deploy_one(Target("board", 1), replace(kept_manifest, link=link))
-    assert (says in found.note) if says else found.note == ""
+    outcome = deploy_one(Target("board", 1), replace(kept_manifest, link=link))
+    assert (says in outcome.note) if says else outcome.note == ""
     if says:
-        assert "/dev/serial/by-id/usb-1, /dev/serial/by-id/usb-2" in found.note
+        assert "/dev/serial/by-id/usb-1, /dev/serial/by-id/usb-2" in outcome.note

@@ -122,7 +122,7 @@ def test_planning_is_given_up_in_time_and_when_the_station_ends(tmp_path: Path, 
         return not station.planning
 
     with a_station(tmp_path) as station:
-        station.seen = station.fleet()
+        station.views = station.fleet()
         for clock, limit_s in ((WallClock(), 3600.0), (WallClock(), 0.0), (LockstepClock(), 0.0)):
             monkeypatch.setattr("groundstation.station.station.PLANNING_S", limit_s)
             station.mission.state, station.mission.plans.request = MissionState.HALTING, PlanRequest("another path", plan)
@@ -137,7 +137,7 @@ def test_planning_is_given_up_in_time_and_when_the_station_ends(tmp_path: Path, 
 def test_a_planner_that_breaks_leaves_the_fleet_holding_and_the_station_alive(tmp_path: Path) -> None:
     with a_station(tmp_path) as station:
         mission = station.mission
-        station.seen = station.fleet()
+        station.views = station.fleet()
         mission.state, mission.plans.request = (
             MissionState.HALTING,
             PlanRequest("another path", lambda out_of_time: dict[str, PlanSegment]()["robot 3"]),
@@ -152,7 +152,7 @@ def test_in_lockstep_a_stop_is_taken_while_a_plan_is_computed(tmp_path: Path) ->
     """And the plan, which nobody waits for any more, is dropped."""
     begun, late = threading.Event(), threading.Event()
     with a_station(tmp_path) as station:
-        station.seen, station.clock = station.fleet(), LockstepClock()
+        station.views, station.clock = station.fleet(), LockstepClock()
         mission, detour = station.mission, station.mission.segment
 
         def slow(out_of_time: Callable[[], bool]) -> PlanSegment:
@@ -357,7 +357,7 @@ def test_a_terminals_request_for_one_robot_is_for_that_robot_and_a_stop_for_ever
     with a_station(tmp_path, hub) as station:
         fleet = ObedientFleet(hub, station.experiment)
         fleet.modes = {1: Mode.HOLDING, 2: Mode.HOLDING}
-        fleet.until(station, lambda: len(station.seen) == 2 and all(view.heard for view in station.seen.values()))
+        fleet.until(station, lambda: len(station.views) == 2 and all(view.heard for view in station.views.values()))
         operator = Bus(MemoryTransport(hub))
         station.bus.serve(WHOLE_FLEET, station.on_operator_command)
         reply = operator.command(Command(Order.DISARM, 2), time.time_ns(), PATIENCE_S, to=WHOLE_FLEET)
@@ -381,7 +381,7 @@ def test_a_run_is_ended_once_everybody_is_at_rest(tmp_path: Path, mode: Mode) ->
         station.mission.state = {Mode.TRACKING: MissionState.RUNNING, Mode.STOPPED: MissionState.STOPPED}.get(
             mode, MissionState.WAITING
         )
-        fleet.until(station, lambda: all(view.heard for view in station.seen.values()))
+        fleet.until(station, lambda: all(view.heard for view in station.views.values()))
         number = asked(station, Order.END)
         assert not station.ended
         assert station.request_gains(None, next_lap=False)[0] == "there is nothing to undo"
@@ -402,7 +402,7 @@ def test_a_station_that_is_told_to_end_in_flight_holds_and_then_disarms(
         fleet = ObedientFleet(hub, station.experiment)
         fleet.modes = dict.fromkeys(fleet.modes, Mode.TRACKING)
         station.mission.state = MissionState.RUNNING
-        fleet.until(station, lambda: len(station.seen) == 2 and all(view.heard for view in station.seen.values()))
+        fleet.until(station, lambda: len(station.views) == 2 and all(view.heard for view in station.views.values()))
         end_by_interruption(station, stop, fleet)
         for robot in fleet.modes:
             orders = [order for of, order in fleet.got if of == robot]
@@ -421,7 +421,7 @@ def test_a_station_that_is_told_to_end_while_robots_are_being_armed_leaves_none_
     hub, stop = MemoryHub(), Stop(install=False)
     with a_station(tmp_path, hub) as station:
         fleet = ObedientFleet(hub, station.experiment)
-        fleet.until(station, lambda: len(station.seen) == 2 and all(view.heard for view in station.seen.values()))
+        fleet.until(station, lambda: len(station.views) == 2 and all(view.heard for view in station.views.values()))
         station.mission.state = state
         end_by_interruption(station, stop, fleet)
         assert station.mission.state not in (MissionState.LOADING, MissionState.ARMING)
@@ -434,7 +434,7 @@ def test_an_end_disarms_the_one_robot_that_is_armed(tmp_path: Path) -> None:
     with a_station(tmp_path, hub) as station:
         fleet = ObedientFleet(hub, station.experiment)
         fleet.modes = {1: Mode.DISARMED, 2: Mode.HOLDING}
-        fleet.until(station, lambda: len(station.seen) == 2 and all(view.heard for view in station.seen.values()))
+        fleet.until(station, lambda: len(station.views) == 2 and all(view.heard for view in station.views.values()))
         asked(station, Order.END)
         fleet.until(station, lambda: station.ended)
         assert fleet.modes == {1: Mode.DISARMED, 2: Mode.DISARMED}
@@ -446,7 +446,7 @@ def test_an_end_replaced_by_a_start_ends_no_run(tmp_path: Path) -> None:
         fleet = ObedientFleet(hub, station.experiment)
         fleet.modes = dict.fromkeys(fleet.modes, Mode.TRACKING)
         station.mission.state = MissionState.RUNNING
-        fleet.until(station, lambda: all(view.heard for view in station.seen.values()))
+        fleet.until(station, lambda: all(view.heard for view in station.views.values()))
         number = asked(station, Order.END)
         stop = asked(station, Order.STOP)
         fleet.until(station, lambda: outcome(station, stop).progress is Progress.DONE)
@@ -462,14 +462,14 @@ def test_an_automatic_run_that_a_person_took_over_ends_only_when_it_is_left_alon
     with a_station(tmp_path, hub) as station:
         fleet, end = ObedientFleet(hub, station.experiment), process.EndOfRun(station, None)
         fleet.modes = dict.fromkeys(fleet.modes, Mode.TRACKING)
-        fleet.until(station, lambda: [view.mode for view in station.seen.values()] == [Mode.TRACKING] * 2)
+        fleet.until(station, lambda: [view.mode for view in station.views.values()] == [Mode.TRACKING] * 2)
         station.mission.automatic, station.mission.state = True, MissionState.RUNNING
         stop = asked(station, Order.STOP)
         assert not end.reached()
         time.sleep(0.3)
         assert not end.reached()  # a robot that moves is never left alone
         fleet.until(station, lambda: outcome(station, stop).progress is Progress.DONE)
-        fleet.until(station, lambda: all(view.mode is Mode.STOPPED for view in station.seen.values()))
+        fleet.until(station, lambda: all(view.mode is Mode.STOPPED for view in station.views.values()))
         assert not end.reached()
         before_s = station.asked_s
         assert station.request_gains(None, next_lap=False)[0]  # refused, and asked for all the same
@@ -493,7 +493,7 @@ def test_a_run_without_a_robot_that_is_out_of_the_water_is_left_alone_too(
         fleet, end = ObedientFleet(hub, station.experiment), process.EndOfRun(station, None)
         del fleet.modes[2]
         station.mission.automatic = station.core.by_hand = True
-        fleet.until(station, lambda: bool(station.seen) and station.seen[1].heard)
+        fleet.until(station, lambda: bool(station.views) and station.views[1].heard)
         assert not end.reached()
         time.sleep(0.3)
         assert not end.reached()  # robot 2 may be anywhere
@@ -580,7 +580,7 @@ def test_robots_are_not_armed_by_the_poses_of_another_experiment(tmp_path: Path)
             state = RobotState(experiment_hash=station.experiment.hash, battery_v=12.0)
             fleet.publish(topics.STATE, state, time.time_ns(), 1)
             station.cycle(station.clock.now_ns())
-            view = replace(station.status().seen[1], state_age_s=0.0)
+            view = replace(station.status().views[1], state_age_s=0.0)
             alarms_of_robot = [f for f in findings(station.experiment, 1, view) if f.key == "localizer"]
             assert [f.blocks_arming for f in alarms_of_robot] == [True] * blocks
             if blocks:
@@ -597,7 +597,7 @@ def test_a_robot_whose_poses_come_from_two_programs_is_not_armed(tmp_path: Path)
             programs[number].publish(topics.POSE, Pose(0.0, 0.0, 0.0, np.eye(3), Track.MARKER, True), time.time_ns(), 1)
             programs[number].publish(topics.STATE, state, time.time_ns(), 1)
         station.cycle(station.clock.now_ns())
-        views = {robot: replace(view, state_age_s=0.0) for robot, view in station.status().seen.items()}
+        views = {robot: replace(view, state_age_s=0.0) for robot, view in station.status().views.items()}
         own = {robot: [f for f in findings(station.experiment, robot, views[robot]) if f.key == "poses"] for robot in (1, 2)}
         assert [f.blocks_arming for f in own[1]] == [True] and own[2] == []
 
@@ -620,7 +620,7 @@ def test_programs_of_other_code_than_the_stations_are_named_on_the_page_and_in_t
         for _ in range(2):
             station.cycle(station.clock.now_ns())
         status = station.status()
-        views = {robot: replace(view, state_age_s=0.0) for robot, view in status.seen.items()}  # however slow the machine is
+        views = {robot: replace(view, state_age_s=0.0) for robot, view in status.views.items()}  # however slow the machine is
         alarm_list = alarms(station.experiment, views, localizer, 0.0, "", status.lasting)
         ours = [alarm.line for alarm in alarm_list if alarm.key.endswith("code")]
         assert ours == [

@@ -622,7 +622,7 @@ def test_a_fault_of_megabytes_is_no_state_of_a_robot(lab: ServedStation) -> None
 
 def test_the_page_shows_what_the_station_knows_of_links_clocks_and_the_timetable(lab: ServedStation) -> None:
     view = RobotView(RobotState(mode=Mode.ARMED), 0.0)
-    lab.own_status = replace(lab.own_status, seen={1: replace(view, loss=0.5, clock_offset_s=0.3, behind_s=0.8), 2: view})
+    lab.own_status = replace(lab.own_status, views={1: replace(view, loss=0.5, clock_offset_s=0.3, behind_s=0.8), 2: view})
     page = lab.open()
     page.hello()
     for robot in (1, 2):

@@ -162,13 +162,13 @@ def test_neighbours_are_told_the_path_without_the_formations_pull(count: int) ->
 
 
 def test_a_neighbours_heading_error_is_shared() -> None:
-    eta, asked = np.tile([9.0, 9.0, 0.3, 0.0], (51, 1)), []
+    eta, headings = np.tile([9.0, 9.0, 0.3, 0.0], (51, 1)), []
     for turned in (0.0, 0.4):
         one, off = controller(), eta - np.array([0.0, 0.0, 0.0, turned])
         for k in range(1, 3):
             output = one.step(at(k), GOAL, [Neighbour(2, k * STEP_NS, Plan(0.05, eta, off), True)], k * STEP_NS)
-        asked.append(output.eta_command[3])
-    assert asked[1] - asked[0] == pytest.approx(0.4 * 0.15 / 1.15, abs=1e-3)
+        headings.append(output.eta_command[3])
+    assert headings[1] - headings[0] == pytest.approx(0.4 * 0.15 / 1.15, abs=1e-3)
 
 
 @pytest.mark.parametrize("turned", [0.48, 0.52])

@@ -43,8 +43,8 @@ def settled(path: Reference, now: Estimate, is_resting: bool = False, steps: int
 @pytest.mark.parametrize("current", [0.05j, -0.03 + 0.06j, 0.08 - 0.02j])
 def test_in_a_current_it_points_where_thrust_alone_keeps_the_robot_on_its_line(current: complex) -> None:
     """Through the water the robot runs straight: its heading is that of its velocity through the water."""
-    found = settled(line(0.2), estimate(REST, np.array([0.2, 0.0, 0.0, 0.0]), current=current))
-    assert found == pytest.approx(np.angle(0.2 - current), abs=1e-3)
+    yaw_rad = settled(line(0.2), estimate(REST, np.array([0.2, 0.0, 0.0, 0.0]), current=current))
+    assert yaw_rad == pytest.approx(np.angle(0.2 - current), abs=1e-3)
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.7, 3.0])
@@ -72,8 +72,8 @@ def test_off_the_path_it_is_the_line_of_the_needed_force(x_m: float, y_m: float)
     drag = VEHICLE.drag.linear[1] + VEHICLE.drag.quadratic[1] * speed_mps
     damp = 2.0 * DAMPING * math.sqrt(GAIN)
     force = drag * speed_mps + mass * (-GAIN * (x_m + 1j * y_m) + damp * 0.01)
-    found = settled(line(speed_mps), now)
-    assert wrap(2.0 * (found - float(np.angle(force)))) == pytest.approx(0.0, abs=1e-3) and abs(found) <= 0.5 * np.pi + 1e-6
+    yaw = settled(line(speed_mps), now)
+    assert wrap(2.0 * (yaw - float(np.angle(force)))) == pytest.approx(0.0, abs=1e-3) and abs(yaw) <= 0.5 * np.pi + 1e-6
 
 
 def test_a_side_force_is_leant_into_and_a_surge_force_turns_nothing() -> None:
@@ -97,11 +97,11 @@ def test_holding_station_in_a_current_it_turns_into_it_and_slowly() -> None:
 
 @pytest.mark.parametrize("is_resting", [True, False])
 def test_noise_on_a_robot_at_rest_turns_it_little(is_resting: bool) -> None:
-    random, one, found = np.random.default_rng(1), heading(), []
+    random, one, turns_rad = np.random.default_rng(1), heading(), []
     for _ in range(400):
         eta, nu = np.array([*random.normal(0, 0.001, 2), 0, 0.4]), np.array([*random.normal(0, 0.002, 2), 0, 0])
-        found.append(one.turn(line(0.0, 0.4), estimate(eta, nu), is_resting))
-    assert np.abs(found).max() < 0.4 and np.std(found) < 0.2
+        turns_rad.append(one.turn(line(0.0, 0.4), estimate(eta, nu), is_resting))
+    assert np.abs(turns_rad).max() < 0.4 and np.std(turns_rad) < 0.2
 
 
 def test_the_heading_never_jumps() -> None:
@@ -109,6 +109,6 @@ def test_the_heading_never_jumps() -> None:
     one, before = heading(), 0.0
     for k in range(3000):
         eta = np.array([0.2 * np.cos(0.004 * k), 0.2 * np.sin(0.004 * k), 0.0, 0.0])
-        found = one.turn(line(0.014), estimate(eta, np.array([0.014, 0.0, 0.0, 0.0])), False)
-        assert abs(found - before) <= PATH_RADPS * PERIOD_S + 1e-12
-        before = found
+        yaw_rad = one.turn(line(0.014), estimate(eta, np.array([0.014, 0.0, 0.0, 0.0])), False)
+        assert abs(yaw_rad - before) <= PATH_RADPS * PERIOD_S + 1e-12
+        before = yaw_rad

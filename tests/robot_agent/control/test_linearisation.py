@@ -29,8 +29,8 @@ def task(seed: int) -> ControlTask:
     """A state, and numbers of all kinds. With seed 0 the robot is at rest."""
     random = np.random.default_rng(seed)
     state = 0.3 * random.normal(size=12) * [1, 1, 1, 5, seed > 0, 0, seed > 0, seed > 0, 0, 0, 0, 0]
-    asked, delivered, gamma = (0.3 * random.normal(size=size) for size in (3, 3, 4))
-    return ControlTask(state, asked, delivered, gamma, random.normal(size=(HORIZON + 1, 4)), random.uniform(size=4))
+    demand, delivered, gamma = (0.3 * random.normal(size=size) for size in (3, 3, 4))
+    return ControlTask(state, demand, delivered, gamma, random.normal(size=(HORIZON + 1, 4)), random.uniform(size=4))
 
 
 def linearised(now: ControlTask, r: Array | None = None) -> tuple[LinearModel, Responses, Cost]:
@@ -46,7 +46,7 @@ def simulated(now: ControlTask, blocks: Array) -> Array:
     x, y, z, yaw0, *_ = now.state.tolist()
     velocity = now.state[[4, 6, 7]].copy()
     u0, w0, r0 = velocity.tolist()
-    lacking, yaw, poses = now.delivered - now.asked, yaw0, [now.state[:4].copy()]
+    lacking, yaw, poses = now.delivered - now.demand, yaw0, [now.state[:4].copy()]
     for block in block_of(BLOCKS, HORIZON):
         wrench = blocks[[block, 2 * N + block, N + block]] + lacking
         before, before_yaw = velocity.copy(), yaw
@@ -83,7 +83,7 @@ def test_the_cost_is_the_sum_of_squares(seed: int) -> None:
     def squares(b: Array) -> float:
         error = simulated(now, b)[1:] - now.reference[1:]
         first = b[[0, 2 * N, N]]  # the first change counts from what was asked for
-        return float(0.5 * (now.weight * error**2).sum() + 0.5 * (b**2).sum() - (r * now.asked * first).sum())
+        return float(0.5 * (now.weight * error**2).sum() + 0.5 * (b**2).sum() - (r * now.demand * first).sum())
 
     nothing = squares(np.zeros(3 * N))
     for _ in range(4):
@@ -104,7 +104,7 @@ def test_sensitivities_are_those_of_the_nonlinear_model_at_first(channel: int) -
         wrench[(0, 2, 1)[channel]] = sign * nudge
         state = tuple(now.state.tolist())
         for _ in range(steps):
-            state = MODEL.advance(state, tuple(now.gamma.tolist()), tuple(wrench + now.delivered - now.asked), PERIOD_S)
+            state = MODEL.advance(state, tuple(now.gamma.tolist()), tuple(wrench + now.delivered - now.demand), PERIOD_S)
         poses.append(np.array(state[:4]))
     true, eta = (poses[0] - poses[1]) / (2.0 * nudge), []
     acting = block_of(BLOCKS, steps)

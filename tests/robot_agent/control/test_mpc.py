@@ -71,20 +71,20 @@ def test_half_spaces_stop_it() -> None:
 
 def refuse(patch: pytest.MonkeyPatch) -> None:
     """From now on the solver finds nothing."""
-    patch.setattr(mpc_module, "solve_from", lambda program, found: 0)
+    patch.setattr(mpc_module, "solve_from", lambda program, working: 0)
 
 
 def test_failures_are_bridged_by_the_last_plan_then_neutral(monkeypatch: pytest.MonkeyPatch) -> None:
     controller = mpc(blocks=(1,) * 6)
     wrench = controller.plan(START, np.zeros(4), np.zeros(3), ahead(0.5), WEIGHT, NOWHERE).wrench
     refuse(monkeypatch)
-    seen = []
+    outcomes = []
     for _ in range(BRIDGED + 2):
         plan = controller.plan(START, np.zeros(4), wrench, ahead(0.5), WEIGHT, NOWHERE)
         assert np.all(np.abs(plan.wrench - wrench) <= STEP + 1e-12) or plan.solve is Solve.FAILED
         wrench = plan.wrench
-        seen.append(plan.solve)
-    assert seen == [Solve.SHIFTED] * BRIDGED + [Solve.FAILED] * 2 and not wrench.any()
+        outcomes.append(plan.solve)
+    assert outcomes == [Solve.SHIFTED] * BRIDGED + [Solve.FAILED] * 2 and not wrench.any()
     monkeypatch.undo()
     assert controller.plan(START, np.zeros(4), wrench, ahead(0.5), WEIGHT, NOWHERE).solve is Solve.SOLVED
 
@@ -134,14 +134,14 @@ def test_the_wrench_grows_as_fast_per_second_at_every_control_period(period_s: f
 
 def test_prediction_does_not_expect_thrust_that_could_not_be_given() -> None:
     """2 N were asked for and 1 N came: the plan goes on from 1 N, the limits of what is asked from 2 N."""
-    asked, delivered = np.array([2.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0])
+    demand, delivered = np.array([2.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0])
     controller = mpc(blocks=(10, 10))
     start: State = (*START[:8], 1.0, 0.0, 0.0)
-    plan = controller.plan(start, np.zeros(4), asked, ahead(0.5), WEIGHT, NOWHERE, 0j, delivered)
-    assert abs(plan.wrench[0] - asked[0]) <= STEP[0] + 1e-12
+    plan = controller.plan(start, np.zeros(4), demand, ahead(0.5), WEIGHT, NOWHERE, 0j, delivered)
+    assert abs(plan.wrench[0] - demand[0]) <= STEP[0] + 1e-12
     state = start
     for _ in range(10):
-        state = MODEL.advance(state, (0.0,) * 4, tuple(delivered + plan.wrench - asked), PERIOD_S)
+        state = MODEL.advance(state, (0.0,) * 4, tuple(delivered + plan.wrench - demand), PERIOD_S)
     assert plan.eta[10, 0] == pytest.approx(state[0], abs=2e-3)
 
 

@@ -44,17 +44,17 @@ def test_pull_is_the_sum_of_weighted_deviations() -> None:
     """argmin of ||e||_Q^2 + sum ||e - dev_j||_Qij^2 is sum Qij dev_j / (Q + sum Qij): what the reference is moved by."""
     both = [neighbour(plan((1, 0), off=(0.1, 0.2, 0.3, 0.4))), neighbour(plan((2, 0), off=(-0.3, 0, 0, 0)), robot=3)]
     predictions = formation().predict_neighbours(both, 0)
-    found = formation().pull(predictions, np.full(4, 2.0))
-    assert found is not None and predictions.members == 2
-    assert found[0][10] == pytest.approx(0.15 * np.array([-0.2, 0.2, 0.3, 0.4]) / 2.3)
-    assert found[1] == pytest.approx(np.full(4, 2.3))
+    pull = formation().pull(predictions, np.full(4, 2.0))
+    assert pull is not None and predictions.members == 2
+    assert pull[0][10] == pytest.approx(0.15 * np.array([-0.2, 0.2, 0.3, 0.4]) / 2.3)
+    assert pull[1] == pytest.approx(np.full(4, 2.3))
 
 
 def test_a_leaders_deviation_is_followed_whole() -> None:
     led = Formation(SAFETY, PERIOD_S * np.arange(STEPS, dtype=np.float64), (1.0, 1.0, 1.0, 1.0), has_leader=True)
-    found = led.pull(led.predict_neighbours([neighbour(plan((1, 0), off=(0.1, 0.2, 0.3, 0.4)))], 0), np.full(4, 2.0))
-    assert found is not None and found[1] == pytest.approx(np.full(4, 2.0))
-    assert found[0][10] == pytest.approx(np.array([0.1, 0.2, 0.3, 0.4]))
+    pull = led.pull(led.predict_neighbours([neighbour(plan((1, 0), off=(0.1, 0.2, 0.3, 0.4)))], 0), np.full(4, 2.0))
+    assert pull is not None and pull[1] == pytest.approx(np.full(4, 2.0))
+    assert pull[0][10] == pytest.approx(np.array([0.1, 0.2, 0.3, 0.4]))
 
 
 def test_plans_are_read_at_our_instants() -> None:

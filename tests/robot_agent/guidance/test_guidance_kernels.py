@@ -69,9 +69,9 @@ def test_plans_are_sampled_as_by_interpolation_of_each(seed: int) -> None:
         if others[-1].fresh and others[-1].formation:
             expected += off
         poses.append(columns(eta, place))
-    found = formation.predict_neighbours(others, now_ns)
-    assert found.deviation == pytest.approx(expected, abs=1e-9)
-    assert found.pose == pytest.approx(np.array(poses), abs=1e-9)
+    predictions = formation.predict_neighbours(others, now_ns)
+    assert predictions.deviation == pytest.approx(expected, abs=1e-9)
+    assert predictions.pose == pytest.approx(np.array(poses), abs=1e-9)
 
 
 # --- reference
@@ -82,11 +82,11 @@ def test_a_trajectory_is_sampled_as_by_interpolation(seed: int) -> None:
     random = np.random.default_rng(seed)
     path, offset_s = random.normal(size=(3, 30, 4)), np.sort(random.uniform(-1.0, 3.0, 40))
     begin_s, period_s, time_s, rate = random.uniform(0.05, 1.0, 4).tolist()
-    found = np.empty((3, 40, 4))
-    sample_trajectory(path, begin_s, period_s, time_s, rate, offset_s, found)
+    result = np.empty((3, 40, 4))
+    sample_trajectory(path, begin_s, period_s, time_s, rate, offset_s, result)
     place = (time_s + rate * offset_s - begin_s) / period_s
     moves = rate * ((place >= 0.0) & (place <= 29.0))[:, None]
-    for rows, samples, pace in zip(found, path, (1.0, moves, moves**2), strict=True):
+    for rows, samples, pace in zip(result, path, (1.0, moves, moves**2), strict=True):
         assert rows == pytest.approx(pace * columns(samples, place), abs=1e-9)
 
 
@@ -188,12 +188,12 @@ def test_the_velocity_chosen_is_the_cheapest_of_the_fan(seed: int) -> None:
     ahead = np.asarray(wanted * LOOKS_S, np.complex128)
     room, islands, islands_keep_m = (1.0, 0.6), places(random, 1.0, 2), np.array([0.3, 0.2])
     meets = np.empty(7, bool)
-    found = find_meetings(place, ahead, traffic, within_s, meets)
+    any_meets = find_meetings(place, ahead, traffic, within_s, meets)
     away = there - place
     keep = np.minimum(keep_m, PARTING * np.abs(away))
     passes = np.abs(away - ahead[:, None] + going * LOOKS_S[:, None]) < keep
     passes &= np.arange(1, 17)[:, None] <= np.round(within_s / LOOK_STEP_S)
-    assert np.array_equal(meets, passes.any(axis=0)) and found == meets.any()
+    assert np.array_equal(meets, passes.any(axis=0)) and any_meets == meets.any()
 
     fan, counts = make_fan(), within_s > 0.0
     chosen = nearest_free(

@@ -24,9 +24,9 @@ def test_a_place_is_as_far_from_the_pieces_as_from_the_box(half_x: float, half_y
     place = (half_x + half_y + off) * np.exp(1j * angle)
     outside = np.maximum(np.abs([place.real, place.imag]) - [half_x, half_y], 0.0)
     from_box = float(np.hypot(*outside))
-    found = float(np.abs(place - obstacle.edge_points).min())
+    distance_m = float(np.abs(place - obstacle.edge_points).min())
     assert not is_inside((place - obstacle.edge_points)[None])[0]
-    assert from_box - 1e-9 <= found <= np.hypot(from_box, SPACING_M / 2.0) + 1e-9
+    assert from_box - 1e-9 <= distance_m <= np.hypot(from_box, SPACING_M / 2.0) + 1e-9
     assert not obstacle.overlaps(complex(place), 0.15, 0)
 
 
@@ -55,10 +55,10 @@ def test_nonsense_is_no_obstacle(poison: float) -> None:
     assert obstacles_from_message(Obstacles(), 0, 0.3) == ()
 
 
-@pytest.mark.parametrize(("told", "believed"), [(2.1, 2.0), (-5.0, -2.0), (1e9, 2.0), (np.nan, 0.0), (np.inf, 0.0)])
-def test_obstacle_faster_than_anything_can_be_is_kept(told: float, believed: float) -> None:
+@pytest.mark.parametrize(("speed_mps", "believed"), [(2.1, 2.0), (-5.0, -2.0), (1e9, 2.0), (np.nan, 0.0), (np.inf, 0.0)])
+def test_obstacle_faster_than_anything_can_be_is_kept(speed_mps: float, believed: float) -> None:
     """An arm in the water, or an outline that grows at once: the slope of its middle is no reason to swim into it."""
-    (obstacle,) = obstacles_from_message(box(1.0, 0.0, 0.1, 0.1, (told, 0.0)), 0, 0.3)
+    (obstacle,) = obstacles_from_message(box(1.0, 0.0, 0.1, 0.1, (speed_mps, 0.0)), 0, 0.3)
     assert obstacle.velocity == pytest.approx(believed) and obstacle.centre == pytest.approx(1.0)
 
 
@@ -69,8 +69,8 @@ def test_an_obstacle_that_drifts_against_the_hull_stays_one() -> None:
     looks = []
     for k, ball_x in enumerate((0.5, 0.3, 0.1, 0.0, 0.1, 0.5)):
         outlines = np.array([square + np.array([ball_x, 0.0]), square])
-        seen = obstacles_from_message(Obstacles((7, 8), outlines, np.zeros((2, 2)), unseen_s=np.zeros(2)), k, 0.3)
-        looks.append([obstacle.id for obstacle in own_hull.exclude(seen, 0j, k)])
+        obstacles = obstacles_from_message(Obstacles((7, 8), outlines, np.zeros((2, 2)), unseen_s=np.zeros(2)), k, 0.3)
+        looks.append([obstacle.id for obstacle in own_hull.exclude(obstacles, 0j, k)])
     assert looks == [[7]] * 6
 
 
@@ -82,4 +82,4 @@ def test_an_obstacle_that_went_away_is_judged_anew() -> None:
         )
         for x in (0.5, 0.0)
     )
-    assert [len(own_hull.exclude(seen, 0j, 0)) for seen in (beside, on_top, (), on_top)] == [1, 1, 0, 0]
+    assert [len(own_hull.exclude(obstacles, 0j, 0)) for obstacles in (beside, on_top, (), on_top)] == [1, 1, 0, 0]

@@ -420,14 +420,14 @@ def test_a_board_that_is_reset_by_the_opening_and_has_another_rate_is_heard_all_
         (tmp_path / "agent.toml").write_text(
             f'experiment = "pool"\nrobot = 1\nstation = "tcp/127.0.0.1:{free_port()}"\nlink = "{link}"\n'
         )
-        found = checked(tmp_path)[1]
-        assert found["thruster board"][1].startswith("heard; ")
-        assert found["baud rate"] == (
+        rows = checked(tmp_path)[1]
+        assert rows["thruster board"][1].startswith("heard; ")
+        assert rows["baud rate"] == (
             "warn", f"{mega.path}: the board speaks at 250000 baud, not at 115200 as configured: set the link to "
             f"serial:{mega.path}:250000",
         )  # fmt: skip
-        told = CliRunner().invoke(cli, ["params", "get", "CMD_AGE_MS", "--link", link])
-        assert told.stdout == "250\n"
+        output = CliRunner().invoke(cli, ["params", "get", "CMD_AGE_MS", "--link", link])
+        assert output.stdout == "250\n"
         assert mega.resets == 1 and mega.bytes_in_bootloader == 0
     finally:
         mega.close()

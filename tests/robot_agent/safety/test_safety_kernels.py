@@ -25,8 +25,8 @@ def test_evidence_is_that_of_inverse_matrices(seed: int) -> None:
             along, size = -rows[:, part] @ np.linalg.solve(s, residual), rows[:, part] @ np.linalg.solve(s, rows[:, part])
             share = np.clip(along / size, least, most)
             best = max(best, float(share * (along - 0.5 * share * size)))
-    known, sought = Knowledge(theta, covariance), Sought(3, least, most)
-    evidence = largest_evidence(np.column_stack([x, y]), weights, begins, known, sought)
+    knowledge, sought = Knowledge(theta, covariance), Sought(3, least, most)
+    evidence = largest_evidence(np.column_stack([x, y]), weights, begins, knowledge, sought)
     assert evidence == pytest.approx(best, rel=1e-7)
 
 

@@ -59,7 +59,7 @@ def fly(
     *,
     latency_s: Callable[[int], float] = lambda k: 0.04,
     told_age: bool = True,
-    seen: Callable[[int], bool] = lambda k: True,
+    is_visible: Callable[[int], bool] = lambda k: True,
     disturbance: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0),
     gyro: bool = True,
     current: complex = 0j,
@@ -70,7 +70,7 @@ def fly(
     for k in range(round(seconds / STEP_S)):
         now_s, now_ns = k * STEP_S, k * STEP_NS
         late = latency_s(k)
-        if seen(k) and now_s >= late:
+        if is_visible(k) and now_s >= late:
             x, y, _, yaw = flight.true(now_s - late)[:4]
             sighting = PoseMeasurement(now_ns - (round(late * 1e9) if told_age else 0), x, y, wrap(yaw))
         here = flight.states[-1]
@@ -161,7 +161,7 @@ def test_disabled_means_no_disturbance() -> None:
 
 def test_poses_missing_for_a_while_are_bridged_by_the_model() -> None:
     """0.3 s without a pose at full swing: a few millimetres, and nothing left a second later."""
-    estimates, flight = fly(weave, 9.0, estimator(), seen=lambda k: not 100 <= k < 106)
+    estimates, flight = fly(weave, 9.0, estimator(), is_visible=lambda k: not 100 <= k < 106)
     error = np.abs(errors(estimates, flight, 4.0))
     assert np.hypot(error[:, 0], error[:, 1]).max() < 0.005
     assert np.hypot(error[60:, 0], error[60:, 1]).max() < 0.001
@@ -169,7 +169,7 @@ def test_poses_missing_for_a_while_are_bridged_by_the_model() -> None:
 
 def test_coasting_ends() -> None:
     observer = estimator()
-    estimates, _ = fly(weave, 4.0, observer, seen=lambda k: k < 30)
+    estimates, _ = fly(weave, 4.0, observer, is_visible=lambda k: k < 30)
     gone = [e is None for e in estimates]
     assert not any(gone[2:45]) and all(gone[30 + COAST_NS // STEP_NS + 2 :])
 
@@ -253,28 +253,28 @@ def test_poses_that_contradict_the_estimate_and_one_another_are_not_believed() -
 
 
 def test_a_leap_that_is_believed_says_what_was_told_and_what_was_believed() -> None:
-    observer, said = estimator(), []
+    observer, leaps = estimator(), []
     for k in range(1, 60):
         pose = PoseMeasurement(k * STEP_NS, 1.0 if k >= 40 else 0.0, 0.0, 0.0)
         estimate = observer.update(StateMeasurement(pose, depth_m=0.3), k * STEP_NS)
         assert estimate is not None and estimate.eta[2] == pytest.approx(0.3, abs=1e-6)  # no pose tells of the depth
-        said += [(k, estimate.leap)] if estimate.leap else []
-    assert said == [(44, "poses say (1.00 m, 0.00 m, 0.00 rad), (0.00 m, 0.00 m, 0.00 rad) was believed")]
+        leaps += [(k, estimate.leap)] if estimate.leap else []
+    assert leaps == [(44, "poses say (1.00 m, 0.00 m, 0.00 rad), (0.00 m, 0.00 m, 0.00 rad) was believed")]
 
 
 # --- depth and yaw rate that cannot be
 
 
-def sensing(told: Callable[[int], tuple[float | None, float | None]], steps: int = 60) -> list[Estimate]:
+def sensing(reading: Callable[[int], tuple[float | None, float | None]], steps: int = 60) -> list[Estimate]:
     """A robot at rest at 0.3 m, whose board says this depth and yaw rate at each step."""
-    observer, found = estimator(), []
+    observer, states = estimator(), []
     for k in range(1, steps + 1):
-        depth_m, rate = told(k)
+        depth_m, rate = reading(k)
         late = PoseMeasurement(k * STEP_NS - 40_000_000, 0.0, 0.0, 0.0)
         estimate = observer.update(StateMeasurement(late, depth_m, rate, k * STEP_NS), k * STEP_NS)
         assert estimate is not None
-        found.append(estimate)
-    return found
+        states.append(estimate)
+    return states
 
 
 @pytest.mark.parametrize("bad", [(10.0, 0.0), (-0.4, 0.0), (0.3, 50.0), (0.3, -1.5)])
@@ -290,31 +290,31 @@ def test_one_bad_depth_or_yaw_rate_moves_nothing(bad: tuple[float, float]) -> No
 
 
 def test_a_depth_that_lasts_against_the_estimate_is_believed_and_told() -> None:
-    found = sensing(lambda k: (0.3 if k < 40 else 10.0, 0.0))
-    said = [(k, e.depth_leap) for k, e in enumerate(found, 1) if e.depth_leap]
-    assert said == [(44, "the sensor says 10.00 m, 0.30 m was believed")]
-    assert found[42].eta[2] == pytest.approx(0.3) and found[-1].eta[2] == pytest.approx(10.0)
-    assert np.abs(found[-1].nu).max() < 1e-6 and np.abs(found[-1].disturbance).max() < 1e-6  # it leapt, it did not dive
+    states = sensing(lambda k: (0.3 if k < 40 else 10.0, 0.0))
+    leaps = [(k, e.depth_leap) for k, e in enumerate(states, 1) if e.depth_leap]
+    assert leaps == [(44, "the sensor says 10.00 m, 0.30 m was believed")]
+    assert states[42].eta[2] == pytest.approx(0.3) and states[-1].eta[2] == pytest.approx(10.0)
+    assert np.abs(states[-1].nu).max() < 1e-6 and np.abs(states[-1].disturbance).max() < 1e-6  # it leapt, it did not dive
 
 
 def test_the_first_depth_is_taken_at_once_however_long_poses_came_without_one() -> None:
     """Nothing was believed before it, so it contradicts nothing: a robot that is armed a moment later has no fault."""
-    found = sensing(lambda k: (None if k < 20 else 2.0, 0.0))
-    assert not any(e.depth_leap for e in found)
-    assert found[18].depth_age_s == math.inf and found[19].depth_age_s == 0.0
-    assert all(e.eta[2] == pytest.approx(2.0, abs=1e-6) and abs(e.nu[2]) < 1e-6 for e in found[19:])
+    states = sensing(lambda k: (None if k < 20 else 2.0, 0.0))
+    assert not any(e.depth_leap for e in states)
+    assert states[18].depth_age_s == math.inf and states[19].depth_age_s == 0.0
+    assert all(e.eta[2] == pytest.approx(2.0, abs=1e-6) and abs(e.nu[2]) < 1e-6 for e in states[19:])
 
 
 def test_depths_that_agree_with_nothing_age() -> None:
-    found = sensing(lambda k: (0.3 if k < 40 else 1.0 + 0.5 * k, 0.0))
-    assert not any(e.depth_leap for e in found) and found[-1].eta[2] == pytest.approx(0.3)
-    assert found[38].depth_age_s == 0.0 and found[-1].depth_age_s == pytest.approx(21 * STEP_S)
+    states = sensing(lambda k: (0.3 if k < 40 else 1.0 + 0.5 * k, 0.0))
+    assert not any(e.depth_leap for e in states) and states[-1].eta[2] == pytest.approx(0.3)
+    assert states[38].depth_age_s == 0.0 and states[-1].depth_age_s == pytest.approx(21 * STEP_S)
 
 
 def test_a_yaw_rate_that_lasts_is_believed() -> None:
     """A robot that was hit."""
-    found = sensing(lambda k: (0.3, 0.0 if k < 40 else 2.0), 46)
-    assert abs(found[42].nu[3]) < 0.1 and found[45].nu[3] > 1.5
+    states = sensing(lambda k: (0.3, 0.0 if k < 40 else 2.0), 46)
+    assert abs(states[42].nu[3]) < 0.1 and states[45].nu[3] > 1.5
 
 
 @pytest.mark.parametrize("step_s", [0.01, 0.05, 0.1, 0.4])
@@ -365,8 +365,8 @@ def test_the_correction_is_equation_31_in_matrices(seed: int) -> None:
     belief, error = 0.1 * random.normal(size=18), 0.05 * random.normal(size=3)
     step_s, settings_ = float(random.uniform(0.02, 0.3)), EsoSettings(2.0, 4.0, on)
     depth_m, rate_radps = (math.nan if seed % 2 else 0.3), (math.nan if seed % 5 == 0 else 0.1)
-    found, expected = belief.copy(), belief.copy()
-    correct(settings_, sway, found, tuple(error.tolist()), depth_m, rate_radps, step_s)
+    state, expected = belief.copy(), belief.copy()
+    correct(settings_, sway, state, tuple(error.tolist()), depth_m, rate_radps, step_s)
 
     (b1, b2, b3), turn = gains(2.0, step_s), belief[3]
     body = np.array([[np.cos(turn), np.sin(turn)], [-sway * np.sin(turn), sway * np.cos(turn)]]) @ error[:2]
@@ -378,4 +378,4 @@ def test_the_correction_is_equation_31_in_matrices(seed: int) -> None:
     yaw_gains = (gains if math.isnan(rate_radps) else gains_with_rate)(4.0, step_s)
     off = error[2] if math.isnan(rate_radps) else rate_radps - belief[7]
     expected[[3, 7, 14]] += np.array(yaw_gains) * [error[2], off, on * off]
-    assert found == pytest.approx(expected, abs=1e-9)
+    assert state == pytest.approx(expected, abs=1e-9)

@@ -106,12 +106,12 @@ def test_a_filter_of_the_bank_is_the_dense_one(learns: bool) -> None:
         k[DRAG] *= learns
         mean, left = mean + k * news, np.eye(ERRORS) - np.outer(k, h)
         p = left @ p @ left.T + measured.variance * np.outer(k, k)
-    told = sum(
+    likelihood_sum = sum(
         filter_bank.correct(bank.covariance[2], bank.mean[2], m, learns, np.empty(ERRORS))
         for m in (MeasuredNumber(X, -1, 0.02, 1e-4), MeasuredNumber(Y, -1, -0.01, 1e-4), MeasuredNumber(R, GYRO, 0.03, 1e-5))
     )
     assert bank.covariance[2] == pytest.approx(p, abs=1e-11) and bank.mean[2] == pytest.approx(mean, abs=1e-11)
-    assert told == pytest.approx(likelihood)
+    assert likelihood_sum == pytest.approx(likelihood)
 
 
 def moments(bank: Bank) -> tuple[Array, Array]:

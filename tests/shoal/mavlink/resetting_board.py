@@ -97,11 +97,11 @@ class ResettingBoard:
         now_ns = round((now_s - self._on_s) * 1e9)
         self._firmware.receive(data, now_ns)
         still = np.zeros(4)
-        said = self._firmware.step(now_ns, still, still, still)
+        answer = self._firmware.step(now_ns, still, still, still)
         if self.host_baud != self.baud:
-            said = self._noise.randbytes(len(said))
-        if said:
+            answer = self._noise.randbytes(len(answer))
+        if answer:
             try:
-                os.write(self._board, said)
+                os.write(self._board, answer)
             except BlockingIOError:  # nobody reads
                 return

@@ -59,11 +59,11 @@ def test_a_depth_that_was_set_stays_until_the_next_restart() -> None:
 def test_the_link_reports_how_the_boards_life_began() -> None:
     link, board = AgentLink(1), BoardLink(1)
     link.receive(board.heartbeat(armed=False, healthy=True, status=0x30A), 0)
-    seen = link.telemetry
-    assert seen.reset_causes == ("reset pin", "watchdog") and seen.restarted and seen.zero_in_question
+    telemetry = link.telemetry
+    assert telemetry.reset_causes == ("reset pin", "watchdog") and telemetry.restarted and telemetry.zero_in_question
     for board_ms, depth_m in ((9000, 0.2), (9050, 0.2), (20, 0.2), (40, 0.2)):
         link.receive(board.pressure(board_ms, depth_m) + board.attitude(board_ms, 0.0, 0.0), 0)
     assert link.telemetry.power_on_depth_m == 0.0
     link.receive(board.heartbeat(armed=False, healthy=True), 0)
-    seen = link.telemetry
-    assert seen.reset_causes == ("power-on",) and not seen.restarted and not seen.zero_in_question
+    telemetry = link.telemetry
+    assert telemetry.reset_causes == ("power-on",) and not telemetry.restarted and not telemetry.zero_in_question

@@ -39,8 +39,8 @@ class Host:
             self.link.wait(0.01)
             time.sleep(0.04)
             self.mavlink.receive(self.link.read(), time.monotonic_ns())
-            seen = self.mavlink.telemetry
-            if (until_burst and seen.board_ms != before) or (until_armed and seen.armed):
+            telemetry = self.mavlink.telemetry
+            if (until_burst and telemetry.board_ms != before) or (until_armed and telemetry.armed):
                 break
         return now_s - begin_s
 
@@ -75,10 +75,10 @@ def test_a_reset_under_way_ends_the_hosts_words_until_the_board_speaks(tmp_path:
         board.reset()
         host.run(6.0, until_burst=True)
         assert board.runs  # the first overrides began a session; it ends, for no more come
-        heard = board.bytes_in_bootloader
-        assert heard < 15 * 40
+        byte_count = board.bytes_in_bootloader
+        assert byte_count < 15 * 40
         host.run(0.2)
-        assert board.bytes_in_bootloader == heard
+        assert board.bytes_in_bootloader == byte_count
     finally:
         host.link.close()
         board.close()

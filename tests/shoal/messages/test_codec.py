@@ -115,7 +115,7 @@ def test_obstacles_that_do_not_all_say_how_long_they_were_unseen_are_refused() -
 
 def _fields(wanted: str) -> list[Any]:
     """(class, dotted field, path to it) of every float, array (of rows) or enum field, also inside an optional message."""
-    found = []
+    parameters = []
 
     def walk(top: Any, cls: Any, path: tuple[str, ...]) -> None:
         hints = get_type_hints(cls)
@@ -125,13 +125,13 @@ def _fields(wanted: str) -> list[Any]:
             kind = "array" if "shape" in field.metadata else "float" if hint is float else "enum" if is_enum else ""
             rows = kind == "array" and field.metadata["shape"] != (-1,)  # a list of numbers may be of any length
             if wanted == kind or (rows and wanted == "rows"):
-                found.append(pytest.param(top, here, id=f"{top.__name__}.{'.'.join(here)}"))
+                parameters.append(pytest.param(top, here, id=f"{top.__name__}.{'.'.join(here)}"))
             elif nested(hint) is not None:
                 walk(top, nested(hint), here)
 
     for cls in OWN:
         walk(cls, cls, ())
-    return found
+    return parameters
 
 
 def _spoilt(message: Any, path: tuple[str, ...], spoil: Any) -> Any:

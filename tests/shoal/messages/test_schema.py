@@ -21,8 +21,8 @@ each_class = pytest.mark.parametrize("cls", OWN, ids=lambda cls: cls.__name__)
 
 
 def _golden() -> dict[str, str]:
-    found: dict[str, str] = json.loads(GOLDEN.read_text())
-    return found
+    golden: dict[str, str] = json.loads(GOLDEN.read_text())
+    return golden
 
 
 def test_there_are_golden_bytes_of_every_message() -> None:
