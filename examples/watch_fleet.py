@@ -8,24 +8,23 @@ import asyncio
 import shoal
 
 
-async def watch(fleet: shoal.AsyncFleet) -> None:
+async def watch(fleet: shoal.ConnectedFleet) -> None:
     """Print each robot's state, until the mission is over."""
-    while await fleet.mission(max_age_s=10.0) not in ("DONE", "FAILED", "CANCELLED"):
+    while await asyncio.to_thread(fleet.mission, max_age_s=10.0) not in ("DONE", "FAILED", "CANCELLED"):
         for robot in fleet.robots:
-            state = await fleet.state(robot, max_age_s=10.0)
+            state = await asyncio.to_thread(fleet.state, robot, max_age_s=10.0)
             print(f"robot {robot}: {state.mode.name}, x {state.eta[0]:.2f} y {state.eta[1]:.2f} m, {state.battery_v:.1f} V")
         await asyncio.sleep(1.0)
 
 
 async def main() -> None:
     """Start a simulated flight, and watch it to its end."""
-    with shoal.simulation("pool", duration_s=5.0, lockstep=True) as simulated:
-        fleet = shoal.AsyncFleet(simulated)
+    with shoal.simulation("pool", duration_s=5.0, lockstep=True) as fleet:
         watching = asyncio.create_task(watch(fleet))
-        await fleet.start()
+        await asyncio.to_thread(fleet.start)
         await watching
-        print("mission:", await fleet.wait_mission("DONE", "FAILED"))
-        await fleet.end()
+        print("mission:", await asyncio.to_thread(fleet.wait_mission, "DONE", "FAILED"))
+        await asyncio.to_thread(fleet.end)
 
 
 asyncio.run(main())

@@ -18,7 +18,6 @@ from shoal.runtime.cli_options import (
     FrameRingOption,
     Insecure,
     KeyRing,
-    LockstepMode,
     Settings,
     StationAddress,
     Verbose,
@@ -54,7 +53,6 @@ def run(
         typer.Option(metavar="FOLDER", help="Keep raw frames and all that poses come from there, for `rerun` and `track`."),
     ] = None,
     camera: CameraName = "",
-    lockstep: LockstepMode = False,
     frame_ring: FrameRingOption = None,
     keys: KeyRing = None,
     insecure: Insecure = False,
@@ -76,8 +74,8 @@ def run(
     cv2.setNumThreads(1)
     loaded = load_experiment(experiment, settings or ())
     options = node.NodeOptions(source, publish_frames, show_port if show else None, frame_ring, record, camera)
-    where = endpoint(station, process_name(Role.LOCALIZER), keys, insecure=insecure, lossless=lockstep)
-    node.run(loaded, where, fleet, Stop(), lockstep, options)
+    where = endpoint(station, process_name(Role.LOCALIZER), keys, insecure=insecure)
+    node.run(loaded, where, fleet, Stop(), options)
 
 
 @cli.command()
@@ -86,7 +84,6 @@ def fuse(
     station: StationAddress = DEFAULT_STATION,
     fleet: FleetName = DEFAULT_FLEET,
     settings: Settings = None,
-    lockstep: LockstepMode = False,
     keys: KeyRing = None,
     insecure: Insecure = False,
     verbose: Verbose = False,
@@ -100,8 +97,8 @@ def fuse(
     from shoal.messages.topics import Role, process_name
 
     start_log("localizer", verbose)
-    where = endpoint(station, process_name(Role.LOCALIZER), keys, insecure=insecure, lossless=lockstep)
-    fusion_node.run(load_experiment(experiment, settings or ()), where, fleet, Stop(), lockstep)
+    where = endpoint(station, process_name(Role.LOCALIZER), keys, insecure=insecure)
+    fusion_node.run(load_experiment(experiment, settings or ()), where, fleet, Stop())
 
 
 cli.command()(calibrate)

@@ -6,7 +6,7 @@ gone is not waited for.
 """
 
 import time
-from collections.abc import Generator, Iterator
+from collections.abc import Generator, Iterable, Iterator, Mapping
 from dataclasses import replace
 
 from localizer.sources.base import silent_after_s
@@ -20,24 +20,25 @@ from shoal.errors import ConfigError
 from shoal.messages import topics
 from shoal.messages.codec import Header
 from shoal.messages.messages import LocalizerStatus, Obstacles, Pose
-from shoal.runtime.lockstep import Lockstep, LockstepClock
 from shoal.runtime.runtime import Clock, Stop, WallClock, age_s, log, log_to_bus, run_steps, wait
 from shoal.runtime.version import code
 
 TOGETHER = 0.25  # of a frame period: pictures nearer in time are fused as one, and no pose waits longer for another camera
+PicturesUpTo = Mapping[str, tuple[int, int]]  # by camera, the stamps up to which its status and its obstacles count
+
 SAY_AGAIN_S = 5.0  # s between log lines about cameras that disagree
 
 
-def run(experiment: Experiment, endpoint: Endpoint, fleet: str, stop: Stop, lockstep: bool) -> None:
+def run(experiment: Experiment, endpoint: Endpoint, fleet: str, stop: Stop) -> None:
     """Fuse until told to stop. Raises ConfigError for an experiment with one camera."""
     if not experiment.cameras:
         raise ConfigError(f"{experiment.name}: has one camera, whose poses need no fusion (allowed: with [[cameras]])")
     with Bus(ZenohTransport(endpoint, stop), fleet) as bus:
         bus.claim(topics.localizer_name(""), stop)
-        FusionNode(experiment, bus, stop, LockstepClock() if lockstep else WallClock()).run()
+        FusionNode(experiment, bus, stop, WallClock()).run()
 
 
-class _Camera:
+class CameraInboxes:
     """Inboxes of one camera's localizer, and what of them was taken."""
 
     def __init__(self, bus: Bus, camera: str, robots: tuple[int, ...]) -> None:
@@ -77,13 +78,13 @@ class FusionNode:
         rate_hz = experiment.all_cameras[0].rate_hz
         self._period_s, self._silent_s = 1.0 / rate_hz, silent_after_s(rate_hz)
         self._bus, self.stop, self._clock, self._hash = bus, stop, clock, experiment.hash
-        self._cameras = {name: _Camera(bus, name, experiment.robot_ids) for name in experiment.camera_names}
-        self._up_to_ns: dict[str, tuple[int, int]] = {}  # in lockstep: stamps up to which status and obstacles count
+        self.cameras = {name: CameraInboxes(bus, name, experiment.robot_ids) for name in experiment.camera_names}
+        self._up_to_ns: PicturesUpTo | None = None  # of the pictures that count; None: whatever has come
         self._fusion = CameraFusion(experiment)
         self._views: dict[str, CameraView] = {}
         self._newest = (-1, -1)  # instant and stamp of the newest picture
         self._obstacles_ns = -1
-        self._lockstep = Lockstep(bus, stop, clock, topics.EXPOSED) if isinstance(clock, LockstepClock) else None
+        self.pace: Iterable[PicturesUpTo | None] = self._wall_pace()  # may be replaced before the loop begins
         self._out: tuple[str, ...] = ()
         self._distrusted: tuple[str, ...] = ()
         self._say_again_ns = 0
@@ -94,20 +95,20 @@ class FusionNode:
         run_steps(self.steps())
 
     def steps(self) -> Generator[None]:
-        """The loop: yields when it is ready, and after each fusion. In lockstep `next` waits for a tick unless it is there
-        already."""
+        """The loop: yields when it is ready, and after each fusion; `next` waits for the next one."""
         log_to_bus(self._bus, self._clock, topics.localizer_name(""))
         self._bus.announce(topics.localizer_name(""))
         log.info("%s", code())
-        log.info("ready, experiment %s, cameras %s", self._hash[:8], ", ".join(self._cameras))
+        log.info("ready, experiment %s, cameras %s", self._hash[:8], ", ".join(self.cameras))
         yield
-        for _ in self._lockstep_pace(self._lockstep) if self._lockstep else self._wall_pace():
+        for up_to_ns in self.pace:
+            self._up_to_ns = up_to_ns
             self._fuse()
             yield
 
     def _wall_pace(self) -> Iterator[None]:
         """Whenever a camera has told of a picture, and the others of theirs if they are about to; and after silence."""
-        cameras = self._cameras.values()
+        cameras = self.cameras.values()
         while not self.stop.requested:
             if wait(self._bus, self.stop, lambda: any(camera.is_new for camera in cameras), self._silent_s):
                 wait(self._bus, self.stop, self._all_here, TOGETHER * self._period_s)
@@ -116,28 +117,18 @@ class FusionNode:
 
     def _all_here(self) -> bool:
         now_ns = time.monotonic_ns()
-        return all(camera.is_here(now_ns, self._period_s, self._silent_s) for camera in self._cameras.values())
-
-    def _lockstep_pace(self, lockstep: Lockstep) -> Iterator[None]:
-        """Yield at each tick, once all that belongs to the cameras' pictures is here."""
-        while (tick := lockstep.next()) is not None:
-            for (name, camera), frame_ns in zip(self._cameras.items(), tick.frames_ns, strict=False):
-                sight = lockstep.await_sight(replace(tick, frame_ns=frame_ns), camera.status, camera.poses, camera.obstacles)
-                if frame_ns >= 0 and sight is not None:
-                    self._up_to_ns[name] = frame_ns, sight
-            if not self.stop.requested:
-                yield
+        return all(camera.is_here(now_ns, self._period_s, self._silent_s) for camera in self.cameras.values())
 
     def _fuse(self) -> None:
         """Take what has come, and publish poses, obstacles and status."""
-        new = [at for name, camera in self._cameras.items() if (at := self._take(name, camera)) is not None]
+        new = [at for name, camera in self.cameras.items() if (at := self._take(name, camera)) is not None]
         now_ns = self._clock.now_ns()
         new = new or [(now_ns, self._stamps.now_ns(now_ns))]
         self._newest = max(self._newest, *new)  # a late camera's picture is carried on to the others'
         instant_ns, stamp_ns = self._newest
         try:
             result = self._fusion.step(self._views, instant_ns)
-        except Exception as error:  # of a message that is not what it should be: in lockstep others wait for the status
+        except Exception as error:  # of a message that is not what it should be: others may wait for the status
             why = f"pictures not fused: {type(error).__name__}: {error}"
             log.error("%s", why, exc_info=error)
             result = FusionResult((), LocalizerStatus(message=why, out=self._out), "", self._distrusted)
@@ -162,23 +153,28 @@ class FusionNode:
         values = sorted((str(getattr(view.status, field)) for view in self._views.values()), reverse=True)
         return next((value for value in values if value != own), own)
 
-    def _take(self, name: str, camera: _Camera) -> tuple[int, int] | None:
+    def _take(self, name: str, camera: CameraInboxes) -> tuple[int, int] | None:
         """Take a camera's newest picture. Returns its instant and stamp, None if there is no new one."""
         camera.status_header = camera.status.newest_header()
-        status = camera.status.newest(self._up_to_ns[name][0] if name in self._up_to_ns else None)
-        if status is None or status is camera.used_status or (self._lockstep and name not in self._up_to_ns):
+        status_ns, _ = self._counts_up_to_ns(name)
+        status = camera.status.newest(status_ns)
+        if status is None or status is camera.used_status:
             return None
         camera.used_status = status
         instant_ns = self._clock.instant_ns(status)
         self._views[name] = CameraView(instant_ns, status.message, camera.poses_of(status))
         return instant_ns, self._stamps.of(name, status.header.stamp_ns, instant_ns, status.header.session)
 
+    def _counts_up_to_ns(self, camera: str) -> tuple[int | None, int | None]:
+        """Stamps up to which a camera's status and obstacles count; None: whatever has come."""
+        return (None, None) if self._up_to_ns is None else self._up_to_ns.get(camera, (-1, -1))
+
     def _tell_obstacles(self, out: tuple[str, ...]) -> None:
         """Publish the obstacles of all cameras when one that sees and is not `out` has told of its own. What those that are
         out, or silent, saw before goes on being told with its age."""
         new: list[tuple[int, int]] = []  # instant and stamp
-        for name, camera in self._cameras.items():
-            obstacles = camera.obstacles.newest(self._up_to_ns[name][1] if name in self._up_to_ns else None)
+        for name, camera in self.cameras.items():
+            obstacles = camera.obstacles.newest(self._counts_up_to_ns(name)[1])
             if obstacles is not None and obstacles is not camera.used_obstacles:
                 camera.used_obstacles = obstacles
                 if name not in out:
@@ -190,7 +186,7 @@ class FusionNode:
         newest_ns, stamp_ns = max(new)
         fresh: dict[str, Obstacles] = {}
         before: dict[str, tuple[Obstacles, float]] = {}
-        for name, camera in self._cameras.items():
+        for name, camera in self.cameras.items():
             trusted = camera.trusted_obstacles
             if trusted is None:
                 continue
@@ -199,7 +195,7 @@ class FusionNode:
             else:
                 before[name] = trusted.message, max((newest_ns - self._clock.instant_ns(trusted)) * 1e-9, 0.0)
         self._obstacles_ns = stamp_ns
-        fused = fuse_obstacles(fresh, tuple(self._cameras), before)
+        fused = fuse_obstacles(fresh, tuple(self.cameras), before)
         age_ns = max(self._clock.now_ns() - newest_ns, 0)
         self._bus.publish(topics.OBSTACLES, fused, self._obstacles_ns, age_ns=age_ns)
 

@@ -16,7 +16,8 @@ import numpy as np
 
 from localizer.detection.obstacles import ObstacleDetector
 from localizer.sources.base import CapturedFrame, FrameSource
-from localizer.sources.factory import BUS, open_bus, open_own
+from localizer.sources.bus import BusSource
+from localizer.sources.factory import BUS, open_own
 from localizer.sources.recording import FrameRecorder, RecordedFrame
 from localizer.sources.session_stamps import SessionStamps
 from localizer.tracking.check_marks import with_camera
@@ -36,7 +37,6 @@ from shoal.messages import topics
 from shoal.messages.codec import encode
 from shoal.messages.messages import CameraHealth, LocalizerStatus, Obstacles, Pose, RobotState, Track
 from shoal.messages.topics import Topic
-from shoal.runtime.lockstep import LockstepClock
 from shoal.runtime.runtime import Clock, Failed, Stop, WallClock, age_s, log, log_to_bus, run_steps
 from shoal.runtime.version import code
 
@@ -58,12 +58,12 @@ class NodeOptions:
     camera: str = ""  # one of several cameras
 
 
-def run(experiment: Experiment, endpoint: Endpoint, fleet: str, stop: Stop, lockstep: bool, options: NodeOptions) -> None:
+def run(experiment: Experiment, endpoint: Endpoint, fleet: str, stop: Stop, options: NodeOptions) -> None:
     """Open source, page and bus, localize, close them.
 
     Raises ConfigError for anything that cannot be opened, before it waits for a station; Failed if a part could not go on.
     """
-    clock: Clock = LockstepClock() if lockstep else WallClock()
+    clock = WallClock()
     alone = with_camera(experiment, options.camera)
     if options.source == BUS and options.publish_frames:
         raise ConfigError(f"--publish-frames: the frames of --source {BUS} are on the bus already")
@@ -76,7 +76,7 @@ def run(experiment: Experiment, endpoint: Endpoint, fleet: str, stop: Stop, lock
 
             page = stack.enter_context(closing(MjpegServer(options.page_port, stop)))
         if options.record is not None:
-            recorder = stack.enter_context(closing(FrameRecorder(options.record, alone, lockstep=lockstep)))
+            recorder = stack.enter_context(closing(FrameRecorder(options.record, alone)))
         bus = stack.enter_context(Bus(ZenohTransport(endpoint, stop), fleet, *codec_of(options.frame_ring)))
         bus.claim(topics.localizer_name(options.camera), stop)
         LocalizerNode(experiment, bus, stop, clock, own, page, options.publish_frames, recorder, options.camera).run()
@@ -102,14 +102,13 @@ class LocalizerNode:
     ) -> None:
         """`camera` is one of several, whose topics it publishes; "" the only one."""
         self._camera, self._name = camera, topics.localizer_name(camera)
-        self._number = experiment.camera_names.index(camera) if camera else None
         self._hash = experiment.hash
         experiment = with_camera(experiment, camera)
         self._experiment, self._bus, self.stop, self._clock = experiment, bus, stop, clock
         self._page, self._publish_frames, self._recorder = page, publish_frames, recorder
-        self._states = bus.inboxes(topics.STATE, RobotState, experiment.robot_ids)
+        self.states = bus.inboxes(topics.STATE, RobotState, experiment.robot_ids)
         self._has_own_source = own is not None
-        self._source = own or open_bus(bus, clock, stop, experiment.camera.rate_hz, self._states, camera, self._number)
+        self.source = own  # may be replaced before the loop begins; None: frames come from the bus
         self._localizer = FleetLocalizer(experiment, sees_all=camera == "")
         self._obstacle_detector = _make_obstacle_detector(experiment)
         self._obstacles, self._obstacles_ns = Obstacles(), -1  # the newest, and the stamp of the newest that was told
@@ -125,9 +124,9 @@ class LocalizerNode:
         run_steps(self.steps())
 
     def steps(self) -> Generator[None]:
-        """The loop: yields when the localizer is ready, and after each frame. In lockstep `next` waits for a frame unless it
-        is there already."""
+        """The loop: yields when the localizer is ready, and after each frame; `next` waits for the next one."""
         rate_hz = self._experiment.localizer.preview_rate_hz
+        source = self.source or BusSource(self._bus, self._clock, self._experiment.camera.rate_hz, self._camera)
         show = partial(draw, self._localizer, labels=self._page is not None)
         with ExitStack() as stack:
             if self._experiment.recording.video != "none":
@@ -146,9 +145,9 @@ class LocalizerNode:
                     "nothing guards the camera: without check_marks nobody notices that it was knocked, or that the water sank"
                 )
             yield
-            for captured in self._source.frames(self.stop):
+            for captured in source.frames(self.stop):
                 if captured is None:
-                    self._report_absent(previews)
+                    self._report_absent(source, previews)
                 else:
                     self._handle(captured, previews)
                 yield
@@ -212,7 +211,7 @@ class LocalizerNode:
             self._failed_in_a_row = 0
 
     def _report_failure(self, captured: CapturedFrame, error: Exception, previews: PreviewPublisher) -> None:
-        """Publish the reason for a frame without poses, so that in lockstep no process waits for them."""
+        """Publish the reason for a frame without poses, so that nobody waits for its poses."""
         why = f"picture skipped: {type(error).__name__}: {error}"
         self._count_failure(why, error)
         status = replace(self._status, message=why, robots=(), obstacles_ns=self._obstacles_ns, failed=self._failed)
@@ -255,15 +254,15 @@ class LocalizerNode:
                 age_ns=max(self._clock.now_ns() - captured.instant_ns, 0),
             )
 
-    def _report_absent(self, previews: PreviewPublisher) -> None:
-        why = f"no frame for {self._source.silent_after_s:g} s" + (f": {self._source.trouble}" if self._source.trouble else "")
+    def _report_absent(self, source: FrameSource, previews: PreviewPublisher) -> None:
+        why = f"no frame for {source.silent_after_s:g} s" + (f": {source.trouble}" if source.trouble else "")
         now_ns = self._stamps.now_ns(self._clock.now_ns())
         self._publish_status(replace(self._status, camera=CameraHealth.ABSENT, message=why, robots=()), now_ns)
         previews.offer_nothing(why, now_ns)
 
     def _fresh_states(self, up_to_ns: int | None) -> dict[int, Received[RobotState]]:
         """The robots' states whose board was heard of late: their depth and attitude count."""
-        newest_states = {robot: inbox.newest(up_to_ns) for robot, inbox in self._states.items()}
+        newest_states = {robot: inbox.newest(up_to_ns) for robot, inbox in self.states.items()}
         limit_s = topics.STATE.max_age_s
         return {
             robot: state

@@ -17,7 +17,6 @@ from shoal.runtime.cli_options import (
     KeyRing,
     LinkInsecure,
     LinkKey,
-    LockstepMode,
     Settings,
     Verbose,
     Version,
@@ -69,7 +68,6 @@ def run(
         str | None, typer.Option(callback=live_fleet, help="Name of the fleet.", show_default=DEFAULT_FLEET)
     ] = None,
     settings: Settings = None,
-    lockstep: LockstepMode = False,
     keys: KeyRing = None,
     insecure: Insecure = False,
     verbose: Verbose = False,
@@ -106,7 +104,7 @@ def run(
     loaded.robot(board.robot)
     ring = None if board.keys is None else Path(board.keys)
     me = process_name(Role.ROBOT, board.robot)
-    where = endpoint(board.station, me, ring, insecure=board.insecure, lossless=lockstep)
+    where = endpoint(board.station, me, ring, insecure=board.insecure)
     (wires, signing), watchdog = open_board_link(board), ServiceNotifier()
     if wires.trouble:  # said before the station is waited for, which may take long
         log.warning("thruster board: %s", wires.trouble)
@@ -116,7 +114,7 @@ def run(
             bus.claim(me, stop)
             for refused in realtime.apply(board.realtime):
                 log.warning("real time: %s", refused)
-            node = AgentNode(loaded, board.robot, bus, wires, lockstep, stop, watchdog, signing)
+            node = AgentNode(loaded, board.robot, bus, wires, stop, watchdog, signing)
             realtime.settle()
             node.run()
     finally:

@@ -1,8 +1,8 @@
 """SHELL: one robot's process around its core: read, step, publish.
 
 By the wall clock a step comes once a period, on a grid that follows the camera slowly (step_clock.py), and no later than the
-instant at which the last pose becomes too old. A command that takes the power away brings a step of its own at once. In
-lockstep a step comes when the simulator's tick names it and all inputs of that tick have arrived.
+instant at which the last pose becomes too old. A command that takes the power away brings a step of its own at once. An
+owner of the time, such as the simulator, gives the node a clock and a pace of its own.
 
 When the loop ends, by request or by an exception, the thruster board is first told to go neutral and to disarm. It would do so
 by itself, but only 0.25 s later.
@@ -11,8 +11,8 @@ by itself, but only 0.25 s later.
 import logging
 import threading
 import time
-from collections.abc import Generator, Iterator
-from dataclasses import replace
+from collections.abc import Generator, Iterable, Iterator
+from dataclasses import dataclass, replace
 
 from robot_agent.agent import Agent, Outputs
 from robot_agent.control.live_tuning import Prepared
@@ -31,7 +31,6 @@ from shoal.messages import topics
 from shoal.messages.codec import Header
 from shoal.messages.messages import (
     Command,
-    LocalizerStatus,
     Mode,
     Obstacles,
     Order,
@@ -40,10 +39,8 @@ from shoal.messages.messages import (
     Reply,
     StationHeartbeat,
     StepInputs,
-    Tick,
 )
-from shoal.runtime.lockstep import Lockstep, LockstepClock, Reminder
-from shoal.runtime.runtime import SLICE_S, Clock, Stop, WallClock, log, log_to_bus, run_steps, wait
+from shoal.runtime.runtime import Clock, Stop, WallClock, log, log_to_bus, run_steps, wait
 from shoal.runtime.version import code
 
 DISARMED = (ARM_DISARM, ACCEPTED)  # the board's answer
@@ -55,6 +52,15 @@ LEAVE_AGAIN_S = 0.01  # how often it is told meanwhile
 LEAVE_TIMES = 3  # at the least: one datagram of ten may be lost
 
 
+@dataclass(frozen=True)
+class StepTime:
+    """The instant at which a step was due, and up to which stamps inputs of others count at it; None: whatever has come."""
+
+    due_ns: int
+    plans_up_to_ns: int | None = None
+    obstacles_up_to_ns: int | None = None
+
+
 class AgentNode:
     """Inboxes, link and clock of one robot."""
 
@@ -64,29 +70,28 @@ class AgentNode:
         robot: int,
         bus: Bus,
         link: Link,
-        lockstep: bool,
         stop: Stop,
         watchdog: ServiceNotifier | None = None,
         signing: Signing | None = None,
+        clock: Clock | None = None,
     ) -> None:
-        """Make the node. With `signing`, frames to the board are signed, and unsigned frames from it are dropped."""
+        """Make the node. With `signing`, frames to the board are signed, and unsigned frames from it are dropped. Without a
+        `clock` it goes by the wall clock; `pace` may be replaced before the loop begins."""
         self.agent = Agent(experiment, robot)
-        self._experiment, self._robot, self._bus, self._link, self.stop = experiment, robot, bus, link, stop
+        self._experiment, self._robot, self._bus, self.link, self.stop = experiment, robot, bus, link, stop
         self._watchdog = watchdog or ServiceNotifier({})
-        self.clock: Clock = LockstepClock() if lockstep else WallClock()
-        self._lockstep = Lockstep(bus, stop, self.clock) if isinstance(self.clock, LockstepClock) else None
+        self.clock: Clock = clock or WallClock()
+        self.pace: Iterable[StepTime] = self._wall_pace()
         self._signing = signing
-        self._mavlink = agent_end(robot, signing)
-        self._zero = BoardZero(None if lockstep else state_folder())
-        self._poses = bus.inbox(topics.POSE, Pose, robot)
+        self.mavlink = agent_end(robot, signing)
+        self._zero = BoardZero(None if self.clock.waits else state_folder())
+        self.poses = bus.inbox(topics.POSE, Pose, robot)
         self._pose: Received[Pose] | None = None  # the newest that counts
         self._two_told = False  # that two programs publish poses
-        self._localizer = bus.inbox(topics.LOCALIZER, LocalizerStatus) if lockstep else None
-        self._heartbeats = bus.inbox(topics.HEARTBEAT, StationHeartbeat)
+        self.heartbeats = bus.inbox(topics.HEARTBEAT, StationHeartbeat)
         others = (r for r in experiment.robot_ids if r != robot)
-        self._plans = bus.inboxes(topics.PLAN, Plan, others, wakes=lockstep)
-        self._obstacles = bus.inbox(topics.OBSTACLES, Obstacles)
-        self._obstacles_up_to_ns: int | None = None
+        self.plans = bus.inboxes(topics.PLAN, Plan, others, wakes=self.clock.waits)
+        self.obstacles = bus.inbox(topics.OBSTACLES, Obstacles)
         self._turn = threading.Lock()  # an order comes from a network thread; it waits for the step to end
         self._hurry = threading.Event()  # a command took the power away: the thrusters must not wait for the next pose
         self._link_heartbeat_s = self._clocks_compared_s = 0.0
@@ -110,26 +115,25 @@ class AgentNode:
         self._leave("told to stop")
 
     def steps(self) -> Generator[None]:
-        """The control loop: yields when the robot is ready, and after each step. In lockstep `next` waits for a tick unless it
-        is there already."""
+        """The control loop: yields when the robot is ready, and after each step; `next` waits for the next one."""
         log_to_bus(self._bus, self.clock, f"agent-{self._robot}")
         log.info("%s", code())
         self.stop.on_request(self._awake)
         self._bus.serve(self._robot, self.on_order)
-        self._greet()
+        self.greet()
         self._bus.announce(f"agent-{self._robot}")
         log.info("ready, experiment %s", self._experiment.hash[:8])
         self._watchdog.ready(f"robot {self._robot}, experiment {self._experiment.name}")
         self._watchdog.mode(self.agent.mode.name)
         yield
-        for due_ns, up_to_ns in self._lockstep_pace(self._lockstep) if self._lockstep else self._wall_pace():
+        for instant in self.pace:
             if self._failure is not None:
                 raise self._failure
             started_ns = time.perf_counter_ns()
             now_ns = self.clock.now_ns()
             with self._turn:
-                record, outputs = self.step(now_ns, up_to_ns)
-            self.write(outputs, now_ns, due_ns, started_ns)
+                record, outputs = self.step(now_ns, instant)
+            self.write(outputs, now_ns, instant.due_ns, started_ns)
             self._watchdog.alive(time.monotonic_ns())
             self._bus.publish(topics.INPUTS, record, now_ns, self._robot)
             self._compare_clocks()
@@ -145,21 +149,21 @@ class AgentNode:
         """Send neutral and disarm to the board until it confirms, at most LEAVE_S long. No other pulses are sent
         afterwards."""
         self._leaving = True
-        before, until_s = self._mavlink.telemetry.acknowledgements, time.monotonic() + LEAVE_S
+        before, until_s = self.mavlink.telemetry.acknowledgements, time.monotonic() + LEAVE_S
         told, disarmed = 0, False
-        while not self._mavlink.telemetry.autopilot_name and (
+        while not self.mavlink.telemetry.autopilot_name and (
             told < LEAVE_TIMES or (not disarmed and time.monotonic() < until_s)
         ):
-            self._link.send(self._mavlink.arm(False))
-            if self._mavlink.telemetry.is_thruster_board:
-                self._link.send(self._mavlink.pulses(self.agent.neutral_us))
+            self.link.send(self.mavlink.arm(False))
+            if self.mavlink.telemetry.is_thruster_board:
+                self.link.send(self.mavlink.pulses(self.agent.neutral_us))
             told += 1
-            self._link.wait(LEAVE_AGAIN_S)
-            self._mavlink.receive(self._link.read(), self.clock.now_ns())
-            seen = self._mavlink.telemetry
+            self.link.wait(LEAVE_AGAIN_S)
+            self.mavlink.receive(self.link.read(), self.clock.now_ns())
+            seen = self.mavlink.telemetry
             disarmed = seen.acknowledgements > before and seen.acknowledged == DISARMED and not seen.armed
-        if self._mavlink.telemetry.autopilot_name:
-            log.log(level, "%s; %s is on the link: nothing is sent to it", why, self._mavlink.telemetry.autopilot_name)
+        if self.mavlink.telemetry.autopilot_name:
+            log.log(level, "%s; %s is on the link: nothing is sent to it", why, self.mavlink.telemetry.autopilot_name)
             return
         log.log(
             level if disarmed else max(level, logging.WARNING),
@@ -167,26 +171,26 @@ class AgentNode:
             "which says that it is disarmed" if disarmed else f"which has not said within {LEAVE_S:g} s that it is disarmed",
         )  # fmt: skip
 
-    def _greet(self) -> None:
+    def greet(self) -> None:
         """Send a heartbeat, so that a board behind UDP learns our address; renew the kept times of signatures."""
-        self._link.send(self._mavlink.heartbeat())
+        self.link.send(self.mavlink.heartbeat())
         if self._signing is not None:
             try:
-                self._signing.stamps.renew(self._mavlink.stamp)
+                self._signing.stamps.renew(self.mavlink.stamp)
             except OSError as error:  # a full disk is no reason to stop; only a restart would come too early for the board
                 log.warning("the times of signatures cannot be kept: %s", error)
 
     def _tell_of_link(self) -> None:
         """Log why nothing gets through to the board (no device, or a device in use), once per change."""
-        autopilot = self._mavlink.telemetry.autopilot_name
-        trouble = f"{autopilot} is on the link; nothing is sent to it" if autopilot else self._link.trouble
+        autopilot = self.mavlink.telemetry.autopilot_name
+        trouble = f"{autopilot} is on the link; nothing is sent to it" if autopilot else self.link.trouble
         if trouble and trouble != self._trouble:
             log.warning("thruster board: %s", trouble)
         self._trouble = trouble
 
     def _tell_of_strangers(self) -> None:
         """Log frames dropped for their signature, at most once a second."""
-        seen = self._mavlink.telemetry
+        seen = self.mavlink.telemetry
         dropped = seen.unsigned_frames + seen.forged_frames + seen.replayed_frames
         if dropped > self._dropped:
             log.warning(
@@ -197,16 +201,16 @@ class AgentNode:
 
     def _compare_clocks(self) -> None:
         """Ask for the board's time once a second, and wait for the answer no longer than the rest of the period surely allows.
-        In lockstep time waits for the step: nothing is measured."""
+        Where time waits for the step, nothing is measured."""
         deadline_s = time.monotonic() + CLOCK_WAIT_S
-        if self._lockstep or deadline_s - self._clocks_compared_s < CLOCK_PERIOD_S:
+        if self.clock.waits or deadline_s - self._clocks_compared_s < CLOCK_PERIOD_S:
             return
         self._clocks_compared_s = deadline_s
-        before = self._mavlink.telemetry.round_trips
-        self._link.send(self._mavlink.timesync(self.clock.now_ns()))
-        while self._mavlink.telemetry.round_trips == before and (left_s := deadline_s - time.monotonic()) > 0:
-            self._link.wait(left_s)
-            self._mavlink.receive(self._link.read(), self.clock.now_ns())
+        before = self.mavlink.telemetry.round_trips
+        self.link.send(self.mavlink.timesync(self.clock.now_ns()))
+        while self.mavlink.telemetry.round_trips == before and (left_s := deadline_s - time.monotonic()) > 0:
+            self.link.wait(left_s)
+            self.mavlink.receive(self.link.read(), self.clock.now_ns())
 
     def on_order(self, header: Header, command: Command) -> Reply:
         """Serve an order of the station, on a network thread. One that fails ends the robot's program."""
@@ -228,8 +232,8 @@ class AgentNode:
         return reply
 
     def _obey(self, header: Header, command: Command, prepared: Prepared | None) -> Reply:
-        # In lockstep the station may have taken up a tick that we have not: an order of that tick is given in it.
-        now_ns = max(self.clock.now_ns(), header.stamp_ns) if self._lockstep else self.clock.now_ns()
+        # Where time waits, the station may have begun a step that we have not: an order of that step is given in it.
+        now_ns = max(self.clock.now_ns(), self.clock.arrival_ns(header.stamp_ns))
         heartbeat = self._station()
         record = record_command(self._steps, self._orders, self.clock, header, command, heartbeat)
         live = self.agent.mode in LIVE  # a thruster test runs in ARMED
@@ -242,16 +246,16 @@ class AgentNode:
 
     # --- inputs
 
-    def step(self, now_ns: int, up_to_ns: int | None) -> tuple[StepInputs, Outputs]:
+    def step(self, now_ns: int, instant: "StepTime") -> tuple[StepInputs, Outputs]:
         """Make the record of a step, and step on it."""
-        self._mavlink.receive(self._link.read(), now_ns)
-        heartbeat, obstacles = self._station(), self._obstacles.newest(self._obstacles_up_to_ns)
-        heard = {robot: inbox.newest(up_to_ns) for robot, inbox in self._plans.items()}
+        self.mavlink.receive(self.link.read(), now_ns)
+        heartbeat, obstacles = self._station(), self.obstacles.newest(instant.obstacles_up_to_ns)
+        heard = {robot: inbox.newest(instant.plans_up_to_ns) for robot, inbox in self.plans.items()}
         plans = {robot: plan for robot, plan in heard.items() if plan is not None}
-        zero_m = self._zero.note(self._mavlink.telemetry)
+        zero_m = self._zero.note(self.mavlink.telemetry)
         if zero_m is not None:
-            self._mavlink.set_zero(zero_m)
-        telemetry = self._mavlink.telemetry
+            self.mavlink.set_zero(zero_m)
+        telemetry = self.mavlink.telemetry
         pose = self._trusted_pose()
         record = record_step(self._steps, self._pace.late_steps, self.clock, pose, heartbeat, telemetry, plans, obstacles)
         self._steps += 1
@@ -262,18 +266,18 @@ class AgentNode:
     def _trusted_pose(self) -> Received[Pose] | None:
         """The newest pose. While two programs publish poses by turns it is the last one before: it grows old, and the robot
         holds, then stops."""
-        two = self._poses.has_two_senders()
+        two = self.poses.has_two_senders()
         if two and not self._two_told:
             log.error("two programs publish poses of this robot by turns, and none counts: end one of them")
         self._two_told = two
         if not two:
-            self._pose = self._poses.newest()
+            self._pose = self.poses.newest()
         return self._pose
 
     def _station(self) -> Received[StationHeartbeat] | None:
         """Return the last heartbeat. At a new station a disarmed robot starts with a new agent, so that the station's log
         holds everything that the agent remembers."""
-        heartbeat = self._heartbeats.newest()
+        heartbeat = self.heartbeats.newest()
         if heartbeat is not None and heartbeat.header.session != self._station_session:
             self._station_session = heartbeat.header.session
             if self._steps and self.agent.mode is Mode.DISARMED:
@@ -281,9 +285,9 @@ class AgentNode:
                 self._steps = self._orders = 0
         return heartbeat
 
-    # --- pace: when a step is due, and up to which stamp neighbours' plans count
+    # --- pace: when a step is due
 
-    def _wall_pace(self) -> Iterator[tuple[int, None]]:
+    def _wall_pace(self) -> "Iterator[StepTime]":
         pace = self._pace = StepClock(self._experiment.controller.period_s, time.monotonic())
         taken: Received[Pose] | None = None
         while not self.stop.requested:
@@ -291,10 +295,10 @@ class AgentNode:
             if self.stop.requested:
                 return
             self._hurry.clear()
-            now_s, pose = time.monotonic(), self._poses.newest()
+            now_s, pose = time.monotonic(), self.poses.newest()
             pace.stepped(now_s, _arrived_s(pose, taken))
             taken = pose
-            yield self.clock.now_ns() - round(max(now_s - due_s, 0.0) * 1e9), None
+            yield StepTime(self.clock.now_ns() - round(max(now_s - due_s, 0.0) * 1e9))
 
     def _await_step(self, pace: StepClock, taken: Received[Pose] | None) -> float:
         """Sleep until the next step. Returns the instant (s, monotonic) at which it was due. `taken` is the last step's
@@ -303,15 +307,15 @@ class AgentNode:
         # Asleep, not waiting: among twenty robots something arrives every 3 ms, and would wake it for nothing.
         self._hurry.wait(max(min(pace.opens_s, react_by_s) - time.monotonic(), 0.0))
         while not self.stop.requested and not self._hurry.is_set():
-            seen = self._poses.newest_header()
-            due_s = min(pace.due_s(_arrived_s(self._poses.newest(), taken)), react_by_s)
+            seen = self.poses.newest_header()
+            due_s = min(pace.due_s(_arrived_s(self.poses.newest(), taken)), react_by_s)
             left_s = due_s - time.monotonic()
             if left_s <= 0.0:
                 return due_s
             wait(
                 self._bus,
                 self.stop,
-                lambda seen=seen: self._hurry.is_set() or self._poses.newest_header() is not seen,  # type: ignore[misc]
+                lambda seen=seen: self._hurry.is_set() or self.poses.newest_header() is not seen,  # type: ignore[misc]
                 left_s,
             )
         return time.monotonic()
@@ -323,61 +327,29 @@ class AgentNode:
             return float("inf")
         return time.monotonic() + (react_by_ns - now_ns) * 1e-9
 
-    def _lockstep_pace(self, lockstep: Lockstep) -> Iterator[tuple[int, int]]:
-        # Greeted until the first tick and not after: what reaches the board must not depend on how long a tick takes.
-        tick = lockstep.next(meanwhile=self._greet)
-        while tick is not None and self._await_inputs(lockstep, tick):
-            yield tick.now_ns, tick.previous_ns
-            tick = lockstep.next()
-
-    def _await_inputs(self, lockstep: Lockstep, tick: Tick) -> bool:
-        """Wait for all inputs of a tick. False when told to stop."""
-        assert self._localizer is not None
-        up_to_ns = lockstep.await_sight(tick, self._localizer, {self._robot: self._poses}, self._obstacles)
-        if up_to_ns is None or not lockstep.await_all([(self._heartbeats, tick.now_ns)]):
-            return False
-        self._obstacles_up_to_ns = up_to_ns
-        heartbeat = self._heartbeats.newest()
-        planned = heartbeat.message.planned if heartbeat is not None else ()
-        plans = [(inbox, tick.previous_ns) for robot, inbox in self._plans.items() if robot in planned]
-        return lockstep.await_all(plans) and self._await_board(tick)
-
-    def _await_board(self, tick: Tick) -> bool:
-        """Wait for the board's burst that belongs to this tick. False when told to stop."""
-        wanted = dict(zip(tick.robots, tick.board_ms, strict=True)).get(self._robot, 0)
-        reminder = Reminder()
-        while not self.stop.requested:
-            self._mavlink.receive(self._link.read(), tick.now_ns)
-            if self._mavlink.telemetry.board_ms >= wanted:
-                return True
-            self._link.wait(SLICE_S)
-            if reminder.due():
-                log.warning("lockstep: waiting for the board's burst of %d ms", wanted)
-        return False
-
     # --- outputs
 
     def write(self, outputs: Outputs, now_ns: int, due_ns: int, started_ns: int) -> None:
         """Send pulses to the board first, then publish plan and state."""
         step_ns = time.perf_counter_ns() - started_ns
-        board = self._mavlink.telemetry
+        board = self.mavlink.telemetry
         if outputs.arm is not None and (board.is_thruster_board or not (outputs.arm or board.autopilot_name)):
-            self._link.send(self._mavlink.arm(outputs.arm))
+            self.link.send(self.mavlink.arm(outputs.arm))
         if now_ns * 1e-9 - self._link_heartbeat_s >= LINK_HEARTBEAT_S:
             self._link_heartbeat_s = now_ns * 1e-9
             self._tell_of_link()
-            self._greet()
+            self.greet()
             self._tell_of_strangers()
         if board.is_thruster_board:  # not before its first heartbeat: an autopilot would take pulses for a pilot's sticks
-            self._link.send(self._mavlink.pulses(outputs.pulse_us))
+            self.link.send(self.mavlink.pulses(outputs.pulse_us))
         sent_ns = time.perf_counter_ns() - started_ns
-        if not self._lockstep:  # where time waits for the step, nothing is late
+        if not self.clock.waits:  # where time waits for the step, nothing is late
             self._pace.put_out((sent_ns + now_ns - due_ns) * 1e-9)
-        age_ns = 0 if self._lockstep else sent_ns
+        age_ns = 0 if self.clock.waits else sent_ns
         if outputs.plan is not None:
             self._bus.publish(topics.PLAN, outputs.plan, now_ns, self._robot, age_ns=age_ns)
-        latency_ms = outputs.state.pose_age_ms + (0.0 if self._lockstep else sent_ns * 1e-6)
-        telemetry = self._mavlink.telemetry
+        latency_ms = outputs.state.pose_age_ms + (0.0 if self.clock.waits else sent_ns * 1e-6)
+        telemetry = self.mavlink.telemetry
         state = replace(
             outputs.state,
             step_us=step_ns * 1e-3,

@@ -18,32 +18,27 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from groundstation.scripting.asynchronous import AsyncFleet, connect_async
     from groundstation.scripting.fleet import ConnectedFleet, NotHeard, RequestFailed, connect
     from groundstation.scripting.runs import FlownRun, open_run
     from sim_bridge.scripting import simulate, simulation
 
 __all__ = [
-    "AsyncFleet",
     "ConnectedFleet",
     "FlownRun",
     "NotHeard",
     "RequestFailed",
     "connect",
-    "connect_async",
     "open_run",
     "simulate",
     "simulation",
 ]
 
 _HOMES = {
-    "AsyncFleet": "groundstation.scripting.asynchronous",
     "ConnectedFleet": "groundstation.scripting.fleet",
     "FlownRun": "groundstation.scripting.runs",
     "NotHeard": "groundstation.scripting.fleet",
     "RequestFailed": "groundstation.scripting.fleet",
     "connect": "groundstation.scripting.fleet",
-    "connect_async": "groundstation.scripting.asynchronous",
     "open_run": "groundstation.scripting.runs",
     "simulate": "sim_bridge.scripting",
     "simulation": "sim_bridge.scripting",

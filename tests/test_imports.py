@@ -89,6 +89,7 @@ PARTS: dict[str, dict[str, set[str]]] = {
     "sim_bridge": {
         "fault_schedule": set(),
         "ways_to_fly": set(),
+        "lockstep": set(),
         "replay": set(),
         "plant": {"fault_schedule"},
         "camera": {"plant"},
@@ -96,8 +97,8 @@ PARTS: dict[str, dict[str, set[str]]] = {
         "thruster_board": {"plant"},
         "board_conformance": {"thruster_board"},
         "world": {"fault_schedule", "plant", "thruster_board"},
-        "node": {"camera", "fault_schedule", "plant", "thruster_board", "world"},
-        "in_process": {"fault_schedule", "node", "plant", "replay", "sil"},
+        "node": {"camera", "fault_schedule", "lockstep", "plant", "thruster_board", "world"},
+        "in_process": {"fault_schedule", "lockstep", "node", "plant", "replay", "sil"},
         "scripting": {"in_process", "sil"},
         "studies": {"fault_schedule", "in_process", "plant", "sil"},
         "cli": {"fault_schedule", "in_process", "node", "replay", "sil", "studies", "thruster_board"},

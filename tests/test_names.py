@@ -1,5 +1,5 @@
-"""Names and first lines, read from the source: one name for one class, docstrings that say what a thing is or does, and tests
-that are named by what they do and use public names."""
+"""Names and first lines, read from the source: one name for one class, nouns for values, docstrings that say what a thing is
+or does, and tests that are named by what they do and use public names."""
 
 import ast
 import io
@@ -16,6 +16,15 @@ PACKAGES = ("shoal", "groundstation", "robot_agent", "localizer", "sim_bridge", 
 PUBLIC = {"_replace", "_asdict", "_fields", "_exit"}  # of named tuples and of `os`: documented in spite of the underscore
 DIRECTIVE = re.compile(r"#\s*(type: ignore|noqa|fmt:|pragma:)[^#]*")  # a comment for a tool, which gives no reason
 VAGUE = re.compile(r"test_(who|what|whoever|somebody|nobody)_")
+PARTICIPLES = {"told", "found", "known", "seen", "said", "heard", "meant", "asked"}  # they leave open what was told or found
+OTHER_BRANCHES = re.compile(
+    r"(tests/)?(robot_agent|groundstation/(mission|station)|shoal/messages|sim_bridge/thruster_board)/"
+)  # next
+KEPT_NAMES = {  # fields that logs, boards' memories and pages have under these names
+    ("shoal/messages/messages.py", "heard"),
+    ("sim_bridge/thruster_board/board.py", "heard"),
+    ("groundstation/web/backend.py", "seen"),
+}
 RIDDLES = {"who", "whom", "whose", "whoever", "what", "whatever", "where", "wherever", "how", "why", "whether", "when"}
 
 
@@ -46,6 +55,51 @@ def test_a_docstring_begins_with_what_a_thing_is_or_does(package: str) -> None:
         if line.removeprefix("SHELL: ").partition(" ")[0].strip(",.:").lower() in RIDDLES
     ]
     assert not offences, "\n".join(offences)
+
+
+def value_names(tree: ast.Module) -> Iterator[tuple[int, str]]:
+    """Each name that a file gives to a value, with its line: of a variable, a loop variable, a parameter, an attribute."""
+    for node in nodes(tree):
+        if isinstance(node, ast.Name | ast.Attribute) and isinstance(node.ctx, ast.Store):
+            yield node.lineno, node.id if isinstance(node, ast.Name) else node.attr
+        elif isinstance(node, ast.arg):
+            yield node.lineno, node.arg
+        elif isinstance(node, ast.ExceptHandler | ast.MatchAs | ast.MatchStar) and node.name:
+            yield node.lineno, node.name
+
+
+@pytest.mark.parametrize("package", [*PACKAGES, "tools"])
+def test_a_value_is_named_by_a_noun(package: str) -> None:
+    offences = [
+        f"{source}:{line}: {name}"
+        for source in sources(package)
+        for line, name in value_names(tree_of(source))
+        if name.strip("_") in PARTICIPLES and (source, name) not in KEPT_NAMES and not OTHER_BRANCHES.match(source)
+    ]
+    assert not offences, "\n".join(offences)
+
+
+@pytest.mark.parametrize(
+    ("text", "names"),
+    [
+        ("told = 1", ["told"]),
+        ("told: int = 1", ["told"]),
+        ("told += 1", ["told"]),
+        ("a, told = 1, 2", ["a", "told"]),
+        ("self._told = 1", ["_told"]),
+        ("(told := 1)", ["told"]),
+        ("for told in a: pass", ["told"]),
+        ("[1 for told in a]", ["told"]),
+        ("with a as told: pass", ["told"]),
+        ("def f(a, told=1): pass", ["a", "told"]),
+        ("lambda told: 1", ["told"]),
+        ("try: pass\nexcept E as told: pass", ["told"]),
+        ("match a:\n case told: pass", ["told"]),
+        ("f(told=1), a.told, told(), told", []),
+    ],
+)
+def test_names_of_values_are_those_that_a_file_gives(text: str, names: list[str]) -> None:
+    assert sorted(name for _, name in value_names(ast.parse(text))) == names
 
 
 def test_heads_of_modules_name_functions_and_files_that_exist() -> None:

@@ -24,6 +24,8 @@ from playwright.sync_api import Page, sync_playwright
 from benchmarks.harness import Row
 from groundstation.mission.state_machine import MissionState
 from groundstation.planning import planner
+from groundstation.planning.feasibility import PlanError
+from groundstation.planning.segment import PlanSegment
 from groundstation.telemetry import LinkMonitor, subscribe_fleet
 from groundstation.web.backend import Status
 from groundstation.web.live_backend import LiveBackend
@@ -160,7 +162,10 @@ class _Station:
         views = {robot: self.fleet.view(robot, LinkMonitor(), self.clock) for robot in self.fleet.states}
         return Status(MissionState.RUNNING, "", seen=views)
 
-    def request(self, order: Order, via: Sequence[tuple[float, float]] = (), only: int = 0) -> tuple[str, int]:
+    def plan_form(self, form: str) -> PlanSegment:
+        raise PlanError("nothing flies here")
+
+    def request(self, order: Order, via: Sequence[tuple[float, float]] = (), only: int = 0, form: str = "") -> tuple[str, int]:
         return "", 0
 
     def drive(self, robot: int, velocity: DriveVelocity) -> str:

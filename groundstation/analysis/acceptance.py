@@ -59,7 +59,7 @@ def _of_contact(series: Series) -> Iterator[Check]:
     centimetres off, and a robot in a real pool may lie at its wall."""
     if series.errors_against != "truth":
         return
-    clear_m = {r: series.experiment.clearance_m(found.truth[:, :3]) for r, found in series.robots.items()}
+    clear_m = {r: series.experiment.clearance_m(track.truth[:, :3]) for r, track in series.robots.items()}
     least_m = {r: float(np.nanmin(m)) for r, m in clear_m.items() if np.isfinite(m).any()}
     if least_m:
         robot = min(least_m, key=lambda r: least_m[r])

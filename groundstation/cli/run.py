@@ -22,7 +22,6 @@ from shoal.runtime.cli_options import (
     Insecure,
     KeyRing,
     ListenAddress,
-    LockstepMode,
     Settings,
     Verbose,
     WebAddress,
@@ -60,7 +59,6 @@ def run(
     external_router: ExternalRouter = False,
     settings: Settings = None,
     fleet: FleetName = DEFAULT_FLEET,
-    lockstep: LockstepMode = False,
     keys: KeyRing = None,
     insecure: Insecure = False,
     verbose: Verbose = False,
@@ -100,7 +98,7 @@ def run(
     viewer = address(foxglove) if foxglove is not None else None
     start_log("groundstation", verbose)
     me = process_name(Role.STATION)
-    where = endpoint(listen, me, keys, insecure=insecure, router=not external_router, lossless=lockstep, fleet=fleet)
+    where = endpoint(listen, me, keys, insecure=insecure, router=not external_router, fleet=fleet)
     if dry_run:
         typer.echo(_intent(loaded, run_dir or out))
         return
@@ -117,7 +115,6 @@ def run(
                 bus,
                 folder,
                 automatic=auto,
-                lockstep=lockstep,
                 stop=stop,
                 give_up_s=give_up,
                 web=page,

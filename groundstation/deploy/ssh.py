@@ -70,7 +70,7 @@ def check(targets: Sequence[Target], request: DeployRequest) -> None:
     parse_link(request.link)
     manifest.check_home(request.home)
     if request.wheels is not None:
-        _found(request.wheels)
+        _wheel_files(request.wheels)
     for target in targets:
         request.experiment.robot(target.robot)
         if request.ring is not None:
@@ -126,7 +126,7 @@ def _trouble_of(service: str) -> str:
 
 
 def _parts(target: Target, request: DeployRequest, probe: Probe) -> dict[str, Files]:
-    wheel_files = _found(request.wheels if request.wheels is not None else wheelhouse.wheels(probe))
+    wheel_files = _wheel_files(request.wheels if request.wheels is not None else wheelhouse.wheels(probe))
     parts: dict[str, Files] = {
         "software": [(f"software/{path.name}", path.read_bytes()) for path in wheel_files],
         "experiment": [("experiment.toml", dump_experiment(request.experiment).encode())],
@@ -140,7 +140,7 @@ def _parts(target: Target, request: DeployRequest, probe: Probe) -> dict[str, Fi
     return parts
 
 
-def _found(wheels: Path) -> list[Path]:
+def _wheel_files(wheels: Path) -> list[Path]:
     """The wheels in a folder. Raises ConfigError where ours is not among them."""
     files = sorted(wheels.glob("*.whl"))
     if not any(path.name.startswith("shoal-") for path in files):

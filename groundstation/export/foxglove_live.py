@@ -19,7 +19,6 @@ from shoal.errors import ConfigError
 from shoal.messages import topics
 from shoal.messages.codec import DecodeError, Header, decode, protobuf_class
 from shoal.messages.topics import Topic
-from shoal.runtime.lockstep import LockstepClock
 from shoal.runtime.runtime import Clock, log
 
 SCENE_S = 0.1
@@ -73,7 +72,7 @@ class ViewerServer:
             return self._channels[key]
 
     def _now_ns(self, stamp_ns: int) -> int:
-        return max(stamp_ns if isinstance(self._clock, LockstepClock) else self._clock.now_ns(), 0)
+        return max(self._clock.arrival_ns(stamp_ns), 0)
 
     def _draw_until_closed(self) -> None:
         """Draw again and again. An error costs one picture: the run does not depend on viewers."""

@@ -328,7 +328,7 @@ class Refusals:
         key = origin_of(address), reason
         self._counts[key] = self._counts.get(key, 0) + 1
 
-    def told(self, now_s: float) -> list[str]:
+    def due_sentences(self, now_s: float) -> list[str]:
         """Sentences about refused connections that are due now."""
         while self._said_s and now_s - next(iter(self._said_s.values())) >= SAY_AGAIN_S:
             self._said_s.popitem(last=False)

@@ -262,7 +262,7 @@ class Guard:
             self._drop(number)
         for number, lane in self._admission.turns(now_s):
             self._pass_on(number, lane)
-        for sentence in self._refusals.told(now_s):
+        for sentence in self._refusals.due_sentences(now_s):
             self._tell(sentence)
         ends_s = min((link.until_s for link in self._links.values()), default=float("inf"))
         self._look_s = min(self._admission.next_s(now_s), self._refusals.next_s(), ends_s)

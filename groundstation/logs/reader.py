@@ -359,8 +359,8 @@ def log_in_memory(messages: Iterable[SentMessage], metadata: Mapping[str, str]) 
     """The log of a run that this process flies, without a file. Every message arrives at its stamp."""
     entries: dict[tuple[str, int], list[DecodedMessage[Any]]] = {}
     for topic, robot, message, stamp_ns in messages:
-        found = entries.setdefault((topic.name, robot or 0), [])
-        found.append(DecodedMessage(stamp_ns, stamp_ns, len(found) + 1, message))
+        messages_of_topic = entries.setdefault((topic.name, robot or 0), [])
+        messages_of_topic.append(DecodedMessage(stamp_ns, stamp_ns, len(messages_of_topic) + 1, message))
     count = sum(map(len, entries.values()))
     return RunLog(entries, dict(metadata), messages=count, complete=True, ended=True)
 

@@ -40,7 +40,6 @@ class CommandDispatcher:
     def __init__(self, experiment_hash: str) -> None:
         self.loaded: set[tuple[int, str]] = set()  # (robot, trajectory id) of accepted LOADs
         self.tested: dict[int, int] = {}  # by robot that accepted TEST: instant of the reply [ns]
-        self.armed: dict[int, int] = {}  # by robot that accepted ARM since arming began: instant of the reply [ns]
         self._hash, self._timer = experiment_hash, RetryTimer()
 
     def reset(self) -> None:
@@ -59,8 +58,6 @@ class CommandDispatcher:
                 self.loaded.add((command.robot, command.trajectory_id))
             elif command.order is Order.TEST:
                 self.tested[command.robot] = now_ns
-            elif command.order is Order.ARM:
-                self.armed[command.robot] = now_ns
         return refusal
 
     def commands(

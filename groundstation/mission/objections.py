@@ -68,7 +68,7 @@ def _unfit_to_rejoin(context: RequestContext, robot: int) -> str:
 
 
 def _moves(context: RequestContext) -> str:
-    moving = [r for r, seen in context.fleet.items() if seen.heard and seen.mode in MOVING]
+    moving = [r for r, view in context.fleet.items() if view.heard and view.mode in MOVING]
     if not moving or context.state not in AT_REST:
         return ""
     led = moving[0] in context.roster.led_by_people

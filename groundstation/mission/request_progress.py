@@ -31,23 +31,23 @@ Confirms = Callable[[Mission, RobotView, int], bool]
 
 def _in(*modes: Mode) -> Confirms:
     wanted = frozenset(modes)
-    return lambda mission, seen, robot: seen.heard and seen.mode in wanted
+    return lambda mission, view, robot: view.heard and view.mode in wanted
 
 
 def _not_in(modes: frozenset[Mode]) -> Confirms:
-    return lambda mission, seen, robot: seen.heard and seen.mode not in modes
+    return lambda mission, view, robot: view.heard and view.mode not in modes
 
 
-def _loaded(mission: Mission, seen: RobotView, robot: int) -> bool:
-    return seen.heard and mission.roster.has_loaded(mission.segment, {robot: seen}, robot)
+def _loaded(mission: Mission, view: RobotView, robot: int) -> bool:
+    return view.heard and mission.roster.has_loaded(mission.segment, {robot: view}, robot)
 
 
-def _tested(mission: Mission, seen: RobotView, robot: int) -> bool:
-    return seen.heard and seen.state is not None and seen.state.thruster_test == "passed"
+def _tested(mission: Mission, view: RobotView, robot: int) -> bool:
+    return view.heard and view.state is not None and view.state.thruster_test == "passed"
 
 
-def _back(mission: Mission, seen: RobotView, robot: int) -> bool:
-    return robot not in mission.roster.lost and seen.heard and seen.mode is Mode.DISARMED
+def _back(mission: Mission, view: RobotView, robot: int) -> bool:
+    return robot not in mission.roster.lost and view.heard and view.mode is Mode.DISARMED
 
 
 @dataclass(frozen=True)
@@ -252,15 +252,15 @@ class RequestTracker:
         outcome = Outcome(
             request.number, request.order, progress, reason, mission.state.name, confirmed, tuple(late), tuple(late.values())
         )
-        kept = [*(known for known in self._outcomes if known.request != request.number), outcome]
-        over = [known.request for known in kept if known.progress is not Progress.UNDER_WAY]
+        kept = [*(earlier for earlier in self._outcomes if earlier.request != request.number), outcome]
+        over = [earlier.request for earlier in kept if earlier.progress is not Progress.UNDER_WAY]
         forgotten = frozenset(over[: -(KEPT + len(self._robots))])
-        self._outcomes = [known for known in kept if known.request not in forgotten]
+        self._outcomes = [earlier for earlier in kept if earlier.request not in forgotten]
         self.recent = tuple(sorted(self._outcomes, key=lambda outcome: outcome.request))
 
 
-def _moves_or_holds(seen: RobotView) -> bool:
-    return may_move(seen) and seen.mode in MOVING | {Mode.HOLDING}
+def _moves_or_holds(view: RobotView) -> bool:
+    return may_move(view) and view.mode in MOVING | {Mode.HOLDING}
 
 
 def _take_refusals(request: _Request, results: Sequence[CommandResult]) -> None:
@@ -272,10 +272,10 @@ def _take_refusals(request: _Request, results: Sequence[CommandResult]) -> None:
             request.refusals[result.command.robot] = "" if result.reply.accepted else result.reply.reason
 
 
-def _reason(seen: RobotView, rejection_reason: str) -> str:
+def _reason(view: RobotView, rejection_reason: str) -> str:
     """Short reason for which a robot has not confirmed a request."""
-    if not seen.heard or seen.mode is None:
-        return "not heard" if seen.state is None else f"not heard for {seen.state_age_s:.1f} s"
-    tested = seen.state.thruster_test if seen.state is not None else ""
-    told = f"is {seen.mode.name.lower()}{f', thruster test {tested}' if tested else ''}"
-    return rejection_reason or told
+    if not view.heard or view.mode is None:
+        return "not heard" if view.state is None else f"not heard for {view.state_age_s:.1f} s"
+    tested = view.state.thruster_test if view.state is not None else ""
+    mode_text = f"is {view.mode.name.lower()}{f', thruster test {tested}' if tested else ''}"
+    return rejection_reason or mode_text

@@ -176,32 +176,32 @@ class SingleRobotControl:
             return f"{order.name} for one robot is not possible when {mission.state.name} (only when {names})"
         if mission.takes_out(order) and set(mission.roster.active) == {robot}:
             return f"robot {robot} is the only one that flies: hold or disarm the fleet instead"
-        seen = fleet[robot]
+        view = fleet[robot]
         if order in WATER:
-            return self._wrong_water(order, robot, seen)
+            return self._wrong_water(order, robot, view)
         if robot in mission.roster.out:
             return f"robot {robot} is {TAKEN_OUT} (groundstation mission back-in --robot {robot})"
-        if not seen.heard:
+        if not view.heard:
             return f"robot {robot} is not heard"
         if order is Order.ARM:
-            if seen.mode is not Mode.DISARMED:
-                return f"robot {robot} is {mode_name(seen)}, not DISARMED"
-            return "; ".join(preflight(self._experiment, {robot: seen}))
+            if view.mode is not Mode.DISARMED:
+                return f"robot {robot} is {mode_name(view)}, not DISARMED"
+            return "; ".join(preflight(self._experiment, {robot: view}))
         if order is Order.DISARM:
-            return f"robot {robot} is STOPPED: clear the stop" if seen.mode is Mode.STOPPED else ""
-        if seen.mode not in LIVE:
-            return f"robot {robot} is {mode_name(seen)}: arm it first"
+            return f"robot {robot} is STOPPED: clear the stop" if view.mode is Mode.STOPPED else ""
+        if view.mode not in LIVE:
+            return f"robot {robot} is {mode_name(view)}: arm it first"
         if order in LED and (foreign := foreign_poses(self._experiment, fleet, (robot,))):
             return foreign
         return self._no_place(robot, fleet, place_m) if order is Order.GO else ""
 
-    def _wrong_water(self, order: Order, robot: int, seen: RobotView) -> str:
+    def _wrong_water(self, order: Order, robot: int, view: RobotView) -> str:
         """Reason against OUT or BACK_IN for a robot; empty if there is none. One that may have power is not taken out."""
         roster = self._mission.roster
         if (robot in roster.out) is (order is Order.OUT):
             return f"robot {robot} is {'' if order is Order.OUT else 'not '}{TAKEN_OUT}"
-        if order is Order.OUT and may_have_power(seen):
-            return f"robot {robot} is {mode_name(seen)}: disarm it first"
+        if order is Order.OUT and may_have_power(view):
+            return f"robot {robot} is {mode_name(view)}: disarm it first"
         if order is Order.OUT and set(roster.all_robots) - roster.out == {robot}:
             return f"robot {robot} is the last one in the water"
         return ""
@@ -213,14 +213,14 @@ class SingleRobotControl:
         if not (abs(place_m[0]) <= length / 2.0 and abs(place_m[1]) <= width / 2.0):
             return f"({place_m[0]:g}, {place_m[1]:g}) m is outside the pool"
         keep_m = 2.0 * self._experiment.safety.radius_m
-        for other, seen in self._others(robot, fleet).items():
-            if np.hypot(*(seen.eta[:2] - place_m)) < keep_m:
+        for other, view in self._others(robot, fleet).items():
+            if np.hypot(*(view.eta[:2] - place_m)) < keep_m:
                 return f"({place_m[0]:g}, {place_m[1]:g}) m is less than {keep_m:g} m from robot {other}"
         return ""
 
     def _others(self, robot: int, fleet: Fleet) -> Fleet:
         """The other robots in the water."""
-        return {r: seen for r, seen in fleet.items() if r != robot and r not in self._mission.roster.out}
+        return {r: view for r, view in fleet.items() if r != robot and r not in self._mission.roster.out}
 
     # --- the cycle
 
@@ -243,61 +243,61 @@ class SingleRobotControl:
                 commands += self._advance(robot, task, fleet[robot], fleet, now_ns)
         return tuple(commands)
 
-    def _advance(self, robot: int, task: RobotTask, seen: RobotView, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
+    def _advance(self, robot: int, task: RobotTask, view: RobotView, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
         """Follow one robot's task by a cycle; returns the commands to send for it."""
         if task.order in LED and (foreign := foreign_poses(self._experiment, fleet, (robot,))):
             self._end(robot, foreign)  # the mission lets it hold
             return ()
         if task.order is Order.DRIVE and task.velocity is not None:
-            return self._drive(robot, task, task.velocity, seen, now_ns)
+            return self._drive(robot, task, task.velocity, view, now_ns)
         if now_ns - task.since_ns > PATIENCE_S * 1e9 and not task.started:
-            self._end(robot, task.reason or f"robot {robot} is {mode_name(seen)}")
+            self._end(robot, task.reason or f"robot {robot} is {mode_name(view)}")
             return ()
         if task.order is Order.GO:
-            return self._go(robot, task, seen, fleet, now_ns)
+            return self._go(robot, task, view, fleet, now_ns)
         order = Order.HOLD if task.order is Order.DRIVE else task.order
-        if seen.state_age_s * 1e9 < now_ns - task.since_ns and seen.mode in CONFIRMS[order]:  # however late it came
+        if view.state_age_s * 1e9 < now_ns - task.since_ns and view.mode in CONFIRMS[order]:  # however late it came
             self._end(robot)
             return ()
         return self._send(order, robot, None, now_ns)
 
     def _drive(
-        self, robot: int, task: RobotTask, velocity: DriveVelocity, seen: RobotView, now_ns: int
+        self, robot: int, task: RobotTask, velocity: DriveVelocity, view: RobotView, now_ns: int
     ) -> tuple[Command, ...]:
         """Send the newest velocity, and HOLD when none comes any more."""
         if now_ns - task.since_ns > VELOCITY_LASTS_S * 1e9:
             self._let_go(robot, task, now_ns)
             return self._send(Order.HOLD, robot, None, now_ns)
-        if seen.mode in (Mode.ARMED, Mode.TRACKING):
+        if view.mode in (Mode.ARMED, Mode.TRACKING):
             return self._send(Order.HOLD, robot, None, now_ns)
-        if seen.mode not in (Mode.HOLDING, Mode.DRIVEN):
-            self._end(robot, f"robot {robot} is {mode_name(seen)}")
+        if view.mode not in (Mode.HOLDING, Mode.DRIVEN):
+            self._end(robot, f"robot {robot} is {mode_name(view)}")
             return ()
         return (Command(Order.DRIVE, robot, VELOCITY_LASTS_S, self._experiment.hash, drive=velocity),)
 
-    def _go(self, robot: int, task: RobotTask, seen: RobotView, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
+    def _go(self, robot: int, task: RobotTask, view: RobotView, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
         """Hold, plan, load, start, fly, hold."""
-        state, transfer = seen.state, task.transfer
-        if not seen.heard or state is None or seen.mode not in LIVE:
-            self._end(robot, f"robot {robot} is {mode_name(seen) if seen.heard else 'not heard'}")
+        state, transfer = view.state, task.transfer
+        if not view.heard or state is None or view.mode not in LIVE:
+            self._end(robot, f"robot {robot} is {mode_name(view) if view.heard else 'not heard'}")
             return ()
         if transfer is None:
-            if seen.mode is not Mode.HOLDING:
+            if view.mode is not Mode.HOLDING:
                 return self._send(Order.HOLD, robot, None, now_ns)
-            rests = seen.speed_mps < AT_REST_MPS or now_ns - task.since_ns > REST_WITHIN_S * 1e9
+            rests = view.speed_mps < AT_REST_MPS or now_ns - task.since_ns > REST_WITHIN_S * 1e9
             if rests and self.plan_request is None:
-                self._plan(robot, task, seen, fleet)
+                self._plan(robot, task, view, fleet)
             elif rests:  # a plan is made, its own or another robot's: that takes as long as the station lets it
                 task.since_ns = now_ns
             return ()
         trajectory, flown = transfer.trajectories[robot], state.trajectory_s >= transfer.end_s - SETTLE_S
-        if seen.mode is Mode.HOLDING and task.started:
+        if view.mode is Mode.HOLDING and task.started:
             on_the_way = f"robot {robot} holds: {state.fault or 'on the way'}"
-            self._end(robot, self._not_there(robot, task, seen) if flown else on_the_way)
+            self._end(robot, self._not_there(robot, task, view) if flown else on_the_way)
             return ()
-        if seen.mode is Mode.TRACKING and state.trajectory_id == trajectory.id:
+        if view.mode is Mode.TRACKING and state.trajectory_id == trajectory.id:
             task.started = True  # at the path's end a robot that lags has SETTLE_S to come up
-            settled = flown and (seen.speed_mps < AT_REST_MPS or state.trajectory_s >= transfer.end_s)
+            settled = flown and (view.speed_mps < AT_REST_MPS or state.trajectory_s >= transfer.end_s)
             return self._send(Order.HOLD, robot, None, now_ns) if settled else ()
         if state.trajectory_id != trajectory.id:
             return self._send(Order.LOAD, robot, trajectory, now_ns)
@@ -306,18 +306,18 @@ class SingleRobotControl:
             self._dispatchers[robot].reset()
         return self._send(Order.START, robot, trajectory, now_ns, task.timetable)
 
-    def _not_there(self, robot: int, task: RobotTask, seen: RobotView) -> str:
+    def _not_there(self, robot: int, task: RobotTask, view: RobotView) -> str:
         """Distance from a GO's place of a robot that may have lagged, or had something in its way; empty if it is there."""
         assert task.place_m is not None
-        away_m = float(np.hypot(*(seen.eta[:2] - task.place_m)))
+        away_m = float(np.hypot(*(view.eta[:2] - task.place_m)))
         return f"robot {robot} holds {away_m:.2f} m from there" if away_m > self._experiment.safety.off_path_m else ""
 
-    def _plan(self, robot: int, task: RobotTask, seen: RobotView, fleet: Fleet) -> None:
+    def _plan(self, robot: int, task: RobotTask, view: RobotView, fleet: Fleet) -> None:
         """Request a way to the task's place, clear of islands, obstacles and of where the other robots are now."""
         experiment, place_m = self._experiment, task.place_m
         assert place_m is not None
         away = self._mission.plans.monitor.discs_to_avoid(self._others(robot, fleet).values(), room_m=0.0)
-        rest = seen.rest
+        rest = view.rest
         goal = np.array([*place_m, rest[2], rest[3]])
         self._planned_for = robot, task
         self.plan_request = PlanRequest(

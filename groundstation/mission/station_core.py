@@ -53,12 +53,12 @@ class StationCore:
         self.laps.update(self.mission.flying(fleet))
         return commands
 
-    def view(self, robot: int, seen: RobotView, now_ns: int) -> RobotView:
+    def view(self, robot: int, view: RobotView, now_ns: int) -> RobotView:
         """A robot as it is seen, compared with what the fleet does: its lag, and whether it has the fleet's gains."""
-        state = seen.state
+        state = view.state
         other_gains = state is not None and state.tuning_id not in ("", self.tuner.status().flown.id)
         out = robot in self.mission.roster.out
-        return replace(seen, behind_s=self.mission.behind_s(robot, seen, now_ns), other_gains=other_gains, out=out)
+        return replace(view, behind_s=self.mission.behind_s(robot, view, now_ns), other_gains=other_gains, out=out)
 
     def follow(self, fleet: Fleet, answers: Sequence[CommandResult]) -> tuple[Outcome, ...]:
         """Update the outcomes of requests; returns those that have ended. The run ends if one of them asks for it and is
@@ -105,8 +105,8 @@ class StationCore:
         self.mission.roster.take_back()
         if self.mission.state in states_allowing(Order.HOLD) - {MissionState.PAUSED}:
             self.request(Order.HOLD, fleet, now_ns)
-        moving = [seen for seen in fleet.values() if seen.heard and seen.mode in LIVE - {Mode.ARMED}]
-        return any(seen.mode in MOVING or seen.speed_mps > AT_REST_MPS for seen in moving)
+        moving = [view for view in fleet.values() if view.heard and view.mode in LIVE - {Mode.ARMED}]
+        return any(view.mode in MOVING or view.speed_mps > AT_REST_MPS for view in moving)
 
     def drive(self, robot: int, velocity: DriveVelocity, fleet: Fleet, now_ns: int) -> str:
         """Take a person's newest velocity for one robot: one request from the first to letting go. Returns the reason of a
@@ -132,5 +132,5 @@ class StationCore:
         """Disarm all robots that may be armed. Returns the reason of a refusal, or nothing."""
         if self.mission.state is MissionState.STOPPED:
             return ""
-        rests = self.mission.state in AT_REST and not any(may_have_power(seen) for seen in fleet.values())
+        rests = self.mission.state in AT_REST and not any(may_have_power(view) for view in fleet.values())
         return "" if rests else self.mission.request(Order.DISARM, fleet, now_ns)

@@ -59,9 +59,9 @@ def slot_offsets(nodes_m: Array, changes: Sequence[Change], time_s: Array) -> li
         s, s1, s2 = quintic_blend(tau, change.over_s)
         if change.shape is not None:
             form = change.scale * shape_nodes(change.shape, len(nodes_m), change.spacing_m) @ _turn(change.turn_rad).T
-            way = (_assigned(nodes_m, form + nodes_m.mean(axis=0)) - nodes_m)[:, None]
-            place, rate, bend = place + s[:, None] * way, rate + s1[:, None] * way, bend + s2[:, None] * way
-            nodes_m = nodes_m + way[:, 0]
+            shift_m = (_assigned(nodes_m, form + nodes_m.mean(axis=0)) - nodes_m)[:, None]
+            place, rate, bend = place + s[:, None] * shift_m, rate + s1[:, None] * shift_m, bend + s2[:, None] * shift_m
+            nodes_m = nodes_m + shift_m[:, 0]
             continue
         grow, turn = change.scale - 1.0, 1j * change.turn_rad
         spun = np.exp(turn * s)
@@ -85,8 +85,8 @@ def _turn(angle_rad: float) -> Array:
 
 def _assigned(nodes_m: Array, form_m: Array) -> Array:
     """The new form's nodes (robots, 3), in the robots' order."""
-    ways = np.sum((nodes_m[:, None] - form_m) ** 2, axis=2)
-    return np.asarray(form_m[linear_sum_assignment(ways)[1]])
+    costs = np.sum((nodes_m[:, None] - form_m) ** 2, axis=2)
+    return np.asarray(form_m[linear_sum_assignment(costs)[1]])
 
 
 def structure_rotation(yaw_rad: Array, climb_rad: Array) -> Array:

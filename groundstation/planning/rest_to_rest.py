@@ -115,8 +115,8 @@ def assign_slots(segment: PlanSegment, time_s: float, eta: Rests, slots: Sequenc
     """Slot of each robot so that the sum of squared distances is least; straight ways then do not cross."""
     robots = list(eta)
     nodes = np.array([sample(segment.trajectories[s], np.array([time_s])).eta[0, :3] for s in slots])
-    ways = np.sum((np.array([eta[r][:3] for r in robots])[:, None] - nodes) ** 2, axis=2)
-    chosen = linear_sum_assignment(ways)[1].tolist()
+    costs = np.sum((np.array([eta[r][:3] for r in robots])[:, None] - nodes) ** 2, axis=2)
+    chosen = linear_sum_assignment(costs)[1].tolist()
     return {robot: slots[k] for robot, k in zip(robots, chosen, strict=True)}
 
 

@@ -125,10 +125,10 @@ def shortest(start: Array, goal: Array, discs: Array, half_m: tuple[float, float
             continue
         is_done[here] = True
         if here == 1:
-            way = [1]
-            while way[-1]:
-                way.append(int(before[way[-1]]))
-            return np.asarray(points[way[::-1]])
+            order = [1]
+            while order[-1]:
+                order.append(int(before[order[-1]]))
+            return np.asarray(points[order[::-1]])
         through = cost[here] + np.hypot(*(points - points[here]).T)
         worth = np.flatnonzero(~is_done & (through < cost))
         visible_corners = worth[_visible(points[here], points[worth], discs)]
@@ -155,9 +155,9 @@ def _visible(here: Array, there: Array, discs: Array) -> Array:
     """Mask (n,) of the straight lines from `here` (2,) to `there` (n, 2) that cross no disc."""
     if len(discs) == 0:
         return np.ones(len(there), dtype=bool)
-    way, out = there - here, discs[:, :2] - here
-    along = np.clip(way @ out.T / np.maximum(np.sum(way**2, axis=1), 1e-18)[:, None], 0.0, 1.0)
-    nearest = out - along[:, :, None] * way[:, None]
+    lines, out = there - here, discs[:, :2] - here
+    along = np.clip(lines @ out.T / np.maximum(np.sum(lines**2, axis=1), 1e-18)[:, None], 0.0, 1.0)
+    nearest = out - along[:, :, None] * lines[:, None]
     return np.asarray(np.all(np.hypot(nearest[..., 0], nearest[..., 1]) >= discs[:, 2] * TOUCHING, axis=1))
 
 

@@ -83,8 +83,8 @@ def plan_transfer(experiment: Experiment, around: FreeSpace, start: Array, goal:
     speed = min(experiment.mission.return_mps, 0.8 * limits.speed_mps)
     speed = min(speed, 0.8 * limits.heave_mps * max(flat_m, abs(rise_m)) / max(abs(rise_m), 1e-9))
     while True:
-        way, rate, bend = s_curve_profile(max(flat_m, abs(rise_m)), speed, period_s)
-        transfer = pad(_along(path, start, flat_m, rise_m, way, rate, bend), turn_samples(experiment), 0)
+        distance_m, rate, bend = s_curve_profile(max(flat_m, abs(rise_m)), speed, period_s)
+        transfer = pad(_along(path, start, flat_m, rise_m, distance_m, rate, bend), turn_samples(experiment), 0)
         if (
             speed < 0.02
             or float(np.max(required_slowdown(experiment, {0: add_heading(transfer, float(start[3]), experiment)}))) <= 1.0
@@ -115,27 +115,27 @@ def s_curve_profile(length_m: float, speed_mps: float, period_s: float) -> tuple
     cruise_s = length_m / speed - RAMP_S
     time_s = period_s * np.arange(math.ceil((cruise_s + 2.0 * RAMP_S) / period_s) + 1, dtype=np.float64)
     up, down = ramp(time_s), ramp(time_s - cruise_s - RAMP_S)
-    way, rate, bend = (speed * a - speed * b for a, b in zip(up, down, strict=True))
-    return np.minimum(way, length_m), rate, bend
+    distance_m, rate, bend = (speed * a - speed * b for a, b in zip(up, down, strict=True))
+    return np.minimum(distance_m, length_m), rate, bend
 
 
 def _along(
-    path: SplinePath | None, start: Array, flat_m: float, rise_m: float, way: Array, rate: Array, bend: Array
+    path: SplinePath | None, start: Array, flat_m: float, rise_m: float, distance_m: Array, rate: Array, bend: Array
 ) -> Transfer:
-    """Motion along the path and up or down in step with it; `way` (n,) is measured along the longer of the two."""
+    """Motion along the path and up or down in step with it; `distance_m` (n,) is measured along the longer of the two."""
     whole = max(flat_m, abs(rise_m))
-    position, velocity = np.tile(start[:3], (len(way), 1)), np.zeros((len(way), 3))
-    acceleration = np.zeros((len(way), 3))
+    position, velocity = np.tile(start[:3], (len(distance_m), 1)), np.zeros((len(distance_m), 3))
+    acceleration = np.zeros((len(distance_m), 3))
     if path is not None:
         share = flat_m / whole
-        at = path.at(share * way)
+        at = path.at(share * distance_m)
         position[:, :2] = at.position_m[:, :2]
         velocity[:, :2] = at.velocity_mps[:, :2] * (share * rate)[:, None]
         acceleration[:, :2] = (
             at.acceleration_mps2[:, :2] * (share * rate)[:, None] ** 2 + at.velocity_mps[:, :2] * (share * bend)[:, None]
         )
     share = rise_m / whole
-    position[:, 2] += share * way
+    position[:, 2] += share * distance_m
     velocity[:, 2], acceleration[:, 2] = share * rate, share * bend
     return Transfer(position, velocity, acceleration)
 
@@ -165,15 +165,15 @@ def join(first: Transfer, then: Transfer) -> Transfer:
 def add_heading(transfer: Transfer, yaw_rad: float, experiment: Experiment) -> NodeMotion:
     """Motion with headings along the velocity. At rest the robot turns from its last to its next direction."""
     moving = np.hypot(transfer.velocity[:, 0], transfer.velocity[:, 1]) > NEAR_M
-    course = np.arctan2(transfer.velocity[:, 1], transfer.velocity[:, 0])
+    direction = np.arctan2(transfer.velocity[:, 1], transfer.velocity[:, 0])
     yaw, period_s = np.full(len(transfer), yaw_rad), experiment.controller.period_s
     edges = np.flatnonzero(np.diff(np.concatenate([[False], moving, [False]]).astype(np.intp)))
     before, stood = yaw_rad, 0
     for begin, end in edges.reshape(-1, 2).tolist():
-        way = np.unwrap(course[begin:end])
-        way += 2.0 * np.pi * round((before - way[0]) / (2.0 * np.pi))
-        yaw[stood:begin] = turn_profile(before, float(way[0]), begin - stood)
-        yaw[begin:end], before, stood = way, float(way[-1]), end
+        headings = np.unwrap(direction[begin:end])
+        headings += 2.0 * np.pi * round((before - headings[0]) / (2.0 * np.pi))
+        yaw[stood:begin] = turn_profile(before, float(headings[0]), begin - stood)
+        yaw[begin:end], before, stood = headings, float(headings[-1]), end
     yaw[stood:] = before
     rate, bend = heading_rates(yaw, period_s)
     return NodeMotion(

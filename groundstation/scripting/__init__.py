@@ -1,4 +1,4 @@
 """Scripts of a station, as `import shoal` offers them.
 
-A connected fleet (fleet.py), the same for asyncio (asynchronous.py), and flown runs as tables (runs.py).
+A connected fleet (fleet.py), and flown runs as tables (runs.py).
 """

@@ -1,13 +1,13 @@
 """SHELL: the ground station's process: log, page and viewers around the station, and the time of its next cycle.
 
-By the wall clock a cycle a control period, at once after a request that cannot wait; in lockstep one a tick,
-when all messages of that tick have come.
+A cycle a control period, at once after a request that cannot wait; or when an owner of the time says so (sim_bridge/lockstep).
 """
 
 import contextlib
 import time
-from collections.abc import Generator
+from collections.abc import Callable, Generator, Iterable
 from pathlib import Path
+from typing import NamedTuple
 
 from groundstation.export.foxglove_live import ViewerServer
 from groundstation.logs.recorder import Recorder, check_room, run_metadata
@@ -27,9 +27,7 @@ from shoal.bus.bus import Bus
 from shoal.config.experiment import Experiment, load_experiment
 from shoal.errors import ConfigError, os_errors_as_config_errors
 from shoal.messages import topics
-from shoal.messages.codec import Header
 from shoal.messages.topics import WHOLE_FLEET
-from shoal.runtime.lockstep import Lockstep, LockstepClock
 from shoal.runtime.output_files import PAGE_OPEN, replace_text
 from shoal.runtime.runtime import Clock, Stop, WallClock, log, log_to_bus
 from shoal.runtime.version import code
@@ -43,14 +41,19 @@ IDLE_ALONE_S = 60.0  # the same while no page is open: time for the next command
 INTERRUPTED = "interrupted: Ctrl-C in the terminal"  # groundstation/analysis/cause.py knows it
 
 
+class TimeOwner(NamedTuple):
+    """Another program that owns the time: its clock, and the instants of the cycles that it calls for (ns)."""
+
+    clock: Clock
+    instants: Callable[[Station], Iterable[int]]
+
+
 def record_everything(bus: Bus, recorder: Recorder, clock: Clock) -> None:
     """Feed every recorded topic of the bus to the recorder, bytes unchanged."""
-
-    def arrival_ns(header: Header) -> int:
-        return header.stamp_ns if isinstance(clock, LockstepClock) else clock.now_ns()
-
     every = (*topics.TOPICS, *(topic.of_camera("*") for topic in topics.OF_CAMERAS))
-    recorder.gather([bus.collect(topic) for topic in every if topic.recorded], arrival_ns)
+    recorder.gather(
+        [bus.collect(topic) for topic in every if topic.recorded], lambda header: clock.arrival_ns(header.stamp_ns)
+    )
 
 
 def cycles(
@@ -60,24 +63,24 @@ def cycles(
     run_dir: Path,
     *,
     automatic: bool,
-    lockstep: bool,
     stop: Stop,
     give_up_s: float | None = None,
     web: WebOptions | None = None,
     insecure: bool = False,
     viewer: tuple[str, int] | None = None,
+    owner: TimeOwner | None = None,
 ) -> Generator[None, None, bool]:
     """The station until its run is over (EndOfRun) or it is told to stop; `give_up_s` is the time without progress after
     which an automatic mission fails, `viewer` is where Foxglove-family viewers are served. Makes `run_dir`. Returns whether
     the mission succeeded.
 
-    In lockstep yields when the station is present, and after each cycle; `next` waits for a tick unless it is there already.
+    With an `owner` of the time yields when the station is present, and after each cycle; `next` waits for the next instant.
     """
-    clock: Clock = LockstepClock() if lockstep else WallClock()
+    clock: Clock = owner.clock if owner is not None else WallClock()
     segment = first_segment(experiment)
     trajectories = dict(segment.trajectories)
     starts = planner.start_poses(experiment, trajectories)
-    mode = "lockstep" if lockstep else "real-time"
+    mode = "lockstep" if clock.waits else "real-time"
     metadata = run_metadata(experiment, mode)
     stop_below = round(experiment.recording.stop_video_below_gb * 1e9)
     check_room(run_dir, experiment.recording.min_free_gb)
@@ -90,7 +93,7 @@ def cycles(
             run_dir.mkdir(parents=True, exist_ok=True)
             _write_experiment(run_dir / "experiment.toml", experiment, experiment_toml)
             recorder = Recorder(run_dir / "run.mcap", experiment_toml, metadata, stop_below)
-        recorder.whole_until_ns = -1 if lockstep else None
+        recorder.whole_until_ns = -1 if clock.waits else None
         served.callback(recorder.close)
         record_everything(bus, recorder, clock)
         threads = served.enter_context(workers(len(trajectories)))
@@ -113,12 +116,12 @@ def cycles(
             log.info("operator page: %s", web.url)
         if viewer is not None:
             log.info("viewers: ws://%s:%d", *viewer)
-        ticks = Lockstep(bus, stop, clock) if isinstance(clock, LockstepClock) else None
+        instants = owner.instants(station) if owner is not None else None
         bus.announce("groundstation")
         started_s = time.monotonic()
         end = EndOfRun(station, server)
-        if ticks is not None:
-            yield from _lockstep_cycles(station, ticks, end)
+        if instants is not None:
+            yield from _cycles_at(instants, station, end)
             _tell_interruption(stop)
         else:
             _wall_loop(station, stop, end)
@@ -224,7 +227,7 @@ def _wall_loop(station: Station, stop: Stop, end: EndOfRun) -> None:
     due_ns, leaving = time.monotonic_ns(), _Leaving(station, stop)
     while not stop.requested or not leaving.over():
         station.wake.clear()
-        station.cycle(station.clock.now_ns(), lockstep=False)
+        station.cycle(station.clock.now_ns())
         if end.reached():
             return
         now_ns = time.monotonic_ns()
@@ -233,17 +236,10 @@ def _wall_loop(station: Station, stop: Stop, end: EndOfRun) -> None:
         station.wake.wait((due_ns - now_ns) * 1e-9)
 
 
-def _lockstep_cycles(station: Station, lockstep: Lockstep, end: EndOfRun) -> Generator[None]:
-    inboxes = station.heard
+def _cycles_at(instants: Iterable[int], station: Station, end: EndOfRun) -> Generator[None]:
     yield
-    while (tick := lockstep.next()) is not None:
-        # What the robots found in the step before, and where the picture shows them.
-        up_to_ns = lockstep.await_sight(tick, inboxes.localizer, inboxes.poses, inboxes.obstacles)
-        if up_to_ns is None or not lockstep.await_all([(inboxes.states[r], tick.previous_ns) for r in tick.robots]):
-            return
-        station.recorder.whole_until_ns = tick.previous_ns  # whenever it ends: no step of which some robots are missing
-        station.obstacles_up_to_ns = up_to_ns
-        station.cycle(tick.now_ns, lockstep=True)
+    for now_ns in instants:
+        station.cycle(now_ns)
         if end.reached():
             return
         yield

@@ -41,7 +41,7 @@ from shoal.runtime.runtime import Clock, age_s, log
 from shoal.runtime.version import code
 
 ORDER_TIMEOUT_S = 0.5
-LOCKSTEP_ORDER_TIMEOUT_S = PATIENT_MS * 1e-3  # as long as a link is kept: sent again, an order would count at a later step
+PATIENT_ORDER_TIMEOUT_S = PATIENT_MS * 1e-3  # as long as a link is kept: sent again, an order would count at a later step
 TROUBLED = frozenset({MissionState.FAILED, MissionState.ABORTING, MissionState.STOPPED, MissionState.DEGRADED})
 PROMPT = frozenset({Order.STOP, Order.DISARM, Order.HOLD})
 MAX_UNANSWERED = 2  # orders of a kind to one robot that may be unanswered: the second goes out before the first is given up
@@ -102,7 +102,7 @@ class Station:
     seen: Fleet = field(default_factory=dict)  # as of the last cycle
     planning: "dict[str, tuple[PlanRequest, Future[PlanSegment | PlanError]]]" = field(default_factory=dict)
     published: tuple[PlanSegment, Mapping[int, Trajectory]] | None = None  # segment, and what robots fly alone
-    obstacles_up_to_ns: int | None = None  # in lockstep: pictures up to then have been told of
+    obstacles_up_to_ns: int | None = None  # where time waits: pictures up to then have been told of
     pending: list[tuple[Command, Future[Reply]]] = field(default_factory=list)
     paths: Mapping[int, tuple[Trajectory, float]] | None = None  # what each robot flies now, until when [s]
     asked_s: float = 0.0  # instant of the last request (s, monotonic)
@@ -121,30 +121,30 @@ class Station:
         self.beat_s = time.monotonic()  # instant of the last heartbeat (s, monotonic)
         self._status = Status(self.mission.state, self.mission.reason)
 
-    def cycle(self, now_ns: int, lockstep: bool) -> None:
+    def cycle(self, now_ns: int) -> None:
         """Read the fleet, step the mission, send its commands, publish the heartbeat."""
         with self.lock:
             self.seen, answers = self.fleet(), self._answers()
-            self.plan(lockstep, now_ns)
+            self.plan(now_ns)
             commands = self.core.step(self.seen, answers, now_ns, self._around())
-            self.plan(lockstep, now_ns)
+            self.plan(now_ns)
             self.publish_paths(now_ns)
             self._follow(answers)
             new_gains = self.tuner.take_unlogged()
         for gains in new_gains:
             self.bus.publish(topics.TUNING, gains, now_ns)
-        timeout_s = LOCKSTEP_ORDER_TIMEOUT_S if lockstep else ORDER_TIMEOUT_S
+        timeout_s = PATIENT_ORDER_TIMEOUT_S if self.clock.waits else ORDER_TIMEOUT_S
         for command in commands:
             if self._unanswered(command) < MAX_UNANSWERED:
                 # Sent from here, in the mission's order; only the waiting is for other threads.
                 reply = self.bus.send_command(command, now_ns, timeout_s)
                 self.pending.append((command, self.workers.of(command.order).submit(reply)))
-        if lockstep:
+        if self.clock.waits:
             for _, future in self.pending:
                 future.result()
         stopped = self.mission.state is MissionState.STOPPED
         pace = self.mission.governor
-        planned = tuple(robot for robot, seen in self.seen.items() if seen.state is not None and seen.state.planned)
+        planned = tuple(robot for robot, view in self.seen.items() if view.state is not None and view.state.planned)
         state = self.mission.state.name
         out = tuple(sorted(self.mission.roster.out))
         beat = StationHeartbeat(
@@ -173,12 +173,12 @@ class Station:
 
     def fleet(self) -> Fleet:
         """View of every robot now."""
-        found = {}
+        views = {}
         for robot in self.experiment.robot_ids:
-            seen = self.heard.view(robot, self.links.setdefault(robot, LinkMonitor()), self.clock)
-            other = other_code(seen.state.code, self.code) if seen.state is not None else ""
-            found[robot] = replace(self.core.view(robot, seen, self.clock.now_ns()), other_code=other)
-        return found
+            view = self.heard.view(robot, self.links.setdefault(robot, LinkMonitor()), self.clock)
+            other = other_code(view.state.code, self.code) if view.state is not None else ""
+            views[robot] = replace(self.core.view(robot, view, self.clock.now_ns()), other_code=other)
+        return views
 
     def _lasting(self) -> dict[str, str]:
         """Warnings by key about what is so from a program's start: an open network, a localizer with other code."""
@@ -198,24 +198,24 @@ class Station:
             return ObstacleSet()
         return obstacle_set(received.message, age_s(self.clock, received), self.experiment.safety)
 
-    def plan(self, lockstep: bool, now_ns: int) -> None:
+    def plan(self, now_ns: int) -> None:
         """Compute the plans that the mission and single robots wait for: in another thread, because the heartbeat must go on;
-        in lockstep at once. An outcome is dropped if no request waits for it any more."""
+        where time waits at once. An outcome is dropped if no request waits for it any more."""
         for name, wanted in self.core.plan_requests():
             if name not in self.planning and wanted is not None:
-                self.planning[name] = wanted, self.workers.plans.submit(_planned, wanted, self._patience(lockstep))
-            if lockstep and name in self.planning:
+                self.planning[name] = wanted, self.workers.plans.submit(_planned, wanted, self._patience())
+            if self.clock.waits and name in self.planning:
                 self._await_unlocked(self.planning[name][1])
-        for name, wanted in self.core.plan_requests():  # asked again: requests came while lockstep waited
-            if name in self.planning and (lockstep or self.planning[name][1].done()):
-                asked, outcome = self.planning.pop(name)
-                if asked is wanted:
+        for name, wanted in self.core.plan_requests():  # asked again: requests came while this waited
+            if name in self.planning and (self.clock.waits or self.planning[name][1].done()):
+                task, outcome = self.planning.pop(name)
+                if task is wanted:
                     self.core.planned(name, outcome.result(), self.seen, now_ns)
 
-    def _patience(self, lockstep: bool) -> OutOfTime:
-        """Limit of time of a plan that begins now; none in lockstep, where a plan must not depend on the machine."""
+    def _patience(self) -> OutOfTime:
+        """Limit of time of a plan that begins now; none where time waits: there a plan must not depend on the machine."""
         closing, deadline_s = self.workers.closing, time.monotonic() + PLANNING_S
-        return lambda: closing.is_set() or (not lockstep and time.monotonic() > deadline_s)
+        return lambda: closing.is_set() or (not self.clock.waits and time.monotonic() > deadline_s)
 
     def _await_unlocked(self, plan: "Future[PlanSegment | PlanError]") -> None:
         """Wait for a plan without the lock, which the cycle holds: an operator's requests are answered meanwhile."""
@@ -280,8 +280,8 @@ class Station:
             self.asked_s = time.monotonic()
         if order in PROMPT and not reason:
             self.wake.set()
-        asked = f"{order.name} for robot {only}" if only and order is not Order.STOP else f"{order.name} {form}".strip()
-        log.info("%s %s", asked, f"refused: {reason}" if reason else "asked for")
+        request = f"{order.name} for robot {only}" if only and order is not Order.STOP else f"{order.name} {form}".strip()
+        log.info("%s %s", request, f"refused: {reason}" if reason else "asked for")
         return reason, number
 
     def _fault(self, text: str) -> tuple[str, int]:
@@ -331,7 +331,7 @@ class Station:
 
     def has_power(self) -> bool:
         """True while a robot that is heard may put out thrust."""
-        return any(seen.heard and seen.mode in LIVE for seen in self.seen.values())
+        return any(view.heard and view.mode in LIVE for view in self.seen.values())
 
     def request_gains(self, values: Mapping[str, float] | None, next_lap: bool) -> tuple[str, int]:
         """Change the fleet's gains; None: go back to those before. Returns the reason of a refusal, or nothing, and the
@@ -373,7 +373,7 @@ class Station:
         )
 
     def _tell(self) -> None:
-        codes = {f"robot {robot} {seen.other_code}" for robot, seen in self.seen.items() if seen.other_code}
+        codes = {f"robot {robot} {view.other_code}" for robot, view in self.seen.items() if view.other_code}
         codes |= {self._localizers_code()} - {""}
         for text in sorted(codes - self.codes_told):
             log.warning("%s (%s)", text, DEPLOY)
@@ -386,9 +386,9 @@ class Station:
             log.error("recorder: %s", self.recorder.error)
         ready = self.mission.state is MissionState.WAITING and self.mission.reason in ("", ATTENDED)
         line = f"{READY if ready else self.mission.state.value}{f': {self.mission.reason}' if self.mission.reason else ''}"
-        told = FIGURE.sub("", line)
-        if told != self.told:
-            self.told = told
+        without_figures = FIGURE.sub("", line)
+        if without_figures != self.told:
+            self.told = without_figures
             (log.warning if self.mission.state in TROUBLED else log.info)("mission: %s", line)
 
 

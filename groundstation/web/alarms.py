@@ -26,7 +26,7 @@ class Alarm:
     robot: int = 0  # whose it is; 0: of the whole system
 
     @property
-    def told(self) -> str:
+    def line(self) -> str:
         """The line as people read it."""
         return f"robot {self.robot}: {self.text}" if self.robot else self.text
 

@@ -65,7 +65,7 @@ class ControlLease:
             self.holder, self._heard_s, self._silent = client, now_s, 0
         return self.holder == client
 
-    def heard(self, client: int, now_s: float) -> None:
+    def note_life(self, client: int, now_s: float) -> None:
         """A sign of life."""
         if client == self._silent:
             self.ask(client, now_s)
@@ -285,7 +285,7 @@ class ClientHub:
                 log.warning("page: a message that is none of ours: %s", error)
                 await websocket.close(BAD_REQUEST, str(error)[:100])
                 return
-            self._lease.heard(watcher.id, time.monotonic())
+            self._lease.note_life(watcher.id, time.monotonic())
             self._take(watcher, request)
 
     def _take(self, watcher: Client, request: protocol.Request) -> None:

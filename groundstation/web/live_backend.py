@@ -32,7 +32,6 @@ from shoal.messages import topics
 from shoal.messages.codec import DecodeError, Header, decode
 from shoal.messages.messages import Event, Order, Preview, Trajectory
 from shoal.messages.topics import Topic
-from shoal.runtime.lockstep import LockstepClock
 from shoal.runtime.runtime import Clock, log
 
 MOST_EVENTS = 256  # between two looks
@@ -74,7 +73,7 @@ class LiveBackend:
         bus.subscribe(topics.EVENT, None, self._event)
 
     def _event(self, topic: Topic, key: str, header: Header, payload: bytes) -> None:
-        at_ns = header.stamp_ns if isinstance(self._clock, LockstepClock) else self._clock.now_ns()
+        at_ns = self._clock.arrival_ns(header.stamp_ns)
         self._events.append((at_ns, header, payload))
 
     def scene(self) -> dict[str, Any]:
@@ -99,7 +98,7 @@ class LiveBackend:
 
     def snapshot(self) -> dict[str, Any]:
         """The fleet now. Some of it is kept as a row of the past."""
-        view = self._told()
+        view = self._newest_state()
         if not self._past or view["time_s"] - self._past[-1]["time_s"] >= self._past_every_s:
             self._past.append(past_row(view))
         return view
@@ -108,7 +107,7 @@ class LiveBackend:
         """The last PAST_S seconds."""
         return list(self._past)
 
-    def _told(self) -> dict[str, Any]:
+    def _newest_state(self) -> dict[str, Any]:
         """The fleet's newest state, as the page gets it."""
         status, now_s = self.station.status(), self._clock.now_ns() * 1e-9
         self._stands = status.beat_age_s > STANDS_S
@@ -160,7 +159,7 @@ class LiveBackend:
         if received is None:
             return AgedMessage()
         now_ns = time.monotonic_ns()
-        if not isinstance(self._clock, LockstepClock):
+        if not self._clock.waits:
             age_ms = received.age_ns(now_ns) * 1e-6
         else:
             age_ms = (now_ns - received.arrived_ns) * 1e-6

@@ -227,6 +227,6 @@ def _least_reach(fit: IntrinsicsFit) -> float:
     four."""
     width, height = fit.lens.size_px
     corners = np.array([[0, 0], [width - 1, 0], [width - 1, height - 1], [0, height - 1]], dtype=np.float64)
-    way = corners - fit.lens.centre_px
-    went = (fit.corners_px - fit.lens.centre_px) @ (way / np.sum(way**2, axis=1, keepdims=True)).T
+    reach = corners - fit.lens.centre_px
+    went = (fit.corners_px - fit.lens.centre_px) @ (reach / np.sum(reach**2, axis=1, keepdims=True)).T
     return float(went.max(axis=0).min())

@@ -55,7 +55,7 @@ class TrackedBlob:
         velocity = self.velocity_mps if self.id else np.zeros(2)
         return np.asarray(self.centroids_m[-1] + velocity * self.unseen_s(stamp_ns))
 
-    def seen(self, region: Blob, stamp_ns: int) -> "TrackedBlob":
+    def with_observation(self, region: Blob, stamp_ns: int) -> "TrackedBlob":
         """The blob with one more observation."""
         old = sum(stamp_ns - stamp > _MEMORY_S * 1e9 for stamp in self.stamps_ns[:-1])
         middles = np.vstack([self.centroids_m[old:], region.centroid_m])
@@ -76,7 +76,7 @@ class BlobTracker:
         assigned = self._assign(blobs, stamp_ns)
         for blob, index in zip(self.blobs, assigned, strict=True):
             if index is not None:
-                tracked.append(self._with_id(blob.seen(blobs[index], stamp_ns)))
+                tracked.append(self._with_id(blob.with_observation(blobs[index], stamp_ns)))
             elif blob.id and blob.unseen_s(stamp_ns) <= _PERSISTS_S:
                 tracked.append(blob)
         new = [

@@ -60,7 +60,9 @@ def latency(
     import cv2
 
     from localizer.evaluation.latency import assess, localize_in_process, measure
-    from localizer.sources.factory import BUS, open_bus, open_own
+    from localizer.sources.base import FrameSource
+    from localizer.sources.bus import BusSource
+    from localizer.sources.factory import BUS, open_own
     from localizer.tracking.check_marks import with_camera
     from shoal.bus.bus import Bus
     from shoal.bus.network import endpoint
@@ -78,7 +80,7 @@ def latency(
         if source == BUS:
             where = endpoint(station, process_name(Role.LOCALIZER), keys, insecure=insecure)
             bus = stack.enter_context(Bus(ZenohTransport(where, stop), fleet))
-            pictures = open_bus(bus, clock, stop, loaded.camera.rate_hz, {}, camera)
+            pictures: FrameSource = BusSource(bus, clock, loaded.camera.rate_hz, camera)
         else:
             pictures = open_own(source, loaded.camera, clock)
         stack.enter_context(closing(pictures))

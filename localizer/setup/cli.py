@@ -46,7 +46,9 @@ def setup(
     from localizer.setup.experiment_file import ExperimentFile
     from localizer.setup.server import SetupServer
     from localizer.setup.session import SetupSession
-    from localizer.sources.factory import BUS, open_bus, open_own
+    from localizer.sources.base import FrameSource
+    from localizer.sources.bus import BusSource
+    from localizer.sources.factory import BUS, open_own
     from localizer.sources.v4l2_controls import V4l2Controls
     from localizer.view.local_server import bind
     from shoal.bus.bus import Bus
@@ -67,7 +69,7 @@ def setup(
             typer.echo(f"Pictures come through the station at {station}.", err=True)
             where = endpoint(station, process_name(Role.LOCALIZER), keys, insecure=insecure)
             bus = stack.enter_context(Bus(ZenohTransport(where, stop), fleet, *codec_of(frame_ring)))
-            source = open_bus(bus, clock, stop, loaded.camera.rate_hz, {})
+            source: FrameSource = BusSource(bus, clock, loaded.camera.rate_hz)
         else:
             source = open_own(camera, loaded.camera, clock)
         session = SetupSession(loaded, file, camera, V4l2Controls(device) if kind == "v4l2" else None)

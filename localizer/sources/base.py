@@ -30,7 +30,7 @@ class CapturedFrame:
     arrived_ns: int  # arrival, own clock
     dropped: int = 0  # frames lost on the way or replaced by newer ones, since the source was opened
     stamped: bool = True  # the camera gave the stamp; False: it is guessed from the arrival
-    inputs_up_to_ns: int | None = None  # lockstep: stamp of the newest robots' states to use
+    inputs_up_to_ns: int | None = None  # stamp of the newest robots' states to use
     session: int = 0  # of the program that sent it: another one may have another clock; 0: this one
 
 

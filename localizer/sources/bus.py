@@ -1,18 +1,16 @@
 """SHELL: frames from the fleet's bus, from a camera process or the simulated pool."""
 
-import math
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 
 from localizer.sources.base import CapturedFrame, silent_after_s
-from shoal.bus.bus import Bus, Inbox, Received
+from shoal.bus.bus import Bus, Received
 from shoal.messages import topics
-from shoal.messages.messages import Frame, RobotState
-from shoal.runtime.lockstep import Lockstep, LockstepClock
+from shoal.messages.messages import Frame
 from shoal.runtime.runtime import Clock, Stop, wait
 
 
-class _Sequence:
+class FrameCount:
     """Counter of the frames of a session that never arrived."""
 
     def __init__(self) -> None:
@@ -34,7 +32,7 @@ class BusSource:
         self.trouble, self.silent_after_s = "", silent_after_s(rate_hz)
         self._bus, self._clock = bus, clock
         self._frames = bus.inbox(topics.FRAME.of_camera(camera), Frame)
-        self._sequence = _Sequence()
+        self._count = FrameCount()
 
     def frames(self, stop: Stop) -> Iterator[CapturedFrame | None]:
         """See FrameSource. Unreadable frames count as none, and so do those of two cameras in turn."""
@@ -66,59 +64,8 @@ class BusSource:
         header, instant_ns = received.header, self._clock.instant_ns(received)
         return CapturedFrame(
             received.message.pixels, header.stamp_ns, instant_ns, instant_ns + header.age_ns + received.late_ns,
-            dropped=self._sequence.note(received), stamped=header.age_ns > 0, session=header.session,
+            dropped=self._count.note(received), stamped=header.age_ns > 0, session=header.session,
         )  # fmt: skip
-
-    def close(self) -> None:
-        """Do nothing: the bus is the caller's."""
-
-
-class LockstepSource:
-    """Frames of the simulator that owns the clock.
-
-    Each step waits for the frame and the robots' states that its tick names, and the instants are the simulator's. The
-    inputs of a tick are settled when its frame is taken, so poses are made while the simulator moves on to the tick.
-    """
-
-    trouble, silent_after_s = "", math.inf
-
-    def __init__(
-        self,
-        bus: Bus,
-        clock: LockstepClock,
-        stop: Stop,
-        states: Mapping[int, Inbox[RobotState]],
-        camera: str = "",
-        number: int | None = None,
-    ) -> None:
-        """Make it for the only camera, or for one of several with its number in the experiment."""
-        self._lockstep = Lockstep(bus, stop, clock, topics.EXPOSED)
-        self._clock, self._states, self._number = clock, states, number
-        self._frames = bus.inbox(topics.FRAME.of_camera(camera), Frame)
-        self._sequence = _Sequence()
-
-    def frames(self, stop: Stop) -> Iterator[CapturedFrame]:
-        """See FrameSource. Without a tick time stands still, so no frame is ever late."""
-        done_ns = -1
-        while not stop.requested and (tick := self._lockstep.next()) is not None:
-            frame_ns = tick.frame_ns if self._number is None else dict(enumerate(tick.frames_ns)).get(self._number, -1)
-            if frame_ns <= done_ns:  # one of several cameras may be late, or gone
-                continue
-            states = [(self._states[robot], tick.previous_ns) for robot in tick.robots]
-            if not self._lockstep.await_all([(self._frames, frame_ns), *states]):
-                return
-            received = self._frames.newest(frame_ns)
-            if received is not None:
-                done_ns = frame_ns
-                stamp_ns, dropped = received.header.stamp_ns, self._sequence.note(received)
-                yield CapturedFrame(
-                    received.message.pixels,
-                    stamp_ns,
-                    stamp_ns,
-                    self._clock.now_ns(),
-                    dropped,
-                    inputs_up_to_ns=tick.previous_ns,
-                )
 
     def close(self) -> None:
         """Do nothing: the bus is the caller's."""

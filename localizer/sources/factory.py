@@ -1,46 +1,23 @@
 """SHELL: opens the source of frames that a command line names."""
 
 import math
-from collections.abc import Mapping
 from pathlib import Path
 
 from localizer.sources.base import FrameSource
-from localizer.sources.bus import BusSource, LockstepSource
 from localizer.sources.files import FolderSource, VideoSource
 from localizer.sources.v4l2 import V4l2Source, check_device
-from shoal.bus.bus import Bus, Inbox
 from shoal.config.perception import Camera
 from shoal.errors import ConfigError
-from shoal.messages.messages import RobotState
-from shoal.runtime.lockstep import LockstepClock
-from shoal.runtime.runtime import Clock, Stop
+from shoal.runtime.runtime import Clock
 
 BUS = "bus"
 ALLOWED = "bus, v4l2:/dev/video0, video:FILE[:FPS|:max], folder:DIR[:FPS|:max]"
 FASTEST = math.inf
 
 
-def open_bus(
-    bus: Bus,
-    clock: Clock,
-    stop: Stop,
-    rate_hz: float,
-    states: Mapping[int, Inbox[RobotState]],
-    camera: str = "",
-    number: int | None = None,
-) -> FrameSource:
-    """A source of the fleet's camera frames, for the given clock: of one of several cameras, with its number in the
-    experiment, or of the only one ("")."""
-    if isinstance(clock, LockstepClock):
-        return LockstepSource(bus, clock, stop, states, camera, number)
-    return BusSource(bus, clock, rate_hz, camera)
-
-
 def open_own(name: str, camera: Camera, clock: Clock) -> FrameSource:
     """A camera at this machine, or recorded pictures in its place. Raises ConfigError, naming the allowed forms."""
     kind, _, where = name.partition(":")
-    if isinstance(clock, LockstepClock):
-        raise ConfigError(f"--source {name}: in lockstep the simulator is the camera (allowed: {BUS})")
     if not where:
         raise ConfigError(f"--source {name}: unknown (allowed: {ALLOWED})")
     if kind == "v4l2":

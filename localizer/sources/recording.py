@@ -57,10 +57,10 @@ class FrameRecorder:
         folder: Path,
         experiment: Experiment,
         free_bytes: Callable[[Path], int] = disk_free,
-        lockstep: bool = False,
+        waits: bool = False,
         patience_s: float = 10.0,
     ) -> None:
-        """In `lockstep` the disk is waited for, as everybody waits for everybody. `close` waits for it for `patience_s`.
+        """If it `waits`, frames wait for the disk. `close` waits for it for `patience_s`.
         Raises ConfigError if the folder is there already, or cannot be made, or if frames are too large to be read again."""
         from mcap.writer import CompressionType, IndexType, Writer
 
@@ -70,7 +70,7 @@ class FrameRecorder:
                 f"--record {folder}: frames of camera.size_px {width}x{height} are larger than what can be read again "
                 f"(allowed: {log_records.LARGEST_BYTES - _BESIDE_BYTES} pixels)"
             )
-        self._lockstep, self._patience_s = lockstep, patience_s
+        self._waits, self._patience_s = waits, patience_s
         self._folder, self._free_bytes = folder, free_bytes
         self._least_bytes = round(experiment.recording.stop_video_below_gb * 1e9)
         if folder.exists():
@@ -95,12 +95,12 @@ class FrameRecorder:
         self._thread.start()
 
     def put(self, frame: RecordedFrame) -> None:
-        """Have one frame written. Never waits for the disk, except in lockstep: when too many frames wait, the recording
+        """Have one frame written. Never waits for the disk, unless it is to: when too many frames wait, the recording
         ends."""
         if self._ended:
             return
         try:
-            self._waiting.put(frame, block=self._lockstep)
+            self._waiting.put(frame, block=self._waits)
         except queue.Full:
             self._ended = True
             self._fail(" ends: the disk is too slow, or does not answer")

@@ -287,8 +287,8 @@ def fuse_obstacles(
         earlier = [outline for _, outline, _, _ in rows]
         unseen_s = ages_s(obstacles, since_s)
         for number, outline, velocity, s in zip(obstacles.ids, obstacles.outline, obstacles.velocity, unseen_s, strict=True):
-            known = any(_inside(outline.mean(axis=0), other) or _inside(other.mean(axis=0), outline) for other in earlier)
-            if not known and (s <= _REMEMBERED_S or since_s == 0.0):
+            is_known = any(_inside(outline.mean(axis=0), other) or _inside(other.mean(axis=0), outline) for other in earlier)
+            if not is_known and (s <= _REMEMBERED_S or since_s == 0.0):
                 rows.append((number * len(cameras) + k, outline, velocity, s))
     return Obstacles(
         ids=tuple(row[0] for row in rows),

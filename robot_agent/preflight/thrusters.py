@@ -46,7 +46,7 @@ class _Bench:
         return self._mavlink.telemetry.armed
 
     @property
-    def said(self) -> str:
+    def last_text(self) -> str:
         """The board's last text."""
         texts = self._mavlink.telemetry.texts
         return texts[-1][1] if texts else "it does not say why"
@@ -90,7 +90,7 @@ def turn_thrusters(
                     yield CheckFinding(part(experiment.vehicle, channel), CheckVerdict.SKIPPED, "not moved: not wanted")
                     continue
                 finding = _move(bench, channel)
-                yield finding if ask is None or finding.verdict is not CheckVerdict.OK else _asked(ask, finding)
+                yield finding if ask is None or finding.verdict is not CheckVerdict.OK else _with_answer(ask, finding)
                 if finding.detail.startswith(NOT_ARMED):
                     return
         finally:
@@ -107,7 +107,7 @@ def _move(bench: _Bench, channel: int) -> CheckFinding:
     """Move one output there and back on a board that is armed for it."""
     bench.hold(bench.neutral_us, ARM_WITHIN_S, arm=True)
     if not bench.armed:
-        return CheckFinding(part(bench.vehicle, channel), CheckVerdict.FAIL, f"{NOT_ARMED}: {bench.said}")
+        return CheckFinding(part(bench.vehicle, channel), CheckVerdict.FAIL, f"{NOT_ARMED}: {bench.last_text}")
     pulses = one_pushed(bench.neutral_us, channel, bench.turn_us if channel < bench.vehicle.thruster_count else bench.ankle_us)
     echoes = bench.hold(pulses, TURN_S)
     bench.hold(bench.neutral_us, REST_S)
@@ -120,14 +120,14 @@ def _watch(experiment: Experiment, channel: int) -> str:
     vehicle, where = experiment.vehicle, place(experiment.vehicle, channel)
     what = part(vehicle, channel)
     if vehicle.legs is None:
-        way = ", ".join(f"{number:.2g}" for number in vehicle.thruster_places[channel][3:])
-        return f"{what}, {where}, turns slowly and pushes the robot towards ({way}): ahead, to starboard, down."
+        direction = ", ".join(f"{number:.2g}" for number in vehicle.thruster_places[channel][3:])
+        return f"{what}, {where}, turns slowly and pushes the robot towards ({direction}): ahead, to starboard, down."
     if channel < LEGS:
         return f"{what}, {where}, turns slowly and pushes ahead: its jet goes astern."
     return f"{what}, {where}, turns by {ANKLE_DEG} degrees and back: its jet goes up, thrust would point down."
 
 
-def _asked(ask: Callable[[str], bool], finding: CheckFinding) -> CheckFinding:
+def _with_answer(ask: Callable[[str], bool], finding: CheckFinding) -> CheckFinding:
     """The finding with what the person has seen."""
     if ask(f"Did {finding.what} move so, and nothing else?"):
         return replace(finding, detail=f"{finding.detail}; seen")

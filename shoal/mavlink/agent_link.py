@@ -314,8 +314,8 @@ class AgentLink:
             round_trip_ns = int(within(now_ns - message.ts1, 0, LOSS_WINDOW_NS))
             self._asked_ns = None
             self._note_clock(round_trip_ns, message.tc1 - message.ts1 - round_trip_ns // 2)
-            trips = changes.get("round_trips", self.telemetry.round_trips) + 1
-            return {"clock_offset_ns": min(self._clocks)[1], "round_trip_ns": round_trip_ns, "round_trips": trips}
+            answers = changes.get("round_trips", self.telemetry.round_trips) + 1
+            return {"clock_offset_ns": min(self._clocks)[1], "round_trip_ns": round_trip_ns, "round_trips": answers}
         return {}
 
     def _confirmed(self, field: str, value: int) -> dict[str, Any]:

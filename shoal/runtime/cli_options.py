@@ -91,7 +91,7 @@ StationAddress = Annotated[
 FleetName = Annotated[
     str, typer.Option("--fleet", callback=live_fleet, help="Name of the fleet: fleets of different names ignore each other.")
 ]
-LockstepMode = Annotated[bool, typer.Option("--lockstep", help="Run by the simulator's clock instead of the wall clock.")]
+
 KeyRing = Annotated[
     Path | None,
     typer.Option(

@@ -1,9 +1,9 @@
 """SHELL: clock, stop, log and threads of a process.
 
-Two ways to run, and one loop for both:
+One loop, whatever drives it:
 
-    for now_ns in pace:             # wall clock: when an input arrives or the period is over; lockstep: when the simulator
-        outputs = core.step(...)    # says so and every input it names is here
+    for instant in pace:            # by the wall clock when an input arrives or the period is over; the simulator has a pace
+        outputs = core.step(...)    # and a clock of its own (sim_bridge/lockstep)
 """
 
 import errno
@@ -45,12 +45,17 @@ _LEVELS = {logging.DEBUG: 1, logging.INFO: 2, logging.WARNING: 3, logging.ERROR:
 class Clock(Protocol):
     """The process's time, and when on it a received message's content was true."""
 
+    @property
+    def waits(self) -> bool: ...  # time stands while a step is made: nothing is late, and nothing is measured
     def now_ns(self) -> int: ...
     def instant_ns(self, received: Received[Any]) -> int: ...
+    def arrival_ns(self, stamp_ns: int) -> int: ...  # of a message with this stamp that comes now
 
 
 class WallClock:
     """Unix time as it was at the start, carried on by the monotonic clock: a step of the system's clock changes nothing."""
+
+    waits = False
 
     def __init__(self) -> None:
         self._offset_ns = time.time_ns() - time.monotonic_ns()
@@ -62,6 +67,9 @@ class WallClock:
         """Arrival here, less the age that the sender states and what it was held up on its way. What the sender's clock shows
         plays no part."""
         return self._offset_ns - received.age_ns(0)
+
+    def arrival_ns(self, stamp_ns: int) -> int:
+        return self.now_ns()
 
 
 def age_s(clock: Clock, received: Received[Any]) -> float:

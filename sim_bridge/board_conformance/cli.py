@@ -94,7 +94,7 @@ def board_conformance(
             )
         probe = BoardProbe(wire, robot) if signing is None else BoardProbe(wire, robot, signing.key, signing.stamps)
         with signals_raise():
-            outcomes = list(_told(examine(probe, dry, RULES), quiet=as_json))
+            outcomes = list(_print_results(examine(probe, dry, RULES), quiet=as_json))
     finally:
         wire.close()
         link.close()
@@ -127,7 +127,7 @@ def _in_hil(wire: BoardWire, client: ParameterClient) -> bool:
     return client.values.get("HIL_MODE") == 1.0
 
 
-def _told(outcomes: Iterable[RuleResult], quiet: bool) -> Iterator[RuleResult]:
+def _print_results(outcomes: Iterable[RuleResult], quiet: bool) -> Iterator[RuleResult]:
     """Print each result as it comes."""
     for outcome in outcomes:
         if not quiet:

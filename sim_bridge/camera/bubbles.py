@@ -12,6 +12,8 @@ from shoal.config.perception import Camera
 from shoal.config.scene import PoolConfig
 from shoal.frames import Array
 from shoal.kernels.decorator import kernel
+from shoal.kernels.types import Floats, Table
+from sim_bridge.camera.kernels import Picture
 from sim_bridge.camera.optics import Bytes, project
 
 MOST_STREAMS = 100  # the experiment's 50 and 50 of a fault; more are not drawn
@@ -66,8 +68,8 @@ def draw_bubbles(raw: Bytes, bubbles: Array, camera: Camera, robots_m: Array, hu
         specks(raw, project(camera, visible_bubbles[:, :3]), sizes_px, LEVELS)
 
 
-@kernel("void(u1[:,::1], f8[:,::1], f8[::1], f8)")
-def specks(raw: Bytes, places_px: Array, sizes_px: Array, levels: float) -> None:
+@kernel
+def specks(raw: Picture, places_px: Table, sizes_px: Floats, levels: float) -> None:
     """Add bright spots to a mosaic: at places (k, 2) column and row, of standard deviations (k,) px."""
     height, width = raw.shape
     for k in range(len(places_px)):

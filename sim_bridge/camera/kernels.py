@@ -7,14 +7,14 @@ Colours are 0 to 255.
 """
 
 import math
-from typing import Any
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from shoal.frames import Array
 from shoal.kernels.decorator import kernel
-from sim_bridge.camera.optics import Bytes, Float
+from shoal.kernels.types import Cube, Floats, Table
+from sim_bridge.camera.optics import Float
 
 BLOCK = 8  # px, side of a block; the shortest ripple is some 60 px long
 LANES = 4 * BLOCK  # px of a row that a body is drawn on at a time
@@ -31,20 +31,90 @@ GLOSS = 26.0  # grey levels of a wet hull's highlight, which falls with the 24th
 SHADOW = 0.42  # share of the light that is missing in the middle of a shadow
 PENUMBRA = 0.30  # width of a shadow's edge per metre between robot and floor, for long lamp tubes
 
-PICTURE, PLANE, LAYERS = "u1[:,::1]", "f4[:,::1]", "u1[:,:,::1]"
-LINES = f"UniTuple({PLANE}, 6)"
-MATRIX, CUBE, CORNERS = "f8[:,::1]", "f8[:,:,::1]", "i4[:,::1]"
-RECT = "UniTuple(i8, 8)"
-BODY = f"Tuple((f8, f8, {LAYERS}, b1, {LAYERS}, f8))"
-SHADING = "UniTuple(f8, 3)"
+Picture = Annotated[NDArray[np.uint8], 2]
+Layers = Annotated[NDArray[np.uint8], 3]
+Plane = Annotated[NDArray[np.float32], 2]
+Line = Annotated[NDArray[np.float32], 1]  # values of a row
+Blocks = Annotated[NDArray[np.float32], 3]
+Noise = Annotated[NDArray[np.int8], 2]
+Corners = Annotated[NDArray[np.int32], 2]
+Block = Annotated[NDArray[np.float64], 4]
 
-Planes = tuple[Any, ...]
+
+class ImageRect(NamedTuple):
+    """A rectangle of the picture that begins on the Bayer pattern's first pixel, and the blocks that interpolate over it."""
+
+    top: int
+    bottom: int
+    left: int
+    right: int
+    block_top: int
+    block_bottom: int
+    block_left: int
+    block_right: int
+
+    @property
+    def blocks(self) -> tuple[slice, slice]:
+        """Index of the blocks in a (block rows, block columns) array: one more on each side where there is one."""
+        return slice(self.block_top, self.block_bottom), slice(self.block_left, self.block_right)
 
 
-@kernel(f"void({LAYERS}, i8, i8, {MATRIX}, i8, i8, i8, {CORNERS})", inline=True, part=True)
-def sample(
-    texture: Bytes, even: int, odd: int, lanes: Array, used: int, column: int, result: int, corners: NDArray[np.int32]
-) -> None:
+class RayBundle(NamedTuple):
+    """Lines of sight as planes of one shape: their crossing of the surface, and sideways metres per metre of depth, in air
+    and in water."""
+
+    surface_x: Plane
+    surface_y: Plane
+    air_x: Plane
+    air_y: Plane
+    water_x: Plane
+    water_y: Plane
+
+    def deflected(self, slope_x: Float, slope_y: Float) -> "RayBundle":
+        """The lines with these slopes added in water."""
+        return self._replace(water_x=np.asarray(self.water_x + slope_x), water_y=np.asarray(self.water_y + slope_y))
+
+
+class Shading(NamedTuple):
+    """Darkening of the picture towards its corners: a pixel gets 1 - dimming r^2 of its light."""
+
+    centre_x: float  # px, from where r is measured
+    centre_y: float
+    dimming: float  # per px^2
+
+
+class BodyPaint(NamedTuple):
+    """A sphere with its skin, and a plate at a height above its centre."""
+
+    radius_m: float  # 0: no sphere
+    height_m: float
+    skin: Layers  # (3, size, size) red, green, blue
+    has_plate: bool
+    plate: Layers  # (2, size, size) brightness and coverage
+    texels_per_m: float  # of the plate
+
+
+class BodyLook(NamedTuple):
+    """One body as it looks in the picture: its poses during the exposure, k of them."""
+
+    poses: Table  # (k, 4) evenly spaced, symmetric in time; their mean picture stands for the exposure
+    attitudes: Cube  # (k, 3, 3), rotations from body to pool: Rz(yaw) Ry(pitch) Rx(roll)
+    water: Block  # (k, 2, 2, 3) share that passes and veil of the water over sphere and plate, in blue, green and red
+    depth_m: float  # of its centre
+    px_per_m: float  # around it, 0 above the lens
+    path_m: float  # optical length from the lens: bodies that are farther are behind the others
+
+
+class BodyScratch(NamedTuple):
+    """Memory for a row of a body's pixels. Rows of the first two are named above."""
+
+    edge: Table  # (FIELDS, block columns)
+    lanes: Table  # (LANE_ROWS, LANES), zeros at first
+    corners: Corners  # (2, LANES)
+
+
+@kernel(inline=True, part=True)
+def sample(texture: Layers, even: int, odd: int, lanes: Table, used: int, column: int, result: int, corners: Corners) -> None:
     """Bilinear samples of a texture, layer `even` for even lanes and `odd` for the others; beyond its edge it is repeated.
 
     The rows `column` and `column` + 1 of `lanes` are the places; the samples are written to the row `result`, and count only
@@ -68,7 +138,7 @@ def sample(
         lanes[result, n] = upper + lanes[DOWN, n] * (lower - upper)
 
 
-@kernel("UniTuple(f8, 4)(f8, f8, f8, f8, f8, f8)", inline=True, part=True)
+@kernel(inline=True, part=True)
 def intersect_sphere(
     x: float, y: float, slope_x: float, slope_y: float, radius: float, px_per_m: float
 ) -> tuple[float, float, float, float]:
@@ -87,9 +157,9 @@ def intersect_sphere(
     return (x + w * slope_x) * per_m, (y + w * slope_y) * per_m, -w * per_m, cover
 
 
-@kernel("UniTuple(f8, 4)(f8[:,:,::1], i8, f8, f8, f8, f8)", inline=True, part=True)
+@kernel(inline=True, part=True)
 def hull_look(
-    attitudes: Array, pose: int, half: float, normal_x: float, normal_y: float, up: float
+    attitudes: Cube, pose: int, half: float, normal_x: float, normal_y: float, up: float
 ) -> tuple[float, float, float, float]:
     """Texel (column, row) of a hull's skin at a unit normal, the light that its paint is multiplied by, and the grey levels of
     its highlight, in air. The skin, twice `half` texels wide, is Lambert's azimuthal projection of the sphere about its top
@@ -105,9 +175,9 @@ def hull_look(
     return ahead * flat + half - 0.5, aside * flat + half - 0.5, shade, GLOSS * lamp8 * lamp8 * lamp8
 
 
-@kernel(f"i8({MATRIX}, {MATRIX}, i8, {CUBE}, f8, f8, f8)", inline=True, part=True)
+@kernel(inline=True, part=True)
 def meet_plate(
-    lanes: Array, poses: Array, pose: int, attitudes: Array, height_m: float, texels_per_m: float, middle: float
+    lanes: Table, poses: Table, pose: int, attitudes: Cube, height_m: float, texels_per_m: float, middle: float
 ) -> int:
     """Write where the pixels' lines of sight meet the plane of a plate, in its texels, and PLATE_COVER, 1 on the plate.
     Returns how many meet the plate."""
@@ -135,8 +205,8 @@ def meet_plate(
     return met
 
 
-@kernel(f"i8({MATRIX}, {MATRIX}, i8, f8, f8)", inline=True, part=True)
-def meet_sphere(lanes: Array, poses: Array, pose: int, radius: float, px_per_m: float) -> int:
+@kernel(inline=True, part=True)
+def meet_sphere(lanes: Table, poses: Table, pose: int, radius: float, px_per_m: float) -> int:
     """Write where the pixels' lines of sight meet a sphere, as its unit normal there, and SPHERE_COVER. Returns how many
     pixels it covers. Of a sphere that breaks the surface the part above is seen straight."""
     x, y, z = poses[pose, 0], poses[pose, 1], poses[pose, 2]
@@ -158,7 +228,7 @@ def meet_sphere(lanes: Array, poses: Array, pose: int, radius: float, px_per_m: 
     return met
 
 
-@kernel("Tuple((i8, f8))(i8, i8)", inline=True, part=True)
+@kernel(inline=True, part=True)
 def between_blocks(pixel: int, blocks: int) -> tuple[int, float]:
     """The block before a pixel, and how far the pixel is on the way from its middle to the next one's: a share, which is
     negative or more than 1 beyond the outermost middles. `blocks` are as many as there are along this side."""
@@ -166,39 +236,21 @@ def between_blocks(pixel: int, blocks: int) -> tuple[int, float]:
     return first, (pixel - first * BLOCK - (BLOCK - 1) / 2.0) / BLOCK
 
 
-@kernel(
-    f"void({PICTURE}, {RECT}, {CUBE}, {SHADING}, {BODY}, {MATRIX}, {CUBE}, f8[:,:,:,::1], f8, {MATRIX}, {MATRIX}, {CORNERS})"
-)
+@kernel
 def draw_body(
-    raw: Bytes,
-    rect: Planes,
-    fields: Array,
-    shading: Planes,
-    body: Planes,
-    poses: Array,
-    attitudes: Array,
-    water: Array,
-    px_per_m: float,
-    edge: Array,
-    lanes: Array,
-    corners: NDArray[np.int32],
+    raw: Picture, rect: ImageRect, fields: Cube, shading: Shading, body: BodyPaint, look: BodyLook, scratch: BodyScratch
 ) -> None:
-    """Lay a body over a rectangle of the mosaic: the mean of its pictures in k poses, by their coverage.
-
-    `rect` is the rectangle (rays.ImageRect), `fields` (FIELDS, its block rows, its block columns) are given at its blocks and
-    interpolated between their middles. A pixel gets 1 - dimming r^2 of its light, `shading` being the column and row from
-    which r is measured, px, and the dimming. The body is a sphere (radius 0: none) with its skin, and a plate at a height
-    above its centre, (2, size, size) brightness and coverage, with texels per metre. In each of k poses its centre is at the
-    first three of `poses` (k, 4), its axes are the columns of `attitudes` (k, 3, 3), and `water` (k, 2, 2, 3) is the share
-    and the veil of the water over the sphere and over the plate, in blue, green and red.
+    """Lay a body over a rectangle of the mosaic: the mean of its pictures in k poses, by their coverage. `fields` (FIELDS, the
+    rectangle's block rows, its block columns) are interpolated between the middles of blocks.
 
     All but the texels is computed for LANES pixels of a row at a time, in vector registers; they begin at the middle of a
-    block, and those outside the rectangle are not drawn. `edge` (FIELDS, block columns), `lanes` (LANE_ROWS, LANES), zeros at
-    first, and `corners` (2, LANES) are scratch; the rows of the first two are named above.
+    block, and those outside the rectangle are not drawn.
     """
     top, bottom, left, right, block_top, _, block_left, _ = rect
     radius, height_m, skin, has_plate, plate, texels_per_m = body
     middle_x, middle_y, dimming = shading
+    poses, attitudes, water, px_per_m = look.poses, look.attitudes, look.water, look.px_per_m
+    edge, lanes, corners = scratch
     middle, half = plate.shape[1] / 2.0 - 0.5, skin.shape[1] / 2.0
     k = len(poses)
     block_rows, block_columns = fields.shape[1:]
@@ -239,8 +291,8 @@ def draw_body(
                         lanes[COLOUR, n] += cover * (lanes[MARKING, n] * lanes[LIGHT, n] * passed + veil)
                 if on_sphere > 0:
                     for n in range(LANES):
-                        look = hull_look(attitudes, pose, half, lanes[NORMAL_X, n], lanes[NORMAL_Y, n], lanes[UP, n])
-                        lanes[SKIN_COLUMN, n], lanes[SKIN_ROW, n], lanes[SHADE, n], lanes[HIGHLIGHT, n] = look
+                        paint = hull_look(attitudes, pose, half, lanes[NORMAL_X, n], lanes[NORMAL_Y, n], lanes[UP, n])
+                        lanes[SKIN_COLUMN, n], lanes[SKIN_ROW, n], lanes[SHADE, n], lanes[HIGHLIGHT, n] = paint
                     sample(skin, even, odd, lanes, SPHERE_COVER, SKIN_COLUMN, PAINT, corners)
                     for n in range(LANES):
                         passed = water[pose, 0, 0, 2 - odd] if n % 2 else water[pose, 0, 0, 2 - even]
@@ -257,11 +309,18 @@ def draw_body(
                     raw[row, column] = int(min(max(raw[row, column] * (1.0 - cover) + level, 0.0), 255.0) + 0.5)
 
 
-@kernel(f"void({PICTURE}, {RECT}, {LINES}, {PLANE}, f8[::1], f8, {MATRIX}, f4[::1])")
+@kernel
 def draw_shadow(
-    raw: Bytes, rect: Planes, lines: Planes, depth_m: Float, place: Array, radius_m: float, light: Array, left_over: Float
+    raw: Picture,
+    rect: ImageRect,
+    lines: RayBundle,
+    depth_m: Plane,
+    place: Floats,
+    radius_m: float,
+    light: Table,
+    left_over: Line,
 ) -> None:
-    """Darken floor and walls in a rectangle of the mosaic (rays.ImageRect) by the shadow of a sphere at `place` x, y, z.
+    """Darken floor and walls in a rectangle of the mosaic by the shadow of a sphere at `place` x, y, z.
 
     `lines` are the lines of sight of all blocks of the picture, and `depth_m` the depths at which they end. `light` (the
     rectangle's block rows, block columns), the share of it that is left, and `left_over` (BLOCK (block columns + 1),), that
@@ -298,17 +357,16 @@ def draw_shadow(
             levels[n] = np.uint8(np.float32(levels[n]) * min(shares[n], one) + half)
 
 
-@kernel(f"void({PICTURE}, i1[:,::1], i8, i8, f4, f4, {PICTURE})")
-def add_noise(
-    raw: Bytes, field: NDArray[np.int8], top: int, left: int, read: np.float32, shot: np.float32, noisy: Bytes
-) -> None:
+@kernel
+def add_noise(raw: Picture, field: Noise, top: int, left: int, read: float, shot: float, noisy: Picture) -> None:
     """level + sqrt(read + shot level) noise, rounded and clipped, with the cut-out of the noise `field` that begins at
     (top, left). All float32, so that the loop over a row runs several pixels at a time."""
     low, high, half = np.float32(0.0), np.float32(255.0), np.float32(0.5)
+    fixed, share = np.float32(read), np.float32(shot)
     width = raw.shape[1]
     for row in range(raw.shape[0]):
         levels, noise, result = raw[row], field[top + row, left : left + width], noisy[row]
         for column in range(width):
             level = np.float32(levels[column])
-            level += math.sqrt(read + shot * level) * np.float32(noise[column])
+            level += math.sqrt(fixed + share * level) * np.float32(noise[column])
             result[column] = np.uint8(min(max(level, low), high) + half)

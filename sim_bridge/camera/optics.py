@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from shoal.config.perception import Camera
 from shoal.frames import Array
 from shoal.kernels.decorator import kernel
+from shoal.kernels.types import Floats, Table
 
 Float = NDArray[np.float32]  # a plane of the picture, of its blocks, or of a map
 Bytes = NDArray[np.uint8]  # a picture: raw mosaic (height, width) or BGR (height, width, 3)
@@ -39,7 +40,7 @@ def _camera_matrix(camera: Camera) -> Array:
     return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
 
-@kernel("f8(f8, f8, f8, f8)", part=True)
+@kernel(part=True)
 def crossing_m(reach_m: float, depth_m: float, height_m: float, index: float) -> float:
     """Distance from the camera's foot at which light from a point to a camera crosses the surface.
 
@@ -58,8 +59,8 @@ def crossing_m(reach_m: float, depth_m: float, height_m: float, index: float) ->
     return r
 
 
-@kernel("void(f8[:,::1], f8[::1], f8, f8[:,::1])", part=True)
-def refract(points: Array, lens: Array, index: float, crossings: Array) -> None:
+@kernel(part=True)
+def refract(points: Table, lens: Floats, index: float, crossings: Table) -> None:
     """Points (m, 3) at which the light from points (m, 3) to the lens crosses z = 0; points above the water stay."""
     for i in range(len(points)):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
@@ -71,8 +72,8 @@ def refract(points: Array, lens: Array, index: float, crossings: Array) -> None:
         crossings[i, 0], crossings[i, 1], crossings[i, 2] = x, y, z
 
 
-@kernel("void(f8[:,::1], f8[::1], f8[:,::1], f8[::1], f8[:,::1])", part=True)
-def project_air(points: Array, lens: Array, turn: Array, pinhole: Array, pixels: Array) -> None:
+@kernel(part=True)
+def project_air(points: Table, lens: Floats, turn: Table, pinhole: Floats, pixels: Table) -> None:
     """Pixels (m, 2) of points (m, 3) in air; NaN behind the lens. `turn` is the rotation from pool to camera, `pinhole` focal
     lengths, centre and OpenCV's distortion k1, k2, p1, p2, k3."""
     fx, fy, cx, cy, k1, k2, p1, p2, k3 = (
@@ -92,9 +93,9 @@ def project_air(points: Array, lens: Array, turn: Array, pinhole: Array, pixels:
             pixels[i, 0] = pixels[i, 1] = math.nan
 
 
-@kernel("void(f8[:,::1], f8[::1], f8, f8[:,::1], f8[::1], f8[:,::1], f8[:,::1], f8[::1])")
+@kernel
 def see(
-    points: Array, lens: Array, index: float, turn: Array, pinhole: Array, crossings: Array, pixels: Array, path_m: Array
+    points: Table, lens: Floats, index: float, turn: Table, pinhole: Floats, crossings: Table, pixels: Table, path_m: Floats
 ) -> None:
     """Crossings (m, 3) as `refract`, pixels (m, 2) as `project_air`, and the optical path (m,) from the lens to each point."""
     refract(points, lens, index, crossings)

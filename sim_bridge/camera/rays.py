@@ -5,57 +5,14 @@ pixels and interpolated.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import NamedTuple
 
 import cv2
 import numpy as np
 
 from shoal.config.perception import Camera
 from shoal.frames import Array
-from sim_bridge.camera.kernels import BLOCK
+from sim_bridge.camera.kernels import BLOCK, ImageRect, RayBundle
 from sim_bridge.camera.optics import GRAZING, Bytes, Float, Optics, camera_slopes
-
-
-class ImageRect(NamedTuple):
-    """A rectangle of the picture that begins on the Bayer pattern's first pixel, and the blocks that interpolate over it."""
-
-    top: int
-    bottom: int
-    left: int
-    right: int
-    block_top: int
-    block_bottom: int
-    block_left: int
-    block_right: int
-
-    @property
-    def blocks(self) -> tuple[slice, slice]:
-        """Index of the blocks in a (block rows, block columns) array: one more on each side where there is one."""
-        return slice(self.block_top, self.block_bottom), slice(self.block_left, self.block_right)
-
-
-@dataclass(frozen=True)
-class RayBundle:
-    """Lines of sight as planes of one shape: their crossing of the surface, and sideways metres per metre of depth, in air
-    and in water."""
-
-    surface_x: Float
-    surface_y: Float
-    air_x: Float
-    air_y: Float
-    water_x: Float
-    water_y: Float
-
-    @property
-    def planes(self) -> tuple[Float, ...]:
-        """All planes, in the order of the fields."""
-        return self.surface_x, self.surface_y, self.air_x, self.air_y, self.water_x, self.water_y
-
-    def deflected(self, slope_x: Float, slope_y: Float) -> "RayBundle":
-        """The lines with these slopes added in water."""
-        water_x, water_y = np.asarray(self.water_x + slope_x), np.asarray(self.water_y + slope_y)
-        return RayBundle(self.surface_x, self.surface_y, self.air_x, self.air_y, water_x, water_y)
 
 
 class CameraRays:

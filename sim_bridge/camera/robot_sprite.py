@@ -11,17 +11,29 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from shoal.config.experiment import Experiment
 from shoal.config.perception import Landmark, MarkerFamily
 from shoal.config.scene import RobotConfig
 from shoal.frames import Array
 from shoal.kernels.decorator import kernel
+from shoal.kernels.types import Cube, Floats, Ints, Table
 from sim_bridge.camera import kernels
-from sim_bridge.camera.kernels import BLOCK, LAMP_UP, LAMP_X, LAMP_Y, LANE_ROWS, LANES, PENUMBRA
+from sim_bridge.camera.kernels import (
+    BLOCK,
+    LAMP_UP,
+    LAMP_X,
+    LAMP_Y,
+    LANE_ROWS,
+    LANES,
+    PENUMBRA,
+    Block,
+    BodyLook,
+    BodyPaint,
+    BodyScratch,
+    ImageRect,
+)
 from sim_bridge.camera.optics import Bytes, Optics
-from sim_bridge.camera.rays import ImageRect
 from sim_bridge.camera.scene import WaterView, water_colour
 from sim_bridge.camera.textures import HULL_PX, LENS_SOFTNESS_PX, RED, hull_texture, plate_texels_per_m, plate_texture
 
@@ -52,7 +64,7 @@ class BodySprite:
     def _set_plate(self, plate: Bytes, texels_per_m: float) -> None:
         layers = np.ascontiguousarray(np.moveaxis(plate, -1, 0))  # brightness and coverage
         self._half_m = float(np.sqrt(0.5) * plate.shape[0] / texels_per_m)  # from its middle to a corner, margin included
-        self._constants = (self.radius_m, self.height_m, self._skin, self._half_m > 0.0, layers, float(texels_per_m))
+        self._paint = BodyPaint(self.radius_m, self.height_m, self._skin, self._half_m > 0.0, layers, float(texels_per_m))
         self.shape_m = (self.radius_m, self.height_m, self._half_m)
 
     @classmethod
@@ -84,20 +96,18 @@ class BodySprite:
         unmarked._set_plate(NO_PLATE, np.inf)
         return unmarked
 
-    def draw(self, raw: Bytes, scene: WaterView, window: ImageRect, look: "BodyLook", time_s: float) -> None:
+    def draw(self, raw: Bytes, scene: WaterView, window: ImageRect, look: BodyLook, time_s: float) -> None:
         """Lay the body, as it looks, over a rectangle of the raw mosaic, in place."""
         fields = scene.fields(window, look.depth_m, time_s)
-        kernels.draw_body(
-            raw, tuple(window), fields, scene.shading, self._constants, look.poses, look.attitudes, look.water, look.px_per_m,
-            np.empty(fields.shape[::2]), np.zeros((LANE_ROWS, LANES)), np.empty((2, LANES), np.int32),
-        )  # fmt: skip
+        scratch = BodyScratch(np.empty(fields.shape[::2]), np.zeros((LANE_ROWS, LANES)), np.empty((2, LANES), np.int32))
+        kernels.draw_body(raw, window, fields, scene.shading, self._paint, look, scratch)
 
     def draw_shadow(self, raw: Bytes, scene: WaterView, window: ImageRect, eta: Array) -> None:
         """Darken the floor and walls of a rectangle below the body at eta, in place. Blocks are fine enough, as a
         shadow's edge is wider than one."""
         rows, columns = window.block_bottom - window.block_top, window.block_right - window.block_left
         kernels.draw_shadow(
-            raw, tuple(window), scene.view.blocks.planes, scene.block_z, eta, self.radius_m,
+            raw, window, scene.view.blocks, scene.block_z, eta, self.radius_m,
             np.empty((rows, columns)), np.empty((columns + 1) * BLOCK, np.float32),
         )  # fmt: skip
 
@@ -124,51 +134,52 @@ class Bodies(NamedTuple):
         return self._replace(eta=self.eta + seconds[:, None] * velocity)
 
 
-class BodyLook(NamedTuple):
-    """One body as it looks in the picture: its poses during the exposure, k of them."""
-
-    poses: Array  # (k, 4) evenly spaced, symmetric in time; their mean picture stands for the exposure
-    attitudes: Array  # (k, 3, 3), rotations from body to pool: Rz(yaw) Ry(pitch) Rx(roll)
-    water: Array  # (k, 2, 2, 3) share that passes and veil of the water over sphere and plate, in blue, green and red
-    depth_m: float  # of its centre
-    px_per_m: float  # around it, 0 above the lens
-    path_m: float  # optical length from the lens: bodies that are farther are behind the others
-
-
 def exposures(bodies: Bodies, optics: Optics, exposure_s: float, floor_m: float) -> tuple[list[BodyLook], Array, Array]:
     """The looks of n bodies in an exposure, corners (n, 16, 3) of boxes that hold them, and corners (n, 4, 3) of squares on
     the floor that hold their shadows."""
     n = len(bodies.sprites)
     probes = optics.see(bodies.eta[:, None, :3] + PROBES_M)
     shapes = np.array([sprite.shape_m for sprite in bodies.sprites])
-    parts, px_per_m, poses = np.empty(n, np.int64), np.empty(n), np.zeros((n, MAX_PARTS, 4))
-    attitudes, depths = np.zeros((n, MAX_PARTS, 3, 3)), np.zeros((n, MAX_PARTS, 2))
-    boxes, shadows = np.empty((n, 16, 3)), np.empty((n, 4, 3))
-    expose(
-        bodies.eta, bodies.nu, bodies.tilt, shapes, probes.pixels.reshape(n, 3, 2), exposure_s, floor_m,
-        parts, px_per_m, poses, attitudes, depths, boxes, shadows,
+    shutter = ExposureTables(
+        np.empty(n, np.int64), np.empty(n), np.zeros((n, MAX_PARTS, 4)), np.zeros((n, MAX_PARTS, 3, 3)),
+        np.zeros((n, MAX_PARTS, 2)), np.empty((n, 16, 3)), np.empty((n, 4, 3)),
     )  # fmt: skip
+    motion = BodyMotions(*map(np.ascontiguousarray, (bodies.eta, bodies.nu, bodies.tilt, shapes)))
+    expose(motion, probes.pixels.reshape(n, 3, 2), exposure_s, floor_m, shutter)
+    parts, px_per_m, poses, attitudes, depths, boxes, shadows = shutter
     water = np.stack(water_colour(2.0 * depths), axis=3).astype(np.float64)  # from a lamp down and up to the camera
     numbers = zip(parts.tolist(), bodies.eta[:, 2].tolist(), px_per_m.tolist(), probes.path_m[::3].tolist(), strict=True)
     looks = [BodyLook(poses[i, :k], attitudes[i, :k], water[i, :k], *rest) for i, (k, *rest) in enumerate(numbers)]
     return looks, boxes, shadows
 
 
-@kernel(
-    "void(f8[:,:], f8[:,:], f8[:,:], f8[:,::1], f8[:,:,::1], f8, f8, "
-    "i8[::1], f8[::1], f8[:,:,::1], f8[:,:,:,::1], f8[:,:,::1], f8[:,:,::1], f8[:,:,::1])"
-)
-def expose(
-    eta: Array, nu: Array, tilt: Array, shapes: Array, probes_px: Array, exposure_s: float, floor_m: float,
-    parts: NDArray[np.int64], px_per_m: Array, poses: Array, attitudes: Array, depths: Array, boxes: Array, shadows: Array,
-) -> None:  # fmt: skip
-    """The numbers of `exposures`, for n bodies at `eta` (n, 4) in the exposure's middle.
+class BodyMotions(NamedTuple):
+    """Motions and shapes of n bodies, in the middle of an exposure."""
 
-    `nu` (n, 4) are velocities on level axes, `tilt` (n, 2) roll and pitch, `shapes` (n, 3) a sphere's radius, and its
-    plate's height above the centre and reach from its middle. `probes_px` (n, 3, 2) are the pixels of its centre and of
-    points PROBE_M beside it along x and y. Of MAX_PARTS poses `parts` (n,) are used: so many that a body moves by
-    BLUR_STEP_PX at most from one to the next. `depths` (n, MAX_PARTS, 2) are those of what is seen of sphere and plate.
-    """
+    eta: Table  # (n, 4)
+    nu: Table  # (n, 4) on level axes
+    tilt: Table  # (n, 2) roll and pitch
+    shapes: Table  # (n, 3) radius of the sphere, height of the plate above its centre, and reach from the plate's middle
+
+
+class ExposureTables(NamedTuple):
+    """The numbers of `exposures`, of n bodies in MAX_PARTS poses."""
+
+    parts: Ints  # (n,) poses that are used: so many that a body moves by BLUR_STEP_PX at most from one to the next
+    px_per_m: Floats
+    poses: Cube  # (n, MAX_PARTS, 4)
+    attitudes: Block  # (n, MAX_PARTS, 3, 3)
+    depths: Cube  # (n, MAX_PARTS, 2) of what is seen of sphere and plate
+    boxes: Cube  # (n, 16, 3)
+    shadows: Cube  # (n, 4, 3)
+
+
+@kernel
+def expose(motions: BodyMotions, probes_px: Cube, exposure_s: float, floor_m: float, tables: ExposureTables) -> None:
+    """Fill the tables. `probes_px` (n, 3, 2) are the pixels of each body's centre and of points PROBE_M beside it along x and
+    y."""
+    eta, nu, tilt, shapes = motions
+    parts, px_per_m, poses, attitudes, depths, boxes, shadows = tables
     for i in range(len(eta)):
         radius, height, half = shapes[i, 0], shapes[i, 1], shapes[i, 2]
         right = math.hypot(probes_px[i, 1, 0] - probes_px[i, 0, 0], probes_px[i, 1, 1] - probes_px[i, 0, 1])

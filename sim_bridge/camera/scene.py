@@ -10,11 +10,11 @@ from numpy.typing import ArrayLike, NDArray
 from shoal.config.experiment import Experiment
 from shoal.config.scene import PoolConfig
 from shoal.frames import Array
-from sim_bridge.camera.kernels import FIELDS
+from sim_bridge.camera.kernels import FIELDS, ImageRect, RayBundle, Shading
 from sim_bridge.camera.optics import Bytes, Float
-from sim_bridge.camera.rays import CameraRays, ImageRect, RayBundle
+from sim_bridge.camera.rays import CameraRays
 from sim_bridge.camera.textures import TILE_M, grain, texels_per_tile, tile_texture
-from sim_bridge.camera.water_optics import LAMPS_M, WaterLight, block_fields, glare
+from sim_bridge.camera.water_optics import LAMPS_M, BlockView, BlockWaves, WaterLight, block_fields, glare
 
 # Absorption per metre of water: blue, green, red. Clear water absorbs red first (Pope and Fry 1997: 0.01, 0.06, 0.34 at 450,
 # 550, 650 nm); a little is added for floating particles. Then colour and rate of the light that the water scatters back.
@@ -121,12 +121,15 @@ class WaterView:
 
     def __init__(self, waters: WaterLight, view: CameraRays, block_z: Float) -> None:
         self.waters, self.view, self.block_z = waters, view, block_z
-        self.shading = vignette_numbers(view, waters.picture.vignetting)
+        self.shading = shading_of(view, waters.picture.vignetting)
         self.depth_m, self.bending = waters.depth_m, np.float32(waters.ripples.bending)
-        self._lens, self._lamps = np.array(view.camera.position_m), np.array(LAMPS_M)
         self._weights: tuple[float, Float] | None = None  # of the ripples, at the last time that was asked for
         shape = view.blocks.surface_x.shape
         self._basis = waters.ripples.basis(view.blocks.surface_x, view.blocks.surface_y).reshape(-1, *shape)
+        self._at_blocks = BlockView(
+            view.blocks, self._basis, waters.caustics.half_m, np.array(view.camera.position_m), np.array(LAMPS_M),
+            255.0 * waters.picture.glare, float(self.bending),
+        )  # fmt: skip
 
     def slopes(self, loop_s: float) -> Float:
         """Slopes of the surface at all blocks, (2, block rows, block columns), at a time of the ripples' loop."""
@@ -144,27 +147,25 @@ class WaterView:
         a depth."""
         waters = self.waters
         if self._weights is None or self._weights[0] != time_s:
-            self._weights = time_s, waters.ripples.weights(waters.ripple_clock.loop_s(time_s))
+            weights = waters.ripples.weights(waters.ripple_clock.loop_s(time_s))
+            self._weights = time_s, np.ascontiguousarray(weights)
         reach = waters.picture.caustics * min(max(depth_m / self.depth_m, 0.0), 1.0)
         fields = np.empty((FIELDS, window.block_bottom - window.block_top, window.block_right - window.block_left))
-        block_fields(
-            tuple(window), self.view.blocks.planes, self._basis, self._weights[1], *waters.patterns(time_s),
-            waters.caustics.half_m, depth_m, reach, self._lens, self._lamps,
-            255.0 * waters.picture.glare, float(self.bending), waters.wave.at(time_s), fields,
-        )  # fmt: skip
+        now = BlockWaves(self._weights[1], waters.patterns(time_s), waters.wave.at(time_s))
+        block_fields(window, self._at_blocks, now, depth_m, reach, fields)
         return fields
 
 
-def vignette_numbers(view: CameraRays, strength: float) -> tuple[float, float, float]:
-    """Column and row of the camera's centre, and the share of its light that a pixel loses per square px away from there."""
+def shading_of(view: CameraRays, strength: float) -> Shading:
+    """The darkening by which the picture's farthest corner loses a share of its light."""
     centre_x, centre_y = view.camera.centre_px
     far_x, far_y = max(centre_x, view.width - 1 - centre_x), max(centre_y, view.height - 1 - centre_y)
-    return centre_x, centre_y, strength / (far_x**2 + far_y**2)
+    return Shading(centre_x, centre_y, strength / (far_x**2 + far_y**2))
 
 
 def vignette(view: CameraRays, strength: float) -> Float:
     """Share of its light that each pixel gets, (height, width)."""
-    centre_x, centre_y, dimming = vignette_numbers(view, strength)
+    centre_x, centre_y, dimming = shading_of(view, strength)
     column, row = (np.arange(view.width) - centre_x) ** 2, (np.arange(view.height) - centre_y) ** 2
     return np.asarray(1.0 - dimming * (column[None, :] + row[:, None]), dtype=np.float32)
 

@@ -20,8 +20,8 @@ class SensorNoise:
         shape = (size_px[1] + SPARE_PX[1], size_px[0] + SPARE_PX[0])
         field = random.standard_normal(shape, dtype=np.float32) * np.float32(UNIT)
         self._field = np.clip(np.rint(field), -127, 127).astype(np.int8)
-        self._read = np.float32(READ_SHARE * (noise / UNIT) ** 2)
-        self._shot = np.float32((1.0 - READ_SHARE) / MID_GREY * (noise / UNIT) ** 2)
+        self._read = READ_SHARE * (noise / UNIT) ** 2
+        self._shot = (1.0 - READ_SHARE) / MID_GREY * (noise / UNIT) ** 2
 
     def add(self, raw: Bytes, frame_index: int) -> Bytes:
         """A noisy copy of a mosaic (height, width), the same for the same frame index."""

@@ -14,7 +14,7 @@ from sim_bridge.camera.optics import Bytes, Float
 from sim_bridge.camera.rays import CameraRays, sample_mosaic
 from sim_bridge.camera.scene import WaterView, draw_still_pool, plan_coordinates, trace_to_surfaces, vignette
 from sim_bridge.camera.textures import LENS_SOFTNESS_PX
-from sim_bridge.camera.water_optics import PHASE_S, WaterLight, caustic_levels, light_up
+from sim_bridge.camera.water_optics import PHASE_S, Blend, RowLight, WaterLight, caustic_levels, light_up
 
 
 class StaticBackground:
@@ -38,7 +38,7 @@ class StaticBackground:
         self._grid_column, self._grid_row = (np.ascontiguousarray(plane[0::2, 0::2]) for plane in grid)
         self._reach = waters.reach(hit.z[0::2, 0::2])
         squares = self._grid_column.shape
-        self._scratch = tuple(np.empty(n, np.float32) for n in (squares[1], squares[1], 2 * squares[1], 2 * squares[1]))
+        self._scratch = RowLight(*(np.empty(n, np.float32) for n in (squares[1], squares[1], 2 * squares[1], 2 * squares[1])))
         self._blend = np.empty((view.height, view.width), np.uint8)
         # The loops lie each in one array, which the system puts on large pages: less time to find them in memory.
         ripples, caustics = waters.ripple_clock.phases, waters.caustic_clock.phases
@@ -57,13 +57,12 @@ class StaticBackground:
     def at(self, time_s: float) -> tuple[WaterView, Bytes]:
         """The water's view at a time, and a raw mosaic (height, width) of it to draw on, valid until the next call."""
         waters = self._scene.waters
-        first, second, view_share = waters.ripple_clock.phase(time_s)
+        first, second, share = waters.ripple_clock.phase(time_s)
         (view, glare), (next_view, next_glare) = self._view_phase(first), self._view_phase(second)
+        views, glares = Blend(view, next_view, share), Blend(glare, next_glare, share)
         first, second, share = waters.caustic_clock.phase(time_s)
-        light_up(
-            view, next_view, glare, next_glare, np.float32(view_share), self._level_phase(first), self._level_phase(second),
-            np.float32(share), self._reach, self._scratch, self._blend,
-        )  # fmt: skip
+        levels = Blend(self._level_phase(first), self._level_phase(second), share)
+        light_up(views, glares, levels, self._reach, self._scratch, self._blend)
         return self._scene, self._blend
 
     def _view_phase(self, number: int) -> tuple[Bytes, Bytes]:

@@ -5,6 +5,7 @@ wanders, so that the water never repeats. All fields are functions of position a
 """
 
 import math
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -15,20 +16,22 @@ from shoal.config.scene import PoolConfig
 from shoal.config.simulation import PictureConfig
 from shoal.frames import Array
 from shoal.kernels.decorator import kernel
+from shoal.kernels.types import Cube, Floats, Table
 from sim_bridge.camera.kernels import (
     AIR_X,
     AIR_Y,
     GLARE,
     LIGHT,
-    LINES,
-    PICTURE,
-    PLANE,
-    RECT,
     SURFACE_X,
     SURFACE_Y,
     WATER_X,
     WATER_Y,
-    Planes,
+    Blocks,
+    ImageRect,
+    Line,
+    Picture,
+    Plane,
+    RayBundle,
 )
 from sim_bridge.camera.optics import Bytes, Float
 from sim_bridge.plant.currents_waves import SurfaceWave
@@ -172,7 +175,7 @@ def _fold(value: Float, size: int) -> Float:
     return folded
 
 
-@kernel("f8(f8, i8)", inline=True, part=True)
+@kernel(inline=True, part=True)
 def mirror(value: float, size: int) -> float:
     """Mirror a value into 0 .. size - 1, repeatedly."""
     last = size - 1.0
@@ -180,22 +183,49 @@ def mirror(value: float, size: int) -> float:
     return last - abs(last - away)
 
 
-@kernel(f"f8({PICTURE}, i8, i8, f8, f8)", inline=True, part=True)
-def grid_value(grid: Bytes, left: int, top: int, u: float, v: float) -> float:
+@kernel(inline=True, part=True)
+def grid_value(grid: Picture, left: int, top: int, u: float, v: float) -> float:
     """Bilinear value of a grid between four of its points, at the shares u and v of the way from (left, top)."""
     upper = (1.0 - u) * grid[top, left] + u * grid[top, left + 1]
     lower = (1.0 - u) * grid[top + 1, left] + u * grid[top + 1, left + 1]
     return float((1.0 - v) * upper + v * lower)
 
 
-@kernel("void(f8[::1], f8, f8, f8, f8, f8, f8[:,:,::1], i8, i8)", part=True)
-def meet_wave(
-    wave: Array, air_x: float, air_y: float, slope_x: float, slope_y: float, index: float, fields: Array, a: int, b: int
-) -> None:
+class Blend(NamedTuple):
+    """Two pictures of a loop, and the second one's share in what lies between them."""
+
+    first: Picture
+    second: Picture
+    share: float
+
+
+class BlockView(NamedTuple):
+    """The water's surface and light from one point of view: what does not change with time, at all blocks."""
+
+    lines: RayBundle
+    basis: Blocks  # of the ripples' slopes (PlaneWaves)
+    half_m: Floats  # the caustics' pattern begins at minus this
+    lens: Floats
+    lamps_m: Table  # (lamps, 4) centre x, y, half length and half width
+    glare_levels: float  # grey levels of a mirrored lamp
+    bending: float  # Ripples.bending
+
+
+class BlockWaves(NamedTuple):
+    """The water at a time."""
+
+    weights: Plane  # of the basis
+    pattern: Blend  # of the caustics
+    wave: Floats  # SurfaceWave.at
+
+
+@kernel(part=True)
+def meet_wave(wave: Floats, slope_x: float, slope_y: float, index: float, fields: Cube, a: int, b: int) -> None:
     """Change a block's line of sight, in `fields`, to that through a wave (SurfaceWave.at) with ripples of a slope on it.
 
     A wave is steep and high enough for lines that slant to need the whole of Snell's law, and the place where they meet the
     crest; for ripples the first order does. `index` is 1 over the water's."""
+    air_x, air_y = fields[AIR_X, a, b], fields[AIR_Y, a, b]
     x, y, height_m, phase = fields[SURFACE_X, a, b], fields[SURFACE_Y, a, b], 0.0, 0.0
     for _ in range(3):  # each is better by the wave's slope times the line's
         phase = wave[1] * (x - height_m * air_x) + wave[2] * (y - height_m * air_y) - wave[3]
@@ -214,38 +244,15 @@ def meet_wave(
     fields[WATER_X, a, b], fields[WATER_Y, a, b] = water_x, water_y
 
 
-@kernel(
-    f"void({RECT}, {LINES}, f4[:,:,::1], f4[:,:], {PICTURE}, {PICTURE}, f8, "
-    "f8[::1], f8, f8, f8[::1], f8[:,::1], f8, f8, f8[::1], f8[:,:,::1])"
-)
-def block_fields(
-    rect: Planes,
-    lines: Planes,
-    basis: Float,
-    weights: Float,
-    pattern: Bytes,
-    next_pattern: Bytes,
-    pattern_share: float,
-    half_m: Array,
-    depth_m: float,
-    reach: float,
-    lens: Array,
-    lamps_m: Array,
-    glare_levels: float,
-    bending: float,
-    wave: Array,
-    fields: Array,
-) -> None:
-    """Fields (FIELDS, block rows, block columns) of a rectangle's blocks: their lines of sight, bent by ripples and `wave`
-    (SurfaceWave.at), the light at a depth, and the grey levels of mirrored lamps. The same as Ripples.slopes, WaterLight.light
-    and `glare`, for a part of the picture.
-
-    `lines`, and `basis` and `weights` (PlaneWaves), are those of all blocks. The caustics' pattern lies between `pattern` and
-    `next_pattern`, with the share of the second; it begins at -`half_m`, and `reach` is its strength. `lamps_m` (lamps, 4):
-    centre x, y, half length and half width.
-    """
+@kernel
+def block_fields(rect: ImageRect, view: BlockView, now: BlockWaves, depth_m: float, reach: float, fields: Cube) -> None:
+    """Fields (FIELDS, block rows, block columns) of a rectangle's blocks: their lines of sight, bent by ripples and the wave,
+    the light at a depth where caustics have the strength `reach`, and the grey levels of mirrored lamps. The same as
+    Ripples.slopes, WaterLight.light and `glare`, for a part of the picture."""
     _, _, _, _, block_top, _, block_left, _ = rect
-    surface_x, surface_y, air_x, air_y, water_x, water_y = lines
+    surface_x, surface_y, air_x, air_y, water_x, water_y = view.lines
+    basis, half_m, lens, lamps_m, bending = view.basis, view.half_m, view.lens, view.lamps_m, view.bending
+    weights, (pattern, next_pattern, pattern_share), wave = now
     rows, columns = pattern.shape
     further = 1.0 - LAMP_HEIGHT_M / lens[2]
     for a in range(fields.shape[1]):
@@ -270,13 +277,13 @@ def block_fields(
                 across = (lamps_m[k, 3] - abs(y - lamps_m[k, 1])) / (2.0 * LAMP_EDGE_M) + 0.5
                 mirrored += min(max(along, 0.0), 1.0) * min(max(across, 0.0), 1.0)
             fields[SURFACE_X, a, b], fields[SURFACE_Y, a, b] = sx, sy
+            fields[AIR_X, a, b], fields[AIR_Y, a, b] = air_x[i, j], air_y[i, j]
             fields[WATER_X, a, b] = water_x[i, j] + bending * slope_x
             fields[WATER_Y, a, b] = water_y[i, j] + bending * slope_y
             if wave[0] > 0.0:
-                meet_wave(wave, air_x[i, j], air_y[i, j], slope_x, slope_y, 1.0 - bending, fields, a, b)
-            fields[AIR_X, a, b], fields[AIR_Y, a, b] = air_x[i, j], air_y[i, j]
+                meet_wave(wave, slope_x, slope_y, 1.0 - bending, fields, a, b)
             fields[LIGHT, a, b] = 1.0 + reach * (level / CAUSTIC_UNIT - 1.0)
-            fields[GLARE, a, b] = glare_levels * mirrored
+            fields[GLARE, a, b] = view.glare_levels * mirrored
 
 
 def glare(surface_x: Float, surface_y: Float, slopes: Float, camera: Camera) -> Float:
@@ -321,10 +328,10 @@ class WaterLight:
             self._patterns[phase] = np.clip(light, 0, 255).astype(np.uint8)
         return self._patterns[phase]
 
-    def patterns(self, time_s: float) -> tuple[Bytes, Bytes, float]:
-        """The pictures of the loop of caustics before and after a time, and the second one's share."""
+    def patterns(self, time_s: float) -> Blend:
+        """The pictures of the loop of caustics before and after a time."""
         first, second, share = self.caustic_clock.phase(time_s)
-        return self.phase_pattern(first), self.phase_pattern(second), share
+        return Blend(self.phase_pattern(first), self.phase_pattern(second), share)
 
     def light(self, column: Float, row: Float, reach: Float | np.float32, time_s: float) -> Float:
         """Caustic light relative to its mean at places of the caustics' grid, weighted with `reach` (0 to 1)."""
@@ -344,27 +351,29 @@ def caustic_levels(pattern: Bytes, column: Float, row: Float) -> Bytes:
     return np.asarray(cv2.remap(pattern, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT_101), dtype=np.uint8)
 
 
-@kernel(
-    f"void({PICTURE}, {PICTURE}, {PICTURE}, {PICTURE}, f4, {PICTURE}, {PICTURE}, f4, {PLANE}, UniTuple(f4[::1], 4), {PICTURE})"
-)
-def light_up(
-    view: Bytes, next_view: Bytes, glare: Bytes, next_glare: Bytes, view_share: np.float32,
-    levels: Bytes, next_levels: Bytes, levels_share: np.float32, reach: Float, scratch: Planes, raw: Bytes,
-) -> None:  # fmt: skip
-    """A mosaic `raw` between two views (height, width) of the pool, lit by a pattern between two others, and then the glare.
+class RowLight(NamedTuple):
+    """Memory for a row of a picture. Each is an array of its own, so that all loops run several pixels at a time."""
 
-    `glare`, the patterns' `levels` and their `reach` have a value for each Bayer square. `scratch` are light
-    and glare of a row's squares (n,), and of its pixels (2 n,). All float32, and each scratch an array of its own, so that all
-    loops run several pixels at a time.
-    """
+    square_light: Line  # of its Bayer squares (n,)
+    square_shine: Line
+    light: Line  # of its pixels (2 n,)
+    shine: Line
+
+
+@kernel
+def light_up(views: Blend, glares: Blend, levels: Blend, reach: Plane, scratch: RowLight, raw: Picture) -> None:
+    """A mosaic `raw` between two views (height, width) of the pool, lit by a pattern between two others, and then the glare.
+    Glares, the patterns' levels and their `reach` have a value for each Bayer square. All float32."""
+    view, next_view, _ = views
+    view_share, levels_share = np.float32(views.share), np.float32(levels.share)
     half, one, most = np.float32(0.5), np.float32(1.0), np.float32(255.0)
     per_unit = np.float32(1.0 / CAUSTIC_UNIT)
     height, width = raw.shape
     square_light, square_shine, light, shine = scratch
     for i in range(height):
         if i % 2 == 0:
-            before, after, strength = levels[i // 2], next_levels[i // 2], reach[i // 2]
-            glow, later = glare[i // 2], next_glare[i // 2]
+            before, after, strength = levels.first[i // 2], levels.second[i // 2], reach[i // 2]
+            glow, later = glares.first[i // 2], glares.second[i // 2]
             for j in range(reach.shape[1]):
                 level = np.float32(before[j]) + levels_share * (np.float32(after[j]) - np.float32(before[j]))
                 square_light[j] = one + strength[j] * (level * per_unit - one)

@@ -15,7 +15,6 @@ from shoal.runtime.cli_options import (
     Insecure,
     KeyRing,
     LinkInsecure,
-    LockstepMode,
     Settings,
     StationAddress,
     Verbose,
@@ -65,7 +64,7 @@ def pool(
     link_insecure: LinkInsecure = False,
     settings: Settings = None,
     boards: BoardFolder = None,
-    lockstep: LockstepMode = False,
+    lockstep: Annotated[bool, typer.Option("--lockstep", help="Own the time: the others step when this says so.")] = False,
     pace: Annotated[
         float | None,
         typer.Option(

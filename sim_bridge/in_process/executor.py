@@ -20,9 +20,6 @@ import cv2
 from rich.console import Console
 
 from groundstation.station import process as station_process
-from localizer.fusion_node import FusionNode
-from localizer.node import LocalizerNode
-from robot_agent.node import AgentNode
 from shoal.bus.bus import Bus, Decode
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
 from shoal.bus.transport import Answer, Urgent
@@ -32,9 +29,11 @@ from shoal.messages import topics
 from shoal.messages.codec import Header, decode
 from shoal.messages.messages import Tick
 from shoal.messages.topics import Topic
-from shoal.runtime.lockstep import LockstepClock
 from shoal.runtime.runtime import Failed, Stop, log, log_handler, speaking
 from shoal.runtime.web_access import WebOptions, web_options
+from sim_bridge.lockstep.agent import agent_in_lockstep
+from sim_bridge.lockstep.localizer import fusion_in_lockstep, localizer_in_lockstep
+from sim_bridge.lockstep.station import simulated_time
 from sim_bridge.node.board_ports import Address, BoardPorts
 from sim_bridge.node.pool import PoolNode
 from sim_bridge.sil import launcher
@@ -287,7 +286,7 @@ class Executor:
         for robot, wire in zip(experiment.robot_ids, wires, strict=True):
             agent = part(f"agent-{robot}")
             self._agents.append(agent)
-            agent.begin(lambda bus, r=robot, w=wire: AgentNode(experiment, r, bus, w, True, self.stop).steps())  # type: ignore[misc]
+            agent.begin(lambda bus, r=robot, w=wire: agent_in_lockstep(experiment, r, bus, w, self.stop).steps())  # type: ignore[misc]
         ports = MemoryPorts(wires, experiment.robot_ids, experiment.seed, self._others)
         pool = part("sim-bridge")
         with _rare_collections(), pool.acting():
@@ -301,16 +300,16 @@ class Executor:
             bus,
             self._run_dir,
             automatic=automatic,
-            lockstep=True,
             stop=self.stop,
             give_up_s=GIVE_UP_S,
             web=web,
+            owner=simulated_time(bus, self.stop),
         )
 
     def _localizer(self, bus: Bus, camera: str) -> Generator[None]:
         if self._experiment.cameras and not camera:
-            return FusionNode(self._experiment, bus, self.stop, LockstepClock()).steps()
-        return LocalizerNode(self._experiment, bus, self.stop, LockstepClock(), camera=camera).steps()
+            return fusion_in_lockstep(self._experiment, bus, self.stop).steps()
+        return localizer_in_lockstep(self._experiment, bus, self.stop, camera).steps()
 
     def _note_exposed(self, topic: Topic, key: str, header: Header, payload: bytes) -> None:
         self._exposed = decode(Tick, payload, "sim-bridge", key)

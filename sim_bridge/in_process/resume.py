@@ -106,16 +106,16 @@ def resume(
 def _pose_at_moment(memory: RobotHistory, row: int, robots: Sequence[int]) -> tuple[Array, Array]:
     """Pose and velocity of a robot at the moment: the truth between its samples, or the robot's estimate."""
     stamps = np.array([stamp for stamp, _ in memory.truths], dtype=np.float64)
-    known = [truth for _, truth in memory.truths if truth.robots == tuple(robots)]
-    if len(known) != len(stamps) or len(stamps) < 2 or np.abs(stamps - memory.now_ns).min() > SAME_CLOCK_NS:
+    truths = [truth for _, truth in memory.truths if truth.robots == tuple(robots)]
+    if len(truths) != len(stamps) or len(stamps) < 2 or np.abs(stamps - memory.now_ns).min() > SAME_CLOCK_NS:
         return memory.state.eta, memory.state.nu
 
     def between(rows: Array) -> Array:
         return np.array([np.interp(memory.now_ns, stamps, column) for column in rows.T])
 
-    eta = np.array([truth.eta[row] for truth in known])
+    eta = np.array([truth.eta[row] for truth in truths])
     eta[:, 3] = np.unwrap(eta[:, 3])
-    return between(eta), between(np.array([truth.nu[row] for truth in known]))
+    return between(eta), between(np.array([truth.nu[row] for truth in truths]))
 
 
 def _pulses(experiment: Experiment, memories: Sequence[RobotHistory]) -> list[Array]:
@@ -124,8 +124,8 @@ def _pulses(experiment: Experiment, memories: Sequence[RobotHistory]) -> list[Ar
     neutral = tuple(map(float, experiment.vehicle.neutral_us))
 
     def of(memory: RobotHistory) -> list[tuple[float, ...]]:
-        told = [tuple(map(float, s.pulse_us)) if s.board_armed else neutral for _, s in memory.states[-count:]]
-        return [neutral] * (count - len(told)) + told
+        pulses = [tuple(map(float, s.pulse_us)) if s.board_armed else neutral for _, s in memory.states[-count:]]
+        return [neutral] * (count - len(pulses)) + pulses
 
     return [np.array(step) for step in zip(*map(of, memories), strict=True)]
 
@@ -171,10 +171,10 @@ def lines_until(log: LogFile, robots: Sequence[int], at_s: float, robot: int) ->
     and the truth around it. Raises ConfigError if there is no such moment."""
     moment_ns = _moment_ns(log, robots[0], at_s)
     own = own_messages(log, robot, with_states=True)
-    known = [k for k, line in enumerate(own) if line.topic is topics.STATE and line.arrived_ns <= moment_ns]
-    if not known or not any(line.topic is topics.INPUTS for line in own):
+    state_lines = [k for k, line in enumerate(own) if line.topic is topics.STATE and line.arrived_ns <= moment_ns]
+    if not state_lines or not any(line.topic is topics.INPUTS for line in own):
         raise ConfigError(f"{log.path}: holds no inputs of robot {robot} before {at_s:g} s")
-    yield from in_order_of_use(log, robot, own[: known[-1] + 1])
+    yield from in_order_of_use(log, robot, own[: state_lines[-1] + 1])
     begin_ns, end_ns = max(moment_ns - AROUND_NS, log.start_ns), moment_ns + AROUND_NS
     yield from log.messages(lambda topic, _: topic is topics.TRUTH, begin_ns, end_ns + 1)
 

@@ -101,7 +101,7 @@ class UdpPort:
         self._heard_ns: dict[Address, int] = {}
 
     @property
-    def heard(self) -> bool:
+    def has_peer(self) -> bool:
         """True if there is a peer to answer to."""
         return bool(self._heard_ns)
 
@@ -233,7 +233,7 @@ class UdpPorts(BoardPorts):
 
     @property
     def all_heard(self) -> bool:
-        return all(port.heard for port in self._bound)
+        return all(port.has_peer for port in self._bound)
 
     def forget(self) -> None:
         for port in self._bound:

@@ -22,9 +22,9 @@ from shoal.messages import topics
 from shoal.messages.codec import DecodeError, Header, decode
 from shoal.messages.messages import CameraHealth, FaultRequest, Frame, LocalizerStatus, RobotState, Tick, Trajectory
 from shoal.messages.topics import Topic
-from shoal.runtime.lockstep import LOCKSTEP_SAYS_S, LockstepClock, Reminder
 from shoal.runtime.runtime import SLICE_S, Clock, Stop, WallClock, guarded_thread, log, log_to_bus, wait
 from shoal.runtime.version import code
+from sim_bridge.lockstep.clock import LOCKSTEP_SAYS_S, LockstepClock, Reminder
 from sim_bridge.node.board_ports import BoardPorts
 from sim_bridge.node.ideal_localizer import IdealLocalizer
 from sim_bridge.node.simulated_camera import Exposure, SimulatedCamera

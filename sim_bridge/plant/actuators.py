@@ -28,7 +28,7 @@ class Actuators(NamedTuple):
     ankle_us: Floats
     ankle_rad: Floats
     place_m: Table  # (thrusters, 3) on the body's axes
-    direction: Table  # (thrusters, 3) of those that do not turn
+    thrust_axis: Table  # (thrusters, 3) of those that do not turn
     legs: int  # thrusters that turn, the first ones
     lag_s: float
     ankle_rate_radps: float
@@ -122,11 +122,11 @@ def thrusters_wrench(i: int, motors: Motors, actuators: Actuators, lapse: Lapse)
     thrusts along (cos a, 0, sin a): an ankle at +90 degrees thrusts down."""
     force, moment = NO_VECTOR, NO_VECTOR
     for k in range(len(actuators.place_m)):
-        direction = row_vector(actuators.direction, k, 0)
+        axis = row_vector(actuators.thrust_axis, k, 0)
         if k < actuators.legs:
             angle = angle_after(i, k, motors, lapse)
-            direction = Vector(math.cos(angle), 0.0, math.sin(angle))
-        push = scale(force_after(i, k, motors, lapse), direction)
+            axis = Vector(math.cos(angle), 0.0, math.sin(angle))
+        push = scale(force_after(i, k, motors, lapse), axis)
         force = add(force, push)
         moment = add(moment, cross(row_vector(actuators.place_m, k, 0), push))
     return SixVector(force, moment)

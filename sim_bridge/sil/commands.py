@@ -12,6 +12,10 @@ from sim_bridge import fault_schedule
 
 LEAST_MARKER_PX = 16  # px, least side of a marker that can be read: two per cell and a margin
 GIVE_UP_S = 300.0  # s of the run's own time without progress, of a run that nobody attends: a drifter crosses a pool in 120
+NODES = {  # commands of programs, and those of sim_bridge.lockstep that run the same nodes
+    ("groundstation", "run"): "station", ("robot_agent", "run"): "agent",
+    ("localizer", "run"): "localizer", ("localizer", "fuse"): "fuse",
+}  # fmt: skip
 REAL_TIME_PACE = 1.0  # times real time: the most that a run gets without --lockstep, however fast the machine
 BLIND = "Fly without the camera: --poses"
 
@@ -131,29 +135,37 @@ def programs(
     their links. `frame_ring` is the descriptor of the ring of frames that simulator and localizer share; without one frames
     go over the network. `cameras` are the names of several.
     """
-    common = [str(run_dir / "experiment.toml"), *(["--lockstep"] if options.lockstep else [])]
-    common += ["--keys", str(options.keys)] if options.keys is not None else []
-    client = ["run", *common, "--station", address]
-    station = ["run", *common, "--run-dir", str(run_dir), "--no-report", "--listen", address]  # the launcher writes it
+    common = [str(run_dir / "experiment.toml"), *(["--keys", str(options.keys)] if options.keys is not None else [])]
+    client = [*common, "--station", address]
+    station = [*common, "--run-dir", str(run_dir), "--listen", address]
     station += ["--no-web"] if options.page is None else ["--web", options.page]
     station += [] if options.manual else ["--auto", "--give-up", f"{GIVE_UP_S:g}"]
-    pool = ["pool", *client[1:], "--ports", str(ports), *(["--poses"] if options.poses else [])]
+    pool = ["pool", *client, "--ports", str(ports), *(["--poses"] if options.poses else [])]
+    pool += ["--lockstep"] if options.lockstep else []
     pool += ["--pace", str(options.pace)] if options.pace is not None else []
     pool += ["--boards", str(boards)] if boards is not None else []
     inherits = () if frame_ring is None else (frame_ring,)
     ring = [part for descriptor in inherits for part in ("--frame-ring", str(descriptor))]
+
+    def program(name: str, module: str, command: str, words: list[str], inherits: tuple[int, ...] = ()) -> Program:
+        """A program by the wall clock, or its node by the simulator's."""
+        if options.lockstep:
+            return Program(name, "sim_bridge.lockstep", (NODES[module, command], *words), inherits)
+        return Program(name, module, (command, *words), inherits)
+
+    no_report = [] if options.lockstep else ["--no-report"]  # the launcher writes it
     programs = [
-        Program("groundstation", "groundstation", tuple(station)),
+        program("groundstation", "groundstation", "run", [*station, *no_report]),
         Program("sim-bridge", "sim_bridge", (*pool, *ring), inherits),
     ]
     if not options.poses:
         for camera in cameras or ("",):
             own = ("--camera", camera) if camera else ()
-            programs.append(Program(localizer_name(camera), "localizer", (*client, *own, *ring), inherits))
+            programs.append(program(localizer_name(camera), "localizer", "run", [*client, *own, *ring], inherits))
         if cameras:
-            programs.append(Program(localizer_name(""), "localizer", ("fuse", *client[1:])))
+            programs.append(program(localizer_name(""), "localizer", "fuse", client))
     for robot in robots:
         link = ["--robot", str(robot), "--link", f"udp:127.0.0.1:{ports + robot}"]
         link += ["--link-key", str(boards / f"robot-{robot}.key")] if boards is not None else []
-        programs.append(Program(f"agent-{robot}", "robot_agent", (*client, *link)))
+        programs.append(program(f"agent-{robot}", "robot_agent", "run", [*client, *link]))
     return programs

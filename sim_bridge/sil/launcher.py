@@ -147,8 +147,9 @@ def dry_run(experiment: Experiment, run_dir: Path, options: RunOptions, console:
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "experiment.toml"
         replace_text(file, dump_experiment(experiment))
-        arguments = [str(file) if part == str(run_dir / file.name) else part for part in started[0].arguments]
-        result = programs.ask(started[0].module, [*arguments, "--dry-run"])
+        ring = ["--keys", str(options.keys)] if options.keys is not None else []
+        words = ["run", str(file), "--run-dir", str(run_dir), "--listen", address, "--no-web", *ring, "--dry-run"]
+        result = programs.ask("groundstation", words)
     if result.returncode != 0:
         raise ConfigError(result.stderr.strip().replace(f"{file}: ", ""))
     console.print(result.stdout.strip(), soft_wrap=True, highlight=False)

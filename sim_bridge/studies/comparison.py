@@ -98,7 +98,7 @@ def run(
     tasks = [replace(task, experiment=e) for e in experiments.values() for task in planned]
     with worker_pool(jobs) as pool:
         flights = list(_watched(pool.map(fly, tasks), len(tasks), console))
-    found = [
+    results = [
         Variant(v, list(changes_of(v)), flights[i * len(seeds) : (i + 1) * len(seeds)]) for i, v in enumerate(experiments)
     ]
     comparison = Comparison(
@@ -109,7 +109,7 @@ def run(
         settings=list(settings),
         surge_limit_n=plain.vehicle.limits.wrench[0],
         robots=list(plain.robot_ids),
-        variants=found,
+        variants=results,
         separation_m=2.0 * plain.safety.radius_m,
         commit=code().commit,
     )
@@ -142,7 +142,7 @@ def _distinct(experiments: dict[str, Experiment], console: Console) -> dict[str,
     """The experiments without those that equal an earlier one, as a numeric scene without sway equals its variant."""
     kept: dict[str, Experiment] = {}
     for name, experiment in experiments.items():
-        twin = next((other for other, known in kept.items() if known.hash == experiment.hash), None)
+        twin = next((other for other, other_experiment in kept.items() if other_experiment.hash == experiment.hash), None)
         if twin is None:
             kept[name] = experiment
         else:

@@ -66,8 +66,8 @@ def dependence(campaign: Campaign, key: str, flown: Sequence[Row], measures: Seq
                 rate(sum(bool(row["passed"]) for row in members), len(members)),
                 len(members) - len(kept),
                 points,
-                {m: mean(found) if found else None for m, found in points.items()},
-                {m: mean(found) if found and value != values[0] else None for m, found in apart.items()},
+                {m: mean(numbers) if numbers else None for m, numbers in points.items()},
+                {m: mean(numbers) if numbers and value != values[0] else None for m, numbers in apart.items()},
             )
         )
     return lines
@@ -91,9 +91,9 @@ def reasons(rows: Sequence[Row]) -> list[tuple[int, str]]:
     return [(count, reason) for reason, count in each.most_common()]
 
 
-def lines(rows: Sequence[Row], found: Mapping[str, Sequence[KeyValue]]) -> Iterator[str]:
+def lines(rows: Sequence[Row], by_key: Mapping[str, Sequence[KeyValue]]) -> Iterator[str]:
     """A terminal's 80 columns: a table for each swept key with the first two measures, then the reasons of failures."""
-    for key, values in found.items():
+    for key, values in by_key.items():
         measures = list(values[0].means)[:2]
         yield f"{key}: mean [95 %] over flights without a fault"
         heads = "".join(f"{f'{name} [{unit_of(name)[0]}]':>{CELL}}" for name in measures)

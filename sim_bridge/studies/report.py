@@ -26,21 +26,21 @@ Row = dict[str, Any]
 
 
 def write_report(
-    campaign: Campaign, rows: Sequence[Row], found: Mapping[str, Sequence[KeyValue]], wanted: int, file: Path
+    campaign: Campaign, rows: Sequence[Row], by_key: Mapping[str, Sequence[KeyValue]], wanted: int, file: Path
 ) -> None:
-    """Write the page. `rows` are the journal's, at least one; `found` are their `dependences`; `wanted` is the campaign's
+    """Write the page. `rows` are the journal's, at least one; `by_key` are their `dependences`; `wanted` is the campaign's
     number of flights."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("sim_bridge.studies"), autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True
     )
     environment.filters |= {"interval": _interval, "figure": _figure, "percent": _percent}
     page = environment.get_template("campaign.html").render(
-        script=Markup(saving_script()), **_content(campaign, rows, found, wanted)
+        script=Markup(saving_script()), **_content(campaign, rows, by_key, wanted)
     )
     replace_text(file, page)
 
 
-def _content(campaign: Campaign, rows: Sequence[Row], found: Mapping[str, Sequence[KeyValue]], wanted: int) -> dict[str, Any]:
+def _content(campaign: Campaign, rows: Sequence[Row], by_key: Mapping[str, Sequence[KeyValue]], wanted: int) -> dict[str, Any]:
     """Values for the campaign's page template."""
     flown = [row for row in rows if row["status"] == "flown"]
     values = {name: [row[name] for row in flown if row.get(name) is not None] for name in MEASURES}
@@ -51,9 +51,9 @@ def _content(campaign: Campaign, rows: Sequence[Row], found: Mapping[str, Sequen
         "campaign": campaign,
         "title": campaign.title or f"Campaign {campaign.name}",
         "facts": _facts(campaign, rows, flown, wanted),
-        "summary": [(name, MEASURES[name], distribution(known)) for name, known in values.items() if known],
-        "histograms": [(_histogram(known), MEASURES[name]) for name, known in values.items() if len(set(known)) > 1],
-        "groups": [(key, lines, _against(key, lines, shown)) for key, lines in found.items()],
+        "summary": [(name, MEASURES[name], distribution(numbers)) for name, numbers in values.items() if numbers],
+        "histograms": [(_histogram(numbers), MEASURES[name]) for name, numbers in values.items() if len(set(numbers)) > 1],
+        "groups": [(key, lines, _against(key, lines, shown)) for key, lines in by_key.items()],
         "scatters": [
             (_scatter(name, main, pairs), f"{main} against {name}")
             for key in campaign.draw
@@ -96,27 +96,27 @@ def _components(key: str, measure: str, flown: Sequence[Row]) -> list[tuple[str,
     if not np.ndim(drawn[0][0]):
         return [(key, drawn)]
     each = range(len(drawn[0][0]))
-    found = [(f"{key}[{k}]", [(value[k], result) for value, result in drawn]) for k in each]
-    return [(name, pairs) for name, pairs in found if len({value for value, _ in pairs}) > 1]
+    components = [(f"{key}[{k}]", [(value[k], result) for value, result in drawn]) for k in each]
+    return [(name, pairs) for name, pairs in components if len({value for value, _ in pairs}) > 1]
 
 
-def _against(key: str, found: Sequence[KeyValue], measures: Sequence[str]) -> Markup:
+def _against(key: str, lines: Sequence[KeyValue], measures: Sequence[str]) -> Markup:
     """Each measure against a swept key: a dot per flight, means with their intervals."""
     figure = Figure(figsize=(4.2 * len(measures), 2.8))
-    numbers = [_number(line.value) for line in found]
+    numbers = [_number(line.value) for line in lines]
     places = [n for n in numbers if n is not None]
-    if len(places) < len(found):
-        places = [float(k) for k in range(len(found))]
+    if len(places) < len(lines):
+        places = [float(k) for k in range(len(lines))]
     for axes, measure in zip(figure.subplots(1, len(measures), squeeze=False)[0], measures, strict=True):
-        for x, line in zip(places, found, strict=True):
+        for x, line in zip(places, lines, strict=True):
             axes.plot([x] * len(line.points[measure]), line.points[measure], ".", color=BLUE, markersize=4, alpha=0.4)
-        known = [(x, i) for x, line in zip(places, found, strict=True) if (i := line.means[measure]) is not None]
-        axes.plot([x for x, _ in known], [i.value for _, i in known], "-", color=INK, linewidth=1.0)
-        for x, interval in known:
+        intervals = [(x, i) for x, line in zip(places, lines, strict=True) if (i := line.means[measure]) is not None]
+        axes.plot([x for x, _ in intervals], [i.value for _, i in intervals], "-", color=INK, linewidth=1.0)
+        for x, interval in intervals:
             ends = [interval.low if interval.low is not None else interval.value, interval.high or interval.value]
             axes.plot([x, x], ends, color=INK, linewidth=2.0)
             axes.plot(x, interval.value, "o", color=INK, markersize=4)
-        axes.set_xticks(places, [line.value for line in found])
+        axes.set_xticks(places, [line.value for line in lines])
         axes.set(xlabel=key, ylabel=f"{measure} [{unit_of(measure)[0]}]")
         axes.set_ylim(bottom=0.0)
     return _svg(figure)
@@ -129,11 +129,11 @@ def _number(text: str) -> float | None:
         return None
 
 
-def _histogram(found: Sequence[float]) -> Markup:
+def _histogram(numbers: Sequence[float]) -> Markup:
     figure = Figure(figsize=(4.6, 2.4))
     axes = figure.subplots()
-    axes.hist(found, bins="auto" if len(found) < 1000 else 60, color=BLUE)
-    axes.axvline(float(np.median(found)), color=INK, linewidth=1.0, linestyle="--")
+    axes.hist(numbers, bins="auto" if len(numbers) < 1000 else 60, color=BLUE)
+    axes.axvline(float(np.median(numbers)), color=INK, linewidth=1.0, linestyle="--")
     axes.set_ylabel("flights")
     axes.locator_params(axis="x", nbins=5)
     return _svg(figure)

@@ -89,10 +89,10 @@ class TimedWorld:
         """Put a message on its way: 0.3 to 1 ms, or until `to` is reached again. One of 20 comes twice, at some time."""
         name = to, message[0], message[2]
         if name not in self._due:  # one message to a computer, whatever there listens to it
-            ways = [300_000 + self.random.randrange(700_000)]
+            delays_ns = [300_000 + self.random.randrange(700_000)]
             if self.random.random() < 0.05:
-                ways.append(self.random.randrange(300 * MS))
-            due = [self.true_ns + self.slow.get(to, 0) + way_ns for way_ns in ways]
+                delays_ns.append(self.random.randrange(300 * MS))
+            due = [self.true_ns + self.slow.get(to, 0) + delay_ns for delay_ns in delays_ns]
             back_ns = self.held.get(to, 0)
             self._due[name] = [ns if ns > back_ns else back_ns + self.random.randrange(3 * MS) for ns in due]  # in any order
         for due_ns in self._due[name]:

@@ -80,7 +80,7 @@ class CrewedPool(DryPool):
                 return
         raise AssertionError(f"still {self.mission.state.name}: {self.mission.reason}; came by {self.phases}")
 
-    def wish(self, order: Order, via: Sequence[tuple[float, float]] = ()) -> str:
+    def request(self, order: Order, via: Sequence[tuple[float, float]] = ()) -> str:
         return self.mission.request(order, self.fleet(), self.now_ns, via)
 
     def restart(self, i: int) -> None:

@@ -17,8 +17,6 @@ from typing import Any
 import numpy as np
 
 from groundstation.station import process as station_process
-from localizer import node as localizer_node
-from robot_agent import node as agent_node
 from shoal.bus.bus import Bus
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
 from shoal.bus.transport import Answer, Deliver, Presence, Urgent
@@ -27,8 +25,10 @@ from shoal.mavlink.board_port import UdpLink
 from shoal.messages import topics
 from shoal.messages.codec import Header, decode
 from shoal.messages.topics import Qos, Topic
-from shoal.runtime.lockstep import LockstepClock
 from shoal.runtime.runtime import Stop, log, run_steps
+from sim_bridge.lockstep.agent import agent_in_lockstep
+from sim_bridge.lockstep.localizer import localizer_in_lockstep
+from sim_bridge.lockstep.station import simulated_time
 from sim_bridge.node.board_ports import UdpPorts
 from sim_bridge.node.pool import PoolNode
 from sim_bridge.sil.ports import free_base_port
@@ -155,16 +155,17 @@ def fly(experiment: Experiment, folder: Path, seed: int | None, poses: bool = Tr
         for robot in experiment.robot_ids:
             link = UdpLink("127.0.0.1", ports + robot)
             closing.callback(link.close)
-            shells.append(agent_node.AgentNode(experiment, robot, bus(f"agent-{robot}"), link, True, stop).run)
+            shells.append(agent_in_lockstep(experiment, robot, bus(f"agent-{robot}"), link, stop).run)
         if not poses:
-            shells.append(localizer_node.LocalizerNode(experiment, bus("localizer"), stop, LockstepClock()).run)
+            shells.append(localizer_in_lockstep(experiment, bus("localizer"), stop).run)
         threads = [threading.Thread(target=run, daemon=True) for run in shells]
         closing.callback(log.handlers.__setitem__, slice(None), handlers)
         try:
             for thread in threads:
                 thread.start()
             station_bus = bus("groundstation")
-            run_steps(station_process.cycles(experiment, toml, station_bus, folder, automatic=True, lockstep=True, stop=stop))
+            owner = simulated_time(station_bus, stop)
+            run_steps(station_process.cycles(experiment, toml, station_bus, folder, automatic=True, stop=stop, owner=owner))
         finally:
             stop.request()
             for thread in threads:

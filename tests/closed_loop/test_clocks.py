@@ -27,7 +27,7 @@ from localizer.fusion_node import FusionNode
 from localizer.node import LocalizerNode
 from localizer.sources import bus as bus_source
 from localizer.tracking.fleet_localizer import LocalizationResult
-from robot_agent.node import AgentNode
+from robot_agent.node import AgentNode, StepTime
 from shoal.bus.bus import Bus
 from shoal.bus.delay_estimator import WINDOW_NS, WINDOWS
 from shoal.config.experiment import Experiment, dump_experiment, load_experiment
@@ -157,7 +157,7 @@ class ClockedFleet:
     def start_robot(self) -> None:
         bus = self.start("robot 1")
         with self.world.on("robot 1"):
-            self.robot = AgentNode(EXPERIMENT, 1, bus, Board(), False, self.stop)
+            self.robot = AgentNode(EXPERIMENT, 1, bus, Board(), self.stop)
 
     def close(self) -> None:
         """End everything, by real time."""
@@ -223,7 +223,7 @@ class ClockedFleet:
         world, robot, clock = self.world, self.robot, self.clocks["robot 1"]
         with world.on("robot 1") as computer:
             now_ns, started_ns = clock.now_ns(), time.perf_counter_ns()
-            record, outputs = robot.step(now_ns, None)
+            record, outputs = robot.step(now_ns, StepTime(now_ns))
             world.about_ns = begun_ns = world.true_ns
             world.true_ns += STEP_NS
             robot.write(outputs, now_ns, now_ns, started_ns)
@@ -420,7 +420,7 @@ def test_a_robot_stops_where_it_cannot_know_an_age(set_s: float, monkeypatch: py
     with world.on("eyes"):
         eyes = Bus(NetworkLine(world, "eyes"))
     with world.on("robot"):
-        robot = AgentNode(EXPERIMENT, 1, Bus(NetworkLine(world, "robot")), Board(), False, Stop(install=False))
+        robot = AgentNode(EXPERIMENT, 1, Bus(NetworkLine(world, "robot")), Board(), Stop(install=False))
     robot.agent.mode = Mode.HOLDING
     stopped, unknown = False, 0
     for k in range(600):
@@ -431,7 +431,7 @@ def test_a_robot_stops_where_it_cannot_know_an_age(set_s: float, monkeypatch: py
             eyes.publish(topics.HEARTBEAT, StationHeartbeat(), time.monotonic_ns())
         world.run_until(k * PERIOD_NS + 2 * MS)
         with world.on("robot"):
-            record, outputs = robot.step(robot.clock.now_ns(), None)
+            record, outputs = robot.step(robot.clock.now_ns(), StepTime(0))
             robot.write(outputs, robot.clock.now_ns(), robot.clock.now_ns(), time.perf_counter_ns())
             age_ns = robot.clock.now_ns() - record.pose_instant_ns
         stopped = stopped or "pose" in outputs.state.fault

@@ -37,20 +37,21 @@ class OperatorLab:
         ports = free_base_port((1, 2))
         place = ("--run-dir", str(folder / "run"))
         self.agent(1, ports)  # first
-        self.start("sim-bridge", "sim_bridge", "pool", self.experiment, "--poses", "--pace", "3", "--ports", str(ports))
+        paced = ("--lockstep", "--poses", "--pace", "3", "--ports", str(ports))
+        self.start("sim-bridge", "sim_bridge", "pool", self.experiment, *paced)
         self.children.start(
             "groundstation",
-            "groundstation",
-            ["run", self.experiment, "--lockstep", "--no-web", "--listen", self.station, "--no-report", *place],
+            "sim_bridge.lockstep",
+            ["station", self.experiment, "--no-web", "--listen", self.station, *place],
         )
         self.agent(2, ports)
 
     def agent(self, robot: int, ports: int) -> None:
         link = f"udp:127.0.0.1:{ports + robot}"
-        self.start(f"agent-{robot}", "robot_agent", "run", self.experiment, "--robot", str(robot), "--link", link)
+        self.start(f"agent-{robot}", "sim_bridge.lockstep", "agent", self.experiment, "--robot", str(robot), "--link", link)
 
     def start(self, name: str, module: str, *arguments: str) -> None:
-        self.children.start(name, module, [*arguments, "--lockstep", "--station", self.station])
+        self.children.start(name, module, [*arguments, "--station", self.station])
 
     def order(self, *what: str) -> tuple[int, str]:
         return run_groundstation(*what, "--station", self.station)

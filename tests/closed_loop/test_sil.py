@@ -318,7 +318,7 @@ def test_a_run_is_interrupted_while_it_connects(tmp_path: Path, monkeypatch: pyt
 
     def silent(
         robots: tuple[int, ...],
-        way: RunOptions,
+        options: RunOptions,
         run_dir: Path,
         address: str,
         ports: int,

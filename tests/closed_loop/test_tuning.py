@@ -80,7 +80,7 @@ class TuningLab:
         for _ in range(round(seconds / 0.05)):
             self.step()
 
-    def wish(self, values: Mapping[str, float], next_lap: bool = False) -> str:
+    def request(self, values: Mapping[str, float], next_lap: bool = False) -> str:
         return self.tuner.request(values, next_lap, self.fleet(), self.pool.now_ns, self.flying())
 
     def states(self, robot: int = 0) -> list[RobotState]:
@@ -129,7 +129,7 @@ def test_gains_set_by_order_fly_as_those_of_the_file() -> None:
     for lab in (ordered, filed):
         lab.pool.camera_works = False
     ordered.run(0.1)
-    assert ordered.wish(B) == ""
+    assert ordered.request(B) == ""
     until(ordered, lambda: ordered.tuner.status().flown.id == tuning(filed.pool.experiment.controller).id, 2.0)
     filed.run(ordered.pool.now_ns * 1e-9)
     for lab in (ordered, filed):
@@ -156,7 +156,7 @@ def test_a_change_in_flight_takes_effect_at_one_instant_and_leads_to_the_other_f
         lab.run(1.0)
         lab.take_off()
         lab.run(5.0)
-    assert changed.wish(B) == ""
+    assert changed.request(B) == ""
     for lab in (changed, before, after):
         lab.run(14.0)
     wanted = tuning(after.pool.experiment.controller).id
@@ -174,12 +174,12 @@ def test_gains_stay_when_a_value_is_bad_or_one_robot_refuses() -> None:
     lab = TuningLab(pool())
     flown = tuning(pool().controller).id
     lab.run(1.0)
-    assert "controller.mpc.q_formation.0 = -1.0" in lab.wish({"controller.mpc.q_formation.0": -1.0})
-    assert "cannot be changed in flight" in lab.wish({"controller.period_s": 0.1})
-    assert lab.wish({"controller.mpc.q_formation.0": 0.15}) == "this is what is flown already"
+    assert "controller.mpc.q_formation.0 = -1.0" in lab.request({"controller.mpc.q_formation.0": -1.0})
+    assert "cannot be changed in flight" in lab.request({"controller.period_s": 0.1})
+    assert lab.request({"controller.mpc.q_formation.0": 0.15}) == "this is what is flown already"
     lab.mute = {2}
-    assert lab.wish({"controller.mpc.q_formation.0": 2.0}) == ""
-    assert "under way" in lab.wish({"controller.mpc.q_formation.0": 3.0})
+    assert lab.request({"controller.mpc.q_formation.0": 2.0}) == ""
+    assert "under way" in lab.request({"controller.mpc.q_formation.0": 3.0})
     until(lab, lambda: lab.tuner.status().stage is GainStage.IDLE, 5.0)
     assert lab.tuner.status().reason == "robot 2 does not answer; nothing was changed"
     lab.run(1.0)
@@ -190,7 +190,7 @@ def test_a_robot_that_changed_its_gains_changes_back_when_another_does_not_follo
     lab = TuningLab(pool())
     flown = tuning(pool().controller).id
     lab.run(1.0)
-    assert lab.wish({"controller.mpc.q_formation.0": 2.0}) == ""
+    assert lab.request({"controller.mpc.q_formation.0": 2.0}) == ""
     until(lab, lambda: lab.tuner.status().stage is GainStage.ADOPTING, 1.0)
     lab.mute = {2}
     until(lab, lambda: lab.states(0)[-1].tuning_id != flown, 2.0)
@@ -204,15 +204,15 @@ def test_a_set_for_the_next_lap_waits_for_it_and_its_laps_are_told_apart() -> No
     lab = TuningLab(pool())
     lab.run(1.0)
     a = lab.tuner.status().flown.id
-    assert "not every robot is on its trajectory" in lab.wish({"controller.mpc.q_formation.0": 2.0}, next_lap=True)
+    assert "not every robot is on its trajectory" in lab.request({"controller.mpc.q_formation.0": 2.0}, next_lap=True)
     lab.take_off()
     lab.run(20.0)
-    assert lab.wish({"controller.mpc.q_formation.0": 2.0}, next_lap=True) == ""
+    assert lab.request({"controller.mpc.q_formation.0": 2.0}, next_lap=True) == ""
     until(lab, lambda: lab.tuner.status().stage is GainStage.WAITING, 1.0)
     lab.run(2.0)
     assert lab.tuner.undo(lab.fleet(), lab.pool.now_ns) == ""  # another thought
     until(lab, lambda: lab.tuner.status().stage is GainStage.IDLE, 2.0)
-    assert lab.wish({"controller.mpc.q_formation.0": 4.0}, next_lap=True) == ""
+    assert lab.request({"controller.mpc.q_formation.0": 4.0}, next_lap=True) == ""
     lab.run(20.0)
     b = lab.tuner.status().flown.id
     for robot in (0, 1):
@@ -241,7 +241,7 @@ def waiting_for_a_lap() -> TuningLab:
     lab.run(1.0)
     lab.take_off()
     lab.run(5.0)
-    assert lab.wish({"controller.mpc.q_formation.0": 2.0}, next_lap=True) == ""
+    assert lab.request({"controller.mpc.q_formation.0": 2.0}, next_lap=True) == ""
     until(lab, lambda: lab.tuner.status().stage is GainStage.WAITING, 1.0)
     return lab
 
@@ -270,7 +270,7 @@ def test_the_remaining_robots_drop_gains_that_wait_for_a_lap() -> None:
 def test_a_robot_that_was_restarted_gets_the_fleets_gains() -> None:
     lab = TuningLab(pool())
     lab.run(1.0)
-    assert lab.wish({"controller.mpc.q_formation.0": 2.0}) == ""
+    assert lab.request({"controller.mpc.q_formation.0": 2.0}) == ""
     lab.run(2.0)
     wanted = lab.tuner.status().flown.id
     fresh = DryPool(pool())

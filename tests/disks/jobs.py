@@ -61,7 +61,7 @@ def record_run() -> None:
 def record_frames() -> None:
     """Record frames as `localizer run --record` does. Frame k is grey k."""
     experiment = load_experiment("pool", [f"camera.size_px={list(SIZE_PX)}", "recording.stop_video_below_gb=0"])
-    recorder = FrameRecorder(Path("recording"), experiment, lockstep=True)
+    recorder = FrameRecorder(Path("recording"), experiment, waits=True)
     for k in range(FRAMES):
         recorder.put(RecordedFrame(np.full(SIZE_PX[::-1], k, np.uint8), 50_000_000 * k, 50_000_000 * k))
     recorder.close()

@@ -14,11 +14,16 @@ MS = 1_000_000
 class HandClock:
     """Moves only when told to, or when somebody sleeps by it."""
 
+    waits = False
+
     def __init__(self) -> None:
         self.ns = 1_000_000_000_000
 
     def now_ns(self) -> int:
         return self.ns
+
+    def arrival_ns(self, stamp_ns: int) -> int:
+        return self.now_ns()
 
     def instant_ns(self, received: Received[Any]) -> int:
         raise NotImplementedError

@@ -112,8 +112,8 @@ def test_obstacles_of_a_camera_from_before_it_was_out_are_told_with_their_age() 
             stamp_ns, was = time.time_ns(), k < 2
             for camera in ("west", "east") if was or bumped else ("west",):
                 moved = camera == "east" and not was
-                seen = {"west": NONE, "east": ELSEWHERE if was else SEEN}[camera]
-                bus.publish(topics.OBSTACLES.of_camera(camera), seen, stamp_ns)
+                message = {"west": NONE, "east": ELSEWHERE if was else SEEN}[camera]
+                bus.publish(topics.OBSTACLES.of_camera(camera), message, stamp_ns)
                 bus.publish(topics.POSE.of_camera(camera), POSE, stamp_ns, 1)
                 status = LocalizerStatus(CameraHealth.OK, message="moved" if moved else "", robots=(1,), moved=moved)
                 bus.publish(topics.LOCALIZER.of_camera(camera), status, stamp_ns)

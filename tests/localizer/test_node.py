@@ -33,10 +33,11 @@ from shoal.messages import topics
 from shoal.messages.codec import Header, decode
 from shoal.messages.messages import CameraHealth, Frame, LocalizerStatus, Obstacles, Pose, Preview, RobotState, Tick, Track
 from shoal.messages.topics import Topic
-from shoal.runtime.lockstep import LockstepClock
 from shoal.runtime.runtime import Clock, Failed, Stop, WallClock, log
 from shoal.runtime.version import code
 from sim_bridge.camera.renderer import Renderer
+from sim_bridge.lockstep.clock import LockstepClock
+from sim_bridge.lockstep.localizer import localizer_in_lockstep
 from sim_bridge.sil.ports import free_port
 from tests.localizer.scene import Scene
 from tests.localizer.stand_ins import MS
@@ -219,19 +220,18 @@ def test_impossible_setting_is_refused_without_waiting_for_a_station() -> None:
 
 
 @pytest.mark.parametrize(
-    ("lockstep", "options", "complaint"),
+    ("options", "complaint"),
     [
-        (False, NodeOptions(source="webcam"), "allowed: bus"),
-        (False, NodeOptions(source="video:/nowhere.mp4"), "no such file"),
-        (False, NodeOptions(publish_frames=True), "on the bus already"),
-        (True, NodeOptions(source="folder:/tmp"), "the simulator is the camera"),
-        (False, NodeOptions(source="folder:/tmp", page_port=99999), "--show-port 99999"),
+        (NodeOptions(source="webcam"), "allowed: bus"),
+        (NodeOptions(source="video:/nowhere.mp4"), "no such file"),
+        (NodeOptions(publish_frames=True), "on the bus already"),
+        (NodeOptions(source="folder:/tmp", page_port=99999), "--show-port 99999"),
     ],
 )
-def test_options_that_cannot_be_are_explained(lockstep: bool, options: NodeOptions, complaint: str) -> None:
+def test_options_that_cannot_be_are_explained(options: NodeOptions, complaint: str) -> None:
     nobody = Endpoint(f"tcp/127.0.0.1:{free_port()}")
     with pytest.raises(ConfigError, match=complaint):
-        run(EXPERIMENT, nobody, "shoal", Stop(install=False), lockstep, options)
+        run(EXPERIMENT, nobody, "shoal", Stop(install=False), options)
 
 
 # --- in one process, on a bus in memory
@@ -244,7 +244,11 @@ def hub() -> Iterator[tuple[Bus, Callable[..., LocalizerNode]]]:
     ours, threads = Bus(MemoryTransport(network)), []
 
     def localize(clock: Clock, experiment: Experiment = EXPERIMENT) -> LocalizerNode:
-        shell = LocalizerNode(experiment, Bus(MemoryTransport(network)), stop, clock)
+        bus = Bus(MemoryTransport(network))
+        if isinstance(clock, LockstepClock):
+            shell = localizer_in_lockstep(experiment, bus, stop)
+        else:
+            shell = LocalizerNode(experiment, bus, stop, clock)
         threads.append(threading.Thread(target=shell.run))
         threads[-1].start()
         return shell

@@ -57,7 +57,7 @@ def test_an_order_that_takes_the_power_away_does_not_wait_for_the_next_step(
     hub, stop, link = MemoryHub(), Stop(install=False), open_link(f"udp:127.0.0.1:{free_port(SOCK_DGRAM)}")
     bus, station = Bus(MemoryTransport(hub)), Bus(MemoryTransport(hub))
     states = station.inbox(topics.STATE, RobotState, 1)
-    robot = node.AgentNode(load_experiment("pool"), 1, bus, link, False, stop)
+    robot = node.AgentNode(load_experiment("pool"), 1, bus, link, stop)
     robot.agent.mode = mode
     thread = threading.Thread(target=robot.run)
     thread.start()
@@ -83,7 +83,7 @@ def test_a_board_that_is_not_there_is_named_and_once_is_enough(
     hub, stop, link = MemoryHub(), Stop(install=False), open_link("serial:/dev/none")
     bus, station = Bus(MemoryTransport(hub)), Bus(MemoryTransport(hub))
     states = station.inbox(topics.STATE, RobotState, 1)
-    thread = threading.Thread(target=node.AgentNode(load_experiment("pool"), 1, bus, link, False, stop).run)
+    thread = threading.Thread(target=node.AgentNode(load_experiment("pool"), 1, bus, link, stop).run)
     thread.start()
     try:
         assert wait(station, stop, lambda: (header := states.newest_header()) is not None and header.sequence > 3, PATIENCE_S)
@@ -131,7 +131,7 @@ class Running:
 def running() -> Iterator[Running]:
     hub, stop = MemoryHub(), Stop(install=False)
     bus, station = Bus(MemoryTransport(hub)), Bus(MemoryTransport(hub))
-    robot = node.AgentNode(POOL, 1, bus, Board(), False, stop)
+    robot = node.AgentNode(POOL, 1, bus, Board(), stop)
     process = Running(robot, station, station.inbox(topics.STATE, RobotState, 1))
 
     def run() -> None:
@@ -219,7 +219,7 @@ def test_wild_times_of_another_process_end_no_robot(latest_ns: int) -> None:
     """A step's record has the instants of all that the step acts on, in 64 bits."""
     hub, link = MemoryHub(), open_link(f"udp:127.0.0.1:{free_port(SOCK_DGRAM)}")
     bus, other = Bus(MemoryTransport(hub)), MemoryTransport(hub)
-    robot, nodes = node.AgentNode(POOL, 1, bus, link, False, Stop(install=False)), np.zeros((51, 4))
+    robot, nodes = node.AgentNode(POOL, 1, bus, link, Stop(install=False)), np.zeros((51, 4))
     sent: dict[str, Message] = {
         topics.PLAN.key(2): Plan(0.05, nodes, nodes),
         topics.POSE.key(1): Pose(0.0, 0.0, 0.0, np.eye(3), Track.MARKER),
@@ -231,7 +231,7 @@ def test_wild_times_of_another_process_end_no_robot(latest_ns: int) -> None:
         for name, message in sent.items():
             other.publisher(f"shoal/{name}", Qos.CONTROL)(encode(message), Header(7, sequence, stamp_ns, age_ns).encode())
         now_ns = robot.clock.now_ns()
-        record, _ = robot.step(now_ns, None)
+        record, _ = robot.step(now_ns, node.StepTime(now_ns))
         bus.publish(topics.INPUTS, record, now_ns, 1)
     assert record.plan_sequences == (len(headers),)
     assert bus.rejected == len(sent) * (2 + (latest_ns > LATEST_NS))
@@ -242,14 +242,14 @@ def test_of_two_programs_that_publish_a_robots_poses_by_turns_none_counts(caplog
     """A simulator that was left running beside the localizer: the robot would believe to leap to and fro."""
     hub, link = MemoryHub(), open_link(f"udp:127.0.0.1:{free_port(SOCK_DGRAM)}")
     bus, camera, simulator = (Bus(MemoryTransport(hub)) for _ in range(3))
-    robot = node.AgentNode(POOL, 1, bus, link, False, Stop(install=False))
+    robot = node.AgentNode(POOL, 1, bus, link, Stop(install=False))
 
     def pose(sender: Bus, x_m: float) -> None:
         pose = Pose(x_m, 0.0, 0.0, 1e-6 * np.eye(3), Track.MARKER, True, 0.9, 0.3)
         sender.publish(topics.POSE, pose, time.time_ns(), 1)
 
     def stepped() -> tuple[int, Pose | None]:
-        record, _ = robot.step(robot.clock.now_ns(), None)
+        record, _ = robot.step(robot.clock.now_ns(), node.StepTime(0))
         return record.pose_instant_ns, record.pose
 
     pose(camera, 0.0)
@@ -272,7 +272,7 @@ def test_an_autopilot_gets_no_pulses_and_no_requests_to_arm() -> None:
     hub, stop, there = MemoryHub(), Stop(install=False), Autopilot()
     bus, station = Bus(MemoryTransport(hub)), Bus(MemoryTransport(hub))
     states = station.inbox(topics.STATE, RobotState, 1)
-    thread = threading.Thread(target=node.AgentNode(POOL, 1, bus, there, False, stop).run)
+    thread = threading.Thread(target=node.AgentNode(POOL, 1, bus, there, stop).run)
     thread.start()
     try:
         assert wait(station, stop, lambda: (header := states.newest_header()) is not None and header.sequence > 5, PATIENCE_S)

@@ -32,7 +32,7 @@ def test_state_tells_of_the_board_and_of_its_clock_only_where_the_keys_match(sam
     stop, link = Stop(install=False), open_link(f"udp:127.0.0.1:{port}")
     bus, ear = Bus(MemoryTransport(hub)), Bus(MemoryTransport(hub))
     inbox = ear.inbox(topics.STATE, RobotState, 1)
-    node = AgentNode(load_experiment("pool"), 1, bus, link, False, stop, signing=signing)
+    node = AgentNode(load_experiment("pool"), 1, bus, link, stop, signing=signing)
     with board(f"udp:127.0.0.1:{port}", folder):
         thread = threading.Thread(target=node.run)
         thread.start()

@@ -328,10 +328,10 @@ def led_alone(log: RunLog, robot: int, from_s: float, base_s: float = 0.0) -> Ru
 def test_a_trip_of_one_robot_after_the_flight_is_no_flight(flown: tuple[Experiment, RunLog, Path]) -> None:
     experiment, log, _ = flown
     last = log.entries[topics.STATE.name, 1][-1]
-    trip = [
+    transfer = [
         later(last, 10.0 + 0.05 * k, mode=Mode.TRACKING, trajectory_s=0.05 * k, trajectory_id="alone-1") for k in range(1, 100)
     ]
-    states = [*log.entries[topics.STATE.name, 1], *trip]
+    states = [*log.entries[topics.STATE.name, 1], *transfer]
     after = dataclasses.replace(log, entries={**log.entries, (topics.STATE.name, 1): states})
     result, before = result_of(experiment, after), result_of(experiment, log)
     assert (result.flight, len(result.flights), result.passed) == (1, 1, before.passed)

@@ -205,8 +205,8 @@ def test_a_hull_in_a_wall_fails(against: str, tmp_path: Path) -> None:
     truth = series.robots[2].truth.copy()
     truth[100:120, 0] = 0.5 * experiment.pool.size_m[0] - experiment.vehicle.radius_m + 0.02
     robots = series.robots | {2: dataclasses.replace(series.robots[2], truth=truth)}
-    found = evaluate(dataclasses.replace(series, robots=robots, errors_against=against), log)
-    clear = [c for c in found.checks if c.name == "clearance of hulls"]
+    result = evaluate(dataclasses.replace(series, robots=robots, errors_against=against), log)
+    clear = [c for c in result.checks if c.name == "clearance of hulls"]
     assert [(c.where, c.failed) for c in clear] == ([("robot 2", True)] if against == "truth" else [])
     assert all(c.value == pytest.approx(-0.02) for c in clear)
 

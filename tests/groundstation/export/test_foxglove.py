@@ -30,7 +30,7 @@ from shoal.config.experiment import load_experiment
 from shoal.messages import topics
 from shoal.messages.codec import encode
 from shoal.messages.messages import Obstacles, Plan, RobotState
-from shoal.runtime.lockstep import LockstepClock
+from sim_bridge.lockstep.clock import LockstepClock
 from tests.groundstation.synthetic import Script, write_run
 
 pytestmark = pytest.mark.real_time

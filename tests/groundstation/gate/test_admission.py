@@ -279,12 +279,14 @@ def test_an_origin_is_named_once_in_a_while_with_its_count() -> None:
     refusals = Refusals()
     for _ in range(3):
         refusals.note("10.0.0.1", UNPROVEN)
-    assert refusals.told(0.0) == ["refused a connection from 10.0.0.1 without a valid certificate (3 of them since last told)"]
+    assert refusals.due_sentences(0.0) == [
+        "refused a connection from 10.0.0.1 without a valid certificate (3 of them since last told)"
+    ]
     refusals.note("10.0.0.1", UNPROVEN)
     refusals.note("10.0.0.2", UNPROVEN)
-    assert refusals.told(0.1) == ["refused a connection from 10.0.0.2 without a valid certificate"]
-    assert refusals.told(refusals.next_s() - 0.1) == []
-    assert refusals.told(refusals.next_s()) == ["refused a connection from 10.0.0.1 without a valid certificate"]
+    assert refusals.due_sentences(0.1) == ["refused a connection from 10.0.0.2 without a valid certificate"]
+    assert refusals.due_sentences(refusals.next_s() - 0.1) == []
+    assert refusals.due_sentences(refusals.next_s()) == ["refused a connection from 10.0.0.1 without a valid certificate"]
     assert refusals.next_s() == float("inf")
 
 
@@ -293,7 +295,7 @@ def test_each_reason_of_an_origin_is_told() -> None:
     refusals = Refusals()
     for reason in (UNPROVEN, *[RefusalReason.CROWDED] * 4, RefusalReason.NO_TLS):
         refusals.note("10.0.0.1", reason)
-    assert refusals.told(0.0) == [
+    assert refusals.due_sentences(0.0) == [
         "refused a connection from 10.0.0.1 without a valid certificate",
         "refused a connection from 10.0.0.1 because too many wait, or are open (4 of them since last told)",
         "refused a connection from 10.0.0.1 that does not begin as TLS does",
@@ -304,8 +306,8 @@ def test_of_many_origins_a_few_are_named() -> None:
     refusals = Refusals()
     for host in range(100):
         refusals.note(f"10.0.0.{host}", UNPROVEN)
-    assert len(refusals.told(0.0)) == admission.MOST_NAMED
-    assert refusals.told(1.0) == []
+    assert len(refusals.due_sentences(0.0)) == admission.MOST_NAMED
+    assert refusals.due_sentences(1.0) == []
 
 
 def test_a_member_that_is_not_wanted_is_rationed_like_a_stranger() -> None:

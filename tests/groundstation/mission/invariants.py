@@ -155,8 +155,8 @@ class Invariants:
         for outcome in pool.core.requests.recent:
             if outcome.request in self.followed:
                 continue
-            asked = outcome.order in (Order.DRIVE, Order.HOLD)  # HOLD: the station leaves
-            assert asked, f"ENDS: nobody asked for {outcome.order.name}"
+            is_asked = outcome.order in (Order.DRIVE, Order.HOLD)  # HOLD: the station leaves
+            assert is_asked, f"ENDS: nobody asked for {outcome.order.name}"
             only = [*outcome.waiting, *outcome.confirmed][0] if outcome.order is Order.DRIVE else 0
             self.followed[outcome.request] = _Followed(outcome.order, None, only, now_ns, {})
         for followed in self.followed.values():
@@ -192,8 +192,8 @@ class Invariants:
 
     def every_leader_has_a_request(self) -> None:
         """A robot is a person's while a request for it alone is under way, and no longer."""
-        asked = {robot for robot in self.pool.robots if self._asked_of(robot)}
-        assert self.pool.single.led == asked, f"LED: people lead {set(self.pool.single.led)}, and asked for {asked}"
+        leaders = {robot for robot in self.pool.robots if self._asked_of(robot)}
+        assert self.pool.single.led == leaders, f"LED: people lead {set(self.pool.single.led)}, and asked for {leaders}"
 
     def every_armed_robot_is_somebodys(self) -> None:
         """An armed robot in reach is the mission's or a person's, or a request is possible that disarms it."""
@@ -289,14 +289,14 @@ class Invariants:
 
     def outcomes_are_true(self) -> None:
         """A request that is done was done by the robots, and what was left in motion is not called held."""
-        known = self.pool.core.requests.recent
-        kept = {outcome.request for outcome in known}
+        outcomes = self.pool.core.requests.recent
+        kept = {outcome.request for outcome in outcomes}
         forgotten = [n for n, progress in self.over.items() if progress is Progress.UNDER_WAY and n not in kept]
-        ended = [o for o in known if o.progress is not self.over.get(o.request, Progress.UNDER_WAY)]
+        ended = [o for o in outcomes if o.progress is not self.over.get(o.request, Progress.UNDER_WAY)]
         # a script that makes so many requests in one cycle pushes out those that it has replaced
         assert not forgotten or len(ended) >= KEPT, f"ENDS: requests {forgotten} are forgotten, and their ends were never told"
         self.over = {n: progress for n, progress in self.over.items() if n in kept}
-        for outcome in known:
+        for outcome in outcomes:
             before = self.over.get(outcome.request, Progress.UNDER_WAY)
             self.over[outcome.request] = outcome.progress
             if before is Progress.UNDER_WAY and outcome.progress is Progress.DONE:
@@ -327,23 +327,23 @@ class Invariants:
         """Part of a request that is told to be done and is not; empty if all is."""
         followed = self.followed[outcome.request]
         robots = [self.pool.robots[followed.only]] if followed.only else list(self.pool.robots.values())
-        heard = [r for r in robots if self.in_reach_s(r.id) > 1.0]
-        order, active = outcome.order, [r for r in heard if r.id in self.pool.mission.roster.active]
+        in_reach = [r for r in robots if self.in_reach_s(r.id) > 1.0]
+        order, active = outcome.order, [r for r in in_reach if r.id in self.pool.mission.roster.active]
         if order is Order.HOLD:
             # one that is out of the formation and was only armed puts out no thrust, and may stay so
-            return self._never([r for r in heard if armed(r) and (r in active or r.mode is not Mode.ARMED)], Mode.HOLDING)
+            return self._never([r for r in in_reach if armed(r) and (r in active or r.mode is not Mode.ARMED)], Mode.HOLDING)
         if order is Order.DRIVE:
-            return self._never(heard, Mode.HOLDING)
+            return self._never(in_reach, Mode.HOLDING)
         if order is Order.ARM:
-            return self._never(heard if followed.only else active, Mode.ARMED, Mode.HOLDING)
+            return self._never(in_reach if followed.only else active, Mode.ARMED, Mode.HOLDING)
         if order is Order.LOAD:
             return "; ".join(f"robot {r.id} has no plan" for r in active if not self._had_plan(r))
         if order is Order.STOP:  # one that is out of the water, without power, is sent it, and not waited for
-            return self._never([r for r in heard if r.id not in self.out or armed(r)], Mode.STOPPED)
+            return self._never([r for r in in_reach if r.id not in self.out or armed(r)], Mode.STOPPED)
         if order is Order.DISARM or order is Order.END:
-            return "; ".join(f"robot {r.id} is {r.mode.name}" for r in heard if armed(r) and not self._was_rest(r))
+            return "; ".join(f"robot {r.id} is {r.mode.name}" for r in in_reach if armed(r) and not self._was_rest(r))
         if order is Order.CLEAR_STOP:
-            inside = [r for r in heard if r.id not in self.out]
+            inside = [r for r in in_reach if r.id not in self.out]
             return "; ".join(f"robot {r.id} is STOPPED" for r in inside if self._stays(r, Mode.STOPPED))
         if order is Order.GO and followed.place_m is not None and followed.only:
             away_m = float(np.hypot(*(robots[0].eta[:2] - followed.place_m)))
@@ -358,7 +358,7 @@ class Invariants:
             return self._never(active, Mode.TRACKING) or "; ".join(f"robot {r.id} has its old path" for r in same)
         if order is Order.RETURN:
             starts = self.pool.starts
-            inside = [r for r in heard if r.id not in self.out]
+            inside = [r for r in in_reach if r.id not in self.out]
             away = [r for r in inside if np.hypot(*(r.eta[:2] - starts[r.id][:2])) > NEAR_M or not self._was_rest(r)]
             return "; ".join(f"robot {r.id} is not at its start, or is {r.mode.name}" for r in away)
         if order in WATER:
@@ -432,5 +432,5 @@ class Invariants:
         assert self.waiting_gains_s <= limit_s, f"WAY OUT: gains are {self.pool.core.tuner.status().stage.value} for ever"
 
     def _fit(self, robot: int) -> bool:
-        seen = self.pool.fleet[robot]
-        return not preflight(self.pool.experiment, {robot: seen}, exclude=("thrusters",)) and seen.mode is not Mode.DRIVEN
+        view = self.pool.fleet[robot]
+        return not preflight(self.pool.experiment, {robot: view}, exclude=("thrusters",)) and view.mode is not Mode.DRIVEN

@@ -400,6 +400,37 @@ def test_a_robot_that_was_armed_and_restarts_before_the_start_is_not_armed_again
     assert [c.order for c in run.robots[2].got].count(Order.ARM) == 1
 
 
+@pytest.mark.parametrize(
+    ("order", "before", "lost"),
+    [
+        (Order.TEST, Mode.ARMED, "abort"),
+        (Order.TEST, Mode.DISARMED, "abort"),
+        (Order.ARM, Mode.ARMED, "abort"),
+        (Order.RETURN, Mode.DISARMED, "hold"),
+    ],
+)
+def test_a_robot_that_is_armed_and_restarts_is_not_armed_again_for_the_same_request(
+    order: Order, before: Mode, lost: str
+) -> None:
+    """Robot 2 is not armed yet when robot 1 restarts, whichever of the two requests it was armed for."""
+    run = MissionRun(False, [f'mission.lost="{lost}"'])
+    run.step(0.2)
+    run.robots[1].mode, run.robots[2].refuses = before, frozenset({Order.ARM})
+    run.step(0.2)
+    assert run.mission.request(order, run.fleet(), run.now_ns) == ""
+    run.step(0.5)
+    if order is Order.RETURN:
+        run.mission.planned(replace(next_leg(run, 4.0), is_return=True), run.fleet(), run.now_ns)
+    run.step(0.5)
+    assert run.mission.state in (MissionState.TEST_ARMING, MissionState.ARMING, MissionState.REARMING)
+    assert run.robots[1].mode is Mode.ARMED
+    run.robots[1].mode, run.robots[1].loaded = Mode.DISARMED, ""
+    run.robots[1].got.clear()
+    run.step(2.0)
+    assert Order.ARM not in [c.order for c in run.robots[1].got]
+    assert run.robots[1].mode is Mode.DISARMED
+
+
 def test_rejoin_is_refused_while_the_others_return() -> None:
     """That way has no places for robots that are out."""
     run = MissionRun()
@@ -553,8 +584,8 @@ STRAIGHT = 'path={kind="waypoints",points_m=[[-1,0],[1,0]],speed_mps=0.1}'
 
 def next_leg(run: MissionRun, begin_s: float) -> PlanSegment:
     still = np.zeros((200, 4))
-    found = {r: Trajectory(f"n{r}", 0.05, still, still, still, begin_s) for r in run.experiment.robot_ids}
-    return PlanSegment(found, found[1], 60.0)
+    trajectories = {r: Trajectory(f"n{r}", 0.05, still, still, still, begin_s) for r in run.experiment.robot_ids}
+    return PlanSegment(trajectories, trajectories[1], 60.0)
 
 
 def going_elsewhere() -> MissionRun:
@@ -864,7 +895,7 @@ def test_a_robot_armed_after_its_last_state_is_still_disarmed() -> None:
         run.step()
     before = run.fleet()
     assert run.in_mode(2, Mode.ARMED) and run.mission.request(Order.DISARM, before, run.now_ns) == ""
-    disarmed = {r: replace(seen, state=replace(seen.state, mode=Mode.DISARMED)) for r, seen in before.items() if seen.state}
+    disarmed = {r: replace(view, state=replace(view.state, mode=Mode.DISARMED)) for r, view in before.items() if view.state}
     orders = run.mission.step(disarmed, (), run.now_ns + 10_000_000)
     assert [(c.order, c.robot) for c in orders] == [(Order.DISARM, 1), (Order.DISARM, 2)]
     assert run.at(MissionState.ENDING)
@@ -1034,9 +1065,9 @@ def test_a_return_arms_no_robot_that_preflight_blocks() -> None:
 @pytest.mark.parametrize("policy", ["hold", "go-on", "close-up"])
 def test_a_lost_robot_is_sent_hold_though_its_states_do_not_arrive(policy: str) -> None:
     run = three_running(policy)
-    told = run.robots[2].view()
+    last_view = run.robots[2].view()
     run.robots[2].silent = run.robots[2].hears = True
-    run.robots[2].view = lambda: replace(told, state_age_s=9.0)  # type: ignore[method-assign]  # its last word: TRACKING
+    run.robots[2].view = lambda: replace(last_view, state_age_s=9.0)  # type: ignore[method-assign]  # its last word: TRACKING
     run.step(0.5)
     assert run.mission.roster.lost == {2: "silent"}
     assert run.in_mode(2, Mode.HOLDING)
@@ -1044,9 +1075,9 @@ def test_a_lost_robot_is_sent_hold_though_its_states_do_not_arrive(policy: str) 
 
 def test_a_lost_robot_that_still_hears_is_disarmed_with_the_others() -> None:
     run = three_running("go-on")
-    told = run.robots[2].view()
+    last_view = run.robots[2].view()
     run.robots[2].silent = run.robots[2].hears = True
-    run.robots[2].view = lambda: replace(told, state_age_s=9.0)  # type: ignore[method-assign]
+    run.robots[2].view = lambda: replace(last_view, state_age_s=9.0)  # type: ignore[method-assign]
     run.step(0.5)
     assert run.mission.request(Order.DISARM, run.fleet(), run.now_ns) == ""
     run.step(0.5)

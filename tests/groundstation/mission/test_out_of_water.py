@@ -71,8 +71,8 @@ def test_fleet_flies_without_a_robot_that_is_out_until_it_is_back_in() -> None:
 
 
 def test_robot_taken_out_in_flight_is_no_obstacle_any_more_and_may_rejoin() -> None:
-    fleet, told = SimulatedFleet(POOL), list[tuple[int, ...]]()
-    fleet.on_beat = lambda beat: told.append(beat.out)
+    fleet, out_by_beat = SimulatedFleet(POOL), list[tuple[int, ...]]()
+    fleet.on_beat = lambda beat: out_by_beat.append(beat.out)
     fleet.run(0.5)
     assert ask(fleet, Order.START) == ""
     until(fleet, MissionState.RUNNING)
@@ -84,14 +84,14 @@ def test_robot_taken_out_in_flight_is_no_obstacle_any_more_and_may_rejoin() -> N
     fleet.run(4.0)
     assert ask(fleet, Order.OUT, 2) == ""
     assert len(fleet.mission.plans.discs_to_avoid(fleet.fleet)) == 0
-    assert told[0] == () and told[-1] == (2,)
+    assert out_by_beat[0] == () and out_by_beat[-1] == (2,)
     assert "back-in --robot 2" in ask(fleet, Order.REJOIN)
     fleet.robots[2].restart(fleet.now_ns)
     assert ask(fleet, Order.BACK_IN, 2) == "" and fleet.mission.roster.active == (1,)
     fleet.run(0.5)
     assert ask(fleet, Order.REJOIN) == ""
     until(fleet, MissionState.RUNNING)
-    assert set(fleet.mission.roster.active) == {1, 2} and told[-1:] == [()]
+    assert set(fleet.mission.roster.active) == {1, 2} and out_by_beat[-1:] == [()]
 
 
 @pytest.mark.parametrize("flies", [True, False])

@@ -30,12 +30,12 @@ class LedRun(MissionRun):
         self.stuck: set[int] = set()  # robots that something keeps from following their trajectories
 
     def fleet(self) -> dict[int, RobotView]:
-        seen = super().fleet()
+        views = super().fleet()
         for robot, nu in self.nu.items():
-            state = seen[robot].state
+            state = views[robot].state
             assert state is not None
-            seen[robot] = replace(seen[robot], state=replace(state, nu=np.array(nu)))
-        return seen
+            views[robot] = replace(views[robot], state=replace(state, nu=np.array(nu)))
+        return views
 
     def step(self, seconds: float = 0.05) -> None:
         for _ in range(round(seconds / 0.05)):
@@ -91,11 +91,11 @@ def test_a_state_that_comes_late_confirms_a_request_that_was_made_before_it_was_
     run = LedRun()
     assert run.ask(Order.ARM) == ""
     run.robots[2].age_s = 0.4  # too old to count as heard
-    found = []
+    progress = []
     for _ in range(2):
         run.step(0.3)
-        found.append(run.single.tasks[2].progress)
-    assert found == [Progress.UNDER_WAY, Progress.DONE]
+        progress.append(run.single.tasks[2].progress)
+    assert progress == [Progress.UNDER_WAY, Progress.DONE]
 
 
 def test_a_velocity_that_is_not_repeated_ends_in_a_hold() -> None:

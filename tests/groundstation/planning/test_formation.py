@@ -111,8 +111,8 @@ CHANGES = (
 def test_derivatives_of_a_changing_form_by_finite_differences(mode: Mode, robot: int) -> None:
     path = CirclePath(Circle(kind="circle", diameter_m=3.0, lap_s=60.0, depth_m=0.3))
     time = sampled(path, 16.0)
-    course = slot_offsets(DIAMOND + np.arange(4)[:, None] * [0.0, 0.0, 0.05], CHANGES, time)[robot]
-    motion = node_motion(path.at(time), course, mode, STEP_S)
+    offset = slot_offsets(DIAMOND + np.arange(4)[:, None] * [0.0, 0.0, 0.05], CHANGES, time)[robot]
+    motion = node_motion(path.at(time), offset, mode, STEP_S)
     velocity = (motion.eta[2:] - motion.eta[:-2]) / (2.0 * STEP_S)
     acceleration = (motion.velocity[2:] - motion.velocity[:-2]) / (2.0 * STEP_S)
     np.testing.assert_allclose(velocity[:, :3], motion.velocity[1:-1, :3], atol=2e-6)
@@ -126,7 +126,7 @@ def test_derivatives_of_a_changing_form_by_finite_differences(mode: Mode, robot:
 
 def ended(nodes: Array, *changes: Change) -> Array:
     """Nodes after all changes."""
-    return np.array([course.place_m[-1] for course in slot_offsets(nodes, changes, np.array([0.0, 1e4]))])
+    return np.array([offset.place_m[-1] for offset in slot_offsets(nodes, changes, np.array([0.0, 1e4]))])
 
 
 def test_a_change_ends_in_the_form_that_was_asked_for() -> None:

@@ -59,10 +59,10 @@ def check(experiment: Experiment, motions: dict[int, NodeMotion], starts: dict[i
 
 def test_a_glide_is_smooth_and_ends_where_it_should() -> None:
     for length in (0.01, 0.3, 5.0):
-        way, rate, bend = s_curve_profile(length, 0.15, PERIOD_S)
-        assert way[0] == 0.0 and way[-1] == pytest.approx(length, abs=1e-9)
+        distance_m, rate, bend = s_curve_profile(length, 0.15, PERIOD_S)
+        assert distance_m[0] == 0.0 and distance_m[-1] == pytest.approx(length, abs=1e-9)
         assert rate.max() <= 0.15 + 1e-12 and rate.min() >= -1e-12
-        np.testing.assert_allclose(np.gradient(way, PERIOD_S)[1:-1], rate[1:-1], atol=2e-4)
+        np.testing.assert_allclose(np.gradient(distance_m, PERIOD_S)[1:-1], rate[1:-1], atol=2e-4)
         np.testing.assert_allclose(np.gradient(rate, PERIOD_S)[1:-1], bend[1:-1], atol=3e-3)
 
 

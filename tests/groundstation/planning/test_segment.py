@@ -147,9 +147,9 @@ def glides(from_m: tuple[float, float], to_m: tuple[float, float], seconds: floa
 
 
 def test_on_ways_of_their_own_robots_may_begin_and_end_beside_a_thing_but_not_come_nearer_to_it() -> None:
-    way = glides((0.0, 0.0), (2.0, 0.0))
-    is_return = PlanSegment({1: way}, way, 20.0, is_return=True)
-    into_place = PlanSegment({1: way}, way, 60.0, transfer_end_s=20.0)
+    trajectory = glides((0.0, 0.0), (2.0, 0.0))
+    is_return = PlanSegment({1: trajectory}, trajectory, 20.0, is_return=True)
+    into_place = PlanSegment({1: trajectory}, trajectory, 60.0, transfer_end_s=20.0)
     for segment in (is_return, into_place):
         assert "on the path of robot 1, in 5.6 s" in first_contact(BLOCKED, segment, 0.0, 25.0, np.array([[1.0, 0.0, 0.15]]))
         assert first_contact(BLOCKED, segment, 15.0, 40.0, np.array([[1.0, 0.0, 0.15]])) == ""  # gone by
@@ -160,17 +160,17 @@ def test_on_ways_of_their_own_robots_may_begin_and_end_beside_a_thing_but_not_co
 
 
 def test_robots_on_their_own_ways_look_out_for_lost_ones_also_where_no_path_is_changed_for_things() -> None:
-    way = glides((0.0, 0.0), (2.0, 0.0))
+    trajectory = glides((0.0, 0.0), (2.0, 0.0))
     lost = RobotView(RobotState(eta=np.array([1.0, 0.0, 0.0, 0.0])), 9.0)
     obstacles = ObstacleSet((1,), np.array([[1.5, 0.0, 0.1]]))
     for settings, sees_things in ((["mission.detours=true"], True), (["mission.detours=false"], False)):
-        lookout = ObstacleMonitor(load_experiment("pool", settings))
-        lookout.update(obstacles, 0)
-        is_return = PlanSegment({1: way}, way, 20.0, is_return=True)
-        assert "at (1.00, 0.00) m" in lookout.first_contact(is_return, 0.0, [lost], 1_000_000_000)
-        assert ("at (1.50, 0.00) m" in lookout.first_contact(is_return, 0.0, [], 1_000_000_000)) == sees_things
-        in_formation = PlanSegment({1: way}, way, 20.0)
-        assert lookout.first_contact(in_formation, 0.0, [lost], 1_000_000_000) == ""  # a circle: robots give way by themselves
+        monitor = ObstacleMonitor(load_experiment("pool", settings))
+        monitor.update(obstacles, 0)
+        is_return = PlanSegment({1: trajectory}, trajectory, 20.0, is_return=True)
+        assert "at (1.00, 0.00) m" in monitor.first_contact(is_return, 0.0, [lost], 1_000_000_000)
+        assert ("at (1.50, 0.00) m" in monitor.first_contact(is_return, 0.0, [], 1_000_000_000)) == sees_things
+        in_formation = PlanSegment({1: trajectory}, trajectory, 20.0)
+        assert monitor.first_contact(in_formation, 0.0, [lost], 1_000_000_000) == ""  # a circle: robots give way by themselves
 
 
 def test_from_rest_into_the_slots_and_on_along_the_leg() -> None:

@@ -1,7 +1,6 @@
 """A script makes the operator's requests, reads live states, and is told what is missing or late. The station is played by the
 test, on a bus in memory."""
 
-import asyncio
 import threading
 import time
 from collections.abc import Iterator
@@ -10,7 +9,7 @@ import numpy as np
 import pytest
 
 from groundstation.mission.state_machine import FLEET_REQUESTS
-from shoal import AsyncFleet, ConnectedFleet, NotHeard, RequestFailed
+from shoal import ConnectedFleet, NotHeard, RequestFailed
 from shoal.bus.bus import Bus
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
 from shoal.errors import ConfigError
@@ -59,8 +58,7 @@ def test_each_request_of_a_terminal_is_a_method_and_the_same_command(
 ) -> None:
     method = METHODS.get(name, name.replace("-", "_"))
     assert getattr(fleet, method)().confirmed == (1, 2)
-    assert asyncio.run(getattr(AsyncFleet(fleet), method)()).confirmed == (1, 2)
-    assert [(c.order, c.robot) for c in station.commands] == [(Order[name.upper().replace("-", "_")], 0)] * 2
+    assert [(c.order, c.robot) for c in station.commands] == [(Order[name.upper().replace("-", "_")], 0)]
 
 
 @pytest.mark.parametrize("name", ["arm", "hold", "disarm"])
@@ -68,14 +66,12 @@ def test_a_request_for_one_robot_goes_to_the_station_and_names_it(
     fleet: ConnectedFleet, station: PlayedStation, name: str
 ) -> None:
     getattr(fleet, name)(robot=2)
-    asyncio.run(getattr(AsyncFleet(fleet), name)(robot=1))
-    assert [(c.order, c.robot) for c in station.commands] == [(Order[name.upper()], 2), (Order[name.upper()], 1)]
+    assert [(c.order, c.robot) for c in station.commands] == [(Order[name.upper()], 2)]
 
 
 def test_one_robot_is_sent_to_a_place(fleet: ConnectedFleet, station: PlayedStation) -> None:
     fleet.go((1.0, -0.5), robot=2)
-    asyncio.run(AsyncFleet(fleet).go((0.0, 0.5), robot=1))
-    assert [(c.robot, c.via.tolist()) for c in station.commands] == [(2, [[1.0, -0.5]]), (1, [[0.0, 0.5]])]
+    assert [(c.robot, c.via.tolist()) for c in station.commands] == [(2, [[1.0, -0.5]])]
 
 
 def test_places_and_gains_travel_with_the_request(fleet: ConnectedFleet, station: PlayedStation) -> None:
@@ -168,11 +164,6 @@ def test_a_corrupt_event_harms_nobody(fleet: ConnectedFleet, station: PlayedStat
     station.bus.forward(topics.EVENT, b"\xff\x00broken", 0)
     station.says("still here")
     assert fleet.wait_event("still", timeout_s=1.0).message == "still here"
-
-
-def test_the_awaited_fleet_has_every_method_of_the_blocking_one() -> None:
-    own = {name for name in vars(ConnectedFleet) if not name.startswith("_")} - {"close"}
-    assert own == {name for name in vars(AsyncFleet) if not name.startswith("_")}
 
 
 def test_a_wait_ends_with_the_reason_when_the_fleet_is_gone_for_good(hub: MemoryHub) -> None:

@@ -51,6 +51,7 @@ from shoal.messages.messages import (
 from shoal.messages.topics import WHOLE_FLEET
 from shoal.runtime.runtime import Stop, WallClock, run_steps, wait
 from shoal.runtime.version import code
+from sim_bridge.lockstep.clock import LockstepClock
 from tests.waiting import eventually
 
 pytestmark = pytest.mark.real_time
@@ -97,12 +98,12 @@ def test_an_outdated_plan_is_dropped(tmp_path: Path) -> None:
             return detour
 
         mission.state, mission.plans.request = MissionState.HALTING, PlanRequest("another path", slow)
-        station.plan(False, 0)
+        station.plan(0)
         mission.plans.request = PlanRequest("a way for everybody from rest", lambda out_of_time: home)
         late.set()
         deadline = time.monotonic() + PATIENCE_S
         while mission.state is MissionState.HALTING and time.monotonic() < deadline:
-            station.plan(False, 0)
+            station.plan(0)
             time.sleep(0.001)
         assert mission.state is MissionState.RELOADING
         assert mission.segment is home
@@ -117,16 +118,17 @@ def test_planning_is_given_up_in_time_and_when_the_station_ends(tmp_path: Path, 
         return station.mission.segment
 
     def taken() -> bool:
-        station.plan(False, 0)
+        station.plan(0)
         return not station.planning
 
     with a_station(tmp_path) as station:
         station.seen = station.fleet()
-        for lockstep, limit_s in ((False, 3600.0), (False, 0.0), (True, 0.0)):
+        for clock, limit_s in ((WallClock(), 3600.0), (WallClock(), 0.0), (LockstepClock(), 0.0)):
             monkeypatch.setattr("groundstation.station.station.PLANNING_S", limit_s)
             station.mission.state, station.mission.plans.request = MissionState.HALTING, PlanRequest("another path", plan)
             with station.lock:
-                station.plan(lockstep, 0)
+                station.clock = clock
+                station.plan(0)
             assert eventually(taken)
         assert [out_of_time() for out_of_time in deadlines] == [False, True, False]
     assert all(out_of_time() for out_of_time in deadlines)
@@ -141,7 +143,7 @@ def test_a_planner_that_breaks_leaves_the_fleet_holding_and_the_station_alive(tm
             PlanRequest("another path", lambda out_of_time: dict[str, PlanSegment]()["robot 3"]),
         )
         with station.lock:
-            station.plan(True, 0)
+            station.plan(0)
         assert mission.state is MissionState.PAUSED
         assert "KeyError: 'robot 3'" in mission.reason
 
@@ -150,7 +152,7 @@ def test_in_lockstep_a_stop_is_taken_while_a_plan_is_computed(tmp_path: Path) ->
     """And the plan, which nobody waits for any more, is dropped."""
     begun, late = threading.Event(), threading.Event()
     with a_station(tmp_path) as station:
-        station.seen = station.fleet()
+        station.seen, station.clock = station.fleet(), LockstepClock()
         mission, detour = station.mission, station.mission.segment
 
         def slow(out_of_time: Callable[[], bool]) -> PlanSegment:
@@ -160,7 +162,7 @@ def test_in_lockstep_a_stop_is_taken_while_a_plan_is_computed(tmp_path: Path) ->
 
         def cycle() -> None:
             with station.lock:
-                station.plan(True, 0)
+                station.plan(0)
 
         mission.state, mission.plans.request = MissionState.HALTING, PlanRequest("another path", slow)
         planning = threading.Thread(target=cycle)
@@ -175,6 +177,7 @@ def test_in_lockstep_a_stop_is_taken_while_a_plan_is_computed(tmp_path: Path) ->
 
 def test_in_lockstep_a_plan_that_another_request_replaced_meanwhile_is_dropped(tmp_path: Path) -> None:
     with a_station(tmp_path) as station:
+        station.clock = LockstepClock()
         mission, detour = station.mission, station.mission.segment
         home = PlanRequest("a way for everybody from rest", lambda out_of_time: replace(detour, is_return=True))
 
@@ -185,9 +188,9 @@ def test_in_lockstep_a_plan_that_another_request_replaced_meanwhile_is_dropped(t
 
         mission.state, mission.plans.request = MissionState.HALTING, PlanRequest("another path", slow)
         with station.lock:
-            station.plan(True, 0)
+            station.plan(0)
             assert (mission.state, mission.plan_request) == (MissionState.HALTING, home)
-            station.plan(True, 0)
+            station.plan(0)
         assert (mission.state, mission.segment.is_return) == (MissionState.RELOADING, True)
 
 
@@ -217,7 +220,7 @@ class ObedientFleet:
         while not done():
             assert time.monotonic() < deadline, (self.got, station.requests.recent)
             self.tell()
-            station.cycle(station.clock.now_ns(), lockstep=False)
+            station.cycle(station.clock.now_ns())
             time.sleep(0.002)
 
 
@@ -308,7 +311,7 @@ def test_an_order_that_is_not_answered_is_on_its_way_twice_at_most(tmp_path: Pat
         try:
             asked(station, Order.STOP)
             for k in range(100):
-                station.cycle(k * 1_000_000_000, lockstep=False)  # each would ask anew
+                station.cycle(k * 1_000_000_000)  # each would ask anew
             assert len(station.pending) == MAX_UNANSWERED * 2
         finally:
             free.set()
@@ -331,8 +334,8 @@ def test_a_reply_that_comes_while_replies_are_collected_is_taken_once(tmp_path: 
     with a_station(tmp_path) as station:
         station.pending = [(Command(Order.ARM, 2), JustAnswered())]
         for k in range(3):
-            station.cycle((k + 1) * 1_000_000, lockstep=False)
-        assert station.mission._dispatcher.armed == {2: 2_000_000}  # the mission's own memory: nothing else tells it
+            station.cycle((k + 1) * 1_000_000)
+        assert station.mission._powered_ns == {2: 2_000_000}  # the mission's own memory: nothing else tells it
         assert station.pending == []
 
 
@@ -500,14 +503,14 @@ def test_a_run_without_a_robot_that_is_out_of_the_water_is_left_alone_too(
 
 def test_status_returns_at_once_while_a_cycle_hangs(tmp_path: Path) -> None:
     with a_station(tmp_path) as station:
-        station.cycle(station.clock.now_ns(), lockstep=False)
+        station.cycle(station.clock.now_ns())
         before = station.status()
         with station.lock:  # as a cycle does
             station.beat_s -= 5.0
             hung = station.status()
         assert before.beat_age_s < 5.0 <= hung.beat_age_s
         assert hung.state is before.state
-        station.cycle(station.clock.now_ns(), lockstep=False)
+        station.cycle(station.clock.now_ns())
         assert station.status().beat_age_s < 5.0, "the cycle goes on"
 
 
@@ -515,7 +518,7 @@ def test_the_paths_flown_now_are_told_with_their_end(tmp_path: Path) -> None:
     with a_station(tmp_path) as station:
         segment = station.mission.segment
         station.publish_paths(0)
-        assert station.paths == {robot: (way, segment.end_s) for robot, way in segment.trajectories.items()}
+        assert station.paths == {robot: (trajectory, segment.end_s) for robot, trajectory in segment.trajectories.items()}
         short = replace(segment, end_s=3.0)
         station.mission.plans.adopt(short)
         station.mission.roster.mark_lost(2, "silent")
@@ -529,10 +532,10 @@ def test_a_trip_of_one_robot_is_published_and_then_its_path_again(tmp_path: Path
     with a_station(tmp_path, hub) as station:
         segment = station.mission.segment
         alone = named_alone(segment.trajectories[2])
-        trip = RobotTask(Order.GO, 0, transfer=replace(segment, trajectories={2: alone}, end_s=4.0))
+        task = RobotTask(Order.GO, 0, transfer=replace(segment, trajectories={2: alone}, end_s=4.0))
         ids = []
         for leader in (Leader.MISSION, Leader.PERSON, Leader.MISSION):
-            station.single.tasks[2], station.mission.roster.led_by[2] = trip, leader
+            station.single.tasks[2], station.mission.roster.led_by[2] = task, leader
             station.publish_paths(0)
             newest = [inboxes[robot].newest() for robot in (1, 2)]
             ids.append([received.message.id for received in newest if received is not None])
@@ -576,7 +579,7 @@ def test_robots_are_not_armed_by_the_poses_of_another_experiment(tmp_path: Path)
             fleet.publish(topics.LOCALIZER, LocalizerStatus(CameraHealth.OK, experiment_hash=hash_), time.time_ns())
             state = RobotState(experiment_hash=station.experiment.hash, battery_v=12.0)
             fleet.publish(topics.STATE, state, time.time_ns(), 1)
-            station.cycle(station.clock.now_ns(), lockstep=False)
+            station.cycle(station.clock.now_ns())
             view = replace(station.status().seen[1], state_age_s=0.0)
             alarms_of_robot = [f for f in findings(station.experiment, 1, view) if f.key == "localizer"]
             assert [f.blocks_arming for f in alarms_of_robot] == [True] * blocks
@@ -593,7 +596,7 @@ def test_a_robot_whose_poses_come_from_two_programs_is_not_armed(tmp_path: Path)
         for number in (0, 1, 0):
             programs[number].publish(topics.POSE, Pose(0.0, 0.0, 0.0, np.eye(3), Track.MARKER, True), time.time_ns(), 1)
             programs[number].publish(topics.STATE, state, time.time_ns(), 1)
-        station.cycle(station.clock.now_ns(), lockstep=False)
+        station.cycle(station.clock.now_ns())
         views = {robot: replace(view, state_age_s=0.0) for robot, view in station.status().seen.items()}
         own = {robot: [f for f in findings(station.experiment, robot, views[robot]) if f.key == "poses"] for robot in (1, 2)}
         assert [f.blocks_arming for f in own[1]] == [True] and own[2] == []
@@ -615,11 +618,11 @@ def test_programs_of_other_code_than_the_stations_are_named_on_the_page_and_in_t
             fleet.publish(topics.STATE, state, time.time_ns(), robot)
         fleet.publish(topics.LOCALIZER, localizer, time.time_ns())
         for _ in range(2):
-            station.cycle(station.clock.now_ns(), lockstep=False)
+            station.cycle(station.clock.now_ns())
         status = station.status()
         views = {robot: replace(view, state_age_s=0.0) for robot, view in status.seen.items()}  # however slow the machine is
         alarm_list = alarms(station.experiment, views, localizer, 0.0, "", status.lasting)
-        ours = [alarm.told for alarm in alarm_list if alarm.key.endswith("code")]
+        ours = [alarm.line for alarm in alarm_list if alarm.key.endswith("code")]
         assert ours == [
             f"the localizer runs 0.1.0 8289d898, the station {own}", f"robot 2: runs an earlier version, the station {own}",
         ]  # fmt: skip

@@ -9,7 +9,7 @@ from shoal.bus.memory_transport import MemoryHub, MemoryTransport
 from shoal.config.experiment import load_experiment
 from shoal.messages import topics
 from shoal.messages.messages import RobotState
-from shoal.runtime.lockstep import LockstepClock
+from sim_bridge.lockstep.clock import LockstepClock
 from tests.groundstation.fake_station import FakeStation
 
 S = 10**9

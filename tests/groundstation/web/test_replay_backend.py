@@ -205,9 +205,9 @@ def test_the_map_shows_what_was_flown_at_the_time(run: Path, tmp_path: Path) -> 
     (tmp_path / "experiment.toml").write_text(dump_experiment(experiment))
     recorder = Recorder(tmp_path / "run.mcap", "", {})
     planned = plan(experiment)
-    way = np.linspace(planned[1].eta[200], np.zeros(4), 100)
+    line = np.linspace(planned[1].eta[200], np.zeros(4), 100)
     rest = np.zeros((100, 4))
-    segment = Trajectory("home", planned[1].period_s, way, rest, rest, begin_s=200 * planned[1].period_s)
+    segment = Trajectory("home", planned[1].period_s, line, rest, rest, begin_s=200 * planned[1].period_s)
     for begin_s, robot, trajectory in ((0, 1, planned[1]), (0, 2, planned[2]), (10, 1, concatenate(planned[1], segment))):
         key = f"shoal/{topics.TRAJECTORY.key(robot)}"
         recorder.put(topics.TRAJECTORY, key, Header(1, begin_s + robot, 0), encode(trajectory), begin_s * SECOND)
@@ -225,7 +225,7 @@ def test_the_map_shows_what_was_flown_at_the_time(run: Path, tmp_path: Path) -> 
         assert [shown[5.0][r]["id"] for r in (1, 2)] == [planned[r].id for r in (1, 2)]
         assert (shown[15.0][1]["id"], shown[15.0][2]["id"]) == ("home", planned[2].id)
         home = np.frombuffer(shown[15.0][1]["eta"], "<f4").reshape(-1, 4)
-        np.testing.assert_allclose(home[[0, -1]], way[[1, -1]], atol=1e-5)  # its first point is still the circle's
+        np.testing.assert_allclose(home[[0, -1]], line[[1, -1]], atol=1e-5)  # its first point is still the circle's
 
 
 @pytest.mark.long

@@ -641,7 +641,7 @@ def test_the_map_gets_the_paths_that_are_flown_now(lab: ServedStation) -> None:
     planned = early.hello()["scene"]["paths"]
     line = np.zeros((60, 4))
     home = {1: Trajectory("home-1", 0.05, line, line, line, begin_s=40.0)}
-    lab.paths = {robot: (way, 42.0) for robot, way in home.items()}  # 41 samples; the rest is horizon
+    lab.paths = {robot: (trajectory, 42.0) for robot, trajectory in home.items()}  # 41 samples; the rest is horizon
     paths_now = early.until(lambda f: f["k"] == "paths")["paths"]
     late = lab.open().hello()["scene"]["paths"]
     assert [p["id"] for p in planned] == [t.id for t in planner.plan(POOL).values()]

@@ -133,7 +133,7 @@ def test_one_page_has_control_and_a_silent_page_loses_it() -> None:
     lease = ControlLease()
     assert lease.ask(1, 0.0)
     assert not lease.ask(2, 1.0)
-    lease.heard(2, 4.0)  # a watcher's life does not keep the holder's lease
+    lease.note_life(2, 4.0)  # a watcher's life does not keep the holder's lease
     assert lease.ask(1, 4.0)
     assert not lease.ask(2, 4.0 + SILENT_S)
     assert lease.ask(2, 4.1 + SILENT_S)
@@ -154,8 +154,8 @@ def test_silent_page_that_comes_to_itself_has_control_again_unless_another_asked
             lease.ask(2, late)
         if gone:
             lease.leave(1)
-        lease.heard(2, late)
-        lease.heard(1, late)
+        lease.note_life(2, late)
+        lease.note_life(1, late)
         assert lease.holder == holder
 
 
@@ -290,7 +290,7 @@ def _view(**changes: Any) -> RobotView:
 
 def _texts(*views: RobotView, camera: CameraHealth = CameraHealth.OK, age_s: float = 0.0, recorder: str = "") -> list[str]:
     alarm_list = alarms(POOL, dict(zip((1, 2), views, strict=True)), LocalizerStatus(camera), age_s, recorder)
-    return [f"{a.level} {a.told}" for a in alarm_list]
+    return [f"{a.level} {a.line}" for a in alarm_list]
 
 
 def test_a_well_fleet_raises_no_alarm() -> None:

@@ -32,9 +32,9 @@ from shoal.errors import ConfigError
 from shoal.frames import Array
 from shoal.messages import topics
 from shoal.messages.messages import RobotState
-from shoal.runtime.lockstep import LockstepClock
 from shoal.runtime.output_files import disk_free
 from shoal.runtime.runtime import Stop
+from sim_bridge.lockstep.clock import LockstepClock
 from tests.localizer.scene import Scene
 from tests.localizer.stand_ins import MS
 
@@ -268,7 +268,7 @@ def _localize(folder: Path, **recording: Any) -> list[tuple[int, bytes]]:
     network = MemoryHub()
     bus, ours = Bus(MemoryTransport(network)), Bus(MemoryTransport(network))
     published = ours.collect(topics.POSE)
-    with closing(FrameRecorder(folder, EXPERIMENT, lockstep=True, **recording)) as recorder:
+    with closing(FrameRecorder(folder, EXPERIMENT, waits=True, **recording)) as recorder:
         clock = LockstepClock()
         camera = _LeaningRobots(ours, clock)
         LocalizerNode(EXPERIMENT, bus, Stop(install=False), clock, camera, recorder=recorder).run()

@@ -28,7 +28,6 @@ from shoal.errors import ConfigError
 from shoal.messages import topics
 from shoal.messages.codec import Header
 from shoal.messages.messages import Frame
-from shoal.runtime.lockstep import LockstepClock
 from shoal.runtime.runtime import Stop, WallClock
 from tests.localizer.stand_ins import MS, HandClock, flat, level
 
@@ -375,11 +374,6 @@ def test_a_file_that_is_no_video_is_explained(tmp_path: Path) -> None:
     (tmp_path / "v.avi").write_bytes(b"nothing")
     with pytest.raises(ConfigError, match="cannot be read as a video"):
         open_own(f"video:{tmp_path / 'v.avi'}", CAMERA, WallClock())
-
-
-def test_in_lockstep_there_is_no_camera_but_the_simulators(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="the simulator is the camera"):
-        open_own(f"folder:{tmp_path}", CAMERA, LockstepClock())
 
 
 def test_a_rate_behind_the_name_and_a_colon_in_it(tmp_path: Path, clock: HandClock) -> None:

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 from robot_agent.__main__ import cli
 from robot_agent.host import board_zero
 from robot_agent.host.board_zero import FILE, MS_WRAPS, BoardZero, read_record
-from robot_agent.node import AgentNode
+from robot_agent.node import AgentNode, StepTime
 from robot_agent.safety.health import RESTART_DEPTH_M
 from shoal.bus.bus import Bus
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
@@ -40,10 +40,10 @@ def refusals(folder: Path, boot: str, zero_m: float, monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(board_zero, "boot_id", lambda: boot)
     monkeypatch.setattr(board_zero, "LOOK_S", 0.0)
     bus, reasons = Bus(MemoryTransport(MemoryHub())), []
-    node = AgentNode(load_experiment("pool"), 1, bus, Switched(zero_m), False, Stop(install=False))
+    node = AgentNode(load_experiment("pool"), 1, bus, Switched(zero_m), Stop(install=False))
     for step in range(steps):
         now_ns = (step + 1) * 50_000_000
-        node.step(now_ns, None)
+        node.step(now_ns, StepTime(now_ns))
         inputs = node.agent.inputs
         station = inputs.station.__class__(7, now_ns, 0.03)
         reasons.append(node.agent._health.arming_refusal(inputs, station, now_ns))  # what ARM is answered, without a station

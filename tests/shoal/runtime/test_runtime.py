@@ -15,8 +15,8 @@ from shoal.bus.bus import Bus
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
 from shoal.messages import topics
 from shoal.messages.messages import CameraHealth, Event, LocalizerStatus, Obstacles, Pose, StationHeartbeat, Tick
-from shoal.runtime.lockstep import Lockstep, LockstepClock
 from shoal.runtime.runtime import Failed, Stop, WallClock, age_s, guarded_thread, log, log_handler, log_to_bus, run_app, wait
+from sim_bridge.lockstep.clock import Lockstep, LockstepClock
 
 
 def two_buses() -> tuple[Bus, Bus]:
@@ -138,7 +138,7 @@ def test_lockstep_waits_for_every_input_and_goes_on_without_none(
     threading.Timer(0.05, lambda: simulator.publish(topics.HEARTBEAT, StationHeartbeat(), 100)).start()
     assert lockstep.await_all([(inbox, 100)])
     assert inbox.newest() is not None
-    monkeypatch.setattr("shoal.runtime.lockstep.LOCKSTEP_SAYS_S", 0.02)
+    monkeypatch.setattr("sim_bridge.lockstep.clock.LOCKSTEP_SAYS_S", 0.02)
     threading.Timer(0.1, stop.request).start()
     assert not lockstep.await_all([(inbox, 100), (tidings, 102)])
     assert "waiting for localizer/status" in caplog.text and "station/heartbeat" not in caplog.text

@@ -25,10 +25,12 @@ from sim_bridge.camera.kernels import (
     SURFACE_Y,
     WATER_X,
     WATER_Y,
+    ImageRect,
+    RayBundle,
 )
-from sim_bridge.camera.rays import CameraRays, ImageRect
+from sim_bridge.camera.rays import CameraRays
 from sim_bridge.camera.scene import WaterView
-from sim_bridge.camera.water_optics import CAUSTIC_UNIT, WaterLight, light_up
+from sim_bridge.camera.water_optics import CAUSTIC_UNIT, Blend, RowLight, WaterLight, light_up
 
 INTERPRETED = os.environ.get("NUMBA_DISABLE_JIT") == "1"
 
@@ -86,7 +88,7 @@ def test_a_shadow_is_the_picture_times_the_light_that_is_left(rect: ImageRect) -
     expected[spot] *= fine[spot]
     part = np.empty(light[rect.blocks].shape)
     left_over = np.empty(8 * (part.shape[1] + 1), np.float32)
-    kernels.draw_shadow(raw, tuple(rect), tuple(lines), depth_m, place, radius_m, part, left_over)
+    kernels.draw_shadow(raw, rect, RayBundle(*lines), depth_m, place, radius_m, part, left_over)
     off_by = np.abs(raw - expected)
     assert off_by[4:71, 4:97].max() < 0.51
     assert off_by.max() < 12.0  # beyond the outermost blocks' middles the light goes on straight here, and is constant there
@@ -97,7 +99,7 @@ def test_noise_is_added_and_clipped() -> None:
     raw = np.tile(np.array([0, 1, 100, 254, 255], np.uint8), (6, 8))
     field = random.integers(-127, 128, (20, 60)).astype(np.int8)
     noisy = np.empty_like(raw)
-    kernels.add_noise(raw, field, 7, 11, np.float32(0.01), np.float32(0.0004), noisy)
+    kernels.add_noise(raw, field, 7, 11, 0.01, 0.0004, noisy)
     exact = raw + np.sqrt(0.01 + 0.0004 * raw) * field[7:13, 11:51]
     assert np.abs(noisy - np.clip(exact, 0, 255)).max() < 0.501
 
@@ -114,7 +116,7 @@ def test_fields_of_a_rectangle_are_those_of_the_whole_picture() -> None:
     light = waters.light(*waters.caustics.grid_coordinates(x, y), np.float32(waters.reach(depth_m)), time_s)
     fields = scene.fields(ImageRect(0, 240, 0, 320, 0, 30, 0, 40), depth_m, time_s)
     bent = lines.deflected(scene.bending * slopes[0], scene.bending * slopes[1])
-    assert fields[[SURFACE_X, SURFACE_Y, AIR_X, AIR_Y, WATER_X, WATER_Y]] == pytest.approx(np.stack(bent.planes), abs=1e-6)
+    assert fields[[SURFACE_X, SURFACE_Y, AIR_X, AIR_Y, WATER_X, WATER_Y]] == pytest.approx(np.stack(bent), abs=1e-6)
     assert np.abs(fields[LIGHT] - light).max() < 0.05 < np.ptp(light)
     assert fields[GLARE] == pytest.approx(scene.glare(slopes), abs=0.01)
     assert fields[GLARE].max() > 1.0
@@ -128,8 +130,9 @@ def test_a_picture_lies_between_two_of_each_loop() -> None:
     view, next_view = random.integers(0, 256, (2, 7, 11), dtype=np.uint8)
     glare, next_glare, levels, next_levels = random.integers(0, 201, (4, 4, 6), dtype=np.uint8)
     reach, raw = random.uniform(0.0, 1.0, (4, 6)).astype(np.float32), np.empty((7, 11), np.uint8)
-    scratch = tuple(np.empty(n, np.float32) for n in (6, 6, 12, 12))
-    light_up(view, next_view, glare, next_glare, np.float32(0.3), levels, next_levels, np.float32(0.8), reach, scratch, raw)
+    scratch = RowLight(*(np.empty(n, np.float32) for n in (6, 6, 12, 12)))
+    views, glares = Blend(view, next_view, 0.3), Blend(glare, next_glare, 0.3)
+    light_up(views, glares, Blend(levels, next_levels, 0.8), reach, scratch, raw)
     light = 1.0 + reach * ((0.2 * levels + 0.8 * next_levels) / CAUSTIC_UNIT - 1.0)
     pixels = np.ones((2, 2))
     lit = (0.7 * view + 0.3 * next_view) * np.kron(light, pixels)[:7, :11]

@@ -12,9 +12,8 @@ from scipy.spatial.transform import Rotation
 from shoal.config.experiment import load_experiment
 from shoal.config.perception import Camera
 from shoal.frames import Array
-from sim_bridge.camera.kernels import AMBIENT, DIFFUSE, GLOSS, LAMP_UP, LAMP_X, LAMP_Y
+from sim_bridge.camera.kernels import AMBIENT, DIFFUSE, GLOSS, LAMP_UP, LAMP_X, LAMP_Y, ImageRect
 from sim_bridge.camera.optics import project, rays
-from sim_bridge.camera.rays import ImageRect
 from sim_bridge.camera.renderer import Renderer
 from sim_bridge.camera.robot_sprite import Bodies, BodySprite, exposures
 from sim_bridge.camera.scene import water_colour

@@ -9,8 +9,8 @@ from scipy.optimize import brentq
 from shoal.config.experiment import load_experiment
 from shoal.errors import ConfigError
 from shoal.frames import Array
-from sim_bridge.camera.kernels import SURFACE_X, SURFACE_Y, WATER_X, WATER_Y
-from sim_bridge.camera.rays import CameraRays, ImageRect
+from sim_bridge.camera.kernels import SURFACE_X, SURFACE_Y, WATER_X, WATER_Y, ImageRect
+from sim_bridge.camera.rays import CameraRays
 from sim_bridge.camera.renderer import Renderer
 from sim_bridge.camera.scene import WaterView
 from sim_bridge.camera.water_optics import WaterLight

@@ -220,7 +220,7 @@ def test_strangers_take_nobody_s_place_at_a_signed_board_and_are_told_nothing(po
         for k, link in enumerate(strangers):
             frames = (b"x", AgentLink(1).heartbeat(), AgentLink(1, wrong, lambda: 1000).heartbeat())
             spoken(port, board, link, frames[k % 3], k)
-        assert not port.heard
+        assert not port.has_peer
         spoken(port, board, computer, AgentLink(1, key, lambda: 1000).heartbeat(), 100)
         port.send(b"telemetry", 200)
         select([computer.socket], [], [], 5.0)

@@ -122,7 +122,7 @@ def test_faults_count_from_the_formations_start_and_not_from_a_lone_flight() -> 
 class TickingClock:
     """A millisecond later at each look."""
 
-    begin_ns = 1_700_000_000_000_000_000
+    waits, begin_ns = False, 1_700_000_000_000_000_000
 
     def __init__(self) -> None:
         self._now_ns = self.begin_ns
@@ -130,6 +130,9 @@ class TickingClock:
     def now_ns(self) -> int:
         self._now_ns += 1_000_000
         return self._now_ns
+
+    def arrival_ns(self, stamp_ns: int) -> int:
+        return self.now_ns()
 
     def instant_ns(self, received: Received[Any]) -> int:
         return received.header.stamp_ns

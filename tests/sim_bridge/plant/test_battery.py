@@ -43,6 +43,13 @@ def test_full_thrust_lasts_as_long_as_its_energy() -> None:
     assert drained(battery, charge, full, 60.0)[0] == 0.0
 
 
+def test_a_quarter_of_the_thrust_takes_an_eighth_of_the_power() -> None:
+    """Momentum theory: a propeller's power goes with its thrust to the power of 1.5."""
+    supply_model = supply("sim.sensors.battery_v=12.6", "sim.plant.battery.electronics_w=0")
+    left = drained(supply_model, supply_model.start(2), np.array([[3.0] * 4, [-0.75] * 4]), 100.0)
+    assert (1.0 - left) == pytest.approx([10_000.0 / (55.0 * 3600.0), 10_000.0 / 8.0 / (55.0 * 3600.0)])
+
+
 def test_voltage_falls_with_charge() -> None:
     battery = supply("sim.sensors.battery_v=12.6")
     volts = battery.rest_v(np.linspace(1.0, 0.0, 50))

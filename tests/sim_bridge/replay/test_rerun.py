@@ -11,7 +11,7 @@ import pytest
 
 from groundstation.logs.reader import LogMessage
 from groundstation.planning import planner
-from robot_agent.node import AgentNode
+from robot_agent.node import AgentNode, StepTime
 from shoal.bus.bus import Bus, Received
 from shoal.bus.memory_transport import MemoryHub, MemoryTransport
 from shoal.config.experiment import Experiment, load_experiment
@@ -45,11 +45,16 @@ UNMOVED = ("safety.watch_thrusters=false",)  # nothing that its thrusters do mov
 class SkewedClock:
     """Goes on when told. The senders' clocks are another matter: theirs are 3 s behind."""
 
+    waits = False
+
     def __init__(self) -> None:
         self.tick_ns = 1_700_000_000_000_000_000
 
     def now_ns(self) -> int:
         return self.tick_ns
+
+    def arrival_ns(self, stamp_ns: int) -> int:
+        return self.now_ns()
 
     def instant_ns(self, received: Received[Any]) -> int:
         return received.header.stamp_ns + BEHIND_NS
@@ -73,7 +78,7 @@ class Pond:
         for topic in (topics.INPUTS, topics.ORDERS, topics.PLAN, topics.OBSTACLES):
             listener.subscribe(topic, None, self._hear)
         self.clock = SkewedClock()
-        self.node = AgentNode(self.experiment, ME, self.agents, Board(), False, Stop(install=False))
+        self.node = AgentNode(self.experiment, ME, self.agents, Board(), Stop(install=False))
         self.node.clock = self.clock
         self.agents.serve(ME, self.node.on_order)
         self.random = np.random.default_rng(4)
@@ -109,7 +114,7 @@ class Pond:
             self.station.publish(topics.HEARTBEAT, StationHeartbeat(self.experiment.hash, False, "RUNNING"), self.sent_ns)
             self.clock.tick_ns += PERIOD_NS
             now_ns = self.clock.tick_ns
-            record, outputs = self.node.step(now_ns, None)
+            record, outputs = self.node.step(now_ns, StepTime(now_ns))
             self.agents.publish(topics.INPUTS, record, now_ns, ME)
             self.node.write(outputs, now_ns, now_ns, time.perf_counter_ns() + HOUR_NS)  # never late
             self.states.append(outputs.state)

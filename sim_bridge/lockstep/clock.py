@@ -19,6 +19,8 @@ LOCKSTEP_SAYS_S = 60.0  # how often a process says what it waits for: to go on w
 class LockstepClock:
     """The simulator's time. All processes share it, so a stamp is an instant."""
 
+    waits = True
+
     def __init__(self) -> None:
         self.tick_ns = 0
 
@@ -27,6 +29,9 @@ class LockstepClock:
 
     def instant_ns(self, received: Received[Any]) -> int:
         return received.header.stamp_ns
+
+    def arrival_ns(self, stamp_ns: int) -> int:
+        return stamp_ns
 
 
 class Reminder:
